@@ -64,6 +64,8 @@ pub struct MachineLines {
     pub probe: Option<u8>,
     /// Input: the hardware switch that forbids corrections.
     pub disable: Option<u8>,
+    /// Input: the MTC is on and counts. While it is off, the MTC's count is not known.
+    pub mtc_ready: Option<u8>,
     /// Output: feed hold.
     pub hold: Option<u8>,
 }
@@ -72,7 +74,7 @@ impl MachineLines {
     /// The layout of the mock and shared-memory test cards.
     #[must_use]
     pub const fn standard() -> Self {
-        Self { probe: Some(28), disable: Some(29), hold: Some(28) }
+        Self { probe: Some(28), disable: Some(29), mtc_ready: None, hold: Some(28) }
     }
 }
 

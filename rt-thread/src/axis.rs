@@ -253,6 +253,7 @@ impl Wire {
 }
 
 /// One axis between two edges: its count, its inverters, and the insertion under way.
+#[allow(clippy::struct_excessive_bools)] // Each is known or not without any other.
 #[derive(Debug)]
 pub(crate) struct AxisEngine {
     config: AxisConfig,
@@ -284,6 +285,8 @@ pub(crate) struct AxisEngine {
     not_believed: u8,
     homing: Option<i64>,
     homed: bool,
+    /// The MTC's count less the scale's is certain.
+    mtc_known: bool,
     faults: Faults,
     capture: Option<Capture>,
     /// Nothing to do before this, ns, unless a line changes.
@@ -309,6 +312,18 @@ pub(crate) struct AxisEngine {
     beyond_limits: u64,
     /// An inversion of ours has been made since homing.
     touched: bool,
+    /// Edges of one channel alone.
+    alone: Alone,
+}
+
+/// Edges of one channel, one after the other, while the other channel has not changed: the axis goes to and fro over one
+/// boundary between two counts, or the other channel is dead.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+struct Alone {
+    /// That boundary, counts.
+    boundary: i64,
+    /// Edges in a row at which the axis would have turned back sooner than it can.
+    impossible: u8,
 }
 
 /// An axis as it was found at the start.
@@ -324,6 +339,9 @@ pub(crate) struct Found {
 const REST: u64 = u64::MAX;
 /// No change of lines: after an edge without a direction none goes on as before.
 const NOWHERE: (u64, Signal) = (u64::MAX, Signal::A);
+/// After so many edges in a row at which the axis would have turned back sooner than it can, the other channel is dead.
+/// A burst of noise is shorter, and an axis moves on by 32 counts at most.
+const DEAD_AFTER: u8 = 16;
 /// A capture that finds no further edge is complete after this time: the axis has stopped.
 const CAPTURE_LIMIT_NS: u64 = 100_000_000;
 
@@ -372,6 +390,7 @@ impl AxisEngine {
             not_believed: 0,
             homing: None,
             homed: false,
+            mtc_known: !half,
             faults,
             capture: None,
             wake_ns: found.t_ns,
@@ -388,6 +407,7 @@ impl AxisEngine {
             late: 0,
             beyond_limits: 0,
             touched: half,
+            alone: Alone::default(),
         })
     }
 
@@ -426,6 +446,15 @@ impl AxisEngine {
 
     pub(crate) const fn homed(&self) -> bool {
         self.homed
+    }
+
+    pub(crate) const fn mtc_known(&self) -> bool {
+        self.mtc_known
+    }
+
+    /// The MTC was off, or nobody knows what it counts: it has to be homed, and this axis with it.
+    pub(crate) fn lose_controller(&mut self) {
+        (self.mtc_known, self.homed, self.homing) = (false, false, None);
     }
 
     pub(crate) const fn faults(&self) -> Faults {
@@ -468,7 +497,7 @@ impl AxisEngine {
     /// Latches a fault; `true` when it is new.
     pub(crate) fn latch(&mut self, fault: Fault) -> bool {
         if fault.loses_home() {
-            self.homed = false;
+            self.lose_controller();
         }
         self.faults.latch(fault)
     }
@@ -496,20 +525,24 @@ impl AxisEngine {
         }
     }
 
-    /// Zeroes the counters at the known place.
-    pub(crate) fn home(&mut self, position_counts: i64) {
+    /// Zeroes the scale's counter at the known place, and with it the total where the MTC has been homed there too.
+    /// Otherwise the MTC still counts what was inserted: the total goes on from there.
+    pub(crate) fn home(&mut self, position_counts: i64, controller_homed: bool) {
         self.scale = Decoder::new(self.scale.state());
         self.home_counts = position_counts;
-        self.wire.mtc_count = 0;
-        self.wire.completed = 0;
-        if let Some(real) = &mut self.real {
-            real.completed = 0;
+        if controller_homed {
+            self.wire.completed = 0;
+            if let Some(real) = &mut self.real {
+                real.completed = 0;
+            }
+            (self.mtc_known, self.touched) = (true, false);
         }
-        self.requested = 0;
+        self.wire.mtc_count = self.wire.completed;
+        self.requested = self.wire.completed;
+        self.not_believed = 0;
         self.homed = false;
         self.homing = Some(position_counts);
         self.capture = None;
-        self.touched = false;
     }
 
     /// Completes homing when the control side has read back the home position.
@@ -695,13 +728,18 @@ impl AxisEngine {
             return;
         };
         let last_period_ns = self.period_ns;
-        if let Some((last_ns, _)) = self.enter_time(look, report)
+        let last = self.enter_time(look, report);
+        if let Some((last_ns, _)) = last
             && look.unseen & self.a_mask != 0
         {
             self.check_limits(step, look.edge_ns.1 - last_ns, last_period_ns, report);
         }
+        // A and B take turns while the axis goes on. [`AxisEngine::goes_on_calmly`] never gets here without that.
+        let turned = self.last_step != 0 && step != self.last_step;
         self.last_step = step;
-        // A and B take turns.
+        if turned {
+            self.check_turns(look, last.map(|(ns, _)| ns), report);
+        }
         self.onward = match before.signal_to(state) {
             Signal::A => (self.scale_mask ^ self.a_mask, Signal::B),
             Signal::B => (self.a_mask, Signal::A),
@@ -728,7 +766,13 @@ impl AxisEngine {
             Insertion::Idle | Insertion::Opened { .. } => {
                 self.insertion = Insertion::Idle;
                 if self.ready() && look.permit.insert {
-                    self.open(look.edge_ns);
+                    if turned {
+                        // It takes both channels to know that the axis moves.
+                        self.waits_for = GateState::OneChannel;
+                        self.waited_for_gate += 1;
+                    } else {
+                        self.open(look.edge_ns);
+                    }
                 }
             }
             Insertion::Half { edges, .. } => *edges += 1,
@@ -736,11 +780,28 @@ impl AxisEngine {
         }
     }
 
+    /// The channel that changed last has changed again, and has so turned the axis back. Only while A and B take turns
+    /// is it known to move: over one boundary it may go to and fro, but no sooner than its limits allow.
+    #[cold]
+    fn check_turns(&mut self, look: &Look, before_ns: Option<u64>, report: &mut impl FnMut(EventKind)) {
+        let boundary = self.last_boundary();
+        if self.alone.boundary != boundary {
+            self.alone = Alone { boundary, impossible: 0 };
+        }
+        // Unstamped, the edge before was at the earliest after the look before it.
+        let after_ns = before_ns.map_or(u64::MAX, |ns| look.edge_ns.1 - ns);
+        self.alone.impossible =
+            if after_ns < self.gate.turn_back_ns() { self.alone.impossible.saturating_add(1) } else { 0 };
+        if self.alone.impossible >= DEAD_AFTER {
+            self.fault(Fault::ChannelDead, report);
+        }
+    }
+
     /// A and B have both changed: the step is unknown.
     #[inline]
     fn edge_of_both(&mut self, state: State, look: &Look, report: &mut impl FnMut(EventKind)) {
         self.enter_time(look, report);
-        (self.last_step, self.onward) = (0, NOWHERE);
+        (self.last_step, self.onward, self.alone) = (0, NOWHERE, Alone::default());
         self.wire.mtc = state.inverted(self.wire.inverters);
         if let Insertion::Half { edges, .. } = &mut self.insertion {
             *edges += 1;
@@ -1062,6 +1123,7 @@ impl AxisEngine {
             in_effect: real.completed,
             inverted: real.inverters == 3,
             homed: self.homed,
+            mtc_known: self.mtc_known,
             gate,
             edge_rate_hz: if period_ns == 0 || at_rest { 0.0 } else { 1e9 / period_ns as f64 },
             faults: self.faults,
@@ -1108,7 +1170,7 @@ mod tests {
             let config = AxisConfig { detect_ns: 700, ..AxisConfig::default() };
             let found = Found { scale: State::default(), inverters: 0, completed: 0, t_ns: 1 };
             let mut axis = AxisEngine::new(config, found).unwrap();
-            axis.home(0);
+            axis.home(0, true);
             axis.confirm_home(0);
             let mut state = State::default();
             let mut edge = |t_ns: u64, since_ns: u64, careful: bool| {
@@ -1149,7 +1211,7 @@ mod tests {
             let found = Found { scale: State::default(), inverters: 0, completed: 0, t_ns: 1 };
             let mut axes = [(); 2].map(|()| AxisEngine::new(config, found).unwrap());
             for axis in &mut axes {
-                axis.home(0);
+                axis.home(0, true);
                 axis.confirm_home(0);
             }
             let (mut state, mut t_ns, mut calm) = (State::default(), 1, 0);

@@ -2,10 +2,11 @@
 
 use crate::axis::{Answer, AxisConfig, AxisEngine, Found, Inversion, Look, Permit};
 use crate::event::{
-    AxisStatus, Event, EventKind, Fault, Faults, GateState, MAX_AXES, Mode, Refusal, Request, Status,
+    AxisStatus, Event, EventKind, Fault, Faults, GateState, HeldBy, MAX_AXES, Mode, OffBecause, Refusal,
+    Request, Status,
 };
 use crate::histogram::{Reader, Recorder, histogram};
-use crate::journal::{Journal, StateRecord};
+use crate::journal::{Journal, MachineRecord, StateRecord};
 use rtec_driver::card::{Card, CardError, MachineLines, Sample, Trouble};
 
 /// The machine as a whole, beforehand.
@@ -58,9 +59,12 @@ pub struct Engine {
     enabled: bool,
     shadow: bool,
     probing: bool,
-    held: bool,
+    off_because: OffBecause,
+    held: Option<HeldBy>,
     stale: bool,
     switch_off: bool,
+    mtc_ready: bool,
+    hold_without_mtc: bool,
     hold_out: Option<bool>,
     faults: Faults,
     mode: Mode,
@@ -72,6 +76,9 @@ pub struct Engine {
     /// Masks of the machine's own inputs, none where not wired.
     probe_mask: u64,
     disable_mask: u64,
+    mtc_mask: u64,
+    /// All of them together.
+    own_mask: u64,
     /// A look that comes later than this after the one before may have missed counts of some axis.
     late_ns: u64,
     /// The last such look, and the one before it: its lines may have been read long before it took its time.
@@ -82,8 +89,9 @@ pub struct Engine {
 }
 
 impl Engine {
-    /// An engine on a card as it stands: inverters are taken over, `completed` gives each axis's total from before
-    /// (zero at a first start), as [`Engine::in_effect`] returned it. Nothing is written; corrections are off.
+    /// An engine on a card as it stands: inverters and feed hold are taken over, `completed` gives each axis's total from
+    /// before (zero at a first start), as [`Engine::in_effect`] returned it. Nothing is written; corrections are off. The MTC
+    /// is taken to count what `completed` says, until [`Engine::lose_controller`] says otherwise.
     ///
     /// An axis that was left between two inversions is latched as [`Fault::Interrupted`]; the second one follows from
     /// [`Engine::poll`].
@@ -115,13 +123,15 @@ impl Engine {
             all.push(AxisEngine::new(*config, found).ok_or(StartError::NoGate(n))?);
             watched |= config.lines.input_mask();
         }
-        let [probe_mask, disable_mask] =
-            [machine.lines.probe, machine.lines.disable].map(|bit| bit.map_or(0, |b| 1 << b));
-        watched |= probe_mask | disable_mask;
+        let lines = machine.lines;
+        let mask = |bit: Option<u8>| bit.map_or(0, |b| 1_u64 << b);
+        let [probe_mask, disable_mask, mtc_mask] = [lines.probe, lines.disable, lines.mtc_ready].map(mask);
+        let own_mask = probe_mask | disable_mask | mtc_mask;
+        watched |= own_mask;
         let (poll_gap_ns, gap_reader) = histogram();
         let (edge_to_done_ns, done_reader) = histogram();
         let late_ns = all.iter().map(AxisEngine::need_ns).min().unwrap_or(u64::MAX);
-        Ok(Self {
+        let mut engine = Self {
             axes: all.into_boxed_slice(),
             machine,
             watched,
@@ -133,9 +143,12 @@ impl Engine {
             enabled: false,
             shadow: false,
             probing: false,
-            held: false,
+            off_because: OffBecause::Start,
+            held: (outputs & mask(lines.hold) != 0).then_some(HeldBy::FoundOn),
             stale: false,
             switch_off: sample.inputs & disable_mask != 0,
+            mtc_ready: true,
+            hold_without_mtc: false,
             hold_out: None,
             faults: Faults::NONE,
             mode: Mode::Disabled,
@@ -144,12 +157,16 @@ impl Engine {
             mode_due: true,
             probe_mask,
             disable_mask,
+            mtc_mask,
+            own_mask,
             late_ns,
             late_look: (0, 0),
             poll_gap_ns,
             edge_to_done_ns,
             timing: Timing { poll_gap_ns: gap_reader, edge_to_done_ns: done_reader },
-        })
+        };
+        engine.look_after_mtc(sample.inputs, &mut |_| true);
+        Ok(engine)
     }
 
     /// Homes every axis at zero where it stands and enables corrections: how a replay or a simulation starts.
@@ -176,7 +193,7 @@ impl Engine {
     ) -> Result<(), CardError> {
         for n in 0..self.axes.len() {
             let (axis, position_counts) = (n as u8, position_counts(n));
-            self.take(Request::Home { axis, position_counts }, card, report)?;
+            self.take(Request::Home { axis, position_counts, controller_homed: true }, card, report)?;
             self.take(Request::ConfirmHome { axis, position_counts }, card, report)?;
         }
         self.take(Request::Enable, card, report)
@@ -188,20 +205,46 @@ impl Engine {
         self.note();
     }
 
-    /// Notes every axis as it is in effect now.
+    /// Notes every axis as it is in effect now, and the machine.
     fn note(&mut self) {
+        self.note_axes();
+        let (held, hold_output, faults) = (self.held, self.wants_hold(), self.faults);
+        if let Some(journal) = &mut self.journal {
+            journal.record_machine(MachineRecord { held, hold_output, faults }, self.look_ns);
+        }
+    }
+
+    fn note_axes(&mut self) {
         if let Some(journal) = &mut self.journal {
             for (n, axis) in self.axes.iter().enumerate() {
                 let (inverters, completed) = axis.in_effect();
-                let faults = axis.faults().losing_home();
-                journal.record(n, StateRecord { inverters, completed, faults });
+                let (faults, mtc_known) = (axis.faults(), axis.mtc_known());
+                journal.record(n, StateRecord { inverters, completed, faults, mtc_known }, self.look_ns);
             }
         }
+    }
+
+    /// Nobody knows what the MTC counts of this axis: it has to be homed, and the axis with it.
+    pub fn lose_controller(&mut self, axis: usize) {
+        if let Some(axis) = self.axes.get_mut(axis) {
+            axis.lose_controller();
+        }
+    }
+
+    /// Feed hold as the process before this one left it, and not as it was found on the card.
+    pub fn take_over_hold(&mut self, held: Option<HeldBy>) {
+        self.held = held.or(self.held.filter(|by| *by == HeldBy::Controller));
     }
 
     /// Sets whether corrections may be enabled: the card is a mock, or every real-time setting has been verified.
     pub fn set_may_arm(&mut self, may_arm: bool) {
         self.machine.may_arm = may_arm;
+    }
+
+    /// Feed hold is asked for whenever the MTC is off. It stays on afterwards.
+    pub fn hold_without_mtc(&mut self) {
+        self.hold_without_mtc = true;
+        self.hold_for_mtc();
     }
 
     /// No insertion is under way on any axis: both inverters are equal everywhere.
@@ -212,9 +255,32 @@ impl Engine {
 
     /// The card has failed: every axis is latched. Nothing more can be written.
     pub fn card_failed(&mut self, error: CardError, report: &mut impl FnMut(Event) -> bool) {
-        if error != CardError::Ended && self.faults.latch(Fault::Card) {
+        if error != CardError::Ended {
+            self.fail(Fault::Card, report);
+        }
+    }
+
+    /// The loop ends by this fault: corrections are off, and what a restart must know is noted.
+    fn fail(&mut self, fault: Fault, report: &mut impl FnMut(Event) -> bool) {
+        if self.faults.latch(fault) {
             self.mode = Mode::Fault;
-            self.emit(None, EventKind::Fault(Fault::Card), report);
+            self.switch_off(OffBecause::Fault);
+            self.emit(None, EventKind::Fault(fault), report);
+            self.note();
+        }
+    }
+
+    /// The loop has panicked: the fault is latched and feed hold written. Inverters stay as they are.
+    pub fn panicked<C: Card>(&mut self, card: &mut C, report: &mut impl FnMut(Event) -> bool) {
+        self.fail(Fault::ThreadLost, report);
+        // A card that refuses this too is beyond reach: the fault is latched already.
+        let _ = self.write_hold(card);
+    }
+
+    /// Corrections are off, and only [`Request::Enable`] switches them on again.
+    fn switch_off(&mut self, because: OffBecause) {
+        if self.enabled {
+            (self.enabled, self.off_because) = (false, because);
         }
     }
 
@@ -268,7 +334,7 @@ impl Engine {
     /// be more to it; what has been counted then is not counted again.
     #[inline]
     fn all_go_on_calmly(&mut self, sample: &Sample, changed: u64, since_ns: u64) -> bool {
-        if changed & (self.probe_mask | self.disable_mask) != 0 || self.mode_due {
+        if changed & self.own_mask != 0 || self.mode_due {
             return false;
         }
         let look = Look::new(sample, self.edge_since_ns(since_ns), self.permit);
@@ -380,10 +446,10 @@ impl Engine {
             wake_ns = wake_ns.min(axis.wake_ns());
         }
         self.wake_ns = wake_ns;
-        if self.journal.is_some()
-            && (mask != 0 && !look.permit.shadow || new_fault || self.mode_due || self.mode == Mode::Fault)
-        {
+        if new_fault || self.mode_due || self.mode == Mode::Fault {
             self.note();
+        } else if mask != 0 && !look.permit.shadow {
+            self.note_axes();
         }
         if mask != 0 {
             let done_ns = if look.permit.shadow { Some(t_ns) } else { card.write(mask, value)? };
@@ -395,11 +461,34 @@ impl Engine {
                 }
             }
         }
-        if changed & self.disable_mask != 0 || new_fault || self.mode_due {
+        if changed & (self.disable_mask | self.mtc_mask) != 0 || new_fault || self.mode_due {
             self.switch_off = inputs & self.disable_mask != 0;
+            self.look_after_mtc(inputs, report);
             self.update_mode(card, report)?;
         }
         Ok(())
+    }
+
+    /// The MTC was switched off: nobody knows what it counts from then on.
+    fn look_after_mtc(&mut self, inputs: u64, report: &mut impl FnMut(Event) -> bool) {
+        let ready = inputs & self.mtc_mask == self.mtc_mask;
+        if ready == self.mtc_ready {
+            return;
+        }
+        self.mtc_ready = ready;
+        if !ready {
+            self.axes.iter_mut().for_each(AxisEngine::lose_controller);
+            self.switch_off(OffBecause::Controller);
+            self.hold_for_mtc();
+            self.note();
+        }
+        self.emit(None, EventKind::ControllerReady(ready), report);
+    }
+
+    fn hold_for_mtc(&mut self) {
+        if self.hold_without_mtc && !self.mtc_ready {
+            self.held.get_or_insert(HeldBy::Controller);
+        }
     }
 
     /// Works the mode out anew, and the hold line with it.
@@ -410,11 +499,16 @@ impl Engine {
     ) -> Result<(), CardError> {
         let faulted = self.faults.any() || self.axes.iter().any(|a| a.faults().any());
         self.mode_due = false;
-        // A cleared fault leaves corrections off: they come on again by a decision, not by themselves.
-        self.enabled &= !faulted;
+        // Corrections come on again by a decision, not by themselves.
+        if faulted {
+            self.switch_off(OffBecause::Fault);
+        }
+        if self.switch_off {
+            self.switch_off(OffBecause::Switch);
+        }
         let mode = if faulted {
             Mode::Fault
-        } else if self.held {
+        } else if self.held.is_some() {
             Mode::Hold
         } else if self.probing {
             Mode::Probe
@@ -425,19 +519,29 @@ impl Engine {
         } else {
             Mode::Run
         };
-        let hold = faulted || self.held;
-        if self.hold_out != Some(hold) {
-            if let Some(bit) = self.machine.lines.hold {
-                card.write(1 << bit, u64::from(hold) << bit)?;
-            }
-            self.hold_out = Some(hold);
-        }
+        self.write_hold(card)?;
         if mode != self.mode {
             self.mode = mode;
             self.emit(None, EventKind::Mode(mode), report);
             self.wake_all();
         }
         self.set_permit();
+        Ok(())
+    }
+
+    /// Somebody asks for feed hold, or a fault does.
+    fn wants_hold(&self) -> bool {
+        self.held.is_some() || self.faults.any() || self.axes.iter().any(|a| a.faults().any())
+    }
+
+    fn write_hold<C: Card>(&mut self, card: &mut C) -> Result<(), CardError> {
+        let hold = self.wants_hold();
+        if self.hold_out != Some(hold) {
+            if let Some(bit) = self.machine.lines.hold {
+                card.write(1 << bit, u64::from(hold) << bit)?;
+            }
+            self.hold_out = Some(hold);
+        }
         Ok(())
     }
 
@@ -489,15 +593,21 @@ impl Engine {
             Request::Correct { axis, total_counts, large } => {
                 self.correct(axis, total_counts, large, report)?;
             }
-            Request::Home { axis, position_counts } => {
+            Request::Home { axis, position_counts, controller_homed } => {
                 let a = self.axes.get_mut(usize::from(axis)).ok_or(Refusal::NoSuchAxis)?;
                 if a.faults().any() {
                     return Err(Refusal::FaultLatched);
                 }
+                if !self.mtc_ready {
+                    return Err(Refusal::ControllerNotReady);
+                }
+                if !controller_homed && !a.mtc_known() {
+                    return Err(Refusal::ControllerUnknown);
+                }
                 if !a.idle() {
                     return Err(Refusal::Busy);
                 }
-                a.home(position_counts);
+                a.home(position_counts, controller_homed);
                 self.emit(Some(axis), EventKind::HomeSet { position_counts }, report);
             }
             Request::ConfirmHome { axis, position_counts } => {
@@ -505,13 +615,17 @@ impl Engine {
                 if !a.confirm_home(position_counts) {
                     return Err(Refusal::NotHomed);
                 }
-                self.emit(Some(axis), EventKind::Homed, report);
+                let kept_counts = a.in_effect().1;
+                self.emit(Some(axis), EventKind::Homed { kept_counts }, report);
             }
             Request::Enable | Request::Shadow => {
                 let shadow = request == Request::Shadow;
                 self.armable(shadow)?;
                 if self.axes.iter().any(|a| !a.idle()) {
                     return Err(Refusal::Busy);
+                }
+                if shadow {
+                    self.switch_off(OffBecause::Asked);
                 }
                 (self.enabled, self.shadow) = (!shadow, shadow);
                 self.axes.iter_mut().for_each(|a| a.set_shadow(shadow));
@@ -520,11 +634,16 @@ impl Engine {
                 if self.shadow && self.axes.iter().any(|a| !a.idle()) {
                     return Err(Refusal::Busy);
                 }
-                (self.enabled, self.shadow) = (false, false);
+                self.shadow = false;
+                self.switch_off(OffBecause::Asked);
                 self.axes.iter_mut().for_each(|a| a.set_shadow(false));
             }
             Request::Probe(on) => self.probing = on,
-            Request::Hold(on) => self.held = on,
+            // Whoever asked first holds the machine.
+            Request::Hold { on: true, by } => {
+                self.held.get_or_insert(HeldBy::User(by));
+            }
+            Request::Hold { on: false, .. } => self.held = None,
             Request::Clear => {
                 self.faults = Faults::NONE;
                 self.axes.iter_mut().for_each(AxisEngine::clear);
@@ -537,8 +656,15 @@ impl Engine {
     fn armable(&self, shadow: bool) -> Result<(), Refusal> {
         if self.mode == Mode::Fault {
             Err(Refusal::FaultLatched)
+        } else if self.held.is_some() {
+            // Corrections would come on by themselves when it ends.
+            Err(Refusal::Held)
+        } else if self.probing {
+            Err(Refusal::Probing)
         } else if self.switch_off {
             Err(Refusal::DisableSwitch)
+        } else if !self.mtc_ready {
+            Err(Refusal::ControllerNotReady)
         } else if self.axes.iter().any(|a| !a.homed()) {
             Err(Refusal::NotHomed)
         } else if !shadow && !self.machine.may_arm {
@@ -565,14 +691,14 @@ impl Engine {
         if self.probing {
             return Err(Refusal::Probing);
         }
-        if self.switch_off || !self.enabled && !self.shadow {
-            return if total_counts == 0 {
-                Ok(())
-            } else if self.switch_off {
-                Err(Refusal::DisableSwitch)
-            } else {
-                Err(Refusal::Disabled)
-            };
+        if self.held.is_some() {
+            return Err(Refusal::Held);
+        }
+        if self.switch_off {
+            return Err(Refusal::DisableSwitch);
+        }
+        if !self.enabled && !self.shadow {
+            return Err(Refusal::Disabled);
         }
         match a.request(total_counts, large) {
             Answer::Accepted => {}
@@ -590,12 +716,17 @@ impl Engine {
         Ok(())
     }
 
-    /// Sets whether the control side is silent (`stale`). While it is, no new insertion begins.
+    /// Sets whether the control side is silent (`stale`). It switches corrections off; its return does not enable them.
     pub fn set_control_stale(&mut self, stale: bool, report: &mut impl FnMut(Event) -> bool) {
         if stale != self.stale {
             self.stale = stale;
             self.emit(None, EventKind::ControlStale(stale), report);
+            if stale {
+                self.switch_off(OffBecause::ControlStale);
+            }
+            // No new insertion begins from here on; the next look finds the mode.
             self.set_permit();
+            self.mode_due = true;
             self.wake_all();
         }
     }
@@ -617,6 +748,7 @@ impl Engine {
         };
         if new {
             self.emit(axis, EventKind::Fault(fault), report);
+            self.note();
         }
         self.update_mode(card, report)
     }
@@ -644,7 +776,7 @@ impl Engine {
     #[must_use]
     pub fn status(&self) -> Status {
         let blocked = match self.mode {
-            Mode::Run | Mode::Shadow if self.stale => Some(GateState::ControlStale),
+            Mode::Run | Mode::Shadow | Mode::Disabled if self.stale => Some(GateState::ControlStale),
             Mode::Run | Mode::Shadow => None,
             Mode::Fault => Some(GateState::Fault),
             Mode::Disabled | Mode::Hold | Mode::Probe => Some(GateState::Off),
@@ -658,6 +790,11 @@ impl Engine {
             mode: self.mode,
             control_stale: self.stale,
             disable_switch: self.switch_off,
+            mtc_ready: self.mtc_ready,
+            enabled: self.enabled,
+            off_because: self.off_because,
+            held: self.held,
+            hold_output: self.hold_out == Some(true),
             polls: self.polls,
             events_lost: self.events_lost,
             faults: self.faults,

@@ -24,6 +24,8 @@ pub enum Request {
         axis: u8,
         /// Position of the known place, counts.
         position_counts: i64,
+        /// The MTC has been homed there too: what it counted before is forgotten. Otherwise the total in effect is kept.
+        controller_homed: bool,
     },
     /// What the control side has read back after [`Request::Home`]; only the same value completes it.
     ConfirmHome {
@@ -41,7 +43,12 @@ pub enum Request {
     /// Probing mode on or off: no corrections, positions captured at the probe's edge.
     Probe(bool),
     /// Feed hold on or off.
-    Hold(bool),
+    Hold {
+        /// `true` asks for feed hold, `false` releases it.
+        on: bool,
+        /// Number of the user who asks.
+        by: u32,
+    },
     /// Release latched faults. Axes whose count is in doubt must be homed again.
     Clear,
 }
@@ -86,6 +93,10 @@ pub enum Fault {
     BeyondLimits,
     /// The state file has lost what this axis had in effect.
     RecordLost,
+    /// The real-time thread panicked or stood still: nobody looked at the lines from then on.
+    ThreadLost,
+    /// One channel of the scale changes again and again, and the other does not take its turn: a broken wire.
+    ChannelDead,
 }
 
 impl From<TroubleKind> for Fault {
@@ -102,7 +113,7 @@ impl From<TroubleKind> for Fault {
 
 impl Fault {
     /// All of them, in the order of their bits.
-    pub const ALL: [Self; 17] = [
+    pub const ALL: [Self; 19] = [
         Self::IllegalTransition,
         Self::LedgerImbalance,
         Self::OrderUnknown,
@@ -120,6 +131,8 @@ impl Fault {
         Self::Interrupted,
         Self::BeyondLimits,
         Self::RecordLost,
+        Self::ThreadLost,
+        Self::ChannelDead,
     ];
 
     /// After such a fault the axis's count is in doubt: only homing makes it good.
@@ -151,10 +164,16 @@ impl Faults {
         self.0 != 0
     }
 
-    /// Those of the set that put the axis's count in doubt.
+    /// The fault is in the set.
     #[must_use]
-    pub fn losing_home(self) -> Self {
-        Self(self.iter().filter(|f| f.loses_home()).fold(0, |bits, f| bits | 1 << f as u8))
+    pub const fn has(self, fault: Fault) -> bool {
+        self.0 & 1 << fault as u8 != 0
+    }
+
+    /// Those of this set that the other one lacks.
+    #[must_use]
+    pub const fn without(self, other: Self) -> Self {
+        Self(self.0 & !other.0)
     }
 
     /// The set as a number, for a file.
@@ -170,7 +189,7 @@ impl Faults {
 
     /// Those that are latched.
     pub fn iter(self) -> impl Iterator<Item = Fault> {
-        Fault::ALL.into_iter().filter(move |f| self.0 & 1 << *f as u8 != 0)
+        Fault::ALL.into_iter().filter(move |f| self.has(*f))
     }
 }
 
@@ -190,6 +209,8 @@ pub enum Refusal {
     DisableSwitch,
     /// Probing mode is on.
     Probing,
+    /// Feed hold is on.
+    Held,
     /// Beyond the axis's maximum.
     AboveMaximum,
     /// A change beyond the belief window: "I don't believe you".
@@ -198,6 +219,41 @@ pub enum Refusal {
     NotArmable,
     /// An insertion is under way; ask again.
     Busy,
+    /// The MTC's count is not known: only homing the MTC and the axis makes it known.
+    ControllerUnknown,
+    /// The MTC is off, or has not said yet that it counts.
+    ControllerNotReady,
+}
+
+/// Who holds the machine: who asked for the feed hold that is on.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum HeldBy {
+    /// The user of this number.
+    User(u32),
+    /// The MTC: it was switched off, and the configuration asks for feed hold then.
+    Controller,
+    /// Nobody known: the line was on when the daemon started, and the state file does not say why.
+    FoundOn,
+}
+
+/// What switched corrections off last.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum OffBecause {
+    /// The daemon started; nobody has enabled them since.
+    #[default]
+    Start,
+    /// Somebody asked for it.
+    Asked,
+    /// The disable switch.
+    Switch,
+    /// The MTC was off.
+    Controller,
+    /// The control side was silent.
+    ControlStale,
+    /// A fault.
+    Fault,
 }
 
 /// What the engine reports.
@@ -234,7 +290,10 @@ pub enum EventKind {
         position_counts: i64,
     },
     /// Homing is complete.
-    Homed,
+    Homed {
+        /// What the MTC still counts of what was inserted before, counts; 0 where it has been homed too.
+        kept_counts: i64,
+    },
     /// A real edge fell into an insertion; its effect was certain and is in the ledger.
     Overlap,
     /// An insertion was given up because the process looked too late.
@@ -243,6 +302,8 @@ pub enum EventKind {
     Mode(Mode),
     /// No sign of life from the control side for too long: corrections freeze. `false`: it is back.
     ControlStale(bool),
+    /// The MTC counts (`true`), or it was switched off: what it counts is not known any more.
+    ControllerReady(bool),
     /// The probe tripped.
     Trip(Capture),
     /// The probe tripped again before the capture was complete.
@@ -312,6 +373,8 @@ pub enum GateState {
     WaitingForEdge,
     /// The axis is too fast for an insertion.
     TooFast,
+    /// One channel has changed twice, the other not: the axis turned, trembles over one boundary, or has a broken wire.
+    OneChannel,
     /// The rate cap holds the next insertion back.
     RateCap,
     /// The axis is at rest, and its rest policy is to wait.
@@ -343,6 +406,8 @@ pub struct AxisStatus {
     pub inverted: bool,
     /// Counters zeroed at the known place, and the place confirmed.
     pub homed: bool,
+    /// The MTC's count less the scale's is certain: the MTC has been homed, and nothing has put it in doubt since.
+    pub mtc_known: bool,
     /// Why it is or is not correcting.
     pub gate: GateState,
     /// Scale edges per second now.
@@ -364,6 +429,7 @@ pub struct AxisStatus {
 }
 
 /// The whole corrector at one moment.
+#[allow(clippy::struct_excessive_bools)] // Each is a lamp of its own.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Status {
     /// When, on the card's clock, ns.
@@ -374,6 +440,16 @@ pub struct Status {
     pub control_stale: bool,
     /// The disable switch is on.
     pub disable_switch: bool,
+    /// The MTC counts; `true` too where no line tells.
+    pub mtc_ready: bool,
+    /// Corrections are enabled, whatever else is in their way. Hold and probing do not switch them off.
+    pub enabled: bool,
+    /// What switched them off last.
+    pub off_because: OffBecause,
+    /// Who asked for feed hold, where somebody did; a fault asserts it beside that.
+    pub held: Option<HeldBy>,
+    /// Feed hold as it is written to the card, asked for or by a fault.
+    pub hold_output: bool,
     /// Looks at the card so far.
     pub polls: u64,
     /// Events that found the ring full.
@@ -414,11 +490,9 @@ mod tests {
             let mut one = Faults::NONE;
             one.latch(fault);
             let certain = matches!(fault, Fault::StillNotBelieved | Fault::ErrorLimit);
-            assert_eq!(one.losing_home(), if certain { Faults::NONE } else { one });
+            assert_eq!(fault.loses_home(), !certain, "{fault:?}");
+            assert!(one.has(fault) && all.without(one).iter().count() == n);
         }
-        let doubted: Vec<_> = all.losing_home().iter().collect();
-        assert_eq!(doubted.len(), Fault::ALL.len() - 2);
-        assert!(!doubted.contains(&Fault::StillNotBelieved) && !doubted.contains(&Fault::ErrorLimit));
         assert_eq!(Faults::from_bits(all.bits() + 1), None, "one that this version does not know");
     }
 

@@ -1,4 +1,5 @@
-//! What must survive a crash of the process: each axis's inverters, completed total and latched faults, in a mapped file.
+//! What must survive a crash of the process, in a mapped file: each axis's inverters, completed total and latched faults,
+//! whether the MTC's count is known; feed hold and who asked for it; when each fault was latched.
 //!
 //! The engine writes a record *before* it inverts anything, alternating between two slots per axis. After a crash one
 //! of the two records agrees with the inverters as they are read back, and holds what was completed; if none does, the
@@ -8,39 +9,57 @@
 //!
 //! | page | what |
 //! |---|---|
-//! | 1 | head (magic, whose file it is), then the axes' slots |
+//! | 1 | head (magic, whose file it is), the axes' slots, the machine's slots, the times of faults |
 //! | 2 | the same once more: a record is lost only when both copies are |
+//!
+//! A file of version 2 is read: it has no machine's slots and no times, and it does not say whether the MTC was homed.
 //!
 //! The file belongs to one machine on one card with one wiring, and to one process at a time (`flock(2)`). A file that is
 //! there and has no record of an axis is no first start: whoever opens it must latch that axis.
 
-use crate::event::{Faults, MAX_AXES};
+use crate::event::{Fault, Faults, HeldBy, MAX_AXES};
 use nix::errno::Errno;
 use nix::fcntl::{Flock, FlockArg, OFlag, posix_fallocate};
 use nix::sys::mman::{MapFlags, ProtFlags, mmap, munmap};
 use std::fs::File;
 use std::io;
 use std::num::NonZeroUsize;
-use std::os::unix::fs::OpenOptionsExt;
+use std::os::unix::fs::{FileExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 use std::ptr::NonNull;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-const MAGIC: u64 = u64::from_le_bytes(*b"RTECJ\0\0\x02");
-/// Sequence number, inverters and faults, completed, check sum.
+const MAGIC: u64 = u64::from_le_bytes(*b"RTECJ\0\0\x03");
+/// The version before, which is read.
+const MAGIC_2: u64 = u64::from_le_bytes(*b"RTECJ\0\0\x02");
+/// Sequence number, flags, completed or user, check sum.
 const SLOT_WORDS: usize = 4;
 const AXIS_WORDS: usize = 2 * SLOT_WORDS;
 /// Sequence numbers are below: nobody writes so many, and there is room to count on from any.
 const ROOM: u64 = 1 << 63;
 /// Magic, hash of the identity, its length, check sum.
 const HEAD_WORDS: usize = 8;
+/// The slots of the machine as a whole come behind those of the axes.
+const MACHINE: usize = MAX_AXES;
+const ROWS: usize = MAX_AXES + 1;
+/// Where the times begin, a row for each axis and one for the machine: of every fault, and at its end of feed hold.
+const TIMES_AT: usize = 64;
+const ROW_WORDS: usize = 32;
+const HOLD_AT: usize = ROW_WORDS - 1;
+const _: () = assert!(Fault::ALL.len() <= HOLD_AT);
 /// Where the identity's text begins, and how much of it is kept for messages.
-const TEXT_AT: usize = 64;
+const TEXT_AT: usize = 320;
+const TEXT_AT_2: usize = 64;
 const PAGE_WORDS: usize = 512;
 const TEXT_BYTES: usize = (PAGE_WORDS - TEXT_AT) * 8;
 const COPIES: usize = 2;
 const BYTES: NonZeroUsize = NonZeroUsize::new(COPIES * PAGE_WORDS * 8).unwrap();
-const _: () = assert!(HEAD_WORDS + MAX_AXES * AXIS_WORDS <= TEXT_AT);
+const _: () = assert!(HEAD_WORDS + ROWS * AXIS_WORDS <= TIMES_AT && TIMES_AT + ROWS * ROW_WORDS <= TEXT_AT);
+/// The word of the head that says that the real-time thread was lost, and what it says then.
+const LOST_AT: usize = 4;
+const LOST: u64 = u64::from_le_bytes(*b"RTECLOST");
+/// A time of the card's clock is kept in µs, in the upper bits of its word; below is its check sum.
+const TIME_SHIFT: u32 = 16;
 
 /// What an axis had in effect.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -49,20 +68,77 @@ pub struct StateRecord {
     pub inverters: u8,
     /// What is in the MTC's count, counts: the completed total, or an odd number halfway through an insertion.
     pub completed: i64,
-    /// Why that is in doubt: a restart is no way round a latched fault.
+    /// What is latched: a restart is no way round a fault.
     pub faults: Faults,
+    /// The MTC has been homed, and nothing has put its count in doubt since.
+    pub mtc_known: bool,
 }
 
 impl StateRecord {
-    /// Inverters and faults in one word of the file.
+    /// Inverters, faults and what is known of the MTC in one word of the file.
     fn flags(self) -> u64 {
-        u64::from(self.inverters) | u64::from(self.faults.bits()) << 8
+        u64::from(self.inverters) | u64::from(self.faults.bits()) << 8 | u64::from(self.mtc_known) << 40
     }
 
-    fn of(flags: u64, completed: u64) -> Option<Self> {
+    fn of([flags, completed]: [u64; 2]) -> Option<Self> {
         let inverters = (flags & 0xFF) as u8;
+        let faults = Faults::from_bits((flags >> 8) as u32)?;
+        let mtc_known = flags >> 40 == 1;
+        let valid = inverters < 4 && flags >> 41 == 0;
+        valid.then_some(Self { inverters, completed: completed as i64, faults, mtc_known })
+    }
+}
+
+/// What the machine as a whole had in effect.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct MachineRecord {
+    /// Who asked for feed hold.
+    pub held: Option<HeldBy>,
+    /// Feed hold, asked for or by a fault.
+    pub hold_output: bool,
+    /// The machine's own latched faults.
+    pub faults: Faults,
+}
+
+impl MachineRecord {
+    /// Flags and user.
+    fn words(self) -> [u64; 2] {
+        let (by, user) = match self.held {
+            None => (0, 0),
+            Some(HeldBy::User(user)) => (1, u64::from(user)),
+            Some(HeldBy::Controller) => (2, 0),
+            Some(HeldBy::FoundOn) => (3, 0),
+        };
+        [by | u64::from(self.hold_output) << 2 | u64::from(self.faults.bits()) << 8, user]
+    }
+
+    fn of([flags, user]: [u64; 2]) -> Option<Self> {
+        let held = match flags & 3 {
+            0 => None,
+            1 => Some(HeldBy::User(u32::try_from(user).ok()?)),
+            2 => Some(HeldBy::Controller),
+            _ => Some(HeldBy::FoundOn),
+        };
         let faults = Faults::from_bits(u32::try_from(flags >> 8).ok()?)?;
-        (inverters < 4).then_some(Self { inverters, completed: completed as i64, faults })
+        (flags & 0xF8 == 0).then_some(Self { held, hold_output: flags >> 2 & 1 == 1, faults })
+    }
+}
+
+/// When each fault was latched, and when feed hold was asked for, on the card's clock.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Times([[Option<u64>; ROW_WORDS]; ROWS]);
+
+impl Times {
+    /// When a fault was latched, ns; of the machine as a whole where no axis is given. None where that is not known.
+    #[must_use]
+    pub fn latched_ns(&self, axis: Option<usize>, fault: Fault) -> Option<u64> {
+        self.0.get(axis.unwrap_or(MACHINE))?[fault as usize]
+    }
+
+    /// When feed hold was asked for, ns.
+    #[must_use]
+    pub const fn held_ns(&self) -> Option<u64> {
+        self.0[MACHINE][HOLD_AT]
     }
 }
 
@@ -71,13 +147,29 @@ impl StateRecord {
 pub struct Before {
     /// There was no file: a first start, at which no record can be missing.
     pub first_start: bool,
+    /// The file was of the version before: nothing is known of feed hold, of faults that leave the count certain, and of
+    /// whether the MTC was homed.
+    pub older: bool,
     /// Per axis, the valid records, newest first.
     pub records: [[Option<StateRecord>; 2]; MAX_AXES],
+    /// The machine's newest valid record.
+    pub machine: Option<MachineRecord>,
+    /// When it all was.
+    pub times: Times,
+    /// The real-time thread of the process before was lost ([`note_thread_lost`]).
+    pub thread_lost: bool,
 }
 
 impl Before {
     /// As without a file.
-    pub const NOTHING: Self = Self { first_start: true, records: [[None; 2]; MAX_AXES] };
+    pub const NOTHING: Self = Self {
+        first_start: true,
+        older: false,
+        records: [[None; 2]; MAX_AXES],
+        machine: None,
+        times: Times([[None; ROW_WORDS]; ROWS]),
+        thread_lost: false,
+    };
 }
 
 /// Why a state file cannot be used. Each leaves it as it was.
@@ -128,8 +220,12 @@ pub enum JournalError {
 #[derive(Debug)]
 pub struct Journal {
     words: NonNull<AtomicU64>,
-    next: [u64; MAX_AXES],
+    next: [u64; ROWS],
     last: [Option<StateRecord>; MAX_AXES],
+    last_machine: Option<MachineRecord>,
+    /// What is latched by the times in the file, a row each; and whether feed hold is on by them.
+    timed: [Faults; ROWS],
+    timed_hold: bool,
     /// The file is new, and no axis has a record yet.
     empty: bool,
     /// The lock is ours as long as this is open.
@@ -141,8 +237,8 @@ unsafe impl Send for Journal {}
 
 /// A torn or foreign record must not pass: every bit of every word reaches every bit of the sum.
 fn check(words: &[u64]) -> u64 {
-    // No word that is written: zeros behind the magic must not sum up to zero.
-    let mut sum = !MAGIC;
+    // No word that is written: zeros behind the magic must not sum up to zero. It stays what it was in version 2.
+    let mut sum = !MAGIC_2;
     for word in words {
         sum = (sum ^ word).wrapping_mul(0x9E37_79B9_7F4A_7C15);
         sum ^= sum >> 29;
@@ -194,20 +290,48 @@ impl Journal {
         // From here on a mistake unmaps it.
         let first_start = len == 0;
         let words = base.cast();
-        let mut journal =
-            Self { words, next: [1; MAX_AXES], last: [None; MAX_AXES], empty: first_start, held };
-        if !first_start {
-            journal.is_ours(path, identity)?;
+        let mut journal = Self {
+            words,
+            next: [1; ROWS],
+            last: [None; MAX_AXES],
+            last_machine: None,
+            timed: [Faults::NONE; ROWS],
+            timed_hold: false,
+            empty: first_start,
+            held,
+        };
+        let older = !first_start && journal.is_ours(path, identity)?;
+        let mut before = Before { first_start, older, ..Before::NOTHING };
+        for (axis, found) in before.records.iter_mut().enumerate() {
+            *found = journal.newest_first(axis, StateRecord::of);
+            journal.timed[axis] = found[0].map_or(Faults::NONE, |r| r.faults);
         }
-        let mut records = [[None; 2]; MAX_AXES];
-        for (axis, found) in records.iter_mut().enumerate() {
-            let mut slots = [journal.slot(axis, 0), journal.slot(axis, 1)];
-            slots.sort_by_key(|s| std::cmp::Reverse(s.map(|(seq, _)| seq)));
-            journal.next[axis] = slots[0].map_or(1, |(seq, _)| seq + 1);
-            *found = slots.map(|s| s.map(|(_, record)| record));
+        if older {
+            // Its text is where this version has other things.
+            journal.wipe(TIMES_AT..PAGE_WORDS);
+        } else {
+            before.machine = journal.newest_first(MACHINE, MachineRecord::of)[0];
+            journal.timed[MACHINE] = before.machine.map_or(Faults::NONE, |m| m.faults);
+            journal.timed_hold = before.machine.is_some_and(|m| m.held.is_some());
+            before.times = journal.times();
+            before.thread_lost = [0, PAGE_WORDS].iter().any(|page| journal.load(page + LOST_AT) == LOST);
         }
         journal.write_head(identity);
-        Ok((journal, Before { first_start, records }))
+        Ok((journal, before))
+    }
+
+    /// The valid records of a row, newest first; the next one counts on from them.
+    fn newest_first<T: Copy>(&mut self, row: usize, of: impl Fn([u64; 2]) -> Option<T>) -> [Option<T>; 2] {
+        let mut slots = [self.slot(row, 0, &of), self.slot(row, 1, &of)];
+        slots.sort_by_key(|s| std::cmp::Reverse(s.map(|(seq, _)| seq)));
+        self.next[row] = slots[0].map_or(1, |(seq, _)| seq + 1);
+        slots.map(|s| s.map(|(_, record)| record))
+    }
+
+    fn wipe(&self, words: std::ops::Range<usize>) {
+        for page in [0, PAGE_WORDS] {
+            words.clone().for_each(|n| self.word(page + n).store(0, Ordering::Release));
+        }
     }
 
     fn word(&self, n: usize) -> &AtomicU64 {
@@ -220,32 +344,36 @@ impl Journal {
         self.word(n).load(Ordering::Acquire)
     }
 
-    /// Refuses the file of another version or of somebody else. A head that both copies have lost says nothing: the
-    /// records are judged then.
-    fn is_ours(&self, path: &Path, identity: &str) -> Result<(), JournalError> {
+    /// Refuses the file of another version or of somebody else; says whether it is of the version before. A head that both
+    /// copies have lost says nothing: the records are judged then.
+    fn is_ours(&self, path: &Path, identity: &str) -> Result<bool, JournalError> {
         for page in [0, PAGE_WORDS] {
             let [magic, hash, bytes, sum] = [0, 1, 2, 3].map(|k| self.load(page + k));
-            if magic & 0xFF_FFFF_FFFF == MAGIC & 0xFF_FFFF_FFFF && magic != MAGIC {
+            let ours = magic == MAGIC || magic == MAGIC_2;
+            if magic & 0xFF_FFFF_FFFF == MAGIC & 0xFF_FFFF_FFFF && !ours {
                 let found = format!("version {} of it", magic >> 56);
                 return Err(JournalError::Foreign { path: path.to_owned(), found });
             }
-            if magic != MAGIC || sum != check(&[magic, hash, bytes]) {
+            if !ours || sum != check(&[magic, hash, bytes]) {
                 continue;
             }
+            let older = magic == MAGIC_2;
             if hash == hash_of(identity) {
-                return Ok(());
+                return Ok(older);
             }
+            let text_at = if older { TEXT_AT_2 } else { TEXT_AT };
             let len = usize::try_from(bytes).unwrap_or(usize::MAX).min(TEXT_BYTES);
             let mut text: Vec<u8> =
-                (0..len.div_ceil(8)).flat_map(|k| self.load(page + TEXT_AT + k).to_le_bytes()).collect();
+                (0..len.div_ceil(8)).flat_map(|k| self.load(page + text_at + k).to_le_bytes()).collect();
             text.truncate(len);
             let theirs = String::from_utf8_lossy(&text).replace(|c: char| c.is_control(), " ");
             return Err(JournalError::Other { path: path.to_owned(), theirs, ours: identity.to_owned() });
         }
         let zero = (0..COPIES * PAGE_WORDS).all(|n| self.load(n) == 0);
-        let a_record = (0..MAX_AXES).any(|axis| (0..2).any(|n| self.slot(axis, n).is_some()));
+        let a_record =
+            (0..MAX_AXES).any(|axis| (0..2).any(|n| self.slot(axis, n, StateRecord::of).is_some()));
         if zero || a_record {
-            return Ok(());
+            return Ok(false);
         }
         let found = "something else of the same size".to_owned();
         Err(JournalError::Foreign { path: path.to_owned(), found })
@@ -265,38 +393,111 @@ impl Journal {
     }
 
     /// The record of a slot, from whichever copy is whole; of two the newer.
-    fn slot(&self, axis: usize, n: usize) -> Option<(u64, StateRecord)> {
+    fn slot<T>(&self, row: usize, n: usize, of: impl Fn([u64; 2]) -> Option<T>) -> Option<(u64, T)> {
         let copies = [0, PAGE_WORDS].map(|page| {
-            let at = page + HEAD_WORDS + axis * AXIS_WORDS + n * SLOT_WORDS;
-            let [seq, flags, completed, sum] = [0, 1, 2, 3].map(|k| self.load(at + k));
-            let valid = (1..ROOM).contains(&seq) && sum == check(&[seq, flags, completed]);
-            StateRecord::of(flags, completed).filter(|_| valid).map(|record| (seq, record))
+            let at = page + HEAD_WORDS + row * AXIS_WORDS + n * SLOT_WORDS;
+            let [seq, flags, value, sum] = [0, 1, 2, 3].map(|k| self.load(at + k));
+            let valid = (1..ROOM).contains(&seq) && sum == check(&[seq, flags, value]);
+            of([flags, value]).filter(|_| valid).map(|record| (seq, record))
         });
         copies.into_iter().flatten().max_by_key(|(seq, _)| *seq)
     }
 
-    /// Notes what an axis will have in effect once the write that follows is made. No system call.
+    /// Notes at `t_ns` what an axis will have in effect once the write that follows is made. No system call.
     #[inline]
-    pub fn record(&mut self, axis: usize, record: StateRecord) {
+    pub fn record(&mut self, axis: usize, record: StateRecord, t_ns: u64) {
         if self.last[axis] == Some(record) {
             return;
         }
         self.last[axis] = Some(record);
+        if record.faults != self.timed[axis] {
+            self.note_times(axis, record.faults, t_ns);
+        }
+        self.store(axis, [record.flags(), record.completed as u64]);
+    }
+
+    /// Notes at `t_ns` what the machine as a whole has in effect. No system call.
+    pub fn record_machine(&mut self, record: MachineRecord, t_ns: u64) {
+        if self.last_machine == Some(record) {
+            return;
+        }
+        self.last_machine = Some(record);
+        self.note_times(MACHINE, record.faults, t_ns);
+        let held = record.held.is_some();
+        if held && !self.timed_hold {
+            self.note_time(MACHINE, HOLD_AT, t_ns);
+        }
+        self.timed_hold = held;
+        self.store(MACHINE, record.words());
+        if record.faults.has(Fault::ThreadLost) {
+            self.wipe(LOST_AT..LOST_AT + 1);
+        }
+    }
+
+    #[inline]
+    fn store(&mut self, row: usize, [flags, value]: [u64; 2]) {
         self.empty = false;
-        let seq = self.next[axis];
-        self.next[axis] = seq + 1;
-        let (flags, completed) = (record.flags(), record.completed as u64);
-        let sum = check(&[seq, flags, completed]);
+        let seq = self.next[row];
+        self.next[row] = seq + 1;
+        let sum = check(&[seq, flags, value]);
         for page in [0, PAGE_WORDS] {
-            let at = page + HEAD_WORDS + axis * AXIS_WORDS + (seq & 1) as usize * SLOT_WORDS;
+            let at = page + HEAD_WORDS + row * AXIS_WORDS + (seq & 1) as usize * SLOT_WORDS;
             // A record cut short fails its check sum; the one before it is in the other slot.
             self.word(at + 3).store(0, Ordering::Release);
             self.word(at).store(seq, Ordering::Release);
             self.word(at + 1).store(flags, Ordering::Release);
-            self.word(at + 2).store(completed, Ordering::Release);
+            self.word(at + 2).store(value, Ordering::Release);
             self.word(at + 3).store(sum, Ordering::Release);
         }
     }
+
+    /// Notes the time of every fault that is new.
+    #[cold]
+    fn note_times(&mut self, row: usize, faults: Faults, t_ns: u64) {
+        for fault in faults.without(self.timed[row]).iter() {
+            self.note_time(row, fault as usize, t_ns);
+        }
+        self.timed[row] = faults;
+    }
+
+    fn note_time(&self, row: usize, k: usize, t_ns: u64) {
+        let us = t_ns / 1000;
+        let word = us << TIME_SHIFT | time_check(row, k, us);
+        for page in [0, PAGE_WORDS] {
+            self.word(page + TIMES_AT + row * ROW_WORDS + k).store(word, Ordering::Release);
+        }
+    }
+
+    /// The times as they are in the file, from whichever copy is whole.
+    fn times(&self) -> Times {
+        let time = |row: usize, k: usize| {
+            let copies = [0, PAGE_WORDS].map(|page| self.load(page + TIMES_AT + row * ROW_WORDS + k));
+            let whole = |word: &u64| {
+                let us = word >> TIME_SHIFT;
+                us > 0 && word & 0xFFFF == time_check(row, k, us)
+            };
+            copies.into_iter().find(whole).map(|word| (word >> TIME_SHIFT) * 1000)
+        };
+        Times(std::array::from_fn(|row| std::array::from_fn(|k| time(row, k))))
+    }
+}
+
+/// The check sum of a time, 16 bits.
+fn time_check(row: usize, k: usize, us: u64) -> u64 {
+    check(&[row as u64, k as u64, us]) >> 48
+}
+
+/// Notes in the state file of this process that its real-time thread does not look at the card any more. For whoever sees
+/// that from another thread: the next process finds [`Fault::ThreadLost`], and holds.
+///
+/// # Errors
+/// When the file cannot be written.
+pub fn note_thread_lost(path: &Path) -> io::Result<()> {
+    let file = File::options().write(true).custom_flags(OFlag::O_NOFOLLOW.bits()).open(path)?;
+    for page in [0, PAGE_WORDS] {
+        file.write_all_at(&LOST.to_le_bytes(), ((page + LOST_AT) * 8) as u64)?;
+    }
+    Ok(())
 }
 
 fn hash_of(identity: &str) -> u64 {
@@ -316,17 +517,18 @@ impl Drop for Journal {
     }
 }
 
-/// What was completed and latched, by the records found and the inverters as they are read back: the newest record that
-/// agrees.
+/// What was completed, by the records found and the inverters as they are read back: the newest record that agrees. What
+/// is latched and known of the MTC is the newest record's, whether its write was made or not.
 #[must_use]
 pub fn resume(found: [Option<StateRecord>; 2], inverters: u8) -> Option<StateRecord> {
-    found.into_iter().flatten().find(|r| r.inverters == inverters)
+    let StateRecord { faults, mtc_known, .. } = found.into_iter().flatten().next()?;
+    let agrees = found.into_iter().flatten().find(|r| r.inverters == inverters)?;
+    Some(StateRecord { faults, mtc_known, ..agrees })
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::os::unix::fs::FileExt;
 
     const OURS: &str = "machine \"lathe 7\" on card mapped";
     const AT: u64 = (HEAD_WORDS as u64 + 2 * AXIS_WORDS as u64) * 8;
@@ -338,7 +540,7 @@ mod tests {
     }
 
     fn record(inverters: u8, completed: i64) -> StateRecord {
-        StateRecord { inverters, completed, faults: Faults::NONE }
+        StateRecord { inverters, completed, faults: Faults::NONE, mtc_known: true }
     }
 
     fn found(path: &Path) -> [Option<StateRecord>; 2] {
@@ -359,8 +561,8 @@ mod tests {
         assert_eq!(Journal::open(&path, OURS).unwrap().1, Before::NOTHING);
         for pair in records.windows(2) {
             let mut journal = Journal::open(&path, OURS).unwrap().0;
-            journal.record(2, pair[0]);
-            journal.record(2, pair[1]);
+            journal.record(2, pair[0], 1000);
+            journal.record(2, pair[1], 1000);
             drop(journal);
             let found = found(&path);
             assert_eq!(found, [Some(pair[1]), Some(pair[0])]);
@@ -379,21 +581,128 @@ mod tests {
         );
         let latched = StateRecord { faults, ..record(3, 8) };
         let mut journal = Journal::open(&path, OURS).unwrap().0;
-        journal.record(2, record(3, 8));
-        journal.record(2, latched);
+        journal.record(2, record(3, 8), 1000);
+        journal.record(2, latched, 1000);
         drop(journal);
         assert_eq!(resume(found(&path), 3), Some(latched));
-        assert_eq!(StateRecord::of(latched.flags() | 1 << 39, 8), None);
-        assert_eq!(StateRecord::of(latched.flags() | 1 << 40, 8), None);
-        assert_eq!(StateRecord::of(4, 8), None);
+        assert_eq!(StateRecord::of([latched.flags() | 1 << 39, 8]), None);
+        assert_eq!(StateRecord::of([latched.flags() | 1 << 41, 8]), None);
+        assert_eq!(StateRecord::of([4, 8]), None);
+    }
+
+    fn set(faults: &[Fault]) -> Faults {
+        let mut set = Faults::NONE;
+        faults.iter().for_each(|f| assert!(set.latch(*f)));
+        set
+    }
+
+    /// Feed hold, who asked for it, the machine's faults, and the time of each fault.
+    #[test]
+    fn hold_and_the_times_of_faults_outlive_the_process() {
+        let (_directory, path) = new();
+        for held in [Some(HeldBy::User(u32::MAX)), Some(HeldBy::Controller), Some(HeldBy::FoundOn), None] {
+            for hold_output in [false, true] {
+                let machine = MachineRecord { held, hold_output, faults: set(&[Fault::Card]) };
+                let mut journal = Journal::open(&path, OURS).unwrap().0;
+                journal.record_machine(machine, 5_000);
+                drop(journal);
+                assert_eq!(Journal::open(&path, OURS).unwrap().1.machine, Some(machine));
+            }
+        }
+        assert_eq!(MachineRecord::of([8, 0]), None);
+        assert_eq!(MachineRecord::of([1, 1 << 32]), None);
+        let mut journal = Journal::open(&path, OURS).unwrap().0;
+        let (first, both) = (set(&[Fault::ErrorLimit]), set(&[Fault::ErrorLimit, Fault::PollGap]));
+        journal.record(2, StateRecord { faults: first, ..record(0, 2) }, 7_000);
+        journal.record(2, StateRecord { faults: both, ..record(0, 2) }, 9_999);
+        let user = MachineRecord { held: Some(HeldBy::User(7)), hold_output: true, faults: Faults::NONE };
+        journal.record_machine(user, 11_000);
+        drop(journal);
+        let mut journal = Journal::open(&path, OURS).unwrap().0;
+        // What is still latched keeps its time in the next process, and hold too.
+        journal.record(2, StateRecord { faults: both, ..record(0, 2) }, 20_000);
+        journal.record_machine(MachineRecord { faults: set(&[Fault::Card]), ..user }, 21_000);
+        drop(journal);
+        let times = Journal::open(&path, OURS).unwrap().1.times;
+        let of = |axis, fault| times.latched_ns(axis, fault);
+        assert_eq!((of(Some(2), Fault::ErrorLimit), of(Some(2), Fault::PollGap)), (Some(7_000), Some(9_000)));
+        assert_eq!((of(Some(1), Fault::ErrorLimit), times.held_ns()), (None, Some(11_000)));
+        assert_eq!(of(None, Fault::Card), Some(21_000));
+        // A time that was damaged in both copies is not known; nothing else is lost.
+        for page in [0, PAGE_WORDS] {
+            zero(&path, ((page + TIMES_AT + 2 * ROW_WORDS + Fault::PollGap as usize) * 8) as u64, 1);
+        }
+        let before = Journal::open(&path, OURS).unwrap().1;
+        assert_eq!(before.times.latched_ns(Some(2), Fault::PollGap), None);
+        assert_eq!(before.records[2][0].map(|r| r.faults), Some(both));
+    }
+
+    /// A fault and an inversion of the same look: killed before the write, the fault is there all the same.
+    #[test]
+    fn what_is_latched_does_not_hang_on_the_write_that_was_not_made() {
+        let latched = StateRecord { faults: set(&[Fault::PollGap]), mtc_known: false, ..record(1, 3) };
+        let found = [Some(latched), Some(record(0, 2))];
+        let resumed = resume(found, 0).unwrap();
+        assert_eq!((resumed.completed, resumed.faults, resumed.mtc_known), (2, latched.faults, false));
+        assert_eq!(resume(found, 1), Some(latched));
+        assert_eq!(resume(found, 3), None);
+    }
+
+    /// A file of version 2, as the program before this one wrote it: counts and faults are kept, and what it cannot know of
+    /// the MTC is not known.
+    #[test]
+    fn the_file_of_the_version_before_is_read() {
+        let (_directory, path) = new();
+        let mut words = vec![0_u64; BYTES.get() / 8];
+        let doubted = set(&[Fault::OrderUnknown]);
+        for page in [0, PAGE_WORDS] {
+            let text: Vec<u64> = words_of(OURS.as_bytes()).collect();
+            words[page + TEXT_AT_2..][..text.len()].copy_from_slice(&text);
+            let (hash, bytes) = (hash_of(OURS), OURS.len() as u64);
+            words[page..page + 4].copy_from_slice(&[MAGIC_2, hash, bytes, check(&[MAGIC_2, hash, bytes])]);
+            for (axis, flags, completed) in [(0, 3, 10_u64), (1, u64::from(doubted.bits()) << 8, 4)] {
+                let slot = [1, flags, completed, check(&[1, flags, completed])];
+                words[page + HEAD_WORDS + axis * AXIS_WORDS + SLOT_WORDS..][..4].copy_from_slice(&slot);
+            }
+        }
+        let bytes: Vec<u8> = words.iter().flat_map(|w| w.to_le_bytes()).collect();
+        std::fs::write(&path, &bytes).unwrap();
+        let error = Journal::open(&path, "machine \"mill 2\"").unwrap_err().to_string();
+        assert!(error.contains(OURS), "{error}");
+        let (journal, before) = Journal::open(&path, OURS).unwrap();
+        let unknown = |inverters, completed| StateRecord { mtc_known: false, ..record(inverters, completed) };
+        assert_eq!((before.older, before.machine, before.first_start), (true, None, false));
+        assert_eq!(before.records[0], [Some(unknown(3, 10)), None]);
+        assert_eq!(before.records[1], [Some(StateRecord { faults: doubted, ..unknown(0, 4) }), None]);
+        assert_eq!(before.times, Before::NOTHING.times, "its text is no time");
+        drop(journal);
+        let again = Journal::open(&path, OURS).unwrap().1;
+        assert_eq!((again.older, again.records), (false, before.records), "it is of this version now");
+    }
+
+    /// Whoever sees that the thread does not look any more leaves it to the next process, until that has latched it.
+    #[test]
+    fn a_lost_thread_is_found_until_it_is_latched() {
+        let (_directory, path) = new();
+        let mut journal = Journal::open(&path, OURS).unwrap().0;
+        journal.record(0, record(0, 0), 1000);
+        note_thread_lost(&path).unwrap();
+        drop(journal);
+        assert!(Journal::open(&path, OURS).unwrap().1.thread_lost);
+        let (mut journal, before) = Journal::open(&path, OURS).unwrap();
+        assert!(before.thread_lost, "the first successor may have died before it latched it");
+        let machine = MachineRecord { held: None, hold_output: true, faults: set(&[Fault::ThreadLost]) };
+        journal.record_machine(machine, 1000);
+        drop(journal);
+        assert!(!Journal::open(&path, OURS).unwrap().1.thread_lost);
     }
 
     #[test]
     fn a_torn_record_is_not_believed() {
         let (_directory, path) = new();
         let mut journal = Journal::open(&path, OURS).unwrap().0;
-        journal.record(2, record(0, 10));
-        journal.record(2, record(3, 12));
+        journal.record(2, record(0, 10), 1000);
+        journal.record(2, record(3, 12), 1000);
         drop(journal);
         let file = File::options().read(true).write(true).open(&path).unwrap();
         for word in 0..SLOT_WORDS as u64 {
@@ -414,8 +723,8 @@ mod tests {
         let (_directory, path) = new();
         let older = record(0, 10);
         let mut journal = Journal::open(&path, OURS).unwrap().0;
-        journal.record(2, older);
-        journal.record(2, record(3, 12));
+        journal.record(2, older, 1000);
+        journal.record(2, record(3, 12), 1000);
         drop(journal);
         let file = File::options().read(true).write(true).open(&path).unwrap();
         for seq in [u64::MAX, u64::MAX - 1, ROOM] {
@@ -428,8 +737,8 @@ mod tests {
             assert_eq!(found(&path), [Some(older), None]);
         }
         let mut journal = Journal::open(&path, OURS).unwrap().0;
-        journal.record(2, record(1, 11));
-        journal.record(2, record(3, 12));
+        journal.record(2, record(1, 11), 1000);
+        journal.record(2, record(3, 12), 1000);
         drop(journal);
         assert_eq!(found(&path)[0], Some(record(3, 12)));
     }
@@ -439,8 +748,8 @@ mod tests {
         let (_directory, path) = new();
         let newest = record(3, 14);
         let mut journal = Journal::open(&path, OURS).unwrap().0;
-        journal.record(2, record(0, 12));
-        journal.record(2, newest);
+        journal.record(2, record(0, 12), 1000);
+        journal.record(2, newest, 1000);
         drop(journal);
         let whole = std::fs::read(&path).unwrap();
         for at in (0..whole.len() - 63).step_by(8) {
@@ -470,12 +779,12 @@ mod tests {
         let (a, b, c, d) = (record(0, 2), record(1, 3), record(3, 4), record(2, 5));
         let mut journal = Journal::open(&path, OURS).unwrap().0;
         for noted in [a, b, c] {
-            journal.record(2, noted);
+            journal.record(2, noted, 1000);
         }
         drop(journal);
         assert_eq!(found(&path), [Some(c), Some(b)]);
         let mut journal = Journal::open(&path, OURS).unwrap().0;
-        journal.record(2, d);
+        journal.record(2, d, 1000);
         drop(journal);
         assert_eq!(found(&path), [Some(d), Some(c)]);
     }
@@ -512,7 +821,7 @@ mod tests {
         drop(first);
         assert_eq!(Journal::open(&path, OURS).unwrap().1, Before::NOTHING, "nothing had been noted");
         let mut ours = Journal::open(&path, OURS).unwrap().0;
-        ours.record(0, record(0, 0));
+        ours.record(0, record(0, 0), 1000);
         drop(ours);
         let error = Journal::open(&path, "machine \"mill 2\"").unwrap_err().to_string();
         assert!(
@@ -529,7 +838,7 @@ mod tests {
         let (_directory, path) = new();
         let noted = |axis: usize, n: i64| record(1, 100 * axis as i64 + 2 * n);
         let mut ours = Journal::open(&path, OURS).unwrap().0;
-        (1..=2).for_each(|n| (0..MAX_AXES).for_each(|axis| ours.record(axis, noted(axis, n))));
+        (1..=2).for_each(|n| (0..MAX_AXES).for_each(|axis| ours.record(axis, noted(axis, n), 1000)));
         drop(ours);
         let before = Journal::open(&path, OURS).unwrap().1;
         for (axis, found) in before.records.iter().enumerate() {
@@ -543,11 +852,11 @@ mod tests {
         let (_directory, path) = new();
         let long: String = (0..5000_u32).map(|k| char::from(b'a' + (k % 23) as u8)).collect();
         let mut ours = Journal::open(&path, &long).unwrap().0;
-        ours.record(5, record(0, 8));
+        ours.record(5, record(0, 8), 1000);
         drop(ours);
         assert_eq!(Journal::open(&path, &long).unwrap().1.records[5], [Some(record(0, 8)), None]);
         match Journal::open(&path, &(long[..4999].to_owned() + "!")) {
-            Err(JournalError::Other { theirs, .. }) => assert_eq!(theirs, long[..3584]),
+            Err(JournalError::Other { theirs, .. }) => assert_eq!(theirs, long[..TEXT_BYTES]),
             other => panic!("{other:?}"),
         }
     }

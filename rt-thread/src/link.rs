@@ -214,7 +214,7 @@ mod tests {
     fn events_beyond_the_ring_are_refused_not_overwritten() {
         use crate::event::EventKind;
         let (mut control, mut rt) = link(Status::default());
-        let event = |t_ns| Event { t_ns, axis: None, kind: EventKind::Homed };
+        let event = |t_ns| Event { t_ns, axis: None, kind: EventKind::Bounce };
         let kept = (0..5000).filter(|t| rt.report(event(*t))).count();
         assert_eq!(kept, EVENTS);
         assert_eq!(control.event().map(|e| e.t_ns), Some(0));

@@ -6,6 +6,7 @@ use crate::link::{ControlEnd, RtEnd, link};
 use crate::setup::{Report, System, Wanted, apply};
 use rtec_driver::card::{Card, CardError};
 use std::ops::ControlFlow;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::mpsc;
 use std::thread::JoinHandle;
 
@@ -102,13 +103,20 @@ impl<C> Running<C> {
 }
 
 /// The loop, until it is asked to stop or the card fails. Nothing in it allocates, locks, logs or (on a card of mapped
-/// registers) calls the system.
+/// registers) calls the system. A panic in it is a fault: it is latched, and feed hold is written.
 pub fn run<C: Card>(engine: Engine, card: C, rt: RtEnd, stale_after_ns: u64) -> Ended<C> {
     let mut turns = Turns::new(engine, card, rt, stale_after_ns);
-    loop {
-        if let ControlFlow::Break(error) = turns.turn() {
-            return turns.end(error);
+    // After a panic the engine is only asked to latch a fault and to write the hold line.
+    let ended = catch_unwind(AssertUnwindSafe(|| {
+        loop {
+            if let ControlFlow::Break(error) = turns.turn() {
+                return error;
+            }
         }
+    }));
+    match ended {
+        Ok(error) => turns.end(error),
+        Err(_) => turns.end_after_panic(),
     }
 }
 
@@ -176,5 +184,12 @@ impl<C: Card> Turns<C> {
         self.rt.publish(status);
         self.rt.end();
         Ended { card: self.card, status, error }
+    }
+
+    fn end_after_panic(mut self) -> Ended<C> {
+        let Self { engine, card, rt, .. } = &mut self;
+        // Whatever broke the loop may break this too: the end is told all the same.
+        let _ = catch_unwind(AssertUnwindSafe(|| engine.panicked(card, &mut |e| rt.report(e))));
+        self.end(None)
     }
 }

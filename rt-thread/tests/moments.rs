@@ -417,7 +417,7 @@ fn at_rest_an_insertion_begins_after_the_quiet_time_where_one_is_asked_for() {
     assert_eq!((rig.card.writes.len(), rig.card.wake_ns), (0, 15_000));
     rig.look(15_000);
     assert_eq!(rig.card.writes.len(), 1);
-    // A silent control side: when it is back, no edge is needed.
+    // A silent control side: enabled again, no edge is needed.
     let mut rig = Rig::new(&[one(resting(5000))], Hand::default());
     rig.correct(2);
     rig.engine.set_control_stale(true, &mut |_| true);
@@ -425,6 +425,9 @@ fn at_rest_an_insertion_begins_after_the_quiet_time_where_one_is_asked_for() {
     assert_eq!(rig.card.writes.len(), 0);
     rig.engine.set_control_stale(false, &mut |_| true);
     rig.look(20_010);
+    assert_eq!(rig.card.writes.len(), 0);
+    rig.take(Request::Enable);
+    rig.look(20_020);
     assert_eq!(rig.card.writes.len(), 1);
 }
 
@@ -616,14 +619,18 @@ fn in_the_middle_of_an_insertion_nothing_is_homed_or_armed() {
         rig.look(rig.card.t_ns + 10);
     }
     assert!(!rig.engine.at_rest());
-    for request in [Request::Home { axis: 0, position_counts: 7 }, Request::Enable, Request::Shadow] {
+    for request in [
+        Request::Home { axis: 0, position_counts: 7, controller_homed: true },
+        Request::Enable,
+        Request::Shadow,
+    ] {
         rig.take(request);
     }
     assert_eq!(rig.refusals(), [Refusal::Busy; 3]);
     assert_eq!(rig.events.iter().map(|e| e.axis).collect::<Vec<_>>(), [Some(0), None, None]);
     rig.looks(20_000);
     assert!(rig.engine.at_rest());
-    rig.take(Request::Home { axis: 0, position_counts: 7 });
+    rig.take(Request::Home { axis: 0, position_counts: 7, controller_homed: true });
     assert_eq!(rig.engine.status().axes[0].position_counts, 7);
     rig.take(Request::ConfirmHome { axis: 0, position_counts: 8 });
     assert_eq!((rig.refusals()[3], rig.events.last().unwrap().axis), (Refusal::NotHomed, Some(0)));
@@ -828,7 +835,7 @@ fn everything_is_noted_before_it_is_made() {
     let record = |inverters, completed, fault: Option<Fault>| {
         let mut faults = Faults::NONE;
         fault.map(|f| faults.latch(f));
-        Some(StateRecord { inverters, completed, faults })
+        Some(StateRecord { inverters, completed, faults, mtc_known: fault.is_none() })
     };
     let now = || found(&std::fs::read(&file).unwrap());
     assert_eq!(now(), record(0, 0, None), "noted from the start");
@@ -837,7 +844,7 @@ fn everything_is_noted_before_it_is_made() {
     let noted: Vec<_> = rig.card.noted.iter().map(|bytes| found(bytes)).collect();
     assert_eq!(noted, [record(1, 1, None), record(3, 2, None)]);
     // Homed anew: what is in effect is nothing.
-    rig.take(Request::Home { axis: 0, position_counts: 0 });
+    rig.take(Request::Home { axis: 0, position_counts: 0, controller_homed: true });
     assert_eq!(now(), record(3, 0, None));
     rig.take(Request::ConfirmHome { axis: 0, position_counts: 0 });
     // A look so late that counts may have passed.

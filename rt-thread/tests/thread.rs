@@ -6,6 +6,7 @@ use rtec_driver::card::{AxisLines, Card, CardError, MachineLines, Sample};
 use rtec_rt::axis::{AxisConfig, RestPolicy};
 use rtec_rt::engine::{Engine, MachineConfig};
 use rtec_rt::event::{EventKind, Fault, Mode, Refusal, Request};
+use rtec_rt::journal::Journal;
 use rtec_rt::link::{ControlEnd, REQUESTS, RtEnd, link};
 use rtec_rt::thread::{ThreadOptions, Turns, run, spawn};
 use std::ops::ControlFlow;
@@ -26,6 +27,8 @@ struct Diary {
     outputs: u64,
     did: Vec<Did>,
     ends: Option<CardError>,
+    /// The look of this number panics.
+    panics_at: Option<usize>,
 }
 
 impl Card for Diary {
@@ -33,6 +36,7 @@ impl Card for Diary {
         if let Some(error) = self.ends {
             return Err(error);
         }
+        assert_ne!(self.panics_at, Some(self.did.len()), "planted");
         self.did.push(Did::Look { at_ns: self.t_ns, wait_until_ns });
         self.t_ns += 1000;
         Ok(Sample::level(self.t_ns, 0))
@@ -65,7 +69,7 @@ fn a_full_ring_is_taken_one_request_a_look() {
     let (engine, card, mut control, rt) = start();
     for n in 0..REQUESTS {
         // Each of them writes the hold line.
-        control.send(Request::Hold(n % 2 == 0)).unwrap();
+        control.send(Request::Hold { on: n % 2 == 0, by: 0 }).unwrap();
     }
     assert!(control.send(Request::Clear).is_err(), "the ring is full");
     control.stop();
@@ -76,11 +80,30 @@ fn a_full_ring_is_taken_one_request_a_look() {
     assert!(writes.iter().all(|n| *n <= 1), "more than one request between two looks: {writes:?}");
 }
 
+/// A panic in the loop: the fault is latched and reported, feed hold is written, and the end is told.
+#[test]
+fn a_panic_is_a_fault_and_holds_the_machine() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("state");
+    let open = || Journal::open(&file, "panic").unwrap();
+    let (mut engine, card, mut control, rt) = start();
+    engine.keep_journal(open().0);
+    let ended = run(engine, Diary { panics_at: Some(20), ..card }, rt, u64::MAX);
+    assert!(control.ended() && ended.status.faults.has(Fault::ThreadLost));
+    assert_eq!((control.status().mode, ended.status.hold_output), (Mode::Fault, true));
+    assert_eq!((ended.card.outputs & 1 << 28, ended.card.did.last()), (1 << 28, Some(&Did::Write)));
+    let events: Vec<_> = std::iter::from_fn(|| control.event()).map(|e| e.kind).collect();
+    assert!(events.contains(&EventKind::Fault(Fault::ThreadLost)), "{events:?}");
+    drop(ended);
+    let noted = open().1.machine.unwrap();
+    assert!(noted.hold_output && noted.faults.has(Fault::ThreadLost));
+}
+
 #[test]
 fn requests_sent_before_the_stop_are_taken_and_answered() {
     let (engine, card, mut control, rt) = start();
     for _ in 0..REQUESTS {
-        control.send(Request::Home { axis: 5, position_counts: 0 }).unwrap();
+        control.send(Request::Home { axis: 5, position_counts: 0, controller_homed: true }).unwrap();
     }
     control.stop();
     run(engine, card, rt, u64::MAX);
@@ -96,7 +119,7 @@ fn no_look_waits_while_requests_may_be_there() {
     let (engine, card, mut control, rt) = start();
     for _ in 0..REQUESTS {
         // Refused: nothing else wakes the engine.
-        control.send(Request::Home { axis: 5, position_counts: 0 }).unwrap();
+        control.send(Request::Home { axis: 5, position_counts: 0, controller_homed: true }).unwrap();
     }
     control.stop();
     let ended = run(engine, card, rt, u64::MAX);
@@ -185,7 +208,7 @@ fn a_real_card_is_armed_by_nothing_less_than_a_verified_set_up() {
         let mut running = spawn(engine, card, options).unwrap();
         assert!(running.report.is_none());
         for request in [
-            Request::Home { axis: 0, position_counts: 0 },
+            Request::Home { axis: 0, position_counts: 0, controller_homed: true },
             Request::ConfirmHome { axis: 0, position_counts: 0 },
             Request::Enable,
         ] {

@@ -14,14 +14,8 @@ fn main() -> anyhow::Result<()> {
     let seconds = std::env::args().skip(1).find_map(|a| a.parse::<u64>().ok()).unwrap_or(10);
     let cpu = System::live().default_cpu();
     let priority = 80;
-    let options = SelftestOptions {
-        cpu,
-        priority,
-        run: Duration::from_secs(3 * seconds),
-        backend: Backend::Mapped,
-        seed: 1,
-    };
-    let measured = run(options, |what, left_s| eprintln!("{what}, {left_s} s left"))?;
+    let options = SelftestOptions { cpu, priority, run: Duration::from_secs(3 * seconds), seed: 1 };
+    let measured = run(options, Backend::Mapped, |what, left_s| eprintln!("{what}, {left_s} s left"))?;
     eprintln!("floor, oslat and cyclictest, {seconds} s each");
     let separations_ns = measured.separations_ns();
     let (floor, windows) = floor(Wanted { cpu, priority }, Duration::from_secs(seconds), separations_ns / 2)?;

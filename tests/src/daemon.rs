@@ -525,9 +525,9 @@ impl Bench {
         until("an answer", || place().is_some());
         let from = place();
         until("two edges", || place().zip(from).is_some_and(|(p, from)| (p - from).abs() >= 2));
-        for order in ["home", "enable"] {
-            let (code, text) = self.user(&[order]);
-            assert_eq!(code, Some(0), "{order}: {text}");
+        for order in [&["home", "--controller-homed"][..], &["enable"]] {
+            let (code, text) = self.user(order);
+            assert_eq!(code, Some(0), "{order:?}: {text}");
         }
     }
 
@@ -585,6 +585,11 @@ impl Bench {
     }
 }
 
-fn shared_memory(file: &Path) -> Registers {
+/// The registers of a shared-memory card, from the machine's side.
+///
+/// # Panics
+/// When the file cannot be mapped.
+#[must_use]
+pub fn shared_memory(file: &Path) -> Registers {
     Registers::open(file, 8, "machine").unwrap_or_else(|e| panic!("{e}"))
 }

@@ -325,7 +325,7 @@ impl Machine {
             ..AxisConfig::default()
         };
         let lines = MachineConfig {
-            lines: MachineLines { probe: Some(PROBE), disable: None, hold: Some(28) },
+            lines: MachineLines { probe: Some(PROBE), hold: Some(28), ..MachineLines::default() },
             may_arm: true,
         };
         let mut engine = Engine::new(&mut card, &[axis(0), axis(1)], lines, &[])?;

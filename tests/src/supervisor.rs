@@ -319,9 +319,12 @@ impl Trial {
                 );
             }
             tally.faults.extend(faults);
-            self.go()?;
-            // Nothing is inserted before corrections are enabled, and homing sets both counts to nothing.
-            base = machine.offset();
+            // What the dead process had inserted is kept, unless the MTC's count is in doubt: then it is homed too.
+            let controller_homed = n == 0 || cut;
+            self.go(controller_homed)?;
+            if controller_homed {
+                base = machine.offset();
+            }
             self.done(&ClientRequest::Enable { accept_jump: false })?;
             if n == self.kills {
                 self.park(&mut supervisor, service, machine, base)?;
@@ -386,14 +389,14 @@ impl Trial {
     }
 
     /// Waits for two edges (a speed is known only then), and homes.
-    fn go(&self) -> anyhow::Result<()> {
+    fn go(&self, controller_homed: bool) -> anyhow::Result<()> {
         let from = self.status()?.axes[0].position_counts;
         let begun = Instant::now();
         while (self.status()?.axes[0].position_counts - from).abs() < 2 {
             ensure!(begun.elapsed() < PATIENCE, "the axis does not move");
             std::thread::sleep(Duration::from_millis(10));
         }
-        self.done(&ClientRequest::Home { axis: None })
+        self.done(&ClientRequest::Home { axis: None, controller_homed: Some(controller_homed) })
     }
 
     /// A clean stop with a correction in effect: it stays.

@@ -45,14 +45,16 @@ fn request() -> impl Strategy<Value = Request> {
     prop_oneof![
         8 => (axis.clone(), -7..=7_i64, any::<bool>())
             .prop_map(|(axis, total_counts, large)| Request::Correct { axis, total_counts, large }),
-        1 => (axis.clone(), 0..2_i64).prop_map(|(axis, position_counts)| Request::Home { axis, position_counts }),
+        1 => (axis.clone(), 0..2_i64, any::<bool>()).prop_map(|(axis, position_counts, controller_homed)| {
+            Request::Home { axis, position_counts, controller_homed }
+        }),
         2 => (axis, 0..2_i64)
             .prop_map(|(axis, position_counts)| Request::ConfirmHome { axis, position_counts }),
         3 => Just(Request::Enable),
         1 => Just(Request::Disable),
         1 => Just(Request::Shadow),
         1 => any::<bool>().prop_map(Request::Probe),
-        1 => any::<bool>().prop_map(Request::Hold),
+        1 => any::<bool>().prop_map(|on| Request::Hold { on, by: 0 }),
         2 => Just(Request::Clear),
     ]
 }

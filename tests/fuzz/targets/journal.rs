@@ -2,8 +2,8 @@
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
-use rtec_rt::event::{Faults, MAX_AXES};
-use rtec_rt::journal::{Journal, StateRecord};
+use rtec_rt::event::{Faults, HeldBy, MAX_AXES};
+use rtec_rt::journal::{Journal, MachineRecord, StateRecord};
 
 const OURS: &str = "machine \"fuzz\"";
 
@@ -25,10 +25,14 @@ fuzz_target!(|data: &[u8]| {
         inverters,
         completed,
         faults: Faults::NONE,
+        mtc_known: completed > 4,
     });
-    noted.iter().for_each(|record| journal.record(2, *record));
+    noted.iter().for_each(|record| journal.record(2, *record, 1000));
+    let machine = MachineRecord { held: Some(HeldBy::User(1)), hold_output: true, faults: Faults::NONE };
+    journal.record_machine(machine, 1000);
     drop(journal);
     let (_, after) = Journal::open(&path, OURS).expect("it is ours now");
     assert_eq!(after.records[2], [Some(noted[1]), Some(noted[0])]);
+    assert_eq!(after.machine, Some(machine));
     assert!((0..MAX_AXES).filter(|n| *n != 2).all(|n| after.records[n] == before.records[n]));
 });

@@ -65,7 +65,7 @@ fn from_start_to_correction_and_through_every_refusal() {
     assert!(daemon.expect(1, &["shadow"]).contains("rtecctl: axis y: not homed: move to"));
     daemon.expect(0, &["home"]);
     assert!(daemon.expect(1, &["correct", "x", "10"]).contains("corrections are disabled"));
-    daemon.expect(0, &["correct", "x", "0"]);
+    assert!(daemon.expect(1, &["correct", "x", "0"]).contains("corrections are disabled"));
     assert!(daemon.expect(2, &["correct", "xx", "1"]).contains("expected one of x, y, z; did you mean x?"));
     assert!(daemon.expect(2, &["home", "w"]).contains("expected one of x, y, z"));
 
@@ -365,7 +365,7 @@ fn inverters_that_moved_while_nobody_looked_are_a_fault() {
     let _alone = alone();
     let bench = Bench::default();
     let daemon = bench.daemon();
-    daemon.expect(0, &["home"]);
+    daemon.expect(0, &["home", "--controller-homed"]);
     assert_eq!(daemon.end("TERM").0, Some(0));
     let card = std::fs::File::options().write(true).open(bench.at("card")).unwrap();
     std::os::unix::fs::FileExt::write_at(&card, &[3], 4).unwrap();
@@ -412,7 +412,7 @@ fn an_illegal_transition_holds_the_machine_until_cleared_and_homed() {
     assert!(daemon.expect(1, &["correct", "x", "4"]).contains("not homed"));
     let status = daemon.status();
     assert_eq!((&axis(&status, 0)["illegal"], &axis(&status, 0)["completed"]), (&1.into(), &2.into()));
-    daemon.expect(0, &["home"]);
+    daemon.expect(0, &["home", "--controller-homed"]);
     assert_eq!(axis(&daemon.status(), 0)["completed"], 0);
 }
 
@@ -492,10 +492,7 @@ fn an_empty_answer_says_that_it_is_one() {
     // The record has lines, and none of the next century.
     until("the record", || daemon.expect(0, &["log"]).contains(" home: done"));
     let (text, why) = said(&["log", "--since", "2100-01-01"]);
-    assert!(
-        text.is_empty() && why.contains("no line since 2100-01-01T00:00:00.000Z; the record's last is of 20"),
-        "{why}"
-    );
+    assert!(text.is_empty() && why.contains("no line since 2100-01-01 00:00:00.000 "), "{why}");
     assert_eq!(said(&["log", "--since", "2100-01-01", "--json"]).1, "");
     let run = daemon.user(&["log", "--axis", "q"]);
     assert!(run.status.code() == Some(2) && run.stdout.is_empty(), "{run:?}");

@@ -17,6 +17,7 @@ mod readers;
 mod real_motion;
 mod reconcile_loop;
 mod reference;
+mod restart;
 mod roles;
 mod spool;
 mod survival;

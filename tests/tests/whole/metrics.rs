@@ -195,7 +195,7 @@ fn served_is_metrics_only_on_loopback_or_a_socket() {
     let (head, _) = exchange(TcpStream::connect(("127.0.0.1", port)).unwrap(), post).unwrap();
     assert!(head.starts_with("HTTP/1.1 405"), "{head}");
     // Nobody holds it up who is slow, or says that his request will be long.
-    let slow: Vec<_> = (0..40)
+    let slow: Vec<_> = (0..300)
         .map(|n| {
             let mut stream = TcpStream::connect(("127.0.0.1", port)).unwrap();
             let heads =

@@ -129,6 +129,9 @@ fn a_model_is_shown_taken_explained_held_and_unloaded() {
     assert_eq!(daemon.status()["axes"][1]["requested"], 30);
     sensors.silent.store(false, Ordering::Relaxed);
     sensors.set(25.0);
+    until("it is said", || daemon.expect(0, &["status"]).contains("sensor T1 is good again"));
+    assert_eq!(daemon.status()["axes"][1]["requested"], 30, "what came back enables nothing");
+    daemon.expect(0, &["enable"]);
     until("it is back", || daemon.status()["axes"][1]["completed"] == 50);
 
     daemon.expect(0, &["model", "unload"]);

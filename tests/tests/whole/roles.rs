@@ -204,7 +204,7 @@ fn what_the_caller_cannot_read_is_not_read_for_him() {
     let mut answer = String::new();
     line.read_line(&mut answer).unwrap();
     assert!(answer.contains("combination"), "{answer}");
-    let record = || std::fs::read_to_string(at("audit.log")).unwrap_or_default();
+    let record = || std::fs::read_to_string(at("audit.log.refused")).unwrap_or_default();
     until("the record", || record().contains("secret:1:1: found something else, expected "));
     assert!(!record().contains("combination"), "{}", record());
 }
@@ -219,7 +219,8 @@ fn the_record_tells_who_did_what_and_shows_what_was_done_to_it() {
     until("the correction", || daemon.status()["axes"][0]["in_effect"] == 14);
     daemon.expect(1, &["correct", "y", "900"]);
     let file = directory.path().join("audit.log");
-    until("the record", || std::fs::read_to_string(&file).is_ok_and(|t| t.contains("asked +900")));
+    let refused = directory.path().join("audit.log.refused");
+    until("the record", || std::fs::read_to_string(&refused).is_ok_and(|t| t.contains("total +900")));
     let text = daemon.expect(0, &["log", "--axis", "x"]);
     assert!(
         text.contains("correct") && text.contains("x requested +0 to +14") && !text.contains("900"),
@@ -260,6 +261,24 @@ fn the_record_tells_who_did_what_and_shows_what_was_done_to_it() {
     std::fs::write(&file, &whole).unwrap();
     assert_eq!(log(&["--verify"]).0, Some(0));
     assert_eq!(log(&["--since", "some day"]).0, Some(2));
+    // What was refused has a chain of its own.
+    let kept = std::fs::read_to_string(&refused).unwrap();
+    std::fs::write(&refused, kept.replace("900", "600")).unwrap();
+    let (code, text) = log(&["--verify"]);
+    assert!(code == Some(1) && text.contains("audit.log.refused:1: it was changed"), "{text}");
+    std::fs::write(&refused, kept).unwrap();
+    // The end of both, as the journal would have it, fits; that of another story does not.
+    let hash =
+        |text: &str| text.trim_end().rsplit_once("\"hash\":\"").unwrap().1.trim_end_matches("\"}").to_owned();
+    let anchor = directory.path().join("anchor");
+    std::fs::write(&anchor, format!("x rtecd: record of commands: line {all} {}\n", hash(&whole))).unwrap();
+    let anchor = anchor.display().to_string();
+    assert_eq!(log(&["--verify", "--anchors", &anchor]).0, Some(0));
+    std::fs::write(&anchor, format!("record of commands: line {all} {}\n", hash(lines[0]))).unwrap();
+    let (code, text) = log(&["--verify", "--anchors", &anchor]);
+    assert!(code == Some(1) && text.contains("another one than the anchor says"), "{text}");
+    std::fs::write(&anchor, "nothing\n").unwrap();
+    assert_eq!(log(&["--verify", "--anchors", &anchor]).0, Some(2));
     std::fs::remove_file(&file).unwrap();
     assert_eq!(log(&[]).0, Some(2));
 }

@@ -1,6 +1,8 @@
 //! Finished records on their way from the daemon to the shop: a probing run that the daemon captured, a run that a client
 //! recorded and handed over; sent by `rtecctl ship`. A folder that is gone or full costs a record and is said, and nothing else.
 
+use rtec_control::client::Client;
+use rtec_control::protocol::{ClientRequest, Response};
 use rtec_measure::record::{read, read_log};
 use rtec_tests::daemon::{Daemon, among_others, program, until};
 use rtec_tests::disk::SmallDisk;
@@ -13,9 +15,13 @@ use std::process::{Command, Output};
 use std::time::Duration;
 
 fn started(directory: &Path, spool: &str) -> Daemon {
+    started_with(directory, &format!("spool = '{spool}'"))
+}
+
+fn started_with(directory: &Path, control: &str) -> Daemon {
     let text = format!(
         "[machine]\nname = 'mill 7'\n[card]\nbackend = 'mock'\n[[axis]]\nname = 'x'\ncount_um = 1.0\ntravel_mm = 40\n\
-         max_correction_counts = 1000\nwindow_counts = 50\nmin_separation_ns = 500\n[control]\nspool = '{spool}'\n"
+         max_correction_counts = 1000\nwindow_counts = 50\nmin_separation_ns = 500\n[control]\n{control}\n"
     );
     let file = directory.join("rtec.toml");
     std::fs::write(&file, text).unwrap();
@@ -37,11 +43,9 @@ fn sidecars(folder: &Path) -> Vec<PathBuf> {
 
 /// What the daemon says of records: kinds and texts of its events.
 fn told(daemon: &Daemon, kind: &str) -> Vec<String> {
-    let mut client = rtec_control::client::Client::connect(daemon.socket()).unwrap();
-    let request = rtec_control::protocol::ClientRequest::Observe { events_after: None };
-    let rtec_control::protocol::Response::Observed(seen) = client.ask(&request).unwrap() else {
-        panic!("no answer")
-    };
+    let mut client = Client::connect(daemon.socket()).unwrap();
+    let request = ClientRequest::Observe { events_after: None };
+    let Response::Observed(seen) = client.ask(&request).unwrap() else { panic!("no answer") };
     seen.events.into_iter().map(|e| e.event).filter(|e| e.kind == kind).map(|e| e.text).collect()
 }
 
@@ -200,4 +204,55 @@ fn a_daemon_without_a_spool_says_how_to_have_one() {
     let said = String::from_utf8_lossy(&refused.stderr).into_owned();
     assert!(said.contains("spool = \"/var/spool/rtec\""), "{said}");
     drop(daemon);
+}
+
+/// A bug once: one sidecar of 48 MB took 7 GB, and the daemon with it; and nothing bounded how many records were kept.
+#[test]
+fn whoever_operates_neither_ends_the_daemon_nor_fills_the_disk() {
+    let _room = among_others();
+    let directory = tempfile::tempdir().unwrap();
+    let at = |name: &str| directory.path().join(name);
+    std::fs::create_dir(at("spool")).unwrap();
+    let daemon = started_with(directory.path(), "spool = 'spool'\nspool_mb = 1\nlog_anchor = true");
+    let sidecar = "file = 'a.csv'\nkind = 'drift'\n[columns]\ne = { role = 'error.x', unit = 'um' }\n";
+    std::fs::write(at("a.csv"), "e\n1\n2\n").unwrap();
+    let keep = |sidecar: &str| {
+        std::fs::write(at("a.run.toml"), sidecar).unwrap();
+        let mut client = Client::connect(&at("s-operate")).unwrap();
+        let files = [at("a.run.toml"), at("a.csv")];
+        let open = files.each_ref().map(|f| std::fs::File::open(f).unwrap());
+        let files = files.map(|f| f.display().to_string()).to_vec();
+        client.ask_with(&ClientRequest::Keep { files }, &open).unwrap()
+    };
+    for more in ["[[t]]\n", "a = {}\n", "# a comment\n"] {
+        let Response::Bad { text } = keep(&(sidecar.to_owned() + &more.repeat((48 << 20) / more.len())))
+        else {
+            panic!("{more}")
+        };
+        assert!(text.contains("found more than 65536 bytes"), "{text}");
+    }
+    let mut kept = 0;
+    let text = loop {
+        match keep(sidecar) {
+            Response::Done { .. } => kept += 1,
+            Response::Refused { why, text, .. } if why == "not_kept" => break text,
+            other => panic!("{other:?}"),
+        }
+        assert!(kept <= 128, "{kept}");
+    };
+    assert!(kept >= 100 && text.contains("at most 1 MB may wait ([control] spool_mb)"), "{kept}: {text}");
+    let odd = keep(&sidecar.replace("kind", "note = \"\\u001b[2J\"\nkind"));
+    assert!(
+        matches!(&odd, Response::Bad { text } if text.contains("U+001B") && !text.contains('\u{1b}')),
+        "{odd:?}"
+    );
+    assert_eq!(daemon.status()["balanced"], true);
+    // The end of the record was said, and fits.
+    until("the anchor", || daemon.log().contains("record of commands: line "));
+    std::fs::write(at("journal"), daemon.log()).unwrap();
+    daemon.expect(0, &["log", "--verify", "--anchors", &at("journal").display().to_string()]);
+    // Sent, there is room again.
+    std::fs::create_dir(at("shop")).unwrap();
+    assert_eq!(shipped(directory.path()).status.code(), Some(0));
+    assert!(matches!(keep(sidecar), Response::Done { .. }));
 }

@@ -195,10 +195,10 @@ fn parking_freezes_or_takes_the_correction_out_in_gated_steps() {
 }
 
 /// One thread of a process, stopped; the others go on.
-struct Stopped(i32);
+pub(crate) struct Stopped(i32);
 
 impl Stopped {
-    fn thread(tid: i32) -> Self {
+    pub(crate) fn thread(tid: i32) -> Self {
         // SAFETY: both requests have no arguments and touch no memory of this process.
         let done = unsafe {
             libc::ptrace(libc::PTRACE_SEIZE, tid, 0, 0) == 0
@@ -210,6 +210,14 @@ impl Stopped {
         let stopped = unsafe { libc::waitpid(tid, &raw mut status, libc::__WALL) };
         assert!(stopped == tid && libc::WIFSTOPPED(status), "{stopped} {status:#x}");
         Self(tid)
+    }
+
+    /// Waits until its process has ended, without letting it run.
+    pub(crate) fn dies(self) {
+        // SAFETY: a null pointer is allowed: nobody asks for the status.
+        let ended = unsafe { libc::waitpid(self.0, std::ptr::null_mut(), libc::__WALL) };
+        assert_eq!(ended, self.0);
+        std::mem::forget(self);
     }
 }
 
@@ -239,12 +247,12 @@ fn a_control_thread_that_stalls_alone_leaves_the_real_time_thread_at_work() {
     drop(stopped);
     // Named, answered again, and not one edge of the meantime is lost.
     until("it is named", || daemon.log().contains("the control side is silent"));
-    until("corrections go on", || bench.machine.offset() > frozen);
+    until("it answers again", || daemon.status()["rt"]["control_stale"] == false);
     let status = daemon.status();
-    assert_eq!(
-        (&status["mode"], &status["balanced"], &status["rt"]["control_stale"]),
-        (&"run".into(), &true.into(), &false.into())
-    );
+    assert_eq!((&status["mode"], &status["balanced"]), (&"disabled".into(), &true.into()));
+    // What came back enables nothing.
+    assert_eq!((bench.user(&["enable"]).0, bench.machine.offset()), (Some(0), frozen));
+    until("corrections go on", || bench.machine.offset() > frozen);
     assert_eq!(bench.x()["faults"], serde_json::json!([]));
     bench.correct(2);
     bench.balances();
@@ -319,6 +327,8 @@ fn a_sensor_whose_file_goes_away_is_named_and_its_correction_stands() {
     // It is there again, and two degrees warmer.
     let _line = Line::reading(&sensor, 25.0);
     says("sensors: 1 of 1 good");
+    says("sensor T1 is good again: `rtecctl enable` takes its correction up");
+    assert_eq!((in_effect(&bench), bench.user(&["enable"]).0), (grown, Some(0)));
     until("the model goes on", || in_effect(&bench).abs() == 10);
     bench.balances();
 }
@@ -338,8 +348,12 @@ fn parking_with_a_model_takes_its_correction_out_and_leaves_it_out() {
     assert!(code == Some(0) && text.contains("the machine model is unloaded"), "{code:?} {text}");
     bench.balances();
     assert_eq!((bench.machine.offset(), daemon.status()["mode"].clone()), (0, "disabled".into()));
+    assert!(text.contains("`rtecctl model again` takes it up again"), "{text}");
     // Enabled again, nothing comes back by itself.
     let (code, text) = bench.user(&["enable"]);
     assert!(code == Some(0) && text.contains("nothing moves"), "{code:?} {text}");
     assert_eq!((bench.x()["requested"].clone(), in_effect(&bench)), (0.into(), 0));
+    let (code, text) = bench.user(&["model", "again"]);
+    assert_eq!(code, Some(0), "{text}");
+    until("the model's correction", || in_effect(&bench).abs() == 6);
 }

@@ -153,7 +153,7 @@ fn idle_watchers_keep_nobody_from_stopping_the_machine() {
     daemon.expect(0, &["hold", "off"]);
     assert_eq!(daemon.status()["mode"], "disabled");
     drop((watchers, silent));
-    until("a place", || daemon.user(&["correct", "x", "0"]).status.code() == Some(0));
+    until("a place", || daemon.user(&["clear"]).status.code() == Some(0));
 }
 
 #[test]

@@ -8,8 +8,12 @@
 //!
 //! `hash` is the SHA-256 of the line before `,"hash":`, in which `prev` is the hash of the line before. A full file becomes
 //! `NAME.1`, that one `NAME.2` and so on; the chain goes on. `NAME.head` names the last line and the first that is kept, so
-//! that lines cut off at either end are missed; it is locked by whoever writes. Whoever can write all of these files can write another story: the chain
-//! shows what was done to the record by hand, not what was done with its tools and the daemon's own rights.
+//! that lines cut off at either end are missed; it is locked by whoever writes.
+//!
+//! What was refused stands in a chain of its own, `NAME.refused`, so that no refusal ever displaces a command.
+//!
+//! Someone with the daemon's rights can forge all of these files: the chain shows what was done by hand, not what was done with
+//! its tools. Where its end is said elsewhere from time to time ([`Anchor`]), an older part cannot be forged unseen.
 
 use crate::protocol::Caller;
 use rtec_model::date;
@@ -25,13 +29,20 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 mod check;
 mod writer;
 
-pub use check::{Broken, Line, Verified, read, verify};
+pub use check::{Anchor, Broken, Line, Verified, read, verify};
 pub use writer::Writer;
 
 /// A file of this size becomes the one before, bytes.
 pub const FULL: u64 = 8 << 20;
 /// Files that are kept, the current one included.
 pub const FILES: usize = 10;
+/// Of refusals.
+pub const FILES_REFUSED: usize = 2;
+/// Of a text no more is recorded, characters.
+const LONGEST_TEXT: usize = 1000;
+/// Of a text in a request, characters; of a list, members.
+const LONGEST_WORD: usize = 200;
+const LONGEST_LIST: usize = 16;
 /// What comes before the first line.
 const NOTHING: &str = "0000000000000000000000000000000000000000000000000000000000000000";
 /// Nothing longer is a line of it, bytes.
@@ -46,7 +57,8 @@ pub struct Entry {
     /// When, UTC (RFC 3339).
     pub t: String,
     /// `command`, `start`, `stop`; `mode`, `fault`, `homed`, `control_stale`, `stood_still` (what happened, when it was first
-    /// seen); `lost` (lines that could not be written) or `torn` (a line that a crash cut).
+    /// seen); `lost` (lines that could not be written), `torn` (a line that a crash cut), `moved` (its file or head was removed or
+    /// renamed while it was written) or `missing` (the same, while nobody wrote).
     pub what: String,
     /// The axis that it happened to; none for the machine as a whole.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -102,6 +114,22 @@ impl Entry {
         }
     }
 
+    /// It was asked for, and not done.
+    #[must_use]
+    pub fn is_refusal(&self) -> bool {
+        self.what == "command" && self.result != "done"
+    }
+
+    /// With texts that are no longer than a record needs: whoever is refused does not fill a disk with what he asked.
+    #[must_use]
+    pub fn bounded(mut self) -> Self {
+        cut(&mut self.text, LONGEST_TEXT);
+        if let Some(request) = &mut self.request {
+            bound(request);
+        }
+        self
+    }
+
     /// It is about this axis: asked for it or for all of them, happened to it or to the machine, or its totals changed.
     #[must_use]
     pub fn concerns(&self, axis: &str) -> bool {
@@ -124,6 +152,32 @@ impl Entry {
         let hash = hex(&Sha256::digest(&line));
         Ok((format!("{line},\"hash\":\"{hash}\"}}"), hash))
     }
+}
+
+fn cut(text: &mut String, characters: usize) {
+    if let Some((at, _)) = text.char_indices().nth(characters) {
+        let more = text.len() - at;
+        text.truncate(at);
+        *text = format!("{text}… ({more} bytes more)");
+    }
+}
+
+fn bound(value: &mut Value) {
+    match value {
+        Value::String(text) => cut(text, LONGEST_WORD),
+        Value::Array(all) => {
+            all.truncate(LONGEST_LIST);
+            all.iter_mut().for_each(bound);
+        }
+        Value::Object(all) => all.values_mut().for_each(bound),
+        _ => {}
+    }
+}
+
+/// Where refusals stand, beside the record.
+#[must_use]
+pub fn refused_path(file: &Path) -> PathBuf {
+    with_suffix(file, "refused")
 }
 
 /// A moment as RFC 3339, to the millisecond, UTC.
@@ -162,6 +216,12 @@ struct Head {
 
 fn read_head(file: &Path) -> Option<Head> {
     std::fs::read(head_path(file)).ok().and_then(|bytes| serde_json::from_slice(&bytes).ok())
+}
+
+/// Number and hash of the last line, as its head says; none without one.
+#[must_use]
+pub fn end(file: &Path) -> Option<(u64, String)> {
+    read_head(file).map(|head| (head.n, head.hash))
 }
 
 fn head_path(file: &Path) -> PathBuf {
@@ -209,7 +269,11 @@ mod tests {
     }
 
     fn says(path: &Path, wants: &str) {
-        let found = verify(path).unwrap();
+        says_with(path, &[], wants);
+    }
+
+    fn says_with(path: &Path, anchors: &[Anchor], wants: &str) {
+        let found = verify(path, anchors).unwrap();
         assert!(found.broken.iter().any(|b| b.what.contains(wants)), "{wants}: {:?}", found.broken);
     }
 
@@ -219,7 +283,7 @@ mod tests {
         let mut writer = Writer::new(&path);
         writer.append(Entry::now("start")).unwrap();
         assert_eq!(writer.last().0, 21);
-        let found = verify(&path).unwrap();
+        let found = verify(&path, &[]).unwrap();
         assert_eq!((found.lines, found.numbers, found.broken), (21, [1, 21], vec![]));
         // sha256sum(1) says the same of a line, with cut and paste.
         let text = std::fs::read_to_string(&path).unwrap();
@@ -272,7 +336,7 @@ mod tests {
         let (_directory, path) = written(300, 4096);
         let kept = files(&path);
         assert_eq!(kept.len(), FILES);
-        let found = verify(&path).unwrap();
+        let found = verify(&path, &[]).unwrap();
         assert_eq!(found.broken, []);
         assert!(found.numbers[0] > 1 && found.numbers[1] == 300, "{:?}", found.numbers);
         std::fs::remove_file(&kept[4]).unwrap();
@@ -291,7 +355,7 @@ mod tests {
         let mut all = Vec::new();
         read(&path, &mut |r| all.push(r.entry.unwrap())).unwrap();
         assert_eq!((all[5].what.as_str(), all[5].times, all[6].what.as_str()), ("torn", Some(14), "start"));
-        assert_eq!(verify(&path).unwrap().broken, []);
+        assert_eq!(verify(&path, &[]).unwrap().broken, []);
         drop(writer);
         let text = std::fs::read_to_string(&path).unwrap();
         std::fs::write(&path, text.lines().take(4).collect::<Vec<_>>().join("\n") + "\n").unwrap();
@@ -331,12 +395,12 @@ mod tests {
                 std::fs::rename(name(n), name(n + 1)).unwrap();
             }
             drop(writer);
-            assert_eq!(verify(&path).unwrap().broken, [], "{renamed}");
+            assert_eq!(verify(&path, &[]).unwrap().broken, [], "{renamed}");
             let mut writer = Writer::new(&path).full_at(4096);
             for n in 0..40 {
                 writer.append(entry("x", n)).unwrap();
             }
-            let found = verify(&path).unwrap();
+            let found = verify(&path, &[]).unwrap();
             assert_eq!((found.broken, found.numbers[1]), (vec![], 341), "{renamed}");
         }
     }
@@ -348,10 +412,10 @@ mod tests {
         first.append(Entry::now("start")).unwrap();
         let error = Writer::new(&path).append(Entry::now("start")).unwrap_err();
         assert!(error.to_string().contains("another process writes it"), "{error}");
-        assert_eq!(verify(&path).unwrap().broken, []);
+        assert_eq!(verify(&path, &[]).unwrap().broken, []);
         drop(first);
         Writer::new(&path).append(Entry::now("start")).unwrap();
-        assert_eq!(verify(&path).unwrap().numbers, [1, 5]);
+        assert_eq!(verify(&path, &[]).unwrap().numbers, [1, 5]);
     }
 
     #[test]
@@ -369,7 +433,7 @@ mod tests {
                     std::thread::sleep(Duration::from_micros(200));
                 }
             });
-            let found: Vec<_> = (0..20).map(|_| verify(&path).unwrap().broken).collect();
+            let found: Vec<_> = (0..20).map(|_| verify(&path, &[]).unwrap().broken).collect();
             going.store(false, std::sync::atomic::Ordering::Relaxed);
             assert!(found.iter().all(Vec::is_empty), "{found:?}");
         });
@@ -381,7 +445,7 @@ mod tests {
         for times in [40, 2] {
             Writer::new(&path).append(Entry { times: Some(times), ..Entry::now("lost") }).unwrap();
         }
-        let found = verify(&path).unwrap();
+        let found = verify(&path, &[]).unwrap();
         assert_eq!((found.lost, found.broken), (42, vec![]));
     }
 
@@ -394,5 +458,78 @@ mod tests {
             let error = read(file, &mut |_| panic!("a line")).unwrap_err();
             assert_eq!(error.to_string(), "a pipe, socket or device");
         }
+    }
+
+    #[test]
+    fn files_that_are_removed_or_renamed_meanwhile_are_told_and_found() {
+        for (what, says_so) in
+            [("audit.log", "begins with"), ("audit.log.head", ""), ("rename", "begins with")]
+        {
+            let (_directory, path) = written(5, FULL);
+            let mut writer = Writer::new(&path);
+            writer.append(entry("x", 5)).unwrap();
+            if what == "rename" {
+                std::fs::rename(&path, path.with_file_name("elsewhere")).unwrap();
+            } else {
+                std::fs::remove_file(path.with_file_name(what)).unwrap();
+            }
+            writer.append(entry("x", 6)).unwrap();
+            assert_eq!((writer.moved(), writer.last().0), (1, 8), "{what}");
+            let mut all = Vec::new();
+            read(&path, &mut |line| all.push(line.entry.unwrap())).unwrap();
+            let last: Vec<_> = all.iter().rev().take(2).map(|e| (e.n, e.what.as_str())).collect();
+            assert_eq!(last, [(8, "command"), (7, "moved")], "{what}");
+            let found = verify(&path, &[]).unwrap().broken;
+            assert_eq!(found.is_empty(), says_so.is_empty(), "{what}: {found:?}");
+            assert!(found.iter().all(|b| b.what.contains(says_so)), "{what}: {found:?}");
+        }
+        // While nobody wrote: the next start says so.
+        let (_directory, path) = written(5, FULL);
+        std::fs::remove_file(&path).unwrap();
+        Writer::new(&path).append(Entry::now("start")).unwrap();
+        let mut all = Vec::new();
+        read(&path, &mut |line| all.push(line.entry.unwrap())).unwrap();
+        let all: Vec<_> = all.iter().map(|e| (e.n, e.what.as_str())).collect();
+        assert_eq!(all, [(6, "missing"), (7, "start")]);
+        says(&path, "begins with line number 6");
+    }
+
+    #[test]
+    fn a_story_that_was_written_anew_does_not_fit_its_anchors() {
+        let (_directory, path) = written(20, FULL);
+        let mut refused = Writer::new(&refused_path(&path));
+        refused.append(Entry { result: "refused".into(), ..Entry::now("command") }).unwrap();
+        let mut writer = Writer::new(&path);
+        writer.append(Entry::now("start")).unwrap();
+        let journal = format!("Nov 26 rtecd: {}\nother\n", Anchor::text(writer.last(), Some(refused.last())));
+        let anchors = Anchor::all(&journal);
+        assert_eq!(anchors.len(), 2, "{journal}");
+        writer.append(entry("x", 21)).unwrap();
+        drop((writer, refused));
+        let found = verify(&path, &anchors).unwrap();
+        assert_eq!((found.broken, found.refused), (vec![], 1));
+        // Somebody with the daemon's rights writes another story, whole in itself.
+        let (_other, other) = written(25, FULL);
+        for suffix in ["", ".head"] {
+            let name = |p: &Path| PathBuf::from(format!("{}{suffix}", p.display()));
+            std::fs::copy(name(&other), name(&path)).unwrap();
+        }
+        assert_eq!(verify(&path, &[]).unwrap().broken, []);
+        says_with(&path, &anchors, "line number 21 is another one than the anchor says");
+        let (_other, other) = written(20, FULL);
+        says_with(&other, &anchors[..1], "the anchor knows line number 21");
+        // Refusals too.
+        std::fs::remove_file(refused_path(&path)).unwrap();
+        std::fs::remove_file(head_path(&refused_path(&path))).unwrap();
+        says_with(&path, &anchors[1..], "the anchor knows line number 1");
+    }
+
+    #[test]
+    fn what_is_recorded_of_a_request_has_an_end() {
+        let long = "µ".repeat(4096);
+        let request = serde_json::json!({"do": "explain", "axis": long, "files": vec![long.as_str(); 100]});
+        let entry = Entry { request: Some(request), text: long.clone(), ..Entry::now("command") }.bounded();
+        let line = serde_json::to_string(&entry).unwrap();
+        assert!(line.len() < 12_000 && line.contains("bytes more"), "{}", line.len());
     }
 }

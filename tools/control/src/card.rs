@@ -1,13 +1,14 @@
-//! The real cards that a configuration names, opened.
+//! The real cards that a configuration names, opened: to do the work, or only to be read.
 
-use crate::config::MappedPlace;
+use crate::config::{CardConfig, MappedPlace, PortPlace};
+use rtec_driver::card::{Card, CardError};
 use rtec_driver::clock::Monotonic;
 use rtec_driver::gpio::{GpioCard, GpioError, GpioSetup};
-use rtec_driver::mapped::{MapError, MappedCard};
+use rtec_driver::mapped::{MapError, MappedCard, Registers};
 use rtec_driver::pci::{self, PciError, PciId};
 use rtec_driver::port::{Parport, PortError, Ports};
 use rtec_driver::profile::{Profile, Space};
-use rtec_driver::registers::{RegisterCard, SetUpError};
+use rtec_driver::registers::{Bus, RegisterCard, SetUpError};
 use std::os::fd::OwnedFd;
 use std::path::{Path, PathBuf};
 
@@ -29,6 +30,107 @@ pub enum OpenError {
     /// The card is not what its profile says.
     #[error(transparent)]
     SetUp(#[from] SetUpError),
+    /// A card that is only to be read does not answer.
+    #[error(transparent)]
+    Card(#[from] CardError),
+    /// A card that is only to be read has not been set up since its reset.
+    #[error(
+        "register {offset:#x} reads {found:#x}, expected {value:#x}: the card has not been set up since its reset, and only \
+         reading does not set it up. Start the daemon once, or use --drive with the MTC off"
+    )]
+    NotSetUp {
+        /// Byte offset of the register.
+        offset: usize,
+        /// What it reads.
+        found: u32,
+        /// What it reads when set up.
+        value: u32,
+    },
+    /// A simulated machine or a recording.
+    #[error("backend \"{0}\" has no lines outside the daemon")]
+    NoLines(&'static str),
+}
+
+/// What is to be done with a card, whichever it is.
+pub trait OnCard {
+    /// What comes of it.
+    type Output;
+
+    /// Does it.
+    fn on<C: Card + Send + 'static>(self, card: C) -> Self::Output;
+}
+
+/// Whether a card may be written to.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Access {
+    /// Nothing is enabled, set up or requested as an output. What the card needs to be read (latching its counters) is done.
+    Read,
+    /// The card is opened as the daemon opens it.
+    Drive,
+}
+
+/// Opens the card that a configuration names and hands it to `what`.
+///
+/// # Errors
+/// When it cannot be opened, or is a simulated one.
+pub fn with<W: OnCard>(card: &CardConfig, access: Access, what: W) -> Result<W::Output, OpenError> {
+    match card {
+        CardConfig::Mock | CardConfig::Replay { .. } => Err(OpenError::NoLines(card.backend())),
+        CardConfig::Gpio(setup) => {
+            let mut setup = setup.clone();
+            if access == Access::Read {
+                setup.outputs.clear();
+            }
+            Ok(what.on(gpio(&setup, Vec::new())?))
+        }
+        CardConfig::Mapped { place, profile } => {
+            let (file, map) = match (place, access) {
+                (MappedPlace::Pci(id, bar), Access::Read) => {
+                    (pci::find(id)?.check(*bar, Space::Memory, profile.size())?.file, 0)
+                }
+                _ => register_file(place, profile)?,
+            };
+            on_registers(
+                Registers::open_map(&file, map, profile.size(), &profile.name)?,
+                profile,
+                access,
+                what,
+            )
+        }
+        CardConfig::Port { place, profile } => {
+            let base = match (place, access) {
+                (PortPlace::Parport(file), _) => {
+                    return on_registers(Parport::open(file)?, profile, access, what);
+                }
+                (PortPlace::Io(base), _) => *base,
+                (PortPlace::Pci(id, bar), Access::Read) => {
+                    pci::find(id)?.check(*bar, Space::Io, profile.size())?.start as u16
+                }
+                (PortPlace::Pci(id, bar), Access::Drive) => io_bar(id, *bar, profile)?,
+            };
+            on_registers(Ports::open(base, profile.size())?, profile, access, what)
+        }
+    }
+}
+
+fn on_registers<B: Bus + Send + 'static, W: OnCard>(
+    bus: B,
+    profile: &Profile,
+    access: Access,
+    what: W,
+) -> Result<W::Output, OpenError> {
+    let mut profile = profile.clone();
+    if access == Access::Read {
+        for setup in &profile.setup {
+            let (register, value) = (setup.order.register, setup.order.value);
+            let found = bus.read(register.offset, register.width)?;
+            if found != value {
+                return Err(OpenError::NotSetUp { offset: register.offset, found, value });
+            }
+        }
+        profile.setup.clear();
+    }
+    Ok(what.on(RegisterCard::new(bus, &profile, Monotonic)?))
 }
 
 /// GPIO lines; `kept` are the output requests of the process before.

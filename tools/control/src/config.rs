@@ -3,6 +3,7 @@
 //! | table | key | unit | default | meaning |
 //! |---|---|---|---|---|
 //! | `[machine]` | `name` | – | must be there | the machine, as `status` shows it |
+//! | | `mtc_off` | – | `freeze` | when `mtc_ready` falls: corrections `freeze`, or feed hold comes on too: `hold` |
 //! | `[card]` | `backend` | – | must be there | `mock`, `gpio`, `mapped`, `port` or `replay` |
 //! | | `file` | – | – | `mapped`: the file of registers |
 //! | | `uio`, `map` | – | –, 0 | `mapped`: a UIO device, as `/dev/uio0`, and which of its maps |
@@ -11,12 +12,13 @@
 //! | | `profile` | – | `shared-memory`, `parallel-port` | `mapped`, `port`: what the registers mean; `rtecctl card list` |
 //! | | `mode` | – | `edges` | `gpio`: sleep until an edge comes, or read `levels` as fast as it goes |
 //! | | `chip`, `bias`, `drive` | – | –, as it is, `push-pull` | `gpio`: of every line that does not say otherwise |
-//! | | `probe`, `disable`, `hold` | line | not wired | `gpio`, `mapped`, `port`: the machine's own lines |
+//! | | `probe`, `disable`, `mtc_ready`, `hold` | line | not wired | `gpio`, `mapped`, `port`: the machine's own lines |
 //! | `[[axis]]` | `name`, `count_um`, `travel_mm` | µm, mm | must be there | |
 //! | | `design` | – | `c` | insertion design (NISTIR 4832): `c`, `original`, `a` |
 //! | | `max_correction_counts`, `window_counts` | counts | must be there | largest total; largest believed change |
 //! | | `min_separation_ns` | ns | must be there | what the MTC's decoder needs between two edges |
 //! | | `max_accel_mm_s2` or `max_accel_counts_s2` | | 1e6 counts/s² (mock, replay) | acceleration limit of the axis |
+//! | | `rapid_mm_min` | mm/min | none (mock, replay) | how fast the axis moves at most: corrections are not enabled where the card cannot follow |
 //! | | `hysteresis_counts` | counts | 0.05 | the scale's, on reversal |
 //! | | `warn_counts`, `error_counts` | counts | none | a request of this size warns; faults and holds |
 //! | | `max_rate_counts_s` | counts/s | none | fastest change of the correction |
@@ -28,11 +30,14 @@
 //! | | `trace` | – | – | `replay`: the recorded trace |
 //! | `[rt]` | `cpu`, `priority` | – | isolated or last, 80 | of the real-time thread |
 //! | | `detect_ns`, `write_ns`, `guard_ns` | ns | 0 (mock, replay) | measured worst latencies and a reserve |
+//! | | `measured` | – | – | `{ card, kernel, cpu, date }`: where these figures were measured, as the self-test prints it |
 //! | `[control]` | `socket`, `group`, `mode` | – | see [`default_directory`], none, 0660 or 0600 | the socket by which everything may be asked for, and who may use it |
 //! | | `operate`, `view` | – | `control-operate.sock`, `control-view.sock` | `{ socket, group, mode }` of the roles that may less, see [`crate::role`] |
 //! | | `state_file` | – | beside the socket | what a restart takes over |
 //! | | `log_file` | – | `/var/log/rtec/audit.log`, or beside the state file | the record of every command |
+//! | | `log_anchor` | – | false | whether the record's end is said in the system's journal |
 //! | | `spool` | – | none | the folder that finished records are kept in, for `rtecctl ship` |
+//! | | `spool_mb` | MB | 1024 | what may wait in it at most |
 //! | | `stale_ms` | ms | 500 | silence of the control side after which no insertion begins |
 //! | `[model]` | `file` | – | none | the machine model that shall run, once `rtecctl model load` has taken it |
 //! | | `period_ms` | ms | 10 | how often it is evaluated, 10 to 20 |
@@ -48,10 +53,12 @@ mod axis;
 mod card;
 mod control;
 mod here;
-pub mod plain;
+mod latency;
+mod plain;
 mod sensors;
 
 pub use control::{ControlConfig, Door, LONGEST_SOCKET, SocketAt, default_directory, derived};
+pub use latency::{Measured, floors_ns};
 
 use card::Kind;
 use rtec_correct::sensors::SensorConfig;
@@ -75,8 +82,10 @@ pub struct Config {
     pub machine: String,
     /// The card and what its backend needs (`[card]`).
     pub card: CardConfig,
-    /// The machine's own lines: probe, disable switch, hold.
+    /// The machine's own lines: probe, disable switch, MTC ready, hold.
     pub lines: MachineLines,
+    /// Feed hold comes on when the MTC is off.
+    pub hold_without_mtc: bool,
     /// The axes, in order.
     pub axes: Vec<ConfiguredAxis>,
     /// The real-time thread (`[rt]`).
@@ -192,6 +201,10 @@ pub struct ConfiguredAxis {
     pub travel_mm: f64,
     /// Position of the place where it is homed, counts.
     pub home_counts: i64,
+    /// How fast it moves at most, mm/min.
+    pub rapid_mm_min: Option<f64>,
+    /// The card counts its edges itself, however fast they come.
+    pub counted: bool,
     /// What the MTC tolerates between reference marks or encoders, counts.
     pub reference_budget_counts: Option<i64>,
     /// What the engine needs to know.
@@ -212,7 +225,7 @@ pub struct Simulated {
 }
 
 /// Settings of the real-time thread (`[rt]`).
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq)]
 pub struct RtConfig {
     /// Its CPU; `None` leaves the choice to the machine.
     pub cpu: Option<usize>,
@@ -220,6 +233,8 @@ pub struct RtConfig {
     pub priority: u8,
     /// The machine's latency has been measured (`detect_ns` and `write_ns` stand in the file).
     pub latency_measured: bool,
+    /// Where and when it has been; none where the file does not say.
+    pub measured: Option<Measured>,
 }
 
 /// The machine model, live.
@@ -396,6 +411,7 @@ fn read(source: &mut SourceFile<'_>, document: &Document<'_>, here: bool) -> Opt
     let name = machine.string(source, "name", "the machine's name, in quotes");
     let name = machine.required(source, "name", "the machine's name, in quotes", name);
     let name = plain::name(source, "name", name, false);
+    let mtc_off = machine.choice(source, "mtc_off", 2, &[("freeze", false), ("hold", true)]);
     machine.finish(source);
 
     let mut rt_table = root.table(source, "rt", "[rt]");
@@ -404,12 +420,17 @@ fn read(source: &mut SourceFile<'_>, document: &Document<'_>, here: bool) -> Opt
     let detect_ns = rt_table.integer(source, "detect_ns", 0..=1_000_000_000);
     let write_ns = rt_table.integer(source, "write_ns", 0..=1_000_000_000);
     let guard_ns = rt_table.integer(source, "guard_ns", 0..=1_000_000_000);
+    let measured = latency::read_measured(source, &mut rt_table);
     rt_table.finish(source);
+    if here {
+        latency::check_cpu(source, cpu);
+    }
     let ns = |at: Option<At<i64>>| at.map_or(0, |at| at.value as u64);
     let rt = RtConfig {
         cpu: cpu.map(|c| c.value as usize),
         priority: priority.map_or(80, |p| p.value as u8),
         latency_measured: detect_ns.is_some() && write_ns.is_some(),
+        measured,
     };
     let latency = AxisConfig {
         detect_ns: ns(detect_ns),
@@ -419,6 +440,9 @@ fn read(source: &mut SourceFile<'_>, document: &Document<'_>, here: bool) -> Opt
     };
 
     let mut card = card::read(source, &mut root, here);
+    if let Some(at) = mtc_off.filter(|_| card.lines.mtc_ready.is_none()) {
+        source.finding(at.offset, "mtc_off without mtc_ready", "mtc_ready in [card]: the line that tells it");
+    }
     if card.is_real() && !rt.latency_measured {
         notes.push(
             "[rt] has no detect_ns and write_ns: corrections cannot be enabled on this card before \
@@ -462,10 +486,19 @@ fn read(source: &mut SourceFile<'_>, document: &Document<'_>, here: bool) -> Opt
         Kind::Port => CardConfig::Port { place: card.port?, profile: card.profile? },
         Kind::Replay => CardConfig::Replay { traces },
     };
+    latency::check_floors(source, &kind, detect_ns, write_ns);
+    if kind.is_real() {
+        for axis in &axes {
+            let unset = "rapid_mm_min is not set: corrections cannot be enabled before it says how fast the axis moves";
+            let unset = axis.rapid_mm_min.is_none().then(|| format!("axis {}: {unset}", axis.name));
+            notes.extend(unset.or_else(|| axis.outruns()));
+        }
+    }
     let mut config = Config {
         machine: name?.value.to_owned(),
         card: kind,
         lines: card.lines,
+        hold_without_mtc: mtc_off.is_some_and(|m| m.value),
         axes,
         rt,
         control,

@@ -13,6 +13,7 @@
 //! | [`profile`] | card profiles, from their files |
 //! | [`lock`] | one program at a time on a socket, on a card |
 //! | `closed` | directories into which nobody but their owners can put anything |
+//! | [`belongings`] | the files that make up a machine's set-up |
 //! | `lines` | the lines and register bits that a configuration names |
 //!
 //! What must not live here: decisions of the control law (`rtec-correct`), anything of a simulated machine (`rtec-sim`),
@@ -21,6 +22,7 @@
 //! At work: `cargo run -p rtec-control --example check_config`, which the tests run too.
 
 pub mod audit;
+pub mod belongings;
 pub mod card;
 pub mod client;
 mod closed;

@@ -21,6 +21,7 @@ impl ClientRequest {
             | Self::Probe { .. }
             | Self::Hold { .. }
             | Self::Jog { .. }
+            | Self::ModelAgain {}
             | Self::Keep { .. } => Role::Operate,
             Self::Correct { .. }
             | Self::Clear {}

@@ -13,12 +13,12 @@
 //! |---|---|
 //! | `status`, `disable`, `shadow`, `clear`, `watch`, `whoami` | – |
 //! | `observe` | `events_after`: number of the last event that is known already |
-//! | `home` | `axis`; all without it |
+//! | `home` | `axis`; all without it; `controller_homed`: `true` where the MTC has been homed there too, `false` where not |
 //! | `enable` | `accept_jump` |
 //! | `correct` | `axis`, `total_counts`, `large` |
 //! | `probe`, `hold` | `on` |
 //! | `model_load` | `file`, `take`: the hash that was shown; without it what would change is shown; `files` |
-//! | `model_unload` | – |
+//! | `model_unload`, `model_again` | – |
 //! | `jog` | `axis`, `display_mm`: a simulated axis only |
 //! | `explain` | `axis`; all without it |
 //! | `table_load` | `errors`, `axes`, `nose_mm`, `origin_mm`, `lead_ms`; of an arc `centre_mm`, `radius_mm` too |
@@ -39,7 +39,7 @@ pub use rtec_correct::explain::{Change, Contribution, Explained, ModelPreview, R
 pub use rtec_correct::part_table::{PartTable, TableNow};
 use rtec_files::words::printable;
 use serde::{Deserialize, Serialize};
-pub use status::{AxisReport, DaemonStatus, Distribution, Rt};
+pub use status::{AxisReport, DaemonStatus, Distribution, HoldReport, LatchedFault, Rates, Rt};
 pub use words::{explain_fault, explain_refusal, word};
 
 /// Version of this protocol. Fields and requests are added without a new one; it rises when something that stood is changed.
@@ -58,6 +58,10 @@ pub enum ClientRequest {
         /// Name of the axis; all axes without it.
         #[serde(default)]
         axis: Option<String>,
+        /// The MTC has been homed there too, and counts nothing of what was inserted before; or it has not, and the total is
+        /// kept. Without it an axis is refused of which something is in the MTC's count.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        controller_homed: Option<bool>,
     },
     /// Corrections on: insertions follow the requested totals from now on.
     Enable {
@@ -118,6 +122,8 @@ pub enum ClientRequest {
     },
     /// No model from now on.
     ModelUnload {},
+    /// The model that was unloaded last, as it was read when it was loaded.
+    ModelAgain {},
     /// A simulated axis: jog it, and read it.
     Jog {
         /// Name of the axis.

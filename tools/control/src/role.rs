@@ -3,7 +3,7 @@
 //! | role | may | socket |
 //! |---|---|---|
 //! | [`Role::View`] | see: `status`, `watch`, `explain`, `observe`, `ledger`, `whoami` | `control-view.sock` |
-//! | [`Role::Operate`] | the same, and `home`, `enable`, `disable`, `shadow`, `probe`, `hold`, `jog` (a simulated axis), `keep` | `control-operate.sock` |
+//! | [`Role::Operate`] | the same, and `home`, `enable`, `disable`, `shadow`, `probe`, `hold`, `jog` (a simulated axis), `keep`, `model_again` | `control-operate.sock` |
 //! | [`Role::SetUp`] | everything: also `correct`, `clear`, models and part tables | `control.sock`, as `[control] socket` has it |
 
 use serde::{Deserialize, Serialize};
@@ -53,6 +53,7 @@ impl Role {
             ("hold", Self::Operate),
             ("jog", Self::Operate),
             ("keep", Self::Operate),
+            ("model_again", Self::Operate),
             ("correct", Self::SetUp),
             ("clear", Self::SetUp),
             ("model_load", Self::SetUp),

@@ -9,6 +9,7 @@
 //! | `line` | lines `NAME VALUE` or `NAME=VALUE` from `host:port` (TCP) or a serial device that is set up already |
 
 use nix::fcntl::OFlag;
+use nix::sys::socket::{setsockopt, sockopt};
 use rtec_correct::sensors::{SensorConfig, SensorSource, Use, Watch};
 use rtec_files::InputError;
 use rtec_files::words::quoted;
@@ -30,9 +31,19 @@ pub struct Feed {
     /// The keys that somebody reads; all, up to [`KEYS`], where nobody says.
     keys: Option<BTreeSet<String>>,
     values: BTreeMap<String, f64>,
+    /// Why there is no connection.
     trouble: String,
+    /// When a value of each key came last, and the last line of it that could not be read since.
+    came: BTreeMap<String, (f64, Option<String>)>,
     /// The last line that could not be read, until somebody asks.
     odd: Option<String>,
+    /// When it was connected, and when anything came last, s.
+    connected_at: f64,
+    bytes_at: f64,
+    /// A connection by which nothing comes for so long is given up, s.
+    idle_s: f64,
+    /// The last poll, s.
+    now_s: f64,
     retry_at: f64,
     /// When it is next made sure that the device is still the one that was opened.
     check_at: f64,
@@ -48,6 +59,8 @@ const LONGEST_LINE: usize = 4096;
 /// A value beyond this, and one that is no number at all, is no reading of any sensor, °C.
 const LARGEST: f64 = 1e6;
 
+/// A connection by which nothing comes for so long is given up, where nobody says how often values come, s.
+const IDLE_S: f64 = 30.0;
 /// Time between two tries to connect, and between two looks whether a device is still there, s.
 const RETRY_S: f64 = 5.0;
 
@@ -68,7 +81,12 @@ impl Feed {
             keys: None,
             values: BTreeMap::new(),
             trouble: "not connected yet".to_owned(),
+            came: BTreeMap::new(),
             odd: None,
+            connected_at: f64::NEG_INFINITY,
+            bytes_at: f64::NEG_INFINITY,
+            idle_s: IDLE_S,
+            now_s: f64::NEG_INFINITY,
             retry_at: f64::NEG_INFINITY,
             check_at: f64::NEG_INFINITY,
         }
@@ -78,6 +96,12 @@ impl Feed {
     #[must_use]
     pub fn of(from: &str, keys: impl IntoIterator<Item = String>) -> Self {
         Self { keys: Some(keys.into_iter().collect()), ..Self::new(from) }
+    }
+
+    /// With another time after which a connection by which nothing comes is given up, s.
+    #[must_use]
+    pub fn idle_after(self, idle_s: f64) -> Self {
+        Self { idle_s: idle_s.max(RETRY_S), ..self }
     }
 
     fn connect(&self) -> io::Result<Stream> {
@@ -92,15 +116,38 @@ impl Feed {
         let address = self.from.to_socket_addrs()?.next().ok_or_else(none)?;
         let stream = TcpStream::connect_timeout(&address, Duration::from_millis(200))?;
         stream.set_nonblocking(true)?;
+        // The other side may lose its power and say nothing of it: the kernel asks whether it is there.
+        setsockopt(&stream, sockopt::KeepAlive, &true)?;
+        setsockopt(&stream, sockopt::TcpKeepIdle, &10)?;
+        setsockopt(&stream, sockopt::TcpKeepInterval, &5)?;
+        setsockopt(&stream, sockopt::TcpKeepCount, &3)?;
         Ok(Stream::Tcp(stream))
     }
 
     /// The value of a key that came with the last poll, or what is in the way.
     ///
     /// # Errors
-    /// No such value: the feed's last trouble.
-    pub fn value(&self, key: &str) -> Result<f64, &str> {
-        self.values.get(key).copied().ok_or(&self.trouble)
+    /// No such value: why.
+    pub fn value(&self, key: &str) -> Result<f64, String> {
+        self.values.get(key).copied().ok_or_else(|| self.why_not(key))
+    }
+
+    /// Why there is no value of a key now.
+    fn why_not(&self, key: &str) -> String {
+        if self.stream.is_none() {
+            return self.trouble.clone();
+        }
+        let since = |s: f64| (self.now_s - s).max(0.0);
+        match self.came.get(key) {
+            Some((_, Some(odd))) => odd.clone(),
+            Some((at, None)) if self.bytes_at >= self.connected_at => {
+                format!("connected, no line {key} for {:.0} s", since(at.max(self.connected_at)))
+            }
+            None if self.bytes_at >= self.connected_at => {
+                format!("connected, no line {key} for {:.0} s", since(self.connected_at))
+            }
+            _ => format!("connected, nothing came for {:.0} s", since(self.connected_at)),
+        }
     }
 
     /// The last line that could not be read since this was asked last, in words.
@@ -111,6 +158,12 @@ impl Feed {
     /// Takes in what has come; values are taken once, so that silence shows.
     pub fn poll(&mut self, now_s: f64) {
         self.values.clear();
+        self.now_s = now_s;
+        let silent_s = now_s - self.bytes_at.max(self.connected_at);
+        if matches!(self.stream, Some(Stream::Tcp(_))) && silent_s > self.idle_s {
+            self.lose(format!("nothing came for {silent_s:.0} s: connecting again"), now_s);
+            self.retry_at = now_s;
+        }
         if let Some(Stream::Serial(file)) = &self.stream
             && now_s >= self.check_at
         {
@@ -123,7 +176,10 @@ impl Feed {
         }
         if self.stream.is_none() && now_s >= self.retry_at {
             match self.connect() {
-                Ok(s) => self.stream = Some(s),
+                Ok(s) => {
+                    self.stream = Some(s);
+                    self.connected_at = now_s;
+                }
                 Err(e) => {
                     self.trouble = e.to_string();
                     self.retry_at = now_s + RETRY_S;
@@ -146,6 +202,7 @@ impl Feed {
                 Ok(0) if matches!(stream, Stream::Serial(_)) => break,
                 Ok(n) if n > 0 => {
                     left = left.saturating_sub(n);
+                    self.bytes_at = now_s;
                     self.partial.extend_from_slice(&buffer[..n]);
                     self.take_lines();
                 }
@@ -179,15 +236,18 @@ impl Feed {
             if let (Some(key), Some(value)) = (words.next(), words.next()) {
                 let key = key.trim();
                 let read = self.keys.as_ref().is_none_or(|keys| keys.contains(key));
-                if !read || !self.values.contains_key(key) && self.values.len() >= KEYS {
+                if !read || !self.came.contains_key(key) && self.came.len() >= KEYS {
                     continue;
                 }
+                let came = self.came.entry(key.to_owned()).or_insert((f64::NEG_INFINITY, None));
                 let value = value.trim().parse::<f64>().ok();
                 if let Some(v) = value.filter(|v| v.abs() <= LARGEST) {
                     self.values.insert(key.to_owned(), v);
+                    *came = (self.now_s, None);
                 } else {
-                    self.trouble = format!("{} is no line NAME VALUE", quoted(line.trim()));
-                    self.odd = Some(self.trouble.clone());
+                    let odd = format!("{} is no line NAME VALUE", quoted(line.trim()));
+                    came.1 = Some(odd.clone());
+                    self.odd = Some(odd);
                 }
             }
         }
@@ -195,7 +255,7 @@ impl Feed {
         // A feed that never ends its line is no feed.
         if self.partial.len() > LONGEST_LINE {
             self.partial.clear();
-            self.trouble = format!("a line longer than {LONGEST_LINE} bytes");
+            self.odd = Some(format!("a line longer than {LONGEST_LINE} bytes"));
         }
     }
 }
@@ -240,7 +300,13 @@ impl Bank {
                         SensorSource::Line { from: other, key } if other == from => Some(key.clone()),
                         _ => None,
                     });
-                    feeds.push(Feed::of(from, keys));
+                    let timeouts = configs.iter().filter_map(|c| match &c.source {
+                        SensorSource::Line { from: other, .. } if other == from => Some(c.timeout_s),
+                        _ => None,
+                    });
+                    // A sensor is silent by then, and nothing else came either.
+                    let idle_s = timeouts.fold(f64::INFINITY, f64::min);
+                    feeds.push(Feed::of(from, keys).idle_after(idle_s));
                 }
                 SensorSource::Csv { record, .. } if !replays.contains_key(record) => {
                     replays.insert(record.clone(), recording(record)?);
@@ -286,8 +352,7 @@ impl Bank {
                 SensorSource::Csv { record, column } => replay(&self.replays[record], column, now_s - start),
                 SensorSource::Line { from, key } => {
                     let feed = self.feeds.iter().find(|f| f.from == *from);
-                    let value = feed.and_then(|f| f.values.get(key).copied());
-                    value.ok_or_else(|| feed.map_or(String::new(), |f| f.trouble.clone()))
+                    feed.map_or_else(|| Err(String::new()), |feed| feed.value(key))
                 }
             };
             watch.offer(now_s, reading);
@@ -512,11 +577,12 @@ mod tests {
             panic!("{feed:?}");
         };
         peer.write_all(b"T1 \x1b[2J\x1b]0;owned\x07\n").unwrap();
-        until(&mut feed, &|f| f.trouble.contains("no line"));
-        assert!(!feed.trouble.chars().any(char::is_control), "{:?}", feed.trouble);
+        let why = |feed: &Feed| feed.value("T1").unwrap_err();
+        until(&mut feed, &|f| why(f).contains("is no line"));
+        assert!(!why(&feed).chars().any(char::is_control), "{:?}", why(&feed));
         for wild in ["1e308", "-1e7", "inf", "nan"] {
             peer.write_all(format!("T1 {wild}\n").as_bytes()).unwrap();
-            until(&mut feed, &|f| f.trouble.contains(&format!("'T1 {wild}' is no line")));
+            until(&mut feed, &|f| why(f).contains(&format!("'T1 {wild}' is no line")));
             assert_eq!(feed.values.get("T1"), None);
         }
         for n in 0..10_000 {
@@ -526,7 +592,7 @@ mod tests {
         until(&mut feed, &|f| f.values.contains_key("T1"));
         assert_eq!(feed.values.len(), 1, "keys that nobody reads are not kept");
         peer.write_all(&[b'x'; LONGEST_LINE + 1]).unwrap();
-        until(&mut feed, &|f| f.trouble.contains("longer than"));
+        until(&mut feed, &|f| f.odd.as_ref().is_some_and(|odd| odd.contains("longer than")));
         assert!(feed.partial.len() <= LONGEST_LINE);
         // Without a pause: every poll ends, and soon the feed is given up.
         let flood = std::thread::spawn(move || while peer.write_all(&[b'\n'; 4096]).is_ok() {});
@@ -540,6 +606,58 @@ mod tests {
         }
         feed.take_lines();
         assert_eq!(feed.values.len(), KEYS);
+    }
+
+    /// A gateway that lost its power says nothing of it: the connection stands, and no line comes any more.
+    #[test]
+    fn a_gateway_that_was_power_cycled_is_connected_again_and_the_reason_is_true() {
+        let server = TcpListener::bind("127.0.0.1:0").unwrap();
+        let from = server.local_addr().unwrap().to_string();
+        let line = |key: &str| SensorSource::Line { from: from.clone(), key: key.into() };
+        let all = vec![config("a", line("a")), config("b", line("b"))];
+        let mut bank = Bank::new(all, Path::new("/"), no_recording).unwrap();
+        bank.poll(0.0);
+        let (mut peer, _) = server.accept().unwrap();
+        let why = |bank: &Bank, n: usize| bank.sensors()[n].fault().map(ToString::to_string);
+        let comes = |bank: &mut Bank, peer: &mut TcpStream, text: &str, now_s: f64| {
+            peer.write_all(text.as_bytes()).unwrap();
+            let before = bank.sensors()[0].age_s(now_s);
+            for _ in 0..20_000 {
+                bank.poll(now_s);
+                if bank.sensors()[0].age_s(now_s) != before || before == Some(0.0) {
+                    return;
+                }
+                std::thread::sleep(Duration::from_millis(1));
+            }
+            panic!("nothing came");
+        };
+        comes(&mut bank, &mut peer, "a 20\nb 21\n", 1.0);
+        // Only one of them goes on.
+        for s in 2..=8 {
+            comes(&mut bank, &mut peer, "a 20\n", f64::from(s));
+        }
+        assert_eq!(
+            (why(&bank, 0), why(&bank, 1)),
+            (None, Some("silent (connected, no line b for 7 s)".into()))
+        );
+        // It loses its power: nothing is closed. After the time that a sensor may be silent it is connected anew.
+        server.set_nonblocking(true).unwrap();
+        bank.poll(12.0);
+        assert_eq!(why(&bank, 0).unwrap(), "silent (connected, no line a for 4 s)");
+        assert!(server.accept().is_err());
+        bank.poll(14.0);
+        bank.poll(14.1);
+        let (mut again, _) = (0..20_000)
+            .find_map(|_| {
+                std::thread::sleep(Duration::from_millis(1));
+                server.accept().ok()
+            })
+            .unwrap();
+        bank.poll(18.0);
+        assert_eq!(why(&bank, 0).unwrap(), "silent (connected, nothing came for 4 s)");
+        comes(&mut bank, &mut again, "a 20.1\nb 21.1\n", 18.5);
+        assert_eq!((why(&bank, 0), why(&bank, 1)), (None, None));
+        drop(peer);
     }
 
     /// A bug once: a serial adapter that was pulled out and put in again stayed silent for good.

@@ -1,8 +1,13 @@
 //! What a person sees who made a mistake in rtec.toml. `RTEC_BLESS=1 cargo test` writes the golden files anew.
 
 use rtec_control::config::{CardConfig, Config, EMBEDDED, MappedPlace, PortPlace};
+use rtec_correct::Corrector;
+use rtec_driver::card::{Card, CardError, Sample};
 use rtec_driver::gpio::{Bias, Drive, LineId};
 use rtec_rt::axis::{Design, RestPolicy};
+use rtec_rt::engine::{Engine, MachineConfig};
+use rtec_rt::event::Request;
+use std::collections::BTreeMap;
 use std::path::Path;
 
 #[test]
@@ -53,6 +58,7 @@ max_correction_counts = 1000
 window_counts = 50
 min_separation_ns = 1000
 max_accel_mm_s2 = 1000
+rapid_mm_min = 10000
 reference_budget_counts = 400
 rest_policy = "insert"
 rest_quiet_ms = 2.5
@@ -81,7 +87,10 @@ fn values_arrive_where_they_belong() {
     assert!(config.notes[1].contains("view has no group"), "{:?}", config.notes);
     assert_eq!(engine.rest, RestPolicy::Insert { after_ns: 2_500_000 });
     assert_eq!((engine.detect_ns, engine.write_ns, engine.guard_ns), (2000, 300, 200));
-    assert_eq!(axis.home_counts, -20_000);
+    assert_eq!((axis.home_counts, axis.rapid_mm_min), (-20_000, Some(10_000.0)));
+    // 2 µs a look, 0.5 µm a count: 500 000 edges/s less what 10⁶ counts/s² add in 1 µs.
+    assert_eq!(axis.followed_hz().map(f64::round), Some(499_998.0));
+    assert!(axis.corrected_hz() < axis.followed_hz() && axis.outruns().is_none());
     assert_eq!((engine.lines.a, engine.lines.invert_b, engine.lines.read_back), (4, 3, Some((6, 7))));
     assert_eq!((config.lines.probe, config.lines.hold), (Some(28), None));
     assert_eq!(config.control.socket, Path::new("/etc/rtec/run/s"));
@@ -124,7 +133,8 @@ lines = { a = "X_A", b = 1, invert_a = { line = 2, chip = "gpiochip1", drive = "
 fn gpio_lines_are_named_or_numbered_and_inherit_what_the_card_says() {
     let config = Config::parse(Path::new("rtec.toml"), LINES).unwrap();
     let CardConfig::Gpio(setup) = &config.card else { panic!("{:?}", config.card) };
-    assert!(setup.events && config.card.is_real() && config.notes.len() == 1);
+    // No latency, and no rapid, are notes.
+    assert!(setup.events && config.card.is_real() && config.notes.len() == 2);
     // A and B are one request, the machine's own lines another.
     let (a, b, probe) = (&setup.inputs[1], &setup.inputs[2], &setup.inputs[0]);
     assert!(a.group == b.group && a.group != probe.group);
@@ -232,7 +242,9 @@ fn what_this_computer_lacks_is_found_on_it_and_nowhere_else() {
     for wants in ["/dev/null-and-void", "nobody-has-this", "nor-this", "missing.toml"] {
         assert!(found.contains(wants), "no {wants} in {found}");
     }
-    assert_eq!(found.lines().count(), 4, "{found}");
+    // One more: a CPU that a small computer does not have.
+    let cpus = usize::from(found.contains("cpu = 3"));
+    assert_eq!(found.lines().count(), 4 + cpus, "{found}");
 }
 
 /// What an integrator gets wrong most: a record or a column of another name, a model of sensors that nothing gives, a card that is
@@ -341,4 +353,279 @@ fn the_document_names_every_key() {
         }
     }
     assert!(sections.len() >= 8 && keys > 150, "{sections:?} {keys}");
+}
+
+/// The controller's own line, and what its fall does.
+#[test]
+fn mtc_ready_is_a_line_and_mtc_off_needs_it() {
+    let wired = CONTRACT.replace("probe = 28", "probe = 28\nmtc_ready = 30");
+    let parse = |text: &str| Config::parse(Path::new("rtec.toml"), text);
+    let config = parse(&wired).unwrap();
+    assert_eq!((config.lines.mtc_ready, config.hold_without_mtc), (Some(30), false));
+    let hold = |text: &str| text.replace("name = \"lathe\"", "name = \"lathe\"\nmtc_off = \"hold\"");
+    assert!(parse(&hold(&wired)).unwrap().hold_without_mtc);
+    let text = parse(&hold(CONTRACT)).unwrap_err().to_string();
+    assert!(
+        text.contains("rtec.toml:4:11: found mtc_off without mtc_ready, expected mtc_ready in [card]"),
+        "{text}"
+    );
+}
+
+/// No number of a configuration leads to a panic: it is refused, or engine and control law run on it. Arithmetic that
+/// overflows panics in tests.
+#[test]
+fn extreme_numbers_are_refused_or_run() {
+    const KEYS: [&str; 27] = [
+        "axis.count_um",
+        "axis.travel_mm",
+        "axis.max_correction_counts",
+        "axis.window_counts",
+        "axis.min_separation_ns",
+        "axis.max_accel_mm_s2",
+        "axis.max_accel_counts_s2",
+        "axis.hysteresis_counts",
+        "axis.warn_counts",
+        "axis.error_counts",
+        "axis.max_rate_counts_s",
+        "axis.rest_quiet_ms",
+        "axis.reference_budget_counts",
+        "axis.home_mm",
+        "rt.cpu",
+        "rt.priority",
+        "rt.detect_ns",
+        "rt.write_ns",
+        "rt.guard_ns",
+        "control.stale_ms",
+        "model.period_ms",
+        "model.ramp_um_s",
+        "model.lead_ms",
+        "model.log_s",
+        "sensor.timeout_s",
+        "sensor.freeze_s",
+        "sensor.max_rate_K_per_min",
+    ];
+    const VALUES: [&str; 20] = [
+        "0",
+        "1",
+        "-1",
+        "2",
+        "4",
+        "20",
+        "99",
+        "0.001",
+        "0.0001",
+        "0.05",
+        "1e-308",
+        "1000",
+        "1000000",
+        "1000000000",
+        "1e9",
+        "1e15",
+        "1e308",
+        "nan",
+        "inf",
+        "9223372036854775807",
+    ];
+    let mut dice = test_needs::dice::Dice::new(38);
+    let (mut ran, mut refused) = (0, 0);
+    for n in 0..4000 {
+        let mut values = BTreeMap::from([
+            ("axis.count_um", "1"),
+            ("axis.travel_mm", "400"),
+            ("axis.max_correction_counts", "1000"),
+            ("axis.window_counts", "50"),
+            ("axis.min_separation_ns", "500"),
+            ("control.stale_ms", "500"),
+        ]);
+        // Each key with each value alone, then several at once.
+        let alone = n < KEYS.len() * VALUES.len();
+        if alone {
+            values.insert(KEYS[n / VALUES.len()], VALUES[n % VALUES.len()]);
+        } else {
+            for _ in 0..dice.within(2, 6) {
+                let (key, value) = (dice.within(0, 26), dice.within(0, 19));
+                values.insert(KEYS[key as usize], VALUES[value as usize]);
+            }
+        }
+        let of = |table: &str| -> String {
+            let own = values.iter().filter_map(|(key, value)| Some((key.strip_prefix(table)?, value)));
+            own.map(|(key, value)| format!("{} = {value}\n", key.trim_start_matches('.'))).collect()
+        };
+        let rest = if values.contains_key("axis.rest_quiet_ms") { "rest_policy = 'insert'\n" } else { "" };
+        let text = format!(
+            "[machine]\nname = 'm'\n[card]\nbackend = 'mock'\n[[axis]]\nname = 'x'\n{rest}{}[rt]\n{}[control]\n{}[model]\n{}\
+             [[sensor]]\nname = 'T1'\nsource = 'line'\nfrom = '/dev/null'\n{}",
+            of("axis"),
+            of("rt"),
+            of("control"),
+            of("model"),
+            of("sensor")
+        );
+        match Config::parse(Path::new("rtec.toml"), &text) {
+            Ok(config) => {
+                ran += 1;
+                runs(&config);
+            }
+            Err(_) => refused += 1,
+        }
+    }
+    assert!(ran > 200 && refused > 1000, "{ran} ran, {refused} refused");
+}
+
+/// Engine and control law for some hundred edges there and back, with the largest totals.
+fn runs(config: &Config) {
+    let mut card = Strokes::default();
+    let machine = MachineConfig { lines: config.lines, may_arm: true };
+    let Ok(mut engine) = Engine::new(&mut card, &config.engine_axes(), machine, &[]) else { return };
+    engine.start_homed_at(&mut card, |n| config.axes[n].home_counts, &mut |_| true).unwrap();
+    let law = config.axes.iter().map(|a| a.law()).collect();
+    let mut corrector = Corrector::new(law, config.model.ramp_um_s, config.model.lead_ms * 1e-3, 0.0);
+    for n in 0..600_u32 {
+        if n % 100 == 0 {
+            let max = config.axes[0].engine.max_correction_counts;
+            for total_counts in [max, -max, 0] {
+                let request = Request::Correct { axis: 0, total_counts, large: true };
+                engine.take(request, &mut card, &mut |_| true).unwrap();
+            }
+        }
+        engine.poll(&mut card, u64::MAX, &mut |_| true).unwrap();
+        corrector.tick(f64::from(n) * 0.01, &engine.status(), &[]);
+    }
+}
+
+/// A card whose axis goes there and back, an edge a look, slower and slower.
+#[derive(Default)]
+struct Strokes {
+    t_ns: u64,
+    looks: u64,
+    outputs: u64,
+}
+
+impl Card for Strokes {
+    fn sample(&mut self, _wake_ns: u64) -> Result<Sample, CardError> {
+        self.looks += 1;
+        self.t_ns += 1 << (self.looks % 34);
+        let place = if self.looks % 200 < 100 { self.looks } else { 400 - self.looks % 200 };
+        Ok(Sample::level(self.t_ns, [0, 1, 3, 2][place as usize % 4]))
+    }
+
+    fn write(&mut self, mask: u64, value: u64) -> Result<Option<u64>, CardError> {
+        self.outputs = self.outputs & !mask | value & mask;
+        Ok(None)
+    }
+
+    fn outputs(&mut self) -> Result<u64, CardError> {
+        Ok(self.outputs)
+    }
+}
+
+/// What a configuration names and this computer does not have: chip, CPU, group, file, each with its line.
+#[test]
+fn names_what_this_computer_does_not_have() {
+    let directory = tempfile::tempdir().unwrap();
+    let file = directory.path().join("rtec.toml");
+    let field = "[machine]\nname = \"pi lathe\"\n[card]\nbackend = \"gpio\"\nchip = \"gpiochip77\"\n[[axis]]\nname = \"x\"\n\
+        count_um = 1.0\ntravel_mm = 400\nmax_correction_counts = 1000\nwindow_counts = 50\nmin_separation_ns = 500\n\
+        max_accel_mm_s2 = 1000.0\nlines = { a = 0, b = 1, invert_a = 2, invert_b = 3 }\n[rt]\ncpu = 4000\ndetect_ns = 5000\n\
+        write_ns = 1000\n[control]\ngroup = \"no-such-group\"\n";
+    let mapped = CONTRACT.replace("group = \"rtec\"\n", "");
+    let parport = mapped.replace(
+        "backend = \"mapped\"\nfile = \"regs\"\nprobe = 28",
+        "backend = \"port\"\nparport = \"none\"",
+    );
+    let lines = "lines = { a = 3, b = 4, invert_a = 0, invert_b = 1 }\n[rt]";
+    let parport = parport.replace("write_ns = 300", "write_ns = 1000").replace("lines = { a = \"in4\", b = 5, invert_a = \"out2\", invert_b = \"out3\", read_back_a = 6, read_back_b = 7 }\n[rt]", lines);
+    for (text, says) in [
+        (field, &["5:", "gpiochip77", "cpu = 4000", "no-such-group", "--elsewhere"][1..]),
+        (&mapped, &["\"regs\", which cannot be looked at: No such file"][..]),
+        (&parport, &["\"none\", which cannot be looked at: No such file"][..]),
+    ] {
+        std::fs::write(&file, text).unwrap();
+        assert!(Config::load(&file).is_ok(), "{}", Config::load(&file).unwrap_err());
+        let found = Config::check_here(&file).unwrap_err().to_string();
+        for text in says {
+            assert!(found.contains(text), "no {text} in {found}");
+        }
+        // Four lines on one absent chip are one finding.
+        assert!(found.matches("gpiochip77").count() <= 1, "{found}");
+    }
+}
+
+#[test]
+fn rotary_and_coupled_axes_are_refused_by_name() {
+    for (key, kind) in [
+        ("kind = \"rotary\"", "rotary"),
+        ("kind = \"gantry\"", "coupled"),
+        ("count_deg = 0.001", "rotary"),
+        ("count_arcsec = 1", "rotary"),
+        ("travel_deg = 360", "rotary"),
+        ("rapid_deg_min = 360", "rotary"),
+        ("coupled_with = \"x2\"", "coupled"),
+        ("gantry = true", "coupled"),
+        ("master = \"x2\"", "coupled"),
+        ("slave = \"x2\"", "coupled"),
+    ] {
+        for kept in ["count_um = 0.5\ntravel_mm = 400\n", ""] {
+            let text = CONTRACT.replace("count_um = 0.5\ntravel_mm = 400\n", &format!("{kept}{key}\n"));
+            let found = Config::parse(Path::new("rtec.toml"), &text).unwrap_err();
+            assert_eq!(found.0.len(), 1, "{found}");
+            let said = found.to_string();
+            assert!(
+                said.contains(&format!("axis x, which is {kind}")) && said.contains("not supported"),
+                "{said}"
+            );
+        }
+    }
+    let linear = CONTRACT.replace("[[axis]]\n", "[[axis]]\nkind = \"linear\"\n");
+    assert!(Config::parse(Path::new("rtec.toml"), &linear).is_ok());
+}
+
+/// Every number of a configuration that has all keys, replaced by every extreme: it is refused, or what comes of it is
+/// finite and an engine can be made of it.
+#[test]
+fn no_number_reaches_arithmetic_unbounded() {
+    const ALL: &str = "[machine]\nname = 'm'\n[card]\nbackend = 'mock'\n[[axis]]\nname = 'x'\ncount_um = 1.0\ntravel_mm = 500.0\n\
+        max_correction_counts = 300\nwindow_counts = 50\nwarn_counts = 100\nerror_counts = 200\nmin_separation_ns = 500\n\
+        max_accel_mm_s2 = 1000.0\nrapid_mm_min = 10000.0\nhysteresis_counts = 0.1\nmax_rate_counts_s = 1000.0\n\
+        rest_policy = 'insert'\nrest_quiet_ms = 5.0\nreference_budget_counts = 400\nhome_mm = 10.0\n\
+        simulated = { count_um = 2.0, compensates_ppm = 5.0 }\n[rt]\ncpu = 0\npriority = 80\ndetect_ns = 1000\n\
+        write_ns = 300\nguard_ns = 100\n[control]\nstale_ms = 500\n[model]\nperiod_ms = 10\nramp_um_s = 5.0\nlead_ms = 20.0\n\
+        log_s = 5.0\n[[sensor]]\nname = 'T1'\nsource = 'iio'\ndevice = 'd'\nchannel = 1\nperiod_s = 1.0\n\
+        range_degC = [ -20.0, 120.0]\nmax_rate_K_per_min = 10.0\ntimeout_s = 5.0\nstuck_s = 600.0\nfreeze_s = 60.0\n";
+    let accel = ALL.replace("max_accel_mm_s2", "max_accel_counts_s2");
+    let mut tried = 0;
+    for all in [ALL, &accel] {
+        Config::parse(Path::new("rtec.toml"), all).unwrap();
+        let begins = |before: &str| [" = ", ", "].iter().any(|b| before.ends_with(b));
+        let numbers = all.char_indices().filter(|(n, _)| begins(&all[..*n]));
+        for (at, _) in numbers.filter(|(_, c)| c.is_ascii_digit()) {
+            let end = at + all[at..].find(|c: char| !c.is_ascii_digit() && c != '.').unwrap();
+            for extreme in [
+                "1e-308",
+                "-1e-308",
+                "1e308",
+                "-1e308",
+                "0",
+                "-1",
+                "inf",
+                "-inf",
+                "nan",
+                "9223372036854775807",
+            ] {
+                let text = format!("{}{extreme}{}", &all[..at], &all[end..]);
+                tried += 1;
+                let Ok(config) = Config::parse(Path::new("rtec.toml"), &text) else { continue };
+                let axis = &config.axes[0];
+                let travel_counts = axis.travel_mm * 1000.0 / axis.simulated.count_um;
+                let numbers =
+                    [travel_counts, axis.engine.max_accel_counts_s2, axis.count_um, config.model.lead_ms];
+                assert!(numbers.iter().all(|n| n.is_finite() && n.abs() < 1e16), "{text}");
+                assert!(axis.home_counts.abs() < 1 << 52 && axis.engine.gate().is_some(), "{text}");
+                assert!(
+                    axis.corrected_hz().unwrap().is_finite() && axis.followed_hz().is_none_or(f64::is_finite)
+                );
+            }
+        }
+    }
+    assert!(tried > 400, "{tried}");
 }

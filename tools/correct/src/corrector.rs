@@ -308,12 +308,21 @@ impl Corrector {
         }
     }
 
-    /// An axis has been homed: its counters and totals are zero.
-    pub fn homed(&mut self, n: usize) {
+    /// An axis has been homed: its counter is zero. So is its total, unless the MTC still counts what was inserted before.
+    pub fn homed(&mut self, n: usize, kept_counts: i64) {
         if let Some(axis) = self.axes.get_mut(n) {
-            axis.total.zero();
+            if kept_counts == 0 {
+                axis.total.zero();
+            } else {
+                axis.total.rest();
+            }
         }
         self.motion.forget();
+    }
+
+    /// Corrections have been enabled: sensors that were lost and are good again count from now on, in a ramp.
+    pub fn enabled(&mut self) {
+        self.changed |= self.model.as_mut().is_some_and(ModelSource::enabled);
     }
 
     /// The total that an operator's total makes together with the other sources, counts.

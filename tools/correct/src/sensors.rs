@@ -206,14 +206,49 @@ pub struct Watch {
     good: Option<(f64, f64)>,
     raw: Option<(f64, f64)>,
     last_reading_s: Option<f64>,
+    /// Where the good readings so far allow the next one, at the fastest change that can be real.
+    reach: Option<Reach>,
     fault: Option<SensorFault>,
+}
+
+/// What a value can have come to: from each good reading so far at the fastest rate, °C. The bound is over time: however often
+/// readings come, together they go no faster.
+#[derive(Debug, Clone, Copy)]
+struct Reach {
+    low: f64,
+    high: f64,
+    at_s: f64,
+}
+
+impl Reach {
+    fn of(value: f64, at_s: f64) -> Self {
+        Self { low: value, high: value, at_s }
+    }
+
+    /// Some time later, at a rate, K/s.
+    fn at(self, now_s: f64, rate: f64) -> Self {
+        let change = rate * (now_s - self.at_s).max(0.0);
+        Self { low: self.low - change, high: self.high + change, at_s: now_s }
+    }
+
+    /// After a good reading now.
+    fn with(self, value: f64) -> Self {
+        Self { low: self.low.max(value), high: self.high.min(value), ..self }
+    }
 }
 
 impl Watch {
     /// A sensor that has not been read yet.
     #[must_use]
     pub fn new(config: SensorConfig) -> Self {
-        Self { config: Arc::new(config), good: None, raw: None, last_reading_s: None, fault: None }
+        Self {
+            config: Arc::new(config),
+            good: None,
+            raw: None,
+            last_reading_s: None,
+            reach: None,
+            fault: None,
+        }
     }
 
     /// Its configuration.
@@ -255,14 +290,24 @@ impl Watch {
         };
         if self.fault.is_none() {
             self.good = Some((value, now_s));
+            let before = self.reach.filter(|_| self.rate().is_finite());
+            self.reach =
+                Some(before.map_or(Reach::of(value, now_s), |r| r.at(now_s, self.rate()).with(value)));
         }
     }
 
-    /// More than can have changed since the last good value; one second's worth for the reading itself.
+    /// The fastest change that can be real, K/s.
+    fn rate(&self) -> f64 {
+        self.config.max_rate_k_per_min / 60.0
+    }
+
+    /// More than can have changed since the good values so far; one second's worth for the reading itself.
     fn jumps(&self, now_s: f64, value: f64) -> bool {
-        self.good.is_some_and(|(v, at)| {
-            (value - v).abs() > self.config.max_rate_k_per_min / 60.0 * (now_s - at + 1.0)
-        })
+        let Some(reach) = self.reach.filter(|_| self.rate().is_finite()) else { return false };
+        let Reach { low, high, .. } = reach.at(now_s, self.rate());
+        // What rounding makes of it is no change.
+        let reading = self.rate() + 1e-9;
+        value > high + reading || value < low - reading
     }
 
     /// Why this is no temperature: a code that no machine is warm as, or one (85 °C, 0 °C) that it cannot have come to.
@@ -379,6 +424,29 @@ mod tests {
         says(&[(4.0, Err("gone".into()))], "silent (gone)", 20.0);
         let same: Vec<(f64, Result<f64, String>)> = (1..24).map(|i| (f64::from(i), Ok(20.0))).collect();
         says(&same, "stuck at 20", 20.0);
+    }
+
+    /// 6 K a minute: however quickly lines come, and with what noise, together they go no faster.
+    #[test]
+    fn the_limit_of_a_change_is_over_time_not_per_reading() {
+        for (per_s, noise) in [(1.0, 0.0), (20.0, 0.0), (20.0, 0.05), (1000.0, 0.05)] {
+            let follows = |k_per_min: f64| {
+                let mut w = Watch::new(SensorConfig { stuck_s: 0.0, ..watch().config().clone() });
+                let mut last = 20.0;
+                for n in 0..(120.0 * per_s) as u32 {
+                    let t = f64::from(n) / per_s;
+                    let value = 20.0 + k_per_min / 60.0 * t + if n % 2 == 0 { noise } else { -noise };
+                    w.offer(t, Ok(value));
+                    last = value;
+                }
+                (w.value_degc().unwrap(), last)
+            };
+            let (seen, true_degc) = follows(5.0);
+            assert!((seen - true_degc).abs() < 1e-9, "{per_s} a second, noise {noise}: {seen} {true_degc}");
+            // 15 times too fast for two minutes: 6 K a minute and the one second of a reading are believed, not 90.
+            let (seen, _) = follows(90.0);
+            assert!(seen < 20.0 + 2.0 * 6.0 + 0.2 + 2.0 * noise, "{per_s} a second, noise {noise}: {seen}");
+        }
     }
 
     #[test]

@@ -34,6 +34,8 @@ pub(crate) struct ModelSource {
     inputs: Inputs,
     /// What each configured sensor was good for when it was last looked at.
     states: Vec<Use>,
+    /// Those whose value was lost for so long that corrections hold: until they are enabled again.
+    lost: Vec<bool>,
     /// It was taken although its validity had ended.
     pub(crate) although_expired: bool,
 }
@@ -282,6 +284,7 @@ impl ModelSource {
                 ..Inputs::default()
             },
             states: vec![Use::Hold; watches.len()],
+            lost: vec![false; watches.len()],
             although_expired: false,
             rpm: of_role(watches, &Role::SpindleSpeed),
             coolant: of_role(watches, &Role::Coolant),
@@ -325,12 +328,14 @@ impl ModelSource {
         self.inputs.rpm = self.rpm.and_then(value).unwrap_or(0.0);
         self.inputs.coolant = self.coolant.and_then(value).unwrap_or(0.0);
         let mut changed = false;
-        for (state, watch) in self.states.iter_mut().zip(watches) {
+        for ((state, lost), watch) in self.states.iter_mut().zip(&mut self.lost).zip(watches) {
             let now = watch.usable(now_s);
-            changed |= std::mem::replace(state, now) != now;
+            let before = std::mem::replace(state, now);
+            changed |= before != now;
+            *lost |= before != Use::Hold && now == Use::Hold;
         }
         for (held, reads) in self.inputs.held.iter_mut().zip(&self.reads) {
-            *held = reads.iter().any(|n| self.states[*n] == Use::Hold);
+            *held = reads.iter().any(|n| self.lost[*n] || self.states[*n] == Use::Hold);
         }
         let cold = self.inputs.cold();
         for lag in &mut self.lags {
@@ -339,6 +344,16 @@ impl ModelSource {
             }
         }
         changed
+    }
+
+    /// Corrections have been enabled: sensors that are good again count again. Says whether there are any.
+    pub(crate) fn enabled(&mut self) -> bool {
+        let mut back = false;
+        for (lost, state) in self.lost.iter_mut().zip(&self.states) {
+            back |= *lost && *state != Use::Hold;
+            *lost &= *state == Use::Hold;
+        }
+        back
     }
 
     /// Loads of the axes as their sensors give them, N.
@@ -402,7 +417,11 @@ impl ModelSource {
 
     /// Why the thermal state of an axis stands still.
     pub(crate) fn standing(&self, place: usize, watches: &[Watch], now_s: f64) -> Option<String> {
-        let lost = self.reads[place].iter().map(|n| &watches[*n]).find(|w| w.usable(now_s) == Use::Hold)?;
+        let reads = || self.reads[place].iter().copied();
+        let Some(lost) = reads().map(|n| &watches[n]).find(|w| w.usable(now_s) == Use::Hold) else {
+            let back = &watches[reads().find(|n| self.lost[*n])?].config().name;
+            return Some(format!("sensor {back} is good again: `rtecctl enable` takes its correction up"));
+        };
         let why = lost.fault().map_or("silent".to_owned(), ToString::to_string);
         let age_s = lost.age_s(now_s).unwrap_or(0.0);
         Some(format!("sensor {}: {why}; its last good value is {age_s:.0} s old", lost.config().name))

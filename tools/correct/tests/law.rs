@@ -233,7 +233,7 @@ fn the_operator_is_beside_the_model() {
     let (total, sum) = bench.explained_um(0);
     assert!((total - sum).abs() < 1e-9);
     // Homed again: all totals are zero, and the model's comes back in a ramp.
-    bench.corrector.homed(0);
+    bench.corrector.homed(0, 0);
     bench.status.axes[0] = AxisStatus { homed: true, ..AxisStatus::default() };
     bench.status.axes[0].position_counts = 400_000;
     assert!(bench.run(10.0, 0, |_| None) <= 2);
@@ -292,7 +292,7 @@ fn homing_keeps_the_direction_of_the_last_motion() {
     bench.load("[[effect]]\nname = \"reversal.y\"\num = 40.0\n");
     follow(&mut bench, 1, 13_000, 200);
     assert_eq!(bench.status.axes[1].requested, 20);
-    bench.corrector.homed(1);
+    bench.corrector.homed(1, 0);
     bench.status.axes[1] = AxisStatus { homed: true, ..AxisStatus::default() };
     assert!(bench.run(10.0, 1, |_| None) <= 2, "a ramp");
     assert_eq!(bench.status.axes[1].requested, 20);
@@ -343,7 +343,7 @@ fn noise_of_the_sensors_passes_no_count_while_another_axis_moves() {
 }
 
 #[test]
-fn a_lost_sensor_stands_then_holds_and_comes_back_without_a_jump() {
+fn a_lost_sensor_stands_then_holds_until_corrections_are_enabled() {
     let mut bench = Bench::new();
     bench.load(&[GROWTH, SCALE].concat());
     bench.run(30.0, 2, |t| Some((20.0 + 0.1 * (t - 1000.0), 20.0)));
@@ -363,6 +363,15 @@ fn a_lost_sensor_stands_then_holds_and_comes_back_without_a_jump() {
     bench.status.axes[0].position_counts = 200_000;
     bench.tick();
     assert_eq!(bench.status.axes[0].requested, 20);
+    // Enabled while it is silent, then back: that enables nothing by itself.
+    bench.corrector.enabled();
+    assert_eq!(bench.run(60.0, 2, |_| Some((26.0, 20.0))), 0);
+    assert_eq!(bench.z(), held);
+    let why: Vec<String> = bench.corrector.holding().collect();
+    let back =
+        "axis z: thermal corrections hold: sensor T1 is good again: `rtecctl enable` takes its correction up";
+    assert_eq!(why, [back]);
+    bench.corrector.enabled();
     assert!(bench.run(60.0, 2, |_| Some((26.0, 20.0))) <= 2, "a ramp");
     assert_eq!((bench.z(), bench.corrector.holding().count()), (60, 0));
 }

@@ -280,6 +280,7 @@ fn an_axis_waits_for_its_own_sensors_only() {
                 watch.offer(bench.now_s, Ok(23.0));
             }
             bench.run(1.0, 2, |_| None);
+            bench.corrector.enabled();
         }
         bench.corrector.holding().collect::<Vec<String>>()
     };
@@ -315,6 +316,8 @@ fn what_a_sensor_asks_for_that_is_back_is_on_its_way() {
     bench.run(20.0, 2, |_| Some((23.0, 20.0)));
     bench.run(60.0, 2, |_| None);
     assert!((29..=30).contains(&bench.z()) && bench.corrector.holding().count() == 1);
+    bench.run(0.1, 2, |_| Some((26.0, 20.0)));
+    bench.corrector.enabled();
     bench.run(0.5, 2, |_| Some((26.0, 20.0)));
     let left_um = of(&bench, 2, "on its way");
     assert!((-30.0..-20.0).contains(&left_um), "{:?}", parts(&bench, 2));

@@ -10,6 +10,7 @@
 //! | [`mod@toml`] | TOML read strictly: the first finding, or all of them |
 //! | [`trace`] | recorded quadrature, as CSV and VCD, and requested totals |
 //! | [`mod@write`] | files that appear whole or not at all |
+//! | [`folder`] | a folder that others write to as well: nothing in it is followed through a link |
 //! | [`words`] | the word that was probably meant |
 //!
 //! Private: `lines` reads a file line by line through one buffer, `vcd` is the VCD half of [`trace`].
@@ -20,6 +21,7 @@
 //! At work: `cargo run -p rtec-files --example read_trace`, which the tests run too.
 
 pub mod csv;
+pub mod folder;
 pub mod input;
 mod lines;
 mod sheet;

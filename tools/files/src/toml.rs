@@ -451,6 +451,11 @@ impl<'a> Section<'a> {
         self.table?.get(key)
     }
 
+    /// Is a key there that no message offers? Counts as asked for only where it is.
+    pub fn has_unoffered(&mut self, key: &'static str) -> bool {
+        self.table.is_some_and(|t| t.get(key).is_some()) && self.has(key)
+    }
+
     /// Is the key there? Counts as asked for.
     pub fn has(&mut self, key: &'static str) -> bool {
         self.take(key).is_some()

@@ -16,6 +16,19 @@ pub fn nearest<'w>(word: &str, words: &[&'w str]) -> Option<&'w str> {
     words.iter().find(begun).copied()
 }
 
+/// Marks that change how the text around them is shown, and are not seen themselves.
+#[must_use]
+pub const fn is_hidden(c: char) -> bool {
+    matches!(c, '\u{ad}' | '\u{61c}' | '\u{180e}' | '\u{200b}'..='\u{200f}' | '\u{2028}'..='\u{202e}'
+        | '\u{2060}'..='\u{206f}' | '\u{feff}' | '\u{fff9}'..='\u{fffb}' | '\u{e0000}'..='\u{e007f}')
+}
+
+/// The first character that a terminal would obey or that cannot be seen.
+#[must_use]
+pub fn unseen(text: &str) -> Option<char> {
+    text.chars().find(|c| c.is_control() || is_hidden(*c))
+}
+
 /// Text as a terminal may show it: what cannot be seen (controls, directions, marks without width) is written out.
 #[must_use]
 pub fn printable(text: &str) -> Cow<'_, str> {
@@ -93,6 +106,7 @@ mod tests {
         assert_eq!(printable("a\u{1b}[2J\r\nb\t\u{7f}\u{9b}"), "a\\u{1b}[2J\\r\\nb\\t\\u{7f}\\u{9b}");
         // A right-to-left override would turn the rest of the line around.
         assert_eq!(printable("\u{202e}gnorw\u{200b}"), "\\u{202e}gnorw\\u{200b}");
+        assert_eq!(["µ 日本", "a\u{1b}", "\u{202e}a"].map(unseen), [None, Some('\u{1b}'), Some('\u{202e}')]);
     }
 
     #[test]

@@ -60,10 +60,26 @@ pub fn read_log(path: &Path) -> Result<Record, InputError> {
 ///
 /// # Errors
 /// As [`read_log`].
-pub fn parse_log(path: &Path, sidecar: &str, csv: &[u8]) -> Result<Record, InputError> {
+pub fn parse_log(path: &Path, sidecar: &str, csv: impl Read) -> Result<Record, InputError> {
     let sidecar = Sidecar::parse(path, sidecar)?;
     let csv_path = sidecar.csv_path(path);
-    of_parts(path, sidecar, &csv_path, csv, csv.len() as u64)
+    of_parts(path, sidecar, &csv_path, csv, 0)
+}
+
+/// The name of the CSV that a sidecar names beside itself.
+///
+/// # Errors
+/// It is no sidecar, or names a file in another folder.
+pub fn csv_name(path: &Path, sidecar: &str) -> Result<String, InputError> {
+    let sidecar = Sidecar::parse(path, sidecar)?;
+    let mut parts = Path::new(&sidecar.file).components();
+    match (parts.next(), parts.next()) {
+        (Some(std::path::Component::Normal(name)), None) if name == sidecar.file.as_str() => Ok(sidecar.file),
+        _ => Err(sidecar
+            .file_error
+            .clone()
+            .with(format!("`{}`", sidecar.file), "a CSV in the folder of its sidecar")),
+    }
 }
 
 /// A record on file, gone through piece by piece: of any number of rows, in the memory of a few.
@@ -766,7 +782,7 @@ mod tests {
             assert!(error.to_string().ends_with(&format!("y.csv:{says}")), "{error}\n{says}");
         }
         let utf16: Vec<u8> = "\u{feff}t,y,T3,e\n".encode_utf16().flat_map(u16::to_le_bytes).collect();
-        let error = parse_log(Path::new("y.run.toml"), SIDECAR, &utf16).unwrap_err();
+        let error = parse_log(Path::new("y.run.toml"), SIDECAR, utf16.as_slice()).unwrap_err();
         assert!(error.found.contains("UTF-16") && error.expected.contains("iconv"), "{error}");
         assert!(read(SIDECAR, &"0,1,20,3\r".repeat(3000)).unwrap_err().to_string().len() < 300);
     }

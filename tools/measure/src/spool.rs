@@ -4,10 +4,10 @@
 //! has the same place however often it is sent. The sidecar goes last: where it stands, the record is whole. Only what was read back
 //! from the store as it was sent leaves the spool, for `sent/` below it.
 
-use rtec_files::{InputError, write};
+use rtec_files::InputError;
+use rtec_files::folder::Folder as Open;
 use rtec_model::record::{Record, hex};
 use sha2::{Digest, Sha256};
-use std::fs::File;
 use std::io;
 use std::path::{Path, PathBuf};
 
@@ -15,6 +15,14 @@ use std::path::{Path, PathBuf};
 pub const SENT: &str = "sent";
 /// Digits of a digest that stand in a record's place.
 const DIGITS: usize = 16;
+/// A sidecar is no longer, bytes: two thousand columns.
+pub const LONGEST_SIDECAR: u64 = 64 << 10;
+/// Nothing longer is sent, bytes.
+const LONGEST_SENT: u64 = 1 << 30;
+/// Folders of records that are being put into the spool, and of those that are being put aside. Killed in between, the next one
+/// who comes finishes what was begun.
+const PUTTING: &str = ".rtec-put-";
+const SENDING: &str = ".rtec-sent-";
 
 /// What takes records: keys are paths with `/`.
 pub trait Store {
@@ -31,7 +39,7 @@ pub trait Store {
     fn get(&self, key: &str) -> io::Result<Option<Vec<u8>>>;
 }
 
-/// A folder: of this computer, or a share that is mounted.
+/// A folder: of this computer, or a share that is mounted. Others write to it as well: no link in it is followed.
 #[derive(Debug, Clone)]
 pub struct Folder(PathBuf);
 
@@ -41,26 +49,30 @@ impl Folder {
     /// # Errors
     /// No such folder.
     pub fn open(path: &Path) -> io::Result<Self> {
-        if path.is_dir() { Ok(Self(path.to_owned())) } else { Err(io::Error::from(io::ErrorKind::NotFound)) }
+        Open::open(path).map(|_| Self(path.to_owned()))
     }
+}
+
+/// The folders of a key, and its file.
+fn parts(key: &str) -> (impl Iterator<Item = &str>, &str) {
+    let (folders, file) = key.rsplit_once('/').unwrap_or(("", key));
+    (folders.split('/').filter(|f| !f.is_empty()), file)
 }
 
 impl Store for Folder {
     fn put(&self, key: &str, bytes: &[u8]) -> io::Result<()> {
-        if !self.0.is_dir() {
-            return Err(io::Error::from(io::ErrorKind::NotFound));
-        }
-        let path = self.0.join(key);
-        if let Some(folder) = path.parent() {
-            std::fs::create_dir_all(folder)?;
-        }
-        write::whole(&path, bytes)
+        let (mut folders, file) = parts(key);
+        let folder = folders.try_fold(Open::open(&self.0)?, |folder, name| folder.make_folder(name))?;
+        folder.write(file, bytes, 0o644 & folder.mode()?, &|| true)
     }
 
     fn get(&self, key: &str) -> io::Result<Option<Vec<u8>>> {
-        match std::fs::read(self.0.join(key)) {
-            Ok(bytes) => Ok(Some(bytes)),
-            Err(e) if e.kind() == io::ErrorKind::NotFound && self.0.is_dir() => Ok(None),
+        let (mut folders, file) = parts(key);
+        // A share that is gone is no store without this key.
+        let root = Open::open(&self.0)?;
+        match folders.try_fold(root, |folder, name| folder.folder(name)) {
+            Ok(folder) => folder.read(file, LONGEST_SENT),
+            Err(e) if e.kind() == io::ErrorKind::NotFound => Ok(None),
             Err(e) => Err(e),
         }
     }
@@ -123,6 +135,50 @@ pub enum ShipError {
     },
 }
 
+/// How much a spool may take of its disk.
+#[derive(Debug, Clone, Copy)]
+pub struct Room {
+    /// What waits in it takes no more than this, bytes.
+    pub most_bytes: u64,
+    /// So much of the disk is left free, %.
+    pub free_percent: u64,
+}
+
+impl Room {
+    /// As much as the disk has: for whoever fills his own folder.
+    pub const ANY: Self = Self { most_bytes: u64::MAX, free_percent: 0 };
+
+    /// Whether so many bytes more have room.
+    fn takes(self, folder: &Open, bytes: u64) -> io::Result<()> {
+        let full = |text: String| Err(io::Error::new(io::ErrorKind::StorageFull, text));
+        let disk = nix::sys::statvfs::fstatvfs(folder)?;
+        let (free, all) =
+            (disk.blocks_available() * disk.fragment_size(), disk.blocks() * disk.fragment_size());
+        if free.saturating_sub(bytes) < all / 100 * self.free_percent {
+            return full(format!(
+                "No space left for records: {} of {} MB are free, and {} % are kept free",
+                free >> 20,
+                all >> 20,
+                self.free_percent
+            ));
+        }
+        if self.most_bytes == u64::MAX {
+            return Ok(());
+        }
+        let waiting = folder.bytes()?;
+        if waiting.saturating_add(bytes) > self.most_bytes {
+            return full(format!(
+                "{} MB of records wait, and this one has {} kB: at most {} MB may wait ([control] spool_mb). `rtecctl ship` \
+                 sends them",
+                waiting >> 20,
+                bytes.div_ceil(1 << 10),
+                self.most_bytes >> 20
+            ));
+        }
+        Ok(())
+    }
+}
+
 /// Puts a written record into a spool, which is made where it is missing.
 ///
 /// # Errors
@@ -131,39 +187,132 @@ pub fn add(sidecar: &Path, spool: &Path) -> io::Result<PathBuf> {
     let record = super::record::read_log(sidecar).map_err(|e| no_record(&e))?;
     let csv = std::fs::read(sidecar.parent().unwrap_or(Path::new("")).join(&record.file))?;
     std::fs::create_dir_all(spool)?;
-    put(record, &csv, spool)
+    put(record, &csv, spool, Room::ANY, &|| true)
 }
 
 /// Puts a record into a spool that is there: its CSV, then its sidecar, each whole; under the record's own name, or with a
-/// number behind it where another one waits under that name.
+/// number behind it where another one waits under that name. `go_on` is asked between pieces: where it says no, the record is
+/// not kept.
 ///
 /// # Errors
-/// The spool cannot be written: what was begun is taken away again.
-pub fn put(mut record: Record, csv: &[u8], spool: &Path) -> io::Result<PathBuf> {
+/// The spool cannot be written or has no room: what was begun is taken away again.
+pub fn put(
+    mut record: Record,
+    csv: &[u8],
+    spool: &Path,
+    room: Room,
+    go_on: &dyn Fn() -> bool,
+) -> io::Result<PathBuf> {
     let name = record.path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
     let stem = name.strip_suffix(".run.toml").unwrap_or(&name).to_owned();
-    let mut n = 1;
-    let at = loop {
-        let tail = if n == 1 { String::new() } else { format!("-{n}") };
-        let at = spool.join(format!("{stem}{tail}.run.toml"));
-        super::record::at(&mut record, &at).map_err(|e| no_record(&e))?;
-        // The CSV's name is taken first, so that two who come at once take two.
-        match File::options().write(true).create_new(true).open(spool.join(&record.file)) {
-            Ok(_) if at.exists() => std::fs::remove_file(spool.join(&record.file))?,
-            Ok(_) => break at,
-            Err(e) if e.kind() == io::ErrorKind::AlreadyExists => {}
-            Err(e) => return Err(e),
-        }
-        n += 1;
-    };
-    let csv_at = spool.join(&record.file);
-    let written = write::whole(&csv_at, csv)
-        .and_then(|()| write::whole(&at, super::record::to_sidecar(&record).as_bytes()));
-    if let Err(error) = written {
-        let _ = std::fs::remove_file(csv_at);
-        return Err(error);
+    if let Some(hidden) = rtec_files::words::unseen(&stem) {
+        let text = format!("found the name {stem:?} with {hidden:?}, expected one that can be read");
+        return Err(io::Error::new(io::ErrorKind::InvalidInput, text));
     }
-    Ok(at)
+    let folder = Open::open(spool)?;
+    finish_begun(&folder)?;
+    room.takes(&folder, (csv.len() + super::record::to_sidecar(&record).len()) as u64)?;
+    // Whoever may read the folder may read the records, whatever the process's mask says.
+    let mode = folder.mode()?;
+    let mut numbers = 1..;
+    let (staged, begun) = loop {
+        let staged = format!("{PUTTING}{}-{}", std::process::id(), numbers.next().unwrap_or_default());
+        match folder.new_folder(&staged) {
+            Err(e) if e.kind() == io::ErrorKind::AlreadyExists => {}
+            made => break (staged, made?),
+        }
+    };
+    // Held while it lives: what nobody holds was left by one that was killed.
+    let held = begun.lock();
+    let done = place(&mut record, csv, &stem, (&folder, &begun), mode & 0o644 | 0o600, go_on);
+    drop(held);
+    if done.is_err() {
+        for name in begun.names()? {
+            let _ = begun.remove(&name);
+        }
+    }
+    let _ = folder.remove_folder(&staged);
+    folder.sync()?;
+    done.map(|name| spool.join(name))
+}
+
+/// Writes a record's files beside their place, then gives them their names.
+fn place(
+    record: &mut Record,
+    csv: &[u8],
+    stem: &str,
+    (folder, begun): (&Open, &Open),
+    mode: u32,
+    go_on: &dyn Fn() -> bool,
+) -> io::Result<String> {
+    const DATA: &str = "csv";
+    begun.write(DATA, csv, mode, go_on)?;
+    for n in 1.. {
+        let tail = if n == 1 { String::new() } else { format!("-{n}") };
+        let name = format!("{stem}{tail}.run.toml");
+        if folder.has(&name)? {
+            continue;
+        }
+        super::record::at(record, &folder.path().join(&name)).map_err(|e| no_record(&e))?;
+        // The sidecar names its CSV: from here on whoever finds it can finish what was begun.
+        begun.write(&name, super::record::to_sidecar(record).as_bytes(), mode, go_on)?;
+        let taken = begun.rename(DATA, folder, &record.file);
+        let taken = taken.and_then(|()| {
+            begun.rename(&name, folder, &name).inspect_err(|_| {
+                let _ = folder.rename(&record.file, begun, DATA);
+            })
+        });
+        match taken {
+            Err(e) if e.kind() == io::ErrorKind::AlreadyExists => begun.remove(&name)?,
+            done => return done.map(|()| name),
+        }
+    }
+    Err(io::ErrorKind::AlreadyExists.into())
+}
+
+/// Finishes what was begun in a spool by programs that were killed.
+///
+/// # Errors
+/// What the file system reports.
+pub fn finish(spool: &Path) -> io::Result<()> {
+    finish_begun(&Open::open(spool)?)
+}
+
+/// Finishes what others began who were killed: a record of which both files were written is whole; what is less is taken away. A
+/// record that was sent is put aside.
+fn finish_begun(folder: &Open) -> io::Result<()> {
+    for name in folder.names()? {
+        if !name.starts_with(PUTTING) && !name.starts_with(SENDING) {
+            continue;
+        }
+        let Ok(begun) = folder.folder(&name) else { continue };
+        // Held: somebody is at it. Where nothing can be locked nobody knows.
+        let Ok(Some(_held)) = begun.lock() else { continue };
+        if let Some(digits) = name.strip_prefix(SENDING) {
+            aside(folder, &begun, digits)?;
+            continue;
+        }
+        let files = begun.names()?;
+        if let Some(sidecar) = files.iter().find(|f| f.ends_with(".run.toml")) {
+            let csv = csv_of(sidecar);
+            if files.iter().any(|f| f == "csv") && begun.rename("csv", folder, &csv).is_err()
+                || begun.rename(sidecar, folder, sidecar).is_err()
+            {
+                // Another record has the name by now.
+                continue;
+            }
+        }
+        for file in begun.names()? {
+            let _ = begun.remove(&file);
+        }
+        let _ = folder.remove_folder(&name);
+    }
+    Ok(())
+}
+
+/// The name of the CSV of a record that this program has put into a spool.
+fn csv_of(sidecar: &str) -> String {
+    format!("{}.csv", sidecar.strip_suffix(".run.toml").unwrap_or(sidecar))
 }
 
 fn no_record(finding: &InputError) -> io::Error {
@@ -179,47 +328,70 @@ pub fn ship(spool: &Path, store: &dyn Store, machine: &str) -> Result<Round, Shi
     if machine.is_empty() || machine.starts_with('.') || !machine.chars().all(letter) {
         return Err(ShipError::Name(machine.to_owned()));
     }
-    let waiting = waiting(spool).map_err(|error| ShipError::Spool { path: spool.to_owned(), error })?;
+    let trouble = |path: &Path, error| ShipError::Spool { path: path.to_owned(), error };
+    let folder = Open::open(spool).map_err(|e| trouble(spool, e))?;
+    finish_begun(&folder).map_err(|e| trouble(spool, e))?;
+    let waiting = waiting(&folder).map_err(|e| trouble(spool, e))?;
     let mut round = Round::default();
     if !waiting.is_empty() {
         // Before the first is sent, not after it: what cannot be put aside would be sent again and again.
-        let sent = spool.join(SENT);
-        let tried = sent.join(".tried");
-        let made = std::fs::create_dir_all(&sent)
-            .and_then(|()| std::fs::write(&tried, ""))
-            .and_then(|()| std::fs::remove_file(&tried));
-        // One who sends beside this one may have taken it away already.
-        match made {
-            Err(error) if error.kind() != io::ErrorKind::NotFound => {
-                return Err(ShipError::Spool { path: sent, error });
-            }
-            _ => {}
-        }
+        let tried = format!(".tried-{}", std::process::id());
+        let sent = folder.make_folder(SENT).and_then(|sent| {
+            sent.write(&tried, b"", 0o600, &|| true)?;
+            sent.remove(&tried)
+        });
+        sent.map_err(|e| trouble(&spool.join(SENT), e))?;
     }
-    for (n, sidecar) in waiting.iter().enumerate() {
-        let (name, csv) = match super::record::read_log(sidecar) {
-            // Another one who sends from this spool has sent it.
-            Err(_) if !sidecar.exists() => continue,
-            Ok(record) => {
-                (sidecar.file_name().unwrap_or_default().to_string_lossy().into_owned(), record.file)
+    for (n, name) in waiting.iter().enumerate() {
+        let sidecar = spool.join(name);
+        let read =
+            |name: &str, longest| folder.read(name, longest).map_err(|e| trouble(&spool.join(name), e));
+        // Another one who sends from this spool may have sent it.
+        let words = match folder.read(name, LONGEST_SIDECAR) {
+            Ok(Some(words)) => words,
+            Ok(None) => continue,
+            Err(e) => {
+                round.kept.push(InputError::whole(&sidecar, e.to_string(), "a record's sidecar"));
+                continue;
             }
+        };
+        let found = rtec_files::text::decode(&sidecar, &words)
+            .and_then(|text| super::record::csv_name(&sidecar, &text).map(|csv| (text, csv)));
+        let (text, csv) = match found {
+            Ok(found) => found,
             Err(finding) => {
                 round.kept.push(finding);
                 continue;
             }
         };
-        let of = |path: PathBuf| match std::fs::read(&path) {
-            Ok(bytes) => Ok(Some((path, bytes))),
-            Err(_) if !sidecar.exists() => Ok(None),
-            Err(error) => Err(ShipError::Spool { path, error }),
+        let data = match folder.read(&csv, LONGEST_SENT) {
+            Ok(Some(data)) => data,
+            Ok(None) if read(name, LONGEST_SIDECAR)?.is_none() => continue,
+            Ok(None) => {
+                let found = format!("no file {csv} beside it");
+                round.kept.push(InputError::whole(
+                    &sidecar,
+                    found,
+                    "the CSV that it names, in the same folder",
+                ));
+                continue;
+            }
+            Err(e) => {
+                round.kept.push(InputError::whole(&sidecar, e.to_string(), "a CSV beside it"));
+                continue;
+            }
         };
-        let (Some(data), Some(words)) = (of(spool.join(&csv))?, of(sidecar.clone())?) else { continue };
-        let files = [data, words];
+        if let Err(finding) = super::record::parse_log(&sidecar, &text, data.as_slice()) {
+            round.kept.push(finding);
+            continue;
+        }
+        let files = [(&csv, data), (name, words)];
         let digest =
             hex(&files.iter().fold(Sha256::new(), |h, f| h.chain_update(Sha256::digest(&f.1))).finalize());
-        let place = format!("inbox/{machine}/{}", &digest[..DIGITS]);
+        let digits = &digest[..DIGITS];
+        let place = format!("inbox/{machine}/{digits}");
         // The sidecar last.
-        for ((_, bytes), file) in files.iter().zip([&csv, &name]) {
+        for (file, bytes) in &files {
             let key = format!("{place}/{file}");
             let failed = |error| ShipError::Store { key: key.clone(), error, left: waiting.len() - n };
             if store.get(&key).map_err(failed)?.as_ref() == Some(bytes) {
@@ -230,34 +402,61 @@ pub fn ship(spool: &Path, store: &dyn Store, machine: &str) -> Result<Round, Shi
                 return Err(failed(io::Error::other("what was read back is not what was sent")));
             }
         }
-        let sent = spool.join(SENT).join(&digest[..DIGITS]);
-        let aside =
-            |path: &Path| ShipError::Spool { path: path.to_owned(), error: io::Error::last_os_error() };
-        std::fs::create_dir_all(&sent).map_err(|_| aside(&sent))?;
-        // The sidecar first: without it nothing waits.
-        for (from, file) in [(&files[1].0, &name), (&files[0].0, &csv)] {
-            match std::fs::rename(from, sent.join(file)) {
-                // Another one who sends from this spool has put it aside, the same files to the same place.
-                Err(e) if e.kind() == io::ErrorKind::NotFound && sent.join(file).exists() => {}
-                done => done.map_err(|_| aside(from))?,
+        let put_aside = || -> io::Result<()> {
+            let sending = folder.make_folder(&format!("{SENDING}{digits}"))?;
+            let _held = sending.lock();
+            // The sidecar first: without it nothing waits.
+            for file in [name, &csv] {
+                match folder.rename(file, &sending, file) {
+                    // Another one who sends from this spool is at it, or this record was sent before.
+                    Err(e) if e.kind() == io::ErrorKind::NotFound => {}
+                    done => done?,
+                }
             }
+            aside(&folder, &sending, digits)
+        };
+        match put_aside() {
+            Err(e) if e.kind() != io::ErrorKind::NotFound => return Err(trouble(&sidecar, e)),
+            _ => {}
         }
         round.sent.push(place);
     }
     Ok(round)
 }
 
-/// Sidecars of a spool, in order of their names.
-fn waiting(spool: &Path) -> io::Result<Vec<PathBuf>> {
-    let mut found = Vec::new();
-    for entry in std::fs::read_dir(spool)? {
-        let path = entry?.path();
-        if path.is_file() && path.to_string_lossy().ends_with(".run.toml") {
-            found.push(path);
+/// Puts a sent record where the sent ones are, from the folder that its sidecar was moved to first.
+fn aside(folder: &Open, sending: &Open, digits: &str) -> io::Result<()> {
+    let names = sending.names()?;
+    // Killed between the two: the CSV that the sidecar names still lies in the spool, and no other record names it.
+    for sidecar in names.iter().filter(|n| n.ends_with(".run.toml") && !folder.has(n).unwrap_or(true)) {
+        let words = sending.read(sidecar, LONGEST_SIDECAR)?.unwrap_or_default();
+        let text = String::from_utf8_lossy(&words);
+        if let Ok(csv) = super::record::csv_name(&sending.path().join(sidecar), &text)
+            && folder.has(&csv)?
+        {
+            folder.rename(&csv, sending, &csv)?;
         }
     }
-    found.sort();
-    Ok(found)
+    let sent = folder.make_folder(SENT)?.make_folder(digits)?;
+    for file in sending.names()? {
+        match sending.rename(&file, &sent, &file) {
+            // The same bytes lie there: the folder is named by them.
+            Err(e) if e.kind() == io::ErrorKind::AlreadyExists => sending.remove(&file)?,
+            Err(e) if e.kind() == io::ErrorKind::NotFound => {}
+            done => done?,
+        }
+    }
+    match folder.remove_folder(&format!("{SENDING}{digits}")) {
+        Err(e) if e.kind() != io::ErrorKind::NotFound => Err(e),
+        _ => folder.sync(),
+    }
+}
+
+/// Names of the sidecars of a spool, in their order.
+fn waiting(folder: &Open) -> io::Result<Vec<String>> {
+    let mut names = folder.names()?;
+    names.retain(|n| n.ends_with(".run.toml") && !n.starts_with('.'));
+    Ok(names)
 }
 
 #[cfg(test)]
@@ -300,6 +499,14 @@ mod tests {
         }
     }
 
+    fn waits(spool: &Path) -> Vec<String> {
+        waiting(&Open::open(spool).unwrap()).unwrap()
+    }
+
+    fn names(folder: &Path) -> Vec<String> {
+        Open::open(folder).unwrap().names().unwrap()
+    }
+
     fn record(folder: &Path, name: &str, value: f64) {
         let sidecar = format!(
             "file = \"{name}.csv\"\nkind = \"drift\"\n[columns]\ne = {{ role = \"error.z\", unit = \"um\" }}\n"
@@ -338,7 +545,7 @@ mod tests {
                     .collect();
                 values.sort_unstable();
                 assert_eq!(values, [&b"e\n1\n2.5\n"[..], b"e\n2\n2.5\n", b"e\n3\n2.5\n"]);
-                assert!(waiting(spool.path()).unwrap().is_empty());
+                assert!(waits(spool.path()).is_empty());
                 assert_eq!(std::fs::read_dir(spool.path().join(SENT)).unwrap().count(), 3);
             }
         }
@@ -404,7 +611,7 @@ mod tests {
             let store = Beside { spool: spool.path(), store: &folder, calls: Cell::new(0), at };
             let round = ship(spool.path(), &store, "m").unwrap();
             assert!(round.kept.is_empty(), "{at}: {:?}", round.kept);
-            assert!(waiting(spool.path()).unwrap().is_empty(), "{at}");
+            assert!(waits(spool.path()).is_empty(), "{at}");
             assert_eq!(std::fs::read_dir(to.path().join("inbox/m")).unwrap().count(), 3, "{at}");
             assert_eq!(std::fs::read_dir(spool.path().join(SENT)).unwrap().count(), 3, "{at}");
         }
@@ -431,6 +638,151 @@ mod tests {
         let second = add(&sidecar, spool.path()).unwrap();
         let value = |p: &Path| crate::record::read(p).unwrap().columns[0].data[0];
         assert_eq!((value(&first), value(&second)), (1.0, 2.0));
-        assert_eq!(waiting(spool.path()).unwrap(), [second, first].map(|p| p));
+        assert_eq!(
+            waits(spool.path()),
+            [second, first].map(|p| p.file_name().unwrap().to_str().unwrap().to_owned())
+        );
+    }
+
+    fn read_back(folder: &Path, name: &str) -> Record {
+        crate::record::read(&folder.join(format!("{name}.run.toml"))).unwrap()
+    }
+
+    #[test]
+    fn ship_follows_no_link_out_of_the_shop_or_the_spool() {
+        use std::os::unix::fs::symlink;
+        // Every place of a key, led away: nothing is written there, and the record waits.
+        let away = tempfile::tempdir().unwrap();
+        for linked in ["inbox", "inbox/m", "inbox/m/DIGEST"] {
+            let (spool, shop) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+            record(spool.path(), "a", 1.0);
+            let store = Folder::open(shop.path()).unwrap();
+            let place = {
+                let other = tempfile::tempdir().unwrap();
+                record(other.path(), "a", 1.0);
+                ship(other.path(), &Folder::open(tempfile::tempdir().unwrap().keep().as_path()).unwrap(), "m")
+            };
+            let linked = shop.path().join(linked.replace("inbox/m/DIGEST", &place.unwrap().sent[0]));
+            std::fs::create_dir_all(linked.parent().unwrap()).unwrap();
+            symlink(away.path(), &linked).unwrap();
+            let error = ship(spool.path(), &store, "m").unwrap_err().to_string();
+            assert!(error.contains("found a link") && error.contains("1 records wait"), "{error}");
+            assert!(names(away.path()).is_empty());
+            assert_eq!(waits(spool.path()), ["a.run.toml"]);
+        }
+        // A link in the place of the file itself is replaced.
+        let (spool, shop) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+        record(spool.path(), "a", 1.0);
+        let first = ship(spool.path(), &Folder::open(shop.path()).unwrap(), "m").unwrap().sent.remove(0);
+        let precious = away.path().join("precious");
+        std::fs::write(&precious, "mine").unwrap();
+        for file in ["a.csv", "a.run.toml"] {
+            let at = shop.path().join(&first).join(file);
+            std::fs::remove_file(&at).unwrap();
+            symlink(&precious, &at).unwrap();
+        }
+        record(spool.path(), "a", 1.0);
+        let error = ship(spool.path(), &Folder::open(shop.path()).unwrap(), "m").unwrap_err().to_string();
+        assert!(error.contains("found a link"), "{error}");
+        assert_eq!(std::fs::read(&precious).unwrap(), b"mine");
+        // Nothing is read through a link of the spool, or from another folder.
+        let (spool, shop) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+        record(away.path(), "far", 1.0);
+        symlink(away.path().join("far.run.toml"), spool.path().join("a.run.toml")).unwrap();
+        symlink(away.path().join("far.csv"), spool.path().join("far.csv")).unwrap();
+        let words = std::fs::read_to_string(away.path().join("far.run.toml")).unwrap();
+        std::fs::write(spool.path().join("b.run.toml"), &words).unwrap();
+        for (name, file) in
+            [("c", away.path().join("far.csv").display().to_string()), ("d", "../far.csv".to_owned())]
+        {
+            std::fs::write(spool.path().join(format!("{name}.run.toml")), words.replace("far.csv", &file))
+                .unwrap();
+        }
+        let round = ship(spool.path(), &Folder::open(shop.path()).unwrap(), "m").unwrap();
+        assert_eq!((round.sent.len(), round.kept.len()), (0, 4), "{round:?}");
+        assert!(names(shop.path()).is_empty());
+    }
+
+    #[test]
+    fn whoever_is_killed_leaves_a_whole_record_or_none() {
+        // Killed while putting: before the sidecar, after it, between the two names.
+        for (files, kept) in [(&["csv"][..], false), (&["csv", "a.run.toml"], true), (&["a.run.toml"], true)]
+        {
+            let (made, spool) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+            record(made.path(), "a", 7.0);
+            let begun = spool.path().join(format!("{PUTTING}1-1"));
+            std::fs::create_dir(&begun).unwrap();
+            for file in files {
+                let from = if *file == "csv" { "a.csv" } else { file };
+                std::fs::copy(made.path().join(from), begun.join(file)).unwrap();
+            }
+            if files.len() == 1 && kept {
+                std::fs::copy(made.path().join("a.csv"), spool.path().join("a.csv")).unwrap();
+            }
+            record(made.path(), "b", 8.0);
+            add(&made.path().join("b.run.toml"), spool.path()).unwrap();
+            let expected: &[&str] =
+                if kept { &["a.csv", "a.run.toml", "b.csv", "b.run.toml"] } else { &["b.csv", "b.run.toml"] };
+            assert_eq!(names(spool.path()), expected, "{files:?}");
+            if kept {
+                assert!((read_back(spool.path(), "a").columns[0].data[0] - 7.0).abs() < 1e-12);
+            }
+        }
+        // Killed while it was put aside: after the sidecar, after both.
+        for both in [false, true] {
+            let (spool, shop) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+            record(spool.path(), "a", 1.0);
+            let sending = spool.path().join(format!("{SENDING}0123"));
+            std::fs::create_dir(&sending).unwrap();
+            std::fs::rename(spool.path().join("a.run.toml"), sending.join("a.run.toml")).unwrap();
+            if both {
+                std::fs::rename(spool.path().join("a.csv"), sending.join("a.csv")).unwrap();
+            }
+            ship(spool.path(), &Folder::open(shop.path()).unwrap(), "m").unwrap();
+            assert_eq!(names(spool.path()), [SENT]);
+            assert_eq!(names(&spool.path().join("sent/0123")), ["a.csv", "a.run.toml"]);
+        }
+        // One that lives is left alone.
+        let (made, spool) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+        let folder = Open::open(spool.path()).unwrap();
+        let begun = folder.make_folder(&format!("{PUTTING}1-1")).unwrap();
+        let _held = begun.lock().unwrap().unwrap();
+        record(made.path(), "b", 8.0);
+        add(&made.path().join("b.run.toml"), spool.path()).unwrap();
+        assert_eq!(names(spool.path()).len(), 3);
+    }
+
+    #[test]
+    fn a_spool_takes_no_more_than_its_room() {
+        let (made, spool) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+        record(made.path(), "a", 1.0);
+        let put_one = |room: Room, go_on: &dyn Fn() -> bool| {
+            let record = read_back(made.path(), "a");
+            let csv = std::fs::read(made.path().join("a.csv")).unwrap();
+            put(record, &csv, spool.path(), room, go_on)
+        };
+        let room = Room { most_bytes: 1 << 20, free_percent: 0 };
+        let mut kept = 0;
+        let error = loop {
+            match put_one(room, &|| true) {
+                Ok(_) => kept += 1,
+                Err(error) => break error,
+            }
+            assert!(kept < 1000);
+        };
+        // Two files of a block each.
+        assert!((100..=128).contains(&kept), "{kept}");
+        assert_eq!(error.kind(), io::ErrorKind::StorageFull);
+        assert!(error.to_string().contains("at most 1 MB may wait ([control] spool_mb)"), "{error}");
+        let files = names(spool.path()).len();
+        let error = put_one(Room { most_bytes: u64::MAX, free_percent: 101 }, &|| true).unwrap_err();
+        assert!(error.to_string().contains("No space left for records"), "{error}");
+        let error = put_one(Room::ANY, &|| false).unwrap_err();
+        assert_eq!(error.kind(), io::ErrorKind::Interrupted);
+        assert_eq!(names(spool.path()).len(), files);
+        let mut odd = read_back(made.path(), "a");
+        odd.path = PathBuf::from("a\u{202e}b.run.toml");
+        let error = put(odd, b"e\n1\n", spool.path(), Room::ANY, &|| true).unwrap_err();
+        assert!(error.to_string().contains("expected one that can be read"), "{error}");
     }
 }

@@ -11,6 +11,7 @@ use dxf::entities::{Entity, EntityType};
 use dxf::enums::Units;
 use dxf::{Drawing, Vector};
 use rtec_files::InputError;
+use std::collections::HashMap;
 use std::f64::consts::{PI, TAU};
 use std::path::Path;
 
@@ -117,7 +118,8 @@ pub fn read(file: &Path, options: &Options) -> Result<(Contour, Unit), InputErro
             let found = format!("unknown units ($INSUNITS: {:?})", drawing.header.default_drawing_units);
             InputError::whole(file, found, "$INSUNITS of mm, cm, m, inch, …, or the unit named with --units")
         })?;
-    let reader = Reader { file, text: String::from_utf8_lossy(&bytes).into_owned(), unit, options };
+    let text = String::from_utf8_lossy(&bytes);
+    let reader = Reader { file, lines: lines_of_handles(&text), unit, options };
     let mut pieces = Vec::new();
     for entity in drawing.entities().filter(|e| !e.common.is_in_paper_space) {
         if options.layer.is_none_or(|layer| layer == entity.common.layer) {
@@ -152,23 +154,68 @@ impl Piece {
     }
 }
 
+/// Line of the file where each handle (group code 5) stands first, in small letters.
+fn lines_of_handles(text: &str) -> HashMap<String, usize> {
+    let mut found = HashMap::new();
+    let mut lines = text.lines().enumerate();
+    while let (Some((_, code)), Some((i, value))) = (lines.next(), lines.next()) {
+        if code.trim() == "5" {
+            found.entry(value.trim().to_ascii_lowercase()).or_insert(i + 1);
+        }
+    }
+    found
+}
+
+/// Points by their places: those near one are found without a look at all others.
+struct Places {
+    cell: f64,
+    cells: HashMap<[i64; 2], Vec<usize>>,
+}
+
+impl Places {
+    /// Of points, by their numbers; near is within `tolerance`.
+    fn of(points: impl Iterator<Item = Zx>, tolerance: f64) -> Self {
+        let mut places = Self { cell: tolerance.max(1e-9), cells: HashMap::new() };
+        for (n, p) in points.enumerate() {
+            let at = places.at(p);
+            places.cells.entry(at).or_default().push(n);
+        }
+        places
+    }
+
+    fn at(&self, p: Zx) -> [i64; 2] {
+        [p.z, p.x].map(|v| (v / self.cell).floor() as i64)
+    }
+
+    /// The numbers of the points around a place: all that are within the tolerance, and some more.
+    fn around(&self, p: Zx) -> impl Iterator<Item = usize> {
+        let [z, x] = self.at(p);
+        let cells =
+            (-1..=1).flat_map(move |i| (-1..=1).map(move |j| [z.saturating_add(i), x.saturating_add(j)]));
+        cells.filter_map(|cell| self.cells.get(&cell)).flatten().copied()
+    }
+
+    /// How many those are.
+    fn crowd(&self, p: Zx) -> usize {
+        let [z, x] = self.at(p);
+        let cells = (-1..=1).flat_map(|i| (-1..=1).map(move |j| [z.saturating_add(i), x.saturating_add(j)]));
+        cells.filter_map(|cell| self.cells.get(&cell)).map(Vec::len).sum()
+    }
+}
+
 struct Reader<'a> {
     file: &'a Path,
-    text: String,
+    lines: HashMap<String, usize>,
     unit: Unit,
     options: &'a Options<'a>,
 }
 
 impl Reader<'_> {
-    /// Line of the file where a handle (group code 5) stands; 0 where the drawing has none.
-    fn line_of(&self, handle: &str) -> usize {
-        let mut lines = self.text.lines().enumerate();
-        while let (Some((_, code)), Some((i, value))) = (lines.next(), lines.next()) {
-            if code.trim() == "5" && value.trim().eq_ignore_ascii_case(handle) {
-                return i + 1;
-            }
-        }
-        0
+    /// Whether two points are one.
+    fn near(&self, p: Zx, q: Zx) -> bool {
+        #[cfg(test)]
+        tests::LOOKS.with(|looks| looks.set(looks.get() + 1));
+        (p - q).norm() <= self.options.tolerance_mm
     }
 
     fn point(&self, p: &dxf::Point) -> Zx {
@@ -177,7 +224,8 @@ impl Reader<'_> {
 
     fn pieces(&self, entity: &Entity, out: &mut Vec<Piece>) -> Result<(), InputError> {
         let handle = entity.common.handle.as_string();
-        let line = self.line_of(&handle);
+        // A drawing need not have any.
+        let line = self.lines.get(&handle.to_ascii_lowercase()).copied().unwrap_or(0);
         let named = |kind: &str| format!("{kind} {handle} on layer {}", entity.common.layer);
         let refuse = |kind: &str, what: &str, expected: &str| {
             Err(InputError::at(self.file, line, 0, format!("{} {what}", named(kind)), expected))
@@ -309,15 +357,30 @@ impl Reader<'_> {
     }
 
     fn twice(&self, pieces: &[Piece]) -> Result<(), InputError> {
-        let near = |p: Zx, q: Zx| (p - q).norm() <= self.options.tolerance_mm;
+        let tolerance = self.options.tolerance_mm;
+        let starts = Places::of(pieces.iter().flat_map(Piece::ends), tolerance);
+        let middles = Places::of(pieces.iter().map(|p| p.segment.at(0.5)), tolerance);
         for (i, a) in pieces.iter().enumerate() {
-            for b in &pieces[..i] {
-                let ([a0, a1], [b0, b1]) = (a.ends(), b.ends());
-                let ends = near(a0, b0) && near(a1, b1) || near(a0, b1) && near(a1, b0);
-                if ends && near(a.segment.at(0.5), b.segment.at(0.5)) {
-                    let found = format!("{}, a duplicate of {}", a.entity, b.entity);
-                    return Err(InputError::at(self.file, a.line, 0, found, "every entity once"));
+            let ([a0, a1], middle) = (a.ends(), a.segment.at(0.5));
+            let same = |j: &usize| {
+                let [b0, b1] = pieces[*j].ends();
+                let ends = self.near(a0, b0) && self.near(a1, b1) || self.near(a0, b1) && self.near(a1, b0);
+                ends && self.near(middle, pieces[*j].segment.at(0.5))
+            };
+            // By the place where fewest others are: many may meet in one point, or lie across another.
+            let crowds = [starts.crowd(a0), starts.crowd(a1), middles.crowd(middle)];
+            let first = match crowds.iter().min() {
+                Some(least) if *least == crowds[2] => {
+                    middles.around(middle).filter(|j| *j < i).filter(same).min()
                 }
+                least => {
+                    let end = if least == Some(&crowds[0]) { a0 } else { a1 };
+                    starts.around(end).map(|end| end / 2).filter(|j| *j < i).filter(same).min()
+                }
+            };
+            if let Some(j) = first {
+                let found = format!("{}, a duplicate of {}", a.entity, pieces[j].entity);
+                return Err(InputError::at(self.file, a.line, 0, found, "every entity once"));
             }
         }
         Ok(())
@@ -326,17 +389,21 @@ impl Reader<'_> {
     /// Order the pieces along the contour.
     fn chain(&self, pieces: Vec<Piece>) -> Result<Contour, InputError> {
         let tol = self.options.tolerance_mm;
-        let near = |p: Zx, q: Zx| (p - q).norm() <= tol;
         // What lies on the axis closes a drawing but is no surface.
         let on_axis =
             |p: &Piece| matches!(p.segment, Segment::Line { a, b } if a.x.abs() <= tol && b.x.abs() <= tol);
-        let (axis, mut rest): (Vec<Piece>, Vec<Piece>) = pieces.into_iter().partition(on_axis);
+        let (axis, rest): (Vec<Piece>, Vec<Piece>) = pieces.into_iter().partition(on_axis);
         if rest.is_empty() {
             return Err(InputError::whole(self.file, "nothing but the axis", "the part's contour"));
         }
         let ends: Vec<(usize, Zx)> =
             rest.iter().enumerate().flat_map(|(i, p)| p.ends().map(|e| (i, e))).collect();
-        let met = |k: usize| (0..ends.len()).filter(|&j| j != k && near(ends[j].1, ends[k].1)).count();
+        let places = Places::of(ends.iter().map(|(_, at)| *at), tol);
+        // Two say as much as more.
+        let met = |k: usize| {
+            let others = places.around(ends[k].1).filter(|j| *j != k);
+            others.filter(|j| self.near(ends[*j].1, ends[k].1)).take(2).count()
+        };
         if let Some(k) = (0..ends.len()).find(|&k| met(k) > 1) {
             let (i, at) = ends[k];
             let found = format!(
@@ -352,7 +419,8 @@ impl Reader<'_> {
         }
         let closed = free.is_empty();
         if let [a, b] = free[..] {
-            let meets_axis = |k: usize| axis.iter().any(|p| p.ends().iter().any(|e| near(*e, ends[k].1)));
+            let meets_axis =
+                |k: usize| axis.iter().any(|p| p.ends().iter().any(|e| self.near(*e, ends[k].1)));
             if meets_axis(a) != meets_axis(b) {
                 let k = if meets_axis(a) { b } else { a };
                 let piece = &rest[ends[k].0];
@@ -368,14 +436,17 @@ impl Reader<'_> {
         }
         let mut tail = free.first().map_or(ends[0].1, |&k| ends[k].1);
         let mut chain = Vec::with_capacity(rest.len());
-        while let Some(i) = rest.iter().position(|p| p.ends().iter().any(|e| near(*e, tail))) {
-            let piece = rest.remove(i);
+        let mut rest: Vec<Option<Piece>> = rest.into_iter().map(Some).collect();
+        loop {
+            let free =
+                places.around(tail).filter(|k| rest[ends[*k].0].is_some() && self.near(ends[*k].1, tail));
+            let Some(piece) = free.map(|k| ends[k].0).min().and_then(|i| rest[i].take()) else { break };
             let [start, end] = piece.ends();
-            let forward = near(start, tail);
+            let forward = self.near(start, tail);
             tail = if forward { end } else { start };
             chain.push((if forward { piece.segment } else { piece.segment.reversed() }, piece.entity));
         }
-        if let Some(left) = rest.first() {
+        if let Some(left) = rest.into_iter().flatten().next() {
             let found = format!("a second contour ({} is part of it)", left.entity);
             return Err(InputError::at(
                 self.file,
@@ -389,12 +460,26 @@ impl Reader<'_> {
     }
 
     fn gap(&self, rest: &[Piece], ends: &[(usize, Zx)], free: &[usize]) -> InputError {
+        // In the order of their places along the drawing's longer side, where near ones follow each other.
+        let side = |of: &dyn Fn(Zx) -> f64| {
+            let all = free.iter().map(|k| of(ends[*k].1));
+            all.clone().fold(f64::NEG_INFINITY, f64::max) - all.fold(f64::INFINITY, f64::min)
+        };
+        let along = side(&|p| p.z) >= side(&|p| p.x);
+        let place = |k: usize| if along { ends[k].1.z } else { ends[k].1.x };
+        let mut sorted = free.to_vec();
+        sorted.sort_by(|a, b| place(*a).total_cmp(&place(*b)));
         let mut least = (f64::INFINITY, free[0], free[0]);
-        for (n, &a) in free.iter().enumerate() {
-            for &b in &free[..n] {
+        for (n, &a) in sorted.iter().enumerate() {
+            for &b in &sorted[n + 1..] {
+                if place(b) - place(a) > least.0 {
+                    break;
+                }
                 let off = (ends[a].1 - ends[b].1).norm();
-                if ends[a].0 != ends[b].0 && off < least.0 {
-                    least = (off, b, a);
+                // Of several the one that comes first in the drawing.
+                let (first, second) = (a.min(b), a.max(b));
+                if ends[a].0 != ends[b].0 && (off, second, first) < (least.0, least.2, least.1) {
+                    least = (off, first, second);
                 }
             }
         }
@@ -436,4 +521,70 @@ fn bulged(corners: &[(Zx, f64)], closed: bool) -> Vec<Segment> {
             }
         })
         .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::cell::Cell;
+
+    thread_local! {
+        /// Pairs of points that were compared.
+        pub(super) static LOOKS: Cell<u64> = const { Cell::new(0) };
+    }
+
+    /// Reads lines that are drawn in this order; the finding, and pairs of points compared.
+    fn reads(lines: &[[f64; 4]]) -> (Result<usize, String>, u64) {
+        let mut drawing = new_dxf();
+        for [z0, x0, z1, x1] in lines {
+            let ends =
+                dxf::entities::Line::new(dxf::Point::new(*z0, *x0, 0.0), dxf::Point::new(*z1, *x1, 0.0));
+            drawing.add_entity(Entity::new(EntityType::Line(ends)));
+        }
+        let directory = tempfile::tempdir().unwrap();
+        let file = directory.path().join("a.dxf");
+        drawing.save_file(&file).unwrap();
+        LOOKS.with(|looks| looks.set(0));
+        let read = read(&file, &Options::default());
+        let found = read.map(|(contour, _)| contour.chords().len()).map_err(|e| e.found);
+        (found, LOOKS.with(Cell::get))
+    }
+
+    #[test]
+    fn work_grows_with_the_drawing_and_not_with_its_square() {
+        let n = 20_000_u32;
+        let step = |i: u32| f64::from(i) * 0.01;
+        // A profile in a jumbled order, every second line drawn backwards.
+        let profile: Vec<[f64; 4]> = (0..n)
+            .map(|k| (k * 7919) % n)
+            .map(|i| {
+                let (a, b) = ([step(i), 10.0 + (step(i)).sin()], [step(i + 1), 10.0 + (step(i + 1)).sin()]);
+                if i % 2 == 0 { [a[0], a[1], b[0], b[1]] } else { [b[0], b[1], a[0], a[1]] }
+            })
+            .collect();
+        let (read, looks) = reads(&profile);
+        assert_eq!(read, Ok(n as usize));
+        assert!(looks < 60 * u64::from(n), "{looks}");
+        // All in one point; all across one point; none that meet; one that is there twice.
+        let star = |r: f64, from: f64| -> Vec<[f64; 4]> {
+            let turn = |i: u32| f64::from(i) * 3.0 / f64::from(n);
+            (0..n)
+                .map(|i| (turn(i).cos() * r, turn(i).sin() * r))
+                .map(|(z, x)| [-z * from, 50.0 - x * from, z, 50.0 + x])
+                .collect()
+        };
+        let apart: Vec<[f64; 4]> = (0..n).map(|i| [step(i), 1.0, step(i) + 0.003, 1.0]).collect();
+        let mut twice = profile.clone();
+        twice.push(profile[3]);
+        for (lines, wants) in [
+            (star(40.0, 0.0), "a branch at"),
+            (star(40.0, 1.0), "an open contour: a gap of"),
+            (apart, "an open contour: a gap of 0.0070"),
+            (twice, "a duplicate of"),
+        ] {
+            let (read, looks) = reads(&lines);
+            assert!(read.as_ref().is_err_and(|found| found.contains(wants)), "{wants}: {read:?}");
+            assert!(looks < 60 * u64::from(n), "{wants}: {looks}");
+        }
+    }
 }

@@ -4,14 +4,8 @@ use std::time::Duration;
 
 #[cfg_attr(test, test)]
 fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let options = SelftestOptions {
-        cpu: 0,
-        priority: 80,
-        run: Duration::from_millis(300),
-        backend: Backend::Mock,
-        seed: 1,
-    };
-    let measured = run(options, |what, left_s| println!("{what}, {left_s} s left"))?;
+    let options = SelftestOptions { cpu: 0, priority: 80, run: Duration::from_millis(300), seed: 1 };
+    let measured = run(options, Backend::Mock, |what, left_s| println!("{what}, {left_s} s left"))?;
     println!(
         "wake-up at the worst {} ns late; detected within {} ns",
         measured.wakeup.ns.max(),

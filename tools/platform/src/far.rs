@@ -162,7 +162,7 @@ impl<'a> Control<'a> {
     fn ask(&mut self) {
         for request in [
             Request::Clear,
-            Request::Home { axis: 0, position_counts: 0 },
+            Request::Home { axis: 0, position_counts: 0, controller_homed: true },
             Request::ConfirmHome { axis: 0, position_counts: 0 },
             Request::Enable,
             WITHOUT_END,

@@ -4,6 +4,7 @@
 //! |---|---|
 //! | [`selftest`] | the latencies that the speed gate rests on, measured with the real engine |
 //! | [`access`] | may the service open the card's devices, and where do their interrupts land? |
+//! | `on_card` | the self-test on the card that will do the work |
 //! | `far` | the far side of the self-test's wires: gives the edges, times the insertions, is the MTC |
 //!
 //! What must not live here: a machine's errors, its corrections or parts; anything that runs while a machine is corrected.
@@ -12,4 +13,5 @@
 
 pub mod access;
 mod far;
+mod on_card;
 pub mod selftest;

@@ -6,13 +6,17 @@
 //! |---|---|
 //! | wake-up | `clock_nanosleep` to an absolute time, as cyclictest does |
 //! | poll gap | between two looks of the engine's own polling loop, as oslat does with an empty one |
-//! | edge to done | another CPU plays the scale and the MTC: from the moment before it changes A or B to the moment it has seen the second inversion |
+//! | edge to done, of a simulated card | another CPU plays the scale and the MTC: from the moment before it changes A or B to the moment it has seen the second inversion |
 //!
-//! Poll gap and edge to done are measured twice: undisturbed, and with requests streaming in as fast as the link takes
-//! them. The gate is given the worse of the two.
+//! On a simulated card poll gap and edge to done are measured twice: undisturbed, and with requests streaming in as fast as
+//! the link takes them. The gate is given the worse of the two. On the card that will do the work nobody plays the machine:
+//! its reads are timed with the outputs held, its writes by insertions at rest, where the caller allows that
+//! ([`run_on_card`]).
 
 pub use crate::far::FarSide;
 use crate::far::{Control, Far, play};
+use crate::on_card;
+pub use crate::on_card::Driven;
 use rand_xoshiro::SplitMix64;
 use rand_xoshiro::rand_core::SeedableRng;
 use rtec_driver::card::{Card, CardError, MachineLines};
@@ -22,6 +26,7 @@ use rtec_driver::mock::{MockCard, SharedWires};
 use rtec_driver::profile::Profile;
 use rtec_rt::axis::AxisConfig;
 use rtec_rt::engine::{Engine, MachineConfig, StartError};
+use rtec_rt::event::Fault;
 use rtec_rt::histogram::{Recorder, Snapshot, histogram};
 use rtec_rt::setup::{self, Report, System, Wanted, apply};
 use rtec_rt::thread::{SpawnError, ThreadOptions, spawn};
@@ -54,14 +59,12 @@ pub struct SelftestOptions {
     pub priority: u8,
     /// How long, all in all: a third each for the wake-ups, the polling loop, and the polling loop with requests.
     pub run: Duration,
-    /// The card that is polled.
-    pub backend: Backend,
     /// Seed of the far side's dwell times.
     pub seed: u64,
 }
 
 impl SelftestOptions {
-    fn wanted(&self) -> Wanted {
+    pub(crate) fn wanted(&self) -> Wanted {
         Wanted { cpu: self.cpu, priority: self.priority }
     }
 }
@@ -121,6 +124,8 @@ pub struct Polling {
     pub faults: u64,
     /// Requests that streamed in.
     pub requests: u64,
+    /// Insertions made.
+    pub insertions: u64,
 }
 
 impl Polling {
@@ -141,8 +146,28 @@ pub struct Measured {
     pub axis: AxisConfig,
     /// The polling loop undisturbed. Empty with one CPU only: polling would leave nobody to end it.
     pub quiet: Polling,
-    /// The polling loop with requests streaming in as fast as the link takes them. Empty with one CPU only.
+    /// The polling loop with requests streaming in as fast as the link takes them, or, on the card that will do the work,
+    /// with insertions. Empty with one CPU only.
     pub with_requests: Polling,
+    /// How the card was measured.
+    pub how: How,
+}
+
+/// How a card was measured.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum How {
+    /// A simulated card: another CPU played the machine.
+    Simulated,
+    /// The card that will do the work, with its outputs held.
+    Reads,
+    /// The card that will do the work, reads and writes.
+    ReadsAndWrites {
+        /// What latched while it was written to, if anything.
+        ended_by: Option<Fault>,
+        /// The outputs are as they were found.
+        restored: bool,
+    },
 }
 
 impl Measured {
@@ -150,10 +175,20 @@ impl Measured {
         [&self.quiet, &self.with_requests]
     }
 
-    /// At least one insertion was timed, undisturbed and with requests.
+    /// At least one insertion was timed: of a simulated card undisturbed and with requests.
     #[must_use]
     pub fn timed(&self) -> bool {
-        self.both().iter().all(|p| p.edge_to_done.ns.samples() > 0)
+        match self.how {
+            How::Simulated => self.both().iter().all(|p| p.edge_to_done.ns.samples() > 0),
+            How::Reads => false,
+            How::ReadsAndWrites { .. } => self.looked() && self.with_requests.seen_to_done.samples() > 0,
+        }
+    }
+
+    /// Time between looks, or from edges to looks on a card that sleeps, was measured.
+    #[must_use]
+    pub fn looked(&self) -> bool {
+        self.quiet.poll_gap.ns.samples() > 0
     }
 
     /// What the far side saw in all; `None` with one CPU only.
@@ -184,7 +219,11 @@ impl Measured {
     /// Counts to the MTC minus counts from the scale, as the far side counted them, are what the engine completed.
     #[must_use]
     pub fn balanced(&self) -> bool {
-        self.both().iter().all(|p| p.balanced())
+        match self.how {
+            How::Simulated => self.both().iter().all(|p| p.balanced()),
+            How::Reads => true,
+            How::ReadsAndWrites { restored, .. } => restored && self.completed() == 0,
+        }
     }
 
     /// Time from an edge until the engine acts on it, ns, beyond the separations that it has to keep, with or without
@@ -196,7 +235,9 @@ impl Measured {
             let late = |p: &Polling| {
                 figure(&p.poll_gap.ns).max(figure(&p.edge_to_done.ns).saturating_sub(separations))
             };
-            late(&self.quiet).max(late(&self.with_requests))
+            let late = late(&self.quiet).max(late(&self.with_requests));
+            // Nobody gave edges: one that falls behind the reading of its line is seen at the end of the look after.
+            if self.how == How::Simulated { late } else { late + self.quiet.poll_gap.ns.p99() }
         };
         (of(Snapshot::max), of(Snapshot::p9999))
     }
@@ -206,22 +247,31 @@ impl Measured {
     #[must_use]
     pub fn write_ns(&self) -> u64 {
         let inserting_ns = self.both().map(|p| p.seen_to_done.p9999());
+        if self.how != How::Simulated {
+            // At rest an insertion has its first write, what confirms it, one separation, and the look that orders the second.
+            return inserting_ns[1].saturating_sub(self.axis.min_separation_ns);
+        }
         inserting_ns[0].max(inserting_ns[1]).saturating_sub(self.separations_ns()).div_ceil(2)
     }
 
-    /// The part of edge to done that is wanted: the MTC's separation after the edge, and between the two inversions.
+    /// The part of edge to done that is wanted: the MTC's separation after the edge, and between the two inversions; of an
+    /// insertion at rest the latter.
     #[must_use]
     pub fn separations_ns(&self) -> u64 {
-        2 * self.axis.min_separation_ns
+        if self.how == How::Simulated { 2 * self.axis.min_separation_ns } else { self.axis.min_separation_ns }
     }
 }
 
-/// Measures. `progress` is called about once a second with what is going on and for how many more seconds.
+/// Measures a simulated card. `progress` is called about once a second with what is going on and for how many more seconds.
 ///
 /// # Errors
 /// When the test card or a thread cannot be made, or the card fails.
-pub fn run(options: SelftestOptions, progress: impl FnMut(&str, u64)) -> Result<Measured, SelftestError> {
-    match options.backend {
+pub fn run(
+    options: SelftestOptions,
+    backend: Backend,
+    progress: impl FnMut(&str, u64),
+) -> Result<Measured, SelftestError> {
+    match backend {
         Backend::Mock => measure(options, progress, || {
             let wires = SharedWires::default();
             Ok((MockCard::new(wires.clone(), Monotonic), wires))
@@ -240,6 +290,39 @@ pub fn run(options: SelftestOptions, progress: impl FnMut(&str, u64)) -> Result<
     }
 }
 
+/// Measures the card that will do the work, on which the axes' lines are: its reads with the outputs held, and with `drive`
+/// its writes. Whoever drives it has made sure that no MTC listens: each insertion is counts to it.
+///
+/// # Errors
+/// When a thread cannot be made, an axis is in the middle of an insertion, or the card fails.
+pub fn run_on_card<C: Card + Send + 'static>(
+    options: SelftestOptions,
+    card: C,
+    axes: &[AxisConfig],
+    drive: bool,
+    mut progress: impl FnMut(&str, u64),
+) -> Result<Measured, SelftestError> {
+    let left = setup::leave(options.cpu);
+    let (wakeup, setup) = measure_wake_ups(options, &mut progress)?;
+    let axis = axes.iter().max_by_key(|a| a.min_separation_ns).copied().unwrap_or_default();
+    let (quiet, with_requests) = (Polling::default(), Polling::default());
+    let mut measured = Measured { setup, wakeup, axis, quiet, with_requests, how: How::Reads };
+    if left.is_some() {
+        let (quiet, card) = on_card::reads(card, axes, options, &mut progress)?;
+        measured.quiet = quiet;
+        if drive {
+            // All with the longest separation: what an insertion takes beyond it is told alike of every one.
+            let axes: Vec<_> =
+                axes.iter().map(|a| AxisConfig { min_separation_ns: axis.min_separation_ns, ..*a }).collect();
+            let Driven { polling, ended_by, restored } =
+                on_card::writes(card, &axes, options, &mut progress)?;
+            measured.with_requests = polling;
+            measured.how = How::ReadsAndWrites { ended_by, restored };
+        }
+    }
+    Ok(measured)
+}
+
 /// Wake-ups, then the polling loop without and with requests, each on a new card from `wires`: the engine's end and the
 /// machine's.
 fn measure<C: Card + Send + 'static, F: Far>(
@@ -253,8 +336,14 @@ fn measure<C: Card + Send + 'static, F: Far>(
     // The far side keeps its dwell time and waits for each insertion: the last period alone decides.
     let axis =
         AxisConfig { max_correction_counts: i64::MAX, max_accel_counts_s2: 0.0, ..AxisConfig::default() };
-    let mut measured =
-        Measured { setup, wakeup, axis, quiet: Polling::default(), with_requests: Polling::default() };
+    let mut measured = Measured {
+        setup,
+        wakeup,
+        axis,
+        quiet: Polling::default(),
+        with_requests: Polling::default(),
+        how: How::Simulated,
+    };
     if left.is_some() {
         measured.quiet = measure_polling(options, axis, wires()?, false, &mut progress)?;
         measured.with_requests = measure_polling(options, axis, wires()?, true, &mut progress)?;
@@ -302,6 +391,7 @@ fn measure_polling<C: Card + Send + 'static, F: Far>(
             * axis.design.increment_counts(),
         faults,
         requests,
+        insertions: ended.status.axes().iter().map(|a| a.insertions).sum(),
     })
 }
 
@@ -362,7 +452,7 @@ fn wake_ups(run_ns: u64, recorder: &mut Recorder) -> u64 {
 }
 
 /// The thread of this process that has this name; 0 when there is none.
-fn tid_of(name: &str) -> i32 {
+pub(crate) fn tid_of(name: &str) -> i32 {
     let tasks = std::fs::read_dir("/proc/self/task").into_iter().flatten().flatten();
     let mut named =
         tasks.filter(|t| std::fs::read_to_string(t.path().join("comm")).is_ok_and(|n| n.trim() == name));

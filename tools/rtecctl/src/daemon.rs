@@ -33,6 +33,16 @@ impl Daemon {
         self.config.as_deref()
     }
 
+    /// Names of the axes: of the daemon that runs, else as configured.
+    pub(crate) fn axes(&self) -> Vec<String> {
+        let status = self.view().ok().and_then(|mut client| client.ask(&ClientRequest::Status {}).ok());
+        if let Some(Response::Status(status)) = status {
+            return status.axes.into_iter().map(|axis| axis.name).collect();
+        }
+        let config = Config::load(Path::new(INSTALLED)).unwrap_or_else(|_| Config::embedded());
+        config.axes.into_iter().map(|axis| axis.name).collect()
+    }
+
     /// Where the daemon is to be found, as configured.
     fn control(&self) -> anyhow::Result<ControlConfig> {
         let mut control = match &self.config {

@@ -23,7 +23,7 @@ const JUDGES: &str = "0 yes; 1 no; 2 bad input or usage";
 const READS: &str = "0 done; 2 bad input or usage";
 
 /// Verb, door, example, exit codes.
-const VERBS: [(&str, usize, &str, &str); 39] = [
+const VERBS: [(&str, usize, &str, &str); 41] = [
     ("status", 0, "rtecctl status --watch", "0 shown; 2 bad usage; 3 no daemon; 4 a fault is latched"),
     ("top", 0, "rtecctl top", SHOWS),
     ("home", 0, "rtecctl home x", ASKS),
@@ -72,6 +72,13 @@ const VERBS: [(&str, usize, &str, &str); 39] = [
         1,
         "rtecctl bugreport --out report.tar",
         "0 whole; 1 parts are missing; 2 bad usage; 3 no daemon",
+    ),
+    ("backup", 1, "rtecctl backup --out mill-7.tar", READS),
+    (
+        "restore",
+        1,
+        "rtecctl restore mill-7.tar --dry-run",
+        "0 written; 1 the daemon runs, or files are there and differ; 2 bad input or usage",
     ),
     ("characterise", 2, "rtecctl characterise evaluate x.run.toml --standard iso230-2", READS),
     (

@@ -1,17 +1,19 @@
 //! HTTP/1.1 for a few readers on this computer: one request a connection, each connection in a thread of its own, all within
-//! limits of size and time. Whoever is slow holds up nobody else; a body is read once its head was found good.
+//! limits of size and time. Whoever is slow holds up nobody else; a body is read once its head was found good. Where all places
+//! are taken, the connection that has kept its request to itself longest gives way to a new one.
 //!
-//! Heads are read by `httparse`, which needs nothing else. A whole server would be `hyper` with a run time (seventeen crates), or
-//! `tiny_http`, which reads bodies on the thread that accepts: one slow sender holds up all.
+//! Heads are read by `httparse`, which needs nothing else. A whole server would be `hyper` with a run time (seventeen crates), which
+//! lets nobody give way, or `tiny_http`, which reads bodies on the thread that accepts: one slow sender holds up all.
 
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
+use std::collections::BTreeMap;
 use std::io::{self, ErrorKind, Read, Write};
 use std::net::{Shutdown, SocketAddr, TcpListener, TcpStream};
 use std::os::fd::AsFd;
 use std::os::unix::net::{UnixListener, UnixStream};
 use std::path::Path;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 /// A head, and a body, are no longer, bytes.
@@ -21,8 +23,8 @@ const LONGEST_BODY: usize = 4096;
 const MOST_HEADERS: usize = 64;
 /// A head, and a body, take no longer to come.
 const PATIENCE: Duration = Duration::from_secs(5);
-/// Connections at one time; those beyond are closed.
-const AT_ONCE: usize = 256;
+/// Connections at one time.
+const AT_ONCE: usize = 128;
 /// How often is looked whether the server is to end, ms.
 const LOOK_MS: u8 = 50;
 /// What still comes after the answer is taken off so long, so that closing does not take the answer with it.
@@ -130,7 +132,7 @@ impl Server {
     /// # Errors
     /// The listening socket failed.
     pub(crate) fn serve<H: Handler + 'static>(&self, handler: &Arc<H>, done: &AtomicBool) -> io::Result<()> {
-        let busy = Arc::<AtomicUsize>::default();
+        let seats = Arc::<Seats>::default();
         while !done.load(Ordering::Acquire) {
             let fd = match &self.0 {
                 Listener::Tcp(listener) => listener.as_fd(),
@@ -151,15 +153,13 @@ impl Server {
                     continue;
                 }
             };
-            if busy.fetch_add(1, Ordering::AcqRel) >= AT_ONCE {
-                busy.fetch_sub(1, Ordering::AcqRel);
+            let Some(seat) = stream.end_both().ok().and_then(|hand| Seats::take(&seats, hand)) else {
                 continue;
-            }
-            let (handler, end) = (Arc::clone(handler), Busy(Arc::clone(&busy)));
+            };
+            let handler = Arc::clone(handler);
             let started = std::thread::Builder::new().name("http".into()).spawn(move || {
-                let _end = end;
                 // Whoever goes away early is his own affair.
-                let _ = converse(stream, &*handler);
+                let _ = converse(stream, &*handler, &seat);
             });
             // Without a thread the connection is closed again.
             drop(started);
@@ -168,18 +168,59 @@ impl Server {
     }
 }
 
-/// Counts a connection off, however it ends.
-struct Busy(Arc<AtomicUsize>);
+/// Ends a connection from outside its thread.
+type Hand = Box<dyn Fn() + Send>;
 
-impl Drop for Busy {
+/// The connections that there are, and of those whose request is not all there, how to end them: the oldest first.
+#[derive(Default)]
+struct Seats(Mutex<(u64, usize, BTreeMap<u64, Hand>)>);
+
+/// A connection's place, until it is dropped.
+struct Seat {
+    of: Arc<Seats>,
+    number: u64,
+}
+
+impl Seats {
+    /// A place; where there is none the one who has kept its request to itself longest gives way. None where all have asked.
+    fn take(of: &Arc<Self>, hand: Hand) -> Option<Seat> {
+        let mut seats = of.lock();
+        let (next, taken, silent) = &mut *seats;
+        if *taken >= AT_ONCE {
+            let (_, oldest) = silent.pop_first()?;
+            oldest();
+        }
+        *next += 1;
+        *taken += 1;
+        silent.insert(*next, hand);
+        Some(Seat { of: Arc::clone(of), number: *next })
+    }
+
+    fn lock(&self) -> MutexGuard<'_, (u64, usize, BTreeMap<u64, Hand>)> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Seat {
+    /// The request is all there: it is answered, whoever comes.
+    fn has_asked(&self) {
+        self.of.lock().2.remove(&self.number);
+    }
+}
+
+impl Drop for Seat {
     fn drop(&mut self) {
-        self.0.fetch_sub(1, Ordering::AcqRel);
+        let mut seats = self.of.lock();
+        seats.1 -= 1;
+        seats.2.remove(&self.number);
     }
 }
 
 trait Stream: Read + Write + Send {
     fn patience(&self, time: Duration) -> io::Result<()>;
     fn end(&self) -> io::Result<()>;
+    /// What ends both directions, from wherever it is called.
+    fn end_both(&self) -> io::Result<Hand>;
 }
 
 macro_rules! stream {
@@ -195,13 +236,18 @@ macro_rules! stream {
             fn end(&self) -> io::Result<()> {
                 self.shutdown(Shutdown::Write)
             }
+
+            fn end_both(&self) -> io::Result<Hand> {
+                let other = self.try_clone()?;
+                Ok(Box::new(move || drop(other.shutdown(Shutdown::Both))))
+            }
         }
     )*};
 }
 stream!(TcpStream, UnixStream);
 
 /// One request and its answer.
-fn converse(mut stream: Box<dyn Stream>, handler: &dyn Handler) -> io::Result<()> {
+fn converse(mut stream: Box<dyn Stream>, handler: &dyn Handler, seat: &Seat) -> io::Result<()> {
     let mut bytes = Vec::new();
     let answer =
         |request: &mut Request, stream: &mut dyn Stream, bytes: &mut Vec<u8>| -> io::Result<Answer> {
@@ -233,6 +279,7 @@ fn converse(mut stream: Box<dyn Stream>, handler: &dyn Handler) -> io::Result<()
             }
             bytes.truncate(length);
             request.body = std::mem::take(bytes);
+            seat.has_asked();
             Ok(handler.answer(request))
         };
     let mut request = Request::default();
@@ -326,5 +373,28 @@ mod tests {
         assert_eq!(parse("POST / HTTP/1.1\r\nContent-Length: 12").length(), Some(12));
         assert_eq!(parse("POST / HTTP/1.1\r\nContent-Length: +12").length(), None);
         assert_eq!(parse("GET / HTTP/1.1").length(), Some(0));
+    }
+
+    #[test]
+    fn whoever_is_silent_longest_gives_way() {
+        let seats = Arc::<Seats>::default();
+        let ended = Arc::<Mutex<Vec<usize>>>::default();
+        let hand = |n: usize| -> Hand {
+            let ended = Arc::clone(&ended);
+            Box::new(move || ended.lock().unwrap().push(n))
+        };
+        let mut all: Vec<Seat> = (0..AT_ONCE).filter_map(|n| Seats::take(&seats, hand(n))).collect();
+        assert_eq!(all.len(), AT_ONCE);
+        // The first has asked: it is answered.
+        all[0].has_asked();
+        for n in 0..3 {
+            all.push(Seats::take(&seats, hand(AT_ONCE + n)).unwrap());
+        }
+        assert_eq!(*ended.lock().unwrap(), [1, 2, 3]);
+        // Where all have asked nobody is cut off.
+        all.iter().for_each(Seat::has_asked);
+        assert!(Seats::take(&seats, hand(0)).is_none());
+        all.truncate(AT_ONCE - 1);
+        assert!(Seats::take(&seats, hand(0)).is_some());
     }
 }

@@ -6,6 +6,7 @@
 //! | `help` | verbs by their users, examples, exit codes |
 //! | `http` | a server for a few readers on this computer |
 //! | `terminal` | where the output goes: colours, width, a reader that has gone |
+//! | `archive` | a tar for one user's eyes |
 //! | `daemon` | the running daemon: where its socket is, its answers as exit codes |
 //!
 //! What must not live here: a formula, a file format, a decision: verbs connect the crates below and print.
@@ -26,6 +27,7 @@ macro_rules! eprint {
     ($($what:tt)*) => { $crate::tell(&format!($($what)*)) };
 }
 
+mod archive;
 mod daemon;
 mod figures;
 mod help;
@@ -77,6 +79,7 @@ macro_rules! verbs {
 
 verbs! {
     Demo demo,
+    Backup backup,
     Bugreport bugreport,
     Card card,
     Characterise characterise,
@@ -107,6 +110,7 @@ verbs! {
     Model model,
     Reconcile reconcile,
     Replay replay,
+    Restore restore,
     Top top,
     Trace trace,
     Platform platform,

@@ -1,8 +1,14 @@
 //! The record of commands, written by a thread of its own: the control side never waits for a disk, and one that is full
 //! or gone stops nothing. What could not be written is counted, and told by the first line that can be written again.
+//!
+//! | nobody fills it | by |
+//! |---|---|
+//! | one line is short | texts of a request are cut (`rtec_control::audit`) |
+//! | refusals displace no command | they have files of their own |
+//! | a user's refusals do not displace those of others, nor commands to operate those to set up | each user has a [`Budget`]; beyond it verbs are counted |
 
 use nix::unistd::Gid;
-use rtec_control::audit::{Entry, Writer};
+use rtec_control::audit::{Anchor, Entry, FILES_REFUSED, Writer, refused_path};
 use rtec_control::protocol::{Caller, Happened, LogState};
 use serde_json::Value;
 use std::collections::BTreeMap;
@@ -20,6 +26,15 @@ const LOOKING: Duration = Duration::from_secs(60);
 /// Different refusals of one user that are told apart at a time: whoever varies what is refused him would else write the
 /// record full, and what was in it is lost.
 const KINDS: usize = 16;
+/// Lines that a user has at once, of refusals and of commands to operate; and how many a second come back.
+const BUDGET: f64 = 500.0;
+const BUDGET_PER_S: f64 = 0.1;
+/// Beyond its budget a user has a line of each verb in this time.
+const COUNTED: Duration = Duration::from_secs(600);
+/// Users whose budgets are known; those that are whole are forgotten first.
+const USERS: usize = 4096;
+/// Where the end of the record is anchored elsewhere, that is at least so often where lines were added.
+const ANCHOR_EVERY: Duration = Duration::from_secs(24 * 3600);
 /// After a line that could not be written the next one is tried so much later.
 const RETRY: Duration = Duration::from_secs(1);
 
@@ -44,6 +59,36 @@ struct Repeated {
     times: u64,
     /// A jog that was done: held as long as it comes again, not only for a moment.
     looks: bool,
+    /// It is written after this time.
+    after: Duration,
+}
+
+/// Which lines a budget is for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+enum Kind {
+    Refused,
+    Done,
+    /// Changes of mode, which whoever operates can bring about: of the machine, not of a user.
+    Mode,
+}
+
+/// Lines that may still be written one by one.
+struct Budget {
+    left: f64,
+    since: Instant,
+}
+
+impl Budget {
+    fn now(&self, now: Instant) -> f64 {
+        (self.left + now.duration_since(self.since).as_secs_f64() * BUDGET_PER_S).min(BUDGET)
+    }
+
+    fn takes(&mut self, now: Instant) -> bool {
+        (self.left, self.since) = (self.now(now), now);
+        let has = self.left >= 1.0;
+        self.left -= f64::from(u8::from(has));
+        has
+    }
 }
 
 impl Repeated {
@@ -51,7 +96,7 @@ impl Repeated {
         if self.looks {
             return now.duration_since(self.last) >= TOGETHER || now.duration_since(self.since) >= LOOKING;
         }
-        now.duration_since(self.since) >= TOGETHER
+        now.duration_since(self.since) >= self.after
     }
 }
 
@@ -59,6 +104,18 @@ impl Repeated {
 #[derive(Default)]
 struct Shared {
     state: LogState,
+    /// Number and hash of the last refusal.
+    refused: (u64, String),
+    /// Files that were put aside, and files that others removed or renamed.
+    rotated: u64,
+    moved: u64,
+}
+
+/// What was last anchored.
+struct Anchored {
+    at: Instant,
+    rotated: u64,
+    text: String,
 }
 
 /// The control side's end.
@@ -67,6 +124,10 @@ pub(crate) struct Audit {
     shared: Arc<Mutex<Shared>>,
     /// By user and by what was refused.
     repeated: BTreeMap<(u32, String), Repeated>,
+    budgets: BTreeMap<(u32, Kind), Budget>,
+    anchored: Option<Anchored>,
+    /// Removed or renamed files that were told already.
+    moved: u64,
     /// Lines that found the queue full; the writer is told with the next one.
     lost: u64,
 }
@@ -82,7 +143,8 @@ impl Audit {
         std::thread::Builder::new()
             .name("audit".into())
             .spawn(move || write(&path, group, &waiting, &state))?;
-        Ok(Self { lines: Some(lines), shared, repeated: BTreeMap::new(), lost: 0 })
+        let (repeated, budgets) = (BTreeMap::new(), BTreeMap::new());
+        Ok(Self { lines: Some(lines), shared, repeated, budgets, anchored: None, moved: 0, lost: 0 })
     }
 
     /// Records something that was no command.
@@ -95,8 +157,22 @@ impl Audit {
         let Happened { axis, kind, text, .. } = happened;
         let asked_for_later = ["mode", "fault", "homed", "control_stale", "stood_still", "record_lost"];
         if asked_for_later.contains(&kind.as_str()) {
-            self.send(Entry { axis: axis.clone(), text: text.clone(), after, ..Entry::now(kind) });
+            let entry = Entry { axis: axis.clone(), text: text.clone(), after, ..Entry::now(kind) };
+            if kind == "mode" && !self.may(u32::MAX, Kind::Mode) {
+                return self.together((u32::MAX, "mode".to_owned()), entry, COUNTED, false);
+            }
+            self.send(entry);
         }
+    }
+
+    /// Whether a user has a line left, which is taken.
+    fn may(&mut self, uid: u32, kind: Kind) -> bool {
+        let now = Instant::now();
+        if self.budgets.len() >= USERS {
+            self.budgets.retain(|_, budget| budget.now(now) < BUDGET);
+        }
+        let whole = Budget { left: BUDGET, since: now };
+        self.budgets.entry((uid, kind)).or_insert(whole).takes(now)
     }
 
     /// Records a command. A refusal that comes again and again is one line with its number, and so is a jog that asks for
@@ -121,6 +197,15 @@ impl Audit {
         {
             key.1 = format!("{result} {}", request["do"]);
         }
+        let mut after_at_least = TOGETHER;
+        if key.as_ref().is_none_or(|key| !self.repeated.contains_key(key)) && !looks {
+            let kind = if result == "done" { Kind::Done } else { Kind::Refused };
+            // Whoever may set up may write what he wants anyway.
+            if (result != "done" || by.role == "operate") && !self.may(uid, kind) {
+                key = Some((uid, format!("beyond {result} {}", request["do"])));
+                after_at_least = COUNTED;
+            }
+        }
         let entry = Entry {
             by: Some(by),
             request: Some(request),
@@ -131,7 +216,14 @@ impl Audit {
             model,
             ..Entry::now("command")
         };
-        let Some(key) = key else { return self.send(entry) };
+        match key {
+            Some(key) => self.together(key, entry.bounded(), after_at_least, looks),
+            None => self.send(entry.bounded()),
+        }
+    }
+
+    /// Writes a line, and counts those that follow under the same key.
+    fn together(&mut self, key: (u32, String), entry: Entry, after: Duration, looks: bool) {
         if let Some(known) = self.repeated.get_mut(&key) {
             (known.times, known.last) = (known.times + 1, Instant::now());
             // The first of them had the totals before.
@@ -141,7 +233,7 @@ impl Audit {
         }
         self.send(entry.clone());
         let now = Instant::now();
-        self.repeated.insert(key, Repeated { since: now, last: now, entry, times: 0, looks });
+        self.repeated.insert(key, Repeated { since: now, last: now, entry, times: 0, looks, after });
     }
 
     /// Lets what was held together go.
@@ -176,6 +268,32 @@ impl Audit {
         LogState { lost: state.lost + self.lost, ..state }
     }
 
+    /// The end of the record, where it is to be said elsewhere now: at first, with each file that is full, and once a day.
+    pub(crate) fn anchor(&mut self) -> Option<String> {
+        let shared = lock(&self.shared);
+        if shared.state.last_n == 0 {
+            return None;
+        }
+        let due = self
+            .anchored
+            .as_ref()
+            .is_none_or(|last| last.rotated != shared.rotated || last.at.elapsed() >= ANCHOR_EVERY);
+        if !due {
+            return None;
+        }
+        let refused = Some((shared.refused.0, shared.refused.1.as_str())).filter(|(n, _)| *n > 0);
+        let text = Anchor::text((shared.state.last_n, &shared.state.last_hash), refused);
+        let new = self.anchored.as_ref().is_none_or(|last| last.text != text);
+        self.anchored = Some(Anchored { at: Instant::now(), rotated: shared.rotated, text: text.clone() });
+        new.then_some(text)
+    }
+
+    /// Whether others have removed or renamed a file of it since the last time.
+    pub(crate) fn has_moved(&mut self) -> bool {
+        let moved = lock(&self.shared).moved;
+        std::mem::replace(&mut self.moved, moved) != moved
+    }
+
     /// Writes what is left, for so long at most.
     pub(crate) fn end(mut self, patience: Duration) {
         let due = std::mem::take(&mut self.repeated);
@@ -198,8 +316,24 @@ fn lock(shared: &Mutex<Shared>) -> std::sync::MutexGuard<'_, Shared> {
     shared.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
+/// The two chains.
+struct Writers {
+    record: Writer,
+    refused: Writer,
+}
+
+impl Writers {
+    fn of(&mut self, entry: &Entry) -> &mut Writer {
+        if entry.is_refusal() { &mut self.refused } else { &mut self.record }
+    }
+}
+
 fn write(path: &Path, group: Option<Gid>, waiting: &Receiver<Entry>, shared: &Mutex<Shared>) {
-    let mut writer = Writer::new(path).readable_by(group.map(Gid::as_raw));
+    let group = group.map(Gid::as_raw);
+    let mut writers = Writers {
+        record: Writer::new(path).readable_by(group),
+        refused: Writer::new(&refused_path(path)).readable_by(group).keeping(FILES_REFUSED),
+    };
     let (mut lost, mut not_before) = (Lost::default(), None::<Instant>);
     loop {
         let mut batch = match waiting.recv_timeout(RETRY) {
@@ -214,12 +348,16 @@ fn write(path: &Path, group: Option<Gid>, waiting: &Receiver<Entry>, shared: &Mu
         if not_before.is_some_and(|then| Instant::now() < then) {
             lost.lines += batch.len() as u64;
         } else {
-            trouble = write_batch(&mut writer, batch, &mut lost).err().map(|e| e.to_string());
+            trouble = write_batch(&mut writers, batch, &mut lost).err().map(|e| e.to_string());
             not_before = trouble.as_ref().map(|_| Instant::now() + RETRY);
         }
         let mut shared = lock(shared);
-        let (n, hash) = writer.last();
+        let (n, hash) = writers.record.last();
         (shared.state.last_n, shared.state.last_hash) = (n, hash.to_owned());
+        let (n, hash) = writers.refused.last();
+        shared.refused = (n, hash.to_owned());
+        shared.rotated = writers.record.rotated() + writers.refused.rotated();
+        shared.moved = writers.record.moved() + writers.refused.moved();
         shared.state.lost = lost.lines;
         if not_before.is_none() || trouble.is_some() {
             shared.state.trouble = trouble;
@@ -236,19 +374,19 @@ struct Lost {
 }
 
 /// Writes lines, after one that tells of those that were lost before; counts those that could not be written.
-fn write_batch(writer: &mut Writer, batch: Vec<Entry>, so_far: &mut Lost) -> std::io::Result<()> {
+fn write_batch(writers: &mut Writers, batch: Vec<Entry>, so_far: &mut Lost) -> std::io::Result<()> {
     let mut left = batch.len() as u64;
     let before = so_far.lines;
     let all = || {
         if so_far.lines > 0 {
-            writer.append(lost(so_far.lines, &so_far.began))?;
+            writers.record.append(lost(so_far.lines, &so_far.began))?;
             so_far.lines = 0;
         }
         for entry in batch {
-            writer.append(entry)?;
+            writers.of(&entry).append(entry)?;
             left -= 1;
         }
-        writer.sync()
+        writers.record.sync().and(writers.refused.sync())
     };
     let done: std::io::Result<()> = all();
     if let Err(error) = &done
@@ -298,7 +436,7 @@ mod tests {
         assert_eq!(all.len(), 5, "{all:?}");
         let repeated: Vec<_> = all.iter().filter_map(|e| e.times).collect();
         assert_eq!(repeated, [999, 999]);
-        assert!(verify(&path).unwrap().broken.is_empty());
+        assert!(verify(&path, &[]).unwrap().broken.is_empty());
     }
 
     /// `commission` asks a simulated axis every 20 ms whether it is there: commands must be found between it.
@@ -332,7 +470,7 @@ mod tests {
             [round(1.0), round(2.0)].concat().into_iter().chain([("jog", None, None); 2]).collect();
         let all: Vec<_> = all.iter().map(|(what, mm, times)| (what.as_str(), *mm, *times)).collect();
         assert_eq!(all, expected);
-        assert!(verify(&path).unwrap().broken.is_empty());
+        assert!(verify(&path, &[]).unwrap().broken.is_empty());
     }
 
     #[test]
@@ -340,6 +478,7 @@ mod tests {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("audit.log");
         let mut audit = Audit::start(&path, None).unwrap();
+        audit.note("start", String::new(), Totals::new());
         for n in 0..5000 {
             let request = serde_json::json!({"do": "correct", "total_counts": n});
             audit.command(Command { request, ..command(n, "refused") });
@@ -391,5 +530,113 @@ mod tests {
         let all = lines(&path);
         assert_eq!((all[0].what.as_str(), all[0].times, all.len()), ("lost", Some(1), 2));
         assert!(all[0].text.contains("No such file"), "{}", all[0].text);
+    }
+
+    #[test]
+    fn refusals_never_displace_a_command() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("audit.log");
+        let mut audit = Audit::start(&path, None).unwrap();
+        audit.command(command(1, "done"));
+        // Fourteen minutes of refusals that differ, each as long as a line may be, from a user with a budget.
+        for n in 0..14 * 60 * 20 {
+            let request = serde_json::json!({"do": "correct", "axis": format!("{n}{}", "x".repeat(4000))});
+            audit.command(Command { request, text: "y".repeat(4000), ..command(n, "refused") });
+            if n % 20 == 0 {
+                // As a second later.
+                for r in audit.repeated.values_mut() {
+                    r.since = r.since.checked_sub(TOGETHER).unwrap();
+                }
+                audit.turn();
+            }
+            let begun = Instant::now();
+            while audit.lost > 0 && begun.elapsed() < Duration::from_secs(30) {
+                std::thread::sleep(Duration::from_millis(1));
+                audit.note("start", String::new(), Totals::new());
+            }
+        }
+        audit.end(Duration::from_secs(30));
+        let bytes = |path: &Path| std::fs::metadata(path).unwrap().len();
+        assert!(bytes(&path) < 100_000, "{}", bytes(&path));
+        // A few hundred lines, and then a count of each verb.
+        assert!(bytes(&refused_path(&path)) < 2_000_000, "{}", bytes(&refused_path(&path)));
+        let all = lines(&path);
+        assert!(all.iter().any(|e| e.result == "done" && e.n == 1));
+        let told: u64 = all.iter().filter(|e| e.result == "refused").map(|e| e.times.unwrap_or(1)).sum();
+        assert_eq!(told, 14 * 60 * 20);
+        assert!(verify(&path, &[]).unwrap().broken.is_empty());
+    }
+
+    #[test]
+    fn whoever_operates_does_not_write_the_record_full() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("audit.log");
+        let mut audit = Audit::start(&path, None).unwrap();
+        let by = |role: &str| Caller { uid: 7, role: role.to_owned(), ..Caller::default() };
+        let happened =
+            Happened { t_ns: 0, axis: None, kind: "mode".to_owned(), text: "hold".to_owned(), trip: None };
+        for n in 0..5000 {
+            let request = serde_json::json!({"do": "hold", "on": n % 2 == 0});
+            audit.command(Command { by: by("operate"), request, ..command(1, "done") });
+            audit.happened(&happened, Totals::new());
+            let begun = Instant::now();
+            while audit.lost > 0 && begun.elapsed() < Duration::from_secs(30) {
+                std::thread::sleep(Duration::from_millis(1));
+                audit.note("start", String::new(), Totals::new());
+            }
+        }
+        for _ in 0..3 {
+            audit.command(Command { by: by("set_up"), ..command(1, "done") });
+        }
+        audit.end(Duration::from_secs(30));
+        let all = lines(&path);
+        let of = |role: &str| all.iter().filter(|e| e.by.as_ref().is_some_and(|by| by.role == role)).count();
+        // Each of those to set up has its line, whoever else has used up his.
+        assert_eq!(of("set_up"), 3);
+        assert!((BUDGET as usize..BUDGET as usize + 10).contains(&of("operate")), "{}", of("operate"));
+        let counted = |what: &str| -> u64 {
+            all.iter()
+                .filter(|e| e.what == what && e.by.as_ref().is_none_or(|by| by.role == "operate"))
+                .map(|e| e.times.unwrap_or(1))
+                .sum()
+        };
+        assert_eq!((counted("command"), counted("mode")), (5000, 5000));
+    }
+
+    #[test]
+    fn the_end_of_the_record_is_anchored_at_first_and_once_a_day() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("audit.log");
+        let mut audit = Audit::start(&path, None).unwrap();
+        assert_eq!(audit.anchor(), None);
+        let until = |audit: &Audit, n: u64| {
+            let begun = Instant::now();
+            while audit.state().last_n < n {
+                assert!(begun.elapsed() < Duration::from_secs(30));
+                std::thread::sleep(Duration::from_millis(1));
+            }
+        };
+        audit.command(command(1, "done"));
+        until(&audit, 1);
+        let first = audit.anchor().unwrap();
+        audit.command(command(1, "done"));
+        until(&audit, 2);
+        assert_eq!(audit.anchor(), None);
+        let a_day_ago = Instant::now().checked_sub(ANCHOR_EVERY);
+        if let (Some(last), Some(then)) = (&mut audit.anchored, a_day_ago) {
+            last.at = then;
+            let second = audit.anchor().unwrap();
+            let anchors = Anchor::all(&format!("{first}\n{second}"));
+            assert_eq!(anchors.iter().map(|a| a.n).collect::<Vec<_>>(), [1, 2]);
+            assert!(verify(&path, &anchors).unwrap().broken.is_empty());
+        }
+        lock(&audit.shared).rotated = 1;
+        let told = audit.anchor();
+        // Nothing new was written since.
+        assert_eq!(told.is_none(), a_day_ago.is_some());
+        std::fs::remove_file(&path).unwrap();
+        audit.command(command(1, "done"));
+        until(&audit, 4);
+        assert!(audit.has_moved() && !audit.has_moved());
     }
 }

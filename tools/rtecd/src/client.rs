@@ -14,7 +14,8 @@ use std::time::{Duration, Instant};
 
 /// Unread answers that a client may leave lying, bytes. Beyond it nothing more is read from it, and a watcher is dropped.
 const MAX_UNREAD: usize = 256 * 1024;
-/// A client that says nothing whole for so long is dropped; watchers may be silent.
+/// A client that says nothing whole for so long is dropped; watchers may be silent. One that reads nothing of its answers for so
+/// long is dropped, a watcher too.
 const IDLE: Duration = Duration::from_secs(30);
 /// The same on a reserved place.
 const IDLE_RESERVED: Duration = Duration::from_secs(2);
@@ -72,6 +73,8 @@ pub(crate) struct Client {
     files: VecDeque<OwnedFd>,
     outbox: Vec<u8>,
     last_line: Instant,
+    /// When it last took something of its answers, or had none to take.
+    last_taken: Instant,
     stage: Stage,
 }
 
@@ -101,6 +104,7 @@ impl Client {
             files: VecDeque::new(),
             outbox: Vec::new(),
             last_line: Instant::now(),
+            last_taken: Instant::now(),
             stage: Stage::Open,
         })
     }
@@ -132,6 +136,9 @@ impl Client {
     pub(crate) fn put(&mut self, response: &Response) {
         // A response is numbers, strings and lists: it has a JSON form.
         let Ok(line) = serde_json::to_string(response) else { return };
+        if self.outbox.is_empty() {
+            self.last_taken = Instant::now();
+        }
         self.outbox.extend_from_slice(line.as_bytes());
         self.outbox.push(b'\n');
     }
@@ -211,6 +218,7 @@ impl Client {
         while !self.outbox.is_empty() {
             match self.stream.write(&self.outbox) {
                 Ok(n) => {
+                    self.last_taken = Instant::now();
                     self.outbox.drain(..n);
                 }
                 Err(e) if e.kind() == ErrorKind::WouldBlock => return,
@@ -228,7 +236,8 @@ impl Client {
         let patience = if self.reserved { IDLE_RESERVED } else { IDLE };
         let idle =
             !self.watching && !self.waits && self.pending.is_none() && self.last_line.elapsed() > patience;
-        let deaf = self.watching && self.outbox.len() > MAX_UNREAD;
+        let stalled = self.unsent() && self.last_taken.elapsed() > patience;
+        let deaf = stalled || self.watching && self.outbox.len() > MAX_UNREAD;
         let ended =
             self.stage == Stage::Closing && self.outbox.is_empty() && self.pending.is_none() && !self.waits;
         self.gone() || idle || deaf || ended && !self.inbox.contains(&b'\n')
@@ -256,5 +265,30 @@ fn executable(pid: i32) -> String {
         Ok(path) => plain(&path.to_string_lossy()),
         Err(_) => std::fs::read_to_string(format!("/proc/{pid}/comm"))
             .map_or(String::new(), |name| format!("[{}]", plain(name.trim()))),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn whoever_reads_nothing_is_dropped_a_watcher_too() {
+        let (stream, _other) = UnixStream::pair().unwrap();
+        stream.set_nonblocking(true).unwrap();
+        let mut client = Client::new(1, stream, Role::View, Path::new("s")).unwrap();
+        client.watching = true;
+        client.last_line = Instant::now().checked_sub(2 * IDLE).unwrap();
+        // A watcher that has nothing to read may be silent.
+        client.write();
+        assert!(!client.over());
+        while !client.unsent() {
+            client.put(&Response::Bad { text: "x".repeat(4096) });
+            client.write();
+        }
+        assert!(!client.over());
+        client.last_taken = Instant::now().checked_sub(2 * IDLE).unwrap();
+        client.write();
+        assert!(client.over());
     }
 }

@@ -37,7 +37,7 @@ impl History {
     pub(crate) fn note(&mut self, event: &Event) {
         match event.kind {
             EventKind::Fault(fault) => *self.latched.entry(word(fault)).or_default() += 1,
-            EventKind::Homed => {
+            EventKind::Homed { .. } => {
                 let axis = event.axis.and_then(|n| self.ledgers.get_mut(usize::from(n)));
                 if let Some(ledger) = axis {
                     ledger.anew = true;
@@ -130,7 +130,7 @@ mod tests {
             page.rows.iter().map(|r| (r.since_ns, r.t_ns, r.completed, r.insertions)).collect();
         assert_eq!(rows, [(10, 10, 0, 0), (20, 30, 2, 1), (40, 50, 2, 3)]);
         assert_eq!((page.first, page.end, page.dropped, page.now_ns, page.now_counts), (0, 3, 0, 50, 20));
-        let homed = Event { t_ns: 60, axis: Some(0), kind: EventKind::Homed };
+        let homed = Event { t_ns: 60, axis: Some(0), kind: EventKind::Homed { kept_counts: 0 } };
         history.note(&homed);
         history.look(&status(70, 0, 0, 3));
         let page = history.ledger(0, 0);

@@ -7,10 +7,12 @@
 //!
 //! Each is written by a thread of its own: a disk that is full, gone or hanging costs a record and an event that says so.
 
-use rtec_control::config::ConfiguredAxis;
+use rtec_control::config::{ConfiguredAxis, ControlConfig};
 use rtec_control::protocol::TripReport;
+use rtec_files::InputError;
+use rtec_files::words::{quoted, unseen};
 use rtec_measure::record::{parse_log, to_csv, to_sidecar};
-use rtec_measure::spool;
+use rtec_measure::spool::{self, Room};
 use rtec_model::date;
 use rtec_model::record::{Column, Kind, Record, Role, check};
 use std::io;
@@ -22,6 +24,8 @@ use std::time::Duration;
 const TRIPS: usize = 50_000;
 /// Threads that may hang on a disk.
 const HANGING: usize = 4;
+/// So much of the spool's disk is left to others, %.
+const FREE_PERCENT: u64 = 5;
 
 /// One trip of the probe: the same moment for all axes.
 struct Trip {
@@ -42,9 +46,31 @@ struct Run {
 /// What became of a record: the file, or why it was not kept.
 pub(crate) type Kept = Result<PathBuf, String>;
 
+/// A spool folder, and how much it may hold.
+#[derive(Debug, Clone)]
+pub(crate) struct Spool {
+    pub folder: PathBuf,
+    pub room: Room,
+}
+
+impl Spool {
+    /// The one that the configuration names.
+    pub(crate) fn of(control: &ControlConfig) -> Option<Self> {
+        let room = Room { most_bytes: control.spool_mb << 20, free_percent: FREE_PERCENT };
+        control.spool.clone().map(|folder| Self { folder, room })
+    }
+
+    fn put(&self, record: Record, csv: &[u8], go_on: &dyn Fn() -> bool) -> Result<PathBuf, String> {
+        let Self { folder, room } = self;
+        spool::put(record, csv, folder, *room, go_on).map_err(|error| {
+            if folder.is_dir() { format!("{}: {error}", folder.display()) } else { no_folder(folder) }
+        })
+    }
+}
+
 /// The spool folder, and the probing run that is under way.
 pub(crate) struct Keeper {
-    folder: Option<PathBuf>,
+    spool: Option<Spool>,
     /// Names of the temperature sensors, each with its place among all sensors.
     sensors: Vec<(usize, String)>,
     run: Option<Run>,
@@ -53,23 +79,27 @@ pub(crate) struct Keeper {
 }
 
 impl Keeper {
-    pub(crate) fn new(folder: Option<PathBuf>, sensors: Vec<(usize, String)>) -> Self {
-        Self { folder, sensors, run: None, results: channel(), writing: 0 }
+    pub(crate) fn new(spool: Option<Spool>, sensors: Vec<(usize, String)>) -> Self {
+        if let Some(Spool { folder, .. }) = spool.clone() {
+            // What a daemon that was killed had begun. Nobody waits for the disk; where there is no thread the next record does it.
+            let _ = std::thread::Builder::new().name("spool".into()).spawn(move || spool::finish(&folder));
+        }
+        Self { spool, sensors, run: None, results: channel(), writing: 0 }
     }
 
-    pub(crate) fn folder(&self) -> Option<&Path> {
-        self.folder.as_deref()
+    pub(crate) fn spool(&self) -> Option<&Spool> {
+        self.spool.as_ref()
     }
 
     /// What is to be mended before a record can be kept.
     pub(crate) fn trouble(&self) -> Option<String> {
-        let folder = self.folder.as_ref().filter(|f| !f.is_dir())?;
+        let folder = self.spool.as_ref().map(|s| &s.folder).filter(|f| !f.is_dir())?;
         Some(format!("[control] spool: {}", no_folder(folder)))
     }
 
     /// Probing begins.
     pub(crate) fn begin(&mut self, began_ns: u64, began_s: f64) {
-        self.run = self.folder.is_some().then(|| Run { began_ns, began_s, trips: Vec::new() });
+        self.run = self.spool.is_some().then(|| Run { began_ns, began_s, trips: Vec::new() });
     }
 
     /// One axis at a trip; the axes of one trip come one after the other.
@@ -98,13 +128,13 @@ impl Keeper {
     }
 
     fn write(&mut self, run: &Run, axes: &[ConfiguredAxis]) {
-        let Some(folder) = self.folder.clone() else { return };
+        let Some(spool) = self.spool.clone() else { return };
         let trips = run.trips.len();
         let lost = move |why: &str| format!("a probing run of {trips} trips is not kept: {why}");
         let done = self.results.0.clone();
         self.writing += 1;
         if self.writing > HANGING {
-            let _ = done.send(Err(lost(&format!("{} does not answer", folder.display()))));
+            let _ = done.send(Err(lost(&format!("{} does not answer", spool.folder.display()))));
             return;
         }
         let Some(record) = record(run, axes, &self.sensors) else {
@@ -115,9 +145,9 @@ impl Keeper {
             let done = done.clone();
             move || {
                 let csv = to_csv(&record);
-                let kept = spool::put(record, csv.as_bytes(), &folder);
+                let kept = spool.put(record, csv.as_bytes(), &|| true);
                 // At the end of the daemon nobody may be waiting any more.
-                let _ = done.send(kept.map_err(|e| lost(&not_written(&folder, &e))));
+                let _ = done.send(kept.map_err(|why| lost(&why)));
             }
         });
         if let Err(error) = written {
@@ -142,21 +172,41 @@ impl Keeper {
     }
 }
 
-/// A record that a client hands over: read as every record is, then put into the folder.
+/// A record that a client hands over: read as every record is, then put into the folder. `go_on` says no where it has taken
+/// too long: then it is not kept.
 ///
 /// # Errors
 /// It is no record, or cannot be written.
 pub(crate) fn take_over(
     name: &Path,
     sidecar: &str,
-    csv: &str,
-    folder: &Path,
-) -> Result<Kept, rtec_files::InputError> {
-    let record = parse_log(name, sidecar, csv.as_bytes())?;
-    // As it will stand in the folder, it must still be one.
-    parse_log(name, &to_sidecar(&record), csv.as_bytes())?;
-    let kept = spool::put(record, csv.as_bytes(), folder);
-    Ok(kept.map_err(|e| format!("the record is not kept: {}", not_written(folder, &e))))
+    csv: &[u8],
+    spool: &Spool,
+    go_on: &dyn Fn() -> bool,
+) -> Result<Kept, InputError> {
+    // As it will stand in the folder it must still be one; of the two one is in memory at a time.
+    let words = to_sidecar(&parse_log(name, sidecar, Until { bytes: csv, go_on })?);
+    let record = parse_log(name, &words, Until { bytes: csv, go_on })?;
+    let texts = record.columns.iter().map(|c| &c.name).chain(&record.note).chain(&record.zero);
+    let file = record.path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    if let Some((text, c)) = texts.chain([&file]).find_map(|text| Some((text, unseen(text)?))) {
+        let found = format!("{} with the character U+{:04X}", quoted(text), u32::from(c));
+        return Err(InputError::whole(name, found, "names and notes of characters that can be seen"));
+    }
+    let kept = spool.put(record, csv, go_on);
+    Ok(kept.map_err(|why| format!("the record is not kept: {why}")))
+}
+
+/// Bytes that come to an end where it takes too long.
+struct Until<'a> {
+    bytes: &'a [u8],
+    go_on: &'a dyn Fn() -> bool,
+}
+
+impl io::Read for Until<'_> {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        if (self.go_on)() { self.bytes.read(buffer) } else { Err(io::Error::other("it took too long")) }
+    }
 }
 
 fn no_folder(folder: &Path) -> String {
@@ -164,10 +214,6 @@ fn no_folder(folder: &Path) -> String {
         "{} is no folder: no record is kept until it is one that the daemon may write to",
         folder.display()
     )
-}
-
-fn not_written(folder: &Path, error: &io::Error) -> String {
-    if folder.is_dir() { format!("{}: {error}", folder.display()) } else { no_folder(folder) }
 }
 
 /// A probing run as a record: a row per trip. An axis or a sensor that was not known at every trip has no column.
@@ -247,6 +293,10 @@ mod tests {
         keeper.end(&axes);
     }
 
+    fn spool(folder: &Path) -> Spool {
+        Spool { folder: folder.to_owned(), room: Room::ANY }
+    }
+
     fn sensors() -> Vec<(usize, String)> {
         vec![(0, "T1".to_owned()), (1, "T2".to_owned())]
     }
@@ -254,7 +304,7 @@ mod tests {
     #[test]
     fn a_probing_run_is_a_record_of_what_was_known_at_every_trip() {
         let folder = tempfile::tempdir().unwrap();
-        let mut keeper = Keeper::new(Some(folder.path().to_owned()), sensors());
+        let mut keeper = Keeper::new(Some(spool(folder.path())), sensors());
         probed(&mut keeper, 3);
         let file = keeper.last(Duration::from_secs(60)).unwrap().unwrap();
         assert_eq!(file, folder.path().join("probing-20260801-101502.run.toml"));
@@ -281,7 +331,7 @@ mod tests {
     #[test]
     fn a_run_without_an_end_becomes_records_of_a_bounded_length() {
         let folder = tempfile::tempdir().unwrap();
-        let mut keeper = Keeper::new(Some(folder.path().to_owned()), sensors());
+        let mut keeper = Keeper::new(Some(spool(folder.path())), sensors());
         probed(&mut keeper, TRIPS + 2);
         let mut rows = Vec::new();
         for _ in 0..2 {
@@ -295,7 +345,7 @@ mod tests {
     #[test]
     fn a_folder_that_is_gone_costs_the_record_and_says_so() {
         let folder = tempfile::tempdir().unwrap();
-        let mut keeper = Keeper::new(Some(folder.path().join("gone")), sensors());
+        let mut keeper = Keeper::new(Some(spool(&folder.path().join("gone"))), sensors());
         assert!(keeper.trouble().unwrap().contains("is no folder"));
         probed(&mut keeper, 4);
         let why = keeper.last(Duration::from_secs(60)).unwrap().unwrap_err();
@@ -304,5 +354,52 @@ mod tests {
         let mut keeper = Keeper::new(None, sensors());
         probed(&mut keeper, 4);
         assert!(keeper.last(Duration::ZERO).is_none() && keeper.trouble().is_none());
+    }
+
+    const SIDECAR: &str =
+        "file = 'a.csv'\nkind = 'drift'\n[columns]\ne = { role = 'error.z', unit = 'um' }\n";
+
+    #[test]
+    fn a_name_that_a_terminal_would_obey_is_not_kept() {
+        let folder = tempfile::tempdir().unwrap();
+        let taken = |name: &str, sidecar: &str, csv: &str| {
+            take_over(Path::new(name), sidecar, csv.as_bytes(), &spool(folder.path()), &|| true)
+        };
+        let escape = "\\u001b[2J";
+        for (name, sidecar, csv) in [
+            ("a\u{1b}[2J.run.toml", SIDECAR.to_owned(), "e\n1\n"),
+            ("a\u{202e}.run.toml", SIDECAR.to_owned(), "e\n1\n"),
+            ("a.run.toml", SIDECAR.replace("\ne =", &format!("\n\"e{escape}\" =")), "\"e\u{1b}[2J\"\n1\n"),
+            ("a.run.toml", SIDECAR.replace("kind", &format!("note = \"{escape}\"\nkind")), "e\n1\n"),
+            ("a.run.toml", SIDECAR.replace("kind", &format!("zero = \"{escape}\"\nkind")), "e\n1\n"),
+        ] {
+            let error = taken(name, &sidecar, csv).unwrap_err().to_string();
+            assert!(error.contains("that can be seen"), "{error}");
+            assert!(unseen(&error).is_none(), "{error:?}");
+        }
+        assert!(std::fs::read_dir(folder.path()).unwrap().next().is_none());
+        taken("a.run.toml", SIDECAR, "e\n1\n").unwrap().unwrap();
+    }
+
+    #[test]
+    fn what_takes_too_long_is_not_kept() {
+        let folder = tempfile::tempdir().unwrap();
+        let (looks, csv) = (std::cell::Cell::new(0), "e\n".to_owned() + &"1\n".repeat(1 << 17));
+        // Given up at each look in turn: while it is read, read again, and written.
+        for most in 1.. {
+            looks.set(0);
+            let go_on = || {
+                looks.set(looks.get() + 1);
+                looks.get() < most
+            };
+            let kept =
+                take_over(Path::new("a.run.toml"), SIDECAR, csv.as_bytes(), &spool(folder.path()), &go_on);
+            if looks.get() < most {
+                assert!(kept.unwrap().is_ok() && most > 6, "{most}");
+                return;
+            }
+            assert!(!matches!(kept, Ok(Ok(_))), "{most}");
+            assert!(std::fs::read_dir(folder.path()).unwrap().next().is_none(), "{most}");
+        }
     }
 }

@@ -1,11 +1,12 @@
 //! Files that a request names, read and made ready by a thread of their own: one at a time, regular files only, within
 //! limits of size and time. The control side goes on meanwhile.
 
-use crate::keeper::{Kept, take_over};
+use crate::keeper::{Kept, Spool, take_over};
 use rtec_control::protocol::PartTable;
 use rtec_correct::corrector::{Prepared, Preparer};
 use rtec_correct::sensors::Watch;
 use rtec_files::{InputError, text};
+use rtec_measure::spool::LONGEST_SIDECAR;
 use rtec_model::effect::Dictionary;
 use rtec_model::machine::Machine;
 use rtec_part::cor::FeatureErrors;
@@ -15,17 +16,23 @@ use std::fs::File;
 use std::os::fd::OwnedFd;
 use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::time::{Duration, Instant};
 
-/// All files of a request together are no longer than this, bytes.
-const LONGEST: u64 = 2 << 20;
-/// And a record with its CSV: a day of twenty columns, each second.
-const LONGEST_RECORD: u64 = 64 << 20;
+/// Files of a model are together no longer than this, bytes. What is read of a TOML takes some 150 times its bytes in memory.
+const LONGEST_MODEL: u64 = 2 << 20;
+/// A part's errors, bytes.
+const LONGEST_ERRORS: u64 = 2 << 20;
+/// A record's CSV, bytes: a day of twenty columns, each second. Its columns take four times as much at most.
+const LONGEST_CSV: u64 = 32 << 20;
 /// A part has no more points.
 const POINTS: usize = 20_000;
 /// A load that takes longer is given up.
 pub(crate) const PATIENCE: Duration = Duration::from_secs(8);
+/// Loads that were given up and still hang in a file system. With so many nothing more is loaded.
+const HANGING: usize = 2;
 /// Of the time between two evaluations a model may take so much.
 const SHARE: f64 = 0.25;
 
@@ -62,7 +69,7 @@ pub(crate) enum Job {
     /// A part's errors.
     Table { table: PartTable, source: Source },
     /// A finished record: its sidecar and its CSV, for the spool folder.
-    Keep { files: [PathBuf; 2], source: Source, folder: PathBuf },
+    Keep { files: [PathBuf; 2], source: Source, spool: Spool },
 }
 
 /// What was read.
@@ -78,21 +85,51 @@ pub(crate) enum Loaded {
 /// One load.
 pub(crate) type Ticket = u64;
 
+/// What a load and who waits for it tell each other.
+#[derive(Debug, Default)]
+pub(crate) struct Told {
+    /// It is to end.
+    given_up: AtomicBool,
+    /// It reads a file: where it does not end it hangs there, and takes no time of a processor.
+    reads: AtomicBool,
+}
+
+impl Told {
+    fn go_on(&self) -> bool {
+        !self.given_up.load(Ordering::Relaxed)
+    }
+}
+
+/// A load that is under way.
+struct Running {
+    ticket: Ticket,
+    since: Instant,
+    told: Arc<Told>,
+}
+
 /// One thread that loads, or none.
 pub(crate) struct Loader {
     results: (Sender<Done>, Receiver<Done>),
-    /// What is being loaded, and since when; also after it has been given up.
-    running: Option<(Ticket, Instant)>,
+    running: Option<Running>,
+    /// Loads that were given up and have not ended yet.
+    hanging: Vec<(Ticket, Arc<Told>)>,
     next: Ticket,
 }
 
 impl Loader {
     pub(crate) fn new() -> Self {
-        Self { results: channel(), running: None, next: 1 }
+        Self { results: channel(), running: None, hanging: Vec::new(), next: 1 }
     }
 
-    pub(crate) fn busy(&self) -> bool {
-        self.running.is_some()
+    /// Why nothing can be loaded now.
+    pub(crate) fn busy(&self) -> Option<&'static str> {
+        // What still computes has the processor to itself: beside others it would take longer yet.
+        let computes = self.hanging.iter().any(|(_, told)| !told.reads.load(Ordering::Relaxed));
+        if self.running.is_some() || computes {
+            return Some("another file is being loaded: ask again when it is done");
+        }
+        let hangs = "two loads that were given up have not ended: end what their file systems wait for, or restart the daemon";
+        (self.hanging.len() >= HANGING).then_some(hangs)
     }
 
     /// Starts a load; to be asked for only where none is running.
@@ -101,33 +138,43 @@ impl Loader {
     /// The system gives no thread.
     pub(crate) fn start(&mut self, job: Job) -> std::io::Result<Ticket> {
         let (ticket, done) = (self.next, self.results.0.clone());
+        let told = Arc::<Told>::default();
+        let own = Arc::clone(&told);
         std::thread::Builder::new().name("loader".into()).spawn(move || {
             // Nobody may be waiting any more.
-            let _ = done.send((ticket, work(job)));
+            let _ = done.send((ticket, work(job, &own)));
         })?;
         self.next += 1;
-        self.running = Some((ticket, Instant::now()));
+        self.running = Some(Running { ticket, since: Instant::now(), told });
         Ok(ticket)
     }
 
-    /// What has been loaded since the last time.
-    pub(crate) fn done(&mut self) -> Option<Done> {
+    /// What has been loaded since the last time, and whether it was given up before.
+    pub(crate) fn done(&mut self) -> Option<(Done, bool)> {
         let done = self.results.1.try_recv().ok()?;
-        self.running = None;
-        Some(done)
+        let before = self.hanging.len();
+        self.hanging.retain(|(ticket, _)| *ticket != done.0);
+        let given_up = self.hanging.len() < before;
+        if !given_up {
+            self.running = None;
+        }
+        Some((done, given_up))
     }
 
-    /// The load that has taken too long, whose caller is to be told.
-    pub(crate) fn overdue(&self) -> Option<Ticket> {
-        self.running.filter(|(_, since)| since.elapsed() > PATIENCE).map(|(ticket, _)| ticket)
+    /// Gives up the load that has taken too long; its caller is to be told.
+    pub(crate) fn give_up(&mut self) -> Option<Ticket> {
+        let Running { ticket, told, .. } = self.running.take_if(|r| r.since.elapsed() > PATIENCE)?;
+        told.given_up.store(true, Ordering::Relaxed);
+        self.hanging.push((ticket, told));
+        Some(ticket)
     }
 }
 
 /// Does a job, on whichever thread.
-pub(crate) fn work(job: Job) -> Result<Loaded, InputError> {
+pub(crate) fn work(job: Job, told: &Told) -> Result<Loaded, InputError> {
     match job {
         Job::Model { file, source, preparer, watches, past, now_s, period } => {
-            let reader = Reader::new(&source);
+            let reader = Reader::new(&source, LONGEST_MODEL, told);
             let text = reader.read(&file)?;
             let machine =
                 Machine::parse_from(&file, &text, Dictionary::default(), &|beside| reader.read(beside))?;
@@ -146,17 +193,18 @@ pub(crate) fn work(job: Job) -> Result<Loaded, InputError> {
         }
         Job::Table { table, source } => {
             let file = PathBuf::from(&table.errors);
-            let errors = FeatureErrors::parse(&file, &Reader::new(&source).read(&file)?)?;
+            let errors =
+                FeatureErrors::parse(&file, &Reader::new(&source, LONGEST_ERRORS, told).read(&file)?)?;
             if errors.len() > POINTS {
                 let found = format!("{} points", errors.len());
                 return Err(InputError::whole(&file, found, format!("at most {POINTS}")));
             }
             Ok(Loaded::Table { table, errors })
         }
-        Job::Keep { files: [sidecar, csv], source, folder } => {
-            let reader = Reader::of(&source, LONGEST_RECORD);
-            let (text, rows) = (reader.read(&sidecar)?, reader.read(&csv)?);
-            Ok(Loaded::Kept(take_over(&sidecar, &text, &rows, &folder)?))
+        Job::Keep { files: [sidecar, csv], source, spool } => {
+            let text = Reader::new(&source, LONGEST_SIDECAR, told).read(&sidecar)?;
+            let rows = Reader::new(&source, LONGEST_CSV, told).bytes(&csv)?;
+            Ok(Loaded::Kept(take_over(&sidecar, &text, &rows, &spool, &|| told.go_on())?))
         }
     }
 }
@@ -167,56 +215,75 @@ struct Reader<'s> {
     longest: u64,
     /// Bytes that may still come.
     left: Cell<u64>,
+    told: &'s Told,
     taken: RefCell<BTreeMap<PathBuf, String>>,
 }
 
 impl<'s> Reader<'s> {
-    fn new(source: &'s Source) -> Self {
-        Self::of(source, LONGEST)
-    }
-
-    fn of(source: &'s Source, longest: u64) -> Self {
-        Self { source, longest, left: Cell::new(longest), taken: RefCell::default() }
+    fn new(source: &'s Source, longest: u64, told: &'s Told) -> Self {
+        Self { source, longest, left: Cell::new(longest), told, taken: RefCell::default() }
     }
 
     fn read(&self, path: &Path) -> Result<String, InputError> {
         let content = match self.source {
             Source::Kept(files) => files.get(path).cloned().ok_or_else(|| missing(path))?,
-            Source::Handed(files) => {
-                let fd = files.get(path).ok_or_else(|| missing(path))?;
-                let file = fd.try_clone().map_err(|e| text::unreadable(path, &e))?;
-                self.decode(path, &File::from(file))?
-            }
-            Source::Named => {
-                // Without waiting, and through no pipe: as every file that a person names.
-                self.decode(path, &text::open_regular(path)?)?
-            }
+            _ => text::decode(path, &self.bytes(path)?)?,
         };
         self.taken.borrow_mut().insert(path.to_owned(), content.clone());
         Ok(content)
     }
 
-    fn decode(&self, path: &Path, file: &File) -> Result<String, InputError> {
+    fn bytes(&self, path: &Path) -> Result<Vec<u8>, InputError> {
+        self.told.reads.store(true, Ordering::Relaxed);
+        let bytes = self.bytes_of(path);
+        self.told.reads.store(false, Ordering::Relaxed);
+        bytes
+    }
+
+    fn bytes_of(&self, path: &Path) -> Result<Vec<u8>, InputError> {
         let unreadable = |e: std::io::Error| text::unreadable(path, &e);
-        if !file.metadata().map_err(unreadable)?.is_file() {
+        let file = match self.source {
+            Source::Handed(files) => {
+                let fd = files.get(path).ok_or_else(|| missing(path))?;
+                File::from(fd.try_clone().map_err(unreadable)?)
+            }
+            // Without waiting, and through no pipe: as every file that a person names.
+            Source::Named => text::open_regular(path)?,
+            Source::Kept(_) => return Err(missing(path)),
+        };
+        let found = file.metadata().map_err(unreadable)?;
+        if !found.is_file() {
             return Err(InputError::whole(path, "a folder, pipe, socket or device", "a regular file"));
         }
-        let (mut content, mut buffer) = (Vec::new(), vec![0; 64 << 10]);
+        let too_long = || {
+            let found = format!("more than {} bytes in all", self.longest);
+            InputError::whole(path, found, "shorter files")
+        };
+        // Before a byte of it is read; a file that grows meanwhile is found below.
+        if found.len() > self.left.get() {
+            return Err(too_long());
+        }
+        let (mut content, mut buffer) = (Vec::with_capacity(found.len() as usize), vec![0; 64 << 10]);
         loop {
+            if !self.told.go_on() {
+                return Err(InputError::whole(
+                    path,
+                    "a file that takes too long to read",
+                    "a disk that answers",
+                ));
+            }
             // From its beginning, wherever the caller has read to.
             let n = file.read_at(&mut buffer, content.len() as u64).map_err(unreadable)?;
             content.extend_from_slice(&buffer[..n]);
             if content.len() as u64 > self.left.get() {
-                let longest = self.longest;
-                let found = format!("more than {longest} bytes in all");
-                return Err(InputError::whole(path, found, "shorter files"));
+                return Err(too_long());
             }
             if n == 0 {
                 break;
             }
         }
         self.left.set(self.left.get() - content.len() as u64);
-        text::decode(path, &content)
+        Ok(content)
     }
 
     fn taken(self) -> BTreeMap<PathBuf, String> {
@@ -250,7 +317,7 @@ mod tests {
     }
 
     fn refused(file: &Path) -> String {
-        match work(Job::Table { table: table(file), source: Source::Named }) {
+        match work(Job::Table { table: table(file), source: Source::Named }, &Told::default()) {
             Ok(_) => panic!("{} was read", file.display()),
             Err(error) => error.to_string(),
         }
@@ -265,7 +332,7 @@ mod tests {
             assert!(refused(file).contains("expected a regular file"), "{}", refused(file));
         }
         let long = directory.path().join("long");
-        File::create(&long).unwrap().set_len(LONGEST + 1).unwrap();
+        File::create(&long).unwrap().set_len(LONGEST_ERRORS + 1).unwrap();
         assert!(refused(&long).contains("more than 2097152 bytes"), "{}", refused(&long));
         let many = directory.path().join("many");
         let rows: String =
@@ -283,10 +350,59 @@ mod tests {
         std::fs::remove_file(&file).unwrap();
         let files = BTreeMap::from([(file.clone(), OwnedFd::from(open))]);
         let job = Job::Table { table: table(&file), source: Source::Handed(files) };
-        assert!(matches!(work(job), Ok(Loaded::Table { errors, .. }) if errors.len() == 2));
+        assert!(matches!(work(job, &Told::default()), Ok(Loaded::Table { errors, .. }) if errors.len() == 2));
         let job =
             Job::Table { table: table(Path::new("/etc/passwd")), source: Source::Handed(BTreeMap::new()) };
-        let Err(error) = work(job) else { panic!("read") };
+        let Err(error) = work(job, &Told::default()) else { panic!("read") };
         assert!(error.to_string().contains("did not come with the request"), "{error}");
+    }
+
+    #[test]
+    fn each_kind_of_file_has_its_own_bound() {
+        let directory = tempfile::tempdir().unwrap();
+        let at = |name: &str| directory.path().join(name);
+        let spool = Spool { folder: directory.path().to_owned(), room: rtec_measure::spool::Room::ANY };
+        for (sidecar, csv, bound) in
+            [(LONGEST_SIDECAR + 1, 1, LONGEST_SIDECAR), (1, LONGEST_CSV + 1, LONGEST_CSV)]
+        {
+            for (name, bytes) in [("a.run.toml", sidecar), ("a.csv", csv)] {
+                let file = File::create(at(name)).unwrap();
+                std::io::Write::write_all(&mut &file, b"#").unwrap();
+                file.set_len(bytes).unwrap();
+            }
+            let files = [at("a.run.toml"), at("a.csv")];
+            let job = Job::Keep { files, source: Source::Named, spool: spool.clone() };
+            let Err(error) = work(job, &Told::default()) else { panic!("kept") };
+            assert!(error.to_string().contains(&format!("more than {bound} bytes")), "{error}");
+        }
+    }
+
+    #[test]
+    fn a_load_that_was_given_up_ends_and_others_go_on() {
+        let directory = tempfile::tempdir().unwrap();
+        let file = directory.path().join("error.cor");
+        std::fs::write(&file, "0 1\n1 2\n").unwrap();
+        let mut loader = Loader::new();
+        for n in 0..HANGING {
+            assert!(loader.busy().is_none(), "{n}");
+            // As if it hung in a file system: it is not under way, and its result has not come.
+            let told = Arc::new(Told { reads: true.into(), ..Told::default() });
+            loader.hanging.push((1000 + n as Ticket, told));
+        }
+        assert!(loader.busy().unwrap().contains("have not ended"));
+        loader.results.0.send((1000, Err(missing(&file)))).unwrap();
+        assert!(loader.done().is_some_and(|(_, given_up)| given_up));
+        assert!(loader.busy().is_none());
+        // One that computes is waited for.
+        loader.hanging[0].1.reads.store(false, Ordering::Relaxed);
+        assert!(loader.busy().unwrap().contains("another file is being loaded"));
+        // Told to end it ends, with nothing read.
+        let Err(error) = work(
+            Job::Table { table: table(&file), source: Source::Named },
+            &Told { given_up: true.into(), ..Told::default() },
+        ) else {
+            panic!("read")
+        };
+        assert!(error.to_string().contains("takes too long"), "{error}");
     }
 }

@@ -8,7 +8,7 @@
 //! | field | what |
 //! |---|---|
 //! | `MESSAGE_ID` | one per kind: `journalctl MESSAGE_ID=…` |
-//! | `RTEC_EVENT` | `fault`, `mode`, `homed`, `model_loaded`, `model_unloaded`, `table_loaded`, `table_unloaded` |
+//! | `RTEC_EVENT` | `fault`, `mode`, `homed`, `model_loaded`, `model_unloaded`, `table_loaded`, `table_unloaded`, `record_anchor` |
 //! | `RTEC_AXIS` | the axis, where there is one |
 //! | `RTEC_REASON` | which fault, which mode |
 //! | `RTEC_MODEL_SHA256` | the model's file |
@@ -43,6 +43,7 @@ fn message_id(event: &str) -> &'static str {
         "mode" => "7c49ee60f8204124bef7667a46dd3815",
         "model_loaded" | "model_unloaded" => "86b5e69ddf9646ac87019beea6e4ca56",
         "table_loaded" | "table_unloaded" => "f4b077e408d547388759fdd4152ac406",
+        "record_anchor" => "5a3c0e5d7c924ab0b0f5a2c86c3a1d57",
         _ => "80c81ea96aa34fee9418710cd047f7c4",
     }
 }

@@ -7,6 +7,7 @@
 //! | `history` | every change of the axes' ledgers, and how often each fault was latched |
 //! | `keeper` | finished records into the spool folder |
 //! | `start` | the engine as the last process left the machine |
+//! | `on_disk` | files that were edited since they were read |
 //! | `session` | requests of the protocol, carried out on the link |
 //! | `doors` | the listening sockets, one per role |
 //! | `client` | one connection |
@@ -27,6 +28,7 @@ mod keeper;
 mod loader;
 mod log;
 mod manager;
+mod on_disk;
 mod server;
 mod session;
 mod start;
@@ -40,14 +42,18 @@ use log::{Level, Log};
 use manager::Manager;
 use nix::sys::signal::{SigSet, Signal};
 use nix::sys::signalfd::{SfdFlags, SignalFd};
+use on_disk::OnDisk;
 use rtec_control::card::{self, OpenError};
 use rtec_control::config::{CardConfig, Config, ConfigFindings, PortPlace};
 use rtec_control::lock::{self, LockError};
+use rtec_control::protocol::explain_fault;
 use rtec_driver::card::Card;
 use rtec_files::InputError;
-use rtec_rt::journal::JournalError;
+use rtec_rt::event::Fault;
+use rtec_rt::journal::{JournalError, note_thread_lost};
 use rtec_rt::setup::{Report, System, Wanted};
 use rtec_rt::thread::{ThreadOptions, spawn};
+use server::Served;
 use session::Session;
 use std::os::fd::OwnedFd;
 use std::path::{Path, PathBuf};
@@ -60,6 +66,9 @@ const INSTALLED: &str = "/etc/rtec/rtec.toml";
 
 /// A card that is not there yet is tried again after this time.
 const CARD_AGAIN: Duration = Duration::from_millis(100);
+/// Why the process ends when its real-time thread is lost.
+const LOST: &str =
+    "the real-time thread is lost: the machine is held, and the service is to be started again";
 /// At its end the daemon waits so long for the disk that the record of commands is on.
 const LOG_PATIENCE: Duration = Duration::from_secs(1);
 
@@ -94,6 +103,9 @@ enum Failure {
     /// Exit 4: the card's state forbids it.
     #[error("{0}")]
     Fault(String),
+    /// Exit 1: the service is to be started again.
+    #[error("{0}")]
+    Again(&'static str),
 }
 
 impl From<LockError> for Failure {
@@ -138,18 +150,15 @@ fn exit_code(error: &anyhow::Error) -> u8 {
     match error.downcast_ref::<Failure>() {
         Some(Failure::Unreachable(_)) => 3,
         Some(Failure::Fault(_)) => 4,
-        Some(Failure::Taken(_)) | None => 1,
+        Some(Failure::Taken(_) | Failure::Again(_)) | None => 1,
     }
 }
 
 fn run(args: &Args, log: &mut Log) -> anyhow::Result<()> {
     let mut manager = Manager::from_environment()?;
     let installed = Path::new(INSTALLED);
-    let mut config = match &args.config {
-        Some(file) => Config::load(file)?,
-        None if installed.exists() => Config::load(installed)?,
-        None => Config::embedded(),
-    };
+    let file = args.config.as_deref().or(installed.exists().then_some(installed));
+    let mut config = file.map_or_else(|| Ok(Config::embedded()), Config::load)?;
     if let Some(socket) = &args.socket {
         config.control.socket.clone_from(socket);
     }
@@ -166,6 +175,7 @@ fn run(args: &Args, log: &mut Log) -> anyhow::Result<()> {
     let signals =
         SignalFd::with_flags(&signals, SfdFlags::SFD_NONBLOCK | SfdFlags::SFD_CLOEXEC).context("signalfd")?;
 
+    let on_disk = Some(OnDisk::watch(file));
     let doors = doors::listen(&config.control)?;
     let kept = manager.take_back("outputs-");
     for name in manager.left_over() {
@@ -173,7 +183,7 @@ fn run(args: &Args, log: &mut Log) -> anyhow::Result<()> {
     }
     let patience =
         Patience { until: Instant::now() + Duration::from_secs(args.wait_for_card), signals: &signals };
-    let outside = Outside { doors: &doors, signals: &signals, manager: &mut manager };
+    let outside = Outside { doors: &doors, signals: &signals, manager: &mut manager, on_disk };
     match config.card.clone() {
         CardConfig::Mock if args.lathe.is_some() => {
             let file = args.lathe.as_deref().unwrap_or(Path::new(""));
@@ -283,6 +293,7 @@ struct Outside<'a> {
     doors: &'a Doors,
     signals: &'a SignalFd,
     manager: &'a mut Manager,
+    on_disk: Option<OnDisk>,
 }
 
 /// Runs the engine on `card` until a signal ends it.
@@ -290,14 +301,14 @@ fn work<C: Card + Send + 'static>(
     mut card: C,
     config: Config,
     kind: Kind,
-    outside: Outside<'_>,
+    mut outside: Outside<'_>,
     log: &mut Log,
 ) -> anyhow::Result<()> {
     let real = matches!(kind, Kind::Real);
     let directory = config.control.state_path();
     let directory = directory.parent().unwrap_or(Path::new(""));
     let temperatures = Temperatures::start(&config.sensors, directory, config.model.log_s)?;
-    let engine = start::engine(&mut card, &config, log)?;
+    let (engine, before) = start::engine(&mut card, &config, log)?;
     // A mock needs no real time; with `cpu` it gets it, so that a set-up can be tried without a machine.
     let system = System::live();
     let wanted = (real || config.rt.cpu.is_some()).then(|| Wanted {
@@ -326,11 +337,13 @@ fn work<C: Card + Send + 'static>(
         wanted: options.wanted,
         missing: running.report.take(),
         timing: running.timing.clone(),
+        times: before.times,
     };
     let log_file = config.control.log_path();
+    let state_file = config.card.is_real().then(|| config.control.state_path());
     let mut audit =
         Audit::start(&log_file, outside.doors.seers).context("starting the record of commands")?;
-    let mut session = Session::new(config, set_up, temperatures);
+    let mut session = Session::new(config, set_up, temperatures, outside.on_disk.take());
     session.take_up_model(log);
     if let Some(trouble) = session.spool_trouble() {
         log.say(Level::Warning, &trouble);
@@ -350,6 +363,19 @@ fn work<C: Card + Send + 'static>(
     }
     outside.manager.ready()?;
     let served = server::serve(outside, &mut session, &mut running.control, log, &mut audit);
+    if matches!(served, Ok(Served::StandsStill)) {
+        // It cannot be asked to end, and holds the card: the next process finds the fault, and holds the machine.
+        let noted = state_file.map_or(Ok(()), |file| note_thread_lost(&file));
+        let text = match noted {
+            Ok(()) => explain_fault(Fault::ThreadLost).to_owned(),
+            Err(error) => {
+                format!("{}; the state file could not be told: {error}", explain_fault(Fault::ThreadLost))
+            }
+        };
+        audit.note("thread_lost", text, session.totals(&mut running.control));
+        audit.end(LOG_PATIENCE);
+        return Err(Failure::Again(LOST).into());
+    }
     let (ended, mut control) = running.stop();
     session.drain(&mut control, log);
     session.keep_the_rest(LOG_PATIENCE, log);
@@ -366,5 +392,9 @@ fn work<C: Card + Send + 'static>(
         log.say(Level::Notice, &text);
     }
     audit.end(LOG_PATIENCE);
-    served
+    match served? {
+        Served::Panicked => Err(Failure::Again(LOST).into()),
+        Served::HungUp => Err(Failure::Again("a hangup ended it, and nobody asked for that").into()),
+        Served::Asked | Served::StandsStill => Ok(()),
+    }
 }

@@ -2,8 +2,9 @@
 //!
 //! | what | limit |
 //! |---|---|
-//! | connections | [`PLACES`], of one user [`PER_USER`] |
+//! | connections | [`places`] for each role, of one user [`PER_USER`] in each; where all of a role are taken, a user with fewer takes the place of the one with most |
 //! | beyond them, for what is urgent only | [`RESERVED`], of one user [`RESERVED_PER_USER`]: a new one takes the place of that user's oldest |
+//! | silence | a client that asks nothing, and a watcher that reads nothing, is dropped |
 //! | order | `disable` and `hold`, then `status`, then the rest, the users in turn; a client's own requests in their order |
 //! | time | what is not urgent ends its turn after [`TURN`]: then the others are looked at again |
 
@@ -17,10 +18,12 @@ use crate::manager::Manager;
 use crate::session::{Answer, Beside, Session};
 use anyhow::Context;
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
+use nix::sys::signal::Signal;
 use nix::sys::signalfd::SignalFd;
 use nix::unistd::Uid;
 use rtec_control::protocol::{Caller, ClientRequest, Clients, Response};
 use rtec_control::role::Role;
+use rtec_rt::event::Fault;
 use rtec_rt::link::ControlEnd;
 use serde_json::Value;
 use std::collections::BTreeMap;
@@ -28,10 +31,17 @@ use std::io::ErrorKind;
 use std::os::fd::AsFd;
 use std::time::{Duration, Instant};
 
-/// Connections at one time.
-const PLACES: usize = 64;
-/// Connections of one user.
+/// Connections of one user that came by the socket of one role.
 const PER_USER: usize = 32;
+
+/// Connections at one time that came by the socket of a role.
+const fn places(role: Role) -> usize {
+    match role {
+        Role::View => 64,
+        Role::Operate | Role::SetUp => 32,
+    }
+}
+
 /// Connections beyond those, for what is urgent.
 const RESERVED: usize = 32;
 /// Of one user.
@@ -42,6 +52,8 @@ const ACCEPTS: usize = 16;
 const TURN: Duration = Duration::from_millis(8);
 /// An insertion that is under way is waited for so long.
 const BUSY: Duration = Duration::from_millis(500);
+/// Longer between two turns of this loop counts as this long.
+const ONE_GAP: Duration = Duration::from_millis(25);
 /// Until it is looked at again, ms.
 const BUSY_AGAIN: u8 = 2;
 
@@ -67,15 +79,28 @@ struct Desk<'a> {
     record: Option<String>,
 }
 
-/// Serves until a signal comes.
+/// Why nobody is served any more.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Served {
+    /// A signal asked for the end.
+    Asked,
+    /// A hangup: nobody asked for the end of the service.
+    HungUp,
+    /// The real-time thread panicked.
+    Panicked,
+    /// The real-time thread does not look at the card any more, and does not end either.
+    StandsStill,
+}
+
+/// Serves until a signal comes, or the real-time thread is lost.
 pub(crate) fn serve(
     outside: Outside<'_>,
     session: &mut Session,
     control: &mut ControlEnd,
     log: &mut Log,
     audit: &mut Audit,
-) -> anyhow::Result<()> {
-    let Outside { doors, signals, manager } = outside;
+) -> anyhow::Result<Served> {
+    let Outside { doors, signals, manager, .. } = outside;
     let mut clients: Vec<Client> = Vec::new();
     let every = session.beat_every();
     let timeout = PollTimeout::try_from(every).unwrap_or(PollTimeout::from(10_u8));
@@ -84,8 +109,13 @@ pub(crate) fn serve(
     let waiting = BTreeMap::new();
     let mut desk = Desk { session, control, log, audit, waiting, own_uid, groups, record: None };
     let (mut end_reported, mut next_id, mut turn, mut backlog) = (false, 1, 0, false);
+    let mut watch = Watch::new(desk.session.stands_still_after(), Instant::now());
     loop {
         desk.beat(manager);
+        let (polls, ended) = (desk.control.status().polls, desk.control.ended());
+        if !ended && watch.stands_still(polls, Instant::now()) {
+            return Ok(Served::StandsStill);
+        }
         // What waits behind others, or behind its client's last request, has come already.
         let timeout = if backlog || clients.iter().any(Client::has_line) {
             PollTimeout::ZERO
@@ -101,7 +131,8 @@ pub(crate) fn serve(
             desk.log.say(Level::Notice, &text);
             let totals = desk.session.totals(desk.control);
             desk.audit.note("stop", text, totals);
-            return Ok(());
+            let hung_up = signal.ssi_signo == Signal::SIGHUP as u32;
+            return Ok(if hung_up { Served::HungUp } else { Served::Asked });
         }
         for (client, ready) in clients.iter_mut().zip(&ready[doors.all.len()..]) {
             if client.reads() && ready.intersects(PollFlags::POLLIN | PollFlags::POLLHUP) {
@@ -138,6 +169,34 @@ pub(crate) fn serve(
         }
         clients.iter_mut().for_each(Client::write);
         clients.retain(|c| !c.over());
+        if ended && desk.control.status().faults.has(Fault::ThreadLost) {
+            return Ok(Served::Panicked);
+        }
+    }
+}
+
+/// Sees whether the real-time thread looks at the card. Its own standstill, as when the process was stopped, does not count.
+struct Watch {
+    polls: u64,
+    looked: Instant,
+    still: Duration,
+    limit: Duration,
+}
+
+impl Watch {
+    fn new(limit: Duration, now: Instant) -> Self {
+        Self { polls: 0, looked: now, still: Duration::ZERO, limit }
+    }
+
+    /// `polls` looks at the card so far.
+    fn stands_still(&mut self, polls: u64, now: Instant) -> bool {
+        let gap = now.duration_since(std::mem::replace(&mut self.looked, now));
+        if std::mem::replace(&mut self.polls, polls) == polls {
+            self.still += gap.min(ONE_GAP);
+        } else {
+            self.still = Duration::ZERO;
+        }
+        self.still > self.limit
     }
 }
 
@@ -220,7 +279,7 @@ impl Desk<'_> {
         let recorded = request.needs() > Role::View;
         let before = if recorded { self.session.totals(self.control) } else { Totals::new() };
         let trusted = client.caller.uid == 0 || client.caller.uid == self.own_uid;
-        let beside = Beside { files, trusted };
+        let beside = Beside { files, trusted, user: (client.caller.uid, client.caller.user.clone()) };
         let latched = self.session.latched(&self.control.status());
         let response = match &request {
             ClientRequest::Whoami {} => {
@@ -276,6 +335,19 @@ impl Desk<'_> {
             self.log.event(Level::Warning, "record", &text);
         }
         self.record = state.in_words();
+        if self.audit.has_moved() {
+            let text = format!(
+                "a file of the record of commands {} was removed or renamed by others: another one was begun; `rtecctl log \
+                 --verify` shows what is missing",
+                state.file
+            );
+            self.log.event(Level::Warning, "record", &text);
+        }
+        if self.session.anchors_record()
+            && let Some(text) = self.audit.anchor()
+        {
+            self.log.record(Level::Notice, "record_anchor", &text, &[]);
+        }
     }
 
     /// Answers those whose files have been read.
@@ -372,8 +444,10 @@ fn not_here(
     }
     if client.reserved && urgency == Urgency::Turn {
         let text = format!(
-            "{PER_USER} clients of one user, or {PLACES} in all, are connected already: disable, hold, status and whoami \
-             are served, everything else when one of them has gone"
+            "{PER_USER} clients of one user, or {} in all, may \"{}\" at a time and are connected already: disable, hold, \
+             status and whoami are served, everything else when one of them has gone",
+            places(client.role),
+            client.role
         );
         return Some(refused("too_many_clients", text));
     }
@@ -409,28 +483,105 @@ fn accept(door: &Door, clients: &mut Vec<Client>, next_id: &mut u64, log: &mut L
 
 /// Gives a new client its place.
 fn seat(mut client: Client, clients: &mut Vec<Client>) {
-    let uid = client.caller.uid;
-    let ordinary = clients.iter().filter(|c| !c.reserved).count();
-    let own = clients.iter().filter(|c| !c.reserved && c.caller.uid == uid).count();
-    client.reserved = ordinary >= PLACES || own >= PER_USER;
-    if client.reserved {
-        let of_user = |uid: u32| clients.iter().filter(move |c| c.reserved && c.caller.uid == uid).count();
-        let all = clients.iter().filter(|c| c.reserved).count();
-        let crowd = if of_user(uid) >= RESERVED_PER_USER {
-            Some(uid)
-        } else if all >= RESERVED {
-            clients.iter().filter(|c| c.reserved).map(|c| c.caller.uid).max_by_key(|uid| of_user(*uid))
-        } else {
-            None
-        };
-        let oldest = clients
-            .iter()
-            .enumerate()
-            .filter(|(_, c)| c.reserved && Some(c.caller.uid) == crowd)
-            .min_by_key(|(_, c)| c.silent_since());
-        if let Some((n, _)) = oldest {
-            clients.remove(n);
+    let (uid, role) = (client.caller.uid, client.role);
+    let ordinary = |c: &Client| !c.reserved && c.role == role;
+    let own = clients.iter().filter(|c| ordinary(c) && c.caller.uid == uid).count();
+    let all = clients.iter().filter(|c| ordinary(c)).count();
+    if own >= PER_USER || all >= places(role) && !give_way(clients, own + 2, &ordinary) {
+        client.reserved = true;
+        let reserved = |c: &Client| c.reserved;
+        let of_user = |c: &Client| c.reserved && c.caller.uid == uid;
+        if clients.iter().filter(|c| of_user(c)).count() >= RESERVED_PER_USER {
+            give_way(clients, 0, &of_user);
+        } else if clients.iter().filter(|c| reserved(c)).count() >= RESERVED {
+            give_way(clients, 0, &reserved);
         }
     }
     clients.push(client);
+}
+
+/// Of those who have places of a kind the user with most, `least` or more, loses the one that has been silent longest.
+fn give_way(clients: &mut Vec<Client>, least: usize, kind: &dyn Fn(&Client) -> bool) -> bool {
+    let of_user = |uid: u32| clients.iter().filter(|c| kind(c) && c.caller.uid == uid).count();
+    let crowd = clients.iter().filter(|c| kind(c)).map(|c| c.caller.uid).max_by_key(|uid| of_user(*uid));
+    let Some(crowd) = crowd.filter(|uid| of_user(*uid) >= least) else { return false };
+    let of_crowd = clients.iter().enumerate().filter(|(_, c)| kind(c) && c.caller.uid == crowd);
+    let Some((n, _)) = of_crowd.min_by_key(|(_, c)| c.silent_since()) else { return false };
+    clients.remove(n);
+    true
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::os::unix::net::UnixStream;
+
+    /// It is found within 0.2 s; a process that was itself kept away, or a thread that is slow, is not.
+    #[test]
+    fn a_thread_that_stands_still_is_found_and_a_stopped_process_is_not() {
+        let begun = Instant::now();
+        let at = |ms: u64| begun + Duration::from_millis(ms);
+        let mut watch = Watch::new(crate::session::STANDS_STILL, begun);
+        assert!((1..50).all(|n| !watch.stands_still(n, at(n * 10))));
+        let found = (1..100).find(|n| watch.stands_still(49, at(490 + n * 10)));
+        assert!(found.is_some_and(|n| n * 10 <= 200), "{found:?}");
+        // Stopped for a minute, once: the thread may have been stopped too.
+        let mut watch = Watch::new(crate::session::STANDS_STILL, begun);
+        assert!(!watch.stands_still(7, at(10)));
+        assert!(!watch.stands_still(7, at(60_000)));
+        assert!(!watch.stands_still(8, at(60_010)));
+    }
+
+    fn client(id: u64, uid: u32, role: Role) -> Client {
+        let (stream, _) = UnixStream::pair().unwrap();
+        let mut client = Client::new(id, stream, role, std::path::Path::new("s")).unwrap();
+        client.caller.uid = uid;
+        client
+    }
+
+    fn seated(clients: &[Client], uid: u32, role: Role) -> usize {
+        clients.iter().filter(|c| !c.reserved && c.caller.uid == uid && c.role == role).count()
+    }
+
+    #[test]
+    fn no_user_takes_the_places_of_others() {
+        let (mut clients, mut id) = (Vec::new(), 0);
+        let mut come = |clients: &mut Vec<Client>, uid, role, n| {
+            for _ in 0..n {
+                id += 1;
+                seat(client(id, uid, role), clients);
+            }
+        };
+        // Two viewers with all they can have: operators and those who set up have theirs.
+        come(&mut clients, 1, Role::View, 100);
+        come(&mut clients, 2, Role::View, 100);
+        assert_eq!((seated(&clients, 1, Role::View), seated(&clients, 2, Role::View)), (32, 32));
+        come(&mut clients, 3, Role::Operate, 1);
+        come(&mut clients, 4, Role::SetUp, 1);
+        assert_eq!((seated(&clients, 3, Role::Operate), seated(&clients, 4, Role::SetUp)), (1, 1));
+        // So have other viewers: whoever has most gives way, until all have the same.
+        for uid in 5..9 {
+            come(&mut clients, uid, Role::View, 20);
+        }
+        let each: Vec<usize> = [1, 2, 5, 6, 7, 8].map(|uid| seated(&clients, uid, Role::View)).to_vec();
+        assert_eq!(each.iter().sum::<usize>(), places(Role::View));
+        assert!(each.iter().all(|n| (10..=12).contains(n)), "{each:?}");
+        // A user's own role is bounded by itself, and what is urgent has its places.
+        come(&mut clients, 3, Role::Operate, 100);
+        assert_eq!(seated(&clients, 3, Role::Operate), PER_USER);
+        assert!(clients.iter().filter(|c| c.reserved).count() <= RESERVED);
+        assert!(clients.iter().filter(|c| c.reserved && c.caller.uid == 3).count() == RESERVED_PER_USER);
+    }
+
+    #[test]
+    fn the_client_that_is_silent_longest_gives_way() {
+        let mut clients: Vec<Client> = Vec::new();
+        for id in 0..u64::try_from(places(Role::View)).unwrap() {
+            seat(client(id, u32::try_from(id % 2).unwrap(), Role::View), &mut clients);
+        }
+        seat(client(1000, 9, Role::View), &mut clients);
+        let ids: Vec<u64> = clients.iter().map(|c| c.id).collect();
+        assert_eq!((ids.len(), ids.contains(&1000)), (places(Role::View), true));
+        assert!(!ids.contains(&0) || !ids.contains(&1), "{ids:?}");
+    }
 }

@@ -17,22 +17,24 @@ mod tests;
 use crate::audit::Totals;
 use crate::cards::Stand;
 use crate::history::History;
-use crate::keeper::{Keeper, Kept};
+use crate::keeper::{Keeper, Kept, Spool};
 use crate::loader::{Loader, Ticket};
 use crate::log::{Level, Log};
+use crate::on_disk::OnDisk;
 use crate::temperatures::Temperatures;
 use loads::Wish;
-use rtec_control::config::{Config, ConfiguredAxis};
+use rtec_control::config::{Config, ConfiguredAxis, Measured};
 use rtec_control::protocol::{ClientRequest, Happened, Numbered, Response, word};
 use rtec_correct::Corrector;
 use rtec_correct::sensors::{SensorConfig, Watch};
 use rtec_model::date;
 use rtec_model::record::Role;
 use rtec_rt::engine::Timing;
-use rtec_rt::event::{Event, EventKind, Mode, Refusal, Request, Status};
+use rtec_rt::event::{Event, EventKind, Fault, Mode, Refusal, Request, Status};
+use rtec_rt::journal::Times;
 use rtec_rt::link::ControlEnd;
-use rtec_rt::setup::{Report, Wanted};
-use std::collections::VecDeque;
+use rtec_rt::setup::{Report, System, Wanted};
+use std::collections::{BTreeMap, VecDeque};
 use std::os::fd::OwnedFd;
 use std::path::{Path, PathBuf};
 use std::rc::Rc;
@@ -40,6 +42,8 @@ use std::time::{Duration, Instant};
 
 /// The real-time thread takes a request within a millisecond or two; one that takes longer than this does not run.
 const PATIENCE: Duration = Duration::from_secs(2);
+/// A real-time thread that has not looked at the card for so long is lost: with the turns of the control loop, below 0.2 s.
+pub(crate) const STANDS_STILL: Duration = Duration::from_millis(150);
 /// A silence of the control side itself that is worth a line; a request that is not answered takes [`PATIENCE`].
 const STOOD_STILL: Duration = Duration::from_secs(3);
 /// Events that are kept for those who ask what has happened.
@@ -73,6 +77,8 @@ pub(crate) struct Beside {
     pub(crate) files: Vec<OwnedFd>,
     /// The caller may have files opened by their names: it is root, or the daemon's own user.
     pub(crate) trusted: bool,
+    /// Number and name of the caller's user.
+    pub(crate) user: (u32, String),
 }
 
 /// What is known of the real-time thread from its start on.
@@ -82,6 +88,8 @@ pub(crate) struct SetUp {
     pub wanted: Option<Wanted>,
     pub missing: Option<Report>,
     pub timing: Timing,
+    /// When what is latched was latched, by the state file.
+    pub times: Times,
 }
 
 /// The time by which the control side works, and waits. A simulation has its own.
@@ -117,6 +125,10 @@ pub(crate) struct Session {
     looked: Instant,
     /// Who stands at the machine, where it is a simulated one.
     stand: Option<Stand>,
+    /// Why corrections may not be enabled on this card and computer, whatever else is right.
+    unfit: Vec<String>,
+    /// The files that were read, as they are now; none in a simulation.
+    on_disk: Option<OnDisk>,
     /// The model's file is not what was taken last.
     model_refused: Option<String>,
     loader: Loader,
@@ -132,13 +144,23 @@ pub(crate) struct Session {
     happened: Vec<Happened>,
     /// What happened before, for whoever asks later.
     history: History,
+    /// When each fault was latched, on the card's clock, ns; and when feed hold was asked for.
+    latched_ns: BTreeMap<(Option<usize>, u8), u64>,
+    held_ns: Option<u64>,
+    /// Number and name of the user who asked for feed hold last.
+    holder: (u32, String),
     /// The day, since 1970-01-01.
     today: fn() -> i64,
 }
 
 impl Session {
-    pub(crate) fn new(config: Config, set_up: SetUp, temperatures: Temperatures) -> Self {
-        Self::by(Rc::new(RealTime), config, set_up, temperatures)
+    pub(crate) fn new(
+        config: Config,
+        set_up: SetUp,
+        temperatures: Temperatures,
+        on_disk: Option<OnDisk>,
+    ) -> Self {
+        Self { on_disk, ..Self::by(Rc::new(RealTime), config, set_up, temperatures) }
     }
 
     fn by(time: Rc<dyn Time>, config: Config, set_up: SetUp, temperatures: Temperatures) -> Self {
@@ -147,9 +169,22 @@ impl Session {
         let temperature = |c: &SensorConfig| c.role == Role::Temperature;
         let sensors = config.sensors.iter().enumerate().filter(|(_, c)| temperature(c));
         let sensors = sensors.map(|(n, c)| (n, c.name.clone())).collect();
-        let keeper = Keeper::new(config.control.spool.clone(), sensors);
+        let keeper = Keeper::new(Spool::of(&config.control), sensors);
         let corrector = Corrector::new(setups, model.ramp_um_s, model.lead_ms * 1e-3, temperatures.now_s());
+        let places = std::iter::once(None).chain((0..axes).map(Some));
+        let known = places.flat_map(|axis| Fault::ALL.map(|fault| (axis, fault)));
+        let latched_ns = known
+            .filter_map(|(axis, f)| Some(((axis, f as u8), set_up.times.latched_ns(axis, f)?)))
+            .collect();
+        let cpu = set_up.wanted.map_or(0, |w| w.cpu);
+        let here = || Measured::here(&config.card, cpu, &System::live());
+        let unfit = if set_up.real { config.unfit(&here()) } else { Vec::new() };
         Self {
+            latched_ns,
+            held_ns: set_up.times.held_ns(),
+            holder: (u32::MAX, String::new()),
+            unfit,
+            on_disk: None,
             config,
             set_up,
             started: time.now(),
@@ -188,6 +223,11 @@ impl Session {
         stale.min(Duration::from_millis(self.config.model.period_ms))
     }
 
+    /// After this time without a look the real-time thread is lost. An ordinary thread may be kept waiting by others.
+    pub(crate) fn stands_still_after(&self) -> Duration {
+        if self.set_up.wanted.is_some() { STANDS_STILL } else { PATIENCE }
+    }
+
     /// The machine is simulated: it can be jogged from here.
     pub(crate) fn stand_at(&mut self, stand: Stand) {
         self.stand = Some(stand);
@@ -200,7 +240,9 @@ impl Session {
 
     /// Lets the corrector look, where it is due, and sends what it asks for.
     pub(crate) fn tick(&mut self, control: &mut ControlEnd, log: &mut Log) {
-        self.history.look(&control.status());
+        let status = control.status();
+        self.history.look(&status);
+        self.held_ns = status.held.and(self.held_ns.or(Some(status.t_ns)));
         while let Some(kept) = self.keeper.done() {
             self.tell_kept(kept, control.status().t_ns, log);
         }
@@ -245,6 +287,11 @@ impl Session {
         log.event(Level::Warning, "stood_still", &text);
         let t_ns = control.status().t_ns;
         self.tell(Happened { t_ns, axis: None, kind: "stood_still".to_owned(), text, trip: None });
+    }
+
+    /// The end of the record of commands is to be said in the system's journal.
+    pub(crate) fn anchors_record(&self) -> bool {
+        self.config.control.log_anchor
     }
 
     /// What is to be mended before a record can be kept.
@@ -296,9 +343,12 @@ impl Session {
     fn note(&mut self, event: &Event, log: &mut Log) {
         let axis = event.axis.and_then(|n| self.config.axes.get(usize::from(n)));
         let mut happened = Happened::of(event, axis.map(|a| (a.name.as_str(), a.count_um)));
+        if let EventKind::Fault(fault) = event.kind {
+            self.latched_ns.insert((event.axis.map(usize::from), fault as u8), event.t_ns);
+        }
         if let Some(n) = event.axis.map(usize::from) {
-            if event.kind == EventKind::Homed {
-                self.corrector.homed(n);
+            if let EventKind::Homed { kept_counts } = event.kind {
+                self.corrector.homed(n, kept_counts);
             }
             if let (EventKind::Trip(capture), Some(trip)) = (event.kind, &mut happened.trip) {
                 let t_ns = u64::midpoint(capture.trip_ns.0, capture.trip_ns.1);
@@ -316,10 +366,11 @@ impl Session {
         }
         let level = match event.kind {
             EventKind::Fault(_) => Level::Error,
-            EventKind::Refused { .. } | EventKind::Warning { .. } | EventKind::ControlStale(_) => {
-                Level::Warning
-            }
-            EventKind::Mode(_) | EventKind::Homed => Level::Notice,
+            EventKind::Refused { .. }
+            | EventKind::Warning { .. }
+            | EventKind::ControlStale(_)
+            | EventKind::ControllerReady(_) => Level::Warning,
+            EventKind::Mode(_) | EventKind::Homed { .. } => Level::Notice,
             _ => Level::Info,
         };
         let text = match &happened.axis {
@@ -334,7 +385,7 @@ impl Session {
         let fields = [("RTEC_AXIS", happened.axis.as_deref().unwrap_or("")), ("RTEC_REASON", &reason)];
         let fields: Vec<_> = fields.into_iter().filter(|(_, value)| !value.is_empty()).collect();
         // A probe's trips and the like may come by the thousand: as lines, of which a few are enough.
-        let rare = matches!(event.kind, EventKind::Fault(_) | EventKind::Mode(_) | EventKind::Homed);
+        let rare = matches!(event.kind, EventKind::Fault(_) | EventKind::Mode(_) | EventKind::Homed { .. });
         if rare {
             log.record(level, &happened.kind, &text, &fields);
         } else {
@@ -356,7 +407,9 @@ impl Session {
         let plain = |request| (request, done.clone());
         let (request, done) = match request {
             ClientRequest::Status {} => return Answer::Now(Response::Status(Box::new(self.status(control)))),
-            ClientRequest::Home { axis } => return Answer::of(self.home(axis.as_deref(), control, log)),
+            ClientRequest::Home { axis, controller_homed } => {
+                return Answer::of(self.home(axis.as_deref(), *controller_homed, control, log));
+            }
             ClientRequest::Enable { accept_jump } => {
                 let status = control.status();
                 let jumps = self.jumps(&status);
@@ -365,12 +418,7 @@ impl Session {
                 }
                 (Request::Enable, Response::Done { jumps, warnings: self.no_model().into_iter().collect() })
             }
-            ClientRequest::Shadow {} => {
-                if let Some(refusal) = orders::held(control.status().mode) {
-                    return Answer::Now(refusal);
-                }
-                plain(Request::Shadow)
-            }
+            ClientRequest::Shadow {} => plain(Request::Shadow),
             ClientRequest::Correct { axis, total_counts, large } => {
                 return Answer::of(self.correct(axis, *total_counts, *large, control, log));
             }
@@ -380,6 +428,7 @@ impl Session {
             }
             ClientRequest::Jog { axis, display_mm } => return Answer::of(self.jog(axis, *display_mm)),
             ClientRequest::ModelUnload {} => return Answer::Now(self.model_unload(log)),
+            ClientRequest::ModelAgain {} => return self.model_again(),
             ClientRequest::Explain { axis } => return Answer::of(self.explain(axis.as_deref(), control)),
             ClientRequest::Ledger { axis, from } => {
                 let page = self.number(axis).map(|n| Response::Ledger(self.history.ledger(n, *from)));
@@ -390,13 +439,23 @@ impl Session {
             ClientRequest::TableUnload {} => return Answer::Now(self.table_unload(log)),
             ClientRequest::Disable {} => plain(Request::Disable),
             ClientRequest::Probe { on } => plain(Request::Probe(*on)),
-            ClientRequest::Hold { on } => plain(Request::Hold(*on)),
+            ClientRequest::Hold { on } => {
+                let by = beside.user.0;
+                if *on {
+                    self.holder = beside.user;
+                }
+                plain(Request::Hold { on: *on, by })
+            }
             ClientRequest::Clear {} => plain(Request::Clear),
             ClientRequest::Watch {} | ClientRequest::Whoami {} | ClientRequest::Observe { .. } => {
                 return Answer::Now(done);
             }
         };
-        Answer::of(self.carry_out(request, control, log).map(|_| done))
+        let answer = self.carry_out(request, control, log);
+        if request == Request::Enable && answer.is_ok() {
+            self.corrector.enabled();
+        }
+        Answer::of(answer.map(|_| done))
     }
 
     /// Totals of each axis: requested and in effect, counts.

@@ -1,29 +1,34 @@
-//! The engine as the last process left the machine: totals by the state file and the inverters, doubts latched.
+//! The engine as the last process left the machine: totals by the state file and the inverters, feed hold and faults as they
+//! were, doubts latched.
 
 use crate::Failure;
 use crate::log::{Level, Log};
-use rtec_control::config::{CardConfig, Config};
+use rtec_control::config::Config;
 use rtec_control::protocol::explain_fault;
 use rtec_driver::card::Card;
 use rtec_rt::engine::{Engine, MachineConfig, StartError};
-use rtec_rt::event::Fault;
+use rtec_rt::event::{Fault, HeldBy};
 use rtec_rt::journal::{Before, Journal, resume};
 
-/// The engine on `card`, with its state file where the card's outputs outlive the process.
+/// The engine on `card`, with its state file where the card's outputs outlive the process; and what that file said.
 ///
 /// # Errors
 /// A state file that cannot be used, a card that cannot be read, inverters of which nobody knows.
-pub(crate) fn engine<C: Card>(card: &mut C, config: &Config, log: &mut Log) -> anyhow::Result<Engine> {
-    // The outputs of a mock card end with its process: there is nothing to be taken over.
-    let journal = match config.card {
-        CardConfig::Gpio(_) | CardConfig::Mapped { .. } | CardConfig::Port { .. } => {
-            let file = config.control.state_path();
-            Some(Journal::open(&file, &config.identity()).map_err(Failure::from)?)
-        }
-        CardConfig::Mock | CardConfig::Replay { .. } => None,
+pub(crate) fn engine<C: Card>(
+    card: &mut C,
+    config: &Config,
+    log: &mut Log,
+) -> anyhow::Result<(Engine, Before)> {
+    // The outputs of a mock card end with its process, and so does its MTC: there is nothing to be taken over.
+    let journal = if config.card.is_real() {
+        let file = config.control.state_path();
+        Some(Journal::open(&file, &config.identity()).map_err(Failure::from)?)
+    } else {
+        None
     };
-    let found = journal.as_ref().map_or(Before::NOTHING, |(_, found)| *found);
-    let (completed, uncertain) = take_over(card, config, &found)?;
+    let before = journal.as_ref().map_or(Before::NOTHING, |(_, found)| *found);
+    let taken = take_over(card, config, &before)?;
+    let completed: Vec<i64> = taken.iter().map(|t| t.completed).collect();
     let machine = MachineConfig { lines: config.lines, may_arm: false };
     let mut engine = match Engine::new(card, &config.engine_axes(), machine, &completed) {
         Ok(engine) => engine,
@@ -37,42 +42,91 @@ pub(crate) fn engine<C: Card>(card: &mut C, config: &Config, log: &mut Log) -> a
         }
         Err(error) => return Err(Failure::Unreachable(error.to_string()).into()),
     };
-    for (axis, _) in config.axes.iter().zip(&completed).filter(|(_, total)| *total % 2 != 0) {
-        log.say(
-            Level::Error,
-            &format!("axis {}: left in the middle of an insertion; it is finished now", axis.name),
-        );
+    if config.hold_without_mtc {
+        engine.hold_without_mtc();
     }
-    for (n, fault) in uncertain {
-        log.say(Level::Error, &format!("axis {}: {}", config.axes[n].name, explain_fault(fault)));
-        // What is latched now stands in the status from the first one on; there is no one yet to report it to.
-        engine.latch(Some(n as u8), fault, card, &mut |_| true)?;
+    for (n, axis) in taken.iter().enumerate() {
+        let name = &config.axes[n].name;
+        if axis.completed % 2 != 0 {
+            let text = format!("axis {name}: left in the middle of an insertion; it is finished now");
+            log.say(Level::Error, &text);
+        }
+        if journal.is_some() && !axis.mtc_known {
+            engine.lose_controller(n);
+        }
+        for &fault in &axis.faults {
+            log.say(Level::Error, &format!("axis {name}: {}", explain_fault(fault)));
+            // What is latched now stands in the status from the first one on; there is no one yet to report it to.
+            engine.latch(Some(n as u8), fault, card, &mut |_| true)?;
+        }
     }
+    let lost = before.thread_lost.then_some(Fault::ThreadLost);
+    for fault in before.machine.iter().flat_map(|m| m.faults.iter()).chain(lost) {
+        log.say(Level::Error, explain_fault(fault));
+        engine.latch(None, fault, card, &mut |_| true)?;
+    }
+    // Where the file does not say why feed hold is on, it stays on as it was found.
+    if let Some(machine) = before.machine.filter(|m| m.hold_output) {
+        engine.take_over_hold(machine.held);
+    }
+    say_found(&engine, config, &before, log);
     if let Some((journal, _)) = journal {
         engine.keep_journal(journal);
     }
-    Ok(engine)
+    Ok((engine, before))
 }
 
-/// Totals in the axes' order, and the axes of which that is not certain.
-type TakenOver = (Vec<i64>, Vec<(usize, Fault)>);
+/// Says what was taken over, and what is not known.
+fn say_found(engine: &Engine, config: &Config, before: &Before, log: &mut Log) {
+    if before.older {
+        let text = "the state file is of the version before: it says nothing of feed hold, nor whether the controller was homed";
+        log.say(Level::Warning, text);
+    }
+    let status = engine.status();
+    match status.held {
+        Some(HeldBy::FoundOn) => {
+            log.say(Level::Warning, "feed hold was found on; nobody knows who asked for it");
+        }
+        Some(HeldBy::Controller) => log.say(Level::Warning, "feed hold: the controller was off"),
+        Some(HeldBy::User(uid)) => {
+            log.say(Level::Warning, &format!("feed hold: user {uid} asked for it before the restart"));
+        }
+        None => {}
+    }
+    let axes = config.axes.iter().zip(status.axes());
+    let unknown: Vec<&str> = axes.filter(|(_, s)| !s.mtc_known).map(|(a, _)| a.name.as_str()).collect();
+    if !unknown.is_empty() {
+        let text = format!(
+            "nobody knows what the controller counts of {}: home it, then `rtecctl home --controller-homed`",
+            unknown.join(", ")
+        );
+        log.say(Level::Warning, &text);
+    }
+}
 
-/// What each axis had completed before, from the state file and the inverters as they are; and the axes of which that is
-/// not certain, with the fault to be latched.
-fn take_over<C: Card>(card: &mut C, config: &Config, before: &Before) -> anyhow::Result<TakenOver> {
+/// An axis as the last process left it.
+struct Taken {
+    completed: i64,
+    mtc_known: bool,
+    faults: Vec<Fault>,
+}
+
+/// What each axis had completed before, from the state file and the inverters as they are, and what is to be latched.
+fn take_over<C: Card>(card: &mut C, config: &Config, before: &Before) -> anyhow::Result<Vec<Taken>> {
     let outputs = card.outputs().map_err(|e| Failure::Unreachable(e.to_string()))?;
-    let (mut completed, mut uncertain) = (Vec::new(), Vec::new());
-    for (n, axis) in config.axes.iter().enumerate() {
+    let axes = config.axes.iter().zip(&before.records).map(|(axis, records)| {
         let inverters = axis.engine.lines.inverters(outputs);
-        let found = resume(before.records[n], inverters);
+        let found = resume(*records, inverters);
+        // A fault ends by `clear` alone, whether the inverters are where they were or not.
+        let newest = records.iter().flatten().next();
+        let mut faults: Vec<Fault> = newest.iter().flat_map(|r| r.faults.iter()).collect();
         if found.is_none() && !(before.first_start && inverters == 0) {
             // Without a file the inverters should be off; with one there should be a record.
-            let lost = !before.first_start && before.records[n] == [None, None];
-            uncertain.push((n, if lost { Fault::RecordLost } else { Fault::InvertersMoved }));
+            let lost = !before.first_start && newest.is_none();
+            faults.push(if lost { Fault::RecordLost } else { Fault::InvertersMoved });
         }
-        // What was latched puts the total in doubt until the axis is homed.
-        uncertain.extend(found.iter().flat_map(|r| r.faults.iter()).map(|fault| (n, fault)));
-        completed.push(found.map_or(0, |r| r.completed));
-    }
-    Ok((completed, uncertain))
+        let (completed, mtc_known) = found.map_or((0, false), |r| (r.completed, r.mtc_known));
+        Taken { completed, mtc_known, faults }
+    });
+    Ok(axes.collect())
 }

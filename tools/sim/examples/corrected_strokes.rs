@@ -30,7 +30,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut law = Corrector::new(vec![setup], RAMP_UM_S, 0.01, 0.0);
     law.load(Machine::parse(Path::new("axis"), known)?, &[], &|_| Vec::new())?;
 
-    running.control.send(Request::Home { axis: 0, position_counts: 0 })?;
+    running.control.send(Request::Home { axis: 0, position_counts: 0, controller_homed: true })?;
     let (begun, mut faults) = (Instant::now(), 0);
     while begun.elapsed() < Duration::from_secs_f64(seconds) && !running.control.ended() {
         std::thread::sleep(Duration::from_millis(5));
@@ -41,7 +41,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
                 EventKind::HomeSet { position_counts } => {
                     running.control.send(Request::ConfirmHome { axis: 0, position_counts })?;
                 }
-                EventKind::Homed => running.control.send(Request::Enable)?,
+                EventKind::Homed { .. } => running.control.send(Request::Enable)?,
                 EventKind::Mode(Mode::Run) => operator.cycle_start(),
                 EventKind::Fault(_) => faults += 1,
                 _ => {}

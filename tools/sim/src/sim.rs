@@ -462,7 +462,7 @@ impl Sim {
             events.push(e);
             true
         };
-        self.engine.take(Request::Hold(on), &mut self.machine, &mut report)?;
+        self.engine.take(Request::Hold { on, by: 0 }, &mut self.machine, &mut report)?;
         Ok(())
     }
 

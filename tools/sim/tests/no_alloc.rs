@@ -84,7 +84,7 @@ fn the_loop_neither_allocates_nor_releases() {
         match n {
             150_000 => control.send(Request::Probe(true)).unwrap(),
             170_000 => control.send(Request::Probe(false)).unwrap(),
-            180_000 => control.send(Request::Hold(true)).unwrap(),
+            180_000 => control.send(Request::Hold { on: true, by: 0 }).unwrap(),
             190_000 => control.send(Request::Clear).unwrap(),
             _ => {}
         }

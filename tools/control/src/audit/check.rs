@@ -1,11 +1,11 @@
 //! The record read, and the chain of its lines checked.
 
 use super::writer::Link;
-use super::{Entry, Head, LONGEST_LINE, NOTHING, files, head_path, read_head};
+use super::{Entry, Head, LONGEST_LINE, NOTHING, files, head_path, read_head, refused_path};
 use rtec_model::record::hex;
 use serde::Serialize;
 use sha2::{Digest, Sha256};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, VecDeque};
 use std::fs::File;
 use std::io::{self, BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
@@ -27,36 +27,78 @@ pub struct Line {
     pub entry: Result<Entry, String>,
     /// The line as it stands.
     pub text: String,
+    /// It stands among the refusals.
+    pub refused: bool,
     hash: String,
 }
 
-/// Reads the record, oldest line first.
+/// Reads the record and what was refused beside it, oldest line first.
 ///
 /// # Errors
 /// A file that cannot be read.
 pub fn read(path: &Path, each: &mut dyn FnMut(Line)) -> io::Result<()> {
-    let all = files(path);
-    if all.is_empty() {
+    let refused = refused_path(path);
+    if files(path).is_empty() {
         // Says that it is not there, in the system's words.
         File::open(path)?;
     }
-    for file in all {
-        // A pipe would be waited for, a device has no end.
-        let open = rtec_files::text::open_regular(&file).map_err(|error| io::Error::other(error.found))?;
-        let mut reader = BufReader::new(open);
-        let mut line = 0;
+    let mut chains = [Lines::of(path, false).peekable(), Lines::of(&refused, true).peekable()];
+    loop {
+        // By their times, which begin with the year; a line that is none has its place among its neighbours.
+        let time = |line: Option<&io::Result<Line>>| match line? {
+            Ok(Line { entry: Ok(entry), .. }) => Some(entry.t.clone()),
+            _ => Some(String::new()),
+        };
+        let [first, second] = &mut chains;
+        let (a, b) = (time(first.peek()), time(second.peek()));
+        // At the same time: a command that latches a fault stands before the fault.
+        let chain = if b.is_none() || a.is_some() && a < b { first } else { second };
+        let Some(line) = chain.next() else { return Ok(()) };
+        each(line?);
+    }
+}
+
+/// The lines of one chain, oldest first.
+struct Lines {
+    files: VecDeque<PathBuf>,
+    refused: bool,
+    /// The file that is being read, and how many lines of it were.
+    open: Option<(PathBuf, BufReader<File>, usize)>,
+}
+
+impl Lines {
+    fn of(path: &Path, refused: bool) -> Self {
+        Self { files: files(path).into(), refused, open: None }
+    }
+
+    fn read(&mut self) -> io::Result<Option<Line>> {
         loop {
+            let Some((file, reader, line)) = &mut self.open else {
+                let Some(file) = self.files.pop_front() else { return Ok(None) };
+                // A pipe would be waited for, a device has no end.
+                let open = rtec_files::text::open_regular(&file).map_err(|e| io::Error::other(e.found))?;
+                self.open = Some((file, BufReader::new(open), 0));
+                continue;
+            };
             let mut bytes = Vec::new();
-            if (&mut reader).take(LONGEST_LINE).read_until(b'\n', &mut bytes)? == 0 {
-                break;
+            if reader.take(LONGEST_LINE).read_until(b'\n', &mut bytes)? == 0 {
+                self.open = None;
+                continue;
             }
-            line += 1;
+            *line += 1;
             let whole = bytes.ends_with(b"\n");
             let text = String::from_utf8_lossy(bytes.trim_ascii_end()).into_owned();
-            each(understand(&file, line, text, whole));
+            return Ok(Some(Line { refused: self.refused, ..understand(file, *line, text, whole) }));
         }
     }
-    Ok(())
+}
+
+impl Iterator for Lines {
+    type Item = io::Result<Line>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        self.read().transpose()
+    }
 }
 
 fn understand(file: &Path, line: usize, text: String, whole: bool) -> Line {
@@ -70,7 +112,7 @@ fn understand(file: &Path, line: usize, text: String, whole: bool) -> Line {
         Some((body, _)) => serde_json::from_str(&format!("{body}}}")).map_err(|e| e.to_string()),
     };
     let hash = hash.map_or(String::new(), |(_, hash)| hash.to_owned());
-    Line { file: file.to_owned(), line, entry, text, hash }
+    Line { file: file.to_owned(), line, entry, text, refused: false, hash }
 }
 
 /// What was found wrong with the chain.
@@ -84,6 +126,42 @@ pub struct Broken {
     pub what: String,
 }
 
+/// The end of a chain at a moment, said where the daemon's rights do not reach.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Anchor {
+    /// Of the refusals.
+    pub refused: bool,
+    /// Number of the line.
+    pub n: u64,
+    /// Its hash.
+    pub hash: String,
+}
+
+const ANCHORED: &str = "record of commands: line ";
+const ANCHORED_REFUSED: &str = "; of refusals: line ";
+
+impl Anchor {
+    /// How the ends of both chains are said.
+    #[must_use]
+    pub fn text((n, hash): (u64, &str), refused: Option<(u64, &str)>) -> String {
+        let refused = refused.map_or(String::new(), |(n, hash)| format!("{ANCHORED_REFUSED}{n} {hash}"));
+        format!("{ANCHORED}{n} {hash}{refused}")
+    }
+
+    /// All that are said in a text, as `journalctl` prints it.
+    #[must_use]
+    pub fn all(text: &str) -> Vec<Self> {
+        let one = |text: &str, refused| {
+            let mut words = text.split(|c: char| !c.is_ascii_alphanumeric());
+            let (n, hash) = (words.next()?.parse().ok()?, words.next()?);
+            (hash.len() == NOTHING.len()).then(|| Self { refused, n, hash: hash.to_owned() })
+        };
+        let of =
+            |line: &str, mark: &str, refused| line.split_once(mark).and_then(|(_, rest)| one(rest, refused));
+        text.lines().flat_map(|l| [of(l, ANCHORED, false), of(l, ANCHORED_REFUSED, true)]).flatten().collect()
+    }
+}
+
 /// What a look at the whole chain found.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
 pub struct Verified {
@@ -93,18 +171,37 @@ pub struct Verified {
     pub numbers: [u64; 2],
     /// Commands that could not be recorded, by the record's own word.
     pub lost: u64,
+    /// Lines of refusals.
+    pub refused: u64,
     /// Everything that is wrong; empty where the record is whole.
     pub broken: Vec<Broken>,
 }
 
-/// Checks every line, and that none is missing, changed or in another place.
+/// Checks every line, and that none is missing, changed or in another place; and that what was said elsewhere is true.
 ///
 /// # Errors
 /// A file that cannot be read.
-pub fn verify(path: &Path) -> io::Result<Verified> {
+pub fn verify(path: &Path, anchors: &[Anchor]) -> io::Result<Verified> {
+    let of = |refused: bool| {
+        let of_chain = anchors.iter().filter(|a| a.refused == refused);
+        of_chain.map(|a| (a.n, a.hash.as_str())).collect::<BTreeMap<_, _>>()
+    };
+    let refused = refused_path(path);
+    let mut found = verify_chain(path, &of(false))?;
+    let anchored = of(true);
+    if !files(&refused).is_empty() || read_head(&refused).is_some() || !anchored.is_empty() {
+        let beside = verify_chain(&refused, &anchored)?;
+        found.refused = beside.lines;
+        found.lost += beside.lost;
+        found.broken.extend(beside.broken);
+    }
+    Ok(found)
+}
+
+fn verify_chain(path: &Path, anchors: &BTreeMap<u64, &str>) -> io::Result<Verified> {
     let mut last = None;
     for _ in 0..TRIES {
-        let found = check(path, read_head(path).as_ref());
+        let found = check(path, read_head(path).as_ref(), anchors);
         match found {
             Ok(found) if found.broken.is_empty() || last.as_ref() == Some(&found) => return Ok(found),
             Ok(found) => last = Some(found),
@@ -114,14 +211,18 @@ pub fn verify(path: &Path) -> io::Result<Verified> {
         // A line half written, files that change their names: a moment later they are as they should be.
         std::thread::sleep(MOMENT);
     }
-    check(path, read_head(path).as_ref())
+    check(path, read_head(path).as_ref(), anchors)
 }
 
-fn check(path: &Path, head: Option<&Head>) -> io::Result<Verified> {
+fn check(path: &Path, head: Option<&Head>, anchors: &BTreeMap<u64, &str>) -> io::Result<Verified> {
     let mut found = Verified::default();
     let mut before: Option<(u64, String)> = None;
     let mut marks: BTreeMap<u64, String> = BTreeMap::new();
-    read(path, &mut |read| {
+    if files(path).is_empty() && anchors.is_empty() {
+        File::open(path)?;
+    }
+    for read in Lines::of(path, false) {
+        let read = read?;
         found.lines += 1;
         let mut broken = |what: String| {
             found.broken.push(Broken { file: read.file.clone(), line: read.line, what });
@@ -134,7 +235,7 @@ fn check(path: &Path, head: Option<&Head>) -> io::Result<Verified> {
                 if let Ok(link) = serde_json::from_str::<Link>(&read.text) {
                     before = Some((link.n, link.hash));
                 }
-                return;
+                continue;
             }
         };
         match &before {
@@ -161,11 +262,19 @@ fn check(path: &Path, head: Option<&Head>) -> io::Result<Verified> {
         if entry.what == "lost" {
             found.lost += entry.times.unwrap_or(0);
         }
+        if anchors.get(&entry.n).is_some_and(|hash| *hash != read.hash) {
+            broken(format!("line number {} is another one than the anchor says", entry.n));
+        }
         if head.is_some_and(|h| h.n == entry.n) {
             marks.insert(entry.n, read.hash.clone());
         }
         before = Some((entry.n, read.hash));
-    })?;
+    }
+    if let Some((n, _)) = anchors.last_key_value().filter(|(n, _)| **n > found.numbers[1]) {
+        let what =
+            format!("it ends with line number {}, and the anchor knows line number {n}", found.numbers[1]);
+        found.broken.push(Broken { file: path.to_owned(), line: 0, what });
+    }
     // What was written while it was read is no surprise.
     let now_n = read_head(path).map_or(0, |h| h.n);
     let what = match head {

@@ -4,9 +4,9 @@ use super::{Entry, FILES, FULL, Head, LONGEST_LINE, NOTHING, files, head_path, r
 use nix::errno::Errno;
 use nix::fcntl::{Flock, FlockArg};
 use serde::Deserialize;
-use std::fs::{File, OpenOptions, Permissions};
+use std::fs::{File, Metadata, OpenOptions, Permissions};
 use std::io::{self, BufRead, BufReader, Read, Seek, SeekFrom, Write};
-use std::os::unix::fs::{FileExt, OpenOptionsExt, PermissionsExt, fchown};
+use std::os::unix::fs::{FileExt, MetadataExt, OpenOptionsExt, PermissionsExt, fchown};
 use std::path::{Path, PathBuf};
 
 /// Writes the record. To be used by one process at a time, off every thread that must not wait for a disk.
@@ -22,6 +22,11 @@ pub struct Writer {
     held: Option<Flock<File>>,
     /// The head's file is not as it should be.
     head_behind: bool,
+    /// How many files it keeps.
+    keeps: usize,
+    /// How often its file or its head were found removed or renamed, and how often a full file was put aside.
+    moved: u64,
+    rotated: u64,
 }
 
 impl Writer {
@@ -38,7 +43,28 @@ impl Writer {
             head,
             held: None,
             head_behind: false,
+            keeps: FILES,
+            moved: 0,
+            rotated: 0,
         }
+    }
+
+    /// With another number of files.
+    #[must_use]
+    pub fn keeping(self, files: usize) -> Self {
+        Self { keeps: files, ..self }
+    }
+
+    /// How often its file or its head were found removed or renamed by others.
+    #[must_use]
+    pub fn moved(&self) -> u64 {
+        self.moved
+    }
+
+    /// How often a full file was put aside.
+    #[must_use]
+    pub fn rotated(&self) -> u64 {
+        self.rotated
     }
 
     /// With a group whose members may read the files.
@@ -64,6 +90,7 @@ impl Writer {
     /// # Errors
     /// What the file system reports; the chain goes on with the next line.
     pub fn append(&mut self, mut entry: Entry) -> io::Result<()> {
+        self.look()?;
         if self.file.is_none() {
             self.open()?;
         }
@@ -87,6 +114,31 @@ impl Writer {
         Ok(())
     }
 
+    /// Begins new files where somebody has removed or renamed those that are open, and says so in the record.
+    fn look(&mut self) -> io::Result<()> {
+        let is_there = |file: Option<&File>, path: &Path| {
+            file.is_none_or(|file| {
+                let same = |a: Metadata, b: Metadata| (a.dev(), a.ino()) == (b.dev(), b.ino());
+                std::fs::symlink_metadata(path)
+                    .is_ok_and(|now| file.metadata().is_ok_and(|open| same(open, now)))
+            })
+        };
+        let file = is_there(self.file.as_ref(), &self.path);
+        let head = is_there(self.held.as_deref(), &head_path(&self.path));
+        if file && head {
+            return Ok(());
+        }
+        self.moved += 1;
+        let what = if file { "its head was" } else { "its file was" };
+        self.file = None;
+        if !head {
+            self.held = None;
+        }
+        self.open()?;
+        let text = format!("{what} removed or renamed: another one was begun");
+        self.append(Entry { text, ..Entry::now("moved") })
+    }
+
     /// What was written is on the disk.
     ///
     /// # Errors
@@ -108,6 +160,7 @@ impl Writer {
         self.give(&file);
         let torn = whole_lines(&mut file)?;
         let known = self.head.n > 0;
+        let mut missing = None;
         if !known {
             let head = read_head(&self.path);
             let last = files(&self.path).iter().rev().find_map(|f| last_line(f));
@@ -115,6 +168,9 @@ impl Writer {
             if let Some(head) = head {
                 self.head = head;
             }
+            let ended = last.as_ref().map_or(0, |(n, _)| *n);
+            missing = (ended < self.head.n)
+                .then(|| format!("it ended with line number {ended}, and should with {}", self.head.n));
             if let Some((n, hash)) = last.filter(|(n, _)| *n > self.head.n) {
                 (self.head.n, self.head.hash) = (n, hash);
             }
@@ -123,6 +179,9 @@ impl Writer {
         self.file = Some(file);
         if torn > 0 {
             self.append(Entry { times: Some(torn), ..Entry::now("torn") })?;
+        }
+        if let Some(text) = missing {
+            self.append(Entry { text, ..Entry::now("missing") })?;
         }
         Ok(())
     }
@@ -159,18 +218,20 @@ impl Writer {
     /// has more than it promises, and not less.
     pub(super) fn begin_rotation(&mut self) -> io::Result<()> {
         // The oldest is overwritten where there is one before it.
-        let goes = self.name(FILES - 1);
-        let kept = files(&self.path).into_iter().filter(|f| *f != goes || !self.name(FILES - 2).exists());
+        let goes = self.name(self.keeps - 1);
+        let kept =
+            files(&self.path).into_iter().filter(|f| *f != goes || !self.name(self.keeps - 2).exists());
         self.head.first_n = kept.into_iter().find_map(|f| first_line(&f)).unwrap_or(self.head.n + 1);
         self.write_head()
     }
 
     fn rotate(&mut self) -> io::Result<()> {
         self.begin_rotation()?;
-        for n in (0..FILES - 1).rev().filter(|n| self.name(*n).exists()) {
+        for n in (0..self.keeps - 1).rev().filter(|n| self.name(*n).exists()) {
             std::fs::rename(self.name(n), self.name(n + 1))?;
         }
         self.file = None;
+        self.rotated += 1;
         self.open()
     }
 

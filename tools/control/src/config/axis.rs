@@ -22,10 +22,18 @@ pub(super) fn read(
     let name = s.required(source, "name", meaning, name);
     let name = plain::name(source, "name", name, true);
     let owner = name.map_or_else(|| format!("axis {n}"), |name| format!("axis {}", name.value));
+    let other_kind = refuse_other_kinds(source, &mut s, &owner);
     let count_um = plain::within(&mut s, source, "count_um", 1e-4, 1000.0);
-    let count_um = s.required(source, "count_um", "what one count is worth, µm", count_um);
     let travel_mm = plain::within(&mut s, source, "travel_mm", 1e-3, 1e6);
-    let travel_mm = s.required(source, "travel_mm", "the length of its travel, mm", travel_mm);
+    let (count_um, travel_mm) = if other_kind {
+        // What is said in degrees is not missing in millimetres.
+        (count_um, travel_mm)
+    } else {
+        (
+            s.required(source, "count_um", "what one count is worth, µm", count_um),
+            s.required(source, "travel_mm", "the length of its travel, mm", travel_mm),
+        )
+    };
     let design = s.choice(
         source,
         "design",
@@ -63,6 +71,7 @@ pub(super) fn read(
             "the axis's acceleration limit, mm/s²: the speed gate rests on it",
         );
     }
+    let rapid = plain::within(&mut s, source, "rapid_mm_min", 1e-3, 1e6);
     let hysteresis = plain::within(&mut s, source, "hysteresis_counts", 1e-3, 1000.0);
     let warn = s.integer(source, "warn_counts", 1..=1_000_000_000);
     let error = s.integer(source, "error_counts", 1..=1_000_000_000);
@@ -192,11 +201,52 @@ pub(super) fn read(
         count_um,
         travel_mm: travel_mm?.value,
         home_counts: (home_mm.map_or(0.0, |h| h.value) * 1000.0 / count_um).round() as i64,
+        rapid_mm_min: rapid.map(|r| r.value),
+        counted: card
+            .profile
+            .iter()
+            .flat_map(|p| &p.counters)
+            .any(|c| c.lines == (engine.lines.a, engine.lines.b)),
         reference_budget_counts: budget.map(|b| b.value),
         engine,
         simulated: Simulated { count_um: simulated.count_um.unwrap_or(count_um), ..simulated.rest },
     };
     Some((axis, trace))
+}
+
+/// Keys by which a configuration asks for an axis that is not supported, and what that is.
+const OTHER_KINDS: [(&str, &str); 8] = [
+    ("count_deg", ROTARY),
+    ("count_arcsec", ROTARY),
+    ("travel_deg", ROTARY),
+    ("rapid_deg_min", ROTARY),
+    ("coupled_with", COUPLED),
+    ("gantry", COUPLED),
+    ("master", COUPLED),
+    ("slave", COUPLED),
+];
+const ROTARY: &str = "a linear axis: rotary axes are not supported, since models and limits are in µm and mm. Leave the axis out: \
+                      its scale goes straight to the MTC";
+const COUPLED: &str = "an axis of its own: two scales of one axis (a gantry) are not supported, since unequal corrections would \
+                       rack it. Leave both scales out: they go straight to the MTC";
+
+/// A rotary or a coupled axis is refused by its name, not by an unknown key. `true` where it was.
+fn refuse_other_kinds(source: &mut SourceFile<'_>, s: &mut Section<'_>, owner: &str) -> bool {
+    let mut refused = None;
+    if s.has_unoffered("kind") {
+        let kinds = [("linear", None), ("rotary", Some(ROTARY)), ("gantry", Some(COUPLED))];
+        refused = s.choice(source, "kind", 1, &kinds).and_then(|at| Some((at.offset, at.value?)));
+    }
+    for (key, why) in OTHER_KINDS {
+        if s.has_unoffered(key) && refused.is_none() {
+            refused = s.value(source, key, "a linear axis", |_| Some(())).map(|at| (at.offset, why));
+        }
+    }
+    if let Some((offset, why)) = refused {
+        let what = if why == ROTARY { "rotary" } else { "coupled to another" };
+        source.finding(offset, format!("{owner}, which is {what}"), why);
+    }
+    refused.is_some()
 }
 
 /// What `simulated` says; as configured where it says nothing.
@@ -221,7 +271,12 @@ fn read_simulated(source: &mut SourceFile<'_>, s: &mut Section<'_>, kind: Option
             "backend = \"mock\": no other card has a simulated machine",
         );
     }
-    found.count_um = table.signed(source, "count_um", 1000.0).map(|c| c.value).filter(|c| *c != 0.0);
+    let expected = "a number from 0.0001 to 1000, or the same below zero where it counts backwards";
+    found.count_um = table
+        .value(source, "count_um", expected, |v| {
+            v.as_number().filter(|um| (1e-4..=1000.0).contains(&um.abs()))
+        })
+        .map(|at| at.value);
     found.rest.compensates_ppm = table.signed(source, "compensates_ppm", 1e5).map_or(0.0, |p| p.value);
     let ignores = table.choice(source, "feedback", 2, &[("used", false), ("ignored", true)]);
     found.rest.ignores = ignores.is_some_and(|i| i.value);

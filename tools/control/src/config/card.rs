@@ -4,15 +4,15 @@ use super::{MappedPlace, PortPlace};
 use crate::lines::{BIASES, DRIVES, LineName, gpio_line, line};
 use crate::profile;
 use rtec_driver::card::{AxisLines, MachineLines};
-use rtec_driver::gpio::{GpioInput, GpioLine, GpioOutput, GpioSetup, LineId};
+use rtec_driver::gpio::{self, GpioError, GpioInput, GpioLine, GpioOutput, GpioSetup, LineId};
 use rtec_driver::pci::{self, PciId};
 use rtec_driver::profile::{Place, Profile, Space, Width};
 use rtec_files::nearest;
 use rtec_files::toml::{At, Section, SourceFile};
 use rtec_rt::event::MAX_AXES;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::os::unix::fs::FileTypeExt;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 impl Card {
     /// Something outside this process hangs on the lines.
@@ -37,6 +37,10 @@ pub(super) struct Card {
 pub(super) struct Gpio {
     pub(super) setup: GpioSetup,
     pub(super) default: GpioLine,
+    /// Lines are looked for on this computer.
+    here: bool,
+    /// Chips that were looked for and not found: each is said once.
+    absent: BTreeSet<Option<String>>,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -79,6 +83,8 @@ pub(super) fn read(source: &mut SourceFile<'_>, root: &mut Section<'_>, here: bo
                 bias: None,
                 drive: None,
             },
+            here,
+            absent: BTreeSet::new(),
         },
         lines: MachineLines::standard(),
         taken: BTreeMap::new(),
@@ -141,6 +147,7 @@ fn read_registers(
         let parport = section.string(source, "parport", "a parallel port, as \"/dev/parport0\"");
         let io = section.integer(source, "io", 0..=0xffff);
         places += usize::from(parport.is_some()) + usize::from(io.is_some());
+        is_there(source, parport.filter(|_| here), path);
         card.port = parport.map(|at| PortPlace::Parport(path(at)));
         card.port = card.port.take().or(io.map(|io| PortPlace::Io(io.value as u16)));
         if let (Some(at), Some(profile)) = (parport, &card.profile)
@@ -154,6 +161,7 @@ fn read_registers(
     } else {
         let file = section.string(source, "file", "the path of the file of registers");
         let uio = section.string(source, "uio", "a UIO device, as \"/dev/uio0\"");
+        is_there(source, file.filter(|_| here), path);
         if let Some(at) = uio {
             is_uio(source, at, &path(at), here);
         }
@@ -192,17 +200,7 @@ fn read_registers(
             None => section.missing(source, "bar", "which base address register, 0 to 5"),
         }
     } else if places == 0 && card.profile.is_some() {
-        let (key, meaning) = if port {
-            (
-                "parport, io or pci",
-                "where the ports are: \"/dev/parport0\", 0x378, or a card's \"vendor:device\"",
-            )
-        } else {
-            (
-                "file, uio or pci",
-                "where the registers are: a path, \"/dev/uio0\", or a card's \"vendor:device\"",
-            )
-        };
+        let (key, meaning) = places_of(port);
         section.missing(source, key, meaning);
     }
     if places > 1 {
@@ -213,6 +211,15 @@ fn read_registers(
     let no_pci = pci_at.is_none() && (places > 0 || place.is_none());
     if let Some(at) = bar.filter(|_| no_pci) {
         source.finding(at.offset, "bar without pci", "pci = \"vendor:device\" beside it");
+    }
+}
+
+/// The keys that say where the registers are, one of which must be there, and what they mean.
+const fn places_of(port: bool) -> (&'static str, &'static str) {
+    if port {
+        ("parport, io or pci", "where the ports are: \"/dev/parport0\", 0x378, or a card's \"vendor:device\"")
+    } else {
+        ("file, uio or pci", "where the registers are: a path, \"/dev/uio0\", or a card's \"vendor:device\"")
     }
 }
 
@@ -231,7 +238,12 @@ fn load_profile(source: &mut SourceFile<'_>, path: &Path, named: &str, offset: u
 /// The lines that belong to no axis.
 fn machine_lines(source: &mut SourceFile<'_>, section: &mut Section<'_>, card: &mut Card) -> MachineLines {
     let mut wire = |key, output| wire(source, section, card, key, output, (MAX_AXES as u8, "the machine"));
-    MachineLines { probe: wire("probe", false), disable: wire("disable", false), hold: wire("hold", true) }
+    MachineLines {
+        probe: wire("probe", false),
+        disable: wire("disable", false),
+        mtc_ready: wire("mtc_ready", false),
+        hold: wire("hold", true),
+    }
 }
 
 /// The bit of a GPIO line: the next that is free.
@@ -248,6 +260,23 @@ fn wire_gpio(
         let expected = "a name, or a chip too: chip = \"gpiochip0\" in [card], or in the line's own table";
         source.finding(offset, format!("{key} = {} on no chip", line.line), expected);
         return None;
+    }
+    if gpio.here
+        && !gpio.absent.contains(&line.chip)
+        && let Err(error) = gpio::look(&line)
+    {
+        let expected = match &error {
+            GpioError::Chip { source, .. } if source.kind() == std::io::ErrorKind::PermissionDenied => {
+                "a chip that may be opened: run this as root, or let the user in with the group of /dev/gpiochip*"
+            }
+            _ => {
+                "a chip and a line of this computer (`rtecctl card list`); for another computer: --elsewhere"
+            }
+        };
+        if matches!(error, GpioError::Chip { .. }) {
+            gpio.absent.insert(line.chip.clone());
+        }
+        source.finding(offset, format!("{key} of {owner}: {error}"), expected);
     }
     let setup = &mut gpio.setup;
     let known = setup.inputs.iter().map(|i| &i.line).chain(setup.outputs.iter().map(|o| &o.line));
@@ -357,6 +386,16 @@ pub(super) fn read_lines(
     };
     lines.finish(source);
     Some(AxisLines { a: a?, b: b?, invert_a: invert_a?, invert_b: invert_b?, read_back })
+}
+
+/// What `key = "path"` names on this computer can be looked at.
+fn is_there(source: &mut SourceFile<'_>, at: Option<At<&str>>, path: impl Fn(At<&str>) -> PathBuf) {
+    if let Some(at) = at
+        && let Err(error) = std::fs::metadata(path(at))
+    {
+        let found = format!("\"{}\", which cannot be looked at: {error}", at.value);
+        source.finding(at.offset, found, "a file of this computer; for another computer: --elsewhere");
+    }
 }
 
 /// A UIO device is a character device below `/dev`.

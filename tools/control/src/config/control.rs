@@ -27,8 +27,12 @@ pub struct ControlConfig {
     pub state_file: Option<PathBuf>,
     /// The record of every command; `None` is as [`ControlConfig::log_path`] says.
     pub log_file: Option<PathBuf>,
+    /// The record's end is said in the system's journal, where the daemon's own rights do not reach.
+    pub log_anchor: bool,
     /// The folder that finished records are kept in, for the shop; none without one.
     pub spool: Option<PathBuf>,
+    /// What may wait in it at most, MB.
+    pub spool_mb: u64,
     /// Silence of the control side after which no insertion begins, ms.
     pub stale_ms: u64,
 }
@@ -156,7 +160,9 @@ pub(super) fn read(source: &mut SourceFile<'_>, root: &mut Section<'_>, here: bo
     let view = door(source, "view", "view");
     let state_file = table.string(source, "state_file", "the path of the state file");
     let log_file = table.string(source, "log_file", "the path of the record of every command");
+    let log_anchor = table.value(source, "log_anchor", "true or false", |v| v.as_bool());
     let spool = table.string(source, "spool", "the path of the folder for finished records");
+    let spool_mb = table.integer(source, "spool_mb", 1..=1_048_576);
     let stale_ms = table.integer(source, "stale_ms", 10..=60_000);
     let offset = table.offset;
     table.finish(source);
@@ -169,7 +175,9 @@ pub(super) fn read(source: &mut SourceFile<'_>, root: &mut Section<'_>, here: bo
         view,
         state_file: state_file.map(relative),
         log_file: log_file.map(relative),
+        log_anchor: log_anchor.is_some_and(|at| at.value),
         spool: spool.map(relative),
+        spool_mb: spool_mb.map_or(1024, |s| s.value as u64),
         stale_ms: stale_ms.map_or(500, |s| s.value as u64),
     };
     if let Some(at) = log_file.filter(|_| config.log_path() == config.state_path()) {

@@ -1,16 +1,12 @@
 //! Values that are well formed and still make no sense: names that a terminal would obey, numbers that nobody means.
 
 use rtec_files::toml::{At, Section, SourceFile};
+use rtec_files::words::unseen;
 
 /// Longest name of a machine, an axis, a sensor, characters.
 const LONGEST_NAME: usize = 64;
-
-/// Marks that change how the text around them is shown, and are not seen themselves.
-#[must_use]
-pub const fn is_hidden(c: char) -> bool {
-    matches!(c, '\u{ad}' | '\u{61c}' | '\u{180e}' | '\u{200b}'..='\u{200f}' | '\u{2028}'..='\u{202e}'
-        | '\u{2060}'..='\u{206f}' | '\u{feff}' | '\u{fff9}'..='\u{fffb}' | '\u{e0000}'..='\u{e007f}')
-}
+/// Longest line of text, bytes.
+const LONGEST_LINE: usize = 256;
 
 /// What is wrong with a name, if anything: found, expected.
 pub(super) fn bad_name(key: &str, name: &str, one_word: bool) -> Option<(String, &'static str)> {
@@ -18,8 +14,7 @@ pub(super) fn bad_name(key: &str, name: &str, one_word: bool) -> Option<(String,
     let shown: String = name.chars().take(24).flat_map(char::escape_debug).collect();
     let shown = if name.chars().nth(24).is_some() { format!("{shown}…") } else { shown };
     let found = format!("{key} = \"{shown}\"");
-    if name.chars().any(|c| c.is_control() || is_hidden(c)) {
-        let c = name.chars().find(|c| c.is_control() || is_hidden(*c)).unwrap_or_default();
+    if let Some(c) = unseen(name) {
         return Some((
             format!("{found} with the character U+{:04X}", u32::from(c)),
             "characters that can be seen",
@@ -49,6 +44,21 @@ pub(super) fn name<'a>(
     let at = at?;
     let Some((found, expected)) = bad_name(key, at.value, one_word) else { return Some(at) };
     source.finding(at.offset, found, expected);
+    None
+}
+
+/// A text that is shown as it stands, in one line: without marks that a terminal obeys; else a finding.
+pub(super) fn line<'a>(
+    source: &mut SourceFile<'_>,
+    key: &str,
+    at: Option<At<&'a str>>,
+) -> Option<At<&'a str>> {
+    let at = at?;
+    if at.value.len() <= LONGEST_LINE && unseen(at.value).is_none() {
+        return Some(at);
+    }
+    let shown: String = at.value.chars().take(24).flat_map(char::escape_debug).collect();
+    source.finding(at.offset, format!("{key} = \"{shown}…\""), "at most 256 characters that can be seen");
     None
 }
 
@@ -83,7 +93,7 @@ mod tests {
             &"x".repeat(1 << 20),
         ] {
             let (found, expected) = bad_name("name", bad, false).unwrap();
-            assert!(found.len() < 200 && !found.chars().any(|c| c.is_control() || is_hidden(c)), "{found}");
+            assert!(found.len() < 200 && unseen(&found).is_none(), "{found}");
             assert!(!expected.is_empty());
         }
         for good in ["x", "lathe 7", "Drehmaschine Süd", "X1", "日本", "a-b"] {

@@ -10,6 +10,13 @@ const PERIOD_S: [f64; 2] = [0.01, 3600.0];
 /// Other times of a sensor, s.
 const TIME_S: [f64; 2] = [0.01, 1e6];
 
+/// Fastest change that is believed, K/min.
+const RATE_K_PER_MIN: [f64; 2] = [1e-3, 1e4];
+/// Ends of a range, °C or what the sensor measures in.
+const RANGE: f64 = 1e9;
+/// Highest number of a channel or an input.
+const CHANNEL: f64 = 4095.0;
+
 /// The `[[sensor]]` tables; recordings to replay are beside the configuration.
 pub(super) fn read(source: &mut SourceFile<'_>, root: &Table<'_>) -> Vec<SensorConfig> {
     let file = source.file;
@@ -45,6 +52,27 @@ fn check(source: &mut SourceFile<'_>, table: &Table<'_>, sensor: &SensorConfig) 
             && !(low..=high).contains(&value)
         {
             source.finding(entry.offset(), format!("{key} = {value:e}"), format!("{low} to {high} s"));
+        }
+    }
+    let number = |key: &str| table.get(key).and_then(|e| Some((e.offset(), e.as_number()?)));
+    let [low, high] = RATE_K_PER_MIN;
+    if let Some((at, rate)) = number("max_rate_K_per_min").filter(|(_, rate)| !(low..=high).contains(rate)) {
+        source.finding(at, format!("max_rate_K_per_min = {rate:e}"), format!("{low} to {high} K/min"));
+    }
+    for key in ["channel", "input"] {
+        if let Some((at, number)) = number(key).filter(|(_, number)| *number > CHANNEL) {
+            source.finding(at, format!("{key} = {number:e}"), format!("a whole number up to {CHANNEL}"));
+        }
+    }
+    for key in ["range", "range_degC"] {
+        if let Some(entry) = table.get(key)
+            && sensor.range.iter().any(|end| end.abs() > RANGE)
+        {
+            source.finding(
+                entry.offset(),
+                format!("{key} = {}", entry.text()),
+                format!("ends within ±{RANGE:e}"),
+            );
         }
     }
     let (key, bad, expected) = match &sensor.source {

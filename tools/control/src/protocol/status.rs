@@ -20,12 +20,21 @@ pub struct DaemonStatus {
     pub mode: String,
     /// Every axis is homed.
     pub homed: bool,
+    /// Corrections are enabled. Hold and probing freeze them and do not disable them.
+    #[serde(default)]
+    pub enabled: bool,
+    /// Who holds the machine, while feed hold is on.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub hold: Option<HoldReport>,
     /// Since the daemon's start, s.
     pub uptime_s: f64,
     /// The ledger of every axis balances.
     pub balanced: bool,
     /// Latched faults of the machine as a whole.
     pub faults: Vec<Fault>,
+    /// Every latched fault, of the machine and of its axes, with its time.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub latched_faults: Vec<LatchedFault>,
     /// How often each fault was latched since the daemon's start, by its word.
     #[serde(default)]
     pub latched: BTreeMap<String, u64>,
@@ -34,6 +43,9 @@ pub struct DaemonStatus {
     pub record_trouble: Option<String>,
     /// Why nothing is corrected now, and what to do about it; empty while correcting.
     pub why_not: Vec<String>,
+    /// Files that were edited since they were read: what runs is not what they say; each with what to do.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub edited: Vec<String>,
     /// The real-time thread: set-up, losses and latencies.
     pub rt: Rt,
     /// The model that runs.
@@ -50,6 +62,29 @@ pub struct DaemonStatus {
     pub sensors: Vec<Reading>,
     /// The axes, in the configuration's order.
     pub axes: Vec<AxisReport>,
+}
+
+/// Feed hold, while it is on.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct HoldReport {
+    /// Who asked for it: a user, `the controller`, `fault`, or `unknown` where it was on when the daemon started.
+    pub by: String,
+    /// Since when, s since 1970; none where that is not known. It outlives a restart.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub at_s: Option<f64>,
+}
+
+/// A latched fault.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct LatchedFault {
+    /// The axis; none for the machine as a whole.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub axis: Option<String>,
+    /// The fault.
+    pub fault: Fault,
+    /// When it was latched, s since 1970; none where that is not known. It outlives a restart.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub at_s: Option<f64>,
 }
 
 /// The real-time thread: how it was set up, what it lost, how quick it is.
@@ -77,10 +112,18 @@ pub struct Rt {
     pub control_stale: bool,
     /// The disable switch is on.
     pub disable_switch: bool,
+    /// The MTC is on and counts; `true` too where no line tells.
+    #[serde(default = "ready")]
+    pub mtc_ready: bool,
     /// Time between two looks, ns.
     pub poll_gap_ns: Distribution,
     /// Time from an edge to the end of the insertion it opened, ns.
     pub edge_to_done_ns: Distribution,
+}
+
+/// Of a daemon that does not say.
+const fn ready() -> bool {
+    true
 }
 
 /// A distribution of times, ns.
@@ -121,6 +164,9 @@ pub struct AxisReport {
     pub inverted: bool,
     /// The axis is homed: its position and its totals mean something.
     pub homed: bool,
+    /// The MTC has been homed, and nothing has put its count in doubt since.
+    #[serde(default)]
+    pub mtc_known: bool,
     /// Why it is or is not correcting: `done`, `inserting`, `waiting_for_edge`, `too_fast`, …
     pub gate: String,
     /// Scale edges per second.
@@ -144,4 +190,36 @@ pub struct AxisReport {
     /// Edges that came sooner than the axis's limits allow, on a polled card.
     #[serde(default)]
     pub beyond_limits: u64,
+    /// How fast the axis may be.
+    #[serde(flatten)]
+    pub rates: Rates,
+}
+
+/// How fast an axis is, and may be, mm/min.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+pub struct Rates {
+    /// Its rapid, as configured.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub rapid_mm_min: Option<f64>,
+    /// Up to here every count is seen; none where nothing limits it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub followed_mm_min: Option<f64>,
+    /// Up to here corrections are inserted; none where they never are.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub corrected_mm_min: Option<f64>,
+}
+
+impl std::fmt::Display for Rates {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        // Axes of a test are slow.
+        let digits = |v: f64| if v < 10.0 { 4 } else { 0 };
+        let figure = |speed: Option<f64>, none: &str| {
+            speed.map_or(none.to_owned(), |v| format!("{v:.*} mm/min", digits(v)))
+        };
+        if self.rapid_mm_min.is_some() {
+            write!(f, "rapid {}, ", figure(self.rapid_mm_min, ""))?;
+        }
+        let followed = figure(self.followed_mm_min, "any speed");
+        write!(f, "followed up to {followed}, corrected up to {}", figure(self.corrected_mm_min, "no speed"))
+    }
 }

@@ -22,10 +22,9 @@ pub const fn explain_refusal(why: Refusal) -> &'static str {
             "a fault is latched: see `rtecctl status`, mend its cause, then `rtecctl clear`"
         }
         Refusal::NotHomed => "not homed: move to the home position, then `rtecctl home`",
-        Refusal::Disabled => {
-            "corrections are disabled: `rtecctl enable` first; only a total of 0 is accepted now"
-        }
+        Refusal::Disabled => "corrections are disabled: `rtecctl enable` first",
         Refusal::DisableSwitch => "the hardware disable switch is on",
+        Refusal::Held => "feed hold is on: `rtecctl hold off` first",
         Refusal::Probing => "probing mode is on: `rtecctl probe off` first",
         Refusal::AboveMaximum => "beyond max_correction_counts of this axis; nothing is changed",
         Refusal::NotBelieved => {
@@ -36,6 +35,11 @@ pub const fn explain_refusal(why: Refusal) -> &'static str {
              `rtecctl status` and `rtecctl platform`"
         }
         Refusal::Busy => "an insertion is under way: ask again",
+        Refusal::ControllerUnknown => {
+            "nobody knows what the controller counts: home it, move to the home position, then `rtecctl home \
+             --controller-homed`"
+        }
+        Refusal::ControllerNotReady => "the controller is off: its line mtc_ready says so",
     }
 }
 
@@ -62,7 +66,8 @@ pub const fn explain_fault(fault: Fault) -> &'static str {
              to what the axis does, clear, home again"
         }
         Fault::StillNotBelieved => {
-            "three requests in a row were outside the belief window (window_counts): see `rtecctl explain`, then clear"
+            "three requests in a row were outside the belief window (window_counts): `rtecctl log` says who asked for what; \
+             then clear"
         }
         Fault::ErrorLimit => "a request reached error_counts of this axis; clear",
         Fault::ReadBackMismatch => {
@@ -78,6 +83,14 @@ pub const fn explain_fault(fault: Fault) -> &'static str {
         }
         Fault::RecordLost => {
             "the state file has lost what this axis had in effect: the MTC's count is uncertain; clear, home again"
+        }
+        Fault::ThreadLost => {
+            "the real-time thread panicked or stood still, and nobody looked at the lines: see the log, restart the \
+             daemon, clear, home again"
+        }
+        Fault::ChannelDead => {
+            "A or B of the scale changes again and again while the other never does: a wire or the receiver of that \
+             channel is broken; `rtecctl card probe --watch` shows which; mend it, clear, home again"
         }
         Fault::SequenceGap => {
             "the kernel merged two edges into one (its sequence numbers jump): the axis is too fast for these GPIO lines, \
@@ -118,16 +131,25 @@ impl Happened {
             EventKind::HomeSet { position_counts } => {
                 ("home_set", format!("counter set to {position_counts}"))
             }
-            EventKind::Homed => ("homed", "homed".to_owned()),
+            EventKind::Homed { kept_counts: 0 } => ("homed", "homed".to_owned()),
+            EventKind::Homed { kept_counts } => {
+                ("homed", format!("homed, the scale alone: the controller still counts {kept_counts:+}"))
+            }
             EventKind::Overlap => {
                 ("overlap", "an edge fell into an insertion and is in the ledger".to_owned())
             }
             EventKind::Late => ("late", "an insertion was given up: looked too late".to_owned()),
             EventKind::Mode(mode) => ("mode", format!("mode {}", word(mode))),
             EventKind::ControlStale(true) => {
-                ("control_stale", "the control side is silent: corrections freeze".to_owned())
+                ("control_stale", "the control side is silent: corrections are off".to_owned())
             }
             EventKind::ControlStale(false) => ("control_stale", "the control side answers again".to_owned()),
+            EventKind::ControllerReady(true) => {
+                ("mtc_ready", "the controller is on again: home it, then the axes".to_owned())
+            }
+            EventKind::ControllerReady(false) => {
+                ("mtc_ready", "the controller is off: its count is not known, corrections are off".to_owned())
+            }
             EventKind::Trip(capture) => {
                 let (position_counts, uncertainty_counts) = capture.position_counts();
                 let count_um = axis.map_or(0.0, |(_, um)| um);

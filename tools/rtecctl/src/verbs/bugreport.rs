@@ -1,19 +1,19 @@
 //! `rtecctl bugreport`: what somebody else needs to know about a corrector, in one archive.
 
 use crate::Outcome;
+use crate::archive::{Archive, now_s};
 use crate::daemon::{Daemon, observe};
 use anyhow::Context;
-use rtec_control::config::{EMBEDDED, INSTALLED};
+use rtec_control::belongings::{self, Belonging};
+use rtec_control::config::{Config, EMBEDDED, INSTALLED};
 use rtec_rt::setup::System;
 use std::fmt::Write as _;
-use std::fs::{File, OpenOptions};
 use std::io::{Read, Seek, SeekFrom};
-use std::os::unix::fs::OpenOptionsExt;
+use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use std::process::Command;
-use std::time::{SystemTime, UNIX_EPOCH};
 
-/// Put configuration, state, record, log, platform and versions into one archive, for this user's eyes only
+/// Put configuration, model, profile, devices, state, record, log, platform and versions into one archive, for this user's eyes only
 ///
 /// Made with or without a running daemon: what could not be had is named, also in contents.txt; then the exit code is 3 where
 /// the daemon does not answer, else 1. Values of keys that sound secret
@@ -33,23 +33,15 @@ pub(crate) struct Args {
 /// So much of the end of a log.
 const LOG_BYTES: u64 = 1 << 20;
 const LOG_LINES: &str = "2000";
-/// Which devices an installed daemon may use.
-const DEVICES: &str = "/etc/rtec/devices";
+/// What every name in the archive begins with.
+const TOP: &str = "rtec-bugreport";
 /// What the daemon answers.
 const STATE: &str = "state.json";
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
-    let now_s = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_secs());
-    let out = args.out.clone().unwrap_or_else(|| format!("rtec-bugreport-{now_s}.tar").into());
-    // Never over something that is there, and never through a link.
-    let file = OpenOptions::new().write(true).create_new(true).mode(0o600).open(&out);
-    let file =
-        file.map_err(|e| Outcome::Bad(format!("{}: {e}; expected a name that is free", out.display())))?;
-    let done = fill(args, file, now_s);
-    if done.is_err() {
-        let _ = std::fs::remove_file(&out);
-    }
-    let Contents { text, missing } = done.with_context(|| format!("writing {}", out.display()))?;
+    let out = args.out.clone().unwrap_or_else(|| format!("rtec-bugreport-{}.tar", now_s()).into());
+    let done = Archive::create(&out).and_then(|archive| fill(args, archive));
+    let Contents { text, missing } = done?;
     if args.daemon.json {
         println!("{}", serde_json::json!({ "file": out, "contents": text, "missing": missing }));
     } else {
@@ -70,8 +62,7 @@ struct Contents {
     missing: Vec<&'static str>,
 }
 
-fn fill(args: &Args, file: File, now_s: u64) -> anyhow::Result<Contents> {
-    let mut tar = tar::Builder::new(file);
+fn fill(args: &Args, mut archive: Archive<'_>) -> anyhow::Result<Contents> {
     let mut contents = Contents::default();
     let mut put = |name: &'static str, text: anyhow::Result<String>| -> anyhow::Result<()> {
         let text = match text {
@@ -84,21 +75,18 @@ fn fill(args: &Args, file: File, now_s: u64) -> anyhow::Result<Contents> {
             }
         };
         let _ = writeln!(contents.text, "{name}: {} bytes", text.len());
-        append(&mut tar, name, &text, now_s)
+        Ok(archive.add(&format!("{TOP}/{name}"), text.as_bytes())?)
     };
-    let (installed, devices) = (Path::new(INSTALLED), Path::new(DEVICES));
-    let config = match args.of.as_deref().or(args.daemon.config_file()) {
+    let installed = Path::new(INSTALLED);
+    let file = args.of.as_deref().or(args.daemon.config_file());
+    let file = file.or_else(|| Some(installed).filter(|f| f.exists()));
+    let config = match file {
         Some(file) => read(file),
-        None if installed.exists() => read(installed),
         // The daemon runs on the same.
         None => Ok(format!("# There is no {INSTALLED}: the embedded default.\n{EMBEDDED}")),
     };
     put("versions.txt", Ok(versions()))?;
     put("rtec.toml", config.map(|text| without_secrets(&text)))?;
-    // Only an installed daemon on a real card has one.
-    if devices.exists() {
-        put("devices", read(devices))?;
-    }
     let seen = args.daemon.view().and_then(|mut client| observe(&mut client, None));
     put(STATE, seen.and_then(|seen| Ok(serde_json::to_string_pretty(&seen)? + "\n")))?;
     put("record.jsonl", args.daemon.log_path().and_then(|path| read(&path)))?;
@@ -116,18 +104,60 @@ fn fill(args: &Args, file: File, now_s: u64) -> anyhow::Result<Contents> {
     let cpu = system.default_cpu();
     let platform = serde_json::to_string_pretty(&system.inspect(cpu, 80)).map_err(anyhow::Error::from);
     put("platform.json", platform.map(|text| text + "\n"))?;
-    append(&mut tar, "contents.txt", &contents.text, now_s)?;
-    tar.into_inner()?.sync_all()?;
+    put("devices.txt", Ok(devices()))?;
+    for (name, text) in file.map(beside).unwrap_or_default() {
+        let _ = writeln!(contents.text, "{name}: {} bytes", text.len());
+        archive.add(&format!("{TOP}/{name}"), text.as_bytes())?;
+    }
+    archive.add(&format!("{TOP}/contents.txt"), contents.text.as_bytes())?;
+    archive.finish()?;
     Ok(contents)
 }
 
-fn append(tar: &mut tar::Builder<File>, name: &str, text: &str, now_s: u64) -> anyhow::Result<()> {
-    let mut header = tar::Header::new_gnu();
-    header.set_size(text.len() as u64);
-    header.set_mode(0o600);
-    header.set_mtime(now_s);
-    header.set_cksum();
-    Ok(tar.append_data(&mut header, format!("rtec-bugreport/{name}"), text.as_bytes())?)
+/// What a configuration names that can be read: model, profile, list of devices. What it names and cannot be had is said in the
+/// place of its text.
+fn beside(file: &Path) -> Vec<(String, String)> {
+    let named =
+        Config::load(file).map_err(anyhow::Error::from).and_then(|config| Ok(belongings::of(file, &config)?));
+    let named = match named {
+        Ok(named) => named,
+        // A configuration that is not right is what the report is about.
+        Err(error) => return vec![("findings.txt".to_owned(), format!("{error:#}\n"))],
+    };
+    // Recordings and traces are the machine's user's, and long.
+    let named = named.into_iter().filter(|b| matches!(b.kind, "model" | "profile" | "devices"));
+    let named = named.filter(|b| b.kind != "devices" || b.path.exists());
+    let text =
+        |b: &Belonging| read(&b.path).map_or_else(|e| format!("{e:#}\n"), |text| without_secrets(&text));
+    let name = |b: &Belonging| b.path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    named.map(|b| (format!("{}/{}", b.kind, name(&b)), text(&b))).collect()
+}
+
+/// The devices that a card may be, as the system has them: who may open them, and what they are.
+fn devices() -> String {
+    let mut text = String::new();
+    let show = |text: &mut String, path: &Path| {
+        let Ok(is) = path.metadata() else { return };
+        let _ = writeln!(text, "{:o} {}:{} {}", is.mode() & 0o7777, is.uid(), is.gid(), path.display());
+    };
+    for (folder, kinds) in [("/dev", &["gpiochip", "uio", "parport"][..]), ("/sys/bus/pci/devices", &[""])] {
+        let mut all: Vec<PathBuf> =
+            std::fs::read_dir(folder).into_iter().flatten().filter_map(|e| Some(e.ok()?.path())).collect();
+        all.sort();
+        for path in all {
+            let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+            if !kinds.iter().any(|kind| name.starts_with(kind)) {
+                continue;
+            }
+            show(&mut text, &path);
+            for key in ["vendor", "device", "class"] {
+                if let Ok(value) = std::fs::read_to_string(path.join(key)) {
+                    let _ = writeln!(text, "  {key} {}", value.trim());
+                }
+            }
+        }
+    }
+    text
 }
 
 fn versions() -> String {

@@ -1,9 +1,11 @@
 //! `rtecctl card`: which cards this program knows, which are here, and what their lines say.
 
+mod watch;
+
 use crate::Outcome;
 use anyhow::Context;
 use clap::Subcommand;
-use rtec_control::card;
+use rtec_control::card::{self, Access, OnCard, OpenError};
 use rtec_control::config::{CardConfig, Config, ConfigFindings, INSTALLED, MappedPlace, PortPlace};
 use rtec_control::lock::{self, Held, LockError};
 use rtec_control::profile::{self, SHIPPED};
@@ -15,6 +17,7 @@ use rtec_driver::port::{Parport, Ports};
 use rtec_driver::profile::{Place, Profile, Register, Space};
 use rtec_driver::registers::Bus;
 use rtec_files::InputError;
+use rtec_rt::event::MAX_AXES;
 use serde_json::{Value, json};
 use std::io::{BufRead, Write};
 use std::path::{Path, PathBuf};
@@ -57,24 +60,53 @@ enum What {
         /// The MTC is off: do not ask
         #[arg(long, requires = "drive")]
         mtc_is_off: bool,
-        /// Print one JSON document
+        /// Show the inputs live: levels, edges, edges per second, and whether both edges of each line were seen
+        #[arg(long, conflicts_with = "drive")]
+        watch: bool,
+        /// With --watch: time between two pictures
+        #[arg(long, value_name = "TIME", default_value = "500ms", requires = "watch", value_parser = pause)]
+        every: Duration,
+        /// With --watch: end after this time; without it: until Ctrl-C
+        #[arg(long = "for", value_name = "TIME", requires = "watch", value_parser = humantime::parse_duration)]
+        during: Option<Duration>,
+        /// Print one JSON document; with --watch at the end of --for
         #[arg(long)]
         json: bool,
     },
+}
+
+/// Time between two pictures.
+fn pause(text: &str) -> Result<Duration, String> {
+    let time = humantime::parse_duration(text).map_err(|e| format!("{e}; write 500ms or 2s"))?;
+    let range = Duration::from_millis(20)..=Duration::from_secs(3600);
+    if range.contains(&time) { Ok(time) } else { Err("from 20ms to 1h".into()) }
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     match &args.what {
         What::List { json } => list(*json),
         What::Show { profile, toml, json } => show(profile, *toml, *json),
-        What::Probe { config, drive, mtc_is_off, json } => {
+        What::Probe { config, drive, mtc_is_off, watch: live, every, during, json } => {
             let config = load(config)?;
+            if *live {
+                if *json && during.is_none() {
+                    return Err(Outcome::Bad(
+                        "--watch --json needs --for TIME: the document comes at its end".into(),
+                    )
+                    .into());
+                }
+                // A counter is latched to be read, and its flags are cleared: the daemon would miss them.
+                let counts = matches!(&config.card, CardConfig::Mapped { profile, .. } | CardConfig::Port { profile, .. }
+                    if !profile.counters.is_empty());
+                let _alone = counts.then(|| alone(&config)).transpose()?;
+                return watch::watch(&config, watch::Options { every: *every, during: *during, json: *json });
+            }
             if !drive {
                 return probe(&config)?.print(*json);
             }
             let _alone = alone(&config)?;
             if !mtc_is_off {
-                confirm()?;
+                confirm("every output of this card is switched on and off again, one after the other")?;
             }
             drive_outputs(&config, *json)
         }
@@ -99,13 +131,25 @@ fn backend(profile: &Profile, name: &str) -> &'static str {
     if ports { "port" } else { "mapped" }
 }
 
+/// How many axes a profile's lines are enough for: without a line of the machine's own, and with read-back and feed hold.
+fn axes_that_fit(profile: &Profile) -> [usize; 2] {
+    let inputs = profile.lines.values().filter(|p| matches!(p, Place::Input(_))).count();
+    let outputs = profile.lines.len() - inputs;
+    let fit = |inputs: usize, outputs: usize| inputs.min(outputs).min(MAX_AXES);
+    [fit(inputs / 2, outputs / 2), fit(inputs / 4, outputs.saturating_sub(1) / 2)]
+}
+
 fn list(as_json: bool) -> anyhow::Result<()> {
     let mut profiles = Vec::new();
     for (name, _) in SHIPPED {
         // A name of the list itself.
         let Some(p) = profile::shipped(name) else { continue };
         let id = p.pci.map(|p| format!("{:04x}:{:04x}", p.id.0, p.id.1));
-        profiles.push(json!({"profile": name, "backend": backend(&p, name), "name": p.name, "pci": id}));
+        let [axes, wired_back] = axes_that_fit(&p);
+        profiles.push(json!({
+            "profile": name, "backend": backend(&p, name), "name": p.name, "pci": id, "axes": axes,
+            "axes_with_read_back": wired_back,
+        }));
     }
     let chips: Vec<_> = gpio::chips()
         .into_iter()
@@ -144,16 +188,20 @@ fn list(as_json: bool) -> anyhow::Result<()> {
     println!("profiles (rtecctl card show NAME):");
     for p in &profiles {
         println!(
-            "  {:<15} {:<7} {:<10} {}",
+            "  {:<15} {:<7} {:<10} axes {} ({} with read-back)  {}",
             text(p, "profile"),
             text(p, "backend"),
             text(p, "pci"),
+            text(p, "axes"),
+            text(p, "axes_with_read_back"),
             text(p, "name")
         );
     }
     println!("in this machine:");
     for c in &chips {
-        println!("  gpio     {} \"{}\", {} lines", text(c, "chip"), text(c, "label"), text(c, "lines"));
+        let axes = c["lines"].as_u64().map_or(0, |lines| (lines / 4).min(MAX_AXES as u64));
+        let (chip, label, lines) = (text(c, "chip"), text(c, "label"), text(c, "lines"));
+        println!("  gpio     {chip} \"{label}\", {lines} lines, axes {axes}");
     }
     for c in &cards {
         println!("  pci      {} {}, profile {}", text(c, "address"), text(c, "pci"), text(c, "profile"));
@@ -284,9 +332,12 @@ fn wired(config: &Config) -> Vec<(String, u8, bool)> {
         add("invert_b", l.invert_b, true);
     }
     let l = config.lines;
-    for (key, bit, output) in
-        [("probe", l.probe, false), ("disable", l.disable, false), ("hold", l.hold, true)]
-    {
+    for (key, bit, output) in [
+        ("probe", l.probe, false),
+        ("disable", l.disable, false),
+        ("mtc_ready", l.mtc_ready, false),
+        ("hold", l.hold, true),
+    ] {
         lines.extend(bit.map(|bit| (key.to_owned(), bit, output)));
     }
     lines
@@ -301,7 +352,7 @@ fn no_lines(config: &Config) -> anyhow::Error {
     Outcome::Bad(text).into()
 }
 
-fn unreachable(error: impl std::fmt::Display) -> anyhow::Error {
+pub(crate) fn unreachable(error: impl std::fmt::Display) -> anyhow::Error {
     Outcome::Unreachable(error.to_string()).into()
 }
 
@@ -449,7 +500,7 @@ fn probe_gpio(config: &Config, setup: &GpioSetup) -> anyhow::Result<Reading> {
 }
 
 /// Keeps the daemon away from the card for as long as the value lives: it would correct against what is switched here.
-fn alone(config: &Config) -> anyhow::Result<Vec<Held>> {
+pub(crate) fn alone(config: &Config) -> anyhow::Result<Vec<Held>> {
     let stop =
         |e: LockError| Outcome::No(format!("{e}: stop it first (systemctl stop rtecd); nothing was written"));
     let mut held: Vec<_> = lock::keep_out(&config.control.socket).map_err(stop)?.into_iter().collect();
@@ -463,10 +514,11 @@ fn alone(config: &Config) -> anyhow::Result<Vec<Held>> {
     Ok(held)
 }
 
-fn confirm() -> anyhow::Result<()> {
+/// Has a person say that the MTC is off. `what` is switched.
+pub(crate) fn confirm(what: &str) -> anyhow::Result<()> {
     const PHRASE: &str = "the MTC is off";
     eprintln!(
-        "WARNING: every output of this card is switched on and off again, one after the other. An inverter that is switched\n\
+        "WARNING: {what}. An inverter that is switched\n\
          makes the MTC count, and its axis MOVES. Switch the MTC off first. Type: {PHRASE}"
     );
     std::io::stderr().flush()?;
@@ -478,29 +530,30 @@ fn confirm() -> anyhow::Result<()> {
     Ok(())
 }
 
-fn drive_outputs(config: &Config, as_json: bool) -> anyhow::Result<()> {
-    match &config.card {
-        CardConfig::Mock | CardConfig::Replay { .. } => Err(no_lines(config)),
-        CardConfig::Gpio(setup) => {
-            // Levels are read as they are at the moment; edges would have to be waited for.
-            let setup = GpioSetup { events: false, ..setup.clone() };
-            drive(config, as_json, &mut card::gpio(&setup, Vec::new()).map_err(unreachable)?)
-        }
-        CardConfig::Mapped { place, profile } => {
-            let (file, map) = card::register_file(place, profile).map_err(unreachable)?;
-            drive(config, as_json, &mut card::mapped(&file, map, profile).map_err(unreachable)?)
-        }
-        CardConfig::Port { place: PortPlace::Parport(file), profile } => {
-            drive(config, as_json, &mut card::parport(file, profile).map_err(unreachable)?)
-        }
-        CardConfig::Port { place: PortPlace::Io(base), profile } => {
-            drive(config, as_json, &mut card::ports(*base, profile).map_err(unreachable)?)
-        }
-        CardConfig::Port { place: PortPlace::Pci(id, bar), profile } => {
-            let base = card::io_bar(id, *bar, profile).map_err(unreachable)?;
-            drive(config, as_json, &mut card::ports(base, profile).map_err(unreachable)?)
-        }
+/// Switches every output of a card.
+struct Switching<'a> {
+    config: &'a Config,
+    as_json: bool,
+}
+
+impl OnCard for Switching<'_> {
+    type Output = anyhow::Result<()>;
+
+    fn on<C: Card + Send + 'static>(self, mut card: C) -> Self::Output {
+        drive(self.config, self.as_json, &mut card)
     }
+}
+
+fn drive_outputs(config: &Config, as_json: bool) -> anyhow::Result<()> {
+    let mut named = config.card.clone();
+    if let CardConfig::Gpio(setup) = &mut named {
+        // Levels are read as they are at the moment; edges would have to be waited for.
+        setup.events = false;
+    }
+    card::with(&named, Access::Drive, Switching { config, as_json }).map_err(|e| match e {
+        OpenError::NoLines(_) => no_lines(config),
+        other => unreachable(other),
+    })?
 }
 
 /// Time that gates, receivers and the card's input filter are given.

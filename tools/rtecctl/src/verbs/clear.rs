@@ -41,9 +41,14 @@ fn released(before: &DaemonStatus, after: &DaemonStatus) -> String {
         // Writing to a String does not fail.
         let _ = writeln!(text, "latched again: {fault}");
     }
-    let home: Vec<_> = after.axes.iter().filter(|a| !a.homed).map(|a| a.name.as_str()).collect();
-    if !home.is_empty() {
-        let _ = writeln!(text, "to be homed again: {} (`rtecctl home`)", home.join(", "));
+    for (known, how) in
+        [(true, "`rtecctl home`"), (false, "the controller too, then `rtecctl home --controller-homed`")]
+    {
+        let home = after.axes.iter().filter(|a| !a.homed && a.mtc_known == known);
+        let home: Vec<_> = home.map(|a| a.name.as_str()).collect();
+        if !home.is_empty() {
+            let _ = writeln!(text, "to be homed again: {} ({how})", home.join(", "));
+        }
     }
     if after.mode == "disabled" {
         text += "corrections are off: `rtecctl enable`\n";
@@ -66,13 +71,16 @@ mod tests {
         before.faults = vec![Fault::Card];
         let mut after = after;
         after.mode = "disabled".into();
-        after.axes[0].homed = false;
+        (after.axes[0].homed, after.axes[0].mtc_known) = (false, true);
         let name = &after.axes[0].name;
         let wanted = format!(
             "released: card, axis {name}: poll_gap\nto be homed again: {name} (`rtecctl home`)\ncorrections are off: \
              `rtecctl enable`\n"
         );
         assert_eq!(released(&before, &after), wanted);
+        after.axes[0].mtc_known = false;
+        let text = released(&before, &after);
+        assert!(text.contains("the controller too, then `rtecctl home --controller-homed`"), "{text}");
         after.faults = vec![Fault::Card];
         assert!(released(&before, &after).contains("latched again: card\n"));
     }

@@ -61,21 +61,30 @@ fn document(file: &std::path::Path, config: &Result<Config, ConfigFindings>) -> 
         })
         .collect();
     let notes = config.as_ref().map_or(&[][..], |c| &c.notes);
-    json!({"file": file, "ok": config.is_ok(), "findings": findings, "notes": notes})
+    let axes: Vec<_> = config.iter().flat_map(|c| &c.axes).collect();
+    let axes: Vec<_> = axes
+        .iter()
+        .map(|a| {
+            let rates = a.rates();
+            json!({"name": a.name, "rapid_mm_min": rates.rapid_mm_min, "followed_mm_min": rates.followed_mm_min,
+                   "corrected_mm_min": rates.corrected_mm_min, "followed_hz": a.followed_hz(), "corrected_hz": a.corrected_hz()})
+        })
+        .collect();
+    json!({"file": file, "ok": config.is_ok(), "findings": findings, "notes": notes, "axes": axes})
 }
 
 fn print(config: &Config) {
-    println!("machine \"{}\", card {}", config.machine, config.card.backend());
+    println!("machine \"{}\", card {}", config.machine, config.card.named());
     println!(
-        "{:<8} {:>10} {:>10} {:>9} {:>8} {:>8} {:>10} {:>9} {:>14}",
-        "axis", "µm/count", "travel/mm", "design", "max", "window", "sep/ns", "need/ns", "fastest/Hz"
+        "{:<8} {:>10} {:>10} {:>9} {:>8} {:>8} {:>10} {:>9}",
+        "axis", "µm/count", "travel/mm", "design", "max", "window", "sep/ns", "need/ns"
     );
     for axis in &config.axes {
         let e = &axis.engine;
         let Some(gate) = e.gate() else { continue };
         let design = format!("{:?}", e.design).to_lowercase();
         println!(
-            "{:<8} {:>10} {:>10} {design:>9} {:>8} {:>8} {:>10} {:>9} {:>14.0}",
+            "{:<8} {:>10} {:>10} {design:>9} {:>8} {:>8} {:>10} {:>9}",
             axis.name,
             axis.count_um,
             axis.travel_mm,
@@ -83,7 +92,24 @@ fn print(config: &Config) {
             e.window_counts,
             e.min_separation_ns,
             gate.need_ns(),
-            1e9 / gate.min_period_ns() as f64,
+        );
+    }
+    println!(
+        "{:<8} {:>14} {:>17} {:>18} {:>11} {:>12}",
+        "axis", "rapid/(mm/min)", "followed/(mm/min)", "corrected/(mm/min)", "followed/Hz", "corrected/Hz"
+    );
+    for axis in &config.axes {
+        let shown = |speed: Option<f64>| speed.map_or_else(|| "–".to_owned(), |v| format!("{v:.1}"));
+        let whole = |hz: Option<f64>| hz.map_or_else(|| "–".to_owned(), |v| format!("{v:.0}"));
+        let rates = axis.rates();
+        println!(
+            "{:<8} {:>14} {:>17} {:>18} {:>11} {:>12}",
+            axis.name,
+            shown(rates.rapid_mm_min),
+            shown(rates.followed_mm_min),
+            shown(rates.corrected_mm_min),
+            whole(axis.followed_hz()),
+            whole(axis.corrected_hz()),
         );
     }
     for note in &config.notes {

@@ -193,7 +193,7 @@ fn law(axis: &AxisConfig, known: &str) -> anyhow::Result<Corrector> {
 /// Homes the axis as the start-up must: nothing further before the home position has been read back. Then enables.
 fn start(running: &mut Running<Card>) -> anyhow::Result<()> {
     let control = &mut running.control;
-    control.send(Request::Home { axis: 0, position_counts: 0 })?;
+    control.send(Request::Home { axis: 0, position_counts: 0, controller_homed: true })?;
     loop {
         let Some(event) = control.event() else {
             anyhow::ensure!(!control.ended(), "the real-time thread has ended");
@@ -209,7 +209,7 @@ fn start(running: &mut Running<Card>) -> anyhow::Result<()> {
                 let position_counts = control.status().axes[0].position_counts;
                 control.send(Request::ConfirmHome { axis: 0, position_counts })?;
             }
-            EventKind::Homed => control.send(Request::Enable)?,
+            EventKind::Homed { .. } => control.send(Request::Enable)?,
             EventKind::Mode(Mode::Run) => return Ok(()),
             EventKind::Refused { why, .. } => anyhow::bail!("the corrector was not enabled: {why:?}"),
             _ => {}

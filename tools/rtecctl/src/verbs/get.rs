@@ -18,7 +18,8 @@ pub(crate) struct Args {
 }
 
 /// Values that a status has only sometimes, and what to do where it has none.
-const SOMETIMES: [(&str, &str); 5] = [
+const SOMETIMES: [(&str, &str); 6] = [
+    ("edited", "what runs is what the files say"),
     ("model", "no model is loaded: `rtecctl model load FILE`"),
     ("table", "no part table is loaded: `rtecctl part load`"),
     ("table_now", "no part table is loaded: `rtecctl part load`"),

@@ -264,8 +264,8 @@ impl Told {
             let back = (made as i64 - change.abs() / 2).max(0) / 2;
             let far = row.completed + 2 * back * if change < 0 { -1 } else { 1 };
             self.ask(at.t_ns, before.completed, far, request);
-            let turn = (far - before.completed).unsigned_abs() / 2 + 1;
-            at.go(row.t_ns, row.position_counts, made + 3, &mut |n, t, p| {
+            let turn = (far - before.completed).unsigned_abs() / 2 + 1 + TURNS;
+            at.go(row.t_ns, row.position_counts, made + 2 + 2 * TURNS, &mut |n, t, p| {
                 if n == turn && back > 0 {
                     self.ask(t, far, row.completed, request);
                 }
@@ -345,9 +345,12 @@ fn in_shadow(rows: &[LedgerRow]) -> u64 {
     pairs.map(|w| w[1].insertions.saturating_sub(w[0].insertions)).sum()
 }
 
+/// Times that a stretch turns round at most: no insertion begins at an edge at which the axis turns.
+const TURNS: u64 = 3;
+
 /// Edges before the first row, for what had been inserted by then.
 fn lead_edges(first: &LedgerRow) -> u64 {
-    if first.completed == 0 { 0 } else { first.completed.unsigned_abs() / 2 + 3 }
+    if first.completed == 0 { 0 } else { first.completed.unsigned_abs() / 2 + 3 + TURNS }
 }
 
 /// Where the axis is as the story goes.
@@ -357,7 +360,7 @@ struct Stretch {
 }
 
 impl Stretch {
-    /// Goes evenly to a place, with so many edges at least: those that the way does not have are to and fro.
+    /// Goes evenly to a place, with so many edges at least: those that the way does not have are beyond it and back again.
     fn go(
         &mut self,
         t_ns: u64,
@@ -369,15 +372,16 @@ impl Stretch {
         let pairs = at_least.saturating_sub(way).div_ceil(2);
         let edges = way + 2 * pairs;
         let begun = self.t_ns;
+        let onward = if to < self.counts { -1 } else { 1 };
         for n in 1..=edges {
             let at = u128::from(t_ns.saturating_sub(begun)) * u128::from(n) / u128::from(edges + 1);
             // Two looks at one moment do not happen; still, times must rise.
             self.t_ns = (begun + at as u64).max(self.t_ns + 1);
-            let turned = n > way;
-            self.counts += match (turned, (n - way.min(n)) % 2 == 1) {
-                (false, _) => (to - self.counts).signum(),
-                (true, true) => 1,
-                (true, false) => -1,
+            let beyond = n.saturating_sub(way);
+            self.counts += match beyond {
+                0 => (to - self.counts).signum(),
+                _ if beyond <= pairs => onward,
+                _ => -onward,
             };
             edge(n, self.t_ns, self.counts)?;
         }

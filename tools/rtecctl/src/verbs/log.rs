@@ -3,9 +3,11 @@
 use crate::Outcome;
 use crate::daemon::Daemon;
 use crate::terminal;
-use rtec_control::audit::{self, Entry, Line};
-use rtec_control::config::plain::is_hidden;
+use jiff::Timestamp;
+use jiff::tz::TimeZone;
+use rtec_control::audit::{self, Anchor, Entry, Line};
 use rtec_files::InputError;
+use rtec_files::words::is_hidden;
 use serde_json::{Value, json};
 use std::collections::BTreeSet;
 use std::fmt::Write as _;
@@ -19,7 +21,7 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 /// files, whether the daemon runs or not; reading them takes the group of the view socket.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// From this time on: a duration back from now (90min, 2d), a day or a moment in UTC (2026-11-22T13:00)
+    /// From this time on: a duration back from now (90min, 2d), a day or a moment of local time (2026-11-22T13:00), with a Z of UTC
     #[arg(long, value_name = "TIME")]
     since: Option<String>,
     /// What was asked of this axis, or changed its total
@@ -29,6 +31,10 @@ pub(crate) struct Args {
     /// that could not be recorded are counted
     #[arg(long, conflicts_with_all = ["since", "axis", "follow"])]
     verify: bool,
+    /// With --verify: that the record ends as the system's journal says ([control] `log_anchor`); FILE is what `journalctl
+    /// RTEC_EVENT=record_anchor` prints, `-` standard input
+    #[arg(long, value_name = "FILE", requires = "verify")]
+    anchors: Option<PathBuf>,
     /// Go on with new lines as they come, until interrupted or nobody reads them; with --json one document a line
     #[arg(long)]
     follow: bool,
@@ -44,9 +50,11 @@ const EVERY: Duration = Duration::from_millis(250);
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let file = args.file.clone().map_or_else(|| args.daemon.log_path(), Ok)?;
     if args.verify {
-        return verify(&file, args.daemon.json);
+        let anchors = args.anchors.as_deref().map(anchors).transpose()?.unwrap_or_default();
+        return verify(&file, &anchors, args.daemon.json);
     }
-    let since_s = args.since.as_deref().map(since).transpose()?;
+    let zone = TimeZone::system();
+    let since_s = args.since.as_deref().map(|text| since(text, &zone)).transpose()?;
     let wanted = |entry: &Entry| {
         let late = since_s.is_none_or(|since| entry.seconds().is_some_and(|t| t >= since));
         late && args.axis.as_ref().is_none_or(|axis| entry.concerns(axis))
@@ -54,7 +62,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     if let Some(axis) = &args.axis {
         known(&file, axis)?;
     }
-    let (mut all, mut last_n, mut last_t) = (Vec::new(), 0, None);
+    // Of the record, and of the refusals beside it.
+    let (mut all, mut last_n, mut last_t) = (Vec::new(), [0; 2], None);
     let (mut shown, mut broken) = (0_u64, 0_u64);
     let mut show = |line: Line, all: Option<&mut Vec<Value>>| match line.entry {
         Ok(entry) => {
@@ -65,7 +74,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             match all {
                 Some(all) => all.push(serde_json::from_str(&line.text).unwrap_or_default()),
                 None if args.daemon.json => println!("{}", line.text),
-                None => print!("{}", text(&entry)),
+                None => print!("{}", text(&entry, &zone)),
             }
         }
         Err(why) => {
@@ -76,7 +85,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let document = args.daemon.json && !args.follow;
     audit::read(&file, &mut |line| {
         if let Ok(entry) = &line.entry {
-            last_n = entry.n;
+            last_n[usize::from(line.refused)] = entry.n;
             last_t = Some(entry.t.clone());
         }
         show(line, document.then_some(&mut all));
@@ -91,8 +100,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             // A moment ago the files may have changed their names.
             let _ = audit::read(&file, &mut |line| {
                 let n = line.entry.as_ref().map_or(0, |e| e.n);
-                if n > last_n {
-                    last_n = n;
+                let last_n = &mut last_n[usize::from(line.refused)];
+                if n > *last_n {
+                    *last_n = n;
                     show(line, None);
                 }
             });
@@ -105,7 +115,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         .into());
     }
     if shown == 0 && !args.follow && !document {
-        eprintln!("rtecctl: {}", nothing(since_s, args.axis.as_deref(), last_t.as_deref()));
+        eprintln!("rtecctl: {}", nothing(since_s, args.axis.as_deref(), last_t.as_deref(), &zone));
     }
     Ok(())
 }
@@ -123,20 +133,35 @@ fn known(file: &Path, axis: &str) -> anyhow::Result<()> {
 }
 
 /// Why no line is shown, and where there are some.
-fn nothing(since_s: Option<f64>, axis: Option<&str>, last_t: Option<&str>) -> String {
+fn nothing(since_s: Option<f64>, axis: Option<&str>, last_t: Option<&str>, zone: &TimeZone) -> String {
     let Some(last) = last_t else {
         return "the record has no line yet: rtecd writes one when it starts".to_owned();
     };
     let axis = axis.map_or(String::new(), |axis| format!(" of axis {axis}"));
     let since = since_s.map_or(String::new(), |seconds| {
         let since = Duration::try_from_secs_f64(seconds).unwrap_or_default();
-        format!(" since {}", audit::stamp(UNIX_EPOCH + since))
+        format!(" since {}", local(&audit::stamp(UNIX_EPOCH + since), zone))
     });
-    format!("no line{axis}{since}; the record's last is of {last}: `rtecctl log` shows all")
+    format!("no line{axis}{since}; the record's last is of {}: `rtecctl log` shows all", local(last, zone))
 }
 
-fn verify(file: &Path, as_json: bool) -> anyhow::Result<()> {
-    let found = audit::verify(file).map_err(|e| unreadable(file, &e))?;
+/// What the journal says of the record.
+fn anchors(file: &Path) -> anyhow::Result<Vec<Anchor>> {
+    let text = if file == Path::new("-") {
+        io::read_to_string(io::stdin()).map_err(|e| InputError::whole(file, e.to_string(), "text"))?
+    } else {
+        rtec_files::text::read(file)?
+    };
+    let found = Anchor::all(&text);
+    if found.is_empty() {
+        let expected = "lines of rtecd, as `journalctl RTEC_EVENT=record_anchor` prints them ([control] log_anchor = true)";
+        return Err(InputError::whole(file, "no anchor", expected).into());
+    }
+    Ok(found)
+}
+
+fn verify(file: &Path, anchors: &[Anchor], as_json: bool) -> anyhow::Result<()> {
+    let found = audit::verify(file, anchors).map_err(|e| unreadable(file, &e))?;
     if as_json {
         println!("{}", json!({ "file": file, "ok": found.broken.is_empty(), "found": found }));
     } else {
@@ -146,6 +171,12 @@ fn verify(file: &Path, as_json: bool) -> anyhow::Result<()> {
         }
         let [first, last] = found.numbers;
         println!("{}: {} lines, number {first} to {last}", file.display(), found.lines);
+        if found.refused > 0 {
+            println!("{}: {} lines", audit::refused_path(file).display(), found.refused);
+        }
+        if !anchors.is_empty() {
+            println!("compared with {} anchors", anchors.len());
+        }
         if found.lost > 0 {
             println!(
                 "{} commands were not recorded, as it says itself: `rtecctl log` shows when and why",
@@ -168,10 +199,24 @@ fn unreadable(file: &Path, error: &io::Error) -> anyhow::Error {
     InputError::whole(file, error.to_string(), expected).into()
 }
 
-/// A time: back from now, or as it is.
-fn since(text: &str) -> anyhow::Result<f64> {
+/// A moment of the record as people at the machine read it, with its distance from UTC; what is no moment as it is.
+fn local(t: &str, zone: &TimeZone) -> String {
+    let moment = t.parse::<Timestamp>();
+    moment.map_or_else(
+        |_| t.to_owned(),
+        |t| t.to_zoned(zone.clone()).strftime("%Y-%m-%d %H:%M:%S%.3f %:z").to_string(),
+    )
+}
+
+/// A time: back from now, or as it is. Without a Z it is local.
+fn since(text: &str, zone: &TimeZone) -> anyhow::Result<f64> {
     if let Some(seconds) = audit::seconds(text) {
-        return Ok(seconds);
+        // The moment at which clocks here show what they show in UTC then; twice, where the two lie on both sides of a change.
+        let offset_s = |at: f64| {
+            Timestamp::from_second(at as i64).map_or(0.0, |at| f64::from(zone.to_offset(at).seconds()))
+        };
+        let shift = if text.ends_with('Z') { 0.0 } else { offset_s(seconds - offset_s(seconds)) };
+        return Ok(seconds - shift);
     }
     let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
     match humantime::parse_duration(text) {
@@ -179,15 +224,15 @@ fn since(text: &str) -> anyhow::Result<f64> {
         Err(_) => Err(InputError::whole(
             Path::new("--since"),
             format!("{text:?}"),
-            "a duration (90min, 2d), a day or a moment in UTC (2026-11-22T13:00)",
+            "a duration (90min, 2d), a day or a moment of local time (2026-11-22T13:00), with a Z of UTC",
         )
         .into()),
     }
 }
 
 /// One line for people. What stands in the record came from outside: what cannot be seen is written out.
-fn text(e: &Entry) -> String {
-    let mut text = format!("{} ", e.t);
+fn text(e: &Entry, zone: &TimeZone) -> String {
+    let mut text = format!("{} ", local(&e.t, zone));
     if let Some(by) = &e.by {
         let user = if by.user.is_empty() { by.uid.to_string() } else { by.user.clone() };
         // Writing to a String does not fail.
@@ -239,6 +284,11 @@ mod tests {
     use rtec_control::protocol::Caller;
     use std::collections::BTreeMap;
 
+    /// One zone with a change of clocks, whatever this computer's is.
+    fn berlin() -> TimeZone {
+        TimeZone::posix("CET-1CEST,M3.5.0,M10.5.0/3").unwrap()
+    }
+
     #[test]
     fn a_line_says_who_what_and_what_it_did() {
         let mut entry = Entry::now("command");
@@ -256,8 +306,8 @@ mod tests {
         entry.before = BTreeMap::from([("x".into(), [0, 0]), ("y".into(), [2, 2])]);
         entry.after = BTreeMap::from([("x".into(), [14, 0]), ("y".into(), [2, 2])]);
         assert_eq!(
-            text(&entry),
-            "2026-11-22T13:00:00.123Z anna (42 /usr/bin/rtec?ctl, set up) correct axis=\"x\" large=false total_counts=14: \
+            text(&entry, &berlin()),
+            "2026-11-22 14:00:00.123 +01:00 anna (42 /usr/bin/rtec?ctl, set up) correct axis=\"x\" large=false total_counts=14: \
              done; x requested +0 to +14, in effect +0 to +0\n"
         );
     }
@@ -265,21 +315,31 @@ mod tests {
     #[test]
     fn times_are_durations_or_moments() {
         let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap().as_secs_f64();
-        assert!((since("1h").unwrap() - (now - 3600.0)).abs() < 60.0);
-        assert!((since("2026-11-22").unwrap() - 1_795_305_600.0).abs() < 1e-6);
-        assert!(since("some day").unwrap_err().to_string().contains("expected a duration"));
+        let zone = &berlin();
+        let is = |text, wanted: f64| assert!((since(text, zone).unwrap() - wanted).abs() < 1e-6, "{text}");
+        assert!((since("1h", zone).unwrap() - (now - 3600.0)).abs() < 60.0);
+        is("2026-11-22", 1_795_305_600.0 - 3600.0);
+        is("2026-11-22T13:00", 1_795_305_600.0 + 12.0 * 3600.0);
+        is("2026-11-22T13:00Z", 1_795_305_600.0 + 13.0 * 3600.0);
+        // Around the change of clocks on 2026-03-29 at 01:00 UTC.
+        is("2026-03-29T01:30", 1_774_744_200.0);
+        is("2026-03-29T03:30", 1_774_747_800.0);
+        assert!(since("some day", zone).unwrap_err().to_string().contains("expected a duration"));
     }
 
     #[test]
     fn where_no_line_is_shown_it_says_where_there_are_some() {
         let last = Some("2026-11-22T14:29:07.000Z");
         assert_eq!(
-            nothing(Some(1_795_305_600.0), Some("x"), last),
-            "no line of axis x since 2026-11-22T00:00:00.000Z; the record's last is of 2026-11-22T14:29:07.000Z: \
+            nothing(Some(1_795_305_600.0), Some("x"), last, &berlin()),
+            "no line of axis x since 2026-11-22 01:00:00.000 +01:00; the record's last is of 2026-11-22 15:29:07.000 +01:00: \
              `rtecctl log` shows all"
         );
-        assert!(nothing(Some(-1.0), None, last).starts_with("no line since 1970-01-01T00:00:00.000Z; "));
-        assert!(nothing(Some(0.0), None, None).contains("no line yet"));
+        assert!(
+            nothing(Some(-1.0), None, last, &berlin())
+                .starts_with("no line since 1970-01-01 01:00:00.000 +01:00; ")
+        );
+        assert!(nothing(Some(0.0), None, None, &berlin()).contains("no line yet"));
     }
 
     #[test]

@@ -12,9 +12,9 @@ use std::net::SocketAddr;
 use std::os::unix::fs::{FileTypeExt, PermissionsExt};
 use std::os::unix::net::UnixStream;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
-use std::time::Duration;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
 
 /// Print the corrector's state as metrics; or write them for a collector, or serve them
 ///
@@ -88,7 +88,7 @@ fn serve(daemon: &Daemon, address: &str, beyond_loopback: bool) -> anyhow::Resul
     let server =
         if address.contains('/') { at_path(Path::new(address))? } else { at_port(address, beyond_loopback)? };
     eprintln!("metrics at {address}");
-    let handler = Arc::new(Metrics(daemon.clone()));
+    let handler = Arc::new(Metrics { daemon: daemon.clone(), last: Mutex::default() });
     server.serve(&handler, &AtomicBool::new(false)).with_context(|| format!("listening at {address}"))
 }
 
@@ -127,7 +127,12 @@ fn at_path(path: &Path) -> anyhow::Result<Server> {
     Ok(server)
 }
 
-struct Metrics(Daemon);
+/// The daemon is asked once for all who wait: however many come, they take one of its places.
+struct Metrics {
+    daemon: Daemon,
+    /// What it said last, and when.
+    last: Mutex<Option<(Instant, Option<Observed>)>>,
+}
 
 impl Handler for Metrics {
     fn may(&self, head: &Request) -> Result<(), Answer> {
@@ -142,7 +147,14 @@ impl Handler for Metrics {
 
     fn answer(&self, request: &Request) -> Answer {
         let form = Form::accepted(request.header("Accept").unwrap_or_default());
-        let body = text(seen(&self.0).ok().as_ref(), form, VERSION);
+        let came = Instant::now();
+        let mut last = self.last.lock().unwrap_or_else(PoisonError::into_inner);
+        if last.as_ref().is_none_or(|(at, _)| *at < came) {
+            let seen = seen(&self.daemon).ok();
+            *last = Some((Instant::now(), seen));
+        }
+        let body = text(last.as_ref().and_then(|(_, seen)| seen.as_ref()), form, VERSION);
+        drop(last);
         Answer { status: 200, kind: form.content_type(), body }
     }
 }

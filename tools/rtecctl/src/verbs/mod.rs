@@ -1,5 +1,6 @@
 //! One file per verb: its options and one function; `suspicions` is what several of them say of records.
 
+pub(crate) mod backup;
 pub(crate) mod bugreport;
 pub(crate) mod card;
 pub(crate) mod characterise;
@@ -30,6 +31,7 @@ pub(crate) mod platform;
 pub(crate) mod probe;
 pub(crate) mod reconcile;
 pub(crate) mod replay;
+pub(crate) mod restore;
 pub(crate) mod selftest;
 pub(crate) mod shadow;
 pub(crate) mod ship;

@@ -17,6 +17,8 @@ pub(crate) struct Args {
 
 #[derive(Debug, clap::Subcommand)]
 enum Verb {
+    /// Take the model up again that was unloaded last, as it was read when it was loaded
+    Again(crate::daemon::Daemon),
     Compare(show::CompareArgs),
     Export(export::Args),
     Fit(fit::FitArgs),
@@ -33,6 +35,7 @@ enum Verb {
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     match &args.verb {
+        Verb::Again(args) => load::again(args),
         Verb::Compare(args) => show::compare(args),
         Verb::Export(args) => export::run(args),
         Verb::Fit(args) => fit::run(args),

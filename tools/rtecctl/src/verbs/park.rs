@@ -9,15 +9,19 @@ use std::time::{Duration, Instant};
 
 /// Freeze the corrections where they are and disarm; with --to-zero take them out first, step by step
 ///
-/// The inverters stay as they are. --to-zero unloads the machine model and then requests smaller and smaller totals, each
+/// Without an option the inverters stay as they are. --to-zero unloads the machine model and then requests smaller and smaller totals, each
 /// within the belief window and inserted when the speed gate allows, until nothing is in effect.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     /// Take the remaining correction out of every axis first
-    #[arg(long)]
+    #[arg(long, group = "moves")]
     to_zero: bool,
+    /// Take out one insertion where an axis has its inverters on: before the controller is homed at a reference mark that
+    /// it gates with A and B
+    #[arg(long, group = "moves")]
+    inverters_off: bool,
     /// Give up after this time without a count taken out, as 30s or 5min; corrections stay on then
-    #[arg(long, value_name = "TIME", default_value = "5min", requires = "to_zero")]
+    #[arg(long, value_name = "TIME", default_value = "5min", requires = "moves")]
     patience: humantime::Duration,
     #[command(flatten)]
     daemon: Daemon,
@@ -27,13 +31,27 @@ const EVERY: Duration = Duration::from_millis(100);
 const PROGRESS_EVERY: Duration = Duration::from_secs(1);
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
-    if args.to_zero {
-        to_zero(&mut args.daemon.connect()?, args.patience.into())?;
+    if args.inverters_off {
+        let mut client = args.daemon.connect()?;
+        inverters_off(&mut client, args.patience.into())?;
+        args.daemon.order(&ClientRequest::Disable {}, "parked: all inverters off, corrections frozen")?;
+        let on: Vec<String> = inverted(&status(&mut client)?).map(|a| a.name.clone()).collect();
+        if !on.is_empty() {
+            let text = format!(
+                "axis {}: a model or part table has moved it on meanwhile; enable and park again",
+                on.join(", ")
+            );
+            return Err(Outcome::No(text).into());
+        }
+        return Ok(());
     }
-    let done = if args.to_zero {
-        "parked: nothing is in effect"
-    } else {
-        "parked: corrections frozen where they are"
+    let unloaded = args.to_zero && to_zero(&mut args.daemon.connect()?, args.patience.into())?;
+    let done = match (args.to_zero, unloaded) {
+        (false, _) => "parked: corrections frozen where they are",
+        (true, false) => "parked: nothing is in effect",
+        (true, true) => {
+            "parked: nothing is in effect; the model is unloaded: `rtecctl model again` takes it up again"
+        }
     };
     args.daemon.order(&ClientRequest::Disable {}, done)
 }
@@ -51,9 +69,11 @@ fn status(client: &mut Client) -> anyhow::Result<DaemonStatus> {
     }
 }
 
-fn to_zero(client: &mut Client, patience: Duration) -> anyhow::Result<()> {
+/// Takes everything out; says whether a model was unloaded for it.
+fn to_zero(client: &mut Client, patience: Duration) -> anyhow::Result<bool> {
     let mut now = status(client)?;
-    if now.model.is_some() && now.mode == "run" {
+    let unloads = now.model.is_some() && now.mode == "run";
+    if unloads {
         ask(client, &ClientRequest::ModelUnload {})?;
         eprintln!("the machine model is unloaded");
     }
@@ -63,21 +83,10 @@ fn to_zero(client: &mut Client, patience: Duration) -> anyhow::Result<()> {
     loop {
         // What is requested is put back too: enabled again, nothing moves.
         if now.axes.iter().all(|a| a.in_effect == 0 && a.requested == 0) {
-            return Ok(());
+            return Ok(unloads);
         }
-        if now.mode == "fault" {
-            let text = "a fault is latched: see `rtecctl status`; mend its cause, `rtecctl clear`, home and enable first";
-            return Err(Outcome::Fault(text.to_owned()).into());
-        }
-        if now.mode != "run" {
-            let why = now.why_not.join("; ");
-            let text =
-                format!("mode {}: nothing can be taken out before corrections are on: {why}", now.mode);
-            return Err(Outcome::No(text).into());
-        }
-        let Response::Explained { axes } = ask(client, &ClientRequest::Explain { axis: None })? else {
-            bail!("rtecd did not answer what makes up the totals; are rtecctl and rtecd of the same version?")
-        };
+        corrects(&now)?;
+        let axes = explained(client)?;
         for (axis, parts) in now.axes.iter().zip(&axes).filter(|(_, parts)| parts.requested != 0) {
             ask(client, &next(axis, parts))?;
         }
@@ -98,11 +107,75 @@ fn to_zero(client: &mut Client, patience: Duration) -> anyhow::Result<()> {
     }
 }
 
+/// Nothing can be taken out while nothing is inserted.
+fn corrects(now: &DaemonStatus) -> anyhow::Result<()> {
+    if now.mode == "fault" {
+        let text = "a fault is latched: see `rtecctl status`; mend its cause, `rtecctl clear`, home and enable first";
+        return Err(Outcome::Fault(text.to_owned()).into());
+    }
+    if now.mode != "run" {
+        let why = now.why_not.join("; ");
+        let text = format!("mode {}: nothing can be taken out before corrections are on: {why}", now.mode);
+        return Err(Outcome::No(text).into());
+    }
+    Ok(())
+}
+
+fn explained(client: &mut Client) -> anyhow::Result<Vec<Explained>> {
+    match ask(client, &ClientRequest::Explain { axis: None })? {
+        Response::Explained { axes } => Ok(axes),
+        _ => {
+            bail!("rtecd did not answer what makes up the totals; are rtecctl and rtecd of the same version?")
+        }
+    }
+}
+
+fn inverted(now: &DaemonStatus) -> impl Iterator<Item = &AxisReport> {
+    now.axes.iter().filter(|a| a.inverted)
+}
+
+/// Asks for one insertion less wherever the inverters are on, until they are off everywhere.
+fn inverters_off(client: &mut Client, patience: Duration) -> anyhow::Result<()> {
+    let begun = Instant::now();
+    loop {
+        let now = status(client)?;
+        if inverted(&now).next().is_none() && now.axes.iter().all(|a| a.requested == a.in_effect) {
+            return Ok(());
+        }
+        corrects(&now)?;
+        let parts = explained(client)?;
+        for (axis, parts) in now.axes.iter().zip(&parts) {
+            if axis.inverted && axis.requested == axis.in_effect {
+                // Towards zero; at zero, where the axis was homed with its inverters on, either way.
+                let step = if axis.in_effect > 0 { -2 } else { 2 };
+                let total_counts = operator_counts(parts) + step;
+                let axis = axis.name.clone();
+                ask(client, &ClientRequest::Correct { axis, total_counts, large: false })?;
+            }
+        }
+        if begun.elapsed() >= patience {
+            let waiting: Vec<String> = inverted(&now).map(why).collect();
+            let text = format!("inverters still on, corrections are still on: {}", waiting.join("; "));
+            return Err(Outcome::No(text).into());
+        }
+        std::thread::sleep(EVERY);
+    }
+}
+
+/// The operator's share of a total, counts.
+fn operator_counts(parts: &Explained) -> i64 {
+    let operator_um = parts.parts.iter().find(|p| p.name == "operator").map_or(0.0, |p| p.um);
+    if parts.requested == 0 {
+        0
+    } else {
+        (operator_um * parts.requested as f64 / parts.total_um).round() as i64
+    }
+}
+
 /// The operator's next total towards zero that the belief window lets through. What a model has asked for runs out by
 /// itself once it is unloaded.
 fn next(axis: &AxisReport, parts: &Explained) -> ClientRequest {
-    let operator_um = parts.parts.iter().find(|p| p.name == "operator").map_or(0.0, |p| p.um);
-    let operator_counts = (operator_um * parts.requested as f64 / parts.total_um).round() as i64;
+    let operator_counts = operator_counts(parts);
     let step = axis.window_counts.max(1);
     let total_counts = operator_counts - operator_counts.clamp(-step, step);
     ClientRequest::Correct { axis: axis.name.clone(), total_counts, large: false }
@@ -112,6 +185,9 @@ fn next(axis: &AxisReport, parts: &Explained) -> ClientRequest {
 fn why(axis: &AxisReport) -> String {
     let wait = match axis.gate.as_str() {
         "at_rest" => "it stands still and rest_policy is wait: jog it a little",
+        "one_channel" => {
+            "only one channel changes: move it by some counts; if the other never changes, its wire is broken"
+        }
         "too_fast" => "it is too fast for an insertion: slow down",
         "rate_cap" => "max_rate_counts_s holds it back",
         "waiting_for_edge" => "at its next edge",

@@ -1,11 +1,15 @@
 //! `rtecctl selftest latency`: how late this machine can be, and what that leaves for corrections.
 
 use crate::Outcome;
+use crate::verbs::card::{alone, confirm, unreachable};
 use anyhow::Context;
-use rtec_control::config::Config;
+use rtec_control::card::{self, Access, OnCard};
+use rtec_control::config::{CardConfig, Config, ConfiguredAxis, Measured as Provenance, floors_ns};
+use rtec_control::protocol::{Rates, explain_fault, word};
 use rtec_files::InputError;
 use rtec_platform::selftest::{
-    Backend, FarSide, Latency, Measured, SelftestOptions, WAKEUP_INTERVAL_NS, run as measure,
+    Backend, FarSide, How, Latency, Measured, SelftestError, SelftestOptions, WAKEUP_INTERVAL_NS,
+    run as measure, run_on_card,
 };
 use rtec_rt::axis::AxisConfig;
 use rtec_rt::histogram::Snapshot;
@@ -40,7 +44,8 @@ struct LatencyArgs {
     /// How long: a third each for the wake-ups, the polling loop, and the polling loop with requests streaming in
     #[arg(long, value_name = "TIME", default_value = "10s", value_parser = duration)]
     duration: Duration,
-    /// Take axes, CPU and priority from this configuration; without it: one axis of 1e6 counts/s², 500 ns separation
+    /// Measure the card of this configuration, with its axes, CPU and priority: reads with the outputs held. The daemon must
+    /// be stopped. Without it: a simulated card, one axis of 1e6 counts/s², 500 ns separation
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
     /// The CPU of the real-time thread [default: the configuration's, else the first isolated, else the last one]
@@ -49,9 +54,16 @@ struct LatencyArgs {
     /// The `SCHED_FIFO` priority of the real-time thread [default: the configuration's, else 80]
     #[arg(long, value_name = "P", value_parser = clap::value_parser!(u8).range(1..=99))]
     priority: Option<u8>,
-    /// The card: registers in shared memory, or wires in the process
-    #[arg(long, value_enum, default_value_t = Card::Mapped)]
-    backend: Card,
+    /// The backend that the configuration must have; without a configuration a simulated card: registers in shared memory
+    /// (`mapped`, the default) or wires in the process (`mock`)
+    #[arg(long, value_enum)]
+    backend: Option<Card>,
+    /// Measure the writes too: every axis's inverters are switched, again and again. THE MTC MUST BE OFF: its axes would move
+    #[arg(long, requires = "config")]
+    drive: bool,
+    /// The MTC is off: do not ask
+    #[arg(long, requires = "drive")]
+    mtc_is_off: bool,
     /// Print one JSON document
     #[arg(long)]
     json: bool,
@@ -64,6 +76,34 @@ struct LatencyArgs {
 enum Card {
     Mock,
     Mapped,
+    Gpio,
+    Port,
+}
+
+impl Card {
+    const fn name(self) -> &'static str {
+        match self {
+            Self::Mock => "mock",
+            Self::Mapped => "mapped",
+            Self::Gpio => "gpio",
+            Self::Port => "port",
+        }
+    }
+}
+
+/// What is measured.
+enum Target {
+    /// A card of the test's own.
+    Simulated(Backend),
+    /// The configuration's.
+    Configured(Box<Config>),
+}
+
+/// The self-test on a card, whichever it is.
+struct CardTest<'a> {
+    options: SelftestOptions,
+    axes: &'a [AxisConfig],
+    drive: bool,
 }
 
 /// What formats.md calls the self-test's document, and what else is worth knowing.
@@ -84,12 +124,18 @@ struct Document<'a> {
     max_safe_edge_rate_hz: BTreeMap<&'a str, Option<f64>>,
     /// The same but for one look in ten thousand.
     edge_rate_at_p9999_hz: BTreeMap<&'a str, Option<f64>>,
+    /// The same as speeds, mm/min, and up to where every count is seen.
+    rates: BTreeMap<&'a str, Rates>,
     /// What belongs into `[rt]` of the configuration.
-    rt: RtKeys,
+    rt: RtKeys<'a>,
+    backend: &'static str,
+    /// What was measured with.
+    card: &'a str,
+    /// How: `simulated`, `reads` (outputs held), `reads_and_writes`.
+    how: How,
     verdict: &'static str,
     reason: String,
     separations_ns: u64,
-    backend: Backend,
     duration_s: f64,
     cpu: usize,
     priority: u8,
@@ -101,9 +147,11 @@ struct Document<'a> {
 }
 
 #[derive(Serialize)]
-struct RtKeys {
+struct RtKeys<'a> {
     detect_ns: u64,
-    write_ns: u64,
+    /// None where no write was measured.
+    write_ns: Option<u64>,
+    measured: &'a Provenance,
 }
 
 /// An axis and the highest edge rates at which an insertion still has time: from the worst latency that was seen, and
@@ -112,6 +160,9 @@ struct AxisRate {
     name: String,
     safe_hz: Option<f64>,
     usual_hz: Option<f64>,
+    rates: Rates,
+    /// Its rapid outruns the card.
+    outruns: Option<String>,
 }
 
 fn duration(text: &str) -> Result<Duration, String> {
@@ -121,36 +172,57 @@ fn duration(text: &str) -> Result<Duration, String> {
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let Test::Latency(args) = &args.test;
-    let config = args.config.as_deref().map(Config::load).transpose()?;
-    let rt = config.as_ref().map(|c| c.rt);
+    let target = target(args)?;
+    let config = match &target {
+        Target::Simulated(_) => args.config.as_deref().map(Config::load).transpose()?,
+        Target::Configured(config) => Some((**config).clone()),
+    };
+    let rt = config.as_ref().map(|c| &c.rt);
     let options = SelftestOptions {
         cpu: args.cpu.or(rt.and_then(|rt| rt.cpu)).unwrap_or_else(|| System::live().default_cpu()),
         priority: args.priority.or(rt.map(|rt| rt.priority)).unwrap_or(80),
         run: args.duration,
-        backend: match args.backend {
-            Card::Mock => Backend::Mock,
-            Card::Mapped => Backend::Mapped,
-        },
         seed: 1,
     };
     let histfile = args.histfile.as_deref().map(Whole::create).transpose()?;
-    let measured = measure(options, |what, left_s| eprintln!("selftest: {what}, {left_s} s left"))
-        .context("measuring latencies")?;
-    let axes = config.map_or_else(
-        || vec![("default".to_owned(), AxisConfig::default())],
-        |config| config.axes.into_iter().map(|axis| (axis.name, axis.engine)).collect(),
-    );
-    let rates: Vec<AxisRate> = axes
-        .into_iter()
-        .map(|(name, axis)| AxisRate {
-            name,
-            safe_hz: edge_rate_hz(axis, &measured, measured.detect_ns().0),
-            usual_hz: edge_rate_hz(axis, &measured, measured.detect_ns().1),
-        })
-        .collect();
-    let reasons = reasons(&measured, &rates);
+    let progress = |what: &str, left_s: u64| eprintln!("selftest: {what}, {left_s} s left");
+    let mut provenance = Provenance::here(&CardConfig::Mock, options.cpu, &System::live());
+    let measured = match &target {
+        Target::Simulated(backend) => {
+            let card = if *backend == Backend::Mock {
+                "wires in this process"
+            } else {
+                "registers in shared memory"
+            };
+            provenance.card = format!("simulated: {card}");
+            measure(options, *backend, progress).context("measuring latencies")?
+        }
+        Target::Configured(config) => {
+            provenance.card = config.card.named();
+            let _alone = alone(config)?;
+            if args.drive && !args.mtc_is_off {
+                confirm("every inverter of this card is switched on and off again, for a third of the time")?;
+            }
+            eprintln!("selftest: card {}", provenance.card);
+            let access = if args.drive { Access::Drive } else { Access::Read };
+            let test = CardTest { options, axes: &config.engine_axes(), drive: args.drive };
+            card::with(&config.card, access, test).map_err(unreachable)??
+        }
+    };
+    let axes = match &config {
+        Some(config) => config.axes.clone(),
+        None => Config::embedded().axes.iter().take(1).map(default_axis).collect(),
+    };
+    let floors = match &target {
+        Target::Simulated(_) => None,
+        Target::Configured(config) => floors_ns(&config.card),
+    };
+    let rates: Vec<AxisRate> = axes.into_iter().map(|axis| axis_rate(axis, &measured)).collect();
+    let reasons = reasons(&measured, &rates, floors);
     if let Some(histfile) = histfile {
-        histfile.finish(&histogram(&measured)).context("writing the histogram file")?;
+        histfile
+            .finish(&format!("{}# Card: {}\n", histogram(&measured), provenance.card))
+            .context("writing the histogram file")?;
     }
     if args.json {
         let document = Document {
@@ -164,11 +236,22 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             requests: measured.with_requests.requests,
             max_safe_edge_rate_hz: rates.iter().map(|r| (r.name.as_str(), r.safe_hz)).collect(),
             edge_rate_at_p9999_hz: rates.iter().map(|r| (r.name.as_str(), r.usual_hz)).collect(),
-            rt: RtKeys { detect_ns: measured.detect_ns().0, write_ns: measured.write_ns() },
+            rates: rates.iter().map(|r| (r.name.as_str(), r.rates)).collect(),
+            rt: RtKeys {
+                detect_ns: measured.detect_ns().0,
+                write_ns: measured.timed().then(|| measured.write_ns()),
+                measured: &provenance,
+            },
+            backend: match &target {
+                Target::Simulated(Backend::Mock) => "mock",
+                Target::Simulated(Backend::Mapped) => "mapped",
+                Target::Configured(config) => config.card.backend(),
+            },
+            card: &provenance.card,
+            how: measured.how,
             verdict: if reasons.is_empty() { "pass" } else { "fail" },
             reason: reasons.join("; "),
             separations_ns: measured.separations_ns(),
-            backend: options.backend,
             duration_s: args.duration.as_secs_f64(),
             cpu: options.cpu,
             priority: options.priority,
@@ -181,9 +264,75 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         println!("{}", serde_json::to_string(&document)?);
     } else {
         // As cyclictest: what goes into a file is not on the terminal, too.
-        print!("{}", text(&measured, &options, &rates, &reasons, args.histfile.is_none()));
+        print!("{}", text(&measured, &options, &rates, &reasons, &provenance, args.histfile.is_none()));
     }
     if reasons.is_empty() { Ok(()) } else { Err(Outcome::No(reasons.join("; ")).into()) }
+}
+
+impl OnCard for CardTest<'_> {
+    type Output = Result<Measured, SelftestError>;
+
+    fn on<C: rtec_driver::card::Card + Send + 'static>(self, card: C) -> Self::Output {
+        let progress = |what: &str, left_s: u64| eprintln!("selftest: {what}, {left_s} s left");
+        run_on_card(self.options, card, self.axes, self.drive, progress)
+    }
+}
+
+/// What is to be measured; refused where that cannot be.
+fn target(args: &LatencyArgs) -> anyhow::Result<Target> {
+    let bad = |text: String| anyhow::Error::from(Outcome::Bad(text));
+    let Some(file) = &args.config else {
+        return match args.backend {
+            None | Some(Card::Mapped) => Ok(Target::Simulated(Backend::Mapped)),
+            Some(Card::Mock) => Ok(Target::Simulated(Backend::Mock)),
+            Some(card) => Err(bad(format!(
+                "--backend {} needs --config FILE: which card of this backend is to be measured stands there",
+                card.name()
+            ))),
+        };
+    };
+    let config = Config::load(file)?;
+    let configured = config.card.backend();
+    if let Some(asked) = args.backend.filter(|card| card.name() != configured) {
+        return Err(bad(format!(
+            "{} has card {}, and --backend {} asks for another: leave --backend out",
+            file.display(),
+            config.card.named(),
+            asked.name()
+        )));
+    }
+    match &config.card {
+        CardConfig::Replay { .. } => {
+            Err(bad("a recording has no latency: [card] backend = \"replay\" cannot be measured".to_owned()))
+        }
+        CardConfig::Mock if args.drive => {
+            Err(bad("a mock card has no outputs outside the process: leave --drive out".to_owned()))
+        }
+        CardConfig::Mock => Ok(Target::Simulated(Backend::Mock)),
+        _ => Ok(Target::Configured(Box::new(config))),
+    }
+}
+
+/// The axis of a test without a configuration: 1 µm a count, the replay's limits.
+fn default_axis(axis: &ConfiguredAxis) -> ConfiguredAxis {
+    ConfiguredAxis {
+        name: "default".to_owned(),
+        count_um: 1.0,
+        engine: AxisConfig::default(),
+        rapid_mm_min: None,
+        ..axis.clone()
+    }
+}
+
+/// What the measured latency leaves an axis.
+fn axis_rate(axis: ConfiguredAxis, measured: &Measured) -> AxisRate {
+    let (worst, usual) = measured.detect_ns();
+    let (safe_hz, usual_hz) =
+        (edge_rate_hz(axis.engine, measured, worst), edge_rate_hz(axis.engine, measured, usual));
+    let mut as_measured = axis;
+    (as_measured.engine.detect_ns, as_measured.engine.write_ns) = (worst, measured.write_ns());
+    let rates = Rates { corrected_mm_min: safe_hz.map(|hz| as_measured.mm_min(hz)), ..as_measured.rates() };
+    AxisRate { outruns: as_measured.outruns(), name: as_measured.name, safe_hz, usual_hz, rates }
 }
 
 /// The highest edge rate at which an insertion still has time on an axis, with this machine's latency.
@@ -196,7 +345,7 @@ fn edge_rate_hz(axis: AxisConfig, measured: &Measured, detect_ns: u64) -> Option
 }
 
 /// The findings that forbid corrections on this machine.
-fn reasons(measured: &Measured, rates: &[AxisRate]) -> Vec<String> {
+fn reasons(measured: &Measured, rates: &[AxisRate], floors: Option<(u64, u64, &'static str)>) -> Vec<String> {
     let mut reasons = Vec::new();
     if let Some(emulator) = &measured.setup.emulated {
         reasons.push(format!("emulated by {emulator}: emulated time is no evidence for any machine"));
@@ -205,18 +354,54 @@ fn reasons(measured: &Measured, rates: &[AxisRate]) -> Vec<String> {
         let errno = f.errno.as_ref().map(|e| format!(" ({e})")).unwrap_or_default();
         format!("{} is {}, wanted {}{errno}: {}", f.name, f.got, f.wanted, f.remedy)
     }));
-    if !measured.timed() {
-        let why = if measured.far().is_some() {
-            "no insertion was seen"
-        } else {
+    if let How::ReadsAndWrites { ended_by, restored } = measured.how {
+        reasons.extend(ended_by.map(|fault| {
+            format!("{} was latched while the card was written to: {}", word(fault), explain_fault(fault))
+        }));
+        if !restored {
+            reasons.push(
+                "the outputs are not as they were found: switch the card off before the MTC is switched on"
+                    .into(),
+            );
+        }
+    }
+    if measured.how != How::Simulated && !measured.looked() {
+        let why = if measured.quiet.poll_gap.tid == 0 {
             "a polling loop needs a second CPU"
+        } else {
+            "a card that sleeps until an edge comes is measured by its edges, and none came: with the drives off push an axis \
+             by hand while the test runs"
         };
-        reasons.push(format!("edge to done was not measured: {why}"));
+        reasons.push(format!("reads were not measured: {why}"));
+        return reasons;
+    }
+    if !measured.timed() {
+        let why = match measured.how {
+            How::Reads => "writes were not measured: with the MTC off, --drive measures them",
+            How::ReadsAndWrites { .. } => "writes were not measured: no insertion was made",
+            How::Simulated if measured.far().is_some() => {
+                "edge to done was not measured: no insertion was seen"
+            }
+            How::Simulated => "edge to done was not measured: a polling loop needs a second CPU",
+        };
+        reasons.push(why.to_owned());
+        reasons.extend(rates.iter().filter_map(|axis| axis.outruns.clone()));
         return reasons;
     }
     if !measured.balanced() {
         reasons.push("the ledger does not balance".into());
     }
+    if let Some((detect_ns, write_ns, why)) = floors
+        && (measured.detect_ns().0 < detect_ns || measured.write_ns() < write_ns)
+    {
+        reasons.push(format!(
+            "detect_ns = {} and write_ns = {} are less than such a card takes ({detect_ns} and {write_ns}): {why}. Is this the \
+             card?",
+            measured.detect_ns().0,
+            measured.write_ns()
+        ));
+    }
+    reasons.extend(rates.iter().filter_map(|axis| axis.outruns.clone()));
     for axis in rates.iter().filter(|axis| axis.safe_hz.is_none()) {
         let (worst_us, usual_us) = (measured.detect_ns().0 as f64 / 1e3, measured.detect_ns().1 as f64 / 1e3);
         let usual = axis.usual_hz.map_or_else(String::new, |hz| {
@@ -239,6 +424,7 @@ fn text(
     options: &SelftestOptions,
     rates: &[AxisRate],
     reasons: &[String],
+    provenance: &Provenance,
     with_histogram: bool,
 ) -> String {
     let mut out = String::new();
@@ -267,11 +453,20 @@ fn text(
         line(format_args!("{}", histogram(measured).trim_end()));
     }
     line(format_args!("{}", table(measured).trim_end()));
-    line(format_args!(
-        "# Edge to done contains {} ns that the MTC is given: {} after the edge, as much between the inversions.",
-        measured.separations_ns(),
-        measured.axis.min_separation_ns
-    ));
+    line(format_args!("# Card: {}", provenance.card));
+    match measured.how {
+        How::Simulated => line(format_args!(
+            "# Edge to done contains {} ns that the MTC is given: {} after the edge, as much between the inversions.",
+            measured.separations_ns(),
+            measured.axis.min_separation_ns
+        )),
+        How::Reads => line(format_args!("# Reads alone were measured; every output was held as it was.")),
+        How::ReadsAndWrites { .. } => line(format_args!(
+            "# {} insertions at rest; each contains {} ns that the MTC is given between the inversions.",
+            measured.with_requests.insertions,
+            measured.separations_ns()
+        )),
+    }
     if let Some(far) = measured.far() {
         line(format_args!(
             "# Far side: {} edges, {} without insertion, {} untimed; MTC minus scale {}, completed {}; {} poll gap faults.",
@@ -292,11 +487,17 @@ fn text(
             rate(axis.usual_hz)
         ));
     }
-    line(format_args!(
-        "# For the configuration: [rt] detect_ns = {}, write_ns = {}",
-        measured.detect_ns().0,
-        measured.write_ns()
-    ));
+    for axis in rates {
+        line(format_args!("# Axis {}: {}", axis.name, axis.rates));
+    }
+    if measured.timed() {
+        line(format_args!(
+            "# For the configuration: [rt] detect_ns = {}, write_ns = {}",
+            measured.detect_ns().0,
+            measured.write_ns()
+        ));
+        line(format_args!("# and with it, where they were measured: {provenance}"));
+    }
     if reasons.is_empty() {
         line(format_args!("# Verdict: pass"));
     } else {
@@ -329,6 +530,11 @@ fn table(measured: &Measured) -> String {
     let (quiet, with_requests) = (&measured.quiet, &measured.with_requests);
     row("T0 wake-up", &measured.wakeup.ns);
     row("T1 poll gap", &quiet.poll_gap.ns);
+    if measured.how != How::Simulated {
+        row("   w. writes", &with_requests.poll_gap.ns);
+        row("   insertions", &with_requests.seen_to_done);
+        return out;
+    }
     row("   w. requests", &with_requests.poll_gap.ns);
     row("T2 edge to done", &quiet.edge_to_done.ns);
     row("   w. requests", &with_requests.edge_to_done.ns);

@@ -136,8 +136,10 @@ fn head(s: &DaemonStatus, screen: Screen) -> String {
         "fault" => Tone::Wrong,
         _ => Tone::Doubtful,
     };
+    // Hold and probing hide whether corrections come back when they end.
+    let disabled = if matches!(s.mode.as_str(), "hold" | "probe") && !s.enabled { ", DISABLED" } else { "" };
     format!(
-        "machine \"{}\"   mode {}   homed {}   up {:.1} s   ledger {ledger}\n",
+        "machine \"{}\"   mode {}{disabled}   homed {}   up {:.1} s   ledger {ledger}\n",
         s.machine,
         tone(&s.mode.to_uppercase(), mode),
         yes(s.homed),
@@ -162,6 +164,9 @@ fn below(s: &DaemonStatus, way: &[OnItsWay], screen: Screen) -> String {
         times(&s.rt.edge_to_done_ns),
         s.rt.events_lost
     );
+    for a in s.axes.iter().filter(|a| a.rates.rapid_mm_min.is_some()) {
+        let _ = writeln!(text, "  {}: {}", a.name, a.rates);
+    }
     for missing in &s.rt.missing {
         let _ = writeln!(text, "{} {missing}", tone("missing:", Tone::Doubtful));
     }
@@ -184,6 +189,9 @@ fn below(s: &DaemonStatus, way: &[OnItsWay], screen: Screen) -> String {
             let state = tone(&r.state, Tone::Doubtful);
             let _ = writeln!(text, "  {} {state}{fault}; {value}{age}", r.sensor);
         }
+    }
+    for file in &s.edited {
+        let _ = writeln!(text, "{} {file}", tone("not what runs:", Tone::Doubtful));
     }
     if let Some(why) = &s.record_trouble {
         let _ = writeln!(text, "{} {why}", tone("record of commands not written:", Tone::Wrong));
@@ -321,7 +329,7 @@ fn times(d: &Distribution) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use rtec_control::protocol::{AxisReport, PROTOCOL, Reading, Rt, RunningModel};
+    use rtec_control::protocol::{AxisReport, PROTOCOL, Rates, Reading, Rt, RunningModel};
     use rtec_correct::explain::Contribution;
     use rtec_rt::event::Fault;
     use std::collections::BTreeMap;
@@ -339,6 +347,7 @@ mod tests {
             mtc_minus_scale: in_effect,
             inverted: in_effect % 4 != 0,
             homed: true,
+            mtc_known: true,
             gate: gate.into(),
             edge_rate_hz: 12_000.4,
             faults: Vec::new(),
@@ -350,6 +359,11 @@ mod tests {
             late: 0,
             illegal: 0,
             beyond_limits: 0,
+            rates: Rates {
+                rapid_mm_min: Some(30_000.0),
+                followed_mm_min: Some(45_000.0),
+                corrected_mm_min: Some(24_000.0),
+            },
         }
     }
 
@@ -372,9 +386,13 @@ mod tests {
             protocol: PROTOCOL,
             latched: BTreeMap::new(),
             record_trouble: None,
+            edited: Vec::new(),
             machine: "lathe 7".into(),
             mode: "run".into(),
             homed: true,
+            enabled: true,
+            hold: None,
+            latched_faults: Vec::new(),
             uptime_s: 3725.04,
             balanced: true,
             faults: Vec::new(),
@@ -390,6 +408,7 @@ mod tests {
                 events_lost: 0,
                 control_stale: false,
                 disable_switch: false,
+                mtc_ready: true,
                 poll_gap_ns: times,
                 edge_to_done_ns: Distribution::default(),
             },
@@ -446,6 +465,8 @@ mod tests {
         status.mode = "fault".into();
         status.axes[1].faults = vec![Fault::PollGap];
         status.why_not = vec!["when mended: `rtecctl clear`".into()];
+        status.edited =
+            vec!["/etc/rtec/rtec.toml was edited since the start: `systemctl restart rtecd`".into()];
         status.record_trouble = Some("/var/log/rtec/audit.log: No space left on device".into());
         let coloured = table(&status, &[], Screen { colour: true, width: Some(80) });
         crate::golden("status_terminal.txt", &coloured.replace('\x1b', "␛"));

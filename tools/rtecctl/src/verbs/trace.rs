@@ -54,6 +54,9 @@ struct FromPosition {
     /// this gives no edges
     #[arg(long, value_name = "COUNTS", default_value_t = 0.25, value_parser = not_negative)]
     hysteresis_counts: f64,
+    /// Refuse a record whose trace would have more edges
+    #[arg(long, value_name = "EDGES", default_value_t = 50_000_000)]
+    most_edges: u64,
     /// Print the summary as one JSON document
     #[arg(long)]
     json: bool,
@@ -185,7 +188,14 @@ fn convert(input: &Path, output: &Path) -> anyhow::Result<Summary> {
 }
 
 fn from_position(args: &FromPosition) -> anyhow::Result<Summary> {
-    let mut record = Record::open(args)?;
+    // Before anything is written; what cannot be read twice, a pipe, is bounded below.
+    if args.input.is_file() {
+        let (mut record, mut way) = (Record::open(args)?, Way::default());
+        while let Some((_, counts)) = record.next()? {
+            way.goes_on(counts, record.line, args)?;
+        }
+    }
+    let (mut record, mut way) = (Record::open(args)?, Way::default());
     let mut out = Output::create(&args.out)?;
     let Some((t_ns, counts)) = record.next()? else {
         let expected = "a header and at least one row";
@@ -193,7 +203,9 @@ fn from_position(args: &FromPosition) -> anyhow::Result<Summary> {
     };
     let mut scale = Scale::new(t_ns, counts, args.hysteresis_counts);
     out.write(scale.at)?;
+    way.goes_on(counts, record.line, args)?;
     while let Some((t_ns, counts)) = record.next()? {
+        way.goes_on(counts, record.line, args)?;
         let fits = scale.move_to(t_ns, counts, |point| {
             out.write(point).with_context(|| format!("writing {}", args.out.display()))
         })?;
@@ -205,6 +217,28 @@ fn from_position(args: &FromPosition) -> anyhow::Result<Summary> {
     }
     out.file.finish().with_context(|| format!("writing {}", args.out.display()))?;
     Ok(out.summary)
+}
+
+/// The way that a record goes, in counts: as many edges at most.
+#[derive(Default)]
+struct Way {
+    counts: f64,
+    last: Option<f64>,
+}
+
+impl Way {
+    fn goes_on(&mut self, counts: f64, line: usize, args: &FromPosition) -> Result<(), InputError> {
+        self.counts += (counts - self.last.replace(counts).unwrap_or(counts)).abs();
+        if self.counts <= args.most_edges as f64 {
+            return Ok(());
+        }
+        let found = format!("a way of {:.0} counts so far", self.counts);
+        let expected = format!(
+            "at most {} edges (--most-edges takes more; is --count-um, or the unit, too small?)",
+            args.most_edges
+        );
+        Err(InputError::at(&args.input, line, 0, found, expected))
+    }
 }
 
 /// A scale with its interpolator, moved in straight lines from one sample to the next.
@@ -413,6 +447,28 @@ mod tests {
             anyhow::anyhow!("{}", e.to_string().replace(directory.path().to_str().unwrap(), ""))
         });
         (summary, written)
+    }
+
+    #[test]
+    fn a_record_whose_trace_has_no_end_is_refused_first() {
+        let refused = |text: &str, options: &[&str]| {
+            let (summary, written) = run_from(text, options);
+            assert!(written.is_empty());
+            summary.unwrap_err().to_string()
+        };
+        let text = "t_s,position_um\n0,0\n1,300000000\n";
+        assert!(text.len() <= 33);
+        let error = refused(text, &["--count-um", "1"]);
+        assert!(
+            error.contains(":3: found a way of 300000000 counts so far, expected at most 50000000"),
+            "{error}"
+        );
+        // There and back is a way, too.
+        let back: Vec<String> = (0..100).map(|n| format!("{n},{}", n % 2 * 1000)).collect();
+        let text = format!("t_s,position_um\n{}\n", back.join("\n"));
+        let error = refused(&text, &["--count-um", "1", "--most-edges", "98999"]);
+        assert!(error.contains("found a way of 99000 counts"), "{error}");
+        assert!(run_from(&text, &["--count-um", "1", "--most-edges", "99000"]).0.is_ok());
     }
 
     #[test]

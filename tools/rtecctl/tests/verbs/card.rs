@@ -232,3 +232,51 @@ fn a_card_that_is_not_there_is_hardware_that_is_not_reached() {
 fn card_of(config: &Path) -> Output {
     card(&["probe", "--config", config.to_str().expect("UTF-8")])
 }
+
+/// Another program plays the scale while the lines are watched; nothing is written.
+#[test]
+fn watches_lines_live_and_writes_nothing() {
+    use std::os::unix::fs::FileExt;
+    let bench = Bench::new(
+        "shared-memory",
+        "",
+        "lines = { a = 'in0', b = 'in1', invert_a = 'out0', invert_b = 'out1' }",
+        &[0; 8],
+    );
+    let before = bench.bytes();
+    let config = bench.config();
+    let arguments =
+        ["probe", "--config", config.to_str().expect("UTF-8"), "--watch", "--json", "--for", "600ms"];
+    let mut watching = command(&arguments).stdout(Stdio::piped()).spawn().expect("it starts");
+    // A goes on and off, B never does, for as long as somebody watches.
+    let registers = std::fs::OpenOptions::new().write(true).open(bench.registers()).expect("registers");
+    for n in (0..=255_u8).cycle() {
+        registers.write_all_at(&[n % 2], 0).expect("a level");
+        std::thread::sleep(std::time::Duration::from_millis(1));
+        if n % 2 == 0 && watching.try_wait().expect("our child").is_some() {
+            break;
+        }
+    }
+    let out = watching.wait_with_output().expect("it ends by itself");
+    let document: serde_json::Value = serde_json::from_slice(&out.stdout).expect("one JSON document");
+    assert_eq!(out.status.code(), Some(0));
+    assert!(
+        document["looks"].as_u64() > Some(1) && document["lines"].as_array().is_some_and(|l| l.len() >= 2)
+    );
+    assert_eq!(
+        (&document["lines"][0]["edges_seen"], &document["lines"][1]["edges_seen"]),
+        (&"both".into(), &"none".into())
+    );
+    let finding = document["axes"][0]["finding"].as_str().expect("a text");
+    assert!(finding.contains("and b has not: look at the wires of b"), "{finding}");
+    assert_eq!(bench.bytes(), before, "as it was when A was off");
+    let out = bench.probe(&["--watch", "--for", "100ms", "--every", "50ms"]);
+    let shown = text(&out.stdout);
+    assert!(
+        out.status.success() && shown.contains("edges seen") && shown.contains("axis x: at +0 counts"),
+        "{shown}"
+    );
+    assert_eq!(bench.probe(&["--watch", "--json"]).status.code(), Some(2), "a document without an end");
+    assert_eq!(bench.probe(&["--watch", "--drive"]).status.code(), Some(2));
+    assert_eq!(bench.probe(&["--watch", "--every", "1ms"]).status.code(), Some(2));
+}

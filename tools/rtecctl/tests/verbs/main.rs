@@ -2,6 +2,7 @@
 
 #![allow(clippy::unwrap_used, clippy::float_cmp, reason = "helpers of tests")]
 
+mod backup;
 mod card;
 mod characterise;
 mod example;

@@ -186,6 +186,31 @@ fn an_illegal_transition_is_a_latched_fault_not_a_guess() {
     assert_eq!(document["insertions"], 1);
 }
 
+/// B never changes while A does 300 times, or the other way round; 40 counts are asked for at 1 ms.
+#[test]
+fn latches_a_broken_wire_and_inserts_nothing() {
+    let directory = tempfile::tempdir().unwrap();
+    let swapped = directory.path().join("a-broken.csv");
+    let rows = std::fs::read_to_string(golden("b-broken.csv")).unwrap();
+    let rows = rows.lines().skip(1).map(|row| {
+        let fields: Vec<_> = row.split(',').collect();
+        format!("{},{},{}\n", fields[0], fields[2], fields[1])
+    });
+    std::fs::write(&swapped, "t_ns,a,b\n".to_owned() + &rows.collect::<String>()).unwrap();
+    for trace in [golden("b-broken.csv"), swapped] {
+        for requests in ["t_ns,requested\n1000000,40\n", "t_ns,requested\n0,40\n"] {
+            let asked = directory.path().join("requests.csv");
+            std::fs::write(&asked, requests).unwrap();
+            let run = rtecctl(&["replay", "--json"], &[("--trace", &trace), ("--requests", &asked)]);
+            assert_eq!(run.status.code(), Some(4), "{}", text(&run.stderr));
+            assert!(text(&run.stderr).contains("channel dead latched at 425000 ns"), "{}", text(&run.stderr));
+            let document: serde_json::Value = serde_json::from_slice(&run.stdout).unwrap();
+            assert_eq!(document["faults"][0]["fault"], "channel_dead");
+            assert_eq!((&document["insertions"], &document["completed"]), (&0.into(), &0.into()));
+        }
+    }
+}
+
 /// NISTIR 4832, Design B: single counts; CMTI (2014), figures 8 and 9: three pulses added, three subtracted.
 #[test]
 fn designs_that_drive_the_signals_themselves_replay_too() {

@@ -201,3 +201,134 @@ fn a_histogram_file_that_cannot_be_written_is_known_before_the_measurement() {
     assert_eq!(out.status.code(), Some(2));
     assert!(stderr.contains("/nonexistent/histogram") && !stderr.contains("wake-up"), "{stderr}");
 }
+
+/// A card that is a file of registers, and the configuration that names it.
+struct Bench {
+    directory: tempfile::TempDir,
+}
+
+impl Bench {
+    fn new(registers: Option<&[u8]>) -> Self {
+        let bench = Self { directory: tempfile::tempdir().expect("a directory") };
+        if let Some(registers) = registers {
+            std::fs::write(bench.at("registers"), registers).expect("registers");
+        }
+        let text = "[machine]\nname = 'bench'\n[card]\nbackend = 'mapped'\nfile = 'registers'\nhold = 'out28'\n[[axis]]\n\
+            name = 'x'\ncount_um = 1.0\ntravel_mm = 400\nmax_correction_counts = 100\nwindow_counts = 50\n\
+            min_separation_ns = 500\nmax_accel_mm_s2 = 1000.0\nrapid_mm_min = 1.0\n\
+            lines = { a = 'in0', b = 'in1', invert_a = 'out0', invert_b = 'out1' }\n[control]\nsocket = 's'\n";
+        std::fs::write(bench.at("rtec.toml"), text).expect("a configuration");
+        bench
+    }
+
+    fn at(&self, name: &str) -> std::path::PathBuf {
+        self.directory.path().join(name)
+    }
+
+    fn latency(&self, options: &[&str]) -> (Option<i32>, String, String) {
+        let config = self.at("rtec.toml");
+        let out = latency(&[&["--config", config.to_str().expect("UTF-8")], options].concat());
+        (out.status.code(), text(&out), String::from_utf8(out.stderr).expect("UTF-8"))
+    }
+
+    fn bytes(&self) -> Vec<u8> {
+        std::fs::read(self.at("registers")).expect("registers")
+    }
+}
+
+/// Feed hold and both inverters on, as a daemon may have left them.
+const LEFT_ON: [u8; 8] = [0, 0, 0, 0, 3, 0, 0, 0x10];
+
+#[test]
+fn refuses_where_there_is_nothing_to_measure() {
+    let absent = Bench::new(None);
+    for options in [&["--json"][..], &["--drive", "--mtc-is-off"]] {
+        let (code, out, said) = absent.latency(options);
+        assert_eq!((code, out.as_str()), (Some(3), ""), "{said}");
+        assert!(said.contains("registers: No such file"), "{said}");
+    }
+    let bench = Bench::new(Some(&LEFT_ON));
+    for backend in ["mock", "gpio", "port"] {
+        let (code, out, said) = bench.latency(&["--backend", backend]);
+        assert_eq!((code, out.as_str()), (Some(2), ""), "{said}");
+        assert!(said.contains("mapped") && said.contains("leave --backend out"), "{said}");
+    }
+    for backend in ["gpio", "port"] {
+        let out = latency(&["--backend", backend]);
+        assert_eq!(out.status.code(), Some(2));
+        assert!(String::from_utf8_lossy(&out.stderr).contains("needs --config FILE"));
+    }
+    assert_eq!(latency(&["--drive"]).status.code(), Some(2), "no card is named");
+    let replay = "[machine]\nname='m'\n[card]\nbackend='replay'\n[[axis]]\nname='x'\ncount_um=1\ntravel_mm=9\n\
+        max_correction_counts=8\nwindow_counts=8\nmin_separation_ns=500\ntrace='t.csv'\n";
+    std::fs::write(bench.at("rtec.toml"), replay).expect("a configuration");
+    let (code, out, said) = bench.latency(&[]);
+    assert_eq!((code, out.as_str()), (Some(2), ""), "{said}");
+    assert_eq!(bench.bytes(), LEFT_ON);
+}
+
+#[test]
+fn reads_the_configured_card_and_holds_its_outputs() {
+    let bench = Bench::new(Some(&LEFT_ON));
+    let histogram = bench.at("histogram");
+    let (code, out, said) = bench.latency(&["--json", "--histfile", histogram.to_str().expect("UTF-8")]);
+    let document: Value = serde_json::from_str(&out).expect("one JSON document");
+    let named = format!("mapped {}, shared-memory test card", bench.at("registers").display());
+    assert_eq!(
+        (code, &document["card"], &document["how"]),
+        (Some(1), &named.as_str().into(), &"reads".into()),
+        "{said}"
+    );
+    assert_eq!(
+        (&document["rt"]["measured"]["card"], &document["backend"]),
+        (&named.as_str().into(), &"mapped".into())
+    );
+    assert!(document["rt"]["write_ns"].is_null() && document["verdict"] == "fail");
+    assert_eq!(bench.bytes(), LEFT_ON, "every output is as it was");
+    assert!(said.contains(&named) && std::fs::read_to_string(histogram).expect("a file").contains(&named));
+    if document["poll_gap_ns"]["samples"] == 0 {
+        skipped("one CPU only, so nothing can be polled");
+        return;
+    }
+    assert!(document["reason"].as_str().expect("a text").contains("--drive measures them"), "{document}");
+    let gap = document["poll_gap_ns"]["max"].as_u64();
+    assert!(document["rt"]["detect_ns"].as_u64() > gap, "an edge behind a reading waits for the one after");
+    let (_, out, _) = bench.latency(&[]);
+    assert!(out.contains(&format!("# Card: {named}")) && out.contains("every output was held"), "{out}");
+    assert!(!out.contains("For the configuration"), "no figures before the writes are measured: {out}");
+}
+
+#[test]
+fn drives_the_card_only_when_the_mtc_is_said_to_be_off() {
+    let bench = Bench::new(Some(&LEFT_ON));
+    let (code, out, said) = bench.latency(&["--drive"]);
+    assert_eq!((code, out.as_str()), (Some(1), ""), "nobody has said anything: {said}");
+    assert!(said.contains("the MTC is off") && said.contains("nothing was written"), "{said}");
+    assert_eq!(bench.bytes(), LEFT_ON);
+
+    let (_, out, said) = bench.latency(&["--drive", "--mtc-is-off", "--json"]);
+    let document: Value = serde_json::from_str(&out).expect("one JSON document");
+    assert_eq!(bench.bytes(), LEFT_ON, "the outputs end as they were found");
+    if document["poll_gap_ns"]["samples"] == 0 {
+        skipped("one CPU only, so nothing can be polled");
+        return;
+    }
+    let how = &document["how"]["reads_and_writes"];
+    assert_eq!((&how["restored"], &how["ended_by"]), (&true.into(), &Value::Null), "{document} {said}");
+    assert!(
+        document["seen_to_done_with_requests_ns"]["samples"].as_u64() > Some(0),
+        "no insertion: {document}"
+    );
+    assert!(document["rt"]["write_ns"].is_u64() && document["ledger_balanced"] == true, "{document}");
+    let (_, out, _) = bench.latency(&["--drive", "--mtc-is-off"]);
+    assert!(out.contains("# and with it, where they were measured: measured = { card = \"mapped "), "{out}");
+}
+
+#[test]
+fn leaves_a_card_alone_that_a_daemon_works_with() {
+    let bench = Bench::new(Some(&LEFT_ON));
+    let _daemon = rtec_control::lock::socket(&bench.at("s")).expect("a lock");
+    let (code, out, said) = bench.latency(&[]);
+    assert_eq!((code, out.as_str()), (Some(1), ""), "{said}");
+    assert!(said.contains("stop it first"), "{said}");
+}

@@ -5,20 +5,19 @@
 //! | drawn | how |
 //! |---|---|
 //! | kills | between two looks; at an inversion that is noted and not made, or made and not known of |
-//! | state file | the record under way torn, or lost from one copy; the file lost |
+//! | state file | the record under way torn, or lost from one copy; the file lost, with the outputs or without |
+//! | MTC | switched off and on again, as its line `mtc_ready` says; homed with the axis, or not |
 //! | looks | late by up to 8 ms |
 //! | card | a write that fails; both lines of an axis at once |
 //! | control side | stops for longer than the stale time; floods of requests |
-//! | people | every verb at any moment, right or not; the disable switch; faults cleared and the machine homed again |
+//! | people | every verb at any moment, right or not, in any role; the disable switch; faults cleared and the machine homed again |
 //! | heat | sensors that drift, jump or fall silent; a model in and out; the day jumps by years |
 //!
-//! What must hold: the MTC sees no illegal state but those that the scale shows it; while an axis is trusted (homed once, no
-//! fault since, whatever lives ended meanwhile) the MTC's count is the scale's and what the daemon says is in effect; a fault
-//! that puts a count in doubt outlives the process; no
-//! insertion begins unless the mode is RUN, nor while the control side is silent.
+//! What must hold, through every restart: the properties in `tools/guide/contributor/laws.md`, each with a planted fault here.
 //!
-//! `RTEC_HISTORIES` says how many (default 200), `RTEC_SEED` which is the first. Not drawn: power cuts (the inverters are
-//! lost with the file), sockets and the record of commands, which have processes of their own in `tests/`.
+//! `RTEC_HISTORIES` says how many (default 200), `RTEC_SEED` which is the first. Not drawn: an MTC that restarts while no
+//! daemon lives and is back before the next one starts, which nobody can see; sockets and the record of commands, which have
+//! processes of their own in `tests/`.
 
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
@@ -27,11 +26,13 @@ mod machine;
 use super::*;
 use crate::start;
 use machine::{AtWrite, Killed, Machine, Wires};
+use rtec_control::role::Role as Caller;
 use rtec_correct::sensors::SensorConfig;
 use rtec_driver::card::AxisLines;
 use rtec_model::machine::Machine as Model;
 use rtec_rt::engine::Engine;
 use rtec_rt::event::Fault;
+use rtec_rt::journal::Before;
 use rtec_rt::link::link;
 use rtec_rt::thread::Turns;
 use std::cell::{Cell, RefCell};
@@ -64,6 +65,10 @@ struct Tally {
     trusted_after: u64,
     requests: u64,
     refused: u64,
+    held: u64,
+    mtc_restarts: u64,
+    power_cuts: u64,
+    kept_totals: u64,
     /// Lost by noise that met an edge within one look, which nobody could tell from a step: why not.
     unseen: [u64; 3],
     checks: u64,
@@ -115,10 +120,19 @@ impl World {
 /// Compares what the daemon says with what the MTC has counted.
 struct Judge {
     seed: u64,
-    /// Of each axis, what is to be taken off what it has counted.
+    /// Of each axis, what is to be taken off what it has counted: since the MTC was homed.
     base: [[i64; 2]; 2],
-    homed: [bool; 2],
+    /// The MTC has been homed, and nothing has put its count in doubt since.
     trusted: [bool; 2],
+    /// What people have asked for since nothing was under way.
+    asked: Asked,
+    /// At the last look: who holds the machine, what is latched, and whether corrections are enabled.
+    held: bool,
+    latched: Vec<(Option<usize>, Fault)>,
+    enabled: bool,
+    /// Times that this was looked at since the process started, and since the MTC was switched off.
+    looks: u64,
+    off_looks: u64,
     /// Masked glitches, and insertions begun, when it was last homed.
     masked: [(usize, u64); 2],
     /// The shortest time in which an axis turns back over an edge, less what is reckoned for its looks, ns.
@@ -129,8 +143,6 @@ struct Judge {
     /// A count was lost, and how many edges have come since: nobody knows of it yet.
     lost: [Option<u64>; 2],
     begun: u64,
-    /// What was latched and puts the count in doubt.
-    doubted: [bool; 2],
     /// The control side is silent since then, ns.
     silent_ns: Option<u64>,
     turns: u64,
@@ -153,13 +165,68 @@ impl Judge {
                 self.wrong("an insertion began, and the control side is silent", m);
             }
         }
-        if engine.mode() != Mode::Fault {
-            self.doubted = [false; 2];
-        }
         self.turns += 1;
+        if self.turns.is_multiple_of(8) {
+            self.keeps(engine, m);
+        }
         if self.turns.is_multiple_of(64) {
             self.check(engine, m);
         }
+    }
+
+    /// What no look and no restart may change by itself: feed hold, faults, corrections that are off, an MTC that is off.
+    fn keeps(&mut self, engine: &Engine, m: &Machine) {
+        self.looks += 1;
+        let status = engine.status();
+        let held = status.held.is_some();
+        if self.held && !held && !self.asked.hold_off {
+            self.wrong("feed hold ended by itself", m);
+        }
+        self.held = held;
+        let own = status.faults.iter().map(|f| (None, f));
+        let axes = status.axes().iter().enumerate();
+        let latched: Vec<_> =
+            own.chain(axes.flat_map(|(n, a)| a.faults.iter().map(move |f| (Some(n), f)))).collect();
+        if let Some(gone) = self.latched.iter().find(|f| !latched.contains(f)).filter(|_| !self.asked.clear) {
+            self.wrong(&format!("{gone:?} ended by itself"), m);
+        }
+        self.latched = latched;
+        if status.enabled && !self.enabled && !self.asked.enable {
+            self.wrong("corrections were enabled by nobody", m);
+        }
+        self.enabled = status.enabled;
+        let wanted = held || !self.latched.is_empty();
+        if self.looks > 2 && !m.write_fails && m.hold().is_some_and(|on| on != wanted) {
+            self.wrong(&format!("feed hold on {} and wanted {wanted}", !wanted), m);
+        }
+        self.off_looks = if m.mtc_off { self.off_looks + 1 } else { 0 };
+        let known = status.axes().iter().any(|a| a.homed || a.mtc_known);
+        if self.off_looks > 1 && (known || status.enabled) {
+            self.wrong("the MTC is off, and its count is taken as known", m);
+        }
+        for n in 0..2 {
+            let (axis, place) = (&status.axes[n], &m.axes[n]);
+            if m.mtc_off || axis.faults.iter().any(Fault::loses_home) {
+                (self.trusted[n], self.lost[n]) = (false, None);
+            }
+            if self.asked.mtc_homed && axis.mtc_known && axis.in_effect == 0 && m.settled(n) {
+                // The MTC is homed with us: what it has counted beyond the scale is what we say from here on.
+                let offsets = [place.ours, place.mtc - place.scale];
+                (self.base[n], self.trusted[n], self.lost[n]) = (offsets, true, None);
+                self.masked[n] = (place.masked.len(), place.begun);
+            }
+        }
+    }
+
+    /// A process begins: nothing is enabled, and all else is as the one before left it.
+    fn begins(&mut self) {
+        (self.enabled, self.looks, self.silent_ns) = (false, 0, None);
+    }
+
+    /// Nothing is left of the process before, and nobody can know what was.
+    fn forget(&mut self) {
+        (self.trusted, self.held) = ([false; 2], false);
+        self.latched.clear();
     }
 
     fn check(&mut self, engine: &Engine, m: &Machine) {
@@ -171,17 +238,10 @@ impl Judge {
             // Before it is homed the axis knows what was inserted, not whether every edge was seen.
             let place = &m.axes[n];
             let offsets = [place.ours, place.mtc - place.scale];
-            if axis.homed && !self.homed[n] {
-                // The MTC is homed with us: what it has counted beyond the scale is what we say from here on.
-                (self.base[n], self.trusted[n], self.lost[n]) = (offsets.map(|o| o - known), true, None);
-                self.masked[n] = (place.masked.len(), place.begun);
-            }
-            self.homed[n] = axis.homed;
-            self.doubted[n] = axis.faults.iter().any(Fault::loses_home);
             for part in [m.t_ns, m.axes[n].mtc as u64, known as u64, status.mode as u64] {
                 self.digest = (self.digest ^ part).wrapping_mul(0x100_0000_01b3).rotate_left(17);
             }
-            if axis.faults.any() || status.faults.any() {
+            if !axis.mtc_known {
                 (self.trusted[n], self.lost[n]) = (false, None);
             }
             if !self.trusted[n] || !m.settled(n) || !engine.at_rest() {
@@ -220,6 +280,17 @@ impl Judge {
     }
 }
 
+/// What people have asked for.
+#[allow(clippy::struct_excessive_bools)] // Each is asked for without any other.
+#[derive(Debug, Clone, Copy, Default)]
+struct Asked {
+    hold_off: bool,
+    clear: bool,
+    enable: bool,
+    /// The MTC has been homed, and that was said.
+    mtc_homed: bool,
+}
+
 /// Faults that the judge must find: of the corrector, or of whatever it stands on.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Planted {
@@ -229,6 +300,29 @@ enum Planted {
     OldFile,
     /// A loop that does not mind a silent control side.
     NeverStale,
+    /// Homing that forgets what the MTC counts, though it has not been homed.
+    HomeForgets,
+    /// A start that finds no feed hold and no fault of the machine.
+    HoldForgotten,
+    /// A start that finds no state file.
+    FileForgotten,
+    /// Something enables corrections, and nobody asked for it.
+    EnablesItself,
+    /// A line that tells nothing of an MTC that restarts.
+    DeafToMtc,
+}
+
+impl Planted {
+    const ALL: [Self; 8] = [
+        Self::Count,
+        Self::OldFile,
+        Self::NeverStale,
+        Self::HomeForgets,
+        Self::HoldForgotten,
+        Self::FileForgotten,
+        Self::EnablesItself,
+        Self::DeafToMtc,
+    ];
 }
 
 /// The daemon that lives now, and the people and mishaps around it.
@@ -242,6 +336,7 @@ struct Life {
     heat: [f64; 2],
     speaks: usize,
     planted: Option<Planted>,
+    mtc_restarts: u64,
 }
 
 impl Life {
@@ -263,8 +358,10 @@ impl Life {
                 at + 1
             )
         };
+        let mtc_off = if dice.one_in(2) { "hold" } else { "freeze" };
         let text = format!(
-            "[machine]\nname = 'history'\n[card]\nbackend = 'mapped'\nfile = 'card'\nhold = 'out28'\ndisable = 'in29'\n{}{}\
+            "[machine]\nname = 'history'\nmtc_off = '{mtc_off}'\n[card]\nbackend = 'mapped'\nfile = 'card'\nhold = 'out28'\n\
+             disable = 'in29'\nmtc_ready = 'in30'\n{}{}\
              [rt]\ndetect_ns = {}\nwrite_ns = {}\nguard_ns = 50\n[control]\nstate_file = 'state'\nstale_ms = {STALE_MS}\n\
              [model]\nramp_um_s = 200\n",
             axis("x", 0),
@@ -281,14 +378,18 @@ impl Life {
         let judge = Judge {
             seed,
             base: [[0; 2]; 2],
-            homed: [false; 2],
             trusted: [false; 2],
+            asked: Asked::default(),
+            held: false,
+            latched: Vec::new(),
+            enabled: false,
+            looks: 0,
+            off_looks: 0,
             masked: [(0, 0); 2],
             turn_back_ns: turn_back_ns - 3 * max_gap_ns,
             unseen: [0; 3],
             lost: [None; 2],
             begun: 0,
-            doubted: [false; 2],
             silent_ns: None,
             turns: 0,
             checks: 0,
@@ -312,6 +413,7 @@ impl Life {
             heat: [20.0; 2],
             speaks: 2,
             planted,
+            mtc_restarts: 0,
         }
     }
 
@@ -342,7 +444,7 @@ impl Life {
             if let Some(turns) = self.world.turns.borrow_mut().take() {
                 turns.end(None);
             }
-            if died == Some(AtWrite::Before) && self.dice.one_in(2) {
+            if died == Some(AtWrite::Before) && !self.dice.one_in(4) {
                 tally.torn += 1;
                 self.tear();
             }
@@ -351,6 +453,15 @@ impl Life {
                 if !m.state_before.is_empty() {
                     fs::write(&m.state_file, &m.state_before).unwrap();
                 }
+            }
+            if self.planted == Some(Planted::FileForgotten) {
+                let _ = fs::remove_file(&self.world.machine.borrow().state_file);
+            }
+            if self.dice.one_in(12) {
+                tally.power_cuts += 1;
+                self.tell("power cut");
+                self.world.machine.borrow_mut().lose_power();
+                self.world.judge.borrow_mut().forget();
             }
             // Nobody is there; the axes go on.
             let dead_ns = self.dice.within(10, 40_000) * 1000;
@@ -395,33 +506,35 @@ impl Life {
     fn live(&mut self, tally: &mut Tally) {
         let (mut log, mut card) = (Log::silent(), Wires(Rc::clone(&self.world.machine)));
         let half = (0..2).any(|n| !self.world.machine.borrow().settled(n));
-        let Ok(mut engine) = start::engine(&mut card, &self.config, &mut log) else {
+        if self.planted == Some(Planted::HoldForgotten) {
+            self.forget_hold();
+        }
+        let Ok((mut engine, _)) = start::engine(&mut card, &self.config, &mut log) else {
             // It says what to do by hand, and that is done.
             tally.not_started += 1;
             fs::remove_file(self.config.control.state_path()).unwrap();
             self.world.machine.borrow_mut().inverters_off();
-            let mut judge = self.world.judge.borrow_mut();
-            (judge.trusted, judge.doubted) = ([false; 2], [false; 2]);
+            self.world.judge.borrow_mut().forget();
             return;
         };
         tally.finished_halves += u64::from(half);
         self.tell(&format!("started: {:?}", [0, 1].map(|n| engine.in_effect(n))));
         engine.set_may_arm(true);
-        let set_up = SetUp { real: false, wanted: None, missing: None, timing: engine.timing() };
+        let set_up = SetUp {
+            real: false,
+            wanted: None,
+            missing: None,
+            timing: engine.timing(),
+            times: Before::NOTHING.times,
+        };
         let (mut control, rt) = link(engine.status());
         {
             let mut judge = self.world.judge.borrow_mut();
-            judge.homed = [false; 2];
-            judge.silent_ns = None;
-            judge.begun = self.world.machine.borrow().axes.iter().map(|a| a.begun).sum();
-            let (m, doubted) = (self.world.machine.borrow(), judge.doubted);
+            let m = self.world.machine.borrow();
+            judge.begins();
+            judge.begun = m.axes.iter().map(|a| a.begun).sum();
+            judge.keeps(&engine, &m);
             judge.check(&engine, &m);
-            for (n, doubted) in doubted.into_iter().enumerate() {
-                if !doubted || judge.doubted[n] {
-                    continue;
-                }
-                judge.wrong(&format!("axis {n}: what was latched is forgotten by a restart"), &m);
-            }
             tally.trusted_after += judge.trusted.iter().filter(|t| **t).count() as u64;
         }
         let stale_ns =
@@ -444,6 +557,13 @@ impl Life {
             }
             control.beat();
             session.drain(control, &mut log);
+            if control.pending() == 0 {
+                self.world.judge.borrow_mut().asked = Asked::default();
+            }
+            if self.planted == Some(Planted::EnablesItself) && self.dice.one_in(20) {
+                let _ = control.send(Request::Enable);
+            }
+            tally.held += u64::from(self.world.judge.borrow().held);
             self.sense(&mut session);
             session.tick(control, &mut log);
             session.take_happened();
@@ -491,11 +611,12 @@ impl Life {
     fn shown(&self) -> String {
         let m = self.world.machine.borrow();
         format!(
-            "late by {} ns, glitches {:?}, writes fail: {}, switch: {}, sensors {}",
+            "late by {} ns, glitches {:?}, writes fail: {}, switch: {}, MTC off: {}, sensors {}",
             m.late_ns,
             [0, 1].map(|n| m.axes[n].glitches),
             m.write_fails,
             m.disable_switch,
+            m.mtc_off,
             self.speaks
         )
     }
@@ -518,6 +639,14 @@ impl Life {
         if dice.one_in(if m.disable_switch { 4 } else { 60 }) {
             m.disable_switch ^= true;
         }
+        if dice.one_in(if m.mtc_off { 3 } else { 250 }) {
+            let off = !m.mtc_off;
+            m.switch_mtc(off);
+            self.mtc_restarts += u64::from(off);
+            if self.planted == Some(Planted::DeafToMtc) {
+                m.switch_mtc(false);
+            }
+        }
         if dice.one_in(40) {
             self.speaks = dice.within(0, 2) as usize;
         }
@@ -538,6 +667,19 @@ impl Life {
         tally: &mut Tally,
     ) {
         tally.requests += 1;
+        let lies = self.planted == Some(Planted::HomeForgets) && self.dice.one_in(2);
+        {
+            let mut judge = self.world.judge.borrow_mut();
+            match request {
+                ClientRequest::Hold { on: false } => judge.asked.hold_off = true,
+                ClientRequest::Clear {} => judge.asked.clear = true,
+                ClientRequest::Enable { .. } => judge.asked.enable = true,
+                ClientRequest::Home { controller_homed: Some(true), .. } => judge.asked.mtc_homed = !lies,
+                _ => {}
+            }
+        }
+        let kept = matches!(request, ClientRequest::Home { controller_homed: Some(false), .. });
+        let in_effect = control.status().axes().iter().any(|a| a.in_effect != 0);
         for _ in 0..20 {
             self.tell(&format!("{request:?}"));
             match session.answer(request, Beside::default(), control, log) {
@@ -548,6 +690,7 @@ impl Life {
                         Response::Refused { .. } | Response::Fault { .. } | Response::Bad { .. }
                     );
                     tally.refused += u64::from(no);
+                    tally.kept_totals += u64::from(!no && kept && in_effect);
                     return;
                 }
                 Answer::Later(_) => unreachable!("nothing is loaded by request here"),
@@ -570,7 +713,9 @@ impl Life {
                     break;
                 }
             }
-            for request in [R::Clear {}, R::Home { axis: None }, R::Enable { accept_jump: true }] {
+            let controller_homed = self.controller_homed();
+            let home = R::Home { axis: None, controller_homed };
+            for request in [R::Clear {}, R::Hold { on: false }, home, R::Enable { accept_jump: true }] {
                 self.ask(session, &request, control, log, tally);
             }
             self.world.machine.borrow_mut().stop = false;
@@ -588,7 +733,7 @@ impl Life {
             1 => R::Hold { on },
             2 => R::Probe { on },
             3 => R::Shadow {},
-            4 => R::Home { axis: Some(axis) },
+            4 => R::Home { axis: Some(axis), controller_homed: self.controller_homed() },
             5 => R::Clear {},
             6..10 => R::Enable { accept_jump: on },
             10 => R::Status {},
@@ -602,16 +747,42 @@ impl Life {
             18..20 => R::Probe { on: false },
             _ => R::Correct { axis, total_counts, large: on },
         };
+        // As the server does: each connection has its role.
+        let role = Caller::ALL[self.dice.within(0, 8).min(2) as usize];
+        if request.needs() > role {
+            tally.refused += 1;
+            return;
+        }
         for _ in 0..times {
             self.ask(session, &request, control, log, tally);
         }
-        if self.dice.one_in(30) {
+        if self.dice.one_in(12) {
             // The process is stopped with something to be done, and nobody beats.
+            let axis = ["x", "y"][self.dice.within(0, 1) as usize].to_owned();
+            let total_counts = self.dice.within(0, 120) as i64 - 60;
+            self.ask(session, &R::Correct { axis, total_counts, large: true }, control, log, tally);
             let (now_ns, ns) = (self.now_ns(), self.dice.within(1, 300) * 1_000_000);
             self.world.judge.borrow_mut().silent_ns = Some(now_ns);
             self.world.run(ns);
             self.world.judge.borrow_mut().silent_ns = None;
         }
+    }
+
+    /// What people say of the MTC when they home.
+    fn controller_homed(&mut self) -> Option<bool> {
+        [Some(true), Some(true), Some(false), None][self.dice.within(0, 3) as usize]
+    }
+
+    /// As a start that knows nothing of feed hold: neither by the file nor by the line.
+    fn forget_hold(&mut self) {
+        let mut m = self.world.machine.borrow_mut();
+        m.outputs &= !(1 << 28);
+        let Ok(mut bytes) = fs::read(&m.state_file) else { return };
+        for page in [0, 4096] {
+            // Behind the head and the slots of six axes are those of the machine.
+            bytes[page + (8 + 6 * 8) * 8..][..64].fill(0);
+        }
+        fs::write(&m.state_file, bytes).unwrap();
     }
 
     fn model(&mut self, session: &mut Session) {
@@ -647,6 +818,7 @@ fn history(seed: u64, planted: Option<Planted>, tally: &mut Tally) -> (Vec<Strin
     life.run(tally);
     let (judge, m) = (life.world.judge.borrow(), life.world.machine.borrow());
     tally.histories += 1;
+    tally.mtc_restarts += life.mtc_restarts;
     tally.looks += m.looks;
     tally.checks += judge.checks;
     (0..3).for_each(|why| tally.unseen[why] += judge.unseen[why]);
@@ -683,6 +855,10 @@ fn no_history_loses_a_count_in_silence() {
             tally.finished_halves,
             tally.trusted_after,
             tally.refused,
+            tally.held,
+            tally.mtc_restarts,
+            tally.power_cuts,
+            tally.kept_totals,
         ];
         assert!(seen.iter().all(|n| *n > 10), "the histories have become empty: {tally:?}");
         assert!(tally.latched.len() >= 4, "{tally:?}");
@@ -698,7 +874,7 @@ fn a_seed_is_one_history() {
 
 #[test]
 fn planted_faults_are_found() {
-    for planted in [Planted::Count, Planted::OldFile, Planted::NeverStale] {
+    for planted in Planted::ALL {
         let mut tally = Tally::default();
         let found = (1..=80).filter(|&seed| !history(seed, Some(planted), &mut tally).0.is_empty()).count();
         println!("{planted:?}: found in {found} of 80");

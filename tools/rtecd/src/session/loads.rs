@@ -19,11 +19,15 @@ use std::time::Duration;
 /// file, and [`MEANT`] where it was taken although its validity had ended.
 const TAKEN: &str = "model.taken";
 const MEANT: &str = "although expired";
+/// The same of the model that was unloaded last: it does not run after a restart, and `model_again` takes it up.
+const UNLOADED: &str = "model.unloaded";
 /// Behind them the name of the machine that it was taken for.
 const FOR: &str = "for ";
 /// What to do about a model whose validity has ended.
 pub(super) const LOOK_AGAIN: &str = "`rtecctl model validate` it on a new record and fit again where it is no longer true; `rtecctl model \
                           load --expired` takes it as it is, `rtecctl model unload` goes on without";
+/// What to do about a model that was unloaded.
+const AGAIN: &str = "the model was unloaded: `rtecctl model again` takes it up as it was";
 /// The files of that model as they were read, beside it: a restart reads no file that is another by then.
 const KEPT: &str = "model.kept";
 
@@ -56,42 +60,69 @@ fn refused(why: &str, text: String) -> Response {
     Response::Refused { why: why.to_owned(), text, jumps: Vec::new() }
 }
 
+/// What is remembered of a model that was loaded.
+#[derive(Default)]
+struct Remembered {
+    sha256: String,
+    file: Option<PathBuf>,
+    /// It was meant although its validity had ended.
+    meant: bool,
+    /// The machine that it was loaded for.
+    machine: Option<String>,
+}
+
+impl Remembered {
+    fn read(path: &Path) -> Self {
+        let text = std::fs::read_to_string(path).unwrap_or_default();
+        let mut lines = text.lines();
+        let (sha256, file) = (lines.next().unwrap_or_default().to_owned(), lines.next().map(PathBuf::from));
+        let further: Vec<&str> = lines.collect();
+        let machine = further.iter().find_map(|line| line.strip_prefix(FOR)).map(str::to_owned);
+        Self { sha256, file, meant: further.first() == Some(&MEANT), machine }
+    }
+
+    /// Why it is not this machine's.
+    fn of_another(&self, name: &str) -> Option<String> {
+        let then = self.machine.as_ref().filter(|then| *then != name)?;
+        let file = self.file.as_deref().unwrap_or(Path::new("")).display();
+        Some(format!(
+            "the model {file} was loaded for the machine \"{then}\", and this is \"{name}\": `rtecctl model load` shows what it changes"
+        ))
+    }
+}
+
 impl Session {
     /// The model that was taken last runs on after a restart: as it was read then, or, where the configuration names it,
     /// unless its file has changed. Before anybody is served: this waits for the files.
     pub(crate) fn take_up_model(&mut self, log: &mut Log) {
-        let taken = std::fs::read_to_string(self.directory().join(TAKEN)).unwrap_or_default();
-        let mut lines = taken.lines();
-        let (sha256, file) = (lines.next().unwrap_or_default(), lines.next().map(PathBuf::from));
-        let mut further: Vec<&str> = lines.collect();
-        let meant = further.first() == Some(&MEANT);
-        further.drain(..usize::from(meant));
-        let machine_then = further.first().and_then(|line| line.strip_prefix(FOR));
+        let taken = Remembered::read(&self.directory().join(TAKEN));
+        let Remembered { sha256, meant, .. } = &taken;
         let configured = self.config.model.file.clone();
-        let kept = std::fs::read(self.directory().join(KEPT)).unwrap_or_default();
-        let kept: BTreeMap<PathBuf, String> = serde_json::from_slice(&kept).unwrap_or_default();
-        let Some(file) = configured.clone().or(file) else { return };
+        let kept = self.kept();
+        let unloaded = self.directory().join(UNLOADED).exists();
+        let Some(file) = configured.clone().or(taken.file.clone()) else {
+            if unloaded {
+                self.model_refused = Some(AGAIN.to_owned());
+            }
+            return;
+        };
         let source =
             if configured.is_none() && kept.contains_key(&file) { Source::Kept(kept) } else { Source::Named };
-        let why = match loader::work(self.model_job(file.clone(), source)) {
+        let why = match loader::work(self.model_job(file.clone(), source), &loader::Told::default()) {
             Err(error) => error.to_string(),
             Ok(Loaded::Table { .. } | Loaded::Kept(_)) => return,
             Ok(Loaded::Model { prepared, .. }) => {
                 let machine = prepared.machine();
-                match self.ended(machine).filter(|_| !meant) {
-                    _ if machine_then.is_some_and(|name| name != self.config.machine) => format!(
-                        "the model {} was loaded for the machine \"{}\", and this is \"{}\": `rtecctl model load` shows what it changes",
-                        file.display(),
-                        machine_then.unwrap_or_default(),
-                        self.config.machine
-                    ),
-                    Some(ended) if machine.sha256() == sha256 => ended,
+                match (taken.of_another(&self.config.machine), self.ended(machine).filter(|_| !meant)) {
+                    (Some(another), _) => another,
+                    (_, Some(ended)) if machine.sha256() == sha256 => ended,
                     _ if machine.sha256() == sha256 => {
                         self.corrector.day_is((self.today)());
                         self.corrector.take(*prepared);
                         self.model_refused = None;
                         return log.say(Level::Notice, &format!("machine model {}", file.display()));
                     }
+                    _ if unloaded => AGAIN.to_owned(),
                     _ if sha256.is_empty() => {
                         format!(
                             "the model {} has not been loaded yet: `rtecctl model load` shows what it changes",
@@ -110,13 +141,35 @@ impl Session {
         self.model_refused = Some(why);
     }
 
+    fn kept(&self) -> BTreeMap<PathBuf, String> {
+        let kept = std::fs::read(self.directory().join(KEPT)).unwrap_or_default();
+        serde_json::from_slice(&kept).unwrap_or_default()
+    }
+
+    /// The model that was unloaded last, as it was read when it was loaded: somebody who may load it has looked at it then.
+    pub(super) fn model_again(&mut self) -> Answer {
+        let model = Remembered::read(&self.directory().join(UNLOADED));
+        let kept = self.kept();
+        let Some(file) = model.file.clone().filter(|file| kept.contains_key(file)) else {
+            let text = "no model was unloaded: there is nothing to take up again; `rtecctl model load FILE` loads one";
+            return Answer::Now(refused("no_model", text.to_owned()));
+        };
+        if let Some(another) = model.of_another(&self.config.machine) {
+            return Answer::Now(refused("other_machine", another));
+        }
+        self.corrector.day_is((self.today)());
+        let job = self.model_job(file, Source::Kept(kept));
+        self.begin(job, Wish::Model(Wanted { take: Some(model.sha256), expired: model.meant }))
+    }
+
     /// No model runs: why, and what to load; nothing to say where a part table was loaded without one.
     pub(super) fn no_model(&self) -> Option<String> {
         if self.corrector.shown().is_some() {
             return None;
         }
         let none = "no model is loaded and no part table: only `rtecctl correct` moves an axis; `rtecctl model load FILE` loads one";
-        match &self.model_refused {
+        let unloaded = || self.directory().join(UNLOADED).exists().then(|| AGAIN.to_owned());
+        match self.model_refused.clone().or_else(unloaded) {
             Some(why) => Some(format!("no model is loaded: {why}")),
             None => self.corrector.table_shown().is_none().then(|| none.to_owned()),
         }
@@ -163,7 +216,7 @@ impl Session {
 
     /// Puts a finished record into the spool folder, once it has been read; without files it says whether it would.
     pub(super) fn keep(&mut self, names: &[String], beside: Beside) -> Answer {
-        let Some(folder) = self.keeper.folder().map(Path::to_owned) else {
+        let Some(spool) = self.keeper.spool().cloned() else {
             let text = "this daemon keeps no records: `spool = \"/var/spool/rtec\"` in [control] of its configuration names \
                         the folder";
             return Answer::Now(refused("no_spool", text.to_owned()));
@@ -174,7 +227,7 @@ impl Session {
             (None, [sidecar, csv], 2) => {
                 let files = [sidecar, csv].map(PathBuf::from);
                 let source = Source::Handed(files.iter().cloned().zip(beside.files).collect());
-                self.begin(Job::Keep { files, source, folder }, Wish::Keep)
+                self.begin(Job::Keep { files, source, spool }, Wish::Keep)
             }
             (None, names, came) => {
                 let text = format!(
@@ -202,13 +255,12 @@ impl Session {
 
     /// Something is being loaded.
     pub(crate) fn loads(&self) -> bool {
-        self.loader.busy()
+        self.loader.busy().is_some()
     }
 
     fn begin(&mut self, job: Job, wish: Wish) -> Answer {
-        if self.loader.busy() {
-            let text = "another file is being loaded: ask again when it is done".to_owned();
-            return Answer::Now(refused("loading", text));
+        if let Some(why) = self.loader.busy() {
+            return Answer::Now(refused("loading", why.to_owned()));
         }
         match self.loader.start(job) {
             Ok(ticket) => {
@@ -227,20 +279,23 @@ impl Session {
         control: &mut ControlEnd,
         log: &mut Log,
     ) -> Option<(Ticket, Response, Option<String>)> {
-        if let Some(ticket) = self.loader.overdue()
+        if let Some(ticket) = self.loader.give_up()
             && let Some(wish) = self.wish.take()
         {
             let s = PATIENCE.as_secs();
             let text = match wish {
                 Wish::Keep => {
-                    format!("keeping took longer than {s} s: the record may be in the spool folder, or not")
+                    format!(
+                        "keeping took longer than {s} s and is given up: the record is not kept, unless an event record_kept \
+                         follows"
+                    )
                 }
                 Wish::Model(_) | Wish::Table => format!("loading took longer than {s} s: nothing is loaded"),
             };
             return Some((ticket, refused("too_long", text), None));
         }
-        let (ticket, result) = self.loader.done()?;
-        let wish = self.wish.take();
+        let ((ticket, result), given_up) = self.loader.done()?;
+        let wish = if given_up { None } else { self.wish.take() };
         if let Ok(Loaded::Kept(kept)) = result {
             // It is there, or it is not: whoever waits.
             let response = match &kept {
@@ -313,22 +368,33 @@ impl Session {
         let named: BTreeMap<String, &String> =
             files.iter().map(|(path, text)| (path.display().to_string(), text)).collect();
         let kept = serde_json::to_vec(&named).unwrap_or_default();
+        let at = |name: &str| self.directory().join(name);
         let written = [(KEPT, kept.as_slice()), (TAKEN, text.as_bytes())]
-            .map(|(name, content)| (name, rtec_files::write::whole(&self.directory().join(name), content)));
+            .map(|(name, content)| (name, rtec_files::write::whole(&at(name), content)));
+        if written.iter().all(|(_, done)| done.is_ok()) {
+            // It runs: what was unloaded before is not taken up any more.
+            let _ = std::fs::remove_file(at(UNLOADED));
+        }
         self.failed(written, "a restart will not know which model was loaded", log)
     }
 
-    /// A restart is to take up none. Removing needs no room on a disk, as writing would.
+    /// A restart is to take up none. A new name needs no room on a disk, as writing would.
     fn forget(&self, log: &mut Log) -> Vec<String> {
-        let removed = [TAKEN, KEPT].map(|name| match std::fs::remove_file(self.directory().join(name)) {
-            Err(error) if error.kind() != ErrorKind::NotFound => (name, Err(error)),
-            _ => (name, Ok(())),
-        });
-        self.failed(removed, "a restart may take the model up again", log)
+        let at = |name: &str| self.directory().join(name);
+        let renamed = match std::fs::rename(at(TAKEN), at(UNLOADED)) {
+            Err(error) if error.kind() != ErrorKind::NotFound => Err(error),
+            _ => Ok(()),
+        };
+        self.failed([(TAKEN, renamed)], "a restart may take the model up again", log)
     }
 
     /// What failed of the files beside the state file, and what that means: logged, and for the caller.
-    fn failed(&self, done: [(&str, std::io::Result<()>); 2], means: &str, log: &mut Log) -> Vec<String> {
+    fn failed<const N: usize>(
+        &self,
+        done: [(&str, std::io::Result<()>); N],
+        means: &str,
+        log: &mut Log,
+    ) -> Vec<String> {
         let failed = done.into_iter().filter_map(|(name, done)| {
             let text = format!("{}: {}: {means}", self.directory().join(name).display(), done.err()?);
             log.say(Level::Warning, &text);

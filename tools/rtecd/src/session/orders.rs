@@ -4,23 +4,13 @@ use super::{Session, loads};
 use crate::log::Log;
 use rtec_control::config::ConfiguredAxis;
 use rtec_control::protocol::{Jump, Response, explain_fault, explain_refusal, word};
-use rtec_rt::event::{Event, EventKind, Mode, Refusal, Request, Status};
+use rtec_rt::event::{AxisStatus, Event, EventKind, Mode, Refusal, Request, Status};
 use rtec_rt::link::{ControlEnd, REQUESTS};
 use std::time::Duration;
 
 /// Below this many edges per second an axis stands: between setting its counter and reading it back, some milliseconds, it
 /// does not move by half a count.
 const STANDSTILL_HZ: f64 = 50.0;
-
-/// Why corrections are not switched on in this mode: they would come on by themselves when it ends.
-pub(super) fn held(mode: Mode) -> Option<Response> {
-    let (why, text) = match mode {
-        Mode::Probe => (word(Refusal::Probing), explain_refusal(Refusal::Probing)),
-        Mode::Hold => ("held".to_owned(), "feed hold is on: `rtecctl hold off` first"),
-        Mode::Run | Mode::Shadow | Mode::Fault | Mode::Disabled => return None,
-    };
-    Some(Response::Refused { why, text: text.to_owned(), jumps: Vec::new() })
-}
 
 impl Session {
     /// Sends a request and waits until it has been worked off; returns what was reported in the meantime.
@@ -173,14 +163,20 @@ impl Session {
         log: &mut Log,
     ) -> Result<Response, Response> {
         let n = self.number(axis)?;
-        let on = matches!(control.status().mode, Mode::Run | Mode::Shadow);
-        let total_counts =
-            if on { self.corrector.with_operator(n, operator_counts) } else { operator_counts };
+        let total_counts = self.corrector.with_operator(n, operator_counts);
+        let others_counts = total_counts - operator_counts;
         let before = control.status().axes[n].requested;
-        let events = self.carry_out(Request::Correct { axis: n as u8, total_counts, large }, control, log)?;
-        if on {
-            self.corrector.operator_is(n, operator_counts);
-        }
+        let request = Request::Correct { axis: n as u8, total_counts, large };
+        let events = self.carry_out(request, control, log).map_err(|refusal| match refusal {
+            // The total that was asked for is not the one that was refused.
+            Response::Refused { why, text, jumps } if others_counts != 0 => {
+                let text =
+                    format!("{text} (asked {operator_counts:+}, model and part table {others_counts:+})");
+                Response::Refused { why, text, jumps }
+            }
+            other => other,
+        })?;
+        self.corrector.operator_is(n, operator_counts);
         let config = &self.config.axes[n];
         let warnings = events.iter().filter_map(|event| match event.kind {
             // The corrector's own requests are told apart by their total.
@@ -220,6 +216,7 @@ impl Session {
     pub(super) fn home(
         &mut self,
         axis: Option<&str>,
+        controller_homed: Option<bool>,
         control: &mut ControlEnd,
         log: &mut Log,
     ) -> Result<Response, Response> {
@@ -241,9 +238,14 @@ impl Session {
                 return Err(Response::Refused { why: "moving".to_owned(), text, jumps: Vec::new() });
             }
         }
+        if let Some(refusal) = self.still_counted(axes.clone(), controller_homed, &status) {
+            return Err(refusal);
+        }
+        let controller_homed = controller_homed == Some(true);
         for n in axes {
             let (axis, position_counts) = (n as u8, self.config.axes[n].home_counts);
-            let events = self.carry_out(Request::Home { axis, position_counts }, control, log)?;
+            let request = Request::Home { axis, position_counts, controller_homed };
+            let events = self.carry_out(request, control, log)?;
             let read_back = events.iter().find_map(|e| match e.kind {
                 EventKind::HomeSet { position_counts } if e.axis == Some(axis) => Some(position_counts),
                 _ => None,
@@ -258,6 +260,46 @@ impl Session {
             self.carry_out(Request::ConfirmHome { axis, position_counts }, control, log)?;
         }
         Ok(Response::done())
+    }
+
+    /// What the MTC still counts of these axes, where the caller does not say that it has been homed: a count that is in its
+    /// position is not forgotten.
+    fn still_counted(
+        &self,
+        axes: std::ops::Range<usize>,
+        controller_homed: Option<bool>,
+        status: &Status,
+    ) -> Option<Response> {
+        if controller_homed == Some(true) || status.mode == Mode::Fault {
+            return None;
+        }
+        let all = || axes.clone().map(|n| (&self.config.axes[n], &status.axes[n]));
+        let names = |which: &dyn Fn(&AxisStatus) -> bool| {
+            let names = all().filter(|(_, s)| which(s)).map(|(a, _)| a.name.as_str());
+            names.collect::<Vec<_>>().join(", ")
+        };
+        let unknown = names(&|s| !s.mtc_known);
+        if !unknown.is_empty() {
+            let text = format!("axis {unknown}: {}", explain_refusal(Refusal::ControllerUnknown));
+            return Some(Response::Refused {
+                why: word(Refusal::ControllerUnknown),
+                text,
+                jumps: Vec::new(),
+            });
+        }
+        if controller_homed.is_some() || all().all(|(_, s)| s.in_effect == 0) {
+            return None;
+        }
+        let counted = all().filter(|(_, s)| s.in_effect != 0);
+        let counted = counted.map(|(a, s)| {
+            format!("axis {}: {:+} counts, {:+.3} µm", a.name, s.in_effect, s.in_effect as f64 * a.count_um)
+        });
+        let text = format!(
+            "{}: still in the controller's count. If it has been homed too, `rtecctl home --controller-homed`; if not, \
+             `rtecctl home --controller-not-homed` keeps them",
+            counted.collect::<Vec<_>>().join("; ")
+        );
+        Some(Response::Refused { why: "still_counted".to_owned(), text, jumps: Vec::new() })
     }
 
     /// What enabling would insert, axis by axis.
@@ -276,11 +318,14 @@ impl Session {
 
     /// Why corrections must not be enabled, as far as it is known here.
     pub(super) fn forbidden(&self, status: &Status, jumps: &[Jump], accept_jump: bool) -> Option<Response> {
-        if let Some(refusal) = held(status.mode) {
-            return Some(refusal);
+        match status.mode {
+            Mode::Probe => return Some(refused(Refusal::Probing)),
+            Mode::Hold => return Some(refused(Refusal::Held)),
+            Mode::Run | Mode::Shadow | Mode::Fault | Mode::Disabled => {}
         }
-        if self.set_up.real && !self.config.rt.latency_measured {
-            return Some(refused(Refusal::NotArmable));
+        if !self.unfit.is_empty() {
+            let (why, text) = (word(Refusal::NotArmable), self.unfit.join("; "));
+            return Some(Response::Refused { why, text, jumps: Vec::new() });
         }
         let ended = self.corrector.expired();
         if !ended.is_empty() {
@@ -312,7 +357,7 @@ fn rest(axis: &ConfiguredAxis, total_counts: i64, in_effect: i64) -> Option<Stri
 
 /// The figures of a request for a total.
 fn asked(axis: &ConfiguredAxis, total_counts: i64, now_counts: i64) -> String {
-    format!("axis {}: asked {total_counts:+}, now {now_counts:+} counts", axis.name)
+    format!("axis {}: total {total_counts:+}, now {now_counts:+} counts", axis.name)
 }
 
 fn refused(why: Refusal) -> Response {

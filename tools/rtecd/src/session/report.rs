@@ -2,13 +2,14 @@
 
 use super::Session;
 use rtec_control::protocol::{
-    AxisReport, Clients, DaemonStatus, Distribution, Explained, Histograms, LogState, Observed, PROTOCOL,
-    Reading, Response, Rt, explain_fault, explain_refusal, word,
+    AxisReport, Clients, DaemonStatus, Distribution, Explained, Histograms, HoldReport, LatchedFault,
+    LogState, Observed, PROTOCOL, Reading, Response, Rt, explain_fault, explain_refusal, word,
 };
-use rtec_rt::event::{Mode, Refusal, Status};
+use rtec_rt::event::{HeldBy, Mode, OffBecause, Refusal, Status};
 use rtec_rt::histogram::Reader;
 use rtec_rt::link::ControlEnd;
 use rtec_rt::setup::Report;
+use std::path::PathBuf;
 
 impl Session {
     /// Everything at once, with the events after one that is known already.
@@ -61,7 +62,7 @@ impl Session {
         let now = control.status();
         let alive = !control.ended();
         let verified = self.set_up.missing.as_ref().is_some_and(Report::can_arm);
-        let may_arm = !self.set_up.real || verified && self.config.rt.latency_measured;
+        let may_arm = !self.set_up.real || verified && self.unfit.is_empty();
         let missing = self.set_up.missing.iter().flat_map(Report::missing);
         let rt = Rt {
             alive,
@@ -76,6 +77,7 @@ impl Session {
             events_lost: now.events_lost,
             control_stale: now.control_stale,
             disable_switch: now.disable_switch,
+            mtc_ready: now.mtc_ready,
             poll_gap_ns: distribution(&self.set_up.timing.poll_gap_ns),
             edge_to_done_ns: distribution(&self.set_up.timing.edge_to_done_ns),
         };
@@ -89,6 +91,7 @@ impl Session {
             mtc_minus_scale: s.mtc_minus_scale,
             inverted: s.inverted,
             homed: s.homed,
+            mtc_known: s.mtc_known,
             gate: word(s.gate),
             edge_rate_hz: s.edge_rate_hz,
             faults: s.faults.iter().collect(),
@@ -100,6 +103,7 @@ impl Session {
             late: s.late,
             illegal: s.illegal,
             beyond_limits: s.beyond_limits,
+            rates: axis.rates(),
         });
         DaemonStatus {
             version: env!("CARGO_PKG_VERSION").to_owned(),
@@ -109,11 +113,15 @@ impl Session {
             machine: self.config.machine.clone(),
             mode: word(now.mode),
             homed: now.axes().iter().all(|a| a.homed),
+            enabled: now.enabled,
+            hold: self.hold(&now),
+            latched_faults: self.latched_faults(&now),
             uptime_s: self.started.elapsed().as_secs_f64(),
             balanced: now.balanced(),
             faults: now.faults.iter().collect(),
             why_not: self.why_not(&now, alive, may_arm),
             rt,
+            edited: self.edited(),
             model: self.corrector.shown(),
             table: self.corrector.table_shown(),
             table_now: self.corrector.table_now(&now),
@@ -125,6 +133,43 @@ impl Session {
                 .collect(),
             axes: axes.collect(),
         }
+    }
+
+    /// A time of the card's clock, s since 1970.
+    fn at_s(&self, t_ns: u64, now: &Status) -> f64 {
+        self.temperatures.now_s() - now.t_ns.saturating_sub(t_ns) as f64 * 1e-9
+    }
+
+    /// Who holds the machine.
+    fn hold(&self, now: &Status) -> Option<HoldReport> {
+        let by = match now.held {
+            Some(HeldBy::User(uid)) if uid == self.holder.0 => format!("user {}", self.holder.1),
+            Some(HeldBy::User(uid)) => format!("user {uid}"),
+            Some(HeldBy::Controller) => "the controller".to_owned(),
+            Some(HeldBy::FoundOn) => "unknown".to_owned(),
+            None if now.hold_output => "fault".to_owned(),
+            None => return None,
+        };
+        let first = self.latched_faults(now).iter().filter_map(|f| f.at_s).reduce(f64::min);
+        let at_s = if now.held.is_some() { self.held_ns.map(|t| self.at_s(t, now)) } else { first };
+        Some(HoldReport { by, at_s })
+    }
+
+    fn latched_faults(&self, now: &Status) -> Vec<LatchedFault> {
+        let own = now.faults.iter().map(|f| (None, f));
+        let axes = now.axes().iter().enumerate();
+        let all = own.chain(axes.flat_map(|(n, s)| s.faults.iter().map(move |f| (Some(n), f))));
+        all.map(|(axis, fault)| {
+            let at_s = self.latched_ns.get(&(axis, fault as u8)).map(|t| self.at_s(*t, now));
+            LatchedFault { axis: axis.map(|n| self.config.axes[n].name.clone()), fault, at_s }
+        })
+        .collect()
+    }
+
+    /// Files on the disk that are not what runs.
+    fn edited(&self) -> Vec<String> {
+        let model = self.corrector.shown().map(|m| (PathBuf::from(m.file), m.sha256));
+        self.on_disk.as_ref().map_or_else(Vec::new, |files| files.edited(model))
     }
 
     /// Why nothing is corrected now, each with its remedy.
@@ -149,21 +194,37 @@ impl Session {
         }
         if !may_arm {
             why.push(explain_refusal(Refusal::NotArmable).to_owned());
-            if !self.config.rt.latency_measured {
-                why.push("[rt] has no detect_ns and write_ns: run `rtecctl selftest latency`".to_owned());
-            }
+            why.extend(self.unfit.iter().cloned());
         }
-        let away = self.away(now);
+        if !now.mtc_ready {
+            why.push(explain_refusal(Refusal::ControllerNotReady).to_owned());
+        }
+        let axes = || self.config.axes.iter().zip(now.axes());
+        let unknown: Vec<&str> = axes().filter(|(_, s)| !s.mtc_known).map(|(a, _)| a.name.as_str()).collect();
+        if !unknown.is_empty() {
+            why.push(format!(
+                "the controller's count is not known: {}; home the controller and move there, then `rtecctl home \
+                 --controller-homed`",
+                unknown.join(", ")
+            ));
+        }
+        let away = axes().filter(|(_, s)| !s.homed && s.mtc_known).map(|(a, _)| a.name.as_str());
+        let away: Vec<&str> = away.collect();
         if !away.is_empty() {
             why.push(format!("not homed: {}; move there, then `rtecctl home`", away.join(", ")));
         }
         match now.mode {
-            Mode::Disabled => why.push("corrections are off: `rtecctl enable`".to_owned()),
             Mode::Shadow => why.push("shadow mode: everything is computed, nothing is written".to_owned()),
             Mode::Probe => why.push("probing mode: `rtecctl probe off`".to_owned()),
-            Mode::Hold => why.push("feed hold: `rtecctl hold off`".to_owned()),
+            Mode::Hold => {
+                let by = self.hold(now).map_or(String::new(), |h| h.by);
+                why.push(format!("feed hold by {by}: `rtecctl hold off`"));
+            }
             Mode::Fault => why.push("when mended: `rtecctl clear`".to_owned()),
-            Mode::Run => {}
+            Mode::Run | Mode::Disabled => {}
+        }
+        if matches!(now.mode, Mode::Disabled | Mode::Probe | Mode::Hold) && !now.enabled {
+            why.push(format!("corrections are off{}: `rtecctl enable`", off_because(now.off_because)));
         }
         if matches!(now.mode, Mode::Disabled | Mode::Fault) {
             why.extend(self.corrector.expired().iter().map(|e| format!("{e}: {}", super::loads::LOOK_AGAIN)));
@@ -171,6 +232,17 @@ impl Session {
         why.extend(self.model_refused.iter().cloned());
         why.extend(self.corrector.holding());
         why
+    }
+}
+
+/// What switched corrections off, behind "corrections are off".
+const fn off_because(because: OffBecause) -> &'static str {
+    match because {
+        OffBecause::Start | OffBecause::Asked => "",
+        OffBecause::Switch => " since the disable switch was on",
+        OffBecause::Controller => " since the controller was off",
+        OffBecause::ControlStale => " since the control side was silent",
+        OffBecause::Fault => " since the fault",
     }
 }
 

@@ -1,10 +1,11 @@
 use super::*;
 use rtec_correct::sensors;
 use rtec_driver::clock::Monotonic;
-use rtec_driver::mock::{MockCard, SharedWires};
+use rtec_driver::mock::{MockCard, SharedWires, Wires};
 use rtec_files::csv::Reader;
 use rtec_model::machine::Machine;
 use rtec_rt::engine::{Engine, MachineConfig};
+use rtec_rt::journal::Before;
 use rtec_rt::link::{REQUESTS, link};
 use rtec_rt::thread::{ThreadOptions, spawn};
 
@@ -35,10 +36,16 @@ fn engine(config: &Config) -> (Engine, MockCard<SharedWires, Monotonic>) {
 }
 
 fn session(engine: &Engine) -> Session {
-    let set_up = SetUp { real: false, wanted: None, missing: None, timing: engine.timing() };
+    let set_up = SetUp {
+        real: false,
+        wanted: None,
+        missing: None,
+        timing: engine.timing(),
+        times: Before::NOTHING.times,
+    };
     let config = Config::embedded();
     let temperatures = Temperatures::start(&config.sensors, Path::new(""), 1.0).unwrap();
-    Session::new(config, set_up, temperatures)
+    Session::by(Rc::new(RealTime), config, set_up, temperatures)
 }
 
 /// The recorded shift of `rtec-correct`'s tests through the daemon's own tick: the same totals, count for count.
@@ -50,10 +57,16 @@ fn a_recorded_shift_gets_the_recorded_totals() {
     config.control.state_file = Some(directory.path().join("state"));
     config.model.lead_ms = 20.0;
     let (engine, _card) = engine(&config);
-    let set_up = SetUp { real: false, wanted: None, missing: None, timing: engine.timing() };
+    let set_up = SetUp {
+        real: false,
+        wanted: None,
+        missing: None,
+        timing: engine.timing(),
+        times: Before::NOTHING.times,
+    };
     let watch = |n: &str| Watch::new(sensors::SensorConfig::believed(n, Role::Temperature));
     let played = Temperatures::played(["T8", "T18"].map(watch).to_vec());
-    let mut session = Session::new(config, set_up, played);
+    let mut session = Session::by(Rc::new(RealTime), config, set_up, played);
     let machine = Machine::read(&folder.join("machine.toml")).unwrap();
     session.temperatures.look();
     let watches = session.temperatures.sensors().to_vec();
@@ -148,7 +161,10 @@ fn corrections_are_not_enabled_on_a_model_that_has_ended() {
     };
     session.today = || 10;
     assert_eq!(ask(&mut session, &load(false), control, &mut log), done);
-    assert_eq!(ask(&mut session, &ClientRequest::Home { axis: None }, control, &mut log), done);
+    assert_eq!(
+        ask(&mut session, &ClientRequest::Home { axis: None, controller_homed: None }, control, &mut log),
+        done
+    );
     assert_eq!(ask(&mut session, &enable, control, &mut log), done);
     session.today = || 11;
     session.tick(control, &mut log);
@@ -172,7 +188,7 @@ fn corrections_are_not_enabled_on_a_model_that_has_ended() {
     running.stop();
 }
 
-/// A control side that falls silent: corrections freeze, the status says so; back again, they go on.
+/// A control side that falls silent: corrections are off, and the status says so; back again, they wait to be enabled.
 #[test]
 fn a_stale_control_side_freezes_corrections_and_is_named() {
     let config = Config::embedded();
@@ -183,7 +199,10 @@ fn a_stale_control_side_freezes_corrections_and_is_named() {
     let control = &mut running.control;
     let mut log = Log::new();
     let done = Response::done();
-    assert_eq!(ask(&mut session, &ClientRequest::Home { axis: None }, control, &mut log), done);
+    assert_eq!(
+        ask(&mut session, &ClientRequest::Home { axis: None, controller_homed: None }, control, &mut log),
+        done
+    );
     let enabled = ask(&mut session, &ClientRequest::Enable { accept_jump: false }, control, &mut log);
     let Response::Done { jumps, warnings } = enabled else { panic!("{enabled:?}") };
     assert!(jumps.is_empty() && warnings[0].starts_with("no model is loaded"), "{warnings:?}");
@@ -197,6 +216,11 @@ fn a_stale_control_side_freezes_corrections_and_is_named() {
         control.beat();
         std::thread::sleep(Duration::from_millis(1));
     }
+    // What came back enables nothing.
+    let why = session.status(control).why_not;
+    assert_eq!(why, ["corrections are off since the control side was silent: `rtecctl enable`"]);
+    let enable = ClientRequest::Enable { accept_jump: false };
+    assert!(matches!(ask(&mut session, &enable, control, &mut log), Response::Done { .. }));
     assert!(session.status(control).why_not.is_empty());
     let (ended, mut control) = running.stop();
     assert!(ended.status.balanced());
@@ -206,4 +230,251 @@ fn a_stale_control_side_freezes_corrections_and_is_named() {
         panic!("an answer from nobody")
     };
     assert_eq!(why, "ended");
+}
+
+/// Wires of a machine that waits for a thread that is kept from looking.
+struct Patient(SharedWires);
+
+impl Wires for Patient {
+    fn levels(&mut self, t_ns: u64, outputs: u64) -> u64 {
+        self.0.levels(t_ns, outputs)
+    }
+
+    fn step_limit_ns(&self) -> u64 {
+        1000
+    }
+}
+
+/// A machine with every line wired, its inputs in the test's hand, and a daemon on it.
+struct Hand {
+    session: Session,
+    running: rtec_rt::thread::Running<MockCard<Patient, Monotonic>>,
+    inputs: std::sync::Arc<std::sync::atomic::AtomicU64>,
+    log: Log,
+    _directory: tempfile::TempDir,
+}
+
+const SWITCH: u64 = 1 << 29;
+const READY: u64 = 1 << 30;
+
+/// Everything that a verb could change: what is said to be refused leaves all of it alone.
+#[derive(Debug, PartialEq)]
+struct State {
+    mode: Mode,
+    enabled: bool,
+    held: bool,
+    model: bool,
+    /// Of each axis: requested, in effect, homed, the MTC known, faults, the operator's share in µm.
+    axes: Vec<(i64, i64, bool, bool, usize, f64)>,
+}
+
+impl Hand {
+    fn new() -> Self {
+        let directory = tempfile::tempdir().unwrap();
+        let mut config = Config::embedded();
+        config.control.state_file = Some(directory.path().join("state"));
+        config.lines.mtc_ready = Some(30);
+        for axis in &mut config.axes {
+            axis.engine.rest = rtec_rt::axis::RestPolicy::Insert { after_ns: 1 };
+            axis.engine.lines.read_back = None;
+        }
+        let wires = SharedWires::default();
+        let inputs = std::sync::Arc::clone(&wires.inputs);
+        inputs.store(READY, std::sync::atomic::Ordering::Release);
+        let mut card = MockCard::new(Patient(wires), Monotonic);
+        let machine = MachineConfig { lines: config.lines, may_arm: true };
+        let engine = Engine::new(&mut card, &config.engine_axes(), machine, &[]).unwrap();
+        let times = Before::NOTHING.times;
+        let set_up = SetUp { real: false, wanted: None, missing: None, timing: engine.timing(), times };
+        let temperatures = Temperatures::start(&config.sensors, Path::new(""), 1.0).unwrap();
+        let session = Session::by(Rc::new(RealTime), config, set_up, temperatures);
+        let options = ThreadOptions { wanted: None, real: false, stale_after_ns: 60_000_000_000 };
+        let running = spawn(engine, card, options).unwrap();
+        Self { session, running, inputs, log: Log::new(), _directory: directory }
+    }
+
+    fn ask(&mut self, request: &ClientRequest) -> Response {
+        ask(&mut self.session, request, &mut self.running.control, &mut self.log)
+    }
+
+    fn done(&mut self, request: &ClientRequest) {
+        let response = self.ask(request);
+        assert!(matches!(response, Response::Done { .. }), "{request:?}: {response:?}");
+    }
+
+    fn input(&mut self, mask: u64, on: bool) {
+        let inputs = self.inputs.load(std::sync::atomic::Ordering::Acquire);
+        let inputs = if on { inputs | mask } else { inputs & !mask };
+        self.inputs.store(inputs, std::sync::atomic::Ordering::Release);
+        // A status that is newer than the next has seen it.
+        for _ in 0..2 {
+            let polls = self.running.control.status().polls;
+            while self.running.control.status().polls == polls {
+                std::thread::yield_now();
+            }
+        }
+    }
+
+    fn state(&mut self) -> State {
+        let status = self.running.control.status();
+        let Response::Explained { axes } = self.ask(&ClientRequest::Explain { axis: None }) else {
+            panic!("no explanation")
+        };
+        let operator = |n: usize| axes[n].parts.iter().find(|p| p.name == "operator").map_or(0.0, |p| p.um);
+        let each = status.axes().iter().enumerate();
+        State {
+            mode: status.mode,
+            enabled: status.enabled,
+            held: status.held.is_some(),
+            model: self.session.corrector.shown().is_some(),
+            axes: each
+                .map(|(n, a)| {
+                    (a.requested, a.in_effect, a.homed, a.mtc_known, a.faults.iter().count(), operator(n))
+                })
+                .collect(),
+        }
+    }
+
+    /// Homed, with a total of 14 counts in effect on X, corrections enabled.
+    fn running(&mut self) {
+        use ClientRequest as R;
+        self.input(SWITCH, false);
+        self.input(READY, true);
+        let controller_homed = Some(true);
+        for request in [
+            R::Clear {},
+            R::Hold { on: false },
+            R::Probe { on: false },
+            R::Disable {},
+            R::Home { axis: None, controller_homed },
+            R::Enable { accept_jump: true },
+            R::Correct { axis: "x".to_owned(), total_counts: 14, large: false },
+        ] {
+            self.done(&request);
+        }
+        while self.running.control.status().axes[0].in_effect != 14 {
+            self.running.control.beat();
+        }
+    }
+}
+
+/// Puts a machine into a mode.
+type Put = Box<dyn Fn(&mut Hand)>;
+/// What is so once a verb is done.
+type Is = fn(&State) -> bool;
+
+/// Every verb that changes a total or a mode, in every mode: it is done, and then it is so; or it is refused, and then nothing
+/// has changed.
+#[test]
+fn every_verb_is_done_or_refused_in_every_mode() {
+    use ClientRequest as R;
+    let correct = |total_counts| R::Correct { axis: "x".to_owned(), total_counts, large: false };
+    let home = |controller_homed| R::Home { axis: None, controller_homed };
+    let (hold, probe, enable) = (|on| R::Hold { on }, |on| R::Probe { on }, R::Enable { accept_jump: false });
+    let by = |requests: Vec<R>| -> Put { Box::new(move |hand| requests.iter().for_each(|r| hand.done(r))) };
+    let modes: Vec<(&str, Put)> = vec![
+        ("run", by(vec![])),
+        ("disabled", by(vec![R::Disable {}])),
+        ("shadow", by(vec![R::Shadow {}])),
+        ("probe", by(vec![probe(true)])),
+        ("probe, disabled", by(vec![R::Disable {}, probe(true)])),
+        ("hold", by(vec![hold(true)])),
+        ("hold, disabled", by(vec![R::Disable {}, hold(true)])),
+        ("hold, shadow", by(vec![R::Shadow {}, hold(true)])),
+        ("switch", Box::new(|hand| hand.input(SWITCH, true))),
+        ("switch released", Box::new(|hand| [true, false].into_iter().for_each(|on| hand.input(SWITCH, on)))),
+        ("MTC off", Box::new(|hand| hand.input(READY, false))),
+        ("MTC on again", Box::new(|hand| [false, true].into_iter().for_each(|on| hand.input(READY, on)))),
+        (
+            "fault",
+            Box::new(move |hand| {
+                let far = R::Correct { axis: "x".to_owned(), total_counts: 900, large: false };
+                (0..3).for_each(|_| drop(hand.ask(&far)));
+            }),
+        ),
+    ];
+    let verbs: Vec<(R, Is)> = vec![
+        (correct(0), |s| s.axes[0].0 == 0 && s.axes[0].5 == 0.0),
+        (correct(14), |s| s.axes[0].0 == 14),
+        (correct(20), |s| s.axes[0].0 == 20 && s.axes[0].5 != 0.0),
+        (home(None), |s| s.axes.iter().all(|a| a.2 && a.1 == 0)),
+        (home(Some(true)), |s| s.axes.iter().all(|a| a.2 && a.3 && a.1 == 0 && a.0 == 0)),
+        (home(Some(false)), |s| s.axes.iter().all(|a| a.2) && s.axes[0].1 == 14 && s.axes[0].0 == 14),
+        (enable, |s| s.enabled && s.mode == Mode::Run),
+        (R::Disable {}, |s| !s.enabled),
+        (R::Shadow {}, |s| !s.enabled && s.mode == Mode::Shadow),
+        (hold(true), |s| s.held && matches!(s.mode, Mode::Hold | Mode::Fault)),
+        (hold(false), |s| !s.held),
+        (probe(true), |s| matches!(s.mode, Mode::Probe | Mode::Hold | Mode::Fault)),
+        (probe(false), |s| s.mode != Mode::Probe),
+        (R::Clear {}, |s| s.mode != Mode::Fault && s.axes.iter().all(|a| a.4 == 0)),
+        (R::ModelUnload {}, |s| !s.model),
+        (R::ModelAgain {}, |s| s.model),
+        (R::TableUnload {}, |_| true),
+    ];
+    let mut hand = Hand::new();
+    let (mut done, mut refused) = (0, 0);
+    for (mode, put) in &modes {
+        for (verb, is) in &verbs {
+            hand.running();
+            put(&mut hand);
+            let before = hand.state();
+            let response = hand.ask(verb);
+            let after = hand.state();
+            if matches!(response, Response::Done { .. }) {
+                assert!(is(&after), "{mode}: {verb:?} is done, and {after:?}");
+                done += 1;
+            } else {
+                assert_eq!(after, before, "{mode}: {verb:?}: {response:?}");
+                refused += 1;
+            }
+        }
+    }
+    assert!(done > 80 && refused > 60, "{done} done, {refused} refused");
+    hand.running.stop();
+}
+
+/// A real card with figures of elsewhere, or with an axis that outruns it: nothing is armed, and the status says why.
+#[test]
+fn a_card_without_figures_of_its_own_is_not_armed() {
+    let text = "[machine]\nname = 'm'\n[card]\nbackend = 'mapped'\nuio = '/dev/uio0'\n[[axis]]\nname = 'x'\ncount_um = 0.1\n\
+        travel_mm = 400\nmax_correction_counts = 100\nwindow_counts = 50\nmin_separation_ns = 100\nmax_accel_mm_s2 = 100\n\
+        rapid_mm_min = 30000\nlines = { a = 'in0', b = 'in1', invert_a = 'out0', invert_b = 'out1' }\n\
+        [rt]\ndetect_ns = 1000\nwrite_ns = 300\n";
+    let foreign = "measured = { card = 'another', kernel = '1.0', cpu = 'any', date = '2026-01-01' }\n";
+    let figures = Config::parse(Path::new("rtec.toml"), text).unwrap();
+    let here = format!("{}\n", Measured::here(&figures.card, 0, &System::live()));
+    for (measured, slower, says) in [
+        ("", false, &["does not say where", "5000000 edges/s"][..]),
+        (foreign, true, &["was measured with card \"another\""]),
+        (&here, false, &["5000000 edges/s"]),
+        (&here, true, &[]),
+    ] {
+        let text = format!("{text}{measured}").replace("30000", if slower { "3000" } else { "30000" });
+        let config = Config::parse(Path::new("rtec.toml"), &text).unwrap();
+        let (engine, _card) = engine(&config);
+        let set_up = SetUp {
+            real: true,
+            wanted: None,
+            missing: None,
+            timing: engine.timing(),
+            times: Before::NOTHING.times,
+        };
+        let temperatures = Temperatures::start(&config.sensors, Path::new(""), 1.0).unwrap();
+        let session = Session::by(Rc::new(RealTime), config, set_up, temperatures);
+        let (mut control, _rt) = link(engine.status());
+        let (refusal, status) =
+            (session.forbidden(&engine.status(), &[], true), session.status(&mut control));
+        assert_eq!(refusal.is_some(), !says.is_empty(), "{refusal:?}");
+        let why = format!("{refusal:?} {:?}", status.why_not);
+        for text in says {
+            assert_eq!(
+                why.replace('\\', "").matches(text).count(),
+                2,
+                "{text} at enable and in the status: {why}"
+            );
+        }
+        assert!(!status.rt.may_arm, "without a verified set-up nothing is armed");
+        assert_eq!(status.axes[0].rates.followed_mm_min.map(f64::round), Some(6000.0));
+    }
 }

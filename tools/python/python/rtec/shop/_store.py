@@ -236,6 +236,8 @@ def ship(spool: str | Path, shop: Shop, machine: str) -> list[str]:
         except rtec.InputError:
             continue
         files = [folder / csv, sidecar]
+        if Path(csv).name != csv or any(file.is_symlink() for file in files):
+            continue  # nothing is read, sent or moved that lies elsewhere
         data = [file.read_bytes() for file in files]
         digest = hashlib.sha256(b"".join(hashlib.sha256(d).digest() for d in data)).hexdigest()[:16]
         place = f"inbox/{machine}/{digest}"

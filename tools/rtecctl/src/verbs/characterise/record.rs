@@ -330,8 +330,7 @@ fn nothing(
     duration_s: f64,
     left_out: u64,
 ) -> String {
-    let trouble =
-        |f: &Feed| gauges.iter().find_map(|c| f.value(&c.name).err().map(str::to_owned)).unwrap_or_default();
+    let trouble = |f: &Feed| gauges.iter().find_map(|c| f.value(&c.name).err()).unwrap_or_default();
     let what = feed.map_or_else(|| quiet.join(", "), trouble);
     let faulty =
         if left_out > 0 { format!(", {left_out} with a reading that is none") } else { String::new() };

@@ -85,6 +85,10 @@ pub(crate) fn unload(daemon: &Daemon) -> anyhow::Result<()> {
     daemon.order(&ClientRequest::ModelUnload {}, "model unloaded; corrections go back in a ramp")
 }
 
+pub(crate) fn again(daemon: &Daemon) -> anyhow::Result<()> {
+    daemon.order(&ClientRequest::ModelAgain {}, "model taken up again; corrections go to it in a ramp")
+}
+
 /// Asks the person; nobody there is a no.
 fn agreed() -> anyhow::Result<bool> {
     if !std::io::stdin().is_terminal() {

@@ -22,6 +22,7 @@ pub(super) struct Place {
     next: Option<(u64, i64)>,
     pub scale: i64,
     pub mtc: i64,
+    mtc_off: bool,
     /// What the MTC has counted otherwise than the scale because of inverters: that we did.
     pub ours: i64,
     /// What reaches the MTC: place in the cycle of four.
@@ -65,10 +66,14 @@ impl Place {
         CYCLE[self.scale.rem_euclid(4) as usize]
     }
 
-    /// The MTC counts; `step` is what the scale has moved.
+    /// The MTC counts, where it is on; `step` is what the scale has moved.
     fn mtc_looks(&mut self, outputs: u64, step: i64) {
         let seen = self.levels() ^ self.inverters(outputs);
         let place = (0..4).find(|&p| CYCLE[p as usize] == seen).unwrap_or(0);
+        if self.mtc_off {
+            self.out = place;
+            return;
+        }
         match (place + 4 - self.out) % 4 {
             0 => {}
             1 => {
@@ -123,6 +128,7 @@ pub(super) struct Machine {
     pub die: Option<AtWrite>,
     pub write_fails: bool,
     pub disable_switch: bool,
+    pub mtc_off: bool,
     pub looks: u64,
     /// The two looks before, ns.
     looks_ns: [u64; 2],
@@ -147,6 +153,7 @@ impl Machine {
             next: None,
             scale: 0,
             mtc: 0,
+            mtc_off: false,
             ours: 0,
             out: 0,
             illegal: 0,
@@ -170,6 +177,7 @@ impl Machine {
             die: None,
             write_fails: false,
             disable_switch: false,
+            mtc_off: false,
             looks: 0,
             looks_ns: [0; 2],
             state_file,
@@ -221,6 +229,28 @@ impl Machine {
         // What the MTC makes of two counts at once is anybody's guess; here it takes none.
     }
 
+    /// The MTC is switched off, or on again: then it counts from nothing, wherever the axes are.
+    pub(super) fn switch_mtc(&mut self, off: bool) {
+        self.mtc_off = off;
+        for place in &mut self.axes {
+            (place.mtc_off, place.mtc) = (off, 0);
+        }
+    }
+
+    /// Mains failure of the computer alone, and it is back: outputs low, no state file. The MTC has gone on counting.
+    pub(super) fn lose_power(&mut self) {
+        self.flying = None;
+        self.outputs = 0;
+        self.axes.iter_mut().for_each(|a| a.mtc_looks(0, 0));
+        let _ = std::fs::remove_file(&self.state_file);
+        self.state_before.clear();
+    }
+
+    /// Feed hold as the controller sees it; none while an order is on its way.
+    pub(super) fn hold(&self) -> Option<bool> {
+        self.flying.is_none().then_some(self.outputs >> 28 & 1 == 1)
+    }
+
     /// By hand, with the MTC off: all inverters off. It is switched on again and counts from here.
     pub(super) fn inverters_off(&mut self) {
         self.outputs = 0;
@@ -234,7 +264,7 @@ impl Machine {
     }
 
     fn inputs(&self) -> u64 {
-        let mut inputs = u64::from(self.disable_switch) << 29;
+        let mut inputs = u64::from(self.disable_switch) << 29 | u64::from(!self.mtc_off) << 30;
         for place in &self.axes {
             let levels = place.levels();
             inputs |= (levels & 1) << place.lines.a | (levels >> 1) << place.lines.b;

@@ -1,0 +1,119 @@
+//! The files that make up a machine's set-up: its configuration, and what that names.
+
+use crate::config::{CardConfig, Config};
+use rtec_correct::sensors::SensorSource;
+use rtec_files::InputError;
+use rtec_files::toml::Document;
+use rtec_model::effect::Dictionary;
+use rtec_model::machine::Machine;
+use std::cell::RefCell;
+use std::path::{Path, PathBuf};
+
+/// A file that belongs to a machine.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Belonging {
+    /// `configuration`, `profile`, `model`, `trace`, `recording` or `devices`.
+    pub kind: &'static str,
+    /// Where it is.
+    pub path: PathBuf,
+}
+
+/// What belongs to the machine of a configuration, which comes first. Files that it names are given whether they are there or not.
+///
+/// # Errors
+/// The configuration, or the model that it names, cannot be read.
+pub fn of(file: &Path, config: &Config) -> Result<Vec<Belonging>, InputError> {
+    let folder = file.parent().unwrap_or(Path::new(""));
+    let mut all = vec![Belonging { kind: "configuration", path: file.to_owned() }];
+    let mut add = |kind, path: PathBuf| {
+        if all.iter().all(|b| b.path != path) {
+            all.push(Belonging { kind, path });
+        }
+    };
+    let text = rtec_files::text::read(file)?;
+    let document = Document::parse(file, &text)?;
+    let card = document.root().get("card").and_then(|e| e.table("[card]").ok());
+    // A profile's name, or its file.
+    if let Some(named) = card.and_then(|t| t.get("profile")).and_then(|e| e.str("a profile").ok())
+        && crate::profile::shipped(named).is_none()
+    {
+        add("profile", folder.join(named));
+    }
+    if let CardConfig::Replay { traces } = &config.card {
+        for trace in traces {
+            add("trace", trace.clone());
+        }
+    }
+    for sensor in &config.sensors {
+        if let SensorSource::Csv { record, .. } = &sensor.source {
+            add("recording", record.clone());
+            let text = rtec_files::text::read(record)?;
+            let sidecar = Document::parse(record, &text)?;
+            if let Some(csv) = sidecar.root().get("file").and_then(|e| e.str("a CSV").ok()) {
+                add("recording", record.parent().unwrap_or(Path::new("")).join(csv));
+            }
+        }
+    }
+    if let Some(model) = &config.model.file {
+        add("model", model.clone());
+        if model.exists() {
+            let text = rtec_files::text::read(model)?;
+            let beside = RefCell::new(Vec::new());
+            Machine::parse_from(model, &text, Dictionary::default(), &|path| {
+                beside.borrow_mut().push(path.to_owned());
+                rtec_files::text::read(path)
+            })?;
+            for path in beside.into_inner() {
+                add("model", path);
+            }
+        }
+    }
+    add("devices", file.with_file_name("devices"));
+    Ok(all)
+}
+
+/// Files beside the state file of a daemon, by what they are. The first is the state itself: what the controller has in effect,
+/// faults, hold.
+#[must_use]
+pub fn state(config: &Config) -> Vec<(&'static str, PathBuf)> {
+    let state = config.control.state_path();
+    let beside = ["model.taken", "model.kept", "temperatures.csv", "temperatures.old.csv"];
+    let beside = beside.map(|name| ("loaded", state.with_file_name(name)));
+    [("state", state.clone())].into_iter().chain(beside).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn everything_that_a_configuration_names_belongs_to_it() {
+        let directory = tempfile::tempdir().unwrap();
+        let at = |name: &str| directory.path().join(name);
+        let put = |name: &str, text: &str| std::fs::write(at(name), text).unwrap();
+        put("m.toml", "name = 'm'\ndictionary = 'own.toml'\n");
+        let law = "[[law]]\nname = 'quill_droop'\nnaming = 'A.B'\nacts_on = 'error'\nlaw = 'e_A = um·(p_B/100)²'\n\
+            cause = 'the quill bends'\nexperiment = 'a straightedge at several depths'\n\
+            parameters = [{ name = 'um', unit = 'um', plausible = 50.0, terms = [{ factor = 1e-4, p_B = 2 }] }]\n";
+        put("own.toml", law);
+        put("r.run.toml", "file = 'r.csv'\nkind = 'drift'\n");
+        let text = "[machine]\nname='m'\n[card]\nbackend='replay'\n[[axis]]\nname='x'\ncount_um=1\ntravel_mm=40\ntrace='x.csv'\n\
+                    max_correction_counts=100\nwindow_counts=50\nmin_separation_ns=500\n[model]\nfile='m.toml'\n\
+                    [[sensor]]\nname='T1'\nplace='bed'\nsource='csv'\nrecord='r.run.toml'\n";
+        put("rtec.toml", text);
+        let config = Config::load(&at("rtec.toml")).unwrap();
+        let found = of(&at("rtec.toml"), &config).unwrap();
+        let found: Vec<_> =
+            found.iter().map(|b| (b.kind, b.path.file_name().unwrap().to_str().unwrap())).collect();
+        let expected = [
+            ("configuration", "rtec.toml"),
+            ("trace", "x.csv"),
+            ("recording", "r.run.toml"),
+            ("recording", "r.csv"),
+            ("model", "m.toml"),
+            ("model", "own.toml"),
+            ("devices", "devices"),
+        ];
+        assert_eq!(found, expected);
+    }
+}

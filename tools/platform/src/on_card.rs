@@ -1,0 +1,187 @@
+//! The polling loop on the card that will do the work: its reads with the outputs held, and its writes where that is allowed.
+//!
+//! Nobody plays the machine here. Reads are timed as the engine takes them. Writes are insertions that the engine makes at
+//! rest, without an edge: as many counts are added as are taken out again, so that the outputs end as they were found.
+
+use crate::selftest::{Latency, Polling, SelftestError, SelftestOptions, tid_of};
+use rtec_driver::card::{Card, CardError, MachineLines, Sample};
+use rtec_rt::axis::{AxisConfig, Design, RestPolicy};
+use rtec_rt::engine::{Engine, MachineConfig};
+use rtec_rt::event::{Fault, Mode, Request};
+use rtec_rt::thread::{Ended, Running, ThreadOptions, spawn};
+use std::time::{Duration, Instant};
+
+/// An axis is left alone for so long between two insertions, ns.
+const REST_NS: u64 = 50_000;
+/// How often this side looks at the engine's status, which comes once a millisecond.
+const LOOK: Duration = Duration::from_millis(1);
+/// What was inserted is out again within this time, or something is wrong.
+const BACK_AGAIN: Duration = Duration::from_secs(5);
+const SECOND: Duration = Duration::from_secs(1);
+
+/// A card whose outputs are held as they are: writes go nowhere.
+struct Held<C>(C);
+
+impl<C: Card> Card for Held<C> {
+    const SLEEPS: bool = C::SLEEPS;
+
+    fn sample(&mut self, wake_ns: u64) -> Result<Sample, CardError> {
+        self.0.sample(wake_ns)
+    }
+
+    fn write(&mut self, _mask: u64, _value: u64) -> Result<Option<u64>, CardError> {
+        Ok(None)
+    }
+
+    fn outputs(&mut self) -> Result<u64, CardError> {
+        self.0.outputs()
+    }
+}
+
+/// What was measured of the writes.
+#[derive(Debug, Clone, Default)]
+pub struct Driven {
+    /// The loop meanwhile; `seen_to_done` from the look at which an insertion began to the one that ordered its second
+    /// inversion.
+    pub polling: Polling,
+    /// Why it ended before its time, if it did.
+    pub ended_by: Option<Fault>,
+    /// The outputs are as they were found.
+    pub restored: bool,
+}
+
+/// Times the loop on `card` with all outputs held, for a third of the time.
+pub(crate) fn reads<C: Card + Send + 'static>(
+    card: C,
+    axes: &[AxisConfig],
+    options: SelftestOptions,
+    progress: &mut impl FnMut(&str, u64),
+) -> Result<(Polling, C), SelftestError> {
+    let mut card = Held(card);
+    let engine = engine(&mut card, axes)?;
+    let running = spawn(engine, card, thread(options))?;
+    let tid = tid_of("rtec-rt");
+    let start = Instant::now();
+    let third = options.run / 3;
+    let mut next = start;
+    while start.elapsed() < third && !running.control.ended() {
+        if Instant::now() >= next {
+            progress("reads of the card, outputs held", third.saturating_sub(start.elapsed()).as_secs() + 1);
+            next += SECOND;
+        }
+        std::thread::sleep(LOOK);
+    }
+    let (polling, ended) = stopped(running, tid)?;
+    Ok((polling, ended.card.0))
+}
+
+/// Inserts and takes out again on every axis, for a third of the time.
+pub(crate) fn writes<C: Card + Send + 'static>(
+    mut card: C,
+    axes: &[AxisConfig],
+    options: SelftestOptions,
+    progress: &mut impl FnMut(&str, u64),
+) -> Result<Driven, SelftestError> {
+    let before = card.outputs()?;
+    let at_rest = axes.iter().map(|axis| AxisConfig {
+        // Two counts by two inversions, whatever the axis's own design: the wires are the same.
+        design: Design::C,
+        rest: RestPolicy::Insert { after_ns: REST_NS },
+        ..idle(axis)
+    });
+    let axes: Vec<AxisConfig> = at_rest.collect();
+    let engine = engine(&mut card, &axes)?;
+    let mut running = spawn(engine, card, thread(options))?;
+    let tid = tid_of("rtec-rt");
+    let control = &mut running.control;
+    let mut ask = |request| {
+        while control.send(request).is_err() {
+            std::thread::sleep(LOOK);
+        }
+    };
+    for axis in 0..axes.len() as u8 {
+        ask(Request::Home { axis, position_counts: 0, controller_homed: true });
+        ask(Request::ConfirmHome { axis, position_counts: 0 });
+    }
+    ask(Request::Enable);
+    let mut totals = vec![0; axes.len()];
+    let (start, third) = (Instant::now(), options.run / 3);
+    let (mut next, mut ended_by) = (start, None);
+    loop {
+        let (over, late) = (start.elapsed() >= third, start.elapsed() >= third + BACK_AGAIN);
+        let status = control.status();
+        control.beat();
+        while control.event().is_some() {}
+        if status.mode == Mode::Fault {
+            ended_by =
+                status.axes().iter().find_map(|a| a.faults.iter().next()).or(status.faults.iter().next());
+        }
+        let back = status.axes().iter().all(|a| a.in_effect == 0 && a.requested == 0)
+            && totals.iter().all(|t| *t == 0);
+        if ended_by.is_some() || control.ended() || over && back || late {
+            break;
+        }
+        for (axis, (total, now)) in totals.iter_mut().zip(status.axes()).enumerate() {
+            if now.in_effect == *total && status.mode == Mode::Run && (!over || *total != 0) {
+                *total = if *total == 0 { 2 } else { 0 };
+                let request = Request::Correct { axis: axis as u8, total_counts: *total, large: true };
+                if control.send(request).is_err() {
+                    *total = now.in_effect;
+                }
+            }
+        }
+        if Instant::now() >= next {
+            progress("writes of the card", third.saturating_sub(start.elapsed()).as_secs() + 1);
+            next += SECOND;
+        }
+        std::thread::sleep(LOOK);
+    }
+    let (polling, mut ended) = stopped(running, tid)?;
+    let after = ended.card.outputs()?;
+    if after != before {
+        // A fault ended it with counts inserted: the outputs go back, one after the other as the engine would have it.
+        let changed = after ^ before;
+        for bit in (0..64).filter(|bit| changed >> bit & 1 != 0) {
+            ended.card.write(1 << bit, before & 1 << bit)?;
+        }
+    }
+    let restored = ended.card.outputs()? == before;
+    Ok(Driven { polling, ended_by, restored })
+}
+
+/// An axis that nothing limits but its separation.
+fn idle(axis: &AxisConfig) -> AxisConfig {
+    AxisConfig {
+        lines: axis.lines,
+        min_separation_ns: axis.min_separation_ns,
+        max_accel_counts_s2: 0.0,
+        ..AxisConfig::default()
+    }
+}
+
+fn engine<C: Card>(card: &mut C, axes: &[AxisConfig]) -> Result<Engine, SelftestError> {
+    let machine = MachineConfig { lines: MachineLines::default(), may_arm: false };
+    Ok(Engine::new(card, axes, machine, &[])?)
+}
+
+fn thread(options: SelftestOptions) -> ThreadOptions {
+    ThreadOptions { wanted: Some(options.wanted()), real: false, stale_after_ns: u64::MAX }
+}
+
+fn stopped<C: Card>(running: Running<C>, tid: i32) -> Result<(Polling, Ended<C>), SelftestError> {
+    let timing = running.timing.clone();
+    let (ended, _) = running.stop();
+    if let Some(error) = ended.error {
+        return Err(error.into());
+    }
+    let (poll_gap, done) = (timing.poll_gap_ns.snapshot(), timing.edge_to_done_ns.snapshot());
+    let axes = ended.status.axes();
+    let polling = Polling {
+        poll_gap: Latency { last_ns: poll_gap.p50(), ns: poll_gap, tid },
+        seen_to_done: done,
+        completed: axes.iter().map(|a| a.in_effect).sum(),
+        insertions: axes.iter().map(|a| a.insertions).sum(),
+        ..Polling::default()
+    };
+    Ok((polling, ended))
+}

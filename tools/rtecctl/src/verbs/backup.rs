@@ -1,0 +1,203 @@
+//! `rtecctl backup`: a machine's set-up in one archive; `restore` puts it back, here or on another computer.
+
+use crate::archive::Archive;
+use crate::daemon::Daemon;
+use anyhow::Context;
+use rtec_control::audit;
+use rtec_control::belongings;
+use rtec_control::config::{Config, INSTALLED};
+use rtec_files::InputError;
+use rtec_model::record::hex;
+use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
+use std::os::unix::fs::PermissionsExt;
+use std::path::{Path, PathBuf};
+use std::time::SystemTime;
+
+/// Put a machine's set-up into one archive: configuration, model, card profile, devices list, state, the end of the record
+///
+/// Each file has its SHA-256 in the archive's manifest.json. `rtecctl restore` puts it back, also on another computer. The
+/// archive is for this user's eyes only. Works with or without a running daemon.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    /// The archive; it must not exist yet
+    #[arg(long, value_name = "FILE.tar")]
+    out: PathBuf,
+    #[command(flatten)]
+    daemon: Daemon,
+}
+
+/// What an archive holds.
+#[derive(Debug, Serialize, Deserialize)]
+pub(crate) struct Manifest {
+    /// Version of this form.
+    pub form: u32,
+    /// When it was made, UTC.
+    pub made: String,
+    /// The machine's name.
+    pub machine: String,
+    /// Who made it.
+    pub rtecctl: String,
+    /// The system that it was made on (os-release).
+    pub system: String,
+    /// The end of the record of commands, and of the refusals: number and hash of the last line.
+    pub record: Option<(u64, String)>,
+    pub refused: Option<(u64, String)>,
+    pub files: Vec<Packed>,
+}
+
+/// A file in an archive.
+#[derive(Debug, Serialize, Deserialize)]
+pub(crate) struct Packed {
+    /// Its name in the archive.
+    pub name: String,
+    /// `configuration`, `profile`, `model`, `trace`, `recording`, `devices`, `state` or `loaded`.
+    pub kind: String,
+    /// Where it was: relative to the configuration's folder, or to the state file's; else from the root.
+    pub path: PathBuf,
+    pub mode: u32,
+    pub bytes: u64,
+    pub sha256: String,
+}
+
+/// The form that this program writes and reads.
+pub(crate) const FORM: u32 = 1;
+/// What every name in the archive begins with.
+pub(crate) const TOP: &str = "rtec-backup";
+pub(crate) const MANIFEST: &str = "manifest.json";
+/// All files together are no longer, bytes.
+pub(crate) const LONGEST: u64 = 1 << 30;
+
+pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
+    let file = args.daemon.config_file().unwrap_or(Path::new(INSTALLED));
+    if !file.exists() {
+        let expected = "a machine's configuration: --config FILE";
+        return Err(InputError::whole(file, "no such file", expected).into());
+    }
+    let config = Config::load(file)?;
+    let folder = file.parent().unwrap_or(Path::new(""));
+    let (mut files, mut contents, mut absent) = (Vec::new(), Vec::new(), Vec::new());
+    let state = belongings::state(&config).into_iter().map(|(kind, path)| (kind, path, true));
+    let named = belongings::of(file, &config)?.into_iter().map(|b| (b.kind, b.path, false));
+    for (kind, path, is_state) in named.chain(state) {
+        if !path.exists() {
+            // State is there where a daemon has run; without a list of devices none is needed.
+            if !is_state && kind != "devices" {
+                absent.push(path.display().to_string());
+            }
+            continue;
+        }
+        let bytes = rtec_files::text::bytes(&path)?;
+        let mode = std::fs::metadata(&path).with_context(|| path.display().to_string())?.permissions().mode();
+        let relative = if is_state {
+            path.file_name().map(PathBuf::from)
+        } else {
+            path.strip_prefix(folder).ok().map(Path::to_owned)
+        };
+        // One that lies elsewhere has its whole path in the manifest, and a number in the archive.
+        let (name, at) = match relative {
+            Some(relative) if is_state => (format!("state/{}", relative.display()), relative),
+            Some(relative) => (format!("files/{}", relative.display()), relative),
+            None => (format!("elsewhere/{}", files.len()), std::path::absolute(&path)?),
+        };
+        files.push(Packed {
+            name,
+            kind: kind.to_owned(),
+            path: at,
+            mode: mode & 0o777,
+            bytes: bytes.len() as u64,
+            sha256: hex(&Sha256::digest(&bytes)),
+        });
+        contents.push(bytes);
+    }
+    if let Some(first) = absent.first() {
+        let expected = "every file that the configuration names: what is not there cannot be put back";
+        return Err(InputError::whole(Path::new(first), "no such file", expected).into());
+    }
+    let log = config.control.log_path();
+    let manifest = Manifest {
+        form: FORM,
+        made: audit::stamp(SystemTime::now()),
+        machine: config.machine,
+        rtecctl: env!("CARGO_PKG_VERSION").to_owned(),
+        system: std::fs::read_to_string("/etc/os-release").unwrap_or_default(),
+        record: audit::end(&log),
+        refused: audit::end(&audit::refused_path(&log)),
+        files,
+    };
+    let text = serde_json::to_string_pretty(&manifest)? + "\n";
+    let mut archive = Archive::create(&args.out)?;
+    let mut add = |name: &str, bytes: &[u8]| {
+        archive
+            .add(&format!("{TOP}/{name}"), bytes)
+            .with_context(|| format!("writing {}", args.out.display()))
+    };
+    add(MANIFEST, text.as_bytes())?;
+    for (packed, bytes) in manifest.files.iter().zip(&contents) {
+        add(&packed.name, bytes)?;
+    }
+    archive.finish().with_context(|| format!("writing {}", args.out.display()))?;
+    if args.daemon.json {
+        print!("{text}");
+        return Ok(());
+    }
+    for packed in &manifest.files {
+        println!("{}: {}, {} bytes", packed.kind, packed.path.display(), packed.bytes);
+    }
+    println!("{}: {} files of machine \"{}\"", args.out.display(), manifest.files.len(), manifest.machine);
+    Ok(())
+}
+
+/// Reads an archive, whole, and compares every file with its hash.
+pub(crate) fn read(path: &Path) -> anyhow::Result<(Manifest, Vec<Vec<u8>>)> {
+    let wrong = |found: String, expected: &str| InputError::whole(path, found, expected);
+    let unreadable = |e: std::io::Error| wrong(e.to_string(), "an archive of `rtecctl backup`");
+    let file = rtec_files::text::open_regular(path)?;
+    let mut archive = tar::Archive::new(std::io::Read::take(file, LONGEST));
+    let mut manifest: Option<Manifest> = None;
+    let mut found = std::collections::BTreeMap::new();
+    for entry in archive.entries().map_err(unreadable)? {
+        let mut entry = entry.map_err(unreadable)?;
+        let name = entry.path().map_err(unreadable)?.to_string_lossy().into_owned();
+        let name = name.strip_prefix(TOP).and_then(|n| n.strip_prefix('/')).map(str::to_owned);
+        let Some(name) = name.filter(|_| entry.header().entry_type().is_file()) else {
+            return Err(
+                wrong("something that no backup has".to_owned(), "an archive of `rtecctl backup`").into()
+            );
+        };
+        let mut bytes = Vec::new();
+        std::io::Read::read_to_end(&mut entry, &mut bytes).map_err(unreadable)?;
+        if name == MANIFEST {
+            let read: Manifest = serde_json::from_slice(&bytes).map_err(|e| {
+                wrong(format!("a manifest that cannot be read ({e})"), "one of `rtecctl backup`")
+            })?;
+            if read.form != FORM {
+                let expected =
+                    format!("form {FORM}: an `rtecctl` as new as the one that made it ({})", read.rtecctl);
+                return Err(wrong(format!("form {}", read.form), &expected).into());
+            }
+            manifest = Some(read);
+        } else if found.insert(name.clone(), bytes).is_some() {
+            return Err(wrong(format!("{name} twice"), "each file once").into());
+        }
+    }
+    let manifest =
+        manifest.ok_or_else(|| wrong("no manifest".to_owned(), "an archive of `rtecctl backup`"))?;
+    let mut contents = Vec::new();
+    for packed in &manifest.files {
+        let bytes = found.remove(&packed.name);
+        let bytes =
+            bytes.ok_or_else(|| wrong(format!("no {}", packed.name), "every file of its manifest"))?;
+        if hex(&Sha256::digest(&bytes)) != packed.sha256 || bytes.len() as u64 != packed.bytes {
+            let found = format!("another {} than was put in (its SHA-256 is another)", packed.name);
+            return Err(wrong(found, "the archive as it was made").into());
+        }
+        contents.push(bytes);
+    }
+    if let Some((name, _)) = found.pop_first() {
+        return Err(
+            wrong(format!("{name}, which its manifest does not name"), "the archive as it was made").into()
+        );
+    }
+    Ok((manifest, contents))
+}

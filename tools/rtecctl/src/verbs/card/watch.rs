@@ -1,0 +1,329 @@
+//! `rtecctl card probe --watch`: the input lines live, as halscope and gpiomon show theirs: levels, edges, rates, and whether
+//! both edges of each were seen.
+
+use super::{no_lines, unreachable, wired};
+use rtec_control::card::{self, Access, OnCard, OpenError};
+use rtec_control::config::Config;
+use rtec_driver::card::{AxisLines, Card, Sample};
+use rtec_driver::quadrature::{Decoder, Signal, State};
+use serde_json::{Value, json};
+use std::fmt::Write as _;
+use std::io::{IsTerminal, Write};
+use std::time::Duration;
+
+/// So many changes of one channel alone, and the other is said to be silent. A hand that pushes an axis to and fro over one
+/// boundary makes a few.
+const ALONE: u64 = 8;
+
+/// How long, how often, and in which form.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Options {
+    /// Time between two pictures.
+    pub every: Duration,
+    /// The end; none goes on until it is stopped.
+    pub during: Option<Duration>,
+    /// One JSON document at the end instead of pictures.
+    pub json: bool,
+}
+
+/// An input line as it was seen.
+#[derive(Debug)]
+struct Line {
+    name: String,
+    bit: u8,
+    level: bool,
+    rises: u64,
+    falls: u64,
+    /// Edges at the picture before, and per second since.
+    before: u64,
+    rate_hz: f64,
+}
+
+impl Line {
+    const fn edges(&self) -> u64 {
+        self.rises + self.falls
+    }
+
+    const fn seen(&self) -> &'static str {
+        match (self.rises > 0, self.falls > 0) {
+            (true, true) => "both",
+            (true, false) => "rose only",
+            (false, true) => "fell only",
+            (false, false) => "none",
+        }
+    }
+}
+
+/// The two channels of an axis.
+#[derive(Debug)]
+struct Channels {
+    name: String,
+    lines: AxisLines,
+    scale: Decoder,
+    up: u64,
+    down: u64,
+    /// The channel that changed last, and how often since the other did.
+    alone: Option<(Signal, u64)>,
+}
+
+impl Channels {
+    fn look(&mut self, state: State) {
+        let before = self.scale.state();
+        if state == before {
+            return;
+        }
+        match self.scale.update(state) {
+            Some(step) => {
+                *(if step > 0 { &mut self.up } else { &mut self.down }) += 1;
+                let signal = before.signal_to(state);
+                self.alone = Some(match self.alone {
+                    Some((same, times)) if same == signal => (same, times + 1),
+                    _ => (signal, 1),
+                });
+            }
+            None => self.alone = None,
+        }
+    }
+
+    /// What there is to say of the axis as a whole.
+    fn finding(&self) -> String {
+        let silent = |signal| if signal == Signal::A { ("a", "b") } else { ("b", "a") };
+        match self.alone {
+            None if self.scale.illegal() == 0 => "nothing has changed: push the axis by hand".to_owned(),
+            Some((signal, times)) if times >= ALONE => {
+                let (lively, dead) = silent(signal);
+                format!("{lively} has changed {times} times and {dead} has not: look at the wires of {dead}")
+            }
+            _ if self.scale.illegal() > 0 => {
+                "a and b changed at once: too fast for these looks, or noise".to_owned()
+            }
+            _ => "a and b take turns".to_owned(),
+        }
+    }
+}
+
+/// Everything that was seen of a card's inputs.
+#[derive(Debug)]
+struct Watch {
+    card: String,
+    lines: Vec<Line>,
+    axes: Vec<Channels>,
+    start_ns: u64,
+    last_ns: u64,
+    shown_ns: u64,
+    looks: u64,
+    longest_ns: u64,
+}
+
+impl Watch {
+    fn new(config: &Config, first: &Sample) -> Self {
+        let on = |bit: u8| first.inputs >> bit & 1 == 1;
+        let line = |(name, bit, _): (String, u8, bool)| {
+            let level = on(bit);
+            Line { name, bit, level, rises: 0, falls: 0, before: 0, rate_hz: 0.0 }
+        };
+        let inputs = wired(config).into_iter().filter(|(_, _, output)| !output);
+        let axes = config.axes.iter().map(|axis| {
+            let lines = axis.engine.lines;
+            let scale = Decoder::new(lines.scale(first.inputs));
+            Channels { name: axis.name.clone(), lines, scale, up: 0, down: 0, alone: None }
+        });
+        Self {
+            card: config.card.named(),
+            lines: inputs.map(line).collect(),
+            axes: axes.collect(),
+            start_ns: first.t_ns,
+            last_ns: first.t_ns,
+            shown_ns: first.t_ns,
+            looks: 1,
+            longest_ns: 0,
+        }
+    }
+
+    fn look(&mut self, sample: &Sample) {
+        self.looks += 1;
+        self.longest_ns = self.longest_ns.max(sample.t_ns - self.last_ns);
+        self.last_ns = sample.t_ns;
+        for line in &mut self.lines {
+            let level = sample.inputs >> line.bit & 1 == 1;
+            if level != line.level {
+                *(if level { &mut line.rises } else { &mut line.falls }) += 1;
+                line.level = level;
+            }
+        }
+        for axis in &mut self.axes {
+            axis.look(axis.lines.scale(sample.inputs));
+        }
+    }
+
+    /// Works the rates out, since the last time.
+    fn rate(&mut self) {
+        let seconds = (self.last_ns - self.shown_ns) as f64 * 1e-9;
+        self.shown_ns = self.last_ns;
+        for line in &mut self.lines {
+            let edges = line.edges();
+            line.rate_hz = if seconds > 0.0 { (edges - line.before) as f64 / seconds } else { 0.0 };
+            line.before = edges;
+        }
+    }
+
+    fn picture(&self) -> String {
+        let seconds = (self.last_ns - self.start_ns) as f64 * 1e-9;
+        let mut out = format!(
+            "{}: {seconds:.1} s, {} looks, at most {:.1} µs apart\n{:<16} {:>3} {:>5} {:>12} {:>10}  edges seen\n",
+            self.card,
+            self.looks,
+            self.longest_ns as f64 / 1e3,
+            "line",
+            "bit",
+            "level",
+            "edges",
+            "edges/s"
+        );
+        // Writing to a String does not fail.
+        for line in &self.lines {
+            let _ = writeln!(
+                out,
+                "{:<16} {:>3} {:>5} {:>12} {:>10.0}  {}",
+                line.name,
+                line.bit,
+                u8::from(line.level),
+                line.edges(),
+                line.rate_hz,
+                line.seen()
+            );
+        }
+        for axis in &self.axes {
+            let _ = writeln!(
+                out,
+                "axis {}: at {:+} counts, {} up, {} down, {} illegal; {}",
+                axis.name,
+                axis.scale.count(),
+                axis.up,
+                axis.down,
+                axis.scale.illegal(),
+                axis.finding()
+            );
+        }
+        out
+    }
+
+    fn document(&self) -> Value {
+        let lines = self.lines.iter().map(|l| {
+            json!({"line": l.name, "bit": l.bit, "level": u8::from(l.level), "rises": l.rises, "falls": l.falls,
+                   "edges_seen": l.seen()})
+        });
+        let axes = self.axes.iter().map(|a| {
+            json!({"axis": a.name, "counts": a.scale.count(), "up": a.up, "down": a.down, "illegal": a.scale.illegal(),
+                   "finding": a.finding()})
+        });
+        json!({
+            "card": self.card, "duration_ns": self.last_ns - self.start_ns, "looks": self.looks,
+            "longest_gap_ns": self.longest_ns, "lines": lines.collect::<Vec<_>>(), "axes": axes.collect::<Vec<_>>(),
+        })
+    }
+}
+
+/// The watching, on a card whichever it is.
+struct Watching<'a> {
+    config: &'a Config,
+    options: Options,
+}
+
+impl OnCard for Watching<'_> {
+    type Output = anyhow::Result<()>;
+
+    fn on<C: Card + Send + 'static>(self, mut card: C) -> Self::Output {
+        let Options { every, during, json } = self.options;
+        let first = card.sample(0).map_err(unreachable)?;
+        let mut watch = Watch::new(self.config, &first);
+        let end_ns = during.map_or(u64::MAX, |d| first.t_ns.saturating_add(d.as_nanos() as u64));
+        let every_ns = every.as_nanos() as u64;
+        let (mut out, mut next_ns) = (std::io::stdout(), first.t_ns + every_ns);
+        let clear = if out.is_terminal() { "\x1b[H\x1b[J" } else { "" };
+        while watch.last_ns < end_ns {
+            let sample = card.sample(next_ns.min(end_ns)).map_err(unreachable)?;
+            watch.look(&sample);
+            if sample.t_ns < next_ns && sample.t_ns < end_ns {
+                continue;
+            }
+            next_ns = sample.t_ns + every_ns;
+            watch.rate();
+            if json {
+                continue;
+            }
+            match write!(out, "{clear}{}", watch.picture()).and_then(|()| out.flush()) {
+                Err(e) if e.kind() == std::io::ErrorKind::BrokenPipe => return Ok(()),
+                other => other?,
+            }
+        }
+        if json {
+            println!("{}", serde_json::to_string_pretty(&watch.document())?);
+        }
+        Ok(())
+    }
+}
+
+/// Watches the inputs of the configured card. Nothing is written.
+///
+/// # Errors
+/// When the card cannot be opened, or has no lines outside the daemon.
+pub(super) fn watch(config: &Config, options: Options) -> anyhow::Result<()> {
+    card::with(&config.card, Access::Read, Watching { config, options }).map_err(|e| match e {
+        OpenError::NoLines(_) => no_lines(config),
+        other => unreachable(other),
+    })?
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::path::Path;
+
+    const CONFIG: &str =
+        "[machine]\nname = 'm'\n[card]\nbackend = 'mapped'\nfile = 'registers'\nprobe = 'in28'\nAXES";
+    const AXIS: &str = "[[axis]]\nname = 'NAME'\ncount_um = 1.0\ntravel_mm = 400\nmax_correction_counts = 100\nwindow_counts = 50\n\
+        min_separation_ns = 500\nmax_accel_mm_s2 = 1000.0\nlines = { a = A, b = B, invert_a = A, invert_b = B }\n";
+
+    fn config() -> Config {
+        let axes: String = ["x", "y", "z", "w"]
+            .iter()
+            .enumerate()
+            .map(|(n, name)| {
+                let (a, b) = (2 * n, 2 * n + 1);
+                AXIS.replace("NAME", name).replace("= A", &format!("= {a}")).replace("= B", &format!("= {b}"))
+            })
+            .collect();
+        Config::parse(Path::new("rtec.toml"), &CONFIG.replace("AXES", &axes)).unwrap()
+    }
+
+    /// x moves, of y one channel alone, z stands, w turns both at once; the probe rises. 1 ms a look, two pictures.
+    #[test]
+    fn shows_levels_edges_rates_and_silent_channels() {
+        let config = config();
+        let at = |n: u64| {
+            let x = [0b00, 0b01, 0b11, 0b10][(n % 4) as usize];
+            let (y, w) = ((n % 2) << 2, if n > 100 { 0b11 << 6 } else { 0 });
+            let probe = if n > 50 { 1 << 28 } else { 0 };
+            Sample::level(1_000_000 * (n + 1), x | y | w | probe)
+        };
+        let mut watch = Watch::new(&config, &at(0));
+        let mut pictures = String::new();
+        for n in 1..=400 {
+            watch.look(&at(n));
+            if n % 200 == 0 {
+                watch.rate();
+                pictures += &watch.picture();
+            }
+        }
+        let golden = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/card/watch.txt");
+        test_needs::golden(&golden, &pictures);
+        let document = watch.document();
+        assert_eq!((&document["looks"], &document["longest_gap_ns"]), (&401.into(), &1_000_000.into()));
+        assert_eq!(document["lines"][0]["edges_seen"], "both");
+        assert_eq!(
+            document["axes"][1]["finding"],
+            "a has changed 400 times and b has not: look at the wires of b"
+        );
+    }
+}

@@ -1,0 +1,199 @@
+//! `rtecctl restore`: a machine's set-up from an archive of `rtecctl backup`.
+
+use super::backup::{Manifest, Packed, read};
+use crate::Outcome;
+use anyhow::Context;
+use nix::unistd::{Gid, Uid, fchown};
+use rtec_control::config::{Config, INSTALLED};
+use rtec_control::lock;
+use rtec_files::InputError;
+use rtec_files::folder::Folder;
+use std::os::unix::fs::MetadataExt;
+use std::path::{Component, Path, PathBuf};
+
+/// Put back a machine's set-up from an archive of `rtecctl backup`, here or on another computer
+///
+/// Every file is compared with its hash, and the configuration is checked, before anything is written. A file that is there and
+/// differs stays, and nothing is written, unless --replace. The daemon must not run. What the controller had in effect when the
+/// archive was made is not put back: home scale and controller after it. The record of commands stays as it is.
+#[derive(Debug, clap::Args)]
+#[allow(clippy::struct_excessive_bools)] // One per option.
+pub(crate) struct Args {
+    /// The archive
+    #[arg(value_name = "FILE.tar")]
+    archive: PathBuf,
+    /// The configuration to write; files that were beside it are put beside it
+    #[arg(long, value_name = "FILE", default_value = INSTALLED)]
+    config: PathBuf,
+    /// Write over files that differ
+    #[arg(long)]
+    replace: bool,
+    /// Write files that were outside the configuration's folder to the places that they had, too
+    #[arg(long)]
+    elsewhere: bool,
+    /// Put back the state, too: counts in effect, faults, hold. Only where neither the machine nor its axes moved since
+    #[arg(long)]
+    with_state: bool,
+    /// Show what would be written, and write nothing
+    #[arg(long)]
+    dry_run: bool,
+    /// Print one JSON document
+    #[arg(long)]
+    json: bool,
+}
+
+/// A file to be written.
+struct Wanted<'a> {
+    packed: &'a Packed,
+    bytes: &'a [u8],
+    to: PathBuf,
+}
+
+pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
+    let (manifest, contents) = read(&args.archive)?;
+    let folder = args.config.parent().filter(|f| !f.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    if !folder.is_dir() {
+        let expected = "a folder that is there: install the package first, or --config FILE";
+        return Err(InputError::whole(folder, "no folder", expected).into());
+    }
+    let config = checked(args, &manifest, &contents, folder)?;
+    let (wanted, left_out) = wanted(args, &manifest, &contents, folder, &config)?;
+    let _held = lock::keep_out(&config.control.socket).map_err(|e| {
+        Outcome::No(format!("{e}: end the daemon first (`systemctl stop rtecd`); nothing is written"))
+    })?;
+    let differs = |w: &&Wanted<'_>| std::fs::read(&w.to).is_ok_and(|there| there != w.bytes);
+    let in_the_way: Vec<String> = wanted.iter().filter(differs).map(|w| w.to.display().to_string()).collect();
+    if !in_the_way.is_empty() && !args.replace {
+        let text = format!(
+            "{} is there and differs: nothing is written; --replace writes over it",
+            in_the_way.join(", ")
+        );
+        return Err(Outcome::No(text).into());
+    }
+    if !args.dry_run {
+        // The configuration last: until then the daemon finds the machine as it was.
+        let (first, last): (Vec<_>, Vec<_>) = wanted.iter().partition(|w| w.packed.kind != "configuration");
+        for w in first.into_iter().chain(last) {
+            write(w).with_context(|| format!("writing {}", w.to.display()))?;
+        }
+    }
+    let names: Vec<String> = wanted.iter().map(|w| w.to.display().to_string()).collect();
+    if args.json {
+        let document = serde_json::json!({
+            "machine": manifest.machine, "made": manifest.made, "written": names, "left_out": left_out,
+            "dry_run": args.dry_run, "record": manifest.record,
+        });
+        println!("{document}");
+        return Ok(());
+    }
+    let done = if args.dry_run { "would be written" } else { "written" };
+    for name in &names {
+        println!("{name}: {done}");
+    }
+    for text in &left_out {
+        println!("{text}");
+    }
+    println!(
+        "machine \"{}\" as of {}: home scale and controller before you enable",
+        manifest.machine, manifest.made
+    );
+    Ok(())
+}
+
+/// The configuration of the archive, read with everything beside it from a folder that goes away again; its paths as they will be.
+fn checked(args: &Args, manifest: &Manifest, contents: &[Vec<u8>], folder: &Path) -> anyhow::Result<Config> {
+    let trial = tempfile::Builder::new().prefix(".rtec-restore-").tempdir_in(folder);
+    let trial = trial.with_context(|| format!("writing into {}", folder.display()))?;
+    let mut config = None;
+    for (packed, bytes) in manifest.files.iter().zip(contents) {
+        if packed.path.is_absolute() || is_state(packed) {
+            continue;
+        }
+        let to = trial.path().join(inside(args, packed)?);
+        if packed.kind == "configuration" {
+            config = Some(to.clone());
+        }
+        std::fs::create_dir_all(to.parent().unwrap_or(trial.path()))?;
+        std::fs::write(to, bytes)?;
+    }
+    let none = || InputError::whole(&args.archive, "no configuration", "an archive of `rtecctl backup`");
+    let mut config = Config::load(&config.ok_or_else(none)?).context("the configuration in the archive")?;
+    let at_last = |path: &mut PathBuf| {
+        if let Ok(relative) = path.strip_prefix(trial.path()) {
+            *path = folder.join(relative);
+        }
+    };
+    at_last(&mut config.control.socket);
+    config.control.state_file.iter_mut().for_each(at_last);
+    Ok(config)
+}
+
+fn is_state(packed: &Packed) -> bool {
+    matches!(packed.kind.as_str(), "state" | "loaded")
+}
+
+/// A path in the archive that leads nowhere else.
+fn inside(args: &Args, packed: &Packed) -> Result<PathBuf, InputError> {
+    let plain = packed.path.components().all(|part| matches!(part, Component::Normal(_)));
+    if plain && !packed.path.as_os_str().is_empty() {
+        return Ok(packed.path.clone());
+    }
+    let found = format!("the path {}", packed.path.display());
+    Err(InputError::whole(&args.archive, found, "paths below the configuration's folder"))
+}
+
+/// What is to be written where, and what is not, in words.
+fn wanted<'a>(
+    args: &Args,
+    manifest: &'a Manifest,
+    contents: &'a [Vec<u8>],
+    folder: &Path,
+    config: &Config,
+) -> anyhow::Result<(Vec<Wanted<'a>>, Vec<String>)> {
+    let state = config.control.state_path();
+    let (mut wanted, mut left_out) = (Vec::new(), Vec::new());
+    for (packed, bytes) in manifest.files.iter().zip(contents) {
+        let path = packed.path.display();
+        let to = if is_state(packed) {
+            let relative = inside(args, packed)?;
+            if packed.kind == "state" && !args.with_state {
+                left_out
+                    .push(format!("{path}: left out: what the controller had in effect then (--with-state)"));
+                continue;
+            }
+            if state.parent().is_none_or(|folder| !folder.is_dir()) {
+                left_out.push(format!("{path}: left out: no folder for {}", state.display()));
+                continue;
+            }
+            if packed.kind == "state" { state.clone() } else { state.with_file_name(relative) }
+        } else if packed.path.is_absolute() {
+            if !args.elsewhere {
+                left_out.push(format!(
+                    "{path}: left out: it was outside the configuration's folder (--elsewhere)"
+                ));
+                continue;
+            }
+            packed.path.clone()
+        } else if packed.kind == "configuration" {
+            args.config.clone()
+        } else {
+            folder.join(inside(args, packed)?)
+        };
+        wanted.push(Wanted { packed, bytes, to });
+    }
+    Ok((wanted, left_out))
+}
+
+/// Writes a file whole, as its folder's owner has it.
+fn write(wanted: &Wanted<'_>) -> std::io::Result<()> {
+    let parent = wanted.to.parent().filter(|f| !f.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    std::fs::create_dir_all(parent)?;
+    let name = wanted.to.file_name().unwrap_or_default().to_string_lossy();
+    let folder = Folder::open(parent)?;
+    folder.write(&name, wanted.bytes, wanted.packed.mode & 0o666 | 0o600, &|| true)?;
+    if Uid::effective().is_root() {
+        let owner = std::fs::metadata(parent)?;
+        fchown(folder.file(&name)?, Some(Uid::from_raw(owner.uid())), Some(Gid::from_raw(owner.gid())))?;
+    }
+    Ok(())
+}
