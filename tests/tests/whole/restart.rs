@@ -186,7 +186,13 @@ fn a_pc_that_comes_back_without_its_state_knows_nothing() {
     assert_eq!(status["axes"][0]["mtc_known"], false);
     moves(&bench);
     assert!(refused(&bench, &["home"]).contains("nobody knows what the controller counts"));
-    assert!(refused(&bench, &["enable"]).contains("not homed"));
+    for order in [&["enable"][..], &["shadow"], &["park"], &["park", "--to-zero"]] {
+        let said = refused(&bench, order);
+        assert!(
+            said.contains("is not known: x") && said.contains("`rtecctl home --controller-homed`"),
+            "{said}"
+        );
+    }
 }
 
 /// The real-time thread stands still and does not end: the process ends for the service manager, and its successor holds.

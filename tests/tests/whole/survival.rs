@@ -349,11 +349,16 @@ fn parking_with_a_model_takes_its_correction_out_and_leaves_it_out() {
     bench.balances();
     assert_eq!((bench.machine.offset(), daemon.status()["mode"].clone()), (0, "disabled".into()));
     assert!(text.contains("`rtecctl model again` takes it up again"), "{text}");
+    let says = |text: &str| bench.user(&["status"]).1.contains(text);
+    let unloaded = "the model was unloaded: `rtecctl model again` takes it up as it was";
+    assert!(says(unloaded) && !says("`rtecctl model load`"));
     // Enabled again, nothing comes back by itself.
     let (code, text) = bench.user(&["enable"]);
     assert!(code == Some(0) && text.contains("nothing moves"), "{code:?} {text}");
     assert_eq!((bench.x()["requested"].clone(), in_effect(&bench)), (0.into(), 0));
+    assert!(says(unloaded) && !says("`rtecctl model load`"));
     let (code, text) = bench.user(&["model", "again"]);
     assert_eq!(code, Some(0), "{text}");
     until("the model's correction", || in_effect(&bench).abs() == 6);
+    assert!(!says(unloaded));
 }

@@ -77,7 +77,7 @@ pub fn of(file: &Path, config: &Config) -> Result<Vec<Belonging>, InputError> {
 #[must_use]
 pub fn state(config: &Config) -> Vec<(&'static str, PathBuf)> {
     let state = config.control.state_path();
-    let beside = ["model.taken", "model.kept", "temperatures.csv", "temperatures.old.csv"];
+    let beside = ["model.taken", "model.unloaded", "model.kept", "temperatures.csv", "temperatures.old.csv"];
     let beside = beside.map(|name| ("loaded", state.with_file_name(name)));
     [("state", state.clone())].into_iter().chain(beside).collect()
 }

@@ -188,6 +188,18 @@ impl CardConfig {
     pub const fn is_real(&self) -> bool {
         matches!(self, Self::Gpio(_) | Self::Mapped { .. } | Self::Port { .. })
     }
+
+    /// What hangs on the lines may be a machine: anything but a plain file of registers, which is there. Corrections are enabled
+    /// there only with measured figures.
+    #[must_use]
+    pub fn may_drive_a_machine(&self) -> bool {
+        match self {
+            Self::Mapped { place: MappedPlace::File(file), .. } => {
+                !file.is_file() || file.starts_with("/sys")
+            }
+            _ => self.is_real(),
+        }
+    }
 }
 
 /// One axis as `[[axis]]` configures it.
@@ -443,14 +455,6 @@ fn read(source: &mut SourceFile<'_>, document: &Document<'_>, here: bool) -> Opt
     if let Some(at) = mtc_off.filter(|_| card.lines.mtc_ready.is_none()) {
         source.finding(at.offset, "mtc_off without mtc_ready", "mtc_ready in [card]: the line that tells it");
     }
-    if card.is_real() && !rt.latency_measured {
-        notes.push(
-            "[rt] has no detect_ns and write_ns: corrections cannot be enabled on this card before \
-             `rtecctl selftest latency` has measured them and they stand here"
-                .to_owned(),
-        );
-    }
-
     let tables = root.tables(source, "axis", "[[axis]]");
     if tables.is_empty() || tables.len() > MAX_AXES {
         let found = format!("{} [[axis]] tables", tables.len());
@@ -487,7 +491,12 @@ fn read(source: &mut SourceFile<'_>, document: &Document<'_>, here: bool) -> Opt
         Kind::Replay => CardConfig::Replay { traces },
     };
     latency::check_floors(source, &kind, detect_ns, write_ns);
-    if kind.is_real() {
+    if kind.may_drive_a_machine() {
+        if !rt.latency_measured {
+            let unmeasured = "[rt] has no detect_ns and write_ns: corrections cannot be enabled on this card before `rtecctl selftest \
+                              latency` has measured them and they stand here";
+            notes.insert(0, unmeasured.to_owned());
+        }
         for axis in &axes {
             let unset = "rapid_mm_min is not set: corrections cannot be enabled before it says how fast the axis moves";
             let unset = axis.rapid_mm_min.is_none().then(|| format!("axis {}: {unset}", axis.name));

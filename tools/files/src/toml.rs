@@ -531,7 +531,13 @@ impl<'a> Section<'a> {
         key: &'static str,
         range: RangeInclusive<i64>,
     ) -> Option<At<i64>> {
-        let expected = format!("a whole number from {} to {}", range.start(), range.end());
+        let mut expected = format!("a whole number from {} to {}", range.start(), range.end());
+        let hex = |word: &str| i64::from_str_radix(word.strip_prefix("0x")?, 16).ok();
+        if let Some(word) = self.table.and_then(|t| t.get(key)?.as_str())
+            && word.parse().ok().or_else(|| hex(word)).is_some_and(|n| range.contains(&n))
+        {
+            expected = format!("{expected}, without quotes: {key} = {word}");
+        }
         self.value(source, key, expected, |v| v.as_integer().filter(|n| range.contains(n)))
     }
 

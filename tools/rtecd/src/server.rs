@@ -387,6 +387,7 @@ impl Desk<'_> {
             Response::Refused { text, .. } => ("refused", text.as_str()),
             Response::Fault { text } => ("fault", text.as_str()),
             Response::Bad { text } => ("bad", text.as_str()),
+            Response::ModelPreview(_) => ("done", "shown only, nothing was loaded"),
             _ => ("done", ""),
         };
         let text = words.unwrap_or(text).to_owned();

@@ -141,12 +141,13 @@ fn read_registers(
     // A card is looked for on the bus only when somebody has named it, or its profile.
     let place = card.profile.as_ref().filter(|_| named.is_some()).and_then(|p| p.pci);
     let bar_of = bar.map(|b| b.value as u8).or(place.map(|p| p.bar));
-    let mut places = usize::from(pci_at.is_some());
+    // One that is wrong is said to be; that there is none is not.
+    let mut places = usize::from(section.has("pci"));
     let path = |at: At<&str>| directory.join(at.value);
     if port {
         let parport = section.string(source, "parport", "a parallel port, as \"/dev/parport0\"");
         let io = section.integer(source, "io", 0..=0xffff);
-        places += usize::from(parport.is_some()) + usize::from(io.is_some());
+        places += usize::from(section.has("parport")) + usize::from(section.has("io"));
         is_there(source, parport.filter(|_| here), path);
         card.port = parport.map(|at| PortPlace::Parport(path(at)));
         card.port = card.port.take().or(io.map(|io| PortPlace::Io(io.value as u16)));
@@ -166,7 +167,7 @@ fn read_registers(
             is_uio(source, at, &path(at), here);
         }
         let map = section.integer(source, "map", 0..=4);
-        places += usize::from(file.is_some()) + usize::from(uio.is_some());
+        places += usize::from(section.has("file")) + usize::from(section.has("uio"));
         card.mapped = file.map(|at| MappedPlace::File(path(at)));
         let uio_map = map.map_or(0, |m| m.value as u8);
         card.mapped = card.mapped.take().or(uio.map(|at| MappedPlace::Uio(path(at), uio_map)));

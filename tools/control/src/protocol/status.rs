@@ -211,15 +211,22 @@ pub struct Rates {
 
 impl std::fmt::Display for Rates {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(&self.told("corrected at no speed"))
+    }
+}
+
+impl Rates {
+    /// In words; `uncorrected` says what stands where no speed is known at which corrections are inserted.
+    #[must_use]
+    pub fn told(&self, uncorrected: &str) -> String {
         // Axes of a test are slow.
         let digits = |v: f64| if v < 10.0 { 4 } else { 0 };
-        let figure = |speed: Option<f64>, none: &str| {
-            speed.map_or(none.to_owned(), |v| format!("{v:.*} mm/min", digits(v)))
-        };
-        if self.rapid_mm_min.is_some() {
-            write!(f, "rapid {}, ", figure(self.rapid_mm_min, ""))?;
-        }
-        let followed = figure(self.followed_mm_min, "any speed");
-        write!(f, "followed up to {followed}, corrected up to {}", figure(self.corrected_mm_min, "no speed"))
+        let figure = |speed: f64| format!("{speed:.*} mm/min", digits(speed));
+        let rapid = self.rapid_mm_min.map_or_else(String::new, |v| format!("rapid {}, ", figure(v)));
+        let followed = self.followed_mm_min.map_or_else(|| "any speed".to_owned(), figure);
+        let corrected = self
+            .corrected_mm_min
+            .map_or_else(|| uncorrected.to_owned(), |v| format!("corrected up to {}", figure(v)));
+        format!("{rapid}followed up to {followed}, {corrected}")
     }
 }

@@ -1,7 +1,6 @@
 //! `rtecctl backup`: a machine's set-up in one archive; `restore` puts it back, here or on another computer.
 
 use crate::archive::Archive;
-use crate::daemon::Daemon;
 use anyhow::Context;
 use rtec_control::audit;
 use rtec_control::belongings;
@@ -14,17 +13,21 @@ use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
-/// Put a machine's set-up into one archive: configuration, model, card profile, devices list, state, the end of the record
+/// Put a machine's set-up into one archive: configuration, model, card profile, devices list, state
 ///
-/// Each file has its SHA-256 in the archive's manifest.json. `rtecctl restore` puts it back, also on another computer. The
+/// Each file has its SHA-256 in the archive's manifest.json, beside number and hash of the last line of the record of commands. `rtecctl restore` puts it back, also on another computer. The
 /// archive is for this user's eyes only. Works with or without a running daemon.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     /// The archive; it must not exist yet
     #[arg(long, value_name = "FILE.tar")]
     out: PathBuf,
-    #[command(flatten)]
-    daemon: Daemon,
+    /// The machine's configuration
+    #[arg(long, value_name = "FILE", default_value = INSTALLED)]
+    config: PathBuf,
+    /// Print one JSON document
+    #[arg(long)]
+    json: bool,
 }
 
 /// What an archive holds.
@@ -69,7 +72,7 @@ pub(crate) const MANIFEST: &str = "manifest.json";
 pub(crate) const LONGEST: u64 = 1 << 30;
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
-    let file = args.daemon.config_file().unwrap_or(Path::new(INSTALLED));
+    let file = args.config.as_path();
     if !file.exists() {
         let expected = "a machine's configuration: --config FILE";
         return Err(InputError::whole(file, "no such file", expected).into());
@@ -137,7 +140,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         add(&packed.name, bytes)?;
     }
     archive.finish().with_context(|| format!("writing {}", args.out.display()))?;
-    if args.daemon.json {
+    if args.json {
         print!("{text}");
         return Ok(());
     }

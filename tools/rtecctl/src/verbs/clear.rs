@@ -50,7 +50,10 @@ fn released(before: &DaemonStatus, after: &DaemonStatus) -> String {
             let _ = writeln!(text, "to be homed again: {} ({how})", home.join(", "));
         }
     }
-    if after.mode == "disabled" {
+    if let Some(hold) = after.hold.as_ref().filter(|_| after.mode == "hold") {
+        let _ = writeln!(text, "feed hold by {} stays: `rtecctl hold off`", hold.by);
+    }
+    if after.mode == "disabled" || after.mode == "hold" && !after.enabled {
         text += "corrections are off: `rtecctl enable`\n";
     }
     text
@@ -59,6 +62,7 @@ fn released(before: &DaemonStatus, after: &DaemonStatus) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use rtec_control::protocol::HoldReport;
     use rtec_rt::event::Fault;
 
     #[test]
@@ -81,6 +85,12 @@ mod tests {
         after.axes[0].mtc_known = false;
         let text = released(&before, &after);
         assert!(text.contains("the controller too, then `rtecctl home --controller-homed`"), "{text}");
+        after.mode = "hold".into();
+        (after.enabled, after.hold) = (false, Some(HoldReport { by: "user root".into(), at_s: None }));
+        let text = released(&before, &after);
+        let ends =
+            "feed hold by user root stays: `rtecctl hold off`\ncorrections are off: `rtecctl enable`\n";
+        assert!(text.ends_with(ends), "{text}");
         after.faults = vec![Fault::Card];
         assert!(released(&before, &after).contains("latched again: card\n"));
     }

@@ -17,7 +17,8 @@ use std::time::{Duration, Instant};
 
 /// Prove sign and unit of an axis, and that its controller does not compensate already, by a guided jog
 ///
-/// Put an indicator at the axis. A simulated axis (mock card) is jogged and read by itself.
+/// Put an indicator at the axis. It is taken off before the long jog, and put back after it, when that is asked for. A simulated
+/// axis (mock card) is jogged and read by itself.
 #[derive(Debug, Clone, clap::Args)]
 pub(crate) struct Args {
     /// The axis
@@ -52,6 +53,7 @@ const PATIENCE: Duration = Duration::from_secs(60);
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Place {
     display_mm: f64,
+    /// NaN while the indicator is off.
     indicator_mm: f64,
     scale_counts: i64,
     /// What the controller's count differs by from the scale's, counts.
@@ -157,6 +159,8 @@ struct Guide<'a> {
     client: Client,
     args: &'a Args,
     simulated: bool,
+    /// The indicator is at the axis.
+    indicator: bool,
 }
 
 impl Guide<'_> {
@@ -224,9 +228,19 @@ impl Guide<'_> {
                 Some(mm) => eprint!("jog {name} to {mm:.4} mm on the display, always from the same side. "),
                 None => eprint!("let {name} stand, with an indicator at it. "),
             }
-            eprint!("Enter display and indicator, mm: ");
+            eprint!(
+                "Enter {}, mm: ",
+                if self.indicator { "display and indicator" } else { "the display only" }
+            );
             std::io::stderr().flush()?;
-            two_numbers(&mut std::io::stdin().lock())?
+            let mut lines = std::io::stdin().lock();
+            if self.indicator {
+                let [display_mm, indicator_mm] = numbers(&mut lines, "two numbers, as 10.000 9.998")?;
+                (display_mm, indicator_mm)
+            } else {
+                let [display_mm] = numbers(&mut lines, "one number, as 10.000")?;
+                (display_mm, f64::NAN)
+            }
         };
         let axis = self.at_rest()?;
         let count_um = 1000.0 * axis.position_mm / axis.position_counts as f64;
@@ -237,6 +251,14 @@ impl Guide<'_> {
             in_effect: axis.in_effect,
             count_um: if count_um.is_finite() { count_um } else { f64::NAN },
         })
+    }
+
+    /// Says when the indicator goes off and on; a simulated one is nowhere to be hit.
+    fn indicator(&mut self, on: bool, text: &str) {
+        self.indicator = on;
+        if !self.simulated {
+            eprintln!("{text}");
+        }
     }
 
     fn insert(&mut self, total_counts: i64) -> anyhow::Result<()> {
@@ -261,6 +283,11 @@ impl Guide<'_> {
         if let Some(finding) = judge_jog(&start, &there, tolerance_um) {
             return Ok(finding);
         }
+        let off = format!(
+            "take the indicator off first: the next jog goes to {:.4} mm",
+            start.display_mm + args.far_mm
+        );
+        self.indicator(false, &off);
         let far = Place { count_um, ..self.go(Some(start.display_mm + args.far_mm))? };
         let own = own_um(&start, &far);
         note(figures, "controller_compensates_um", own);
@@ -274,6 +301,7 @@ impl Guide<'_> {
             return Ok(Finding { verdict: "controller_compensates", text });
         }
         let before = self.go(Some(start.display_mm))?;
+        self.indicator(true, "put the indicator back now: the axis stays near it");
         eprintln!("inserting {:+} counts", args.counts);
         self.insert(args.counts)?;
         // Away and back: without an edge an axis at rest gives no chance to insert.
@@ -304,30 +332,29 @@ impl Guide<'_> {
     }
 }
 
-/// Two numbers of a line; anything else is asked for again, the end of the input is an end.
-fn two_numbers(from: &mut impl std::io::BufRead) -> anyhow::Result<(f64, f64)> {
+/// The numbers of a line; anything else is asked for again, the end of the input is an end.
+fn numbers<const N: usize>(from: &mut impl std::io::BufRead, expected: &str) -> anyhow::Result<[f64; N]> {
     loop {
         let mut line = String::new();
         if from.read_line(&mut line)? == 0 {
             eprintln!();
             return Err(Outcome::No("nobody answers; nothing is proved".to_owned()).into());
         }
-        let words: Vec<&str> = line.split_whitespace().collect();
-        if let [a, b] = words[..]
-            && let (Ok(a), Ok(b)) = (a.parse::<f64>(), b.parse::<f64>())
-            && a.is_finite()
-            && b.is_finite()
+        let found: Result<Vec<f64>, _> = line.split_whitespace().map(str::parse).collect();
+        if let Ok(found) = found
+            && let Ok(found) = <[f64; N]>::try_from(found)
+            && found.iter().all(|v| v.is_finite())
         {
-            return Ok((a, b));
+            return Ok(found);
         }
-        eprint!("found {:?}, expected two numbers, as 10.000 9.998: ", line.trim());
+        eprint!("found {:?}, expected {expected}: ", line.trim());
     }
 }
 
 /// Takes back what was inserted, and returns what of it the controller still has.
 fn take_back(args: &Args) -> anyhow::Result<()> {
     let client = args.daemon.connect()?;
-    let mut guide = Guide { client, args, simulated: false };
+    let mut guide = Guide { client, args, simulated: false, indicator: true };
     guide.insert(0)?;
     let axis = guide.status()?.1;
     if axis.in_effect != 0 {
@@ -373,7 +400,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         );
         return Err(Outcome::Bad(text).into());
     }
-    let mut guide = Guide { client: args.daemon.connect()?, args, simulated: false };
+    let mut guide = Guide { client: args.daemon.connect()?, args, simulated: false, indicator: true };
     let (status, axis) = guide.status()?;
     if status.mode == "fault" {
         return Err(Outcome::Fault(status.why_not.join("; ")).into());
@@ -473,9 +500,10 @@ mod tests {
     }
 
     #[test]
-    fn answers_are_asked_for_until_they_are_two_numbers() {
+    fn answers_are_asked_for_until_they_are_as_many_numbers() {
         let mut lines = "ten\n10.0\n10.0 nan\n 10.000 9.998 \n".as_bytes();
-        assert_eq!(two_numbers(&mut lines).unwrap(), (10.0, 9.998));
-        assert!(two_numbers(&mut "".as_bytes()).is_err());
+        assert_eq!(numbers(&mut lines, "two numbers").unwrap(), [10.0, 9.998]);
+        assert_eq!(numbers(&mut "10.0 9.998\n10.0\n".as_bytes(), "one number").unwrap(), [10.0]);
+        assert!(numbers::<2>(&mut "".as_bytes(), "two numbers").is_err());
     }
 }

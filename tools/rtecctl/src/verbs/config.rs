@@ -66,11 +66,18 @@ fn document(file: &std::path::Path, config: &Result<Config, ConfigFindings>) -> 
         .iter()
         .map(|a| {
             let rates = a.rates();
+            let known = config.as_ref().is_ok_and(measured);
             json!({"name": a.name, "rapid_mm_min": rates.rapid_mm_min, "followed_mm_min": rates.followed_mm_min,
-                   "corrected_mm_min": rates.corrected_mm_min, "followed_hz": a.followed_hz(), "corrected_hz": a.corrected_hz()})
+                   "corrected_mm_min": rates.corrected_mm_min.filter(|_| known), "followed_hz": a.followed_hz(),
+                   "corrected_hz": a.corrected_hz().filter(|_| known)})
         })
         .collect();
     json!({"file": file, "ok": config.is_ok(), "findings": findings, "notes": notes, "axes": axes})
+}
+
+/// Without figures of the card nobody knows how fast an axis may be corrected.
+fn measured(config: &Config) -> bool {
+    config.rt.latency_measured || !config.card.may_drive_a_machine()
 }
 
 fn print(config: &Config) {
@@ -107,9 +114,9 @@ fn print(config: &Config) {
             axis.name,
             shown(rates.rapid_mm_min),
             shown(rates.followed_mm_min),
-            shown(rates.corrected_mm_min),
+            shown(rates.corrected_mm_min.filter(|_| measured(config))),
             whole(axis.followed_hz()),
-            whole(axis.corrected_hz()),
+            whole(axis.corrected_hz().filter(|_| measured(config))),
         );
     }
     for note in &config.notes {

@@ -45,7 +45,14 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         }
         return Ok(());
     }
-    let unloaded = args.to_zero && to_zero(&mut args.daemon.connect()?, args.patience.into())?;
+    let mut client = args.daemon.connect()?;
+    // Nothing can be taken out of a count that nobody knows; disarmed it is all the same.
+    let known = unknown(&status(&mut client)?).is_none();
+    let unloaded = known && args.to_zero && to_zero(&mut client, args.patience.into())?;
+    if let Some(why) = unknown(&status(&mut client)?) {
+        ask(&mut client, &ClientRequest::Disable {})?;
+        return Err(Outcome::No(why).into());
+    }
     let done = match (args.to_zero, unloaded) {
         (false, _) => "parked: corrections frozen where they are",
         (true, false) => "parked: nothing is in effect",
@@ -69,6 +76,17 @@ fn status(client: &mut Client) -> anyhow::Result<DaemonStatus> {
     }
 }
 
+/// Why nobody can say what is in effect.
+fn unknown(now: &DaemonStatus) -> Option<String> {
+    let axes = now.axes.iter().filter(|a| !a.mtc_known);
+    let axes: Vec<&str> = axes.map(|a| a.name.as_str()).collect();
+    let names = axes.join(", ");
+    let first = if now.mode == "fault" { "`rtecctl clear`, then " } else { "" };
+    (!axes.is_empty()).then(|| {
+        format!("parked, but what the controller counts is not known: {names}; {first}home both: `rtecctl home --controller-homed`")
+    })
+}
+
 /// Takes everything out; says whether a model was unloaded for it.
 fn to_zero(client: &mut Client, patience: Duration) -> anyhow::Result<bool> {
     let mut now = status(client)?;
@@ -81,6 +99,9 @@ fn to_zero(client: &mut Client, patience: Duration) -> anyhow::Result<bool> {
     let (mut least, mut since) = (left(&now), Instant::now());
     let mut shown_at = Instant::now();
     loop {
+        if now.mode == "fault" {
+            corrects(&now)?;
+        }
         // What is requested is put back too: enabled again, nothing moves.
         if now.axes.iter().all(|a| a.in_effect == 0 && a.requested == 0) {
             return Ok(unloads);

@@ -84,14 +84,16 @@ fn devices(card: &CardConfig) -> anyhow::Result<(Vec<Device>, bool)> {
         CardConfig::Gpio(setup) => (gpio_chips(setup)?, setup.events),
         CardConfig::Mapped { place, .. } => {
             let device = match place {
-                MappedPlace::File(file) | MappedPlace::Uio(file, _) => Device::of_file(file),
+                MappedPlace::File(file) | MappedPlace::Uio(file, _) => {
+                    Device::of_file(&std::path::absolute(file)?)
+                }
                 MappedPlace::Pci(id, bar) => Device::Bar(id.clone(), *bar),
             };
             (vec![device], false)
         }
         CardConfig::Port { place, .. } => {
             let device = match place {
-                PortPlace::Parport(file) => Device::of_file(file),
+                PortPlace::Parport(file) => Device::of_file(&std::path::absolute(file)?),
                 PortPlace::Io(_) => Device::Ports(None),
                 PortPlace::Pci(id, _) => Device::Ports(Some(id.clone())),
             };

@@ -34,7 +34,7 @@ pub(crate) struct Args {
     /// Put back the state, too: counts in effect, faults, hold. Only where neither the machine nor its axes moved since
     #[arg(long)]
     with_state: bool,
-    /// Show what would be written, and write nothing
+    /// Show what would be written, and write nothing; the daemon may run
     #[arg(long)]
     dry_run: bool,
     /// Print one JSON document
@@ -58,9 +58,11 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     }
     let config = checked(args, &manifest, &contents, folder)?;
     let (wanted, left_out) = wanted(args, &manifest, &contents, folder, &config)?;
-    let _held = lock::keep_out(&config.control.socket).map_err(|e| {
-        Outcome::No(format!("{e}: end the daemon first (`systemctl stop rtecd`); nothing is written"))
-    })?;
+    let running =
+        |e| Outcome::No(format!("{e}: end the daemon first (`systemctl stop rtecd`); nothing is written"));
+    // To look, no daemon has to end.
+    let _held =
+        if args.dry_run { None } else { Some(lock::keep_out(&config.control.socket).map_err(running)?) };
     let differs = |w: &&Wanted<'_>| std::fs::read(&w.to).is_ok_and(|there| there != w.bytes);
     let in_the_way: Vec<String> = wanted.iter().filter(differs).map(|w| w.to.display().to_string()).collect();
     if !in_the_way.is_empty() && !args.replace {

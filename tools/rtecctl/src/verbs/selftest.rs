@@ -377,7 +377,9 @@ fn reasons(measured: &Measured, rates: &[AxisRate], floors: Option<(u64, u64, &'
     }
     if !measured.timed() {
         let why = match measured.how {
-            How::Reads => "writes were not measured: with the MTC off, --drive measures them",
+            How::Reads => {
+                "reads only: writes were not measured, so this never passes; with the MTC off, --drive measures them"
+            }
             How::ReadsAndWrites { .. } => "writes were not measured: no insertion was made",
             How::Simulated if measured.far().is_some() => {
                 "edge to done was not measured: no insertion was seen"
@@ -479,7 +481,7 @@ fn text(
         ));
     }
     let rate = |hz: Option<f64>| hz.map_or_else(|| "none".into(), |hz| format!("{hz:.0}"));
-    for axis in rates {
+    for axis in rates.iter().filter(|_| measured.timed()) {
         line(format_args!(
             "# Max Safe Edge Rate, axis {}: {} edges/s from the worst seen, {} from 99.99 %",
             axis.name,
@@ -487,16 +489,18 @@ fn text(
             rate(axis.usual_hz)
         ));
     }
+    for axis in rates.iter().filter(|_| !measured.timed()) {
+        line(format_args!("# Max Safe Edge Rate, axis {}: not measured", axis.name));
+    }
+    let uncorrected = if measured.timed() { "corrected at no speed" } else { "corrected: not measured" };
     for axis in rates {
-        line(format_args!("# Axis {}: {}", axis.name, axis.rates));
+        line(format_args!("# Axis {}: {}", axis.name, axis.rates.told(uncorrected)));
     }
     if measured.timed() {
-        line(format_args!(
-            "# For the configuration: [rt] detect_ns = {}, write_ns = {}",
-            measured.detect_ns().0,
-            measured.write_ns()
-        ));
-        line(format_args!("# and with it, where they were measured: {provenance}"));
+        line(format_args!("# For the configuration, below [rt], these three lines:"));
+        line(format_args!("detect_ns = {}", measured.detect_ns().0));
+        line(format_args!("write_ns = {}", measured.write_ns()));
+        line(format_args!("{provenance}"));
     }
     if reasons.is_empty() {
         line(format_args!("# Verdict: pass"));

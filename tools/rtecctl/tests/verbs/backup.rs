@@ -107,6 +107,10 @@ fn a_machine_goes_from_one_folder_to_another() {
     let held = lock::socket(&new.path().join("run/s")).unwrap();
     let (code, said) = restore(&["--replace"]);
     assert!(code == Some(1) && said.contains("nothing is written"), "{said}");
+    let before = files(new.path());
+    let (code, said) = restore(&["--replace", "--dry-run"]);
+    assert!(code == Some(0) && said.contains("would be written"), "{said}");
+    assert_eq!(files(new.path()), before);
     drop(held);
 }
 

@@ -295,6 +295,8 @@ fn reads_the_configured_card_and_holds_its_outputs() {
     assert!(document["rt"]["detect_ns"].as_u64() > gap, "an edge behind a reading waits for the one after");
     let (_, out, _) = bench.latency(&[]);
     assert!(out.contains(&format!("# Card: {named}")) && out.contains("every output was held"), "{out}");
+    assert!(out.contains("# Verdict: fail") && out.contains("reads only: "), "{out}");
+    assert!(out.contains("# Max Safe Edge Rate, axis x: not measured") && !out.contains("no speed"), "{out}");
     assert!(!out.contains("For the configuration"), "no figures before the writes are measured: {out}");
 }
 
@@ -321,7 +323,12 @@ fn drives_the_card_only_when_the_mtc_is_said_to_be_off() {
     );
     assert!(document["rt"]["write_ns"].is_u64() && document["ledger_balanced"] == true, "{document}");
     let (_, out, _) = bench.latency(&["--drive", "--mtc-is-off"]);
-    assert!(out.contains("# and with it, where they were measured: measured = { card = \"mapped "), "{out}");
+    // As they are, they go below [rt].
+    let lines = out.lines().skip_while(|l| !l.contains("these three lines")).skip(1).take(3);
+    let lines: Vec<&str> = lines.collect();
+    let keys: Vec<&str> = lines.iter().filter_map(|l| l.split(" = ").next()).collect();
+    assert_eq!(keys, ["detect_ns", "write_ns", "measured"], "{out}");
+    assert!(lines[2].starts_with("measured = { card = \"mapped "), "{out}");
 }
 
 #[test]

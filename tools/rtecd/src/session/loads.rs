@@ -405,11 +405,13 @@ impl Session {
 
     pub(super) fn model_unload(&mut self, log: &mut Log) -> Response {
         // One that was refused at the start is given up, too.
-        if !self.corrector.unload() && self.model_refused.take().is_none() {
+        let given_up = self.model_refused.take_if(|why| why != AGAIN).is_some();
+        if !self.corrector.unload() && !given_up {
             let text = "no model is loaded: there is nothing to unload".to_owned();
             return Response::Refused { why: "no_model".to_owned(), text, jumps: Vec::new() };
         }
         let warnings = self.forget(log);
+        self.model_refused = self.directory().join(UNLOADED).exists().then(|| AGAIN.to_owned());
         log.record(Level::Notice, "model_unloaded", "machine model unloaded", &[]);
         Response::Done { jumps: Vec::new(), warnings }
     }

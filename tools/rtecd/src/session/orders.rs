@@ -116,6 +116,10 @@ impl Session {
             }
             _ => None,
         };
+        let known = axis.is_some_and(|(_, now)| now.mtc_known);
+        if let (Refusal::NotHomed, Some(text)) = (why, self.unknown(status).filter(|_| !known)) {
+            return Response::Refused { why: word(why), text, jumps: Vec::new() };
+        }
         let about = match (why, request, axis) {
             (Refusal::NotBelieved, Request::Correct { total_counts, .. }, Some((axis, now))) => {
                 let window = axis.engine.window_counts;
@@ -134,6 +138,19 @@ impl Session {
         };
         let text = format!("{about}: {}", explain_refusal(why));
         Response::Refused { why: word(why), text, jumps: Vec::new() }
+    }
+
+    /// The axes of which nobody knows what the controller counts, and what to do.
+    pub(super) fn unknown(&self, status: &Status) -> Option<String> {
+        let all = self.config.axes.iter().zip(status.axes());
+        let unknown: Vec<&str> = all.filter(|(_, s)| !s.mtc_known).map(|(a, _)| a.name.as_str()).collect();
+        (!unknown.is_empty()).then(|| {
+            format!(
+                "the controller's count is not known: {}; home the controller and move there, then `rtecctl home \
+                 --controller-homed`",
+                unknown.join(", ")
+            )
+        })
     }
 
     /// The axes that are not homed.

@@ -200,14 +200,7 @@ impl Session {
             why.push(explain_refusal(Refusal::ControllerNotReady).to_owned());
         }
         let axes = || self.config.axes.iter().zip(now.axes());
-        let unknown: Vec<&str> = axes().filter(|(_, s)| !s.mtc_known).map(|(a, _)| a.name.as_str()).collect();
-        if !unknown.is_empty() {
-            why.push(format!(
-                "the controller's count is not known: {}; home the controller and move there, then `rtecctl home \
-                 --controller-homed`",
-                unknown.join(", ")
-            ));
-        }
+        why.extend(self.unknown(now));
         let away = axes().filter(|(_, s)| !s.homed && s.mtc_known).map(|(a, _)| a.name.as_str());
         let away: Vec<&str> = away.collect();
         if !away.is_empty() {
@@ -220,7 +213,12 @@ impl Session {
                 let by = self.hold(now).map_or(String::new(), |h| h.by);
                 why.push(format!("feed hold by {by}: `rtecctl hold off`"));
             }
-            Mode::Fault => why.push("when mended: `rtecctl clear`".to_owned()),
+            Mode::Fault => {
+                why.push("when mended: `rtecctl clear`".to_owned());
+                if let Some(hold) = self.hold(now).filter(|_| now.held.is_some()) {
+                    why.push(format!("feed hold by {} stays after it: `rtecctl hold off`", hold.by));
+                }
+            }
             Mode::Run | Mode::Disabled => {}
         }
         if matches!(now.mode, Mode::Disabled | Mode::Probe | Mode::Hold) && !now.enabled {
