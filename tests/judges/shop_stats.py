@@ -85,7 +85,11 @@ class Stack:
                         turned = dict(effect, phase_rad=effect["phase_rad"] + np.pi / 2)
                         block += [signal(e, run)[response] for e in (effect, turned) if response in signal(e, run)]
             if run.kind == "plate" and run.setup.get("turn_urad"):
-                pass                                 # the plate's turn is the contract's `rotation`
+                # The plate lies turned: one free column for both responses.
+                if response == run.responses[0]:
+                    turn = {"name": "rotation." + ".".join(sorted(run.pos))}
+                    out.append(self.vector(lambda other: {r: t["urad"] for r, t in columns(turn, run).items()}
+                                           if other is run else {}))
             for column in block:
                 vector = np.zeros(self.n)
                 vector[start:start + run.n] = column / sd
