@@ -29,7 +29,8 @@ class Case:
         self.known, self.model, self.hidden = [], [], []
         self.snr, self.rivals = [], []
         self.extra = None            # error that no law describes
-        self.extra_name, self.extra_snr, self.parts = "", 0.0, []
+        self.extra_name, self.extra_snr = "", 0.0
+        self.parts = {}              # names that truly describe a part of it, with their shape
         self.mistake = None          # {"record", "what", ...}
         self.scenario, self.rng = "", None
 
@@ -125,11 +126,15 @@ def make_runs(shop, plan, tag):
 
 # ---------------------------------------------------------------- the true machine
 
-def sensor_choice(shop, differential=0.35):
-    """Sensor fields of a thermal law: one sensor, a pair, or a stated reference."""
+def sensor_choice(shop, runs, differential=0.35):
+    """Sensor fields of a thermal law: one sensor, a pair, or a stated reference.
+
+    A sensor near the heat is likelier: what does not warm does not grow.
+    """
     rng = shop.rng
     names = list(shop.sensors)
-    out = {"sensor": pick(rng, names)}
+    moves = np.array([0.1 + max([np.ptp(r.temps[n]) for r in runs if n in r.temps], default=0.0) for n in names])
+    out = {"sensor": names[int(rng.choice(len(names), p=moves / moves.sum()))]}
     if len(names) > 1 and rng.random() < differential:
         out["minus"] = pick(rng, [n for n in names if n != out["sensor"]])
     elif rng.random() < 0.7:
@@ -182,9 +187,9 @@ def one_effect(shop, law, axes, runs):
     elif law == "angular":
         out["urad_per_m"] = signed(rng, 20, 150) * g
     elif law == "thermal_expansion":
-        out.update(ppm_per_K=signed(rng, 2, 13), **sensor_choice(shop))
+        out.update(ppm_per_K=signed(rng, 2, 13), **sensor_choice(shop, runs))
     elif law in ("thermal_growth", "thermal_lag"):
-        out.update(um_per_K=signed(rng, 0.3, 6), um_per_K2=0.0, **sensor_choice(shop))
+        out.update(um_per_K=signed(rng, 0.3, 6), um_per_K2=0.0, **sensor_choice(shop, runs))
         if law == "thermal_lag":
             out["tau_s"] = float(np.clip(tau, 200, 7200))
         elif rng.random() < 0.2:
@@ -284,7 +289,7 @@ def possible_laws(shop, runs):
         elif run.kind == "feed_sweep":
             a = run.responses[0].split(".")[1]
             base += [("scale", (a,)), ("reversal", (a,))]
-            more += [("following_error", (a,)), ("acceleration_error", (a,)), ("stiffness", (a,)), ("screw_periodic", (a,))]
+            more += [("following_error", (a,)), ("acceleration_error", (a,)), ("stiffness", (a,))] * 2 + [("screw_periodic", (a,))]
             more += [("channel", (a, c)) for c in run.channels]
         elif run.kind in ("probing", "part") and run.angle is not None:
             more += [("probe_lobing", ()), ("form_bump", ())]
@@ -334,8 +339,8 @@ def true_machine(shop, runs, extra_count, hide):
             unique.append(effect)
     order = rng.permutation(len(unique))
     laws_added = [i for i in order if (split_name(unique[i]["name"])[0], tuple(split_name(unique[i]["name"])[1])) not in base]
-    # Hide the rarer laws a little more often than the ones every machine has.
-    weights = [i for i in laws_added] * 2 + [i for i in order]
+    # Hide the rarer laws more often than the ones every machine has.
+    weights = [i for i in laws_added] * 3 + [i for i in order]
     hidden = []
     while len(hidden) < min(hide, len(unique)) and weights:
         i = int(pick(rng, weights))
@@ -442,10 +447,10 @@ def make_case(kind, seed):
     """The case of a class and a seed."""
     import shop_nameless
     import shop_mistakes
-    for again in range(50):
+    for again in range(80):
         rng = np.random.default_rng([CLASSES.index(kind), seed, again])
         case = Case(kind, seed)
-        case.rng = rng
+        case.rng, case.attempt = rng, again
         shop = rec.Shop(rng)
         if kind == "nameless":
             done = shop_nameless.build_nameless(case, shop)

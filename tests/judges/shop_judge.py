@@ -12,6 +12,8 @@ from shop_laws import LINEAR, MAP_LAWS, SENSOR_LAWS, signal, split_name, total
 from shop_nameless import SMALL_SHAPE
 from shop_stats import RIVAL_LIMIT, Stack, Visibility, basis, same_by_contract, without
 
+WORSE = -0.1     # gap closed on the hold-out below which a name describes no part
+
 # Values no machine has: (law or "*", parameter) -> (low, high).
 BOUNDS = {("*", "period_mm"): (0.5, 60), ("*", "period_um"): (1, 200), ("scale", "ppm"): (-1000, 1000),
           ("thermal_growth", "um_per_K"): (-60, 60), ("thermal_lag", "um_per_K"): (-60, 60),
@@ -83,7 +85,7 @@ def compare(case, view, entry, truth, inflation):
         if left is None:
             left = view.left_over(truth, effect) / inflation ** 2 if complete(effect) else np.inf
         return left
-    if effect["name"] == truth["name"] or same_by_contract(effect["name"], truth["name"]):
+    if law == own_law and (effect["name"] == truth["name"] or same_by_contract(effect["name"], truth["name"])):
         if law in SENSOR_LAWS:
             if same_sensor(effect, truth):
                 return "right"
@@ -105,7 +107,8 @@ def compare(case, view, entry, truth, inflation):
             if not abs(off) < truth["width_rad"] / 2:
                 return None
         return "right"
-    listed = any(a["name"] == truth["name"] or same_by_contract(a["name"], truth["name"]) for a in alternatives(entry))
+    listed = any(a["name"] == truth["name"] or split_name(a["name"])[0] == own_law and same_by_contract(a["name"], truth["name"])
+                 for a in alternatives(entry))
     if {law, own_law} == {"thermal_growth", "thermal_lag"} and effect["name"].split(".")[1:] == truth["name"].split(".")[1:]:
         if left_over() < RIVAL_LIMIT:                  # both fit equally: growth is given
             return "rival" if listed or law == "thermal_growth" else "unlisted"
@@ -208,6 +211,8 @@ def gap_closed(case, verdict):
     stack = Stack(runs)
     q = basis(stack.setup(case.known))
     truth = stack.vector(lambda run: total(case.known + case.hidden, run))
+    if case.extra is not None:
+        truth = truth + stack.vector(lambda run: {r: case.extra(run, r) for r in run.responses})
     before = without(q, truth - stack.vector(lambda run: total(case.model, run)))
     if np.linalg.norm(before) < 0.5 * np.sqrt(stack.n):
         return None
@@ -232,12 +237,12 @@ def suspected(verdict, run_name):
     return [s for s in verdict.get("suspicions") or [] if run_name in str(s.get("record", "")) + " " + str(s.get("text", ""))]
 
 
-def describes_part(case, view, entry):
+def describes_part(case, entry):
     """Whether a name describes a part of a nameless error."""
-    law, axes = split_name(entry["name"])
-    if entry["name"] not in case.parts and law not in case.parts:
+    if entry["name"] not in case.parts:
         return False
-    return not axes or entry["name"] in case.parts
+    values = read_parameters(entry)
+    return all(abs((values.get(key) or (np.inf,))[0] - true) < 0.03 * true for key, true in case.parts[entry["name"]].items())
 
 
 def judge(case, verdict):
@@ -284,7 +289,7 @@ def judge(case, verdict):
         law, _ = split_name(entries[k]["name"])
         if turned and law == "rotation" or shared and law == "offset":
             continue
-        if case.extra is not None and describes_part(case, view, entries[k]):
+        if case.extra is not None and not out["impossible"] and describes_part(case, entries[k]):
             parts += 1
             continue
         out["false_names"] += 1
@@ -292,8 +297,7 @@ def judge(case, verdict):
     out["why"] += [f"impossible {text}" for text in out["impossible"]]
     out["why"] += [f"refined {key} misses" for key, ok in out["refined"] if not ok]
     if case.kind in ("hidden", "many"):
-        if case.extra is None:
-            out["closed"] = gap_closed(case, verdict)
+        out["closed"] = gap_closed(case, verdict)
         complete_ = out["found_detectable"] == out["detectable"]
         out["outcome"] = "wrong" if out["false_names"] else "right" if complete_ else "silent"
     elif case.kind == "nothing":
@@ -305,6 +309,10 @@ def judge(case, verdict):
         out["outcome"] = "wrong" if out["false_names"] else "loud" if loud or out["suspicions"] else "right"
     elif case.kind == "nameless":
         small = case.extra_snr < SMALL_SHAPE
+        out["closed"] = gap_closed(case, verdict)
+        if parts and out["closed"] is not None and out["closed"] < WORSE:
+            out["false_names"] += parts
+            out["why"].append(f"names a part, and the hold-out gets worse: gap closed {out['closed']:.2f}")
         if out["false_names"]:
             out["outcome"] = "wrong" if said == "named" else "hedged"
         elif said == "unknown_effect" or said == "nothing_missing" and small or said in ("named", "not_separable") and parts:

@@ -9,18 +9,27 @@ import copy
 import numpy as np
 
 import shop_records as rec
-from shop_laws import LINEAR, columns, split_name, total
+from shop_laws import LINEAR, signal, split_name, total
 from shop_records import pick
 from shop_stats import Stack
 
 CONTRADICTION = 80.0
 
 
-def mistake_plan(shop):
+# Where a mistake can happen at all; the others fit any plan.
+SUITS = {"swapped_responses": ["drift", "plate"], "swapped_positions": ["plate"], "mirrored_angle": ["lines_bars"],
+         "wrong_bar": ["lines_bars"], "other_axis": ["lines", "lines_bars"], "swapped_sensors": ["drift", "lines"],
+         "flipped_direction": ["lines", "lines_bars", "plate", "probing"], "sensor_stuck": ["drift", "lines"],
+         "flipped_speed": ["dynamics", "feed_sweep", "probing"], "sensor_unplugged": ["drift", "lines", "lines_bars", "feed_sweep"],
+         "degrees_fahrenheit": ["drift", "lines", "lines_bars", "feed_sweep"]}
+
+
+def mistake_plan(shop, mistake):
     """Plans where each kind of record stands at least twice."""
     rng = shop.rng
     axes = shop.axes
-    kind = pick(rng, ["lines", "lines", "lines_bars", "lines_bars", "drift", "plate", "dynamics", "feed_sweep", "probing"])
+    kind = pick(rng, SUITS.get(mistake.__name__, ["lines", "lines", "lines_bars", "lines_bars", "drift", "plate", "dynamics",
+                                                  "feed_sweep", "probing"]))
     a, b = axes[0], axes[1]
     if kind == "lines":
         plan = [(rec.line, {"axis": a}), (rec.line, {"axis": a}), (rec.line, {"axis": b}), (rec.line, {"axis": b})]
@@ -221,7 +230,16 @@ def decimal_shift(run, rng, shop):
     return "outliers"
 
 
-BY_CONTRADICTION = [error_unit, error_sign, swapped_responses, swapped_positions, mirrored_angle, wrong_bar, other_axis,
+def other_machine(run, rng, shop):
+    """The record is another machine's: all its amplitudes are others."""
+    for effect in shop.known:
+        factor = rng.uniform(-2, 3)
+        for response, values in signal(effect, run).items():
+            run.measured[response] = run.measured[response] + (factor - 1) * values
+    return "other machine"
+
+
+BY_CONTRADICTION = [error_unit, error_sign, other_machine, swapped_responses, swapped_positions, mirrored_angle, wrong_bar, other_axis,
                     flipped_direction, flipped_speed, mirrored_position, position_unit, swapped_sensors]
 BY_ITSELF = [sensor_stuck, sensor_unplugged, degrees_fahrenheit, doubled_rows, decimal_shift]
 
@@ -250,7 +268,9 @@ def build_mistake(case, shop):
     """A clean case, and the same with one person's mistake in one record."""
     import shop_cases
     rng = shop.rng
-    case.scenario, plan = mistake_plan(shop)
+    kinds = BY_CONTRADICTION + BY_ITSELF
+    first = kinds[case.seed % len(kinds)]                 # every kind gets its turn
+    case.scenario, plan = mistake_plan(shop, first)
     if not shop_cases.build(case, shop, plan, int(rng.integers(1, 4)), 0):
         return False
     shop_cases.finish(case)
@@ -258,10 +278,9 @@ def build_mistake(case, shop):
         run.logged_table = rec.logged_columns(run, rng)
     clean = case.train
     before = misfit(case, clean)
-    kinds = BY_CONTRADICTION + BY_ITSELF
-    first = case.seed % len(kinds)                    # every kind gets its turn
-    order = [kinds[first]] + [kinds[i] for i in rng.permutation(len(kinds))[:3]]
-    for mistake in order:
+    shop.known = case.known
+    others = [kinds[i] for i in rng.permutation(len(kinds))[:3]] if case.attempt > 40 else []
+    for mistake in [first] * 4 + others:
         at = int(rng.integers(len(clean)))
         run = copy.deepcopy(clean[at])
         what = mistake(run, rng, shop)

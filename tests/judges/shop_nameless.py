@@ -50,7 +50,8 @@ def wave_varies(shop, rng):
             return np.zeros(run.n)
         p = run.pos[axis]
         return (mean + form(p)) * np.sin(2 * np.pi * p / period + phase)
-    return plan, extra, [f"screw_periodic.{axis}", f"screw_slope.{axis}", f"position_map.{axis}"]
+    return plan, extra, {f"screw_periodic.{axis}": {"period_mm": period}, f"screw_slope.{axis}": {"period_mm": period},
+                         f"position_map.{axis}": {}}
 
 
 def speed_resonance(shop, rng):
@@ -257,7 +258,8 @@ def build_nameless(case, shop):
         return False
     if maker is clamping_jumps and max(r.cycle.max() for r in case.train) < 3:
         return False
-    case.scenario, case.extra_name, case.parts = "nameless", maker.__name__, parts
+    case.scenario, case.extra_name = "nameless", maker.__name__
+    case.parts = parts if isinstance(parts, dict) else {name: {} for name in parts}
     loud = np.sqrt(np.mean(np.concatenate([shape(r, x) for r in case.train for x in r.responses
                                            if np.any(shape(r, x))] or [np.zeros(1)]) ** 2))
     if not loud > 0:

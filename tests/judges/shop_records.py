@@ -38,19 +38,19 @@ class Shop:
             self.travel[axis] = (float(low), float(low + length))
         self.sensor_step = pick(rng, [0.01, 0.01, 0.0625, 0.0625, 0.1])
         self.sensor_noise = log_uniform(rng, 0.005, 0.06)
-        self.sources = ["spindle", "ambient", "bed"] + list(self.axes)
+        self.sources = ["spindle"] + list(self.axes) + ["bed", "ambient"]
         self.sensors = {}
         count = int(rng.integers(1, 9))
         for i in range(count):
-            main = self.sources[i % len(self.sources)] if rng.random() < 0.7 else pick(rng, self.sources)
+            main = self.sources[i % len(self.sources)] if i == 0 or rng.random() < 0.7 else pick(rng, self.sources)
             twin = pick(rng, list(self.sensors)) if self.sensors and rng.random() < 0.2 else None
             if twin:                                   # a second sensor close to another one
                 gains = {k: (g * rng.uniform(0.9, 1.1), tau * rng.uniform(0.9, 1.1))
                          for k, (g, tau) in self.sensors[twin]["gains"].items()}
                 room = self.sensors[twin]["room"]
             else:
-                gains = {main: (log_uniform(rng, 1.5, 14) if main == "spindle" else log_uniform(rng, 0.8, 5),
-                                log_uniform(rng, 300, 5000))}
+                gains = {main: (log_uniform(rng, 4, 16), log_uniform(rng, 200, 2500)) if main == "spindle" else
+                         (log_uniform(rng, 1, 8), log_uniform(rng, 300, 5000))}
                 for other in self.sources:
                     if other != main and rng.random() < 0.3:
                         gains[other] = (log_uniform(rng, 0.05, 0.8), log_uniform(rng, 1200, 9000))
@@ -105,7 +105,8 @@ class Shop:
 def gauge(rng, run, response, sigma, step, phi=None):
     """How a response is read: white and autocorrelated noise, step of the gauge."""
     phi = (0.0 if rng.random() < 0.6 else float(rng.uniform(0.1, 0.6))) if phi is None else phi
-    run.noise[response] = {"sigma": float(sigma), "phi": phi, "step": float(step)}
+    tails = int(rng.integers(5, 9)) if rng.random() < 0.3 else 0
+    run.noise[response] = {"sigma": float(sigma), "phi": phi, "step": float(step), "tails": tails}
     run.responses.append(response)
 
 
@@ -133,9 +134,13 @@ def line(shop, axis, name, fine=False, long=False, second=None, heat_share=None,
         cycles = int(rng.integers(1, 4))
     else:
         places = targets_of(shop, axis, count)
-    path = np.concatenate([np.concatenate((places, places[::-1])) for _ in range(cycles)])
-    way = np.concatenate([np.repeat([1.0, -1.0], len(places)) for _ in range(cycles)])
-    cycle = np.repeat(np.arange(1, cycles + 1), 2 * len(places))
+    if rng.random() < 0.08 and not fine:                  # read on the way out only
+        path, way = np.tile(places, cycles), np.ones(len(places) * cycles)
+        cycle = np.repeat(np.arange(1, cycles + 1), len(places))
+    else:
+        path = np.tile(np.concatenate((places, places[::-1])), cycles)
+        way = np.tile(np.repeat([1.0, -1.0], len(places)), cycles)
+        cycle = np.repeat(np.arange(1, cycles + 1), 2 * len(places))
     dwell = log_uniform(rng, 2, 40) if not long else log_uniform(rng, 1, 5)
     gaps = dwell * rng.uniform(0.8, 1.25, len(path))
     setup = {}
@@ -230,14 +235,14 @@ def bar(shop, name, plane, way=1, feed=None, centre=None, tell=None, both=False,
 def drift(shop, name):
     """A spindle runs at several speeds; dials on the machine's axes are read."""
     rng = shop.rng
-    rows = int(rng.integers(100, 500))
-    step = log_uniform(rng, 10, 60)
+    rows = int(rng.integers(100, 500)) if rng.random() < 0.9 else int(rng.integers(1000, 3000))
+    step = log_uniform(rng, 10, 60) if rows < 1000 else log_uniform(rng, 4, 12)
     run = Run(name, "drift", shop.start_time() + np.cumsum(step * rng.uniform(0.8, 1.2, rows)))
     top = pick(rng, [4000, 8000, 12000, 18000])
     run.rpm, run.wet = np.zeros(rows), np.zeros(rows)
     row = int(rng.integers(5, 20))
     while row < rows:
-        length = int(rng.integers(12, 70))
+        length = int(rng.integers(12, 70)) * (1 if rows < 1000 else 5)
         run.rpm[row:row + length] = 0 if rng.random() < 0.2 else round(top * rng.uniform(0.1, 1), -2)
         if rng.random() < 0.4:
             run.wet[row + int(rng.integers(0, length)):row + length] = 1
@@ -433,7 +438,11 @@ def set_up_error(run, response, rng):
 
 def noise_row(noise, n, rng):
     """Noise of one response before rounding."""
-    white = rng.normal(0, noise["sigma"], n)
+    if noise.get("tails"):                               # Student's t, cut at five sigma
+        white = np.clip(rng.standard_t(noise["tails"], n) / np.sqrt(noise["tails"] / (noise["tails"] - 2)), -5, 5)
+        white = white * noise["sigma"]
+    else:
+        white = rng.normal(0, noise["sigma"], n)
     phi = noise["phi"]
     for i in range(1, n):
         white[i] = phi * white[i - 1] + np.sqrt(1 - phi ** 2) * white[i]

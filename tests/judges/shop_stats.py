@@ -10,6 +10,11 @@ from shop_laws import (LINEAR, MAP_LAWS, SENSOR_LAWS, WAVE_LAWS, amplitudes, col
                        signal, split_name)
 
 RIVAL_LIMIT = 9.0      # squared sigma left over below which the data cannot tell two names
+# A rival that needs more than this is no rival: no machine has such an amplitude.
+PLAUSIBLE = {"thermal_expansion": 30.0, "thermal_growth": 30.0, "thermal_lag": 30.0, "following_error": 10.0,
+             "warm_up": 100.0, "scale": 300.0, "squareness": 500.0, "spindle_speed": 10.0, "coolant": 50.0,
+             "reversal": 100.0, "reversal_spike": 50.0, "acceleration_error": 100.0, "stiffness": 1.0,
+             "angular": 2000.0, "probe_latency": 10000.0, "lost_counts": 100.0}
 SHAPE_STEPS = {"phase_rad": 1e-3, "period_mm": 1e-5, "period_um": 1e-5, "tau_s": 1e-2,
                "length_mm": 1e-2, "centre_rad": 1e-3, "width_rad": 1e-3}
 
@@ -165,7 +170,8 @@ class Visibility:
         """Squared sigma of `effect` that a rival with free amplitude leaves."""
         q = self.others(effect)
         own = without(q, self.stack.signal(effect))
-        columns_ = [without(q, c) for c in self.stack.linear(rival)]
+        keys = [k for k in LINEAR[split_name(rival["name"])[0]] if rival.get(k)]
+        columns_ = [without(q, c) for c in self.stack.linear(rival, keys or None)]
         return float(np.sum(without(basis(columns_), own) ** 2))
 
     def extra_snr(self, extra):
@@ -183,12 +189,15 @@ class Visibility:
             name = rival["name"]
             if name == effect["name"] or name in found or same_by_contract(effect["name"], name):
                 continue
-            vectors = [without(q, c) for c in self.stack.linear(rival)]
-            vectors = [v for v in vectors if v @ v > 1e-6 * max(size, 1e-12)]
-            if vectors:
-                left = float(np.sum(without(basis(vectors), own) ** 2))
-                if left < RIVAL_LIMIT and left < 0.25 * size:
-                    found.add(name)
+            law = split_name(name)[0]
+            column = without(q, self.stack.linear(rival, LINEAR[law][:1])[0])
+            power = float(column @ column)
+            if power < 1e-9 * max(size, 1e-12):
+                continue
+            amount = float(column @ own) / power
+            left = size - amount ** 2 * power
+            if left < RIVAL_LIMIT and left < 0.25 * size and abs(amount) < PLAUSIBLE.get(law, np.inf):
+                found.add(name)
         return sorted(found)
 
 
@@ -197,6 +206,8 @@ def same_by_contract(one, other):
     (law, axes), (law2, axes2) = split_name(one), split_name(other)
     if law == law2 and law in ("squareness", "rotation"):
         return sorted(axes) == sorted(axes2)
+    if {law, law2} == {"thermal_growth", "thermal_lag"}:
+        return axes == axes2                     # where both fit equally, growth is given
     return False
 
 
