@@ -208,7 +208,9 @@ def one_effect(shop, law, axes, runs):
         out["um_per_N"] = signed(rng, 0.003, 0.05)
     elif law == "lost_counts":
         run = pick(rng, runs)
-        row = int(rng.integers(max(2, run.n // 5), max(3, 4 * run.n // 5)))
+        wide = np.flatnonzero(np.diff(run.t) > 2.5 * run.time_step) + 1    # the clock must tell the rows apart
+        wide = wide[(wide >= run.n // 5) & (wide <= 4 * run.n // 5)]
+        row = int(pick(rng, wide)) if len(wide) else run.n // 2
         count = pick(rng, [1.0, 1.0, 2.0, 5.0])
         out.update(um=count * int(rng.integers(1, 5)) * (1 if rng.random() < 0.5 else -1),
                    at_s=round(float((run.t[row - 1] + run.t[row]) / 2), 3))
@@ -330,6 +332,8 @@ def true_machine(shop, runs, extra_count, hide):
             for other in effects:
                 if other["name"] == f"screw_periodic.{axes[0]}":
                     effect["period_mm"] = other["period_mm"]
+                    if rng.random() < 0.7:               # wear keeps the wave's phase
+                        effect["phase_rad"] = other["phase_rad"]
     seen, unique = set(), []
     for effect in effects:                       # the same name twice only with another sensor or shape
         law, _ = split_name(effect["name"])
@@ -428,6 +432,9 @@ def build(case, shop, plan, extra_count, hide, wish_open=0.2):
         case.known, case.hidden, case.snr, case.rivals = known, hidden, snr, rivals
         case.model = model_of(shop, known)
         share_zeros(shop, case.train)
+        for run in case.train + case.holdout:
+            if run.kind == "positioning" and not run.count_um and rng.random() < 0.15:
+                run.count_um = pick(rng, [0.5, 1.0, 2.0])
         no_clock = not any(split_name(e["name"])[0] in ("warm_up", "thermal_lag", "lost_counts", "following_error")
                            for e in effects)
         for run in case.train:

@@ -12,7 +12,7 @@ from shop_laws import LINEAR, MAP_LAWS, SENSOR_LAWS, signal, split_name, total
 from shop_nameless import SMALL_SHAPE
 from shop_stats import RIVAL_LIMIT, Stack, Visibility, basis, same_by_contract, without
 
-WORSE = -0.1     # gap closed on the hold-out below which a name describes no part
+WORSE = -0.25    # gap closed on the hold-out below which a name describes no part
 
 # Values no machine has: (law or "*", parameter) -> (low, high).
 BOUNDS = {("*", "period_mm"): (0.5, 60), ("*", "period_um"): (1, 200), ("scale", "ppm"): (-1000, 1000),
@@ -73,8 +73,14 @@ def alternatives(entry):
     return out
 
 
-def compare(case, view, entry, truth, inflation):
-    """'right', 'sensor' (right, other sensor), 'rival' (listed), 'unlisted', or None."""
+def compare(case, view, entry, truth, inflation, said):
+    """How an entry of the verdict stands to one hidden effect.
+
+    'right'; 'sensor': right, with another sensor or shape that fits as well;
+    'rival': another name that fits as well, the true one listed beside it;
+    'unlisted': the same, not listed; 'hedged': a name that does not fit as
+    well, the true one listed in a `not_separable`; None: something else.
+    """
     effect = entry_effect(entry)
     law, _ = split_name(effect["name"])
     own_law, _ = split_name(truth["name"])
@@ -114,7 +120,7 @@ def compare(case, view, entry, truth, inflation):
             return "rival" if listed or law == "thermal_growth" else "unlisted"
     if left_over() < RIVAL_LIMIT and left_over() < 0.25 * view.snr(truth) ** 2:
         return "rival" if listed else "unlisted"
-    return None
+    return "hedged" if listed and said == "not_separable" else None
 
 
 def wave_sign(effect, values):
@@ -249,7 +255,7 @@ def judge(case, verdict):
     """Outcome of one case: right, wrong, silent or open, with the reasons."""
     out = {"class": case.kind, "seed": case.seed, "outcome": "", "why": [], "hidden": len(case.hidden), "found": 0,
            "detectable": sum(s >= DETECTABLE for s in case.snr), "found_detectable": 0, "false_names": 0,
-           "required": sum(s >= SMALL for s in case.snr), "found_required": 0,
+           "required": sum(s >= SMALL for s in case.snr), "found_required": 0, "hedged": 0,
            "intervals": [], "refined": refined_hits(case, verdict), "closed": None,
            "impossible": impossible_values(verdict), "suspicions": len(verdict.get("suspicions") or [])}
     entries = [e for e in verdict.get("effects") or [] if e.get("name")]
@@ -261,8 +267,8 @@ def judge(case, verdict):
     for i in np.argsort(case.snr)[::-1] if case.snr else []:
         truth, grade = case.hidden[i], None
         inflation = view.sensor_inflation(truth)
-        grades = {k: compare(case, view, entries[k], truth, inflation) for k in left}
-        for wish in ("right", "sensor", "rival", "unlisted"):
+        grades = {k: compare(case, view, entries[k], truth, inflation, said) for k in left}
+        for wish in ("right", "sensor", "rival", "unlisted", "hedged"):
             best = [k for k in left if grades[k] == wish]
             if best:
                 grade = wish
@@ -272,6 +278,10 @@ def judge(case, verdict):
         if grade is None:
             if case.snr[i] >= SMALL:
                 out["why"].append(f"missed {name}")
+            continue
+        if grade == "hedged":
+            out["hedged"] += 1
+            out["why"].append(f"{name} listed behind {entries[best[0]]['name']}, which the data rules out")
             continue
         if grade == "unlisted":
             out["why"].append(f"{entries[best[0]]['name']} named for {name}, which fits as well and is not listed")
@@ -299,7 +309,10 @@ def judge(case, verdict):
     if case.kind in ("hidden", "many"):
         out["closed"] = gap_closed(case, verdict)
         complete_ = out["found_detectable"] == out["detectable"]
-        out["outcome"] = "wrong" if out["false_names"] else "right" if complete_ else "silent"
+        out["outcome"] = ("wrong" if out["false_names"] else "right" if complete_
+                          else "hedged" if out["hedged"] else "silent")
+        if said == "not_separable" and not any(case.rivals):
+            out["why"].append("not_separable, although the data tells the names apart")
     elif case.kind == "nothing":
         loud = said != "nothing_missing" and not (entries and not out["false_names"] and said in ("named", "not_separable"))
         if out["suspicions"]:

@@ -179,6 +179,8 @@ def sensor_stuck(run, rng, shop):
     name = pick(rng, lively)
     values = next(v for n, _, _, v, _ in run.logged_table if n == name).copy()
     row = int(rng.integers(run.n // 5, run.n // 3 + 1))
+    if len(np.unique(values[:row])) < 4:                  # it hardly moved before: nobody could see it
+        return None
     values[row:] = values[row]
     edit_column(run, name, values)
     return "stuck"

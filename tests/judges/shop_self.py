@@ -111,6 +111,77 @@ def from_files(case, run, path):
     return float(left @ left) / stack.n
 
 
+def perturbed(cases):
+    """[(what was done to the true verdict, cases, of which scored as expected)]."""
+    def tally(text, wanted, change, expect):
+        done = good = 0
+        for case in cases:
+            if wanted(case):
+                verdict = change(copy.deepcopy(shop_judge.oracle(case)), case)
+                if verdict is not None:
+                    done += 1
+                    good += bool(expect(shop_judge.judge(case, verdict)))
+        return text, done, good
+
+    def other_wave(verdict, case):
+        found = False
+        for entry in verdict["effects"]:
+            p = entry["parameters"]
+            size = next((k for k in ("um", "um_per_m") if k in p), None)
+            if size and "phase_rad" in p:
+                found = True
+                a = p[size]
+                p[size] = {"value": -a["value"], "low": -a["high"], "high": -a["low"]}
+                p["phase_rad"] = {k: v + 5 * np.pi for k, v in p["phase_rad"].items()}
+        return verdict if found else None
+
+    def other_pair(verdict, case):
+        found = False
+        for entry in verdict["effects"]:
+            key = "ppm_per_K" if "ppm_per_K" in entry["parameters"] else "um_per_K"
+            if entry.get("minus") and not entry["parameters"].get("um_per_K2", {}).get("value"):
+                found = True
+                entry["sensor"], entry["minus"] = entry["minus"], entry["sensor"]
+                a = entry["parameters"][key]
+                entry["parameters"][key] = {"value": -a["value"], "low": -a["high"], "high": -a["low"]}
+        return verdict if found else None
+
+    def more(verdict, case):
+        verdict["verdict"] = "named"
+        verdict["effects"].append({"name": "coolant.q", "parameters": {"um": {"value": 1, "low": 0, "high": 2}}})
+        return verdict
+
+    def fewer(verdict, case):
+        del verdict["effects"][int(np.argmax(case.snr))]
+        return verdict
+
+    def narrow(verdict, case):
+        for entry in verdict["effects"]:
+            for p in entry["parameters"].values():
+                if not isinstance(p["value"], list):
+                    p["low"] = p["high"] = p["value"] + 0.02 * abs(p["value"]) + 1e-3
+        return verdict
+
+    def accuse(verdict, case):
+        others = [r.name for r in case.train if not case.mistake or r.name != case.mistake["record"]]
+        verdict["suspicions"] = [{"record": others[0], "what": "sign", "text": ""}]
+        return verdict
+    hidden = lambda c: c.kind in ("hidden", "many")
+    seen = lambda c: hidden(c) and max(c.snr) >= 5
+    return [
+        tally("waves turned by half a turn and over are right, with their intervals", hidden, other_wave,
+              lambda r: r["outcome"] == "right" and all(r["intervals"])),
+        tally("a pair of sensors exchanged, with the other sign, is right", hidden, other_pair,
+              lambda r: r["outcome"] == "right" and all(r["intervals"])),
+        tally("one name too many is wrong", lambda c: c.kind != "mistakes", more, lambda r: r["outcome"] == "wrong"),
+        tally("the strongest effect missing is silent", seen, fewer, lambda r: r["outcome"] == "silent"),
+        tally("intervals beside the truth miss", hidden, narrow,
+              lambda r: not r["intervals"] or np.mean(r["intervals"]) < 0.5),
+        tally("a clean record accused is loud", lambda c: c.kind == "nothing", accuse, lambda r: r["outcome"] == "loud"),
+        tally("another record accused is silent", lambda c: c.kind == "mistakes", accuse, lambda r: r["outcome"] == "silent"),
+    ]
+
+
 def share(results, label, outcome="right"):
     rows = [r for r in results if r["class"] == label]
     return sum(r["outcome"] == outcome for r in rows) / max(1, len(rows))
@@ -170,6 +241,9 @@ def check(options, run_all, figures):
     say(f"hidden effects: {len(snr)}, of which {np.mean(snr >= 5) * 100:.0f} % stand 5 sigma out, "
         f"quartiles {np.percentile(snr, 25):.0f}, {np.median(snr):.0f}, {np.percentile(snr, 75):.0f} sigma", np.mean(snr >= 5) > 0.7)
 
+    for text, done, good in perturbed(cases):
+        say(f"{text}: {good} of {done}", good == done and done > 0)
+
     work = [(kind, seed) for kind in shop_cases.CLASSES for seed in range(options.first, options.first + count)]
     options.keep = None
     tables = {}
@@ -181,7 +255,7 @@ def check(options, run_all, figures):
             table = figures(results)
             held = sum(f["interval_holds"] for f in table.values()), sum(f["intervals"] for f in table.values())
             say(f"who knows the truth scores {100 * (1 - len(bad) / len(results)):.1f} %, intervals {held[0]} of {held[1]}, "
-                f"gap closed at least {min(r['closed'] for r in results if r.get('closed') is not None):.3f}",
+                f"gap closed at least {min(r['closed'] for r in results if r.get('closed') is not None and r['class'] in ('hidden', 'many')):.3f}",
                 not bad and held[0] == held[1])
             for line in bad[:8]:
                 print("          ", line)
