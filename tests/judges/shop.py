@@ -87,7 +87,11 @@ def score(case, folder, options):
         if case.mistake and code == 2 and case.mistake["record"] in words:
             result.update(outcome="right", said=True)    # refused with the record's name: said
     else:
-        result = shop_judge.judge(case, verdict)
+        try:
+            result = shop_judge.judge(case, verdict)
+        except Exception as error:                # a document of another shape than the contract's
+            result = shop_judge.judge(case, {"verdict": "no answer"})
+            result.update(outcome="no answer", why=[f"the verdict cannot be judged: {error!r}"])
     result["cpu_s"] = cpu
     return result
 
@@ -128,11 +132,15 @@ def run_all(work, options):
 # ---------------------------------------------------------------- figures
 
 def percent(part, whole):
-    """'93 ± 2 %' with the binomial standard error; '–' of nothing."""
+    """'93 ± 2 %' with the binomial standard error; '–' of nothing.
+
+    The error is that of half a case more on each side, so that 0 of 20 is not
+    said to be certain.
+    """
     if not whole:
         return "–"
-    share = part / whole
-    return f"{100 * share:.0f} ± {100 * np.sqrt(share * (1 - share) / whole):.0f} %"
+    smooth = (part + 0.5) / (whole + 1)
+    return f"{100 * part / whole:.0f} ± {100 * np.sqrt(smooth * (1 - smooth) / whole):.0f} %"
 
 
 def figures(results):
@@ -164,11 +172,11 @@ def figures(results):
 
 def print_table(table):
     print(f"{'class':<12} {'cases':>5}  {'right':>11} {'wrong':>11} {'silent':>11} {'loud/hedged':>11} {'no answer':>9}"
-          f" {'false names':>11}  {'impossible':>10} {'cpu median':>10} {'worst':>7}")
+          f" {'false names':>11} {'suspicions':>10} {'impossible':>10} {'cpu median':>10} {'worst':>7}")
     for label, f in table.items():
         n = f["cases"]
         print(f"{label:<12} {n:>5}  {percent(f['right'], n):>11} {percent(f['wrong'], n):>11} {percent(f['silent'], n):>11}"
-              f" {percent(f['loud_or_hedged'], n):>11} {f['no_answer']:>9} {f['false_names']:>11}  {f['impossible']:>10}"
+              f" {percent(f['loud_or_hedged'], n):>11} {f['no_answer']:>9} {f['false_names']:>11} {f['suspicions']:>10} {f['impossible']:>10}"
               f" {f['cpu_median_s']:>8.2f} s {f['cpu_worst_s']:>5.1f} s")
     print()
     print(f"{'class':<12} {'effects found':>16} {'from 2 sigma':>18} {'from 5 sigma':>18} {'intervals hold':>18}"

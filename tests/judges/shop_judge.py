@@ -175,18 +175,33 @@ def interval_hits(entry, truth):
     return out
 
 
+def refined_index(effects, entry):
+    """Which effect of the model a `refined` entry corrects; None if that is open."""
+    same = [i for i, e in enumerate(effects) if e["name"] == entry.get("name")]
+    for key in ("sensor", "minus", "period_mm", "period_um", "lobes"):
+        if entry.get(key) is not None:
+            same = [i for i in same if effects[i].get(key) == entry[key]]
+    if len(same) > 1:                              # told apart by the value before
+        for key, p in (entry.get("parameters") or {}).items():
+            before = p.get("before") if isinstance(p, dict) else None
+            if isinstance(before, (int, float)):
+                same = [i for i in same if isinstance(effects[i].get(key, 0.0), (int, float))
+                        and abs(effects[i].get(key, 0.0) - before) <= 1e-3 * abs(before)]
+    return same[0] if len(same) == 1 else None
+
+
 def refined_hits(case, verdict):
     """[(name.parameter, holds)] of the corrections to the known model."""
     out = []
     for entry in verdict.get("refined") or []:
-        same = [e for e in case.known if e["name"] == entry.get("name")
-                and (e.get("sensor") is None or not entry.get("sensor") or e["sensor"] == entry["sensor"])]
-        if len(same) != 1:
+        at = refined_index(case.model, entry)
+        if at is None:
             continue
+        true = case.known[at]
         for key, p in (entry.get("parameters") or {}).items():
-            if isinstance(p, dict) and key in LINEAR[split_name(same[0]["name"])[0]] and isinstance(same[0].get(key), float) \
+            if isinstance(p, dict) and key in LINEAR[split_name(true["name"])[0]] and isinstance(true.get(key), float) \
                     and isinstance(p.get("low"), (int, float)) and isinstance(p.get("high"), (int, float)):
-                out.append((f"{entry['name']}.{key}", p["low"] <= same[0][key] <= p["high"]))
+                out.append((f"{entry['name']}.{key}", p["low"] <= true[key] <= p["high"]))
     return out
 
 
@@ -224,14 +239,11 @@ def gap_closed(case, verdict):
         return None
     model = [dict(e) for e in case.model]
     for entry in verdict.get("refined") or []:
-        for effect in model:
-            if effect["name"] == entry.get("name") and (not entry.get("sensor") or effect.get("sensor") == entry["sensor"]):
-                for key, p in (entry.get("parameters") or {}).items():
-                    if isinstance(p, dict) and p.get("value") is not None and key in effect:
-                        if isinstance(effect[key], list) != isinstance(p["value"], list):
-                            continue
-                        effect[key] = p["value"]
-                break
+        at = refined_index(case.model, entry)
+        for key, p in (entry.get("parameters") or {}).items() if at is not None else ():
+            if isinstance(p, dict) and p.get("value") is not None and key in model[at]:
+                if isinstance(model[at][key], list) == isinstance(p["value"], list):
+                    model[at][key] = p["value"]
     added = [entry_effect(e) for e in verdict.get("effects") or []]
     added = [e for e in added if complete(e)]
     after = without(q, truth - stack.vector(lambda run: total(model + added, run)))
@@ -360,7 +372,8 @@ def oracle(case):
         parameters = {k: {"before": before[k], "value": after[k],
                           **({} if isinstance(after[k], list) else {"low": after[k] - 1e-9, "high": after[k] + 1e-9})}
                       for k in LINEAR[split_name(after["name"])[0]] if after.get(k)}
-        refined.append({"name": after["name"], "sensor": after.get("sensor"), "parameters": parameters})
+        refined.append({"name": after["name"], "sensor": after.get("sensor"), "minus": after.get("minus"),
+                        "parameters": parameters})
     verdict = {"verdict": "named" if case.hidden else "nothing_missing", "effects": [entry(e) for e in case.hidden],
                "refined": refined, "suspicions": []}
     if case.extra is not None:

@@ -105,12 +105,12 @@ def thermal_bending(shop, rng):
         arguments["heat_share"] = 1.0
     low, high = shop.travel[axis]
     middle = low + (high - low) * rng.uniform(0.3, 0.7)
-    names = list(shop.sensors)
+    near = [n for n, s in shop.sensors.items() if axis in s["gains"]]
+    active = near[0] if near else list(shop.sensors)[-1]      # the sensor at the axis's own nut
 
     def extra(run, response):
         if response != f"error.{axis}":
             return np.zeros(run.n)
-        active = max(names, key=lambda s: np.ptp(run.temps[s]))
         return (run.temps[active] - 20.0) * ((run.pos[axis] - middle) / (high - low)) ** 2
     return plan, extra, [f"thermal_expansion.{axis}", f"thermal_growth.{axis}", f"position_map.{axis}"]
 
