@@ -81,7 +81,7 @@ def plan_runs(shop, scenario):
                 for way in (1, -1):
                     plan.append((rec.bar, {"plane": plane, "way": way, "feed": feed, "radius": radius, "tell": tell}))
     elif scenario == "drift":
-        plan = [(rec.drift, {})] * int(rng.integers(1, 3))
+        plan = [(rec.drift, {"channel": rng.random() < 0.4})] * int(rng.integers(1, 3))
     elif scenario == "plate":
         plan = [(rec.plate, {"turned": rng.random() < 0.3})] * int(rng.integers(1, 3))
     elif scenario == "dynamics":
@@ -89,7 +89,7 @@ def plan_runs(shop, scenario):
         plan = [(rec.dynamics, {"axis": axis})] * int(rng.integers(1, 3))
     elif scenario == "feed_sweep":
         axis = pick(rng, axes)
-        plan = [(rec.feed_sweep, {"axis": axis})] * int(rng.integers(1, 3))
+        plan = [(rec.feed_sweep, {"axis": axis, "channel": rng.random() < 0.3})] * int(rng.integers(1, 3))
     elif scenario == "ring":
         plan = [(rec.ring, {"part": rng.random() < 0.5})] * int(rng.integers(1, 3))
     elif scenario == "probing":

@@ -232,7 +232,7 @@ def bar(shop, name, plane, way=1, feed=None, centre=None, tell=None, both=False,
     return run
 
 
-def drift(shop, name):
+def drift(shop, name, channel=False):
     """A spindle runs at several speeds; dials on the machine's axes are read."""
     rng = shop.rng
     rows = int(rng.integers(100, 500)) if rng.random() < 0.9 else int(rng.integers(1000, 3000))
@@ -250,7 +250,7 @@ def drift(shop, name):
     shop.end_time(run.t)
     run.logged = {"time"}
     shop.heat(run, {"spindle": (run.rpm / top) ** 1.5 - 0.25 * run.wet * (run.rpm > 0)})
-    if rng.random() < 0.4:
+    if channel:
         run.channels["z9"] = np.round(np.cumsum(rng.normal(0, 0.3, rows)) + 50 + 5 * (run.rpm > 0.5 * top), 2)
     for axis in shop.axes:
         gauge(rng, run, f"error.{axis}", log_uniform(rng, 0.08, 0.4), shop.gauge_step)
@@ -325,7 +325,7 @@ def dynamics(shop, axis, name):
     return run
 
 
-def feed_sweep(shop, axis, name):
+def feed_sweep(shop, axis, name, channel=False):
     """An axis passes the same places at many feeds; speed, acceleration and load are logged."""
     rng = shop.rng
     low, high = shop.travel[axis]
@@ -352,7 +352,7 @@ def feed_sweep(shop, axis, name):
     shop.end_time(run.t)
     run.time_step = min(0.01, shop.coarse_clock)
     run.logged = {"time", "position", "velocity", "acceleration", "load"}
-    if rng.random() < 0.3:
+    if channel:
         run.channels["z9"] = np.round(rng.normal(50, 8, run.n), 2)
     shop.heat(run, {axis: np.full(run.n, 0.5)})
     gauge(rng, run, f"error.{axis}", shop.air_noise, min(shop.gauge_step, 1.0))

@@ -80,6 +80,15 @@ def check_model(path, effects):
         assert not ("minus" in effect and "reference_degC" in effect), "minus and reference_degC both given"
 
 
+def check_inputs(effects, run):
+    """A record logs the sensors and channels that the machine's effects read."""
+    for effect in effects:
+        law, axes = split_name(effect["name"])
+        for sensor in (effect.get("sensor"), effect.get("minus")):
+            assert sensor is None or sensor in run.temps, f"{run.name} lacks {sensor}"
+        assert law != "channel" or axes[1] in run.channels, f"{run.name} lacks {axes[1]}"
+
+
 def from_files(case, run, path):
     """Chi-square per row of a record: the file's numbers against the true law."""
     read = read_record(path)
@@ -216,6 +225,8 @@ def check(options, run_all, figures):
                         breaches.append(f"{kind} {seed} {run.name}: {error}")
                 try:
                     check_model(model, case.model)
+                    for run in case.train + case.holdout:
+                        check_inputs(case.known + case.hidden, run)
                 except AssertionError as error:
                     breaches.append(f"{kind} {seed} model: {error}")
                 again = shop_cases.make_case(kind, seed)
