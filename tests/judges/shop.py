@@ -28,6 +28,7 @@ import numpy as np
 
 sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))
 import shop_cases
+import shop_files
 import shop_judge
 
 QUICK_SEED, QUICK_COUNT = 1000, 20
@@ -77,7 +78,7 @@ def score(case, folder, options):
         result = shop_judge.judge(case, verdict)
         result["cpu_s"] = 0.0
         return result
-    train, later, model = shop_cases.write_case(case, folder)
+    train, later, model = shop_files.write_case(case, folder)
     code, verdict, cpu, words = run_program(options.bin, train, later, model, options.limit)
     with open(os.path.join(folder, "verdict.json"), "w") as f:
         json.dump(verdict if verdict is not None else {"exit": code, "stderr": words}, f, indent=1)
@@ -171,7 +172,8 @@ def figures(results):
 
 
 def print_table(table):
-    print(f"{'class':<12} {'cases':>5}  {'right':>11} {'wrong':>11} {'silent':>11} {'loud/hedged':>11} {'no answer':>9}"
+    print(f"{'class':<12} {'cases':>5}  {'right':>11} {'wrong':>11} {'silent':>11}"
+          f" {'loud/hedged':>11} {'no answer':>9}"
           f" {'false names':>11} {'suspicions':>10} {'impossible':>10} {'cpu median':>10} {'worst':>7}")
     for label, f in table.items():
         n = f["cases"]
@@ -179,8 +181,8 @@ def print_table(table):
               f" {percent(f['loud_or_hedged'], n):>11} {f['no_answer']:>9} {f['false_names']:>11} {f['suspicions']:>10} {f['impossible']:>10}"
               f" {f['cpu_median_s']:>8.2f} s {f['cpu_worst_s']:>5.1f} s")
     print()
-    print(f"{'class':<12} {'effects found':>16} {'from 2 sigma':>18} {'from 5 sigma':>18} {'intervals hold':>18}"
-          f" {'refined hold':>18} {'gap closed: median':>18} {'10th':>6}")
+    print(f"{'class':<12} {'effects found':>16} {'from 2 sigma':>18} {'from 5 sigma':>18}"
+          f" {'intervals hold':>18} {'refined hold':>18} {'gap closed: median':>18} {'10th':>6}")
     for label, f in table.items():
         pair = lambda a, b: f"{percent(f[a], f[b])} of {f[b]}"
         gap = ["–" if f[k] is None else f"{f[k]:.2f}" for k in ("closed_median", "closed_tenth")]

@@ -275,6 +275,9 @@ def judge(case, verdict):
     view = Visibility(case.train, case.known, case.hidden)
     left = list(range(len(entries)))
     turned = any(r.setup.get("turn_urad") for r in case.train)
+    # Beside rotation the two squarenesses of a pair are one; with the other one, rotation has another value.
+    true_names = {e["name"] for e in case.known + case.hidden}
+    other_squareness = any(e["name"].startswith("squareness") and e["name"] not in true_names for e in entries)
     shared = any(r.zero and sum(r.zero == o.zero for o in case.train) > 1 for r in case.train)
     for i in np.argsort(case.snr)[::-1] if case.snr else []:
         truth, grade = case.hidden[i], None
@@ -302,7 +305,7 @@ def judge(case, verdict):
         out["found"] += 1
         out["found_detectable"] += case.snr[i] >= DETECTABLE
         out["found_required"] += case.snr[i] >= SMALL
-        if grade == "right":
+        if grade == "right" and not (truth["name"].startswith("rotation") and other_squareness):
             hits = interval_hits(entries[best[0]], truth)
             out["intervals"] += [ok for _, ok in hits]
             out["why"] += [f"interval of {truth['name']} {key} misses" for key, ok in hits if not ok]

@@ -130,7 +130,8 @@ def line(shop, axis, name, fine=False, long=False, second=None, heat_share=None,
         low, high = shop.travel[axis]
         start = round(float(rng.uniform(low + 10, high - 10)), 2)
         step = pick(rng, [0.002, 0.003, 0.005, 0.007])
-        places = start + step * np.arange(int(rng.integers(60, 200)))
+        count = int(rng.integers(60, 200))
+        places = start + step * (np.arange(count) + rng.uniform(-0.3, 0.3, count))   # uneven: no aliases
         cycles = int(rng.integers(1, 4))
     else:
         places = targets_of(shop, axis, count)
@@ -331,7 +332,7 @@ def feed_sweep(shop, axis, name, channel=False):
     low, high = shop.travel[axis]
     passes = int(rng.integers(6, 16))
     count = int(rng.integers(12, 40))
-    places = np.linspace(low + 15, high - 15, count)
+    places = targets_of(shop, axis, count)
     p, v, a, load, t, clock = [], [], [], [], [], 0.0
     for k in range(passes):
         speed = log_uniform(rng, 3, 400)

@@ -8,6 +8,7 @@ import tomllib
 import numpy as np
 
 import shop_cases
+import shop_files
 import shop_judge
 from shop_laws import LINEAR, MAP_LAWS, Run, split_name, total
 from shop_stats import Stack, basis, without
@@ -57,7 +58,9 @@ def read_record(path):
             run.wet = values
         else:
             assert role != "direction" or set(np.unique(values)) <= {-1.0, 1.0}, "direction is not +1 or -1"
-            {"position": run.pos, "direction": run.dir, "velocity": run.vel, "acceleration": run.acc, "load": run.load}[role][axes[0]] = values
+            tables = {"position": run.pos, "direction": run.dir, "velocity": run.vel,
+                      "acceleration": run.acc, "load": run.load}
+            tables[role][axes[0]] = values
     assert run.responses, "no response"
     assert len(rows) >= 11, f"only {len(rows)} rows"
     if head["kind"] == "ballbar":
@@ -213,7 +216,7 @@ def check(options, run_all, figures):
                 case = shop_cases.make_case(kind, seed)
                 cases.append(case)
                 place = os.path.join(folder, f"{kind}-{seed}")
-                train, later, model = shop_cases.write_case(case, place)
+                train, later, model = shop_files.write_case(case, place)
                 for run, path in zip(case.train + case.holdout, train + later):
                     try:
                         read = read_record(path)
@@ -231,7 +234,7 @@ def check(options, run_all, figures):
                     breaches.append(f"{kind} {seed} model: {error}")
                 again = shop_cases.make_case(kind, seed)
                 second = os.path.join(folder, "again")
-                shop_cases.write_case(again, second)
+                shop_files.write_case(again, second)
                 for path in train + later + [model]:
                     if open(path).read() != open(os.path.join(second, os.path.basename(path))).read():
                         breaches.append(f"{kind} {seed}: not the same twice")
@@ -265,8 +268,9 @@ def check(options, run_all, figures):
             bad = [f"{r['class']} {r['seed']}: {r['outcome']} {r['why']}" for r in results if r["outcome"] != "right"]
             table = figures(results)
             held = sum(f["interval_holds"] for f in table.values()), sum(f["intervals"] for f in table.values())
+            closed = [r["closed"] for r in results if r["class"] in ("hidden", "many") and r.get("closed") is not None]
             say(f"who knows the truth scores {100 * (1 - len(bad) / len(results)):.1f} %, intervals {held[0]} of {held[1]}, "
-                f"gap closed at least {min(r['closed'] for r in results if r.get('closed') is not None and r['class'] in ('hidden', 'many')):.3f}",
+                f"gap closed at least {min(closed):.3f}",
                 not bad and held[0] == held[1])
             for line in bad[:8]:
                 print("          ", line)

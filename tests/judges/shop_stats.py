@@ -174,6 +174,50 @@ class Visibility:
         columns_ = [without(q, c) for c in self.stack.linear(rival, keys or None)]
         return float(np.sum(without(basis(columns_), own) ** 2))
 
+    def has_alias(self, effect):
+        """Whether a wave of quite another period explains a hidden wave within chance.
+
+        Few targets far apart cannot tell a screw's period: then nobody can.
+        """
+        law, axes = split_name(effect["name"])
+        if law not in ("screw_periodic", "screw_slope"):
+            return False
+        place, weight = np.zeros(self.stack.n), np.zeros(self.stack.n)
+        for run, response, start, sd in self.stack.parts:
+            if axes[0] not in run.pos or np.ptp(run.pos[axes[0]]) == 0:
+                continue
+            if run.kind == "ballbar":
+                if run.knows_place():
+                    return False                    # a circle's rows stand close enough
+            elif response == f"error.{axes[0]}":
+                place[start:start + run.n] = run.pos[axes[0]]
+                weight[start:start + run.n] = (run.pos[axes[0]] / 1000.0 if law == "screw_slope" else 1.0) / sd
+        rows = np.flatnonzero(weight)
+        if len(rows) == 0 or len(np.unique(np.round(place[rows], 1))) > 100:
+            return False
+        q = self.others(effect)
+        own = without(q, self.stack.signal(effect))
+        size, span, true = float(own @ own), float(np.ptp(place[rows])), 1.0 / effect["period_mm"]
+        part, q_rows = own[rows], q[rows] if q.size else np.zeros((len(rows), 1))
+
+        def left_at(frequencies):
+            out = []
+            for block in np.array_split(frequencies, max(1, len(frequencies) // 300)):
+                angle = 2 * np.pi * np.outer(place[rows], block)
+                c, s = np.cos(angle) * weight[rows, None], np.sin(angle) * weight[rows, None]
+                cq, sq = q_rows.T @ c, q_rows.T @ s
+                a, b, d = (c * c).sum(0) - (cq * cq).sum(0), (c * s).sum(0) - (cq * sq).sum(0), (s * s).sum(0) - (sq * sq).sum(0)
+                u, v = part @ c, part @ s
+                out.append(size - (d * u * u - 2 * b * u * v + a * v * v) / np.maximum(a * d - b * b, 1e-9 * a * d + 1e-300))
+            return np.concatenate(out)
+        grid = np.arange(1 / 60.0, 2.0, 0.3 / span)
+        grid = grid[np.abs(grid - true) > 1.5 / span]
+        near = grid[left_at(grid) < 0.15 * size + RIVAL_LIMIT]
+        if len(near) == 0:
+            return False
+        fine = (near[:, None] + np.linspace(-0.15, 0.15, 13) / span).ravel()
+        return bool(np.min(left_at(fine)) < RIVAL_LIMIT)
+
     def extra_snr(self, extra):
         """Sigma of an error without a name, outside set-up and known effects."""
         vector = self.stack.vector(lambda run: {r: extra(run, r) for r in run.responses})
