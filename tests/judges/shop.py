@@ -177,8 +177,9 @@ def print_table(table):
           f" {'false names':>11} {'suspicions':>10} {'impossible':>10} {'cpu median':>10} {'worst':>7}")
     for label, f in table.items():
         n = f["cases"]
-        print(f"{label:<12} {n:>5}  {percent(f['right'], n):>11} {percent(f['wrong'], n):>11} {percent(f['silent'], n):>11}"
-              f" {percent(f['loud_or_hedged'], n):>11} {f['no_answer']:>9} {f['false_names']:>11} {f['suspicions']:>10} {f['impossible']:>10}"
+        shares = " ".join(f"{percent(f[k], n):>11}" for k in ("right", "wrong", "silent", "loud_or_hedged"))
+        print(f"{label:<12} {n:>5}  {shares} {f['no_answer']:>9} {f['false_names']:>11} {f['suspicions']:>10}"
+              f" {f['impossible']:>10}"
               f" {f['cpu_median_s']:>8.2f} s {f['cpu_worst_s']:>5.1f} s")
     print()
     print(f"{'class':<12} {'effects found':>16} {'from 2 sigma':>18} {'from 5 sigma':>18}"
