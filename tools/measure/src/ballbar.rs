@@ -429,7 +429,7 @@ fn as_circle(record: &Record) -> Result<(Record, String), InputError> {
     debug_assert_eq!(angle.len(), record.rows());
     let mut circle = Record::of_checked(&record.path, Kind::Ballbar, columns);
     circle.file.clone_from(&record.file);
-    let stated = Circle { radius_mm: round.radius, plane };
+    let stated = Circle { radius_mm: round.radius, plane, centre_mm: None };
     let plane = name(&stated);
     let circle = circle.with_circle(stated).map_err(|(found, expected)| lacks(record, &found, expected))?;
     Ok((circle, plane))

@@ -7,7 +7,7 @@ use rtec_files::toml::{Document, Table};
 use rtec_model::circle::Circle;
 use rtec_model::date;
 use rtec_model::file_kind::FileKind;
-use rtec_model::record::{Axis, Column, Kind, Record, Role, check, hex, range_alone};
+use rtec_model::record::{Axis, Column, Kind, Record, Role, Turns, check, hex, range_alone};
 use sha2::{Digest, Sha256};
 use std::fmt::Write as _;
 use std::fs::File;
@@ -179,6 +179,7 @@ impl Pieces {
         record.date.clone_from(&self.sidecar.date);
         record.note.clone_from(&self.sidecar.note);
         record.zero.clone_from(&self.sidecar.zero);
+        record.turns = self.sidecar.turns;
         Ok(Some(record))
     }
 }
@@ -200,6 +201,7 @@ fn of_parts(
     record.sha256 = hex(&csv.hash.finalize());
     (record.count_um, record.date, record.note) = (sidecar.count_um, sidecar.date, sidecar.note);
     record.zero = sidecar.zero;
+    record.turns = sidecar.turns;
     match sidecar.circle {
         Some((circle, place)) => {
             record.with_circle(circle).map_err(|(found, expected)| place.with(found, expected))
@@ -281,6 +283,19 @@ pub fn to_sidecar(record: &Record) -> String {
         doc["radius_mm"] = toml_edit::value(circle.radius_mm);
         let plane: toml_edit::Array = circle.plane.iter().map(Axis::as_str).collect();
         doc["plane"] = toml_edit::value(plane);
+    }
+    if let Some([a, b]) = record.circle().and_then(|c| c.centre_mm) {
+        doc["centre_mm"] = toml_edit::value(toml_edit::Array::from_iter([a, b]));
+    }
+    match record.turns {
+        None => {}
+        Some(Turns::AtTarget) => doc["turns"] = toml_edit::value("at_target"),
+        Some(Turns::Overtravel(over_mm)) => {
+            doc["turns"] = toml_edit::value("overtravel");
+            if let Some(over_mm) = over_mm {
+                doc["over_mm"] = toml_edit::value(over_mm);
+            }
+        }
     }
     if let Some(date) = &record.date {
         doc["date"] = toml_edit::value(date);
@@ -529,6 +544,7 @@ struct Sidecar {
     count_um: Option<f64>,
     /// The circle of a ballbar run, and where it is stated.
     circle: Option<(Circle, Place)>,
+    turns: Option<Turns>,
     date: Option<String>,
     note: Option<String>,
     zero: Option<String>,
@@ -555,8 +571,21 @@ impl Sidecar {
         let mistaken = |e: InputError| FileKind::RunRecord.finding(path, text, e);
         let doc = Document::parse(path, text).map_err(mistaken)?;
         let root = doc.root();
-        root.only(&["file", "kind", "count_um", "radius_mm", "plane", "date", "note", "zero", "columns"])
-            .map_err(mistaken)?;
+        root.only(&[
+            "file",
+            "kind",
+            "count_um",
+            "radius_mm",
+            "plane",
+            "centre_mm",
+            "turns",
+            "over_mm",
+            "date",
+            "note",
+            "zero",
+            "columns",
+        ])
+        .map_err(mistaken)?;
         let file = root.required("file", "the CSV's name, as file = \"NAME.csv\"")?;
         let kind = root.required("kind", "the kind of run, as kind = \"positioning\"")?;
         let kinds = Kind::ALL.map(|(name, _)| name).join(", ");
@@ -564,6 +593,7 @@ impl Sidecar {
             .ok_or_else(|| kind.error(format!("kind `{}`", kind.text()), format!("one of {kinds}")))?;
         let count_um = root.get("count_um").map(|v| v.positive("µm per count, above zero")).transpose()?;
         let circle = read_circle(&root)?;
+        let turns = read_turns(&root, parsed_kind)?;
         // A date may be TOML's own or a string.
         let day = |v: rtec_files::toml::Entry<'_>| match date::parse(&v.text()) {
             Some(_) => Ok(v.text()),
@@ -596,7 +626,7 @@ impl Sidecar {
         }
         let file_error = Place(file.error("", ""));
         let file = file.str("the CSV's name")?.to_owned();
-        Ok(Self { file, file_error, kind: parsed_kind, count_um, circle, date, note, zero, columns })
+        Ok(Self { file, file_error, kind: parsed_kind, count_um, circle, turns, date, note, zero, columns })
     }
 }
 
@@ -606,7 +636,14 @@ fn read_circle(root: &Table<'_>) -> Result<Option<(Circle, Place)>, InputError> 
     const PLANE: &str =
         "two axes, the angle running from the first towards the second, as plane = [\"x\", \"y\"]";
     let (radius, plane) = match (root.get("radius_mm"), root.get("plane")) {
-        (None, None) => return Ok(None),
+        (None, None) => {
+            return match root.get("centre_mm") {
+                Some(centre) => {
+                    Err(centre.error("`centre_mm` without a circle", "radius_mm and plane beside it"))
+                }
+                None => Ok(None),
+            };
+        }
         (Some(radius), plane) => {
             (radius, plane.ok_or_else(|| radius.error("no `plane` beside `radius_mm`", PLANE))?)
         }
@@ -616,7 +653,40 @@ fn read_circle(root: &Table<'_>) -> Result<Option<(Circle, Place)>, InputError> 
     let names = plane.strings(PLANE)?;
     let axes: Option<Vec<Axis>> = names.iter().map(|n| Axis::new(n)).collect();
     let plane_axes: [Axis; 2] = axes.and_then(|a| a.try_into().ok()).ok_or_else(|| plane.mismatch(PLANE))?;
-    Ok(Some((Circle { radius_mm, plane: plane_axes }, Place(plane.error("", "")))))
+    let centre = "where the circle's centre is on the two axes, mm, as centre_mm = [250.0, 120.0]";
+    let two = |v: rtec_files::toml::Entry<'_>| {
+        let numbers = v.numbers(centre)?;
+        <[f64; 2]>::try_from(numbers).map_err(|_| v.mismatch(centre))
+    };
+    let centre_mm = root.get("centre_mm").map(two).transpose()?;
+    Ok(Some((Circle { radius_mm, plane: plane_axes, centre_mm }, Place(plane.error("", "")))))
+}
+
+/// Where the axis of a positioning run turned back.
+fn read_turns(root: &Table<'_>, kind: Kind) -> Result<Option<Turns>, InputError> {
+    const TURNS: &str =
+        "turns = \"overtravel\" (the axis turned back beyond the end targets) or \"at_target\"";
+    let over = root.get("over_mm");
+    let Some(turns) = root.get("turns") else {
+        return match over {
+            Some(over) => Err(over.error("`over_mm` without `turns`", "turns = \"overtravel\" beside it")),
+            None => Ok(None),
+        };
+    };
+    if kind != Kind::Positioning {
+        return Err(
+            turns.error(format!("`turns` in a run of kind {}", kind.name()), "kind = \"positioning\"")
+        );
+    }
+    let over_mm = over.map(|v| v.positive("how far beyond the end targets, mm, above zero")).transpose()?;
+    match (turns.str(TURNS)?, over_mm) {
+        ("overtravel", over_mm) => Ok(Some(Turns::Overtravel(over_mm))),
+        ("at_target", None) => Ok(Some(Turns::AtTarget)),
+        ("at_target", Some(_)) => {
+            Err(turns.error("`over_mm` beside turns = \"at_target\"", "turns = \"overtravel\""))
+        }
+        (other, _) => Err(turns.error(format!("`{other}`"), TURNS)),
+    }
 }
 
 #[cfg(test)]

@@ -14,6 +14,8 @@ pub struct Circle {
     pub radius_mm: f64,
     /// The two axes: the angle runs from the first towards the second.
     pub plane: [Axis; 2],
+    /// Where its centre is on the machine's axes, mm; `None` where nobody said.
+    pub centre_mm: Option<[f64; 2]>,
 }
 
 /// What follows from the angle, row by row.
@@ -35,6 +37,7 @@ impl Circle {
         let rows: Vec<f64> = (0..angle.len()).map(|row| row as f64).collect();
         let rate = rates(angle, time_s.unwrap_or(&rows));
         let mut columns = Vec::new();
+        let centre_mm = self.centre_mm.unwrap_or_default();
         let has = |role: Role| logged.iter().any(|c| c.role == role);
         for (n, axis) in self.plane.iter().enumerate() {
             let along = |row: usize| [angle[row].cos(), angle[row].sin()][n];
@@ -45,7 +48,7 @@ impl Circle {
                 columns.push(Column::new(&format!("{what}.{axis} by the angle"), of(axis.clone()), data));
             };
             if !has(Role::Position(axis.clone())) {
-                add(Role::Position, "position", &|row| self.radius_mm * along(row));
+                add(Role::Position, "position", &|row| centre_mm[n] + self.radius_mm * along(row));
             }
             let velocity = has(Role::Velocity(axis.clone()));
             if !velocity && time_s.is_some() {

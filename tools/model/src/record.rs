@@ -31,6 +31,8 @@ pub struct Record {
     pub note: Option<String>,
     /// The name of the gauges' zero: records of one name, and those without, share it.
     pub zero: Option<String>,
+    /// Where the axis of a positioning run turned back; `None` where nobody said.
+    pub turns: Option<Turns>,
     /// The listed columns, in the CSV's order.
     pub columns: Vec<Column>,
     time_s: Vec<f64>,
@@ -38,6 +40,15 @@ pub struct Record {
     first_row: usize,
     /// For a circle measured by a bar: which, and what follows from its angle.
     circle: Option<(Circle, Derived)>,
+}
+
+/// Where the axis of a positioning run turned back.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Turns {
+    /// So far beyond the end targets, mm; `None` where nobody said how far.
+    Overtravel(Option<f64>),
+    /// At the end targets themselves.
+    AtTarget,
 }
 
 /// An axis drives a circle where its positions run over more than this share of the radius.
@@ -109,6 +120,7 @@ impl Record {
             date: None,
             note: None,
             zero: None,
+            turns: None,
             time_s: times(&columns),
             first_row: 0,
             columns,
@@ -136,6 +148,14 @@ impl Record {
     #[must_use]
     pub fn circle(&self) -> Option<&Circle> {
         self.circle.as_ref().map(|(circle, _)| circle)
+    }
+
+    /// Whether the record says where on the machine's axes it was measured: all but a circle whose centre is not stated and whose
+    /// positions are not logged.
+    #[must_use]
+    pub fn knows_places(&self) -> bool {
+        let logged = |a: &Axis| self.columns.iter().any(|c| c.role == Role::Position(a.clone()));
+        self.circle().is_none_or(|c| c.centre_mm.is_some() || c.plane.iter().all(logged))
     }
 
     /// States the circle of a ballbar run: positions, directions and (with a time) velocities of its two axes then follow

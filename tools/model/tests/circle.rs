@@ -19,7 +19,7 @@ fn column(name: &str, role: &str, data: Vec<f64>) -> Column {
 }
 
 fn circle(radius_mm: f64) -> Circle {
-    Circle { radius_mm, plane: [Axis::new("x").unwrap(), Axis::new("y").unwrap()] }
+    Circle { radius_mm, plane: [Axis::new("x").unwrap(), Axis::new("y").unwrap()], centre_mm: None }
 }
 
 /// Two turns counter-clockwise, a pause, two turns back; rows fall between the quadrants.
@@ -217,6 +217,8 @@ fn basis_and_slopes_are_those_of_the_sum() {
     let d = Dictionary::default();
     for (name, values) in [
         ("screw_periodic.x", &[10.0, 1.5, 0.4][..]),
+        ("screw_slope.x", &[10.0, 6.0, 0.4]),
+        ("reversal_slope.y", &[9.0]),
         ("reversal_spike.y", &[6.0, 3.0]),
         ("rotation.x.y", &[30.0]),
         ("angular.x.y.x", &[30.0]),
@@ -266,6 +268,7 @@ fn candidates_are_the_axes_effects() {
             "screw_periodic",
             "subdivision",
             "reversal",
+            "reversal_slope",
             "reversal_spike",
             "following_error",
         ] {

@@ -39,6 +39,8 @@ fn evaluating_a_model_allocates_nothing() {
         ("scale.x", &[12.0][..]),
         ("position_map.x", &[0.0, 50.0, 90.0, 1.0, 2.0, -1.0]),
         ("screw_periodic.x", &[5.0, 1.0, 0.3]),
+        ("screw_slope.x", &[5.0, 6.0, 0.3]),
+        ("reversal_slope.x", &[9.0]),
         ("reversal_spike.x", &[3.0, 2.0]),
         ("rotation.x.z", &[20.0]),
         ("thermal_lag.x", &[1.0, 0.1, 300.0]),

@@ -73,7 +73,7 @@ fn made(
         };
         let plane = [axis(&first)?, axis(&second)?];
         record = record
-            .with_circle(Circle { radius_mm, plane })
+            .with_circle(Circle { radius_mm, plane, centre_mm: None })
             .map_err(|(found, expected)| bad(found, expected))?;
     }
     rtec_measure::record::can_be_written(&record)?;

@@ -318,7 +318,7 @@ pub(crate) fn import_record(py: Python<'_>, asked: ImportAsked) -> PyResult<(Rec
             (Some(radius_mm), Some([a, b])) => {
                 let axes = Axis::new(&a).zip(Axis::new(&b));
                 let (a, b) = axes.ok_or_else(|| bad("plane", format!("{a}, {b}"), "two axes, as x and y"))?;
-                Some(Circle { radius_mm, plane: [a, b] })
+                Some(Circle { radius_mm, plane: [a, b], centre_mm: None })
             }
             _ => None,
         };

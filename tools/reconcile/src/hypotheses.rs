@@ -84,6 +84,10 @@ impl Hypotheses {
         for record in stack.records {
             for effect in dictionary.candidates(&[record]) {
                 let effect = effect.in_order();
+                // What stands beside another law is looked for by the estimator alone.
+                if effect.description().searched.beside.is_some() {
+                    continue;
+                }
                 if !candidates.iter().any(|c| c.name() == effect.name() && c.delta == effect.delta) {
                     candidates.push(effect);
                 }

@@ -49,5 +49,5 @@ pub(crate) fn circle(rows: usize, radius_mm: f64, error: impl Fn(f64) -> f64) ->
     ];
     let run = Record::new(Path::new("circle.run.toml"), Kind::Ballbar, columns).expect("a sound record");
     let plane = [axis(), of_axis("y")];
-    run.with_circle(Circle { plane, radius_mm }).expect("a sound circle")
+    run.with_circle(Circle { plane, radius_mm, centre_mm: None }).expect("a sound circle")
 }

@@ -62,6 +62,12 @@ fn odd_ones(mut pairs: Vec<(usize, usize, Vec<String>)>) -> Vec<(usize, Vec<Stri
     found
 }
 
+/// Targets in metres are whole millimetres; those of short strokes in millimetres are not.
+fn is_round_in_metres(c: &Column) -> bool {
+    let round = |p: &&f64| (*p * 1000.0 - (*p * 1000.0).round()).abs() < 0.06;
+    c.data.iter().filter(round).count() * 10 >= c.data.len() * 9
+}
+
 /// Two records of one kind whose positions or errors differ by a thousand.
 fn units(a: &Record, b: &Record, out: &mut Vec<Suspicion>) {
     if a.kind != b.kind {
@@ -72,7 +78,12 @@ fn units(a: &Record, b: &Record, out: &mut Vec<Suspicion>) {
         let (ra, rb) = (middle_range(&ca.data), middle_range(&cb.data));
         let (small, large, r, c, of) = if ra < rb { (ra, rb, a, ca, b) } else { (rb, ra, b, cb, a) };
         let looks = match ca.role {
-            Role::Position(_) => small > 0.0 && small < 3.0 && (500.0..2000.0).contains(&(large / small)),
+            Role::Position(_) => {
+                small > 0.0
+                    && small < 3.0
+                    && (500.0..2000.0).contains(&(large / small))
+                    && is_round_in_metres(c)
+            }
             Role::Error(_) => small > 0.0 && small < 0.5 && (250.0..4000.0).contains(&(large / small)),
             _ => false,
         };

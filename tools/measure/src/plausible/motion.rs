@@ -431,7 +431,8 @@ fn error_unit(record: &Record, e: &Column, out: &mut Vec<Suspicion>) {
     });
     let driven = record.columns.iter().any(|c| matches!(c.role, Role::Velocity(_)));
     // Where what a count is worth is known, less than one is no machine's error either way.
-    let tiny = size < 0.1 && record.count_um.is_none_or(|count| size < count);
+    // A coarse gauge reads the same for most rows: its middle does not vary at all.
+    let tiny = size > 0.0 && size < 0.1 && record.count_um.is_none_or(|count| size < count);
     let text = if tiny || counted {
         format!("varies by {size:.2e} µm, which looks like millimetres")
     } else if size > 3000.0 && !driven {

@@ -1,6 +1,6 @@
 //! Rows that stand twice, and responses far off all others.
 
-use super::stats::{distinct, median, medians_of_others, range, spread, steps};
+use super::stats::{distinct, median, medians_of_others, quantum, range, spread, steps};
 use super::{Suspicion, What};
 use rtec_model::record::{Column, Record, Role};
 use std::collections::HashMap;
@@ -109,10 +109,19 @@ fn rough(v: &[f64]) -> bool {
     turns * 100 > 35 * d.len()
 }
 
+/// Whether the record's other gauges read in whole micrometres or coarser, and this one stands on such a step: less than a step does
+/// not move it.
+fn as_coarse_as_others(record: &Record, c: &Column) -> bool {
+    let moving = record.responses().filter(|o| o.name != c.name && distinct(&o.data) > 1);
+    let steps: Vec<f64> = moving.map(|o| quantum(&o.data)).collect();
+    let on = |q: f64| (c.data[0] / q - (c.data[0] / q).round()).abs() < 1e-6;
+    !steps.is_empty() && steps.iter().all(|q| *q >= 1.0 && on(*q))
+}
+
 /// A response that stands still: a gauge that is not read.
 fn flat(record: &Record, c: &Column, out: &mut Vec<Suspicion>) {
     let n = c.data.len();
-    if n >= FLAT && distinct(&c.data) == 1 {
+    if n >= FLAT && distinct(&c.data) == 1 && !as_coarse_as_others(record, c) {
         let text = format!("reads {} in every row, as no gauge that is read does", c.data[0]);
         out.push(Suspicion::new(record, &c.name, What::Stuck, &[], text));
         return;

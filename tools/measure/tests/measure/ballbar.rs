@@ -243,7 +243,8 @@ fn a_circle_without_its_start_and_stop_is_a_full_one() {
             column("a", "angle", angle),
         ];
         let record = Record::new(Path::new("b.run.toml"), Kind::Ballbar, columns).unwrap();
-        let circle = Circle { radius_mm: 150.0, plane: ["x", "y"].map(|n| Axis::new(n).unwrap()) };
+        let circle =
+            Circle { radius_mm: 150.0, plane: ["x", "y"].map(|n| Axis::new(n).unwrap()), centre_mm: None };
         let found = one(&[record.with_circle(circle).unwrap()]);
         found.warnings.iter().any(|w| w.contains("less than a full circle"))
     };
@@ -424,7 +425,7 @@ fn known(name: &str, circles: &[(f64, f64)], arc: f64, seed: u64) -> Record {
         vec![column("t", "time", of(t)), column("a", "angle", of(a)), column("e", "error.r", of(e))];
     let record = Record::new(Path::new(name), Kind::Ballbar, columns).unwrap();
     let plane = ["x", "y"].map(|n| Axis::new(n).unwrap());
-    record.with_circle(Circle { radius_mm: 150.0, plane }).unwrap()
+    record.with_circle(Circle { radius_mm: 150.0, plane, centre_mm: None }).unwrap()
 }
 
 fn of_role<'r>(record: &'r Record, role: &str) -> &'r [f64] {
@@ -575,7 +576,7 @@ fn rows_where_an_axis_turns_are_no_cause() {
                 roles.into_iter().zip(columns).map(|((name, role), data)| column(name, role, data)).collect();
             let plane = ["x", "y"].map(|a| Axis::new(a).unwrap());
             let record = Record::new(Path::new("p.run.toml"), Kind::Ballbar, columns).unwrap();
-            let record = record.with_circle(Circle { radius_mm, plane }).unwrap();
+            let record = record.with_circle(Circle { radius_mm, plane, centre_mm: None }).unwrap();
             let d = one(&[record]).diagnosis;
             let said = format!("{n} rows from {first}, play {play:?}, at the turn {at_turn}: {d:?}");
             for (axis, play) in ["x", "y"].iter().zip(play) {

@@ -789,7 +789,7 @@ fn a_radius_in_inches_or_off_is_said() {
         let e = angles.iter().map(|a| off_um + 2.0 * (2.0 * a).sin() + (a * 97.0).sin()).collect();
         let columns = vec![column("a", "angle", angles), column("e", "error.r", e)];
         let plane = ["x", "y"].map(|n| rtec_model::record::Axis::new(n).unwrap());
-        let circle = rtec_model::circle::Circle { radius_mm, plane };
+        let circle = rtec_model::circle::Circle { radius_mm, plane, centre_mm: None };
         record("b", Kind::Ballbar, columns).with_circle(circle).unwrap()
     };
     for inches in [100.0, 150.0, 300.0].map(|mm| mm / 25.4) {
@@ -941,7 +941,7 @@ fn inches_on_a_circle_are_said() {
             column("e", "error.r", angles.iter().map(|a| 2.0 * (2.0 * a).sin()).collect()),
         ];
         let plane = ["x", "y"].map(|n| rtec_model::record::Axis::new(n).unwrap());
-        let circle = rtec_model::circle::Circle { radius_mm, plane };
+        let circle = rtec_model::circle::Circle { radius_mm, plane, centre_mm: None };
         record("b", Kind::Ballbar, columns).with_circle(circle).unwrap()
     };
     let said = |r: Record| suspicions(&[r]).into_iter().map(|s| (s.what, s.column)).collect::<Vec<_>>();
@@ -1044,7 +1044,7 @@ fn another_angle_on_a_circle_is_said() {
             columns.push(column("y", "position.y", place(f64::sin)));
         }
         let plane = ["x", "y"].map(|n| rtec_model::record::Axis::new(n).unwrap());
-        let circle = rtec_model::circle::Circle { radius_mm: 150.0, plane };
+        let circle = rtec_model::circle::Circle { radius_mm: 150.0, plane, centre_mm: None };
         record("b", Kind::Ballbar, columns).with_circle(circle).unwrap()
     };
     let said = |r: Record| suspicions(&[r]).into_iter().map(|s| (s.what, s.column)).collect::<Vec<_>>();

@@ -177,6 +177,9 @@ pub struct Parameter {
     pub unit: String,
     /// What a sound machine may show: where a search begins, and a warning outside. In the parameter's own unit.
     pub plausible: [f64; 2],
+    /// How large it usually is where a machine has it, in the parameter's own unit: the scale of the prior of an amplitude. Zero
+    /// where nobody knows: then a part of `plausible` stands for it ([`Parameter::prior_size`]).
+    pub typical: f64,
     /// Physical bounds: outside them a value is an error.
     pub bounds: [f64; 2],
     /// Where the bounds come from; empty where there are none.
@@ -203,6 +206,7 @@ impl Parameter {
             name: name.to_owned(),
             unit: unit.to_owned(),
             plausible,
+            typical: 0.0,
             bounds: [f64::NEG_INFINITY, f64::INFINITY],
             source: String::new(),
             search,
@@ -218,6 +222,22 @@ impl Parameter {
     #[must_use]
     pub fn linear(name: &str, unit: &str, plausible: f64) -> Self {
         Self::new(name, unit, [-plausible, plausible], Search::Linear)
+    }
+
+    /// With the size that machines usually have.
+    #[must_use]
+    pub fn typically(self, size: f64) -> Self {
+        Self { typical: size, ..self }
+    }
+
+    /// The scale of the prior of an amplitude, in the parameter's own unit.
+    #[must_use]
+    pub fn prior_size(&self) -> f64 {
+        if self.typical > 0.0 {
+            self.typical
+        } else {
+            self.plausible[1].abs().max(self.plausible[0].abs()) / 30.0
+        }
     }
 
     /// With physical bounds and the sentence that says where they come from.
@@ -312,12 +332,14 @@ pub struct Searched {
     pub choices: Vec<Choice>,
     /// For a wave: what the search of its period has to know. It has no grid.
     pub wave: Option<Wave>,
+    /// It goes with this law: beside its effect, and where that is a wave with its period.
+    pub beside: Option<&'static str>,
 }
 
 impl Default for Searched {
     fn default() -> Self {
         let all = Choice { coefficients: None, reference: false, price: 0.0 };
-        Self { price: 0.0, repeats: false, choices: vec![all], wave: None }
+        Self { price: 0.0, repeats: false, choices: vec![all], wave: None, beside: None }
     }
 }
 

@@ -77,10 +77,12 @@ fn one_of_each() -> Vec<Effect> {
         effect("friction_coulomb.x", &[20.0], None),
         effect("friction_asymmetric.x", &[17.0], None),
         effect("force_offset.x", &[-3.0], None),
+        effect("reversal_slope.x", &[9.0], None),
+        effect("screw_slope.x", &[5.0, 6.0, 0.7], None),
     ]
 }
 
-const TABLE: [&str; 30] = [
+const TABLE: [&str; 32] = [
     "offset",
     "scale",
     "position_map",
@@ -111,6 +113,8 @@ const TABLE: [&str; 30] = [
     "friction_coulomb",
     "friction_asymmetric",
     "force_offset",
+    "reversal_slope",
+    "screw_slope",
 ];
 
 #[test]
@@ -168,6 +172,8 @@ fn by_hand(name: &str, r: &Record, row: usize) -> f64 {
         "friction_coulomb.x" => 20.0 * sign(v),
         "friction_asymmetric.x" => 17.0 * v.abs() / 1000.0,
         "force_offset.x" => -3.0,
+        "reversal_slope.x" => 9.0 * x / 1000.0 * col("dx") / 2.0,
+        "screw_slope.x" => 6.0 * x / 1000.0 * (2.0 * pi * x / 5.0 + 0.7).sin(),
         _ => f64::NAN,
     }
 }

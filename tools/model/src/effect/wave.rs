@@ -17,11 +17,13 @@ pub(super) struct Sine {
     pub(super) unit_mm: f64,
     /// Largest amplitude in periods, where the amplitude has that to do with the period.
     pub(super) most_periods: Option<f64>,
+    /// The amplitude grows in proportion to the position: it is per metre.
+    pub(super) grows: bool,
 }
 
 /// The amplitude of a periodic law: above zero.
-pub(super) fn amplitude(plausible: f64) -> Parameter {
-    Parameter::new("um", "um", [0.0, plausible], Search::Amplitude)
+pub(super) fn amplitude(plausible: f64, typical: f64) -> Parameter {
+    Parameter::new("um", "um", [0.0, plausible], Search::Amplitude).typically(typical)
 }
 
 /// The phase of a periodic law.
@@ -47,6 +49,10 @@ impl Sine {
         // Whole periods are taken off first: the argument keeps its digits over long travel.
         TAU * (now.p_mm[0] / (effect.scalar(PERIOD) * self.unit_mm)).fract()
     }
+
+    fn factor(&self, now: &Input) -> f64 {
+        if self.grows { now.p_mm[0] / 1000.0 } else { 1.0 }
+    }
 }
 
 impl Law for Sine {
@@ -56,11 +62,13 @@ impl Law for Sine {
 
     fn basis(&self, effect: &Effect, now: &Input, _: usize, _: &mut State, out: Out<'_>) {
         // um·sin(x + φ) = um·cos φ·sin x + um·sin φ·cos x
-        (out[0], out[1]) = self.argument(effect, now).sin_cos();
+        let (sin, cos) = self.argument(effect, now).sin_cos();
+        (out[0], out[1]) = (self.factor(now) * sin, self.factor(now) * cos);
     }
 
     fn slopes(&self, effect: &Effect, now: &Input, _: usize, _: &mut State, out: Out<'_>) {
         let (sin, cos) = (self.argument(effect, now) + effect.scalar(PHASE)).sin_cos();
+        let (sin, cos) = (self.factor(now) * sin, self.factor(now) * cos);
         let (a, period) = (effect.scalar(UM), effect.scalar(PERIOD));
         out[UM] = sin;
         out[PHASE] = a * cos;

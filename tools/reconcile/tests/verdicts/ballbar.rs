@@ -31,7 +31,7 @@ fn circles(seed: u64, error: impl Fn(f64, f64) -> f64) -> Record {
     let columns = names.iter().zip(columns).map(|((n, r), d)| Column::new(n, Role::parse(r).unwrap(), d));
     let plane = [Axis::new("x").unwrap(), Axis::new("y").unwrap()];
     let record = Record::new(Path::new("b.run.toml"), Kind::Ballbar, columns.collect()).unwrap();
-    record.with_circle(Circle { radius_mm: R, plane }).unwrap()
+    record.with_circle(Circle { radius_mm: R, plane, centre_mm: None }).unwrap()
 }
 
 fn reconciled(record: Record, model: &str) -> Reconciliation {

@@ -30,7 +30,7 @@ impl CircleOptions {
         let axes = axes.ok_or_else(|| {
             InputError::whole(Path::new("--plane"), format!("`{plane}`"), "two axes, as --plane x,y")
         })?;
-        Ok(Some(Circle { radius_mm, plane: axes }))
+        Ok(Some(Circle { radius_mm, plane: axes, centre_mm: None }))
     }
 
     /// The record with the circle, where it was given.

@@ -59,7 +59,7 @@ impl Run {
         ];
         let record = Record::new(Path::new(name), Kind::Ballbar, columns).unwrap();
         let plane = self.plane.map(|n| Axis::new(n).unwrap());
-        record.with_circle(Circle { radius_mm: self.radius_mm, plane }).unwrap()
+        record.with_circle(Circle { radius_mm: self.radius_mm, plane, centre_mm: None }).unwrap()
     }
 
     /// As a machine's model has it, with noise of this size and memory.

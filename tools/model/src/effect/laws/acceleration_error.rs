@@ -16,7 +16,7 @@ pub(super) fn law() -> Arc<dyn Law> {
         cause: "drive train and structure bending under their own inertia".into(),
         experiment: "feed sweep with the same path at several accelerations".into(),
         parameters: vec![
-            Parameter::linear("um_per_m_s2", "um/(m/s2)", 100.0)
+            Parameter::linear("um_per_m_s2", "um/(m/s2)", 100.0).typically(3.0)
                 .within([-10_000.0, 10_000.0], "10 µm per mm/s²: a drive train that soft rings at 1.6 Hz"),
         ],
         needs: vec![Need::Acceleration],

@@ -14,7 +14,7 @@ pub(super) fn law() -> Arc<dyn Law> {
         experiment: "the same linear displacement line at two or more offsets of the other axis (ISO 230-1)"
             .into(),
         naming: Naming::Three,
-        parameters: vec![Parameter::linear("urad_per_m", "urad/m", 5000.0).within(
+        parameters: vec![Parameter::linear("urad_per_m", "urad/m", 5000.0).typically(60.0).within(
             [-50_000.0, 50_000.0],
             "50 mrad in a metre: a guideway is scraped, let alone ground, a hundred times better",
         )],

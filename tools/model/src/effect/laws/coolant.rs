@@ -12,7 +12,7 @@ pub(super) fn law() -> Arc<dyn Law> {
         law: "e = um while coolant is on".into(),
         cause: "coolant's pressure and chill on spindle and work".into(),
         experiment: "coolant switched on and off several times in one warm, steady run".into(),
-        parameters: vec![Parameter::linear("um", "um", 200.0).within(
+        parameters: vec![Parameter::linear("um", "um", 200.0).typically(6.0).within(
             [-1000.0, 1000.0],
             "a spindle of steel half a metre long and 100 K colder is 0.6 mm shorter",
         )],

@@ -13,7 +13,7 @@ pub(super) fn law() -> Arc<dyn Law> {
             law: "e = ms·v".into(),
             cause: "lag of the position loop (1/Kv), delay of the reading".into(),
             experiment: "ballbar or straight line at three feeds, both ways".into(),
-            parameters: vec![Parameter::linear("ms", "ms", 200.0).within(
+            parameters: vec![Parameter::linear("ms", "ms", 200.0).typically(0.3).within(
                 [-10_000.0, 10_000.0],
                 "a position loop slower than Kv = 0.1/s does not follow at all",
             )],

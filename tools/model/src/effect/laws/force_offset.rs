@@ -14,7 +14,7 @@ pub(super) fn law() -> Arc<dyn Law> {
             .into(),
         experiment: "slow strokes both ways (dynamics run)".into(),
         quantity: Quantity::Force,
-        parameters: vec![Parameter::linear("N", "N", 10_000.0).within([-1e6, 1e6], "the weight of 100 t")],
+        parameters: vec![Parameter::linear("N", "N", 10_000.0).typically(20.0).within([-1e6, 1e6], "the weight of 100 t")],
         constant: true,
         mechanism: Some(Mechanism::ConstantForce),
         ..Description::default()

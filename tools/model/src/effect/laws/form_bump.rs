@@ -25,7 +25,7 @@ pub(super) fn law() -> Arc<dyn Law> {
         cause: "local form: a hard spot, a chip, a mark of the cutter's entry".into(),
         naming: Naming::Plain,
         parameters: vec![
-            Parameter::linear("um", "um", 500.0)
+            Parameter::linear("um", "um", 500.0).typically(10.0)
                 .within([-10_000.0, 10_000.0], "a bump of 10 mm is another part"),
             Parameter::new("centre_rad", "rad", [-PI, TAU], Search::Smooth)
                 .within([-1e3, 1e3], "whole turns change nothing")

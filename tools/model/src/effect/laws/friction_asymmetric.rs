@@ -14,7 +14,7 @@ pub(super) fn law() -> Arc<dyn Law> {
         experiment: "strokes at several steady speeds, both ways (dynamics run)".into(),
         quantity: Quantity::Force,
         parameters: vec![
-            Parameter::linear("N_s_per_m", "N·s/m", 100_000.0)
+            Parameter::linear("N_s_per_m", "N·s/m", 100_000.0).typically(60.0)
                 .within([-1e6, 1e6], "as viscous friction itself"),
         ],
         needs: vec![Need::Velocity],

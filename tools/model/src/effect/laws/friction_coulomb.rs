@@ -14,7 +14,7 @@ pub(super) fn law() -> Arc<dyn Law> {
         experiment: "slow strokes both ways (dynamics run)".into(),
         quantity: Quantity::Force,
         parameters: vec![
-            Parameter::linear("N", "N", 10_000.0)
+            Parameter::linear("N", "N", 10_000.0).typically(40.0)
                 .within([-1e6, 1e6], "the dry friction of 1000 t on rollers of 0.01"),
         ],
         needs: vec![Need::Velocity],

@@ -20,7 +20,7 @@ pub(super) fn law() -> Arc<dyn Law> {
         law: "e = um from at_s on; whole counts".into(),
         cause: "edges lost or gained by a decoder, a connector, a scale that is dirty".into(),
         parameters: vec![
-            Parameter::linear("um", "um", 10_000.0)
+            Parameter::linear("um", "um", 10_000.0).typically(6.0)
                 .within([-1e6, 1e6], "a metre: a decoder that lost so much has lost the axis"),
             Parameter::new("at_s", "s", [0.0, 1e6], Search::Chosen)
                 .within([-1e12, 1e12], "30 000 years: no clock of a log is that far off")

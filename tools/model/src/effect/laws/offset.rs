@@ -16,7 +16,7 @@ pub(super) fn law() -> Arc<dyn Law> {
                      error"
                 .into(),
         parameters: vec![
-            Parameter::linear("um", "um", 2000.0)
+            Parameter::linear("um", "um", 2000.0).typically(10.0)
                 .within([-10_000.0, 10_000.0], "a gauge reaches 10 mm: farther off is another datum"),
         ],
         heat: Heat::StandsIn,

@@ -13,7 +13,7 @@ pub(super) fn law() -> Arc<dyn Law> {
         cause: "time from the probe's contact to the captured position".into(),
         experiment: "one surface probed at several speeds, both ways".into(),
         parameters: vec![
-            Parameter::linear("us", "us", 20000.0)
+            Parameter::linear("us", "us", 20000.0).typically(300.0)
                 .within([-1e6, 1e6], "a second: no trigger of a probe is that late"),
         ],
         needs: vec![Need::Velocity],

@@ -31,7 +31,7 @@ pub(super) fn law() -> Arc<dyn Law> {
                 .into(),
         naming: Naming::Plain,
         parameters: vec![
-            amplitude(50.0).within([-1000.0, 1000.0], "pre-travel of a millimetre: the stylus is loose"),
+            amplitude(50.0, 2.0).within([-1000.0, 1000.0], "pre-travel of a millimetre: the stylus is loose"),
             lobes,
             phase(),
         ],

@@ -13,7 +13,7 @@ pub(super) fn law() -> Arc<dyn Law> {
         cause: "backlash and elastic wind-up between scale and tool".into(),
         experiment: "bidirectional linear displacement, targets approached from both sides (ISO 230-2)"
             .into(),
-        parameters: vec![Parameter::linear("um", "um", 200.0).within(
+        parameters: vec![Parameter::linear("um", "um", 200.0).typically(4.0).within(
             [-1000.0, 1000.0],
             "lost motion of a millimetre is a loose coupling, and repeats in no way",
         )],

@@ -20,7 +20,7 @@ pub(super) fn law() -> Arc<dyn Law> {
         law: "e = um·dir·exp(−d/length_mm), d = travel since the last reversal".into(),
         cause: "static friction: the axis sticks while the drive winds up".into(),
         parameters: vec![
-            Parameter::linear("um", "um", 100.0)
+            Parameter::linear("um", "um", 100.0).typically(3.0)
                 .within([-1000.0, 1000.0], "a drive that winds up by a millimetre is broken"),
             Parameter::new("length_mm", "mm", [0.01, 50.0], Search::Smooth)
                 .within([1e-9, 1e6], "a positive length")

@@ -15,7 +15,7 @@ pub(super) fn law() -> Arc<dyn Law> {
             "a plate measured in both axes; the same plate turned by a quarter tells it from squareness"
                 .into(),
         naming: Naming::Pair,
-        parameters: vec![Parameter::linear("urad", "urad", 5000.0).within(
+        parameters: vec![Parameter::linear("urad", "urad", 5000.0).typically(30.0).within(
             [-50_000.0, 50_000.0],
             "beyond 50 mrad an error in proportion to the angle is no longer the rotation's to a thousandth",
         )],

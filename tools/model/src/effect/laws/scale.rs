@@ -14,7 +14,7 @@ pub(super) fn law() -> Arc<dyn Law> {
         experiment: "linear displacement over the whole travel (ISO 230-2) at a steady, known temperature"
             .into(),
         parameters: vec![
-            Parameter::linear("ppm", "ppm", 1000.0)
+            Parameter::linear("ppm", "ppm", 1000.0).typically(15.0)
                 .within([-1000.0, 1000.0], "the loosest screw (ISO 3408-3, grade 10) is 700 ppm off"),
         ],
         needs: vec![Need::Position(0)],

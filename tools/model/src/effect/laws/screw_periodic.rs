@@ -23,12 +23,12 @@ pub(super) fn law() -> Arc<dyn Law> {
             .into(),
         parameters: vec![
             period("period_mm", "mm", [0.5, 60.0], bounds),
-            amplitude(100.0).within([-1000.0, 1000.0], wobble),
+            amplitude(100.0, 2.0).within([-1000.0, 1000.0], wobble),
             phase(),
         ],
         needs: vec![Need::Position(0)],
         searched: Searched { repeats: true, wave: Some(wave), ..Searched::default() },
         ..Description::default()
     };
-    Arc::new(Sine { description, unit_mm: 1.0, most_periods: None })
+    Arc::new(Sine { description, unit_mm: 1.0, most_periods: None, grows: false })
 }

@@ -14,9 +14,9 @@ pub(super) fn law() -> Arc<dyn Law> {
         experiment: "short runs at several speeds, up and down, faster than the spindle warms (ISO 230-3)"
             .into(),
         parameters: vec![
-            Parameter::linear("um_per_krpm", "um/krpm", 20.0)
+            Parameter::linear("um_per_krpm", "um/krpm", 20.0).typically(1.0)
                 .within([-500.0, 500.0], "a bearing grows by tens of micrometres at its highest speed"),
-            Parameter::linear("um_per_krpm2", "um/krpm2", 5.0)
+            Parameter::linear("um_per_krpm2", "um/krpm2", 5.0).typically(0.15)
                 .within([-500.0, 500.0], "as the linear term")
                 .or(0.0),
         ],

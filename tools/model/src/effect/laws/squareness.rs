@@ -14,7 +14,7 @@ pub(super) fn law() -> Arc<dyn Law> {
         experiment: "ballbar in the plane of both axes (ISO 230-4), or a square on both".into(),
         naming: Naming::Two,
         parameters: vec![
-            Parameter::linear("urad", "urad", 2000.0)
+            Parameter::linear("urad", "urad", 2000.0).typically(25.0)
                 .within([-5000.0, 5000.0], "5 mrad, a third of a degree, is seen with a workshop square"),
         ],
         needs: vec![Need::Position(1)],

@@ -13,7 +13,7 @@ pub(super) fn law() -> Arc<dyn Law> {
         cause: "compliance between scale and tool or work".into(),
         experiment: "known loads on an axis at rest (ISO 230-1, static compliance)".into(),
         parameters: vec![
-            Parameter::linear("um_per_N", "um/N", 1.0)
+            Parameter::linear("um_per_N", "um/N", 1.0).typically(0.02)
                 .within([-100.0, 100.0], "0.01 N/µm: a spring, no machine"),
         ],
         needs: vec![Need::Load],

@@ -29,12 +29,12 @@ pub(super) fn law() -> Arc<dyn Law> {
         experiment: "slow motion over a few signal periods in steps much finer than one".into(),
         parameters: vec![
             period("period_um", "um", [1.0, 200.0], bounds),
-            amplitude(5.0).within([-50.0, 50.0], "a quarter of the longest period"),
+            amplitude(5.0, 0.3).within([-50.0, 50.0], "a quarter of the longest period"),
             phase(),
         ],
         needs: vec![Need::Position(0)],
         searched: Searched { repeats: true, wave: Some(wave), ..Searched::default() },
         ..Description::default()
     };
-    Arc::new(Sine { description, unit_mm: UNIT_MM, most_periods: Some(MOST_PERIODS) })
+    Arc::new(Sine { description, unit_mm: UNIT_MM, most_periods: Some(MOST_PERIODS), grows: false })
 }

@@ -18,7 +18,7 @@ pub(super) fn law() -> Arc<dyn Law> {
         cause: "scale, screw or work longer than at the reference temperature".into(),
         experiment: "linear displacement over the whole travel, cold and warm (ISO 230-2 and 230-3)".into(),
         parameters: vec![
-            Parameter::linear("ppm_per_K", "ppm/K", 50.0)
+            Parameter::linear("ppm_per_K", "ppm/K", 50.0).typically(10.0)
                 .within([-200.0, 200.0], "plastics grow by 200 ppm/K, metals by 5 to 30"),
         ],
         needs: vec![Need::Delta, Need::Position(0)],

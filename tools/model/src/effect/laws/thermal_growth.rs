@@ -24,8 +24,8 @@ pub(super) const CHOICES: [Choice; 4] = [
 pub(super) fn gains() -> [Parameter; 2] {
     let source = "five metres of steel (12 ppm/K) grow by 60 µm/K, and the point of a machine by less";
     [
-        Parameter::linear("um_per_K", "um/K", 60.0).within([-60.0, 60.0], source),
-        Parameter::linear("um_per_K2", "um/K2", 10.0)
+        Parameter::linear("um_per_K", "um/K", 60.0).typically(2.5).within([-60.0, 60.0], source),
+        Parameter::linear("um_per_K2", "um/K2", 10.0).typically(0.08)
             .within([-60.0, 60.0], "bent so far that one kelvin doubles the largest growth")
             .or(0.0),
     ]

@@ -20,7 +20,7 @@ pub(super) fn law() -> Arc<dyn Law> {
         law: "e = um·(1 − exp(−t/tau_s)), from t = 0".into(),
         cause: "warming that no sensor of the record follows".into(),
         parameters: vec![
-            Parameter::linear("um", "um", 500.0)
+            Parameter::linear("um", "um", 500.0).typically(12.0)
                 .within([-10_000.0, 10_000.0], "ten metres of steel 80 K warmer grow by 10 mm"),
             Parameter::new("tau_s", "s", [30.0, 36_000.0], Search::Smooth)
                 .within([1e-6, 1e9], "a positive time; 30 years to warm up is no change at all")

@@ -1,0 +1,25 @@
+//! `reversal_slope.A`: a reversal that grows along the axis, as a worn screw's does.
+
+use crate::effect::{Description, Law, Linear, Need, Parameter, Searched};
+use std::sync::Arc;
+
+/// First part of the effect's name.
+pub const NAME: &str = "reversal_slope";
+
+pub(super) fn law() -> Arc<dyn Law> {
+    let description = Description {
+        name: NAME.into(),
+        law: "e = um_per_m·p/1000·dir/2".into(),
+        cause: "a screw or rack that is worn more at one end of the travel".into(),
+        experiment: "bidirectional linear displacement over the whole travel (ISO 230-2)".into(),
+        parameters: vec![
+            Parameter::linear("um_per_m", "um/m", 200.0)
+                .typically(8.0)
+                .within([-1000.0, 1000.0], "lost motion that grows by a millimetre in a metre is a broken screw"),
+        ],
+        needs: vec![Need::Direction, Need::Position(0)],
+        searched: Searched { beside: Some(super::reversal::NAME), ..Searched::default() },
+        ..Description::default()
+    };
+    Arc::new(Linear { description, basis: |i, _, out| out[0] = i.p_mm[0] / 1000.0 * i.dir / 2.0 })
+}
