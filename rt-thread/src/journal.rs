@@ -592,7 +592,9 @@ mod tests {
 
     fn set(faults: &[Fault]) -> Faults {
         let mut set = Faults::NONE;
-        faults.iter().for_each(|f| assert!(set.latch(*f)));
+        for fault in faults {
+            assert!(set.latch(*fault));
+        }
         set
     }
 

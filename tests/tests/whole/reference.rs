@@ -252,6 +252,7 @@ fn the_table_of_alarms_is_what_the_code_can_say() {
         "axis {}: total",
         "axis {unknown}: {}",
         "feed hold by {by}",
+        "feed hold by {} stays",
         "since the ",
         "axis {}",
         "no model is loaded: {why}",
@@ -273,6 +274,8 @@ fn the_table_of_alarms_is_what_the_code_can_say() {
 
     said.extend(all(&[
         "tools/control/src/config/latency.rs",
+        "tools/control/src/sources.rs",
+        "tools/rtecd/src/loader.rs",
         "tools/rtecd/src/server.rs",
         "tools/correct/src/corrector.rs",
         "tools/correct/src/part_table.rs",
@@ -281,7 +284,13 @@ fn the_table_of_alarms_is_what_the_code_can_say() {
         "tools/correct/src/total.rs",
         "tools/model/src/machine/check.rs",
     ]));
-    let never: Vec<&String> =
-        rows.iter().filter(|row| !parts(row).all(|p| said.iter().any(|text| text.contains(p)))).collect();
+    // A row may name what stands in a text's gap ("feed hold by user …"): then the text before the gap is in the row.
+    let before_gap = |text: &String| text.split_once('{').map(|(head, _)| head.trim().to_owned());
+    let heads: Vec<String> = said.iter().filter_map(before_gap).filter(|head| head.len() >= 12).collect();
+    let says = |row: &String| {
+        parts(row).all(|p| said.iter().any(|text| text.contains(p)))
+            || heads.iter().any(|head| row.contains(head.as_str()))
+    };
+    let never: Vec<&String> = rows.iter().filter(|row| !says(row)).collect();
     assert!(never.is_empty(), "in the table of alarms, but never said: {never:#?}");
 }

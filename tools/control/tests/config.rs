@@ -449,7 +449,9 @@ fn extreme_numbers_are_refused_or_run() {
         }
         let of = |table: &str| -> String {
             let own = values.iter().filter_map(|(key, value)| Some((key.strip_prefix(table)?, value)));
-            own.map(|(key, value)| format!("{} = {value}\n", key.trim_start_matches('.'))).collect()
+            let lines: Vec<String> =
+                own.map(|(key, value)| format!("{} = {value}\n", key.trim_start_matches('.'))).collect();
+            lines.concat()
         };
         let rest = if values.contains_key("axis.rest_quiet_ms") { "rest_policy = 'insert'\n" } else { "" };
         let text = format!(
@@ -477,18 +479,18 @@ fn runs(config: &Config) {
     let mut card = Strokes::default();
     let machine = MachineConfig { lines: config.lines, may_arm: true };
     let Ok(mut engine) = Engine::new(&mut card, &config.engine_axes(), machine, &[]) else { return };
-    engine.start_homed_at(&mut card, |n| config.axes[n].home_counts, &mut |_| true).unwrap();
-    let law = config.axes.iter().map(|a| a.law()).collect();
+    engine.start_homed_at(&mut card, |n| config.axes[n].home_counts, &mut |_| true).expect("an engine");
+    let law = config.axes.iter().map(rtec_control::config::ConfiguredAxis::law).collect();
     let mut corrector = Corrector::new(law, config.model.ramp_um_s, config.model.lead_ms * 1e-3, 0.0);
     for n in 0..600_u32 {
         if n % 100 == 0 {
             let max = config.axes[0].engine.max_correction_counts;
             for total_counts in [max, -max, 0] {
                 let request = Request::Correct { axis: 0, total_counts, large: true };
-                engine.take(request, &mut card, &mut |_| true).unwrap();
+                engine.take(request, &mut card, &mut |_| true).expect("taken");
             }
         }
-        engine.poll(&mut card, u64::MAX, &mut |_| true).unwrap();
+        engine.poll(&mut card, u64::MAX, &mut |_| true).expect("told");
         corrector.tick(f64::from(n) * 0.01, &engine.status(), &[]);
     }
 }

@@ -502,8 +502,14 @@ mod tests {
     #[test]
     fn answers_are_asked_for_until_they_are_as_many_numbers() {
         let mut lines = "ten\n10.0\n10.0 nan\n 10.000 9.998 \n".as_bytes();
-        assert_eq!(numbers(&mut lines, "two numbers").unwrap(), [10.0, 9.998]);
-        assert_eq!(numbers(&mut "10.0 9.998\n10.0\n".as_bytes(), "one number").unwrap(), [10.0]);
+        assert_eq!(
+            numbers(&mut lines, "two numbers").unwrap().map(f64::to_bits),
+            [10.0_f64, 9.998].map(f64::to_bits)
+        );
+        assert_eq!(
+            numbers(&mut "10.0 9.998\n10.0\n".as_bytes(), "one number").unwrap().map(f64::to_bits),
+            [10.0_f64].map(f64::to_bits)
+        );
         assert!(numbers::<2>(&mut "".as_bytes(), "two numbers").is_err());
     }
 }

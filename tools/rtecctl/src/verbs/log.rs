@@ -31,7 +31,7 @@ pub(crate) struct Args {
     /// that could not be recorded are counted
     #[arg(long, conflicts_with_all = ["since", "axis", "follow"])]
     verify: bool,
-    /// With --verify: that the record ends as the system's journal says ([control] `log_anchor`); FILE is what `journalctl
+    /// With --verify: that the record ends as the system's journal says (`[control] log_anchor`); FILE is what `journalctl
     /// RTEC_EVENT=record_anchor` prints, `-` standard input
     #[arg(long, value_name = "FILE", requires = "verify")]
     anchors: Option<PathBuf>,
