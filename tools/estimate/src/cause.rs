@@ -1,0 +1,234 @@
+//! What a hypothesis puts into the rows: an effect of the dictionary with its non-linear parameters set, or a shape of no name.
+
+use crate::factor::dot;
+use crate::priors::CONTRIBUTION;
+use crate::rows::Rows;
+use crate::setup::first_after_turn;
+use rtec_model::effect::{Against, Effect, Need, STANDARD_DEGC, Search};
+use rtec_model::record::Role;
+use std::sync::Arc;
+
+/// A shape that is in no dictionary.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Shape {
+    /// The response it is seen in.
+    pub response: String,
+    /// What it runs along: roles, as in `where`.
+    pub against: Vec<String>,
+    /// In words: smooth, periodic, differs by direction, …
+    pub manner: String,
+}
+
+impl Shape {
+    /// What an effect looks like that is given no name; none where it acts on nothing that was measured.
+    #[must_use]
+    pub fn like(rows: &Rows<'_>, effect: &Effect, manner: &str) -> Option<Self> {
+        let acts = rows.records.iter().find_map(|r| effect.acts_on(r).into_iter().next())?;
+        let role = |n: &Need| match n {
+            Need::Delta => effect.delta.as_ref().map(|d| format!("temperature.{}", d.sensor)),
+            Need::Channel => effect.channel().map(|c| format!("channel.{c}")),
+            other => Some(other.role(effect.axes()).to_string()),
+        };
+        let mut against: Vec<String> = effect.description().needs.iter().filter_map(role).collect();
+        if against.is_empty() {
+            against.push("time".to_owned());
+        }
+        Some(Self { response: acts.0.to_string(), against, manner: manner.to_owned() })
+    }
+}
+
+/// What a hypothesis puts into the rows.
+#[derive(Debug, Clone)]
+pub enum Cause {
+    /// An effect: its first `free` coefficients, and whether its reference temperature is free too.
+    Effect {
+        /// With its non-linear parameters set.
+        effect: Effect,
+        /// So many coefficients.
+        free: usize,
+        /// One more column: what another reference temperature does.
+        reference: bool,
+    },
+    /// A map: directions over its knots.
+    Map {
+        /// With its knots.
+        effect: Effect,
+        /// Heights of each direction at one standard deviation.
+        directions: Arc<Vec<Vec<f64>>>,
+    },
+    /// No effect of the dictionary: its columns at one standard deviation.
+    Shape(Arc<(Shape, Vec<Vec<f64>>)>),
+}
+
+/// How far a reference temperature may be from 20 °C, K, one standard deviation.
+const REFERENCE_K: f64 = 2.0;
+
+impl Cause {
+    /// The effect, where it is one.
+    #[must_use]
+    pub fn effect(&self) -> Option<&Effect> {
+        match self {
+            Self::Effect { effect, .. } | Self::Map { effect, .. } => Some(effect),
+            Self::Shape(_) => None,
+        }
+    }
+
+    /// The same with another effect.
+    #[must_use]
+    pub fn with_effect(&self, other: Effect) -> Self {
+        match self {
+            Self::Effect { free, reference, .. } => {
+                Self::Effect { effect: other, free: *free, reference: *reference }
+            }
+            same => same.clone(),
+        }
+    }
+
+    /// The columns, each at one standard deviation of its coefficient for a typical size.
+    #[must_use]
+    pub fn columns(&self, rows: &Rows<'_>) -> Vec<Vec<f64>> {
+        match self {
+            Self::Shape(both) => both.1.clone(),
+            Self::Map { effect, directions } => {
+                let raw = rows.basis(effect);
+                let size =
+                    effect.description().parameters.iter().find(|p| p.array && p.search == Search::Linear);
+                let size = size.map_or(CONTRIBUTION, rtec_model::effect::Parameter::prior_size);
+                let of = |d: &Vec<f64>| {
+                    let mut out = vec![0.0; rows.n];
+                    for (height, column) in d.iter().zip(&raw) {
+                        crate::factor::add(&mut out, height * size, column);
+                    }
+                    out
+                };
+                directions.iter().map(of).collect()
+            }
+            Self::Effect { effect, free, reference } => {
+                let mut columns = rows.basis(effect);
+                columns.truncate(*free);
+                if effect.description().after_turn {
+                    without_untold_turns(rows, effect, &mut columns);
+                }
+                for (column, size) in columns.iter_mut().zip(sizes(effect)) {
+                    let size = if size > 0.0 {
+                        size
+                    } else {
+                        let mean = column.iter().sum::<f64>() / column.len().max(1) as f64;
+                        let rms =
+                            (dot(column, column) / column.len().max(1) as f64 - mean * mean).max(0.0).sqrt();
+                        CONTRIBUTION / rms.max(1e-300)
+                    };
+                    for x in column.iter_mut() {
+                        *x *= size;
+                    }
+                }
+                if *reference && let Some(companion) = effect.companion() {
+                    let size = sizes(effect)[0] * REFERENCE_K;
+                    let mut level = rows.basis(&companion).swap_remove(0);
+                    for x in &mut level {
+                        *x *= size;
+                    }
+                    columns.push(level);
+                }
+                columns
+            }
+        }
+    }
+
+    /// The effect that coefficients (in standard deviations of the columns above) stand for; none for a shape.
+    #[must_use]
+    pub fn solved(&self, rows: &Rows<'_>, beta: &[f64]) -> Option<Effect> {
+        match self {
+            Self::Shape(_) => None,
+            Self::Map { effect, directions } => {
+                let size =
+                    effect.description().parameters.iter().find(|p| p.array && p.search == Search::Linear);
+                let size = size.map_or(CONTRIBUTION, rtec_model::effect::Parameter::prior_size);
+                let mut heights = vec![0.0; effect.coefficient_count()];
+                for (b, d) in beta.iter().zip(directions.iter()) {
+                    crate::factor::add(&mut heights, b * size, d);
+                }
+                let mut effect = effect.clone();
+                effect.set_coefficients(&heights);
+                Some(effect)
+            }
+            Self::Effect { effect, free, reference } => {
+                let mut coefficients = vec![0.0; effect.coefficient_count()];
+                for (i, (b, size)) in beta.iter().take(*free).zip(self.coefficient_sizes(rows)).enumerate() {
+                    coefficients[i] = b * size;
+                }
+                let mut effect = effect.clone();
+                if *reference {
+                    let c0 = beta[*free] * sizes(&effect)[0] * REFERENCE_K;
+                    refer(&mut effect, coefficients[0], c0);
+                }
+                effect.set_coefficients(&coefficients);
+                Some(effect)
+            }
+        }
+    }
+
+    /// What one standard deviation of each coefficient of an effect is in its own unit.
+    #[must_use]
+    pub fn coefficient_sizes(&self, rows: &Rows<'_>) -> Vec<f64> {
+        let Some(effect) = self.effect() else { return Vec::new() };
+        let sizes = sizes(effect);
+        if sizes.iter().all(|s| *s > 0.0) {
+            return sizes;
+        }
+        let raw = rows.basis(effect);
+        let of = |(size, column): (f64, &Vec<f64>)| {
+            if size > 0.0 {
+                return size;
+            }
+            let mean = column.iter().sum::<f64>() / column.len().max(1) as f64;
+            let rms = (dot(column, column) / column.len().max(1) as f64 - mean * mean).max(0.0).sqrt();
+            CONTRIBUTION / rms.max(1e-300)
+        };
+        sizes.into_iter().zip(&raw).map(of).collect()
+    }
+}
+
+/// Prior sizes of an effect's coefficients, in their own units; zero where only the data give a scale (a channel).
+#[must_use]
+pub fn sizes(effect: &Effect) -> Vec<f64> {
+    let law = effect.description();
+    let k = effect.coefficient_count();
+    if let Some(i) = law.place(Search::Amplitude) {
+        return vec![law.parameters[i].prior_size(); k];
+    }
+    let of = |p: &rtec_model::effect::Parameter| {
+        let scaleless = p.typical <= 0.0 && p.plausible[1] > 1e9;
+        if scaleless { 0.0 } else { p.prior_size() }
+    };
+    let linear = law.parameters.iter().filter(|p| p.search == Search::Linear);
+    linear.flat_map(|p| vec![of(p); if p.array { effect.width() } else { 1 }]).take(k).collect()
+}
+
+/// A spike says nothing of the first reading behind a turn that nobody described.
+fn without_untold_turns(rows: &Rows<'_>, effect: &Effect, columns: &mut [Vec<f64>]) {
+    let Some(axis) = effect.axes().first() else { return };
+    for s in &rows.segments {
+        let record = rows.record(s);
+        let Some(direction) = record.data(&Role::Direction(axis.clone())) else { continue };
+        if record.turns.is_some() {
+            continue;
+        }
+        for i in first_after_turn(record, direction) {
+            for c in columns.iter_mut() {
+                c[s.rows.start + i] = 0.0;
+            }
+        }
+    }
+}
+
+/// Turns a constant beside a law of ΔT into a reference temperature: c₁x + c₀ = c₁(x − d).
+fn refer(effect: &mut Effect, c1: f64, c0: f64) {
+    let d = -c0 / c1;
+    if d.is_finite()
+        && d.abs() < 10.0
+        && let Some(delta) = &mut effect.delta
+    {
+        delta.against = Against::Reference(STANDARD_DEGC + d);
+    }
+}

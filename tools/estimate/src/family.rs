@@ -1,0 +1,445 @@
+//! What may be missing: every effect of the dictionary that the rows could show, and the shapes without a name; each a family of
+//! hypotheses over its non-linear parameters.
+
+use crate::bank::Bank;
+use crate::cause::{Cause, Shape, sizes};
+use crate::priors::{
+    IMPLAUSIBLE, JUMP_PROBABILITY, JUMP_UM, KNOTS, LENGTHS, NAMED_SHARE, PAIR_SHARE, PRICE, REPLACED_SHARE,
+};
+use crate::rows::{Rows, is_placed};
+use crate::setup;
+use crate::shapes::shapes;
+use crate::smooth::{Kernel, directions, knots, shares};
+use crate::wave::Along;
+use rtec_model::effect::{
+    Dictionary, Difference, Effect, Heat, Need, Point, Quantity, Refine, Search as How,
+};
+use rtec_model::record::Role;
+use std::sync::Arc;
+
+/// One name, or one shape.
+#[derive(Debug)]
+pub struct Family {
+    /// What it is about: an effect without its sensor and values, or none for a shape.
+    pub effect: Option<Effect>,
+    /// A known effect of the model that was replaced: its place in the model.
+    pub replaces: Option<usize>,
+    /// The shape, where it is one.
+    pub shape: Option<Shape>,
+    /// It is an instrument's, and never reported as missing.
+    pub set_up: bool,
+    /// Log prior of the name.
+    pub prior: f64,
+    /// Where it is looked for.
+    pub scan: Scan,
+}
+
+/// Where a family is looked for.
+#[derive(Debug)]
+pub enum Scan {
+    /// A group of columns for each point of a grid, with its log weight.
+    Grid(Vec<(usize, f64, Cause)>),
+    /// Temperatures: for each time constant a group with a column for each sensor, alone or against another.
+    Sensors {
+        /// The sensors' names.
+        sensors: Vec<String>,
+        /// Group, log weight of the time constant, effect.
+        points: Vec<(usize, f64, Effect)>,
+    },
+    /// A wave beside others, with their periods: law of the others, and the periods that the model has.
+    Beside {
+        /// The law.
+        law: &'static str,
+        /// Periods of the model's own.
+        known: Vec<f64>,
+    },
+    /// A wave of any period.
+    Wave {
+        /// Along what.
+        along: Along,
+        /// Unit of the period in that of the variable.
+        unit: f64,
+        /// The variable at every row.
+        places: Vec<f64>,
+    },
+}
+
+impl Family {
+    /// Whether it is an effect of the dictionary.
+    #[must_use]
+    pub fn is_named(&self) -> bool {
+        self.effect.is_some()
+    }
+
+    /// Name of the effect, or what the shape runs along.
+    #[must_use]
+    pub fn label(&self) -> String {
+        match (&self.effect, &self.shape) {
+            (Some(e), _) => e.name(),
+            (None, Some(s)) => format!("unnamed {} {}", s.against.join(" "), s.manner),
+            (None, None) => String::new(),
+        }
+    }
+
+    /// Whether several of it may act at once.
+    #[must_use]
+    pub fn repeats(&self) -> bool {
+        self.effect.as_ref().is_some_and(|e| e.description().searched.repeats || e.delta.is_some())
+            || matches!(self.scan, Scan::Sensors { .. })
+    }
+}
+
+/// All families, and the columns of those with a fixed place.
+#[derive(Debug)]
+pub struct Families {
+    /// The families.
+    pub list: Vec<Family>,
+    /// Their columns.
+    pub bank: Bank,
+}
+
+impl Families {
+    /// What these rows could show beside a model.
+    #[must_use]
+    pub fn new(rows: &Rows<'_>, dictionary: &Dictionary, model: &[Effect]) -> Self {
+        let mut all = Self { list: Vec::new(), bank: Bank::new(rows.n) };
+        let mut candidates: Vec<Effect> = Vec::new();
+        for record in rows.records {
+            for effect in dictionary.candidates(&[record]) {
+                let effect = effect.in_order();
+                if !candidates.iter().any(|c| c.name() == effect.name() && c.delta == effect.delta) {
+                    candidates.push(effect);
+                }
+            }
+        }
+        let mut names: Vec<String> = Vec::new();
+        for effect in &candidates {
+            let name = effect.name();
+            if !names.contains(&name) {
+                names.push(name.clone());
+                let own: Vec<&Effect> = candidates.iter().filter(|c| c.name() == name).collect();
+                all.effect(rows, &own, model);
+            }
+        }
+        for (place, effect) in model.iter().enumerate() {
+            all.replaced(rows, place, effect);
+        }
+        let named = all.list.len();
+        for (shape, columns) in shapes(rows) {
+            let cause = Cause::Shape(Arc::new((shape.clone(), columns.clone())));
+            let group = all.bank.push(columns);
+            let scan = Scan::Grid(vec![(group, 0.0, cause)]);
+            all.list.push(Family {
+                effect: None,
+                replaces: None,
+                shape: Some(shape),
+                set_up: false,
+                prior: 0.0,
+                scan,
+            });
+        }
+        all.time_waves(rows);
+        let shapes = all.list.len() - named;
+        for (i, f) in all.list.iter_mut().enumerate() {
+            let (share, of) = if i < named { (NAMED_SHARE, named) } else { (1.0 - NAMED_SHARE, shapes) };
+            f.prior += share.ln() - (of as f64).ln() - PRICE;
+        }
+        for t in setup::jumps(rows) {
+            let segment = rows.segments.iter().find(|s| t.column[s.rows.end - 1] != 0.0);
+            let response = segment.map_or(String::new(), |s| rows.responses[s.response].to_string());
+            let shape =
+                Shape { response, against: vec!["time".to_owned()], manner: "a jump at a pause".to_owned() };
+            let columns = vec![t.column.iter().map(|x| x * JUMP_UM).collect::<Vec<f64>>()];
+            let cause = Cause::Shape(Arc::new((shape.clone(), columns.clone())));
+            let scan = Scan::Grid(vec![(all.bank.push(columns), 0.0, cause)]);
+            let prior = JUMP_PROBABILITY.ln();
+            all.list.push(Family {
+                effect: None,
+                replaces: None,
+                shape: Some(shape),
+                set_up: true,
+                prior,
+                scan,
+            });
+        }
+        all
+    }
+
+    fn push(&mut self, effect: &Effect, scan: Scan) {
+        let mut effect = effect.clone();
+        effect.delta = None;
+        let prior = -effect.description().searched.price;
+        self.list.push(Family {
+            effect: Some(effect),
+            replaces: None,
+            shape: None,
+            set_up: false,
+            prior,
+            scan,
+        });
+    }
+
+    /// A known effect of the model that is no longer what it was.
+    fn replaced(&mut self, rows: &Rows<'_>, place: usize, effect: &Effect) {
+        let size = effect.coefficients();
+        let raw = rows.basis(effect);
+        let typical = sizes(effect);
+        if size.len() > 4 {
+            return;
+        }
+        let mut columns = Vec::new();
+        for ((c, column), typical) in size.iter().zip(&raw).zip(typical) {
+            let by = REPLACED_SHARE * c.abs().max(typical);
+            columns.push(column.iter().map(|x| by * x).collect::<Vec<f64>>());
+        }
+        if columns.iter().all(|c| c.iter().all(|x| *x == 0.0)) {
+            return;
+        }
+        let free = columns.len();
+        let group = self.bank.push(columns);
+        let cause = Cause::Effect { effect: effect.clone(), free, reference: false };
+        let prior = crate::priors::KNOWN_REPLACED.ln() + PRICE;
+        self.list.push(Family {
+            effect: Some(effect.clone()),
+            replaces: Some(place),
+            shape: None,
+            set_up: false,
+            prior,
+            scan: Scan::Grid(vec![(group, 0.0, cause)]),
+        });
+    }
+
+    #[allow(clippy::too_many_lines)] // one arm for each way in which a law is looked for
+    fn effect(&mut self, rows: &Rows<'_>, own: &[&Effect], model: &[Effect]) {
+        let effect = own[0];
+        let law = effect.description();
+        if law.constant && law.quantity == Quantity::Error {
+            // Every gauge has a zero of its own: no constant is the machine's.
+            return;
+        }
+        let known = |e: &Effect| {
+            model.iter().any(|m| {
+                m.name() == e.name()
+                    && m.delta.as_ref().map(|d| &d.sensor) == e.delta.as_ref().map(|d| &d.sensor)
+            })
+        };
+        let reads = |n: Need| law.needs.contains(&n);
+        if let Some(beside) = law.searched.beside.filter(|_| law.place(How::Amplitude).is_some()) {
+            let same = |m: &&Effect| m.description().name == beside && m.axes() == effect.axes();
+            let known = model.iter().filter(same).map(|m| m.scalar(0)).collect();
+            self.push(effect, Scan::Beside { law: beside, known });
+            return;
+        }
+        if let Some(facts) = law.searched.wave {
+            let axis = effect.axes()[0].clone();
+            let constant = dictionary_constant(&axis.to_string());
+            let Some(constant) = constant else { return };
+            let share = rows.basis(&constant).swap_remove(0);
+            let mut places = vec![0.0; rows.n];
+            let mut along = Vec::new();
+            for s in &rows.segments {
+                let record = rows.record(s);
+                let Some(p) =
+                    record.data(&Role::Position(axis.clone())).filter(|_| is_placed(record, effect))
+                else {
+                    continue;
+                };
+                for (i, p) in p.iter().enumerate() {
+                    let row = s.rows.start + i;
+                    places[row] = *p;
+                    if share[row] != 0.0 {
+                        along.push((row, *p, share[row]));
+                    }
+                }
+            }
+            let [lo, hi] = law.parameters[0].bounds;
+            let mut range = [1.0 / (hi * facts.unit_mm), 1.0 / (lo * facts.unit_mm)];
+            if let (Some(steps), Some(step)) = (facts.steps, step_of(&along)) {
+                range[1] = range[1].min(1.0 / (steps * step));
+            }
+            if let Some(along) = Along::new(along, range) {
+                self.push(effect, Scan::Wave { along, unit: facts.unit_mm, places });
+            }
+            return;
+        }
+        if reads(Need::Delta) && matches!(law.heat, Heat::Growth | Heat::Expansion) {
+            let mut sensors: Vec<String> = Vec::new();
+            for d in own.iter().filter_map(|e| e.delta.as_ref()) {
+                for s in d.sensors().map(str::to_owned) {
+                    if !sensors.contains(&s) {
+                        sensors.push(s);
+                    }
+                }
+            }
+            let mut points = Vec::new();
+            let grid = effect.grid(rows);
+            let even = -(grid.len() as f64).ln();
+            for Point { effect, .. } in grid {
+                let weight = even + implausible(&effect);
+                let mut columns = Vec::new();
+                for s in &sensors {
+                    let mut e = effect.clone();
+                    e.delta = Some(Difference::single(s));
+                    let mut c = rows.basis(&e).swap_remove(0);
+                    let size = sizes(&e)[0];
+                    for x in &mut c {
+                        *x *= size;
+                    }
+                    columns.push(c);
+                }
+                if columns.iter().all(|c| c.iter().all(|x| *x == 0.0)) {
+                    continue;
+                }
+                let group = self.bank.push(columns);
+                points.push((group, weight, effect));
+            }
+            if !points.is_empty() {
+                self.push(effect, Scan::Sensors { sensors, points });
+            }
+            return;
+        }
+        let mut grid = Vec::new();
+        for effect in own
+            .iter()
+            .filter(|e| !known(e) || e.description().searched.repeats || !e.constraints().is_empty())
+        {
+            if !effect.constraints().is_empty() {
+                grid.extend(maps(rows, effect));
+                continue;
+            }
+            let points = effect.grid(rows);
+            let weight = -(own.len() as f64).ln();
+            for Point { effect, price } in points {
+                let free = effect.coefficient_count();
+                let weight = weight + implausible(&effect);
+                grid.push((weight - price, Cause::Effect { effect, free, reference: false }));
+            }
+        }
+        let mut points = Vec::new();
+        for (weight, cause) in grid {
+            let columns = cause.columns(rows);
+            if columns.iter().any(|c| c.iter().any(|x| *x != 0.0)) {
+                points.push((self.bank.push(columns), weight, cause));
+            }
+        }
+        if !points.is_empty() {
+            self.push(effect, Scan::Grid(points));
+        }
+    }
+
+    /// What repeats in time has no name.
+    fn time_waves(&mut self, rows: &Rows<'_>) {
+        for j in 0..rows.responses.len() {
+            let mut along = Vec::new();
+            let mut places = vec![0.0; rows.n];
+            let mut fastest = 0.0_f64;
+            for s in rows.segments.iter().filter(|s| s.response == j) {
+                let t = rows.record(s).time_s();
+                let span = t[t.len() - 1] - t[0];
+                if span > 0.0 {
+                    fastest = fastest.max(0.25 * t.len() as f64 / span);
+                }
+                for (i, t) in t.iter().enumerate() {
+                    places[s.rows.start + i] = *t;
+                    along.push((s.rows.start + i, *t, 1.0));
+                }
+            }
+            let Some(along) = Along::new(along, [0.0, fastest]) else { continue };
+            let shape = Shape {
+                response: rows.responses[j].to_string(),
+                against: vec!["time".to_owned()],
+                manner: "periodic".to_owned(),
+            };
+            let scan = Scan::Wave { along, unit: 1.0, places };
+            self.list.push(Family {
+                effect: None,
+                replaces: None,
+                shape: Some(shape),
+                set_up: false,
+                prior: 0.0,
+                scan,
+            });
+        }
+    }
+
+    /// Log share of each of so many sensors alone, and of each pair.
+    #[must_use]
+    pub fn sensor_weights(sensors: usize) -> [f64; 2] {
+        let n = sensors as f64;
+        if sensors < 2 {
+            return [0.0, f64::NEG_INFINITY];
+        }
+        [((1.0 - PAIR_SHARE) / n).ln(), (PAIR_SHARE / (0.5 * n * (n - 1.0))).ln()]
+    }
+}
+
+/// Log prior of a time constant that no sound machine has.
+fn implausible(effect: &Effect) -> f64 {
+    let of = |(i, p): (usize, &rtec_model::effect::Parameter)| {
+        let outside = !p.array && !(p.plausible[0]..=p.plausible[1]).contains(&effect.scalar(i));
+        outside && matches!(p.refine, Refine::TimeConstant(_))
+    };
+    if effect.description().parameters.iter().enumerate().any(of) { -IMPLAUSIBLE } else { 0.0 }
+}
+
+/// The constant of an axis: its share in every response.
+fn dictionary_constant(axis: &str) -> Option<Effect> {
+    let dictionary = Dictionary::default();
+    let law = dictionary
+        .laws()
+        .map(rtec_model::effect::Law::describe)
+        .find(|l| l.constant && l.quantity == Quantity::Error)?;
+    dictionary.effect(&format!("{}.{axis}", law.name)).ok()
+}
+
+/// The step in which places are written, where they have one.
+fn step_of(along: &[(usize, f64, f64)]) -> Option<f64> {
+    let mut all: Vec<f64> = along.iter().map(|r| r.1).collect();
+    all.sort_by(f64::total_cmp);
+    let least = all.windows(2).map(|w| w[1] - w[0]).filter(|d| *d > 1e-7).fold(f64::MAX, f64::min);
+    let first = *all.first()?;
+    let on = |x: &f64| ((x - first) / least - ((x - first) / least).round()).abs() < 0.02;
+    (least < f64::MAX && all.iter().all(on)).then_some(least)
+}
+
+/// A map on the places that were measured at, long and short waves of it.
+fn maps(rows: &Rows<'_>, effect: &Effect) -> Vec<(f64, Cause)> {
+    use rtec_model::effect::Extent as _;
+    // The axis that its knots lie on: the last of its name.
+    let Some(axis) = effect.axes().last() else { return Vec::new() };
+    let places = rows.places_mm(axis);
+    let knots = knots(&places, KNOTS);
+    let k = knots.len();
+    if k < 4 {
+        return Vec::new();
+    }
+    let range = knots[k - 1] - knots[0];
+    // Constant and straight line over the rows are other effects'.
+    let mut without = vec![vec![0.0; k]; 2];
+    for s in &rows.segments {
+        let record = rows.record(s);
+        let acts = effect.acts_on(record).iter().any(|(r, _)| *r == rows.responses[s.response]);
+        let Some(p) =
+            record.data(&Role::Position(axis.clone())).filter(|_| acts && is_placed(record, effect))
+        else {
+            continue;
+        };
+        for p in p {
+            for (i, w) in shares(&knots, *p) {
+                without[0][i] += w;
+                without[1][i] += w * (p - knots[0]) / range;
+            }
+        }
+    }
+    let heights = vec![0.0; k];
+    let Some(effect) = effect.with_values(&[knots.clone(), heights].concat()) else { return Vec::new() };
+    let kernels =
+        [Kernel::Smooth(LENGTHS[0] * range), Kernel::Smooth(LENGTHS[1] * range), Kernel::Rough(range)];
+    kernels
+        .iter()
+        .map(|kernel| {
+            let found = directions(&knots, *kernel, &without, KNOTS);
+            (-(kernels.len() as f64).ln(), Cause::Map { effect: effect.clone(), directions: Arc::new(found) })
+        })
+        .collect()
+}

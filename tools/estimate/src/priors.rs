@@ -1,0 +1,100 @@
+//! Every number that an answer depends on. The typical size of each effect is in the dictionary, with the effect.
+//!
+//! Sources: *contract* (formats.md), *physics* (the sentence beside it), *calibration* (`rtec-blind --class null --count 1000`:
+//! the largest value at which at most one clean case in a hundred is given a name).
+
+/// Amplitudes of the model are this share off, one standard deviation (contract).
+pub const KNOWN_SHARE: f64 = 0.1;
+/// Probability that a known amplitude is off by any share at all: another machine's file, a part that was changed (calibration).
+pub const KNOWN_REPLACED: f64 = 0.01;
+/// A known amplitude that was replaced is off by this share of itself or of its typical size, at the middle level of a prior (physics: a
+/// new part is as good as the old one).
+pub const REPLACED_SHARE: f64 = 0.3;
+
+/// A gauge's zero, µm, one standard deviation (physics: a dial's travel is 1 mm).
+pub const ZERO_UM: f64 = 300.0;
+/// Centre of a ballbar's or a ring's circle, µm (physics: set by hand on a magnetic cup).
+pub const CENTRE_UM: f64 = 50.0;
+/// Straight line in time of a laser's or gauge's reading, µm/h (physics: 1 K of air is 1 µm/m).
+pub const LINE_UM_PER_H: f64 = 1.0;
+/// A jump at a pause, µm, and its probability (physics: somebody touched the stand).
+pub const JUMP_UM: f64 = 3.0;
+/// See [`JUMP_UM`].
+pub const JUMP_PROBABILITY: f64 = 0.02;
+/// A gap in time of so many usual steps is a pause.
+pub const PAUSE_STEPS: f64 = 8.0;
+
+/// Levels of an amplitude, in typical sizes, and their prior weights: a heavy tail in four steps (calibration).
+pub const LEVELS: [(f64, f64); 4] = [(1.0 / 3.0, 0.25), (1.0, 0.4), (3.0, 0.25), (10.0, 0.1)];
+/// Price of one more effect, nats, beside the choice of its name (calibration).
+pub const PRICE: f64 = 3.0;
+/// Prior share of effects with a name; shapes without one have the rest (calibration).
+pub const NAMED_SHARE: f64 = 0.75;
+/// Prior share of pairs among temperature differences (physics: growth follows one source, or a source against its surroundings).
+pub const PAIR_SHARE: f64 = 0.5;
+/// Price of the same law again on the same axis, nats (calibration).
+pub const AGAIN: f64 = 2.0;
+/// Prior share of usual periods (leads, gratings) among all periods (physics: catalogues).
+pub const USUAL_SHARE: f64 = 0.5;
+/// Prior probability that growth is bent, that is, has a square of ΔT (physics: spindles bend by some per cent).
+pub const BENT_SHARE: f64 = 0.25;
+/// Price of a time constant outside the dictionary's plausible range, nats (physics: parts of a machine take minutes to hours).
+pub const IMPLAUSIBLE: f64 = 3.0;
+/// Size of a channel's or a shape's contribution, µm or N (physics: what a machine leaves is some µm).
+pub const CONTRIBUTION: f64 = 3.0;
+
+/// Correlation lengths of maps and smooth shapes, in shares of the range (physics: guideways bend over their length, screws and
+/// scales over a tenth of it).
+pub const LENGTHS: [f64; 2] = [0.3, 0.1];
+/// Directions of a smooth function with less than this share of the largest variance are left out.
+pub const SMOOTH_RANK: f64 = 1e-3;
+/// Most knots of a smooth function.
+pub const KNOTS: usize = 40;
+
+/// Largest autocorrelation from row to row that is noise (contract).
+pub const MOST_PHI: f64 = 0.7;
+/// Degrees of freedom of the noise's tails (physics: a gauge's rare knocks).
+pub const TAIL_FREEDOM: f64 = 5.0;
+
+/// Families that are tried exactly at each step of the search, and sets that are kept.
+pub const TRIED: usize = 30;
+/// See [`TRIED`].
+pub const KEPT: usize = 3;
+/// A family so much below the best is not refined, nats.
+pub const HOPELESS: f64 = 8.0;
+/// A family of such odds is not looked at exactly, nats.
+pub const WORTHLESS: f64 = -5.0;
+/// A member without which the rows are so much less likely is not exchanged together with another, nats.
+pub const STRONG: f64 = 40.0;
+/// Most shapes of one response: what takes more is not understood, and more of them say no more.
+pub const MOST_SHAPES: usize = 2;
+/// Most members of a set.
+pub const MOST_MEMBERS: usize = 14;
+
+/// A name or a mode must hold so much of its place.
+pub const HELD: f64 = 0.95;
+/// Something is missing where it holds more than this.
+pub const THERE: f64 = 0.5;
+/// A rival within these odds is listed, nats (1 to 20).
+pub const LISTED: f64 = 3.0;
+/// A known parameter is corrected that moved so many standard errors (one in ten thousand by chance).
+pub const MOVED: f64 = 3.9;
+/// Half width of a 95 % interval in standard errors.
+pub const HALF_WIDTH: f64 = 1.96;
+
+#[cfg(test)]
+mod tests {
+    /// Numbers that decide stand here, and they stay few.
+    #[test]
+    fn constants_are_few_and_each_says_what_it_is() {
+        let text = include_str!("priors.rs");
+        let lines: Vec<&str> = text.lines().collect();
+        let constants = lines.iter().enumerate().filter(|(_, l)| l.starts_with("pub const"));
+        let mut n = 0;
+        for (i, line) in constants {
+            n += 1;
+            assert!(lines[i - 1].starts_with("///"), "{line} says nothing");
+        }
+        assert!((20..=44).contains(&n), "{n} constants");
+    }
+}

@@ -1,0 +1,273 @@
+//! The measurement model y = M(θ) + Z(η) + H(β, ψ) + e, linear in all but ψ: what is beside every hypothesis.
+
+use crate::factor::{Factor, add, dot};
+use crate::priors::{KNOWN_SHARE, MOST_PHI, MOVED, TAIL_FREEDOM};
+use crate::rows::{Noise, Rows};
+use crate::setup::{self, Term};
+use rtec_model::effect::{Effect, Refine, Search};
+
+/// A way in which a known effect may be a little off.
+#[derive(Debug, Clone)]
+pub struct Known {
+    /// Its place in the model.
+    pub effect: usize,
+    /// Which of its values move, and by how much for one standard deviation.
+    pub along: Vec<(usize, f64)>,
+    /// What one standard deviation does.
+    pub column: Vec<f64>,
+}
+
+/// Amplitudes, phases and time constants of the model are known to some per cent, periods as given.
+#[must_use]
+pub fn known(rows: &Rows<'_>, model: &[Effect], intervals: &[Vec<Option<f64>>]) -> Vec<Known> {
+    let mut out = Vec::new();
+    for (e, effect) in model.iter().enumerate() {
+        let law = effect.description();
+        let width = effect.width();
+        if !effect.constraints().is_empty() {
+            let Some(p) = law.place(Search::Linear) else { continue };
+            let along = (0..width).map(|i| (p * width + i, KNOWN_SHARE * effect.get(p)[i])).collect();
+            let mut column = rows.predict(effect);
+            for x in &mut column {
+                *x *= KNOWN_SHARE;
+            }
+            out.push(Known { effect: e, along, column });
+            continue;
+        }
+        let slopes = rows.slopes(effect);
+        for (i, p) in law.parameters.iter().enumerate() {
+            for (v, slope) in slopes.iter().enumerate().take((i + 1) * width).skip(i * width) {
+                let value = effect.values()[v];
+                let stated = intervals.get(e).and_then(|i| i.get(v).copied().flatten());
+                let share = match (p.search, p.refine) {
+                    (Search::Chosen, _) | (Search::Smooth, Refine::Stays) => 0.0,
+                    (Search::Phase, _) | (_, Refine::Step(_)) => KNOWN_SHARE,
+                    _ => KNOWN_SHARE * value.abs(),
+                };
+                let sd = stated.map_or(share, |half| half / crate::priors::HALF_WIDTH);
+                if sd > 0.0 {
+                    let column = slope.iter().map(|x| x * sd).collect();
+                    out.push(Known { effect: e, along: vec![(v, sd)], column });
+                }
+            }
+        }
+    }
+    out.retain(|k| k.column.iter().any(|x| *x != 0.0));
+    out
+}
+
+/// Waves of the model with their period where the rows have it: over many turns a period of four digits is out of step.
+#[must_use]
+pub fn in_step(rows: &Rows<'_>, model: &[Effect]) -> Vec<Effect> {
+    let mut model = model.to_vec();
+    for e in 0..model.len() {
+        let effect = &model[e];
+        let (Some(facts), Some(axis)) = (effect.description().searched.wave, effect.axes().first()) else {
+            continue;
+        };
+        let places = rtec_model::effect::Extent::places_mm(rows, axis);
+        let (Some(lo), Some(hi)) = (places.first(), places.last()) else { continue };
+        let period = effect.scalar(0);
+        let turns = (hi - lo) / (period * facts.unit_mm);
+        let off = turns * PERIOD_SHARE;
+        if off < OUT_OF_STEP {
+            continue;
+        }
+        let others: Vec<Effect> =
+            model.iter().enumerate().filter(|(i, _)| *i != e).map(|(_, m)| m.clone()).collect();
+        let problem = Problem::new(rows, &others, &[]);
+        let base = problem.base(problem.first_noise());
+        let steps = (3.0 * off / (0.5 * OUT_OF_STEP)).ceil().min(300.0) as i32;
+        let mut best: Option<(f64, Effect)> = None;
+        let mut as_given = 0.0;
+        for k in -steps..=steps {
+            let sds = 3.0 * f64::from(k) / f64::from(steps);
+            let Some(tried) = effect.with(&[(0, period * (1.0 + sds * PERIOD_SHARE))]) else { continue };
+            let mut columns = rows.basis(&tried);
+            for c in &mut columns {
+                base.noise.whiten(rows, c);
+            }
+            let gain = columns_gain(&base.factor, &columns, base.freedom) - 0.5 * sds * sds;
+            if k == 0 {
+                as_given = gain;
+            }
+            if best.as_ref().is_none_or(|b| gain > b.0) {
+                best = Some((gain, tried));
+            }
+        }
+        if let Some((_, tried)) = best.filter(|b| b.0 > as_given + 0.5 * MOVED * MOVED) {
+            // Phase and period go together: the phase is that of the rows.
+            let mut factor = base.factor.clone();
+            for c in rows.basis(&tried) {
+                let mut c: Vec<f64> = c.iter().map(|x| x * 100.0).collect();
+                base.noise.whiten(rows, &mut c);
+                factor.push(&c);
+            }
+            let beta = factor.solve();
+            let own: Vec<f64> = beta[base.factor.len()..].iter().map(|b| b * 100.0).collect();
+            let mut fitted = tried.clone();
+            fitted.set_coefficients(&own);
+            if let Some(p) = effect.description().place(Search::Phase) {
+                let um = effect.description().place(Search::Amplitude).map_or(0.0, |a| effect.scalar(a));
+                let turn = if um < 0.0 { std::f64::consts::PI } else { 0.0 };
+                model[e] = tried.with(&[(p, fitted.scalar(p) + turn)]).unwrap_or_else(|| effect.clone());
+            }
+        }
+    }
+    model
+}
+
+/// Log likelihood gained by columns of any size.
+fn columns_gain(factor: &Factor, columns: &[Vec<f64>], freedom: f64) -> f64 {
+    let mut with = factor.clone();
+    for c in columns {
+        with.push(&c.iter().map(|x| x * 30.0).collect::<Vec<_>>());
+    }
+    0.5 * freedom * (factor.left() / with.left().max(1e-300)).ln()
+}
+
+/// A period is known to this share, one standard deviation (contract: as given, in the digits that people write).
+const PERIOD_SHARE: f64 = 1e-4;
+/// A wave is out of step by more than this, in turns over the travel.
+const OUT_OF_STEP: f64 = 0.01;
+
+/// Everything beside the hypotheses, whitened by one noise.
+pub struct Base {
+    /// The noise it is whitened by.
+    pub noise: Noise,
+    /// Set-up terms, then known effects.
+    pub factor: Factor,
+    /// Degrees of freedom that the rows have beside them.
+    pub freedom: f64,
+}
+
+/// Records and model.
+pub struct Problem<'r> {
+    /// The rows.
+    pub rows: &'r Rows<'r>,
+    /// Measured minus the model as it is.
+    pub missing: Vec<f64>,
+    /// Set-up.
+    pub terms: Vec<Term>,
+    /// Known effects.
+    pub known: Vec<Known>,
+    /// Per response the least size of its noise.
+    pub floors: Vec<f64>,
+    /// Root of each row's weight, before any is far off.
+    pub weights: Vec<f64>,
+}
+
+impl<'r> Problem<'r> {
+    /// The problem of these rows beside a model; `intervals`: half widths that the model states, value by value.
+    #[must_use]
+    pub fn new(rows: &'r Rows<'r>, model: &[Effect], intervals: &[Vec<Option<f64>>]) -> Self {
+        let mut missing = rows.measured.clone();
+        for effect in model {
+            add(&mut missing, -1.0, &rows.predict(effect));
+        }
+        let floors = setup::floors(rows);
+        Self {
+            rows,
+            missing,
+            terms: setup::terms(rows, model),
+            known: known(rows, model, intervals),
+            floors,
+            weights: setup::weights(rows),
+        }
+    }
+
+    /// What is beside every hypothesis under a noise.
+    #[must_use]
+    pub fn base(&self, noise: Noise) -> Base {
+        let whiten = |column: &[f64], by: f64| {
+            let mut c: Vec<f64> = column.iter().map(|x| x * by).collect();
+            noise.whiten(self.rows, &mut c);
+            c
+        };
+        let mut factor = Factor::new(&whiten(&self.missing, 1.0));
+        for t in &self.terms {
+            factor.push(&whiten(&t.column, t.sd));
+        }
+        for k in &self.known {
+            factor.push(&whiten(&k.column, 1.0));
+        }
+        let freedom = (self.rows.n as f64 - factor.freedom()).max(2.0);
+        Base { noise, factor, freedom }
+    }
+
+    /// A first guess of the noise: what set-up and model leave.
+    #[must_use]
+    pub fn first_noise(&self) -> Noise {
+        let flat = Noise {
+            sigma: vec![1e-3; self.rows.responses.len()],
+            phi: vec![0.0; self.rows.responses.len()],
+            weight: vec![1.0; self.rows.n],
+        };
+        let mut left = self.base(flat).factor.residual().to_vec();
+        for x in &mut left {
+            *x *= 1e-3;
+        }
+        let mut noise = Noise::guess(self.rows, &left);
+        noise.sigma.iter_mut().zip(&self.floors).for_each(|(s, f)| *s = s.max(*f));
+        noise.weight.clone_from(&self.weights);
+        noise.phi.iter_mut().zip(&self.floors).filter(|(_, f)| **f > 0.0).for_each(|(p, _)| *p = 0.0);
+        noise
+    }
+
+    /// The noise that a fit's remainder shows, by one step of expectation and maximisation.
+    #[must_use]
+    pub fn renewed(&self, noise: &Noise, factor: &Factor) -> Noise {
+        let rows = self.rows;
+        let e = factor.residual();
+        let mut new = noise.clone();
+        for j in 0..rows.responses.len() {
+            let segments: Vec<_> = rows.segments.iter().filter(|s| s.response == j).collect();
+            let n: f64 = segments.iter().map(|s| s.rows.len() as f64).sum();
+            if n < 1.0 {
+                continue;
+            }
+            let mut squares = 0.0;
+            let mut leverage = 0.0;
+            let mut sizes = Vec::new();
+            for s in &segments {
+                let part = &e[s.rows.clone()];
+                squares += dot(part, part);
+                sizes.extend(part.iter().zip(&noise.weight[s.rows.clone()]).map(|(x, w)| (x / w).abs()));
+                for q in factor.columns() {
+                    leverage += dot(&q[s.rows.clone()], &q[s.rows.clone()]);
+                }
+            }
+            leverage = leverage.min(0.9 * n);
+            let scale = ((squares + leverage) / n).sqrt().clamp(1e-3, 1e3);
+            // Robust size of the middle of the rows, for their weights.
+            sizes.sort_by(f64::total_cmp);
+            let middle = (1.4826 * sizes[sizes.len() / 2]).max(0.3 * scale).max(1e-9);
+            let (mut all, mut with, mut count) = (0.0, 0.0, 0.0);
+            for s in &segments {
+                let (sigma, phi) = (noise.sigma[j], noise.phi[j]);
+                let mut raw = Vec::with_capacity(s.rows.len());
+                let mut before = 0.0;
+                for (i, row) in s.rows.clone().enumerate() {
+                    let step = e[row] / noise.weight[row] * sigma;
+                    let now = if i == 0 { step / (1.0 - phi * phi).sqrt() } else { step + phi * before };
+                    let limit = 4.0 * middle * sigma / (1.0 - phi * phi).sqrt();
+                    raw.push(now.clamp(-limit, limit));
+                    before = now;
+                }
+                all += dot(&raw, &raw);
+                with += raw.windows(2).map(|w| w[0] * w[1]).sum::<f64>();
+                count += raw.len() as f64;
+                for row in s.rows.clone() {
+                    let off = (e[row] / noise.weight[row] / middle).powi(2);
+                    let most = TAIL_FREEDOM + 6.25;
+                    new.weight[row] = self.weights[row] * (most / (TAIL_FREEDOM + off)).min(1.0).sqrt();
+                }
+            }
+            new.sigma[j] = (noise.sigma[j] * scale).max(1e-9).max(self.floors[j]);
+            // Steps of a coarse gauge are counted by their weights, not by a memory.
+            let most = if self.floors[j] > 0.0 { 0.0 } else { MOST_PHI };
+            new.phi[j] = (with / all.max(1e-300) + (leverage + 1.0) / count).clamp(0.0, most);
+        }
+        new
+    }
+}

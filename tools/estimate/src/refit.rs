@@ -1,0 +1,147 @@
+//! Sizes of given effects once more: with rows left out, or with a curve that stands for something without a name.
+
+use crate::cause::Cause;
+use crate::factor::{Factor, add};
+use crate::priors::{HALF_WIDTH, LEVELS};
+use crate::problem::Problem;
+use crate::rows::{Noise, Rows};
+use rtec_model::effect::Effect;
+use rtec_model::record::Record;
+
+/// No pull towards zero: the largest level of a prior, ten times.
+const WIDE: f64 = 10.0 * LEVELS[LEVELS.len() - 1].0;
+
+/// The linear parameters of effects beside model and set-up.
+pub struct Refit<'p, 'r> {
+    problem: &'p Problem<'r>,
+    /// Per effect its columns, at one standard deviation.
+    columns: Vec<Vec<Vec<f64>>>,
+    effects: Vec<Effect>,
+}
+
+fn cause(effect: &Effect) -> Cause {
+    Cause::Effect { effect: effect.clone(), free: effect.coefficient_count(), reference: false }
+}
+
+impl<'p, 'r> Refit<'p, 'r> {
+    /// Of these effects, non-linear parameters as they are.
+    #[must_use]
+    pub fn new(problem: &'p Problem<'r>, effects: &[Effect]) -> Self {
+        let columns = effects
+            .iter()
+            .map(|e| {
+                let mut columns = cause(e).columns(problem.rows);
+                columns.iter_mut().flatten().for_each(|x| *x *= WIDE);
+                columns
+            })
+            .collect();
+        Self { problem, columns, effects: effects.to_vec() }
+    }
+
+    fn factor(&self, noise: &Noise) -> (Factor, usize) {
+        let base = self.problem.base(noise.clone());
+        let from = base.factor.len();
+        let mut factor = base.factor;
+        for c in self.columns.iter().flatten() {
+            let mut c = c.clone();
+            noise.whiten(self.problem.rows, &mut c);
+            factor.push(&c);
+        }
+        (factor, from)
+    }
+
+    /// The effects with their sizes as the rows have them, and half widths of the linear parameters' 95 % intervals.
+    #[must_use]
+    pub fn sizes(&self, noise: &Noise) -> Vec<(Effect, Vec<f64>)> {
+        let (factor, from) = self.factor(noise);
+        let (beta, inverse) = (factor.solve(), factor.inverse());
+        let mut at = from;
+        self.effects
+            .iter()
+            .zip(&self.columns)
+            .map(|(effect, columns)| {
+                let scale = cause(effect).coefficient_sizes(self.problem.rows);
+                let k = columns.len();
+                let value = |i: usize| beta[at + i] * WIDE * scale[i];
+                let half = |i: usize| {
+                    HALF_WIDTH
+                        * crate::factor::dot(&inverse[at + i], &inverse[at + i]).sqrt()
+                        * WIDE
+                        * scale[i]
+                };
+                let mut out = effect.clone();
+                out.set_coefficients(&(0..k).map(value).collect::<Vec<_>>());
+                let half = (0..k).map(half).collect();
+                at += k;
+                (out, half)
+            })
+            .collect()
+    }
+
+    /// What is left of each row by a fit of the other blocks of its record, in the response's unit.
+    #[must_use]
+    pub fn left_by_others(&self, noise: &Noise, folds: usize) -> Vec<f64> {
+        let rows = self.problem.rows;
+        let mut out = vec![0.0; rows.n];
+        for fold in 0..folds {
+            let mut held = noise.clone();
+            let mut own = Vec::new();
+            for s in &rows.segments {
+                let (n, blocks) = (s.rows.len(), 4 * folds);
+                for b in (fold..blocks).step_by(folds) {
+                    for row in s.rows.start + n * b / blocks..s.rows.start + n * (b + 1) / blocks {
+                        held.weight[row] = 0.0;
+                        own.push(row);
+                    }
+                }
+            }
+            let (factor, from) = self.factor(&held);
+            let beta = factor.solve();
+            let mut left = self.problem.missing.clone();
+            for (t, b) in self.problem.terms.iter().zip(&beta) {
+                add(&mut left, -b * t.sd, &t.column);
+            }
+            for (k, b) in self.problem.known.iter().zip(&beta[self.problem.terms.len()..from]) {
+                add(&mut left, -b, &k.column);
+            }
+            for (c, b) in self.columns.iter().flatten().zip(&beta[from..]) {
+                add(&mut left, -b, c);
+            }
+            for row in own {
+                out[row] = left[row];
+            }
+        }
+        out
+    }
+}
+
+/// What a model leaves of a record's responses once its set-up is taken out, response by response.
+#[must_use]
+pub fn left(record: &Record, model: &[Effect]) -> Vec<Vec<f64>> {
+    let records = std::slice::from_ref(record);
+    let rows = Rows::new(records);
+    let problem = Problem::new(&rows, model, &[]);
+    let mut noise = problem.first_noise();
+    noise.phi.fill(0.0);
+    let mut factor = Factor::new(&{
+        let mut y = problem.missing.clone();
+        noise.whiten(&rows, &mut y);
+        y
+    });
+    // What is set by hand, and the air: jumps are part of what a record shows.
+    let by_hand = |t: &&crate::setup::Term| {
+        use crate::setup::What::{CentreFirst, CentreSecond, Line, Unplaced, Zero};
+        matches!(t.what, Zero | CentreFirst | CentreSecond | Line | Unplaced)
+    };
+    let terms: Vec<_> = problem.terms.iter().filter(by_hand).collect();
+    for t in &terms {
+        let mut c: Vec<f64> = t.column.iter().map(|x| x * t.sd).collect();
+        noise.whiten(&rows, &mut c);
+        factor.push(&c);
+    }
+    let mut left = problem.missing.clone();
+    for (t, b) in terms.iter().zip(factor.solve()) {
+        add(&mut left, -b * t.sd, &t.column);
+    }
+    rows.segments.iter().map(|s| left[s.rows.clone()].to_vec()).collect()
+}

@@ -1,0 +1,318 @@
+//! All rows of all responses of all records, one under the other, and their noise.
+
+use crate::priors::MOST_PHI;
+use rtec_model::effect::{Effect, Extent};
+use rtec_model::record::{Axis, Record, Role};
+use std::ops::Range;
+
+/// One response of one record: a stretch of the rows.
+#[derive(Debug, Clone)]
+pub struct Segment {
+    /// Which record.
+    pub record: usize,
+    /// Which response.
+    pub response: usize,
+    /// Which rows.
+    pub rows: Range<usize>,
+}
+
+/// All rows, measured.
+#[derive(Debug)]
+pub struct Rows<'r> {
+    /// The records.
+    pub records: &'r [Record],
+    /// The responses that any of them has.
+    pub responses: Vec<Role>,
+    /// Response by response, record by record.
+    pub segments: Vec<Segment>,
+    /// Number of rows.
+    pub n: usize,
+    /// What was measured.
+    pub measured: Vec<f64>,
+}
+
+impl<'r> Rows<'r> {
+    /// The rows of these records.
+    #[must_use]
+    pub fn new(records: &'r [Record]) -> Self {
+        let mut responses: Vec<Role> = Vec::new();
+        for column in records.iter().flat_map(Record::responses) {
+            if !responses.contains(&column.role) {
+                responses.push(column.role.clone());
+            }
+        }
+        let (mut segments, mut measured) = (Vec::new(), Vec::new());
+        for (response, role) in responses.iter().enumerate() {
+            for (r, record) in records.iter().enumerate() {
+                if let Some(column) = record.column(role) {
+                    let start = measured.len();
+                    measured.extend_from_slice(&column.data);
+                    segments.push(Segment { record: r, response, rows: start..measured.len() });
+                }
+            }
+        }
+        Self { records, responses, segments, n: measured.len(), measured }
+    }
+
+    /// The record of a segment.
+    #[must_use]
+    pub fn record(&self, segment: &Segment) -> &'r Record {
+        &self.records[segment.record]
+    }
+
+    /// Whether a response is a force.
+    #[must_use]
+    pub fn is_force(&self, response: usize) -> bool {
+        matches!(self.responses[response], Role::Force(_))
+    }
+
+    /// Number of rows of a response.
+    #[must_use]
+    pub fn count(&self, response: usize) -> usize {
+        self.segments.iter().filter(|s| s.response == response).map(|s| s.rows.len()).sum()
+    }
+
+    /// The basis columns of an effect.
+    #[must_use]
+    pub fn basis(&self, effect: &Effect) -> Vec<Vec<f64>> {
+        self.collect(effect, effect.coefficient_count(), |bound, component, out| {
+            bound.basis(effect, component, out);
+        })
+    }
+
+    /// Derivatives of an effect by its values.
+    #[must_use]
+    pub fn slopes(&self, effect: &Effect) -> Vec<Vec<f64>> {
+        self.collect(effect, effect.values().len(), |bound, component, out| {
+            bound.slopes(effect, component, out);
+        })
+    }
+
+    /// What an effect does at every row.
+    #[must_use]
+    pub fn predict(&self, effect: &Effect) -> Vec<f64> {
+        let mut out = vec![0.0; self.n];
+        for (c, column) in effect.coefficients().iter().zip(self.basis(effect)) {
+            crate::factor::add(&mut out, *c, &column);
+        }
+        out
+    }
+
+    fn collect(
+        &self,
+        effect: &Effect,
+        k: usize,
+        fill: impl Fn(&rtec_model::effect::Bound<'_>, usize, &mut [f64]),
+    ) -> Vec<Vec<f64>> {
+        let mut out: Vec<Vec<f64>> = (0..k).map(|_| vec![0.0; self.n]).collect();
+        let mut buffer = Vec::new();
+        for s in &self.segments {
+            let record = self.record(s);
+            if !is_placed(record, effect) {
+                continue;
+            }
+            let acts = effect.acts_on(record);
+            let role = &self.responses[s.response];
+            let (Some((_, component)), Ok(bound)) =
+                (acts.iter().find(|(r, _)| r == role), effect.bind(record))
+            else {
+                continue;
+            };
+            let rows = record.rows();
+            if let [only] = &mut out[..] {
+                fill(&bound, *component, &mut only[s.rows.clone()]);
+                continue;
+            }
+            buffer.clear();
+            buffer.resize(rows * k, 0.0);
+            fill(&bound, *component, &mut buffer);
+            for (column, part) in out.iter_mut().zip(buffer.chunks(rows)) {
+                column[s.rows.clone()].copy_from_slice(part);
+            }
+        }
+        out
+    }
+}
+
+/// Whether it matters to an effect where on its axis it acts: a circle of unknown centre says nothing of such an effect.
+#[must_use]
+pub fn needs_place(effect: &Effect) -> bool {
+    use rtec_model::effect::Need;
+    let law = effect.description();
+    let places = law.needs.iter().filter(|n| matches!(n, Need::Position(_))).count();
+    let line = law.needs.len() == 1
+        && law.searched.wave.is_none()
+        && law.place(rtec_model::effect::Search::Amplitude).is_none()
+        && effect.constraints().is_empty();
+    places > 0 && !line && !law.after_turn
+}
+
+/// Whether a record knows the places that an effect needs.
+#[must_use]
+pub fn is_placed(record: &Record, effect: &Effect) -> bool {
+    record.knows_places() || !needs_place(effect)
+}
+
+/// Rows differ by little as one: share of the whole range.
+const ONE_PLACE: f64 = 1.0 / 300.0;
+/// Time constants that are tried.
+const TIME_CONSTANTS: usize = 14;
+
+impl Extent for Rows<'_> {
+    fn rows(&self) -> usize {
+        self.n
+    }
+
+    /// From two rows to twice the longest record, in equal ratios.
+    fn time_constants_s(&self) -> Vec<f64> {
+        let span = |t: &[f64]| t.last().zip(t.first()).map_or(0.0, |(b, a)| b - a);
+        let longest = self
+            .records
+            .iter()
+            .map(|r| (span(r.time_s()), r.rows()))
+            .fold((0.0, 1), |a, b| if b.0 > a.0 { b } else { a });
+        if longest.0 <= 0.0 {
+            return Vec::new();
+        }
+        let lo = (longest.0 / longest.1 as f64 * 2.0).max(longest.0 / 300.0);
+        let hi = longest.0 * 2.0;
+        (0..TIME_CONSTANTS).map(|i| lo * (hi / lo).powf(i as f64 / (TIME_CONSTANTS - 1) as f64)).collect()
+    }
+
+    fn moments_s(&self) -> Vec<f64> {
+        let mut times: Vec<f64> = self.records.iter().flat_map(|r| r.time_s().iter().copied()).collect();
+        times.sort_by(f64::total_cmp);
+        times.dedup();
+        let cut = 3.min(times.len() / 2);
+        times[cut..times.len() - cut].to_vec()
+    }
+
+    fn places_mm(&self, axis: &Axis) -> Vec<f64> {
+        let role = Role::Position(axis.clone());
+        let mut all: Vec<f64> = self
+            .records
+            .iter()
+            .filter(|r| r.knows_places())
+            .filter_map(|r| r.data(&role))
+            .flatten()
+            .copied()
+            .collect();
+        all.sort_by(f64::total_cmp);
+        let (Some(lo), Some(hi)) = (all.first().copied(), all.last().copied()) else { return Vec::new() };
+        let close = (hi - lo) * ONE_PLACE;
+        let mut out: Vec<(f64, f64)> = Vec::new();
+        for x in all {
+            match out.last_mut() {
+                Some((sum, count)) if x - *sum / *count <= close => {
+                    *sum += x;
+                    *count += 1.0;
+                }
+                _ => out.push((x, 1.0)),
+            }
+        }
+        out.into_iter().map(|(s, c)| s / c).collect()
+    }
+
+    fn stretches_mm(&self, _axis: &Axis) -> Vec<[f64; 2]> {
+        Vec::new()
+    }
+}
+
+/// A memory from which on it may be an effect.
+const MUCH_MEMORY: f64 = 0.3;
+
+/// The noise of each response: its size and its memory from row to row; and how much each row counts.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Noise {
+    /// Size of what each row adds, per response, in its unit.
+    pub sigma: Vec<f64>,
+    /// Autocorrelation from row to row, per response.
+    pub phi: Vec<f64>,
+    /// Root of each row's weight: below one far from all that explains the others.
+    pub weight: Vec<f64>,
+}
+
+impl Noise {
+    /// A first guess, from what the model leaves: steps from row to row, and memory as long as noise may have.
+    #[must_use]
+    pub fn guess(rows: &Rows<'_>, left: &[f64]) -> Self {
+        let (mut sigma, mut phi) = (Vec::new(), Vec::new());
+        for j in 0..rows.responses.len() {
+            let (mut all, mut with, mut steps, mut n) = (0.0, 0.0, 0.0, 0.0);
+            for s in rows.segments.iter().filter(|s| s.response == j) {
+                let part = &left[s.rows.clone()];
+                let mean = part.iter().sum::<f64>() / part.len().max(1) as f64;
+                all += part.iter().map(|x| (x - mean).powi(2)).sum::<f64>();
+                with += part.windows(2).map(|w| (w[0] - mean) * (w[1] - mean)).sum::<f64>();
+                steps += part.windows(2).map(|w| (w[1] - w[0]).powi(2)).sum::<f64>();
+                n += part.len() as f64;
+            }
+            let memory = (with / all.max(1e-300)).clamp(0.0, MOST_PHI);
+            let size = (all / n.max(1.0)).sqrt();
+            let own = (steps / n.max(1.0) / (2.0 * (1.0 - memory).max(0.1))).sqrt()
+                * (1.0 - memory * memory).sqrt();
+            phi.push(memory);
+            sigma.push(own.min(size).max(1e-3 * size).max(1e-9));
+        }
+        Self { sigma, phi, weight: vec![1.0; rows.n] }
+    }
+
+    /// The same steps from row to row without a memory; `None` where there is little of it.
+    #[must_use]
+    pub fn without_memory(&self) -> Option<Self> {
+        if self.phi.iter().all(|phi| *phi < MUCH_MEMORY) {
+            return None;
+        }
+        let mut other = self.clone();
+        for (sigma, phi) in other.sigma.iter_mut().zip(&mut other.phi) {
+            *sigma *= ((1.0 - *phi) / (1.0 - *phi * *phi)).sqrt();
+            *phi = 0.0;
+        }
+        Some(other)
+    }
+
+    /// Divides a column by the noise: what is left has unit size and no memory.
+    pub fn whiten(&self, rows: &Rows<'_>, column: &mut [f64]) {
+        for s in &rows.segments {
+            let (by, phi) = (1.0 / self.sigma[s.response], self.phi[s.response]);
+            let part = &mut column[s.rows.clone()];
+            let weight = &self.weight[s.rows.clone()];
+            let mut before = 0.0;
+            let first = (1.0 - phi * phi).sqrt();
+            for (i, (x, w)) in part.iter_mut().zip(weight).enumerate() {
+                let now = *x;
+                let new = if i == 0 { first * now } else { now - phi * before };
+                *x = new * by * w;
+                before = now;
+            }
+        }
+    }
+
+    /// The transpose of [`Noise::whiten`]: products of whitened columns with `column` are products of the columns with this.
+    pub fn transpose(&self, rows: &Rows<'_>, column: &mut [f64]) {
+        for s in &rows.segments {
+            let (by, phi) = (1.0 / self.sigma[s.response], self.phi[s.response]);
+            let part = &mut column[s.rows.clone()];
+            let weight = &self.weight[s.rows.clone()];
+            let first = (1.0 - phi * phi).sqrt();
+            for i in 0..part.len() {
+                let own = part[i] * weight[i] * by * if i == 0 { first } else { 1.0 };
+                let next = part.get(i + 1).map_or(0.0, |x| x * weight[i + 1] * by);
+                part[i] = own - phi * next;
+            }
+        }
+    }
+
+    /// log of the density's Jacobian: Σ log(w/σ) + ½ Σ log(1 − φ²).
+    #[must_use]
+    pub fn log_scale(&self, rows: &Rows<'_>) -> f64 {
+        rows.segments
+            .iter()
+            .map(|s| {
+                let (sigma, phi) = (self.sigma[s.response], self.phi[s.response]);
+                let weights: f64 = self.weight[s.rows.clone()].iter().map(|w| w.ln()).sum();
+                weights - (s.rows.len() as f64) * sigma.ln() + 0.5 * (1.0 - phi * phi).ln()
+            })
+            .sum()
+    }
+}

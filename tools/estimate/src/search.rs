@@ -1,0 +1,938 @@
+//! The search for the likeliest set of hypotheses: sets grow one member at a time, several side by side; then members are exchanged,
+//! one for one and two for two, and left out, until nothing is better.
+
+use crate::bank::Look;
+use crate::cause::Cause;
+use crate::factor::{Factor, dot};
+use crate::family::{Families, Family, Scan};
+use crate::priors::{
+    AGAIN, BENT_SHARE, HOPELESS, KEPT, LEVELS, LISTED, MOST_MEMBERS, MOST_SHAPES, STRONG, TRIED, USUAL_SHARE,
+    WORTHLESS,
+};
+use crate::problem::{Base, Problem};
+use crate::shapes::changing_wave;
+use nalgebra::{DMatrix, SymmetricEigen};
+use rtec_model::effect::{Difference, Effect, Refine, Search as How};
+use rtec_model::record::Axis;
+use std::cell::RefCell;
+use std::collections::HashMap;
+use std::rc::Rc;
+use std::sync::Arc;
+
+/// A member of a set.
+#[derive(Debug, Clone)]
+pub struct Member {
+    /// Its family.
+    pub family: usize,
+    /// With its non-linear parameters.
+    pub cause: Cause,
+    /// Size of its prior, in typical sizes.
+    pub level: f64,
+    /// Log prior: name, place in the grid, level.
+    pub prior: f64,
+    /// Number of columns.
+    pub width: usize,
+}
+
+/// A set with its fit.
+#[derive(Debug, Clone)]
+pub struct Set {
+    /// The members.
+    pub members: Vec<Member>,
+    /// The base's columns, then the members'.
+    pub factor: Factor,
+    /// log p(y | S) + log p(S), but for a constant.
+    pub score: f64,
+}
+
+/// Something to be looked at exactly.
+#[derive(Debug, Clone)]
+pub struct Seed {
+    /// Its family.
+    pub family: usize,
+    /// With its non-linear parameters.
+    pub cause: Cause,
+    /// Log weight of its place in the grid.
+    pub weight: f64,
+    /// Log odds by the quick look, the family's prior included.
+    pub score: f64,
+}
+
+/// The search.
+pub struct Search<'p> {
+    /// What is explained.
+    pub problem: &'p Problem<'p>,
+    /// What may explain it.
+    pub families: &'p Families,
+    /// What is beside.
+    pub base: Base,
+    /// The quick look beside the base alone.
+    pub look: Look,
+    /// Rounding that rows share, for intervals.
+    pub rounding: Vec<crate::setup::Term>,
+    /// Whitened columns of waves that were looked at.
+    waves: RefCell<HashMap<(usize, u64), Rc<Columns>>>,
+}
+
+/// Whitened columns.
+type Columns = Vec<Vec<f64>>;
+
+/// Waves whose columns are kept.
+const WAVES_KEPT: usize = 400;
+
+/// Evidence of columns at each level of their size.
+#[derive(Debug, Clone, Copy)]
+pub struct Gain {
+    /// Log Bayes factor, summed over the levels.
+    pub total: f64,
+    /// The best level.
+    pub level: f64,
+    /// Log Bayes factor there, with the level's weight.
+    pub best: f64,
+}
+
+fn log_sum(values: impl IntoIterator<Item = f64>) -> f64 {
+    let values: Vec<f64> = values.into_iter().collect();
+    let top = values.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    if top == f64::NEG_INFINITY {
+        return top;
+    }
+    top + values.iter().map(|v| (v - top).exp()).sum::<f64>().ln()
+}
+
+/// Log likelihood of a remainder: the noise's size is what it leaves, but no smaller than it is said to be.
+#[must_use]
+pub fn fit(left: f64, freedom: f64) -> f64 {
+    let left = left.max(1e-9 * freedom);
+    if left > freedom { -0.5 * freedom * ((left / freedom).ln() + 1.0) } else { -0.5 * left }
+}
+
+/// Gain of columns whose products are given as eigenvalues and squared projections.
+fn gain_of(eigen: &[(f64, f64)], left: f64, freedom: f64) -> Gain {
+    let mut at = [0.0; LEVELS.len()];
+    for (out, (level, weight)) in at.iter_mut().zip(LEVELS) {
+        let t = level * level;
+        let (mut det, mut less) = (0.0, 0.0);
+        for (lambda, z2) in eigen {
+            let l = 1.0 + t * lambda.max(0.0);
+            det += l.ln();
+            less += t * z2 / l;
+        }
+        *out = weight.ln() - 0.5 * det + fit(left - less, freedom) - fit(left, freedom);
+    }
+    let best = (0..at.len()).max_by(|a, b| at[*a].total_cmp(&at[*b])).unwrap_or(0);
+    Gain { total: log_sum(at), level: LEVELS[best].0, best: at[best] }
+}
+
+/// Gain of columns with these products with the residual and among each other.
+#[must_use]
+pub fn gain(along: &[f64], among: &[f64], left: f64, freedom: f64) -> Gain {
+    let p = along.len();
+    if p == 1 {
+        return gain_of(&[(among[0], along[0] * along[0])], left, freedom);
+    }
+    let eigen = SymmetricEigen::new(DMatrix::from_row_slice(p, p, among));
+    let pairs: Vec<(f64, f64)> = (0..p)
+        .map(|i| {
+            let z: f64 = eigen.eigenvectors.column(i).iter().zip(along).map(|(u, h)| u * h).sum();
+            (eigen.eigenvalues[i], z * z)
+        })
+        .collect();
+    gain_of(&pairs, left, freedom)
+}
+
+impl<'p> Search<'p> {
+    /// Of a problem under a noise; the families' columns are whitened already.
+    #[must_use]
+    pub fn new(problem: &'p Problem<'p>, families: &'p Families, base: Base) -> Self {
+        let look = families.bank.look(&base.factor);
+        let rounding = crate::setup::rounding(problem.rows);
+        Self { problem, families, base, look, rounding, waves: RefCell::default() }
+    }
+
+    fn family(&self, family: usize) -> &Family {
+        &self.families.list[family]
+    }
+
+    /// The set without members.
+    #[must_use]
+    pub fn nothing(&self) -> Set {
+        let score = fit(self.base.factor.left(), self.base.freedom);
+        Set { members: Vec::new(), factor: self.base.factor.clone(), score }
+    }
+
+    /// Whitened columns of a cause.
+    #[must_use]
+    pub fn columns(&self, cause: &Cause) -> Vec<Vec<f64>> {
+        let mut columns = cause.columns(self.problem.rows);
+        for c in &mut columns {
+            self.base.noise.whiten(self.problem.rows, c);
+        }
+        columns
+    }
+
+    /// Gain of columns beside a factor.
+    #[must_use]
+    pub fn gain(&self, factor: &Factor, columns: &[Vec<f64>]) -> Gain {
+        let p = columns.len();
+        let along: Vec<f64> = columns.iter().map(|c| dot(c, factor.residual())).collect();
+        let shares: Vec<Vec<f64>> =
+            columns.iter().map(|c| factor.columns().iter().map(|q| dot(c, q)).collect()).collect();
+        let mut among = vec![0.0; p * p];
+        for i in 0..p {
+            for j in 0..=i {
+                let d = dot(&columns[i], &columns[j]) - dot(&shares[i], &shares[j]);
+                among[i * p + j] = d;
+                among[j * p + i] = d;
+            }
+        }
+        gain(&along, &among, factor.left(), self.base.freedom)
+    }
+
+    /// The quick look beside a set.
+    #[must_use]
+    pub fn look_at(&self, factor: &Factor) -> Look {
+        let mut look = self.look.clone();
+        let from = self.base.factor.len();
+        self.families.bank.after(&mut look, &factor.columns()[from..], &factor.along()[from..]);
+        look
+    }
+
+    /// A set with one member more; `None` where its values are impossible.
+    #[must_use]
+    pub fn with(&self, set: &Set, seed: &Seed) -> Option<Set> {
+        if set.members.len() >= MOST_MEMBERS {
+            return None;
+        }
+        let columns = self.columns(&seed.cause);
+        let gain = self.gain(&set.factor, &columns);
+        let prior = self.prior(set, seed.family) + seed.weight + gain.total - gain.best;
+        let level_weight =
+            LEVELS.iter().find(|l| l.0.to_bits() == gain.level.to_bits()).map_or(0.0, |l| l.1.ln());
+        let member = Member {
+            family: seed.family,
+            cause: seed.cause.clone(),
+            level: gain.level,
+            prior: prior + level_weight,
+            width: columns.len(),
+        };
+        let mut factor = set.factor.clone();
+        for mut c in columns {
+            for x in &mut c {
+                *x *= member.level;
+            }
+            factor.push(&c);
+        }
+        let mut members = set.members.clone();
+        members.push(member);
+        let set = self.scored(members, factor);
+        self.possible(&set).then_some(set)
+    }
+
+    fn scored(&self, members: Vec<Member>, factor: Factor) -> Set {
+        let prior: f64 = members.iter().map(|m| m.prior).sum();
+        let det = factor.half_log_det() - self.base.factor.half_log_det();
+        let score = fit(factor.left(), self.base.freedom) - det + prior + self.whole(&members, &factor);
+        Set { members, factor, score }
+    }
+
+    /// Log likelihood of counts: lost ones are whole, and of a whole number there are fewer than of any.
+    fn whole(&self, members: &[Member], factor: &Factor) -> f64 {
+        let count_um = self.problem.rows.records.iter().find_map(|r| r.count_um);
+        let Some(count_um) = count_um else { return 0.0 };
+        let of = |m: &Member| m.cause.effect().is_some_and(|e| e.description().whole_counts);
+        if !members.iter().any(of) {
+            return 0.0;
+        }
+        let (beta, inverse) = (factor.solve(), factor.inverse());
+        let mut at = self.base.factor.len();
+        let mut sum = 0.0;
+        for m in members {
+            if of(m)
+                && let Some(size) = m.cause.effect().and_then(|e| crate::cause::sizes(e).first().copied())
+            {
+                let unit = size * m.level;
+                let (um, sd) = (beta[at] * unit, dot(&inverse[at], &inverse[at]).sqrt() * unit);
+                let off = um - count_um * (um / count_um).round().abs().max(1.0).copysign(um);
+                let fewer = (count_um / (sd * std::f64::consts::TAU.sqrt())).max(1.0).ln();
+                sum += fewer - 0.5 * (off / sd.max(1e-12)).powi(2);
+            }
+            at += m.width;
+        }
+        sum
+    }
+
+    /// The fit of these members, as they are.
+    #[must_use]
+    pub fn of(&self, members: Vec<Member>) -> Set {
+        let mut factor = self.base.factor.clone();
+        for m in &members {
+            for mut c in self.columns(&m.cause) {
+                for x in &mut c {
+                    *x *= m.level;
+                }
+                factor.push(&c);
+            }
+        }
+        self.scored(members, factor)
+    }
+
+    /// Log prior of one more member of a family.
+    fn prior(&self, set: &Set, family: usize) -> f64 {
+        let again = set.members.iter().filter(|m| m.family == family).count();
+        self.family(family).prior - AGAIN * again as f64
+    }
+
+    /// Coefficients of each member, in its columns' standard deviations.
+    #[must_use]
+    pub fn coefficients(&self, set: &Set) -> Vec<Vec<f64>> {
+        let beta = set.factor.solve();
+        let mut at = self.base.factor.len();
+        set.members
+            .iter()
+            .map(|m| {
+                let own = beta[at..at + m.width].iter().map(|b| b * m.level).collect();
+                at += m.width;
+                own
+            })
+            .collect()
+    }
+
+    /// Whether all effects are within their physical bounds.
+    fn possible(&self, set: &Set) -> bool {
+        let beta = self.coefficients(set);
+        set.members.iter().zip(&beta).all(|(m, b)| {
+            self.family(m.family).replaces.is_some()
+                || m.cause.solved(self.problem.rows, b).is_none_or(|e| e.is_physical())
+        })
+    }
+
+    /// Whether a family may join a set.
+    fn may_join(&self, set: &Set, family: usize) -> bool {
+        let f = self.family(family);
+        if let Some(shape) = f.shape.as_ref().filter(|_| !f.set_up) {
+            let same = |m: &&Member| matches!(&m.cause, Cause::Shape(s) if s.0.response == shape.response);
+            let already = set.members.iter().filter(same).count();
+            if already >= MOST_SHAPES {
+                return false;
+            }
+        }
+        f.repeats() || !set.members.iter().any(|m| m.family == family)
+    }
+
+    /// What is worth an exact look beside a set, best first; `long`: fine waves over long travel too.
+    #[must_use]
+    pub fn seeds(&self, set: &Set, look: &Look, long: bool) -> Vec<Seed> {
+        let (left, freedom) = (set.factor.left(), self.base.freedom);
+        let mut seeds: Vec<Seed> = Vec::new();
+        let mut weighed: Option<Vec<f64>> = None;
+        for (number, family) in self.families.list.iter().enumerate() {
+            if !self.may_join(set, number) {
+                continue;
+            }
+            let prior = self.prior(set, number);
+            match &family.scan {
+                Scan::Grid(points) => {
+                    let of = |group: usize| {
+                        let (columns, at) = self.families.bank.group(group);
+                        let p = columns.len();
+                        gain(&look.along[columns], &look.among[at..at + p * p], left, freedom).total
+                    };
+                    let scored: Vec<f64> = points.iter().map(|(g, w, _)| of(*g) + w).collect();
+                    let best = (0..points.len()).max_by(|a, b| scored[*a].total_cmp(&scored[*b]));
+                    if let Some(i) = best {
+                        let (_, weight, cause) = &points[i];
+                        let total = log_sum(scored.iter().copied());
+                        seeds.push(Seed {
+                            family: number,
+                            cause: cause.clone(),
+                            weight: *weight,
+                            score: prior + total,
+                        });
+                        // Other numbers of lobes, other places: modes of their own.
+                        let tells = cause.effect().is_some_and(|e| {
+                            e.description().searched.repeats
+                                && e.description().parameters.iter().any(|p| p.tells_apart)
+                        });
+                        for k in
+                            (0..points.len()).filter(|k| tells && *k != i && scored[*k] > scored[i] - LISTED)
+                        {
+                            let (_, weight, cause) = &points[k];
+                            let score = prior + total + scored[k] - scored[i];
+                            seeds.push(Seed { family: number, cause: cause.clone(), weight: *weight, score });
+                        }
+                    }
+                }
+                Scan::Sensors { sensors, points } => {
+                    seeds.extend(self.sensor_seeds(number, sensors, points, look, left, prior));
+                }
+                Scan::Beside { law, known } => {
+                    let Some(effect) = &family.effect else { continue };
+                    let own = set.members.iter().filter_map(|m| m.cause.effect());
+                    let own = own.filter(|e| e.description().name == *law && e.axes() == effect.axes());
+                    for period in known.iter().copied().chain(own.map(|e| e.scalar(0))) {
+                        let Some(effect) = effect.with(&[(0, period)]) else { continue };
+                        let cause = Cause::Effect { effect, free: 2, reference: false };
+                        let score = prior + self.gain(&set.factor, &self.columns(&cause)).total;
+                        seeds.push(Seed { family: number, cause, weight: 0.0, score });
+                    }
+                }
+                Scan::Wave { along, .. } if along.is_long() && !long => {}
+                Scan::Wave { along, unit, places } => {
+                    let weighed = weighed.get_or_insert_with(|| {
+                        let mut r = set.factor.residual().to_vec();
+                        self.base.noise.transpose(self.problem.rows, &mut r);
+                        r
+                    });
+                    let mut at = along.peaks(weighed, 5);
+                    let facts = family.effect.as_ref().and_then(|e| e.description().searched.wave);
+                    if let (true, Some(facts)) = (along.is_long(), facts) {
+                        // Finer than its spectrum goes only the usual ones are looked at.
+                        let finer = facts.usual_mm.iter().map(|p| 1.0 / p).filter(|f| *f > along.range()[1]);
+                        at.extend(along.near(weighed, &finer.collect::<Vec<_>>(), 3e-4));
+                    }
+                    for f in at {
+                        let Some(cause) = self.wave(family, f, *unit, places) else { continue };
+                        let weight = wave_weight(family, f, *unit, along.range(), along.span());
+                        let key = (number, f.to_bits());
+                        let known = self.waves.borrow().get(&key).cloned();
+                        let columns = known.unwrap_or_else(|| {
+                            let new = Rc::new(self.columns(&cause));
+                            let mut waves = self.waves.borrow_mut();
+                            if waves.len() < WAVES_KEPT {
+                                waves.insert(key, Rc::clone(&new));
+                            }
+                            new
+                        });
+                        let score = prior + weight + self.gain(&set.factor, &columns).total;
+                        seeds.push(Seed { family: number, cause, weight, score });
+                    }
+                }
+            }
+        }
+        seeds.retain(|s| s.score.is_finite());
+        seeds.sort_by(|a, b| b.score.total_cmp(&a.score));
+        seeds
+    }
+
+    /// The best temperature difference of each time constant.
+    fn sensor_seeds(
+        &self,
+        number: usize,
+        sensors: &[String],
+        points: &[(usize, f64, Effect)],
+        look: &Look,
+        left: f64,
+        prior: f64,
+    ) -> Vec<Seed> {
+        let n = sensors.len();
+        let [alone, paired] = Families::sensor_weights(n);
+        let mut best: Vec<(f64, f64, usize, usize, usize)> = Vec::new();
+        let mut all = Vec::new();
+        for (k, (group, weight, _)) in points.iter().enumerate() {
+            let (columns, at) = self.families.bank.group(*group);
+            let along = &look.along[columns];
+            let among = |i: usize, j: usize| look.among[at + i * n + j];
+            let mut top = (f64::NEG_INFINITY, 0.0, k, 0, 0);
+            for i in 0..n {
+                for j in i..n {
+                    let (h, s, w) = if i == j {
+                        (along[i], among(i, i), alone)
+                    } else {
+                        (along[i] - along[j], among(i, i) + among(j, j) - 2.0 * among(i, j), paired)
+                    };
+                    let score = w + weight + gain_of(&[(s, h * h)], left, self.base.freedom).total;
+                    all.push(score);
+                    if score > top.0 {
+                        top = (score, w + weight, k, i, j);
+                    }
+                }
+            }
+            best.push(top);
+        }
+        best.sort_by(|a, b| b.0.total_cmp(&a.0));
+        best.truncate(2);
+        let total = log_sum(all);
+        let first = best.first().map_or(0.0, |b| b.0);
+        best.into_iter()
+            .map(|(score, weight, k, i, j)| {
+                let mut effect = points[k].2.clone();
+                effect.delta = Some(difference(sensors, i, j));
+                let cause = Cause::Effect { effect, free: 1, reference: false };
+                Seed { family: number, cause, weight, score: prior + total + score - first }
+            })
+            .collect()
+    }
+
+    /// A wave at a frequency.
+    fn wave(&self, family: &Family, frequency: f64, unit: f64, places: &[f64]) -> Option<Cause> {
+        if let Some(effect) = &family.effect {
+            let effect = effect.with(&[(0, 1.0 / (frequency * unit))])?;
+            return Some(Cause::Effect { effect, free: 2, reference: false });
+        }
+        let shape = family.shape.clone()?;
+        let number = self.problem.rows.responses.iter().position(|r| r.to_string() == shape.response)?;
+        let mut columns = vec![vec![0.0; self.problem.rows.n]; 2];
+        for s in self.problem.rows.segments.iter().filter(|s| s.response == number) {
+            for i in s.rows.clone() {
+                let (sin, cos) = (std::f64::consts::TAU * frequency * places[i]).sin_cos();
+                columns[0][i] = crate::priors::CONTRIBUTION * sin;
+                columns[1][i] = crate::priors::CONTRIBUTION * cos;
+            }
+        }
+        Some(Cause::Shape(Arc::new((shape, columns))))
+    }
+
+    /// The place of a seed's non-linear parameters where it explains most, beside a factor.
+    #[must_use]
+    pub fn refined(&self, factor: &Factor, seed: &Seed) -> Seed {
+        let Some(effect) = seed.cause.effect().cloned() else { return seed.clone() };
+        let moves = moves(self.family(seed.family), &effect);
+        if moves.is_empty() {
+            return seed.clone();
+        }
+        let value = |effect: &Effect| {
+            let cause = seed.cause.with_effect(effect.clone());
+            self.gain(factor, &self.columns(&cause)).total
+        };
+        let mut now = effect;
+        let mut best = value(&now);
+        let mut narrower = 0.0;
+        for round in 0..2 {
+            for m in &moves {
+                let mut step = if round == 0 { m.step } else { m.step * 0.3 };
+                for _ in 0..4 {
+                    let (Some(down), Some(up)) = (m.moved(&now, -step), m.moved(&now, step)) else { break };
+                    let (a, b) = (value(&down), value(&up));
+                    if a > best && a >= b {
+                        (now, best) = (down, a);
+                    } else if b > best {
+                        (now, best) = (up, b);
+                    } else {
+                        let bend = a + b - 2.0 * best;
+                        let at = if bend < -1e-9 { 0.5 * step * (a - b) / bend } else { 0.0 };
+                        if at != 0.0
+                            && let Some(top) = m.moved(&now, at)
+                        {
+                            let v = value(&top);
+                            if v > best {
+                                (now, best) = (top, v);
+                            }
+                        }
+                        if round == 1 || moves.len() == 1 {
+                            // How much narrower the mode is than a cell of the grid.
+                            let width = (std::f64::consts::TAU * step * step / (-bend).max(1e-12)).sqrt();
+                            narrower = (width / (2.0 * m.step)).ln().min(0.0);
+                        }
+                        step *= 0.4;
+                    }
+                }
+            }
+        }
+        let before = self.gain(factor, &self.columns(&seed.cause)).total;
+        let score = seed.score + (best - before).max(0.0) + narrower;
+        Seed {
+            family: seed.family,
+            cause: seed.cause.with_effect(now),
+            weight: seed.weight + narrower,
+            score,
+        }
+    }
+
+    /// Richer forms of a seed: growth that bends, another reference temperature, a wave that changes.
+    fn richer(seed: &Seed) -> Vec<Seed> {
+        let mut out = Vec::new();
+        let Cause::Effect { effect, free, .. } = &seed.cause else { return out };
+        let law = effect.description();
+        if law.companion.is_some() && effect.delta.is_some() {
+            if effect.coefficient_count() > *free {
+                let cause = Cause::Effect { effect: effect.clone(), free: free + 1, reference: false };
+                out.push(Seed { cause, weight: seed.weight + BENT_SHARE.ln(), ..seed.clone() });
+            }
+            let pair = effect.delta.as_ref().is_some_and(Difference::is_pair);
+            let constant = effect.companion().is_some_and(|c| c.description().constant);
+            if !pair && !constant {
+                let cause = Cause::Effect { effect: effect.clone(), free: *free, reference: true };
+                out.push(Seed { cause, weight: seed.weight + BENT_SHARE.ln(), ..seed.clone() });
+            }
+        }
+        out
+    }
+
+    /// A wave whose size changes along its way, beside a seed that is a wave: it has no name.
+    fn changing(&self, seed: &Seed) -> Option<Seed> {
+        let Scan::Wave { places, .. } = &self.family(seed.family).scan else { return None };
+        let effect = seed.cause.effect()?;
+        let shape = crate::cause::Shape::like(self.problem.rows, effect, "periodic, of changing size")?;
+        let family = self
+            .families
+            .list
+            .iter()
+            .position(|f| f.shape.as_ref().is_some_and(|s| s.response == shape.response))?;
+        let basis = seed.cause.columns(self.problem.rows);
+        let columns = changing_wave(self.problem.rows, &basis, places);
+        if columns.is_empty() {
+            return None;
+        }
+        let cause = Cause::Shape(Arc::new((shape, columns)));
+        Some(Seed { family, cause, weight: seed.weight, score: seed.score })
+    }
+
+    /// Sets with one member more, best first.
+    #[must_use]
+    pub fn grown(&self, set: &Set, most: usize, long: bool) -> Vec<Set> {
+        self.grown_by(set, most, long, |_| true)
+    }
+
+    /// The same by families of one kind.
+    fn grown_by(&self, set: &Set, most: usize, long: bool, kind: impl Fn(&Family) -> bool) -> Vec<Set> {
+        let look = self.look_at(&set.factor);
+        let mut seeds = self.seeds(set, &look, long);
+        seeds.retain(|s| kind(self.family(s.family)));
+        let Some(top) = seeds.first().map(|s| s.score) else { return Vec::new() };
+        let mut out: Vec<Set> = Vec::new();
+        let mut waves = 0;
+        for seed in seeds.into_iter().take(TRIED) {
+            if seed.score < (top - HOPELESS).max(WORTHLESS) {
+                break;
+            }
+            let seed = self.refined(&set.factor, &seed);
+            let mut forms = Self::richer(&seed);
+            if matches!(self.family(seed.family).scan, Scan::Wave { .. }) && waves < 2 {
+                waves += 1;
+                forms.extend(self.changing(&seed));
+            }
+            let plain = self.with(set, &seed);
+            out.extend(plain.as_ref().and_then(|p| self.with_beside(p)));
+            forms.push(seed);
+            let best =
+                forms.iter().filter_map(|f| self.with(set, f)).max_by(|a, b| a.score.total_cmp(&b.score));
+            out.extend(best);
+        }
+        out.sort_by(|a, b| b.score.total_cmp(&a.score));
+        out.truncate(most);
+        out
+    }
+
+    /// A set whose last member is a wave, with what is looked for beside such waves alone.
+    fn with_beside(&self, set: &Set) -> Option<Set> {
+        let last = set.members.last()?.cause.effect()?;
+        let of = |(number, f): (usize, &Family)| {
+            let Scan::Beside { law, .. } = &f.scan else { return None };
+            let effect = f.effect.as_ref()?;
+            if *law != last.description().name || effect.axes() != last.axes() {
+                return None;
+            }
+            let effect = effect.with(&[(0, last.scalar(0))])?;
+            let cause = Cause::Effect { effect, free: 2, reference: false };
+            self.with(set, &Seed { family: number, cause, weight: 0.0, score: 0.0 })
+        };
+        let best = self
+            .families
+            .list
+            .iter()
+            .enumerate()
+            .filter_map(of)
+            .max_by(|a, b| a.score.total_cmp(&b.score))?;
+        Some(self.in_tune(best)).filter(|s| s.score > set.score)
+    }
+
+    /// A set whose last two members are a wave and what goes with it: the period that they share, where both explain most.
+    fn in_tune(&self, mut set: Set) -> Set {
+        let n = set.members.len();
+        let (Some(wave), Scan::Wave { along, unit, .. }) =
+            (set.members[n - 2].cause.effect().cloned(), &self.family(set.members[n - 2].family).scan)
+        else {
+            return set;
+        };
+        let mut frequency = 1.0 / wave.scalar(0);
+        let mut step = 0.2 / along.span() * unit;
+        let at = |set: &Set, frequency: f64| {
+            let mut members = set.members.clone();
+            for m in &mut members[n - 2..] {
+                let effect = m.cause.effect()?.with(&[(0, 1.0 / frequency)])?;
+                m.cause = m.cause.with_effect(effect);
+            }
+            Some(self.of(members))
+        };
+        for _ in 0..12 {
+            let tried = [-step, step].map(|by| at(&set, frequency + by).map(|s| (s, frequency + by)));
+            let better = tried.into_iter().flatten().max_by(|a, b| a.0.score.total_cmp(&b.0.score));
+            match better {
+                Some((s, f)) if s.score > set.score => (set, frequency) = (s, f),
+                _ => step *= 0.4,
+            }
+        }
+        set
+    }
+
+    /// Whether all members have names.
+    fn is_named(&self, set: &Set) -> bool {
+        set.members.iter().all(|m| {
+            self.family(m.family).is_named() && matches!(m.cause, Cause::Effect { .. } | Cause::Map { .. })
+        })
+    }
+
+    /// A set without one of its members.
+    #[must_use]
+    pub fn without(&self, set: &Set, member: usize) -> Set {
+        let mut members = set.members.clone();
+        members.remove(member);
+        self.of(members)
+    }
+
+    /// Sets with one member more: the best, and the best by names.
+    fn children(&self, set: &Set, long: bool) -> Vec<Set> {
+        let mut all = self.grown(set, KEPT + 1, long);
+        if all.iter().filter(|s| self.family(s.members[s.members.len() - 1].family).is_named()).count() < 2 {
+            all.extend(self.grown_by(set, 2, long, Family::is_named));
+        }
+        all
+    }
+
+    /// The best set that can be reached from one: `anew`, several sets side by side grow from it first.
+    #[must_use]
+    pub fn best(&self, start: &Set, anew: bool) -> Set {
+        let mut best = start.clone();
+        let mut beam = if anew { vec![start.clone()] } else { Vec::new() };
+        let mut idle = 0;
+        while idle < 2 && !beam.is_empty() {
+            let mut next: Vec<Set> =
+                beam.iter().enumerate().flat_map(|(i, s)| self.children(s, i == 0)).collect();
+            next.sort_by(|a, b| b.score.total_cmp(&a.score));
+            // A shape stands for several names at once: sets of names alone have places of their own.
+            let mut kept: Vec<Set> = Vec::new();
+            let mut named = 0;
+            for s in next {
+                let all_named = self.is_named(&s);
+                let room = kept.len() < KEPT || (all_named && named < 2);
+                if room && kept.iter().all(|k| (k.score - s.score).abs() > 1e-6 || differ(k, &s)) {
+                    named += usize::from(all_named);
+                    kept.push(s);
+                }
+            }
+            match kept.first() {
+                Some(s) if s.score > best.score => {
+                    best = s.clone();
+                    idle = 0;
+                }
+                _ => idle += 1,
+            }
+            kept.retain(|s| s.score > best.score - HOPELESS);
+            beam = kept;
+        }
+        self.polished(best)
+    }
+
+    /// The best set that exchanges of two members reach from one; the same where none is better.
+    #[must_use]
+    pub fn exchanged(&self, start: &Set) -> Set {
+        let mut best = start.clone();
+        while !best.members.is_empty() && (best.members.len() > 1 || !self.is_named(&best)) {
+            let exchanged = self.two_for_two(&self.simpler(&best));
+            if exchanged.score < best.score + 0.05 {
+                break;
+            }
+            best = self.polished(exchanged);
+        }
+        best
+    }
+
+    /// Members left out, exchanged and refined again until nothing is better.
+    fn polished(&self, mut best: Set) -> Set {
+        for _ in 0..6 {
+            let before = best.score;
+            for i in (0..best.members.len()).rev() {
+                let without = self.without(&best, i);
+                if without.score > best.score {
+                    best = without;
+                    continue;
+                }
+                for other in self.grown(&without, 1, false) {
+                    if other.score > best.score + 1e-6 {
+                        best = other;
+                    }
+                }
+            }
+            best = self.together(best);
+            for other in self.grown(&best, 1, true) {
+                if other.score > best.score {
+                    best = other;
+                }
+            }
+            if best.score < before + 0.05 {
+                break;
+            }
+        }
+        best
+    }
+
+    /// Each shape, and each two of the weakest members, for two others.
+    fn two_for_two(&self, set: &Set) -> Set {
+        let mut best = set.clone();
+        let alone: Vec<f64> = (0..set.members.len()).map(|i| self.without(set, i).score).collect();
+        let mut weak: Vec<usize> = (0..set.members.len()).collect();
+        weak.sort_by(|a, b| alone[*b].total_cmp(&alone[*a]));
+        let shapes = weak.iter().copied().filter(|i| matches!(set.members[*i].cause, Cause::Shape(_)));
+        let mut gone: Vec<Set> = shapes.map(|i| self.without(set, i)).collect();
+        weak.retain(|i| set.score - alone[*i] < STRONG);
+        weak.truncate(3);
+        for (k, i) in weak.iter().enumerate() {
+            gone.extend(weak[..k].iter().map(|j| self.without(&self.without(set, *i.max(j)), *i.min(j))));
+        }
+        for without in gone {
+            for one in self.children(&without, false) {
+                let one = self.rechosen(one);
+                if one.score > best.score + 1e-6 {
+                    best = one.clone();
+                }
+                for two in self.grown(&one, 1, false) {
+                    if two.score > best.score + 1e-6 {
+                        best = two;
+                    }
+                }
+            }
+        }
+        best
+    }
+
+    /// A set with a new last member: each other one that acts on what it acts on is chosen again beside it.
+    fn rechosen(&self, set: Set) -> Set {
+        let last = set.members.len() - 1;
+        let Some(own) = set.members.last().and_then(axis_of) else { return set };
+        self.chosen_again(set, &own, last)
+    }
+
+    /// The first `most` members of a set that act on an axis, each chosen again: maps and what reads temperatures.
+    fn chosen_again(&self, mut set: Set, axis: &Axis, most: usize) -> Set {
+        for i in (0..most).rev() {
+            let m = &set.members[i];
+            let grid =
+                matches!(self.family(m.family).scan, Scan::Grid(_)) && !matches!(m.cause, Cause::Map { .. });
+            if axis_of(m).as_ref() != Some(axis) || grid {
+                continue;
+            }
+            let without = self.without(&set, i);
+            if let Some(other) = self.grown_by(&without, 1, false, Family::is_named).pop()
+                && other.score > set.score
+            {
+                set = other;
+            }
+        }
+        set
+    }
+
+    /// A set without one of its weaker members, the others on its axis chosen again.
+    fn simpler(&self, set: &Set) -> Set {
+        let mut best = set.clone();
+        for i in 0..set.members.len() {
+            let Some(axis) = axis_of(&set.members[i]) else { continue };
+            let without = self.without(set, i);
+            if set.score - without.score > 2.0 * STRONG {
+                continue;
+            }
+            let most = without.members.len();
+            let other = self.chosen_again(without, &axis, most);
+            if other.score > best.score {
+                best = other;
+            }
+        }
+        best
+    }
+
+    /// Each member's non-linear parameters beside the others', twice.
+    fn together(&self, mut set: Set) -> Set {
+        if set.members.len() < 2 {
+            return set;
+        }
+        for i in 0..set.members.len() {
+            let m = set.members[i].clone();
+            if m.cause.effect().is_none_or(|e| moves(self.family(m.family), e).is_empty()) {
+                continue;
+            }
+            let without = self.without(&set, i);
+            let seed = Seed { family: m.family, cause: m.cause, weight: 0.0, score: 0.0 };
+            let refined = self.refined(&without.factor, &seed);
+            let mut members = set.members.clone();
+            members[i].cause = refined.cause;
+            let new = self.of(members);
+            if new.score > set.score && self.possible(&new) {
+                set = new;
+            }
+        }
+        set
+    }
+}
+
+/// The axis that a member acts on.
+fn axis_of(m: &Member) -> Option<Axis> {
+    m.cause.effect().and_then(|e| e.axes().first().cloned())
+}
+
+/// Whether two sets are of other families.
+fn differ(a: &Set, b: &Set) -> bool {
+    let of = |s: &Set| {
+        let mut f: Vec<usize> = s.members.iter().map(|m| m.family).collect();
+        f.sort_unstable();
+        f
+    };
+    of(a) != of(b)
+}
+
+/// A temperature difference of these sensors: one alone, or one against another.
+#[must_use]
+pub fn difference(sensors: &[String], i: usize, j: usize) -> Difference {
+    if i == j { Difference::single(&sensors[i]) } else { Difference::pair(&sensors[i], &sensors[j]) }
+}
+
+/// Log prior weight of a wave of this frequency: all periods alike in their logarithm, usual ones more.
+fn wave_weight(family: &Family, frequency: f64, unit: f64, [from, to]: [f64; 2], span: f64) -> f64 {
+    // A mode is about so wide.
+    let cell = (0.35 / span / frequency).min(1.0);
+    let even = cell / (to / from).ln().max(cell);
+    let Some(facts) = family.effect.as_ref().and_then(|e| e.description().searched.wave) else {
+        return even.ln();
+    };
+    let period_mm = 1.0 / (frequency * unit) * facts.unit_mm;
+    let usual: Vec<f64> = facts.usual_mm.iter().flat_map(|p| [*p, 0.5 * p]).collect();
+    let near = usual.iter().any(|u| (period_mm / u - 1.0).abs() < cell.max(2e-3));
+    let usual = if near { USUAL_SHARE / usual.len() as f64 } else { 0.0 };
+    ((1.0 - USUAL_SHARE) * even + usual).ln()
+}
+
+/// A way to move a non-linear parameter.
+struct Move {
+    parameter: usize,
+    /// First step.
+    step: f64,
+    how: Refine,
+}
+
+impl Move {
+    fn moved(&self, effect: &Effect, by: f64) -> Option<Effect> {
+        let v = effect.scalar(self.parameter);
+        let to = match self.how {
+            Refine::Step(_) => v + by,
+            // A period: in its frequency.
+            Refine::Stays => 1.0 / (1.0 / v + by),
+            _ => v * by.exp(),
+        };
+        effect.with(&[(self.parameter, to)])
+    }
+}
+
+fn moves(family: &Family, effect: &Effect) -> Vec<Move> {
+    if family.replaces.is_some() {
+        return Vec::new();
+    }
+    if let Scan::Wave { along, unit, .. } = &family.scan {
+        return vec![Move { parameter: 0, step: 0.2 / along.span() * unit, how: Refine::Stays }];
+    }
+    let of = |(i, p): (usize, &rtec_model::effect::Parameter)| match p.refine {
+        Refine::Step(s) | Refine::Factor(s) | Refine::TimeConstant(s) if p.search == How::Smooth => {
+            Some(Move { parameter: i, step: s, how: p.refine })
+        }
+        _ => None,
+    };
+    effect.description().parameters.iter().enumerate().filter_map(of).collect()
+}

@@ -1,0 +1,387 @@
+//! What belongs to how the instrument stood and never to the machine: free in every record, never named, never written into a
+//! model, never corrected live. One function per term; a new one is its function and a line in [`TERMS`].
+
+use crate::priors::{CENTRE_UM, CONTRIBUTION, LINE_UM_PER_H, PAUSE_STEPS, ZERO_UM};
+use crate::rows::{Rows, Segment, is_placed};
+use rtec_model::effect::{Effect, Search};
+use rtec_model::record::{Kind, Record, Role, Turns};
+
+/// What a set-up term is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum What {
+    /// The gauge's zero (of a bar or ring: its length or size), µm.
+    Zero,
+    /// The circle's centre along the first axis of the plane, µm.
+    CentreFirst,
+    /// Along the second.
+    CentreSecond,
+    /// A line in time, µm/h.
+    Line,
+    /// A jump at a pause, µm.
+    Jump,
+    /// Rounding that rows of one reading share, µm.
+    Rounding,
+    /// An effect of the model where the record does not say the place.
+    Unplaced,
+    /// A walk of a response that has no name.
+    Wander,
+    /// The first reading behind a turn that nobody described.
+    AfterTurn,
+}
+
+/// A set-up term: its column, and how large its coefficient may be, one standard deviation.
+#[derive(Debug, Clone)]
+pub struct Term {
+    /// What it is.
+    pub what: What,
+    /// Of which record; the first where several share it.
+    pub record: usize,
+    /// Over all rows.
+    pub column: Vec<f64>,
+    /// One standard deviation of the coefficient.
+    pub sd: f64,
+}
+
+/// Makes the terms of one kind.
+type Make = fn(&Rows<'_>, &[Effect], &mut Vec<Term>);
+
+/// All kinds of terms.
+pub const TERMS: [Make; 6] = [zeros, centres, lines, unplaced, after_turns, dithered];
+
+/// The set-up terms of these records.
+#[must_use]
+pub fn terms(rows: &Rows<'_>, model: &[Effect]) -> Vec<Term> {
+    let mut out = Vec::new();
+    for make in TERMS {
+        make(rows, model, &mut out);
+    }
+    out.retain(|t| t.column.iter().any(|x| *x != 0.0));
+    out
+}
+
+fn column(rows: &Rows<'_>, s: &Segment, value: impl FnMut(usize) -> f64) -> Vec<f64> {
+    let mut out = vec![0.0; rows.n];
+    for (x, v) in out[s.rows.clone()].iter_mut().zip((0..s.rows.len()).map(value)) {
+        *x = v;
+    }
+    out
+}
+
+fn errors<'a>(rows: &'a Rows<'_>) -> impl Iterator<Item = &'a Segment> {
+    rows.segments.iter().filter(|s| !rows.is_force(s.response))
+}
+
+fn zeros(rows: &Rows<'_>, _: &[Effect], out: &mut Vec<Term>) {
+    let mut shared: Vec<(&str, usize, usize)> = Vec::new();
+    for s in errors(rows) {
+        let own = column(rows, s, |_| 1.0);
+        if let Some(name) = rows.record(s).zero.as_deref() {
+            if let Some((.., at)) = shared.iter().find(|(n, r, _)| *n == name && *r == s.response) {
+                crate::factor::add(&mut out[*at].column, 1.0, &own);
+                continue;
+            }
+            shared.push((name, s.response, out.len()));
+        }
+        out.push(Term { what: What::Zero, record: s.record, column: own, sd: ZERO_UM });
+    }
+}
+
+/// A circle's centre: one lobe.
+fn centres(rows: &Rows<'_>, _: &[Effect], out: &mut Vec<Term>) {
+    for s in errors(rows) {
+        let record = rows.record(s);
+        let radial = rows.responses[s.response].axis().is_some_and(|a| a.as_str() == "r");
+        let only = record.responses().count() == 1 && matches!(record.kind, Kind::Probing | Kind::Part);
+        let Some(angle) = record.data(&Role::Angle).filter(|_| radial || only) else { continue };
+        for (what, f) in [(What::CentreFirst, f64::cos as fn(f64) -> f64), (What::CentreSecond, f64::sin)] {
+            out.push(Term {
+                what,
+                record: s.record,
+                column: column(rows, s, |i| f(angle[i])),
+                sd: CENTRE_UM,
+            });
+        }
+    }
+}
+
+/// What air and stand do to a gauge over hours.
+fn lines(rows: &Rows<'_>, _: &[Effect], out: &mut Vec<Term>) {
+    for s in errors(rows) {
+        let record = rows.record(s);
+        let creeps = matches!(record.kind, Kind::Positioning | Kind::Drift);
+        let (Some(t), true) = (record.data(&Role::Time), creeps) else { continue };
+        // From the start on: there the gauge was set to zero.
+        let hours = column(rows, s, |i| (t[i] - t[0]) / 3600.0);
+        out.push(Term { what: What::Line, record: s.record, column: hours, sd: LINE_UM_PER_H });
+    }
+}
+
+/// Rows behind which a pause of the run lies.
+#[must_use]
+pub fn pauses(record: &Record) -> Vec<usize> {
+    let Some(t) = record.data(&Role::Time) else { return Vec::new() };
+    let gaps: Vec<f64> = t.windows(2).map(|w| w[1] - w[0]).collect();
+    let mut sorted = gaps.clone();
+    sorted.sort_by(f64::total_cmp);
+    let Some(usual) = sorted.get(sorted.len() / 2).copied().filter(|g| *g > 0.0) else { return Vec::new() };
+    (0..gaps.len()).filter(|i| gaps[*i] > PAUSE_STEPS * usual).collect()
+}
+
+/// Where a run paused somebody may have touched the stand: a step for each pause, one micrometre high. They are looked for as
+/// hypotheses are, since they are seldom and then of any size.
+#[must_use]
+pub fn jumps(rows: &Rows<'_>) -> Vec<Term> {
+    let mut out = Vec::new();
+    for s in errors(rows) {
+        let record = rows.record(s);
+        let pauses = pauses(record);
+        if record.kind == Kind::Ballbar || pauses.len() > MOST_PAUSES {
+            continue;
+        }
+        for p in pauses {
+            let step = column(rows, s, |i| f64::from(u8::from(i > p)));
+            out.push(Term { what: What::Jump, record: s.record, column: step, sd: 1.0 });
+        }
+    }
+    out
+}
+
+/// A run that pauses more often than this is a run in steps.
+const MOST_PAUSES: usize = 12;
+
+/// The step in which numbers are written, where noise does not dither it: most repeats of one place and direction read the same. With
+/// it the groups of rows that share one reading in one direction.
+#[must_use]
+pub fn coarse(y: &[f64], place: Option<&[f64]>, direction: Option<&[f64]>) -> Option<(f64, Vec<Vec<usize>>)> {
+    let mut values: Vec<f64> = y.to_vec();
+    values.sort_by(f64::total_cmp);
+    values.dedup_by(|a, b| (*a - *b).abs() < 1e-9);
+    if y.len() < 8 || values.len() < 2 || values.len() * 3 > y.len() || values.len() > 60 {
+        return None;
+    }
+    let q = values.windows(2).map(|w| w[1] - w[0]).fold(f64::MAX, f64::min);
+    if values.iter().any(|v| ((v - values[0]) / q - ((v - values[0]) / q).round()).abs() > 0.02) {
+        return None;
+    }
+    let way = |i: usize| direction.map_or(0, |d| d[i] as i64);
+    // Repeats: the next row at the same place in the same direction; without places the next row.
+    let mut order: Vec<usize> = (0..y.len()).collect();
+    let at = |i: usize| place.map_or(0, |p| (p[i] * 20.0).round() as i64);
+    order.sort_by_key(|i| (way(*i), at(*i), *i));
+    let (mut repeats, mut same) = (0, 0);
+    for w in order.windows(2).filter(|w| (way(w[0]), at(w[0])) == (way(w[1]), at(w[1]))) {
+        repeats += 1;
+        same += usize::from((y[w[0]] - y[w[1]]).abs() < 0.5 * q);
+    }
+    if repeats < 6 || 2 * same < repeats {
+        return None;
+    }
+    let mut groups: Vec<((i64, i64), Vec<usize>)> = Vec::new();
+    for (i, v) in y.iter().enumerate() {
+        let key = ((v / q).round() as i64, way(i));
+        match groups.iter_mut().find(|(k, _)| *k == key) {
+            Some((_, rows)) => rows.push(i),
+            None => groups.push((key, vec![i])),
+        }
+    }
+    Some((q, groups.into_iter().map(|(_, g)| g).collect()))
+}
+
+/// Rows that share one reading share its rounding error: repeats do not average it away. It widens intervals; the noise is no smaller
+/// than it ([`floors`]).
+#[must_use]
+pub fn rounding(rows: &Rows<'_>) -> Vec<Term> {
+    let mut out = Vec::new();
+    for s in errors(rows) {
+        let Some((q, groups)) = coarse_segment(rows, s) else { continue };
+        for group in groups {
+            let mut own = vec![0.0; rows.n];
+            for i in group {
+                own[s.rows.start + i] = 1.0;
+            }
+            out.push(Term { what: What::Rounding, record: s.record, column: own, sd: q / 12f64.sqrt() });
+        }
+    }
+    out
+}
+
+/// What is left of rounding where noise dithers it in part: repeats of one place and direction share an error of
+/// q/π · exp(−2π²σ²/q²), the first harmonic of the step's saw (Widrow 1956).
+fn dithered(rows: &Rows<'_>, _: &[Effect], out: &mut Vec<Term>) {
+    for s in errors(rows) {
+        let record = rows.record(s);
+        let Some(axis) = rows.responses[s.response].axis() else { continue };
+        let Some(place) = record.data(&Role::Position(axis.clone())) else { continue };
+        let y = &rows.measured[s.rows.clone()];
+        let Some(q) = step_of(y) else { continue };
+        let direction = record.data(&Role::Direction(axis.clone()));
+        let mut groups: std::collections::BTreeMap<(i64, i64), Vec<usize>> =
+            std::collections::BTreeMap::new();
+        for i in 0..y.len() {
+            let key = ((place[i] * 20.0).round() as i64, direction.map_or(0, |d| d[i] as i64));
+            groups.entry(key).or_default().push(i);
+        }
+        groups.retain(|_, g| g.len() > 1);
+        let (mut squares, mut freedom) = (0.0, 0.0);
+        for g in groups.values() {
+            let mean = g.iter().map(|i| y[*i]).sum::<f64>() / g.len() as f64;
+            squares += g.iter().map(|i| (y[*i] - mean).powi(2)).sum::<f64>();
+            freedom += g.len() as f64 - 1.0;
+        }
+        if groups.len() < 4 || groups.len() > MOST_PLACES || freedom < 2.0 * groups.len() as f64 {
+            continue;
+        }
+        let noise2 = (squares / freedom - q * q / 12.0).max(0.01 * q * q);
+        let pi = std::f64::consts::PI;
+        let sd = q / (pi * 2f64.sqrt()) * (-2.0 * pi * pi * noise2 / (q * q)).exp();
+        if sd < 0.02 * q {
+            continue;
+        }
+        for g in groups.into_values() {
+            let mut own = vec![0.0; rows.n];
+            for i in g {
+                own[s.rows.start + i] = 1.0;
+            }
+            out.push(Term { what: What::Rounding, record: s.record, column: own, sd });
+        }
+    }
+}
+
+/// More places have no error each of their own.
+const MOST_PLACES: usize = 150;
+
+/// What rounding alone makes of a record's responses, µm RMS: the coarsest of its gauges.
+#[must_use]
+pub fn resolution_um(record: &Record) -> f64 {
+    let errors = record.responses().filter(|c| matches!(c.role, Role::Error(_)));
+    errors.filter_map(|c| step_of(&c.data)).fold(0.0, f64::max) / 12f64.sqrt()
+}
+
+/// The step that all numbers are multiples of.
+fn step_of(y: &[f64]) -> Option<f64> {
+    let mut values: Vec<f64> = y.to_vec();
+    values.sort_by(f64::total_cmp);
+    values.dedup_by(|a, b| (*a - *b).abs() < 1e-9);
+    let q = values.windows(2).map(|w| w[1] - w[0]).fold(f64::MAX, f64::min);
+    let on = |v: &f64| ((v - values[0]) / q - ((v - values[0]) / q).round()).abs() < 0.02;
+    (values.len() > 1 && values.len() < 400 && values.iter().all(on)).then_some(q)
+}
+
+/// Per response the least size of its noise: rounding that nothing dithers.
+#[must_use]
+pub fn floors(rows: &Rows<'_>) -> Vec<f64> {
+    let mut out = vec![0.0_f64; rows.responses.len()];
+    for s in &rows.segments {
+        if let Some((q, _)) = coarse_segment(rows, s) {
+            out[s.response] = out[s.response].max(q / 12f64.sqrt());
+        }
+    }
+    out
+}
+
+/// Root of each row's weight: rows in a row that read the same on a coarse gauge say one thing together.
+#[must_use]
+pub fn weights(rows: &Rows<'_>) -> Vec<f64> {
+    let mut out = vec![1.0; rows.n];
+    for s in rows.segments.iter().filter(|s| coarse_segment(rows, s).is_some()) {
+        let y = &rows.measured[s.rows.clone()];
+        let mut from = 0;
+        for run in y.chunk_by(|a, b| (a - b).abs() < 1e-9) {
+            out[s.rows.start + from..s.rows.start + from + run.len()].fill(1.0 / (run.len() as f64).sqrt());
+            from += run.len();
+        }
+    }
+    out
+}
+
+fn coarse_segment(rows: &Rows<'_>, s: &Segment) -> Option<(f64, Vec<Vec<usize>>)> {
+    let record = rows.record(s);
+    let axis = rows.responses[s.response].axis().cloned();
+    let direction = axis.clone().and_then(|a| record.data(&Role::Direction(a)));
+    let place = axis.and_then(|a| record.data(&Role::Position(a)));
+    coarse(&rows.measured[s.rows.clone()], place, direction)
+}
+
+/// Effects of the model that need a place, in circles whose centre nobody told: waves have a phase of their own there, maps their own
+/// heights.
+fn unplaced(rows: &Rows<'_>, model: &[Effect], out: &mut Vec<Term>) {
+    for s in errors(rows) {
+        let record = rows.record(s);
+        if record.knows_places() {
+            continue;
+        }
+        let Some(angle) = record.data(&Role::Angle) else { continue };
+        for effect in model.iter().filter(|e| !is_placed(record, e)) {
+            let role = &rows.responses[s.response];
+            let acts = effect.acts_on(record);
+            let (Some((_, component)), Ok(bound)) =
+                (acts.iter().find(|(r, _)| r == role), effect.bind(record))
+            else {
+                continue;
+            };
+            let k = effect.coefficient_count();
+            let n = record.rows();
+            if effect.description().searched.wave.is_some() {
+                let mut basis = vec![0.0; n * k];
+                bound.basis(effect, *component, &mut basis);
+                let size =
+                    effect.description().place(Search::Amplitude).map_or(1.0, |i| effect.scalar(i).abs());
+                for c in basis.chunks(n) {
+                    out.push(Term {
+                        what: What::Unplaced,
+                        record: s.record,
+                        column: column(rows, s, |i| c[i]),
+                        sd: size,
+                    });
+                }
+                continue;
+            }
+            let mut sum = vec![0.0; n];
+            bound.add(effect, *component, &mut sum);
+            let size = (sum.iter().map(|v| v * v).sum::<f64>() / n as f64).sqrt();
+            for lobes in 2..=8 {
+                let k = f64::from(lobes);
+                for f in [f64::cos as fn(f64) -> f64, f64::sin] {
+                    let lobe = column(rows, s, |i| f(k * angle[i]));
+                    out.push(Term {
+                        what: What::Unplaced,
+                        record: s.record,
+                        column: lobe,
+                        sd: size / k.sqrt(),
+                    });
+                }
+            }
+        }
+    }
+}
+
+/// The first reading behind a turn of a positioning run that does not say where its axis turned.
+#[must_use]
+pub fn first_after_turn(record: &Record, direction: &[f64]) -> Vec<usize> {
+    if record.kind != Kind::Positioning || record.turns == Some(Turns::AtTarget) {
+        return Vec::new();
+    }
+    (1..direction.len()).filter(|i| direction[*i] * direction[i - 1] < 0.0).collect()
+}
+
+/// Such readings say nothing of a reversal spike.
+fn after_turns(rows: &Rows<'_>, _: &[Effect], out: &mut Vec<Term>) {
+    for s in errors(rows) {
+        let record = rows.record(s);
+        let Some(axis) = rows.responses[s.response].axis() else { continue };
+        let Some(direction) = record.data(&Role::Direction(axis.clone())) else { continue };
+        if record.turns.is_some() {
+            continue;
+        }
+        let first = first_after_turn(record, direction);
+        if first.is_empty() {
+            continue;
+        }
+        let mut own = vec![0.0; rows.n];
+        for i in first {
+            own[s.rows.start + i] = direction[i];
+        }
+        // As large as a spike may be, and as seldom.
+        out.push(Term { what: What::AfterTurn, record: s.record, column: own, sd: 0.3 * CONTRIBUTION });
+    }
+}

@@ -1,0 +1,355 @@
+//! Shapes without a name: what real life does that no effect of the dictionary describes. One function per kind; a new one is its
+//! function and a line in [`SHAPES`].
+
+use crate::cause::Shape;
+use crate::factor::add;
+use crate::priors::{CONTRIBUTION, KNOTS, LENGTHS};
+use crate::rows::Rows;
+use crate::smooth::{Kernel, directions, knots, shares};
+use rtec_model::effect::sign;
+use rtec_model::record::{Axis, Role};
+
+/// A shape with its columns, each at one standard deviation.
+pub type Shaped = (Shape, Vec<Vec<f64>>);
+
+/// A response and what its rows log.
+pub struct Response<'r> {
+    rows: &'r Rows<'r>,
+    number: usize,
+    name: String,
+    axis: Option<Axis>,
+    own: Vec<usize>,
+}
+
+type Make = fn(&Response<'_>, &mut Vec<Shaped>);
+
+/// All kinds of shapes.
+pub const SHAPES: [Make; 9] = [
+    along_scalars,
+    wander,
+    with_position,
+    with_direction,
+    with_velocity,
+    with_load,
+    around,
+    over_plane,
+    two_temperatures,
+];
+
+/// All shapes that these rows could show.
+#[must_use]
+pub fn shapes(rows: &Rows<'_>) -> Vec<Shaped> {
+    let mut out = Vec::new();
+    for number in 0..rows.responses.len() {
+        let response = Response::new(rows, number);
+        for make in SHAPES {
+            make(&response, &mut out);
+        }
+    }
+    out.retain(|(_, columns)| columns.iter().any(|c| c.iter().any(|x| *x != 0.0)));
+    out
+}
+
+/// Most directions of one smooth shape.
+const RANK: usize = 12;
+/// Fewer rows have no shape.
+const FEWEST: usize = 12;
+
+impl<'r> Response<'r> {
+    fn new(rows: &'r Rows<'r>, number: usize) -> Self {
+        let own =
+            rows.segments.iter().filter(|s| s.response == number).flat_map(|s| s.rows.clone()).collect();
+        let role = &rows.responses[number];
+        Self { rows, number, name: role.to_string(), axis: role.axis().cloned(), own }
+    }
+
+    /// A quantity that all records of the response log; rows of others are zero.
+    fn get(&self, of: &dyn Fn(&rtec_model::record::Record) -> Option<Vec<f64>>) -> Option<Vec<f64>> {
+        let mut out = vec![0.0; self.rows.n];
+        for s in self.rows.segments.iter().filter(|s| s.response == self.number) {
+            out[s.rows.clone()].copy_from_slice(&of(self.rows.record(s))?);
+        }
+        Some(out)
+    }
+
+    fn role(&self, role: &Role) -> Option<Vec<f64>> {
+        self.get(&|r| r.data(role).map(<[f64]>::to_vec))
+    }
+
+    fn axis_role(&self, of: fn(Axis) -> Role) -> Option<(String, Vec<f64>)> {
+        let role = of(self.axis.clone()?);
+        Some((role.to_string(), self.role(&role)?))
+    }
+
+    fn direction(&self) -> Option<(String, Vec<f64>)> {
+        self.axis_role(Role::Direction).or_else(|| {
+            let (_, v) = self.axis_role(Role::Velocity)?;
+            Some((format!("direction.{}", self.axis.as_ref()?), v.into_iter().map(sign).collect()))
+        })
+    }
+
+    fn time(&self) -> Vec<f64> {
+        self.get(&|r| Some(r.time_s().to_vec())).unwrap_or_default()
+    }
+
+    /// All that is logged of these rows and varies, with labels; not the places (they have names).
+    fn scalars(&self) -> Vec<(String, Vec<f64>)> {
+        let mut out = vec![("time".to_owned(), self.time())];
+        let Some(first) = self.rows.segments.iter().find(|s| s.response == self.number) else { return out };
+        for c in &self.rows.record(first).columns {
+            let skip = c.role.is_measured()
+                || matches!(c.role, Role::Time | Role::Position(_) | Role::Direction(_) | Role::Angle);
+            if skip {
+                continue;
+            }
+            let name = c.name.clone();
+            let data = match c.role {
+                Role::Temperature => self.get(&|r| r.temperature(&name).map(<[f64]>::to_vec)),
+                Role::Channel => self.get(&|r| r.channel(&name).map(<[f64]>::to_vec)),
+                ref role => self.role(role),
+            };
+            out.extend(data.map(|d| (c.label(), d)));
+        }
+        let varies = |d: &Vec<f64>| self.own.iter().any(|i| (d[*i] - d[self.own[0]]).abs() > 1e-12);
+        out.retain(|(_, d)| varies(d));
+        out
+    }
+
+    fn shape(&self, against: &[&str], manner: &str) -> Shape {
+        let against = against.iter().map(|a| (*a).to_owned()).collect();
+        Shape { response: self.name.clone(), against, manner: manner.to_owned() }
+    }
+
+    fn over(&self, f: &dyn Fn(usize) -> f64) -> Vec<f64> {
+        let mut out = vec![0.0; self.rows.n];
+        self.own.iter().for_each(|i| out[*i] = f(*i));
+        out
+    }
+
+    /// A smooth function of a variable; without its constant, and without its line where a name explains that.
+    fn smooth(&self, v: &[f64], kernel: &dyn Fn(f64) -> Kernel, line: bool) -> Vec<Vec<f64>> {
+        let values: Vec<f64> = self.own.iter().map(|i| v[*i]).collect();
+        let knots = knots(&values, KNOTS);
+        if knots.len() < 4 || self.own.len() < FEWEST {
+            return Vec::new();
+        }
+        let k = knots.len();
+        let range = knots[k - 1] - knots[0];
+        let mut without = vec![vec![0.0; k]; 2];
+        for x in &values {
+            for (i, w) in shares(&knots, *x) {
+                without[0][i] += w;
+                without[1][i] += w * (x - knots[0]) / range;
+            }
+        }
+        without.truncate(if line { 2 } else { 1 });
+        let found = directions(&knots, kernel(range), &without, RANK);
+        let mut out = vec![vec![0.0; self.rows.n]; found.len()];
+        for i in &self.own {
+            for (knot, w) in shares(&knots, v[*i]) {
+                for (column, d) in out.iter_mut().zip(&found) {
+                    column[*i] += w * d[knot] * CONTRIBUTION;
+                }
+            }
+        }
+        out
+    }
+}
+
+fn times(columns: Vec<Vec<f64>>, by: &[f64]) -> Vec<Vec<f64>> {
+    let of = |c: Vec<f64>| c.iter().zip(by).map(|(c, b)| c * b).collect();
+    columns.into_iter().map(of).collect()
+}
+
+/// Over half the range: from −1 to 1.
+fn unit(x: &[f64], own: &[usize]) -> Vec<f64> {
+    let (lo, hi) = own.iter().fold((f64::MAX, f64::MIN), |(l, h), i| (l.min(x[*i]), h.max(x[*i])));
+    x.iter().map(|x| if hi > lo { (2.0 * x - lo - hi) / (hi - lo) } else { 0.0 }).collect()
+}
+
+fn along_scalars(r: &Response<'_>, out: &mut Vec<Shaped>) {
+    for (label, data) in r.scalars() {
+        for length in LENGTHS {
+            // A line of a temperature, speed or load has a name; one of time has not.
+            let line = label != "time" && !label.starts_with("cycle");
+            out.push((
+                r.shape(&[&label], "smooth"),
+                r.smooth(&data, &|range| Kernel::Smooth(length * range), line),
+            ));
+        }
+    }
+}
+
+/// What goes on for long and does not repeat.
+fn wander(r: &Response<'_>, out: &mut Vec<Shaped>) {
+    let columns = r.smooth(&r.time(), &|range| Kernel::Rough(0.1 * range), false);
+    out.push((r.shape(&["time"], "wanders"), columns));
+}
+
+fn with_position(r: &Response<'_>, out: &mut Vec<Shaped>) {
+    let Some((p_name, p)) = r.axis_role(Role::Position) else { return };
+    let u = unit(&p, &r.own);
+    for (label, data) in r.scalars() {
+        if label == "time" || label.starts_with("temperature") || label.starts_with("cycle") {
+            let columns =
+                times(r.smooth(&data, &|range| Kernel::Smooth(LENGTHS[0] * range), label != "time"), &u);
+            out.push((r.shape(&[&p_name, &label], "in proportion to position, smooth"), columns));
+        }
+    }
+    let t = unit(&r.time(), &r.own);
+    let drifting = r.over(&|i| CONTRIBUTION * u[i] * t[i]);
+    out.push((r.shape(&[&p_name, "time"], "in proportion to position, drifting"), vec![drifting]));
+    let bowed = [2, 3].map(|k| r.over(&|i| CONTRIBUTION * u[i].powi(k) * t[i]));
+    out.push((r.shape(&[&p_name, "time"], "over the position, drifting"), bowed.into()));
+    for (label, data) in r.scalars().into_iter().filter(|(l, _)| l.starts_with("temperature")) {
+        let w = unit(&data, &r.own);
+        let bowed = [2, 3].map(|k| r.over(&|i| CONTRIBUTION * u[i].powi(k) * w[i]));
+        out.push((r.shape(&[&p_name, &label], "bends with the temperature"), bowed.into()));
+    }
+}
+
+fn with_direction(r: &Response<'_>, out: &mut Vec<Shaped>) {
+    let Some((d_name, d)) = r.direction() else { return };
+    let t = r.time();
+    let in_time = times(r.smooth(&t, &|range| Kernel::Smooth(LENGTHS[0] * range), false), &d);
+    out.push((r.shape(&[&d_name, "time"], "differs by direction, drifting"), in_time));
+    let Some((p_name, p)) = r.axis_role(Role::Position) else { return };
+    for length in LENGTHS {
+        let columns = times(r.smooth(&p, &|range| Kernel::Smooth(length * range), true), &d);
+        out.push((r.shape(&[&d_name, &p_name], "differs by direction, smooth"), columns));
+    }
+}
+
+fn with_velocity(r: &Response<'_>, out: &mut Vec<Shaped>) {
+    let Some((name, v)) = r.axis_role(Role::Velocity) else { return };
+    let top = r.own.iter().fold(1e-12_f64, |m, i| m.max(v[*i].abs()));
+    let of = |f: &dyn Fn(f64) -> f64| vec![r.over(&|i| CONTRIBUTION * f(v[i] / top))];
+    out.push((r.shape(&[&name], "quadratic, with the sign of the velocity"), of(&|v| v * v.abs())));
+    out.push((r.shape(&[&name], "quadratic"), of(&|v| v * v)));
+    if !r.rows.is_force(r.number) {
+        out.push((r.shape(&[&name], "in proportion to the speed"), of(&f64::abs)));
+    }
+    for v0 in [0.05, 0.15, 0.4] {
+        let stribeck = move |v: f64| sign(v) * (-(v / v0).powi(2)).exp();
+        out.push((r.shape(&[&name], "at low speed, with the sign of the velocity"), of(&stribeck)));
+    }
+    let speed: Vec<f64> = v.iter().map(|v| v.abs()).collect();
+    for length in LENGTHS {
+        out.push((
+            r.shape(&[&name], "smooth in the speed"),
+            r.smooth(&speed, &|range| Kernel::Smooth(length * range), false),
+        ));
+    }
+    if let Some((p_name, p)) = r.axis_role(Role::Position) {
+        let u = unit(&p, &r.own);
+        let both = r.over(&|i| CONTRIBUTION * u[i] * v[i] / top);
+        out.push((r.shape(&[&name, &p_name], "velocity times position"), vec![both]));
+        let signs = r.over(&|i| CONTRIBUTION * u[i] * sign(v[i]));
+        if r.rows.is_force(r.number) {
+            out.push((r.shape(&[&name, &p_name], "sign of the velocity times position"), vec![signs]));
+            for length in LENGTHS {
+                out.push((
+                    r.shape(&[&p_name], "smooth"),
+                    r.smooth(&p, &|range| Kernel::Smooth(length * range), false),
+                ));
+            }
+        }
+    }
+}
+
+fn with_load(r: &Response<'_>, out: &mut Vec<Shaped>) {
+    let Some((name, f)) = r.axis_role(Role::Load) else { return };
+    if let Some((p_name, p)) = r.axis_role(Role::Position) {
+        let (u, w) = (unit(&p, &r.own), unit(&f, &r.own));
+        let both = r.over(&|i| CONTRIBUTION * u[i] * w[i]);
+        out.push((r.shape(&[&name, &p_name], "load times position"), vec![both]));
+    }
+}
+
+/// Around a circle: harmonics, from the second on.
+fn around(r: &Response<'_>, out: &mut Vec<Shaped>) {
+    let Some(angle) = r.role(&Role::Angle) else { return };
+    for harmonics in [4_i32, 10] {
+        let mut columns = Vec::new();
+        for k in 2..=harmonics {
+            let size = CONTRIBUTION / f64::from(harmonics).sqrt();
+            columns.push(r.over(&|i| size * (f64::from(k) * angle[i]).cos()));
+            columns.push(r.over(&|i| size * (f64::from(k) * angle[i]).sin()));
+        }
+        out.push((r.shape(&["angle"], "repeats with the angle"), columns));
+    }
+    for k in 1..=4 {
+        let k = f64::from(k);
+        let steps = r.over(&|i| CONTRIBUTION * (k * angle[i]).sin().signum());
+        out.push((r.shape(&["angle"], "steps with the angle"), vec![steps]));
+        let teeth =
+            r.over(&|i| 2.0 * CONTRIBUTION * ((k * angle[i] / std::f64::consts::TAU).rem_euclid(1.0) - 0.5));
+        out.push((r.shape(&["angle"], "saw-tooth in the angle"), vec![teeth]));
+    }
+}
+
+fn over_plane(r: &Response<'_>, out: &mut Vec<Shaped>) {
+    let Some((p_name, p)) = r.axis_role(Role::Position) else { return };
+    let u = unit(&p, &r.own);
+    let Some(first) = r.rows.segments.iter().find(|s| s.response == r.number) else { return };
+    let others: Vec<Axis> =
+        r.rows.record(first).axes(Role::Position).filter(|a| Some(*a) != r.axis.as_ref()).cloned().collect();
+    for other in others {
+        let Some(q) = r.role(&Role::Position(other.clone())) else { continue };
+        let w = unit(&q, &r.own);
+        let columns = [(1, 1), (2, 1), (1, 2), (3, 1), (1, 3), (2, 2)];
+        let columns = columns.map(|(a, b)| r.over(&|i| CONTRIBUTION * u[i].powi(a) * w[i].powi(b)));
+        out.push((
+            r.shape(&[&p_name, &format!("position.{other}")], "smooth over the plane"),
+            columns.into(),
+        ));
+    }
+}
+
+/// Most sensors whose products are tried.
+const SENSORS: usize = 6;
+
+fn two_temperatures(r: &Response<'_>, out: &mut Vec<Shaped>) {
+    let warm: Vec<(String, Vec<f64>)> =
+        r.scalars().into_iter().filter(|(l, _)| l.starts_with("temperature")).collect();
+    if warm.len() > SENSORS {
+        return;
+    }
+    for (i, (a, x)) in warm.iter().enumerate() {
+        for (b, y) in &warm[i + 1..] {
+            let (x, y) = (unit(x, &r.own), unit(y, &r.own));
+            let both = r.over(&|i| CONTRIBUTION * x[i] * y[i]);
+            out.push((r.shape(&[a, b], "in proportion to two temperatures"), vec![both]));
+        }
+    }
+}
+
+/// A wave whose size changes along its way: for a frequency that the rows show.
+#[must_use]
+pub fn changing_wave(rows: &Rows<'_>, basis: &[Vec<f64>], along: &[f64]) -> Vec<Vec<f64>> {
+    let shown: Vec<usize> = (0..rows.n).filter(|i| basis.iter().any(|b| b[*i] != 0.0)).collect();
+    let values: Vec<f64> = shown.iter().map(|i| along[*i]).collect();
+    let knots = knots(&values, KNOTS);
+    if knots.len() < 8 {
+        return Vec::new();
+    }
+    let range = knots[knots.len() - 1] - knots[0];
+    let found = directions(&knots, Kernel::Smooth(0.15 * range), &[], 8);
+    let mut out = Vec::new();
+    for b in basis {
+        for d in &found {
+            let mut column = vec![0.0; rows.n];
+            for i in &shown {
+                let envelope: f64 = shares(&knots, along[*i]).iter().map(|(k, w)| w * d[*k]).sum();
+                column[*i] = b[*i] * envelope;
+            }
+            out.push(column);
+        }
+    }
+    let total = (out.len() as f64).sqrt();
+    for c in &mut out {
+        let copy = c.clone();
+        add(c, 2.0 / total - 1.0, &copy);
+    }
+    out
+}

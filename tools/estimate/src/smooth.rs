@@ -1,0 +1,133 @@
+//! Smooth functions of one variable as a few columns: a Gaussian process on knots, without what lines explain.
+
+use crate::priors::SMOOTH_RANK;
+use nalgebra::{DMatrix, SymmetricEigen};
+
+/// Knots over these values: each of them where they are few, evenly spread otherwise.
+#[must_use]
+pub fn knots(values: &[f64], most: usize) -> Vec<f64> {
+    let mut sorted: Vec<f64> = values.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    let (Some(lo), Some(hi)) = (sorted.first().copied(), sorted.last().copied()) else { return Vec::new() };
+    if hi <= lo {
+        return Vec::new();
+    }
+    let close = (hi - lo) / 1000.0;
+    let mut distinct: Vec<f64> = Vec::new();
+    for v in &sorted {
+        if distinct.last().is_none_or(|d| v - d > close) {
+            distinct.push(*v);
+        }
+    }
+    if distinct.len() <= most {
+        return distinct;
+    }
+    let even: Vec<f64> = (0..most).map(|i| lo + (hi - lo) * i as f64 / (most - 1) as f64).collect();
+    // A knot that nothing is near would be anything.
+    let pitch = (hi - lo) / (most - 1) as f64;
+    let near = |k: &f64| {
+        let i = sorted.partition_point(|v| v < k);
+        [i.checked_sub(1), Some(i)]
+            .into_iter()
+            .flatten()
+            .filter_map(|i| sorted.get(i))
+            .any(|v| (v - k).abs() <= pitch)
+    };
+    even.into_iter().filter(near).collect()
+}
+
+/// The share of each knot in the value at `x`: two neighbours.
+#[must_use]
+pub fn shares(knots: &[f64], x: f64) -> [(usize, f64); 2] {
+    let after = knots.partition_point(|k| *k <= x);
+    if after == 0 || after == knots.len() {
+        let end = after.saturating_sub(1);
+        return [(end, 1.0), (end, 0.0)];
+    }
+    let w = (x - knots[after - 1]) / (knots[after] - knots[after - 1]);
+    [(after - 1, 1.0 - w), (after, w)]
+}
+
+/// How rough a smooth function is.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Kernel {
+    /// exp(−½ (d/ℓ)²)
+    Smooth(f64),
+    /// exp(−d/ℓ): a walk that is pulled back.
+    Rough(f64),
+}
+
+/// Directions over knots, each times its standard deviation, of a process of unit variance of which `without` (rows over the knots)
+/// is taken out; at most `most`.
+#[must_use]
+pub fn directions(knots: &[f64], kernel: Kernel, without: &[Vec<f64>], most: usize) -> Vec<Vec<f64>> {
+    let k = knots.len();
+    if k < 2 {
+        return Vec::new();
+    }
+    let covariance = DMatrix::from_fn(k, k, |i, j| {
+        let d = (knots[i] - knots[j]).abs();
+        match kernel {
+            Kernel::Smooth(l) => (-0.5 * (d / l).powi(2)).exp(),
+            Kernel::Rough(l) => (-d / l).exp(),
+        }
+    });
+    // P = I − orthonormal rows of `without`.
+    let mut basis: Vec<Vec<f64>> = Vec::new();
+    for row in without {
+        let mut v = row.clone();
+        for _ in 0..2 {
+            for b in &basis {
+                let c = crate::factor::dot(&v, b);
+                crate::factor::add(&mut v, -c, b);
+            }
+        }
+        let size = crate::factor::dot(&v, &v).sqrt();
+        if size > 1e-9 {
+            for x in &mut v {
+                *x /= size;
+            }
+            basis.push(v);
+        }
+    }
+    let project = DMatrix::from_fn(k, k, |i, j| {
+        f64::from(u8::from(i == j)) - basis.iter().map(|b| b[i] * b[j]).sum::<f64>()
+    });
+    let eigen = SymmetricEigen::new(&project * covariance * &project);
+    let mut order: Vec<usize> = (0..k).collect();
+    order.sort_by(|a, b| eigen.eigenvalues[*b].total_cmp(&eigen.eigenvalues[*a]));
+    let largest = eigen.eigenvalues[order[0]].max(1e-300);
+    order
+        .into_iter()
+        .take_while(|i| eigen.eigenvalues[*i] > SMOOTH_RANK * largest)
+        .take(most)
+        .map(|i| eigen.eigenvectors.column(i).iter().map(|v| v * eigen.eigenvalues[i].sqrt()).collect())
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn carries_no_line() {
+        let knots: Vec<f64> = (0..20).map(f64::from).collect();
+        let line = [vec![1.0; 20], knots.clone()];
+        for kernel in [Kernel::Smooth(6.0), Kernel::Rough(6.0)] {
+            let found = directions(&knots, kernel, &line, 12);
+            assert!(found.len() >= 3);
+            for d in &found {
+                assert!(line.iter().all(|l| crate::factor::dot(l, d).abs() < 1e-9));
+            }
+        }
+    }
+
+    #[test]
+    fn knots_lie_where_values_are() {
+        assert_eq!(knots(&[0.0, 5.0, 0.0, 10.0, 5.0], 40), [0.0, 5.0, 10.0]);
+        let apart: Vec<f64> = (0..100).map(|i| f64::from(i) * if i < 50 { 0.1 } else { 1.0 }).collect();
+        let k = knots(&apart, 40);
+        assert!(k.len() < 40 && k.iter().all(|k| !(8.0..45.0).contains(k)), "{k:?}");
+        assert!(knots(&[3.0; 7], 40).is_empty());
+    }
+}

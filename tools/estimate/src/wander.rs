@@ -1,0 +1,122 @@
+//! What goes on for longer than noise remembers and does not repeat: a walk that is pulled back (Ornstein–Uhlenbeck), beside the
+//! noise of a response. Judged in the spectrum of what is left: noise alone has an even one (Whittle 1953).
+
+use crate::priors::{NAMED_SHARE, PRICE};
+use crate::problem::Problem;
+use crate::rows::{Noise, Rows};
+use crate::setup::{Term, What};
+use crate::smooth::{Kernel, directions, knots, shares};
+use rustfft::{FftPlanner, num_complex::Complex};
+
+/// A walk found in a response.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Wander {
+    /// Which response.
+    pub response: usize,
+    /// Its standard deviation, in the response's unit.
+    pub size: f64,
+    /// Rows for which it remembers.
+    pub rows: f64,
+    /// Log odds against noise alone.
+    pub odds: f64,
+}
+
+/// Variances of the walk, in the noise's, and memories in rows that are tried; each as likely.
+const SIZES: [f64; 7] = [0.02, 0.05, 0.15, 0.4, 1.0, 3.0, 10.0];
+const MEMORIES: [f64; 6] = [6.0, 12.0, 25.0, 50.0, 100.0, 200.0];
+/// Shapes that it is one of (a prior of even odds among kinds).
+const KINDS: f64 = 30.0;
+/// Shorter segments show no walk.
+const FEWEST: usize = 48;
+
+/// The likeliest walk of each response in a whitened remainder, where it is likelier than none.
+#[must_use]
+pub fn wanders(problem: &Problem<'_>, noise: &Noise, residual: &[f64]) -> Vec<Wander> {
+    let rows = problem.rows;
+    let mut planner = FftPlanner::new();
+    let mut out = Vec::new();
+    // Where rounding makes the noise, its steps look like a walk.
+    for response in (0..rows.responses.len()).filter(|j| problem.floors[*j] <= 0.0) {
+        let mut spectra: Vec<Vec<f64>> = Vec::new();
+        for s in rows.segments.iter().filter(|s| s.response == response && s.rows.len() >= FEWEST) {
+            let part = &residual[s.rows.clone()];
+            let mean = part.iter().sum::<f64>() / part.len() as f64;
+            let mut x: Vec<Complex<f64>> =
+                part.iter().map(|v| Complex::new((v - mean).clamp(-5.0, 5.0), 0.0)).collect();
+            planner.plan_fft_forward(x.len()).process(&mut x);
+            let n = x.len() as f64;
+            // From the second frequency on: set-up takes the first.
+            spectra.push(x[2..x.len() / 2].iter().map(|c| c.norm_sqr() / n).collect());
+        }
+        if spectra.is_empty() {
+            continue;
+        }
+        let phi = noise.phi[response];
+        let (all, count) = spectra.iter().flatten().fold((0.0, 0.0), |(s, n), p| (s + p, n + 1.0));
+        let level = all / f64::max(count, 1.0);
+        let (mut mass, mut best) = (Vec::new(), (f64::NEG_INFINITY, 0.0, 0.0));
+        for variance in SIZES {
+            for memory in MEMORIES {
+                // The walk as the whitening leaves it.
+                let rho = (-1.0_f64 / memory).exp();
+                let mut gain = 0.0;
+                let shape = |w: f64| {
+                    let walk = variance * (1.0 - rho * rho) / (1.0 - 2.0 * rho * w.cos() + rho * rho);
+                    walk * (1.0 - 2.0 * phi * w.cos() + phi * phi)
+                };
+                // The even part is what is left of the level.
+                let mean = spectra
+                    .iter()
+                    .flat_map(|p| (0..p.len()).map(move |k| shape(frequency(k, p.len()))))
+                    .sum::<f64>()
+                    / count;
+                for p in &spectra {
+                    for (k, power) in p.iter().enumerate() {
+                        let s = level * (1.0 + shape(frequency(k, p.len()))) / (1.0 + mean);
+                        gain += (level / s).ln() + power / level - power / s;
+                    }
+                }
+                mass.push(gain);
+                if gain > best.0 {
+                    best = (gain, variance / (1.0 + mean), memory);
+                }
+            }
+        }
+        let top = best.0;
+        let total = top + mass.iter().map(|g| (g - top).exp()).sum::<f64>().ln() - (mass.len() as f64).ln();
+        let odds = total - PRICE + (1.0 - NAMED_SHARE).ln() - KINDS.ln();
+        if odds > 0.0 {
+            let size = (best.1 * level).sqrt() * noise.sigma[response];
+            out.push(Wander { response, size, rows: best.2, odds });
+        }
+    }
+    out
+}
+
+fn frequency(k: usize, half: usize) -> f64 {
+    std::f64::consts::PI * (k + 2) as f64 / (half + 2) as f64
+}
+
+/// Most columns of a walk.
+const RANK: usize = 60;
+
+/// Columns of a walk: beside it nothing else has to explain it.
+#[must_use]
+pub fn terms(rows: &Rows<'_>, wander: &Wander) -> Vec<Term> {
+    let mut out = Vec::new();
+    let all: usize = rows.count(wander.response);
+    for s in rows.segments.iter().filter(|s| s.response == wander.response) {
+        let n = s.rows.len();
+        let rank = (RANK * n / all.max(1)).clamp(8, RANK);
+        let order: Vec<f64> = (0..n).map(|i| i as f64).collect();
+        let places = knots(&order, rank.min(n));
+        for d in directions(&places, Kernel::Rough(wander.rows), &[], rank) {
+            let mut column = vec![0.0; rows.n];
+            for (i, x) in order.iter().enumerate() {
+                column[s.rows.start + i] = shares(&places, *x).iter().map(|(k, w)| w * d[*k]).sum();
+            }
+            out.push(Term { what: What::Wander, record: s.record, column, sd: wander.size });
+        }
+    }
+    out
+}

@@ -1,0 +1,149 @@
+//! Waves along a variable: where in frequency the rows show one.
+
+use rustfft::{Fft, FftPlanner, num_complex::Complex};
+use std::fmt;
+use std::sync::Arc;
+
+/// A variable that a wave may run along, at the rows that show it.
+#[derive(Clone)]
+pub struct Along {
+    /// Row, place, and the share of the wave that the row shows.
+    rows: Vec<(usize, f64, f64)>,
+    /// Frequencies, in turns per unit of the place.
+    range: [f64; 2],
+    /// Range of the places.
+    span: f64,
+    from: f64,
+    /// Pitch of the grid on which the spectrum is made, and its length.
+    pitch: f64,
+    length: usize,
+    transform: Arc<dyn Fft<f64>>,
+}
+
+impl fmt::Debug for Along {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "a wave over {} rows, {:?} turns", self.rows.len(), self.range)
+    }
+}
+
+/// Grid points to the shortest period, and the longest grid.
+const PER_PERIOD: f64 = 6.0;
+const LONGEST: usize = 1 << 18;
+/// Frequency steps in shares of one turn over the whole range.
+const STEP: f64 = 0.35;
+
+impl Along {
+    /// `None` where nothing moves or no period fits.
+    #[must_use]
+    pub fn new(rows: Vec<(usize, f64, f64)>, [lowest, highest]: [f64; 2]) -> Option<Self> {
+        let (lo, hi) = rows.iter().fold((f64::MAX, f64::MIN), |(l, h), r| (l.min(r.1), h.max(r.1)));
+        let span = hi - lo;
+        if rows.len() < 8 || span.is_nan() || span <= 0.0 {
+            return None;
+        }
+        let from = lowest.max(0.5 / span);
+        let whole = span / STEP;
+        let to = highest.min(LONGEST as f64 / PER_PERIOD / whole);
+        if to <= from {
+            return None;
+        }
+        let length = ((whole * to * PER_PERIOD).ceil() as usize).next_power_of_two().clamp(64, LONGEST);
+        let pitch = whole / length as f64;
+        let to = to.min(0.4 / pitch);
+        let transform = FftPlanner::new().plan_fft_forward(length);
+        (to > from).then_some(Self { rows, range: [from, to], span, from: lo, pitch, length, transform })
+    }
+
+    /// Range of the places.
+    #[must_use]
+    pub fn span(&self) -> f64 {
+        self.span
+    }
+
+    /// Whether its spectrum takes as long as all other looks together.
+    #[must_use]
+    pub fn is_long(&self) -> bool {
+        self.length > 1 << 15
+    }
+
+    /// Range of frequencies.
+    #[must_use]
+    pub fn range(&self) -> [f64; 2] {
+        self.range
+    }
+
+    /// Near each of these frequencies (within a share of it) the one at which a weighted residual has the largest power.
+    #[must_use]
+    pub fn near(&self, residual: &[f64], frequencies: &[f64], share: f64) -> Vec<f64> {
+        let step = STEP / self.span;
+        let power = |f: f64| {
+            let turn = std::f64::consts::TAU * f;
+            let (mut a, mut b) = (0.0, 0.0);
+            for (row, place, weight) in &self.rows {
+                let (sin, cos) = (turn * (place - self.from)).sin_cos();
+                let x = residual[*row] * weight;
+                a += x * sin;
+                b += x * cos;
+            }
+            a * a + b * b
+        };
+        let best = |f: &f64| {
+            let steps = (share * f / step).ceil().min(60.0) as i32;
+            let at = |k: i32| f + f64::from(k) * (share * f / f64::from(steps.max(1))).min(step);
+            (-steps..=steps).map(at).map(|f| (power(f), f)).max_by(|a, b| a.0.total_cmp(&b.0)).map(|b| b.1)
+        };
+        frequencies.iter().filter_map(best).collect()
+    }
+
+    /// Frequencies at which a weighted residual has the largest power, best first.
+    #[must_use]
+    pub fn peaks(&self, residual: &[f64], most: usize) -> Vec<f64> {
+        let mut grid = vec![Complex::new(0.0, 0.0); self.length];
+        for (row, place, share) in &self.rows {
+            let u = (place - self.from) / self.pitch;
+            let (i, w) = (u.floor() as usize % self.length, u.fract());
+            let x = residual[*row] * share;
+            grid[i].re += (1.0 - w) * x;
+            grid[(i + 1) % self.length].re += w * x;
+        }
+        self.transform.process(&mut grid);
+        let step = 1.0 / (self.pitch * self.length as f64);
+        let first = (self.range[0] / step).ceil() as usize;
+        let last = ((self.range[1] / step) as usize).min(self.length / 2 - 1);
+        let power = |i: usize| {
+            // Linear spreading damps short periods.
+            let x = std::f64::consts::PI * i as f64 / self.length as f64;
+            let damped = if x > 0.0 { (x.sin() / x).powi(2) } else { 1.0 };
+            grid[i].norm_sqr() / (damped * damped)
+        };
+        let mut peaks: Vec<(f64, f64)> = Vec::new();
+        for i in first..=last {
+            let p = power(i);
+            let left = if i > first { power(i - 1) } else { 0.0 };
+            let right = if i < last { power(i + 1) } else { 0.0 };
+            if p >= left && p > right {
+                peaks.push((p, i as f64 * step));
+            }
+        }
+        peaks.sort_by(|a, b| b.0.total_cmp(&a.0));
+        peaks.truncate(most);
+        peaks.into_iter().map(|p| p.1).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn finds_a_period_between_uneven_places() {
+        let places: Vec<f64> = (0..200).map(|i| f64::from(i) * 2.0 + f64::from(i * i % 17) * 0.1).collect();
+        let residual: Vec<f64> =
+            places.iter().map(|p| (std::f64::consts::TAU * p / 7.3 + 0.4).sin()).collect();
+        let rows = places.iter().enumerate().map(|(i, p)| (i, *p, 1.0)).collect();
+        let along = Along::new(rows, [1.0 / 60.0, 2.0]).unwrap();
+        let best = along.peaks(&residual, 3)[0];
+        assert!((1.0 / best - 7.3).abs() < 0.1, "{}", 1.0 / best);
+        assert!(Along::new(vec![(0, 1.0, 1.0); 20], [0.1, 1.0]).is_none());
+    }
+}

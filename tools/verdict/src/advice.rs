@@ -1,0 +1,219 @@
+//! The experiment that would separate what these data cannot.
+
+use crate::answer::Finding;
+use crate::extent::{self, GRID_SHARE};
+use crate::verdict::Verdict;
+use rtec_estimate::Shape;
+use rtec_model::effect::{Dictionary, Effect, Wave};
+use rtec_model::record::{Axis, Record, Role};
+
+/// All positions of an axis, in rising order.
+fn places(axis: &Axis, train: &[Record]) -> Vec<f64> {
+    let role = Role::Position(axis.clone());
+    let mut places: Vec<f64> = train.iter().filter_map(|r| r.data(&role)).flatten().copied().collect();
+    places.sort_by(f64::total_cmp);
+    places
+}
+
+/// Leads of screws that targets on a grid cannot tell from a constant: each target is at the same angle of the screw.
+fn hidden_leads(effect: &Effect, train: &[Record], dictionary: &Dictionary) -> Option<String> {
+    let axis = effect.axes().first().filter(|_| effect.description().constant)?;
+    let screw = dictionary.effect(&format!("screw_periodic.{axis}")).ok()?;
+    let leads_mm = screw.description().searched.wave?.usual_mm;
+    let shortest = leads_mm.iter().copied().fold(f64::INFINITY, f64::min);
+    let pitch = extent::pitch(&places(axis, train), GRID_SHARE * shortest)?;
+    let whole = |lead: &&f64| {
+        let turns = pitch / **lead;
+        turns > 0.5 && (turns - turns.round()).abs() < GRID_SHARE
+    };
+    let leads: Vec<String> = leads_mm.iter().filter(whole).map(ToString::to_string).collect();
+    (!leads.is_empty()).then(|| {
+        format!(
+            "the targets of {} lie on a grid of {pitch:.4} mm, on which the wave of a screw with a lead of {} mm looks the same \
+             as a constant: targets at uneven distances tell",
+            effect.name(),
+            leads.join(", ")
+        )
+    })
+}
+
+/// Periods that a grid of targets cannot tell from the one that is given.
+fn other_periods(effect: &Effect, train: &[Record]) -> Option<String> {
+    let law = effect.description();
+    let Wave { unit_mm, usual_mm, .. } = law.searched.wave?;
+    let places = places(&effect.axes()[0], train);
+    let period_mm = effect.scalar(0) * unit_mm;
+    let pitch = extent::pitch(&places, GRID_SHARE * period_mm)?;
+    let [lo, hi] = law.parameters[0].bounds;
+    let range = [1.0 / (hi * unit_mm), 1.0 / (lo * unit_mm)];
+    let others: Vec<String> = extent::aliases(1.0 / period_mm, pitch, range, 7, usual_mm)
+        .iter()
+        .map(|f| 1.0 / (f * unit_mm))
+        .filter(|p| (p / effect.scalar(0) - 1.0).abs() > 1e-3)
+        .map(|p| format!("{p:.4}"))
+        .collect();
+    let unit = &law.parameters[0].unit;
+    (!others.is_empty()).then(|| {
+        format!(
+            "the targets of {} lie on a grid of {pitch:.4} mm, on which a period of {:.4} {unit} looks the same as {} {unit} \
+             and more: targets at uneven distances (or the lead by the screw's data sheet) tell which it is",
+            effect.name(),
+            effect.scalar(0),
+            others.join(", ")
+        )
+    })
+}
+
+/// Other periods that explain as much at targets that lie on no grid.
+fn as_good(f: &Finding) -> Option<String> {
+    let others: Vec<String> =
+        f.rivals.iter().filter_map(|r| Some(format!("{:.4}", r.differs.as_ref()?.1))).collect();
+    let parameters = &f.effect.description().parameters;
+    let at = parameters.iter().position(|p| p.tells_apart && !p.array)?;
+    let (key, unit) = (&parameters[at].name, &parameters[at].unit);
+    (!others.is_empty()).then(|| {
+        format!(
+            "{key} = {:.4} {unit} of {} explains no more than {} {unit}: more places, at uneven distances, tell which it is",
+            f.effect.scalar(at),
+            f.effect.name(),
+            others.join(", ")
+        )
+    })
+}
+
+/// What to do next.
+pub(crate) fn advice(
+    verdict: Verdict,
+    effects: &[(Finding, Vec<f64>)],
+    shapes: &[Shape],
+    train: &[Record],
+    dictionary: &Dictionary,
+) -> String {
+    let mut parts: Vec<String> = match verdict {
+        Verdict::NotSeparable => effects.iter().flat_map(|(f, _)| separating(f, dictionary)).collect(),
+        Verdict::UnknownEffect => shapes.iter().map(isolating).collect(),
+        Verdict::Named => {
+            let narrow = |f: &Effect| format!("to narrow {}: {}", f.name(), f.description().experiment);
+            effects.iter().map(|(f, _)| narrow(&f.effect)).collect()
+        }
+        Verdict::NothingMissing => Vec::new(),
+    };
+    parts.extend(effects.iter().filter_map(|(f, _)| other_periods(&f.effect, train).or_else(|| as_good(f))));
+    parts.extend(effects.iter().filter_map(|(f, _)| hidden_leads(&f.effect, train, dictionary)));
+    parts.join("; ")
+}
+
+/// The run in which sensors part, and the runs that show each rival.
+fn separating(f: &Finding, dictionary: &Dictionary) -> Vec<String> {
+    let name = f.effect.name();
+    let same = f.rivals.iter().filter(|r| r.name == name).filter_map(|r| r.sensor.as_ref());
+    let same: Vec<String> = same.map(ToString::to_string).collect();
+    let mut parts: Vec<String> = Vec::new();
+    if !same.is_empty() {
+        parts.push(format!(
+            "{name}: sensors {} and {} saw the same here; a run in which they part (heat one place only, or \
+             let the machine cool while the surroundings warm) would tell them apart",
+            f.effect.delta.as_ref().map_or_else(String::new, ToString::to_string),
+            same.join(", ")
+        ));
+    }
+    let mut seen = vec![name.clone()];
+    for r in &f.rivals {
+        if seen.contains(&r.name) {
+            continue;
+        }
+        seen.push(r.name.clone());
+        if let Ok(e) = dictionary.effect(&r.name) {
+            parts.push(format!("{name} or {}: {}", r.name, e.description().experiment));
+        }
+    }
+    parts
+}
+
+fn isolating(s: &Shape) -> String {
+    format!(
+        "{} has structure against {} ({}) that no effect of the dictionary explains: repeat the run with {} \
+         varied by itself, all else held",
+        s.response,
+        s.against.join(" and "),
+        s.manner,
+        s.against[0]
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::answer::Rival;
+    use crate::testing::{axis, column};
+    use rtec_model::effect::Difference;
+    use rtec_model::record::Kind;
+    use std::path::Path;
+
+    #[test]
+    fn sensors_that_saw_the_same_and_rivals_are_told_apart() {
+        let dictionary = Dictionary::default();
+        let mut effect = dictionary.effect("thermal_growth.z").unwrap();
+        effect.delta = Some(Difference::single("T1"));
+        let rival = |name: &str, sensor: Option<&str>| Rival {
+            name: name.into(),
+            sensor: sensor.map(Difference::single),
+            differs: None,
+            margin: 0.5,
+        };
+        let rivals =
+            vec![rival("thermal_growth.z", Some("T2")), rival("warm_up.z", None), rival("warm_up.z", None)];
+        let finding = Finding {
+            effect,
+            held: Vec::new(),
+            p_value: 0.0,
+            evidence: 9.0,
+            name_mass: 0.6,
+            mode_mass: 1.0,
+            rivals,
+        };
+        let text = advice(Verdict::NotSeparable, &[(finding, Vec::new())], &[], &[], &dictionary);
+        assert!(text.contains("sensors T1 and T2 saw the same"), "{text}");
+        assert_eq!(
+            text.matches("thermal_growth.z or warm_up.z: drift from a cold start").count(),
+            1,
+            "{text}"
+        );
+        assert_eq!(advice(Verdict::NothingMissing, &[], &[], &[], &dictionary), "");
+    }
+
+    #[test]
+    fn on_a_grid_the_other_periods_are_said() {
+        let p: Vec<f64> = (0..60).map(|i| 20.0 * f64::from(i % 30)).collect();
+        let columns = vec![
+            column("p", Role::Position(axis()), p.clone()),
+            column("e", Role::Error(axis()), vec![0.0; p.len()]),
+        ];
+        let train = [Record::new(Path::new("r.run.toml"), Kind::Positioning, columns).unwrap()];
+        let mut wave = Dictionary::default().effect("screw_periodic.x").unwrap();
+        wave.set("period_mm", &[12.0]).unwrap();
+        let text = other_periods(&wave, &train).unwrap();
+        assert!(text.contains("grid of 20.0000 mm") && text.contains("30.0000"), "{text}");
+        assert_eq!(other_periods(&Dictionary::default().effect("scale.x").unwrap(), &train), None);
+    }
+
+    /// A screw of 10 mm seen at steps of 20 mm is a constant.
+    #[test]
+    fn a_constant_on_a_grid_may_be_a_screw_and_this_is_said() {
+        let train = |pitch: f64, off: f64| {
+            let p: Vec<f64> = (0..60).map(|i| pitch * f64::from(i % 30) + off * f64::from(i % 7)).collect();
+            let e = column("e", Role::Error(axis()), vec![2.0; p.len()]);
+            let columns = vec![column("p", Role::Position(axis()), p), e];
+            [Record::new(Path::new("r.run.toml"), Kind::Positioning, columns).unwrap()]
+        };
+        let dictionary = Dictionary::default();
+        let of = |name: &str, pitch: f64, off: f64| {
+            hidden_leads(&dictionary.effect(name).unwrap(), &train(pitch, off), &dictionary)
+        };
+        let text = of("offset.x", 20.0, 0.0).unwrap();
+        assert!(text.contains("grid of 20.0000 mm") && text.contains("5, 10, 20 mm"), "{text}");
+        assert_eq!(of("offset.x", 20.0, 1.3), None, "uneven");
+        assert_eq!(of("offset.x", 20.7, 0.0), None, "no lead");
+        assert_eq!(of("scale.x", 20.0, 0.0), None);
+    }
+}

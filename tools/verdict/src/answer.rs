@@ -1,0 +1,144 @@
+//! What an estimate says of the records, as findings: effects with a name, shapes without one, corrections of the model.
+
+use rtec_estimate::{Estimate, Found, Shape};
+use rtec_model::effect::{Difference, Effect};
+use rtec_model::machine::Machine;
+use rtec_model::record::{Record, Role};
+
+/// Another explanation of the same thing.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Rival {
+    /// Name of the effect.
+    pub name: String,
+    /// Its temperature difference, where it has one.
+    pub sensor: Option<Difference>,
+    /// The value that differs where the name is the same: a parameter, in its own unit.
+    pub differs: Option<(String, f64)>,
+    /// Log odds by which the explanation given is better.
+    pub margin: f64,
+}
+
+impl Rival {
+    /// Its name, with what it reads or the value that differs.
+    #[must_use]
+    pub fn label(&self) -> String {
+        let sensor = self.sensor.as_ref().map_or_else(String::new, |d| format!(" ({d})"));
+        let differs = self.differs.as_ref().map_or_else(String::new, |(key, v)| format!(" ({key} = {v:.4})"));
+        format!("{}{sensor}{differs}", self.name)
+    }
+}
+
+/// An effect that was found.
+#[derive(Debug, Clone)]
+pub struct Finding {
+    /// The effect with its parameters.
+    pub effect: Effect,
+    /// Values that the law has and the data did not call for: held where they are.
+    pub held: Vec<usize>,
+    /// Probability that chance alone explains as much.
+    pub p_value: f64,
+    /// Log odds of the set with it against the set without it.
+    pub evidence: f64,
+    /// What its name holds of its place among all names, 0 to 1.
+    pub name_mass: f64,
+    /// What its mode (a period, a number of lobes) holds of its name.
+    pub mode_mass: f64,
+    /// What the data cannot tell from it.
+    pub rivals: Vec<Rival>,
+}
+
+/// A name that was tried.
+#[derive(Debug, Clone)]
+pub struct Tried {
+    /// Name, with its sensors.
+    pub label: String,
+    /// Log odds against what was accepted in its place.
+    pub odds: f64,
+    /// Whether it is in the answer.
+    pub accepted: bool,
+}
+
+/// The answer, before anything is written.
+#[derive(Debug, Clone)]
+pub(crate) struct Answer {
+    /// Effects with half widths of their intervals, strongest first.
+    pub(crate) findings: Vec<(Finding, Vec<f64>)>,
+    pub(crate) unexplained: Vec<Shape>,
+    pub(crate) estimate: Estimate,
+}
+
+/// Half widths of the intervals that a model states, effect by effect and value by value.
+pub(crate) fn stated(machine: &Machine) -> Vec<Vec<Option<f64>>> {
+    let of = |l: &rtec_model::machine::Listed| {
+        let width = l.effect.width();
+        let names = l.effect.description().parameters.iter();
+        names
+            .flat_map(|p| {
+                let pairs = l.provenance.interval.get(&p.name);
+                (0..width).map(move |i| pairs.and_then(|v| v.get(i)).map(|[lo, hi]| 0.5 * (hi - lo)))
+            })
+            .collect()
+    };
+    machine.listed().iter().map(of).collect()
+}
+
+/// Probability that chance alone gives odds like these: under chance a Bayes factor is one on average, so one of x comes with a
+/// probability below 1/x (Markov's inequality). The price of one more effect is no part of the prior over names.
+fn p_value(f: &Found) -> f64 {
+    (-f.evidence - rtec_estimate::priors::PRICE).exp().min(1.0)
+}
+
+/// What the records say beside a model, at a false-alarm rate.
+pub(crate) fn analyse(records: &[Record], machine: &Machine, level: f64) -> Answer {
+    let model: Vec<Effect> = machine.effects().cloned().collect();
+    let estimate = rtec_estimate::estimate(records, machine.dictionary(), &model, &stated(machine));
+    let mut findings = Vec::new();
+    let mut unexplained = Vec::new();
+    for f in estimate.found.iter().filter(|f| f.replaces.is_some() || p_value(f) <= level) {
+        match (&f.effect, &f.shape) {
+            // Shapes hold at least half of the place: no name does.
+            (Some(effect), _) if f.shape_mass < rtec_estimate::priors::THERE => {
+                findings.push((finding(f, effect), f.half.clone()));
+            }
+            (Some(effect), _) => {
+                let rows = rtec_estimate::rows::Rows::new(records);
+                unexplained.extend(Shape::like(&rows, effect, "not as any effect of the dictionary"));
+            }
+            (None, Some(shape)) => unexplained.push(shape.clone()),
+            (None, None) => {}
+        }
+    }
+    Answer { findings, unexplained, estimate }
+}
+
+/// Log evidence of the likeliest account of records.
+pub(crate) fn score(records: &[Record], machine: &Machine) -> f64 {
+    let model: Vec<Effect> = machine.effects().cloned().collect();
+    rtec_estimate::score(records, machine.dictionary(), &model, &stated(machine))
+}
+
+/// Size of the noise of a response in an answer, in its unit.
+pub(crate) fn size_um(answer: &Answer, records: &[Record], role: &Role) -> f64 {
+    let rows = rtec_estimate::rows::Rows::new(records);
+    let noise = &answer.estimate.noise;
+    let j = rows.responses.iter().position(|r| r == role);
+    j.map_or(f64::INFINITY, |j| noise.sigma[j] / (1.0 - noise.phi[j] * noise.phi[j]).sqrt())
+}
+
+fn finding(f: &Found, effect: &Effect) -> Finding {
+    let rival = |r: &rtec_estimate::Rival| Rival {
+        name: r.name.clone(),
+        sensor: r.sensor.clone(),
+        differs: r.differs.clone(),
+        margin: r.margin,
+    };
+    Finding {
+        effect: effect.clone(),
+        held: f.held.clone(),
+        p_value: p_value(f),
+        evidence: f.evidence,
+        name_mass: f.name_mass / (1.0 - f.shape_mass).max(1e-9),
+        mode_mass: f.mode_mass,
+        rivals: f.rivals.iter().map(rival).collect(),
+    }
+}

@@ -1,0 +1,232 @@
+//! People's mistakes, before anything is explained: what the records show by themselves (`rtec_measure::plausible`), and what
+//! shows beside the model, a record that agrees with it only with another sign, unit, direction or sensor. What is doubted
+//! is left out of the analysis and said; it is never named as an effect.
+
+use crate::gap::{self, Gap, Trace};
+use crate::suspected::{about, is_of_clock, is_one_of_several, is_sensor, whole};
+use crate::verdict::Unsaid;
+use rtec_measure::plausible::{self, Suspicion, What};
+use rtec_model::effect::{Effect, Heat};
+use rtec_model::machine::Machine;
+use rtec_model::record::{Column, Record};
+
+/// A gap that is so many times as wide afterwards is no chance.
+const WORSE: f64 = 1.1;
+/// Fewer rows tell nothing.
+const FEWEST: usize = 12;
+/// A hold-out that the better model leaves so many times the training's remainder of is of another machine, or state.
+const OTHER: f64 = 4.0;
+
+/// What is doubted, and the records to analyse.
+pub(crate) struct Doubts {
+    pub(crate) said: Vec<Suspicion>,
+    /// The training records without what is doubted; none where all of it is.
+    pub(crate) train: Vec<Record>,
+    /// Of each of them, the numbers that its rows had as measured.
+    pub(crate) rows: Vec<Vec<usize>>,
+    /// What was left out of the training, a line each.
+    pub(crate) left_out: Vec<String>,
+    holdout: Vec<Record>,
+    of_holdout: Vec<Suspicion>,
+}
+
+/// Looks at all records by themselves and beside each other. What a hold-out shows changes nothing of the training.
+pub(crate) fn doubts(train: &[Record], holdout: &[Record], machine: &Machine) -> Doubts {
+    let all: Vec<&Record> = train.iter().chain(holdout).collect();
+    let twice = plausible::repeated(&all);
+    let again = |(first, k): &(usize, usize)| Suspicion::again(all[*first], all[*k]);
+    let mut left_out: Vec<String> =
+        twice.iter().map(|(_, k)| format!("{}: given twice", all[*k].path.display())).collect();
+    let mut said: Vec<Suspicion> = twice.iter().map(again).collect();
+    let once = |from: usize, records: &[Record]| -> Vec<Record> {
+        let new = |k: &usize| twice.iter().all(|(_, again)| *again != from + k);
+        (0..records.len()).filter(new).map(|k| records[k].clone()).collect()
+    };
+    let (train, holdout) = (once(0, train), once(train.len(), holdout));
+    let of_train = plausible::suspicions(&train);
+    let mut together =
+        if holdout.is_empty() { Vec::new() } else { plausible::suspicions(&[&train[..], &holdout].concat()) };
+    together.retain(|s| !of_train.contains(s));
+    // What only the hold-outs' side of a pair shows of a training record is said, and no more.
+    let (mut of_holdout, beside): (Vec<_>, Vec<_>) =
+        together.into_iter().partition(|s| holdout.iter().any(|r| about(s, r)));
+    // Of two that are each other's opposite the training is it, where the model says so.
+    let turned = |s: &Suspicion| {
+        s.what == What::Sign && of_train.iter().any(|t| (t.what, &t.column) == (s.what, &s.column))
+    };
+    of_holdout.retain(|s| !turned(s));
+    said.extend(of_train.iter().chain(&beside).chain(&of_holdout).cloned());
+    let (left, rows): (Vec<Record>, Vec<Vec<usize>>) =
+        train.iter().filter_map(|r| without(r, &of_train, machine)).unzip();
+    left_out.extend(lines(&train, &left, &of_train));
+    Doubts { said, train: left, rows, left_out, holdout, of_holdout }
+}
+
+impl Doubts {
+    /// The hold-outs without what is doubted, for a model: what it does not read may be off. And what was left out.
+    pub(crate) fn holdouts(&self, model: &Machine) -> (Vec<Record>, Vec<String>) {
+        let left = self.holdout.iter().filter_map(|r| without(r, &self.of_holdout, model));
+        let left: Vec<Record> = left.map(|(r, _)| r).collect();
+        let lines = lines(&self.holdout, &left, &self.of_holdout);
+        (left, lines)
+    }
+
+    /// Leaves out the training records whose clock is doubted: no lag is told by them. Whether there were any.
+    pub(crate) fn without_clocks(&mut self) -> bool {
+        let before = self.train.len();
+        for (k, record) in std::mem::take(&mut self.train).into_iter().enumerate().rev() {
+            if self.said.iter().any(|s| about(s, &record) && is_of_clock(s, &record)) {
+                self.rows.remove(k);
+                self.left_out.push(format!("{}: all of it ({})", record.path.display(), What::Unit));
+            } else {
+                self.train.insert(0, record);
+            }
+        }
+        self.train.len() < before
+    }
+
+    /// Of the given records those that nothing is learned from, nor judged by, and why.
+    pub(crate) fn unsaid(&self, train: &[Record], holdout: &[Record], model: &Machine) -> Vec<Unsaid> {
+        let held = self.holdouts(model).0;
+        let of = |all: &[Record], left: &[Record]| -> Vec<Unsaid> {
+            let gone = all.iter().filter(|r| left.iter().all(|l| l.path != r.path));
+            // What is given twice is said once.
+            let own = |r: &&Record| self.said.iter().filter(|s| about(s, r)).collect::<Vec<&Suspicion>>();
+            let again = |r: &&Record| own(r).iter().any(|s| s.what == What::Doubled && whole(s, r));
+            let unsaid = |r: &Record| {
+                let mut why: Vec<&str> = own(&r).iter().map(|s| s.what.name()).collect();
+                why.dedup();
+                Unsaid { record: r.path.display().to_string(), why: why.join(", ") }
+            };
+            gone.filter(|r| !again(r)).map(unsaid).collect()
+        };
+        [of(train, &self.train), of(holdout, &held)].concat()
+    }
+
+    /// More that is doubted of hold-outs: they are left out.
+    pub(crate) fn also_held(&mut self, more: Vec<Suspicion>) {
+        self.said.extend(more.iter().cloned());
+        self.of_holdout.extend(more);
+    }
+
+    /// The hold-outs as they are given, once each.
+    pub(crate) fn given_hold_outs(&self) -> &[Record] {
+        &self.holdout
+    }
+
+    /// More that is doubted of whole records of the training.
+    pub(crate) fn also(&mut self, more: Vec<Suspicion>) {
+        for (k, record) in std::mem::take(&mut self.train).into_iter().enumerate().rev() {
+            match more.iter().find(|s| about(s, &record)) {
+                Some(s) => {
+                    self.rows.remove(k);
+                    self.left_out.push(format!("{}: all of it ({})", record.path.display(), s.what.name()));
+                }
+                None => self.train.insert(0, record),
+            }
+        }
+        self.said.extend(more);
+    }
+}
+
+/// What is missing of the records afterwards, a line each.
+fn lines(before: &[Record], after: &[Record], said: &[Suspicion]) -> Vec<String> {
+    let mut out = Vec::new();
+    for record in before {
+        let path = record.path.display();
+        let mut why: Vec<&str> = said.iter().filter(|s| about(s, record)).map(|s| s.what.name()).collect();
+        why.dedup();
+        let why = if why.is_empty() { "in another record".to_owned() } else { why.join(", ") };
+        let Some(left) = after.iter().find(|r| r.path == record.path) else {
+            out.push(format!("{path}: all of it ({why})"));
+            continue;
+        };
+        let rows = record.rows() - left.rows();
+        if rows > 0 {
+            out.push(format!("{path}: {rows} of {} rows ({why})", record.rows()));
+        }
+        let gone = |c: &&Column| left.columns.iter().all(|o| o.name != c.name);
+        out.extend(record.columns.iter().filter(gone).map(|c| format!("{path}: {} ({why})", c.name)));
+    }
+    out
+}
+
+/// The record without what is doubted of it; none where nothing is left that could be trusted.
+fn without(record: &Record, said: &[Suspicion], machine: &Machine) -> Option<(Record, Vec<usize>)> {
+    let clocked = machine.effects().any(reads_clock);
+    let useless = |s: &Suspicion| whole(s, record) || clocked && is_of_clock(s, record);
+    if said.iter().any(|s| about(s, record) && useless(s)) {
+        return None;
+    }
+    let read = |name: &str| {
+        let reads = |e: &Effect| {
+            e.channel() == Some(name) || e.delta.as_ref().is_some_and(|d| d.sensors().any(|n| n == name))
+        };
+        machine.effects().any(reads)
+    };
+    let of_rows: Vec<Suspicion> = said.iter().filter(|s| !is_sensor(record, &s.column)).cloned().collect();
+    let mut rows = plausible::unusable(&of_rows).rows(record);
+    let mut sensors: Vec<&str> = Vec::new();
+    for s in said.iter().filter(|s| is_sensor(record, &s.column)) {
+        let (own, few) = (s.row_list(), s.is_few());
+        if few && about(s, record) {
+            // A few bad readings cost their rows.
+            rows.extend(own);
+        } else if !few && !read(&s.column) {
+            // Doubted in one record, it is no cause in any.
+            sensors.push(&s.column);
+        } else if !few && about(s, record) {
+            if own.is_empty() {
+                return None;
+            }
+            rows.extend(own);
+        }
+    }
+    rows.sort_unstable();
+    rows.dedup();
+    let keep: Vec<usize> = (0..record.rows()).filter(|i| rows.binary_search(i).is_err()).collect();
+    if keep.len() < FEWEST.min(record.rows()) {
+        return None;
+    }
+    let mut left = if keep.len() < record.rows() { record.select(&keep) } else { record.clone() };
+    left.columns.retain(|c| !sensors.contains(&c.name.as_str()) || !is_sensor(record, &c.name));
+    let still = |s: &&Suspicion| s.what == What::Stuck && s.rows.is_empty() && about(s, record);
+    for gauge in said.iter().filter(still).map(|s| &s.column) {
+        if is_one_of_several(&left, gauge) {
+            left.columns.retain(|c| c.name != *gauge);
+        } else if left.responses().any(|c| c.name == *gauge) {
+            return None;
+        }
+    }
+    Some((left, keep))
+}
+
+/// An effect that is as long as the clock says.
+pub(crate) fn reads_clock(effect: &Effect) -> bool {
+    let law = effect.description();
+    law.lag.is_some() || law.heat == Heat::FromStart
+}
+
+/// The hold-outs that the better model describes far worse than the training, and no better than the model as it was, by
+/// their numbers: how much of their gap is closed says nothing. `traces` are those of the hold-outs, record by record.
+pub(crate) fn other_machines(holdout: &[Record], traces: &[Trace], gap: &[Gap]) -> Vec<(usize, Suspicion)> {
+    let mut found = Vec::new();
+    for (k, (record, own)) in holdout.iter().zip(gap::by_record(holdout, traces)).enumerate() {
+        for g in gap {
+            let floor = g.floor.max(g.train[1]).max(rtec_estimate::setup::resolution_um(record));
+            let Some([before, after]) = gap::pooled(own, &g.unit, true) else { continue };
+            let worse = after > WORSE * before.max(g.floor) && after > 2.0 * floor;
+            if worse || (after > OTHER * floor && after > 0.7 * before) {
+                let unit = if g.unit == "um" { "µm" } else { g.unit.as_str() };
+                let text = format!(
+                    "the model that leaves {:.2} {unit} of the training leaves {after:.2} {unit} of this hold-out: another \
+                     machine, or another state of it?",
+                    g.train[1]
+                );
+                found.push((k, Suspicion::new(record, "", What::OtherMachine, &[], text)));
+                break;
+            }
+        }
+    }
+    found
+}

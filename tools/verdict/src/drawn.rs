@@ -1,0 +1,57 @@
+//! Of very many rows some are looked at: one of each stretch.
+
+use rtec_model::record::Record;
+use std::borrow::Cow;
+
+/// More rows are not looked at: an effect's value is then known to a hundredth of the noise, and what a search takes grows with rows times
+/// candidates, to minutes and a gigabyte.
+pub(crate) const MOST_ROWS: usize = 20_000;
+
+/// So many rows as are looked at.
+pub(crate) fn bounded(train: &[Record]) -> Cow<'_, [Record]> {
+    match at_least_every(train) {
+        1 => Cow::Borrowed(train),
+        every => train.iter().map(|r| r.select(&drawn(r.rows(), every))).collect(),
+    }
+}
+
+/// One row of how many is looked at before anything is known of them: the least power of two that leaves [`MOST_ROWS`] at most.
+pub(crate) fn at_least_every(records: &[Record]) -> usize {
+    let rows: usize = records.iter().map(Record::rows).sum();
+    rows.div_ceil(MOST_ROWS).next_power_of_two()
+}
+
+/// One row of each stretch of so many, at a place in it that a fixed sequence draws: rows an equal number apart may all be of one
+/// target, or of one way.
+fn drawn(rows: usize, every: usize) -> Vec<usize> {
+    (0..rows)
+        .step_by(every)
+        .map(|from| {
+            let dice = (from as u64).wrapping_add(1).wrapping_mul(0x9E37_79B9_7F4A_7C15);
+            from + (dice >> 33) as usize % every.min(rows - from)
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::drawn;
+
+    /// Whatever the length: one of each stretch, in order; not always the same place of it.
+    #[test]
+    fn rows_are_drawn_one_of_each_stretch() {
+        for (rows, every) in [(1, 1), (7, 2), (8, 2), (1000, 8), (40_001, 4)] {
+            let of = drawn(rows, every);
+            assert_eq!(of.len(), rows.div_ceil(every));
+            assert!(
+                of.iter().enumerate().all(|(n, row)| row / every == n && *row < rows),
+                "{rows} by {every}"
+            );
+        }
+        let places = drawn(80_000, 8).into_iter().fold([0; 8], |mut of, row| {
+            of[row % 8] += 1;
+            of
+        });
+        assert!(places.iter().all(|n| (1000..1500).contains(n)), "{places:?}");
+    }
+}

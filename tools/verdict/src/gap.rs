@@ -1,0 +1,205 @@
+//! How far measured and simulated are apart, before and after, and what the data itself repeats to.
+
+use crate::answer::{Answer, stated};
+use rtec_estimate::problem::Problem;
+use rtec_estimate::refit::{Refit, left};
+use rtec_estimate::rows::Rows;
+use rtec_model::effect::Effect;
+use rtec_model::machine::Machine;
+use rtec_model::record::Record;
+
+/// Folds of the blocked cross-validation.
+const FOLDS: usize = 5;
+
+/// How far measured and simulated are apart, for the responses of one unit.
+#[derive(Debug, Clone)]
+pub struct Gap {
+    /// The responses' unit.
+    pub unit: String,
+    /// Root mean square on the training records: before, after.
+    pub train: [f64; 2],
+    /// The same on the hold-outs.
+    pub holdout: Option<[f64; 2]>,
+    /// The same on those hold-outs alone that do not look like another machine's, where some do and some do not. [`Gap::holdout`] is of
+    /// all: it may as well be the model that is wrong.
+    pub without_strangers: Option<[f64; 2]>,
+    /// The same by blocked cross-validation, where anything was fitted.
+    pub blocked: Option<[f64; 2]>,
+    /// Noise of the data.
+    pub floor: f64,
+    /// The hold-out is doubted, or so few rows taught nothing: how much of the gap is closed says nothing.
+    pub doubted: bool,
+    /// Rows of the hold-outs.
+    pub held_rows: usize,
+}
+
+impl Gap {
+    /// Share of the gap that is closed on the hold-out (or by cross-validation): 1 is down to the floor.
+    #[must_use]
+    pub fn closed(&self) -> Option<f64> {
+        let [before, after] = self.holdout.or(self.blocked).unwrap_or(self.train);
+        (before > self.floor && !self.doubted).then(|| ((before - after) / (before - self.floor)).max(0.0))
+    }
+
+    /// Whether the hold-out is no worse with what was found, but for chance (two standard errors of a mean square); `None` without one.
+    #[must_use]
+    pub fn confirmed(&self) -> Option<bool> {
+        let [before, after] = self.holdout?;
+        let chance = 1.0 + 2.0 * (2.0 / self.held_rows.max(1) as f64).sqrt();
+        Some(after * after <= (before * before).max(self.floor * self.floor) * chance)
+    }
+}
+
+/// What the simulation leaves of one response of one record, its set-up taken out.
+#[derive(Debug, Clone)]
+pub struct Trace {
+    /// The record's file.
+    pub file: String,
+    /// The response.
+    pub response: String,
+    /// Whether it was held out.
+    pub holdout: bool,
+    /// Row times, s.
+    pub time_s: Vec<f64>,
+    /// Measured minus simulated with the model as it was.
+    pub before: Vec<f64>,
+    /// The same with the better model.
+    pub after: Vec<f64>,
+}
+
+/// Measured minus simulated by the model as it was and by the better one, record by record.
+pub(crate) fn traces(train: &[Record], holdout: &[Record], before: &Machine, after: &Machine) -> Vec<Trace> {
+    let mut out = Vec::new();
+    let effects = |m: &Machine| -> Vec<Effect> { m.effects().cloned().collect() };
+    let (old, new) = (effects(before), effects(after));
+    for (record, held) in train.iter().map(|r| (r, false)).chain(holdout.iter().map(|r| (r, true))) {
+        let (before, after) = (left(record, &old), left(record, &new));
+        for ((column, before), after) in record.responses().zip(before).zip(after) {
+            out.push(Trace {
+                file: record.file.clone(),
+                response: column.role.to_string(),
+                holdout: held,
+                time_s: record.time_s().to_vec(),
+                before,
+                after,
+            });
+        }
+    }
+    out
+}
+
+fn unit_of(response: &str) -> &'static str {
+    if response.starts_with("force") { "N" } else { "um" }
+}
+
+pub(crate) fn rms<'v>(v: impl IntoIterator<Item = &'v f64>) -> f64 {
+    let (sum, n) = v.into_iter().fold((0.0, 0.0), |(s, n), x| (s + x * x, n + 1.0));
+    (sum / f64::max(n, 1.0)).sqrt()
+}
+
+/// The gap of the responses of each unit. `used`: the rows that were looked at.
+pub(crate) fn gaps(used: &[Record], traces: &[Trace], answer: &Answer, machine: &Machine) -> Vec<Gap> {
+    let mut units: Vec<&str> = traces.iter().map(|t| unit_of(&t.response)).collect();
+    units.sort_unstable();
+    units.dedup();
+    let model: Vec<Effect> = machine.effects().cloned().collect();
+    let rows = Rows::new(used);
+    let found: Vec<Effect> = answer.findings.iter().map(|(f, _)| f.effect.clone()).collect();
+    let moved = answer.estimate.known.iter().any(|k| k.beyond_chance);
+    let noise = &answer.estimate.noise;
+    let blocked = (!found.is_empty() || moved).then(|| {
+        let problem = Problem::new(&rows, &model, &stated(machine));
+        Refit::new(&problem, &found).left_by_others(noise, FOLDS)
+    });
+    let of = |unit: &str| {
+        let of_unit = |j: usize| unit_of(&rows.responses[j].to_string()) == unit;
+        let own = || rows.segments.iter().filter(|s| of_unit(s.response));
+        let pick = |all: &[f64]| rms(own().flat_map(|s| &all[s.rows.clone()]));
+        let variance: f64 = own()
+            .map(|s| {
+                let (sigma, phi) = (noise.sigma[s.response], noise.phi[s.response]);
+                s.rows.len() as f64 * sigma * sigma / (1.0 - phi * phi)
+            })
+            .sum();
+        let n: f64 = own().map(|s| s.rows.len() as f64).sum();
+        let train = pooled(traces, unit, false).unwrap_or([0.0; 2]);
+        let held_rows =
+            traces.iter().filter(|t| t.holdout && unit_of(&t.response) == unit).map(|t| t.before.len()).sum();
+        Gap {
+            unit: unit.to_owned(),
+            train,
+            holdout: pooled(traces, unit, true),
+            without_strangers: None,
+            blocked: blocked.as_ref().map(|all| [train[0], pick(all)]),
+            floor: (variance / n.max(1.0)).sqrt(),
+            doubted: false,
+            held_rows,
+        }
+    };
+    units.into_iter().map(of).collect()
+}
+
+/// RMS before and after over all responses of a unit, of the training records or of the held-out ones.
+pub(crate) fn pooled(traces: &[Trace], unit: &str, held: bool) -> Option<[f64; 2]> {
+    let of: Vec<&Trace> =
+        traces.iter().filter(|t| t.holdout == held && unit_of(&t.response) == unit).collect();
+    let pool = |f: fn(&Trace) -> &[f64]| rms(of.iter().flat_map(|t| f(t)));
+    (!of.is_empty()).then(|| [pool(|t| &t.before), pool(|t| &t.after)])
+}
+
+/// The traces of each hold-out, where `traces` are those of all of them, record by record.
+pub(crate) fn by_record<'t>(held: &[Record], traces: &'t [Trace]) -> Vec<&'t [Trace]> {
+    let mut rest = traces;
+    let own = |record: &Record| {
+        let (own, further) = rest.split_at(record.responses().count().min(rest.len()));
+        rest = further;
+        own
+    };
+    held.iter().map(own).collect()
+}
+
+/// What the gaps are on these hold-outs' traces alone.
+pub(crate) fn without_strangers(gap: &mut [Gap], traces: &[Trace]) {
+    for g in gap {
+        g.without_strangers = pooled(traces, &g.unit, true);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn gap(train: [f64; 2], holdout: Option<[f64; 2]>, blocked: Option<[f64; 2]>, floor: f64) -> Gap {
+        Gap {
+            unit: "um".into(),
+            train,
+            holdout,
+            without_strangers: None,
+            blocked,
+            floor,
+            doubted: false,
+            held_rows: 200,
+        }
+    }
+
+    #[test]
+    fn the_gap_is_closed_when_only_the_floor_is_left() {
+        assert_eq!(gap([5.0, 1.0], None, None, 1.0).closed(), Some(1.0));
+        // The hold-out counts where there is one, then the cross-validation.
+        assert_eq!(gap([5.0, 1.0], Some([5.0, 3.0]), Some([5.0, 5.0]), 1.0).closed(), Some(0.5));
+        assert_eq!(gap([5.0, 1.0], None, Some([5.0, 5.0]), 1.0).closed(), Some(0.0));
+        assert_eq!(gap([1.0, 0.9], None, None, 1.0).closed(), None, "nothing to close");
+    }
+
+    #[test]
+    fn a_hold_out_confirms_unless_it_is_worse_than_chance() {
+        assert_eq!(gap([5.0, 1.0], None, None, 1.0).confirmed(), None);
+        assert_eq!(gap([5.0, 1.0], Some([2.0, 2.1]), None, 1.0).confirmed(), Some(true));
+        assert_eq!(gap([5.0, 1.0], Some([2.0, 4.0]), None, 1.0).confirmed(), Some(false));
+    }
+
+    #[test]
+    fn forces_are_no_lengths() {
+        assert_eq!((unit_of("force.x"), unit_of("error.x")), ("N", "um"));
+    }
+}

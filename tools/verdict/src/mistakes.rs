@@ -1,0 +1,381 @@
+//! People's mistakes beside a model: a record as it stands against the same record with a mistake undone, by one likelihood. What
+//! counts is the density of the numbers as they are written in the file.
+
+use crate::answer::{Answer, analyse, score, size_um, stated};
+use rtec_estimate::alone;
+use rtec_measure::plausible::{Suspicion, What};
+use rtec_model::circle::Circle;
+use rtec_model::effect::{Difference, Effect};
+use rtec_model::machine::Machine;
+use rtec_model::record::{Axis, Column, Record, Role};
+use std::f64::consts::PI;
+
+/// A mistake that a record may carry.
+pub(crate) struct Mistake {
+    said: Suspicion,
+    /// The record without it.
+    undone: Record,
+    /// log of how much closer together the numbers lie in the file than undone.
+    jacobian: f64,
+}
+
+/// What is suspected of a record.
+pub(crate) struct Suspected {
+    pub(crate) said: Suspicion,
+    /// So certain that nothing is learned from the record.
+    pub(crate) certain: bool,
+}
+
+/// One record in so many carries a mistake of one kind: one in 30 carries any, of some 20 kinds (experience of people who read logs).
+const ONE_IN: f64 = 600.0;
+/// Odds at which a record is left out.
+const CERTAIN: f64 = 99.0;
+/// A mistake is looked at beside all records that makes its record alone likelier by as much as a mistake costs, and by this share of
+/// what was found as it stands.
+const SHARE: f64 = 0.005;
+/// So many are looked at, and so many are found at most.
+const LOOKED_AT: usize = 3;
+const MOST: usize = 3;
+/// A record that the model alone leaves no more than so many times the noise of is no mistake.
+const SOUND: f64 = 1.3;
+/// A hold-out without the mistake leaves no more than so many times the training's noise.
+const EXPLAINED: f64 = 2.0;
+
+/// Mistakes of training records that explain them better than what was found as they stand.
+pub(crate) fn of_training(
+    records: &[Record],
+    machine: &Machine,
+    first: &Answer,
+    level: f64,
+) -> Vec<Suspected> {
+    let mut out = Vec::new();
+    let mut now = records.to_vec();
+    let mut best: Option<Answer> = None;
+    while out.len() < MOST {
+        let answer = best.as_ref().unwrap_or(first);
+        if machine.effects().next().is_none() || !leaves_a_question(answer) {
+            break;
+        }
+        let model = with_findings(machine, answer);
+        let intervals = stated(machine);
+        let mut tried: Vec<(f64, usize, Mistake)> = Vec::new();
+        let evidence: f64 = answer.estimate.found.iter().map(|f| f.evidence).fold(0.0, f64::max);
+        let worth = ONE_IN.ln().max(SHARE * evidence);
+        for (k, record) in now.iter().enumerate() {
+            let (as_it_stands, noise) = alone(record, &model, &intervals);
+            if noise.iter().all(|(r, s)| *s <= SOUND * size_um(answer, &now, r)) {
+                continue;
+            }
+            for m in candidates(record, &now, &model) {
+                let gain = alone(&m.undone, &model, &intervals).0 + m.jacobian - as_it_stands;
+                if gain > worth {
+                    tried.push((gain, k, m));
+                }
+            }
+        }
+        tried.sort_by(|a, b| b.0.total_cmp(&a.0));
+        // Of one kind the likeliest.
+        let mut kinds: Vec<(usize, What)> = Vec::new();
+        tried.retain(|(_, k, m)| {
+            let new = !kinds.contains(&(*k, m.said.what));
+            kinds.push((*k, m.said.what));
+            new
+        });
+        tried.truncate(LOOKED_AT);
+        let mut likeliest: Option<(f64, usize, Mistake)> = None;
+        for (_, k, m) in tried {
+            let mut others = now.clone();
+            others[k] = m.undone.clone();
+            let then = score(&others, machine);
+            let gain = then + m.jacobian - answer.estimate.score - ONE_IN.ln();
+            if gain > likeliest.as_ref().map_or(0.0, |b| b.0) {
+                likeliest = Some((gain, k, m));
+            }
+        }
+        let Some((gain, k, m)) = likeliest else { break };
+        out.push(Suspected { said: m.said, certain: gain > CERTAIN.ln() });
+        now[k] = m.undone;
+        best = Some(analyse(&now, machine, level));
+    }
+    out
+}
+
+/// Mistakes of a hold-out beside the better model: without it the model explains the record.
+pub(crate) fn of_hold_out(
+    record: &Record,
+    train: &[Record],
+    model: &Machine,
+    floor_um: &dyn Fn(&Role) -> f64,
+) -> Option<Suspicion> {
+    let effects: Vec<Effect> = model.effects().cloned().collect();
+    let intervals = stated(model);
+    if effects.is_empty() {
+        return None;
+    }
+    let (as_it_stands, noise) = alone(record, &effects, &intervals);
+    let explained = |noise: &[(Role, f64)]| noise.iter().all(|(r, s)| *s <= EXPLAINED * floor_um(r));
+    if explained(&noise) {
+        return None;
+    }
+    let mut all = train.to_vec();
+    all.push(record.clone());
+    let weigh = |m: Mistake| {
+        let (then, noise) = alone(&m.undone, &effects, &intervals);
+        let gain = then + m.jacobian - as_it_stands - ONE_IN.ln() - CERTAIN.ln();
+        (gain > 0.0 && explained(&noise)).then_some((gain, m.said))
+    };
+    let found = candidates(record, &all, &effects).into_iter().filter_map(weigh);
+    found.max_by(|a, b| a.0.total_cmp(&b.0)).map(|b| b.1)
+}
+
+/// Whether there is anything that a mistake could explain instead.
+fn leaves_a_question(answer: &Answer) -> bool {
+    !answer.findings.is_empty()
+        || !answer.unexplained.is_empty()
+        || answer.estimate.found.iter().any(|f| f.replaces.is_some())
+}
+
+/// The model with what was found: mistakes are held beside all that is known.
+fn with_findings(machine: &Machine, answer: &Answer) -> Vec<Effect> {
+    let known = answer.estimate.known.iter().map(|k| k.after.clone());
+    let mut model: Vec<Effect> = machine.effects().cloned().collect();
+    for (place, after) in answer.estimate.known.iter().map(|k| k.place).zip(known) {
+        model[place] = after;
+    }
+    model
+}
+
+/// The record with other columns.
+fn rebuilt(record: &Record, columns: Vec<Column>, circle: Option<Circle>) -> Option<Record> {
+    let mut new = Record::new(&record.path, record.kind, columns).ok()?;
+    (new.zero, new.count_um, new.turns) = (record.zero.clone(), record.count_um, record.turns);
+    (new.file, new.sha256) = (record.file.clone(), record.sha256.clone());
+    match circle {
+        Some(circle) => new.with_circle(circle).ok(),
+        None => Some(new),
+    }
+}
+
+/// The record with some columns changed.
+fn changed(record: &Record, which: &dyn Fn(&Column) -> bool, change: &dyn Fn(f64) -> f64) -> Option<Record> {
+    let mut columns = record.columns.clone();
+    columns.iter_mut().filter(|c| which(c)).for_each(|c| c.data.iter_mut().for_each(|x| *x = change(*x)));
+    rebuilt(record, columns, record.circle().cloned())
+}
+
+/// The record with roles renamed.
+fn renamed(record: &Record, to: &dyn Fn(&Role) -> Role) -> Option<Record> {
+    let mut columns = record.columns.clone();
+    for c in &mut columns {
+        c.role = to(&c.role);
+    }
+    rebuilt(record, columns, record.circle().cloned())
+}
+
+fn with_axis(role: &Role, axis: Axis) -> Role {
+    match role {
+        Role::Position(_) => Role::Position(axis),
+        Role::Direction(_) => Role::Direction(axis),
+        Role::Velocity(_) => Role::Velocity(axis),
+        Role::Acceleration(_) => Role::Acceleration(axis),
+        Role::Load(_) => Role::Load(axis),
+        Role::Error(_) => Role::Error(axis),
+        Role::Force(_) => Role::Force(axis),
+        other => other.clone(),
+    }
+}
+
+/// What a response may be given as instead of micrometres, and how much larger it is then.
+const RESPONSES: [(f64, &str); 6] = [
+    (1e3, "given in mm, called µm?"),
+    (25.4, "given in thousandths of an inch, called µm?"),
+    (25.4e3, "given in inches, called µm?"),
+    (1e-3, "given in nm?"),
+    (10.0, "a decimal point one place off?"),
+    (0.1, "a decimal point one place off?"),
+];
+/// The same of forces.
+const FORCES: [(f64, &str); 4] = [
+    (1e3, "given in kN, called N?"),
+    (9.81, "given in kp, called N?"),
+    (10.0, "a decimal point one place off?"),
+    (0.1, "a decimal point one place off?"),
+];
+/// What other columns may be given in.
+fn other_units(role: &Role) -> &'static [(f64, &'static str)] {
+    match role {
+        Role::Position(_) => &[(1e3, "m"), (1e-3, "µm"), (25.4, "inch"), (10.0, "cm")],
+        Role::Velocity(_) => &[(1.0 / 60.0, "mm/min"), (1e3, "m/s"), (1e3 / 60.0, "m/min")],
+        Role::SpindleSpeed => &[(60.0, "rev/s"), (1e3, "krpm")],
+        Role::Time => &[(60.0, "min"), (3600.0, "h"), (1e-3, "ms")],
+        _ => &[],
+    }
+}
+/// Lengths that ballbars are made with, mm.
+const BARS_MM: [f64; 8] = [50.0, 75.0, 100.0, 150.0, 200.0, 250.0, 300.0, 600.0];
+
+/// All mistakes that a record may carry.
+#[expect(clippy::too_many_lines, reason = "one list, in the order of the words page")]
+fn candidates(record: &Record, all: &[Record], model: &[Effect]) -> Vec<Mistake> {
+    let mut out = Vec::new();
+    let rows = record.rows() as f64;
+    let mut add = |what: What, column: &str, text: String, undone: Option<Record>, jacobian: f64| {
+        if let Some(undone) = undone {
+            out.push(Mistake { said: Suspicion::new(record, column, what, &[], text), undone, jacobian });
+        }
+    };
+    let only = |text: &str| format!("the run agrees with the model only {text}");
+    for c in record.responses() {
+        let own = |o: &Column| o.name == c.name;
+        add(
+            What::Sign,
+            &c.name,
+            only("with the other sign: nominal minus measured?"),
+            changed(record, &own, &|x| -x),
+            0.0,
+        );
+        let units: &[(f64, &str)] = if matches!(c.role, Role::Force(_)) { &FORCES } else { &RESPONSES };
+        for (by, text) in units {
+            let text = only(&format!("{by} times as large: {text}"));
+            add(What::Unit, &c.name, text, changed(record, &own, &|x| by * x), rows * by.ln());
+        }
+    }
+    if record.responses().count() > 1 {
+        let all = |o: &Column| o.role.is_response();
+        add(
+            What::Sign,
+            "",
+            only("with the other signs: nominal minus measured?"),
+            changed(record, &all, &|x| -x),
+            0.0,
+        );
+    }
+    let motion = |c: &Column| matches!(c.role, Role::Direction(_) | Role::Velocity(_));
+    if let Some(first) = record.columns.iter().find(|c| motion(c)) {
+        let text = only("with the directions exchanged");
+        add(What::Direction, &first.name, text, changed(record, &motion, &|x| -x), 0.0);
+    }
+    let kinds: [fn(&Role) -> bool; 4] = [
+        |r| matches!(r, Role::Position(_)),
+        |r| matches!(r, Role::Velocity(_)),
+        |r| *r == Role::SpindleSpeed,
+        |r| *r == Role::Time,
+    ];
+    for kind in kinds {
+        let own: Vec<&Column> = record.columns.iter().filter(|c| kind(&c.role)).collect();
+        let Some(first) = own.first() else { continue };
+        for (by, unit) in other_units(&first.role) {
+            let text = only(&format!(
+                "with {} {by} times this: given in {unit}, called {}?",
+                first.name, first.unit
+            ));
+            add(What::Unit, &first.name, text, changed(record, &|c| kind(&c.role), &|x| by * x), 0.0);
+        }
+    }
+    let warm = |c: &Column| c.role == Role::Temperature;
+    if let Some(first) = record.columns.iter().find(|c| warm(c)) {
+        let text = only("with its temperatures read as degrees Fahrenheit");
+        add(What::Unit, &first.name, text, changed(record, &warm, &|x| (x - 32.0) / 1.8), 0.0);
+    }
+    let angle = |c: &Column| c.role == Role::Angle;
+    if let Some(first) = record.columns.iter().find(|c| angle(c)) {
+        type Mirror = fn(f64) -> f64;
+        let mirrored: [(&str, Mirror); 3] = [
+            ("with the angle the other way round", |x| -x),
+            ("with the angle mirrored", |x| PI - x),
+            ("with the angle from the other axis", |x| 0.5 * PI - x),
+        ];
+        for (text, of) in mirrored {
+            add(What::Direction, &first.name, only(text), changed(record, &angle, &of), 0.0);
+        }
+        add(
+            What::Unit,
+            &first.name,
+            only("with the angle in degrees"),
+            changed(record, &angle, &|x| x * PI / 180.0),
+            0.0,
+        );
+    }
+    if let Some(circle) = record.circle() {
+        for radius_mm in BARS_MM.into_iter().filter(|r| (r / circle.radius_mm - 1.0).abs() > 0.05) {
+            let text = only(&format!("with a bar of {radius_mm} mm, stated {} mm", circle.radius_mm));
+            let other = Circle { radius_mm, ..circle.clone() };
+            add(What::Unit, "radius_mm", text, rebuilt(record, record.columns.clone(), Some(other)), 0.0);
+        }
+    }
+    // Another axis's name, or two axes in each other's place.
+    let own: Vec<Axis> = axes(record);
+    let mut names: Vec<Axis> =
+        all.iter().flat_map(axes).chain(model.iter().flat_map(|e| e.axes().iter().cloned())).collect();
+    names.sort();
+    names.dedup();
+    names.retain(|n| n.as_str() != "r");
+    for a in own.iter().filter(|a| a.as_str() != "r" && record.data(&Role::Error((*a).clone())).is_some()) {
+        for b in names.iter().filter(|b| *b != a) {
+            let swap = |role: &Role| match role.axis() {
+                Some(axis) if axis == a => with_axis(role, b.clone()),
+                Some(axis) if axis == b => with_axis(role, a.clone()),
+                _ => role.clone(),
+            };
+            let text = only(&format!("as a run of {b}, called {a}"));
+            let column = record.column(&Role::Error(a.clone())).map_or("", |c| c.name.as_str());
+            add(What::Swapped, column, text, renamed(record, &swap), 0.0);
+        }
+    }
+    for kind in [Role::Error as fn(Axis) -> Role, Role::Position] {
+        for (i, a) in own.iter().enumerate() {
+            for b in &own[i + 1..] {
+                let (x, y) = (kind(a.clone()), kind(b.clone()));
+                let (Some(p), Some(q)) = (
+                    record.columns.iter().find(|c| c.role == x),
+                    record.columns.iter().find(|c| c.role == y),
+                ) else {
+                    continue;
+                };
+                let text = only(&format!("with {} and {} exchanged", p.name, q.name));
+                let swap = |role: &Role| {
+                    if *role == x {
+                        y.clone()
+                    } else if *role == y {
+                        x.clone()
+                    } else {
+                        role.clone()
+                    }
+                };
+                add(What::Swapped, &p.name, text, renamed(record, &swap), 0.0);
+            }
+        }
+    }
+    let read: Vec<String> = model
+        .iter()
+        .filter_map(|e| e.delta.as_ref())
+        .flat_map(Difference::sensors)
+        .map(str::to_owned)
+        .collect();
+    let sensors: Vec<&str> = record.names(&Role::Temperature).collect();
+    for (i, a) in sensors.iter().enumerate() {
+        for b in &sensors[i + 1..] {
+            if read.iter().any(|r| r == a || r == b) {
+                let text = only(&format!("with {a} and {b} exchanged"));
+                add(What::Swapped, a, text, with_sensors_exchanged(record, a, b), 0.0);
+            }
+        }
+    }
+    out
+}
+
+fn axes(record: &Record) -> Vec<Axis> {
+    let mut all: Vec<Axis> = record.columns.iter().filter_map(|c| c.role.axis().cloned()).collect();
+    all.sort();
+    all.dedup();
+    all
+}
+
+fn with_sensors_exchanged(record: &Record, a: &str, b: &str) -> Option<Record> {
+    let mut columns = record.columns.clone();
+    let at = |name: &str| record.columns.iter().position(|c| c.role == Role::Temperature && c.name == name);
+    let (i, j) = (at(a)?, at(b)?);
+    columns[i].data.clone_from(&record.columns[j].data);
+    columns[j].data.clone_from(&record.columns[i].data);
+    rebuilt(record, columns, record.circle().cloned())
+}

@@ -1,0 +1,70 @@
+//! The sensors that a fit of growth chooses on the same drift: one choice, or the reason why there are two.
+
+use crate::answer::Finding;
+use rtec_fit::thermal;
+use rtec_model::effect::{Against, Difference, Heat};
+use rtec_model::machine::Machine;
+use rtec_model::record::{Kind, Record, Role};
+
+/// Two sensors, whichever is taken off.
+fn pair(d: &Difference) -> [Option<&str>; 2] {
+    let minus = match &d.against {
+        Against::Sensor(m) => Some(m.as_str()),
+        Against::Standard | Against::Reference(_) => None,
+    };
+    let mut both = [Some(d.sensor.as_str()), minus];
+    both.sort_unstable();
+    both
+}
+
+fn list(differences: &[&Difference]) -> String {
+    differences.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ")
+}
+
+/// Where `rtecctl model fit` reads other temperatures than the growth that was found: which, and why.
+pub(crate) fn other_sensors(
+    effects: &[(Finding, Vec<f64>)],
+    train: &[Record],
+    machine: &Machine,
+) -> Option<String> {
+    if !train.iter().all(|r| r.kind == Kind::Drift && r.column(&Role::Time).is_some()) {
+        return None;
+    }
+    let growth = |f: &&Finding| f.effect.description().heat == Heat::Growth && f.effect.delta.is_some();
+    let found: Vec<&Finding> = effects.iter().map(|(f, _)| f).filter(growth).collect();
+    let records: Vec<&Record> = train.iter().collect();
+    let base = (machine.effects().count() > 0).then(|| machine.clone());
+    let beyond: Vec<Record> = match &base {
+        Some(base) => records.iter().map(|r| base.beyond(r)).collect::<Result<_, _>>().ok()?,
+        None => train.to_vec(),
+    };
+    let options = thermal::Options { base, ..thermal::Options::default() };
+    let mut said = Vec::new();
+    let mut axes: Vec<_> = found.iter().map(|f| f.effect.axes()[0].clone()).collect();
+    axes.sort();
+    axes.dedup();
+    for axis in axes {
+        let ours =
+            found.iter().filter(|f| f.effect.axes()[0] == axis).filter_map(|f| f.effect.delta.as_ref());
+        let ours: Vec<&Difference> = ours.collect();
+        // Few rows, or none that a fit takes: then there is no other choice.
+        let response = Role::Error(axis);
+        let Ok(theirs) = thermal::chosen(&beyond.iter().collect::<Vec<_>>(), &response, &options) else {
+            continue;
+        };
+        let theirs: Vec<&Difference> = theirs.iter().collect();
+        let alike =
+            |a: &[&Difference], b: &[&Difference]| a.iter().all(|d| b.iter().any(|e| pair(d) == pair(e)));
+        if alike(&ours, &theirs) && alike(&theirs, &ours) {
+            continue;
+        }
+        let fits = if theirs.is_empty() { "none".to_owned() } else { list(&theirs) };
+        said.push(format!(
+            "for the growth of {response} this reads {}, model fit {fits}: model fit asks which temperatures predict \
+             stretches of time that were left out, this which explain all rows with the fewest values; a record with \
+             more warm-ups tells them apart",
+            list(&ours)
+        ));
+    }
+    (!said.is_empty()).then(|| said.join("; "))
+}

@@ -1,0 +1,46 @@
+//! What a suspicion is about.
+
+use rtec_measure::plausible::{Suspicion, What};
+use rtec_model::record::{Column, Record, Role};
+
+/// Whether it is about this record.
+pub(crate) fn about(s: &Suspicion, record: &Record) -> bool {
+    s.record == record.path.display().to_string()
+}
+
+/// Whether a column of this name is a sensor's.
+pub(crate) fn is_sensor(record: &Record, name: &str) -> bool {
+    let sensor = |c: &Column| c.name == name && matches!(c.role, Role::Temperature | Role::Channel);
+    record.columns.iter().any(sensor)
+}
+
+/// Whether what is left of the record without a column that stands still tells nothing: it is no sensor, nor one error of several.
+fn is_dead(record: &Record, name: &str) -> bool {
+    !is_sensor(record, name) && !is_one_of_several(record, name)
+}
+
+/// Whether the column is a response, and others are there.
+pub(crate) fn is_one_of_several(record: &Record, name: &str) -> bool {
+    record.responses().any(|c| c.name == name) && record.responses().any(|c| c.name != name)
+}
+
+/// Whether it doubts what a second of the record is.
+pub(crate) fn is_of_clock(s: &Suspicion, record: &Record) -> bool {
+    let time = |c: &Column| c.name == s.column && c.role == Role::Time;
+    s.what == What::Unit && record.columns.iter().any(time)
+}
+
+/// Whether it is about the whole record: what it means all along is not known.
+pub(crate) fn whole(s: &Suspicion, record: &Record) -> bool {
+    match s.what {
+        // Whatever a second is: places, sensors and errors are what they are, and only a lag is as long as the clock says.
+        What::Unit if is_of_clock(s, record) => false,
+        What::Unit | What::Sign | What::Direction | What::OtherMachine => !is_sensor(record, &s.column),
+        What::Swapped => true,
+        // A gauge that was never read has no error to explain.
+        What::Stuck => s.rows.is_empty() && is_dead(record, &s.column),
+        What::Doubled => s.column.is_empty() && s.rows.is_empty(),
+        What::Range => !is_sensor(record, &s.column) && s.rows.is_empty(),
+        _ => false,
+    }
+}

@@ -1,0 +1,36 @@
+//! Records for tests.
+
+use rtec_model::record::{Axis, Column, Kind, Record, Role};
+use std::path::Path;
+
+pub(crate) fn axis() -> Axis {
+    Axis::new("x").expect("a letter is an axis")
+}
+
+pub(crate) fn column(name: &str, role: Role, data: Vec<f64>) -> Column {
+    let unit = role.unit().unwrap_or("1").to_owned();
+    Column { name: name.to_owned(), role, unit, data }
+}
+
+/// Rows 5 s apart at positions that never repeat, with an error by the row's number.
+pub(crate) fn record(rows: usize, error: impl Fn(f64) -> f64) -> Record {
+    let of = |f: &dyn Fn(f64) -> f64| (0..rows).map(|i| f(i as f64)).collect::<Vec<f64>>();
+    let columns = vec![
+        column("t", Role::Time, of(&|i| 5.0 * i)),
+        column("p", Role::Position(axis()), of(&|i| (i * 61.803_398_875) % 100.0)),
+        column("e", Role::Error(axis()), of(&error)),
+    ];
+    Record::new(Path::new("run.run.toml"), Kind::Positioning, columns).expect("a sound record")
+}
+
+/// A repeatable sequence of normal numbers, near enough: twelve uniform ones each.
+pub(crate) fn noise(seed: u64, n: usize) -> Vec<f64> {
+    let mut state = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1;
+    let mut uniform = || {
+        state ^= state << 13;
+        state ^= state >> 7;
+        state ^= state << 17;
+        state as f64 / u64::MAX as f64
+    };
+    (0..n).map(|_| (0..12).map(|_| uniform()).sum::<f64>() - 6.0).collect()
+}

@@ -1,0 +1,211 @@
+//! The answer as a whole.
+
+use crate::answer::{Finding, Tried};
+use crate::gap::{Gap, Trace};
+use crate::where_found::Place;
+use rtec_estimate::Shape;
+use rtec_estimate::priors::{HELD, THERE};
+use rtec_estimate::setup::What;
+use rtec_measure::plausible::Suspicion;
+use rtec_model::effect::Effect;
+use rtec_model::machine::Machine;
+use rtec_model::record::Record;
+use serde::Serialize;
+use std::fmt;
+
+/// The answer in one word.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Verdict {
+    /// Effects of the dictionary explain what was missing.
+    Named,
+    /// Model and measurement agree, but for parameters of the model that the data corrected.
+    NothingMissing,
+    /// Something is missing that no effect of the dictionary explains.
+    UnknownEffect,
+    /// Something is missing, and these data do not tell which of several names it has.
+    NotSeparable,
+}
+
+impl Verdict {
+    /// From what was added to the model, and what stayed unexplained: a shape makes it unknown; a name, or a mode of it, that does not
+    /// hold its place makes it not separable.
+    #[must_use]
+    pub fn of(added: &[(Finding, Vec<f64>)], unexplained: &[Shape]) -> Self {
+        let holds = |f: &Finding| f.name_mass >= HELD && f.mode_mass >= THERE;
+        match (unexplained, added) {
+            ([_, ..], _) => Self::UnknownEffect,
+            ([], []) => Self::NothingMissing,
+            ([], all) if all.iter().all(|(f, _)| holds(f)) => Self::Named,
+            _ => Self::NotSeparable,
+        }
+    }
+
+    /// As `verdict.json` has it.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Named => "named",
+            Self::NothingMissing => "nothing_missing",
+            Self::UnknownEffect => "unknown_effect",
+            Self::NotSeparable => "not_separable",
+        }
+    }
+}
+
+impl fmt::Display for Verdict {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+/// What the data correct in the present model.
+#[derive(Debug, Clone)]
+pub struct Refined {
+    /// Place in the model.
+    pub place: usize,
+    /// The effect as it was.
+    pub before: Effect,
+    /// The effect as the data have it, and half widths of its intervals.
+    pub after: (Effect, Vec<f64>),
+}
+
+/// What was found of one record's set-up: it is in no model.
+#[derive(Debug, Clone)]
+pub struct SetUp {
+    /// The record's sidecar.
+    pub record: String,
+    /// Term (`zero_um.error.x`, `centre_um`, `bar_um`, `line_um_per_h`, `jump_um`), value and half width of its 95 % interval.
+    pub terms: Vec<(String, f64, f64)>,
+}
+
+impl SetUp {
+    /// Per record, in their order.
+    pub(crate) fn of(records: &[Record], found: &[rtec_estimate::SetUp]) -> Vec<Self> {
+        let name = |s: &rtec_estimate::SetUp| match (s.what, s.response.as_str()) {
+            (What::Zero, "error.r") => "bar_um".to_owned(),
+            (What::Zero, response) => format!("zero_um.{response}"),
+            (What::CentreFirst, _) => "centre_um.0".to_owned(),
+            (What::CentreSecond, _) => "centre_um.1".to_owned(),
+            (What::Line, response) => format!("line_um_per_h.{response}"),
+            _ => "jump_um".to_owned(),
+        };
+        let of = |(i, r): (usize, &Record)| Self {
+            record: r.path.display().to_string(),
+            terms: found.iter().filter(|s| s.record == i).map(|s| (name(s), s.value, s.half)).collect(),
+        };
+        records.iter().enumerate().map(of).collect()
+    }
+}
+
+/// The whole answer.
+#[derive(Debug)]
+pub struct Reconciliation {
+    /// The answer in one word.
+    pub verdict: Verdict,
+    /// Where measured and simulated disagree.
+    pub places: Vec<Place>,
+    /// Mistakes that the data show: what they are against was left out.
+    pub suspicions: Vec<Suspicion>,
+    /// What was left out, a line each: records, rows, sensors.
+    pub left_out: Vec<String>,
+    /// Records that were left out whole: the verdict says nothing of them.
+    pub unsaid: Vec<Unsaid>,
+    /// Velocities and accelerations that were derived from positions, a line each.
+    pub derived: Vec<String>,
+    /// What was added, strongest first, with half widths of the intervals.
+    pub effects: Vec<(Finding, Vec<f64>)>,
+    /// Structure without a name.
+    pub unexplained: Vec<Shape>,
+    /// Where asked for: the curve that stands for what is unexplained, and the file of its law.
+    pub curve: Option<(Effect, String)>,
+    /// Corrected parameters.
+    pub refined: Vec<Refined>,
+    /// The gap, one per unit.
+    pub gap: Vec<Gap>,
+    /// Whether the hold-outs are no worse with what was found; `None` without one.
+    pub confirmed: Option<bool>,
+    /// What was found of each record's set-up.
+    pub set_up: Vec<SetUp>,
+    /// The experiment that would separate what this data cannot.
+    pub advice: String,
+    /// Names that were tried.
+    pub ranking: Vec<Tried>,
+    /// The better model.
+    pub model: Machine,
+    /// Per record and response: role, measured minus simulated before and after.
+    pub traces: Vec<Trace>,
+    /// False-alarm rate.
+    pub level: f64,
+    /// Autocorrelation of the noise from row to row.
+    pub phi: f64,
+    /// Every so many rows were analysed: 1 for all.
+    pub every: usize,
+}
+
+/// A record that was left out whole.
+#[derive(Debug, Clone)]
+pub struct Unsaid {
+    /// Its sidecar as it was named.
+    pub record: String,
+    /// What it is suspected of.
+    pub why: String,
+}
+
+impl fmt::Display for Unsaid {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { record, why } = self;
+        if why.is_empty() { f.write_str(record) } else { write!(f, "{record} ({why})") }
+    }
+}
+
+impl Reconciliation {
+    /// What the verdict does not speak of, for its headline; nothing where it speaks of all that was given.
+    #[must_use]
+    pub fn unsaid(&self) -> Option<String> {
+        let records: Vec<String> = self.unsaid.iter().map(ToString::to_string).collect();
+        (!records.is_empty()).then(|| format!("nothing is said of {}: left out", records.join(", ")))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rtec_model::effect::Dictionary;
+
+    #[test]
+    fn the_document_and_people_read_one_name() {
+        for verdict in
+            [Verdict::Named, Verdict::NothingMissing, Verdict::UnknownEffect, Verdict::NotSeparable]
+        {
+            assert_eq!(serde_json::json!(verdict), verdict.to_string());
+        }
+    }
+
+    #[test]
+    fn a_name_that_does_not_hold_its_place_is_not_separable() {
+        let finding = |name_mass: f64, mode_mass: f64| {
+            let effect = Dictionary::default().effect("scale.x").unwrap();
+            let rivals = Vec::new();
+            (
+                Finding {
+                    effect,
+                    held: Vec::new(),
+                    p_value: 0.0,
+                    evidence: 9.0,
+                    name_mass,
+                    mode_mass,
+                    rivals,
+                },
+                vec![0.1],
+            )
+        };
+        let shape =
+            Shape { response: "error.x".into(), against: vec!["time".into()], manner: "smooth".into() };
+        assert_eq!(Verdict::of(&[], &[]), Verdict::NothingMissing);
+        assert_eq!(Verdict::of(&[finding(0.99, 0.9)], &[]), Verdict::Named);
+        assert_eq!(Verdict::of(&[finding(0.99, 0.9), finding(0.7, 0.9)], &[]), Verdict::NotSeparable);
+        assert_eq!(Verdict::of(&[finding(0.99, 0.3)], &[]), Verdict::NotSeparable);
+        assert_eq!(Verdict::of(&[finding(0.99, 0.9)], &[shape]), Verdict::UnknownEffect);
+    }
+}

@@ -1,0 +1,408 @@
+//! Where measured and simulated disagree: structure of the residual against every channel, each with a p-value by
+//! permutation of blocks of the residual, and which of them survive a false-discovery rate.
+
+use crate::SEED;
+use rand_xoshiro::Xoshiro256PlusPlus;
+use rand_xoshiro::rand_core::{RngCore, SeedableRng};
+use rtec_estimate::factor::dot;
+use rtec_estimate::problem::Problem;
+use rtec_estimate::rows::{Rows, Segment};
+use rtec_model::effect::Effect;
+use rtec_model::machine::Machine;
+use rtec_model::record::{Record, Role};
+use serde_json::{Value, json};
+
+/// Structure of a response against one thing.
+#[derive(Debug, Clone)]
+pub struct Place {
+    /// The response.
+    pub response: String,
+    /// A role, `temperature.T3`, `channel.z9`.
+    pub against: String,
+    /// Share of the residual's mean square that a smooth function of it explains.
+    pub statistic: f64,
+    /// Probability of as much by chance.
+    pub p_value: f64,
+    /// Smallest false-discovery rate at which it counts.
+    pub q_value: f64,
+    /// Mean residual over stretches of it: middle of the stretch, mean, number of rows.
+    pub profile: Vec<[f64; 3]>,
+}
+
+impl Place {
+    /// As in `where`.
+    #[must_use]
+    pub fn to_json(&self) -> Value {
+        json!({
+            "response": self.response,
+            "against": self.against,
+            "statistic": self.statistic,
+            "p_value": self.p_value,
+            "q_value": self.q_value,
+            "profile": self.profile,
+        })
+    }
+}
+
+/// Stretches of a channel that a smooth function is made of.
+const STRETCHES: usize = 8;
+/// Readings so near beside the whole range are at one place, and a place has so many rows.
+const SAME_PLACE: f64 = 1e-3;
+const ROWS_OF_PLACE: usize = 5;
+/// Differences of more temperatures than these are too many to look at.
+const PAIRED_TEMPERATURES: usize = 6;
+
+/// A block is so many times as long as the residual remembers: what is cut at its ends makes chance look smaller than it is, by
+/// a quarter of the variance where it is twice as long.
+const BLOCK: f64 = 5.0;
+/// Permutations of the residual's blocks: no p-value is below one in so many.
+const PERMUTATIONS: usize = 999;
+/// So many of them as large as what was found are enough to know that it is nothing.
+const ENOUGH: usize = 20;
+
+/// A place this clear is taken out before weaker ones are looked at.
+const CLEAR: f64 = 0.01;
+
+/// A channel is looked at beside so many more of the stronger ones, and one fewer each time.
+const BESIDE: usize = 2;
+
+/// The smallest p-value that is given.
+pub(crate) const LEAST_P: f64 = 1.0 / (PERMUTATIONS as f64 + 1.0);
+
+/// Every response against every channel, strongest first: what the model as it was leaves once its own parameters are
+/// where the data have them.
+pub(crate) fn places(records: &[Record], machine: &Machine) -> Vec<Place> {
+    let stack = Rows::new(records);
+    let model: Vec<Effect> = machine.effects().cloned().collect();
+    let problem = Problem::new(&stack, &model, &crate::answer::stated(machine));
+    let mut noise = problem.first_noise();
+    noise.phi.fill(0.0);
+    let sigmas = noise.sigma.clone();
+    let before = problem.base(noise).factor.residual().to_vec();
+    let mut out = Vec::new();
+    for (response, &sigma) in sigmas.iter().enumerate() {
+        let segments: Vec<&Segment> = stack.segments.iter().filter(|s| s.response == response).collect();
+        let pick = |all: &[f64]| -> Vec<f64> {
+            segments.iter().flat_map(|s| all[s.rows.clone()].iter().copied()).collect()
+        };
+        let mut residual = pick(&before);
+        let mean = residual.iter().sum::<f64>() / residual.len().max(1) as f64;
+        for r in &mut residual {
+            *r -= mean;
+        }
+        // What is large hides what is small: each channel is looked at beside what stronger ones show, too.
+        let role = stack.responses[response].to_string();
+        let channels = channels(&stack, &segments);
+        let found: Vec<Option<Place>> =
+            channels.iter().map(|(against, x)| place(&role, against, x, &residual, sigma, 1.0)).collect();
+        let mut alone: Vec<(Vec<f64>, Place)> =
+            channels.into_iter().zip(found).filter_map(|((_, x), place)| Some((x, place?))).collect();
+        alone.sort_by(|a, b| b.1.statistic.total_cmp(&a.1.statistic));
+        let mut left = vec![residual.clone()];
+        for (x, mut found) in alone {
+            // What runs along with a stronger one (cycles with the time) is looked at without taking that out, too.
+            for left in left.iter().skip(1).rev().take(BESIDE) {
+                if found.p_value <= LEAST_P {
+                    break;
+                }
+                if let Some(beside) = place(&role, &found.against, &x, left, sigma, found.p_value) {
+                    found.p_value = found.p_value.min(beside.p_value);
+                }
+            }
+            if found.p_value <= CLEAR {
+                let mut without = left[left.len() - 1].clone();
+                flatten(&x, &mut without);
+                left.push(without);
+            }
+            out.push(found);
+        }
+    }
+    out.sort_by(|a, b| a.p_value.total_cmp(&b.p_value).then(b.statistic.total_cmp(&a.statistic)));
+    rate(&mut out);
+    out
+}
+
+/// False-discovery rates, of places that are sorted by their p-values (Benjamini and Hochberg, J. R. Statist. Soc. B 57
+/// (1995) 289).
+fn rate(places: &mut [Place]) {
+    let m = places.len() as f64;
+    let mut least = 1.0_f64;
+    for (i, place) in places.iter_mut().enumerate().rev() {
+        least = least.min(place.p_value * m / (i as f64 + 1.0));
+        place.q_value = least;
+    }
+}
+
+/// What a response's segments all log, with labels, and the differences of a few temperatures.
+fn channels(stack: &Rows<'_>, segments: &[&Segment]) -> Vec<(String, Vec<f64>)> {
+    let Some(first) = segments.first().map(|s| stack.record(s)) else { return Vec::new() };
+    let mut channels: Vec<(String, Vec<f64>)> = Vec::new();
+    for column in first.columns.iter().filter(|c| !c.role.is_measured()) {
+        let of = |s: &&Segment| match column.role {
+            Role::Temperature => stack.record(s).temperature(&column.name),
+            Role::Channel => stack.record(s).channel(&column.name),
+            _ => stack.record(s).data(&column.role),
+        };
+        let parts: Option<Vec<&[f64]>> = segments.iter().map(of).collect();
+        channels.extend(parts.map(|parts| (column.label(), parts.concat())));
+    }
+    if first.column(&Role::Time).is_none() {
+        let rows = segments.iter().flat_map(|s| (0..s.rows.len()).map(|r| r as f64)).collect();
+        channels.push(("time".into(), rows));
+    }
+    let temperatures: Vec<(String, Vec<f64>)> =
+        channels.iter().filter(|(l, _)| l.starts_with("temperature.")).cloned().collect();
+    if temperatures.len() <= PAIRED_TEMPERATURES {
+        for (i, (a, x)) in temperatures.iter().enumerate() {
+            for (b, y) in &temperatures[i + 1..] {
+                let b = b.trim_start_matches("temperature.");
+                channels.push((format!("{a}-{b}"), x.iter().zip(y).map(|(x, y)| x - y).collect()));
+            }
+        }
+    }
+    channels
+}
+
+/// A number below `n`.
+fn below(rng: &mut Xoshiro256PlusPlus, n: usize) -> usize {
+    ((u128::from(rng.next_u64()) * n as u128) >> 64) as usize
+}
+
+/// Structure of a residual against one channel; none for a constant one. Permutations end once the p-value can no longer be
+/// below `known`.
+fn place(
+    response: &str,
+    against: &str,
+    x: &[f64],
+    residual: &[f64],
+    sigma: f64,
+    known: f64,
+) -> Option<Place> {
+    let (response, against) = (response.to_owned(), against.to_owned());
+    let bins = stretches(x)?;
+    let mut bin = vec![0u8; x.len()];
+    for (b, rows) in bins.iter().enumerate() {
+        for i in rows {
+            bin[*i] = b as u8;
+        }
+    }
+    let explained =
+        |sums: [f64; STRETCHES]| -> f64 { sums.iter().zip(&bins).map(|(s, b)| s * s / b.len() as f64).sum() };
+    let running = running(residual);
+    let own = explained(sums_by(&runs(&bin, bin.len()), &running, &[0]));
+    // As long as the residual remembers, blocks stay together.
+    let n = residual.len();
+    let squares = dot(residual, residual);
+    // Of numbers so large that their squares are none, nothing can be said.
+    if !squares.is_finite() {
+        return None;
+    }
+    let next = dot(&residual[1..], &residual[..n - 1]) / squares.max(1e-300);
+    let memory = (1.0 + next) / (1.0 - next.min(0.99));
+    let longest = (n / 10).max(2) as f64;
+    let length = (BLOCK * memory).clamp((n as f64).cbrt().min(longest), longest) as usize;
+    let mut rng = Xoshiro256PlusPlus::seed_from_u64(SEED);
+    let (mut tried, mut larger) = (0, 0);
+    let mut order: Vec<usize> = (0..n.div_ceil(length)).collect();
+    let mut begin = Vec::with_capacity(order.len());
+    let runs = runs(&bin, length);
+    let enough = ENOUGH.min((known / LEAST_P) as usize);
+    while tried < PERMUTATIONS && larger < enough {
+        for i in (1..order.len()).rev() {
+            order.swap(i, below(&mut rng, i + 1));
+        }
+        // Blocks begin anywhere, so that no row keeps its neighbours' bin.
+        let shift = below(&mut rng, n);
+        begin.clear();
+        begin.extend(order.iter().map(|block| (block * length + shift) % n));
+        let chance = explained(sums_by(&runs, &running, &begin));
+        larger += usize::from(chance >= own);
+        tried += 1;
+    }
+    let p_value = (larger + 1) as f64 / (tried + 1) as f64;
+    let mean_of = |b: &[usize], v: &[f64]| b.iter().map(|i| v[*i]).sum::<f64>() / b.len() as f64;
+    let profile =
+        bins.iter().map(|b| [mean_of(b, x), mean_of(b, residual) * sigma, b.len() as f64]).collect();
+    let statistic = own / squares.max(1e-300);
+    Some(Place { response, against, statistic, p_value, q_value: 1.0, profile })
+}
+
+/// Neighbouring rows of one stretch: from and to which row of their block.
+struct Run {
+    block: u32,
+    from: u32,
+    to: u32,
+}
+
+/// Per stretch its runs of rows, block by block of so many rows: mostly long, as most channels change slowly.
+fn runs(bin: &[u8], length: usize) -> [Vec<Run>; STRETCHES] {
+    let mut out = std::array::from_fn(|_| Vec::new());
+    for (block, bins) in bin.chunks(length).enumerate() {
+        let mut from = 0;
+        for same in bins.chunk_by(|a, b| a == b) {
+            let to = from + same.len() as u32;
+            out[usize::from(same[0])].push(Run { block: block as u32, from, to });
+            from = to;
+        }
+    }
+    out
+}
+
+/// Sums of a residual up to each row, twice round.
+fn running(residual: &[f64]) -> Vec<f64> {
+    let mut sum = 0.0;
+    let twice = residual.iter().chain(residual).map(|r| {
+        sum += r;
+        sum
+    });
+    std::iter::once(0.0).chain(twice).collect()
+}
+
+/// Sums of a residual by stretch, from its running sums. `begin`: from which row on each block has its values of the residual,
+/// which begins anew at its end.
+fn sums_by(runs: &[Vec<Run>; STRETCHES], running: &[f64], begin: &[usize]) -> [f64; STRETCHES] {
+    let of = |Run { block, from, to }: &Run| {
+        let running = &running[begin[*block as usize]..];
+        running[*to as usize] - running[*from as usize]
+    };
+    std::array::from_fn(|stretch| runs[stretch].iter().map(of).sum())
+}
+
+/// Takes a channel's means out of a residual: at each of its places where there are many rows of each, over its stretches
+/// otherwise.
+fn flatten(x: &[f64], residual: &mut [f64]) {
+    let groups = places_of(x).or_else(|| stretches(x)).unwrap_or_default();
+    for rows in groups {
+        let mean = rows.iter().map(|i| residual[*i]).sum::<f64>() / rows.len() as f64;
+        for i in &rows {
+            residual[*i] -= mean;
+        }
+    }
+}
+
+/// Rows by place, where a channel comes back to few: targets that are approached again and again differ by little.
+fn places_of(x: &[f64]) -> Option<Vec<Vec<usize>>> {
+    let mut order: Vec<usize> = (0..x.len()).collect();
+    order.sort_by(|a, b| x[*a].total_cmp(&x[*b]));
+    let range = x[*order.last()?] - x[order[0]];
+    let mut groups: Vec<Vec<usize>> = Vec::new();
+    for i in order {
+        match groups.last_mut() {
+            Some(g) if x[i] - x[g[g.len() - 1]] <= SAME_PLACE * range => g.push(i),
+            _ => groups.push(vec![i]),
+        }
+    }
+    (groups.len() > 1 && groups.iter().all(|g| g.len() >= ROWS_OF_PLACE)).then_some(groups)
+}
+
+/// Rows by stretch: by value where there are few, by equal numbers of rows otherwise; none for a constant.
+fn stretches(x: &[f64]) -> Option<Vec<Vec<usize>>> {
+    let mut order: Vec<usize> = (0..x.len()).collect();
+    order.sort_by(|a, b| x[*a].total_cmp(&x[*b]));
+    let mut distinct: Vec<f64> = order.iter().map(|i| x[*i]).collect();
+    distinct.dedup();
+    if distinct.len() < 2 {
+        return None;
+    }
+    if distinct.len() <= STRETCHES {
+        let of = |v: f64| order.iter().copied().filter(|i| x[*i].to_bits() == v.to_bits()).collect();
+        return Some(distinct.iter().map(|v| of(*v)).collect());
+    }
+    let n = order.len();
+    let bins = STRETCHES.min(n / 4).max(2);
+    Some((0..bins).map(|b| order[n * b / bins..n * (b + 1) / bins].to_vec()).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::{noise, record};
+
+    #[test]
+    fn an_error_along_the_position_is_found_there() {
+        let dice = noise(5, 240);
+        let mut run = record(240, |i| dice[i as usize]);
+        let p = run.columns[1].data.clone();
+        for (e, p) in run.columns[2].data.iter_mut().zip(&p) {
+            *e += (p / 25.0).powi(2);
+        }
+        let records = [run];
+        let found = places(&records, &Machine::ideal("m"));
+        assert_eq!((found[0].against.as_str(), found.len()), ("position.x", 2));
+        assert!(
+            found[0].p_value == LEAST_P && found[0].q_value < 0.003 && found[0].profile.len() == STRETCHES,
+            "{:?}",
+            found[0]
+        );
+    }
+
+    /// A residual whose squares are no numbers any more has no place; nothing is divided by what it would give.
+    #[test]
+    fn numbers_beyond_all_measure_have_no_place() {
+        let x: Vec<f64> = (0..60).map(f64::from).collect();
+        for huge in [1e200, f64::INFINITY, f64::NAN] {
+            let residual: Vec<f64> = x.iter().map(|x| huge * (x / 7.0).sin()).collect();
+            assert!(place("error.x", "time", &x, &residual, 1.0, 0.05).is_none(), "{huge}");
+        }
+    }
+
+    /// Sensors of noise beside an error that drifts: as often as chance, and never with certainty.
+    #[test]
+    fn noise_is_no_place() {
+        let mut few = 0;
+        for seed in 0..40 {
+            let (drift, other) = (noise(100 + seed, 200), noise(300 + seed, 200));
+            let mut sum = 0.0;
+            let walk: Vec<f64> = drift
+                .iter()
+                .map(|d| {
+                    sum = 0.7 * sum + d;
+                    sum
+                })
+                .collect();
+            let mut run = record(200, |i| walk[i as usize]);
+            run.columns.push(crate::testing::column("z", Role::Channel, other));
+            let records = [run];
+            let found = places(&records, &Machine::ideal("m"));
+            let z = found.iter().find(|p| p.against == "channel.z").unwrap();
+            assert!(z.p_value >= LEAST_P);
+            few += usize::from(z.p_value < 0.05);
+        }
+        assert!(few <= 6, "{few} of 40 below 5 %");
+    }
+
+    /// Row by row: the value of row i of block k is the one that lies i rows behind the block's beginning.
+    #[test]
+    fn blocks_are_summed_where_they_are_moved_to() {
+        let residual = noise(9, 103);
+        let bin: Vec<u8> = (0..103).map(|i| (i * i / 7 % 8) as u8).collect();
+        let begin = |block: usize| (block * 37 + 90) % 103;
+        let begins: Vec<usize> = (0..11).map(begin).collect();
+        let sums = sums_by(&runs(&bin, 10), &running(&residual), &begins);
+        for (b, sum) in sums.iter().enumerate() {
+            let rows = (0..103).filter(|i| usize::from(bin[*i]) == b);
+            let want: f64 = rows.map(|i| residual[(begin(i / 10) + i % 10) % 103]).sum();
+            assert!((sum - want).abs() < 1e-12, "stretch {b}: {sum}, not {want}");
+        }
+    }
+
+    /// The example of the paper: of fifteen p-values four are below the line at 5 %.
+    #[test]
+    fn false_discoveries_are_rated_as_in_the_paper() {
+        let p = [
+            0.0001, 0.0004, 0.0019, 0.0095, 0.0201, 0.0278, 0.0298, 0.0344, 0.0459, 0.3240, 0.4262, 0.5719,
+            0.6528, 0.7590, 1.0,
+        ];
+        let of = |p_value: f64| Place {
+            response: String::new(),
+            against: String::new(),
+            statistic: 0.0,
+            p_value,
+            q_value: 1.0,
+            profile: Vec::new(),
+        };
+        let mut all: Vec<Place> = p.map(of).into();
+        rate(&mut all);
+        assert_eq!(all.iter().filter(|p| p.q_value <= 0.05).count(), 4);
+    }
+}
