@@ -2,7 +2,6 @@
 
 use crate::input::InputError;
 use crate::lines::Lines;
-use crate::trace::LATEST_NS;
 use crate::words::quoted;
 use rtec_driver::quadrature::State;
 use rtec_driver::replay::TracePoint;
@@ -156,11 +155,10 @@ impl Vcd {
             return Err(input.at_word(&found, "a value of a and b at the first change of either"));
         };
         let state = State::new(a, b);
-        let scaled = self.now.checked_mul(self.ns_per_unit.0).map(|scaled| scaled / self.ns_per_unit.1);
-        let Some(t_ns) = scaled.filter(|t_ns| *t_ns <= LATEST_NS) else {
-            let expected = format!("a time of at most {LATEST_NS} ns");
-            return Err(input.at_word(&format!("#{}", self.now), &expected));
+        let Some(scaled) = self.now.checked_mul(self.ns_per_unit.0) else {
+            return Err(input.at_word(&format!("#{}", self.now), "a time below 18446744073709551616 ns"));
         };
+        let t_ns = scaled / self.ns_per_unit.1;
         match last {
             Some(last) if last.state == state => Ok(None),
             Some(last) if last.t_ns >= t_ns => {

@@ -96,19 +96,11 @@ fn csv_errors_say_where_and_what() {
         ("t_ns,a,b\n0,0,0,7\n", "t:2:7: found '7', expected the end of the row after t_ns,a,b"),
         (
             "t_ns,a,b\n 1.5,0,0\n",
-            "t:2:2: found '1.5', expected a time in whole ns, from 0 to 9223372036854775807",
+            "t:2:2: found '1.5', expected a time in whole ns, from 0 to 18446744073709551615",
         ),
         (
             "t_ns,a,b\n18446744073709551616,0,0\n",
-            "t:2:1: found '18446744073709551616', expected a time in whole ns, from 0 to 9223372036854775807",
-        ),
-        (
-            "t_ns,a,b\n0,0,0\n9223372036854775808,1,0\n",
-            "t:3:1: found '9223372036854775808', expected a time in whole ns, from 0 to 9223372036854775807",
-        ),
-        (
-            "t_ns,a,b\n18446744073709551615,0,0\n",
-            "t:2:1: found '18446744073709551615', expected a time in whole ns, from 0 to 9223372036854775807",
+            "t:2:1: found '18446744073709551616', expected a time in whole ns, from 0 to 18446744073709551615",
         ),
         ("t_ns,a,b\n0,0,nan\n", "t:2:5: found 'nan', expected the level 0 or 1"),
         (&long, "t:3: found 131072 bytes without an end of line, expected a text file of short lines"),
