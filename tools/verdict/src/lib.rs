@@ -14,12 +14,12 @@
 //! | `room` | the sensors that a fit of growth chooses on the same drift |
 //! | `unexplained` | a curve that stands for what has no name |
 //! | `extent` | places on a grid, for the advice |
-//! | `verdict`, `gap`, `advice`, `document`, `report` | the answer, its figures, what to do next, as JSON and as a page |
+//! | `verdict`, `gap`, `advice`, `document` | the answer, its figures, what to do next, as JSON |
 //!
 //! What must not be here: the laws. What a law is, how it is searched, what stands in for what, is asked of its
 //! description in `rtec-model`; no module matches a law by its name. Nothing here knows a machine, a simulator or time.
 //!
-//! At work: `cargo run -p rtec-reconcile --example name_what_is_missing`, which the tests run too.
+//! At work: `rtecctl reconcile --estimator --json`.
 
 mod advice;
 mod answer;
@@ -29,7 +29,6 @@ mod drawn;
 mod extent;
 mod gap;
 mod mistakes;
-mod report;
 mod room;
 mod suspected;
 #[cfg(test)]
@@ -44,12 +43,11 @@ pub const SEED: u64 = 4832;
 
 pub use answer::{Finding, Rival, Tried};
 pub use gap::{Gap, Trace};
-pub use report::{html, pictures};
 pub use rtec_estimate::Shape;
 pub use unexplained::LAWS_FILE;
 pub use verdict::{Reconciliation, Refined, SetUp, Unsaid, Verdict};
 pub use where_found::Place;
-pub use workflow::{find, reconcile};
+pub use workflow::reconcile;
 
 /// What a reconciliation may be told.
 #[derive(Debug, Clone)]

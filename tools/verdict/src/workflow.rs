@@ -10,7 +10,7 @@ use crate::mistakes;
 use crate::room;
 use crate::unexplained::stand_in;
 use crate::verdict::{Reconciliation, Refined, SetUp, Unsaid, Verdict};
-use crate::where_found::{self, Place};
+use crate::where_found;
 use rtec_estimate::Shape;
 use rtec_estimate::problem::Problem;
 use rtec_estimate::refit::Refit;
@@ -32,17 +32,6 @@ const FEW: usize = 30;
 const FEWEST_ROWS: usize = 300;
 /// Knots of a curve that stands for what has no name.
 const CURVE_KNOTS: usize = 9;
-
-/// The first stage alone: where measured and simulated disagree.
-///
-/// # Errors
-/// The model reads a sensor or channel that a record lacks.
-pub fn find(train: &[Record], machine: &Machine) -> Result<Vec<Place>, InputError> {
-    for record in train {
-        machine.predict(record)?;
-    }
-    Ok(where_found::places(train, machine))
-}
 
 /// The model can be evaluated on every record, and there is something to explain.
 fn can_be_read(train: &[Record], holdout: &[Record], machine: &Machine) -> Result<(), InputError> {
