@@ -140,7 +140,7 @@ pub enum ShipError {
 pub struct Room {
     /// What waits in it takes no more than this, bytes.
     pub most_bytes: u64,
-    /// So much of the disk is left free, %.
+    /// So much of the disk is left free, %; never more than `most_bytes`, which a large disk has long since left.
     pub free_percent: u64,
 }
 
@@ -154,12 +154,13 @@ impl Room {
         let disk = nix::sys::statvfs::fstatvfs(folder)?;
         let (free, all) =
             (disk.blocks_available() * disk.fragment_size(), disk.blocks() * disk.fragment_size());
-        if free.saturating_sub(bytes) < all / 100 * self.free_percent {
+        let kept_free = (all / 100 * self.free_percent).min(self.most_bytes);
+        if free.saturating_sub(bytes) < kept_free {
             return full(format!(
-                "No space left for records: {} of {} MB are free, and {} % are kept free",
+                "No space left for records: {} of {} MB are free, and {} MB are kept free",
                 free >> 20,
                 all >> 20,
-                self.free_percent
+                kept_free >> 20
             ));
         }
         if self.most_bytes == u64::MAX {
@@ -774,6 +775,8 @@ mod tests {
         assert!((100..=128).contains(&kept), "{kept}");
         assert_eq!(error.kind(), io::ErrorKind::StorageFull);
         assert!(error.to_string().contains("at most 1 MB may wait ([control] spool_mb)"), "{error}");
+        // A large disk that is nearly full has room for a small spool.
+        put_one(Room { most_bytes: 4 << 20, free_percent: 101 }, &|| true).unwrap();
         let files = names(spool.path()).len();
         let error = put_one(Room { most_bytes: u64::MAX, free_percent: 101 }, &|| true).unwrap_err();
         assert!(error.to_string().contains("No space left for records"), "{error}");
