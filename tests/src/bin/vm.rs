@@ -204,8 +204,13 @@ fn gpio((chip, directory): &(String, PathBuf)) -> anyhow::Result<Vec<String>> {
     gpio_sim::pull(directory, DISABLE, true)?;
     until("the switch is seen", || corrector.status()["mode"] == "disabled");
     gpio_sim::pull(directory, DISABLE, false)?;
-    until("the switch is off", || corrector.status()["mode"] == "run");
-    said.push("the disable switch stops corrections and lets them go on".to_owned());
+    // Released, it re-arms nothing: whoever operates does.
+    until("corrections may be enabled", || {
+        assert_eq!(corrector.status()["mode"], "disabled");
+        corrector.user(&["enable"]).status.success()
+    });
+    until("corrections again", || corrector.status()["mode"] == "run");
+    said.push("the disable switch stops corrections, and only `enable` lets them go on".to_owned());
     machine.move_axis(false);
     drop(machine);
 
