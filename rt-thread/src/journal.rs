@@ -4,8 +4,9 @@
 //! The engine writes a record *before* it inverts anything, alternating between two slots per axis. After a crash one
 //! of the two records agrees with the inverters as they are read back, and holds what was completed; if none does, the
 //! axis is at fault. Writing is a few stores to memory: no system call in the loop. Put the file on a tmpfs (`/run`),
-//! where the kernel never makes a page read-only to write it back; it is worthless after a power cut anyway, because
-//! the inverters are.
+//! where the kernel never makes a page read-only to write it back. A file on a disk outlives a power cut, and the MTC's
+//! count does not: the file says in which boot of the computer it was written, and after another one the count is not
+//! known.
 //!
 //! | page | what |
 //! |---|---|
@@ -58,6 +59,10 @@ const _: () = assert!(HEAD_WORDS + ROWS * AXIS_WORDS <= TIMES_AT && TIMES_AT + R
 /// The word of the head that says that the real-time thread was lost, and what it says then.
 const LOST_AT: usize = 4;
 const LOST: u64 = u64::from_le_bytes(*b"RTECLOST");
+/// The words of the head that say in which boot of the computer it was written: its hash, and a check sum.
+const BOOT_AT: usize = 5;
+const BOOT_FILE: &str = "/proc/sys/kernel/random/boot_id";
+const _: () = assert!(LOST_AT < BOOT_AT && BOOT_AT + 2 <= HEAD_WORDS);
 /// A time of the card's clock is kept in µs, in the upper bits of its word; below is its check sum.
 const TIME_SHIFT: u32 = 16;
 
@@ -152,6 +157,13 @@ pub struct Before {
     pub older: bool,
     /// Per axis, the valid records, newest first.
     pub records: [[Option<StateRecord>; 2]; MAX_AXES],
+    /// The computer was restarted since it was written, or nothing says that it was not: what is in the MTC's count is not
+    /// known. `false` where the kernel does not tell its boot.
+    pub other_boot: bool,
+    /// Per axis, a record is there and damaged in both copies: it may have been the newest.
+    pub damaged: [bool; MAX_AXES],
+    /// The same of the machine's records, or there is none.
+    pub machine_damaged: bool,
     /// The machine's newest valid record.
     pub machine: Option<MachineRecord>,
     /// When it all was.
@@ -166,6 +178,9 @@ impl Before {
         first_start: true,
         older: false,
         records: [[None; 2]; MAX_AXES],
+        other_boot: false,
+        damaged: [false; MAX_AXES],
+        machine_damaged: false,
         machine: None,
         times: Times([[None; ROW_WORDS]; ROWS]),
         thread_lost: false,
@@ -226,6 +241,8 @@ pub struct Journal {
     /// What is latched by the times in the file, a row each; and whether feed hold is on by them.
     timed: [Faults; ROWS],
     timed_hold: bool,
+    /// This boot of the computer, until the file says so.
+    boot_due: Option<u64>,
     /// The file is new, and no axis has a record yet.
     empty: bool,
     /// The lock is ours as long as this is open.
@@ -297,20 +314,25 @@ impl Journal {
             last_machine: None,
             timed: [Faults::NONE; ROWS],
             timed_hold: false,
+            boot_due: boot(),
             empty: first_start,
             held,
         };
         let older = !first_start && journal.is_ours(path, identity)?;
         let mut before = Before { first_start, older, ..Before::NOTHING };
+        before.damaged = std::array::from_fn(|axis| journal.damaged(axis, StateRecord::of));
         for (axis, found) in before.records.iter_mut().enumerate() {
             *found = journal.newest_first(axis, StateRecord::of);
             journal.timed[axis] = found[0].map_or(Faults::NONE, |r| r.faults);
         }
+        before.other_boot = !first_start && journal.boot_due.is_some_and(|now| journal.boot() != Some(now));
         if older {
             // Its text is where this version has other things.
             journal.wipe(TIMES_AT..PAGE_WORDS);
         } else {
+            let damaged = journal.damaged(MACHINE, MachineRecord::of);
             before.machine = journal.newest_first(MACHINE, MachineRecord::of)[0];
+            before.machine_damaged = !first_start && (damaged || before.machine.is_none());
             journal.timed[MACHINE] = before.machine.map_or(Faults::NONE, |m| m.faults);
             journal.timed_hold = before.machine.is_some_and(|m| m.held.is_some());
             before.times = journal.times();
@@ -325,7 +347,35 @@ impl Journal {
         let mut slots = [self.slot(row, 0, &of), self.slot(row, 1, &of)];
         slots.sort_by_key(|s| std::cmp::Reverse(s.map(|(seq, _)| seq)));
         self.next[row] = slots[0].map_or(1, |(seq, _)| seq + 1);
+        if slots[0].is_none() && !self.empty {
+            // No record is as telling as a damaged one, and stays no longer than until the next.
+            let at = HEAD_WORDS + row * AXIS_WORDS;
+            self.wipe(at..at + AXIS_WORDS);
+        }
         slots.map(|s| s.map(|(_, record)| record))
+    }
+
+    /// A record of this row is whole in neither copy: it may have been the newest. One that was cut short before there was
+    /// another never was in effect.
+    fn damaged<T>(&self, row: usize, of: impl Fn([u64; 2]) -> Option<T>) -> bool {
+        let slots = [0, 1].map(|n| self.slot(row, n, &of).map(|(seq, _)| seq));
+        (0..2).any(|n| {
+            let [first, second] = [0, PAGE_WORDS].map(|page| {
+                let at = page + HEAD_WORDS + row * AXIS_WORDS + n * SLOT_WORDS;
+                [0, 1, 2, 3].map(|k| self.load(at + k))
+            });
+            let none_yet =
+                first[3] == 0 && second == [0; SLOT_WORDS] && slots[1 - n].is_none_or(|seq| seq < 2);
+            slots[n].is_none() && !none_yet
+        })
+    }
+
+    /// The boot of the computer in which it was written, from whichever copy is whole.
+    fn boot(&self) -> Option<u64> {
+        [0, PAGE_WORDS].into_iter().find_map(|page| {
+            let [boot, sum] = [0, 1].map(|k| self.load(page + BOOT_AT + k));
+            (sum == check(&[BOOT_AT as u64, boot])).then_some(boot)
+        })
     }
 
     fn wipe(&self, words: std::ops::Range<usize>) {
@@ -432,6 +482,14 @@ impl Journal {
         if record.faults.has(Fault::ThreadLost) {
             self.wipe(LOST_AT..LOST_AT + 1);
         }
+        // Not before every record says what follows from another boot: whoever dies first leaves the old one.
+        if let Some(boot) = self.boot_due.take() {
+            for page in [0, PAGE_WORDS] {
+                for (k, word) in [boot, check(&[BOOT_AT as u64, boot])].into_iter().enumerate() {
+                    self.word(page + BOOT_AT + k).store(word, Ordering::Release);
+                }
+            }
+        }
     }
 
     #[inline]
@@ -498,6 +556,11 @@ pub fn note_thread_lost(path: &Path) -> io::Result<()> {
         file.write_all_at(&LOST.to_le_bytes(), ((page + LOST_AT) * 8) as u64)?;
     }
     Ok(())
+}
+
+/// This boot of the computer, where the kernel tells.
+fn boot() -> Option<u64> {
+    std::fs::read_to_string(BOOT_FILE).ok().filter(|id| !id.trim().is_empty()).map(|id| hash_of(id.trim()))
 }
 
 fn hash_of(identity: &str) -> u64 {
@@ -697,6 +760,81 @@ mod tests {
         journal.record_machine(machine, 1000);
         drop(journal);
         assert!(!Journal::open(&path, OURS).unwrap().1.thread_lost);
+    }
+
+    /// Both the PC and the MTC have lost their power, and the disk with the file has not.
+    #[test]
+    fn a_file_of_another_boot_is_told_until_its_records_say_what_follows() {
+        let (_directory, path) = new();
+        let machine = MachineRecord { held: None, hold_output: false, faults: Faults::NONE };
+        let mut journal = Journal::open(&path, OURS).unwrap().0;
+        journal.record(0, record(0, 4), 1000);
+        journal.record_machine(machine, 1000);
+        drop(journal);
+        assert!(!Journal::open(&path, OURS).unwrap().1.other_boot);
+        let file = File::options().write(true).open(&path).unwrap();
+        // Of another boot; damaged; not there, as the program before this one left it.
+        for words in [[77, check(&[BOOT_AT as u64, 77])], [77, 78], [0, 0]] {
+            for page in [0, PAGE_WORDS] {
+                for (k, word) in words.iter().enumerate() {
+                    file.write_all_at(&word.to_le_bytes(), ((page + BOOT_AT + k) * 8) as u64).unwrap();
+                }
+            }
+            assert!(Journal::open(&path, OURS).unwrap().1.other_boot);
+            let (mut journal, before) = Journal::open(&path, OURS).unwrap();
+            assert!(before.other_boot, "the first successor may have died before it noted anything");
+            assert_eq!((before.records[0][0], before.machine), (Some(record(0, 4)), Some(machine)));
+            journal.record_machine(machine, 1000);
+            drop(journal);
+            assert!(!Journal::open(&path, OURS).unwrap().1.other_boot);
+        }
+    }
+
+    /// The newest record is gone in both copies: the one before it says nothing of a fault that came with it.
+    #[test]
+    fn a_record_that_both_copies_have_lost_is_told() {
+        let (_directory, path) = new();
+        let machine = MachineRecord { held: None, hold_output: false, faults: Faults::NONE };
+        let held = MachineRecord { held: Some(HeldBy::User(7)), hold_output: true, ..machine };
+        let mut journal = Journal::open(&path, OURS).unwrap().0;
+        journal.record(2, record(0, 2), 1000);
+        journal.record_machine(machine, 1000);
+        journal.record(2, StateRecord { faults: set(&[Fault::PollGap]), ..record(0, 2) }, 1000);
+        journal.record_machine(held, 1000);
+        journal.record(2, StateRecord { faults: set(&[Fault::Card]), ..record(0, 2) }, 1000);
+        journal.record_machine(MachineRecord { held: Some(HeldBy::Controller), ..held }, 1000);
+        drop(journal);
+        let found = || Journal::open(&path, OURS).unwrap().1;
+        let told = |before: Before| (before.damaged.map(usize::from).iter().sum(), before.machine_damaged);
+        assert_eq!(told(found()), (0_usize, false));
+        let whole = std::fs::read(&path).unwrap();
+        for (row, wants) in [(2, (1, false)), (MACHINE, (0, true))] {
+            for slot in 0..2 {
+                let at = (HEAD_WORDS + row * AXIS_WORDS + slot * SLOT_WORDS) * 8;
+                for (first, bytes) in (0..SLOT_WORDS).map(|word| (8 * word, 1)).chain([(0, 32)]) {
+                    std::fs::write(&path, &whole).unwrap();
+                    for page in [0, PAGE_WORDS * 8] {
+                        let mut damaged = whole[page + at + first..][..bytes].to_vec();
+                        damaged.iter_mut().for_each(|b| *b = if bytes == 1 { !*b } else { 0 });
+                        let file = File::options().write(true).open(&path).unwrap();
+                        file.write_all_at(&damaged, (page + at + first) as u64).unwrap();
+                    }
+                    assert_eq!(told(found()), wants, "row {row}, slot {slot}, byte {first}");
+                }
+            }
+        }
+        // Both slots: what is noted next is whole again.
+        std::fs::write(&path, &whole).unwrap();
+        for page in [0, PAGE_WORDS * 8] {
+            let at = page + (HEAD_WORDS + 2 * AXIS_WORDS) * 8;
+            let noise = vec![0x5A; AXIS_WORDS * 8];
+            File::options().write(true).open(&path).unwrap().write_all_at(&noise, at as u64).unwrap();
+        }
+        let (mut journal, before) = Journal::open(&path, OURS).unwrap();
+        assert_eq!((told(before), before.records[2]), ((1, false), [None, None]));
+        journal.record(2, record(0, 6), 1000);
+        drop(journal);
+        assert_eq!((told(found()), found().records[2][0]), ((0, false), Some(record(0, 6))));
     }
 
     #[test]

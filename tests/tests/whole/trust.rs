@@ -253,6 +253,73 @@ fn a_lost_record_is_no_first_start() {
     assert_eq!(bench.machine.illegal(), 0);
 }
 
+/// The PC and the MTC lost their power, and the file is on a disk: what the MTC counts is not known, and hold is kept.
+#[test]
+fn a_state_file_of_another_boot_is_not_trusted_with_the_count() {
+    let _alone = alone();
+    let bench = Bench::default();
+    let daemon = bench.daemon();
+    bench.go();
+    bench.correct(4);
+    daemon.expect(0, &["hold", "on"]);
+    let by = daemon.status()["hold"]["by"].clone();
+    assert_eq!(daemon.end("KILL").0, None);
+    let file = std::fs::File::options().read(true).write(true).open(bench.at("state")).unwrap();
+    let mut boot = [0; 16];
+    for page in [0, 4096] {
+        file.read_exact_at(&mut boot, page + 40).unwrap();
+        assert_ne!(boot, [0; 16]);
+        file.write_all_at(&boot.map(|b| !b), page + 40).unwrap();
+    }
+    let daemon = bench.daemon();
+    let status = daemon.status();
+    assert_eq!((&status["axes"][0]["mtc_known"], &status["mode"]), (&false.into(), &"hold".into()));
+    assert_eq!((&status["hold"]["by"], &status["balanced"]), (&by, &false.into()));
+    let shown = daemon.expect(0, &["status"]);
+    assert!(shown.contains("the computer was restarted: ") && shown.contains("not known"), "{shown}");
+    daemon.expect(1, &["home", "x", "--controller-not-homed"]);
+    assert_eq!(daemon.end("KILL").0, None);
+    // It stays so until the MTC has been homed.
+    let daemon = bench.daemon();
+    assert_eq!(daemon.status()["axes"][0]["mtc_known"], false);
+}
+
+/// Where the newest record is gone in both copies, nobody knows what it held.
+#[test]
+fn a_newest_record_that_is_damaged_in_both_copies_latches() {
+    let _alone = alone();
+    for (row, who) in [(0, serde_json::json!("x")), (6, serde_json::Value::Null)] {
+        for slot in 0..2 {
+            let bench = Bench::default();
+            let daemon = bench.daemon();
+            bench.go();
+            bench.correct(4);
+            daemon.expect(0, &["hold", "on"]);
+            assert_eq!(daemon.end("KILL").0, None);
+            let file = std::fs::File::options().write(true).open(bench.at("state")).unwrap();
+            for page in [0, 4096] {
+                file.write_all_at(&[0x5A; 32], page + 64 * (row + 1) + 32 * slot).unwrap();
+            }
+            let daemon = bench.daemon();
+            let status = daemon.status();
+            assert_eq!(status["mode"], "fault", "row {row}, slot {slot}");
+            let latched = status["latched"].as_array().unwrap();
+            assert!(
+                latched.iter().any(|l| l["fault"] == "record_lost"
+                    && l.get("axis").unwrap_or(&serde_json::Value::Null) == &who),
+                "{latched:?}"
+            );
+            assert!(row != 0 || status["axes"][0]["mtc_known"] == false);
+            daemon.expect(0, &["clear"]);
+            assert_eq!(daemon.status()["mode"], "hold", "it is held all the same");
+            daemon.expect(0, &["hold", "off"]);
+            assert_eq!(daemon.end("KILL").0, None);
+            let daemon = bench.daemon();
+            assert_eq!(daemon.status()["mode"], "disabled", "it is told once");
+        }
+    }
+}
+
 #[test]
 fn a_state_file_is_one_daemons_and_one_machines() {
     let _alone = alone();

@@ -84,7 +84,9 @@ fn machine(out: &mut Out, s: &DaemonStatus) {
     out.gauge("rtec_homed", "1 when every axis is homed", [(vec![], flag(s.homed))]);
     let help =
         "1 while counts to the controller minus counts of the scale are what was completed, on every axis";
-    out.gauge("rtec_ledger_balanced", help, [(vec![], flag(s.balanced))]);
+    // Absent while there is no ledger: an alert on 0 is one on counts that do not balance.
+    let ledger = s.ledger_known().then(|| (vec![], flag(s.balanced)));
+    out.gauge("rtec_ledger_balanced", help, ledger);
     out.gauge(
         "rtec_part_table_loaded",
         "1 while a part table is loaded",

@@ -250,7 +250,7 @@ impl Client {
 }
 
 /// The user's name by the local list of users: no directory service is asked, whose answer could take long.
-fn user_name(uid: u32) -> String {
+pub(crate) fn user_name(uid: u32) -> String {
     let users = std::fs::read_to_string("/etc/passwd").unwrap_or_default();
     let named = users.lines().find(|line| line.split(':').nth(2).and_then(|n| n.parse().ok()) == Some(uid));
     named.and_then(|line| line.split(':').next()).unwrap_or_default().to_owned()

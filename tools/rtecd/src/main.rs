@@ -337,7 +337,7 @@ fn work<C: Card + Send + 'static>(
         wanted: options.wanted,
         missing: running.report.take(),
         timing: running.timing.clone(),
-        times: before.times,
+        before,
     };
     let log_file = config.control.log_path();
     let state_file = config.card.is_real().then(|| config.control.state_path());

@@ -16,6 +16,7 @@ mod tests;
 
 use crate::audit::Totals;
 use crate::cards::Stand;
+use crate::client::user_name;
 use crate::history::History;
 use crate::keeper::{Keeper, Kept, Spool};
 use crate::loader::{Loader, Ticket};
@@ -30,8 +31,8 @@ use rtec_correct::sensors::{SensorConfig, Watch};
 use rtec_model::date;
 use rtec_model::record::Role;
 use rtec_rt::engine::Timing;
-use rtec_rt::event::{Event, EventKind, Fault, Mode, Refusal, Request, Status};
-use rtec_rt::journal::Times;
+use rtec_rt::event::{Event, EventKind, Fault, HeldBy, Mode, Refusal, Request, Status};
+use rtec_rt::journal::Before;
 use rtec_rt::link::ControlEnd;
 use rtec_rt::setup::{Report, System, Wanted};
 use std::collections::{BTreeMap, VecDeque};
@@ -88,8 +89,8 @@ pub(crate) struct SetUp {
     pub wanted: Option<Wanted>,
     pub missing: Option<Report>,
     pub timing: Timing,
-    /// When what is latched was latched, by the state file.
-    pub times: Times,
+    /// What the state file said: when what is latched was latched, and of which boot of the computer it is.
+    pub before: Before,
 }
 
 /// The time by which the control side works, and waits. A simulation has its own.
@@ -174,14 +175,14 @@ impl Session {
         let places = std::iter::once(None).chain((0..axes).map(Some));
         let known = places.flat_map(|axis| Fault::ALL.map(|fault| (axis, fault)));
         let latched_ns = known
-            .filter_map(|(axis, f)| Some(((axis, f as u8), set_up.times.latched_ns(axis, f)?)))
+            .filter_map(|(axis, f)| Some(((axis, f as u8), set_up.before.times.latched_ns(axis, f)?)))
             .collect();
         let cpu = set_up.wanted.map_or(0, |w| w.cpu);
         let here = || Measured::here(&config.card, cpu, &System::live());
         let unfit = if set_up.real { config.unfit(&here()) } else { Vec::new() };
         Self {
             latched_ns,
-            held_ns: set_up.times.held_ns(),
+            held_ns: set_up.before.times.held_ns(),
             holder: (u32::MAX, String::new()),
             unfit,
             on_disk: None,
@@ -242,6 +243,13 @@ impl Session {
     pub(crate) fn tick(&mut self, control: &mut ControlEnd, log: &mut Log) {
         let status = control.status();
         self.history.look(&status);
+        if let Some(HeldBy::User(uid)) = status.held
+            && uid != self.holder.0
+        {
+            // Of the process before this one.
+            self.holder = (uid, user_name(uid));
+        }
+        self.set_up.before.other_boot &= status.axes().iter().any(|a| !a.mtc_known);
         self.held_ns = status.held.and(self.held_ns.or(Some(status.t_ns)));
         while let Some(kept) = self.keeper.done() {
             self.tell_kept(kept, control.status().t_ns, log);

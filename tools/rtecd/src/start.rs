@@ -8,7 +8,7 @@ use rtec_control::protocol::explain_fault;
 use rtec_driver::card::Card;
 use rtec_rt::engine::{Engine, MachineConfig, StartError};
 use rtec_rt::event::{Fault, HeldBy};
-use rtec_rt::journal::{Before, Journal, resume};
+use rtec_rt::journal::{Before, Journal, MachineRecord, resume};
 
 /// The engine on `card`, with its state file where the card's outputs outlive the process; and what that file said.
 ///
@@ -60,7 +60,12 @@ pub(crate) fn engine<C: Card>(
             engine.latch(Some(n as u8), fault, card, &mut |_| true)?;
         }
     }
-    let lost = before.thread_lost.then_some(Fault::ThreadLost);
+    let faulted = engine.status().axes().iter().any(|a| a.faults.any());
+    // A hold for which nobody and nothing stands any more: who it was is lost.
+    let unasked = |m: &MachineRecord| m.hold_output && m.held.is_none() && !m.faults.any() && !faulted;
+    let unknown_hold = before.machine_damaged || before.machine.as_ref().is_some_and(unasked);
+    let lost = [(before.thread_lost, Fault::ThreadLost), (unknown_hold, Fault::RecordLost)];
+    let lost = lost.into_iter().filter_map(|(lost, fault)| lost.then_some(fault));
     for fault in before.machine.iter().flat_map(|m| m.faults.iter()).chain(lost) {
         log.say(Level::Error, explain_fault(fault));
         engine.latch(None, fault, card, &mut |_| true)?;
@@ -69,6 +74,9 @@ pub(crate) fn engine<C: Card>(
     if let Some(machine) = before.machine.filter(|m| m.hold_output) {
         engine.take_over_hold(machine.held);
     }
+    if unknown_hold && engine.status().held.is_none() {
+        engine.take_over_hold(Some(HeldBy::FoundOn));
+    }
     say_found(&engine, config, &before, log);
     if let Some((journal, _)) = journal {
         engine.keep_journal(journal);
@@ -76,11 +84,18 @@ pub(crate) fn engine<C: Card>(
     Ok((engine, before))
 }
 
+/// Why nobody knows what the MTC counts, where the state file is of another boot.
+pub(crate) const OTHER_BOOT: &str =
+    "the computer was restarted: the state file is of before, and the controller may have lost its power too";
+
 /// Says what was taken over, and what is not known.
 fn say_found(engine: &Engine, config: &Config, before: &Before, log: &mut Log) {
     if before.older {
         let text = "the state file is of the version before: it says nothing of feed hold, nor whether the controller was homed";
         log.say(Level::Warning, text);
+    }
+    if before.other_boot {
+        log.say(Level::Warning, OTHER_BOOT);
     }
     let status = engine.status();
     match status.held {
@@ -114,19 +129,25 @@ struct Taken {
 /// What each axis had completed before, from the state file and the inverters as they are, and what is to be latched.
 fn take_over<C: Card>(card: &mut C, config: &Config, before: &Before) -> anyhow::Result<Vec<Taken>> {
     let outputs = card.outputs().map_err(|e| Failure::Unreachable(e.to_string()))?;
-    let axes = config.axes.iter().zip(&before.records).map(|(axis, records)| {
-        let inverters = axis.engine.lines.inverters(outputs);
-        let found = resume(*records, inverters);
-        // A fault ends by `clear` alone, whether the inverters are where they were or not.
-        let newest = records.iter().flatten().next();
-        let mut faults: Vec<Fault> = newest.iter().flat_map(|r| r.faults.iter()).collect();
-        if found.is_none() && !(before.first_start && inverters == 0) {
-            // Without a file the inverters should be off; with one there should be a record.
-            let lost = !before.first_start && newest.is_none();
-            faults.push(if lost { Fault::RecordLost } else { Fault::InvertersMoved });
-        }
-        let (completed, mtc_known) = found.map_or((0, false), |r| (r.completed, r.mtc_known));
-        Taken { completed, mtc_known, faults }
-    });
+    let axes = config.axes.iter().zip(before.records.iter().zip(before.damaged)).map(
+        |(axis, (records, damaged))| {
+            let inverters = axis.engine.lines.inverters(outputs);
+            let found = resume(*records, inverters);
+            // A fault ends by `clear` alone, whether the inverters are where they were or not.
+            let newest = records.iter().flatten().next();
+            let mut faults: Vec<Fault> = newest.iter().flat_map(|r| r.faults.iter()).collect();
+            if found.is_none() && !(before.first_start && inverters == 0) {
+                // Without a file the inverters should be off; with one there should be a record.
+                let lost = !before.first_start && newest.is_none();
+                faults.push(if lost { Fault::RecordLost } else { Fault::InvertersMoved });
+            }
+            if damaged && !faults.contains(&Fault::RecordLost) {
+                faults.push(Fault::RecordLost);
+            }
+            let (completed, mtc_known) =
+                found.map_or((0, false), |r| (r.completed, r.mtc_known && !before.other_boot));
+            Taken { completed, mtc_known, faults }
+        },
+    );
     Ok(axes.collect())
 }

@@ -28,7 +28,7 @@ pub struct DaemonStatus {
     pub hold: Option<HoldReport>,
     /// Since the daemon's start, s.
     pub uptime_s: f64,
-    /// The ledger of every axis balances.
+    /// The ledger of every axis balances. `false` too while the MTC's count of an axis is not known: there is none then.
     pub balanced: bool,
     /// Latched faults of the machine as a whole.
     pub faults: Vec<Fault>,
@@ -62,6 +62,14 @@ pub struct DaemonStatus {
     pub sensors: Vec<Reading>,
     /// The axes, in the configuration's order.
     pub axes: Vec<AxisReport>,
+}
+
+impl DaemonStatus {
+    /// The MTC's count is known on every axis: without it there is no ledger that could balance.
+    #[must_use]
+    pub fn ledger_known(&self) -> bool {
+        self.axes.iter().all(|axis| axis.mtc_known)
+    }
 }
 
 /// Feed hold, while it is on.

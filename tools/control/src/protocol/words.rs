@@ -82,7 +82,8 @@ pub const fn explain_fault(fault: Fault) -> &'static str {
             "the inverters are not where the state file left them: the MTC's count is uncertain; clear, home again"
         }
         Fault::RecordLost => {
-            "the state file has lost what this axis had in effect: the MTC's count is uncertain; clear, home again"
+            "the state file has lost what this axis had in effect, or who asked for feed hold: the MTC's count is uncertain; \
+             clear, home again"
         }
         Fault::ThreadLost => {
             "the real-time thread panicked or stood still, and nobody looked at the lines: see the log, restart the \

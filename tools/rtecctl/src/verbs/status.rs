@@ -129,8 +129,13 @@ fn table(s: &DaemonStatus, way: &[OnItsWay], screen: Screen) -> String {
 /// The machine as a whole.
 fn head(s: &DaemonStatus, screen: Screen) -> String {
     let tone = |text: &str, tone| toned(text, tone, screen.colour);
-    let ledger =
-        if s.balanced { tone("balances", Tone::Good) } else { tone("DOES NOT BALANCE", Tone::Wrong) };
+    let ledger = if !s.ledger_known() {
+        tone("not known", Tone::Doubtful)
+    } else if s.balanced {
+        tone("balances", Tone::Good)
+    } else {
+        tone("DOES NOT BALANCE", Tone::Wrong)
+    };
     let mode = match s.mode.as_str() {
         "run" => Tone::Good,
         "fault" => Tone::Wrong,

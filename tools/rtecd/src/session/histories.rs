@@ -31,8 +31,8 @@ use rtec_correct::sensors::SensorConfig;
 use rtec_driver::card::AxisLines;
 use rtec_model::machine::Machine as Model;
 use rtec_rt::engine::Engine;
-use rtec_rt::event::Fault;
-use rtec_rt::journal::Before;
+use rtec_rt::event::{Fault, Faults};
+use rtec_rt::journal::{Before, Journal, MachineRecord};
 use rtec_rt::link::link;
 use rtec_rt::thread::Turns;
 use std::cell::{Cell, RefCell};
@@ -525,7 +525,7 @@ impl Life {
             wanted: None,
             missing: None,
             timing: engine.timing(),
-            times: Before::NOTHING.times,
+            before: Before::NOTHING,
         };
         let (mut control, rt) = link(engine.status());
         {
@@ -777,12 +777,11 @@ impl Life {
     fn forget_hold(&mut self) {
         let mut m = self.world.machine.borrow_mut();
         m.outputs &= !(1 << 28);
-        let Ok(mut bytes) = fs::read(&m.state_file) else { return };
-        for page in [0, 4096] {
-            // Behind the head and the slots of six axes are those of the machine.
-            bytes[page + (8 + 6 * 8) * 8..][..64].fill(0);
+        if m.state_file.exists() {
+            // What is damaged would be found.
+            let (mut journal, _) = Journal::open(&m.state_file, &self.config.identity()).unwrap();
+            journal.record_machine(MachineRecord { held: None, hold_output: false, faults: Faults::NONE }, 0);
         }
-        fs::write(&m.state_file, bytes).unwrap();
     }
 
     fn model(&mut self, session: &mut Session) {

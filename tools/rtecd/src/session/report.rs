@@ -1,6 +1,7 @@
 //! Everything that there is to see.
 
 use super::Session;
+use crate::start::OTHER_BOOT;
 use rtec_control::protocol::{
     AxisReport, Clients, DaemonStatus, Distribution, Explained, Histograms, HoldReport, LatchedFault,
     LogState, Observed, PROTOCOL, Reading, Response, Rt, explain_fault, explain_refusal, word,
@@ -117,7 +118,7 @@ impl Session {
             hold: self.hold(&now),
             latched_faults: self.latched_faults(&now),
             uptime_s: self.started.elapsed().as_secs_f64(),
-            balanced: now.balanced(),
+            balanced: now.balanced() && now.axes().iter().all(|a| a.mtc_known),
             faults: now.faults.iter().collect(),
             why_not: self.why_not(&now, alive, may_arm),
             rt,
@@ -143,7 +144,9 @@ impl Session {
     /// Who holds the machine.
     fn hold(&self, now: &Status) -> Option<HoldReport> {
         let by = match now.held {
-            Some(HeldBy::User(uid)) if uid == self.holder.0 => format!("user {}", self.holder.1),
+            Some(HeldBy::User(uid)) if uid == self.holder.0 && !self.holder.1.is_empty() => {
+                format!("user {}", self.holder.1)
+            }
             Some(HeldBy::User(uid)) => format!("user {uid}"),
             Some(HeldBy::Controller) => "the controller".to_owned(),
             Some(HeldBy::FoundOn) => "unknown".to_owned(),
@@ -200,7 +203,9 @@ impl Session {
             why.push(explain_refusal(Refusal::ControllerNotReady).to_owned());
         }
         let axes = || self.config.axes.iter().zip(now.axes());
-        why.extend(self.unknown(now));
+        let unknown = self.unknown(now);
+        why.extend(unknown.iter().filter(|_| self.set_up.before.other_boot).map(|_| OTHER_BOOT.to_owned()));
+        why.extend(unknown);
         let away = axes().filter(|(_, s)| !s.homed && s.mtc_known).map(|(a, _)| a.name.as_str());
         let away: Vec<&str> = away.collect();
         if !away.is_empty() {

@@ -36,13 +36,8 @@ fn engine(config: &Config) -> (Engine, MockCard<SharedWires, Monotonic>) {
 }
 
 fn session(engine: &Engine) -> Session {
-    let set_up = SetUp {
-        real: false,
-        wanted: None,
-        missing: None,
-        timing: engine.timing(),
-        times: Before::NOTHING.times,
-    };
+    let set_up =
+        SetUp { real: false, wanted: None, missing: None, timing: engine.timing(), before: Before::NOTHING };
     let config = Config::embedded();
     let temperatures = Temperatures::start(&config.sensors, Path::new(""), 1.0).unwrap();
     Session::by(Rc::new(RealTime), config, set_up, temperatures)
@@ -57,13 +52,8 @@ fn a_recorded_shift_gets_the_recorded_totals() {
     config.control.state_file = Some(directory.path().join("state"));
     config.model.lead_ms = 20.0;
     let (engine, _card) = engine(&config);
-    let set_up = SetUp {
-        real: false,
-        wanted: None,
-        missing: None,
-        timing: engine.timing(),
-        times: Before::NOTHING.times,
-    };
+    let set_up =
+        SetUp { real: false, wanted: None, missing: None, timing: engine.timing(), before: Before::NOTHING };
     let watch = |n: &str| Watch::new(sensors::SensorConfig::believed(n, Role::Temperature));
     let played = Temperatures::played(["T8", "T18"].map(watch).to_vec());
     let mut session = Session::by(Rc::new(RealTime), config, set_up, played);
@@ -284,8 +274,8 @@ impl Hand {
         let mut card = MockCard::new(Patient(wires), Monotonic);
         let machine = MachineConfig { lines: config.lines, may_arm: true };
         let engine = Engine::new(&mut card, &config.engine_axes(), machine, &[]).unwrap();
-        let times = Before::NOTHING.times;
-        let set_up = SetUp { real: false, wanted: None, missing: None, timing: engine.timing(), times };
+        let before = Before::NOTHING;
+        let set_up = SetUp { real: false, wanted: None, missing: None, timing: engine.timing(), before };
         let temperatures = Temperatures::start(&config.sensors, Path::new(""), 1.0).unwrap();
         let session = Session::by(Rc::new(RealTime), config, set_up, temperatures);
         let options = ThreadOptions { wanted: None, real: false, stale_after_ns: 60_000_000_000 };
@@ -458,7 +448,7 @@ fn a_card_without_figures_of_its_own_is_not_armed() {
             wanted: None,
             missing: None,
             timing: engine.timing(),
-            times: Before::NOTHING.times,
+            before: Before::NOTHING,
         };
         let temperatures = Temperatures::start(&config.sensors, Path::new(""), 1.0).unwrap();
         let session = Session::by(Rc::new(RealTime), config, set_up, temperatures);

@@ -147,7 +147,9 @@ impl View {
             _ => self.doubtful(),
         };
         let homed = if s.homed { "homed" } else { "not homed" };
-        let ledger = if s.balanced {
+        let ledger = if !s.ledger_known() {
+            Span::styled("ledger not known", self.doubtful())
+        } else if s.balanced {
             Span::styled("ledger balances", self.good())
         } else {
             Span::styled("LEDGER DOES NOT BALANCE", self.wrong())
