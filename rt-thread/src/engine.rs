@@ -200,17 +200,27 @@ impl Engine {
     }
 
     /// From here on every inversion is noted in `journal` before it is made.
-    pub fn keep_journal(&mut self, journal: Journal) {
+    ///
+    /// # Errors
+    /// When a new file cannot be given its name ([`Journal::place`]).
+    pub fn keep_journal(&mut self, journal: Journal) -> std::io::Result<()> {
         self.journal = Some(journal);
         self.note();
+        self.journal.as_mut().map_or(Ok(()), Journal::place)
     }
 
-    /// Notes every axis as it is in effect now, and the machine.
+    /// Notes every axis as it is in effect now, and the machine. At no moment does the file say that feed hold is on and not
+    /// why: a fault of an axis comes before the hold, and goes after it.
     fn note(&mut self) {
-        self.note_axes();
         let (held, hold_output, faults) = (self.held, self.wants_hold(), self.faults);
+        if hold_output {
+            self.note_axes();
+        }
         if let Some(journal) = &mut self.journal {
             journal.record_machine(MachineRecord { held, hold_output, faults }, self.look_ns);
+        }
+        if !hold_output {
+            self.note_axes();
         }
     }
 

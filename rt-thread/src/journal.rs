@@ -16,11 +16,12 @@
 //! A file of version 2 is read: it has no machine's slots and no times, and it does not say whether the MTC was homed.
 //!
 //! The file belongs to one machine on one card with one wiring, and to one process at a time (`flock(2)`). A file that is
-//! there and has no record of an axis is no first start: whoever opens it must latch that axis.
+//! there and has no record of an axis is no first start: whoever opens it must latch that axis. A first start therefore
+//! writes another file, and gives it the name once every record is in it ([`Journal::place`]).
 
 use crate::event::{Fault, Faults, HeldBy, MAX_AXES};
 use nix::errno::Errno;
-use nix::fcntl::{Flock, FlockArg, OFlag, posix_fallocate};
+use nix::fcntl::{AT_FDCWD, Flock, FlockArg, OFlag, RenameFlags, posix_fallocate, renameat2};
 use nix::sys::mman::{MapFlags, ProtFlags, mmap, munmap};
 use std::fs::File;
 use std::io;
@@ -65,6 +66,12 @@ const BOOT_FILE: &str = "/proc/sys/kernel/random/boot_id";
 const _: () = assert!(LOST_AT < BOOT_AT && BOOT_AT + 2 <= HEAD_WORDS);
 /// A time of the card's clock is kept in µs, in the upper bits of its word; below is its check sum.
 const TIME_SHIFT: u32 = 16;
+
+#[cfg(test)]
+thread_local! {
+    /// What this thread has stored to files, in order: the word's number and its value.
+    pub(crate) static STORES: std::cell::RefCell<Vec<(usize, u64)>> = const { std::cell::RefCell::new(Vec::new()) };
+}
 
 /// What an axis had in effect.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -185,6 +192,15 @@ impl Before {
         times: Times([[None; ROW_WORDS]; ROWS]),
         thread_lost: false,
     };
+
+    /// Nobody knows why feed hold is on, or whether it was: the machine's record is lost, or names neither a user nor a fault.
+    /// A fault of an axis is noted before the hold that follows from it, and ends after it.
+    #[must_use]
+    pub fn hold_unexplained(&self) -> bool {
+        let faulted = self.records.iter().any(|found| found[0].is_some_and(|r| r.faults.any()));
+        let unasked = |m: MachineRecord| m.hold_output && m.held.is_none() && !m.faults.any() && !faulted;
+        self.machine_damaged || self.machine.is_some_and(unasked)
+    }
 }
 
 /// Why a state file cannot be used. Each leaves it as it was.
@@ -241,10 +257,11 @@ pub struct Journal {
     /// What is latched by the times in the file, a row each; and whether feed hold is on by them.
     timed: [Faults; ROWS],
     timed_hold: bool,
-    /// This boot of the computer, until the file says so.
-    boot_due: Option<u64>,
-    /// The file is new, and no axis has a record yet.
-    empty: bool,
+    identity: String,
+    /// This boot of the computer.
+    boot: Option<u64>,
+    /// A first start: the file as it is called until it is complete, and what it is called then.
+    unplaced: Option<[PathBuf; 2]>,
     /// The lock is ours as long as this is open.
     held: Flock<File>,
 }
@@ -281,9 +298,19 @@ impl Journal {
     pub fn open(path: &Path, identity: &str) -> Result<(Self, Before), JournalError> {
         let io = |source: io::Error| JournalError::Io { path: path.to_owned(), source };
         let mut options = File::options();
-        options.read(true).write(true).create(true).truncate(false).mode(0o600);
-        let file =
-            options.custom_flags((OFlag::O_NOFOLLOW | OFlag::O_NONBLOCK).bits()).open(path).map_err(io)?;
+        options.read(true).write(true).truncate(false).mode(0o600);
+        options.custom_flags((OFlag::O_NOFOLLOW | OFlag::O_NONBLOCK).bits());
+        let mut unplaced = None;
+        let file = match options.open(path) {
+            Err(e) if e.kind() == io::ErrorKind::NotFound => {
+                let file = beside(path);
+                let opened = options.create(true).open(&file);
+                unplaced = Some([file, path.to_owned()]);
+                opened
+            }
+            opened => opened,
+        };
+        let file = file.map_err(io)?;
         if !file.metadata().map_err(io)?.is_file() {
             let found = "something that is no regular file".to_owned();
             return Err(JournalError::Foreign { path: path.to_owned(), found });
@@ -292,8 +319,13 @@ impl Journal {
             Errno::EWOULDBLOCK => JournalError::Taken { path: path.to_owned() },
             errno => io(errno.into()),
         })?;
+        let first_start = unplaced.is_some();
+        if first_start {
+            // What a first start left that was not completed.
+            held.set_len(0).map_err(io)?;
+        }
         let len = held.metadata().map_err(io)?.len();
-        if len != 0 && len != BYTES.get() as u64 {
+        if !first_start && len != BYTES.get() as u64 {
             let found = format!("{len} bytes instead of {BYTES}");
             return Err(JournalError::Foreign { path: path.to_owned(), found });
         }
@@ -305,7 +337,6 @@ impl Journal {
         }
         .map_err(|e| io(e.into()))?;
         // From here on a mistake unmaps it.
-        let first_start = len == 0;
         let words = base.cast();
         let mut journal = Self {
             words,
@@ -314,8 +345,9 @@ impl Journal {
             last_machine: None,
             timed: [Faults::NONE; ROWS],
             timed_hold: false,
-            boot_due: boot(),
-            empty: first_start,
+            identity: identity.to_owned(),
+            boot: boot(),
+            unplaced,
             held,
         };
         let older = !first_start && journal.is_ours(path, identity)?;
@@ -325,7 +357,7 @@ impl Journal {
             *found = journal.newest_first(axis, StateRecord::of);
             journal.timed[axis] = found[0].map_or(Faults::NONE, |r| r.faults);
         }
-        before.other_boot = !first_start && journal.boot_due.is_some_and(|now| journal.boot() != Some(now));
+        before.other_boot = !first_start && journal.boot.is_some_and(|now| journal.boot() != Some(now));
         if older {
             // Its text is where this version has other things.
             journal.wipe(TIMES_AT..PAGE_WORDS);
@@ -338,7 +370,6 @@ impl Journal {
             before.times = journal.times();
             before.thread_lost = [0, PAGE_WORDS].iter().any(|page| journal.load(page + LOST_AT) == LOST);
         }
-        journal.write_head(identity);
         Ok((journal, before))
     }
 
@@ -347,7 +378,7 @@ impl Journal {
         let mut slots = [self.slot(row, 0, &of), self.slot(row, 1, &of)];
         slots.sort_by_key(|s| std::cmp::Reverse(s.map(|(seq, _)| seq)));
         self.next[row] = slots[0].map_or(1, |(seq, _)| seq + 1);
-        if slots[0].is_none() && !self.empty {
+        if slots[0].is_none() {
             // No record is as telling as a damaged one, and stays no longer than until the next.
             let at = HEAD_WORDS + row * AXIS_WORDS;
             self.wipe(at..at + AXIS_WORDS);
@@ -373,14 +404,14 @@ impl Journal {
     /// The boot of the computer in which it was written, from whichever copy is whole.
     fn boot(&self) -> Option<u64> {
         [0, PAGE_WORDS].into_iter().find_map(|page| {
-            let [boot, sum] = [0, 1].map(|k| self.load(page + BOOT_AT + k));
-            (sum == check(&[BOOT_AT as u64, boot])).then_some(boot)
+            let found = [0, 1].map(|k| self.load(page + BOOT_AT + k));
+            (found == boot_words(found[0])).then_some(found[0])
         })
     }
 
     fn wipe(&self, words: std::ops::Range<usize>) {
         for page in [0, PAGE_WORDS] {
-            words.clone().for_each(|n| self.word(page + n).store(0, Ordering::Release));
+            words.clone().for_each(|n| self.put(page + n, 0));
         }
     }
 
@@ -388,6 +419,14 @@ impl Journal {
         assert!(n < COPIES * PAGE_WORDS);
         // SAFETY: the mapping holds so many aligned words and lives as long as `self`; every bit pattern is valid.
         unsafe { self.words.add(n).as_ref() }
+    }
+
+    /// Every store goes through here.
+    #[inline]
+    fn put(&self, n: usize, value: u64) {
+        #[cfg(test)]
+        STORES.with_borrow_mut(|stores| stores.push((n, value)));
+        self.word(n).store(value, Ordering::Release);
     }
 
     fn load(&self, n: usize) -> u64 {
@@ -434,10 +473,10 @@ impl Journal {
         let (hash, bytes) = (hash_of(identity), text.len() as u64);
         for page in [0, PAGE_WORDS] {
             for (k, word) in words_of(&text[..text.len().min(TEXT_BYTES)]).enumerate() {
-                self.word(page + TEXT_AT + k).store(word, Ordering::Release);
+                self.put(page + TEXT_AT + k, word);
             }
             for (k, word) in [MAGIC, hash, bytes, check(&[MAGIC, hash, bytes])].into_iter().enumerate() {
-                self.word(page + k).store(word, Ordering::Release);
+                self.put(page + k, word);
             }
         }
     }
@@ -451,6 +490,26 @@ impl Journal {
             of([flags, value]).filter(|_| valid).map(|record| (seq, record))
         });
         copies.into_iter().flatten().max_by_key(|(seq, _)| *seq)
+    }
+
+    /// Every record is in the file: from here on it says so, in which boot of the computer, and has its name. After a kill
+    /// before, the next process finds what this one found.
+    ///
+    /// # Errors
+    /// When the disk does not take it, or somebody else's file is there by now.
+    pub fn place(&mut self) -> io::Result<()> {
+        self.write_head(&self.identity);
+        for page in [0, PAGE_WORDS] {
+            for (k, word) in self.boot.into_iter().flat_map(boot_words).enumerate() {
+                self.put(page + BOOT_AT + k, word);
+            }
+        }
+        if let Some([new, path]) = &self.unplaced {
+            self.held.sync_all()?;
+            renameat2(AT_FDCWD, new, AT_FDCWD, path, RenameFlags::RENAME_NOREPLACE)?;
+            self.unplaced = None;
+        }
+        Ok(())
     }
 
     /// Notes at `t_ns` what an axis will have in effect once the write that follows is made. No system call.
@@ -482,30 +541,21 @@ impl Journal {
         if record.faults.has(Fault::ThreadLost) {
             self.wipe(LOST_AT..LOST_AT + 1);
         }
-        // Not before every record says what follows from another boot: whoever dies first leaves the old one.
-        if let Some(boot) = self.boot_due.take() {
-            for page in [0, PAGE_WORDS] {
-                for (k, word) in [boot, check(&[BOOT_AT as u64, boot])].into_iter().enumerate() {
-                    self.word(page + BOOT_AT + k).store(word, Ordering::Release);
-                }
-            }
-        }
     }
 
     #[inline]
     fn store(&mut self, row: usize, [flags, value]: [u64; 2]) {
-        self.empty = false;
         let seq = self.next[row];
         self.next[row] = seq + 1;
         let sum = check(&[seq, flags, value]);
         for page in [0, PAGE_WORDS] {
             let at = page + HEAD_WORDS + row * AXIS_WORDS + (seq & 1) as usize * SLOT_WORDS;
             // A record cut short fails its check sum; the one before it is in the other slot.
-            self.word(at + 3).store(0, Ordering::Release);
-            self.word(at).store(seq, Ordering::Release);
-            self.word(at + 1).store(flags, Ordering::Release);
-            self.word(at + 2).store(value, Ordering::Release);
-            self.word(at + 3).store(sum, Ordering::Release);
+            self.put(at + 3, 0);
+            self.put(at, seq);
+            self.put(at + 1, flags);
+            self.put(at + 2, value);
+            self.put(at + 3, sum);
         }
     }
 
@@ -522,7 +572,7 @@ impl Journal {
         let us = t_ns / 1000;
         let word = us << TIME_SHIFT | time_check(row, k, us);
         for page in [0, PAGE_WORDS] {
-            self.word(page + TIMES_AT + row * ROW_WORDS + k).store(word, Ordering::Release);
+            self.put(page + TIMES_AT + row * ROW_WORDS + k, word);
         }
     }
 
@@ -558,6 +608,18 @@ pub fn note_thread_lost(path: &Path) -> io::Result<()> {
     Ok(())
 }
 
+/// The file that gets the state file's name when it is complete.
+fn beside(path: &Path) -> PathBuf {
+    let mut name = path.file_name().unwrap_or_default().to_owned();
+    name.push(".new");
+    path.with_file_name(name)
+}
+
+/// A boot as the head has it, with its check sum.
+fn boot_words(boot: u64) -> [u64; 2] {
+    [boot, check(&[BOOT_AT as u64, boot])]
+}
+
 /// This boot of the computer, where the kernel tells.
 fn boot() -> Option<u64> {
     std::fs::read_to_string(BOOT_FILE).ok().filter(|id| !id.trim().is_empty()).map(|id| hash_of(id.trim()))
@@ -573,9 +635,9 @@ impl Drop for Journal {
     fn drop(&mut self) {
         // SAFETY: base and length are those of the mapping made in `open`, and nothing refers to it any more.
         let _ = unsafe { munmap(self.words.cast(), BYTES.get()) };
-        if self.empty {
-            // A start that came to nothing: the next one is the first again.
-            let _ = self.held.set_len(0);
+        if let Some([new, _]) = &self.unplaced {
+            // A start that came to nothing. Left behind, the next one begins it anew.
+            let _ = std::fs::remove_file(new);
         }
     }
 }
@@ -602,6 +664,13 @@ mod tests {
         (directory, path)
     }
 
+    /// The journal of a file that is complete, as far as its records go.
+    fn opened(path: &Path, identity: &str) -> Journal {
+        let (mut journal, _) = Journal::open(path, identity).unwrap();
+        journal.place().unwrap();
+        journal
+    }
+
     fn record(inverters: u8, completed: i64) -> StateRecord {
         StateRecord { inverters, completed, faults: Faults::NONE, mtc_known: true }
     }
@@ -623,7 +692,7 @@ mod tests {
             .map(|(inverters, completed)| record(inverters, completed));
         assert_eq!(Journal::open(&path, OURS).unwrap().1, Before::NOTHING);
         for pair in records.windows(2) {
-            let mut journal = Journal::open(&path, OURS).unwrap().0;
+            let mut journal = opened(&path, OURS);
             journal.record(2, pair[0], 1000);
             journal.record(2, pair[1], 1000);
             drop(journal);
@@ -643,7 +712,7 @@ mod tests {
             faults.latch(crate::event::Fault::PollGap) && faults.latch(crate::event::Fault::OrderUnknown)
         );
         let latched = StateRecord { faults, ..record(3, 8) };
-        let mut journal = Journal::open(&path, OURS).unwrap().0;
+        let mut journal = opened(&path, OURS);
         journal.record(2, record(3, 8), 1000);
         journal.record(2, latched, 1000);
         drop(journal);
@@ -668,7 +737,7 @@ mod tests {
         for held in [Some(HeldBy::User(u32::MAX)), Some(HeldBy::Controller), Some(HeldBy::FoundOn), None] {
             for hold_output in [false, true] {
                 let machine = MachineRecord { held, hold_output, faults: set(&[Fault::Card]) };
-                let mut journal = Journal::open(&path, OURS).unwrap().0;
+                let mut journal = opened(&path, OURS);
                 journal.record_machine(machine, 5_000);
                 drop(journal);
                 assert_eq!(Journal::open(&path, OURS).unwrap().1.machine, Some(machine));
@@ -676,14 +745,14 @@ mod tests {
         }
         assert_eq!(MachineRecord::of([8, 0]), None);
         assert_eq!(MachineRecord::of([1, 1 << 32]), None);
-        let mut journal = Journal::open(&path, OURS).unwrap().0;
+        let mut journal = opened(&path, OURS);
         let (first, both) = (set(&[Fault::ErrorLimit]), set(&[Fault::ErrorLimit, Fault::PollGap]));
         journal.record(2, StateRecord { faults: first, ..record(0, 2) }, 7_000);
         journal.record(2, StateRecord { faults: both, ..record(0, 2) }, 9_999);
         let user = MachineRecord { held: Some(HeldBy::User(7)), hold_output: true, faults: Faults::NONE };
         journal.record_machine(user, 11_000);
         drop(journal);
-        let mut journal = Journal::open(&path, OURS).unwrap().0;
+        let mut journal = opened(&path, OURS);
         // What is still latched keeps its time in the next process, and hold too.
         journal.record(2, StateRecord { faults: both, ..record(0, 2) }, 20_000);
         journal.record_machine(MachineRecord { faults: set(&[Fault::Card]), ..user }, 21_000);
@@ -734,12 +803,13 @@ mod tests {
         std::fs::write(&path, &bytes).unwrap();
         let error = Journal::open(&path, "machine \"mill 2\"").unwrap_err().to_string();
         assert!(error.contains(OURS), "{error}");
-        let (journal, before) = Journal::open(&path, OURS).unwrap();
+        let (mut journal, before) = Journal::open(&path, OURS).unwrap();
         let unknown = |inverters, completed| StateRecord { mtc_known: false, ..record(inverters, completed) };
         assert_eq!((before.older, before.machine, before.first_start), (true, None, false));
         assert_eq!(before.records[0], [Some(unknown(3, 10)), None]);
         assert_eq!(before.records[1], [Some(StateRecord { faults: doubted, ..unknown(0, 4) }), None]);
         assert_eq!(before.times, Before::NOTHING.times, "its text is no time");
+        journal.place().unwrap();
         drop(journal);
         let again = Journal::open(&path, OURS).unwrap().1;
         assert_eq!((again.older, again.records), (false, before.records), "it is of this version now");
@@ -749,7 +819,7 @@ mod tests {
     #[test]
     fn a_lost_thread_is_found_until_it_is_latched() {
         let (_directory, path) = new();
-        let mut journal = Journal::open(&path, OURS).unwrap().0;
+        let mut journal = opened(&path, OURS);
         journal.record(0, record(0, 0), 1000);
         note_thread_lost(&path).unwrap();
         drop(journal);
@@ -767,14 +837,14 @@ mod tests {
     fn a_file_of_another_boot_is_told_until_its_records_say_what_follows() {
         let (_directory, path) = new();
         let machine = MachineRecord { held: None, hold_output: false, faults: Faults::NONE };
-        let mut journal = Journal::open(&path, OURS).unwrap().0;
+        let mut journal = opened(&path, OURS);
         journal.record(0, record(0, 4), 1000);
         journal.record_machine(machine, 1000);
         drop(journal);
         assert!(!Journal::open(&path, OURS).unwrap().1.other_boot);
         let file = File::options().write(true).open(&path).unwrap();
         // Of another boot; damaged; not there, as the program before this one left it.
-        for words in [[77, check(&[BOOT_AT as u64, 77])], [77, 78], [0, 0]] {
+        for words in [boot_words(77), [77, 78], [0, 0]] {
             for page in [0, PAGE_WORDS] {
                 for (k, word) in words.iter().enumerate() {
                     file.write_all_at(&word.to_le_bytes(), ((page + BOOT_AT + k) * 8) as u64).unwrap();
@@ -785,6 +855,7 @@ mod tests {
             assert!(before.other_boot, "the first successor may have died before it noted anything");
             assert_eq!((before.records[0][0], before.machine), (Some(record(0, 4)), Some(machine)));
             journal.record_machine(machine, 1000);
+            journal.place().unwrap();
             drop(journal);
             assert!(!Journal::open(&path, OURS).unwrap().1.other_boot);
         }
@@ -796,7 +867,7 @@ mod tests {
         let (_directory, path) = new();
         let machine = MachineRecord { held: None, hold_output: false, faults: Faults::NONE };
         let held = MachineRecord { held: Some(HeldBy::User(7)), hold_output: true, ..machine };
-        let mut journal = Journal::open(&path, OURS).unwrap().0;
+        let mut journal = opened(&path, OURS);
         journal.record(2, record(0, 2), 1000);
         journal.record_machine(machine, 1000);
         journal.record(2, StateRecord { faults: set(&[Fault::PollGap]), ..record(0, 2) }, 1000);
@@ -840,7 +911,7 @@ mod tests {
     #[test]
     fn a_torn_record_is_not_believed() {
         let (_directory, path) = new();
-        let mut journal = Journal::open(&path, OURS).unwrap().0;
+        let mut journal = opened(&path, OURS);
         journal.record(2, record(0, 10), 1000);
         journal.record(2, record(3, 12), 1000);
         drop(journal);
@@ -862,7 +933,7 @@ mod tests {
     fn a_record_of_the_last_number_there_is_is_not_believed() {
         let (_directory, path) = new();
         let older = record(0, 10);
-        let mut journal = Journal::open(&path, OURS).unwrap().0;
+        let mut journal = opened(&path, OURS);
         journal.record(2, older, 1000);
         journal.record(2, record(3, 12), 1000);
         drop(journal);
@@ -876,7 +947,7 @@ mod tests {
             }
             assert_eq!(found(&path), [Some(older), None]);
         }
-        let mut journal = Journal::open(&path, OURS).unwrap().0;
+        let mut journal = opened(&path, OURS);
         journal.record(2, record(1, 11), 1000);
         journal.record(2, record(3, 12), 1000);
         drop(journal);
@@ -887,7 +958,7 @@ mod tests {
     fn sixty_four_lost_bytes_lose_no_record_wherever_they_are() {
         let (_directory, path) = new();
         let newest = record(3, 14);
-        let mut journal = Journal::open(&path, OURS).unwrap().0;
+        let mut journal = opened(&path, OURS);
         journal.record(2, record(0, 12), 1000);
         journal.record(2, newest, 1000);
         drop(journal);
@@ -917,13 +988,13 @@ mod tests {
     fn a_later_opening_counts_on_and_keeps_the_newest_record_before_it() {
         let (_directory, path) = new();
         let (a, b, c, d) = (record(0, 2), record(1, 3), record(3, 4), record(2, 5));
-        let mut journal = Journal::open(&path, OURS).unwrap().0;
+        let mut journal = opened(&path, OURS);
         for noted in [a, b, c] {
             journal.record(2, noted, 1000);
         }
         drop(journal);
         assert_eq!(found(&path), [Some(c), Some(b)]);
-        let mut journal = Journal::open(&path, OURS).unwrap().0;
+        let mut journal = opened(&path, OURS);
         journal.record(2, d, 1000);
         drop(journal);
         assert_eq!(found(&path), [Some(d), Some(c)]);
@@ -938,6 +1009,7 @@ mod tests {
         let mut older = vec![0; BYTES.get()];
         older[..8].copy_from_slice(b"RTECJ\0\0\x01");
         for (content, wants) in [
+            (Vec::new(), "found 0 bytes"),
             (b"hello".to_vec(), "found 5 bytes"),
             (noise, "something else"),
             (last, "something else"),
@@ -960,7 +1032,7 @@ mod tests {
         assert!(matches!(Journal::open(&path, OURS), Err(JournalError::Taken { .. })));
         drop(first);
         assert_eq!(Journal::open(&path, OURS).unwrap().1, Before::NOTHING, "nothing had been noted");
-        let mut ours = Journal::open(&path, OURS).unwrap().0;
+        let mut ours = opened(&path, OURS);
         ours.record(0, record(0, 0), 1000);
         drop(ours);
         let error = Journal::open(&path, "machine \"mill 2\"").unwrap_err().to_string();
@@ -977,7 +1049,7 @@ mod tests {
     fn every_axis_has_two_records_of_its_own() {
         let (_directory, path) = new();
         let noted = |axis: usize, n: i64| record(1, 100 * axis as i64 + 2 * n);
-        let mut ours = Journal::open(&path, OURS).unwrap().0;
+        let mut ours = opened(&path, OURS);
         (1..=2).for_each(|n| (0..MAX_AXES).for_each(|axis| ours.record(axis, noted(axis, n), 1000)));
         drop(ours);
         let before = Journal::open(&path, OURS).unwrap().1;
@@ -991,7 +1063,7 @@ mod tests {
     fn of_a_long_identity_is_kept_what_there_is_room_for() {
         let (_directory, path) = new();
         let long: String = (0..5000_u32).map(|k| char::from(b'a' + (k % 23) as u8)).collect();
-        let mut ours = Journal::open(&path, &long).unwrap().0;
+        let mut ours = opened(&path, &long);
         ours.record(5, record(0, 8), 1000);
         drop(ours);
         assert_eq!(Journal::open(&path, &long).unwrap().1.records[5], [Some(record(0, 8)), None]);

@@ -825,7 +825,7 @@ fn everything_is_noted_before_it_is_made() {
     let file = folder.path().join("state");
     let open = || Journal::open(&file, "moments").unwrap();
     let mut rig = Rig::new(&[one(resting(5000))], Hand::default());
-    rig.engine.keep_journal(open().0);
+    rig.engine.keep_journal(open().0).unwrap();
     rig.card.state_file = Some(file.clone());
     let found = |bytes: &[u8]| {
         let copy = folder.path().join("copy");

@@ -87,7 +87,7 @@ fn a_panic_is_a_fault_and_holds_the_machine() {
     let file = folder.path().join("state");
     let open = || Journal::open(&file, "panic").unwrap();
     let (mut engine, card, mut control, rt) = start();
-    engine.keep_journal(open().0);
+    engine.keep_journal(open().0).unwrap();
     let ended = run(engine, Diary { panics_at: Some(20), ..card }, rt, u64::MAX);
     assert!(control.ended() && ended.status.faults.has(Fault::ThreadLost));
     assert_eq!((control.status().mode, ended.status.hold_output), (Mode::Fault, true));

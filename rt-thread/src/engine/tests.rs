@@ -1,7 +1,8 @@
-//! The engine's short path beside its careful one, whatever is asked of them.
+//! The engine's short path beside its careful one, whatever is asked of them; and what a kill leaves in the state file.
 
 use super::*;
 use crate::axis::RestPolicy;
+use crate::journal::STORES;
 use proptest::prelude::*;
 use rtec_driver::card::AxisLines;
 
@@ -108,6 +109,11 @@ impl One {
     }
 
     fn look(&mut self, before: Before, gap_ns: u64) {
+        self.happens(before);
+        self.poll(gap_ns);
+    }
+
+    fn happens(&mut self, before: Before) {
         let Self { engine, card, told, careful } = self;
         let mut report = |event| {
             told.push(event);
@@ -132,10 +138,18 @@ impl One {
                 }
             }
         }
+    }
+
+    fn poll(&mut self, gap_ns: u64) {
+        let Self { engine, card, told, careful } = self;
         if *careful {
             engine.axes.iter_mut().for_each(AxisEngine::take_care);
         }
         card.t_ns += gap_ns;
+        let mut report = |event| {
+            told.push(event);
+            true
+        };
         engine.poll(card, u64::MAX, &mut report).unwrap();
     }
 }
@@ -157,6 +171,63 @@ proptest! {
             prop_assert_eq!(&calm.told, &careful.told);
             prop_assert_eq!(&calm.card.outputs, &careful.card.outputs);
             prop_assert_eq!(format!("{:?}", calm.engine.status()), format!("{:?}", careful.engine.status()));
+        }
+    }
+}
+
+fn kept() -> impl Strategy<Value = Before> {
+    let home = |(axis, controller_homed)| Request::Home { axis, position_counts: 0, controller_homed };
+    prop_oneof![
+        2 => any::<bool>().prop_map(|on| Before::Request(Request::Hold { on, by: 7 })),
+        2 => Just(Before::Request(Request::Clear)),
+        2 => Just(Before::Latch),
+        1 => (0..2_u8, any::<bool>()).prop_map(home).prop_map(Before::Request),
+        1 => (0..2_u8, -8..=8_i64)
+            .prop_map(|(axis, total_counts)| Request::Correct { axis, total_counts, large: true })
+            .prop_map(Before::Request),
+        1 => Just(Before::Steps(2, 0)),
+        3 => Just(Before::Steps(1, 1)),
+    ]
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(24))]
+
+    /// Wherever a kill falls between two stores to the state file, every record is the one before or the one after: none is
+    /// taken for damaged, and feed hold is never on for no reason.
+    #[test]
+    fn a_kill_at_any_store_is_no_damage(steps in prop::collection::vec((kept(), 100_u64..2000), 1..24)) {
+        let folder = tempfile::tempdir().unwrap();
+        let [file, copy] = ["state", "copy"].map(|name| folder.path().join(name));
+        let open = |file| Journal::open(file, "kills").unwrap();
+        let mut one = One::new(true, RestPolicy::Insert { after_ns: 100 }, false);
+        one.engine.keep_journal(open(&file).0).unwrap();
+        let mut found = None;
+        for (what, gap_ns) in steps.into_iter().flat_map(|(what, ns)| [(Some(what), 0), (None, ns)]) {
+            let mut bytes = std::fs::read(&file).unwrap();
+            STORES.take();
+            match what {
+                Some(what) => one.happens(what),
+                None => one.poll(gap_ns),
+            }
+            let stores = STORES.take();
+            let records = |bytes: &[u8]| {
+                std::fs::write(&copy, bytes).unwrap();
+                let (_, before) = open(&copy);
+                assert!(!before.hold_unexplained() && before.damaged == [false; MAX_AXES], "{before:?}");
+                let mut all: Vec<_> = before.records.iter().map(|r| format!("{:?}", r[0])).collect();
+                all.push(format!("{:?}", before.machine));
+                all
+            };
+            let first = found.unwrap_or_else(|| records(&bytes));
+            let last = records(&std::fs::read(&file).unwrap());
+            for (word, value) in stores {
+                bytes[8 * word..][..8].copy_from_slice(&value.to_le_bytes());
+                for (n, now) in records(&bytes).iter().enumerate() {
+                    prop_assert!(*now == first[n] || *now == last[n], "{what:?}, row {n}: {now}");
+                }
+            }
+            found = Some(last);
         }
     }
 }

@@ -30,6 +30,7 @@ fuzz_target!(|data: &[u8]| {
     noted.iter().for_each(|record| journal.record(2, *record, 1000));
     let machine = MachineRecord { held: Some(HeldBy::User(1)), hold_output: true, faults: Faults::NONE };
     journal.record_machine(machine, 1000);
+    journal.place().expect("it is there already");
     drop(journal);
     let (_, after) = Journal::open(&path, OURS).expect("it is ours now");
     assert_eq!(after.records[2], [Some(noted[1]), Some(noted[0])]);

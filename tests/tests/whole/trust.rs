@@ -303,7 +303,7 @@ fn a_newest_record_that_is_damaged_in_both_copies_latches() {
             let daemon = bench.daemon();
             let status = daemon.status();
             assert_eq!(status["mode"], "fault", "row {row}, slot {slot}");
-            let latched = status["latched"].as_array().unwrap();
+            let latched = status["latched_faults"].as_array().unwrap();
             assert!(
                 latched.iter().any(|l| l["fault"] == "record_lost"
                     && l.get("axis").unwrap_or(&serde_json::Value::Null) == &who),

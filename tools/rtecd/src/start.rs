@@ -8,7 +8,7 @@ use rtec_control::protocol::explain_fault;
 use rtec_driver::card::Card;
 use rtec_rt::engine::{Engine, MachineConfig, StartError};
 use rtec_rt::event::{Fault, HeldBy};
-use rtec_rt::journal::{Before, Journal, MachineRecord, resume};
+use rtec_rt::journal::{Before, Journal, JournalError, resume};
 
 /// The engine on `card`, with its state file where the card's outputs outlive the process; and what that file said.
 ///
@@ -60,10 +60,7 @@ pub(crate) fn engine<C: Card>(
             engine.latch(Some(n as u8), fault, card, &mut |_| true)?;
         }
     }
-    let faulted = engine.status().axes().iter().any(|a| a.faults.any());
-    // A hold for which nobody and nothing stands any more: who it was is lost.
-    let unasked = |m: &MachineRecord| m.hold_output && m.held.is_none() && !m.faults.any() && !faulted;
-    let unknown_hold = before.machine_damaged || before.machine.as_ref().is_some_and(unasked);
+    let unknown_hold = before.hold_unexplained();
     let lost = [(before.thread_lost, Fault::ThreadLost), (unknown_hold, Fault::RecordLost)];
     let lost = lost.into_iter().filter_map(|(lost, fault)| lost.then_some(fault));
     for fault in before.machine.iter().flat_map(|m| m.faults.iter()).chain(lost) {
@@ -79,7 +76,10 @@ pub(crate) fn engine<C: Card>(
     }
     say_found(&engine, config, &before, log);
     if let Some((journal, _)) = journal {
-        engine.keep_journal(journal);
+        engine.keep_journal(journal).map_err(|source| {
+            let path = config.control.state_path();
+            Failure::from(JournalError::Io { path, source })
+        })?;
     }
     Ok((engine, before))
 }

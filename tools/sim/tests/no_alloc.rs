@@ -67,8 +67,8 @@ fn the_loop_neither_allocates_nor_releases() {
         lines.map(|lines| AxisConfig { lines, window_counts: 10, detect_ns: 5000, ..AxisConfig::default() });
     let machine = MachineConfig { lines: MachineLines::standard(), may_arm: true };
     let mut engine = Engine::new(&mut card, &configs, machine, &[]).unwrap();
-    let file = tempfile::NamedTempFile::new().unwrap();
-    engine.keep_journal(Journal::open(file.path(), "a machine").unwrap().0);
+    let folder = tempfile::tempdir().unwrap();
+    engine.keep_journal(Journal::open(&folder.path().join("state"), "a machine").unwrap().0).unwrap();
     engine.start_homed(&mut card, &mut |_| true).unwrap();
     operator.cycle_start();
     let (mut control, mut rt) = link(engine.status());
