@@ -4,6 +4,7 @@
 //! |---|---|
 //! | [`selftest`] | the latencies that the speed gate rests on, measured with the real engine |
 //! | [`access`] | may the service open the card's devices, and where do their interrupts land? |
+//! | `measurement` | what the self-test is asked for, and what each of its parts brings |
 //! | `on_card` | the self-test on the card that will do the work |
 //! | `far` | the far side of the self-test's wires: gives the edges, times the insertions, is the MTC |
 //!
@@ -13,5 +14,6 @@
 
 pub mod access;
 mod far;
+mod measurement;
 mod on_card;
 pub mod selftest;

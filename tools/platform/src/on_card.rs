@@ -3,11 +3,11 @@
 //! Nobody plays the machine here. Reads are timed as the engine takes them. Writes are insertions that the engine makes at
 //! rest, without an edge: as many counts are added as are taken out again, so that the outputs end as they were found.
 
-use crate::selftest::{Latency, Polling, SelftestError, SelftestOptions, tid_of};
+use crate::measurement::{Driven, Latency, Polling, SelftestError, SelftestOptions, tid_of};
 use rtec_driver::card::{Card, CardError, MachineLines, Sample};
 use rtec_rt::axis::{AxisConfig, Design, RestPolicy};
 use rtec_rt::engine::{Engine, MachineConfig};
-use rtec_rt::event::{Fault, Mode, Request};
+use rtec_rt::event::{Mode, Request};
 use rtec_rt::thread::{Ended, Running, ThreadOptions, spawn};
 use std::time::{Duration, Instant};
 
@@ -36,18 +36,6 @@ impl<C: Card> Card for Held<C> {
     fn outputs(&mut self) -> Result<u64, CardError> {
         self.0.outputs()
     }
-}
-
-/// What was measured of the writes.
-#[derive(Debug, Clone, Default)]
-pub struct Driven {
-    /// The loop meanwhile; `seen_to_done` from the look at which an insertion began to the one that ordered its second
-    /// inversion.
-    pub polling: Polling,
-    /// Why it ended before its time, if it did.
-    pub ended_by: Option<Fault>,
-    /// The outputs are as they were found.
-    pub restored: bool,
 }
 
 /// Times the loop on `card` with all outputs held, for a third of the time.

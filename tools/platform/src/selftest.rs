@@ -15,23 +15,23 @@
 
 pub use crate::far::FarSide;
 use crate::far::{Control, Far, play};
+pub use crate::measurement::{Driven, Latency, Polling, SelftestError, SelftestOptions};
+use crate::measurement::{tid, tid_of};
 use crate::on_card;
-pub use crate::on_card::Driven;
 use rand_xoshiro::SplitMix64;
 use rand_xoshiro::rand_core::SeedableRng;
-use rtec_driver::card::{Card, CardError, MachineLines};
+use rtec_driver::card::{Card, MachineLines};
 use rtec_driver::clock::{Clock, Monotonic};
-use rtec_driver::mapped::{MapError, MappedCard, Registers};
+use rtec_driver::mapped::{MappedCard, Registers};
 use rtec_driver::mock::{MockCard, SharedWires};
 use rtec_driver::profile::Profile;
 use rtec_rt::axis::AxisConfig;
-use rtec_rt::engine::{Engine, MachineConfig, StartError};
+use rtec_rt::engine::{Engine, MachineConfig};
 use rtec_rt::event::Fault;
 use rtec_rt::histogram::{Recorder, Snapshot, histogram};
-use rtec_rt::setup::{self, Report, System, Wanted, apply};
-use rtec_rt::thread::{SpawnError, ThreadOptions, spawn};
+use rtec_rt::setup::{self, Report, System, apply};
+use rtec_rt::thread::{ThreadOptions, spawn};
 use serde::Serialize;
-use std::io;
 use std::time::{Duration, Instant};
 
 /// Time between two wake-ups, ns.
@@ -48,91 +48,6 @@ pub enum Backend {
     Mock,
     /// Registers in a file that is mapped twice, as the two sides of a PCI card see them.
     Mapped,
-}
-
-/// What to measure, and where.
-#[derive(Debug, Clone, Copy)]
-pub struct SelftestOptions {
-    /// The CPU of the real-time thread.
-    pub cpu: usize,
-    /// The thread's `SCHED_FIFO` priority, 1 to 99.
-    pub priority: u8,
-    /// How long, all in all: a third each for the wake-ups, the polling loop, and the polling loop with requests.
-    pub run: Duration,
-    /// Seed of the far side's dwell times.
-    pub seed: u64,
-}
-
-impl SelftestOptions {
-    pub(crate) fn wanted(&self) -> Wanted {
-        Wanted { cpu: self.cpu, priority: self.priority }
-    }
-}
-
-/// Why nothing could be measured.
-#[derive(Debug, thiserror::Error)]
-pub enum SelftestError {
-    /// A file or thread that the test needs.
-    #[error("{0}: {1}")]
-    Io(&'static str, #[source] io::Error),
-    /// The card's registers cannot be mapped.
-    #[error(transparent)]
-    Map(#[from] MapError),
-    /// The card failed while the test ran.
-    #[error(transparent)]
-    Card(#[from] CardError),
-    /// The engine did not start.
-    #[error(transparent)]
-    Start(#[from] StartError),
-    /// The engine's thread did not start.
-    #[error(transparent)]
-    Spawn(#[from] SpawnError),
-    /// The wake-up thread ended by a panic: a bug.
-    #[error("the wake-up thread panicked")]
-    Panicked,
-}
-
-/// One of the three latencies.
-#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize)]
-pub struct Latency {
-    /// Distribution of the measured times, ns.
-    #[serde(flatten)]
-    pub ns: Snapshot,
-    /// The last value, ns; of the poll gap, of which none is kept, the median.
-    #[serde(skip)]
-    pub last_ns: u64,
-    /// The thread that measured it.
-    #[serde(skip)]
-    pub tid: i32,
-}
-
-/// What the polling loop did, while the far side gave edges and was the MTC.
-#[derive(Debug, Clone, Default)]
-pub struct Polling {
-    /// Time between two looks of the loop.
-    pub poll_gap: Latency,
-    /// The engine's own part of edge to done: from the look that saw the edge to the look that ordered the second
-    /// inversion.
-    pub seen_to_done: Snapshot,
-    /// From an edge to the second inversion, both separations included.
-    pub edge_to_done: Latency,
-    /// What the far side saw and counted.
-    pub far: FarSide,
-    /// Counts inserted according to the engine.
-    pub completed: i64,
-    /// Faults that a gap in the polling loop latched; the axis was homed again after each.
-    pub faults: u64,
-    /// Requests that streamed in.
-    pub requests: u64,
-    /// Insertions made.
-    pub insertions: u64,
-}
-
-impl Polling {
-    /// Counts to the MTC minus counts from the scale, as the far side counted them, are what the engine completed.
-    fn balanced(&self) -> bool {
-        self.far.mtc_minus_scale == self.completed && self.far.illegal == 0
-    }
 }
 
 /// The three latencies and what they were measured with.
@@ -449,17 +364,4 @@ fn wake_ups(run_ns: u64, recorder: &mut Recorder) -> u64 {
         next_ns += late_ns / WAKEUP_INTERVAL_NS * WAKEUP_INTERVAL_NS;
     }
     late_ns
-}
-
-/// The thread of this process that has this name; 0 when there is none.
-pub(crate) fn tid_of(name: &str) -> i32 {
-    let tasks = std::fs::read_dir("/proc/self/task").into_iter().flatten().flatten();
-    let mut named =
-        tasks.filter(|t| std::fs::read_to_string(t.path().join("comm")).is_ok_and(|n| n.trim() == name));
-    named.find_map(|t| t.file_name().to_str()?.parse().ok()).unwrap_or(0)
-}
-
-fn tid() -> i32 {
-    // SAFETY: takes nothing and always succeeds.
-    unsafe { libc::gettid() }
 }
