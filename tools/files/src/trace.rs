@@ -142,6 +142,35 @@ impl<R: Read> Iterator for TraceReader<R> {
     }
 }
 
+/// A trace whose times are worked with: a player adds to them, and a time that leaves no room for that is a bad row.
+#[derive(Debug)]
+pub struct Playable<R>(TraceReader<R>);
+
+impl<R: Read> TraceReader<R> {
+    /// The same trace, to be played.
+    pub const fn playable(self) -> Playable<R> {
+        Playable(self)
+    }
+}
+
+impl<R: Read> Iterator for Playable<R> {
+    type Item = Result<TracePoint, InputError>;
+
+    #[inline]
+    fn next(&mut self) -> Option<Self::Item> {
+        match self.0.next_point().transpose()? {
+            Ok(point) if point.t_ns > LATEST_PLAYED_NS => {
+                self.0.done = true;
+                let lines = &self.0.rows.lines;
+                let found = format!("the time {} ns", point.t_ns);
+                let expected = format!("a time of at most {LATEST_PLAYED_NS} ns in a trace that is played");
+                Some(Err(InputError::at(&lines.file, lines.line, 0, found, expected)))
+            }
+            next => Some(next),
+        }
+    }
+}
+
 /// Reads requested totals (`t_ns,requested`), times never falling; after an error it yields nothing more.
 #[derive(Debug)]
 pub struct RequestReader<R> {
@@ -321,6 +350,8 @@ impl TraceFile {
 }
 /// Columns of a trace.
 const COLUMNS: [&str; 3] = ["t_ns", "a", "b"];
+/// Every time that a player adds to one of the trace is below it too.
+const LATEST_PLAYED_NS: u64 = i64::MAX as u64;
 const TIME: &str = "a time in whole ns, from 0 to 18446744073709551615";
 
 const fn level(high: bool) -> u8 {

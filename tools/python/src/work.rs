@@ -506,7 +506,7 @@ pub(crate) fn replay(
                 Design::C => AnyDesign::C,
             },
         };
-        let (trace, requests) = (TraceReader::open(&trace)?, RequestReader::open(&requests)?);
+        let (trace, requests) = (TraceReader::open(&trace)?.playable(), RequestReader::open(&requests)?);
         let played = replay_any(design, engine, trace, requests, large, |_, _: State| {});
         let (outcome, _) = played.map_err(|error| match error {
             ReplayError::Input(error) => Failure::from(error),

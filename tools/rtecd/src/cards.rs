@@ -142,10 +142,9 @@ pub(crate) fn replay(
     let mut axes = Vec::new();
     let mut held = 0;
     for (axis, file) in config.axes.iter().zip(traces) {
-        let mut reader = TraceReader::open(file)?;
         let mut points = Vec::new();
-        while let Some(point) = reader.next_point()? {
-            points.push(point);
+        for point in TraceReader::open(file)?.playable() {
+            points.push(point?);
             held += 1;
             if held > MAX_POINTS {
                 let found = format!("more than {MAX_POINTS} points in all traces");

@@ -405,7 +405,7 @@ struct Replayed {
 }
 
 fn replayed(trace: &Path, requests: &Path) -> anyhow::Result<Replayed> {
-    let (trace, requests) = (TraceReader::open(trace)?, RequestReader::open(requests)?);
+    let (trace, requests) = (TraceReader::open(trace)?.playable(), RequestReader::open(requests)?);
     let config = AxisConfig { max_correction_counts: i64::MAX, ..AxisConfig::default() };
     let (outcome, _) = replay_any(AnyDesign::C, config, trace, requests, true, |_, _: State| {})
         .map_err(|e| anyhow::anyhow!("replaying what was written: {e}"))?;

@@ -8,7 +8,7 @@ use rtec_driver::quadrature::State;
 use rtec_driver::replay::Listener;
 use rtec_driver::replay::TracePoint;
 use rtec_files::InputError;
-use rtec_files::trace::{RequestReader, TraceFile, TraceFormat, TraceReader};
+use rtec_files::trace::{Playable, RequestReader, TraceFile, TraceFormat, TraceReader};
 use rtec_rt::axis::{AxisConfig, Design};
 use rtec_sim::bench::{AnyDesign, replay_any};
 use rtec_sim::replay::ReplayError;
@@ -59,7 +59,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         Design::A => AnyDesign::A,
         Design::C => AnyDesign::C,
     });
-    let trace = TraceReader::open(&args.trace)?;
+    let trace = TraceReader::open(&args.trace)?.playable();
     let requests = RequestReader::open(&args.requests)?;
     let mut files = Vec::new();
     for (file, format) in [(&args.out, TraceFormat::Csv), (&args.vcd, TraceFormat::Vcd)] {
@@ -145,7 +145,7 @@ fn axis(args: &Args) -> anyhow::Result<(AxisConfig, bool)> {
 
 /// A trace that says how far it is, every two seconds.
 struct Progress {
-    trace: TraceReader<std::fs::File>,
+    trace: Playable<std::fs::File>,
     points: u64,
     shown_at: Instant,
 }

@@ -327,3 +327,46 @@ fn a_motion_that_no_axis_makes_is_refused() {
         }
     }
 }
+
+/// A player adds to the times of a trace: the latest that the format allows leaves no room for that.
+#[test]
+fn refuses_to_play_the_latest_times() {
+    let directory = tempfile::tempdir().unwrap();
+    let requests = directory.path().join("requests.csv");
+    std::fs::write(&requests, "t_ns,requested\n0,2\n18446744073709551615,4\n").unwrap();
+    let vcd = "$timescale 1 ns $end\n$var wire 1 ! a $end\n$var wire 1 \" b $end\n$enddefinitions $end\n\
+               #0\n0!\n0\"\n#9223372036854775808\n1!\n";
+    for (name, content, wants) in [
+        (
+            "late.csv",
+            "t_ns,a,b\n0,0,0\n10,1,0\n18446744073709551615,1,1\n",
+            "late.csv:4: found the time 18446744073709551615 ns",
+        ),
+        (
+            "first.csv",
+            "t_ns,a,b\n9223372036854775808,0,0\n",
+            "first.csv:2: found the time 9223372036854775808 ns",
+        ),
+        ("late.vcd", vcd, "found the time 9223372036854775808 ns"),
+        (
+            "latest.csv",
+            "t_ns,a,b\n9223372036854775000,0,0\n9223372036854775400,1,0\n9223372036854775807,1,1\n",
+            "",
+        ),
+    ] {
+        let trace = directory.path().join(name);
+        std::fs::write(&trace, content).unwrap();
+        for design in ["c", "a", "original", "b", "ecc"] {
+            let args = ["replay", "--json", "--design", design];
+            let run = rtecctl(&args, &[("--trace", &trace), ("--requests", &requests)]);
+            let said = text(&run.stderr);
+            let refused = run.status.code() == Some(2)
+                && said.contains(wants)
+                && said.contains("expected a time of at most 9223372036854775807 ns");
+            assert!(
+                if wants.is_empty() { run.status.code() == Some(0) } else { refused },
+                "{name} {design}: {said}"
+            );
+        }
+    }
+}
