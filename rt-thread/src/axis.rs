@@ -1113,8 +1113,8 @@ impl AxisEngine {
         } else {
             self.waits_for
         };
-        let period_ns = if self.period_ns == REST { 0 } else { self.period_ns };
-        let period_ns = since_ns.map_or(0, |s| s.max(period_ns));
+        // One edge alone tells no speed.
+        let period_ns = since_ns.map_or(REST, |s| s.max(self.period_ns));
         AxisStatus {
             position_counts: self.home_counts + self.scale.count(),
             mtc_minus_scale: mtc_count - self.scale.count(),
@@ -1125,7 +1125,7 @@ impl AxisEngine {
             homed: self.homed,
             mtc_known: self.mtc_known,
             gate,
-            edge_rate_hz: if period_ns == 0 || at_rest { 0.0 } else { 1e9 / period_ns as f64 },
+            edge_rate_hz: if period_ns == REST || at_rest { 0.0 } else { 1e9 / period_ns.max(1) as f64 },
             faults: self.faults,
             insertions: self.insertions,
             waited_for_gate: self.waited_for_gate,
