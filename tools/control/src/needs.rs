@@ -17,6 +17,7 @@ impl ClientRequest {
             Self::Home { .. }
             | Self::Enable { .. }
             | Self::Disable {}
+            | Self::Park {}
             | Self::Shadow {}
             | Self::Probe { .. }
             | Self::Hold { .. }

@@ -11,7 +11,7 @@
 //!
 //! | request | fields |
 //! |---|---|
-//! | `status`, `disable`, `shadow`, `clear`, `watch`, `whoami` | – |
+//! | `status`, `disable`, `park`, `shadow`, `clear`, `watch`, `whoami` | – |
 //! | `observe` | `events_after`: number of the last event that is known already |
 //! | `home` | `axis`; all without it; `controller_homed`: `true` where the MTC has been homed there too, `false` where not |
 //! | `enable` | `accept_jump` |
@@ -40,7 +40,7 @@ pub use rtec_correct::part_table::{PartTable, TableNow};
 use rtec_files::words::printable;
 use serde::{Deserialize, Serialize};
 pub use status::{AxisReport, DaemonStatus, Distribution, HoldReport, LatchedFault, Rates, Rt};
-pub use words::{explain_fault, explain_refusal, word};
+pub use words::{explain_fault, explain_not_homed, explain_refusal, explain_unknown, word};
 
 /// Version of this protocol. Fields and requests are added without a new one; it rises when something that stood is changed.
 pub const PROTOCOL: u32 = 1;
@@ -71,6 +71,8 @@ pub enum ClientRequest {
     },
     /// Corrections off, frozen where they are.
     Disable {},
+    /// As `disable`, at the end of `rtecctl park`: the record of commands says so.
+    Park {},
     /// Compute everything, write nothing.
     Shadow {},
     /// The total correction of an axis.

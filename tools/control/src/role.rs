@@ -48,6 +48,7 @@ impl Role {
             ("home", Self::Operate),
             ("enable", Self::Operate),
             ("disable", Self::Operate),
+            ("park", Self::Operate),
             ("shadow", Self::Operate),
             ("probe", Self::Operate),
             ("hold", Self::Operate),

@@ -42,7 +42,9 @@ pub(crate) struct Pending {
 impl Pending {
     pub(crate) fn urgency(&self) -> Urgency {
         match self.request {
-            Ok(ClientRequest::Disable {} | ClientRequest::Hold { .. }) => Urgency::First,
+            Ok(ClientRequest::Disable {} | ClientRequest::Park {} | ClientRequest::Hold { .. }) => {
+                Urgency::First
+            }
             Ok(ClientRequest::Status {} | ClientRequest::Whoami {}) | Err(_) => Urgency::Look,
             Ok(_) => Urgency::Turn,
         }

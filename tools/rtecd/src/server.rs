@@ -5,7 +5,7 @@
 //! | connections | [`places`] for each role, of one user [`PER_USER`] in each; where all of a role are taken, a user with fewer takes the place of the one with most |
 //! | beyond them, for what is urgent only | [`RESERVED`], of one user [`RESERVED_PER_USER`]: a new one takes the place of that user's oldest |
 //! | silence | a client that asks nothing, and a watcher that reads nothing, is dropped |
-//! | order | `disable` and `hold`, then `status`, then the rest, the users in turn; a client's own requests in their order |
+//! | order | `disable`, `park` and `hold`, then `status`, then the rest, the users in turn; a client's own requests in their order |
 //! | time | what is not urgent ends its turn after [`TURN`]: then the others are looked at again |
 
 use crate::Outside;

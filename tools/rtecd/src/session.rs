@@ -445,7 +445,7 @@ impl Session {
             ClientRequest::Keep { files } => return self.keep(files, beside),
             ClientRequest::TableLoad(table) => return self.table_load(table, beside),
             ClientRequest::TableUnload {} => return Answer::Now(self.table_unload(log)),
-            ClientRequest::Disable {} => plain(Request::Disable),
+            ClientRequest::Disable {} | ClientRequest::Park {} => plain(Request::Disable),
             ClientRequest::Probe { on } => plain(Request::Probe(*on)),
             ClientRequest::Hold { on } => {
                 let by = beside.user.0;

@@ -1,6 +1,6 @@
 //! The status: `rtecctl status --json` prints it as it is.
 
-use super::{PartTable, Reading, RunningModel, TableNow};
+use super::{PartTable, Reading, RunningModel, TableNow, explain_not_homed, explain_unknown};
 use rtec_rt::event::Fault;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -69,6 +69,20 @@ impl DaemonStatus {
     #[must_use]
     pub fn ledger_known(&self) -> bool {
         self.axes.iter().all(|axis| axis.mtc_known)
+    }
+
+    /// Why positions mean nothing, and what to do; none where every axis is homed.
+    #[must_use]
+    pub fn not_homed(&self) -> Option<String> {
+        let names = |which: fn(&AxisReport) -> bool| -> Vec<&str> {
+            self.axes.iter().filter(|a| which(a)).map(|a| a.name.as_str()).collect()
+        };
+        let (unknown, away) = (names(|a| !a.mtc_known), names(|a| !a.homed));
+        if !unknown.is_empty() {
+            Some(explain_unknown(&unknown))
+        } else {
+            (!away.is_empty()).then(|| explain_not_homed(&away))
+        }
     }
 }
 

@@ -43,6 +43,22 @@ pub const fn explain_refusal(why: Refusal) -> &'static str {
     }
 }
 
+/// Of which axes nobody knows what the MTC counts, and what to do.
+#[must_use]
+pub fn explain_unknown(axes: &[&str]) -> String {
+    format!(
+        "the controller's count is not known: {}; home the controller and move there, then `rtecctl home --controller-homed`",
+        axes.join(", ")
+    )
+}
+
+/// Which axes are not homed, and what to do.
+#[must_use]
+pub fn explain_not_homed(axes: &[&str]) -> String {
+    let many = if axes.len() == 1 { "axis" } else { "axes" };
+    format!("{many} {}: {}", axes.join(", "), explain_refusal(Refusal::NotHomed))
+}
+
 /// What a fault means, and what to do.
 #[must_use]
 pub const fn explain_fault(fault: Fault) -> &'static str {

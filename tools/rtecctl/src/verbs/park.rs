@@ -34,7 +34,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     if args.inverters_off {
         let mut client = args.daemon.connect()?;
         inverters_off(&mut client, args.patience.into())?;
-        args.daemon.order(&ClientRequest::Disable {}, "parked: all inverters off, corrections frozen")?;
+        args.daemon.order(&ClientRequest::Park {}, "parked: all inverters off, corrections frozen")?;
         let on: Vec<String> = inverted(&status(&mut client)?).map(|a| a.name.clone()).collect();
         if !on.is_empty() {
             let text = format!(
@@ -50,7 +50,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let known = unknown(&status(&mut client)?).is_none();
     let unloaded = known && args.to_zero && to_zero(&mut client, args.patience.into())?;
     if let Some(why) = unknown(&status(&mut client)?) {
-        ask(&mut client, &ClientRequest::Disable {})?;
+        ask(&mut client, &ClientRequest::Park {})?;
         return Err(Outcome::No(why).into());
     }
     let done = match (args.to_zero, unloaded) {
@@ -60,7 +60,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             "parked: nothing is in effect; the model is unloaded: `rtecctl model again` takes it up again"
         }
     };
-    args.daemon.order(&ClientRequest::Disable {}, done)
+    args.daemon.order(&ClientRequest::Park {}, done)
 }
 
 fn ask(client: &mut Client, request: &ClientRequest) -> anyhow::Result<Response> {

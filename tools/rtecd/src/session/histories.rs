@@ -512,7 +512,8 @@ impl Life {
         let Ok((mut engine, _)) = start::engine(&mut card, &self.config, &mut log) else {
             // It says what to do by hand, and that is done.
             tally.not_started += 1;
-            fs::remove_file(self.config.control.state_path()).unwrap();
+            // At a first start there is none.
+            let _ = fs::remove_file(self.config.control.state_path());
             self.world.machine.borrow_mut().inverters_off();
             self.world.judge.borrow_mut().forget();
             return;

@@ -3,7 +3,9 @@
 use super::{Session, loads};
 use crate::log::Log;
 use rtec_control::config::ConfiguredAxis;
-use rtec_control::protocol::{Jump, Response, explain_fault, explain_refusal, word};
+use rtec_control::protocol::{
+    Jump, Response, explain_fault, explain_not_homed, explain_refusal, explain_unknown, word,
+};
 use rtec_rt::event::{AxisStatus, Event, EventKind, Mode, Refusal, Request, Status};
 use rtec_rt::link::{ControlEnd, REQUESTS};
 use std::time::Duration;
@@ -130,10 +132,10 @@ impl Session {
                 format!("{}, at most {max} either way", asked(axis, total_counts, now.requested))
             }
             (_, _, Some((axis, _))) => format!("axis {}", axis.name),
-            (Refusal::NotHomed, ..) => match self.away(status)[..] {
-                [name] => format!("axis {name}"),
-                ref names => format!("axes {}", names.join(", ")),
-            },
+            (Refusal::NotHomed, ..) => {
+                let text = explain_not_homed(&self.away(status));
+                return Response::Refused { why: word(why), text, jumps: Vec::new() };
+            }
             _ => return refused(why),
         };
         let text = format!("{about}: {}", explain_refusal(why));
@@ -144,13 +146,7 @@ impl Session {
     pub(super) fn unknown(&self, status: &Status) -> Option<String> {
         let all = self.config.axes.iter().zip(status.axes());
         let unknown: Vec<&str> = all.filter(|(_, s)| !s.mtc_known).map(|(a, _)| a.name.as_str()).collect();
-        (!unknown.is_empty()).then(|| {
-            format!(
-                "the controller's count is not known: {}; home the controller and move there, then `rtecctl home \
-                 --controller-homed`",
-                unknown.join(", ")
-            )
-        })
+        (!unknown.is_empty()).then(|| explain_unknown(&unknown))
     }
 
     /// The axes that are not homed.

@@ -247,6 +247,14 @@ struct Hand {
 const SWITCH: u64 = 1 << 29;
 const READY: u64 = 1 << 30;
 
+/// Speed is known from the second edge on: one alone, however fresh, is no motion.
+#[test]
+fn homes_right_behind_the_first_edge() {
+    let mut hand = Hand::new();
+    hand.input(1, true);
+    hand.done(&ClientRequest::Home { axis: None, controller_homed: Some(true) });
+}
+
 /// Everything that a verb could change: what is said to be refused leaves all of it alone.
 #[derive(Debug, PartialEq)]
 struct State {
@@ -392,6 +400,7 @@ fn every_verb_is_done_or_refused_in_every_mode() {
         (home(Some(false)), |s| s.axes.iter().all(|a| a.2) && s.axes[0].1 == 14 && s.axes[0].0 == 14),
         (enable, |s| s.enabled && s.mode == Mode::Run),
         (R::Disable {}, |s| !s.enabled),
+        (R::Park {}, |s| !s.enabled),
         (R::Shadow {}, |s| !s.enabled && s.mode == Mode::Shadow),
         (hold(true), |s| s.held && matches!(s.mode, Mode::Hold | Mode::Fault)),
         (hold(false), |s| !s.held),

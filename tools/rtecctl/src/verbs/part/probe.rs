@@ -149,8 +149,8 @@ fn watch(args: &LiveArgs, expected: &[Zx], window_mm: f64) -> anyhow::Result<See
             return Err(usage(option, name.clone(), format!("one of {}", names.join(", "))));
         }
     }
-    if !status.homed {
-        return Err(Outcome::No("not homed: positions mean nothing; `rtecctl home` first".to_owned()).into());
+    if let Some(why) = status.not_homed() {
+        return Err(Outcome::No(why).into());
     }
     // Watching first: no trip can come between the two.
     let mut events = daemon.connect()?;
