@@ -7,6 +7,7 @@ use crate::event::{
 };
 use crate::histogram::{Reader, Recorder, histogram};
 use crate::journal::{Journal, MachineRecord, StateRecord};
+use crate::state_file::StateFile;
 use rtec_driver::card::{Card, CardError, MachineLines, Sample, Trouble};
 
 /// The machine as a whole, beforehand.
@@ -199,14 +200,15 @@ impl Engine {
         self.take(Request::Enable, card, report)
     }
 
-    /// From here on every inversion is noted in `journal` before it is made.
+    /// From here on every inversion is noted in `journal` before it is made. Returns what watches over its file.
     ///
     /// # Errors
     /// When a new file cannot be given its name ([`Journal::place`]).
-    pub fn keep_journal(&mut self, journal: Journal) -> std::io::Result<()> {
+    pub fn keep_journal(&mut self, journal: Journal) -> std::io::Result<Option<StateFile>> {
         self.journal = Some(journal);
         self.note();
-        self.journal.as_mut().map_or(Ok(()), Journal::place)
+        let placed = |journal: &mut Journal| journal.place().and_then(|()| StateFile::watch(journal));
+        self.journal.as_mut().map(placed).transpose()
     }
 
     /// Notes every axis as it is in effect now, and the machine. At no moment does the file say that feed hold is on and not
@@ -654,6 +656,14 @@ impl Engine {
                 self.held.get_or_insert(HeldBy::User(by));
             }
             Request::Hold { on: false, .. } => self.held = None,
+            Request::StateFileLost => {
+                if let Some(journal) = &mut self.journal {
+                    journal.note_again();
+                }
+                if self.faults.latch(Fault::StateFileLost) {
+                    self.emit(None, EventKind::Fault(Fault::StateFileLost), report);
+                }
+            }
             Request::Clear => {
                 self.faults = Faults::NONE;
                 self.axes.iter_mut().for_each(AxisEngine::clear);

@@ -51,6 +51,9 @@ pub enum Request {
     },
     /// Release latched faults. Axes whose count is in doubt must be homed again.
     Clear,
+    /// The state file is not the one that was written any more; another is there instead. Everything is to be noted in it, and
+    /// [`Fault::StateFileLost`] is latched.
+    StateFileLost,
 }
 
 /// What is wrong, latched until cleared.
@@ -97,6 +100,8 @@ pub enum Fault {
     ThreadLost,
     /// One channel of the scale changes again and again, and the other does not take its turn: a broken wire.
     ChannelDead,
+    /// The state file was removed, replaced, overwritten or cut short while the daemon wrote it. It has been written anew.
+    StateFileLost,
 }
 
 impl From<TroubleKind> for Fault {
@@ -113,7 +118,7 @@ impl From<TroubleKind> for Fault {
 
 impl Fault {
     /// All of them, in the order of their bits.
-    pub const ALL: [Self; 19] = [
+    pub const ALL: [Self; 20] = [
         Self::IllegalTransition,
         Self::LedgerImbalance,
         Self::OrderUnknown,
@@ -133,12 +138,13 @@ impl Fault {
         Self::RecordLost,
         Self::ThreadLost,
         Self::ChannelDead,
+        Self::StateFileLost,
     ];
 
     /// After such a fault the axis's count is in doubt: only homing makes it good.
     #[must_use]
     pub const fn loses_home(self) -> bool {
-        !matches!(self, Self::StillNotBelieved | Self::ErrorLimit)
+        !matches!(self, Self::StillNotBelieved | Self::ErrorLimit | Self::StateFileLost)
     }
 }
 
@@ -481,7 +487,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn of_all_faults_two_leave_the_count_certain() {
+    fn of_all_faults_three_leave_the_count_certain() {
         let mut all = Faults::NONE;
         for (n, fault) in Fault::ALL.into_iter().enumerate() {
             assert!(all.latch(fault) && !all.latch(fault));
@@ -489,7 +495,7 @@ mod tests {
             assert_eq!(Faults::from_bits(all.bits()), Some(all));
             let mut one = Faults::NONE;
             one.latch(fault);
-            let certain = matches!(fault, Fault::StillNotBelieved | Fault::ErrorLimit);
+            let certain = matches!(fault, Fault::StillNotBelieved | Fault::ErrorLimit | Fault::StateFileLost);
             assert_eq!(fault.loses_home(), !certain, "{fault:?}");
             assert!(one.has(fault) && all.without(one).iter().count() == n);
         }

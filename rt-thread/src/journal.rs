@@ -26,9 +26,10 @@ use nix::sys::mman::{MapFlags, ProtFlags, mmap, munmap};
 use std::fs::File;
 use std::io;
 use std::num::NonZeroUsize;
-use std::os::unix::fs::{FileExt, OpenOptionsExt};
+use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
 use std::ptr::NonNull;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 const MAGIC: u64 = u64::from_le_bytes(*b"RTECJ\0\0\x03");
@@ -40,7 +41,7 @@ const AXIS_WORDS: usize = 2 * SLOT_WORDS;
 /// Sequence numbers are below: nobody writes so many, and there is room to count on from any.
 const ROOM: u64 = 1 << 63;
 /// Magic, hash of the identity, its length, check sum.
-const HEAD_WORDS: usize = 8;
+pub(crate) const HEAD_WORDS: usize = 8;
 /// The slots of the machine as a whole come behind those of the axes.
 const MACHINE: usize = MAX_AXES;
 const ROWS: usize = MAX_AXES + 1;
@@ -50,16 +51,17 @@ const ROW_WORDS: usize = 32;
 const HOLD_AT: usize = ROW_WORDS - 1;
 const _: () = assert!(Fault::ALL.len() <= HOLD_AT);
 /// Where the identity's text begins, and how much of it is kept for messages.
-const TEXT_AT: usize = 320;
+pub(crate) const TEXT_AT: usize = 320;
 const TEXT_AT_2: usize = 64;
-const PAGE_WORDS: usize = 512;
+pub(crate) const PAGE_WORDS: usize = 512;
 const TEXT_BYTES: usize = (PAGE_WORDS - TEXT_AT) * 8;
 const COPIES: usize = 2;
-const BYTES: NonZeroUsize = NonZeroUsize::new(COPIES * PAGE_WORDS * 8).unwrap();
+const ACCESS: ProtFlags = ProtFlags::PROT_READ.union(ProtFlags::PROT_WRITE);
+pub(crate) const BYTES: NonZeroUsize = NonZeroUsize::new(COPIES * PAGE_WORDS * 8).unwrap();
 const _: () = assert!(HEAD_WORDS + ROWS * AXIS_WORDS <= TIMES_AT && TIMES_AT + ROWS * ROW_WORDS <= TEXT_AT);
 /// The word of the head that says that the real-time thread was lost, and what it says then.
-const LOST_AT: usize = 4;
-const LOST: u64 = u64::from_le_bytes(*b"RTECLOST");
+pub(crate) const LOST_AT: usize = 4;
+pub(crate) const LOST: u64 = u64::from_le_bytes(*b"RTECLOST");
 /// The words of the head that say in which boot of the computer it was written: its hash, and a check sum.
 const BOOT_AT: usize = 5;
 const BOOT_FILE: &str = "/proc/sys/kernel/random/boot_id";
@@ -175,7 +177,7 @@ pub struct Before {
     pub machine: Option<MachineRecord>,
     /// When it all was.
     pub times: Times,
-    /// The real-time thread of the process before was lost ([`note_thread_lost`]).
+    /// The real-time thread of the process before was lost ([`crate::state_file::StateFile::note_thread_lost`]).
     pub thread_lost: bool,
 }
 
@@ -247,27 +249,103 @@ pub enum JournalError {
     },
 }
 
-/// The mapped file.
+/// The mapped file, as the journal that writes it and [`StateFile`] that watches over it share it.
+#[derive(Debug)]
+pub(crate) struct Mapping {
+    words: NonNull<AtomicU64>,
+    /// Of each row, the number of the newest record that was noted.
+    noted: [AtomicU64; ROWS],
+}
+
+// SAFETY: the mapping belongs to this value alone, lives as long as it, and is accessed as atomics only.
+unsafe impl Send for Mapping {}
+// SAFETY: as above.
+unsafe impl Sync for Mapping {}
+
+impl Mapping {
+    fn of(file: &File) -> io::Result<Self> {
+        // SAFETY: a new shared mapping at an address of the kernel's choice disturbs no other memory of the process.
+        let base = unsafe { mmap(None, BYTES, ACCESS, MapFlags::MAP_SHARED, file, 0) }?;
+        Ok(Self { words: base.cast(), noted: [const { AtomicU64::new(0) }; ROWS] })
+    }
+
+    /// Puts the pages of another file of this size where those of this one are.
+    pub(crate) fn replace(&self, file: &File) -> io::Result<()> {
+        let flags = MapFlags::MAP_SHARED | MapFlags::MAP_FIXED | MapFlags::MAP_POPULATE;
+        // SAFETY: the range is this mapping's own, and stays mapped throughout: who stores meanwhile meets either file.
+        unsafe { mmap(NonZeroUsize::new(self.base()), BYTES, ACCESS, flags, file, 0) }?;
+        Ok(())
+    }
+
+    pub(crate) fn base(&self) -> usize {
+        self.words.as_ptr() as usize
+    }
+
+    fn word(&self, n: usize) -> &AtomicU64 {
+        assert!(n < COPIES * PAGE_WORDS);
+        // SAFETY: the mapping holds so many aligned words and lives as long as `self`; every bit pattern is valid.
+        unsafe { self.words.add(n).as_ref() }
+    }
+
+    pub(crate) fn load(&self, n: usize) -> u64 {
+        self.word(n).load(Ordering::Acquire)
+    }
+
+    /// Every store goes through here.
+    #[inline]
+    pub(crate) fn put(&self, n: usize, value: u64) {
+        #[cfg(test)]
+        STORES.with_borrow_mut(|stores| stores.push((n, value)));
+        self.word(n).store(value, Ordering::Release);
+    }
+
+    /// The whole copies of a slot: sequence number, flags and value.
+    fn copies(&self, row: usize, n: usize) -> impl Iterator<Item = [u64; 3]> {
+        [0, PAGE_WORDS].into_iter().filter_map(move |page| {
+            let at = page + HEAD_WORDS + row * AXIS_WORDS + n * SLOT_WORDS;
+            let [seq, flags, value, sum] = [0, 1, 2, 3].map(|k| self.load(at + k));
+            let whole = (1..ROOM).contains(&seq) && sum == check(&[seq, flags, value]);
+            whole.then_some([seq, flags, value])
+        })
+    }
+
+    /// The newest record that was noted of every row is in the file.
+    pub(crate) fn has_what_was_noted(&self) -> bool {
+        (0..ROWS).all(|row| {
+            let noted = self.noted[row].load(Ordering::Acquire);
+            noted == 0 || (0..2).flat_map(|n| self.copies(row, n)).any(|[seq, ..]| seq >= noted)
+        })
+    }
+}
+
+impl Drop for Mapping {
+    fn drop(&mut self) {
+        // SAFETY: base and length are those of the mapping made in `of`, and nothing refers to it any more.
+        let _ = unsafe { munmap(self.words.cast(), BYTES.get()) };
+    }
+}
+
+/// What an engine notes, in a mapped file.
 #[derive(Debug)]
 pub struct Journal {
-    words: NonNull<AtomicU64>,
+    mapping: Arc<Mapping>,
     next: [u64; ROWS],
     last: [Option<StateRecord>; MAX_AXES],
     last_machine: Option<MachineRecord>,
     /// What is latched by the times in the file, a row each; and whether feed hold is on by them.
     timed: [Faults; ROWS],
     timed_hold: bool,
+    /// The times as they are in the file.
+    times: Box<[[u64; ROW_WORDS]; ROWS]>,
     identity: String,
     /// This boot of the computer.
     boot: Option<u64>,
-    /// A first start: the file as it is called until it is complete, and what it is called then.
-    unplaced: Option<[PathBuf; 2]>,
+    path: PathBuf,
+    /// A first start: the file as it is called until it is complete.
+    unplaced: Option<PathBuf>,
     /// The lock is ours as long as this is open.
     held: Flock<File>,
 }
-
-// SAFETY: the mapping belongs to this value alone and is accessed as atomics only.
-unsafe impl Send for Journal {}
 
 /// A torn or foreign record must not pass: every bit of every word reaches every bit of the sum.
 fn check(words: &[u64]) -> u64 {
@@ -297,56 +375,35 @@ impl Journal {
     /// When the file cannot be opened, sized or mapped, is locked, is something else, or is somebody else's.
     pub fn open(path: &Path, identity: &str) -> Result<(Self, Before), JournalError> {
         let io = |source: io::Error| JournalError::Io { path: path.to_owned(), source };
-        let mut options = File::options();
-        options.read(true).write(true).truncate(false).mode(0o600);
-        options.custom_flags((OFlag::O_NOFOLLOW | OFlag::O_NONBLOCK).bits());
         let mut unplaced = None;
-        let file = match options.open(path) {
-            Err(e) if e.kind() == io::ErrorKind::NotFound => {
+        let held = match opened(path, false) {
+            Err(JournalError::Io { source, .. }) if source.kind() == io::ErrorKind::NotFound => {
                 let file = beside(path);
-                let opened = options.create(true).open(&file);
-                unplaced = Some([file, path.to_owned()]);
-                opened
+                let held = empty(&file)?;
+                unplaced = Some(file);
+                held
             }
-            opened => opened,
+            held => held?,
         };
-        let file = file.map_err(io)?;
-        if !file.metadata().map_err(io)?.is_file() {
-            let found = "something that is no regular file".to_owned();
-            return Err(JournalError::Foreign { path: path.to_owned(), found });
-        }
-        let held = Flock::lock(file, FlockArg::LockExclusiveNonblock).map_err(|(_, errno)| match errno {
-            Errno::EWOULDBLOCK => JournalError::Taken { path: path.to_owned() },
-            errno => io(errno.into()),
-        })?;
-        let first_start = unplaced.is_some();
-        if first_start {
-            // What a first start left that was not completed.
-            held.set_len(0).map_err(io)?;
-        }
         let len = held.metadata().map_err(io)?.len();
-        if !first_start && len != BYTES.get() as u64 {
+        if len != BYTES.get() as u64 {
             let found = format!("{len} bytes instead of {BYTES}");
             return Err(JournalError::Foreign { path: path.to_owned(), found });
         }
         // Its blocks are taken now: with a disk that is full by then, the first store to the mapping would kill us.
         posix_fallocate(&*held, 0, BYTES.get() as i64).map_err(|e| io(e.into()))?;
-        // SAFETY: a new shared mapping at an address of the kernel's choice disturbs no other memory of the process.
-        let base = unsafe {
-            mmap(None, BYTES, ProtFlags::PROT_READ | ProtFlags::PROT_WRITE, MapFlags::MAP_SHARED, &*held, 0)
-        }
-        .map_err(|e| io(e.into()))?;
-        // From here on a mistake unmaps it.
-        let words = base.cast();
+        let first_start = unplaced.is_some();
         let mut journal = Self {
-            words,
+            mapping: Arc::new(Mapping::of(&held).map_err(io)?),
             next: [1; ROWS],
             last: [None; MAX_AXES],
             last_machine: None,
             timed: [Faults::NONE; ROWS],
             timed_hold: false,
+            times: Box::new([[0; ROW_WORDS]; ROWS]),
             identity: identity.to_owned(),
             boot: boot(),
+            path: path.to_owned(),
             unplaced,
             held,
         };
@@ -367,10 +424,15 @@ impl Journal {
             before.machine_damaged = !first_start && (damaged || before.machine.is_none());
             journal.timed[MACHINE] = before.machine.map_or(Faults::NONE, |m| m.faults);
             journal.timed_hold = before.machine.is_some_and(|m| m.held.is_some());
-            before.times = journal.times();
+            before.times = journal.read_times();
             before.thread_lost = [0, PAGE_WORDS].iter().any(|page| journal.load(page + LOST_AT) == LOST);
         }
         Ok((journal, before))
+    }
+
+    /// What [`crate::state_file::StateFile`] shares with it: the mapping, the file and its name.
+    pub(crate) fn shared(&self) -> (Arc<Mapping>, &File, &Path) {
+        (Arc::clone(&self.mapping), &self.held, &self.path)
     }
 
     /// The valid records of a row, newest first; the next one counts on from them.
@@ -415,22 +477,13 @@ impl Journal {
         }
     }
 
-    fn word(&self, n: usize) -> &AtomicU64 {
-        assert!(n < COPIES * PAGE_WORDS);
-        // SAFETY: the mapping holds so many aligned words and lives as long as `self`; every bit pattern is valid.
-        unsafe { self.words.add(n).as_ref() }
-    }
-
-    /// Every store goes through here.
     #[inline]
     fn put(&self, n: usize, value: u64) {
-        #[cfg(test)]
-        STORES.with_borrow_mut(|stores| stores.push((n, value)));
-        self.word(n).store(value, Ordering::Release);
+        self.mapping.put(n, value);
     }
 
     fn load(&self, n: usize) -> u64 {
-        self.word(n).load(Ordering::Acquire)
+        self.mapping.load(n)
     }
 
     /// Refuses the file of another version or of somebody else; says whether it is of the version before. A head that both
@@ -483,13 +536,9 @@ impl Journal {
 
     /// The record of a slot, from whichever copy is whole; of two the newer.
     fn slot<T>(&self, row: usize, n: usize, of: impl Fn([u64; 2]) -> Option<T>) -> Option<(u64, T)> {
-        let copies = [0, PAGE_WORDS].map(|page| {
-            let at = page + HEAD_WORDS + row * AXIS_WORDS + n * SLOT_WORDS;
-            let [seq, flags, value, sum] = [0, 1, 2, 3].map(|k| self.load(at + k));
-            let valid = (1..ROOM).contains(&seq) && sum == check(&[seq, flags, value]);
-            of([flags, value]).filter(|_| valid).map(|record| (seq, record))
-        });
-        copies.into_iter().flatten().max_by_key(|(seq, _)| *seq)
+        let records = self.mapping.copies(row, n);
+        let records = records.filter_map(|[seq, flags, value]| Some((seq, of([flags, value])?)));
+        records.max_by_key(|(seq, _)| *seq)
     }
 
     /// Every record is in the file: from here on it says so, in which boot of the computer, and has its name. After a kill
@@ -504,9 +553,9 @@ impl Journal {
                 self.put(page + BOOT_AT + k, word);
             }
         }
-        if let Some([new, path]) = &self.unplaced {
+        if let Some(new) = &self.unplaced {
             self.held.sync_all()?;
-            renameat2(AT_FDCWD, new, AT_FDCWD, path, RenameFlags::RENAME_NOREPLACE)?;
+            renameat2(AT_FDCWD, new, AT_FDCWD, &self.path, RenameFlags::RENAME_NOREPLACE)?;
             self.unplaced = None;
         }
         Ok(())
@@ -543,6 +592,23 @@ impl Journal {
         }
     }
 
+    /// Notes everything once more: the file is a new one, with nothing but its head. No system call.
+    pub(crate) fn note_again(&mut self) {
+        for row in 0..ROWS {
+            for (k, word) in self.times[row].into_iter().enumerate() {
+                self.put_time(row, k, word);
+            }
+            let words = match self.last.get(row) {
+                Some(axis) => axis.map(|r| [r.flags(), r.completed as u64]),
+                None => self.last_machine.map(MachineRecord::words),
+            };
+            // Into both slots: a slot with no record is taken for one that was lost.
+            for words in words.into_iter().cycle().take(2 * usize::from(words.is_some())) {
+                self.store(row, words);
+            }
+        }
+    }
+
     #[inline]
     fn store(&mut self, row: usize, [flags, value]: [u64; 2]) {
         let seq = self.next[row];
@@ -557,6 +623,7 @@ impl Journal {
             self.put(at + 2, value);
             self.put(at + 3, sum);
         }
+        self.mapping.noted[row].store(seq, Ordering::Release);
     }
 
     /// Notes the time of every fault that is new.
@@ -568,25 +635,33 @@ impl Journal {
         self.timed[row] = faults;
     }
 
-    fn note_time(&self, row: usize, k: usize, t_ns: u64) {
+    fn note_time(&mut self, row: usize, k: usize, t_ns: u64) {
         let us = t_ns / 1000;
-        let word = us << TIME_SHIFT | time_check(row, k, us);
+        self.times[row][k] = us << TIME_SHIFT | time_check(row, k, us);
+        self.put_time(row, k, self.times[row][k]);
+    }
+
+    fn put_time(&self, row: usize, k: usize, word: u64) {
         for page in [0, PAGE_WORDS] {
             self.put(page + TIMES_AT + row * ROW_WORDS + k, word);
         }
     }
 
-    /// The times as they are in the file, from whichever copy is whole.
-    fn times(&self) -> Times {
-        let time = |row: usize, k: usize| {
+    /// Reads the times from whichever copy is whole.
+    fn read_times(&mut self) -> Times {
+        let mut times = Times([[None; ROW_WORDS]; ROWS]);
+        for (row, k) in (0..ROWS).flat_map(|row| (0..ROW_WORDS).map(move |k| (row, k))) {
             let copies = [0, PAGE_WORDS].map(|page| self.load(page + TIMES_AT + row * ROW_WORDS + k));
             let whole = |word: &u64| {
                 let us = word >> TIME_SHIFT;
                 us > 0 && word & 0xFFFF == time_check(row, k, us)
             };
-            copies.into_iter().find(whole).map(|word| (word >> TIME_SHIFT) * 1000)
-        };
-        Times(std::array::from_fn(|row| std::array::from_fn(|k| time(row, k))))
+            if let Some(word) = copies.into_iter().find(whole) {
+                self.times[row][k] = word;
+                times.0[row][k] = Some((word >> TIME_SHIFT) * 1000);
+            }
+        }
+        times
     }
 }
 
@@ -595,21 +670,33 @@ fn time_check(row: usize, k: usize, us: u64) -> u64 {
     check(&[row as u64, k as u64, us]) >> 48
 }
 
-/// Notes in the state file of this process that its real-time thread does not look at the card any more. For whoever sees
-/// that from another thread: the next process finds [`Fault::ThreadLost`], and holds.
-///
-/// # Errors
-/// When the file cannot be written.
-pub fn note_thread_lost(path: &Path) -> io::Result<()> {
-    let file = File::options().write(true).custom_flags(OFlag::O_NOFOLLOW.bits()).open(path)?;
-    for page in [0, PAGE_WORDS] {
-        file.write_all_at(&LOST.to_le_bytes(), ((page + LOST_AT) * 8) as u64)?;
+/// Opens a file, or makes it, and locks it.
+fn opened(path: &Path, create: bool) -> Result<Flock<File>, JournalError> {
+    let io = |source: io::Error| JournalError::Io { path: path.to_owned(), source };
+    let mut options = File::options();
+    options.read(true).write(true).create(create).truncate(false).mode(0o600);
+    let file = options.custom_flags((OFlag::O_NOFOLLOW | OFlag::O_NONBLOCK).bits()).open(path).map_err(io)?;
+    if !file.metadata().map_err(io)?.is_file() {
+        let found = "something that is no regular file".to_owned();
+        return Err(JournalError::Foreign { path: path.to_owned(), found });
     }
-    Ok(())
+    Flock::lock(file, FlockArg::LockExclusiveNonblock).map_err(|(_, errno)| match errno {
+        Errno::EWOULDBLOCK => JournalError::Taken { path: path.to_owned() },
+        errno => io(errno.into()),
+    })
+}
+
+/// Makes a state file of zeros, or begins one anew that was not completed, and locks it.
+pub(crate) fn empty(path: &Path) -> Result<Flock<File>, JournalError> {
+    let io = |source: io::Error| JournalError::Io { path: path.to_owned(), source };
+    let held = opened(path, true)?;
+    held.set_len(0).map_err(io)?;
+    posix_fallocate(&*held, 0, BYTES.get() as i64).map_err(|e| io(e.into()))?;
+    Ok(held)
 }
 
 /// The file that gets the state file's name when it is complete.
-fn beside(path: &Path) -> PathBuf {
+pub(crate) fn beside(path: &Path) -> PathBuf {
     let mut name = path.file_name().unwrap_or_default().to_owned();
     name.push(".new");
     path.with_file_name(name)
@@ -633,9 +720,7 @@ fn hash_of(identity: &str) -> u64 {
 
 impl Drop for Journal {
     fn drop(&mut self) {
-        // SAFETY: base and length are those of the mapping made in `open`, and nothing refers to it any more.
-        let _ = unsafe { munmap(self.words.cast(), BYTES.get()) };
-        if let Some([new, _]) = &self.unplaced {
+        if let Some(new) = &self.unplaced {
             // A start that came to nothing. Left behind, the next one begins it anew.
             let _ = std::fs::remove_file(new);
         }
@@ -654,6 +739,8 @@ pub fn resume(found: [Option<StateRecord>; 2], inverters: u8) -> Option<StateRec
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::state_file::StateFile;
+    use std::os::unix::fs::FileExt;
 
     const OURS: &str = "machine \"lathe 7\" on card mapped";
     const AT: u64 = (HEAD_WORDS as u64 + 2 * AXIS_WORDS as u64) * 8;
@@ -665,7 +752,7 @@ mod tests {
     }
 
     /// The journal of a file that is complete, as far as its records go.
-    fn opened(path: &Path, identity: &str) -> Journal {
+    fn begun(path: &Path, identity: &str) -> Journal {
         let (mut journal, _) = Journal::open(path, identity).unwrap();
         journal.place().unwrap();
         journal
@@ -692,7 +779,7 @@ mod tests {
             .map(|(inverters, completed)| record(inverters, completed));
         assert_eq!(Journal::open(&path, OURS).unwrap().1, Before::NOTHING);
         for pair in records.windows(2) {
-            let mut journal = opened(&path, OURS);
+            let mut journal = begun(&path, OURS);
             journal.record(2, pair[0], 1000);
             journal.record(2, pair[1], 1000);
             drop(journal);
@@ -712,7 +799,7 @@ mod tests {
             faults.latch(crate::event::Fault::PollGap) && faults.latch(crate::event::Fault::OrderUnknown)
         );
         let latched = StateRecord { faults, ..record(3, 8) };
-        let mut journal = opened(&path, OURS);
+        let mut journal = begun(&path, OURS);
         journal.record(2, record(3, 8), 1000);
         journal.record(2, latched, 1000);
         drop(journal);
@@ -737,7 +824,7 @@ mod tests {
         for held in [Some(HeldBy::User(u32::MAX)), Some(HeldBy::Controller), Some(HeldBy::FoundOn), None] {
             for hold_output in [false, true] {
                 let machine = MachineRecord { held, hold_output, faults: set(&[Fault::Card]) };
-                let mut journal = opened(&path, OURS);
+                let mut journal = begun(&path, OURS);
                 journal.record_machine(machine, 5_000);
                 drop(journal);
                 assert_eq!(Journal::open(&path, OURS).unwrap().1.machine, Some(machine));
@@ -745,14 +832,14 @@ mod tests {
         }
         assert_eq!(MachineRecord::of([8, 0]), None);
         assert_eq!(MachineRecord::of([1, 1 << 32]), None);
-        let mut journal = opened(&path, OURS);
+        let mut journal = begun(&path, OURS);
         let (first, both) = (set(&[Fault::ErrorLimit]), set(&[Fault::ErrorLimit, Fault::PollGap]));
         journal.record(2, StateRecord { faults: first, ..record(0, 2) }, 7_000);
         journal.record(2, StateRecord { faults: both, ..record(0, 2) }, 9_999);
         let user = MachineRecord { held: Some(HeldBy::User(7)), hold_output: true, faults: Faults::NONE };
         journal.record_machine(user, 11_000);
         drop(journal);
-        let mut journal = opened(&path, OURS);
+        let mut journal = begun(&path, OURS);
         // What is still latched keeps its time in the next process, and hold too.
         journal.record(2, StateRecord { faults: both, ..record(0, 2) }, 20_000);
         journal.record_machine(MachineRecord { faults: set(&[Fault::Card]), ..user }, 21_000);
@@ -819,9 +906,9 @@ mod tests {
     #[test]
     fn a_lost_thread_is_found_until_it_is_latched() {
         let (_directory, path) = new();
-        let mut journal = opened(&path, OURS);
+        let mut journal = begun(&path, OURS);
         journal.record(0, record(0, 0), 1000);
-        note_thread_lost(&path).unwrap();
+        StateFile::watch(&journal).unwrap().note_thread_lost();
         drop(journal);
         assert!(Journal::open(&path, OURS).unwrap().1.thread_lost);
         let (mut journal, before) = Journal::open(&path, OURS).unwrap();
@@ -837,7 +924,7 @@ mod tests {
     fn a_file_of_another_boot_is_told_until_its_records_say_what_follows() {
         let (_directory, path) = new();
         let machine = MachineRecord { held: None, hold_output: false, faults: Faults::NONE };
-        let mut journal = opened(&path, OURS);
+        let mut journal = begun(&path, OURS);
         journal.record(0, record(0, 4), 1000);
         journal.record_machine(machine, 1000);
         drop(journal);
@@ -867,7 +954,7 @@ mod tests {
         let (_directory, path) = new();
         let machine = MachineRecord { held: None, hold_output: false, faults: Faults::NONE };
         let held = MachineRecord { held: Some(HeldBy::User(7)), hold_output: true, ..machine };
-        let mut journal = opened(&path, OURS);
+        let mut journal = begun(&path, OURS);
         journal.record(2, record(0, 2), 1000);
         journal.record_machine(machine, 1000);
         journal.record(2, StateRecord { faults: set(&[Fault::PollGap]), ..record(0, 2) }, 1000);
@@ -911,7 +998,7 @@ mod tests {
     #[test]
     fn a_torn_record_is_not_believed() {
         let (_directory, path) = new();
-        let mut journal = opened(&path, OURS);
+        let mut journal = begun(&path, OURS);
         journal.record(2, record(0, 10), 1000);
         journal.record(2, record(3, 12), 1000);
         drop(journal);
@@ -933,7 +1020,7 @@ mod tests {
     fn a_record_of_the_last_number_there_is_is_not_believed() {
         let (_directory, path) = new();
         let older = record(0, 10);
-        let mut journal = opened(&path, OURS);
+        let mut journal = begun(&path, OURS);
         journal.record(2, older, 1000);
         journal.record(2, record(3, 12), 1000);
         drop(journal);
@@ -947,7 +1034,7 @@ mod tests {
             }
             assert_eq!(found(&path), [Some(older), None]);
         }
-        let mut journal = opened(&path, OURS);
+        let mut journal = begun(&path, OURS);
         journal.record(2, record(1, 11), 1000);
         journal.record(2, record(3, 12), 1000);
         drop(journal);
@@ -958,7 +1045,7 @@ mod tests {
     fn sixty_four_lost_bytes_lose_no_record_wherever_they_are() {
         let (_directory, path) = new();
         let newest = record(3, 14);
-        let mut journal = opened(&path, OURS);
+        let mut journal = begun(&path, OURS);
         journal.record(2, record(0, 12), 1000);
         journal.record(2, newest, 1000);
         drop(journal);
@@ -988,13 +1075,13 @@ mod tests {
     fn a_later_opening_counts_on_and_keeps_the_newest_record_before_it() {
         let (_directory, path) = new();
         let (a, b, c, d) = (record(0, 2), record(1, 3), record(3, 4), record(2, 5));
-        let mut journal = opened(&path, OURS);
+        let mut journal = begun(&path, OURS);
         for noted in [a, b, c] {
             journal.record(2, noted, 1000);
         }
         drop(journal);
         assert_eq!(found(&path), [Some(c), Some(b)]);
-        let mut journal = opened(&path, OURS);
+        let mut journal = begun(&path, OURS);
         journal.record(2, d, 1000);
         drop(journal);
         assert_eq!(found(&path), [Some(d), Some(c)]);
@@ -1032,7 +1119,7 @@ mod tests {
         assert!(matches!(Journal::open(&path, OURS), Err(JournalError::Taken { .. })));
         drop(first);
         assert_eq!(Journal::open(&path, OURS).unwrap().1, Before::NOTHING, "nothing had been noted");
-        let mut ours = opened(&path, OURS);
+        let mut ours = begun(&path, OURS);
         ours.record(0, record(0, 0), 1000);
         drop(ours);
         let error = Journal::open(&path, "machine \"mill 2\"").unwrap_err().to_string();
@@ -1049,7 +1136,7 @@ mod tests {
     fn every_axis_has_two_records_of_its_own() {
         let (_directory, path) = new();
         let noted = |axis: usize, n: i64| record(1, 100 * axis as i64 + 2 * n);
-        let mut ours = opened(&path, OURS);
+        let mut ours = begun(&path, OURS);
         (1..=2).for_each(|n| (0..MAX_AXES).for_each(|axis| ours.record(axis, noted(axis, n), 1000)));
         drop(ours);
         let before = Journal::open(&path, OURS).unwrap().1;
@@ -1063,7 +1150,7 @@ mod tests {
     fn of_a_long_identity_is_kept_what_there_is_room_for() {
         let (_directory, path) = new();
         let long: String = (0..5000_u32).map(|k| char::from(b'a' + (k % 23) as u8)).collect();
-        let mut ours = opened(&path, &long);
+        let mut ours = begun(&path, &long);
         ours.record(5, record(0, 8), 1000);
         drop(ours);
         assert_eq!(Journal::open(&path, &long).unwrap().1.records[5], [Some(record(0, 8)), None]);

@@ -9,6 +9,7 @@
 //! | [`link`] | requests down, events up, status in a snapshot |
 //! | [`snapshot`] | the latest state, for a reader that never stops the writer |
 //! | [`journal`] | what survives a crash: inverters and completed totals in a mapped file |
+//! | [`state_file`] | the control side's watch over that file: removed, replaced or cut short, it is written anew |
 //! | [`histogram`] | latencies in fixed memory, written by one thread, read by any |
 //! | [`thread`] | the pinned thread and its loop |
 //! | [`setup`] | real-time set-up of the thread: applied, read back, reported |
@@ -27,4 +28,5 @@ pub mod journal;
 pub mod link;
 pub mod setup;
 pub mod snapshot;
+pub mod state_file;
 pub mod thread;

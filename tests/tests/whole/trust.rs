@@ -320,6 +320,67 @@ fn a_newest_record_that_is_damaged_in_both_copies_latches() {
     }
 }
 
+/// Removed, replaced, cut short or overwritten while the daemon writes it: told, held, and nothing is lost with the process.
+#[test]
+fn a_state_file_that_is_lost_while_it_is_written_is_written_anew() {
+    let _alone = alone();
+    let bench = Bench::default();
+    let state = bench.at("state");
+    let mut daemon = bench.daemon();
+    bench.go();
+    bench.correct(4);
+    let older = std::fs::read(&state).unwrap();
+    daemon.expect(0, &["hold", "on"]);
+    let deeds: [(&str, &dyn Fn()); 4] = [
+        ("removed", &|| std::fs::remove_file(&state).unwrap()),
+        ("replaced", &|| {
+            std::fs::write(bench.at("older"), &older).unwrap();
+            std::fs::rename(bench.at("older"), &state).unwrap();
+        }),
+        ("cut short", &|| std::fs::File::create(&state).unwrap().set_len(0).unwrap()),
+        ("overwritten", &|| std::fs::write(&state, &older).unwrap()),
+    ];
+    for (what, deed) in deeds {
+        deed();
+        // A store to the file that is not there any more.
+        daemon.expect(0, &["hold", "off"]);
+        daemon.expect(0, &["hold", "on"]);
+        until("it is found", || daemon.status()["mode"] == "fault");
+        let shown = daemon.expect(4, &["status"]);
+        assert!(shown.contains("state_file_lost: the state file was removed"), "{shown}");
+        until("it is written anew", || daemon.log().contains(&format!("it was {what}")) && state.exists());
+        assert!(daemon.log().contains("it is written anew"), "{}", daemon.log());
+        assert_eq!(daemon.end("KILL").0, None);
+        daemon = bench.daemon();
+        let status = daemon.status();
+        assert_eq!(
+            (&status["mode"], &status["faults"][0]),
+            (&"fault".into(), &"state_file_lost".into()),
+            "{what}"
+        );
+        let axis = &status["axes"][0];
+        assert_eq!((&axis["in_effect"], &axis["mtc_known"]), (&4.into(), &true.into()), "{what}");
+        daemon.expect(0, &["clear"]);
+        assert_eq!(daemon.status()["mode"], "hold", "{what}");
+        assert!(daemon.status()["hold"]["by"].as_str().is_some_and(|by| by.starts_with("user ")), "{what}");
+    }
+    // An orderly end looks once more.
+    std::fs::remove_file(&state).unwrap();
+    assert_eq!(daemon.end("TERM").0, Some(0));
+    let daemon = bench.daemon();
+    assert_eq!(daemon.status()["faults"][0], "state_file_lost");
+    daemon.expect(0, &["clear"]);
+    // Where it cannot be written anew that is told too, and the fault is latched again as long as it is so.
+    std::fs::remove_file(&state).unwrap();
+    std::fs::create_dir_all(state.join("in")).unwrap();
+    until("it is told", || daemon.log().contains("and cannot be written anew"));
+    daemon.expect(0, &["clear"]);
+    until("it is latched again", || daemon.status()["mode"] == "fault");
+    std::fs::remove_dir_all(&state).unwrap();
+    until("it is there again", || state.is_file());
+    assert_eq!(bench.machine.illegal(), 0);
+}
+
 #[test]
 fn a_state_file_is_one_daemons_and_one_machines() {
     let _alone = alone();

@@ -50,7 +50,7 @@ use rtec_control::protocol::explain_fault;
 use rtec_driver::card::Card;
 use rtec_files::InputError;
 use rtec_rt::event::Fault;
-use rtec_rt::journal::{JournalError, note_thread_lost};
+use rtec_rt::journal::JournalError;
 use rtec_rt::setup::{Report, System, Wanted};
 use rtec_rt::thread::{ThreadOptions, spawn};
 use server::Served;
@@ -308,7 +308,10 @@ fn work<C: Card + Send + 'static>(
     let directory = config.control.state_path();
     let directory = directory.parent().unwrap_or(Path::new(""));
     let temperatures = Temperatures::start(&config.sensors, directory, config.model.log_s)?;
-    let (engine, before) = start::engine(&mut card, &config, log)?;
+    let (engine, before, state_file) = start::engine(&mut card, &config, log)?;
+    if let Some(file) = &state_file {
+        file.outlive_truncation().context("a handler for a state file that is cut short")?;
+    }
     // A mock needs no real time; with `cpu` it gets it, so that a set-up can be tried without a machine.
     let system = System::live();
     let wanted = (real || config.rt.cpu.is_some()).then(|| Wanted {
@@ -340,10 +343,10 @@ fn work<C: Card + Send + 'static>(
         before,
     };
     let log_file = config.control.log_path();
-    let state_file = config.card.is_real().then(|| config.control.state_path());
     let mut audit =
         Audit::start(&log_file, outside.doors.seers).context("starting the record of commands")?;
     let mut session = Session::new(config, set_up, temperatures, outside.on_disk.take());
+    session.watch_over(state_file);
     session.take_up_model(log);
     if let Some(trouble) = session.spool_trouble() {
         log.say(Level::Warning, &trouble);
@@ -365,21 +368,20 @@ fn work<C: Card + Send + 'static>(
     let served = server::serve(outside, &mut session, &mut running.control, log, &mut audit);
     if matches!(served, Ok(Served::StandsStill)) {
         // It cannot be asked to end, and holds the card: the next process finds the fault, and holds the machine.
-        let noted = state_file.map_or(Ok(()), |file| note_thread_lost(&file));
-        let text = match noted {
-            Ok(()) => explain_fault(Fault::ThreadLost).to_owned(),
-            Err(error) => {
-                format!("{}; the state file could not be told: {error}", explain_fault(Fault::ThreadLost))
-            }
-        };
+        let mut text = explain_fault(Fault::ThreadLost).to_owned();
+        if !session.note_thread_lost() {
+            text += "; the state file is not there to be told";
+        }
         audit.note("thread_lost", text, session.totals(&mut running.control));
         audit.end(LOG_PATIENCE);
         return Err(Failure::Again(LOST).into());
     }
+    session.look_after_state_file(&mut running.control, log);
     let (ended, mut control) = running.stop();
     session.drain(&mut control, log);
     session.keep_the_rest(LOG_PATIENCE, log);
-    for happened in session.take_happened().iter().filter(|h| h.kind == "record_lost") {
+    let told = ["record_lost", "state_file_lost", "fault"];
+    for happened in session.take_happened().iter().filter(|h| told.contains(&h.kind.as_str())) {
         audit.happened(happened, session.totals(&mut control));
     }
     for (axis, status) in session.axes().iter().zip(ended.status.axes()) {
@@ -396,5 +398,70 @@ fn work<C: Card + Send + 'static>(
         Served::Panicked => Err(Failure::Again(LOST).into()),
         Served::HungUp => Err(Failure::Again("a hangup ended it, and nobody asked for that").into()),
         Served::Asked | Served::StandsStill => Ok(()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rtec_driver::card::{CardError, Sample};
+    use std::sync::Arc;
+    use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+
+    /// A card whose looks panic from the moment that the test says, and its outputs.
+    struct Panics<C> {
+        card: C,
+        planted: Arc<AtomicBool>,
+        outputs: Arc<AtomicU64>,
+    }
+
+    impl<C: Card> Card for Panics<C> {
+        fn sample(&mut self, wake_ns: u64) -> Result<Sample, CardError> {
+            assert!(!self.planted.load(Ordering::Acquire), "planted");
+            self.card.sample(wake_ns)
+        }
+
+        fn write(&mut self, mask: u64, value: u64) -> Result<Option<u64>, CardError> {
+            let before = self.outputs.load(Ordering::Acquire);
+            self.outputs.store(before & !mask | value & mask, Ordering::Release);
+            self.card.write(mask, value)
+        }
+
+        fn outputs(&mut self) -> Result<u64, CardError> {
+            self.card.outputs()
+        }
+    }
+
+    /// From the panic of the real-time thread to the end of the process: the fault, feed hold, the exit code.
+    #[test]
+    fn a_panic_of_the_thread_holds_and_ends_the_daemon() {
+        let directory = tempfile::tempdir().unwrap();
+        let mut config = Config::embedded();
+        config.control.socket = directory.path().join("socket");
+        config.control.state_file = Some(directory.path().join("state"));
+        config.control.log_file = Some(directory.path().join("audit.log"));
+        let hold = 1 << config.lines.hold.unwrap();
+        let (card, _) = cards::mock(&config);
+        let (planted, outputs) = (Arc::<AtomicBool>::default(), Arc::<AtomicU64>::default());
+        let card = Panics { card, planted: Arc::clone(&planted), outputs: Arc::clone(&outputs) };
+        let doors = doors::listen(&config.control).unwrap();
+        let signals = SignalFd::new(&SigSet::empty()).unwrap();
+        let mut manager = Manager::from_environment().unwrap();
+        let outside = Outside { doors: &doors, signals: &signals, manager: &mut manager, on_disk: None };
+        let log_file = config.control.log_path();
+        let served = std::thread::spawn(move || {
+            while !std::fs::read_to_string(&log_file).is_ok_and(|log| log.contains("start")) {
+                std::thread::sleep(Duration::from_millis(1));
+            }
+            assert_eq!(outputs.load(Ordering::Acquire) & hold, 0);
+            planted.store(true, Ordering::Release);
+            (outputs, log_file)
+        });
+        let ended = work(card, config, Kind::Harmless, outside, &mut Log::silent()).unwrap_err();
+        let (outputs, log_file) = served.join().unwrap();
+        assert_eq!((exit_code(&ended), ended.to_string()), (1, LOST.to_owned()));
+        assert_eq!(outputs.load(Ordering::Acquire) & hold, hold);
+        let log = std::fs::read_to_string(log_file).unwrap();
+        assert!(log.contains("thread_lost"), "{log}");
     }
 }

@@ -35,6 +35,7 @@ use rtec_rt::event::{Event, EventKind, Fault, HeldBy, Mode, Refusal, Request, St
 use rtec_rt::journal::Before;
 use rtec_rt::link::ControlEnd;
 use rtec_rt::setup::{Report, System, Wanted};
+use rtec_rt::state_file::{Lost, StateFile};
 use std::collections::{BTreeMap, VecDeque};
 use std::os::fd::OwnedFd;
 use std::path::{Path, PathBuf};
@@ -47,6 +48,8 @@ const PATIENCE: Duration = Duration::from_secs(2);
 pub(crate) const STANDS_STILL: Duration = Duration::from_millis(150);
 /// A silence of the control side itself that is worth a line; a request that is not answered takes [`PATIENCE`].
 const STOOD_STILL: Duration = Duration::from_secs(3);
+/// How often it is looked whether the state file is still the one that is written.
+const STATE_FILE_EVERY: Duration = Duration::from_secs(1);
 /// Events that are kept for those who ask what has happened.
 const EVENTS: usize = 1000;
 
@@ -152,6 +155,10 @@ pub(crate) struct Session {
     holder: (u32, String),
     /// The day, since 1970-01-01.
     today: fn() -> i64,
+    /// The state file, where there is one; when it is looked at next, and what was said of it last.
+    state_file: Option<StateFile>,
+    state_file_due: Instant,
+    state_file_said: String,
 }
 
 impl Session {
@@ -205,6 +212,9 @@ impl Session {
             happened: Vec::new(),
             history: History::new(axes),
             today: date::today,
+            state_file: None,
+            state_file_due: time.now(),
+            state_file_said: String::new(),
             time,
         }
     }
@@ -256,6 +266,10 @@ impl Session {
         }
         let now = self.time.now();
         self.stood_still(now, control, log);
+        if now >= self.state_file_due {
+            self.state_file_due = now + STATE_FILE_EVERY;
+            self.look_after_state_file(control, log);
+        }
         if now < self.due {
             return;
         }
@@ -282,6 +296,60 @@ impl Session {
                 return log.event(Level::Warning, "ring_full", &full.to_string());
             }
         }
+    }
+
+    /// From here on the state file is looked after.
+    pub(crate) fn watch_over(&mut self, state_file: Option<StateFile>) {
+        self.state_file = state_file;
+    }
+
+    /// A state file that is not the one that is written any more is written anew, and the fault is latched: what is in effect
+    /// and latched must not be lost with the process.
+    pub(crate) fn look_after_state_file(&mut self, control: &mut ControlEnd, log: &mut Log) {
+        let lost = self.state_file.as_ref().filter(|_| !control.ended()).and_then(StateFile::lost);
+        let Some((lost, mut file)) = lost.and_then(|lost| Some((lost, self.state_file.take()?))) else {
+            return;
+        };
+        let renewed = file.renew().map_err(|error| error.to_string());
+        // Latched in any case, and noted where there is a place for it.
+        let noted = self.send(Request::StateFileLost, control, log);
+        let noted = noted.map_err(|_| "the real-time thread does not answer".to_owned());
+        let placed = renewed.and(noted).and_then(|_| file.place().map_err(|error| error.to_string()));
+        let what = match lost {
+            Lost::Removed => "removed",
+            Lost::Replaced => "replaced by another",
+            Lost::Resized => "cut short or made longer",
+            Lost::Overwritten => "overwritten",
+        };
+        let path = file.path().display();
+        let text = match placed {
+            Ok(()) => format!("state file {path}: it was {what}; it is written anew"),
+            Err(why) => format!(
+                "state file {path}: it was {what}, and cannot be written anew: {why}. A restart would know neither faults nor \
+                 counts"
+            ),
+        };
+        self.state_file = Some(file);
+        if self.state_file_said != text {
+            log.record(Level::Error, "state_file_lost", &text, &[]);
+            let t_ns = control.status().t_ns;
+            self.tell(Happened {
+                t_ns,
+                axis: None,
+                kind: "state_file_lost".to_owned(),
+                text: text.clone(),
+                trip: None,
+            });
+            self.state_file_said = text;
+        }
+    }
+
+    /// The real-time thread does not look at the card any more: the next process finds it. `false` where nothing tells it.
+    pub(crate) fn note_thread_lost(&self) -> bool {
+        self.state_file.as_ref().is_none_or(|file| {
+            file.note_thread_lost();
+            file.lost().is_none()
+        })
     }
 
     /// A process that was stopped, or had no CPU, says so when it runs again.

@@ -9,8 +9,10 @@ use rtec_driver::card::Card;
 use rtec_rt::engine::{Engine, MachineConfig, StartError};
 use rtec_rt::event::{Fault, HeldBy};
 use rtec_rt::journal::{Before, Journal, JournalError, resume};
+use rtec_rt::state_file::StateFile;
 
-/// The engine on `card`, with its state file where the card's outputs outlive the process; and what that file said.
+/// The engine on `card`, with its state file where the card's outputs outlive the process; what that file said, and what watches over
+/// it.
 ///
 /// # Errors
 /// A state file that cannot be used, a card that cannot be read, inverters of which nobody knows.
@@ -18,7 +20,7 @@ pub(crate) fn engine<C: Card>(
     card: &mut C,
     config: &Config,
     log: &mut Log,
-) -> anyhow::Result<(Engine, Before)> {
+) -> anyhow::Result<(Engine, Before, Option<StateFile>)> {
     // The outputs of a mock card end with its process, and so does its MTC: there is nothing to be taken over.
     let journal = if config.card.is_real() {
         let file = config.control.state_path();
@@ -75,13 +77,12 @@ pub(crate) fn engine<C: Card>(
         engine.take_over_hold(Some(HeldBy::FoundOn));
     }
     say_found(&engine, config, &before, log);
-    if let Some((journal, _)) = journal {
-        engine.keep_journal(journal).map_err(|source| {
-            let path = config.control.state_path();
-            Failure::from(JournalError::Io { path, source })
-        })?;
-    }
-    Ok((engine, before))
+    let kept = journal.map(|(journal, _)| engine.keep_journal(journal)).transpose();
+    let state_file = kept.map_err(|source| {
+        let path = config.control.state_path();
+        Failure::from(JournalError::Io { path, source })
+    })?;
+    Ok((engine, before, state_file.flatten()))
 }
 
 /// Why nobody knows what the MTC counts, where the state file is of another boot.

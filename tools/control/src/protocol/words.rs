@@ -105,6 +105,10 @@ pub const fn explain_fault(fault: Fault) -> &'static str {
             "the real-time thread panicked or stood still, and nobody looked at the lines: see the log, restart the \
              daemon, clear, home again"
         }
+        Fault::StateFileLost => {
+            "the state file was removed, replaced, overwritten or cut short while the daemon wrote it. It is written anew: see \
+             `rtecctl log`, find who did it, then clear"
+        }
         Fault::ChannelDead => {
             "A or B of the scale changes again and again while the other never does: a wire or the receiver of that \
              channel is broken; `rtecctl card probe --watch` shows which; mend it, clear, home again"

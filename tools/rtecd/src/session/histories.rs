@@ -5,7 +5,7 @@
 //! | drawn | how |
 //! |---|---|
 //! | kills | between two looks; at an inversion that is noted and not made, or made and not known of |
-//! | state file | the record under way torn, or lost from one copy; the file lost, with the outputs or without |
+//! | state file | the record under way torn, or lost from one copy; the file lost, with the outputs or without; removed or overwritten while it is written |
 //! | MTC | switched off and on again, as its line `mtc_ready` says; homed with the axis, or not |
 //! | looks | late by up to 8 ms |
 //! | card | a write that fails; both lines of an axis at once |
@@ -68,6 +68,7 @@ struct Tally {
     held: u64,
     mtc_restarts: u64,
     power_cuts: u64,
+    lost_files: u64,
     kept_totals: u64,
     /// Lost by noise that met an edge within one look, which nobody could tell from a step: why not.
     unseen: [u64; 3],
@@ -310,10 +311,12 @@ enum Planted {
     EnablesItself,
     /// A line that tells nothing of an MTC that restarts.
     DeafToMtc,
+    /// Nobody looks whether the state file is still the one that is written.
+    FileUnwatched,
 }
 
 impl Planted {
-    const ALL: [Self; 8] = [
+    const ALL: [Self; 9] = [
         Self::Count,
         Self::OldFile,
         Self::NeverStale,
@@ -322,6 +325,7 @@ impl Planted {
         Self::FileForgotten,
         Self::EnablesItself,
         Self::DeafToMtc,
+        Self::FileUnwatched,
     ];
 }
 
@@ -487,12 +491,13 @@ impl Life {
                 continue;
             }
             match self.dice.within(0, 3) {
-                // Cut short in the first copy; the second is a record older than the other slot's, or none.
+                // Cut short in the first copy; the second is a record older than the other slot's.
                 0 => {
                     bytes[at + 3 * WORD..at + 4 * WORD].fill(0);
-                    let old =
-                        m.state_before.get(PAGE + at..PAGE + at + 32).map_or(vec![0; 32], <[u8]>::to_vec);
-                    bytes[PAGE + at..PAGE + at + 32].copy_from_slice(&old);
+                    let old = m.state_before.get(PAGE + at..PAGE + at + 32);
+                    if let Some(old) = old.filter(|old| old.iter().any(|byte| *byte != 0)) {
+                        bytes[PAGE + at..PAGE + at + 32].copy_from_slice(old);
+                    }
                 }
                 1 => bytes[PAGE + at + 3 * WORD..PAGE + at + 4 * WORD].fill(0),
                 2 => bytes[PAGE + at..PAGE + at + 32].fill(0),
@@ -509,7 +514,7 @@ impl Life {
         if self.planted == Some(Planted::HoldForgotten) {
             self.forget_hold();
         }
-        let Ok((mut engine, _)) = start::engine(&mut card, &self.config, &mut log) else {
+        let Ok((mut engine, _, state_file)) = start::engine(&mut card, &self.config, &mut log) else {
             // It says what to do by hand, and that is done.
             tally.not_started += 1;
             // At a first start there is none.
@@ -547,6 +552,7 @@ impl Life {
         };
         let played = Temperatures::played(["T1", "T2"].map(sensor).to_vec());
         let mut session = Session::by(time, self.config.clone(), set_up, played);
+        session.watch_over(state_file.filter(|_| self.planted != Some(Planted::FileUnwatched)));
         session.today = || DAY.get();
         session.patience = Duration::from_millis(40);
         let control = &mut control;
@@ -578,6 +584,7 @@ impl Life {
             seen.count(&session.latched(&control.status()), tally);
             self.people(&mut session, control, &mut log, tally);
             self.mishaps();
+            self.lose_state_file(&mut session, control, &mut log, tally);
             self.world.run(10_000_000);
         }
     }
@@ -606,6 +613,31 @@ impl Life {
         if self.shown() != before {
             self.tell(&self.shown());
         }
+    }
+
+    /// Somebody removes the state file or puts an older one in its place, and the daemon looks before it dies.
+    fn lose_state_file(
+        &mut self,
+        session: &mut Session,
+        control: &mut ControlEnd,
+        log: &mut Log,
+        tally: &mut Tally,
+    ) {
+        let rarely = if self.planted == Some(Planted::FileUnwatched) { 10 } else { 150 };
+        if !self.dice.one_in(rarely) || self.world.machine.borrow().die.is_some() {
+            return;
+        }
+        {
+            let m = self.world.machine.borrow();
+            if self.dice.one_in(2) && !m.state_before.is_empty() {
+                fs::write(&m.state_file, &m.state_before).unwrap();
+            } else {
+                let _ = fs::remove_file(&m.state_file);
+            }
+        }
+        self.tell("the state file is lost");
+        tally.lost_files += 1;
+        session.look_after_state_file(control, log);
     }
 
     /// What may go wrong next, and what has.
@@ -858,10 +890,12 @@ fn no_history_loses_a_count_in_silence() {
             tally.held,
             tally.mtc_restarts,
             tally.power_cuts,
+            tally.lost_files,
             tally.kept_totals,
         ];
         assert!(seen.iter().all(|n| *n > 10), "the histories have become empty: {tally:?}");
         assert!(tally.latched.len() >= 4, "{tally:?}");
+        assert!(!tally.latched.contains_key("record_lost"), "a kill was taken for damage: {tally:?}");
     }
 }
 

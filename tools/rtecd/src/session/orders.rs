@@ -16,7 +16,7 @@ const STANDSTILL_HZ: f64 = 50.0;
 
 impl Session {
     /// Sends a request and waits until it has been worked off; returns what was reported in the meantime.
-    fn send(
+    pub(super) fn send(
         &mut self,
         request: Request,
         control: &mut ControlEnd,

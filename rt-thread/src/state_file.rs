@@ -1,0 +1,258 @@
+//! The control side's watch over the state file. The real-time thread stores to its pages and never learns what became of
+//! the file: somebody may remove it, put another in its place, overwrite it or cut it short. All of that is found here, and
+//! the file is written anew from what the engine knows.
+//!
+//! | what is done | by whom |
+//! |---|---|
+//! | [`StateFile::lost`] | the control side, again and again |
+//! | [`StateFile::renew`]: the pages of a new file where those of the lost one were | the control side |
+//! | `Request::StateFileLost`: everything is noted, the fault is latched | the real-time thread |
+//! | [`StateFile::place`]: the new file gets the name | the control side |
+//!
+//! A store to a page that was cut off ends a process by SIGBUS. [`StateFile::outlive_truncation`] puts a page of memory there
+//! instead, and the store is made.
+
+use crate::journal::{
+    BYTES, HEAD_WORDS, Journal, JournalError, LOST, LOST_AT, Mapping, PAGE_WORDS, TEXT_AT, beside, empty,
+};
+use nix::errno::Errno;
+use nix::fcntl::Flock;
+use std::fs::{File, Metadata};
+use std::io;
+use std::os::unix::fs::{FileExt, MetadataExt};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+/// What has become of a state file.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Lost {
+    /// No file has its name.
+    Removed,
+    /// Another file has its name.
+    Replaced,
+    /// Its size is another.
+    Resized,
+    /// It has not what was noted in it.
+    Overwritten,
+}
+
+/// A state file that a journal writes, seen from the control side.
+#[derive(Debug)]
+pub struct StateFile {
+    path: PathBuf,
+    mapping: Arc<Mapping>,
+    /// Device and inode of the file whose pages are mapped.
+    mapped: (u64, u64),
+    /// The words of a page without its records and times.
+    head: Vec<u64>,
+    /// The file of [`StateFile::renew`], which is locked as long as it is open; and whether it has the name.
+    made: Option<Flock<File>>,
+    placed: bool,
+}
+
+fn identity(file: &Metadata) -> (u64, u64) {
+    (file.dev(), file.ino())
+}
+
+impl StateFile {
+    /// Watches over the file that `journal` writes, which has its name already ([`Journal::place`]).
+    ///
+    /// # Errors
+    /// When the system does not say which file it is.
+    pub fn watch(journal: &Journal) -> io::Result<Self> {
+        let (mapping, file, path) = journal.shared();
+        let mapped = identity(&file.metadata()?);
+        let head = |n| if (HEAD_WORDS..TEXT_AT).contains(&n) || n == LOST_AT { 0 } else { mapping.load(n) };
+        let head = (0..PAGE_WORDS).map(head).collect();
+        Ok(Self { path: path.to_owned(), mapping, mapped, head, made: None, placed: false })
+    }
+
+    /// What it is called.
+    #[must_use]
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// What has become of the file, if it is not the one that is written any more.
+    #[must_use]
+    pub fn lost(&self) -> Option<Lost> {
+        let Ok(found) = std::fs::symlink_metadata(&self.path) else { return Some(Lost::Removed) };
+        if identity(&found) != self.mapped {
+            return Some(Lost::Replaced);
+        }
+        if found.len() != BYTES.get() as u64 || CUT_OFF.load(Ordering::Acquire) == self.mapping.base() {
+            return Some(Lost::Resized);
+        }
+        let whole = |page| (0..4).all(|k| self.mapping.load(page + k) == self.head[k]);
+        let kept = (whole(0) || whole(PAGE_WORDS)) && self.mapping.has_what_was_noted();
+        (!kept).then_some(Lost::Overwritten)
+    }
+
+    /// Makes a new file beside the lost one; from here on the journal writes to it. All that it has is its head.
+    ///
+    /// # Errors
+    /// When there is no place for it.
+    pub fn renew(&mut self) -> Result<(), JournalError> {
+        let path = beside(&self.path);
+        let here = std::fs::symlink_metadata(&path).is_ok_and(|found| identity(&found) == self.mapped);
+        if self.made.is_some() && !self.placed && here {
+            // It could not be given the name the last time.
+            return Ok(());
+        }
+        let io = |source: io::Error| JournalError::Io { path: path.clone(), source };
+        let file = empty(&path)?;
+        let bytes: Vec<u8> = self.head.iter().flat_map(|word| word.to_le_bytes()).collect();
+        for page in [0, PAGE_WORDS] {
+            file.write_all_at(&bytes, (page * 8) as u64).map_err(io)?;
+        }
+        let made = identity(&file.metadata().map_err(io)?);
+        self.mapping.replace(&file).map_err(io)?;
+        self.mapped = made;
+        let _ = CUT_OFF.compare_exchange(self.mapping.base(), 0, Ordering::AcqRel, Ordering::Relaxed);
+        (self.made, self.placed) = (Some(file), false);
+        Ok(())
+    }
+
+    /// Gives the new file the name: everything is noted in it.
+    ///
+    /// # Errors
+    /// When the disk does not take it, or what has the name cannot be replaced.
+    pub fn place(&mut self) -> io::Result<()> {
+        if let Some(file) = self.made.as_ref().filter(|_| !self.placed) {
+            file.sync_all()?;
+            std::fs::rename(beside(&self.path), &self.path)?;
+            self.placed = true;
+        }
+        Ok(())
+    }
+
+    /// Notes that the real-time thread does not look at the card any more. For whoever sees that from another thread: the next
+    /// process finds [`crate::event::Fault::ThreadLost`], and holds.
+    pub fn note_thread_lost(&self) {
+        for page in [0, PAGE_WORDS] {
+            self.mapping.put(page + LOST_AT, LOST);
+        }
+    }
+
+    /// From here on the process outlives it when the file is cut short: a store to a page that was cut off goes to memory, and
+    /// [`StateFile::lost`] says so. One file a process.
+    ///
+    /// # Errors
+    /// When the process has such a file already, or the system gives no handler.
+    pub fn outlive_truncation(&self) -> io::Result<()> {
+        if GUARDED.compare_exchange(0, self.mapping.base(), Ordering::AcqRel, Ordering::Relaxed).is_err() {
+            return Err(Errno::EBUSY.into());
+        }
+        let handler: extern "C" fn(libc::c_int, *mut libc::siginfo_t, *mut libc::c_void) = on_bus_error;
+        // SAFETY: an all-zero action is valid: no flags, an empty mask.
+        let mut action: libc::sigaction = unsafe { std::mem::zeroed() };
+        action.sa_sigaction = handler as libc::sighandler_t;
+        action.sa_flags = libc::SA_SIGINFO | libc::SA_ONSTACK;
+        // SAFETY: the handler calls nothing but mmap(2) and sigaction(2), and touches nothing but atomics.
+        Errno::result(unsafe { libc::sigaction(libc::SIGBUS, &raw const action, std::ptr::null_mut()) })?;
+        Ok(())
+    }
+}
+
+impl Drop for StateFile {
+    fn drop(&mut self) {
+        let _ = GUARDED.compare_exchange(self.mapping.base(), 0, Ordering::AcqRel, Ordering::Relaxed);
+    }
+}
+
+/// Address of the mapping whose pages may be cut off; 0 where there is none.
+static GUARDED: AtomicUsize = AtomicUsize::new(0);
+/// Address of a mapping whose pages were cut off: memory is there instead. 0 where there is none.
+static CUT_OFF: AtomicUsize = AtomicUsize::new(0);
+
+/// A store to a page of the state file that is not there any more: memory takes its place, and the store is made again.
+extern "C" fn on_bus_error(_signal: libc::c_int, info: *mut libc::siginfo_t, _context: *mut libc::c_void) {
+    let base = GUARDED.load(Ordering::Acquire);
+    // SAFETY: the kernel gives a valid siginfo_t to a handler with SA_SIGINFO; of SIGBUS it has an address.
+    let at = unsafe { (*info).si_addr() } as usize;
+    if base != 0 && (base..base + BYTES.get()).contains(&at) {
+        let access = libc::PROT_READ | libc::PROT_WRITE;
+        let flags = libc::MAP_PRIVATE | libc::MAP_ANONYMOUS | libc::MAP_FIXED;
+        // SAFETY: the range is that of a mapping that lives while it is guarded, and stays mapped throughout.
+        let put = unsafe { libc::mmap(base as *mut libc::c_void, BYTES.get(), access, flags, -1, 0) };
+        if put != libc::MAP_FAILED {
+            CUT_OFF.store(base, Ordering::Release);
+            return;
+        }
+    }
+    // Not ours: the same access ends the process as it would have without a handler.
+    // SAFETY: an all-zero action is the default one.
+    unsafe {
+        let action: libc::sigaction = std::mem::zeroed();
+        libc::sigaction(libc::SIGBUS, &raw const action, std::ptr::null_mut());
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::event::{Faults, HeldBy};
+    use crate::journal::{MachineRecord, StateRecord};
+
+    /// Whatever is done to the file while it is written, the next process finds everything in it.
+    #[test]
+    fn a_lost_file_is_told_and_written_anew() {
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &str| folder.path().join(name);
+        let path = at("state");
+        let axis = |completed| StateRecord { inverters: 0, completed, faults: Faults::NONE, mtc_known: true };
+        let held = MachineRecord { held: Some(HeldBy::User(7)), hold_output: true, faults: Faults::NONE };
+        let open = || Journal::open(&path, "lost").unwrap();
+        let (mut journal, _) = open();
+        journal.record(0, axis(0), 1_000_000);
+        journal.record_machine(MachineRecord { held: None, hold_output: false, ..held }, 1_000_000);
+        journal.place().unwrap();
+        let mut file = StateFile::watch(&journal).unwrap();
+        file.outlive_truncation().unwrap();
+        let older = std::fs::read(&path).unwrap();
+        journal.record_machine(held, 2_000_000);
+        type Deed<'a> = (Lost, Box<dyn Fn() + 'a>);
+        let deeds: [Deed<'_>; 7] = [
+            (Lost::Removed, Box::new(|| std::fs::remove_file(&path).unwrap())),
+            (Lost::Removed, Box::new(|| std::fs::rename(&path, at("away")).unwrap())),
+            (Lost::Replaced, Box::new(|| std::fs::rename(at("other"), &path).unwrap())),
+            (
+                Lost::Resized,
+                Box::new(|| File::options().write(true).open(&path).unwrap().set_len(0).unwrap()),
+            ),
+            (
+                Lost::Resized,
+                Box::new(|| File::options().write(true).open(&path).unwrap().set_len(4096).unwrap()),
+            ),
+            (Lost::Overwritten, Box::new(|| std::fs::write(&path, &older).unwrap())),
+            (Lost::Overwritten, Box::new(|| std::fs::write(&path, vec![0; BYTES.get()]).unwrap())),
+        ];
+        for (n, (lost, deed)) in deeds.iter().enumerate() {
+            std::fs::write(at("other"), &older).unwrap();
+            assert_eq!(file.lost(), None, "{n}");
+            deed();
+            assert_eq!(file.lost(), Some(*lost), "{n}");
+            // Whoever stores meanwhile is not ended by it.
+            let total = 2 * n as i64 + 2;
+            journal.record(0, axis(total), 3_000_000);
+            assert!(file.lost().is_some(), "{n}");
+            file.renew().unwrap();
+            journal.note_again();
+            // Once more, as after a name that could not be taken.
+            file.renew().unwrap();
+            journal.record(0, axis(total + 1), 3_000_000);
+            file.place().unwrap();
+            assert_eq!(file.lost(), None, "{n}");
+            assert!(matches!(Journal::open(&path, "lost"), Err(JournalError::Taken { .. })), "{n}");
+            let copy = at("copy");
+            std::fs::copy(&path, &copy).unwrap();
+            let (_, before) = Journal::open(&copy, "lost").unwrap();
+            assert_eq!(before.records[0], [Some(axis(total + 1)), Some(axis(total))], "{n}");
+            assert_eq!((before.machine, before.times.held_ns()), (Some(held), Some(2_000_000)), "{n}");
+            assert!(!before.hold_unexplained() && !before.damaged[0] && !before.other_boot, "{n}");
+        }
+        drop((journal, file));
+        assert_eq!(open().1.machine, Some(held));
+    }
+}
