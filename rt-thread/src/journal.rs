@@ -157,6 +157,7 @@ impl Times {
 }
 
 /// What a file had to say when it was opened.
+#[allow(clippy::struct_excessive_bools)] // Each is so or not without any other.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Before {
     /// There was no file: a first start, at which no record can be missing.
@@ -973,7 +974,9 @@ mod tests {
                     std::fs::write(&path, &whole).unwrap();
                     for page in [0, PAGE_WORDS * 8] {
                         let mut damaged = whole[page + at + first..][..bytes].to_vec();
-                        damaged.iter_mut().for_each(|b| *b = if bytes == 1 { !*b } else { 0 });
+                        for byte in &mut damaged {
+                            *byte = if bytes == 1 { !*byte } else { 0 };
+                        }
                         let file = File::options().write(true).open(&path).unwrap();
                         file.write_all_at(&damaged, (page + at + first) as u64).unwrap();
                     }

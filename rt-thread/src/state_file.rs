@@ -195,6 +195,8 @@ mod tests {
     use crate::event::{Faults, HeldBy};
     use crate::journal::{MachineRecord, StateRecord};
 
+    type Deed<'a> = (Lost, Box<dyn Fn() + 'a>);
+
     /// Whatever is done to the file while it is written, the next process finds everything in it.
     #[test]
     fn a_lost_file_is_told_and_written_anew() {
@@ -212,7 +214,6 @@ mod tests {
         file.outlive_truncation().unwrap();
         let older = std::fs::read(&path).unwrap();
         journal.record_machine(held, 2_000_000);
-        type Deed<'a> = (Lost, Box<dyn Fn() + 'a>);
         let deeds: [Deed<'_>; 7] = [
             (Lost::Removed, Box::new(|| std::fs::remove_file(&path).unwrap())),
             (Lost::Removed, Box::new(|| std::fs::rename(&path, at("away")).unwrap())),

@@ -78,10 +78,10 @@ impl DaemonStatus {
             self.axes.iter().filter(|a| which(a)).map(|a| a.name.as_str()).collect()
         };
         let (unknown, away) = (names(|a| !a.mtc_known), names(|a| !a.homed));
-        if !unknown.is_empty() {
-            Some(explain_unknown(&unknown))
-        } else {
+        if unknown.is_empty() {
             (!away.is_empty()).then(|| explain_not_homed(&away))
+        } else {
+            Some(explain_unknown(&unknown))
         }
     }
 }

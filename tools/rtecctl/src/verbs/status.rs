@@ -465,6 +465,20 @@ mod tests {
 
     /// Colours say nothing that the words do not, and nothing is wider than 80 columns.
     #[test]
+    fn why_nothing_is_homed_is_what_the_daemon_says() {
+        let mut status = corrects();
+        assert_eq!(status.not_homed(), None);
+        status.axes[0].homed = false;
+        let name = status.axes[0].name.clone();
+        let text = format!("axis {name}: not homed: move to the home position, then `rtecctl home`");
+        assert_eq!(status.not_homed(), Some(text));
+        status.axes[0].mtc_known = false;
+        let text = status.not_homed().unwrap();
+        assert!(text.starts_with(&format!("the controller's count is not known: {name}; ")), "{text}");
+        assert!(text.ends_with("`rtecctl home --controller-homed`"), "{text}");
+    }
+
+    #[test]
     fn on_a_terminal_it_has_colours_and_keeps_to_its_width() {
         let mut status = corrects();
         status.mode = "fault".into();
