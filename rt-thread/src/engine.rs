@@ -214,15 +214,20 @@ impl Engine {
     /// Notes every axis as it is in effect now, and the machine. At no moment does the file say that feed hold is on and not
     /// why: a fault of an axis comes before the hold, and goes after it.
     fn note(&mut self) {
-        let (held, hold_output, faults) = (self.held, self.wants_hold(), self.faults);
-        if hold_output {
-            self.note_axes();
+        let hold_output = self.wants_hold();
+        if !hold_output {
+            self.note_machine(hold_output);
         }
+        self.note_axes();
+        if hold_output {
+            self.note_machine(hold_output);
+        }
+    }
+
+    fn note_machine(&mut self, hold_output: bool) {
+        let (held, faults) = (self.held, self.faults);
         if let Some(journal) = &mut self.journal {
             journal.record_machine(MachineRecord { held, hold_output, faults }, self.look_ns);
-        }
-        if !hold_output {
-            self.note_axes();
         }
     }
 

@@ -250,7 +250,8 @@ pub enum JournalError {
     },
 }
 
-/// The mapped file, as the journal that writes it and [`StateFile`] that watches over it share it.
+/// The mapped file, as the journal that writes it and [`crate::state_file::StateFile`] that watches over it share
+/// it.
 #[derive(Debug)]
 pub(crate) struct Mapping {
     words: NonNull<AtomicU64>,
@@ -610,7 +611,6 @@ impl Journal {
         }
     }
 
-    #[inline]
     fn store(&mut self, row: usize, [flags, value]: [u64; 2]) {
         let seq = self.next[row];
         self.next[row] = seq + 1;

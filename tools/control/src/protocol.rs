@@ -466,7 +466,7 @@ mod tests {
         let text = include_str!("../../guide/reference/protocol.md");
         assert!(text.starts_with(&format!("# The control protocol, version {PROTOCOL}\n")));
         let requests: Vec<_> = text.lines().filter(|l| l.starts_with("{\"do\"")).collect();
-        assert_eq!(requests.len(), 14);
+        assert_eq!(requests.len(), 15);
         for line in requests {
             ClientRequest::parse(line).unwrap();
         }
