@@ -105,12 +105,12 @@ fn who_goes_away_during_a_load_leaves_nothing_behind() {
     let _daemon = Daemon::start(&at("s"), None);
     slow_model(&at("slow.toml"));
     let mut view = Line::to(&at("s-view"));
-    let mut loader = Line::to(&at("s"));
-    loader.say(&loads(&at("slow.toml")));
+    // Again where it was loaded before anybody could look.
     until("it is being loaded", || {
+        let mut loader = Line::to(&at("s"));
+        loader.say(&loads(&at("slow.toml")));
         Line::to(&at("s")).ask(&loads(&at("slow.toml")))["refused"]["why"] == "loading"
     });
-    drop(loader);
     let mut connected = || {
         let all = view.ask(&serde_json::json!({"do": "observe", "events_after": u64::MAX}));
         all["observed"]["clients"][2]["connected"].as_u64().unwrap()
