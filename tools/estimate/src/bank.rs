@@ -4,6 +4,7 @@
 use crate::factor::{Factor, dot};
 use crate::rows::{Noise, Rows};
 use std::ops::Range;
+use std::rc::Rc;
 
 /// Columns in groups.
 #[derive(Debug, Default, Clone)]
@@ -114,7 +115,7 @@ impl Bank {
     }
 
     /// The look beside further orthonormal columns: `along` are their products with the residual before them.
-    pub fn after(&self, look: &mut Look, columns: &[Vec<f64>], along: &[f64]) {
+    pub fn after(&self, look: &mut Look, columns: &[Rc<[f64]>], along: &[f64]) {
         let shares = self.take(look, columns);
         let k = columns.len();
         for (h, shares) in look.along.iter_mut().zip(shares.chunks(k.max(1))) {
@@ -123,9 +124,9 @@ impl Bank {
     }
 
     /// Takes orthonormal columns out of the products among the bank's; the bank's shares in them.
-    fn take(&self, look: &mut Look, columns: &[Vec<f64>]) -> Vec<f64> {
+    fn take(&self, look: &mut Look, columns: &[Rc<[f64]>]) -> Vec<f64> {
         let k = columns.len();
-        let packed: Vec<f32> = columns.iter().flatten().map(|x| *x as f32).collect();
+        let packed: Vec<f32> = columns.iter().flat_map(|c| c.iter()).map(|x| *x as f32).collect();
         let shares = self.products(0..self.raw.len(), &packed, k);
         if k == 0 {
             return shares;

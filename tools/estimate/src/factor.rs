@@ -1,14 +1,16 @@
 //! The one least-squares core: orthogonal factors of columns under Gaussian priors, grown column by column.
 //!
 //! Columns come scaled by the standard deviation of their coefficients, so that each coefficient has a prior of unit size. The
-//! prior is a row below the data: [X; I] = Q R with orthonormal Q, by Gram–Schmidt applied twice (which is as stable as
-//! Householder's reflections; Giraud, Langou, Rozložník 2005). No Gram matrix of the data is formed.
+//! prior is a row below the data: [X; I] = Q R with orthonormal Q, by Gram–Schmidt applied twice where once leaves little (which is as
+//! stable as Householder's reflections; Giraud, Langou, Rozložník 2005). No Gram matrix of the data is formed.
+
+use std::rc::Rc;
 
 /// Orthogonal factors of a growing set of columns, and what they leave of a response.
 #[derive(Debug, Clone)]
 pub struct Factor {
     /// Upper parts (data rows) of the orthonormal columns.
-    upper: Vec<Vec<f64>>,
+    upper: Vec<Rc<[f64]>>,
     /// Lower parts (prior rows): column k has k + 1 entries.
     lower: Vec<Vec<f64>>,
     /// Columns of the triangle R.
@@ -31,29 +33,14 @@ pub fn dot(a: &[f64], b: &[f64]) -> f64 {
     #[cfg(target_arch = "x86_64")]
     if std::arch::is_x86_feature_detected!("avx2") && std::arch::is_x86_feature_detected!("fma") {
         // SAFETY: the processor has both.
-        return unsafe { dot_wide(a, b) };
+        return unsafe { wide::dot(a, b) };
     }
-    dot_by::<8>(a, b, |s, x, y| s + x * y)
-}
-
-/// [`dot`] for processors with wide registers.
-///
-/// # Safety
-/// The processor has AVX2 and FMA.
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx2,fma")]
-unsafe fn dot_wide(a: &[f64], b: &[f64]) -> f64 {
-    dot_by::<16>(a, b, |s, x, y| x.mul_add(y, s))
-}
-
-#[inline]
-fn dot_by<const N: usize>(a: &[f64], b: &[f64], step: impl Fn(f64, f64, f64) -> f64) -> f64 {
-    let mut sums = [0.0; N];
-    let (wide_a, wide_b) = (a.chunks_exact(N), b.chunks_exact(N));
-    let rest: f64 = wide_a.remainder().iter().zip(wide_b.remainder()).map(|(x, y)| x * y).sum();
-    for (x, y) in wide_a.zip(wide_b) {
-        for i in 0..N {
-            sums[i] = step(sums[i], x[i], y[i]);
+    let mut sums = [0.0; 8];
+    let (whole_a, whole_b) = (a.chunks_exact(8), b.chunks_exact(8));
+    let rest: f64 = whole_a.remainder().iter().zip(whole_b.remainder()).map(|(x, y)| x * y).sum();
+    for (x, y) in whole_a.zip(whole_b) {
+        for i in 0..8 {
+            sums[i] += x[i] * y[i];
         }
     }
     sums.iter().sum::<f64>() + rest
@@ -61,7 +48,62 @@ fn dot_by<const N: usize>(a: &[f64], b: &[f64], step: impl Fn(f64, f64, f64) -> 
 
 /// a += k·b.
 pub fn add(a: &mut [f64], k: f64, b: &[f64]) {
+    #[cfg(target_arch = "x86_64")]
+    if std::arch::is_x86_feature_detected!("avx2") && std::arch::is_x86_feature_detected!("fma") {
+        // SAFETY: the processor has both.
+        return unsafe { wide::add(a, k, b) };
+    }
     a.iter_mut().zip(b).for_each(|(a, b)| *a += k * b);
+}
+
+/// The same for processors with wide registers, in their own words: what the compiler makes of a generic loop depends on what it inlines.
+#[cfg(target_arch = "x86_64")]
+mod wide {
+    use std::arch::x86_64::{
+        __m256d, _mm256_add_pd, _mm256_fmadd_pd, _mm256_loadu_pd, _mm256_set1_pd, _mm256_setzero_pd,
+        _mm256_storeu_pd,
+    };
+
+    /// # Safety
+    /// The processor has AVX2 and FMA.
+    #[target_feature(enable = "avx2,fma")]
+    pub(super) unsafe fn dot(a: &[f64], b: &[f64]) -> f64 {
+        let n = a.len().min(b.len());
+        let mut sums: [__m256d; 4] = [_mm256_setzero_pd(); 4];
+        let (whole, mut out) = (n - n % 16, [0.0; 4]);
+        for i in (0..whole).step_by(16) {
+            for (k, sum) in sums.iter_mut().enumerate() {
+                // SAFETY: i + 4k + 3 < whole ≤ n.
+                let (x, y) = unsafe {
+                    (_mm256_loadu_pd(a.as_ptr().add(i + 4 * k)), _mm256_loadu_pd(b.as_ptr().add(i + 4 * k)))
+                };
+                *sum = _mm256_fmadd_pd(x, y, *sum);
+            }
+        }
+        let sum = _mm256_add_pd(_mm256_add_pd(sums[0], sums[1]), _mm256_add_pd(sums[2], sums[3]));
+        // SAFETY: four numbers.
+        unsafe { _mm256_storeu_pd(out.as_mut_ptr(), sum) };
+        let rest: f64 = a[whole..n].iter().zip(&b[whole..n]).map(|(x, y)| x * y).sum();
+        out.iter().sum::<f64>() + rest
+    }
+
+    /// # Safety
+    /// The processor has AVX2 and FMA.
+    #[target_feature(enable = "avx2,fma")]
+    pub(super) unsafe fn add(a: &mut [f64], k: f64, b: &[f64]) {
+        let n = a.len().min(b.len());
+        let (whole, by) = (n - n % 4, _mm256_set1_pd(k));
+        for i in (0..whole).step_by(4) {
+            // SAFETY: i + 3 < whole ≤ n.
+            unsafe {
+                let (at, x) = (a.as_mut_ptr().add(i), _mm256_loadu_pd(b.as_ptr().add(i)));
+                _mm256_storeu_pd(at, _mm256_fmadd_pd(by, x, _mm256_loadu_pd(at)));
+            }
+        }
+        for (a, b) in a[whole..n].iter_mut().zip(&b[whole..n]) {
+            *a += k * b;
+        }
+    }
 }
 
 impl Factor {
@@ -94,7 +136,7 @@ impl Factor {
 
     /// The orthonormal columns' data rows.
     #[must_use]
-    pub fn columns(&self) -> &[Vec<f64>] {
+    pub fn columns(&self) -> &[Rc<[f64]>] {
         &self.upper
     }
 
@@ -137,13 +179,15 @@ impl Factor {
         let mut low = vec![0.0; k + 1];
         low[k] = 1.0;
         let mut r = vec![0.0; k + 1];
+        let whole = dot(&up, &up) + 1.0;
         for pass in 0..2 {
+            // Once is enough where little was taken out (Daniel, Gragg, Kaufman, Stewart 1976).
+            if pass == 1 && dot(&up, &up) + dot(&low, &low) > 0.5 * whole {
+                break;
+            }
             for i in 0..k {
                 let q = &self.upper[i];
-                let mut c = dot(q, &up);
-                if pass == 1 {
-                    c += dot(&self.lower[i], &low[..=i]);
-                }
+                let c = dot(q, &up) + dot(&self.lower[i], &low[..=i]);
                 add(&mut up, -c, q);
                 add(&mut low[..=i], -c, &self.lower[i]);
                 r[i] += c;
@@ -163,10 +207,29 @@ impl Factor {
         add(&mut self.pulled, -along, &low);
         self.left -= along * along;
         self.half_log_det += size.ln();
-        self.upper.push(up);
+        self.upper.push(up.into());
         self.lower.push(low);
         self.triangle.push(r);
         self.along.push(along);
+    }
+
+    /// The first `k` columns alone.
+    #[must_use]
+    pub fn first(&self, k: usize) -> Self {
+        let mut out = self.clone();
+        for i in (k..self.len()).rev() {
+            let along = out.along[i];
+            add(&mut out.residual, along, &out.upper[i]);
+            add(&mut out.pulled, along, &out.lower[i]);
+            out.left += along * along;
+            out.half_log_det -= out.triangle[i][i].ln();
+        }
+        out.upper.truncate(k);
+        out.lower.truncate(k);
+        out.triangle.truncate(k);
+        out.along.truncate(k);
+        out.pulled.truncate(k);
+        out
     }
 
     /// The coefficients' posterior means, in prior standard deviations.
@@ -236,6 +299,21 @@ mod tests {
         assert!((2.0 * factor.half_log_det() - a.determinant().ln()).abs() < 1e-9);
         let left = dot(&y, &y) - b.dot(&beta);
         assert!((factor.left() - left).abs() < 1e-9 && factor.residual().len() == n);
+    }
+
+    #[test]
+    fn the_first_columns_are_as_if_alone() {
+        let y: Vec<f64> = (0..30).map(|i| f64::from(i).sin()).collect();
+        let column = |j: u32| (0..30).map(|i| f64::from(i * (j + 1)).cos()).collect::<Vec<f64>>();
+        let mut all = Factor::new(&y);
+        (0..4).for_each(|j| all.push(&column(j)));
+        let mut two = Factor::new(&y);
+        (0..2).for_each(|j| two.push(&column(j)));
+        let first = all.first(2);
+        assert!((first.left() - two.left()).abs() < 1e-9 && first.len() == 2);
+        assert!((first.half_log_det() - two.half_log_det()).abs() < 1e-9);
+        assert!(first.residual().iter().zip(two.residual()).all(|(a, b)| (a - b).abs() < 1e-9));
+        assert!(first.solve().iter().zip(two.solve()).all(|(a, b)| (a - b).abs() < 1e-9));
     }
 
     /// Columns that are nearly the same leave nothing undefined.

@@ -11,7 +11,6 @@ use crate::priors::{
 };
 use crate::problem::{Base, Problem};
 use crate::shapes::changing_wave;
-use nalgebra::{DMatrix, SymmetricEigen};
 use rtec_model::effect::{Difference, Effect, Refine, Search as How};
 use rtec_model::record::Axis;
 use std::cell::RefCell;
@@ -30,8 +29,16 @@ pub struct Member {
     pub level: f64,
     /// Log prior: name, place in the grid, level.
     pub prior: f64,
+    /// Its columns, whitened by the noise of the search that it is of.
+    columns: Rc<Columns>,
+}
+
+impl Member {
     /// Number of columns.
-    pub width: usize,
+    #[must_use]
+    pub fn width(&self) -> usize {
+        self.columns.len()
+    }
 }
 
 /// A set with its fit.
@@ -107,21 +114,24 @@ pub fn fit(left: f64, freedom: f64) -> f64 {
     if left > freedom { -0.5 * freedom * ((left / freedom).ln() + 1.0) } else { -0.5 * left }
 }
 
-/// Gain of columns whose products are given as eigenvalues and squared projections.
-fn gain_of(eigen: &[(f64, f64)], left: f64, freedom: f64) -> Gain {
-    let mut at = [0.0; LEVELS.len()];
-    for (out, (level, weight)) in at.iter_mut().zip(LEVELS) {
-        let t = level * level;
-        let (mut det, mut less) = (0.0, 0.0);
-        for (lambda, z2) in eigen {
-            let l = 1.0 + t * lambda.max(0.0);
-            det += l.ln();
-            less += t * z2 / l;
-        }
-        *out = weight.ln() - 0.5 * det + fit(left - less, freedom) - fit(left, freedom);
-    }
+/// Gain of columns of which at each level ½ log |I + t²S| and t²hᵀ(I + t²S)⁻¹h are given.
+fn gain_of(at_level: impl Fn(f64) -> (f64, f64), left: f64, freedom: f64) -> Gain {
+    let now = fit(left, freedom);
+    let at = LEVELS.map(|(level, weight)| {
+        let (half_log_det, less) = at_level(level * level);
+        weight.ln() - half_log_det + fit(left - less, freedom) - now
+    });
     let best = (0..at.len()).max_by(|a, b| at[*a].total_cmp(&at[*b])).unwrap_or(0);
     Gain { total: log_sum(at), level: LEVELS[best].0, best: at[best] }
+}
+
+/// Gain of one column.
+fn gain_of_one(square: f64, along: f64, left: f64, freedom: f64) -> Gain {
+    let of = |t: f64| {
+        let l = 1.0 + t * square.max(0.0);
+        (0.5 * l.ln(), t * along * along / l)
+    };
+    gain_of(of, left, freedom)
 }
 
 /// Gain of columns with these products with the residual and among each other.
@@ -129,16 +139,29 @@ fn gain_of(eigen: &[(f64, f64)], left: f64, freedom: f64) -> Gain {
 pub fn gain(along: &[f64], among: &[f64], left: f64, freedom: f64) -> Gain {
     let p = along.len();
     if p == 1 {
-        return gain_of(&[(among[0], along[0] * along[0])], left, freedom);
+        return gain_of_one(among[0], along[0], left, freedom);
     }
-    let eigen = SymmetricEigen::new(DMatrix::from_row_slice(p, p, among));
-    let pairs: Vec<(f64, f64)> = (0..p)
-        .map(|i| {
-            let z: f64 = eigen.eigenvectors.column(i).iter().zip(along).map(|(u, h)| u * h).sum();
-            (eigen.eigenvalues[i], z * z)
-        })
-        .collect();
-    gain_of(&pairs, left, freedom)
+    let of = |t: f64| {
+        // Cholesky's triangle of I + t²S, row by row, and along it the solution of L z = h.
+        let mut triangle = vec![0.0; p * p];
+        let mut z = vec![0.0; p];
+        let (mut half_log_det, mut less) = (0.0, 0.0);
+        for i in 0..p {
+            let (above, own) = triangle.split_at_mut(i * p);
+            for j in 0..i {
+                let row = &above[j * p..j * p + j + 1];
+                own[j] = (t * among[i * p + j] - dot(&own[..j], &row[..j])) / row[j];
+            }
+            // No pivot of I and a sum of squares is below one, but for rounding.
+            let pivot = (1.0 + t * among[i * p + i] - dot(&own[..i], &own[..i])).max(1.0).sqrt();
+            z[i] = (along[i] - dot(&own[..i], &z[..i])) / pivot;
+            own[i] = pivot;
+            half_log_det += pivot.ln();
+            less += t * z[i] * z[i];
+        }
+        (half_log_det, less)
+    };
+    gain_of(of, left, freedom)
 }
 
 impl<'p> Search<'p> {
@@ -214,15 +237,10 @@ impl<'p> Search<'p> {
             cause: seed.cause.clone(),
             level: gain.level,
             prior: prior + level_weight,
-            width: columns.len(),
+            columns: Rc::new(columns),
         };
         let mut factor = set.factor.clone();
-        for mut c in columns {
-            for x in &mut c {
-                *x *= member.level;
-            }
-            factor.push(&c);
-        }
+        push(&mut factor, &member);
         let mut members = set.members.clone();
         members.push(member);
         let set = self.scored(members, factor);
@@ -257,24 +275,32 @@ impl<'p> Search<'p> {
                 let fewer = (count_um / (sd * std::f64::consts::TAU.sqrt())).max(1.0).ln();
                 sum += fewer - 0.5 * (off / sd.max(1e-12)).powi(2);
             }
-            at += m.width;
+            at += m.width();
         }
         sum
     }
 
-    /// The fit of these members, as they are.
+    /// The fit of the members of another search, as they are.
     #[must_use]
-    pub fn of(&self, members: Vec<Member>) -> Set {
-        let mut factor = self.base.factor.clone();
-        for m in &members {
-            for mut c in self.columns(&m.cause) {
-                for x in &mut c {
-                    *x *= m.level;
-                }
-                factor.push(&c);
-            }
+    pub fn of(&self, mut members: Vec<Member>) -> Set {
+        for m in &mut members {
+            m.columns = Rc::new(self.columns(&m.cause));
+        }
+        self.grown_from(self.base.factor.clone(), members, 0)
+    }
+
+    /// The fit of members of which the first `done` are in a factor.
+    fn grown_from(&self, mut factor: Factor, members: Vec<Member>, done: usize) -> Set {
+        for m in &members[done..] {
+            push(&mut factor, m);
         }
         self.scored(members, factor)
+    }
+
+    /// The factor of a set's first `count` members.
+    fn first(&self, set: &Set, count: usize) -> Factor {
+        let width: usize = set.members[..count].iter().map(Member::width).sum();
+        set.factor.first(self.base.factor.len() + width)
     }
 
     /// Log prior of one more member of a family.
@@ -291,8 +317,8 @@ impl<'p> Search<'p> {
         set.members
             .iter()
             .map(|m| {
-                let own = beta[at..at + m.width].iter().map(|b| b * m.level).collect();
-                at += m.width;
+                let own = beta[at..at + m.width()].iter().map(|b| b * m.level).collect();
+                at += m.width();
                 own
             })
             .collect()
@@ -441,7 +467,7 @@ impl<'p> Search<'p> {
                     } else {
                         (along[i] - along[j], among(i, i) + among(j, j) - 2.0 * among(i, j), paired)
                     };
-                    let score = w + weight + gain_of(&[(s, h * h)], left, self.base.freedom).total;
+                    let score = w + weight + gain_of_one(s, h, left, self.base.freedom).total;
                     all.push(score);
                     if score > top.0 {
                         top = (score, w + weight, k, i, j);
@@ -647,13 +673,15 @@ impl<'p> Search<'p> {
         };
         let mut frequency = 1.0 / wave.scalar(0);
         let mut step = 0.2 / along.span() * unit;
+        let others = self.first(&set, n - 2);
         let at = |set: &Set, frequency: f64| {
             let mut members = set.members.clone();
             for m in &mut members[n - 2..] {
                 let effect = m.cause.effect()?.with(&[(0, 1.0 / frequency)])?;
                 m.cause = m.cause.with_effect(effect);
+                m.columns = Rc::new(self.columns(&m.cause));
             }
-            Some(self.of(members))
+            Some(self.grown_from(others.clone(), members, n - 2))
         };
         for _ in 0..12 {
             let tried = [-step, step].map(|by| at(&set, frequency + by).map(|s| (s, frequency + by)));
@@ -678,7 +706,7 @@ impl<'p> Search<'p> {
     pub fn without(&self, set: &Set, member: usize) -> Set {
         let mut members = set.members.clone();
         members.remove(member);
-        self.of(members)
+        self.grown_from(self.first(set, member), members, member)
     }
 
     /// Sets with one member more: the best, and the best by names.
@@ -854,13 +882,21 @@ impl<'p> Search<'p> {
             let seed = Seed { family: m.family, cause: m.cause, weight: 0.0, score: 0.0 };
             let refined = self.refined(&without.factor, &seed);
             let mut members = set.members.clone();
+            members[i].columns = Rc::new(self.columns(&refined.cause));
             members[i].cause = refined.cause;
-            let new = self.of(members);
+            let new = self.grown_from(self.first(&set, i), members, i);
             if new.score > set.score && self.possible(&new) {
                 set = new;
             }
         }
         set
+    }
+}
+
+/// Adds a member's columns to a factor.
+fn push(factor: &mut Factor, member: &Member) {
+    for c in member.columns.iter() {
+        factor.push(&c.iter().map(|x| x * member.level).collect::<Vec<_>>());
     }
 }
 

@@ -76,21 +76,23 @@ impl Along {
     #[must_use]
     pub fn near(&self, residual: &[f64], frequencies: &[f64], share: f64) -> Vec<f64> {
         let step = STEP / self.span;
-        let power = |f: f64| {
-            let turn = std::f64::consts::TAU * f;
-            let (mut a, mut b) = (0.0, 0.0);
-            for (row, place, weight) in &self.rows {
-                let (sin, cos) = (turn * (place - self.from)).sin_cos();
-                let x = residual[*row] * weight;
-                a += x * sin;
-                b += x * cos;
-            }
-            a * a + b * b
-        };
         let best = |f: &f64| {
-            let steps = (share * f / step).ceil().min(60.0) as i32;
-            let at = |k: i32| f + f64::from(k) * (share * f / f64::from(steps.max(1))).min(step);
-            (-steps..=steps).map(at).map(|f| (power(f), f)).max_by(|a, b| a.0.total_cmp(&b.0)).map(|b| b.1)
+            let steps = (share * f / step).ceil().clamp(1.0, 60.0);
+            let pitch = (share * f / steps).min(step);
+            let first = f - steps * pitch;
+            let mut sums = vec![Complex::new(0.0, 0.0); 2 * steps as usize + 1];
+            for (row, place, weight) in &self.rows {
+                // From one frequency to the next each row turns by the same angle.
+                let at = std::f64::consts::TAU * (place - self.from);
+                let mut now = Complex::cis(at * first) * (residual[*row] * weight);
+                let turn = Complex::cis(at * pitch);
+                for sum in &mut sums {
+                    *sum += now;
+                    now *= turn;
+                }
+            }
+            let power = sums.iter().map(Complex::norm_sqr).enumerate();
+            power.max_by(|a, b| a.1.total_cmp(&b.1)).map(|(k, _)| first + k as f64 * pitch)
         };
         frequencies.iter().filter_map(best).collect()
     }
