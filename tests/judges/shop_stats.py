@@ -250,6 +250,8 @@ def same_by_contract(one, other):
     (law, axes), (law2, axes2) = split_name(one), split_name(other)
     if law == law2 and law in ("squareness", "rotation"):
         return sorted(axes) == sorted(axes2)
+    if law == law2 == "angular":                 # e = urad_per_m*p_B*p_C: the order of B and C is no matter
+        return axes[0] == axes2[0] and sorted(axes[1:]) == sorted(axes2[1:])
     if {law, law2} == {"thermal_growth", "thermal_lag"}:
         return axes == axes2                     # where both fit equally, growth is given
     return False

@@ -118,7 +118,10 @@ pub fn detectable(s: &Scene) -> Vec<bool> {
         .map(|k| {
             let others: Vec<&Source> =
                 (0..s.hidden.len()).filter(|j| *j != k).map(|j| &s.hidden[j]).chain(&s.known).collect();
-            s.ratio(&s.hidden[k]) >= 2.0 && rivals::own_share(&s.hidden[k], &others, &s.runs) > TOLD
+            let constant = s.hidden[k].name.starts_with("offset.");
+            !constant
+                && s.ratio(&s.hidden[k]) >= 2.0
+                && rivals::own_share(&s.hidden[k], &others, &s.runs) > TOLD
         })
         .collect()
 }

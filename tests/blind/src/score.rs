@@ -57,8 +57,16 @@ pub fn mark(case: &Case, reply: &Reply) -> Mark {
     got = same.iter().map(String::as_str).collect();
     let wanted: Vec<String> = want.iter().map(|g| unordered(g)).collect();
     want = wanted.iter().map(String::as_str).collect();
+    // A constant is the gauge's zero, and no finding.
+    let constant = |n: &&str| !n.starts_with("offset.");
+    got.retain(constant);
+    want.retain(constant);
     got.sort_unstable();
     want.sort_unstable();
+    if want.is_empty() && matches!(case.hides, Hides::One | Hides::Two) {
+        let quiet = reply.verdict == "nothing_missing" || reply.verdict == "named" && got.is_empty();
+        return if quiet { Mark::Exact } else { Mark::Wrong };
+    }
     match (case.hides, reply.verdict.as_str()) {
         (Hides::Nothing, "nothing_missing") | (Hides::Stranger, "unknown_effect") => Mark::Exact,
         (Hides::Nothing, _) => Mark::Wrong,
