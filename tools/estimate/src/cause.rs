@@ -3,7 +3,7 @@
 use crate::factor::dot;
 use crate::priors::CONTRIBUTION;
 use crate::rows::Rows;
-use crate::setup::first_after_turn;
+use crate::setup::{first_after_turn, unplaced_columns};
 use rtec_model::effect::{Against, Effect, Need, STANDARD_DEGC, Search};
 use rtec_model::record::Role;
 use std::sync::Arc;
@@ -84,7 +84,8 @@ impl Cause {
         }
     }
 
-    /// The columns, each at one standard deviation of its coefficient for a typical size.
+    /// The columns, each at one standard deviation of its coefficient for a typical size; behind those of the coefficients what the
+    /// effect does where nobody told its place.
     #[must_use]
     pub fn columns(&self, rows: &Rows<'_>) -> Vec<Vec<f64>> {
         match self {
@@ -101,7 +102,10 @@ impl Cause {
                     }
                     out
                 };
-                directions.iter().map(of).collect()
+                let mut columns: Vec<Vec<f64>> = directions.iter().map(of).collect();
+                let sizes = vec![size; effect.coefficient_count()];
+                columns.extend(unplaced_columns(rows, effect, &sizes).into_iter().map(|c| c.1));
+                columns
             }
             Self::Effect { effect, free, reference } => {
                 let mut columns = rows.basis(effect);
@@ -130,6 +134,7 @@ impl Cause {
                     }
                     columns.push(level);
                 }
+                columns.extend(unplaced_columns(rows, effect, &sizes(effect)).into_iter().map(|c| c.1));
                 columns
             }
         }

@@ -15,6 +15,10 @@ pub const REPLACED_SHARE: f64 = 0.3;
 pub const ZERO_UM: f64 = 300.0;
 /// Centre of a ballbar's or a ring's circle, µm (physics: set by hand on a magnetic cup).
 pub const CENTRE_UM: f64 = 50.0;
+/// How far a plate lies turned on the table, µrad, one standard deviation (physics: aligned by hand within 0.05 mm over 0.5 m).
+pub const TURN_URAD: f64 = 100.0;
+/// How far from the axes' zero a circle may stand whose centre nobody told, mm, one standard deviation (physics: axes of 0.5 m).
+pub const PLACE_MM: f64 = 250.0;
 /// Straight line in time of a laser's or gauge's reading, µm/h (physics: 1 K of air is 1 µm/m).
 pub const LINE_UM_PER_H: f64 = 1.0;
 /// A jump at a pause, µm, and its probability (physics: somebody touched the stand).

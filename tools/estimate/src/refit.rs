@@ -61,7 +61,7 @@ impl<'p, 'r> Refit<'p, 'r> {
             .zip(&self.columns)
             .map(|(effect, columns)| {
                 let scale = cause(effect).coefficient_sizes(self.problem.rows);
-                let k = columns.len();
+                let k = scale.len();
                 let value = |i: usize| beta[at + i] * WIDE * scale[i];
                 let half = |i: usize| {
                     HALF_WIDTH
@@ -72,7 +72,7 @@ impl<'p, 'r> Refit<'p, 'r> {
                 let mut out = effect.clone();
                 out.set_coefficients(&(0..k).map(value).collect::<Vec<_>>());
                 let half = (0..k).map(half).collect();
-                at += k;
+                at += columns.len();
                 (out, half)
             })
             .collect()

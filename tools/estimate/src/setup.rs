@@ -1,8 +1,9 @@
 //! What belongs to how the instrument stood and never to the machine: free in every record, never named, never written into a
 //! model, never corrected live. One function per term; a new one is its function and a line in [`TERMS`].
 
-use crate::priors::{CENTRE_UM, CONTRIBUTION, LINE_UM_PER_H, PAUSE_STEPS, ZERO_UM};
+use crate::priors::{CENTRE_UM, CONTRIBUTION, LINE_UM_PER_H, PAUSE_STEPS, PLACE_MM, TURN_URAD, ZERO_UM};
 use crate::rows::{Rows, Segment, is_placed};
+use rtec_model::circle::Circle;
 use rtec_model::effect::{Effect, Search};
 use rtec_model::record::{Kind, Record, Role, Turns};
 
@@ -23,6 +24,8 @@ pub enum What {
     Rounding,
     /// An effect of the model where the record does not say the place.
     Unplaced,
+    /// How a plate lies turned, against the others, µrad.
+    Turn,
     /// A walk of a response that has no name.
     Wander,
     /// The first reading behind a turn that nobody described.
@@ -46,7 +49,7 @@ pub struct Term {
 type Make = fn(&Rows<'_>, &[Effect], &mut Vec<Term>);
 
 /// All kinds of terms.
-pub const TERMS: [Make; 6] = [zeros, centres, lines, unplaced, after_turns, dithered];
+pub const TERMS: [Make; 7] = [zeros, centres, lines, unplaced, turned, after_turns, dithered];
 
 /// The set-up terms of these records.
 #[must_use]
@@ -302,56 +305,109 @@ fn coarse_segment(rows: &Rows<'_>, s: &Segment) -> Option<(f64, Vec<Vec<usize>>)
     coarse(&rows.measured[s.rows.clone()], place, direction)
 }
 
-/// Effects of the model that need a place, in circles whose centre nobody told: waves have a phase of their own there, maps their own
-/// heights.
-fn unplaced(rows: &Rows<'_>, model: &[Effect], out: &mut Vec<Term>) {
+/// What an effect that needs a place may do in circles whose centre nobody told: a wave has a phase of its own there, anything else
+/// lobes of its own. `size` of each coefficient; record and column, at one standard deviation.
+#[must_use]
+pub fn unplaced_columns(rows: &Rows<'_>, effect: &Effect, sizes: &[f64]) -> Vec<(usize, Vec<f64>)> {
+    let mut out = Vec::new();
     for s in errors(rows) {
         let record = rows.record(s);
-        if record.knows_places() {
+        if is_placed(record, effect) {
             continue;
         }
         let Some(angle) = record.data(&Role::Angle) else { continue };
-        for effect in model.iter().filter(|e| !is_placed(record, e)) {
-            let role = &rows.responses[s.response];
-            let acts = effect.acts_on(record);
-            let (Some((_, component)), Ok(bound)) =
-                (acts.iter().find(|(r, _)| r == role), effect.bind(record))
-            else {
-                continue;
-            };
-            let k = effect.coefficient_count();
-            let n = record.rows();
-            if effect.description().searched.wave.is_some() {
-                let mut basis = vec![0.0; n * k];
-                bound.basis(effect, *component, &mut basis);
-                let size =
-                    effect.description().place(Search::Amplitude).map_or(1.0, |i| effect.scalar(i).abs());
-                for c in basis.chunks(n) {
-                    out.push(Term {
-                        what: What::Unplaced,
-                        record: s.record,
-                        column: column(rows, s, |i| c[i]),
-                        sd: size,
-                    });
-                }
-                continue;
+        let role = &rows.responses[s.response];
+        let acts = effect.acts_on(record);
+        let (Some((_, component)), Ok(bound)) = (acts.iter().find(|(r, _)| r == role), effect.bind(record))
+        else {
+            continue;
+        };
+        let n = record.rows();
+        let mut basis = vec![0.0; n * effect.coefficient_count()];
+        bound.basis(effect, *component, &mut basis);
+        if effect.description().searched.wave.is_some() {
+            for (c, size) in basis.chunks(n).zip(sizes) {
+                out.push((s.record, column(rows, s, |i| size * c[i])));
             }
-            let mut sum = vec![0.0; n];
-            bound.add(effect, *component, &mut sum);
-            let size = (sum.iter().map(|v| v * v).sum::<f64>() / n as f64).sqrt();
-            for lobes in 2..=8 {
-                let k = f64::from(lobes);
-                for f in [f64::cos as fn(f64) -> f64, f64::sin] {
-                    let lobe = column(rows, s, |i| f(k * angle[i]));
-                    out.push(Term {
-                        what: What::Unplaced,
-                        record: s.record,
-                        column: lobe,
-                        sd: size / k.sqrt(),
-                    });
+            continue;
+        }
+        if effect.constraints().is_empty() {
+            // In proportion to each place: as about the circle's centre, and by how far that may be from the axes' zero.
+            for (c, size) in basis.chunks(n).zip(sizes) {
+                out.push((s.record, column(rows, s, |i| size * c[i])));
+            }
+            for shifted in elsewhere(record) {
+                let mut there = vec![0.0; n * effect.coefficient_count()];
+                let Ok(bound) = effect.bind(&shifted) else { continue };
+                bound.basis(effect, *component, &mut there);
+                for ((a, b), size) in there.chunks(n).zip(basis.chunks(n)).zip(sizes) {
+                    out.push((s.record, column(rows, s, |i| size * (a[i] - b[i]))));
                 }
+            }
+            continue;
+        }
+        let squares = |(c, size): (&[f64], &f64)| size * size * c.iter().map(|v| v * v).sum::<f64>();
+        let size = (basis.chunks(n).zip(sizes).map(squares).sum::<f64>() / n as f64).sqrt();
+        for lobes in 2..=8 {
+            let k = f64::from(lobes);
+            for f in [f64::cos as fn(f64) -> f64, f64::sin] {
+                out.push((s.record, column(rows, s, |i| size / k.sqrt() * f(k * angle[i]))));
             }
         }
+    }
+    out
+}
+
+/// A circle as it would be farther along each of its axes.
+fn elsewhere(record: &Record) -> Vec<Record> {
+    let Some(circle) = record.circle() else { return Vec::new() };
+    let at = |centre: [f64; 2]| {
+        record.clone().with_circle(Circle { centre_mm: Some(centre), ..circle.clone() }).ok()
+    };
+    [[PLACE_MM, 0.0], [0.0, PLACE_MM]].into_iter().filter_map(at).collect()
+}
+
+/// Effects of the model in circles of unknown centre.
+fn unplaced(rows: &Rows<'_>, model: &[Effect], out: &mut Vec<Term>) {
+    for effect in model {
+        let sizes: Vec<f64> = match effect.description().place(Search::Amplitude) {
+            Some(i) => vec![effect.scalar(i).abs(); effect.coefficient_count()],
+            None => effect.coefficients().iter().map(|c| c.abs()).collect(),
+        };
+        for (record, column) in unplaced_columns(rows, effect, &sizes) {
+            out.push(Term { what: What::Unplaced, record, column, sd: 1.0 });
+        }
+    }
+}
+
+/// Each plate lies turned a little of its own: what they are turned by on average is a rotation, and stays the contract's.
+fn turned(rows: &Rows<'_>, _: &[Effect], out: &mut Vec<Term>) {
+    let mut turns: Vec<(usize, Vec<f64>)> = Vec::new();
+    for (r, record) in rows.records.iter().enumerate().filter(|(_, r)| r.kind == Kind::Plate) {
+        let axes: Vec<_> = record.axes(Role::Position).cloned().collect();
+        let [a, b] = &axes[..] else { continue };
+        let mut own = vec![0.0; rows.n];
+        for s in errors(rows).filter(|s| s.record == r) {
+            let Some(axis) = rows.responses[s.response].axis() else { continue };
+            let (other, by) = if axis == a { (b, -1.0) } else { (a, 1.0) };
+            let Some(p) = record.data(&Role::Position(other.clone())) else { continue };
+            for (x, p) in own[s.rows.clone()].iter_mut().zip(p) {
+                *x = by * p / 1000.0;
+            }
+        }
+        turns.push((r, own));
+    }
+    let count = turns.len() as f64;
+    if turns.len() < 2 {
+        return;
+    }
+    let mut mean = vec![0.0; rows.n];
+    for (_, own) in &turns {
+        crate::factor::add(&mut mean, 1.0 / count, own);
+    }
+    for (record, mut own) in turns {
+        crate::factor::add(&mut own, -1.0, &mean);
+        out.push(Term { what: What::Turn, record, column: own, sd: TURN_URAD });
     }
 }
 
