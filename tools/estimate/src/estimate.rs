@@ -254,7 +254,10 @@ fn with_own_noise(search: &Search<'_>, set: &Set) -> (f64, Noise) {
         }
         let prior: f64 = set.members.iter().map(|m| m.prior).sum();
         let freedom = base.freedom;
-        total = fit(factor.left(), freedom) - factor.half_log_det() + prior + noise.log_scale(problem.rows);
+        total = fit(factor.left(), freedom) - factor.half_log_det()
+            + prior
+            + noise.log_scale(problem.rows)
+            + noise.log_prior();
         noise = problem.renewed(&noise, &factor);
     }
     (total, noise)
@@ -848,6 +851,17 @@ impl Estimate {
 /// Autocorrelation of what the noise model left whitened, beyond which rows are too close together.
 const REMEMBERS: f64 = 0.15;
 
+/// What a model leaves of each row of a record, response by response, set-up included.
+#[must_use]
+pub fn unexplained(record: &Record, model: &[Effect]) -> Vec<f64> {
+    let rows = Rows::new(std::slice::from_ref(record));
+    let mut left = rows.measured.clone();
+    for effect in model {
+        crate::factor::add(&mut left, -1.0, &rows.predict(effect));
+    }
+    left
+}
+
 /// Log evidence of one record beside a model with nothing missing, and the size of the noise that it leaves per response.
 #[must_use]
 pub fn alone(record: &Record, model: &[Effect], intervals: &[Vec<Option<f64>>]) -> (f64, Vec<(Role, f64)>) {
@@ -858,7 +872,9 @@ pub fn alone(record: &Record, model: &[Effect], intervals: &[Vec<Option<f64>>]) 
     let mut total = f64::NEG_INFINITY;
     for _ in 0..NOISE_STEPS {
         let base = problem.base(noise.clone());
-        total = fit(base.factor.left(), base.freedom) - base.factor.half_log_det() + noise.log_scale(&rows);
+        total = fit(base.factor.left(), base.freedom) - base.factor.half_log_det()
+            + noise.log_scale(&rows)
+            + noise.log_prior();
         noise = problem.renewed(&noise, &base.factor);
     }
     let size = |j: usize| noise.sigma[j] / (1.0 - noise.phi[j] * noise.phi[j]).sqrt();

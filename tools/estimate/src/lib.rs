@@ -36,4 +36,4 @@ pub mod wander;
 pub mod wave;
 
 pub use cause::Shape;
-pub use estimate::{Estimate, Found, Moved, Rival, SetUp, Tried, alone, estimate, score};
+pub use estimate::{Estimate, Found, Moved, Rival, SetUp, Tried, alone, estimate, score, unexplained};

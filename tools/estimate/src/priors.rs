@@ -55,6 +55,9 @@ pub const SMOOTH_RANK: f64 = 1e-3;
 /// Most knots of a smooth function.
 pub const KNOTS: usize = 40;
 
+/// Size of what a reading scatters by, µm (forces: N), in the middle, and by what factor it is off, one standard deviation (physics: from
+/// a laser on a quiet axis to a dial on a worn one). It tells a unit error from noise of a metre.
+pub const NOISE: [f64; 2] = [0.5, 5.0];
 /// Largest autocorrelation from row to row that is noise (contract).
 pub const MOST_PHI: f64 = 0.7;
 /// Degrees of freedom of the noise's tails (physics: a gauge's rare knocks).

@@ -1,6 +1,6 @@
 //! All rows of all responses of all records, one under the other, and their noise.
 
-use crate::priors::MOST_PHI;
+use crate::priors::{MOST_PHI, NOISE};
 use rtec_model::effect::{Effect, Extent};
 use rtec_model::record::{Axis, Record, Role};
 use std::ops::Range;
@@ -301,6 +301,17 @@ impl Noise {
                 part[i] = own - phi * next;
             }
         }
+    }
+
+    /// Log prior of the noise's sizes, but for a constant.
+    #[must_use]
+    pub fn log_prior(&self) -> f64 {
+        let [middle, factor] = NOISE;
+        let of = |(sigma, phi): (&f64, &f64)| {
+            let size = sigma / (1.0 - phi * phi).sqrt();
+            -0.5 * ((size / middle).ln() / factor.ln()).powi(2)
+        };
+        self.sigma.iter().zip(&self.phi).map(of).sum()
     }
 
     /// log of the density's Jacobian: Σ log(w/σ) + ½ Σ log(1 − φ²).

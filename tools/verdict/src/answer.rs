@@ -3,7 +3,7 @@
 use rtec_estimate::{Estimate, Found, Shape};
 use rtec_model::effect::{Difference, Effect};
 use rtec_model::machine::Machine;
-use rtec_model::record::{Record, Role};
+use rtec_model::record::Record;
 
 /// Another explanation of the same thing.
 #[derive(Debug, Clone, PartialEq)]
@@ -115,14 +115,6 @@ pub(crate) fn analyse(records: &[Record], machine: &Machine, level: f64) -> Answ
 pub(crate) fn score(records: &[Record], machine: &Machine) -> f64 {
     let model: Vec<Effect> = machine.effects().cloned().collect();
     rtec_estimate::score(records, machine.dictionary(), &model, &stated(machine))
-}
-
-/// Size of the noise of a response in an answer, in its unit.
-pub(crate) fn size_um(answer: &Answer, records: &[Record], role: &Role) -> f64 {
-    let rows = rtec_estimate::rows::Rows::new(records);
-    let noise = &answer.estimate.noise;
-    let j = rows.responses.iter().position(|r| r == role);
-    j.map_or(f64::INFINITY, |j| noise.sigma[j] / (1.0 - noise.phi[j] * noise.phi[j]).sqrt())
 }
 
 fn finding(f: &Found, effect: &Effect) -> Finding {

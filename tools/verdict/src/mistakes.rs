@@ -1,8 +1,8 @@
 //! People's mistakes beside a model: a record as it stands against the same record with a mistake undone, by one likelihood. What
 //! counts is the density of the numbers as they are written in the file.
 
-use crate::answer::{Answer, analyse, score, size_um, stated};
-use rtec_estimate::alone;
+use crate::answer::{Answer, analyse, score, stated};
+use rtec_estimate::{alone, unexplained};
 use rtec_measure::plausible::{Suspicion, What};
 use rtec_model::circle::Circle;
 use rtec_model::effect::{Difference, Effect};
@@ -36,8 +36,6 @@ const SHARE: f64 = 0.005;
 /// So many are looked at, and so many are found at most.
 const LOOKED_AT: usize = 3;
 const MOST: usize = 3;
-/// A record that the model alone leaves no more than so many times the noise of is no mistake.
-const SOUND: f64 = 1.3;
 /// A hold-out without the mistake leaves no more than so many times the training's noise.
 const EXPLAINED: f64 = 2.0;
 
@@ -51,22 +49,25 @@ pub(crate) fn of_training(
     let mut out = Vec::new();
     let mut now = records.to_vec();
     let mut best: Option<Answer> = None;
+    // Beside the model as given: what was found may have taken the mistake for a change of the machine.
+    let model: Vec<Effect> = machine.effects().cloned().collect();
     while out.len() < MOST {
         let answer = best.as_ref().unwrap_or(first);
-        if machine.effects().next().is_none() || !leaves_a_question(answer) {
+        if machine.effects().next().is_none() {
             break;
         }
-        let model = with_findings(machine, answer);
         let intervals = stated(machine);
         let mut tried: Vec<(f64, usize, Mistake)> = Vec::new();
         let evidence: f64 = answer.estimate.found.iter().map(|f| f.evidence).fold(0.0, f64::max);
         let worth = ONE_IN.ln().max(SHARE * evidence);
         for (k, record) in now.iter().enumerate() {
-            let (as_it_stands, noise) = alone(record, &model, &intervals);
-            if noise.iter().all(|(r, s)| *s <= SOUND * size_um(answer, &now, r)) {
-                continue;
-            }
+            let (as_it_stands, _) = alone(record, &model, &intervals);
+            let left = unexplained(record, &model);
             for m in candidates(record, &now, &model) {
+                if m.jacobian == 0.0 && unexplained(&m.undone, &model) == left {
+                    // Of a column that the model does not read here.
+                    continue;
+                }
                 let gain = alone(&m.undone, &model, &intervals).0 + m.jacobian - as_it_stands;
                 if gain > worth {
                     tried.push((gain, k, m));
@@ -128,23 +129,6 @@ pub(crate) fn of_hold_out(
     found.max_by(|a, b| a.0.total_cmp(&b.0)).map(|b| b.1)
 }
 
-/// Whether there is anything that a mistake could explain instead.
-fn leaves_a_question(answer: &Answer) -> bool {
-    !answer.findings.is_empty()
-        || !answer.unexplained.is_empty()
-        || answer.estimate.found.iter().any(|f| f.replaces.is_some())
-}
-
-/// The model with what was found: mistakes are held beside all that is known.
-fn with_findings(machine: &Machine, answer: &Answer) -> Vec<Effect> {
-    let known = answer.estimate.known.iter().map(|k| k.after.clone());
-    let mut model: Vec<Effect> = machine.effects().cloned().collect();
-    for (place, after) in answer.estimate.known.iter().map(|k| k.place).zip(known) {
-        model[place] = after;
-    }
-    model
-}
-
 /// The record with other columns.
 fn rebuilt(record: &Record, columns: Vec<Column>, circle: Option<Circle>) -> Option<Record> {
     let mut new = Record::new(&record.path, record.kind, columns).ok()?;
@@ -201,6 +185,8 @@ const FORCES: [(f64, &str); 4] = [
     (10.0, "a decimal point one place off?"),
     (0.1, "a decimal point one place off?"),
 ];
+/// No machine is measured over less travel, nor over more, mm.
+const TRAVEL_MM: std::ops::RangeInclusive<f64> = 0.1..=3e4;
 /// What other columns may be given in.
 fn other_units(role: &Role) -> &'static [(f64, &'static str)] {
     match role {
@@ -265,6 +251,14 @@ fn candidates(record: &Record, all: &[Record], model: &[Effect]) -> Vec<Mistake>
         let own: Vec<&Column> = record.columns.iter().filter(|c| kind(&c.role)).collect();
         let Some(first) = own.first() else { continue };
         for (by, unit) in other_units(&first.role) {
+            let span = |c: &&Column| {
+                let (lo, hi) = c.data.iter().fold((f64::MAX, f64::MIN), |(l, h), x| (l.min(*x), h.max(*x)));
+                by * (hi - lo)
+            };
+            let widest = own.iter().map(span).fold(0.0, f64::max);
+            if matches!(first.role, Role::Position(_)) && !TRAVEL_MM.contains(&widest) {
+                continue;
+            }
             let text = only(&format!(
                 "with {} {by} times this: given in {unit}, called {}?",
                 first.name, first.unit
