@@ -379,6 +379,18 @@ fn place(search: &Search<'_>, set: &Set, member: usize) -> Place {
             all.push((seed.family, name, refined.cause.effect().cloned(), other.score));
         }
     }
+    for seed in search.alike(own) {
+        let refined = search.refined(&without.factor, &seed);
+        let seen = |a: &Stand| {
+            a.0 == seed.family
+                && a.2.as_ref().zip(refined.cause.effect()).is_some_and(|(a, b)| same_period(a, b))
+        };
+        if !all.iter().any(seen)
+            && let Some(other) = search.with(&without, &refined)
+        {
+            all.push((seed.family, own_label.clone(), refined.cause.effect().cloned(), other.score));
+        }
+    }
     let masses: Vec<f64> = all.iter().map(|a| a.3).chain([without.score]).collect();
     let total = log_sum(&masses);
     let of = |yes: &dyn Fn(&Stand) -> bool| {
@@ -466,6 +478,14 @@ fn moments(search: &Search<'_>, without: &Set, own: &Member) -> Option<[f64; 2]>
 /// Rows on either side of a step at which it may have been as well.
 const NEAR: usize = 30;
 
+/// Whether two waves of one law are one mode.
+fn same_period(a: &Effect, b: &Effect) -> bool {
+    (a.scalar(0) / b.scalar(0) - 1.0).abs() < SAME_PERIOD
+}
+
+/// Periods of one mode differ by less than this share.
+const SAME_PERIOD: f64 = 0.02;
+
 /// Whether two causes of one family are one mode.
 fn same_place(a: &Cause, b: &Cause) -> bool {
     let (Some(a), Some(b)) = (a.effect(), b.effect()) else { return true };
@@ -482,7 +502,7 @@ fn same_place(a: &Cause, b: &Cause) -> bool {
             Refine::TimeConstant(_) | Refine::Factor(_) => (x / y).ln().abs() < 1.0,
             Refine::Step(s) => (x - y).abs() < 4.0 * s,
             Refine::Moment => true,
-            Refine::Stays => (x / y - 1.0).abs() < 0.02,
+            Refine::Stays => (x / y - 1.0).abs() < SAME_PERIOD,
         }
     })
 }
@@ -675,6 +695,10 @@ impl<'s, 'p> Last<'s, 'p> {
                 }
                 *h = HALF_WIDTH * variance.max(0.0).sqrt();
             }
+            if let Some(p) = effect.description().place(How::Phase) {
+                // More than half a turn to either side is no angle.
+                half[p] = half[p].min(std::f64::consts::PI);
+            }
             if let (Some([from, to]), Some(p)) =
                 (f.moments, effect.description().parameters.iter().position(|p| p.refine == Refine::Moment))
             {
@@ -729,7 +753,7 @@ impl<'s, 'p> Last<'s, 'p> {
                     beyond = true;
                     let mut e = effect.with_values(&values)?;
                     let mut coefficients = e.coefficients();
-                    let sizes = replaced_sizes(effect);
+                    let sizes = m.cause.coefficient_sizes(problem.rows);
                     for (k, c) in coefficients.iter_mut().enumerate().take(m.width) {
                         *c += self.beta[m.at + k] * WIDE * sizes[k];
                     }
@@ -793,17 +817,6 @@ impl<'s, 'p> Last<'s, 'p> {
         };
         problem.terms.iter().enumerate().filter(|(_, t)| named(t.what)).filter_map(of).collect()
     }
-}
-
-/// As the family of a replaced effect has its columns.
-fn replaced_sizes(effect: &Effect) -> Vec<f64> {
-    let typical = crate::cause::sizes(effect);
-    effect
-        .coefficients()
-        .iter()
-        .zip(typical)
-        .map(|(c, t)| crate::priors::REPLACED_SHARE * c.abs().max(t))
-        .collect()
 }
 
 impl Found {

@@ -3,9 +3,7 @@
 
 use crate::bank::Bank;
 use crate::cause::{Cause, Shape, sizes};
-use crate::priors::{
-    IMPLAUSIBLE, JUMP_PROBABILITY, JUMP_UM, KNOTS, LENGTHS, NAMED_SHARE, PAIR_SHARE, PRICE, REPLACED_SHARE,
-};
+use crate::priors::{IMPLAUSIBLE, JUMP_PROBABILITY, JUMP_UM, KNOTS, LENGTHS, NAMED_SHARE, PAIR_SHARE, PRICE};
 use crate::rows::{Rows, is_placed};
 use crate::setup;
 use crate::shapes::shapes;
@@ -181,23 +179,16 @@ impl Families {
 
     /// A known effect of the model that is no longer what it was.
     fn replaced(&mut self, rows: &Rows<'_>, place: usize, effect: &Effect) {
-        let size = effect.coefficients();
-        let raw = rows.basis(effect);
-        let typical = sizes(effect);
-        if size.len() > 4 {
+        let free = effect.coefficient_count();
+        if free > 4 {
             return;
         }
-        let mut columns = Vec::new();
-        for ((c, column), typical) in size.iter().zip(&raw).zip(typical) {
-            let by = REPLACED_SHARE * c.abs().max(typical);
-            columns.push(column.iter().map(|x| by * x).collect::<Vec<f64>>());
-        }
+        let cause = Cause::Effect { effect: effect.clone(), free, reference: false };
+        let columns = cause.columns(rows);
         if columns.iter().all(|c| c.iter().all(|x| *x == 0.0)) {
             return;
         }
-        let free = columns.len();
         let group = self.bank.push(columns);
-        let cause = Cause::Effect { effect: effect.clone(), free, reference: false };
         let prior = crate::priors::KNOWN_REPLACED.ln() + PRICE;
         self.list.push(Family {
             effect: Some(effect.clone()),

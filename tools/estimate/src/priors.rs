@@ -5,11 +5,9 @@
 
 /// Amplitudes of the model are this share off, one standard deviation (contract).
 pub const KNOWN_SHARE: f64 = 0.1;
-/// Probability that a known amplitude is off by any share at all: another machine's file, a part that was changed (calibration).
+/// Probability that a known amplitude is off by any share at all: another machine's file, a part that was changed (calibration). It is
+/// then of the size that this effect has on any machine.
 pub const KNOWN_REPLACED: f64 = 0.01;
-/// A known amplitude that was replaced is off by this share of itself or of its typical size, at the middle level of a prior (physics: a
-/// new part is as good as the old one).
-pub const REPLACED_SHARE: f64 = 0.3;
 
 /// A gauge's zero, µm, one standard deviation (physics: a dial's travel is 1 mm).
 pub const ZERO_UM: f64 = 300.0;

@@ -85,6 +85,8 @@ pub struct Search<'p> {
 type Columns = Vec<Vec<f64>>;
 
 /// Waves whose columns are kept.
+/// So many of the usual periods are tried exactly, beside the largest of all.
+const USUAL_TRIED: usize = 3;
 const WAVES_KEPT: usize = 400;
 
 /// Evidence of columns at each level of their size.
@@ -412,10 +414,10 @@ impl<'p> Search<'p> {
                     });
                     let mut at = along.peaks(weighed, 5);
                     let facts = family.effect.as_ref().and_then(|e| e.description().searched.wave);
-                    if let (true, Some(facts)) = (along.is_long(), facts) {
-                        // Finer than its spectrum goes only the usual ones are looked at.
-                        let finer = facts.usual_mm.iter().map(|p| 1.0 / p).filter(|f| *f > along.range()[1]);
-                        at.extend(along.near(weighed, &finer.collect::<Vec<_>>(), 3e-4));
+                    if let Some(facts) = facts {
+                        // The usual ones have half of the prior, and look like others on a grid; some are finer than the spectrum goes.
+                        let usual: Vec<f64> = facts.usual_mm.iter().map(|p| 1.0 / p).collect();
+                        at.extend(along.near(weighed, &usual, 3e-4).into_iter().take(USUAL_TRIED));
                     }
                     for f in at {
                         let Some(cause) = self.wave(family, f, *unit, places) else { continue };
@@ -507,6 +509,29 @@ impl<'p> Search<'p> {
             }
         }
         Some(Cause::Shape(Arc::new((shape, columns))))
+    }
+
+    /// Where else a wave looks the same at these places: the likeliest beforehand of them.
+    #[must_use]
+    pub fn alike(&self, member: &Member) -> Vec<Seed> {
+        let family = self.family(member.family);
+        let (Scan::Wave { along, unit, places }, Some(effect)) = (&family.scan, member.cause.effect()) else {
+            return Vec::new();
+        };
+        let of = |f: f64| {
+            let weight = wave_weight(family, f, *unit, along.range(), along.span());
+            Some(Seed {
+                family: member.family,
+                cause: self.wave(family, f, *unit, places)?,
+                weight,
+                score: weight,
+            })
+        };
+        let mut all: Vec<Seed> =
+            along.alike(1.0 / (effect.scalar(0) * unit)).into_iter().filter_map(of).collect();
+        all.sort_by(|a, b| b.score.total_cmp(&a.score));
+        all.truncate(TRIED);
+        all
     }
 
     /// The place of a seed's non-linear parameters where it explains most, beside a factor.

@@ -32,6 +32,10 @@ const LONGEST: usize = 1 << 18;
 /// Frequency steps in shares of one turn over the whole range.
 const STEP: f64 = 0.35;
 
+/// Two waves look the same at places that show so much of the power of their difference as if it were none (physics: what is left of
+/// one beside the other is a tenth of its size).
+const ALIKE: f64 = 0.99;
+
 impl Along {
     /// `None` where nothing moves or no period fits.
     #[must_use]
@@ -72,7 +76,7 @@ impl Along {
         self.range
     }
 
-    /// Near each of these frequencies (within a share of it) the one at which a weighted residual has the largest power.
+    /// Near each of these frequencies (within a share of it) the one at which a weighted residual has the largest power, best first.
     #[must_use]
     pub fn near(&self, residual: &[f64], frequencies: &[f64], share: f64) -> Vec<f64> {
         let step = STEP / self.span;
@@ -92,14 +96,68 @@ impl Along {
                 }
             }
             let power = sums.iter().map(Complex::norm_sqr).enumerate();
-            power.max_by(|a, b| a.1.total_cmp(&b.1)).map(|(k, _)| first + k as f64 * pitch)
+            power.max_by(|a, b| a.1.total_cmp(&b.1)).map(|(k, power)| (power, first + k as f64 * pitch))
         };
-        frequencies.iter().filter_map(best).collect()
+        let seen = frequencies.iter().filter(|f| **f >= self.range[0]);
+        let mut all: Vec<(f64, f64)> = seen.filter_map(best).collect();
+        all.sort_by(|a, b| b.0.total_cmp(&a.0));
+        all.into_iter().map(|b| b.1).collect()
+    }
+
+    /// Frequencies at which a wave looks nearly the same at these places as at this one.
+    #[must_use]
+    pub fn alike(&self, frequency: f64) -> Vec<f64> {
+        let rows = self.rows.iter().map(|r| r.0).max().map_or(0, |last| last + 1);
+        let (step, power) = self.spectrum(&vec![1.0; rows]);
+        let whole: f64 = self.rows.iter().map(|r| r.2).sum();
+        // Half of the spectrum is enough: shifts beyond it lead out of the range.
+        let last = power.len() - 1;
+        let peaks = (1..last).filter(|i| power[*i] >= power[i - 1] && power[*i] > power[i + 1]);
+        let shown = |d: f64| {
+            let turn = std::f64::consts::TAU * d;
+            let (mut a, mut b) = (0.0, 0.0);
+            for (_, place, weight) in &self.rows {
+                let (sin, cos) = (turn * (place - self.from)).sin_cos();
+                a += weight * sin;
+                b += weight * cos;
+            }
+            (a * a + b * b) / (whole * whole)
+        };
+        let top = |i: usize| {
+            let d = i as f64 * step;
+            let [l, m, r] = [d - 0.5 * step, d, d + 0.5 * step].map(shown);
+            let bend = l + r - 2.0 * m;
+            d + if bend < 0.0 { 0.25 * step * (l - r) / bend } else { 0.0 }
+        };
+        // Half a step from its top a peak shows nine tenths of it.
+        let high = peaks.filter(|i| power[*i] > 0.8 * ALIKE * whole * whole);
+        let shifts = high.map(top).filter(|d| shown(*d) > ALIKE);
+        let of = |d: f64| [d - frequency, d + frequency, frequency - d];
+        shifts.flat_map(of).filter(|f| (self.range[0]..=self.range[1]).contains(f)).collect()
     }
 
     /// Frequencies at which a weighted residual has the largest power, best first.
     #[must_use]
     pub fn peaks(&self, residual: &[f64], most: usize) -> Vec<f64> {
+        let (step, power) = self.spectrum(residual);
+        let first = (self.range[0] / step).ceil() as usize;
+        let last = ((self.range[1] / step) as usize).min(power.len() - 2);
+        let mut peaks: Vec<(f64, f64)> = Vec::new();
+        for i in first..=last {
+            let p = power[i];
+            let left = if i > first { power[i - 1] } else { 0.0 };
+            let right = if i < last { power[i + 1] } else { 0.0 };
+            if p >= left && p > right {
+                peaks.push((p, i as f64 * step));
+            }
+        }
+        peaks.sort_by(|a, b| b.0.total_cmp(&a.0));
+        peaks.truncate(most);
+        peaks.into_iter().map(|p| p.1).collect()
+    }
+
+    /// Step of frequency, and the power of a weighted residual at each.
+    fn spectrum(&self, residual: &[f64]) -> (f64, Vec<f64>) {
         let mut grid = vec![Complex::new(0.0, 0.0); self.length];
         for (row, place, share) in &self.rows {
             let u = (place - self.from) / self.pitch;
@@ -109,27 +167,13 @@ impl Along {
             grid[(i + 1) % self.length].re += w * x;
         }
         self.transform.process(&mut grid);
-        let step = 1.0 / (self.pitch * self.length as f64);
-        let first = (self.range[0] / step).ceil() as usize;
-        let last = ((self.range[1] / step) as usize).min(self.length / 2 - 1);
         let power = |i: usize| {
             // Linear spreading damps short periods.
             let x = std::f64::consts::PI * i as f64 / self.length as f64;
             let damped = if x > 0.0 { (x.sin() / x).powi(2) } else { 1.0 };
             grid[i].norm_sqr() / (damped * damped)
         };
-        let mut peaks: Vec<(f64, f64)> = Vec::new();
-        for i in first..=last {
-            let p = power(i);
-            let left = if i > first { power(i - 1) } else { 0.0 };
-            let right = if i < last { power(i + 1) } else { 0.0 };
-            if p >= left && p > right {
-                peaks.push((p, i as f64 * step));
-            }
-        }
-        peaks.sort_by(|a, b| b.0.total_cmp(&a.0));
-        peaks.truncate(most);
-        peaks.into_iter().map(|p| p.1).collect()
+        (1.0 / (self.pitch * self.length as f64), (0..self.length / 2).map(power).collect())
     }
 }
 
@@ -146,6 +190,12 @@ mod tests {
         let along = Along::new(rows, [1.0 / 60.0, 2.0]).unwrap();
         let best = along.peaks(&residual, 3)[0];
         assert!((1.0 / best - 7.3).abs() < 0.1, "{}", 1.0 / best);
+        assert!(along.alike(best).is_empty());
+        let grid = (0..60).map(|i| (i, 4.0 * (i % 20) as f64, 1.0)).collect();
+        let alike = Along::new(grid, [1.0 / 60.0, 1.0]).unwrap().alike(0.1);
+        for f in [0.15, 0.35, 0.4, 0.6] {
+            assert!(alike.iter().any(|a| (a - f).abs() < 0.002), "{f}: {alike:?}");
+        }
         assert!(Along::new(vec![(0, 1.0, 1.0); 20], [0.1, 1.0]).is_none());
     }
 }

@@ -15,7 +15,7 @@ pub(crate) struct Mistake {
     said: Suspicion,
     /// The record without it.
     undone: Record,
-    /// log of how much closer together the numbers lie in the file than undone.
+    /// log of how much closer together the numbers lie in the file than undone, and of how much better directions go with positions.
     jacobian: f64,
 }
 
@@ -30,10 +30,8 @@ pub(crate) struct Suspected {
 const ONE_IN: f64 = 600.0;
 /// Odds at which a record is left out.
 const CERTAIN: f64 = 99.0;
-/// A mistake is looked at beside all records that makes its record alone likelier by as much as a mistake costs, and by this share of
-/// what was found as it stands.
-const SHARE: f64 = 0.005;
-/// So many are looked at, and so many are found at most.
+/// So many of those that make their record alone likelier by what a mistake costs are looked at beside all records, and so many are found
+/// at most.
 const LOOKED_AT: usize = 3;
 const MOST: usize = 3;
 /// A hold-out without the mistake leaves no more than so many times the training's noise.
@@ -56,30 +54,33 @@ pub(crate) fn of_training(
         if machine.effects().next().is_none() {
             break;
         }
+        // With what was found too: a mistake may hide beside what is missing.
+        let mut models = vec![model.clone()];
+        models.extend(with_findings(&model, answer));
         let intervals = stated(machine);
         let mut tried: Vec<(f64, usize, Mistake)> = Vec::new();
-        let evidence: f64 = answer.estimate.found.iter().map(|f| f.evidence).fold(0.0, f64::max);
-        let worth = ONE_IN.ln().max(SHARE * evidence);
         for (k, record) in now.iter().enumerate() {
-            let (as_it_stands, _) = alone(record, &model, &intervals);
-            let left = unexplained(record, &model);
-            for m in candidates(record, &now, &model) {
-                if m.jacobian == 0.0 && unexplained(&m.undone, &model) == left {
+            let stands: Vec<f64> = models.iter().map(|m| alone(record, m, &intervals).0).collect();
+            let left: Vec<_> = models.iter().map(|m| unexplained(record, m)).collect();
+            for m in candidates(record, &now, models.last().unwrap_or(&model)) {
+                let gain = |(model, (stands, left)): (&Vec<Effect>, (&f64, &Vec<f64>))| {
                     // Of a column that the model does not read here.
-                    continue;
-                }
-                let gain = alone(&m.undone, &model, &intervals).0 + m.jacobian - as_it_stands;
-                if gain > worth {
+                    let same = m.jacobian == 0.0 && unexplained(&m.undone, model) == *left;
+                    if same { 0.0 } else { alone(&m.undone, model, &intervals).0 + m.jacobian - stands }
+                };
+                let gain = models.iter().zip(stands.iter().zip(&left)).map(gain).fold(0.0, f64::max);
+                if gain > ONE_IN.ln() {
                     tried.push((gain, k, m));
                 }
             }
         }
         tried.sort_by(|a, b| b.0.total_cmp(&a.0));
-        // Of one kind the likeliest.
-        let mut kinds: Vec<(usize, What)> = Vec::new();
+        // Of one kind in one column the likeliest.
+        let mut kinds: Vec<(usize, What, String)> = Vec::new();
         tried.retain(|(_, k, m)| {
-            let new = !kinds.contains(&(*k, m.said.what));
-            kinds.push((*k, m.said.what));
+            let kind = (*k, m.said.what, m.said.column.clone());
+            let new = !kinds.contains(&kind);
+            kinds.push(kind);
             new
         });
         tried.truncate(LOOKED_AT);
@@ -127,6 +128,14 @@ pub(crate) fn of_hold_out(
     };
     let found = candidates(record, &all, &effects).into_iter().filter_map(weigh);
     found.max_by(|a, b| a.0.total_cmp(&b.0)).map(|b| b.1)
+}
+
+/// The model with what was found beside it, where anything was.
+fn with_findings(model: &[Effect], answer: &Answer) -> Option<Vec<Effect>> {
+    let found = answer.findings.iter().map(|(f, _)| f.effect.clone());
+    let mut new = found.filter(|f| model.iter().all(|e| e.name() != f.name())).peekable();
+    new.peek()?;
+    Some(model.iter().cloned().chain(new).collect())
 }
 
 /// The record with other columns.
@@ -200,13 +209,41 @@ fn other_units(role: &Role) -> &'static [(f64, &'static str)] {
 /// Lengths that ballbars are made with, mm.
 const BARS_MM: [f64; 8] = [50.0, 75.0, 100.0, 150.0, 200.0, 250.0, 300.0, 600.0];
 
+/// A direction is logged that the positions contradict in one row of so many (experience of people who read logs).
+const CONTRADICTED: f64 = 100.0;
+
+/// Log probability of the logged directions beside the logged positions.
+fn agreement(record: &Record) -> f64 {
+    let of = |axis: &Axis| {
+        let position = record.data(&Role::Position(axis.clone()))?;
+        let direction = record.data(&Role::Direction(axis.clone()))?;
+        let went = position.windows(2).map(|p| p[1] - p[0]);
+        let against = went.zip(&direction[1..]).filter(|(by, way)| by * **way < 0.0).count();
+        Some(-(against as f64) * CONTRADICTED.ln())
+    };
+    axes(record).iter().filter_map(of).sum()
+}
+
+/// What of an axis may stand under another's name.
+const PARTS: [(&str, fn(&Role) -> bool); 4] = [
+    ("error", |role| matches!(role, Role::Error(_))),
+    ("position", |role| matches!(role, Role::Position(_))),
+    ("motion", |role| {
+        use Role::{Acceleration, Direction, Position, Velocity};
+        matches!(role, Position(_) | Direction(_) | Velocity(_) | Acceleration(_))
+    }),
+    ("run", |_| true),
+];
+
 /// All mistakes that a record may carry.
 #[expect(clippy::too_many_lines, reason = "one list, in the order of the words page")]
 fn candidates(record: &Record, all: &[Record], model: &[Effect]) -> Vec<Mistake> {
     let mut out = Vec::new();
     let rows = record.rows() as f64;
+    let as_logged = agreement(record);
     let mut add = |what: What, column: &str, text: String, undone: Option<Record>, jacobian: f64| {
         if let Some(undone) = undone {
+            let jacobian = jacobian + agreement(&undone) - as_logged;
             out.push(Mistake { said: Suspicion::new(record, column, what, &[], text), undone, jacobian });
         }
     };
@@ -304,39 +341,31 @@ fn candidates(record: &Record, all: &[Record], model: &[Effect]) -> Vec<Mistake>
     names.sort();
     names.dedup();
     names.retain(|n| n.as_str() != "r");
-    for a in own.iter().filter(|a| a.as_str() != "r" && record.data(&Role::Error((*a).clone())).is_some()) {
-        for b in names.iter().filter(|b| *b != a) {
-            let swap = |role: &Role| match role.axis() {
-                Some(axis) if axis == a => with_axis(role, b.clone()),
-                Some(axis) if axis == b => with_axis(role, a.clone()),
-                _ => role.clone(),
-            };
-            let text = only(&format!("as a run of {b}, called {a}"));
-            let column = record.column(&Role::Error(a.clone())).map_or("", |c| c.name.as_str());
-            add(What::Swapped, column, text, renamed(record, &swap), 0.0);
-        }
-    }
-    for kind in [Role::Error as fn(Axis) -> Role, Role::Position] {
-        for (i, a) in own.iter().enumerate() {
-            for b in &own[i + 1..] {
-                let (x, y) = (kind(a.clone()), kind(b.clone()));
-                let (Some(p), Some(q)) = (
-                    record.columns.iter().find(|c| c.role == x),
-                    record.columns.iter().find(|c| c.role == y),
-                ) else {
-                    continue;
-                };
-                let text = only(&format!("with {} and {} exchanged", p.name, q.name));
-                let swap = |role: &Role| {
-                    if *role == x {
-                        y.clone()
-                    } else if *role == y {
-                        x.clone()
-                    } else {
-                        role.clone()
+    for a in own.iter().filter(|a| a.as_str() != "r") {
+        for b in names.iter().filter(|b| *b != a && (*b > a || !own.contains(b))) {
+            for (part, of) in PARTS {
+                let first = |axis| record.columns.iter().find(|c| of(&c.role) && c.role.axis() == Some(axis));
+                let (column, text) = match (first(a), first(b)) {
+                    (None, None) => continue,
+                    (Some(p), Some(_)) if part == "motion" => {
+                        (&p.name, format!("with the motions of {a} and {b} exchanged"))
                     }
+                    (Some(p), Some(q)) if part != "run" => {
+                        (&p.name, format!("with {} and {} exchanged", p.name, q.name))
+                    }
+                    (Some(p), _) if part == "run" => {
+                        let own = record.column(&Role::Error(a.clone())).unwrap_or(p);
+                        (&own.name, format!("as a run of {b}, called {a}"))
+                    }
+                    (Some(p), _) => (&p.name, format!("with the {part} of {b}, called that of {a}")),
+                    (None, Some(q)) => (&q.name, format!("with the {part} of {a}, called that of {b}")),
                 };
-                add(What::Swapped, &p.name, text, renamed(record, &swap), 0.0);
+                let swap = |role: &Role| match role.axis() {
+                    Some(axis) if of(role) && axis == a => with_axis(role, b.clone()),
+                    Some(axis) if of(role) && axis == b => with_axis(role, a.clone()),
+                    _ => role.clone(),
+                };
+                add(What::Swapped, column, only(&text), renamed(record, &swap), 0.0);
             }
         }
     }

@@ -4,7 +4,7 @@ use crate::answer::{Finding, Tried};
 use crate::gap::{Gap, Trace};
 use crate::where_found::Place;
 use rtec_estimate::Shape;
-use rtec_estimate::priors::{HELD, THERE};
+use rtec_estimate::priors::HELD;
 use rtec_estimate::setup::What;
 use rtec_measure::plausible::Suspicion;
 use rtec_model::effect::Effect;
@@ -32,7 +32,7 @@ impl Verdict {
     /// hold its place makes it not separable.
     #[must_use]
     pub fn of(added: &[(Finding, Vec<f64>)], unexplained: &[Shape]) -> Self {
-        let holds = |f: &Finding| f.name_mass >= HELD && f.mode_mass >= THERE;
+        let holds = |f: &Finding| f.name_mass >= HELD && f.mode_mass >= HELD;
         match (unexplained, added) {
             ([_, ..], _) => Self::UnknownEffect,
             ([], []) => Self::NothingMissing,
@@ -203,9 +203,9 @@ mod tests {
         let shape =
             Shape { response: "error.x".into(), against: vec!["time".into()], manner: "smooth".into() };
         assert_eq!(Verdict::of(&[], &[]), Verdict::NothingMissing);
-        assert_eq!(Verdict::of(&[finding(0.99, 0.9)], &[]), Verdict::Named);
+        assert_eq!(Verdict::of(&[finding(0.99, 0.97)], &[]), Verdict::Named);
         assert_eq!(Verdict::of(&[finding(0.99, 0.9), finding(0.7, 0.9)], &[]), Verdict::NotSeparable);
-        assert_eq!(Verdict::of(&[finding(0.99, 0.3)], &[]), Verdict::NotSeparable);
+        assert_eq!(Verdict::of(&[finding(0.99, 0.9)], &[]), Verdict::NotSeparable);
         assert_eq!(Verdict::of(&[finding(0.99, 0.9)], &[shape]), Verdict::UnknownEffect);
     }
 }
