@@ -151,7 +151,7 @@ pub fn gain(along: &[f64], among: &[f64], left: f64, freedom: f64) -> Gain {
         for i in 0..p {
             let (above, own) = triangle.split_at_mut(i * p);
             for j in 0..i {
-                let row = &above[j * p..j * p + j + 1];
+                let row = &above[j * p..=j * p + j];
                 own[j] = (t * among[i * p + j] - dot(&own[..j], &row[..j])) / row[j];
             }
             // No pivot of I and a sum of squares is below one, but for rounding.

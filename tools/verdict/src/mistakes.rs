@@ -224,8 +224,11 @@ fn agreement(record: &Record) -> f64 {
     axes(record).iter().filter_map(of).sum()
 }
 
+/// Whether a column's role is one of these.
+type Which = fn(&Role) -> bool;
+
 /// What of an axis may stand under another's name.
-const PARTS: [(&str, fn(&Role) -> bool); 4] = [
+const PARTS: [(&str, Which); 4] = [
     ("error", |role| matches!(role, Role::Error(_))),
     ("position", |role| matches!(role, Role::Position(_))),
     ("motion", |role| {
