@@ -32,8 +32,6 @@ import shop_files
 import shop_judge
 
 QUICK_SEED, QUICK_COUNT = 1000, 20
-# Further words for the program, as --estimator.
-WORDS = []
 CLASS_TEXT = {
     "hidden": "one or two effects of the dictionary are missing from the model",
     "many": "three to seven are missing, in one or several records",
@@ -48,7 +46,7 @@ def run_program(program, train, later, model, limit_s):
     command = [program, "reconcile", *train, "--model", model]
     for record in later:
         command += ["--holdout", record]
-    command += ["--json", *WORDS]
+    command += ["--json"]
     with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as err:
         process = subprocess.Popen(command, stdout=out, stderr=err, stdin=subprocess.DEVNULL)
         timer = threading.Timer(limit_s, lambda: os.kill(process.pid, signals.SIGKILL))
@@ -216,7 +214,6 @@ def limits_missed(table):
 def main():
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--bin", default="target/release/rtecctl", help="the program")
-    parser.add_argument("--estimator", action="store_true", help="ask the estimator that is to take the search's place")
     parser.add_argument("--class", dest="classes", action="append", choices=shop_cases.CLASSES, help="only this class")
     parser.add_argument("--from", dest="first", type=int, default=1, metavar="SEED", help="first seed")
     parser.add_argument("--count", type=int, default=20, metavar="N", help="cases per class")
@@ -229,7 +226,6 @@ def main():
     parser.add_argument("--at-least", action="store_true", help="fixed quick set; exit 1 below its limits")
     parser.add_argument("-v", "--verbose", action="store_true", help="one line for each case that failed")
     options = parser.parse_args()
-    WORDS.extend(["--estimator"] if options.estimator else [])
     options.finder = None
     if options.list:
         import shop_mistakes

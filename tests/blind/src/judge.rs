@@ -10,10 +10,6 @@ use rtec_model::record::Record;
 use serde_json::Value;
 use std::f64::consts::{PI, TAU};
 use std::path::PathBuf;
-use std::sync::atomic::{AtomicBool, Ordering};
-
-/// Whether the estimator that is to take the search's place is asked.
-pub static ESTIMATOR: AtomicBool = AtomicBool::new(false);
 
 /// An answer with what it cost.
 pub struct Verdict {
@@ -55,13 +51,8 @@ pub fn judge(case: &Case) -> anyhow::Result<Verdict> {
     let (train, holdout) = (read(&case.train)?, read(&case.holdout)?);
     let machine = Machine::read(&case.model)?;
     let start = cpu_s();
-    let (document, text_of_model) = if ESTIMATOR.load(Ordering::Relaxed) {
-        let r = rtec_verdict::reconcile(&train, &holdout, &machine, &rtec_verdict::Options::default())?;
-        (r.to_json(), r.model.to_text())
-    } else {
-        let r = rtec_reconcile::reconcile(&train, &holdout, &machine, &rtec_reconcile::Options::default())?;
-        (r.to_json(), r.model.to_text())
-    };
+    let r = rtec_reconcile::reconcile(&train, &holdout, &machine, &rtec_reconcile::Options::default())?;
+    let (document, text_of_model) = (r.to_json(), r.model.to_text());
     let cpu_s = cpu_s() - start;
     let effects = list(&document["effects"])
         .iter()

@@ -1,11 +1,11 @@
 //! The blind suite: hundreds of machines with something hidden, judged and printed beside what an analyst's two ways give.
 //!
 //! `rtec-blind [--class WORD[,WORD…]|narrow|wide|all] [--manner first|second] [--from SEED] [--count N] [--jobs N] [--bare]
-//! [--estimator] [--json] [-v]`
+//! [--json] [-v]`
 
 use rtec_blind::case::Hides;
 use rtec_blind::class::{CLASSES, Class};
-use rtec_blind::judge::{ESTIMATOR, Heard};
+use rtec_blind::judge::Heard;
 use rtec_blind::mistakes::KINDS;
 use rtec_blind::outcome::{Outcome, outcome};
 use rtec_blind::plan::Manner;
@@ -17,7 +17,7 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 const USAGE: &str = "rtec-blind [--class WORD[,WORD…]|narrow|wide|all] [--manner first|second] [--from SEED] [--count N] \
-                     [--jobs N] [--bare] [--estimator] [--json] [-v]";
+                     [--jobs N] [--bare] [--json] [-v]";
 
 /// A case of which less of the gap is closed is told.
 const OPEN: f64 = 0.9;
@@ -62,7 +62,6 @@ fn asked(args: &[String]) -> Result<Asked, String> {
             "--from" => a.from = number(value()?)?,
             "--count" => a.count = Some(number(value()?)? as usize).filter(|n| *n > 0),
             "--jobs" => a.jobs = (number(value()?)? as usize).max(1),
-            "--estimator" => ESTIMATOR.store(true, Ordering::Relaxed),
             "--bare" => a.bare = true,
             "--json" => a.json = true,
             "-v" => a.verbose = true,

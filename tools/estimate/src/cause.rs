@@ -1,7 +1,7 @@
 //! What a hypothesis puts into the rows: an effect of the dictionary with its non-linear parameters set, or a shape of no name.
 
 use crate::factor::dot;
-use crate::priors::CONTRIBUTION;
+use crate::priors::{CONTRIBUTION, OF_MOST};
 use crate::rows::Rows;
 use crate::setup::{first_after_turn, unplaced_columns};
 use rtec_model::effect::{Against, Effect, Need, STANDARD_DEGC, Search};
@@ -140,6 +140,17 @@ impl Cause {
         }
     }
 
+    /// Coefficients of the law that are not free: number, what one standard deviation of each is, column of one unit.
+    #[must_use]
+    pub fn left_out(&self, rows: &Rows<'_>) -> Vec<(usize, f64, Vec<f64>)> {
+        let Self::Effect { effect, free, .. } = self else { return Vec::new() };
+        if effect.coefficient_count() <= *free {
+            return Vec::new();
+        }
+        let all = self.coefficient_sizes(rows).into_iter().zip(rows.basis(effect)).enumerate();
+        all.skip(*free).map(|(k, (size, column))| (k, size, column)).collect()
+    }
+
     /// The effect that coefficients (in standard deviations of the columns above) stand for; none for a shape.
     #[must_use]
     pub fn solved(&self, rows: &Rows<'_>, beta: &[f64]) -> Option<Effect> {
@@ -200,7 +211,10 @@ pub fn sizes(effect: &Effect) -> Vec<f64> {
     let law = effect.description();
     let k = effect.coefficient_count();
     if let Some(i) = law.place(Search::Amplitude) {
-        return vec![law.parameters[i].prior_size(); k];
+        // What is bounded by its period is typically a share of it.
+        let by_period = law.searched.wave.and_then(|w| Some(w.most_periods? * w.unit_mm * 1e3));
+        let size = by_period.map_or(law.parameters[i].prior_size(), |most| OF_MOST * most * effect.scalar(0));
+        return vec![size; k];
     }
     let of = |p: &rtec_model::effect::Parameter| {
         let scaleless = p.typical <= 0.0 && p.plausible[1] > 1e9;

@@ -3,8 +3,8 @@
 use crate::cause::{Cause, Shape};
 use crate::factor::dot;
 use crate::family::{Families, Scan};
-use crate::priors::{HALF_WIDTH, HELD, HOPELESS, LEVELS, LISTED, MOST_PHI, MOVED};
-use crate::problem::{Problem, in_step};
+use crate::priors::{HALF_WIDTH, HELD, HOPELESS, LISTED, MOST_PHI};
+use crate::problem::{Problem, in_step, is_beyond_chance};
 use crate::rows::{Noise, Rows};
 use crate::search::{Member, Search, Set, fit};
 use crate::setup;
@@ -202,7 +202,9 @@ fn settled<T>(
     for round in 0..ROUNDS {
         families.bank.whiten(rows, &noise);
         let search = Search::new(problem, families, problem.base(noise.clone()));
-        let start = members.take().map_or_else(|| search.nothing(), |m| search.of(m));
+        // Under another noise a size may be impossible.
+        let start = members.take().map(|m| search.of(m)).filter(|s| search.possible(s));
+        let start = start.unwrap_or_else(|| search.nothing());
         let set = search.best(&start, anew && round == 0);
         if let Some((better, own)) = under_own_noise(&search, &set)
             && round + 1 < ROUNDS
@@ -314,9 +316,12 @@ fn answer(search: &Search<'_>, set: &Set, model: &[Effect]) -> Estimate {
     while i < set.members.len() {
         let place = place(search, &set, i);
         if place.nothing {
-            set = search.without(&set, i);
-            (i, found, tried) = (0, Vec::new(), Vec::new());
-            continue;
+            let without = search.without(&set, i);
+            if search.possible(&without) {
+                set = without;
+                (i, found, tried) = (0, Vec::new(), Vec::new());
+                continue;
+            }
         }
         found.push(place.found);
         tried.extend(place.tried);
@@ -520,41 +525,59 @@ struct Last<'s, 'p> {
 /// A member of the last fit.
 struct Solved {
     cause: Cause,
+    /// Size of its prior, in typical sizes.
+    level: f64,
     /// Where its columns begin; its linear ones, then its non-linear ones.
     at: usize,
     width: usize,
-    /// Non-linear values, and what one standard deviation of each is.
-    bent: Vec<(usize, f64)>,
+    bent: Vec<Bent>,
+    /// Coefficients that the rows did not call for: number, place among the columns, what one standard deviation is.
+    left_out: Vec<(usize, usize, f64)>,
 }
 
-/// Level of the prior of sizes in the last fit: no pull towards zero.
-const WIDE: f64 = 10.0 * LEVELS[LEVELS.len() - 1].0;
+impl Solved {
+    /// Coefficients in standard deviations of the cause's columns.
+    fn linear(&self, beta: &[f64]) -> Vec<f64> {
+        beta[self.at..self.at + self.width].iter().map(|b| b * self.level).collect()
+    }
+}
+
+/// A non-linear value in the last fit.
+struct Bent {
+    /// Which value.
+    value: usize,
+    /// What one standard deviation of it is.
+    sd: f64,
+    /// Another value that moves with it, and by how much per unit: a wave's phase, so that it stays where it is amid the places.
+    with: Option<(usize, f64)>,
+}
+
 /// Steps of the last fit.
 const STEPS: usize = 4;
 
 /// Values that the last fit moves beside the linear ones, and how far each may be off.
-fn bent(search: &Search<'_>, family: usize, effect: &Effect) -> Vec<(usize, f64)> {
-    if search.families.list[family].replaces.is_some() || effect.width() > 1 {
+fn bent(search: &Search<'_>, family: usize, effect: &Effect) -> Vec<Bent> {
+    let family = &search.families.list[family];
+    if family.replaces.is_some() || effect.width() > 1 || matches!(family.scan, Scan::Beside { .. }) {
         return Vec::new();
     }
-    if matches!(search.families.list[family].scan, Scan::Beside { .. }) {
-        return Vec::new();
-    }
-    let wave = matches!(search.families.list[family].scan, Scan::Wave { .. });
-    let of = |(i, p): (usize, &rtec_model::effect::Parameter)| {
+    let law = effect.description();
+    let of = |(value, p): (usize, &rtec_model::effect::Parameter)| {
         if p.search != How::Smooth {
             return None;
         }
-        Some((
-            i,
-            match p.refine {
-                Refine::Step(_) => 1.0,
-                _ if wave => 0.1 * effect.scalar(i),
-                _ => effect.scalar(i).abs(),
-            },
-        ))
+        let v = effect.scalar(value);
+        let (sd, with) = match (&family.scan, p.refine) {
+            (_, Refine::Step(_)) => (1.0, None),
+            (Scan::Wave { along, unit, .. }, _) => {
+                let turns = std::f64::consts::TAU * along.middle() / unit / (v * v);
+                (0.1 * v, law.place(How::Phase).map(|phase| (phase, turns)))
+            }
+            _ => (v.abs(), None),
+        };
+        Some(Bent { value, sd, with })
     };
-    effect.description().parameters.iter().enumerate().filter_map(of).collect()
+    law.parameters.iter().enumerate().filter_map(of).collect()
 }
 
 impl<'s, 'p> Last<'s, 'p> {
@@ -571,29 +594,28 @@ impl<'s, 'p> Last<'s, 'p> {
             }
             let mut next = causes.clone();
             let mut moved = false;
+            solved.clear();
             for (k, m) in last.members.iter().enumerate() {
-                let Some(effect) = m.cause.effect() else { continue };
-                let mut set: Vec<(usize, f64)> = Vec::new();
-                for (b, (v, sd)) in m.bent.iter().enumerate() {
-                    let by = last.beta[m.at + m.width + b] * sd;
-                    let most = 0.2 * effect.scalar(*v).abs().max(0.3);
-                    set.push((*v, effect.scalar(*v) + by.clamp(-most, most)));
+                let mut now = m.cause.solved(search.problem.rows, &m.linear(&last.beta));
+                if let Some(effect) = m.cause.effect() {
+                    let mut set: Vec<(usize, f64)> = Vec::new();
+                    for (b, bent) in m.bent.iter().enumerate() {
+                        let v = effect.scalar(bent.value);
+                        let most = 0.2 * v.abs().max(0.3);
+                        let by = (last.beta[m.at + m.width + b] * bent.sd).clamp(-most, most);
+                        set.push((bent.value, v + by));
+                        if let Some((w, per)) = bent.with {
+                            now = now.and_then(|e| e.with(&[(w, e.scalar(w) + per * by)]));
+                        }
+                    }
+                    if let Some(effect) = effect.with(&set).filter(|_| !set.is_empty()) {
+                        next[k] = m.cause.with_effect(effect);
+                        now = now.and_then(|e| e.with(&set));
+                        moved = true;
+                    }
                 }
-                if let Some(effect) = effect.with(&set).filter(|_| !set.is_empty()) {
-                    next[k] = m.cause.with_effect(effect);
-                    moved = true;
-                }
+                solved.push(now);
             }
-            solved = next
-                .iter()
-                .zip(&last.members)
-                .map(|(c, m)| {
-                    c.solved(
-                        search.problem.rows,
-                        &last.beta[m.at..m.at + m.width].iter().map(|b| b * WIDE).collect::<Vec<_>>(),
-                    )
-                })
-                .collect();
             best = Some(last);
             causes = next;
             if !moved {
@@ -619,28 +641,40 @@ impl<'s, 'p> Last<'s, 'p> {
             let width = columns.len();
             for mut c in columns {
                 for x in &mut c {
-                    *x *= WIDE;
+                    *x *= m.level;
                 }
                 factor.push(&c);
             }
             let mut own = Vec::new();
             if let Some(effect) = solved {
-                let bent = bent(search, m.family, effect);
-                if !bent.is_empty() {
-                    let slopes = rows.slopes(effect);
-                    for (v, sd) in bent {
-                        let mut c: Vec<f64> = slopes[v].iter().map(|x| x * sd).collect();
-                        search.base.noise.whiten(rows, &mut c);
-                        factor.push(&c);
-                        own.push((v, sd));
+                own = bent(search, m.family, effect);
+                let slopes = if own.is_empty() { Vec::new() } else { rows.slopes(effect) };
+                for b in &own {
+                    let mut c: Vec<f64> = slopes[b.value].iter().map(|x| x * b.sd).collect();
+                    if let Some((with, per)) = b.with {
+                        crate::factor::add(&mut c, per * b.sd, &slopes[with]);
                     }
+                    search.base.noise.whiten(rows, &mut c);
+                    factor.push(&c);
                 }
             }
-            members.push(Solved { cause: cause.clone(), at, width, bent: own });
+            let cause = cause.clone();
+            members.push(Solved { cause, level: m.level, at, width, bent: own, left_out: Vec::new() });
         }
-        // What all rows of one reading share is in no average: beside it values are less certain.
         let beta = factor.solve();
         let left = factor.left();
+        // Beside what may be there too, and what all rows of one reading share, values are less certain.
+        for m in &mut members {
+            for (k, size, mut c) in m.cause.left_out(rows) {
+                let sd = size * m.level;
+                for x in &mut c {
+                    *x *= sd;
+                }
+                search.base.noise.whiten(rows, &mut c);
+                m.left_out.push((k, factor.len(), sd));
+                factor.push(&c);
+            }
+        }
         for t in &search.rounding {
             let mut c: Vec<f64> = t.column.iter().map(|x| x * t.sd).collect();
             search.base.noise.whiten(rows, &mut c);
@@ -654,6 +688,24 @@ impl<'s, 'p> Last<'s, 'p> {
         dot(&self.inverse[i], &self.inverse[j])
     }
 
+    /// How far these coefficients are from zero together, in standard deviations, squared.
+    fn distance(&self, coefficients: &[usize]) -> f64 {
+        let mut axes: Vec<(Vec<f64>, f64)> = Vec::new();
+        for i in coefficients {
+            let (mut left, mut beta) = (self.inverse[*i].clone(), self.beta[*i]);
+            for (axis, along) in &axes {
+                let share = dot(axis, &left);
+                crate::factor::add(&mut left, -share, axis);
+                beta -= share * along;
+            }
+            let sd = dot(&left, &left).sqrt();
+            if sd > 0.0 {
+                axes.push((left.iter().map(|x| x / sd).collect(), beta / sd));
+            }
+        }
+        axes.iter().map(|(_, along)| along * along).sum()
+    }
+
     /// Values and half widths of the members.
     fn fill(&self, found: &mut [Found]) {
         let rows = self.search.problem.rows;
@@ -661,12 +713,14 @@ impl<'s, 'p> Last<'s, 'p> {
             if f.effect.is_none() {
                 continue;
             }
-            let linear: Vec<f64> = self.beta[m.at..m.at + m.width].iter().map(|b| b * WIDE).collect();
+            let linear = m.linear(&self.beta);
             let Some(mut effect) = m.cause.solved(rows, &linear) else { continue };
             let n = effect.values().len();
-            let mut jacobian = vec![vec![0.0; n]; m.width + m.bent.len()];
-            for (k, row) in jacobian.iter_mut().take(m.width).enumerate() {
-                let sd = self.covariance(m.at + k, m.at + k).sqrt() * WIDE;
+            // What one standard deviation of each column is in each value.
+            let mut jacobian: Vec<(usize, Vec<f64>)> = Vec::new();
+            for k in 0..m.width {
+                let mut row = vec![0.0; n];
+                let sd = self.covariance(m.at + k, m.at + k).sqrt() * m.level;
                 let step = 1e-3 * sd;
                 let at = |by: f64| {
                     let mut b = linear.clone();
@@ -678,19 +732,33 @@ impl<'s, 'p> Last<'s, 'p> {
                         // A phase may have turned by a whole turn.
                         let by = u - l;
                         let by = if by.abs() > 3.0 && sd > 0.0 && by.abs() > 1e3 * step { 0.0 } else { by };
-                        *d = by / (2.0 * step) * WIDE;
+                        *d = by / (2.0 * step) * m.level;
                     }
                 }
+                jacobian.push((m.at + k, row));
             }
-            for (b, (v, sd)) in m.bent.iter().enumerate() {
-                jacobian[m.width + b][*v] = *sd;
+            for (b, bent) in m.bent.iter().enumerate() {
+                let mut row = vec![0.0; n];
+                row[bent.value] = bent.sd;
+                if let Some((with, per)) = bent.with {
+                    row[with] = per * bent.sd;
+                }
+                jacobian.push((m.at + m.width + b, row));
+            }
+            for (k, at, sd) in &m.left_out {
+                let mut coefficients = effect.coefficients();
+                coefficients[*k] += sd;
+                let mut other = effect.clone();
+                other.set_coefficients(&coefficients);
+                let row = other.values().iter().zip(effect.values()).map(|(a, b)| a - b).collect();
+                jacobian.push((*at, row));
             }
             let mut half = vec![0.0; n];
             for (v, h) in half.iter_mut().enumerate() {
                 let mut variance = 0.0;
-                for i in 0..jacobian.len() {
-                    for j in 0..jacobian.len() {
-                        variance += jacobian[i][v] * jacobian[j][v] * self.covariance(m.at + i, m.at + j);
+                for (i, a) in &jacobian {
+                    for (j, b) in &jacobian {
+                        variance += a[v] * b[v] * self.covariance(*i, *j);
                     }
                 }
                 *h = HALF_WIDTH * variance.max(0.0).sqrt();
@@ -739,10 +807,12 @@ impl<'s, 'p> Last<'s, 'p> {
                 let effect = &self.model[place];
                 let mut values = effect.values().to_vec();
                 let mut half = vec![0.0; values.len()];
-                let mut beyond = false;
-                for (i, k) in problem.known.iter().enumerate().filter(|(_, k)| k.effect == place) {
+                let own: Vec<usize> =
+                    (0..problem.known.len()).filter(|i| problem.known[*i].effect == place).collect();
+                let at: Vec<usize> = own.iter().map(|i| from + i).collect();
+                let mut beyond = is_beyond_chance(self.distance(&at), own.len());
+                for (i, k) in own.iter().map(|i| (*i, &problem.known[*i])) {
                     let sd = self.covariance(from + i, from + i).sqrt();
-                    beyond |= self.beta[from + i].abs() > MOVED * sd;
                     for (v, by) in &k.along {
                         values[*v] += by * self.beta[from + i];
                         half[*v] = HALF_WIDTH * (by * sd).abs();
@@ -755,11 +825,11 @@ impl<'s, 'p> Last<'s, 'p> {
                     let mut coefficients = e.coefficients();
                     let sizes = m.cause.coefficient_sizes(problem.rows);
                     for (k, c) in coefficients.iter_mut().enumerate().take(m.width) {
-                        *c += self.beta[m.at + k] * WIDE * sizes[k];
+                        *c += self.beta[m.at + k] * m.level * sizes[k];
                     }
                     e.set_coefficients(&coefficients);
                     values = e.values().to_vec();
-                    let sd = self.covariance(m.at, m.at).sqrt() * WIDE * sizes[0];
+                    let sd = self.covariance(m.at, m.at).sqrt() * m.level * sizes[0];
                     for (v, h) in half.iter_mut().enumerate() {
                         if v / effect.width() == 0 || *h > 0.0 {
                             *h = h.max(HALF_WIDTH * sd);
@@ -781,7 +851,7 @@ impl<'s, 'p> Last<'s, 'p> {
             let term = terms
                 .iter()
                 .find(|t| t.column.iter().zip(&both.1[0]).all(|(a, b)| (*a == 0.0) == (*b == 0.0)))?;
-            let size = crate::priors::JUMP_UM * WIDE;
+            let size = crate::priors::JUMP_UM * m.level;
             Some(SetUp {
                 record: term.record,
                 response: shape.response.clone(),
@@ -842,10 +912,16 @@ impl Found {
         }
     }
 
-    /// Whether its name holds its place.
+    /// Whether it has a size: an interval of one of its sizes that does not hold zero.
     #[must_use]
-    pub fn is_held(&self) -> bool {
-        self.name_mass >= HELD
+    pub fn has_size(&self) -> bool {
+        let Some(effect) = &self.effect else { return true };
+        let width = effect.width();
+        let parameters = effect.description().parameters.iter().enumerate();
+        parameters.filter(|(_, p)| matches!(p.search, How::Linear | How::Amplitude)).any(|(i, _)| {
+            let half = self.half.iter().skip(i * width);
+            effect.get(i).iter().zip(half).any(|(v, h)| v.abs() > *h)
+        })
     }
 }
 

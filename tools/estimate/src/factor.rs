@@ -4,6 +4,7 @@
 //! prior is a row below the data: [X; I] = Q R with orthonormal Q, by Gram–Schmidt applied twice where once leaves little (which is as
 //! stable as Householder's reflections; Giraud, Langou, Rozložník 2005). No Gram matrix of the data is formed.
 
+use std::ops::Range;
 use std::rc::Rc;
 
 /// Orthogonal factors of a growing set of columns, and what they leave of a response.
@@ -11,6 +12,8 @@ use std::rc::Rc;
 pub struct Factor {
     /// Upper parts (data rows) of the orthonormal columns.
     upper: Vec<Rc<[f64]>>,
+    /// Rows in which each of them is: a set-up term is its record's alone.
+    within: Vec<Range<usize>>,
     /// Lower parts (prior rows): column k has k + 1 entries.
     lower: Vec<Vec<f64>>,
     /// Columns of the triangle R.
@@ -112,6 +115,7 @@ impl Factor {
     pub fn new(response: &[f64]) -> Self {
         Self {
             upper: Vec::new(),
+            within: Vec::new(),
             lower: Vec::new(),
             triangle: Vec::new(),
             along: Vec::new(),
@@ -138,6 +142,13 @@ impl Factor {
     #[must_use]
     pub fn columns(&self) -> &[Rc<[f64]>] {
         &self.upper
+    }
+
+    /// Products of the orthonormal columns with another one.
+    #[must_use]
+    pub fn shares(&self, column: &[f64]) -> Vec<f64> {
+        let of = |(q, within): (&Rc<[f64]>, &Range<usize>)| dot(&q[within.clone()], &column[within.clone()]);
+        self.upper.iter().zip(&self.within).map(of).collect()
     }
 
     /// Products of the orthonormal columns with what the ones before them left of the response.
@@ -186,9 +197,13 @@ impl Factor {
                 break;
             }
             for i in 0..k {
-                let q = &self.upper[i];
-                let c = dot(q, &up) + dot(&self.lower[i], &low[..=i]);
-                add(&mut up, -c, q);
+                let within = self.within[i].clone();
+                let q = &self.upper[i][within.clone()];
+                let c = dot(q, &up[within.clone()]) + dot(&self.lower[i], &low[..=i]);
+                if c == 0.0 {
+                    continue;
+                }
+                add(&mut up[within], -c, q);
                 add(&mut low[..=i], -c, &self.lower[i]);
                 r[i] += c;
             }
@@ -207,6 +222,9 @@ impl Factor {
         add(&mut self.pulled, -along, &low);
         self.left -= along * along;
         self.half_log_det += size.ln();
+        let first = up.iter().position(|x| *x != 0.0).unwrap_or(0);
+        let last = up.iter().rposition(|x| *x != 0.0).map_or(first, |l| l + 1);
+        self.within.push(first..last);
         self.upper.push(up.into());
         self.lower.push(low);
         self.triangle.push(r);
@@ -225,6 +243,7 @@ impl Factor {
             out.half_log_det -= out.triangle[i][i].ln();
         }
         out.upper.truncate(k);
+        out.within.truncate(k);
         out.lower.truncate(k);
         out.triangle.truncate(k);
         out.along.truncate(k);

@@ -12,7 +12,7 @@ use crate::wave::Along;
 use rtec_model::effect::{
     Dictionary, Difference, Effect, Heat, Need, Point, Quantity, Refine, Search as How,
 };
-use rtec_model::record::Role;
+use rtec_model::record::{Axis, Record, Role};
 use std::sync::Arc;
 
 /// One name, or one shape.
@@ -136,7 +136,7 @@ impl Families {
                 scan,
             });
         }
-        all.time_waves(rows);
+        all.unnamed_waves(rows);
         let shapes = all.list.len() - named;
         for (i, f) in all.list.iter_mut().enumerate() {
             let (share, of) = if i < named { (NAMED_SHARE, named) } else { (1.0 - NAMED_SHARE, shapes) };
@@ -267,6 +267,9 @@ impl Families {
             let even = -(grid.len() as f64).ln();
             for Point { effect, .. } in grid {
                 let weight = even + implausible(&effect);
+                if weight == f64::NEG_INFINITY {
+                    continue;
+                }
                 let mut columns = Vec::new();
                 for s in &sensors {
                     let mut e = effect.clone();
@@ -307,7 +310,7 @@ impl Families {
             }
         }
         let mut points = Vec::new();
-        for (weight, cause) in grid {
+        for (weight, cause) in grid.into_iter().filter(|g| g.0.is_finite()) {
             let columns = cause.columns(rows);
             if columns.iter().any(|c| c.iter().any(|x| *x != 0.0)) {
                 points.push((self.bank.push(columns), weight, cause));
@@ -318,39 +321,64 @@ impl Families {
         }
     }
 
-    /// What repeats in time has no name.
-    fn time_waves(&mut self, rows: &Rows<'_>) {
+    /// What repeats in time has no name, nor what repeats along an axis of which nobody said where the circle stands on it.
+    fn unnamed_waves(&mut self, rows: &Rows<'_>) {
+        let in_time = |r: &Record| Some((r.time_s().to_vec(), vec![1.0; r.rows()]));
         for j in 0..rows.responses.len() {
-            let mut along = Vec::new();
-            let mut places = vec![0.0; rows.n];
-            let mut fastest = 0.0_f64;
-            for s in rows.segments.iter().filter(|s| s.response == j) {
-                let t = rows.record(s).time_s();
-                let span = t[t.len() - 1] - t[0];
-                if span > 0.0 {
-                    fastest = fastest.max(0.25 * t.len() as f64 / span);
-                }
-                for (i, t) in t.iter().enumerate() {
-                    places[s.rows.start + i] = *t;
-                    along.push((s.rows.start + i, *t, 1.0));
-                }
+            self.unnamed_wave(rows, j, "time", &in_time);
+            if !matches!(&rows.responses[j], Role::Error(axis) if axis.as_str() == "r") {
+                continue;
             }
-            let Some(along) = Along::new(along, [0.0, fastest]) else { continue };
-            let shape = Shape {
-                response: rows.responses[j].to_string(),
-                against: vec!["time".to_owned()],
-                manner: "periodic".to_owned(),
-            };
-            let scan = Scan::Wave { along, unit: 1.0, places };
-            self.list.push(Family {
-                effect: None,
-                replaces: None,
-                shape: Some(shape),
-                set_up: false,
-                prior: 0.0,
-                scan,
-            });
+            let circles = rows.records.iter().filter(|r| !r.knows_places()).filter_map(Record::circle);
+            let mut axes: Vec<&Axis> = circles.flat_map(|c| &c.plane).collect();
+            axes.sort();
+            axes.dedup();
+            for axis in axes {
+                let along = |r: &Record| {
+                    let circle = r.circle().filter(|_| !r.knows_places())?;
+                    let number = circle.plane.iter().position(|a| a == axis)?;
+                    let share = |a: &f64| [a.cos(), a.sin()][number];
+                    let share: Vec<f64> = r.data(&Role::Angle)?.iter().map(share).collect();
+                    Some((share.iter().map(|s| circle.radius_mm * s).collect(), share))
+                };
+                self.unnamed_wave(rows, j, &format!("position.{axis}"), &along);
+            }
         }
+    }
+
+    /// A wave without a name in one response: places of a record's rows, and the share of the wave that each shows.
+    fn unnamed_wave(
+        &mut self,
+        rows: &Rows<'_>,
+        response: usize,
+        against: &str,
+        of: &dyn Fn(&Record) -> Option<(Vec<f64>, Vec<f64>)>,
+    ) {
+        let mut along = Vec::new();
+        let mut all = vec![0.0; rows.n];
+        let mut fastest = 0.0_f64;
+        for s in rows.segments.iter().filter(|s| s.response == response) {
+            let Some((places, shares)) = of(rows.record(s)) else { continue };
+            let way: f64 = places.windows(2).map(|p| (p[1] - p[0]).abs()).sum();
+            if way > 0.0 {
+                fastest = fastest.max(0.25 * places.len() as f64 / way);
+            }
+            for (i, (place, share)) in places.iter().zip(&shares).enumerate() {
+                all[s.rows.start + i] = *place;
+                along.push((s.rows.start + i, *place, *share));
+            }
+        }
+        let Some(along) = Along::new(along, [0.0, fastest]) else { return };
+        let response = rows.responses[response].to_string();
+        let shape = Shape { response, against: vec![against.to_owned()], manner: "periodic".to_owned() };
+        self.list.push(Family {
+            effect: None,
+            replaces: None,
+            shape: Some(shape),
+            set_up: false,
+            prior: 0.0,
+            scan: Scan::Wave { along, unit: 1.0, places: all },
+        });
     }
 
     /// Log share of each of so many sensors alone, and of each pair.
@@ -364,17 +392,21 @@ impl Families {
     }
 }
 
-/// Log prior of a time constant that no sound machine has.
+/// Log prior of a time constant: none is shorter than a part of a machine takes, and few are longer.
 fn implausible(effect: &Effect) -> f64 {
     let of = |(i, p): (usize, &rtec_model::effect::Parameter)| {
-        let outside = !p.array && !(p.plausible[0]..=p.plausible[1]).contains(&effect.scalar(i));
-        outside && matches!(p.refine, Refine::TimeConstant(_))
+        let [shortest, longest] = p.plausible;
+        match (p.refine, p.array) {
+            (Refine::TimeConstant(_), false) if effect.scalar(i) < shortest => f64::NEG_INFINITY,
+            (Refine::TimeConstant(_), false) if effect.scalar(i) > longest => -IMPLAUSIBLE,
+            _ => 0.0,
+        }
     };
-    if effect.description().parameters.iter().enumerate().any(of) { -IMPLAUSIBLE } else { 0.0 }
+    effect.description().parameters.iter().enumerate().map(of).sum()
 }
 
 /// The constant of an axis: its share in every response.
-fn dictionary_constant(axis: &str) -> Option<Effect> {
+pub(crate) fn dictionary_constant(axis: &str) -> Option<Effect> {
     let dictionary = Dictionary::default();
     let law = dictionary
         .laws()

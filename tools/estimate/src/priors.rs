@@ -17,8 +17,20 @@ pub const CENTRE_UM: f64 = 50.0;
 pub const TURN_URAD: f64 = 100.0;
 /// How far from the axes' zero a circle may stand whose centre nobody told, mm, one standard deviation (physics: axes of 0.5 m).
 pub const PLACE_MM: f64 = 250.0;
+/// Travel of a measured axis, mm, in the middle, and by what factor it is off (physics: axes of 0.1 to 3 m; signal periods are
+/// measured over some mm). It tells mm from inches and metres.
+pub const TRAVEL_MM: [f64; 2] = [500.0, 3.0];
 /// Straight line in time of a laser's or gauge's reading, µm/h (physics: 1 K of air is 1 µm/m).
 pub const LINE_UM_PER_H: f64 = 1.0;
+/// It keeps its direction for so many hours (physics: a shift, a heating, the sun).
+pub const LINE_HOURS: f64 = 3.0;
+/// What air and stand do beside that line, µm, and for how long they remember, s (physics: half a metre of air that is 0.3 K warmer for
+/// ten minutes).
+pub const AIR_UM: f64 = 0.15;
+/// See [`AIR_UM`].
+pub const AIR_S: f64 = 600.0;
+/// So many directions of it are followed.
+pub const AIR_DIRECTIONS: usize = 8;
 /// A jump at a pause, µm, and its probability (physics: somebody touched the stand).
 pub const JUMP_UM: f64 = 3.0;
 /// See [`JUMP_UM`].
@@ -38,9 +50,13 @@ pub const PAIR_SHARE: f64 = 0.5;
 pub const AGAIN: f64 = 2.0;
 /// Prior share of usual periods (leads, gratings) among all periods (physics: catalogues).
 pub const USUAL_SHARE: f64 = 0.5;
+/// A usual period is met within this share (physics: 40 K of steel and a tenth of a millimetre per metre of lead error).
+pub const USUAL_WITHIN: f64 = 1e-3;
+/// What a wave within the signal period is of the largest that its scale still counts with (physics: 1 to 2 % of the period, of 25 %).
+pub const OF_MOST: f64 = 0.06;
 /// Prior probability that growth is bent, that is, has a square of ΔT (physics: spindles bend by some per cent).
 pub const BENT_SHARE: f64 = 0.25;
-/// Price of a time constant outside the dictionary's plausible range, nats (physics: parts of a machine take minutes to hours).
+/// Price of a time constant beyond the dictionary's plausible range, nats (physics: parts of a machine take minutes to hours).
 pub const IMPLAUSIBLE: f64 = 3.0;
 /// Size of a channel's or a shape's contribution, µm or N (physics: what a machine leaves is some µm).
 pub const CONTRIBUTION: f64 = 3.0;
@@ -82,8 +98,8 @@ pub const HELD: f64 = 0.95;
 pub const THERE: f64 = 0.5;
 /// A rival within these odds is listed, nats (1 to 20).
 pub const LISTED: f64 = 3.0;
-/// A known parameter is corrected that moved so many standard errors (one in ten thousand by chance).
-pub const MOVED: f64 = 3.9;
+/// A known effect is corrected whose parameters chance takes so far with less than this probability (contract: "beyond chance").
+pub const CHANCE: f64 = 1e-4;
 /// Half width of a 95 % interval in standard errors.
 pub const HALF_WIDTH: f64 = 1.96;
 

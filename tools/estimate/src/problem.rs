@@ -1,10 +1,11 @@
 //! The measurement model y = M(θ) + Z(η) + H(β, ψ) + e, linear in all but ψ: what is beside every hypothesis.
 
 use crate::factor::{Factor, add, dot};
-use crate::priors::{KNOWN_SHARE, MOST_PHI, MOVED, TAIL_FREEDOM};
+use crate::priors::{CHANCE, KNOWN_SHARE, MOST_PHI, TAIL_FREEDOM};
 use crate::rows::{Noise, Rows};
 use crate::setup::{self, Term};
 use rtec_model::effect::{Effect, Refine, Search};
+use statrs::distribution::{ChiSquared, ContinuousCDF as _};
 
 /// A way in which a known effect may be a little off.
 #[derive(Debug, Clone)]
@@ -95,7 +96,7 @@ pub fn in_step(rows: &Rows<'_>, model: &[Effect]) -> Vec<Effect> {
                 best = Some((gain, tried));
             }
         }
-        if let Some((_, tried)) = best.filter(|b| b.0 > as_given + 0.5 * MOVED * MOVED) {
+        if let Some((_, tried)) = best.filter(|b| is_beyond_chance(2.0 * (b.0 - as_given), 1)) {
             // Phase and period go together: the phase is that of the rows.
             let mut factor = base.factor.clone();
             for c in rows.basis(&tried) {
@@ -124,6 +125,12 @@ fn columns_gain(factor: &Factor, columns: &[Vec<f64>], freedom: f64) -> f64 {
         with.push(&c.iter().map(|x| x * 30.0).collect::<Vec<_>>());
     }
     0.5 * freedom * (factor.left() / with.left().max(1e-300)).ln()
+}
+
+/// Whether so many parameters that are together so far off, in standard deviations, squared, are off beyond chance.
+#[must_use]
+pub fn is_beyond_chance(distance: f64, parameters: usize) -> bool {
+    ChiSquared::new(parameters as f64).is_ok_and(|chance| chance.sf(distance.max(0.0)) < CHANCE)
 }
 
 /// A period is known to this share, one standard deviation (contract: as given, in the digits that people write).

@@ -128,10 +128,10 @@ pub fn left(record: &Record, model: &[Effect]) -> Vec<Vec<f64>> {
         noise.whiten(&rows, &mut y);
         y
     });
-    // What is set by hand, and the air: jumps are part of what a record shows.
+    // What is set by hand: lines and jumps in time are part of what a record shows.
     let by_hand = |t: &&crate::setup::Term| {
-        use crate::setup::What::{CentreFirst, CentreSecond, Line, Unplaced, Zero};
-        matches!(t.what, Zero | CentreFirst | CentreSecond | Line | Unplaced)
+        use crate::setup::What::{CentreFirst, CentreSecond, Unplaced, Zero};
+        matches!(t.what, Zero | CentreFirst | CentreSecond | Unplaced)
     };
     let terms: Vec<_> = problem.terms.iter().filter(by_hand).collect();
     for t in &terms {

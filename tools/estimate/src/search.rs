@@ -6,12 +6,13 @@ use crate::cause::Cause;
 use crate::factor::{Factor, dot};
 use crate::family::{Families, Family, Scan};
 use crate::priors::{
-    AGAIN, BENT_SHARE, HOPELESS, KEPT, LEVELS, LISTED, MOST_MEMBERS, MOST_SHAPES, STRONG, TRIED, USUAL_SHARE,
-    WORTHLESS,
+    AGAIN, BENT_SHARE, CONTRIBUTION, HOPELESS, KEPT, LEVELS, LISTED, MOST_MEMBERS, MOST_SHAPES, STRONG,
+    TRIED, USUAL_SHARE, USUAL_WITHIN, WORTHLESS,
 };
 use crate::problem::{Base, Problem};
+use crate::rows::Rows;
 use crate::shapes::changing_wave;
-use rtec_model::effect::{Difference, Effect, Refine, Search as How};
+use rtec_model::effect::{Difference, Effect, Heat, Refine, Search as How};
 use rtec_model::record::Axis;
 use std::cell::RefCell;
 use std::collections::HashMap;
@@ -84,9 +85,13 @@ pub struct Search<'p> {
 /// Whitened columns.
 type Columns = Vec<Vec<f64>>;
 
-/// Waves whose columns are kept.
 /// So many of the usual periods are tried exactly, beside the largest of all.
 const USUAL_TRIED: usize = 3;
+/// So many frequencies of a wave are tried exactly.
+const PEAKS: usize = 12;
+/// So many temperature differences of a law are tried exactly.
+const DIFFERENCES: usize = 4;
+/// Waves whose columns are kept.
 const WAVES_KEPT: usize = 400;
 
 /// Evidence of columns at each level of their size.
@@ -201,8 +206,7 @@ impl<'p> Search<'p> {
     pub fn gain(&self, factor: &Factor, columns: &[Vec<f64>]) -> Gain {
         let p = columns.len();
         let along: Vec<f64> = columns.iter().map(|c| dot(c, factor.residual())).collect();
-        let shares: Vec<Vec<f64>> =
-            columns.iter().map(|c| factor.columns().iter().map(|q| dot(c, q)).collect()).collect();
+        let shares: Vec<Vec<f64>> = columns.iter().map(|c| factor.shares(c)).collect();
         let mut among = vec![0.0; p * p];
         for i in 0..p {
             for j in 0..=i {
@@ -226,6 +230,11 @@ impl<'p> Search<'p> {
     /// A set with one member more; `None` where its values are impossible.
     #[must_use]
     pub fn with(&self, set: &Set, seed: &Seed) -> Option<Set> {
+        self.built(set, self.weighed(set, seed)?.1)
+    }
+
+    /// One more member of a set, and the score that the set has with it, but for what counts being whole says.
+    fn weighed(&self, set: &Set, seed: &Seed) -> Option<(f64, Member)> {
         if set.members.len() >= MOST_MEMBERS {
             return None;
         }
@@ -241,6 +250,11 @@ impl<'p> Search<'p> {
             prior: prior + level_weight,
             columns: Rc::new(columns),
         };
+        Some((set.score + prior + gain.best, member))
+    }
+
+    /// The set with that member.
+    fn built(&self, set: &Set, member: Member) -> Option<Set> {
         let mut factor = set.factor.clone();
         push(&mut factor, &member);
         let mut members = set.members.clone();
@@ -327,11 +341,14 @@ impl<'p> Search<'p> {
     }
 
     /// Whether all effects are within their physical bounds.
-    fn possible(&self, set: &Set) -> bool {
+    #[must_use]
+    pub fn possible(&self, set: &Set) -> bool {
         let beta = self.coefficients(set);
         set.members.iter().zip(&beta).all(|(m, b)| {
             self.family(m.family).replaces.is_some()
-                || m.cause.solved(self.problem.rows, b).is_none_or(|e| e.is_physical())
+                || m.cause
+                    .solved(self.problem.rows, b)
+                    .is_none_or(|e| e.is_physical() && !turns_back(self.problem.rows, &e))
         })
     }
 
@@ -406,13 +423,13 @@ impl<'p> Search<'p> {
                     }
                 }
                 Scan::Wave { along, .. } if along.is_long() && !long => {}
-                Scan::Wave { along, unit, places } => {
+                Scan::Wave { along, unit, .. } => {
                     let weighed = weighed.get_or_insert_with(|| {
                         let mut r = set.factor.residual().to_vec();
                         self.base.noise.transpose(self.problem.rows, &mut r);
                         r
                     });
-                    let mut at = along.peaks(weighed, 5);
+                    let mut at = along.peaks(weighed, PEAKS);
                     let facts = family.effect.as_ref().and_then(|e| e.description().searched.wave);
                     if let Some(facts) = facts {
                         // The usual ones have half of the prior, and look like others on a grid; some are finer than the spectrum goes.
@@ -420,7 +437,7 @@ impl<'p> Search<'p> {
                         at.extend(along.near(weighed, &usual, 3e-4).into_iter().take(USUAL_TRIED));
                     }
                     for f in at {
-                        let Some(cause) = self.wave(family, f, *unit, places) else { continue };
+                        let Some(cause) = self.wave(family, f) else { continue };
                         let weight = wave_weight(family, f, *unit, along.range(), along.span());
                         let key = (number, f.to_bits());
                         let known = self.waves.borrow().get(&key).cloned();
@@ -455,13 +472,13 @@ impl<'p> Search<'p> {
     ) -> Vec<Seed> {
         let n = sensors.len();
         let [alone, paired] = Families::sensor_weights(n);
-        let mut best: Vec<(f64, f64, usize, usize, usize)> = Vec::new();
+        // Of each difference the best time constant: score, weight, place in the grid.
+        let mut best = vec![(f64::NEG_INFINITY, 0.0, 0); n * n];
         let mut all = Vec::new();
         for (k, (group, weight, _)) in points.iter().enumerate() {
             let (columns, at) = self.families.bank.group(*group);
             let along = &look.along[columns];
             let among = |i: usize, j: usize| look.among[at + i * n + j];
-            let mut top = (f64::NEG_INFINITY, 0.0, k, 0, 0);
             for i in 0..n {
                 for j in i..n {
                     let (h, s, w) = if i == j {
@@ -471,15 +488,16 @@ impl<'p> Search<'p> {
                     };
                     let score = w + weight + gain_of_one(s, h, left, self.base.freedom).total;
                     all.push(score);
-                    if score > top.0 {
-                        top = (score, w + weight, k, i, j);
+                    if score > best[i * n + j].0 {
+                        best[i * n + j] = (score, w + weight, k);
                     }
                 }
             }
-            best.push(top);
         }
+        let mut best: Vec<_> =
+            best.into_iter().enumerate().map(|(at, (score, w, k))| (score, w, k, at / n, at % n)).collect();
         best.sort_by(|a, b| b.0.total_cmp(&a.0));
-        best.truncate(2);
+        best.truncate(DIFFERENCES);
         let total = log_sum(all);
         let first = best.first().map_or(0.0, |b| b.0);
         best.into_iter()
@@ -493,39 +511,26 @@ impl<'p> Search<'p> {
     }
 
     /// A wave at a frequency.
-    fn wave(&self, family: &Family, frequency: f64, unit: f64, places: &[f64]) -> Option<Cause> {
+    fn wave(&self, family: &Family, frequency: f64) -> Option<Cause> {
+        let Scan::Wave { along, unit, .. } = &family.scan else { return None };
         if let Some(effect) = &family.effect {
             let effect = effect.with(&[(0, 1.0 / (frequency * unit))])?;
             return Some(Cause::Effect { effect, free: 2, reference: false });
         }
-        let shape = family.shape.clone()?;
-        let number = self.problem.rows.responses.iter().position(|r| r.to_string() == shape.response)?;
-        let mut columns = vec![vec![0.0; self.problem.rows.n]; 2];
-        for s in self.problem.rows.segments.iter().filter(|s| s.response == number) {
-            for i in s.rows.clone() {
-                let (sin, cos) = (std::f64::consts::TAU * frequency * places[i]).sin_cos();
-                columns[0][i] = crate::priors::CONTRIBUTION * sin;
-                columns[1][i] = crate::priors::CONTRIBUTION * cos;
-            }
-        }
-        Some(Cause::Shape(Arc::new((shape, columns))))
+        let columns = along.wave(frequency, self.problem.rows.n, CONTRIBUTION);
+        Some(Cause::Shape(Arc::new((family.shape.clone()?, columns.into()))))
     }
 
     /// Where else a wave looks the same at these places: the likeliest beforehand of them.
     #[must_use]
     pub fn alike(&self, member: &Member) -> Vec<Seed> {
         let family = self.family(member.family);
-        let (Scan::Wave { along, unit, places }, Some(effect)) = (&family.scan, member.cause.effect()) else {
+        let (Scan::Wave { along, unit, .. }, Some(effect)) = (&family.scan, member.cause.effect()) else {
             return Vec::new();
         };
         let of = |f: f64| {
             let weight = wave_weight(family, f, *unit, along.range(), along.span());
-            Some(Seed {
-                family: member.family,
-                cause: self.wave(family, f, *unit, places)?,
-                weight,
-                score: weight,
-            })
+            Some(Seed { family: member.family, cause: self.wave(family, f)?, weight, score: weight })
         };
         let mut all: Vec<Seed> =
             along.alike(1.0 / (effect.scalar(0) * unit)).into_iter().filter_map(of).collect();
@@ -581,13 +586,22 @@ impl<'p> Search<'p> {
             }
         }
         let before = self.gain(factor, &self.columns(&seed.cause)).total;
-        let score = seed.score + (best - before).max(0.0) + narrower;
+        // A usual period that the rows do not keep is none.
+        let at = |e: Option<&Effect>| self.weight_at(seed.family, e);
+        let less = narrower + at(Some(&now)) - at(seed.cause.effect());
         Seed {
             family: seed.family,
             cause: seed.cause.with_effect(now),
-            weight: seed.weight + narrower,
-            score,
+            weight: seed.weight + less,
+            score: seed.score + (best - before).max(0.0) + less,
         }
+    }
+
+    /// Log prior weight of a wave's period; zero for what is none.
+    fn weight_at(&self, family: usize, effect: Option<&Effect>) -> f64 {
+        let family = self.family(family);
+        let (Scan::Wave { along, unit, .. }, Some(effect)) = (&family.scan, effect) else { return 0.0 };
+        wave_weight(family, 1.0 / (effect.scalar(0) * unit), *unit, along.range(), along.span())
     }
 
     /// Richer forms of a seed: growth that bends, another reference temperature, a wave that changes.
@@ -642,23 +656,38 @@ impl<'p> Search<'p> {
         seeds.retain(|s| kind(self.family(s.family)));
         let Some(top) = seeds.first().map(|s| s.score) else { return Vec::new() };
         let mut out: Vec<Set> = Vec::new();
+        let mut forms: Vec<(f64, usize, Member)> = Vec::new();
         let mut waves = 0;
-        for seed in seeds.into_iter().take(TRIED) {
+        for (number, seed) in seeds.into_iter().take(TRIED).enumerate() {
             if seed.score < (top - HOPELESS).max(WORTHLESS) {
                 break;
             }
             let seed = self.refined(&set.factor, &seed);
-            let mut forms = Self::richer(&seed);
-            if matches!(self.family(seed.family).scan, Scan::Wave { .. }) && waves < 2 {
+            let mut own = Self::richer(&seed);
+            let wave = matches!(self.family(seed.family).scan, Scan::Wave { .. });
+            if wave && waves < 2 {
                 waves += 1;
-                forms.extend(self.changing(&seed));
+                own.extend(self.changing(&seed));
             }
-            let plain = self.with(set, &seed);
-            out.extend(plain.as_ref().and_then(|p| self.with_beside(p)));
-            forms.push(seed);
-            let best =
-                forms.iter().filter_map(|f| self.with(set, f)).max_by(|a, b| a.score.total_cmp(&b.score));
-            out.extend(best);
+            if wave {
+                out.extend(self.with(set, &seed).and_then(|p| self.with_beside(&p)));
+            }
+            own.push(seed);
+            forms
+                .extend(own.iter().filter_map(|f| self.weighed(set, f)).map(|(score, m)| (score, number, m)));
+        }
+        // Only what is kept is fitted.
+        forms.sort_by(|a, b| b.0.total_cmp(&a.0));
+        let counts = |m: &Member| m.cause.effect().is_some_and(|e| e.description().whole_counts);
+        let mut done: Vec<usize> = Vec::new();
+        for (_, number, member) in forms {
+            if done.contains(&number) || done.len() >= most && !counts(&member) {
+                continue;
+            }
+            if let Some(built) = self.built(set, member) {
+                done.push(number);
+                out.push(built);
+            }
         }
         out.sort_by(|a, b| b.score.total_cmp(&a.score));
         out.truncate(most);
@@ -797,7 +826,7 @@ impl<'p> Search<'p> {
             let before = best.score;
             for i in (0..best.members.len()).rev() {
                 let without = self.without(&best, i);
-                if without.score > best.score {
+                if without.score > best.score && self.possible(&without) {
                     best = without;
                     continue;
                 }
@@ -925,6 +954,17 @@ fn push(factor: &mut Factor, member: &Member) {
     }
 }
 
+/// Whether a growth shrinks at one end of the temperatures that were seen and grows at the other: no part does.
+fn turns_back(rows: &Rows<'_>, effect: &Effect) -> bool {
+    let [per_k, per_k2] = effect.coefficients()[..] else { return false };
+    if effect.description().heat != Heat::Growth || per_k2 == 0.0 {
+        return false;
+    }
+    let warm = rows.basis(effect).swap_remove(0);
+    let (lo, hi) = warm.iter().fold((0.0_f64, 0.0_f64), |(l, h), x| (l.min(*x), h.max(*x)));
+    (per_k + 2.0 * per_k2 * lo) * (per_k + 2.0 * per_k2 * hi) < 0.0
+}
+
 /// The axis that a member acts on.
 fn axis_of(m: &Member) -> Option<Axis> {
     m.cause.effect().and_then(|e| e.axes().first().cloned())
@@ -956,7 +996,7 @@ fn wave_weight(family: &Family, frequency: f64, unit: f64, [from, to]: [f64; 2],
     };
     let period_mm = 1.0 / (frequency * unit) * facts.unit_mm;
     let usual: Vec<f64> = facts.usual_mm.iter().flat_map(|p| [*p, 0.5 * p]).collect();
-    let near = usual.iter().any(|u| (period_mm / u - 1.0).abs() < cell.max(2e-3));
+    let near = usual.iter().any(|u| (period_mm / u - 1.0).abs() < USUAL_WITHIN);
     let usual = if near { USUAL_SHARE / usual.len() as f64 } else { 0.0 };
     ((1.0 - USUAL_SHARE) * even + usual).ln()
 }
@@ -967,6 +1007,8 @@ struct Move {
     /// First step.
     step: f64,
     how: Refine,
+    /// What the rows can show of it.
+    range: [f64; 2],
 }
 
 impl Move {
@@ -978,6 +1020,7 @@ impl Move {
             Refine::Stays => 1.0 / (1.0 / v + by),
             _ => v * by.exp(),
         };
+        let to = to.clamp(self.range[0], self.range[1]);
         effect.with(&[(self.parameter, to)])
     }
 }
@@ -987,13 +1030,35 @@ fn moves(family: &Family, effect: &Effect) -> Vec<Move> {
         return Vec::new();
     }
     if let Scan::Wave { along, unit, .. } = &family.scan {
-        return vec![Move { parameter: 0, step: 0.2 / along.span() * unit, how: Refine::Stays }];
+        let step = 0.2 / along.span() * unit;
+        return vec![Move { parameter: 0, step, how: Refine::Stays, range: EVERYTHING }];
     }
-    let of = |(i, p): (usize, &rtec_model::effect::Parameter)| match p.refine {
-        Refine::Step(s) | Refine::Factor(s) | Refine::TimeConstant(s) if p.search == How::Smooth => {
-            Some(Move { parameter: i, step: s, how: p.refine })
-        }
-        _ => None,
+    let of = |(parameter, p): (usize, &rtec_model::effect::Parameter)| {
+        let (Refine::Step(step) | Refine::Factor(step) | Refine::TimeConstant(step)) = p.refine else {
+            return None;
+        };
+        let range = family.range(parameter);
+        (p.search == How::Smooth).then_some(Move { parameter, step, how: p.refine, range })
     };
     effect.description().parameters.iter().enumerate().filter_map(of).collect()
+}
+
+/// No bounds.
+const EVERYTHING: [f64; 2] = [f64::NEG_INFINITY, f64::INFINITY];
+
+impl Family {
+    /// From where to where its grid goes in one parameter: what the rows can show of it.
+    fn range(&self, parameter: usize) -> [f64; 2] {
+        let wider = |[lo, hi]: [f64; 2], effect: &Effect| {
+            let v = effect.scalar(parameter);
+            [lo.min(v), hi.max(v)]
+        };
+        let none = [f64::INFINITY, f64::NEG_INFINITY];
+        let [lo, hi] = match &self.scan {
+            Scan::Grid(points) => points.iter().filter_map(|p| p.2.effect()).fold(none, wider),
+            Scan::Sensors { points, .. } => points.iter().map(|p| &p.2).fold(none, wider),
+            _ => none,
+        };
+        if lo < hi { [lo, hi] } else { EVERYTHING }
+    }
 }

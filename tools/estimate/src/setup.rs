@@ -1,8 +1,13 @@
 //! What belongs to how the instrument stood and never to the machine: free in every record, never named, never written into a
 //! model, never corrected live. One function per term; a new one is its function and a line in [`TERMS`].
 
-use crate::priors::{CENTRE_UM, CONTRIBUTION, LINE_UM_PER_H, PAUSE_STEPS, PLACE_MM, TURN_URAD, ZERO_UM};
+use crate::family::dictionary_constant;
+use crate::priors::{
+    AIR_DIRECTIONS, AIR_S, AIR_UM, CENTRE_UM, CONTRIBUTION, KNOTS, LINE_HOURS, LINE_UM_PER_H, PAUSE_STEPS,
+    PLACE_MM, TURN_URAD, ZERO_UM,
+};
 use crate::rows::{Rows, Segment, is_placed};
+use crate::smooth::{Kernel, directions, knots, shares};
 use rtec_model::circle::Circle;
 use rtec_model::effect::{Effect, Search};
 use rtec_model::record::{Kind, Record, Role, Turns};
@@ -18,6 +23,8 @@ pub enum What {
     CentreSecond,
     /// A line in time, µm/h.
     Line,
+    /// What air and stand do beside the line, µm.
+    Air,
     /// A jump at a pause, µm.
     Jump,
     /// Rounding that rows of one reading share, µm.
@@ -49,7 +56,7 @@ pub struct Term {
 type Make = fn(&Rows<'_>, &[Effect], &mut Vec<Term>);
 
 /// All kinds of terms.
-pub const TERMS: [Make; 7] = [zeros, centres, lines, unplaced, turned, after_turns, dithered];
+pub const TERMS: [Make; 9] = [zeros, centres, lines, air, unplaced, turned, after_turns, begins, dithered];
 
 /// The set-up terms of these records.
 #[must_use]
@@ -115,7 +122,26 @@ fn lines(rows: &Rows<'_>, _: &[Effect], out: &mut Vec<Term>) {
         let (Some(t), true) = (record.data(&Role::Time), creeps) else { continue };
         // From the start on: there the gauge was set to zero.
         let hours = column(rows, s, |i| (t[i] - t[0]) / 3600.0);
-        out.push(Term { what: What::Line, record: s.record, column: hours, sd: LINE_UM_PER_H });
+        // Nothing creeps one way for longer.
+        let whole = t.last().map_or(0.0, |last| (last - t[0]) / 3600.0);
+        let sd = LINE_UM_PER_H * (LINE_HOURS / whole.max(1e-9)).min(1.0);
+        out.push(Term { what: What::Line, record: s.record, column: hours, sd });
+    }
+}
+
+/// What air and stand do beside that: a walk that is pulled back.
+fn air(rows: &Rows<'_>, _: &[Effect], out: &mut Vec<Term>) {
+    for s in errors(rows) {
+        let record = rows.record(s);
+        let creeps = matches!(record.kind, Kind::Positioning | Kind::Drift);
+        let (Some(t), true) = (record.data(&Role::Time), creeps) else { continue };
+        let places = knots(t, KNOTS);
+        let (Some(first), Some(last)) = (places.first(), places.last()) else { continue };
+        let length = AIR_S.max(0.1 * (last - first));
+        for d in directions(&places, Kernel::Rough(length), &[vec![1.0; places.len()]], AIR_DIRECTIONS) {
+            let at = |i: usize| shares(&places, t[i]).iter().map(|(k, w)| w * d[*k]).sum();
+            out.push(Term { what: What::Air, record: s.record, column: column(rows, s, at), sd: AIR_UM });
+        }
     }
 }
 
@@ -375,9 +401,28 @@ fn unplaced(rows: &Rows<'_>, model: &[Effect], out: &mut Vec<Term>) {
             None => effect.coefficients().iter().map(|c| c.abs()).collect(),
         };
         for (record, column) in unplaced_columns(rows, effect, &sizes) {
+            // The same lobes of several effects are one term: variances add.
+            let same = |t: &&mut Term| {
+                t.what == What::Unplaced && t.record == record && proportional(&t.column, &column)
+            };
+            if let Some(t) = out.iter_mut().find(same) {
+                let by = rms(&column) / rms(&t.column);
+                t.sd = t.sd.hypot(by);
+                continue;
+            }
             out.push(Term { what: What::Unplaced, record, column, sd: 1.0 });
         }
     }
+}
+
+fn rms(column: &[f64]) -> f64 {
+    (crate::factor::dot(column, column) / column.len().max(1) as f64).sqrt()
+}
+
+fn proportional(a: &[f64], b: &[f64]) -> bool {
+    let together = crate::factor::dot(a, b).abs() / a.len().max(1) as f64;
+    let apart = rms(a) * rms(b);
+    apart > 0.0 && together > (1.0 - 1e-12) * apart
 }
 
 /// Each plate lies turned a little of its own: what they are turned by on average is a rotation, and stays the contract's.
@@ -418,6 +463,40 @@ pub fn first_after_turn(record: &Record, direction: &[f64]) -> Vec<usize> {
         return Vec::new();
     }
     (1..direction.len()).filter(|i| direction[*i] * direction[i - 1] < 0.0).collect()
+}
+
+/// Nobody knows whether an axis came the other way before a record begins: a spike of the model may stand there too, up to the first
+/// turn.
+fn begins(rows: &Rows<'_>, model: &[Effect], out: &mut Vec<Term>) {
+    for effect in model.iter().filter(|e| e.description().after_turn) {
+        let Some(axis) = effect.axes().first() else { continue };
+        let values = [Search::Linear, Search::Smooth].map(|how| effect.description().place(how));
+        let ([Some(um), Some(length)], Some(constant)) = (values, dictionary_constant(axis.as_str())) else {
+            continue;
+        };
+        let share = rows.basis(&constant).swap_remove(0);
+        for s in errors(rows) {
+            let record = rows.record(s);
+            let (position, direction) = (Role::Position(axis.clone()), Role::Direction(axis.clone()));
+            let (Some(p), Some(d)) = (record.data(&position), record.data(&direction)) else { continue };
+            let way = d.iter().copied().find(|d| *d != 0.0).unwrap_or(0.0);
+            let until = d.iter().position(|d| d * way < 0.0).unwrap_or(d.len());
+            let mut travel = 0.0;
+            let spike = |i: usize| {
+                if i > 0 {
+                    travel += (p[i] - p[i - 1]).abs();
+                }
+                let here = if i < until { d[i] * share[s.rows.start + i] } else { 0.0 };
+                here * effect.scalar(um) * (-travel / effect.scalar(length)).exp()
+            };
+            out.push(Term {
+                what: What::AfterTurn,
+                record: s.record,
+                column: column(rows, s, spike),
+                sd: 1.0,
+            });
+        }
+    }
 }
 
 /// Such readings say nothing of a reversal spike.

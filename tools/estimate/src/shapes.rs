@@ -2,7 +2,7 @@
 //! function and a line in [`SHAPES`].
 
 use crate::cause::Shape;
-use crate::factor::add;
+use crate::factor::{add, dot};
 use crate::priors::{CONTRIBUTION, KNOTS, LENGTHS};
 use crate::rows::Rows;
 use crate::smooth::{Kernel, directions, knots, shares};
@@ -88,6 +88,19 @@ impl<'r> Response<'r> {
         })
     }
 
+    /// Directions of the other axes.
+    fn other_directions(&self) -> Vec<(Axis, String, Vec<f64>)> {
+        let Some(first) = self.rows.segments.iter().find(|s| s.response == self.number) else {
+            return Vec::new();
+        };
+        let others = self.rows.record(first).axes(Role::Direction).filter(|a| Some(*a) != self.axis.as_ref());
+        let of = |a: &Axis| {
+            let role = Role::Direction(a.clone());
+            Some((a.clone(), role.to_string(), self.role(&role)?))
+        };
+        others.filter_map(of).collect()
+    }
+
     fn time(&self) -> Vec<f64> {
         self.get(&|r| Some(r.time_s().to_vec())).unwrap_or_default()
     }
@@ -128,6 +141,17 @@ impl<'r> Response<'r> {
 
     /// A smooth function of a variable; without its constant, and without its line where a name explains that.
     fn smooth(&self, v: &[f64], kernel: &dyn Fn(f64) -> Kernel, line: bool) -> Vec<Vec<f64>> {
+        let line: &[fn(f64) -> f64] = if line { &[|x| x] } else { &[] };
+        self.smooth_without(v, kernel, line)
+    }
+
+    /// A smooth function of a variable; without its constant, and without these functions, which have names.
+    fn smooth_without(
+        &self,
+        v: &[f64],
+        kernel: &dyn Fn(f64) -> Kernel,
+        named: &[fn(f64) -> f64],
+    ) -> Vec<Vec<f64>> {
         let values: Vec<f64> = self.own.iter().map(|i| v[*i]).collect();
         let knots = knots(&values, KNOTS);
         if knots.len() < 4 || self.own.len() < FEWEST {
@@ -135,14 +159,15 @@ impl<'r> Response<'r> {
         }
         let k = knots.len();
         let range = knots[k - 1] - knots[0];
-        let mut without = vec![vec![0.0; k]; 2];
+        let mut without = vec![vec![0.0; k]; 1 + named.len()];
         for x in &values {
             for (i, w) in shares(&knots, *x) {
                 without[0][i] += w;
-                without[1][i] += w * (x - knots[0]) / range;
+                for (row, f) in without[1..].iter_mut().zip(named) {
+                    row[i] += w * f(*x);
+                }
             }
         }
-        without.truncate(if line { 2 } else { 1 });
         let found = directions(&knots, kernel(range), &without, RANK);
         let mut out = vec![vec![0.0; self.rows.n]; found.len()];
         for i in &self.own {
@@ -161,6 +186,25 @@ fn times(columns: Vec<Vec<f64>>, by: &[f64]) -> Vec<Vec<f64>> {
     columns.into_iter().map(of).collect()
 }
 
+/// What of a column is none of others.
+fn apart(mut column: Vec<f64>, others: &[Vec<f64>]) -> Vec<f64> {
+    let whole = dot(&column, &column);
+    let mut basis: Vec<Vec<f64>> = Vec::new();
+    let mut reduce = |c: &mut Vec<f64>, keep: bool| {
+        for b in &basis {
+            let share = dot(c, b);
+            add(c, -share, b);
+        }
+        let size = dot(c, c).sqrt();
+        if keep && size > 0.0 {
+            basis.push(c.iter().map(|x| x / size).collect());
+        }
+    };
+    others.iter().for_each(|o| reduce(&mut o.clone(), true));
+    reduce(&mut column, false);
+    if dot(&column, &column) < 1e-9 * whole { vec![0.0; column.len()] } else { column }
+}
+
 /// Over half the range: from −1 to 1.
 fn unit(x: &[f64], own: &[usize]) -> Vec<f64> {
     let (lo, hi) = own.iter().fold((f64::MAX, f64::MIN), |(l, h), i| (l.min(x[*i]), h.max(x[*i])));
@@ -170,12 +214,14 @@ fn unit(x: &[f64], own: &[usize]) -> Vec<f64> {
 fn along_scalars(r: &Response<'_>, out: &mut Vec<Shaped>) {
     for (label, data) in r.scalars() {
         for length in LENGTHS {
-            // A line of a temperature, speed or load has a name; one of time has not.
-            let line = label != "time" && !label.starts_with("cycle");
-            out.push((
-                r.shape(&[&label], "smooth"),
-                r.smooth(&data, &|range| Kernel::Smooth(length * range), line),
-            ));
+            // A line of a temperature, speed or load has a name; one of time has not. Friction has more names.
+            let named: &[fn(f64) -> f64] = match label.as_str() {
+                l if l == "time" || l.starts_with("cycle") => &[],
+                l if l.starts_with("velocity") => &[|v| v, sign, f64::abs],
+                _ => &[|x| x],
+            };
+            let columns = r.smooth_without(&data, &|range| Kernel::Smooth(length * range), named);
+            out.push((r.shape(&[&label], "smooth"), columns));
         }
     }
 }
@@ -209,6 +255,10 @@ fn with_position(r: &Response<'_>, out: &mut Vec<Shaped>) {
 }
 
 fn with_direction(r: &Response<'_>, out: &mut Vec<Shaped>) {
+    for (axis, name, d) in r.other_directions() {
+        let signs = r.over(&|i| CONTRIBUTION * d[i]);
+        out.push((r.shape(&[&name], &format!("differs by the direction of {axis}")), vec![signs]));
+    }
     let Some((d_name, d)) = r.direction() else { return };
     let t = r.time();
     let in_time = times(r.smooth(&t, &|range| Kernel::Smooth(LENGTHS[0] * range), false), &d);
@@ -223,11 +273,14 @@ fn with_direction(r: &Response<'_>, out: &mut Vec<Shaped>) {
 fn with_velocity(r: &Response<'_>, out: &mut Vec<Shaped>) {
     let Some((name, v)) = r.axis_role(Role::Velocity) else { return };
     let top = r.own.iter().fold(1e-12_f64, |m, i| m.max(v[*i].abs()));
-    let of = |f: &dyn Fn(f64) -> f64| vec![r.over(&|i| CONTRIBUTION * f(v[i] / top))];
+    // Friction, lag and backlash have names: a shape is what is left beside them.
+    let named = [r.over(&|_| 1.0), v.clone(), r.over(&|i| sign(v[i])), r.over(&|i| v[i].abs())];
+    let of = |f: &dyn Fn(f64) -> f64| vec![apart(r.over(&|i| CONTRIBUTION * f(v[i] / top)), &named)];
     out.push((r.shape(&[&name], "quadratic, with the sign of the velocity"), of(&|v| v * v.abs())));
     out.push((r.shape(&[&name], "quadratic"), of(&|v| v * v)));
     if !r.rows.is_force(r.number) {
-        out.push((r.shape(&[&name], "in proportion to the speed"), of(&f64::abs)));
+        let speed = vec![r.over(&|i| CONTRIBUTION * v[i].abs() / top)];
+        out.push((r.shape(&[&name], "in proportion to the speed"), speed));
     }
     for v0 in [0.05, 0.15, 0.4] {
         let stribeck = move |v: f64| sign(v) * (-(v / v0).powi(2)).exp();

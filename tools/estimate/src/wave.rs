@@ -18,6 +18,8 @@ pub struct Along {
     pitch: f64,
     length: usize,
     transform: Arc<dyn Fft<f64>>,
+    /// At each frequency the products of cosine and sine, without their means: with themselves and with each other.
+    products: Vec<[f64; 3]>,
 }
 
 impl fmt::Debug for Along {
@@ -31,6 +33,8 @@ const PER_PERIOD: f64 = 6.0;
 const LONGEST: usize = 1 << 18;
 /// Frequency steps in shares of one turn over the whole range.
 const STEP: f64 = 0.35;
+/// What sine and cosine show of their power at least, to be told from a constant.
+const ALONE: f64 = 0.01;
 
 /// Two waves look the same at places that show so much of the power of their difference as if it were none (physics: what is left of
 /// one beside the other is a tenth of its size).
@@ -55,13 +59,52 @@ impl Along {
         let pitch = whole / length as f64;
         let to = to.min(0.4 / pitch);
         let transform = FftPlanner::new().plan_fft_forward(length);
-        (to > from).then_some(Self { rows, range: [from, to], span, from: lo, pitch, length, transform })
+        if to <= from {
+            return None;
+        }
+        let products = Vec::new();
+        let mut new = Self { rows, range: [from, to], span, from: lo, pitch, length, transform, products };
+        new.products = new.products();
+        Some(new)
+    }
+
+    fn products(&self) -> Vec<[f64; 3]> {
+        let (n, whole) = self.rows.iter().fold((0.0, 0.0), |(n, w), r| (n + 1.0, w + r.2 * r.2));
+        let (_, once) = self.transformed(self.rows.iter().map(|r| (r.1, r.2)));
+        let (_, squared) = self.transformed(self.rows.iter().map(|r| (r.1, r.2 * r.2)));
+        let of = |i: usize| {
+            // What a wave of twice the frequency sums to says how much of the power is the cosine's.
+            let (mean, twice) = (once[i], squared[2 * i]);
+            [
+                0.5 * (whole + twice.re) - mean.re * mean.re / n,
+                0.5 * (whole - twice.re) - mean.im * mean.im / n,
+                0.5 * twice.im - mean.re * mean.im / n,
+            ]
+        };
+        (0..self.length / 4).map(of).collect()
     }
 
     /// Range of the places.
     #[must_use]
     pub fn span(&self) -> f64 {
         self.span
+    }
+
+    /// Middle of the places.
+    #[must_use]
+    pub fn middle(&self) -> f64 {
+        self.from + 0.5 * self.span
+    }
+
+    /// Sine and cosine of a frequency at all of `n` rows, of this size.
+    #[must_use]
+    pub fn wave(&self, frequency: f64, n: usize, size: f64) -> [Vec<f64>; 2] {
+        let mut out = [vec![0.0; n], vec![0.0; n]];
+        for (row, place, share) in &self.rows {
+            let (sin, cos) = (std::f64::consts::TAU * frequency * place).sin_cos();
+            (out[0][*row], out[1][*row]) = (size * share * sin, size * share * cos);
+        }
+        out
     }
 
     /// Whether its spectrum takes as long as all other looks together.
@@ -136,44 +179,53 @@ impl Along {
         shifts.flat_map(of).filter(|f| (self.range[0]..=self.range[1]).contains(f)).collect()
     }
 
-    /// Frequencies at which a weighted residual has the largest power, best first.
+    /// Frequencies at which a wave explains most of a weighted residual, best first. At few places sine and cosine may look alike, or
+    /// like a constant: what counts is what both explain beside one.
     #[must_use]
     pub fn peaks(&self, residual: &[f64], most: usize) -> Vec<f64> {
-        let (step, power) = self.spectrum(residual);
+        let (step, sums) = self.transformed(self.rows.iter().map(|r| (r.1, residual[r.0] * r.2)));
         let first = (self.range[0] / step).ceil() as usize;
-        let last = ((self.range[1] / step) as usize).min(power.len() - 2);
-        let mut peaks: Vec<(f64, f64)> = Vec::new();
-        for i in first..=last {
-            let p = power[i];
-            let left = if i > first { power[i - 1] } else { 0.0 };
-            let right = if i < last { power[i + 1] } else { 0.0 };
-            if p >= left && p > right {
-                peaks.push((p, i as f64 * step));
-            }
-        }
-        peaks.sort_by(|a, b| b.0.total_cmp(&a.0));
+        let last = ((self.range[1] / step) as usize).min(self.products.len() - 1);
+        let ridge = ALONE * self.rows.iter().map(|r| r.2 * r.2).sum::<f64>();
+        let explained = |i: usize| {
+            let [cc, ss, cs] = self.products[i];
+            let (cc, ss) = (cc.max(0.0) + ridge, ss.max(0.0) + ridge);
+            let (c, s) = (sums[i].re, sums[i].im);
+            (ss * c * c + cc * s * s - 2.0 * cs * c * s) / (cc * ss - cs * cs).max(ridge * ridge)
+        };
+        let all: Vec<f64> = (first..=last).map(explained).collect();
+        let at = |i: usize| all.get(i).copied().unwrap_or(0.0);
+        let is_peak = |i: &usize| at(*i) >= i.checked_sub(1).map_or(0.0, at) && at(*i) > at(i + 1);
+        let mut peaks: Vec<usize> = (0..all.len()).filter(is_peak).collect();
+        peaks.sort_by(|a, b| at(*b).total_cmp(&at(*a)));
         peaks.truncate(most);
-        peaks.into_iter().map(|p| p.1).collect()
+        peaks.into_iter().map(|i| (first + i) as f64 * step).collect()
     }
 
     /// Step of frequency, and the power of a weighted residual at each.
     fn spectrum(&self, residual: &[f64]) -> (f64, Vec<f64>) {
+        let (step, sums) = self.transformed(self.rows.iter().map(|r| (r.1, residual[r.0] * r.2)));
+        (step, sums.iter().map(Complex::norm_sqr).collect())
+    }
+
+    /// Step of frequency, and at each what values at places sum to with cosine and sine.
+    fn transformed(&self, values: impl Iterator<Item = (f64, f64)>) -> (f64, Vec<Complex<f64>>) {
         let mut grid = vec![Complex::new(0.0, 0.0); self.length];
-        for (row, place, share) in &self.rows {
+        for (place, x) in values {
             let u = (place - self.from) / self.pitch;
             let (i, w) = (u.floor() as usize % self.length, u.fract());
-            let x = residual[*row] * share;
             grid[i].re += (1.0 - w) * x;
             grid[(i + 1) % self.length].re += w * x;
         }
         self.transform.process(&mut grid);
-        let power = |i: usize| {
+        grid.truncate(self.length / 2);
+        for (i, sum) in grid.iter_mut().enumerate() {
             // Linear spreading damps short periods.
             let x = std::f64::consts::PI * i as f64 / self.length as f64;
             let damped = if x > 0.0 { (x.sin() / x).powi(2) } else { 1.0 };
-            grid[i].norm_sqr() / (damped * damped)
-        };
-        (1.0 / (self.pitch * self.length as f64), (0..self.length / 2).map(power).collect())
+            *sum = sum.conj() / damped;
+        }
+        (1.0 / (self.pitch * self.length as f64), grid)
     }
 }
 

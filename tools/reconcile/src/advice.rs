@@ -1,9 +1,9 @@
 //! The experiment that would separate what these data cannot.
 
 use crate::answer::Finding;
-use crate::cause::Shape;
 use crate::extent::{self, GRID_SHARE};
 use crate::verdict::Verdict;
+use rtec_estimate::Shape;
 use rtec_model::effect::{Dictionary, Effect, Wave};
 use rtec_model::record::{Axis, Record, Role};
 
@@ -68,14 +68,14 @@ fn other_periods(effect: &Effect, train: &[Record]) -> Option<String> {
 fn as_good(f: &Finding) -> Option<String> {
     let others: Vec<String> =
         f.rivals.iter().filter_map(|r| Some(format!("{:.4}", r.differs.as_ref()?.1))).collect();
-    let parameter = f.effect.description().parameters.first()?;
-    let unit = &parameter.unit;
+    let parameters = &f.effect.description().parameters;
+    let at = parameters.iter().position(|p| p.tells_apart && !p.array)?;
+    let (key, unit) = (&parameters[at].name, &parameters[at].unit);
     (!others.is_empty()).then(|| {
         format!(
-            "at the targets of {} a period of {:.4} {unit} explains no more than {} {unit}: more targets, at uneven distances, \
-             tell which it is",
+            "{key} = {:.4} {unit} of {} explains no more than {} {unit}: more places, at uneven distances, tell which it is",
+            f.effect.scalar(at),
             f.effect.name(),
-            f.effect.scalar(0),
             others.join(", ")
         )
     })
@@ -163,7 +163,15 @@ mod tests {
         };
         let rivals =
             vec![rival("thermal_growth.z", Some("T2")), rival("warm_up.z", None), rival("warm_up.z", None)];
-        let finding = Finding { effect, held: Vec::new(), p_value: 0.0, evidence: 9.0, rivals };
+        let finding = Finding {
+            effect,
+            held: Vec::new(),
+            p_value: 0.0,
+            evidence: 9.0,
+            name_mass: 0.6,
+            mode_mass: 1.0,
+            rivals,
+        };
         let text = advice(Verdict::NotSeparable, &[(finding, Vec::new())], &[], &[], &dictionary);
         assert!(text.contains("sensors T1 and T2 saw the same"), "{text}");
         assert_eq!(

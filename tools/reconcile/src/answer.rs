@@ -1,10 +1,9 @@
-//! The answer of an analysis, before anything is written: what was found, what else it might be, what is left.
+//! What an estimate says of the records, as findings: effects with a name, shapes without one, corrections of the model.
 
-use crate::cause::Shape;
+use rtec_estimate::{Estimate, Found, Shape};
 use rtec_model::effect::{Difference, Effect};
-
-/// Rounds of block permutation.
-pub(crate) const ROUNDS: usize = 40;
+use rtec_model::machine::Machine;
+use rtec_model::record::Record;
 
 /// Another explanation of the same thing.
 #[derive(Debug, Clone, PartialEq)]
@@ -38,35 +37,14 @@ pub struct Finding {
     pub held: Vec<usize>,
     /// Probability that chance alone explains as much.
     pub p_value: f64,
-    /// Log likelihood gained, less the price of its freedom.
+    /// Log odds of the set with it against the set without it.
     pub evidence: f64,
+    /// What its name holds of its place among all names, 0 to 1.
+    pub name_mass: f64,
+    /// What its mode (a period, a number of lobes) holds of its name.
+    pub mode_mass: f64,
     /// What the data cannot tell from it.
     pub rivals: Vec<Rival>,
-}
-
-/// The answer, before anything is written.
-#[derive(Debug)]
-pub struct Answer {
-    /// Effects to add, strongest first.
-    pub findings: Vec<Finding>,
-    /// Structure that no effect explains.
-    pub unexplained: Vec<Shape>,
-    /// The model's own effects with their parameters as the data have them, before the last fit.
-    pub present: Vec<Effect>,
-    /// The model's own effects as the file has them.
-    pub file: Vec<Effect>,
-    /// The same with the periods that were found by a search: what a fit starts from and is held to.
-    pub anchor: Vec<Effect>,
-    /// Every name that was tried as the next one, best first: log odds against what was accepted.
-    pub ranking: Vec<Tried>,
-    /// What is left unexplained, and the noise's coefficient.
-    pub residual: Vec<f64>,
-    /// First-order autocorrelation of the noise.
-    pub phi: f64,
-    /// Size of the noise per response.
-    pub sigma: Vec<f64>,
-    /// Log likelihood of the best account of the records, in their own units, less the price of its freedom.
-    pub evidence: f64,
 }
 
 /// A name that was tried.
@@ -74,8 +52,85 @@ pub struct Answer {
 pub struct Tried {
     /// Name, with its sensors.
     pub label: String,
-    /// Log odds of the best set with it in place of the nearest accepted effect (or beside them).
+    /// Log odds against what was accepted in its place.
     pub odds: f64,
     /// Whether it is in the answer.
     pub accepted: bool,
+}
+
+/// The answer, before anything is written.
+#[derive(Debug, Clone)]
+pub(crate) struct Answer {
+    /// Effects with half widths of their intervals, strongest first.
+    pub(crate) findings: Vec<(Finding, Vec<f64>)>,
+    pub(crate) unexplained: Vec<Shape>,
+    pub(crate) estimate: Estimate,
+}
+
+/// Half widths of the intervals that a model states, effect by effect and value by value.
+pub(crate) fn stated(machine: &Machine) -> Vec<Vec<Option<f64>>> {
+    let of = |l: &rtec_model::machine::Listed| {
+        let width = l.effect.width();
+        let names = l.effect.description().parameters.iter();
+        names
+            .flat_map(|p| {
+                let pairs = l.provenance.interval.get(&p.name);
+                (0..width).map(move |i| pairs.and_then(|v| v.get(i)).map(|[lo, hi]| 0.5 * (hi - lo)))
+            })
+            .collect()
+    };
+    machine.listed().iter().map(of).collect()
+}
+
+/// Probability that chance alone gives odds like these: under chance a Bayes factor is one on average, so one of x comes with a
+/// probability below 1/x (Markov's inequality). The price of one more effect is no part of the prior over names.
+fn p_value(f: &Found) -> f64 {
+    (-f.evidence - rtec_estimate::priors::PRICE).exp().min(1.0)
+}
+
+/// What the records say beside a model, at a false-alarm rate.
+pub(crate) fn analyse(records: &[Record], machine: &Machine, level: f64) -> Answer {
+    let model: Vec<Effect> = machine.effects().cloned().collect();
+    let estimate = rtec_estimate::estimate(records, machine.dictionary(), &model, &stated(machine));
+    let mut findings = Vec::new();
+    let mut unexplained = Vec::new();
+    for f in estimate.found.iter().filter(|f| f.replaces.is_some() || p_value(f) <= level) {
+        match (&f.effect, &f.shape) {
+            // No name has its place where shapes hold half of it, nor where its size may be none.
+            (Some(effect), _) if f.shape_mass < rtec_estimate::priors::THERE && f.has_size() => {
+                findings.push((finding(f, effect), f.half.clone()));
+            }
+            (Some(effect), _) => {
+                let rows = rtec_estimate::rows::Rows::new(records);
+                unexplained.extend(Shape::like(&rows, effect, "not as any effect of the dictionary"));
+            }
+            (None, Some(shape)) => unexplained.push(shape.clone()),
+            (None, None) => {}
+        }
+    }
+    Answer { findings, unexplained, estimate }
+}
+
+/// Log evidence of the likeliest account of records.
+pub(crate) fn score(records: &[Record], machine: &Machine) -> f64 {
+    let model: Vec<Effect> = machine.effects().cloned().collect();
+    rtec_estimate::score(records, machine.dictionary(), &model, &stated(machine))
+}
+
+fn finding(f: &Found, effect: &Effect) -> Finding {
+    let rival = |r: &rtec_estimate::Rival| Rival {
+        name: r.name.clone(),
+        sensor: r.sensor.clone(),
+        differs: r.differs.clone(),
+        margin: r.margin,
+    };
+    Finding {
+        effect: effect.clone(),
+        held: f.held.clone(),
+        p_value: p_value(f),
+        evidence: f.evidence,
+        name_mass: f.name_mass / (1.0 - f.shape_mass).max(1e-9),
+        mode_mass: f.mode_mass,
+        rivals: f.rivals.iter().map(rival).collect(),
+    }
 }

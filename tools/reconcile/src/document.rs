@@ -3,7 +3,7 @@
 use crate::SEED;
 use crate::answer::{Finding, Rival};
 use crate::gap::Gap;
-use crate::verdict::{Reconciliation, Refined};
+use crate::verdict::{Reconciliation, Refined, SetUp};
 use crate::where_found::{LEAST_P, Place};
 use rtec_model::effect::{Against, Difference, Effect, Search};
 use serde_json::{Map, Value, json};
@@ -91,6 +91,29 @@ fn gap(g: &Gap) -> Value {
     })
 }
 
+/// Set-ups by record; the two parts of a centre as one.
+fn set_up(all: &[SetUp]) -> Value {
+    let of = |s: &SetUp| {
+        let mut map = Map::new();
+        let value = |key: &str| s.terms.iter().find(|t| t.0 == key).map(|t| t.1);
+        if let (Some(a), Some(b)) = (value("centre_um.0"), value("centre_um.1")) {
+            map.insert("centre_um".into(), json!([a, b]));
+        }
+        for (key, value, _) in s.terms.iter().filter(|t| !t.0.starts_with("centre_um")) {
+            let key = if s.terms.iter().filter(|t| t.0.starts_with("zero_um")).count() == 1
+                && key.starts_with("zero_um")
+            {
+                "zero_um"
+            } else {
+                key
+            };
+            map.insert(key.into(), json!(value));
+        }
+        (s.record.clone(), Value::Object(map))
+    };
+    Value::Object(all.iter().map(of).collect())
+}
+
 impl Reconciliation {
     /// The document of formats.md.
     #[must_use]
@@ -106,6 +129,8 @@ impl Reconciliation {
                 "response": s.response, "against": s.against, "manner": s.manner,
             })).collect::<Vec<_>>(),
             "gap": if let [one] = &gaps[..] { one.clone() } else { json!(gaps) },
+            "confirmed": self.confirmed,
+            "set_up": set_up(&self.set_up),
             "suspicions": self.suspicions,
             "left_out": self.left_out,
             "nothing_said_of": self.unsaid.iter().map(|u| &u.record).collect::<Vec<_>>(),

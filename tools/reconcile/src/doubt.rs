@@ -2,33 +2,16 @@
 //! shows beside the model, a record that agrees with it only with another sign, unit, direction or sensor. What is doubted
 //! is left out of the analysis and said; it is never named as an effect.
 
-use crate::answer::Answer;
 use crate::gap::{self, Gap, Trace};
-use crate::lanes;
-use crate::problem::{Stack, rms};
-use crate::suspected::{ALIKE, about, centred, is_of_clock, is_one_of_several, is_sensor, simulated, whole};
-use crate::swapped::{exchanged, swapped_alike, with_exchanged};
-use crate::undone::{exchanged_columns, is_as_told, is_of_round_mm, other_units, slopes, times};
+use crate::suspected::{about, is_of_clock, is_one_of_several, is_sensor, whole};
 use crate::verdict::Unsaid;
-use crate::weighed::{Mistake, weighed};
 use rtec_measure::plausible::{self, Suspicion, What};
 use rtec_model::effect::{Effect, Heat};
 use rtec_model::machine::Machine;
-use rtec_model::record::{Column, Record, Role};
+use rtec_model::record::{Column, Record};
 
-/// Nor is a mistake believed where the model explains more than this as the record stands.
-const UNLIKE: f64 = 0.3;
-/// The same for the other sign, where the model makes the record far worse.
-const OPPOSITE: f64 = 0.45;
-/// The same for what changes the model's side alone: so much of the variance that was left is left.
-const BETTER: f64 = 0.2;
-/// Positions are in another unit only where straight lines over them leave so many times the variance that the unit leaves; no
-/// machine has lines steeper than this, µm/mm (the bound of a scale and of a squareness).
-const NO_PLAINER: f64 = 1.2;
-const STEEPEST: f64 = 1.0;
-/// A row is wild that is so many robust standard deviations off; more than this share of them are no wild rows.
-const WILD: f64 = 20.0;
-const MOST_WILD: f64 = 0.12;
+/// A gap that is so many times as wide afterwards is no chance.
+const WORSE: f64 = 1.1;
 /// Fewer rows tell nothing.
 const FEWEST: usize = 12;
 /// A hold-out that the better model leaves so many times the training's remainder of is of another machine, or state.
@@ -47,14 +30,8 @@ pub(crate) struct Doubts {
     of_holdout: Vec<Suspicion>,
 }
 
-/// Looks at all records beside each other and beside the model. What a hold-out shows changes nothing of the training.
-/// `looked_at`: what an analysis of records comes to.
-pub(crate) fn doubts(
-    train: &[Record],
-    holdout: &[Record],
-    machine: &Machine,
-    looked_at: &dyn Fn(&[Record]) -> Option<Answer>,
-) -> Doubts {
+/// Looks at all records by themselves and beside each other. What a hold-out shows changes nothing of the training.
+pub(crate) fn doubts(train: &[Record], holdout: &[Record], machine: &Machine) -> Doubts {
     let all: Vec<&Record> = train.iter().chain(holdout).collect();
     let twice = plausible::repeated(&all);
     let again = |(first, k): &(usize, usize)| Suspicion::again(all[*first], all[*k]);
@@ -66,17 +43,7 @@ pub(crate) fn doubts(
         (0..records.len()).filter(new).map(|k| records[k].clone()).collect()
     };
     let (train, holdout) = (once(0, train), once(train.len(), holdout));
-    let against_model = |records: &[Record], said: &mut Vec<Suspicion>| {
-        // Without what is off by itself: an open input's code is no sign of anything else.
-        let left = records.iter().filter_map(|r| without(r, said, machine).map(|(r, _)| r));
-        let left: Vec<Record> = left.collect();
-        let mistakes = left.iter().map(|r| beside_the_model(r, machine)).collect();
-        let found = weighed(&left, mistakes, machine, looked_at);
-        said.extend(swapped_alike(&left, &found, machine));
-        said.extend(found);
-    };
-    let mut of_train = plausible::suspicions(&train);
-    against_model(&train, &mut of_train);
+    let of_train = plausible::suspicions(&train);
     let mut together =
         if holdout.is_empty() { Vec::new() } else { plausible::suspicions(&[&train[..], &holdout].concat()) };
     together.retain(|s| !of_train.contains(s));
@@ -88,7 +55,6 @@ pub(crate) fn doubts(
         s.what == What::Sign && of_train.iter().any(|t| (t.what, &t.column) == (s.what, &s.column))
     };
     of_holdout.retain(|s| !turned(s));
-    against_model(&holdout, &mut of_holdout);
     said.extend(of_train.iter().chain(&beside).chain(&of_holdout).cloned());
     let (left, rows): (Vec<Record>, Vec<Vec<usize>>) =
         train.iter().filter_map(|r| without(r, &of_train, machine)).unzip();
@@ -135,6 +101,17 @@ impl Doubts {
             gone.filter(|r| !again(r)).map(unsaid).collect()
         };
         [of(train, &self.train), of(holdout, &held)].concat()
+    }
+
+    /// More that is doubted of hold-outs: they are left out.
+    pub(crate) fn also_held(&mut self, more: Vec<Suspicion>) {
+        self.said.extend(more.iter().cloned());
+        self.of_holdout.extend(more);
+    }
+
+    /// The hold-outs as they are given, once each.
+    pub(crate) fn given_hold_outs(&self) -> &[Record] {
+        &self.holdout
     }
 
     /// More that is doubted of whole records of the training.
@@ -230,201 +207,15 @@ pub(crate) fn reads_clock(effect: &Effect) -> bool {
     law.lag.is_some() || law.heat == Heat::FromStart
 }
 
-/// The mistakes that the record and the model show together, likeliest first: each leaves far less than the record as it stands.
-fn beside_the_model(record: &Record, machine: &Machine) -> Vec<Mistake> {
-    if record.rows() < FEWEST || machine.effects().next().is_none() {
-        return Vec::new();
-    }
-    let mut found: Vec<Mistake> = record.responses().flat_map(|c| of_response(record, c, machine)).collect();
-    let columns = exchanged_columns(record, machine);
-    found.extend(columns.map(|(pair, undone)| Mistake::new(swapped(record, &pair), undone)));
-    found
-}
-
-/// So many rows that go on have to be there, and this share of them has to go the way that is logged.
-const ROWS_THAT_GO: usize = 10;
-const AS_TOLD: f64 = 0.9;
-
-/// Whether an axis went from row to row the way that its direction or velocity says: then a reversal that is opposite to the model's is
-/// the machine's.
-fn goes_as_told(record: &Record) -> bool {
-    let told = record.columns.iter().filter_map(|c| match &c.role {
-        Role::Direction(axis) | Role::Velocity(axis) => Some((axis, &c.data)),
-        _ => None,
-    });
-    told.filter_map(|(axis, way)| Some((record.data(&Role::Position(axis.clone()))?, way))).any(|(p, way)| {
-        let (agree, asked) = plausible::agreement(p, way);
-        asked >= ROWS_THAT_GO && agree >= AS_TOLD
-    })
-}
-
-/// Those that one response shows.
-fn of_response(record: &Record, c: &Column, machine: &Machine) -> Vec<Mistake> {
-    let (y, s) = (centred(&c.data), simulated(record, &c.role, machine));
-    let share = |by: f64, s: &[f64]| {
-        let left: Vec<f64> = y.iter().zip(s).map(|(y, s)| by * y - s).collect();
-        1.0 - (rms(&left) / (by * rms(&y)).abs().max(1e-300)).powi(2)
-    };
-    let now = share(1.0, &s);
-    let told = |what: What, column: &str, text: String| Suspicion::new(record, column, what, &[], text);
-    let missing: Vec<f64> = y.iter().zip(&s).map(|(y, s)| y - s).collect();
-    let beside =
-        |what: fn(&Role) -> bool| (beside_lines(record, &missing, what) / rms(&y).max(1e-300)).powi(2);
-    let mut found = Vec::new();
-    for (by, what, text) in RESPONSES {
-        // A model turned into its opposite by what is missing is so by an effect of the other sign, and that leaves less.
-        let opposite = by < 0.0
-            && share(by, &s) > OPPOSITE
-            && now < -1.0
-            && 1.0 - share(by, &s) < NO_PLAINER * beside(moves);
-        if opposite || share(by, &s) > ALIKE && now < UNLIKE {
-            let undone = times(record, &|o: &Column| o.name == c.name, by);
-            let said = told(what, &c.name, format!("it agrees with the model only {text}"));
-            found.push(Mistake { said, undone, larger: by.abs() });
-        }
-    }
-    // Where the model agrees already nothing else is looked for.
-    let left = 1.0 - now;
-    let better = |other: &Record| {
-        let left_then = 1.0 - share(1.0, &simulated(other, &c.role, machine));
-        left_then < BETTER * left && left_then < 1.0 - ALIKE
-    };
-    let direction = |c: &Column| matches!(c.role, Role::Direction(_) | Role::Velocity(_));
-    let turned = times(record, &direction, -1.0);
-    if better(&turned) && !goes_as_told(record) {
-        let text = "the run agrees with the model only with the directions exchanged";
-        let first = record.columns.iter().find(|c| direction(c));
-        let said = told(What::Direction, first.map_or("", |c| c.name.as_str()), text.to_owned());
-        found.push(Mistake::new(said, turned));
-    }
-    let line = beside(position);
-    for (column, alone) in in_units(record) {
-        let which = |c: &Column| if alone { c.name == column.name } else { position(&c.role) };
-        for (by, unit) in other_units(&column.role) {
-            let other = times(record, &which, *by);
-            if !better(&other) {
-                continue;
-            }
-            let then = simulated(&other, &c.role, machine);
-            // A scale that is farther off than the model says is the plainer answer, but for one by just that much.
-            let no_plainer = position(&column.role) && line > NO_PLAINER * (1.0 - share(1.0, &then));
-            if no_plainer || !is_of_round_mm(column) && is_as_told(&y, &s, &then) {
-                let (name, called) = (&column.name, &column.unit);
-                let text = format!(
-                    "the run agrees with the model only with {name} {by} times this: given in {unit}, called {called}?"
-                );
-                found.push(Mistake::new(told(What::Unit, name, text), other));
-            }
-        }
-    }
-    let sensors = exchanged(record, c, machine);
-    found.extend(sensors.map(|pair| {
-        let undone = with_exchanged(record, &pair[0], &pair[1]);
-        Mistake::new(swapped(record, &pair), undone)
-    }));
-    found
-}
-
-/// What a response may be given as, how many times larger it is then, and how that is said.
-const RESPONSES: [(f64, What, &str); 5] = [
-    (-1.0, What::Sign, "with the other sign: nominal minus measured?"),
-    (1e3, What::Unit, "1000 times as large: given in mm, called µm?"),
-    (25.4, What::Unit, "25.4 times as large: given in thousandths of an inch, called µm?"),
-    (25.4e3, What::Unit, "25400 times as large: given in inches, called µm?"),
-    (1e-3, What::Unit, "1000 times smaller: given in nm?"),
-];
-
-fn swapped(record: &Record, [a, b]: &[String; 2]) -> Suspicion {
-    let text = format!("the run agrees with the model only with {a} and {b} exchanged");
-    Suspicion::new(record, a, What::Swapped, &[], text)
-}
-
-/// The columns that may be in another unit, positions all together first and then one by one (`true`: it alone).
-fn in_units(record: &Record) -> Vec<(&Column, bool)> {
-    let all = record.columns.iter().find(|c| position(&c.role));
-    let each = record.columns.iter().filter(|c| !other_units(&c.role).is_empty());
-    all.map(|c| (c, false)).into_iter().chain(each.map(|c| (c, true))).collect()
-}
-
-fn position(role: &Role) -> bool {
-    matches!(role, Role::Position(_))
-}
-
-/// What an axis's place and motion give by themselves: a scale or a squareness, a reversal, a following error.
-fn moves(role: &Role) -> bool {
-    matches!(role, Role::Position(_) | Role::Direction(_) | Role::Velocity(_))
-}
-
-/// RMS of what straight lines over these columns leave of what the model leaves; all of it where a machine has no such lines.
-fn beside_lines(record: &Record, missing: &[f64], what: fn(&Role) -> bool) -> f64 {
-    let columns: Vec<&Column> = record.columns.iter().filter(|c| what(&c.role)).collect();
-    let lines: Vec<Vec<f64>> = columns.iter().map(|c| centred(&c.data)).collect();
-    let slopes = slopes(&lines.iter().collect::<Vec<_>>(), missing);
-    if columns.iter().zip(&slopes).any(|(c, um_per_mm)| position(&c.role) && um_per_mm.abs() > STEEPEST) {
-        return rms(missing);
-    }
-    let mut left = missing.to_vec();
-    for (line, slope) in lines.iter().zip(&slopes) {
-        lanes::minus(&mut left, *slope, line);
-    }
-    rms(&left)
-}
-
-/// Rows of each record that an answer leaves far off all others: single ones, and few. From 0.
-pub(crate) fn wild(records: &[Record], answer: &Answer) -> Vec<Vec<usize>> {
-    let stack = Stack::new(records);
-    let mut out = vec![Vec::new(); records.len()];
-    for s in &stack.segments {
-        let left = &answer.residual[s.rows.clone()];
-        let median = |mut v: Vec<f64>| {
-            v.sort_by(f64::total_cmp);
-            v[v.len() / 2]
-        };
-        if left.len() < FEWEST {
-            continue;
-        }
-        let middle = median(left.to_vec());
-        let spread = 1.4826 * median(left.iter().map(|r| (r - middle).abs()).collect());
-        let rows: Vec<usize> =
-            (0..left.len()).filter(|i| (left[*i] - middle).abs() > WILD * spread.max(1e-9)).collect();
-        let single = rows.windows(3).all(|w| w[2] > w[0] + 2);
-        if single && !rows.is_empty() && rows.len() as f64 <= MOST_WILD * left.len() as f64 + 1.0 {
-            out[s.record].extend(rows);
-        }
-    }
-    for rows in &mut out {
-        rows.sort_unstable();
-        rows.dedup();
-    }
-    out
-}
-
-/// What is said of them.
-pub(crate) fn say_wild(record: &Record, rows: &[usize]) -> Option<Suspicion> {
-    let response = record.responses().next()?;
-    let text = format!(
-        "{} of {} rows are far off all that explains the others: left out",
-        rows.len(),
-        record.rows()
-    );
-    Some(Suspicion::new(record, &response.name, What::Outliers, rows, text))
-}
-
-/// A record without some rows.
-pub(crate) fn without_rows(record: &Record, rows: &[usize]) -> Record {
-    let keep: Vec<usize> = (0..record.rows()).filter(|i| rows.binary_search(i).is_err()).collect();
-    if rows.is_empty() || keep.is_empty() { record.clone() } else { record.select(&keep) }
-}
-
 /// The hold-outs that the better model describes far worse than the training, and no better than the model as it was, by
 /// their numbers: how much of their gap is closed says nothing. `traces` are those of the hold-outs, record by record.
 pub(crate) fn other_machines(holdout: &[Record], traces: &[Trace], gap: &[Gap]) -> Vec<(usize, Suspicion)> {
     let mut found = Vec::new();
     for (k, (record, own)) in holdout.iter().zip(gap::by_record(holdout, traces)).enumerate() {
         for g in gap {
-            let floor = g.floor.max(g.train[1]);
+            let floor = g.floor.max(g.train[1]).max(rtec_estimate::setup::resolution_um(record));
             let Some([before, after]) = gap::pooled(own, &g.unit, true) else { continue };
-            let worse = after > gap::WORSE * before.max(g.floor) && after > 2.0 * floor;
+            let worse = after > WORSE * before.max(g.floor) && after > 2.0 * floor;
             if worse || (after > OTHER * floor && after > 0.7 * before) {
                 let unit = if g.unit == "um" { "µm" } else { g.unit.as_str() };
                 let text = format!(

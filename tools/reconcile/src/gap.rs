@@ -1,18 +1,15 @@
 //! How far measured and simulated are apart, before and after, and what the data itself repeats to.
 
-use crate::answer::Answer;
-use crate::fit::{self, Term};
-use crate::problem::{Segment, Stack, rms};
+use crate::answer::{Answer, stated};
+use rtec_estimate::problem::Problem;
+use rtec_estimate::refit::{Refit, left};
+use rtec_estimate::rows::Rows;
+use rtec_model::effect::Effect;
 use rtec_model::machine::Machine;
-use rtec_model::record::{Record, Role};
-use std::collections::BTreeMap;
+use rtec_model::record::Record;
 
 /// Folds of the blocked cross-validation.
 const FOLDS: usize = 5;
-/// A fold is of so many blocks where one is too long.
-const PIECES: usize = 4;
-/// Fewer degrees of freedom among repeats say nothing of the repeatability.
-const FEWEST_REPEATS: f64 = 10.0;
 
 /// How far measured and simulated are apart, for the responses of one unit.
 #[derive(Debug, Clone)]
@@ -28,14 +25,13 @@ pub struct Gap {
     pub without_strangers: Option<[f64; 2]>,
     /// The same by blocked cross-validation, where anything was fitted.
     pub blocked: Option<[f64; 2]>,
-    /// Repeatability of the data.
+    /// Noise of the data.
     pub floor: f64,
     /// The hold-out is doubted, or so few rows taught nothing: how much of the gap is closed says nothing.
     pub doubted: bool,
+    /// Rows of the hold-outs.
+    pub held_rows: usize,
 }
-
-/// A gap that is so many times as wide afterwards is no chance.
-pub(crate) const WORSE: f64 = 1.1;
 
 impl Gap {
     /// Share of the gap that is closed on the hold-out (or by cross-validation): 1 is down to the floor.
@@ -45,14 +41,16 @@ impl Gap {
         (before > self.floor && !self.doubted).then(|| ((before - after) / (before - self.floor)).max(0.0))
     }
 
-    /// Whether the gap of rows that nothing was learned from is wider afterwards, by cross-validation.
-    pub(crate) fn is_wider(&self) -> bool {
-        let [before, after] = self.blocked.unwrap_or(self.train);
-        after > WORSE * before.max(self.floor)
+    /// Whether the hold-out is no worse with what was found, but for chance (two standard errors of a mean square); `None` without one.
+    #[must_use]
+    pub fn confirmed(&self) -> Option<bool> {
+        let [before, after] = self.holdout?;
+        let chance = 1.0 + 2.0 * (2.0 / self.held_rows.max(1) as f64).sqrt();
+        Some(after * after <= (before * before).max(self.floor * self.floor) * chance)
     }
 }
 
-/// What the simulation leaves of one response of one record.
+/// What the simulation leaves of one response of one record, its set-up taken out.
 #[derive(Debug, Clone)]
 pub struct Trace {
     /// The record's file.
@@ -72,30 +70,18 @@ pub struct Trace {
 /// Measured minus simulated by the model as it was and by the better one, record by record.
 pub(crate) fn traces(train: &[Record], holdout: &[Record], before: &Machine, after: &Machine) -> Vec<Trace> {
     let mut out = Vec::new();
-    let zeros: Vec<_> = train.iter().chain(holdout).map(|r| &r.zero).collect();
+    let effects = |m: &Machine| -> Vec<Effect> { m.effects().cloned().collect() };
+    let (old, new) = (effects(before), effects(after));
     for (record, held) in train.iter().map(|r| (r, false)).chain(holdout.iter().map(|r| (r, true))) {
-        // A zero of its own is no gap.
-        let own_zero = record.zero.is_some() && zeros.iter().any(|z| **z != record.zero);
-        for column in record.responses() {
-            let left = |machine: &Machine| {
-                let mut sum = vec![0.0; record.rows()];
-                for e in machine.effects() {
-                    let _absent = e.add(record, &column.role, &mut sum);
-                }
-                let mut left: Vec<f64> = column.data.iter().zip(&sum).map(|(m, s)| m - s).collect();
-                let mean = if own_zero { left.iter().sum::<f64>() / left.len() as f64 } else { 0.0 };
-                for l in &mut left {
-                    *l -= mean;
-                }
-                left
-            };
+        let (before, after) = (left(record, &old), left(record, &new));
+        for ((column, before), after) in record.responses().zip(before).zip(after) {
             out.push(Trace {
                 file: record.file.clone(),
                 response: column.role.to_string(),
                 holdout: held,
                 time_s: record.time_s().to_vec(),
-                before: left(before),
-                after: left(after),
+                before,
+                after,
             });
         }
     }
@@ -106,41 +92,48 @@ fn unit_of(response: &str) -> &'static str {
     if response.starts_with("force") { "N" } else { "um" }
 }
 
-/// The gap of the responses of each unit.
-pub(crate) fn gaps(
-    stack: &Stack<'_>,
-    train: &[Record],
-    traces: &[Trace],
-    terms: &[Term],
-    answer: &Answer,
-) -> Vec<Gap> {
+pub(crate) fn rms<'v>(v: impl IntoIterator<Item = &'v f64>) -> f64 {
+    let (sum, n) = v.into_iter().fold((0.0, 0.0), |(s, n), x| (s + x * x, n + 1.0));
+    (sum / f64::max(n, 1.0)).sqrt()
+}
+
+/// The gap of the responses of each unit. `used`: the rows that were looked at.
+pub(crate) fn gaps(used: &[Record], traces: &[Trace], answer: &Answer, machine: &Machine) -> Vec<Gap> {
     let mut units: Vec<&str> = traces.iter().map(|t| unit_of(&t.response)).collect();
     units.sort_unstable();
     units.dedup();
-    let fitted = terms.iter().any(|t| t.half.iter().any(|h| *h > 0.0));
-    let folds = fitted.then(|| blocked(stack, terms, answer, 1));
-    let before = |unit: &str| pooled(traces, unit, false).map_or(0.0, |t| t[0]);
-    // What a block alone shows (a stretch of a map, where a plate is measured line by line) its absence leaves open: that is
-    // no prediction that fails. Shorter blocks leave a part of it.
-    let open = |all: &Vec<f64>| units.iter().any(|u| rms(&in_own_unit(stack, all, u)) > WORSE * before(u));
-    let blocked = folds.map(|all| if open(&all) { blocked(stack, terms, answer, PIECES) } else { all });
-    let freedom = terms.iter().flat_map(|t| &t.half).filter(|h| **h > 0.0).count() as f64;
+    let model: Vec<Effect> = machine.effects().cloned().collect();
+    let rows = Rows::new(used);
+    let found: Vec<Effect> = answer.findings.iter().map(|(f, _)| f.effect.clone()).collect();
+    let moved = answer.estimate.known.iter().any(|k| k.beyond_chance);
+    let noise = &answer.estimate.noise;
+    let blocked = (!found.is_empty() || moved).then(|| {
+        let problem = Problem::new(&rows, &model, &stated(machine));
+        Refit::new(&problem, &found).left_by_others(noise, FOLDS)
+    });
     let of = |unit: &str| {
-        let train_gap = pooled(traces, unit, false).unwrap_or([0.0; 2]);
-        let left = in_own_unit(stack, &answer.residual, unit);
-        let n = left.len() as f64;
-        let noise = rms(&left) * (n / (n - freedom).max(1.0)).sqrt();
-        let floor = repeatability(stack, train, answer, unit).unwrap_or(noise).min(noise);
-        let blocked = blocked.as_ref().map(|all| [train_gap[0], rms(&in_own_unit(stack, all, unit))]);
-        let holdout = pooled(traces, unit, true);
+        let of_unit = |j: usize| unit_of(&rows.responses[j].to_string()) == unit;
+        let own = || rows.segments.iter().filter(|s| of_unit(s.response));
+        let pick = |all: &[f64]| rms(own().flat_map(|s| &all[s.rows.clone()]));
+        let variance: f64 = own()
+            .map(|s| {
+                let (sigma, phi) = (noise.sigma[s.response], noise.phi[s.response]);
+                s.rows.len() as f64 * sigma * sigma / (1.0 - phi * phi)
+            })
+            .sum();
+        let n: f64 = own().map(|s| s.rows.len() as f64).sum();
+        let train = pooled(traces, unit, false).unwrap_or([0.0; 2]);
+        let held_rows =
+            traces.iter().filter(|t| t.holdout && unit_of(&t.response) == unit).map(|t| t.before.len()).sum();
         Gap {
             unit: unit.to_owned(),
-            train: train_gap,
-            holdout,
+            train,
+            holdout: pooled(traces, unit, true),
             without_strangers: None,
-            blocked,
-            floor,
+            blocked: blocked.as_ref().map(|all| [train[0], pick(all)]),
+            floor: (variance / n.max(1.0)).sqrt(),
             doubted: false,
+            held_rows,
         }
     };
     units.into_iter().map(of).collect()
@@ -150,7 +143,7 @@ pub(crate) fn gaps(
 pub(crate) fn pooled(traces: &[Trace], unit: &str, held: bool) -> Option<[f64; 2]> {
     let of: Vec<&Trace> =
         traces.iter().filter(|t| t.holdout == held && unit_of(&t.response) == unit).collect();
-    let pool = |f: fn(&Trace) -> &[f64]| rms(&of.iter().flat_map(|t| f(t)).copied().collect::<Vec<_>>());
+    let pool = |f: fn(&Trace) -> &[f64]| rms(of.iter().flat_map(|t| f(t)));
     (!of.is_empty()).then(|| [pool(|t| &t.before), pool(|t| &t.after)])
 }
 
@@ -172,84 +165,12 @@ pub(crate) fn without_strangers(gap: &mut [Gap], traces: &[Trace]) {
     }
 }
 
-/// The segments of a unit's responses.
-fn segments<'s>(stack: &'s Stack<'_>, unit: &str) -> impl Iterator<Item = &'s Segment> {
-    stack.segments.iter().filter(move |s| unit_of(&stack.responses[s.response].to_string()) == unit)
-}
-
-/// The rows of a unit's responses of a weighed column, in that unit.
-fn in_own_unit(stack: &Stack<'_>, weighed: &[f64], unit: &str) -> Vec<f64> {
-    let mut out = Vec::new();
-    for s in segments(stack, unit) {
-        out.extend(weighed[s.rows.clone()].iter().map(|r| r * stack.sigma[s.response]));
-    }
-    out
-}
-
-/// Spread among repeats at equal positions and directions, where a record has a cycle column: of what the best
-/// explanation leaves, so that a drift from cycle to cycle is no lack of repeatability.
-fn repeatability(stack: &Stack<'_>, train: &[Record], answer: &Answer, unit: &str) -> Option<f64> {
-    let (mut sum, mut freedom) = (0.0, 0.0);
-    for s in segments(stack, unit) {
-        let record = &train[s.record];
-        record.column(&Role::Cycle)?;
-        let keys: Vec<&[f64]> = record
-            .columns
-            .iter()
-            .filter(|c| {
-                matches!(c.role, Role::Position(_) | Role::Direction(_) | Role::Coolant | Role::Angle)
-            })
-            .map(|c| c.data.as_slice())
-            .collect();
-        if keys.is_empty() {
-            return None;
-        }
-        let mut groups: BTreeMap<Vec<i64>, Vec<f64>> = BTreeMap::new();
-        for (row, r) in answer.residual[s.rows.clone()].iter().enumerate() {
-            // Positions reached again differ by little: 50 µm is the same target.
-            let key = keys.iter().map(|k| (k[row] * 20.0).round() as i64).collect();
-            groups.entry(key).or_default().push(r * stack.sigma[s.response]);
-        }
-        for g in groups.values().filter(|g| g.len() > 1) {
-            let mean = g.iter().sum::<f64>() / g.len() as f64;
-            sum += g.iter().map(|x| (x - mean).powi(2)).sum::<f64>();
-            freedom += g.len() as f64 - 1.0;
-        }
-    }
-    (freedom > FEWEST_REPEATS).then(|| (sum / freedom).sqrt())
-}
-
-/// What the better model leaves of rows that its parameters were not fitted on, block by block, weighed; each fold is of so
-/// many blocks.
-fn blocked(stack: &Stack<'_>, terms: &[Term], answer: &Answer, pieces: usize) -> Vec<f64> {
-    let mut out = vec![0.0; stack.n];
-    for fold in 0..FOLDS {
-        let mut keep = vec![true; stack.n];
-        for s in &stack.ranges {
-            let (n, blocks) = (s.len(), FOLDS * pieces);
-            for b in (fold..blocks).step_by(FOLDS) {
-                keep[s.start + n * b / blocks..s.start + n * (b + 1) / blocks].fill(false);
-            }
-        }
-        let mut without = terms.to_vec();
-        fit::fit(stack, &mut without, answer.phi, 2, Some(&keep));
-        let r = fit::residual(stack, &without);
-        for (i, k) in keep.iter().enumerate() {
-            if !k {
-                out[i] = r[i];
-            }
-        }
-    }
-    out
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    #[test]
-    fn the_gap_is_closed_when_only_the_floor_is_left() {
-        let gap = |train, holdout, blocked, floor| Gap {
+    fn gap(train: [f64; 2], holdout: Option<[f64; 2]>, blocked: Option<[f64; 2]>, floor: f64) -> Gap {
+        Gap {
             unit: "um".into(),
             train,
             holdout,
@@ -257,12 +178,24 @@ mod tests {
             blocked,
             floor,
             doubted: false,
-        };
+            held_rows: 200,
+        }
+    }
+
+    #[test]
+    fn the_gap_is_closed_when_only_the_floor_is_left() {
         assert_eq!(gap([5.0, 1.0], None, None, 1.0).closed(), Some(1.0));
         // The hold-out counts where there is one, then the cross-validation.
         assert_eq!(gap([5.0, 1.0], Some([5.0, 3.0]), Some([5.0, 5.0]), 1.0).closed(), Some(0.5));
         assert_eq!(gap([5.0, 1.0], None, Some([5.0, 5.0]), 1.0).closed(), Some(0.0));
         assert_eq!(gap([1.0, 0.9], None, None, 1.0).closed(), None, "nothing to close");
+    }
+
+    #[test]
+    fn a_hold_out_confirms_unless_it_is_worse_than_chance() {
+        assert_eq!(gap([5.0, 1.0], None, None, 1.0).confirmed(), None);
+        assert_eq!(gap([5.0, 1.0], Some([2.0, 2.1]), None, 1.0).confirmed(), Some(true));
+        assert_eq!(gap([5.0, 1.0], Some([2.0, 4.0]), None, 1.0).confirmed(), Some(false));
     }
 
     #[test]

@@ -1,11 +1,7 @@
-//! What a suspicion is about, and the record beside what the model makes of it.
+//! What a suspicion is about.
 
 use rtec_measure::plausible::{Suspicion, What};
-use rtec_model::machine::Machine;
 use rtec_model::record::{Column, Record, Role};
-
-/// A mistake is believed where with it undone the model explains so much of the record's variance.
-pub(crate) const ALIKE: f64 = 0.8;
 
 /// Whether it is about this record.
 pub(crate) fn about(s: &Suspicion, record: &Record) -> bool {
@@ -47,19 +43,4 @@ pub(crate) fn whole(s: &Suspicion, record: &Record) -> bool {
         What::Range => !is_sensor(record, &s.column) && s.rows.is_empty(),
         _ => false,
     }
-}
-
-/// Minus its mean.
-pub(crate) fn centred(x: &[f64]) -> Vec<f64> {
-    let mean = x.iter().sum::<f64>() / x.len().max(1) as f64;
-    x.iter().map(|x| x - mean).collect()
-}
-
-/// What the model makes of a response, minus its mean, in the response's unit.
-pub(crate) fn simulated(record: &Record, role: &Role, machine: &Machine) -> Vec<f64> {
-    let mut sum = vec![0.0; record.rows()];
-    for e in machine.effects() {
-        let _absent = e.add(record, role, &mut sum);
-    }
-    centred(&sum)
 }

@@ -1,6 +1,5 @@
 //! Records for tests.
 
-use rtec_model::circle::Circle;
 use rtec_model::record::{Axis, Column, Kind, Record, Role};
 use std::path::Path;
 
@@ -34,20 +33,4 @@ pub(crate) fn noise(seed: u64, n: usize) -> Vec<f64> {
         state as f64 / u64::MAX as f64
     };
     (0..n).map(|_| (0..12).map(|_| uniform()).sum::<f64>() - 6.0).collect()
-}
-
-/// A circle read along its bar, as many rows of one turn in the plane of x and y, with a radial error by the angle in rad.
-pub(crate) fn circle(rows: usize, radius_mm: f64, error: impl Fn(f64) -> f64) -> Record {
-    let of = |f: &dyn Fn(f64) -> f64| {
-        (0..rows).map(|i| f(i as f64 * std::f64::consts::TAU / (rows - 1) as f64)).collect::<Vec<f64>>()
-    };
-    let of_axis = |name: &str| Axis::new(name).expect("a letter is an axis");
-    let columns = vec![
-        column("t", Role::Time, of(&|a| a)),
-        column("a", Role::Angle, of(&|a| a)),
-        column("r", Role::Error(of_axis("r")), of(&error)),
-    ];
-    let run = Record::new(Path::new("circle.run.toml"), Kind::Ballbar, columns).expect("a sound record");
-    let plane = [axis(), of_axis("y")];
-    run.with_circle(Circle { plane, radius_mm, centre_mm: None }).expect("a sound circle")
 }

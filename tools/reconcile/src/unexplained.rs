@@ -1,7 +1,7 @@
 //! A bounded stand-in for a shape that no effect of the dictionary explains: a broken line over what the shape runs
 //! along, constant beyond the range that was seen. It is a law of the project's own file, marked as unexplained.
 
-use crate::cause::Shape;
+use rtec_estimate::Shape;
 use rtec_model::effect::{Against, Difference, Effect, STANDARD_DEGC};
 use rtec_model::machine::Machine;
 use rtec_model::record::{Record, Role};

@@ -1,12 +1,15 @@
 //! The answer as a whole.
 
-use crate::answer::{Finding, Rival, Tried};
-use crate::cause::Shape;
+use crate::answer::{Finding, Tried};
 use crate::gap::{Gap, Trace};
 use crate::where_found::Place;
+use rtec_estimate::Shape;
+use rtec_estimate::priors::HELD;
+use rtec_estimate::setup::What;
 use rtec_measure::plausible::Suspicion;
-use rtec_model::effect::{Effect, Search};
+use rtec_model::effect::Effect;
 use rtec_model::machine::Machine;
+use rtec_model::record::Record;
 use serde::Serialize;
 use std::fmt;
 
@@ -25,20 +28,16 @@ pub enum Verdict {
 }
 
 impl Verdict {
-    /// From what was added to the model, and what stayed unexplained.
+    /// From what was added to the model, and what stayed unexplained: a shape makes it unknown; a name, or a mode of it, that does not
+    /// hold its place makes it not separable.
     #[must_use]
     pub fn of(added: &[(Finding, Vec<f64>)], unexplained: &[Shape]) -> Self {
-        if !unexplained.is_empty() {
-            Self::UnknownEffect
-        } else if added.is_empty() {
-            Self::NothingMissing
-        } else if added
-            .iter()
-            .any(|(f, half)| !is_companion(f, added) && f.rivals.iter().any(|r| is_another(r, f, half)))
-        {
-            Self::NotSeparable
-        } else {
-            Self::Named
+        let holds = |f: &Finding| f.name_mass >= HELD && f.mode_mass >= HELD;
+        match (unexplained, added) {
+            ([_, ..], _) => Self::UnknownEffect,
+            ([], []) => Self::NothingMissing,
+            ([], all) if all.iter().all(|(f, _)| holds(f)) => Self::Named,
+            _ => Self::NotSeparable,
         }
     }
 
@@ -60,28 +59,6 @@ impl fmt::Display for Verdict {
     }
 }
 
-/// At odds of one to less than so much neither of two is the likelier, nats.
-const EVEN: f64 = 0.7;
-
-/// Whether a rival is another explanation: another name, or another value where neither is likelier, or the size hangs on which of
-/// them it is. Another sensor of the same name is none.
-fn is_another(rival: &Rival, finding: &Finding, half: &[f64]) -> bool {
-    let effect = &finding.effect;
-    let size = effect.description().place(Search::Amplitude).filter(|_| effect.width() == 1);
-    let open = |i: usize| half.get(i).is_some_and(|half| *half > effect.scalar(i).abs());
-    rival.name != effect.name() || rival.differs.is_some() && (rival.margin < EVEN || size.is_some_and(open))
-}
-
-/// Whether a finding is the constant of another, a law's own zero: what else it may be does not matter. Lost counts are whole,
-/// and none before they were lost: they have no zero of their own.
-fn is_companion(finding: &Finding, added: &[(Finding, Vec<f64>)]) -> bool {
-    let constant = finding.effect.description().constant;
-    let beside = |f: &Finding| f.effect.companion().is_some_and(|c| c.name() == finding.effect.name());
-    let zeroed =
-        |f: &Finding| f.effect.name() != finding.effect.name() && !f.effect.description().whole_counts;
-    added.iter().any(|(f, _)| beside(f) || (constant && zeroed(f)))
-}
-
 /// What the data correct in the present model.
 #[derive(Debug, Clone)]
 pub struct Refined {
@@ -91,6 +68,34 @@ pub struct Refined {
     pub before: Effect,
     /// The effect as the data have it, and half widths of its intervals.
     pub after: (Effect, Vec<f64>),
+}
+
+/// What was found of one record's set-up: it is in no model.
+#[derive(Debug, Clone)]
+pub struct SetUp {
+    /// The record's sidecar.
+    pub record: String,
+    /// Term (`zero_um.error.x`, `centre_um`, `bar_um`, `line_um_per_h`, `jump_um`), value and half width of its 95 % interval.
+    pub terms: Vec<(String, f64, f64)>,
+}
+
+impl SetUp {
+    /// Per record, in their order.
+    pub(crate) fn of(records: &[Record], found: &[rtec_estimate::SetUp]) -> Vec<Self> {
+        let name = |s: &rtec_estimate::SetUp| match (s.what, s.response.as_str()) {
+            (What::Zero, "error.r") => "bar_um".to_owned(),
+            (What::Zero, response) => format!("zero_um.{response}"),
+            (What::CentreFirst, _) => "centre_um.0".to_owned(),
+            (What::CentreSecond, _) => "centre_um.1".to_owned(),
+            (What::Line, response) => format!("line_um_per_h.{response}"),
+            _ => "jump_um".to_owned(),
+        };
+        let of = |(i, r): (usize, &Record)| Self {
+            record: r.path.display().to_string(),
+            terms: found.iter().filter(|s| s.record == i).map(|s| (name(s), s.value, s.half)).collect(),
+        };
+        records.iter().enumerate().map(of).collect()
+    }
 }
 
 /// The whole answer.
@@ -118,6 +123,10 @@ pub struct Reconciliation {
     pub refined: Vec<Refined>,
     /// The gap, one per unit.
     pub gap: Vec<Gap>,
+    /// Whether the hold-outs are no worse with what was found; `None` without one.
+    pub confirmed: Option<bool>,
+    /// What was found of each record's set-up.
+    pub set_up: Vec<SetUp>,
     /// The experiment that would separate what this data cannot.
     pub advice: String,
     /// Names that were tried.
@@ -162,7 +171,6 @@ impl Reconciliation {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::answer::Rival;
     use rtec_model::effect::Dictionary;
 
     #[test]
@@ -175,32 +183,29 @@ mod tests {
     }
 
     #[test]
-    fn rivals_make_it_not_separable_and_shapes_unknown() {
-        let finding = |rivals: Vec<Rival>| {
+    fn a_name_that_does_not_hold_its_place_is_not_separable() {
+        let finding = |name_mass: f64, mode_mass: f64| {
             let effect = Dictionary::default().effect("scale.x").unwrap();
-            (Finding { effect, held: Vec::new(), p_value: 0.0, evidence: 9.0, rivals }, vec![0.1])
+            let rivals = Vec::new();
+            (
+                Finding {
+                    effect,
+                    held: Vec::new(),
+                    p_value: 0.0,
+                    evidence: 9.0,
+                    name_mass,
+                    mode_mass,
+                    rivals,
+                },
+                vec![0.1],
+            )
         };
-        let rival = Rival { name: "offset.x".into(), sensor: None, differs: None, margin: 1.0 };
         let shape =
             Shape { response: "error.x".into(), against: vec!["time".into()], manner: "smooth".into() };
         assert_eq!(Verdict::of(&[], &[]), Verdict::NothingMissing);
-        assert_eq!(Verdict::of(&[finding(Vec::new())], &[]), Verdict::Named);
-        assert_eq!(Verdict::of(&[finding(Vec::new()), finding(vec![rival])], &[]), Verdict::NotSeparable);
-        assert_eq!(Verdict::of(&[finding(Vec::new())], &[shape]), Verdict::UnknownEffect);
-    }
-
-    /// A constant that may be heat is no name beside lost counts, which have no zero; beside a scale it is the record's.
-    #[test]
-    fn a_constant_s_rivals_count_beside_lost_counts() {
-        let of = |name: &str, rivals: Vec<Rival>| {
-            let effect = Dictionary::default().effect(name).unwrap();
-            (Finding { effect, held: Vec::new(), p_value: 0.0, evidence: 9.0, rivals }, vec![0.1])
-        };
-        let heat = || vec![Rival { name: "warm_up.x".into(), sensor: None, differs: None, margin: 1.0 }];
-        let offset = of("offset.x", heat());
-        let beside = |name: &str| Verdict::of(&[of(name, Vec::new()), offset.clone()], &[]);
-        assert_eq!(beside("lost_counts.x"), Verdict::NotSeparable);
-        assert_eq!(beside("scale.x"), Verdict::Named);
-        assert_eq!(beside("warm_up.x"), Verdict::Named);
+        assert_eq!(Verdict::of(&[finding(0.99, 0.97)], &[]), Verdict::Named);
+        assert_eq!(Verdict::of(&[finding(0.99, 0.9), finding(0.7, 0.9)], &[]), Verdict::NotSeparable);
+        assert_eq!(Verdict::of(&[finding(0.99, 0.9)], &[]), Verdict::NotSeparable);
+        assert_eq!(Verdict::of(&[finding(0.99, 0.9)], &[shape]), Verdict::UnknownEffect);
     }
 }

@@ -2,16 +2,15 @@
 //! permutation of blocks of the residual, and which of them survive a false-discovery rate.
 
 use crate::SEED;
-use crate::chance::below;
-use crate::lanes::dot;
-use crate::problem::{Segment, Stack, known};
-use crate::threads::in_parts;
 use rand_xoshiro::Xoshiro256PlusPlus;
-use rand_xoshiro::rand_core::SeedableRng;
+use rand_xoshiro::rand_core::{RngCore, SeedableRng};
+use rtec_estimate::factor::dot;
+use rtec_estimate::problem::Problem;
+use rtec_estimate::rows::{Rows, Segment};
 use rtec_model::effect::Effect;
-use rtec_model::record::Role;
+use rtec_model::machine::Machine;
+use rtec_model::record::{Record, Role};
 use serde_json::{Value, json};
-use std::ops::Range;
 
 /// Structure of a response against one thing.
 #[derive(Debug, Clone)]
@@ -61,9 +60,6 @@ const PERMUTATIONS: usize = 999;
 /// So many of them as large as what was found are enough to know that it is nothing.
 const ENOUGH: usize = 20;
 
-/// Sorting a channel's rows and permuting them is as much work as so many products a row.
-const PERMUTED: usize = 30;
-
 /// A place this clear is taken out before weaker ones are looked at.
 const CLEAR: f64 = 0.01;
 
@@ -75,13 +71,16 @@ pub(crate) const LEAST_P: f64 = 1.0 / (PERMUTATIONS as f64 + 1.0);
 
 /// Every response against every channel, strongest first: what the model as it was leaves once its own parameters are
 /// where the data have them.
-pub(crate) fn places(stack: &Stack<'_>, file: &[Effect]) -> Vec<Place> {
-    let mut before = stack.missing(file);
-    stack.weigh(&mut before);
-    stack.without_zeros(&mut before);
-    adjust(stack, file, &mut before);
+pub(crate) fn places(records: &[Record], machine: &Machine) -> Vec<Place> {
+    let stack = Rows::new(records);
+    let model: Vec<Effect> = machine.effects().cloned().collect();
+    let problem = Problem::new(&stack, &model, &crate::answer::stated(machine));
+    let mut noise = problem.first_noise();
+    noise.phi.fill(0.0);
+    let sigmas = noise.sigma.clone();
+    let before = problem.base(noise).factor.residual().to_vec();
     let mut out = Vec::new();
-    for response in 0..stack.responses.len() {
+    for (response, &sigma) in sigmas.iter().enumerate() {
         let segments: Vec<&Segment> = stack.segments.iter().filter(|s| s.response == response).collect();
         let pick = |all: &[f64]| -> Vec<f64> {
             segments.iter().flat_map(|s| all[s.rows.clone()].iter().copied()).collect()
@@ -91,15 +90,11 @@ pub(crate) fn places(stack: &Stack<'_>, file: &[Effect]) -> Vec<Place> {
         for r in &mut residual {
             *r -= mean;
         }
-        let sigma = stack.sigma[response];
         // What is large hides what is small: each channel is looked at beside what stronger ones show, too.
         let role = stack.responses[response].to_string();
-        let channels = channels(stack, &segments);
-        let some = |some: Range<usize>| -> Vec<Option<Place>> {
-            let of = |(against, x): &(String, Vec<f64>)| place(&role, against, x, &residual, sigma, 1.0);
-            channels[some].iter().map(of).collect()
-        };
-        let found = in_parts(channels.len(), channels.len() * residual.len() * PERMUTED, some).concat();
+        let channels = channels(&stack, &segments);
+        let found: Vec<Option<Place>> =
+            channels.iter().map(|(against, x)| place(&role, against, x, &residual, sigma, 1.0)).collect();
         let mut alone: Vec<(Vec<f64>, Place)> =
             channels.into_iter().zip(found).filter_map(|((_, x), place)| Some((x, place?))).collect();
         alone.sort_by(|a, b| b.1.statistic.total_cmp(&a.1.statistic));
@@ -127,30 +122,6 @@ pub(crate) fn places(stack: &Stack<'_>, file: &[Effect]) -> Vec<Place> {
     out
 }
 
-/// Takes out what the model's own parameters explain: they are the model's, and no structure beside it.
-fn adjust(stack: &Stack<'_>, file: &[Effect], residual: &mut [f64]) {
-    let columns: Vec<Vec<f64>> = known(stack, 1.0, file, file).into_iter().map(|k| k.column).collect();
-    let mut basis: Vec<Vec<f64>> = Vec::new();
-    for mut c in columns {
-        let size = dot(&c, &c);
-        for b in &basis {
-            let d = dot(&c, b);
-            c.iter_mut().zip(b).for_each(|(c, b)| *c -= d * b);
-        }
-        let left = dot(&c, &c);
-        if left > 1e-9 * size && left > 0.0 {
-            for x in &mut c {
-                *x /= left.sqrt();
-            }
-            basis.push(c);
-        }
-    }
-    for b in &basis {
-        let d = dot(residual, b);
-        residual.iter_mut().zip(b).for_each(|(r, b)| *r -= d * b);
-    }
-}
-
 /// False-discovery rates, of places that are sorted by their p-values (Benjamini and Hochberg, J. R. Statist. Soc. B 57
 /// (1995) 289).
 fn rate(places: &mut [Place]) {
@@ -163,7 +134,7 @@ fn rate(places: &mut [Place]) {
 }
 
 /// What a response's segments all log, with labels, and the differences of a few temperatures.
-fn channels(stack: &Stack<'_>, segments: &[&Segment]) -> Vec<(String, Vec<f64>)> {
+fn channels(stack: &Rows<'_>, segments: &[&Segment]) -> Vec<(String, Vec<f64>)> {
     let Some(first) = segments.first().map(|s| stack.record(s)) else { return Vec::new() };
     let mut channels: Vec<(String, Vec<f64>)> = Vec::new();
     for column in first.columns.iter().filter(|c| !c.role.is_measured()) {
@@ -190,6 +161,11 @@ fn channels(stack: &Stack<'_>, segments: &[&Segment]) -> Vec<(String, Vec<f64>)>
         }
     }
     channels
+}
+
+/// A number below `n`.
+fn below(rng: &mut Xoshiro256PlusPlus, n: usize) -> usize {
+    ((u128::from(rng.next_u64()) * n as u128) >> 64) as usize
 }
 
 /// Structure of a residual against one channel; none for a constant one. Permutations end once the p-value can no longer be
@@ -351,8 +327,7 @@ mod tests {
             *e += (p / 25.0).powi(2);
         }
         let records = [run];
-        let stack = Stack::new(&records);
-        let found = places(&stack, &[]);
+        let found = places(&records, &Machine::ideal("m"));
         assert_eq!((found[0].against.as_str(), found.len()), ("position.x", 2));
         assert!(
             found[0].p_value == LEAST_P && found[0].q_value < 0.003 && found[0].profile.len() == STRETCHES,
@@ -388,7 +363,7 @@ mod tests {
             let mut run = record(200, |i| walk[i as usize]);
             run.columns.push(crate::testing::column("z", Role::Channel, other));
             let records = [run];
-            let found = places(&Stack::new(&records), &[]);
+            let found = places(&records, &Machine::ideal("m"));
             let z = found.iter().find(|p| p.against == "channel.z").unwrap();
             assert!(z.p_value >= LEAST_P);
             few += usize::from(z.p_value < 0.05);

@@ -1,23 +1,20 @@
-//! The whole of it: analysis, the last fit, what is written into the model, the figures.
+//! The whole of it: what is doubted, the estimate, what is written into the model, the figures.
 
 use crate::Options;
 use crate::advice::advice;
-use crate::analysis::{analyse, nothing_learned};
-use crate::answer::{Answer, Finding, Rival};
-use crate::cause::Shape;
+use crate::answer::{Answer, Finding, Rival, Tried, analyse, stated};
 use crate::doubt::{self, Doubts, doubts};
 use crate::drawn::{MOST_ROWS, at_least_every, bounded};
-use crate::fit::Term;
-use crate::fitted::Fitted;
 use crate::gap::{self, Gap, Trace, gaps, traces};
-use crate::leftover::EXPLAINED;
-use crate::problem::Stack;
-use crate::rhythm;
+use crate::mistakes;
 use crate::room;
-use crate::swapped;
-use crate::undone::by_a_unit;
-use crate::verdict::{Reconciliation, Refined, Unsaid, Verdict};
+use crate::unexplained::stand_in;
+use crate::verdict::{Reconciliation, Refined, SetUp, Unsaid, Verdict};
 use crate::where_found::{self, Place};
+use rtec_estimate::Shape;
+use rtec_estimate::problem::Problem;
+use rtec_estimate::refit::Refit;
+use rtec_estimate::rows::Rows;
 use rtec_files::InputError;
 use rtec_fit::quiet;
 use rtec_measure::derive::derive;
@@ -27,16 +24,14 @@ use rtec_model::machine::{Machine, Provenance, Source};
 use rtec_model::record::{Kind, Record, Role};
 use std::borrow::Cow;
 
-/// What is left is no agreement when it is so many times the noise.
-const FAR: f64 = 8.0;
-/// How often wild rows are looked for.
-const PASSES: usize = 2;
 /// So few rows tell no effect from chance.
 const FEWEST_TO_LEARN: usize = 8;
 /// Fewer rows show large effects only.
 const FEW: usize = 30;
 /// Rows are not thinned to fewer than this.
 const FEWEST_ROWS: usize = 300;
+/// Knots of a curve that stands for what has no name.
+const CURVE_KNOTS: usize = 9;
 
 /// The first stage alone: where measured and simulated disagree.
 ///
@@ -46,9 +41,7 @@ pub fn find(train: &[Record], machine: &Machine) -> Result<Vec<Place>, InputErro
     for record in train {
         machine.predict(record)?;
     }
-    let stack = Stack::new(train);
-    let file: Vec<Effect> = machine.effects().cloned().collect();
-    Ok(where_found::places(&stack, &file))
+    Ok(where_found::places(train, machine))
 }
 
 /// The model can be evaluated on every record, and there is something to explain.
@@ -72,17 +65,6 @@ fn too_few(rows: usize) -> Option<String> {
     }
 }
 
-/// No share is said of a gap that is wider with what was found; what to say where it is a hold-out's.
-fn doubt_the_worse(gap: &mut [Gap]) -> Option<&'static str> {
-    for g in gap.iter_mut().filter(|g| g.is_wider()) {
-        g.doubted = true;
-    }
-    let worse = |g: &Gap| g.holdout.is_some_and(|[before, after]| after > gap::WORSE * before.max(g.floor));
-    let g = gap.iter_mut().find(|g| worse(g))?;
-    g.doubted = true;
-    Some("the hold-out is not better off with what was found: how much is closed is not said")
-}
-
 /// Reconciles: the whole workflow.
 ///
 /// # Errors
@@ -95,65 +77,42 @@ pub fn reconcile(
 ) -> Result<Reconciliation, InputError> {
     can_be_read(train, holdout, machine)?;
     let (train, holdout, derived) = with_motion(train, holdout);
-    let mut first = looked_at(&train, &holdout, machine, options, Vec::new());
-    let slipped = by_a_unit(&train, &first.refined);
-    if !slipped.is_empty() {
-        first = looked_at(&train, &holdout, machine, options, slipped);
-    }
-    Ok(Reconciliation { derived, ..first })
+    Ok(Reconciliation { derived, ..looked_at(&train, &holdout, machine, options) })
 }
 
-/// The same of records whose motion is known; `also`: what is doubted of them besides.
-fn looked_at(
-    train: &[Record],
-    holdout: &[Record],
-    machine: &Machine,
-    options: &Options,
-    also: Vec<Suspicion>,
-) -> Reconciliation {
-    let looked_at = |records: &[Record]| {
-        let quiet: Vec<Record> = records.iter().map(quiet::temperatures).collect();
-        analyse(&quiet, machine, options.level, false)
-    };
+/// The same of records whose motion is known.
+fn looked_at(train: &[Record], holdout: &[Record], machine: &Machine, options: &Options) -> Reconciliation {
     let given = (train, holdout);
-    let mut doubts = doubts(train, holdout, machine, &looked_at);
-    doubts.also(also);
-    let analysed = Analysed::without_doubts(train, &mut doubts, machine, options.level);
+    let mut doubts = doubts(train, holdout, machine);
+    let Analysed { train, mut answer, used, every } =
+        Analysed::without_doubts(train, &mut doubts, machine, options.level);
     let rows: usize = doubts.train.iter().map(Record::rows).sum();
     let why_nothing = too_few(rows);
-    let Analysed { train, wild, mut answer, used, every } = analysed;
-    let mut stack = Stack::new(&used);
-    stack.sigma.clone_from(&answer.sigma);
-    let work = Work { stack: &stack, train: &train, used: &used, machine, options };
-    if why_nothing.is_some() {
-        // It is shown beside the model as it is, and nothing is learned from it.
+    if let Some(why) = &why_nothing {
         answer.findings.clear();
-        answer.unexplained.clear();
+        answer.unexplained = vec![not_told(&used, why)];
     }
-    let mut better = work.better(&mut answer, why_nothing.is_none());
-    let (mut held, held_out) = doubts.holdouts(&better.model);
-    let (mut traces_of, mut gap) = work.figures(&better, &answer, &held);
-    let mut why = why_nothing.clone();
-    let withdrawn = work.withdraw(&mut answer, &mut better, &mut gap);
-    if !withdrawn.is_empty() {
-        let names = withdrawn.join(", ");
-        why = Some(format!("{names}: not added, as what fits these rows does not predict them by blocks"));
-        if answer.unexplained.is_empty() {
-            let manner = "what fits it does not predict it by blocks";
-            answer.unexplained.push(along_nothing(&stack, &gap[0], manner));
-        }
-        held = doubts.holdouts(&better.model).0;
-        (traces_of, gap) = work.figures(&better, &answer, &held);
-    }
-    answer.unexplained.append(&mut better.sizeless);
+    let work = Work { train: &train, used: &used, machine, options };
+    let better = work.better(&mut answer, why_nothing.is_none());
+    let noise = &answer.estimate.noise;
+    let rows_of = Rows::new(&used);
+    let floor_um = |role: &Role| {
+        let j = rows_of.responses.iter().position(|r| r == role);
+        j.map_or(f64::INFINITY, |j| noise.sigma[j] / (1.0 - noise.phi[j] * noise.phi[j]).sqrt())
+    };
+    // Which sensor a law reads is said by the model only where the training leaves one way.
+    let one_way = better.is_one_way();
+    let of_held = |r: &Record| mistakes::of_hold_out(r, &train, &better.model, &floor_um);
+    let held = doubts.given_hold_outs().iter().filter_map(of_held);
+    let more: Vec<Suspicion> = held.filter(|s| one_way || !s.is_of_sensor()).collect();
+    doubts.also_held(more);
+    let (held, held_out) = doubts.holdouts(&better.model);
+    let traces_of = traces(&train, &held, machine, &better.model);
+    let mut gap = gaps(&used, &traces_of, &answer, machine);
     if why_nothing.is_some() {
         for g in &mut gap {
-            // The model is what it was, and so is what it leaves.
             (g.doubted, g.blocked) = (true, None);
         }
-    }
-    if let Some(note) = doubt_the_worse(&mut gap) {
-        why = Some(why.map_or_else(|| note.to_owned(), |w| format!("{w}; {note}")));
     }
     let first_held = traces_of.iter().position(|t| t.holdout).unwrap_or(traces_of.len());
     let strangers = doubt::other_machines(better.comparable(&answer, &held), &traces_of[first_held..], &gap);
@@ -161,22 +120,11 @@ fn looked_at(
     let mut left_out = [doubts.left_out, held_out].concat();
     let beside = said_beside(&strangers, &held, &traces_of[first_held..], &mut gap);
     if at_least_every(&train) > 1 {
-        left_out.push(format!(
-            "of {rows} rows one of every {every}, drawn: {MOST_ROWS} at most are looked at; what shows in few rows (a wild value, a \
-             spike where an axis turns) may be missed"
-        ));
+        left_out.push(format!("{MOST_ROWS} rows at most are used: every {every}th of {rows}"));
     }
     let mut said = doubts.said;
-    left_out.extend(
-        wild.iter().map(|s| format!("{}: {} of {} rows ({})", s.record, s.row_list().len(), rows, s.what)),
-    );
-    said.extend(wild);
     said.extend(strangers.into_iter().map(|(_, s)| s));
-    if answer.unexplained.is_empty() {
-        answer.unexplained.extend(left_unsaid(&stack, &better, &gap, rows));
-    }
-    let Better { model, refined, effects, curve, .. } = better;
-    accept(&mut answer, &effects);
+    let Better { model, refined, effects, curve } = better;
     let verdict = Verdict::of(&effects, &answer.unexplained);
     let mut advice = work.advice(verdict, &effects, &answer.unexplained);
     if why_nothing.is_some() {
@@ -184,28 +132,42 @@ fn looked_at(
     }
     // Where every record is doubted that is why nothing is said.
     let mend = if rows == 0 { Vec::new() } else { to_mend(&unsaid) };
-    let parts = mend.into_iter().chain(why).chain(beside).chain(Some(advice).filter(|a| !a.is_empty()));
+    let parts =
+        mend.into_iter().chain(why_nothing).chain(beside).chain(Some(advice).filter(|a| !a.is_empty()));
     let advice = parts.collect::<Vec<_>>().join("; ");
+    let confirmed = gap.iter().filter_map(Gap::confirmed).reduce(|a, b| a && b);
+    let tried =
+        |t: &rtec_estimate::Tried| Tried { label: t.label.clone(), odds: t.odds, accepted: t.accepted };
+    let estimate = &answer.estimate;
     Reconciliation {
         verdict,
-        places: where_found::places(&stack, &answer.file),
+        places: where_found::places(&used, machine),
         advice,
+        confirmed,
+        set_up: SetUp::of(&used, &estimate.set_up),
         suspicions: said,
         left_out,
         unsaid,
         derived: Vec::new(),
+        ranking: estimate.tried.iter().map(tried).collect(),
+        phi: estimate.noise.phi.iter().copied().fold(0.0, f64::max),
         effects,
         unexplained: answer.unexplained,
         curve,
         refined,
         gap,
-        ranking: answer.ranking,
         model,
         traces: traces_of,
         level: options.level,
-        phi: answer.phi,
         every,
     }
+}
+
+/// Something that is not said of so few rows.
+fn not_told(used: &[Record], why: &str) -> Shape {
+    let response =
+        used.iter().flat_map(Record::responses).next().map_or(String::new(), |c| c.role.to_string());
+    Shape { response, against: vec!["time".to_owned()], manner: why.to_owned() }
 }
 
 /// What to do with the records that nothing is said of.
@@ -246,7 +208,6 @@ fn said_beside(
 
 /// What a better model is made with.
 struct Work<'w> {
-    stack: &'w Stack<'w>,
     train: &'w [Record],
     used: &'w [Record],
     machine: &'w Machine,
@@ -255,76 +216,61 @@ struct Work<'w> {
 
 /// A better model, and what is better about it.
 struct Better {
-    terms: Vec<Term>,
     model: Machine,
     refined: Vec<Refined>,
     effects: Vec<(Finding, Vec<f64>)>,
     curve: Option<(Effect, String)>,
-    /// What is there, of a size that is not told.
-    sizeless: Vec<Shape>,
 }
 
 impl Better {
     /// The hold-outs, where the training is understood, and in one way: what is not may be all that they show more of.
     fn comparable<'h>(&self, answer: &Answer, held: &'h [Record]) -> &'h [Record] {
-        let one_way = self.effects.iter().all(|(f, _)| f.rivals.is_empty());
-        if answer.unexplained.is_empty() && one_way { held } else { &[] }
+        if answer.unexplained.is_empty() && self.is_one_way() { held } else { &[] }
+    }
+
+    /// Whether what was found has no rival.
+    fn is_one_way(&self) -> bool {
+        self.effects.iter().all(|(f, _)| f.rivals.is_empty())
     }
 }
 
 impl Work<'_> {
-    /// The last fit, written into the model; `learn`: the model's own parameters may be corrected.
+    /// The findings, written into the model; `learn`: the model's own parameters may be corrected.
     fn better(&self, answer: &mut Answer, learn: bool) -> Better {
-        let Self { stack, train, machine, options, .. } = *self;
-        let mut fitted = Fitted::of(stack, machine, answer);
+        let Self { train, machine, .. } = *self;
         let mut model = machine.clone();
-        let shape = answer.unexplained.iter().chain(&fitted.sizeless).next().cloned();
-        let shape = shape.filter(|_| options.unexplained && learn);
-        let laws = shape.and_then(|shape| fitted.stand_in(stack, &shape, train, &mut model, answer.phi));
-        for (f, t) in answer.findings.iter_mut().zip(fitted.found()) {
-            f.effect = between_rows(&whole_counts(&t.effect, train, &t.half), train);
+        let curve = self.curve(answer, &mut model, learn);
+        for (f, half) in &mut answer.findings {
+            let effect = whole_counts(&f.effect, train, half);
+            (f.effect, *half) = between_rows(&effect, train, half);
         }
         warm_plate(&mut answer.findings, train, machine.dictionary());
-        let refined = if learn { fitted.correct(&mut model) } else { Vec::new() };
-        let write = Writer { train, date: options.date.as_ref() };
+        let refined = if learn { correct(&mut model, machine, answer) } else { Vec::new() };
+        let write = Writer { train, date: self.options.date.as_ref() };
         let mut effects = Vec::new();
-        for (f, t) in answer.findings.iter().zip(fitted.found()) {
+        for (f, half) in &answer.findings {
             // An effect of this very identity is in the model already: then it was a correction, not an addition.
-            if write.add(&mut model, &f.effect, &t.half, "") {
-                effects.push((f.clone(), t.half.clone()));
+            if write.add(&mut model, &f.effect, half, "") {
+                effects.push((f.clone(), half.clone()));
             }
         }
-        let curve = fitted.curve().filter(|t| write.add(&mut model, &t.effect, &t.half, ": unexplained"));
-        let curve = curve.map(|t| t.effect.clone()).zip(laws);
-        Better { terms: fitted.terms, model, refined, effects, curve, sizeless: fitted.sizeless }
+        let curve = curve.filter(|(e, half, _)| write.add(&mut model, e, half, ": unexplained"));
+        Better { model, refined, effects, curve: curve.map(|(e, _, laws)| (e, laws)) }
     }
 
-    /// Takes out what makes rows worse that it was not learned from, that is no explanation: one finding after the other,
-    /// each time that without which blocks are predicted best. The names of those.
-    fn withdraw(&self, answer: &mut Answer, better: &mut Better, gap: &mut Vec<Gap>) -> Vec<String> {
-        let mut names = Vec::new();
-        while !better.effects.is_empty() && gap.iter().any(Gap::is_wider) {
-            let all = answer.findings.clone();
-            let alone = all.len() < 2;
-            let mut best: Option<(f64, usize)> = None;
-            for i in 0..all.len() {
-                answer.findings.clone_from(&all);
-                answer.findings.remove(i);
-                let without = self.better(answer, !alone);
-                let (_, gap) = self.figures(&without, answer, &[]);
-                let left = |g: &Gap| g.blocked.unwrap_or(g.train)[1] / g.floor.max(f64::MIN_POSITIVE);
-                let worst = gap.iter().map(left).fold(0.0, f64::max);
-                if best.as_ref().is_none_or(|b| worst < b.0) {
-                    best = Some((worst, i));
-                }
-            }
-            let Some((_, out)) = best else { break };
-            answer.findings.clone_from(&all);
-            names.push(answer.findings.remove(out).effect.name());
-            *better = self.better(answer, !alone);
-            *gap = self.figures(better, answer, &[]).1;
+    /// Where asked for: a curve that stands for the first shape along what a law can read.
+    fn curve(&self, answer: &Answer, model: &mut Machine, learn: bool) -> Option<(Effect, Vec<f64>, String)> {
+        if !self.options.unexplained || !learn {
+            return None;
         }
-        names
+        let stand_in = answer.unexplained.iter().find_map(|s| stand_in(s, CURVE_KNOTS, self.train, model))?;
+        let known: Vec<Effect> = self.machine.effects().cloned().collect();
+        let rows = Rows::new(self.used);
+        let problem = Problem::new(&rows, &known, &stated(self.machine));
+        let mut effects: Vec<Effect> = answer.findings.iter().map(|(f, _)| f.effect.clone()).collect();
+        effects.push(stand_in.effect);
+        let (effect, half) = Refit::new(&problem, &effects).sizes(&answer.estimate.noise).pop()?;
+        Some((effect, half, stand_in.laws))
     }
 
     /// What to do next, and where a fit of growth reads other temperatures.
@@ -340,70 +286,18 @@ impl Work<'_> {
         let said = [Some(next).filter(|n| !n.is_empty()), other.flatten()];
         said.into_iter().flatten().collect::<Vec<_>>().join("; ")
     }
+}
 
-    /// Measured minus simulated before and after, and the gap.
-    fn figures(&self, better: &Better, answer: &Answer, held: &[Record]) -> (Vec<Trace>, Vec<Gap>) {
-        let traces = traces(self.train, held, self.machine, &better.model);
-        let gap = gaps(self.stack, self.used, &traces, &better.terms, answer);
-        (traces, gap)
+/// Corrects what the rows say is off beyond chance.
+fn correct(model: &mut Machine, machine: &Machine, answer: &Answer) -> Vec<Refined> {
+    let before: Vec<Effect> = machine.effects().cloned().collect();
+    let mut out = Vec::new();
+    for k in answer.estimate.known.iter().filter(|k| k.beyond_chance) {
+        write_values(model, k.place, &k.after, &k.half);
+        let after = (k.after.clone(), k.half.clone());
+        out.push(Refined { place: k.place, before: before[k.place].clone(), after });
     }
-}
-
-/// What was withdrawn on the way is not accepted among what was tried.
-fn accept(answer: &mut Answer, effects: &[(Finding, Vec<f64>)]) {
-    let named =
-        |label: &str| label.split(' ').next().is_some_and(|n| effects.iter().any(|e| e.0.effect.name() == n));
-    let shapes = !answer.unexplained.is_empty();
-    for t in answer.ranking.iter_mut().filter(|t| t.accepted) {
-        t.accepted = named(&t.label) || (shapes && t.label.starts_with("unnamed"));
-    }
-}
-
-/// What of a model's gap would be passed over in silence.
-fn left_unsaid(stack: &Stack<'_>, better: &Better, gap: &[Gap], rows: usize) -> Option<Shape> {
-    if better.effects.is_empty()
-        && let Some(shape) = not_told(stack, gap, rows)
-    {
-        return Some(shape);
-    }
-    // What names leave makes the whole unknown only where it is much of the gap.
-    let mostly = |g: &Gap| g.train[1] < EXPLAINED * g.train[0];
-    let explained = !better.effects.is_empty() && gap.iter().all(mostly);
-    (!explained).then(|| rhythm::slower_than_noise(stack, &better.terms)).flatten()
-}
-
-/// Where nothing was found, why that is no model without a gap: far more is left than the noise, or so few rows tell nothing.
-fn not_told(stack: &Stack<'_>, gap: &[Gap], rows: usize) -> Option<Shape> {
-    let manner = match rows {
-        0 => Some("not looked at, as every record is doubted"),
-        n if n < FEWEST_TO_LEARN => Some("not told from chance in so few rows"),
-        _ => None,
-    };
-    if let Some(manner) = manner {
-        return Some(along_nothing(stack, gap.first()?, manner));
-    }
-    let g = gap.iter().find(|g| g.train[1] > FAR * g.floor)?;
-    let times = g.train[1] / g.floor;
-    // Beside no noise at all a number says nothing.
-    let times = if times < 1e4 { format!("{times:.0}") } else { "over 10000".to_owned() };
-    Some(along_nothing(
-        stack,
-        g,
-        &format!("{times} times as large as the noise, along nothing in particular"),
-    ))
-}
-
-/// Structure of a unit's responses that is said to be there and is given no cause.
-fn along_nothing(stack: &Stack<'_>, gap: &Gap, manner: &str) -> Shape {
-    let response = answer_response(stack, gap);
-    Shape { response, against: vec!["time".to_owned()], manner: manner.to_owned() }
-}
-
-/// The response that a gap's rows are largest in.
-fn answer_response(stack: &Stack<'_>, gap: &Gap) -> String {
-    let force = gap.unit == "N";
-    let of = stack.responses.iter().map(ToString::to_string);
-    of.filter(|r| r.starts_with("force") == force).collect::<Vec<_>>().join(", ")
+    out
 }
 
 /// The records with velocity and acceleration from their positions where they have none, and what was done.
@@ -422,6 +316,20 @@ fn with_motion(train: &[Record], holdout: &[Record]) -> (Vec<Record>, Vec<Record
     };
     let (train, holdout) = (of(train), of(holdout));
     (train, holdout, notes)
+}
+
+fn write_values(model: &mut Machine, place: usize, effect: &Effect, half: &[f64]) {
+    let width = effect.width();
+    for (i, p) in effect.description().parameters.iter().enumerate() {
+        if p.search == Search::Chosen {
+            continue;
+        }
+        let values = effect.get(i);
+        let interval: Vec<[f64; 2]> =
+            values.iter().zip(&half[i * width..]).map(|(v, h)| [v - h, v + h]).collect();
+        // The values come from the law itself; they keep its bounds.
+        let _written = model.set(place, &p.name, values, Some(&interval));
+    }
 }
 
 /// What is written beside an effect.
@@ -447,8 +355,6 @@ impl Writer<'_> {
 struct Analysed {
     /// All their rows, as measured.
     train: Vec<Record>,
-    /// Rows that were left out on the way.
-    wild: Vec<Suspicion>,
     answer: Answer,
     /// What was looked at: temperatures without noise, every so many rows.
     used: Vec<Record>,
@@ -460,88 +366,58 @@ impl Analysed {
     /// all are doubted.
     fn without_doubts(train: &[Record], doubts: &mut Doubts, machine: &Machine, level: f64) -> Self {
         if doubts.train.is_empty() {
-            return Self::unlearned(train, machine);
+            return Self::of(train, machine, level);
         }
-        let mut first = Self::of(doubts.train.clone(), doubts.rows.clone(), machine, level);
-        let lags = first.answer.findings.iter().any(|f| doubt::reads_clock(&f.effect));
+        let mut first = Self::of(&doubts.train, machine, level);
+        let lags = first.answer.findings.iter().any(|(f, _)| doubt::reads_clock(&f.effect));
         if lags && doubts.without_clocks() {
             if doubts.train.is_empty() {
-                return Self::unlearned(train, machine);
+                return Self::of(train, machine, level);
             }
-            first = Self::of(doubts.train.clone(), doubts.rows.clone(), machine, level);
+            first = Self::of(&doubts.train, machine, level);
         }
-        let looked_at = |records: &[Record]| analyse(records, machine, level, false);
-        let evidence = |records: &[Record]| looked_at(records).map(|a| a.evidence);
-        let mut swapped = swapped::instead(&first.used, machine, &first.answer, evidence);
-        if swapped.is_empty() {
-            swapped = swapped::errors_instead(&first.used, &first.answer, looked_at);
+        let suspected = mistakes::of_training(&first.used, machine, &first.answer, level);
+        let (certain, open): (Vec<_>, Vec<_>) =
+            suspected.into_iter().partition(mistakes::Suspected::is_certain);
+        for (f, _) in &mut first.answer.findings {
+            open.iter().for_each(|s| s.weaken(f));
         }
-        if swapped.is_empty() {
+        doubts.said.extend(open.into_iter().map(|s| s.said));
+        if certain.is_empty() {
             return first;
         }
-        doubts.also(swapped);
+        doubts.also(certain.into_iter().map(|s| s.said).collect());
         if doubts.train.is_empty() {
-            return Self::unlearned(train, machine);
+            return Self::of(train, machine, level);
         }
-        Self::of(doubts.train.clone(), doubts.rows.clone(), machine, level)
+        Self::of(&doubts.train, machine, level)
     }
 
-    /// All records as they are, beside the model as it is: where every one of them is doubted nothing is looked for.
-    fn unlearned(train: &[Record], machine: &Machine) -> Self {
-        let used = bounded(train).into_owned();
-        let answer = nothing_learned(&used, machine);
-        Self { train: train.to_vec(), wild: Vec::new(), answer, used, every: at_least_every(train) }
-    }
-
-    /// A few wild rows hide all else: what an answer leaves of them is far off everything, and then it is looked at once
-    /// more without them; the worst hide the others.
-    ///
-    /// `rows`: of each record, the numbers that its rows had as measured.
-    fn of(mut train: Vec<Record>, mut rows: Vec<Vec<usize>>, machine: &Machine, level: f64) -> Self {
-        let mut quiet: Vec<Record> = train.iter().map(quiet::temperatures).collect();
-        let mut wild: Vec<Suspicion> = Vec::new();
-        let mut passes = 0;
+    /// The analysis of every nth row, n the least power of two at which noise and effects are told apart: rows much closer
+    /// than the noise forgets (a filtered force, sampled fast) say the same thing over and over.
+    fn of(train: &[Record], machine: &Machine, level: f64) -> Self {
+        let quiet: Vec<Record> = train.iter().map(quiet::temperatures).collect();
+        let (first, bounded) = (at_least_every(&quiet), bounded(&quiet));
+        let mut beyond = 1;
+        let mut used: Cow<'_, [Record]> = bounded.clone();
         loop {
-            let (answer, used, every) = thinned(&quiet, machine, level);
-            let off = if every == 1 && passes < PASSES { doubt::wild(&quiet, &answer) } else { Vec::new() };
-            if off.iter().all(Vec::is_empty) {
+            let rows: usize = used.iter().map(Record::rows).sum();
+            let answer = analyse(&used, machine, level);
+            let remembers = answer.estimate.remembers() && rows >= 2 * FEWEST_ROWS;
+            if !remembers {
                 let used = used.into_owned();
-                return Self { train, wild, answer, used, every };
+                return Self { train: train.to_vec(), answer, used, every: first * beyond };
             }
-            drop(used);
-            passes += 1;
-            for (i, off) in off.iter().enumerate().filter(|(_, w)| !w.is_empty()) {
-                let measured: Vec<usize> = off.iter().map(|k| rows[i][*k]).collect();
-                wild.extend(doubt::say_wild(&train[i], &measured));
-                train[i] = doubt::without_rows(&train[i], off);
-                quiet[i] = doubt::without_rows(&quiet[i], off);
-                let kept = (0..rows[i].len()).filter(|k| off.binary_search(k).is_err());
-                rows[i] = kept.map(|k| rows[i][k]).collect();
-            }
+            beyond *= 2;
+            let of = |r: &Record| r.select(&(0..r.rows()).step_by(beyond).collect::<Vec<_>>());
+            used = bounded.iter().map(of).collect();
         }
-    }
-}
-
-/// The analysis of every nth row, n the least power of two at which noise and effects are told apart: rows much closer
-/// than the noise forgets (a filtered force, sampled fast) say the same thing over and over.
-fn thinned<'r>(train: &'r [Record], machine: &Machine, level: f64) -> (Answer, Cow<'r, [Record]>, usize) {
-    let (first, bounded) = (at_least_every(train), bounded(train));
-    let mut beyond = 1;
-    let mut used = bounded.clone();
-    loop {
-        let rows: usize = used.iter().map(Record::rows).sum();
-        if let Some(answer) = analyse(&used, machine, level, rows >= 2 * FEWEST_ROWS) {
-            return (answer, used, first * beyond);
-        }
-        beyond *= 2;
-        let of = |r: &Record| r.select(&(0..r.rows()).step_by(beyond).collect::<Vec<_>>());
-        used = bounded.iter().map(of).collect();
     }
 }
 
 /// Scales that are wrong alike on every axis of a plate whose temperature nobody logged may as well be a plate that is
 /// not at 20 °C.
-fn warm_plate(findings: &mut [Finding], train: &[Record], dictionary: &Dictionary) {
+fn warm_plate(findings: &mut [(Finding, Vec<f64>)], train: &[Record], dictionary: &Dictionary) {
     let Some(expansion) = dictionary.laws().map(Law::describe).find(|l| l.heat == Heat::Expansion) else {
         return;
     };
@@ -549,12 +425,13 @@ fn warm_plate(findings: &mut [Finding], train: &[Record], dictionary: &Dictionar
     let silent = train
         .iter()
         .all(|r| matches!(r.kind, Kind::Plate | Kind::Part) && r.column(&Role::Temperature).is_none());
-    let ppm: Vec<f64> = findings.iter().filter(|f| scale(f)).map(|f| f.effect.scalar(0)).collect();
+    let ppm: Vec<f64> =
+        findings.iter().map(|(f, _)| f).filter(|f| scale(f)).map(|f| f.effect.scalar(0)).collect();
     let (lo, hi) = ppm.iter().fold((f64::MAX, f64::MIN), |(l, h), v| (l.min(*v), h.max(*v)));
     if !silent || ppm.len() < 2 || lo * hi <= 0.0 || (hi - lo).abs() > 0.5 * lo.abs().max(hi.abs()) {
         return;
     }
-    for f in findings.iter_mut().filter(|f| scale(f)) {
+    for (f, _) in findings.iter_mut().filter(|(f, _)| scale(f)) {
         let name = format!("{}.{}", expansion.name, f.effect.axes()[0]);
         f.rivals.push(Rival { name, sensor: None, differs: None, margin: 0.0 });
     }
@@ -575,9 +452,9 @@ fn whole_counts(effect: &Effect, records: &[Record], half: &[f64]) -> Effect {
 }
 
 /// A step that no row saw come, came at any moment between two rows: the middle of them is farthest from none.
-fn between_rows(effect: &Effect, records: &[Record]) -> Effect {
+fn between_rows(effect: &Effect, records: &[Record], half: &[f64]) -> (Effect, Vec<f64>) {
     let moment = effect.description().parameters.iter().position(|p| p.refine == Refine::Moment);
-    let Some(moment) = moment else { return effect.clone() };
+    let Some(moment) = moment else { return (effect.clone(), half.to_vec()) };
     let at = effect.scalar(moment);
     let seen = records.iter().filter(|r| !effect.acts_on(r).is_empty());
     let (mut before, mut after) = (f64::NEG_INFINITY, f64::INFINITY);
@@ -588,8 +465,13 @@ fn between_rows(effect: &Effect, records: &[Record]) -> Effect {
             after = after.min(*t);
         }
     }
-    let between = (before.is_finite() && after.is_finite()).then(|| f64::midpoint(before, after));
-    between.and_then(|t| effect.with(&[(moment, t)])).unwrap_or_else(|| effect.clone())
+    let mut half = half.to_vec();
+    if !before.is_finite() || !after.is_finite() {
+        return (effect.clone(), half);
+    }
+    half[moment] = half[moment].max(0.5 * (after - before));
+    let at = f64::midpoint(before, after);
+    (effect.with(&[(moment, at)]).unwrap_or_else(|| effect.clone()), half)
 }
 
 fn intervals(effect: &Effect, half: &[f64]) -> Vec<(String, Vec<[f64; 2]>)> {
@@ -600,7 +482,8 @@ fn intervals(effect: &Effect, half: &[f64]) -> Vec<(String, Vec<[f64; 2]>)> {
         .iter()
         .enumerate()
         .filter(|(i, p)| {
-            p.search != Search::Chosen && half[i * width..(i + 1) * width].iter().any(|h| *h > 0.0)
+            (p.search != Search::Chosen || !p.array)
+                && half[i * width..(i + 1) * width].iter().any(|h| *h > 0.0)
         })
         .map(|(i, p)| {
             let pairs = effect.get(i).iter().zip(&half[i * width..]).map(|(v, h)| [v - h, v + h]).collect();
@@ -650,14 +533,58 @@ mod tests {
         assert!(before > 3.0 && after < 1.3, "{before} {after}");
     }
 
+    #[test]
+    fn lost_counts_are_whole_where_the_interval_allows() {
+        let mut effect = Dictionary::default().effect("lost_counts.x").unwrap();
+        effect.set("um", &[9.7]).unwrap();
+        let mut run = record(10, |i| i);
+        run.count_um = Some(2.0);
+        assert!((whole_counts(&effect, &[run.clone()], &[0.5, 0.0]).scalar(0) - 10.0).abs() < 1e-12);
+        assert!((whole_counts(&effect, &[run], &[0.1, 0.0]).scalar(0) - 9.7).abs() < 1e-12);
+    }
+
+    /// Of very many rows some are looked at, which is said; what is found and its share are those of the whole.
+    #[test]
+    fn of_very_many_rows_as_many_as_are_needed_are_looked_at() {
+        let rows = 2 * MOST_ROWS + 1;
+        let dice = noise(7, rows);
+        let mut run = record(rows, |i| dice[i as usize]);
+        let p = run.columns[1].data.clone();
+        for (e, p) in run.columns[2].data.iter_mut().zip(&p) {
+            *e += 120.0 * p / 1000.0;
+        }
+        let r = reconcile(&[run], &[], &Machine::ideal("m"), &Options::default()).unwrap();
+        let (f, half) = &r.effects[0];
+        assert_eq!((r.verdict, f.effect.name().as_str()), (Verdict::Named, "scale.x"), "{}", r.to_json());
+        assert!((f.effect.scalar(0) - 120.0).abs() < 2.0 * half[0] && half[0] < 1.0);
+        assert!(r.every >= 4 && r.left_out.iter().any(|l| l.contains("every 4th of")), "{:?}", r.left_out);
+        assert_eq!(r.traces[0].time_s.len(), rows);
+    }
+
+    /// A slope of 3 mm in a metre is no scale: nothing is named outside its bounds, nor written.
+    #[test]
+    fn outside_its_bounds_nothing_is_named() {
+        let dice = noise(8, 300);
+        let mut run = record(300, |i| dice[i as usize]);
+        let p = run.columns[1].data.clone();
+        for (e, p) in run.columns[2].data.iter_mut().zip(&p) {
+            *e += 3000.0 * p / 1000.0;
+        }
+        let r = reconcile(&[run], &[], &Machine::ideal("m"), &Options::default()).unwrap();
+        assert!(r.effects.iter().all(|(f, _)| f.effect.is_physical() && f.effect.name() != "scale.x"));
+        assert!(r.model.effects().all(Effect::is_physical), "{}", r.model.to_text());
+        let rivals = r.effects.iter().flat_map(|(f, _)| &f.rivals);
+        assert!(rivals.into_iter().all(|r| r.name != "scale.x"));
+    }
+
     /// A growth and its bend over few kelvins stand for each other: each value may be anywhere, and both together be a fifth off.
     #[test]
     fn values_that_lean_on_one_another_are_corrected_together() {
         let dice = noise(5, 145);
-        let warm: Vec<f64> = (0..145).map(|i| 26.5 + 0.4 * f64::from(i) / 145.0).collect();
+        let warm: Vec<f64> = (0..145).map(|i| 26.7 + 1.5 * (f64::from(i) / 20.0).sin()).collect();
         let growth = |scale: f64| {
             let mut effect = Dictionary::default().effect("thermal_growth.x").unwrap();
-            effect.set_values(&[-0.12 * scale, -0.01 * scale]).unwrap();
+            effect.set_values(&[-0.6 * scale, -0.05 * scale]).unwrap();
             effect.delta =
                 Some(rtec_model::effect::Difference { sensor: "T".to_owned(), against: Against::Standard });
             effect
@@ -686,58 +613,24 @@ mod tests {
             let mut effect = Dictionary::default().effect("lost_counts.x").unwrap();
             effect.set("um", &[8.0]).unwrap();
             effect.set("at_s", &[s]).unwrap();
-            between_rows(&effect, std::slice::from_ref(&run)).value("at_s").unwrap()[0]
+            between_rows(&effect, std::slice::from_ref(&run), &[0.0; 2]).0.value("at_s").unwrap()[0]
         };
         for s in [700.0, 400.0, 397.5] {
             assert!((at(s) - 397.5).abs() < 1e-9, "{}", at(s));
         }
         assert!((at(50.0) - 47.5).abs() < 1e-9, "{}", at(50.0));
-        let r = reconcile(&[run], &[], &Machine::ideal("m"), &Options::default()).unwrap();
-        let step = r.effects.iter().find(|e| e.0.effect.name() == "lost_counts.x").unwrap();
-        assert!((step.0.effect.value("at_s").unwrap()[0] - 397.5).abs() < 1e-9, "{}", r.to_json());
     }
 
+    /// Somebody may have touched the stand in a pause: such a jump is the set-up's.
     #[test]
-    fn lost_counts_are_whole_where_the_interval_allows() {
-        let mut effect = Dictionary::default().effect("lost_counts.x").unwrap();
-        effect.set("um", &[9.7]).unwrap();
-        let mut run = record(10, |i| i);
-        run.count_um = Some(2.0);
-        assert!((whole_counts(&effect, &[run.clone()], &[0.5, 0.0]).scalar(0) - 10.0).abs() < 1e-12);
-        assert!((whole_counts(&effect, &[run], &[0.1, 0.0]).scalar(0) - 9.7).abs() < 1e-12);
-    }
-
-    /// Of very many rows some are looked at, which is said; what is found and its share are those of the whole.
-    #[test]
-    fn of_very_many_rows_as_many_as_are_needed_are_looked_at() {
-        let rows = 2 * MOST_ROWS + 1;
-        let dice = noise(7, rows);
-        let mut run = record(rows, |i| dice[i as usize]);
-        let p = run.columns[1].data.clone();
-        for (e, p) in run.columns[2].data.iter_mut().zip(&p) {
-            *e += 120.0 * p / 1000.0;
-        }
+    fn a_jump_at_a_pause_is_the_set_up_s() {
+        let dice = noise(11, 40);
+        let mut run = record(40, |i| 8.0 * f64::from(u8::from(i >= 20.0)) + 0.3 * dice[i as usize]);
+        run.columns[0].data.iter_mut().skip(20).for_each(|t| *t += 600.0);
+        let run = Record::new(&run.path, run.kind, run.columns).unwrap();
         let r = reconcile(&[run], &[], &Machine::ideal("m"), &Options::default()).unwrap();
-        let (f, half) = &r.effects[0];
-        assert_eq!((r.verdict, f.effect.name().as_str()), (Verdict::Named, "scale.x"), "{}", r.to_json());
-        assert!((f.effect.scalar(0) - 120.0).abs() < 2.0 * half[0] && half[0] < 1.0);
-        assert!(r.every >= 4 && r.left_out.iter().any(|l| l.contains("one of every")), "{:?}", r.left_out);
-        assert_eq!(r.traces[0].time_s.len(), rows);
-    }
-
-    /// A slope of 3 mm in a metre is no scale: nothing is named outside its bounds, nor written.
-    #[test]
-    fn outside_its_bounds_nothing_is_named() {
-        let dice = noise(8, 300);
-        let mut run = record(300, |i| dice[i as usize]);
-        let p = run.columns[1].data.clone();
-        for (e, p) in run.columns[2].data.iter_mut().zip(&p) {
-            *e += 3000.0 * p / 1000.0;
-        }
-        let r = reconcile(&[run], &[], &Machine::ideal("m"), &Options::default()).unwrap();
-        assert!(r.effects.iter().all(|(f, _)| f.effect.is_physical() && f.effect.name() != "scale.x"));
-        assert!(r.model.effects().all(Effect::is_physical), "{}", r.model.to_text());
-        let rivals = r.effects.iter().flat_map(|(f, _)| &f.rivals);
-        assert!(rivals.into_iter().all(|r| r.name != "scale.x"));
+        assert_eq!(r.verdict, Verdict::NothingMissing, "{}", r.to_json());
+        let jump = r.set_up[0].terms.iter().find(|t| t.0 == "jump_um").unwrap();
+        assert!((jump.1 - 8.0).abs() < jump.2 && jump.2 < 0.6, "{jump:?}");
     }
 }

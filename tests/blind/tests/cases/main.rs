@@ -1,6 +1,7 @@
 //! The blind suite judged in small. One program: its cases run beside each other.
 
 mod clean;
+mod field;
 mod quick;
 mod real;
 mod wide;

@@ -277,35 +277,6 @@ impl Parameter {
     }
 }
 
-/// Which coefficients of a law a search lets free, and at what price.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Choice {
-    /// The first so many; `None` for all.
-    pub coefficients: Option<usize>,
-    /// Whether the reference temperature is free too: one more coefficient, of the companion's column. Not for
-    /// differences of two sensors.
-    pub reference: bool,
-    /// How much less likely than the plainest law, nats.
-    pub price: f64,
-}
-
-impl Choice {
-    /// The first so many coefficients at a price.
-    #[must_use]
-    pub const fn first(coefficients: usize, price: f64) -> Self {
-        Self { coefficients: Some(coefficients), reference: false, price }
-    }
-
-    /// The same with a free reference temperature.
-    #[must_use]
-    pub const fn referred(coefficients: usize, price: f64) -> Self {
-        Self { coefficients: Some(coefficients), reference: true, price }
-    }
-}
-
-/// A reference temperature other than 20 °C is so much less likely, nats.
-pub const ANOTHER_REFERENCE: f64 = 1.4;
-
 /// A periodic law of the first axis's position whose period is searched over all frequencies. Its parameters are, in this
 /// order, period, amplitude and phase.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -322,25 +293,16 @@ pub struct Wave {
 }
 
 /// How a search for a missing effect treats a law. Its grid is [`super::Law::grid`].
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub struct Searched {
     /// What it costs beyond a law with physics behind it, nats.
     pub price: f64,
     /// Several of one name may act at once, each with its own period or place.
     pub repeats: bool,
-    /// Which coefficients are free, plainest first.
-    pub choices: Vec<Choice>,
     /// For a wave: what the search of its period has to know. It has no grid.
     pub wave: Option<Wave>,
     /// It goes with this law: beside its effect, and where that is a wave with its period.
     pub beside: Option<&'static str>,
-}
-
-impl Default for Searched {
-    fn default() -> Self {
-        let all = Choice { coefficients: None, reference: false, price: 0.0 };
-        Self { price: 0.0, repeats: false, choices: vec![all], wave: None, beside: None }
-    }
 }
 
 /// The description of a law. What a law leaves at its default holds for most.

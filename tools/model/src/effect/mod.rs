@@ -39,8 +39,8 @@ use bound::RADIAL;
 pub(crate) use bound::States;
 pub use bound::{Bound, Missing};
 pub use description::{
-    ANOTHER_REFERENCE, Choice, Description, Heat, Mechanism, Naming, Need, Owner, Parameter, Probing,
-    Quantity, Refine, Search, Searched, Wave,
+    Description, Heat, Mechanism, Naming, Need, Owner, Parameter, Probing, Quantity, Refine, Search,
+    Searched, Wave,
 };
 pub use dictionary::Dictionary;
 pub(crate) use difference::read_difference;

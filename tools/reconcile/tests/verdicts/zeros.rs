@@ -46,7 +46,7 @@ fn sizeless(r: &Reconciliation) -> Vec<String> {
 fn what_is_of_no_size_is_not_named() {
     for seed in 40..46 {
         let mut dice = noise(seed);
-        let r = answer(&[run("drift", 0.0, 160, |t, _| 2.0 * t / 1600.0 + 0.3 * dice())]);
+        let r = answer(&[run("drift", 0.0, 160, |t, _| 8.0 * t / 1600.0 + 0.3 * dice())]);
         assert_eq!(sizeless(&r), [""; 0], "{seed}");
         // Something is there all the same.
         assert_ne!(r.verdict, Verdict::NothingMissing, "{seed}");

@@ -44,9 +44,6 @@ pub(crate) struct Args {
     /// unexplained.toml beside the model
     #[arg(long, requires = "out")]
     unexplained: bool,
-    /// Ask the estimator that is to take the search's place; with --json
-    #[arg(long, hide = true, requires = "json")]
-    estimator: bool,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, clap::ValueEnum)]
@@ -97,13 +94,6 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let date = humantime::format_rfc3339_seconds(SystemTime::now()).to_string()[..10].to_owned();
     let figures = args.stage == Stage::Show;
     let options = Options { level: args.level, date: Some(date), unexplained: args.unexplained, figures };
-    if args.estimator {
-        let options = rtec_verdict::Options { level: args.level, ..rtec_verdict::Options::default() };
-        let answer = patiently(&format!("reconciling {values} measured values"), || {
-            rtec_verdict::reconcile(&train, &holdout, &machine, &options)
-        })?;
-        return tell(args, &answer.to_json(), "", &[]);
-    }
     let answer = patiently(&format!("reconciling {values} measured values"), || {
         reconcile(&train, &holdout, &machine, &options)
     })?;

@@ -41,8 +41,10 @@ fn a_live_run_is_recorded_and_reconciled() {
     assert!(output.status.success(), "{said}");
     assert!(folder.path().join("run.run.toml").exists());
     let verdict: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
-    assert_eq!(verdict["verdict"], "named", "{verdict}");
-    assert_eq!(verdict["effects"][0]["name"], "offset.z");
+    // Every gauge has a zero of its own: it is the set-up's.
+    assert_eq!(verdict["verdict"], "nothing_missing", "{verdict}");
+    let zero_um = verdict["set_up"]["run.run.toml"]["zero_um"].as_f64().unwrap();
+    assert!((zero_um - 5.0).abs() < 0.2, "{verdict}");
 }
 
 #[test]
@@ -66,9 +68,12 @@ fn what_a_live_run_needs_is_asked_for() {
     }
 }
 
-/// A record of one axis that is off by 6 µm, and an empty model.
-fn offset(folder: &std::path::Path) {
-    let row = |i: u32| format!("{i},{}\n", 6.0 + f64::from(i * 7919 % 1000) / 1000.0);
+/// A record of one axis that warms up, and an empty model.
+fn warm_up(folder: &std::path::Path) {
+    let row = |i: u32| {
+        let t = 20.0 * f64::from(i);
+        format!("{t},{}\n", 20.0 * (1.0 - (-t / 600.0).exp()) + f64::from(i * 7919 % 1000) / 1000.0)
+    };
     let rows: String = (0..120).map(row).collect();
     std::fs::write(folder.join("run.csv"), format!("t,e\n{rows}")).unwrap();
     let columns =
@@ -81,7 +86,7 @@ fn offset(folder: &std::path::Path) {
 #[test]
 fn each_stage_does_its_own_part() {
     let folder = tempfile::tempdir().unwrap();
-    offset(folder.path());
+    warm_up(folder.path());
     for (stage, keys, files) in [
         ("find", vec!["level", "seed", "where"], vec!["verdict.json"]),
         ("name", vec!["verdict", "effects"], vec!["verdict.json"]),
@@ -102,7 +107,7 @@ fn each_stage_does_its_own_part() {
         if stage == "find" {
             assert_eq!(map.len(), keys.len(), "{document}");
         } else {
-            assert_eq!(document["effects"][0]["name"], "offset.z");
+            assert_eq!(document["effects"][0]["name"], "warm_up.z", "{document}");
         }
         let mut written: Vec<String> = std::fs::read_dir(folder.path().join(stage))
             .unwrap()
@@ -116,7 +121,7 @@ fn each_stage_does_its_own_part() {
 #[test]
 fn recorder_options_without_a_live_run_are_refused() {
     let folder = tempfile::tempdir().unwrap();
-    offset(folder.path());
+    warm_up(folder.path());
     for (option, value) in
         [("--duration", "3"), ("--feed", "localhost:1"), ("--kind", "drift"), ("--period", "1")]
     {
@@ -136,7 +141,7 @@ fn recorder_options_without_a_live_run_are_refused() {
 #[test]
 fn a_result_in_the_place_of_the_model_is_refused_before_the_work() {
     let folder = tempfile::tempdir().unwrap();
-    offset(folder.path());
+    warm_up(folder.path());
     std::fs::create_dir(folder.path().join("found")).unwrap();
     std::fs::rename(folder.path().join("machine.toml"), folder.path().join("found/model.toml")).unwrap();
     let reconcile = |arguments: &[&str]| {

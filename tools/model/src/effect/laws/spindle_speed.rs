@@ -1,6 +1,6 @@
 //! `spindle_speed.A`: growth with the spindle's speed, at once.
 
-use crate::effect::{Choice, Description, Law, Linear, Need, Parameter, Searched};
+use crate::effect::{Description, Law, Linear, Need, Parameter};
 use std::sync::Arc;
 
 /// First part of the effect's name.
@@ -21,10 +21,6 @@ pub(super) fn law() -> Arc<dyn Law> {
                 .or(0.0),
         ],
         needs: vec![Need::SpindleSpeed],
-        searched: Searched {
-            choices: vec![Choice::first(1, 0.5), Choice::first(2, 1.0)],
-            ..Searched::default()
-        },
         ..Description::default()
     };
     Arc::new(Linear {

@@ -1,7 +1,7 @@
 //! `thermal_expansion.A`: what a temperature difference does to a length.
 
 use crate::effect::{
-    ANOTHER_REFERENCE, Bound, Choice, Description, Effect, Heat, Input, Law, Need, Out, Parameter, Searched, State,
+    Bound, Description, Effect, Heat, Input, Law, Need, Out, Parameter, State,
 };
 use std::sync::Arc;
 
@@ -24,10 +24,6 @@ pub(super) fn law() -> Arc<dyn Law> {
         needs: vec![Need::Delta, Need::Position(0)],
         heat: Heat::Expansion,
         companion: Some(super::scale::NAME),
-        searched: Searched {
-            choices: vec![Choice::first(1, 0.5), Choice::referred(1, 0.5 + ANOTHER_REFERENCE)],
-            ..Searched::default()
-        },
         ..Description::default()
     }))
 }

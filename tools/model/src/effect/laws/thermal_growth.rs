@@ -1,7 +1,7 @@
 //! `thermal_growth.A`: what a temperature difference does at a point.
 
 use crate::effect::{
-    ANOTHER_REFERENCE, Bound, Choice, Description, Effect, Heat, Input, Law, Need, Out, Parameter, Searched,
+    Bound, Description, Effect, Heat, Input, Law, Need, Out, Parameter,
     State,
 };
 use std::sync::Arc;
@@ -11,14 +11,6 @@ pub const NAME: &str = "thermal_growth";
 
 #[derive(Debug)]
 struct ThermalGrowth(Description);
-
-/// A straight line from 20 °C first; a parabola, another reference, both: each a little less likely.
-pub(super) const CHOICES: [Choice; 4] = [
-    Choice::first(1, 0.5),
-    Choice::first(2, 1.4),
-    Choice::referred(1, 0.5 + ANOTHER_REFERENCE),
-    Choice::referred(2, 2.5),
-];
 
 /// Growth per kelvin, and per kelvin squared.
 pub(super) fn gains() -> [Parameter; 2] {
@@ -43,7 +35,6 @@ pub(super) fn law() -> Arc<dyn Law> {
         needs: vec![Need::Delta],
         heat: Heat::Growth,
         companion: Some(super::offset::NAME),
-        searched: Searched { choices: CHOICES.to_vec(), ..Searched::default() },
         ..Description::default()
     }))
 }

@@ -3,7 +3,7 @@
 use crate::effect::lag::{Decay, Lag};
 use crate::effect::{
     Bound, Description, Effect, Extent, Heat, Input, Law, Need, Out, Parameter, Point, Refine, Search,
-    Searched, State,
+    State,
 };
 use std::sync::Arc;
 
@@ -33,7 +33,6 @@ pub(super) fn law() -> Arc<dyn Law> {
         heat: Heat::Growth,
         companion: Some(super::offset::NAME),
         lag: Some(TAU),
-        searched: Searched { choices: super::thermal_growth::CHOICES.to_vec(), ..Searched::default() },
         ..Description::default()
     }))
 }

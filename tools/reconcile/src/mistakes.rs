@@ -1,7 +1,8 @@
 //! People's mistakes beside a model: a record as it stands against the same record with a mistake undone, by one likelihood. What
 //! counts is the density of the numbers as they are written in the file.
 
-use crate::answer::{Answer, analyse, score, stated};
+use crate::answer::{Answer, Finding, analyse, score, stated};
+use rtec_estimate::priors::TRAVEL_MM;
 use rtec_estimate::{alone, unexplained};
 use rtec_measure::plausible::{Suspicion, What};
 use rtec_model::circle::Circle;
@@ -11,6 +12,7 @@ use rtec_model::record::{Axis, Column, Record, Role};
 use std::f64::consts::PI;
 
 /// A mistake that a record may carry.
+#[derive(Clone)]
 pub(crate) struct Mistake {
     said: Suspicion,
     /// The record without it.
@@ -22,8 +24,24 @@ pub(crate) struct Mistake {
 /// What is suspected of a record.
 pub(crate) struct Suspected {
     pub(crate) said: Suspicion,
+    /// Log odds.
+    odds: f64,
+    /// What is found without the mistake.
+    without: Vec<String>,
+}
+
+impl Suspected {
     /// So certain that nothing is learned from the record.
-    pub(crate) certain: bool,
+    pub(crate) fn is_certain(&self) -> bool {
+        self.odds > CERTAIN.ln()
+    }
+
+    /// What a name that the mistake explains as well holds of its place.
+    pub(crate) fn weaken(&self, finding: &mut Finding) {
+        if !self.without.contains(&finding.effect.name()) {
+            finding.name_mass /= 1.0 + self.odds.exp();
+        }
+    }
 }
 
 /// One record in so many carries a mistake of one kind: one in 30 carries any, of some 20 kinds (experience of people who read logs).
@@ -83,23 +101,49 @@ pub(crate) fn of_training(
             kinds.push(kind);
             new
         });
+        let habit = habit(&tried, now.len());
         tried.truncate(LOOKED_AT);
-        let mut likeliest: Option<(f64, usize, Mistake)> = None;
-        for (_, k, m) in tried {
+        let mut sets: Vec<Vec<(usize, Mistake)>> = tried.into_iter().map(|(_, k, m)| vec![(k, m)]).collect();
+        sets.extend(habit);
+        let mut likeliest: Option<(f64, Vec<(usize, Mistake)>)> = None;
+        for set in sets {
             let mut others = now.clone();
-            others[k] = m.undone.clone();
-            let then = score(&others, machine);
-            let gain = then + m.jacobian - answer.estimate.score - ONE_IN.ln();
+            let mut gain = -answer.estimate.score - ONE_IN.ln();
+            for (k, m) in &set {
+                others[*k] = m.undone.clone();
+                gain += m.jacobian;
+            }
+            gain += score(&others, machine);
             if gain > likeliest.as_ref().map_or(0.0, |b| b.0) {
-                likeliest = Some((gain, k, m));
+                likeliest = Some((gain, set));
             }
         }
-        let Some((gain, k, m)) = likeliest else { break };
-        out.push(Suspected { said: m.said, certain: gain > CERTAIN.ln() });
-        now[k] = m.undone;
-        best = Some(analyse(&now, machine, level));
+        let Some((gain, set)) = likeliest else { break };
+        for (k, m) in &set {
+            now[*k] = m.undone.clone();
+        }
+        let then = analyse(&now, machine, level);
+        let without: Vec<String> = then.findings.iter().map(|(f, _)| f.effect.name()).collect();
+        out.extend(set.into_iter().map(|(_, m)| Suspected {
+            said: m.said,
+            odds: gain,
+            without: without.clone(),
+        }));
+        best = Some(then);
     }
     out
+}
+
+/// A mistake that every record shows: whoever makes it always makes it in one way, so it costs as much as one.
+fn habit(tried: &[(f64, usize, Mistake)], records: usize) -> Option<Vec<(usize, Mistake)>> {
+    let same = |a: &Mistake, b: &Mistake| {
+        (a.said.what, &a.said.column, &a.said.text) == (b.said.what, &b.said.column, &b.said.text)
+    };
+    let everywhere = |(_, _, m): &&(f64, usize, Mistake)| {
+        records > 1 && tried.iter().filter(|t| same(&t.2, m)).count() == records
+    };
+    let (_, _, first) = tried.iter().find(everywhere)?;
+    Some(tried.iter().filter(|t| same(&t.2, first)).map(|t| (t.1, t.2.clone())).collect())
 }
 
 /// Mistakes of a hold-out beside the better model: without it the model explains the record.
@@ -162,7 +206,13 @@ fn renamed(record: &Record, to: &dyn Fn(&Role) -> Role) -> Option<Record> {
     for c in &mut columns {
         c.role = to(&c.role);
     }
-    rebuilt(record, columns, record.circle().cloned())
+    let mut circle = record.circle().cloned();
+    for axis in circle.iter_mut().flat_map(|c| &mut c.plane) {
+        if let Some(other) = to(&Role::Position(axis.clone())).axis() {
+            *axis = other.clone();
+        }
+    }
+    rebuilt(record, columns, circle)
 }
 
 fn with_axis(role: &Role, axis: Axis) -> Role {
@@ -194,8 +244,15 @@ const FORCES: [(f64, &str); 4] = [
     (10.0, "a decimal point one place off?"),
     (0.1, "a decimal point one place off?"),
 ];
-/// No machine is measured over less travel, nor over more, mm.
-const TRAVEL_MM: std::ops::RangeInclusive<f64> = 0.1..=3e4;
+/// Log prior of a travel, but for a constant: few are far from the usual ones, none is the length of a street.
+fn travel_prior(mm: f64) -> f64 {
+    let [middle, factor] = TRAVEL_MM;
+    if (1e-1..=3e4).contains(&mm) {
+        -((mm / middle).ln() / factor.ln()).powi(2).ln_1p()
+    } else {
+        f64::NEG_INFINITY
+    }
+}
 /// What other columns may be given in.
 fn other_units(role: &Role) -> &'static [(f64, &'static str)] {
     match role {
@@ -211,6 +268,13 @@ const BARS_MM: [f64; 8] = [50.0, 75.0, 100.0, 150.0, 200.0, 250.0, 300.0, 600.0]
 
 /// A direction is logged that the positions contradict in one row of so many (experience of people who read logs).
 const CONTRADICTED: f64 = 100.0;
+
+/// Axes whose direction is logged beside their position.
+fn paired(record: &Record) -> usize {
+    let has = |role: Role| record.column(&role).is_some();
+    let both = |a: &&Axis| has(Role::Position((*a).clone())) && has(Role::Direction((*a).clone()));
+    axes(record).iter().filter(both).count()
+}
 
 /// Log probability of the logged directions beside the logged positions.
 fn agreement(record: &Record) -> f64 {
@@ -296,14 +360,16 @@ fn candidates(record: &Record, all: &[Record], model: &[Effect]) -> Vec<Mistake>
                 by * (hi - lo)
             };
             let widest = own.iter().map(span).fold(0.0, f64::max);
-            if matches!(first.role, Role::Position(_)) && !TRAVEL_MM.contains(&widest) {
+            let place = matches!(first.role, Role::Position(_));
+            let likelier = if place { travel_prior(widest) - travel_prior(widest / by) } else { 0.0 };
+            if likelier == f64::NEG_INFINITY {
                 continue;
             }
             let text = only(&format!(
                 "with {} {by} times this: given in {unit}, called {}?",
                 first.name, first.unit
             ));
-            add(What::Unit, &first.name, text, changed(record, &|c| kind(&c.role), &|x| by * x), 0.0);
+            add(What::Unit, &first.name, text, changed(record, &|c| kind(&c.role), &|x| by * x), likelier);
         }
     }
     let warm = |c: &Column| c.role == Role::Temperature;
@@ -347,6 +413,12 @@ fn candidates(record: &Record, all: &[Record], model: &[Effect]) -> Vec<Mistake>
     for a in own.iter().filter(|a| a.as_str() != "r") {
         for b in names.iter().filter(|b| *b != a && (*b > a || !own.contains(b))) {
             for (part, of) in PARTS {
+                // The places along a circle are those of its plane.
+                let leaves_plane =
+                    record.circle().is_some_and(|c| !(c.plane.contains(a) && c.plane.contains(b)));
+                if part != "run" && leaves_plane {
+                    continue;
+                }
                 let first = |axis| record.columns.iter().find(|c| of(&c.role) && c.role.axis() == Some(axis));
                 let (column, text) = match (first(a), first(b)) {
                     (None, None) => continue,
@@ -368,7 +440,11 @@ fn candidates(record: &Record, all: &[Record], model: &[Effect]) -> Vec<Mistake>
                     Some(axis) if of(role) && axis == b => with_axis(role, a.clone()),
                     _ => role.clone(),
                 };
-                add(What::Swapped, column, only(&text), renamed(record, &swap), 0.0);
+                // A part under another name leaves the model as much to say, and directions beside their positions.
+                let sound =
+                    |u: &Record| said_of(u, model) >= said_of(record, model) && paired(u) >= paired(record);
+                let undone = renamed(record, &swap).filter(|u| part == "run" || sound(u));
+                add(What::Swapped, column, only(&text), undone, 0.0);
             }
         }
     }
@@ -388,6 +464,11 @@ fn candidates(record: &Record, all: &[Record], model: &[Effect]) -> Vec<Mistake>
         }
     }
     out
+}
+
+/// How many effects of a model say something of a record.
+fn said_of(record: &Record, model: &[Effect]) -> usize {
+    model.iter().filter(|e| !e.acts_on(record).is_empty() && e.bind(record).is_ok()).count()
 }
 
 fn axes(record: &Record) -> Vec<Axis> {
