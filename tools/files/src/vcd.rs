@@ -7,6 +7,9 @@ use rtec_driver::quadrature::State;
 use rtec_driver::replay::TracePoint;
 use std::io::Read;
 
+/// The levels of a signal of one bit: those of IEEE 1364, and the nine of VHDL (IEEE 1164), of which H and L are driven weakly.
+const LEVELS: &[u8] = b"01xXzZuUwWhHlL-";
+
 /// What the definitions of a VCD say, and where in its changes we are.
 #[derive(Debug)]
 pub(crate) struct Vcd {
@@ -86,7 +89,7 @@ impl Vcd {
                         return Ok(step);
                     }
                 }
-                value @ (b'0' | b'1' | b'x' | b'X' | b'z' | b'Z') => {
+                value if LEVELS.contains(&value) => {
                     if let Some(signal) = self.codes.iter().position(|code| *code == word[1..]) {
                         self.set(input, signal, value)?;
                     }
@@ -127,8 +130,8 @@ impl Vcd {
 
     fn set<R: Read>(&mut self, input: &Lines<R>, signal: usize, value: u8) -> Result<(), InputError> {
         self.levels[signal] = match value {
-            b'0' => Some(false),
-            b'1' => Some(true),
+            b'0' | b'L' | b'l' => Some(false),
+            b'1' | b'H' | b'h' => Some(true),
             other => {
                 let found = format!("{} for signal {}", char::from(other), ["a", "b"][signal]);
                 return Err(

@@ -140,6 +140,17 @@ fn vcd_with_scopes_other_signals_and_any_timescale() {
 }
 
 #[test]
+fn takes_the_nine_levels_of_vhdl() {
+    let head = "$timescale 1 ns $end\n$var reg 1 ! a $end\n$var reg 1 \" b $end\n$var reg 1 # err $end\n\
+                $var reg 4 $ state[3:0] $end\n$enddefinitions $end\n";
+    let others = "#0\nU#\nbUUUU $\nL!\n0\"\n#5\nW#\n-#\nb01-Z $\nH!\n#9\n1\"\n";
+    assert_eq!(read(TraceFormat::Vcd, format!("{head}{others}")).unwrap().len(), 3);
+    let undefined = format!("{head}#0\nU!\nU\"\n#5\n0!\n0\"\n");
+    let error = read(TraceFormat::Vcd, undefined).unwrap_err();
+    assert_eq!((error.line, error.found.as_str()), (8, "U for signal a"));
+}
+
+#[test]
 fn vcd_changes_under_one_time_are_one_change_wherever_it_stands() {
     let head = "$timescale 1 ns $end\n$var wire 1 ! a $end\n$var wire 1 \" b $end\n$enddefinitions $end\n";
     let text = format!("{head}#5 0! 0\"\n#9 1!\n#9 1\"\n#12 0!\n");
