@@ -1,5 +1,7 @@
-//! CSV, line by line: UTF-8, a byte-order mark and CRLF accepted, `#` starts a comment, a cell in double quotes may hold
-//! commas, `#` and doubled quotes. Every finding has its line and column.
+//! CSV, line by line: UTF-8 or UTF-16, a byte-order mark and CRLF accepted, `#` starts a comment, a cell in double quotes may
+//! hold commas, `#` and doubled quotes. Every finding has its line and column.
+//!
+//! A `#` is text where a separator follows it (`Sample #,t`) and where it begins the error value of a spreadsheet (`#N/A`).
 //!
 //! Lines and comments are ours, because the `csv` crate knows comments only as whole lines and gives no columns. Cells
 //! in quotes are taken apart by that crate's parser ([`csv_core`]), lines without a quote simply at their
@@ -59,7 +61,7 @@ impl<R: Read> Reader<R> {
     pub fn row(&mut self) -> Result<Option<Row<'_>>, InputError> {
         let (range, length) = loop {
             let Some(range) = self.lines.line()? else { return Ok(None) };
-            let length = content(self.lines.bytes(range.clone())).len();
+            let length = content(self.lines.bytes(range.clone()), self.by).len();
             if length > 0 {
                 break (range, length);
             }
@@ -131,13 +133,29 @@ impl<R: Read> Reader<R> {
         }
     }
 
-    /// The first row, as the columns' names; what parts it (`;`, a tab, or else a comma) parts all rows.
+    /// The first row, as the columns' names; what parts it (`;`, a tab, or else a comma) parts all rows. A line `sep=X` in
+    /// front of it, as spreadsheets write and read it, says what parts them.
     ///
     /// # Errors
-    /// As [`Reader::header`].
+    /// As [`Reader::header`]; a `sep=` of another character than `,`, `;`, `|` and a tab.
     pub fn header_by_any(&mut self, expected: &str) -> Result<Header, InputError> {
         let file = self.lines.file.clone();
-        let Some(row) = self.row()? else { return Err(InputError::whole(&file, "no header", expected)) };
+        let no_header = || InputError::whole(&file, "no header", expected);
+        let row = self.row()?.ok_or_else(no_header)?;
+        if let Some(said) = row.text.get(..4).filter(|s| s.eq_ignore_ascii_case("sep=")) {
+            let by = match &row.text[said.len()..] {
+                "" => '\t', // the blanks at a line's end are dropped
+                "," => ',',
+                ";" => ';',
+                "|" => '|',
+                other => {
+                    let found = format!("{said}{other}");
+                    return Err(row.finding(found, "sep= with a comma, a semicolon, | or a tab"));
+                }
+            };
+            (self.parser, self.by) = (parser(by as u8), by as u8);
+            return Ok(Header::of(self.row()?.ok_or_else(no_header)?));
+        }
         let has = |by: &u8| outside_quotes(row.text.as_bytes()).any(|(_, byte)| byte == *by);
         if let Some(by) = [b';', b'\t'].into_iter().find(has) {
             let parser = parser(by);
@@ -154,7 +172,7 @@ impl<R: Read> Reader<R> {
     /// It is not.
     pub fn expect_header<const N: usize>(&mut self, names: [&str; N]) -> Result<(), InputError> {
         let expected = format!("the header {}", names.join(","));
-        let header = self.header(&expected)?;
+        let header = self.header_by_any(&expected)?;
         if header.names().eq(names) { Ok(()) } else { Err(header.finding(quoted(&header.text), expected)) }
     }
 
@@ -164,6 +182,12 @@ impl<R: Read> Reader<R> {
         self.by = u8::try_from(by).unwrap_or(b',');
         self.parser = parser(self.by);
         self
+    }
+
+    /// The input is UTF-16.
+    #[must_use]
+    pub fn is_utf16(&self) -> bool {
+        self.lines.is_utf16()
     }
 
     /// What parts the cells: a comma unless [`Reader::header_by_any`] found another.
@@ -183,15 +207,30 @@ fn has_quote(text: &str) -> bool {
 }
 
 /// A line without its comment and the blanks at its end; empty where nothing else is in it.
-fn content(line: &[u8]) -> &[u8] {
+fn content(line: &[u8], by: u8) -> &[u8] {
     let comment = if memchr::memchr(b'#', line).is_some() {
-        outside_quotes(line).find(|(_, byte)| *byte == b'#')
+        outside_quotes(line).find(|(at, byte)| *byte == b'#' && !is_in_cell(line, *at, by))
     } else {
         None
     };
     let comment = comment.map(|(at, _)| at);
     let text = line[..comment.unwrap_or(line.len())].trim_ascii_end();
     if text.trim_ascii_start().is_empty() { &[] } else { text }
+}
+
+/// What spreadsheets write into a cell that they cannot work out.
+const CELL_ERRORS: [&[u8]; 9] =
+    [b"#N/A", b"#NV", b"#DIV/0!", b"#VALUE!", b"#WERT!", b"#REF!", b"#NAME?", b"#NUM!", b"#NULL!"];
+
+/// A `#` that belongs to a cell and starts no comment.
+fn is_in_cell(line: &[u8], at: usize, by: u8) -> bool {
+    let before = line[..at].trim_ascii_end();
+    let (rest, by) = (&line[at..], if by == b',' { &b",;\t"[..] } else { std::slice::from_ref(&by) });
+    let parted = rest.get(1).is_some_and(|next| by.contains(next));
+    let begins_cell = before.last().is_none_or(|last| by.contains(last));
+    let is_error = || CELL_ERRORS.iter().any(|error| rest.starts_with(error));
+    // A line that begins with # is a comment, whatever follows.
+    !before.is_empty() && parted || begins_cell && is_error()
 }
 
 /// The bytes of a line, with their places, that stand behind an even number of quotes.
@@ -874,16 +913,31 @@ mod tests {
     }
 
     #[test]
-    fn utf_16_is_said_and_how_to_convert_it() {
-        let read = |text: &[u8]| Reader::new(Path::new("a.csv"), text).unwrap_err().to_string();
-        let little: Vec<u8> = "\u{feff}t,e\n0,1\n".encode_utf16().flat_map(u16::to_le_bytes).collect();
-        let says = |mark: &str, from: &str| {
-            format!(
-                "a.csv:1:1: found text in UTF-16 {mark}, expected text in UTF-8, as `iconv -f {from} -t UTF-8 FILE > NEW` writes it"
-            )
-        };
-        assert_eq!(read(&little), says("(its mark 0xff 0xfe)", "UTF-16"));
-        assert_eq!(read(&little[2..]), says("without its mark", "UTF-16LE"));
+    fn reads_utf_16_with_and_without_its_mark() {
+        let little: Vec<u8> = "\u{feff}t,µ\r\n0,1\n".encode_utf16().flat_map(u16::to_le_bytes).collect();
+        let big: Vec<u8> = "\u{feff}t,µ\n0,1".encode_utf16().flat_map(u16::to_be_bytes).collect();
+        for text in [&little[..], &little[2..], &big, &big[2..]] {
+            let mut reader = Reader::new(Path::new("a.csv"), text).unwrap();
+            let header = reader.header("t and µ").unwrap();
+            assert_eq!(header.names().collect::<Vec<_>>(), ["t", "µ"]);
+            assert_eq!(reader.row().unwrap().unwrap().text(), "0,1");
+            assert!(reader.row().unwrap().is_none() && reader.is_utf16());
+        }
+    }
+
+    #[test]
+    fn a_hash_within_a_cell_is_no_comment() {
+        for (text, wants) in [
+            ("Sample #,t\n", &["Sample #", "t"][..]),
+            ("1,#N/A,2 # note\n", &["1", "#N/A", "2"]),
+            ("#N/A,1\n", &["#N/A", "1"]),
+            ("1,#DIV/0!\n", &["1", "#DIV/0!"]),
+            ("1,2 #note, and more\n", &["1", "2"]),
+            ("1,2#\n", &["1", "2"]),
+        ] {
+            assert_eq!(rows(text).unwrap(), [wants], "{text}");
+        }
+        assert!(rows("#,a,b\n# N/A\n").unwrap().is_empty());
     }
 
     #[test]

@@ -4,9 +4,10 @@
 //! | module | what |
 //! |---|---|
 //! | [`input`] | the one shape of error for a file that a person wrote; what is said about one that is taken all the same |
-//! | [`text`] | a text file read whole: UTF-8, without its byte-order mark |
+//! | [`text`] | a text file read whole: UTF-8 or UTF-16, without its byte-order mark |
 //! | [`mod@csv`] | CSV: rows of cells with their places, columns by name |
 //! | [`Sheet`] | a CSV whose columns are known, read whole |
+//! | [`Numbers`] | how the numbers of a column are written: decimal point or comma, thousands |
 //! | [`mod@toml`] | TOML read strictly: the first finding, or all of them |
 //! | [`trace`] | recorded quadrature, as CSV and VCD, and requested totals |
 //! | [`mod@write`] | files that appear whole or not at all |
@@ -24,6 +25,7 @@ pub mod csv;
 pub mod folder;
 pub mod input;
 mod lines;
+mod numbers;
 mod sheet;
 pub mod text;
 pub mod toml;
@@ -33,5 +35,6 @@ pub mod words;
 pub mod write;
 
 pub use input::{InputError, Said};
+pub use numbers::Numbers;
 pub use sheet::Sheet;
 pub use words::nearest;

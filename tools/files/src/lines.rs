@@ -1,13 +1,28 @@
 //! Buffered input of any length that knows its line: rows of a CSV, words of a VCD.
 
 use crate::input::InputError;
-use crate::text::{unreadable, utf16};
+use crate::text::{BROKEN_UTF16, UTF8, unreadable, utf16};
+use encoding_rs::{Decoder, DecoderResult};
 use std::io::{self, Read};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 /// Bytes held of the input; also the longest line or word that is read.
 pub(crate) const BUFFER: usize = 128 * 1024;
+
+/// Text in UTF-16 on its way into the buffer, which holds UTF-8.
+struct Utf16 {
+    decoder: Decoder,
+    /// Bytes of the input that are not yet decoded.
+    raw: Vec<u8>,
+    ended: bool,
+}
+
+impl std::fmt::Debug for Utf16 {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Utf16").field("raw", &self.raw.len()).finish_non_exhaustive()
+    }
+}
 
 /// The input, as much of it as the buffer holds.
 #[derive(Debug)]
@@ -18,6 +33,7 @@ pub(crate) struct Lines<R> {
     start: usize,
     end: usize,
     exhausted: bool,
+    utf16: Option<Utf16>,
     /// Lines taken so far: the number of the present line, from 1.
     pub(crate) line: usize,
     /// Characters of the present line that are in the buffer no more.
@@ -29,11 +45,15 @@ impl<R: Read> Lines<R> {
     pub(crate) fn new(file: &Path, input: R) -> Result<Self, InputError> {
         let buffer = vec![0; BUFFER].into_boxed_slice();
         let file = file.to_owned();
-        let mut lines = Self { file, input, buffer, start: 0, end: 0, exhausted: false, line: 0, gone: 0 };
+        let mut lines =
+            Self { file, input, buffer, start: 0, end: 0, exhausted: false, utf16: None, line: 0, gone: 0 };
         // Four bytes tell UTF-16 without a mark.
         while lines.end < 4 && lines.fill()? {}
-        if let Some((found, expected)) = utf16(&lines.buffer[..lines.end]) {
-            return Err(InputError::at(&lines.file, 1, 1, found, expected));
+        if let Some((encoding, mark)) = utf16(&lines.buffer[..lines.end]) {
+            let raw = lines.buffer[mark..lines.end].to_vec();
+            let decoder = encoding.new_decoder_without_bom_handling();
+            lines.utf16 = Some(Utf16 { decoder, raw, ended: lines.exhausted });
+            (lines.end, lines.exhausted) = (0, false);
         }
         if lines.buffer[..lines.end].starts_with(b"\xEF\xBB\xBF") {
             lines.buffer.copy_within(3..lines.end, 0);
@@ -90,18 +110,57 @@ impl<R: Read> Lines<R> {
             let found = format!("{BUFFER} bytes without an end of line");
             return Err(InputError::at(&self.file, self.line + 1, 0, found, "a text file of short lines"));
         }
-        let read = loop {
-            match self.input.read(&mut self.buffer[self.end..]) {
-                Err(e) if e.kind() == io::ErrorKind::Interrupted => {}
-                other => break other,
-            }
-        };
+        if self.utf16.is_some() {
+            return self.fill_decoded();
+        }
+        let read = read_some(&mut self.input, &mut self.buffer[self.end..]);
         let line = self.line + 1;
         self.exhausted = read.is_err();
         let read = read.map_err(|e| InputError { line, ..unreadable(&self.file, &e) })?;
         self.end += read;
         self.exhausted = read == 0;
         Ok(read > 0)
+    }
+
+    /// As [`Lines::fill`], where the input is UTF-16.
+    fn fill_decoded(&mut self) -> Result<bool, InputError> {
+        const CHUNK: usize = 8192;
+        let line = self.line + 1;
+        let Some(Utf16 { decoder, raw, ended }) = &mut self.utf16 else { return Ok(false) };
+        loop {
+            if raw.is_empty() && !*ended {
+                raw.resize(CHUNK, 0);
+                let read = read_some(&mut self.input, raw);
+                raw.truncate(*read.as_ref().unwrap_or(&0));
+                let read = read.map_err(|e| {
+                    self.exhausted = true;
+                    InputError { line, ..unreadable(&self.file, &e) }
+                })?;
+                *ended = read == 0;
+            }
+            let room = &mut self.buffer[self.end..];
+            let (result, used, written) = decoder.decode_to_utf8_without_replacement(raw, room, *ended);
+            raw.drain(..used);
+            self.end += written;
+            match result {
+                DecoderResult::Malformed(..) => {
+                    self.exhausted = true;
+                    return Err(InputError::at(&self.file, line, 0, BROKEN_UTF16, UTF8));
+                }
+                DecoderResult::InputEmpty if *ended => {
+                    self.exhausted = true;
+                    return Ok(written > 0);
+                }
+                _ if written > 0 => return Ok(true),
+                DecoderResult::OutputFull => {
+                    // Too little room for one more character, and the line is not at its end.
+                    (self.end, self.exhausted) = (0, true);
+                    let found = format!("{BUFFER} bytes without an end of line");
+                    return Err(InputError::at(&self.file, line, 0, found, "a text file of short lines"));
+                }
+                DecoderResult::InputEmpty => {}
+            }
+        }
     }
 
     /// The next line without its end, as a range of the buffer.
@@ -161,7 +220,22 @@ impl<R: Read> Lines<R> {
     }
 }
 
+/// Reads once, however often a signal interrupts.
+fn read_some(input: &mut impl Read, into: &mut [u8]) -> io::Result<usize> {
+    loop {
+        match input.read(into) {
+            Err(e) if e.kind() == io::ErrorKind::Interrupted => {}
+            other => return other,
+        }
+    }
+}
+
 impl<R> Lines<R> {
+    /// The input is UTF-16.
+    pub(crate) fn is_utf16(&self) -> bool {
+        self.utf16.is_some()
+    }
+
     /// What seems to be one line is many: found, and how to mend it.
     fn carriage_returns(&self) -> InputError {
         let expected = "lines that end in LF or CRLF, as `tr '\\r' '\\n' < FILE > NEW` writes them";

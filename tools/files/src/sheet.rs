@@ -2,6 +2,7 @@
 
 use crate::csv::{Header, Reader};
 use crate::input::InputError;
+use crate::numbers::Numbers;
 use crate::words::shown;
 use std::path::{Path, PathBuf};
 
@@ -12,6 +13,10 @@ pub struct Sheet {
     header: Header,
     names: Vec<String>,
     rows: Vec<Row>,
+    by: char,
+    utf16: bool,
+    /// The decimal mark that the cells show.
+    mark: Option<char>,
 }
 
 #[derive(Debug, Clone)]
@@ -25,9 +30,9 @@ impl Sheet {
     /// Read a file whose columns are all in `known`, or match `also` (say, temperature columns).
     ///
     /// # Errors
-    /// Unreadable, no header, unknown or repeated column, a row that is too short or too long.
+    /// Unreadable, no regular file, no header, unknown or repeated column, a row that is too short or too long.
     pub fn read(file: &Path, known: &[&str], also: fn(&str) -> bool) -> Result<Self, InputError> {
-        Self::of(file, Reader::open(file)?, known, also)
+        Self::of(file, Reader::new(file, crate::text::bytes(file)?.as_slice())?, known, also)
     }
 
     /// As [`Sheet::read`], from text already in memory; `file` only names it.
@@ -49,7 +54,7 @@ impl Sheet {
         known: &[&str],
         also: fn(&str) -> bool,
     ) -> Result<Self, InputError> {
-        let header = reader.header(&format!("a header: {}", known.join(",")))?;
+        let header = reader.header_by_any(&format!("a header: {}", known.join(",")))?;
         header.only(known, also)?;
         let mut rows = Vec::new();
         while let Some(row) = reader.row()? {
@@ -58,13 +63,30 @@ impl Sheet {
             rows.push(Row { line: row.line(), cells });
         }
         let names = header.names().map(str::to_owned).collect();
-        Ok(Self { file: file.to_owned(), header, names, rows })
+        let (by, utf16) = (reader.separator(), reader.is_utf16());
+        let mark = Numbers::mark_of(rows.iter().flat_map(|r: &Row| &r.cells).map(|(text, _)| text.as_str()));
+        Ok(Self { file: file.to_owned(), header, names, rows, by, utf16, mark })
     }
 
     /// The file as the user named it.
     #[must_use]
     pub fn file(&self) -> &Path {
         &self.file
+    }
+
+    /// How the file is written where it is not as formats.md has it: UTF-16, another separator, decimal commas.
+    #[must_use]
+    pub fn written(&self) -> Option<String> {
+        let by = match self.by {
+            ',' => None,
+            ';' => Some("columns parted by semicolons"),
+            '\t' => Some("columns parted by tabs"),
+            _ => Some("columns parted by |"),
+        };
+        let parts =
+            [self.utf16.then_some("UTF-16"), by, (self.mark == Some(',')).then_some("decimal commas")];
+        let parts: Vec<&str> = parts.into_iter().flatten().collect();
+        (!parts.is_empty()).then(|| format!("{}: read as {}", self.file.display(), parts.join(", ")))
     }
 
     /// Number of rows without the header.
@@ -103,13 +125,14 @@ impl Sheet {
     /// No such column, or a cell that is no finite number.
     pub fn numbers(&self, name: &str) -> Result<Vec<f64>, InputError> {
         let i = self.header.place(name)?;
+        let numbers = Numbers::of(self.rows.iter().map(|row| row.cells[i].0.as_str()), self.mark, self.by);
         self.rows
             .iter()
             .map(|row| {
                 let (text, column) = &row.cells[i];
-                text.parse().ok().filter(|v: &f64| v.is_finite()).ok_or_else(|| {
+                numbers.parse(text).ok_or_else(|| {
                     let found = format!("{} in column {name}", shown(text));
-                    InputError::at(&self.file, row.line, *column, found, "a finite number")
+                    InputError::at(&self.file, row.line, *column, found, numbers.expected(text))
                 })
             })
             .collect()
@@ -159,12 +182,56 @@ mod tests {
     }
 
     #[test]
+    fn spreadsheets_write_the_same_table_in_many_ways() {
+        let utf16 = |text: &str| -> Vec<u8> {
+            [0xff, 0xfe].into_iter().chain(text.encode_utf16().flat_map(u16::to_le_bytes)).collect()
+        };
+        let german = "z_mm;x_mm\r\n38,5;1.000,25\r\n-1;999,5\r\n";
+        for bytes in [
+            german.as_bytes().to_vec(),
+            format!("\u{feff}sep=;\n{german}").into_bytes(),
+            utf16(german),
+            utf16(&format!("SEP=;\r\n{german}")),
+            german.replace(';', "\t").into_bytes(),
+            b"sep=|\nz_mm|x_mm\n38,5|1000,25\n-1|999,5\n".to_vec(),
+            b"z_mm,x_mm\n38.5,\"1,000.25\"\n-1,999.5\n".to_vec(),
+            b"\"z_mm\",\"x_mm\"\n\"38,5\",\"1.000,25\"\n\"-1\",\"999,5\"\n".to_vec(),
+        ] {
+            let file = Path::new("p.csv");
+            let reader = Reader::new(file, bytes.as_slice()).unwrap();
+            let sheet = Sheet::of(file, reader, &["z_mm", "x_mm"], |_| false).unwrap();
+            let shown = String::from_utf8_lossy(&bytes);
+            assert_eq!(sheet.numbers("z_mm").unwrap(), [38.5, -1.0], "{shown}");
+            assert_eq!(sheet.numbers("x_mm").unwrap(), [1000.25, 999.5], "{shown}");
+        }
+        let said = parse("z_mm;x_mm\n1,5;2\n").unwrap().written().unwrap();
+        assert_eq!(said, "p.csv: read as columns parted by semicolons, decimal commas");
+        assert_eq!(parse("z_mm,x_mm\n1.5,2\n").unwrap().written(), None);
+    }
+
+    #[test]
+    fn a_long_table_in_utf16_is_read_whole() {
+        let text: String = std::iter::once("z_mm,x_mm\n".to_owned())
+            .chain((0..40_000).map(|i| format!("{i},{}.5 # µ\n", i + 1)))
+            .collect();
+        let bytes: Vec<u8> =
+            [0xfe, 0xff].into_iter().chain(text.encode_utf16().flat_map(u16::to_be_bytes)).collect();
+        let file = Path::new("p.csv");
+        let reader = Reader::new(file, bytes.as_slice()).unwrap();
+        let sheet = Sheet::of(file, reader, &["z_mm", "x_mm"], |_| false).unwrap();
+        assert_eq!((sheet.len(), sheet.numbers("x_mm").unwrap()[39_999]), (40_000, 40_000.5));
+        let reader = Reader::new(file, &bytes[..bytes.len() - 1]).unwrap();
+        let error = Sheet::of(file, reader, &["z_mm", "x_mm"], |_| false).unwrap_err();
+        assert_eq!(error.found, "text in UTF-16 with half a character in it");
+    }
+
+    #[test]
     fn each_finding_has_its_place() {
         let at = |e: InputError| (e.line, e.column);
         assert_eq!(at(parse("z_mm,y_mm\n").unwrap_err()), (1, 6));
         assert_eq!(at(parse("z_mm,z_mm\n").unwrap_err()), (1, 6));
         assert_eq!(at(parse("z_mm,x_mm\n1,2\n1\n").unwrap_err()), (3, 2));
-        for bad in ["nan", "inf", "", "1e999", "1;2"] {
+        for bad in ["nan", "inf", "", "1e999", "1;2", "#N/A", "1.2.3"] {
             let sheet = parse(&format!("z_mm,x_mm\n1, {bad}\n")).unwrap();
             let e = sheet.numbers("x_mm").unwrap_err();
             assert_eq!(e.line, 2, "{bad}");

@@ -1,7 +1,9 @@
-//! Text files read whole: UTF-8, a byte-order mark dropped. Whoever names a pipe or a device is told so: nobody waits for what
+//! Text files read whole: UTF-8 or UTF-16, a byte-order mark dropped. Whoever names a pipe or a device is told so: nobody waits for what
 //! never ends.
 
 use crate::input::InputError;
+use encoding_rs::{Encoding, UTF_16BE, UTF_16LE};
+use std::borrow::Cow;
 use std::fs::{File, OpenOptions};
 use std::io::Read as _;
 use std::os::unix::fs::OpenOptionsExt as _;
@@ -13,7 +15,7 @@ pub const LONGEST: u64 = 1 << 30;
 /// Reads a text file.
 ///
 /// # Errors
-/// As [`bytes`], or it is not UTF-8.
+/// As [`bytes`], or it is neither UTF-8 nor UTF-16.
 pub fn read(file: &Path) -> Result<String, InputError> {
     decode(file, &bytes(file)?)
 }
@@ -59,13 +61,14 @@ pub(crate) fn opened(file: &Path) -> Result<File, InputError> {
     Ok(opened)
 }
 
-/// UTF-8 text without its byte-order mark; `file` is its name in error messages.
+/// UTF-8 or UTF-16 text without its byte-order mark; `file` is its name in error messages.
 ///
 /// # Errors
-/// The place of the first byte that is not UTF-8.
+/// The place of the first byte that is not UTF-8; UTF-16 with half a character in it.
 pub fn decode(file: &Path, bytes: &[u8]) -> Result<String, InputError> {
-    if let Some((found, expected)) = utf16(bytes) {
-        return Err(InputError::at(file, 1, 1, found, expected));
+    if let Some((encoding, mark)) = utf16(bytes) {
+        let text = encoding.decode_without_bom_handling_and_without_replacement(&bytes[mark..]);
+        return text.map(Cow::into_owned).ok_or_else(|| InputError::whole(file, BROKEN_UTF16, UTF8));
     }
     let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
     match std::str::from_utf8(bytes) {
@@ -90,18 +93,19 @@ pub fn unreadable(file: &Path, error: &std::io::Error) -> InputError {
     InputError::whole(file, error.to_string(), "a file that can be read")
 }
 
-/// Text in UTF-16, as spreadsheets save it, by its mark or, without one, by the zero beside its first letter: what was found,
-/// and how to mend it.
-pub(crate) fn utf16(bytes: &[u8]) -> Option<(String, String)> {
-    let (found, from) = match bytes {
-        [0xff, 0xfe, ..] => ("text in UTF-16 (its mark 0xff 0xfe)", "UTF-16"),
-        [0xfe, 0xff, ..] => ("text in UTF-16 (its mark 0xfe 0xff)", "UTF-16"),
-        [1..=0x7f, 0, 1..=0x7f, 0, ..] => ("text in UTF-16 without its mark", "UTF-16LE"),
-        [0, 1..=0x7f, 0, 1..=0x7f, ..] => ("text in UTF-16 without its mark", "UTF-16BE"),
-        _ => return None,
-    };
-    Some((found.to_owned(), format!("{UTF8}, as `iconv -f {from} -t UTF-8 FILE > NEW` writes it")))
+/// The encoding of text in UTF-16, as spreadsheets save it, and the length of its byte-order mark. Without a mark the zero
+/// beside each of the first letters tells it.
+pub(crate) fn utf16(bytes: &[u8]) -> Option<(&'static Encoding, usize)> {
+    match bytes {
+        [0xff, 0xfe, ..] => Some((UTF_16LE, 2)),
+        [0xfe, 0xff, ..] => Some((UTF_16BE, 2)),
+        [1..=0x7f, 0, 1..=0x7f, 0, ..] => Some((UTF_16LE, 0)),
+        [0, 1..=0x7f, 0, 1..=0x7f, ..] => Some((UTF_16BE, 0)),
+        _ => None,
+    }
 }
+
+pub(crate) const BROKEN_UTF16: &str = "text in UTF-16 with half a character in it";
 
 pub(crate) const UTF8: &str = "text in UTF-8";
 
@@ -121,22 +125,10 @@ mod tests {
         assert!(error.is_ok());
         let error = decode(file, b"\xc2\xb5 = 1\nb = '\xe9'\n").unwrap_err();
         assert_eq!(error.to_string(), "a.toml:2:6: found byte 0xe9, expected text in UTF-8");
-        for (bytes, says) in [
-            (
-                b"\xff\xfet\0,\0".as_slice(),
-                "text in UTF-16 (its mark 0xff 0xfe), expected text in UTF-8, as `iconv -f UTF-16 -t UTF-8 FILE > NEW` writes it",
-            ),
-            (
-                b"\xfe\xff\0t\0,",
-                "text in UTF-16 (its mark 0xfe 0xff), expected text in UTF-8, as `iconv -f UTF-16 -t UTF-8 FILE > NEW` writes it",
-            ),
-            (
-                b"t\0,\0",
-                "text in UTF-16 without its mark, expected text in UTF-8, as `iconv -f UTF-16LE -t UTF-8 FILE > NEW` writes it",
-            ),
-        ] {
-            assert_eq!(decode(file, bytes).unwrap_err().to_string(), format!("a.toml:1:1: found {says}"));
+        for bytes in [b"\xff\xfet\0,\0".as_slice(), b"\xfe\xff\0t\0,", b"t\0,\0", b"\0t\0,"] {
+            assert_eq!(decode(file, bytes).unwrap(), "t,");
         }
+        assert_eq!(decode(file, b"\xff\xfet\0,").unwrap_err().found, BROKEN_UTF16);
         for (special, found) in [("/dev/zero", "a pipe, socket or device"), ("/tmp", "a folder")] {
             assert_eq!(read(Path::new(special)).unwrap_err().found, found);
         }

@@ -88,6 +88,9 @@ pub struct Batch {
     pub offer_table: Vec<Offered>,
     /// What is offered and to whom, in words.
     pub offers: Vec<String>,
+    /// How the file is written where it is not as usual.
+    #[serde(skip)]
+    pub written: Option<String>,
 }
 
 /// Evaluate `part,feature,error_um[,angle_rad]` or `part,feature,nominal_mm,measured_mm[,angle_rad]`. `seen` are the
@@ -97,7 +100,7 @@ pub struct Batch {
 /// A bad file; a place measured twice on one part; fewer than three parts at a place; several features beside the one
 /// that was `seen`.
 pub fn evaluate(file: &Path, seen: Option<&[PointError]>, judgement: Judgement) -> Result<Batch, InputError> {
-    evaluate_text(file, &rtec_files::text::read(file)?, seen, judgement)
+    judge(file, &Sheet::read(file, &COLUMNS, |_| false)?, seen, judgement)
 }
 
 /// As [`evaluate`], from text already in memory; `file` only names it.
@@ -110,7 +113,18 @@ pub fn evaluate_text(
     seen: Option<&[PointError]>,
     judgement: Judgement,
 ) -> Result<Batch, InputError> {
-    let series = read(file, text)?;
+    judge(file, &Sheet::parse(file, text, &COLUMNS, |_| false)?, seen, judgement)
+}
+
+const COLUMNS: [&str; 6] = ["part", "feature", "angle_rad", "error_um", "nominal_mm", "measured_mm"];
+
+fn judge(
+    file: &Path,
+    sheet: &Sheet,
+    seen: Option<&[PointError]>,
+    judgement: Judgement,
+) -> Result<Batch, InputError> {
+    let series = read(file, sheet)?;
     if let (Some(_), Some(other)) = (seen, series.iter().find(|s| s.feature != series[0].feature)) {
         let found = format!("the features {} and {}", series[0].feature, other.feature);
         return Err(InputError::whole(file, found, "the one that was inspected: its rows alone"));
@@ -158,12 +172,10 @@ pub fn evaluate_text(
         })
         .collect();
     let offers = places.iter().filter_map(offer).collect();
-    Ok(Batch { places, offer_table, offers })
+    Ok(Batch { places, offer_table, offers, written: sheet.written() })
 }
 
-fn read(file: &Path, text: &str) -> Result<Vec<Series>, InputError> {
-    let known = ["part", "feature", "angle_rad", "error_um", "nominal_mm", "measured_mm"];
-    let sheet = Sheet::parse(file, text, &known, |_| false)?;
+fn read(file: &Path, sheet: &Sheet) -> Result<Vec<Series>, InputError> {
     let (parts, features) = (sheet.words("part")?, sheet.words("feature")?);
     let angles = sheet.optional("angle_rad")?;
     let given = sheet.optional("error_um")?;

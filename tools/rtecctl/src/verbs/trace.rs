@@ -304,7 +304,7 @@ struct Record {
 impl Record {
     fn open(args: &FromPosition) -> Result<Self, InputError> {
         let mut rows = Reader::open(&args.input)?;
-        let header = rows.header("a header such as t_s,position_mm")?;
+        let header = rows.header_by_any("a header such as t_s,position_mm")?;
         let columns = || format!("the columns {}", header.text());
         let times = [("t_s", 1e9), ("t_ms", 1e6), ("t_us", 1e3), ("t_ns", 1.0)];
         let (time, ns_per_unit) = times

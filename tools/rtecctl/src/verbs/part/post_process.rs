@@ -39,6 +39,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let seen = args.inspected.as_deref().map(read_arc).transpose()?;
     let judgement = Judgement { alpha: args.alpha, least_um: args.least_um };
     let batch = evaluate(&args.batch, seen.as_deref(), judgement)?;
+    if let Some(written) = &batch.written {
+        eprintln!("note: {written}");
+    }
     let unseen = batch.places.iter().filter(|p| p.seen_on_machine_um.is_none()).count();
     if seen.is_some() && unseen > 0 {
         eprintln!(
