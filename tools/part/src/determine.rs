@@ -118,6 +118,9 @@ fn nominal(args: &Asked, probed: &Probed, say: &mut dyn FnMut(Said)) -> Result<N
 /// The points, from which side and where they were expected, and without what the machine's model says.
 fn read(args: &Asked, say: &mut dyn FnMut(Said)) -> Result<(Probed, Option<Vec<Zx>>), InputError> {
     let mut probed = Probed::read(&args.points)?;
+    if let Some(written) = probed.written() {
+        say(Said::Note(written));
+    }
     if let Some(file) = &args.path {
         let path = read_pathfin(file, args.path_units)?;
         probed.touched_by(&approaches(&path))?;

@@ -29,6 +29,9 @@ pub struct Probed {
     pub approach: Option<Vec<Zx>>,
 }
 
+const COLUMNS: [&str; 8] =
+    ["z_mm", "x_mm", "approach_z", "approach_x", "point", "t_s", "uncertainty_um", "feature"];
+
 /// The nominal feature that was probed.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Nominal {
@@ -87,6 +90,15 @@ pub struct ErrorReport {
     /// Fitted minus nominal inclination, in degrees.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub inclination_error_deg: Option<f64>,
+    /// Standard errors of the centre, along Z and X (of a straight feature along its normal, twice), in µm; `None` where the points
+    /// do not tell. As all standard errors here by the scatter of all points: the second fit leaves points out by their
+    /// deviations, so its own scatter is too small.
+    pub centre_standard_error_um: Option<[f64; 2]>,
+    /// Standard error of the radius, or of a straight feature's place along its normal, in µm.
+    pub size_standard_error_um: Option<f64>,
+    /// Standard error of the inclination, in degrees.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub inclination_standard_error_deg: Option<f64>,
     /// Centre of the plain fit through all points, in mm.
     pub plain_centre_mm: [f64; 2],
     /// SD of all points about the plain fit, in µm.
@@ -115,7 +127,7 @@ impl Probed {
     /// # Errors
     /// As [`Sheet::read`]; a direction without length; one approach column without the other.
     pub fn read(file: &Path) -> Result<Self, InputError> {
-        Self::parse(file, &rtec_files::text::read(file)?)
+        Self::of(Sheet::read(file, &COLUMNS, is_sensor)?)
     }
 
     /// As [`Probed::read`], from text already in memory; `file` only names it.
@@ -123,8 +135,10 @@ impl Probed {
     /// # Errors
     /// As [`Probed::read`].
     pub fn parse(file: &Path, text: &str) -> Result<Self, InputError> {
-        let known = ["z_mm", "x_mm", "approach_z", "approach_x", "point", "t_s", "uncertainty_um", "feature"];
-        let sheet = Sheet::parse(file, text, &known, is_sensor)?;
+        Self::of(Sheet::parse(file, text, &COLUMNS, is_sensor)?)
+    }
+
+    fn of(sheet: Sheet) -> Result<Self, InputError> {
         let pair = |z: &str, x: &str| -> Result<Vec<Zx>, InputError> {
             Ok(sheet.numbers(z)?.into_iter().zip(sheet.numbers(x)?).map(|(z, x)| Zx::new(z, x)).collect())
         };
@@ -150,6 +164,12 @@ impl Probed {
             None
         };
         Ok(Self { sheet, tip_centre, approach })
+    }
+
+    /// How the file is written where it is not as usual.
+    #[must_use]
+    pub fn written(&self) -> Option<String> {
+        self.sheet.written()
     }
 
     /// Add what the machine's model predicts at each point to the recorded positions: the scale read nominal, the
@@ -390,6 +410,11 @@ impl Probed {
             }
         };
         let (robust_centre, robust_radius) = place(&robust_surface);
+        let kept: Vec<Zx> =
+            (0..points.len()).filter(|i| !two.rejected.contains(i)).map(|i| points[i]).collect();
+        let free = (points.len() - shape.parameters()) as f64;
+        let sd_um = two.sd_before_um * ((points.len() - 1) as f64 / free).sqrt();
+        let known = fit::standard_errors(&two.fitted, &kept, sd_um);
         Ok(ErrorReport {
             feature: if shape == FitShape::Circle { "circle" } else { "line" },
             points: points.len(),
@@ -399,6 +424,9 @@ impl Probed {
             size_error_um,
             inclination_deg,
             inclination_error_deg,
+            centre_standard_error_um: known.map(|k| k.centre_um),
+            size_standard_error_um: known.map(|k| k.size_um),
+            inclination_standard_error_deg: known.and_then(|k| k.inclination_rad).map(f64::to_degrees),
             plain_centre_mm: place(&moved(&two.plain, 0.0)).0,
             sd_before_um: two.sd_before_um,
             sd_after_um: two.sd_after_um,
@@ -588,6 +616,15 @@ pub(crate) struct Whiskers {
 }
 
 impl ErrorReport {
+    /// The size error is larger than its standard error: less than that is advised on by nobody.
+    #[must_use]
+    pub fn is_size_known(&self) -> bool {
+        match (self.size_error_um, self.size_standard_error_um) {
+            (Some(off), Some(error)) => off.abs() > error,
+            _ => false,
+        }
+    }
+
     pub(crate) fn whiskers(&self) -> Whiskers {
         let feet: Vec<(Zx, Zx)> = self
             .errors

@@ -286,6 +286,58 @@ pub fn sd(values: &[f64], keep: impl Fn(usize) -> bool) -> f64 {
     (kept.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / (kept.len() - 1) as f64).sqrt()
 }
 
+/// Standard errors of a fitted shape, by the scatter of points about it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct StandardErrors {
+    /// Of a circle's centre along Z and X, µm; of a line's place along its normal, twice.
+    pub centre_um: [f64; 2],
+    /// Of a circle's radius, or of a line's place along its normal, µm.
+    pub size_um: f64,
+    /// Of a line's inclination, rad.
+    pub inclination_rad: Option<f64>,
+}
+
+/// Standard errors of a least-squares fit through `points` whose deviations have this standard deviation; `None` where the points
+/// do not determine the shape.
+#[must_use]
+pub fn standard_errors(fitted: &FittedShape, points: &[Zx], sd_um: f64) -> Option<StandardErrors> {
+    let n = points.len() as f64;
+    match *fitted {
+        FittedShape::Circle { centre, .. } => {
+            let unit = |p: Zx| (p - centre).unit();
+            let units: Vec<Zx> = points.iter().filter_map(|&p| unit(p)).collect();
+            let mean = units.iter().fold(Zx::new(0.0, 0.0), |s, &u| s + u) * (1.0 / n);
+            let (mut a, mut b, mut d) = (0.0, 0.0, 0.0);
+            for u in units {
+                let j = u - mean;
+                (a, b, d) = (a + j.z * j.z, b + j.z * j.x, d + j.x * j.x);
+            }
+            let det = a * d - b * b;
+            if !(det > 0.0 && det.is_finite()) {
+                return None;
+            }
+            let (zz, zx, xx) = (d / det, -b / det, a / det);
+            // The radius is the mean distance: it goes with the centre along the points' mean direction.
+            let size = 1.0 / n + mean.z * mean.z * zz + 2.0 * mean.z * mean.x * zx + mean.x * mean.x * xx;
+            Some(StandardErrors {
+                centre_um: [zz.sqrt() * sd_um, xx.sqrt() * sd_um],
+                size_um: size.sqrt() * sd_um,
+                inclination_rad: None,
+            })
+        }
+        FittedShape::Line { through, normal } => {
+            let along = |p: Zx| (p - through).dot(Zx::new(normal.x, -normal.z));
+            let mean = points.iter().map(|&p| along(p)).sum::<f64>() / n;
+            let spread = points.iter().map(|&p| (along(p) - mean).powi(2)).sum::<f64>();
+            (spread > 0.0).then(|| StandardErrors {
+                centre_um: [sd_um / n.sqrt(); 2],
+                size_um: sd_um / n.sqrt(),
+                inclination_rad: Some(sd_um * 1e-3 / spread.sqrt()),
+            })
+        }
+    }
+}
+
 /// The two-step fit of NISTIR 4854, section 3.
 #[derive(Debug, Clone)]
 pub struct TwoStep {

@@ -82,6 +82,13 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         with_size: args.with_size,
     };
     let report = determine::determine(&asked, &mut suspicions::said)?;
+    if args.with_size && !report.is_size_known() {
+        let size = report.size_error_um.unwrap_or(0.0);
+        let error = report.size_standard_error_um.unwrap_or(f64::INFINITY);
+        eprintln!(
+            "warning: --with-size puts {size:+.1} µm into the table, less than its standard error of {error:.1} µm"
+        );
+    }
     if let Some(folder) = &args.out {
         let (table, svg, dxf) =
             (report.error_cor(args.with_size), report.whisker_svg(), report.whisker_dxf()?);
@@ -114,12 +121,23 @@ fn text(r: &ErrorReport, with_size: bool) -> String {
     } else {
         let _ = writeln!(t, "tip             {} mm taken off: the points are its centres", r.tip_mm);
     }
-    let _ = writeln!(t, "centre          Z {z:.5} mm  X {x:.5} mm");
+    let error = match r.centre_standard_error_um {
+        Some([along_z, along_x]) if r.radius_mm.is_some() => {
+            format!(" (standard errors {along_z:.1} and {along_x:.1} µm)")
+        }
+        Some([along_normal, _]) => format!(" (standard error along the normal {along_normal:.1} µm)"),
+        None => String::new(),
+    };
+    let _ = writeln!(t, "centre          Z {z:.5} mm  X {x:.5} mm{error}");
+    let size_error =
+        r.size_standard_error_um.map_or_else(String::new, |e| format!(", standard error {e:.1} µm"));
     if let (Some(radius), Some(off)) = (r.radius_mm, r.size_error_um) {
-        let _ = writeln!(t, "radius          {radius:.5} mm ({off:+.1} µm from nominal)");
+        let _ = writeln!(t, "radius          {radius:.5} mm ({off:+.1} µm from nominal{size_error})");
     }
     if let Some(off) = r.size_error_um {
-        let left = if with_size {
+        let left = if !r.is_size_known() {
+            "is less than its standard error: no size is told; probe more of the feature, or more often"
+        } else if with_size {
             "in error.cor too: the finish cut takes it out"
         } else {
             "constant, left by error.cor: a tool offset takes it out, or --with-size puts it in"
@@ -127,7 +145,12 @@ fn text(r: &ErrorReport, with_size: bool) -> String {
         let _ = writeln!(t, "size            {off:+.1} µm {left}");
     }
     if let Some(deg) = r.inclination_deg {
-        let _ = writeln!(t, "inclination     {deg:.5}°");
+        let _ = writeln!(
+            t,
+            "inclination     {deg:.5}°{}",
+            r.inclination_standard_error_deg
+                .map_or_else(String::new, |e| format!(" (standard error {e:.5}°)"))
+        );
     }
     if let Some(deg) = r.inclination_error_deg {
         let _ = writeln!(
