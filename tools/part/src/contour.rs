@@ -261,6 +261,8 @@ pub struct Contour {
     /// The material is on the left of the direction of travel.
     material_left: bool,
     chords: Vec<(usize, Vec<Zx>)>,
+    /// What was left out of the drawing or taken as something simpler, one sentence each.
+    pub cleaned: Vec<String>,
 }
 
 impl FeatureKind {
@@ -351,7 +353,7 @@ impl Contour {
             })
             .collect();
         let chords = features.iter().enumerate().map(|(i, f)| (i, f.segment.polyline())).collect();
-        Self { features, closed, material_left, chords }
+        Self { features, closed, material_left, chords, cleaned: Vec::new() }
     }
 
     /// The place at a length along a feature.

@@ -11,7 +11,7 @@ use dxf::entities::{Entity, EntityType};
 use dxf::enums::Units;
 use dxf::{Drawing, Vector};
 use rtec_files::InputError;
-use std::collections::HashMap;
+use std::collections::{BTreeSet, HashMap};
 use std::f64::consts::{PI, TAU};
 use std::path::Path;
 
@@ -120,22 +120,86 @@ pub fn read(file: &Path, options: &Options) -> Result<(Contour, Unit), InputErro
         })?;
     let text = String::from_utf8_lossy(&bytes);
     let reader = Reader { file, lines: lines_of_handles(&text), unit, options };
-    let mut pieces = Vec::new();
+    let (mut pieces, mut cleaned) = (Vec::new(), Cleaned::default());
     for entity in drawing.entities().filter(|e| !e.common.is_in_paper_space) {
         if options.layer.is_none_or(|layer| layer == entity.common.layer) {
-            reader.pieces(entity, &mut pieces)?;
+            reader.pieces(entity, &mut pieces, &mut cleaned)?;
         }
+    }
+    if let (true, Some((line, speck))) = (pieces.is_empty(), &cleaned.speck) {
+        let found = format!("{speck} without length, and nothing longer");
+        return Err(InputError::at(file, *line, 0, found, "entities longer than the tolerance"));
     }
     if pieces.is_empty() {
         let layer = options.layer.map_or(String::new(), |l| format!(" on layer '{l}'"));
-        return Err(InputError::whole(
-            file,
-            format!("no contour{layer}"),
-            "lines, arcs, ellipses or splines",
-        ));
+        let there: BTreeSet<&str> = drawing.entities().map(|e| e.common.layer.as_str()).collect();
+        let there = there.into_iter().take(40).collect::<Vec<_>>().join(", ");
+        let expected = match options.layer {
+            Some(_) if !there.is_empty() => format!("one of the layers that hold anything: {there}"),
+            _ => "lines, arcs, ellipses or splines".to_owned(),
+        };
+        return Err(InputError::whole(file, format!("no contour{layer}"), expected));
     }
     reader.twice(&pieces)?;
-    Ok((reader.chain(pieces)?, unit))
+    let mut contour = reader.chain(pieces)?;
+    contour.cleaned = cleaned.said(file, options.tolerance_mm);
+    Ok((contour, unit))
+}
+
+/// Flag of a vertex of a polyline: a control point of the curve that was fitted (DXF, group code 70 of VERTEX).
+const FRAME: i32 = 16;
+
+/// An arc that leaves its chord by less than this share of the tolerance is straight.
+const FLAT: f64 = 0.01;
+
+/// What was left out of a drawing, or taken as something simpler.
+#[derive(Debug, Clone, Default)]
+struct Cleaned {
+    /// Vertices within the tolerance of the one before.
+    vertices: usize,
+    /// Pieces no longer than the tolerance, and the first of them.
+    specks: usize,
+    speck: Option<(usize, String)>,
+    /// Arcs that were taken as straight.
+    arcs: usize,
+    /// Polylines whose control points were passed over for the curve fitted to them.
+    frames: usize,
+}
+
+impl Cleaned {
+    /// What a person reads of it; empty where there was nothing.
+    fn said(&self, file: &Path, tolerance_mm: f64) -> Vec<String> {
+        let several = |n: usize, one: &str| if n == 1 { format!("1 {one}") } else { format!("{n} {one}s") };
+        let within = rtec_files::text::short(tolerance_mm);
+        let parts = [
+            (
+                self.vertices,
+                format!("{} within {within} mm of the one before", several(self.vertices, "vertex")),
+            ),
+            (self.specks, format!("{} no longer than {within} mm", several(self.specks, "piece"))),
+        ];
+        let mut out: Vec<String> = parts
+            .into_iter()
+            .filter(|(n, _)| *n > 0)
+            .map(|(_, text)| format!("{}: left out {}", file.display(), text.replace("vertexs", "vertices")))
+            .collect();
+        if self.arcs > 0 {
+            out.push(format!(
+                "{}: took {} as straight: within {} mm of the chord, a hundredth of the tolerance",
+                file.display(),
+                several(self.arcs, "arc"),
+                rtec_files::text::short(tolerance_mm * FLAT)
+            ));
+        }
+        if self.frames > 0 {
+            out.push(format!(
+                "{}: of {} the fitted curve was taken, not its control points",
+                file.display(),
+                several(self.frames, "polyline")
+            ));
+        }
+        out
+    }
 }
 
 /// No part is farther from its drawing's origin, mm.
@@ -222,7 +286,7 @@ impl Reader<'_> {
         Zx::new(p.x, p.y) * self.unit.0
     }
 
-    fn pieces(&self, entity: &Entity, out: &mut Vec<Piece>) -> Result<(), InputError> {
+    fn pieces(&self, entity: &Entity, out: &mut Vec<Piece>, cleaned: &mut Cleaned) -> Result<(), InputError> {
         let handle = entity.common.handle.as_string();
         // A drawing need not have any.
         let line = self.lines.get(&handle.to_ascii_lowercase()).copied().unwrap_or(0);
@@ -274,16 +338,24 @@ impl Reader<'_> {
                 let m = mirror(&p.extrusion_direction);
                 let corners: Vec<(Zx, f64)> =
                     p.vertices.iter().map(|v| (Zx::new(m * v.x, v.y) * self.unit.0, m * v.bulge)).collect();
-                ("LWPOLYLINE", flat(&p.extrusion_direction, &[]), bulged(&corners, p.flags & 1 != 0))
+                (
+                    "LWPOLYLINE",
+                    flat(&p.extrusion_direction, &[]),
+                    self.bulged(&corners, p.flags & 1 != 0, cleaned),
+                )
             }
             EntityType::Polyline(p) => {
                 let m = mirror(&p.normal);
-                let corners: Vec<(Zx, f64)> = p
-                    .vertices()
+                // The control points of a fitted curve stand beside it; they are not on it.
+                let is_frame = |v: &&dxf::entities::Vertex| v.flags & FRAME != 0;
+                let fitted = p.vertices().filter(|v| !is_frame(v)).count();
+                let curve = || p.vertices().filter(|v| fitted == 0 || !is_frame(v));
+                cleaned.frames += usize::from(fitted > 0 && curve().count() < p.vertices().count());
+                let corners: Vec<(Zx, f64)> = curve()
                     .map(|v| (Zx::new(m * v.location.x, v.location.y) * self.unit.0, m * v.bulge))
                     .collect();
-                let heights: Vec<f64> = p.vertices().map(|v| v.location.z).collect();
-                ("POLYLINE", flat(&p.normal, &heights), bulged(&corners, p.flags & 1 != 0))
+                let heights: Vec<f64> = curve().map(|v| v.location.z).collect();
+                ("POLYLINE", flat(&p.normal, &heights), self.bulged(&corners, p.flags & 1 != 0, cleaned))
             }
             EntityType::Spline(s) => {
                 let Some(spline) = self.spline(s) else {
@@ -317,6 +389,12 @@ impl Reader<'_> {
             return refuse(kind, "out of the drawing's plane", "a flat drawing at elevation 0");
         }
         for segment in segments {
+            let segment = self.straightened(segment, cleaned);
+            if self.is_speck(&segment) {
+                cleaned.specks += 1;
+                cleaned.speck.get_or_insert_with(|| (line, named(kind)));
+                continue;
+            }
             if let Some((what, expected)) = self.unfit(&segment) {
                 return refuse(kind, what, expected);
             }
@@ -332,13 +410,82 @@ impl Reader<'_> {
             Some(("with a coordinate that is no number", "finite coordinates"))
         } else if chords.iter().any(|p| p.z.abs().max(p.x.abs()) > FARTHEST_MM) {
             Some(("more than 100 m from the origin", "a part that a machine could hold"))
-        } else if segment.length_mm() <= self.options.tolerance_mm {
-            Some(("without length", "entities longer than the tolerance"))
         } else if chords.iter().any(|p| p.x < -self.options.tolerance_mm) {
             Some(("below the axis", "the half profile at Y ≥ 0"))
         } else {
             None
         }
+    }
+
+    /// A piece that is no longer than the tolerance: its neighbours meet without it.
+    fn is_speck(&self, segment: &Segment) -> bool {
+        segment.length_mm() <= self.options.tolerance_mm
+    }
+
+    /// The most that an arc which is taken as straight leaves its chord, mm.
+    fn flat_mm(&self) -> f64 {
+        self.options.tolerance_mm * FLAT
+    }
+
+    /// An arc so flat that it is straight, as a line.
+    fn straightened(&self, segment: Segment, cleaned: &mut Cleaned) -> Segment {
+        if let Segment::Arc { radius_mm, sweep_rad, .. } = segment
+            && sweep_rad.abs() < PI
+            && 2.0 * radius_mm * (sweep_rad / 4.0).sin().powi(2) <= self.flat_mm()
+        {
+            cleaned.arcs += 1;
+            return Segment::Line { a: segment.at(0.0), b: segment.at(1.0) };
+        }
+        segment
+    }
+
+    /// Lines and arcs of a polyline; a bulge is the tangent of a quarter of its arc's angle. A vertex within the tolerance of
+    /// the one before it is the same vertex.
+    fn bulged(&self, corners: &[(Zx, f64)], closed: bool, cleaned: &mut Cleaned) -> Vec<Segment> {
+        let mut kept: Vec<(Zx, f64)> = Vec::with_capacity(corners.len());
+        for &(at, bulge) in corners {
+            match kept.last_mut() {
+                Some((last, own)) if self.is_doubled(*last, *own, at) => {
+                    cleaned.vertices += 1;
+                    *own = bulge;
+                }
+                _ => kept.push((at, bulge)),
+            }
+        }
+        if closed && kept.len() > 2 {
+            let (last, own) = kept[kept.len() - 1];
+            if self.is_doubled(last, own, kept[0].0) {
+                cleaned.vertices += 1;
+                kept.pop();
+            }
+        }
+        let n = kept.len();
+        let count = if closed { n } else { n.saturating_sub(1) };
+        (0..count)
+            .map(|i| {
+                let ((a, bulge), (b, _)) = (kept[i], kept[(i + 1) % n]);
+                // Before the centre is worked out, which lies as far away as the bulge is small.
+                if bulge.abs() * (b - a).norm() / 2.0 <= self.flat_mm() {
+                    cleaned.arcs += usize::from(bulge != 0.0);
+                    return Segment::Line { a, b };
+                }
+                let (half, sweep_rad) = ((b - a) * 0.5, 4.0 * bulge.atan());
+                let centre = a + half + Zx::new(-half.x, half.z) * ((1.0 - bulge * bulge) / (2.0 * bulge));
+                Segment::Arc {
+                    centre,
+                    radius_mm: (a - centre).norm(),
+                    start_rad: (a - centre).angle_rad(),
+                    sweep_rad,
+                }
+            })
+            .collect()
+    }
+
+    /// The way from one vertex to the next is no longer than the tolerance: the arc of a large bulge is.
+    fn is_doubled(&self, from: Zx, bulge: f64, to: Zx) -> bool {
+        let chord = (to - from).norm();
+        let way = if bulge == 0.0 { 1.0 } else { (1.0 + bulge * bulge) * bulge.atan() / bulge };
+        chord * way <= self.options.tolerance_mm
     }
 
     fn spline(&self, s: &dxf::entities::Spline) -> Option<Spline> {
@@ -499,28 +646,6 @@ impl Reader<'_> {
     fn words(&self, p: Zx) -> String {
         format!("({:.4}, {:.4})", p.z / self.unit.0, p.x / self.unit.0)
     }
-}
-
-/// Lines and arcs of a polyline; a bulge is the tangent of a quarter of its arc's angle.
-fn bulged(corners: &[(Zx, f64)], closed: bool) -> Vec<Segment> {
-    let n = corners.len();
-    let count = if closed { n } else { n.saturating_sub(1) };
-    (0..count)
-        .map(|i| {
-            let ((a, bulge), (b, _)) = (corners[i], corners[(i + 1) % n]);
-            if bulge == 0.0 {
-                return Segment::Line { a, b };
-            }
-            let (half, sweep_rad) = ((b - a) * 0.5, 4.0 * bulge.atan());
-            let centre = a + half + Zx::new(-half.x, half.z) * ((1.0 - bulge * bulge) / (2.0 * bulge));
-            Segment::Arc {
-                centre,
-                radius_mm: (a - centre).norm(),
-                start_rad: (a - centre).angle_rad(),
-                sweep_rad,
-            }
-        })
-        .collect()
 }
 
 #[cfg(test)]

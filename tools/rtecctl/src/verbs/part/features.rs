@@ -71,6 +71,9 @@ impl How {
                 asked.0
             );
         }
+        for cleaned in &read.0.cleaned {
+            eprintln!("note: {cleaned}");
+        }
         Ok(read)
     }
 }
