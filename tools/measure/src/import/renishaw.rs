@@ -8,13 +8,13 @@ use rtec_files::InputError;
 use rtec_model::record::{Axis, Kind, Record, Role};
 use std::path::Path;
 
-/// A text whose names may be in any encoding of one byte a letter: UTF-8 where it is that, Latin-1 otherwise.
+/// A text whose names may be in any encoding: UTF-16 or UTF-8 where it is that, Latin-1 otherwise.
 ///
 /// # Errors
-/// UTF-16.
+/// UTF-16 with half a character in it.
 pub fn any_text(file: &Path, bytes: &[u8]) -> Result<String, InputError> {
     if bytes.starts_with(&[0xff, 0xfe]) || bytes.starts_with(&[0xfe, 0xff]) {
-        return Err(InputError::at(file, 1, 1, "UTF-16", "UTF-8 or a text of one byte a letter: save it so"));
+        return rtec_files::text::decode(file, bytes);
     }
     Ok(rtec_files::text::decode(file, bytes)
         .unwrap_or_else(|_| bytes.iter().map(|b| char::from(*b)).collect()))
@@ -67,8 +67,21 @@ pub fn rtl(from: &Path, text: &str, axis: &Axis, to: &Path) -> Result<Record, In
         n.ok_or_else(|| InputError::at(from, line, 1, format!("`{key}: {text}`"), "a whole number from 1"))
     };
     let target_data = section("TARGET DATA")?;
+    let header = section("HEADER")?;
+    if let Ok((line, kind)) = value(header, "File type").and_then(|(l, k)| Ok((l, k.to_ascii_lowercase())))
+        && kind != "rtl"
+    {
+        let is = match kind.as_str() {
+            "rta" => " (angular targets, in degrees)",
+            "rts" => " (straightness)",
+            "rtx" | "rtr" => " (a rotary axis)",
+            _ => "",
+        };
+        let found = format!("File type `{kind}`{is}");
+        return Err(InputError::at(from, line, 1, found, "File type `rtl`, linear targets in mm"));
+    }
     let kinds = ["angular", "straightness", "squareness", "flatness", "rotary"];
-    let other = target_data.lines.iter().chain(&section("HEADER")?.lines).find(|(_, l)| {
+    let other = target_data.lines.iter().chain(&header.lines).find(|(_, l)| {
         let low = l.to_ascii_lowercase();
         kinds.iter().any(|k| low.contains(k))
     });
