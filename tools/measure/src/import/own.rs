@@ -88,6 +88,7 @@ impl Own {
                 None => return Err(t.error("no column", expected)),
                 Some(c) => match (c.as_integer(), c.as_str()) {
                     (Some(n), _) if n > 0 && !names => n.to_string(),
+                    (None, Some(n)) if !names && n.parse::<usize>().is_ok_and(|n| n > 0) => n.to_owned(),
                     (None, Some(name)) if names => name.to_owned(),
                     _ => return Err(c.mismatch(expected)),
                 },

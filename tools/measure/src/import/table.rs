@@ -1,9 +1,10 @@
 //! Any table whose columns somebody names: what parts them, how its numbers are written, which roles and units they have.
 
-use super::time::{day, iso8601_ns};
+use super::time::{absolute_ns, day};
 use super::{add_note, column, record_of};
-use rtec_files::InputError;
+use crate::plausible::clock;
 use rtec_files::csv::{Cell, Header, Reader, Row};
+use rtec_files::{InputError, Numbers};
 use rtec_model::record::{Column, Kind, Record, Role};
 use std::borrow::Cow;
 use std::path::Path;
@@ -235,17 +236,14 @@ pub fn table(
             }),
         })
         .collect::<Result<Vec<_>, _>>()?;
-    let decimal = match form.decimal_comma {
-        Some(true) => Decimal::Comma,
-        None if reader.separator() == ';' => Decimal::Either,
-        _ => Decimal::Point,
-    };
+    let numbers = numbers(from, &text, form, reader.separator(), header.is_some(), &places)?;
     let mut data = vec![Vec::new(); wanted.len()];
     let mut start: Option<(i128, String)> = None;
-    let mut marked: Option<char> = None;
+    let mut unix: Option<(f64, String)> = None;
+    let by = reader.separator();
     while let Some(row) = reader.row()? {
-        let cells = cells(header.as_ref(), row, decimal)?;
-        for ((w, place), data) in wanted.iter().zip(&places).zip(&mut data) {
+        let cells = cells(header.as_ref(), row, form, by)?;
+        for (((w, place), numbers), data) in wanted.iter().zip(&places).zip(&numbers).zip(&mut data) {
             let cell = cells.get(*place).ok_or_else(|| {
                 row.finding(format!("{} fields", cells.len()), format!("a field {}", place + 1))
             })?;
@@ -256,7 +254,7 @@ pub fn table(
             let is_time = w.role == Role::Time && (w.scale[0] - 1.0 == 0.0) && w.scale[1] == 0.0;
             if is_time
                 && (start.is_some() || data.is_empty())
-                && let Some(ns) = iso8601_ns(cell.text())
+                && let Some(ns) = absolute_ns(cell.text())
             {
                 let first = start.get_or_insert_with(|| (ns, cell.text().to_owned())).0;
                 data.push((ns - first) as f64 * 1e-9);
@@ -265,8 +263,31 @@ pub fn table(
             if is_time && start.is_some() {
                 return Err(named(cell.finding("a time as in the rows before, 2022-08-08T13:51:37.25Z")));
             }
-            decimal.alike(cell, &mut marked).map_err(named)?;
-            data.push(decimal.number(cell).map_err(named)? * w.scale[0] + w.scale[1]);
+            let number = numbers.parse(cell.text()).ok_or_else(|| {
+                named(cell.finding(if is_time && cell.text().contains([':', '/']) {
+                    "a time as ISO 8601 writes it, 2022-08-08T13:51:37.25Z, or a number"
+                } else {
+                    numbers.expected(cell.text())
+                }))
+            })?;
+            if w.role == Role::Time && w.scale[1] == 0.0 && (data.is_empty() || unix.is_some()) {
+                if data.is_empty()
+                    && let Some((unit, day)) = clock::unix(number * w.scale[0])
+                {
+                    if unit != "s" {
+                        return Err(named(cell.finding(format!(
+                            "a time in s, or its unit: this is Unix time in {unit}, as {}=time:{unit}",
+                            w.column
+                        ))));
+                    }
+                    unix = Some((number, day));
+                }
+                if let Some((first, _)) = unix {
+                    data.push((number - first) * w.scale[0]);
+                    continue;
+                }
+            }
+            data.push(number * w.scale[0] + w.scale[1]);
         }
     }
     if data.first().is_none_or(Vec::is_empty) {
@@ -284,63 +305,58 @@ pub fn table(
         record.date = Some(day(ns));
         add_note(&mut record, &format!("time 0 is {text}"));
     }
+    if let Some((first, day)) = unix {
+        add_note(&mut record, &format!("time 0 is {first}, Unix time of {day}"));
+        record.date = Some(day);
+    }
     Ok(record)
 }
 
-fn cells<'a>(header: Option<&Header>, row: Row<'a>, decimal: Decimal) -> Result<Vec<Cell<'a>>, InputError> {
+/// How the numbers of each wanted column are written: as the form says, or as all its cells show.
+fn numbers(
+    from: &Path,
+    text: &str,
+    form: &Form,
+    by: char,
+    named: bool,
+    places: &[usize],
+) -> Result<Vec<Numbers>, InputError> {
+    if let Some(comma) = form.decimal_comma {
+        return Ok(vec![Numbers::written(if comma { ',' } else { '.' }); places.len()]);
+    }
+    let mut reader = Reader::new(from, text.as_bytes())?.parted_by(by);
+    if named {
+        // Past a line `sep=` too.
+        reader.header_by_any("a header line")?;
+        reader = reader.parted_by(by);
+    }
+    let (mut marks, mut table) = (vec![None; places.len()], None);
+    while let Some(row) = reader.row()? {
+        for (place, cell) in row.cells().enumerate() {
+            let Some(mark) = Numbers::mark_of([cell.text()]) else { continue };
+            table.get_or_insert(mark);
+            for (_, own) in places.iter().zip(&mut marks).filter(|(p, _)| **p == place) {
+                own.get_or_insert(mark);
+            }
+        }
+    }
+    Ok(marks.into_iter().map(|mark| Numbers::shown(mark, table, by)).collect())
+}
+
+fn cells<'a>(
+    header: Option<&Header>,
+    row: Row<'a>,
+    form: &Form,
+    by: char,
+) -> Result<Vec<Cell<'a>>, InputError> {
     let Some(header) = header else { return Ok(row.cells().collect()) };
     header.cells(row).map_err(|e| {
         let (fields, names) = (row.cells().count(), header.names().count());
-        if decimal == Decimal::Point && row.has_decimal_commas(names) {
+        if by == ',' && form.decimal_comma != Some(true) && row.has_decimal_commas(names) {
             let found = format!("{fields} fields in {names} columns: decimal commas between commas?");
             return row
                 .finding(found, "numbers with a decimal point, or columns parted by semicolons or tabs");
         }
         e
     })
-}
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Decimal {
-    Point,
-    Comma,
-    Either,
-}
-
-impl Decimal {
-    /// Where a table may have either, it has one: a dot beside decimal commas is as likely one of thousands.
-    fn alike(self, cell: &Cell<'_>, marked: &mut Option<char>) -> Result<(), InputError> {
-        let Some(mark) =
-            cell.text().chars().find(|c| matches!(c, '.' | ',')).filter(|_| self == Self::Either)
-        else {
-            return Ok(());
-        };
-        if *marked.get_or_insert(mark) == mark {
-            return Ok(());
-        }
-        Err(cell.finding(if mark == '.' {
-            "a decimal comma, as the numbers before it: a dot beside decimal commas may part thousands"
-        } else {
-            "a decimal point, as the numbers before it: a comma beside decimal points may part thousands"
-        }))
-    }
-
-    fn number(self, cell: &Cell<'_>) -> Result<f64, InputError> {
-        let text = cell.text();
-        let of = |text: &str| text.parse().ok().filter(|v: &f64| v.is_finite());
-        let with_comma = || of(&text.replace(',', ".")).filter(|_| text.contains(','));
-        let found = match self {
-            Self::Point => of(text),
-            Self::Comma => with_comma().or_else(|| of(text).filter(|_| !text.contains('.'))),
-            Self::Either => of(text).or_else(with_comma),
-        };
-        found.ok_or_else(|| match self {
-            Self::Point if with_comma().is_some() => {
-                cell.finding("a decimal point; or --decimal comma, which takes it as it stands")
-            }
-            Self::Comma if of(text).is_some() => cell.finding("a decimal comma, as was said"),
-            Self::Either => cell.finding("a finite number"),
-            _ => cell.finite().err().unwrap_or_else(|| cell.finding("a finite number")),
-        })
-    }
 }

@@ -1,8 +1,26 @@
-//! Times as ISO 8601 writes them, in nanoseconds.
+//! Times of the clock, as ISO 8601 or a German spreadsheet writes them, in nanoseconds.
 
 use rtec_model::date;
 
 const DAY_NS: i128 = 86_400_000_000_000;
+
+/// Nanoseconds since 1970-01-01 UTC of a time in ISO 8601, or of `23.1.2021 10:23:57` (day, month, year). Dates parted by
+/// slashes have two readings and are none.
+pub(super) fn absolute_ns(text: &str) -> Option<i128> {
+    let iso = || {
+        let (day, clock) = text.trim().split_once([' ', 'T'])?;
+        let mut parts = day.split('.');
+        let (day, month, year) = (parts.next()?, parts.next()?, parts.next()?);
+        if parts.next().is_some() || year.len() != 4 {
+            return None;
+        }
+        let clock = clock.trim();
+        // One digit of the hour is usual there.
+        let clock = if clock.find(':') == Some(1) { format!("0{clock}") } else { clock.to_owned() };
+        iso8601_ns(&format!("{year}-{month:0>2}-{day:0>2}T{clock}"))
+    };
+    iso8601_ns(text).or_else(iso)
+}
 
 /// Nanoseconds since 1970-01-01 UTC of `2022-08-08T13:51:37.2515150Z`: a blank may stand for the T; Z, an offset or nothing
 /// (then taken as UTC) at the end; up to nine decimals of a second.
@@ -82,10 +100,15 @@ mod tests {
             ("2022-08-08T13:51:37.1234567890Z", None),
             ("2022-08-08T13:51:37+2", None),
             ("2022-08-08T13:51:37+1é1", None),
+            ("8.8.2022 13:51:37", Some(1_659_966_697_000_000_000)),
+            ("08.08.2022 9:21:37,5", Some(1_659_950_497_500_000_000)),
+            ("31.2.2022 13:51:37", None),
+            ("8.8.22 13:51:37", None),
+            ("8/8/2022 13:51:37", None),
             ("12.5", None),
             ("é2022-08-08T1", None),
         ] {
-            assert_eq!(iso8601_ns(text), ns, "{text}");
+            assert_eq!(absolute_ns(text), ns, "{text}");
         }
         assert_eq!(day(1_659_966_697_251_515_000), "2022-08-08");
         assert_eq!(day(-1), "1969-12-31");

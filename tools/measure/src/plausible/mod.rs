@@ -22,6 +22,7 @@
 //! | `stats` | medians, robust deviations, straight lines |
 
 mod between;
+pub(crate) mod clock;
 mod motion;
 mod pieces;
 mod repeats;
@@ -238,6 +239,9 @@ pub fn said(records: &[Record], say: &mut dyn FnMut(Said)) -> Vec<Suspicion> {
     }
     for step in steps_of(records) {
         say(Said::Warning(step));
+    }
+    for clock in records.iter().filter_map(clock::absolute) {
+        say(Said::Warning(clock));
     }
     found
 }

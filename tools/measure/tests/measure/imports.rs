@@ -62,7 +62,7 @@ fn a_csv_comes_in_with_its_own_names_units_and_commas() {
         assert!(e.found.contains(found), "{text:?}: {e}");
     }
     for (text, line, found) in [
-        ("t;e\n1,5;2,0\n2,5;2.500\n", 3, "'2.500' in column e"),
+        ("t;e\n1,5;2.100\n2,5;2.500\n", 2, "'2.100' in column e"),
         ("t;e\n1.5;2\n2;2,5\n", 3, "'2,5' in column e"),
     ] {
         let e = read(text, &["t=time", "e=error.x"]).unwrap_err();
@@ -107,16 +107,40 @@ fn factors_names_and_times_as_they_are_written() {
         ("t,F\n2022-08-08T13:51:37Z,1\n12,1\n", 3, "a time as in the rows before"),
         ("t,F\n2022-08-08T13:51:37Z,1\n2022-08-08T13:51:36Z,1\n", 3, "time that never decreases"),
         ("t,F\n2022-13-08T13:51:37Z,1\n", 2, "a finite number"),
-        ("t\tF\n0\t1,5\n", 2, "'1,5' in column F, expected a decimal point; or --decimal comma"),
+        ("t\tF\n0\t1,5x\n", 2, "'1,5x' in column F, expected a finite number"),
         ("t,F\n0,0,1,5\n", 2, "4 fields in 2 columns: decimal commas between commas?"),
-        ("t;F\n0;1.234,5\n", 2, "'1.234,5' in column F"),
+        ("t;F\n0;12.34,5\n", 2, "'12.34,5' in column F"),
+        ("t,F\n1767700000123,1\n", 2, "as t=time:ms"),
+        ("t,F\n8/8/2022 13:51:37,1\n", 2, "ISO 8601"),
     ] {
         refused(table(text, &["t=time", "F=force.x"], &Form::default()), line, says);
     }
     let comma = Form { decimal_comma: Some(true), ..Form::default() };
     let record = table("t\tF\n0\t1,5\n1\t2\n", &["t=time", "F=force.x"], &comma).unwrap();
     assert_eq!(data(&record, "force.x"), [1.5, 2.0]);
-    refused(table("t\tF\n0\t1.5\n", &["t=time", "F=force.x"], &comma), 2, "a decimal comma, as was said");
+    refused(
+        table("t\tF\n0\t1.5\n", &["t=time", "F=force.x"], &comma),
+        2,
+        "a decimal comma, as the numbers beside it",
+    );
+    for text in [
+        "sep=;\nt;F\n0;1,5\n1;1.000,25\n",
+        "t\tF\n0\t1,5\n1\t1.000,25\n",
+        "t,F\n0,1.5\n1,\"1,000.25\"\n",
+        "t;F\n1767700000;1.5\n1767700001;1000.25\n",
+        "t;F\n23.1.2021 10:23:57;1,5\n23.1.2021 10:23:58;1000,25\n",
+    ] {
+        let record = table(text, &["t=time", "F=force.x"], &Form::default()).unwrap();
+        assert_eq!(
+            (data(&record, "time"), data(&record, "force.x")),
+            (vec![0.0, 1.0], vec![1.5, 1000.25]),
+            "{text}"
+        );
+    }
+    let record =
+        table("t,F\n1767700000123,1\n1767700000623,2\n", &["t=time:ms", "F=force.x"], &Form::default());
+    let record = record.unwrap();
+    assert_eq!((data(&record, "time"), record.date.as_deref()), (vec![0.0, 0.5], Some("2026-01-06")));
     // A log has no response, and is asked for as one.
     refused(table("t,T\n0,20\n", &["t=time", "T=temperature"], &Form::default()), 0, "no response");
     let log = Form { log: true, ..Form::default() };
@@ -353,7 +377,7 @@ fn a_table_is_read_as_a_file_of_ones_own_describes_it() {
     assert_eq!(data(&record, "time"), [0.0, 60.0]);
     assert_eq!(data(&record, "error.z"), [0.0, 9.5]);
     assert!(record.temperature("T1").unwrap().iter().zip([20.0, 21.0]).all(|(a, b)| (a - b).abs() < 1e-9));
-    refused(read(form, &table.replace("0,24", "0.24")), 4, "a decimal comma, as was said");
+    refused(read(form, &table.replace("0,24", "0.24")), 4, "a decimal comma, as the numbers beside it");
     // Without names, parted by blanks.
     let bare = "kind = \"dynamics\"\nseparator = \"blank\"\nnames = false\n[columns]\nf = { column = 2, role = \"force.x\" }\n";
     let record = read(bare, "  1.0   2.5  # c\n 2.0\t3.5\n").unwrap();
