@@ -8,6 +8,7 @@ use crate::{ballbar, plate, record};
 use rtec_files::{InputError, Said};
 use rtec_model::record::{Kind, Record, Role, sha256_of};
 use serde_json::{Value, json};
+use std::borrow::Cow;
 use std::path::{Path, PathBuf};
 
 /// The evaluations, by the names that they are asked for with.
@@ -130,7 +131,8 @@ pub fn evaluate(
     let doubts = plausible::said(records, say);
     reducible(&asked.conditions, &doubts)?;
     let standard = asked.standard.map_or_else(|| Standard::of(first), Ok)?;
-    let (document, mut report) = by(standard, records, asked, say)?;
+    let usable = without_bad_readings(records, &doubts);
+    let (document, mut report) = by(standard, &usable, asked, say)?;
     if let Some(unused) = standard.unused(&asked.conditions, records) {
         report.warn(&unused);
     }
@@ -224,6 +226,29 @@ fn doubted(
     }
     plausible::enter(&mut document, &doubts);
     Evaluation { document, report, doubts }
+}
+
+/// The records, in which readings that a sensor did not take are no numbers: no figure and no plot holds them.
+fn without_bad_readings<'r>(records: &'r [Record], doubts: &[Suspicion]) -> Cow<'r, [Record]> {
+    let bad = |d: &&Suspicion| {
+        d.is_of_sensor() && matches!(d.what, What::Unplugged | What::Range) && !d.rows.is_empty()
+    };
+    let mut usable = Cow::Borrowed(records);
+    for doubt in doubts.iter().filter(bad) {
+        let Some(at) = records.iter().position(|r| r.path.display().to_string() == doubt.record) else {
+            continue;
+        };
+        let record = &mut usable.to_mut()[at];
+        let first = record.first_row();
+        for column in record.columns.iter_mut().filter(|c| c.name == doubt.column) {
+            for row in doubt.row_list() {
+                if let Some(v) = row.checked_sub(first).and_then(|row| column.data.get_mut(row)) {
+                    *v = f64::NAN;
+                }
+            }
+        }
+    }
+    usable
 }
 
 fn of_rows(doubt: &Suspicion) -> bool {
@@ -329,16 +354,25 @@ fn by(
 }
 
 fn returns(record: &Record, conditions: &Conditions) -> Result<(Value, Report), InputError> {
-    let axes = iso230::repeatability(record);
+    let axes = iso230::returns(record);
     if axes.is_empty() {
         let expected = "a column of role error.AXIS with two returns at least";
         return Err(InputError::whole(&record.path, "nothing that returned twice", expected));
     }
-    let of = |(axis, [s, range]): (&String, &[f64; 2])| (axis.clone(), json!({"s_um": s, "range_um": range}));
-    let found = axes.iter().map(of).collect::<serde_json::Map<_, _>>();
-    let report = report::repeatability(&axes, record, conditions)
+    let found = serde_json::to_value(&axes)
+        .map_err(|e| InputError::whole(&record.path, e.to_string(), "figures that can be written"))?;
+    let mut report = report::repeatability(&axes, record, conditions)
         .map_err(|e| InputError::whole(&record.path, e.to_string(), "figures that can be drawn"))?;
-    Ok((Value::Object(found), report))
+    for (axis, of) in axes.iter().filter(|(_, of)| of.is_trend()) {
+        report.warn(&format!(
+            "error.{axis}: the returns drift by {:+.2} ± {:.2} µm a return ({:+.1} µm in all): s and the range hold that drift; about it the returns scatter by s = {:.2} µm, which is the repeatability",
+            of.trend_um_per_return,
+            of.trend_standard_error_um,
+            of.trend_um_per_return * (of.returns - 1) as f64,
+            of.s_about_trend_um.unwrap_or(0.0)
+        ));
+    }
+    Ok((found, report))
 }
 
 fn values(all: &[impl serde::Serialize]) -> serde_json::Result<Vec<Value>> {

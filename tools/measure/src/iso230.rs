@@ -23,6 +23,8 @@ pub use straightness::{StraightPlace, Straightness, has_straightness, straightne
 
 use rtec_files::InputError;
 use rtec_model::record::{Axis, Kind, Record, Role};
+use serde::Serialize;
+use statrs::distribution::{ContinuousCDF, StudentsT};
 use std::collections::BTreeMap;
 
 /// A position that is read instead of commanded scatters by far less than a ten-thousandth of the travel.
@@ -198,15 +200,64 @@ pub fn correlation(x: &[f64], y: &[f64]) -> f64 {
     if xx > 0.0 && yy > 0.0 { xy / (xx * yy).sqrt() } else { 0.0 }
 }
 
-/// Repeatability of returning to one position (tool changes, reference marks), from the record's first error per
-/// axis: standard deviation and range, µm.
+/// Returning to one position (tool changes, reference marks): how far the returns scatter, with and without their drift.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Returns {
+    /// Number of returns.
+    pub returns: usize,
+    /// Standard deviation of all returns, µm.
+    pub s_um: f64,
+    /// Largest minus smallest error, µm.
+    pub range_um: f64,
+    /// Slope of the straight line through the returns, µm from one to the next.
+    pub trend_um_per_return: f64,
+    /// Standard error of that slope, µm.
+    pub trend_standard_error_um: f64,
+    /// Probability of so large a slope by chance; `None` below three returns.
+    pub trend_p_value: Option<f64>,
+    /// Standard deviation about that line, µm; `None` below three returns.
+    pub s_about_trend_um: Option<f64>,
+}
+
+impl Returns {
+    /// Of errors in µm in the order of the returns; `None` for fewer than two.
+    #[must_use]
+    pub fn of(e: &[f64]) -> Option<Self> {
+        let (mean, s_um) = mean_and_s(e)?;
+        let n = e.len() as f64;
+        let about = |i: usize| i as f64 - (n - 1.0) / 2.0;
+        let xx: f64 = (0..e.len()).map(|i| about(i).powi(2)).sum();
+        let slope = e.iter().enumerate().map(|(i, v)| about(i) * (v - mean)).sum::<f64>() / xx;
+        let left = e.iter().enumerate().map(|(i, v)| (v - mean - slope * about(i)).powi(2)).sum::<f64>();
+        let s_about = (n > 2.0).then(|| (left / (n - 2.0)).sqrt());
+        let error = s_about.map_or(f64::INFINITY, |s| s / xx.sqrt());
+        let p = s_about.and_then(|s| {
+            let t = StudentsT::new(0.0, 1.0, n - 2.0).ok()?;
+            let size = (slope / error).abs();
+            Some(if s > 0.0 { 2.0 * t.cdf(-size) } else { f64::from(slope == 0.0) })
+        });
+        Some(Self {
+            returns: e.len(),
+            s_um,
+            range_um: range(e.iter().map(|v| (*v, *v)))?,
+            trend_um_per_return: slope,
+            trend_standard_error_um: if error.is_finite() { error } else { 0.0 },
+            trend_p_value: p,
+            s_about_trend_um: s_about,
+        })
+    }
+
+    /// The returns drift by more than chance gives in one of a hundred runs.
+    #[must_use]
+    pub fn is_trend(&self) -> bool {
+        self.trend_p_value.is_some_and(|p| p < 0.01)
+    }
+}
+
+/// Repeatability of returning to one position, from the record's first error per axis.
 #[must_use]
-pub fn repeatability(record: &Record) -> BTreeMap<String, [f64; 2]> {
-    let of = |(axis, e): (&Axis, &[f64])| {
-        let (_, s) = mean_and_s(e)?;
-        Some((axis.to_string(), [s, range(e.iter().map(|v| (*v, *v)))?]))
-    };
-    error_axes(record).into_iter().filter_map(of).collect()
+pub fn returns(record: &Record) -> BTreeMap<String, Returns> {
+    error_axes(record).into_iter().filter_map(|(axis, e)| Some((axis.to_string(), Returns::of(e)?))).collect()
 }
 
 /// The evaluation that fits a record's kind.

@@ -193,7 +193,8 @@ pub fn drift_charts(record: &Record) -> Vec<Chart> {
     let start = t[0];
     let minutes: Vec<f64> = t.iter().map(|t| (t - start) / 60.0).collect();
     let line = |name: &str, data: &[f64]| {
-        Series::new(name, Style::Line, minutes.iter().copied().zip(data.iter().copied()).collect())
+        let points = minutes.iter().copied().zip(data.iter().copied());
+        Series::new(name, Style::Line, points.filter(|(_, v)| v.is_finite()).collect())
     };
     let errors = error_axes(record).into_iter().map(|(axis, e)| line(&format!("error.{axis}"), e)).collect();
     let degc = temperatures(&record.columns).map(|c| line(&c.name, &c.data)).collect();

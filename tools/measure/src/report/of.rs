@@ -3,7 +3,7 @@
 use super::{Report, Run, Table};
 use crate::ballbar::{Ballbar, Contour};
 use crate::history::History;
-use crate::iso230::{Conditions, Diagonals, Drift, Figures, Positioning, Straightness};
+use crate::iso230::{Conditions, Diagonals, Drift, Figures, Positioning, Returns, Straightness};
 use crate::plate::Plate;
 use crate::plot::{Chart, Colour, PlotError, Polar, Series, Style};
 use rtec_model::record::Record;
@@ -540,15 +540,32 @@ pub fn history(h: &History) -> Result<Report, PlotError> {
 /// # Errors
 /// A plot without a finite point.
 pub fn repeatability(
-    axes: &BTreeMap<String, [f64; 2]>,
+    axes: &BTreeMap<String, Returns>,
     record: &Record,
     conditions: &Conditions,
 ) -> Result<Report, PlotError> {
     let mut report = Report::new("Returning to one position", std::slice::from_ref(record), conditions);
-    let head = ["axis", "#returns", "#standard deviation s (µm)", "#4 s (µm)", "#range (µm)"];
+    let head = [
+        "axis",
+        "#returns",
+        "#standard deviation s (µm)",
+        "#4 s (µm)",
+        "#range (µm)",
+        "#trend (µm a return)",
+        "#s about it (µm)",
+    ];
     let mut table = Table::new("Repeatability per axis", &head);
-    for (axis, [s, range]) in axes {
-        table.row([axis.clone(), record.rows().to_string(), um(*s), um(4.0 * s), um(*range)]);
+    for (axis, of) in axes {
+        let about = of.s_about_trend_um.map_or_else(|| "–".to_owned(), um);
+        table.row([
+            axis.clone(),
+            of.returns.to_string(),
+            um(of.s_um),
+            um(4.0 * of.s_um),
+            um(of.range_um),
+            um(of.trend_um_per_return),
+            about,
+        ]);
     }
     report.table(table);
     let mut chart = Chart::new("Returning to one position", "return (number)", "error (µm)");

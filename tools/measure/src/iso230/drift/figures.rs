@@ -17,12 +17,13 @@ pub(super) struct Sums {
     last_s: f64,
     t: f64,
     e: f64,
-    degc: Vec<f64>,
+    /// Sum and number of the readings of each sensor that are any: one that is called bad is no number.
+    degc: Vec<(f64, usize)>,
 }
 
 impl Sums {
     pub(super) fn new(sensors: usize) -> Self {
-        Self { rows: 0, first_s: 0.0, last_s: 0.0, t: 0.0, e: 0.0, degc: vec![0.0; sensors] }
+        Self { rows: 0, first_s: 0.0, last_s: 0.0, t: 0.0, e: 0.0, degc: vec![(0.0, 0); sensors] }
     }
 
     pub(super) fn see(&mut self, (t, e, degc, row): Row<'_>) {
@@ -33,7 +34,10 @@ impl Sums {
         self.last_s = t;
         self.t += t;
         self.e += e;
-        self.degc.iter_mut().zip(degc).for_each(|(sum, v)| *sum += v[row]);
+        for ((sum, n), v) in self.degc.iter_mut().zip(degc).filter(|(_, v)| v[row].is_finite()) {
+            *sum += v[row];
+            *n += 1;
+        }
     }
 }
 
@@ -64,12 +68,82 @@ struct Ends {
 #[derive(Debug, Clone)]
 struct Beside {
     mean: f64,
+    /// Its readings.
+    rows: usize,
     span: Span,
     ends: Ends,
+    /// Readings in the first and in the last hundredth of the rows, and the first and the last of all.
+    early_rows: usize,
+    late_rows: usize,
+    first: Option<f64>,
+    last: f64,
     /// Sums of products about the means: with time, with itself, with the displacement.
     tv: f64,
     vv: f64,
     ve: f64,
+    /// Sums over its readings: time and displacement about their means over all rows, and their squares.
+    t: [f64; 2],
+    e: [f64; 2],
+}
+
+impl Beside {
+    fn of((sum, rows): (f64, usize)) -> Self {
+        Self {
+            mean: sum / rows as f64,
+            rows,
+            span: Span::NONE,
+            ends: Ends::default(),
+            early_rows: 0,
+            late_rows: 0,
+            first: None,
+            last: 0.0,
+            tv: 0.0,
+            vv: 0.0,
+            ve: 0.0,
+            t: [0.0; 2],
+            e: [0.0; 2],
+        }
+    }
+
+    fn see(&mut self, v: f64, [about_t, about_e]: [f64; 2], [early, late]: [bool; 2]) {
+        if !v.is_finite() {
+            return;
+        }
+        self.span.see(v);
+        self.first.get_or_insert(v);
+        self.last = v;
+        if early {
+            self.ends.early += v;
+            self.early_rows += 1;
+        }
+        if late {
+            self.ends.late += v;
+            self.late_rows += 1;
+        }
+        let about = v - self.mean;
+        self.tv += about_t * about;
+        self.vv += about * about;
+        self.ve += about * about_e;
+        for (sums, about) in [(&mut self.t, about_t), (&mut self.e, about_e)] {
+            sums[0] += about;
+            sums[1] += about * about;
+        }
+    }
+
+    fn figures(&self) -> SensorDrift {
+        // About the means over the sensor's own readings.
+        let about = |[sum, squares]: [f64; 2]| squares - sum * sum / self.rows as f64;
+        let mean = |sum: f64, rows: usize, other: f64| if rows > 0 { sum / rows as f64 } else { other };
+        let (tt, ee) = (about(self.t), about(self.e));
+        let late = mean(self.ends.late, self.late_rows, self.last);
+        let early = mean(self.ends.early, self.early_rows, self.first.unwrap_or(self.last));
+        SensorDrift {
+            range_k: self.span.range(),
+            end_k: late - early,
+            rate_k_per_h: if tt > 0.0 { self.tv / tt * HOUR_S } else { 0.0 },
+            gamma: if self.vv > 0.0 && ee > 0.0 { self.ve / (self.vv * ee).sqrt() } else { 0.0 },
+        }
+    }
 }
 
 /// The second look, at the same rows in the same order.
@@ -98,14 +172,6 @@ pub(super) struct Look {
 impl Look {
     pub(super) fn at(of: Sums) -> Self {
         let n = of.rows as f64;
-        let beside = |sum: &f64| Beside {
-            mean: sum / n,
-            span: Span::NONE,
-            ends: Ends::default(),
-            tv: 0.0,
-            vv: 0.0,
-            ve: 0.0,
-        };
         Self {
             seen: 0,
             few: (of.rows / 100).max(1),
@@ -121,7 +187,7 @@ impl Look {
             window_s: (of.last_s - of.first_s).min(HOUR_S),
             window: VecDeque::new(),
             max_rate_per_h: 0.0,
-            sensors: of.degc.iter().map(beside).collect(),
+            sensors: of.degc.iter().copied().map(Beside::of).collect(),
             of,
         }
     }
@@ -147,13 +213,7 @@ impl Look {
         self.ee += about_e * about_e;
         self.slide(t, e);
         for (sensor, v) in self.sensors.iter_mut().zip(degc) {
-            let v = v[row];
-            sensor.span.see(v);
-            at_ends(&mut sensor.ends, v);
-            let about = v - sensor.mean;
-            sensor.tv += about_t * about;
-            sensor.vv += about * about;
-            sensor.ve += about * about_e;
+            sensor.see(v[row], [about_t, about_e], [early, late]);
         }
     }
 
@@ -178,12 +238,6 @@ impl Look {
         let change = |ends: Ends| ends.late / few - ends.early / few;
         // The slope of the straight line through the rows.
         let per_h = |with_t: f64| if self.tt > 0.0 { with_t / self.tt * HOUR_S } else { 0.0 };
-        let sensor = |s: &Beside| SensorDrift {
-            range_k: s.span.range(),
-            end_k: change(s.ends),
-            rate_k_per_h: per_h(s.tv),
-            gamma: if s.vv > 0.0 && self.ee > 0.0 { s.ve / (s.vv * self.ee).sqrt() } else { 0.0 },
-        };
         Figures {
             d_60: self.first_hour.range(),
             d_t: self.all.range(),
@@ -192,7 +246,11 @@ impl Look {
             rate_per_h: per_h(self.te),
             max_rate_per_h: self.max_rate_per_h,
             t_min: (self.of.last_s - self.of.first_s) / 60.0,
-            temperatures: names.map(str::to_owned).zip(self.sensors.iter().map(sensor)).collect(),
+            temperatures: names
+                .zip(&self.sensors)
+                .filter(|(_, s)| s.rows > 0)
+                .map(|(name, s)| (name.to_owned(), s.figures()))
+                .collect(),
         }
     }
 }
