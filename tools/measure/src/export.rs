@@ -351,7 +351,7 @@ pub struct Table {
     pub between_um: f64,
 }
 
-/// Model minus table, the constant left out, over the travel.
+/// What is left of the model over the travel where the controller applies the table, the constant left out.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Left {
     /// Largest absolute value moving up, µm.
@@ -459,19 +459,20 @@ impl Table {
                 );
                 return Err(usage(format!("{points} points"), expected));
             }
-            return Self::with_step(errors, &dense, from, to, step, rules);
+            return Self::with_step(errors, &dense, from, to, step, rules)?.applied(errors, &dense);
         }
         let mut best: Option<Self> = None;
         for step in steps(to - from, most, rules.position_mm) {
             let table = Self::with_step(errors, &dense, from, to, step, rules)?;
             if table.between_um <= wanted.limit_um {
-                return Ok(table);
+                return table.applied(errors, &dense);
             }
             if best.as_ref().is_none_or(|b| table.between_um < b.between_um) {
                 best = Some(table);
             }
         }
-        best.ok_or_else(|| usage(format!("--max-points {most}"), "enough points for the range"))
+        best.ok_or_else(|| usage(format!("--max-points {most}"), "enough points for the range"))?
+            .applied(errors, &dense)
     }
 
     fn with_step(
@@ -523,6 +524,27 @@ impl Table {
             return Err(usage("errors that are no numbers there", "positions at which the model has values"));
         }
         Ok(table)
+    }
+
+    /// Judges what is left where a controller applies the table: it looks the value up at the commanded position and moves the
+    /// drive by it, and the error there is another one. Across a large reversal that is a good part of a screw's wave.
+    fn applied(mut self, errors: &Errors<'_>, dense: &Dense) -> Result<Self, InputError> {
+        let moved = |value: fn(&Point) -> f64, up: bool| -> Result<Vec<f64>, InputError> {
+            let values: Vec<f64> = interpolate(&self.points, &dense.positions_mm, value).collect();
+            let driven: Vec<f64> =
+                dense.positions_mm.iter().zip(&values).map(|(p, um)| p - um / 1000.0).collect();
+            let errors_um = errors.along(&driven, up)?;
+            Ok(errors_um.iter().zip(&values).map(|(e, um)| e - self.constant_um - um).collect())
+        };
+        let (up, down) = (moved(|p| p.up_um, true)?, moved(|p| p.down_um, false)?);
+        let largest = |left: &[f64]| left.iter().map(|um| um.abs()).fold(0.0, f64::max);
+        let squares: f64 = up.iter().chain(&down).map(|um| um * um).sum();
+        self.left = Left {
+            max_up_um: largest(&up),
+            max_down_um: largest(&down),
+            rms_um: (squares / (2 * up.len()) as f64).sqrt(),
+        };
+        Ok(self)
     }
 
     fn judge(&mut self, dense: &Dense, both: bool) {

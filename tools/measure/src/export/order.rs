@@ -136,7 +136,7 @@ impl Order {
         let mut warnings = machine.doubts(date::today());
         warnings.extend(errors.doubts()?);
         warnings.extend(beyond(machine, &self.axis, [self.wanted.from_mm, self.wanted.to_mm]));
-        warnings.extend(self.coarse(&table));
+        warnings.extend(self.coarse(&table, format.rules().both));
         let (left, points, held) = (table.left, table.points.len(), errors.temperatures_degc()?);
         let mut notes = vec![
             format!(
@@ -172,7 +172,7 @@ impl Order {
     }
 
     /// Where the table is coarser than was asked for.
-    fn coarse(&self, table: &Table) -> Vec<String> {
+    fn coarse(&self, table: &Table, both: bool) -> Vec<String> {
         let (limit_um, to_mm, mut found) = (self.wanted.limit_um, self.wanted.to_mm, Vec::new());
         if table.between_um > limit_um {
             found.push(format!(
@@ -193,10 +193,16 @@ impl Order {
             ));
         }
         if table.left.max_um() > table.between_um + limit_um {
-            found.push(format!(
-                "one value serves both directions: what they differ by stays, up to {:.2} um in each",
+            found.push(if both {
+                format!(
+                    "applied, it leaves up to {:.2} um: the table moves the drive by up to {:.0} um, and the error there is another",
+                    table.left.max_um(),
+                    table.points.iter().map(|p| p.up_um.abs().max(p.down_um.abs())).fold(0.0, f64::max)
+                )
+            } else {
+                format!("one value serves both directions: what they differ by stays, up to {:.2} um in each",
                 table.left.max_um()
-            ));
+            )});
         }
         found
     }

@@ -5,6 +5,7 @@ mod ballbar_one_way;
 mod circles;
 mod derive;
 mod evaluations;
+mod field;
 mod imports;
 mod plausible;
 mod positioning;
