@@ -13,6 +13,7 @@ use crate::text::{UTF8, not_utf8, opened};
 use crate::words::{cut, nearest, quoted, shown};
 use std::borrow::Cow;
 use std::cell::RefCell;
+use std::fmt::Write as _;
 use std::fs::File;
 use std::io::Read;
 use std::path::{Path, PathBuf};
@@ -139,6 +140,14 @@ impl<R: Read> Reader<R> {
     /// # Errors
     /// As [`Reader::header`]; a `sep=` of another character than `,`, `;`, `|` and a tab.
     pub fn header_by_any(&mut self, expected: &str) -> Result<Header, InputError> {
+        self.header_with(expected, &[])
+    }
+
+    /// As [`Reader::header_by_any`]; of several separators in the row, the one that gives all of `names`.
+    ///
+    /// # Errors
+    /// As [`Reader::header_by_any`].
+    pub fn header_with(&mut self, expected: &str, names: &[&str]) -> Result<Header, InputError> {
         let file = self.lines.file.clone();
         let no_header = || InputError::whole(&file, "no header", expected);
         let row = self.row()?.ok_or_else(no_header)?;
@@ -157,13 +166,14 @@ impl<R: Read> Reader<R> {
             return Ok(Header::of(self.row()?.ok_or_else(no_header)?));
         }
         let has = |by: &u8| outside_quotes(row.text.as_bytes()).any(|(_, byte)| byte == *by);
-        if let Some(by) = [b';', b'\t'].into_iter().find(has) {
-            let parser = parser(by);
-            let header = Header::of(Row { parser: &parser, by, ..row });
-            (self.parser, self.by) = (parser, by);
-            return Ok(header);
-        }
-        Ok(Header::of(row))
+        let header_by = |by: u8| (by, Header::of(Row { parser: &parser(by), by, ..row }));
+        let mut headers: Vec<(u8, Header)> =
+            [b';', b'\t'].into_iter().filter(has).chain([b',']).map(header_by).collect();
+        let named = |(_, header): &(u8, Header)| names.iter().all(|name| header.find(name).is_some());
+        let best = headers.iter().position(named).unwrap_or(0);
+        let (by, header) = headers.swap_remove(best);
+        (self.parser, self.by) = (parser(by), by);
+        Ok(header)
     }
 
     /// The first row, which must be these names.
@@ -457,13 +467,6 @@ impl<'a> Cell<'a> {
         number.ok_or_else(|| self.finding("a finite number"))
     }
 
-    /// A number that has a decimal comma.
-    #[must_use]
-    pub fn has_decimal_comma(&self) -> bool {
-        let point = self.text.replacen(',', ".", 1);
-        self.text.contains(',') && point.parse().is_ok_and(f64::is_finite)
-    }
-
     fn beyond(&self, columns: usize, names: &str) -> InputError {
         let after =
             if names.len() <= 60 { names.to_owned() } else { format!("{columns} fields, one per column") };
@@ -592,6 +595,12 @@ impl Header {
     /// The names, in the file's order.
     pub fn names(&self) -> impl Iterator<Item = &str> {
         self.names.iter().map(|(name, _)| name.as_str())
+    }
+
+    /// The file that it is of.
+    #[must_use]
+    pub fn file(&self) -> &Path {
+        &self.file
     }
 
     /// Line of the file, from 1.
@@ -754,6 +763,38 @@ pub fn cell(text: &str) -> Cow<'_, str> {
         return Cow::Owned(format!("\"{}\"", text.replace('"', "\"\"")));
     }
     Cow::Borrowed(text)
+}
+
+/// How further cells are written at the end of a table's rows.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Style {
+    /// What parts the cells.
+    pub by: char,
+    /// Numbers have a decimal comma.
+    pub decimal_comma: bool,
+}
+
+impl Default for Style {
+    fn default() -> Self {
+        Self { by: ',', decimal_comma: false }
+    }
+}
+
+impl Style {
+    /// Appends a text cell, with the separator in front of it.
+    pub fn push_text(self, row: &mut String, text: &str) {
+        row.push(self.by);
+        row.push_str(&cell(text));
+    }
+
+    /// Appends a number, with the separator in front of it.
+    pub fn push_number(self, row: &mut String, number: f64) {
+        row.push(self.by);
+        let quote = if self.decimal_comma && self.by == ',' { "\"" } else { "" };
+        let number = number.to_string();
+        let number = if self.decimal_comma { number.replace('.', ",") } else { number };
+        let _ = write!(row, "{quote}{number}{quote}");
+    }
 }
 
 /// The names of columns as a header line, without its end.

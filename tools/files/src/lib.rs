@@ -35,6 +35,6 @@ pub mod words;
 pub mod write;
 
 pub use input::{InputError, Said};
-pub use numbers::Numbers;
+pub use numbers::{Marks, Numbers};
 pub use sheet::Sheet;
 pub use words::nearest;

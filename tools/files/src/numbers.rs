@@ -1,8 +1,14 @@
-//! How the numbers of a column are written: decimal point or comma, thousands parted or not.
+//! How a table's numbers are written: decimal point or comma, thousands parted or not.
 //!
 //! A cell tells its decimal mark by itself where it has both marks (`1.000,5`), one mark several times (`1.000.000`), or one
 //! that cannot part thousands (`38,1125`, `0,125`). One mark with three digits behind it (`1.000`, `38,125`) does not tell; the
 //! other cells of the column decide then.
+
+use crate::csv::{Reader, Style};
+use crate::input::InputError;
+use crate::text::unreadable;
+use std::io::{Read, Seek};
+use std::path::Path;
 
 /// What parts thousands in some countries, beside the other one of point and comma.
 const BLANKS: [char; 4] = [' ', '\u{a0}', '\u{202f}', '\''];
@@ -68,6 +74,9 @@ impl Numbers {
     /// What to write instead of a cell that is no number or has two readings.
     #[must_use]
     pub fn expected(self, text: &str) -> &'static str {
+        if number_body(text).is_none() {
+            return "a finite number";
+        }
         let other = if self.column == Some(',') { '.' } else { ',' };
         match self.column.or(self.table) {
             Some(',') if text.contains('.') => {
@@ -84,14 +93,137 @@ impl Numbers {
     }
 }
 
+/// How a table is written: what parts its cells, and the decimal marks that they show, column by column.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Marks {
+    columns: Vec<Option<char>>,
+    table: Option<char>,
+    by: char,
+    utf16: bool,
+}
+
+impl Marks {
+    /// Of a table of which no row has been seen.
+    #[must_use]
+    pub fn new(by: char, utf16: bool) -> Self {
+        Self { columns: Vec::new(), table: None, by, utf16 }
+    }
+
+    /// Sees a cell of a row; `place` is its column's, from 0.
+    pub fn see(&mut self, place: usize, text: &str) {
+        let Some(mark) = shown_mark(text) else { return };
+        self.table.get_or_insert(mark);
+        if self.columns.len() <= place {
+            self.columns.resize(place + 1, None);
+        }
+        self.columns[place].get_or_insert(mark);
+    }
+
+    /// Of the rows that follow in a reader.
+    ///
+    /// # Errors
+    /// As [`Reader::row`].
+    pub fn of<R: Read>(reader: &mut Reader<R>) -> Result<Self, InputError> {
+        let mut marks = Self::new(reader.separator(), reader.is_utf16());
+        marks.see_rows(reader)?;
+        Ok(marks)
+    }
+
+    fn see_rows<R: Read>(&mut self, reader: &mut Reader<R>) -> Result<(), InputError> {
+        while let Some(row) = reader.row()? {
+            for (place, cell) in row.cells().enumerate() {
+                self.see(place, cell.text());
+            }
+        }
+        Ok(())
+    }
+
+    /// Of a table with a header of these names, from its beginning, where the input is again afterwards. `None` for a plain
+    /// table: commas part the cells and none is in quotes, so that a number can only have a decimal point.
+    ///
+    /// # Errors
+    /// There is no header; a row that is no text; the input cannot be read.
+    pub fn find<R: Read + Seek>(
+        file: &Path,
+        input: &mut R,
+        names: &[&str],
+    ) -> Result<Option<Self>, InputError> {
+        let rewind = |input: &mut R| input.rewind().map_err(|e| unreadable(file, &e));
+        let mut reader = Reader::new(file, &mut *input)?;
+        reader.header_with("a header line", names)?;
+        let plain = reader.separator() == ',' && !reader.is_utf16();
+        rewind(input)?;
+        let plain = plain && !has_quote(input).map_err(|e| unreadable(file, &e))?;
+        rewind(input)?;
+        if plain {
+            return Ok(None);
+        }
+        let mut reader = Reader::new(file, &mut *input)?;
+        reader.header_with("a header line", names)?;
+        let mut marks = Self::new(reader.separator(), reader.is_utf16());
+        // What is wrong with a row is found when it is read; the rows before it come first.
+        let _ = marks.see_rows(&mut reader);
+        rewind(input)?;
+        Ok(Some(marks))
+    }
+
+    /// How the numbers of a column are written; `place` is the column's, from 0.
+    #[must_use]
+    pub fn numbers(&self, place: usize) -> Numbers {
+        Numbers::shown(self.columns.get(place).copied().flatten(), self.table, self.by)
+    }
+
+    /// How further columns are written beside these.
+    #[must_use]
+    pub fn style(&self) -> Style {
+        Style { by: self.by, decimal_comma: self.table == Some(',') }
+    }
+
+    /// How the file is written where it is not as formats.md has it: UTF-16, another separator, decimal commas.
+    #[must_use]
+    pub fn written(&self, file: &Path) -> Option<String> {
+        let by = match self.by {
+            ',' => None,
+            ';' => Some("columns parted by semicolons"),
+            '\t' => Some("columns parted by tabs"),
+            _ => Some("columns parted by |"),
+        };
+        let comma = (self.table == Some(',')).then_some("decimal commas");
+        let parts: Vec<&str> = [self.utf16.then_some("UTF-16"), by, comma].into_iter().flatten().collect();
+        (!parts.is_empty()).then(|| format!("{}: read as {}", file.display(), parts.join(", ")))
+    }
+}
+
+fn has_quote(input: &mut impl Read) -> std::io::Result<bool> {
+    let mut buffer = vec![0; 1 << 16];
+    loop {
+        match input.read(&mut buffer) {
+            Ok(0) => return Ok(false),
+            Ok(n) if memchr::memchr(b'"', &buffer[..n]).is_some() => return Ok(true),
+            Ok(_) => {}
+            Err(e) if e.kind() == std::io::ErrorKind::Interrupted => {}
+            Err(e) => return Err(e),
+        }
+    }
+}
+
+/// A number without its sign and exponent; `None` where other characters are in it.
+fn number_body(text: &str) -> Option<&str> {
+    let body = text.trim_start_matches(['+', '-']);
+    let (body, exponent) = body.split_once(['e', 'E']).unwrap_or((body, "0"));
+    let is_number = |c: char| c.is_ascii_digit() || c == '.' || c == ',' || BLANKS.contains(&c);
+    let has_digits = body.contains(|c: char| c.is_ascii_digit());
+    (has_digits && body.chars().all(is_number) && exponent.parse::<i32>().is_ok()).then_some(body)
+}
+
 /// The decimal mark that a number shows by itself.
 fn shown_mark(text: &str) -> Option<char> {
-    let body = text.trim_start_matches(['+', '-']);
-    let body = body.split(['e', 'E']).next().unwrap_or(body);
-    let is_number = |c: char| c.is_ascii_digit() || c == '.' || c == ',' || BLANKS.contains(&c);
-    if !body.contains(|c: char| c.is_ascii_digit()) || !body.chars().all(is_number) {
-        return None;
-    }
+    let mark = mark_by_shape(text)?;
+    ungrouped(text, mark)?.parse::<f64>().is_ok().then_some(mark)
+}
+
+fn mark_by_shape(text: &str) -> Option<char> {
+    let body = number_body(text)?;
     let last = body.rfind(['.', ','])?;
     let mark = char::from(body.as_bytes()[last]);
     let other = if mark == '.' { ',' } else { '.' };

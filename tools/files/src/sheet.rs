@@ -2,7 +2,7 @@
 
 use crate::csv::{Header, Reader};
 use crate::input::InputError;
-use crate::numbers::Numbers;
+use crate::numbers::Marks;
 use crate::words::shown;
 use std::path::{Path, PathBuf};
 
@@ -13,10 +13,7 @@ pub struct Sheet {
     header: Header,
     names: Vec<String>,
     rows: Vec<Row>,
-    by: char,
-    utf16: bool,
-    /// The decimal mark that the cells show.
-    mark: Option<char>,
+    marks: Marks,
 }
 
 #[derive(Debug, Clone)]
@@ -63,9 +60,11 @@ impl Sheet {
             rows.push(Row { line: row.line(), cells });
         }
         let names = header.names().map(str::to_owned).collect();
-        let (by, utf16) = (reader.separator(), reader.is_utf16());
-        let mark = Numbers::mark_of(rows.iter().flat_map(|r: &Row| &r.cells).map(|(text, _)| text.as_str()));
-        Ok(Self { file: file.to_owned(), header, names, rows, by, utf16, mark })
+        let mut marks = Marks::new(reader.separator(), reader.is_utf16());
+        for (place, (text, _)) in rows.iter().flat_map(|r: &Row| r.cells.iter().enumerate()) {
+            marks.see(place, text);
+        }
+        Ok(Self { file: file.to_owned(), header, names, rows, marks })
     }
 
     /// The file as the user named it.
@@ -77,16 +76,7 @@ impl Sheet {
     /// How the file is written where it is not as formats.md has it: UTF-16, another separator, decimal commas.
     #[must_use]
     pub fn written(&self) -> Option<String> {
-        let by = match self.by {
-            ',' => None,
-            ';' => Some("columns parted by semicolons"),
-            '\t' => Some("columns parted by tabs"),
-            _ => Some("columns parted by |"),
-        };
-        let parts =
-            [self.utf16.then_some("UTF-16"), by, (self.mark == Some(',')).then_some("decimal commas")];
-        let parts: Vec<&str> = parts.into_iter().flatten().collect();
-        (!parts.is_empty()).then(|| format!("{}: read as {}", self.file.display(), parts.join(", ")))
+        self.marks.written(&self.file)
     }
 
     /// Number of rows without the header.
@@ -125,7 +115,7 @@ impl Sheet {
     /// No such column, or a cell that is no finite number.
     pub fn numbers(&self, name: &str) -> Result<Vec<f64>, InputError> {
         let i = self.header.place(name)?;
-        let numbers = Numbers::of(self.rows.iter().map(|row| row.cells[i].0.as_str()), self.mark, self.by);
+        let numbers = self.marks.numbers(i);
         self.rows
             .iter()
             .map(|row| {

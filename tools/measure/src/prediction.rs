@@ -4,7 +4,6 @@ use crate::{derive, record};
 use rtec_files::{InputError, Said};
 use rtec_model::machine::{Asked, HalfWidths, Machine, Reach, Running};
 use rtec_model::record::{Record, Role};
-use std::fmt::Write as _;
 use std::io::Write;
 use std::path::Path;
 
@@ -65,6 +64,7 @@ pub fn write(
         pieces.rewind()?;
     }
     let mut widths: Vec<HalfWidths<'_>> = Vec::new();
+    let style = pieces.style();
     let (mut rows, mut taken_as_zero, mut text) = (0, Vec::new(), String::new());
     while let Some(piece) = pieces.next(PIECE_ROWS)? {
         let prediction = running.next(&piece.record)?;
@@ -78,7 +78,7 @@ pub fn write(
             text.push_str(pieces.header());
             for (name, _) in &prediction.columns {
                 for bound in if interval { &["low_", "high_", "predicted_"][..] } else { &["predicted_"] } {
-                    let _ = write!(text, ",{}", rtec_files::csv::cell(&format!("{bound}{name}")));
+                    style.push_text(&mut text, &format!("{bound}{name}"));
                 }
             }
             text.push('\n');
@@ -92,9 +92,10 @@ pub fn write(
             for (response, (_, data)) in prediction.columns.iter().enumerate() {
                 let p = data[n];
                 if let Some(w) = widths.get(response).map(|w| w[n]) {
-                    let _ = write!(text, ",{},{}", p - w, p + w);
+                    style.push_number(&mut text, p - w);
+                    style.push_number(&mut text, p + w);
                 }
-                let _ = write!(text, ",{p}");
+                style.push_number(&mut text, p);
             }
             text.push('\n');
         }
@@ -178,6 +179,7 @@ pub fn csv(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::fmt::Write as _;
 
     /// An acceleration that nobody logged is that of the positions, as a reconciliation has it: whole, and as it is written.
     #[test]

@@ -1,9 +1,9 @@
 //! Run records on file: `NAME.run.toml` beside a CSV (formats.md, "Run record"), read strictly and written whole.
 
-use rtec_files::InputError;
-use rtec_files::csv::{self, Reader};
+use rtec_files::csv::{self, Reader, Style};
 use rtec_files::text::{LONGEST, open_regular};
 use rtec_files::toml::{Document, Table};
+use rtec_files::{InputError, Marks, Numbers};
 use rtec_model::circle::Circle;
 use rtec_model::date;
 use rtec_model::file_kind::FileKind;
@@ -11,15 +11,12 @@ use rtec_model::record::{Axis, Column, Kind, Record, Role, Turns, check, hex, ra
 use sha2::{Digest, Sha256};
 use std::fmt::Write as _;
 use std::fs::File;
-use std::io::Read;
+use std::io::{Read, Seek};
 use std::path::{Path, PathBuf};
 
 /// The roles, as an error names them.
 pub const ROLES: &str = "a role: time, cycle, temperature, spindle_speed, coolant, angle, channel, or position, direction, \
      velocity, acceleration, load, error, force with an axis (position.y), or angle_error with two (angle_error.x.b)";
-
-/// The way for a table whose numbers have decimal commas.
-const IMPORT: &str = "`rtecctl characterise import FILE --format csv --decimal comma` takes decimal commas";
 
 /// Reads a record from its sidecar.
 ///
@@ -60,7 +57,7 @@ pub fn read_log(path: &Path) -> Result<Record, InputError> {
 ///
 /// # Errors
 /// As [`read_log`].
-pub fn parse_log(path: &Path, sidecar: &str, csv: impl Read) -> Result<Record, InputError> {
+pub fn parse_log(path: &Path, sidecar: &str, csv: impl Read + Seek) -> Result<Record, InputError> {
     let sidecar = Sidecar::parse(path, sidecar)?;
     let csv_path = sidecar.csv_path(path);
     of_parts(path, sidecar, &csv_path, csv, 0)
@@ -112,9 +109,10 @@ impl Pieces {
         if sidecar.circle.is_some() {
             return Ok(None);
         }
-        let (csv_path, file) = sidecar.open(path)?;
+        let (csv_path, mut file) = sidecar.open(path)?;
         let bytes = file.metadata().map_or(0, |m| m.len());
-        let rows = Rows::new(&csv_path, file, &sidecar)?;
+        let marks = sidecar.marks(&csv_path, &mut file)?;
+        let rows = Rows::new(&csv_path, file, &sidecar, marks)?;
         has_response(path, &rows.columns)?;
         Ok(Some(Self { path: path.to_owned(), sidecar, bytes, rows, before: 0 }))
     }
@@ -125,7 +123,7 @@ impl Pieces {
     /// The file is no longer what it was.
     pub fn rewind(&mut self) -> Result<(), InputError> {
         let (csv_path, file) = self.sidecar.open(&self.path)?;
-        self.rows = Rows::new(&csv_path, file, &self.sidecar)?;
+        self.rows = Rows::new(&csv_path, file, &self.sidecar, self.rows.marks.take())?;
         self.before = 0;
         Ok(())
     }
@@ -146,6 +144,12 @@ impl Pieces {
     #[must_use]
     pub fn header(&self) -> &str {
         self.rows.header.text()
+    }
+
+    /// How further cells are written beside the CSV's own.
+    #[must_use]
+    pub fn style(&self) -> Style {
+        self.rows.marks.as_ref().map_or_else(Style::default, Marks::style)
     }
 
     /// The next rows, so many at most; `None` at the end.
@@ -175,6 +179,7 @@ impl Pieces {
         let mut record = Record::of_checked(&self.path, self.sidecar.kind, columns).from_row(self.before);
         self.before += record.rows();
         record.file.clone_from(&self.sidecar.file);
+        record.written = self.rows.written();
         record.count_um = self.sidecar.count_um;
         record.date.clone_from(&self.sidecar.date);
         record.note.clone_from(&self.sidecar.note);
@@ -188,15 +193,17 @@ fn of_parts(
     path: &Path,
     sidecar: Sidecar,
     csv_path: &Path,
-    csv: impl Read,
+    mut csv: impl Read + Seek,
     bytes: u64,
 ) -> Result<Record, InputError> {
+    let marks = sidecar.marks(csv_path, &mut csv)?;
     let mut csv = Hashed { input: csv, hash: Sha256::new() };
-    let mut rows = Rows::new(csv_path, &mut csv, &sidecar)?;
+    let mut rows = Rows::new(csv_path, &mut csv, &sidecar, marks)?;
     rows.expect(bytes);
     while rows.next(|_| ())? {}
-    let columns = rows.columns;
+    let (written, columns) = (rows.written(), rows.columns);
     let mut record = Record::of_checked(path, sidecar.kind, columns);
+    record.written = written;
     record.file = sidecar.file;
     record.sha256 = hex(&csv.hash.finalize());
     (record.count_um, record.date, record.note) = (sidecar.count_um, sidecar.date, sidecar.note);
@@ -230,12 +237,16 @@ impl<R: Read> Read for Hashed<R> {
 /// The CSV can no longer be read, or its number of rows has changed since.
 pub fn csv_with(record: &Record, extra: &[(String, Vec<f64>)]) -> Result<String, InputError> {
     let path = record.path.parent().unwrap_or(Path::new("")).join(&record.file);
-    let mut reader = Reader::open(&path)?;
+    let mut file = open_regular(&path)?;
+    let names: Vec<&str> = record.columns.iter().map(|c| c.name.as_str()).collect();
+    let marks = Marks::find(&path, &mut file, &names)?;
+    let style = marks.as_ref().map_or_else(Style::default, Marks::style);
+    let mut reader = Reader::new(&path, file)?;
     let mut out = String::with_capacity(24 * (record.columns.len() + extra.len()) * record.rows());
-    let header = reader.header("a header line")?;
+    let header = reader.header_with("a header line", &names)?;
     out.push_str(header.text());
     for (name, _) in extra {
-        let _ = write!(out, ",{}", csv::cell(name));
+        style.push_text(&mut out, name);
     }
     out.push('\n');
     let mut n = 0;
@@ -243,7 +254,7 @@ pub fn csv_with(record: &Record, extra: &[(String, Vec<f64>)]) -> Result<String,
         out.push_str(row.text());
         for (_, data) in extra {
             let Some(v) = data.get(n) else { break };
-            let _ = write!(out, ",{v}");
+            style.push_number(&mut out, *v);
         }
         out.push('\n');
         n += 1;
@@ -363,6 +374,8 @@ pub fn write(record: &mut Record) -> std::io::Result<()> {
 /// The rows of a record's CSV, checked one by one.
 struct Rows<R> {
     reader: Reader<R>,
+    /// How the numbers are written; `None`: with decimal points, between commas.
+    marks: Option<Marks>,
     header: csv::Header,
     /// The listed columns in the CSV's order, with what has been read.
     columns: Vec<Column>,
@@ -382,23 +395,13 @@ struct Rows<R> {
 }
 
 impl<R: Read> Rows<R> {
-    fn new(path: &Path, csv: R, sidecar: &Sidecar) -> Result<Self, InputError> {
+    fn new(path: &Path, csv: R, sidecar: &Sidecar, marks: Option<Marks>) -> Result<Self, InputError> {
         let mut reader = Reader::new(path, csv)?;
-        let header = reader.header("a header line")?;
+        let header = reader.header_with("a header line", &sidecar.names())?;
         if sidecar.columns.iter().any(|l| header.find(&l.name).is_none())
             && let Some(missing) = header.is_missing()
         {
             return Err(missing);
-        }
-        if let Some((by, name)) =
-            [(';', "semicolons"), ('\t', "tabs")].into_iter().find(|(by, _)| header.text().contains(*by))
-            && !header.text().contains(',')
-            && sidecar.columns.iter().any(|l| header.find(&l.name).is_none())
-        {
-            let found = format!("columns parted by {name} ('{}')", by.escape_default());
-            let expected = "commas and decimal points; `rtecctl characterise import FILE --format csv` takes such a table, with \
-                 decimal commas too: `--decimal comma`";
-            return Err(InputError::at(path, header.line(), 0, found, expected));
         }
         for listed in &sidecar.columns {
             if header.find(&listed.name).is_none() {
@@ -427,13 +430,18 @@ impl<R: Read> Rows<R> {
         }
         let before = vec![None; columns.len()];
         let fields = vec![0.0; fields];
-        Ok(Self { reader, header, columns, places, slots, low, high, further, before, fields })
+        Ok(Self { reader, marks, header, columns, places, slots, low, high, further, before, fields })
     }
 
     /// Makes room for what a CSV of so many bytes holds: rows as long as the header would be so many; they are mostly longer.
     fn expect(&mut self, bytes: u64) {
         let rows = bytes as usize / self.header.text().len().max(1);
         self.columns.iter_mut().for_each(|c| c.data.reserve(rows.min(1 << 20)));
+    }
+
+    /// How the CSV is written where that is unusual.
+    fn written(&self) -> Option<String> {
+        self.marks.as_ref()?.written(self.header.file())
     }
 
     /// Rows that the columns hold.
@@ -454,7 +462,8 @@ impl<R: Read> Rows<R> {
     /// Enters the next row into the columns and gives `kept` its text; `false` at the end.
     #[inline]
     fn next(&mut self, kept: impl FnOnce(&[u8])) -> Result<bool, InputError> {
-        if let Some(row) = self.reader.plain_row(&mut self.fields, |place| self.slots[place].is_none())
+        if self.marks.is_none()
+            && let Some(row) = self.reader.plain_row(&mut self.fields, |place| self.slots[place].is_none())
             && self.fields_are_good()
         {
             for (column, place) in self.columns.iter_mut().zip(&self.places) {
@@ -483,36 +492,42 @@ impl<R: Read> Rows<R> {
     /// The same cell by cell, where a finding gets its place.
     #[inline(never)]
     fn next_with_care(&mut self, kept: impl FnOnce(&[u8])) -> Result<bool, InputError> {
-        let (header, before) = (&self.header, &self.before);
+        let (header, before, marks) = (&self.header, &self.before, &self.marks);
         let Some(row) = self.reader.row()? else {
             let none = self.columns.first().is_none_or(|c| c.data.is_empty() && before[0].is_none());
             return if none { Err(header.no_rows()) } else { Ok(false) };
         };
-        header.each(row, |place, cell| {
-            let Some(slot) = self.slots[place] else { return Ok(()) };
-            let column = &mut self.columns[slot];
-            let v = cell.finite().map_err(|e| {
-                let comma = cell.has_decimal_comma();
-                let expected = if comma { format!("a decimal point; {IMPORT}") } else { e.expected };
-                header.named(place, InputError { expected, ..e })
+        header
+            .each(row, |place, cell| {
+                let Some(slot) = self.slots[place] else { return Ok(()) };
+                let column = &mut self.columns[slot];
+                let v = match marks {
+                    // A blank may part thousands in any table.
+                    None => cell.finite().or_else(|e| Numbers::written('.').parse(cell.text()).ok_or(e)),
+                    Some(marks) => {
+                        let numbers = marks.numbers(place);
+                        let expected = || cell.finding(numbers.expected(cell.text()));
+                        numbers.parse(cell.text()).ok_or_else(expected)
+                    }
+                };
+                let v = v.map_err(|e| header.named(place, e))?;
+                let checked = check(&column.role, v, column.data.last().copied().or(before[slot]));
+                checked.map_err(|(found, expected)| header.named(place, cell.said(found, expected)))?;
+                column.data.push(v);
+                Ok(())
+            })
+            .map_err(|e| {
+                let columns = header.names().count();
+                if !row.has_decimal_commas(columns) {
+                    return e;
+                }
+                // Not certain: a field too many is a field too many.
+                let expected = format!(
+                    "{}; or, if these are decimal commas between commas, the table written with semicolons",
+                    e.expected
+                );
+                InputError { expected, ..e }
             })?;
-            let checked = check(&column.role, v, column.data.last().copied().or(before[slot]));
-            checked.map_err(|(found, expected)| header.named(place, cell.said(found, expected)))?;
-            column.data.push(v);
-            Ok(())
-        })
-        .map_err(|e| {
-            let columns = header.names().count();
-            if !row.has_decimal_commas(columns) {
-                return e;
-            }
-            // Not certain: a field too many is a field too many.
-            let expected = format!(
-                "{}; or, if these are decimal commas between commas, the table written with semicolons: {IMPORT}",
-                e.expected
-            );
-            InputError { expected, ..e }
-        })?;
         kept(row.text().as_bytes());
         Ok(true)
     }
@@ -554,6 +569,14 @@ struct Sidecar {
 impl Sidecar {
     fn csv_path(&self, path: &Path) -> PathBuf {
         path.parent().unwrap_or(Path::new("")).join(&self.file)
+    }
+
+    fn names(&self) -> Vec<&str> {
+        self.columns.iter().map(|c| c.name.as_str()).collect()
+    }
+
+    fn marks(&self, csv_path: &Path, csv: &mut (impl Read + Seek)) -> Result<Option<Marks>, InputError> {
+        Marks::find(csv_path, csv, &self.names())
     }
 
     /// The CSV of the sidecar at `path`.
@@ -693,6 +716,7 @@ fn read_turns(root: &Table<'_>, kind: Kind) -> Result<Option<Turns>, InputError>
 mod tests {
     use super::*;
     use rtec_model::record::Axis;
+    use std::io::Cursor;
 
     const SIDECAR: &str = "file = \"y.csv\"\nkind = \"positioning\"\ncount_um = 1.0\n[columns]\n\
                            t = { role = \"time\", unit = \"s\" }\ny = { role = \"position.y\", unit = \"mm\" }\n\
@@ -778,11 +802,8 @@ mod tests {
             let mut columns = vec![Vec::new(); 5];
             while let Some(row) = reader.row()? {
                 header.each(row, |n, cell| {
-                    let v: f64 = cell
-                        .text()
-                        .parse()
-                        .ok()
-                        .filter(|v: &f64| v.is_finite())
+                    let v = Numbers::written('.')
+                        .parse(cell.text())
                         .ok_or_else(|| header.named(n, cell.finding("a finite number")))?;
                     let checked = check(&Role::parse(roles[n]).unwrap(), v, columns[n].last().copied());
                     checked.map_err(|(f, e)| header.named(n, cell.said(f, e)))?;
@@ -810,7 +831,7 @@ mod tests {
             }
             let text: String = rows.iter().map(|r| r.join(",") + "\n").collect();
             let csv = format!("c0,c1,c2,c3,c4\n{text}");
-            let ours = parse_log(Path::new("y.run.toml"), &sidecar, csv.as_bytes());
+            let ours = parse_log(Path::new("y.run.toml"), &sidecar, Cursor::new(csv.as_bytes()));
             match (ours, by_cells(&csv)) {
                 (Ok(ours), Ok(plain)) => {
                     good += 1;
@@ -819,8 +840,9 @@ mod tests {
                 }
                 (Err(ours), Err(plain)) => {
                     bad += 1;
-                    // Decimal commas get a hint on top.
-                    let hint = ours.expected.contains(IMPORT);
+                    // Decimal commas get a hint on top, and parted thousands another.
+                    let hints = ["written with semicolons", "may part thousands"];
+                    let hint = hints.iter().any(|hint| ours.expected.contains(hint));
                     let expected = if hint { plain.expected.clone() } else { ours.expected.clone() };
                     assert_eq!(InputError { expected, ..ours }, plain, "{csv}");
                 }
@@ -831,29 +853,70 @@ mod tests {
     }
 
     #[test]
-    fn a_table_as_a_spreadsheet_may_save_it_is_told_how_it_can_be_read() {
-        let import = "`rtecctl characterise import FILE --format csv --decimal comma` takes decimal commas";
-        let comma = format!("2:8: found '-7,3703' in column e, expected a decimal point; {import}");
-        let between = format!(
-            "2:11: found '3703', expected the end of the row after t,y,T3,e; or, if these are decimal commas between commas, \
-             the table written with semicolons: {import}"
-        );
-        let parted = "1: found columns parted by semicolons (';'), expected commas and decimal points; `rtecctl characterise \
-                      import FILE --format csv` takes such a table, with decimal commas too: `--decimal comma`";
+    fn reads_tables_as_spreadsheets_save_them() {
+        let german = "t;y;T3;e\r\n0;1.000,5;20;-7,3703\r\n";
+        let utf16 = |text: &str| -> Vec<u8> {
+            "\u{feff}".encode_utf16().chain(text.encode_utf16()).flat_map(u16::to_le_bytes).collect()
+        };
+        for (bytes, written) in [
+            (german.as_bytes().to_vec(), "columns parted by semicolons, decimal commas"),
+            (format!("sep=;\n{german}").into_bytes(), "columns parted by semicolons, decimal commas"),
+            (german.replace(';', "\t").into_bytes(), "columns parted by tabs, decimal commas"),
+            (utf16(german), "UTF-16, columns parted by semicolons, decimal commas"),
+            (b"t,y,T3,e\n0,\"1.000,5\",20,\"-7,3703\"\n".to_vec(), "decimal commas"),
+            (b"t;y;T3;e\n0;1000.5;20;-7.3703\n".to_vec(), "columns parted by semicolons"),
+        ] {
+            let record = parse_log(Path::new("y.run.toml"), SIDECAR, Cursor::new(bytes)).unwrap();
+            let data: Vec<f64> = record.columns.iter().map(|c| c.data[0]).collect();
+            assert_eq!(data, [0.0, 1000.5, 20.0, -7.3703], "{written}");
+            assert_eq!(record.written, Some(format!("y.csv: read as {written}")));
+        }
+        let plain =
+            parse_log(Path::new("y.run.toml"), SIDECAR, Cursor::new("t,y,T3,e\n0,\"1,000.5\",20,2.5\n"));
+        assert_eq!(plain.unwrap().written, None);
+    }
+
+    #[test]
+    fn a_separator_in_a_name_parts_nothing() {
+        let sidecar = SIDECAR.replace("T3 =", "\"T3; bed\" =");
+        let record = read(&sidecar, "t,y,T3; bed,e\n0,1,20,3\n").unwrap();
+        assert_eq!(record.temperature("T3; bed"), Some(&[20.0][..]));
+    }
+
+    #[test]
+    fn further_columns_are_written_as_the_table_is() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("y.run.toml");
+        std::fs::write(&path, SIDECAR).unwrap();
+        for (csv, with) in [
+            ("t;y;T3;e;memo\n0;1,5;20;-7;a,b\n", "t;y;T3;e;memo;p\n0;1,5;20;-7;a,b;0,25\n"),
+            ("t,y,T3,e\n0,\"1,5\",20,-7\n", "t,y,T3,e,p\n0,\"1,5\",20,-7,\"0,25\"\n"),
+            ("t,y,T3,e\n0,1.5,20,-7\n", "t,y,T3,e,p\n0,1.5,20,-7,0.25\n"),
+        ] {
+            std::fs::write(folder.path().join("y.csv"), csv).unwrap();
+            let record = super::read(&path).unwrap();
+            assert_eq!(csv_with(&record, &[("p".to_owned(), vec![0.25])]).unwrap(), with);
+        }
+    }
+
+    #[test]
+    fn numbers_with_two_readings_are_refused() {
+        let between = "2:11: found '3703', expected the end of the row after t,y,T3,e; or, if these are decimal commas between \
+                       commas, the table written with semicolons";
         let nameless = "1:1: found numbers ('0,1.5,20,3') in the first line, expected the columns' names there: the line that \
                         names them is missing";
         for (csv, says) in [
-            ("t,y,T3,e\n0,1,20,\"-7,3703\"\n", comma.as_str()),
-            ("t,y,T3,e\n0,1,20,-7,3703\n", &between),
-            ("t;y;T3;e\n0;1;20;-7,3703\n", parted),
+            ("t,y,T3,e\n0,1,20,-7,3703\n", between),
             ("0,1.5,20,3\n1,1.5,20,3\n", nameless),
+            (
+                "t;y;T3;e\n0;1.000;20;1,5\n",
+                "2:3: found '1.000' in column y, expected a decimal comma, as the numbers beside it: a dot beside decimal commas may \
+                 part thousands",
+            ),
         ] {
             let error = read(SIDECAR, csv).unwrap_err();
             assert!(error.to_string().ends_with(&format!("y.csv:{says}")), "{error}\n{says}");
         }
-        let utf16: Vec<u8> = "\u{feff}t,y,T3,e\n".encode_utf16().flat_map(u16::to_le_bytes).collect();
-        let error = parse_log(Path::new("y.run.toml"), SIDECAR, utf16.as_slice()).unwrap_err();
-        assert!(error.found.contains("UTF-16") && error.expected.contains("iconv"), "{error}");
         assert!(read(SIDECAR, &"0,1,20,3\r".repeat(3000)).unwrap_err().to_string().len() < 300);
     }
 

@@ -382,7 +382,7 @@ pub fn ship(spool: &Path, store: &dyn Store, machine: &str) -> Result<Round, Shi
                 continue;
             }
         };
-        if let Err(finding) = super::record::parse_log(&sidecar, &text, data.as_slice()) {
+        if let Err(finding) = super::record::parse_log(&sidecar, &text, io::Cursor::new(&data)) {
             round.kept.push(finding);
             continue;
         }

@@ -29,6 +29,8 @@ pub struct Record {
     pub date: Option<String>,
     /// Free text about the run.
     pub note: Option<String>,
+    /// How its CSV is written where that is unusual: decimal commas, semicolons, UTF-16.
+    pub written: Option<String>,
     /// The name of the gauges' zero: records of one name, and those without, share it.
     pub zero: Option<String>,
     /// Where the axis of a positioning run turned back; `None` where nobody said.
@@ -119,6 +121,7 @@ impl Record {
             count_um: None,
             date: None,
             note: None,
+            written: None,
             zero: None,
             turns: None,
             time_s: times(&columns),

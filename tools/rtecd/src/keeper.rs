@@ -185,8 +185,8 @@ pub(crate) fn take_over(
     go_on: &dyn Fn() -> bool,
 ) -> Result<Kept, InputError> {
     // As it will stand in the folder it must still be one; of the two one is in memory at a time.
-    let words = to_sidecar(&parse_log(name, sidecar, Until { bytes: csv, go_on })?);
-    let record = parse_log(name, &words, Until { bytes: csv, go_on })?;
+    let words = to_sidecar(&parse_log(name, sidecar, Until { bytes: io::Cursor::new(csv), go_on })?);
+    let record = parse_log(name, &words, Until { bytes: io::Cursor::new(csv), go_on })?;
     let texts = record.columns.iter().map(|c| &c.name).chain(&record.note).chain(&record.zero);
     let file = record.path.file_name().unwrap_or_default().to_string_lossy().into_owned();
     if let Some((text, c)) = texts.chain([&file]).find_map(|text| Some((text, unseen(text)?))) {
@@ -199,13 +199,19 @@ pub(crate) fn take_over(
 
 /// Bytes that come to an end where it takes too long.
 struct Until<'a> {
-    bytes: &'a [u8],
+    bytes: io::Cursor<&'a [u8]>,
     go_on: &'a dyn Fn() -> bool,
 }
 
 impl io::Read for Until<'_> {
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
         if (self.go_on)() { self.bytes.read(buffer) } else { Err(io::Error::other("it took too long")) }
+    }
+}
+
+impl io::Seek for Until<'_> {
+    fn seek(&mut self, to: io::SeekFrom) -> io::Result<u64> {
+        self.bytes.seek(to)
     }
 }
 

@@ -68,16 +68,10 @@ pub fn rtl(from: &Path, text: &str, axis: &Axis, to: &Path) -> Result<Record, In
     };
     let target_data = section("TARGET DATA")?;
     let header = section("HEADER")?;
-    if let Ok((line, kind)) = value(header, "File type").and_then(|(l, k)| Ok((l, k.to_ascii_lowercase())))
-        && kind != "rtl"
+    if let Ok((line, kind)) = value(header, "File type").map(|(l, k)| (l, k.to_ascii_lowercase()))
+        && let Some(is) = other_type(&kind)
     {
-        let is = match kind.as_str() {
-            "rta" => " (angular targets, in degrees)",
-            "rts" => " (straightness)",
-            "rtx" | "rtr" => " (a rotary axis)",
-            _ => "",
-        };
-        let found = format!("File type `{kind}`{is}");
+        let found = format!("File type `{kind}` ({is})");
         return Err(InputError::at(from, line, 1, found, "File type `rtl`, linear targets in mm"));
     }
     let kinds = ["angular", "straightness", "squareness", "flatness", "rotary"];
@@ -235,4 +229,15 @@ fn rows(
         }
     }
     Ok((rows, notes))
+}
+
+/// What a file of another type than linear targets holds.
+fn other_type(kind: &str) -> Option<&'static str> {
+    match kind {
+        "rta" => Some("angular targets, in degrees"),
+        "rts" => Some("straightness"),
+        "rtx" | "rtr" => Some("a rotary axis"),
+        _ if kind.starts_with("rt") && kind != "rtl" => Some("not linear"),
+        _ => None,
+    }
 }

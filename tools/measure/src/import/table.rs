@@ -1,10 +1,10 @@
 //! Any table whose columns somebody names: what parts them, how its numbers are written, which roles and units they have.
 
-use super::time::{absolute_ns, day};
+use super::time::{DAY_NS, absolute_ns, day, of_day_ns};
 use super::{add_note, column, record_of};
 use crate::plausible::clock;
 use rtec_files::csv::{Cell, Header, Reader, Row};
-use rtec_files::{InputError, Numbers};
+use rtec_files::{InputError, Marks, Numbers};
 use rtec_model::record::{Column, Kind, Record, Role};
 use std::borrow::Cow;
 use std::path::Path;
@@ -238,8 +238,7 @@ pub fn table(
         .collect::<Result<Vec<_>, _>>()?;
     let numbers = numbers(from, &text, form, reader.separator(), header.is_some(), &places)?;
     let mut data = vec![Vec::new(); wanted.len()];
-    let mut start: Option<(i128, String)> = None;
-    let mut unix: Option<(f64, String)> = None;
+    let mut clock = Clock::default();
     let by = reader.separator();
     while let Some(row) = reader.row()? {
         let cells = cells(header.as_ref(), row, form, by)?;
@@ -252,16 +251,14 @@ pub fn table(
                 None => InputError { found: format!("{} in column {}", e.found, place + 1), ..e },
             };
             let is_time = w.role == Role::Time && (w.scale[0] - 1.0 == 0.0) && w.scale[1] == 0.0;
-            if is_time
-                && (start.is_some() || data.is_empty())
-                && let Some(ns) = absolute_ns(cell.text())
-            {
-                let first = start.get_or_insert_with(|| (ns, cell.text().to_owned())).0;
-                data.push((ns - first) as f64 * 1e-9);
+            if is_time && let Some(s) = clock.moment(cell.text(), data.is_empty()) {
+                data.push(s);
                 continue;
             }
-            if is_time && start.is_some() {
-                return Err(named(cell.finding("a time as in the rows before, 2022-08-08T13:51:37.25Z")));
+            if is_time && clock.start.is_some() {
+                return Err(named(
+                    cell.finding("a time as in the rows before, 2022-08-08T13:51:37.25Z or 13:51:37"),
+                ));
             }
             let number = numbers.parse(cell.text()).ok_or_else(|| {
                 named(cell.finding(if is_time && cell.text().contains([':', '/']) {
@@ -270,22 +267,10 @@ pub fn table(
                     numbers.expected(cell.text())
                 }))
             })?;
-            if w.role == Role::Time && w.scale[1] == 0.0 && (data.is_empty() || unix.is_some()) {
-                if data.is_empty()
-                    && let Some((unit, day)) = clock::unix(number * w.scale[0])
-                {
-                    if unit != "s" {
-                        return Err(named(cell.finding(format!(
-                            "a time in s, or its unit: this is Unix time in {unit}, as {}=time:{unit}",
-                            w.column
-                        ))));
-                    }
-                    unix = Some((number, day));
-                }
-                if let Some((first, _)) = unix {
-                    data.push((number - first) * w.scale[0]);
-                    continue;
-                }
+            if w.role == Role::Time && w.scale[1] == 0.0 {
+                let number = clock.number(number, w, data.is_empty());
+                data.push(number.map_err(|expected| named(cell.finding(expected)))? * w.scale[0]);
+                continue;
             }
             data.push(number * w.scale[0] + w.scale[1]);
         }
@@ -301,15 +286,87 @@ pub fn table(
         .zip(data)
         .map(|(w, data)| Column { unit: w.unit.clone(), ..column(&w.name, w.role.clone(), data) });
     let mut record = record_of(to, kind, columns.collect(), form.log)?;
-    if let Some((ns, text)) = start {
-        record.date = Some(day(ns));
-        add_note(&mut record, &format!("time 0 is {text}"));
-    }
-    if let Some((first, day)) = unix {
-        add_note(&mut record, &format!("time 0 is {first}, Unix time of {day}"));
-        record.date = Some(day);
-    }
+    clock.note(&mut record);
     Ok(record)
+}
+
+/// A time column that need not begin with the run.
+#[derive(Default)]
+struct Clock {
+    /// The first row's time, ns, and as it is written.
+    start: Option<(i128, String)>,
+    of_day: Option<OfDay>,
+    /// The first row's Unix time, in the column's unit, and its day.
+    unix: Option<(f64, String)>,
+}
+
+impl Clock {
+    /// Seconds since the first row of a time that is a date or a time of the day; `first`: this is that row.
+    fn moment(&mut self, text: &str, first: bool) -> Option<f64> {
+        let ns = match (&mut self.of_day, &self.start) {
+            (Some(of_day), _) => of_day.next(text)?,
+            (None, Some(_)) => absolute_ns(text)?,
+            (None, None) if first => match absolute_ns(text) {
+                Some(ns) => ns,
+                None => {
+                    let last_ns = of_day_ns(text)?;
+                    self.of_day = Some(OfDay { days: 0, last_ns });
+                    last_ns
+                }
+            },
+            (None, None) => return None,
+        };
+        let start = self.start.get_or_insert_with(|| (ns, text.to_owned())).0;
+        Some((ns - start) as f64 * 1e-9)
+    }
+
+    /// A time that is a number, since the first row where that is a Unix time. Or what was expected: its unit.
+    fn number(&mut self, number: f64, w: &ImportColumn, first: bool) -> Result<f64, String> {
+        if first && let Some((unit, day)) = clock::unix(number * w.scale[0]) {
+            if unit != "s" {
+                let column = &w.column;
+                return Err(format!(
+                    "a time in s, or its unit: this is Unix time in {unit}, as {column}=time:{unit}"
+                ));
+            }
+            self.unix = Some((number, day));
+        }
+        Ok(number - self.unix.as_ref().map_or(0.0, |(first, _)| *first))
+    }
+
+    /// Says when time 0 was.
+    fn note(self, record: &mut Record) {
+        if let Some((ns, text)) = self.start {
+            if self.of_day.is_none() {
+                record.date = Some(day(ns));
+            }
+            add_note(record, &format!("time 0 is {text}"));
+        }
+        if let Some((first, day)) = self.unix {
+            add_note(record, &format!("time 0 is {first}, Unix time of {day}"));
+            record.date = Some(day);
+        }
+    }
+}
+
+/// Times of the day that go on past midnight.
+struct OfDay {
+    /// Midnights so far.
+    days: i128,
+    last_ns: i128,
+}
+
+impl OfDay {
+    /// Nanoseconds since the first row's midnight.
+    fn next(&mut self, text: &str) -> Option<i128> {
+        let ns = of_day_ns(text)?;
+        // From late in the evening to early in the morning; anything else runs backwards.
+        if ns + DAY_NS / 2 < self.last_ns {
+            self.days += 1;
+        }
+        self.last_ns = ns;
+        Some(self.days * DAY_NS + ns)
+    }
 }
 
 /// How the numbers of each wanted column are written: as the form says, or as all its cells show.
@@ -330,17 +387,8 @@ fn numbers(
         reader.header_by_any("a header line")?;
         reader = reader.parted_by(by);
     }
-    let (mut marks, mut table) = (vec![None; places.len()], None);
-    while let Some(row) = reader.row()? {
-        for (place, cell) in row.cells().enumerate() {
-            let Some(mark) = Numbers::mark_of([cell.text()]) else { continue };
-            table.get_or_insert(mark);
-            for (_, own) in places.iter().zip(&mut marks).filter(|(p, _)| **p == place) {
-                own.get_or_insert(mark);
-            }
-        }
-    }
-    Ok(marks.into_iter().map(|mark| Numbers::shown(mark, table, by)).collect())
+    let marks = Marks::of(&mut reader)?;
+    Ok(places.iter().map(|place| marks.numbers(*place)).collect())
 }
 
 fn cells<'a>(

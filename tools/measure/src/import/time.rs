@@ -2,7 +2,7 @@
 
 use rtec_model::date;
 
-const DAY_NS: i128 = 86_400_000_000_000;
+pub(super) const DAY_NS: i128 = 86_400_000_000_000;
 
 /// Nanoseconds since 1970-01-01 UTC of a time in ISO 8601, or of `23.1.2021 10:23:57` (day, month, year). Dates parted by
 /// slashes have two readings and are none.
@@ -20,6 +20,13 @@ pub(super) fn absolute_ns(text: &str) -> Option<i128> {
         iso8601_ns(&format!("{year}-{month:0>2}-{day:0>2}T{clock}"))
     };
     iso8601_ns(text).or_else(iso)
+}
+
+/// Nanoseconds since midnight of a time without a day, `13:51:37.25`.
+pub(super) fn of_day_ns(text: &str) -> Option<i128> {
+    let text = text.trim();
+    let clock = if text.find(':') == Some(1) { format!("0{text}") } else { text.to_owned() };
+    iso8601_ns(&format!("1970-01-01T{clock}Z")).filter(|ns| *ns < DAY_NS)
 }
 
 /// Nanoseconds since 1970-01-01 UTC of `2022-08-08T13:51:37.2515150Z`: a blank may stand for the T; Z, an offset or nothing
@@ -110,6 +117,8 @@ mod tests {
         ] {
             assert_eq!(absolute_ns(text), ns, "{text}");
         }
+        assert_eq!(of_day_ns("9:21:37.5"), Some(33_697_500_000_000));
+        assert_eq!((of_day_ns("13:51:37Z"), of_day_ns("24:00:00")), (None, None));
         assert_eq!(day(1_659_966_697_251_515_000), "2022-08-08");
         assert_eq!(day(-1), "1969-12-31");
     }

@@ -13,7 +13,7 @@ const UNIX_S: [f64; 2] = [946_684_800.0, 4_102_444_800.0];
 pub(crate) fn unix(time: f64) -> Option<(&'static str, String)> {
     let (unit, per_s) = UNITS.into_iter().find(|(_, per_s)| {
         let s = time / per_s;
-        s >= UNIX_S[0] && s < UNIX_S[1]
+        (UNIX_S[0]..UNIX_S[1]).contains(&s)
     })?;
     Some((unit, date::format((time / per_s / 86_400.0).floor() as i64)))
 }

@@ -4,9 +4,10 @@ use anyhow::Context;
 use clap::{Subcommand, ValueEnum};
 use rtec_driver::quadrature::State;
 use rtec_driver::replay::TracePoint;
-use rtec_files::InputError;
 use rtec_files::csv::{Header, Reader};
+use rtec_files::text::open_regular;
 use rtec_files::trace::{TraceFile, TraceReader};
+use rtec_files::{InputError, Marks};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
@@ -201,6 +202,9 @@ fn from_position(args: &FromPosition) -> anyhow::Result<Summary> {
         let expected = "a header and at least one row";
         return Err(InputError::whole(&args.input, "no rows", expected).into());
     };
+    if let Some(start) = record.start.filter(|start| *start > 0.0) {
+        eprintln!("note: {}: time 0 of the trace is {start}, a Unix time", args.input.display());
+    }
     let mut scale = Scale::new(t_ns, counts, args.hysteresis_counts);
     out.write(scale.at)?;
     way.goes_on(counts, record.line, args)?;
@@ -291,6 +295,8 @@ impl Scale {
 /// The rows of a position record, as time in ns and position in counts.
 struct Record {
     rows: Reader<std::fs::File>,
+    /// How the numbers are written; `None`: with decimal points, between commas.
+    marks: Option<Marks>,
     header: Header,
     /// The present row's line.
     line: usize,
@@ -299,10 +305,20 @@ struct Record {
     position: usize,
     counts_per_unit: f64,
     last_ns: Option<u64>,
+    /// The first row's time where it is a Unix time, in the column's unit: the trace begins there.
+    start: Option<f64>,
 }
+
+/// From 2000 on, s since 1970: a clock that did not begin with the run.
+const UNIX_S: f64 = 946_684_800.0;
 
 impl Record {
     fn open(args: &FromPosition) -> Result<Self, InputError> {
+        // A pipe cannot be read twice: its numbers have decimal points.
+        let marks = match args.input.is_file() {
+            true => Marks::find(&args.input, &mut open_regular(&args.input)?, &[])?,
+            false => None,
+        };
         let mut rows = Reader::open(&args.input)?;
         let header = rows.header_by_any("a header such as t_s,position_mm")?;
         let columns = || format!("the columns {}", header.text());
@@ -329,7 +345,18 @@ impl Record {
         });
         let counts_per_unit = unit.in_um() / args.count_um;
         drop(matching);
-        Ok(Self { rows, header, line: 0, time, ns_per_unit, position, counts_per_unit, last_ns: None })
+        Ok(Self {
+            rows,
+            marks,
+            header,
+            line: 0,
+            time,
+            ns_per_unit,
+            position,
+            counts_per_unit,
+            last_ns: None,
+            start: None,
+        })
     }
 
     fn next(&mut self) -> Result<Option<(u64, f64)>, InputError> {
@@ -337,10 +364,20 @@ impl Record {
         self.line = row.line();
         let (mut time, mut counts) = (0.0, 0.0);
         self.header.each(row, |place, cell| {
-            let finite =
-                |name| cell.finite().map_err(|_| cell.finding(format!("the {name}: a finite number")));
+            let numbers = self.marks.as_ref().map(|marks| marks.numbers(place));
+            let finite = |name| {
+                let number = match numbers {
+                    None => cell.finite().ok(),
+                    Some(numbers) => numbers.parse(cell.text()),
+                };
+                let expected = || numbers.map_or("a finite number", |n| n.expected(cell.text()));
+                number.ok_or_else(|| cell.finding(format!("the {name}: {}", expected())))
+            };
             if place == self.time {
-                time = finite("time")? * self.ns_per_unit;
+                let read = finite("time")?;
+                let unix = read * self.ns_per_unit >= UNIX_S * 1e9;
+                let start = *self.start.get_or_insert(if unix { read } else { 0.0 });
+                time = (read - start) * self.ns_per_unit;
             }
             if place == self.position {
                 counts = finite("position")? * self.counts_per_unit;

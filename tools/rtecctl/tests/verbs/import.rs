@@ -96,11 +96,6 @@ fn what_cannot_be_read_is_named_and_nothing_is_written() {
     write("x.comp", "# old\n0 0 0\n10 10 10\n");
     write("s", "1 2 \noverrun\n");
     write("f.toml", "kind = \"drift\"\nseparator = \",\"\n[columns]\nt = { role = \"tim\" }\n");
-    write("semi.csv", "t;e\n0;1,5\n");
-    write(
-        "semi.run.toml",
-        "file = \"semi.csv\"\nkind = \"drift\"\n[columns]\nt = { role = \"time\", unit = \"s\" }\ne = { role = \"error.x\", unit = \"um\" }\n",
-    );
     for (words, says) in [
         ("g.csv --format csv --columns t=time,e=error.x", "decimal commas between commas?"),
         ("g.csv --format csv --columns t=time,e=error.x:V*0=um", "a factor that is no zero"),
@@ -125,13 +120,6 @@ fn what_cannot_be_read_is_named_and_nothing_is_written() {
         assert!(said.contains(says), "{words:?}: {said}");
         assert!(!dir.path().join("o.run.toml").exists() && !dir.path().join("o.csv").exists());
     }
-    // A record whose CSV is parted by semicolons is told what it is.
-    let out = rtecctl(dir.path(), &["characterise", "evaluate", "semi.run.toml", "--standard", "iso230-3"]);
-    let said = String::from_utf8(out.stderr).unwrap();
-    assert!(
-        out.status.code() == Some(2) && said.contains("semi.csv:1: found columns parted by semicolons"),
-        "{said}"
-    );
 }
 
 /// A compensation file does not say its unit: which one was taken is said.
