@@ -2,10 +2,13 @@
 //! renamed. What was there before stays until then, and stays where anything fails.
 
 use crate::input::InputError;
+use nix::fcntl::{AT_FDCWD, AtFlags};
+use nix::unistd::linkat;
 use std::collections::HashSet;
 use std::fs::{File, Metadata, OpenOptions, Permissions};
-use std::io::{self, Write};
-use std::os::unix::fs::{MetadataExt, PermissionsExt};
+use std::io::{self, Seek, Write};
+use std::os::fd::AsRawFd;
+use std::os::unix::fs::{MetadataExt, OpenOptionsExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 use tempfile::NamedTempFile;
@@ -69,7 +72,18 @@ pub struct WholeFile(Place);
 
 #[derive(Debug)]
 enum Place {
-    Beside { temporary: NamedTempFile, folder: PathBuf, file: PathBuf },
+    /// Without a name until it is whole: nothing stays where the program is killed.
+    Unnamed {
+        temporary: File,
+        folder: PathBuf,
+        file: PathBuf,
+    },
+    /// Under another name, on file systems that know no files without one.
+    Beside {
+        temporary: NamedTempFile,
+        folder: PathBuf,
+        file: PathBuf,
+    },
     Through(File),
 }
 
@@ -88,13 +102,19 @@ impl WholeFile {
         let folder = file.parent().filter(|f| !f.as_os_str().is_empty()).unwrap_or(Path::new(".")).to_owned();
         // As any new file: what the process's mask leaves of read and write for all.
         let mode = before.as_ref().map_or(0o666, |m| m.permissions().mode() & 0o777);
-        let temporary = tempfile::Builder::new()
-            .prefix(".rtec-")
-            .permissions(Permissions::from_mode(mode | 0o200))
-            .tempfile_in(&folder)?;
-        if let Some(before) = before.as_ref().map(Metadata::permissions) {
-            temporary.as_file().set_permissions(before)?;
+        let before = before.as_ref().map(Metadata::permissions);
+        let unnamed = OpenOptions::new()
+            .read(true)
+            .write(true)
+            .custom_flags(libc::O_TMPFILE)
+            .mode(mode | 0o200)
+            .open(&folder);
+        if let Ok(temporary) = unnamed {
+            before.map(|before| temporary.set_permissions(before)).transpose()?;
+            return Ok(Self(Place::Unnamed { temporary, folder, file }));
         }
+        let temporary = beside(&folder, mode)?;
+        before.map(|before| temporary.as_file().set_permissions(before)).transpose()?;
         Ok(Self(Place::Beside { temporary, folder, file }))
     }
 
@@ -105,23 +125,65 @@ impl WholeFile {
     pub fn finish(self) -> io::Result<()> {
         match self.0 {
             Place::Through(mut out) => out.flush(),
+            Place::Unnamed { temporary, folder, file } => {
+                spared(&file)?;
+                temporary.sync_all()?;
+                let mut named = tempfile::Builder::new();
+                let named = named.prefix(HIDDEN).make_in(&folder, |path| name(&temporary, path));
+                match named {
+                    Ok(named) => named.persist(file).map_err(|e| e.error)?,
+                    Err(_) => return Self::copied(temporary, &folder, &file),
+                }
+                synced(&folder)
+            }
             Place::Beside { temporary, folder, file } => {
                 spared(&file)?;
                 temporary.as_file().sync_all()?;
                 temporary.persist(file).map_err(|e| e.error)?;
-                match File::open(folder)?.sync_all() {
-                    // Some file systems know no such thing for a folder.
-                    Err(e) if e.kind() == io::ErrorKind::InvalidInput => Ok(()),
-                    done => done,
-                }
+                synced(&folder)
             }
         }
+    }
+
+    /// Where a file without a name can be given none: without /proc.
+    fn copied(mut temporary: File, folder: &Path, file: &Path) -> io::Result<()> {
+        let permissions = temporary.metadata()?.permissions();
+        let mut named = beside(folder, permissions.mode())?;
+        temporary.rewind()?;
+        io::copy(&mut temporary, &mut named)?;
+        named.as_file().set_permissions(permissions)?;
+        named.as_file().sync_all()?;
+        named.persist(file).map_err(|e| e.error)?;
+        synced(folder)
+    }
+}
+
+/// What the name of a file that is being written begins with.
+const HIDDEN: &str = ".rtec-";
+
+fn beside(folder: &Path, mode: u32) -> io::Result<NamedTempFile> {
+    let mut temporary = tempfile::Builder::new();
+    temporary.prefix(HIDDEN).permissions(Permissions::from_mode(mode | 0o200)).tempfile_in(folder)
+}
+
+/// Gives a file without a name one.
+fn name(unnamed: &File, path: &Path) -> io::Result<()> {
+    let own = format!("/proc/self/fd/{}", unnamed.as_raw_fd());
+    linkat(AT_FDCWD, own.as_str(), AT_FDCWD, path, AtFlags::AT_SYMLINK_FOLLOW).map_err(io::Error::from)
+}
+
+fn synced(folder: &Path) -> io::Result<()> {
+    match File::open(folder)?.sync_all() {
+        // Some file systems know no such thing for a folder.
+        Err(e) if e.kind() == io::ErrorKind::InvalidInput => Ok(()),
+        done => done,
     }
 }
 
 impl Write for WholeFile {
     fn write(&mut self, content: &[u8]) -> io::Result<usize> {
         match &mut self.0 {
+            Place::Unnamed { temporary, .. } => temporary.write(content),
             Place::Beside { temporary, .. } => temporary.write(content),
             Place::Through(out) => out.write(content),
         }
@@ -129,6 +191,7 @@ impl Write for WholeFile {
 
     fn flush(&mut self) -> io::Result<()> {
         match &mut self.0 {
+            Place::Unnamed { temporary, .. } => temporary.flush(),
             Place::Beside { temporary, .. } => temporary.flush(),
             Place::Through(out) => out.flush(),
         }
@@ -165,6 +228,24 @@ mod tests {
         assert_eq!(fs::read(&file).unwrap(), b"one");
         whole(&file, b"two").unwrap();
         assert_eq!(fs::read(&file).unwrap(), b"two");
+        assert_eq!(names(folder.path()), ["a.toml"]);
+    }
+
+    #[test]
+    fn a_file_being_written_has_no_name() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("a.toml");
+        let mut out = WholeFile::create(&file).unwrap();
+        out.write_all(b"half").unwrap();
+        // A program that is killed drops nothing.
+        assert!(!matches!(out.0, Place::Unnamed { .. }) || names(folder.path()).is_empty());
+        out.finish().unwrap();
+        let mut copied = WholeFile::create(&file).unwrap();
+        copied.write_all(b"other").unwrap();
+        if let Place::Unnamed { temporary, folder, file } = copied.0 {
+            WholeFile::copied(temporary, &folder, &file).unwrap();
+            assert_eq!(fs::read(&file).unwrap(), b"other");
+        }
         assert_eq!(names(folder.path()), ["a.toml"]);
     }
 
