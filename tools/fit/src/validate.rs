@@ -35,8 +35,15 @@ pub fn validate(
 ) -> Result<Validation, InputError> {
     let (mut found, mut no_better, mut charts) = (Vec::new(), Vec::new(), Vec::new());
     let doubts = plausible::said(records, say);
-    for record in records {
+    for record in plausible::taken(records, &doubts).iter() {
         let path = record.path.display();
+        let (record, rest) = plausible::rows_taken(record);
+        let record = record.as_ref();
+        if rest > 0 {
+            say(Said::Warning(format!(
+                "{path}: {rest} rows with readings that a sensor did not take are in no figure"
+            )));
+        }
         let (prediction, notes) = derive::predict(machine, record)?;
         for note in notes {
             say(Said::Note(format!("{path}: {note}")));

@@ -3,7 +3,7 @@
 use crate::iso230::{self, Options};
 use crate::plot::PlotError;
 use crate::report::{self, Report};
-use crate::{ballbar, evaluation::Standard};
+use crate::{ballbar, evaluation::Standard, plausible};
 use rtec_files::InputError;
 use rtec_files::toml::Document;
 use rtec_model::date;
@@ -149,8 +149,12 @@ pub struct History {
 pub fn history(machine: &str, records: &[(String, Result<Record, InputError>)], limits: &Limits) -> History {
     let mut found: BTreeMap<String, Figure> = BTreeMap::new();
     let mut left_out = Vec::new();
+    // Readings that a sensor did not take are in no figure.
+    let records: Vec<(&String, Result<Record, &InputError>)> =
+        records.iter().map(|(path, record)| (path, record.as_ref().map(with_taken_readings))).collect();
     let sensors = sensors(records.iter().filter_map(|r| r.1.as_ref().ok()));
-    for (path, record) in records {
+    for (path, record) in &records {
+        let path = *path;
         let said = record.as_ref().map_err(ToString::to_string).and_then(|r| {
             let day = r.date.as_deref().and_then(date::parse);
             let day = day.ok_or_else(|| "no date = \"YYYY-MM-DD\" in it".to_owned())?;
@@ -181,6 +185,12 @@ pub fn history(machine: &str, records: &[(String, Result<Record, InputError>)], 
 }
 
 type Said = (String, &'static str, Option<String>, f64);
+
+fn with_taken_readings(record: &Record) -> Record {
+    let records = std::slice::from_ref(record);
+    let taken = plausible::taken(records, &plausible::suspicions(records));
+    plausible::rows_taken(&taken[0]).0.into_owned()
+}
 
 /// What a record says: of an evaluation that has no history nothing.
 fn figures(record: &Record, sensors: &BTreeMap<String, String>) -> Result<Vec<Said>, InputError> {
@@ -367,6 +377,34 @@ mod tests {
         assert_eq!(found.left_out.len(), 2);
         let page = found.report().unwrap().html();
         assert!(page.contains("x.M") && page.contains("undated"), "{page}");
+    }
+
+    #[test]
+    fn power_on_readings_are_in_no_growth() {
+        let run = |bad: bool| {
+            let n = 60;
+            let mut t1: Vec<f64> = (0..n).map(|i| 20.0 + 4.0 * f64::from(i) / f64::from(n)).collect();
+            let e = t1.iter().map(|t| 6.0 * (t - 20.0)).collect();
+            if bad {
+                (t1[0], t1[31]) = (85.0, 85.0);
+            }
+            let t = (0..n).map(|i| 60.0 * f64::from(i)).collect();
+            let columns = vec![
+                Column::new("t", Role::Time, t),
+                Column::new("T1", Role::Temperature, t1),
+                Column::new("e", Role::parse("error.z").unwrap(), e),
+            ];
+            let mut record = Record::new(Path::new("d.run.toml"), Kind::Drift, columns).unwrap();
+            record.date = Some("2026-01-02".to_owned());
+            let found = history("m", &[("d".to_owned(), Ok(record))], &Limits::default());
+            found.figures.iter().find(|f| f.name == "z.growth_um_per_K").unwrap().points[0].value
+        };
+        assert!(
+            (run(false) - 6.0).abs() < 1e-9 && (run(true) - 6.0).abs() < 1e-9,
+            "{} {}",
+            run(false),
+            run(true)
+        );
     }
 
     #[test]

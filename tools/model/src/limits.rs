@@ -42,7 +42,7 @@ const fn code(value: f64, why: &'static str) -> Disconnected {
 
 /// Common codes: data sheets of DS18B20 (power-on value), MAX6675 and MAX31855, ranges of PT100 (IEC 60751) and of
 /// thermocouples type K (IEC 60584), the ends of 16 bit numbers in tenths and hundredths, absolute zero.
-const DISCONNECTED: [Disconnected; 24] = [
+const DISCONNECTED: [Disconnected; 25] = [
     code(999.9, "an open input's code"),
     code(999.0, "an open input's code"),
     code(-999.0, "an open input's code"),
@@ -51,6 +51,7 @@ const DISCONNECTED: [Disconnected; 24] = [
     code(-9999.0, "an open input's code"),
     code(9999.9, "an open input's code"),
     code(-127.0, "a DS18B20 that does not answer"),
+    code(127.937_5, "a DS18B20 whose conversion was cut short"),
     code(850.0, "an open PT100"),
     code(-200.0, "a shorted PT100"),
     code(1372.0, "an open thermocouple"),
@@ -86,6 +87,8 @@ mod tests {
     fn codes_are_told_from_temperatures() {
         assert_eq!(disconnected(-127.0), Some(("a DS18B20 that does not answer", true)));
         assert_eq!(disconnected(999.900_02).map(|d| d.1), Some(true));
+        assert_eq!(disconnected(127.94), None);
+        assert_eq!(disconnected(127.937_5).map(|d| d.1), Some(true));
         assert_eq!(disconnected(85.0).map(|d| d.1), Some(false));
         assert_eq!(disconnected(0.0).map(|d| d.1), Some(false));
         assert_eq!(disconnected(f64::from(999.9_f32)).map(|d| d.1), Some(true));

@@ -44,6 +44,7 @@ pub use step::steps_of;
 use rtec_files::{InputError, Said};
 use rtec_model::record::{Column, Record, Role};
 use serde::{Serialize, Serializer};
+use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 use std::path::Path;
@@ -240,6 +241,9 @@ pub fn said(records: &[Record], say: &mut dyn FnMut(Said)) -> Vec<Suspicion> {
     for step in steps_of(records) {
         say(Said::Warning(step));
     }
+    for written in records.iter().filter_map(|r| r.written.clone()) {
+        say(Said::Note(written));
+    }
     for clock in records.iter().filter_map(clock::absolute) {
         say(Said::Warning(clock));
     }
@@ -302,6 +306,44 @@ pub fn usable(records: &[Record], found: &[Suspicion], say: &mut dyn FnMut(Said)
         say(Said::Warning(format!("{}: {} is kept as it is", s.record, s.column)));
     }
     left
+}
+
+/// The records, in which readings that a sensor did not take are no numbers: no figure and no plot holds them.
+#[must_use]
+pub fn taken<'r>(records: &'r [Record], doubts: &[Suspicion]) -> Cow<'r, [Record]> {
+    let bad = |d: &&Suspicion| {
+        d.is_of_sensor()
+            && matches!(d.what, What::Unplugged | What::Range | What::Outliers)
+            && !d.rows.is_empty()
+    };
+    let mut usable = Cow::Borrowed(records);
+    for doubt in doubts.iter().filter(bad) {
+        let Some(at) = records.iter().position(|r| r.path.display().to_string() == doubt.record) else {
+            continue;
+        };
+        let record = &mut usable.to_mut()[at];
+        let first = record.first_row();
+        for column in record.columns.iter_mut().filter(|c| c.name == doubt.column) {
+            for row in doubt.row_list() {
+                if let Some(v) = row.checked_sub(first).and_then(|row| column.data.get_mut(row)) {
+                    *v = f64::NAN;
+                }
+            }
+        }
+    }
+    usable
+}
+
+/// A record's rows in which every sensor took its reading; and how many it has besides. For records of [`taken`].
+#[must_use]
+pub fn rows_taken(record: &Record) -> (Cow<'_, Record>, usize) {
+    let is_taken = |row: &usize| record.columns.iter().all(|c| !is_sensor(c) || c.data[*row].is_finite());
+    let keep: Vec<usize> = (0..record.rows()).filter(is_taken).collect();
+    let rest = record.rows() - keep.len();
+    if rest == 0 || keep.is_empty() {
+        return (Cow::Borrowed(record), 0);
+    }
+    (Cow::Owned(record.select(&keep)), rest)
 }
 
 /// What a fit should leave out.
