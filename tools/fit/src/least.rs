@@ -10,16 +10,20 @@ use crate::statistics::quantile;
 use crate::thermal::{Fitted, Intervals, jackknife_interval};
 use nalgebra::{DMatrix, DVector};
 use rtec_files::InputError;
+use rtec_files::text::short;
+use rtec_measure::steps::Steps;
 use rtec_model::date;
 use rtec_model::effect::{Dictionary, Difference, Effect, Need, Search};
 use rtec_model::machine::{FitNote, Machine, Provenance, Source};
-use rtec_model::record::{Record, Role};
+use rtec_model::record::{Column, Record, Role};
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 /// Stretches of rows that are left out in turn.
 const BLOCKS: usize = 10;
+/// Half of a normal distribution's 95 %, in standard deviations.
+const NORMAL_95: f64 = 1.96;
 /// Two columns are one when what sets one apart from the others is smaller than this share of it.
 const DEPENDENT: f64 = 1e-5;
 
@@ -39,6 +43,8 @@ pub(crate) struct Problem {
     pieces: Vec<std::ops::Range<usize>>,
     /// The means that were taken off each piece: of the response, and of every column; none where the zero is known.
     means: Vec<Option<(f64, Vec<f64>)>>,
+    /// Rows that share one rounding error of a coarse gauge, and its standard deviation.
+    rounded: Vec<(Vec<usize>, f64)>,
     /// Where an axis was at every row, mm, by its name; nothing where it stood still.
     at_mm: BTreeMap<String, Vec<Option<f64>>>,
 }
@@ -70,6 +76,56 @@ impl Problem {
     fn zero_um(&self, found: &[Found], piece: usize) -> Option<f64> {
         let (of_y, of_columns) = self.means[piece].as_ref()?;
         Some(of_y - found.iter().zip(of_columns).map(|(f, m)| f.value * m).sum::<f64>())
+    }
+
+    /// The response pushed last, as its gauge reads it, is rounded to coarse steps: readings of one value from one side are off by the
+    /// same; where noise dithers the steps, what is left of them is alike from one side. Gives what to know of that.
+    fn rounded_as(&mut self, record: &Record, column: &Column) -> Option<String> {
+        let piece = self.pieces.last().cloned()?;
+        if column.data.iter().all(|v| v - column.data[0] == 0.0) {
+            return Some(format!(
+                "{}: {}: every reading is {}: what is smaller than the gauge's step does not show, and is in no interval",
+                record.path.display(),
+                column.role,
+                short(column.data[0])
+            ));
+        }
+        let steps = Steps::of_response(record, column)?;
+        let direction = column.role.axis().and_then(|a| record.data(&Role::Direction(a.clone())));
+        let mut groups: BTreeMap<(i64, i64), Vec<usize>> = BTreeMap::new();
+        for (i, reading) in column.data.iter().enumerate() {
+            let value = if steps.is_coarse() { (reading / steps.step).round() as i64 } else { 0 };
+            groups.entry((value, direction.map_or(0, |d| d[i] as i64))).or_default().push(piece.start + i);
+        }
+        self.rounded.extend(groups.into_values().map(|rows| (rows, steps.standard_error())));
+        steps.is_coarse().then(|| {
+            let unit = if matches!(column.role, Role::Error(_)) { "µm" } else { column.unit.as_str() };
+            format!(
+                "{}: {}: readings in steps of {} {unit}, most repeats alike: what rounding may do is in the intervals; a finer gauge makes \
+                 them narrower",
+                record.path.display(),
+                column.role,
+                short(steps.step)
+            )
+        })
+    }
+
+    /// Standard deviation of every parameter from rounding alone.
+    fn rounding(&self, scale: &[f64]) -> Option<Vec<f64>> {
+        let p = self.columns.len();
+        if self.rounded.is_empty() {
+            return Some(vec![0.0; p]);
+        }
+        let everything = vec![0; self.y.len()];
+        let (g, _) = sum_of(&self.grams(&everything, scale), p, None);
+        let inverse = g.cholesky()?.inverse();
+        let mut squares = vec![0.0; p];
+        for (rows, sd) in &self.rounded {
+            let sum = DVector::from_fn(p, |k, _| rows.iter().map(|i| self.columns[k][*i] / scale[k]).sum());
+            let moved = &inverse * sum;
+            squares.iter_mut().zip(moved.iter()).for_each(|(s, m)| *s += (sd * m).powi(2));
+        }
+        Some(squares.iter().zip(scale).map(|(s, scale)| s.sqrt() / scale).collect())
     }
 
     /// Where the axes were that moved through the response pushed last.
@@ -203,6 +259,10 @@ impl Problem {
             let width = |f: &Found| f.interval[1] - f.interval[0];
             let wider = found.iter_mut().zip(of_these).filter(|(f, other)| width(other) > width(f));
             wider.for_each(|(f, other)| *f = other);
+        }
+        for (f, sd) in found.iter_mut().zip(self.rounding(&scale).ok_or(p - 1)?) {
+            let beside = |bound: f64| (bound - f.value).hypot(NORMAL_95 * sd);
+            f.interval = [f.value - beside(f.interval[0]), f.value + beside(f.interval[1])];
         }
         Ok(found)
     }
@@ -393,6 +453,7 @@ pub fn fit_named(
     // Response and kind of run.
     let mut piece_of: Vec<(Role, Option<String>)> = Vec::new();
     let mut owners: Vec<&Record> = Vec::new();
+    let mut coarse = Vec::new();
     for record in records {
         let left = base.beyond(record)?;
         let bound = effects
@@ -422,6 +483,8 @@ pub fn fit_named(
             }
             problem.push(&column.data, &columns, zero_is_known);
             problem.moved(record);
+            // As it was read: what is beyond the base has no steps.
+            coarse.extend(record.column(&column.role).and_then(|read| problem.rounded_as(record, read)));
             owners.push(record);
             if !roles.contains(&column.role) {
                 roles.push(column.role.clone());
@@ -445,7 +508,8 @@ pub fn fit_named(
     })?;
     let rms = |role: &Role| problem.rms_um(&found, |piece| piece_of[piece].0 == *role);
     let rms_um = roles.iter().map(|r| (r.to_string(), rms(r))).collect();
-    let warnings = structure(&problem, &found, &owners, &piece_of);
+    let mut warnings = structure(&problem, &found, &owners, &piece_of);
+    warnings.extend(coarse);
     let mut machine = base.clone();
     for role in &roles {
         let seen: Vec<&Record> = records.iter().filter(|r| r.column(role).is_some()).copied().collect();

@@ -4,11 +4,12 @@ use crate::iso230::{self, Conditions, LongDrift, Options};
 use crate::plausible::{self, Suspicion, What};
 use crate::plot::PlotError;
 use crate::report::{self, Report, Run};
+use crate::steps::Steps;
 use crate::{ballbar, plate, record};
+use rtec_files::text::short;
 use rtec_files::{InputError, Said};
-use rtec_model::record::{Kind, Record, Role, sha256_of};
+use rtec_model::record::{Column, Kind, Record, Role, sha256_of};
 use serde_json::{Value, json};
-use std::borrow::Cow;
 use std::path::{Path, PathBuf};
 
 /// The evaluations, by the names that they are asked for with.
@@ -131,7 +132,7 @@ pub fn evaluate(
     let doubts = plausible::said(records, say);
     reducible(&asked.conditions, &doubts)?;
     let standard = asked.standard.map_or_else(|| Standard::of(first), Ok)?;
-    let usable = without_bad_readings(records, &doubts);
+    let usable = plausible::taken(records, &doubts);
     let (document, mut report) = by(standard, &usable, asked, say)?;
     if let Some(unused) = standard.unused(&asked.conditions, records) {
         report.warn(&unused);
@@ -228,31 +229,12 @@ fn doubted(
     Evaluation { document, report, doubts }
 }
 
-/// The records, in which readings that a sensor did not take are no numbers: no figure and no plot holds them.
-fn without_bad_readings<'r>(records: &'r [Record], doubts: &[Suspicion]) -> Cow<'r, [Record]> {
-    let bad = |d: &&Suspicion| {
-        d.is_of_sensor() && matches!(d.what, What::Unplugged | What::Range) && !d.rows.is_empty()
-    };
-    let mut usable = Cow::Borrowed(records);
-    for doubt in doubts.iter().filter(bad) {
-        let Some(at) = records.iter().position(|r| r.path.display().to_string() == doubt.record) else {
-            continue;
-        };
-        let record = &mut usable.to_mut()[at];
-        let first = record.first_row();
-        for column in record.columns.iter_mut().filter(|c| c.name == doubt.column) {
-            for row in doubt.row_list() {
-                if let Some(v) = row.checked_sub(first).and_then(|row| column.data.get_mut(row)) {
-                    *v = f64::NAN;
-                }
-            }
-        }
-    }
-    usable
-}
-
+/// Rows that stay in the figures although they are doubted.
 fn of_rows(doubt: &Suspicion) -> bool {
-    matches!(doubt.what, What::Outliers | What::Doubled)
+    match doubt.what {
+        What::Outliers => !doubt.is_of_sensor(),
+        what => what == What::Doubled,
+    }
 }
 
 /// A sensor that reads nonsense would carry it into every figure by the reduction to 20 °C.
@@ -364,12 +346,24 @@ fn returns(record: &Record, conditions: &Conditions) -> Result<(Value, Report), 
     let mut report = report::repeatability(&axes, record, conditions)
         .map_err(|e| InputError::whole(&record.path, e.to_string(), "figures that can be drawn"))?;
     for (axis, of) in axes.iter().filter(|(_, of)| of.is_trend()) {
+        let (s, about) = match of.s_of_neighbours_um.filter(|_| of.is_bent()) {
+            Some(s) => (s, "from one return to the next"),
+            None => (of.s_about_trend_um.unwrap_or(0.0), "about it"),
+        };
         report.warn(&format!(
-            "error.{axis}: the returns drift by {:+.2} ± {:.2} µm a return ({:+.1} µm in all): s and the range hold that drift; about it the returns scatter by s = {:.2} µm, which is the repeatability",
+            "error.{axis}: the returns drift by {:+.2} ± {:.2} µm a return ({:+.1} µm in all): s and the range hold that drift; {about} the returns scatter by s = {s:.2} µm, which is the repeatability",
             of.trend_um_per_return,
             of.trend_standard_error_um,
             of.trend_um_per_return * (of.returns - 1) as f64,
-            of.s_about_trend_um.unwrap_or(0.0)
+        ));
+    }
+    let coarse = |column: &Column| {
+        let steps = Steps::of_response(record, column).filter(Steps::is_coarse)?;
+        Some((column.role.to_string(), short(steps.step)))
+    };
+    for (role, step) in record.responses().filter_map(coarse) {
+        report.warn(&format!(
+            "{role}: readings in steps of {step} µm, most returns alike: scatter below a step does not show; a finer gauge shows it"
         ));
     }
     Ok((found, report))

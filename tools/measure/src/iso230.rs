@@ -217,6 +217,9 @@ pub struct Returns {
     pub trend_p_value: Option<f64>,
     /// Standard deviation about that line, µm; `None` below three returns.
     pub s_about_trend_um: Option<f64>,
+    /// Standard deviation by the differences from each return to the next, which hold no slow drift of any shape, µm; `None` below
+    /// three returns.
+    pub s_of_neighbours_um: Option<f64>,
 }
 
 impl Returns {
@@ -244,6 +247,22 @@ impl Returns {
             trend_standard_error_um: if error.is_finite() { error } else { 0.0 },
             trend_p_value: p,
             s_about_trend_um: s_about,
+            s_of_neighbours_um: (n > 2.0).then(|| {
+                let squares: f64 = e.windows(2).map(|w| (w[1] - w[0] - slope).powi(2)).sum();
+                (squares / (2.0 * (n - 1.0))).sqrt()
+            }),
+        })
+    }
+
+    /// The drift is no straight line: about it neighbours are more alike than chance makes them in one of a hundred runs (von Neumann's
+    /// ratio, mean 2 and variance 4 (n − 2) / (n² − 1)).
+    #[must_use]
+    pub fn is_bent(&self) -> bool {
+        const ONE_IN_A_HUNDRED: f64 = 2.326;
+        let n = self.returns as f64;
+        self.s_about_trend_um.zip(self.s_of_neighbours_um).is_some_and(|(about, neighbours)| {
+            let ratio = 2.0 * (neighbours / about).powi(2) * (n - 1.0) / (n - 2.0);
+            ratio < 2.0 - ONE_IN_A_HUNDRED * 2.0 * ((n - 2.0) / (n * n - 1.0)).sqrt()
         })
     }
 

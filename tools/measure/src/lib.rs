@@ -35,3 +35,4 @@ pub mod prediction;
 pub mod record;
 pub mod report;
 pub mod spool;
+pub mod steps;

@@ -64,11 +64,70 @@ impl Circle {
 }
 
 /// Angular velocity at every row, in radians per unit of time: the mean of the steps before and behind it. Where the two differ by more than
-/// half, one of them is no motion (a pause or a jump between two circles): the one nearer the run's usual rate stands.
+/// half, one of them is no motion (a pause or a jump between two circles): the one nearer the run's usual rate stands. Where the clock's steps are
+/// coarse against the rows, more rows are taken.
 #[must_use]
 pub fn rates(angle: &[f64], time_s: &[f64]) -> Vec<f64> {
+    let near = near_rates(angle, time_s);
+    let Some(tick) = tick(time_s) else { return near };
+    // As far to both sides as the motion goes on at about this rate, or until the clock's steps do not matter.
+    let enough = tick / RATE_WITHIN;
+    let goes_on =
+        |row: usize, other: usize| near[other] * near[row] > 0.0 && same_rate(near[row], near[other]);
+    (0..angle.len())
+        .map(|row| {
+            let (mut from, mut to, mut turned) = (row, row, 0.0);
+            while time_s[to] - time_s[from] < enough {
+                let before = from.checked_sub(1).filter(|other| goes_on(row, *other));
+                let behind = Some(to + 1).filter(|other| *other < angle.len() && goes_on(row, *other));
+                if before.is_none() && behind.is_none() {
+                    break;
+                }
+                if let Some(other) = before {
+                    turned += turn(angle[other], angle[from]);
+                    from = other;
+                }
+                if let Some(other) = behind {
+                    turned += turn(angle[to], angle[other]);
+                    to = other;
+                }
+            }
+            let h = time_s[to] - time_s[from];
+            if h > 0.0 && to > from + 1 { turned / h } else { near[row] }
+        })
+        .collect()
+}
+
+/// Share of a rate that a clock's steps may make.
+const RATE_WITHIN: f64 = 0.005;
+
+/// Two rates that a coarse clock may show of one motion.
+fn same_rate(a: f64, b: f64) -> bool {
+    (a - b).abs() <= 0.5 * a.abs().max(b.abs())
+}
+
+/// The step of a coarse clock: all times are multiples of it, and rows are less than 100 of it apart.
+fn tick(time_s: &[f64]) -> Option<f64> {
+    let steps: Vec<f64> = time_s.windows(2).map(|w| w[1] - w[0]).filter(|h| *h > 0.0).collect();
+    let usual = *steps.get(steps.len() / 2)?;
+    // Clocks step by a decimal fraction of a second.
+    let tick = (-1..=6)
+        .map(|n| 0.1f64.powi(n))
+        .find(|tick| steps.iter().all(|h| *h > 0.5 * tick && (h / tick - (h / tick).round()).abs() < 0.01))?;
+    // Rows as regular as their clock are not rounded to it.
+    let rounded = steps.iter().any(|h| (h - steps[0]).abs() > 0.5 * tick);
+    (rounded && usual < 100.0 * tick).then_some(tick)
+}
+
+/// From one angle to the next, the shorter way, rad.
+fn turn(from: f64, to: f64) -> f64 {
+    (to - from + PI).rem_euclid(TAU) - PI
+}
+
+/// [`rates`] from the two steps beside each row.
+fn near_rates(angle: &[f64], time_s: &[f64]) -> Vec<f64> {
     let step = |from: usize| {
-        let turned = (angle[from + 1] - angle[from] + PI).rem_euclid(TAU) - PI;
+        let turned = turn(angle[from], angle[from + 1]);
         let h = time_s[from + 1] - time_s[from];
         if h > 0.0 { turned / h } else { 0.0 }
     };
@@ -79,7 +138,7 @@ pub fn rates(angle: &[f64], time_s: &[f64]) -> Vec<f64> {
     let unusual = |s: f64| (s.abs() - usual).abs();
     (0..angle.len())
         .map(|row| match (row.checked_sub(1).and_then(|i| steps.get(i)), steps.get(row)) {
-            (Some(a), Some(b)) if (a - b).abs() <= 0.5 * a.abs().max(b.abs()) => f64::midpoint(*a, *b),
+            (Some(a), Some(b)) if same_rate(*a, *b) => f64::midpoint(*a, *b),
             (Some(a), Some(b)) if (unusual(*a) - unusual(*b)).abs() < 1e-3 * usual => f64::midpoint(*a, *b),
             (Some(a), Some(b)) => {
                 if unusual(*a) < unusual(*b) {
@@ -108,6 +167,18 @@ mod tests {
         for (row, r) in rates(&angle, &time).iter().enumerate() {
             let want = if row < 30 { 0.1 } else { -0.1 };
             assert!((r - want).abs() < 1e-12, "row {row}: {r}");
+        }
+    }
+
+    #[test]
+    fn steps_of_the_clock_are_not_in_the_rate() {
+        // 0.1375 rad/s, rows 63.5 ms apart, the clock in steps of 10 ms; half way the motion turns back.
+        let there = |i: i32| 0.1375 * 0.0635 * f64::from(if i < 300 { i } else { 600 - i });
+        let angle: Vec<f64> = (0..600).map(there).collect();
+        let time: Vec<f64> = (0..600).map(|i| (6.35 * f64::from(i)).round() * 0.01).collect();
+        for (row, r) in rates(&angle, &time).iter().enumerate().filter(|(row, _)| row.abs_diff(300) > 2) {
+            let want = if row < 300 { 0.1375 } else { -0.1375 };
+            assert!((r / want - 1.0).abs() < 0.01, "row {row}: {r}");
         }
     }
 

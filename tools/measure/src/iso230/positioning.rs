@@ -6,9 +6,12 @@ use super::{
     targets,
 };
 use crate::plot::{Chart, Colour, Series, Style};
+use crate::steps::Steps;
 use rtec_files::InputError;
+use rtec_files::text::short;
 use rtec_model::record::{Axis, Column, Record, Role};
 use serde::Serialize;
+use statrs::distribution::{ContinuousCDF, FisherSnedecor};
 use std::collections::BTreeMap;
 
 /// Axes longer than this are tested with one approach from each side and without s, mm (ISO 230-2:2014, 5.3.3).
@@ -80,12 +83,41 @@ pub struct Positioning {
     pub arcsec: Option<BTreeMap<String, Option<f64>>>,
     /// Expanded uncertainties, where the conditions state what they come from.
     pub uncertainty: Option<Uncertainty>,
+    /// What rounding leaves in the means, where the gauge reads in steps and most repeats read the same.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub resolution: Option<Resolution>,
+    /// The drift that the approaches show beyond chance.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub drift: Option<Trend>,
     /// From the first target to the last, mm.
     pub travel_mm: f64,
     /// Which of the standard's tests it is.
     pub test: &'static str,
     pub targets: Vec<Target>,
     pub warnings: Vec<String>,
+}
+
+/// The steps of a gauge, in the unit of the figures.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Resolution {
+    /// The step that all readings are multiples of.
+    pub step: f64,
+    /// A mean may be off by up to this.
+    pub mean_within: f64,
+    /// A reversal, the difference of two means, may be off by up to this.
+    pub reversal_within: f64,
+}
+
+/// A drift of all targets together, and the repeatability about it. In the unit of the figures.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Trend {
+    /// From the first row to the last, in the middle of the travel.
+    pub drift: f64,
+    /// Probability of so much drift by chance.
+    pub p_value: f64,
+    /// Bidirectional repeatability about the drift.
+    #[serde(rename = "R_about_drift")]
+    pub repeatability: Option<f64>,
 }
 
 /// Whether a record holds an error (or tilt) along an axis beside its position.
@@ -220,6 +252,10 @@ impl Run<'_> {
     }
 
     fn list(&self) -> Vec<Target> {
+        self.list_of(&self.error)
+    }
+
+    fn list_of(&self, error: &[f64]) -> Vec<Target> {
         let of = |Place { position_mm, up, down }: Place| {
             let mean = |v: &[f64]| (!v.is_empty()).then(|| v.iter().sum::<f64>() / v.len() as f64);
             let (mean_up, mean_down) = (mean(&up), mean(&down));
@@ -240,7 +276,7 @@ impl Run<'_> {
                 approaches: [up.len(), down.len()],
             }
         };
-        places(self.position, Some(self.direction), &self.error).into_iter().map(of).collect()
+        places(self.position, Some(self.direction), error).into_iter().map(of).collect()
     }
 
     fn evaluate(mut self, options: &Options) -> Result<Positioning, InputError> {
@@ -286,6 +322,9 @@ impl Run<'_> {
         if uncertainty.is_none() && !tilt {
             self.notes.push("no uncertainty: --conditions with a table [uncertainty] states it".to_owned());
         }
+        let unit = if tilt { "µrad" } else { "µm" };
+        let repeatability = largest(list.iter().filter_map(|t| t.repeatability));
+        let (resolution, drift) = (self.resolution(unit), self.drift(repeatability, unit));
         let mut found = Positioning {
             axis: self.axis.to_string(),
             response: role.to_string(),
@@ -296,7 +335,7 @@ impl Run<'_> {
             E: only(range(means.map(|m| (m, m)))),
             E_up: mean_range(|t| t.mean_up),
             E_down: mean_range(|t| t.mean_down),
-            R: largest(list.iter().filter_map(|t| t.repeatability)),
+            R: repeatability,
             R_up: largest(ups.iter().map(|(_, s)| 4.0 * s)),
             R_down: largest(downs.iter().map(|(_, s)| 4.0 * s)),
             B: largest(reversals.iter().map(|b| b.abs())),
@@ -304,6 +343,8 @@ impl Run<'_> {
             M: only(range(centres.map(|c| (c, c)))),
             arcsec: None,
             uncertainty,
+            resolution,
+            drift,
             travel_mm: span,
             test: if long { "long axis, one approach from each side" } else { "standard test cycle" },
             targets: listed,
@@ -316,6 +357,95 @@ impl Run<'_> {
             );
         }
         Ok(found)
+    }
+
+    /// What the gauge's steps leave in the means; says it.
+    fn resolution(&mut self, unit: &str) -> Option<Resolution> {
+        let column = Column { data: self.error.clone(), ..self.column.clone() };
+        let steps = Steps::of_response(self.record, &column).filter(Steps::is_coarse)?;
+        let found = Resolution {
+            step: steps.step,
+            mean_within: steps.half_width(),
+            reversal_within: 2.0 * steps.half_width(),
+        };
+        self.notes.push(format!(
+            "readings in steps of {} {unit}, most repeats alike: each mean may be off by up to {} {unit}, a reversal by up to {} {unit}; \
+             scatter below a step does not show in R. A finer gauge shows both",
+            short(found.step),
+            short(found.mean_within),
+            short(found.reversal_within)
+        ));
+        Some(found)
+    }
+
+    /// The drift of all approaches in common, a constant and one that grows along the axis; says it where chance gives so much in
+    /// less than one of a hundred runs.
+    fn drift(&mut self, repeatability: Option<f64>, unit: &str) -> Option<Trend> {
+        let n = self.error.len();
+        let rows: Vec<f64> = (0..n).map(|row| row as f64).collect();
+        let time = self.record.data(&Role::Time).unwrap_or(&rows);
+        let span = time.last()? - time.first()?;
+        let middle = self.position.iter().sum::<f64>() / n as f64;
+        let reach = self.position.iter().map(|p| (p - middle).abs()).fold(0.0, f64::max);
+        if span <= 0.0 || reach <= 0.0 {
+            return None;
+        }
+        let mut groups: Vec<Vec<usize>> = Vec::new();
+        for rows in targets(self.position) {
+            let (up, down): (Vec<usize>, Vec<usize>) = rows
+                .into_iter()
+                .filter(|r| self.direction[*r] != 0.0)
+                .partition(|r| self.direction[*r] > 0.0);
+            groups.extend([up, down].into_iter().filter(|g| g.len() > 1));
+        }
+        let used: usize = groups.iter().map(Vec::len).sum();
+        let freedom = used.checked_sub(groups.len() + 2).filter(|f| *f > 0)? as f64;
+        // Within its target and side each row is taken from the mean.
+        let within = |of: &dyn Fn(usize) -> f64| -> Vec<f64> {
+            let mut all = vec![0.0; n];
+            for group in &groups {
+                let mean = group.iter().map(|r| of(*r)).sum::<f64>() / group.len() as f64;
+                for row in group {
+                    all[*row] = of(*row) - mean;
+                }
+            }
+            all
+        };
+        let moment = |row: usize| (time[row] - time[0]) / span;
+        let y = within(&|row| self.error[row]);
+        let [a, b] = [within(&moment), within(&|row| moment(row) * (self.position[row] - middle) / reach)];
+        let dot = |u: &[f64], v: &[f64]| u.iter().zip(v).map(|(u, v)| u * v).sum::<f64>();
+        let (aa, ab, bb) = (dot(&a, &a), dot(&a, &b), dot(&b, &b));
+        let determinant = aa * bb - ab * ab;
+        if determinant <= 1e-9 * aa * bb {
+            return None;
+        }
+        let (ay, by) = (dot(&a, &y), dot(&b, &y));
+        let slopes = [(bb * ay - ab * by) / determinant, (aa * by - ab * ay) / determinant];
+        let left: Vec<f64> = (0..n).map(|i| y[i] - slopes[0] * a[i] - slopes[1] * b[i]).collect();
+        let (before, after) = (dot(&y, &y), dot(&left, &left));
+        let ratio = (before - after) / 2.0 / (after / freedom).max(1e-12 * before).max(f64::MIN_POSITIVE);
+        let p_value = FisherSnedecor::new(2.0, freedom).ok()?.sf(ratio);
+        if p_value >= 0.01 || before <= 0.0 {
+            return None;
+        }
+        let reduced: Vec<f64> = (0..n).map(|i| self.error[i] - y[i] + left[i]).collect();
+        // The two slopes took freedom from what is left.
+        let lost = ((used - groups.len()) as f64 / freedom).sqrt();
+        let about = |t: Target| {
+            let [up, down] = [t.s_up? * lost, t.s_down? * lost];
+            Some((2.0 * up + 2.0 * down + t.reversal?.abs()).max(4.0 * up).max(4.0 * down))
+        };
+        let about = largest(self.list_of(&reduced).into_iter().filter_map(about));
+        let trend = Trend { drift: slopes[0], p_value, repeatability: about };
+        if let Some((with, without)) = repeatability.zip(about) {
+            self.notes.push(format!(
+                "the approaches drift by {:+.2} {unit} from first to last in the middle of the travel ({:+.2} more at its upper end): R {with:.2} {unit} \
+                 holds that drift; about it R is {without:.2} {unit}. Let the machine warm up, or test it again",
+                slopes[0], slopes[1]
+            ));
+        }
+        Some(trend)
     }
 
     /// How far apart the positions of one target lie at most, mm.

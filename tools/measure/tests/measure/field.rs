@@ -82,3 +82,23 @@ fn a_table_leaves_what_stays_when_it_is_applied() {
         exported.warnings
     );
 }
+
+#[test]
+fn steps_of_a_dial_are_said_beside_its_figures() {
+    let (found, said) = evaluated("dial10.run.toml", Standard::Iso230_2);
+    assert_eq!(found.document["resolution"]["step"], 10.0);
+    // The truth is 6 µm.
+    let reversal = found.document["B_mean"].as_f64().unwrap();
+    assert!((reversal - 6.0).abs() < found.document["resolution"]["reversal_within"].as_f64().unwrap());
+    assert!(said.iter().any(|s| s.contains("readings in steps of 10 µm")), "{said:?}");
+}
+
+#[test]
+fn warming_of_an_axis_is_not_its_repeatability() {
+    let (found, said) = evaluated("warming-axis.run.toml", Standard::Iso230_2);
+    let (with, about) = (&found.document["R"], &found.document["drift"]["R_about_drift"]);
+    // 3 µm of reversal and a noise of 0.25 µm; the axis grows by 8 µm an hour and more.
+    let (with, about) = (with.as_f64().unwrap(), about.as_f64().unwrap());
+    assert!(with > 8.0 && about > 3.5 && about < 5.0, "{with} {about}");
+    assert!(said.iter().any(|s| s.contains("the approaches drift by")), "{said:?}");
+}

@@ -1,0 +1,135 @@
+//! Coarse steps: the step in which a gauge's readings are written, and the error that rounding to it leaves in a mean.
+//!
+//! Noise of more than half a step dithers the readings: their mean loses the rounding. Without it repeats read the same, and a
+//! mean of any number of them is off by up to half a step (Widrow, "A study of rough amplitude quantization", 1956: what is
+//! left of the step falls with exp(−2π²σ²/q²)).
+
+use crate::iso230::targets;
+use rtec_model::record::{Column, Record, Role};
+
+/// More values than these are no coarse steps.
+const MOST_VALUES: usize = 400;
+/// Fewer repeats do not tell whether noise dithers the steps.
+const FEWEST_REPEATS: usize = 6;
+
+/// The step of a response's readings.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Steps {
+    /// The step q that all readings are multiples of, in the column's unit.
+    pub step: f64,
+    /// Standard deviation σ of what is rounded; 0 where most repeats read the same.
+    pub noise: f64,
+}
+
+impl Steps {
+    /// Of readings; `repeats` are rows that differ by noise alone. `None` for readings without a step, or too few repeats.
+    #[must_use]
+    pub fn of(readings: &[f64], repeats: &[Vec<usize>]) -> Option<Self> {
+        let step = step_of(readings)?;
+        let (mut pairs, mut same, mut squares, mut freedom) = (0, 0, 0.0, 0.0);
+        for rows in repeats.iter().filter(|rows| rows.len() > 1) {
+            for pair in rows.windows(2) {
+                pairs += 1;
+                same += usize::from((readings[pair[0]] - readings[pair[1]]).abs() < 0.5 * step);
+            }
+            let mean = rows.iter().map(|i| readings[*i]).sum::<f64>() / rows.len() as f64;
+            squares += rows.iter().map(|i| (readings[*i] - mean).powi(2)).sum::<f64>();
+            freedom += rows.len() as f64 - 1.0;
+        }
+        if pairs < FEWEST_REPEATS {
+            return None;
+        }
+        let variance = (squares / freedom - step * step / 12.0).max(0.0);
+        Some(Self { step, noise: if 2 * same >= pairs { 0.0 } else { variance.sqrt() } })
+    }
+
+    /// Of one response of a record: rows at one place from one side are repeats; without positions neighbours are.
+    #[must_use]
+    pub fn of_response(record: &Record, column: &Column) -> Option<Self> {
+        Self::of(&column.data, &repeats(record, column))
+    }
+
+    /// Most repeats read the same: their mean keeps its rounding.
+    #[must_use]
+    pub fn is_coarse(&self) -> bool {
+        self.noise == 0.0
+    }
+
+    /// Standard deviation of the error that rounding leaves in a mean of repeats.
+    #[must_use]
+    pub fn standard_error(&self) -> f64 {
+        self.step / 12f64.sqrt() * self.left()
+    }
+
+    /// The largest error that rounding leaves in a mean of repeats.
+    #[must_use]
+    pub fn half_width(&self) -> f64 {
+        0.5 * self.step * self.left()
+    }
+
+    fn left(&self) -> f64 {
+        (-2.0 * (std::f64::consts::PI * self.noise / self.step).powi(2)).exp()
+    }
+}
+
+/// Rows of a response that differ by noise alone.
+fn repeats(record: &Record, column: &Column) -> Vec<Vec<usize>> {
+    let axis = column.role.axis();
+    let place = axis.and_then(|a| record.data(&Role::Position(a.clone())));
+    let Some(place) = place else {
+        return (0..column.data.len())
+            .step_by(2)
+            .map(|i| (i..column.data.len().min(i + 2)).collect())
+            .collect();
+    };
+    let direction = axis.and_then(|a| record.data(&Role::Direction(a.clone())));
+    let Some(direction) = direction else { return targets(place) };
+    let sides = |rows: Vec<usize>| {
+        let (up, down): (Vec<usize>, Vec<usize>) = rows.into_iter().partition(|row| direction[*row] > 0.0);
+        [up, down]
+    };
+    targets(place).into_iter().flat_map(sides).collect()
+}
+
+/// The step that all readings are multiples of.
+fn step_of(readings: &[f64]) -> Option<f64> {
+    let mut values = readings.to_vec();
+    values.sort_by(f64::total_cmp);
+    values.dedup_by(|a, b| (*a - *b).abs() < 1e-9);
+    if values.len() < 2 || values.len() > MOST_VALUES || 2 * values.len() > readings.len() {
+        return None;
+    }
+    let step = values.windows(2).map(|w| w[1] - w[0]).fold(f64::MAX, f64::min);
+    let steps = |v: &f64| (v - values[0]) / step;
+    values.iter().all(|v| (steps(v) - steps(v).round()).abs() < 0.02).then_some(step)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn pairs(n: usize) -> Vec<Vec<usize>> {
+        (0..n).step_by(2).map(|i| vec![i, i + 1]).collect()
+    }
+
+    #[test]
+    fn steps_without_noise_stay_in_the_mean() {
+        let readings = [10.0, 10.0, 0.0, 0.0, 10.0, 10.0, 20.0, 20.0, 0.0, 0.0, 10.0, 10.0];
+        let steps = Steps::of(&readings, &pairs(12)).unwrap();
+        assert_eq!((steps.step, steps.is_coarse(), steps.half_width()), (10.0, true, 5.0));
+        assert!((steps.standard_error() - 10.0 / 12f64.sqrt()).abs() < 1e-12);
+    }
+
+    #[test]
+    fn noise_of_a_step_takes_the_rounding_out() {
+        let readings = [0.0, 3.0, 1.0, -1.0, 2.0, 0.0, -2.0, 1.0, 1.0, -1.0, 0.0, 2.0, -1.0, 1.0];
+        let steps = Steps::of(&readings, &pairs(14)).unwrap();
+        assert!(!steps.is_coarse() && steps.half_width() < 1e-3, "{steps:?}");
+    }
+
+    #[test]
+    fn readings_without_a_step_have_none() {
+        let readings: Vec<f64> = (0..40).map(|i| f64::from(i * i) * 0.013_7).collect();
+        assert_eq!(Steps::of(&readings, &pairs(40)), None);
+    }
+}
