@@ -51,6 +51,9 @@ pub struct Contour {
     pub centre_um: [f64; 2],
     /// Radius of its least-squares circle minus the nominal one.
     pub radius_um: f64,
+    /// Standard errors of the centre's two places and of the radius, as far as what is left of the circle is chance: large on a short
+    /// arc.
+    pub standard_error_um: [f64; 3],
     /// Angle (rad) and deviation from the least-squares circle, row by row.
     #[serde(skip)]
     pub trace: Vec<(f64, f64)>,
@@ -240,6 +243,16 @@ fn round_fit(points: &[(f64, f64)]) -> Option<[f64; 3]> {
     Some([fit[0], fit[1], fit[2]])
 }
 
+/// Standard errors of [`round_fit`]: of the centre's two places and of the radius.
+fn round_errors(points: &[(f64, f64)], [radius, a, b]: [f64; 3]) -> Option<[f64; 3]> {
+    let at = |i: usize| [1.0, points[i].0.cos(), points[i].0.sin()];
+    let x = nalgebra::DMatrix::from_fn(points.len(), 3, |i, j| at(i)[j]);
+    let left = points.iter().map(|(p, e)| (e - radius - a * p.cos() - b * p.sin()).powi(2)).sum::<f64>();
+    let freedom = points.len().checked_sub(3).filter(|n| *n > 0)? as f64;
+    let covariance = x.tr_mul(&x).try_inverse()? * (left / freedom);
+    Some([1, 2, 0].map(|i| covariance[(i, i)].max(0.0).sqrt()))
+}
+
 /// Range of the radial deviation about the least-squares circle.
 fn range_about(points: &[(f64, f64)]) -> Option<f64> {
     let [_, a, b] = round_fit(points)?;
@@ -303,6 +316,7 @@ impl Trace {
         let of = |(rows, turn): &(Range<usize>, f64)| {
             let points: Vec<(f64, f64)> = rows.clone().map(|i| (self.angle[i], self.radial[i])).collect();
             let [radius, a, b] = round_fit(&points)?;
+            let standard_error_um = round_errors(&points, [radius, a, b])?;
             let centred = |(p, e): &(f64, f64)| e - a * p.cos() - b * p.sin();
             let all = || points.iter().map(centred);
             let (f_max, f_min) =
@@ -317,6 +331,7 @@ impl Trace {
                 f_min,
                 centre_um: [a, b],
                 radius_um: radius,
+                standard_error_um,
                 trace: points.iter().map(|p| (p.0, centred(p) - radius)).collect(),
             })
         };

@@ -47,6 +47,8 @@ pub struct Plate {
     /// The joint fit's mean scale as a temperature of an aluminium plate, K: the data cannot tell the two apart.
     #[serde(rename = "scale_as_aluminium_K")]
     pub scale_as_aluminium_k: f64,
+    /// Standard errors of offset, scale and rotation.
+    pub standard_error: PlateErrors,
     /// All linear terms fitted at once.
     pub joint: Joint,
     /// What this data cannot tell.
@@ -74,11 +76,66 @@ pub struct Joint {
     pub quadrupole_deg: f64,
     /// RMS of the residual's length, µm.
     pub rms_um: f64,
+    /// Standard errors of these.
+    pub standard_error: JointErrors,
+}
+
+/// Standard errors of a plate's first fit, as far as what is left is chance.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct PlateErrors {
+    /// Of the offset, mm.
+    pub offset_mm: [f64; 2],
+    /// Of the scale, ppm.
+    pub scale_ppm: f64,
+    /// Of the rotation, µrad.
+    pub rotation_urad: f64,
+    /// Of the quadrupole, ppm.
+    pub quadrupole_ppm: f64,
+}
+
+impl PlateErrors {
+    /// From the covariances of offset, scale and rotation, and of the quadrupole's two parts.
+    fn of(fit: &nalgebra::DMatrix<f64>, quadrupole: &nalgebra::DMatrix<f64>, scale: f64) -> Self {
+        Self {
+            offset_mm: [0, 1].map(|i| fit[(i, i)].sqrt()),
+            scale_ppm: 1e6 * fit[(2, 2)].sqrt(),
+            rotation_urad: 1e6 * fit[(3, 3)].sqrt() / scale,
+            quadrupole_ppm: 1e6 * f64::midpoint(quadrupole[(0, 0)], quadrupole[(1, 1)]).sqrt(),
+        }
+    }
+}
+
+/// Covariance of a least-squares fit's values; where nothing is left there is none.
+fn covariance(a: &nalgebra::DMatrix<f64>, left: &nalgebra::DVector<f64>) -> nalgebra::DMatrix<f64> {
+    let columns = a.ncols();
+    let freedom = a.nrows().saturating_sub(columns).max(1) as f64;
+    let inverse = a.tr_mul(a).try_inverse().unwrap_or_else(|| nalgebra::DMatrix::zeros(columns, columns));
+    inverse * (left.norm_squared() / freedom)
+}
+
+/// Standard errors of a plate's joint fit, as far as what is left is chance.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct JointErrors {
+    /// Of the offset, mm.
+    pub offset_mm: [f64; 2],
+    /// Of the scale of x, ppm.
+    pub scale_x_ppm: f64,
+    /// Of the scale of y, ppm.
+    pub scale_y_ppm: f64,
+    /// Of the squareness, µrad.
+    pub squareness_urad: f64,
+    /// Of the rotation, µrad.
+    pub rotation_urad: f64,
 }
 
 impl Joint {
     /// From offsets, µm, and the slopes x on x, y on y, x on y and y on x, µm/mm.
-    fn of(fit: &nalgebra::DVector<f64>, rms_um: f64) -> Self {
+    fn of(fit: &nalgebra::DVector<f64>, covariance: &nalgebra::DMatrix<f64>, rms_um: f64) -> Self {
+        let error = |of: &[(usize, f64)]| {
+            let terms =
+                of.iter().flat_map(|(i, a)| of.iter().map(move |(j, b)| a * b * covariance[(*i, *j)]));
+            terms.sum::<f64>().max(0.0).sqrt()
+        };
         let [sx, sy, c, d] = [2, 3, 4, 5].map(|i| 1000.0 * fit[i]);
         Self {
             offset_mm: [fit[0] / 1000.0, fit[1] / 1000.0],
@@ -89,6 +146,13 @@ impl Joint {
             quadrupole_ppm: (sx - sy).hypot(c + d) / 2.0,
             quadrupole_deg: ((c + d).atan2(sx - sy) / 2.0).to_degrees(),
             rms_um,
+            standard_error: JointErrors {
+                offset_mm: [0, 1].map(|i| error(&[(i, 1.0)]) / 1000.0),
+                scale_x_ppm: 1000.0 * error(&[(2, 1.0)]),
+                scale_y_ppm: 1000.0 * error(&[(3, 1.0)]),
+                squareness_urad: 1000.0 * error(&[(4, 1.0), (5, 1.0)]),
+                rotation_urad: 500.0 * error(&[(4, -1.0), (5, 1.0)]),
+            },
         }
     }
 }
@@ -154,14 +218,19 @@ pub fn evaluate(record: &Record, norm: Norm) -> Result<Plate, InputError> {
                 left = to - &a * &fit;
             }
         }
-        Ok::<_, InputError>((fit, left))
+        // Of the fit by squares; where what is left is exact there is no error.
+        let freedom = (2 * n).saturating_sub(columns).max(1) as f64;
+        let inverse =
+            a.tr_mul(&a).try_inverse().unwrap_or_else(|| nalgebra::DMatrix::zeros(columns, columns));
+        let covariance = inverse * (left.norm_squared() / freedom);
+        Ok::<_, InputError>((fit, left, covariance))
     };
-    let mx: Vec<f64> = x.iter().zip(ex).map(|(x, e)| x + e / 1000.0).collect();
-    let my: Vec<f64> = y.iter().zip(ey).map(|(y, e)| y + e / 1000.0).collect();
+    let reached = |p: &[f64], e: &[f64]| -> Vec<f64> { p.iter().zip(e).map(|(p, e)| p + e / 1000.0).collect() };
+    let (mx, my) = (reached(x, ex), reached(y, ey));
     let measured =
         nalgebra::DVector::from_fn(2 * n, |row, _| if row % 2 == 0 { mx[row / 2] } else { my[row / 2] });
     let similarity = |i: usize, j: usize| [[1.0, 0.0], [0.0, 1.0], [x[i], y[i]], [-y[i], x[i]]][j];
-    let (fit, left) = solve(4, &similarity, &measured)?;
+    let (fit, left, covariance) = solve(4, &similarity, &measured)?;
     // residual = fitted position · m · cos 2(θ − φ), along the radius: linear in (m·cos 2φ, m·sin 2φ)
     let radial = |i: usize, j: usize| {
         let at = [mx[i] - left[2 * i], my[i] - left[2 * i + 1]];
@@ -169,13 +238,13 @@ pub fn evaluate(record: &Record, norm: Norm) -> Result<Plate, InputError> {
         let f = if j == 0 { theta.cos() } else { theta.sin() };
         at.map(|v| v * f)
     };
-    let (quad, left_quad) = solve(2, &radial, &left)?;
+    let (quad, left_quad, of_quad) = solve(2, &radial, &left)?;
     let affine =
         |i: usize, j: usize| [[1.0, 0.0], [0.0, 1.0], [x[i], 0.0], [0.0, y[i]], [y[i], 0.0], [0.0, x[i]]][j];
     let errors =
         nalgebra::DVector::from_fn(2 * n, |row, _| if row % 2 == 0 { ex[row / 2] } else { ey[row / 2] });
     // Errors in µm over positions in mm: thousandths of a ppm, and of a µrad.
-    let (fit_all, left_all) = solve(6, &affine, &errors)?;
+    let (fit_all, left_all, of_all) = solve(6, &affine, &errors)?;
     let rms_of = |left: &nalgebra::DVector<f64>, rows: &[usize]| {
         let sum: f64 = rows.iter().map(|i| left[2 * i].powi(2) + left[2 * i + 1].powi(2)).sum();
         1000.0 * (sum / rows.len() as f64).sqrt()
@@ -187,7 +256,7 @@ pub fn evaluate(record: &Record, norm: Norm) -> Result<Plate, InputError> {
             kinds.entry(format!("{d}")).or_default().push(i);
         }
     }
-    let joint = Joint::of(&fit_all, rms_of(&left_all, &all) / 1000.0);
+    let joint = Joint::of(&fit_all, &of_all, rms_of(&left_all, &all) / 1000.0);
     let (a, b) = (fit[2], fit[3]);
     let scale = a.hypot(b);
     let rotation = b.atan2(a);
@@ -206,6 +275,7 @@ pub fn evaluate(record: &Record, norm: Norm) -> Result<Plate, InputError> {
         quadrupole_deg: (quad[1].atan2(quad[0]) / 2.0).to_degrees(),
         rms_quadrupole_um: rms_of(&left_quad, &all),
         scale_as_aluminium_k: as_k,
+        standard_error: PlateErrors::of(&covariance, &of_quad, scale),
         joint,
         remark: format!(
             "a scale of {:+.1} ppm (mean of x and y) cannot be told from an aluminium plate measured {as_k:+.2} K from where it was drilled",

@@ -210,10 +210,14 @@ pub fn ballbar(planes: &[Ballbar], records: &[Record], conditions: &Conditions) 
         let (cx, cy) = (format!("#centre {first}"), format!("#centre {second}"));
         let head =
             ["record", "way", "#feed (mm/min)", "#turned (°)", "#G", "#F max", "#F min", &cx, &cy, "#radius"];
-        let mut table = Table::new(&format!("Contours in plane {}, values in µm", b.plane), &head);
+        let title = format!("Contours in plane {}, values in µm, ± their standard errors", b.plane);
+        let mut table = Table::new(&title, &head);
         for c in &b.contours {
             let feed = c.feed_mm_per_min.map_or_else(|| "–".to_owned(), |f| format!("{f:.0}"));
-            let figures = [c.g, c.f_max, c.f_min, c.centre_um[0], c.centre_um[1], c.radius_um].map(um);
+            let circle = [c.centre_um[0], c.centre_um[1], c.radius_um];
+            let circle =
+                circle.iter().zip(&c.standard_error_um).map(|(v, e)| format!("{} ± {}", um(*v), um(*e)));
+            let figures = [c.g, c.f_max, c.f_min].map(um).into_iter().chain(circle);
             let start = [c.record.clone(), c.direction.to_owned(), feed, format!("{:.0}", c.turned_deg)];
             table.row(start.into_iter().chain(figures));
         }
@@ -414,46 +418,59 @@ pub fn diagonals(d: &Diagonals, records: &[Record], conditions: &Conditions) -> 
 pub fn plate(p: &Plate, record: &Record, conditions: &Conditions) -> Result<Report, PlotError> {
     let mut report = Report::new("Plate of holes", std::slice::from_ref(record), conditions);
     report.warnings.push(p.remark.clone());
-    let mut table =
-        Table::new(&format!("{} holes, measured against nominal", p.holes), &["figure", "#value", "unit"]);
-    let j = &p.joint;
-    let mut add = |rows: &[(&str, String, &str)]| {
-        for (name, value, unit) in rows {
-            table.row([(*name).to_owned(), value.clone(), (*unit).to_owned()]);
+    let mut table = Table::new(
+        &format!("{} holes, measured against nominal", p.holes),
+        &["figure", "#value", "#standard error", "unit"],
+    );
+    let (j, je, pe) = (&p.joint, &p.joint.standard_error, &p.standard_error);
+    let none = || "–".to_owned();
+    let mut add = |rows: &[(&str, String, String, &str)]| {
+        for (name, value, error, unit) in rows {
+            table.row([(*name).to_owned(), value.clone(), error.clone(), (*unit).to_owned()]);
         }
     };
     add(&[
-        ("offset x", fixed(j.offset_mm[0], 4), "mm"),
-        ("offset y", fixed(j.offset_mm[1], 4), "mm"),
-        ("scale x", fixed(j.scale_x_ppm, 1), "ppm"),
-        ("scale y", fixed(j.scale_y_ppm, 1), "ppm"),
-        ("mean scale as a temperature of aluminium", fixed(p.scale_as_aluminium_k, 2), "K"),
-        ("squareness", fixed(j.squareness_urad, 1), "µrad"),
-        ("rotation, counter-clockwise", fixed(j.rotation_urad, 1), "µrad"),
-        ("quadrupole: longer along its angle, shorter across", fixed(j.quadrupole_ppm, 1), "ppm"),
-        ("angle of the quadrupole from x", fixed(j.quadrupole_deg, 1), "°"),
-        ("left over after these (RMS length)", um(j.rms_um), "µm"),
+        ("offset x", fixed(j.offset_mm[0], 4), fixed(je.offset_mm[0], 4), "mm"),
+        ("offset y", fixed(j.offset_mm[1], 4), fixed(je.offset_mm[1], 4), "mm"),
+        ("scale x", fixed(j.scale_x_ppm, 1), fixed(je.scale_x_ppm, 1), "ppm"),
+        ("scale y", fixed(j.scale_y_ppm, 1), fixed(je.scale_y_ppm, 1), "ppm"),
+        ("mean scale as a temperature of aluminium", fixed(p.scale_as_aluminium_k, 2), none(), "K"),
+        ("squareness", fixed(j.squareness_urad, 1), fixed(je.squareness_urad, 1), "µrad"),
+        ("rotation, counter-clockwise", fixed(j.rotation_urad, 1), fixed(je.rotation_urad, 1), "µrad"),
+        (
+            "quadrupole: longer along its angle, shorter across",
+            fixed(j.quadrupole_ppm, 1),
+            fixed(je.scale_x_ppm.hypot(je.scale_y_ppm) / 2.0, 1),
+            "ppm",
+        ),
+        ("angle of the quadrupole from x", fixed(j.quadrupole_deg, 1), none(), "°"),
+        ("left over after these (RMS length)", um(j.rms_um), none(), "µm"),
     ]);
     report.table(table);
     let title = "One after another, as owners of drilled plates publish it: one scale and rotation, then a radial quadrupole";
-    let mut table = Table::new(title, &["figure", "#value", "unit"]);
-    let mut add = |rows: &[(&str, String, &str)]| {
-        for (name, value, unit) in rows {
-            table.row([(*name).to_owned(), value.clone(), (*unit).to_owned()]);
+    let mut table = Table::new(title, &["figure", "#value", "#standard error", "unit"]);
+    let mut add = |rows: &[(&str, String, String, &str)]| {
+        for (name, value, error, unit) in rows {
+            table.row([(*name).to_owned(), value.clone(), error.clone(), (*unit).to_owned()]);
         }
     };
     add(&[
-        ("offset x", fixed(p.offset_mm[0], 4), "mm"),
-        ("offset y", fixed(p.offset_mm[1], 4), "mm"),
-        ("scale", fixed(p.scale_ppm, 1), "ppm"),
-        ("rotation, counter-clockwise", fixed(p.rotation_urad, 1), "µrad"),
-        ("left over after these (RMS length)", um(p.rms_um), "µm"),
-        ("quadrupole r·m·cos 2(θ − φ) along the radius: m", fixed(p.quadrupole_ppm, 1), "ppm"),
-        ("its angle φ from x", fixed(p.quadrupole_deg, 1), "°"),
-        ("left over after the quadrupole too", um(p.rms_quadrupole_um), "µm"),
+        ("offset x", fixed(p.offset_mm[0], 4), fixed(pe.offset_mm[0], 4), "mm"),
+        ("offset y", fixed(p.offset_mm[1], 4), fixed(pe.offset_mm[1], 4), "mm"),
+        ("scale", fixed(p.scale_ppm, 1), fixed(pe.scale_ppm, 1), "ppm"),
+        ("rotation, counter-clockwise", fixed(p.rotation_urad, 1), fixed(pe.rotation_urad, 1), "µrad"),
+        ("left over after these (RMS length)", um(p.rms_um), none(), "µm"),
+        (
+            "quadrupole r·m·cos 2(θ − φ) along the radius: m",
+            fixed(p.quadrupole_ppm, 1),
+            fixed(pe.quadrupole_ppm, 1),
+            "ppm",
+        ),
+        ("its angle φ from x", fixed(p.quadrupole_deg, 1), none(), "°"),
+        ("left over after the quadrupole too", um(p.rms_quadrupole_um), none(), "µm"),
     ]);
     for (diameter, v) in &p.rms_um_by_diameter {
-        table.row([format!("left over, holes of {diameter} mm"), um(*v), "µm".to_owned()]);
+        table.row([format!("left over, holes of {diameter} mm"), um(*v), none(), "µm".to_owned()]);
     }
     report.table(table);
     report.plot(p.plot(record))?;
