@@ -462,14 +462,27 @@ impl Table {
             return Self::with_step(errors, &dense, from, to, step, rules)?.applied(errors, &dense);
         }
         let mut best: Option<Self> = None;
+        let mut applied: Option<Self> = None;
         for step in steps(to - from, most, rules.position_mm) {
             let table = Self::with_step(errors, &dense, from, to, step, rules)?;
             if table.between_um <= wanted.limit_um {
-                return table.applied(errors, &dense);
+                let table = table.applied(errors, &dense)?;
+                if !rules.both || table.left.max_um() <= wanted.limit_um {
+                    return Ok(table);
+                }
+                // What the table's own move leaves is there with any number of points.
+                if table.left.max_um() - table.between_um >= wanted.limit_um {
+                    return Ok(applied.unwrap_or(table));
+                }
+                applied = Some(table);
+                continue;
             }
             if best.as_ref().is_none_or(|b| table.between_um < b.between_um) {
                 best = Some(table);
             }
+        }
+        if let Some(applied) = applied {
+            return Ok(applied);
         }
         best.ok_or_else(|| usage(format!("--max-points {most}"), "enough points for the range"))?
             .applied(errors, &dense)
