@@ -305,16 +305,7 @@ impl Reader<'_> {
                 ("LINE", flat(&Vector::z_axis(), &[l.p1.z, l.p2.z]), vec![s])
             }
             EntityType::Arc(a) => {
-                let sweep = (a.end_angle - a.start_angle).rem_euclid(360.0).to_radians();
-                let (start, m) = (a.start_angle.to_radians(), mirror(&a.normal));
-                let mut centre = self.point(&a.center);
-                centre.z *= m;
-                let s = Segment::Arc {
-                    centre,
-                    radius_mm: a.radius * self.unit.0,
-                    start_rad: if m < 0.0 { PI - start } else { start },
-                    sweep_rad: m * if sweep == 0.0 { TAU } else { sweep },
-                };
+                let s = self.arc(a, mirror(&a.normal));
                 ("ARC", flat(&a.normal, &[a.center.z]), vec![s])
             }
             // The greater axis is the major one (DXF, group code 40); a smaller ratio than this is a line.
@@ -323,15 +314,7 @@ impl Reader<'_> {
                 return refuse("ELLIPSE", &what, "a minor axis of 0.000001 to 1 times the major one");
             }
             EntityType::Ellipse(e) => {
-                let sweep = (e.end_parameter - e.start_parameter).rem_euclid(TAU);
-                let m = mirror(&e.normal);
-                let s = Segment::Ellipse {
-                    centre: self.point(&e.center),
-                    major: Zx::new(e.major_axis.x, e.major_axis.y) * self.unit.0,
-                    ratio: m * e.minor_axis_ratio,
-                    start_rad: e.start_parameter,
-                    sweep_rad: if sweep == 0.0 { TAU } else { sweep },
-                };
+                let s = self.ellipse(e, mirror(&e.normal));
                 ("ELLIPSE", flat(&e.normal, &[e.center.z, e.major_axis.z]), vec![s])
             }
             EntityType::LwPolyline(p) => {
@@ -376,6 +359,10 @@ impl Reader<'_> {
             | EntityType::DiameterDimension(_)
             | EntityType::AngularThreePointDimension(_)
             | EntityType::OrdinateDimension(_) => return Ok(()), // words and measures are no contour
+            EntityType::Circle(c) if TAU * c.radius.abs() * self.unit.0 <= self.options.tolerance_mm => {
+                cleaned.specks += 1;
+                return Ok(());
+            }
             EntityType::Circle(_) => {
                 return refuse("CIRCLE", "in the contour", "the half profile above the axis: an arc of it");
             }
@@ -401,6 +388,32 @@ impl Reader<'_> {
             out.push(Piece { segment, entity: named(kind), line });
         }
         Ok(())
+    }
+
+    /// `mirror` is −1 for an arc that is seen from below.
+    fn arc(&self, a: &dxf::entities::Arc, mirror: f64) -> Segment {
+        let sweep = (a.end_angle - a.start_angle).rem_euclid(360.0).to_radians();
+        let start = a.start_angle.to_radians();
+        let mut centre = self.point(&a.center);
+        centre.z *= mirror;
+        Segment::Arc {
+            centre,
+            radius_mm: a.radius * self.unit.0,
+            start_rad: if mirror < 0.0 { PI - start } else { start },
+            sweep_rad: mirror * if sweep == 0.0 { TAU } else { sweep },
+        }
+    }
+
+    /// `mirror` is −1 for an ellipse that is seen from below.
+    fn ellipse(&self, e: &dxf::entities::Ellipse, mirror: f64) -> Segment {
+        let sweep = (e.end_parameter - e.start_parameter).rem_euclid(TAU);
+        Segment::Ellipse {
+            centre: self.point(&e.center),
+            major: Zx::new(e.major_axis.x, e.major_axis.y) * self.unit.0,
+            ratio: mirror * e.minor_axis_ratio,
+            start_rad: e.start_parameter,
+            sweep_rad: if sweep == 0.0 { TAU } else { sweep },
+        }
     }
 
     /// Why a piece is none of a part's contour: what, expected.

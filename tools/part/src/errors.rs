@@ -12,6 +12,7 @@ use rtec_model::live::{AxisNow, Frame, Layout, Live};
 use rtec_model::machine::Machine;
 use rtec_model::record::Axis;
 use serde::Serialize;
+use statrs::distribution::{ContinuousCDF, StudentsT};
 use std::f64::consts::TAU;
 use std::fmt::Write as _;
 use std::path::Path;
@@ -101,6 +102,11 @@ pub struct ErrorReport {
     pub inclination_standard_error_deg: Option<f64>,
     /// Centre of the plain fit through all points, in mm.
     pub plain_centre_mm: [f64; 2],
+    /// Radius of the plain fit through all points, in mm; circles only.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub plain_radius_mm: Option<f64>,
+    /// Standard error of the plain fit's size, in µm; `None` where the points do not determine it.
+    pub plain_size_standard_error_um: Option<f64>,
     /// SD of all points about the plain fit, in µm.
     pub sd_before_um: f64,
     /// SD of the kept points about the second fit, in µm.
@@ -377,17 +383,7 @@ impl Probed {
             })
             .collect();
         if shape == FitShape::Circle {
-            // A fillet's angles may cross ±π: they go on along the arc, from its one end to the other.
-            let order = sequence(&two.fitted, points);
-            for pair in order.windows(2) {
-                let turns = ((errors[pair[0]].angle_rad - errors[pair[1]].angle_rad) / TAU).ceil();
-                errors[pair[1]].angle_rad += turns * TAU;
-            }
-            let middle = f64::midpoint(errors[order[0]].angle_rad, errors[order[order.len() - 1]].angle_rad);
-            let back = turned_near(middle, 0.0) - middle;
-            for e in &mut errors {
-                e.angle_rad += back;
-            }
+            unwrap_angles(&mut errors, &sequence(&two.fitted, points));
         }
         let extreme = |f: fn(f64, f64) -> f64| two.errors_um.iter().copied().reduce(f).unwrap_or(0.0);
         let inclination_deg = match surface {
@@ -415,6 +411,8 @@ impl Probed {
         let free = (points.len() - shape.parameters()) as f64;
         let sd_um = two.sd_before_um * ((points.len() - 1) as f64 / free).sqrt();
         let known = fit::standard_errors(&two.fitted, &kept, sd_um);
+        let (plain_centre, plain_radius) =
+            (place(&moved(&two.plain, 0.0)).0, place(&moved(&two.plain, -tip)).1);
         Ok(ErrorReport {
             feature: if shape == FitShape::Circle { "circle" } else { "line" },
             points: points.len(),
@@ -427,7 +425,9 @@ impl Probed {
             centre_standard_error_um: known.map(|k| k.centre_um),
             size_standard_error_um: known.map(|k| k.size_um),
             inclination_standard_error_deg: known.and_then(|k| k.inclination_rad).map(f64::to_degrees),
-            plain_centre_mm: place(&moved(&two.plain, 0.0)).0,
+            plain_centre_mm: plain_centre,
+            plain_radius_mm: plain_radius,
+            plain_size_standard_error_um: fit::standard_errors(&two.plain, points, sd_um).map(|k| k.size_um),
             sd_before_um: two.sd_before_um,
             sd_after_um: two.sd_after_um,
             rejected: two.rejected,
@@ -560,6 +560,19 @@ fn is_numbered(name: &str) -> bool {
     name.strip_prefix('T').is_some_and(|n| !n.is_empty() && n.bytes().all(|b| b.is_ascii_digit()))
 }
 
+/// A fillet's angles may cross ±π: they go on along the arc, from its one end to the other, in the order of its points.
+fn unwrap_angles(errors: &mut [PointError], order: &[usize]) {
+    for pair in order.windows(2) {
+        let turns = ((errors[pair[0]].angle_rad - errors[pair[1]].angle_rad) / TAU).ceil();
+        errors[pair[1]].angle_rad += turns * TAU;
+    }
+    let middle = f64::midpoint(errors[order[0]].angle_rad, errors[order[order.len() - 1]].angle_rad);
+    let back = turned_near(middle, 0.0) - middle;
+    for e in errors {
+        e.angle_rad += back;
+    }
+}
+
 /// The shape moved outward.
 fn moved(fitted: &FittedShape, by_mm: f64) -> FittedShape {
     match *fitted {
@@ -616,13 +629,19 @@ pub(crate) struct Whiskers {
 }
 
 impl ErrorReport {
-    /// The size error is larger than its standard error: less than that is advised on by nobody.
+    /// Half of the size error's 95 % interval, µm (Student's t).
+    #[must_use]
+    pub fn size_within_um(&self) -> Option<f64> {
+        let parameters = if self.radius_mm.is_some() { 3 } else { 2 };
+        let freedom = self.points.checked_sub(parameters).filter(|n| *n > 0)? as f64;
+        let t = StudentsT::new(0.0, 1.0, freedom).ok()?.inverse_cdf(0.975);
+        Some(t * self.size_standard_error_um?)
+    }
+
+    /// The size error is outside of its 95 % interval about zero: less than that is advised on by nobody.
     #[must_use]
     pub fn is_size_known(&self) -> bool {
-        match (self.size_error_um, self.size_standard_error_um) {
-            (Some(off), Some(error)) => off.abs() > error,
-            _ => false,
-        }
+        matches!((self.size_error_um, self.size_within_um()), (Some(off), Some(within)) if off.abs() > within)
     }
 
     pub(crate) fn whiskers(&self) -> Whiskers {

@@ -84,9 +84,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let report = determine::determine(&asked, &mut suspicions::said)?;
     if args.with_size && !report.is_size_known() {
         let size = report.size_error_um.unwrap_or(0.0);
-        let error = report.size_standard_error_um.unwrap_or(f64::INFINITY);
+        let within = report.size_within_um().unwrap_or(f64::INFINITY);
         eprintln!(
-            "warning: --with-size puts {size:+.1} µm into the table, less than its standard error of {error:.1} µm"
+            "warning: --with-size puts {size:+.1} µm into the table, which is known within ±{within:.1} µm (95 %) only"
         );
     }
     if let Some(folder) = &args.out {
@@ -133,14 +133,21 @@ fn text(r: &ErrorReport, with_size: bool) -> String {
         r.size_standard_error_um.map_or_else(String::new, |e| format!(", standard error {e:.1} µm"));
     if let (Some(radius), Some(off)) = (r.radius_mm, r.size_error_um) {
         let _ = writeln!(t, "radius          {radius:.5} mm ({off:+.1} µm from nominal{size_error})");
+        let all = r.plain_radius_mm.zip(r.plain_size_standard_error_um).filter(|_| !r.rejected.is_empty());
+        if let Some((radius, error)) = all {
+            let _ = writeln!(t, "of all points   {radius:.5} mm (standard error {error:.1} µm)");
+        }
     }
     if let Some(off) = r.size_error_um {
         let left = if !r.is_size_known() {
-            "is less than its standard error: no size is told; probe more of the feature, or more often"
+            let within = r.size_within_um().unwrap_or(f64::INFINITY);
+            format!(
+                "±{within:.1} µm (95 %) is no size: no offset is advised; probe more of the feature, or more often"
+            )
         } else if with_size {
-            "in error.cor too: the finish cut takes it out"
+            "in error.cor too: the finish cut takes it out".to_owned()
         } else {
-            "constant, left by error.cor: a tool offset takes it out, or --with-size puts it in"
+            "constant, left by error.cor: a tool offset takes it out, or --with-size puts it in".to_owned()
         };
         let _ = writeln!(t, "size            {off:+.1} µm {left}");
     }
