@@ -113,6 +113,9 @@ struct Choice {
     by: By,
 }
 
+/// More points than these on one feature take days to probe.
+const MOST_POINTS: usize = 10_000;
+
 #[derive(Debug, Clone, Copy)]
 enum By {
     Number(usize),
@@ -128,7 +131,9 @@ impl FromStr for Choice {
             Some(mm) => {
                 By::SpacingMm(mm.parse().ok().filter(|v: &f64| v.is_finite() && *v > 0.0).ok_or(expected)?)
             }
-            None => By::Number(points.parse().ok().filter(|n| (1..=10_000).contains(n)).ok_or(expected)?),
+            None => {
+                By::Number(points.parse().ok().filter(|n| (1..=MOST_POINTS).contains(n)).ok_or(expected)?)
+            }
         };
         Ok(Self { feature: feature.to_owned(), by })
     }
@@ -183,7 +188,22 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         }
         let number = match choice.by {
             By::Number(n) => n,
-            By::SpacingMm(mm) => number_at(length_mm - 2.0 * args.margin_mm, mm),
+            By::SpacingMm(mm) => {
+                let between_mm = length_mm - 2.0 * args.margin_mm;
+                if between_mm / mm > MOST_POINTS as f64 {
+                    let found = format!(
+                        "{}:{mm}mm, {:.0} points on {between_mm:.4} mm",
+                        choice.feature,
+                        between_mm / mm
+                    );
+                    let expected = format!(
+                        "at most {MOST_POINTS} points, {:.4} mm apart or more",
+                        between_mm / MOST_POINTS as f64
+                    );
+                    return Err(usage("--feature", found, expected));
+                }
+                number_at(between_mm, mm)
+            }
         };
         let apart_mm = (length_mm - 2.0 * args.margin_mm) / (number.max(2) - 1) as f64;
         if number > 1 && apart_mm < SAME_PLACE * args.tip_mm {
