@@ -1,7 +1,7 @@
 //! The client's end of the control socket.
 
 use crate::closed::closed_directory;
-use crate::config::derived;
+use crate::config::{LONGEST_SOCKET, derived};
 use crate::protocol::{ClientRequest, Response};
 use crate::role::Role;
 use nix::sys::socket::{ControlMessage, MsgFlags, UnixAddr, getsockopt, sendmsg, sockopt};
@@ -29,6 +29,15 @@ pub enum ClientError {
         socket: PathBuf,
         /// What the system said.
         source: io::Error,
+    },
+    /// No socket can have so long a path.
+    #[error(
+        "cannot reach rtecd at {}: found a path of {} bytes, expected at most {LONGEST_SOCKET} (unix(7)): a shorter directory, or \
+         a symbolic link to it", socket.display(), socket.as_os_str().len()
+    )]
+    TooLong {
+        /// Path of the socket that was named.
+        socket: PathBuf,
     },
     /// It runs, and this user may not speak to it.
     #[error(
@@ -122,6 +131,12 @@ impl Client {
                 Err(source) => failed.push((socket, source)),
             }
         }
+        // What is derived from a path that is short enough may be too long; nobody listens there.
+        let too_long = |socket: &Path| socket.as_os_str().len() > LONGEST_SOCKET;
+        if let Some(socket) = sockets.iter().min_by_key(|s| s.as_os_str().len()).filter(|s| too_long(s)) {
+            return Err(ClientError::TooLong { socket: (*socket).clone() });
+        }
+        failed.retain(|(socket, _)| !too_long(socket));
         // A socket that this user may use and nobody listens at says more than one that he may not.
         let of = |kind: ErrorKind| failed.iter().position(|(_, e)| e.kind() == kind);
         let denied = of(ErrorKind::PermissionDenied);
@@ -290,6 +305,17 @@ mod tests {
         let (named, derived) = (at("c.sock"), at("c-view.sock"));
         let error = Client::connect_to(&[&derived, &named]).unwrap_err().to_string();
         assert!(error.contains("/c.sock: No such file"), "{error}");
+    }
+
+    #[test]
+    fn a_path_too_long_for_a_socket_is_said() {
+        let long = PathBuf::from(format!("/tmp/{}", "x".repeat(120)));
+        let error = Client::connect(&long).unwrap_err().to_string();
+        assert!(error.contains("a path of 125 bytes, expected at most 107"), "{error}");
+        // What is derived from it may be longer.
+        let short = PathBuf::from(format!("/tmp/{}", "x".repeat(100)));
+        let error = Client::connect(&short).unwrap_err().to_string();
+        assert!(error.contains("No such file"), "{error}");
     }
 
     #[test]

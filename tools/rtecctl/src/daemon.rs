@@ -160,5 +160,7 @@ pub(crate) fn describe(jump: &Jump) -> String {
 
 #[allow(clippy::needless_pass_by_value)] // As `map_err` gives it.
 pub(crate) fn unreachable(error: ClientError) -> anyhow::Error {
-    Outcome::Unreachable(error.to_string()).into()
+    let said = error.to_string();
+    if matches!(error, ClientError::TooLong { .. }) { Outcome::Bad(said) } else { Outcome::Unreachable(said) }
+        .into()
 }

@@ -12,13 +12,13 @@ use std::path::Path;
 /// Findings: files that are not what they should be, a model that this machine does not take. Notes: what may come yet, as
 /// a sensor that is plugged in later, and what of a model has no effect.
 pub(super) fn look(source: &mut SourceFile<'_>, document: &Document<'_>, config: &mut Config) {
-    // Of tables with a mistake nobody knows which sensor is which.
     let whole = source.findings.is_empty();
     model(source, document, config, whole);
-    if !whole {
+    // A table with a mistake is no sensor: nobody knows which table each sensor is of.
+    let tables = document.root().get("sensor").and_then(|e| e.tables("[[sensor]] tables").ok());
+    if tables.as_ref().is_none_or(|tables| tables.len() != config.sensors.len()) {
         return;
     }
-    let tables = document.root().get("sensor").and_then(|e| e.tables("[[sensor]] tables").ok());
     for (table, sensor) in tables.iter().flatten().zip(&config.sensors) {
         match &sensor.source {
             SensorSource::Csv { record, column } => recording(source, table, record, column),
