@@ -7,6 +7,7 @@ mod card;
 mod characterise;
 mod example;
 mod export;
+mod field;
 mod import;
 mod linuxcnc_tables;
 mod model;
