@@ -32,6 +32,7 @@
 use rtec_driver::profile::{
     Counter, Flag, Order, PciPlace, Place, Profile, Register, SetUp, Space, Width, pci_id,
 };
+use rtec_files::file_kind::FileKind;
 use rtec_files::toml::{Document, Entry, Table};
 use rtec_files::{InputError, nearest};
 use std::path::Path;
@@ -69,9 +70,11 @@ pub fn names_for(named: &str) -> String {
 /// # Errors
 /// The first finding, with its line.
 pub fn parse(file: &Path, text: &str) -> Result<Profile, InputError> {
-    let document = Document::parse(file, text)?;
+    let mistaken = |e: InputError| FileKind::Profile.finding(file, text, e);
+    let document = Document::parse(file, text).map_err(mistaken)?;
     let root = document.root();
-    root.only(&["name", "source", "inputs", "outputs", "lines", "pci", "setup", "counter"])?;
+    root.only(&["name", "source", "inputs", "outputs", "lines", "pci", "setup", "counter"])
+        .map_err(mistaken)?;
     let name = root.required("name", "the card's name")?.str("the card's name")?.to_owned();
     let source = root.get("source").map(|e| e.str("where the registers are documented")).transpose()?;
     let (inputs, input_bits) = word(root.required("inputs", REGISTERS)?)?;

@@ -7,6 +7,7 @@
 //! in quotes are taken apart by that crate's parser ([`csv_core`]), lines without a quote simply at their
 //! commas.
 
+use crate::file_kind::FileKind;
 use crate::input::InputError;
 use crate::lines::Lines;
 use crate::text::{UTF8, not_utf8, opened};
@@ -70,6 +71,9 @@ impl<R: Read> Reader<R> {
         let (lines, parser) = (&self.lines, &self.parser);
         let bytes = lines.bytes(range);
         let text = std::str::from_utf8(bytes).map(|line| &line[..length]).map_err(|e| {
+            if let Some(kind) = FileKind::of_bytes(bytes).filter(|_| lines.line == 1) {
+                return InputError::whole(&lines.file, kind.name(), kind.as_text());
+            }
             let (good, bad) = bytes.split_at(e.valid_up_to());
             let column = String::from_utf8_lossy(good).chars().count() + 1;
             InputError::at(&lines.file, lines.line, column, not_utf8(bad[0]), UTF8)
@@ -183,7 +187,15 @@ impl<R: Read> Reader<R> {
     pub fn expect_header<const N: usize>(&mut self, names: [&str; N]) -> Result<(), InputError> {
         let expected = format!("the header {}", names.join(","));
         let header = self.header_by_any(&expected)?;
-        if header.names().eq(names) { Ok(()) } else { Err(header.finding(quoted(&header.text), expected)) }
+        if header.names().eq(names) {
+            return Ok(());
+        }
+        let text = format!("{}\n{}", header.text, String::from_utf8_lossy(self.lines.unread()));
+        let finding = match header.is_missing() {
+            Some(missing) => InputError { expected: format!("{expected} in front of them"), ..missing },
+            None => header.finding(quoted(&header.text), expected),
+        };
+        Err(FileKind::instead_of(None, &text, finding))
     }
 
     /// Rows whose cells are parted by another ASCII character than a comma.
@@ -624,6 +636,44 @@ impl Header {
             0 => names,
             more => format!("{names} and {more} more"),
         }
+    }
+
+    /// The columns called by their numbers, from 1, where the first row is one of values.
+    #[must_use]
+    pub fn numbered(&self) -> Self {
+        let names = (1..=self.names.len()).map(|n| (n.to_string(), 1)).collect();
+        Self { names, ..self.clone() }
+    }
+
+    /// Where a column is that is called by its name or, where no column has that name, by its number from 1.
+    ///
+    /// # Errors
+    /// As [`Header::place`].
+    pub fn place_or_number(&self, column: &str) -> Result<usize, InputError> {
+        match column.parse::<usize>() {
+            Ok(number) if self.find(column).is_none() && (1..=self.names.len()).contains(&number) => {
+                Ok(number - 1)
+            }
+            _ => self.place(column),
+        }
+    }
+
+    /// The columns under other names: pairs of the new name, and of the column's name or number; those that are in no pair lose
+    /// theirs.
+    ///
+    /// # Errors
+    /// As [`Header::place`].
+    pub(crate) fn renamed(&self, columns: &[(String, String)]) -> Result<Self, InputError> {
+        let mut renamed = self.clone();
+        renamed.names.iter_mut().for_each(|(name, _)| name.clear());
+        for (name, column) in columns {
+            let place = self.place_or_number(column)?;
+            if !renamed.names[place].0.is_empty() {
+                return Err(self.finding(format!("column {column} a second time"), "every column once"));
+            }
+            renamed.names[place].0.clone_from(name);
+        }
+        Ok(renamed)
     }
 
     /// A finding where the first row is one of numbers, not of names: more of its cells are numbers than are not.

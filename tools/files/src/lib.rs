@@ -6,6 +6,7 @@
 //! | [`input`] | the one shape of error for a file that a person wrote; what is said about one that is taken all the same |
 //! | [`text`] | a text file read whole: UTF-8 or UTF-16, without its byte-order mark |
 //! | [`mod@csv`] | CSV: rows of cells with their places, columns by name |
+//! | [`file_kind`] | what a file says that it is, where another kind was asked for |
 //! | [`Sheet`] | a CSV whose columns are known, read whole |
 //! | [`Numbers`] | how the numbers of a column are written: decimal point or comma, thousands |
 //! | [`mod@toml`] | TOML read strictly: the first finding, or all of them |
@@ -22,6 +23,7 @@
 //! At work: `cargo run -p rtec-files --example read_trace`, which the tests run too.
 
 pub mod csv;
+pub mod file_kind;
 pub mod folder;
 pub mod input;
 mod lines;
@@ -36,5 +38,5 @@ pub mod write;
 
 pub use input::{InputError, Said};
 pub use numbers::{Marks, Numbers};
-pub use sheet::Sheet;
+pub use sheet::{Columns, Sheet};
 pub use words::nearest;

@@ -1,6 +1,7 @@
 //! A CSV whose columns are known, read whole: columns by name, every finding with its line and column.
 
 use crate::csv::{Header, Reader};
+use crate::file_kind::FileKind;
 use crate::input::InputError;
 use crate::numbers::Marks;
 use crate::words::shown;
@@ -23,13 +24,66 @@ struct Row {
     cells: Vec<(String, usize)>,
 }
 
+/// Which column of a file is which, where its names are others: known names, each with the file's name or number, from 1.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Columns(Vec<(String, String)>);
+
+impl Columns {
+    /// Of words as `z_mm=3` or `z_mm=Z position`.
+    ///
+    /// # Errors
+    /// A word without `=`; a name that is none of `known` and does not match `also`; one name twice.
+    pub fn parse(words: &[String], known: &[&str], also: fn(&str) -> bool) -> Result<Self, InputError> {
+        let mut columns: Vec<(String, String)> = Vec::new();
+        for word in words {
+            let usage = |expected: &str| InputError::whole(Path::new("--columns"), shown(word), expected);
+            let (name, place) = word.split_once('=').map(|(n, p)| (n.trim(), p.trim())).unwrap_or_default();
+            if name.is_empty() || place.is_empty() {
+                let first = known.first().unwrap_or(&"NAME");
+                return Err(usage(&format!("NAME=COLUMN, the file's name or number for each: {first}=1")));
+            }
+            if !known.contains(&name) && !also(name) {
+                return Err(usage(&format!("one of {} in front of =", known.join(", "))));
+            }
+            if columns.iter().any(|(n, _)| n == name) {
+                return Err(usage("each name once"));
+            }
+            columns.push((name.to_owned(), place.to_owned()));
+        }
+        Ok(Self(columns))
+    }
+
+    fn is_empty(&self) -> bool {
+        self.0.is_empty()
+    }
+
+    /// All of them by number: the file need not have a line of names.
+    fn are_numbers(&self) -> bool {
+        !self.is_empty() && self.0.iter().all(|(_, place)| place.parse::<usize>().is_ok())
+    }
+}
+
 impl Sheet {
     /// Read a file whose columns are all in `known`, or match `also` (say, temperature columns).
     ///
     /// # Errors
-    /// Unreadable, no regular file, no header, unknown or repeated column, a row that is too short or too long.
+    /// Unreadable, no regular file, no header, unknown or repeated column, a row that is too short or too long, a file of
+    /// another kind.
     pub fn read(file: &Path, known: &[&str], also: fn(&str) -> bool) -> Result<Self, InputError> {
-        Self::of(file, Reader::new(file, crate::text::bytes(file)?.as_slice())?, known, also)
+        Self::of(file, &crate::text::bytes(file)?, known, also, &Columns::default())
+    }
+
+    /// As [`Sheet::read`]; the columns are those that somebody named, all others are left out.
+    ///
+    /// # Errors
+    /// As [`Sheet::read`]; a column that was named and is not there.
+    pub fn read_columns(
+        file: &Path,
+        known: &[&str],
+        also: fn(&str) -> bool,
+        columns: &Columns,
+    ) -> Result<Self, InputError> {
+        Self::of(file, &crate::text::bytes(file)?, known, also, columns)
     }
 
     /// As [`Sheet::read`], from text already in memory; `file` only names it.
@@ -42,24 +96,52 @@ impl Sheet {
         known: &[&str],
         also: fn(&str) -> bool,
     ) -> Result<Self, InputError> {
-        Self::of(file, Reader::new(file, text.as_bytes())?, known, also)
+        Self::of(file, text.as_bytes(), known, also, &Columns::default())
     }
 
-    fn of<R: std::io::Read>(
+    fn of(
         file: &Path,
-        mut reader: Reader<R>,
+        bytes: &[u8],
         known: &[&str],
         also: fn(&str) -> bool,
+        columns: &Columns,
     ) -> Result<Self, InputError> {
-        let header = reader.header_by_any(&format!("a header: {}", known.join(",")))?;
-        header.only(known, also)?;
+        let expected = format!("a header: {}", known.join(","));
+        let mut reader = Reader::new(file, bytes)?;
+        let mut header = reader.header_by_any(&expected)?;
+        if columns.are_numbers() && header.is_missing().is_some() {
+            let by = reader.separator();
+            let said = header.line();
+            reader = Reader::new(file, bytes)?.parted_by(by);
+            // Past a line `sep=`.
+            while reader.lines.line + 1 < said {
+                reader.row()?;
+            }
+            header = header.numbered();
+        }
+        let header = if columns.is_empty() {
+            header.only(known, also).map_err(|e| {
+                let e = header.is_missing().map_or(e, |missing| InputError {
+                    expected: format!("{}, as {}", missing.expected, known.join(",")),
+                    ..missing
+                });
+                FileKind::of(&String::from_utf8_lossy(bytes))
+                    .filter(|kind| {
+                        *kind != FileKind::Table && !kind.columns().iter().any(|c| known.contains(c))
+                    })
+                    .map_or(e.clone(), |kind| InputError { found: kind.name().to_owned(), ..e })
+            })?;
+            header
+        } else {
+            header.renamed(&columns.0)?
+        };
         let mut rows = Vec::new();
         while let Some(row) = reader.row()? {
             let cells = header.cells(row)?;
             let cells = cells.iter().map(|cell| (cell.text().to_owned(), cell.column())).collect();
             rows.push(Row { line: row.line(), cells });
         }
-        let names = header.names().map(str::to_owned).collect();
+        let names = header.names().filter(|name| !name.is_empty()).map(str::to_owned).collect();
         let mut marks = Marks::new(reader.separator(), reader.is_utf16());
         for (place, (text, _)) in rows.iter().flat_map(|r: &Row| r.cells.iter().enumerate()) {
             marks.see(place, text);
@@ -164,6 +246,50 @@ mod tests {
         Sheet::parse(Path::new("p.csv"), text, &["z_mm", "x_mm"], |_| false)
     }
 
+    fn of_bytes(bytes: &[u8]) -> Result<Sheet, InputError> {
+        Sheet::of(Path::new("p.csv"), bytes, &["z_mm", "x_mm"], |_| false, &Columns::default())
+    }
+
+    #[test]
+    fn columns_go_by_name_or_number() {
+        let known = ["z_mm", "x_mm", "point"];
+        let columns = |words: &[&str]| {
+            let words: Vec<String> = words.iter().map(|w| (*w).to_owned()).collect();
+            Columns::parse(&words, &known, |_| false)
+        };
+        let read = |bytes: &[u8], words: &[&str]| {
+            Sheet::of(Path::new("p.csv"), bytes, &known, |_| false, &columns(words)?)
+        };
+        let spare = b"Punkt;Radius X;Laenge Z\n1;2,5;10,25\n2;3,5;11\n";
+        for words in [["z_mm=3", "x_mm=2"], ["z_mm=Laenge Z", "x_mm=Radius X"], ["x_mm=2", "z_mm=Laenge Z"]] {
+            let sheet = read(spare, &words).unwrap();
+            assert_eq!(sheet.numbers("z_mm").unwrap(), [10.25, 11.0], "{words:?}");
+            assert_eq!(sheet.numbers("x_mm").unwrap(), [2.5, 3.5], "{words:?}");
+            assert_eq!(sheet.names().len(), 2, "{words:?}");
+        }
+        // No line of names.
+        let sheet = read(b"1;2,5;10,25\n2;3,5;11\n", &["z_mm=3", "x_mm=2"]).unwrap();
+        assert_eq!((sheet.len(), sheet.numbers("z_mm").unwrap()[0]), (2, 10.25));
+        let error = read(b"1;2,5;10,25\n2;3,5;11\n", &[]).unwrap_err();
+        assert_eq!(
+            error.expected,
+            "the columns' names there: the line that names them is missing, as z_mm,x_mm,point"
+        );
+        assert_eq!(read(spare, &["z_mm=4", "x_mm=2"]).unwrap_err().found, "no column 4");
+        for words in [&["z=3"][..], &["z_mm"], &["z_mm="], &["z_mm=1", "z_mm=2"]] {
+            assert!(columns(words).is_err(), "{words:?}");
+        }
+    }
+
+    #[test]
+    fn a_file_of_another_kind_is_named() {
+        let batch = parse("part,feature,error_um\n1,D1,2\n").unwrap_err();
+        assert_eq!(batch.found, "a batch of parts: it has columns part, feature");
+        assert_eq!(parse("0\nSECTION\n").unwrap_err().found, "a DXF drawing");
+        let book = of_bytes(b"PK\x03\x04\x14\0\x06\0\xee\n").unwrap_err();
+        assert_eq!(book.expected, "a text file: save the sheet as CSV");
+    }
+
     #[test]
     fn comments_and_crlf_are_taken() {
         let sheet = parse("# probe\r\nz_mm, x_mm # mm\r\n\r\n1, 2\r\n3,4 # last\r\n").unwrap();
@@ -187,9 +313,7 @@ mod tests {
             b"z_mm,x_mm\n38.5,\"1,000.25\"\n-1,999.5\n".to_vec(),
             b"\"z_mm\",\"x_mm\"\n\"38,5\",\"1.000,25\"\n\"-1\",\"999,5\"\n".to_vec(),
         ] {
-            let file = Path::new("p.csv");
-            let reader = Reader::new(file, bytes.as_slice()).unwrap();
-            let sheet = Sheet::of(file, reader, &["z_mm", "x_mm"], |_| false).unwrap();
+            let sheet = of_bytes(&bytes).unwrap();
             let shown = String::from_utf8_lossy(&bytes);
             assert_eq!(sheet.numbers("z_mm").unwrap(), [38.5, -1.0], "{shown}");
             assert_eq!(sheet.numbers("x_mm").unwrap(), [1000.25, 999.5], "{shown}");
@@ -206,12 +330,9 @@ mod tests {
             .collect();
         let bytes: Vec<u8> =
             [0xfe, 0xff].into_iter().chain(text.encode_utf16().flat_map(u16::to_be_bytes)).collect();
-        let file = Path::new("p.csv");
-        let reader = Reader::new(file, bytes.as_slice()).unwrap();
-        let sheet = Sheet::of(file, reader, &["z_mm", "x_mm"], |_| false).unwrap();
+        let sheet = of_bytes(&bytes).unwrap();
         assert_eq!((sheet.len(), sheet.numbers("x_mm").unwrap()[39_999]), (40_000, 40_000.5));
-        let reader = Reader::new(file, &bytes[..bytes.len() - 1]).unwrap();
-        let error = Sheet::of(file, reader, &["z_mm", "x_mm"], |_| false).unwrap_err();
+        let error = of_bytes(&bytes[..bytes.len() - 1]).unwrap_err();
         assert_eq!(error.found, "text in UTF-16 with half a character in it");
     }
 

@@ -1,6 +1,7 @@
 //! Text files read whole: UTF-8 or UTF-16, a byte-order mark dropped. Whoever names a pipe or a device is told so: nobody waits for what
 //! never ends.
 
+use crate::file_kind::FileKind;
 use crate::input::InputError;
 use encoding_rs::{Encoding, UTF_16BE, UTF_16LE};
 use std::borrow::Cow;
@@ -74,6 +75,9 @@ pub fn decode(file: &Path, bytes: &[u8]) -> Result<String, InputError> {
     match std::str::from_utf8(bytes) {
         Ok(text) => Ok(text.to_owned()),
         Err(e) => {
+            if let Some(kind) = FileKind::of_bytes(bytes) {
+                return Err(InputError::whole(file, kind.name(), kind.as_text()));
+            }
             let at = e.valid_up_to();
             let good = String::from_utf8_lossy(&bytes[..at]);
             Err(InputError::at_offset(file, &good, good.len(), not_utf8(bytes[at]), UTF8))

@@ -4,8 +4,10 @@
 //! times; a row in which both signals change is passed on, because an illegal transition is the engine's to report.
 
 use crate::csv;
+use crate::file_kind::FileKind;
 use crate::input::InputError;
 use crate::lines::BUFFER;
+use crate::numbers::Marks;
 use crate::text::opened;
 use crate::vcd::Vcd;
 use crate::write::WholeFile;
@@ -17,6 +19,9 @@ use std::path::Path;
 
 /// Longest plain row, `18446744073709551615,1,1\r\n`, rounded up.
 const PLAIN_ROW: usize = 32;
+
+/// So many bytes tell what a file is.
+const BEGIN: usize = 4096;
 
 /// How a trace is written down.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -77,9 +82,20 @@ impl<R: Read> TraceReader<R> {
                 rows.expect_header(COLUMNS)?;
                 None
             }
-            TraceFormat::Vcd => Some(Vcd::definitions(&mut rows.lines)?),
+            TraceFormat::Vcd => {
+                let begin = rows.lines.unread();
+                let begin = String::from_utf8_lossy(&begin[..begin.len().min(BEGIN)]).into_owned();
+                let vcd = Vcd::definitions(&mut rows.lines);
+                Some(vcd.map_err(|e| FileKind::instead_of(Some(FileKind::Vcd), &begin, e))?)
+            }
         };
         Ok(Self { rows, last: None, vcd, done: false })
+    }
+
+    /// How the file is written where it is not as formats.md has it: UTF-16, another separator.
+    #[must_use]
+    pub fn written(&self) -> Option<String> {
+        self.vcd.is_none().then(|| written(&self.rows))?
     }
 
     /// The next point, or `None` at the end.
@@ -131,6 +147,10 @@ impl<R: Read> TraceReader<R> {
             }
         }
     }
+}
+
+fn written<R: Read>(rows: &csv::Reader<R>) -> Option<String> {
+    Marks::new(rows.separator(), rows.is_utf16()).written(&rows.lines.file)
 }
 
 impl<R: Read> Iterator for TraceReader<R> {
@@ -198,6 +218,12 @@ impl<R: Read> RequestReader<R> {
         let mut rows = csv::Reader::new(file, input)?;
         rows.expect_header(["t_ns", "requested"])?;
         Ok(Self { rows, last_ns: 0, done: false })
+    }
+
+    /// As [`TraceReader::written`].
+    #[must_use]
+    pub fn written(&self) -> Option<String> {
+        written(&self.rows)
     }
 
     fn row(&mut self) -> Result<Option<RequestedTotal>, InputError> {

@@ -79,7 +79,14 @@ fn csv_errors_say_where_and_what() {
     let table: &[(&str, &str)] = &[
         ("", "t: found no header, expected the header t_ns,a,b"),
         ("t_ns,a,b\n", "t: found a trace without a point, expected at least the initial state of a and b"),
-        ("0,0,0\n", "t:1:1: found '0,0,0', expected the header t_ns,a,b"),
+        (
+            "0,0,0\n",
+            "t:1:1: found numbers ('0,0,0') in the first line, expected the header t_ns,a,b in front of them",
+        ),
+        (
+            "t_ns,requested\n0,4\n",
+            "t:1:1: found requested totals: it has columns t_ns, requested, expected the header t_ns,a,b",
+        ),
         ("t_us,a,b\n0,0,0\n", "t:1:1: found 't_us,a,b', expected the header t_ns,a,b"),
         ("t_ns,a,b\n0,0,0\n5,1,0\n4,1,1\n", "t:4:1: found '4', expected a time after the row before, 5 ns"),
         ("t_ns,a,b\n0,0,0\n5,1,0\n5,1,1\n", "t:4:1: found '5', expected a time after the row before, 5 ns"),
@@ -192,7 +199,7 @@ fn vcd_errors_say_where_and_what() {
         (String::new(), "t:1:1: found the end of the file, expected $enddefinitions"),
         (
             "t_ns,a,b\n".into(),
-            "t:1:1: found 't_ns,a,b', expected a VCD definition: $timescale, $scope, $var, $upscope, $enddefinitions",
+            "t:1:1: found a quadrature trace: it has columns t_ns, a, b, expected a VCD definition: $timescale, $scope, $var, $upscope, $enddefinitions",
         ),
         (
             head.replace("1 ns", "2 ns"),

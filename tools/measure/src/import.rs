@@ -12,7 +12,7 @@
 //! | `ecmc` | ecmc's ISO 230-2 test | |
 //! | `cmm` | tables of holes | |
 //!
-//! `asked`: which of them, as somebody asks for it. Private: `time` reads ISO 8601 times.
+//! `asked`: which of them, as somebody asks for it. Times: `rtec_model::clock`.
 
 pub mod asked;
 mod cmm;
@@ -24,7 +24,6 @@ mod own;
 mod renishaw;
 mod shdr;
 mod table;
-mod time;
 
 pub use cmm::cmm_plate;
 pub use ecmc::ecmc_dat;

@@ -5,6 +5,7 @@ use rtec_files::text::{LONGEST, open_regular};
 use rtec_files::toml::{Document, Table};
 use rtec_files::{InputError, Marks, Numbers};
 use rtec_model::circle::Circle;
+use rtec_model::clock::{absolute_ns, of_day_ns};
 use rtec_model::date;
 use rtec_model::file_kind::FileKind;
 use rtec_model::record::{Axis, Column, Kind, Record, Role, Turns, check, hex, range_alone};
@@ -510,7 +511,19 @@ impl<R: Read> Rows<R> {
                         numbers.parse(cell.text()).ok_or_else(expected)
                     }
                 };
-                let v = v.map_err(|e| header.named(place, e))?;
+                let v = v.map_err(|e| {
+                    if column.role == Role::Time
+                        && absolute_ns(cell.text()).or_else(|| of_day_ns(cell.text())).is_some()
+                    {
+                        let name = &column.name;
+                        let import = format!(
+                            "`rtecctl characterise import --format csv --columns {name}=time,…` sets it back"
+                        );
+                        let expected = format!("seconds since the run's start, a number; {import}");
+                        return header.named(place, InputError { expected, ..e });
+                    }
+                    header.named(place, e)
+                })?;
                 let checked = check(&column.role, v, column.data.last().copied().or(before[slot]));
                 checked.map_err(|(found, expected)| header.named(place, cell.said(found, expected)))?;
                 column.data.push(v);

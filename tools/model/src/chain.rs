@@ -9,6 +9,7 @@ use crate::effect::{Against, Difference, Missing, STANDARD_DEGC, read_difference
 use crate::record::{Axis, Record, Role};
 use nalgebra::{Matrix4, Vector4};
 use rtec_files::InputError;
+use rtec_files::file_kind::FileKind;
 use rtec_files::toml::{Document, Entry, Table};
 use std::path::Path;
 
@@ -244,9 +245,10 @@ impl Chain {
     /// # Errors
     /// As [`Chain::read`].
     pub fn parse(path: &Path, text: &str) -> Result<Self, InputError> {
-        let doc = Document::parse(path, text)?;
+        let mistaken = |e: InputError| FileKind::Chain.finding(path, text, e);
+        let doc = Document::parse(path, text).map_err(mistaken)?;
         let root = doc.root();
-        root.only(&["note", "tool_mm", "joint"])?;
+        root.only(&["note", "tool_mm", "joint"]).map_err(mistaken)?;
         let tool_mm = triple(root.get("tool_mm"), "tool_mm = [x, y, z], mm")?.unwrap_or_default();
         let mut joints: Vec<Joint> = Vec::new();
         for t in root.required("joint", "[[joint]] tables")?.tables("[[joint]] tables")? {

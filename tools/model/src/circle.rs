@@ -106,8 +106,9 @@ fn same_rate(a: f64, b: f64) -> bool {
     (a - b).abs() <= 0.5 * a.abs().max(b.abs())
 }
 
-/// The step of a coarse clock: all times are multiples of it, and rows are less than 100 of it apart.
-fn tick(time_s: &[f64]) -> Option<f64> {
+/// The step of a coarse clock, s: all times are multiples of it, and rows are less than 100 of it apart.
+#[must_use]
+pub fn tick(time_s: &[f64]) -> Option<f64> {
     let steps: Vec<f64> = time_s.windows(2).map(|w| w[1] - w[0]).filter(|h| *h > 0.0).collect();
     let usual = *steps.get(steps.len() / 2)?;
     // Clocks step by a decimal fraction of a second.

@@ -3,7 +3,7 @@
 
 use crate::cor::{MOST_RAD, MOST_UM, PointError, turned_near};
 use rtec_files::InputError;
-use rtec_files::Sheet;
+use rtec_files::{Columns, Sheet};
 use serde::Serialize;
 use statrs::distribution::{ContinuousCDF, StudentsT};
 use std::collections::BTreeMap;
@@ -51,6 +51,10 @@ pub struct PlaceStatistics {
     pub p_value: f64,
     /// Change from part to part, in µm.
     pub trend_um_per_part: f64,
+    /// Standard error of that change, in µm.
+    pub trend_standard_error_um: f64,
+    /// Standard deviation about that change, in µm: what the parts scatter by without it.
+    pub sd_about_trend_um: f64,
     /// Probability of that change by chance, corrected likewise.
     pub trend_p_value: f64,
     /// What probing on the machine saw there, in µm.
@@ -101,6 +105,20 @@ pub struct Batch {
 /// that was `seen`.
 pub fn evaluate(file: &Path, seen: Option<&[PointError]>, judgement: Judgement) -> Result<Batch, InputError> {
     judge(file, &Sheet::read(file, &COLUMNS, |_| false)?, seen, judgement)
+}
+
+/// As [`evaluate`], with columns under other names or none: words as `feature=2` or `measured_mm=Ist`; no words, no others.
+///
+/// # Errors
+/// As [`evaluate`]; a word that is none, a column that is not there.
+pub fn evaluate_columns(
+    file: &Path,
+    columns: &[String],
+    seen: Option<&[PointError]>,
+    judgement: Judgement,
+) -> Result<Batch, InputError> {
+    let columns = Columns::parse(columns, &COLUMNS, |_| false)?;
+    judge(file, &Sheet::read_columns(file, &COLUMNS, |_| false, &columns)?, seen, judgement)
 }
 
 /// As [`evaluate`], from text already in memory; `file` only names it.
@@ -287,7 +305,8 @@ fn statistics(series: &Series, seen: Option<&[PointError]>) -> PlaceStatistics {
     let square: f64 = (0..n).map(|k| (k as f64 - middle).powi(2)).sum();
     let slope = e.iter().enumerate().map(|(k, v)| (k as f64 - middle) * (v - mean)).sum::<f64>() / square;
     let rest: f64 = e.iter().enumerate().map(|(k, v)| (v - mean - slope * (k as f64 - middle)).powi(2)).sum();
-    let slope_error = (rest / (n.saturating_sub(2).max(1)) as f64 / square).sqrt();
+    let sd_about = (rest / (n.saturating_sub(2).max(1)) as f64).sqrt();
+    let slope_error = sd_about / square.sqrt();
     let seen_on_machine_um = series.angle_rad.zip(seen).and_then(|(angle, seen)| {
         let at = |e: &&PointError| (e.angle_rad - turned_near(angle, e.angle_rad)).abs();
         seen.iter().min_by(|a, b| at(a).total_cmp(&at(b))).filter(|e| at(e) < 0.05).map(|e| e.error_um)
@@ -301,6 +320,8 @@ fn statistics(series: &Series, seen: Option<&[PointError]>) -> PlaceStatistics {
         interval_um: [mean - half, mean + half],
         p_value: two_sided(mean / of_mean, n - 1),
         trend_um_per_part: slope,
+        trend_standard_error_um: slope_error,
+        sd_about_trend_um: sd_about,
         trend_p_value: two_sided(slope / slope_error, n - 2),
         seen_on_machine_um,
         finding: BatchFinding::Nothing,
@@ -339,9 +360,9 @@ fn offer(p: &PlaceStatistics) -> Option<String> {
             p.seen_on_machine_um.unwrap_or(0.0)
         ),
         BatchFinding::Trend => format!(
-            "{name}{at}: {:+.2} µm from part to part: wear or temperature; look at the tool, the spindle's growth and \
-             the model's temperatures before changing a table",
-            p.trend_um_per_part
+            "{name}{at}: {:+.2} ± {:.2} µm from part to part: wear or temperature; look at the tool, the spindle's growth and \
+             the model's temperatures before changing a table; the SD of {:.2} µm holds that change, about it the parts scatter by {:.2} µm",
+            p.trend_um_per_part, p.trend_standard_error_um, p.sd_um, p.sd_about_trend_um
         ),
     })
 }

@@ -2,6 +2,7 @@
 
 use crate::fit::Zx;
 use rtec_files::InputError;
+use rtec_files::file_kind::FileKind;
 use serde::Serialize;
 use std::f64::consts::{PI, TAU};
 use std::fmt::Write as _;
@@ -77,12 +78,14 @@ impl FeatureErrors {
     /// # Errors
     /// As [`FeatureErrors::read`].
     pub fn parse(file: &Path, text: &str) -> Result<Self, InputError> {
+        units_said(file, text)?;
         let rows: Vec<Row> = rows(text).collect();
         match rows.first() {
             None => Err(InputError::whole(file, "no line at all", ARC)),
             Some(first) if first.words.len() == 5 => lines_of(file, &rows).map(Self::Line),
             Some(_) => arc_of(file, &rows).map(Self::Arc),
         }
+        .map_err(|e| FileKind::instead_of(None, text, e))
     }
 
     /// Number of points.
@@ -110,6 +113,30 @@ impl FeatureErrors {
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
+}
+
+/// What the comments in front of the first line say of the units, where they are others.
+///
+/// # Errors
+/// Angles in degrees, errors in mm.
+fn units_said(file: &Path, text: &str) -> Result<(), InputError> {
+    for (i, line) in text.lines().enumerate() {
+        let line = line.trim();
+        if line.is_empty() {
+            continue;
+        }
+        let Some(comment) = line.strip_prefix('#') else { return Ok(()) };
+        let comment = comment.to_lowercase();
+        let has = |units: &[&str]| {
+            comment.split(|c: char| !c.is_alphanumeric() && c != '°').any(|word| units.contains(&word))
+        };
+        let other = has(&["deg", "degree", "degrees", "°"]) && !has(&["rad"])
+            || has(&["mm", "inch", "in"]) && !has(&["um", "µm", "μm"]);
+        if other {
+            return Err(InputError::at(file, i + 1, 1, format!("'{line}'"), ARC));
+        }
+    }
+    Ok(())
 }
 
 /// What a line of an arc's file holds.

@@ -24,6 +24,8 @@ pub enum Feature {
 pub struct Asked {
     /// The probed points: a CSV `z_mm,x_mm[,approach_z,approach_x]`.
     pub points: PathBuf,
+    /// Which of its columns is which, as `z_mm=3` or `x_mm=Radius`; empty where they have their own names.
+    pub columns: Vec<String>,
     /// Nominal radius of a circle, mm.
     pub radius_mm: Option<f64>,
     /// Radius of the probe's tip, mm; 0 where it is left out, and that is said.
@@ -54,6 +56,7 @@ impl Asked {
     pub fn of(points: &Path) -> Self {
         Self {
             points: points.to_owned(),
+            columns: Vec::new(),
             radius_mm: None,
             tip_mm: None,
             feature: None,
@@ -117,7 +120,7 @@ fn nominal(args: &Asked, probed: &Probed, say: &mut dyn FnMut(Said)) -> Result<N
 
 /// The points, from which side and where they were expected, and without what the machine's model says.
 fn read(args: &Asked, say: &mut dyn FnMut(Said)) -> Result<(Probed, Option<Vec<Zx>>), InputError> {
-    let mut probed = Probed::read(&args.points)?;
+    let mut probed = Probed::read_columns(&args.points, &args.columns)?;
     if let Some(written) = probed.written() {
         say(Said::Note(written));
     }

@@ -6,7 +6,7 @@ use crate::fit::{self, FitError, FitShape, FittedShape, Zx, sequence};
 use crate::path::{PathPoint, touches};
 use crate::svg::Svg;
 use rtec_files::InputError;
-use rtec_files::Sheet;
+use rtec_files::{Columns, Sheet};
 use rtec_model::effect::{Effect, Need};
 use rtec_model::live::{AxisNow, Frame, Layout, Live};
 use rtec_model::machine::Machine;
@@ -134,6 +134,15 @@ impl Probed {
     /// As [`Sheet::read`]; a direction without length; one approach column without the other.
     pub fn read(file: &Path) -> Result<Self, InputError> {
         Self::of(Sheet::read(file, &COLUMNS, is_sensor)?)
+    }
+
+    /// As [`Probed::read`], with columns under other names or none: words as `z_mm=3` or `x_mm=Radius`; no words, no others.
+    ///
+    /// # Errors
+    /// As [`Probed::read`]; a word that is none, a column that is not there.
+    pub fn read_columns(file: &Path, columns: &[String]) -> Result<Self, InputError> {
+        let columns = Columns::parse(columns, &COLUMNS, is_sensor)?;
+        Self::of(Sheet::read_columns(file, &COLUMNS, is_sensor, &columns)?)
     }
 
     /// As [`Probed::read`], from text already in memory; `file` only names it.

@@ -4,6 +4,7 @@ use super::{Form, ImportColumn, Own, Sampling, add_note};
 use super::{any_text, cmm_plate, ecmc_dat, etalon, halsampler, linuxcnc_comp, rtl, shdr, table};
 use crate::derive::derive;
 use crate::export::linuxcnc::Unit;
+use rtec_files::file_kind::FileKind;
 use rtec_files::{InputError, Said};
 use rtec_model::circle::Circle;
 use rtec_model::record::{Axis, Kind, Record};
@@ -48,6 +49,19 @@ impl Name {
         ("halsampler", Self::Halsampler),
         ("shdr", Self::Shdr),
     ];
+}
+
+impl Name {
+    /// What such a file says that it is.
+    fn kind(self) -> Option<FileKind> {
+        match self {
+            Self::EcmcDat => Some(FileKind::Ecmc),
+            Self::Rtl => Some(FileKind::Laser),
+            Self::Etalon => Some(FileKind::Etalon),
+            Self::Shdr => Some(FileKind::Shdr),
+            _ => None,
+        }
+    }
 }
 
 /// What is to be imported.
@@ -97,7 +111,14 @@ impl Asked {
         // What is wrong with its columns is wrong in the file that was given: the record is not written yet.
         let mut record = self
             .of_text(&text)
-            .map_err(|e| if e.file == out { InputError { file: file.to_owned(), ..e } } else { e })?;
+            .map_err(|e| if e.file == out { InputError { file: file.to_owned(), ..e } } else { e })
+            .map_err(
+                |e| if e.file == file { FileKind::instead_of(self.format.kind(), &text, e) } else { e },
+            )?;
+        // What is written beside the sidecar is a plain CSV.
+        if let Some(written) = record.written.take() {
+            say(Said::Note(written));
+        }
         if matches!(self.format, Name::LinuxcncComp0 | Name::LinuxcncComp1) {
             let unit = if self.unit == Unit::Inch { "inches, written in mm and µm" } else { "mm" };
             let text = format!("positions and corrections were read in {unit}: --unit states another");

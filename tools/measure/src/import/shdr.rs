@@ -1,9 +1,9 @@
 //! A log of `MTConnect`'s SHDR lines: `TIME|KEY|VALUE`, several pairs a line; what is not a sample of a wanted key is passed over.
 
 use super::table::ImportColumn;
-use super::time::{day, iso8601_ns};
 use super::{add_note, column, record_of};
 use rtec_files::InputError;
+use rtec_model::clock::{day, iso8601_ns};
 use rtec_model::record::{Column, Kind, Record, Role};
 use std::path::Path;
 

@@ -1,10 +1,9 @@
 //! Any table whose columns somebody names: what parts them, how its numbers are written, which roles and units they have.
 
-use super::time::{DAY_NS, absolute_ns, day, of_day_ns};
 use super::{add_note, column, record_of};
-use crate::plausible::clock;
 use rtec_files::csv::{Cell, Header, Reader, Row};
 use rtec_files::{InputError, Marks, Numbers};
+use rtec_model::clock::{self, DAY_NS, absolute_ns, day, of_day_ns};
 use rtec_model::record::{Column, Kind, Record, Role};
 use std::borrow::Cow;
 use std::path::Path;
@@ -218,15 +217,22 @@ pub fn table(
         None => {}
     }
     let expected = "a header line";
-    let header = match (form.nameless, form.by) {
+    let mut header = match (form.nameless, form.by) {
         (true, _) => None,
         (false, Some(_)) => Some(reader.header(expected)?),
         (false, None) => Some(reader.header_by_any(expected)?),
     };
+    // Columns that are called by their numbers need no names.
+    let by_number = wanted.iter().all(|w| w.column.parse::<usize>().is_ok());
+    if by_number && header.as_ref().is_some_and(|header| header.is_missing().is_some()) {
+        let by = reader.separator();
+        reader = Reader::new(from, text.as_bytes())?.parted_by(by);
+        header = None;
+    }
     let places = wanted
         .iter()
         .map(|w| match &header {
-            Some(header) => header.place(&w.column),
+            Some(header) => header.place_or_number(&w.column),
             None => w.column.parse::<usize>().ok().filter(|n| *n > 0).map(|n| n - 1).ok_or_else(|| {
                 InputError::whole(
                     from,
@@ -236,7 +242,7 @@ pub fn table(
             }),
         })
         .collect::<Result<Vec<_>, _>>()?;
-    let numbers = numbers(from, &text, form, reader.separator(), header.is_some(), &places)?;
+    let (numbers, written) = numbers(from, &text, form, reader.separator(), header.is_some(), &places)?;
     let mut data = vec![Vec::new(); wanted.len()];
     let mut clock = Clock::default();
     let by = reader.separator();
@@ -286,6 +292,7 @@ pub fn table(
         .zip(data)
         .map(|(w, data)| Column { unit: w.unit.clone(), ..column(&w.name, w.role.clone(), data) });
     let mut record = record_of(to, kind, columns.collect(), form.log)?;
+    record.written = written;
     clock.note(&mut record);
     Ok(record)
 }
@@ -369,7 +376,7 @@ impl OfDay {
     }
 }
 
-/// How the numbers of each wanted column are written: as the form says, or as all its cells show.
+/// How the numbers of each wanted column are written: as the form says, or as all its cells show; and what was found of it.
 fn numbers(
     from: &Path,
     text: &str,
@@ -377,9 +384,9 @@ fn numbers(
     by: char,
     named: bool,
     places: &[usize],
-) -> Result<Vec<Numbers>, InputError> {
+) -> Result<(Vec<Numbers>, Option<String>), InputError> {
     if let Some(comma) = form.decimal_comma {
-        return Ok(vec![Numbers::written(if comma { ',' } else { '.' }); places.len()]);
+        return Ok((vec![Numbers::written(if comma { ',' } else { '.' }); places.len()], None));
     }
     let mut reader = Reader::new(from, text.as_bytes())?.parted_by(by);
     if named {
@@ -388,7 +395,8 @@ fn numbers(
         reader = reader.parted_by(by);
     }
     let marks = Marks::of(&mut reader)?;
-    Ok(places.iter().map(|place| marks.numbers(*place)).collect())
+    let written = if form.by.is_none() { marks.written(from) } else { None };
+    Ok((places.iter().map(|place| marks.numbers(*place)).collect(), written))
 }
 
 fn cells<'a>(

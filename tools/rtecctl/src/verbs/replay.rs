@@ -59,8 +59,11 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         Design::A => AnyDesign::A,
         Design::C => AnyDesign::C,
     });
-    let trace = TraceReader::open(&args.trace)?.playable();
-    let requests = RequestReader::open(&args.requests)?;
+    let (trace, requests) = (TraceReader::open(&args.trace)?, RequestReader::open(&args.requests)?);
+    for written in [trace.written(), requests.written()].into_iter().flatten() {
+        eprintln!("note: {written}");
+    }
+    let trace = trace.playable();
     let mut files = Vec::new();
     for (file, format) in [(&args.out, TraceFormat::Csv), (&args.vcd, TraceFormat::Vcd)] {
         if let Some(file) = file {

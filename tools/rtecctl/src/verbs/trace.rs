@@ -8,6 +8,7 @@ use rtec_files::csv::{Header, Reader};
 use rtec_files::text::open_regular;
 use rtec_files::trace::{TraceFile, TraceReader};
 use rtec_files::{InputError, Marks};
+use rtec_model::clock::{self, absolute_ns};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
@@ -45,9 +46,15 @@ struct FromPosition {
     /// The trace to write (.csv or .vcd)
     #[arg(long, value_name = "FILE", value_parser = crate::verbs::output())]
     out: PathBuf,
-    /// The position column [default: the one whose name begins with "position"]
+    /// The position column, by its name or number from 1 [default: the one whose name begins with "position"]
     #[arg(long, value_name = "NAME")]
     column: Option<String>,
+    /// The time column, by its name or number from 1 [default: t_s, t_ms, t_us or t_ns]
+    #[arg(long, value_name = "NAME")]
+    time_column: Option<String>,
+    /// The time's unit [default: the column name's ending _s, _ms, _us or _ns; without one, s]
+    #[arg(long, value_parser = ["s", "ms", "us", "ns"], requires = "time_column")]
+    time_unit: Option<String>,
     /// The position's unit [default: the column name's ending _m, _mm, _um or _nm; without one, m]
     #[arg(long, value_enum)]
     unit: Option<Unit>,
@@ -180,6 +187,9 @@ impl Output {
 
 fn convert(input: &Path, output: &Path) -> anyhow::Result<Summary> {
     let mut reader = TraceReader::open(input)?;
+    if let Some(written) = reader.written() {
+        eprintln!("note: {written}");
+    }
     let mut out = Output::create(output)?;
     while let Some(point) = reader.next_point()? {
         out.write(point).with_context(|| format!("writing {}", output.display()))?;
@@ -202,8 +212,11 @@ fn from_position(args: &FromPosition) -> anyhow::Result<Summary> {
         let expected = "a header and at least one row";
         return Err(InputError::whole(&args.input, "no rows", expected).into());
     };
-    if let Some(start) = record.start.filter(|start| *start > 0.0) {
-        eprintln!("note: {}: time 0 of the trace is {start}, a Unix time", args.input.display());
+    if let Some((_, _, start)) = record.start.as_ref().filter(|(_, _, start)| !start.is_empty()) {
+        eprintln!("note: {}: time 0 of the trace is {start}", args.input.display());
+    }
+    if let Some(written) = record.marks.as_ref().and_then(|marks| marks.written(&args.input)) {
+        eprintln!("note: {written}");
     }
     let mut scale = Scale::new(t_ns, counts, args.hysteresis_counts);
     out.write(scale.at)?;
@@ -305,12 +318,12 @@ struct Record {
     position: usize,
     counts_per_unit: f64,
     last_ns: Option<u64>,
-    /// The first row's time where it is a Unix time, in the column's unit: the trace begins there.
-    start: Option<f64>,
+    /// The time column's unit.
+    time_unit: &'static str,
+    /// Where the trace begins: what is taken off each time, in the column's unit or, of dates, in ns; and the first time as
+    /// a person reads it, empty where nothing is taken off.
+    start: Option<(f64, i128, String)>,
 }
-
-/// From 2000 on, s since 1970: a clock that did not begin with the run.
-const UNIX_S: f64 = 946_684_800.0;
 
 impl Record {
     fn open(args: &FromPosition) -> Result<Self, InputError> {
@@ -320,37 +333,65 @@ impl Record {
             false => None,
         };
         let mut rows = Reader::open(&args.input)?;
-        let header = rows.header_by_any("a header such as t_s,position_mm")?;
+        let mut header = rows.header_by_any("a header such as t_s,position_mm")?;
+        // Columns that are called by their numbers need no names.
+        let is_number = |column: &Option<String>| column.as_ref().is_some_and(|c| c.parse::<usize>().is_ok());
+        if is_number(&args.column)
+            && is_number(&args.time_column)
+            && args.input.is_file()
+            && header.is_missing().is_some()
+        {
+            rows = Reader::open(&args.input)?.parted_by(rows.separator());
+            header = header.numbered();
+        }
         let columns = || format!("the columns {}", header.text());
-        let times = [("t_s", 1e9), ("t_ms", 1e6), ("t_us", 1e3), ("t_ns", 1.0)];
-        let (time, ns_per_unit) = times
-            .iter()
-            .find_map(|(name, ns)| Some((header.find(name)?, *ns)))
-            .ok_or_else(|| header.finding(columns(), "a time column: t_s, t_ms, t_us or t_ns"))?;
-        let wanted = |name: &str| match &args.column {
-            Some(column) => name == column,
-            None => name.starts_with("position"),
+        let units = [("s", 1e9), ("ms", 1e6), ("us", 1e3), ("ns", 1.0)];
+        let (time, (time_unit, ns_per_unit)) = match &args.time_column {
+            Some(column) => {
+                let place = header.place_or_number(column)?;
+                let name = header.names().nth(place).unwrap_or_default();
+                let named = |unit: &str| name.strip_suffix(unit).is_some_and(|rest| rest.ends_with('_'));
+                let of = |wanted: &str| units.into_iter().find(|(unit, _)| *unit == wanted);
+                let unit = match &args.time_unit {
+                    Some(unit) => of(unit),
+                    None => units.into_iter().find(|(unit, _)| named(unit)),
+                };
+                (place, unit.unwrap_or(units[0]))
+            }
+            None => units
+                .into_iter()
+                .find_map(|unit| Some((header.find(&format!("t_{}", unit.0))?, unit)))
+                .ok_or_else(|| {
+                header.is_missing().unwrap_or_else(|| {
+                    header.finding(columns(), "a time column: t_s, t_ms, t_us or t_ns, or --time-column")
+                })
+            })?,
         };
-        let mut matching = header.names().enumerate().filter(|(_, name)| wanted(name));
-        let (Some((position, name)), None) = (matching.next(), matching.next()) else {
-            let expected = match &args.column {
-                Some(column) => format!("one column named {column}"),
-                None => "one column whose name begins with position (or --column NAME)".to_owned(),
-            };
-            return Err(header.finding(columns(), expected));
+        let position = match &args.column {
+            Some(column) => header.place_or_number(column)?,
+            None => {
+                let mut matching =
+                    header.names().enumerate().filter(|(_, name)| name.starts_with("position"));
+                let (Some((position, _)), None) = (matching.next(), matching.next()) else {
+                    let expected = "one column whose name begins with position (or --column NAME)";
+                    return Err(header.finding(columns(), expected));
+                };
+                position
+            }
         };
+        let name = header.names().nth(position).unwrap_or_default();
         let unit = args.unit.or_else(|| Unit::of(name)).unwrap_or_else(|| {
             eprintln!("{}: column '{name}' names no unit: taken as m (see --unit)", args.input.display());
             Unit::M
         });
         let counts_per_unit = unit.in_um() / args.count_um;
-        drop(matching);
         Ok(Self {
             rows,
             marks,
             header,
             line: 0,
             time,
+            time_unit,
             ns_per_unit,
             position,
             counts_per_unit,
@@ -374,9 +415,25 @@ impl Record {
                 number.ok_or_else(|| cell.finding(format!("the {name}: {}", expected())))
             };
             if place == self.time {
+                let first = self.start.is_none();
+                if let Some(ns) = absolute_ns(cell.text()) {
+                    let start = self.start.get_or_insert_with(|| (0.0, ns, cell.text().to_owned()));
+                    time = (ns - start.1) as f64;
+                    return Ok(());
+                }
                 let read = finite("time")?;
-                let unix = read * self.ns_per_unit >= UNIX_S * 1e9;
-                let start = *self.start.get_or_insert(if unix { read } else { 0.0 });
+                if first && let Some((unit, day)) = clock::unix(read) {
+                    if unit != self.time_unit {
+                        let name = self.header.names().nth(place).unwrap_or_default();
+                        let found = format!("{read} in column {name}, Unix time in {unit}");
+                        return Err(cell.said(
+                            found,
+                            format!("a time in {}; or the column called t_{unit}", self.time_unit),
+                        ));
+                    }
+                    self.start = Some((read, 0, format!("{read}, Unix time of {day}")));
+                }
+                let start = self.start.get_or_insert_with(|| (0.0, 0, String::new())).0;
                 time = (read - start) * self.ns_per_unit;
             }
             if place == self.position {

@@ -14,6 +14,9 @@ pub(crate) struct Args {
     /// Probed points: a CSV `z_mm,x_mm[,approach_z,approach_x]`, the tip's centre at each trip
     #[arg(long)]
     points: PathBuf,
+    /// Columns of the file that have other names, or none, each by its name or number from 1; all others are left out
+    #[arg(long, value_name = "NAME=COLUMN", value_delimiter = ',')]
+    columns: Vec<String>,
     /// Nominal radius of the circle, in mm; a straight feature has none
     #[arg(long)]
     radius_mm: Option<f64>,
@@ -66,6 +69,7 @@ enum Feature {
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let asked = Asked {
         points: args.points.clone(),
+        columns: args.columns.clone(),
         radius_mm: args.radius_mm,
         tip_mm: args.tip_mm,
         feature: args.feature.map(|f| match f {

@@ -1,7 +1,7 @@
 //! `rtecctl part post-process`: a batch from a measuring machine, what is systematic in it, offered and not applied.
 
 use super::{print, usage, write_all};
-use rtec_part::batch::{BatchFinding, Judgement, evaluate};
+use rtec_part::batch::{BatchFinding, Judgement, evaluate_columns};
 use rtec_part::cor::{error_cor, read_arc};
 use std::fmt::Write as _;
 use std::path::PathBuf;
@@ -12,6 +12,9 @@ pub(crate) struct Args {
     /// Measurements: a CSV `part,feature,error_um[,angle_rad]`, or with `nominal_mm,measured_mm` for the error
     #[arg(long)]
     batch: PathBuf,
+    /// Columns of the file that have other names, or none, each by its name or number from 1; all others are left out
+    #[arg(long, value_name = "NAME=COLUMN", value_delimiter = ',')]
+    columns: Vec<String>,
     /// What probing on the machine found on the same feature: an `error.cor`
     #[arg(long, value_name = "ERROR.COR")]
     inspected: Option<PathBuf>,
@@ -38,7 +41,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     }
     let seen = args.inspected.as_deref().map(read_arc).transpose()?;
     let judgement = Judgement { alpha: args.alpha, least_um: args.least_um };
-    let batch = evaluate(&args.batch, seen.as_deref(), judgement)?;
+    let batch = evaluate_columns(&args.batch, &args.columns, seen.as_deref(), judgement)?;
     if let Some(written) = &batch.written {
         eprintln!("note: {written}");
     }

@@ -1,12 +1,14 @@
-//! Times of the clock, as ISO 8601 or a German spreadsheet writes them, in nanoseconds.
+//! Clocks that do not begin with the run: times as ISO 8601 or a German spreadsheet writes them, times of the day, Unix times.
 
-use rtec_model::date;
+use crate::date;
 
-pub(super) const DAY_NS: i128 = 86_400_000_000_000;
+/// A day, ns.
+pub const DAY_NS: i128 = 86_400_000_000_000;
 
 /// Nanoseconds since 1970-01-01 UTC of a time in ISO 8601, or of `23.1.2021 10:23:57` (day, month, year). Dates parted by
 /// slashes have two readings and are none.
-pub(super) fn absolute_ns(text: &str) -> Option<i128> {
+#[must_use]
+pub fn absolute_ns(text: &str) -> Option<i128> {
     let iso = || {
         let (day, clock) = text.trim().split_once([' ', 'T'])?;
         let mut parts = day.split('.');
@@ -23,7 +25,8 @@ pub(super) fn absolute_ns(text: &str) -> Option<i128> {
 }
 
 /// Nanoseconds since midnight of a time without a day, `13:51:37.25`.
-pub(super) fn of_day_ns(text: &str) -> Option<i128> {
+#[must_use]
+pub fn of_day_ns(text: &str) -> Option<i128> {
     let text = text.trim();
     let clock = if text.find(':') == Some(1) { format!("0{text}") } else { text.to_owned() };
     iso8601_ns(&format!("1970-01-01T{clock}Z")).filter(|ns| *ns < DAY_NS)
@@ -31,7 +34,8 @@ pub(super) fn of_day_ns(text: &str) -> Option<i128> {
 
 /// Nanoseconds since 1970-01-01 UTC of `2022-08-08T13:51:37.2515150Z`: a blank may stand for the T; Z, an offset or nothing
 /// (then taken as UTC) at the end; up to nine decimals of a second.
-pub(super) fn iso8601_ns(text: &str) -> Option<i128> {
+#[must_use]
+pub fn iso8601_ns(text: &str) -> Option<i128> {
     let text = text.trim();
     let (day, clock) = text.split_once(['T', 't', ' '])?;
     let days = date::parse(day)?;
@@ -62,6 +66,22 @@ pub(super) fn iso8601_ns(text: &str) -> Option<i128> {
     Some(minutes * (DAY_NS / 1440) + second * 1_000_000_000 + ns)
 }
 
+/// Units of a clock, and how many make a second.
+const UNITS: [(&str, f64); 4] = [("s", 1.0), ("ms", 1e3), ("us", 1e6), ("ns", 1e9)];
+
+/// From 2000 to 2100, s since 1970: no counter of a machine's own has run for thirty years.
+const UNIX_S: [f64; 2] = [946_684_800.0, 4_102_444_800.0];
+
+/// The unit of a Unix time between 2000 and 2100, and its day; `None` for what is none.
+#[must_use]
+pub fn unix(time: f64) -> Option<(&'static str, String)> {
+    let (unit, per_s) = UNITS.into_iter().find(|(_, per_s)| {
+        let s = time / per_s;
+        (UNIX_S[0]..UNIX_S[1]).contains(&s)
+    })?;
+    Some((unit, date::format((time / per_s / 86_400.0).floor() as i64)))
+}
+
 fn digits(text: &str, n: usize) -> Option<i128> {
     (n > 0 && text.len() == n && text.bytes().all(|b| b.is_ascii_digit())).then(|| text.parse().ok())?
 }
@@ -80,7 +100,8 @@ fn offset(zone: &str) -> Option<i128> {
 }
 
 /// The day of a time, as 2022-08-08.
-pub(super) fn day(ns: i128) -> String {
+#[must_use]
+pub fn day(ns: i128) -> String {
     date::format(ns.div_euclid(DAY_NS) as i64)
 }
 
@@ -121,5 +142,22 @@ mod tests {
         assert_eq!((of_day_ns("13:51:37Z"), of_day_ns("24:00:00")), (None, None));
         assert_eq!(day(1_659_966_697_251_515_000), "2022-08-08");
         assert_eq!(day(-1), "1969-12-31");
+    }
+
+    #[test]
+    fn knows_unix_times_and_no_others() {
+        for (time, unit) in [
+            (1_767_700_000.0, Some("s")),
+            (1_767_700_000_123.0, Some("ms")),
+            (1.7677e15, Some("us")),
+            (1.7677e18, Some("ns")),
+            (0.0, None),
+            (86_400.0 * 365.0, None),
+            (-1.7677e9, None),
+            (1e10, None),
+        ] {
+            assert_eq!(unix(time).map(|u| u.0), unit, "{time}");
+        }
+        assert_eq!(unix(1_767_700_000.0).unwrap().1, "2026-01-06");
     }
 }

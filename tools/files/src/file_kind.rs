@@ -1,0 +1,306 @@
+//! What a file says that it is, for the message where another kind was asked for.
+//!
+//! Each kind is known by what only it begins with or holds: a magic number, the first words of an exchange format, the
+//! tables of a TOML file, the names of a CSV's columns.
+
+use crate::input::InputError;
+use std::path::Path;
+
+/// Files that people hand over in place of each other.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum FileKind {
+    /// `NAME.run.toml`
+    RunRecord,
+    /// `machine.toml`
+    Model,
+    /// A kinematic chain, beside a model.
+    Chain,
+    /// `rtec.toml`
+    Configuration,
+    /// A card's profile.
+    Profile,
+    /// The form of a foreign table, for `characterise import --format own`.
+    Form,
+    /// `t_ns,a,b`
+    Trace,
+    /// `t_ns,requested`
+    Requests,
+    /// `z_mm,x_mm`, probed points of a part.
+    Points,
+    /// `part,feature,…`, a batch measured off the machine.
+    Batch,
+    /// Another table, the CSV beside a run record for one.
+    Table,
+    /// A drawing, DXF.
+    Drawing,
+    /// A value change dump.
+    Vcd,
+    /// Data of a Renishaw laser, `.rtl`, `.rta`.
+    Laser,
+    /// ecmc's ISO 230-2 data.
+    Ecmc,
+    /// Etalon's exchange format.
+    Etalon,
+    /// `MTConnect`'s SHDR lines.
+    Shdr,
+    /// A spreadsheet's own file, or another zip archive.
+    Workbook,
+    /// PDF.
+    Pdf,
+    /// A compressed file.
+    Compressed,
+    /// XML or HTML.
+    Markup,
+}
+
+/// How files that are no text begin.
+const MAGIC: [(&[u8], FileKind); 5] = [
+    (b"PK\x03\x04", FileKind::Workbook),
+    (b"\xd0\xcf\x11\xe0", FileKind::Workbook),
+    (b"%PDF-", FileKind::Pdf),
+    (b"\x1f\x8b", FileKind::Compressed),
+    (b"AutoCAD Binary DXF", FileKind::Drawing),
+];
+
+/// Lines that are looked at: what a file is shows at its beginning.
+const LINES: usize = 2000;
+
+impl FileKind {
+    /// Of a file that is no text: by its first bytes.
+    #[must_use]
+    pub fn of_bytes(bytes: &[u8]) -> Option<Self> {
+        MAGIC.iter().find(|(magic, _)| bytes.starts_with(magic)).map(|(_, kind)| *kind)
+    }
+
+    /// By what only this file has; nothing where none is there.
+    #[must_use]
+    pub fn of(text: &str) -> Option<Self> {
+        let text = text.trim_start_matches('\u{feff}');
+        Self::of_bytes(text.as_bytes())
+            .or_else(|| Self::by_first_words(text))
+            .or_else(|| Self::by_tables(text))
+    }
+
+    fn by_first_words(text: &str) -> Option<Self> {
+        let mut words = text.split_whitespace();
+        let (first, second) = (words.next()?, words.next().unwrap_or_default());
+        match first {
+            // Comments of a drawing, group 999, may stand in front of its sections.
+            "0" if second == "SECTION" => return Some(Self::Drawing),
+            "999" if text.lines().map(str::trim).take(LINES).any(|l| l == "SECTION") => {
+                return Some(Self::Drawing);
+            }
+            "$date" | "$version" | "$timescale" | "$comment" | "$scope" | "$var" => return Some(Self::Vcd),
+            _ if first.starts_with("<?xml") || first.eq_ignore_ascii_case("<!doctype") => {
+                return Some(Self::Markup);
+            }
+            _ if first.to_ascii_lowercase().starts_with("<html") => return Some(Self::Markup),
+            _ => {}
+        }
+        let lines = || text.lines().map(str::trim).filter(|l| !l.is_empty()).take(LINES);
+        if first == "HEADER::" || lines().any(|l| l == "TARGET DATA::") {
+            return Some(Self::Laser);
+        }
+        if lines().any(|l| l.starts_with("TGT_DATA[") || l.starts_with("REF_DATA_")) {
+            return Some(Self::Ecmc);
+        }
+        if lines().any(|l| l.starts_with("Gridpoints")) {
+            return Some(Self::Etalon);
+        }
+        let is_shdr = |line: &str| {
+            let time = line.split(['|', '@']).next().unwrap_or_default();
+            line.contains('|') && time.len() >= 19 && time.as_bytes()[10] == b'T'
+        };
+        lines().find(|l| !l.starts_with('*')).is_some_and(is_shdr).then_some(Self::Shdr)
+    }
+
+    fn by_tables(text: &str) -> Option<Self> {
+        let lines = || text.lines().map(str::trim);
+        let heads = |names: &[&str]| lines().any(|l| names.iter().any(|n| l.starts_with(n)));
+        if heads(&["[columns]"]) {
+            let is_record = heads(&["file =", "file="]);
+            return Some(if is_record || !heads(&["separator", "names"]) {
+                Self::RunRecord
+            } else {
+                Self::Form
+            });
+        }
+        if heads(&["[[joint]]"]) {
+            return Some(Self::Chain);
+        }
+        if heads(&["[[effect]]", "[[fit]]", "effect ="]) {
+            return Some(Self::Model);
+        }
+        if heads(&["[[axis]]", "[card]"]) {
+            return Some(Self::Configuration);
+        }
+        if heads(&["[lines]"]) && heads(&["inputs =", "outputs =", "inputs=", "outputs="]) {
+            return Some(Self::Profile);
+        }
+        let mut rows = lines().filter(|l| !l.is_empty() && !l.starts_with('#'));
+        let mut first = rows.next()?;
+        if first.to_ascii_lowercase().starts_with("sep=") {
+            first = rows.next()?;
+        }
+        if !first.contains([',', ';', '\t']) || first.contains(['=', '[']) {
+            return None;
+        }
+        let names: Vec<&str> = first.split([',', ';', '\t']).map(|n| n.trim().trim_matches('"')).collect();
+        let has = |kind: &Self| kind.columns().iter().all(|c| names.contains(c));
+        Some(
+            [Self::Trace, Self::Requests, Self::Points, Self::Batch]
+                .into_iter()
+                .find(has)
+                .unwrap_or(Self::Table),
+        )
+    }
+
+    /// What it is, and what shows it.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::RunRecord => "a run record: it has [columns]",
+            Self::Model => "a machine model: it lists effects",
+            Self::Chain => "a kinematic chain: it has joints",
+            Self::Configuration => "a configuration: it has axes or a card",
+            Self::Profile => "a card's profile: it has inputs, outputs and lines",
+            Self::Form => "the form of a table, for characterise import --form",
+            Self::Trace => "a quadrature trace: it has columns t_ns, a, b",
+            Self::Requests => "requested totals: it has columns t_ns, requested",
+            Self::Points => "probed points: it has columns z_mm, x_mm",
+            Self::Batch => "a batch of parts: it has columns part, feature",
+            Self::Table => "a table of values",
+            Self::Drawing => "a DXF drawing",
+            Self::Vcd => "a value change dump (VCD)",
+            Self::Laser => "data of a laser interferometer (.rtl, .rta)",
+            Self::Ecmc => "ecmc's ISO 230-2 data",
+            Self::Etalon => "Etalon's exchange format",
+            Self::Shdr => "a log of SHDR lines (MTConnect)",
+            Self::Workbook => "a spreadsheet's own file (.xlsx, .ods, .xls) or a zip archive",
+            Self::Pdf => "a PDF document",
+            Self::Compressed => "a compressed file (gzip)",
+            Self::Markup => "XML or HTML",
+        }
+    }
+
+    fn expected(self) -> &'static str {
+        match self {
+            Self::RunRecord => {
+                "a run record, NAME.run.toml: the sidecar that says what the columns of its CSV are"
+            }
+            Self::Model => "a machine model, machine.toml: a name and [[effect]] tables",
+            Self::Configuration => "a configuration, rtec.toml: [machine], [card] and [[axis]] tables",
+            Self::Profile => "a card's profile: inputs, outputs and [lines]",
+            Self::Trace => "a quadrature trace: t_ns,a,b",
+            Self::Requests => "requested totals: t_ns,requested",
+            other => other.name(),
+        }
+    }
+
+    /// A CSV of one name or another: whoever takes any table takes these.
+    #[must_use]
+    pub fn is_table(self) -> bool {
+        matches!(self, Self::Trace | Self::Requests | Self::Points | Self::Batch | Self::Table)
+    }
+
+    /// How a file that is no text becomes one.
+    pub(crate) fn as_text(self) -> &'static str {
+        match self {
+            Self::Workbook => "a text file: save the sheet as CSV",
+            Self::Compressed => "a text file: unpack it first",
+            Self::Drawing => "an ASCII DXF: save the drawing as one",
+            _ => "a text file",
+        }
+    }
+
+    /// That a file is an `other` one than this.
+    #[must_use]
+    pub fn instead(self, path: &Path, other: Self) -> InputError {
+        InputError::whole(path, other.name(), self.expected())
+    }
+
+    /// The finding of a reader of `self`: that it is a file of another kind, where it is one.
+    #[must_use]
+    pub fn finding(self, path: &Path, text: &str, finding: InputError) -> InputError {
+        match Self::of(text) {
+            Some(other) if other != self && !(self == Self::Table && other.is_table()) => {
+                self.instead(path, other)
+            }
+            _ => finding,
+        }
+    }
+
+    /// The finding of a reader of another format than these: that the text is a file of a known kind, where it is one. `own` is
+    /// the reader's own kind, where it is one of these.
+    #[must_use]
+    pub fn instead_of(own: Option<Self>, text: &str, finding: InputError) -> InputError {
+        match Self::of(text).filter(|kind| Some(*kind) != own && *kind != Self::Table) {
+            Some(other) => InputError { found: other.name().to_owned(), ..finding },
+            None => finding,
+        }
+    }
+
+    /// Columns that only a table of this kind has.
+    pub(crate) fn columns(self) -> &'static [&'static str] {
+        match self {
+            Self::Trace => &["t_ns", "a", "b"],
+            Self::Requests => &["t_ns", "requested"],
+            Self::Points => &["z_mm", "x_mm"],
+            Self::Batch => &["part", "feature"],
+            _ => &[],
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn files_are_told_apart() {
+        for (text, kind) in [
+            (
+                "file = \"a.csv\"\nkind = \"drift\"\n[columns]\nt = { role = \"time\" }\n",
+                Some(FileKind::RunRecord),
+            ),
+            ("kind = \"drift\"\nseparator = \";\"\nnames = true\n[columns]\n", Some(FileKind::Form)),
+            ("name = \"m\"\n\n[[effect]]\nname = \"scale.x\"\nppm = 1.0\n", Some(FileKind::Model)),
+            ("tool_mm = [0, 0, 0]\n[[joint]]\nname = \"spindle\"\n", Some(FileKind::Chain)),
+            ("# mine\n[machine]\nname = \"m\"\n[card]\nbackend = \"mock\"\n", Some(FileKind::Configuration)),
+            ("name = \"c\"\ninputs = []\noutputs = []\n[lines]\n", Some(FileKind::Profile)),
+            ("t,x,e\n0,1,2\n", Some(FileKind::Table)),
+            ("sep=;\nt_ns;a;b\n0;0;1\n", Some(FileKind::Trace)),
+            ("t_ns,requested\n0,4\n", Some(FileKind::Requests)),
+            ("point,z_mm,x_mm\n", Some(FileKind::Points)),
+            ("part;feature;nominal_mm;measured_mm\n", Some(FileKind::Batch)),
+            ("  0\nSECTION\n  2\nENTITIES\n", Some(FileKind::Drawing)),
+            ("999\nmade by x\n0\nSECTION\n", Some(FileKind::Drawing)),
+            ("$timescale 1 ns $end\n$var wire 1 ! a $end\n", Some(FileKind::Vcd)),
+            ("HEADER::\nFile type : rta\n", Some(FileKind::Laser)),
+            ("UNIT=mm\nTGT_DATA[1]=0\n", Some(FileKind::Ecmc)),
+            ("// head\n[EXX]\nGridpoints = {\n", Some(FileKind::Etalon)),
+            ("2022-08-08T13:51:37.25Z|x|1.5\n", Some(FileKind::Shdr)),
+            ("PK\u{3}\u{4}\n", Some(FileKind::Workbook)),
+            ("<?xml version=\"1.0\"?>\n<a/>\n", Some(FileKind::Markup)),
+            ("0 0.001 0.002\n100 0.0 0.0\n", None),
+            ("name = \"ideal\"\n", None),
+            ("", None),
+        ] {
+            assert_eq!(FileKind::of(text), kind, "{text}");
+        }
+        assert_eq!(FileKind::of_bytes(b"\x1f\x8b\x08\0"), Some(FileKind::Compressed));
+    }
+
+    #[test]
+    fn a_reader_of_any_table_takes_those_of_known_names() {
+        let (file, finding) =
+            (Path::new("a"), || InputError::whole(Path::new("a"), "no column e", "a column e"));
+        let of = |kind: FileKind, text: &str| kind.finding(file, text, finding()).found;
+        assert_eq!(of(FileKind::Table, "t_ns,a,b\n"), "no column e");
+        assert_eq!(
+            of(FileKind::Trace, "t_ns,requested\n"),
+            "requested totals: it has columns t_ns, requested"
+        );
+        assert_eq!(of(FileKind::Table, "0\nSECTION\n"), "a DXF drawing");
+    }
+}
