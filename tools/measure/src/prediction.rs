@@ -1,6 +1,6 @@
 //! What a machine model says about a record, said with what was taken for granted.
 
-use crate::{derive, record};
+use crate::{derive, plausible, record};
 use rtec_files::{InputError, Said};
 use rtec_model::machine::{Asked, HalfWidths, Machine, Reach, Running};
 use rtec_model::record::{Record, Role};
@@ -66,7 +66,9 @@ pub fn write(
     let mut widths: Vec<HalfWidths<'_>> = Vec::new();
     let style = pieces.style();
     let (mut rows, mut taken_as_zero, mut text) = (0, Vec::new(), String::new());
+    let mut not_taken = 0;
     while let Some(piece) = pieces.next(PIECE_ROWS)? {
+        not_taken += plausible::not_taken(&piece.record);
         let prediction = running.next(&piece.record)?;
         text.clear();
         if rows == 0 {
@@ -107,7 +109,19 @@ pub fn write(
         return Err(InputError::whole(path, format!("{rows} rows"), expected).into());
     }
     warn(path, &taken_as_zero, &asked.out_of_range(), say);
+    warn_of_readings(path, not_taken, say);
     Ok(())
+}
+
+/// Readings that a sensor did not take: the prediction of those rows is as wrong as they are.
+fn warn_of_readings(file: &Path, not_taken: usize, say: &mut dyn FnMut(Said)) {
+    if not_taken > 0 {
+        say(Said::Warning(format!(
+            "{}: {not_taken} readings that a sensor did not take (`characterise evaluate` names them): the prediction of those rows is \
+             of what they say",
+            file.display()
+        )));
+    }
 }
 
 /// How far a record goes, and how many rows it has.
@@ -162,6 +176,7 @@ pub fn csv(
     say: &mut dyn FnMut(Said),
 ) -> Result<String, InputError> {
     let mut columns = Vec::new();
+    warn_of_readings(&record.path, plausible::not_taken(record), say);
     for (response, (name, data)) in record.responses().zip(predict(machine, record, say)?) {
         if interval {
             let width = machine.half_widths_um(record, &response.role);

@@ -39,6 +39,7 @@ mod units;
 pub use between::repeated;
 pub use motion::agreement;
 pub use pieces::Pieces;
+pub(crate) use sensors::DEGC;
 pub use step::steps_of;
 
 use rtec_files::{InputError, Said};
@@ -308,21 +309,20 @@ pub fn usable(records: &[Record], found: &[Suspicion], say: &mut dyn FnMut(Said)
     left
 }
 
-/// The records, in which readings that a sensor did not take are no numbers: no figure and no plot holds them.
+/// The records, in which readings that a sensor did not take are no numbers, without the sensors that took none: no figure and no
+/// plot holds them.
 #[must_use]
 pub fn taken<'r>(records: &'r [Record], doubts: &[Suspicion]) -> Cow<'r, [Record]> {
-    let bad = |d: &&Suspicion| {
-        d.is_of_sensor()
-            && matches!(d.what, What::Unplugged | What::Range | What::Outliers)
-            && !d.rows.is_empty()
-    };
     let mut usable = Cow::Borrowed(records);
-    for doubt in doubts.iter().filter(bad) {
+    for doubt in doubts.iter().filter(|d| d.is_not_taken()) {
         let Some(at) = records.iter().position(|r| r.path.display().to_string() == doubt.record) else {
             continue;
         };
         let record = &mut usable.to_mut()[at];
         let first = record.first_row();
+        if doubt.rows.is_empty() {
+            record.columns.retain(|c| c.name != doubt.column);
+        }
         for column in record.columns.iter_mut().filter(|c| c.name == doubt.column) {
             for row in doubt.row_list() {
                 if let Some(v) = row.checked_sub(first).and_then(|row| column.data.get_mut(row)) {
@@ -334,16 +334,53 @@ pub fn taken<'r>(records: &'r [Record], doubts: &[Suspicion]) -> Cow<'r, [Record
     usable
 }
 
-/// A record's rows in which every sensor took its reading; and how many it has besides. For records of [`taken`].
+/// A record's rows in which every sensor took its reading, and how many it has besides. For records of [`taken`].
 #[must_use]
 pub fn rows_taken(record: &Record) -> (Cow<'_, Record>, usize) {
-    let is_taken = |row: &usize| record.columns.iter().all(|c| !is_sensor(c) || c.data[*row].is_finite());
-    let keep: Vec<usize> = (0..record.rows()).filter(is_taken).collect();
-    let rest = record.rows() - keep.len();
-    if rest == 0 || keep.is_empty() {
+    let off = |c: &&Column| is_sensor(c) && c.data.iter().any(|v| !v.is_finite());
+    if !record.columns.iter().any(|c| off(&c)) {
         return (Cow::Borrowed(record), 0);
     }
-    (Cow::Owned(record.select(&keep)), rest)
+    let is_taken = |row: &usize| record.columns.iter().all(|c| !is_sensor(c) || c.data[*row].is_finite());
+    let keep: Vec<usize> = (0..record.rows()).filter(is_taken).collect();
+    let mut left = if keep.is_empty() { record.clone() } else { record.select(&keep) };
+    // Where sensors are off in turns no row is whole: those sensors go then.
+    left.columns.retain(|c| !off(&c));
+    let rest = record.rows() - left.rows();
+    (Cow::Owned(left), rest)
+}
+
+/// A record without what a sensor did not take; what the record shows of mistakes is said.
+pub fn only_taken(record: Record, say: &mut dyn FnMut(Said)) -> Record {
+    let records = [record];
+    let doubts = said(&records, say);
+    let usable = taken(&records, &doubts);
+    let (left, rest) = rows_taken(&usable[0]);
+    if rest > 0 {
+        let file = left.path.display();
+        say(Said::Warning(format!(
+            "{file}: {rest} rows with readings that a sensor did not take are in no figure"
+        )));
+    }
+    left.into_owned()
+}
+
+/// Readings of this piece of a record that its sensors did not take.
+#[must_use]
+pub fn not_taken(record: &Record) -> usize {
+    let mut found = Vec::new();
+    sensors::look(record, &mut found);
+    let bad = found.iter().filter(|d| d.is_not_taken());
+    bad.map(|d| if d.rows.is_empty() { record.rows() } else { d.row_list().len() }).sum()
+}
+
+impl Suspicion {
+    /// Of a sensor that did not take its reading: of these rows, or of all where there are none.
+    fn is_not_taken(&self) -> bool {
+        let rows =
+            matches!(self.what, What::Unplugged | What::Range | What::Outliers) && !self.rows.is_empty();
+        self.is_of_sensor() && (rows || self.what == What::Unplugged)
+    }
 }
 
 /// What a fit should leave out.

@@ -6,7 +6,7 @@ use rtec_model::limits::disconnected;
 use rtec_model::record::{Column, Record, Role};
 
 /// What any sensor on a machine tool can read, °C.
-const DEGC: [f64; 2] = [-40.0, 150.0];
+pub(crate) const DEGC: [f64; 2] = [-40.0, 150.0];
 
 pub(super) fn look(record: &Record, out: &mut Vec<Suspicion>) {
     let sensors: Vec<&Column> = record.columns.iter().filter(|c| c.role == Role::Temperature).collect();

@@ -3,9 +3,11 @@
 use super::figures::{Look, Row, Sums};
 use super::spans::{Span, Spans, State, TURNS_RPM};
 use super::{Drift, Figures, Phase, charts_of, error_axes, temperatures};
+use crate::plausible::DEGC;
 use crate::plot::{Chart, Series, Style};
 use crate::record::Pieces;
 use rtec_files::InputError;
+use rtec_model::limits::disconnected;
 use rtec_model::record::{Column, Record, Role};
 use std::path::{Path, PathBuf};
 
@@ -22,7 +24,40 @@ pub struct LongDrift {
     spans: Vec<Span>,
     errors: Vec<Outline>,
     degc: Vec<Outline>,
+    usual: Usual,
 }
+
+/// How warm each sensor is in the first rows: beside that a code of its input shows as one.
+#[derive(Default)]
+struct Usual(Vec<f64>);
+
+impl Usual {
+    /// The readings of each temperature; no number where the sensor took none.
+    fn taken(&mut self, record: &Record) -> Vec<Vec<f64>> {
+        let columns: Vec<&Column> = temperatures(&record.columns).collect();
+        let possible = |v: f64| v > DEGC[0] && v < DEGC[1] && disconnected(v).is_none();
+        if self.0.is_empty() {
+            let middle = |c: &&Column| {
+                let mut good: Vec<f64> = c.data.iter().copied().filter(|v| possible(*v)).collect();
+                good.sort_by(f64::total_cmp);
+                good.get(good.len() / 2).copied().unwrap_or(f64::NAN)
+            };
+            self.0 = columns.iter().map(middle).collect();
+        }
+        let of = |(c, usual): (&&Column, &f64)| {
+            // Kelvin and other units are out of the range as a whole: what they are is said, and they stay as they are.
+            let is_code = |v: f64| match disconnected(v) {
+                Some((_, certain)) => certain || (v - usual).abs() > UNUSUAL_K,
+                None => usual.is_finite() && !possible(v),
+            };
+            c.data.iter().map(|v| if is_code(*v) { f64::NAN } else { *v }).collect()
+        };
+        columns.iter().zip(&self.0).map(of).collect()
+    }
+}
+
+/// So far from usual is 85 or 0 °C a code.
+const UNUSUAL_K: f64 = 15.0;
 
 impl LongDrift {
     /// Goes through a record of more than so many rows; `None` for a shorter one, and for one whose figures ask for all rows at
@@ -36,7 +71,7 @@ impl LongDrift {
         };
         let (mut spans, mut rows, mut head) = (Spans::default(), 0, None);
         let (mut errors, mut degc): (Vec<Outline>, Vec<Outline>) = (Vec::new(), Vec::new());
-        let mut moves = Moves::default();
+        let (mut moves, mut usual) = (Moves::default(), Usual::default());
         while let Some(record) = pieces.next_record(PIECE_ROWS)? {
             let Some(t) = record.data(&Role::Time).filter(|_| !moves.see(&record)) else { return Ok(None) };
             let rpm = record.data(&Role::SpindleSpeed);
@@ -50,10 +85,10 @@ impl LongDrift {
             for (outline, (_, e)) in errors.iter_mut().zip(&drawn) {
                 outline.see(rows, t, e);
             }
-            let sensors: Vec<&Column> = temperatures(&record.columns).collect();
+            let sensors = usual.taken(&record);
             degc.resize_with(sensors.len(), Outline::default);
-            for (outline, c) in degc.iter_mut().zip(sensors) {
-                outline.see(rows, t, &c.data);
+            for (outline, data) in degc.iter_mut().zip(&sensors) {
+                outline.see(rows, t, data);
             }
             rows += record.rows();
             head.get_or_insert(record);
@@ -61,7 +96,7 @@ impl LongDrift {
         let head = head.filter(|head| rows > more_than && !error_axes(head).is_empty());
         let spans = spans.phases();
         let path = path.to_owned();
-        Ok(head.map(|head| Self { path, pieces, head, rows, spans, errors, degc }))
+        Ok(head.map(|head| Self { path, pieces, head, rows, spans, errors, degc, usual }))
     }
 
     /// Its rows.
@@ -144,7 +179,8 @@ impl LongDrift {
         while let Some(record) = self.pieces.next_record(rows_at_once)? {
             each(&record);
             let (t, errors) = (record.time_s(), error_axes(&record));
-            let degc: Vec<&[f64]> = temperatures(&record.columns).map(|c| c.data.as_slice()).collect();
+            let degc = self.usual.taken(&record);
+            let degc: Vec<&[f64]> = degc.iter().map(Vec::as_slice).collect();
             for row in 0..record.rows().min(self.rows - seen) {
                 span += usize::from(self.spans[span].rows.end <= seen + row);
                 for (response, (_, e)) in errors.iter().enumerate() {
@@ -223,7 +259,7 @@ impl Default for Outline {
 impl Outline {
     /// The next rows, the first of them of this number.
     fn see(&mut self, first: usize, t: &[f64], v: &[f64]) {
-        for (row, (t, v)) in t.iter().zip(v).enumerate() {
+        for (row, (t, v)) in t.iter().zip(v).enumerate().filter(|(_, (_, v))| v.is_finite()) {
             self.see_one((first + row, *t, *v));
         }
     }

@@ -1,6 +1,8 @@
 //! `rtecctl model show` and `compare`: what a model says, and what sets two apart.
 
 use crate::figures::alike;
+use crate::verbs::suspicions;
+use rtec_measure::plausible;
 use rtec_model::chain::{self, COMPONENTS, Chain, Term};
 use rtec_model::date;
 use rtec_model::effect::Effect;
@@ -187,7 +189,7 @@ pub(crate) fn compare(args: &CompareArgs) -> anyhow::Result<()> {
     rows.extend(only_second.map(|id| json!({"effect": id, "change": "only in the second"})));
     let mut predictions = Vec::new();
     if let Some(path) = &args.record {
-        let record = rtec_measure::record::read(path)?;
+        let record = plausible::only_taken(rtec_measure::record::read(path)?, &mut suspicions::say);
         let of = |m: &Machine| rtec_measure::derive::predict(m, &record).map(|(prediction, _)| prediction);
         let (pa, pb) = (of(&a)?, of(&b)?);
         for (column, ((name, x), (_, y))) in record.responses().zip(pa.columns.iter().zip(&pb.columns)) {

@@ -7,6 +7,7 @@ use anyhow::Context;
 use rtec_control::config::{Config, ConfiguredAxis};
 use rtec_correct::rehearse::{self, AxisChange};
 use rtec_fit::validate;
+use rtec_measure::plausible;
 use rtec_measure::plot::{Chart, Series, Style};
 use rtec_model::date;
 use rtec_model::machine::Machine;
@@ -109,7 +110,7 @@ pub(crate) fn rehearse(args: &RehearseArgs) -> anyhow::Result<()> {
         Some(path) => Machine::read(path)?,
         None => Machine::ideal("no model"),
     };
-    let shift = rtec_measure::record::read_log(&args.record)?;
+    let shift = plausible::only_taken(rtec_measure::record::read_log(&args.record)?, &mut suspicions::said);
     let options = match &args.config {
         Some(file) => options(&Config::load(file)?),
         None => rehearse::Options::default(),
