@@ -44,6 +44,8 @@ pub struct ChainReport {
     /// What is left at every row of the same, µm: before, and after. For plots.
     #[serde(skip)]
     pub left_um: Vec<[Vec<f64>; 2]>,
+    /// What to know of the gauges' steps.
+    pub warnings: Vec<String>,
 }
 
 /// A record with the point that it measured.
@@ -122,8 +124,9 @@ pub fn fit(
             .filter(|c| matches!(&c.role, Role::Error(a) if ["x", "y", "z"].contains(&a.as_str())));
         of.map(|c| (c.role.clone(), c.data.clone())).collect()
     };
-    let mut found: Vec<Found> = Vec::new();
+    let (mut found, mut warnings): (Vec<Found>, Vec<String>) = (Vec::new(), Vec::new());
     for _ in 0..2 {
+        warnings.clear();
         let mut problem = Problem::new(places.len());
         for run in runs {
             for (role, y) in measured(run.record) {
@@ -144,6 +147,9 @@ pub fn fit(
                 }
                 let left: Vec<f64> = y.iter().zip(&base).map(|(y, b)| y - b).collect();
                 problem.push(&left, &columns, false);
+                if let Some(read) = run.record.column(&role) {
+                    warnings.extend(problem.rounded_as(run.record, read));
+                }
             }
         }
         found = problem.solve().map_err(|k| {
@@ -196,7 +202,7 @@ pub fn fit(
         }
     };
     let terms = places.iter().zip(&found).map(term).collect();
-    Ok((now, ChainReport { terms, rms_um, left_um }))
+    Ok((now, ChainReport { terms, rms_um, left_um, warnings }))
 }
 
 /// Writes a fitted chain, see [`text`].

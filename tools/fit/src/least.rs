@@ -11,11 +11,11 @@ use crate::thermal::{Fitted, Intervals, jackknife_interval};
 use nalgebra::{DMatrix, DVector};
 use rtec_files::InputError;
 use rtec_files::text::short;
-use rtec_measure::steps::Steps;
+use rtec_measure::steps::{Steps, step_of};
 use rtec_model::date;
 use rtec_model::effect::{Dictionary, Difference, Effect, Need, Search};
 use rtec_model::machine::{FitNote, Machine, Provenance, Source};
-use rtec_model::record::{Column, Record, Role};
+use rtec_model::record::{Column, Kind, Record, Role};
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -24,6 +24,8 @@ use std::path::Path;
 const BLOCKS: usize = 10;
 /// Half of a normal distribution's 95 %, in standard deviations.
 const NORMAL_95: f64 = 1.96;
+/// A cause that goes through fewer steps than these is said to be coarse.
+const FEW_STEPS: f64 = 20.0;
 /// Two columns are one when what sets one apart from the others is smaller than this share of it.
 const DEPENDENT: f64 = 1e-5;
 
@@ -45,8 +47,32 @@ pub(crate) struct Problem {
     means: Vec<Option<(f64, Vec<f64>)>>,
     /// Rows that share one rounding error of a coarse gauge, and its standard deviation.
     rounded: Vec<(Vec<usize>, f64)>,
+    /// Causes that were read in coarse steps.
+    causes: Vec<CoarseCause>,
     /// Where an axis was at every row, mm, by its name; nothing where it stood still.
     at_mm: BTreeMap<String, Vec<Option<f64>>>,
+}
+
+/// A cause (a temperature, a position in motion) that was read in coarse steps.
+#[derive(Debug)]
+struct CoarseCause {
+    /// The first row of its piece.
+    start: usize,
+    /// What one standard deviation of rounding changes in every column, row by row.
+    moves: Vec<Vec<f64>>,
+    /// Rows of the piece that share one rounding error.
+    alike: Vec<std::ops::Range<usize>>,
+}
+
+/// The step that a cause was read in. Places that an axis was sent to are no readings.
+fn cause_step(record: &Record, column: &Column) -> Option<f64> {
+    let moving = matches!(record.kind, Kind::Dynamics | Kind::Ballbar | Kind::FeedSweep);
+    match column.role {
+        Role::Temperature | Role::Load(_) | Role::Channel => {}
+        Role::Position(_) | Role::Velocity(_) if moving => {}
+        _ => return None,
+    }
+    step_of(&column.data)
 }
 
 impl Problem {
@@ -80,7 +106,7 @@ impl Problem {
 
     /// The response pushed last, as its gauge reads it, is rounded to coarse steps: readings of one value from one side are off by the
     /// same; where noise dithers the steps, what is left of them is alike from one side. Gives what to know of that.
-    fn rounded_as(&mut self, record: &Record, column: &Column) -> Option<String> {
+    pub(crate) fn rounded_as(&mut self, record: &Record, column: &Column) -> Option<String> {
         let piece = self.pieces.last().cloned()?;
         if column.data.iter().all(|v| v - column.data[0] == 0.0) {
             return Some(format!(
@@ -110,10 +136,55 @@ impl Problem {
         })
     }
 
-    /// Standard deviation of every parameter from rounding alone.
-    fn rounding(&self, scale: &[f64]) -> Option<Vec<f64>> {
+    /// The causes of a record that were read in coarse steps, for the response pushed last; `basis` gives the columns of the record
+    /// that it is given. Gives what to know of that.
+    fn rounded_causes(
+        &mut self,
+        record: &Record,
+        basis: &dyn Fn(&Record) -> Option<Vec<Vec<f64>>>,
+    ) -> Vec<String> {
+        let Some((piece, own)) = self.pieces.last().cloned().zip(basis(record)) else { return Vec::new() };
+        let mut said = Vec::new();
+        for (at, column) in record.columns.iter().enumerate() {
+            let Some(step) = cause_step(record, column) else { continue };
+            let mut moved = record.clone();
+            moved.columns[at].data.iter_mut().for_each(|v| *v += step / 12f64.sqrt());
+            let Some(moved) = basis(&moved) else { continue };
+            let moves: Vec<Vec<f64>> =
+                moved.iter().zip(&own).map(|(m, o)| m.iter().zip(o).map(|(m, o)| m - o).collect()).collect();
+            if moves.iter().flatten().all(|m| *m == 0.0) {
+                continue;
+            }
+            // Readings that follow each other and are alike are off by the same.
+            let alike = column.data.chunk_by(|a, b| (a - b).abs() < 0.5 * step).scan(0, |from, rows| {
+                let start = *from;
+                *from += rows.len();
+                Some(start..*from)
+            });
+            let alike = alike.collect();
+            self.causes.push(CoarseCause { start: piece.start, moves, alike });
+            let [low, high] = column
+                .data
+                .iter()
+                .fold([f64::INFINITY, f64::NEG_INFINITY], |[l, h], v| [l.min(*v), h.max(*v)]);
+            if high - low < FEW_STEPS * step {
+                let unit = if column.role == Role::Temperature { "K" } else { column.unit.as_str() };
+                said.push(format!(
+                    "{}: {}: readings in steps of {} {unit} over {:.3} {unit}: what rounding may do is in the intervals",
+                    record.path.display(),
+                    column.name,
+                    short(step),
+                    high - low
+                ));
+            }
+        }
+        said
+    }
+
+    /// Standard deviation of every parameter from rounding alone, where the parameters have these values.
+    fn rounding(&self, scale: &[f64], values: &[f64]) -> Option<Vec<f64>> {
         let p = self.columns.len();
-        if self.rounded.is_empty() {
+        if self.rounded.is_empty() && self.causes.is_empty() {
             return Some(vec![0.0; p]);
         }
         let everything = vec![0; self.y.len()];
@@ -124,6 +195,17 @@ impl Problem {
             let sum = DVector::from_fn(p, |k, _| rows.iter().map(|i| self.columns[k][*i] / scale[k]).sum());
             let moved = &inverse * sum;
             squares.iter_mut().zip(moved.iter()).for_each(|(s, m)| *s += (sd * m).powi(2));
+        }
+        for cause in &self.causes {
+            // What one standard deviation of rounding does to the response at a row.
+            let error = |i: usize| -> f64 { cause.moves.iter().zip(values).map(|(m, v)| m[i] * v).sum() };
+            for rows in &cause.alike {
+                let sum = DVector::from_fn(p, |k, _| {
+                    rows.clone().map(|i| self.columns[k][cause.start + i] * error(i) / scale[k]).sum()
+                });
+                let moved = &inverse * sum;
+                squares.iter_mut().zip(moved.iter()).for_each(|(s, m)| *s += m.powi(2));
+            }
         }
         Some(squares.iter().zip(scale).map(|(s, scale)| s.sqrt() / scale).collect())
     }
@@ -260,7 +342,8 @@ impl Problem {
             let wider = found.iter_mut().zip(of_these).filter(|(f, other)| width(other) > width(f));
             wider.for_each(|(f, other)| *f = other);
         }
-        for (f, sd) in found.iter_mut().zip(self.rounding(&scale).ok_or(p - 1)?) {
+        let values: Vec<f64> = found.iter().map(|f| f.value).collect();
+        for (f, sd) in found.iter_mut().zip(self.rounding(&scale, &values).ok_or(p - 1)?) {
             let beside = |bound: f64| (bound - f.value).hypot(NORMAL_95 * sd);
             f.interval = [f.value - beside(f.interval[0]), f.value + beside(f.interval[1])];
         }
@@ -456,6 +539,18 @@ pub fn fit_named(
     let mut coarse = Vec::new();
     for record in records {
         let left = base.beyond(record)?;
+        let basis_of = |record: &Record, role: &Role| -> Option<Vec<Vec<f64>>> {
+            let mut columns = Vec::with_capacity(count);
+            for effect in &effects {
+                let (bound, rows) = (effect.bind(record).ok()?, record.rows());
+                let mut basis = vec![0.0; effect.coefficient_count() * rows];
+                if let Some((_, component)) = effect.acts_on(record).into_iter().find(|(r, _)| r == role) {
+                    bound.basis(effect, component, &mut basis);
+                }
+                columns.extend(basis.chunks(rows).map(<[f64]>::to_vec));
+            }
+            Some(columns)
+        };
         let bound = effects
             .iter()
             .map(|e| {
@@ -485,6 +580,7 @@ pub fn fit_named(
             problem.moved(record);
             // As it was read: what is beyond the base has no steps.
             coarse.extend(record.column(&column.role).and_then(|read| problem.rounded_as(record, read)));
+            coarse.extend(problem.rounded_causes(&left, &|record| basis_of(record, &column.role)));
             owners.push(record);
             if !roles.contains(&column.role) {
                 roles.push(column.role.clone());

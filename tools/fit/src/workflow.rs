@@ -5,6 +5,7 @@ use crate::least::{self, NamedReport};
 use crate::thermal::{self, Options, Report};
 use rtec_files::{InputError, Said};
 use rtec_measure::plausible::{self, Suspicion};
+use rtec_measure::steps;
 use rtec_model::date;
 use rtec_model::effect::Difference;
 use rtec_model::machine::Machine;
@@ -113,6 +114,11 @@ pub fn fit(
                 record.path.display(),
                 span_s / 60.0
             )));
+        }
+    }
+    for record in &train {
+        for note in steps::said(record, true) {
+            say(Said::Warning(format!("{}: {note}", record.path.display())));
         }
     }
     let sensors = asked.sensors.iter().map(|s| difference(s, &train[0])).collect::<Result<Vec<_>, _>>()?;

@@ -4,7 +4,7 @@ use crate::iso230::{self, Conditions, LongDrift, Options};
 use crate::plausible::{self, Suspicion, What};
 use crate::plot::PlotError;
 use crate::report::{self, Report, Run};
-use crate::steps::Steps;
+use crate::steps::{self, Steps};
 use crate::{ballbar, plate, record};
 use rtec_files::text::short;
 use rtec_files::{InputError, Said};
@@ -134,6 +134,11 @@ pub fn evaluate(
     let standard = asked.standard.map_or_else(|| Standard::of(first), Ok)?;
     let usable = plausible::taken(records, &doubts);
     let (document, mut report) = by(standard, &usable, asked, say)?;
+    // Those of positioning and returns have the steps of their gauge in their figures.
+    let responses = !matches!(standard, Standard::Iso230_2 | Standard::Repeatability);
+    for note in usable.iter().flat_map(|record| steps::said(record, responses)) {
+        report.warn(&note);
+    }
     if let Some(unused) = standard.unused(&asked.conditions, records) {
         report.warn(&unused);
     }
@@ -353,7 +358,7 @@ fn returns(record: &Record, conditions: &Conditions) -> Result<(Value, Report), 
         report.warn(&format!(
             "error.{axis}: the returns drift by {:+.2} ± {:.2} µm a return ({:+.1} µm in all): s and the range hold that drift; {about} the returns scatter by s = {s:.2} µm, which is the repeatability",
             of.trend_um_per_return,
-            of.trend_standard_error_um,
+            of.trend_standard_error_um.unwrap_or(0.0),
             of.trend_um_per_return * (of.returns - 1) as f64,
         ));
     }

@@ -211,8 +211,8 @@ pub struct Returns {
     pub range_um: f64,
     /// Slope of the straight line through the returns, µm from one to the next.
     pub trend_um_per_return: f64,
-    /// Standard error of that slope, µm.
-    pub trend_standard_error_um: f64,
+    /// Standard error of that slope, µm; `None` below three returns.
+    pub trend_standard_error_um: Option<f64>,
     /// Probability of so large a slope by chance; `None` below three returns.
     pub trend_p_value: Option<f64>,
     /// Standard deviation about that line, µm; `None` below three returns.
@@ -244,7 +244,7 @@ impl Returns {
             s_um,
             range_um: range(e.iter().map(|v| (*v, *v)))?,
             trend_um_per_return: slope,
-            trend_standard_error_um: if error.is_finite() { error } else { 0.0 },
+            trend_standard_error_um: Some(error).filter(|error| error.is_finite()),
             trend_p_value: p,
             s_about_trend_um: s_about,
             s_of_neighbours_um: (n > 2.0).then(|| {

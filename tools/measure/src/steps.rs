@@ -5,7 +5,9 @@
 //! left of the step falls with exp(−2π²σ²/q²)).
 
 use crate::iso230::targets;
-use rtec_model::record::{Column, Record, Role};
+use rtec_files::text::short;
+use rtec_model::circle::tick;
+use rtec_model::record::{Column, Kind, Record, Role};
 
 /// More values than these are no coarse steps.
 const MOST_VALUES: usize = 400;
@@ -72,6 +74,57 @@ impl Steps {
     }
 }
 
+/// A range of fewer steps than these is said to be coarse.
+const FEW_STEPS: f64 = 20.0;
+/// A response of more steps than these is as fine as its figures are told.
+const MANY_STEPS: f64 = 50.0;
+
+/// What to know of the coarse steps of a record: of its gauges where `responses`, of its sensors, of positions and the clock in motion.
+#[must_use]
+pub fn said(record: &Record, responses: bool) -> Vec<String> {
+    let moving = matches!(record.kind, Kind::Ballbar | Kind::Dynamics | Kind::FeedSweep);
+    let mut said = Vec::new();
+    for column in record.responses().filter(|_| responses) {
+        let [low, high] =
+            column.data.iter().fold([f64::INFINITY, f64::NEG_INFINITY], |[l, h], v| [l.min(*v), h.max(*v)]);
+        let matters = |steps: &Steps| steps.is_coarse() && high - low < MANY_STEPS * steps.step;
+        if let Some(steps) = Steps::of_response(record, column).filter(matters) {
+            let unit = if matches!(column.role, Role::Error(_)) { "µm" } else { column.unit.as_str() };
+            said.push(format!(
+                "{}: readings in steps of {} {unit}, most neighbours alike: each figure may be off by up to {} {unit}, a range by twice \
+                 that; a finer gauge shows more",
+                column.role,
+                short(steps.step),
+                short(steps.half_width())
+            ));
+        }
+    }
+    for column in &record.columns {
+        let is_cause = column.role == Role::Temperature || moving && matches!(column.role, Role::Position(_));
+        let Some(step) = step_of(&column.data).filter(|_| is_cause) else { continue };
+        let lowest = column.data.iter().copied().fold(f64::INFINITY, f64::min);
+        let range = column.data.iter().copied().fold(f64::NEG_INFINITY, f64::max) - lowest;
+        if range < FEW_STEPS * step {
+            let unit = if column.role == Role::Temperature { "K" } else { column.unit.as_str() };
+            said.push(format!(
+                "{}: readings in steps of {} {unit} over {} {unit}: its range is known within ±{} {unit}, and what follows it in \
+                 proportion",
+                column.name,
+                short(step),
+                short(1e-9 * (1e9 * range).round()),
+                short(step)
+            ));
+        }
+    }
+    if let Some(tick) = record.data(&Role::Time).filter(|_| moving).and_then(tick) {
+        said.push(format!(
+            "time in steps of {} s, rows not much further apart: velocities and feeds are taken over as many rows as make that little",
+            short(tick)
+        ));
+    }
+    said
+}
+
 /// Rows of a response that differ by noise alone.
 fn repeats(record: &Record, column: &Column) -> Vec<Vec<usize>> {
     let axis = column.role.axis();
@@ -91,9 +144,10 @@ fn repeats(record: &Record, column: &Column) -> Vec<Vec<usize>> {
     targets(place).into_iter().flat_map(sides).collect()
 }
 
-/// The step that all readings are multiples of.
-fn step_of(readings: &[f64]) -> Option<f64> {
-    let mut values = readings.to_vec();
+/// The step that all readings are multiples of; `None` where they have none, or too few readings share a value.
+#[must_use]
+pub fn step_of(readings: &[f64]) -> Option<f64> {
+    let mut values: Vec<f64> = readings.iter().copied().filter(|v| v.is_finite()).collect();
     values.sort_by(f64::total_cmp);
     values.dedup_by(|a, b| (*a - *b).abs() < 1e-9);
     if values.len() < 2 || values.len() > MOST_VALUES || 2 * values.len() > readings.len() {

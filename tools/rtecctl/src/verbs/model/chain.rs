@@ -43,6 +43,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         .map(|(record, (_, tool_mm))| ChainRun { record, tool_mm: *tool_mm })
         .collect();
     let (fitted, report) = chain_fit::fit(&chain, &args.components, &runs)?;
+    for warning in &report.warnings {
+        eprintln!("warning: {warning}");
+    }
     chain_fit::write(&args.chain, &fitted, &report, &args.out)?;
     if let Some(path) = &args.plot {
         let charts = report.rms_um.iter().zip(&report.left_um).filter_map(|((of, response, _), left)| {
