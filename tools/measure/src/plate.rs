@@ -91,26 +91,36 @@ pub struct PlateErrors {
     pub rotation_urad: f64,
     /// Of the quadrupole, ppm.
     pub quadrupole_ppm: f64,
+    /// Of its angle, degrees; `None` where the quadrupole is no larger than its own standard error: it has no angle then.
+    pub quadrupole_deg: Option<f64>,
+    /// Of the scale as a temperature of aluminium, K.
+    pub scale_as_aluminium_k: f64,
+}
+
+/// Standard error of the angle of a quadrupole, which turns half as fast as its two parts do, degrees.
+fn angle_error_deg(size: f64, error: f64) -> Option<f64> {
+    (size > error).then(|| (error / size / 2.0).to_degrees())
 }
 
 impl PlateErrors {
-    /// From the covariances of offset, scale and rotation, and of the quadrupole's two parts.
-    fn of(fit: &nalgebra::DMatrix<f64>, quadrupole: &nalgebra::DMatrix<f64>, scale: f64) -> Self {
+    /// From the covariances of offset, scale and rotation, and of the quadrupole's two parts; `size` is the quadrupole's.
+    fn of(
+        fit: &nalgebra::DMatrix<f64>,
+        quadrupole: &nalgebra::DMatrix<f64>,
+        scale: f64,
+        size: f64,
+        joint: &JointErrors,
+    ) -> Self {
+        let of_size = f64::midpoint(quadrupole[(0, 0)], quadrupole[(1, 1)]).sqrt();
         Self {
+            quadrupole_deg: angle_error_deg(size, of_size),
+            scale_as_aluminium_k: joint.scale_x_ppm.hypot(joint.scale_y_ppm) / 2e6 / ALUMINIUM_PER_K,
             offset_mm: [0, 1].map(|i| fit[(i, i)].sqrt()),
             scale_ppm: 1e6 * fit[(2, 2)].sqrt(),
             rotation_urad: 1e6 * fit[(3, 3)].sqrt() / scale,
-            quadrupole_ppm: 1e6 * f64::midpoint(quadrupole[(0, 0)], quadrupole[(1, 1)]).sqrt(),
+            quadrupole_ppm: 1e6 * of_size,
         }
     }
-}
-
-/// Covariance of a least-squares fit's values; where nothing is left there is none.
-fn covariance(a: &nalgebra::DMatrix<f64>, left: &nalgebra::DVector<f64>) -> nalgebra::DMatrix<f64> {
-    let columns = a.ncols();
-    let freedom = a.nrows().saturating_sub(columns).max(1) as f64;
-    let inverse = a.tr_mul(a).try_inverse().unwrap_or_else(|| nalgebra::DMatrix::zeros(columns, columns));
-    inverse * (left.norm_squared() / freedom)
 }
 
 /// Standard errors of a plate's joint fit, as far as what is left is chance.
@@ -126,6 +136,10 @@ pub struct JointErrors {
     pub squareness_urad: f64,
     /// Of the rotation, µrad.
     pub rotation_urad: f64,
+    /// Of the quadrupole, ppm.
+    pub quadrupole_ppm: f64,
+    /// Of its angle, degrees; `None` where the quadrupole is no larger than its own standard error: it has no angle then.
+    pub quadrupole_deg: Option<f64>,
 }
 
 impl Joint {
@@ -137,21 +151,28 @@ impl Joint {
             terms.sum::<f64>().max(0.0).sqrt()
         };
         let [sx, sy, c, d] = [2, 3, 4, 5].map(|i| 1000.0 * fit[i]);
+        let quadrupole = (sx - sy).hypot(c + d) / 2.0;
+        let squareness_error = 1000.0 * error(&[(4, 1.0), (5, 1.0)]);
+        // Its two parts, (sx − sy)/2 and (c + d)/2.
+        let parts = [500.0 * error(&[(2, 1.0), (3, -1.0)]), squareness_error / 2.0];
+        let quadrupole_error = (f64::midpoint(parts[0].powi(2), parts[1].powi(2))).sqrt();
         Self {
             offset_mm: [fit[0] / 1000.0, fit[1] / 1000.0],
             scale_x_ppm: sx,
             scale_y_ppm: sy,
             squareness_urad: c + d,
             rotation_urad: (d - c) / 2.0,
-            quadrupole_ppm: (sx - sy).hypot(c + d) / 2.0,
+            quadrupole_ppm: quadrupole,
             quadrupole_deg: ((c + d).atan2(sx - sy) / 2.0).to_degrees(),
             rms_um,
             standard_error: JointErrors {
                 offset_mm: [0, 1].map(|i| error(&[(i, 1.0)]) / 1000.0),
                 scale_x_ppm: 1000.0 * error(&[(2, 1.0)]),
                 scale_y_ppm: 1000.0 * error(&[(3, 1.0)]),
-                squareness_urad: 1000.0 * error(&[(4, 1.0), (5, 1.0)]),
+                squareness_urad: squareness_error,
                 rotation_urad: 500.0 * error(&[(4, -1.0), (5, 1.0)]),
+                quadrupole_ppm: quadrupole_error,
+                quadrupole_deg: angle_error_deg(quadrupole, quadrupole_error),
             },
         }
     }
@@ -225,7 +246,8 @@ pub fn evaluate(record: &Record, norm: Norm) -> Result<Plate, InputError> {
         let covariance = inverse * (left.norm_squared() / freedom);
         Ok::<_, InputError>((fit, left, covariance))
     };
-    let reached = |p: &[f64], e: &[f64]| -> Vec<f64> { p.iter().zip(e).map(|(p, e)| p + e / 1000.0).collect() };
+    let reached =
+        |p: &[f64], e: &[f64]| -> Vec<f64> { p.iter().zip(e).map(|(p, e)| p + e / 1000.0).collect() };
     let (mx, my) = (reached(x, ex), reached(y, ey));
     let measured =
         nalgebra::DVector::from_fn(2 * n, |row, _| if row % 2 == 0 { mx[row / 2] } else { my[row / 2] });
@@ -275,7 +297,13 @@ pub fn evaluate(record: &Record, norm: Norm) -> Result<Plate, InputError> {
         quadrupole_deg: (quad[1].atan2(quad[0]) / 2.0).to_degrees(),
         rms_quadrupole_um: rms_of(&left_quad, &all),
         scale_as_aluminium_k: as_k,
-        standard_error: PlateErrors::of(&covariance, &of_quad, scale),
+        standard_error: PlateErrors::of(
+            &covariance,
+            &of_quad,
+            scale,
+            quad[0].hypot(quad[1]),
+            &joint.standard_error,
+        ),
         joint,
         remark: format!(
             "a scale of {:+.1} ppm (mean of x and y) cannot be told from an aluminium plate measured {as_k:+.2} K from where it was drilled",

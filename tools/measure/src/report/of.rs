@@ -424,6 +424,8 @@ pub fn plate(p: &Plate, record: &Record, conditions: &Conditions) -> Result<Repo
     );
     let (j, je, pe) = (&p.joint, &p.joint.standard_error, &p.standard_error);
     let none = || "–".to_owned();
+    let error_of = |deg: Option<f64>| deg.map_or_else(none, |deg| fixed(deg, 1));
+    let angle = |deg: f64, error: Option<f64>| error.map_or_else(none, |_| fixed(deg, 1));
     let mut add = |rows: &[(&str, String, String, &str)]| {
         for (name, value, error, unit) in rows {
             table.row([(*name).to_owned(), value.clone(), error.clone(), (*unit).to_owned()]);
@@ -434,16 +436,26 @@ pub fn plate(p: &Plate, record: &Record, conditions: &Conditions) -> Result<Repo
         ("offset y", fixed(j.offset_mm[1], 4), fixed(je.offset_mm[1], 4), "mm"),
         ("scale x", fixed(j.scale_x_ppm, 1), fixed(je.scale_x_ppm, 1), "ppm"),
         ("scale y", fixed(j.scale_y_ppm, 1), fixed(je.scale_y_ppm, 1), "ppm"),
-        ("mean scale as a temperature of aluminium", fixed(p.scale_as_aluminium_k, 2), none(), "K"),
+        (
+            "mean scale as a temperature of aluminium",
+            fixed(p.scale_as_aluminium_k, 2),
+            fixed(pe.scale_as_aluminium_k, 2),
+            "K",
+        ),
         ("squareness", fixed(j.squareness_urad, 1), fixed(je.squareness_urad, 1), "µrad"),
         ("rotation, counter-clockwise", fixed(j.rotation_urad, 1), fixed(je.rotation_urad, 1), "µrad"),
         (
             "quadrupole: longer along its angle, shorter across",
             fixed(j.quadrupole_ppm, 1),
-            fixed(je.scale_x_ppm.hypot(je.scale_y_ppm) / 2.0, 1),
+            fixed(je.quadrupole_ppm, 1),
             "ppm",
         ),
-        ("angle of the quadrupole from x", fixed(j.quadrupole_deg, 1), none(), "°"),
+        (
+            "angle of the quadrupole from x",
+            angle(j.quadrupole_deg, je.quadrupole_deg),
+            error_of(je.quadrupole_deg),
+            "°",
+        ),
         ("left over after these (RMS length)", um(j.rms_um), none(), "µm"),
     ]);
     report.table(table);
@@ -466,7 +478,7 @@ pub fn plate(p: &Plate, record: &Record, conditions: &Conditions) -> Result<Repo
             fixed(pe.quadrupole_ppm, 1),
             "ppm",
         ),
-        ("its angle φ from x", fixed(p.quadrupole_deg, 1), none(), "°"),
+        ("its angle φ from x", angle(p.quadrupole_deg, pe.quadrupole_deg), error_of(pe.quadrupole_deg), "°"),
         ("left over after the quadrupole too", um(p.rms_quadrupole_um), none(), "µm"),
     ]);
     for (diameter, v) in &p.rms_um_by_diameter {
