@@ -66,6 +66,17 @@ pub struct Rules {
     pub both: bool,
     /// The position at which the value must be zero, mm.
     pub zero_at_mm: Option<f64>,
+    /// Where the controller looks a value up.
+    pub lookup: Lookup,
+}
+
+/// Where a controller looks a table's value up.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Lookup {
+    /// At the commanded position; the drive goes elsewhere by the value, and the error there is another one.
+    Commanded,
+    /// At the position that the encoder reads: the value meets the error of that same place.
+    Encoder,
 }
 
 /// A way to write a table.
@@ -89,7 +100,14 @@ pub struct Csv;
 
 impl Format for Csv {
     fn rules(&self) -> Rules {
-        Rules { most: MANY, position_mm: 1e-6, value_um: 1e-6, both: true, zero_at_mm: None }
+        Rules {
+            most: MANY,
+            position_mm: 1e-6,
+            value_um: 1e-6,
+            both: true,
+            zero_at_mm: None,
+            lookup: Lookup::Commanded,
+        }
     }
 
     fn text(&self, table: &Table) -> Result<String, InputError> {
@@ -459,14 +477,14 @@ impl Table {
                 );
                 return Err(usage(format!("{points} points"), expected));
             }
-            return Self::with_step(errors, &dense, from, to, step, rules)?.applied(errors, &dense);
+            return Self::with_step(errors, &dense, from, to, step, rules)?.applied(errors, &dense, rules);
         }
         let mut best: Option<Self> = None;
         let mut applied: Option<Self> = None;
         for step in steps(to - from, most, rules.position_mm) {
             let table = Self::with_step(errors, &dense, from, to, step, rules)?;
             if table.between_um <= wanted.limit_um {
-                let table = table.applied(errors, &dense)?;
+                let table = table.applied(errors, &dense, rules)?;
                 if !rules.both || table.left.max_um() <= wanted.limit_um {
                     return Ok(table);
                 }
@@ -485,7 +503,7 @@ impl Table {
             return Ok(applied);
         }
         best.ok_or_else(|| usage(format!("--max-points {most}"), "enough points for the range"))?
-            .applied(errors, &dense)
+            .applied(errors, &dense, rules)
     }
 
     fn with_step(
@@ -539,9 +557,13 @@ impl Table {
         Ok(table)
     }
 
-    /// Judges what is left where a controller applies the table: it looks the value up at the commanded position and moves the
+    /// Judges what is left where a controller applies the table. One that looks the value up at the commanded position moves the
     /// drive by it, and the error there is another one. Across a large reversal that is a good part of a screw's wave.
-    fn applied(mut self, errors: &Errors<'_>, dense: &Dense) -> Result<Self, InputError> {
+    fn applied(mut self, errors: &Errors<'_>, dense: &Dense, rules: &Rules) -> Result<Self, InputError> {
+        if rules.lookup == Lookup::Encoder {
+            // As `judge` has it: value and error of one place.
+            return Ok(self);
+        }
         let moved = |value: fn(&Point) -> f64, up: bool| -> Result<Vec<f64>, InputError> {
             let values: Vec<f64> = interpolate(&self.points, &dense.positions_mm, value).collect();
             let driven: Vec<f64> =

@@ -18,7 +18,7 @@
 //!
 //! `{step}`, `{first}` and `{last}` are positions too; `{{` and `}}` stand for braces.
 
-use super::{Format, Point, Rules, Table, number, usage};
+use super::{Format, Lookup, Point, Rules, Table, number, usage};
 use rtec_files::InputError;
 use rtec_files::toml::{Document, Entry};
 use std::path::Path;
@@ -214,6 +214,7 @@ impl Format for Own {
             value_um: 1000.0 * resolution(self.values),
             both: self.both,
             zero_at_mm: self.zero_at_mm,
+            lookup: Lookup::Commanded,
         }
     }
 
@@ -260,7 +261,7 @@ impl Format for Own {
     }
 
     fn advice(&self, _: &Table) -> Vec<String> {
-        Vec::new()
+        vec!["what it leaves holds for a controller that goes straight from value to value, by the commanded position and direction".to_owned()]
     }
 }
 

@@ -4,7 +4,7 @@
 //! function manual, p. 106; 6FC5397-1BP40-3BA1, p. 238): it is the error itself. One table serves both directions, its points are
 //! evenly spaced, and at the reference point it must be zero.
 
-use super::{Format, Rules, Table, number, usage};
+use super::{Format, Lookup, Rules, Table, number, usage};
 use rtec_files::InputError;
 use std::fmt::Write as _;
 
@@ -27,7 +27,14 @@ pub struct EncComp {
 impl Format for EncComp {
     fn rules(&self) -> Rules {
         let zero_at_mm = Some(self.reference_mm);
-        Rules { most: self.most, position_mm: 1e-4, value_um: 1e-3, both: false, zero_at_mm }
+        Rules {
+            most: self.most,
+            position_mm: 1e-4,
+            value_um: 1e-3,
+            both: false,
+            zero_at_mm,
+            lookup: Lookup::Encoder,
+        }
     }
 
     fn text(&self, table: &Table) -> Result<String, InputError> {

@@ -57,30 +57,113 @@ fn angular_targets_are_refused_by_their_file_type() {
     assert_eq!((error.line, error.found.as_str()), (2, "File type `rta` (angular targets, in degrees)"));
 }
 
+/// A table as a controller has it: position, mm, and what the axis is off by there moving up and down, µm.
+type Points = Vec<[f64; 3]>;
+
+/// `COMP_FILE` as LinuxCNC's loader reads it (`usrmotLoadComp`), in mm and µm.
+fn linuxcnc(text: &str, unit_mm: f64, trims: bool) -> Points {
+    let row = |line: &str| {
+        let v: Vec<f64> = line.split(' ').map(|w| w.parse::<f64>().unwrap() * unit_mm).collect();
+        let off = |v: f64, nominal: f64| 1000.0 * if trims { -v } else { v - nominal };
+        [v[0], off(v[1], v[0]), off(v[2], v[0])]
+    };
+    text.lines().map(row).collect()
+}
+
+/// `$AA_ENC_COMP`: evenly spaced, one value for both directions, mm.
+fn siemens(text: &str) -> Points {
+    let of = |key: &str| -> Vec<f64> {
+        let lines = text.lines().filter(|l| l.starts_with(&format!("$AA_ENC_COMP{key}[")));
+        lines.map(|l| l.split_once('=').unwrap().1.parse().unwrap()).collect()
+    };
+    let (step, start) = (of("_STEP")[0], of("_MIN")[0]);
+    of("").iter().enumerate().map(|(i, v)| [start + step * i as f64, 1000.0 * v, 1000.0 * v]).collect()
+}
+
+/// `kw.ssfk`: positions and values in 0.1 µm.
+fn beckhoff(text: &str) -> Points {
+    let of = |key: &str| -> Vec<f64> {
+        let lines = text.lines().filter(|l| l.starts_with("kw.ssfk.table[") && l.contains(key));
+        lines.map(|l| l.rsplit_once(' ').unwrap().1.parse::<f64>().unwrap() / 10.0).collect()
+    };
+    let (at, up, down) = (of("].setpoint "), of("].pos "), of("].neg "));
+    (0..at.len()).map(|i| [at[i] / 1000.0, up[i], down[i]]).collect()
+}
+
+/// What the form below writes: position, forward and reverse, mm.
+fn own(text: &str) -> Points {
+    let row = |l: &str| l.split(';').map(|w| w.parse::<f64>().unwrap()).collect::<Vec<_>>();
+    text.lines().map(row).map(|v| [v[0], 1000.0 * v[1], 1000.0 * v[2]]).collect()
+}
+
+/// The straight line between the points, the last value beyond them.
+fn value(points: &Points, place: f64, column: usize) -> f64 {
+    let next = points.partition_point(|p| p[0] < place);
+    if next == 0 || next == points.len() {
+        return points[next.min(points.len() - 1)][column];
+    }
+    let (a, b) = (points[next - 1], points[next]);
+    a[column] + (place - a[0]) / (b[0] - a[0]) * (b[column] - a[column])
+}
+
+/// What the machine of `inch-backlash.machine.toml` is off by, µm.
+fn off_um(place: f64, up: bool) -> f64 {
+    let reversal = if up { 200.0 } else { -200.0 };
+    reversal - 0.15 * place + 12.0 * (std::f64::consts::TAU * place / 5.08 + 0.7).sin()
+}
+
 #[test]
-fn a_table_leaves_what_stays_when_it_is_applied() {
+fn every_format_states_what_its_table_leaves_applied() {
     let machine = Machine::read(&field("inch-backlash.machine.toml")).unwrap();
-    let order = Order {
+    let folder = tempfile::tempdir().unwrap();
+    let form = folder.path().join("form.toml");
+    let written = "line = \"{position};{forward};{reverse}\\n\"\nvalue = \"error\"\nposition_unit = \"mm\"\nvalue_unit = \"mm\"\n\
+                   position_decimals = 4\nvalue_decimals = 5\nmax_points = 400\n";
+    std::fs::write(&form, written).unwrap();
+    let order = |format: Name, unit: Unit| Order {
         axis: "x".to_owned(),
         wanted: Wanted { from_mm: -254.0, to_mm: 0.0, step_mm: None, limit_um: 0.5, most: None },
         temperatures_degc: Vec::new(),
         at_mm: Vec::new(),
-        format: Name::Linuxcnc,
-        unit: Unit::Inch,
-        axis_name: None,
+        format,
+        unit,
+        axis_name: Some("X1".to_owned()),
         encoder: 0,
-        reference_mm: None,
-        axis_number: None,
-        form: None,
+        reference_mm: Some(0.0),
+        axis_number: Some(1),
+        form: Some(form.clone()),
     };
-    let exported = order.of(&machine).unwrap();
-    let left = exported.document["max_up_um"].as_f64().unwrap();
-    assert!((left - 4.08).abs() < 0.05, "{left}");
-    assert!(
-        exported.warnings.iter().any(|w| w.contains("moves the drive by up to")),
-        "{:?}",
-        exported.warnings
-    );
+    // A controller that adds the value to what its encoder reads meets the error of that place; others look it up where they
+    // were told to go, and drive elsewhere by it.
+    type Reader = Box<dyn Fn(&str) -> Points>;
+    let cases: [(Name, Unit, bool, Reader); 6] = [
+        (Name::Linuxcnc, Unit::Mm, false, Box::new(|t| linuxcnc(t, 1.0, false))),
+        (Name::Linuxcnc, Unit::Inch, false, Box::new(|t| linuxcnc(t, 25.4, false))),
+        (Name::LinuxcncType1, Unit::Mm, false, Box::new(|t| linuxcnc(t, 1.0, true))),
+        (Name::Siemens, Unit::Mm, true, Box::new(siemens)),
+        (Name::Ssfk, Unit::Mm, false, Box::new(beckhoff)),
+        (Name::Own, Unit::Mm, false, Box::new(own)),
+    ];
+    for (format, unit, by_encoder, read) in cases {
+        let exported = order(format, unit).of(&machine).unwrap();
+        let points = read(&exported.text);
+        // A value that stands for a constant is no error: the zero of the axis moves by it.
+        let constant = exported.document["constant_um"].as_f64().unwrap_or(0.0);
+        for (up, key) in [(true, "max_up_um"), (false, "max_down_um")] {
+            let left = |place: f64| {
+                let um = value(&points, place, if up { 1 } else { 2 });
+                off_um(if by_encoder { place } else { place - um / 1000.0 }, up) - constant - um
+            };
+            let most = (0..=100_000).map(|i| left(-254.0 + 0.00254 * f64::from(i)).abs()).fold(0.0, f64::max);
+            let stated = exported.document[key].as_f64().unwrap();
+            assert!((most - stated).abs() < 0.06, "{format:?} {unit:?} {key}: {most} left, {stated} stated");
+        }
+        if (format, unit) == (Name::Linuxcnc, Unit::Inch) {
+            assert!((exported.document["max_up_um"].as_f64().unwrap() - 4.08).abs() < 0.05);
+            let says = |w: &String| w.contains("moves the drive by up to");
+            assert!(exported.warnings.iter().any(says), "{:?}", exported.warnings);
+        }
+    }
 }
 
 #[test]
