@@ -11,6 +11,7 @@ use dxf::entities::{Entity, EntityType};
 use dxf::enums::Units;
 use dxf::{Drawing, Vector};
 use rtec_files::InputError;
+use rtec_files::file_kind::FileKind;
 use std::collections::{BTreeSet, HashMap};
 use std::f64::consts::{PI, TAU};
 use std::path::Path;
@@ -101,7 +102,12 @@ fn load(file: &Path) -> Result<(Vec<u8>, Drawing), InputError> {
     let drawing = Drawing::load(&mut bytes.as_slice()).map_err(|e| {
         let found = e.to_string();
         let line = found.rsplit("line/offset ").next().and_then(|n| n.trim().parse().ok()).unwrap_or(0);
-        InputError::at(file, line, 0, found, "a DXF drawing")
+        let finding = InputError::at(file, line, 0, found, "a DXF drawing");
+        let kind = FileKind::of_bytes(&bytes).or_else(|| FileKind::of(&String::from_utf8_lossy(&bytes)));
+        match kind.filter(|kind| *kind != FileKind::Drawing) {
+            Some(other) => InputError { line: 0, found: other.name().to_owned(), ..finding },
+            None => finding,
+        }
     })?;
     Ok((bytes, drawing))
 }
@@ -160,8 +166,9 @@ struct Cleaned {
     /// Pieces no longer than the tolerance, and the first of them.
     specks: usize,
     speck: Option<(usize, String)>,
-    /// Arcs that were taken as straight.
+    /// Arcs that were taken as straight, and other curves.
     arcs: usize,
+    curves: usize,
     /// Polylines whose control points were passed over for the curve fitted to them.
     frames: usize,
 }
@@ -183,11 +190,11 @@ impl Cleaned {
             .filter(|(n, _)| *n > 0)
             .map(|(_, text)| format!("{}: left out {}", file.display(), text.replace("vertexs", "vertices")))
             .collect();
-        if self.arcs > 0 {
+        for (n, what) in [(self.arcs, "arc"), (self.curves, "curve")].into_iter().filter(|(n, _)| *n > 0) {
             out.push(format!(
                 "{}: took {} as straight: within {} mm of the chord, a hundredth of the tolerance",
                 file.display(),
-                several(self.arcs, "arc"),
+                several(n, what),
                 rtec_files::text::short(tolerance_mm * FLAT)
             ));
         }
@@ -309,7 +316,10 @@ impl Reader<'_> {
                 ("ARC", flat(&a.normal, &[a.center.z]), vec![s])
             }
             // The greater axis is the major one (DXF, group code 40); a smaller ratio than this is a line.
-            EntityType::Ellipse(e) if !(1e-6..=1.0 + 1e-9).contains(&e.minor_axis_ratio) => {
+            // One that is a line within the tolerance is taken as that, whatever its ratio.
+            EntityType::Ellipse(e)
+                if !(0.0..=1.0 + 1e-9).contains(&e.minor_axis_ratio) || self.is_too_flat(e) =>
+            {
                 let what = format!("with an axis ratio of {:e}", e.minor_axis_ratio);
                 return refuse("ELLIPSE", &what, "a minor axis of 0.000001 to 1 times the major one");
             }
@@ -376,12 +386,12 @@ impl Reader<'_> {
             return refuse(kind, "out of the drawing's plane", "a flat drawing at elevation 0");
         }
         for segment in segments {
-            let segment = self.straightened(segment, cleaned);
             if self.is_speck(&segment) {
                 cleaned.specks += 1;
                 cleaned.speck.get_or_insert_with(|| (line, named(kind)));
                 continue;
             }
+            let segment = self.straightened(segment, cleaned);
             if let Some((what, expected)) = self.unfit(&segment) {
                 return refuse(kind, what, expected);
             }
@@ -416,6 +426,12 @@ impl Reader<'_> {
         }
     }
 
+    /// So small a ratio that it is no ellipse, and no line or speck either.
+    fn is_too_flat(&self, e: &dxf::entities::Ellipse) -> bool {
+        let segment = self.ellipse(e, 1.0);
+        e.minor_axis_ratio < 1e-6 && !self.is_speck(&segment) && !self.is_line(&segment)
+    }
+
     /// Why a piece is none of a part's contour: what, expected.
     fn unfit(&self, segment: &Segment) -> Option<(&'static str, &'static str)> {
         let chords = segment.polyline();
@@ -440,16 +456,45 @@ impl Reader<'_> {
         self.options.tolerance_mm * FLAT
     }
 
-    /// An arc so flat that it is straight, as a line.
+    /// A piece so flat that it is straight, as a line.
     fn straightened(&self, segment: Segment, cleaned: &mut Cleaned) -> Segment {
-        if let Segment::Arc { radius_mm, sweep_rad, .. } = segment
-            && sweep_rad.abs() < PI
-            && 2.0 * radius_mm * (sweep_rad / 4.0).sin().powi(2) <= self.flat_mm()
-        {
-            cleaned.arcs += 1;
-            return Segment::Line { a: segment.at(0.0), b: segment.at(1.0) };
+        if !self.is_line(&segment) {
+            return segment;
         }
-        segment
+        match segment {
+            Segment::Line { .. } => return segment,
+            Segment::Arc { .. } => cleaned.arcs += 1,
+            Segment::Ellipse { .. } | Segment::Spline(_) => cleaned.curves += 1,
+        }
+        Segment::Line { a: segment.at(0.0), b: segment.at(1.0) }
+    }
+
+    /// Whether a piece goes along its chord, nowhere back, and leaves it by no more than [`Self::flat_mm`].
+    fn is_line(&self, segment: &Segment) -> bool {
+        let [a, b] = [segment.at(0.0), segment.at(1.0)];
+        let points = match segment {
+            Segment::Line { .. } => return true,
+            Segment::Arc { radius_mm, sweep_rad, .. } => {
+                return sweep_rad.abs() < PI
+                    && 2.0 * radius_mm * (sweep_rad / 4.0).sin().powi(2) <= self.flat_mm();
+            }
+            // It turns back at the ends of its major axis, where its parameter is a whole number of half turns.
+            Segment::Ellipse { start_rad, sweep_rad, .. } => {
+                let [low, high] =
+                    [start_rad.min(start_rad + sweep_rad), start_rad.max(start_rad + sweep_rad)];
+                if ((low / PI + 1e-9).floor() + 1.0) * PI < high - 1e-9 {
+                    return false;
+                }
+                segment.polyline()
+            }
+            // It stays within the hull of its control points and turns back no more often than they do.
+            Segment::Spline(spline) => spline.points.clone(),
+        };
+        let Some(way) = (b - a).unit() else { return false };
+        let across = Zx::new(-way.x, way.z);
+        let along = |p: &Zx| (*p - a).dot(way);
+        points.iter().all(|p| (*p - a).dot(across).abs() <= self.flat_mm())
+            && points.windows(2).all(|w| along(&w[1]) >= along(&w[0]) - 1e-9)
     }
 
     /// Lines and arcs of a polyline; a bulge is the tangent of a quarter of its arc's angle. A vertex within the tolerance of

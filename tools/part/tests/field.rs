@@ -73,4 +73,121 @@ mod drawings {
         assert!(with_frame.cleaned[0].contains("the fitted curve was taken"), "{:?}", with_frame.cleaned);
         assert!(alone.cleaned.is_empty());
     }
+
+    /// A step, a cylinder of 80 mm, a step; with an entity more, or in place of the cylinder.
+    fn drawn(entity: &str, instead: bool) -> Result<Contour, rtec_files::InputError> {
+        let line = |a: [f64; 2], b: [f64; 2]| {
+            format!("0\nLINE\n8\n0\n10\n{}\n20\n{}\n11\n{}\n21\n{}\n", a[0], a[1], b[0], b[1])
+        };
+        let cylinder = if instead { String::new() } else { line([80.0, 20.0], [0.0, 20.0]) };
+        let text = format!(
+            "0\nSECTION\n2\nHEADER\n9\n$INSUNITS\n70\n4\n0\nENDSEC\n0\nSECTION\n2\nENTITIES\n{}{cylinder}{entity}{}0\nENDSEC\n0\nEOF\n",
+            line([80.0, 0.0], [80.0, 20.0]),
+            line([0.0, 20.0], [0.0, 0.0])
+        );
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("drawn.dxf");
+        std::fs::write(&file, text).unwrap();
+        drawing::read(&file, &Options::default()).map(|(contour, _)| contour)
+    }
+
+    /// Group codes and values, a line each.
+    fn entity(name: &str, groups: &[(i32, f64)]) -> String {
+        let whole = |code: i32| (60..80).contains(&code) || code == 90;
+        let lines = groups.iter().map(|(code, value)| match whole(*code) {
+            true => format!("{code}\n{}\n", *value as i64),
+            false => format!("{code}\n{value}\n"),
+        });
+        format!("0\n{name}\n8\n0\n{}", lines.collect::<String>())
+    }
+
+    fn spline(points: &[[f64; 2]]) -> String {
+        let n = points.len();
+        let mut groups = vec![(70, 8.0), (71, 3.0), (72, (n + 4) as f64), (73, n as f64), (74, 0.0)];
+        groups.extend((0..n + 4).map(|k| (40, k.saturating_sub(3).min(n - 3) as f64)));
+        groups.extend(points.iter().flat_map(|p| [(10, p[0]), (20, p[1]), (30, 0.0)]));
+        entity("SPLINE", &groups)
+    }
+
+    #[test]
+    fn specks_of_every_entity_are_left_out_and_said() {
+        let speck = [[80.0, 20.0]; 4];
+        for (name, more) in [
+            ("line", entity("LINE", &[(10, 80.0), (20, 20.0), (11, 80.0), (21, 20.000_000_1)])),
+            ("arc", entity("ARC", &[(10, 75.0), (20, 20.0), (40, 5.0), (50, 0.0), (51, 1e-6)])),
+            (
+                "arc without radius",
+                entity("ARC", &[(10, 80.0), (20, 20.0), (40, 1e-7), (50, 0.0), (51, 90.0)]),
+            ),
+            ("circle", entity("CIRCLE", &[(10, 80.0), (20, 20.0), (40, 0.0)])),
+            (
+                "ellipse",
+                entity(
+                    "ELLIPSE",
+                    &[(10, 80.0), (20, 20.0), (11, 1e-7), (21, 0.0), (40, 0.5), (41, 0.0), (42, 1.5)],
+                ),
+            ),
+            (
+                "flat ellipse",
+                entity(
+                    "ELLIPSE",
+                    &[(10, 80.0), (20, 20.0), (11, 1e-4), (21, 0.0), (40, 1e-7), (41, 0.0), (42, 1.5)],
+                ),
+            ),
+            ("spline", spline(&speck)),
+            (
+                "polyline",
+                entity("LWPOLYLINE", &[(90, 2.0), (70, 0.0), (10, 80.0), (20, 20.0), (10, 80.0), (20, 20.0)]),
+            ),
+        ] {
+            let contour = drawn(&more, false).unwrap();
+            assert_eq!(contour.features.len(), 3, "{name}");
+            assert!(
+                contour.cleaned.iter().any(|c| c.contains("left out 1 ")),
+                "{name}: {:?}",
+                contour.cleaned
+            );
+        }
+    }
+
+    #[test]
+    fn flat_curves_of_every_entity_are_straight_and_said() {
+        let half_turn = std::f64::consts::PI;
+        let radius = 1e9_f64;
+        let centre = 20.0 - (radius * radius - 1600.0).sqrt();
+        let angle = |z: f64| (20.0 - centre).atan2(z).to_degrees();
+        for (name, piece) in [
+            (
+                "arc",
+                entity(
+                    "ARC",
+                    &[(10, 40.0), (20, centre), (40, radius), (50, angle(40.0)), (51, angle(-40.0))],
+                ),
+            ),
+            (
+                "ellipse",
+                entity(
+                    "ELLIPSE",
+                    &[(10, 40.0), (20, 20.0), (11, 40.0), (21, 0.0), (40, 1e-9), (41, 0.0), (42, half_turn)],
+                ),
+            ),
+            ("spline", spline(&[[80.0, 20.0], [80.0, 20.0], [60.0, 20.000_001], [20.0, 20.0], [0.0, 20.0]])),
+        ] {
+            let contour = drawn(&piece, true).unwrap();
+            let cylinders =
+                contour.features.iter().filter(|f| matches!(f.kind, FeatureKind::Cylinder { .. }));
+            assert_eq!((contour.features.len(), cylinders.count()), (3, 1), "{name}");
+            assert!(
+                contour.cleaned.iter().any(|c| c.contains("as straight")),
+                "{name}: {:?}",
+                contour.cleaned
+            );
+        }
+        // What doubles back is no line.
+        let back = entity(
+            "ELLIPSE",
+            &[(10, 40.0), (20, 20.0), (11, 40.0), (21, 0.0), (40, 1e-9), (41, 0.0), (42, 4.0)],
+        );
+        assert!(drawn(&back, true).unwrap_err().found.contains("an axis ratio of 1e-9"));
+    }
 }
