@@ -631,3 +631,65 @@ fn no_number_reaches_arithmetic_unbounded() {
     }
     assert!(tried > 400, "{tried}");
 }
+
+/// What a configuration names and this computer lacks is a finding with its name: the guide's promise of `config check`.
+#[test]
+fn check_here_names_what_this_computer_lacks() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("rtec.toml");
+    let axis = |rest: &str| {
+        format!(
+            "[[axis]]\nname = 'x'\ncount_um = 1.0\ntravel_mm = 400\nmax_correction_counts = 1000\nwindow_counts = 50\n\
+             min_separation_ns = 500\nmax_accel_mm_s2 = 1000.0\n{rest}\n"
+        )
+    };
+    let lines = "lines = { a = 0, b = 1, invert_a = 2, invert_b = 3 }";
+    let memory = "lines = { a = 'in0', b = 'in1', invert_a = 'out0', invert_b = 'out1' }";
+    let port = "lines = { a = 'nack', b = 'busy', invert_a = 'd0', invert_b = 'd1' }";
+    let mock = |rest: &str| format!("[card]\nbackend = 'mock'\n{}{rest}", axis(""));
+    let mapped =
+        |key: &str| format!("[card]\nbackend = 'mapped'\nprofile = 'shared-memory'\n{key}\n{}", axis(memory));
+    for (name, says, config) in [
+        (
+            "chip",
+            "GPIO chip gpiochip4095",
+            format!("[card]\nbackend = 'gpio'\nchip = 'gpiochip4095'\n{}", axis(lines)),
+        ),
+        ("file", "/nonexistent/registers", mapped("file = '/nonexistent/registers'")),
+        ("uio", "/dev/uio4095", mapped("uio = '/dev/uio4095'")),
+        ("pci", "PCI card fffe:fffe", mapped("pci = 'fffe:fffe'")),
+        (
+            "parport",
+            "/dev/parport4095",
+            format!(
+                "[card]\nbackend = 'port'\nprofile = 'parallel-port'\nparport = '/dev/parport4095'\n{}",
+                axis(port)
+            ),
+        ),
+        ("profile", "gone.toml", mapped("file = '/dev/null'").replace("'shared-memory'", "'gone.toml'")),
+        ("trace", "gone.csv", format!("[card]\nbackend = 'replay'\n{}", axis("trace = 'gone.csv'"))),
+        ("cpu", "cpu = 4095", mock("[rt]\ncpu = 4095\n")),
+        ("group", "nosuchgroup-rtec", mock("[control]\ngroup = 'nosuchgroup-rtec'\n")),
+        ("log folder", "/nonexistent", mock("[control]\nlog_file = '/nonexistent/log'\n")),
+        ("model", "gone.machine.toml", mock("[model]\nfile = 'gone.machine.toml'\n")),
+        (
+            "recording",
+            "gone.run.toml",
+            mock("[[sensor]]\nname = 'T1'\nsource = 'csv'\nrecord = 'gone.run.toml'\n"),
+        ),
+    ] {
+        let text = format!("[machine]\nname = 'm'\n{config}");
+        std::fs::write(&file, &text).unwrap();
+        let found = Config::check_here(&file).expect_err(name).to_string();
+        assert!(found.contains(says) && found.contains("rtec.toml:"), "{name}: {found}");
+        // For another computer it is nobody's business; profiles are part of the configuration.
+        if name != "profile" {
+            let elsewhere = Config::load(&file).map_err(|e| e.to_string());
+            assert!(elsewhere.is_ok(), "{name}: {elsewhere:?}");
+        }
+    }
+    // What may come yet is a note.
+    std::fs::write(&file, format!("[machine]\nname = 'm'\n{}", mock("[[sensor]]\nname = 'T1'\nsource = 'one_wire'\nid = '28-000000000000'\n[control]\nspool = '/nonexistent/spool'\n"))).unwrap();
+    let notes = Config::check_here(&file).unwrap().notes.join("\n");
+    assert!(notes.contains("[[sensor]] T1") && notes.contains("/nonexistent/spool"), "{notes}");
+}

@@ -1,10 +1,11 @@
 //! What a configuration names beside itself, looked for on this computer: `rtecctl config check` without `--elsewhere`.
 
-use super::Config;
+use super::{CardConfig, Config};
 use crate::sources;
 use rtec_correct::Corrector;
 use rtec_correct::sensors::{SensorSource, Watch};
 use rtec_files::toml::{Document, SourceFile, Table};
+use rtec_files::trace::TraceReader;
 use rtec_files::words::quoted;
 use rtec_model::machine::Machine;
 use std::path::Path;
@@ -14,6 +15,7 @@ use std::path::Path;
 pub(super) fn look(source: &mut SourceFile<'_>, document: &Document<'_>, config: &mut Config) {
     let whole = source.findings.is_empty();
     model(source, document, config, whole);
+    traces(source, document, config);
     // A table with a mistake is no sensor: nobody knows which table each sensor is of.
     let tables = document.root().get("sensor").and_then(|e| e.tables("[[sensor]] tables").ok());
     if tables.as_ref().is_none_or(|tables| tables.len() != config.sensors.len()) {
@@ -55,6 +57,19 @@ fn model(source: &mut SourceFile<'_>, document: &Document<'_>, config: &mut Conf
     match law.preparer().prepare(machine, &watches, &|_| Vec::new()) {
         Ok(prepared) => config.notes.extend(prepared.missing().iter().map(|m| format!("[model] {m}"))),
         Err(error) => source.finding(at, format!("{}: {}", file.display(), error.found), error.expected),
+    }
+}
+
+/// The traces of a card that replays.
+fn traces(source: &mut SourceFile<'_>, document: &Document<'_>, config: &Config) {
+    let CardConfig::Replay { traces } = &config.card else { return };
+    let tables = document.root().get("axis").and_then(|e| e.tables("[[axis]] tables").ok());
+    let named = tables.iter().flatten().filter_map(|table| table.get("trace"));
+    for (entry, trace) in named.zip(traces) {
+        let read = TraceReader::open(trace).and_then(|mut points| points.next_point());
+        if let Err(error) = read {
+            source.finding(entry.offset(), format!("trace {error}"), "a recorded trace that can be read");
+        }
     }
 }
 
