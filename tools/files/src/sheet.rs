@@ -127,7 +127,8 @@ impl Sheet {
                 });
                 FileKind::of(&String::from_utf8_lossy(bytes))
                     .filter(|kind| {
-                        *kind != FileKind::Table && !kind.columns().iter().any(|c| known.contains(c))
+                        let own = kind.columns().iter().all(|c| known.contains(c));
+                        *kind != FileKind::Table && (kind.columns().is_empty() || !own)
                     })
                     .map_or(e.clone(), |kind| InputError { found: kind.name().to_owned(), ..e })
             })?;

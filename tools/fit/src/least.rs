@@ -170,11 +170,11 @@ impl Problem {
             if high - low < FEW_STEPS * step {
                 let unit = if column.role == Role::Temperature { "K" } else { column.unit.as_str() };
                 said.push(format!(
-                    "{}: {}: readings in steps of {} {unit} over {:.3} {unit}: what rounding may do is in the intervals",
+                    "{}: {}: readings in steps of {} {unit} over {} {unit}: what rounding may do is in the intervals",
                     record.path.display(),
                     column.name,
                     short(step),
-                    high - low
+                    short(1e-9 * (1e9 * (high - low)).round())
                 ));
             }
         }

@@ -19,6 +19,7 @@ fn blocks(from: &Path, text: &str) -> Result<Vec<Block>, InputError> {
     let mut open: Option<usize> = None;
     for (i, raw) in text.lines().enumerate() {
         let line = raw.split("//").next().unwrap_or("").trim();
+        let line = if line.starts_with([';', '#']) { "" } else { line };
         let at = |found: String, expected: &str| InputError::at(from, i + 1, 1, found, expected);
         if line.is_empty() {
             continue;
@@ -58,6 +59,8 @@ fn blocks(from: &Path, text: &str) -> Result<Vec<Block>, InputError> {
                         .trim();
                     open = Some(i + 1);
                 }
+                // A key of another program; numbers behind a misspelt `Gridpoints` are found by themselves.
+                _ if line.contains('=') => continue,
                 _ => return Err(at(format!("`{line}`"), "VALUE = …, or Gridpoints = {")),
             }
         }

@@ -98,8 +98,7 @@ pub fn shdr(
     let Some((first, text)) = start else {
         return Err(InputError::whole(from, "no time at which all wanted keys are known", "at least one"));
     };
-    let mut columns =
-        vec![column("t", Role::Time, times.iter().map(|t| (t - first) as f64 * 1e-9).collect())];
+    let mut columns = vec![column("t", Role::Time, times.iter().map(|t| (t - first) as f64 / 1e9).collect())];
     columns.extend(
         wanted
             .iter()

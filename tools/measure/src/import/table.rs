@@ -209,6 +209,9 @@ pub fn table(
     kind: Kind,
     to: &Path,
 ) -> Result<Record, InputError> {
+    let before =
+        if form.nameless || form.by.is_some() || form.skip > 0 { 0 } else { preamble(from, text, wanted) };
+    let form = &Form { skip: form.skip + before, ..form.clone() };
     let text = prepared(text, form);
     let mut reader = Reader::new(from, text.as_bytes())?;
     match form.by {
@@ -292,9 +295,34 @@ pub fn table(
         .zip(data)
         .map(|(w, data)| Column { unit: w.unit.clone(), ..column(&w.name, w.role.clone(), data) });
     let mut record = record_of(to, kind, columns.collect(), form.log)?;
-    record.written = written;
+    let passed_over = (before > 0).then(|| {
+        let lines = if before == 1 { "1 line".to_owned() } else { format!("{before} lines") };
+        format!("{}: passed over {lines} in front of the columns' names", from.display())
+    });
+    let said: Vec<String> = [written, passed_over].into_iter().flatten().collect();
+    record.written = (!said.is_empty()).then(|| said.join("; "));
     clock.note(&mut record);
     Ok(record)
+}
+
+/// Lines in which the columns' names are looked for.
+const PREAMBLE: usize = 100;
+
+/// How many lines of another program stand in front of the line that has the columns' names; 0 where no line has them.
+fn preamble(from: &Path, text: &str, wanted: &[ImportColumn]) -> usize {
+    let names: Vec<&str> = wanted.iter().map(|w| w.column.as_str()).collect();
+    let has_names = |line: &str| {
+        let header =
+            Reader::new(from, line.as_bytes()).and_then(|mut r| r.header_with("a header line", &names));
+        header.is_ok_and(|header| names.iter().all(|name| header.find(name).is_some()))
+    };
+    let found = text.lines().take(PREAMBLE).position(has_names).unwrap_or(0);
+    // A line `sep=` belongs to the table, comments and empty lines are none of another program's.
+    let foreign = |line: &&str| {
+        let line = line.trim();
+        !line.is_empty() && !line.starts_with('#') && !line.to_ascii_lowercase().starts_with("sep=")
+    };
+    if text.lines().take(found).filter(foreign).count() > 0 { found } else { 0 }
 }
 
 /// A time column that need not begin with the run.
@@ -324,7 +352,7 @@ impl Clock {
             (None, None) => return None,
         };
         let start = self.start.get_or_insert_with(|| (ns, text.to_owned())).0;
-        Some((ns - start) as f64 * 1e-9)
+        Some((ns - start) as f64 / 1e9)
     }
 
     /// A time that is a number, since the first row where that is a Unix time. Or what was expected: its unit.

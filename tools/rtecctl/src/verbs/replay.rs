@@ -9,6 +9,7 @@ use rtec_driver::replay::Listener;
 use rtec_driver::replay::TracePoint;
 use rtec_files::InputError;
 use rtec_files::trace::{Playable, RequestReader, TraceFile, TraceFormat, TraceReader};
+use rtec_model::clock;
 use rtec_rt::axis::{AxisConfig, Design};
 use rtec_sim::bench::{AnyDesign, replay_any};
 use rtec_sim::replay::ReplayError;
@@ -52,6 +53,31 @@ fn designs() -> impl TypedValueParser<Value = AnyDesign> {
         .try_map(|name| AnyDesign::parse(&name).ok_or("no such design"))
 }
 
+/// Warns of a trace that counts Unix time and requests that do not, or the other way about.
+fn two_clocks(args: &Args) -> anyhow::Result<()> {
+    // A pipe cannot be read twice.
+    if !(args.trace.is_file() && args.requests.is_file()) {
+        return Ok(());
+    }
+    let first = TraceReader::open(&args.trace)?.next_point()?.map(|point| point.t_ns);
+    // A total of 0 at 0 may stand in front on any clock.
+    let last = RequestReader::open(&args.requests)?.last().transpose()?.map(|request| request.t_ns);
+    let Some((first, last)) = first.zip(last) else { return Ok(()) };
+    let day = |t_ns: u64| match clock::unix(t_ns as f64) {
+        Some(("ns", day)) => Some(day),
+        _ => None,
+    };
+    let said = |day: Option<String>| day.map_or(String::new(), |day| format!(" (Unix time, {day})"));
+    if day(first).is_some() != day(last).is_some() {
+        eprintln!(
+            "warning: the trace begins at {first} ns{}, the requests end at {last} ns{}: they are not on one clock",
+            said(day(first)),
+            said(day(last))
+        );
+    }
+    Ok(())
+}
+
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let (config, large) = axis(args)?;
     let design = args.design.unwrap_or(match config.design {
@@ -63,6 +89,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     for written in [trace.written(), requests.written()].into_iter().flatten() {
         eprintln!("note: {written}");
     }
+    two_clocks(args)?;
     let trace = trace.playable();
     let mut files = Vec::new();
     for (file, format) in [(&args.out, TraceFormat::Csv), (&args.vcd, TraceFormat::Vcd)] {
