@@ -20,6 +20,8 @@ pub struct Diagonal {
     pub box_mm: Vec<f64>,
     /// Change of the mean error from end to end by the straight line through it, µm.
     pub slope_um: f64,
+    /// Standard error of that change, as far as what the targets leave of the line is chance, µm; `None` for two targets.
+    pub slope_standard_error_um: Option<f64>,
     /// What is assumed of the error's sign.
     #[serde(skip)]
     pub assumed: Option<String>,
@@ -44,8 +46,12 @@ pub struct Diagonals {
     pub b_d: Option<f64>,
     /// Squareness per pair of axes, µrad, as `squareness.A.B`: where all diagonals of the box or face are there.
     pub squareness_urad: BTreeMap<String, f64>,
+    /// Their standard errors, µrad.
+    pub squareness_standard_error_urad: BTreeMap<String, Option<f64>>,
     /// Mean scale along the diagonals, ppm.
     pub scale_ppm: f64,
+    /// Its standard error, ppm.
+    pub scale_standard_error_ppm: Option<f64>,
     /// Each diagonal.
     pub diagonals: Vec<Diagonal>,
     /// What to know before using it.
@@ -68,7 +74,7 @@ pub fn diagonals(records: &[Record], options: &Options) -> Result<Diagonals, Inp
     let largest =
         |of: fn(&Positioning) -> Option<f64>| all.iter().filter_map(|d| of(&d.along)).reduce(f64::max);
     let mut warnings = Vec::new();
-    let squareness_urad = squareness(&all);
+    let (squareness_urad, squareness_standard_error_urad) = squareness(&all);
     if squareness_urad.is_empty() {
         let all = if first == 3 { "all four body diagonals" } else { "both diagonals of a face" };
         warnings.push(format!("no squareness: it takes {all} of one box"));
@@ -91,6 +97,10 @@ pub fn diagonals(records: &[Record], options: &Options) -> Result<Diagonals, Inp
         a_d: largest(|p| p.A),
         b_d: largest(|p| p.B),
         squareness_urad,
+        squareness_standard_error_urad,
+        scale_standard_error_ppm: together(
+            all.iter().map(|d| Some(d.slope_standard_error_um? / d.along.travel_mm * 1000.0)),
+        ),
         scale_ppm: scales.iter().sum::<f64>() / scales.len().max(1) as f64,
         diagonals: all,
         warnings,
@@ -191,7 +201,8 @@ fn diagonal(record: &Record, options: &Options) -> Result<Diagonal, InputError> 
         sense: signs,
         assumed,
         box_mm: moving.iter().map(|m| m.2).collect(),
-        slope_um: slope(&along_it) * along_it.travel_mm,
+        slope_um: slope(&along_it).0 * along_it.travel_mm,
+        slope_standard_error_um: slope(&along_it).1.map(|error| error * along_it.travel_mm),
         along: along_it,
     })
 }
@@ -241,8 +252,15 @@ fn direction(
     })
 }
 
-/// Slope of the mean error over the targets, µm/mm.
-fn slope(p: &Positioning) -> f64 {
+/// Standard error of a mean of values of these standard errors.
+fn together(errors: impl ExactSizeIterator<Item = Option<f64>>) -> Option<f64> {
+    let n = errors.len() as f64;
+    let squares: Option<f64> = errors.map(|error| Some(error?.powi(2))).sum();
+    Some(squares?.sqrt() / n)
+}
+
+/// Slope of the mean error over the targets, µm/mm, and its standard error where there are more than two.
+fn slope(p: &Positioning) -> (f64, Option<f64>) {
     let points: Vec<(f64, f64)> = p
         .targets
         .iter()
@@ -256,13 +274,18 @@ fn slope(p: &Positioning) -> f64 {
     let (mx, my) = (points.iter().map(|p| p.0).sum::<f64>() / n, points.iter().map(|p| p.1).sum::<f64>() / n);
     let xy: f64 = points.iter().map(|p| (p.0 - mx) * (p.1 - my)).sum();
     let xx: f64 = points.iter().map(|p| (p.0 - mx).powi(2)).sum();
-    if xx > 0.0 { xy / xx } else { 0.0 }
+    if xx <= 0.0 {
+        return (0.0, None);
+    }
+    let slope = xy / xx;
+    let left: f64 = points.iter().map(|p| (p.1 - my - slope * (p.0 - mx)).powi(2)).sum();
+    (slope, (n > 2.0).then(|| (left / (n - 2.0) / xx).sqrt()))
 }
 
 /// Squareness from the diagonals of one box: an error of A by the position of B lengthens the diagonals along which both
 /// rise or fall together by α·A·B/D and shortens the others.
-fn squareness(all: &[Diagonal]) -> BTreeMap<String, f64> {
-    let mut found = BTreeMap::new();
+fn squareness(all: &[Diagonal]) -> (BTreeMap<String, f64>, BTreeMap<String, Option<f64>>) {
+    let (mut found, mut errors) = (BTreeMap::new(), BTreeMap::new());
     let mut boxes: Vec<Vec<&Diagonal>> = Vec::new();
     for d in all {
         let alike = |o: &Diagonal| {
@@ -287,9 +310,16 @@ fn squareness(all: &[Diagonal]) -> BTreeMap<String, f64> {
                     if together { change } else { -change }
                 };
                 let mean = own.iter().map(of).sum::<f64>() / own.len() as f64;
-                found.insert(format!("{}.{}", own[0].axes[i], own[0].axes[j]), mean);
+                let error = |d: &&Diagonal| {
+                    Some(
+                        d.slope_standard_error_um? * d.along.travel_mm / (d.box_mm[i] * d.box_mm[j]) * 1000.0,
+                    )
+                };
+                let pair = format!("{}.{}", own[0].axes[i], own[0].axes[j]);
+                errors.insert(pair.clone(), together(own.iter().map(error)));
+                found.insert(pair, mean);
             }
         }
     }
-    found
+    (found, errors)
 }

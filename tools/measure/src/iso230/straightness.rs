@@ -38,6 +38,8 @@ pub struct Straightness {
     pub straightness_down_um: Option<f64>,
     /// Slope of the line, µrad: of straightedge and axis together. It is squareness only where the straightedge was squared.
     pub slope_urad: f64,
+    /// Standard error of that slope, as far as what is left of the line is chance, µrad.
+    pub slope_standard_error_urad: f64,
     /// Mean of up minus down, µm.
     pub reversal_um: Option<f64>,
     /// Largest range of readings at one place from one side, µm.
@@ -102,6 +104,15 @@ fn off_line(points: &[(f64, f64)]) -> Option<(Vec<f64>, f64)> {
     Some((points.iter().map(|(p, e)| e - offset - slope * p).collect(), slope))
 }
 
+/// Standard error of the slope of places that are off their line by their mean, µm/mm.
+fn slope_error(off: &[StraightPlace]) -> f64 {
+    let n = off.len() as f64;
+    let middle = off.iter().map(|p| p.position_mm).sum::<f64>() / n;
+    let square: f64 = off.iter().map(|p| (p.position_mm - middle).powi(2)).sum();
+    let left: f64 = off.iter().map(|p| p.mean_um.powi(2)).sum();
+    (left / (n - 2.0) / square).sqrt()
+}
+
 /// Largest minus smallest.
 fn spread(values: &[f64]) -> Option<f64> {
     range(values.iter().map(|v| (*v, *v)))
@@ -163,6 +174,7 @@ fn of(record: &Record, axis: &Axis, across: &Axis) -> Result<Straightness, Input
         straightness_up_um: straightness_up_um.filter(|_| direction.is_some()),
         straightness_down_um,
         slope_urad: slope * 1000.0,
+        slope_standard_error_urad: 1000.0 * slope_error(&places),
         reversal_um: (!reversals.is_empty()).then(|| reversals.iter().sum::<f64>() / reversals.len() as f64),
         repeatability_um: super::largest(spreads),
         travel_mm,

@@ -160,6 +160,7 @@ pub fn straightness(
             ("reversal across the motion, mean", s.reversal_um, "µm"),
             ("largest range of readings at a place, from one side", s.repeatability_um, "µm"),
             ("slope of the line: straightedge and axis together", Some(s.slope_urad), "µrad"),
+            ("its standard error", Some(s.slope_standard_error_urad), "µrad"),
         ];
         for (words, value, unit) in figures {
             table.row([words.to_owned(), um(value), unit.to_owned()]);
@@ -377,11 +378,15 @@ pub fn diagonals(d: &Diagonals, records: &[Record], conditions: &Conditions) -> 
         let u = um(stated.iter().filter_map(|u| u.of(symbol)).reduce(f64::max));
         table.row([words.to_owned(), um(value), "µm".to_owned(), u].into_iter().take(columns));
     }
-    let scale = [format!("{:.1}", d.scale_ppm), "ppm".to_owned(), String::new()];
+    let with = |v: f64, error: Option<f64>| {
+        error.map_or_else(|| format!("{v:.1}"), |error| format!("{v:.1} ± {error:.1} (standard error)"))
+    };
+    let scale = [with(d.scale_ppm, d.scale_standard_error_ppm), "ppm".to_owned(), String::new()];
     let scale = std::iter::once("mean scale along the diagonals".to_owned()).chain(scale);
     table.row(scale.take(columns));
     for (pair, v) in &d.squareness_urad {
-        let row = [format!("squareness.{pair}"), format!("{v:.1}"), "µrad".to_owned(), String::new()];
+        let error = d.squareness_standard_error_urad.get(pair).copied().flatten();
+        let row = [format!("squareness.{pair}"), with(*v, error), "µrad".to_owned(), String::new()];
         table.row(row.into_iter().take(columns));
     }
     report.table(table);

@@ -96,8 +96,10 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let size_um = after.size_error_um.unwrap_or(0.0);
     let farthest_um = after.errors.iter().map(|e| (e.error_um + size_um).abs()).fold(0.0, f64::max);
     if let Some(size_um) = after.size_error_um {
+        let error =
+            after.size_standard_error_um.map_or_else(String::new, |e| format!(" (standard error {e:.2} µm)"));
         decisions.push(format!(
-            "size {size_um:+.2} µm; farthest from nominal, size and form together, {farthest_um:.2} µm"
+            "size {size_um:+.2} µm{error}; farthest from nominal, size and form together, {farthest_um:.2} µm"
         ));
     }
     // A bump draws the size to itself, so that both together may hide it: the form is judged by itself too.
