@@ -522,6 +522,7 @@ pub(crate) fn replay(
 #[pyo3(from_item_all)]
 pub(crate) struct PartAsked {
     points: PathBuf,
+    columns: Vec<String>,
     radius_mm: Option<f64>,
     tip_mm: Option<f64>,
     feature: Option<String>,
@@ -544,6 +545,7 @@ pub(crate) fn part_errors(
         let features = [("circle", determine::Feature::Circle), ("line", determine::Feature::Line)];
         let report = determine::determine(
             &determine::Asked {
+                columns: asked.columns,
                 radius_mm: asked.radius_mm,
                 tip_mm: asked.tip_mm,
                 feature: asked.feature.as_deref().map(|f| one_of("feature", f, &features)).transpose()?,

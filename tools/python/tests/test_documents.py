@@ -280,3 +280,21 @@ def test_a_chain_is_fitted_alike(rtecctl, tmp_path):
     assert len(fitted.plots()) == 2
     with pytest.raises(rtec.InputError, match="slide"):
         rtec.fit_chain(chain, ["y slide.dx"], runs)
+
+
+def test_spreadsheets_are_read_as_the_command_reads_them(tmp_path):
+    points = [(25.4520, 10.0517), (26.5752, 6.4244), (9.5893, 25.5847), (7.7939, 26.2402), (23.2502, 14.3978), (16.0140, 22.1762)]
+    german = "".join(f"{z:.4f};{x:.4f}\n".replace(".", ",") for z, x in points)
+    (tmp_path / "plain.csv").write_text("z_mm,x_mm\n" + "".join(f"{z},{x}\n" for z, x in points), encoding="utf-8")
+    (tmp_path / "named.csv").write_text("sep=;\nLaenge;Radius\n" + german, encoding="utf-16")
+    (tmp_path / "nameless.csv").write_text(german, encoding="utf-8")
+    want = rtec.part_errors(tmp_path / "plain.csv", radius_mm=27.35).document
+    for file, columns in (
+        ("named.csv", {"z_mm": "Laenge", "x_mm": "Radius"}),
+        ("named.csv", {"z_mm": 1, "x_mm": 2}),
+        ("nameless.csv", {"z_mm": 1, "x_mm": 2}),
+    ):
+        found = rtec.part_errors(tmp_path / file, columns=columns, radius_mm=27.35).document
+        assert found["radius_mm"] == want["radius_mm"], (file, columns)
+    with pytest.raises(rtec.InputError, match="the line that names them is missing"):
+        rtec.part_errors(tmp_path / "nameless.csv", radius_mm=27.35)

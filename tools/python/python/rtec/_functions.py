@@ -222,6 +222,7 @@ def replay(
 def part_errors(
     points: Place,
     *,
+    columns: Mapping[str, str | int] | None = None,
     radius_mm: float | None = None,
     tip_mm: float | None = None,
     feature: str | None = None,
@@ -235,6 +236,7 @@ def part_errors(
 ) -> PartErrors:
     """A feature's errors from probed points, a CSV ``z_mm,x_mm[,approach_z,approach_x]``.
 
+    ``columns``: the file's columns by name or number, as ``{"z_mm": 3, "x_mm": "Radius"}``, where it calls them otherwise.
     ``radius_mm``: a circle's nominal radius. ``tip_mm``: the probe's. ``feature``: ``circle`` or ``line``; recognised where left
     out. ``machine``: a model whose prediction is taken out, with the machine's position (Z, X) at the part's zero in ``origin_mm``.
     """
@@ -242,6 +244,7 @@ def part_errors(
     asked: dict[str, Any] = {name: None if p is None else os.fspath(p) for name, p in places.items()}
     asked |= {"points": os.fspath(points), "radius_mm": radius_mm, "tip_mm": tip_mm, "feature": feature}
     asked |= {"taper_deg": taper_deg, "trip_window_mm": trip_window_mm, "with_size": with_size}
+    asked["columns"] = [f"{name}={column}" for name, column in (columns or {}).items()]
     asked["origin_mm"] = None if origin_mm is None else [float(v) for v in origin_mm]
     (document, cor, svg), said = _rtec.part_errors(asked)
     errors = json.loads(document)["errors"]
