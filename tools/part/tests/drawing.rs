@@ -185,18 +185,20 @@ fn bad_drawings_are_named() {
 
 #[test]
 fn what_no_machine_could_hold_is_refused_at_once() {
-    let ellipse = |major: f64, ratio: f64| {
+    let ellipse_to = |major: f64, ratio: f64, end_parameter: f64| {
         EntityType::Ellipse(Ellipse {
             major_axis: Vector::new(major, 0.0, 0.0),
             minor_axis_ratio: ratio,
             start_parameter: 0.0,
-            end_parameter: 1.5,
+            end_parameter,
             ..Ellipse::default()
         })
     };
+    let ellipse = |major: f64, ratio: f64| ellipse_to(major, ratio, 1.5);
     let found = finding(vec![ellipse(1.0, 4e9)]);
     assert!(found.found.contains("axis ratio of 4e9"), "{found}");
-    let found = finding(vec![ellipse(1.0, 1e-9)]);
+    // One that turns back on itself; a flat one that does not is a line.
+    let found = finding(vec![ellipse_to(1.0, 1e-9, 4.0)]);
     assert!(found.found.contains("axis ratio"), "{found}");
     let found = finding(vec![ellipse(1e6, 0.5)]);
     assert!(found.found.contains("more than 100 m"), "{found}");

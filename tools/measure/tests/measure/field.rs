@@ -117,7 +117,7 @@ fn every_format_states_what_its_table_leaves_applied() {
     let machine = Machine::read(&field("inch-backlash.machine.toml")).unwrap();
     let folder = tempfile::tempdir().unwrap();
     let form = folder.path().join("form.toml");
-    let written = "line = \"{position};{forward};{reverse}\\n\"\nvalue = \"error\"\nposition_unit = \"mm\"\nvalue_unit = \"mm\"\n\
+    let written = "line = \"{position};{forward};{reverse}\"\nvalue = \"error\"\nposition_unit = \"mm\"\nvalue_unit = \"mm\"\n\
                    position_decimals = 4\nvalue_decimals = 5\nmax_points = 400\n";
     std::fs::write(&form, written).unwrap();
     let order = |format: Name, unit: Unit| Order {

@@ -9,6 +9,7 @@ mod example;
 mod export;
 mod field;
 mod import;
+mod kinds;
 mod linuxcnc_tables;
 mod model;
 mod papers;
