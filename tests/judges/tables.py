@@ -157,6 +157,10 @@ def main():
         p = low + (high - low) * i / (n - 1)
         for direction, trims in ((1, up), (-1, down)):
             motor = p + knots(xs, trims, p)
+            if a.format == "siemens":
+                # The value belongs to what the encoder reads: the place at which place and value make the command.
+                for _ in range(3):
+                    motor = p + knots(xs, trims, motor)
             left = 1000 * (motor - p) + error_um(machine, a.axis, motor, direction, degc) - said["constant_um"]
             largest[direction] = max(largest[direction], abs(left))
             squares += left * left
