@@ -2,6 +2,7 @@
 //! offered as a change, with its statistics; nothing is applied (NISTIR 4854, section 1).
 
 use crate::cor::{MOST_RAD, MOST_UM, PointError, turned_near};
+use crate::steps::{left_in_mean, written_step_mm};
 use rtec_files::InputError;
 use rtec_files::{Columns, Sheet};
 use serde::Serialize;
@@ -92,6 +93,10 @@ pub struct Batch {
     pub offer_table: Vec<Offered>,
     /// What is offered and to whom, in words.
     pub offers: Vec<String>,
+    /// The step that the errors are written in, where the parts scatter by less: what rounding may do to a mean is in its
+    /// interval, and no mean below half a step is systematic. µm.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub step_um: Option<f64>,
     /// How the file is written where it is not as usual.
     #[serde(skip)]
     pub written: Option<String>,
@@ -163,6 +168,14 @@ fn judge(
         let expected = format!("places that were inspected, {inspected}, within 0.05 rad");
         return Err(InputError::whole(file, found, expected));
     }
+    let errors_mm: Vec<f64> = series.iter().flat_map(|s| &s.errors_um).map(|um| um / 1000.0).collect();
+    let step_um = written_step_mm(&errors_mm).map_or(0.0, |mm| 1000.0 * mm);
+    let rounding = |p: &PlaceStatistics| if step_um > 0.0 { left_in_mean(step_um, p.sd_um) } else { 0.0 };
+    let is_coarse = places.iter().any(|p| rounding(p) > 0.1 * judgement.least_um);
+    for p in &mut places {
+        let rounding = rounding(p);
+        p.interval_um = [p.interval_um[0] - rounding, p.interval_um[1] + rounding];
+    }
     let means: Vec<f64> = places.iter().map(|p| p.p_value).collect();
     let trends: Vec<f64> = places.iter().map(|p| p.trend_p_value).collect();
     let (means, trends) = (holm(&means), holm(&trends));
@@ -171,7 +184,7 @@ fn judge(
         let drift_um = (p.trend_um_per_part * (p.parts - 1) as f64).abs();
         p.finding = if p.trend_p_value < judgement.alpha && drift_um > judgement.least_um {
             BatchFinding::Trend
-        } else if p.p_value < judgement.alpha && p.mean_um.abs() > judgement.least_um {
+        } else if p.p_value < judgement.alpha && p.mean_um.abs() > judgement.least_um.max(rounding(p)) {
             // Seen: most of it, and with its sign.
             match p.seen_on_machine_um {
                 Some(on_machine) if on_machine / p.mean_um < 0.5 => BatchFinding::NotObservable,
@@ -190,7 +203,7 @@ fn judge(
         })
         .collect();
     let offers = places.iter().filter_map(offer).collect();
-    Ok(Batch { places, offer_table, offers, written: sheet.written() })
+    Ok(Batch { places, offer_table, offers, step_um: is_coarse.then_some(step_um), written: sheet.written() })
 }
 
 fn read(file: &Path, sheet: &Sheet) -> Result<Vec<Series>, InputError> {

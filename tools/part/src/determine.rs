@@ -193,6 +193,12 @@ pub fn determine(args: &Asked, say: &mut dyn FnMut(Said)) -> Result<ErrorReport,
     }
     let (probed, places) = read(args, say)?;
     let mut report = probed.errors(nominal(args, &probed, say)?, tip_mm)?;
+    if let Some(step) = report.step_um {
+        say(Said::Warning(format!(
+            "the points are written in steps of {} µm, more than they scatter by: what rounding may do is in the standard errors",
+            rtec_files::text::short(1e-6 * (1e6 * step).round())
+        )));
+    }
     if report.hollow {
         say(Said::Note("touched from inside, a hollow arc: a positive error is too little material; part table wants --hollow".to_owned()));
     }

@@ -4,6 +4,7 @@
 use crate::cor::{PointError, error_cor, turned_near};
 use crate::fit::{self, FitError, FitShape, FittedShape, Zx, sequence};
 use crate::path::{PathPoint, touches};
+use crate::steps::written_step_mm;
 use crate::svg::Svg;
 use rtec_files::InputError;
 use rtec_files::{Columns, Sheet};
@@ -107,6 +108,9 @@ pub struct ErrorReport {
     pub plain_radius_mm: Option<f64>,
     /// Standard error of the plain fit's size, in µm; `None` where the points do not determine it.
     pub plain_size_standard_error_um: Option<f64>,
+    /// The step that the points are written in, where it is more than they scatter by: it is in the standard errors. µm.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub step_um: Option<f64>,
     /// SD of all points about the plain fit, in µm.
     pub sd_before_um: f64,
     /// SD of the kept points about the second fit, in µm.
@@ -419,6 +423,9 @@ impl Probed {
             (0..points.len()).filter(|i| !two.rejected.contains(i)).map(|i| points[i]).collect();
         let free = (points.len() - shape.parameters()) as f64;
         let sd_um = two.sd_before_um * ((points.len() - 1) as f64 / free).sqrt();
+        let written: Vec<f64> = self.tip_centre.iter().flat_map(|p| [p.z, p.x]).collect();
+        let step_um = written_step_mm(&written).map(|mm| 1000.0 * mm).filter(|step| *step > sd_um);
+        let sd_um = step_um.map_or(sd_um, |step| sd_um.hypot(step / 12f64.sqrt()));
         let known = fit::standard_errors(&two.fitted, &kept, sd_um);
         let (plain_centre, plain_radius) =
             (place(&moved(&two.plain, 0.0)).0, place(&moved(&two.plain, -tip)).1);
@@ -437,6 +444,7 @@ impl Probed {
             plain_centre_mm: plain_centre,
             plain_radius_mm: plain_radius,
             plain_size_standard_error_um: fit::standard_errors(&two.plain, points, sd_um).map(|k| k.size_um),
+            step_um,
             sd_before_um: two.sd_before_um,
             sd_after_um: two.sd_after_um,
             rejected: two.rejected,

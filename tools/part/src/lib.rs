@@ -33,6 +33,7 @@ pub mod page;
 pub mod path;
 pub mod probe;
 pub mod program;
+mod steps;
 pub mod svg;
 pub mod table;
 pub mod unit;

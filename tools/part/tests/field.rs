@@ -191,3 +191,34 @@ mod drawings {
         assert!(drawn(&back, true).unwrap_err().found.contains("an axis ratio of 1e-9"));
     }
 }
+
+#[test]
+fn steps_of_a_caliper_are_in_a_batch_s_intervals() {
+    // 6 µm too large, read by a caliper of 10 µm: every part reads 10.
+    let rows: String = (1..=8).map(|part| format!("{part},D1,38.10,38.11\n")).collect();
+    let judgement = Judgement { alpha: 0.01, least_um: 1.0 };
+    let text = format!("part,feature,nominal_mm,measured_mm\n{rows}");
+    let batch = batch::evaluate_text(&PathBuf::from("b.csv"), &text, None, judgement).unwrap();
+    let place = &batch.places[0];
+    assert!((batch.step_um.unwrap() - 10.0).abs() < 1e-6);
+    assert!(place.interval_um[0] < 6.0 && 6.0 < place.interval_um[1], "{:?}", place.interval_um);
+    // Half a step may be nothing.
+    let text = text.replace("38.11", "38.105").replace("8,D1,38.10,38.105", "8,D1,38.10,38.100");
+    let batch = batch::evaluate_text(&PathBuf::from("b.csv"), &text, None, judgement).unwrap();
+    assert!((batch.step_um.unwrap() - 5.0).abs() < 1e-6, "{:?}", batch.step_um);
+    let fine = batch::evaluate(&field("batch-point.csv"), None, judgement).unwrap();
+    assert_eq!(fine.step_um, None);
+}
+
+#[test]
+fn steps_of_points_are_in_the_standard_errors() {
+    // A quarter circle of 10 mm, its places to 0.1 mm.
+    let rows: String = (0..12)
+        .map(|i| (f64::from(i) * 0.14).sin_cos())
+        .map(|(x, z)| format!("{:.1},{:.1}\n", 10.0 * z, 10.0 * x))
+        .collect();
+    let probed = Probed::parse(&PathBuf::from("p.csv"), &format!("z_mm,x_mm\n{rows}")).unwrap();
+    let report = probed.errors(Nominal::Circle { radius_mm: 10.0 }, 0.0).unwrap();
+    assert!((report.step_um.unwrap() - 100.0).abs() < 1e-6);
+    assert!(report.size_standard_error_um.unwrap() > 100.0 / 12f64.sqrt() / 12f64.sqrt());
+}

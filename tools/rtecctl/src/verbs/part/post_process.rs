@@ -45,6 +45,13 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     if let Some(written) = &batch.written {
         eprintln!("note: {written}");
     }
+    if let Some(step) = batch.step_um {
+        eprintln!(
+            "warning: the errors are in steps of {} µm, and the parts scatter by little more or less: what rounding may do is in the intervals, \
+             and no mean below half a step is systematic",
+            rtec_files::text::short(1e-6 * (1e6 * step).round())
+        );
+    }
     let unseen = batch.places.iter().filter(|p| p.seen_on_machine_um.is_none()).count();
     if seen.is_some() && unseen > 0 {
         eprintln!(
