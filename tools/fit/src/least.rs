@@ -11,7 +11,7 @@ use crate::thermal::{Fitted, Intervals, jackknife_interval};
 use nalgebra::{DMatrix, DVector};
 use rtec_files::InputError;
 use rtec_files::text::short;
-use rtec_measure::steps::{Steps, step_of};
+use rtec_measure::steps::{Steps, is_coarse_cause, step_of};
 use rtec_model::date;
 use rtec_model::effect::{Dictionary, Difference, Effect, Need, Search};
 use rtec_model::machine::{FitNote, Machine, Provenance, Source};
@@ -24,8 +24,6 @@ use std::path::Path;
 const BLOCKS: usize = 10;
 /// Half of a normal distribution's 95 %, in standard deviations.
 const NORMAL_95: f64 = 1.96;
-/// A cause that goes through fewer steps than these is said to be coarse.
-const FEW_STEPS: f64 = 20.0;
 /// Two columns are one when what sets one apart from the others is smaller than this share of it.
 const DEPENDENT: f64 = 1e-5;
 
@@ -167,7 +165,7 @@ impl Problem {
                 .data
                 .iter()
                 .fold([f64::INFINITY, f64::NEG_INFINITY], |[l, h], v| [l.min(*v), h.max(*v)]);
-            if high - low < FEW_STEPS * step {
+            if is_coarse_cause(column, step, high - low) {
                 let unit = if column.role == Role::Temperature { "K" } else { column.unit.as_str() };
                 said.push(format!(
                     "{}: {}: readings in steps of {} {unit} over {} {unit}: what rounding may do is in the intervals",

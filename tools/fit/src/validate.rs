@@ -5,6 +5,7 @@ use rtec_files::{InputError, Said};
 use rtec_measure::derive;
 use rtec_measure::plausible;
 use rtec_measure::plot::Chart;
+use rtec_measure::steps;
 use rtec_model::date;
 use rtec_model::machine::Machine;
 use rtec_model::record::{Column, Record};
@@ -43,6 +44,9 @@ pub fn validate(
             say(Said::Warning(format!(
                 "{path}: {rest} rows with readings that a sensor did not take are in no figure"
             )));
+        }
+        for note in steps::said(record, true) {
+            say(Said::Warning(format!("{path}: {note}")));
         }
         let (prediction, notes) = derive::predict(machine, record)?;
         for note in notes {

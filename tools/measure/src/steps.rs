@@ -79,6 +79,15 @@ const FEW_STEPS: f64 = 20.0;
 /// A response of more steps than these is as fine as its figures are told.
 const MANY_STEPS: f64 = 50.0;
 
+/// Steps of a temperature that move no machine by what its gauge shows, K.
+const FINE_K: f64 = 0.05;
+
+/// Whether the step of a cause is worth a word, where the cause has this range.
+#[must_use]
+pub fn is_coarse_cause(cause: &Column, step: f64, range: f64) -> bool {
+    range < FEW_STEPS * step && (cause.role != Role::Temperature || step >= FINE_K)
+}
+
 /// What to know of the coarse steps of a record: of its gauges where `responses`, of its sensors, of positions and the clock in motion.
 #[must_use]
 pub fn said(record: &Record, responses: bool) -> Vec<String> {
@@ -104,7 +113,7 @@ pub fn said(record: &Record, responses: bool) -> Vec<String> {
         let Some(step) = step_of(&column.data).filter(|_| is_cause) else { continue };
         let lowest = column.data.iter().copied().fold(f64::INFINITY, f64::min);
         let range = column.data.iter().copied().fold(f64::NEG_INFINITY, f64::max) - lowest;
-        if range < FEW_STEPS * step {
+        if is_coarse_cause(column, step, range) {
             let unit = if column.role == Role::Temperature { "K" } else { column.unit.as_str() };
             said.push(format!(
                 "{}: readings in steps of {} {unit} over {} {unit}: its range is known within ±{} {unit}, and what follows it in \

@@ -34,6 +34,9 @@ pub struct Probed {
 const COLUMNS: [&str; 8] =
     ["z_mm", "x_mm", "approach_z", "approach_x", "point", "t_s", "uncertainty_um", "feature"];
 
+/// A finer step than this no probe tells, µm.
+const LEAST_STEP_UM: f64 = 0.1;
+
 /// The nominal feature that was probed.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Nominal {
@@ -424,7 +427,8 @@ impl Probed {
         let free = (points.len() - shape.parameters()) as f64;
         let sd_um = two.sd_before_um * ((points.len() - 1) as f64 / free).sqrt();
         let written: Vec<f64> = self.tip_centre.iter().flat_map(|p| [p.z, p.x]).collect();
-        let step_um = written_step_mm(&written).map(|mm| 1000.0 * mm).filter(|step| *step > sd_um);
+        let step_um =
+            written_step_mm(&written).map(|mm| 1000.0 * mm).filter(|step| *step > sd_um.max(LEAST_STEP_UM));
         let sd_um = step_um.map_or(sd_um, |step| sd_um.hypot(step / 12f64.sqrt()));
         let known = fit::standard_errors(&two.fitted, &kept, sd_um);
         let (plain_centre, plain_radius) =

@@ -327,13 +327,13 @@ struct Record {
 
 impl Record {
     fn open(args: &FromPosition) -> Result<Self, InputError> {
+        let mut rows = Reader::open(&args.input)?;
+        let mut header = rows.header_by_any("a header such as t_s,position_mm")?;
         // A pipe cannot be read twice: its numbers have decimal points.
         let marks = match args.input.is_file() {
             true => Marks::find(&args.input, &mut open_regular(&args.input)?, &[])?,
             false => None,
         };
-        let mut rows = Reader::open(&args.input)?;
-        let mut header = rows.header_by_any("a header such as t_s,position_mm")?;
         // Columns that are called by their numbers need no names.
         let is_number = |column: &Option<String>| column.as_ref().is_some_and(|c| c.parse::<usize>().is_ok());
         if is_number(&args.column)
@@ -586,7 +586,7 @@ mod tests {
             ("t_s,position_mm\n", "/p.csv: found no rows, expected a header and at least one row"),
             (
                 "t,position_mm\n0,0\n",
-                "/p.csv:1:1: found the columns t,position_mm, expected a time column: t_s, t_ms, t_us or t_ns",
+                "/p.csv:1:1: found the columns t,position_mm, expected a time column: t_s, t_ms, t_us or t_ns, or --time-column",
             ),
             (
                 "t_s,position_mm,position_m\n0,0\n",
