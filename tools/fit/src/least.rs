@@ -513,6 +513,20 @@ fn structure(
     (0..problem.pieces.len()).filter_map(of).collect()
 }
 
+/// What one unit of each coefficient makes of a response, row by row; nothing where the record lacks what an effect needs.
+fn basis_of(effects: &[Effect], record: &Record, role: &Role) -> Option<Vec<Vec<f64>>> {
+    let mut columns = Vec::new();
+    for effect in effects {
+        let (bound, rows) = (effect.bind(record).ok()?, record.rows());
+        let mut basis = vec![0.0; effect.coefficient_count() * rows];
+        if let Some((_, component)) = effect.acts_on(record).into_iter().find(|(r, _)| r == role) {
+            bound.basis(effect, component, &mut basis);
+        }
+        columns.extend(basis.chunks(rows).map(<[f64]>::to_vec));
+    }
+    Some(columns)
+}
+
 /// Fits effects that the user names, beside all that the base holds already: by least squares on all error responses
 /// of the records. Gives the base with the effects added.
 ///
@@ -537,18 +551,6 @@ pub fn fit_named(
     let mut coarse = Vec::new();
     for record in records {
         let left = base.beyond(record)?;
-        let basis_of = |record: &Record, role: &Role| -> Option<Vec<Vec<f64>>> {
-            let mut columns = Vec::with_capacity(count);
-            for effect in &effects {
-                let (bound, rows) = (effect.bind(record).ok()?, record.rows());
-                let mut basis = vec![0.0; effect.coefficient_count() * rows];
-                if let Some((_, component)) = effect.acts_on(record).into_iter().find(|(r, _)| r == role) {
-                    bound.basis(effect, component, &mut basis);
-                }
-                columns.extend(basis.chunks(rows).map(<[f64]>::to_vec));
-            }
-            Some(columns)
-        };
         let bound = effects
             .iter()
             .map(|e| {
@@ -578,7 +580,7 @@ pub fn fit_named(
             problem.moved(record);
             // As it was read: what is beyond the base has no steps.
             coarse.extend(record.column(&column.role).and_then(|read| problem.rounded_as(record, read)));
-            coarse.extend(problem.rounded_causes(&left, &|record| basis_of(record, &column.role)));
+            coarse.extend(problem.rounded_causes(&left, &|record| basis_of(&effects, record, &column.role)));
             owners.push(record);
             if !roles.contains(&column.role) {
                 roles.push(column.role.clone());

@@ -187,6 +187,48 @@ pub enum Norm {
     Fourth,
 }
 
+/// A fit's values, what it leaves of each row, and the covariance of the values.
+type Solved = (nalgebra::DVector<f64>, nalgebra::DVector<f64>, nalgebra::DMatrix<f64>);
+
+/// The fit of two rows a hole by so many columns, each given by the hole's number and its own.
+fn solve(
+    record: &Record,
+    norm: Norm,
+    columns: usize,
+    of: &dyn Fn(usize, usize) -> [f64; 2],
+    to: &nalgebra::DVector<f64>,
+) -> Result<Solved, InputError> {
+    let n = to.len() / 2;
+    let a = nalgebra::DMatrix::from_fn(2 * n, columns, |row, j| of(row / 2, j)[row % 2]);
+    let weighted = |w: &[f64]| {
+        let rows = |row: usize| w[row / 2].sqrt();
+        let aw = nalgebra::DMatrix::from_fn(2 * n, columns, |i, j| rows(i) * a[(i, j)]);
+        let bw = nalgebra::DVector::from_fn(2 * n, |i, _| rows(i) * to[i]);
+        aw.svd(true, true).solve(&bw, 1e-12).map_err(|e| {
+            InputError::whole(
+                &record.path,
+                format!("holes that do not span a plane ({e})"),
+                "a plate of holes",
+            )
+        })
+    };
+    let mut fit = weighted(&vec![1.0; n])?;
+    let mut left = to - &a * &fit;
+    if norm == Norm::Fourth {
+        // Newton's step for Σ r⁴ is a third of the way to the fit weighted by r².
+        for _ in 0..100 {
+            let w: Vec<f64> = (0..n).map(|i| left[2 * i].powi(2) + left[2 * i + 1].powi(2)).collect();
+            fit += (weighted(&w)? - &fit) / 3.0;
+            left = to - &a * &fit;
+        }
+    }
+    // Of the fit by squares; where what is left is exact there is no error.
+    let freedom = (2 * n).saturating_sub(columns).max(1) as f64;
+    let inverse = a.tr_mul(&a).try_inverse().unwrap_or_else(|| nalgebra::DMatrix::zeros(columns, columns));
+    let covariance = inverse * (left.norm_squared() / freedom);
+    Ok((fit, left, covariance))
+}
+
 /// Fits a plate over both axes together.
 ///
 /// An RMS is the root of the mean squared length of the residuals.
@@ -216,35 +258,7 @@ pub fn evaluate(record: &Record, norm: Norm) -> Result<Plate, InputError> {
     }
     // measured = a·x − b·y + cx, b·x + a·y + cy: linear in (cx, cy, a, b)
     let solve = |columns: usize, of: &dyn Fn(usize, usize) -> [f64; 2], to: &nalgebra::DVector<f64>| {
-        let a = nalgebra::DMatrix::from_fn(2 * n, columns, |row, j| of(row / 2, j)[row % 2]);
-        let weighted = |w: &[f64]| {
-            let rows = |row: usize| w[row / 2].sqrt();
-            let aw = nalgebra::DMatrix::from_fn(2 * n, columns, |i, j| rows(i) * a[(i, j)]);
-            let bw = nalgebra::DVector::from_fn(2 * n, |i, _| rows(i) * to[i]);
-            aw.svd(true, true).solve(&bw, 1e-12).map_err(|e| {
-                InputError::whole(
-                    &record.path,
-                    format!("holes that do not span a plane ({e})"),
-                    "a plate of holes",
-                )
-            })
-        };
-        let mut fit = weighted(&vec![1.0; n])?;
-        let mut left = to - &a * &fit;
-        if norm == Norm::Fourth {
-            // Newton's step for Σ r⁴ is a third of the way to the fit weighted by r².
-            for _ in 0..100 {
-                let w: Vec<f64> = (0..n).map(|i| left[2 * i].powi(2) + left[2 * i + 1].powi(2)).collect();
-                fit += (weighted(&w)? - &fit) / 3.0;
-                left = to - &a * &fit;
-            }
-        }
-        // Of the fit by squares; where what is left is exact there is no error.
-        let freedom = (2 * n).saturating_sub(columns).max(1) as f64;
-        let inverse =
-            a.tr_mul(&a).try_inverse().unwrap_or_else(|| nalgebra::DMatrix::zeros(columns, columns));
-        let covariance = inverse * (left.norm_squared() / freedom);
-        Ok::<_, InputError>((fit, left, covariance))
+        solve(record, norm, columns, of, to)
     };
     let reached =
         |p: &[f64], e: &[f64]| -> Vec<f64> { p.iter().zip(e).map(|(p, e)| p + e / 1000.0).collect() };

@@ -402,19 +402,7 @@ impl Probed {
             unwrap_angles(&mut errors, &sequence(&two.fitted, points));
         }
         let extreme = |f: fn(f64, f64) -> f64| two.errors_um.iter().copied().reduce(f).unwrap_or(0.0);
-        let inclination_deg = match surface {
-            FittedShape::Line { normal, .. } => {
-                let deg = (-normal.z).atan2(normal.x).to_degrees();
-                Some(if deg > 90.0 {
-                    deg - 180.0
-                } else if deg <= -90.0 {
-                    deg + 180.0
-                } else {
-                    deg
-                })
-            }
-            FittedShape::Circle { .. } => None,
-        };
+        let inclination_deg = inclination_deg(&surface);
         let (size_error_um, inclination_error_deg) = match nominal {
             Nominal::Circle { radius_mm: r } => (radius_mm.map(|f| (f - r) * 1e3), None),
             Nominal::Line { taper_deg } => {
@@ -424,12 +412,7 @@ impl Probed {
         let (robust_centre, robust_radius) = place(&robust_surface);
         let kept: Vec<Zx> =
             (0..points.len()).filter(|i| !two.rejected.contains(i)).map(|i| points[i]).collect();
-        let free = (points.len() - shape.parameters()) as f64;
-        let sd_um = two.sd_before_um * ((points.len() - 1) as f64 / free).sqrt();
-        let written: Vec<f64> = self.tip_centre.iter().flat_map(|p| [p.z, p.x]).collect();
-        let step_um =
-            written_step_mm(&written).map(|mm| 1000.0 * mm).filter(|step| *step > sd_um.max(LEAST_STEP_UM));
-        let sd_um = step_um.map_or(sd_um, |step| sd_um.hypot(step / 12f64.sqrt()));
+        let (sd_um, step_um) = self.scatter_um(two.sd_before_um, shape);
         let known = fit::standard_errors(&two.fitted, &kept, sd_um);
         let (plain_centre, plain_radius) =
             (place(&moved(&two.plain, 0.0)).0, place(&moved(&two.plain, -tip)).1);
@@ -468,6 +451,17 @@ impl Probed {
             hollow: shape == FitShape::Circle && side < 0.0,
             outline: surface,
         })
+    }
+
+    /// What one point is known within, µm: what all scatter by about their plain fit, and the step that they are written in where
+    /// that is more; that step.
+    fn scatter_um(&self, sd_um: f64, shape: FitShape) -> (f64, Option<f64>) {
+        let n = self.tip_centre.len();
+        let sd_um = sd_um * ((n - 1) as f64 / (n - shape.parameters()) as f64).sqrt();
+        let written: Vec<f64> = self.tip_centre.iter().flat_map(|p| [p.z, p.x]).collect();
+        let coarse = |step: &f64| *step > sd_um.max(LEAST_STEP_UM);
+        let step_um = written_step_mm(&written).map(|mm| 1000.0 * mm).filter(coarse);
+        (step_um.map_or(sd_um, |step| sd_um.hypot(step / 12f64.sqrt())), step_um)
     }
 
     /// Take the directions of motion at the trips from the probe's path, for points recorded without them.
@@ -592,6 +586,19 @@ fn unwrap_angles(errors: &mut [PointError], order: &[usize]) {
     for e in errors {
         e.angle_rad += back;
     }
+}
+
+/// A straight feature's inclination to the part's axis, degrees.
+fn inclination_deg(surface: &FittedShape) -> Option<f64> {
+    let FittedShape::Line { normal, .. } = surface else { return None };
+    let deg = (-normal.z).atan2(normal.x).to_degrees();
+    Some(if deg > 90.0 {
+        deg - 180.0
+    } else if deg <= -90.0 {
+        deg + 180.0
+    } else {
+        deg
+    })
 }
 
 /// The shape moved outward.

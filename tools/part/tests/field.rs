@@ -1,6 +1,6 @@
 //! Files as people have them: each stands for a kind that was read wrongly once.
 
-#![allow(clippy::unwrap_used, reason = "helpers of tests")]
+#![allow(clippy::unwrap_used, clippy::format_collect, reason = "helpers and inputs of tests")]
 
 use rtec_part::batch::{self, Judgement};
 use rtec_part::errors::{Nominal, Probed};
@@ -94,9 +94,8 @@ mod drawings {
     /// Group codes and values, a line each.
     fn entity(name: &str, groups: &[(i32, f64)]) -> String {
         let whole = |code: i32| (60..80).contains(&code) || code == 90;
-        let lines = groups.iter().map(|(code, value)| match whole(*code) {
-            true => format!("{code}\n{}\n", *value as i64),
-            false => format!("{code}\n{value}\n"),
+        let lines = groups.iter().map(|(code, value)| {
+            if whole(*code) { format!("{code}\n{}\n", *value as i64) } else { format!("{code}\n{value}\n") }
         });
         format!("0\n{name}\n8\n0\n{}", lines.collect::<String>())
     }

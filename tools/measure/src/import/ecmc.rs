@@ -29,7 +29,6 @@ pub fn ecmc_dat(from: &Path, text: &str, axis: &Axis, to: &Path) -> Result<Recor
             || value.parse::<f64>().ok().filter(|v| v.is_finite()).ok_or_else(|| at(value, "a number"));
         match key.split_once('[').map(|(k, rest)| (k, rest.trim_end_matches(']'))) {
             None if key == "UNIT" && value != "mm" => return Err(at(body, "UNIT=mm")),
-            None => {} // names of the sources and counts; the data speak for themselves
             Some(("TGT_DATA", index)) => {
                 let i = index.trim().parse().map_err(|_| at(index, "a target's number"))?;
                 targets.insert(i, number()?);
@@ -44,7 +43,8 @@ pub fn ecmc_dat(from: &Path, text: &str, axis: &Axis, to: &Path) -> Result<Recor
             Some((name, _)) if name.starts_with("TGT_") || name.starts_with("REF_") => {
                 return Err(at(name, "TGT_DATA, REF_DATA_FWD or REF_DATA_BWD"));
             }
-            Some(_) => {} // of another test or a later version
+            // Names of the sources and counts, keys of another test or a later version: the data speak for themselves.
+            _ => {}
         }
     }
     let whole = |found: String, expected: &str| InputError::whole(from, found, expected);

@@ -341,14 +341,15 @@ impl Clock {
         let ns = match (&mut self.of_day, &self.start) {
             (Some(of_day), _) => of_day.next(text)?,
             (None, Some(_)) => absolute_ns(text)?,
-            (None, None) if first => match absolute_ns(text) {
-                Some(ns) => ns,
-                None => {
+            (None, None) if first => {
+                if let Some(ns) = absolute_ns(text) {
+                    ns
+                } else {
                     let last_ns = of_day_ns(text)?;
                     self.of_day = Some(OfDay { days: 0, last_ns });
                     last_ns
                 }
-            },
+            }
             (None, None) => return None,
         };
         let start = self.start.get_or_insert_with(|| (ns, text.to_owned())).0;

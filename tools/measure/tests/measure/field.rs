@@ -1,5 +1,7 @@
 //! Records as people have them: each stands for a kind that was evaluated wrongly once.
 
+#![allow(clippy::unwrap_used, reason = "helpers of tests")]
+
 use rtec_files::Said;
 use rtec_measure::evaluation::{Asked, Evaluation, Standard, evaluate_files};
 use rtec_measure::export::Wanted;
@@ -56,6 +58,9 @@ fn angular_targets_are_refused_by_their_file_type() {
     let error = import::rtl(&file, &text, &Axis::new("x").unwrap(), Path::new("to.run.toml")).unwrap_err();
     assert_eq!((error.line, error.found.as_str()), (2, "File type `rta` (angular targets, in degrees)"));
 }
+
+/// What reads a table as its controller does.
+type Reader = Box<dyn Fn(&str) -> Points>;
 
 /// A table as a controller has it: position, mm, and what the axis is off by there moving up and down, µm.
 type Points = Vec<[f64; 3]>;
@@ -135,7 +140,6 @@ fn every_format_states_what_its_table_leaves_applied() {
     };
     // A controller that adds the value to what its encoder reads meets the error of that place; others look it up where they
     // were told to go, and drive elsewhere by it.
-    type Reader = Box<dyn Fn(&str) -> Points>;
     let cases: [(Name, Unit, bool, Reader); 6] = [
         (Name::Linuxcnc, Unit::Mm, false, Box::new(|t| linuxcnc(t, 1.0, false))),
         (Name::Linuxcnc, Unit::Inch, false, Box::new(|t| linuxcnc(t, 25.4, false))),

@@ -49,7 +49,7 @@ struct FromPosition {
     /// The position column, by its name or number from 1 [default: the one whose name begins with "position"]
     #[arg(long, value_name = "NAME")]
     column: Option<String>,
-    /// The time column, by its name or number from 1 [default: t_s, t_ms, t_us or t_ns]
+    /// The time column, by its name or number from 1 [default: `t_s`, `t_ms`, `t_us` or `t_ns`]
     #[arg(long, value_name = "NAME")]
     time_column: Option<String>,
     /// The time's unit [default: the column name's ending _s, _ms, _us or _ns; without one, s]
@@ -330,9 +330,10 @@ impl Record {
         let mut rows = Reader::open(&args.input)?;
         let mut header = rows.header_by_any("a header such as t_s,position_mm")?;
         // A pipe cannot be read twice: its numbers have decimal points.
-        let marks = match args.input.is_file() {
-            true => Marks::find(&args.input, &mut open_regular(&args.input)?, &[])?,
-            false => None,
+        let marks = if args.input.is_file() {
+            Marks::find(&args.input, &mut open_regular(&args.input)?, &[])?
+        } else {
+            None
         };
         // Columns that are called by their numbers need no names.
         let is_number = |column: &Option<String>| column.as_ref().is_some_and(|c| c.parse::<usize>().is_ok());
@@ -367,17 +368,15 @@ impl Record {
                 })
             })?,
         };
-        let position = match &args.column {
-            Some(column) => header.place_or_number(column)?,
-            None => {
-                let mut matching =
-                    header.names().enumerate().filter(|(_, name)| name.starts_with("position"));
-                let (Some((position, _)), None) = (matching.next(), matching.next()) else {
-                    let expected = "one column whose name begins with position (or --column NAME)";
-                    return Err(header.finding(columns(), expected));
-                };
-                position
-            }
+        let position = if let Some(column) = &args.column {
+            header.place_or_number(column)?
+        } else {
+            let mut matching = header.names().enumerate().filter(|(_, name)| name.starts_with("position"));
+            let (Some((position, _)), None) = (matching.next(), matching.next()) else {
+                let expected = "one column whose name begins with position (or --column NAME)";
+                return Err(header.finding(columns(), expected));
+            };
+            position
         };
         let name = header.names().nth(position).unwrap_or_default();
         let unit = args.unit.or_else(|| Unit::of(name)).unwrap_or_else(|| {

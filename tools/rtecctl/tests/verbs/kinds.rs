@@ -1,5 +1,7 @@
 //! Files and readings as people have them: a test for each kind, with the value that is right.
 
+#![allow(clippy::format_collect, clippy::format_push_string, reason = "inputs of tests")]
+
 use serde_json::Value;
 use std::path::Path;
 use std::process::Command;

@@ -139,7 +139,11 @@ fn text(r: &ErrorReport, with_size: bool) -> String {
         let _ = writeln!(t, "radius          {radius:.5} mm ({off:+.1} µm from nominal{size_error})");
         let all = r.plain_radius_mm.zip(r.plain_size_standard_error_um).filter(|_| !r.rejected.is_empty());
         if let Some((radius, error)) = all {
-            let _ = writeln!(t, "of all points   {radius:.5} mm (standard error {error:.1} µm)");
+            let [z, x] = r.plain_centre_mm;
+            let _ = writeln!(
+                t,
+                "of all points   {radius:.5} mm (standard error {error:.1} µm) about Z {z:.5} mm  X {x:.5} mm"
+            );
         }
     }
     if let Some(off) = r.size_error_um {

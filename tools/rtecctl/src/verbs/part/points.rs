@@ -122,6 +122,24 @@ enum By {
     SpacingMm(f64),
 }
 
+impl Choice {
+    /// How many points it asks for on so much of its feature.
+    fn number(&self, between_mm: f64) -> anyhow::Result<usize> {
+        let mm = match self.by {
+            By::Number(n) => return Ok(n),
+            By::SpacingMm(mm) => mm,
+        };
+        let points = between_mm / mm;
+        if points > MOST_POINTS as f64 {
+            let found = format!("{}:{mm}mm, {points:.0} points on {between_mm:.4} mm", self.feature);
+            let least_mm = between_mm / MOST_POINTS as f64;
+            let expected = format!("at most {MOST_POINTS} points, {least_mm:.4} mm apart or more");
+            return Err(usage("--feature", found, expected));
+        }
+        Ok(number_at(between_mm, mm))
+    }
+}
+
 impl FromStr for Choice {
     type Err = String;
     fn from_str(text: &str) -> Result<Self, String> {
@@ -186,25 +204,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             let expected = format!("less than half of its {length_mm:.4} mm, below {:.4}", length_mm / 2.0);
             return Err(usage("--margin-mm", found, expected));
         }
-        let number = match choice.by {
-            By::Number(n) => n,
-            By::SpacingMm(mm) => {
-                let between_mm = length_mm - 2.0 * args.margin_mm;
-                if between_mm / mm > MOST_POINTS as f64 {
-                    let found = format!(
-                        "{}:{mm}mm, {:.0} points on {between_mm:.4} mm",
-                        choice.feature,
-                        between_mm / mm
-                    );
-                    let expected = format!(
-                        "at most {MOST_POINTS} points, {:.4} mm apart or more",
-                        between_mm / MOST_POINTS as f64
-                    );
-                    return Err(usage("--feature", found, expected));
-                }
-                number_at(between_mm, mm)
-            }
-        };
+        let number = choice.number(length_mm - 2.0 * args.margin_mm)?;
         let apart_mm = (length_mm - 2.0 * args.margin_mm) / (number.max(2) - 1) as f64;
         if number > 1 && apart_mm < SAME_PLACE * args.tip_mm {
             eprintln!(
