@@ -323,7 +323,7 @@ fn etalons_blocks_are_errors_over_an_axis() {
         ("0.0 0.0\n", "0.0 nan\n", 7, "a number"),
         ("}\n[EYX]", "[EYX]", 9, "before the } of line 5"),
         ("[EAX]", "[EXX]", 16, "a second time"),
-        ("VALUE", "VAL", 3, "VALUE"),
+        ("VALUE =", "VALUE", 3, "VALUE"),
         ("// head", "head", 1, "a block as [EXX] first"),
         ("0.00001\n}", "0.00001", 17, "Gridpoints without an end"),
     ] {
@@ -335,6 +335,9 @@ fn etalons_blocks_are_errors_over_an_axis() {
         }
     }
     refused(read("[C0B]\nVALUE = 1\n"), 0, "gridpoints of EXX, EYX or EZX");
+    // Keys and comments of other programs are passed over.
+    let others = text.replace("[EXX]\n", "[EXX]\n; made by another program\nUnit = mm\n");
+    assert_eq!(data(&read(&others).unwrap(), "error.x"), [-1.0, 0.0, 2.5]);
 }
 
 #[test]
