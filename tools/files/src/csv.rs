@@ -475,8 +475,7 @@ impl<'a> Cell<'a> {
         if let Some(number) = plain_decimal(self.text.as_bytes()) {
             return Ok(number);
         }
-        let number = self.text.parse().ok().filter(|v: &f64| v.is_finite());
-        number.ok_or_else(|| self.finding("a finite number"))
+        crate::numbers::plain(&self.text).ok_or_else(|| self.finding("a finite number"))
     }
 
     fn beyond(&self, columns: usize, names: &str) -> InputError {

@@ -13,6 +13,19 @@ use std::path::Path;
 /// What parts thousands in some countries, beside the other one of point and comma.
 const BLANKS: [char; 4] = [' ', '\u{a0}', '\u{202f}', '\''];
 
+/// The minus sign of typography (U+2212), which some countries' spreadsheets write.
+const MINUS: char = '\u{2212}';
+const SIGNS: [char; 3] = ['+', '-', MINUS];
+
+/// A number with a decimal point, after either minus sign; `None` where it is none or not finite.
+pub(crate) fn plain(text: &str) -> Option<f64> {
+    let number = |text: &str| text.parse().ok().filter(|v: &f64| v.is_finite());
+    match text.strip_prefix(MINUS) {
+        Some(rest) => number(rest).filter(|_| !rest.starts_with(SIGNS)).map(|v| -v),
+        None => number(text),
+    }
+}
+
 /// The decimal marks that a table's cells show.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Numbers {
@@ -52,9 +65,8 @@ impl Numbers {
     /// The finite number in a cell; `None` where there is none, or where it has two readings.
     #[must_use]
     pub fn parse(self, text: &str) -> Option<f64> {
-        let plain = || text.parse().ok().filter(|v: &f64| v.is_finite());
         if !text.contains(['.', ',']) && !text.contains(BLANKS) {
-            return plain();
+            return plain(text);
         }
         let default = if text.contains(',') {
             // A lone comma with three digits behind it.
@@ -68,7 +80,7 @@ impl Numbers {
             Some('.')
         };
         let mark = self.column.or_else(|| shown_mark(text)).or(default)?;
-        ungrouped(text, mark)?.parse().ok().filter(|v: &f64| v.is_finite())
+        plain(&ungrouped(text, mark)?)
     }
 
     /// What to write instead of a cell that is no number or has two readings.
@@ -209,7 +221,7 @@ fn has_quote(input: &mut impl Read) -> std::io::Result<bool> {
 
 /// A number without its sign and exponent; `None` where other characters are in it.
 fn number_body(text: &str) -> Option<&str> {
-    let body = text.trim_start_matches(['+', '-']);
+    let body = text.trim_start_matches(SIGNS);
     let (body, exponent) = body.split_once(['e', 'E']).unwrap_or((body, "0"));
     let is_number = |c: char| c.is_ascii_digit() || c == '.' || c == ',' || BLANKS.contains(&c);
     let has_digits = body.contains(|c: char| c.is_ascii_digit());
@@ -219,7 +231,7 @@ fn number_body(text: &str) -> Option<&str> {
 /// The decimal mark that a number shows by itself.
 fn shown_mark(text: &str) -> Option<char> {
     let mark = mark_by_shape(text)?;
-    ungrouped(text, mark)?.parse::<f64>().is_ok().then_some(mark)
+    plain(&ungrouped(text, mark)?).map(|_| mark)
 }
 
 fn mark_by_shape(text: &str) -> Option<char> {
@@ -240,14 +252,14 @@ fn mark_by_shape(text: &str) -> Option<char> {
 
 /// A number as the standard library reads it: decimal point, nothing that parts thousands.
 fn ungrouped(text: &str, mark: char) -> Option<String> {
-    let (sign, body) = text.split_at(text.len() - text.trim_start_matches(['+', '-']).len());
+    let (sign, body) = text.split_at(text.len() - text.trim_start_matches(SIGNS).len());
     let end = body.find(mark).or_else(|| body.find(['e', 'E'])).unwrap_or(body.len());
     let (whole, rest) = body.split_at(end);
     let parts: Vec<&str> = whole.split(|c| matches!(c, '.' | ',') || BLANKS.contains(&c)).collect();
     let digits = |p: &str| p.bytes().all(|b| b.is_ascii_digit());
     let grouped =
         parts.len() == 1 || (1..=3).contains(&parts[0].len()) && parts[1..].iter().all(|p| p.len() == 3);
-    if !grouped || !parts.iter().all(|p| digits(p)) || sign.len() > 1 {
+    if !grouped || !parts.iter().all(|p| digits(p)) || sign.chars().count() > 1 {
         return None;
     }
     let rest = rest.strip_prefix(mark).map_or_else(|| rest.to_owned(), |fraction| format!(".{fraction}"));
@@ -270,6 +282,8 @@ mod tests {
             (&["1 000,5", "1'000", "-12"], ';', &[Some(1000.5), Some(1000.0), Some(-12.0)]),
             (&["1.5", "1,5"], ';', &[Some(1.5), None]),
             (&["1,5", "1.5"], ';', &[Some(1.5), None]),
+            (&["\u{2212}3,5", "\u{2212}1.000,25", "\u{2212}2"], ';', &[Some(-3.5), Some(-1000.25), Some(-2.0)]),
+            (&["\u{2212}3.5", "\u{2212}-2", "\u{2212}"], ',', &[Some(-3.5), None, None]),
             (&["1.234.567", "12.34.5"], ';', &[Some(1_234_567.0), None]),
             (&["", "nan", "#N/A", "--1", "1e999", "."], ',', &[None, None, None, None, None, None]),
         ] {
