@@ -24,6 +24,13 @@ pub fn absolute_ns(text: &str) -> Option<i128> {
     iso8601_ns(text).or_else(iso)
 }
 
+/// Whether a time names its zone: Z, or an offset behind the clock.
+#[must_use]
+pub fn has_zone(text: &str) -> bool {
+    let clock = text.trim().split_once(['T', 't', ' ']).map_or(text, |(_, clock)| clock);
+    clock.contains(['Z', 'z', '+', '-'])
+}
+
 /// Nanoseconds since midnight of a time without a day, `13:51:37.25`.
 #[must_use]
 pub fn of_day_ns(text: &str) -> Option<i128> {
@@ -71,6 +78,57 @@ const UNITS: [(&str, f64); 4] = [("s", 1.0), ("ms", 1e3), ("us", 1e6), ("ns", 1e
 
 /// From 2000 to 2100, s since 1970: no counter of a machine's own has run for thirty years.
 const UNIX_S: [f64; 2] = [946_684_800.0, 4_102_444_800.0];
+
+/// Seconds from 1904-01-01, the zero of LabVIEW and of old Macintoshes, to 1970-01-01.
+const SINCE_1904_S: f64 = 2_082_844_800.0;
+
+/// From 2000 to 2100, days since 1899-12-30, as a spreadsheet counts.
+const SPREADSHEET_D: [f64; 2] = [36_526.0, 73_051.0];
+/// Days from 1899-12-30 to 1970-01-01.
+const SPREADSHEET_ZERO_D: f64 = 25_569.0;
+
+/// A time that is counted from long before the run.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Counted {
+    /// What it is counted in.
+    pub unit: &'static str,
+    /// What counts so.
+    pub what: &'static str,
+    /// The day, as 2026-01-06.
+    pub day: String,
+}
+
+/// A Unix time between 2000 and 2100, in any unit; or seconds since 1904 where that Unix time has not come yet. `None` for what is
+/// neither.
+#[must_use]
+pub fn counted(time: f64) -> Option<Counted> {
+    let (unit, day) = unix(time)?;
+    let since_1904 = time - SINCE_1904_S;
+    let is_to_come = date::parse(&day)? > date::today() + 1;
+    if unit == "s" && is_to_come && since_1904 >= UNIX_S[0] {
+        let day = date::format((since_1904 / 86_400.0).floor() as i64);
+        return Some(Counted { unit, what: "seconds since 1904", day });
+    }
+    Some(Counted { unit, what: "Unix time", day })
+}
+
+/// A spreadsheet's date between 2000 and 2100: days since 1899-12-30.
+#[must_use]
+pub fn spreadsheet(time_d: f64) -> Option<Counted> {
+    let is_date = (SPREADSHEET_D[0]..SPREADSHEET_D[1]).contains(&time_d);
+    let day = || date::format((time_d - SPREADSHEET_ZERO_D).floor() as i64);
+    is_date.then(|| Counted { unit: "d", what: "a spreadsheet's date", day: day() })
+}
+
+/// The day that times in seconds show if they are a spreadsheet's dates: from 2000 to 2100, less than two months long, with more
+/// decimals than a clock in seconds has.
+#[must_use]
+pub fn spreadsheet_in_s(times: &[f64]) -> Option<String> {
+    let (first, last) = (*times.first()?, *times.last()?);
+    let fine = times.iter().filter(|t| ((*t * 1e4).round() - *t * 1e4).abs() > 1e-3).count();
+    let dates = last - first < 60.0 && times.len() > 2 && 2 * fine > times.len();
+    spreadsheet(first).filter(|_| dates).map(|c| c.day)
+}
 
 /// The unit of a Unix time between 2000 and 2100, and its day; `None` for what is none.
 #[must_use]
@@ -142,6 +200,8 @@ mod tests {
         assert_eq!((of_day_ns("13:51:37Z"), of_day_ns("24:00:00")), (None, None));
         assert_eq!(day(1_659_966_697_251_515_000), "2022-08-08");
         assert_eq!(day(-1), "1969-12-31");
+        assert!(has_zone("2022-08-08T13:51:37Z") && has_zone("2022-08-08 15:51:37+02:00"));
+        assert!(!has_zone("2022-08-08 15:51:37") && !has_zone("15:51:37"));
     }
 
     #[test]
@@ -159,5 +219,19 @@ mod tests {
             assert_eq!(unix(time).map(|u| u.0), unit, "{time}");
         }
         assert_eq!(unix(1_767_700_000.0).unwrap().1, "2026-01-06");
+    }
+
+    #[test]
+    fn knows_seconds_since_1904_and_spreadsheet_dates() {
+        // datetime(1904, 1, 1) + timedelta(seconds=3840000000); datetime(1899, 12, 30) + timedelta(45963.5)
+        let since_1904 = counted(3_840_000_000.0).unwrap();
+        assert_eq!((since_1904.what, since_1904.day.as_str()), ("seconds since 1904", "2025-09-06"));
+        assert_eq!(counted(1_767_700_000.0).unwrap().what, "Unix time");
+        assert_eq!(spreadsheet(45_963.5).unwrap().day, "2025-11-02");
+        let ten_seconds = |i: i32| 45_963.5 + f64::from(i) * 10.0 / 86_400.0;
+        let dates: Vec<f64> = (0..5).map(ten_seconds).collect();
+        assert_eq!(spreadsheet_in_s(&dates).as_deref(), Some("2025-11-02"));
+        let seconds: Vec<f64> = (0..5).map(|i| 45_963.5 + 0.01 * f64::from(i)).collect();
+        assert_eq!(spreadsheet_in_s(&seconds), None);
     }
 }

@@ -3,7 +3,7 @@
 use super::{add_note, column, record_of};
 use rtec_files::csv::{Cell, Header, Reader, Row};
 use rtec_files::{InputError, Marks, Numbers};
-use rtec_model::clock::{self, DAY_NS, absolute_ns, day, of_day_ns};
+use rtec_model::clock::{self, Counted, DAY_NS, absolute_ns, day, has_zone, of_day_ns};
 use rtec_model::record::{Column, Kind, Record, Role};
 use std::borrow::Cow;
 use std::path::Path;
@@ -26,9 +26,12 @@ pub struct ImportColumn {
 /// Name, factor, what to add.
 type Unit = (&'static str, f64, f64);
 
+/// Seconds of a day.
+const DAY_S: f64 = 86_400.0;
+
 /// Units that are turned into a role's own.
 const UNITS: [(&str, &[Unit]); 8] = [
-    ("s", &[("ns", 1e-9, 0.0), ("us", 1e-6, 0.0), ("ms", 1e-3, 0.0), ("min", 60.0, 0.0), ("h", 3600.0, 0.0)]),
+    ("s", &[("ns", 1e-9, 0.0), ("us", 1e-6, 0.0), ("ms", 1e-3, 0.0), ("min", 60.0, 0.0), ("h", 3600.0, 0.0), ("d", DAY_S, 0.0)]),
     ("mm", &[("um", 1e-3, 0.0), ("m", 1e3, 0.0), ("in", 25.4, 0.0), ("inch", 25.4, 0.0)]),
     (
         "um",
@@ -261,6 +264,9 @@ pub fn table(
             };
             let is_time = w.role == Role::Time && (w.scale[0] - 1.0 == 0.0) && w.scale[1] == 0.0;
             if is_time && let Some(s) = clock.moment(cell.text(), data.is_empty()) {
+                if let Some(expected) = clock.set_back(cell.text(), s, data) {
+                    return Err(named(cell.finding(expected)));
+                }
                 data.push(s);
                 continue;
             }
@@ -325,14 +331,23 @@ fn preamble(from: &Path, text: &str, wanted: &[ImportColumn]) -> usize {
     if text.lines().take(found).filter(foreign).count() > 0 { found } else { 0 }
 }
 
+/// An hour of summer time, s.
+const SUMMER_S: f64 = 3600.0;
+/// Values of a counter of 32 bits.
+const COUNTER: f64 = 4_294_967_296.0;
+
 /// A time column that need not begin with the run.
 #[derive(Default)]
 struct Clock {
     /// The first row's time, ns, and as it is written.
     start: Option<(i128, String)>,
     of_day: Option<OfDay>,
-    /// The first row's Unix time, in the column's unit, and its day.
-    unix: Option<(f64, String)>,
+    /// The last time, as it is written.
+    written: String,
+    /// The first row's time where that is counted from long before the run, in the column's unit.
+    counted: Option<(f64, Counted)>,
+    /// The last time that is a number, as the file has it.
+    last: Option<f64>,
 }
 
 impl Clock {
@@ -356,33 +371,79 @@ impl Clock {
         Some((ns - start) as f64 / 1e9)
     }
 
-    /// A time that is a number, since the first row where that is a Unix time. Or what was expected: its unit.
+    /// What was expected of a time that is an hour before its turn, as a local clock is at the end of summer time. `before`: the
+    /// times so far.
+    fn set_back(&mut self, text: &str, s: f64, before: &[f64]) -> Option<String> {
+        let last = std::mem::replace(&mut self.written, text.to_owned());
+        let [.., a, b] = before else { return None };
+        let step = b - a;
+        let hour = (b + step - s - SUMMER_S).abs() <= 0.5 * step + 1.0;
+        (s < *b && hour && !has_zone(text)).then(|| {
+            format!(
+                "a time after {last}: was the clock set back from summer time? Write the times with their offset, as \
+                 2025-10-26T02:00:00+01:00"
+            )
+        })
+    }
+
+    /// A time that is a number, since the first row where it is counted from long before the run. Or what was expected.
     fn number(&mut self, number: f64, w: &ImportColumn, first: bool) -> Result<f64, String> {
-        if first && let Some((unit, day)) = clock::unix(number * w.scale[0]) {
-            if unit != "s" {
-                let column = &w.column;
+        let in_days = (w.scale[0] - DAY_S).abs() < 0.5;
+        let counted =
+            || if in_days { clock::spreadsheet(number) } else { clock::counted(number * w.scale[0]) };
+        if first && let Some(found) = counted() {
+            if !matches!(found.unit, "s" | "d") {
+                let (column, unit) = (&w.column, found.unit);
                 return Err(format!(
                     "a time in s, or its unit: this is Unix time in {unit}, as {column}=time:{unit}"
                 ));
             }
-            self.unix = Some((number, day));
+            self.counted = Some((number, found));
         }
-        Ok(number - self.unix.as_ref().map_or(0.0, |(first, _)| *first))
+        if self.last.replace(number).is_some_and(|last| last < COUNTER && last - number > 0.9 * COUNTER) {
+            return Err(format!(
+                "a time that never decreases: a counter of 32 bits has begun again; add {COUNTER} from this row on"
+            ));
+        }
+        Ok(number - self.counted.as_ref().map_or(0.0, |(first, _)| *first))
     }
 
-    /// Says when time 0 was.
+    /// Says when time 0 was, and what looks odd.
     fn note(self, record: &mut Record) {
-        if let Some((ns, text)) = self.start {
+        if let Some((ns, text)) = &self.start {
             if self.of_day.is_none() {
-                record.date = Some(day(ns));
+                record.date = Some(day(*ns));
             }
             add_note(record, &format!("time 0 is {text}"));
         }
-        if let Some((first, day)) = self.unix {
-            add_note(record, &format!("time 0 is {first}, Unix time of {day}"));
+        if let Some((first, Counted { what, day, .. })) = self.counted {
+            add_note(record, &format!("time 0 is {first}, {what} of {day}"));
             record.date = Some(day);
         }
+        let local = self.start.as_ref().is_some_and(|(_, text)| !has_zone(text));
+        let gap = record.data(&Role::Time).and_then(put_forward).filter(|_| local);
+        if let Some((row, gap_s, usual_s)) = gap {
+            add_note(
+                record,
+                &format!(
+                    "row {row} is {gap_s} s after the row before, the others {usual_s} s: was the clock put forward to summer time? \
+                     Then write the times with their offset, as 2025-03-30T03:00:00+02:00"
+                ),
+            );
+        }
     }
+}
+
+/// The one row that comes an hour later than it should, from 1, with its time since the row before and the usual one, s.
+fn put_forward(times: &[f64]) -> Option<(usize, f64, f64)> {
+    let mut steps: Vec<f64> = times.windows(2).map(|w| w[1] - w[0]).collect();
+    let at = steps.iter().position(|s| *s >= SUMMER_S)?;
+    let gap = steps.swap_remove(at);
+    steps.sort_by(f64::total_cmp);
+    let (usual, most) = (*steps.get(steps.len() / 2)?, *steps.last()?);
+    let is_hour = usual > 0.0 && most < 0.5 * SUMMER_S && (gap - usual - SUMMER_S).abs() <= 0.5 * usual + 1.0;
+    let tidy = |s: f64| (s * 1e3).round() / 1e3;
+    is_hour.then(|| (at + 2, tidy(gap), tidy(usual)))
 }
 
 /// Times of the day that go on past midnight.
