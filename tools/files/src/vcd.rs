@@ -5,10 +5,14 @@ use crate::lines::Lines;
 use crate::words::quoted;
 use rtec_driver::quadrature::State;
 use rtec_driver::replay::TracePoint;
+use std::fmt::Write as _;
 use std::io::Read;
 
 /// The levels of a signal of one bit: those of IEEE 1364, and the nine of VHDL (IEEE 1164), of which H and L are driven weakly.
 const LEVELS: &[u8] = b"01xXzZuUwWhHlL-";
+
+/// So many variables are named at most where a or b is not among them.
+const MOST_NAMED: usize = 16;
 
 /// What the definitions of a VCD say, and where in its changes we are.
 #[derive(Debug)]
@@ -27,7 +31,7 @@ pub(crate) struct Vcd {
 impl Vcd {
     pub(crate) fn definitions<R: Read>(input: &mut Lines<R>) -> Result<Self, InputError> {
         input.line = 1;
-        let (mut ns_per_unit, mut codes) = (None, [None, None]);
+        let (mut ns_per_unit, mut codes, mut others) = (None, [None, None], Vec::new());
         loop {
             let Some(keyword) = word(input)? else {
                 return Err(input.at_word("the end of the file", "$enddefinitions"));
@@ -44,6 +48,12 @@ impl Vcd {
                 "$var" => {
                     let body = until_end(input)?;
                     variable(input, &body, &mut codes)?;
+                    if let [_, size, _, name, ..] = body.as_slice()
+                        && size == "1"
+                        && others.len() < MOST_NAMED
+                    {
+                        others.push(name.clone());
+                    }
                 }
                 "$comment" | "$date" | "$version" | "$scope" | "$upscope" => skip_to_end(input)?,
                 other => {
@@ -57,9 +67,17 @@ impl Vcd {
         };
         let [Some(a), Some(b)] = codes else {
             let missing = if codes[0].is_none() { "a" } else { "b" };
-            let expected = "two variables of one bit named a and b";
-            return Err(input.at_word(&format!("no variable named {missing}"), expected));
+            let mut expected = "two variables of one bit named a and b".to_owned();
+            others.retain(|name| !matches!(name.as_str(), "a" | "A" | "b" | "B"));
+            if !others.is_empty() {
+                let _ = write!(expected, ": rename two of {}", others.join(", "));
+            }
+            return Err(input.at_word(&format!("no variable named {missing}"), &expected));
         };
+        if a == b {
+            let found = format!("a and b as one variable, {}", quoted(&String::from_utf8_lossy(&a)));
+            return Err(input.at_word(&found, "two variables: a and b of one scale never change together"));
+        }
         Ok(Self { ns_per_unit, codes: [a, b], now: 0, levels: [None; 2], touched: false })
     }
 

@@ -211,7 +211,11 @@ fn vcd_errors_say_where_and_what() {
         ),
         (
             head.replace(" b ", " c "),
-            "t:4:17: found no variable named b, expected two variables of one bit named a and b",
+            "t:4:17: found no variable named b, expected two variables of one bit named a and b: rename two of c",
+        ),
+        (
+            head.replace("\" b", "! b"),
+            "t:4:17: found a and b as one variable, '!', expected two variables: a and b of one scale never change together",
         ),
         (head.replace("1 \" b", "2 \" b"), "t:3:17: found b of 2 bits, expected one bit"),
         (
