@@ -99,6 +99,11 @@ fn load(file: &Path) -> Result<(Vec<u8>, Drawing), InputError> {
     let bytes = rtec_files::text::bytes(file).map_err(|e| {
         InputError::whole(file, format!("an unreadable file ({})", e.found), "a readable DXF file")
     })?;
+    let bytes = with_line_feeds(bytes);
+    if let Some((line, number)) = decimal_comma(&bytes) {
+        let found = format!("'{number}'");
+        return Err(InputError::at(file, line, 0, found, "a number with a decimal point, as DXF has it"));
+    }
     let drawing = Drawing::load(&mut bytes.as_slice()).map_err(|e| {
         let found = e.to_string();
         let line = found.rsplit("line/offset ").next().and_then(|n| n.trim().parse().ok()).unwrap_or(0);
@@ -110,6 +115,82 @@ fn load(file: &Path) -> Result<(Vec<u8>, Drawing), InputError> {
         }
     })?;
     Ok((bytes, drawing))
+}
+
+/// Text whose lines end with a carriage return alone, as old Macintoshes wrote it, with line feeds instead.
+fn with_line_feeds(mut bytes: Vec<u8>) -> Vec<u8> {
+    if !bytes.contains(&b'\n') && !bytes.starts_with(BINARY) {
+        bytes.iter_mut().filter(|byte| **byte == b'\r').for_each(|byte| *byte = b'\n');
+    }
+    bytes
+}
+
+/// What a binary DXF begins with.
+const BINARY: &[u8] = b"AutoCAD Binary DXF";
+
+/// The group codes of numbers with decimals (DXF reference, "Group code value types").
+const DECIMALS: [std::ops::RangeInclusive<u32>; 5] = [10..=59, 110..=149, 210..=239, 460..=469, 1010..=1059];
+
+/// Group codes and values, with the lines (from 1) on which the values stand.
+fn pairs(text: &str) -> impl Iterator<Item = (u32, usize, &str)> {
+    let mut lines = text.lines().enumerate();
+    std::iter::from_fn(move || {
+        let (Some((_, code)), Some((i, value))) = (lines.next(), lines.next()) else { return None };
+        Some((code.trim().parse().unwrap_or(u32::MAX), i + 1, value.trim()))
+    })
+}
+
+/// The first number with a decimal comma, and its line.
+fn decimal_comma(bytes: &[u8]) -> Option<(usize, String)> {
+    if bytes.starts_with(BINARY) || !bytes.contains(&b',') {
+        return None;
+    }
+    let text = String::from_utf8_lossy(bytes);
+    let is_number = |v: &str| v.matches(',').count() == 1 && v.replace(',', ".").parse::<f64>().is_ok();
+    let mut numbers = pairs(&text).filter(|(code, ..)| DECIMALS.iter().any(|range| range.contains(code)));
+    numbers.find(|(.., value)| is_number(value)).map(|(_, line, value)| (line, value.to_owned()))
+}
+
+/// The layers that a drawing does not show, in small letters: those that are off (a colour below zero) or frozen, and the one of
+/// the points that dimensions hang on, which no program plots.
+fn hidden_layers(text: &str) -> BTreeSet<String> {
+    let mut hidden = BTreeSet::from(["defpoints".to_owned()]);
+    let (mut in_layer, mut name, mut shown) = (false, "", true);
+    for (code, _, value) in pairs(text) {
+        match code {
+            0 => {
+                if in_layer && !shown {
+                    hidden.insert(name.to_lowercase());
+                }
+                (in_layer, name, shown) = (value == "LAYER", "", true);
+            }
+            2 if in_layer => name = value,
+            62 if in_layer => shown &= !value.starts_with('-'),
+            70 if in_layer => shown &= value.parse::<i32>().unwrap_or(0) & FROZEN == 0,
+            _ => {}
+        }
+    }
+    hidden
+}
+
+/// Flag of a layer that is frozen (DXF, group code 70 of LAYER).
+const FROZEN: i32 = 1;
+
+/// Words and measures, which are no contour.
+fn is_words(entity: &EntityType) -> bool {
+    matches!(
+        entity,
+        EntityType::Text(_)
+            | EntityType::MText(_)
+            | EntityType::ModelPoint(_)
+            | EntityType::Leader(_)
+            | EntityType::Tolerance(_)
+            | EntityType::RotatedDimension(_)
+            | EntityType::RadialDimension(_)
+            | EntityType::DiameterDimension(_)
+            | EntityType::AngularThreePointDimension(_)
+            | EntityType::OrdinateDimension(_)
+    )
 }
 
 /// Read a drawing's contour and the unit its coordinates are in.
@@ -127,14 +208,27 @@ pub fn read(file: &Path, options: &Options) -> Result<(Contour, Unit), InputErro
     let text = String::from_utf8_lossy(&bytes);
     let reader = Reader { file, lines: lines_of_handles(&text), unit, options };
     let (mut pieces, mut cleaned) = (Vec::new(), Cleaned::default());
-    for entity in drawing.entities().filter(|e| !e.common.is_in_paper_space) {
-        if options.layer.is_none_or(|layer| layer == entity.common.layer) {
-            reader.pieces(entity, &mut pieces, &mut cleaned)?;
+    let hidden = hidden_layers(&text);
+    for entity in drawing.entities().filter(|e| !e.common.is_in_paper_space && !is_words(&e.specific)) {
+        let layer = &entity.common.layer;
+        if options.layer.is_some_and(|asked| asked != layer) {
+            continue;
         }
+        // Whoever asks for a layer gets it.
+        if !entity.common.is_visible || options.layer.is_none() && hidden.contains(&layer.to_lowercase()) {
+            cleaned.hidden += 1;
+            cleaned.hidden_on.insert(layer.clone());
+            continue;
+        }
+        reader.pieces(entity, &mut pieces, &mut cleaned)?;
     }
     if let (true, Some((line, speck))) = (pieces.is_empty(), &cleaned.speck) {
         let found = format!("{speck} without length, and nothing longer");
         return Err(InputError::at(file, *line, 0, found, "entities longer than the tolerance"));
+    }
+    if pieces.is_empty() && cleaned.hidden > 0 {
+        let found = format!("no contour that is shown, and {}", cleaned.not_shown());
+        return Err(InputError::whole(file, found, "entities that are visible, on layers that are on; or --layer"));
     }
     if pieces.is_empty() {
         let layer = options.layer.map_or(String::new(), |l| format!(" on layer '{l}'"));
@@ -171,12 +265,47 @@ struct Cleaned {
     curves: usize,
     /// Polylines whose control points were passed over for the curve fitted to them.
     frames: usize,
+    /// Ellipses that were taken as circles.
+    circles: usize,
+    /// Entities that the drawing does not show, and their layers.
+    hidden: usize,
+    hidden_on: BTreeSet<String>,
+}
+
+/// An ellipse with equal axes, as an arc: some programs know no other circle.
+fn rounded(segment: Segment, flat_mm: f64, cleaned: &mut Cleaned) -> Segment {
+    match segment {
+        Segment::Ellipse { centre, major, ratio, start_rad, sweep_rad }
+            if major.norm() * (1.0 - ratio.abs()).abs() <= flat_mm =>
+        {
+            cleaned.circles += 1;
+            let (turn, sign) = (major.x.atan2(major.z), ratio.signum());
+            Segment::Arc {
+                centre,
+                radius_mm: major.norm(),
+                start_rad: turn + sign * start_rad,
+                sweep_rad: sign * sweep_rad,
+            }
+        }
+        other => other,
+    }
+}
+
+/// `1 arc`, `2 arcs`.
+fn several(n: usize, one: &str) -> String {
+    if n == 1 { format!("1 {one}") } else { format!("{n} {one}s") }
 }
 
 impl Cleaned {
+    /// What the drawing does not show.
+    fn not_shown(&self) -> String {
+        let layers: Vec<&str> = self.hidden_on.iter().take(8).map(String::as_str).collect();
+        let entities = if self.hidden == 1 { "1 entity".to_owned() } else { format!("{} entities", self.hidden) };
+        format!("{entities} not shown (invisible, or its layer off, frozen or not plotted): layer {}", layers.join(", "))
+    }
+
     /// What a person reads of it; empty where there was nothing.
     fn said(&self, file: &Path, tolerance_mm: f64) -> Vec<String> {
-        let several = |n: usize, one: &str| if n == 1 { format!("1 {one}") } else { format!("{n} {one}s") };
         let within = rtec_files::text::short(tolerance_mm);
         let parts = [
             (
@@ -197,6 +326,17 @@ impl Cleaned {
                 several(n, what),
                 rtec_files::text::short(tolerance_mm * FLAT)
             ));
+        }
+        if self.circles > 0 {
+            out.push(format!(
+                "{}: took {} as a circle: round within {} mm, a hundredth of the tolerance",
+                file.display(),
+                several(self.circles, "ellipse"),
+                rtec_files::text::short(tolerance_mm * FLAT)
+            ));
+        }
+        if self.hidden > 0 {
+            out.push(format!("{}: left out {}", file.display(), self.not_shown()));
         }
         if self.frames > 0 {
             out.push(format!(
@@ -359,16 +499,6 @@ impl Reader<'_> {
                 let heights: Vec<f64> = s.control_points.iter().map(|p| p.z).collect();
                 ("SPLINE", flat(&s.normal, &heights), vec![Segment::Spline(spline)])
             }
-            EntityType::Text(_)
-            | EntityType::MText(_)
-            | EntityType::ModelPoint(_)
-            | EntityType::Leader(_)
-            | EntityType::Tolerance(_)
-            | EntityType::RotatedDimension(_)
-            | EntityType::RadialDimension(_)
-            | EntityType::DiameterDimension(_)
-            | EntityType::AngularThreePointDimension(_)
-            | EntityType::OrdinateDimension(_) => return Ok(()), // words and measures are no contour
             EntityType::Circle(c) if TAU * c.radius.abs() * self.unit.0 <= self.options.tolerance_mm => {
                 cleaned.specks += 1;
                 return Ok(());
@@ -391,7 +521,7 @@ impl Reader<'_> {
                 cleaned.speck.get_or_insert_with(|| (line, named(kind)));
                 continue;
             }
-            let segment = self.straightened(segment, cleaned);
+            let segment = rounded(self.straightened(segment, cleaned), self.flat_mm(), cleaned);
             if let Some((what, expected)) = self.unfit(&segment) {
                 return refuse(kind, what, expected);
             }
@@ -690,8 +820,9 @@ impl Reader<'_> {
         }
         let (off, a, b) = least;
         let (first, second) = (&rest[ends[a].0], &rest[ends[b].0]);
+        let what = if self.overlap(first, second) { "an overlap" } else { "a gap" };
         let found = format!(
-            "an open contour: a gap of {:.4} units between {} at {} and {} at {}",
+            "an open contour: {what} of {:.4} units between {} at {} and {} at {}",
             off / self.unit.0,
             first.entity,
             self.words(ends[a].1),
@@ -699,6 +830,19 @@ impl Reader<'_> {
             self.words(ends[b].1)
         );
         InputError::at(self.file, second.line.max(first.line), 0, found, "entities that meet end to end")
+    }
+
+    /// Whether two lines lie on one another over some length.
+    fn overlap(&self, first: &Piece, second: &Piece) -> bool {
+        let (Segment::Line { a, b }, Segment::Line { a: c, b: d }) = (&first.segment, &second.segment) else {
+            return false;
+        };
+        let along = *b - *a;
+        let place = |p: Zx| (p - *a).z * along.z / along.norm() + (p - *a).x * along.x / along.norm();
+        let off = |p: Zx| ((p - *a).z * along.x - (p - *a).x * along.z).abs() / along.norm();
+        let (from, to) = (place(*c).min(place(*d)).max(0.0), place(*c).max(place(*d)).min(along.norm()));
+        let tolerance = self.options.tolerance_mm;
+        off(*c) <= tolerance && off(*d) <= tolerance && to - from > tolerance
     }
 
     fn words(&self, p: Zx) -> String {
