@@ -202,8 +202,13 @@ fn from_position(args: &FromPosition) -> anyhow::Result<Summary> {
     // Before anything is written; what cannot be read twice, a pipe, is bounded below.
     if args.input.is_file() {
         let (mut record, mut way) = (Record::open(args)?, Way::default());
-        while let Some((_, counts)) = record.next()? {
+        let mut jumps = Jumps::default();
+        while let Some((t_ns, counts)) = record.next()? {
             way.goes_on(counts, record.line, args)?;
+            jumps.see(t_ns, counts * args.count_um, record.line);
+        }
+        if let Some(warning) = jumps.said(args) {
+            eprintln!("warning: {warning}");
         }
     }
     let (mut record, mut way) = (Record::open(args)?, Way::default());
@@ -255,6 +260,49 @@ impl Way {
             args.most_edges
         );
         Err(InputError::at(&args.input, line, 0, found, expected))
+    }
+}
+
+/// No axis of a machine tool is faster, m/s.
+const FASTEST_M_S: f64 = 10.0;
+/// Bits of counters that begin again at zero.
+const COUNTER_BITS: [i32; 4] = [16, 20, 24, 32];
+
+/// Steps from row to row that no machine makes.
+#[derive(Default)]
+struct Jumps {
+    last: Option<(u64, f64)>,
+    found: usize,
+    /// Line, step in µm and m/s of the first.
+    first: Option<(usize, f64, f64)>,
+}
+
+impl Jumps {
+    fn see(&mut self, t_ns: u64, at_um: f64, line: usize) {
+        let Some((from_ns, from_um)) = self.last.replace((t_ns, at_um)) else { return };
+        let step_um = at_um - from_um;
+        // µm a ns are thousands of m/s.
+        let m_s = step_um.abs() / (t_ns - from_ns) as f64 * 1e3;
+        if m_s > FASTEST_M_S {
+            self.found += 1;
+            self.first.get_or_insert((line, step_um, m_s));
+        }
+    }
+
+    fn said(&self, args: &FromPosition) -> Option<String> {
+        let (line, step_um, m_s) = self.first?;
+        let counts = (step_um / args.count_um).abs();
+        let begins_again = |bits: &&i32| (counts / 2_f64.powi(**bits) - 1.0).abs() < 0.02;
+        let why = match COUNTER_BITS.iter().find(begins_again) {
+            Some(bits) => format!("a counter of {bits} bits that began again?"),
+            None => "was a counter set anew, or is the unit another?".to_owned(),
+        };
+        Some(format!(
+            "{}:{line}: the position jumps by {:+.3} mm, {m_s:.1} m/s{}: {why} The trace goes along with it",
+            args.input.display(),
+            step_um / 1e3,
+            if self.found > 1 { format!(", and at {} rows more", self.found - 1) } else { String::new() },
+        ))
     }
 }
 
