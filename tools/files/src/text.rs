@@ -85,6 +85,22 @@ pub fn decode(file: &Path, bytes: &[u8]) -> Result<String, InputError> {
     }
 }
 
+/// Text in UTF-8 or UTF-16, or else in Windows-1252, as many loggers write a degree sign; and whether it is that.
+///
+/// # Errors
+/// As [`decode`], where the bytes are no text of Windows-1252 either.
+pub fn decode_western(file: &Path, bytes: &[u8]) -> Result<(String, bool), InputError> {
+    let error = match decode(file, bytes) {
+        Ok(text) => return Ok((text, false)),
+        Err(error) => error,
+    };
+    let is_text = |byte: &u8| matches!(byte, b'\t' | b'\n' | b'\r' | 0x20..=0x7e | 0xa0..);
+    if utf16(bytes).is_some() || !bytes.iter().all(is_text) {
+        return Err(error);
+    }
+    Ok((encoding_rs::WINDOWS_1252.decode_without_bom_handling(bytes).0.into_owned(), true))
+}
+
 /// A number as a person reads it: as it is, or with a power of ten where it would be a row of zeros.
 #[must_use]
 pub fn short(v: f64) -> String {
@@ -133,6 +149,9 @@ mod tests {
             assert_eq!(decode(file, bytes).unwrap(), "t,");
         }
         assert_eq!(decode(file, b"\xff\xfet\0,").unwrap_err().found, BROKEN_UTF16);
+        assert_eq!(decode_western(file, b"T (\xb0C)\n").unwrap(), ("T (°C)\n".to_owned(), true));
+        assert_eq!(decode_western(file, "T (°C)".as_bytes()).unwrap(), ("T (°C)".to_owned(), false));
+        assert!(decode_western(file, b"\x89PNG\0").is_err());
         for (special, found) in [("/dev/zero", "a pipe, socket or device"), ("/tmp", "a folder")] {
             assert_eq!(read(Path::new(special)).unwrap_err().found, found);
         }

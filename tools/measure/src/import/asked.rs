@@ -106,6 +106,15 @@ impl Asked {
         let (file, out) = (self.file.as_path(), self.out.as_path());
         let text = match self.format {
             Name::Rtl => any_text(file, &rtec_files::text::bytes(file)?)?,
+            Name::Csv | Name::Own => {
+                let (text, western) =
+                    rtec_files::text::decode_western(file, &rtec_files::text::bytes(file)?)?;
+                if western {
+                    let file = file.display();
+                    say(Said::Note(format!("{file}: read as Windows-1252: it is no UTF-8")));
+                }
+                text
+            }
             _ => rtec_files::text::read(file)?,
         };
         // What is wrong with its columns is wrong in the file that was given: the record is not written yet.
@@ -156,7 +165,7 @@ impl Asked {
             if self.columns.is_empty() {
                 return Err(usage("no --columns".into(), "NAME=ROLE[:UNIT], as t=time:min".into()));
             }
-            self.columns
+            with_commas(&self.columns)
                 .iter()
                 .map(|c| ImportColumn::parse(c).map_err(|(f, e)| usage(f, e)))
                 .collect::<Result<Vec<_>, _>>()
@@ -190,6 +199,20 @@ impl Asked {
             Name::Shdr => shdr(file, text, &columns()?, kind()?, self.log, out)?,
         })
     }
+}
+
+/// Columns whose names hold commas, put together again: what has no `=` belongs to the next.
+fn with_commas(parts: &[String]) -> Vec<String> {
+    let mut whole: Vec<String> = Vec::new();
+    let mut is_open = false;
+    for part in parts {
+        match whole.last_mut().filter(|_| is_open) {
+            Some(name) => *name = format!("{name},{part}"),
+            None => whole.push(part.clone()),
+        }
+        is_open = whole.last().is_some_and(|name| !name.contains('='));
+    }
+    whole
 }
 
 /// Whether two paths lead to one file that is there.

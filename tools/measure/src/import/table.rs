@@ -215,6 +215,7 @@ pub fn table(
     let before =
         if form.nameless || form.by.is_some() || form.skip > 0 { 0 } else { preamble(from, text, wanted) };
     let form = &Form { skip: form.skip + before, ..form.clone() };
+    let whole = text;
     let text = prepared(text, form);
     let mut reader = Reader::new(from, text.as_bytes())?;
     match form.by {
@@ -252,7 +253,11 @@ pub fn table(
     let mut data = vec![Vec::new(); wanted.len()];
     let mut clock = Clock::default();
     let by = reader.separator();
+    let cut = cut_line(whole, by);
     while let Some(row) = reader.row()? {
+        if cut == Some(row.line()) {
+            continue;
+        }
         let cells = cells(header.as_ref(), row, form, by)?;
         for (((w, place), numbers), data) in wanted.iter().zip(&places).zip(&numbers).zip(&mut data) {
             let cell = cells.get(*place).ok_or_else(|| {
@@ -278,6 +283,8 @@ pub fn table(
             let number = numbers.parse(cell.text()).ok_or_else(|| {
                 named(cell.finding(if is_time && cell.text().contains([':', '/']) {
                     "a time as ISO 8601 writes it, 2022-08-08T13:51:37.25Z, or a number"
+                } else if data.is_empty() && cells.iter().all(|cell| is_unit(cell.text())) {
+                    "a finite number: a line of units is to be deleted, --columns states them, as t=time:min"
                 } else {
                     numbers.expected(cell.text())
                 }))
@@ -308,6 +315,13 @@ pub fn table(
     let said: Vec<String> = [written, passed_over].into_iter().flatten().collect();
     record.written = (!said.is_empty()).then(|| said.join("; "));
     clock.note(&mut record);
+    if let Some(line) = cut {
+        let note = format!(
+            "line {line}, the last, was left out: it has no line end, and its last number has fewer decimals than those before; was \
+             the log cut off?"
+        );
+        add_note(&mut record, &note);
+    }
     Ok(record)
 }
 
@@ -329,6 +343,35 @@ fn preamble(from: &Path, text: &str, wanted: &[ImportColumn]) -> usize {
         !line.is_empty() && !line.starts_with('#') && !line.to_ascii_lowercase().starts_with("sep=")
     };
     if text.lines().take(found).filter(foreign).count() > 0 { found } else { 0 }
+}
+
+/// Nothing, or a word that may be a unit: short, and no number.
+fn is_unit(text: &str) -> bool {
+    let bare = text.trim_matches(['(', ')', '[', ']', '\'', ' ']);
+    bare.chars().count() <= 8 && !bare.starts_with(|c: char| c.is_ascii_digit() || "+-.".contains(c))
+}
+
+/// Rows whose last numbers all have so many decimals, or more of them, show how a program writes them.
+const ALIKE_ROWS: usize = 5;
+
+/// The last line, from 1, where a log was cut off within its last number: it has no line end, and fewer decimals than all others.
+fn cut_line(text: &str, by: char) -> Option<usize> {
+    if text.ends_with(['\n', '\r']) {
+        return None;
+    }
+    let decimals = |line: &str| -> Option<usize> {
+        let cell = line.trim_end().rsplit(by).next()?.trim();
+        let is_number = cell.bytes().all(|b| b.is_ascii_digit() || b"+-.,eE".contains(&b));
+        (is_number && cell.contains(|c: char| c.is_ascii_digit())).then_some(())?;
+        Some(cell.rsplit_once(['.', ',']).map_or(0, |(_, fraction)| fraction.len()))
+    };
+    let lines: Vec<&str> = text.lines().collect();
+    let (last, before) = lines.split_last()?;
+    // The header, and what stands in front of it, has no number there.
+    let counts: Vec<usize> = before.iter().rev().map_while(|line| decimals(line)).collect();
+    let usual = *counts.first()?;
+    let cut = counts.len() >= ALIKE_ROWS && counts.iter().all(|n| *n == usual) && decimals(last)? < usual;
+    cut.then_some(lines.len())
 }
 
 /// An hour of summer time, s.
@@ -505,4 +548,28 @@ fn cells<'a>(
         }
         e
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn finds_a_log_cut_off_within_a_number() {
+        let rows = "t,e\n0,21.50\n1,21.52\n2,21.53\n3,21.53\n4,21.55\n";
+        assert_eq!(cut_line(&format!("{rows}5,2"), ','), Some(7));
+        for whole in ["", "5,21.56", "5,21.56\n", "5,2\n"] {
+            assert_eq!(cut_line(&format!("{rows}{whole}"), ','), None, "{whole}");
+        }
+        // Trailing zeros are left out by some programs.
+        assert_eq!(cut_line("e\n1.5\n1.25\n1.5\n1.5\n1.5\n2", ','), None);
+    }
+
+    #[test]
+    fn finds_an_hour_that_a_clock_was_put_forward() {
+        assert_eq!(put_forward(&[0.0, 10.0, 3620.0, 3630.0]), Some((3, 3610.0, 10.0)));
+        for times in [&[0.0, 10.0, 20.0][..], &[0.0, 10.0, 2000.0, 2010.0], &[0.0, 3600.0, 7200.0]] {
+            assert_eq!(put_forward(times), None, "{times:?}");
+        }
+    }
 }
