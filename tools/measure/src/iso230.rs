@@ -122,7 +122,10 @@ pub(crate) fn targets(position: &[f64]) -> Vec<Vec<usize>> {
         .windows(2)
         .filter(|w| w[0] > ALIKE * span && w[1] > APART * w[0])
         .max_by(|a, b| (a[1] / a[0]).total_cmp(&(b[1] / b[0])));
-    let Some(wider) = break_at.map(|w| self::alike(position, w[0] / span)) else { return alike };
+    // Between the two, so that no rounding parts what belongs together.
+    let Some(wider) = break_at.map(|w| self::alike(position, (w[0] * w[1]).sqrt() / span)) else {
+        return alike;
+    };
     // Targets are some, and come again.
     if wider.len() >= 3 && 2 * wider.len() <= position.len() { wider } else { alike }
 }
