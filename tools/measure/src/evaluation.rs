@@ -316,7 +316,10 @@ fn by(
             let record = single(records)?;
             let all = iso230::drift(record)?;
             let charts = iso230::drift_charts(record);
-            let report = report::drift(&all, &Run::of(record), charts, conditions).map_err(undrawn)?;
+            let mut report = report::drift(&all, &Run::of(record), charts, conditions).map_err(undrawn)?;
+            if let Some(gap) = gaps(record) {
+                report.warn(&gap);
+            }
             (one_or("axes", values(&all).map_err(unwritten)?), report)
         }
         Standard::Iso230_6 => {
@@ -376,6 +379,30 @@ fn returns(record: &Record, conditions: &Conditions) -> Result<(Value, Report), 
 
 fn values(all: &[impl serde::Serialize]) -> serde_json::Result<Vec<Value>> {
     all.iter().map(serde_json::to_value).collect()
+}
+
+/// A pause between two rows of a log that is so many times the usual is a gap.
+const GAP: f64 = 5.0;
+/// Shorter gaps matter to no figure of a thermal test, s.
+const SHORTEST_GAP_S: f64 = 300.0;
+
+/// The longest time without rows in a log that has them evenly, in words.
+fn gaps(record: &Record) -> Option<String> {
+    let time = record.data(&Role::Time)?;
+    let mut steps: Vec<f64> = time.windows(2).map(|w| w[1] - w[0]).collect();
+    let at = (0..steps.len()).max_by(|a, b| steps[*a].total_cmp(&steps[*b]))?;
+    let longest = steps[at];
+    steps.sort_by(f64::total_cmp);
+    let usual = steps[steps.len() / 2];
+    let many = steps.iter().filter(|s| **s > GAP * usual).count();
+    (usual > 0.0 && longest > GAP * usual && longest >= SHORTEST_GAP_S && 10 * many <= steps.len()).then(|| {
+        format!(
+            "no rows from {:.0} to {:.0} min, where they are {usual:.0} s apart: what went on there is in no figure, nor in d60 and \
+             the last hour",
+            time[at] / 60.0,
+            time[at + 1] / 60.0
+        )
+    })
 }
 
 #[cfg(test)]

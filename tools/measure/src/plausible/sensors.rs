@@ -69,6 +69,15 @@ fn unplugged(record: &Record, c: &Column, others: &[&Column], out: &mut Vec<Susp
         out.push(Suspicion::new(record, &c.name, What::Unplugged, if all { &[] } else { &rows }, text));
         return;
     }
+    if let Some((rows, step_k)) = frozen(record, c) {
+        let text = format!(
+            "reads {} degC row after row behind a step of {step_k:.1} K, as a sensor that fails does",
+            c.data[rows.start]
+        );
+        let rows: Vec<usize> = rows.collect();
+        out.push(Suspicion::new(record, &c.name, What::Unplugged, &rows, text));
+        return;
+    }
     let beyond: Vec<usize> =
         (0..c.data.len()).filter(|i| c.data[*i] < DEGC[0] || c.data[*i] > DEGC[1]).collect();
     if beyond.is_empty() || kelvin(&c.data) {
@@ -78,6 +87,33 @@ fn unplugged(record: &Record, c: &Column, others: &[&Column], out: &mut Vec<Susp
     let all = beyond.len() == c.data.len();
     let text = format!("reads {lo:.1} to {hi:.1} degC, outside the {} to {} of a machine", DEGC[0], DEGC[1]);
     out.push(Suspicion::new(record, &c.name, What::Range, if all { &[] } else { &beyond }, text));
+}
+
+/// No body moves so far between two rows that follow each other as they usually do, and then stands still to the last digit, K.
+const FAILS_K: f64 = 15.0;
+/// So many rows of one value are no chance behind such a step.
+const STANDS: usize = 5;
+
+/// The rows in which a sensor shows one value behind a step that no body makes, until it steps back or the record ends: what a bus
+/// reads of a sensor that does not answer. With the step's size, K.
+fn frozen(record: &Record, c: &Column) -> Option<(std::ops::Range<usize>, f64)> {
+    let (v, time) = (&c.data, record.time_s());
+    let usual_s = median(steps(time));
+    let leaps = |i: usize| (v[i] - v[i - 1]).abs() >= FAILS_K && time[i] - time[i - 1] <= 3.0 * usual_s;
+    let mut start = 1;
+    while start < v.len() {
+        let stands = v[start..].iter().take_while(|x| x.to_bits() == v[start].to_bits()).count();
+        let end = start + stands;
+        if stands >= STANDS && leaps(start) && (end == v.len() || leaps(end)) {
+            // A sensor that comes back from its failure steps too: it failed before, not now.
+            let moves = |rows: &[f64]| rows.windows(2).any(|w| w[0].to_bits() != w[1].to_bits());
+            if moves(&v[..start]) {
+                return Some((start..end, (v[start] - v[start - 1]).abs()));
+            }
+        }
+        start = end;
+    }
+    None
 }
 
 /// A sensor that is read well scatters by less from row to row, K.

@@ -7,6 +7,8 @@ use rtec_model::record::{Column, Kind, Record, Role};
 /// So many times the usual step from row to row, and the largest of those around it.
 const OVER_ALL: f64 = 12.0;
 const OVER_NEAR: f64 = 6.0;
+/// Rows that are so many times the usual time apart have others missing between them.
+const PAUSE: f64 = 3.0;
 /// Rows on either side that a level is taken from.
 const SIDE: usize = 6;
 
@@ -32,6 +34,11 @@ fn step(record: &Record, c: &Column) -> Option<String> {
     let at = (SIDE..n - SIDE).max_by(|a, b| size(*a).total_cmp(&size(*b)))?;
     let near = (at - SIDE + 1..at + SIDE - 1).filter(|i| *i != at).map(size).fold(0.0, f64::max);
     if usual <= 0.0 || size(at) < OVER_ALL * usual || size(at) < OVER_NEAR * near || excused(record)[at + 1] {
+        return None;
+    }
+    // Where rows are missing the error went on without them.
+    let time = record.time_s();
+    if time[at + 1] - time[at] > PAUSE * median(steps(time)) {
         return None;
     }
     let level = |rows: std::ops::Range<usize>| median(c.data[rows].to_vec());

@@ -356,13 +356,23 @@ fn slipped(mut r: Record, name: &str, d: &mut Dice, by: f64) -> Record {
 }
 
 /// Name, the clean records, the mistake, what must be said, and of which column ("" for any).
-const PAIRS: [(&str, Clean, Mistake, What, &str); 57] = [
+const PAIRS: [(&str, Clean, Mistake, What, &str); 58] = [
     ("position in m", positioning, |r, _| vec![scaled(one(r), "x", 1e-3, 0.0)], What::Unit, "x"),
     ("position in µm", positioning, |r, _| vec![scaled(one(r), "x", 1e3, 0.0)], What::Unit, "x"),
     ("plate in m", plate, |r, _| vec![scaled(one(r), "X", 1e-3, 0.0)], What::Unit, "X"),
     ("error in mm", positioning, |r, _| vec![scaled(one(r), "e", 1e-3, 0.0)], What::Unit, "e"),
     ("error in m", drift, |r, _| vec![scaled(one(r), "e", 1e-6, 0.0)], What::Unit, "e"),
     ("temperature in K", drift, |r, _| vec![scaled(one(r), "T1", 1.0, 273.15)], What::Unit, "T1"),
+    (
+        "a bus that reads all ones of a sensor",
+        drift,
+        |r, d| {
+            let reads = [-0.0625, 127.5, 128.86, 130.0][d.below(4)];
+            vec![patched(one(r), "T1", 0.4, 1.0, |_| reads)]
+        },
+        What::Unplugged,
+        "T1",
+    ),
     ("temperature in °F", drift, |r, _| vec![scaled(one(r), "T0", 1.8, 32.0)], What::Unit, "T0"),
     (
         "time in ms, positioning",
