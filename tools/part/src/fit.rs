@@ -338,6 +338,33 @@ pub fn standard_errors(fitted: &FittedShape, points: &[Zx], sd_um: f64) -> Optio
     }
 }
 
+/// How much of a form error a circle's size holds: size in µm for each µm of amplitude, of the worst of two to four waves a turn. 1
+/// or less around a whole circle; on a short arc many times that, because there such waves look like another radius. `None` where
+/// the points do not determine a circle.
+#[must_use]
+pub fn form_in_size(angles_rad: &[f64]) -> Option<f64> {
+    let n = angles_rad.len() as f64;
+    let units: Vec<Zx> = angles_rad.iter().map(|a| Zx::at_angle(*a)).collect();
+    let mean = units.iter().fold(Zx::new(0.0, 0.0), |s, &u| s + u) * (1.0 / n);
+    let (mut a, mut b, mut d) = (0.0, 0.0, 0.0);
+    for j in units.iter().map(|u| *u - mean) {
+        (a, b, d) = (a + j.z * j.z, b + j.z * j.x, d + j.x * j.x);
+    }
+    let det = a * d - b * b;
+    if !(det > 0.0 && det.is_finite()) {
+        return None;
+    }
+    let centre = Zx::new((d * mean.z - b * mean.x) / det, (a * mean.x - b * mean.z) / det);
+    let weight = |u: Zx| 1.0 / n - centre.dot(u - mean);
+    let held = |waves: f64| {
+        let of = |wave: fn(f64) -> f64| -> f64 {
+            angles_rad.iter().zip(&units).map(|(a, u)| weight(*u) * wave(waves * a)).sum()
+        };
+        of(f64::cos).hypot(of(f64::sin))
+    };
+    [2.0, 3.0, 4.0].map(held).into_iter().reduce(f64::max)
+}
+
 /// The two-step fit of NISTIR 4854, section 3.
 #[derive(Debug, Clone)]
 pub struct TwoStep {

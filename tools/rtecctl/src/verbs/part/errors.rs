@@ -5,6 +5,7 @@ use super::{print, write_all};
 use crate::verbs::suspicions;
 use rtec_part::determine::{self, Asked};
 use rtec_part::errors::ErrorReport;
+use rtec_part::fit;
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
@@ -110,6 +111,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     }
 }
 
+/// More size than this for each µm of form is said.
+const MUCH_FORM: f64 = 5.0;
+
 fn text(r: &ErrorReport, with_size: bool) -> String {
     let mut t = String::new();
     let [z, x] = r.centre_mm;
@@ -145,6 +149,15 @@ fn text(r: &ErrorReport, with_size: bool) -> String {
                 "of all points   {radius:.5} mm (standard error {error:.1} µm) about Z {z:.5} mm  X {x:.5} mm"
             );
         }
+    }
+    let angles: Vec<f64> = r.errors.iter().map(|e| e.angle_rad).collect();
+    let held = fit::form_in_size(&angles).filter(|held| *held > MUCH_FORM && r.size_error_um.is_some());
+    if let Some(held) = held {
+        let _ = writeln!(
+            t,
+            "form in size    up to {held:.1} µm for each µm of form in two to four waves a turn: on so short an arc they look like \
+             another radius, beyond the standard error"
+        );
     }
     if let Some(off) = r.size_error_um {
         let left = if !r.is_size_known() {
