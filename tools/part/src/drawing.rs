@@ -228,7 +228,11 @@ pub fn read(file: &Path, options: &Options) -> Result<(Contour, Unit), InputErro
     }
     if pieces.is_empty() && cleaned.hidden > 0 {
         let found = format!("no contour that is shown, and {}", cleaned.not_shown());
-        return Err(InputError::whole(file, found, "entities that are visible, on layers that are on; or --layer"));
+        return Err(InputError::whole(
+            file,
+            found,
+            "entities that are visible, on layers that are on; or --layer",
+        ));
     }
     if pieces.is_empty() {
         let layer = options.layer.map_or(String::new(), |l| format!(" on layer '{l}'"));
@@ -300,8 +304,12 @@ impl Cleaned {
     /// What the drawing does not show.
     fn not_shown(&self) -> String {
         let layers: Vec<&str> = self.hidden_on.iter().take(8).map(String::as_str).collect();
-        let entities = if self.hidden == 1 { "1 entity".to_owned() } else { format!("{} entities", self.hidden) };
-        format!("{entities} not shown (invisible, or its layer off, frozen or not plotted): layer {}", layers.join(", "))
+        let entities =
+            if self.hidden == 1 { "1 entity".to_owned() } else { format!("{} entities", self.hidden) };
+        format!(
+            "{entities} not shown (invisible, or its layer off, frozen or not plotted): layer {}",
+            layers.join(", ")
+        )
     }
 
     /// What a person reads of it; empty where there was nothing.
