@@ -79,7 +79,7 @@ const UNITS: [(&str, f64); 4] = [("s", 1.0), ("ms", 1e3), ("us", 1e6), ("ns", 1e
 /// From 2000 to 2100, s since 1970: no counter of a machine's own has run for thirty years.
 const UNIX_S: [f64; 2] = [946_684_800.0, 4_102_444_800.0];
 
-/// Seconds from 1904-01-01, the zero of LabVIEW and of old Macintoshes, to 1970-01-01.
+/// Seconds from 1904-01-01, the zero of `LabVIEW` and of old Macintoshes, to 1970-01-01.
 const SINCE_1904_S: f64 = 2_082_844_800.0;
 
 /// From 2000 to 2100, days since 1899-12-30, as a spreadsheet counts.

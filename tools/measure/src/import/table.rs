@@ -291,13 +291,8 @@ pub fn table(
                 ));
             }
             let number = numbers.parse(cell.text()).ok_or_else(|| {
-                named(cell.finding(if is_time && cell.text().contains([':', '/']) {
-                    "a time as ISO 8601 writes it, 2022-08-08T13:51:37.25Z, or a number"
-                } else if data.is_empty() && cells.iter().all(|cell| is_unit(cell.text())) {
-                    "a finite number: a line of units is to be deleted, --columns states them, as t=time:min"
-                } else {
-                    numbers.expected(cell.text())
-                }))
+                let in_units = data.is_empty() && cells.iter().all(|cell| is_unit(cell.text()));
+                named(cell.finding(expected_of(cell.text(), is_time, in_units, *numbers)))
             })?;
             if w.role == Role::Time && w.scale[1] == 0.0 {
                 let number = clock.number(number, w, data.is_empty());
@@ -326,11 +321,7 @@ pub fn table(
     record.written = (!said.is_empty()).then(|| said.join("; "));
     clock.note(&mut record);
     if let Some(line) = cut {
-        let note = format!(
-            "line {line}, the last, was left out: it has no line end, and its last number has fewer decimals than those before; was \
-             the log cut off?"
-        );
-        add_note(&mut record, &note);
+        add_note(&mut record, &cut_note(line));
     }
     Ok(record)
 }
@@ -353,6 +344,24 @@ fn preamble(from: &Path, text: &str, wanted: &[ImportColumn]) -> usize {
         !line.is_empty() && !line.starts_with('#') && !line.to_ascii_lowercase().starts_with("sep=")
     };
     if text.lines().take(found).filter(foreign).count() > 0 { found } else { 0 }
+}
+
+/// What was expected of a cell that is no number.
+fn expected_of(cell: &str, is_time: bool, in_units: bool, numbers: Numbers) -> &'static str {
+    if is_time && cell.contains([':', '/']) {
+        "a time as ISO 8601 writes it, 2022-08-08T13:51:37.25Z, or a number"
+    } else if in_units {
+        "a finite number: a line of units is to be deleted, --columns states them, as t=time:min"
+    } else {
+        numbers.expected(cell)
+    }
+}
+
+fn cut_note(line: usize) -> String {
+    format!(
+        "line {line}, the last, was left out: it has no line end, and its last number has fewer decimals than those before; was \
+         the log cut off?"
+    )
 }
 
 /// Nothing, or a word that may be a unit: short, and no number.
