@@ -225,8 +225,7 @@ pub fn table(
     let before =
         if form.nameless || form.by.is_some() || form.skip > 0 { 0 } else { preamble(from, text, wanted) };
     let form = &Form { skip: form.skip + before, ..form.clone() };
-    let whole = text;
-    let text = prepared(text, form);
+    let (whole, text) = (text, prepared(text, form));
     let mut reader = Reader::new(from, text.as_bytes())?;
     match form.by {
         Some(' ') => reader = reader.parted_by('\t'),
