@@ -352,7 +352,7 @@ impl Families {
         rows: &Rows<'_>,
         response: usize,
         against: &str,
-        of: &dyn Fn(&Record) -> Option<(Vec<f64>, Vec<f64>)>,
+        of: &dyn Fn(&Record) -> Option<Shown>,
     ) {
         let mut along = Vec::new();
         let mut all = vec![0.0; rows.n];
@@ -391,6 +391,9 @@ impl Families {
         [((1.0 - PAIR_SHARE) / n).ln(), (PAIR_SHARE / (0.5 * n * (n - 1.0))).ln()]
     }
 }
+
+/// Places of a record's rows, and the share of a wave that each shows.
+type Shown = (Vec<f64>, Vec<f64>);
 
 /// Log prior of a time constant: none is shorter than a part of a machine takes, and few are longer.
 fn implausible(effect: &Effect) -> f64 {

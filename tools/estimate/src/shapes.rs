@@ -200,7 +200,9 @@ fn apart(mut column: Vec<f64>, others: &[Vec<f64>]) -> Vec<f64> {
             basis.push(c.iter().map(|x| x / size).collect());
         }
     };
-    others.iter().for_each(|o| reduce(&mut o.clone(), true));
+    for other in others {
+        reduce(&mut other.clone(), true);
+    }
     reduce(&mut column, false);
     if dot(&column, &column) < 1e-9 * whole { vec![0.0; column.len()] } else { column }
 }

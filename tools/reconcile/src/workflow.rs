@@ -380,7 +380,9 @@ impl Analysed {
         let (certain, open): (Vec<_>, Vec<_>) =
             suspected.into_iter().partition(mistakes::Suspected::is_certain);
         for (f, _) in &mut first.answer.findings {
-            open.iter().for_each(|s| s.weaken(f));
+            for s in &open {
+                s.weaken(f);
+            }
         }
         doubts.said.extend(open.into_iter().map(|s| s.said));
         if certain.is_empty() {
