@@ -363,16 +363,6 @@ const PAIRS: [(&str, Clean, Mistake, What, &str); 58] = [
     ("error in mm", positioning, |r, _| vec![scaled(one(r), "e", 1e-3, 0.0)], What::Unit, "e"),
     ("error in m", drift, |r, _| vec![scaled(one(r), "e", 1e-6, 0.0)], What::Unit, "e"),
     ("temperature in K", drift, |r, _| vec![scaled(one(r), "T1", 1.0, 273.15)], What::Unit, "T1"),
-    (
-        "a bus that reads all ones of a sensor",
-        drift,
-        |r, d| {
-            let reads = [-0.0625, 127.5, 128.86, 130.0][d.below(4)];
-            vec![patched(one(r), "T1", 0.4, 1.0, |_| reads)]
-        },
-        What::Unplugged,
-        "T1",
-    ),
     ("temperature in °F", drift, |r, _| vec![scaled(one(r), "T0", 1.8, 32.0)], What::Unit, "T0"),
     (
         "time in ms, positioning",
@@ -656,6 +646,16 @@ const PAIRS: [(&str, Clean, Mistake, What, &str); 58] = [
         },
         What::Outliers,
         "x",
+    ),
+    (
+        "a bus that reads all ones of a sensor",
+        drift,
+        |r, d| {
+            let reads = [-0.0625, 127.5, 128.86, 130.0][d.below(4)];
+            vec![patched(one(r), "T1", 0.4, 1.0, |_| reads)]
+        },
+        What::Unplugged,
+        "T1",
     ),
 ];
 
