@@ -460,6 +460,15 @@ impl Clock {
                 ));
             }
             self.counted = Some((number, found));
+        } else if first
+            && w.scale[0] > 1.0
+            && let Some(found) = clock::counted(number)
+        {
+            // Minutes or hours of that number are no clock; as it stands it is one.
+            let (column, unit) = (&w.column, found.unit);
+            return Err(format!(
+                "a time in the unit of its clock: this is Unix time in {unit}, as {column}=time:{unit}"
+            ));
         }
         if self.last.replace(number).is_some_and(|last| last < COUNTER && last - number > 0.9 * COUNTER) {
             return Err(format!(

@@ -142,6 +142,11 @@ fn absolute_clocks_are_set_back_or_questioned() {
         let t = column(folder.path(), &format!("{file}.csv"), "t");
         assert_eq!((t[0], t[1], t.len()), (0.0, 30.0, 240), "{file}");
     }
+    // Unix seconds that are said to be minutes are questioned.
+    let minutes =
+        "characterise import epoch.csv --format csv --columns t=time:min,e=error.z --out minutes.run.toml";
+    let refused = run(folder.path(), &words(minutes));
+    assert!(refused.exit == 2 && refused.says("Unix time in s, as t=time:s"), "{}", refused.err);
     // A record as it stands is questioned; dates in it have a way named.
     let evaluated = run(folder.path(), &words("characterise evaluate epoch.run.toml"));
     assert!(evaluated.says("t begins at 1767700000: Unix time in s (2026-01-06)"), "{}", evaluated.err);
