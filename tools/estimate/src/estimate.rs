@@ -156,7 +156,7 @@ pub fn estimate(
     found
 }
 
-/// Log evidence of the likeliest account of the records: what [`estimate`] has as its score, in less time.
+/// Log evidence of the likeliest account of the records, whatever the units of their responses.
 #[must_use]
 pub fn score(
     records: &[Record],
@@ -166,7 +166,7 @@ pub fn score(
 ) -> f64 {
     let rows = Rows::new(records);
     let model = &in_step(&rows, model)[..];
-    let problem = Problem::new(&rows, model, intervals);
+    let problem = Problem::new(&rows, model, intervals).of_any_unit();
     let mut families = Families::new(&rows, dictionary, model);
     let noise = problem.first_noise();
     let of = |search: &Search<'_>, set: &Set| with_own_noise(search, set).0;
@@ -956,7 +956,7 @@ pub fn unexplained(record: &Record, model: &[Effect]) -> Vec<f64> {
 pub fn alone(record: &Record, model: &[Effect], intervals: &[Vec<Option<f64>>]) -> (f64, Vec<(Role, f64)>) {
     let records = std::slice::from_ref(record);
     let rows = Rows::new(records);
-    let problem = Problem::new(&rows, model, intervals);
+    let problem = Problem::new(&rows, model, intervals).of_any_unit();
     let mut noise = problem.first_noise();
     let mut total = f64::NEG_INFINITY;
     for _ in 0..NOISE_STEPS {

@@ -1,7 +1,7 @@
 //! The measurement model y = M(θ) + Z(η) + H(β, ψ) + e, linear in all but ψ: what is beside every hypothesis.
 
 use crate::factor::{Factor, add, dot};
-use crate::priors::{CHANCE, KNOWN_SHARE, MOST_PHI, TAIL_FREEDOM};
+use crate::priors::{CHANCE, KNOWN_SHARE, MOST_PHI, NOISE, TAIL_FREEDOM};
 use crate::rows::{Noise, Rows};
 use crate::setup::{self, Term};
 use rtec_model::effect::{Effect, Refine, Search};
@@ -181,6 +181,23 @@ impl<'r> Problem<'r> {
             floors,
             weights: setup::weights(rows),
         }
+    }
+
+    /// The same where no size of a set-up prefers one unit of a response to another: zero, centre and line are as large beside the noise
+    /// as they are beside a usual one, and the air does nothing.
+    #[must_use]
+    pub fn of_any_unit(mut self) -> Self {
+        use setup::What::{Air, CentreFirst, CentreSecond, Line, Zero};
+        let noise = self.first_noise();
+        self.terms.retain(|t| t.what != Air);
+        for t in &mut self.terms {
+            let row = t.column.iter().position(|x| *x != 0.0).unwrap_or(0);
+            let segment = self.rows.segments.iter().find(|s| s.rows.contains(&row));
+            if let (Zero | CentreFirst | CentreSecond | Line, Some(s)) = (t.what, segment) {
+                t.sd *= noise.sigma[s.response] / NOISE[0];
+            }
+        }
+        self
     }
 
     /// What is beside every hypothesis under a noise.

@@ -87,7 +87,7 @@ pub(crate) fn of_training(
                     if same { 0.0 } else { alone(&m.undone, model, &intervals).0 + m.jacobian - stands }
                 };
                 let gain = models.iter().zip(stands.iter().zip(&left)).map(gain).fold(0.0, f64::max);
-                if gain > ONE_IN.ln() {
+                if gain > 0.0 {
                     tried.push((gain, k, m));
                 }
             }
@@ -102,13 +102,15 @@ pub(crate) fn of_training(
             new
         });
         let habit = habit(&tried, now.len());
+        tried.retain(|t| t.0 > ONE_IN.ln());
         tried.truncate(LOOKED_AT);
         let mut sets: Vec<Vec<(usize, Mistake)>> = tried.into_iter().map(|(_, k, m)| vec![(k, m)]).collect();
         sets.extend(habit);
         let mut likeliest: Option<(f64, Vec<(usize, Mistake)>)> = None;
+        let stands = if sets.is_empty() { 0.0 } else { score(&now, machine) };
         for set in sets {
             let mut others = now.clone();
-            let mut gain = -answer.estimate.score - ONE_IN.ln();
+            let mut gain = -stands - ONE_IN.ln();
             for (k, m) in &set {
                 others[*k] = m.undone.clone();
                 gain += m.jacobian;
@@ -140,7 +142,8 @@ fn habit(tried: &[(f64, usize, Mistake)], records: usize) -> Option<Vec<(usize, 
         (a.said.what, &a.said.column, &a.said.text) == (b.said.what, &b.said.column, &b.said.text)
     };
     let everywhere = |(_, _, m): &&(f64, usize, Mistake)| {
-        records > 1 && tried.iter().filter(|t| same(&t.2, m)).count() == records
+        let own: Vec<f64> = tried.iter().filter(|t| same(&t.2, m)).map(|t| t.0).collect();
+        records > 1 && own.len() == records && own.iter().sum::<f64>() > ONE_IN.ln()
     };
     let (_, _, first) = tried.iter().find(everywhere)?;
     Some(tried.iter().filter(|t| same(&t.2, first)).map(|t| (t.1, t.2.clone())).collect())

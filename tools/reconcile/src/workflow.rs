@@ -101,7 +101,7 @@ fn looked_at(train: &[Record], holdout: &[Record], machine: &Machine, options: &
         j.map_or(f64::INFINITY, |j| noise.sigma[j] / (1.0 - noise.phi[j] * noise.phi[j]).sqrt())
     };
     // Which sensor a law reads is said by the model only where the training leaves one way.
-    let one_way = better.is_one_way();
+    let one_way = answer.unexplained.is_empty() && better.is_one_way();
     let of_held = |r: &Record| mistakes::of_hold_out(r, &train, &better.model, &floor_um);
     let held = doubts.given_hold_outs().iter().filter_map(of_held);
     let more: Vec<Suspicion> = held.filter(|s| one_way || !s.is_of_sensor()).collect();
