@@ -7,6 +7,7 @@
 //! in quotes are taken apart by that crate's parser ([`csv_core`]), lines without a quote simply at their
 //! commas.
 
+use crate::decimal::{decimal, number, plain_decimal};
 use crate::file_kind::FileKind;
 use crate::input::InputError;
 use crate::lines::Lines;
@@ -475,7 +476,7 @@ impl<'a> Cell<'a> {
         if let Some(number) = plain_decimal(self.text.as_bytes()) {
             return Ok(number);
         }
-        crate::numbers::plain(&self.text).ok_or_else(|| self.finding("a finite number"))
+        number(&self.text).ok_or_else(|| self.finding("a finite number"))
     }
 
     fn beyond(&self, columns: usize, names: &str) -> InputError {
@@ -495,92 +496,6 @@ fn other_field(text: &[u8], is_end: impl Fn(u8) -> bool, skip: bool) -> Option<(
         return (!field.contains(['"', '#'])).then_some((0.0, length));
     }
     field.parse().ok().filter(|v: &f64| v.is_finite()).map(|v| (v, length))
-}
-
-/// [`decimal`] that is all of a text.
-#[inline]
-fn plain_decimal(text: &[u8]) -> Option<f64> {
-    decimal(text).filter(|(_, length)| *length == text.len()).map(|(number, _)| number)
-}
-
-/// A number of digits with or without sign and point at a text's beginning, and its length in bytes. So short that the digits
-/// and the power of ten are exact, and with them their quotient rounded once: what the standard library's parser says, with less
-/// work. `None` for all others.
-#[allow(clippy::inline_always)] // as a function of its own it takes a third more: 20 instructions of 89
-#[inline(always)]
-fn decimal(text: &[u8]) -> Option<(f64, usize)> {
-    let negative = *text.first()? == b'-';
-    let digits = &text[usize::from(negative)..];
-    let (number, length) = short_decimal(digits).or_else(|| long_decimal(digits))?;
-    // Signs come as they like: no branch for them, the sign's bit is set.
-    let number = f64::from_bits(number.to_bits() | u64::from(negative) << 63);
-    Some((number, usize::from(negative) + length))
-}
-
-/// Powers of ten that a number holds exactly, with any whole number of as many digits.
-const TENS: [f64; 16] =
-    [1e0, 1e1, 1e2, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8, 1e9, 1e10, 1e11, 1e12, 1e13, 1e14, 1e15];
-
-/// [`decimal`] without a sign, of eight bytes at most, which nearly all are: looked at all at once, each byte in its place of a
-/// word, the first one lowest. It ends before a byte that is less than a point: a comma, a line's end.
-#[inline]
-fn short_decimal(text: &[u8]) -> Option<(f64, usize)> {
-    const fn each(byte: u8) -> u64 {
-        u64::from_le_bytes([byte; 8])
-    }
-    let eight = u64::from_le_bytes(*text.first_chunk()?);
-    // A byte that is less borrows, which shows in its highest bit; of the lowest such byte that is certain.
-    let end = (eight.wrapping_sub(each(b'.')) & !eight & each(0x80)).trailing_zeros() / 8;
-    if end == 0 || end == 8 && text.get(8).is_none_or(|byte| matches!(byte, b'.'..=b'9')) {
-        return None;
-    }
-    // Nothing of what stands behind it, and zeros before it.
-    let mut digits = eight << (8 * (8 - end));
-    let points = digits ^ each(b'.');
-    let point = points.wrapping_sub(each(1)) & !points & each(0x80);
-    let (mut count, mut behind) = (end, 0);
-    if point != 0 {
-        // The digits before it move up to those behind.
-        let place = point.trailing_zeros() / 8;
-        let before = (1 << (8 * place)) - 1;
-        digits = (digits & before) << 8 | digits & (!0xFF << (8 * place));
-        (count, behind) = (end - 1, 7 - place);
-    }
-    if count == 0 {
-        return None;
-    }
-    let values = digits ^ (each(b'0') << (8 * (8 - count)));
-    // A byte of 10 and more has a bit in its upper half, or gets one from six more.
-    if (values | values.wrapping_add(each(6))) & each(0xF0) != 0 {
-        return None;
-    }
-    // Pairs of digits become numbers, and pairs of those.
-    let pairs = (values * 10 + (values >> 8)) & 0x00FF_00FF_00FF_00FF;
-    let fours = (pairs * 100 + (pairs >> 16)) & 0x0000_FFFF_0000_FFFF;
-    let whole = (fours * 10_000 + (fours >> 32)) & 0xFFFF_FFFF;
-    Some((whole as i64 as f64 / TENS[behind as usize], end as usize))
-}
-
-/// [`decimal`] without a sign, byte by byte.
-#[inline(never)]
-fn long_decimal(text: &[u8]) -> Option<(f64, usize)> {
-    // What is too long to be exact may overflow here: it is not asked for below.
-    let digits = |mut whole: i64, mut at: usize| {
-        while let Some(digit) = text.get(at).map(|byte| byte.wrapping_sub(b'0')).filter(|digit| *digit <= 9) {
-            whole = whole.wrapping_mul(10).wrapping_add(i64::from(digit));
-            at += 1;
-        }
-        (whole, at)
-    };
-    let (mut whole, mut end) = digits(0, 0);
-    let (mut count, mut behind) = (end, 0);
-    if text.get(end) == Some(&b'.') {
-        let point = end;
-        (whole, end) = digits(whole, point + 1);
-        behind = end - point - 1;
-        count += behind;
-    }
-    (1..TENS.len()).contains(&count).then(|| (whole as f64 / TENS[behind], end))
 }
 
 /// The columns' names, from the first row.
@@ -855,54 +770,6 @@ pub fn header_line<'n>(names: impl IntoIterator<Item = &'n str>) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    /// The short way says what the standard library's parser says, to the last bit, or leaves the number to it.
-    #[test]
-    fn the_short_way_to_a_number_gives_the_same_one() {
-        for text in [
-            "0",
-            "-0",
-            "-0.0",
-            ".5",
-            "5.",
-            "007",
-            "999999999999999",
-            "0.00000000000001",
-            "99999999999999.9",
-            "123.4567",
-        ] {
-            let std: f64 = text.parse().unwrap();
-            assert_eq!(plain_decimal(text.as_bytes()).map(f64::to_bits), Some(std.to_bits()), "{text}");
-        }
-        for text in [
-            "",
-            "-",
-            ".",
-            "-.",
-            "+1",
-            "1e3",
-            "nan",
-            "inf",
-            "1.2.3",
-            "1_0",
-            "1,0",
-            "--1",
-            "9007199254740993",
-            "0.1234567890123456",
-            "٣",
-        ] {
-            assert_eq!(plain_decimal(text.as_bytes()), None, "{text}");
-        }
-        let mut random = 12345_u64;
-        for _ in 0..200_000 {
-            random = random.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-            let (digits, places) = (random >> (14 + random % 50), (random >> 7) as usize % 14);
-            let text = format!("{:.places$}", digits as f64 / 10_f64.powi(places as i32));
-            if let Some(short) = plain_decimal(text.as_bytes()) {
-                assert_eq!(short.to_bits(), text.parse::<f64>().unwrap().to_bits(), "{text}");
-            }
-        }
-    }
 
     /// Whatever stands in the rows: what is read the short way is what each cell says by itself.
     #[test]

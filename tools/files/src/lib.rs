@@ -15,7 +15,7 @@
 //! | [`folder`] | a folder that others write to as well: nothing in it is followed through a link |
 //! | [`words`] | the word that was probably meant |
 //!
-//! Private: `lines` reads a file line by line through one buffer, `vcd` is the VCD half of [`trace`].
+//! Private: `decimal` makes a number of digits, `lines` reads a file line by line through one buffer, `vcd` is the VCD half of [`trace`].
 //!
 //! What must not live here: the formats of the crates above (records, models, configurations), only what they are made
 //! of; engine, machine and law are unknown.
@@ -23,6 +23,7 @@
 //! At work: `cargo run -p rtec-files --example read_trace`, which the tests run too.
 
 pub mod csv;
+mod decimal;
 pub mod file_kind;
 pub mod folder;
 pub mod input;

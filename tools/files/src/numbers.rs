@@ -5,6 +5,7 @@
 //! other cells of the column decide then.
 
 use crate::csv::{Reader, Style};
+use crate::decimal::{SIGNS, number};
 use crate::input::InputError;
 use crate::text::unreadable;
 use std::io::{Read, Seek};
@@ -12,19 +13,6 @@ use std::path::Path;
 
 /// What parts thousands in some countries, beside the other one of point and comma.
 const BLANKS: [char; 4] = [' ', '\u{a0}', '\u{202f}', '\''];
-
-/// The minus sign of typography (U+2212), which some countries' spreadsheets write.
-const MINUS: char = '\u{2212}';
-const SIGNS: [char; 3] = ['+', '-', MINUS];
-
-/// A number with a decimal point, after either minus sign; `None` where it is none or not finite.
-pub(crate) fn plain(text: &str) -> Option<f64> {
-    let number = |text: &str| text.parse().ok().filter(|v: &f64| v.is_finite());
-    match text.strip_prefix(MINUS) {
-        Some(rest) => number(rest).filter(|_| !rest.starts_with(SIGNS)).map(|v| -v),
-        None => number(text),
-    }
-}
 
 /// The decimal marks that a table's cells show.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -66,7 +54,7 @@ impl Numbers {
     #[must_use]
     pub fn parse(self, text: &str) -> Option<f64> {
         if !text.contains(['.', ',']) && !text.contains(BLANKS) {
-            return plain(text);
+            return number(text);
         }
         let default = if text.contains(',') {
             // A lone comma with three digits behind it.
@@ -80,7 +68,7 @@ impl Numbers {
             Some('.')
         };
         let mark = self.column.or_else(|| shown_mark(text)).or(default)?;
-        plain(&ungrouped(text, mark)?)
+        number(&ungrouped(text, mark)?)
     }
 
     /// What to write instead of a cell that is no number or has two readings.
@@ -231,7 +219,7 @@ fn number_body(text: &str) -> Option<&str> {
 /// The decimal mark that a number shows by itself.
 fn shown_mark(text: &str) -> Option<char> {
     let mark = mark_by_shape(text)?;
-    plain(&ungrouped(text, mark)?).map(|_| mark)
+    number(&ungrouped(text, mark)?).map(|_| mark)
 }
 
 fn mark_by_shape(text: &str) -> Option<char> {
