@@ -57,12 +57,14 @@ pub enum Scan {
         along: Along,
         /// Unit of the period in that of the variable.
         unit: f64,
-        /// The variable at every row.
-        places: Vec<f64>,
     },
 }
 
 impl Family {
+    fn unnamed(shape: Shape, scan: Scan) -> Self {
+        Self { effect: None, replaces: None, shape: Some(shape), set_up: false, prior: 0.0, scan }
+    }
+
     /// Whether it is an effect of the dictionary.
     #[must_use]
     pub fn is_named(&self) -> bool {
@@ -127,14 +129,7 @@ impl Families {
             let cause = Cause::Shape(Arc::new((shape.clone(), columns.clone())));
             let group = all.bank.push(columns);
             let scan = Scan::Grid(vec![(group, 0.0, cause)]);
-            all.list.push(Family {
-                effect: None,
-                replaces: None,
-                shape: Some(shape),
-                set_up: false,
-                prior: 0.0,
-                scan,
-            });
+            all.list.push(Family::unnamed(shape, scan));
         }
         all.unnamed_waves(rows);
         let shapes = all.list.len() - named;
@@ -151,14 +146,7 @@ impl Families {
             let cause = Cause::Shape(Arc::new((shape.clone(), columns.clone())));
             let scan = Scan::Grid(vec![(all.bank.push(columns), 0.0, cause)]);
             let prior = JUMP_PROBABILITY.ln();
-            all.list.push(Family {
-                effect: None,
-                replaces: None,
-                shape: Some(shape),
-                set_up: true,
-                prior,
-                scan,
-            });
+            all.list.push(Family { set_up: true, prior, ..Family::unnamed(shape, scan) });
         }
         all
     }
@@ -223,10 +211,7 @@ impl Families {
         }
         if let Some(facts) = law.searched.wave {
             let axis = effect.axes()[0].clone();
-            let constant = dictionary_constant(&axis.to_string());
-            let Some(constant) = constant else { return };
-            let share = rows.basis(&constant).swap_remove(0);
-            let mut places = vec![0.0; rows.n];
+            let Some(share) = rows.share(&axis) else { return };
             let mut along = Vec::new();
             for s in &rows.segments {
                 let record = rows.record(s);
@@ -237,7 +222,6 @@ impl Families {
                 };
                 for (i, p) in p.iter().enumerate() {
                     let row = s.rows.start + i;
-                    places[row] = *p;
                     if share[row] != 0.0 {
                         along.push((row, *p, share[row]));
                     }
@@ -249,7 +233,7 @@ impl Families {
                 range[1] = range[1].min(1.0 / (steps * step));
             }
             if let Some(along) = Along::new(along, range) {
-                self.push(effect, Scan::Wave { along, unit: facts.unit_mm, places });
+                self.push(effect, Scan::Wave { along, unit: facts.unit_mm });
             }
             return;
         }
@@ -355,7 +339,6 @@ impl Families {
         of: &dyn Fn(&Record) -> Option<Shown>,
     ) {
         let mut along = Vec::new();
-        let mut all = vec![0.0; rows.n];
         let mut fastest = 0.0_f64;
         for s in rows.segments.iter().filter(|s| s.response == response) {
             let Some((places, shares)) = of(rows.record(s)) else { continue };
@@ -364,21 +347,13 @@ impl Families {
                 fastest = fastest.max(0.25 * places.len() as f64 / way);
             }
             for (i, (place, share)) in places.iter().zip(&shares).enumerate() {
-                all[s.rows.start + i] = *place;
                 along.push((s.rows.start + i, *place, *share));
             }
         }
         let Some(along) = Along::new(along, [0.0, fastest]) else { return };
         let response = rows.responses[response].to_string();
         let shape = Shape { response, against: vec![against.to_owned()], manner: "periodic".to_owned() };
-        self.list.push(Family {
-            effect: None,
-            replaces: None,
-            shape: Some(shape),
-            set_up: false,
-            prior: 0.0,
-            scan: Scan::Wave { along, unit: 1.0, places: all },
-        });
+        self.list.push(Family::unnamed(shape, Scan::Wave { along, unit: 1.0 }));
     }
 
     /// Log share of each of so many sensors alone, and of each pair.
@@ -406,16 +381,6 @@ fn implausible(effect: &Effect) -> f64 {
         }
     };
     effect.description().parameters.iter().enumerate().map(of).sum()
-}
-
-/// The constant of an axis: its share in every response.
-pub(crate) fn dictionary_constant(axis: &str) -> Option<Effect> {
-    let dictionary = Dictionary::default();
-    let law = dictionary
-        .laws()
-        .map(rtec_model::effect::Law::describe)
-        .find(|l| l.constant && l.quantity == Quantity::Error)?;
-    dictionary.effect(&format!("{}.{axis}", law.name)).ok()
 }
 
 /// The step in which places are written, where they have one.

@@ -1,7 +1,7 @@
 //! All rows of all responses of all records, one under the other, and their noise.
 
 use crate::priors::{MOST_PHI, NOISE};
-use rtec_model::effect::{Effect, Extent};
+use rtec_model::effect::{Dictionary, Effect, Extent, Law, Quantity};
 use rtec_model::record::{Axis, Record, Role};
 use std::ops::Range;
 
@@ -78,6 +78,16 @@ impl<'r> Rows<'r> {
         self.collect(effect, effect.coefficient_count(), |bound, component, out| {
             bound.basis(effect, component, out);
         })
+    }
+
+    /// What of an axis's error each row shows; `None` where no constant of the axis is an effect.
+    #[must_use]
+    pub fn share(&self, axis: &Axis) -> Option<Vec<f64>> {
+        let dictionary = Dictionary::default();
+        let law =
+            dictionary.laws().map(Law::describe).find(|l| l.constant && l.quantity == Quantity::Error)?;
+        let constant = dictionary.effect(&format!("{}.{axis}", law.name)).ok()?;
+        Some(self.basis(&constant).swap_remove(0))
     }
 
     /// Derivatives of an effect by its values.

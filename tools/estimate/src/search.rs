@@ -626,7 +626,7 @@ impl<'p> Search<'p> {
 
     /// A wave whose size changes along its way, beside a seed that is a wave: it has no name.
     fn changing(&self, seed: &Seed) -> Option<Seed> {
-        let Scan::Wave { places, .. } = &self.family(seed.family).scan else { return None };
+        let Scan::Wave { along, .. } = &self.family(seed.family).scan else { return None };
         let effect = seed.cause.effect()?;
         let shape = crate::cause::Shape::like(self.problem.rows, effect, "periodic, of changing size")?;
         let family = self
@@ -635,7 +635,7 @@ impl<'p> Search<'p> {
             .iter()
             .position(|f| f.shape.as_ref().is_some_and(|s| s.response == shape.response))?;
         let basis = seed.cause.columns(self.problem.rows);
-        let columns = changing_wave(self.problem.rows, &basis, places);
+        let columns = changing_wave(self.problem.rows, &basis, &along.places(self.problem.rows.n));
         if columns.is_empty() {
             return None;
         }

@@ -1,7 +1,6 @@
 //! What belongs to how the instrument stood and never to the machine: free in every record, never named, never written into a
 //! model, never corrected live. One function per term; a new one is its function and a line in [`TERMS`].
 
-use crate::family::dictionary_constant;
 use crate::priors::{
     AIR_DIRECTIONS, AIR_S, AIR_UM, CENTRE_UM, CONTRIBUTION, KNOTS, LINE_HOURS, LINE_UM_PER_H, PAUSE_STEPS,
     PLACE_MM, TURN_URAD, ZERO_UM,
@@ -114,12 +113,16 @@ fn centres(rows: &Rows<'_>, _: &[Effect], out: &mut Vec<Term>) {
     }
 }
 
+/// The times of a record that takes long enough for air and stand to creep.
+fn creeping(record: &Record) -> Option<&[f64]> {
+    record.data(&Role::Time).filter(|_| matches!(record.kind, Kind::Positioning | Kind::Drift))
+}
+
 /// What air and stand do to a gauge over hours.
 fn lines(rows: &Rows<'_>, _: &[Effect], out: &mut Vec<Term>) {
     for s in errors(rows) {
         let record = rows.record(s);
-        let creeps = matches!(record.kind, Kind::Positioning | Kind::Drift);
-        let (Some(t), true) = (record.data(&Role::Time), creeps) else { continue };
+        let Some(t) = creeping(record) else { continue };
         // From the start on: there the gauge was set to zero.
         let hours = column(rows, s, |i| (t[i] - t[0]) / 3600.0);
         // Nothing creeps one way for longer.
@@ -133,8 +136,7 @@ fn lines(rows: &Rows<'_>, _: &[Effect], out: &mut Vec<Term>) {
 fn air(rows: &Rows<'_>, _: &[Effect], out: &mut Vec<Term>) {
     for s in errors(rows) {
         let record = rows.record(s);
-        let creeps = matches!(record.kind, Kind::Positioning | Kind::Drift);
-        let (Some(t), true) = (record.data(&Role::Time), creeps) else { continue };
+        let Some(t) = creeping(record) else { continue };
         let places = knots(t, KNOTS);
         let (Some(first), Some(last)) = (places.first(), places.last()) else { continue };
         let length = AIR_S.max(0.1 * (last - first));
@@ -471,10 +473,7 @@ fn begins(rows: &Rows<'_>, model: &[Effect], out: &mut Vec<Term>) {
     for effect in model.iter().filter(|e| e.description().after_turn) {
         let Some(axis) = effect.axes().first() else { continue };
         let values = [Search::Linear, Search::Smooth].map(|how| effect.description().place(how));
-        let ([Some(um), Some(length)], Some(constant)) = (values, dictionary_constant(axis.as_str())) else {
-            continue;
-        };
-        let share = rows.basis(&constant).swap_remove(0);
+        let ([Some(um), Some(length)], Some(share)) = (values, rows.share(axis)) else { continue };
         for s in errors(rows) {
             let record = rows.record(s);
             let (position, direction) = (Role::Position(axis.clone()), Role::Direction(axis.clone()));

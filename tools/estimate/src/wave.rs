@@ -107,6 +107,16 @@ impl Along {
         out
     }
 
+    /// The place of each of `n` rows; zero where a row shows nothing.
+    #[must_use]
+    pub fn places(&self, n: usize) -> Vec<f64> {
+        let mut out = vec![0.0; n];
+        for (row, place, _) in &self.rows {
+            out[*row] = *place;
+        }
+        out
+    }
+
     /// Whether its spectrum takes as long as all other looks together.
     #[must_use]
     pub fn is_long(&self) -> bool {
