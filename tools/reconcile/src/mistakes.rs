@@ -21,6 +21,9 @@ pub(crate) struct Mistake {
     jacobian: f64,
 }
 
+/// Mistakes that were made together, each with its record.
+type Made = Vec<(usize, Mistake)>;
+
 /// What is suspected of a record.
 pub(crate) struct Suspected {
     pub(crate) said: Suspicion,
@@ -65,6 +68,8 @@ pub(crate) fn of_training(
     let mut out = Vec::new();
     let mut now = records.to_vec();
     let mut best: Option<Answer> = None;
+    // Log evidence of the records as they stand now.
+    let mut as_they_stand: Option<f64> = None;
     // Beside the model as given: what was found may have taken the mistake for a change of the machine.
     let model: Vec<Effect> = machine.effects().cloned().collect();
     while out.len() < MOST {
@@ -104,23 +109,25 @@ pub(crate) fn of_training(
         let habit = habit(&tried, now.len());
         tried.retain(|t| t.0 > ONE_IN.ln());
         tried.truncate(LOOKED_AT);
-        let mut sets: Vec<Vec<(usize, Mistake)>> = tried.into_iter().map(|(_, k, m)| vec![(k, m)]).collect();
+        let mut sets: Vec<Made> = tried.into_iter().map(|(_, k, m)| vec![(k, m)]).collect();
         sets.extend(habit);
-        let mut likeliest: Option<(f64, Vec<(usize, Mistake)>)> = None;
-        let stands = if sets.is_empty() { 0.0 } else { score(&now, machine) };
+        let mut likeliest: Option<(f64, f64, Made)> = None;
         for set in sets {
+            let before = *as_they_stand.get_or_insert_with(|| score(&now, machine));
             let mut others = now.clone();
-            let mut gain = -stands - ONE_IN.ln();
+            let mut gain = -before - ONE_IN.ln();
             for (k, m) in &set {
                 others[*k] = m.undone.clone();
                 gain += m.jacobian;
             }
-            gain += score(&others, machine);
+            let undone = score(&others, machine);
+            gain += undone;
             if gain > likeliest.as_ref().map_or(0.0, |b| b.0) {
-                likeliest = Some((gain, set));
+                likeliest = Some((gain, undone, set));
             }
         }
-        let Some((gain, set)) = likeliest else { break };
+        let Some((gain, undone, set)) = likeliest else { break };
+        as_they_stand = Some(undone);
         for (k, m) in &set {
             now[*k] = m.undone.clone();
         }
@@ -137,7 +144,7 @@ pub(crate) fn of_training(
 }
 
 /// A mistake that every record shows: whoever makes it always makes it in one way, so it costs as much as one.
-fn habit(tried: &[(f64, usize, Mistake)], records: usize) -> Option<Vec<(usize, Mistake)>> {
+fn habit(tried: &[(f64, usize, Mistake)], records: usize) -> Option<Made> {
     let same = |a: &Mistake, b: &Mistake| {
         (a.said.what, &a.said.column, &a.said.text) == (b.said.what, &b.said.column, &b.said.text)
     };
