@@ -660,16 +660,33 @@ impl ErrorReport {
     /// Half of the size error's 95 % interval, µm (Student's t).
     #[must_use]
     pub fn size_within_um(&self) -> Option<f64> {
+        Some(self.student()? * self.size_standard_error_um?)
+    }
+
+    /// Half of the inclination error's 95 % interval, degrees (Student's t).
+    #[must_use]
+    pub fn inclination_within_deg(&self) -> Option<f64> {
+        Some(self.student()? * self.inclination_standard_error_deg?)
+    }
+
+    /// Half of a 95 % interval in standard errors, beside as many points.
+    fn student(&self) -> Option<f64> {
         let parameters = if self.radius_mm.is_some() { 3 } else { 2 };
         let freedom = self.points.checked_sub(parameters).filter(|n| *n > 0)? as f64;
-        let t = StudentsT::new(0.0, 1.0, freedom).ok()?.inverse_cdf(0.975);
-        Some(t * self.size_standard_error_um?)
+        Some(StudentsT::new(0.0, 1.0, freedom).ok()?.inverse_cdf(0.975))
     }
 
     /// The size error is outside of its 95 % interval about zero: less than that is advised on by nobody.
     #[must_use]
     pub fn is_size_known(&self) -> bool {
         matches!((self.size_error_um, self.size_within_um()), (Some(off), Some(within)) if off.abs() > within)
+    }
+
+    /// The same of the inclination.
+    #[must_use]
+    pub fn is_inclination_known(&self) -> bool {
+        let both = (self.inclination_error_deg, self.inclination_within_deg());
+        matches!(both, (Some(off), Some(within)) if off.abs() > within)
     }
 
     pub(crate) fn whiskers(&self) -> Whiskers {

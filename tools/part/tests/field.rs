@@ -37,6 +37,29 @@ fn a_size_below_its_standard_error_is_not_told() {
     assert!(report.size_standard_error_um.unwrap() > 57.0, "{:?}", report.size_standard_error_um);
 }
 
+/// Six points on a taper of 3°: what is off by half its standard error is no angle; 0.05° are.
+#[test]
+fn an_angle_within_its_interval_is_not_told() {
+    let scatter_um = [1.9, -0.7, -2.3, 2.6, -1.1, 0.4];
+    for (taper_deg, known) in [(3.0, false), (3.05, true)] {
+        let slope = f64::to_radians(3.0).tan();
+        let row = |(i, e): (usize, &f64)| {
+            let z = 10.0 * i as f64;
+            format!("{z},{:.6}\n", 20.0 + z * slope + e * 1e-3)
+        };
+        let rows: String = scatter_um.iter().enumerate().map(row).collect();
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("taper.csv");
+        std::fs::write(&file, format!("z_mm,x_mm\n{rows}")).unwrap();
+        let report =
+            Probed::read(&file).unwrap().errors(Nominal::Line { taper_deg: Some(taper_deg) }, 0.0).unwrap();
+        assert_eq!(report.is_inclination_known(), known, "{:?}", report.inclination_error_deg);
+        // Student's t of four degrees of freedom, not of a normal distribution.
+        let wide = report.inclination_within_deg().unwrap() / report.inclination_standard_error_deg.unwrap();
+        assert!((wide - 2.776).abs() < 1e-3, "{wide}");
+    }
+}
+
 #[cfg(feature = "dxf")]
 mod drawings {
     use super::field;

@@ -181,11 +181,10 @@ fn text(r: &ErrorReport, with_size: bool) -> String {
         );
     }
     if let Some(deg) = r.inclination_error_deg {
-        // As a size: none within its 95 % interval.
-        let within = r.inclination_standard_error_deg.map_or(f64::INFINITY, |e| 1.96 * e);
-        let advice = if deg.abs() > within {
+        let advice = if r.is_inclination_known() {
             "left by error.cor, which holds the form alone: turn the program's taper by it".to_owned()
         } else {
+            let within = r.inclination_within_deg().unwrap_or(f64::INFINITY);
             format!("within ±{within:.5}° (95 %): no turn of the program's taper is advised")
         };
         let _ = writeln!(t, "from nominal    {deg:+.5}° {advice}");
