@@ -14,7 +14,7 @@ use rtec_files::text::short;
 use rtec_measure::steps::{Steps, is_coarse_cause, step_of};
 use rtec_model::date;
 use rtec_model::effect::{Dictionary, Difference, Effect, Need, Search};
-use rtec_model::machine::{FitNote, Machine, Provenance, Source};
+use rtec_model::machine::{FitNote, Machine, NORMAL_95, Provenance, Source};
 use rtec_model::record::{Column, Kind, Record, Role};
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
@@ -22,8 +22,6 @@ use std::path::Path;
 
 /// Stretches of rows that are left out in turn.
 const BLOCKS: usize = 10;
-/// Half of a normal distribution's 95 %, in standard deviations.
-const NORMAL_95: f64 = 1.96;
 /// Two columns are one when what sets one apart from the others is smaller than this share of it.
 const DEPENDENT: f64 = 1e-5;
 

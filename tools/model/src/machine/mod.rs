@@ -22,7 +22,7 @@ mod write;
 
 pub use check::Asked;
 pub use evaluate::{HalfWidths, Prediction, Running};
-pub use note::{FitNote, Listed, Provenance, Reach, Source, Validity, unknown_um};
+pub use note::{FitNote, Listed, NORMAL_95, Provenance, Reach, Source, Validity, unknown_um};
 
 use crate::chain::Chain;
 use crate::effect::{Dictionary, Difference, Effect};

@@ -7,8 +7,8 @@ use std::path::PathBuf;
 
 use super::places::folder_of;
 
-/// Half width of a 95 % interval in standard deviations.
-const NORMAL_95: f64 = 1.96;
+/// Half width of a normal distribution's 95 % interval in standard deviations.
+pub const NORMAL_95: f64 = 1.96;
 
 /// What an effect of a temperature difference may be off by at a row, µm, beyond what the fit itself leaves: the slope at
 /// the bound times what was asked beyond it, and, `elapsed_s` after a start, its part of an unknown state of the lag.
