@@ -1,10 +1,9 @@
 //! The columns of all hypotheses that have a fixed place, and what they explain of a residual: a quick look that decides nothing, but
 //! only what is looked at exactly.
 
-use crate::factor::{Factor, dot};
+use crate::factor::{Factor, add};
 use crate::rows::{Noise, Rows};
 use std::ops::Range;
-use std::rc::Rc;
 
 /// Columns in groups.
 #[derive(Debug, Default, Clone)]
@@ -63,24 +62,34 @@ impl Bank {
         }
     }
 
-    /// The first look, beside a factor.
+    /// The first look, beside a factor; and the products of all columns with each of the factor's.
     #[must_use]
-    pub fn look(&self, factor: &Factor) -> Look {
-        let n = self.n;
-        let residual: Vec<f32> = factor.residual().iter().map(|x| *x as f32).collect();
-        let along = self.products(0..self.raw.len(), &residual, 1);
+    pub fn look(&self, factor: &Factor) -> (Look, Vec<Vec<f64>>) {
+        let along = self.shares(factor.residual());
         let mut among = vec![0.0; self.count];
+        let n = self.n;
         for (columns, at) in &self.groups {
-            let own = self.products(
-                columns.clone(),
-                &self.white[columns.start * n..columns.end * n],
-                columns.len(),
-            );
+            let white = &self.white[columns.start * n..columns.end * n];
+            let own = match columns.len() {
+                1 => vec![f64::from(single::dot(white, white))],
+                p => self.products(columns.clone(), white, p),
+            };
             among[*at..at + own.len()].copy_from_slice(&own);
         }
         let mut look = Look { along, among };
-        self.take(&mut look, factor.columns());
-        look
+        let shares: Vec<Vec<f64>> = factor.columns().iter().map(|c| self.shares(c)).collect();
+        self.take(&mut look, &shares);
+        (look, shares)
+    }
+
+    /// Products of all columns with another one.
+    #[must_use]
+    pub fn shares(&self, column: &[f64]) -> Vec<f64> {
+        if self.n == 0 {
+            return vec![0.0; self.raw.len()];
+        }
+        let column: Vec<f32> = column.iter().map(|x| *x as f32).collect();
+        self.white.chunks_exact(self.n).map(|c| f64::from(single::dot(c, &column))).collect()
     }
 
     /// Products of some columns with others, that lie one after the other: row by row.
@@ -114,36 +123,59 @@ impl Bank {
         out.into_iter().map(f64::from).collect()
     }
 
-    /// The look beside further orthonormal columns: `along` are their products with the residual before them.
-    pub fn after(&self, look: &mut Look, columns: &[Rc<[f64]>], along: &[f64]) {
-        let shares = self.take(look, columns);
-        let k = columns.len();
-        for (h, shares) in look.along.iter_mut().zip(shares.chunks(k.max(1))) {
-            *h -= dot(shares, along);
+    /// The look beside further orthonormal columns: `shares` are the bank's products with each, `along` theirs with the residual
+    /// before them.
+    pub fn after(&self, look: &mut Look, shares: &[Vec<f64>], along: &[f64]) {
+        for (shares, along) in shares.iter().zip(along) {
+            add(&mut look.along, -along, shares);
         }
+        self.take(look, shares);
     }
 
-    /// Takes orthonormal columns out of the products among the bank's; the bank's shares in them.
-    fn take(&self, look: &mut Look, columns: &[Rc<[f64]>]) -> Vec<f64> {
-        let k = columns.len();
-        let packed: Vec<f32> = columns.iter().flat_map(|c| c.iter()).map(|x| *x as f32).collect();
-        let shares = self.products(0..self.raw.len(), &packed, k);
-        if k == 0 {
-            return shares;
-        }
-        for (columns, at) in &self.groups {
-            let p = columns.len();
-            for i in 0..p {
-                let a = &shares[(columns.start + i) * k..(columns.start + i + 1) * k];
-                for j in 0..=i {
-                    let d = dot(a, &shares[(columns.start + j) * k..(columns.start + j + 1) * k]);
-                    look.among[at + i * p + j] -= d;
-                    if i != j {
-                        look.among[at + j * p + i] -= d;
-                    }
+    /// Takes orthonormal columns out of the products among the bank's.
+    fn take(&self, look: &mut Look, shares: &[Vec<f64>]) {
+        for share in shares {
+            for (columns, at) in &self.groups {
+                let own = &share[columns.clone()];
+                for (i, a) in own.iter().enumerate() {
+                    let from = at + i * own.len();
+                    add(&mut look.among[from..from + own.len()], -a, own);
                 }
             }
         }
-        shares
+    }
+}
+
+/// Products in single precision.
+mod single {
+    /// Σ aᵢbᵢ.
+    pub(super) fn dot(a: &[f32], b: &[f32]) -> f32 {
+        #[cfg(target_arch = "x86_64")]
+        if std::arch::is_x86_feature_detected!("avx2") && std::arch::is_x86_feature_detected!("fma") {
+            // SAFETY: the processor has both.
+            return unsafe { wide(a, b) };
+        }
+        sum(a, b)
+    }
+
+    /// # Safety
+    /// The processor has AVX2 and FMA.
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx2,fma")]
+    unsafe fn wide(a: &[f32], b: &[f32]) -> f32 {
+        sum(a, b)
+    }
+
+    #[inline(always)]
+    fn sum(a: &[f32], b: &[f32]) -> f32 {
+        let mut sums = [0.0_f32; 32];
+        let (whole_a, whole_b) = (a.chunks_exact(32), b.chunks_exact(32));
+        let rest: f32 = whole_a.remainder().iter().zip(whole_b.remainder()).map(|(x, y)| x * y).sum();
+        for (x, y) in whole_a.zip(whole_b) {
+            for i in 0..32 {
+                sums[i] += x[i] * y[i];
+            }
+        }
+        sums.iter().sum::<f32>() + rest
     }
 }

@@ -267,7 +267,7 @@ fn with_own_noise(search: &Search<'_>, set: &Set) -> (f64, Noise) {
 
 /// What shows only once it is no longer taken for noise: sets with one member more, each under the noise that it leaves.
 fn under_own_noise(search: &Search<'_>, set: &Set) -> Option<(Set, Noise)> {
-    let look = search.look_at(&set.factor);
+    let look = search.look_at(set);
     let seeds = search.seeds(set, &look, false);
     let (now, _) = with_own_noise(search, set);
     let mut best: Option<(f64, Set, Noise)> = None;
@@ -363,7 +363,7 @@ type Stand = (usize, String, Option<Effect>, f64);
 fn place(search: &Search<'_>, set: &Set, member: usize) -> Place {
     let own = &set.members[member];
     let without = search.without(set, member);
-    let look = search.look_at(&without.factor);
+    let look = search.look_at(&without);
     let seeds = search.seeds(&without, &look, true);
     let families = &search.families.list;
     let own_label = own.cause.effect().map_or_else(|| families[own.family].label(), label);

@@ -151,6 +151,12 @@ impl Factor {
         self.upper.iter().zip(&self.within).map(of).collect()
     }
 
+    /// Columns of R: what each column that was pushed has of the orthonormal ones.
+    #[must_use]
+    pub fn triangle(&self) -> &[Vec<f64>] {
+        &self.triangle
+    }
+
     /// Products of the orthonormal columns with what the ones before them left of the response.
     #[must_use]
     pub fn along(&self) -> &[f64] {

@@ -3,7 +3,7 @@
 
 use crate::bank::Look;
 use crate::cause::Cause;
-use crate::factor::{Factor, dot};
+use crate::factor::{Factor, add, dot};
 use crate::family::{Families, Family, Scan};
 use crate::priors::{
     AGAIN, BENT_SHARE, CONTRIBUTION, HOPELESS, KEPT, LEVELS, LISTED, MOST_MEMBERS, MOST_SHAPES, STRONG,
@@ -14,7 +14,7 @@ use crate::rows::Rows;
 use crate::shapes::changing_wave;
 use rtec_model::effect::{Difference, Effect, Heat, Refine, Search as How};
 use rtec_model::record::Axis;
-use std::cell::RefCell;
+use std::cell::{OnceCell, RefCell};
 use std::collections::HashMap;
 use std::rc::Rc;
 use std::sync::Arc;
@@ -32,6 +32,8 @@ pub struct Member {
     pub prior: f64,
     /// Its columns, whitened by the noise of the search that it is of.
     columns: Rc<Columns>,
+    /// The bank's products with them, once they were asked for.
+    shares: Rc<OnceCell<Columns>>,
 }
 
 impl Member {
@@ -39,6 +41,11 @@ impl Member {
     #[must_use]
     pub fn width(&self) -> usize {
         self.columns.len()
+    }
+
+    fn set_columns(&mut self, columns: Columns) {
+        self.columns = Rc::new(columns);
+        self.shares = Rc::default();
     }
 }
 
@@ -76,6 +83,8 @@ pub struct Search<'p> {
     pub base: Base,
     /// The quick look beside the base alone.
     pub look: Look,
+    /// The bank's products with each of the base's orthonormal columns.
+    base_shares: Columns,
     /// Rounding that rows share, for intervals.
     pub rounding: Vec<crate::setup::Term>,
     /// Whitened columns of waves that were looked at.
@@ -175,9 +184,9 @@ impl<'p> Search<'p> {
     /// Of a problem under a noise; the families' columns are whitened already.
     #[must_use]
     pub fn new(problem: &'p Problem<'p>, families: &'p Families, base: Base) -> Self {
-        let look = families.bank.look(&base.factor);
+        let (look, base_shares) = families.bank.look(&base.factor);
         let rounding = crate::setup::rounding(problem.rows);
-        Self { problem, families, base, look, rounding, waves: RefCell::default() }
+        Self { problem, families, base, look, base_shares, rounding, waves: RefCell::default() }
     }
 
     fn family(&self, family: usize) -> &Family {
@@ -218,12 +227,28 @@ impl<'p> Search<'p> {
         gain(&along, &among, factor.left(), self.base.freedom)
     }
 
-    /// The quick look beside a set.
+    /// The quick look beside a set. What the bank's columns share with a member's is asked once; what they share with what the factor
+    /// made of it follows from R.
     #[must_use]
-    pub fn look_at(&self, factor: &Factor) -> Look {
-        let mut look = self.look.clone();
+    pub fn look_at(&self, set: &Set) -> Look {
+        let bank = &self.families.bank;
         let from = self.base.factor.len();
-        self.families.bank.after(&mut look, &factor.columns()[from..], &factor.along()[from..]);
+        let mut new: Columns = Vec::new();
+        for m in &set.members {
+            let raw = m.shares.get_or_init(|| m.columns.iter().map(|c| bank.shares(c)).collect());
+            for raw in raw {
+                let r = &set.factor.triangle()[from + new.len()];
+                let mut share: Vec<f64> = raw.iter().map(|x| x * m.level).collect();
+                for (r, other) in r.iter().zip(self.base_shares.iter().chain(&new)).filter(|p| *p.0 != 0.0) {
+                    add(&mut share, -r, other);
+                }
+                let size = r[r.len() - 1];
+                share.iter_mut().for_each(|x| *x /= size);
+                new.push(share);
+            }
+        }
+        let mut look = self.look.clone();
+        bank.after(&mut look, &new, &set.factor.along()[from..]);
         look
     }
 
@@ -249,6 +274,7 @@ impl<'p> Search<'p> {
             level: gain.level,
             prior: prior + level_weight,
             columns: Rc::new(columns),
+            shares: Rc::default(),
         };
         Some((set.score + prior + gain.best, member))
     }
@@ -300,7 +326,7 @@ impl<'p> Search<'p> {
     #[must_use]
     pub fn of(&self, mut members: Vec<Member>) -> Set {
         for m in &mut members {
-            m.columns = Rc::new(self.columns(&m.cause));
+            m.set_columns(self.columns(&m.cause));
         }
         self.grown_from(self.base.factor.clone(), members, 0)
     }
@@ -651,7 +677,7 @@ impl<'p> Search<'p> {
 
     /// The same by families of one kind.
     fn grown_by(&self, set: &Set, most: usize, long: bool, kind: impl Fn(&Family) -> bool) -> Vec<Set> {
-        let look = self.look_at(&set.factor);
+        let look = self.look_at(set);
         let mut seeds = self.seeds(set, &look, long);
         seeds.retain(|s| kind(self.family(s.family)));
         let Some(top) = seeds.first().map(|s| s.score) else { return Vec::new() };
@@ -733,7 +759,7 @@ impl<'p> Search<'p> {
             for m in &mut members[n - 2..] {
                 let effect = m.cause.effect()?.with(&[(0, 1.0 / frequency)])?;
                 m.cause = m.cause.with_effect(effect);
-                m.columns = Rc::new(self.columns(&m.cause));
+                m.set_columns(self.columns(&m.cause));
             }
             Some(self.grown_from(others.clone(), members, n - 2))
         };
@@ -936,7 +962,7 @@ impl<'p> Search<'p> {
             let seed = Seed { family: m.family, cause: m.cause, weight: 0.0, score: 0.0 };
             let refined = self.refined(&without.factor, &seed);
             let mut members = set.members.clone();
-            members[i].columns = Rc::new(self.columns(&refined.cause));
+            members[i].set_columns(self.columns(&refined.cause));
             members[i].cause = refined.cause;
             let new = self.grown_from(self.first(&set, i), members, i);
             if new.score > set.score && self.possible(&new) {

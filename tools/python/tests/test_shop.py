@@ -111,7 +111,7 @@ def test_causes_common_and_single_with_a_worker_killed_in_the_middle(shop):
     assert batch.effect == "scale.x" and batch.value == pytest.approx(21.0, abs=3.0)
     assert planted_with("offset_of_scale", "2026-05") <= set(batch.machines)
     fixture = common["fixture=F3"]
-    assert fixture.effect == "offset.x" and fixture.value == pytest.approx(9.0, abs=0.5)
+    assert fixture.effect == "set_up zero_um" and fixture.value == pytest.approx(9.0, abs=0.5)
     assert set(fixture.machines) <= planted_with("fixture", "2026-06")
     assert len(fixture.machines) >= 0.8 * len(planted_with("fixture", "2026-06"))
     # Nothing is called common that is not.

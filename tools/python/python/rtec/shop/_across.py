@@ -92,6 +92,15 @@ def shared(
     return frame.sort_values("p_value").reset_index(drop=True)
 
 
+def standing_out(set_ups: pd.DataFrame) -> pd.DataFrame:
+    """The set-ups that stand where those of this shop do not. A gauge's zero says nothing of one machine alone; of many, that it is
+    elsewhere on one fixture."""
+    by_kind = set_ups.groupby("effect")["value"]
+    off = (set_ups["value"] - by_kind.transform("median")).abs()
+    usual = off.groupby(set_ups["effect"]).transform("median") / 0.6745
+    return set_ups[off > _TIMES * usual]
+
+
 def _explained(
     effect: str,
     holders: Members,

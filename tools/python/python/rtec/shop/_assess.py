@@ -16,7 +16,7 @@ import pandas as pd
 from dask.distributed import Client, as_completed
 
 import rtec
-from rtec.shop._across import drifting, shared
+from rtec.shop._across import drifting, shared, standing_out
 from rtec.shop._store import Run, Shop
 
 #: `fixture=F3` in a record's note: what the run had in common with others.
@@ -34,7 +34,8 @@ class Assessment:
     machines: pd.DataFrame
     #: A row for each month of each machine: ``verdict``, ``gap_before_um`` and ``gap_after_um``, ``error``, ``seconds`` of one core.
     months: pd.DataFrame
-    #: A row for each effect that a model lacks: ``machine``, ``month``, ``effect``, ``value``, ``p_value``; `unexplained error.x` is one too.
+    #: A row for each effect that a model lacks: ``machine``, ``month``, ``effect``, ``value``, ``p_value``. `unexplained error.x` is one
+    #: too, and so is `set_up zero_um`: a set-up that stands where those of this shop do not.
     effects: pd.DataFrame
     #: A row for each figure of each record: ``machine``, ``month``, ``run``, ``figure``, ``value``; or its ``error``.
     figures: pd.DataFrame
@@ -84,9 +85,10 @@ def judge(shop: Shop, machine: str, month: str, keys: list[str], level: float) -
                 figures.append(row | {"figure": figure["name"], "date": point["date"], "value": point["value"]})
         said: dict[str, Any] = {"machine": machine, "month": month, "runs": len(keys), "verdict": None, "error": None}
         effects: list[dict[str, Any]] = []
+        set_ups: list[dict[str, Any]] = []
         try:
             if not records and logs == len(keys):
-                return {"month": said | {"seconds": time.process_time() - start, "noted": []}, "effects": [], "figures": []}
+                return {"month": said | {"seconds": time.process_time() - start, "noted": []}, "effects": [], "set_ups": [], "figures": []}
             if not records:
                 raise ValueError("no record that can be read")
             verdict = rtec.reconcile(records, shop.model(machine), level=level)
@@ -102,11 +104,15 @@ def judge(shop: Shop, machine: str, month: str, keys: list[str], level: float) -
             # What has no name may be shared all the same.
             for response in sorted({shape["response"] for shape in verdict.document["unexplained"]}):
                 effects.append({"machine": machine, "month": month, "effect": f"unexplained {response}"})
+            for terms in verdict.document["set_up"].values():
+                for name, value in terms.items():
+                    for number in value if isinstance(value, list) else [value]:
+                        set_ups.append({"machine": machine, "month": month, "effect": f"set_up {name}", "value": number})
         except Exception as error:
             said["error"] = f"{type(error).__name__}: {error}"
     said["seconds"] = time.process_time() - start
     said["noted"] = sorted(f"{k}={v}" for k, v in noted)
-    return {"month": said, "effects": effects, "figures": figures}
+    return {"month": said, "effects": effects, "set_ups": set_ups, "figures": figures}
 
 
 def _came_twice(runs: dict[str, rtec.Record]) -> dict[str, str]:
@@ -174,7 +180,7 @@ def _spread(client: Client, shop: Shop, units: list[tuple[str, str, list[str]]],
         except Exception as error:  # workers died of it again and again
             why = f"{type(error).__name__}: {error}"
             row = {"machine": machine, "month": month, "runs": len(keys), "verdict": None, "error": why, "noted": []}
-            done.append({"month": row, "effects": [], "figures": []})
+            done.append({"month": row, "effects": [], "set_ups": [], "figures": []})
         future.release()
     return done
 
@@ -201,8 +207,9 @@ def _over(
         [unit["month"] for unit in done],
         ["machine", "month", "runs", "verdict", "gap_before_um", "gap_after_um", "error", "seconds", "noted"],
     )
+    set_ups = _frame([row for unit in done for row in unit["set_ups"]], ["machine", "month", "effect", "value"])
     effects = _frame(
-        [effect for unit in done for effect in unit["effects"]],
+        [effect for unit in done for effect in unit["effects"]] + standing_out(set_ups).to_dict("records"),
         ["machine", "month", "effect", "parameter", "value", "p_value"],
     )
     rows = [row for unit in done for row in unit["figures"]]
