@@ -77,9 +77,17 @@ impl Bank {
             among[*at..at + own.len()].copy_from_slice(&own);
         }
         let mut look = Look { along, among };
-        let shares: Vec<Vec<f64>> = factor.columns().iter().map(|c| self.shares(c)).collect();
+        let shares = self.all_shares(factor);
         self.take(&mut look, &shares);
         (look, shares)
+    }
+
+    /// Products of all columns with each of a factor's.
+    fn all_shares(&self, factor: &Factor) -> Vec<Vec<f64>> {
+        let (k, m) = (factor.len(), self.raw.len());
+        let packed: Vec<f32> = factor.columns().iter().flat_map(|c| c.iter()).map(|x| *x as f32).collect();
+        let products = self.products(0..m, &packed, k);
+        (0..k).map(|j| (0..m).map(|i| products[i * k + j]).collect()).collect()
     }
 
     /// Products of all columns with another one.

@@ -3,7 +3,7 @@
 use crate::cause::{Cause, Shape};
 use crate::factor::dot;
 use crate::family::{Families, Scan};
-use crate::priors::{HALF_WIDTH, HELD, HOPELESS, LISTED, MOST_PHI};
+use crate::priors::{HALF_WIDTH, HELD, HOPELESS, LISTED, MOST_PHI, STRONG};
 use crate::problem::{Problem, in_step, is_beyond_chance};
 use crate::rows::{Noise, Rows};
 use crate::search::{Member, Search, Set, fit};
@@ -108,6 +108,8 @@ pub struct Estimate {
     pub score: f64,
     /// Names that were tried.
     pub tried: Vec<Tried>,
+    /// The likeliest set, to start from beside other records.
+    pub members: Vec<Member>,
 }
 
 /// Rounds of search and noise.
@@ -156,23 +158,30 @@ pub fn estimate(
     found
 }
 
-/// Log evidence of the likeliest account of the records, whatever the units of their responses.
+/// Log evidence of the likeliest account of the records that is reached from the members of another one, whatever the units of their
+/// responses. It is given up where it is far below `enough`.
 #[must_use]
 pub fn score(
     records: &[Record],
     dictionary: &Dictionary,
     model: &[Effect],
     intervals: &[Vec<Option<f64>>],
+    start: &[Member],
+    enough: f64,
 ) -> f64 {
     let rows = Rows::new(records);
     let model = &in_step(&rows, model)[..];
     let problem = Problem::new(&rows, model, intervals).of_any_unit();
     let mut families = Families::new(&rows, dictionary, model);
-    let noise = problem.first_noise();
-    let of = |search: &Search<'_>, set: &Set| with_own_noise(search, set).0;
-    let first = settled(&problem, &mut families, noise.clone(), None, of);
-    let second = noise.without_memory().map(|other| settled(&problem, &mut families, other, None, of));
-    second.map_or(first, |s| first.max(s))
+    let start = families.known_again(start);
+    let noise = under(&problem, &start, problem.first_noise()).1;
+    let mut best = f64::NEG_INFINITY;
+    let goes_on = |search: &Search<'_>, set: &Set| {
+        best = best.max(with_own_noise(search, set).0);
+        best > enough - 2.0 * STRONG
+    };
+    settled(&problem, &mut families, noise, Some(start), goes_on, |_, _| ());
+    best
 }
 
 /// Search and noise in turn until neither changes; the estimate then, and its members.
@@ -183,15 +192,18 @@ fn settle(
     start: Option<Vec<Member>>,
     model: &[Effect],
 ) -> (Estimate, Vec<Member>) {
-    settled(problem, families, first, start, |search, set| (answer(search, set, model), set.members.clone()))
+    settled(problem, families, first, start, |_, _| true, |search, set| {
+        (answer(search, set, model), set.members.clone())
+    })
 }
 
-/// The same; `then` is asked once they have settled.
+/// The same; `goes_on` says after each round whether to; `then` is asked once they have settled.
 fn settled<T>(
     problem: &Problem<'_>,
     families: &mut Families,
     first: Noise,
     start: Option<Vec<Member>>,
+    mut goes_on: impl FnMut(&Search<'_>, &Set) -> bool,
     then: impl Fn(&Search<'_>, &Set) -> T,
 ) -> T {
     let rows = problem.rows;
@@ -206,6 +218,9 @@ fn settled<T>(
         let start = members.take().map(|m| search.of(m)).filter(|s| search.possible(s));
         let start = start.unwrap_or_else(|| search.nothing());
         let set = search.best(&start, anew && round == 0);
+        if !goes_on(&search, &set) {
+            return then(&search, &set);
+        }
         if let Some((better, own)) = under_own_noise(&search, &set)
             && round + 1 < ROUNDS
         {
@@ -237,15 +252,18 @@ fn settled<T>(
     unreachable!("the last round answers")
 }
 
-/// Log evidence of members under the noise that they leave, and that noise.
+/// Log evidence of a set under the noise that it leaves, and that noise.
 fn with_own_noise(search: &Search<'_>, set: &Set) -> (f64, Noise) {
-    let problem = search.problem;
-    let mut noise = problem.renewed(&search.base.noise, &set.factor);
+    under(search.problem, &set.members, search.problem.renewed(&search.base.noise, &set.factor))
+}
+
+/// Log evidence of members under the noise that they leave, and that noise, from a first guess of it.
+fn under(problem: &Problem<'_>, members: &[Member], mut noise: Noise) -> (f64, Noise) {
     let mut total = f64::NEG_INFINITY;
     for _ in 0..NOISE_STEPS {
         let base = problem.base(noise.clone());
         let mut factor = base.factor.clone();
-        for m in &set.members {
+        for m in members {
             for mut c in m.cause.columns(problem.rows) {
                 for x in &mut c {
                     *x *= m.level;
@@ -254,7 +272,7 @@ fn with_own_noise(search: &Search<'_>, set: &Set) -> (f64, Noise) {
                 factor.push(&c);
             }
         }
-        let prior: f64 = set.members.iter().map(|m| m.prior).sum();
+        let prior: f64 = members.iter().map(|m| m.prior).sum();
         let freedom = base.freedom;
         total = fit(factor.left(), freedom) - factor.half_log_det()
             + prior
@@ -353,6 +371,7 @@ fn answer(search: &Search<'_>, set: &Set, model: &[Effect]) -> Estimate {
         residual: set.factor.residual().to_vec(),
         score: with_own_noise(search, &set).0,
         tried,
+        members: set.members,
     }
 }
 

@@ -24,6 +24,8 @@ use std::sync::Arc;
 pub struct Member {
     /// Its family.
     pub family: usize,
+    /// The known effect that it replaces.
+    pub replaces: Option<usize>,
     /// With its non-linear parameters.
     pub cause: Cause,
     /// Size of its prior, in typical sizes.
@@ -270,6 +272,7 @@ impl<'p> Search<'p> {
             LEVELS.iter().find(|l| l.0.to_bits() == gain.level.to_bits()).map_or(0.0, |l| l.1.ln());
         let member = Member {
             family: seed.family,
+            replaces: self.family(seed.family).replaces,
             cause: seed.cause.clone(),
             level: gain.level,
             prior: prior + level_weight,

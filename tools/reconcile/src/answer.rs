@@ -111,10 +111,11 @@ pub(crate) fn analyse(records: &[Record], machine: &Machine, level: f64) -> Answ
     Answer { findings, unexplained, estimate }
 }
 
-/// Log evidence of the likeliest account of records.
-pub(crate) fn score(records: &[Record], machine: &Machine) -> f64 {
+/// Log evidence of the likeliest account of records that is reached from an answer's; given up far below `enough`.
+pub(crate) fn score(records: &[Record], machine: &Machine, from: &Answer, enough: f64) -> f64 {
     let model: Vec<Effect> = machine.effects().cloned().collect();
-    rtec_estimate::score(records, machine.dictionary(), &model, &stated(machine))
+    let start = &from.estimate.members;
+    rtec_estimate::score(records, machine.dictionary(), &model, &stated(machine), start, enough)
 }
 
 fn finding(f: &Found, effect: &Effect) -> Finding {

@@ -113,14 +113,14 @@ pub(crate) fn of_training(
         sets.extend(habit);
         let mut likeliest: Option<(f64, f64, Made)> = None;
         for set in sets {
-            let before = *as_they_stand.get_or_insert_with(|| score(&now, machine));
+            let before = *as_they_stand.get_or_insert_with(|| score(&now, machine, answer, f64::NEG_INFINITY));
             let mut others = now.clone();
             let mut gain = -before - ONE_IN.ln();
             for (k, m) in &set {
                 others[*k] = m.undone.clone();
                 gain += m.jacobian;
             }
-            let undone = score(&others, machine);
+            let undone = score(&others, machine, answer, -gain);
             gain += undone;
             if gain > likeliest.as_ref().map_or(0.0, |b| b.0) {
                 likeliest = Some((gain, undone, set));
