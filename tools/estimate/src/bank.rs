@@ -62,9 +62,9 @@ impl Bank {
         }
     }
 
-    /// The first look, beside a factor; and the products of all columns with each of the factor's.
+    /// The first look, beside a factor.
     #[must_use]
-    pub fn look(&self, factor: &Factor) -> (Look, Vec<Vec<f64>>) {
+    pub fn look(&self, factor: &Factor) -> Look {
         let along = self.shares(factor.residual());
         let mut among = vec![0.0; self.count];
         let n = self.n;
@@ -77,9 +77,8 @@ impl Bank {
             among[*at..at + own.len()].copy_from_slice(&own);
         }
         let mut look = Look { along, among };
-        let shares = self.all_shares(factor);
-        self.take(&mut look, &shares);
-        (look, shares)
+        self.take(&mut look, &self.all_shares(factor));
+        look
     }
 
     /// Products of all columns with each of a factor's.

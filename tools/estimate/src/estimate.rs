@@ -192,9 +192,14 @@ fn settle(
     start: Option<Vec<Member>>,
     model: &[Effect],
 ) -> (Estimate, Vec<Member>) {
-    settled(problem, families, first, start, |_, _| true, |search, set| {
-        (answer(search, set, model), set.members.clone())
-    })
+    settled(
+        problem,
+        families,
+        first,
+        start,
+        |_, _| true,
+        |search, set| (answer(search, set, model), set.members.clone()),
+    )
 }
 
 /// The same; `goes_on` says after each round whether to; `then` is asked once they have settled.

@@ -147,8 +147,26 @@ impl Factor {
     /// Products of the orthonormal columns with another one.
     #[must_use]
     pub fn shares(&self, column: &[f64]) -> Vec<f64> {
+        self.shares_after(Vec::new(), column)
+    }
+
+    /// The same, where those of the first columns are known.
+    #[must_use]
+    pub fn shares_after(&self, mut first: Vec<f64>, column: &[f64]) -> Vec<f64> {
         let of = |(q, within): (&Rc<[f64]>, &Range<usize>)| dot(&q[within.clone()], &column[within.clone()]);
-        self.upper.iter().zip(&self.within).map(of).collect()
+        let from = first.len();
+        first.extend(self.upper[from..].iter().zip(&self.within[from..]).map(of));
+        first
+    }
+
+    /// What these columns leave of another one.
+    #[must_use]
+    pub fn beside(&self, column: &[f64]) -> Vec<f64> {
+        let mut out = column.to_vec();
+        for (share, (q, within)) in self.shares(column).iter().zip(self.upper.iter().zip(&self.within)) {
+            add(&mut out[within.clone()], -share, &q[within.clone()]);
+        }
+        out
     }
 
     /// Columns of R: what each column that was pushed has of the orthonormal ones.

@@ -34,7 +34,7 @@ pub struct Member {
     pub prior: f64,
     /// Its columns, whitened by the noise of the search that it is of.
     columns: Rc<Columns>,
-    /// The bank's products with them, once they were asked for.
+    /// The bank's products with what the base leaves of them, once they were asked for.
     shares: Rc<OnceCell<Columns>>,
 }
 
@@ -85,12 +85,10 @@ pub struct Search<'p> {
     pub base: Base,
     /// The quick look beside the base alone.
     pub look: Look,
-    /// The bank's products with each of the base's orthonormal columns.
-    base_shares: Columns,
     /// Rounding that rows share, for intervals.
     pub rounding: Vec<crate::setup::Term>,
-    /// Whitened columns of waves that were looked at.
-    waves: RefCell<HashMap<(usize, u64), Rc<Columns>>>,
+    /// Whitened columns of waves that were looked at, and what they share with the base's.
+    waves: RefCell<HashMap<(usize, u64), Rc<[Columns; 2]>>>,
 }
 
 /// Whitened columns.
@@ -186,9 +184,9 @@ impl<'p> Search<'p> {
     /// Of a problem under a noise; the families' columns are whitened already.
     #[must_use]
     pub fn new(problem: &'p Problem<'p>, families: &'p Families, base: Base) -> Self {
-        let (look, base_shares) = families.bank.look(&base.factor);
+        let look = families.bank.look(&base.factor);
         let rounding = crate::setup::rounding(problem.rows);
-        Self { problem, families, base, look, base_shares, rounding, waves: RefCell::default() }
+        Self { problem, families, base, look, rounding, waves: RefCell::default() }
     }
 
     fn family(&self, family: usize) -> &Family {
@@ -215,9 +213,13 @@ impl<'p> Search<'p> {
     /// Gain of columns beside a factor.
     #[must_use]
     pub fn gain(&self, factor: &Factor, columns: &[Vec<f64>]) -> Gain {
+        self.gain_of(factor, columns, columns.iter().map(|c| factor.shares(c)).collect())
+    }
+
+    /// The same of columns whose shares are known.
+    fn gain_of(&self, factor: &Factor, columns: &[Vec<f64>], shares: Columns) -> Gain {
         let p = columns.len();
         let along: Vec<f64> = columns.iter().map(|c| dot(c, factor.residual())).collect();
-        let shares: Vec<Vec<f64>> = columns.iter().map(|c| factor.shares(c)).collect();
         let mut among = vec![0.0; p * p];
         for i in 0..p {
             for j in 0..=i {
@@ -229,22 +231,22 @@ impl<'p> Search<'p> {
         gain(&along, &among, factor.left(), self.base.freedom)
     }
 
-    /// The quick look beside a set. What the bank's columns share with a member's is asked once; what they share with what the factor
-    /// made of it follows from R.
+    /// The quick look beside a set. What the bank's columns share with a member's, beside the base, is asked once; what they share with
+    /// what the factor made of it follows from R.
     #[must_use]
     pub fn look_at(&self, set: &Set) -> Look {
         let bank = &self.families.bank;
         let from = self.base.factor.len();
         let mut new: Columns = Vec::new();
         for m in &set.members {
-            let raw = m.shares.get_or_init(|| m.columns.iter().map(|c| bank.shares(c)).collect());
-            for raw in raw {
-                let r = &set.factor.triangle()[from + new.len()];
+            let beside = |c: &Vec<f64>| bank.shares(&self.base.factor.beside(c));
+            for raw in m.shares.get_or_init(|| m.columns.iter().map(beside).collect()) {
+                let r = &set.factor.triangle()[from + new.len()][from..];
                 let mut share: Vec<f64> = raw.iter().map(|x| x * m.level).collect();
-                for (r, other) in r.iter().zip(self.base_shares.iter().chain(&new)).filter(|p| *p.0 != 0.0) {
+                for (r, other) in r.iter().zip(&new) {
                     add(&mut share, -r, other);
                 }
-                let size = r[r.len() - 1];
+                let size = r[new.len()];
                 share.iter_mut().for_each(|x| *x /= size);
                 new.push(share);
             }
@@ -470,15 +472,20 @@ impl<'p> Search<'p> {
                         let weight = wave_weight(family, f, *unit, along.range(), along.span());
                         let key = (number, f.to_bits());
                         let known = self.waves.borrow().get(&key).cloned();
-                        let columns = known.unwrap_or_else(|| {
-                            let new = Rc::new(self.columns(&cause));
+                        let known = known.unwrap_or_else(|| {
+                            let columns = self.columns(&cause);
+                            let shares = columns.iter().map(|c| self.base.factor.shares(c)).collect();
+                            let new = Rc::new([columns, shares]);
                             let mut waves = self.waves.borrow_mut();
                             if waves.len() < WAVES_KEPT {
                                 waves.insert(key, Rc::clone(&new));
                             }
                             new
                         });
-                        let score = prior + weight + self.gain(&set.factor, &columns).total;
+                        let [columns, base] = &*known;
+                        let shares = columns.iter().zip(base);
+                        let shares = shares.map(|(c, b)| set.factor.shares_after(b.clone(), c)).collect();
+                        let score = prior + weight + self.gain_of(&set.factor, columns, shares).total;
                         seeds.push(Seed { family: number, cause, weight, score });
                     }
                 }
@@ -686,6 +693,7 @@ impl<'p> Search<'p> {
         let Some(top) = seeds.first().map(|s| s.score) else { return Vec::new() };
         let mut out: Vec<Set> = Vec::new();
         let mut forms: Vec<(f64, usize, Member)> = Vec::new();
+        let mut pairs: Vec<Set> = Vec::new();
         let mut waves = 0;
         for (number, seed) in seeds.into_iter().take(TRIED).enumerate() {
             if seed.score < (top - HOPELESS).max(WORTHLESS) {
@@ -699,12 +707,13 @@ impl<'p> Search<'p> {
                 own.extend(self.changing(&seed));
             }
             if wave {
-                out.extend(self.with(set, &seed).and_then(|p| self.with_beside(&p)));
+                pairs.extend(self.with(set, &seed).and_then(|p| self.with_beside(&p)));
             }
             own.push(seed);
             forms
                 .extend(own.iter().filter_map(|f| self.weighed(set, f)).map(|(score, m)| (score, number, m)));
         }
+        out.extend(pairs.into_iter().max_by(|a, b| a.score.total_cmp(&b.score)).map(|p| self.in_tune(p)));
         // Only what is kept is fitted.
         forms.sort_by(|a, b| b.0.total_cmp(&a.0));
         let counts = |m: &Member| m.cause.effect().is_some_and(|e| e.description().whole_counts);
@@ -743,7 +752,8 @@ impl<'p> Search<'p> {
             .enumerate()
             .filter_map(of)
             .max_by(|a, b| a.score.total_cmp(&b.score))?;
-        Some(self.in_tune(best)).filter(|s| s.score > set.score)
+        // Out of tune both explain less.
+        Some(best).filter(|s| s.score > set.score - HOPELESS)
     }
 
     /// A set whose last two members are a wave and what goes with it: the period that they share, where both explain most.

@@ -113,7 +113,8 @@ pub(crate) fn of_training(
         sets.extend(habit);
         let mut likeliest: Option<(f64, f64, Made)> = None;
         for set in sets {
-            let before = *as_they_stand.get_or_insert_with(|| score(&now, machine, answer, f64::NEG_INFINITY));
+            let before =
+                *as_they_stand.get_or_insert_with(|| score(&now, machine, answer, f64::NEG_INFINITY));
             let mut others = now.clone();
             let mut gain = -before - ONE_IN.ln();
             for (k, m) in &set {
