@@ -59,7 +59,10 @@ impl Name {
             Self::Rtl => Some(FileKind::Laser),
             Self::Etalon => Some(FileKind::Etalon),
             Self::Shdr => Some(FileKind::Shdr),
-            _ => None,
+            Self::LinuxcncComp0 | Self::LinuxcncComp1 | Self::Halsampler | Self::Own => {
+                Some(FileKind::Numbers)
+            }
+            Self::Csv | Self::CmmPlate => None,
         }
     }
 }
@@ -106,7 +109,7 @@ impl Asked {
         let (file, out) = (self.file.as_path(), self.out.as_path());
         let text = match self.format {
             Name::Rtl => any_text(file, &rtec_files::text::bytes(file)?)?,
-            Name::Csv | Name::Own => {
+            _ => {
                 let (text, western) =
                     rtec_files::text::decode_western(file, &rtec_files::text::bytes(file)?)?;
                 if western {
@@ -115,7 +118,6 @@ impl Asked {
                 }
                 text
             }
-            _ => rtec_files::text::read(file)?,
         };
         // What is wrong with its columns is wrong in the file that was given: the record is not written yet.
         let mut record = self
