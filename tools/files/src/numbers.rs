@@ -161,7 +161,9 @@ impl Marks {
         let seen = loop {
             match reader.row() {
                 Ok(Some(row)) => {
-                    row.cells().enumerate().for_each(|(place, cell)| self.see(place, cell.text()))
+                    for (place, cell) in row.cells().enumerate() {
+                        self.see(place, cell.text());
+                    }
                 }
                 Ok(None) => break Ok(()),
                 Err(e) => break Err(e),

@@ -211,6 +211,9 @@ pub fn csv(
     table(from, text, wanted, &Form::default(), kind, to)
 }
 
+/// What a table begins with.
+const HEADER: &str = "a header line";
+
 /// Reads the wanted columns of a table. Times may be ISO 8601: time 0 is then the first row's, and the record's note says
 /// when that was.
 ///
@@ -235,11 +238,10 @@ pub fn table(
         Some(by) => reader = reader.parted_by(by),
         None => {}
     }
-    let expected = "a header line";
     let mut header = match (form.nameless, form.by) {
         (true, _) => None,
-        (false, Some(_)) => Some(reader.header(expected)?),
-        (false, None) => Some(reader.header_with(expected, &names_of(wanted))?),
+        (false, Some(_)) => Some(reader.header(HEADER)?),
+        (false, None) => Some(reader.header_with(HEADER, &names_of(wanted))?),
     };
     // Columns that are called by their numbers need no names.
     let by_number = wanted.iter().all(|w| w.column.parse::<usize>().is_ok());

@@ -196,7 +196,8 @@ fn warming_of_an_axis_is_not_its_repeatability() {
 #[test]
 fn a_step_of_the_returns_is_no_drift() {
     let count = 30;
-    let kinds: [(&str, fn(f64) -> f64); 4] = [
+    type Curve = fn(f64) -> f64;
+    let kinds: [(&str, Curve); 4] = [
         ("step", |i| if i < 12.0 { 0.0 } else { 8.0 }),
         ("line", |i| 0.4 * i),
         ("bend", |i| 12.0 * (1.0 - (-i / 6.0).exp())),

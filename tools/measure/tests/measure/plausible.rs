@@ -1268,7 +1268,7 @@ fn adjacent_wild_readings_are_named() {
                 let machine = Machine::random(&mut d);
                 let clean = one(run(&machine, &mut d));
                 let response = clean.responses().next().unwrap().name.clone();
-                assert_eq!(suspicions(&[clean.clone()]), [], "{name}, {seed}");
+                assert_eq!(suspicions(std::slice::from_ref(&clean)), [], "{name}, {seed}");
                 if 9 * readings > clean.rows() {
                     continue;
                 }
