@@ -195,8 +195,8 @@ fn warming_of_an_axis_is_not_its_repeatability() {
 /// A step is named with its row; a line, a bend as heat makes it, and noise are none.
 #[test]
 fn a_step_of_the_returns_is_no_drift() {
-    let count = 30;
     type Curve = fn(f64) -> f64;
+    let count = 30;
     let kinds: [(&str, Curve); 4] = [
         ("step", |i| if i < 12.0 { 0.0 } else { 8.0 }),
         ("line", |i| 0.4 * i),
