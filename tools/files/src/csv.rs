@@ -1,7 +1,8 @@
-//! CSV, line by line: UTF-8 or UTF-16, a byte-order mark and CRLF accepted, `#` starts a comment, a cell in double quotes may
-//! hold commas, `#` and doubled quotes. Every finding has its line and column.
+//! CSV, line by line: UTF-8, UTF-16 or Windows-1252, a byte-order mark and CRLF accepted, a cell in double quotes may hold commas,
+//! `#` and doubled quotes. Every finding has its line and column. A row of separators alone is empty, as spreadsheets leave them.
 //!
-//! A `#` is text where a separator follows it (`Sample #,t`) and where it begins the error value of a spreadsheet (`#N/A`).
+//! A comment begins with a `#` at a line's start, or with one behind a whole row that has a blank on one side of it. Within a
+//! cell `#` is text: `#1`, `No#2`, `Sample #,t`, `#N/A`, and `1 # 2` where cells are still to come.
 //!
 //! Lines and comments are ours, because the `csv` crate knows comments only as whole lines and gives no columns. Cells
 //! in quotes are taken apart by that crate's parser ([`csv_core`]), lines without a quote simply at their
@@ -11,7 +12,7 @@ use crate::decimal::{decimal, number, plain_decimal};
 use crate::file_kind::FileKind;
 use crate::input::InputError;
 use crate::lines::Lines;
-use crate::text::{UTF8, not_utf8, opened};
+use crate::text::{UTF8, is_western, not_utf8, opened, western};
 use crate::words::{cut, nearest, quoted, shown};
 use std::borrow::Cow;
 use std::cell::RefCell;
@@ -26,6 +27,29 @@ pub struct Reader<R> {
     pub(crate) lines: Lines<R>,
     parser: Parser,
     by: u8,
+    /// Cells of a row, once the header is read.
+    width: Option<usize>,
+    encoding: Encoding,
+    /// The present line, where it is no UTF-8.
+    decoded: String,
+    commented: Option<Commented>,
+}
+
+/// What the lines so far are written in.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Encoding {
+    Ascii,
+    Utf8,
+    Western,
+}
+
+/// Lines that begin with `#` and look like rows all the same.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Commented {
+    /// The first of them, from 1.
+    pub line: usize,
+    /// How many.
+    pub lines: usize,
 }
 
 /// A row that [`Reader::plain_row`] has found: how long its text is, and its line with the line's end, bytes.
@@ -54,7 +78,15 @@ impl<R: Read> Reader<R> {
     /// # Errors
     /// The input cannot be read.
     pub fn new(file: &Path, input: R) -> Result<Self, InputError> {
-        Ok(Self { lines: Lines::new(file, input)?, parser: parser(b','), by: b',' })
+        Ok(Self {
+            lines: Lines::new(file, input)?,
+            parser: parser(b','),
+            by: b',',
+            width: None,
+            encoding: Encoding::Ascii,
+            decoded: String::new(),
+            commented: None,
+        })
     }
 
     /// The next row that holds something besides a comment.
@@ -64,23 +96,48 @@ impl<R: Read> Reader<R> {
     pub fn row(&mut self) -> Result<Option<Row<'_>>, InputError> {
         let (range, length) = loop {
             let Some(range) = self.lines.line()? else { return Ok(None) };
-            let length = content(self.lines.bytes(range.clone()), self.by).len();
+            let line = self.lines.bytes(range.clone());
+            let length = content(line, self.by, self.width).len();
             if length > 0 {
                 break (range, length);
             }
-        };
-        let (lines, parser) = (&self.lines, &self.parser);
-        let bytes = lines.bytes(range);
-        let text = std::str::from_utf8(bytes).map(|line| &line[..length]).map_err(|e| {
-            if let Some(kind) = FileKind::of_bytes(bytes).filter(|_| lines.line == 1) {
-                return InputError::whole(&lines.file, kind.name(), kind.as_text());
+            if looks_like_a_row(line, self.by, self.width) {
+                let (line, first) = (self.lines.line, self.commented);
+                self.commented = Some(Commented {
+                    line: first.map_or(line, |c| c.line),
+                    lines: first.map_or(1, |c| c.lines + 1),
+                });
             }
-            let (good, bad) = bytes.split_at(e.valid_up_to());
-            let column = String::from_utf8_lossy(good).chars().count() + 1;
-            InputError::at(&lines.file, lines.line, column, not_utf8(bad[0]), UTF8)
-        })?;
-        let row = Row { file: &lines.file, line: lines.line, text, parser, by: self.by };
-        if has_quote(text) {
+        };
+        let (lines, parser, by) = (&self.lines, &self.parser, self.by);
+        let bytes = lines.bytes(range);
+        let (whole, length) = match std::str::from_utf8(bytes) {
+            Ok(line) if line.is_ascii() => (line, length),
+            Ok(line) if self.encoding != Encoding::Western => {
+                self.encoding = Encoding::Utf8;
+                (line, length)
+            }
+            Ok(_) => {
+                let found = "letters in UTF-8 behind lines in Windows-1252";
+                return Err(InputError::at(&lines.file, lines.line, 0, found, "one encoding, best UTF-8"));
+            }
+            Err(e) => {
+                if let Some(kind) = FileKind::of_bytes(bytes).filter(|_| lines.line == 1) {
+                    return Err(InputError::whole(&lines.file, kind.name(), kind.as_text()));
+                }
+                let (good, bad) = bytes.split_at(e.valid_up_to());
+                if self.encoding == Encoding::Utf8 || !good.is_ascii() || !is_western(bytes) {
+                    let column = String::from_utf8_lossy(good).chars().count() + 1;
+                    return Err(InputError::at(&lines.file, lines.line, column, not_utf8(bad[0]), UTF8));
+                }
+                self.encoding = Encoding::Western;
+                self.decoded = western(bytes);
+                let length = content(self.decoded.as_bytes(), by, self.width).len();
+                (self.decoded.as_str(), length)
+            }
+        };
+        let row = Row { file: &lines.file, line: lines.line, text: &whole[..length], whole, parser, by };
+        if has_quote(row.text) {
             row.quotes_are_closed()?;
         }
         Ok(Some(row))
@@ -132,15 +189,12 @@ impl<R: Read> Reader<R> {
     /// # Errors
     /// There is none: `expected` says what it would hold. Or as [`Reader::row`].
     pub fn header(&mut self, expected: &str) -> Result<Header, InputError> {
-        let file = self.lines.file.clone();
-        match self.row()? {
-            Some(row) => Ok(Header::of(row)),
-            None => Err(InputError::whole(&file, "no header", expected)),
-        }
+        let first = self.first_line(expected)?;
+        Ok(self.begin(&first, &[self.by], &[]))
     }
 
-    /// The first row, as the columns' names; what parts it (`;`, a tab, or else a comma) parts all rows. A line `sep=X` in
-    /// front of it, as spreadsheets write and read it, says what parts them.
+    /// The first row, as the columns' names; what parts it (`;`, a tab, `|` where it has no comma, or else a comma) parts all rows. A
+    /// line `sep=X` in front of it, as spreadsheets write and read it, says what parts them.
     ///
     /// # Errors
     /// As [`Reader::header`]; a `sep=` of another character than `,`, `;`, `|` and a tab.
@@ -153,32 +207,62 @@ impl<R: Read> Reader<R> {
     /// # Errors
     /// As [`Reader::header_by_any`].
     pub fn header_with(&mut self, expected: &str, names: &[&str]) -> Result<Header, InputError> {
-        let file = self.lines.file.clone();
-        let no_header = || InputError::whole(&file, "no header", expected);
-        let row = self.row()?.ok_or_else(no_header)?;
-        if let Some(said) = row.text.get(..4).filter(|s| s.eq_ignore_ascii_case("sep=")) {
-            let by = match &row.text[said.len()..] {
-                "" => '\t', // the blanks at a line's end are dropped
-                "," => ',',
-                ";" => ';',
-                "|" => '|',
+        let first = self.first_line(expected)?;
+        if let Some(said) = first.text.get(..4).filter(|s| s.eq_ignore_ascii_case("sep=")) {
+            let by = match &first.text[said.len()..] {
+                "" => b'\t', // the blanks at a line's end are dropped
+                "," => b',',
+                ";" => b';',
+                "|" => b'|',
                 other => {
-                    let found = format!("{said}{other}");
-                    return Err(row.finding(found, "sep= with a comma, a semicolon, | or a tab"));
+                    let (found, expected) =
+                        (format!("{said}{other}"), "sep= with a comma, a semicolon, | or a tab");
+                    return Err(InputError::at(&self.lines.file, first.line, 0, found, expected));
                 }
             };
-            (self.parser, self.by) = (parser(by as u8), by as u8);
-            return Ok(Header::of(self.row()?.ok_or_else(no_header)?));
+            (self.parser, self.by) = (parser(by), by);
+            let first = self.first_line(expected)?;
+            return Ok(self.begin(&first, &[by], names));
         }
-        let has = |by: &u8| outside_quotes(row.text.as_bytes()).any(|(_, byte)| byte == *by);
-        let header_by = |by: u8| (by, Header::of(Row { parser: &parser(by), by, ..row }));
-        let mut headers: Vec<(u8, Header)> =
-            [b';', b'\t'].into_iter().filter(has).chain([b',']).map(header_by).collect();
+        // The first name may hold the # that seems to begin a comment.
+        let is_parted = outside_quotes(first.text.as_bytes()).any(|(_, byte)| is_separator(byte, b','));
+        let text = if is_parted { &first.text } else { &first.whole };
+        let has = |by: &u8| outside_quotes(text.as_bytes()).any(|(_, byte)| byte == *by);
+        let mut by: Vec<u8> = [b';', b'\t'].into_iter().filter(has).collect();
+        // SHDR's lines have bars and commas.
+        by.extend(if has(&b'|') && !has(&b',') { &b"|,"[..] } else { b"," });
+        Ok(self.begin(&first, &by, names))
+    }
+
+    /// The first line that holds something besides a comment.
+    fn first_line(&mut self, expected: &str) -> Result<FirstLine, InputError> {
+        let file = self.lines.file.clone();
+        let row = self.row()?.ok_or_else(|| InputError::whole(&file, "no header", expected))?;
+        Ok(FirstLine {
+            line: row.line,
+            text: row.text.to_owned(),
+            whole: row.whole.trim_ascii_end().to_owned(),
+        })
+    }
+
+    /// Takes the columns' names from the first line: of several separators the first that gives all of `names`, or else the first.
+    fn begin(&mut self, first: &FirstLine, by: &[u8], names: &[&str]) -> Header {
+        let width = |by: u8| width_of_rows(self.lines.unread(), by);
+        let cut = |by: u8| content(first.whole.as_bytes(), by, width(by)).len();
+        // A name may hold a # that would begin a comment: whoever asks for that name has it.
+        let lengths = by.iter().map(|by| (*by, cut(*by))).chain(by.iter().map(|by| (*by, first.whole.len())));
+        let header_by = |(by, length): (u8, usize)| {
+            let text = &first.whole[..length];
+            let row =
+                Row { file: &self.lines.file, line: first.line, text, whole: text, parser: &parser(by), by };
+            (by, Header::of(row))
+        };
+        let mut headers: Vec<(u8, Header)> = lengths.map(header_by).collect();
         let named = |(_, header): &(u8, Header)| names.iter().all(|name| header.find(name).is_some());
         let best = headers.iter().position(named).unwrap_or(0);
         let (by, header) = headers.swap_remove(best);
-        (self.parser, self.by) = (parser(by), by);
-        Ok(header)
+        (self.parser, self.by, self.width) = (parser(by), by, Some(header.names.len()));
+        header
     }
 
     /// The first row, which must be these names.
@@ -207,6 +291,25 @@ impl<R: Read> Reader<R> {
         self
     }
 
+    /// Rows of so many cells, where no header tells it.
+    #[must_use]
+    pub fn of_width(mut self, cells: usize) -> Self {
+        self.width = Some(cells);
+        self
+    }
+
+    /// A line so far was no UTF-8, and read as Windows-1252.
+    #[must_use]
+    pub fn is_western(&self) -> bool {
+        self.encoding == Encoding::Western
+    }
+
+    /// Lines so far that begin with `#` and look like rows all the same.
+    #[must_use]
+    pub fn commented(&self) -> Option<Commented> {
+        self.commented
+    }
+
     /// The input is UTF-16.
     #[must_use]
     pub fn is_utf16(&self) -> bool {
@@ -229,31 +332,79 @@ fn has_quote(text: &str) -> bool {
     memchr::memchr(b'"', text.as_bytes()).is_some()
 }
 
-/// A line without its comment and the blanks at its end; empty where nothing else is in it.
-fn content(line: &[u8], by: u8) -> &[u8] {
-    let comment = if memchr::memchr(b'#', line).is_some() {
-        outside_quotes(line).find(|(at, byte)| *byte == b'#' && !is_in_cell(line, *at, by))
-    } else {
-        None
-    };
-    let comment = comment.map(|(at, _)| at);
+/// The first line of a table, with its comment and without.
+#[derive(Debug)]
+struct FirstLine {
+    line: usize,
+    text: String,
+    whole: String,
+}
+
+/// A line without its comment and the blanks at its end; empty where nothing but separators is in it.
+fn content(line: &[u8], by: u8, width: Option<usize>) -> &[u8] {
+    let comment = if memchr::memchr(b'#', line).is_some() { comment_at(line, by, width) } else { None };
     let text = line[..comment.unwrap_or(line.len())].trim_ascii_end();
-    if text.trim_ascii_start().is_empty() { &[] } else { text }
+    if text.first().is_none_or(|first| first.is_ascii_whitespace() || is_separator(*first, by))
+        && text.iter().all(|byte| byte.is_ascii_whitespace() || is_separator(*byte, by))
+    {
+        return &[];
+    }
+    text
+}
+
+/// Whether a byte parts cells; before the header is read, by whatever separator.
+fn is_separator(byte: u8, by: u8) -> bool {
+    byte == by || by == b',' && matches!(byte, b';' | b'\t' | b'|')
 }
 
 /// What spreadsheets write into a cell that they cannot work out.
 const CELL_ERRORS: [&[u8]; 9] =
     [b"#N/A", b"#NV", b"#DIV/0!", b"#VALUE!", b"#WERT!", b"#REF!", b"#NAME?", b"#NUM!", b"#NULL!"];
 
-/// A `#` that belongs to a cell and starts no comment.
-fn is_in_cell(line: &[u8], at: usize, by: u8) -> bool {
-    let before = line[..at].trim_ascii_end();
-    let (rest, by) = (&line[at..], if by == b',' { &b",;\t"[..] } else { std::slice::from_ref(&by) });
-    let parted = rest.get(1).is_some_and(|next| by.contains(next));
-    let begins_cell = before.last().is_none_or(|last| by.contains(last));
-    let is_error = || CELL_ERRORS.iter().any(|error| rest.starts_with(error));
-    // A line that begins with # is a comment, whatever follows.
-    !before.is_empty() && parted || begins_cell && is_error()
+/// Where a line's comment begins. `width`: the cells of a row, where that is known.
+fn comment_at(line: &[u8], by: u8, width: Option<usize>) -> Option<usize> {
+    let (mut cells, mut at_cell) = (1, true);
+    for (at, byte) in outside_quotes(line) {
+        if byte == by {
+            (cells, at_cell) = (cells + 1, true);
+            continue;
+        }
+        if byte == b'#' {
+            let behind = line.get(at + 1);
+            let is_error = at_cell && CELL_ERRORS.iter().any(|error| line[at..].starts_with(error));
+            let is_first = line[..at].trim_ascii_start().is_empty();
+            let is_blank = |byte: Option<&u8>| byte.is_none_or(u8::is_ascii_whitespace);
+            let apart = is_blank(behind) || is_blank(at.checked_sub(1).map(|at| &line[at]));
+            let parted = behind.is_some_and(|byte| *byte != b' ' && is_separator(*byte, by));
+            let is_whole = width.is_none_or(|width| cells >= width);
+            // A line that begins with # is a comment, whatever follows.
+            if !is_error && (is_first || apart && !parted && is_whole) {
+                return Some(at);
+            }
+        }
+        at_cell &= byte.is_ascii_whitespace() || is_separator(byte, by);
+    }
+    None
+}
+
+/// Whether a comment has as many cells as a row, a word in the first and numbers in the others: `#1;2,5;3`.
+fn looks_like_a_row(line: &[u8], by: u8, width: Option<usize>) -> bool {
+    let Some(text) = line.trim_ascii().strip_prefix(b"#").and_then(|text| std::str::from_utf8(text).ok())
+    else {
+        return false;
+    };
+    let mut cells = text.split(char::from(by));
+    let is_word =
+        cells.next().is_some_and(|first| first.starts_with(|c: char| !c.is_whitespace() && c != '#'));
+    let numbers = cells.clone().filter(|cell| number(&cell.trim().replace(',', ".")).is_some()).count();
+    is_word && numbers > 0 && width == Some(1 + numbers) && cells.count() == numbers
+}
+
+/// The cells of the next row that has no `#`, as far as the text goes.
+fn width_of_rows(ahead: &[u8], by: u8) -> Option<usize> {
+    let rows = ahead.split(|byte| *byte == b'\n').filter(|line| memchr::memchr(b'#', line).is_none());
+    let row = rows.map(|line| content(line, by, None)).find(|line| !line.is_empty())?;
+    Some(1 + outside_quotes(row).filter(|(_, byte)| *byte == by).count())
 }
 
 /// The bytes of a line, with their places, that stand behind an even number of quotes.
@@ -271,6 +422,8 @@ pub struct Row<'a> {
     file: &'a Path,
     line: usize,
     text: &'a str,
+    /// With its comment.
+    whole: &'a str,
     parser: &'a Parser,
     by: u8,
 }
@@ -595,7 +748,7 @@ impl Header {
     pub fn is_missing(&self) -> Option<InputError> {
         let is_number = |text: &str| text.trim().replace(',', ".").parse::<f64>().is_ok();
         // Whatever parts the cells: a table that is not parted by commas may lack its names, too.
-        let by = [';', '\t'].into_iter().find(|by| self.text.contains(*by));
+        let by = [';', '\t', '|'].into_iter().find(|by| self.text.contains(*by));
         let cells: Vec<&str> = match by {
             Some(by) => self.text.split(by).collect(),
             None => self.names().collect(),
@@ -844,7 +997,7 @@ mod tests {
     fn mark_line_ends_comments_and_blanks_are_no_matter() {
         let text =
             "\u{feff}# bench 3\r\n\r\nt, y # s, mm\r\n 1 ,\t2# up\r\n   # none\r\n,\r\n\"#1\", 2 # \"last\"";
-        assert_eq!(rows(text).unwrap(), [["t", "y"], ["1", "2"], ["", ""], ["#1", "2"]]);
+        assert_eq!(rows(text).unwrap(), [["t", "y"], ["1", "2"], ["#1", "2"]]);
         assert!(rows("").unwrap().is_empty());
     }
 
@@ -895,6 +1048,63 @@ mod tests {
             assert_eq!(rows(text).unwrap(), [wants], "{text}");
         }
         assert!(rows("#,a,b\n# N/A\n").unwrap().is_empty());
+    }
+
+    #[test]
+    fn a_hash_begins_a_comment_behind_a_whole_row_only() {
+        for (text, header, row) in [
+            ("n;t;e\nNo#1;2;3\n", &["n", "t", "e"][..], &["No#1", "2", "3"][..]),
+            ("n;t;e\nNo #1;2;3 # good\n", &["n", "t", "e"], &["No #1", "2", "3"]),
+            ("t;e;n\n1;2;#3\n", &["t", "e", "n"], &["1", "2", "#3"]),
+            ("e # um;t # s\n1;2\n", &["e # um", "t"], &["1", "2"]),
+            ("t,y # s, mm\n1,2\n", &["t", "y"], &["1", "2"]),
+            ("e # um,t\n# 1,2\n1,2# up\n3,4\n", &["e # um", "t"], &["1", "2"]),
+            ("n|t\nNo # 1|2\n", &["n", "t"], &["No # 1", "2"]),
+        ] {
+            let mut reader = reader(text);
+            let found = reader.header_by_any("names").unwrap();
+            assert_eq!(found.names().collect::<Vec<_>>(), header, "{text}");
+            let cells = found.cells(reader.row().unwrap().unwrap()).unwrap();
+            assert_eq!(cells.iter().map(Cell::text).collect::<Vec<_>>(), row, "{text}");
+        }
+        let mut named = reader("t;e # um\n1;2\n");
+        assert_eq!(named.header_with("names", &["e # um"]).unwrap().find("e # um"), Some(1));
+    }
+
+    #[test]
+    fn rows_that_begin_with_a_hash_are_counted() {
+        let mut reader = reader("n;e\n#1;2,5\n# 2;2,5\n#3;2,5\n## 4;5\n#5;a\n6;1\n");
+        reader.header_by_any("names").unwrap();
+        assert_eq!(reader.row().unwrap().unwrap().text(), "6;1");
+        assert_eq!(reader.commented(), Some(Commented { line: 2, lines: 2 }));
+    }
+
+    #[test]
+    fn rows_of_separators_alone_are_empty() {
+        for text in ["t,e,,\n1,2,,\n,,,\n\n, , ,\n", "\n;;;\nt;e;;\n1;2;;\n;;;\n"] {
+            let mut reader = reader(text);
+            let header = reader.header_by_any("names").unwrap();
+            assert_eq!(header.names().count(), 4);
+            assert_eq!(header.cells(reader.row().unwrap().unwrap()).unwrap()[1].text(), "2");
+            assert!(reader.row().unwrap().is_none(), "{text}");
+        }
+    }
+
+    #[test]
+    fn windows_1252_is_read_and_never_mixed_with_utf_8() {
+        let mut western =
+            Reader::new(Path::new("a.csv"), b"t,T (\xb0C)\n1,2\n# \xb5\n3,4 # \xb5m\n".as_slice()).unwrap();
+        let header = western.header_with("names", &["T (°C)"]).unwrap();
+        assert_eq!(header.names().last(), Some("T (°C)"));
+        assert_eq!(western.row().unwrap().unwrap().text(), "1,2");
+        assert_eq!(western.row().unwrap().unwrap().text(), "3,4");
+        assert!(western.is_western() && western.row().unwrap().is_none());
+        for mixed in [b"t,\xb0\n1,\xc2\xb0\n".as_slice(), b"t,\xc2\xb0\n1,\xb0\n"] {
+            let mut reader = Reader::new(Path::new("a.csv"), mixed).unwrap();
+            reader.header_by_any("names").unwrap();
+            assert_eq!(reader.row().unwrap_err().line, 2);
+        }
+        assert!(!rows("µ\n").unwrap().is_empty());
     }
 
     #[test]

@@ -43,6 +43,8 @@ pub enum FileKind {
     Etalon,
     /// `MTConnect`'s SHDR lines.
     Shdr,
+    /// Lines of three numbers between blanks, the first ones rising: a compensation table of `LinuxCNC`.
+    Numbers,
     /// A spreadsheet's own file, or another zip archive.
     Workbook,
     /// PDF.
@@ -138,14 +140,18 @@ impl FileKind {
             return Some(Self::Profile);
         }
         let mut rows = lines().filter(|l| !l.is_empty() && !l.starts_with('#'));
+        if are_rising_numbers(rows.clone()) {
+            return Some(Self::Numbers);
+        }
         let mut first = rows.next()?;
         if first.to_ascii_lowercase().starts_with("sep=") {
             first = rows.next()?;
         }
-        if !first.contains([',', ';', '\t']) || first.contains(['=', '[']) {
+        if !first.contains([',', ';', '\t', '|']) || first.contains(['=', '[']) {
             return None;
         }
-        let names: Vec<&str> = first.split([',', ';', '\t']).map(|n| n.trim().trim_matches('"')).collect();
+        let names: Vec<&str> =
+            first.split([',', ';', '\t', '|']).map(|n| n.trim().trim_matches('"')).collect();
         let has = |kind: &Self| kind.columns().iter().all(|c| names.contains(c));
         Some(
             [Self::Trace, Self::Requests, Self::Points, Self::Batch]
@@ -176,6 +182,9 @@ impl FileKind {
             Self::Ecmc => "ecmc's ISO 230-2 data",
             Self::Etalon => "Etalon's exchange format",
             Self::Shdr => "a log of SHDR lines (MTConnect)",
+            Self::Numbers => {
+                "lines of three numbers, as a compensation table of LinuxCNC: characterise import --format linuxcnc-comp0 reads it"
+            }
             Self::Workbook => "a spreadsheet's own file (.xlsx, .ods, .xls) or a zip archive",
             Self::Pdf => "a PDF document",
             Self::Compressed => "a compressed file (gzip)",
@@ -252,6 +261,19 @@ impl FileKind {
     }
 }
 
+/// Whether rows hold three numbers each, parted by blanks, the first ones rising.
+fn are_rising_numbers<'t>(rows: impl Iterator<Item = &'t str>) -> bool {
+    let (mut last, mut seen) = (f64::NEG_INFINITY, 0);
+    for row in rows.take(LINES) {
+        let numbers: Option<Vec<f64>> = row.split_whitespace().map(|word| word.parse().ok()).collect();
+        match numbers.as_deref() {
+            Some([first, _, _]) if *first > last => (last, seen) = (*first, seen + 1),
+            _ => return false,
+        }
+    }
+    seen > 1
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -282,7 +304,10 @@ mod tests {
             ("2022-08-08T13:51:37.25Z|x|1.5\n", Some(FileKind::Shdr)),
             ("PK\u{3}\u{4}\n", Some(FileKind::Workbook)),
             ("<?xml version=\"1.0\"?>\n<a/>\n", Some(FileKind::Markup)),
-            ("0 0.001 0.002\n100 0.0 0.0\n", None),
+            ("# mm\n0 0.001 0.002\n100\t0.0 0.0\n", Some(FileKind::Numbers)),
+            ("0 0.001 0.002\n0 0.0 0.0\n", None),
+            ("0 0.001\n100 0.0\n", None),
+            ("t_ns|requested\n0|4\n", Some(FileKind::Requests)),
             ("name = \"ideal\"\n", None),
             ("", None),
         ] {

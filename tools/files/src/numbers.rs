@@ -4,7 +4,7 @@
 //! that cannot part thousands (`38,1125`, `0,125`). One mark with three digits behind it (`1.000`, `38,125`) does not tell; the
 //! other cells of the column decide then.
 
-use crate::csv::{Reader, Style};
+use crate::csv::{Commented, Reader, Style};
 use crate::decimal::{SIGNS, number};
 use crate::input::InputError;
 use crate::text::unreadable;
@@ -99,19 +99,47 @@ pub struct Marks {
     columns: Vec<Option<char>>,
     table: Option<char>,
     by: char,
-    utf16: bool,
+    /// UTF-16 or Windows-1252.
+    encoding: Option<&'static str>,
+    /// The first cell with two readings.
+    open: Option<String>,
+    commented: Option<Commented>,
 }
 
 impl Marks {
     /// Of a table of which no row has been seen.
     #[must_use]
-    pub fn new(by: char, utf16: bool) -> Self {
-        Self { columns: Vec::new(), table: None, by, utf16 }
+    pub fn new<R: Read>(reader: &Reader<R>) -> Self {
+        let mut marks = Self {
+            columns: Vec::new(),
+            table: None,
+            by: reader.separator(),
+            encoding: None,
+            open: None,
+            commented: None,
+        };
+        marks.read_so_far(reader);
+        marks
+    }
+
+    /// Takes over what the reader has found out since.
+    pub fn read_so_far<R: Read>(&mut self, reader: &Reader<R>) {
+        self.encoding = if reader.is_utf16() {
+            Some("UTF-16")
+        } else {
+            reader.is_western().then_some("Windows-1252: it is no UTF-8")
+        };
+        self.commented = reader.commented();
     }
 
     /// Sees a cell of a row; `place` is its column's, from 0.
     pub fn see(&mut self, place: usize, text: &str) {
-        let Some(mark) = shown_mark(text) else { return };
+        let Some(mark) = shown_mark(text) else {
+            if self.open.is_none() && has_two_readings(text) {
+                self.open = Some(text.to_owned());
+            }
+            return;
+        };
         self.table.get_or_insert(mark);
         if self.columns.len() <= place {
             self.columns.resize(place + 1, None);
@@ -124,22 +152,29 @@ impl Marks {
     /// # Errors
     /// As [`Reader::row`].
     pub fn of<R: Read>(reader: &mut Reader<R>) -> Result<Self, InputError> {
-        let mut marks = Self::new(reader.separator(), reader.is_utf16());
+        let mut marks = Self::new(reader);
         marks.see_rows(reader)?;
         Ok(marks)
     }
 
     fn see_rows<R: Read>(&mut self, reader: &mut Reader<R>) -> Result<(), InputError> {
-        while let Some(row) = reader.row()? {
-            for (place, cell) in row.cells().enumerate() {
-                self.see(place, cell.text());
+        let seen = loop {
+            match reader.row() {
+                Ok(Some(row)) => {
+                    for (place, cell) in row.cells().enumerate() {
+                        self.see(place, cell.text());
+                    }
+                }
+                Ok(None) => break Ok(()),
+                Err(e) => break Err(e),
             }
-        }
-        Ok(())
+        };
+        self.read_so_far(reader);
+        seen
     }
 
     /// Of a table with a header of these names, from its beginning, where the input is again afterwards. `None` for a plain
-    /// table: commas part the cells and none is in quotes, so that a number can only have a decimal point.
+    /// table: commas part the cells, none is in quotes, and it is UTF-8, so that a number can only have a decimal point.
     ///
     /// # Errors
     /// There is no header; a row that is no text; the input cannot be read.
@@ -151,16 +186,16 @@ impl Marks {
         let rewind = |input: &mut R| input.rewind().map_err(|e| unreadable(file, &e));
         let mut reader = Reader::new(file, &mut *input)?;
         reader.header_with("a header line", names)?;
-        let plain = reader.separator() == ',' && !reader.is_utf16();
+        let plain = reader.separator() == ',' && !reader.is_utf16() && !reader.is_western();
         rewind(input)?;
-        let plain = plain && !has_quote(input).map_err(|e| unreadable(file, &e))?;
+        let plain = plain && is_plain(input).map_err(|e| unreadable(file, &e))?;
         rewind(input)?;
         if plain {
             return Ok(None);
         }
         let mut reader = Reader::new(file, &mut *input)?;
         reader.header_with("a header line", names)?;
-        let mut marks = Self::new(reader.separator(), reader.is_utf16());
+        let mut marks = Self::new(&reader);
         // What is wrong with a row is found when it is read; the rows before it come first.
         let _ = marks.see_rows(&mut reader);
         rewind(input)?;
@@ -179,7 +214,8 @@ impl Marks {
         Style { by: self.by, decimal_comma: self.table == Some(',') }
     }
 
-    /// How the file is written where it is not as formats.md has it: UTF-16, another separator, decimal commas.
+    /// How the file is written where it is not as formats.md has it: UTF-16, another separator, decimal commas; and what has two
+    /// readings in it.
     #[must_use]
     pub fn written(&self, file: &Path) -> Option<String> {
         let by = match self.by {
@@ -189,22 +225,75 @@ impl Marks {
             _ => Some("columns parted by |"),
         };
         let comma = (self.table == Some(',')).then_some("decimal commas");
-        let parts: Vec<&str> = [self.utf16.then_some("UTF-16"), by, comma].into_iter().flatten().collect();
-        (!parts.is_empty()).then(|| format!("{}: read as {}", file.display(), parts.join(", ")))
+        let parts: Vec<&str> = [self.encoding, by, comma].into_iter().flatten().collect();
+        let read = (!parts.is_empty()).then(|| format!("read as {}", parts.join(", ")));
+        self.said(file, read)
+    }
+
+    /// What has two readings in the file.
+    #[must_use]
+    pub fn questions(&self, file: &Path) -> Option<String> {
+        self.said(file, None)
+    }
+
+    fn said(&self, file: &Path, read: Option<String>) -> Option<String> {
+        let said = [read, self.two_readings(), self.rows_commented()];
+        let said: Vec<String> = said.into_iter().flatten().collect();
+        (!said.is_empty()).then(|| format!("{}: {}", file.display(), said.join("; ")))
+    }
+
+    /// Cells whose mark may be the decimal mark or part thousands, where no other cell of the table tells.
+    fn two_readings(&self) -> Option<String> {
+        let text = self.open.as_ref().filter(|_| self.table.is_none() && self.by != ',')?;
+        let (mark, name) = if text.contains(',') { (',', "comma") } else { ('.', "point") };
+        let other = if mark == ',' { "point" } else { "comma" };
+        let (fraction, thousands) = (ungrouped(text, mark)?, text.replace(mark, ""));
+        Some(format!(
+            "{text} was read as {fraction}, with a decimal {name}; it may be {thousands}, as no cell shows the decimal mark: if so, \
+             write it without the {name}, or one cell with a decimal {other}"
+        ))
+    }
+
+    fn rows_commented(&self) -> Option<String> {
+        let Commented { line, lines } = self.commented?;
+        let (are, they) = if lines == 1 { ("line begins", "it is") } else { ("lines begin", "they are") };
+        Some(format!(
+            "{lines} {are} with # and a row's cells (line {line} first): a comment; put the first cell in quotes if {they} a row"
+        ))
     }
 }
 
-fn has_quote(input: &mut impl Read) -> std::io::Result<bool> {
+/// Whether commas in quotes, and letters of Windows-1252, are out of the question.
+fn is_plain(input: &mut impl Read) -> std::io::Result<bool> {
     let mut buffer = vec![0; 1 << 16];
+    let mut kept = 0;
     loop {
-        match input.read(&mut buffer) {
-            Ok(0) => return Ok(false),
-            Ok(n) if memchr::memchr(b'"', &buffer[..n]).is_some() => return Ok(true),
-            Ok(_) => {}
+        match input.read(&mut buffer[kept..]) {
+            Ok(0) => return Ok(kept == 0),
+            Ok(n) => {
+                let text = &buffer[..kept + n];
+                if memchr::memchr(b'"', text).is_some() {
+                    return Ok(false);
+                }
+                // A letter may be cut by the buffer's end.
+                let good = encoding_rs::Encoding::utf8_valid_up_to(text);
+                if text.len() - good > 3 {
+                    return Ok(false);
+                }
+                let end = text.len();
+                buffer.copy_within(good..end, 0);
+                kept = end - good;
+            }
             Err(e) if e.kind() == std::io::ErrorKind::Interrupted => {}
             Err(e) => return Err(e),
         }
     }
+}
+
+/// A number with one mark that may part thousands or be the decimal mark.
+fn has_two_readings(text: &str) -> bool {
+    let marks = number_body(text).map_or(0, |body| body.matches(['.', ',']).count());
+    marks == 1 && !text.contains(['e', 'E']) && !text.contains(BLANKS)
 }
 
 /// A number without its sign and exponent; `None` where other characters are in it.
@@ -282,6 +371,45 @@ mod tests {
             let numbers = Numbers::of(column.iter().copied(), Numbers::mark_of(column.iter().copied()), by);
             let read: Vec<Option<f64>> = column.iter().map(|c| numbers.parse(c)).collect();
             assert_eq!(read, wants, "{column:?}");
+        }
+    }
+
+    #[test]
+    fn a_number_with_two_readings_is_questioned() {
+        let written = |text: &str| {
+            let mut reader = Reader::new(Path::new("a.csv"), text.as_bytes()).unwrap();
+            reader.header_by_any("names").unwrap();
+            Marks::of(&mut reader).unwrap().written(Path::new("a.csv"))
+        };
+        let says = "a.csv: read as columns parted by semicolons; 1.500 was read as 1.500, with a decimal point; it may be 1500, as \
+                    no cell shows the decimal mark: if so, write it without the point, or one cell with a decimal comma";
+        assert_eq!(written("x;e\n1.500;2\n").unwrap(), says);
+        assert!(
+            written("x;e\n-12,500;2\n")
+                .unwrap()
+                .contains("-12,500 was read as -12.500, with a decimal comma; it may be -12500")
+        );
+        for settled in ["x;e\n1.500;0.5\n", "x;e\n1.500;2,5\n", "x;e\n1.5e3;1.500e2\n", "x;e\n1500;2\n"] {
+            assert!(
+                !written(settled).unwrap().contains("two readings")
+                    && !written(settled).unwrap().contains("may be"),
+                "{settled}"
+            );
+        }
+        assert_eq!(written("x,e\n1.500,2\n"), None);
+    }
+
+    #[test]
+    fn a_plain_file_has_neither_quotes_nor_foreign_letters() {
+        let long = "µ,1\n".repeat(40_000);
+        for (bytes, plain) in [
+            (long.as_bytes(), true),
+            (b"1,2\n", true),
+            (b"1,\"2\"\n", false),
+            (b"1,\xb5m is text in Windows-1252\n", false),
+            (b"1,\xb5", false),
+        ] {
+            assert_eq!(is_plain(&mut &bytes[..]).unwrap(), plain);
         }
     }
 

@@ -57,10 +57,26 @@ impl Columns {
         self.0.is_empty()
     }
 
+    /// The file's names among them.
+    fn named(&self) -> Vec<&str> {
+        let places = self.0.iter().map(|(_, place)| place.as_str());
+        places.filter(|place| place.parse::<usize>().is_err()).collect()
+    }
+
     /// All of them by number: the file need not have a line of names.
     fn are_numbers(&self) -> bool {
         !self.is_empty() && self.0.iter().all(|(_, place)| place.parse::<usize>().is_ok())
     }
+}
+
+/// That a run record lies beside the file under its name, and the file is its CSV.
+fn record_beside(file: &Path) -> Option<String> {
+    let sidecar = file.with_extension("run.toml");
+    let is_its_csv =
+        crate::text::read(&sidecar).is_ok_and(|text| FileKind::of(&text) == Some(FileKind::RunRecord));
+    is_its_csv.then(|| {
+        format!("the rows of the run record {}, which `characterise evaluate` reads", sidecar.display())
+    })
 }
 
 impl Sheet {
@@ -108,7 +124,7 @@ impl Sheet {
     ) -> Result<Self, InputError> {
         let expected = format!("a header: {}", known.join(","));
         let mut reader = Reader::new(file, bytes)?;
-        let mut header = reader.header_by_any(&expected)?;
+        let mut header = reader.header_with(&expected, &columns.named())?;
         if columns.are_numbers() && header.is_missing().is_some() {
             let by = reader.separator();
             let said = header.line();
@@ -118,6 +134,7 @@ impl Sheet {
                 reader.row()?;
             }
             header = header.numbered();
+            reader = reader.of_width(header.names().count());
         }
         let header = if columns.is_empty() {
             header.only(known, also).map_err(|e| {
@@ -130,7 +147,9 @@ impl Sheet {
                         let own = kind.columns().iter().all(|c| known.contains(c));
                         *kind != FileKind::Table && (kind.columns().is_empty() || !own)
                     })
-                    .map_or(e.clone(), |kind| InputError { found: kind.name().to_owned(), ..e })
+                    .map(|kind| kind.name().to_owned())
+                    .or_else(|| record_beside(file))
+                    .map_or(e.clone(), |found| InputError { found, ..e })
             })?;
             header
         } else {
@@ -143,7 +162,7 @@ impl Sheet {
             rows.push(Row { line: row.line(), cells });
         }
         let names = header.names().filter(|name| !name.is_empty()).map(str::to_owned).collect();
-        let mut marks = Marks::new(reader.separator(), reader.is_utf16());
+        let mut marks = Marks::new(&reader);
         for (place, (text, _)) in rows.iter().flat_map(|r: &Row| r.cells.iter().enumerate()) {
             marks.see(place, text);
         }
@@ -287,6 +306,13 @@ mod tests {
         let batch = parse("part,feature,error_um\n1,D1,2\n").unwrap_err();
         assert_eq!(batch.found, "a batch of parts: it has columns part, feature");
         assert_eq!(parse("0\nSECTION\n").unwrap_err().found, "a DXF drawing");
+        let folder = tempfile::tempdir().unwrap();
+        let csv = folder.path().join("axis.csv");
+        std::fs::write(&csv, "t,e\n0,1\n").unwrap();
+        let read = || Sheet::read(&csv, &["z_mm", "x_mm"], |_| false).unwrap_err().found;
+        assert_eq!(read(), "column 't'");
+        std::fs::write(csv.with_extension("run.toml"), "file = \"axis.csv\"\n[columns]\n").unwrap();
+        assert!(read().starts_with("the rows of the run record "), "{}", read());
         let book = of_bytes(b"PK\x03\x04\x14\0\x06\0\xee\n").unwrap_err();
         assert_eq!(book.expected, "a text file: save the sheet as CSV");
     }

@@ -94,11 +94,20 @@ pub fn decode_western(file: &Path, bytes: &[u8]) -> Result<(String, bool), Input
         Ok(text) => return Ok((text, false)),
         Err(error) => error,
     };
-    let is_text = |byte: &u8| matches!(byte, b'\t' | b'\n' | b'\r' | 0x20..=0x7e | 0xa0..);
-    if utf16(bytes).is_some() || !bytes.iter().all(is_text) {
+    if utf16(bytes).is_some() || !is_western(bytes) {
         return Err(error);
     }
-    Ok((encoding_rs::WINDOWS_1252.decode_without_bom_handling(bytes).0.into_owned(), true))
+    Ok((western(bytes), true))
+}
+
+/// Whether bytes may be text in Windows-1252: printable letters alone.
+pub(crate) fn is_western(bytes: &[u8]) -> bool {
+    bytes.iter().all(|byte| matches!(byte, b'\t' | b'\n' | b'\r' | 0x20..=0x7e | 0xa0..))
+}
+
+/// Text in Windows-1252.
+pub(crate) fn western(bytes: &[u8]) -> String {
+    encoding_rs::WINDOWS_1252.decode_without_bom_handling(bytes).0.into_owned()
 }
 
 /// A number as a person reads it: as it is, or with a power of ten where it would be a row of zeros.

@@ -150,7 +150,7 @@ impl<R: Read> TraceReader<R> {
 }
 
 fn written<R: Read>(rows: &csv::Reader<R>) -> Option<String> {
-    Marks::new(rows.separator(), rows.is_utf16()).written(&rows.lines.file)
+    Marks::new(rows).written(&rows.lines.file)
 }
 
 impl<R: Read> Iterator for TraceReader<R> {

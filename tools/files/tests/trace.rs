@@ -117,7 +117,7 @@ fn csv_errors_say_where_and_what() {
     }
     assert_eq!(
         read(TraceFormat::Csv, b"t_ns,a,b\n0,0,\xff\n").unwrap_err().to_string(),
-        "t:2:5: found byte 0xff, expected text in UTF-8"
+        "t:2:5: found 'ÿ', expected the level 0 or 1"
     );
 }
 

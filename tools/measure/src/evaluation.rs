@@ -365,6 +365,15 @@ fn returns(record: &Record, conditions: &Conditions) -> Result<(Value, Report), 
             of.trend_um_per_return * (of.returns - 1) as f64,
         ));
     }
+    for (axis, of) in &axes {
+        let Some(step) = of.step else { continue };
+        report.warn(&format!(
+            "error.{axis}: the returns step by {:+.2} ± {:.2} µm at row {} and stay: s and the range hold that step; before and behind it the \
+             returns scatter by s = {:.2} µm, which is the repeatability. A step is no drift: look for what moved there (tool, gauge, \
+             chip, lost counts)",
+            step.um, step.standard_error_um, step.row, step.s_about_step_um,
+        ));
+    }
     let coarse = |column: &Column| {
         let steps = Steps::of_response(record, column).filter(Steps::is_coarse)?;
         Some((column.role.to_string(), short(steps.step)))

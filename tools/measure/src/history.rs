@@ -1,9 +1,10 @@
 //! One machine's figures of merit over time: what each of its records says, with limits and trend.
 
 use crate::iso230::{self, Options};
+use crate::plausible::{self, Suspicion};
 use crate::plot::PlotError;
 use crate::report::{self, Report};
-use crate::{ballbar, evaluation::Standard, plausible};
+use crate::{ballbar, evaluation::Standard};
 use rtec_files::InputError;
 use rtec_files::toml::Document;
 use rtec_model::date;
@@ -142,6 +143,9 @@ pub struct History {
     pub figures: Vec<Figure>,
     /// Records without a date, or that cannot be read or evaluated.
     pub left_out: Vec<LeftOut>,
+    /// Mistakes that the records show; rows of a response that are doubted stay in its figures.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub suspicions: Vec<Suspicion>,
 }
 
 /// One machine's history from its records, each by its path: one that cannot be read is left out and named.
@@ -150,8 +154,11 @@ pub fn history(machine: &str, records: &[(String, Result<Record, InputError>)], 
     let mut found: BTreeMap<String, Figure> = BTreeMap::new();
     let mut left_out = Vec::new();
     // Readings that a sensor did not take are in no figure.
-    let records: Vec<(&String, Result<Record, &InputError>)> =
-        records.iter().map(|(path, record)| (path, record.as_ref().map(with_taken_readings))).collect();
+    let mut suspicions = Vec::new();
+    let records: Vec<(&String, Result<Record, &InputError>)> = records
+        .iter()
+        .map(|(path, record)| (path, record.as_ref().map(|r| with_taken_readings(r, &mut suspicions))))
+        .collect();
     let sensors = sensors(records.iter().filter_map(|r| r.1.as_ref().ok()));
     for (path, record) in &records {
         let path = *path;
@@ -181,15 +188,18 @@ pub fn history(machine: &str, records: &[(String, Result<Record, InputError>)], 
         }
     }
     let figures = found.into_values().map(judged).collect();
-    History { machine: machine.to_owned(), figures, left_out }
+    History { machine: machine.to_owned(), figures, left_out, suspicions }
 }
 
 type Said = (String, &'static str, Option<String>, f64);
 
-fn with_taken_readings(record: &Record) -> Record {
+fn with_taken_readings(record: &Record, found: &mut Vec<Suspicion>) -> Record {
     let records = std::slice::from_ref(record);
-    let taken = plausible::taken(records, &plausible::suspicions(records));
-    plausible::rows_taken(&taken[0]).0.into_owned()
+    let doubts = plausible::suspicions(records);
+    let taken = plausible::taken(records, &doubts);
+    let usable = plausible::rows_taken(&taken[0]).0.into_owned();
+    found.extend(doubts);
+    usable
 }
 
 /// What a record says: of an evaluation that has no history nothing.

@@ -223,6 +223,73 @@ pub struct Returns {
     /// Standard deviation by the differences from each return to the next, which hold no slow drift of any shape, µm; `None` below
     /// three returns.
     pub s_of_neighbours_um: Option<f64>,
+    /// A step that explains the returns better than a straight line does, and leaves nothing else in them.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub step: Option<ReturnStep>,
+}
+
+/// A step in the returns: all before it about one mean, all from it on about another.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct ReturnStep {
+    /// The first return behind it, from 1.
+    pub row: usize,
+    /// Its size, µm.
+    pub um: f64,
+    /// Standard error of its size, µm.
+    pub standard_error_um: f64,
+    /// Probability of so large a step at any place by chance.
+    pub p_value: f64,
+    /// Standard deviation about the two means, µm.
+    pub s_about_step_um: f64,
+}
+
+/// So many returns at least on either side of a step: one alone is a bad return.
+const STEP_SIDE: usize = 2;
+/// Chance is ruled out where it gives as much in one of a hundred runs.
+const CHANCE: f64 = 0.01;
+/// The point of a normal distribution that one of a hundred values lies beyond.
+const ONE_IN_A_HUNDRED: f64 = 2.326;
+
+impl ReturnStep {
+    /// The step that explains the returns best, where a straight line, which leaves `about_line` (sum of squares, µm²), does not
+    /// explain them as well.
+    fn of(e: &[f64], about_line: f64) -> Option<Self> {
+        let n = e.len();
+        let squares = |v: &[f64]| {
+            let mean = v.iter().sum::<f64>() / v.len() as f64;
+            v.iter().map(|x| (x - mean).powi(2)).sum::<f64>()
+        };
+        let about = |k: usize| squares(&e[..k]) + squares(&e[k..]);
+        let places = STEP_SIDE..(n + 1).checked_sub(STEP_SIDE)?;
+        let tried = places.len() as f64;
+        let (at, left) = places.map(|k| (k, about(k))).min_by(|a, b| a.1.total_cmp(&b.1))?;
+        let freedom = n.checked_sub(2).filter(|f| *f > 0)? as f64;
+        // Its place was sought as well: one parameter more than a line has (Schwarz's criterion).
+        let count = n as f64;
+        if count * (about_line / left.max(f64::MIN_POSITIVE)).ln() < count.ln() {
+            return None;
+        }
+        let mean = |v: &[f64]| v.iter().sum::<f64>() / v.len() as f64;
+        let um = mean(&e[at..]) - mean(&e[..at]);
+        let s = (left / freedom).sqrt();
+        let error = s * (1.0 / at as f64 + 1.0 / (n - at) as f64).sqrt();
+        let t = StudentsT::new(0.0, 1.0, freedom).ok()?;
+        let p_value = if s > 0.0 { (tried * 2.0 * t.cdf(-(um / error).abs())).min(1.0) } else { 0.0 };
+        // What bends, as heat does, leaves neighbours alike on both sides of a step.
+        let residual: Vec<f64> =
+            (0..n).map(|i| e[i] - if i < at { mean(&e[..at]) } else { mean(&e[at..]) }).collect();
+        let pairs: f64 = residual.windows(2).map(|w| (w[1] - w[0]).powi(2)).sum();
+        let is_rest = left <= 0.0 || !is_alike(pairs / left, n);
+        let found = Self { row: at + 1, um, standard_error_um: error, p_value, s_about_step_um: s };
+        (p_value < CHANCE && um != 0.0 && is_rest).then_some(found)
+    }
+}
+
+/// Whether neighbours are more alike than chance makes them in one of a hundred runs: von Neumann's ratio, mean 2 and variance
+/// 4 (n − 2) / (n² − 1).
+fn is_alike(ratio: f64, n: usize) -> bool {
+    let n = n as f64;
+    ratio < 2.0 - ONE_IN_A_HUNDRED * 2.0 * ((n - 2.0) / (n * n - 1.0)).sqrt()
 }
 
 impl Returns {
@@ -249,6 +316,7 @@ impl Returns {
             trend_um_per_return: slope,
             trend_standard_error_um: Some(error).filter(|error| error.is_finite()),
             trend_p_value: p,
+            step: ReturnStep::of(e, left),
             s_about_trend_um: s_about,
             s_of_neighbours_um: (n > 2.0).then(|| {
                 let squares: f64 = e.windows(2).map(|w| (w[1] - w[0] - slope).powi(2)).sum();
@@ -257,22 +325,20 @@ impl Returns {
         })
     }
 
-    /// The drift is no straight line: about it neighbours are more alike than chance makes them in one of a hundred runs (von Neumann's
-    /// ratio, mean 2 and variance 4 (n − 2) / (n² − 1)).
+    /// The drift is no straight line: about it neighbours are more alike than chance makes them.
     #[must_use]
     pub fn is_bent(&self) -> bool {
-        const ONE_IN_A_HUNDRED: f64 = 2.326;
         let n = self.returns as f64;
         self.s_about_trend_um.zip(self.s_of_neighbours_um).is_some_and(|(about, neighbours)| {
             let ratio = 2.0 * (neighbours / about).powi(2) * (n - 1.0) / (n - 2.0);
-            ratio < 2.0 - ONE_IN_A_HUNDRED * 2.0 * ((n - 2.0) / (n * n - 1.0)).sqrt()
+            is_alike(ratio, self.returns)
         })
     }
 
-    /// The returns drift by more than chance gives in one of a hundred runs.
+    /// The returns drift by more than chance gives in one of a hundred runs, and no step explains them better.
     #[must_use]
     pub fn is_trend(&self) -> bool {
-        self.trend_p_value.is_some_and(|p| p < 0.01)
+        self.step.is_none() && self.trend_p_value.is_some_and(|p| p < CHANCE)
     }
 }
 

@@ -442,7 +442,10 @@ impl<R: Read> Rows<R> {
 
     /// How the CSV is written where that is unusual.
     fn written(&self) -> Option<String> {
-        self.marks.as_ref()?.written(self.header.file())
+        let file = self.header.file();
+        self.marks
+            .as_ref()
+            .map_or_else(|| Marks::new(&self.reader).written(file), |marks| marks.written(file))
     }
 
     /// Rows that the columns hold.
@@ -894,6 +897,19 @@ mod tests {
         let sidecar = SIDECAR.replace("T3 =", "\"T3; bed\" =");
         let record = read(&sidecar, "t,y,T3; bed,e\n0,1,20,3\n").unwrap();
         assert_eq!(record.temperature("T3; bed"), Some(&[20.0][..]));
+    }
+
+    #[test]
+    fn rows_that_pass_for_comments_are_said() {
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::write(folder.path().join("y.csv"), "n,t,e\n#1,0,1\n#2,1,1\n3,2,1\n").unwrap();
+        let sidecar = "file = \"y.csv\"\nkind = \"drift\"\n[columns]\nt = { role = \"time\", unit = \"s\" }\n\
+                       e = { role = \"error.y\", unit = \"um\" }\n";
+        let path = folder.path().join("y.run.toml");
+        std::fs::write(&path, sidecar).unwrap();
+        let record = super::read(&path).unwrap();
+        assert_eq!(record.rows(), 1);
+        assert!(record.written.unwrap().contains("2 lines begin with # and a row's cells (line 2 first)"));
     }
 
     #[test]

@@ -82,6 +82,10 @@ const UNIX_S: [f64; 2] = [946_684_800.0, 4_102_444_800.0];
 /// Seconds from 1904-01-01, the zero of `LabVIEW` and of old Macintoshes, to 1970-01-01.
 const SINCE_1904_S: f64 = 2_082_844_800.0;
 
+/// Steps of Windows' FILETIME in a second, and seconds from its zero, 1601-01-01, to 1970-01-01.
+const FILETIME_PER_S: f64 = 1e7;
+const FILETIME_ZERO_S: f64 = 11_644_473_600.0;
+
 /// From 2000 to 2100, days since 1899-12-30, as a spreadsheet counts.
 const SPREADSHEET_D: [f64; 2] = [36_526.0, 73_051.0];
 /// Days from 1899-12-30 to 1970-01-01.
@@ -98,11 +102,11 @@ pub struct Counted {
     pub day: String,
 }
 
-/// A Unix time between 2000 and 2100, in any unit; or seconds since 1904 where that Unix time has not come yet. `None` for what is
+/// A Unix time between 2000 and 2100, in any unit; Windows' FILETIME of those years; or seconds since 1904 where that Unix time has not come yet. `None` for what is
 /// neither.
 #[must_use]
 pub fn counted(time: f64) -> Option<Counted> {
-    let (unit, day) = unix(time)?;
+    let Some((unit, day)) = unix(time) else { return filetime(time) };
     let since_1904 = time - SINCE_1904_S;
     let is_to_come = date::parse(&day)? > date::today() + 1;
     if unit == "s" && is_to_come && since_1904 >= UNIX_S[0] {
@@ -110,6 +114,15 @@ pub fn counted(time: f64) -> Option<Counted> {
         return Some(Counted { unit, what: "seconds since 1904", day });
     }
     Some(Counted { unit, what: "Unix time", day })
+}
+
+/// Windows' FILETIME between 2000 and 2100: steps of 100 ns since 1601.
+#[must_use]
+pub fn filetime(time: f64) -> Option<Counted> {
+    let unix_s = time / FILETIME_PER_S - FILETIME_ZERO_S;
+    let day = || date::format((unix_s / 86_400.0).floor() as i64);
+    let is_date = (UNIX_S[0]..UNIX_S[1]).contains(&unix_s);
+    is_date.then(|| Counted { unit: "100ns", what: "Windows FILETIME", day: day() })
 }
 
 /// A spreadsheet's date between 2000 and 2100: days since 1899-12-30.
@@ -228,6 +241,13 @@ mod tests {
         assert_eq!((since_1904.what, since_1904.day.as_str()), ("seconds since 1904", "2025-09-06"));
         assert_eq!(counted(1_767_700_000.0).unwrap().what, "Unix time");
         assert_eq!(spreadsheet(45_963.5).unwrap().day, "2025-11-02");
+        // (datetime(2025, 11, 2) - datetime(1601, 1, 1)) / timedelta(microseconds=1) * 10
+        let windows = counted(134_065_152_000_000_000.0).unwrap();
+        assert_eq!(
+            (windows.what, windows.unit, windows.day.as_str()),
+            ("Windows FILETIME", "100ns", "2025-11-02")
+        );
+        assert_eq!((filetime(1.7677e15), filetime(1.7677e18)), (None, None));
         let ten_seconds = |i: i32| 45_963.5 + f64::from(i) * 10.0 / 86_400.0;
         let dates: Vec<f64> = (0..5).map(ten_seconds).collect();
         assert_eq!(spreadsheet_in_s(&dates).as_deref(), Some("2025-11-02"));

@@ -531,6 +531,26 @@ mod tests {
     }
 
     #[test]
+    fn a_sensor_that_stands_still_is_offered_only_by_name() {
+        let mut record = drift(1);
+        for (name, degc) in [("A", 25.0), ("Z", 0.0)] {
+            record.columns.push(Column::new(name, Role::Temperature, vec![degc; record.rows()]));
+        }
+        let problem = |options: &Options| Problem::new(&[&record], &response(), options).unwrap();
+        let all = problem(&Options::default());
+        assert_eq!(
+            (all.sensors, all.still, all.environment),
+            (vec!["T0".into()], vec!["A".into(), "Z".into()], None)
+        );
+        let named = problem(&Options { environment: Some("A".into()), ..Options::default() });
+        assert_eq!((named.sensors, named.still), (vec!["T0".into(), "A".into()], vec!["Z".into()]));
+        let (_, reports) = crate::thermal::fit(&[&record], &[], &Options::default()).unwrap();
+        let said = &reports[0].warnings;
+        assert!(said.iter().any(|s| s.starts_with("A reads the same in every row")), "{said:?}");
+        assert!(reports[0].kept.iter().all(|k| !k.sensor.contains('A') && !k.sensor.contains('Z')));
+    }
+
+    #[test]
     fn more_sensors_than_can_be_paired_are_to_be_named() {
         let record = drift(260);
         let said = Problem::new(&[&record], &response(), &Options::default()).err().unwrap();

@@ -114,6 +114,13 @@ impl Options {
         self.base.iter().flat_map(Machine::effects).filter(own).filter_map(of).collect()
     }
 
+    /// Somebody named this sensor.
+    fn names(&self, sensor: &str) -> bool {
+        let minus = |d: &Difference| matches!(&d.against, Against::Sensor(m) if m == sensor);
+        self.environment.as_deref() == Some(sensor)
+            || self.sensors.iter().any(|d| d.sensor == sensor || minus(d))
+    }
+
     /// The base has an effect of this name.
     fn base_has(&self, name: &str) -> bool {
         self.base.as_ref().is_some_and(|m| m.effects().any(|e| e.name() == name))
@@ -176,7 +183,12 @@ fn fit_response(
     let baselines = baselines(&problem, train, holdout, response)?;
     let mut blocks = nested(&problem, train, response)?.ok_or_else(nothing)?;
     let mut terms = chosen.structure.terms.clone();
-    let mut warnings = Vec::new();
+    let still = |s: &String| {
+        format!(
+            "{s} reads the same in every row and is not offered: is it read? --sensors or --environment takes it all the same"
+        )
+    };
+    let mut warnings: Vec<String> = problem.still.iter().map(still).collect();
     if !terms.is_empty() && blocks.mean_square() > baselines["mean"].mean_square() {
         // Its own table is against it: structures chosen without a block say less of that block than the mean does.
         warnings.push(format!(

@@ -23,6 +23,8 @@ const TOGETHER: usize = 8;
 /// All rows of the training records, ready for the search.
 pub(super) struct Problem {
     pub(super) sensors: Vec<String>,
+    /// Sensors that are not offered, as they read the same in every row.
+    pub(super) still: Vec<String>,
     pub(super) environment: Option<usize>,
     /// Offered: (sensor, minus).
     pub(super) offered: Vec<Pair>,
@@ -90,6 +92,12 @@ impl Problem {
         let first = records[0];
         let sensors: Vec<String> = first.names(&Role::Temperature).map(str::to_owned).collect();
         check_columns(records, &sensors, response)?;
+        // One that reads the same in every row is no cause of what changes, and no air either: the gauge of a room moves.
+        let is_offered = |name: &String| options.names(name) || !stands_still(records, name);
+        let (mut sensors, mut still): (Vec<String>, Vec<String>) = sensors.into_iter().partition(is_offered);
+        if sensors.is_empty() {
+            std::mem::swap(&mut sensors, &mut still);
+        }
         let environment = match &options.environment {
             Some(name) => Some(place(first, &sensors, name)?),
             None if sensors.len() < 2 => None,
@@ -134,6 +142,7 @@ impl Problem {
             folds: options.folds,
             square: options.square,
             sensors,
+            still,
             environment,
             offered,
             pairs,
@@ -226,6 +235,13 @@ fn check_columns(records: &[&Record], sensors: &[String], response: &Role) -> Re
         }
     }
     Ok(())
+}
+
+/// Whether a sensor reads the same in every row of all records.
+fn stands_still(records: &[&Record], name: &str) -> bool {
+    let mut readings = records.iter().filter_map(|r| r.temperature(name)).flatten();
+    let first = readings.next();
+    readings.all(|degc| first.is_some_and(|first| first.to_bits() == degc.to_bits()))
 }
 
 /// No lag, then lags from one minute to a third of the longest record, in equal ratios.

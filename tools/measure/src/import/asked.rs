@@ -59,7 +59,10 @@ impl Name {
             Self::Rtl => Some(FileKind::Laser),
             Self::Etalon => Some(FileKind::Etalon),
             Self::Shdr => Some(FileKind::Shdr),
-            _ => None,
+            Self::LinuxcncComp0 | Self::LinuxcncComp1 | Self::Halsampler | Self::Own => {
+                Some(FileKind::Numbers)
+            }
+            Self::Csv | Self::CmmPlate => None,
         }
     }
 }
@@ -104,18 +107,16 @@ impl Asked {
     /// The first finding in the file, or in what was said of it.
     pub fn read(&self, say: &mut dyn FnMut(Said)) -> Result<Record, InputError> {
         let (file, out) = (self.file.as_path(), self.out.as_path());
-        let text = match self.format {
-            Name::Rtl => any_text(file, &rtec_files::text::bytes(file)?)?,
-            Name::Csv | Name::Own => {
-                let (text, western) =
-                    rtec_files::text::decode_western(file, &rtec_files::text::bytes(file)?)?;
-                if western {
-                    let file = file.display();
-                    say(Said::Note(format!("{file}: read as Windows-1252: it is no UTF-8")));
-                }
-                text
+        let bytes = rtec_files::text::bytes(file)?;
+        let text = if self.format == Name::Rtl {
+            any_text(file, &bytes)?
+        } else {
+            let (text, western) = rtec_files::text::decode_western(file, &bytes)?;
+            if western {
+                let file = file.display();
+                say(Said::Note(format!("{file}: read as Windows-1252: it is no UTF-8")));
             }
-            _ => rtec_files::text::read(file)?,
+            text
         };
         // What is wrong with its columns is wrong in the file that was given: the record is not written yet.
         let mut record = self

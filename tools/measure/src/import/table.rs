@@ -28,6 +28,8 @@ type Unit = (&'static str, f64, f64);
 
 /// Seconds of a day.
 const DAY_S: f64 = 86_400.0;
+/// A step of Windows' FILETIME, s.
+const FILETIME_S: f64 = 1e-7;
 
 /// Units that are turned into a role's own.
 const UNITS: [(&str, &[Unit]); 8] = [
@@ -35,6 +37,7 @@ const UNITS: [(&str, &[Unit]); 8] = [
         "s",
         &[
             ("ns", 1e-9, 0.0),
+            ("100ns", FILETIME_S, 0.0),
             ("us", 1e-6, 0.0),
             ("ms", 1e-3, 0.0),
             ("min", 60.0, 0.0),
@@ -208,6 +211,9 @@ pub fn csv(
     table(from, text, wanted, &Form::default(), kind, to)
 }
 
+/// What a table begins with.
+const HEADER: &str = "a header line";
+
 /// Reads the wanted columns of a table. Times may be ISO 8601: time 0 is then the first row's, and the record's note says
 /// when that was.
 ///
@@ -232,17 +238,17 @@ pub fn table(
         Some(by) => reader = reader.parted_by(by),
         None => {}
     }
-    let expected = "a header line";
     let mut header = match (form.nameless, form.by) {
         (true, _) => None,
-        (false, Some(_)) => Some(reader.header(expected)?),
-        (false, None) => Some(reader.header_by_any(expected)?),
+        (false, Some(_)) => Some(reader.header(HEADER)?),
+        (false, None) => Some(reader.header_with(HEADER, &names_of(wanted))?),
     };
     // Columns that are called by their numbers need no names.
     let by_number = wanted.iter().all(|w| w.column.parse::<usize>().is_ok());
     if by_number && header.as_ref().is_some_and(|header| header.is_missing().is_some()) {
         let by = reader.separator();
-        reader = Reader::new(from, text.as_bytes())?.parted_by(by);
+        let cells = header.as_ref().map_or(0, |header| header.names().count());
+        reader = Reader::new(from, text.as_bytes())?.parted_by(by).of_width(cells);
         header = None;
     }
     let places = wanted
@@ -258,7 +264,7 @@ pub fn table(
             }),
         })
         .collect::<Result<Vec<_>, _>>()?;
-    let (numbers, written) = numbers(from, &text, form, reader.separator(), header.is_some(), &places)?;
+    let (numbers, written) = numbers(from, &text, form, reader.separator(), header.as_ref(), &places)?;
     let mut data = vec![Vec::new(); wanted.len()];
     let mut clock = Clock::default();
     let by = reader.separator();
@@ -323,6 +329,12 @@ pub fn table(
         add_note(&mut record, &cut_note(line));
     }
     Ok(record)
+}
+
+/// The columns that are called by a name.
+fn names_of(wanted: &[ImportColumn]) -> Vec<&str> {
+    let names = wanted.iter().map(|w| w.column.as_str());
+    names.filter(|name| name.parse::<usize>().is_err()).collect()
 }
 
 /// Lines in which the columns' names are looked for.
@@ -450,13 +462,17 @@ impl Clock {
     /// A time that is a number, since the first row where it is counted from long before the run. Or what was expected.
     fn number(&mut self, number: f64, w: &ImportColumn, first: bool) -> Result<f64, String> {
         let in_days = (w.scale[0] - DAY_S).abs() < 0.5;
-        let counted =
-            || if in_days { clock::spreadsheet(number) } else { clock::counted(number * w.scale[0]) };
+        let in_filetime = w.scale[0].to_bits() == FILETIME_S.to_bits();
+        let counted = || match () {
+            () if in_days => clock::spreadsheet(number),
+            () if in_filetime => clock::filetime(number),
+            () => clock::counted(number * w.scale[0]),
+        };
         if first && let Some(found) = counted() {
-            if !matches!(found.unit, "s" | "d") {
-                let (column, unit) = (&w.column, found.unit);
+            if !matches!(found.unit, "s" | "d") && !in_filetime {
+                let (column, unit, what) = (&w.column, found.unit, found.what);
                 return Err(format!(
-                    "a time in s, or its unit: this is Unix time in {unit}, as {column}=time:{unit}"
+                    "a time in s, or its unit: this is {what} in {unit}, as {column}=time:{unit}"
                 ));
             }
             self.counted = Some((number, found));
@@ -465,9 +481,9 @@ impl Clock {
             && let Some(found) = clock::counted(number)
         {
             // Minutes or hours of that number are no clock; as it stands it is one.
-            let (column, unit) = (&w.column, found.unit);
+            let (column, unit, what) = (&w.column, found.unit, found.what);
             return Err(format!(
-                "a time in the unit of its clock: this is Unix time in {unit}, as {column}=time:{unit}"
+                "a time in the unit of its clock: this is {what} in {unit}, as {column}=time:{unit}"
             ));
         }
         if self.last.replace(number).is_some_and(|last| last < COUNTER && last - number > 0.9 * COUNTER) {
@@ -542,20 +558,20 @@ fn numbers(
     text: &str,
     form: &Form,
     by: char,
-    named: bool,
+    header: Option<&Header>,
     places: &[usize],
 ) -> Result<(Vec<Numbers>, Option<String>), InputError> {
     if let Some(comma) = form.decimal_comma {
         return Ok((vec![Numbers::written(if comma { ',' } else { '.' }); places.len()], None));
     }
     let mut reader = Reader::new(from, text.as_bytes())?.parted_by(by);
-    if named {
+    if let Some(header) = header {
+        reader = reader.of_width(header.names().count());
         // Past a line `sep=` too.
-        reader.header_by_any("a header line")?;
-        reader = reader.parted_by(by);
+        while reader.row()?.is_some_and(|row| row.line() < header.line()) {}
     }
     let marks = Marks::of(&mut reader)?;
-    let written = if form.by.is_none() { marks.written(from) } else { None };
+    let written = if form.by.is_none() { marks.written(from) } else { marks.questions(from) };
     Ok((places.iter().map(|place| marks.numbers(*place)).collect(), written))
 }
 

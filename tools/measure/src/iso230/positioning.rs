@@ -108,7 +108,7 @@ pub struct Resolution {
     pub reversal_within: f64,
 }
 
-/// A drift of all targets together, and the repeatability about it. In the unit of the figures.
+/// A drift of all targets together, and repeatability and reversal without it. In the unit of the figures.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Trend {
     /// From the first row to the last, in the middle of the travel.
@@ -118,6 +118,25 @@ pub struct Trend {
     /// Bidirectional repeatability about the drift.
     #[serde(rename = "R_about_drift")]
     pub repeatability: Option<f64>,
+    /// Largest reversal without the drift between the approaches upwards and downwards.
+    #[serde(rename = "B_about_drift")]
+    pub reversal: Option<f64>,
+    /// Mean reversal without it.
+    #[serde(rename = "B_mean_about_drift")]
+    pub mean_reversal: Option<f64>,
+}
+
+impl Trend {
+    /// A figure of the standard's as it is without the drift; `None` for those that are not looked at.
+    #[must_use]
+    pub fn without(&self, symbol: &str) -> Option<f64> {
+        match symbol {
+            "R" => self.repeatability,
+            "B" => self.reversal,
+            "B_mean" => self.mean_reversal,
+            _ => None,
+        }
+    }
 }
 
 /// Whether a record holds an error (or tilt) along an axis beside its position.
@@ -324,7 +343,9 @@ impl Run<'_> {
         }
         let unit = if tilt { "µrad" } else { "µm" };
         let repeatability = largest(list.iter().filter_map(|t| t.repeatability));
-        let (resolution, drift) = (self.resolution(unit), self.drift(repeatability, unit));
+        let reversal = [largest(reversals.iter().map(|b| b.abs())), mean_of(&reversals)];
+        let (resolution, drift) =
+            (self.resolution(unit), self.drift([repeatability, reversal[0], reversal[1]], unit));
         let mut found = Positioning {
             axis: self.axis.to_string(),
             response: role.to_string(),
@@ -338,8 +359,8 @@ impl Run<'_> {
             R: repeatability,
             R_up: largest(ups.iter().map(|(_, s)| 4.0 * s)),
             R_down: largest(downs.iter().map(|(_, s)| 4.0 * s)),
-            B: largest(reversals.iter().map(|b| b.abs())),
-            B_mean: (!reversals.is_empty()).then(|| reversals.iter().sum::<f64>() / reversals.len() as f64),
+            B: reversal[0],
+            B_mean: reversal[1],
             M: only(range(centres.map(|c| (c, c)))),
             arcsec: None,
             uncertainty,
@@ -379,8 +400,9 @@ impl Run<'_> {
     }
 
     /// The drift of all approaches in common, a constant and one that grows along the axis; says it where chance gives so much in
-    /// less than one of a hundred runs.
-    fn drift(&mut self, repeatability: Option<f64>, unit: &str) -> Option<Trend> {
+    /// less than one of a hundred runs, with what R, B and the mean of B are without it. It is taken off row by row: within a cycle,
+    /// too, the approaches downwards come later than those upwards.
+    fn drift(&mut self, with: [Option<f64>; 3], unit: &str) -> Option<Trend> {
         let n = self.error.len();
         let rows: Vec<f64> = (0..n).map(|row| row as f64).collect();
         let time = self.record.data(&Role::Time).unwrap_or(&rows);
@@ -429,20 +451,39 @@ impl Run<'_> {
         if p_value >= 0.01 || before <= 0.0 {
             return None;
         }
-        let reduced: Vec<f64> = (0..n).map(|i| self.error[i] - y[i] + left[i]).collect();
+        let trend = |i: usize| {
+            let moment = moment(i) - 0.5;
+            slopes[0] * moment + slopes[1] * moment * (self.position[i] - middle) / reach
+        };
+        let reduced: Vec<f64> = (0..n).map(|i| self.error[i] - trend(i)).collect();
         // The two slopes took freedom from what is left.
         let lost = ((used - groups.len()) as f64 / freedom).sqrt();
         let about = |t: Target| {
             let [up, down] = [t.s_up? * lost, t.s_down? * lost];
             Some((2.0 * up + 2.0 * down + t.reversal?.abs()).max(4.0 * up).max(4.0 * down))
         };
-        let about = largest(self.list_of(&reduced).into_iter().filter_map(about));
-        let trend = Trend { drift: slopes[0], p_value, repeatability: about };
-        if let Some((with, without)) = repeatability.zip(about) {
+        let list: Vec<Target> = self.list_of(&reduced).iter().map(|t| t.counted(false)).collect();
+        let reversals: Vec<f64> = list.iter().filter_map(|t| t.reversal).collect();
+        let trend = Trend {
+            drift: slopes[0],
+            p_value,
+            repeatability: largest(list.into_iter().filter_map(about)),
+            reversal: largest(reversals.iter().map(|b| b.abs())),
+            mean_reversal: mean_of(&reversals),
+        };
+        let said: Vec<String> = [("R", with[0]), ("B", with[1]), ("B_mean", with[2])]
+            .into_iter()
+            .filter_map(|(symbol, with)| {
+                Some(format!("{symbol} {:.2} instead of {:.2} {unit}", trend.without(symbol)?, with?))
+            })
+            .collect();
+        if !said.is_empty() {
             self.notes.push(format!(
-                "the approaches drift by {:+.2} {unit} from first to last in the middle of the travel ({:+.2} more at its upper end): R {with:.2} {unit} \
-                 holds that drift; about it R is {without:.2} {unit}. Let the machine warm up, or test it again",
-                slopes[0], slopes[1]
+                "the approaches drift by {:+.2} {unit} from first to last in the middle of the travel ({:+.2} more at its upper end), and \
+                 the figures hold that drift; about it {}. Let the machine warm up, or test it again",
+                slopes[0],
+                slopes[1],
+                said.join(", ")
             ));
         }
         Some(trend)
@@ -519,6 +560,10 @@ impl Target {
         }
         own
     }
+}
+
+fn mean_of(v: &[f64]) -> Option<f64> {
+    (!v.is_empty()).then(|| v.iter().sum::<f64>() / v.len() as f64)
 }
 
 /// The fewest targets on so much travel of up to 2 m.

@@ -16,7 +16,11 @@ pub(super) fn absolute(record: &Record) -> Option<String> {
         ));
     }
     let Counted { unit, what, day } = counted(first)?;
-    let what = if what == "Unix time" { format!("{what} in {unit}") } else { what.to_owned() };
+    let what = match unit {
+        "100ns" => format!("{what}, steps of 100 ns"),
+        _ if what == "Unix time" => format!("{what} in {unit}"),
+        _ => what.to_owned(),
+    };
     Some(format!(
         "{}: {name} begins at {first}: {what} ({day}); warm_up and lost_counts take 0 for the run's start: subtract the \
          first time from all, or let `characterise import --format csv --columns {name}=time:{unit},…` do it",

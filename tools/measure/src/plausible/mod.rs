@@ -242,6 +242,9 @@ pub fn said(records: &[Record], say: &mut dyn FnMut(Said)) -> Vec<Suspicion> {
     for step in steps_of(records) {
         say(Said::Warning(step));
     }
+    for still in stuck::still(records, &found) {
+        say(Said::Warning(still));
+    }
     for written in records.iter().filter_map(|r| r.written.clone()) {
         say(Said::Note(written));
     }

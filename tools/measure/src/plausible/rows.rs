@@ -17,9 +17,83 @@ const BLOCK: usize = 8;
 pub(super) fn look(record: &Record, out: &mut Vec<Suspicion>) {
     doubled(record, out);
     for c in record.responses() {
-        flat(record, c, out);
-        wild(record, c, out);
+        let same = one_reading(c);
+        if same.is_empty() {
+            flat(record, c, out);
+            let found = wild(record, c);
+            far_off(record, c, &found, out);
+            continue;
+        }
+        // The others are looked at as if those rows had not been.
+        let without = Column { data: bridged(&c.data, &same), ..c.clone() };
+        let mut found = wild(record, &without);
+        found.rows.retain(|row| same.binary_search(row).is_err());
+        found.rows.extend(same);
+        found.rows.sort_unstable();
+        far_off(record, c, &found, out);
     }
+}
+
+/// Rows far off others, and how these spread.
+#[derive(Default)]
+struct Wild {
+    rows: Vec<usize>,
+    spread: f64,
+}
+
+fn far_off(record: &Record, c: &Column, Wild { rows, spread }: &Wild, out: &mut Vec<Suspicion>) {
+    let Some(first) = rows.first() else { return };
+    let text = format!(
+        "{} of {} rows are far off those beside them, as {:.2} (the others spread by {spread:.2})",
+        rows.len(),
+        c.data.len(),
+        c.data[*first]
+    );
+    out.push(Suspicion::new(record, &c.name, What::Outliers, rows, text));
+}
+
+/// A reading is beyond all others where it is so many times as far from their median as the farthest of them.
+const BEYOND: f64 = 20.0;
+/// No more rows than this share are beyond the others.
+const FEW_ROWS: f64 = 0.12;
+/// Probability above which so many rows on end may read the same by chance.
+const ALIKE_BY_CHANCE: f64 = 0.05;
+
+/// Rows on end that read the same to the last digit, far beyond all others of a gauge that seldom reads the same twice: what an
+/// instrument writes where it has no reading, as 9999. No state of a machine takes a gauge's noise away.
+fn one_reading(c: &Column) -> Vec<usize> {
+    let v = &c.data;
+    let usual = median(v.clone());
+    let mut by_distance: Vec<usize> = (0..v.len()).collect();
+    by_distance.sort_by(|a, b| (v[*a] - usual).abs().total_cmp(&(v[*b] - usual).abs()));
+    let far = |i: usize| (v[by_distance[i]] - usual).abs();
+    let most = (FEW_ROWS * v.len() as f64) as usize;
+    let Some(gap) = (v.len() - most..v.len()).find(|i| *i > 0 && far(*i) > BEYOND * far(i - 1)) else {
+        return Vec::new();
+    };
+    let mut rows = by_distance.split_off(gap);
+    rows.sort_unstable();
+    let rest: Vec<f64> = (0..v.len()).filter(|i| rows.binary_search(i).is_err()).map(|i| v[i]).collect();
+    let alike = steps(&rest).iter().filter(|step| **step == 0.0).count() as f64 / (rest.len() - 1) as f64;
+    let chance = alike.powi(rows.len() as i32 - 1);
+    let is_one = rows.len() > 1 && rows.iter().all(|i| v[*i].to_bits() == v[rows[0]].to_bits());
+    if is_one && chance < ALIKE_BY_CHANCE { rows } else { Vec::new() }
+}
+
+/// The values with a straight line in place of those in these rows.
+fn bridged(v: &[f64], rows: &[usize]) -> Vec<f64> {
+    let mut out = v.to_vec();
+    let is_good = |i: &usize| rows.binary_search(i).is_err();
+    for row in rows {
+        let before = (0..*row).rev().find(is_good);
+        let behind = (*row..v.len()).find(is_good);
+        out[*row] = match (before, behind) {
+            (Some(a), Some(b)) => v[a] + (v[b] - v[a]) * (row - a) as f64 / (b - a) as f64,
+            (Some(one), None) | (None, Some(one)) => v[one],
+            (None, None) => v[*row],
+        };
+    }
+    out
 }
 
 /// The same row again: the next one, or a block pasted once more.
@@ -173,12 +247,12 @@ fn longest_run(v: &[f64]) -> usize {
 }
 
 /// Rows far off those that are near in time, and off those near in position and direction.
-fn wild(record: &Record, c: &Column, out: &mut Vec<Suspicion>) {
+fn wild(record: &Record, c: &Column) -> Wild {
     let n = c.data.len();
     if n < 20 || range(&c.data) <= 0.0 {
-        return;
+        return Wild::default();
     }
-    let excused = excused(record);
+    let may_peak = excused(record);
     let in_time: Vec<usize> = (0..n).collect();
     let mut orders = vec![vec![in_time]];
     let by_place = ways(record, c);
@@ -201,9 +275,12 @@ fn wild(record: &Record, c: &Column, out: &mut Vec<Suspicion>) {
         let scale = width(&left);
         lefts.push((left, alone, scale));
     }
-    let Some((left, alone, scale)) = lefts.into_iter().min_by(|a, b| a.2.total_cmp(&b.2)) else { return };
+    let Some((left, alone, scale)) = lefts.into_iter().min_by(|a, b| a.2.total_cmp(&b.2)) else {
+        return Wild::default();
+    };
+    let none = Wild { rows: Vec::new(), spread: scale };
     if scale <= 0.0 {
-        return;
+        return none;
     }
     // A place that is always like this, or as far off at other times, is the machine's.
     let mut usual_there = vec![false; n];
@@ -215,32 +292,32 @@ fn wild(record: &Record, c: &Column, out: &mut Vec<Suspicion>) {
             usual_there[*i] = off < 0.5 * left[*i].abs() || place.len() >= 3 && off < 4.0 * at_places;
         }
     }
+    // No peak that a turn or a start makes is larger than the bound of such a peak.
+    let excused =
+        |i: usize| may_peak[i] && !(matches!(c.role, Role::Error(_)) && left[i].abs() > LARGEST_PEAK_UM);
     let far = |i: usize| left[i].abs() / scale;
     // What stays where it is in time is a state of the machine, however few rows of a place fall into it: before or after
     // counts were lost, coolant that is on, a run that nothing came before.
-    let own = |i: &usize| alone[*i] && !excused[*i] && !usual_there[*i] && !stays(&c.data, *i, left[*i]);
+    let own = |i: &usize| alone[*i] && !excused(*i) && !usual_there[*i] && !stays(&c.data, *i, left[*i]);
     let worst = (0..n).filter(own).map(far).fold(0.0, f64::max);
     // What is far beyond all others is told apart from them, however heavy their tails.
     let apart = (worst / APART).max(8.0);
     let rows: Vec<usize> = (0..n).filter(|i| far(*i) > apart && own(i)).collect();
     // Heavy tails, or a shape that is no smooth one, are one thing; a few rows beyond all others another.
     let tail = (apart / 2.0).max(4.5);
-    let bulk = (0..n).filter(|i| rows.binary_search(i).is_err() && !excused[*i] && far(*i) > tail).count();
+    let bulk = (0..n).filter(|i| rows.binary_search(i).is_err() && !excused(*i) && far(*i) > tail).count();
     // Many close together are a shape of their own: one row in twenty by chance has a neighbour in one case of four.
     let close = rows.windows(2).filter(|w| w[1] - w[0] <= 3).count();
     if n < 30 || rows.len() >= 4 && 2 * close > rows.len() {
-        return;
+        return none;
     }
     let enough = rows.len() >= 2 && worst > 15.0 || worst > 20.0;
-    if enough && rows.len() * 100 <= 12 * n && 2 * bulk <= rows.len() {
-        let text = format!(
-            "{} of {n} rows are far off those beside them, as {:.2} (the others spread by {scale:.2})",
-            rows.len(),
-            c.data[rows[0]]
-        );
-        out.push(Suspicion::new(record, &c.name, What::Outliers, &rows, text));
-    }
+    let few = rows.len() as f64 <= FEW_ROWS * n as f64;
+    if enough && few && 2 * bulk <= rows.len() { Wild { rows, spread: scale } } else { none }
 }
+
+/// The bound of a reversal spike's amplitude in the dictionary, µm.
+const LARGEST_PEAK_UM: f64 = 1000.0;
 
 /// The rows of each direction in the order of the response's own positions; none where these were not logged.
 fn ways(record: &Record, c: &Column) -> Vec<Vec<usize>> {
@@ -306,8 +383,8 @@ fn of_place(v: &[f64], places: &[Vec<usize>]) -> (Vec<f64>, Vec<bool>) {
 }
 
 /// What each row has beyond the median of the three before, itself and the three after it in these orders (of fewer
-/// towards the ends, so that a trend leaves nothing there); and whether it stands alone, far from both of its neighbours:
-/// the edge of a step does not.
+/// towards the ends, so that a trend leaves nothing there); and whether it stands alone, or in a group of up to [`GROUP`] rows
+/// that are as it is, far from what lies on either side: the edge of a step does not.
 fn beside(v: &[f64], orders: &[Vec<usize>]) -> (Vec<f64>, Vec<bool>) {
     let (mut left, mut alone) = (vec![0.0; v.len()], vec![false; v.len()]);
     for order in orders {
@@ -318,12 +395,18 @@ fn beside(v: &[f64], orders: &[Vec<usize>]) -> (Vec<f64>, Vec<bool>) {
             }
             let near: Vec<f64> = order[k - half..=k + half].iter().map(|j| v[*j]).collect();
             left[*i] = v[*i] - median(near);
-            let far = |j: usize| (v[*i] - v[order[j]]) / left[*i] > 0.6;
-            alone[*i] = left[*i] != 0.0 && far(k - 1) && far(k + 1);
+            let far = |j: &usize| (v[*i] - v[*j]) / left[*i] > 0.6;
+            let before = order[..k].iter().rev().take(GROUP).position(far);
+            let behind = order[k + 1..].iter().take(GROUP).position(far);
+            let group = before.zip(behind).map(|(before, behind)| 1 + before + behind);
+            alone[*i] = left[*i] != 0.0 && group.is_some_and(|rows| rows <= GROUP);
         }
     }
     (left, alone)
 }
+
+/// So many bad readings may follow each other; of more the median of seven rows is one.
+const GROUP: usize = 3;
 
 /// So many rows on end, one of them far off others, are a level and no single readings; and they lie this near, as a share of how
 /// far it is off.

@@ -45,6 +45,24 @@ pub(super) fn look(records: &[Record], out: &mut Vec<Suspicion>) {
     }
 }
 
+/// Temperatures that read the same in every row and are not doubted: a coarse sensor in a calm room does that, and one that is not
+/// read. A line each.
+pub(super) fn still(records: &[Record], found: &[Suspicion]) -> Vec<String> {
+    let of = |record: &Record| {
+        let path = record.path.display().to_string();
+        let is_doubted = |c: &Column| found.iter().any(|s| s.record == path && s.column == c.name);
+        let still = |c: &&Column| c.data.len() >= ENOUGH && range(&c.data) <= 0.0 && !is_doubted(c);
+        let line = |c: &Column| {
+            format!(
+                "{path}: {} reads {} degC in every row: is it read? It explains nothing",
+                c.name, c.data[0]
+            )
+        };
+        temperatures(record).filter(still).map(line).collect::<Vec<_>>()
+    };
+    records.iter().flat_map(of).collect()
+}
+
 fn temperatures(record: &Record) -> impl Iterator<Item = &Column> {
     record.columns.iter().filter(|c| c.role == Role::Temperature)
 }

@@ -90,6 +90,10 @@ fn add_positioning(report: &mut Report, p: &Positioning) -> Result<(), PlotError
     if p.arcsec.is_some() {
         head.push("#arcsec");
     }
+    let without = format!("#without the drift ({unit})");
+    if p.drift.is_some() {
+        head.push(&without);
+    }
     let mut table = Table::new(&title, &head);
     for (symbol, v) in p.figures() {
         let (short, words) = meaning(symbol);
@@ -101,6 +105,9 @@ fn add_positioning(report: &mut Report, p: &Positioning) -> Result<(), PlotError
         }
         if let Some(arcsec) = &p.arcsec {
             row.push(um(arcsec.get(symbol).copied().flatten()));
+        }
+        if let Some(drift) = &p.drift {
+            row.push(um(drift.without(symbol)));
         }
         table.row(row);
     }

@@ -8,9 +8,11 @@ use rtec_measure::export::Wanted;
 use rtec_measure::export::linuxcnc::Unit;
 use rtec_measure::export::order::{Name, Order};
 use rtec_measure::import;
+use rtec_measure::iso230::{self, Returns};
 use rtec_model::machine::Machine;
-use rtec_model::record::Axis;
+use rtec_model::record::{Axis, Column, Kind, Record, Role};
 use std::path::{Path, PathBuf};
+use test_needs::dice::Dice;
 
 fn field(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/field").join(name)
@@ -188,4 +190,72 @@ fn warming_of_an_axis_is_not_its_repeatability() {
     let (with, about) = (with.as_f64().unwrap(), about.as_f64().unwrap());
     assert!(with > 8.0 && about > 3.5 && about < 5.0, "{with} {about}");
     assert!(said.iter().any(|s| s.contains("the approaches drift by")), "{said:?}");
+}
+
+/// A step is named with its row; a line, a bend as heat makes it, and noise are none.
+#[test]
+fn a_step_of_the_returns_is_no_drift() {
+    type Curve = fn(f64) -> f64;
+    let count = 30;
+    let kinds: [(&str, Curve); 4] = [
+        ("step", |i| if i < 12.0 { 0.0 } else { 8.0 }),
+        ("line", |i| 0.4 * i),
+        ("bend", |i| 12.0 * (1.0 - (-i / 6.0).exp())),
+        ("noise", |_| 0.0),
+    ];
+    for (name, of) in kinds {
+        let (mut steps, mut trends) = (0, 0);
+        for seed in 1..=100 {
+            let mut dice = Dice::new(seed);
+            let e: Vec<f64> = (0..count).map(|i| of(f64::from(i)) + 0.5 * dice.normal()).collect();
+            let found = Returns::of(&e).unwrap();
+            steps += usize::from(found.step.is_some());
+            trends += usize::from(found.is_trend());
+            if let Some(step) = found.step.filter(|_| name == "step") {
+                assert!(step.row == 13 && (step.um - 8.0).abs() < 1.0, "{seed}: {step:?}");
+                assert!((step.s_about_step_um - 0.5).abs() < 0.3, "{seed}: {step:?}");
+            }
+        }
+        // One of a hundred by chance, and as many again for the test of neighbours.
+        let wanted = match name {
+            "step" => steps >= 94,
+            "noise" => steps <= 4 && trends <= 4,
+            _ => steps <= 4 && trends >= 96,
+        };
+        assert!(wanted, "{name}: {steps} steps, {trends} trends");
+    }
+}
+
+/// The approaches downwards come later in each cycle: what drifts meanwhile is no reversal and no scatter.
+#[test]
+fn drift_within_a_cycle_is_in_neither_reversal_nor_repeatability() {
+    for seed in 1..=20 {
+        let mut dice = Dice::new(seed);
+        let names = ["t", "x", "dir", "e"];
+        let mut data: [Vec<f64>; 4] = Default::default();
+        for cycle in 0..5 {
+            for row in 0..22 {
+                let (way, at) = if row < 11 { (1.0, row) } else { (-1.0, 21 - row) };
+                let t = f64::from(22 * cycle + row);
+                let e = 0.2 * t + way + 0.2 * dice.normal();
+                [t, 50.0 * f64::from(at), way, e]
+                    .into_iter()
+                    .zip(&mut data)
+                    .for_each(|(v, data)| data.push(v));
+            }
+        }
+        let roles = ["time", "position.x", "direction.x", "error.x"];
+        let columns = names.into_iter().zip(roles).zip(data);
+        let columns = columns.map(|((name, role), data)| Column::new(name, Role::parse(role).unwrap(), data));
+        let record = Record::new(Path::new("a.run.toml"), Kind::Positioning, columns.collect()).unwrap();
+        let found = iso230::positioning(&record).unwrap().remove(0);
+        let drift = found.drift.unwrap();
+        // The truth: a reversal of 2 µm, and 2 µm + 4 s of 0.8 µm together; the largest of eleven targets is more.
+        assert!(found.B_mean.unwrap().abs() < 0.5 && found.R.unwrap() > 20.0, "{seed}");
+        assert!((drift.mean_reversal.unwrap() - 2.0).abs() < 0.2, "{seed}: {drift:?}");
+        assert!((2.0..2.7).contains(&drift.reversal.unwrap()), "{seed}: {drift:?}");
+        assert!((2.5..4.2).contains(&drift.repeatability.unwrap()), "{seed}: {drift:?}");
+        let says = |w: &String| w.contains("B_mean") && w.contains("instead of");
+        assert!(found.warnings.iter().any(says), "{seed}: {:?}", found.warnings);
+    }
 }

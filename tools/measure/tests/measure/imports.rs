@@ -72,7 +72,7 @@ fn a_csv_comes_in_with_its_own_names_units_and_commas() {
         ("v=force.x:V*0=N", "a factor"),
         ("v=force.x:V*2", "the unit that the factor leads to"),
         ("v=force.x:V*2=mm", "a unit of force.x: N, kN, lbf"),
-        ("t=time:day", "s, ns, us, ms, min, h"),
+        ("t=time:day", "s, ns, 100ns, us, ms, min, h"),
         ("t=cycle:s", "a unit of cycle: 1"),
     ] {
         let (_, wants) = import::ImportColumn::parse(text).unwrap_err();

@@ -1253,6 +1253,37 @@ fn noise_single_wild_rows_and_days_are_said() {
     }
 }
 
+/// Bad readings that follow each other are as bad as one alone.
+#[test]
+fn adjacent_wild_readings_are_named() {
+    type Run = fn(&Machine, &mut Dice) -> Vec<Record>;
+    let runs: [(&str, Run); 4] =
+        [("drift", drift), ("positioning", repeated), ("timed", positioning_timed), ("plate", plate)];
+    for seed in 1..=20 {
+        for (name, run) in runs {
+            for (readings, um) in
+                [(1, 9999.0), (2, 9999.0), (2, -4000.0), (3, 9999.0), (5, 9999.0), (9, -9999.0)]
+            {
+                let mut d = Dice::new(seed);
+                let machine = Machine::random(&mut d);
+                let clean = one(run(&machine, &mut d));
+                let response = clean.responses().next().unwrap().name.clone();
+                assert_eq!(suspicions(std::slice::from_ref(&clean)), [], "{name}, {seed}");
+                if 9 * readings > clean.rows() {
+                    continue;
+                }
+                let mut bad = clean;
+                let start = 11 + d.below(bad.rows() - 22 - readings);
+                by_name(&mut bad, &response).data[start..start + readings].fill(um);
+                let rows: Vec<usize> = (start..start + readings).collect();
+                let said = suspicions(&[bad]);
+                let named = said.iter().any(|s| s.what == What::Outliers && s.row_list() == rows);
+                assert!(named, "{name}, {seed}: {readings} of {um} from {start}: {said:?}");
+            }
+        }
+    }
+}
+
 /// Lines over targets: as steep as the dictionary has scales is a scale, steeper is another unit.
 #[test]
 fn a_steep_scale_is_no_inch_and_a_steeper_line_is() {

@@ -56,6 +56,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     for left in &found.left_out {
         eprintln!("warning: {}: left out: {}", left.record, left.why);
     }
+    for doubt in &found.suspicions {
+        eprintln!("warning: {doubt}");
+    }
     let report = found.report()?;
     if let Some(path) = &args.html {
         rtec_files::write::whole(path, report.html().as_bytes())

@@ -469,6 +469,14 @@ impl Record {
                     return Ok(());
                 }
                 let read = finite("time")?;
+                if first && clock::filetime(read).is_some() {
+                    let name = self.header.names().nth(place).unwrap_or_default();
+                    let found = format!("{read} in column {name}, Windows FILETIME in steps of 100 ns");
+                    return Err(cell.said(
+                        found,
+                        "a time in s, ms, µs or ns since the start: (t - first) / 10 is one in µs",
+                    ));
+                }
                 if first && let Some((unit, day)) = clock::unix(read) {
                     if unit != self.time_unit {
                         let name = self.header.names().nth(place).unwrap_or_default();

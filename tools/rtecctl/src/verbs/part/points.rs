@@ -150,7 +150,16 @@ impl FromStr for Choice {
                 By::SpacingMm(mm.parse().ok().filter(|v: &f64| v.is_finite() && *v > 0.0).ok_or(expected)?)
             }
             None => {
-                By::Number(points.parse().ok().filter(|n| (1..=MOST_POINTS).contains(n)).ok_or(expected)?)
+                let is_whole = !points.is_empty() && points.bytes().all(|byte| byte.is_ascii_digit());
+                // A number that no integer holds is a number all the same.
+                let number =
+                    points.parse().ok().or_else(|| is_whole.then_some(usize::MAX)).ok_or(expected)?;
+                if !(1..=MOST_POINTS).contains(&number) {
+                    return Err(format!(
+                        "{feature}:{points} asks for {points} points; 1 to {MOST_POINTS} are expected"
+                    ));
+                }
+                By::Number(number)
             }
         };
         Ok(Self { feature: feature.to_owned(), by })
