@@ -288,6 +288,11 @@ fn settle(
         terms = tuned(problem, terms, train, response)?;
         let rows = Rows::new(problem, &terms, train, response)?;
         let Some(coefficients) = rows.solve(&|_| true) else { return Ok(None) };
+        // The search averages rows; over every row a gain may be beyond what the law allows, and the fit has no such term.
+        if let Some(k) = problem.implausible(&terms, &coefficients) {
+            terms.remove(k);
+            continue;
+        }
         let intervals = jackknife(problem, &terms, train, response, &coefficients)?;
         if let Some(k) = intervals.idle_square(problem, &terms, train, response, all)? {
             terms.remove(k);
