@@ -27,6 +27,8 @@ pub struct Asked {
     pub lag: bool,
     /// Offer squares.
     pub square: bool,
+    /// Offer the spindle's speed.
+    pub speed: bool,
     /// What is known already.
     pub base: Option<Machine>,
     /// The day that the model carries, days since 1970-01-01; that of the latest record where it is left out, today
@@ -46,6 +48,7 @@ impl Default for Asked {
             folds: 10,
             lag: true,
             square: true,
+            speed: true,
             base: None,
             date: None,
             valid_days: 365,
@@ -133,6 +136,7 @@ pub fn fit(
         folds: asked.folds,
         lag: asked.lag,
         square: asked.square,
+        speed: asked.speed,
         base: asked.base.clone(),
         date: asked.date.unwrap_or_else(|| day_of(&train)),
         valid_days: asked.valid_days,
