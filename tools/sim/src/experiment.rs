@@ -190,16 +190,17 @@ pub const EXPERIMENTS: [Experiment; 18] = [
         name: "drilling",
         what: "three cycles of two passes of 4 holes, from cold, wet (WO 97/43703, tests 1 and 3, table 7)",
         own: WO_97,
-        run: |setting| {
-            drilling(setting, &Start { name: "drilling", before: &[], stood_degc: None })
-        },
+        run: |setting| drilling(setting, &Start { name: "drilling", before: &[], stood_degc: None }),
     },
     Experiment {
         name: "drilling-semi-warm",
         what: "the same after an hour at 3000 rpm, wet",
         own: WO_97,
         run: |setting| {
-            drilling(setting, &Start { name: "drilling-semi-warm", before: &[(3000.0, 60.0)], stood_degc: None })
+            drilling(
+                setting,
+                &Start { name: "drilling-semi-warm", before: &[(3000.0, 60.0)], stood_degc: None },
+            )
         },
     },
     Experiment {
@@ -215,7 +216,10 @@ pub const EXPERIMENTS: [Experiment; 18] = [
         what: "the same after eight hours at 5000 rpm, wet: the machine hardly moves any more",
         own: WO_97,
         run: |setting| {
-            drilling(setting, &Start { name: "drilling-fully-warm", before: &[(5000.0, 480.0)], stood_degc: None })
+            drilling(
+                setting,
+                &Start { name: "drilling-fully-warm", before: &[(5000.0, 480.0)], stood_degc: None },
+            )
         },
     },
     Experiment {
@@ -223,7 +227,14 @@ pub const EXPERIMENTS: [Experiment; 18] = [
         what: "the same after four hours at 5000 rpm and three quarters of an hour of rest",
         own: WO_97,
         run: |setting| {
-            drilling(setting, &Start { name: "drilling-after-rest", before: &[(5000.0, 240.0), (0.0, 45.0)], stood_degc: None })
+            drilling(
+                setting,
+                &Start {
+                    name: "drilling-after-rest",
+                    before: &[(5000.0, 240.0), (0.0, 45.0)],
+                    stood_degc: None,
+                },
+            )
         },
     },
     Experiment {

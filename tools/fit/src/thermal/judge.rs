@@ -393,9 +393,7 @@ impl Problem {
     /// The term whose gain is furthest beyond what the dictionary holds plausible; `None` where all are within.
     pub(super) fn implausible(&self, terms: &[Term], coefficients: &[f64]) -> Option<usize> {
         let share = |(k, t): (usize, &Term)| match t {
-            Term::Thermal { square, .. } => {
-                coefficients[k + 1].abs() / self.plausible[usize::from(*square)]
-            }
+            Term::Thermal { square, .. } => coefficients[k + 1].abs() / self.plausible[usize::from(*square)],
             _ => 0.0,
         };
         let shares = terms.iter().enumerate().map(share).enumerate();

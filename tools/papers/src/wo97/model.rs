@@ -67,7 +67,8 @@ pub(super) fn wet_model(
     );
     let offered = wet.names(&Role::Temperature).count();
     rows.number(("CASC", "sensors to begin with", ""), 20.0, offered as f64, Is::Within(0.0), "");
-    let options = Options { base: Some(geometry(run.truth)?), date: 20_000, speed: false, ..Options::default() };
+    let options =
+        Options { base: Some(geometry(run.truth)?), date: 20_000, speed: false, ..Options::default() };
     let (model, reports) = fitted(run, wet, &options)?;
     for report in &reports {
         let mut sensors: Vec<String> = Vec::new();
@@ -128,7 +129,8 @@ fn fitted(run: &Run<'_>, wet: &Record, options: &Options) -> Result<(Machine, Ve
 
 /// The model that the wet runs give, on top of the geometry.
 pub(super) fn from_wet_runs(run: &Run<'_>) -> Result<Machine, PaperError> {
-    let options = Options { base: Some(geometry(run.truth)?), date: 20_000, speed: false, ..Options::default() };
+    let options =
+        Options { base: Some(geometry(run.truth)?), date: 20_000, speed: false, ..Options::default() };
     let drift = run.experiment("drift", &Machine::ideal("nothing known"))?;
     Ok(fitted(run, record(&drift, "drift-wet")?, &options)?.0)
 }

@@ -52,13 +52,6 @@ impl Started {
     pub fn warned(&self) -> bool {
         self.promised_um.iter().sum::<f64>() > 0.25 * self.off_um[0]
     }
-
-    /// The model said before that it cannot leave a quarter of this deviation: two of its errors, that of hole 1 and another's,
-    /// are more.
-    #[must_use]
-    pub fn warned_from_hole_1(&self) -> bool {
-        self.promised_um.iter().sum::<f64>() * std::f64::consts::SQRT_2 > 0.25 * self.from_hole_1_um[0]
-    }
 }
 
 /// Characterises the machine of WO 97/43703 with this seed, fits the model on its wet runs alone, and drills from each of
@@ -92,7 +85,8 @@ pub fn starts(described: &Described, seed: u64) -> Result<Vec<Started>, PaperErr
 
 /// What it may cost at a record's first row that temperatures are outside the range of the fit, µm.
 fn outside_um(fit: &FitNote, record: &Record) -> f64 {
-    let read = |name: &str| record.temperature(name).and_then(|t| t.first()).copied().unwrap_or(STANDARD_DEGC);
+    let read =
+        |name: &str| record.temperature(name).and_then(|t| t.first()).copied().unwrap_or(STANDARD_DEGC);
     let of = |v: &rtec_model::machine::Validity| {
         let other = match &v.difference.against {
             Against::Sensor(name) => read(name),
