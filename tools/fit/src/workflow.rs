@@ -16,6 +16,7 @@ use std::path::Path;
 
 /// What a fit is asked with.
 #[derive(Debug, Clone)]
+#[allow(clippy::struct_excessive_bools)] // each is an option of its own
 pub struct Asked {
     /// Differences to choose from, as `T0` (to the environment) or `T8-T18`; empty for all sensors.
     pub sensors: Vec<String>,

@@ -14,6 +14,7 @@ use rtec_model::effect::{Against, Difference, STANDARD_DEGC};
 use rtec_model::machine::{FitNote, Machine};
 use rtec_model::record::{Axis, Kind};
 use serde_json::{Map, Value, json};
+use std::fmt::Write as _;
 
 /// Runs a spindle cycle at rest at the reference and measures every minute.
 fn soak(sim: &mut Sim, log: &mut Log, cycle: &[(f64, f64)], coolant: bool) -> Result<(), SimError> {
@@ -301,9 +302,12 @@ fn by_hole(start: &Start, logs: &[Log], findings: &mut Findings) -> Result<(), E
     for row in 0..logs[0].rows.len() {
         let (hole, bore) = (row / 2, ["hole", "counterbore"][row % 2]);
         let (cycle, pass) = (hole / (PASSES * HOLES), hole / HOLES % PASSES);
-        table += &format!("\n{},{},{},{bore}", cycle + 1, pass + 1, hole + 1);
+        // Writing to a String does not fail.
+        let _ = write!(table, "\n{},{},{},{bore}", cycle + 1, pass + 1, hole + 1);
         for (log, _) in labels() {
-            table += &(0..AXES).map(|p| format!(",{}", off_um(log, p)[row])).collect::<String>();
+            for p in 0..AXES {
+                let _ = write!(table, ",{}", off_um(log, p)[row]);
+            }
         }
     }
     findings.plots.push((format!("{}-holes.csv", start.name), table + "\n"));

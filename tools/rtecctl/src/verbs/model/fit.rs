@@ -15,6 +15,7 @@ use std::path::{Path, PathBuf};
 
 /// What both verbs take
 #[derive(Debug, clap::Args)]
+#[allow(clippy::struct_excessive_bools)] // each is an option of its own
 pub(crate) struct Common {
     /// Records to fit on
     #[arg(long = "record", value_name = "TRAIN.run.toml", required = true)]
