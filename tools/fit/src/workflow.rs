@@ -16,6 +16,7 @@ use std::path::Path;
 
 /// What a fit is asked with.
 #[derive(Debug, Clone)]
+#[allow(clippy::struct_excessive_bools)] // each is an option of its own
 pub struct Asked {
     /// Differences to choose from, as `T0` (to the environment) or `T8-T18`; empty for all sensors.
     pub sensors: Vec<String>,
@@ -27,6 +28,8 @@ pub struct Asked {
     pub lag: bool,
     /// Offer squares.
     pub square: bool,
+    /// Offer the spindle's speed.
+    pub speed: bool,
     /// What is known already.
     pub base: Option<Machine>,
     /// The day that the model carries, days since 1970-01-01; that of the latest record where it is left out, today
@@ -46,6 +49,7 @@ impl Default for Asked {
             folds: 10,
             lag: true,
             square: true,
+            speed: true,
             base: None,
             date: None,
             valid_days: 365,
@@ -133,6 +137,7 @@ pub fn fit(
         folds: asked.folds,
         lag: asked.lag,
         square: asked.square,
+        speed: asked.speed,
         base: asked.base.clone(),
         date: asked.date.unwrap_or_else(|| day_of(&train)),
         valid_days: asked.valid_days,

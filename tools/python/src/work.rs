@@ -120,6 +120,7 @@ impl FitAsked {
             folds: self.folds,
             lag: self.lag,
             square: self.square,
+            speed: true,
             base: self.base.map(|m| m.inner),
             date: self.date.map(day).transpose()?,
             valid_days: i64::from(self.valid_days),

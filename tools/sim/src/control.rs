@@ -95,6 +95,11 @@ impl Control {
         })
     }
 
+    /// Why axes do not follow their model.
+    pub(crate) fn holding(&self) -> Vec<String> {
+        self.law.holding().collect()
+    }
+
     /// Every axis is where its sources want it.
     pub(crate) fn settled(&self, status: &Status) -> bool {
         status.axes().iter().enumerate().all(|(n, s)| self.law.settled(n, s))

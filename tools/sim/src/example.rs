@@ -69,8 +69,15 @@ pub const EXAMPLES: [Example; 4] = [
         ],
         spec: Spec::machining_centre,
         runs: [
-            &["linear-displacement", "ballbar", "drift", "tool-change-repeatability"],
-            &["linear-displacement", "production-cycle"],
+            &[
+                "linear-displacement",
+                "ballbar",
+                "drift",
+                "wet-runs",
+                "production-cycle",
+                "tool-change-repeatability",
+            ],
+            &["linear-displacement", "drilling", "drilling-warm"],
         ],
     },
     Example {

@@ -20,7 +20,7 @@ pub use insertion::{one_metre, over_a_part};
 use crate::described::Described;
 use crate::sim::{SimError, Spec};
 use crate::turning::TurningError;
-use heat::{drift, drilling, production, tool_change};
+use heat::{Start, drift, drilling, production, tool_change, wet_runs};
 use insertion::{linear_error, rapid_catch_up};
 use motion::{ballbar, dynamics, feed_sweep, linear_displacement, plate};
 use nose::hemisphere;
@@ -149,7 +149,7 @@ impl Experiment {
 }
 
 /// Every experiment, as `simulate --list` shows them.
-pub const EXPERIMENTS: [Experiment; 13] = [
+pub const EXPERIMENTS: [Experiment; 18] = [
     Experiment {
         name: "linear-displacement",
         what: "ISO 230-2: 5 cycles over 13 targets, both directions, each axis against a laser",
@@ -181,16 +181,69 @@ pub const EXPERIMENTS: [Experiment; 13] = [
         run: tool_change,
     },
     Experiment {
-        name: "drilling",
-        what: "12 holes and counterbores, cold, warm and hot, wet (WO 97/43703, figure 12 and table 7)",
+        name: "wet-runs",
+        what: "wet, from cold: warm-up, speeds on the warm machine, cool-down; a shift of speeds and rests (WO 97/43703)",
         own: WO_97,
-        run: |setting| drilling(setting, false),
+        run: wet_runs,
+    },
+    Experiment {
+        name: "drilling",
+        what: "three cycles of two passes of 4 holes, from cold, wet (WO 97/43703, tests 1 and 3, table 7)",
+        own: WO_97,
+        run: |setting| drilling(setting, &Start { name: "drilling", before: &[], stood_degc: None }),
+    },
+    Experiment {
+        name: "drilling-semi-warm",
+        what: "the same after an hour at 3000 rpm, wet",
+        own: WO_97,
+        run: |setting| {
+            drilling(
+                setting,
+                &Start { name: "drilling-semi-warm", before: &[(3000.0, 60.0)], stood_degc: None },
+            )
+        },
     },
     Experiment {
         name: "drilling-warm",
         what: "the same after three hours at 5000 rpm, wet, the corrector on throughout (WO 97/43703, test 2)",
         own: WO_97,
-        run: |setting| drilling(setting, true),
+        run: |setting| {
+            drilling(setting, &Start { name: "drilling-warm", before: &[(5000.0, 180.0)], stood_degc: None })
+        },
+    },
+    Experiment {
+        name: "drilling-fully-warm",
+        what: "the same after eight hours at 5000 rpm, wet: the machine hardly moves any more",
+        own: WO_97,
+        run: |setting| {
+            drilling(
+                setting,
+                &Start { name: "drilling-fully-warm", before: &[(5000.0, 480.0)], stood_degc: None },
+            )
+        },
+    },
+    Experiment {
+        name: "drilling-after-rest",
+        what: "the same after four hours at 5000 rpm and three quarters of an hour of rest",
+        own: WO_97,
+        run: |setting| {
+            drilling(
+                setting,
+                &Start {
+                    name: "drilling-after-rest",
+                    before: &[(5000.0, 240.0), (0.0, 45.0)],
+                    stood_degc: None,
+                },
+            )
+        },
+    },
+    Experiment {
+        name: "drilling-weekend",
+        what: "the same after a weekend: all at 16 °C, the hall heated to 20 °C for an hour",
+        own: WO_97,
+        run: |setting| {
+            drilling(setting, &Start { name: "drilling-weekend", before: &[], stood_degc: Some(16.0) })
+        },
     },
     Experiment {
         name: "hemisphere",

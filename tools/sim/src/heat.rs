@@ -130,6 +130,11 @@ impl Heat {
         heat
     }
 
+    /// The hall is heated or cooled to this temperature at once, °C.
+    pub fn set_hall(&mut self, degc: f64) {
+        self.ambient_degc = degc;
+    }
+
     /// Moves on to `t_s` with the spindle at `rpm` and coolant on or off.
     pub fn advance(&mut self, t_s: f64, rpm: f64, coolant: bool) {
         while self.due_s + STEP_S <= t_s {

@@ -287,6 +287,17 @@ impl Sim {
         &self.errors.heat
     }
 
+    /// The hall is heated or cooled to this temperature at once, °C.
+    pub fn heat_hall(&mut self, degc: f64) {
+        self.errors.heat.set_hall(degc);
+    }
+
+    /// Why axes do not follow their model now; empty where they do.
+    #[must_use]
+    pub fn holding(&self) -> Vec<String> {
+        self.control.as_ref().map_or_else(Vec::new, Control::holding)
+    }
+
     /// The engine's status at this moment.
     #[must_use]
     pub fn status(&self) -> Status {

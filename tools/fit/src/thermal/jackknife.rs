@@ -82,6 +82,8 @@ fn best_lags(
                     all.renew(&rows, &shared);
                     all.solve()
                 });
+                // A lag whose gains no machine has is no better one.
+                let found = found.filter(|c| problem.implausible(terms, c).is_none());
                 let left = found.map_or(f64::INFINITY, |c| rows.rms_on(&c, &taken));
                 Ok::<_, InputError>(left)
             };

@@ -380,15 +380,24 @@ impl Problem {
     /// turns it round lives on collinearity, as one with gains beyond reason does, and one whose terms move the response far
     /// more than it moves and cancel each other: elsewhere they do not cancel.
     pub(super) fn physical(&self, terms: &[Term], coefficients: &[f64], folds: &[usize]) -> bool {
-        let plausible = terms.iter().zip(&coefficients[1..]).all(|(t, c)| match t {
-            Term::Thermal { square: true, .. } => c.abs() <= self.plausible[1],
-            Term::Thermal { minus, .. } => {
-                c.abs() <= self.plausible[0]
-                    && (*minus != self.environment || self.gamma(*t, folds) * c >= 0.0)
+        let signs = terms.iter().zip(&coefficients[1..]).all(|(t, c)| match t {
+            Term::Thermal { minus, square: false, .. } => {
+                *minus != self.environment || self.gamma(*t, folds) * c >= 0.0
             }
             _ => true,
         });
+        let plausible = signs && self.implausible(terms, coefficients).is_none();
         plausible && (terms.len() < 2 || !self.cancel(terms, coefficients, folds))
+    }
+
+    /// The term whose gain is furthest beyond what the dictionary holds plausible; `None` where all are within.
+    pub(super) fn implausible(&self, terms: &[Term], coefficients: &[f64]) -> Option<usize> {
+        let share = |(k, t): (usize, &Term)| match t {
+            Term::Thermal { square, .. } => coefficients[k + 1].abs() / self.plausible[usize::from(*square)],
+            _ => 0.0,
+        };
+        let shares = terms.iter().enumerate().map(share).enumerate();
+        shares.filter(|(_, s)| *s > 1.0).max_by(|a, b| a.1.total_cmp(&b.1)).map(|(k, _)| k)
     }
 
     /// Whether a term moves the response far more than it moves in all.

@@ -76,6 +76,8 @@ pub struct Options {
     pub lag: bool,
     /// Offer squares.
     pub square: bool,
+    /// Offer the spindle's speed. Equation 1 of WO 97/43703 has temperatures alone; a speed acts at once, and heat does not.
+    pub speed: bool,
     /// What is known already: its effects are kept, and the rest is fitted.
     pub base: Option<Machine>,
     /// The date that the model will carry, days since 1970-01-01.
@@ -92,6 +94,7 @@ impl Default for Options {
             folds: 10,
             lag: true,
             square: true,
+            speed: true,
             base: None,
             date: 0,
             valid_days: 365,
@@ -300,6 +303,11 @@ fn settle(
         terms = tuned(problem, terms, train, response)?;
         let rows = Rows::new(problem, &terms, train, response)?;
         let Some(coefficients) = rows.solve(&|_| true) else { return Ok(None) };
+        // The search averages rows; over every row a gain may be beyond what the law allows, and the fit has no such term.
+        if let Some(k) = problem.implausible(&terms, &coefficients) {
+            terms.remove(k);
+            continue;
+        }
         let intervals = jackknife(problem, &terms, train, response, &coefficients)?;
         if let Some(k) = intervals.idle_square(problem, &terms, train, response, all)? {
             terms.remove(k);

@@ -137,7 +137,7 @@ impl Problem {
             y: bins.column(response, |v| v),
             weight: bins.spans.iter().map(|(_, b)| b.len() as f64).collect(),
             coolant: optional(Role::Coolant, "coolant", |v| f64::from(v > 0.5)),
-            speed: optional(Role::SpindleSpeed, "spindle_speed", |v| v / 1000.0),
+            speed: optional(Role::SpindleSpeed, "spindle_speed", |v| v / 1000.0).filter(|_| options.speed),
             stretches: (0..options.folds).map(|f| begin(f)..begin(f + 1)).collect(),
             folds: options.folds,
             square: options.square,

@@ -4,12 +4,15 @@ mod drilling;
 mod geometry;
 mod heat;
 mod model;
+mod starts;
 
 use crate::PaperError;
 use crate::rows::Rows;
 use drilling::drilling;
 use geometry::{circles, displacement, tool_changes};
 use heat::{drifts, dry_against_wet, equations, table_6};
+pub use starts::{STARTS, Started, starts};
+
 use model::wet_model;
 use rtec_model::machine::Machine;
 use rtec_model::record::{Record, Role};

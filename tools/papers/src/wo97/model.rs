@@ -6,7 +6,7 @@ use crate::rows::{Is, Rows, shown};
 use rtec_fit::thermal::{self, Options, ROUNDS, Report};
 use rtec_model::effect::Need;
 use rtec_model::machine::{Machine, Provenance};
-use rtec_model::record::Role;
+use rtec_model::record::{Record, Role};
 use rtec_sim::experiment::Findings;
 use rtec_sim::heat::SENSORS;
 
@@ -67,8 +67,9 @@ pub(super) fn wet_model(
     );
     let offered = wet.names(&Role::Temperature).count();
     rows.number(("CASC", "sensors to begin with", ""), 20.0, offered as f64, Is::Within(0.0), "");
-    let options = Options { base: Some(geometry(run.truth)?), date: 20_000, lag: true, ..Options::default() };
-    let (model, reports) = thermal::fit(&[wet], &[], &options)?;
+    let options =
+        Options { base: Some(geometry(run.truth)?), date: 20_000, speed: false, ..Options::default() };
+    let (model, reports) = fitted(run, wet, &options)?;
     for report in &reports {
         let mut sensors: Vec<String> = Vec::new();
         for e in &report.effects {
@@ -114,6 +115,24 @@ pub(super) fn wet_model(
     }
     selected(rows, &reports);
     Ok(model)
+}
+
+/// The fit of the patent's runs, all wet: spindle cycle, warm-up with speeds and cool-down, a shift, a production cycle.
+fn fitted(run: &Run<'_>, wet: &Record, options: &Options) -> Result<(Machine, Vec<Report>), PaperError> {
+    let ideal = Machine::ideal("nothing known");
+    let (runs, production) =
+        (run.experiment("wet-runs", &ideal)?, run.experiment("production-cycle", &ideal)?);
+    let train =
+        [wet, record(&runs, "warm-day")?, record(&runs, "shift")?, record(&production, "production-cycle")?];
+    Ok(thermal::fit(&train, &[], options)?)
+}
+
+/// The model that the wet runs give, on top of the geometry.
+pub(super) fn from_wet_runs(run: &Run<'_>) -> Result<Machine, PaperError> {
+    let options =
+        Options { base: Some(geometry(run.truth)?), date: 20_000, speed: false, ..Options::default() };
+    let drift = run.experiment("drift", &Machine::ideal("nothing known"))?;
+    Ok(fitted(run, record(&drift, "drift-wet")?, &options)?.0)
 }
 
 /// Which sensors the fit reads, beside the patent's.

@@ -15,6 +15,7 @@ use std::path::{Path, PathBuf};
 
 /// What both verbs take
 #[derive(Debug, clap::Args)]
+#[allow(clippy::struct_excessive_bools)] // each is an option of its own
 pub(crate) struct Common {
     /// Records to fit on
     #[arg(long = "record", value_name = "TRAIN.run.toml", required = true)]
@@ -34,6 +35,9 @@ pub(crate) struct Common {
     /// Offer no squares
     #[arg(long)]
     no_square: bool,
+    /// Offer no spindle speed: temperatures alone, as the patent's equation 1
+    #[arg(long)]
+    no_speed: bool,
     /// What is known already: its effects are kept, and only what they leave is fitted
     #[arg(long, value_name = "machine.toml")]
     base: Option<PathBuf>,
@@ -63,7 +67,7 @@ pub(crate) struct FitArgs {
     holdout: Vec<PathBuf>,
     /// Fit these effects alone, by name, beside what the base holds: scale.x, squareness.x.y, thermal_expansion.x:T3-T20
     #[arg(long, value_delimiter = ',', value_name = "NAME[:SENSOR[-SENSOR]]",
-          conflicts_with_all = ["sensors", "environment", "no_lag", "no_square", "holdout"])]
+          conflicts_with_all = ["sensors", "environment", "no_lag", "no_square", "no_speed", "holdout"])]
     effects: Vec<String>,
     /// The machine model to write
     #[arg(long, value_name = "machine.toml", value_parser = crate::verbs::output())]
@@ -87,6 +91,7 @@ impl Common {
             folds: usize::from(self.folds),
             lag: !self.no_lag,
             square: !self.no_square,
+            speed: !self.no_speed,
             base: self.base.as_deref().map(Machine::read).transpose()?,
             ..Asked::default()
         })

@@ -1,0 +1,59 @@
+//! The drilling test of WO 97/43703, and a corrector that is switched on beside a warm machine.
+
+#![allow(clippy::unwrap_used)] // a test's own helpers
+
+use rtec_sim::described::Described;
+use rtec_sim::experiment::{Experiment, Setting};
+use rtec_sim::gcode::Block;
+use rtec_sim::sim::{Sim, Spec};
+use std::path::Path;
+
+/// WO 97/43703, p. 25: four holes, and four more an inch further in X, in each of three cycles.
+#[test]
+fn drills_two_passes_an_inch_apart() {
+    let truth = Described::default().machine("wo97-machine.toml").unwrap();
+    let spec = Spec::machining_centre();
+    let setting = Setting { spec: &spec, truth: &truth, known: Some(&truth), seed: 1, out: Path::new("") };
+    let found = Experiment::find("drilling").unwrap().run(&setting).unwrap();
+    let text = |name: &str| &found.plots.iter().find(|p| p.0 == name).unwrap().1;
+    let table = text("drilling-holes.csv");
+    let rows: Vec<Vec<&str>> = table.lines().skip(1).map(|l| l.split(',').collect()).collect();
+    assert_eq!(rows.len(), 48, "24 holes, each with its counterbore");
+    let of = |cycle: &str, pass: &str| rows.iter().filter(|r| r[0] == cycle && r[1] == pass).count();
+    assert!(["1", "2", "3"].iter().all(|c| of(c, "1") == 8 && of(c, "2") == 8), "{table}");
+    // The first hole is the reference.
+    assert!(rows[0][4..].iter().all(|cell| cell.parse::<f64>().unwrap() == 0.0), "{:?}", rows[0]);
+    // The second pass stands an inch further in X.
+    let record = &found.records[0];
+    let x = record.columns.iter().find(|c| c.name == "x").unwrap();
+    for row in 0..8 {
+        assert!((x.data[row + 8] - x.data[row] - 25.4).abs() < 0.05, "{row}: {:?}", x.data);
+    }
+    for axis in ["x", "y", "z"] {
+        let plot = text(&format!("drilling-holes-{axis}.svg"));
+        assert!(plot.contains("cycle III") && plot.contains("deviation from hole 1"), "{axis}");
+    }
+}
+
+/// Without the temperatures of the past nobody knows where the lags of a warm machine are: the corrector holds and says so.
+#[test]
+fn holds_and_says_so_on_a_warm_machine_without_a_past() {
+    let truth = Described::default().machine("wo97-machine.toml").unwrap();
+    let spec = Spec::machining_centre();
+    let started = |soaked_s: f64| {
+        let mut sim = Sim::new(&spec, &truth, None, [0.0; 3], 1).unwrap();
+        sim.set_control_period(100_000_000);
+        sim.machine.load([Block::Coolant { on: true }, Block::Spindle { rpm: 5000.0 }]);
+        sim.advance(soaked_s).unwrap();
+        sim.know(&spec, &truth).unwrap();
+        sim.advance(60.0).unwrap();
+        let asked: Vec<i64> = sim.status().axes().iter().map(|a| a.requested).collect();
+        (sim.holding(), asked)
+    };
+    let (cold, _) = started(1.0);
+    assert!(cold.is_empty(), "{cold:?}");
+    let (warm, asked) = started(2.0 * 3600.0);
+    assert!(warm.len() == 3 && warm.iter().all(|why| why.contains("hold")), "{warm:?}");
+    // What does not depend on heat is a few micrometres; heat has moved Z by more than 50 µm.
+    assert!(asked.iter().all(|counts| counts.abs() < 20), "{asked:?}: {warm:?}");
+}
