@@ -173,6 +173,7 @@ mod single {
         sum(a, b)
     }
 
+    #[expect(clippy::inline_always, reason = "it is compiled for the processor of whoever calls it")]
     #[inline(always)]
     fn sum(a: &[f32], b: &[f32]) -> f32 {
         let mut sums = [0.0_f32; 32];

@@ -88,11 +88,13 @@ pub struct Search<'p> {
     /// Rounding that rows share, for intervals.
     pub rounding: Vec<crate::setup::Term>,
     /// Whitened columns of waves that were looked at, and what they share with the base's.
-    waves: RefCell<HashMap<(usize, u64), Rc<[Columns; 2]>>>,
+    waves: RefCell<Waves>,
 }
 
 /// Whitened columns.
 type Columns = Vec<Vec<f64>>;
+/// By family and the bits of the frequency.
+type Waves = HashMap<(usize, u64), Rc<[Columns; 2]>>;
 
 /// So many of the usual periods are tried exactly, beside the largest of all.
 const USUAL_TRIED: usize = 3;
@@ -213,11 +215,11 @@ impl<'p> Search<'p> {
     /// Gain of columns beside a factor.
     #[must_use]
     pub fn gain(&self, factor: &Factor, columns: &[Vec<f64>]) -> Gain {
-        self.gain_of(factor, columns, columns.iter().map(|c| factor.shares(c)).collect())
+        self.gain_of(factor, columns, &columns.iter().map(|c| factor.shares(c)).collect::<Columns>())
     }
 
     /// The same of columns whose shares are known.
-    fn gain_of(&self, factor: &Factor, columns: &[Vec<f64>], shares: Columns) -> Gain {
+    fn gain_of(&self, factor: &Factor, columns: &[Vec<f64>], shares: &[Vec<f64>]) -> Gain {
         let p = columns.len();
         let along: Vec<f64> = columns.iter().map(|c| dot(c, factor.residual())).collect();
         let mut among = vec![0.0; p * p];
@@ -247,7 +249,9 @@ impl<'p> Search<'p> {
                     add(&mut share, -r, other);
                 }
                 let size = r[new.len()];
-                share.iter_mut().for_each(|x| *x /= size);
+                for x in &mut share {
+                    *x /= size;
+                }
                 new.push(share);
             }
         }
@@ -484,8 +488,9 @@ impl<'p> Search<'p> {
                         });
                         let [columns, base] = &*known;
                         let shares = columns.iter().zip(base);
-                        let shares = shares.map(|(c, b)| set.factor.shares_after(b.clone(), c)).collect();
-                        let score = prior + weight + self.gain_of(&set.factor, columns, shares).total;
+                        let of = |(c, b): (&Vec<f64>, &Vec<f64>)| set.factor.shares_after(b.clone(), c);
+                        let shares: Columns = shares.map(of).collect();
+                        let score = prior + weight + self.gain_of(&set.factor, columns, &shares).total;
                         seeds.push(Seed { family: number, cause, weight, score });
                     }
                 }

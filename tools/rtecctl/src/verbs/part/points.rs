@@ -145,22 +145,18 @@ impl FromStr for Choice {
     fn from_str(text: &str) -> Result<Self, String> {
         let expected = "NAME:NUMBER or NAME:SPACINGmm, as F1:20 or F1:5mm";
         let (feature, points) = text.split_once(':').ok_or(expected)?;
-        let by = match points.strip_suffix("mm") {
-            Some(mm) => {
-                By::SpacingMm(mm.parse().ok().filter(|v: &f64| v.is_finite() && *v > 0.0).ok_or(expected)?)
+        let by = if let Some(mm) = points.strip_suffix("mm") {
+            By::SpacingMm(mm.parse().ok().filter(|v: &f64| v.is_finite() && *v > 0.0).ok_or(expected)?)
+        } else {
+            let is_whole = !points.is_empty() && points.bytes().all(|byte| byte.is_ascii_digit());
+            // A number that no integer holds is a number all the same.
+            let number = points.parse().ok().or_else(|| is_whole.then_some(usize::MAX)).ok_or(expected)?;
+            if !(1..=MOST_POINTS).contains(&number) {
+                return Err(format!(
+                    "{feature}:{points} asks for {points} points; 1 to {MOST_POINTS} are expected"
+                ));
             }
-            None => {
-                let is_whole = !points.is_empty() && points.bytes().all(|byte| byte.is_ascii_digit());
-                // A number that no integer holds is a number all the same.
-                let number =
-                    points.parse().ok().or_else(|| is_whole.then_some(usize::MAX)).ok_or(expected)?;
-                if !(1..=MOST_POINTS).contains(&number) {
-                    return Err(format!(
-                        "{feature}:{points} asks for {points} points; 1 to {MOST_POINTS} are expected"
-                    ));
-                }
-                By::Number(number)
-            }
+            By::Number(number)
         };
         Ok(Self { feature: feature.to_owned(), by })
     }
