@@ -89,6 +89,8 @@ pub struct Tried {
     pub odds: f64,
     /// Whether it is in the answer.
     pub accepted: bool,
+    /// What was accepted in its place.
+    pub place: String,
 }
 
 /// The answer.
@@ -432,10 +434,16 @@ fn place(search: &Search<'_>, set: &Set, member: usize) -> Place {
     let mode = (set.score - total).exp();
     let evidence = set.score - without.score;
     let mut rivals = Vec::new();
-    let mut tried = vec![Tried { label: own_label, odds: 0.0, accepted: true }];
+    let tried = |label: &str, odds: f64, accepted: bool| Tried {
+        label: label.to_owned(),
+        odds,
+        accepted,
+        place: own_label.clone(),
+    };
+    let mut all_tried = vec![tried(&own_label, 0.0, true)];
     for (family, label, effect, score) in all.iter().skip(1) {
         let margin = set.score - score;
-        tried.push(Tried { label: label.clone(), odds: -margin, accepted: false });
+        all_tried.push(tried(label, -margin, false));
         let Some(effect) =
             effect.as_ref().filter(|_| margin < LISTED && families[*family].replaces.is_none())
         else {
@@ -470,7 +478,7 @@ fn place(search: &Search<'_>, set: &Set, member: usize) -> Place {
         shape_mass,
         rivals,
     };
-    Place { found, tried, nothing: evidence < 0.0 }
+    Place { found, tried: all_tried, nothing: evidence < 0.0 }
 }
 
 /// From when to when a step in time holds 95 %: over the rows' moments.

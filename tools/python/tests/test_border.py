@@ -1,8 +1,10 @@
 """What crosses the border: arrays, errors, warnings; nothing else, whatever comes in."""
 
 import copy
+import pathlib
 import pickle
 import threading
+import tomllib
 
 import numpy as np
 import pytest
@@ -24,6 +26,16 @@ def small(**about):
         "e": ("error.x", [0.0, 1.25, 1.5, 1e-9]),
     }
     return rtec.record("small.run.toml", "positioning", columns, **about)
+
+
+def test_what_computes_is_as_well_optimised_as_in_the_workspace():
+    def optimised(folder):
+        return tomllib.loads((folder / "Cargo.toml").read_text())["profile"]["dev"]["package"]
+
+    own = pathlib.Path(__file__).resolve().parents[1]
+    linked = {package["name"] for package in tomllib.loads((own / "Cargo.lock").read_text())["package"]}
+    expected = {name: how for name, how in optimised(own.parents[1]).items() if name in linked}
+    assert expected == optimised(own)
 
 
 def test_numbers_go_in_and_out_as_they_are(tmp_path):

@@ -5,7 +5,7 @@ use crate::extent::{self, GRID_SHARE};
 use crate::verdict::Verdict;
 use rtec_estimate::Shape;
 use rtec_model::effect::{Dictionary, Effect, Wave};
-use rtec_model::record::{Axis, Record, Role};
+use rtec_model::record::{Axis, Column, Record, Role};
 
 /// All positions of an axis, in rising order.
 fn places(axis: &Axis, train: &[Record]) -> Vec<f64> {
@@ -91,7 +91,7 @@ pub(crate) fn advice(
 ) -> String {
     let mut parts: Vec<String> = match verdict {
         Verdict::NotSeparable => effects.iter().flat_map(|(f, _)| separating(f, dictionary)).collect(),
-        Verdict::UnknownEffect => shapes.iter().map(isolating).collect(),
+        Verdict::UnknownEffect => shapes.iter().map(|s| isolating(s, train)).collect(),
         Verdict::Named => {
             let narrow = |f: &Effect| format!("to narrow {}: {}", f.name(), f.description().experiment);
             effects.iter().map(|(f, _)| narrow(&f.effect)).collect()
@@ -100,11 +100,18 @@ pub(crate) fn advice(
     };
     parts.extend(effects.iter().filter_map(|(f, _)| other_periods(&f.effect, train).or_else(|| as_good(f))));
     parts.extend(effects.iter().filter_map(|(f, _)| hidden_leads(&f.effect, train, dictionary)));
-    parts.join("; ")
+    // Each experiment once.
+    let mut said: Vec<&String> = Vec::new();
+    for part in &parts {
+        if !said.contains(&part) {
+            said.push(part);
+        }
+    }
+    said.into_iter().map(String::as_str).collect::<Vec<_>>().join("; ")
 }
 
 /// The run in which sensors part, and the runs that show each rival.
-fn separating(f: &Finding, dictionary: &Dictionary) -> Vec<String> {
+pub(crate) fn separating(f: &Finding, dictionary: &Dictionary) -> Vec<String> {
     let name = f.effect.name();
     let same = f.rivals.iter().filter(|r| r.name == name).filter_map(|r| r.sensor.as_ref());
     let same: Vec<String> = same.map(ToString::to_string).collect();
@@ -130,15 +137,30 @@ fn separating(f: &Finding, dictionary: &Dictionary) -> Vec<String> {
     parts
 }
 
-fn isolating(s: &Shape) -> String {
+fn isolating(s: &Shape, train: &[Record]) -> String {
+    let over = &s.against[0];
+    let columns = || train.iter().flat_map(|r| &r.columns).filter(|c| is_of(c, over));
+    let range =
+        columns().flat_map(|c| &c.data).fold([f64::MAX, f64::MIN], |[l, h], x| [l.min(*x), h.max(*x)]);
+    let far = match columns().next() {
+        Some(c) if range[0] < range[1] => {
+            format!(" at least from {:.4} to {:.4} {}", range[0], range[1], c.unit)
+        }
+        _ => String::new(),
+    };
     format!(
-        "{} has structure against {} ({}) that no effect of the dictionary explains: repeat the run with {} \
-         varied by itself, all else held",
+        "{} has structure against {} ({}) that no effect of the dictionary explains: repeat the run with {over} varied by itself{far}, \
+         all else held",
         s.response,
         s.against.join(" and "),
         s.manner,
-        s.against[0]
     )
+}
+
+/// Whether a column is what a place of `where` names: a role, or `temperature.NAME`.
+fn is_of(c: &Column, over: &str) -> bool {
+    let role = c.role.to_string();
+    role == over || over.strip_prefix(&role).and_then(|rest| rest.strip_prefix('.')) == Some(&c.name)
 }
 
 #[cfg(test)]

@@ -56,6 +56,8 @@ pub struct Tried {
     pub odds: f64,
     /// Whether it is in the answer.
     pub accepted: bool,
+    /// What was accepted in its place.
+    pub place: String,
 }
 
 /// The answer, before anything is written.

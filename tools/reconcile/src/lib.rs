@@ -37,6 +37,7 @@ mod testing;
 mod unexplained;
 mod verdict;
 mod where_found;
+mod why;
 mod workflow;
 
 /// Seed of all permutations.
@@ -49,6 +50,7 @@ pub use rtec_estimate::Shape;
 pub use unexplained::LAWS_FILE;
 pub use verdict::{Reconciliation, Refined, SetUp, Unsaid, Verdict};
 pub use where_found::Place;
+pub use why::why;
 pub use workflow::{find, reconcile};
 
 /// What a reconciliation may be told.

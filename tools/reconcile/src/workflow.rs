@@ -136,8 +136,12 @@ fn looked_at(train: &[Record], holdout: &[Record], machine: &Machine, options: &
         mend.into_iter().chain(why_nothing).chain(beside).chain(Some(advice).filter(|a| !a.is_empty()));
     let advice = parts.collect::<Vec<_>>().join("; ");
     let confirmed = gap.iter().filter_map(Gap::confirmed).reduce(|a, b| a && b);
-    let tried =
-        |t: &rtec_estimate::Tried| Tried { label: t.label.clone(), odds: t.odds, accepted: t.accepted };
+    let tried = |t: &rtec_estimate::Tried| Tried {
+        label: t.label.clone(),
+        odds: t.odds,
+        accepted: t.accepted,
+        place: t.place.clone(),
+    };
     let estimate = &answer.estimate;
     Reconciliation {
         verdict,

@@ -6,7 +6,7 @@ use crate::terminal::patiently;
 use anyhow::Context;
 use rtec_files::InputError;
 use rtec_model::machine::Machine;
-use rtec_reconcile::{LAWS_FILE, Options, Place, Reconciliation, Refined, SEED, find, html, reconcile};
+use rtec_reconcile::{LAWS_FILE, Options, Place, Reconciliation, Refined, SEED, find, html, reconcile, why};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
@@ -44,6 +44,9 @@ pub(crate) struct Args {
     /// unexplained.toml beside the model
     #[arg(long, requires = "out")]
     unexplained: bool,
+    /// Print the evidence for and against one effect instead of the summary: name of the dictionary, as reversal.x
+    #[arg(long, value_name = "NAME", conflicts_with = "json")]
+    why: Option<String>,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, clap::ValueEnum)]
@@ -75,6 +78,14 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     }
     let machine = Machine::read(&args.model)?;
     spares_inputs(args)?;
+    let asked = args.why.as_ref().map(|name| machine.dictionary().effect(name));
+    let asked = asked.transpose().map_err(|error| {
+        usage(format!("--why: {error}"), "an effect of the dictionary; rtecctl model effects lists them")
+    })?;
+    if asked.is_some() && args.stage == Stage::Find {
+        let expected = "a later stage: the first says where, not what";
+        return Err(usage("--why with --stage find".to_owned(), expected).into());
+    }
     let mut runs = args.train.clone();
     if let Some(live) = &args.live {
         record(live, &args.recorder, true)?;
@@ -115,7 +126,11 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     if figures {
         files.push(("report.html", html(&answer, machine.name())));
     }
-    tell(args, &document, &summary(&answer), &files)
+    let text = match &asked {
+        Some(effect) => why(&answer, effect, &train, machine.dictionary()),
+        None => summary(&answer),
+    };
+    tell(args, &document, &text, &files)
 }
 
 /// That nothing which was read is written over: asked before the work, which may take minutes.

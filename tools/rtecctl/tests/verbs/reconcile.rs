@@ -118,6 +118,35 @@ fn each_stage_does_its_own_part() {
     }
 }
 
+/// For and against one name: what is in the answer, what is beside it, what no record shows; what is no effect at all is refused.
+#[test]
+fn why_gives_the_evidence_for_and_against_one_name() {
+    let folder = tempfile::tempdir().unwrap();
+    warm_up(folder.path());
+    let why = |name: &str| {
+        let output = Command::new(env!("CARGO_BIN_EXE_rtecctl"))
+            .args(["reconcile", "run.run.toml", "--model", "machine.toml", "--why", name])
+            .current_dir(folder.path())
+            .output()
+            .unwrap();
+        let said = [output.stdout, output.stderr].map(|t| String::from_utf8(t).unwrap()).concat();
+        (output.status.code(), said)
+    };
+    let (code, said) = why("warm_up.z");
+    assert_eq!(code, Some(0), "{said}");
+    assert!(said.starts_with("warm_up.z: in the answer\n"), "{said}");
+    for expected in ["to 1  the rows with warm_up.z", "% of its place", "to see"] {
+        let spaced = said.split_whitespace().collect::<Vec<_>>().join(" ");
+        assert!(spaced.contains(&expected.split_whitespace().collect::<Vec<_>>().join(" ")), "{expected}: {said}");
+    }
+    let (code, said) = why("reversal.z");
+    assert_eq!(code, Some(0), "{said}");
+    assert!(said.starts_with("reversal.z: not in the answer\n") && said.contains("it needs direction.z"), "{said}");
+    let (code, said) = why("warm_op.z");
+    assert_eq!(code, Some(2), "{said}");
+    assert!(said.contains("warm_up"), "the nearest name: {said}");
+}
+
 #[test]
 fn recorder_options_without_a_live_run_are_refused() {
     let folder = tempfile::tempdir().unwrap();
