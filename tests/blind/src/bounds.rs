@@ -2,7 +2,7 @@
 //! are made of stays inside them, and so must every answer.
 
 /// Law, parameter, lowest, highest. What is not listed is bounded by arithmetic alone.
-const BOUNDS: [(&str, &str, f64, f64); 35] = [
+const BOUNDS: [(&str, &str, f64, f64); 36] = [
     ("offset", "um", -10_000.0, 10_000.0),
     ("scale", "ppm", -1000.0, 1000.0),
     ("screw_periodic", "period_mm", 0.5, 60.0),
@@ -34,8 +34,9 @@ const BOUNDS: [(&str, &str, f64, f64); 35] = [
     ("stiffness", "um_per_N", -100.0, 100.0),
     ("probe_lobing", "um", -1000.0, 1000.0),
     ("form_bump", "um", -10_000.0, 10_000.0),
-    ("inertia", "kg", -1e6, 1e6),
-    ("friction_viscous", "N_s_per_m", -1e6, 1e6),
+    ("inertia", "kg", 0.0, 1e6),
+    ("friction_viscous", "N_s_per_m", 0.0, 1e6),
+    ("friction_coulomb", "N", 0.0, 1e6),
     ("friction_asymmetric", "N_s_per_m", -1e6, 1e6),
     ("force_offset", "N", -1e6, 1e6),
 ];

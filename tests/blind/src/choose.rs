@@ -233,9 +233,11 @@ pub fn source(dice: &mut Dice, run: &Run, law: &str, places: Places) -> Option<S
             needs(!z.is_empty())?;
             Source::new(format!("channel.{a}.{}", dice.pick(&z))).p("gain", dice.sign())
         }
-        "inertia" => Source::new(name).p("kg", dice.sign()),
-        "friction_viscous" | "friction_asymmetric" => Source::new(name).p("N_s_per_m", dice.sign()),
-        "friction_coulomb" => Source::new(name).p("N", dice.sign()),
+        // No mass is negative, and no friction drives.
+        "inertia" => Source::new(name).p("kg", dice.sign().abs()),
+        "friction_viscous" => Source::new(name).p("N_s_per_m", dice.sign().abs()),
+        "friction_asymmetric" => Source::new(name).p("N_s_per_m", dice.sign()),
+        "friction_coulomb" => Source::new(name).p("N", dice.sign().abs()),
         _ => return None,
     })
 }
@@ -256,7 +258,7 @@ pub fn stranger(dice: &mut Dice, run: &Run, one_speed: bool) -> Option<Source> {
     } else {
         let d = run.dir(&a);
         if has("position") && d.len() == run.n && run.kind != "probing" {
-            can.extend([("?dir_times_position", 0.0), ("?dir_times_wave", dice.within(0.7, 2.0))]);
+            can.push(("?dir_times_wave", dice.within(0.7, 2.0)));
         }
         // In a single turn the angle is the time, and a burst a bump of the form.
         let once = run.get("angle").is_some_and(|w| w.windows(2).all(|w| w[1] >= w[0]));

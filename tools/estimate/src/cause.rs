@@ -1,7 +1,7 @@
 //! What a hypothesis puts into the rows: an effect of the dictionary with its non-linear parameters set, or a shape of no name.
 
 use crate::factor::dot;
-use crate::priors::{CONTRIBUTION, OF_MOST};
+use crate::priors::{CONTRIBUTION, OF_MOST, REFERENCE_K};
 use crate::rows::Rows;
 use crate::setup::{first_after_turn, unplaced_columns};
 use rtec_model::effect::{Against, Effect, Need, STANDARD_DEGC, Search};
@@ -59,9 +59,6 @@ pub enum Cause {
     /// No effect of the dictionary: its columns at one standard deviation.
     Shape(Arc<(Shape, Vec<Vec<f64>>)>),
 }
-
-/// How far a reference temperature may be from 20 °C, K, one standard deviation.
-const REFERENCE_K: f64 = 2.0;
 
 impl Cause {
     /// The effect, where it is one.

@@ -1,9 +1,12 @@
 //! Noise and search in turn; then names, values and intervals.
 
 use crate::cause::{Cause, Shape};
+use crate::effort::{
+    HOPELESS, LAST_STEPS, MOMENT_ROWS, NOISE_STEPS, REMEMBERS, ROUNDS, SETTLED, STRONG, UNDER_NOISE,
+};
 use crate::factor::dot;
 use crate::family::{Families, Scan};
-use crate::priors::{HALF_WIDTH, HELD, HOPELESS, LISTED, MOST_PHI, STRONG};
+use crate::priors::{HALF_WIDTH, HELD, LISTED, MOST_PHI, SAME_PERIOD};
 use crate::problem::{Problem, in_step, is_beyond_chance};
 use crate::rows::{Noise, Rows};
 use crate::search::{Member, Search, Set, fit};
@@ -85,7 +88,7 @@ pub struct SetUp {
 pub struct Tried {
     /// Name, with its sensors.
     pub label: String,
-    /// Log odds against what was accepted in its place.
+    /// Log odds against what was accepted in its place; what is far below was looked at quickly alone.
     pub odds: f64,
     /// Whether it is in the answer.
     pub accepted: bool,
@@ -113,11 +116,6 @@ pub struct Estimate {
     /// The likeliest set, to start from beside other records.
     pub members: Vec<Member>,
 }
-
-/// Rounds of search and noise.
-const ROUNDS: usize = 6;
-/// The noise has settled when its size changes by less than this share, and its memory by less than this.
-const SETTLED: (f64, f64) = (0.1, 0.08);
 
 /// What the records support beside a model; `intervals`: half widths that the model states, effect by effect and value by value.
 #[must_use]
@@ -306,11 +304,6 @@ fn under_own_noise(search: &Search<'_>, set: &Set) -> Option<(Set, Noise)> {
     best.map(|(_, set, noise)| (set, noise))
 }
 
-/// Steps of the noise of one set, and hypotheses that are tried under their own noise.
-const NOISE_STEPS: usize = 3;
-/// See [`NOISE_STEPS`].
-const UNDER_NOISE: usize = 4;
-
 fn log_sum(values: &[f64]) -> f64 {
     let top = values.iter().copied().fold(f64::NEG_INFINITY, f64::max);
     if top == f64::NEG_INFINITY {
@@ -396,10 +389,8 @@ fn place(search: &Search<'_>, set: &Set, member: usize) -> Place {
     // Family, label, effect, log mass.
     let mut all: Vec<Stand> = vec![(own.family, own_label.clone(), own.cause.effect().cloned(), set.score)];
     let top = seeds.first().map_or(0.0, |s| s.score).max(set.score - without.score);
-    for seed in &seeds {
-        if seed.score < top - HOPELESS - 2.0 {
-            break;
-        }
+    let far = seeds.iter().position(|s| s.score < top - HOPELESS - 2.0).unwrap_or(seeds.len());
+    for seed in &seeds[..far] {
         let refined = search.refined(&without.factor, seed);
         let name = refined.cause.effect().map_or_else(|| families[seed.family].label(), label);
         let same_mode = seed.family == own.family && same_place(&own.cause, &refined.cause);
@@ -460,6 +451,11 @@ fn place(search: &Search<'_>, set: &Set, member: usize) -> Place {
             margin,
         });
     }
+    // What is far below was looked at quickly alone.
+    for seed in &seeds[far..] {
+        let name = seed.cause.effect().map_or_else(|| families[seed.family].label(), label);
+        all_tried.push(tried(&name, seed.score - evidence, false));
+    }
     rivals.sort_by(|a, b| a.margin.total_cmp(&b.margin));
     let moments = moments(search, &without, own);
     let found = Found {
@@ -488,7 +484,7 @@ fn moments(search: &Search<'_>, without: &Set, own: &Member) -> Option<[f64; 2]>
     let p = effect.description().parameters.iter().position(|p| p.refine == Refine::Moment)?;
     let all = search.problem.rows.moments_s();
     let at = all.partition_point(|t| *t < effect.scalar(p));
-    let near = &all[at.saturating_sub(NEAR)..(at + NEAR).min(all.len())];
+    let near = &all[at.saturating_sub(MOMENT_ROWS)..(at + MOMENT_ROWS).min(all.len())];
     let mass: Vec<f64> = near
         .iter()
         .map(|t| {
@@ -502,7 +498,7 @@ fn moments(search: &Search<'_>, without: &Set, own: &Member) -> Option<[f64; 2]>
     let (mut held, mut range) = (0.0, [f64::MAX, f64::MIN]);
     for i in order {
         // The step came after the row before.
-        let before = all[(at.saturating_sub(NEAR) + i).saturating_sub(1)];
+        let before = all[(at.saturating_sub(MOMENT_ROWS) + i).saturating_sub(1)];
         range = [range[0].min(before), range[1].max(near[i])];
         held += (mass[i] - total).exp();
         if held >= HELD {
@@ -512,16 +508,10 @@ fn moments(search: &Search<'_>, without: &Set, own: &Member) -> Option<[f64; 2]>
     Some(range)
 }
 
-/// Rows on either side of a step at which it may have been as well.
-const NEAR: usize = 30;
-
 /// Whether two waves of one law are one mode.
 fn same_period(a: &Effect, b: &Effect) -> bool {
     (a.scalar(0) / b.scalar(0) - 1.0).abs() < SAME_PERIOD
 }
-
-/// Periods of one mode differ by less than this share.
-const SAME_PERIOD: f64 = 0.02;
 
 /// Whether two causes of one family are one mode.
 fn same_place(a: &Cause, b: &Cause) -> bool {
@@ -584,9 +574,6 @@ struct Bent {
     with: Option<(usize, f64)>,
 }
 
-/// Steps of the last fit.
-const STEPS: usize = 4;
-
 /// Values that the last fit moves beside the linear ones, and how far each may be off.
 fn bent(search: &Search<'_>, family: usize, effect: &Effect) -> Vec<Bent> {
     let family = &search.families.list[family];
@@ -619,7 +606,7 @@ impl<'s, 'p> Last<'s, 'p> {
         let beta = search.coefficients(set);
         let mut solved: Vec<Option<Effect>> =
             causes.iter().zip(&beta).map(|(c, b)| c.solved(search.problem.rows, b)).collect();
-        for _ in 0..STEPS {
+        for _ in 0..LAST_STEPS {
             let last = Self::fit(search, set, model, &causes, &solved);
             if best.as_ref().is_some_and(|b| last.left > b.left + 0.01) {
                 break;
@@ -968,9 +955,6 @@ impl Estimate {
         }
     }
 }
-
-/// Autocorrelation of what the noise model left whitened, beyond which rows are too close together.
-const REMEMBERS: f64 = 0.15;
 
 /// What a model leaves of each row of a record, response by response, set-up included.
 #[must_use]

@@ -3,7 +3,8 @@
 
 use crate::bank::Bank;
 use crate::cause::{Cause, Shape, sizes};
-use crate::priors::{IMPLAUSIBLE, JUMP_PROBABILITY, JUMP_UM, KNOTS, LENGTHS, NAMED_SHARE, PAIR_SHARE, PRICE};
+use crate::effort::KNOTS;
+use crate::priors::{IMPLAUSIBLE, JUMP_PROBABILITY, JUMP_UM, LENGTHS, NAMED_SHARE, PAIR_SHARE, PRICE};
 use crate::rows::{Rows, is_placed};
 use crate::search::Member;
 use crate::setup;

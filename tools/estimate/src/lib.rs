@@ -6,6 +6,7 @@
 //! | module | what |
 //! |---|---|
 //! | [`priors`] | every number that decides |
+//! | [`effort`] | how far the search goes |
 //! | [`rows`] | records as rows under one noise |
 //! | [`setup`] | set-up terms, in one list |
 //! | [`shapes`] | shapes without a name, in one list |
@@ -21,6 +22,7 @@
 
 pub mod bank;
 pub mod cause;
+pub mod effort;
 pub mod estimate;
 pub mod factor;
 pub mod family;

@@ -1,7 +1,8 @@
 //! The measurement model y = M(θ) + Z(η) + H(β, ψ) + e, linear in all but ψ: what is beside every hypothesis.
 
+use crate::effort::OUT_OF_STEP;
 use crate::factor::{Factor, add, dot};
-use crate::priors::{CHANCE, KNOWN_SHARE, MOST_PHI, NOISE, TAIL_FREEDOM};
+use crate::priors::{CHANCE, KNOWN_SHARE, MOST_PHI, NOISE, PERIOD_SHARE, TAIL_FREEDOM};
 use crate::rows::{Noise, Rows};
 use crate::setup::{self, Term};
 use rtec_model::effect::{Effect, Refine, Search};
@@ -132,11 +133,6 @@ fn columns_gain(factor: &Factor, columns: &[Vec<f64>], freedom: f64) -> f64 {
 pub fn is_beyond_chance(distance: f64, parameters: usize) -> bool {
     ChiSquared::new(parameters as f64).is_ok_and(|chance| chance.sf(distance.max(0.0)) < CHANCE)
 }
-
-/// A period is known to this share, one standard deviation (contract: as given, in the digits that people write).
-const PERIOD_SHARE: f64 = 1e-4;
-/// A wave is out of step by more than this, in turns over the travel.
-const OUT_OF_STEP: f64 = 0.01;
 
 /// Everything beside the hypotheses, whitened by one noise.
 pub struct Base {

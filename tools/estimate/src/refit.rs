@@ -2,14 +2,11 @@
 
 use crate::cause::Cause;
 use crate::factor::{Factor, add};
-use crate::priors::{HALF_WIDTH, LEVELS};
+use crate::priors::{HALF_WIDTH, WIDE};
 use crate::problem::Problem;
 use crate::rows::{Noise, Rows};
 use rtec_model::effect::Effect;
 use rtec_model::record::Record;
-
-/// No pull towards zero: the largest level of a prior, ten times.
-const WIDE: f64 = 10.0 * LEVELS[LEVELS.len() - 1].0;
 
 /// The linear parameters of effects beside model and set-up.
 pub struct Refit<'p, 'r> {

@@ -1,5 +1,6 @@
 //! All rows of all responses of all records, one under the other, and their noise.
 
+use crate::effort::{MUCH_MEMORY, ONE_PLACE, TIME_CONSTANTS};
 use crate::priors::{MOST_PHI, NOISE};
 use rtec_model::effect::{Dictionary, Effect, Extent, Law, Quantity};
 use rtec_model::record::{Axis, Record, Role};
@@ -163,11 +164,6 @@ pub fn is_placed(record: &Record, effect: &Effect) -> bool {
     record.knows_places() || !needs_place(effect)
 }
 
-/// Rows differ by little as one: share of the whole range.
-const ONE_PLACE: f64 = 1.0 / 300.0;
-/// Time constants that are tried.
-const TIME_CONSTANTS: usize = 14;
-
 impl Extent for Rows<'_> {
     fn rows(&self) -> usize {
         self.n
@@ -227,9 +223,6 @@ impl Extent for Rows<'_> {
         Vec::new()
     }
 }
-
-/// A memory from which on it may be an effect.
-const MUCH_MEMORY: f64 = 0.3;
 
 /// The noise of each response: its size and its memory from row to row; and how much each row counts.
 #[derive(Debug, Clone, PartialEq)]

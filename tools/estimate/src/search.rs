@@ -3,12 +3,13 @@
 
 use crate::bank::Look;
 use crate::cause::Cause;
+use crate::effort::{
+    DIFFERENCES, HOPELESS, KEPT, MOST_MEMBERS, MOST_SHAPES, PEAKS, STRONG, TRIED, USUAL_TRIED, WAVES_KEPT,
+    WORTHLESS,
+};
 use crate::factor::{Factor, add, dot};
 use crate::family::{Families, Family, Scan};
-use crate::priors::{
-    AGAIN, BENT_SHARE, CONTRIBUTION, HOPELESS, KEPT, LEVELS, LISTED, MOST_MEMBERS, MOST_SHAPES, STRONG,
-    TRIED, USUAL_SHARE, USUAL_WITHIN, WORTHLESS,
-};
+use crate::priors::{AGAIN, BENT_SHARE, CONTRIBUTION, LEVELS, LISTED, USUAL_SHARE, USUAL_WITHIN};
 use crate::problem::{Base, Problem};
 use crate::rows::Rows;
 use crate::shapes::changing_wave;
@@ -95,15 +96,6 @@ pub struct Search<'p> {
 type Columns = Vec<Vec<f64>>;
 /// By family and the bits of the frequency.
 type Waves = HashMap<(usize, u64), Rc<[Columns; 2]>>;
-
-/// So many of the usual periods are tried exactly, beside the largest of all.
-const USUAL_TRIED: usize = 3;
-/// So many frequencies of a wave are tried exactly.
-const PEAKS: usize = 12;
-/// So many temperature differences of a law are tried exactly.
-const DIFFERENCES: usize = 4;
-/// Waves whose columns are kept.
-const WAVES_KEPT: usize = 400;
 
 /// Evidence of columns at each level of their size.
 #[derive(Debug, Clone, Copy)]
@@ -1075,7 +1067,7 @@ fn moves(family: &Family, effect: &Effect) -> Vec<Move> {
     }
     if let Scan::Wave { along, unit, .. } = &family.scan {
         let step = 0.2 / along.span() * unit;
-        return vec![Move { parameter: 0, step, how: Refine::Stays, range: EVERYTHING }];
+        return vec![Move { parameter: 0, step, how: Refine::Stays, range: everything() }];
     }
     let of = |(parameter, p): (usize, &rtec_model::effect::Parameter)| {
         let (Refine::Step(step) | Refine::Factor(step) | Refine::TimeConstant(step)) = p.refine else {
@@ -1088,7 +1080,9 @@ fn moves(family: &Family, effect: &Effect) -> Vec<Move> {
 }
 
 /// No bounds.
-const EVERYTHING: [f64; 2] = [f64::NEG_INFINITY, f64::INFINITY];
+fn everything() -> [f64; 2] {
+    [f64::NEG_INFINITY, f64::INFINITY]
+}
 
 impl Family {
     /// From where to where its grid goes in one parameter: what the rows can show of it.
@@ -1103,6 +1097,6 @@ impl Family {
             Scan::Sensors { points, .. } => points.iter().map(|p| &p.2).fold(none, wider),
             _ => none,
         };
-        if lo < hi { [lo, hi] } else { EVERYTHING }
+        if lo < hi { [lo, hi] } else { everything() }
     }
 }

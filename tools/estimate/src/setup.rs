@@ -1,9 +1,10 @@
 //! What belongs to how the instrument stood and never to the machine: free in every record, never named, never written into a
 //! model, never corrected live. One function per term; a new one is its function and a line in [`TERMS`].
 
+use crate::effort::{AIR_DIRECTIONS, KNOTS, MOST_PAUSES, MOST_PLACES};
 use crate::priors::{
-    AIR_DIRECTIONS, AIR_S, AIR_UM, CENTRE_UM, CONTRIBUTION, KNOTS, LINE_HOURS, LINE_UM_PER_H, PAUSE_STEPS,
-    PLACE_MM, TURN_URAD, ZERO_UM,
+    AIR_S, AIR_UM, CENTRE_UM, CONTRIBUTION, LINE_HOURS, LINE_UM_PER_H, PAUSE_STEPS, PLACE_MM, TURN_URAD,
+    ZERO_UM,
 };
 use crate::rows::{Rows, Segment, is_placed};
 use crate::smooth::{Kernel, directions, knots, shares};
@@ -177,9 +178,6 @@ pub fn jumps(rows: &Rows<'_>) -> Vec<Term> {
     out
 }
 
-/// A run that pauses more often than this is a run in steps.
-const MOST_PAUSES: usize = 12;
-
 /// The step in which numbers are written, where noise does not dither it: most repeats of one place and direction read the same. With
 /// it the groups of rows that share one reading in one direction.
 #[must_use]
@@ -277,9 +275,6 @@ fn dithered(rows: &Rows<'_>, _: &[Effect], out: &mut Vec<Term>) {
         }
     }
 }
-
-/// More places have no error each of their own.
-const MOST_PLACES: usize = 150;
 
 /// What rounding alone makes of a record's responses, µm RMS: the coarsest of its gauges.
 #[must_use]

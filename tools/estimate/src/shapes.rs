@@ -2,8 +2,9 @@
 //! function and a line in [`SHAPES`].
 
 use crate::cause::Shape;
+use crate::effort::{KNOTS, MOST_SENSORS, SHAPE_FEWEST_ROWS, SHAPE_RANK};
 use crate::factor::{add, dot};
-use crate::priors::{CONTRIBUTION, KNOTS, LENGTHS};
+use crate::priors::{CONTRIBUTION, LENGTHS};
 use crate::rows::Rows;
 use crate::smooth::{Kernel, directions, knots, shares};
 use rtec_model::effect::sign;
@@ -49,11 +50,6 @@ pub fn shapes(rows: &Rows<'_>) -> Vec<Shaped> {
     out.retain(|(_, columns)| columns.iter().any(|c| c.iter().any(|x| *x != 0.0)));
     out
 }
-
-/// Most directions of one smooth shape.
-const RANK: usize = 12;
-/// Fewer rows have no shape.
-const FEWEST: usize = 12;
 
 impl<'r> Response<'r> {
     fn new(rows: &'r Rows<'r>, number: usize) -> Self {
@@ -154,7 +150,7 @@ impl<'r> Response<'r> {
     ) -> Vec<Vec<f64>> {
         let values: Vec<f64> = self.own.iter().map(|i| v[*i]).collect();
         let knots = knots(&values, KNOTS);
-        if knots.len() < 4 || self.own.len() < FEWEST {
+        if knots.len() < 4 || self.own.len() < SHAPE_FEWEST_ROWS {
             return Vec::new();
         }
         let k = knots.len();
@@ -168,7 +164,7 @@ impl<'r> Response<'r> {
                 }
             }
         }
-        let found = directions(&knots, kernel(range), &without, RANK);
+        let found = directions(&knots, kernel(range), &without, SHAPE_RANK);
         let mut out = vec![vec![0.0; self.rows.n]; found.len()];
         for i in &self.own {
             for (knot, w) in shares(&knots, v[*i]) {
@@ -361,13 +357,10 @@ fn over_plane(r: &Response<'_>, out: &mut Vec<Shaped>) {
     }
 }
 
-/// Most sensors whose products are tried.
-const SENSORS: usize = 6;
-
 fn two_temperatures(r: &Response<'_>, out: &mut Vec<Shaped>) {
     let warm: Vec<(String, Vec<f64>)> =
         r.scalars().into_iter().filter(|(l, _)| l.starts_with("temperature")).collect();
-    if warm.len() > SENSORS {
+    if warm.len() > MOST_SENSORS {
         return;
     }
     for (i, (a, x)) in warm.iter().enumerate() {

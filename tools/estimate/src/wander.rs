@@ -1,7 +1,8 @@
 //! What goes on for longer than noise remembers and does not repeat: a walk that is pulled back (Ornstein–Uhlenbeck), beside the
 //! noise of a response. Judged in the spectrum of what is left: noise alone has an even one (Whittle 1953).
 
-use crate::priors::{NAMED_SHARE, PRICE};
+use crate::effort::{WALK_FEWEST_ROWS, WALK_MEMORIES, WALK_RANK, WALK_SIZES};
+use crate::priors::{NAMED_SHARE, PRICE, WALK_KINDS};
 use crate::problem::Problem;
 use crate::rows::{Noise, Rows};
 use crate::setup::{Term, What};
@@ -21,14 +22,6 @@ pub struct Wander {
     pub odds: f64,
 }
 
-/// Variances of the walk, in the noise's, and memories in rows that are tried; each as likely.
-const SIZES: [f64; 7] = [0.02, 0.05, 0.15, 0.4, 1.0, 3.0, 10.0];
-const MEMORIES: [f64; 6] = [6.0, 12.0, 25.0, 50.0, 100.0, 200.0];
-/// Shapes that it is one of (a prior of even odds among kinds).
-const KINDS: f64 = 30.0;
-/// Shorter segments show no walk.
-const FEWEST: usize = 48;
-
 /// The likeliest walk of each response in a whitened remainder, where it is likelier than none.
 #[must_use]
 pub fn wanders(problem: &Problem<'_>, noise: &Noise, residual: &[f64]) -> Vec<Wander> {
@@ -38,7 +31,7 @@ pub fn wanders(problem: &Problem<'_>, noise: &Noise, residual: &[f64]) -> Vec<Wa
     // Where rounding makes the noise, its steps look like a walk.
     for response in (0..rows.responses.len()).filter(|j| problem.floors[*j] <= 0.0) {
         let mut spectra: Vec<Vec<f64>> = Vec::new();
-        for s in rows.segments.iter().filter(|s| s.response == response && s.rows.len() >= FEWEST) {
+        for s in rows.segments.iter().filter(|s| s.response == response && s.rows.len() >= WALK_FEWEST_ROWS) {
             let part = &residual[s.rows.clone()];
             let mean = part.iter().sum::<f64>() / part.len() as f64;
             let mut x: Vec<Complex<f64>> =
@@ -55,8 +48,8 @@ pub fn wanders(problem: &Problem<'_>, noise: &Noise, residual: &[f64]) -> Vec<Wa
         let (all, count) = spectra.iter().flatten().fold((0.0, 0.0), |(s, n), p| (s + p, n + 1.0));
         let level = all / f64::max(count, 1.0);
         let (mut mass, mut best) = (Vec::new(), (f64::NEG_INFINITY, 0.0, 0.0));
-        for variance in SIZES {
-            for memory in MEMORIES {
+        for variance in WALK_SIZES {
+            for memory in WALK_MEMORIES {
                 // The walk as the whitening leaves it.
                 let rho = (-1.0_f64 / memory).exp();
                 let mut gain = 0.0;
@@ -84,7 +77,7 @@ pub fn wanders(problem: &Problem<'_>, noise: &Noise, residual: &[f64]) -> Vec<Wa
         }
         let top = best.0;
         let total = top + mass.iter().map(|g| (g - top).exp()).sum::<f64>().ln() - (mass.len() as f64).ln();
-        let odds = total - PRICE + (1.0 - NAMED_SHARE).ln() - KINDS.ln();
+        let odds = total - PRICE + (1.0 - NAMED_SHARE).ln() - WALK_KINDS.ln();
         if odds > 0.0 {
             let size = (best.1 * level).sqrt() * noise.sigma[response];
             out.push(Wander { response, size, rows: best.2, odds });
@@ -97,9 +90,6 @@ fn frequency(k: usize, half: usize) -> f64 {
     std::f64::consts::PI * (k + 2) as f64 / (half + 2) as f64
 }
 
-/// Most columns of a walk.
-const RANK: usize = 60;
-
 /// Columns of a walk: beside it nothing else has to explain it.
 #[must_use]
 pub fn terms(rows: &Rows<'_>, wander: &Wander) -> Vec<Term> {
@@ -107,7 +97,7 @@ pub fn terms(rows: &Rows<'_>, wander: &Wander) -> Vec<Term> {
     let all: usize = rows.count(wander.response);
     for s in rows.segments.iter().filter(|s| s.response == wander.response) {
         let n = s.rows.len();
-        let rank = (RANK * n / all.max(1)).clamp(8, RANK);
+        let rank = (WALK_RANK * n / all.max(1)).clamp(8, WALK_RANK);
         let order: Vec<f64> = (0..n).map(|i| i as f64).collect();
         let places = knots(&order, rank.min(n));
         for d in directions(&places, Kernel::Rough(wander.rows), &[], rank) {

@@ -1,5 +1,7 @@
 //! Waves along a variable: where in frequency the rows show one.
 
+use crate::effort::{ALONE, FREQUENCY_STEP, LONGEST, PER_PERIOD};
+use crate::priors::ALIKE;
 use rustfft::{Fft, FftPlanner, num_complex::Complex};
 use std::fmt;
 use std::sync::Arc;
@@ -28,18 +30,6 @@ impl fmt::Debug for Along {
     }
 }
 
-/// Grid points to the shortest period, and the longest grid.
-const PER_PERIOD: f64 = 6.0;
-const LONGEST: usize = 1 << 18;
-/// Frequency steps in shares of one turn over the whole range.
-const STEP: f64 = 0.35;
-/// What sine and cosine show of their power at least, to be told from a constant.
-const ALONE: f64 = 0.01;
-
-/// Two waves look the same at places that show so much of the power of their difference as if it were none (physics: what is left of
-/// one beside the other is a tenth of its size).
-const ALIKE: f64 = 0.99;
-
 impl Along {
     /// `None` where nothing moves or no period fits.
     #[must_use]
@@ -50,7 +40,7 @@ impl Along {
             return None;
         }
         let from = lowest.max(0.5 / span);
-        let whole = span / STEP;
+        let whole = span / FREQUENCY_STEP;
         let to = highest.min(LONGEST as f64 / PER_PERIOD / whole);
         if to <= from {
             return None;
@@ -132,7 +122,7 @@ impl Along {
     /// Near each of these frequencies (within a share of it) the one at which a weighted residual has the largest power, best first.
     #[must_use]
     pub fn near(&self, residual: &[f64], frequencies: &[f64], share: f64) -> Vec<f64> {
-        let step = STEP / self.span;
+        let step = FREQUENCY_STEP / self.span;
         let best = |f: &f64| {
             let steps = (share * f / step).ceil().clamp(1.0, 60.0);
             let pitch = (share * f / steps).min(step);

@@ -277,7 +277,8 @@ fn other_units(role: &Role) -> &'static [(f64, &'static str)] {
 /// Lengths that ballbars are made with, mm.
 const BARS_MM: [f64; 8] = [50.0, 75.0, 100.0, 150.0, 200.0, 250.0, 300.0, 600.0];
 
-/// A direction is logged that the positions contradict in one row of so many (experience of people who read logs).
+/// A direction that goes with the positions contradicts them in one row of so many (experience of people who read logs); one that is of
+/// something else, an approach say, in every other row. Either is as likely.
 const CONTRADICTED: f64 = 100.0;
 
 /// Axes whose direction is logged beside their position.
@@ -293,8 +294,13 @@ fn agreement(record: &Record) -> f64 {
         let position = record.data(&Role::Position(axis.clone()))?;
         let direction = record.data(&Role::Direction(axis.clone()))?;
         let went = position.windows(2).map(|p| p[1] - p[0]);
-        let against = went.zip(&direction[1..]).filter(|(by, way)| by * **way < 0.0).count();
-        Some(-(against as f64) * CONTRADICTED.ln())
+        let told: Vec<f64> =
+            went.zip(&direction[1..]).map(|(by, way)| by * way).filter(|x| *x != 0.0).collect();
+        let (rows, against) = (told.len() as f64, told.iter().filter(|x| **x < 0.0).count() as f64);
+        let goes_with = -against * CONTRADICTED.ln() + (rows - against) * (-1.0 / CONTRADICTED).ln_1p();
+        let is_apart = -rows * std::f64::consts::LN_2;
+        let top = goes_with.max(is_apart);
+        Some(top + ((goes_with - top).exp() + (is_apart - top).exp()).ln() - std::f64::consts::LN_2)
     };
     axes(record).iter().filter_map(of).sum()
 }

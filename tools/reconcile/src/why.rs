@@ -3,7 +3,7 @@
 use crate::advice::separating;
 use crate::answer::{Finding, Tried};
 use crate::verdict::Reconciliation;
-use rtec_estimate::priors::HOPELESS;
+use rtec_estimate::effort::HOPELESS;
 use rtec_model::effect::{Dictionary, Effect};
 use rtec_model::record::Record;
 use std::fmt::Write as _;

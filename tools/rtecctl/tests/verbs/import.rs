@@ -111,7 +111,7 @@ fn what_cannot_be_read_is_named_and_nothing_is_written() {
         ("g.csv --format own --form f.toml", "f.toml:4:14: found role `tim`"),
         ("g.csv --format own", "--form"),
         ("/dev/zero --format rtl --axis x", "a regular file"),
-        ("x.comp --format rtl --axis x", "no section TARGET DATA::"),
+        ("x.comp --format rtl --axis x", "as a compensation table of LinuxCNC"),
     ] {
         let words: Vec<&str> = ["characterise", "import"].into_iter().chain(words.split(' ')).collect();
         let out = rtecctl(dir.path(), &[&words[..], &["--out", "o.run.toml"]].concat());

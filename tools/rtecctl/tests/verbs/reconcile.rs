@@ -137,11 +137,17 @@ fn why_gives_the_evidence_for_and_against_one_name() {
     assert!(said.starts_with("warm_up.z: in the answer\n"), "{said}");
     for expected in ["to 1  the rows with warm_up.z", "% of its place", "to see"] {
         let spaced = said.split_whitespace().collect::<Vec<_>>().join(" ");
-        assert!(spaced.contains(&expected.split_whitespace().collect::<Vec<_>>().join(" ")), "{expected}: {said}");
+        assert!(
+            spaced.contains(&expected.split_whitespace().collect::<Vec<_>>().join(" ")),
+            "{expected}: {said}"
+        );
     }
     let (code, said) = why("reversal.z");
     assert_eq!(code, Some(0), "{said}");
-    assert!(said.starts_with("reversal.z: not in the answer\n") && said.contains("it needs direction.z"), "{said}");
+    assert!(
+        said.starts_with("reversal.z: not in the answer\n") && said.contains("it needs direction.z"),
+        "{said}"
+    );
     let (code, said) = why("warm_op.z");
     assert_eq!(code, Some(2), "{said}");
     assert!(said.contains("warm_up"), "the nearest name: {said}");

@@ -15,7 +15,7 @@ pub(super) fn law() -> Arc<dyn Law> {
         quantity: Quantity::Force,
         parameters: vec![
             Parameter::linear("N", "N", 10_000.0).typically(40.0)
-                .within([-1e6, 1e6], "the dry friction of 1000 t on rollers of 0.01"),
+                .within([0.0, 1e6], "friction takes energy and gives none; at most the dry friction of 1000 t on rollers of 0.01"),
         ],
         needs: vec![Need::Velocity],
         mechanism: Some(Mechanism::CoulombFriction),

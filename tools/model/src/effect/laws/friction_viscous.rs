@@ -15,7 +15,7 @@ pub(super) fn law() -> Arc<dyn Law> {
         quantity: Quantity::Force,
         parameters: vec![
             Parameter::linear("N_s_per_m", "N·s/m", 100_000.0).typically(200.0)
-                .within([-1e6, 1e6], "1 kN at 1 mm/s: more than oil in any guideway takes"),
+                .within([0.0, 1e6], "friction takes energy and gives none; 1 kN at 1 mm/s is more than oil in any guideway takes"),
         ],
         needs: vec![Need::Velocity],
         mechanism: Some(Mechanism::ViscousFriction),

@@ -14,7 +14,7 @@ pub(super) fn law() -> Arc<dyn Law> {
         experiment: "strokes at several accelerations (dynamics run)".into(),
         quantity: Quantity::Force,
         parameters: vec![
-            Parameter::linear("kg", "kg", 100_000.0).typically(120.0).within([-1e6, 1e6], "1000 t: no axis moves that"),
+            Parameter::linear("kg", "kg", 100_000.0).typically(120.0).within([0.0, 1e6], "no mass is negative; 1000 t: no axis moves that"),
         ],
         needs: vec![Need::Acceleration],
         mechanism: Some(Mechanism::Mass),
