@@ -113,20 +113,42 @@ pub(crate) fn rms(v: &[f64]) -> f64 {
 /// A straight line in time of so many µm/h is the instrument's as well.
 const LINE_UM_PER_H: f64 = 2.0;
 
-/// What a record shows of an error beside its instrument's zero and slow line.
+/// What a record shows of an error beside its instrument's zero, the centre of its circle, and a slow line.
 fn beside_set_up(run: &Run, v: &[f64]) -> Vec<f64> {
-    let mean = |v: &[f64]| v.iter().sum::<f64>() / v.len() as f64;
-    let zero = mean(v);
-    let Some(t) = run.get("time") else { return v.iter().map(|x| x - zero).collect() };
-    let middle = mean(t);
-    let (mut along, mut square) = (0.0, 1e-12);
-    for (x, t) in v.iter().zip(t) {
-        along += (x - zero) * (t - middle);
-        square += (t - middle).powi(2);
+    let mut terms = vec![vec![1.0; v.len()]];
+    if let Some(angle) = run.get("angle") {
+        terms.push(angle.iter().map(|a| a.cos()).collect());
+        terms.push(angle.iter().map(|a| a.sin()).collect());
     }
-    let most = LINE_UM_PER_H / 3600.0;
-    let slope = (along / square).clamp(-most, most);
-    v.iter().zip(t).map(|(x, t)| x - zero - slope * (t - middle)).collect()
+    let mut beside: Vec<Vec<f64>> = Vec::new();
+    for mut term in terms {
+        for other in &beside {
+            take_out(&mut term, other, f64::MAX);
+        }
+        beside.push(term);
+    }
+    let mut left = v.to_vec();
+    for term in &beside {
+        take_out(&mut left, term, f64::MAX);
+    }
+    if let Some(t) = run.get("time") {
+        let mut line = t.to_vec();
+        for term in &beside {
+            take_out(&mut line, term, f64::MAX);
+        }
+        take_out(&mut left, &line, LINE_UM_PER_H / 3600.0);
+    }
+    left
+}
+
+/// Takes a term out of values, as far as so much of it explains them.
+fn take_out(v: &mut [f64], term: &[f64], most: f64) {
+    let along: f64 = v.iter().zip(term).map(|(x, t)| x * t).sum();
+    let square: f64 = term.iter().map(|t| t * t).sum();
+    if square > 1e-12 {
+        let share = (along / square).clamp(-most, most);
+        v.iter_mut().zip(term).for_each(|(x, t)| *x -= share * t);
+    }
 }
 
 /// Root mean square of a source over the responses it touches, beside what is the instrument's; a constant is looked at as it is.

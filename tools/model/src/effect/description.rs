@@ -240,10 +240,11 @@ impl Parameter {
         }
     }
 
-    /// With physical bounds and the sentence that says where they come from.
+    /// With physical bounds and the sentence that says where they come from; what is plausible is within them.
     #[must_use]
     pub fn within(self, bounds: [f64; 2], source: &str) -> Self {
-        Self { bounds, source: source.to_owned(), ..self }
+        let plausible = self.plausible.map(|x| x.clamp(bounds[0], bounds[1]));
+        Self { bounds, plausible, source: source.to_owned(), ..self }
     }
 
     /// With a default value.
