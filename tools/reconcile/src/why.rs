@@ -47,7 +47,7 @@ pub fn why(answer: &Reconciliation, effect: &Effect, train: &[Record], dictionar
         in_the_answer(&mut table, f, dictionary);
     }
     for x in answer.refined.iter().filter(|x| x.before.name() == name) {
-        let all = x.before.values().iter().zip(x.after.0.values()).filter(|(a, b)| *a != *b).count();
+        let all = x.after.1.iter().filter(|half| **half > 0.0).count();
         table.row("for", &format!("{all} values"), "of the model's are off beyond chance, and are corrected");
     }
     for t in &tried {
