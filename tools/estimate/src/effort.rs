@@ -1,5 +1,5 @@
-//! How far the search goes: each number bounds work. A larger one finds the same, later; where one is too small something is not found,
-//! and nothing else is said of what was. What decides stands in [`priors`](crate::priors).
+//! How far the search goes: each number bounds its work, and was chosen by time. Where one is too small something is not found; that a
+//! larger one changes no answer was not measured for each. What decides stands in [`priors`](crate::priors).
 
 /// Families that are tried exactly at each step of the search, and sets that are kept.
 pub const TRIED: usize = 30;
@@ -15,10 +15,6 @@ pub const STRONG: f64 = 40.0;
 pub const MOST_SHAPES: usize = 2;
 /// Most members of a set.
 pub const MOST_MEMBERS: usize = 14;
-/// Most knots of a smooth function.
-pub const KNOTS: usize = 40;
-/// Directions of a smooth function with less than this share of the largest variance are left out.
-pub const SMOOTH_RANK: f64 = 1e-3;
 /// So many directions of what the air does are followed.
 pub const AIR_DIRECTIONS: usize = 8;
 /// So many of the usual periods are tried exactly, beside the largest of all.

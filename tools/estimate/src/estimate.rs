@@ -9,7 +9,7 @@ use crate::family::{Families, Scan};
 use crate::priors::{HALF_WIDTH, HELD, LISTED, MOST_PHI, SAME_PERIOD};
 use crate::problem::{Problem, in_step, is_beyond_chance};
 use crate::rows::{Noise, Rows};
-use crate::search::{Member, Search, Set, fit};
+use crate::search::{Member, Search, Set, fit, known_again};
 use crate::setup;
 use crate::wander::{self, Wander, wanders};
 use rtec_model::effect::{Dictionary, Difference, Effect, Refine, Search as How};
@@ -26,6 +26,16 @@ pub struct Rival {
     pub differs: Option<(String, f64)>,
     /// Log odds by which the explanation given is better.
     pub margin: f64,
+}
+
+impl Rival {
+    /// Its name, with what it reads or the value that differs.
+    #[must_use]
+    pub fn label(&self) -> String {
+        let sensor = self.sensor.as_ref().map_or_else(String::new, |d| format!(" ({d})"));
+        let differs = self.differs.as_ref().map_or_else(String::new, |(key, v)| format!(" ({key} = {v:.4})"));
+        format!("{}{sensor}{differs}", self.name)
+    }
 }
 
 /// A member of the likeliest set.
@@ -173,7 +183,7 @@ pub fn score(
     let model = &in_step(&rows, model)[..];
     let problem = Problem::new(&rows, model, intervals).of_any_unit();
     let mut families = Families::new(&rows, dictionary, model);
-    let start = families.known_again(start);
+    let start = known_again(&families, start);
     let noise = under(&problem, &start, problem.first_noise()).1;
     let mut best = f64::NEG_INFINITY;
     let goes_on = |search: &Search<'_>, set: &Set| {

@@ -3,10 +3,8 @@
 
 use crate::bank::Bank;
 use crate::cause::{Cause, Shape, sizes};
-use crate::effort::KNOTS;
-use crate::priors::{IMPLAUSIBLE, JUMP_PROBABILITY, JUMP_UM, LENGTHS, NAMED_SHARE, PAIR_SHARE, PRICE};
+use crate::priors::{IMPLAUSIBLE, JUMP_PROBABILITY, JUMP_UM, KNOTS, LENGTHS, NAMED_SHARE, PAIR_SHARE, PRICE};
 use crate::rows::{Rows, is_placed};
-use crate::search::Member;
 use crate::setup;
 use crate::shapes::shapes;
 use crate::smooth::{Kernel, directions, knots, shares};
@@ -101,22 +99,6 @@ pub struct Families {
 }
 
 impl Families {
-    /// Members of another search, as members of these families; not what runs over the rows themselves.
-    #[must_use]
-    pub fn known_again(&self, members: &[Member]) -> Vec<Member> {
-        let of = |m: &Member| {
-            let effect = m.cause.effect()?;
-            let same = |f: &Family| {
-                f.replaces == m.replaces && f.effect.as_ref().is_some_and(|e| e.name() == effect.name())
-            };
-            let family = self.list.iter().position(same)?;
-            let mut m = m.clone();
-            m.family = family;
-            Some(m)
-        };
-        members.iter().filter_map(of).collect()
-    }
-
     /// What these rows could show beside a model.
     #[must_use]
     pub fn new(rows: &Rows<'_>, dictionary: &Dictionary, model: &[Effect]) -> Self {

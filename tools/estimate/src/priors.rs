@@ -64,6 +64,11 @@ pub const CONTRIBUTION: f64 = 3.0;
 /// Correlation lengths of maps and smooth shapes, in shares of the range (physics: guideways bend over their length, screws and
 /// scales over a tenth of it).
 pub const LENGTHS: [f64; 2] = [0.3, 0.1];
+/// Most knots of a smooth function. How sharp a map may be decides (calibration: with 80 of them, and a rank of 2e-4, three of 482
+/// blind cases were answered otherwise).
+pub const KNOTS: usize = 40;
+/// Directions of a smooth function with less than this share of the largest variance are left out.
+pub const SMOOTH_RANK: f64 = 1e-3;
 
 /// Size of what a reading scatters by, µm (forces: N), in the middle, and by what factor it is off, one standard deviation (physics: from
 /// a laser on a quiet axis to a dial on a worn one). It tells a unit error from noise of a metre.
@@ -108,7 +113,7 @@ mod tests {
             n += 1;
             assert!(lines[i - 1].starts_with("///"), "{line} says nothing");
         }
-        assert!((20..=40).contains(&n), "{n} constants");
+        assert!((20..=42).contains(&n), "{n} constants");
     }
 
     /// No number has a name elsewhere: what decides is here, what bounds work in `effort.rs`.

@@ -983,6 +983,21 @@ impl<'p> Search<'p> {
     }
 }
 
+/// Members of another search, as members of these families; not what runs over the rows themselves.
+#[must_use]
+pub fn known_again(families: &Families, members: &[Member]) -> Vec<Member> {
+    let of = |m: &Member| {
+        let effect = m.cause.effect()?;
+        let same = |f: &Family| {
+            f.replaces == m.replaces && f.effect.as_ref().is_some_and(|e| e.name() == effect.name())
+        };
+        let mut m = m.clone();
+        m.family = families.list.iter().position(same)?;
+        Some(m)
+    };
+    members.iter().filter_map(of).collect()
+}
+
 /// Adds a member's columns to a factor.
 fn push(factor: &mut Factor, member: &Member) {
     for c in member.columns.iter() {
@@ -1098,5 +1113,48 @@ impl Family {
             _ => none,
         };
         if lo < hi { [lo, hi] } else { everything() }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rtec_model::effect::Dictionary;
+    use rtec_model::record::{Column, Kind, Record, Role};
+
+    /// What follows from R is what is asked of the bank anew, though a reading of 20 °C is nearly the zero's column.
+    #[test]
+    fn the_look_beside_a_set_is_that_beside_its_factor() {
+        let n = 400;
+        let column = |name: &str, role: Role, of: &dyn Fn(f64) -> f64| Column {
+            name: name.to_owned(),
+            unit: role.unit().unwrap_or("1").to_owned(),
+            role,
+            data: (0..n).map(|i| of(f64::from(i))).collect(),
+        };
+        let warm = |i: f64| 0.2 * (i / 60.0).sin() + 0.01 * (i * 7919.0 % 1000.0) / 1000.0;
+        let columns = vec![
+            column("t", Role::Time, &|i| 30.0 * i),
+            column("T1", Role::Temperature, &|i| 20.0 + warm(i)),
+            column("T2", Role::Temperature, &|i| 20.0 + 0.9 * warm(i) + 0.001 * (i / 9.0).cos()),
+            column("e", Role::Error(Axis::new("z").unwrap()), &|i| 30.0 * warm(i) + 0.05 * (i * 1.7).sin()),
+        ];
+        let records = [Record::new(std::path::Path::new("r.run.toml"), Kind::Drift, columns).unwrap()];
+        let rows = Rows::new(&records);
+        let problem = Problem::new(&rows, &[], &[]);
+        let mut families = Families::new(&rows, &Dictionary::default(), &[]);
+        let mut noise = problem.first_noise();
+        (noise.sigma, noise.phi) = (vec![0.05], vec![0.0]);
+        families.bank.whiten(&rows, &noise);
+        let search = Search::new(&problem, &families, problem.base(noise));
+        let set = search.grown(&search.nothing(), 1, true).swap_remove(0);
+        let set = search.grown(&set, 1, true).into_iter().next().unwrap_or(set);
+        assert!(!set.members.is_empty());
+        let (quick, anew) = (search.look_at(&set), families.bank.look(&set.factor));
+        let near = |a: &[f64], b: &[f64], size: f64| {
+            a.iter().zip(b).map(|(x, y)| (x - y).abs() / (size + y.abs())).fold(0.0, f64::max)
+        };
+        assert!(near(&quick.along, &anew.along, 1.0) < 0.05, "{}", near(&quick.along, &anew.along, 1.0));
+        assert!(near(&quick.among, &anew.among, 1.0) < 0.05, "{}", near(&quick.among, &anew.among, 1.0));
     }
 }

@@ -1,10 +1,10 @@
 //! What belongs to how the instrument stood and never to the machine: free in every record, never named, never written into a
 //! model, never corrected live. One function per term; a new one is its function and a line in [`TERMS`].
 
-use crate::effort::{AIR_DIRECTIONS, KNOTS, MOST_PAUSES, MOST_PLACES};
+use crate::effort::{AIR_DIRECTIONS, MOST_PAUSES, MOST_PLACES};
 use crate::priors::{
-    AIR_S, AIR_UM, CENTRE_UM, CONTRIBUTION, LINE_HOURS, LINE_UM_PER_H, PAUSE_STEPS, PLACE_MM, TURN_URAD,
-    ZERO_UM,
+    AIR_S, AIR_UM, CENTRE_UM, CONTRIBUTION, KNOTS, LINE_HOURS, LINE_UM_PER_H, PAUSE_STEPS, PLACE_MM,
+    TURN_URAD, ZERO_UM,
 };
 use crate::rows::{Rows, Segment, is_placed};
 use crate::smooth::{Kernel, directions, knots, shares};

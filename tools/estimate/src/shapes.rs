@@ -2,9 +2,9 @@
 //! function and a line in [`SHAPES`].
 
 use crate::cause::Shape;
-use crate::effort::{KNOTS, MOST_SENSORS, SHAPE_FEWEST_ROWS, SHAPE_RANK};
+use crate::effort::{MOST_SENSORS, SHAPE_FEWEST_ROWS, SHAPE_RANK};
 use crate::factor::{add, dot};
-use crate::priors::{CONTRIBUTION, LENGTHS};
+use crate::priors::{CONTRIBUTION, KNOTS, LENGTHS};
 use crate::rows::Rows;
 use crate::smooth::{Kernel, directions, knots, shares};
 use rtec_model::effect::sign;

@@ -1,6 +1,6 @@
 //! Smooth functions of one variable as a few columns: a Gaussian process on knots, without what lines explain.
 
-use crate::effort::SMOOTH_RANK;
+use crate::priors::SMOOTH_RANK;
 use nalgebra::{DMatrix, SymmetricEigen};
 
 /// Knots over these values: each of them where they are few, evenly spread otherwise.

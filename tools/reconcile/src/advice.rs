@@ -166,8 +166,8 @@ fn is_of(c: &Column, over: &str) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::answer::Rival;
     use crate::testing::{axis, column};
+    use rtec_estimate::Rival;
     use rtec_model::effect::Difference;
     use rtec_model::record::Kind;
     use std::path::Path;

@@ -1,32 +1,9 @@
 //! What an estimate says of the records, as findings: effects with a name, shapes without one, corrections of the model.
 
-use rtec_estimate::{Estimate, Found, Shape};
-use rtec_model::effect::{Difference, Effect};
+use rtec_estimate::{Estimate, Found, Rival, Shape};
+use rtec_model::effect::Effect;
 use rtec_model::machine::Machine;
 use rtec_model::record::Record;
-
-/// Another explanation of the same thing.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Rival {
-    /// Name of the effect.
-    pub name: String,
-    /// Its temperature difference, where it has one.
-    pub sensor: Option<Difference>,
-    /// The value that differs where the name is the same: a parameter, in its own unit.
-    pub differs: Option<(String, f64)>,
-    /// Log odds by which the explanation given is better.
-    pub margin: f64,
-}
-
-impl Rival {
-    /// Its name, with what it reads or the value that differs.
-    #[must_use]
-    pub fn label(&self) -> String {
-        let sensor = self.sensor.as_ref().map_or_else(String::new, |d| format!(" ({d})"));
-        let differs = self.differs.as_ref().map_or_else(String::new, |(key, v)| format!(" ({key} = {v:.4})"));
-        format!("{}{sensor}{differs}", self.name)
-    }
-}
 
 /// An effect that was found.
 #[derive(Debug, Clone)]
@@ -45,19 +22,6 @@ pub struct Finding {
     pub mode_mass: f64,
     /// What the data cannot tell from it.
     pub rivals: Vec<Rival>,
-}
-
-/// A name that was tried.
-#[derive(Debug, Clone)]
-pub struct Tried {
-    /// Name, with its sensors.
-    pub label: String,
-    /// Log odds against what was accepted in its place.
-    pub odds: f64,
-    /// Whether it is in the answer.
-    pub accepted: bool,
-    /// What was accepted in its place.
-    pub place: String,
 }
 
 /// The answer, before anything is written.
@@ -121,12 +85,6 @@ pub(crate) fn score(records: &[Record], machine: &Machine, from: &Answer, enough
 }
 
 fn finding(f: &Found, effect: &Effect) -> Finding {
-    let rival = |r: &rtec_estimate::Rival| Rival {
-        name: r.name.clone(),
-        sensor: r.sensor.clone(),
-        differs: r.differs.clone(),
-        margin: r.margin,
-    };
     Finding {
         effect: effect.clone(),
         held: f.held.clone(),
@@ -134,6 +92,6 @@ fn finding(f: &Found, effect: &Effect) -> Finding {
         evidence: f.evidence,
         name_mass: f.name_mass / (1.0 - f.shape_mass).max(1e-9),
         mode_mass: f.mode_mass,
-        rivals: f.rivals.iter().map(rival).collect(),
+        rivals: f.rivals.clone(),
     }
 }

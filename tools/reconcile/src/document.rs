@@ -1,10 +1,11 @@
 //! The answer as `verdict.json` (formats.md, "Reconciliation").
 
 use crate::SEED;
-use crate::answer::{Finding, Rival};
+use crate::answer::Finding;
 use crate::gap::Gap;
 use crate::verdict::{Reconciliation, Refined, SetUp};
 use crate::where_found::{LEAST_P, Place};
+use rtec_estimate::Rival;
 use rtec_model::effect::{Against, Difference, Effect, Search};
 use serde_json::{Map, Value, json};
 

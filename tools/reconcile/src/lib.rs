@@ -43,10 +43,10 @@ mod workflow;
 /// Seed of all permutations.
 pub const SEED: u64 = 4832;
 
-pub use answer::{Finding, Rival, Tried};
+pub use answer::Finding;
 pub use gap::{Gap, Trace};
 pub use report::{html, pictures};
-pub use rtec_estimate::Shape;
+pub use rtec_estimate::{Rival, Shape, Tried};
 pub use unexplained::LAWS_FILE;
 pub use verdict::{Reconciliation, Refined, SetUp, Unsaid, Verdict};
 pub use where_found::Place;

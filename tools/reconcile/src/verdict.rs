@@ -1,11 +1,11 @@
 //! The answer as a whole.
 
-use crate::answer::{Finding, Tried};
+use crate::answer::Finding;
 use crate::gap::{Gap, Trace};
 use crate::where_found::Place;
-use rtec_estimate::Shape;
 use rtec_estimate::priors::HELD;
 use rtec_estimate::setup::What;
+use rtec_estimate::{Shape, Tried};
 use rtec_measure::plausible::Suspicion;
 use rtec_model::effect::Effect;
 use rtec_model::machine::Machine;

@@ -1,8 +1,9 @@
 //! The evidence for and against one name, as a table that a metrologist reads.
 
 use crate::advice::separating;
-use crate::answer::{Finding, Tried};
+use crate::answer::Finding;
 use crate::verdict::Reconciliation;
+use rtec_estimate::Tried;
 use rtec_estimate::effort::HOPELESS;
 use rtec_model::effect::{Dictionary, Effect};
 use rtec_model::record::Record;

@@ -2,7 +2,7 @@
 
 use crate::Options;
 use crate::advice::advice;
-use crate::answer::{Answer, Finding, Rival, Tried, analyse, stated};
+use crate::answer::{Answer, Finding, analyse, stated};
 use crate::doubt::{self, Doubts, doubts};
 use crate::drawn::{MOST_ROWS, at_least_every, bounded};
 use crate::gap::{self, Gap, Trace, gaps, traces};
@@ -11,6 +11,7 @@ use crate::room;
 use crate::unexplained::stand_in;
 use crate::verdict::{Reconciliation, Refined, SetUp, Unsaid, Verdict};
 use crate::where_found::{self, Place};
+use rtec_estimate::Rival;
 use rtec_estimate::Shape;
 use rtec_estimate::problem::Problem;
 use rtec_estimate::refit::Refit;
@@ -136,12 +137,6 @@ fn looked_at(train: &[Record], holdout: &[Record], machine: &Machine, options: &
         mend.into_iter().chain(why_nothing).chain(beside).chain(Some(advice).filter(|a| !a.is_empty()));
     let advice = parts.collect::<Vec<_>>().join("; ");
     let confirmed = gap.iter().filter_map(Gap::confirmed).reduce(|a, b| a && b);
-    let tried = |t: &rtec_estimate::Tried| Tried {
-        label: t.label.clone(),
-        odds: t.odds,
-        accepted: t.accepted,
-        place: t.place.clone(),
-    };
     let estimate = &answer.estimate;
     Reconciliation {
         verdict,
@@ -153,7 +148,7 @@ fn looked_at(train: &[Record], holdout: &[Record], machine: &Machine, options: &
         left_out,
         unsaid,
         derived: Vec::new(),
-        ranking: estimate.tried.iter().map(tried).collect(),
+        ranking: estimate.tried.clone(),
         phi: estimate.noise.phi.iter().copied().fold(0.0, f64::max),
         effects,
         unexplained: answer.unexplained,
