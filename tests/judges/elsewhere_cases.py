@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 import elsewhere_records as makes
-from elsewhere_records import FORCES, KINDS, ROUND, TURN, Seen, contribution, kind_of, scaled
+from elsewhere_records import FORCES, KINDS, NOT_NEGATIVE, ROUND, TURN, Seen, contribution, kind_of, scaled
 
 # --- effects that are drawn --------------------------------------------------------------------------------------
 
@@ -102,7 +102,7 @@ def draw(rng, name, records, knots=None):
     effect = {"name": name}
     able = [r for r in records if name in r.menu]
     record = next((r for r in able if r.hot), able[0] if able else records[0])
-    sign = rng.choice([-1, 1])
+    sign = 1 if kind in NOT_NEGATIVE else rng.choice([-1, 1])
     size = {**effect, "um": float(sign)}
     unit = {**effect, "um": 1.0}
     if kind in ("position_map", "straightness"):
@@ -317,6 +317,8 @@ def of_all(records):
 
 def case_one(rng, seed):
     kind = sorted(KINDS)[seed % len(KINDS)]
+    if kind == "offset":
+        return None  # the zero of a record's gauges, by the contract: not to be told from the machine's
     for _ in range(200):
         records = special(rng, kind) if kind in SPECIAL or kind in ROUND or kind in FORCES else measurements(rng)
         names = [name for name in of_all(records) if kind_of(name) == kind]
@@ -324,7 +326,7 @@ def case_one(rng, seed):
             continue
         name = str(rng.choice(names))
         case = begin(rng, records)
-        if kind in ("offset", "force_offset"):
+        if kind == "force_offset":
             without_zeros(records)
         know(rng, case, [name])
         effect = draw(rng, name, records)
@@ -362,7 +364,7 @@ def case_two(rng, seed):
         names = [str(name) for name in rng.choice(of_all(records), 2, replace=False)]
         kinds = {kind_of(name) for name in names}
         if "offset" in kinds:
-            without_zeros(records)
+            continue  # as in `case_one`
         if kinds in ({"rotation", "squareness"}, {"warm_up", "thermal_lag"}):
             continue
         know(rng, case, names, 3)
@@ -853,7 +855,8 @@ def case_mistakes(rng, seed):
         if kind in NEED_SIZE and np.std(record.error[response]) / case.sigma["error"] < 4:
             continue
         if kind == "other_machine":
-            elsewhere = [scaled(effect, rng.choice([-1, 1]) * rng.uniform(2, 4)) for effect in case.known]
+            signs = [1 if kind_of(effect) in NOT_NEGATIVE else rng.choice([-1, 1]) for effect in case.known]
+            elsewhere = [scaled(effect, sign * rng.uniform(2, 4)) for effect, sign in zip(case.known, signs)]
             case.mistaken = [hold_out_of(rng, case, elsewhere, {})]
             case.holdouts = [hold_out_of(rng, case, case.known, case.zeros)]
             return case

@@ -170,6 +170,7 @@ KINDS = {
     "force_offset": Kind(["N"], np.inf, 0, lambda e, s: e["N"] + s.zeros),
 }
 FORCES = {"inertia", "friction_viscous", "friction_coulomb", "friction_asymmetric", "force_offset"}
+NOT_NEGATIVE = {"inertia", "friction_viscous", "friction_coulomb"}  # no machine has a mass or a friction below zero
 ROUND = {"probe_lobing", "form_bump"}  # these act along the radius, over the angle
 
 
