@@ -291,7 +291,7 @@ fn under(problem: &Problem<'_>, members: &[Member], mut noise: Noise) -> (f64, N
         let freedom = base.freedom;
         total = fit(factor.left(), freedom) - factor.half_log_det()
             + prior
-            + noise.log_scale(problem.rows)
+            + problem.log_scale(&noise)
             + noise.log_prior();
         noise = problem.renewed(&noise, &factor);
     }
@@ -988,7 +988,7 @@ pub fn alone(record: &Record, model: &[Effect], intervals: &[Vec<Option<f64>>]) 
     for _ in 0..NOISE_STEPS {
         let base = problem.base(noise.clone());
         total = fit(base.factor.left(), base.freedom) - base.factor.half_log_det()
-            + noise.log_scale(&rows)
+            + problem.log_scale(&noise)
             + noise.log_prior();
         noise = problem.renewed(&noise, &base.factor);
     }

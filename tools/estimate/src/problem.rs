@@ -2,7 +2,7 @@
 
 use crate::effort::OUT_OF_STEP;
 use crate::factor::{Factor, add, dot};
-use crate::priors::{CHANCE, KNOWN_SHARE, MOST_PHI, NOISE, PERIOD_SHARE, TAIL_FREEDOM};
+use crate::priors::{CHANCE, KNOWN_SHARE, MOST_PHI, NOISE, PERIOD_SHARE, TAIL_FREEDOM, TAIL_FROM};
 use crate::rows::{Noise, Rows};
 use crate::setup::{self, Term};
 use rtec_model::effect::{Effect, Refine, Search};
@@ -234,6 +234,19 @@ impl<'r> Problem<'r> {
         noise
     }
 
+    /// log of the density's scale under a noise: Σ log(w/σ) + ½ Σ log(1 − φ²), and what rows in the tails cost. A weight w² makes
+    /// ½ w²e² − log w of a row; the density of which it is the weight is (m/2) log((ν + e²)/m) and a constant, m = ν + its beginning
+    /// squared. Without the difference a row far off would cost next to nothing, and who gives up most rows would win.
+    #[must_use]
+    pub fn log_scale(&self, noise: &Noise) -> f64 {
+        let most = TAIL_FREEDOM + TAIL_FROM * TAIL_FROM;
+        let tail = |(w, own): (&f64, &f64)| {
+            let less = w / own;
+            own * own * (most * less.ln() + 0.5 * TAIL_FREEDOM * (1.0 - less * less)) - less.ln()
+        };
+        noise.log_scale(self.rows) + noise.weight.iter().zip(&self.weights).map(tail).sum::<f64>()
+    }
+
     /// The noise that a fit's remainder shows, by one step of expectation and maximisation.
     #[must_use]
     pub fn renewed(&self, noise: &Noise, factor: &Factor) -> Noise {
@@ -279,8 +292,8 @@ impl<'r> Problem<'r> {
                 count += raw.len() as f64;
                 for row in s.rows.clone() {
                     let off = (e[row] / noise.weight[row] / middle).powi(2);
-                    let most = TAIL_FREEDOM + 6.25;
-                    new.weight[row] = self.weights[row] * (most / (TAIL_FREEDOM + off)).min(1.0).sqrt();
+                    let less = (TAIL_FREEDOM + TAIL_FROM * TAIL_FROM) / (TAIL_FREEDOM + off);
+                    new.weight[row] = self.weights[row] * less.min(1.0).sqrt();
                 }
             }
             new.sigma[j] = (noise.sigma[j] * scale).max(1e-9).max(self.floors[j]);
