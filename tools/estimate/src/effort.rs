@@ -31,6 +31,8 @@ pub const ROUNDS: usize = 6;
 pub const SETTLED: (f64, f64) = (0.1, 0.08);
 /// Steps of the noise of one set.
 pub const NOISE_STEPS: usize = 3;
+/// Steps of the noise's size and of the weights of the rows in its tails.
+pub const SCALE_STEPS: usize = 12;
 /// Hypotheses that are tried under their own noise.
 pub const UNDER_NOISE: usize = 4;
 /// Rows on either side of a step at which it may have been as well.
@@ -65,6 +67,18 @@ pub const FREQUENCY_STEP: f64 = 0.35;
 pub const ALONE: f64 = 0.01;
 /// Most directions of one smooth shape.
 pub const SHAPE_RANK: usize = 12;
+/// Most directions along each of two axes of what is dented over their plane.
+pub const PLANE_RANK: usize = 5;
+/// Most directions of how the size of a wave changes.
+pub const CHANGING: usize = 8;
+/// Most harmonics of what repeats in time.
+pub const HARMONICS: usize = 5;
+/// Times at which creep begins, in shares of a run.
+pub const CREEPS: [f64; 3] = [3e-3, 0.02, 0.1];
+/// Places closer than this are one, mm.
+pub const PLACE_MM: f64 = 0.05;
+/// Angles closer than this are one.
+pub const PLACE_RAD: f64 = std::f64::consts::TAU / 7200.0;
 /// Fewer rows have no shape.
 pub const SHAPE_FEWEST_ROWS: usize = 12;
 /// Most sensors whose products are tried.

@@ -4,8 +4,8 @@
 use crate::bank::Look;
 use crate::cause::Cause;
 use crate::effort::{
-    DIFFERENCES, HOPELESS, KEPT, MOST_MEMBERS, MOST_SHAPES, PEAKS, STRONG, TRIED, USUAL_TRIED, WAVES_KEPT,
-    WORTHLESS,
+    DIFFERENCES, HARMONICS, HOPELESS, KEPT, MOST_MEMBERS, MOST_SHAPES, PEAKS, STRONG, TRIED, USUAL_TRIED,
+    WAVES_KEPT, WORTHLESS,
 };
 use crate::factor::{Factor, add, dot};
 use crate::family::{Families, Family, Scan};
@@ -463,8 +463,9 @@ impl<'p> Search<'p> {
                         let usual: Vec<f64> = facts.usual_mm.iter().map(|p| 1.0 / p).collect();
                         at.extend(along.near(weighed, &usual, 3e-4).into_iter().take(USUAL_TRIED));
                     }
+                    let mut best = (f64::NEG_INFINITY, 0.0);
                     for f in at {
-                        let Some(cause) = self.wave(family, f) else { continue };
+                        let Some(cause) = self.wave(family, f, 1) else { continue };
                         let weight = wave_weight(family, f, *unit, along.range(), along.span());
                         let key = (number, f.to_bits());
                         let known = self.waves.borrow().get(&key).cloned();
@@ -483,7 +484,19 @@ impl<'p> Search<'p> {
                         let of = |(c, b): (&Vec<f64>, &Vec<f64>)| set.factor.shares_after(b.clone(), c);
                         let shares: Columns = shares.map(of).collect();
                         let score = prior + weight + self.gain_of(&set.factor, columns, &shares).total;
+                        if score > best.0 {
+                            best = (score, f);
+                        }
                         seeds.push(Seed { family: number, cause, weight, score });
+                    }
+                    // What has no name need not be a sine.
+                    if family.effect.is_none()
+                        && best.1 > 0.0
+                        && let Some(cause) = self.wave(family, best.1, HARMONICS)
+                    {
+                        let weight = wave_weight(family, best.1, *unit, along.range(), along.span());
+                        let gain = self.gain(&set.factor, &self.columns(&cause)).total;
+                        seeds.push(Seed { family: number, cause, weight, score: prior + weight + gain });
                     }
                 }
             }
@@ -543,15 +556,20 @@ impl<'p> Search<'p> {
             .collect()
     }
 
-    /// A wave at a frequency.
-    fn wave(&self, family: &Family, frequency: f64) -> Option<Cause> {
+    /// A wave at a frequency; of what has no name so many harmonics, each as large as one over its number.
+    fn wave(&self, family: &Family, frequency: f64, harmonics: usize) -> Option<Cause> {
         let Scan::Wave { along, unit, .. } = &family.scan else { return None };
         if let Some(effect) = &family.effect {
             let effect = effect.with(&[(0, 1.0 / (frequency * unit))])?;
             return Some(Cause::Effect { effect, free: 2, reference: false });
         }
-        let columns = along.wave(frequency, self.problem.rows.n, CONTRIBUTION);
-        Some(Cause::Shape(Arc::new((family.shape.clone()?, columns.into()))))
+        let of = |k: usize| {
+            let k = k as f64;
+            along.wave(k * frequency, self.problem.rows.n, CONTRIBUTION / k)
+        };
+        let fine = |k: &usize| *k == 1 || *k as f64 * frequency <= along.range()[1];
+        let columns = (1..=harmonics).filter(fine).flat_map(of).collect();
+        Some(Cause::Shape(Arc::new((family.shape.clone()?, columns))))
     }
 
     /// Where else a wave looks the same at these places: the likeliest beforehand of them.
@@ -563,7 +581,7 @@ impl<'p> Search<'p> {
         };
         let of = |f: f64| {
             let weight = wave_weight(family, f, *unit, along.range(), along.span());
-            Some(Seed { family: member.family, cause: self.wave(family, f)?, weight, score: weight })
+            Some(Seed { family: member.family, cause: self.wave(family, f, 1)?, weight, score: weight })
         };
         let mut all: Vec<Seed> =
             along.alike(1.0 / (effect.scalar(0) * unit)).into_iter().filter_map(of).collect();
@@ -658,7 +676,7 @@ impl<'p> Search<'p> {
     }
 
     /// A wave whose size changes along its way, beside a seed that is a wave: it has no name.
-    fn changing(&self, seed: &Seed) -> Option<Seed> {
+    fn changing(&self, seed: &Seed, rough: bool) -> Option<Seed> {
         let Scan::Wave { along, .. } = &self.family(seed.family).scan else { return None };
         let effect = seed.cause.effect()?;
         let shape = crate::cause::Shape::like(self.problem.rows, effect, "periodic, of changing size")?;
@@ -668,7 +686,7 @@ impl<'p> Search<'p> {
             .iter()
             .position(|f| f.shape.as_ref().is_some_and(|s| s.response == shape.response))?;
         let basis = seed.cause.columns(self.problem.rows);
-        let columns = changing_wave(self.problem.rows, &basis, &along.places(self.problem.rows.n));
+        let columns = changing_wave(self.problem.rows, &basis, &along.places(self.problem.rows.n), rough);
         if columns.is_empty() {
             return None;
         }
@@ -701,7 +719,7 @@ impl<'p> Search<'p> {
             let wave = matches!(self.family(seed.family).scan, Scan::Wave { .. });
             if wave && waves < 2 {
                 waves += 1;
-                own.extend(self.changing(&seed));
+                own.extend([false, true].into_iter().filter_map(|rough| self.changing(&seed, rough)));
             }
             if wave {
                 pairs.extend(self.with(set, &seed).and_then(|p| self.with_beside(&p)));

@@ -2,13 +2,18 @@
 //! function and a line in [`SHAPES`].
 
 use crate::cause::Shape;
-use crate::effort::{MOST_SENSORS, SHAPE_FEWEST_ROWS, SHAPE_RANK};
+use crate::effort::{
+    CHANGING, CREEPS, MOST_PLACES, MOST_SENSORS, PLACE_MM, PLACE_RAD, PLANE_RANK, SHAPE_FEWEST_ROWS,
+    SHAPE_RANK,
+};
 use crate::factor::{add, dot};
 use crate::priors::{CONTRIBUTION, KNOTS, LENGTHS};
-use crate::rows::Rows;
+use crate::rows::{Rows, Segment};
 use crate::smooth::{Kernel, directions, knots, shares};
 use rtec_model::effect::sign;
 use rtec_model::record::{Axis, Role};
+use std::collections::BTreeMap;
+use std::f64::consts::TAU;
 
 /// A shape with its columns, each at one standard deviation.
 pub type Shaped = (Shape, Vec<Vec<f64>>);
@@ -25,9 +30,10 @@ pub struct Response<'r> {
 type Make = fn(&Response<'_>, &mut Vec<Shaped>);
 
 /// All kinds of shapes.
-pub const SHAPES: [Make; 9] = [
+pub const SHAPES: [Make; 11] = [
     along_scalars,
     wander,
+    creep,
     with_position,
     with_direction,
     with_velocity,
@@ -35,6 +41,7 @@ pub const SHAPES: [Make; 9] = [
     around,
     over_plane,
     two_temperatures,
+    place_by_place,
 ];
 
 /// All shapes that these rows could show.
@@ -230,6 +237,24 @@ fn wander(r: &Response<'_>, out: &mut Vec<Shaped>) {
     out.push((r.shape(&["time"], "wanders"), columns));
 }
 
+/// What settles as stands, glue and magnetic bases do, with the logarithm of time: in each run from its beginning, by a size of its own.
+fn creep(r: &Response<'_>, out: &mut Vec<Shaped>) {
+    let own: Vec<_> = r.rows.segments.iter().filter(|s| s.response == r.number).collect();
+    for share in CREEPS {
+        let of = |s: &&Segment| {
+            let t = r.rows.record(s).time_s();
+            let (Some(first), Some(last)) = (t.first(), t.last()) else { return vec![0.0; r.rows.n] };
+            let whole = share.recip().ln_1p();
+            let mut column = vec![0.0; r.rows.n];
+            for (x, t) in column[s.rows.clone()].iter_mut().zip(t) {
+                *x = CONTRIBUTION * ((t - first) / (share * (last - first)).max(1e-9)).ln_1p() / whole;
+            }
+            column
+        };
+        out.push((r.shape(&["time"], "settles with the logarithm of time"), own.iter().map(of).collect()));
+    }
+}
+
 fn with_position(r: &Response<'_>, out: &mut Vec<Shaped>) {
     let Some((p_name, p)) = r.axis_role(Role::Position) else { return };
     let u = unit(&p, &r.own);
@@ -320,7 +345,9 @@ fn with_load(r: &Response<'_>, out: &mut Vec<Shaped>) {
 /// Around a circle: harmonics, from the second on.
 fn around(r: &Response<'_>, out: &mut Vec<Shaped>) {
     let Some(angle) = r.role(&Role::Angle) else { return };
-    for harmonics in [4_i32, 10] {
+    let turns = r.own.windows(2).map(|w| (angle[w[1]] - angle[w[0]]).abs()).sum::<f64>() / TAU;
+    for harmonics in [4_i32, 10, 30].into_iter().filter(|h| 4.0 * f64::from(*h) * turns < r.own.len() as f64)
+    {
         let mut columns = Vec::new();
         for k in 2..=harmonics {
             let size = CONTRIBUTION / f64::from(harmonics).sqrt();
@@ -333,8 +360,7 @@ fn around(r: &Response<'_>, out: &mut Vec<Shaped>) {
         let k = f64::from(k);
         let steps = r.over(&|i| CONTRIBUTION * (k * angle[i]).sin().signum());
         out.push((r.shape(&["angle"], "steps with the angle"), vec![steps]));
-        let teeth =
-            r.over(&|i| 2.0 * CONTRIBUTION * ((k * angle[i] / std::f64::consts::TAU).rem_euclid(1.0) - 0.5));
+        let teeth = r.over(&|i| 2.0 * CONTRIBUTION * ((k * angle[i] / TAU).rem_euclid(1.0) - 0.5));
         out.push((r.shape(&["angle"], "saw-tooth in the angle"), vec![teeth]));
     }
 }
@@ -354,6 +380,58 @@ fn over_plane(r: &Response<'_>, out: &mut Vec<Shaped>) {
             r.shape(&[&p_name, &format!("position.{other}")], "smooth over the plane"),
             columns.into(),
         ));
+        // The product of two smooth functions: dents and hills.
+        let [first, second] = [&p, &q].map(|x| {
+            let mut along = r.smooth(x, &|range| Kernel::Smooth(LENGTHS[0] * range), false);
+            along.truncate(PLANE_RANK);
+            along
+        });
+        let both = |a: &Vec<f64>| {
+            let by = |b: &Vec<f64>| r.over(&|i| a[i] * b[i] / CONTRIBUTION);
+            second.iter().map(by).collect::<Vec<_>>()
+        };
+        let columns = first.iter().flat_map(both).collect();
+        out.push((r.shape(&[&p_name, &format!("position.{other}")], "dented over the plane"), columns));
+    }
+}
+
+/// What repeats at each place as it likes: an own level of each that was measured at several times.
+fn place_by_place(r: &Response<'_>, out: &mut Vec<Shaped>) {
+    let Some(first) = r.rows.segments.iter().find(|s| s.response == r.number) else { return };
+    let mut labels: Vec<String> = Vec::new();
+    let mut places: Vec<Vec<f64>> = Vec::new();
+    for axis in r.rows.record(first).axes(Role::Position) {
+        let Some(p) = r.role(&Role::Position(axis.clone())) else { return };
+        if r.own.iter().any(|i| (p[*i] - p[r.own[0]]).abs() > PLACE_MM) {
+            labels.push(format!("position.{axis}"));
+            places.push(p.iter().map(|x| x / PLACE_MM).collect());
+        }
+    }
+    if let Some(angle) = r.role(&Role::Angle) {
+        labels.push("angle".to_owned());
+        let turn = (TAU / PLACE_RAD).round();
+        places.push(angle.iter().map(|x| (x / PLACE_RAD).round().rem_euclid(turn)).collect());
+    }
+    let direction = r.direction().filter(|d| r.own.iter().any(|i| d.1[*i] != d.1[r.own[0]]));
+    for way in [None, direction] {
+        let mut groups: BTreeMap<Vec<i64>, Vec<usize>> = BTreeMap::new();
+        for i in &r.own {
+            let mut key: Vec<i64> = places.iter().map(|p| p[*i].round() as i64).collect();
+            key.extend(way.iter().map(|d| d.1[*i] as i64));
+            groups.entry(key).or_default().push(*i);
+        }
+        let once = groups.values().filter(|g| g.len() == 1).count();
+        if places.is_empty() || groups.len() < 6 || groups.len() > MOST_PLACES || 10 * once > r.own.len() {
+            continue;
+        }
+        let columns = groups.into_values().map(|g| {
+            let mut own = vec![0.0; r.rows.n];
+            g.into_iter().for_each(|i| own[i] = CONTRIBUTION);
+            own
+        });
+        let against: Vec<&str> =
+            labels.iter().map(String::as_str).chain(way.iter().map(|d| d.0.as_str())).collect();
+        out.push((r.shape(&against, "repeats at each place"), columns.collect()));
     }
 }
 
@@ -372,9 +450,9 @@ fn two_temperatures(r: &Response<'_>, out: &mut Vec<Shaped>) {
     }
 }
 
-/// A wave whose size changes along its way: for a frequency that the rows show.
+/// A wave whose size changes along its way, smoothly or not: for a frequency that the rows show.
 #[must_use]
-pub fn changing_wave(rows: &Rows<'_>, basis: &[Vec<f64>], along: &[f64]) -> Vec<Vec<f64>> {
+pub fn changing_wave(rows: &Rows<'_>, basis: &[Vec<f64>], along: &[f64], rough: bool) -> Vec<Vec<f64>> {
     let shown: Vec<usize> = (0..rows.n).filter(|i| basis.iter().any(|b| b[*i] != 0.0)).collect();
     let values: Vec<f64> = shown.iter().map(|i| along[*i]).collect();
     let knots = knots(&values, KNOTS);
@@ -382,7 +460,9 @@ pub fn changing_wave(rows: &Rows<'_>, basis: &[Vec<f64>], along: &[f64]) -> Vec<
         return Vec::new();
     }
     let range = knots[knots.len() - 1] - knots[0];
-    let found = directions(&knots, Kernel::Smooth(0.15 * range), &[], 8);
+    let (kernel, most) =
+        if rough { (Kernel::Rough(range), 3 * CHANGING) } else { (Kernel::Smooth(0.15 * range), CHANGING) };
+    let found = directions(&knots, kernel, &[], most);
     let mut out = Vec::new();
     for b in basis {
         for d in &found {
@@ -394,7 +474,7 @@ pub fn changing_wave(rows: &Rows<'_>, basis: &[Vec<f64>], along: &[f64]) -> Vec<
             out.push(column);
         }
     }
-    let total = (out.len() as f64).sqrt();
+    let total = (out.len().min(2 * CHANGING) as f64).sqrt();
     for c in &mut out {
         let copy = c.clone();
         add(c, 2.0 / total - 1.0, &copy);
