@@ -43,9 +43,11 @@ pub(crate) fn doubts(train: &[Record], holdout: &[Record], machine: &Machine) ->
         (0..records.len()).filter(new).map(|k| records[k].clone()).collect()
     };
     let (train, holdout) = (once(0, train), once(train.len(), holdout));
-    let of_train = plausible::suspicions(&train);
-    let mut together =
-        if holdout.is_empty() { Vec::new() } else { plausible::suspicions(&[&train[..], &holdout].concat()) };
+    let of_train = suspicions(&train, machine);
+    let mut together = Vec::new();
+    if !holdout.is_empty() {
+        together = suspicions(&[&train[..], &holdout].concat(), machine);
+    }
     together.retain(|s| !of_train.contains(s));
     // What only the hold-outs' side of a pair shows of a training record is said, and no more.
     let (mut of_holdout, beside): (Vec<_>, Vec<_>) =
@@ -60,6 +62,29 @@ pub(crate) fn doubts(train: &[Record], holdout: &[Record], machine: &Machine) ->
         train.iter().filter_map(|r| without(r, &of_train, machine)).unzip();
     left_out.extend(lines(&train, &left, &of_train));
     Doubts { said, train: left, rows, left_out, holdout, of_holdout }
+}
+
+/// What records show by themselves; of readings far off the others only what the model does not explain.
+fn suspicions(records: &[Record], machine: &Machine) -> Vec<Suspicion> {
+    let mut found = plausible::suspicions(records);
+    let is_wild = |s: &Suspicion| s.what == What::Outliers && !s.is_of_sensor();
+    if found.iter().any(is_wild) {
+        let model: Vec<Effect> = machine.effects().cloned().collect();
+        let beside = |r: &Record| {
+            let (mut left, n) = (r.clone(), r.rows());
+            let values = rtec_estimate::unexplained(r, &model);
+            let responses = left.columns.iter_mut().filter(|c| c.role.is_response());
+            responses.zip(values.chunks(n)).for_each(|(c, v)| c.data.copy_from_slice(v));
+            left
+        };
+        let still = plausible::suspicions(&records.iter().map(beside).collect::<Vec<_>>());
+        let same = |s: &Suspicion, o: &Suspicion| {
+            (&s.record, &s.column, s.what) == (&o.record, &o.column, o.what)
+                && s.row_list().iter().any(|row| o.row_list().contains(row))
+        };
+        found.retain(|s| !is_wild(s) || still.iter().any(|o| same(s, o)));
+    }
+    found
 }
 
 impl Doubts {

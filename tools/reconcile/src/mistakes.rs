@@ -39,11 +39,13 @@ impl Suspected {
         self.odds > CERTAIN.ln()
     }
 
-    /// What a name that the mistake explains as well holds of its place.
-    pub(crate) fn weaken(&self, finding: &mut Finding) {
-        if !self.without.contains(&finding.effect.name()) {
+    /// What a name that the mistake explains as well holds of its place; whether it explains this one.
+    pub(crate) fn weaken(&self, finding: &mut Finding) -> bool {
+        let explains = !self.without.contains(&finding.effect.name());
+        if explains {
             finding.name_mass /= 1.0 + self.odds.exp();
         }
+        explains
     }
 }
 
@@ -294,10 +296,13 @@ fn agreement(record: &Record) -> f64 {
         let position = record.data(&Role::Position(axis.clone()))?;
         let direction = record.data(&Role::Direction(axis.clone()))?;
         let went = position.windows(2).map(|p| p[1] - p[0]);
-        let told: Vec<f64> =
-            went.zip(&direction[1..]).map(|(by, way)| by * way).filter(|x| *x != 0.0).collect();
-        let (rows, against) = (told.len() as f64, told.iter().filter(|x| **x < 0.0).count() as f64);
-        let goes_with = -against * CONTRADICTED.ln() + (rows - against) * (-1.0 / CONTRADICTED).ln_1p();
+        let told: Vec<f64> = went.zip(&direction[1..]).map(|(by, way)| by * way).collect();
+        let count = |of: fn(f64) -> bool| told.iter().filter(|x| of(**x)).count() as f64;
+        let (rows, against, still) = (told.len() as f64, count(|x| x < 0.0), count(|x| x == 0.0));
+        // Where nothing moves a position says nothing of the direction.
+        let goes_with = -against * CONTRADICTED.ln()
+            + (rows - against - still) * (-1.0 / CONTRADICTED).ln_1p()
+            - still * std::f64::consts::LN_2;
         let is_apart = -rows * std::f64::consts::LN_2;
         let top = goes_with.max(is_apart);
         Some(top + ((goes_with - top).exp() + (is_apart - top).exp()).ln() - std::f64::consts::LN_2)

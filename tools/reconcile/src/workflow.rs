@@ -378,12 +378,11 @@ impl Analysed {
         let suspected = mistakes::of_training(&first.used, machine, &first.answer, level);
         let (certain, open): (Vec<_>, Vec<_>) =
             suspected.into_iter().partition(mistakes::Suspected::is_certain);
-        for (f, _) in &mut first.answer.findings {
-            for s in &open {
-                s.weaken(f);
-            }
+        // What is not certain is asked about where it explains what was named.
+        for s in open {
+            let weakened = first.answer.findings.iter_mut().map(|(f, _)| s.weaken(f)).filter(|w| *w).count();
+            doubts.said.extend((weakened > 0).then_some(s.said));
         }
-        doubts.said.extend(open.into_iter().map(|s| s.said));
         if certain.is_empty() {
             return first;
         }

@@ -77,11 +77,15 @@ impl<'p> Way<'p> {
         [self.p[i - 1], self.p[i + 1]]
     }
 
-    /// It stands far off the way from the row before to the row after it.
+    /// It stands far off the way from the row before to the row after it, and farther than a run that turns there comes.
     fn is_beside(&self, i: usize) -> bool {
         let (own, [a, b]) = (self.p[i], self.around(i));
         let (lo, hi) = (a.min(b), a.max(b));
-        own != 0.0 && self.near > 0.0 && (lo - own).max(own - hi) > self.near.max(BESIDE * (hi - lo))
+        let before = i.checked_sub(2).map_or(0.0, |k| (a - self.p[k]).abs());
+        let behind = self.p.get(i + 2).map_or(0.0, |p| (p - b).abs());
+        let turns = before.min(behind);
+        let off = (lo - own).max(own - hi);
+        own != 0.0 && self.near > 0.0 && off > self.near.max(BESIDE * (hi - lo)).max(turns)
     }
 
     /// Where a row was that stands beside the way, if it is at no place of its own; none where it may stand there.

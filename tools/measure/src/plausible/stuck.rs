@@ -153,6 +153,12 @@ fn by_noise(record: &Record, c: &Column, (start, end): (usize, usize), elsewhere
     if sigma <= 0.1 * step || sigma <= 0.0 {
         return false;
     }
+    // A reading to and fro between two steps of its resolution lies between them: that says nothing of how large its noise is.
+    let to_and_fro =
+        |w: &[f64]| (w[1] - w[0]) * (w[2] - w[1]) < 0.0 && (w[2] - 2.0 * w[1] + w[0]).abs() > 2.5 * step;
+    if !pieces.iter().any(|p| p.windows(3).any(to_and_fro)) {
+        return false;
+    }
     // The value most likely to stay: in the middle between two steps of the resolution.
     let stays = Normal::standard().cdf(0.5 * step / sigma) * 2.0 - 1.0;
     let chance = (length - 1) as f64 * stays.max(0.05).ln() + (record.rows() as f64).ln();
