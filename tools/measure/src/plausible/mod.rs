@@ -10,6 +10,7 @@
 //! | `sensors` | one temperature or channel beside the others: unplugged, range, unit, stuck, jump, wild values, a copy |
 //! | `motion` | positions, directions, speeds, times and errors of a run beside one another |
 //! | `rows` | rows that stand twice, wild responses |
+//! | `lone` | wild readings in records of few rows |
 //! | `slips` | a position with its decimal point in another place |
 //! | `stuck` | a sensor that stands still, beside itself at other times and beside the others |
 //! | `repeats` | single approaches far off the others to the same target |
@@ -23,6 +24,7 @@
 
 mod between;
 pub(crate) mod clock;
+mod lone;
 mod motion;
 mod pieces;
 mod repeats;
