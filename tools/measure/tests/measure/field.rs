@@ -255,10 +255,10 @@ fn positioning_tells_a_step_from_a_drift() {
         ("drift", |t| 6.0 * (1.0 - (-t / 60.0).exp())),
         ("neither", |_| 0.0),
     ];
-    const RUNS: u64 = 100;
+    let runs = 100;
     for (n, (kind, beside)) in kinds.into_iter().enumerate() {
         let mut right = 0;
-        for seed in 0..RUNS {
+        for seed in 0..runs {
             let record = bidirectional(&mut Dice::new(1000 * n as u64 + seed), beside);
             let found = iso230::positioning(&record).unwrap().remove(0);
             right += u64::from(found.changes_by().unwrap_or("neither") == kind);
@@ -269,7 +269,7 @@ fn positioning_tells_a_step_from_a_drift() {
                 assert!(found.warnings.iter().any(|w| w.contains("(cycle 3) and stay")), "{seed}");
             }
         }
-        assert!(right >= RUNS - 4, "case {n}, {kind}: {right} of {RUNS}");
+        assert!(right >= runs - 4, "case {n}, {kind}: {right} of {runs}");
     }
 }
 

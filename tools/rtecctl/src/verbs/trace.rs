@@ -213,7 +213,7 @@ fn from_position(args: &FromPosition) -> anyhow::Result<Summary> {
             eprintln!("note: {said}");
             bits = of;
             way = walk(args, bits, |_, _, _| ())?;
-        } else if let Some(warning) = jumps.said(args) {
+        } else if let Some(warning) = jumps.said(args).filter(|_| args.counter_bits != Some(0)) {
             eprintln!("warning: {warning}");
         }
         way.is_short_enough(args)?;

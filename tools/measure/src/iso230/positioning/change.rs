@@ -148,7 +148,9 @@ impl Repeats {
     fn best_step(&self, y: &[f64]) -> Option<Shape> {
         let mut group_of = vec![None; self.rows];
         for (g, rows) in self.groups.iter().enumerate() {
-            rows.iter().for_each(|row| group_of[*row] = Some(g));
+            for row in rows {
+                group_of[*row] = Some(g);
+            }
         }
         // Rows behind the step in each group: what they add to the square of the step's column and to its product with y.
         let mut behind = vec![0_usize; self.groups.len()];
