@@ -36,15 +36,10 @@ pub fn validate(
 ) -> Result<Validation, InputError> {
     let (mut found, mut no_better, mut charts) = (Vec::new(), Vec::new(), Vec::new());
     let doubts = plausible::said(records, say);
-    for record in plausible::taken(records, &doubts).iter() {
+    for (record, all) in plausible::in_figures(records, &doubts).iter().zip(records) {
         let path = record.path.display();
-        let (record, rest) = plausible::rows_taken(record);
+        let record = plausible::good_rows(record, all.rows(), say);
         let record = record.as_ref();
-        if rest > 0 {
-            say(Said::Warning(format!(
-                "{path}: {rest} rows with readings that a sensor did not take are in no figure"
-            )));
-        }
         for note in steps::said(record, true) {
             say(Said::Warning(format!("{path}: {note}")));
         }

@@ -104,6 +104,10 @@ pub fn fit(
     }
     // What a hold-out shows takes nothing from the training.
     let train = plausible::usable(&train, &plausible::suspicions(&train), say);
+    let of_holdout = plausible::suspicions(&holdout);
+    let usable = plausible::in_figures(&holdout, &of_holdout);
+    let good = |(record, all): (&Record, &Record)| plausible::good_rows(record, all.rows(), say).into_owned();
+    let holdout: Vec<Record> = usable.iter().zip(&holdout).map(good).collect();
     for record in train.iter().chain(&holdout).filter(|r| r.column(&Role::Time).is_none()) {
         let file = record.path.display();
         say(Said::Warning(format!(

@@ -1,7 +1,7 @@
 //! Runs evaluated by the standard that fits them: the document that programs read and the report that people read.
 
-use crate::iso230::{self, Conditions, LongDrift, Options};
-use crate::plausible::{self, Suspicion, What};
+use crate::iso230::{self, Conditions, Drift, LongDrift, Options};
+use crate::plausible::{self, Suspicion};
 use crate::plot::PlotError;
 use crate::report::{self, Report, Run};
 use crate::steps::{self, Steps};
@@ -132,8 +132,27 @@ pub fn evaluate(
     let doubts = plausible::said(records, say);
     reducible(&asked.conditions, &doubts)?;
     let standard = asked.standard.map_or_else(|| Standard::of(first), Ok)?;
-    let usable = plausible::taken(records, &doubts);
-    let (document, mut report) = by(standard, &usable, asked, say)?;
+    let usable = plausible::in_figures(records, &doubts);
+    let left_out = doubts.iter().any(Suspicion::is_of_rows);
+    let (mut document, mut report) = by(standard, &usable, asked, say).map_err(|mut e| {
+        if left_out {
+            e.expected.push_str("; the rows that look misread are in no figure");
+        }
+        e
+    })?;
+    // A standard knows no row to leave out: what it would say of all of them stands beside.
+    if left_out
+        && let Ok((all, _)) = by(standard, &plausible::every_row(records, &doubts), asked, &mut |_| ())
+    {
+        with_every_row(&mut document, &all, &mut report);
+    }
+    for [one, other] in plausible::exchanged(&doubts) {
+        let (a, b, rows) = (&one.column, &other.column, &one.rows);
+        report.warn(&format!(
+            "{a} and {b} are put back into each other's place in rows {rows}: their ranges are those of one sensor each. Exchange the two \
+             columns in these rows of the file; or in those before them, if the names are right here"
+        ));
+    }
     // Those of positioning and returns have the steps of their gauge in their figures.
     let responses = !matches!(standard, Standard::Iso230_2 | Standard::Repeatability);
     for note in usable.iter().flat_map(|record| steps::said(record, responses)) {
@@ -185,16 +204,26 @@ fn in_pieces(
     // Of one length, so that none is too short to show what it is.
     let pieces = long.rows().div_ceil(most_rows);
     let mut looked_at = plausible::Pieces::default();
-    let all = long.drift(long.rows().div_ceil(pieces), |piece| looked_at.see(piece))?;
+    let rows_at_once = long.rows().div_ceil(pieces);
+    let mut all = long.drift(rows_at_once, |piece| looked_at.see(piece))?;
     let doubts = looked_at.said(say);
     reducible(&asked.conditions, &doubts)?;
+    let every = all.clone();
+    if doubts.iter().any(|d| d.is_of_rows() || d.is_not_taken()) {
+        long.leave_out(&doubts)?;
+        all = long.drift(rows_at_once, |_| ())?;
+    }
     let head = long.head();
     let ranges = long.ranges_degc().map(|(name, range)| (name.to_owned(), range)).collect();
     let csv = path.parent().unwrap_or(Path::new("")).join(&head.file);
     let run = Run { rows: long.rows(), sha256: sha256_of(&csv)?, ranges_degc: ranges, ..Run::of(head) };
-    let document = one_or("axes", values(&all).map_err(|e| unwritten(path, &e))?);
+    let axes = |all: &[Drift]| Ok(one_or("axes", values(all).map_err(|e| unwritten(path, &e))?));
+    let mut document = axes(&all)?;
     let mut report =
         report::drift(&all, &run, long.charts(), &asked.conditions).map_err(|e| undrawn(path, &e))?;
+    if doubts.iter().any(Suspicion::is_of_rows) {
+        with_every_row(&mut document, &axes(&every)?, &mut report);
+    }
     if let Some(unused) = Standard::Iso230_3.unused(&asked.conditions, &[]) {
         report.warn(&unused);
     }
@@ -222,23 +251,68 @@ fn doubted(
     say: &mut dyn FnMut(Said),
 ) -> Evaluation {
     for doubt in &doubts {
-        report.doubt(&doubt.to_string(), of_rows(doubt));
+        report.doubt(&doubt.to_string(), doubt.is_of_rows());
     }
     for warning in report.warnings().iter().skip(doubts.len()) {
         say(Said::Warning(format!("{}: {warning}", file.display())));
     }
-    if doubts.iter().any(of_rows) {
-        say(Said::Warning(report::KEPT.to_owned()));
+    if doubts.iter().any(Suspicion::is_of_rows) {
+        say(Said::Warning(report::LEFT_OUT.to_owned()));
     }
     plausible::enter(&mut document, &doubts);
     Evaluation { document, report, doubts }
 }
 
-/// Rows that stay in the figures although they are doubted.
-fn of_rows(doubt: &Suspicion) -> bool {
-    match doubt.what {
-        What::Outliers => !doubt.is_of_sensor(),
-        what => what == What::Doubled,
+/// Enters each single figure that is another one with all rows as `with_every_row`, and says the first few of them.
+fn with_every_row(document: &mut Value, all: &Value, report: &mut Report) {
+    let (own, every) = (single_figures("", document), single_figures("", all));
+    let differs = |(name, with): (String, f64)| {
+        let without = own.iter().find(|(n, _)| *n == name)?.1;
+        // What differs by the order of a sum is the same figure.
+        let is_other = (with - without).abs() > SAME * with.abs().max(without.abs());
+        is_other.then_some((name, with, without))
+    };
+    let differing: Vec<(String, f64, f64)> = every.into_iter().filter_map(differs).collect();
+    let words: Vec<String> = differing
+        .iter()
+        .filter(|(_, with, without)| digits(*with) != digits(*without))
+        .take(MOST_BESIDE)
+        .map(|(name, with, without)| format!("{name} {} instead of {}", digits(*with), digits(*without)))
+        .collect();
+    if words.is_empty() {
+        return;
+    }
+    let more = if differing.len() > words.len() { ", …" } else { "" };
+    report.warn(&format!("with every row the figures would be: {}{more}", words.join(", ")));
+    if let Value::Object(map) = document {
+        let figures = differing.into_iter().map(|(name, with, _)| (name, json!(with))).collect();
+        map.insert("with_every_row".to_owned(), Value::Object(figures));
+    }
+}
+
+/// Figures that differ by no more than this share are one.
+const SAME: f64 = 1e-9;
+/// So many figures are said beside those without the rows that were left out; the document has all of them.
+const MOST_BESIDE: usize = 8;
+
+fn digits(figure: f64) -> String {
+    format!("{figure:.3}")
+}
+
+/// The numbers of a document by their place in it, as `x.A`, but for those in lists that are not named by their axis or response.
+fn single_figures(place: &str, value: &Value) -> Vec<(String, f64)> {
+    let under = |name: &str| if place.is_empty() { name.to_owned() } else { format!("{place}.{name}") };
+    match value {
+        Value::Number(number) => number.as_f64().map(|n| (place.to_owned(), n)).into_iter().collect(),
+        Value::Object(map) => map.iter().flat_map(|(name, v)| single_figures(&under(name), v)).collect(),
+        Value::Array(list) if ["axes", "motions", "planes"].contains(&place) => {
+            let name = |v: &Value, n: usize| {
+                let own = ["response", "plane", "axis"].iter().find_map(|key| v[key].as_str());
+                own.map_or_else(|| n.to_string(), str::to_owned)
+            };
+            list.iter().enumerate().flat_map(|(n, v)| single_figures(&name(v, n), v)).collect()
+        }
+        _ => Vec::new(),
     }
 }
 
@@ -417,6 +491,7 @@ fn gaps(record: &Record) -> Option<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::plausible::What;
     use std::fmt::Write as _;
 
     /// A drift test on file: rest, spindle with pauses, rest; time uneven; a row changed as `spoilt` says.

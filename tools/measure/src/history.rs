@@ -143,7 +143,7 @@ pub struct History {
     pub figures: Vec<Figure>,
     /// Records without a date, or that cannot be read or evaluated.
     pub left_out: Vec<LeftOut>,
-    /// Mistakes that the records show; rows of a response that are doubted stay in its figures.
+    /// Mistakes that the records show; the rows that they name are in no figure.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub suspicions: Vec<Suspicion>,
 }
@@ -153,11 +153,10 @@ pub struct History {
 pub fn history(machine: &str, records: &[(String, Result<Record, InputError>)], limits: &Limits) -> History {
     let mut found: BTreeMap<String, Figure> = BTreeMap::new();
     let mut left_out = Vec::new();
-    // Readings that a sensor did not take are in no figure.
     let mut suspicions = Vec::new();
     let records: Vec<(&String, Result<Record, &InputError>)> = records
         .iter()
-        .map(|(path, record)| (path, record.as_ref().map(|r| with_taken_readings(r, &mut suspicions))))
+        .map(|(path, record)| (path, record.as_ref().map(|r| good_rows(r, &mut suspicions))))
         .collect();
     let sensors = sensors(records.iter().filter_map(|r| r.1.as_ref().ok()));
     for (path, record) in &records {
@@ -193,13 +192,13 @@ pub fn history(machine: &str, records: &[(String, Result<Record, InputError>)], 
 
 type Said = (String, &'static str, Option<String>, f64);
 
-fn with_taken_readings(record: &Record, found: &mut Vec<Suspicion>) -> Record {
+/// The rows that figures may hold; what the record shows of mistakes is added to what was found.
+fn good_rows(record: &Record, found: &mut Vec<Suspicion>) -> Record {
     let records = std::slice::from_ref(record);
     let doubts = plausible::suspicions(records);
-    let taken = plausible::taken(records, &doubts);
-    let usable = plausible::rows_taken(&taken[0]).0.into_owned();
+    let usable = plausible::in_figures(records, &doubts);
     found.extend(doubts);
-    usable
+    plausible::good_rows(&usable[0], record.rows(), &mut |_| ()).into_owned()
 }
 
 /// What a record says: of an evaluation that has no history nothing.

@@ -18,7 +18,9 @@ pub use conditions::{Conditions, Contributor, Expansion, Uncertainty};
 pub use diagonals::{Diagonal, Diagonals, diagonals};
 pub use drift::{Drift, Figures, LongDrift, Phase, SensorDrift, drift, drift_charts};
 pub(crate) use positioning::{LONG_AXIS_MM, LONG_INTERVAL_MM, fewest_targets};
-pub use positioning::{Options, Positioning, Target, has_positioning, positioning, positioning_with};
+pub use positioning::{
+    Options, Positioning, Step, Target, Trend, has_positioning, positioning, positioning_with,
+};
 pub use straightness::{StraightPlace, Straightness, has_straightness, straightness};
 
 use rtec_files::InputError;
@@ -345,7 +347,14 @@ impl Returns {
 /// Repeatability of returning to one position, from the record's first error per axis.
 #[must_use]
 pub fn returns(record: &Record) -> BTreeMap<String, Returns> {
-    error_axes(record).into_iter().filter_map(|(axis, e)| Some((axis.to_string(), Returns::of(e)?))).collect()
+    let of = |(axis, e): (&Axis, &[f64])| {
+        let mut found = Returns::of(e)?;
+        if let Some(step) = &mut found.step {
+            step.row = record.row_number(step.row - 1);
+        }
+        Some((axis.to_string(), found))
+    };
+    error_axes(record).into_iter().filter_map(of).collect()
 }
 
 /// The evaluation that fits a record's kind.

@@ -107,16 +107,16 @@ pub struct Report {
     by: &'static str,
 }
 
-/// What is done with rows that look wild or doubled.
-pub const KEPT: &str = "these rows are in all figures here: a standard knows no row to leave out; look at them, then measure again or take \
-                        them out of the file";
+/// What is done with rows that look misread or stand twice.
+pub const LEFT_OUT: &str =
+    "these rows are in no figure; look at them, then measure again or take them out of the file";
 
 impl Report {
     /// Puts a suspicion before the other warnings, with what is done with its rows where it is about rows.
     pub fn doubt(&mut self, text: &str, rows: bool) {
         let at = self.doubts;
         self.doubts += 1;
-        self.warnings.insert(at, if rows { format!("{text}; {KEPT}") } else { text.to_owned() });
+        self.warnings.insert(at, if rows { format!("{text}; {LEFT_OUT}") } else { text.to_owned() });
     }
 
     /// Adds a warning after the others.

@@ -40,6 +40,8 @@ pub struct Record {
     time_s: Vec<f64>,
     /// Rows before its first one in the record that it is a piece of.
     first_row: usize,
+    /// Of a record whose rows were selected: the place of each among those of the file; empty where it has them all.
+    selected: Vec<usize>,
     /// For a circle measured by a bar: which, and what follows from its angle.
     circle: Option<(Circle, Derived)>,
 }
@@ -126,6 +128,7 @@ impl Record {
             turns: None,
             time_s: times(&columns),
             first_row: 0,
+            selected: Vec::new(),
             columns,
             circle: None,
         }
@@ -145,6 +148,12 @@ impl Record {
     #[must_use]
     pub fn first_row(&self) -> usize {
         self.first_row
+    }
+
+    /// The number of a row in its file, from 1, whatever rows were left out before it.
+    #[must_use]
+    pub fn row_number(&self, row: usize) -> usize {
+        self.first_row + self.selected.get(row).copied().unwrap_or(row) + 1
     }
 
     /// The circle that a bar measured, where the sidecar states it.
@@ -309,7 +318,9 @@ impl Record {
             let share = [pick(&d.share[0]), pick(&d.share[1])];
             (circle.clone(), Derived { share, columns: of(&d.columns) })
         });
-        Self { columns: of(&self.columns), time_s: pick(&self.time_s), circle, ..self.clone() }
+        let place = |row: &usize| self.selected.get(*row).copied().unwrap_or(*row);
+        let selected = rows.iter().map(place).collect();
+        Self { columns: of(&self.columns), time_s: pick(&self.time_s), circle, selected, ..self.clone() }
     }
 }
 

@@ -63,14 +63,15 @@ pub struct LineError {
 }
 
 impl FeatureErrors {
-    /// Read an `error.cor`: two numbers a line of an arc, five of a straight feature, separated by blanks or a comma; `#`
-    /// starts a comment.
+    /// Read an `error.cor`: two numbers a line of an arc, five of a straight feature, separated by blanks, a comma, or as a
+    /// spreadsheet saves them (semicolons or tabs, decimal commas, quotes, a line `sep=`); `#` starts a comment.
     ///
     /// # Errors
     /// Other numbers than these in a line, or ones that no part has; angles or places that do not ascend, places that
     /// do not lie along the feature, or no line at all.
     pub fn read(file: &Path) -> Result<Self, InputError> {
-        Self::parse(file, &rtec_files::text::read(file)?)
+        let (text, _) = rtec_files::text::decode_western(file, &rtec_files::text::bytes(file)?)?;
+        Self::parse(file, &text)
     }
 
     /// As [`FeatureErrors::read`], from text; `file` is for messages.
@@ -79,9 +80,13 @@ impl FeatureErrors {
     /// As [`FeatureErrors::read`].
     pub fn parse(file: &Path, text: &str) -> Result<Self, InputError> {
         units_said(file, text)?;
-        let rows: Vec<Row> = rows(text).collect();
+        let rows = rows(text);
         match rows.first() {
             None => Err(InputError::whole(file, "no line at all", ARC)),
+            Some(first) if first.is_names() => {
+                let expected = "numbers from the first line on: take the line of names out, once they are";
+                Err(InputError::at(file, first.line, 1, first.text(), format!("{expected} {ARC}")))
+            }
             Some(first) if first.words.len() == 5 => lines_of(file, &rows).map(Self::Line),
             Some(_) => arc_of(file, &rows).map(Self::Arc),
         }
@@ -142,15 +147,20 @@ fn units_said(file: &Path, text: &str) -> Result<(), InputError> {
 /// What a line of an arc's file holds.
 const ARC: &str = "angle in rad and error in µm";
 
-/// A line that is not empty: its number and its words.
-struct Row<'t> {
+/// A line that is not empty: its number and its words, those that are numbers with decimal points.
+struct Row {
     line: usize,
-    words: Vec<&'t str>,
+    words: Vec<String>,
 }
 
-impl Row<'_> {
+impl Row {
     fn text(&self) -> String {
         format!("'{}'", self.words.join(" "))
+    }
+
+    /// No word of it begins as a number does.
+    fn is_names(&self) -> bool {
+        self.words.iter().all(|word| word.starts_with(char::is_alphabetic))
     }
 
     fn numbers<const N: usize>(&self, file: &Path, expected: &str) -> Result<[f64; N], InputError> {
@@ -171,12 +181,35 @@ impl Row<'_> {
     }
 }
 
-fn rows(text: &str) -> impl Iterator<Item = Row<'_>> {
-    text.lines().enumerate().filter_map(|(i, line)| {
-        let content = line.split('#').next().unwrap_or_default();
-        let words: Vec<&str> = content.split([' ', '\t', ',']).filter(|w| !w.is_empty()).collect();
-        (!words.is_empty()).then_some(Row { line: i + 1, words })
-    })
+/// The lines with words. A comma parts them, or is the decimal mark where something else does: semicolons, tabs, or blanks beside
+/// commas within words, none of which has a point.
+fn rows(text: &str) -> Vec<Row> {
+    let contents = || {
+        text.lines().enumerate().filter_map(|(i, line)| {
+            let content = line.split('#').next().unwrap_or_default().trim();
+            let is_empty = content.is_empty() || i == 0 && content.starts_with("sep=");
+            (!is_empty).then_some((i + 1, content))
+        })
+    };
+    let parts = |c: char| c == ';' || c == '\t' || c == ' ';
+    let has_one_comma =
+        |word: &str| word.matches(',').count() == 1 && !word.starts_with(',') && !word.ends_with(',');
+    let is_decimal = contents().flat_map(|(_, line)| line.split(parts)).any(has_one_comma)
+        && contents().all(|(_, line)| {
+            line.contains(parts)
+                && line
+                    .split(parts)
+                    .all(|word| !word.contains('.') && (!word.contains(',') || has_one_comma(word)))
+        });
+    let row = |(line, content): (usize, &str)| {
+        let words = content.split(|c| parts(c) || c == ',' && !is_decimal).filter(|w| !w.is_empty());
+        let word = |w: &str| {
+            let bare = w.strip_prefix('"').and_then(|w| w.strip_suffix('"')).unwrap_or(w);
+            bare.replace('\u{2212}', "-").replace(',', ".")
+        };
+        Row { line, words: words.map(word).collect() }
+    };
+    contents().map(row).collect()
 }
 
 fn arc_of(file: &Path, rows: &[Row]) -> Result<Vec<PointError>, InputError> {

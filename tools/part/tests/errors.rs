@@ -56,6 +56,34 @@ fn the_tip_is_taken_off_on_the_side_it_came_from() {
     }
 }
 
+/// As a spreadsheet saves it: separators, decimal commas, UTF-16, Windows-1252, quotes, the minus of typography.
+#[test]
+fn error_cor_is_read_as_a_spreadsheet_saves_it() {
+    let files = Files::new();
+    let utf16: Vec<u8> =
+        "\u{feff}0,1;-1,5\r\n0,2;2,5\r\n".encode_utf16().flat_map(u16::to_le_bytes).collect();
+    let dialects: [&[u8]; 9] = [
+        b"0.1 -1.5\n0.2 2.5\n",
+        b"0.1,-1.5\n0.2,2.5\n",
+        b"sep=;\n0,1;-1,5\n0,2;2,5\n",
+        b"0,1\t-1,5\n0,2\t2,5\n",
+        b"0,1 -1,5\n0,2 2,5\n",
+        b"# angle in rad, error in \xb5m\n0.1, -1.5\n0.2, 2.5\n",
+        b"\"0,1\";\"-1,5\"\n\"0,2\";\"2,5\"\n",
+        "0.1;\u{2212}1.5\n0.2;2.5\n".as_bytes(),
+        &utf16,
+    ];
+    for bytes in dialects {
+        let file = files.with("error.cor", "");
+        std::fs::write(&file, bytes).unwrap();
+        let read = read_arc(&file).unwrap_or_else(|e| panic!("{}: {e}", String::from_utf8_lossy(bytes)));
+        let values: Vec<[f64; 2]> = read.iter().map(|e| [e.angle_rad, e.error_um]).collect();
+        assert_eq!(values, [[0.1, -1.5], [0.2, 2.5]], "{}", String::from_utf8_lossy(bytes));
+    }
+    let names = read_arc(&files.with("error.cor", "angle_deg;error_um\n5;1\n")).unwrap_err();
+    assert!(names.line == 1 && names.expected.contains("take the line of names out"), "{names}");
+}
+
 #[test]
 fn error_cor_is_read_as_it_is_written() {
     let files = Files::new();

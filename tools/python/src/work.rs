@@ -16,6 +16,7 @@ use rtec_measure::export::linuxcnc::Unit;
 use rtec_measure::history::Limits;
 use rtec_measure::iso230::Conditions;
 use rtec_measure::plan::{PlanAxis, for_machine, markdown};
+use rtec_measure::plausible;
 use rtec_measure::plot::Picture;
 use rtec_measure::{export, import};
 use rtec_model::chain::Chain;
@@ -195,7 +196,8 @@ pub(crate) fn fit_chain(
 ) -> PyResult<FittedChain> {
     quietly(py, move || {
         let from = Chain::read(&chain)?;
-        let records = inners(records);
+        let good = |record| plausible::only_good(record, &mut |_| ());
+        let records: Vec<_> = inners(records).into_iter().map(good).collect();
         if components.is_empty() || records.is_empty() {
             return Err(bad("fit_chain", "nothing to fit", "components, and records that measure them"));
         }
@@ -343,7 +345,7 @@ pub(crate) fn import_record(py: Python<'_>, asked: ImportAsked) -> PyResult<(Rec
         if let Some(note) = &inner.note {
             say(Said::Note(note.clone()));
         }
-        rtec_measure::plausible::said(std::slice::from_ref(&inner), say);
+        plausible::said(std::slice::from_ref(&inner), say);
         Ok(Record { inner })
     })
 }
@@ -356,12 +358,13 @@ pub(crate) fn prediction_picture(
     record: &Record,
 ) -> PyResult<(String, Vec<String>)> {
     work(py, |say| {
-        let says = rtec_measure::prediction::predict(&machine.inner, &record.inner, say)?;
+        let record = plausible::only_good(record.inner.clone(), say);
+        let says = rtec_measure::prediction::predict(&machine.inner, &record, say)?;
         let chart = |(response, (_, data)): (&rtec_model::record::Column, &(String, Vec<f64>))| {
-            let widths = machine.inner.half_widths_um(&record.inner, &response.role);
-            Picture::from(prediction_chart(&record.inner, response, data, widths.as_deref()))
+            let widths = machine.inner.half_widths_um(&record, &response.role);
+            Picture::from(prediction_chart(&record, response, data, widths.as_deref()))
         };
-        let pictures: Vec<Picture> = record.inner.responses().zip(&says).map(chart).collect();
+        let pictures: Vec<Picture> = record.responses().zip(&says).map(chart).collect();
         drawn(pictures.iter())
     })
 }
@@ -395,12 +398,16 @@ pub(crate) fn reconcile(
             None => date::format(date::today()),
         };
         let options = Options { level, date: Some(day), unexplained, figures: true };
-        let answer = rtec_reconcile::reconcile(&inners(train), &inners(holdout), &machine.inner, &options)?;
+        let (train, holdout) = (inners(train), inners(holdout));
+        let answer = rtec_reconcile::reconcile(&train, &holdout, &machine.inner, &options)?;
         for note in &answer.derived {
             say(Said::Note(note.clone()));
         }
         for s in &answer.suspicions {
             say(Said::Warning(s.to_string()));
+        }
+        for records in [&train, &holdout] {
+            plausible::say_conditions(records, &answer.suspicions, say);
         }
         let page = rtec_reconcile::html(&answer, machine.inner.name());
         let pictures = rtec_reconcile::pictures(&answer);

@@ -281,3 +281,19 @@ def test_a_record_that_was_changed_after_it_was_sent_is_not_judged_beside_itself
     found = assess(shop)
     assert len(found.unreadable) == 2 and found.unreadable["error"].str.contains(f"{len(run) - 1} of {len(run)} rows").all()
     assert found.machines.iloc[0]["error"] is None
+
+
+def test_a_misread_row_is_in_no_figure_of_the_shop(tmp_path):
+    base = data.run(1, data.MONTHS[0])
+    columns = {c: (role, np.array(base[c])) for c, role, _ in base.columns}
+    columns["e"][1][40] += 500.0
+    planted = rtec.record(base.path, base.kind, columns, date=base.date)
+    without = planted.select(np.arange(len(planted)) != 40)
+    figures = []
+    for name, run in (("planted", planted), ("without", without)):
+        shop = Shop(tmp_path / name)
+        shop.put_model(data.numbered(1), data.model(1))
+        shop.put(data.numbered(1), run)
+        table = assess(shop).figures
+        figures.append(dict(zip(table["figure"], table["value"], strict=True)))
+    assert figures[0] == figures[1] and figures[0]["x.R"] < 10.0

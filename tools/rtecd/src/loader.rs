@@ -193,8 +193,8 @@ pub(crate) fn work(job: Job, told: &Told) -> Result<Loaded, InputError> {
         }
         Job::Table { table, source } => {
             let file = PathBuf::from(&table.errors);
-            let errors =
-                FeatureErrors::parse(&file, &Reader::new(&source, LONGEST_ERRORS, told).read(&file)?)?;
+            let bytes = Reader::new(&source, LONGEST_ERRORS, told).bytes(&file)?;
+            let errors = FeatureErrors::parse(&file, &text::decode_western(&file, &bytes)?.0)?;
             if errors.len() > POINTS {
                 let found = format!("{} points", errors.len());
                 return Err(InputError::whole(&file, found, format!("at most {POINTS}")));

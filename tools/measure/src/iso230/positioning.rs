@@ -11,8 +11,12 @@ use rtec_files::InputError;
 use rtec_files::text::short;
 use rtec_model::record::{Axis, Column, Record, Role};
 use serde::Serialize;
-use statrs::distribution::{ContinuousCDF, FisherSnedecor};
 use std::collections::BTreeMap;
+
+mod change;
+
+use change::Change;
+pub use change::{Step, Trend};
 
 /// Axes longer than this are tested with one approach from each side and without s, mm (ISO 230-2:2014, 5.3.3).
 pub(crate) const LONG_AXIS_MM: f64 = 2000.0;
@@ -89,6 +93,9 @@ pub struct Positioning {
     /// The drift that the approaches show beyond chance.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub drift: Option<Trend>,
+    /// The step that explains them better than a drift does.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub step: Option<Step>,
     /// From the first target to the last, mm.
     pub travel_mm: f64,
     /// Which of the standard's tests it is.
@@ -106,37 +113,6 @@ pub struct Resolution {
     pub mean_within: f64,
     /// A reversal, the difference of two means, may be off by up to this.
     pub reversal_within: f64,
-}
-
-/// A drift of all targets together, and repeatability and reversal without it. In the unit of the figures.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Trend {
-    /// From the first row to the last, in the middle of the travel.
-    pub drift: f64,
-    /// Probability of so much drift by chance.
-    pub p_value: f64,
-    /// Bidirectional repeatability about the drift.
-    #[serde(rename = "R_about_drift")]
-    pub repeatability: Option<f64>,
-    /// Largest reversal without the drift between the approaches upwards and downwards.
-    #[serde(rename = "B_about_drift")]
-    pub reversal: Option<f64>,
-    /// Mean reversal without it.
-    #[serde(rename = "B_mean_about_drift")]
-    pub mean_reversal: Option<f64>,
-}
-
-impl Trend {
-    /// A figure of the standard's as it is without the drift; `None` for those that are not looked at.
-    #[must_use]
-    pub fn without(&self, symbol: &str) -> Option<f64> {
-        match symbol {
-            "R" => self.repeatability,
-            "B" => self.reversal,
-            "B_mean" => self.mean_reversal,
-            _ => None,
-        }
-    }
 }
 
 /// Whether a record holds an error (or tilt) along an axis beside its position.
@@ -344,8 +320,12 @@ impl Run<'_> {
         let unit = if tilt { "µrad" } else { "µm" };
         let repeatability = largest(list.iter().filter_map(|t| t.repeatability));
         let reversal = [largest(reversals.iter().map(|b| b.abs())), mean_of(&reversals)];
-        let (resolution, drift) =
-            (self.resolution(unit), self.drift([repeatability, reversal[0], reversal[1]], unit));
+        let resolution = self.resolution(unit);
+        let (drift, step) = match self.change([repeatability, reversal[0], reversal[1]], unit) {
+            Some(Change::Drift(drift)) => (Some(drift), None),
+            Some(Change::Step(step)) => (None, Some(step)),
+            None => (None, None),
+        };
         let mut found = Positioning {
             axis: self.axis.to_string(),
             response: role.to_string(),
@@ -366,6 +346,7 @@ impl Run<'_> {
             uncertainty,
             resolution,
             drift,
+            step,
             travel_mm: span,
             test: if long { "long axis, one approach from each side" } else { "standard test cycle" },
             targets: listed,
@@ -397,96 +378,6 @@ impl Run<'_> {
             short(found.reversal_within)
         ));
         Some(found)
-    }
-
-    /// The drift of all approaches in common, a constant and one that grows along the axis; says it where chance gives so much in
-    /// less than one of a hundred runs, with what R, B and the mean of B are without it. It is taken off row by row: within a cycle,
-    /// too, the approaches downwards come later than those upwards.
-    fn drift(&mut self, with: [Option<f64>; 3], unit: &str) -> Option<Trend> {
-        let n = self.error.len();
-        let rows: Vec<f64> = (0..n).map(|row| row as f64).collect();
-        let time = self.record.data(&Role::Time).unwrap_or(&rows);
-        let span = time.last()? - time.first()?;
-        let middle = self.position.iter().sum::<f64>() / n as f64;
-        let reach = self.position.iter().map(|p| (p - middle).abs()).fold(0.0, f64::max);
-        if span <= 0.0 || reach <= 0.0 {
-            return None;
-        }
-        let mut groups: Vec<Vec<usize>> = Vec::new();
-        for rows in targets(self.position) {
-            let (up, down): (Vec<usize>, Vec<usize>) = rows
-                .into_iter()
-                .filter(|r| self.direction[*r] != 0.0)
-                .partition(|r| self.direction[*r] > 0.0);
-            groups.extend([up, down].into_iter().filter(|g| g.len() > 1));
-        }
-        let used: usize = groups.iter().map(Vec::len).sum();
-        let freedom = used.checked_sub(groups.len() + 2).filter(|f| *f > 0)? as f64;
-        // Within its target and side each row is taken from the mean.
-        let within = |of: &dyn Fn(usize) -> f64| -> Vec<f64> {
-            let mut all = vec![0.0; n];
-            for group in &groups {
-                let mean = group.iter().map(|r| of(*r)).sum::<f64>() / group.len() as f64;
-                for row in group {
-                    all[*row] = of(*row) - mean;
-                }
-            }
-            all
-        };
-        let moment = |row: usize| (time[row] - time[0]) / span;
-        let y = within(&|row| self.error[row]);
-        let [a, b] = [within(&moment), within(&|row| moment(row) * (self.position[row] - middle) / reach)];
-        let dot = |u: &[f64], v: &[f64]| u.iter().zip(v).map(|(u, v)| u * v).sum::<f64>();
-        let (aa, ab, bb) = (dot(&a, &a), dot(&a, &b), dot(&b, &b));
-        let determinant = aa * bb - ab * ab;
-        if determinant <= 1e-9 * aa * bb {
-            return None;
-        }
-        let (ay, by) = (dot(&a, &y), dot(&b, &y));
-        let slopes = [(bb * ay - ab * by) / determinant, (aa * by - ab * ay) / determinant];
-        let left: Vec<f64> = (0..n).map(|i| y[i] - slopes[0] * a[i] - slopes[1] * b[i]).collect();
-        let (before, after) = (dot(&y, &y), dot(&left, &left));
-        let ratio = (before - after) / 2.0 / (after / freedom).max(1e-12 * before).max(f64::MIN_POSITIVE);
-        let p_value = FisherSnedecor::new(2.0, freedom).ok()?.sf(ratio);
-        if p_value >= 0.01 || before <= 0.0 {
-            return None;
-        }
-        let trend = |i: usize| {
-            let moment = moment(i) - 0.5;
-            slopes[0] * moment + slopes[1] * moment * (self.position[i] - middle) / reach
-        };
-        let reduced: Vec<f64> = (0..n).map(|i| self.error[i] - trend(i)).collect();
-        // The two slopes took freedom from what is left.
-        let lost = ((used - groups.len()) as f64 / freedom).sqrt();
-        let about = |t: Target| {
-            let [up, down] = [t.s_up? * lost, t.s_down? * lost];
-            Some((2.0 * up + 2.0 * down + t.reversal?.abs()).max(4.0 * up).max(4.0 * down))
-        };
-        let list: Vec<Target> = self.list_of(&reduced).iter().map(|t| t.counted(false)).collect();
-        let reversals: Vec<f64> = list.iter().filter_map(|t| t.reversal).collect();
-        let trend = Trend {
-            drift: slopes[0],
-            p_value,
-            repeatability: largest(list.into_iter().filter_map(about)),
-            reversal: largest(reversals.iter().map(|b| b.abs())),
-            mean_reversal: mean_of(&reversals),
-        };
-        let said: Vec<String> = [("R", with[0]), ("B", with[1]), ("B_mean", with[2])]
-            .into_iter()
-            .filter_map(|(symbol, with)| {
-                Some(format!("{symbol} {:.2} instead of {:.2} {unit}", trend.without(symbol)?, with?))
-            })
-            .collect();
-        if !said.is_empty() {
-            self.notes.push(format!(
-                "the approaches drift by {:+.2} {unit} from first to last in the middle of the travel ({:+.2} more at its upper end), and \
-                 the figures hold that drift; about it {}. Let the machine warm up, or test it again",
-                slopes[0],
-                slopes[1],
-                said.join(", ")
-            ));
-        }
-        Some(trend)
     }
 
     /// How far apart the positions of one target lie at most, mm.
@@ -572,6 +463,21 @@ pub(crate) fn fewest_targets(span_mm: f64) -> usize {
 }
 
 impl Positioning {
+    /// What the approaches show beyond repeatability, `drift` or `step`, where they do.
+    #[must_use]
+    pub fn changes_by(&self) -> Option<&'static str> {
+        self.drift.map(|_| "drift").or(self.step.map(|_| "step"))
+    }
+
+    /// A figure of the standard's as it is without the drift or step; `None` for those that are not looked at.
+    #[must_use]
+    pub fn without_change(&self, symbol: &str) -> Option<f64> {
+        let of_drift = self.drift.map(|d| [d.repeatability, d.reversal, d.mean_reversal]);
+        let of_step = self.step.map(|s| [s.repeatability, s.reversal, s.mean_reversal]);
+        let place = ["R", "B", "B_mean"].iter().position(|s| *s == symbol)?;
+        of_drift.or(of_step)?[place]
+    }
+
     /// The figures in the standard's order.
     #[must_use]
     pub fn figures(&self) -> [(&'static str, Option<f64>); 12] {

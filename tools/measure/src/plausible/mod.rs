@@ -10,6 +10,7 @@
 //! | `sensors` | one temperature or channel beside the others: unplugged, range, unit, stuck, jump, wild values, a copy |
 //! | `motion` | positions, directions, speeds, times and errors of a run beside one another |
 //! | `rows` | rows that stand twice, wild responses |
+//! | `lone` | wild readings in records of few rows |
 //! | `slips` | a position with its decimal point in another place |
 //! | `stuck` | a sensor that stands still, beside itself at other times and beside the others |
 //! | `repeats` | single approaches far off the others to the same target |
@@ -23,6 +24,7 @@
 
 mod between;
 pub(crate) mod clock;
+mod lone;
 mod motion;
 mod pieces;
 mod repeats;
@@ -242,7 +244,14 @@ pub fn said(records: &[Record], say: &mut dyn FnMut(Said)) -> Vec<Suspicion> {
     for step in steps_of(records) {
         say(Said::Warning(step));
     }
-    for still in stuck::still(records, &found) {
+    say_conditions(records, &found, say);
+    found
+}
+
+/// Says what is no mistake and worth knowing of records: how their CSV is written, a clock that does not begin with the run, sensors
+/// that stand still.
+pub fn say_conditions(records: &[Record], found: &[Suspicion], say: &mut dyn FnMut(Said)) {
+    for still in stuck::still(records, found) {
         say(Said::Warning(still));
     }
     for written in records.iter().filter_map(|r| r.written.clone()) {
@@ -251,7 +260,6 @@ pub fn said(records: &[Record], say: &mut dyn FnMut(Said)) -> Vec<Suspicion> {
     for clock in records.iter().filter_map(clock::absolute) {
         say(Said::Warning(clock));
     }
-    found
 }
 
 /// Puts suspicions into a document, where that is an object.
@@ -312,11 +320,41 @@ pub fn usable(records: &[Record], found: &[Suspicion], say: &mut dyn FnMut(Said)
     left
 }
 
-/// The records, in which readings that a sensor did not take are no numbers, without the sensors that took none: no figure and no
-/// plot holds them.
+/// The records as figures and plots may hold them, after these suspicions: without the rows that look misread or stand twice, and
+/// without the sensors that took no reading. A single reading that a sensor did not take is no number.
 #[must_use]
-pub fn taken<'r>(records: &'r [Record], doubts: &[Suspicion]) -> Cow<'r, [Record]> {
+pub fn in_figures<'r>(records: &'r [Record], doubts: &[Suspicion]) -> Cow<'r, [Record]> {
+    let mut usable = every_row(records, doubts);
+    let of_rows = Unusable { rows: rows_left_out(doubts), ..Unusable::default() };
+    for (at, record) in records.iter().enumerate() {
+        if !of_rows.rows(record).is_empty() {
+            usable.to_mut()[at] = of_rows.without(&usable[at]);
+        }
+    }
+    usable
+}
+
+/// As [`in_figures`], with every row: what a figure would be if no row had been left out. Sensors that change places are put back.
+#[must_use]
+pub fn every_row<'r>(records: &'r [Record], doubts: &[Suspicion]) -> Cow<'r, [Record]> {
     let mut usable = Cow::Borrowed(records);
+    for [one, other] in exchanged(doubts) {
+        let Some(at) = records.iter().position(|r| r.path.display().to_string() == one.record) else {
+            continue;
+        };
+        let record = &mut usable.to_mut()[at];
+        let place = |name: &str| record.columns.iter().position(|c| c.name == name);
+        if let (Some(a), Some(b)) = (place(&one.column), place(&other.column)) {
+            let first = record.first_row();
+            for row in one.row_list().into_iter().filter_map(|row| row.checked_sub(first)) {
+                if row < record.rows() {
+                    let value = record.columns[a].data[row];
+                    record.columns[a].data[row] = record.columns[b].data[row];
+                    record.columns[b].data[row] = value;
+                }
+            }
+        }
+    }
     for doubt in doubts.iter().filter(|d| d.is_not_taken()) {
         let Some(at) = records.iter().position(|r| r.path.display().to_string() == doubt.record) else {
             continue;
@@ -337,35 +375,48 @@ pub fn taken<'r>(records: &'r [Record], doubts: &[Suspicion]) -> Cow<'r, [Record
     usable
 }
 
-/// A record's rows in which every sensor took its reading, and how many it has besides. For records of [`taken`].
-#[must_use]
-pub fn rows_taken(record: &Record) -> (Cow<'_, Record>, usize) {
-    let off = |c: &&Column| is_sensor(c) && c.data.iter().any(|v| !v.is_finite());
-    if !record.columns.iter().any(|c| off(&c)) {
-        return (Cow::Borrowed(record), 0);
-    }
-    let is_taken = |row: &usize| record.columns.iter().all(|c| !is_sensor(c) || c.data[*row].is_finite());
-    let keep: Vec<usize> = (0..record.rows()).filter(is_taken).collect();
-    let mut left = if keep.is_empty() { record.clone() } else { record.select(&keep) };
-    // Where sensors are off in turns no row is whole: those sensors go then.
-    left.columns.retain(|c| !off(&c));
-    let rest = record.rows() - left.rows();
-    (Cow::Owned(left), rest)
+/// Pairs of sensors that change places at a row of their record.
+pub(crate) fn exchanged(doubts: &[Suspicion]) -> Vec<[&Suspicion; 2]> {
+    let is_one = |d: &&Suspicion| d.what == What::Swapped && d.sensor && !d.rows.is_empty();
+    let all: Vec<&Suspicion> = doubts.iter().filter(is_one).collect();
+    let pairs = all.windows(2).filter(|w| w[0].record == w[1].record && w[0].rows == w[1].rows);
+    pairs.map(|w| [w[0], w[1]]).collect()
 }
 
-/// A record without what a sensor did not take; what the record shows of mistakes is said.
-pub fn only_taken(record: Record, say: &mut dyn FnMut(Said)) -> Record {
+/// Rows that no figure holds, from 0, by their record.
+pub(crate) fn rows_left_out(doubts: &[Suspicion]) -> BTreeMap<String, BTreeSet<usize>> {
+    let mut rows: BTreeMap<String, BTreeSet<usize>> = BTreeMap::new();
+    for doubt in doubts.iter().filter(|d| d.is_of_rows()) {
+        rows.entry(doubt.record.clone()).or_default().extend(doubt.row_list());
+    }
+    rows
+}
+
+/// A record without the rows that no figure may hold; what the record shows of mistakes is said, and how many rows are left out.
+pub fn only_good(record: Record, say: &mut dyn FnMut(Said)) -> Record {
     let records = [record];
     let doubts = said(&records, say);
-    let usable = taken(&records, &doubts);
-    let (left, rest) = rows_taken(&usable[0]);
-    if rest > 0 {
-        let file = left.path.display();
-        say(Said::Warning(format!(
-            "{file}: {rest} rows with readings that a sensor did not take are in no figure"
-        )));
+    good_rows(&in_figures(&records, &doubts)[0], records[0].rows(), say).into_owned()
+}
+
+/// The rows of a record of [`in_figures`] in which every sensor took its reading; says how many of its `all` rows are left out.
+pub fn good_rows<'r>(record: &'r Record, all: usize, say: &mut dyn FnMut(Said)) -> Cow<'r, Record> {
+    let off = |c: &&Column| is_sensor(c) && c.data.iter().any(|v| !v.is_finite());
+    let mut left = Cow::Borrowed(record);
+    if record.columns.iter().any(|c| off(&c)) {
+        let is_taken = |row: &usize| record.columns.iter().all(|c| !is_sensor(c) || c.data[*row].is_finite());
+        let keep: Vec<usize> = (0..record.rows()).filter(is_taken).collect();
+        // Where sensors are off in turns no row is whole: those sensors go then.
+        let mut whole = if keep.is_empty() { record.clone() } else { record.select(&keep) };
+        whole.columns.retain(|c| !off(&c));
+        left = Cow::Owned(whole);
     }
-    left.into_owned()
+    let out = all - left.rows();
+    if out > 0 {
+        let file = record.path.display();
+        say(Said::Warning(format!("{file}: {out} of {all} rows look misread and are in no figure")));
+    }
+    left
 }
 
 /// Readings of this piece of a record that its sensors did not take.
@@ -378,8 +429,21 @@ pub fn not_taken(record: &Record) -> usize {
 }
 
 impl Suspicion {
+    /// Its rows are misread or stand twice.
+    fn misreads_rows(&self) -> bool {
+        let misread =
+            matches!(self.what, What::Doubled | What::Outliers | What::Stuck | What::Unplugged | What::Range);
+        misread && !self.rows.is_empty()
+    }
+
+    /// It is about whole rows: of a response, a position or the row itself, not of one sensor. Such rows are in no figure.
+    #[must_use]
+    pub fn is_of_rows(&self) -> bool {
+        self.misreads_rows() && !self.sensor
+    }
+
     /// Of a sensor that did not take its reading: of these rows, or of all where there are none.
-    fn is_not_taken(&self) -> bool {
+    pub(crate) fn is_not_taken(&self) -> bool {
         let rows =
             matches!(self.what, What::Unplugged | What::Range | What::Outliers) && !self.rows.is_empty();
         self.is_of_sensor() && (rows || self.what == What::Unplugged)
@@ -409,16 +473,10 @@ pub fn unusable(suspicions: &[Suspicion]) -> Unusable {
                 | What::Unit
                 | What::Swapped
         );
-        match s.what {
-            _ if s.sensor && (off || s.what == What::Doubled) && !s.is_few() => {
-                out.sensors.insert(s.column.clone());
-            }
-            What::Doubled | What::Outliers | What::Stuck | What::Unplugged | What::Range
-                if !s.rows.is_empty() =>
-            {
-                out.rows.entry(s.record.clone()).or_default().extend(s.row_list());
-            }
-            _ => {}
+        if s.sensor && (off || s.what == What::Doubled) && !s.is_few() {
+            out.sensors.insert(s.column.clone());
+        } else if s.misreads_rows() {
+            out.rows.entry(s.record.clone()).or_default().extend(s.row_list());
         }
     }
     out

@@ -1,5 +1,6 @@
 //! Rows that stand twice, and responses far off all others.
 
+use super::lone::{self, Lone};
 use super::stats::{distinct, median, medians_of_others, quantum, range, spread, steps};
 use super::{Suspicion, What};
 use rtec_model::record::{Column, Record, Role};
@@ -249,7 +250,11 @@ fn longest_run(v: &[f64]) -> usize {
 /// Rows far off those that are near in time, and off those near in position and direction.
 fn wild(record: &Record, c: &Column) -> Wild {
     let n = c.data.len();
-    if n < 20 || range(&c.data) <= 0.0 {
+    if lone::is_few(n) {
+        let Lone { rows, spread } = lone::of_response(record, c);
+        return Wild { rows, spread };
+    }
+    if n < lone::FEW || range(&c.data) <= 0.0 {
         return Wild::default();
     }
     let may_peak = excused(record);
@@ -308,7 +313,7 @@ fn wild(record: &Record, c: &Column) -> Wild {
     let bulk = (0..n).filter(|i| rows.binary_search(i).is_err() && !excused(*i) && far(*i) > tail).count();
     // Many close together are a shape of their own: one row in twenty by chance has a neighbour in one case of four.
     let close = rows.windows(2).filter(|w| w[1] - w[0] <= 3).count();
-    if n < 30 || rows.len() >= 4 && 2 * close > rows.len() {
+    if rows.len() >= 4 && 2 * close > rows.len() {
         return none;
     }
     let enough = rows.len() >= 2 && worst > 15.0 || worst > 20.0;
@@ -317,10 +322,10 @@ fn wild(record: &Record, c: &Column) -> Wild {
 }
 
 /// The bound of a reversal spike's amplitude in the dictionary, µm.
-const LARGEST_PEAK_UM: f64 = 1000.0;
+pub(super) const LARGEST_PEAK_UM: f64 = 1000.0;
 
 /// The rows of each direction in the order of the response's own positions; none where these were not logged.
-fn ways(record: &Record, c: &Column) -> Vec<Vec<usize>> {
+pub(super) fn ways(record: &Record, c: &Column) -> Vec<Vec<usize>> {
     let Some(axis) = c.role.axis() else { return Vec::new() };
     let Some(p) = record.data(&Role::Position(axis.clone())) else { return Vec::new() };
     let d = record.data(&Role::Direction(axis.clone()));
@@ -434,16 +439,22 @@ fn after_turns(turns: usize, rows: usize) -> Option<usize> {
     }
 }
 
-/// Rows where something else may honestly make a short peak: next to a reversal, to a change of coolant, spindle speed,
-/// load or temperature, at the ends.
+/// Rows where something else may honestly make a short peak: at the ends, or by one of the [`causes`].
 pub(super) fn excused(record: &Record) -> Vec<bool> {
+    let mut out = causes(record);
+    let n = out.len();
+    out.iter_mut().take(2).for_each(|row| *row = true);
+    out[n.saturating_sub(2)..].fill(true);
+    out
+}
+
+/// Rows next to a reversal, to a change of coolant, spindle speed, load or temperature.
+pub(super) fn causes(record: &Record) -> Vec<bool> {
     let n = record.rows();
     let mut out = vec![false; n];
     let mut around = |i: usize, by: usize| {
         (i.saturating_sub(by)..(i + by + 1).min(n)).for_each(|j| out[j] = true);
     };
-    around(0, 1);
-    around(n - 1, 1);
     for c in &record.columns {
         match &c.role {
             Role::Direction(_) | Role::Velocity(_) | Role::Acceleration(_) => {

@@ -1,5 +1,6 @@
 //! One temperature or channel beside the others of its record.
 
+use super::lone;
 use super::stats::{distinct, median, quantum, span, spread, steps};
 use super::{Suspicion, What, is_sensor};
 use rtec_model::limits::disconnected;
@@ -273,7 +274,15 @@ fn is_switched(record: &Record, own: &[f64], at: usize) -> bool {
 /// Single values far from those before and after.
 fn wild(record: &Record, c: &Column, others: &[&Column], out: &mut Vec<Suspicion>) {
     let n = c.data.len();
-    if n < 20 {
+    // A warm moment of the machine is seen by another sensor too.
+    let peak = |v: &[f64], i: usize| v[i] - f64::midpoint(v[i - 1], v[i + 1]);
+    let alone = |i: usize, off: f64| others.iter().all(|o| peak(&o.data, i).abs() < 0.1 * off.abs());
+    if n < SHORTEST {
+        if lone::is_few(n) {
+            let honest = |i: usize, off: f64| i == 0 || i == n - 1 || off < LEAST_K || !alone(i, off);
+            let found = lone::wild(&c.data, &[vec![(0..n).collect()]], &honest, |_| false);
+            say_wild(record, c, &found.rows, out);
+        }
         return;
     }
     let left: Vec<f64> =
@@ -281,19 +290,27 @@ fn wild(record: &Record, c: &Column, others: &[&Column], out: &mut Vec<Suspicion
     // A body that is switched moves fast from row to row, and turns: that is no reading gone wrong.
     let mut moves: Vec<f64> = steps(&c.data).iter().map(|d| d.abs()).collect();
     moves.sort_by(f64::total_cmp);
-    let limit = (15.0 * spread(&left)).max(3.0).max(3.0 * moves[moves.len() * 9 / 10]);
-    // A warm moment of the machine is seen by another sensor too.
-    let peak = |v: &[f64], i: usize| v[i] - f64::midpoint(v[i - 1], v[i + 1]);
-    let alone = |i: usize| others.iter().all(|o| peak(&o.data, i).abs() < 0.1 * left[i].abs());
-    let rows: Vec<usize> = (2..n - 2).filter(|i| left[*i].abs() > limit && alone(*i)).collect();
-    if !rows.is_empty() && rows.len() * 10 <= n {
-        let text = format!(
-            "{} of {n} values far from those before and after, as {:.2} degC",
-            rows.len(),
-            c.data[rows[0]]
-        );
-        out.push(Suspicion::new(record, &c.name, What::Outliers, &rows, text));
+    let limit = (15.0 * spread(&left)).max(LEAST_K).max(3.0 * moves[moves.len() * 9 / 10]);
+    let rows: Vec<usize> = (2..n - 2).filter(|i| left[*i].abs() > limit && alone(*i, left[*i])).collect();
+    if rows.len() * 10 <= n {
+        say_wild(record, c, &rows, out);
     }
+}
+
+/// Fewer rows have no robust spread.
+const SHORTEST: usize = 20;
+/// A reading is wild from so many kelvins on.
+const LEAST_K: f64 = 3.0;
+
+fn say_wild(record: &Record, c: &Column, rows: &[usize], out: &mut Vec<Suspicion>) {
+    let Some(first) = rows.first() else { return };
+    let text = format!(
+        "{} of {} values far from those before and after, as {:.2} degC",
+        rows.len(),
+        c.data.len(),
+        c.data[*first]
+    );
+    out.push(Suspicion::new(record, &c.name, What::Outliers, rows, text));
 }
 
 /// Two columns that are one.

@@ -90,10 +90,8 @@ fn add_positioning(report: &mut Report, p: &Positioning) -> Result<(), PlotError
     if p.arcsec.is_some() {
         head.push("#arcsec");
     }
-    let without = format!("#without the drift ({unit})");
-    if p.drift.is_some() {
-        head.push(&without);
-    }
+    let without = p.changes_by().map(|change| format!("#without the {change} ({unit})"));
+    head.extend(without.as_deref());
     let mut table = Table::new(&title, &head);
     for (symbol, v) in p.figures() {
         let (short, words) = meaning(symbol);
@@ -106,8 +104,8 @@ fn add_positioning(report: &mut Report, p: &Positioning) -> Result<(), PlotError
         if let Some(arcsec) = &p.arcsec {
             row.push(um(arcsec.get(symbol).copied().flatten()));
         }
-        if let Some(drift) = &p.drift {
-            row.push(um(drift.without(symbol)));
+        if without.is_some() {
+            row.push(um(p.without_change(symbol)));
         }
         table.row(row);
     }

@@ -226,28 +226,58 @@ fn a_step_of_the_returns_is_no_drift() {
     }
 }
 
+/// Five cycles of eleven targets both ways, a reversal of 2 µm, with this beside it at each row.
+fn bidirectional(dice: &mut Dice, beside: impl Fn(f64) -> f64) -> Record {
+    let mut data: [Vec<f64>; 4] = Default::default();
+    for cycle in 0..5 {
+        for row in 0..22 {
+            let (way, at) = if row < 11 { (1.0, row) } else { (-1.0, 21 - row) };
+            let t = f64::from(22 * cycle + row);
+            let e = beside(t) + way + 0.3 * dice.normal();
+            [t, 50.0 * f64::from(at), way, e].into_iter().zip(&mut data).for_each(|(v, data)| data.push(v));
+        }
+    }
+    let columns = ["t", "x", "dir", "e"].into_iter().zip(["time", "position.x", "direction.x", "error.x"]);
+    let columns =
+        columns.zip(data).map(|((name, role), data)| Column::new(name, Role::parse(role).unwrap(), data));
+    Record::new(Path::new("a.run.toml"), Kind::Positioning, columns.collect()).unwrap()
+}
+
+/// A step is told with its row and cycle, a drift of any shape as a drift, and noise as neither.
+#[test]
+fn positioning_tells_a_step_from_a_drift() {
+    type Beside = fn(f64) -> f64;
+    let kinds: [(&str, Beside); 6] = [
+        ("step", |t| if t < 50.0 { 0.0 } else { 2.0 }),
+        ("step", |t| if t < 9.0 { 0.0 } else { -3.0 }),
+        ("drift", |t| 0.03 * t),
+        ("drift", |t| 6.0 * (1.0 - (-t / 20.0).exp())),
+        ("drift", |t| 6.0 * (1.0 - (-t / 60.0).exp())),
+        ("neither", |_| 0.0),
+    ];
+    let runs = 100;
+    for (n, (kind, beside)) in kinds.into_iter().enumerate() {
+        let mut right = 0;
+        for seed in 0..runs {
+            let record = bidirectional(&mut Dice::new(1000 * n as u64 + seed), beside);
+            let found = iso230::positioning(&record).unwrap().remove(0);
+            right += u64::from(found.changes_by().unwrap_or("neither") == kind);
+            if let Some(step) = found.step.filter(|_| n == 0) {
+                assert!(step.row.abs_diff(51) <= 2 && step.cycle == 3, "{seed}: {step:?}");
+                assert!((step.step - 2.0).abs() < 4.0 * step.standard_error, "{seed}: {step:?}");
+                assert!((step.mean_reversal.unwrap() - 2.0).abs() < 0.3, "{seed}: {step:?}");
+                assert!(found.warnings.iter().any(|w| w.contains("(cycle 3) and stay")), "{seed}");
+            }
+        }
+        assert!(right >= runs - 4, "case {n}, {kind}: {right} of {runs}");
+    }
+}
+
 /// The approaches downwards come later in each cycle: what drifts meanwhile is no reversal and no scatter.
 #[test]
 fn drift_within_a_cycle_is_in_neither_reversal_nor_repeatability() {
     for seed in 1..=20 {
-        let mut dice = Dice::new(seed);
-        let names = ["t", "x", "dir", "e"];
-        let mut data: [Vec<f64>; 4] = Default::default();
-        for cycle in 0..5 {
-            for row in 0..22 {
-                let (way, at) = if row < 11 { (1.0, row) } else { (-1.0, 21 - row) };
-                let t = f64::from(22 * cycle + row);
-                let e = 0.2 * t + way + 0.2 * dice.normal();
-                [t, 50.0 * f64::from(at), way, e]
-                    .into_iter()
-                    .zip(&mut data)
-                    .for_each(|(v, data)| data.push(v));
-            }
-        }
-        let roles = ["time", "position.x", "direction.x", "error.x"];
-        let columns = names.into_iter().zip(roles).zip(data);
-        let columns = columns.map(|((name, role), data)| Column::new(name, Role::parse(role).unwrap(), data));
-        let record = Record::new(Path::new("a.run.toml"), Kind::Positioning, columns.collect()).unwrap();
+        let record = bidirectional(&mut Dice::new(seed), |t| 0.2 * t);
         let found = iso230::positioning(&record).unwrap().remove(0);
         let drift = found.drift.unwrap();
         // The truth: a reversal of 2 µm, and 2 µm + 4 s of 0.8 µm together; the largest of eleven targets is more.

@@ -1253,6 +1253,99 @@ fn noise_single_wild_rows_and_days_are_said() {
     }
 }
 
+/// Records of few rows: returns, a warming spindle, a short sweep both ways; noise of any memory, a gauge of any step.
+fn few_rows(d: &mut Dice) -> Record {
+    let n = 6 + d.below(24);
+    let (noise, step) = noise(d, n);
+    let mut columns = Vec::new();
+    let (kind, shape): (Kind, Vec<f64>) = match d.below(4) {
+        0 => (Kind::Positioning, vec![0.0; n]),
+        1 => {
+            let (size, tau) = (d.between(-40.0, 40.0), d.between(0.5, 30.0));
+            (Kind::Drift, (0..n).map(|i| size * (1.0 - (-(i as f64) / tau).exp())).collect())
+        }
+        2 => {
+            let (at, size) = (1 + d.below(n - 2), d.between(-30.0, 30.0));
+            (Kind::Drift, (0..n).map(|i| if i < at { 0.0 } else { size }).collect())
+        }
+        _ => {
+            let (ppm, period, wave) = (d.between(-30.0, 30.0), d.between(60.0, 900.0), d.between(0.0, 5.0));
+            let half = n.div_ceil(2);
+            let at = |i: usize| 50.0 * (if i < half { i } else { 2 * half - 1 - i }) as f64;
+            let way = |i: usize| if i < half { 1.0 } else { -1.0 };
+            columns.push(column("x", "position.x", (0..n).map(at).collect()));
+            columns.push(column("d", "direction.x", (0..n).map(way).collect()));
+            let e = |i: usize| ppm * at(i) / 1000.0 + wave * (TAU * at(i) / period).sin() + 2.0 * way(i);
+            (Kind::Positioning, (0..n).map(e).collect())
+        }
+    };
+    let e = shape.iter().zip(noise).map(|(s, v)| s + v).collect();
+    columns.push(column("e", "error.x", read(e, step)));
+    record("few", kind, columns)
+}
+
+/// One wild reading among few rows is named, whatever the rows are; of clean ones fewer than one in five hundred has one.
+#[test]
+fn one_wild_reading_in_few_rows_is_named() {
+    let of = |r: &Record| -> Vec<usize> {
+        let all = suspicions(std::slice::from_ref(r));
+        let own = all.iter().filter(|s| s.what == What::Outliers && s.column == "e");
+        own.flat_map(Suspicion::row_list).collect()
+    };
+    let (runs, mut alarms, mut found, mut looked_at) = (cases(4000) as usize, Vec::new(), 0, 0);
+    for seed in 0..runs as u64 {
+        let mut d = Dice::new(0x39_0000 + seed);
+        let mut r = few_rows(&mut d);
+        if !of(&r).is_empty() {
+            alarms.push((seed, of(&r), r.columns.last().unwrap().data.clone()));
+        }
+        let n = r.rows();
+        if n >= 10 {
+            let row = 1 + d.below(n - 2);
+            by_name(&mut r, "e").data[row] = [9999.0, -5000.0, 1e6][d.below(3)];
+            looked_at += 1;
+            found += usize::from(of(&r) == [row]);
+        }
+    }
+    println!("{} of {runs} clean records, {found} of {looked_at} wild readings", alarms.len());
+    assert!(500 * alarms.len() <= runs, "{} of {runs}: {alarms:?}", alarms.len());
+    assert!(found * 100 >= looked_at * 99, "{found} of {looked_at}");
+}
+
+/// What is 30 times the noise off is found among 15 rows, at each but the ends; so is a reading of a sensor.
+#[test]
+fn a_wild_reading_of_thirty_times_the_noise_is_named_in_fifteen_rows() {
+    let mut found = [0; 2];
+    for seed in 0..200 {
+        let mut d = Dice::new(0x39_5000 + seed);
+        let row = 1 + d.below(13);
+        let t: Vec<f64> = (0..15).map(|i| 60.0 * f64::from(i)).collect();
+        let mut e: Vec<f64> = (0..15).map(|_| 0.5 * d.normal()).collect();
+        let mut t1: Vec<f64> = (0..15).map(|i| 20.0 + 0.1 * f64::from(i) + 0.02 * d.normal()).collect();
+        let clean = record(
+            "d",
+            Kind::Drift,
+            vec![
+                column("t", "time", t.clone()),
+                column("T1", "temperature", t1.clone()),
+                column("e", "error.x", e.clone()),
+            ],
+        );
+        assert_eq!(suspicions(&[clean]), [], "{seed}");
+        e[row] += 15.0;
+        t1[14 - row] += 9.0;
+        let columns =
+            vec![column("t", "time", t), column("T1", "temperature", t1), column("e", "error.x", e)];
+        let all = suspicions(&[record("d", Kind::Drift, columns)]);
+        let named = |name: &str, row: usize| {
+            all.iter().any(|s| s.column == name && s.what == What::Outliers && s.row_list() == [row])
+        };
+        found[0] += usize::from(named("e", row));
+        found[1] += usize::from(named("T1", 14 - row));
+    }
+    assert!(found.iter().all(|n| *n >= 190), "{found:?}");
+}
+
 /// Bad readings that follow each other are as bad as one alone.
 #[test]
 fn adjacent_wild_readings_are_named() {

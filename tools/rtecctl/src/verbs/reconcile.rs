@@ -5,6 +5,7 @@ use crate::figures::with_half;
 use crate::terminal::patiently;
 use anyhow::Context;
 use rtec_files::InputError;
+use rtec_measure::plausible;
 use rtec_model::machine::Machine;
 use rtec_reconcile::{LAWS_FILE, Options, Place, Reconciliation, Refined, SEED, find, html, reconcile, why};
 use serde_json::{Value, json};
@@ -113,6 +114,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     }
     for s in &answer.suspicions {
         eprintln!("warning: {s}");
+    }
+    for records in [&train, &holdout] {
+        plausible::say_conditions(records, &answer.suspicions, &mut super::suspicions::say);
     }
     let mut document = answer.to_json();
     if let (false, Some(map)) = (figures, document.as_object_mut()) {

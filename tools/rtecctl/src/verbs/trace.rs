@@ -62,6 +62,9 @@ struct FromPosition {
     /// this gives no edges
     #[arg(long, value_name = "COUNTS", default_value_t = 0.25, value_parser = not_negative)]
     hysteresis_counts: f64,
+    /// The position is a counter of so many bits that begins again at zero; 0: it is none [default: found in the record]
+    #[arg(long, value_name = "BITS", value_parser = clap::value_parser!(u32).range(0..=48))]
+    counter_bits: Option<u32>,
     /// Refuse a record whose trace would have more edges
     #[arg(long, value_name = "EDGES", default_value_t = 50_000_000)]
     most_edges: u64,
@@ -200,18 +203,22 @@ fn convert(input: &Path, output: &Path) -> anyhow::Result<Summary> {
 
 fn from_position(args: &FromPosition) -> anyhow::Result<Summary> {
     // Before anything is written; what cannot be read twice, a pipe, is bounded below.
+    let mut bits = args.counter_bits.unwrap_or(0);
     if args.input.is_file() {
-        let (mut record, mut way) = (Record::open(args)?, Way::default());
         let mut jumps = Jumps::default();
-        while let Some((t_ns, counts)) = record.next()? {
-            way.goes_on(counts, record.line, args)?;
-            jumps.see(t_ns, counts * args.count_um, record.line);
-        }
-        if let Some(warning) = jumps.said(args) {
+        let mut way = walk(args, bits, |t_ns, counts, line| jumps.see(t_ns, counts * args.count_um, line))?;
+        if args.counter_bits.is_none()
+            && let Some((of, said)) = jumps.counter(args)
+        {
+            eprintln!("note: {said}");
+            bits = of;
+            way = walk(args, bits, |_, _, _| ())?;
+        } else if let Some(warning) = jumps.said(args).filter(|_| args.counter_bits != Some(0)) {
             eprintln!("warning: {warning}");
         }
+        way.is_short_enough(args)?;
     }
-    let (mut record, mut way) = (Record::open(args)?, Way::default());
+    let (mut record, mut way) = (Record::open(args, bits)?, Way::default());
     let mut out = Output::create(&args.out)?;
     let Some((t_ns, counts)) = record.next()? else {
         let expected = "a header and at least one row";
@@ -225,9 +232,10 @@ fn from_position(args: &FromPosition) -> anyhow::Result<Summary> {
     }
     let mut scale = Scale::new(t_ns, counts, args.hysteresis_counts);
     out.write(scale.at)?;
-    way.goes_on(counts, record.line, args)?;
+    way.goes_on(counts, record.line, args);
     while let Some((t_ns, counts)) = record.next()? {
-        way.goes_on(counts, record.line, args)?;
+        way.goes_on(counts, record.line, args);
+        way.is_short_enough(args)?;
         let fits = scale.move_to(t_ns, counts, |point| {
             out.write(point).with_context(|| format!("writing {}", args.out.display()))
         })?;
@@ -246,15 +254,21 @@ fn from_position(args: &FromPosition) -> anyhow::Result<Summary> {
 struct Way {
     counts: f64,
     last: Option<f64>,
+    /// The line from which on it is too long, and how long it is there.
+    too_long: Option<(usize, f64)>,
 }
 
 impl Way {
-    fn goes_on(&mut self, counts: f64, line: usize, args: &FromPosition) -> Result<(), InputError> {
+    fn goes_on(&mut self, counts: f64, line: usize, args: &FromPosition) {
         self.counts += (counts - self.last.replace(counts).unwrap_or(counts)).abs();
-        if self.counts <= args.most_edges as f64 {
-            return Ok(());
+        if self.counts > args.most_edges as f64 {
+            self.too_long.get_or_insert((line, self.counts));
         }
-        let found = format!("a way of {:.0} counts so far", self.counts);
+    }
+
+    fn is_short_enough(&self, args: &FromPosition) -> Result<(), InputError> {
+        let Some((line, counts)) = self.too_long else { return Ok(()) };
+        let found = format!("a way of {counts:.0} counts so far");
         let expected = format!(
             "at most {} edges (--most-edges takes more; is --count-um, or the unit, too small?)",
             args.most_edges
@@ -263,10 +277,27 @@ impl Way {
     }
 }
 
+/// Goes through a record whose counter has so many bits; `see` is given time, counts and line of each row.
+fn walk(args: &FromPosition, bits: u32, mut see: impl FnMut(u64, f64, usize)) -> Result<Way, InputError> {
+    let (mut record, mut way) = (Record::open(args, bits)?, Way::default());
+    while let Some((t_ns, counts)) = record.next()? {
+        way.goes_on(counts, record.line, args);
+        see(t_ns, counts, record.line);
+    }
+    Ok(way)
+}
+
 /// No axis of a machine tool is faster, m/s.
 const FASTEST_M_S: f64 = 10.0;
 /// Bits of counters that begin again at zero.
-const COUNTER_BITS: [i32; 4] = [16, 20, 24, 32];
+const COUNTER_BITS: [u32; 4] = [16, 20, 24, 32];
+/// A jump is one of such a counter within this share of its range.
+const NEAR_RANGE: f64 = 0.02;
+
+/// The range of a counter of so many bits, in counts.
+fn range_of(bits: u32) -> f64 {
+    2_f64.powi(i32::try_from(bits).unwrap_or(0))
+}
 
 /// Steps from row to row that no machine makes.
 #[derive(Default)]
@@ -275,6 +306,10 @@ struct Jumps {
     found: usize,
     /// Line, step in µm and m/s of the first.
     first: Option<(usize, f64, f64)>,
+    /// Of every step, how large, µm; the largest alone.
+    largest_jump_um: f64,
+    smallest_jump_um: f64,
+    largest_step_um: f64,
 }
 
 impl Jumps {
@@ -283,19 +318,48 @@ impl Jumps {
         let step_um = at_um - from_um;
         // µm a ns are thousands of m/s.
         let m_s = step_um.abs() / (t_ns - from_ns) as f64 * 1e3;
-        if m_s > FASTEST_M_S {
-            self.found += 1;
-            self.first.get_or_insert((line, step_um, m_s));
+        if m_s <= FASTEST_M_S {
+            self.largest_step_um = self.largest_step_um.max(step_um.abs());
+            return;
         }
+        if self.first.is_none() {
+            (self.first, self.smallest_jump_um) = (Some((line, step_um, m_s)), step_um.abs());
+        }
+        self.found += 1;
+        self.largest_jump_um = self.largest_jump_um.max(step_um.abs());
+        self.smallest_jump_um = self.smallest_jump_um.min(step_um.abs());
+    }
+
+    /// The range that all jumps are near, in bits.
+    fn bits(&self, args: &FromPosition) -> Option<u32> {
+        let near = |um: f64, bits: u32| (um / args.count_um / range_of(bits) - 1.0).abs() < NEAR_RANGE;
+        let all = |bits: &u32| near(self.largest_jump_um, *bits) && near(self.smallest_jump_um, *bits);
+        COUNTER_BITS.into_iter().find(|bits| self.found > 0 && all(bits))
+    }
+
+    /// The bits of a counter that begins again, where that leaves no step that is not usual in this record; and what to say.
+    fn counter(&self, args: &FromPosition) -> Option<(u32, String)> {
+        let (line, ..) = self.first?;
+        let bits = self.bits(args)?;
+        let range_um = range_of(bits) * args.count_um;
+        let left = (self.largest_jump_um - range_um).abs().max((range_um - self.smallest_jump_um).abs());
+        (left <= 2.0 * self.largest_step_um + args.count_um).then(|| {
+            let times = if self.found > 1 { format!(", {} times in all", self.found) } else { String::new() };
+            let said = format!(
+                "{}:{line}: a counter of {bits} bits begins again here{times}, and the trace goes on by what is left, as in the rows \
+                 beside; --counter-bits 0 follows the file as it stands",
+                args.input.display()
+            );
+            (bits, said)
+        })
     }
 
     fn said(&self, args: &FromPosition) -> Option<String> {
         let (line, step_um, m_s) = self.first?;
-        let counts = (step_um / args.count_um).abs();
-        let begins_again = |bits: &&i32| (counts / 2_f64.powi(**bits) - 1.0).abs() < 0.02;
-        let why = match COUNTER_BITS.iter().find(begins_again) {
-            Some(bits) => format!("a counter of {bits} bits that began again?"),
-            None => "was a counter set anew, or is the unit another?".to_owned(),
+        let why = match self.bits(args) {
+            Some(bits) => format!("a counter of {bits} bits that began again? Then --counter-bits {bits}."),
+            None => "was a counter set anew? Then take the rows before it out. Is the unit another? Then --unit or --count-um."
+                .to_owned(),
         };
         Some(format!(
             "{}:{line}: the position jumps by {:+.3} mm, {m_s:.1} m/s{}: {why} The trace goes along with it",
@@ -368,13 +432,17 @@ struct Record {
     last_ns: Option<u64>,
     /// The time column's unit.
     time_unit: &'static str,
+    /// The range of a counter that begins again, in counts; 0: of none. Its last reading, and what its beginnings add.
+    range: f64,
+    last_counts: Option<f64>,
+    begun_again: f64,
     /// Where the trace begins: what is taken off each time, in the column's unit or, of dates, in ns; and the first time as
     /// a person reads it, empty where nothing is taken off.
     start: Option<(f64, i128, String)>,
 }
 
 impl Record {
-    fn open(args: &FromPosition) -> Result<Self, InputError> {
+    fn open(args: &FromPosition, counter_bits: u32) -> Result<Self, InputError> {
         let mut rows = Reader::open(&args.input)?;
         let mut header = rows.header_by_any("a header such as t_s,position_mm")?;
         // A pipe cannot be read twice: its numbers have decimal points.
@@ -443,6 +511,9 @@ impl Record {
             position,
             counts_per_unit,
             last_ns: None,
+            range: if counter_bits > 0 { range_of(counter_bits) } else { 0.0 },
+            last_counts: None,
+            begun_again: 0.0,
             start: None,
         })
     }
@@ -496,6 +567,11 @@ impl Record {
             }
             Ok(())
         })?;
+        if self.range > 0.0 {
+            let step = counts - self.last_counts.replace(counts).unwrap_or(counts);
+            self.begun_again -= self.range * (step / self.range).round();
+            counts += self.begun_again;
+        }
         // Beyond 2^53 neither a time in ns nor a count is exact in a float any more.
         let exact = 9_007_199_254_740_992.0;
         if !(0.0..exact).contains(&time) {

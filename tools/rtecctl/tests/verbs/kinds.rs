@@ -229,7 +229,7 @@ fn bad_readings_are_in_no_figure_of_any_verb() {
     let compared = run(at, &words("model compare a.toml b.toml --record power-on-85.run.toml --json"));
     // 0.3 µm/K over 7.7 K; with the readings of 85 °C it was 44 µm.
     let text = compared.json().to_string();
-    assert!(compared.says("5 rows with readings that a sensor did not take"), "{}", compared.err);
+    assert!(compared.says("5 of 240 rows look misread and are in no figure"), "{}", compared.err);
     let apart = text.split("\"most_apart\":").nth(1).and_then(|t| t.split([',', '}']).next()).unwrap();
     assert!(apart.parse::<f64>().unwrap() < 2.5, "{text}");
     let judged = run(at, &words("model validate --machine a.toml --record power-on-85.run.toml --json"));

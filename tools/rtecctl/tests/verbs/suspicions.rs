@@ -60,6 +60,170 @@ fn a_fit_warns_and_leaves_out_what_is_no_measurement() {
     assert_eq!(document["suspicions"].as_array().map(Vec::len), Some(2));
 }
 
+/// A record with one misread row, and its twin without that row: the same names in two folders.
+struct Twins([tempfile::TempDir; 2]);
+
+impl Twins {
+    /// Rows of a header, the misread one by its place among them.
+    fn new(kind: &str, extra: &str, columns: &str, rows: &[String], misread: (usize, &str)) -> Self {
+        let twins = Self([tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap()]);
+        for (dir, has_it) in twins.0.iter().zip([true, false]) {
+            let mut csv = String::new();
+            for (n, row) in rows.iter().enumerate() {
+                match n == misread.0 + 1 {
+                    true if has_it => writeln!(csv, "{}", misread.1).unwrap(),
+                    true => {}
+                    false => writeln!(csv, "{row}").unwrap(),
+                }
+            }
+            std::fs::write(dir.path().join("r.csv"), csv).unwrap();
+            let mut side =
+                format!("file = \"r.csv\"\nkind = \"{kind}\"\ndate = 2026-03-01\n{extra}[columns]\n");
+            for column in columns.split(' ') {
+                let (name, role) = column.split_once('=').unwrap();
+                let unit = match role.split('.').next().unwrap() {
+                    "time" => "s",
+                    "temperature" => "degC",
+                    "position" => "mm",
+                    "error" => "um",
+                    "angle" => "rad",
+                    _ => "1",
+                };
+                writeln!(side, "{name} = {{ role = \"{role}\", unit = \"{unit}\" }}").unwrap();
+            }
+            std::fs::write(dir.path().join("r.run.toml"), side).unwrap();
+        }
+        twins
+    }
+
+    /// What a command prints of both, but for what it says of the row itself, and of the file's own hash.
+    fn documents(&self, words: &str) -> [Value; 2] {
+        fn bare(value: &mut Value) {
+            match value {
+                Value::Object(map) => {
+                    for key in ["suspicions", "with_every_row", "sha256", "from"] {
+                        map.remove(key);
+                    }
+                    map.values_mut().for_each(bare);
+                }
+                Value::Array(list) => list.iter_mut().for_each(bare),
+                _ => {}
+            }
+        }
+        self.0.each_ref().map(|dir| {
+            let out = rtecctl(dir.path(), words);
+            let said = String::from_utf8_lossy(&out.stderr).into_owned();
+            assert!(out.status.code().is_some_and(|code| code <= 1), "{words}: {said}");
+            let mut document = serde_json::from_slice(&out.stdout).unwrap();
+            bare(&mut document);
+            document
+        })
+    }
+
+    fn are_alike(&self, words: &str) {
+        let [with, without] = self.documents(words);
+        assert_eq!(with, without, "{words}");
+    }
+
+    /// As [`Self::are_alike`], where what follows from time and angle was found with the row's own, which are good.
+    fn are_near(&self, words: &str) {
+        fn near(a: &Value, b: &Value) -> bool {
+            match (a, b) {
+                (Value::Number(a), Value::Number(b)) => {
+                    let (a, b) = (a.as_f64().unwrap(), b.as_f64().unwrap());
+                    (a - b).abs() <= 1e-5 + 1e-4 * a.abs()
+                }
+                (Value::Array(a), Value::Array(b)) => {
+                    a.len() == b.len() && a.iter().zip(b).all(|(a, b)| near(a, b))
+                }
+                (Value::Object(a), Value::Object(b)) => {
+                    a.len() == b.len() && a.iter().all(|(key, a)| b.get(key).is_some_and(|b| near(a, b)))
+                }
+                _ => a == b,
+            }
+        }
+        let [with, without] = self.documents(words);
+        assert!(near(&with, &without), "{words}: {with} {without}");
+    }
+
+    fn draw_alike(&self, words: &str, file: &str) {
+        let [with, without] = self.0.each_ref().map(|dir| {
+            let out = rtecctl(dir.path(), words);
+            assert!(out.status.code().is_some_and(|code| code <= 1), "{words}: {out:?}");
+            std::fs::read_to_string(dir.path().join(file)).unwrap()
+        });
+        assert!(with == without, "{words}: another plot");
+    }
+}
+
+fn rough(i: u32) -> f64 {
+    0.2 * (f64::from((i * 7919 + i * i * 31) % 13) / 6.0 - 1.0)
+}
+
+/// A row that is called misread is in no figure and no plot of any verb: each says what it says of the record without that row.
+#[test]
+fn a_misread_row_is_in_no_figure_of_any_verb() {
+    let mut rows = vec!["t,x,d,e".to_owned()];
+    for i in 0..110_u32 {
+        let (k, up) = (i % 22, i % 22 < 11);
+        let at = 50 * if up { k } else { 21 - k };
+        let way = if up { 1.0 } else { -1.0 };
+        rows.push(format!("{i},{at},{way},{:.3}", 0.01 * f64::from(at) + way + rough(i)));
+    }
+    let columns = "t=time x=position.x d=direction.x e=error.x";
+    let positioning = Twins::new("positioning", "", columns, &rows, (48, "48,200,1,412.5"));
+    positioning.are_alike("characterise evaluate r.run.toml --json");
+    positioning.are_alike("history r.run.toml --json");
+    positioning.are_alike("model fit --record r.run.toml --effects scale.x,reversal.x --out m.toml --json");
+    positioning.are_alike("model validate --machine m.toml --record r.run.toml --json");
+    positioning.draw_alike("characterise evaluate r.run.toml --plot p.svg", "p.svg");
+    positioning.draw_alike("model validate --machine m.toml --record r.run.toml --plot v.svg", "v.svg");
+    // What a standard would say of all rows stands beside.
+    let out = rtecctl(positioning.0[0].path(), "characterise evaluate r.run.toml --json");
+    let document: Value = serde_json::from_slice(&out.stdout).unwrap();
+    let all = document["with_every_row"]["R"].as_f64().unwrap();
+    assert!(all > 400.0 && document["R"].as_f64().unwrap() < 10.0, "{document}");
+    let said = String::from_utf8_lossy(&out.stderr);
+    assert!(said.contains("(rows 49)") && said.contains("these rows are in no figure"), "{said}");
+    assert!(said.contains("with every row the figures would be: A "), "{said}");
+
+    let mut rows = vec!["t,T1,T2,e".to_owned()];
+    for i in 0..240_u32 {
+        let warm = 6.0 * (1.0 - (-f64::from(i) / 60.0).exp());
+        let (t1, t2) = (20.0 + warm + 0.1 * rough(i + 3), 20.0 + 0.1 * rough(i + 7) + 0.002 * f64::from(i));
+        rows.push(format!("{},{t1:.3},{t2:.3},{:.3}", 60 * i, 3.0 * warm + rough(i)));
+    }
+    let columns = "t=time T1=temperature T2=temperature e=error.z";
+    let drift = Twins::new("drift", "", columns, &rows, (120, "7200,25.189,20.241,-388.2"));
+    drift.are_alike("characterise evaluate r.run.toml --json");
+    drift.are_alike("history r.run.toml --json");
+    drift.are_alike("model fit --record r.run.toml --out m.toml --json");
+    drift.are_alike("model fit --record r.run.toml --holdout r.run.toml --out m.toml --json");
+    drift.are_alike("model validate --machine m.toml --record r.run.toml --json");
+    drift.draw_alike("characterise evaluate r.run.toml --plot p.svg", "p.svg");
+
+    let mut rows = vec!["e".to_owned()];
+    rows.extend((0..16).map(|i| format!("{:.3}", rough(i))));
+    let returns = Twins::new("positioning", "", "e=error.x", &rows, (7, "88.8"));
+    returns.are_alike("characterise evaluate r.run.toml --standard repeatability --json");
+    returns.draw_alike("characterise evaluate r.run.toml --standard repeatability --plot p.svg", "p.svg");
+
+    let mut rows = vec!["t,a,r".to_owned()];
+    for i in 0..720_u32 {
+        let angle = f64::from(if i < 360 { i } else { 720 - i }).to_radians();
+        rows.push(format!(
+            "{:.2},{angle:.6},{:.3}",
+            0.02 * f64::from(i),
+            4.0 * (2.0 * angle).cos() + rough(i)
+        ));
+    }
+    let circle = "radius_mm = 150.0\nplane = [\"x\", \"y\"]\n";
+    let ballbar =
+        Twins::new("ballbar", circle, "t=time a=angle r=error.r", &rows, (200, "4.00,3.490659,-250.0"));
+    ballbar.are_near("characterise evaluate r.run.toml --json");
+    ballbar.are_near("history r.run.toml --json");
+}
+
 /// A run of scale and reversal over so many targets; positions, direction and error as they are written.
 fn positioning(dir: &Path, ppm: f64, write: impl Fn(f64, f64, f64) -> (f64, f64, f64)) {
     let mut csv = String::from("x,d,e\n");

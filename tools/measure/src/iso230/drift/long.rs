@@ -3,12 +3,13 @@
 use super::figures::{Look, Row, Sums};
 use super::spans::{Span, Spans, State, TURNS_RPM};
 use super::{Drift, Figures, Phase, charts_of, error_axes, temperatures};
-use crate::plausible::DEGC;
+use crate::plausible::{DEGC, Suspicion, every_row, rows_left_out};
 use crate::plot::{Chart, Series, Style};
 use crate::record::Pieces;
 use rtec_files::InputError;
 use rtec_model::limits::disconnected;
 use rtec_model::record::{Column, Record, Role};
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 /// Rows that are held at a time where nothing asks for more.
@@ -25,6 +26,9 @@ pub struct LongDrift {
     errors: Vec<Outline>,
     degc: Vec<Outline>,
     usual: Usual,
+    /// What its rows show of mistakes, and the rows that are in no figure for it, from 0.
+    doubts: Vec<Suspicion>,
+    left_out: BTreeSet<usize>,
 }
 
 /// How warm each sensor is in the first rows: beside that a code of its input shows as one.
@@ -96,7 +100,38 @@ impl LongDrift {
         let head = head.filter(|head| rows > more_than && !error_axes(head).is_empty());
         let spans = spans.phases();
         let path = path.to_owned();
-        Ok(head.map(|head| Self { path, pieces, head, rows, spans, errors, degc, usual }))
+        let (doubts, left_out) = (Vec::new(), BTreeSet::new());
+        Ok(head.map(|head| Self { path, pieces, head, rows, spans, errors, degc, usual, doubts, left_out }))
+    }
+
+    /// Leaves the rows that these suspicions name out of all figures and plots, as [`crate::plausible::in_figures`] does. Goes through the file once.
+    ///
+    /// # Errors
+    /// The file is no longer what it was.
+    pub fn leave_out(&mut self, doubts: &[Suspicion]) -> Result<(), InputError> {
+        doubts.clone_into(&mut self.doubts);
+        self.left_out = rows_left_out(doubts).into_values().flatten().collect();
+        // A phase keeps its rows where that would leave it none.
+        for span in &self.spans {
+            if span.rows.clone().all(|row| self.left_out.contains(&row)) {
+                self.left_out.retain(|row| !span.rows.contains(row));
+            }
+        }
+        let mut errors = vec![Outline::default(); self.errors.len()];
+        let mut degc = vec![Outline::default(); self.degc.len()];
+        let mut place = 0;
+        self.walk(PIECE_ROWS, &mut |_: &Record| (), |_, response, (t, e, sensors, row)| {
+            place += usize::from(response == 0);
+            errors[response].see_one((place, t, e));
+            if response == 0 {
+                for (outline, data) in degc.iter_mut().zip(sensors).filter(|(_, data)| data[row].is_finite())
+                {
+                    outline.see_one((place, t, data[row]));
+                }
+            }
+        })?;
+        (self.errors, self.degc) = (errors, degc);
+        Ok(())
     }
 
     /// Its rows.
@@ -178,11 +213,16 @@ impl LongDrift {
         let (mut seen, mut span) = (0, 0);
         while let Some(record) = self.pieces.next_record(rows_at_once)? {
             each(&record);
+            let good = every_row(std::slice::from_ref(&record), &self.doubts);
             let (t, errors) = (record.time_s(), error_axes(&record));
-            let degc = self.usual.taken(&record);
+            let degc = self.usual.taken(&good[0]);
             let degc: Vec<&[f64]> = degc.iter().map(Vec::as_slice).collect();
-            for row in 0..record.rows().min(self.rows - seen) {
-                span += usize::from(self.spans[span].rows.end <= seen + row);
+            for row in
+                (0..record.rows().min(self.rows - seen)).filter(|row| !self.left_out.contains(&(seen + row)))
+            {
+                while self.spans[span].rows.end <= seen + row {
+                    span += 1;
+                }
                 for (response, (_, e)) in errors.iter().enumerate() {
                     see(span, response, (t[row], e[row], &degc, row));
                 }

@@ -2,9 +2,11 @@
 
 use super::fit::draw;
 use crate::figures::with_bounds;
+use crate::verbs::suspicions;
 use rtec_files::InputError;
 use rtec_fit::chain::{self as chain_fit, ChainRun};
 use rtec_fit::thermal::residual_chart;
+use rtec_measure::plausible;
 use rtec_model::chain::Chain;
 use rtec_model::record::Role;
 use std::path::{Path, PathBuf};
@@ -36,7 +38,10 @@ pub(crate) struct Args {
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let chain = Chain::read(&args.chain)?;
     let points = args.records.iter().map(|r| point(r)).collect::<Result<Vec<_>, _>>()?;
-    let records = points.iter().map(|(p, _)| rtec_measure::record::read(p)).collect::<Result<Vec<_>, _>>()?;
+    let read = |(path, _): &(PathBuf, _)| {
+        Ok::<_, InputError>(plausible::only_good(rtec_measure::record::read(path)?, &mut suspicions::said))
+    };
+    let records = points.iter().map(read).collect::<Result<Vec<_>, _>>()?;
     let runs: Vec<ChainRun<'_>> = records
         .iter()
         .zip(&points)

@@ -189,7 +189,7 @@ pub(crate) fn compare(args: &CompareArgs) -> anyhow::Result<()> {
     rows.extend(only_second.map(|id| json!({"effect": id, "change": "only in the second"})));
     let mut predictions = Vec::new();
     if let Some(path) = &args.record {
-        let record = plausible::only_taken(rtec_measure::record::read(path)?, &mut suspicions::say);
+        let record = plausible::only_good(rtec_measure::record::read(path)?, &mut suspicions::say);
         let of = |m: &Machine| rtec_measure::derive::predict(m, &record).map(|(prediction, _)| prediction);
         let (pa, pb) = (of(&a)?, of(&b)?);
         for (column, ((name, x), (_, y))) in record.responses().zip(pa.columns.iter().zip(&pb.columns)) {

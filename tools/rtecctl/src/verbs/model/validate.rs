@@ -110,7 +110,7 @@ pub(crate) fn rehearse(args: &RehearseArgs) -> anyhow::Result<()> {
         Some(path) => Machine::read(path)?,
         None => Machine::ideal("no model"),
     };
-    let shift = plausible::only_taken(rtec_measure::record::read_log(&args.record)?, &mut suspicions::said);
+    let shift = plausible::only_good(rtec_measure::record::read_log(&args.record)?, &mut suspicions::said);
     let options = match &args.config {
         Some(file) => options(&Config::load(file)?),
         None => rehearse::Options::default(),

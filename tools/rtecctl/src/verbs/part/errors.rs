@@ -165,10 +165,19 @@ fn text(r: &ErrorReport, with_size: bool) -> String {
             format!(
                 "±{within:.1} µm (95 %) is no size: no offset is advised; probe more of the feature, or more often"
             )
-        } else if with_size {
-            "in error.cor too: the finish cut takes it out".to_owned()
         } else {
-            "constant, left by error.cor: a tool offset takes it out, or --with-size puts it in".to_owned()
+            let advice = if with_size {
+                "in error.cor too: the finish cut takes it out"
+            } else {
+                "constant, left by error.cor: a tool offset takes it out, or --with-size puts it in"
+            };
+            let if_no_form = |held: f64| {
+                let most_um = off.abs() / held;
+                format!(
+                    "; but it may be all form, unless that is below {most_um:.2} µm: probe more of the circle first"
+                )
+            };
+            format!("{advice}{}", held.map_or_else(String::new, if_no_form))
         };
         let _ = writeln!(t, "size            {off:+.1} µm {left}");
     }

@@ -1,0 +1,304 @@
+//! What all approaches of a positioning run have in common over time: a drift, or a step.
+//!
+//! Both are told by likelihood: what leaves least, with Schwarz's price for each parameter. A drift is a straight line or a warm-up
+//! over time, each with a part that grows along the axis. A step has a size and a place.
+
+use super::{Run, Target, largest, mean_of, targets};
+use rtec_model::record::Role;
+use serde::Serialize;
+use statrs::distribution::{ContinuousCDF, FisherSnedecor};
+
+/// Chance is ruled out where it gives as much in one of a hundred runs.
+const CHANCE: f64 = 0.01;
+/// Time constants of a warm-up that are tried, as shares of the run.
+const WARM_UPS: [f64; 6] = [0.05, 0.1, 0.2, 0.4, 0.8, 1.6];
+/// So many rows at least on either side of a step: fewer are bad approaches.
+const STEP_SIDE: usize = 2;
+
+/// A drift of all targets together, and repeatability and reversal without it. In the unit of the figures.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Trend {
+    /// From the first row to the last, in the middle of the travel.
+    pub drift: f64,
+    /// Probability of so much drift by chance.
+    pub p_value: f64,
+    /// Bidirectional repeatability about the drift.
+    #[serde(rename = "R_about_drift")]
+    pub repeatability: Option<f64>,
+    /// Largest reversal without the drift between the approaches upwards and downwards.
+    #[serde(rename = "B_about_drift")]
+    pub reversal: Option<f64>,
+    /// Mean reversal without it.
+    #[serde(rename = "B_mean_about_drift")]
+    pub mean_reversal: Option<f64>,
+}
+
+/// A step of all targets together, and repeatability and reversal without it. In the unit of the figures.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Step {
+    /// The first row behind it, from 1, as it stands in the file.
+    pub row: usize,
+    /// The cycle in which it is.
+    pub cycle: usize,
+    /// Its size.
+    pub step: f64,
+    /// Standard error of its size.
+    pub standard_error: f64,
+    /// Probability of so large a step at any row by chance.
+    pub p_value: f64,
+    /// Bidirectional repeatability on either side of it.
+    #[serde(rename = "R_about_step")]
+    pub repeatability: Option<f64>,
+    /// Largest reversal without it.
+    #[serde(rename = "B_about_step")]
+    pub reversal: Option<f64>,
+    /// Mean reversal without it.
+    #[serde(rename = "B_mean_about_step")]
+    pub mean_reversal: Option<f64>,
+}
+
+/// What the approaches have in common over time.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) enum Change {
+    Drift(Trend),
+    Step(Step),
+}
+
+/// A shape over the rows that may explain what repeats differ by.
+struct Shape {
+    /// One column, or a second one that grows along the axis.
+    columns: Vec<Vec<f64>>,
+    /// Parameters beside the columns' factors: a time constant, a place.
+    sought: usize,
+    /// So many values of those were tried.
+    tried: usize,
+    /// The row at which it steps.
+    step_at: Option<usize>,
+}
+
+/// A shape fitted: its factors, and what is left (sum of squares).
+struct Fitted {
+    shape: Shape,
+    factors: Vec<f64>,
+    left: f64,
+    /// Variance of the first factor for noise of variance 1.
+    unit_variance: f64,
+}
+
+impl Fitted {
+    fn parameters(&self) -> usize {
+        self.shape.columns.len() + self.shape.sought
+    }
+
+    /// Schwarz's criterion over so many rows: the smaller, the better.
+    fn criterion(&self, rows: f64, least: f64) -> f64 {
+        rows * self.left.max(least).ln() + self.parameters() as f64 * rows.ln()
+    }
+}
+
+fn dot(u: &[f64], v: &[f64]) -> f64 {
+    u.iter().zip(v).map(|(u, v)| u * v).sum()
+}
+
+/// Rows of one target and side, and values within them.
+struct Repeats {
+    groups: Vec<Vec<usize>>,
+    rows: usize,
+}
+
+impl Repeats {
+    /// Each value from the mean of its group; 0 where it has none.
+    fn within(&self, values: &[f64]) -> Vec<f64> {
+        let mut all = vec![0.0; self.rows];
+        for group in &self.groups {
+            let mean = group.iter().map(|r| values[*r]).sum::<f64>() / group.len() as f64;
+            for row in group {
+                all[*row] = values[*row] - mean;
+            }
+        }
+        all
+    }
+
+    /// By least squares of what the repeats differ by (`y`); none where its columns say nothing, or the same.
+    fn fit(&self, shape: Shape, y: &[f64]) -> Option<Fitted> {
+        let columns: Vec<Vec<f64>> = shape.columns.iter().map(|c| self.within(c)).collect();
+        let square = |k: usize| dot(&columns[k], &columns[k]);
+        let (factors, unit_variance) = if columns.len() == 1 {
+            let aa = square(0);
+            if aa <= 0.0 {
+                return None;
+            }
+            (vec![dot(&columns[0], y) / aa], 1.0 / aa)
+        } else {
+            let (aa, bb, ab) = (square(0), square(1), dot(&columns[0], &columns[1]));
+            let determinant = aa * bb - ab * ab;
+            if determinant <= 1e-9 * aa * bb {
+                return None;
+            }
+            let (ay, by) = (dot(&columns[0], y), dot(&columns[1], y));
+            let factors = vec![(bb * ay - ab * by) / determinant, (aa * by - ab * ay) / determinant];
+            (factors, bb / determinant)
+        };
+        let explained = |row: usize| columns.iter().zip(&factors).map(|(c, f)| c[row] * f).sum::<f64>();
+        let left = (0..self.rows).map(|row| (y[row] - explained(row)).powi(2)).sum();
+        Some(Fitted { shape, factors, left, unit_variance })
+    }
+
+    /// The row from which on a step explains most of `y`.
+    fn best_step(&self, y: &[f64]) -> Option<Shape> {
+        let mut group_of = vec![None; self.rows];
+        for (g, rows) in self.groups.iter().enumerate() {
+            for row in rows {
+                group_of[*row] = Some(g);
+            }
+        }
+        // Rows behind the step in each group: what they add to the square of the step's column and to its product with y.
+        let mut behind = vec![0_usize; self.groups.len()];
+        let (mut square, mut product, mut used) = (0.0, 0.0, 0);
+        let (mut best, mut tried) = (None, 0);
+        let all = group_of.iter().flatten().count();
+        for row in (0..self.rows).rev() {
+            let Some(g) = group_of[row] else { continue };
+            let size = self.groups[g].len() as f64;
+            let of = |n: usize| n as f64 * (1.0 - n as f64 / size);
+            square += of(behind[g] + 1) - of(behind[g]);
+            behind[g] += 1;
+            product += y[row];
+            used += 1;
+            if used < STEP_SIDE || all - used < STEP_SIDE || square <= 1e-9 {
+                continue;
+            }
+            tried += 1;
+            let explains = product * product / square;
+            if best.is_none_or(|(_, most)| explains > most) {
+                best = Some((row, explains));
+            }
+        }
+        let (at, _) = best?;
+        let column = (0..self.rows).map(|row| f64::from(row >= at)).collect();
+        Some(Shape { columns: vec![column], sought: 1, tried, step_at: Some(at) })
+    }
+}
+
+impl Run<'_> {
+    /// The drift or step of all approaches in common, and R, B and the mean of B without it; says it where chance gives so much in
+    /// less than one of a hundred runs. It is taken off row by row: within a cycle, too, the approaches downwards come later than
+    /// those upwards.
+    pub(super) fn change(&mut self, with: [Option<f64>; 3], unit: &str) -> Option<Change> {
+        let n = self.error.len();
+        let rows: Vec<f64> = (0..n).map(|row| row as f64).collect();
+        let time = self.record.data(&Role::Time).unwrap_or(&rows);
+        let span = time.last()? - time.first()?;
+        let middle = self.position.iter().sum::<f64>() / n as f64;
+        let reach = self.position.iter().map(|p| (p - middle).abs()).fold(0.0, f64::max);
+        if span <= 0.0 || reach <= 0.0 {
+            return None;
+        }
+        let repeats = self.repeats();
+        let used: usize = repeats.groups.iter().map(Vec::len).sum();
+        let y = repeats.within(&self.error);
+        let over_time = |of: &dyn Fn(f64) -> f64, sought: usize, tried: usize| {
+            let own: Vec<f64> = time.iter().map(|t| of((t - time[0]) / span)).collect();
+            let grows = own.iter().zip(self.position).map(|(v, p)| v * (p - middle) / reach).collect();
+            Shape { columns: vec![own, grows], sought, tried, step_at: None }
+        };
+        let warm_up = |share: f64| {
+            let at_end = 1.0 - (-1.0 / share).exp();
+            over_time(&|m| (1.0 - (-m / share).exp()) / at_end, 1, WARM_UPS.len())
+        };
+        let mut shapes = vec![over_time(&|m| m, 0, 1)];
+        shapes.extend(WARM_UPS.map(warm_up));
+        shapes.extend(repeats.best_step(&y));
+        let before = dot(&y, &y);
+        let least = (1e-12 * before).max(f64::MIN_POSITIVE);
+        let better = |f: &Fitted| f.criterion(used as f64, least);
+        let fitted = shapes.into_iter().filter_map(|shape| repeats.fit(shape, &y));
+        let best = fitted.min_by(|a, b| better(a).total_cmp(&better(b)))?;
+        let freedom = used.checked_sub(repeats.groups.len() + best.parameters()).filter(|f| *f > 0)? as f64;
+        let columns = best.shape.columns.len() as f64;
+        let variance = best.left.max(least) / freedom;
+        let ratio = (before - best.left) / columns / variance;
+        let p_value =
+            (FisherSnedecor::new(columns, freedom).ok()?.sf(ratio) * best.shape.tried as f64).min(1.0);
+        if p_value >= CHANCE || before <= 0.0 {
+            return None;
+        }
+        let explained =
+            |row: usize| best.shape.columns.iter().zip(&best.factors).map(|(c, f)| c[row] * f).sum::<f64>();
+        let reduced: Vec<f64> = (0..n).map(|row| self.error[row] - explained(row)).collect();
+        // The parameters took freedom from what is left.
+        let lost = ((used - repeats.groups.len()) as f64 / freedom).sqrt();
+        let about = |t: &Target| {
+            let [up, down] = [t.s_up? * lost, t.s_down? * lost];
+            Some((2.0 * up + 2.0 * down + t.reversal?.abs()).max(4.0 * up).max(4.0 * down))
+        };
+        let list: Vec<Target> = self.list_of(&reduced).iter().map(|t| t.counted(false)).collect();
+        let reversals: Vec<f64> = list.iter().filter_map(|t| t.reversal).collect();
+        let repeatability = largest(list.iter().filter_map(about));
+        let [reversal, mean_reversal] = [largest(reversals.iter().map(|b| b.abs())), mean_of(&reversals)];
+        let without: Vec<String> =
+            [("R", repeatability, with[0]), ("B", reversal, with[1]), ("B_mean", mean_reversal, with[2])]
+                .into_iter()
+                .filter_map(|(symbol, without, with)| {
+                    Some(format!("{symbol} {:.2} instead of {:.2} {unit}", without?, with?))
+                })
+                .collect();
+        let without = without.join(", ");
+        let size = best.factors[0];
+        Some(match best.shape.step_at {
+            None => {
+                if !without.is_empty() {
+                    self.notes.push(format!(
+                        "the approaches drift by {size:+.2} {unit} from first to last in the middle of the travel ({:+.2} more at its \
+                         upper end), and the figures hold that drift; about it {without}. Let the machine warm up, or test it again",
+                        best.factors[1],
+                    ));
+                }
+                Change::Drift(Trend { drift: size, p_value, repeatability, reversal, mean_reversal })
+            }
+            Some(at) => {
+                let (row, cycle) = (self.record.row_number(at), self.cycle(&repeats, at));
+                let standard_error = (variance * best.unit_variance).sqrt();
+                if !without.is_empty() {
+                    self.notes.push(format!(
+                        "the approaches step by {size:+.2} ± {standard_error:.2} {unit} at row {row} (cycle {cycle}) and stay, and the \
+                         figures hold that step; without it {without}. A step is no drift: look for what moved there (mirror, \
+                         gauge, workpiece, lost counts), and test again"
+                    ));
+                }
+                Change::Step(Step {
+                    row,
+                    cycle,
+                    step: size,
+                    standard_error,
+                    p_value,
+                    repeatability,
+                    reversal,
+                    mean_reversal,
+                })
+            }
+        })
+    }
+
+    /// The rows of each target and side that was approached more than once.
+    fn repeats(&self) -> Repeats {
+        let mut groups: Vec<Vec<usize>> = Vec::new();
+        for rows in targets(self.position) {
+            let (up, down): (Vec<usize>, Vec<usize>) = rows
+                .into_iter()
+                .filter(|r| self.direction[*r] != 0.0)
+                .partition(|r| self.direction[*r] > 0.0);
+            groups.extend([up, down].into_iter().filter(|g| g.len() > 1));
+        }
+        Repeats { groups, rows: self.error.len() }
+    }
+
+    /// The cycle of a row: the record's own number, or which approach to its target from its side it is.
+    fn cycle(&self, repeats: &Repeats, row: usize) -> usize {
+        if let Some(own) = self.record.data(&Role::Cycle) {
+            return own[row].round().max(0.0) as usize;
+        }
+        let place = repeats.groups.iter().find_map(|g| g.iter().position(|r| *r == row));
+        place.map_or(1, |place| place + 1)
+    }
+}

@@ -1,0 +1,139 @@
+//! Wild readings in records of few rows, where no robust spread is known well.
+//!
+//! A reading is off its neighbours by the smaller of its differences from the one before and the one behind, where both have one
+//! sign: a step, a slope and a bend are off by nothing. What the other readings differ from the middle of their neighbours by says
+//! how much of that is noise. The quotient of the two follows Student's law, with as many degrees of freedom as the differences
+//! are worth; the row was sought, which costs a factor of their number. Several wild readings are taken one after the other, and
+//! as many count as the last that chance does not give (Rosner's generalised test, Technometrics 25, 1983).
+
+use super::rows::{LARGEST_PEAK_UM, causes, stays, ways};
+use super::stats::{median, quantum};
+use rtec_model::record::{Column, Record, Role};
+use statrs::distribution::{ContinuousCDF, StudentsT};
+
+/// Records of so many rows or more have a robust spread.
+pub(super) const FEW: usize = 30;
+/// Fewer rows tell nothing of the noise.
+const FEWEST: usize = 5;
+/// Chance gives a wild reading in one column of so many.
+const CHANCE: f64 = 1e-3;
+/// So many rows are wild at the most, as a share of all.
+const MOST: f64 = 0.12;
+/// Second differences are correlated by −2/3 and 1/6 from row to row: so many of them are worth one free one (1 + 2 Σ ρ²).
+const WORTH_ONE: f64 = 1.0 + 2.0 * (4.0 / 9.0 + 1.0 / 36.0);
+
+/// Wild readings of a column, and how much the others differ from the middle of their neighbours by.
+#[derive(Debug, Default)]
+pub(super) struct Lone {
+    pub(super) rows: Vec<usize>,
+    pub(super) spread: f64,
+}
+
+/// A reading held against its neighbours in one order of the rows.
+struct Held {
+    row: usize,
+    off: f64,
+    /// By what the others differ, and how many differences say so.
+    noise: f64,
+    differences: usize,
+}
+
+/// Wild readings of a response.
+pub(super) fn of_response(record: &Record, c: &Column) -> Lone {
+    let is_error = matches!(c.role, Role::Error(_));
+    // A bump of one angle is form.
+    let form = record.column(&Role::Angle).is_some();
+    let may_peak = causes(record);
+    let last = c.data.len().saturating_sub(1);
+    let excused = |row: usize, off: f64| {
+        let honest = form || may_peak[row] || row == 0 || row == last;
+        honest && !(is_error && off > LARGEST_PEAK_UM)
+    };
+    let mut orders = vec![vec![(0..c.data.len()).collect()]];
+    let by_place = ways(record, c);
+    if !by_place.is_empty() {
+        orders.push(by_place);
+    }
+    let mut found = wild(&c.data, &orders, &excused, |off| is_error && off > LARGEST_PEAK_UM);
+    let usual = median(c.data.clone());
+    found.rows.retain(|row| !stays(&c.data, *row, c.data[*row] - usual));
+    found
+}
+
+/// Wild readings of one column in these orders of its rows; `excused` are those that something else may make, and none that
+/// is `beyond` all physics needs a gauge's noise beside it.
+pub(super) fn wild(
+    v: &[f64],
+    orders: &[Vec<Vec<usize>>],
+    excused: &dyn Fn(usize, f64) -> bool,
+    beyond: impl Fn(f64) -> bool,
+) -> Lone {
+    let most = ((MOST * v.len() as f64) as usize).max(1);
+    let (mut out, mut wild) = (Vec::new(), Lone::default());
+    for _ in 0..most {
+        // By the order in which the others run most smoothly.
+        let held = orders.iter().filter_map(|order| farthest(v, order, &out, excused));
+        let Some(worst) = held.min_by(|a, b| a.noise.total_cmp(&b.noise)) else { break };
+        let rest: Vec<f64> =
+            (0..v.len()).filter(|i| *i != worst.row && !out.contains(i)).map(|i| v[i]).collect();
+        let mut all = rest.clone();
+        all.push(v[worst.row]);
+        // No gauge is better than its step. Where all others read the same, the step may be as large as the reading is off.
+        let step = if quantum(&rest) > 0.0 { quantum(&rest) } else { quantum(&all) };
+        let noise = worst.noise.max(step / 12_f64.sqrt());
+        out.push(worst.row);
+        if worst.off > bound(rest.len() + 1, worst.differences) * noise
+            || beyond(worst.off) && worst.off > 100.0 * worst.noise
+        {
+            wild = Lone { rows: out.clone(), spread: worst.noise };
+        }
+    }
+    wild.rows.sort_unstable();
+    wild
+}
+
+/// Student's point that chance gives beyond in few of columns of so many rows.
+fn bound(rows: usize, differences: usize) -> f64 {
+    let freedom = differences as f64 / WORTH_ONE;
+    let law = StudentsT::new(0.0, 1.0, freedom);
+    law.map_or(f64::INFINITY, |law| -law.inverse_cdf(CHANCE / 2.0 / rows as f64))
+}
+
+/// The reading farthest off its neighbours in this order, those that are `out` left out.
+fn farthest(
+    v: &[f64],
+    order: &[Vec<usize>],
+    out: &[usize],
+    excused: &dyn Fn(usize, f64) -> bool,
+) -> Option<Held> {
+    let rows: Vec<Vec<usize>> =
+        order.iter().map(|part| part.iter().copied().filter(|i| !out.contains(i)).collect()).collect();
+    let off = |part: &[usize], k: usize| {
+        let n = part.len();
+        let (a, b) = match k {
+            0 => (1, 2),
+            _ if k == n - 1 => (n - 2, n - 3),
+            _ => (k - 1, k + 1),
+        };
+        let (a, b) = (v[part[k]] - v[part[a]], v[part[k]] - v[part[b]]);
+        if a * b > 0.0 { a.abs().min(b.abs()) } else { 0.0 }
+    };
+    let candidates = rows.iter().filter(|part| part.len() >= 3).flat_map(|part| {
+        (0..part.len()).map(|k| (part[k], off(part, k))).filter(|(row, off)| !excused(*row, *off))
+    });
+    let (row, off) = candidates.max_by(|a, b| a.1.total_cmp(&b.1)).filter(|(_, off)| *off > 0.0)?;
+    let (mut squares, mut differences) = (0.0, 0);
+    for part in &rows {
+        let others: Vec<f64> = part.iter().filter(|i| **i != row).map(|i| v[*i]).collect();
+        for w in others.windows(3) {
+            squares += (w[1] - f64::midpoint(w[0], w[2])).powi(2);
+            differences += 1;
+        }
+    }
+    (differences > 0).then(|| Held { row, off, noise: (squares / differences as f64).sqrt(), differences })
+}
+
+/// Whether a column of so many rows is looked at here.
+pub(super) fn is_few(rows: usize) -> bool {
+    (FEWEST..FEW).contains(&rows)
+}
