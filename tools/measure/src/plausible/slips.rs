@@ -128,3 +128,35 @@ fn with_a_digit_more(value: f64) -> impl Iterator<Item = f64> {
         (0..10).filter_map(move |digit| format!("{}{digit}{}", &text[..at], &text[at..]).parse().ok())
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rtec_model::record::Kind;
+    use std::path::Path;
+
+    /// An axis to and fro between moving places, read once just where it turns: farther out than the rows on both sides, by less than it
+    /// goes from row to row. A digit that was lost is farther off.
+    #[test]
+    fn where_a_run_turns_no_digit_is_lost() {
+        let said = |lost: Option<usize>| {
+            let mut x: Vec<f64> = Vec::new();
+            for sweep in 0..6 {
+                let way = (0..40).map(|i| -90.0 - 1.8 * f64::from(i) - 0.03 * f64::from(sweep));
+                if sweep % 2 == 0 { x.extend(way.rev()) } else { x.extend(way) }
+            }
+            if let Some(row) = lost {
+                x[row] /= 10.0;
+            }
+            let e = (0..x.len()).map(|i| (i as f64).sin()).collect();
+            let columns = vec![
+                Column::new("x", Role::parse("position.x").unwrap(), x),
+                Column::new("e", Role::parse("error.x").unwrap(), e),
+            ];
+            let mut out = Vec::new();
+            look(&Record::new(Path::new("r.run.toml"), Kind::Dynamics, columns).unwrap(), &mut out);
+            out.len()
+        };
+        assert_eq!((said(None), said(Some(100))), (0, 1));
+    }
+}

@@ -314,6 +314,30 @@ mod tests {
         assert_eq!(said(&|i| 20.0 + 2.0 * (i / 40) as f64), []);
     }
 
+    /// A sensor that reads to and fro between two steps of a tenth where it lies between them, and the same all along where it does not:
+    /// how large its noise is nobody knows. Where its noise is larger than a step it is known, and standing still is no chance.
+    #[test]
+    fn to_and_fro_between_two_steps_is_no_noise_that_is_known() {
+        let said = |sigma: f64| {
+            let mut dice = test_needs::dice::Dice::new(3);
+            let mut read = |middle: f64, sigma: f64| {
+                let of = |_| ((middle + sigma * dice.normal()) * 10.0).round() / 10.0;
+                (0..300).map(of).collect::<Vec<f64>>()
+            };
+            let (lively, calm) = (read(20.05, sigma), vec![20.3; 300]);
+            let record = |name: &str, t: Vec<f64>| {
+                let e = (0..300).map(|i| f64::from(i).sin()).collect();
+                let e = Column::new("e", Role::parse("error.x").unwrap(), e);
+                let columns = vec![Column::new("T1", Role::Temperature, t), e];
+                Record::new(Path::new(name), Kind::Ballbar, columns).unwrap()
+            };
+            let mut out = Vec::new();
+            look(&[record("a", lively), record("b", calm)], &mut out);
+            out.len()
+        };
+        assert_eq!((said(0.02), said(0.2)), (0, 1));
+    }
+
     /// A law that was learned in another record, and is wrong beside the run in this one, does not say that the sensor is stuck.
     #[test]
     fn a_law_of_another_record_has_to_hold_beside_the_run() {

@@ -2,6 +2,7 @@
 
 mod ballbar;
 mod doubted;
+mod nameless;
 mod names;
 mod noise;
 mod one_room;
