@@ -450,59 +450,68 @@ impl<'p> Search<'p> {
                     }
                 }
                 Scan::Wave { along, .. } if along.is_long() && !long => {}
-                Scan::Wave { along, unit, .. } => {
+                Scan::Wave { .. } => {
                     let weighed = weighed.get_or_insert_with(|| {
                         let mut r = set.factor.residual().to_vec();
                         self.base.noise.transpose(self.problem.rows, &mut r);
                         r
                     });
-                    let mut at = along.peaks(weighed, PEAKS);
-                    let facts = family.effect.as_ref().and_then(|e| e.description().searched.wave);
-                    if let Some(facts) = facts {
-                        // The usual ones have half of the prior, and look like others on a grid; some are finer than the spectrum goes.
-                        let usual: Vec<f64> = facts.usual_mm.iter().map(|p| 1.0 / p).collect();
-                        at.extend(along.near(weighed, &usual, 3e-4).into_iter().take(USUAL_TRIED));
-                    }
-                    let mut best = (f64::NEG_INFINITY, 0.0);
-                    for f in at {
-                        let Some(cause) = self.wave(family, f, 1) else { continue };
-                        let weight = wave_weight(family, f, *unit, along.range(), along.span());
-                        let key = (number, f.to_bits());
-                        let known = self.waves.borrow().get(&key).cloned();
-                        let known = known.unwrap_or_else(|| {
-                            let columns = self.columns(&cause);
-                            let shares = columns.iter().map(|c| self.base.factor.shares(c)).collect();
-                            let new = Rc::new([columns, shares]);
-                            let mut waves = self.waves.borrow_mut();
-                            if waves.len() < WAVES_KEPT {
-                                waves.insert(key, Rc::clone(&new));
-                            }
-                            new
-                        });
-                        let [columns, base] = &*known;
-                        let shares = columns.iter().zip(base);
-                        let of = |(c, b): (&Vec<f64>, &Vec<f64>)| set.factor.shares_after(b.clone(), c);
-                        let shares: Columns = shares.map(of).collect();
-                        let score = prior + weight + self.gain_of(&set.factor, columns, &shares).total;
-                        if score > best.0 {
-                            best = (score, f);
-                        }
-                        seeds.push(Seed { family: number, cause, weight, score });
-                    }
-                    // What has no name need not be a sine.
-                    if family.effect.is_none()
-                        && best.1 > 0.0
-                        && let Some(cause) = self.wave(family, best.1, HARMONICS)
-                    {
-                        let weight = wave_weight(family, best.1, *unit, along.range(), along.span());
-                        let gain = self.gain(&set.factor, &self.columns(&cause)).total;
-                        seeds.push(Seed { family: number, cause, weight, score: prior + weight + gain });
-                    }
+                    seeds.extend(self.wave_seeds(number, set, weighed, prior));
                 }
             }
         }
         seeds.retain(|s| s.score.is_finite());
         seeds.sort_by(|a, b| b.score.total_cmp(&a.score));
+        seeds
+    }
+
+    /// The periods of a wave at which a residual, `weighed` by the noise, has its peaks, and the usual ones near such.
+    fn wave_seeds(&self, number: usize, set: &Set, weighed: &[f64], prior: f64) -> Vec<Seed> {
+        let family = self.family(number);
+        let Scan::Wave { along, unit, .. } = &family.scan else { return Vec::new() };
+        let mut seeds = Vec::new();
+        let mut at = along.peaks(weighed, PEAKS);
+        let facts = family.effect.as_ref().and_then(|e| e.description().searched.wave);
+        if let Some(facts) = facts {
+            // The usual ones have half of the prior, and look like others on a grid; some are finer than the spectrum goes.
+            let usual: Vec<f64> = facts.usual_mm.iter().map(|p| 1.0 / p).collect();
+            at.extend(along.near(weighed, &usual, 3e-4).into_iter().take(USUAL_TRIED));
+        }
+        let mut best = (f64::NEG_INFINITY, 0.0);
+        for f in at {
+            let Some(cause) = self.wave(family, f, 1) else { continue };
+            let weight = wave_weight(family, f, *unit, along.range(), along.span());
+            let key = (number, f.to_bits());
+            let known = self.waves.borrow().get(&key).cloned();
+            let known = known.unwrap_or_else(|| {
+                let columns = self.columns(&cause);
+                let shares = columns.iter().map(|c| self.base.factor.shares(c)).collect();
+                let new = Rc::new([columns, shares]);
+                let mut waves = self.waves.borrow_mut();
+                if waves.len() < WAVES_KEPT {
+                    waves.insert(key, Rc::clone(&new));
+                }
+                new
+            });
+            let [columns, base] = &*known;
+            let shares = columns.iter().zip(base);
+            let of = |(c, b): (&Vec<f64>, &Vec<f64>)| set.factor.shares_after(b.clone(), c);
+            let shares: Columns = shares.map(of).collect();
+            let score = prior + weight + self.gain_of(&set.factor, columns, &shares).total;
+            if score > best.0 {
+                best = (score, f);
+            }
+            seeds.push(Seed { family: number, cause, weight, score });
+        }
+        // What has no name need not be a sine.
+        if family.effect.is_none()
+            && best.1 > 0.0
+            && let Some(cause) = self.wave(family, best.1, HARMONICS)
+        {
+            let weight = wave_weight(family, best.1, *unit, along.range(), along.span());
+            let gain = self.gain(&set.factor, &self.columns(&cause)).total;
+            seeds.push(Seed { family: number, cause, weight, score: prior + weight + gain });
+        }
         seeds
     }
 

@@ -412,7 +412,7 @@ fn place_by_place(r: &Response<'_>, out: &mut Vec<Shaped>) {
         let turn = (TAU / PLACE_RAD).round();
         places.push(angle.iter().map(|x| (x / PLACE_RAD).round().rem_euclid(turn)).collect());
     }
-    let direction = r.direction().filter(|d| r.own.iter().any(|i| d.1[*i] != d.1[r.own[0]]));
+    let direction = r.direction().filter(|d| r.own.iter().any(|i| d.1[*i] * d.1[r.own[0]] < 0.0));
     for way in [None, direction] {
         let mut groups: BTreeMap<Vec<i64>, Vec<usize>> = BTreeMap::new();
         for i in &r.own {
@@ -426,7 +426,9 @@ fn place_by_place(r: &Response<'_>, out: &mut Vec<Shaped>) {
         }
         let columns = groups.into_values().map(|g| {
             let mut own = vec![0.0; r.rows.n];
-            g.into_iter().for_each(|i| own[i] = CONTRIBUTION);
+            for i in g {
+                own[i] = CONTRIBUTION;
+            }
             own
         });
         let against: Vec<&str> =

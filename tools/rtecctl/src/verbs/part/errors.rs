@@ -114,6 +114,28 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
 /// More size than this for each µm of form is said.
 const MUCH_FORM: f64 = 5.0;
 
+/// What to do about a size that is so far off; `held`: how much of it each µm of form may be.
+fn of_size(r: &ErrorReport, off_um: f64, held: Option<f64>, with_size: bool) -> String {
+    if !r.is_size_known() {
+        let within = r.size_within_um().unwrap_or(f64::INFINITY);
+        return format!(
+            "±{within:.1} µm (95 %) is no size: no offset is advised; probe more of the feature, or more often"
+        );
+    }
+    let advice = if with_size {
+        "in error.cor too: the finish cut takes it out"
+    } else {
+        "constant, left by error.cor: a tool offset takes it out, or --with-size puts it in"
+    };
+    let if_no_form = |held: f64| {
+        let most_um = off_um.abs() / held;
+        format!(
+            "; but it may be all form, unless that is below {most_um:.2} µm: probe more of the circle first"
+        )
+    };
+    format!("{advice}{}", held.map_or_else(String::new, if_no_form))
+}
+
 fn text(r: &ErrorReport, with_size: bool) -> String {
     let mut t = String::new();
     let [z, x] = r.centre_mm;
@@ -160,26 +182,7 @@ fn text(r: &ErrorReport, with_size: bool) -> String {
         );
     }
     if let Some(off) = r.size_error_um {
-        let left = if !r.is_size_known() {
-            let within = r.size_within_um().unwrap_or(f64::INFINITY);
-            format!(
-                "±{within:.1} µm (95 %) is no size: no offset is advised; probe more of the feature, or more often"
-            )
-        } else {
-            let advice = if with_size {
-                "in error.cor too: the finish cut takes it out"
-            } else {
-                "constant, left by error.cor: a tool offset takes it out, or --with-size puts it in"
-            };
-            let if_no_form = |held: f64| {
-                let most_um = off.abs() / held;
-                format!(
-                    "; but it may be all form, unless that is below {most_um:.2} µm: probe more of the circle first"
-                )
-            };
-            format!("{advice}{}", held.map_or_else(String::new, if_no_form))
-        };
-        let _ = writeln!(t, "size            {off:+.1} µm {left}");
+        let _ = writeln!(t, "size            {off:+.1} µm {}", of_size(r, off, held, with_size));
     }
     if let Some(deg) = r.inclination_deg {
         let _ = writeln!(
