@@ -173,6 +173,66 @@ fn cmti() {
 }
 
 #[test]
+fn the_circuit_refuses_what_is_beyond_its_limits() {
+    let folder = tempfile::tempdir().unwrap();
+    for (from, to, line, expected) in [
+        (
+            "shown_pulses = 3 ",
+            "shown_pulses = 16 ",
+            5,
+            "1 to 15 pulses: the compensation value has four bits",
+        ),
+        ("shown_pulses = 3 ", "shown_pulses = 0 ", 5, "1 to 15 pulses"),
+        ("shown_encoder_hz = 10000.0", "shown_encoder_hz = 81000.0", 6, "350 to 80000 Hz"),
+        ("shown_encoder_hz = 10000.0", "shown_encoder_hz = 300.0", 6, "350 to 80000 Hz"),
+        ("lock_to_hz = 160000.0", "lock_to_hz = 120000.0", 12, "more than 125000 Hz"),
+        ("pitch_mm = 5.0", "pitch_mm = 0.0", 3, "a number above 0"),
+    ] {
+        changed(folder.path(), "cmti.toml", from, to);
+        let output = rtecctl(&["papers", "cmti", "--from", folder.path().to_str().unwrap()]);
+        let said = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(2), "{to}: {said}");
+        assert!(said.contains(&format!("cmti.toml:{line}: ")) && said.contains(expected), "{to}: {said}");
+        assert!(output.stdout.is_empty(), "{to}");
+    }
+    // At the limits themselves it runs, and adds no pulse too many.
+    changed(folder.path(), "cmti.toml", "shown_pulses = 3 ", "shown_pulses = 15 ");
+    let full = compared("cmti", &["--from", folder.path().to_str().unwrap()]);
+    assert!((we(&full, "Figures 8", "pulses added") - 15.0).abs() < 1e-9);
+}
+
+/// The loop doubles from 0.7 to 160 kHz (section 2.2.2) and not a hertz beyond, however the numbers fall.
+#[test]
+fn the_circuit_adds_within_its_lock_range_alone() {
+    for seed in ["1", "2", "3"] {
+        let paper = compared("cmti", &["--seed", seed]);
+        let (from, to) =
+            (we(&paper, "Section 2.2.2", "begins to double"), we(&paper, "Section 2.2.2", "goes on to"));
+        assert!((0.69..0.71).contains(&from) && (159.0..160.1).contains(&to), "{seed}: {from} to {to} kHz");
+    }
+}
+
+#[test]
+fn each_source_draws_its_figures() {
+    let folder = tempfile::tempdir().unwrap();
+    for (paper, files) in [
+        ("nistir4832", &["figure-2-original.svg", "figure-2-ecc.svg", "linear-error-240um.svg"][..]),
+        ("nistir4854", &["figure-5.svg", "figure-6.svg", "figure-7.svg"]),
+        ("cmti", &["figure-8.svg", "figure-9.svg", "cmti.vcd"]),
+    ] {
+        let out = folder.path().join(paper);
+        let output = rtecctl(&["papers", paper, "--out", out.to_str().unwrap()]);
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        for file in files {
+            let text = std::fs::read_to_string(out.join(file)).unwrap();
+            assert!(text.len() > 500, "{paper}: {file}");
+        }
+    }
+    let output = rtecctl(&["papers", "--out", folder.path().to_str().unwrap()]);
+    assert_eq!(output.status.code(), Some(2));
+}
+
+#[test]
 fn wo_97() {
     let paper = compared("wo97", &[]);
     for table in ["Table 1", "Table 2", "Table 3", "Table 4", "Table 5", "Table 6", "Table 7"] {
