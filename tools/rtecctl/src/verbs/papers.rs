@@ -126,7 +126,8 @@ fn table(c: &Compared, differ: bool) -> String {
             Verdict::NotCompared => "  not compared".to_owned(),
         };
         let gets = if row.gets.is_empty() { "-" } else { &row.gets };
-        let _ = write!(text, "  {:<76} {:>16}  {gets:>16} {}{mark}", row.what, row.says, row.unit);
+        let line = format!("  {:<76} {:>16}  {gets:>16} {}{mark}", row.what, row.says, row.unit);
+        text += line.trim_end();
         if row.why.is_empty() {
             text.push('\n');
             continue;

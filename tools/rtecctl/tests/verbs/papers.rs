@@ -35,6 +35,14 @@ fn check(paper: &Value) {
     assert_eq!(verdicts, [count("agree"), count("differ"), count("not_compared")]);
 }
 
+/// The page on sources quotes these counts.
+fn quoted(paper: &Value, source: &str) {
+    let page = include_str!("../../../guide/contributor/sources.md");
+    let [agree, differ, not] = ["agree", "differ", "not_compared"].map(|key| paper[key].as_u64().unwrap());
+    let line = format!("| {source} | {agree} | {differ} | {not} |");
+    assert!(page.contains(&line), "sources.md does not have `{line}`");
+}
+
 fn row<'a>(paper: &'a Value, place: &str, what: &str) -> &'a Value {
     let rows = paper["rows"].as_array().unwrap();
     let text = |r: &'a Value, key: &str| r[key].as_str().unwrap();
@@ -63,6 +71,7 @@ fn changed(folder: &Path, file: &str, from: &str, to: &str) {
 #[test]
 fn nistir_4832() {
     let paper = compared("4832", &[]);
+    quoted(&paper, "NISTIR 4832");
     for (place, what) in [
         ("Figure 2", "adds"),
         ("Figure 2", "subtracts"),
@@ -111,6 +120,7 @@ fn nistir_4832() {
 #[test]
 fn nistir_4854() {
     let paper = compared("4854", &[]);
+    quoted(&paper, "NISTIR 4854");
     for (place, what) in [
         ("On-Machine", "constant velocity"),
         ("The RTEC", "25 µs late"),
@@ -147,6 +157,7 @@ fn nistir_4854() {
 #[test]
 fn cmti() {
     let paper = compared("cmti", &[]);
+    quoted(&paper, "CMTI");
     for (place, what) in [
         ("Table 1", "S1 = 0, S0 = 0"),
         ("Table 1", "S1 = 0, S0 = 1"),
@@ -235,6 +246,7 @@ fn each_source_draws_its_figures() {
 #[test]
 fn wo_97() {
     let paper = compared("wo97", &[]);
+    quoted(&paper, "WO 97/43703");
     for table in ["Table 1", "Table 2", "Table 3", "Table 4", "Table 5", "Table 6", "Table 7"] {
         assert!(row(&paper, table, "")["place"].as_str().unwrap().starts_with(table));
     }
@@ -281,6 +293,9 @@ fn wo_97() {
     let of = |verdict: &str| drift.clone().filter(|r| r["verdict"] == verdict).count();
     let (good, bad, vague) = (of("agrees"), of("differs"), of("not_compared"));
     assert!(good + bad + vague == 48 && good >= 12 && good >= 9 * bad, "{good}, {bad}, {vague}");
+    let vague = rows.iter().filter(|r| r["why"].as_str().unwrap().starts_with("cannot tell")).count();
+    let page = include_str!("../../../guide/contributor/sources.md");
+    assert!(page.contains(&format!("Of the last, {vague} figures are no larger")), "{vague} in sources.md");
     // A tolerance as large as the figure tells nothing.
     for r in rows.iter().filter(|r| r["verdict"] == "agrees") {
         let (Some(says), Some(gets)) = (r["paper"].as_f64(), r["we"].as_f64()) else { continue };
