@@ -156,7 +156,9 @@ pub(crate) fn places(records: &[Record], machine: &Machine) -> Vec<Place> {
     strongest_first(&mut closer);
     rate(&mut closer);
     // Who looks twice finds twice as much by chance.
-    closer.iter_mut().for_each(|p| p.q_value = (2.0 * p.q_value).min(1.0));
+    for p in &mut closer {
+        p.q_value = (2.0 * p.q_value).min(1.0);
+    }
     closer.retain(Place::counts);
     if !closer.is_empty() {
         out.retain(|p| !closer.iter().any(|c| (&c.response, &c.against) == (&p.response, &p.against)));
@@ -179,7 +181,9 @@ fn of_response<'s>(stack: &'s Rows<'_>, left: &[f64], response: usize) -> (Vec<&
     let segments: Vec<&Segment> = stack.segments.iter().filter(|s| s.response == response).collect();
     let mut residual: Vec<f64> = segments.iter().flat_map(|s| left[s.rows.clone()].iter().copied()).collect();
     let mean = residual.iter().sum::<f64>() / residual.len().max(1) as f64;
-    residual.iter_mut().for_each(|r| *r -= mean);
+    for r in &mut residual {
+        *r -= mean;
+    }
     (segments, residual)
 }
 
@@ -217,7 +221,9 @@ fn wave(response: &str, against: &str, x: &[f64], residual: &[f64], sigma: f64) 
     let phi = (dot(&residual[1..], &residual[..n - 1]) / squares).clamp(0.0, NOISE_REMEMBERS);
     let mut white: Vec<f64> = residual.windows(2).map(|w| w[1] - phi * w[0]).collect();
     let mean = white.iter().sum::<f64>() / white.len() as f64;
-    white.iter_mut().for_each(|r| *r -= mean);
+    for r in &mut white {
+        *r -= mean;
+    }
     let rows = white.len() as f64;
     let squares = dot(&white, &white);
     let step = WAVES_APART / span;
