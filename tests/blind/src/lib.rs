@@ -29,6 +29,7 @@ pub mod oracle;
 pub mod outcome;
 pub mod pairs;
 pub mod plan;
+pub mod record;
 pub mod rivals;
 pub mod run;
 pub mod scene;

@@ -9,6 +9,7 @@ use rtec_blind::judge::Heard;
 use rtec_blind::mistakes::KINDS;
 use rtec_blind::outcome::{Outcome, outcome};
 use rtec_blind::plan::Manner;
+use rtec_blind::record::{self, Figure};
 use rtec_blind::score::Mark;
 use rtec_blind::table::{self, right, wrong};
 use std::collections::BTreeMap;
@@ -265,24 +266,21 @@ fn report(lines: &[&Outcome], baselines: bool) -> bool {
         println!("    {lo:4.1} to {hi:4.1}  {n:4}  {r:4}  {g:4}{beside}");
     }
     let mut good = true;
-    let mut row =
-        |name: &str, of: &dyn Fn(&Outcome) -> bool, yes: fn(Mark) -> bool, at_least: bool, bound: f64| {
-            let (k, n) = share(of, &|l| yes(l.mark));
-            let percent = |k: usize| 100.0 * k as f64 / n.max(1) as f64;
-            let rate = percent(k);
-            let [bic, lasso] = [0, 1].map(|b| percent(share(of, &|l| yes(l.base[b])).0));
-            let met = n == 0 || (at_least && rate >= bound) || (!at_least && rate <= bound);
-            // A few dozen cases of rare events scatter: the run fails where a figure is missed by two standard errors.
-            let scatter = 200.0 * (bound / 100.0 * (1.0 - bound / 100.0) / n.max(1) as f64).sqrt();
-            good &= n == 0 || (at_least && rate >= bound - scatter) || (!at_least && rate <= bound + scatter);
-            let beside =
-                if baselines { format!("  BIC {bic:5.1} %  LASSO {lasso:5.1} %") } else { String::new() };
-            println!(
-                "    {name:40} {rate:5.1} % ({k}/{n}){beside}  {} {bound} %  {}",
-                if at_least { "at least" } else { "at most" },
-                if met { "reached" } else { "NOT REACHED" }
-            );
-        };
+    let mut row = |figure: Figure, of: &dyn Fn(&Outcome) -> bool, yes: fn(Mark) -> bool| {
+        let (k, n) = share(of, &|l| yes(l.mark));
+        let percent = |k: usize| 100.0 * k as f64 / n.max(1) as f64;
+        let [bic, lasso] = [0, 1].map(|b| percent(share(of, &|l| yes(l.base[b])).0));
+        good &= figure.within_chance((k, n));
+        let beside =
+            if baselines { format!("  BIC {bic:5.1} %  LASSO {lasso:5.1} %") } else { String::new() };
+        println!(
+            "    {:40} {:5.1} % ({k}/{n}){beside}  {}  {}",
+            figure.what,
+            percent(k),
+            figure.asks(),
+            if figure.reached((k, n)) { "reached" } else { "NOT REACHED" }
+        );
+    };
     let one = |l: &Outcome| l.case.hides == Hides::One;
     let high = |l: &Outcome| one(l) && l.case.snr[0] >= 2.0;
     let two = |l: &Outcome| l.case.hides == Hides::Two && l.case.snr.iter().all(|s| *s >= 3.0);
@@ -290,13 +288,13 @@ fn report(lines: &[&Outcome], baselines: bool) -> bool {
     let null = |l: &Outcome| l.case.hides == Hides::Nothing;
     let stranger = |l: &Outcome| l.case.hides == Hides::Stranger;
     println!("figures");
-    row("right, effect/noise >= 2", &high, right, true, 98.0);
-    row("right, 0.7 to 10", &one, right, true, 92.0);
-    row("wrong name", &known, wrong, false, 2.0);
-    row("cries wolf on nothing", &null, |m| !right(m), false, 1.0);
-    row("shape of no dictionary called unknown", &stranger, right, true, 85.0);
-    row("shape of no dictionary given a name", &stranger, wrong, false, 5.0);
-    row("both of two, effect/noise >= 3", &two, right, true, 95.0);
+    row(record::ONE_CLEAR, &high, right);
+    row(record::ONE, &one, right);
+    row(record::WRONG, &known, wrong);
+    row(record::NOTHING, &null, |m| !right(m));
+    row(record::UNKNOWN, &stranger, right);
+    row(record::UNKNOWN_NAMED, &stranger, wrong);
+    row(record::BOTH, &two, right);
     let mut closed: Vec<f64> =
         lines.iter().filter(|l| known(l) && right(l.mark)).filter_map(|l| l.closed).collect();
     closed.sort_by(f64::total_cmp);

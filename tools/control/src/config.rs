@@ -15,7 +15,8 @@
 //! | | `probe`, `disable`, `mtc_ready`, `hold` | line | not wired | `gpio`, `mapped`, `port`: the machine's own lines |
 //! | `[[axis]]` | `name`, `count_um`, `travel_mm` | µm, mm | must be there | |
 //! | | `design` | – | `c` | insertion design (NISTIR 4832): `c`, `original`, `a` |
-//! | | `max_correction_counts`, `window_counts` | counts | must be there | largest total; largest believed change |
+//! | | `max_correction_counts` | counts | must be there | largest total |
+//! | | `window_counts` | counts | 12 µm | largest change that is believed at once (NISTIR 4832: three corrections of 4 µm) |
 //! | | `min_separation_ns` | ns | must be there | what the MTC's decoder needs between two edges |
 //! | | `max_accel_mm_s2` or `max_accel_counts_s2` | | 1e6 counts/s² (mock, replay) | acceleration limit of the axis |
 //! | | `rapid_mm_min` | mm/min | none (mock, replay) | how fast the axis moves at most: corrections are not enabled where the card cannot follow |

@@ -304,6 +304,21 @@ fn what_sensors_model_and_card_name_is_looked_for() {
     assert!(Config::load(&file).is_ok());
 }
 
+/// Three corrections of 4 µm (NISTIR 4832), at least one insertion, and no more than the largest total.
+#[test]
+fn a_window_that_is_not_given_is_12_um() {
+    for (count_um, max, counts) in
+        [("1.0", 1000, 12), ("0.1", 1000, 120), ("5.0", 1000, 2), ("20.0", 1000, 2), ("1.0", 9, 9)]
+    {
+        let text = format!(
+            "[machine]\nname = 'm'\n[card]\nbackend = 'mock'\n[[axis]]\nname = 'x'\ncount_um = {count_um}\ntravel_mm = 9\n\
+             max_correction_counts = {max}\nmin_separation_ns = 500\n"
+        );
+        let config = Config::parse(Path::new("rtec.toml"), &text).unwrap();
+        assert_eq!(config.axes[0].engine.window_counts, counts, "{count_um} {max}");
+    }
+}
+
 #[test]
 fn a_name_without_end_and_a_broken_line_are_one_finding() {
     let long = CONTRACT.replace("name = \"lathe\"", &format!("name = \"{}\"", "x".repeat(1 << 20)));

@@ -18,9 +18,6 @@ use crate::effect::{
 use crate::machine::Machine;
 use crate::record::Axis;
 
-/// Uncertainty of a model that does not state its own, µm.
-const DEFAULT_HALF_WIDTH_UM: f64 = 1.0;
-
 /// Where the values of a [`Frame`] stand: names of axes, sensors and channels, in the frame's order.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Layout {
@@ -122,7 +119,6 @@ struct Item {
     probing_only: bool,
     lagged: bool,
     state: State,
-    half_width_um: f64,
     /// What each component is worth now.
     now: [f64; 2],
     /// How far ΔT is outside the range it was fitted on, K, and what is left of the effect for it.
@@ -169,18 +165,12 @@ pub struct Live {
 }
 
 impl Live {
-    /// Looks up everything a machine's effects and chain read; its fits say how uncertain it is.
+    /// Looks up everything a machine's effects and chain read.
     ///
     /// # Errors
     /// A sensor, channel or (for the chain) axis that the layout does not have.
     pub fn of(machine: &Machine, layout: Layout) -> Result<Self, Missing> {
         let mut live = Self::new(machine.effects(), layout)?;
-        for item in &mut live.items {
-            let axis = item.effect.axes().first().map(|a| format!("error.{a}"));
-            if let Some(h) = axis.and_then(|a| machine.half_width_um(&a)) {
-                item.half_width_um = h;
-            }
-        }
         if let Some(chain) = machine.chain() {
             let layout = &live.layout;
             let missing = |what: String, has: String| Missing { effect: "chain".to_owned(), what, has };
@@ -273,7 +263,6 @@ impl Live {
                 probing_only: law.probing == Probing::Only,
                 lagged: law.lag.is_some(),
                 state: State::default(),
-                half_width_um: DEFAULT_HALF_WIDTH_UM,
                 now: [0.0; 2],
                 outside_k: 0.0,
                 weight: 1.0,
@@ -327,7 +316,8 @@ impl Live {
                     (all, basis) => all.iter().zip(basis).map(|(c, b)| c * b).sum(),
                 };
                 if item.weighed {
-                    value = item.weigh(value, now.delta_k, frame.probing);
+                    let first = basis.first().copied().unwrap_or(0.0);
+                    value = item.weigh(value, first, now.delta_k, frame.probing);
                 }
                 item.now[component] = value;
                 self.sums[item.to[component]] += value;
@@ -421,19 +411,26 @@ impl Reading {
 
 impl Item {
     /// What is left of a value outside the range that it was fitted on, or while nothing is probed.
-    fn weigh(&mut self, value: f64, delta_k: f64, probing: bool) -> f64 {
-        self.fade(delta_k);
+    fn weigh(&mut self, value: f64, first: f64, delta_k: f64, probing: bool) -> f64 {
+        self.fade(value, first, delta_k);
         if self.probing_only && !probing { 0.0 } else { value * self.weight }
     }
 
-    /// How far ΔT (after the lag, where there is one) is outside, and what is left of the effect for it.
-    fn fade(&mut self, delta_k: f64) {
+    /// How far ΔT (after the lag, where there is one) is outside, and what is left of the effect for it: the share of a value at the
+    /// bound that is nearest to the truth where so much beyond is unknown. Half is left where the unknown is as large as the value.
+    /// What is given up is never more than half of the unknown: two effects that nearly cancel do so beyond the bound, too.
+    /// `first` is the law's first basis function here, at the bound.
+    fn fade(&mut self, value: f64, first: f64, delta_k: f64) {
         let Some([lo, hi]) = self.effect.range_k else { return };
         // The first value of a lag's state is the lagged difference.
         let asked = if self.lagged { self.state.x[0] } else { delta_k };
         self.outside_k = (asked - hi).max(lo - asked).max(0.0);
-        let left_out = self.coefficients.first().map_or(0.0, |gain| gain.abs() * self.outside_k);
-        self.weight = 1.0 / (1.0 + (left_out / self.half_width_um).powi(2));
+        let bound = asked.clamp(lo, hi);
+        // What the first basis function is for each kelvin: 1 of a growth, the place of an expansion.
+        let per_k = if bound == 0.0 { 1.0 } else { first / bound };
+        let left_out = self.coefficients.first().map_or(0.0, |gain| (gain * per_k).abs() * self.outside_k);
+        let known = value * value;
+        self.weight = if left_out > 0.0 { known / (known + left_out * left_out) } else { 1.0 };
     }
 }
 
@@ -458,9 +455,45 @@ mod tests {
         };
         let top = 2.0 * 4.0 - 0.3 * 16.0;
         assert!((at(24.0).0 - top).abs() < 1e-12 && (at(24.0 + 1e-6).0 - top).abs() < 1e-9);
-        // 0.4 K outside leave 0.8 µm unknown, as much as the model's own uncertainty: half is left.
-        let (e, weight, outside) = at(24.4);
-        assert!((weight - 0.5).abs() < 1e-9 && (e - top / 2.0).abs() < 1e-9 && (outside - 0.4).abs() < 1e-9);
+        // 1.6 K outside leave 3.2 µm unknown, as much as the effect is worth: half is left.
+        let (e, weight, outside) = at(25.6);
+        assert!((weight - 0.5).abs() < 1e-9 && (e - top / 2.0).abs() < 1e-9 && (outside - 1.6).abs() < 1e-9);
         assert!(at(60.0).0.abs() < 0.01);
+    }
+
+    /// Two lags that nearly cancel, as fits find them: a little beyond the range of one, fading takes no more than is unknown there.
+    #[test]
+    fn fading_takes_less_than_is_unknown() {
+        let effect = |sensor: &str, gain: f64, hi: f64| {
+            format!(
+                "[[effect]]\nname = \"thermal_growth.z\"\nsensor = \"{sensor}\"\num_per_K = {gain:.1}\num_per_K2 = 0.0\n\
+                 range_K = [0.0, {hi:.1}]\n"
+            )
+        };
+        let layout = || Layout {
+            axes: vec![Axis::new("z").unwrap()],
+            sensors: vec!["T1".into(), "T2".into()],
+            channels: vec![],
+        };
+        for (gain, hi) in [(45.0, 6.2), (5.0, 10.0), (2.0, 3.0)] {
+            let text = format!("name = \"m\"\n{}{}", effect("T1", gain, hi), effect("T2", -0.7 * gain, 50.0));
+            let machine = Machine::parse(std::path::Path::new("m.toml"), &text).unwrap();
+            let mut live = Live::of(&machine, layout()).unwrap();
+            for beyond_k in [0.0, 0.01, 0.1, 0.5, 1.0, 3.0, 10.0, 100.0] {
+                let degc = 20.0 + hi + beyond_k;
+                let frame = Frame {
+                    axes: &[AxisNow::default()],
+                    temperatures_degc: &[degc, 20.0 + hi],
+                    ..Frame::default()
+                };
+                live.evaluate(&frame);
+                let (e, at_the_bound) = (live.errors_um()[0], 0.3 * gain * hi);
+                let unknown = gain * beyond_k;
+                assert!(
+                    (e - at_the_bound).abs() <= 0.5 * unknown + 1e-9,
+                    "{gain} {beyond_k}: {e}, {at_the_bound}"
+                );
+            }
+        }
     }
 }

@@ -71,8 +71,13 @@ impl Plain {
             if let Some([lo, hi]) = effect.range_k {
                 let asked = if law.lag.is_some() { self.state.x[0] } else { delta_k };
                 let outside_k = (asked - hi).max(lo - asked).max(0.0);
-                // A model that states no uncertainty of its own is trusted to 1 µm.
-                value *= 1.0 / (1.0 + (coefficients[0].abs() * outside_k / 1.0).powi(2));
+                // Beyond the bound as much is unknown as the effect would change by: half is left where that is as large as it is.
+                let bound = asked.clamp(lo, hi);
+                let per_k = if bound == 0.0 { 1.0 } else { basis[0] / bound };
+                let unknown = coefficients[0] * per_k * outside_k;
+                if unknown != 0.0 {
+                    value *= value * value / (value * value + unknown * unknown);
+                }
             }
             match (place(component), law.quantity) {
                 (Some(a), Quantity::Error) => sums.0[a] += value,

@@ -23,6 +23,59 @@ struct Circuit {
     pll: Pll,
 }
 
+impl Circuit {
+    /// The circuit within its own limits: four bits (section 2.2.7), the loop's range (section 2.2.2).
+    fn read(described: &Described) -> Result<Self, PaperError> {
+        let file = "cmti.toml";
+        let circuit: Self = described.read(file)?;
+        let refuse = |key: &str, found: String, expected: String| {
+            Err(described.refuse(file, key, format!("{key} = {found}"), expected).into())
+        };
+        let pll = circuit.pll;
+        if !(1..=MAX_PULSES).contains(&i64::from(circuit.shown_pulses)) {
+            let expected = format!("1 to {MAX_PULSES} pulses: the compensation value has four bits");
+            return refuse("shown_pulses", circuit.shown_pulses.to_string(), expected);
+        }
+        let range = [
+            ("lock_from_hz", pll.lock_from_hz),
+            ("clean_from_hz", pll.clean_from_hz),
+            ("clean_to_hz", pll.clean_to_hz),
+            ("lock_to_hz", pll.lock_to_hz),
+        ];
+        let mut below = 0.0;
+        for (key, hz) in range {
+            if !hz.is_finite() || hz <= below {
+                let expected = format!(
+                    "more than {} Hz: frequencies rise from lock_from_hz to lock_to_hz",
+                    shown(below)
+                );
+                return refuse(key, shown(hz), expected);
+            }
+            below = hz;
+        }
+        let encoder = [pll.lock_from_hz / 2.0, pll.lock_to_hz / 2.0];
+        if !(encoder[0]..=encoder[1]).contains(&circuit.shown_encoder_hz) {
+            let expected = format!(
+                "{} to {} Hz: the loop locks to twice the encoder's frequency, from lock_from_hz to lock_to_hz",
+                shown(encoder[0]),
+                shown(encoder[1])
+            );
+            return refuse("shown_encoder_hz", shown(circuit.shown_encoder_hz), expected);
+        }
+        for (key, v) in [
+            ("pulses_per_revolution", circuit.pulses_per_revolution),
+            ("pitch_mm", circuit.pitch_mm),
+            ("fastest_m_min", circuit.fastest_m_min),
+            ("follow_ns", pll.follow_ns),
+        ] {
+            if !(v.is_finite() && v > 0.0) {
+                return refuse(key, shown(v), "a number above 0".to_owned());
+            }
+        }
+        Ok(circuit)
+    }
+}
+
 fn cannot(what: &str) -> PaperError {
     PaperError::Cannot(format!("CMTI: {what} cannot be run on the circuit as described"))
 }
@@ -32,13 +85,19 @@ pub(crate) fn run(
     seed: u64,
     progress: &mut dyn FnMut(&str),
 ) -> Result<Rows, PaperError> {
-    let circuit: Circuit = described.read("cmti.toml")?;
+    let circuit = Circuit::read(described)?;
     let mut rows = Rows::default();
     progress("CMTI: control lines, subtraction and addition");
     let board = figures(&circuit, seed)?;
     table_1(&mut rows, &circuit, seed)?;
     lines(&mut rows, &board);
     shown_pulses(&mut rows, &board);
+    for (n, what) in ["subtraction", "addition"].into_iter().enumerate() {
+        let title = format!("Figure {}: {what}, compensation value {}", 8 + n, circuit.shown_pulses);
+        let svg = board.svg(n, &title).ok_or_else(|| cannot(what))?;
+        rows.figures.push((format!("figure-{}.svg", 8 + n), svg));
+    }
+    rows.figures.push(("cmti.vcd".to_owned(), board.to_vcd()));
     progress("CMTI: the PLL's range");
     frequencies(&mut rows, &circuit, seed)?;
     fifteen(&mut rows, &circuit, seed)?;
@@ -69,7 +128,7 @@ fn figures(circuit: &Circuit, seed: u64) -> Result<Board, PaperError> {
 /// # Errors
 /// A description that is not right.
 pub fn trace(described: &Described, seed: u64) -> Result<String, PaperError> {
-    Ok(figures(&described.read::<Circuit>("cmti.toml")?, seed)?.to_vcd())
+    Ok(figures(&Circuit::read(described)?, seed)?.to_vcd())
 }
 
 fn table_1(rows: &mut Rows, circuit: &Circuit, seed: u64) -> Result<(), PaperError> {
@@ -226,8 +285,7 @@ fn frequencies(rows: &mut Rows, circuit: &Circuit, seed: u64) -> Result<(), Pape
         put_in,
     );
     rows.number((place, "to (XOR)", "kHz"), 125.0, 2.0 * high / 1e3, Is::Share(0.01), put_in);
-    let edge_of_range = "beyond its lock range the VCO runs on its own at the end of the range, and a compensation may still come out \
-                         right by chance: the number of counts alone is looked at here";
+    let edge_of_range = "put in as the loop's lock range, and found again by bisection: beyond it the controller asks for no addition";
     // Doubling at all: the right number, whatever the phase.
     let counts = |xor_hz: f64| {
         let edges = constant(1_000_000, xor_hz / 2.0, 6000, 1);

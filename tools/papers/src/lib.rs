@@ -82,6 +82,9 @@ pub enum PaperError {
     /// A recording could not be played.
     #[error(transparent)]
     Replay(#[from] ReplayError<InputError>),
+    /// A figure could not be drawn.
+    #[error(transparent)]
+    Plot(#[from] rtec_measure::plot::PlotError),
     /// A machine as described cannot do what its source does with it.
     #[error("{0}")]
     Cannot(String),
@@ -104,12 +107,16 @@ pub struct Compared {
     pub not_compared: usize,
     /// Every figure, in the source's order.
     pub rows: Vec<Row>,
+    /// Its figures as they come out here: file name and text.
+    #[serde(skip)]
+    pub figures: Vec<(String, String)>,
 }
 
 impl Paper {
-    /// The source of this name.
+    /// The source of this name; `nistir4832` is `4832`.
     #[must_use]
     pub fn find(name: &str) -> Option<&'static Self> {
+        let name = name.strip_prefix("nistir").unwrap_or(name);
         PAPERS.iter().find(|p| p.name == name)
     }
 
@@ -123,10 +130,10 @@ impl Paper {
         seed: u64,
         progress: &mut dyn FnMut(&str),
     ) -> Result<Compared, PaperError> {
-        let rows = (self.run)(described, seed, progress)?.0;
+        let Rows { rows, figures } = (self.run)(described, seed, progress)?;
         let count = |v: Verdict| rows.iter().filter(|r| r.verdict == v).count();
         let (agree, differ, not_compared) =
             (count(Verdict::Agrees), count(Verdict::Differs), count(Verdict::NotCompared));
-        Ok(Compared { paper: self.name, title: self.title, seed, agree, differ, not_compared, rows })
+        Ok(Compared { paper: self.name, title: self.title, seed, agree, differ, not_compared, rows, figures })
     }
 }

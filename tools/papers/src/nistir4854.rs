@@ -72,7 +72,7 @@ pub(crate) fn run(
 ) -> Result<Rows, PaperError> {
     let lathe: Lathe = described.read("4854.toml")?;
     lathe.bench.check().map_err(|(key, expected)| {
-        rtec_files::InputError::whole(Path::new("4854.toml"), format!("{key} out of range"), expected)
+        described.refuse("4854.toml", key, format!("{key} out of range"), expected.to_owned())
     })?;
     let machine = described.machine(&lathe.machine)?;
     let setup = lathe.setup(seed);
@@ -80,6 +80,9 @@ pub(crate) fn run(
     progress("NISTIR 4854: constant velocity in a touch");
     gauging(&mut rows, &lathe, seed)?;
     let outcome = setup.run(&mut |step| progress(&format!("NISTIR 4854: {step}")))?;
+    for ((_, report), figure) in outcome.reports.iter().zip([5, 6]) {
+        rows.figures.push((format!("figure-{figure}.svg"), report.whisker_svg()));
+    }
     probing(&mut rows, &lathe, &outcome);
     form(&mut rows, &lathe, &outcome);
     let blank = rewritten(&lathe, &setup);
@@ -424,6 +427,7 @@ fn paths(rows: &mut Rows, lathe: &Lathe) -> Result<(), PaperError> {
     let off = 0.3 * INCH;
     let mut plan = Plan::new(Probe { tip_mm: 0.0, stand_off_mm: off, over_travel_mm: 0.0, stem: None });
     plan.add_number(&contour, 0, lathe.points, 0.0);
+    rows.figures.push(("figure-7.svg".to_owned(), plan.svg(&contour)));
     let n = plan.points.len();
     if n < 2 {
         return Err(PaperError::Cannot("NISTIR 4854: fewer than two probing points".to_owned()));

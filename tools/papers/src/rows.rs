@@ -80,9 +80,12 @@ impl Is {
     }
 }
 
-/// Rows in the making.
+/// Rows in the making, and the figures drawn on the way: file name and text.
 #[derive(Debug, Default)]
-pub(crate) struct Rows(pub(crate) Vec<Row>);
+pub(crate) struct Rows {
+    pub(crate) rows: Vec<Row>,
+    pub(crate) figures: Vec<(String, String)>,
+}
 
 /// A number as people read it: four digits that count.
 pub(crate) fn shown(v: f64) -> String {
@@ -110,7 +113,7 @@ impl Rows {
         let met = is.met(says, gets);
         let same = shown(says) == shown(gets);
         let vague = met && !same && is.cannot_tell(says);
-        self.0.push(Row {
+        self.rows.push(Row {
             place: place.to_owned(),
             what: what.to_owned(),
             unit,
@@ -153,7 +156,7 @@ impl Rows {
         holds: bool,
         why: &str,
     ) {
-        self.0.push(Row {
+        self.rows.push(Row {
             place: place.to_owned(),
             what: what.to_owned(),
             unit: "",
@@ -175,7 +178,7 @@ impl Rows {
         gets: &str,
         why: &str,
     ) {
-        self.0.push(Row {
+        self.rows.push(Row {
             place: place.to_owned(),
             what: what.to_owned(),
             unit,
@@ -207,16 +210,16 @@ mod tests {
         let mut rows = Rows::default();
         rows.number(("t", "w", ""), 1.0, 1.0, Is::Within(0.0), "never shown");
         rows.number(("t", "w", ""), 1.0, 2.0, Is::Within(0.0), "shown");
-        assert_eq!((rows.0[0].why.as_str(), rows.0[0].verdict), ("", Verdict::Agrees));
+        assert_eq!((rows.rows[0].why.as_str(), rows.rows[0].verdict), ("", Verdict::Agrees));
         // As far off as the figure is large: zero and the other sign would agree too.
         rows.number(("t", "w", "in"), 0.0002, -0.0001, Is::Within(0.0003), "");
-        assert_eq!(rows.0[2].verdict, Verdict::NotCompared);
-        assert!(rows.0[2].why.contains("cannot tell"), "{}", rows.0[2].why);
+        assert_eq!(rows.rows[2].verdict, Verdict::NotCompared);
+        assert!(rows.rows[2].why.contains("cannot tell"), "{}", rows.rows[2].why);
         rows.number(("t", "w", "in"), 0.0002, 0.0009, Is::Within(0.0003), "");
         rows.number(("t", "w", "in"), 0.0004, 0.0003, Is::Within(0.0003), "");
         rows.number(("t", "w", "in"), 0.0, 0.0001, Is::Within(0.0003), "");
-        let verdicts: Vec<Verdict> = rows.0[3..].iter().map(|r| r.verdict).collect();
+        let verdicts: Vec<Verdict> = rows.rows[3..].iter().map(|r| r.verdict).collect();
         assert_eq!(verdicts, [Verdict::Differs, Verdict::Agrees, Verdict::Agrees]);
-        assert_eq!((rows.0[1].why.as_str(), rows.0[1].verdict), ("shown", Verdict::Differs));
+        assert_eq!((rows.rows[1].why.as_str(), rows.rows[1].verdict), ("shown", Verdict::Differs));
     }
 }

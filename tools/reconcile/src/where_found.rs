@@ -7,6 +7,7 @@ use rand_xoshiro::rand_core::{RngCore, SeedableRng};
 use rtec_estimate::factor::dot;
 use rtec_estimate::problem::Problem;
 use rtec_estimate::rows::{Rows, Segment};
+use rtec_estimate::setup::What;
 use rtec_model::effect::Effect;
 use rtec_model::machine::Machine;
 use rtec_model::record::{Record, Role};
@@ -27,6 +28,8 @@ pub struct Place {
     pub q_value: f64,
     /// Mean residual over stretches of it: middle of the stretch, mean, number of rows.
     pub profile: Vec<[f64; 3]>,
+    /// The period of a wave over it, in its unit, where that is what was found.
+    pub period: Option<f64>,
 }
 
 impl Place {
@@ -40,7 +43,27 @@ impl Place {
             "p_value": self.p_value,
             "q_value": self.q_value,
             "profile": self.profile,
+            "period": self.period,
         })
+    }
+
+    /// What it is against, a wave's period with it: `position.x, period 10.0 mm`.
+    #[must_use]
+    pub fn against(&self) -> String {
+        let Some(period) = self.period else { return self.against.clone() };
+        let unit = match self.against.split('.').next() {
+            Some("time") => " s",
+            Some("position") => " mm",
+            Some("angle") => " rad",
+            _ => "",
+        };
+        format!("{}, period {period:.4}{unit}", self.against)
+    }
+
+    /// It counts at a false-discovery rate of 5 %.
+    #[must_use]
+    pub fn counts(&self) -> bool {
+        self.q_value <= 0.05
     }
 }
 
@@ -66,6 +89,14 @@ const CLEAR: f64 = 0.01;
 /// A channel is looked at beside so many more of the stronger ones, and one fewer each time.
 const BESIDE: usize = 2;
 
+/// What a residual remembers from row to row up to here is noise by contract; what is slower is structure.
+const NOISE_REMEMBERS: f64 = 0.7;
+/// Frequencies of a wave are so far apart, in waves over the whole range: none between them loses more than a tenth.
+const WAVES_APART: f64 = 0.35;
+
+/// No more frequencies are tried: a look takes a second at most.
+const MOST_FREQUENCIES: usize = 3000;
+
 /// The smallest p-value that is given.
 pub(crate) const LEAST_P: f64 = 1.0 / (PERMUTATIONS as f64 + 1.0);
 
@@ -74,22 +105,11 @@ pub(crate) const LEAST_P: f64 = 1.0 / (PERMUTATIONS as f64 + 1.0);
 pub(crate) fn places(records: &[Record], machine: &Machine) -> Vec<Place> {
     let stack = Rows::new(records);
     let model: Vec<Effect> = machine.effects().cloned().collect();
-    let problem = Problem::new(&stack, &model, &crate::answer::stated(machine));
-    let mut noise = problem.first_noise();
-    noise.phi.fill(0.0);
-    let sigmas = noise.sigma.clone();
-    let before = problem.base(noise).factor.residual().to_vec();
+    let mut problem = Problem::new(&stack, &model, &crate::answer::stated(machine));
+    let (sigmas, before) = left_by(&problem);
     let mut out = Vec::new();
     for (response, &sigma) in sigmas.iter().enumerate() {
-        let segments: Vec<&Segment> = stack.segments.iter().filter(|s| s.response == response).collect();
-        let pick = |all: &[f64]| -> Vec<f64> {
-            segments.iter().flat_map(|s| all[s.rows.clone()].iter().copied()).collect()
-        };
-        let mut residual = pick(&before);
-        let mean = residual.iter().sum::<f64>() / residual.len().max(1) as f64;
-        for r in &mut residual {
-            *r -= mean;
-        }
+        let (segments, residual) = of_response(&stack, &before, response);
         // What is large hides what is small: each channel is looked at beside what stronger ones show, too.
         let role = stack.responses[response].to_string();
         let channels = channels(&stack, &segments);
@@ -117,9 +137,143 @@ pub(crate) fn places(records: &[Record], machine: &Machine) -> Vec<Place> {
             out.push(found);
         }
     }
-    out.sort_by(|a, b| a.p_value.total_cmp(&b.p_value).then(b.statistic.total_cmp(&a.statistic)));
+    strongest_first(&mut out);
     rate(&mut out);
+    // A response that is nowhere is looked at more closely, beside its noise alone: without the air, which can follow any drift.
+    let nowhere = |role: &str| !out.iter().any(|p: &Place| p.counts() && p.response == role);
+    let roles: Vec<String> = stack.responses.iter().map(ToString::to_string).collect();
+    let lost: Vec<usize> = (0..roles.len()).filter(|response| nowhere(&roles[*response])).collect();
+    if lost.is_empty() {
+        return out;
+    }
+    problem.terms.retain(|t| t.what != What::Air);
+    let (sigmas, before) = left_by(&problem);
+    let mut closer = Vec::new();
+    for response in lost {
+        let (segments, residual) = of_response(&stack, &before, response);
+        closer.extend(closely(&roles[response], &stack, &segments, &residual, sigmas[response]));
+    }
+    strongest_first(&mut closer);
+    rate(&mut closer);
+    // Who looks twice finds twice as much by chance.
+    for p in &mut closer {
+        p.q_value = (2.0 * p.q_value).min(1.0);
+    }
+    closer.retain(Place::counts);
+    if !closer.is_empty() {
+        out.retain(|p| !closer.iter().any(|c| (&c.response, &c.against) == (&p.response, &p.against)));
+        out.append(&mut closer);
+        strongest_first(&mut out);
+    }
     out
+}
+
+/// What set-up and known effects leave, each row by the size of its noise, and that size by response.
+fn left_by(problem: &Problem<'_>) -> (Vec<f64>, Vec<f64>) {
+    let mut noise = problem.first_noise();
+    noise.phi.fill(0.0);
+    let sigmas = noise.sigma.clone();
+    (sigmas, problem.base(noise).factor.residual().to_vec())
+}
+
+/// The parts of a response, and what is left of it about its mean.
+fn of_response<'s>(stack: &'s Rows<'_>, left: &[f64], response: usize) -> (Vec<&'s Segment>, Vec<f64>) {
+    let segments: Vec<&Segment> = stack.segments.iter().filter(|s| s.response == response).collect();
+    let mut residual: Vec<f64> = segments.iter().flat_map(|s| left[s.rows.clone()].iter().copied()).collect();
+    let mean = residual.iter().sum::<f64>() / residual.len().max(1) as f64;
+    for r in &mut residual {
+        *r -= mean;
+    }
+    (segments, residual)
+}
+
+fn strongest_first(places: &mut [Place]) {
+    places.sort_by(|a, b| a.p_value.total_cmp(&b.p_value).then(b.statistic.total_cmp(&a.statistic)));
+}
+
+/// A closer look at one response: what is slower than noise may be against the time, what comes back at each target against the
+/// place, and a wave over either. Slow channels are not asked: what drifts looks like each of them.
+fn closely(role: &str, stack: &Rows<'_>, segments: &[&Segment], residual: &[f64], sigma: f64) -> Vec<Place> {
+    let mut out = Vec::new();
+    for (against, x) in channels(stack, segments) {
+        let place = against.starts_with("position.");
+        if against != "time" && against != "angle" && !place {
+            continue;
+        }
+        let bins = if place { places_of(&x) } else { stretches(&x) };
+        out.extend(
+            bins.and_then(|bins| judged(role, &against, &x, residual, sigma, &bins, NOISE_REMEMBERS, 1.0)),
+        );
+        out.extend(wave(role, &against, &x, residual, sigma));
+    }
+    out
+}
+
+/// The clearest wave of a residual over one channel: least squares at each frequency (Lomb, Astrophys. Space Sci. 39 (1976) 447),
+/// of what is left of the residual without its memory. As many frequencies as were tried could each be the clearest by chance.
+fn wave(response: &str, against: &str, x: &[f64], residual: &[f64], sigma: f64) -> Option<Place> {
+    let n = residual.len();
+    let (low, high) = x.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(*v), h.max(*v)));
+    let (span, squares) = (high - low, dot(residual, residual));
+    if n < 12 || !(span > 0.0 && span.is_finite() && squares.is_finite() && squares > 0.0) {
+        return None;
+    }
+    let phi = (dot(&residual[1..], &residual[..n - 1]) / squares).clamp(0.0, NOISE_REMEMBERS);
+    let mut white: Vec<f64> = residual.windows(2).map(|w| w[1] - phi * w[0]).collect();
+    let mean = white.iter().sum::<f64>() / white.len() as f64;
+    for r in &mut white {
+        *r -= mean;
+    }
+    let rows = white.len() as f64;
+    let squares = dot(&white, &white);
+    let step = WAVES_APART / span;
+    // From one wave over the whole range to one in two rows, or as many as are looked at.
+    let first = (1.0 / WAVES_APART).ceil() as usize;
+    let last = ((rows / 2.0 / WAVES_APART) as usize).min(MOST_FREQUENCIES);
+    let turn = |v: f64, frequency: f64| (std::f64::consts::TAU * frequency * (v - low)).sin_cos();
+    let advance: Vec<(f64, f64)> = x[1..].iter().map(|v| turn(*v, step)).collect();
+    let mut at: Vec<(f64, f64)> = x[1..].iter().map(|v| turn(*v, step * first as f64)).collect();
+    let mut best = (0.0, 0.0);
+    for k in first..=last {
+        let (mut s, mut c, mut cc, mut cs, mut sum_s, mut sum_c) = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0);
+        for ((r, (sin, cos)), (by_sin, by_cos)) in white.iter().zip(&mut at).zip(&advance) {
+            s += r * *sin;
+            c += r * *cos;
+            cc += *cos * *cos;
+            cs += *cos * *sin;
+            sum_s += *sin;
+            sum_c += *cos;
+            (*sin, *cos) = (*sin * by_cos + *cos * by_sin, *cos * by_cos - *sin * by_sin);
+        }
+        // Sums about their means: the residual has none.
+        let (ss, cc) = (rows - cc - sum_s * sum_s / rows, cc - sum_c * sum_c / rows);
+        let cs = cs - sum_c * sum_s / rows;
+        let det = cc * ss - cs * cs;
+        if det > 1e-6 * rows * rows {
+            let share = (ss * c * c + cc * s * s - 2.0 * cs * c * s) / det / squares;
+            if share > best.0 {
+                best = (share, step * k as f64);
+            }
+        }
+    }
+    let (share, frequency) = best;
+    let chance = (0.5 * (rows - 3.0) * (-share.min(1.0 - 1e-12)).ln_1p()).exp();
+    let p_value = ((last + 1).saturating_sub(first) as f64 * chance).clamp(LEAST_P, 1.0);
+    (frequency > 0.0).then(|| Place {
+        response: response.to_owned(),
+        against: against.to_owned(),
+        statistic: share,
+        p_value,
+        q_value: 1.0,
+        profile: stretches(x).map_or_else(Vec::new, |bins| profile(&bins, x, residual, sigma)),
+        period: Some(1.0 / frequency),
+    })
+}
+
+/// Mean residual over stretches of a channel.
+fn profile(bins: &[Vec<usize>], x: &[f64], residual: &[f64], sigma: f64) -> Vec<[f64; 3]> {
+    let mean_of = |b: &[usize], v: &[f64]| b.iter().map(|i| v[*i]).sum::<f64>() / b.len() as f64;
+    bins.iter().map(|b| [mean_of(b, x), mean_of(b, residual) * sigma, b.len() as f64]).collect()
 }
 
 /// False-discovery rates, of places that are sorted by their p-values (Benjamini and Hochberg, J. R. Statist. Soc. B 57
@@ -178,18 +332,32 @@ fn place(
     sigma: f64,
     known: f64,
 ) -> Option<Place> {
-    let (response, against) = (response.to_owned(), against.to_owned());
-    let bins = stretches(x)?;
-    let mut bin = vec![0u8; x.len()];
+    judged(response, against, x, residual, sigma, &stretches(x)?, 0.99, known)
+}
+
+/// Structure of a residual over these groups of rows, beside permutations of its blocks. `remembers`: as much of what it has in
+/// common from row to row is noise.
+#[allow(clippy::too_many_arguments, reason = "what is looked at, and how")]
+fn judged(
+    response: &str,
+    against: &str,
+    x: &[f64],
+    residual: &[f64],
+    sigma: f64,
+    bins: &[Vec<usize>],
+    remembers: f64,
+    known: f64,
+) -> Option<Place> {
+    let mut bin = vec![0u32; x.len()];
     for (b, rows) in bins.iter().enumerate() {
         for i in rows {
-            bin[*i] = b as u8;
+            bin[*i] = b as u32;
         }
     }
     let explained =
-        |sums: [f64; STRETCHES]| -> f64 { sums.iter().zip(&bins).map(|(s, b)| s * s / b.len() as f64).sum() };
+        |sums: Vec<f64>| -> f64 { sums.iter().zip(bins).map(|(s, b)| s * s / b.len() as f64).sum() };
     let running = running(residual);
-    let own = explained(sums_by(&runs(&bin, bin.len()), &running, &[0]));
+    let own = explained(sums_by(&runs(&bin, bin.len(), bins.len()), &running, &[0]));
     // As long as the residual remembers, blocks stay together.
     let n = residual.len();
     let squares = dot(residual, residual);
@@ -198,14 +366,15 @@ fn place(
         return None;
     }
     let next = dot(&residual[1..], &residual[..n - 1]) / squares.max(1e-300);
-    let memory = (1.0 + next) / (1.0 - next.min(0.99));
+    let next = next.min(remembers);
+    let memory = (1.0 + next) / (1.0 - next);
     let longest = (n / 10).max(2) as f64;
     let length = (BLOCK * memory).clamp((n as f64).cbrt().min(longest), longest) as usize;
     let mut rng = Xoshiro256PlusPlus::seed_from_u64(SEED);
     let (mut tried, mut larger) = (0, 0);
     let mut order: Vec<usize> = (0..n.div_ceil(length)).collect();
     let mut begin = Vec::with_capacity(order.len());
-    let runs = runs(&bin, length);
+    let runs = runs(&bin, length, bins.len());
     let enough = ENOUGH.min((known / LEAST_P) as usize);
     while tried < PERMUTATIONS && larger < enough {
         for i in (1..order.len()).rev() {
@@ -220,11 +389,15 @@ fn place(
         tried += 1;
     }
     let p_value = (larger + 1) as f64 / (tried + 1) as f64;
-    let mean_of = |b: &[usize], v: &[f64]| b.iter().map(|i| v[*i]).sum::<f64>() / b.len() as f64;
-    let profile =
-        bins.iter().map(|b| [mean_of(b, x), mean_of(b, residual) * sigma, b.len() as f64]).collect();
-    let statistic = own / squares.max(1e-300);
-    Some(Place { response, against, statistic, p_value, q_value: 1.0, profile })
+    Some(Place {
+        response: response.to_owned(),
+        against: against.to_owned(),
+        statistic: own / squares.max(1e-300),
+        p_value,
+        q_value: 1.0,
+        profile: profile(bins, x, residual, sigma),
+        period: None,
+    })
 }
 
 /// Neighbouring rows of one stretch: from and to which row of their block.
@@ -235,13 +408,13 @@ struct Run {
 }
 
 /// Per stretch its runs of rows, block by block of so many rows: mostly long, as most channels change slowly.
-fn runs(bin: &[u8], length: usize) -> [Vec<Run>; STRETCHES] {
-    let mut out = std::array::from_fn(|_| Vec::new());
+fn runs(bin: &[u32], length: usize, bins: usize) -> Vec<Vec<Run>> {
+    let mut out: Vec<Vec<Run>> = (0..bins).map(|_| Vec::new()).collect();
     for (block, bins) in bin.chunks(length).enumerate() {
         let mut from = 0;
         for same in bins.chunk_by(|a, b| a == b) {
             let to = from + same.len() as u32;
-            out[usize::from(same[0])].push(Run { block: block as u32, from, to });
+            out[same[0] as usize].push(Run { block: block as u32, from, to });
             from = to;
         }
     }
@@ -260,12 +433,12 @@ fn running(residual: &[f64]) -> Vec<f64> {
 
 /// Sums of a residual by stretch, from its running sums. `begin`: from which row on each block has its values of the residual,
 /// which begins anew at its end.
-fn sums_by(runs: &[Vec<Run>; STRETCHES], running: &[f64], begin: &[usize]) -> [f64; STRETCHES] {
+fn sums_by(runs: &[Vec<Run>], running: &[f64], begin: &[usize]) -> Vec<f64> {
     let of = |Run { block, from, to }: &Run| {
         let running = &running[begin[*block as usize]..];
         running[*to as usize] - running[*from as usize]
     };
-    std::array::from_fn(|stretch| runs[stretch].iter().map(of).sum())
+    runs.iter().map(|stretch| stretch.iter().map(of).sum()).collect()
 }
 
 /// Takes a channel's means out of a residual: at each of its places where there are many rows of each, over its stretches
@@ -375,12 +548,12 @@ mod tests {
     #[test]
     fn blocks_are_summed_where_they_are_moved_to() {
         let residual = noise(9, 103);
-        let bin: Vec<u8> = (0..103).map(|i| (i * i / 7 % 8) as u8).collect();
+        let bin: Vec<u32> = (0..103).map(|i| i * i / 7 % 8).collect();
         let begin = |block: usize| (block * 37 + 90) % 103;
         let begins: Vec<usize> = (0..11).map(begin).collect();
-        let sums = sums_by(&runs(&bin, 10), &running(&residual), &begins);
+        let sums = sums_by(&runs(&bin, 10, 8), &running(&residual), &begins);
         for (b, sum) in sums.iter().enumerate() {
-            let rows = (0..103).filter(|i| usize::from(bin[*i]) == b);
+            let rows = (0..103).filter(|i| bin[*i] as usize == b);
             let want: f64 = rows.map(|i| residual[(begin(i / 10) + i % 10) % 103]).sum();
             assert!((sum - want).abs() < 1e-12, "stretch {b}: {sum}, not {want}");
         }
@@ -400,6 +573,7 @@ mod tests {
             p_value,
             q_value: 1.0,
             profile: Vec::new(),
+            period: None,
         };
         let mut all: Vec<Place> = p.map(of).into();
         rate(&mut all);

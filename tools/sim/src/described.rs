@@ -7,6 +7,20 @@ use rtec_model::machine::Machine;
 use serde::de::DeserializeOwned;
 use std::path::{Path, PathBuf};
 
+/// What was done with the machining centre of WO 97/43703, the machine in this file.
+macro_rules! wo97_of {
+    ($machine:literal) => {
+        concat!(
+            "# The five-axis machining centre of WO 97/43703, spindle horizontal, and the tests that it was put through.\n",
+            "machine = \"",
+            $machine,
+            "\"\n",
+            include_str!("../papers/wo97-equations.toml")
+        )
+    };
+}
+pub(crate) use wo97_of;
+
 /// Every file: name and text.
 pub const FILES: [(&str, &str); 9] = [
     ("4832.toml", include_str!("../papers/4832.toml")),
@@ -15,7 +29,7 @@ pub const FILES: [(&str, &str); 9] = [
     ("4854-machine.toml", include_str!("../papers/4854-machine.toml")),
     ("4854-chain.toml", include_str!("../papers/4854-chain.toml")),
     ("cmti.toml", include_str!("../papers/cmti.toml")),
-    ("wo97.toml", include_str!("../papers/wo97.toml")),
+    ("wo97.toml", wo97_of!("wo97-machine.toml")),
     ("wo97-machine.toml", WO97_MACHINE),
     ("wo97-chain.toml", WO97_CHAIN),
 ];
@@ -58,6 +72,18 @@ impl Described {
     pub fn read<T: DeserializeOwned>(&self, name: &str) -> Result<T, InputError> {
         let (path, text) = self.text(name)?;
         rtec_files::toml::from_str(&path, &text, "keys of this description, see `rtecctl papers --write`")
+    }
+
+    /// What is wrong with a value of a description: file, line of its key, found, expected.
+    #[must_use]
+    pub fn refuse(&self, name: &str, key: &str, found: String, expected: String) -> InputError {
+        let (path, text) = match self.text(name) {
+            Ok(read) => read,
+            Err(error) => return error,
+        };
+        let is_key = |line: &str| line.split_once('=').is_some_and(|(k, _)| k.trim() == key);
+        let line = text.lines().position(is_key).map_or(0, |n| n + 1);
+        InputError::at(&path, line, 0, found, expected)
     }
 
     /// A machine model, with its chain.

@@ -384,6 +384,31 @@ pub fn waveforms(design: AnyDesign, computer: &Computer, pulses: i64) -> String 
     draw(design, &seen.log, &totals)
 }
 
+/// One signal of a timing diagram, its name beside it: from a left edge to a right one, low at `base`; changes are (x, level).
+pub(crate) fn trace(
+    (name, colour): (&str, &str),
+    (left, right, base): (f64, f64, f64),
+    changes: impl Iterator<Item = (f64, bool)>,
+) -> String {
+    let y = |high: bool| if high { base - 26.0 } else { base };
+    let (mut points, mut last) = (String::new(), None);
+    for (x, level) in changes {
+        let before = *last.get_or_insert(level);
+        if points.is_empty() {
+            let _ = write!(points, "{left:.1},{:.1}", y(level));
+        }
+        if level != before {
+            let _ = write!(points, " {x:.1},{:.1} {x:.1},{:.1}", y(before), y(level));
+            last = Some(level);
+        }
+    }
+    let _ = write!(points, " {right:.1},{:.1}", y(last.unwrap_or(false)));
+    format!(
+        "<text x=\"16\" y=\"{base:.0}\">{name}</text><polyline fill=\"none\" stroke=\"{colour}\" stroke-width=\"1.2\" \
+         points=\"{points}\"/>\n"
+    )
+}
+
 type Level = fn(&(u64, State, State, i64)) -> bool;
 
 fn draw(design: AnyDesign, log: &[(u64, State, State, i64)], totals: &[(u64, i64)]) -> String {
@@ -407,21 +432,7 @@ fn draw(design: AnyDesign, log: &[(u64, State, State, i64)], totals: &[(u64, i64
     ];
     for (n, (name, colour, level)) in signals.into_iter().enumerate() {
         let base = 80.0 + row * n as f64;
-        let y = |high: bool| if high { base - 26.0 } else { base };
-        let mut points = format!("{left:.1},{:.1}", y(log.first().is_some_and(level)));
-        let mut last = log.first().is_some_and(level);
-        for l in log {
-            if level(l) != last {
-                let _ = write!(points, " {:.1},{:.1} {:.1},{:.1}", x(l.0), y(last), x(l.0), y(!last));
-                last = !last;
-            }
-        }
-        let _ = write!(points, " {:.1},{:.1}", left + width, y(last));
-        let _ = writeln!(
-            s,
-            "<text x=\"16\" y=\"{base:.0}\">{name}</text><polyline fill=\"none\" stroke=\"{colour}\" \
-             stroke-width=\"1.2\" points=\"{points}\"/>"
-        );
+        s += &trace((name, colour), (left, left + width, base), log.iter().map(|l| (x(l.0), level(l))));
     }
     let max = log.iter().map(|l| l.3).max().unwrap_or(1).max(1);
     let y = |count: i64| 370.0 - 110.0 * count as f64 / max as f64;

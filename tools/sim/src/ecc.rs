@@ -72,6 +72,14 @@ pub struct ControlLines {
 /// The largest compensation value, pulses (CMTI 2014, section 2.2.7: four bits).
 pub const MAX_PULSES: i64 = 15;
 
+/// A compensation that the circuit has no lines for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "found a compensation value of {0} pulses, expected 0 to {MAX_PULSES}: it has four bits (CMTI 2014, section 2.2.7); ask for the \
+     rest after the acknowledgement"
+)]
+pub struct BeyondFourBits(pub u8);
+
 /// What the circuit passes on.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Passing {
@@ -176,10 +184,16 @@ impl Ecc {
     }
 
     /// The controller's lines, set by hand: nothing is asked for by totals from now on. S1 goes off with the acknowledgement.
-    pub fn set_lines(&mut self, s1: bool, s0: bool, value: u8) {
+    ///
+    /// # Errors
+    /// A value of more than four bits.
+    pub fn set_lines(&mut self, s1: bool, s0: bool, value: u8) -> Result<(), BeyondFourBits> {
+        if i64::from(value) > MAX_PULSES {
+            return Err(BeyondFourBits(value));
+        }
         self.by_hand = true;
-        let value = value.min(MAX_PULSES as u8);
         self.put(self.look_ns, ControlLines { s1, s0, value, ..self.control });
+        Ok(())
     }
 
     /// X/Z: whether the controller speaks to this axis. Compensations begin on a selected axis alone.
@@ -322,8 +336,12 @@ impl Ecc {
         Ok(())
     }
 
-    /// How many pulses are over before the axis can turn back, or with `adds` before the PLL can leave its clean range.
+    /// How many pulses are over before the axis can turn back, or with `adds` before the PLL can leave its clean range. None are
+    /// added beyond the lock range: the VCO would run free, and the number come out by chance.
     fn sure_pulses(&self, adds: bool) -> i64 {
+        if adds && !self.in_range(self.pll.lock_from_hz, self.pll.lock_to_hz) {
+            return 0;
+        }
         let Some(a) = self.accel_counts_s2 else { return MAX_PULSES };
         // The XOR of A and B has one cycle in two counts.
         let rate = |xor_hz: f64| 2.0 * xor_hz;
@@ -349,7 +367,9 @@ impl Ecc {
         };
         // More counts in the direction of motion are added pulses, fewer are blocked ones.
         let adds = pulses * sign > 0;
-        let sure = if pulses == 0 { 0 } else { self.sure_pulses(adds).min(pulses.abs()) };
+        // The lines set by hand are the circuit's own: nothing holds them back.
+        let sure =
+            if pulses == 0 || self.by_hand { pulses.abs() } else { self.sure_pulses(adds).min(pulses.abs()) };
         self.waited += u64::from(sure < pulses.abs());
         if sure == 0 {
             return;

@@ -2,7 +2,8 @@
 //! and S0 say what is to be done, four bits how often, and a short acknowledgement says that it is over.
 
 use crate::bench::Edge;
-use crate::ecc::{ControlLines, Ecc, Pll};
+use crate::designs::trace;
+use crate::ecc::{BeyondFourBits, ControlLines, Ecc, Pll};
 use crate::replay::CorrectedAxis;
 use rtec_driver::card::{AxisLines, Card, CardError, Sample};
 use rtec_driver::quadrature::{Decoder, State};
@@ -98,6 +99,17 @@ impl Card for Wires<'_> {
     }
 }
 
+/// Why a board could not be run.
+#[derive(Debug, thiserror::Error)]
+pub enum BoardError {
+    /// The wires.
+    #[error(transparent)]
+    Card(#[from] CardError),
+    /// An order that has no lines.
+    #[error(transparent)]
+    Order(#[from] BeyondFourBits),
+}
+
 /// How long the controller takes from one step of its program to the next, ns.
 const STEP_NS: u64 = 1000;
 
@@ -105,14 +117,14 @@ const STEP_NS: u64 = 1000;
 /// order without S1 stands for `idle_ns`.
 ///
 /// # Errors
-/// Never on these wires; a card may fail.
+/// An order of more than four bits; never by these wires.
 pub fn run(
     pll: Pll,
     edges: [&[Edge]; 2],
     orders: &[Order],
     (from_ns, idle_ns): (u64, u64),
     seed: u64,
-) -> Result<Board, CardError> {
+) -> Result<Board, BoardError> {
     let mut wires = [0, 1].map(|n| Wires {
         edges: edges[n],
         next: 0,
@@ -130,7 +142,7 @@ pub fn run(
     let [x, z] = &mut wires;
     let mut circuits = [Ecc::new(pll, seed, x)?, Ecc::new(pll, seed + 1, z)?];
     for circuit in &mut circuits {
-        circuit.set_lines(false, false, 0);
+        circuit.set_lines(false, false, 0)?;
     }
     let end_ns = edges.iter().filter_map(|e| e.last()).map(|e| e.0).max().unwrap_or(0);
     let (mut orders, mut under_way) = (orders.iter(), None::<(Order, u64, u64)>);
@@ -153,15 +165,18 @@ pub fn run(
                 let over = if order.s1 { acknowledged } else { now_ns >= since_ns + idle_ns };
                 (!over).then_some((order, since_ns, before))
             }
-            None => orders.next().map(|order| {
-                for (n, circuit) in circuits.iter_mut().enumerate() {
-                    circuit.select((n == 0) == order.x);
+            None => match orders.next() {
+                None => None,
+                Some(order) => {
+                    for (n, circuit) in circuits.iter_mut().enumerate() {
+                        circuit.select((n == 0) == order.x);
+                    }
+                    board.changes.push((now_ns, "xz", order.x));
+                    let circuit = &mut circuits[usize::from(!order.x)];
+                    circuit.set_lines(order.s1, order.s0, order.value)?;
+                    Some((*order, now_ns, circuit.acknowledged()))
                 }
-                board.changes.push((now_ns, "xz", order.x));
-                let circuit = &mut circuits[usize::from(!order.x)];
-                circuit.set_lines(order.s1, order.s0, order.value);
-                (*order, now_ns, circuit.acknowledged())
-            }),
+            },
         };
     }
     for (n, (circuit, wires)) in circuits.iter().zip(&mut wires).enumerate() {
@@ -197,6 +212,50 @@ impl Board {
             (!is).then_some(t_ns - began?)
         })
         .collect()
+    }
+
+    /// The timing diagram of the n-th compensation, as figures 8 and 9 of the paper have it: from before S1 comes up to after
+    /// the acknowledgement, half as long as the compensation takes. None where there was no such compensation.
+    #[must_use]
+    pub fn svg(&self, n: usize, title: &str) -> Option<String> {
+        let (at, begin) = self.changes.iter().enumerate().filter(|(_, c)| c.1 == "s1" && c.2).nth(n)?;
+        let end_ns = self.changes[at..].iter().find(|c| c.1 == "ack" && c.2)?.0;
+        let beside_ns = (end_ns - begin.0) / 2;
+        let (from_ns, to_ns) = (begin.0.saturating_sub(beside_ns), end_ns + beside_ns);
+        let x_selected = self.changes[..at].iter().rev().find(|c| c.1 == "xz").is_some_and(|c| c.2);
+        let own = if x_selected { &SIGNALS[..4] } else { &SIGNALS[4..8] };
+        let (left, right) = (90.0, 1240.0);
+        let x = |t_ns: u64| left + (right - left) * (t_ns - from_ns) as f64 / (to_ns - from_ns) as f64;
+        let mut text = format!(
+            "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 1280 430\" font-family=\"sans-serif\" \
+             font-size=\"14\">\n<rect width=\"1280\" height=\"430\" fill=\"white\"/>\n<text x=\"{left}\" \
+             y=\"22\">{title}</text>\n"
+        );
+        let names = ["s1", "s0"].iter().chain(own).chain(&["ack"]);
+        for (row, name) in names.enumerate() {
+            let before =
+                self.changes.iter().rev().find(|c| c.1 == *name && c.0 < from_ns).is_some_and(|c| c.2);
+            let within = self
+                .changes
+                .iter()
+                .filter(|c| c.1 == *name && (from_ns..=to_ns).contains(&c.0))
+                .map(|c| (x(c.0), c.2));
+            let colour = match *name {
+                "s1" | "s0" | "ack" => "#009e73",
+                name if name.ends_with("mtc") => "#0072b2",
+                _ => "#505050",
+            };
+            let place = (left, right, 80.0 + 52.0 * row as f64);
+            text += &trace((name, colour), place, std::iter::once((left, before)).chain(within));
+        }
+        let ms = |t_ns: u64| t_ns as f64 * 1e-6;
+        let _ = writeln!(
+            text,
+            "<text x=\"{left}\" y=\"422\">{:.3} ms</text><text x=\"{right}\" y=\"422\" text-anchor=\"end\">{:.3} ms</text>",
+            ms(from_ns),
+            ms(to_ns)
+        );
+        Some(text + "</svg>\n")
     }
 
     /// The board's signals as a value change dump (IEEE 1364): [`SIGNALS`], all low at the start.

@@ -4,4 +4,5 @@ mod clean;
 mod field;
 mod quick;
 mod real;
+mod record;
 mod wide;

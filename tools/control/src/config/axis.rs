@@ -6,6 +6,14 @@ use rtec_files::toml::{Section, SourceFile};
 use rtec_rt::axis::{AxisConfig, Design, RestPolicy};
 use std::path::{Path, PathBuf};
 
+/// The belief window of an axis that does not state one, µm: three corrections of 4 µm (NISTIR 4832, General Considerations).
+const BELIEVED_UM: f64 = 12.0;
+
+/// The belief window as counts of this size, at least one insertion.
+fn window_of(count_um: f64, increment_counts: i64) -> i64 {
+    ((BELIEVED_UM / count_um).floor() as i64).max(increment_counts)
+}
+
 #[allow(clippy::too_many_lines)] // One key after the other.
 /// Reads one `[[axis]]`; none where something is wrong with it. With it the recording of a replay.
 pub(super) fn read(
@@ -55,7 +63,7 @@ pub(super) fn read(
     let max = s.integer(source, "max_correction_counts", 1..=1_000_000_000);
     let max = s.required(source, "max_correction_counts", "the largest total correction, counts", max);
     let window = s.integer(source, "window_counts", 1..=1_000_000_000);
-    let window = s.required(source, "window_counts", "the largest change believed at once, counts", window);
+    let window_given = s.has("window_counts");
     let separation = s.integer(source, "min_separation_ns", 1..=1_000_000_000);
     let meaning = "what the MTC's decoder needs between two edges, ns";
     let separation = s.required(source, "min_separation_ns", meaning, separation);
@@ -173,11 +181,16 @@ pub(super) fn read(
         (None, Some(counts)) => counts.value,
         (None, None) => latency.max_accel_counts_s2,
     };
+    let window_counts = match window {
+        Some(window) => window.value,
+        None if window_given => return None,
+        None => window_of(count_um, design?.increment_counts()).min(max.value),
+    };
     let engine = AxisConfig {
         lines: lines?,
         design: design?,
         max_correction_counts: budget.map_or(max.value, |b| b.value.min(max.value)),
-        window_counts: window?.value,
+        window_counts,
         warn_counts: warn.map_or(i64::MAX, |w| w.value),
         error_counts: error.map_or(i64::MAX, |e| e.value),
         max_rate_counts_s: rate.map_or(f64::INFINITY, |r| r.value),

@@ -3,7 +3,7 @@
 use super::Machine;
 use super::note::{FitNote, Listed, Provenance, Source, Validity};
 use super::places::{folder_of, named_from, whole};
-use crate::effect::{Against, Effect, ValueError};
+use crate::effect::{Against, Dictionary, Effect, ValueError};
 use rtec_files::InputError;
 use std::path::{Path, PathBuf};
 use toml_edit::{Array, InlineTable, Item, Value, value};
@@ -197,13 +197,18 @@ impl Machine {
         moved.to_text()
     }
 
-    /// The file's text for another place, read back: whatever is written can be loaded.
+    /// The file's text for another place, read back: whatever is written can be loaded. `beside`: names and texts of files that will
+    /// be written beside it and are not there yet.
     ///
     /// # Errors
     /// A value that no machine has, as a fit to a record in the wrong unit gives it.
-    pub fn readable_text_at(&self, path: &Path) -> Result<String, InputError> {
+    pub fn readable_text_at(&self, path: &Path, beside: &[(&str, &str)]) -> Result<String, InputError> {
         let text = self.text_at(path);
-        Self::parse(path, &text).map_err(|e| InputError {
+        let read = |file: &Path| {
+            let own = beside.iter().find(|(name, _)| path.with_file_name(name) == file);
+            own.map_or_else(|| rtec_files::text::read(file), |(_, text)| Ok((*text).to_owned()))
+        };
+        Self::parse_from(path, &text, Dictionary::default(), &read).map_err(|e| InputError {
             found: format!("a model that could not be loaded, and is not written: {}", e.found),
             expected: format!("{}; look at the records' units and columns", e.expected),
             ..e
@@ -216,7 +221,7 @@ impl Machine {
     /// # Errors
     /// It could not be read back, or the directory cannot be written.
     pub fn write(&self, path: &Path) -> Result<(), InputError> {
-        let text = self.readable_text_at(path)?;
+        let text = self.readable_text_at(path, &[])?;
         rtec_files::write::whole(path, text.as_bytes())
             .map_err(|e| InputError::whole(path, e.to_string(), "a file that can be written"))
     }

@@ -9,8 +9,10 @@ use crate::rows::{Is, Rows, shown};
 use rtec_driver::quadrature::State;
 use rtec_model::machine::Machine;
 use rtec_model::record::Role;
+use rtec_sim::bench::AnyDesign;
 use rtec_sim::computer::Computer;
 use rtec_sim::described::Described;
+use rtec_sim::designs::waveforms;
 use rtec_sim::experiment::{Setting, one_metre, over_a_part};
 use rtec_sim::gcode::Block;
 use rtec_sim::sim::{Sim, Spec};
@@ -70,6 +72,11 @@ pub(crate) fn run(
     introduction(&mut rows, &bench);
     signals::signals(&mut rows, &bench, seed)?;
     signals::pulses(&mut rows, &bench, &computer)?;
+    for design in AnyDesign::ALL {
+        let with = if design == AnyDesign::B { &faster } else { &computer };
+        let name = format!("figure-2-{}.svg", design.name());
+        rows.figures.push((name, waveforms(design, with, 3)));
+    }
     progress("NISTIR 4832: the linear error over a part");
     linear(&mut rows, &bench, &machine, seed)?;
     progress("NISTIR 4832: at rest, and with dither");
@@ -112,7 +119,8 @@ fn linear(rows: &mut Rows, bench: &Bench, machine: &Machine, seed: u64) -> Resul
     let setting = Setting { spec: &spec, truth: machine, known: Some(machine), seed, out: Path::new("") };
     let spec = one_metre(bench.count_um, bench.travel_mm);
     let length_mm = bench.part_share * bench.travel_mm;
-    let found = over_a_part(&setting, &spec, length_mm, bench.cutting_mm_min)?;
+    let mut found = over_a_part(&setting, &spec, length_mm, bench.cutting_mm_min)?;
+    rows.figures.append(&mut found.plots);
     let data = |n: usize| -> (Vec<f64>, Vec<f64>) {
         let record = &found.records[n];
         let x = record.columns.iter().find(|c| matches!(c.role, Role::Position(_)));

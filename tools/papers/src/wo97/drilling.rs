@@ -30,8 +30,10 @@ pub(super) fn drilling(
     model: &Machine,
     (scale, positioning, thermal): ([f64; 3], [f64; 3], [[f64; 3]; 2]),
 ) -> Result<(), PaperError> {
-    let cold = run.experiment("drilling", model)?;
-    let warm = run.experiment("drilling-warm", model)?;
+    let mut cold = run.experiment("drilling", Some(model))?;
+    let mut warm = run.experiment("drilling-warm", Some(model))?;
+    rows.figures.append(&mut cold.plots);
+    rows.figures.append(&mut warm.plots);
     let deviations = |found: &Findings, name: &str| -> Result<[Vec<f64>; 3], PaperError> {
         let record = record(found, name)?;
         Ok([0, 1, 2].map(|p| {

@@ -9,7 +9,7 @@ mod starts;
 use crate::PaperError;
 use crate::rows::Rows;
 use drilling::drilling;
-use geometry::{circles, displacement, tool_changes};
+use geometry::{circles, displacement, grown_reversal, tool_changes};
 use heat::{drifts, dry_against_wet, equations, table_6};
 pub use starts::{STARTS, Started, starts};
 
@@ -102,10 +102,10 @@ struct Run<'a> {
 }
 
 impl Run<'_> {
-    fn experiment(&self, name: &str, known: &Machine) -> Result<Findings, PaperError> {
+    /// An experiment of the characterisation, or with a model the drilling test without and with compensation.
+    fn experiment(&self, name: &str, known: Option<&Machine>) -> Result<Findings, PaperError> {
         let spec = Spec::machining_centre();
-        let out = Path::new("");
-        let setting = Setting { spec: &spec, truth: self.truth, known: Some(known), seed: self.seed, out };
+        let setting = Setting { spec: &spec, truth: self.truth, known, seed: self.seed, out: Path::new("") };
         let experiment =
             Experiment::find(name).ok_or_else(|| PaperError::Cannot(format!("no experiment {name}")))?;
         Ok(experiment.run(&setting)?)
@@ -120,15 +120,23 @@ pub(crate) fn run(
     let centre: Centre = described.read("wo97.toml")?;
     let truth = described.machine(&centre.machine)?;
     let run = Run { truth: &truth, seed };
-    let ideal = Machine::ideal("nothing known");
     let mut rows = Rows::default();
+    let characterise = |rows: &mut Rows, name: &str| -> Result<Findings, PaperError> {
+        let mut found = run.experiment(name, None)?;
+        rows.figures.append(&mut found.plots);
+        Ok(found)
+    };
     progress("WO 97/43703: circles in three planes");
-    circles(&mut rows, &run.experiment("ballbar", &ideal)?);
+    let found = characterise(&mut rows, "ballbar")?;
+    circles(&mut rows, &found);
+    grown_reversal(&mut rows, &run)?;
     progress("WO 97/43703: linear displacement, tool changes");
-    let linear = displacement(&mut rows, &run.experiment("linear-displacement", &ideal)?);
-    let positioning = tool_changes(&mut rows, &run.experiment("tool-change-repeatability", &ideal)?);
+    let found = characterise(&mut rows, "linear-displacement")?;
+    let linear = displacement(&mut rows, &found);
+    let found = characterise(&mut rows, "tool-change-repeatability")?;
+    let positioning = tool_changes(&mut rows, &found);
     progress("WO 97/43703: the spindle cycle, dry and wet");
-    let drift = run.experiment("drift", &ideal)?;
+    let drift = characterise(&mut rows, "drift")?;
     let thermal = drifts(&mut rows, &drift);
     table_6(&mut rows, linear, positioning, thermal);
     dry_against_wet(&mut rows, &drift);

@@ -4,6 +4,7 @@ use super::{Centre, Run, error_of, record};
 use crate::PaperError;
 use crate::rows::{Is, Rows, shown};
 use rtec_fit::thermal::{self, Options, ROUNDS, Report};
+use rtec_measure::plot::{Chart, Series, Style};
 use rtec_model::effect::Need;
 use rtec_model::machine::{Machine, Provenance};
 use rtec_model::record::{Record, Role};
@@ -114,14 +115,29 @@ pub(super) fn wet_model(
         );
     }
     selected(rows, &reports);
+    modelled(rows, wet, &model)?;
     Ok(model)
+}
+
+/// Figures 18a to 18c: the growth of the wet spindle cycle, measured and modelled.
+fn modelled(rows: &mut Rows, wet: &Record, model: &Machine) -> Result<(), PaperError> {
+    let minutes: Vec<f64> = wet.data(&Role::Time).unwrap_or_default().iter().map(|s| s / 60.0).collect();
+    let from_start = |um: &[f64]| -> Vec<(f64, f64)> {
+        let first = um.first().copied().unwrap_or(0.0);
+        minutes.iter().copied().zip(um.iter().map(|e| e - first)).collect()
+    };
+    for (p, (response, modelled)) in model.predict(wet)?.columns.into_iter().enumerate() {
+        let chart = Chart::new(&format!("Growth of {response}"), "time (min)", "growth (µm)")
+            .with(Series::new("measured", Style::Dots, from_start(&error_of(wet, p))))
+            .with(Series::new("modelled", Style::Line, from_start(&modelled)));
+        rows.figures.push((format!("figure-18{}.svg", ["a", "b", "c"][p.min(2)]), chart.svg(900, 420)?));
+    }
+    Ok(())
 }
 
 /// The fit of the patent's runs, all wet: spindle cycle, warm-up with speeds and cool-down, a shift, a production cycle.
 fn fitted(run: &Run<'_>, wet: &Record, options: &Options) -> Result<(Machine, Vec<Report>), PaperError> {
-    let ideal = Machine::ideal("nothing known");
-    let (runs, production) =
-        (run.experiment("wet-runs", &ideal)?, run.experiment("production-cycle", &ideal)?);
+    let (runs, production) = (run.experiment("wet-runs", None)?, run.experiment("production-cycle", None)?);
     let train =
         [wet, record(&runs, "warm-day")?, record(&runs, "shift")?, record(&production, "production-cycle")?];
     Ok(thermal::fit(&train, &[], options)?)
@@ -131,7 +147,7 @@ fn fitted(run: &Run<'_>, wet: &Record, options: &Options) -> Result<(Machine, Ve
 pub(super) fn from_wet_runs(run: &Run<'_>) -> Result<Machine, PaperError> {
     let options =
         Options { base: Some(geometry(run.truth)?), date: 20_000, speed: false, ..Options::default() };
-    let drift = run.experiment("drift", &Machine::ideal("nothing known"))?;
+    let drift = run.experiment("drift", None)?;
     Ok(fitted(run, record(&drift, "drift-wet")?, &options)?.0)
 }
 

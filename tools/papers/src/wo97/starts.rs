@@ -1,7 +1,7 @@
 //! The drilling test from every thermal state, with a model that never saw a hole.
 
 use super::model::from_wet_runs;
-use super::{AXES, Run, error_of, record};
+use super::{AXES, Centre, Run, error_of, record};
 use crate::PaperError;
 use rtec_model::effect::{Against, STANDARD_DEGC};
 use rtec_model::machine::FitNote;
@@ -60,12 +60,13 @@ impl Started {
 /// # Errors
 /// A description that is not right, or a machine that stops.
 pub fn starts(described: &Described, seed: u64) -> Result<Vec<Started>, PaperError> {
-    let truth = described.machine("wo97-machine.toml")?;
+    let centre: Centre = described.read("wo97.toml")?;
+    let truth = described.machine(&centre.machine)?;
     let run = Run { truth: &truth, seed };
     let model = from_wet_runs(&run)?;
     let mut all = Vec::new();
     for start in STARTS {
-        let found = run.experiment(start, &model)?;
+        let found = run.experiment(start, Some(&model))?;
         for (p, axis) in AXES.into_iter().enumerate() {
             let response = format!("error.{}", axis.to_lowercase());
             let fit = model.fits().iter().find(|f| f.response == response);

@@ -12,7 +12,12 @@ use crate::daemon::{Daemon, check, unreachable};
 use nix::sys::signal::{SigSet, Signal};
 use rtec_control::client::Client;
 use rtec_control::protocol::{AxisReport, ClientRequest, DaemonStatus, Response};
+use rtec_files::InputError;
+use rtec_model::effect::STANDARD_DEGC;
+use rtec_model::live::{AxisNow, Frame, Layout, Live};
+use rtec_model::machine::Machine;
 use std::io::Write;
+use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 /// Prove sign and unit of an axis, and that its controller does not compensate already, by a guided jog
@@ -29,12 +34,15 @@ pub(crate) struct Args {
     /// How far to jog without it, mm: display against scale
     #[arg(long, default_value_t = 50.0, allow_negative_numbers = true)]
     far_mm: f64,
-    /// Total to insert, counts; within the belief window
-    #[arg(long, default_value_t = 20)]
-    counts: i64,
+    /// Total to insert, counts; within the belief window [default: 20, or the window where it is smaller]
+    #[arg(long)]
+    counts: Option<i64>,
     /// How well display and indicator can be read, µm
     #[arg(long, default_value_t = 5.0)]
     tolerance_um: f64,
+    /// Propose a belief window for this model: three of its largest steps, as NISTIR 4832 has three corrections
+    #[arg(long, value_name = "machine.toml")]
+    model: Option<PathBuf>,
     /// Ask for the readings of a simulated axis too
     #[arg(long)]
     by_hand: bool,
@@ -48,6 +56,60 @@ const UNIT: f64 = 0.01;
 const REST: Duration = Duration::from_millis(300);
 /// An axis that is not at rest after this is not jogged, it is running.
 const PATIENCE: Duration = Duration::from_secs(60);
+
+/// Counts that are inserted where the user does not say and the belief window is no smaller.
+const USUAL_COUNTS: i64 = 20;
+/// The smallest belief window that is proposed, µm: three corrections of 4 µm (NISTIR 4832, General Considerations).
+const LEAST_WINDOW_UM: f64 = 12.0;
+
+/// What a model's correction of an axis changes by at most from one moment to the next, µm: where the axis turns, and where coolant
+/// comes on. All else creeps, or is part of a motion. Looked at where the axis is jogged to.
+fn largest_step_um(file: &Path, axis: &str, places_mm: [f64; 3]) -> anyhow::Result<f64> {
+    let machine = Machine::read(file)?;
+    let refused = |found: String, expected: &str| InputError::whole(file, found, expected);
+    let mut layout = Layout { sensors: machine.sensors(), ..Layout::default() };
+    for effect in machine.effects() {
+        layout.axes.extend(effect.axes().iter().cloned());
+        layout.channels.extend(effect.channel().map(str::to_owned));
+    }
+    layout.axes.sort();
+    layout.axes.dedup();
+    layout.channels.sort();
+    layout.channels.dedup();
+    let own = layout.axes.iter().position(|a| a.as_str() == axis);
+    let own = own.ok_or_else(|| refused(format!("no effect on axis {axis}"), "the model of this machine"))?;
+    let (degc, channels) = (vec![STANDARD_DEGC; layout.sensors.len()], vec![0.0; layout.channels.len()]);
+    let mut axes = vec![AxisNow::default(); layout.axes.len()];
+    let mut live = Live::of(&machine, layout)
+        .map_err(|missing| refused(missing.to_string(), "a model of axes, sensors and channels"))?;
+    let mut t_s = 0.0;
+    let mut step_um: f64 = 0.0;
+    for position_mm in places_mm {
+        let mut before: Option<f64> = None;
+        for (direction, coolant) in [(-1.0, 0.0), (1.0, 0.0), (1.0, 1.0), (-1.0, 1.0)] {
+            t_s += 1.0;
+            axes[own] = AxisNow { position_mm, direction, ..AxisNow::default() };
+            let (axes, temperatures_degc) = (&axes[..], &degc[..]);
+            live.evaluate(&Frame {
+                t_s,
+                axes,
+                temperatures_degc,
+                channels: &channels,
+                coolant,
+                ..Frame::default()
+            });
+            let now = live.errors_um()[own];
+            step_um = before.map_or(step_um, |before| step_um.max((now - before).abs()));
+            before = Some(now);
+        }
+    }
+    Ok(step_um)
+}
+
+/// The belief window for a largest step, counts.
+fn window_counts(step_um: f64, count_um: f64) -> i64 {
+    ((3.0 * step_um).max(LEAST_WINDOW_UM) / count_um).ceil() as i64
+}
 
 /// The axis at rest.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -161,6 +223,10 @@ struct Guide<'a> {
     simulated: bool,
     /// The indicator is at the axis.
     indicator: bool,
+    /// The total to insert, counts.
+    counts: i64,
+    /// The largest step of the model that a belief window is to be proposed for, µm.
+    step_um: Option<f64>,
 }
 
 impl Guide<'_> {
@@ -277,6 +343,10 @@ impl Guide<'_> {
         // Either of them may stand at zero, where position and counts say nothing of the unit.
         let count_um = if there.count_um.is_nan() { start.count_um } else { there.count_um };
         let [start, there] = [start, there].map(|p| Place { count_um, ..p });
+        if let Some(step_um) = self.step_um {
+            note(figures, "largest_step_of_the_model_um", step_um);
+            figures.insert("window_counts_proposed".to_owned(), window_counts(step_um, count_um).into());
+        }
         note(figures, "display_mm", there.display_mm - start.display_mm);
         note(figures, "indicator_mm", there.indicator_mm - start.indicator_mm);
         note(figures, "scale_mm", there.scale_mm() - start.scale_mm());
@@ -302,8 +372,8 @@ impl Guide<'_> {
         }
         let before = self.go(Some(start.display_mm))?;
         self.indicator(true, "put the indicator back now: the axis stays near it");
-        eprintln!("inserting {:+} counts", args.counts);
-        self.insert(args.counts)?;
+        eprintln!("inserting {:+} counts", self.counts);
+        self.insert(self.counts)?;
         // Away and back: without an edge an axis at rest gives no chance to insert.
         self.go(Some(start.display_mm + args.jog_mm))?;
         let after = self.go(Some(start.display_mm))?;
@@ -354,7 +424,7 @@ fn numbers<const N: usize>(from: &mut impl std::io::BufRead, expected: &str) -> 
 /// Takes back what was inserted, and returns what of it the controller still has.
 fn take_back(args: &Args) -> anyhow::Result<()> {
     let client = args.daemon.connect()?;
-    let mut guide = Guide { client, args, simulated: false, indicator: true };
+    let mut guide = Guide { client, args, simulated: false, indicator: true, counts: 0, step_um: None };
     guide.insert(0)?;
     let axis = guide.status()?.1;
     if axis.in_effect != 0 {
@@ -393,15 +463,20 @@ fn on_signal(args: &Args) -> anyhow::Result<()> {
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let small = args.jog_mm.abs() * 1000.0 <= 10.0 * args.tolerance_um;
-    if small || !args.jog_mm.is_finite() || !args.far_mm.is_finite() || args.counts == 0 {
-        let found = format!("--jog-mm {} --far-mm {} --counts {}", args.jog_mm, args.far_mm, args.counts);
+    if small || !args.jog_mm.is_finite() || !args.far_mm.is_finite() || args.counts == Some(0) {
+        let counts = args.counts.map_or_else(String::new, |counts| format!(" --counts {counts}"));
+        let found = format!("--jog-mm {} --far-mm {}{counts}", args.jog_mm, args.far_mm);
         let text = format!(
             "found {found}, expected a jog beyond ten times the tolerance, and counts that are not 0"
         );
         return Err(Outcome::Bad(text).into());
     }
-    let mut guide = Guide { client: args.daemon.connect()?, args, simulated: false, indicator: true };
+    let places_mm = [0.0, args.jog_mm, args.far_mm];
+    let step_um = args.model.as_ref().map(|file| largest_step_um(file, &args.axis, places_mm)).transpose()?;
+    let client = args.daemon.connect()?;
+    let mut guide = Guide { client, args, simulated: false, indicator: true, counts: 0, step_um };
     let (status, axis) = guide.status()?;
+    guide.counts = args.counts.unwrap_or_else(|| USUAL_COUNTS.min(axis.window_counts));
     if status.mode == "fault" {
         return Err(Outcome::Fault(status.why_not.join("; ")).into());
     }
@@ -496,6 +571,34 @@ mod tests {
         assert_eq!(
             (judge(0), judge(20), judge(-10)),
             (Some("controller_ignores"), Some("wrong_insertion"), Some("wrong_insertion"))
+        );
+    }
+
+    #[test]
+    fn the_window_is_three_of_the_largest_step() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("m.toml");
+        let step = |effects: &str| {
+            std::fs::write(&file, format!("name = \"m\"\n{effects}")).unwrap();
+            largest_step_um(&file, "x", [0.0, 10.0, 50.0]).unwrap()
+        };
+        let reversal = "[[effect]]\nname = \"reversal.x\"\num = 6.0\n";
+        let coolant = "[[effect]]\nname = \"coolant.x\"\num = -15.0\n";
+        let growing = "[[effect]]\nname = \"reversal_slope.x\"\num_per_m = 40.0\n";
+        let other =
+            "[[effect]]\nname = \"reversal.y\"\num = 90.0\n[[effect]]\nname = \"scale.x\"\nppm = 500.0\n";
+        for (effects, um) in [
+            (reversal.to_owned(), 6.0),
+            ([reversal, coolant].concat(), 15.0),
+            ([reversal, growing].concat(), 8.0),
+            ([reversal, other].concat(), 6.0),
+        ] {
+            assert!((step(&effects) - um).abs() < 1e-9, "{effects}: {}", step(&effects));
+        }
+        assert_eq!((window_counts(6.0, 1.0), window_counts(6.0, 0.5), window_counts(0.0, 1.0)), (18, 36, 12));
+        std::fs::write(&file, "name = \"m\"\n").unwrap();
+        assert!(
+            largest_step_um(&file, "x", [0.0; 3]).unwrap_err().to_string().contains("no effect on axis x")
         );
     }
 

@@ -14,7 +14,7 @@ use std::time::{Duration, Instant};
 /// Each source's machine is within this program; `--write` shows it as files, and `--from` runs files of one's own.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// The source: 4832, 4854, cmti or wo97 [default: all four]
+    /// The source: 4832 (or nistir4832), 4854, cmti or wo97 [default: all four]
     #[arg(value_parser = paper)]
     paper: Option<&'static Paper>,
     /// Take the machines' files from this folder; those that are not there are this program's
@@ -23,6 +23,9 @@ pub(crate) struct Args {
     /// Write the machines' files into this folder, the Error Correction Circuit's trace beside them, and end
     #[arg(long, value_name = "DIR")]
     write: Option<PathBuf>,
+    /// Draw the source's figures into this folder, as they come out here
+    #[arg(long, value_name = "DIR", requires = "paper")]
+    out: Option<PathBuf>,
     /// Only rows that differ
     #[arg(long)]
     differ: bool,
@@ -69,6 +72,15 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let mut all = Vec::new();
     for paper in PAPERS.iter().filter(|p| args.paper.is_none_or(|own| own.name == p.name)) {
         let compared = paper.compare(&described, args.seed, &mut progress).map_err(explain)?;
+        if let Some(folder) = &args.out {
+            std::fs::create_dir_all(folder).with_context(|| format!("making {}", folder.display()))?;
+            for (name, text) in &compared.figures {
+                let file = folder.join(name);
+                rtec_files::write::whole(&file, text.as_bytes())
+                    .with_context(|| format!("writing {}", file.display()))?;
+                eprintln!("rtecctl: wrote {}", file.display());
+            }
+        }
         if !args.json {
             print!("{}", table(&compared, args.differ));
         }
@@ -114,7 +126,8 @@ fn table(c: &Compared, differ: bool) -> String {
             Verdict::NotCompared => "  not compared".to_owned(),
         };
         let gets = if row.gets.is_empty() { "-" } else { &row.gets };
-        let _ = write!(text, "  {:<76} {:>16}  {gets:>16} {}{mark}", row.what, row.says, row.unit);
+        let line = format!("  {:<76} {:>16}  {gets:>16} {}{mark}", row.what, row.says, row.unit);
+        text += line.trim_end();
         if row.why.is_empty() {
             text.push('\n');
             continue;
@@ -163,7 +176,16 @@ mod tests {
             row("Table 2", "fifth", Verdict::NotCompared, "a scale of its own"),
         ];
         let (paper, title) = ("p", "A paper");
-        let compared = Compared { paper, title, seed: 1, agree: 1, differ: 3, not_compared: 1, rows };
+        let compared = Compared {
+            paper,
+            title,
+            seed: 1,
+            agree: 1,
+            differ: 3,
+            not_compared: 1,
+            rows,
+            figures: Vec::new(),
+        };
         let text = table(&compared, false);
         let mark = |what: &str| {
             let line = text.lines().find(|l| l.trim_start().starts_with(what)).unwrap_or_default();

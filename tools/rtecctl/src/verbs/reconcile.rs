@@ -125,7 +125,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let mut files = Vec::new();
     if let (true, Some(dir)) = (args.stage >= Stage::Add, &args.out) {
         files.extend(answer.curve.as_ref().map(|(_, laws)| (LAWS_FILE, laws.clone())));
-        files.push(("model.toml", answer.model.readable_text_at(&dir.join("model.toml"))?));
+        let beside: Vec<(&str, &str)> = files.iter().map(|(name, text)| (*name, text.as_str())).collect();
+        let model = answer.model.readable_text_at(&dir.join("model.toml"), &beside)?;
+        files.push(("model.toml", model));
     }
     if figures {
         files.push(("report.html", html(&answer, machine.name())));
@@ -181,13 +183,13 @@ fn chance(p: f64) -> String {
 fn found(places: &[Place]) -> String {
     use std::fmt::Write as _;
     let mut s = String::from("Where measured and simulated disagree (false-discovery rate 5 %):\n");
-    let found: Vec<_> = places.iter().filter(|p| p.q_value <= 0.05).collect();
+    let found: Vec<_> = places.iter().filter(|p| p.counts()).collect();
     for p in found.iter().take(8) {
         let _ = writeln!(
             s,
             "  {} against {}: {:.1} %, p {}",
             p.response,
-            p.against,
+            p.against(),
             100.0 * p.statistic,
             chance(p.p_value)
         );

@@ -12,6 +12,7 @@ use rtec_files::trace::{Playable, RequestReader, TraceFile, TraceFormat, TraceRe
 use rtec_model::clock;
 use rtec_rt::axis::{AxisConfig, Design};
 use rtec_sim::bench::{AnyDesign, replay_any};
+use rtec_sim::ecc::Pll;
 use rtec_sim::replay::ReplayError;
 use std::io;
 use std::path::{Path, PathBuf};
@@ -138,6 +139,18 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             outcome.counts_out, outcome.counts_in, outcome.completed, outcome.illegal_out
         );
         return Err(Outcome::No(message).into());
+    }
+    let open = outcome.requested - outcome.completed;
+    if design == AnyDesign::Ecc && open.abs() >= AnyDesign::Ecc.increment_counts() {
+        let Pll { clean_from_hz, clean_to_hz, .. } = Pll::default();
+        eprintln!(
+            "warning: {open:+} of the requested {:+} counts were not made: the circuit splits pulses from {:.2} to {:.1} kHz of the encoder \
+             alone, and only where the axis cannot leave this range before it is done; let the axis move at such a speed for longer, or \
+             take another design",
+            outcome.requested,
+            clean_from_hz / 2e3,
+            clean_to_hz / 2e3
+        );
     }
     if outcome.requests > 0 && outcome.refused.len() as u64 == outcome.requests {
         let why: Vec<String> = outcome.refused.iter().map(|r| word(r.why)).collect();

@@ -35,6 +35,14 @@ fn check(paper: &Value) {
     assert_eq!(verdicts, [count("agree"), count("differ"), count("not_compared")]);
 }
 
+/// The page on sources quotes these counts.
+fn quoted(paper: &Value, source: &str) {
+    let page = include_str!("../../../guide/contributor/sources.md");
+    let [agree, differ, not] = ["agree", "differ", "not_compared"].map(|key| paper[key].as_u64().unwrap());
+    let line = format!("| {source} | {agree} | {differ} | {not} |");
+    assert!(page.contains(&line), "sources.md does not have `{line}`");
+}
+
 fn row<'a>(paper: &'a Value, place: &str, what: &str) -> &'a Value {
     let rows = paper["rows"].as_array().unwrap();
     let text = |r: &'a Value, key: &str| r[key].as_str().unwrap();
@@ -63,6 +71,7 @@ fn changed(folder: &Path, file: &str, from: &str, to: &str) {
 #[test]
 fn nistir_4832() {
     let paper = compared("4832", &[]);
+    quoted(&paper, "NISTIR 4832");
     for (place, what) in [
         ("Figure 2", "adds"),
         ("Figure 2", "subtracts"),
@@ -111,6 +120,7 @@ fn nistir_4832() {
 #[test]
 fn nistir_4854() {
     let paper = compared("4854", &[]);
+    quoted(&paper, "NISTIR 4854");
     for (place, what) in [
         ("On-Machine", "constant velocity"),
         ("The RTEC", "25 µs late"),
@@ -147,6 +157,7 @@ fn nistir_4854() {
 #[test]
 fn cmti() {
     let paper = compared("cmti", &[]);
+    quoted(&paper, "CMTI");
     for (place, what) in [
         ("Table 1", "S1 = 0, S0 = 0"),
         ("Table 1", "S1 = 0, S0 = 1"),
@@ -173,8 +184,69 @@ fn cmti() {
 }
 
 #[test]
+fn the_circuit_refuses_what_is_beyond_its_limits() {
+    let folder = tempfile::tempdir().unwrap();
+    for (from, to, line, expected) in [
+        (
+            "shown_pulses = 3 ",
+            "shown_pulses = 16 ",
+            5,
+            "1 to 15 pulses: the compensation value has four bits",
+        ),
+        ("shown_pulses = 3 ", "shown_pulses = 0 ", 5, "1 to 15 pulses"),
+        ("shown_encoder_hz = 10000.0", "shown_encoder_hz = 81000.0", 6, "350 to 80000 Hz"),
+        ("shown_encoder_hz = 10000.0", "shown_encoder_hz = 300.0", 6, "350 to 80000 Hz"),
+        ("lock_to_hz = 160000.0", "lock_to_hz = 120000.0", 12, "more than 125000 Hz"),
+        ("pitch_mm = 5.0", "pitch_mm = 0.0", 3, "a number above 0"),
+    ] {
+        changed(folder.path(), "cmti.toml", from, to);
+        let output = rtecctl(&["papers", "cmti", "--from", folder.path().to_str().unwrap()]);
+        let said = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(2), "{to}: {said}");
+        assert!(said.contains(&format!("cmti.toml:{line}: ")) && said.contains(expected), "{to}: {said}");
+        assert!(output.stdout.is_empty(), "{to}");
+    }
+    // At the limits themselves it runs, and adds no pulse too many.
+    changed(folder.path(), "cmti.toml", "shown_pulses = 3 ", "shown_pulses = 15 ");
+    let full = compared("cmti", &["--from", folder.path().to_str().unwrap()]);
+    assert!((we(&full, "Figures 8", "pulses added") - 15.0).abs() < 1e-9);
+}
+
+/// The loop doubles from 0.7 to 160 kHz (section 2.2.2) and not a hertz beyond, however the numbers fall.
+#[test]
+fn the_circuit_adds_within_its_lock_range_alone() {
+    for seed in ["1", "2", "3"] {
+        let paper = compared("cmti", &["--seed", seed]);
+        let (from, to) =
+            (we(&paper, "Section 2.2.2", "begins to double"), we(&paper, "Section 2.2.2", "goes on to"));
+        assert!((0.69..0.71).contains(&from) && (159.0..160.1).contains(&to), "{seed}: {from} to {to} kHz");
+    }
+}
+
+#[test]
+fn each_source_draws_its_figures() {
+    let folder = tempfile::tempdir().unwrap();
+    for (paper, files) in [
+        ("nistir4832", &["figure-2-original.svg", "figure-2-ecc.svg", "linear-error-240um.svg"][..]),
+        ("nistir4854", &["figure-5.svg", "figure-6.svg", "figure-7.svg"]),
+        ("cmti", &["figure-8.svg", "figure-9.svg", "cmti.vcd"]),
+    ] {
+        let out = folder.path().join(paper);
+        let output = rtecctl(&["papers", paper, "--out", out.to_str().unwrap()]);
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        for file in files {
+            let text = std::fs::read_to_string(out.join(file)).unwrap();
+            assert!(text.len() > 500, "{paper}: {file}");
+        }
+    }
+    let output = rtecctl(&["papers", "--out", folder.path().to_str().unwrap()]);
+    assert_eq!(output.status.code(), Some(2));
+}
+
+#[test]
 fn wo_97() {
     let paper = compared("wo97", &[]);
+    quoted(&paper, "WO 97/43703");
     for table in ["Table 1", "Table 2", "Table 3", "Table 4", "Table 5", "Table 6", "Table 7"] {
         assert!(row(&paper, table, "")["place"].as_str().unwrap().starts_with(table));
     }
@@ -221,6 +293,9 @@ fn wo_97() {
     let of = |verdict: &str| drift.clone().filter(|r| r["verdict"] == verdict).count();
     let (good, bad, vague) = (of("agrees"), of("differs"), of("not_compared"));
     assert!(good + bad + vague == 48 && good >= 12 && good >= 9 * bad, "{good}, {bad}, {vague}");
+    let vague = rows.iter().filter(|r| r["why"].as_str().unwrap().starts_with("cannot tell")).count();
+    let page = include_str!("../../../guide/contributor/sources.md");
+    assert!(page.contains(&format!("Of the last, {vague} figures are no larger")), "{vague} in sources.md");
     // A tolerance as large as the figure tells nothing.
     for r in rows.iter().filter(|r| r["verdict"] == "agrees") {
         let (Some(says), Some(gets)) = (r["paper"].as_f64(), r["we"].as_f64()) else { continue };

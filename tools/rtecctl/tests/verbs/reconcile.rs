@@ -118,6 +118,133 @@ fn each_stage_does_its_own_part() {
     }
 }
 
+/// A record of X by its rows: time, position, error.
+fn of_x(folder: &std::path::Path, rows: impl Iterator<Item = [f64; 3]>) {
+    let rows: String = rows.map(|[t, p, e]| format!("{t},{p},{e:.4}\n")).collect();
+    std::fs::write(folder.join("run.csv"), format!("t,p,e\n{rows}")).unwrap();
+    let columns = "[columns]\nt = { role = \"time\", unit = \"s\" }\np = { role = \"position.x\", unit = \"mm\" }\n\
+                   e = { role = \"error.x\", unit = \"um\" }\n";
+    std::fs::write(
+        folder.join("run.run.toml"),
+        format!("file = \"run.csv\"\nkind = \"positioning\"\n{columns}"),
+    )
+    .unwrap();
+    std::fs::write(folder.join("machine.toml"), "name = \"m\"\n").unwrap();
+}
+
+/// Numbers between −½ and ½ that have nothing to do with one another.
+fn scatter(i: u32) -> f64 {
+    let mixed = (i + 1).wrapping_mul(2_654_435_761);
+    f64::from((mixed ^ (mixed >> 15)).wrapping_mul(2_246_822_519) >> 8) / f64::from(1 << 24) - 0.5
+}
+
+/// A saw in time has no name: a curve takes its place, and what is written can be loaded again, in a folder that was not there.
+#[test]
+fn an_unexplained_curve_is_written_and_loads_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let saw = |i: u32| 8.0 * ((f64::from(i) / 90.0).fract() - 0.5) + scatter(i);
+    of_x(folder.path(), (0..240).map(|i| [5.0 * f64::from(i), f64::from(i * 37 % 101), saw(i)]));
+    let run = |arguments: &[&str]| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_rtecctl"));
+        command.args(arguments).current_dir(folder.path()).output().unwrap()
+    };
+    let output = run(&[
+        "reconcile",
+        "run.run.toml",
+        "--model",
+        "machine.toml",
+        "--unexplained",
+        "--out",
+        "found",
+        "--json",
+    ]);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let document: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(document["verdict"], "unknown_effect", "{document}");
+    assert!(folder.path().join("found/unexplained.toml").exists());
+    let shown = run(&["model", "show", "--machine", "found/model.toml"]);
+    let said = String::from_utf8_lossy(&shown.stdout);
+    assert!(shown.status.success() && said.contains("unexplained"), "{said}");
+}
+
+/// What drifts, waves or comes back at its places is somewhere; noise is nowhere.
+#[test]
+fn the_first_stage_finds_time_period_and_place() {
+    let folder = tempfile::tempdir().unwrap();
+    let find = || {
+        let output = Command::new(env!("CARGO_BIN_EXE_rtecctl"))
+            .args(["reconcile", "run.run.toml", "--model", "machine.toml", "--stage", "find"])
+            .current_dir(folder.path())
+            .output()
+            .unwrap();
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        String::from_utf8(output.stdout).unwrap()
+    };
+    let time = |i: u32| 60.0 * f64::from(i);
+    let place = |i: u32| f64::from(i % 60) * 7.3;
+    // A slow drift: three blocks of it are the whole run.
+    of_x(folder.path(), (0..300).map(|i| [time(i), place(i), 4.0 * (time(i) / 6000.0).sin() + scatter(i)]));
+    let said = find();
+    assert!(said.contains("error.x against time"), "{said}");
+    // A screw's wave, many to the travel.
+    let wave = |p: f64| 0.6 * (std::f64::consts::TAU * p / 11.0).sin();
+    of_x(
+        folder.path(),
+        (0..300).map(|i| [time(i), place(i) + 0.01 * scatter(7 * i), wave(place(i)) + scatter(i)]),
+    );
+    let said = find();
+    assert!(said.contains("error.x against position.x"), "{said}");
+    // At each target another error, up and down from one to the next.
+    let target = |i: u32| 30.0 * f64::from(i % 30);
+    of_x(folder.path(), (0..300).map(|i| [time(i), target(i), 1.5 * scatter(1000 + i % 30) + scatter(i)]));
+    let said = find();
+    assert!(said.contains("error.x against position.x"), "{said}");
+    // Of noise as often as the stated rate has it.
+    let noise = |seed: u32, i: u32| scatter(10_000 * (seed + 1) + i);
+    let somewhere = (0..20).filter(|seed| {
+        of_x(folder.path(), (0..300).map(|i| [time(i), place(i), noise(*seed, i)]));
+        !find().contains("nowhere")
+    });
+    assert!(somewhere.count() <= 3);
+}
+
+/// A clear reversal in Z is named, whatever goes on in X that has no name.
+#[test]
+fn an_unknown_in_x_hides_no_reversal_in_z() {
+    let folder = tempfile::tempdir().unwrap();
+    let rows: String = (0..240)
+        .map(|i| {
+            let (t, p) = (5.0 * f64::from(i), f64::from(i % 24) * 10.0);
+            // Up the targets and down again.
+            let up = i / 24 % 2 == 0;
+            let z = if up { p } else { 230.0 - p };
+            let dir = if up { 1.0 } else { -1.0 };
+            let saw = 8.0 * ((f64::from(i) / 90.0).fract() - 0.5) + scatter(i);
+            format!("{t},{z},{dir},{saw:.4},{:.4}\n", 3.0 * dir + scatter(5000 + i))
+        })
+        .collect();
+    std::fs::write(folder.path().join("run.csv"), format!("t,z,dir,ex,ez\n{rows}")).unwrap();
+    let columns = "[columns]\nt = { role = \"time\", unit = \"s\" }\nz = { role = \"position.z\", unit = \"mm\" }\n\
+                   dir = { role = \"direction.z\", unit = \"1\" }\nex = { role = \"error.x\", unit = \"um\" }\n\
+                   ez = { role = \"error.z\", unit = \"um\" }\n";
+    std::fs::write(
+        folder.path().join("run.run.toml"),
+        format!("file = \"run.csv\"\nkind = \"positioning\"\n{columns}"),
+    )
+    .unwrap();
+    std::fs::write(folder.path().join("machine.toml"), "name = \"m\"\n").unwrap();
+    let output = Command::new(env!("CARGO_BIN_EXE_rtecctl"))
+        .args(["reconcile", "run.run.toml", "--model", "machine.toml", "--json"])
+        .current_dir(folder.path())
+        .output()
+        .unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let document: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    let reversal = document["effects"].as_array().unwrap().iter().find(|e| e["name"] == "reversal.z");
+    let um = reversal.and_then(|e| e["parameters"]["um"]["value"].as_f64());
+    assert!(um.is_some_and(|um| (um - 6.0).abs() < 0.5), "{document}");
+}
+
 /// For and against one name: what is in the answer, what is beside it, what no record shows; what is no effect at all is refused.
 #[test]
 fn why_gives_the_evidence_for_and_against_one_name() {

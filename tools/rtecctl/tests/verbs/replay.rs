@@ -261,6 +261,8 @@ fn the_ecc_waits_on_a_slow_axis_and_balances() {
         assert_eq!(number("counts_out") - number("counts_in"), served, "{document}");
         assert_eq!(number("completed"), served);
         assert_eq!(number("waited_for_gate") > 0, served == 0);
+        let said = text(&run.stderr);
+        assert_eq!(said.contains("+12 of the requested +12 counts were not made"), served == 0, "{said}");
     }
 }
 

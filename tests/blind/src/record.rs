@@ -1,0 +1,88 @@
+//! The table of record of the main suite: what is asked of each figure, and the newest run on seeds never run before. `rtec-blind`
+//! judges by it, and a test compares README and guide with it. A newer run goes in here first.
+
+/// The command of the newest run.
+pub const COMMAND: &str = "rtec-blind --bare --from 88000000";
+/// Its cases.
+pub const CASES: usize = 482;
+
+/// One figure: a share of cases, in percent.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Figure {
+    /// What it is a share of, as `rtec-blind` prints it.
+    pub what: &'static str,
+    /// What is asked, %.
+    pub asked: f64,
+    /// At least as much is asked; else at most.
+    pub at_least: bool,
+    /// Cases that count, and all cases, of the newest run.
+    pub newest: (usize, usize),
+}
+
+/// One effect hidden at twice the noise or more: named rightly.
+pub const ONE_CLEAR: Figure = at_least("right, effect/noise >= 2", 98.0, (138, 142));
+/// One effect hidden at 0.7 to 10 times the noise: named rightly.
+pub const ONE: Figure = at_least("right, 0.7 to 10", 97.0, (223, 232));
+/// One or two effects hidden: a wrong name.
+pub const WRONG: Figure = at_most("wrong name", 0.5, (0, 312));
+/// Nothing hidden: something found.
+pub const NOTHING: Figure = at_most("cries wolf on nothing", 1.0, (0, 110));
+/// A shape of no dictionary: called unknown.
+pub const UNKNOWN: Figure = at_least("shape of no dictionary called unknown", 90.0, (55, 60));
+/// A shape of no dictionary: given a name.
+pub const UNKNOWN_NAMED: Figure = at_most("shape of no dictionary given a name", 5.0, (1, 60));
+/// Two effects hidden, each at three times the noise or more: both named rightly.
+pub const BOTH: Figure = at_least("both of two, effect/noise >= 3", 97.0, (78, 80));
+
+const fn at_least(what: &'static str, asked: f64, newest: (usize, usize)) -> Figure {
+    Figure { what, asked, at_least: true, newest }
+}
+
+const fn at_most(what: &'static str, asked: f64, newest: (usize, usize)) -> Figure {
+    Figure { what, asked, at_least: false, newest }
+}
+
+/// Binomial standard error of a share of `of` cases, %.
+fn error(percent: f64, of: usize) -> f64 {
+    let share = percent / 100.0;
+    100.0 * (share * (1.0 - share) / of.max(1) as f64).sqrt()
+}
+
+impl Figure {
+    /// A share reaches what is asked.
+    #[must_use]
+    pub fn reached(&self, (yes, of): (usize, usize)) -> bool {
+        self.within(yes, of, 0.0)
+    }
+
+    /// A share is not worse than what is asked by more than two binomial standard errors: so few cases scatter by as much.
+    #[must_use]
+    pub fn within_chance(&self, (yes, of): (usize, usize)) -> bool {
+        self.within(yes, of, 2.0 * error(self.asked, of))
+    }
+
+    fn within(&self, yes: usize, of: usize, scatter: f64) -> bool {
+        let percent = 100.0 * yes as f64 / of.max(1) as f64;
+        of == 0
+            || if self.at_least { percent >= self.asked - scatter } else { percent <= self.asked + scatter }
+    }
+
+    /// The newest run as the guide quotes it: `138 of 142`.
+    #[must_use]
+    pub fn counts(&self) -> String {
+        format!("{} of {}", self.newest.0, self.newest.1)
+    }
+
+    /// The same with its share and the binomial standard error: `138 of 142 (97 ± 1 %)`.
+    #[must_use]
+    pub fn quoted(&self) -> String {
+        let percent = 100.0 * self.newest.0 as f64 / self.newest.1.max(1) as f64;
+        format!("{} ({percent:.0} ± {:.0} %)", self.counts(), error(percent, self.newest.1))
+    }
+
+    /// What is asked as the guide quotes it: `≥ 98 %`.
+    #[must_use]
+    pub fn asks(&self) -> String {
+        format!("{} {} %", if self.at_least { "≥" } else { "≤" }, self.asked)
+    }
+}
