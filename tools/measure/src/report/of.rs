@@ -259,6 +259,10 @@ fn diagnosis(report: &mut Report, b: &Ballbar) {
         add(&format!("cyclic error {axis}"), &format!("cyclic.{axis}.um"), Some(c.um), "µm", 2);
         add("its period", &format!("cyclic.{axis}.period_mm"), Some(c.period_mm), "mm", 3);
     }
+    for (axis, c) in &d.form {
+        add(&format!("form that repeats {axis}"), &format!("form.{axis}.um"), Some(c.um), "µm", 2);
+        add("every, no screw's lead", &format!("form.{axis}.period_mm"), Some(c.period_mm), "mm", 3);
+    }
     if let Some((a, c)) = b.plane.split_once('-') {
         add(&format!("centre {a}"), &format!("centre_um.{a}"), d.centre_um[0], "µm", 2);
         add(&format!("centre {c}"), &format!("centre_um.{c}"), d.centre_um[1], "µm", 2);
