@@ -483,7 +483,7 @@ pub fn plate(p: &Plate, record: &Record, conditions: &Conditions) -> Result<Repo
         ),
         ("squareness", fixed(j.squareness_urad, 1), fixed(je.squareness_urad, 1), "µrad"),
         (
-            "rotation of the holes against nominal, from x towards y (the plate's set-up as likely as the machine's)",
+            "rotation from x towards y, or the plate's set-up",
             fixed(j.rotation_urad, 1),
             fixed(je.rotation_urad, 1),
             "µrad",
@@ -514,7 +514,7 @@ pub fn plate(p: &Plate, record: &Record, conditions: &Conditions) -> Result<Repo
         ("offset x", fixed(p.offset_mm[0], 4), fixed(pe.offset_mm[0], 4), "mm"),
         ("offset y", fixed(p.offset_mm[1], 4), fixed(pe.offset_mm[1], 4), "mm"),
         ("scale", fixed(p.scale_ppm, 1), fixed(pe.scale_ppm, 1), "ppm"),
-        ("rotation, from x towards y", fixed(p.rotation_urad, 1), fixed(pe.rotation_urad, 1), "µrad"),
+        ("rotation from x towards y", fixed(p.rotation_urad, 1), fixed(pe.rotation_urad, 1), "µrad"),
         ("left over after these (RMS length)", um(p.rms_um), none(), "µm"),
         (
             "quadrupole r·m·cos 2(θ − φ) along the radius: m",
