@@ -574,11 +574,12 @@ impl Corrector {
 fn fits(machine: &Machine) -> Vec<String> {
     let of = |f: &FitNote| {
         format!(
-            "{}: fitted {}, good until {}, 95 % within ±{:.2} µm{}",
+            "{}: fitted {}, good until {}, 95 % within ±{:.2} {}{}",
             f.response,
             f.date,
             f.valid_until,
             f.half_width_um,
+            FitNote::unit_of(&f.response),
             f.place_text()
         )
     };

@@ -430,6 +430,7 @@ fn written(
             date: Some(date.to_owned()),
             from: records.iter().map(|r| Source::of(r)).collect(),
             interval,
+            set_up: effect.description().may_be_set_up(),
         };
         machine.push(effect, provenance).map_err(|e| usage(e.to_string(), "each effect once"))?;
     }
@@ -525,8 +526,8 @@ fn basis_of(effects: &[Effect], record: &Record, role: &Role) -> Option<Vec<Vec<
     Some(columns)
 }
 
-/// Fits effects that the user names, beside all that the base holds already: by least squares on all error responses
-/// of the records. Gives the base with the effects added.
+/// Fits effects that the user names, beside all that the base holds already: by least squares on all responses of the
+/// records, errors and forces. Gives the base with the effects added.
 ///
 /// # Errors
 /// An unknown effect, one that the base has, one that is not linear; a record that lacks what an effect reads; effects
@@ -557,7 +558,7 @@ pub fn fit_named(
                 })
             })
             .collect::<Result<Vec<_>, _>>()?;
-        for column in left.responses().filter(|c| matches!(c.role, Role::Error(_))) {
+        for column in left.responses() {
             let rows = left.rows();
             let mut columns = Vec::with_capacity(count);
             let mut zero_is_known = false;

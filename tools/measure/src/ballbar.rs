@@ -297,7 +297,7 @@ impl Trace {
 
     /// The angle that a contour covers.
     fn turned(&self, rows: &Range<usize>) -> f64 {
-        let step = |i: usize| ((self.angle[i + 1] - self.angle[i] + PI).rem_euclid(TAU) - PI).abs();
+        let step = |i: usize| turned_rad(self.angle[i], self.angle[i + 1]).abs();
         let steps = rows.len().saturating_sub(1);
         let sum: f64 = (rows.start..rows.start + steps).map(step).sum();
         // The rows stand for as much on either side of them.
@@ -305,13 +305,19 @@ impl Trace {
     }
 
     fn evaluate(&self) -> Vec<Contour> {
+        // Path over time, without the ends, where it speeds up and slows down: a coarse clock is in it once.
         let speed = |rows: &Range<usize>| {
-            let circle = self.record.circle()?;
-            let of = |axis: &Axis| self.record.data(&Role::Velocity(axis.clone()));
-            let (a, b) = (of(&circle.plane[0])?, of(&circle.plane[1])?);
-            let mut all: Vec<f64> = rows.clone().map(|i| a[i].hypot(b[i])).collect();
-            all.sort_by(f64::total_cmp);
-            all.get(all.len() / 2).map(|v| v * 60.0)
+            let (circle, t) = (self.record.circle()?, self.record.data(&Role::Time)?);
+            let end = rows.len() / 20;
+            let inner = rows.start + end..rows.end - end;
+            let span_s = t[inner.end - 1] - t[inner.start];
+            let path_mm = circle.radius_mm
+                * inner
+                    .clone()
+                    .skip(1)
+                    .map(|i| turned_rad(self.angle[i - 1], self.angle[i]).abs())
+                    .sum::<f64>();
+            (span_s > 0.0).then(|| path_mm / span_s * 60.0)
         };
         let of = |(rows, turn): &(Range<usize>, f64)| {
             let points: Vec<(f64, f64)> = rows.clone().map(|i| (self.angle[i], self.radial[i])).collect();
@@ -339,6 +345,11 @@ impl Trace {
     }
 }
 
+/// From one angle to the next, the shorter way.
+fn turned_rad(from: f64, to: f64) -> f64 {
+    (to - from + PI).rem_euclid(TAU) - PI
+}
+
 /// Runs of rows in one sense of turning at one feed; those of less than a twentieth of a turn are starts and stops.
 fn contours(record: &Record, angle: &[f64]) -> Vec<(Range<usize>, f64)> {
     let n = angle.len();
@@ -346,7 +357,7 @@ fn contours(record: &Record, angle: &[f64]) -> Vec<(Range<usize>, f64)> {
     let look = (n / 400).max(1);
     let sense = |i: usize| {
         let (a, b) = (i.saturating_sub(look), (i + look).min(n - 1));
-        let d = (angle[b] - angle[a] + PI).rem_euclid(TAU) - PI;
+        let d = turned_rad(angle[a], angle[b]);
         if d > 0.0 {
             1.0
         } else if d < 0.0 {
@@ -393,7 +404,7 @@ fn contours(record: &Record, angle: &[f64]) -> Vec<(Range<usize>, f64)> {
         }
     }
     let turned = |rows: &Range<usize>| -> f64 {
-        rows.clone().skip(1).map(|i| ((angle[i] - angle[i - 1] + PI).rem_euclid(TAU) - PI).abs()).sum()
+        rows.clone().skip(1).map(|i| turned_rad(angle[i - 1], angle[i]).abs()).sum()
     };
     found.retain(|(rows, turn)| *turn != 0.0 && rows.len() > 4 && turned(rows) > TAU / 20.0);
     found

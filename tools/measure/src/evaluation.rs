@@ -84,6 +84,7 @@ impl Standard {
         let thermal = conditions.scale.is_some() || conditions.workpiece.is_some();
         let parts = [
             thermal.then_some("[thermal]: nothing is reduced to 20 °C"),
+            conditions.air.is_some().then_some("[air]: no length is corrected"),
             (!conditions.stated.is_empty()).then_some("[uncertainty]: no figure has one"),
         ];
         let said: Vec<&str> = parts.into_iter().flatten().collect();
@@ -318,16 +319,21 @@ fn single_figures(place: &str, value: &Value) -> Vec<(String, f64)> {
 
 /// A sensor that reads nonsense would carry it into every figure by the reduction to 20 °C.
 fn reducible(conditions: &Conditions, doubts: &[Suspicion]) -> Result<(), InputError> {
-    for body in [&conditions.scale, &conditions.workpiece].into_iter().flatten() {
-        let Some(doubt) = doubts.iter().find(|d| d.is_of_sensor() && d.column == body.sensor) else {
+    let bodies = [&conditions.scale, &conditions.workpiece].into_iter().flatten();
+    let bodies = bodies.map(|body| (body.sensor.as_str(), "[thermal]", "reduced to 20 °C"));
+    let air = conditions.air.iter().filter_map(|air| match &air.temperature {
+        iso230::AirTemperature::Sensor(sensor) => Some((sensor.as_str(), "[air]", "corrected for the air")),
+        iso230::AirTemperature::Degc(_) => None,
+    });
+    for (sensor, table, why) in bodies.chain(air) {
+        let Some(doubt) = doubts.iter().find(|d| d.is_of_sensor() && d.column == sensor) else {
             continue;
         };
-        let found = format!(
-            "{}: {}: {}, and lengths are to be reduced to 20 °C with it",
-            doubt.column, doubt.what, doubt.text
+        let found =
+            format!("{}: {}: {}, and lengths are to be {why} with it", doubt.column, doubt.what, doubt.text);
+        let expected = format!(
+            "another sensor in {table} of the conditions, a record without those rows, or no {table}"
         );
-        let expected =
-            "another sensor in [thermal] of the conditions, a record without those rows, or no [thermal]";
         return Err(InputError::whole(Path::new(&doubt.record), found, expected));
     }
     Ok(())

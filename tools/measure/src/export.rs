@@ -5,6 +5,7 @@
 //! | `linuxcnc` | `COMP_FILE` of type 0 and 1 | LinuxCNC 2.9, `usrmotintf.cc`, `command.c`, `control.c` |
 //! | `beckhoff` | TF5200 and ISG kernel, `kw.ssfk.*` | Beckhoff Infosys, TF5200, 308695435 and 308687883 |
 //! | `siemens` | `$AA_ENC_COMP` | Siemens 6FC5397-1BP40-3BA1, K3, 4.4.2; 808D function manual, p. 106 |
+//! | `siemens_cec` | `$AN_CEC`, an axis' error along another axis | the same, 4.4.3, p. 248 and 249; 802D sl, p. 222 |
 //! | `own` | a form of the user's own, from a file | |
 //! | `order` | what somebody orders, and what to know of it | |
 //!
@@ -16,6 +17,7 @@ pub mod linuxcnc;
 pub mod order;
 pub mod own;
 pub mod siemens;
+pub mod siemens_cec;
 
 use rtec_files::{InputError, nearest};
 use rtec_model::effect::{Difference, Effect, Naming, Need, Quantity};
@@ -155,6 +157,8 @@ pub struct Errors<'m> {
     places_mm: Vec<f64>,
     /// Axes of a chain whose place nobody stated.
     unstated: Vec<String>,
+    /// Which of the layout's axes the table goes along: the first, unless it is a cross table.
+    moving: usize,
 }
 
 impl<'m> Errors<'m> {
@@ -238,7 +242,40 @@ impl<'m> Errors<'m> {
             Some(_) => layout.axes[1..].iter().filter(|a| !stated(a)).map(ToString::to_string).collect(),
             None => Vec::new(),
         };
-        Ok(Self { machine, axis, layout, degc, places_mm, unstated })
+        Ok(Self { machine, axis, layout, degc, places_mm, unstated, moving: 0 })
+    }
+
+    /// The same along another axis, the own one standing at this place: what squareness, straightness and sag make of it.
+    ///
+    /// # Errors
+    /// The model has no error of this axis that depends on the other.
+    pub fn across(mut self, along: &str, own_mm: f64) -> Result<Self, InputError> {
+        let acts = |e: &&Effect| acts_on(e, &self.axis);
+        let mut others: Vec<&str> =
+            self.machine.effects().filter(acts).flat_map(Effect::axes).map(Axis::as_str).collect();
+        if self.machine.chain().is_some() {
+            others.extend(self.layout.axes.iter().map(Axis::as_str));
+        }
+        others.sort_unstable();
+        others.dedup();
+        others.retain(|a| *a != self.axis.as_str());
+        if !others.contains(&along) {
+            let found = format!("--along {along}: no error of {} depends on it", self.axis);
+            let expected = match others.as_slice() {
+                [] => "no --along: the model has no error of this axis across another".to_owned(),
+                all => format!("an axis that an error of {} depends on: {}", self.axis, all.join(", ")),
+            };
+            return Err(usage(found, expected));
+        }
+        self.moving = self.layout.axes.iter().position(|a| a.as_str() == along).unwrap_or_default();
+        self.places_mm[0] = own_mm;
+        Ok(self)
+    }
+
+    /// Whether an effect is in the table: of a cross table, what depends on the axis that it goes along.
+    fn is_in_table(&self, effect: &Effect) -> bool {
+        acts_on(effect, &self.axis)
+            && (self.moving == 0 || effect.axes().contains(&self.layout.axes[self.moving]))
     }
 
     /// Errors at these rising places, µm: approached from below each (`up`) or from above.
@@ -262,7 +299,7 @@ impl<'m> Errors<'m> {
     fn at(&self, live: &mut Live, position_mm: f64, direction: f64) -> f64 {
         let at = |p: &f64| AxisNow { position_mm: *p, ..AxisNow::default() };
         let mut axes: Vec<AxisNow> = self.places_mm.iter().map(at).collect();
-        axes[0] = AxisNow { position_mm, direction, ..AxisNow::default() };
+        axes[self.moving] = AxisNow { position_mm, direction, ..AxisNow::default() };
         let channels = vec![0.0; self.layout.channels.len()];
         let frame =
             Frame { axes: &axes, temperatures_degc: &self.degc, channels: &channels, ..Frame::default() };
@@ -278,7 +315,7 @@ impl<'m> Errors<'m> {
         let live = self.live()?;
         let read: Vec<&str> = live
             .parts()
-            .filter(|p| acts_on(p.effect, &self.axis))
+            .filter(|p| self.is_in_table(p.effect))
             .filter_map(|p| p.effect.delta.as_ref())
             .flat_map(Difference::sensors)
             .collect();
@@ -301,10 +338,11 @@ impl<'m> Errors<'m> {
             let others = self.unstated.join(", ");
             doubts.push(format!("the table holds with {others} at 0 mm; --at states another place"));
         }
-        for part in live.parts().filter(|p| acts_on(p.effect, &self.axis)) {
-            let own = part.effect.axes().first() == Some(&self.axis);
+        let along = &self.layout.axes[self.moving];
+        for part in live.parts().filter(|p| self.is_in_table(p.effect)) {
+            let own = part.effect.axes().first() == Some(along);
             let cause = |need: &Need| match need {
-                Need::Position(n) if part.effect.axes()[*n] != self.axis => {
+                Need::Position(n) if part.effect.axes()[*n] != *along => {
                     Some("the other axes where --at has them, or at 0")
                 }
                 Need::Direction if !own => Some("the other axes at rest"),

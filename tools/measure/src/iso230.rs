@@ -8,12 +8,14 @@
 //! | [`diagonals()`] | ISO 230-6: body and face diagonals |
 //! | [`Conditions`] | what a test was done under, and its uncertainty by ISO/TR 230-9 |
 
+mod air;
 mod conditions;
 mod diagonals;
 mod drift;
 mod positioning;
 mod straightness;
 
+pub use air::{Air, AirState, AirTemperature};
 pub use conditions::{Conditions, Contributor, Expansion, Uncertainty};
 pub use diagonals::{Diagonal, Diagonals, diagonals};
 pub use drift::{Drift, Figures, LongDrift, Phase, SensorDrift, drift, drift_charts};

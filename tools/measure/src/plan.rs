@@ -3,7 +3,7 @@
 
 use crate::iso230::{LONG_AXIS_MM, LONG_INTERVAL_MM, fewest_targets};
 use rtec_files::{InputError, Said};
-use rtec_model::record::Axis;
+use rtec_model::record::{Axis, LINEAR};
 use serde::Serialize;
 use std::path::Path;
 
@@ -68,6 +68,9 @@ pub fn for_machine(
         if Axis::new(name).is_none() || !(travel_mm.is_finite() && *travel_mm > 0.0) {
             return Err(usage(format!("--axes {name}={travel_mm}"), "AXIS=TRAVEL in mm, as x=500"));
         }
+        if Axis::new(name).is_some_and(|a| a.is_rotary()) {
+            return Err(usage(format!("--axes {name}={travel_mm}: a rotary axis"), LINEAR));
+        }
         if axes[..i].iter().any(|a| a.name == *name) {
             return Err(usage(format!("--axes {name}={travel_mm}: {name} a second time"), "each axis once"));
         }
@@ -114,7 +117,7 @@ pub fn sequence(axes: &[PlanAxis], max_rpm: f64, ball_radius_mm: Option<f64>) ->
         evaluate: "repeatability: standard deviation and range per axis",
         minutes: 30.0,
     });
-    steps.extend(spindle(&errors, max_rpm));
+    steps.extend(spindle(axes, &errors, max_rpm));
     for (i, s) in steps.iter_mut().enumerate() {
         s.number = i + 1;
     }
@@ -225,7 +228,8 @@ fn straight(axis: &PlanAxis, across: &PlanAxis) -> Step {
         .collect();
     Step {
         number: 0,
-        record: format!("straightness_{n}_{b}"),
+        // As the effect `straightness.B.A`: the error of B while A moves.
+        record: format!("straightness_{b}_{n}"),
         kind: "positioning",
         state: "cold, spindle at rest",
         mount: format!(
@@ -244,13 +248,13 @@ fn straight(axis: &PlanAxis, across: &PlanAxis) -> Step {
             &format!("error.{b}"),
             TEMPERATURES,
         ]),
-        evaluate: "straightness about the least-squares line; straightness, and squareness where the straightedge was squared",
+        evaluate: "straightness about the least-squares line (ISO 230-1 EYX is the record and effect y_x: error of Y while X moves); squareness where the straightedge was squared",
         minutes: 0.36 * (places.len() * 2 * 3) as f64,
     }
 }
 
 /// Spindle cycles cold-dry, cold-wet, warm, production, and cooling down.
-fn spindle(errors: &[String], max_rpm: f64) -> Vec<Step> {
+fn spindle(axes: &[PlanAxis], errors: &[String], max_rpm: f64) -> Vec<Step> {
     let full = 0.9 * max_rpm;
     let cycle = |wet: &str| {
         format!(
@@ -274,20 +278,33 @@ fn spindle(errors: &[String], max_rpm: f64) -> Vec<Step> {
         ("production_cycle", "warm", production, 90.0),
         ("cool_down", "as the run before left it", cooling(), 180.0),
     ];
-    let columns =
-        [words(&["time", "spindle_speed", "coolant"]), errors.to_vec(), words(&[TEMPERATURES])].concat();
-    let step = |(record, state, run, minutes): (&str, &'static str, String, f64)| Step {
+    // The gauge pair of X shows the tilt of the spindle about B, that of Y the tilt about A.
+    let tilts = [("x", "angle_error.s.b"), ("y", "angle_error.s.a")]
+        .into_iter()
+        .filter(|(axis, _)| axes.iter().any(|a| a.name == *axis))
+        .map(|(_, role)| role.to_owned());
+    let columns = [
+        words(&["time", "spindle_speed", "coolant"]),
+        errors.to_vec(),
+        tilts.collect(),
+        words(&[TEMPERATURES]),
+    ]
+    .concat();
+    let step = |(record, state, run, minutes): (&str, &'static str, String, f64)| {
+        Step {
         number: 0,
         record: record.to_owned(),
         kind: "drift",
         state,
         mount:
-            "mandrel in the spindle, five gauges on the table: two radial pairs 100 mm apart and one axial"
+            "mandrel in the spindle, five gauges on the table: two radial pairs 100 mm apart and one axial; errors are \
+             those of the near gauges, a tilt is far minus near over 100 mm, 10 µrad for each µm"
                 .to_owned(),
         run,
         columns: columns.clone(),
         evaluate: "iso230-3; model fit, one run held out",
         minutes,
+    }
     };
     runs.into_iter().map(step).collect()
 }
@@ -339,6 +356,16 @@ mod tests {
             assert_eq!(steps.iter().filter(|s| s.record == want).count(), 1, "{want}");
         }
         assert!(steps.iter().all(|s| rtec_model::record::Kind::parse(s.kind).is_some()));
+        // The names of the records are those of the effects, and the tilts that five gauges show have roles.
+        let bow = steps.iter().find(|s| s.record == "straightness_y_x").unwrap();
+        assert!(
+            bow.columns.contains(&"position.x".to_owned()) && bow.columns.contains(&"error.y".to_owned())
+        );
+        let warm = &steps.iter().find(|s| s.record == "spindle_warm").unwrap().columns;
+        for role in steps.iter().flat_map(|s| &s.columns).filter(|c| *c != TEMPERATURES) {
+            assert!(rtec_model::record::Role::parse(role).is_some(), "{role}");
+        }
+        assert!(warm.iter().any(|c| c == "angle_error.s.b") && warm.iter().any(|c| c == "angle_error.s.a"));
         let text = markdown("m", &steps);
         assert!(text.contains("## 34. cool_down") && text.contains("254 mm/min"));
         // Away from the ends, so that each can be approached from both sides.

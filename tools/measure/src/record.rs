@@ -8,7 +8,7 @@ use rtec_model::circle::Circle;
 use rtec_model::clock::{absolute_ns, of_day_ns};
 use rtec_model::date;
 use rtec_model::file_kind::FileKind;
-use rtec_model::record::{Axis, Column, Kind, Record, Role, Turns, check, hex, range_alone};
+use rtec_model::record::{Axis, Column, Kind, LINEAR, Record, Role, Turns, check, hex, range_alone};
 use sha2::{Digest, Sha256};
 use std::fmt::Write as _;
 use std::fs::File;
@@ -652,6 +652,10 @@ impl Sidecar {
                 .ok_or_else(|| role_value.error(format!("role `{}`", role_value.text()), ROLES))?;
             let unit_value = t.required("unit", "the column's unit, as unit = \"mm\"")?;
             let unit = unit_value.str("a unit")?;
+            if role.is_rotary(unit) {
+                let found = format!("role `{role}` in `{unit}`, of a rotary axis");
+                return Err(role_value.error(found, LINEAR));
+            }
             if let Some(expected) = role.unit().filter(|_| !role.takes(unit)) {
                 let or = if role.takes("arcsec") { " or \"arcsec\"" } else { "" };
                 let expected = format!("\"{expected}\"{or}, the unit of role `{role}`");

@@ -6,7 +6,7 @@
 //! where the tool point is in the frame of the work, minus where it should be.
 
 use crate::effect::{Against, Difference, Missing, STANDARD_DEGC, read_difference};
-use crate::record::{Axis, Record, Role};
+use crate::record::{Axis, LINEAR, Record, Role};
 use nalgebra::{Matrix4, Vector4};
 use rtec_files::InputError;
 use rtec_files::file_kind::FileKind;
@@ -332,6 +332,9 @@ fn read_joint(t: Table<'_>) -> Result<Joint, InputError> {
         Some(entry) => {
             let text = entry.str("an axis")?;
             let axis = Axis::new(text).ok_or_else(|| entry.error(text, "an axis' name"))?;
+            if axis.is_rotary() {
+                return Err(entry.error(format!("axis `{text}`, which is rotary"), LINEAR));
+            }
             let form =
                 "direction = [x, y, z]: where a positive position moves the joint, in the machine's frame";
             let own = |n: &str| f64::from(n == axis.as_str());

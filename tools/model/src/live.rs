@@ -165,12 +165,14 @@ pub struct Live {
 }
 
 impl Live {
-    /// Looks up everything a machine's effects and chain read.
+    /// Looks up everything a machine's effects and chain read. The zero of a set-up is left out: it is the gauges', and no error of the
+    /// machine.
     ///
     /// # Errors
     /// A sensor, channel or (for the chain) axis that the layout does not have.
     pub fn of(machine: &Machine, layout: Layout) -> Result<Self, Missing> {
-        let mut live = Self::new(machine.effects(), layout)?;
+        let own = machine.listed().iter().filter(|l| !l.provenance.set_up).map(|l| &l.effect);
+        let mut live = Self::new(own, layout)?;
         if let Some(chain) = machine.chain() {
             let layout = &live.layout;
             let missing = |what: String, has: String| Missing { effect: "chain".to_owned(), what, has };
@@ -437,6 +439,27 @@ impl Item {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// A bug once: the zero that a gauge stood at was taken out of the machine's axes.
+    #[test]
+    fn the_zero_of_a_set_up_is_never_corrected() {
+        let of = |text: &str| Machine::parse(std::path::Path::new("m.toml"), text).unwrap();
+        let own = "[[effect]]\nname = \"offset.z\"\num = 2.0\n";
+        let zero = "[[effect]]\nname = \"offset.z\"\num = 7.0\nset_up = true\n";
+        for (text, um) in [(own.to_owned(), 2.0), (zero.to_owned(), 0.0), (format!("{zero}{own}"), 2.0)] {
+            let machine = of(&format!("name = \"m\"\n{text}"));
+            assert_eq!(of(&machine.to_text()).listed(), machine.listed());
+            let layout = Layout { axes: vec![Axis::new("z").unwrap()], ..Layout::default() };
+            let mut live = Live::of(&machine, layout).unwrap();
+            live.evaluate(&Frame { axes: &[AxisNow::default()], ..Frame::default() });
+            assert!((live.errors_um()[0] - um).abs() < 1e-12, "{text}");
+        }
+        for law in ["scale.z\"\nppm = 2.0\n", "force_offset.z\"\nN = 2.0\n"] {
+            let text = format!("name = \"m\"\n[[effect]]\nname = \"{law}set_up = true\n");
+            let e = Machine::parse(std::path::Path::new("m.toml"), &text).unwrap_err();
+            assert!(e.to_string().contains("set_up for a zero alone"), "{e}");
+        }
+    }
 
     #[test]
     fn outside_its_range_an_effect_fades_without_a_jump() {

@@ -10,7 +10,7 @@ use std::fmt::Write as _;
 use std::io::Read as _;
 use std::path::{Path, PathBuf};
 
-pub use crate::role::{Axis, Column, Kind, Role};
+pub use crate::role::{Axis, Column, Kind, LINEAR, Role};
 
 /// One run: its columns in the CSV's order, rows in order of acquisition.
 #[derive(Debug, Clone, PartialEq)]
@@ -85,6 +85,9 @@ impl Record {
             }
             if !c.role.may_repeat() && columns[..i].iter().any(|d| d.role == c.role) {
                 return Err(whole(format!("role `{}` twice", c.role), "each role once"));
+            }
+            if c.role.is_rotary(&c.unit) {
+                return Err(whole(format!("role `{}` in `{}`, of a rotary axis", c.role, c.unit), LINEAR));
             }
             if !c.role.takes(&c.unit) {
                 let own = c.role.unit().map_or("a unit".to_owned(), |u| format!("`{u}`, the role's unit"));

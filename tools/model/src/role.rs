@@ -2,7 +2,11 @@
 
 use std::fmt;
 
-/// The name of an axis (`x`, `y`, `z`, `c`; `r` for the radial error of a probing run).
+/// What is expected where a rotary axis is named.
+pub const LINEAR: &str = "a linear axis: rotary axes (A, B and C of ISO 841) are not measured, fitted, simulated or corrected by any \
+                          verb, since positions are in mm and errors in µm";
+
+/// The name of an axis (`x`, `y`, `z`; `r` for the radial error of a probing run).
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Axis(String);
 
@@ -20,6 +24,12 @@ impl Axis {
     #[must_use]
     pub fn as_str(&self) -> &str {
         &self.0
+    }
+
+    /// It turns, by its name: A, B and C turn about X, Y and Z (ISO 841).
+    #[must_use]
+    pub fn is_rotary(&self) -> bool {
+        matches!(self.as_str(), "a" | "b" | "c" | "A" | "B" | "C")
     }
 }
 
@@ -120,6 +130,17 @@ impl Role {
     pub fn takes(&self, unit: &str) -> bool {
         self.unit().is_none_or(|own| own == unit)
             || (matches!(self, Self::AngleError(..)) && unit == "arcsec")
+    }
+
+    /// It is a rotary axis', by the axis' name or by the unit.
+    #[must_use]
+    pub fn is_rotary(&self, unit: &str) -> bool {
+        match self {
+            Self::AngleError(moving, _) => moving.is_rotary(),
+            other => other
+                .axis()
+                .is_some_and(|a| a.is_rotary() || ["deg", "degree", "°", "rad", "arcsec"].contains(&unit)),
+        }
     }
 
     /// An error or a force: what a model predicts.

@@ -248,6 +248,10 @@ pub(crate) struct ExportAsked {
     at_mm: Vec<(String, f64)>,
     format: String,
     unit: String,
+    along: Option<String>,
+    along_name: Option<String>,
+    table: u16,
+    positive_moves: Option<String>,
     axis_name: Option<String>,
     encoder: u8,
     reference_mm: Option<f64>,
@@ -278,6 +282,13 @@ pub(crate) fn export_table(
             at_mm: asked.at_mm,
             format: one_of("format", &asked.format, &export::order::Name::ALL)?,
             unit: one_of("unit", &asked.unit, &UNITS)?,
+            along: asked.along,
+            along_name: asked.along_name,
+            table: asked.table,
+            positive_moves_up: asked
+                .positive_moves
+                .map(|way| one_of("positive_moves", &way, &[("up", true), ("down", false)]))
+                .transpose()?,
             axis_name: asked.axis_name,
             encoder: asked.encoder,
             reference_mm: asked.reference_mm,

@@ -97,20 +97,25 @@ pub(crate) fn rms<'v>(v: impl IntoIterator<Item = &'v f64>) -> f64 {
     (sum / f64::max(n, 1.0)).sqrt()
 }
 
-/// The gap of the responses of each unit. `used`: the rows that were looked at.
-pub(crate) fn gaps(used: &[Record], traces: &[Trace], answer: &Answer, machine: &Machine) -> Vec<Gap> {
+/// What the model with what was found leaves of each row by a fit of the other blocks; `None` where nothing was fitted.
+pub(crate) fn left_of_blocks(used: &[Record], answer: &Answer, machine: &Machine) -> Option<Vec<f64>> {
+    let found: Vec<Effect> = answer.findings.iter().map(|(f, _)| f.effect.clone()).collect();
+    let moved = answer.estimate.known.iter().any(|k| k.beyond_chance);
+    (!found.is_empty() || moved).then(|| {
+        let (rows, model) = (Rows::new(used), machine.effects().cloned().collect::<Vec<_>>());
+        let problem = Problem::new(&rows, &model, &stated(machine));
+        Refit::new(&problem, &found).left_by_others(&answer.estimate.noise, FOLDS)
+    })
+}
+
+/// The gap of the responses of each unit. `used`: the rows that were looked at; `blocked`: what is left of each
+/// ([`left_of_blocks`]).
+pub(crate) fn gaps(used: &[Record], traces: &[Trace], answer: &Answer, blocked: Option<&[f64]>) -> Vec<Gap> {
     let mut units: Vec<&str> = traces.iter().map(|t| unit_of(&t.response)).collect();
     units.sort_unstable();
     units.dedup();
-    let model: Vec<Effect> = machine.effects().cloned().collect();
     let rows = Rows::new(used);
-    let found: Vec<Effect> = answer.findings.iter().map(|(f, _)| f.effect.clone()).collect();
-    let moved = answer.estimate.known.iter().any(|k| k.beyond_chance);
     let noise = &answer.estimate.noise;
-    let blocked = (!found.is_empty() || moved).then(|| {
-        let problem = Problem::new(&rows, &model, &stated(machine));
-        Refit::new(&problem, &found).left_by_others(noise, FOLDS)
-    });
     let of = |unit: &str| {
         let of_unit = |j: usize| unit_of(&rows.responses[j].to_string()) == unit;
         let own = || rows.segments.iter().filter(|s| of_unit(s.response));
@@ -130,7 +135,7 @@ pub(crate) fn gaps(used: &[Record], traces: &[Trace], answer: &Answer, machine: 
             train,
             holdout: pooled(traces, unit, true),
             without_strangers: None,
-            blocked: blocked.as_ref().map(|all| [train[0], pick(all)]),
+            blocked: blocked.map(|all| [train[0], pick(all)]),
             floor: (variance / n.max(1.0)).sqrt(),
             doubted: false,
             held_rows,

@@ -14,6 +14,7 @@
 //! | `room` | the sensors that a fit of growth chooses on the same drift |
 //! | `unexplained` | a curve that stands for what has no name |
 //! | `extent` | places on a grid, for the advice |
+//! | `interval` | within what the better model predicts, as a fit states it |
 //! | `verdict`, `gap`, `advice`, `document`, `report` | the answer, its figures, what to do next, as JSON and as a page |
 //!
 //! What must not be here: the laws. What a law is, how it is searched, what stands in for what, is asked of its
@@ -28,6 +29,7 @@ mod doubt;
 mod drawn;
 mod extent;
 mod gap;
+mod interval;
 mod mistakes;
 mod report;
 mod room;

@@ -6,6 +6,7 @@ use crate::answer::{Answer, Finding, analyse, stated};
 use crate::doubt::{self, Doubts, doubts};
 use crate::drawn::{MOST_ROWS, at_least_every, bounded};
 use crate::gap::{self, Gap, Trace, gaps, traces};
+use crate::interval;
 use crate::mistakes;
 use crate::room;
 use crate::unexplained::stand_in;
@@ -109,7 +110,8 @@ fn looked_at(train: &[Record], holdout: &[Record], machine: &Machine, options: &
     doubts.also_held(more);
     let (held, held_out) = doubts.holdouts(&better.model);
     let traces_of = traces(&train, &held, machine, &better.model);
-    let mut gap = gaps(&used, &traces_of, &answer, machine);
+    let blocked = gap::left_of_blocks(&used, &answer, machine);
+    let mut gap = gaps(&used, &traces_of, &answer, blocked.as_deref());
     if why_nothing.is_some() {
         for g in &mut gap {
             (g.doubted, g.blocked) = (true, None);
@@ -125,7 +127,10 @@ fn looked_at(train: &[Record], holdout: &[Record], machine: &Machine, options: &
     }
     let mut said = doubts.said;
     said.extend(strangers.into_iter().map(|(_, s)| s));
-    let Better { model, refined, effects, curve } = better;
+    let Better { mut model, refined, effects, curve } = better;
+    if let (Some(left), Some(date)) = (&blocked, &options.date) {
+        interval::state(&mut model, &used, left, date);
+    }
     let verdict = Verdict::of(&effects, &answer.unexplained);
     let mut advice = work.advice(verdict, &effects, &answer.unexplained);
     if why_nothing.is_some() {
@@ -345,6 +350,7 @@ impl Writer<'_> {
             date: self.date.cloned(),
             from: self.train.iter().map(Source::of).collect(),
             interval: intervals(effect, half).into_iter().collect(),
+            set_up: false,
         };
         model.push(effect.clone(), provenance).is_ok()
     }
@@ -497,6 +503,7 @@ mod tests {
     use super::*;
     use crate::testing::{axis, column, noise, record};
     use rtec_model::effect::Against;
+    use std::path::Path;
 
     /// A reversal of no name is in no one's way: an error in proportion to the position is a scale, and nothing else.
     #[test]
@@ -513,6 +520,36 @@ mod tests {
         assert_eq!((f.effect.name().as_str(), r.model.effects().count()), ("scale.x", 1));
         assert!((f.effect.scalar(0) - 120.0).abs() < 2.0 * half[0] && f.p_value < 1e-3);
         assert!(r.gap[0].closed().is_some_and(|c| c > 0.9), "{:?}", r.gap);
+    }
+
+    /// A bug once: of a model that was reconciled nobody could say within what it predicts.
+    #[test]
+    fn a_better_model_states_its_interval() {
+        let of = |seed: u64| {
+            let dice = noise(seed, 400);
+            let mut run = record(400, |i| dice[i as usize]);
+            let p = run.columns[1].data.clone();
+            run.columns[2].data.iter_mut().zip(&p).for_each(|(e, p)| *e += 120.0 * p / 1000.0);
+            run
+        };
+        let options = Options { date: Some("2026-05-01".to_owned()), ..Options::default() };
+        let r = reconcile(&[of(1)], &[], &Machine::ideal("m"), &options).unwrap();
+        let note = r.model.fits().iter().find(|f| f.response == "error.x").unwrap();
+        assert_eq!((note.date.as_str(), note.valid_until.as_str()), ("2026-05-01", "2027-05-01"));
+        let later = of(2);
+        let role = later.columns[2].role.clone();
+        let half = r.model.half_widths_um(&later, &role).unwrap();
+        let left = r.model.beyond(&later).unwrap();
+        let inside = left.columns[2].data.iter().zip(&half).filter(|(e, h)| e.abs() <= **h).count();
+        assert!((360..=396).contains(&inside), "{inside} of 400 within ±{}", half[0]);
+        // What is written is read again.
+        let again = Machine::parse(Path::new("m.toml"), &r.model.to_text()).unwrap();
+        assert_eq!(again.fits(), r.model.fits());
+        // Nothing was found: the model is as it was given.
+        let dice = noise(3, 400);
+        let none =
+            reconcile(&[record(400, |i| dice[i as usize])], &[], &Machine::ideal("m"), &options).unwrap();
+        assert!(none.model.fits().is_empty());
     }
 
     /// A bug once: the figures of a hold-out that shares a training record's zero kept that zero, 5 µm of it here.

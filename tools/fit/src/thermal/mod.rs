@@ -58,7 +58,7 @@ use rows::Rows;
 use rtec_files::InputError;
 use rtec_model::date;
 use rtec_model::effect::{Against, Difference, Effect, Heat, ValueError};
-use rtec_model::machine::{FitNote, Machine, Provenance, Source};
+use rtec_model::machine::{FitNote, Listed, Machine, Provenance, Source};
 use rtec_model::record::{Record, Role};
 use std::collections::BTreeMap;
 use term::{Term, unlagged};
@@ -400,6 +400,7 @@ fn enter(
             date: Some(date::format(options.date)),
             from: train.iter().map(|r| Source::of(r)).collect(),
             interval,
+            set_up: effect.description().may_be_set_up(),
         };
         own.push(effect.clone(), provenance.clone())?;
         take_in(machine, effect, provenance)?;
@@ -407,9 +408,10 @@ fn enter(
     Ok(fitted)
 }
 
-/// Adds a fitted effect to a machine; an offset of the base and the fit's constant are one offset.
+/// Adds a fitted effect to a machine; a zero that an earlier fit left and this fit's are one zero.
 fn take_in(machine: &mut Machine, effect: Effect, provenance: Provenance) -> Result<(), ValueError> {
-    let place = machine.effects().position(|e| e.description().constant && e.name() == effect.name());
+    let earlier = |l: &Listed| l.provenance.set_up && provenance.set_up && l.effect.name() == effect.name();
+    let place = machine.listed().iter().position(earlier);
     let Some(n) = place else { return machine.push(effect, provenance) };
     let base = machine.listed()[n].effect.scalar(0);
     let [lo, hi] = provenance.interval.get("um").map_or([effect.scalar(0); 2], |i| i[0]);

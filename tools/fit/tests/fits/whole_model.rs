@@ -183,3 +183,35 @@ fn the_interval_of_the_whole_model_holds_on_every_kind_of_run() {
         assert!((0.9..=most).contains(&(own / all)), "{kind}: {own} of {all}");
     }
 }
+
+/// A bug once: named effects of forces were refused, as if the records did not tell them from nothing.
+#[test]
+fn forces_are_fitted_as_errors_are() {
+    let mut d = Dice::new(5);
+    let n = 600;
+    let v: Vec<f64> = (0..n).map(|i| 200.0 * (f64::from(i) / 40.0).sin()).collect();
+    let a: Vec<f64> = (0..n).map(|i| 200.0 / 0.04 * (f64::from(i) / 40.0).cos()).collect();
+    // 80 kg, 900 N·s/m, 35 N, and a constant of its own.
+    let f = |i: usize, dice: &mut Dice| {
+        80.0 * a[i] / 1000.0 + 900.0 * v[i] / 1000.0 + 35.0 * v[i].signum() + 12.0 + 2.0 * dice.normal()
+    };
+    let force: Vec<f64> = (0..n as usize).map(|i| f(i, &mut d)).collect();
+    let columns = vec![
+        column("t", "time", (0..n).map(|i| 0.001 * f64::from(i)).collect()),
+        column("v", "velocity.x", v.clone()),
+        column("a", "acceleration.x", a.clone()),
+        column("f", "force.x", force),
+    ];
+    let run = Record::new(Path::new("dynamics.run.toml"), Kind::Dynamics, columns).unwrap();
+    let names = ["inertia.x", "friction_viscous.x", "friction_coulomb.x"].map(str::to_owned);
+    let (machine, report) = fit_named(&Machine::ideal("m"), &names, &[&run], "2026-05-01", 365).unwrap();
+    for (name, want) in [("kg", 80.0), ("N_s_per_m", 900.0), ("N", 35.0)] {
+        let found = report.effects.iter().find_map(|e| e.parameters.get(name)).unwrap();
+        let (low, high) = (found.low, found.high);
+        assert!(low <= want && want <= high && high - low < 0.1 * want, "{name}: {low} to {high}, {want}");
+    }
+    assert!((report.zeros[0].um - 12.0).abs() < 0.5, "{:?}", report.zeros);
+    let text = machine.to_text();
+    assert!(text.contains("half_width_N = ") && !text.contains("half_width_um"), "{text}");
+    assert_eq!(Machine::parse(Path::new("m.toml"), &text).unwrap().fits(), machine.fits());
+}

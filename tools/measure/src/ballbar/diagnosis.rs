@@ -14,6 +14,7 @@ use rtec_model::record::{Axis, Role};
 use serde::Serialize;
 use statrs::distribution::{ContinuousCDF, StudentsT};
 use std::collections::BTreeMap;
+use std::ops::Range;
 
 /// A reversal spike of an axis.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
@@ -31,6 +32,25 @@ pub struct Cyclic {
     pub period_mm: f64,
     /// Amplitude, µm.
     pub um: f64,
+}
+
+impl Cyclic {
+    /// Whether a screw makes it: its period is a lead, or half of one as of two turns of a bearing, within its own
+    /// interval or what a screw's lead is off by.
+    fn is_of_a_screw(&self, half_mm: f64) -> bool {
+        let within = |lead: f64| (self.period_mm - lead).abs() <= half_mm.max(LEAD_OFF * lead);
+        made_periods_mm().any(within)
+    }
+}
+
+/// Periods that screws make, mm: leads of metric screws (the law's own) and of inch ones, and the halves of both.
+fn made_periods_mm() -> impl Iterator<Item = f64> {
+    let metric = Dictionary::default()
+        .laws()
+        .find(|l| l.describe().name == laws::screw_periodic::NAME)
+        .and_then(|l| l.describe().searched.wave.as_ref())
+        .map_or(&[][..], |w| w.usual_mm);
+    metric.iter().chain(&INCH_LEADS_MM).flat_map(|lead| [*lead, 0.5 * lead])
 }
 
 /// One cause's share in the circular deviation.
@@ -60,8 +80,10 @@ pub struct Diagnosis {
     pub spike: ByAxis<Spike>,
     /// Following error of the first axis minus that of the second, ms, as `following_error.A`.
     pub servo_mismatch_ms: Option<f64>,
-    /// Cyclic error per axis.
+    /// Cyclic error per axis, of a period that screws are made with.
     pub cyclic: ByAxis<Cyclic>,
+    /// A form along the axis that repeats at a period no screw is made with: a map as likely as a wave.
+    pub form: ByAxis<Cyclic>,
     /// 95 % intervals by name.
     pub interval_95: BTreeMap<String, [f64; 2]>,
     /// Causes by their share, largest first.
@@ -73,6 +95,10 @@ pub struct Diagnosis {
     pub unexplained_um: Option<f64>,
 }
 
+/// Leads of inch screws, mm: 0.1, 0.2, 0.25, 0.4, 0.5 and 1 inch.
+const INCH_LEADS_MM: [f64; 6] = [2.54, 5.08, 6.35, 10.16, 12.7, 25.4];
+/// Share by which a warm or worn screw's lead, and the scale of the axis, may be off: some thousand ppm.
+const LEAD_OFF: f64 = 0.002;
 /// Rows nearer than this to where an axis turns are in no cause, mm: play up to 20 µm is taken up by then, and such a row may
 /// stand on either side of the turn.
 const SETTLED_MM: f64 = 0.03;
@@ -284,14 +310,14 @@ impl<'t> Fit<'t> {
             n += t.radial.len();
             // Set-up and radius may lie beyond what a machine's error may be.
             y.extend(t.angle.iter().zip(&t.radial).map(|(p, e)| e - radius - a * p.cos() - b * p.sin()));
-            let first = begun(t);
-            let own: Vec<bool> =
-                t.angle.iter().enumerate().map(|(i, a)| i >= first && !turns(t, *a, settled_mm)).collect();
-            let inside = |i: usize| {
-                i > first
-                    && own[i - 1]
-                    && t.contours.iter().any(|(rows, _)| rows.contains(&i) && i > rows.start)
-            };
+            // Where a contour begins, and where the other sense does after a pause, an axis may have turned unseen.
+            let begun: Vec<Range<usize>> =
+                t.contours.iter().map(|(rows, _)| begun(&t.angle, rows)..rows.end).collect();
+            let own: Vec<bool> = (0..t.angle.len())
+                .map(|i| begun.iter().any(|rows| rows.contains(&i)) && !turns(t, t.angle[i], settled_mm))
+                .collect();
+            let inside =
+                |i: usize| begun.iter().any(|rows| rows.contains(&i) && i > rows.start) && own[i - 1];
             follows.extend((0..t.radial.len()).map(inside));
             counts.extend(own);
         }
@@ -639,7 +665,7 @@ impl<'t> Fit<'t> {
     }
 
     fn answer(&self, axes: [&Axis; 2], told: &[String], shown: &Shown) -> Diagnosis {
-        let (values, contributions) = self.values(shown, told);
+        let (values, mut contributions) = self.values(shown, told);
         let get = |name: &str| values.get(name).map(|v| v.0);
         let of_axes = |what: &str| {
             axes.iter()
@@ -658,6 +684,16 @@ impl<'t> Fit<'t> {
             let at = |p: &str| get(&format!("cyclic.{a}.{p}"));
             Some((a.clone(), Cyclic { period_mm: at("period_mm")?, um: at("um")? }))
         });
+        let (cyclic, form): (Vec<_>, Vec<_>) = cyclic.partition(|(a, c)| {
+            let half_mm = values.get(&format!("cyclic.{a}.period_mm")).map_or(0.0, |v| v.1);
+            c.is_of_a_screw(half_mm)
+        });
+        let form: ByAxis<Cyclic> = form.into_iter().collect();
+        for c in &mut contributions {
+            if let Some(axis) = c.cause.strip_prefix("cyclic error ").filter(|a| form.contains_key(*a)) {
+                c.cause = format!("form that repeats {axis}");
+            }
+        }
         // One way round reversals pass for set-up: that is the circle's.
         let set_up = |name: &str, k: usize| {
             let circle = self.circle[0][k];
@@ -682,7 +718,12 @@ impl<'t> Fit<'t> {
                 "centre.0.0" if self.structure.both_ways => Some(format!("centre_um.{}", axes[0])),
                 "centre.1.0" if self.structure.both_ways => Some(format!("centre_um.{}", axes[1])),
                 n if n.starts_with("radius.") || n.starts_with("centre.") || n == TOGETHER => None,
-                n => Some(n.to_owned()),
+                n => Some(match n.strip_prefix("cyclic.") {
+                    Some(rest) if rest.split('.').next().is_some_and(|a| form.contains_key(a)) => {
+                        format!("form.{rest}")
+                    }
+                    _ => n.to_owned(),
+                }),
             }
         };
         let interval_95 = values
@@ -701,7 +742,8 @@ impl<'t> Fit<'t> {
             reversal,
             spike: spike.collect(),
             servo_mismatch_ms: get("servo_mismatch_ms"),
-            cyclic: cyclic.collect(),
+            cyclic: cyclic.into_iter().collect(),
+            form,
             interval_95,
             contributions,
             rms: self.least_left(),
@@ -737,18 +779,18 @@ fn turns(trace: &Trace, angle: f64, settled_mm: f64) -> bool {
     [angle.cos(), angle.sin()].iter().any(|share| radius_mm * (1.0 - share.abs()) < settled_mm)
 }
 
-/// The first row at which both axes have turned within the record, or moved on far enough from where it begins.
-fn begun(trace: &Trace) -> usize {
+/// The first row of a contour at which both axes have turned within it, or moved on far enough from where it begins.
+fn begun(angle: &[f64], rows: &Range<usize>) -> usize {
+    let own = &angle[rows.clone()];
     let by_axis = [f64::cos as fn(f64) -> f64, f64::sin].map(|share| {
-        let away: Vec<f64> = trace.angle.iter().map(|a| (share(*a) - share(trace.angle[0])).abs()).collect();
         let mut farthest = 0.0_f64;
-        away.iter().position(|d| {
-            farthest = farthest.max(*d);
+        own.iter().map(|a| (share(*a) - share(own[0])).abs()).position(|d| {
+            farthest = farthest.max(d);
             // Nearer again by more than an angle's resolution.
-            *d >= DIED_OUT || *d < farthest - 1e-3
+            d >= DIED_OUT || d < farthest - 1e-3
         })
     });
-    by_axis.into_iter().flatten().max().unwrap_or(0)
+    rows.start + by_axis.into_iter().flatten().max().unwrap_or(0)
 }
 
 /// A term as people call it.

@@ -2,7 +2,7 @@
 
 use super::linuxcnc::{LinuxCnc, Unit};
 use super::own::Own;
-use super::{Csv, Errors, Format, Table, Wanted, beckhoff, siemens, usage};
+use super::{Csv, Errors, Format, Lookup, Rules, Table, Wanted, beckhoff, siemens, siemens_cec, usage};
 use rtec_files::InputError;
 use rtec_model::date;
 use rtec_model::machine::{FitNote, Machine};
@@ -19,8 +19,10 @@ pub enum Name {
     LinuxcncType1,
     /// Beckhoff TF5200 and ISG kernel.
     Ssfk,
-    /// SINUMERIK.
+    /// SINUMERIK, an axis along itself.
     Siemens,
+    /// SINUMERIK, an axis along another.
+    SiemensCec,
     /// Plain columns.
     Csv,
     /// A form of the user's own.
@@ -29,11 +31,12 @@ pub enum Name {
 
 impl Name {
     /// All of them, with the names that people write.
-    pub const ALL: [(&'static str, Self); 6] = [
+    pub const ALL: [(&'static str, Self); 7] = [
         ("linuxcnc", Self::Linuxcnc),
         ("linuxcnc-type1", Self::LinuxcncType1),
         ("ssfk", Self::Ssfk),
         ("siemens", Self::Siemens),
+        ("siemens-cec", Self::SiemensCec),
         ("csv", Self::Csv),
         ("own", Self::Own),
     ];
@@ -54,6 +57,14 @@ pub struct Order {
     pub format: Name,
     /// LinuxCNC: the machine's unit.
     pub unit: Unit,
+    /// The axis that the table goes along, where it is not its own: a cross table.
+    pub along: Option<String>,
+    /// siemens-cec: that axis as the controller names it.
+    pub along_name: Option<String>,
+    /// siemens-cec: number of the table.
+    pub table: u16,
+    /// siemens-cec: which way a positive value moves the axis, as it was tried on the machine: up is true.
+    pub positive_moves_up: Option<bool>,
     /// Siemens: the machine axis as the controller names it.
     pub axis_name: Option<String>,
     /// Siemens: number of the encoder.
@@ -94,6 +105,20 @@ impl Order {
             if there { Ok(()) } else { Err(usage(format!("no --{option}"), expected)) }
         };
         let most = self.wanted.most;
+        if let Some(along) = &self.along {
+            let cannot = match self.format {
+                Name::Linuxcnc | Name::LinuxcncType1 => {
+                    "COMP_FILE of LinuxCNC is looked up at the joint's own position: it cannot hold what another axis does to this one"
+                }
+                Name::Ssfk => "kw.ssfk is looked up at the axis' own position",
+                Name::Siemens => "$AA_ENC_COMP is looked up at the axis' own position",
+                Name::SiemensCec | Name::Csv | Name::Own => "",
+            };
+            if !cannot.is_empty() {
+                let expected = format!("{cannot}; --format siemens-cec, csv or own, or no --along");
+                return Err(usage(format!("--along {along} with this format"), expected));
+            }
+        }
         Ok(match self.format {
             Name::Linuxcnc | Name::LinuxcncType1 => {
                 Box::new(LinuxCnc { trims: self.format == Name::LinuxcncType1, unit: self.unit })
@@ -115,6 +140,25 @@ impl Order {
                     most: most.unwrap_or(siemens::MOST),
                 })
             }
+            Name::SiemensCec => {
+                needs(self.along.is_some(), "along")?;
+                needs(self.axis_name.is_some(), "axis-name")?;
+                needs(self.along_name.is_some(), "along-name")?;
+                needs(self.reference_mm.is_some(), "reference-mm")?;
+                let Some(positive_moves_up) = self.positive_moves_up else {
+                    let expected = "--positive-moves up or down, as tried on the machine: load a table of one value, say 0.05, and see; no \
+                                    public manual says which";
+                    return Err(usage("no --positive-moves", expected));
+                };
+                Box::new(siemens_cec::Cec {
+                    axis: self.axis_name.clone().unwrap_or_default(),
+                    along: self.along_name.clone().unwrap_or_default(),
+                    table: self.table,
+                    reference_mm,
+                    most: most.unwrap_or(siemens_cec::MOST),
+                    positive_moves_up,
+                })
+            }
             Name::Csv => Box::new(Csv),
             Name::Own => {
                 needs(self.form.is_some(), "form")?;
@@ -129,19 +173,26 @@ impl Order {
     /// # Errors
     /// The model has no such axis or lacks what the table needs; the format cannot hold it.
     pub fn of(&self, machine: &Machine) -> Result<Exported, InputError> {
-        let errors = Errors::of(machine, &self.axis, &self.temperatures_degc, &self.at_mm)?;
         let format = self.format()?;
-        let table = Table::of(&errors, &self.wanted, &format.rules())?;
+        let errors = self.errors(machine)?;
+        let mut rules = format.rules();
+        if self.along.is_some() {
+            // The table does not move the axis that it is looked up at.
+            rules = Rules { lookup: Lookup::Encoder, both: false, ..rules };
+        }
+        let table = Table::of(&errors, &self.wanted, &rules)?;
         let text = format.text(&table)?;
         let mut warnings = machine.doubts(date::today());
         warnings.extend(errors.doubts()?);
-        warnings.extend(beyond(machine, &self.axis, [self.wanted.from_mm, self.wanted.to_mm]));
-        warnings.extend(self.coarse(&table, format.rules().both));
+        let along = self.along.as_ref().unwrap_or(&self.axis);
+        warnings.extend(beyond(machine, &self.axis, along, [self.wanted.from_mm, self.wanted.to_mm]));
+        warnings.extend(self.coarse(&table, rules.both));
         let (left, points, held) = (table.left, table.points.len(), errors.temperatures_degc()?);
         let mut notes = vec![
             format!(
-                "axis {}, {points} positions, {:.4} mm apart, {} to {} mm",
+                "axis {}{}, {points} positions, {:.4} mm apart, {} to {} mm",
                 table.axis,
+                self.along.as_ref().map_or(String::new(), |along| format!(" along {along}")),
                 table.step_mm,
                 short(table.points[0].position_mm),
                 short(table.end_mm())
@@ -162,13 +213,26 @@ impl Order {
         }
         notes.extend(format.advice(&table));
         let document = json!({
-            "axis": table.axis.as_str(), "points": points, "step_mm": table.step_mm,
+            "axis": table.axis.as_str(), "along": along, "points": points, "step_mm": table.step_mm,
             "from_mm": table.points[0].position_mm, "to_mm": table.end_mm(),
             "max_up_um": left.max_up_um, "max_down_um": left.max_down_um, "rms_um": left.rms_um,
             "between_um": table.between_um, "constant_um": table.constant_um, "warnings": warnings,
             "temperatures_degC": held.iter().copied().collect::<BTreeMap<&str, f64>>(),
         });
         Ok(Exported { text, document, warnings, notes })
+    }
+
+    /// The model's errors along the axis, or along the one that was asked for.
+    fn errors<'m>(&self, machine: &'m Machine) -> Result<Errors<'m>, InputError> {
+        let Some(along) = &self.along else {
+            return Errors::of(machine, &self.axis, &self.temperatures_degc, &self.at_mm);
+        };
+        let (own, others): (Vec<_>, Vec<_>) = self.at_mm.iter().cloned().partition(|(a, _)| *a == self.axis);
+        if others.iter().any(|(a, _)| a == along) {
+            return Err(usage(format!("--at {along} beside --along {along}"), "the place of other axes"));
+        }
+        Errors::of(machine, &self.axis, &self.temperatures_degc, &others)?
+            .across(along, own.first().map_or(0.0, |(_, mm)| *mm))
     }
 
     /// Where the table is coarser than was asked for.
@@ -209,15 +273,15 @@ impl Order {
 }
 
 /// Where a table goes beyond what the model was stated or seen on.
-fn beyond(machine: &Machine, axis: &str, [from, to]: [f64; 2]) -> Vec<String> {
+fn beyond(machine: &Machine, axis: &str, along: &str, [from, to]: [f64; 2]) -> Vec<String> {
     let mut found = machine.beyond_stated(|a| {
-        (a.as_str() == axis).then(|| (0..=100).map(|k| from + (to - from) * f64::from(k) / 100.0).collect())
+        (a.as_str() == along).then(|| (0..=100).map(|k| from + (to - from) * f64::from(k) / 100.0).collect())
     });
     let seen = machine.fits().iter().filter(|f| f.response == format!("error.{axis}"));
-    for [lo, hi] in seen.filter_map(|f| f.at_mm.as_ref()?.get(axis).copied()) {
+    for [lo, hi] in seen.filter_map(|f| f.at_mm.as_ref()?.get(along).copied()) {
         if !FitNote::reaches([lo, hi], [from, to]) {
             found.push(format!(
-                "the model was fitted from {lo:.1} to {hi:.1} mm of {axis}, and the table goes from {from} to {to} mm: no record has shown what the \
+                "the model was fitted from {lo:.1} to {hi:.1} mm of {along}, and the table goes from {from} to {to} mm: no record has shown what the \
                  axis does there"
             ));
         }

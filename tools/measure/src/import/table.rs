@@ -4,7 +4,7 @@ use super::{add_note, column, record_of};
 use rtec_files::csv::{Cell, Header, Reader, Row};
 use rtec_files::{InputError, Marks, Numbers};
 use rtec_model::clock::{self, Counted, DAY_NS, absolute_ns, day, has_zone, of_day_ns};
-use rtec_model::record::{Column, Kind, Record, Role};
+use rtec_model::record::{Column, Kind, LINEAR, Record, Role};
 use std::borrow::Cow;
 use std::path::Path;
 
@@ -93,6 +93,9 @@ impl ImportColumn {
         let (role, unit) = rest.split_once(':').map_or((rest, None), |(r, u)| (r, Some(u)));
         let role = Role::parse(role)
             .ok_or_else(|| bad(role, "a role, as time, position.y, temperature, error.z"))?;
+        if role.is_rotary(unit.unwrap_or_default()) {
+            return Err(bad(rest, LINEAR));
+        }
         let Some(unit) = unit else { return Self::of(name, name, role, None, 1.0, 0.0) };
         let Some((factor, unit)) =
             unit.split_once('*').map(|(_, rest)| rest.split_once('=').unwrap_or((rest, "")))

@@ -11,12 +11,21 @@
 //! [thermal]                              # lengths are reduced to 20 °C with these sensors and coefficients
 //! scale = { sensor = "T3", ppm_per_K = 8.5 }
 //! workpiece = { sensor = "T5", ppm_per_K = 11.5 }
+//! [air]                                  # a laser's path; left out, the lengths are as the instrument compensated them
+//! sensor = "T18"                         # or degC = 21.3
+//! kPa = 99.8
+//! rh_percent = 45
+//! assumed_degC = 20.0                    # what the instrument compensated for
+//! assumed_kPa = 101.325
+//! assumed_rh_percent = 50
+//! dead_path_mm = 250.0
 //! [uncertainty]                          # what is left out contributes nothing
 //! device_um_per_m = 0.8                  # the calibration's, k = 2
 //! misalignment_mm = 1.0
 //! drift_um = 1.7
 //! ```
 
+use super::air::Air;
 use rtec_files::InputError;
 use rtec_files::toml::{Document, Entry, Table};
 use serde::Serialize;
@@ -47,6 +56,8 @@ pub struct Conditions {
     pub scale: Option<Expansion>,
     /// What it was measured against: work piece, artefact.
     pub workpiece: Option<Expansion>,
+    /// The air along a laser's path.
+    pub air: Option<Air>,
     /// Half widths and expanded values by key; see [`Uncertainty`].
     pub stated: BTreeMap<String, f64>,
 }
@@ -104,6 +115,7 @@ impl Conditions {
                     found.scale = t.get("scale").map(expansion).transpose()?;
                     found.workpiece = t.get("workpiece").map(expansion).transpose()?;
                 }
+                ("air", Some(t)) => found.air = Some(Air::read(&t)?),
                 ("uncertainty", Some(t)) => {
                     t.only(&KEYS.map(|k| k.0))?;
                     for (key, meaning) in KEYS {
@@ -134,7 +146,7 @@ impl Conditions {
                 }
                 (_, Some(_)) => {
                     return Err(entry.unknown_key(
-                        "instrument, test, thermal or uncertainty, or words as machine = \"…\"",
+                        "instrument, test, thermal, air or uncertainty, or words as machine = \"…\"",
                     ));
                 }
                 (key, None) => found.words.push((plain(key), word(&entry)?)),

@@ -6,7 +6,7 @@ mod spans;
 
 pub use long::LongDrift;
 
-use super::{error_axes, lacks, targets};
+use super::{lacks, targets};
 use crate::plot::{Chart, Series, Style};
 use figures::{Look, Sums};
 use rtec_files::InputError;
@@ -15,11 +15,13 @@ use serde::Serialize;
 use spans::{Span, Spans, State, TURNS_RPM};
 use std::collections::BTreeMap;
 
-/// Thermal drift of one response over the whole test, and phase by phase. Ranges in µm.
+/// Thermal drift of one response over the whole test, and phase by phase.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Drift {
-    /// The response, as `error.z`.
+    /// The response, as `error.z`, or a tilt, as `angle_error.s.a`: of the spindle about A.
     pub response: String,
+    /// Unit of its figures: `um`, or `urad` or `arcsec` of a tilt.
+    pub unit: String,
     /// The whole test.
     #[serde(flatten)]
     pub whole: Figures,
@@ -36,7 +38,7 @@ pub struct Figures {
     pub d_t: f64,
     /// Range within the last 60 minutes: how steady the end is.
     pub d_last_60: f64,
-    /// Displacement at the end against the start (means of the first and last hundredth of the rows).
+    /// Mean of the last hundredth of the rows minus that of the first.
     pub end: f64,
     /// Mean rate: slope of the straight line through it, µm/h.
     pub rate_per_h: f64,
@@ -93,17 +95,28 @@ pub fn drift(record: &Record) -> Result<Vec<Drift>, InputError> {
         .data(&Role::Time)
         .ok_or_else(|| lacks(record, "no time", "a column of role time: drift is an error over time"))?;
     let spans = spans_of(record, t);
-    let found: Vec<Drift> = error_axes(record)
-        .into_iter()
-        .map(|(axis, e)| {
-            let phases = spans.iter().flat_map(|s| phases(s, record, t, e)).collect();
-            Drift { response: format!("error.{axis}"), whole: figures(record, t, e, 0..t.len()), phases }
+    let found: Vec<Drift> = displaced(&record.columns)
+        .map(|c| {
+            let phases = spans.iter().flat_map(|s| phases(s, record, t, &c.data)).collect();
+            Drift { phases, ..Drift::of(c, figures(record, t, &c.data, 0..t.len())) }
         })
         .collect();
     if found.is_empty() {
-        return Err(lacks(record, "no error response", "a column of role error.AXIS"));
+        return Err(lacks(record, "no error response", "a column of role error.AXIS or angle_error.s.a"));
     }
     Ok(found)
+}
+
+impl Drift {
+    /// Of a column, with the figures of the whole test.
+    fn of(column: &Column, whole: Figures) -> Self {
+        Self { response: column.role.to_string(), unit: column.unit.clone(), whole, phases: Vec::new() }
+    }
+}
+
+/// What drifts: displacements and tilts.
+fn displaced(columns: &[Column]) -> impl Iterator<Item = &Column> {
+    columns.iter().filter(|c| matches!(c.role, Role::Error(_) | Role::AngleError(..)))
 }
 
 /// An axis moves between two rows, not its reading alone.
@@ -196,13 +209,19 @@ pub fn drift_charts(record: &Record) -> Vec<Chart> {
         let points = minutes.iter().copied().zip(data.iter().copied());
         Series::new(name, Style::Line, points.filter(|(_, v)| v.is_finite()).collect())
     };
-    let errors = error_axes(record).into_iter().map(|(axis, e)| line(&format!("error.{axis}"), e)).collect();
+    let errors =
+        displaced(&record.columns).map(|c| (c.unit.clone(), line(&c.role.to_string(), &c.data))).collect();
     let degc = temperatures(&record.columns).map(|c| line(&c.name, &c.data)).collect();
     charts_of(errors, degc, &spans_of(record, t), &record.columns)
 }
 
-/// The charts of these lines over minutes, with these phases.
-fn charts_of(errors: Vec<Series>, degc: Vec<Series>, spans: &[Span], columns: &[Column]) -> Vec<Chart> {
+/// The charts of these lines over minutes, each with its unit, with these phases.
+fn charts_of(
+    errors: Vec<(String, Series)>,
+    degc: Vec<Series>,
+    spans: &[Span],
+    columns: &[Column],
+) -> Vec<Chart> {
     let start_s = spans.first().map_or(0.0, |s| s.start_s);
     let chart = |title: &str, y: &str, series: Vec<Series>| {
         let mut chart = Chart { series, ..Chart::new(title, "time (min)", y) };
@@ -211,7 +230,18 @@ fn charts_of(errors: Vec<Series>, degc: Vec<Series>, spans: &[Span], columns: &[
         }
         chart
     };
-    let mut charts = vec![chart("Thermal drift (ISO 230-3)", "displacement (µm)", errors)];
+    let (lengths, tilts): (Vec<_>, Vec<_>) = errors.into_iter().partition(|(unit, _)| unit == "um");
+    let series = |all: Vec<(String, Series)>| all.into_iter().map(|(_, s)| s).collect::<Vec<_>>();
+    let mut charts = Vec::new();
+    if !lengths.is_empty() {
+        charts.push(chart("Thermal drift (ISO 230-3)", "displacement (µm)", series(lengths)));
+    }
+    for unit in ["urad", "arcsec"] {
+        let own: Vec<_> = tilts.iter().filter(|(u, _)| u == unit).cloned().collect();
+        if !own.is_empty() {
+            charts.push(chart("Tilts (ISO 230-3)", &format!("tilt ({unit})"), series(own)));
+        }
+    }
     if !degc.is_empty() {
         charts.push(chart("Temperatures", "temperature (°C)", degc));
     }

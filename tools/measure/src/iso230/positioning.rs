@@ -221,6 +221,14 @@ struct Run<'r> {
 impl Run<'_> {
     /// Takes off what the scale has grown, against what it was measured with: the error as it were at 20 °C.
     fn reduce(&mut self, conditions: &Conditions) -> Result<(), InputError> {
+        if let Some(air) = &conditions.air {
+            let (corrected, words) = air.corrected(self.record, self.position, &self.error)?;
+            self.error = corrected;
+            self.notes.push(words);
+        } else if *conditions != Conditions::default() {
+            self.notes
+                .push("the laser's air is as the instrument took it: no [air] in the conditions".to_owned());
+        }
         let mut words = Vec::new();
         for (body, what, sign) in
             [(&conditions.scale, "scale", 1.0), (&conditions.workpiece, "workpiece", -1.0)]

@@ -257,6 +257,10 @@ fn diagnosis(report: &mut Report, b: &Ballbar) {
         add(&format!("cyclic error {axis}"), &format!("cyclic.{axis}.um"), Some(c.um), "µm", 2);
         add("its period", &format!("cyclic.{axis}.period_mm"), Some(c.period_mm), "mm", 3);
     }
+    for (axis, c) in &d.form {
+        add(&format!("form that repeats {axis}"), &format!("form.{axis}.um"), Some(c.um), "µm", 2);
+        add("every, no screw's lead", &format!("form.{axis}.period_mm"), Some(c.period_mm), "mm", 3);
+    }
     if let Some((a, c)) = b.plane.split_once('-') {
         add(&format!("centre {a}"), &format!("centre_um.{a}"), d.centre_um[0], "µm", 2);
         add(&format!("centre {c}"), &format!("centre_um.{c}"), d.centre_um[1], "µm", 2);
@@ -317,14 +321,33 @@ pub fn drift(
             "the run lasts {short:.1} min: d60 and the last hour are of all of it; or is its time in another unit than stated?"
         ));
     }
-    let head = ["response", "#time (min)", "#d60", "#dt", "#last hour", "#end", "#µm/h", "#most µm/h"];
+    let head = [
+        "response",
+        "unit",
+        "#time (min)",
+        "#d60",
+        "#dt",
+        "#last hour",
+        "#end − start",
+        "#per h",
+        "#most per h",
+    ];
+    let unit = |d: &Drift| {
+        match d.unit.as_str() {
+            "um" => "µm",
+            "urad" => "µrad",
+            other => other,
+        }
+        .to_owned()
+    };
     let cells = |f: &Figures| {
         let own = [f.d_60, f.d_t, f.d_last_60, f.end, f.rate_per_h, f.max_rate_per_h].map(um);
         std::iter::once(format!("{:.0}", f.t_min)).chain(own).collect::<Vec<_>>()
     };
-    let mut table = Table::new("The whole test, displacements in µm", &head);
+    let title = "The whole test; end − start: mean of the last hundredth of the rows minus that of the first";
+    let mut table = Table::new(title, &head);
     for d in all {
-        table.row(std::iter::once(d.response.clone()).chain(cells(&d.whole)));
+        table.row([d.response.clone(), unit(d)].into_iter().chain(cells(&d.whole)));
     }
     report.table(table);
     for chart in charts {
@@ -334,17 +357,21 @@ pub fn drift(
     for i in 0..count {
         let Some(p) = all.first().and_then(|d| d.phases.get(i)) else { continue };
         let at = p.at_mm.map(|mm| format!(", read at {mm:.1} mm")).unwrap_or_default();
-        let title = format!("Phase from {:.0} min: {}{at}, displacements in µm", p.from_min, p.what);
+        let title = format!("Phase from {:.0} min: {}{at}", p.from_min, p.what);
         let mut table = Table::new(&title, &head);
         for d in all {
             if let Some(p) = d.phases.get(i) {
-                table.row(std::iter::once(d.response.clone()).chain(cells(&p.figures)));
+                table.row([d.response.clone(), unit(d)].into_iter().chain(cells(&p.figures)));
             }
         }
         report.table(table);
         let title = format!("Sensors in that phase ({})", p.what);
-        let mut names =
-            vec!["sensor".to_owned(), "#range (K)".to_owned(), "#end (K)".to_owned(), "#K/h".to_owned()];
+        let mut names = vec![
+            "sensor".to_owned(),
+            "#range (K)".to_owned(),
+            "#end − start (K)".to_owned(),
+            "#K/h".to_owned(),
+        ];
         names.extend(all.iter().map(|d| format!("#γ {}", d.response)));
         let mut table = Table { title, head: names, rows: Vec::new() };
         let mut sensors: Vec<_> = p.figures.temperatures.iter().collect();
@@ -453,7 +480,12 @@ pub fn plate(p: &Plate, record: &Record, conditions: &Conditions) -> Result<Repo
             "K",
         ),
         ("squareness", fixed(j.squareness_urad, 1), fixed(je.squareness_urad, 1), "µrad"),
-        ("rotation, counter-clockwise", fixed(j.rotation_urad, 1), fixed(je.rotation_urad, 1), "µrad"),
+        (
+            "rotation from x towards y, or the plate's set-up",
+            fixed(j.rotation_urad, 1),
+            fixed(je.rotation_urad, 1),
+            "µrad",
+        ),
         (
             "quadrupole: longer along its angle, shorter across",
             fixed(j.quadrupole_ppm, 1),
@@ -480,7 +512,7 @@ pub fn plate(p: &Plate, record: &Record, conditions: &Conditions) -> Result<Repo
         ("offset x", fixed(p.offset_mm[0], 4), fixed(pe.offset_mm[0], 4), "mm"),
         ("offset y", fixed(p.offset_mm[1], 4), fixed(pe.offset_mm[1], 4), "mm"),
         ("scale", fixed(p.scale_ppm, 1), fixed(pe.scale_ppm, 1), "ppm"),
-        ("rotation, counter-clockwise", fixed(p.rotation_urad, 1), fixed(pe.rotation_urad, 1), "µrad"),
+        ("rotation from x towards y", fixed(p.rotation_urad, 1), fixed(pe.rotation_urad, 1), "µrad"),
         ("left over after these (RMS length)", um(p.rms_um), none(), "µm"),
         (
             "quadrupole r·m·cos 2(θ − φ) along the radius: m",

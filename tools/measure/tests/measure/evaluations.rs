@@ -129,6 +129,29 @@ fn holes_on_one_line_are_no_plate() {
     }
 }
 
+/// Five gauges on a mandrel show the tilt of the spindle too: it drifts as displacements do, in its own unit.
+#[test]
+fn the_tilt_of_a_spindle_drifts_as_displacements_do() {
+    let rows = 121;
+    let grown = |i: usize| 1.0 - (-(i as f64) / 40.0).exp();
+    let of = |size: f64| (0..rows).map(|i| size * grown(i)).collect::<Vec<f64>>();
+    let columns = vec![
+        column("t", "time", (0..rows).map(|i| 60.0 * i as f64).collect()),
+        column("x", "error.x", of(12.0)),
+        column("b", "angle_error.s.b", of(80.0)),
+    ];
+    let record = Record::new(Path::new("d.run.toml"), Kind::Drift, columns).unwrap();
+    let all = iso230::drift(&record).unwrap();
+    let names: Vec<_> = all.iter().map(|d| (d.response.as_str(), d.unit.as_str())).collect();
+    assert_eq!(names, [("error.x", "um"), ("angle_error.s.b", "urad")]);
+    for (d, size) in all.iter().zip([12.0, 80.0]) {
+        assert!((d.whole.d_t - size * grown(rows - 1)).abs() < 1e-9, "{d:?}");
+    }
+    let charts = iso230::drift_charts(&record);
+    let titles: Vec<_> = charts.iter().map(|c| c.y.as_str()).collect();
+    assert_eq!(titles, ["displacement (µm)", "tilt (urad)"]);
+}
+
 /// A bow of k·u² (u from −1 to 1 over the travel) is 1·k from its least-squares line, whatever slope and zero stand beside
 /// it; up and down apart by the reversal.
 #[test]

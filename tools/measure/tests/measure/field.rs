@@ -134,6 +134,10 @@ fn every_format_states_what_its_table_leaves_applied() {
         at_mm: Vec::new(),
         format,
         unit,
+        along: None,
+        along_name: None,
+        table: 0,
+        positive_moves_up: None,
         axis_name: Some("X1".to_owned()),
         encoder: 0,
         reference_mm: Some(0.0),
@@ -288,4 +292,92 @@ fn drift_within_a_cycle_is_in_neither_reversal_nor_repeatability() {
         let says = |w: &String| w.contains("B_mean") && w.contains("instead of");
         assert!(found.warnings.iter().any(says), "{seed}: {:?}", found.warnings);
     }
+}
+
+/// `$AN_CEC` as the manual has it, read by hand: the value at a position of the basic axis, mm; beyond the ends that of the ends.
+fn cec(text: &str) -> impl Fn(f64) -> f64 {
+    let after = |key: &str| {
+        let line = text.lines().find(|l| l.starts_with(key)).unwrap_or_else(|| panic!("{key} in\n{text}"));
+        line.split_once('=').unwrap().1.to_owned()
+    };
+    let mut values: Vec<(usize, f64)> = text
+        .lines()
+        .filter_map(|l| {
+            let (place, value) = l.strip_prefix("$AN_CEC[3,")?.split_once("]=")?;
+            Some((place.parse().unwrap(), value.parse().unwrap()))
+        })
+        .collect();
+    values.sort_by_key(|v| v.0);
+    assert!(values.iter().enumerate().all(|(i, v)| i == v.0), "{text}");
+    assert_eq!(
+        (after("$AN_CEC_INPUT_AXIS[3]"), after("$AN_CEC_OUTPUT_AXIS[3]")),
+        ("(X1)".into(), "(Y1)".into())
+    );
+    for key in ["DIRECTION", "MULT_BY_TABLE", "IS_MODULO"] {
+        assert_eq!(after(&format!("$AN_CEC_{key}[3]")), "0");
+    }
+    let number = |key: &str| after(&format!("$AN_CEC_{key}[3]")).parse::<f64>().unwrap();
+    let (step, from, to) = (number("STEP"), number("MIN"), number("MAX"));
+    assert!((from + step * (values.len() - 1) as f64 - to).abs() < 1e-3, "{text}");
+    move |p: f64| {
+        let at = ((p - from) / step).clamp(0.0, (values.len() - 1) as f64);
+        let k = (at as usize).min(values.len() - 2);
+        values[k].1 + (at - k as f64) * (values[k + 1].1 - values[k].1)
+    }
+}
+
+/// Squareness, bow and sag of Y along X go into a cross table: a controller that reads it by the manual, its sign as tried, leaves
+/// of them less than the limit; what is Y's own stays out.
+#[test]
+fn a_cross_table_takes_out_what_one_axis_does_to_another() {
+    let model = "name = \"m\"\n[[effect]]\nname = \"squareness.y.x\"\nurad = 40.0\n[[effect]]\nname = \"straightness.y.x\"\n\
+                 knots_mm = [0.0, 100.0, 250.0, 400.0]\num = [0.0, 6.0, -4.0, 2.0]\n[[effect]]\nname = \"scale.y\"\nppm = 30.0\n\
+                 [[effect]]\nname = \"reversal.y\"\num = 5.0\n[[effect]]\nname = \"scale.x\"\nppm = -20.0\n";
+    let machine = Machine::parse(Path::new("m.toml"), model).unwrap();
+    let order = |positive_moves_up: Option<bool>, format: Name| Order {
+        axis: "y".to_owned(),
+        wanted: Wanted { from_mm: 0.0, to_mm: 400.0, step_mm: None, limit_um: 0.3, most: None },
+        temperatures_degc: Vec::new(),
+        at_mm: vec![("y".to_owned(), 120.0)],
+        format,
+        unit: Unit::Mm,
+        along: Some("x".to_owned()),
+        along_name: Some("X1".to_owned()),
+        table: 3,
+        positive_moves_up,
+        axis_name: Some("Y1".to_owned()),
+        encoder: 0,
+        reference_mm: Some(50.0),
+        axis_number: Some(1),
+        form: None,
+    };
+    // By hand, µm.
+    let bow = |p: f64| match p {
+        p if p < 100.0 => 0.06 * p,
+        p if p < 250.0 => 6.0 - 10.0 * (p - 100.0) / 150.0,
+        p => -4.0 + 6.0 * (p - 250.0) / 150.0,
+    };
+    let error = |p: f64| 0.04 * p + bow(p);
+    for up in [true, false] {
+        let done = order(Some(up), Name::SiemensCec).of(&machine).unwrap();
+        let value = cec(&done.text);
+        assert!(value(50.0).abs() < 1e-6, "zero at the reference point");
+        for k in 0..=4000 {
+            let p = 0.1 * f64::from(k);
+            let moved_um = 1000.0 * value(p) * if up { 1.0 } else { -1.0 };
+            let left = error(p) - error(50.0) + moved_um;
+            assert!(left.abs() < 0.35, "{up}: {left} um at {p} mm");
+        }
+        assert!(done.notes.iter().any(|n| n.contains("measure once more")), "{:?}", done.notes);
+    }
+    // Which way a positive value moves the axis nobody says in public.
+    let e = order(None, Name::SiemensCec).of(&machine).unwrap_err().to_string();
+    assert!(e.contains("--positive-moves up or down"), "{e}");
+    for format in [Name::Linuxcnc, Name::LinuxcncType1, Name::Siemens, Name::Ssfk] {
+        let e = order(None, format).of(&machine).unwrap_err().to_string();
+        assert!(e.contains("own position"), "{e}");
+    }
+    let none = Order { along: Some("z".to_owned()), ..order(Some(true), Name::SiemensCec) };
+    let e = none.of(&machine).unwrap_err().to_string();
+    assert!(e.contains("an axis that an error of y depends on: x"), "{e}");
 }

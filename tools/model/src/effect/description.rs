@@ -351,6 +351,12 @@ pub struct Description {
 }
 
 impl Description {
+    /// Whether it may be the zero of a gauge. A constant force is the machine's own.
+    #[must_use]
+    pub fn may_be_set_up(&self) -> bool {
+        self.constant && self.quantity == Quantity::Error
+    }
+
     /// The place of the first parameter that a fit finds in a certain way.
     #[must_use]
     pub fn place(&self, search: Search) -> Option<usize> {

@@ -4,7 +4,7 @@ use super::laws::BUILT_IN;
 use super::{
     Description, Difference, Effect, Law, Naming, Need, Owner, Parameter, Probing, Search, ValueError,
 };
-use crate::record::{Axis, Kind, Record, Role};
+use crate::record::{Axis, Kind, LINEAR, Record, Role};
 use std::sync::Arc;
 
 /// All laws by name: the built-in ones of formats.md, and a project's own.
@@ -54,6 +54,9 @@ impl Dictionary {
             let expected = format!("a name like `{head}{}`", form(law.describe().naming));
             ValueError::new("name", format!("`{name}`"), expected)
         })?;
+        if axes.iter().any(Axis::is_rotary) {
+            return Err(ValueError::new("name", format!("`{name}`, of a rotary axis"), LINEAR));
+        }
         let values: Vec<f64> = law.describe().parameters.iter().map(start_value).collect();
         let (law, width) = (Arc::clone(law), values.len().min(1));
         Ok(Effect { law, axes, channel, delta: None, range_k: None, start_k: None, values, width })

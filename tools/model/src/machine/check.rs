@@ -3,7 +3,7 @@
 
 use super::evaluate::differences;
 use super::places::folder_of;
-use super::{FitNote, Machine, Validity};
+use super::{FitNote, Listed, Machine, Validity};
 use crate::date;
 use crate::effect::{Difference, Effect, States};
 use crate::record::{Axis, Record, Role, sha256_of};
@@ -30,6 +30,17 @@ impl Machine {
                 }
             }
         }
+        // Models that were fitted before zeros were marked.
+        let of_a_gauge = |l: &&Listed| {
+            let by_fit = l.provenance.added_by.as_deref() == Some("model fit");
+            l.effect.description().may_be_set_up() && by_fit && !l.provenance.set_up
+        };
+        found.extend(self.listed().iter().filter(of_a_gauge).map(|l| {
+            format!(
+                "{}: a fit took it from the gauges' zero, and it is corrected live: `set_up = true` beside it, or a new fit, keeps it out",
+                l.effect.name()
+            )
+        }));
         found.extend(self.expired(today));
         let early = self.fits().iter().filter(|f| date::parse(&f.date).is_some_and(|d| d > today));
         found.extend(early.map(|f| {

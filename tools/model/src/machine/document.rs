@@ -13,8 +13,9 @@ impl Machine {
             .fits()
             .iter()
             .map(|f| {
-                json!({"response": f.response, "date": f.date, "valid_until": f.valid_until, "rms_um": f.rms_um,
-                       "half_width_um": f.half_width_um, "by_kind_um": f.by_kind_um})
+                let [rms, half_width, by_kind] = super::FitNote::keys_of(&f.response);
+                json!({"response": f.response, "date": f.date, "valid_until": f.valid_until, rms: f.rms_um,
+                       half_width: f.half_width_um, by_kind: f.by_kind_um})
             })
             .collect();
         json!({"name": self.name(), "effects": effects, "fits": fits, "chain": self.chain().map(crate::chain::Chain::to_json)})
@@ -37,6 +38,7 @@ fn effect_json(l: &Listed) -> Value {
     json!({
         "name": l.effect.name(), "law": l.effect.description().law, "delta": l.effect.delta.as_ref().map(ToString::to_string),
         "parameters": parameters, "range_K": l.effect.range_k, "added_by": l.provenance.added_by,
+        "set_up": l.provenance.set_up,
         "experiment": l.effect.description().experiment,
     })
 }

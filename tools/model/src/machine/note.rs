@@ -58,6 +58,9 @@ pub struct Provenance {
     pub from: Vec<Source>,
     /// Interval of each parameter, one pair per value.
     pub interval: BTreeMap<String, Vec<[f64; 2]>>,
+    /// It belongs to how the gauges stood (their zero), not to the machine: part of what is predicted of a record, never corrected
+    /// live.
+    pub set_up: bool,
 }
 
 /// An effect of a machine.
@@ -67,6 +70,15 @@ pub struct Listed {
     pub effect: Effect,
     /// Records, dates and intervals that the effect comes with.
     pub provenance: Provenance,
+}
+
+impl Listed {
+    /// What it is known by among a machine's effects: the zero of a set-up may stand beside the machine's own offset.
+    #[must_use]
+    pub fn identity(&self) -> String {
+        let set_up = if self.provenance.set_up { ", set_up" } else { "" };
+        format!("{}{set_up}", self.effect.identity())
+    }
 }
 
 /// The range of a temperature difference in which a fit is valid.
@@ -112,7 +124,7 @@ pub struct FitNote {
     pub date: String,
     /// The last day on which it may be used without being looked at again.
     pub valid_until: String,
-    /// RMS on blocks of time that the fit had not seen, µm.
+    /// RMS on blocks of time that the fit had not seen, µm (N of a force, as all widths here).
     pub rms_um: f64,
     /// Half width of the 95 % prediction interval, µm.
     pub half_width_um: f64,
@@ -184,6 +196,20 @@ impl Reach {
 }
 
 impl FitNote {
+    /// The unit of a response, and so of its RMS and widths.
+    #[must_use]
+    pub fn unit_of(response: &str) -> &'static str {
+        if response.starts_with("force.") { "N" } else { "µm" }
+    }
+
+    /// The keys of RMS, half width and half widths by kind of run in a file.
+    pub(super) fn keys_of(response: &str) -> [&'static str; 3] {
+        match Self::unit_of(response) {
+            "N" => ["rms_N", "half_width_N", "by_kind_N"],
+            _ => ["rms_um", "half_width_um", "by_kind_um"],
+        }
+    }
+
     /// Where the axes of records are: from where to where each moves, mm.
     #[must_use]
     pub fn places(records: &[&Record]) -> BTreeMap<String, [f64; 2]> {

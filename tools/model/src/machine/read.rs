@@ -91,7 +91,7 @@ impl Machine {
             root.get("effect").map(|e| e.tables("[[effect]] tables")).transpose()?.unwrap_or_default();
         for table in tables {
             let next = read_effect(table, &dictionary)?;
-            if !identities.insert(next.effect.identity()) {
+            if !identities.insert(next.identity()) {
                 let found = format!("effect `{}` a second time", next.effect.name());
                 let expected = "one of a name, unless sensors, periods, knots or times differ";
                 return Err(table.required("name", "")?.error(found, expected));
@@ -109,7 +109,7 @@ impl Machine {
     }
 }
 
-const PROVENANCE: [&str; 4] = ["added_by", "date", "from", "interval"];
+const PROVENANCE: [&str; 5] = ["added_by", "date", "from", "interval", "set_up"];
 
 fn read_effect(table: Table<'_>, dictionary: &Dictionary) -> Result<Listed, InputError> {
     let entry = table.required("name", "the effect's name, as name = \"scale.x\"")?;
@@ -210,18 +210,10 @@ fn range_k(entry: Entry<'_>, form: &str) -> Result<[f64; 2], InputError> {
 }
 
 fn read_fit(t: Table<'_>) -> Result<FitNote, InputError> {
-    t.only(&[
-        "response",
-        "date",
-        "valid_until",
-        "rms_um",
-        "half_width_um",
-        "valid",
-        "at_mm",
-        "by_kind_um",
-        "from",
-    ])?;
-    let text = |key: &str| Ok::<_, InputError>(t.required(key, "text")?.text());
+    let response = t.required("response", "text")?.text();
+    let unit = FitNote::unit_of(&response);
+    let [rms, half_width, by_kind] = FitNote::keys_of(&response);
+    t.only(&["response", "date", "valid_until", rms, half_width, "valid", "at_mm", by_kind, "from"])?;
     // A date that is none would never be past.
     let day = |key: &str| {
         let entry = t.required(key, "a day as YYYY-MM-DD")?;
@@ -232,28 +224,28 @@ fn read_fit(t: Table<'_>) -> Result<FitNote, InputError> {
         }
     };
     Ok(FitNote {
-        response: text("response")?,
         date: day("date")?,
         valid_until: day("valid_until")?,
-        rms_um: t.required("rms_um", "µm")?.within([0.0, MOST_UM], "µm")?,
+        rms_um: t.required(rms, unit)?.within([0.0, MOST_UM], unit)?,
         half_width_um: t
-            .required("half_width_um", "µm")?
-            .within([f64::MIN_POSITIVE, MOST_UM], "µm, above zero")?,
+            .required(half_width, unit)?
+            .within([f64::MIN_POSITIVE, MOST_UM], &format!("{unit}, above zero"))?,
         valid: match t.get("valid") {
             Some(e) => e.tables(VALID)?.into_iter().map(read_validity).collect::<Result<_, _>>()?,
             None => Vec::new(),
         },
         at_mm: t.get("at_mm").map(read_places).transpose()?,
-        by_kind_um: t.get("by_kind_um").map(read_kinds).transpose()?.unwrap_or_default(),
+        by_kind_um: t.get(by_kind).map(read_kinds).transpose()?.unwrap_or_default(),
         from: read_sources(t)?,
+        response,
     })
 }
 
 /// `{ positioning = 1.5 }`.
 fn read_kinds(entry: Entry<'_>) -> Result<BTreeMap<String, f64>, InputError> {
-    let form = "a half width in µm by kind of run, as by_kind_um = { positioning = 1.5 }";
+    let form = "a half width by kind of run, as by_kind_um = { positioning = 1.5 }";
     let of = |e: Entry<'_>| match Kind::parse(e.key()) {
-        Some(_) => Ok((e.key().to_owned(), e.within([f64::MIN_POSITIVE, MOST_UM], "µm, above zero")?)),
+        Some(_) => Ok((e.key().to_owned(), e.within([f64::MIN_POSITIVE, MOST_UM], "a number above zero")?)),
         None => Err(e.error(format!("`{}`", e.key()), form)),
     };
     entry.table(form)?.entries().map(of).collect()
@@ -279,6 +271,13 @@ fn read_provenance(table: Table<'_>, effect: &Effect) -> Result<Provenance, Inpu
     // A date may be TOML's own or a string.
     provenance.date = table.get("date").map(|e| e.text());
     provenance.from = read_sources(table)?;
+    if let Some(e) = table.get("set_up") {
+        provenance.set_up = e.bool("true for the zero of a gauge, which is no error of the machine")?;
+        if provenance.set_up && !effect.description().may_be_set_up() {
+            let found = format!("set_up of `{}`", effect.name());
+            return Err(e.error(found, "set_up for a zero alone, as offset.z"));
+        }
+    }
     if let Some(interval) = table.get("interval") {
         let form = "[low, high] per parameter, as interval = { um = [5.8, 6.4] }";
         for e in interval.table(form)?.entries() {

@@ -15,8 +15,9 @@ impl Machine {
         t["response"] = value(&note.response);
         t["date"] = value(&note.date);
         t["valid_until"] = value(&note.valid_until);
-        t["rms_um"] = value(note.rms_um);
-        t["half_width_um"] = value(note.half_width_um);
+        let [rms, half_width, by_kind] = FitNote::keys_of(&note.response);
+        t[rms] = value(note.rms_um);
+        t[half_width] = value(note.half_width_um);
         let valid = |v: &Validity| {
             let mut t = InlineTable::new();
             t.insert("sensor", v.difference.sensor.as_str().into());
@@ -48,7 +49,7 @@ impl Machine {
             for (kind, um) in &note.by_kind_um {
                 kinds.insert(kind, (*um).into());
             }
-            t["by_kind_um"] = value(kinds);
+            t[by_kind] = value(kinds);
         }
         t["from"] = sources(&note.from);
         let item =
@@ -87,16 +88,14 @@ impl Machine {
     /// # Errors
     /// It is there already.
     pub fn push(&mut self, effect: Effect, provenance: Provenance) -> Result<(), ValueError> {
-        if self.listed.iter().any(|l| l.effect.identity() == effect.identity()) {
-            return Err(ValueError::new(
-                "name",
-                format!("`{}` a second time", effect.name()),
-                "one of a name",
-            ));
+        let next = Listed { effect, provenance };
+        if self.listed.iter().any(|l| l.identity() == next.identity()) {
+            let found = format!("`{}` a second time", next.effect.name());
+            return Err(ValueError::new("name", found, "one of a name"));
         }
-        let table = effect_table(&effect, &provenance);
+        let table = effect_table(&next.effect, &next.provenance);
         self.tables().push(table);
-        self.listed.push(Listed { effect, provenance });
+        self.listed.push(next);
         Ok(())
     }
 
@@ -292,6 +291,9 @@ fn effect_table(effect: &Effect, provenance: &Provenance) -> toml_edit::Table {
     if let Some(date) = &provenance.date {
         t["date"] = value(date);
     }
+    if provenance.set_up {
+        t["set_up"] = value(true);
+    }
     if !provenance.from.is_empty() {
         t["from"] = sources(&provenance.from);
     }
@@ -327,6 +329,7 @@ mod tests {
             date: Some("2026-05-01".into()),
             from: vec![Source { file: "y.csv".into(), sha256: "ab".into(), folder: None }],
             interval: [("um".to_owned(), vec![[5.8, 6.4]])].into(),
+            set_up: false,
         };
         m.push(added, provenance.clone()).unwrap();
         let text = m.to_text();

@@ -112,6 +112,10 @@ class Machine:
         temperatures: Mapping[str, float] | None = None,
         at_mm: Mapping[str, float] | None = None,
         unit: str = "mm",
+        along: str | None = None,
+        along_name: str | None = None,
+        table: int = 0,
+        positive_moves: str | None = None,
         axis_name: str | None = None,
         encoder: int = 0,
         reference_mm: float | None = None,
@@ -121,7 +125,8 @@ class Machine:
         """One axis' errors as a table for a controller that compensates by itself.
 
         ``format``: ``linuxcnc``, ``linuxcnc-type1``, ``ssfk`` (with ``axis_number``), ``siemens`` (with ``axis_name`` and
-        ``reference_mm``), ``csv`` or ``own`` (with ``form``). ``temperatures`` in °C by sensor, others stand at 20; ``at_mm``: where
+        ``reference_mm``), ``siemens-cec`` (with ``along``, ``along_name``, ``positive_moves`` and ``table`` beside those),
+        ``csv`` or ``own`` (with ``form``). ``along``: another axis that the table goes along (squareness, straightness, sag). ``temperatures`` in °C by sensor, others stand at 20; ``at_mm``: where
         the other axes stand, else 0. ``limit_um``: how far it may be off the model between its positions.
         """
         asked: dict[str, Any] = {
@@ -135,6 +140,10 @@ class Machine:
             "at_mm": [(name, float(v)) for name, v in (at_mm or {}).items()],
             "format": format,
             "unit": unit,
+            "along": along,
+            "along_name": along_name,
+            "table": table,
+            "positive_moves": positive_moves,
             "axis_name": axis_name,
             "encoder": encoder,
             "reference_mm": reference_mm,

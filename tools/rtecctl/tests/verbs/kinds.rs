@@ -242,6 +242,9 @@ fn bad_readings_are_in_no_figure_of_any_verb() {
     assert!(predicted.says("5 readings that a sensor did not take"), "{}", predicted.err);
     let rehearsed = run(at, &words("model rehearse --machine a.toml --record power-on-85.run.toml --json"));
     assert!(rehearsed.figure("/axes/0/largest_um/1") < 30.0, "{}", rehearsed.out);
+    let drawn =
+        run(at, &words("model rehearse --machine a.toml --record power-on-85.run.toml --plot rehearse.svg"));
+    assert!(drawn.says("drawn: rehearse.z.svg") && at.join("rehearse.z.svg").is_file(), "{}", drawn.err);
     // A sensor that took nothing at all has no figures.
     let csv = std::fs::read_to_string(at.join("power-on-85.csv")).unwrap();
     let dead: String = csv
@@ -522,4 +525,48 @@ fn one_csv_front_serves_every_verb() {
     let [plain, again] =
         ["b-broken.csv", "c.csv"].map(|f| std::fs::read_to_string(at.join(f)).unwrap().replace('\r', ""));
     assert_eq!(plain, again);
+}
+
+/// Rotary axes are refused by name wherever one can be named: records, imports, plans, models, fits.
+#[test]
+fn rotary_axes_are_refused_by_name_in_every_verb() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let write = |name: &str, text: &str| std::fs::write(at.join(name), text).unwrap();
+    let rows: String = (0..20).map(|i| format!("{},{},{}\n", i, 10 * i, 0.1 * f64::from(i))).collect();
+    write("r.csv", &format!("t,c,e\n{rows}"));
+    let record = |name: &str, position: &str, unit: &str, error: &str| {
+        let text = format!(
+            "file = \"r.csv\"\nkind = \"positioning\"\n[columns]\nt = {{ role = \"time\", unit = \"s\" }}\n\
+             c = {{ role = \"{position}\", unit = \"{unit}\" }}\ne = {{ role = \"{error}\", unit = \"um\" }}\n"
+        );
+        write(name, &text);
+    };
+    record("c.run.toml", "position.c", "deg", "error.c");
+    record("mm.run.toml", "position.a", "mm", "error.x");
+    record("deg.run.toml", "position.x", "deg", "error.x");
+    record("good.run.toml", "position.x", "mm", "error.x");
+    write("c.toml", "name = \"m\"\n[[effect]]\nname = \"scale.c\"\nppm = 3.0\n");
+    write("m.toml", "name = \"m\"\neffect = []\n");
+    for line in [
+        "characterise evaluate c.run.toml",
+        "characterise evaluate mm.run.toml",
+        "characterise evaluate deg.run.toml",
+        "characterise plan --axes x=500,c=360",
+        "characterise import r.csv --format csv --columns t=time,c=position.c:deg,e=error.c --kind positioning --out i.run.toml",
+        "model show --machine c.toml",
+        "model fit --record c.run.toml --out f.toml",
+        "model fit --record good.run.toml --effects scale.c --out f.toml",
+        "model validate --machine m.toml --record deg.run.toml",
+        "model export --machine c.toml --axis c --from 0 --to 10 --out t.txt",
+        "reconcile c.run.toml --model m.toml",
+        "simulate linear-displacement --machine c.toml --out s",
+    ] {
+        let done = run(at, &words(line));
+        assert!(
+            done.exit == 2 && done.says("rotary axes (A, B and C of ISO 841) are not"),
+            "{line}: {}",
+            done.err
+        );
+    }
 }

@@ -1,11 +1,12 @@
 //! What a machine does in motion: displacement and circles, the plate, feeds, drive forces.
 
-use super::runs::{Row, along, both, feed, nothing, places};
+use super::runs::{Log, Row, along, both, feed, nothing, places};
 use super::{ExperimentError, Findings, Setting};
 use crate::errors::NAMES;
 use crate::gcode::Block;
 use crate::noise::Noise;
 use crate::path::AXES;
+use crate::sim::Sim;
 use rtec_model::record::Kind;
 
 pub(super) fn linear_displacement(setting: &Setting<'_>) -> Result<Findings, ExperimentError> {
@@ -63,6 +64,11 @@ pub(super) fn ballbar(setting: &Setting<'_>) -> Result<Findings, ExperimentError
                 for clockwise in [false, true] {
                     let arc =
                         Block::Arc { to: start, plane: (i, j), centre: (0.0, 0.0), clockwise, feed_mm_s };
+                    let take = |sim: &mut Sim, log: &mut Log| {
+                        let row = log.take(sim, if clockwise { 2.0 } else { 1.0 });
+                        let p = row.now.position_mm;
+                        row.angle = Some(libm::atan2(p[j], p[i]));
+                    };
                     sim.machine.load([arc]);
                     let every_s = std::f64::consts::TAU * radius / feed_mm_s / 360.0;
                     // The first and the last degrees speed up and slow down.
@@ -71,11 +77,11 @@ pub(super) fn ballbar(setting: &Setting<'_>) -> Result<Findings, ExperimentError
                         if sim.machine.finished() {
                             break;
                         }
-                        let row = log.take(sim, if clockwise { 2.0 } else { 1.0 });
-                        let p = row.now.position_mm;
-                        row.angle = Some(libm::atan2(p[j], p[i]));
+                        take(sim, log);
                     }
                     sim.finish()?;
+                    // Where it stops the axes turn back for the other way: without this row nobody knows where.
+                    take(sim, log);
                 }
                 Ok(())
             })?;

@@ -2,7 +2,7 @@
 
 use super::figures::{Look, Row, Sums};
 use super::spans::{Span, Spans, State, TURNS_RPM};
-use super::{Drift, Figures, Phase, charts_of, error_axes, temperatures};
+use super::{Drift, Figures, Phase, charts_of, displaced, temperatures};
 use crate::plausible::{DEGC, Suspicion, every_row, rows_left_out};
 use crate::plot::{Chart, Series, Style};
 use crate::record::Pieces;
@@ -84,10 +84,9 @@ impl LongDrift {
                 let state = if rpm.abs() > TURNS_RPM { State::Spindle } else { State::Rest };
                 spans.see(state, *t, rpm);
             }
-            let drawn = error_axes(&record);
-            errors.resize_with(drawn.len(), Outline::default);
-            for (outline, (_, e)) in errors.iter_mut().zip(&drawn) {
-                outline.see(rows, t, e);
+            errors.resize_with(displaced(&record.columns).count(), Outline::default);
+            for (outline, c) in errors.iter_mut().zip(displaced(&record.columns)) {
+                outline.see(rows, t, &c.data);
             }
             let sensors = usual.taken(&record);
             degc.resize_with(sensors.len(), Outline::default);
@@ -97,7 +96,7 @@ impl LongDrift {
             rows += record.rows();
             head.get_or_insert(record);
         }
-        let head = head.filter(|head| rows > more_than && !error_axes(head).is_empty());
+        let head = head.filter(|head| rows > more_than && displaced(&head.columns).next().is_some());
         let spans = spans.phases();
         let path = path.to_owned();
         let (doubts, left_out) = (Vec::new(), BTreeSet::new());
@@ -192,12 +191,11 @@ impl LongDrift {
         let phase = |(span, figures): (&Span, Figures)| -> Phase {
             span.phase(&columns, (span.start_s - start_s) / 60.0, None, figures)
         };
-        let all = error_axes(&self.head).into_iter().zip(whole).zip(phases);
+        let all = displaced(&self.head.columns).zip(whole).zip(phases);
         Ok(all
-            .map(|(((axis, _), whole), phases)| Drift {
-                response: format!("error.{axis}"),
-                whole: figures(&whole),
+            .map(|((column, whole), phases)| Drift {
                 phases: self.spans.iter().zip(phases).map(&phase).collect(),
+                ..Drift::of(column, figures(&whole))
             })
             .collect())
     }
@@ -214,7 +212,7 @@ impl LongDrift {
         while let Some(record) = self.pieces.next_record(rows_at_once)? {
             each(&record);
             let good = every_row(std::slice::from_ref(&record), &self.doubts);
-            let (t, errors) = (record.time_s(), error_axes(&record));
+            let (t, errors) = (record.time_s(), displaced(&record.columns).collect::<Vec<_>>());
             let degc = self.usual.taken(&good[0]);
             let degc: Vec<&[f64]> = degc.iter().map(Vec::as_slice).collect();
             for row in
@@ -223,8 +221,8 @@ impl LongDrift {
                 while self.spans[span].rows.end <= seen + row {
                     span += 1;
                 }
-                for (response, (_, e)) in errors.iter().enumerate() {
-                    see(span, response, (t[row], e[row], &degc, row));
+                for (response, c) in errors.iter().enumerate() {
+                    see(span, response, (t[row], c.data[row], &degc, row));
                 }
             }
             seen += record.rows();
@@ -244,8 +242,9 @@ impl LongDrift {
     pub fn charts(&self) -> Vec<Chart> {
         let start_s = self.spans.first().map_or(0.0, |s| s.start_s);
         let line = |name: &str, of: &Outline| Series::new(name, Style::Line, of.points(start_s));
-        let axes = error_axes(&self.head);
-        let errors = axes.iter().zip(&self.errors).map(|((axis, _), of)| line(&format!("error.{axis}"), of));
+        let errors = displaced(&self.head.columns)
+            .zip(&self.errors)
+            .map(|(c, of)| (c.unit.clone(), line(&c.role.to_string(), of)));
         let degc = temperatures(&self.head.columns).zip(&self.degc).map(|(c, of)| line(&c.name, of));
         charts_of(errors.collect(), degc.collect(), &self.spans, &self.head.columns)
     }

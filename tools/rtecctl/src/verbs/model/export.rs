@@ -45,13 +45,25 @@ pub(crate) struct Args {
     /// linuxcnc: the machine's `LINEAR_UNITS`
     #[arg(long, value_enum, default_value = "mm")]
     unit: UnitName,
-    /// siemens: the machine axis as the controller names it, as X1
+    /// The axis that the table goes along, where it is another: what squareness, straightness and sag make of `--axis`
+    #[arg(long)]
+    along: Option<String>,
+    /// siemens-cec: that axis as the controller names it, as X1
+    #[arg(long)]
+    along_name: Option<String>,
+    /// siemens-cec: number of the table
+    #[arg(long, default_value_t = 0)]
+    table: u16,
+    /// siemens-cec: which way a positive value moves the axis, as tried on the machine
+    #[arg(long, value_enum)]
+    positive_moves: Option<Way>,
+    /// siemens, siemens-cec: the machine axis as the controller names it, as X1
     #[arg(long, required_if_eq("format", "siemens"))]
     axis_name: Option<String>,
     /// siemens: number of the encoder
     #[arg(long, default_value_t = 0)]
     encoder: u8,
-    /// siemens, and forms that want a zero there: the reference point, mm
+    /// siemens, siemens-cec, and forms that want a zero there: the reference point, mm
     #[arg(long, allow_negative_numbers = true, required_if_eq("format", "siemens"))]
     reference_mm: Option<f64>,
     /// ssfk: the controller's logical axis number
@@ -79,10 +91,18 @@ enum Format {
     Ssfk,
     /// SINUMERIK: `$AA_ENC_COMP`, the mean of both directions
     Siemens,
+    /// SINUMERIK: `$AN_CEC`, what the position of --along does to --axis
+    SiemensCec,
     /// `position_mm,error_up_um,error_down_um`
     Csv,
     /// A form of your own: --form
     Own,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+enum Way {
+    Up,
+    Down,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
@@ -124,6 +144,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             Format::LinuxcncType1 => Name::LinuxcncType1,
             Format::Ssfk => Name::Ssfk,
             Format::Siemens => Name::Siemens,
+            Format::SiemensCec => Name::SiemensCec,
             Format::Csv => Name::Csv,
             Format::Own => Name::Own,
         },
@@ -131,6 +152,10 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             UnitName::Mm => Unit::Mm,
             UnitName::Inch => Unit::Inch,
         },
+        along: args.along.clone(),
+        along_name: args.along_name.clone(),
+        table: args.table,
+        positive_moves_up: args.positive_moves.map(|way| way == Way::Up),
         axis_name: args.axis_name.clone(),
         encoder: args.encoder,
         reference_mm: args.reference_mm,

@@ -9,7 +9,7 @@ use rtec_fit::thermal::{self, Fitted, Report};
 use rtec_fit::workflow::{self, Asked, Fit};
 use rtec_measure::plot::Chart;
 use rtec_model::date;
-use rtec_model::machine::Machine;
+use rtec_model::machine::{FitNote, Machine};
 use rtec_model::record::{Record, Role};
 use std::path::{Path, PathBuf};
 
@@ -214,10 +214,12 @@ fn named(args: &FitArgs, asked: &Asked) -> anyhow::Result<()> {
     }
     print_effects(&report.effects);
     for (response, [before, after]) in &report.rms_um {
-        println!("{response}: {before:.3} -> {after:.3} µm RMS about each record's own zero");
+        let unit = FitNote::unit_of(response);
+        println!("{response}: {before:.3} -> {after:.3} {unit} RMS about each record's own zero");
     }
     for z in &report.zeros {
-        println!("  {} {}: its own zero {:+.3} µm, no part of the model", z.record, z.response, z.um);
+        let unit = FitNote::unit_of(&z.response);
+        println!("  {} {}: its own zero {:+.3} {unit}, no part of the model", z.record, z.response, z.um);
     }
     if !report.zeros.is_empty() {
         println!(
@@ -243,11 +245,28 @@ fn read(paths: &[PathBuf]) -> Result<Vec<Record>, InputError> {
 
 /// The first chart into the file, every other one beside it with its number.
 pub(crate) fn draw(path: &Path, charts: &[Chart]) -> anyhow::Result<()> {
-    for (i, chart) in charts.iter().enumerate() {
-        let path = if i == 0 { path.to_owned() } else { path.with_extension(format!("{}.svg", i + 1)) };
-        let svg = chart.svg(1000, 520)?;
+    let number = |i: usize| if i == 0 { String::new() } else { format!("{}", i + 1) };
+    draw_beside(path, charts.iter().enumerate().map(|(i, chart)| (number(i), chart)), [1000, 520])
+}
+
+/// Each chart beside the file, with its own word before the extension; none, and it is the file itself. Says which files these
+/// are, where they are not the one that was asked for.
+pub(crate) fn draw_beside<'c>(
+    path: &Path,
+    charts: impl Iterator<Item = (String, &'c Chart)>,
+    [width, height]: [u32; 2],
+) -> anyhow::Result<()> {
+    let mut drawn = Vec::new();
+    for (word, chart) in charts {
+        let path = if word.is_empty() { path.to_owned() } else { path.with_extension(format!("{word}.svg")) };
+        let svg = chart.svg(width, height)?;
         rtec_files::write::whole(&path, svg.as_bytes())
             .with_context(|| format!("writing {}", path.display()))?;
+        drawn.push(path);
+    }
+    if drawn.iter().any(|d| d != path) {
+        let names: Vec<String> = drawn.iter().map(|d| d.display().to_string()).collect();
+        eprintln!("rtecctl: drawn: {}", names.join(", "));
     }
     Ok(())
 }

@@ -6,7 +6,7 @@ use rtec_measure::plausible;
 use rtec_model::chain::{self, COMPONENTS, Chain, Term};
 use rtec_model::date;
 use rtec_model::effect::Effect;
-use rtec_model::machine::Machine;
+use rtec_model::machine::{FitNote, Machine};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -84,6 +84,9 @@ pub(crate) fn show(args: &ShowArgs) -> anyhow::Result<()> {
         if let Some([lo, hi]) = l.effect.range_k {
             println!("    fitted on ΔT from {lo:.2} to {hi:.2} K");
         }
+        if l.provenance.set_up {
+            println!("    the zero of the gauges in these records: in predictions, never corrected live");
+        }
         if let Some(by) = &l.provenance.added_by {
             let from: Vec<&str> = l.provenance.from.iter().map(|s| s.file.as_str()).collect();
             println!("    by {by} {} from {}", l.provenance.date.as_deref().unwrap_or(""), from.join(", "));
@@ -93,12 +96,13 @@ pub(crate) fn show(args: &ShowArgs) -> anyhow::Result<()> {
         print!("{}", chain_text(chain));
     }
     for f in machine.fits() {
+        let unit = FitNote::unit_of(&f.response);
         println!(
-            "{}: fitted {}, good until {}; {:.3} µm RMS on unseen blocks, 95 % within ±{:.3} µm",
+            "{}: fitted {}, good until {}; {:.3} {unit} RMS on unseen blocks, 95 % within ±{:.3} {unit}",
             f.response, f.date, f.valid_until, f.rms_um, f.half_width_um
         );
         if f.by_kind_um.len() > 1 {
-            let of = |(kind, um): (&String, &f64)| format!("{kind} ±{um:.3} µm");
+            let of = |(kind, width): (&String, &f64)| format!("{kind} ±{width:.3} {unit}");
             println!("    by kind of run: {}", f.by_kind_um.iter().map(of).collect::<Vec<_>>().join(", "));
         }
     }

@@ -1,9 +1,8 @@
 //! `rtecctl model validate` and `rehearse`: a model on data it has not seen, and on a shift before it is loaded.
 
-use super::fit::draw;
+use super::fit::{draw, draw_beside};
 use crate::Outcome;
 use crate::verbs::suspicions;
-use anyhow::Context;
 use rtec_control::config::{Config, ConfiguredAxis};
 use rtec_correct::rehearse::{self, AxisChange};
 use rtec_fit::validate;
@@ -47,7 +46,7 @@ pub(crate) struct RehearseArgs {
     /// The configuration whose axes, window, limits, ramp and lead the corrections go through
     #[arg(long, value_name = "rtec.toml")]
     config: Option<PathBuf>,
-    /// Draw both corrections, one file per axis
+    /// Draw both corrections, one file per axis: FILE.x.svg, FILE.y.svg …
     #[arg(long, value_name = "FILE.svg", value_parser = crate::verbs::drawing())]
     plot: Option<PathBuf>,
     /// Print one JSON document
@@ -133,12 +132,9 @@ pub(crate) fn rehearse(args: &RehearseArgs) -> anyhow::Result<()> {
     // Where the shift has no times, its rows' numbers stand for seconds, and are called what they are.
     let timed = shift.column(&Role::Time).is_some();
     if let Some(path) = &args.plot {
-        for axis in &found.axes {
-            let path = path.with_extension(format!("{}.svg", axis.axis));
-            let svg = chart(axis, timed).svg(900, 480)?;
-            rtec_files::write::whole(&path, svg.as_bytes())
-                .with_context(|| format!("writing {}", path.display()))?;
-        }
+        let charts: Vec<(String, Chart)> =
+            found.axes.iter().map(|a| (a.axis.clone(), chart(a, timed))).collect();
+        draw_beside(path, charts.iter().map(|(axis, chart)| (axis.clone(), chart)), [900, 480])?;
     }
     if args.json {
         println!("{}", serde_json::to_string_pretty(&found)?);

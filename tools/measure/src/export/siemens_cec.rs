@@ -1,0 +1,98 @@
+//! Sag and angularity compensation of SINUMERIK (840D, 828D): `$AN_CEC`, what one axis' position does to another.
+//!
+//! The structure is that of the function manual (6FC5397-1BP40-3BA1, K3, 4.4.3, p. 248 and 249; 802D sl, 6FC5397-1CP10-5BA0, p. 222).
+//! Values beyond the ends are those of the ends. No public page says which way a positive value moves the compensation axis: whoever
+//! orders the table has tried it on the machine, and says it.
+
+use super::{Format, Lookup, Point, Rules, Table, number, usage};
+use rtec_files::InputError;
+use std::fmt::Write as _;
+
+/// Points of a table of an 828D (the manual, p. 264); an 840D has as many as MD18342 says.
+pub const MOST: usize = 200;
+
+/// A table of sag compensation.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Cec {
+    /// The compensation axis as the controller names it, as Y1.
+    pub axis: String,
+    /// The basic axis, whose position is looked up, as X1.
+    pub along: String,
+    /// Number of the table, from 0.
+    pub table: u16,
+    /// Reference point of the basic axis, mm: the value is zero there.
+    pub reference_mm: f64,
+    /// Most points: 200, or what MD18342 says.
+    pub most: usize,
+    /// A positive value moves the compensation axis up.
+    pub positive_moves_up: bool,
+}
+
+impl Cec {
+    /// The value that takes the error of a point out, mm.
+    fn value_mm(&self, p: &Point) -> f64 {
+        let against = if self.positive_moves_up { -1.0 } else { 1.0 };
+        against * p.mean_um() / 1000.0
+    }
+}
+
+impl Format for Cec {
+    fn rules(&self) -> Rules {
+        Rules {
+            most: self.most,
+            position_mm: 1e-4,
+            value_um: 1e-3,
+            both: false,
+            zero_at_mm: Some(self.reference_mm),
+            lookup: Lookup::Encoder,
+        }
+    }
+
+    fn text(&self, table: &Table) -> Result<String, InputError> {
+        for (option, name) in [("--axis-name", &self.axis), ("--along-name", &self.along)] {
+            let good = name.starts_with(|c: char| c.is_ascii_alphabetic())
+                && name.chars().all(|c| c.is_ascii_alphanumeric() || c == '_');
+            if !good {
+                let expected = "the machine axis as the controller names it, as X1";
+                return Err(usage(format!("{option} {name}"), expected));
+            }
+        }
+        if self.axis == self.along {
+            return Err(usage(format!("--along-name {}", self.along), "another axis than --axis-name"));
+        }
+        let t = self.table;
+        let mut text = "%_N_NC_CEC_INI\nCHANDATA(1)\n".to_owned();
+        for (i, p) in table.points.iter().enumerate() {
+            let _ = writeln!(text, "$AN_CEC[{t},{i}]={}", number(self.value_mm(p), 6));
+        }
+        let start = table.points.first().map_or(0.0, |p| p.position_mm);
+        let _ = write!(
+            text,
+            "$AN_CEC_INPUT_AXIS[{t}]=({})\n$AN_CEC_OUTPUT_AXIS[{t}]=({})\n$AN_CEC_STEP[{t}]={}\n$AN_CEC_MIN[{t}]={}\n\
+             $AN_CEC_MAX[{t}]={}\n$AN_CEC_DIRECTION[{t}]=0\n$AN_CEC_MULT_BY_TABLE[{t}]=0\n$AN_CEC_IS_MODULO[{t}]=0\nM17\n",
+            self.along,
+            self.axis,
+            number(table.step_mm, 4),
+            number(start, 4),
+            number(table.end_mm(), 4)
+        );
+        Ok(text)
+    }
+
+    fn advice(&self, table: &Table) -> Vec<String> {
+        let way = if self.positive_moves_up { "up" } else { "down" };
+        vec![
+            format!(
+                "loaded with MD32710 = 0, then MD32710 = 1 and SD41300 for table {}; MD18342 at least {}; zero at {} mm of {}; mm",
+                self.table,
+                table.points.len(),
+                self.reference_mm,
+                self.along
+            ),
+            format!(
+                "its sign holds where a positive value moves {} {way}: measure once more with the table on, the error must shrink",
+                self.axis
+            ),
+        ]
+    }
+}
