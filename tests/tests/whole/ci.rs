@@ -177,3 +177,31 @@ fn steps_are_there_in_an_empty_clone() {
     assert!(run.status.success() && row(&said, "fmt").ends_with("passed"), "{said}");
     assert!(row(&said, "real").contains("EXCUSED: no measured data beside this clone"), "{said}");
 }
+
+/// The crates that a program links, our own too.
+fn linked(program: &str) -> BTreeSet<String> {
+    let wanted =
+        ["tree", "--locked", "--offline", "-e", "normal,no-proc-macro", "--prefix", "none", "-f", "{p}"];
+    let tree = Command::new("cargo").args(wanted).args(["-p", program]).current_dir(root()).output().unwrap();
+    assert!(tree.status.success(), "{}", String::from_utf8_lossy(&tree.stderr));
+    let tree = String::from_utf8(tree.stdout).unwrap();
+    tree.lines().filter_map(|l| l.split_whitespace().next()).map(str::to_owned).collect()
+}
+
+#[test]
+fn every_crate_has_its_reason_and_they_are_few() {
+    let page = read("tools/guide/contributor/dependencies.md");
+    let (shared, alone) = page.split_once("## In `rtecctl` alone").unwrap();
+    let (rtecctl, rtecd) = (linked("rtecctl"), linked("rtecd"));
+    assert!(rtecctl.len() <= 120, "{}: {rtecctl:?}", rtecctl.len());
+    assert!(rtecd.len() <= 70, "{}: {rtecd:?}", rtecd.len());
+    let unnamed = |crates: &BTreeSet<String>, text: &str| -> Vec<String> {
+        let others = crates.iter().filter(|c| !c.starts_with("rtec"));
+        others.filter(|c| !text.contains(&format!("`{c}`"))).cloned().collect()
+    };
+    assert_eq!(unnamed(&rtecd, shared), [""; 0], "in rtecd, without a reason in dependencies.md");
+    assert_eq!(unnamed(&rtecctl, &page), [""; 0], "in rtecctl, without a reason in dependencies.md");
+    let named = alone.split("## A new one").next().unwrap().split('`').skip(1).step_by(2);
+    let in_both: Vec<_> = named.filter(|n| rtecd.contains(*n)).collect();
+    assert_eq!(in_both, [""; 0], "named as rtecctl's alone, and rtecd has it");
+}
