@@ -207,7 +207,7 @@ fn what_no_machine_could_hold_is_refused_at_once() {
     assert!(found.found.contains("more than 100 m"), "{found}");
 }
 
-/// Another library writes the same drawing as text and as binary, of AutoCAD 12 and of 2000.
+/// Another library writes the same drawing as text and as binary, of R12 and of R2000.
 #[test]
 fn binary_drawings_read_like_text() {
     let folder = tempfile::tempdir().unwrap();
