@@ -1,7 +1,8 @@
 //! What a test needs that the project does not bring: other programs, measured data, root.
 //!
 //! Where it is missing the test says so and ends; the test harness hides what a passing test says, so it is noted, and the
-//! last test of `cargo test --workspace` names all that was not run. With `RTEC_REQUIRE=1`, as `.ci/run` sets it, nothing may be missing.
+//! last test of `cargo test --workspace` names all that was not run. With `RTEC_REQUIRE=1`, as `.ci/run` sets it, no program may be
+//! missing. Measured data is other people's: a clone that has no folder `../shared/data` beside it passes without, and says so.
 //!
 //! And what tests of several crates are made of: numbers ([`dice`]), and an axis that moves ([`motion`]).
 
@@ -38,6 +39,10 @@ pub fn asked(variable: &str, otherwise: u64) -> u64 {
 /// With `RTEC_REQUIRE` set: then nothing may be left out.
 pub fn skipped(why: &str) {
     assert!(std::env::var_os("RTEC_REQUIRE").is_none(), "RTEC_REQUIRE is set, but: {why}");
+    left_out(why);
+}
+
+fn left_out(why: &str) {
     eprintln!("SKIPPED: {why}");
     assert!(note(why).is_some(), "not noted: {why}");
 }
@@ -53,15 +58,26 @@ pub fn note(why: &str) -> Option<()> {
     file.write_all(format!("{why}\t{test}\n").as_bytes()).ok()
 }
 
-/// A file of the measured data that is no part of the project, or `None`, noted, where it is not there.
+/// A file or folder of the measured data that is no part of the project, or `None`, noted, where it is not there.
+///
+/// # Panics
+/// With `RTEC_REQUIRE` set, where the other data is there: then this one was forgotten.
 #[must_use]
 pub fn shared(file: &str) -> Option<PathBuf> {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared").join(file);
-    if path.exists() {
-        return Some(path);
+    let found = data(&Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared"), file);
+    match &found {
+        Err((why, true)) => skipped(why),
+        Err((why, false)) => left_out(why),
+        Ok(_) => {}
     }
-    skipped(&format!("../shared/{file} is not there"));
-    None
+    found.ok()
+}
+
+/// A file of this folder; else why not, and whether `RTEC_REQUIRE` makes that a failure.
+fn data(folder: &Path, file: &str) -> Result<PathBuf, (String, bool)> {
+    let path = folder.join(file);
+    let why = || (format!("../shared/{file} is not there"), folder.join("data").exists());
+    if path.exists() { Ok(path) } else { Err(why()) }
 }
 
 /// Compares what was made with the file that it should be; `RTEC_BLESS=1` writes the file anew.
@@ -127,4 +143,21 @@ pub fn take_notes() -> Vec<(String, String)> {
     noted.sort();
     noted.dedup();
     noted
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn data_is_required_only_where_other_data_is() {
+        let here = Path::new(env!("CARGO_MANIFEST_DIR"));
+        let missing = |required| Err(("../shared/data/planted is not there".to_owned(), required));
+        assert_eq!(data(&here.join("nowhere"), "data/planted"), missing(false));
+        let with_data = std::env::temp_dir().join(format!("test-needs-{}", std::process::id()));
+        std::fs::create_dir_all(with_data.join("data")).expect("a folder for temporary files");
+        let found = data(&with_data, "data/planted");
+        std::fs::remove_dir_all(&with_data).expect("its own folder");
+        assert_eq!(found, missing(true));
+    }
 }

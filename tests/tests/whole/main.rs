@@ -3,6 +3,7 @@
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
 mod cards;
+mod ci;
 mod commission;
 mod daemon;
 mod data;

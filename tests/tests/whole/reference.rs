@@ -75,7 +75,7 @@ fn keys_of_the_files_stand_on_their_pages() {
         ("machine-toml.md", "tools/model/src/machine/read.rs", 20),
         ("machine-toml.md", "tools/model/src/effect/own.rs", 12),
         ("chain.md", "tools/model/src/chain.rs", 15),
-        ("records.md", "tools/measure/src/record.rs", 11),
+        ("records.md", "tools/records/src/record.rs", 11),
         ("records.md", "tools/measure/src/import/own.rs", 8),
         ("records.md", "tools/measure/src/export/own.rs", 13),
         ("records.md", "tools/measure/src/iso230/conditions.rs", 2),

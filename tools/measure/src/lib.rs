@@ -2,7 +2,6 @@
 //!
 //! | module | what |
 //! |---|---|
-//! | [`record`] | run records, read strictly and written whole |
 //! | [`export`] | one axis' errors as a table for a controller that compensates by itself |
 //! | [`import`] | other tools' files as run records |
 //! | [`derive`](mod@derive) | velocity and acceleration from positions |
@@ -14,7 +13,8 @@
 //! | [`plot`] | charts as SVG |
 //! | [`prediction`] | a model's answer about a record
 //! | [`report`] | an evaluation for a person, as text and as one page |
-//! | [`spool`] | finished records on their way to the shop's store
+//!
+//! [`record`] and [`spool`] are those of `rtec-records`, which the daemon uses without the evaluations.
 //!
 //! What must not live here: a choice among models (`rtec-fit`, `rtec-reconcile`).
 //!
@@ -32,7 +32,7 @@ pub mod plate;
 pub mod plausible;
 pub mod plot;
 pub mod prediction;
-pub mod record;
 pub mod report;
-pub mod spool;
 pub mod steps;
+
+pub use rtec_records::{record, spool};

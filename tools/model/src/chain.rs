@@ -7,7 +7,6 @@
 
 use crate::effect::{Against, Difference, Missing, STANDARD_DEGC, read_difference};
 use crate::record::{Axis, LINEAR, Record, Role};
-use nalgebra::{Matrix4, Vector4};
 use rtec_files::InputError;
 use rtec_files::file_kind::FileKind;
 use rtec_files::toml::{Document, Entry, Table};
@@ -87,11 +86,57 @@ struct Taken<S> {
     reference_degc: f64,
 }
 
+/// A homogeneous transform: a point is turned, then shifted (mm).
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Transform {
+    /// Row by row.
+    turn: [[f64; 3]; 3],
+    shift_mm: [f64; 3],
+}
+
+impl Transform {
+    /// What leaves every point where it is.
+    pub const IDENTITY: Self =
+        Self { turn: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], shift_mm: [0.0; 3] };
+
+    fn apply(&self, point_mm: [f64; 3]) -> [f64; 3] {
+        [0, 1, 2].map(|row| dot(self.turn[row], point_mm) + self.shift_mm[row])
+    }
+
+    /// First `inner`, then this one.
+    fn after(&self, inner: &Self) -> Self {
+        let columns = [0, 1, 2].map(|k| inner.column(k));
+        let turn = self.turn.map(|row| columns.map(|column| dot(row, column)));
+        Self { turn, shift_mm: self.apply(inner.shift_mm) }
+    }
+
+    /// The point that it brings here, by Cramer's rule. None where it brings many points to one, which nothing near the identity does.
+    fn undo(&self, point_mm: [f64; 3]) -> Option<[f64; 3]> {
+        let p = [0, 1, 2].map(|row| point_mm[row] - self.shift_mm[row]);
+        let [a, b, c] = [0, 1, 2].map(|k| self.column(k));
+        let determinant = dot(a, cross(b, c));
+        let found = [dot(p, cross(b, c)), dot(a, cross(p, c)), dot(a, cross(b, p))];
+        (determinant != 0.0).then(|| found.map(|v| v / determinant))
+    }
+
+    fn column(&self, k: usize) -> [f64; 3] {
+        self.turn.map(|row| row[k])
+    }
+}
+
+fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
+fn cross([a, b, c]: [f64; 3], [x, y, z]: [f64; 3]) -> [f64; 3] {
+    [b * z - c * y, c * x - a * z, a * y - b * x]
+}
+
 /// The transform of a displacement (mm) and small rotations (rad): exact to the first order, as the method has it.
 #[must_use]
-pub fn transform(displacement_mm: [f64; 3], rotation_rad: [f64; 3]) -> Matrix4<f64> {
-    let ([x, y, z], [a, b, c]) = (displacement_mm, rotation_rad);
-    Matrix4::new(1.0, -c, b, x, c, 1.0, -a, y, -b, a, 1.0, z, 0.0, 0.0, 0.0, 1.0)
+pub fn transform(displacement_mm: [f64; 3], rotation_rad: [f64; 3]) -> Transform {
+    let [a, b, c] = rotation_rad;
+    Transform { turn: [[1.0, -c, b], [c, 1.0, -a], [-b, a, 1.0]], shift_mm: displacement_mm }
 }
 
 impl Chain {
@@ -155,13 +200,12 @@ impl Chain {
             self.end(Branch::Work, false, position_mm, delta_k),
             self.end(Branch::Tool, false, position_mm, delta_k),
         ];
-        let tip = Vector4::new(self.tool_mm[0], self.tool_mm[1], self.tool_mm[2], 1.0);
-        // A transform near the identity has an inverse.
-        let seen = |work: &Matrix4<f64>, tool: &Matrix4<f64>| {
-            work.try_inverse().unwrap_or_else(Matrix4::identity) * tool * tip
+        let seen = |[work, tool]: [Transform; 2]| {
+            let tip = tool.apply(self.tool_mm);
+            work.undo(tip).unwrap_or(tip)
         };
-        let e = seen(&ends[0], &ends[1]) - seen(&ideal[0], &ideal[1]);
-        [1000.0 * e[0], 1000.0 * e[1], 1000.0 * e[2]]
+        let (real, ideal) = (seen(ends), seen(ideal));
+        [0, 1, 2].map(|k| 1000.0 * (real[k] - ideal[k]))
     }
 
     fn end(
@@ -170,8 +214,8 @@ impl Chain {
         with_errors: bool,
         position_mm: &impl Fn(usize) -> f64,
         delta_k: &impl Fn(usize, usize) -> f64,
-    ) -> Matrix4<f64> {
-        let mut end = Matrix4::identity();
+    ) -> Transform {
+        let mut end = Transform::IDENTITY;
         for (number, joint) in self.joints.iter().enumerate().filter(|(_, j)| j.branch == branch) {
             let mut at = joint.offset_mm;
             let mut p = 0.0;
@@ -181,7 +225,7 @@ impl Chain {
                     *a += d * p;
                 }
             }
-            end *= transform(at, [0.0; 3]);
+            end = end.after(&transform(at, [0.0; 3]));
             if with_errors {
                 let mut six = [0.0; 6];
                 for (component, c) in joint.components.iter().enumerate() {
@@ -189,7 +233,8 @@ impl Chain {
                     six[c.kind] += c.value(p, delta);
                 }
                 let [dx, dy, dz, ex, ey, ez] = six;
-                end *= transform([dx * 1e-3, dy * 1e-3, dz * 1e-3], [ex * 1e-6, ey * 1e-6, ez * 1e-6]);
+                let shift_mm = [dx * 1e-3, dy * 1e-3, dz * 1e-3];
+                end = end.after(&transform(shift_mm, [ex * 1e-6, ey * 1e-6, ez * 1e-6]));
             }
         }
         end

@@ -1,7 +1,7 @@
 //! The chain model against exact rational arithmetic (`data/chain_reference.py`), and against the well-known
 //! first-order sum for a turning centre.
 
-use rtec_model::chain::{Chain, transform};
+use rtec_model::chain::{Chain, Transform, transform};
 use rtec_model::effect::{Against, Difference, STANDARD_DEGC};
 use rtec_model::live::{AxisNow, Frame, Layout, Live};
 use rtec_model::machine::Machine;
@@ -105,7 +105,7 @@ fn live_and_by_rows_it_is_what_its_names_say() {
 fn nothing_wrong_gives_nothing() {
     let chain = Chain { joints: Vec::new(), tool_mm: [1.0, 2.0, 3.0] };
     assert!(chain.error_um(|_| 7.0, |_| 3.0).iter().all(|e| *e == 0.0));
-    assert_eq!(transform([0.0; 3], [0.0; 3]), nalgebra::Matrix4::identity());
+    assert_eq!(transform([0.0; 3], [0.0; 3]), Transform::IDENTITY);
 }
 
 #[test]

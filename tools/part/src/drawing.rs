@@ -4,28 +4,27 @@
 //! the axis (X of the machine), as in NISTIR 4854, figures 4 and 7.
 
 use crate::contour::{Contour, Segment, Spline};
+use crate::dxf::{Drawing, Entity};
 use crate::errors::ErrorReport;
 use crate::fit::Zx;
 use crate::unit::Unit;
-use dxf::entities::{Entity, EntityType};
-use dxf::enums::Units;
-use dxf::{Drawing, Vector};
 use rtec_files::InputError;
 use rtec_files::file_kind::FileKind;
 use std::collections::{BTreeSet, HashMap};
 use std::f64::consts::{PI, TAU};
 use std::path::Path;
 
-fn unit_of_header(units: Units) -> Option<Unit> {
+/// The length of `$INSUNITS`, by its number (DXF reference, "HEADER section").
+fn unit_of_header(units: i32) -> Option<Unit> {
     Some(Unit(match units {
-        Units::Millimeters => 1.0,
-        Units::Inches => 25.4,
-        Units::Centimeters => 10.0,
-        Units::Decimeters => 100.0,
-        Units::Meters => 1000.0,
-        Units::Microns => 1e-3,
-        Units::Mils => 0.0254,
-        Units::Feet => 304.8,
+        1 => 25.4,
+        2 => 304.8,
+        4 => 1.0,
+        5 => 10.0,
+        6 => 1000.0,
+        9 => 0.0254,
+        13 => 1e-3,
+        14 => 100.0,
         _ => return None,
     }))
 }
@@ -47,43 +46,16 @@ impl Default for Options<'_> {
     }
 }
 
-/// An empty drawing in mm whose file depends on nothing but its content.
-#[must_use]
-pub fn new_dxf() -> Drawing {
-    let mut drawing = Drawing::new();
-    drawing.header.version = dxf::enums::AcadVersion::R2000;
-    drawing.header.default_drawing_units = Units::Millimeters;
-    let header = &mut drawing.header;
-    (header.creation_date, header.update_date) = Default::default();
-    (header.creation_date_universal, header.update_date_universal) = Default::default();
-    (header.fingerprint_guid, header.version_guid) = Default::default();
-    drawing
-}
-
 impl ErrorReport {
     /// Outline and error bars as DXF (R2000, mm): layers `OUTLINE` and `WHISKER`.
-    ///
-    /// # Errors
-    /// The DXF library could not write (memory only: it does not happen).
-    pub fn whisker_dxf(&self) -> Result<Vec<u8>, dxf::DxfError> {
+    #[must_use]
+    pub fn whisker_dxf(&self) -> String {
         let w = self.whiskers();
-        let mut drawing = new_dxf();
-        let mut line = |a: Zx, b: Zx, layer: &str| {
-            let ends =
-                dxf::entities::Line::new(dxf::Point::new(a.z, a.x, 0.0), dxf::Point::new(b.z, b.x, 0.0));
-            let mut entity = Entity::new(EntityType::Line(ends));
-            layer.clone_into(&mut entity.common.layer);
-            drawing.add_entity(entity);
-        };
-        for pair in w.outline.windows(2) {
-            line(pair[0], pair[1], "OUTLINE");
-        }
-        for (foot, head) in w.bars {
-            line(foot, head, "WHISKER");
-        }
-        let mut bytes = Vec::new();
-        drawing.save(&mut bytes)?;
-        Ok(bytes)
+        let outline = w.outline.windows(2).map(|pair| (pair[0], pair[1], "OUTLINE"));
+        let bars = w.bars.into_iter().map(|(foot, head)| (foot, head, "WHISKER"));
+        let lines: Vec<_> =
+            outline.chain(bars).map(|(a, b, layer)| ([a.z, a.x], [b.z, b.x], layer)).collect();
+        crate::dxf::written(&lines)
     }
 }
 
@@ -92,105 +64,40 @@ impl ErrorReport {
 /// # Errors
 /// No DXF.
 pub fn header_unit(file: &Path) -> Result<Option<Unit>, InputError> {
-    Ok(unit_of_header(load(file)?.1.header.default_drawing_units))
+    Ok(unit_of_header(load(file)?.units))
 }
 
-fn load(file: &Path) -> Result<(Vec<u8>, Drawing), InputError> {
+fn load(file: &Path) -> Result<Drawing, InputError> {
     let bytes = rtec_files::text::bytes(file).map_err(|e| {
         InputError::whole(file, format!("an unreadable file ({})", e.found), "a readable DXF file")
     })?;
-    let bytes = with_line_feeds(bytes);
-    if let Some((line, number)) = decimal_comma(&bytes) {
-        let found = format!("'{number}'");
-        return Err(InputError::at(file, line, 0, found, "a number with a decimal point, as DXF has it"));
-    }
-    let drawing = Drawing::load(&mut bytes.as_slice()).map_err(|e| {
-        let found = e.to_string();
-        let line = found.rsplit("line/offset ").next().and_then(|n| n.trim().parse().ok()).unwrap_or(0);
-        let finding = InputError::at(file, line, 0, found, "a DXF drawing");
+    Drawing::of(file, &bytes).map_err(|finding| {
         let kind = FileKind::of_bytes(&bytes).or_else(|| FileKind::of(&String::from_utf8_lossy(&bytes)));
         match kind.filter(|kind| *kind != FileKind::Drawing) {
             Some(other) => InputError { line: 0, found: other.name().to_owned(), ..finding },
             None => finding,
         }
-    })?;
-    Ok((bytes, drawing))
-}
-
-/// Text whose lines end with a carriage return alone, as old Macintoshes wrote it, with line feeds instead.
-fn with_line_feeds(mut bytes: Vec<u8>) -> Vec<u8> {
-    if !bytes.contains(&b'\n') && !bytes.starts_with(BINARY) {
-        bytes.iter_mut().filter(|byte| **byte == b'\r').for_each(|byte| *byte = b'\n');
-    }
-    bytes
-}
-
-/// What a binary DXF begins with.
-const BINARY: &[u8] = b"AutoCAD Binary DXF";
-
-/// The group codes of numbers with decimals (DXF reference, "Group code value types").
-const DECIMALS: [std::ops::RangeInclusive<u32>; 5] = [10..=59, 110..=149, 210..=239, 460..=469, 1010..=1059];
-
-/// Group codes and values, with the lines (from 1) on which the values stand.
-fn pairs(text: &str) -> impl Iterator<Item = (u32, usize, &str)> {
-    let mut lines = text.lines().enumerate();
-    std::iter::from_fn(move || {
-        let (Some((_, code)), Some((i, value))) = (lines.next(), lines.next()) else { return None };
-        Some((code.trim().parse().unwrap_or(u32::MAX), i + 1, value.trim()))
     })
 }
 
-/// The first number with a decimal comma, and its line.
-fn decimal_comma(bytes: &[u8]) -> Option<(usize, String)> {
-    if bytes.starts_with(BINARY) || !bytes.contains(&b',') {
-        return None;
-    }
-    let text = String::from_utf8_lossy(bytes);
-    let is_number = |v: &str| v.matches(',').count() == 1 && v.replace(',', ".").parse::<f64>().is_ok();
-    let mut numbers = pairs(&text).filter(|(code, ..)| DECIMALS.iter().any(|range| range.contains(code)));
-    numbers.find(|(.., value)| is_number(value)).map(|(_, line, value)| (line, value.to_owned()))
-}
-
-/// The layers that a drawing does not show, in small letters: those that are off (a colour below zero) or frozen, and the one of
-/// the points that dimensions hang on, which no program plots.
-fn hidden_layers(text: &str) -> BTreeSet<String> {
-    let mut hidden = BTreeSet::from(["defpoints".to_owned()]);
-    let (mut in_layer, mut name, mut shown) = (false, "", true);
-    for (code, _, value) in pairs(text) {
-        match code {
-            0 => {
-                if in_layer && !shown {
-                    hidden.insert(name.to_lowercase());
-                }
-                (in_layer, name, shown) = (value == "LAYER", "", true);
-            }
-            2 if in_layer => name = value,
-            62 if in_layer => shown &= !value.starts_with('-'),
-            70 if in_layer => shown &= value.parse::<i32>().unwrap_or(0) & FROZEN == 0,
-            _ => {}
-        }
-    }
-    hidden
-}
-
-/// Flag of a layer that is frozen (DXF, group code 70 of LAYER).
-const FROZEN: i32 = 1;
-
-/// Words and measures, which are no contour.
-fn is_words(entity: &EntityType) -> bool {
-    matches!(
-        entity,
-        EntityType::Text(_)
-            | EntityType::MText(_)
-            | EntityType::ModelPoint(_)
-            | EntityType::Leader(_)
-            | EntityType::Tolerance(_)
-            | EntityType::RotatedDimension(_)
-            | EntityType::RadialDimension(_)
-            | EntityType::DiameterDimension(_)
-            | EntityType::AngularThreePointDimension(_)
-            | EntityType::OrdinateDimension(_)
-    )
+/// Words, measures and fillings, which are no contour.
+fn is_annotation(kind: &str) -> bool {
+    kind.ends_with("DIMENSION")
+        || matches!(
+            kind,
+            "TEXT"
+                | "MTEXT"
+                | "RTEXT"
+                | "ATTDEF"
+                | "ATTRIB"
+                | "POINT"
+                | "LEADER"
+                | "MULTILEADER"
+                | "TOLERANCE"
+                | "ACAD_TABLE"
+                | "HATCH"
+                | "VIEWPORT"
+        )
 }
 
 /// Read a drawing's contour and the unit its coordinates are in.
@@ -199,23 +106,21 @@ fn is_words(entity: &EntityType) -> bool {
 /// No DXF, unknown units, an entity that is no part of a contour (or without length, or below the axis, or out of the
 /// plane), an entity that is there twice, a contour with a gap, a branch or in several pieces.
 pub fn read(file: &Path, options: &Options) -> Result<(Contour, Unit), InputError> {
-    let (bytes, drawing) = load(file)?;
-    let unit =
-        options.unit.or_else(|| unit_of_header(drawing.header.default_drawing_units)).ok_or_else(|| {
-            let found = format!("unknown units ($INSUNITS: {:?})", drawing.header.default_drawing_units);
-            InputError::whole(file, found, "$INSUNITS of mm, cm, m, inch, …, or the unit named with --units")
-        })?;
-    let text = String::from_utf8_lossy(&bytes);
-    let reader = Reader { file, lines: lines_of_handles(&text), unit, options };
+    let drawing = load(file)?;
+    let unit = options.unit.or_else(|| unit_of_header(drawing.units)).ok_or_else(|| {
+        let found = format!("unknown units ($INSUNITS: {})", drawing.unit_name());
+        InputError::whole(file, found, "$INSUNITS of mm, cm, m, inch, …, or the unit named with --units")
+    })?;
+    let reader = Reader { file, unit, options };
     let (mut pieces, mut cleaned) = (Vec::new(), Cleaned::default());
-    let hidden = hidden_layers(&text);
-    for entity in drawing.entities().filter(|e| !e.common.is_in_paper_space && !is_words(&e.specific)) {
-        let layer = &entity.common.layer;
+    for entity in drawing.entities.iter().filter(|e| !e.in_paper_space && !is_annotation(&e.kind)) {
+        let layer = &entity.layer;
         if options.layer.is_some_and(|asked| asked != layer) {
             continue;
         }
         // Whoever asks for a layer gets it.
-        if !entity.common.is_visible || options.layer.is_none() && hidden.contains(&layer.to_lowercase()) {
+        if !entity.visible || options.layer.is_none() && drawing.hidden_layers.contains(&layer.to_lowercase())
+        {
             cleaned.hidden += 1;
             cleaned.hidden_on.insert(layer.clone());
             continue;
@@ -236,7 +141,7 @@ pub fn read(file: &Path, options: &Options) -> Result<(Contour, Unit), InputErro
     }
     if pieces.is_empty() {
         let layer = options.layer.map_or(String::new(), |l| format!(" on layer '{l}'"));
-        let there: BTreeSet<&str> = drawing.entities().map(|e| e.common.layer.as_str()).collect();
+        let there: BTreeSet<&str> = drawing.entities.iter().map(|e| e.layer.as_str()).collect();
         let there = there.into_iter().take(40).collect::<Vec<_>>().join(", ");
         let expected = match options.layer {
             Some(_) if !there.is_empty() => format!("one of the layers that hold anything: {there}"),
@@ -373,18 +278,6 @@ impl Piece {
     }
 }
 
-/// Line of the file where each handle (group code 5) stands first, in small letters.
-fn lines_of_handles(text: &str) -> HashMap<String, usize> {
-    let mut found = HashMap::new();
-    let mut lines = text.lines().enumerate();
-    while let (Some((_, code)), Some((i, value))) = (lines.next(), lines.next()) {
-        if code.trim() == "5" {
-            found.entry(value.trim().to_ascii_lowercase()).or_insert(i + 1);
-        }
-    }
-    found
-}
-
 /// Points by their places: those near one are found without a look at all others.
 struct Places {
     cell: f64,
@@ -422,9 +315,12 @@ impl Places {
     }
 }
 
+fn axis_ratio(ellipse: &Entity) -> f64 {
+    ellipse.number(40).unwrap_or(1.0)
+}
+
 struct Reader<'a> {
     file: &'a Path,
-    lines: HashMap<String, usize>,
     unit: Unit,
     options: &'a Options<'a>,
 }
@@ -437,88 +333,78 @@ impl Reader<'_> {
         (p - q).norm() <= self.options.tolerance_mm
     }
 
-    fn point(&self, p: &dxf::Point) -> Zx {
-        Zx::new(p.x, p.y) * self.unit.0
+    fn point(&self, [x, y, _]: [f64; 3]) -> Zx {
+        Zx::new(x, y) * self.unit.0
     }
 
     fn pieces(&self, entity: &Entity, out: &mut Vec<Piece>, cleaned: &mut Cleaned) -> Result<(), InputError> {
-        let handle = entity.common.handle.as_string();
-        // A drawing need not have any.
-        let line = self.lines.get(&handle.to_ascii_lowercase()).copied().unwrap_or(0);
-        let named = |kind: &str| format!("{kind} {handle} on layer {}", entity.common.layer);
+        let (line, normal) = (entity.line, entity.normal());
+        // A drawing need not have handles.
+        let own = if entity.handle.is_empty() { format!("(line {line})") } else { entity.handle.clone() };
+        let named = |kind: &str| format!("{kind} {own} on layer {}", entity.layer);
         let refuse = |kind: &str, what: &str, expected: &str| {
             Err(InputError::at(self.file, line, 0, format!("{} {what}", named(kind)), expected))
         };
         // Seen from below, x runs the other way: the object coordinates of DXF for a downward normal.
-        let mirror = |n: &Vector| if n.z < 0.0 { -1.0 } else { 1.0 };
-        let flat = |n: &Vector, heights: &[f64]| {
-            n.x.abs() < 1e-9 && n.y.abs() < 1e-9 && heights.iter().all(|z| z.abs() < 1e-6)
-        };
-        let (kind, in_plane, segments) = match &entity.specific {
-            EntityType::Line(l) => {
-                let s = Segment::Line { a: self.point(&l.p1), b: self.point(&l.p2) };
-                ("LINE", flat(&Vector::z_axis(), &[l.p1.z, l.p2.z]), vec![s])
+        let mirror = if normal[2] < 0.0 { -1.0 } else { 1.0 };
+        let level = |heights: &[f64]| heights.iter().all(|z| z.abs() < 1e-6);
+        let flat = |heights: &[f64]| normal[0].abs() < 1e-9 && normal[1].abs() < 1e-9 && level(heights);
+        let is_closed = entity.flags() & 1 != 0;
+        let corner = |[x, y, bulge]: [f64; 3]| (Zx::new(mirror * x, y) * self.unit.0, mirror * bulge);
+        let kind = &*entity.kind;
+        let (in_plane, segments) = match kind {
+            "LINE" => {
+                let (a, b) = (entity.point(10), entity.point(11));
+                (level(&[a[2], b[2]]), vec![Segment::Line { a: self.point(a), b: self.point(b) }])
             }
-            EntityType::Arc(a) => {
-                let s = self.arc(a, mirror(&a.normal));
-                ("ARC", flat(&a.normal, &[a.center.z]), vec![s])
+            "ARC" => (flat(&[entity.point(10)[2]]), vec![self.arc(entity, mirror)]),
+            "ELLIPSE" => {
+                let (segment, ratio) = (self.ellipse(entity, mirror), axis_ratio(entity));
+                // The greater axis is the major one (DXF, group code 40); a smaller ratio than this is a line.
+                // One that is a line within the tolerance is taken as that, whatever its ratio.
+                if !(0.0..=1.0 + 1e-9).contains(&ratio) || ratio < 1e-6 && self.is_too_flat(&segment) {
+                    let what = format!("with an axis ratio of {ratio:e}");
+                    return refuse(kind, &what, "a minor axis of 0.000001 to 1 times the major one");
+                }
+                (flat(&[entity.point(10)[2], entity.point(11)[2]]), vec![segment])
             }
-            // The greater axis is the major one (DXF, group code 40); a smaller ratio than this is a line.
-            // One that is a line within the tolerance is taken as that, whatever its ratio.
-            EntityType::Ellipse(e)
-                if !(0.0..=1.0 + 1e-9).contains(&e.minor_axis_ratio) || self.is_too_flat(e) =>
-            {
-                let what = format!("with an axis ratio of {:e}", e.minor_axis_ratio);
-                return refuse("ELLIPSE", &what, "a minor axis of 0.000001 to 1 times the major one");
+            "LWPOLYLINE" => {
+                let corners: Vec<_> = entity.rows([10, 20, 42]).into_iter().map(corner).collect();
+                (flat(&[]), self.bulged(&corners, is_closed, cleaned))
             }
-            EntityType::Ellipse(e) => {
-                let s = self.ellipse(e, mirror(&e.normal));
-                ("ELLIPSE", flat(&e.normal, &[e.center.z, e.major_axis.z]), vec![s])
+            "POLYLINE" => {
+                // The control points of a fitted curve are beside it, not on it.
+                let (frame, fitted): (Vec<&Entity>, Vec<_>) =
+                    entity.vertices.iter().partition(|v| v.flags() & FRAME != 0);
+                cleaned.frames += usize::from(!fitted.is_empty() && !frame.is_empty());
+                let curve = if fitted.is_empty() { frame } else { fitted };
+                let points: Vec<_> =
+                    curve.iter().map(|v| (v.point(10), v.number(42).unwrap_or(0.0))).collect();
+                let corners: Vec<_> =
+                    points.iter().map(|([x, y, _], bulge)| corner([*x, *y, *bulge])).collect();
+                let heights: Vec<f64> = points.iter().map(|(p, _)| p[2]).collect();
+                (flat(&heights), self.bulged(&corners, is_closed, cleaned))
             }
-            EntityType::LwPolyline(p) => {
-                let m = mirror(&p.extrusion_direction);
-                let corners: Vec<(Zx, f64)> =
-                    p.vertices.iter().map(|v| (Zx::new(m * v.x, v.y) * self.unit.0, m * v.bulge)).collect();
-                (
-                    "LWPOLYLINE",
-                    flat(&p.extrusion_direction, &[]),
-                    self.bulged(&corners, p.flags & 1 != 0, cleaned),
-                )
-            }
-            EntityType::Polyline(p) => {
-                let m = mirror(&p.normal);
-                // The control points of a fitted curve stand beside it; they are not on it.
-                let is_frame = |v: &&dxf::entities::Vertex| v.flags & FRAME != 0;
-                let fitted = p.vertices().filter(|v| !is_frame(v)).count();
-                let curve = || p.vertices().filter(|v| fitted == 0 || !is_frame(v));
-                cleaned.frames += usize::from(fitted > 0 && curve().count() < p.vertices().count());
-                let corners: Vec<(Zx, f64)> = curve()
-                    .map(|v| (Zx::new(m * v.location.x, v.location.y) * self.unit.0, m * v.bulge))
-                    .collect();
-                let heights: Vec<f64> = curve().map(|v| v.location.z).collect();
-                ("POLYLINE", flat(&p.normal, &heights), self.bulged(&corners, p.flags & 1 != 0, cleaned))
-            }
-            EntityType::Spline(s) => {
-                let Some(spline) = self.spline(s) else {
+            "SPLINE" => {
+                let Some(spline) = self.spline(entity) else {
                     let expected =
                         "control points with knots and positive weights, as CAD systems write them";
-                    return refuse("SPLINE", "without a complete set of control points and knots", expected);
+                    return refuse(kind, "without a complete set of control points and knots", expected);
                 };
-                let heights: Vec<f64> = s.control_points.iter().map(|p| p.z).collect();
-                ("SPLINE", flat(&s.normal, &heights), vec![Segment::Spline(spline)])
+                let heights: Vec<f64> = entity.rows([10, 20, 30]).iter().map(|p| p[2]).collect();
+                (flat(&heights), vec![Segment::Spline(spline)])
             }
-            EntityType::Circle(c) if TAU * c.radius.abs() * self.unit.0 <= self.options.tolerance_mm => {
+            "CIRCLE"
+                if TAU * entity.number(40).unwrap_or(0.0).abs() * self.unit.0
+                    <= self.options.tolerance_mm =>
+            {
                 cleaned.specks += 1;
                 return Ok(());
             }
-            EntityType::Circle(_) => {
-                return refuse("CIRCLE", "in the contour", "the half profile above the axis: an arc of it");
+            "CIRCLE" => {
+                return refuse(kind, "in the contour", "the half profile above the axis: an arc of it");
             }
-            other => {
-                let name = format!("{other:?}");
-                let name = name.split(['(', ' ']).next().unwrap_or_default().to_uppercase();
-                return refuse(&name, "in the contour", "lines, arcs, ellipses, splines and polylines");
-            }
+            _ => return refuse(kind, "in the contour", "lines, arcs, ellipses, splines and polylines"),
         };
         if !in_plane {
             return refuse(kind, "out of the drawing's plane", "a flat drawing at elevation 0");
@@ -539,35 +425,35 @@ impl Reader<'_> {
     }
 
     /// `mirror` is −1 for an arc that is seen from below.
-    fn arc(&self, a: &dxf::entities::Arc, mirror: f64) -> Segment {
-        let sweep = (a.end_angle - a.start_angle).rem_euclid(360.0).to_radians();
-        let start = a.start_angle.to_radians();
-        let mut centre = self.point(&a.center);
+    fn arc(&self, arc: &Entity, mirror: f64) -> Segment {
+        let [start, end] = [50, 51].map(|code| arc.number(code).unwrap_or(0.0));
+        let (sweep, start) = ((end - start).rem_euclid(360.0).to_radians(), start.to_radians());
+        let mut centre = self.point(arc.point(10));
         centre.z *= mirror;
         Segment::Arc {
             centre,
-            radius_mm: a.radius * self.unit.0,
+            radius_mm: arc.number(40).unwrap_or(0.0) * self.unit.0,
             start_rad: if mirror < 0.0 { PI - start } else { start },
             sweep_rad: mirror * if sweep == 0.0 { TAU } else { sweep },
         }
     }
 
     /// `mirror` is −1 for an ellipse that is seen from below.
-    fn ellipse(&self, e: &dxf::entities::Ellipse, mirror: f64) -> Segment {
-        let sweep = (e.end_parameter - e.start_parameter).rem_euclid(TAU);
+    fn ellipse(&self, ellipse: &Entity, mirror: f64) -> Segment {
+        let (start, end) = (ellipse.number(41).unwrap_or(0.0), ellipse.number(42).unwrap_or(TAU));
+        let sweep = (end - start).rem_euclid(TAU);
         Segment::Ellipse {
-            centre: self.point(&e.center),
-            major: Zx::new(e.major_axis.x, e.major_axis.y) * self.unit.0,
-            ratio: mirror * e.minor_axis_ratio,
-            start_rad: e.start_parameter,
+            centre: self.point(ellipse.point(10)),
+            major: self.point(ellipse.point(11)),
+            ratio: mirror * axis_ratio(ellipse),
+            start_rad: start,
             sweep_rad: if sweep == 0.0 { TAU } else { sweep },
         }
     }
 
-    /// So small a ratio that it is no ellipse, and no line or speck either.
-    fn is_too_flat(&self, e: &dxf::entities::Ellipse) -> bool {
-        let segment = self.ellipse(e, 1.0);
-        e.minor_axis_ratio < 1e-6 && !self.is_speck(&segment) && !self.is_line(&segment)
+    /// An ellipse of so small a ratio is none, unless it is a line or a speck.
+    fn is_too_flat(&self, segment: &Segment) -> bool {
+        !self.is_speck(segment) && !self.is_line(segment)
     }
 
     /// Why a piece is none of a part's contour: what, expected.
@@ -684,19 +570,21 @@ impl Reader<'_> {
         chord * way <= self.options.tolerance_mm
     }
 
-    fn spline(&self, s: &dxf::entities::Spline) -> Option<Spline> {
-        let n = s.control_points.len();
-        let degree = usize::try_from(s.degree_of_curve).ok()?;
-        let weights = if s.weight_values.is_empty() { vec![1.0; n] } else { s.weight_values.clone() };
+    fn spline(&self, s: &Entity) -> Option<Spline> {
+        let points: Vec<Zx> = s.rows([10, 20, 30]).into_iter().map(|p| self.point(p)).collect();
+        let (n, degree) = (points.len(), s.number(71)? as usize);
+        let (knots, mut weights): (Vec<f64>, Vec<f64>) = (s.all(40).collect(), s.all(41).collect());
+        if weights.is_empty() {
+            weights = vec![1.0; n];
+        }
         let whole = degree >= 1
             && n > degree
-            && s.knot_values.len() == n + degree + 1
-            && s.knot_values.windows(2).all(|k| k[0] <= k[1])
-            && s.knot_values[degree] < s.knot_values[n]
+            && knots.len() == n + degree + 1
+            && knots.windows(2).all(|k| k[0] <= k[1])
+            && knots[degree] < knots[n]
             && weights.len() == n
             && weights.iter().all(|w| w.is_finite() && *w > 0.0);
-        let points = s.control_points.iter().map(|p| self.point(p)).collect();
-        whole.then(|| Spline { degree, knots: s.knot_values.clone(), points, weights })
+        whole.then_some(Spline { degree, knots, points, weights })
     }
 
     fn twice(&self, pieces: &[Piece]) -> Result<(), InputError> {
@@ -870,15 +758,10 @@ mod tests {
 
     /// Reads lines that are drawn in this order; the finding, and pairs of points compared.
     fn reads(lines: &[[f64; 4]]) -> (Result<usize, String>, u64) {
-        let mut drawing = new_dxf();
-        for [z0, x0, z1, x1] in lines {
-            let ends =
-                dxf::entities::Line::new(dxf::Point::new(*z0, *x0, 0.0), dxf::Point::new(*z1, *x1, 0.0));
-            drawing.add_entity(Entity::new(EntityType::Line(ends)));
-        }
+        let lines: Vec<_> = lines.iter().map(|[z0, x0, z1, x1]| ([*z0, *x0], [*z1, *x1], "0")).collect();
         let directory = tempfile::tempdir().unwrap();
         let file = directory.path().join("a.dxf");
-        drawing.save_file(&file).unwrap();
+        std::fs::write(&file, crate::dxf::written(&lines)).unwrap();
         LOOKS.with(|looks| looks.set(0));
         let read = read(&file, &Options::default());
         let found = read.map(|(contour, _)| contour.chords().len()).map_err(|e| e.found);

@@ -2,7 +2,7 @@
 //!
 //! | module | what lives there |
 //! |---|---|
-//! | [`contour`], [`mod@unit`], `drawing` | the part's features in probing order; read from DXF with the feature `dxf` |
+//! | [`contour`], [`mod@unit`], `drawing` | the part's features in probing order; read from DXF |
 //! | [`path`] | probing points, the probe's path, collisions |
 //! | [`program`] | the NC probing program: template, parameters, dialects |
 //! | [`probe`] | captured trips against the plan |
@@ -24,8 +24,8 @@ pub mod batch;
 pub mod contour;
 pub mod cor;
 pub mod determine;
-#[cfg(feature = "dxf")]
 pub mod drawing;
+mod dxf;
 pub mod errors;
 pub mod fit;
 pub mod line_table;

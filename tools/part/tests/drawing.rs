@@ -6,7 +6,7 @@ use dxf::enums::Units;
 use dxf::{LwPolylineVertex, Point, Vector};
 use rtec_files::InputError;
 use rtec_part::contour::{Contour, FeatureKind};
-use rtec_part::drawing::{Options, new_dxf, read};
+use rtec_part::drawing::{Options, read};
 use rtec_part::fit::Zx;
 use rtec_part::unit::Unit;
 
@@ -36,7 +36,8 @@ fn contour(
 ) -> Result<(Contour, Unit), InputError> {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("part.dxf");
-    let mut drawing = new_dxf();
+    let mut drawing = dxf::Drawing::new();
+    drawing.header.version = dxf::enums::AcadVersion::R2000;
     drawing.header.default_drawing_units = units;
     for e in entities {
         drawing.add_entity(Entity::new(e));
@@ -204,4 +205,68 @@ fn what_no_machine_could_hold_is_refused_at_once() {
     assert!(found.found.contains("more than 100 m"), "{found}");
     let found = finding(vec![line((0.0, 1.0), (1e9, 1.0))]);
     assert!(found.found.contains("more than 100 m"), "{found}");
+}
+
+/// Another library writes the same drawing as text and as binary, of R12 and of R2000.
+#[test]
+fn binary_drawings_read_like_text() {
+    let folder = tempfile::tempdir().unwrap();
+    for version in [dxf::enums::AcadVersion::R12, dxf::enums::AcadVersion::R2000] {
+        let mut drawing = dxf::Drawing::new();
+        drawing.header.version = version;
+        drawing.header.default_drawing_units = Units::Inches;
+        for entity in nose_part() {
+            drawing.add_entity(Entity::new(entity));
+        }
+        let [text, binary] = ["text.dxf", "binary.dxf"].map(|name| folder.path().join(name));
+        drawing.save_file(&text).unwrap();
+        drawing.save_file_binary(&binary).unwrap();
+        let inch = Options { unit: Some(Unit::INCH), ..Options::default() };
+        let [text, binary] = [text, binary].map(|file| format!("{:?}", read(&file, &inch).unwrap()));
+        assert_eq!(text, binary, "{version:?}");
+        assert!(text.contains("38.0"), "{text}");
+    }
+    let whole = std::fs::read(folder.path().join("binary.dxf")).unwrap();
+    // Up to the end of its entities: what comes after them is no contour.
+    let place = |word: &[u8]| whole.windows(word.len()).position(|w| w == word).unwrap();
+    let entities = place(b"ENTITIES");
+    let end = entities + whole[entities..].windows(6).position(|w| w == b"ENDSEC").unwrap();
+    for n in (0..end).step_by(7) {
+        let file = folder.path().join("cut.dxf");
+        std::fs::write(&file, &whole[..n]).unwrap();
+        assert!(read(&file, &Options::default()).is_err(), "{n} of {} bytes", whole.len());
+    }
+}
+
+#[test]
+fn broken_groups_are_named_with_their_line() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("x.dxf");
+    let head = "0\nSECTION\n2\nENTITIES\n0\nLINE\n8\nR\\U+00E4nder\n";
+    for (text, line, found) in [
+        (format!("{head}10\nabc\n"), 10, "'abc'"),
+        (format!("{head}10\n1,5\n"), 10, "'1,5'"),
+        (format!("{head}ten\n1.5\n"), 9, "'ten'"),
+        (format!("{head}10\n1.5\n"), 4, "the end of the file within the section ENTITIES"),
+        ("0\nSECTION\n2\nENTITIES\n0\nENDSEC\n5\n1F\n0\nEOF\n".to_owned(), 8, "group 5 '1F'"),
+    ] {
+        std::fs::write(&file, &text).unwrap();
+        let e = read(&file, &Options::default()).unwrap_err();
+        assert_eq!((e.line, &*e.found), (line, found), "{text}");
+    }
+    let rest = "10\n0\n20\n9\n11\n5\n21\n9\n0\nENDSEC\n0\nEOF\n";
+    let read_layer = |bytes: &[u8]| {
+        std::fs::write(&file, bytes).unwrap();
+        let options = Options { layer: Some("Ränder"), unit: Some(Unit::INCH), ..Options::default() };
+        read(&file, &options).map(|(contour, _)| contour.features.len())
+    };
+    // Escaped, in UTF-8, in Windows-1252, with the line ends of three systems.
+    let escaped = format!("{head}{rest}");
+    let utf8 = escaped.replace("\\U+00E4", "ä");
+    let western: Vec<u8> = utf8.chars().map(|c| c as u8).collect();
+    assert_eq!(read_layer(escaped.as_bytes()), Ok(1));
+    assert_eq!(read_layer(utf8.as_bytes()), Ok(1));
+    assert_eq!(read_layer(&western), Ok(1));
+    assert_eq!(read_layer(escaped.replace('\n', "\r").as_bytes()), Ok(1));
+    assert_eq!(read_layer(escaped.replace('\n', "\r\n").as_bytes()), Ok(1));
 }

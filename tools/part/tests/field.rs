@@ -60,7 +60,6 @@ fn an_angle_within_its_interval_is_not_told() {
     }
 }
 
-#[cfg(feature = "dxf")]
 mod drawings {
     use super::field;
     use rtec_part::contour::{Contour, FeatureKind};

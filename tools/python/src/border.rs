@@ -1,23 +1,20 @@
 //! How errors and work cross the border.
 
-use pyo3::exceptions::{PyException, PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
 use rtec_files::Said;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
-pyo3::create_exception!(rtec, RtecError, PyException, "What cannot be done, and why.");
-pyo3::create_exception!(
-    rtec,
-    InputError,
-    PyValueError,
-    "Bad input: `file`, `line` and `column` (from 1; 0 where it has none), `found`, `expected`."
-);
-pyo3::create_exception!(
-    rtec,
-    Bug,
-    PyRuntimeError,
-    "A mistake of the program, not of its input: please report it."
-);
+/// The classes are written in Python: each has two bases.
+fn raised<'py, A: pyo3::call::PyCallArgs<'py>>(py: Python<'py>, class: &str, arguments: A) -> PyErr {
+    let made = py.import("rtec._errors").and_then(|m| m.getattr(class)).and_then(|c| c.call1(arguments));
+    made.map_or_else(|error| error, PyErr::from_value)
+}
+
+/// Whether the system said of a file that it is not there (ENOENT).
+fn is_missing(error: &rtec_files::InputError) -> bool {
+    const ENOENT: i32 = 2;
+    error.found.contains(&std::io::Error::from_raw_os_error(ENOENT).to_string())
+}
 
 /// Why work ended without an answer.
 pub(crate) enum Failure {
@@ -54,18 +51,12 @@ impl Failure {
     fn raise(self, py: Python<'_>) -> PyErr {
         match self {
             Self::Input(e) => {
-                let raised = InputError::new_err(e.to_string());
-                let value = raised.value(py);
-                let set = value
-                    .setattr("file", e.file.display().to_string())
-                    .and_then(|()| value.setattr("line", e.line))
-                    .and_then(|()| value.setattr("column", e.column))
-                    .and_then(|()| value.setattr("found", &e.found))
-                    .and_then(|()| value.setattr("expected", &e.expected));
-                set.err().unwrap_or(raised)
+                let file = e.file.display().to_string();
+                let about = (e.to_string(), file, e.line, e.column, &e.found, &e.expected, is_missing(&e));
+                raised(py, "input_error", about)
             }
             Self::Io(e) => e.into(),
-            Self::Other(text) => RtecError::new_err(text),
+            Self::Other(text) => raised(py, "RtecError", (text,)),
         }
     }
 }
@@ -81,19 +72,19 @@ pub(crate) fn work<T: Send>(
         let done = catch_unwind(AssertUnwindSafe(|| of(&mut |s: Said| said.push(s.to_string()))));
         (done, said)
     });
-    let raised = match done {
+    let error = match done {
         Ok(Ok(answer)) => return Ok((answer, said)),
         Ok(Err(failure)) => failure.raise(py),
         Err(panic) => {
             let why = panic.downcast_ref::<String>().map(String::as_str);
             let why = why.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or("a panic");
-            Bug::new_err(format!("{why}; this is a mistake of rtec's, not of its input"))
+            raised(py, "Bug", (format!("{why}; this is a mistake of rtec's, not of its input"),))
         }
     };
     for line in said {
-        raised.value(py).call_method1("add_note", (line,))?;
+        error.value(py).call_method1("add_note", (line,))?;
     }
-    Err(raised)
+    Err(error)
 }
 
 /// Work that says nothing on the way.

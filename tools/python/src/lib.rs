@@ -14,8 +14,6 @@ use pyo3::prelude::*;
 #[pymodule]
 mod _rtec {
     #[pymodule_export]
-    use super::border::{Bug, InputError, RtecError};
-    #[pymodule_export]
     use super::machine::Machine;
     #[pymodule_export]
     use super::record::Record;

@@ -29,6 +29,7 @@ struct About {
     note: Option<String>,
     zero: Option<String>,
     circle: Option<(f64, [String; 2])>,
+    sha256: Option<String>,
 }
 
 fn made(
@@ -67,6 +68,7 @@ fn made(
     }
     (record.count_um, record.date, record.note, record.zero) =
         (about.count_um, about.date, about.note, about.zero);
+    record.sha256 = about.sha256.unwrap_or(record.sha256);
     if let Some((radius_mm, [first, second])) = about.circle {
         let axis = |n: &String| {
             Axis::new(n).ok_or_else(|| bad(format!("plane of `{n}`"), "two axes, as [\"x\", \"y\"]"))
@@ -83,7 +85,7 @@ fn made(
 #[pymethods]
 impl Record {
     #[new]
-    #[pyo3(signature = (path, kind, columns, *, count_um=None, date=None, note=None, zero=None, circle=None, log=false))]
+    #[pyo3(signature = (path, kind, columns, *, count_um=None, date=None, note=None, zero=None, circle=None, sha256=None, log=false))]
     fn new(
         py: Python<'_>,
         path: PathBuf,
@@ -94,11 +96,12 @@ impl Record {
         note: Option<String>,
         zero: Option<String>,
         circle: Option<(f64, [String; 2])>,
+        sha256: Option<String>,
         log: bool,
     ) -> PyResult<Self> {
         let columns: Vec<_> =
             columns.into_iter().map(|(n, r, u, data)| (n, r, u, data.as_array().to_vec())).collect();
-        let about = About { count_um, date, note, zero, circle };
+        let about = About { count_um, date, note, zero, circle, sha256 };
         quietly(py, || made(&path, &kind, columns, about, log)).map(|inner| Self { inner })
     }
 

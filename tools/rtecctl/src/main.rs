@@ -34,6 +34,7 @@ mod help;
 mod http;
 #[cfg(test)]
 mod reference;
+mod screen;
 mod terminal;
 mod verbs;
 

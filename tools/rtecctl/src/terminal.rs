@@ -31,8 +31,8 @@ pub(crate) fn colour() -> bool {
 /// Columns of the terminal on standard output; none where it is none, or does not know its own.
 pub(crate) fn width() -> Option<u16> {
     let terminal = std::io::stdout().is_terminal();
-    let size = terminal.then(|| ratatui::crossterm::terminal::size().ok()).flatten();
-    size.and_then(|(width, _)| readable(width))
+    let size = terminal.then(terminal_size::terminal_size).flatten();
+    size.and_then(|(width, _)| readable(width.0))
 }
 
 /// A width that text can be read in. A serial console and `script` say 0.

@@ -11,10 +11,10 @@ use rtec_control::config::{ConfiguredAxis, ControlConfig};
 use rtec_control::protocol::TripReport;
 use rtec_files::InputError;
 use rtec_files::words::{quoted, unseen};
-use rtec_measure::record::{parse_log, to_csv, to_sidecar};
-use rtec_measure::spool::{self, Room};
 use rtec_model::date;
 use rtec_model::record::{Column, Kind, Record, Role, check};
+use rtec_records::record::{parse_log, to_csv, to_sidecar};
+use rtec_records::spool::{self, Room};
 use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, Sender, channel};
@@ -314,7 +314,7 @@ mod tests {
         probed(&mut keeper, 3);
         let file = keeper.last(Duration::from_secs(60)).unwrap().unwrap();
         assert_eq!(file, folder.path().join("probing-20260801-101502.run.toml"));
-        let record = rtec_measure::record::read_log(&file).unwrap();
+        let record = rtec_records::record::read_log(&file).unwrap();
         let names: Vec<&str> = record.columns.iter().map(|c| c.name.as_str()).collect();
         // The second axis was never seen, the second sensor not at the first trip.
         assert_eq!(names, ["t", "position.x", "position.z", "T1"]);
@@ -342,7 +342,7 @@ mod tests {
         let mut rows = Vec::new();
         for _ in 0..2 {
             let file = keeper.last(Duration::from_secs(60)).unwrap().unwrap();
-            rows.push(rtec_measure::record::read_log(&file).unwrap().rows());
+            rows.push(rtec_records::record::read_log(&file).unwrap().rows());
         }
         rows.sort_unstable();
         assert_eq!(rows, [2, TRIPS]);

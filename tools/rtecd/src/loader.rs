@@ -6,10 +6,10 @@ use rtec_control::protocol::PartTable;
 use rtec_correct::corrector::{Prepared, Preparer};
 use rtec_correct::sensors::Watch;
 use rtec_files::{InputError, text};
-use rtec_measure::spool::LONGEST_SIDECAR;
 use rtec_model::effect::Dictionary;
 use rtec_model::machine::Machine;
 use rtec_part::cor::FeatureErrors;
+use rtec_records::spool::LONGEST_SIDECAR;
 use std::cell::{Cell, RefCell};
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -361,7 +361,7 @@ mod tests {
     fn each_kind_of_file_has_its_own_bound() {
         let directory = tempfile::tempdir().unwrap();
         let at = |name: &str| directory.path().join(name);
-        let spool = Spool { folder: directory.path().to_owned(), room: rtec_measure::spool::Room::ANY };
+        let spool = Spool { folder: directory.path().to_owned(), room: rtec_records::spool::Room::ANY };
         for (sidecar, csv, bound) in
             [(LONGEST_SIDECAR + 1, 1, LONGEST_SIDECAR), (1, LONGEST_CSV + 1, LONGEST_CSV)]
         {

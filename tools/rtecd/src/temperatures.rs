@@ -4,7 +4,7 @@
 use rtec_control::sources::Bank;
 use rtec_correct::sensors::{SensorConfig, SensorSource, Use, Watch};
 use rtec_files::{InputError, csv};
-use rtec_measure::record;
+use rtec_records::record;
 use std::collections::BTreeMap;
 use std::fs::{File, OpenOptions};
 use std::io::{self, BufRead, BufReader, Write};

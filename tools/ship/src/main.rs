@@ -1,5 +1,5 @@
 //! `rtec-ship`: what `rtecctl ship` hands an S3-like store to. What is sent, in which order, and when it leaves the spool is
-//! `rtec_measure::spool`'s; here is the store.
+//! `rtec_records::spool`'s; here is the store.
 
 // Before the module, so that all of it prints this way: standard error that takes nothing is no reason to stop.
 macro_rules! eprintln {
@@ -12,7 +12,7 @@ macro_rules! eprintln {
 mod s3;
 
 use clap::Parser;
-use rtec_measure::spool::{ShipError, ship};
+use rtec_records::spool::{ShipError, ship};
 use rusty_s3::Credentials;
 use s3::{Address, S3, roots};
 use std::io::{self, Write};

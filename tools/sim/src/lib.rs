@@ -41,7 +41,9 @@ pub mod duty;
 pub mod ecc;
 pub mod ecc_board;
 mod errors;
+#[cfg(feature = "experiments")]
 pub mod example;
+#[cfg(feature = "experiments")]
 pub mod experiment;
 pub mod gcode;
 pub mod heat;

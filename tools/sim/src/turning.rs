@@ -608,8 +608,8 @@ impl Setup {
         push(&name, program.into_bytes());
         push("probed.csv", session.csv.clone().into_bytes());
         if let Some(record) = &session.record {
-            push("probing.csv", rtec_measure::record::to_csv(record).into_bytes());
-            push("probing.run.toml", rtec_measure::record::to_sidecar(record).into_bytes());
+            push("probing.csv", rtec_records::record::to_csv(record).into_bytes());
+            push("probing.run.toml", rtec_records::record::to_sidecar(record).into_bytes());
         }
         push("error.cor", error_cor(&report.errors).into_bytes());
         push("whisker.svg", report.whisker_svg().into_bytes());

@@ -6,15 +6,10 @@
 use rtec_measure::plausible::What;
 use rtec_model::machine::Machine;
 use rtec_reconcile::{Options, Reconciliation, Verdict, reconcile};
-use std::path::PathBuf;
 
 /// The answer for records of one case; none where the cases are not there.
 fn answer(case: &str, model: &str, train: &[&str], held: &[&str]) -> Option<Reconciliation> {
-    let folder = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data/field").join(case);
-    if !folder.join(model).exists() {
-        eprintln!("SKIPPED: ../shared/data/field/{case} is not there");
-        return None;
-    }
+    let folder = test_needs::shared(&format!("data/field/{case}"))?;
     let read = |names: &[&str]| -> Vec<_> {
         let of = |n: &&str| rtec_measure::record::read(&folder.join(format!("{n}.run.toml"))).unwrap();
         names.iter().map(of).collect()

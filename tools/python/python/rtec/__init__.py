@@ -22,7 +22,8 @@ a shop of many machines                   :mod:`rtec.shop`
 
 Every result holds ``json``, what ``rtecctl … --json`` prints of the same input, byte for byte, and ``document``, the same as Python's
 own dictionaries and lists. What the program says on the way is a Python warning (:class:`InputWarning`) and stands in ``said``.
-Bad input raises :class:`InputError`, with file and line.
+Bad input raises :class:`InputError`, a ``ValueError`` with file and line; a file that is not there :class:`MissingFileError`, which is a
+``FileNotFoundError`` too. All are :class:`RtecError`.
 """
 
 from rtec._results import (
@@ -41,7 +42,7 @@ from rtec._results import (
     Validation,
     Verdict,
 )
-from rtec._rtec import Bug, InputError, RtecError
+from rtec._errors import Bug, InputError, MissingFileError, RtecError
 from rtec._record import Record, import_record, read_record, record
 from rtec._machine import Machine, read_machine
 from rtec._functions import (
@@ -72,6 +73,7 @@ __all__ = [
     "InputError",
     "InputWarning",
     "Machine",
+    "MissingFileError",
     "PartErrors",
     "Picture",
     "Plan",

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from rtec import _rtec
+from rtec._errors import names
 from rtec._machine import Machine, a_machine
 from rtec._record import Place, Record, Runs, inners
 from rtec._results import (
@@ -40,6 +41,23 @@ def evaluate(
     ``standard``: ``iso230-2``, ``straightness``, ``iso230-3``, ``iso230-6``, ``ballbar`` (``iso230-4``), ``plate`` or
     ``repeatability``; by the first record's kind where it is left out. ``conditions``: a file with what the test was done under,
     for uncertainties and the reduction to 20 °C. ``norm``: a plate's fit makes squares (2) or fourth powers (4) small.
+
+    Parameters
+    ----------
+    runs : Record, path, or iterable of these
+        The records.
+    standard : str, optional
+        By the first record's kind where left out.
+    conditions : path, optional
+        What the test was done under.
+    one_way : bool
+        The run went one way: no reversal.
+    norm : int
+        Power of a plate's fit, 2 to 4.
+
+    Returns
+    -------
+    Evaluation
     """
     place = None if conditions is None else os.fspath(conditions)
     (document, text, html, pictures), said = _rtec.evaluate(inners(runs), standard, place, one_way, norm)
@@ -60,7 +78,7 @@ def _asked(
     if folds < 0 or valid_days < 0:
         raise ValueError(f"found folds {folds}, valid_days {valid_days}, expected neither below 0")
     return {
-        "sensors": list(sensors),
+        "sensors": names("sensors", sensors),
         "environment": environment,
         "folds": folds,
         "lag": lag,
@@ -82,7 +100,29 @@ def select_sensors(
     square: bool = True,
     base: Machine | Place | None = None,
 ) -> Fit:
-    """Chooses sensors by correlation (CASC) and rounds of refitting; options as :func:`fit`."""
+    """Chooses sensors by correlation (CASC) and rounds of refitting; options as :func:`fit`.
+
+    Parameters
+    ----------
+    train : Record, path, or iterable of these
+        The records that decide.
+    sensors : sequence of str
+        Differences to choose from, as ``["T0", "T8-T18"]``; all where it is empty.
+    environment : str, optional
+        The sensor of the air, which no difference is taken of.
+    folds : int
+        Blocks of time that are left out in turn.
+    lag : bool
+        Offer temperatures behind a lag too.
+    square : bool
+        Offer squares of differences too.
+    base : Machine or path, optional
+        What is known of the machine already.
+
+    Returns
+    -------
+    Fit
+    """
     asked = _asked(sensors, environment, folds, lag, square, base, "1970-01-01", 365, True)
     (document, machine, pictures), said = _rtec.fit(inners(train), [], asked, True)
     return Fit(document, pictures, say(said), Machine(machine))
@@ -106,6 +146,35 @@ def fit(
 
     ``sensors``: differences to choose from, as ``["T0", "T8-T18"]``; all where it is empty. ``holdout`` never influences the fit.
     ``base``: what is known already. ``date``: the day that the model carries.
+
+    Parameters
+    ----------
+    train : Record, path, or iterable of these
+        The records that decide.
+    holdout : Record, path, or iterable of these
+        Records that never influence the answer, only the last figures.
+    sensors : sequence of str
+        Differences to choose from, as ``["T0", "T8-T18"]``; all where it is empty.
+    environment : str, optional
+        The sensor of the air, which no difference is taken of.
+    folds : int
+        Blocks of time that are left out in turn.
+    lag : bool
+        Offer temperatures behind a lag too.
+    square : bool
+        Offer squares of differences too.
+    base : Machine or path, optional
+        What is known of the machine already.
+    date : str, optional
+        The day that the result carries, ``YYYY-MM-DD``; today where left out.
+    valid_days : int
+        How long the fit is good.
+    despite_suspicions : bool
+        Fit although the records show mistakes.
+
+    Returns
+    -------
+    Fit
     """
     asked = _asked(sensors, environment, folds, lag, square, base, date, valid_days, despite_suspicions)
     (document, machine, pictures), said = _rtec.fit(inners(train), inners(holdout), asked, False)
@@ -121,9 +190,29 @@ def fit_effects(
     valid_days: int = 365,
     despite_suspicions: bool = False,
 ) -> Fit:
-    """Fits effects by name, by least squares: ``["scale.x", "thermal_expansion.x:T3-T20"]``."""
+    """Fits effects by name, by least squares: ``["scale.x", "thermal_expansion.x:T3-T20"]``.
+
+    Parameters
+    ----------
+    train : Record, path, or iterable of these
+        The records that decide.
+    effects : sequence of str
+        Names, as ``["scale.x", "thermal_expansion.x:T3-T20"]``.
+    base : Machine or path, optional
+        What is known of the machine already.
+    date : str, optional
+        The day that the result carries, ``YYYY-MM-DD``; today where left out.
+    valid_days : int
+        How long the fit is good.
+    despite_suspicions : bool
+        Fit although the records show mistakes.
+
+    Returns
+    -------
+    Fit
+    """
     asked = _asked((), None, 10, True, True, base, date, valid_days, despite_suspicions)
-    (document, machine, pictures), said = _rtec.fit_named(inners(train), list(effects), asked)
+    (document, machine, pictures), said = _rtec.fit_named(inners(train), names("effects", effects), asked)
     return Fit(document, pictures, say(said), Machine(machine))
 
 
@@ -136,11 +225,24 @@ def fit_chain(
 
     ``runs``: each a record, or a record with the tool's point (x, y, z) in mm that it measured, where that is not the chain's: the
     same path at two points tells a rotation from a displacement.
+
+    Parameters
+    ----------
+    chain : path
+        The chain's file.
+    components : sequence of str
+        What is fitted, as ``["z slide.dx"]``.
+    runs : sequence of Record, path, or (run, (x, y, z))
+        Records, each with its tool's point in mm where that is not the chain's.
+
+    Returns
+    -------
+    ChainFit
     """
     given = [run if isinstance(run, tuple) else (run, None) for run in runs]
     points = [None if point is None else [float(v) for v in point] for _, point in given]
     records = inners([run for run, _ in given])
-    document, text, pictures = _rtec.fit_chain(os.fspath(chain), list(components), records, points)
+    document, text, pictures = _rtec.fit_chain(os.fspath(chain), names("components", components), records, points)
     return ChainFit(document, pictures, (), text)
 
 
@@ -158,6 +260,27 @@ def reconcile(
 
     ``level``: how often chance alone may lead to an answer. ``holdout`` never influences the verdict, only the last figures.
     ``out``: a folder for ``verdict.json``, ``model.toml`` and ``report.html``. ``date``: the day that added effects carry.
+
+    Parameters
+    ----------
+    train : Record, path, or iterable of these
+        The records that decide.
+    machine : Machine or path
+        The model.
+    holdout : Record, path, or iterable of these
+        Records that never influence the answer, only the last figures.
+    level : float
+        How often chance alone may lead to an answer, 0 to 0.5.
+    unexplained : bool
+        Give a law for structure without a name.
+    date : str, optional
+        The day that the result carries, ``YYYY-MM-DD``; today where left out.
+    out : path, optional
+        A folder for ``verdict.json``, ``model.toml`` and ``report.html``.
+
+    Returns
+    -------
+    Verdict
     """
     (document, model, html, pictures, laws), said = _rtec.reconcile(
         inners(train), a_machine(machine)._inner, inners(holdout), level, unexplained, date
@@ -175,7 +298,21 @@ def reconcile(
 
 
 def where_they_disagree(train: Runs, machine: Machine | Place, *, level: float = 0.01) -> Result:
-    """The first stage of a reconciliation alone: where measured and simulated disagree."""
+    """The first stage of a reconciliation alone: where measured and simulated disagree.
+
+    Parameters
+    ----------
+    train : Record, path, or iterable of these
+        The records that decide.
+    machine : Machine or path
+        The model.
+    level : float
+        How often chance alone may lead to an answer, 0 to 0.5.
+
+    Returns
+    -------
+    Result
+    """
     return Result(_rtec.where_they_disagree(inners(train), a_machine(machine)._inner, level))
 
 
@@ -186,7 +323,23 @@ def plan(
     max_rpm: float = 6000.0,
     ballbar_mm: float | None = None,
 ) -> Plan:
-    """The sequence of runs that a machine is characterised with; ``axes``: travel in mm by name."""
+    """The sequence of runs that a machine is characterised with; ``axes``: travel in mm by name.
+
+    Parameters
+    ----------
+    axes : mapping of str to float
+        Travel by axis, mm.
+    machine : str
+        Its name.
+    max_rpm : float
+        The spindle's highest speed, 1/min.
+    ballbar_mm : float, optional
+        The ballbar's length, mm.
+
+    Returns
+    -------
+    Plan
+    """
     given = [(name, float(travel)) for name, travel in axes.items()]
     (document, markdown), said = _rtec.plan(given, machine, max_rpm, ballbar_mm)
     return Plan(document, markdown, say(said))
@@ -200,7 +353,25 @@ def designs(
     counts: int = 20_000,
     seed: int = 1,
 ) -> Design:
-    """Every design of insertion on the same motion; ``computer``: ``8051`` or ``dsp``."""
+    """Every design of insertion on the same motion; ``computer``: ``8051`` or ``dsp``.
+
+    Parameters
+    ----------
+    computer : str
+        ``8051`` or ``dsp``.
+    encoder_hz : float
+        Cycles of the encoder a second.
+    accel_counts_s2 : float
+        Acceleration, counts/s².
+    counts : int
+        Length of the motion, counts.
+    seed : int
+        The same seed gives the same answer.
+
+    Returns
+    -------
+    Design
+    """
     document, text = _rtec.designs(computer, encoder_hz, accel_counts_s2, counts, seed)
     return Design(document, text)
 
@@ -213,7 +384,25 @@ def replay(
     config: Place | None = None,
     axis: str | None = None,
 ) -> Replay:
-    """Plays a recorded trace (``t_ns,a,b``) with requested totals (``t_ns,requested``) through the real-time engine."""
+    """Plays a recorded trace (``t_ns,a,b``) with requested totals (``t_ns,requested``) through the real-time engine.
+
+    Parameters
+    ----------
+    trace : path
+        CSV ``t_ns,a,b`` or VCD.
+    requests : path
+        CSV ``t_ns,requested``.
+    design : str, optional
+        ``original``, ``a``, ``b``, ``c`` or ``ecc``.
+    config : path, optional
+        An ``rtec.toml``.
+    axis : str, optional
+        The axis of the configuration.
+
+    Returns
+    -------
+    Replay
+    """
     place = None if config is None else os.fspath(config)
     document, sound = _rtec.replay(os.fspath(trace), os.fspath(requests), design, place, axis)
     return Replay(document, sound)
@@ -239,6 +428,37 @@ def part_errors(
     ``columns``: the file's columns by name or number, as ``{"z_mm": 3, "x_mm": "Radius"}``, where it calls them otherwise.
     ``radius_mm``: a circle's nominal radius. ``tip_mm``: the probe's. ``feature``: ``circle`` or ``line``; recognised where left
     out. ``machine``: a model whose prediction is taken out, with the machine's position (Z, X) at the part's zero in ``origin_mm``.
+
+    Parameters
+    ----------
+    points : path
+        CSV ``z_mm,x_mm[,approach_z,approach_x]``.
+    columns : mapping, optional
+        The file's columns by name or number.
+    radius_mm : float, optional
+        A circle's nominal radius; a ballbar's length, mm.
+    tip_mm : float, optional
+        Radius of the probe's tip, mm.
+    feature : str, optional
+        ``circle`` or ``line``; recognised where left out.
+    taper_deg : float, optional
+        A line's nominal inclination, degrees.
+    machine : path, optional
+        A model whose prediction is taken out.
+    origin_mm : pair of float, optional
+        The machine's position (Z, X) at the part's zero, mm.
+    expected : path, optional
+        Where the points should be.
+    path : path, optional
+        The probing path.
+    trip_window_mm : float
+        How far a trip may be from where it is expected, mm.
+    with_size : bool
+        Correct the size too, not the form alone.
+
+    Returns
+    -------
+    PartErrors
     """
     places = {"machine": machine, "expected": expected, "path": path}
     asked: dict[str, Any] = {name: None if p is None else os.fspath(p) for name, p in places.items()}
@@ -266,6 +486,23 @@ def simulate(
 
     ``truth``: the machine as it is; ``known``: what the corrector knows of it, for a second run with compensation. Records will stand
     in the folder ``out``; they are not written yet.
+
+    Parameters
+    ----------
+    name : str
+        The experiment.
+    truth : Machine or path, optional
+        The machine as it is.
+    known : Machine or path, optional
+        What the corrector knows of it.
+    seed : int
+        The same seed gives the same answer.
+    out : path
+        Where the result will be.
+
+    Returns
+    -------
+    Simulation
     """
     inner = [None if m is None else a_machine(m)._inner for m in (truth, known)]
     records, document = _rtec.simulate(name, inner[0], inner[1], seed, os.fspath(out))
@@ -273,7 +510,20 @@ def simulate(
 
 
 def example(name: str, folder: Place) -> list[Path]:
-    """Writes an example machine (``lathe``, ``mill``, ``wo97``, ``spindle``) into a new or empty folder; gives its files."""
+    """Writes an example machine (``lathe``, ``mill``, ``wo97``, ``spindle``) into a new or empty folder; gives its files.
+
+    Parameters
+    ----------
+    name : str
+        ``lathe``, ``mill``, ``wo97`` or ``spindle``.
+    folder : path
+        A new or empty folder.
+
+    Returns
+    -------
+    list of pathlib.Path
+        The files.
+    """
     at = Path(folder)
     if at.exists() and any(at.iterdir()):
         raise FileExistsError(f"{at}: has something in it; expected a new or empty folder")
@@ -296,6 +546,19 @@ def history(
 
     Each record is evaluated by itself; one without a date, or that cannot be read, is named and left out. ``limits``: what the
     figures may be, either side of zero, as ``{"x.A": 12.0, "B_mean": 5.0}``, or a file with a table ``[limits]``.
+
+    Parameters
+    ----------
+    runs : Record, path, or iterable of these
+        The records.
+    machine : str
+        Its name.
+    limits : mapping or path, optional
+        What the figures may be, either side of zero.
+
+    Returns
+    -------
+    Evaluation
     """
     many: list[Record | Place] = [runs] if isinstance(runs, (Record, str, os.PathLike)) else list(runs)
     paths = [os.fspath(run) for run in many if not isinstance(run, Record)]

@@ -20,12 +20,34 @@ class Machine:
 
     @staticmethod
     def ideal(name: str) -> Machine:
-        """A machine without errors."""
+        """A machine without errors.
+
+        Parameters
+        ----------
+        name : str
+            Its name.
+
+        Returns
+        -------
+        Machine
+        """
         return Machine(_rtec.Machine.ideal(name))
 
     @staticmethod
     def parse(text: str, path: Place | None = None) -> Machine:
-        """A model from the text of a ``machine.toml``; ``path`` for messages and for the files that it names."""
+        """A model from the text of a ``machine.toml``; ``path`` for messages and for the files that it names.
+
+        Parameters
+        ----------
+        text : str
+            TOML.
+        path : path, optional
+            For messages, and for the files that it names.
+
+        Returns
+        -------
+        Machine
+        """
         return Machine(_rtec.Machine.parse(text, None if path is None else os.fspath(path)))
 
     def __repr__(self) -> str:
@@ -75,27 +97,79 @@ class Machine:
         return list(self.document["effects"])
 
     def write(self, path: Place) -> None:
-        """Writes it whole or not at all; what would not be read again is not written."""
+        """Writes it whole or not at all; what would not be read again is not written.
+
+        Parameters
+        ----------
+        path : path
+            Where it is, or will be.
+        """
         self._inner.write(os.fspath(path))
 
     def predict(self, run: Record) -> dict[str, Numbers]:
-        """The sum of its effects at every row, by the response's column name: µm (N for forces), shape ``(len(run),)``."""
+        """The sum of its effects at every row, by the response's column name: µm (N for forces), shape ``(len(run),)``.
+
+        Parameters
+        ----------
+        run : Record
+            Rows are those of the answer.
+
+        Returns
+        -------
+        dict of str to ndarray
+            By response; µm (N for forces), shape ``(len(run),)``.
+        """
         columns, said = self._inner.predict(run._inner)
         say(said)
         return columns
 
     def predicted_csv(self, run: Record, *, interval: bool = False) -> str:
-        """The record's CSV with ``predicted_…`` columns, as ``rtecctl model predict`` writes it."""
+        """The record's CSV with ``predicted_…`` columns, as ``rtecctl model predict`` writes it.
+
+        Parameters
+        ----------
+        run : Record
+            Rows are those of the answer.
+        interval : bool
+            With half widths of the 95 % interval.
+
+        Returns
+        -------
+        str
+        """
         text, said = self._inner.predicted_csv(run._inner, interval)
         say(said)
         return text
 
     def half_widths_um(self, run: Record, response: str) -> Numbers | None:
-        """Half width of the 95 % interval of a response (``error.y``) at every row, µm; None where no fit states one."""
+        """Half width of the 95 % interval of a response (``error.y``) at every row, µm; None where no fit states one.
+
+        Parameters
+        ----------
+        run : Record
+            Rows are those of the answer.
+        response : str
+            As ``error.y``.
+
+        Returns
+        -------
+        ndarray or None
+            Half width of the 95 % interval, µm, shape ``(len(run),)``.
+        """
         return self._inner.half_widths_um(run._inner, response)
 
     def validate(self, runs: Runs) -> Validation:
-        """Judges it on records that it has not seen: what is left, how often its interval holds."""
+        """Judges it on records that it has not seen: what is left, how often its interval holds.
+
+        Parameters
+        ----------
+        runs : Record, path, or iterable of these
+            The records.
+
+        Returns
+        -------
+        Validation
+        """
         (document, pictures), said = _rtec.validate(self._inner, inners(runs))
         return Validation(document, pictures, say(said))
 
@@ -128,6 +202,43 @@ class Machine:
         ``reference_mm``), ``siemens-cec`` (with ``along``, ``along_name``, ``positive_moves`` and ``table`` beside those),
         ``csv`` or ``own`` (with ``form``). ``along``: another axis that the table goes along (squareness, straightness, sag). ``temperatures`` in °C by sensor, others stand at 20; ``at_mm``: where
         the other axes stand, else 0. ``limit_um``: how far it may be off the model between its positions.
+
+        Parameters
+        ----------
+        axis : str
+            The axis that is compensated.
+        from_mm : float
+            Its first position, mm.
+        to_mm : float
+            Its last position, mm.
+        format : str
+            The name of the file's format.
+        step_mm : float, optional
+            Between positions, mm.
+        limit_um : float
+            How far the table may be off the model between positions, µm.
+        max_points : int, optional
+            What the controller can hold.
+        temperatures : mapping of str to float, optional
+            °C by sensor; others are at 20.
+        at_mm : mapping of str to float, optional
+            Where the other axes are, mm; else 0.
+        unit : str
+            ``mm`` or ``inch``: the unit of positions.
+        axis_name : str, optional
+            Siemens: the axis.
+        encoder : int
+            Siemens: the encoder.
+        reference_mm : float, optional
+            Siemens: the reference point, mm.
+        axis_number : int, optional
+            ``ssfk``: the axis.
+        form : path, optional
+            A description of a format of one's own.
+
+        Returns
+        -------
+        Table
         """
         asked: dict[str, Any] = {
             "axis": axis,
@@ -154,20 +265,60 @@ class Machine:
         return Table(document, text, say(said))
 
     def beyond(self, run: Record) -> Record:
-        """The record less what the model predicts of its responses."""
+        """The record less what the model predicts of its responses.
+
+        Parameters
+        ----------
+        run : Record
+            Rows are those of the answer.
+
+        Returns
+        -------
+        Record
+        """
         return Record(self._inner.beyond(run._inner))
 
     def doubts(self, today: str | None = None) -> list[str]:
-        """What to know before it is trusted, on a day (``YYYY-MM-DD``; today where left out)."""
+        """What to know before it is trusted, on a day (``YYYY-MM-DD``; today where left out).
+
+        Parameters
+        ----------
+        today : str, optional
+            A day, ``YYYY-MM-DD``; today where left out.
+
+        Returns
+        -------
+        list of str
+        """
         return self._inner.doubts(today)
 
     def days_left(self, today: str | None = None) -> int | None:
-        """Days until the first of its fits is no longer good; None without fits."""
+        """Days until the first of its fits is no longer good; None without fits.
+
+        Parameters
+        ----------
+        today : str, optional
+            A day, ``YYYY-MM-DD``; today where left out.
+
+        Returns
+        -------
+        int or None
+        """
         return self._inner.days_left(today)
 
 
 def read_machine(path: Place) -> Machine:
-    """Reads a ``machine.toml``, strictly: the first finding raises :class:`InputError`."""
+    """Reads a ``machine.toml``, strictly: the first finding raises :class:`InputError`.
+
+    Parameters
+    ----------
+    path : path
+        Where it is, or will be.
+
+    Returns
+    -------
+    Machine
+    """
     return Machine(_rtec.Machine.read(os.fspath(path)))
 
 

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rtec import _rtec
-from rtec._results import say
+from rtec._errors import names, needs
+from rtec._results import say, table
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -24,7 +25,8 @@ class Record:
     """One run: columns by name, rows in order of acquisition.
 
     ``run["e"]`` gives a column as an array of shape ``(len(run),)``; its name is the CSV's, or its label
-    (``error.y``, ``temperature.T3``). Records do not change: what changes one gives another one.
+    (``error.y``, ``temperature.T3``). ``len(run)`` counts rows; iteration and ``in`` go over the columns' names.
+    Records do not change: what changes one gives another one.
     """
 
     def __init__(self, inner: _rtec.Record) -> None:
@@ -36,14 +38,37 @@ class Record:
     def __len__(self) -> int:
         return len(self._inner)
 
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.keys())
+
+    def __contains__(self, name: object) -> bool:
+        try:
+            return isinstance(name, str) and self._inner[name] is not None
+        except KeyError:
+            return False
+
+    def keys(self) -> list[str]:
+        """Names of its columns, in the CSV's order.
+
+        Returns
+        -------
+        list of str
+        """
+        return [name for name, _, _ in self.columns]
+
     def __repr__(self) -> str:
         return repr(self._inner)
+
+    def _repr_html_(self) -> str:
+        head = ["column", "role", "unit", "least", "most"]
+        rows = [[n, r, u, f"{self[n].min():.6g}", f"{self[n].max():.6g}"] for n, r, u in self.columns]
+        return table(f"{self.kind}, {len(self)} rows: {self.path}", head, rows)
 
     def __reduce__(self) -> tuple[Any, ...]:
         columns = {name: (role, self[name], unit) for name, role, unit in self.columns}
         about = {"count_um": self.count_um, "date": self.date, "note": self.note, "zero": self.zero}
         radius, plane = self._inner.circle or (None, None)
-        return _again, (self.path, self.kind, columns, about, radius, plane)
+        return _again, (self.path, self.kind, columns, about, radius, plane, self.sha256)
 
     @property
     def path(self) -> str:
@@ -101,7 +126,17 @@ class Record:
         return self._inner.time_s
 
     def select(self, rows: ArrayLike) -> Record:
-        """Some of its rows: numbers from 0, or a mask of shape ``(len(run),)``."""
+        """Some of its rows: numbers from 0, or a mask of shape ``(len(run),)``.
+
+        Parameters
+        ----------
+        rows : array_like of int or bool
+            Numbers from 0, or a mask of shape ``(len(run),)``.
+
+        Returns
+        -------
+        Record
+        """
         wanted = np.asarray(rows)
         if wanted.dtype == np.bool_:
             if wanted.shape != (len(self),):
@@ -112,30 +147,64 @@ class Record:
         return Record(self._inner.select([int(row) for row in wanted]))
 
     def to_pandas(self) -> pd.DataFrame:
-        """The columns as a DataFrame; roles and units stand in its ``attrs``."""
-        import pandas as pd
+        """The columns as a DataFrame; roles and units stand in its ``attrs``.
 
+        Returns
+        -------
+        pandas.DataFrame
+            ``len(run)`` rows, a column for each of the record's.
+        """
+        try:
+            import pandas as pd
+        except ModuleNotFoundError:
+            raise needs("pandas", "frames") from None
         frame = pd.DataFrame({name: self[name] for name, _, _ in self.columns})
         frame.attrs = {name: {"role": role, "unit": unit} for name, role, unit in self.columns}
         return frame
 
     def to_csv(self) -> str:
-        """The CSV's text; each number as the shortest decimal that reads back as the same."""
+        """The CSV's text; each number as the shortest decimal that reads back as the same.
+
+        Returns
+        -------
+        str
+        """
         return self._inner.to_csv()
 
     def to_sidecar(self) -> str:
-        """The text of ``NAME.run.toml``."""
+        """The text of ``NAME.run.toml``.
+
+        Returns
+        -------
+        str
+        """
         return self._inner.to_sidecar()
 
     def write(self, path: Place | None = None) -> Record:
-        """Writes sidecar and CSV, each whole or not at all; to ``path`` (``NAME.run.toml``) where it is given."""
+        """Writes sidecar and CSV, each whole or not at all; to ``path`` (``NAME.run.toml``) where it is given.
+
+        Parameters
+        ----------
+        path : path, optional
+            ``NAME.run.toml``; its own where left out.
+
+        Returns
+        -------
+        Record
+            The same, with the hash of what was written.
+        """
         to = os.fspath(self.path if path is None else path)
         if os.path.basename(to) == ".run.toml":
             raise ValueError(f"found the file {to!r}, expected NAME.run.toml")
         return Record(self._inner.write(to))
 
     def suspicions(self) -> list[dict[str, Any]]:
-        """Mistakes that the record itself shows: ``column``, ``rows``, ``what``, ``text``."""
+        """Mistakes that the record itself shows: ``column``, ``rows``, ``what``, ``text``.
+
+        Returns
+        -------
+        list of dict
+        """
         return list(json.loads(self._inner.suspicions()))
 
 
@@ -146,8 +215,9 @@ def _again(
     about: Mapping[str, Any],
     radius: float | None,
     plane: tuple[str, str] | None,
+    sha256: str = "",
 ) -> Record:
-    return record(path, kind, columns, radius_mm=radius, plane=plane, log=True, **about)
+    return _made(path, kind, columns, None, about, radius, plane, True, sha256)
 
 
 def _numbers(name: str, role: str, values: Any) -> Numbers:
@@ -164,7 +234,19 @@ def _numbers(name: str, role: str, values: Any) -> Numbers:
 
 
 def read_record(path: Place, *, log: bool = False) -> Record:
-    """Reads a run record from its sidecar ``NAME.run.toml``; ``log``: it need not have a response."""
+    """Reads a run record from its sidecar ``NAME.run.toml``; ``log``: it need not have a response.
+
+    Parameters
+    ----------
+    path : path
+        Where it is, or will be.
+    log : bool
+        The record need not have a response.
+
+    Returns
+    -------
+    Record
+    """
     return Record(_rtec.Record.read(os.fspath(path), log=log))
 
 
@@ -187,7 +269,51 @@ def record(
     ``columns``: for each name its role and values, and for a channel its unit:
     ``{"y": ("position.y", y_mm), "e": ("error.y", e_um), "p": ("channel", p, "bar")}``; or a DataFrame with ``roles`` by name
     (columns without a role are left out). Values are in the role's unit, one per row, finite; a time may be ``timedelta64``. ``path`` is where it will stand.
+
+    Parameters
+    ----------
+    path : path
+        Where it is, or will be.
+    kind : str
+        ``positioning``, ``drift``, ``ballbar``, ``plate``, ``dynamics``, ``probing``, ``feed_sweep`` or ``part``.
+    columns : mapping or pandas.DataFrame
+        Role and values by name; each array has shape ``(rows,)``.
+    roles : mapping of str to str, optional
+        Roles by the DataFrame's columns.
+    count_um : float, optional
+        What one count is worth, µm.
+    date : str, optional
+        The day that the result carries, ``YYYY-MM-DD``; today where left out.
+    note : str, optional
+        Free words.
+    zero : str, optional
+        Name of the gauges' zero.
+    radius_mm : float, optional
+        A circle's nominal radius; a ballbar's length, mm.
+    plane : pair of str, optional
+        A ballbar's axes: angles go from the first towards the second.
+    log : bool
+        The record need not have a response.
+
+    Returns
+    -------
+    Record
     """
+    about = {"count_um": count_um, "date": date, "note": note, "zero": zero}
+    return _made(path, kind, columns, roles, about, radius_mm, plane, log, None)
+
+
+def _made(
+    path: Place,
+    kind: str,
+    columns: Mapping[str, tuple[Any, ...]] | pd.DataFrame,
+    roles: Mapping[str, str] | None,
+    about: Mapping[str, Any],
+    radius_mm: float | None,
+    plane: tuple[str, str] | None,
+    log: bool,
+    sha256: str | None,
+) -> Record:
     if roles is not None:
         columns = {name: (role, np.asarray(columns[name])) for name, role in roles.items()}
     given: list[tuple[str, str, str | None, Numbers]] = []
@@ -200,9 +326,9 @@ def record(
         given.append((str(name), str(of[0]), of[2] if len(of) == 3 else None, values))
     if (radius_mm is None) != (plane is None):
         raise ValueError("radius_mm and plane stand together: a ballbar's length and its two axes")
-    circle = None if radius_mm is None or plane is None else (radius_mm, list(plane))
+    circle = None if radius_mm is None or plane is None else (radius_mm, names("plane", plane))
     inner = _rtec.Record(
-        os.fspath(path), kind, given, count_um=count_um, date=date, note=note, zero=zero, circle=circle, log=log
+        os.fspath(path), kind, given, circle=circle, log=log, sha256=sha256, **about
     )
     return Record(inner)
 
@@ -230,12 +356,49 @@ def import_record(
     ``format``: ``csv``, ``own``, ``rtl``, ``etalon``, ``halsampler``, ``shdr``, ``cmm-plate``, ``ecmc-dat``, ``linuxcnc-comp0`` or
     ``linuxcnc-comp1``. ``columns``: roles by name, with the unit where it is not the role's own, ``{"gz": "error.z:mm"}``.
     ``decimal``: ``point`` or ``comma``. ``out``: where it will stand, ``NAME.run.toml``.
+
+    Parameters
+    ----------
+    file : path
+        The other tool's file.
+    format : str
+        The name of the file's format.
+    out : path
+        Where the result will be.
+    axis : str, optional
+        The axis that was measured.
+    columns : mapping or sequence of str
+        Roles by name, with the unit where it is not the role's own.
+    kind : str
+        ``positioning``, ``drift``, ``ballbar``, ``plate``, ``dynamics``, ``probing``, ``feed_sweep`` or ``part``.
+    decimal : str, optional
+        ``point`` or ``comma``.
+    log : bool
+        The record need not have a response.
+    period_s : float, optional
+        Time between rows, s.
+    numbered : bool
+        The first column numbers the rows.
+    unit : str
+        ``mm`` or ``inch``: the unit of positions.
+    form : path, optional
+        A description of a format of one's own.
+    derive : bool
+        Add velocity and acceleration.
+    radius_mm : float, optional
+        A circle's nominal radius; a ballbar's length, mm.
+    plane : pair of str, optional
+        A ballbar's axes: angles go from the first towards the second.
+
+    Returns
+    -------
+    Record
     """
     if decimal not in (None, "point", "comma"):
         raise ValueError(f"found decimal {decimal!r}, expected 'point' or 'comma'")
     if (radius_mm is None) != (plane is None):
         raise ValueError("radius_mm and plane stand together: a ballbar's length and its two axes")
-    named = [f"{name}={role}" for name, role in columns.items()] if isinstance(columns, Mapping) else list(columns)
+    named = [f"{name}={role}" for name, role in columns.items()] if isinstance(columns, Mapping) else names("columns", columns)
     asked: dict[str, Any] = {
         "file": os.fspath(file),
         "format": format,
@@ -251,7 +414,7 @@ def import_record(
         "form": None if form is None else os.fspath(form),
         "derive": derive,
         "radius_mm": radius_mm,
-        "plane": None if plane is None else list(plane),
+        "plane": None if plane is None else names("plane", plane),
     }
     inner, said = _rtec.import_record(asked)
     say(said)

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import html as _html
 import json as _json
 import warnings
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from rtec._errors import for_python, needs
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -24,7 +27,7 @@ def say(said: list[str], depth: int = 3) -> tuple[str, ...]:
     """Lines said on the way: warnings become Python's, at the caller's line."""
     for line in said:
         if line.startswith("warning: "):
-            warnings.warn(line.removeprefix("warning: "), InputWarning, stacklevel=depth)
+            warnings.warn(for_python(line.removeprefix("warning: ")), InputWarning, stacklevel=depth)
     return tuple(said)
 
 
@@ -32,7 +35,28 @@ def say(said: list[str], depth: int = 3) -> tuple[str, ...]:
 Picture = dict[str, Any]
 
 
-@dataclass(frozen=True)
+def table(title: str, head: list[str], rows: list[list[str]]) -> str:
+    """A small table for a notebook."""
+
+    def line(tag: str, cells: list[str]) -> str:
+        return "<tr>" + "".join(f"<{tag}>{_html.escape(cell)}</{tag}>" for cell in cells) + "</tr>"
+
+    body = "".join(line("td", row) for row in rows)
+    return f"<table><caption>{_html.escape(title)}</caption>{line('th', head)}{body}</table>"
+
+
+def _intervals(effect: dict[str, Any]) -> str:
+    """The parameters of an effect with their 95 % intervals."""
+    parameters = effect.get("parameters", {})
+    each = [(name, *(_short(p[key]) for key in ("value", "low", "high"))) for name, p in parameters.items() if "low" in p]
+    return ", ".join(f"{name} = {value} ({low} to {high})" for name, value, low, high in each)
+
+
+def _short(value: Any) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+@dataclass(frozen=True, repr=False)
 class Result:
     """A document: as text, and as dictionaries and lists."""
 
@@ -44,8 +68,22 @@ class Result:
         """The document as dictionaries, lists, numbers and strings."""
         return _json.loads(self.json)
 
+    def _facts(self) -> list[tuple[str, str]]:
+        """What a person wants to see first: figures and words that the document holds at its top."""
+        if isinstance(self.document, list):
+            return [("entries", str(len(self.document)))]
+        plain = (bool, int, float, str)
+        return [(name, _short(v)) for name, v in self.document.items() if isinstance(v, plain)][:12]
 
-@dataclass(frozen=True)
+    def __repr__(self) -> str:
+        facts = ", ".join(f"{name} {value}" for name, value in self._facts())
+        return f"<rtec.{type(self).__name__} {facts}>"
+
+    def _repr_html_(self) -> str:
+        return table(type(self).__name__, ["", ""], [list(fact) for fact in self._facts()])
+
+
+@dataclass(frozen=True, repr=False)
 class Drawn(Result):
     """A result with plots, and with what was said on the way."""
 
@@ -59,13 +97,20 @@ class Drawn(Result):
         return list(_json.loads(self.pictures_json))
 
     def plots(self) -> list[Figure]:
-        """The plots of its report, as figures of matplotlib."""
-        from rtec import plots
+        """The plots of its report, as figures of matplotlib.
 
+        Returns
+        -------
+        list of matplotlib.figure.Figure
+        """
+        try:
+            from rtec import plots
+        except ModuleNotFoundError:
+            raise needs("matplotlib", "plots") from None
         return plots.of(self)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Evaluation(Drawn):
     """Figures of a standard; keys as the standard's symbols (``A``, ``E_up``, ``R`` …), in µm."""
 
@@ -75,14 +120,14 @@ class Evaluation(Drawn):
     html: str = field(default="", repr=False)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Fit(Drawn):
     """A fit: how it was found (the document), and the model with it."""
 
     machine: Machine = field(default=None, repr=False)  # type: ignore[assignment]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class ChainFit(Drawn):
     """A chain's fit: ``terms`` with value and interval, ``rms_um`` before and after for each record and response."""
 
@@ -90,11 +135,17 @@ class ChainFit(Drawn):
     text: str = field(default="", repr=False)
 
     def write(self, path: str | Path) -> None:
-        """Writes the chain whole or not at all."""
+        """Writes the chain whole or not at all.
+
+        Parameters
+        ----------
+        path : path
+            Where it is, or will be.
+        """
         whole(path, self.text)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Validation(Drawn):
     """A model judged on records: ``responses`` (``rms``, ``rms_without_model``, ``coverage`` …), ``no_better``, ``suspicions``."""
 
@@ -104,7 +155,7 @@ class Validation(Drawn):
         return list(self.document["no_better"])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Table(Result):
     """A controller's table: ``points``, ``step_mm``, what it leaves of the model (``max_up_um``, ``rms_um`` …), ``warnings``."""
 
@@ -113,11 +164,17 @@ class Table(Result):
     said: tuple[str, ...] = ()
 
     def write(self, path: str | Path) -> None:
-        """Writes the file whole or not at all."""
+        """Writes the file whole or not at all.
+
+        Parameters
+        ----------
+        path : path
+            Where it is, or will be.
+        """
         whole(path, self.text)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Verdict(Drawn):
     """What a model lacks: ``verdict``, ``where``, ``effects``, ``gap`` and more stand in the document."""
 
@@ -127,6 +184,17 @@ class Verdict(Drawn):
     html: str = field(default="", repr=False)
     #: Where something has no name and a curve was wanted: the file of its law.
     laws: str | None = field(default=None, repr=False)
+
+    def _facts(self) -> list[tuple[str, str]]:
+        facts = [("verdict", self.verdict)]
+        for effect in self.effects:
+            facts.append((str(effect["name"]), _intervals(effect)))
+        for effect in self.document.get("refined", []):
+            facts.append((f"{effect['name']} corrected", _intervals(effect)))
+        gap = self.document.get("gap")
+        if isinstance(gap, dict):
+            facts += [(f"gap {name}", _short(v)) for name, v in gap.items() if isinstance(v, (int, float))]
+        return facts
 
     @property
     def verdict(self) -> str:
@@ -139,7 +207,7 @@ class Verdict(Drawn):
         return list(self.document["effects"])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Plan(Result):
     """A sequence of runs; the document is a list of them."""
 
@@ -148,7 +216,7 @@ class Plan(Result):
     said: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Design(Result):
     """Designs of insertion side by side."""
 
@@ -156,7 +224,7 @@ class Design(Result):
     text: str = field(default="", repr=False)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Replay(Result):
     """What the controller would have counted."""
 
@@ -164,7 +232,7 @@ class Replay(Result):
     sound: bool = False
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class PartErrors(Drawn):
     """A feature's errors: ``errors`` (``angle_rad``, ``error_um``), ``centre_mm``, ``sd_before_um`` …"""
 
@@ -174,11 +242,14 @@ class PartErrors(Drawn):
     whisker_svg: str = field(default="", repr=False)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Simulation(Result):
     """An experiment's figures, and its records: not written yet."""
 
     records: list[Record] = field(default_factory=list)
+
+    def _facts(self) -> list[tuple[str, str]]:
+        return [("records", ", ".join(run.file for run in self.records)), *super()._facts()]
 
 
 def whole(path: str | Path, text: str) -> None:

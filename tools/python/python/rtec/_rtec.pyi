@@ -5,16 +5,6 @@ from numpy.typing import NDArray
 
 _Numbers = NDArray[np.float64]
 
-class RtecError(Exception): ...
-class Bug(RuntimeError): ...
-
-class InputError(ValueError):
-    file: str
-    line: int
-    column: int
-    found: str
-    expected: str
-
 @final
 class Record:
     def __new__(
@@ -28,6 +18,7 @@ class Record:
         note: str | None = None,
         zero: str | None = None,
         circle: tuple[float, list[str]] | None = None,
+        sha256: str | None = None,
         log: bool = False,
     ) -> Record: ...
     @staticmethod

@@ -212,12 +212,8 @@ fn one_drift_is_one_law_or_both_say_why_not() {
 /// A real spindle's warm-up, every eighth minute (`../shared/data`, not part of the project).
 #[test]
 fn a_real_spindle_has_one_choice_or_both_say_why_not() {
-    let path =
-        Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data/spindle_thermal/first_half.csv");
-    let Ok(text) = std::fs::read_to_string(&path) else {
-        eprintln!("SKIPPED: ../shared/data/spindle_thermal/first_half.csv not there");
-        return;
-    };
+    let Some(path) = test_needs::shared("data/spindle_thermal/first_half.csv") else { return };
+    let text = std::fs::read_to_string(&path).unwrap();
     let mut lines = text.lines();
     let names: Vec<&str> = lines.next().unwrap().split(',').collect();
     let mut data: Vec<Vec<f64>> = vec![Vec::new(); names.len()];

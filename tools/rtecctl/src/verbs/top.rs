@@ -4,11 +4,11 @@ mod view;
 
 use crate::Outcome;
 use crate::daemon::{Daemon, observe};
+use crate::screen::{Key, Screen, keys};
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 use nix::sys::signal::{SigSet, Signal};
 use nix::sys::signalfd::{SfdFlags, SignalFd};
-use ratatui::DefaultTerminal;
-use ratatui::crossterm::event::{self, Event, KeyCode, KeyEventKind, KeyModifiers};
+use ratatui::Terminal;
 use rtec_control::client::Client;
 use rtec_control::protocol::Observed;
 use std::io::IsTerminal;
@@ -65,10 +65,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let daemon = args.daemon.clone();
     std::thread::spawn(move || look(&daemon, every, &to));
     let colour = crate::terminal::colours_are_wanted();
-    let mut terminal = ratatui::try_init()?;
-    let done = show(&mut terminal, &looks, &signals, View::new(colour, every));
-    ratatui::restore();
-    done
+    let mut terminal = Terminal::new(Screen::take()?)?;
+    terminal.clear()?;
+    show(&mut terminal, &looks, &signals, View::new(colour, every))
 }
 
 /// Looks again and again, until nobody listens any more.
@@ -104,7 +103,7 @@ fn once(daemon: &Daemon, client: &mut Option<Client>, last: &mut u64) -> anyhow:
 }
 
 fn show(
-    terminal: &mut DefaultTerminal,
+    terminal: &mut Terminal<Screen>,
     looks: &Receiver<Look>,
     signals: &SignalFd,
     mut view: View,
@@ -120,17 +119,12 @@ fn show(
         if signals.read_signal()?.is_some() || hung_up()? {
             return Ok(());
         }
-        while event::poll(Duration::ZERO)? {
-            let Event::Key(key) = event::read()? else { continue };
-            if key.kind != KeyEventKind::Press {
-                continue;
-            }
-            match key.code {
-                KeyCode::Char('c') if key.modifiers.contains(KeyModifiers::CONTROL) => return Ok(()),
-                KeyCode::Char('q') => return Ok(()),
-                KeyCode::Char('?' | 'h') => view.help = !view.help,
-                KeyCode::Esc => view.help = false,
-                _ => {}
+        for key in keys()? {
+            match key {
+                Key::Interrupt | Key::Letter('q') => return Ok(()),
+                Key::Letter('?' | 'h') => view.help = !view.help,
+                Key::Escape => view.help = false,
+                Key::Letter(_) => {}
             }
         }
         terminal.draw(|frame| view.draw(frame))?;

@@ -184,7 +184,7 @@ fn same_seed_same_bytes_another_seed_others() {
         let records: String = f
             .records
             .iter()
-            .map(|r| rtec_measure::record::to_csv(r) + &rtec_measure::record::to_sidecar(r))
+            .map(|r| rtec_records::record::to_csv(r) + &rtec_records::record::to_sidecar(r))
             .collect();
         records + &f.plots.iter().map(|p| p.1.as_str()).collect::<String>()
     };

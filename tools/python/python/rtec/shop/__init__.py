@@ -11,8 +11,13 @@ The store is a folder or an object store, whatever fsspec reaches by its URL::
 machines share, machines that left their history, models near their end.
 """
 
-from rtec.shop._across import drifting, shared
-from rtec.shop._assess import Assessment, assess
-from rtec.shop._store import SCHEMA, Shop, ship
+from rtec._errors import needs
+
+try:
+    from rtec.shop._across import drifting, shared
+    from rtec.shop._assess import Assessment, assess
+    from rtec.shop._store import SCHEMA, Shop, ship
+except ModuleNotFoundError as missing:
+    raise needs(missing.name or "a package", "shop") from None
 
 __all__ = ["SCHEMA", "Assessment", "Shop", "assess", "drifting", "shared", "ship"]

@@ -96,11 +96,11 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     }
     if let Some(folder) = &args.out {
         let (table, svg, dxf) =
-            (report.error_cor(args.with_size), report.whisker_svg(), report.whisker_dxf()?);
+            (report.error_cor(args.with_size), report.whisker_svg(), report.whisker_dxf());
         let files = [
             ("error.cor", table.as_bytes()),
             ("whisker.svg", svg.as_bytes()),
-            ("whisker.dxf", dxf.as_slice()),
+            ("whisker.dxf", dxf.as_bytes()),
         ];
         write_all(folder, &files)?;
     }

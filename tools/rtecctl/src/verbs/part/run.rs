@@ -74,7 +74,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             write_all(&folder.join(step), &[(file, content)])?;
         }
         for (step, report) in &outcome.reports {
-            write_all(&folder.join(step), &[("whisker.dxf", report.whisker_dxf()?.as_slice())])?;
+            write_all(&folder.join(step), &[("whisker.dxf", report.whisker_dxf().as_bytes())])?;
         }
         if let Some(contour) = &drawn {
             write_drawn(folder, contour)?;

@@ -1,0 +1,11 @@
+//! Run records of a machine tool, as the daemon and the evaluations need them alike.
+//!
+//! | module | what |
+//! |---|---|
+//! | [`record`] | run records, read strictly and written whole |
+//! | [`spool`] | finished records on their way to the shop's store |
+//!
+//! What must not live here: what a record shows (`rtec-measure`), and charts.
+
+pub mod record;
+pub mod spool;
