@@ -5,7 +5,7 @@ use std::path::Path;
 
 fn page(name: &str) -> String {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
-    let text = std::fs::read_to_string(root.join(name)).unwrap();
+    let text = std::fs::read_to_string(root.join(name)).expect("a file of the repository");
     // A sentence may go on in the next line.
     text.split_whitespace().collect::<Vec<_>>().join(" ")
 }

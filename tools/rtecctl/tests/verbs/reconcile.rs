@@ -120,7 +120,7 @@ fn each_stage_does_its_own_part() {
 
 /// A record of X by its rows: time, position, error.
 fn of_x(folder: &std::path::Path, rows: impl Iterator<Item = [f64; 3]>) {
-    let rows: String = rows.map(|[t, p, e]| format!("{t},{p},{e:.4}\n")).collect();
+    let rows = rows.map(|[t, p, e]| format!("{t},{p},{e:.4}\n")).collect::<Vec<_>>().concat();
     std::fs::write(folder.join("run.csv"), format!("t,p,e\n{rows}")).unwrap();
     let columns = "[columns]\nt = { role = \"time\", unit = \"s\" }\np = { role = \"position.x\", unit = \"mm\" }\n\
                    e = { role = \"error.x\", unit = \"um\" }\n";
@@ -212,7 +212,7 @@ fn the_first_stage_finds_time_period_and_place() {
 #[test]
 fn an_unknown_in_x_hides_no_reversal_in_z() {
     let folder = tempfile::tempdir().unwrap();
-    let rows: String = (0..240)
+    let rows = (0..240)
         .map(|i| {
             let (t, p) = (5.0 * f64::from(i), f64::from(i % 24) * 10.0);
             // Up the targets and down again.
@@ -222,7 +222,8 @@ fn an_unknown_in_x_hides_no_reversal_in_z() {
             let saw = 8.0 * ((f64::from(i) / 90.0).fract() - 0.5) + scatter(i);
             format!("{t},{z},{dir},{saw:.4},{:.4}\n", 3.0 * dir + scatter(5000 + i))
         })
-        .collect();
+        .collect::<Vec<_>>()
+        .concat();
     std::fs::write(folder.path().join("run.csv"), format!("t,z,dir,ex,ez\n{rows}")).unwrap();
     let columns = "[columns]\nt = { role = \"time\", unit = \"s\" }\nz = { role = \"position.z\", unit = \"mm\" }\n\
                    dir = { role = \"direction.z\", unit = \"1\" }\nex = { role = \"error.x\", unit = \"um\" }\n\
