@@ -31,8 +31,6 @@ pub const ROUNDS: usize = 6;
 pub const SETTLED: (f64, f64) = (0.1, 0.08);
 /// Steps of the noise of one set.
 pub const NOISE_STEPS: usize = 3;
-/// Steps of the noise's size and of the weights of the rows in its tails.
-pub const SCALE_STEPS: usize = 12;
 /// Hypotheses that are tried under their own noise.
 pub const UNDER_NOISE: usize = 4;
 /// Rows on either side of a step at which it may have been as well.

@@ -304,15 +304,7 @@ fn under_own_noise(search: &Search<'_>, set: &Set) -> Option<(Set, Noise)> {
     let seeds = search.seeds(set, &look, false);
     let (now, _) = with_own_noise(search, set);
     let mut best: Option<(f64, Set, Noise)> = None;
-    let mut tried: Vec<usize> = Vec::new();
-    for seed in seeds.iter().filter(|s| s.score > -HOPELESS) {
-        if tried.len() == UNDER_NOISE {
-            break;
-        }
-        if tried.contains(&seed.family) {
-            continue;
-        }
-        tried.push(seed.family);
+    for seed in seeds.iter().take(UNDER_NOISE).filter(|s| s.score > -HOPELESS) {
         let Some(with) = search.with(set, &search.refined(&set.factor, seed)) else { continue };
         let (total, noise) = with_own_noise(search, &with);
         if total > best.as_ref().map_or(now, |b| b.0) {

@@ -1,6 +1,6 @@
 //! The measurement model y = M(θ) + Z(η) + H(β, ψ) + e, linear in all but ψ: what is beside every hypothesis.
 
-use crate::effort::{OUT_OF_STEP, SCALE_STEPS};
+use crate::effort::OUT_OF_STEP;
 use crate::factor::{Factor, add, dot};
 use crate::priors::{CHANCE, KNOWN_SHARE, MOST_PHI, NOISE, PERIOD_SHARE, TAIL_FREEDOM, TAIL_FROM};
 use crate::rows::{Noise, Rows};
@@ -117,25 +117,6 @@ pub fn in_step(rows: &Rows<'_>, model: &[Effect]) -> Vec<Effect> {
         }
     }
     model
-}
-
-/// Weight of a row that is so many standard deviations off.
-fn share(off: f64) -> f64 {
-    ((TAIL_FREEDOM + TAIL_FROM * TAIL_FROM) / (TAIL_FREEDOM + off * off)).min(1.0)
-}
-
-/// Size of the noise that rows of these sizes and weights show: beginning at the middle of them, until the rows in its tails weigh what
-/// it says.
-fn scale_of(mut sizes: Vec<(f64, f64)>, leverage: f64, least: f64) -> f64 {
-    let n = sizes.len() as f64;
-    sizes.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let mut scale = (1.4826 * sizes[sizes.len() / 2].0).max(1e-3);
-    for _ in 0..SCALE_STEPS {
-        let of = |(x, own): &(f64, f64)| (x * own).powi(2) * share(x / scale);
-        let squares: f64 = sizes.iter().map(of).sum();
-        scale = ((squares + leverage) / n).sqrt().clamp(1e-3, 1e3).max(least);
-    }
-    scale
 }
 
 /// Log likelihood gained by columns of any size.
@@ -278,17 +259,22 @@ impl<'r> Problem<'r> {
             if n < 1.0 {
                 continue;
             }
-            // Each row's remainder in the noise's size, as if it counted whole.
-            let mut sizes = Vec::new();
+            let mut squares = 0.0;
             let mut leverage = 0.0;
+            let mut sizes = Vec::new();
             for s in &segments {
-                let whole = s.rows.clone().map(|i| ((e[i] / noise.weight[i]).abs(), self.weights[i]));
-                sizes.extend(whole);
+                let part = &e[s.rows.clone()];
+                squares += dot(part, part);
+                sizes.extend(part.iter().zip(&noise.weight[s.rows.clone()]).map(|(x, w)| (x / w).abs()));
                 for q in factor.columns() {
                     leverage += dot(&q[s.rows.clone()], &q[s.rows.clone()]);
                 }
             }
-            let scale = scale_of(sizes, leverage.min(0.9 * n), self.floors[j] / noise.sigma[j]);
+            leverage = leverage.min(0.9 * n);
+            let scale = ((squares + leverage) / n).sqrt().clamp(1e-3, 1e3);
+            // Robust size of the middle of the rows, for their weights.
+            sizes.sort_by(f64::total_cmp);
+            let middle = (1.4826 * sizes[sizes.len() / 2]).max(0.3 * scale).max(1e-9);
             let (mut all, mut with, mut count) = (0.0, 0.0, 0.0);
             for s in &segments {
                 let (sigma, phi) = (noise.sigma[j], noise.phi[j]);
@@ -297,7 +283,7 @@ impl<'r> Problem<'r> {
                 for (i, row) in s.rows.clone().enumerate() {
                     let step = e[row] / noise.weight[row] * sigma;
                     let now = if i == 0 { step / (1.0 - phi * phi).sqrt() } else { step + phi * before };
-                    let limit = 4.0 * scale * sigma / (1.0 - phi * phi).sqrt();
+                    let limit = 4.0 * middle * sigma / (1.0 - phi * phi).sqrt();
                     raw.push(now.clamp(-limit, limit));
                     before = now;
                 }
@@ -305,10 +291,12 @@ impl<'r> Problem<'r> {
                 with += raw.windows(2).map(|w| w[0] * w[1]).sum::<f64>();
                 count += raw.len() as f64;
                 for row in s.rows.clone() {
-                    new.weight[row] = self.weights[row] * share(e[row] / noise.weight[row] / scale).sqrt();
+                    let off = (e[row] / noise.weight[row] / middle).powi(2);
+                    let less = (TAIL_FREEDOM + TAIL_FROM * TAIL_FROM) / (TAIL_FREEDOM + off);
+                    new.weight[row] = self.weights[row] * less.min(1.0).sqrt();
                 }
             }
-            new.sigma[j] = (noise.sigma[j] * scale).max(1e-9);
+            new.sigma[j] = (noise.sigma[j] * scale).max(1e-9).max(self.floors[j]);
             // Steps of a coarse gauge are counted by their weights, not by a memory.
             let most = if self.floors[j] > 0.0 { 0.0 } else { MOST_PHI };
             new.phi[j] = (with / all.max(1e-300) + (leverage + 1.0) / count).clamp(0.0, most);

@@ -685,7 +685,7 @@ impl<'p> Search<'p> {
     }
 
     /// A wave whose size changes along its way, beside a seed that is a wave: it has no name.
-    fn changing(&self, seed: &Seed, rough: bool) -> Option<Seed> {
+    fn changing(&self, seed: &Seed) -> Option<Seed> {
         let Scan::Wave { along, .. } = &self.family(seed.family).scan else { return None };
         let effect = seed.cause.effect()?;
         let shape = crate::cause::Shape::like(self.problem.rows, effect, "periodic, of changing size")?;
@@ -695,7 +695,7 @@ impl<'p> Search<'p> {
             .iter()
             .position(|f| f.shape.as_ref().is_some_and(|s| s.response == shape.response))?;
         let basis = seed.cause.columns(self.problem.rows);
-        let columns = changing_wave(self.problem.rows, &basis, &along.places(self.problem.rows.n), rough);
+        let columns = changing_wave(self.problem.rows, &basis, &along.places(self.problem.rows.n));
         if columns.is_empty() {
             return None;
         }
@@ -728,7 +728,7 @@ impl<'p> Search<'p> {
             let wave = matches!(self.family(seed.family).scan, Scan::Wave { .. });
             if wave && waves < 2 {
                 waves += 1;
-                own.extend([false, true].into_iter().filter_map(|rough| self.changing(&seed, rough)));
+                own.extend(self.changing(&seed));
             }
             if wave {
                 pairs.extend(self.with(set, &seed).and_then(|p| self.with_beside(&p)));

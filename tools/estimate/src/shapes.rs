@@ -452,9 +452,9 @@ fn two_temperatures(r: &Response<'_>, out: &mut Vec<Shaped>) {
     }
 }
 
-/// A wave whose size changes along its way, smoothly or not: for a frequency that the rows show.
+/// A wave whose size changes along its way: for a frequency that the rows show.
 #[must_use]
-pub fn changing_wave(rows: &Rows<'_>, basis: &[Vec<f64>], along: &[f64], rough: bool) -> Vec<Vec<f64>> {
+pub fn changing_wave(rows: &Rows<'_>, basis: &[Vec<f64>], along: &[f64]) -> Vec<Vec<f64>> {
     let shown: Vec<usize> = (0..rows.n).filter(|i| basis.iter().any(|b| b[*i] != 0.0)).collect();
     let values: Vec<f64> = shown.iter().map(|i| along[*i]).collect();
     let knots = knots(&values, KNOTS);
@@ -462,9 +462,7 @@ pub fn changing_wave(rows: &Rows<'_>, basis: &[Vec<f64>], along: &[f64], rough: 
         return Vec::new();
     }
     let range = knots[knots.len() - 1] - knots[0];
-    let (kernel, most) =
-        if rough { (Kernel::Rough(range), 3 * CHANGING) } else { (Kernel::Smooth(0.15 * range), CHANGING) };
-    let found = directions(&knots, kernel, &[], most);
+    let found = directions(&knots, Kernel::Smooth(0.15 * range), &[], CHANGING);
     let mut out = Vec::new();
     for b in basis {
         for d in &found {
@@ -476,7 +474,7 @@ pub fn changing_wave(rows: &Rows<'_>, basis: &[Vec<f64>], along: &[f64], rough: 
             out.push(column);
         }
     }
-    let total = (out.len().min(2 * CHANGING) as f64).sqrt();
+    let total = (out.len() as f64).sqrt();
     for c in &mut out {
         let copy = c.clone();
         add(c, 2.0 / total - 1.0, &copy);
