@@ -86,8 +86,11 @@ fn it_shows_the_machine_and_outlives_its_daemon() {
     terminal.tmux(&["send-keys", "q"]);
     terminal.shows("ended with 0");
 
-    // As the terminal writes the colours of a palette.
-    let coloured = |terminal: &Terminal| terminal.tmux(&["capture-pane", "-p", "-e"]).contains("38;5;");
+    // As the terminal writes the foreground's eight colours.
+    let coloured = |terminal: &Terminal| {
+        let screen = terminal.tmux(&["capture-pane", "-p", "-e"]);
+        (30..38).any(|code| ['[', ';'].iter().any(|from| screen.contains(&format!("{from}{code}m"))))
+    };
     let plain = Terminal::start(directory.path(), &socket, (90, 25), "NO_COLOR=1");
     plain.shows("DISABLED");
     assert!(!coloured(&plain));

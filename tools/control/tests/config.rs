@@ -311,7 +311,7 @@ fn a_window_that_is_not_given_is_12_um() {
         [("1.0", 1000, 12), ("0.1", 1000, 120), ("5.0", 1000, 2), ("20.0", 1000, 2), ("1.0", 9, 9)]
     {
         let text = format!(
-            "[machine]\nname = 'm'\n[card]\nbackend = 'mock'\n[[axis]]\nname = 'x'\ncount_um = {count_um}\ntravel_mm = 9\n\
+            "[machine]\nname = 'm'\n[card]\nbackend = 'mock'\n[[axis]]\nname = 'x'\ncount_um = {count_um}\ntravel_mm = 900\n\
              max_correction_counts = {max}\nmin_separation_ns = 500\n"
         );
         let config = Config::parse(Path::new("rtec.toml"), &text).unwrap();

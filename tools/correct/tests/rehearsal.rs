@@ -127,7 +127,7 @@ fn rows_that_hold_and_rows_outside_are_shares() {
 /// As many axes as the engine has, each once: those of the shift and those that only a model knows.
 #[test]
 fn axes_of_shift_and_models_are_counted_once_and_are_no_more_than_the_engines() {
-    let names = ["x", "y", "z", "a", "b", "c", "u"];
+    let names = ["x", "y", "z", "u", "v", "w", "p"];
     let run = |of_shift: usize, of_model: usize| {
         let columns = names[..of_shift].iter().map(|n| position(n, vec![0.0, 100.0])).collect();
         let models: String = names[..of_model].iter().map(|n| scale(n, 100.0)).collect();

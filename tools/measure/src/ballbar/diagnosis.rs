@@ -310,9 +310,13 @@ impl<'t> Fit<'t> {
             n += t.radial.len();
             // Set-up and radius may lie beyond what a machine's error may be.
             y.extend(t.angle.iter().zip(&t.radial).map(|(p, e)| e - radius - a * p.cos() - b * p.sin()));
-            // Where a contour begins, and where the other sense does after a pause, an axis may have turned unseen.
-            let begun: Vec<Range<usize>> =
-                t.contours.iter().map(|(rows, _)| begun(&t.angle, rows)..rows.end).collect();
+            // Where the record begins, and where the other sense does after a pause, an axis may have turned unseen; in one sense a circle
+            // goes on where the one before it ended.
+            let of = |(k, (rows, sense)): (usize, &(Range<usize>, f64))| {
+                let goes_on = k > 0 && t.contours[k - 1].1 * sense > 0.0;
+                if goes_on { rows.clone() } else { begun(&t.angle, rows)..rows.end }
+            };
+            let begun: Vec<Range<usize>> = t.contours.iter().enumerate().map(of).collect();
             let own: Vec<bool> = (0..t.angle.len())
                 .map(|i| begun.iter().any(|rows| rows.contains(&i)) && !turns(t, t.angle[i], settled_mm))
                 .collect();

@@ -37,6 +37,10 @@ class InputError(RtecError, ValueError):
     found: str = ""
     expected: str = ""
 
+    def __reduce__(self) -> tuple[object, tuple[object, ...]]:
+        missing = isinstance(self, MissingFileError)
+        return input_error, (self.args[0], self.file, self.line, self.column, self.found, self.expected, missing)
+
 
 class MissingFileError(InputError, FileNotFoundError):
     """A file that is not there."""

@@ -200,8 +200,9 @@ class Machine:
 
         ``format``: ``linuxcnc``, ``linuxcnc-type1``, ``ssfk`` (with ``axis_number``), ``siemens`` (with ``axis_name`` and
         ``reference_mm``), ``siemens-cec`` (with ``along``, ``along_name``, ``positive_moves`` and ``table`` beside those),
-        ``csv`` or ``own`` (with ``form``). ``along``: another axis that the table goes along (squareness, straightness, sag). ``temperatures`` in °C by sensor, others stand at 20; ``at_mm``: where
-        the other axes stand, else 0. ``limit_um``: how far it may be off the model between its positions.
+        ``csv`` or ``own`` (with ``form``). ``along``: another axis that the table goes along (squareness, straightness, sag).
+        ``temperatures`` in °C by sensor, others stand at 20; ``at_mm``: where the other axes stand, else 0. ``limit_um``: how
+        far it may be off the model between its positions.
 
         Parameters
         ----------
@@ -225,6 +226,14 @@ class Machine:
             Where the other axes are, mm; else 0.
         unit : str
             ``mm`` or ``inch``: the unit of positions.
+        along : str, optional
+            Another axis that the table goes along.
+        along_name : str, optional
+            Siemens: that axis.
+        table : int
+            Siemens: the number of the table, from 0.
+        positive_moves : str, optional
+            Siemens: whether a positive value moves the axis ``up`` or ``down``.
         axis_name : str, optional
             Siemens: the axis.
         encoder : int

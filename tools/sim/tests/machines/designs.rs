@@ -196,11 +196,11 @@ fn the_ecc_works_in_its_lock_range_only() {
         assert_eq!((seen.error_counts(), seen.illegal), (0, 0));
         assert!(seen.worst_phase_deg > 20.0);
     }
-    // Outside it does not: the VCO runs on its own, and what is booked is not what was added.
-    assert!([85_000.0, 120_000.0, 300.0, 150.0].into_iter().any(|hz| {
+    // Outside it does not, the VCO runs on its own: no addition begins there, so none goes wrong.
+    for hz in [85_000.0, 120_000.0, 300.0, 150.0] {
         let seen = run(hz);
-        seen.error_counts() != 0 || seen.illegal > 0
-    }));
+        assert_eq!((seen.completed, seen.error_counts(), seen.illegal), (0, 0, 0), "{hz} Hz");
+    }
 }
 
 /// What the CMTI paper does not say: a reversal while pulses are blocked or split leaves the MTC with a wrong count.
