@@ -73,8 +73,8 @@ pub const CHANGING: usize = 8;
 pub const HARMONICS: usize = 5;
 /// Times at which creep begins, in shares of a run.
 pub const CREEPS: [f64; 3] = [3e-3, 0.02, 0.1];
-/// Places closer than this are one, mm.
-pub const PLACE_MM: f64 = 0.05;
+/// Places that a millimetre has: closer together they are one.
+pub const PLACES_PER_MM: f64 = 20.0;
 /// Angles closer than this are one.
 pub const PLACE_RAD: f64 = std::f64::consts::TAU / 7200.0;
 /// Fewer rows have no shape.

@@ -1,7 +1,7 @@
 //! What belongs to how the instrument stood and never to the machine: free in every record, never named, never written into a
 //! model, never corrected live. One function per term; a new one is its function and a line in [`TERMS`].
 
-use crate::effort::{AIR_DIRECTIONS, MOST_PAUSES, MOST_PLACES};
+use crate::effort::{AIR_DIRECTIONS, MOST_PAUSES, MOST_PLACES, PLACES_PER_MM};
 use crate::priors::{
     AIR_S, AIR_UM, CENTRE_UM, CONTRIBUTION, KNOTS, LINE_HOURS, LINE_UM_PER_H, PAUSE_STEPS, PLACE_MM,
     TURN_URAD, ZERO_UM,
@@ -178,6 +178,12 @@ pub fn jumps(rows: &Rows<'_>) -> Vec<Term> {
     out
 }
 
+/// The number of the place that a position is at.
+#[must_use]
+pub fn place_of(mm: f64) -> i64 {
+    (mm * PLACES_PER_MM).round() as i64
+}
+
 /// The step in which numbers are written, where noise does not dither it: most repeats of one place and direction read the same. With
 /// it the groups of rows that share one reading in one direction.
 #[must_use]
@@ -195,7 +201,7 @@ pub fn coarse(y: &[f64], place: Option<&[f64]>, direction: Option<&[f64]>) -> Op
     let way = |i: usize| direction.map_or(0, |d| d[i] as i64);
     // Repeats: the next row at the same place in the same direction; without places the next row.
     let mut order: Vec<usize> = (0..y.len()).collect();
-    let at = |i: usize| place.map_or(0, |p| (p[i] * 20.0).round() as i64);
+    let at = |i: usize| place.map_or(0, |p| place_of(p[i]));
     order.sort_by_key(|i| (way(*i), at(*i), *i));
     let (mut repeats, mut same) = (0, 0);
     for w in order.windows(2).filter(|w| (way(w[0]), at(w[0])) == (way(w[1]), at(w[1]))) {
@@ -247,7 +253,7 @@ fn dithered(rows: &Rows<'_>, _: &[Effect], out: &mut Vec<Term>) {
         let mut groups: std::collections::BTreeMap<(i64, i64), Vec<usize>> =
             std::collections::BTreeMap::new();
         for i in 0..y.len() {
-            let key = ((place[i] * 20.0).round() as i64, direction.map_or(0, |d| d[i] as i64));
+            let key = (place_of(place[i]), direction.map_or(0, |d| d[i] as i64));
             groups.entry(key).or_default().push(i);
         }
         groups.retain(|_, g| g.len() > 1);

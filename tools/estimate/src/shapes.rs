@@ -3,12 +3,12 @@
 
 use crate::cause::Shape;
 use crate::effort::{
-    CHANGING, CREEPS, MOST_PLACES, MOST_SENSORS, PLACE_MM, PLACE_RAD, PLANE_RANK, SHAPE_FEWEST_ROWS,
-    SHAPE_RANK,
+    CHANGING, CREEPS, MOST_PLACES, MOST_SENSORS, PLACE_RAD, PLANE_RANK, SHAPE_FEWEST_ROWS, SHAPE_RANK,
 };
 use crate::factor::{add, dot};
 use crate::priors::{CONTRIBUTION, KNOTS, LENGTHS};
 use crate::rows::{Rows, Segment};
+use crate::setup::place_of;
 use crate::smooth::{Kernel, directions, knots, shares};
 use rtec_model::effect::sign;
 use rtec_model::record::{Axis, Role};
@@ -399,24 +399,25 @@ fn over_plane(r: &Response<'_>, out: &mut Vec<Shaped>) {
 fn place_by_place(r: &Response<'_>, out: &mut Vec<Shaped>) {
     let Some(first) = r.rows.segments.iter().find(|s| s.response == r.number) else { return };
     let mut labels: Vec<String> = Vec::new();
-    let mut places: Vec<Vec<f64>> = Vec::new();
+    let mut places: Vec<Vec<i64>> = Vec::new();
     for axis in r.rows.record(first).axes(Role::Position) {
         let Some(p) = r.role(&Role::Position(axis.clone())) else { return };
-        if r.own.iter().any(|i| (p[*i] - p[r.own[0]]).abs() > PLACE_MM) {
+        let at: Vec<i64> = p.iter().map(|mm| place_of(*mm)).collect();
+        if r.own.iter().any(|i| at[*i] != at[r.own[0]]) {
             labels.push(format!("position.{axis}"));
-            places.push(p.iter().map(|x| x / PLACE_MM).collect());
+            places.push(at);
         }
     }
     if let Some(angle) = r.role(&Role::Angle) {
         labels.push("angle".to_owned());
         let turn = (TAU / PLACE_RAD).round();
-        places.push(angle.iter().map(|x| (x / PLACE_RAD).round().rem_euclid(turn)).collect());
+        places.push(angle.iter().map(|x| (x / PLACE_RAD).round().rem_euclid(turn) as i64).collect());
     }
     let direction = r.direction().filter(|d| r.own.iter().any(|i| d.1[*i] * d.1[r.own[0]] < 0.0));
     for way in [None, direction] {
         let mut groups: BTreeMap<Vec<i64>, Vec<usize>> = BTreeMap::new();
         for i in &r.own {
-            let mut key: Vec<i64> = places.iter().map(|p| p[*i].round() as i64).collect();
+            let mut key: Vec<i64> = places.iter().map(|p| p[*i]).collect();
             key.extend(way.iter().map(|d| d.1[*i] as i64));
             groups.entry(key).or_default().push(*i);
         }
