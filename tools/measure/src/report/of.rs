@@ -551,6 +551,9 @@ pub fn history(h: &History) -> Result<Report, PlotError> {
     for left in &h.left_out {
         report.warn(&format!("{}: left out: {}", left.record, left.why));
     }
+    for figure in h.with_every_row() {
+        report.warn(&figure);
+    }
     let head = [
         "figure",
         "unit",
