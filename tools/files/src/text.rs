@@ -162,7 +162,7 @@ mod tests {
         }
         assert_eq!(decode(file, b"\xff\xfet\0,").unwrap_err().found, BROKEN_UTF16);
         assert_eq!(decode_western(file, b"T (\xb0C)\n").unwrap(), ("T (°C)\n".to_owned(), Some(WESTERN)));
-        assert_eq!(decode_western(file, b"t\0").unwrap(), ("t".to_owned(), Some("UTF-16")));
+        assert_eq!(decode_western(file, b"t\0\n\0").unwrap(), ("t\n".to_owned(), Some("UTF-16")));
         assert_eq!(decode_western(file, "T (°C)".as_bytes()).unwrap(), ("T (°C)".to_owned(), None));
         assert!(decode_western(file, b"\x89PNG\0").is_err());
         for (special, found) in [("/dev/zero", "a pipe, socket or device"), ("/tmp", "a folder")] {
