@@ -275,12 +275,28 @@ impl<R: Read> Reader<R> {
         if header.names().eq(names) {
             return Ok(());
         }
-        let text = format!("{}\n{}", header.text, String::from_utf8_lossy(self.lines.unread()));
         let finding = match header.is_missing() {
             Some(missing) => InputError { expected: format!("{expected} in front of them"), ..missing },
             None => header.finding(quoted(&header.text), expected),
         };
-        Err(FileKind::instead_of(None, &text, finding))
+        Err(self.instead_of(&header, finding))
+    }
+
+    /// A finding about the header, or that the file is one of another kind.
+    #[must_use]
+    pub fn instead_of(&self, header: &Header, finding: InputError) -> InputError {
+        let text = format!("{}\n{}", header.text, String::from_utf8_lossy(self.lines.unread()));
+        FileKind::instead_of(None, &text, finding)
+    }
+
+    /// No row was there, but comments that look like rows.
+    #[must_use]
+    pub fn rows_are_comments(&self) -> Option<InputError> {
+        let Commented { line, lines } = self.commented?;
+        let found = format!("{lines} lines that begin with # and have a row's cells, and no other row");
+        let expected =
+            "rows: a line that begins with # is a comment; put its first cell in quotes if it is a row";
+        Some(InputError::at(&self.lines.file, line, 1, found, expected))
     }
 
     /// Rows whose cells are parted by another ASCII character than a comma.
@@ -387,7 +403,7 @@ fn comment_at(line: &[u8], by: u8, width: Option<usize>) -> Option<usize> {
     None
 }
 
-/// Whether a comment has as many cells as a row, a word in the first and numbers in the others: `#1;2,5;3`.
+/// Whether a comment has as many cells as a row, a word in the first and a number in another: `#1;2,5;3`, `#1;D1;2,5`.
 fn looks_like_a_row(line: &[u8], by: u8, width: Option<usize>) -> bool {
     let Some(text) = line.trim_ascii().strip_prefix(b"#").and_then(|text| std::str::from_utf8(text).ok())
     else {
@@ -397,7 +413,7 @@ fn looks_like_a_row(line: &[u8], by: u8, width: Option<usize>) -> bool {
     let is_word =
         cells.next().is_some_and(|first| first.starts_with(|c: char| !c.is_whitespace() && c != '#'));
     let numbers = cells.clone().filter(|cell| number(&cell.trim().replace(',', ".")).is_some()).count();
-    is_word && numbers > 0 && width == Some(1 + numbers) && cells.count() == numbers
+    is_word && numbers > 0 && width == Some(1 + cells.count())
 }
 
 /// The cells of the next row that has no `#`, as far as the text goes.
@@ -464,7 +480,7 @@ impl<'a> Row<'a> {
         found.extend(cells.by_ref().take(N));
         let found =
             found.try_into().map_err(|short: Vec<_>| self.short(short.len(), N, names[short.len()]))?;
-        match cells.next() {
+        match cells.find(|cell| !cell.text().is_empty()) {
             Some(cell) => Err(cell.beyond(N, &names.join(","))),
             None => Ok(found),
         }
@@ -667,7 +683,10 @@ impl Header {
             let column = cell.column();
             (cell.text.into_owned(), column)
         };
-        let names = row.cells().map(named).collect();
+        let mut names: Vec<(String, usize)> = row.cells().map(named).collect();
+        // Separators at the line's end part nothing: spreadsheets write them where a column was once.
+        let named = names.iter().rposition(|(name, _)| !name.is_empty()).map_or(1, |last| last + 1);
+        names.truncate(named);
         Self { file: row.file.to_owned(), line: row.line, text: row.text.to_owned(), names }
     }
 
@@ -775,10 +794,21 @@ impl Header {
                 }
                 let names: Vec<&str> = self.names().collect();
                 let near = nearest(name, &names).map_or_else(String::new, |n| format!("; did you mean {n}?"));
+                let near = self.blanks_part([name]).map_or(near, str::to_owned);
                 let found = format!("no column {name}");
                 Err(self.finding(found, format!("a column {name} among {}{near}", self.shown())))
             }
         }
+    }
+
+    /// That blanks part the columns, where nothing else does and one of these names is there by itself then.
+    fn blanks_part<'n>(&self, names: impl IntoIterator<Item = &'n str>) -> Option<&'static str> {
+        let mut words =
+            names.into_iter().flat_map(|name| self.text.split_ascii_whitespace().map(move |w| w == name));
+        (self.names.len() == 1 && self.text.contains(' ') && words.any(|is_one| is_one)).then_some(
+            ", parted by commas, semicolons, tabs or |: blanks part these; write one of those in their place, or read the table by \
+             `characterise import --format own`, whose form has separator = \"blank\"",
+        )
     }
 
     /// A finding at a cell, with its column's name.
@@ -802,6 +832,7 @@ impl Header {
         for (n, (name, column)) in self.names.iter().enumerate() {
             if !known.contains(&name.as_str()) && !also(name) {
                 let near = nearest(name, known).map_or_else(String::new, |k| format!("; did you mean {k}?"));
+                let near = self.blanks_part(known.iter().copied()).map_or(near, str::to_owned);
                 let expected = format!("one of the columns {}{near}", known.join(", "));
                 let found = format!("column {}", quoted(name));
                 return Err(InputError::at(&self.file, self.line, *column, found, expected));
@@ -846,6 +877,9 @@ impl Header {
         let mut columns = 0;
         for cell in row.cells() {
             if columns == self.names.len() {
+                if cell.text().is_empty() {
+                    continue;
+                }
                 return Err(cell.beyond(columns, &self.text));
             }
             take(columns, cell)?;
@@ -1084,7 +1118,7 @@ mod tests {
         for text in ["t,e,,\n1,2,,\n,,,\n\n, , ,\n", "\n;;;\nt;e;;\n1;2;;\n;;;\n"] {
             let mut reader = reader(text);
             let header = reader.header_by_any("names").unwrap();
-            assert_eq!(header.names().count(), 4);
+            assert_eq!(header.names().count(), 2);
             assert_eq!(header.cells(reader.row().unwrap().unwrap()).unwrap()[1].text(), "2");
             assert!(reader.row().unwrap().is_none(), "{text}");
         }
@@ -1141,10 +1175,11 @@ mod tests {
             Ok::<_, InputError>(numbers)
         };
         assert_eq!(read(" 1 ,\"2.5\"").unwrap(), [1.0, 2.5]);
+        assert_eq!(read("1,2.5,, ,").unwrap(), [1.0, 2.5]);
         for (row, says) in [
             ("1", "a.csv:2:2: found the end of the row after 1 of 2 fields, expected the field e, z"),
             ("1,2, 3", "a.csv:2:6: found '3', expected the end of the row after t,\"e, z\""),
-            ("1,2,", "a.csv:2:5: found nothing, expected the end of the row after t,\"e, z\""),
+            ("1,2,,3", "a.csv:2:6: found '3', expected the end of the row after t,\"e, z\""),
             ("µ,2", "a.csv:2:1: found 'µ', expected a finite number"),
             ("1, ", "a.csv:2:3: found nothing, expected a finite number"),
             ("1,  inf", "a.csv:2:5: found 'inf', expected a finite number"),

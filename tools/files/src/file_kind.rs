@@ -53,10 +53,20 @@ pub enum FileKind {
     Compressed,
     /// XML or HTML.
     Markup,
+    /// JSON.
+    Json,
+    /// A picture.
+    Picture,
+    /// A program for a machine's controller.
+    Program,
+    /// A compensation table that another controller loads: `$AA_ENC_COMP`, `$AN_CEC`, `kw.ssfk`.
+    ControllerTable,
 }
 
 /// How files that are no text begin.
-const MAGIC: [(&[u8], FileKind); 5] = [
+const MAGIC: [(&[u8], FileKind); 7] = [
+    (b"\x89PNG", FileKind::Picture),
+    (b"\xff\xd8\xff", FileKind::Picture),
     (b"PK\x03\x04", FileKind::Workbook),
     (b"\xd0\xcf\x11\xe0", FileKind::Workbook),
     (b"%PDF-", FileKind::Pdf),
@@ -66,6 +76,22 @@ const MAGIC: [(&[u8], FileKind); 5] = [
 
 /// Lines that are looked at: what a file is shows at its beginning.
 const LINES: usize = 2000;
+
+/// A program of a controller has a block among so many lines.
+const BLOCKS: usize = 30;
+
+/// Whether a line is a block of a program: `N10 G0 X5`, `G1X9`, `G21`. A row of a table has something that parts its cells.
+fn is_block(line: &str) -> bool {
+    let word = |text: &str, letter: char| -> Option<usize> {
+        let rest = text.strip_prefix(letter)?;
+        let digits = rest.bytes().take_while(|b| b.is_ascii_digit() || *b == b'.').count();
+        (digits > 0).then_some(1 + digits)
+    };
+    let numbered = word(line, 'N').map_or(line, |length| line[length..].trim_start());
+    let behind = word(numbered, 'G').map(|length| numbered[length..].trim_start());
+    behind.is_some_and(|rest| rest.is_empty() || rest.starts_with(|c: char| c.is_ascii_uppercase()))
+        && !line.contains([',', ';', '\t', '|'])
+}
 
 impl FileKind {
     /// Of a file that is no text: by its first bytes.
@@ -97,6 +123,12 @@ impl FileKind {
                 return Some(Self::Markup);
             }
             _ if first.to_ascii_lowercase().starts_with("<html") => return Some(Self::Markup),
+            _ if first.starts_with('{')
+                || first.starts_with("[{")
+                || first == "[" && second.starts_with('{') =>
+            {
+                return Some(Self::Json);
+            }
             _ => {}
         }
         let lines = || text.lines().map(str::trim).filter(|l| !l.is_empty()).take(LINES);
@@ -108,6 +140,12 @@ impl FileKind {
         }
         if lines().any(|l| l.starts_with("Gridpoints")) {
             return Some(Self::Etalon);
+        }
+        if lines().any(|l| ["$AA_ENC_COMP", "$AN_CEC", "kw.ssfk"].iter().any(|name| l.starts_with(name))) {
+            return Some(Self::ControllerTable);
+        }
+        if first == "%" || lines().take(BLOCKS).any(is_block) {
+            return Some(Self::Program);
         }
         let is_shdr = |line: &str| {
             let time = line.split(['|', '@']).next().unwrap_or_default();
@@ -189,6 +227,10 @@ impl FileKind {
             Self::Pdf => "a PDF document",
             Self::Compressed => "a compressed file (gzip)",
             Self::Markup => "XML or HTML",
+            Self::Json => "JSON",
+            Self::Picture => "a picture",
+            Self::Program => "a program for a controller (G-code)",
+            Self::ControllerTable => "a compensation table that a controller loads (SINUMERIK, ISG)",
         }
     }
 
@@ -304,6 +346,14 @@ mod tests {
             ("2022-08-08T13:51:37.25Z|x|1.5\n", Some(FileKind::Shdr)),
             ("PK\u{3}\u{4}\n", Some(FileKind::Workbook)),
             ("<?xml version=\"1.0\"?>\n<a/>\n", Some(FileKind::Markup)),
+            ("{\n  \"verdict\": \"named\"\n}\n", Some(FileKind::Json)),
+            ("[{\"a\": 1}]\n", Some(FileKind::Json)),
+            ("%\nO1000\nG0 X10 Z5\nM30\n", Some(FileKind::Program)),
+            ("; turn it\nN10 G0 X5.0\nN20 G1 X4 F0.1\n", Some(FileKind::Program)),
+            ("G21\nG28.2 Z\n", Some(FileKind::Program)),
+            ("CHANDATA(1)\n$AA_ENC_COMP[0,0,AX1]=0.001\nM17\n", Some(FileKind::ControllerTable)),
+            ("G1,G2,e\n0,1,2\n", Some(FileKind::Table)),
+            ("M1;M2\n0;1\n", Some(FileKind::Table)),
             ("# mm\n0 0.001 0.002\n100\t0.0 0.0\n", Some(FileKind::Numbers)),
             ("0 0.001 0.002\n0 0.0 0.0\n", None),
             ("0 0.001\n100 0.0\n", None),
@@ -314,6 +364,7 @@ mod tests {
             assert_eq!(FileKind::of(text), kind, "{text}");
         }
         assert_eq!(FileKind::of_bytes(b"\x1f\x8b\x08\0"), Some(FileKind::Compressed));
+        assert_eq!(FileKind::of_bytes(b"\x89PNG\r\n"), Some(FileKind::Picture));
     }
 
     #[test]

@@ -127,7 +127,7 @@ impl Marks {
         self.encoding = if reader.is_utf16() {
             Some("UTF-16")
         } else {
-            reader.is_western().then_some("Windows-1252: it is no UTF-8")
+            reader.is_western().then_some(crate::text::WESTERN)
         };
         self.commented = reader.commented();
     }

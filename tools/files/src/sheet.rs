@@ -72,8 +72,16 @@ impl Columns {
 /// That a run record lies beside the file under its name, and the file is its CSV.
 fn record_beside(file: &Path) -> Option<String> {
     let sidecar = file.with_extension("run.toml");
-    let is_its_csv =
-        crate::text::read(&sidecar).is_ok_and(|text| FileKind::of(&text) == Some(FileKind::RunRecord));
+    let names_file = |text: &str| {
+        let value =
+            |line: &str| Some(line.trim().strip_prefix("file")?.trim().strip_prefix('=')?.trim().to_owned());
+        let named = text.lines().find_map(value);
+        named
+            .zip(file.file_name())
+            .is_some_and(|(named, own)| *named.trim_matches(['"', '\'']) == *own.to_string_lossy())
+    };
+    let is_its_csv = crate::text::read(&sidecar)
+        .is_ok_and(|text| FileKind::of(&text) == Some(FileKind::RunRecord) && names_file(&text));
     is_its_csv.then(|| {
         format!("the rows of the run record {}, which `characterise evaluate` reads", sidecar.display())
     })
@@ -160,6 +168,11 @@ impl Sheet {
             let cells = header.cells(row)?;
             let cells = cells.iter().map(|cell| (cell.text().to_owned(), cell.column())).collect();
             rows.push(Row { line: row.line(), cells });
+        }
+        if rows.is_empty()
+            && let Some(commented) = reader.rows_are_comments()
+        {
+            return Err(commented);
         }
         let names = header.names().filter(|name| !name.is_empty()).map(str::to_owned).collect();
         let mut marks = Marks::new(&reader);

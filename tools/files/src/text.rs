@@ -85,20 +85,23 @@ pub fn decode(file: &Path, bytes: &[u8]) -> Result<String, InputError> {
     }
 }
 
-/// Text in UTF-8 or UTF-16, or else in Windows-1252, as many loggers write a degree sign; and whether it is that.
+/// Text in UTF-8 or UTF-16, or else in Windows-1252, as many loggers write a degree sign; and what it is where that is not UTF-8.
 ///
 /// # Errors
 /// As [`decode`], where the bytes are no text of Windows-1252 either.
-pub fn decode_western(file: &Path, bytes: &[u8]) -> Result<(String, bool), InputError> {
+pub fn decode_western(file: &Path, bytes: &[u8]) -> Result<(String, Option<&'static str>), InputError> {
     let error = match decode(file, bytes) {
-        Ok(text) => return Ok((text, false)),
+        Ok(text) => return Ok((text, utf16(bytes).map(|_| "UTF-16"))),
         Err(error) => error,
     };
     if utf16(bytes).is_some() || !is_western(bytes) {
         return Err(error);
     }
-    Ok((western(bytes), true))
+    Ok((western(bytes), Some(WESTERN)))
 }
+
+/// What is said of text that is neither UTF-8 nor UTF-16.
+pub(crate) const WESTERN: &str = "Windows-1252: it is no UTF-8";
 
 /// Whether bytes may be text in Windows-1252: printable letters alone.
 pub(crate) fn is_western(bytes: &[u8]) -> bool {
@@ -158,8 +161,9 @@ mod tests {
             assert_eq!(decode(file, bytes).unwrap(), "t,");
         }
         assert_eq!(decode(file, b"\xff\xfet\0,").unwrap_err().found, BROKEN_UTF16);
-        assert_eq!(decode_western(file, b"T (\xb0C)\n").unwrap(), ("T (°C)\n".to_owned(), true));
-        assert_eq!(decode_western(file, "T (°C)".as_bytes()).unwrap(), ("T (°C)".to_owned(), false));
+        assert_eq!(decode_western(file, b"T (\xb0C)\n").unwrap(), ("T (°C)\n".to_owned(), Some(WESTERN)));
+        assert_eq!(decode_western(file, b"t\0\n\0").unwrap(), ("t\n".to_owned(), Some("UTF-16")));
+        assert_eq!(decode_western(file, "T (°C)".as_bytes()).unwrap(), ("T (°C)".to_owned(), None));
         assert!(decode_western(file, b"\x89PNG\0").is_err());
         for (special, found) in [("/dev/zero", "a pipe, socket or device"), ("/tmp", "a folder")] {
             assert_eq!(read(Path::new(special)).unwrap_err().found, found);

@@ -269,9 +269,7 @@ fn with_every_row(document: &mut Value, all: &Value, report: &mut Report) {
     let (own, every) = (single_figures("", document), single_figures("", all));
     let differs = |(name, with): (String, f64)| {
         let without = own.iter().find(|(n, _)| *n == name)?.1;
-        // What differs by the order of a sum is the same figure.
-        let is_other = (with - without).abs() > SAME * with.abs().max(without.abs());
-        is_other.then_some((name, with, without))
+        (!is_same_figure(with, without)).then_some((name, with, without))
     };
     let differing: Vec<(String, f64, f64)> = every.into_iter().filter_map(differs).collect();
     let words: Vec<String> = differing
@@ -293,6 +291,12 @@ fn with_every_row(document: &mut Value, all: &Value, report: &mut Report) {
 
 /// Figures that differ by no more than this share are one.
 const SAME: f64 = 1e-9;
+
+/// What differs by the order of a sum is the same figure.
+pub(crate) fn is_same_figure(one: f64, other: f64) -> bool {
+    (one - other).abs() <= SAME * one.abs().max(other.abs())
+}
+
 /// So many figures are said beside those without the rows that were left out; the document has all of them.
 const MOST_BESIDE: usize = 8;
 

@@ -4,7 +4,10 @@ use crate::iso230::{self, Options};
 use crate::plausible::{self, Suspicion};
 use crate::plot::PlotError;
 use crate::report::{self, Report};
-use crate::{ballbar, evaluation::Standard};
+use crate::{
+    ballbar,
+    evaluation::{Standard, is_same_figure},
+};
 use rtec_files::InputError;
 use rtec_files::toml::Document;
 use rtec_model::date;
@@ -86,6 +89,9 @@ pub struct Point {
     pub record: String,
     /// The figure, in its unit.
     pub value: f64,
+    /// What it would be with every row, where rows of the record are in no figure and it would be another one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub with_every_row: Option<f64>,
     #[serde(skip)]
     day: i64,
 }
@@ -154,22 +160,26 @@ pub fn history(machine: &str, records: &[(String, Result<Record, InputError>)], 
     let mut found: BTreeMap<String, Figure> = BTreeMap::new();
     let mut left_out = Vec::new();
     let mut suspicions = Vec::new();
-    let records: Vec<(&String, Result<Record, &InputError>)> = records
+    let records: Vec<(&String, Result<Rows, &InputError>)> = records
         .iter()
-        .map(|(path, record)| (path, record.as_ref().map(|r| good_rows(r, &mut suspicions))))
+        .map(|(path, record)| (path, record.as_ref().map(|r| Rows::of(r, &mut suspicions))))
         .collect();
-    let sensors = sensors(records.iter().filter_map(|r| r.1.as_ref().ok()));
-    for (path, record) in &records {
+    let sensors = sensors(records.iter().filter_map(|r| r.1.as_ref().ok()).map(|rows| &rows.good));
+    for (path, rows) in &records {
         let path = *path;
-        let said = record.as_ref().map_err(ToString::to_string).and_then(|r| {
+        let said = rows.as_ref().map_err(ToString::to_string).and_then(|rows| {
+            let r = &rows.good;
             let day = r.date.as_deref().and_then(date::parse);
             let day = day.ok_or_else(|| "no date = \"YYYY-MM-DD\" in it".to_owned())?;
-            Ok((r, day, figures(r, &sensors).map_err(|e| e.to_string())?))
+            let every = rows.every.as_ref().and_then(|every| figures(every, &sensors).ok());
+            Ok((r, day, figures(r, &sensors).map_err(|e| e.to_string())?, every.unwrap_or_default()))
         });
         match said {
             Err(why) => left_out.push(LeftOut { record: path.clone(), why }),
-            Ok((record, day, figures)) => {
+            Ok((record, day, figures, every)) => {
                 for (name, unit, sensor, value) in figures {
+                    let with = every.iter().find(|f| f.0 == name).map(|f| f.3);
+                    let with_every_row = with.filter(|with| !is_same_figure(*with, value));
                     let figure = found.entry(name.clone()).or_insert_with(|| Figure {
                         limit: limits.for_figure(&name),
                         name,
@@ -181,7 +191,7 @@ pub fn history(machine: &str, records: &[(String, Result<Record, InputError>)], 
                         reaches: None,
                     });
                     let date = record.date.clone().unwrap_or_default();
-                    figure.points.push(Point { date, record: path.clone(), value, day });
+                    figure.points.push(Point { date, record: path.clone(), value, with_every_row, day });
                 }
             }
         }
@@ -192,13 +202,28 @@ pub fn history(machine: &str, records: &[(String, Result<Record, InputError>)], 
 
 type Said = (String, &'static str, Option<String>, f64);
 
-/// The rows that figures may hold; what the record shows of mistakes is added to what was found.
-fn good_rows(record: &Record, found: &mut Vec<Suspicion>) -> Record {
-    let records = std::slice::from_ref(record);
-    let doubts = plausible::suspicions(records);
-    let usable = plausible::in_figures(records, &doubts);
-    found.extend(doubts);
-    plausible::good_rows(&usable[0], record.rows(), &mut |_| ()).into_owned()
+/// A record as its figures see it.
+struct Rows {
+    /// The rows that figures may hold.
+    good: Record,
+    /// Every row, where some of them are in no figure.
+    every: Option<Record>,
+}
+
+impl Rows {
+    /// What the record shows of mistakes is added to what was found.
+    fn of(record: &Record, found: &mut Vec<Suspicion>) -> Self {
+        let records = std::slice::from_ref(record);
+        let doubts = plausible::suspicions(records);
+        let usable = plausible::in_figures(records, &doubts);
+        let good = plausible::good_rows(&usable[0], record.rows(), &mut |_| ()).into_owned();
+        let every = doubts.iter().any(Suspicion::is_of_rows).then(|| {
+            let every = plausible::every_row(records, &doubts);
+            plausible::good_rows(&every[0], record.rows(), &mut |_| ()).into_owned()
+        });
+        found.extend(doubts);
+        Self { good, every }
+    }
 }
 
 /// What a record says: of an evaluation that has no history nothing.
@@ -302,6 +327,19 @@ fn judged(mut figure: Figure) -> Figure {
 }
 
 impl History {
+    /// The figures that would be others with every row, each with its record, in words.
+    pub fn with_every_row(&self) -> impl Iterator<Item = String> {
+        self.figures.iter().flat_map(|f| {
+            f.points.iter().filter_map(|p| {
+                let (with, unit) = (p.with_every_row?, f.unit.replace("um", "µm").replace("urad", "µrad"));
+                let (name, of, value) = (&f.name, &p.record, p.value);
+                Some(format!(
+                    "{of}: {name} is {value:.2} {unit}; with every row it would be {with:.2} {unit}"
+                ))
+            })
+        })
+    }
+
     /// A figure's last value is beyond its limit.
     pub fn beyond(&self) -> impl Iterator<Item = &Figure> {
         self.figures.iter().filter(|f| f.beyond)

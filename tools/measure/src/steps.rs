@@ -125,6 +125,13 @@ pub fn said(record: &Record, responses: bool) -> Vec<String> {
             ));
         }
     }
+    if let Some(step) = record.data(&Role::Time).filter(|_| record.kind == Kind::Drift).and_then(shared_step)
+    {
+        said.push(format!(
+            "time in steps of {0} s, several rows at each: a row's moment is known within ±{0} s, and so is a lag or a time constant",
+            short(step)
+        ));
+    }
     if let Some(tick) = record.data(&Role::Time).filter(|_| moving).and_then(tick) {
         said.push(format!(
             "time in steps of {} s, rows not much further apart: velocities and feeds are taken over as many rows as make that little",
@@ -132,6 +139,13 @@ pub fn said(record: &Record, responses: bool) -> Vec<String> {
         ));
     }
     said
+}
+
+/// The step of a clock that stands still from row to row more often than not, s.
+fn shared_step(time_s: &[f64]) -> Option<f64> {
+    let steps: Vec<f64> = time_s.windows(2).map(|w| w[1] - w[0]).filter(|step| *step > 0.0).collect();
+    let is_shared = 2 * steps.len() < time_s.len();
+    steps.into_iter().min_by(f64::total_cmp).filter(|_| is_shared)
 }
 
 /// Rows of a response that differ by noise alone.
@@ -170,6 +184,16 @@ pub fn step_of(readings: &[f64]) -> Option<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_clock_is_coarse_where_rows_share_its_times() {
+        let by =
+            |step: f64| -> Vec<f64> { (0..40).map(|i| (f64::from(i) * 7.0 / step).floor() * step).collect() };
+        assert_eq!(shared_step(&by(60.0)), Some(60.0));
+        for fine in [by(1.0), by(7.0), by(10.0), vec![0.0], Vec::new()] {
+            assert_eq!(shared_step(&fine), None, "{fine:?}");
+        }
+    }
 
     fn pairs(n: usize) -> Vec<Vec<usize>> {
         (0..n).step_by(2).map(|i| vec![i, i + 1]).collect()

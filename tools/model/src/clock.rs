@@ -24,6 +24,66 @@ pub fn absolute_ns(text: &str) -> Option<i128> {
     iso8601_ns(text).or_else(iso)
 }
 
+/// A column of dates or of times of the day, which go on past midnight: nanoseconds since its first row.
+#[derive(Debug, Default)]
+pub struct Moments {
+    /// The first row's time, and as it is written.
+    start: Option<(i128, String)>,
+    /// Of times of the day: midnights so far, and the last time.
+    of_day: Option<(i128, i128)>,
+}
+
+impl Moments {
+    /// Nanoseconds from the first time to this one; none where it is not written as that one.
+    pub fn since_start(&mut self, text: &str) -> Option<i128> {
+        let ns = match (&mut self.of_day, &self.start) {
+            (Some((days, last_ns)), _) => {
+                let ns = of_day_ns(text)?;
+                // From late in the evening to early in the morning; anything else runs backwards.
+                if ns + DAY_NS / 2 < *last_ns {
+                    *days += 1;
+                }
+                *last_ns = ns;
+                *days * DAY_NS + ns
+            }
+            (None, Some(_)) => absolute_ns(text)?,
+            (None, None) => absolute_ns(text).or_else(|| {
+                let ns = of_day_ns(text)?;
+                self.of_day = Some((0, ns));
+                Some(ns)
+            })?,
+        };
+        let start = self.start.get_or_insert_with(|| (ns, text.trim().to_owned())).0;
+        Some(ns - start)
+    }
+
+    /// The first time as it is written.
+    #[must_use]
+    pub fn start(&self) -> Option<&str> {
+        self.start.as_ref().map(|(_, text)| text.as_str())
+    }
+
+    /// The first row's day, where the column has days.
+    #[must_use]
+    pub fn first_day(&self) -> Option<String> {
+        self.start.as_ref().filter(|_| self.of_day.is_none()).map(|(ns, _)| day(*ns))
+    }
+}
+
+/// What to write instead of a cell that looks like a date or a time of the day and is none that can be read.
+#[must_use]
+pub fn expected_instead(text: &str) -> Option<&'static str> {
+    let is_part = |c: char| c.is_ascii_digit() || ":/.-+ TZtzAPMapm,".contains(c);
+    let is_clock = text.contains([':', '/'])
+        && text.starts_with(|c: char| c.is_ascii_digit())
+        && text.chars().all(is_part);
+    is_clock.then_some(if text.contains('/') {
+        "a time as ISO 8601 writes it, 2022-08-08T13:51:37.25Z, or a number: 08/07/2022 is a day of July or of August"
+    } else {
+        "a time as ISO 8601 writes it, 2022-08-08T13:51:37.25Z, or a number"
+    })
+}
+
 /// Whether a time names its zone: Z, or an offset behind the clock.
 #[must_use]
 pub fn has_zone(text: &str) -> bool {

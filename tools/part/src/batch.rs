@@ -16,6 +16,37 @@ struct Series {
     feature: String,
     angle_rad: Option<f64>,
     errors_um: Vec<f64>,
+    /// Row of the sheet of each.
+    rows: Vec<usize>,
+    /// Readings that are in no figure, by their places in `errors_um`.
+    wild: Vec<usize>,
+}
+
+impl Series {
+    fn kept(&self) -> Vec<(usize, f64)> {
+        let is_kept = |(k, _): &(usize, f64)| !self.wild.contains(k);
+        self.errors_um.iter().copied().enumerate().filter(is_kept).collect()
+    }
+}
+
+/// A reading far off what the other parts have at its place: in no figure.
+#[derive(Debug, Clone, Serialize)]
+pub struct WildReading {
+    /// The part, as the file has it.
+    pub part: String,
+    /// Line of the file, from 1.
+    pub line: usize,
+    /// Its error, in µm.
+    pub error_um: f64,
+}
+
+/// What a place's figures would be with every reading.
+#[derive(Debug, Clone, Copy, Serialize)]
+pub struct WithEveryReading {
+    /// Mean error, in µm.
+    pub mean_um: f64,
+    /// Sample standard deviation, in µm.
+    pub sd_um: f64,
 }
 
 /// What the batch's errors at a place are.
@@ -40,7 +71,7 @@ pub struct PlaceStatistics {
     /// Angle on it from the part's +Z, where the file gives one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub angle_rad: Option<f64>,
-    /// Number of parts measured at this place.
+    /// Number of parts measured at this place whose reading is in the figures.
     pub parts: usize,
     /// Mean error, in µm.
     pub mean_um: f64,
@@ -61,6 +92,12 @@ pub struct PlaceStatistics {
     /// What probing on the machine saw there, in µm.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub seen_on_machine_um: Option<f64>,
+    /// Readings that are in no figure.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub left_out: Vec<WildReading>,
+    /// What the figures would be with those.
+    #[serde(rename = "with_every_row", skip_serializing_if = "Option::is_none")]
+    pub with_every_reading: Option<WithEveryReading>,
     /// What the statistics amount to.
     pub finding: BatchFinding,
 }
@@ -147,7 +184,11 @@ fn judge(
     seen: Option<&[PointError]>,
     judgement: Judgement,
 ) -> Result<Batch, InputError> {
-    let series = read(file, sheet)?;
+    let mut series = read(file, sheet)?;
+    let places = series.len();
+    for s in &mut series {
+        s.wild = wild(&s.errors_um, places);
+    }
     if let (Some(_), Some(other)) = (seen, series.iter().find(|s| s.feature != series[0].feature)) {
         let found = format!("the features {} and {}", series[0].feature, other.feature);
         return Err(InputError::whole(file, found, "the one that was inspected: its rows alone"));
@@ -157,7 +198,18 @@ fn judge(
         let found = format!("inspected errors of {largest_seen} µm at most beside it");
         return Err(InputError::whole(file, found, OTHER_UNIT));
     }
-    let mut places: Vec<PlaceStatistics> = series.iter().map(|s| statistics(s, seen)).collect();
+    let parts = sheet.words("part")?;
+    let mut places: Vec<PlaceStatistics> = series
+        .iter()
+        .map(|s| {
+            let reading = |k: &usize| WildReading {
+                part: parts[s.rows[*k]].clone(),
+                line: sheet.line(s.rows[*k]),
+                error_um: s.errors_um[*k],
+            };
+            PlaceStatistics { left_out: s.wild.iter().map(reading).collect(), ..statistics(s, seen) }
+        })
+        .collect();
     if seen.is_some() && places.iter().all(|p| p.seen_on_machine_um.is_none()) {
         let ends = |angles: &mut dyn Iterator<Item = f64>| {
             let (low, high) = angles.fold((f64::MAX, f64::MIN), |(l, h), a| (l.min(a), h.max(a)));
@@ -168,7 +220,7 @@ fn judge(
         let expected = format!("places that were inspected, {inspected}, within 0.05 rad");
         return Err(InputError::whole(file, found, expected));
     }
-    let errors_mm: Vec<f64> = series.iter().flat_map(|s| &s.errors_um).map(|um| um / 1000.0).collect();
+    let errors_mm: Vec<f64> = series.iter().flat_map(Series::kept).map(|(_, um)| um / 1000.0).collect();
     let step_um = written_step_mm(&errors_mm).map_or(0.0, |mm| 1000.0 * mm);
     let rounding = |p: &PlaceStatistics| if step_um > 0.0 { left_in_mean(step_um, p.sd_um) } else { 0.0 };
     let is_coarse = places.iter().any(|p| rounding(p) > 0.1 * judgement.least_um);
@@ -267,7 +319,11 @@ fn read(file: &Path, sheet: &Sheet) -> Result<Vec<Series>, InputError> {
         let angle_rad = angles.as_ref().map(|a| a[row]);
         let key = (features[row].clone(), angle_rad.map_or(0, |a| (a * 1e6).round() as i64));
         let (series, seen) = groups.entry(key).or_insert_with(|| {
-            (Series { feature: features[row].clone(), angle_rad, errors_um: Vec::new() }, Vec::new())
+            let (feature, nothing) = (features[row].clone(), Vec::new);
+            (
+                Series { feature, angle_rad, errors_um: nothing(), rows: Vec::new(), wild: Vec::new() },
+                Vec::new(),
+            )
         });
         if seen.contains(&parts[row]) {
             let found = format!("part {} measured twice at {}", parts[row], features[row]);
@@ -275,6 +331,7 @@ fn read(file: &Path, sheet: &Sheet) -> Result<Vec<Series>, InputError> {
         }
         seen.push(parts[row].clone());
         series.errors_um.push(errors[row]);
+        series.rows.push(row);
     }
     if let Some((few, _)) = groups.values().find(|(s, _)| s.errors_um.len() < 3) {
         let found = format!("{} parts for {}", few.errors_um.len(), few.feature);
@@ -308,18 +365,106 @@ fn two_sided(t: f64, freedom: usize) -> f64 {
     }
 }
 
+fn mean_of(errors_um: &[f64]) -> f64 {
+    errors_um.iter().sum::<f64>() / errors_um.len() as f64
+}
+
+/// A straight line along the batch.
+struct Line {
+    middle: f64,
+    mean: f64,
+    slope: f64,
+    /// Sum of the squared distances from the middle.
+    square: f64,
+}
+
+impl Line {
+    /// Through errors, each at its place in the batch.
+    fn through(points: &[(usize, f64)]) -> Self {
+        let n = points.len() as f64;
+        let middle = points.iter().map(|(k, _)| *k as f64).sum::<f64>() / n;
+        let mean = points.iter().map(|(_, um)| um).sum::<f64>() / n;
+        let square: f64 = points.iter().map(|(k, _)| (*k as f64 - middle).powi(2)).sum();
+        let product: f64 = points.iter().map(|(k, um)| (*k as f64 - middle) * (um - mean)).sum();
+        Self { middle, mean, slope: product / square, square }
+    }
+
+    /// What an error is off it.
+    fn left(&self, (k, um): (usize, f64)) -> f64 {
+        um - self.mean - self.slope * (k as f64 - self.middle)
+    }
+}
+
+/// Chance gives a wild reading in one batch of so many.
+const CHANCE: f64 = 1e-3;
+/// So many readings of a place are wild at the most, as a share.
+const MOST_WILD: f64 = 0.25;
+/// Wild readings of neighbours that are this near, as a share of how far they are off, are a state: a worn or another tool.
+const STATE_SHARE: f64 = 0.5;
+
+/// Readings far off a straight line through the others, by places in the series: a digit too many, another unit, another part.
+/// What such a reading is off, over its standard error by the others alone, follows Student's law. Several are taken one after the
+/// other, and as many count as the last that chance does not give (Rosner, Technometrics 25, 1983). `places`: so many are looked at.
+fn wild(errors_um: &[f64], places: usize) -> Vec<usize> {
+    let mut rest: Vec<(usize, f64)> = errors_um.iter().copied().enumerate().collect();
+    let most = ((MOST_WILD * rest.len() as f64) as usize).max(1);
+    let (mut out, mut found) = (Vec::new(), 0);
+    while out.len() < most && rest.len() > 4 {
+        let (n, line) = (rest.len() as f64, Line::through(&rest));
+        let squares: f64 = rest.iter().map(|point| line.left(*point).powi(2)).sum();
+        // What leaving a reading out takes from the sum of squares.
+        let taken = |point: &(usize, f64)| {
+            let lever = 1.0 / n + (point.0 as f64 - line.middle).powi(2) / line.square;
+            line.left(*point).powi(2) / (1.0 - lever)
+        };
+        let all = rest.iter().map(taken).enumerate();
+        let Some((at, own)) = all.max_by(|a, b| a.1.total_cmp(&b.1)) else { break };
+        out.push(rest.remove(at).0);
+        // No reading is better than its step. Where all others read zero, the step may be as large as this one.
+        let others_mm: Vec<f64> = rest.iter().map(|(_, um)| um / 1e3).collect();
+        let this_mm = [errors_um[out[out.len() - 1]] / 1e3];
+        let step = written_step_mm(&others_mm).or_else(|| written_step_mm(&this_mm));
+        let step_um = step.map_or(0.0, |mm| 1e3 * mm);
+        let variance = ((squares - own).max(0.0) / (n - 3.0)).max(step_um.powi(2) / 12.0);
+        let off = (own / variance).sqrt();
+        let law = StudentsT::new(0.0, 1.0, n - 3.0);
+        let bound = law.map_or(f64::INFINITY, |law| -law.inverse_cdf(CHANCE / (2.0 * n * places as f64)));
+        if off > bound {
+            found = out.len();
+        }
+    }
+    out.truncate(found);
+    let kept: Vec<(usize, f64)> =
+        errors_um.iter().copied().enumerate().filter(|(k, _)| !out.contains(k)).collect();
+    let line = Line::through(&kept);
+    let is_state = |k: usize| {
+        let near = |other: usize| {
+            out.contains(&other)
+                && (errors_um[other] - errors_um[k]).abs() < STATE_SHARE * line.left((k, errors_um[k])).abs()
+        };
+        near(k + 1) || k > 0 && near(k - 1)
+    };
+    let mut single: Vec<usize> = out.iter().copied().filter(|k| !is_state(*k)).collect();
+    single.sort_unstable();
+    single
+}
+
 fn statistics(series: &Series, seen: Option<&[PointError]>) -> PlaceStatistics {
-    let (e, n) = (&series.errors_um, series.errors_um.len());
-    let mean = e.iter().sum::<f64>() / n as f64;
-    let sd = crate::fit::sd(e, |_| true);
+    let kept = series.kept();
+    let (e, n): (Vec<f64>, usize) = (kept.iter().map(|(_, um)| *um).collect(), kept.len());
+    let mean = mean_of(&e);
+    let sd = crate::fit::sd(&e, |_| true);
     let of_mean = sd / (n as f64).sqrt();
     let half = StudentsT::new(0.0, 1.0, (n - 1) as f64).map_or(0.0, |d| d.inverse_cdf(0.975)) * of_mean;
-    let middle = (n - 1) as f64 / 2.0;
-    let square: f64 = (0..n).map(|k| (k as f64 - middle).powi(2)).sum();
-    let slope = e.iter().enumerate().map(|(k, v)| (k as f64 - middle) * (v - mean)).sum::<f64>() / square;
-    let rest: f64 = e.iter().enumerate().map(|(k, v)| (v - mean - slope * (k as f64 - middle)).powi(2)).sum();
+    let line = Line::through(&kept);
+    let (slope, square) = (line.slope, line.square);
+    let rest: f64 = kept.iter().map(|point| line.left(*point).powi(2)).sum();
     let sd_about = (rest / (n.saturating_sub(2).max(1)) as f64).sqrt();
     let slope_error = sd_about / square.sqrt();
+    let with_every_reading = (n < series.errors_um.len()).then(|| WithEveryReading {
+        mean_um: mean_of(&series.errors_um),
+        sd_um: crate::fit::sd(&series.errors_um, |_| true),
+    });
     let seen_on_machine_um = series.angle_rad.zip(seen).and_then(|(angle, seen)| {
         let at = |e: &&PointError| (e.angle_rad - turned_near(angle, e.angle_rad)).abs();
         seen.iter().min_by(|a, b| at(a).total_cmp(&at(b))).filter(|e| at(e) < 0.05).map(|e| e.error_um)
@@ -337,6 +482,8 @@ fn statistics(series: &Series, seen: Option<&[PointError]>) -> PlaceStatistics {
         sd_about_trend_um: sd_about,
         trend_p_value: two_sided(slope / slope_error, n - 2),
         seen_on_machine_um,
+        left_out: Vec::new(),
+        with_every_reading,
         finding: BatchFinding::Nothing,
     }
 }

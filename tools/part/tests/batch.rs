@@ -214,3 +214,79 @@ fn a_batch_in_millimetres_or_in_two_spellings_is_refused() {
         assert!(e.found.contains("the feature") && e.expected == "one spelling of one feature", "{e}");
     }
 }
+
+/// Batches of every sort that a shop has: level, worn along the batch, with another tool from a part on, coarse.
+fn batches(rng: &mut Xoshiro256PlusPlus, parts: usize) -> Vec<Vec<f64>> {
+    let mut of = |error_um: &dyn Fn(usize, f64) -> f64| -> Vec<f64> {
+        (0..parts).map(|k| error_um(k, normal(rng))).collect()
+    };
+    vec![
+        of(&|_, noise| 11.5 + noise),
+        of(&|k, noise| 2.0 * k as f64 + noise),
+        of(&|k, noise| if 2 * k < parts { noise } else { 25.0 + noise }),
+        of(&|_, noise| (0.8 * noise).round() * 10.0),
+        of(&|k, noise| if k + 2 < parts { noise } else { 60.0 + noise }),
+    ]
+}
+
+fn written(errors_um: &[f64]) -> String {
+    let rows = errors_um.iter().enumerate().map(|(k, um)| format!("{k},D1,{um:.2}\n"));
+    std::iter::once("part,feature,error_um\n".to_owned()).chain(rows).collect()
+}
+
+/// A digit too many in one reading: named with its line, and all figures are those of the batch without it.
+#[test]
+fn a_wild_reading_is_in_no_figure() {
+    let mut rng = Xoshiro256PlusPlus::seed_from_u64(39);
+    for parts in [6, 8, 20, 60] {
+        for (kind, clean) in batches(&mut rng, parts).into_iter().enumerate().take(4) {
+            for at in [1, parts / 2, parts - 2] {
+                let mut errors_um = clean.clone();
+                errors_um[at] += 3000.0;
+                let batch = judged(&written(&errors_um), None).unwrap();
+                let place = &batch.places[0];
+                let of = (parts, kind, at);
+                assert_eq!(place.left_out.len(), 1, "{of:?}");
+                assert_eq!(
+                    (place.left_out[0].line, place.left_out[0].part.as_str()),
+                    (at + 2, &*at.to_string())
+                );
+                errors_um.remove(at);
+                let mean =
+                    errors_um.iter().map(|um| (um * 100.0).round() / 100.0).sum::<f64>() / (parts - 1) as f64;
+                assert!((place.mean_um - mean).abs() < 1e-9 && place.sd_um < 60.0, "{of:?}: {place:?}");
+                let with = place.with_every_reading.unwrap();
+                assert!(with.mean_um > mean + 40.0 && with.sd_um > 300.0, "{of:?}: {with:?}");
+            }
+        }
+    }
+}
+
+/// Two of eight in millimetres among micrometres hide each other from a rule that takes one reading at a time.
+#[test]
+fn two_wild_readings_do_not_hide_each_other() {
+    let text = written(&[11.2, 12.4, 3011.0, 11.7, 12.9, 12.0, 3011.5, 11.6]);
+    let place = &judged(&text, None).unwrap().places[0];
+    let lines: Vec<usize> = place.left_out.iter().map(|w| w.line).collect();
+    assert_eq!(lines, [4, 8]);
+}
+
+#[test]
+fn clean_batches_have_no_wild_reading() {
+    // One step of a gauge of 10 µm among parts that read zero.
+    let coarse = judged(&written(&[0.0, 0.0, 0.0, 10.0, 0.0, 0.0, 0.0, 0.0]), None).unwrap();
+    assert!(coarse.places[0].left_out.is_empty(), "{:?}", coarse.places[0]);
+    let mut rng = Xoshiro256PlusPlus::seed_from_u64(40);
+    let (mut looked_at, mut said) = (0, 0);
+    for parts in [3, 4, 5, 8, 15, 40] {
+        for _ in 0..200 {
+            for errors_um in batches(&mut rng, parts) {
+                looked_at += 1;
+                said +=
+                    usize::from(!judged(&written(&errors_um), None).unwrap().places[0].left_out.is_empty());
+            }
+        }
+    }
+    // One of a thousand by chance: 6 of 6000.
+    assert!(said <= 15, "{said} of {looked_at}");
+}

@@ -5,7 +5,7 @@ use rtec_files::text::{LONGEST, open_regular};
 use rtec_files::toml::{Document, Table};
 use rtec_files::{InputError, Marks, Numbers};
 use rtec_model::circle::Circle;
-use rtec_model::clock::{absolute_ns, of_day_ns};
+use rtec_model::clock::{self, absolute_ns, of_day_ns};
 use rtec_model::date;
 use rtec_model::file_kind::FileKind;
 use rtec_model::record::{Axis, Column, Kind, LINEAR, Record, Role, Turns, check, hex, range_alone};
@@ -525,6 +525,8 @@ impl<R: Read> Rows<R> {
                         let expected = format!("seconds since the run's start, a number; {import}");
                         return header.named(place, InputError { expected, ..e });
                     }
+                    let instead = clock::expected_instead(cell.text()).filter(|_| column.role == Role::Time);
+                    let e = instead.map_or(e, |expected| cell.finding(expected));
                     header.named(place, e)
                 })?;
                 let checked = check(&column.role, v, column.data.last().copied().or(before[slot]));

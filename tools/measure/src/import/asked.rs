@@ -111,10 +111,9 @@ impl Asked {
         let text = if self.format == Name::Rtl {
             any_text(file, &bytes)?
         } else {
-            let (text, western) = rtec_files::text::decode_western(file, &bytes)?;
-            if western {
-                let file = file.display();
-                say(Said::Note(format!("{file}: read as Windows-1252: it is no UTF-8")));
+            let (text, encoding) = rtec_files::text::decode_western(file, &bytes)?;
+            if let Some(encoding) = encoding {
+                say(Said::Note(format!("{}: read as {encoding}", file.display())));
             }
             text
         };

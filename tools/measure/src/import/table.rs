@@ -3,7 +3,7 @@
 use super::{add_note, column, record_of};
 use rtec_files::csv::{Cell, Header, Reader, Row};
 use rtec_files::{InputError, Marks, Numbers};
-use rtec_model::clock::{self, Counted, DAY_NS, absolute_ns, day, has_zone, of_day_ns};
+use rtec_model::clock::{self, Counted, Moments, has_zone};
 use rtec_model::record::{Column, Kind, LINEAR, Record, Role};
 use std::borrow::Cow;
 use std::path::Path;
@@ -293,7 +293,7 @@ pub fn table(
                 data.push(s);
                 continue;
             }
-            if is_time && clock.start.is_some() {
+            if is_time && clock.moments.start().is_some() {
                 return Err(named(
                     cell.finding("a time as in the rows before, 2022-08-08T13:51:37.25Z or 13:51:37"),
                 ));
@@ -312,7 +312,7 @@ pub fn table(
     }
     if data.first().is_none_or(Vec::is_empty) {
         return Err(match &header {
-            Some(header) => header.no_rows(),
+            Some(header) => reader.rows_are_comments().unwrap_or_else(|| header.no_rows()),
             None => InputError::whole(from, "no rows", "at least one"),
         });
     }
@@ -345,7 +345,11 @@ const PREAMBLE: usize = 100;
 
 /// How many lines of another program stand in front of the line that has the columns' names; 0 where no line has them.
 fn preamble(from: &Path, text: &str, wanted: &[ImportColumn]) -> usize {
-    let names: Vec<&str> = wanted.iter().map(|w| w.column.as_str()).collect();
+    // A row of the numbers 1 and 2 is no line of names.
+    let names = names_of(wanted);
+    if names.is_empty() {
+        return 0;
+    }
     let has_names = |line: &str| {
         let header =
             Reader::new(from, line.as_bytes()).and_then(|mut r| r.header_with("a header line", &names));
@@ -362,8 +366,8 @@ fn preamble(from: &Path, text: &str, wanted: &[ImportColumn]) -> usize {
 
 /// What was expected of a cell that is no number.
 fn expected_of(cell: &str, is_time: bool, in_units: bool, numbers: Numbers) -> &'static str {
-    if is_time && cell.contains([':', '/']) {
-        "a time as ISO 8601 writes it, 2022-08-08T13:51:37.25Z, or a number"
+    if let Some(expected) = clock::expected_instead(cell).filter(|_| is_time) {
+        expected
     } else if in_units {
         "a finite number: a line of units is to be deleted, --columns states them, as t=time:min"
     } else {
@@ -415,9 +419,7 @@ const COUNTER: f64 = 4_294_967_296.0;
 /// A time column that need not begin with the run.
 #[derive(Default)]
 struct Clock {
-    /// The first row's time, ns, and as it is written.
-    start: Option<(i128, String)>,
-    of_day: Option<OfDay>,
+    moments: Moments,
     /// The last time, as it is written.
     written: String,
     /// The first row's time where that is counted from long before the run, in the column's unit.
@@ -429,22 +431,10 @@ struct Clock {
 impl Clock {
     /// Seconds since the first row of a time that is a date or a time of the day; `first`: this is that row.
     fn moment(&mut self, text: &str, first: bool) -> Option<f64> {
-        let ns = match (&mut self.of_day, &self.start) {
-            (Some(of_day), _) => of_day.next(text)?,
-            (None, Some(_)) => absolute_ns(text)?,
-            (None, None) if first => {
-                if let Some(ns) = absolute_ns(text) {
-                    ns
-                } else {
-                    let last_ns = of_day_ns(text)?;
-                    self.of_day = Some(OfDay { days: 0, last_ns });
-                    last_ns
-                }
-            }
-            (None, None) => return None,
-        };
-        let start = self.start.get_or_insert_with(|| (ns, text.to_owned())).0;
-        Some((ns - start) as f64 / 1e9)
+        if !first && self.moments.start().is_none() {
+            return None;
+        }
+        Some(self.moments.since_start(text)? as f64 / 1e9)
     }
 
     /// What was expected of a time that is an hour before its turn, as a local clock is at the end of summer time. `before`: the
@@ -499,9 +489,9 @@ impl Clock {
 
     /// Says when time 0 was, and what looks odd.
     fn note(self, record: &mut Record) {
-        if let Some((ns, text)) = &self.start {
-            if self.of_day.is_none() {
-                record.date = Some(day(*ns));
+        if let Some(text) = self.moments.start() {
+            if let Some(day) = self.moments.first_day() {
+                record.date = Some(day);
             }
             add_note(record, &format!("time 0 is {text}"));
         }
@@ -509,7 +499,7 @@ impl Clock {
             add_note(record, &format!("time 0 is {first}, {what} of {day}"));
             record.date = Some(day);
         }
-        let local = self.start.as_ref().is_some_and(|(_, text)| !has_zone(text));
+        let local = self.moments.start().is_some_and(|text| !has_zone(text));
         let gap = record.data(&Role::Time).and_then(put_forward).filter(|_| local);
         if let Some((row, gap_s, usual_s)) = gap {
             add_note(
@@ -533,26 +523,6 @@ fn put_forward(times: &[f64]) -> Option<(usize, f64, f64)> {
     let is_hour = usual > 0.0 && most < 0.5 * SUMMER_S && (gap - usual - SUMMER_S).abs() <= 0.5 * usual + 1.0;
     let tidy = |s: f64| (s * 1e3).round() / 1e3;
     is_hour.then(|| (at + 2, tidy(gap), tidy(usual)))
-}
-
-/// Times of the day that go on past midnight.
-struct OfDay {
-    /// Midnights so far.
-    days: i128,
-    last_ns: i128,
-}
-
-impl OfDay {
-    /// Nanoseconds since the first row's midnight.
-    fn next(&mut self, text: &str) -> Option<i128> {
-        let ns = of_day_ns(text)?;
-        // From late in the evening to early in the morning; anything else runs backwards.
-        if ns + DAY_NS / 2 < self.last_ns {
-            self.days += 1;
-        }
-        self.last_ns = ns;
-        Some(self.days * DAY_NS + ns)
-    }
 }
 
 /// How the numbers of each wanted column are written: as the form says, or as all its cells show; and what was found of it.

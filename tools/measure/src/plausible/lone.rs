@@ -6,7 +6,7 @@
 //! are worth; the row was sought, which costs a factor of their number. Several wild readings are taken one after the other, and
 //! as many count as the last that chance does not give (Rosner's generalised test, Technometrics 25, 1983).
 
-use super::rows::{LARGEST_PEAK_UM, causes, stays, ways};
+use super::peaks::{LARGEST_PEAK_UM, causes, stays, ways};
 use super::stats::{median, quantum};
 use rtec_model::record::{Column, Record, Role};
 use statrs::distribution::{ContinuousCDF, StudentsT};

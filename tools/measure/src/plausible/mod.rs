@@ -14,6 +14,7 @@
 //! | `slips` | a position with its decimal point in another place |
 //! | `stuck` | a sensor that stands still, beside itself at other times and beside the others |
 //! | `repeats` | single approaches far off the others to the same target |
+//! | `peaks` | where a short peak is honest, and the orders in which neighbours are neighbours |
 //! | `pieces` | a record that is too long to be held, each of its pieces by itself |
 //! | `between` | several records beside one another: the same rows twice, a sign, a unit, two sensors exchanged |
 //! | `step` | an error that steps and stays: lost counts are the machine's own, so it is no suspicion |
@@ -26,6 +27,7 @@ mod between;
 pub(crate) mod clock;
 mod lone;
 mod motion;
+mod peaks;
 mod pieces;
 mod repeats;
 mod rows;

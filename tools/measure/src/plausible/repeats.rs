@@ -1,6 +1,6 @@
 //! Single approaches to a target that are far from the others to the same target.
 
-use super::rows::stays;
+use super::peaks::stays;
 use super::stats::{distinct, median, range};
 use super::{Suspicion, What};
 use rtec_model::record::{Axis, Column, Kind, Record, Role};

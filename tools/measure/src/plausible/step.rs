@@ -1,6 +1,6 @@
 //! What may be a mistake or the machine's own, and is worth a look either way: an error that steps between two rows and stays.
 
-use super::rows::excused;
+use super::peaks::excused;
 use super::stats::{median, spread, steps};
 use rtec_model::record::{Column, Kind, Record, Role};
 

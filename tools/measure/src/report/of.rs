@@ -454,7 +454,10 @@ pub fn diagonals(d: &Diagonals, records: &[Record], conditions: &Conditions) -> 
 /// None at present: arrows are always drawn.
 pub fn plate(p: &Plate, record: &Record, conditions: &Conditions) -> Result<Report, PlotError> {
     let mut report = Report::new("Plate of holes", std::slice::from_ref(record), conditions);
-    report.warnings.push(p.remark.clone());
+    // A scale within its own uncertainty is no temperature of the plate either.
+    if p.scale_as_aluminium_k.abs() > 2.0 * p.standard_error.scale_as_aluminium_k {
+        report.warnings.push(p.remark.clone());
+    }
     let mut table = Table::new(
         &format!("{} holes, measured against nominal", p.holes),
         &["figure", "#value", "#standard error", "unit"],
@@ -550,6 +553,9 @@ pub fn history(h: &History) -> Result<Report, PlotError> {
     }
     for left in &h.left_out {
         report.warn(&format!("{}: left out: {}", left.record, left.why));
+    }
+    for figure in h.with_every_row() {
+        report.warn(&figure);
     }
     let head = [
         "figure",

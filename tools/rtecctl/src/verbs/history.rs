@@ -59,6 +59,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     for doubt in &found.suspicions {
         eprintln!("warning: {doubt}");
     }
+    for figure in found.with_every_row() {
+        eprintln!("warning: {figure}");
+    }
     let report = found.report()?;
     if let Some(path) = &args.html {
         rtec_files::write::whole(path, report.html().as_bytes())

@@ -8,7 +8,7 @@ use rtec_files::csv::{Header, Reader};
 use rtec_files::text::open_regular;
 use rtec_files::trace::{TraceFile, TraceReader};
 use rtec_files::{InputError, Marks};
-use rtec_model::clock::{self, absolute_ns};
+use rtec_model::clock::{self, Moments};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
@@ -224,7 +224,8 @@ fn from_position(args: &FromPosition) -> anyhow::Result<Summary> {
         let expected = "a header and at least one row";
         return Err(InputError::whole(&args.input, "no rows", expected).into());
     };
-    if let Some((_, _, start)) = record.start.as_ref().filter(|(_, _, start)| !start.is_empty()) {
+    let counted = record.start.as_ref().map(|(_, start)| start.as_str()).filter(|start| !start.is_empty());
+    if let Some(start) = record.moments.start().or(counted) {
         eprintln!("note: {}: time 0 of the trace is {start}", args.input.display());
     }
     if let Some(written) = record.marks.as_ref().and_then(|marks| marks.written(&args.input)) {
@@ -436,18 +437,21 @@ struct Record {
     range: f64,
     last_counts: Option<f64>,
     begun_again: f64,
-    /// Where the trace begins: what is taken off each time, in the column's unit or, of dates, in ns; and the first time as
-    /// a person reads it, empty where nothing is taken off.
-    start: Option<(f64, i128, String)>,
+    /// Times that are dates or times of the day.
+    moments: Moments,
+    /// What is taken off each time that is a number, and the first time as a person reads it, empty where nothing is taken off.
+    start: Option<(f64, String)>,
 }
 
 impl Record {
     fn open(args: &FromPosition, counter_bits: u32) -> Result<Self, InputError> {
         let mut rows = Reader::open(&args.input)?;
-        let mut header = rows.header_by_any("a header such as t_s,position_mm")?;
+        let named = [&args.column, &args.time_column].into_iter().flatten().map(String::as_str);
+        let named: Vec<&str> = named.filter(|column| column.parse::<usize>().is_err()).collect();
+        let mut header = rows.header_with("a header such as t_s,position_mm", &named)?;
         // A pipe cannot be read twice: its numbers have decimal points.
         let marks = if args.input.is_file() {
-            Marks::find(&args.input, &mut open_regular(&args.input)?, &[])?
+            Marks::find(&args.input, &mut open_regular(&args.input)?, &named)?
         } else {
             None
         };
@@ -479,9 +483,9 @@ impl Record {
                 .into_iter()
                 .find_map(|unit| Some((header.find(&format!("t_{}", unit.0))?, unit)))
                 .ok_or_else(|| {
-                header.is_missing().unwrap_or_else(|| {
-                    header.finding(columns(), "a time column: t_s, t_ms, t_us or t_ns, or --time-column")
-                })
+                let expected = "a time column: t_s, t_ms, t_us or t_ns, or --time-column";
+                let finding = header.is_missing().unwrap_or_else(|| header.finding(columns(), expected));
+                rows.instead_of(&header, finding)
             })?,
         };
         let position = if let Some(column) = &args.column {
@@ -490,7 +494,7 @@ impl Record {
             let mut matching = header.names().enumerate().filter(|(_, name)| name.starts_with("position"));
             let (Some((position, _)), None) = (matching.next(), matching.next()) else {
                 let expected = "one column whose name begins with position (or --column NAME)";
-                return Err(header.finding(columns(), expected));
+                return Err(rows.instead_of(&header, header.finding(columns(), expected)));
             };
             position
         };
@@ -514,6 +518,7 @@ impl Record {
             range: if counter_bits > 0 { range_of(counter_bits) } else { 0.0 },
             last_counts: None,
             begun_again: 0.0,
+            moments: Moments::default(),
             start: None,
         })
     }
@@ -534,12 +539,15 @@ impl Record {
             };
             if place == self.time {
                 let first = self.start.is_none();
-                if let Some(ns) = absolute_ns(cell.text()) {
-                    let start = self.start.get_or_insert_with(|| (0.0, ns, cell.text().to_owned()));
-                    time = (ns - start.1) as f64;
+                if first && let Some(ns) = self.moments.since_start(cell.text()) {
+                    time = ns as f64;
                     return Ok(());
                 }
-                let read = finite("time")?;
+                if let Some(start) = self.moments.start() {
+                    return Err(cell.finding(format!("a time as in the first row, {start}")));
+                }
+                let written = || clock::expected_instead(cell.text()).map(|expected| cell.finding(expected));
+                let read = finite("time").map_err(|e| written().unwrap_or(e))?;
                 if first && clock::filetime(read).is_some() {
                     let name = self.header.names().nth(place).unwrap_or_default();
                     let found = format!("{read} in column {name}, Windows FILETIME in steps of 100 ns");
@@ -557,9 +565,9 @@ impl Record {
                             format!("a time in {}; or the column called t_{unit}", self.time_unit),
                         ));
                     }
-                    self.start = Some((read, 0, format!("{read}, Unix time of {day}")));
+                    self.start = Some((read, format!("{read}, Unix time of {day}")));
                 }
-                let start = self.start.get_or_insert_with(|| (0.0, 0, String::new())).0;
+                let start = self.start.get_or_insert_with(|| (0.0, String::new())).0;
                 time = (read - start) * self.ns_per_unit;
             }
             if place == self.position {

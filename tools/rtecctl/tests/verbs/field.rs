@@ -20,6 +20,9 @@ struct Case {
     source: String,
     /// What kind of mistake it stands for.
     kind: String,
+    /// A kind unlike those that were tried first.
+    #[serde(default)]
+    unlike: bool,
     /// What `rtecctl` is asked.
     run: String,
     exit: i32,
@@ -143,7 +146,7 @@ fn rows(file: &str, now: bool) -> String {
         let mut cells = vec![
             format!("`{}`", case.input),
             case.source.clone(),
-            cell(&case.kind),
+            cell(&case.kind) + if case.unlike { " (new)" } else { "" },
             format!("`{}`", cell(&case.run)),
             cell(&case.right),
             cell(&case.was),
@@ -154,6 +157,16 @@ fn rows(file: &str, now: bool) -> String {
         format!("| {} |\n", cells.join(" | "))
     };
     cases(file).iter().map(row).collect()
+}
+
+/// Public reports, not trials of users: so many at least, and a third of them of new kinds.
+#[test]
+fn a_third_of_the_public_cases_are_new_kinds() {
+    for (file, fewest) in [("cases.toml", 20), ("further.toml", 20)] {
+        let public: Vec<Case> = cases(file).into_iter().filter(|c| c.source != "a user's trial").collect();
+        let new = public.iter().filter(|c| c.unlike).count();
+        assert!(public.len() >= fewest && 3 * new >= public.len(), "{file}: {new} of {}", public.len());
+    }
 }
 
 #[test]

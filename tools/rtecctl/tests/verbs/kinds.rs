@@ -426,6 +426,76 @@ fn a_chip_that_is_absent_is_named() {
     );
 }
 
+/// The same table as programs and spreadsheets of several countries write it.
+fn dialects(table: &str) -> Vec<(&'static str, Vec<u8>)> {
+    let german = |by: &str| table.replace(',', by).replace('.', ",");
+    let rows = |text: &str, row: &dyn Fn(&str) -> String| text.lines().map(row).collect::<String>();
+    let cells = |line: &str| {
+        line.split(',').map(|cell| format!("\"{}\"", cell.replace('.', ","))).collect::<Vec<_>>()
+    };
+    let utf16 =
+        |text: &str| -> Vec<u16> { format!("\u{feff}{text}").replace('\n', "\r\n").encode_utf16().collect() };
+    vec![
+        ("semicolons", german(";").into_bytes()),
+        ("tabs", german("\t").into_bytes()),
+        ("bars", table.replace(',', "|").into_bytes()),
+        ("a line sep=", format!("sep=;\n{}", german(";")).into_bytes()),
+        ("quotes", rows(table, &|line| cells(line).join(",") + "\n").into_bytes()),
+        ("UTF-16, little end first", utf16(&german(";")).into_iter().flat_map(u16::to_le_bytes).collect()),
+        ("UTF-16, big end first", utf16(table).into_iter().flat_map(u16::to_be_bytes).collect()),
+        ("a byte-order mark", format!("\u{feff}{}", table.replace('\n', "\r\n")).into_bytes()),
+        ("separators at the end", rows(&german(";"), &|line| format!("{line};;\n")).into_bytes()),
+        ("blanks", table.replace(',', " , ").into_bytes()),
+        ("comments", format!("# bench 3\n\n{table}\n# end\n").into_bytes()),
+    ]
+}
+
+#[test]
+fn every_reader_takes_every_dialect() {
+    let record = "file = \"in.csv\"\nkind = \"drift\"\n[columns]\nt = { role = \"time\", unit = \"s\" }\ne = { role = \"error.z\", unit = \"um\" }\n";
+    for (table, line) in [
+        (
+            "t,e\n0,1.5\n10,2.25\n20,3.125\n30,2.5\n",
+            "characterise import in.csv --format csv --columns t=time,e=error.z --out o.run.toml",
+        ),
+        ("t,e\n0,1.5\n600,2.25\n1200,3.125\n1800,2.5\n", "characterise evaluate in.run.toml --json"),
+        (
+            "z_mm,x_mm\n110.0,0.0\n108.0,6.0\n106.0,8.0\n100.0,10.0\n94.0,8.0\n",
+            "part errors --points in.csv --radius-mm 10 --tip-mm 0 --json",
+        ),
+        (
+            "part,feature,error_um\n1,D1,11.5\n2,D1,12.25\n3,D1,11.75\n",
+            "part post-process --batch in.csv --json",
+        ),
+        (
+            "t_s,position_mm\n0.0,0.0\n0.001,0.0015\n0.002,0.0035\n",
+            "trace from-position in.csv --count-um 1 --out o.csv --json",
+        ),
+        (
+            "t_ns,a,b\n0,0,0\n10000,1,0\n20000,1,1\n30000,0,1\n",
+            "replay --trace in.csv --requests totals.csv --json",
+        ),
+        ("t_ns,requested\n0,0\n15000,2\n", "replay --trace trace.csv --requests in.csv --json"),
+    ] {
+        let read = |bytes: &[u8]| {
+            let folder = tempfile::tempdir().unwrap();
+            let put = |name: &str, bytes: &[u8]| std::fs::write(folder.path().join(name), bytes).unwrap();
+            put("in.csv", bytes);
+            put("in.run.toml", record.as_bytes());
+            put("totals.csv", b"t_ns,requested\n0,0\n15000,2\n");
+            put("trace.csv", b"t_ns,a,b\n0,0,0\n10000,1,0\n20000,1,1\n30000,0,1\n");
+            let done = run(folder.path(), &words(line));
+            let written = std::fs::read_to_string(folder.path().join("o.csv")).unwrap_or_default();
+            assert_eq!(done.exit, 0, "{line}: {}{}", String::from_utf8_lossy(bytes), done.err);
+            (done.out, written)
+        };
+        let plain = read(table.as_bytes());
+        for (dialect, bytes) in dialects(table) {
+            assert_eq!(read(&bytes), plain, "{dialect}: {line}");
+        }
+    }
+}
+
 #[test]
 fn one_csv_front_serves_every_verb() {
     let folder = inputs();

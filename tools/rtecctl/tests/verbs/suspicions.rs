@@ -197,6 +197,14 @@ fn a_misread_row_is_in_no_figure_of_any_verb() {
     let drift = Twins::new("drift", "", columns, &rows, (120, "7200,25.189,20.241,-388.2"));
     drift.are_alike("characterise evaluate r.run.toml --json");
     drift.are_alike("history r.run.toml --json");
+    // A history, too, says what its figure would be with that row.
+    let out = rtecctl(drift.0[0].path(), "history r.run.toml --json");
+    let document: Value = serde_json::from_slice(&out.stdout).unwrap();
+    let point = &document["figures"][0]["points"][0];
+    let [value, all] = ["value", "with_every_row"].map(|key| point[key].as_f64().unwrap());
+    assert!((value - 3.0).abs() < 0.1 && (all - value).abs() > 0.05, "{document}");
+    let said = String::from_utf8_lossy(&out.stderr);
+    assert!(said.contains("; with every row it would be "), "{said}");
     drift.are_alike("model fit --record r.run.toml --out m.toml --json");
     drift.are_alike("model fit --record r.run.toml --holdout r.run.toml --out m.toml --json");
     drift.are_alike("model validate --machine m.toml --record r.run.toml --json");

@@ -52,6 +52,29 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             rtec_files::text::short(1e-6 * (1e6 * step).round())
         );
     }
+    for place in &batch.places {
+        if let (false, Some(with)) = (place.left_out.is_empty(), place.with_every_reading) {
+            let readings: Vec<String> = place
+                .left_out
+                .iter()
+                .map(|w| {
+                    format!("part {}, {} µm (line {})", w.part, rtec_files::text::short(w.error_um), w.line)
+                })
+                .collect();
+            eprintln!(
+                "warning: {}: {}{}: far off the other parts, and in no figure: {}. With every reading the mean would be {:.2} instead of \
+                 {:.2} µm, the SD {:.2} instead of {:.2} µm. Put the reading right, or measure that part again",
+                args.batch.display(),
+                place.feature,
+                place.angle_rad.map_or_else(String::new, |a| format!(" at {a:.4} rad")),
+                readings.join(", "),
+                with.mean_um,
+                place.mean_um,
+                with.sd_um,
+                place.sd_um
+            );
+        }
+    }
     let unseen = batch.places.iter().filter(|p| p.seen_on_machine_um.is_none()).count();
     if seen.is_some() && unseen > 0 {
         eprintln!(
