@@ -1,5 +1,5 @@
-//! The table of record of the main suite: what is asked of each figure, and the newest run on seeds never run before. `rtec-blind`
-//! judges by it, and a test compares README and guide with it. A newer run goes in here first.
+//! The table of record: what is asked of each figure of the main suite, its newest run on seeds never run before, and every other
+//! figure that README and guide quote. `rtec-blind` judges by it, and a test compares the pages with it. A newer run goes in here first.
 
 /// The command of the newest run.
 pub const COMMAND: &str = "rtec-blind --bare --from 91000000";
@@ -95,3 +95,87 @@ impl Figure {
         format!("{} {} %", if self.at_least { "≥" } else { "≤" }, self.asked)
     }
 }
+
+/// A figure of another run than the main suite's, as README and guide quote it.
+#[derive(Debug, Clone, Copy)]
+pub struct Quoted {
+    /// What gives it: a command, or the test's name.
+    pub by: &'static str,
+    /// On how much: cases, seeds, edges, minutes.
+    pub on: &'static str,
+    /// The figures with unit and error, as the pages quote them. Of a share (`17 of 19`) the number of cases gives the error.
+    pub figures: &'static [&'static str],
+    /// The pages that quote it: all figures or some, never another.
+    pub pages: &'static [&'static str],
+}
+
+const README: &str = "README.md";
+const FIGURES: &str = "tools/guide/contributor/figures.md";
+const PART: &str = "tools/guide/metrologist/part.md";
+const SHOP: &str = "tests/judges/shop.py --from 5001 --count 12";
+const ELSEWHERE: &str = "tests/judges/elsewhere.py all --count 20 --at-least";
+const FITS: &str = "cargo test -p rtec-fit --test fits random_machines";
+const MUTANTS: &str = "tests/mutants.py";
+
+const fn quoted(
+    by: &'static str,
+    on: &'static str,
+    figures: &'static [&'static str],
+    pages: &'static [&'static str],
+) -> Quoted {
+    Quoted { by, on, figures, pages }
+}
+
+/// Every other figure that is quoted as a share of cases, or in README's "Figures in short".
+pub const QUOTED: &[Quoted] = &[
+    quoted(
+        "cargo bench --workspace --bench latency",
+        "one self-test, quiet",
+        &["303 ns"],
+        &[README, FIGURES],
+    ),
+    quoted(
+        "cargo bench --workspace --bench edge_rate",
+        "10⁸ edges",
+        &["628 000 counts/s"],
+        &[README, FIGURES],
+    ),
+    quoted(
+        "RTEC_HISTORIES=10000 RTEC_SEED=1001",
+        "10 000 lives",
+        &["no count lost in silence"],
+        &[README, FIGURES],
+    ),
+    quoted(
+        "RTEC_KILLS=1000 RTEC_SEED=2711",
+        "1000 kills",
+        &["no jump, no illegal state"],
+        &[README, FIGURES],
+    ),
+    quoted(
+        "cargo test -p rtec-fit --test fits real_data",
+        "2341 minutes",
+        &["0.47 µm RMS"],
+        &[README, FIGURES],
+    ),
+    quoted("rtecctl part run --seed 1", "seeds 1 to 20", &["0.9 to 1.8 µm"], &[README, PART]),
+    quoted(
+        "rtecctl part run --design original --seed 1",
+        "seeds 1 to 20",
+        &["22.5 to 23.8 µm"],
+        &[README, PART],
+    ),
+    quoted("rtecctl part run --seed 1", "seeds 1 to 20", &["19 of the 20"], &[PART]),
+    quoted("cargo test -p rtec-part --test fit", "1000 random bumps", &["999 of 1000"], &[PART]),
+    quoted("cargo test -p rtec-sim --test machines lobe", "20 places", &["18 of 20"], &[PART]),
+    quoted(FITS, "200 machines", &["0 of 66", "0 of 63"], &[FIGURES]),
+    quoted("`model fit`; `reconcile`", "the real spindle", &["1170 of 2341"], &[FIGURES]),
+    quoted(MUTANTS, "23 files", &["2205 of 2215", "16 of 18"], &[FIGURES]),
+    quoted(SHOP, "12 cases a class", &["11 of 12", "8 of 12", "9 of 12", "10 of 12", "86 ± 4 %"], &[FIGURES]),
+    quoted(
+        ELSEWHERE,
+        "20 cases a class",
+        &["17 of 19", "0 of 20", "20 of 20", "19 of 20", "104 of 108", "104 of 104"],
+        &[FIGURES],
+    ),
+];

@@ -257,10 +257,12 @@ const FORCES: [(f64, &str); 4] = [
     (10.0, "a decimal point one place off?"),
     (0.1, "a decimal point one place off?"),
 ];
-/// Log prior of a travel, but for a constant: few are far from the usual ones, none is the length of a street.
+/// The shortest and the longest travel of a machine's axis, mm: none is the length of a street.
+const TRAVELS_MM: [f64; 2] = [1e-1, 3e4];
+/// Log prior of a travel, but for a constant: few are far from the usual ones.
 fn travel_prior(mm: f64) -> f64 {
     let [middle, factor] = TRAVEL_MM;
-    if (1e-1..=3e4).contains(&mm) {
+    if (TRAVELS_MM[0]..=TRAVELS_MM[1]).contains(&mm) {
         -((mm / middle).ln() / factor.ln()).powi(2).ln_1p()
     } else {
         f64::NEG_INFINITY
@@ -377,13 +379,16 @@ fn candidates(record: &Record, all: &[Record], model: &[Effect]) -> Vec<Mistake>
         let own: Vec<&Column> = record.columns.iter().filter(|c| kind(&c.role)).collect();
         let Some(first) = own.first() else { continue };
         for (by, unit) in other_units(&first.role) {
-            let span = |c: &&Column| {
-                let (lo, hi) = c.data.iter().fold((f64::MAX, f64::MIN), |(l, h), x| (l.min(*x), h.max(*x)));
-                by * (hi - lo)
-            };
-            let widest = own.iter().map(span).fold(0.0, f64::max);
+            // An axis that stands at 50 mm travels that far, though the run shows less than a micrometre of it.
+            let travel = |c: &&Column| c.data.iter().fold(0.0_f64, |most, x| most.max(x.abs()));
+            let as_given = own.iter().map(travel).fold(0.0, f64::max);
             let place = matches!(first.role, Role::Position(_));
-            let likelier = if place { travel_prior(widest) - travel_prior(widest / by) } else { 0.0 };
+            // One that stands at its zero shows no travel: it is no proof of another unit.
+            let likelier = if place {
+                travel_prior(by * as_given) - travel_prior(as_given.max(TRAVELS_MM[0]))
+            } else {
+                0.0
+            };
             if likelier == f64::NEG_INFINITY {
                 continue;
             }

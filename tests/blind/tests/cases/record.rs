@@ -1,18 +1,25 @@
-//! Every figure of the main suite that README and guide quote is the table of record's.
+//! Every figure that README and guide quote is the table of record's.
 
-use rtec_blind::record::{BOTH, CASES, COMMAND, NOTHING, ONE, ONE_CLEAR, UNKNOWN, UNKNOWN_NAMED, WRONG};
-use std::path::Path;
+use rtec_blind::record::{
+    BOTH, CASES, COMMAND, Figure, NOTHING, ONE, ONE_CLEAR, QUOTED, UNKNOWN, UNKNOWN_NAMED, WRONG,
+};
+use std::path::{Path, PathBuf};
+
+const MAIN_SUITE: [Figure; 7] = [ONE_CLEAR, ONE, WRONG, NOTHING, UNKNOWN, UNKNOWN_NAMED, BOTH];
+
+fn root() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../..")
+}
 
 fn page(name: &str) -> String {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
-    let text = std::fs::read_to_string(root.join(name)).expect("a file of the repository");
+    let text = std::fs::read_to_string(root().join(name)).expect("a file of the repository");
     // A sentence may go on in the next line.
     text.split_whitespace().collect::<Vec<_>>().join(" ")
 }
 
 #[test]
 fn quoted_figures_are_those_of_the_newest_run() {
-    let none = |f: rtec_blind::record::Figure| format!("none in {}", f.newest.1);
+    let none = |f: Figure| format!("none in {}", f.newest.1);
     let quotes = [
         (
             "README.md",
@@ -64,7 +71,7 @@ fn quoted_figures_are_those_of_the_newest_run() {
 
 #[test]
 fn the_newest_run_is_within_chance_of_what_is_asked() {
-    for figure in [ONE_CLEAR, ONE, WRONG, NOTHING, UNKNOWN, UNKNOWN_NAMED, BOTH] {
+    for figure in MAIN_SUITE {
         assert!(figure.within_chance(figure.newest), "{figure:?}");
     }
     assert!(!ONE_CLEAR.reached((138, 142)) && ONE_CLEAR.within_chance((138, 142)));
@@ -74,4 +81,84 @@ fn the_newest_run_is_within_chance_of_what_is_asked() {
             && WRONG.within_chance((3, 312))
     );
     assert!(BOTH.reached((0, 0)));
+}
+
+/// README and every page of the guide, by their path in the repository.
+fn pages() -> Vec<String> {
+    let mut folders = vec![root().join("tools/guide")];
+    let mut pages = vec!["README.md".to_owned()];
+    while let Some(folder) = folders.pop() {
+        for entry in std::fs::read_dir(folder).expect("a folder of the guide") {
+            let path = entry.expect("an entry of a folder").path();
+            if path.is_dir() {
+                folders.push(path);
+            } else if path.extension().is_some_and(|e| e == "md") {
+                let name = path.strip_prefix(root()).expect("a path below the root");
+                pages.push(name.display().to_string());
+            }
+        }
+    }
+    pages
+}
+
+/// The shares that a text quotes: `17 of 19`, `19 of the 20`. What a command printed is judged where it runs, so blocks are left out.
+fn shares(text: &str) -> Vec<String> {
+    let prose: String = text.split("```").step_by(2).collect();
+    let words: Vec<&str> =
+        prose.split_whitespace().map(|w| w.trim_matches(|c: char| ",;:.()|".contains(c))).collect();
+    let whole = |w: &str| !w.is_empty() && w.chars().all(|c| c.is_ascii_digit());
+    let share = |k: usize| match words.get(k..) {
+        Some([n, "of", m, ..]) if whole(n) && whole(m) => Some(format!("{n} of {m}")),
+        Some([n, "of", "the", m, ..]) if whole(n) && whole(m) => Some(format!("{n} of the {m}")),
+        _ => None,
+    };
+    (0..words.len()).filter_map(share).collect()
+}
+
+/// A newer run of any suite that leaves a page behind, and a figure that nobody ran, are found here.
+#[test]
+fn every_share_that_a_page_quotes_is_in_the_table() {
+    let mut missing = Vec::new();
+    for name in pages() {
+        let text = page(&name);
+        let known = |share: &String| {
+            MAIN_SUITE.iter().any(|f| f.counts() == *share)
+                || QUOTED
+                    .iter()
+                    .any(|q| q.pages.contains(&name.as_str()) && q.figures.contains(&share.as_str()))
+        };
+        missing.extend(shares(&text).into_iter().filter(|s| !known(s)).map(|s| format!("{name}: {s}")));
+    }
+    assert!(missing.is_empty(), "quoted, and no run of the table of record: {missing:#?}");
+}
+
+#[test]
+fn every_figure_of_the_table_stands_on_its_pages() {
+    for q in QUOTED {
+        for name in q.pages {
+            let text = page(name);
+            for figure in q.figures {
+                assert!(text.contains(figure), "{name} does not say `{figure}` ({}, {})", q.by, q.on);
+            }
+        }
+        let with_command = |name: &&str| page(name).contains(q.by);
+        assert!(q.pages.iter().any(with_command), "no page of {:?} has the command `{}`", q.pages, q.by);
+    }
+}
+
+/// Each row of README's figures is a run of the table.
+#[test]
+fn every_row_of_the_readme_is_a_run_of_the_table() {
+    let text = std::fs::read_to_string(root().join("README.md")).expect("README.md");
+    let section =
+        text.split("## Figures in short").nth(1).and_then(|t| t.split("\n## ").next()).expect("its section");
+    let rows: Vec<&str> = section.lines().filter(|l| l.starts_with("| ")).skip(1).collect();
+    assert!(rows.len() > 5, "README has a table of figures");
+    for row in rows {
+        let of_main = row.contains(&ONE_CLEAR.counts());
+        let of = |q: &&rtec_blind::record::Quoted| {
+            q.pages.contains(&"README.md") && q.figures.iter().any(|f| row.contains(f))
+        };
+        assert!(of_main || QUOTED.iter().any(|q| of(&q)), "no run of the table: {row}");
+    }
 }

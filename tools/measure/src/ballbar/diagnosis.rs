@@ -36,9 +36,12 @@ pub struct Cyclic {
 
 impl Cyclic {
     /// Whether a screw makes it: its period is a lead, or half of one as of two turns of a bearing, within its own
-    /// interval or what a screw's lead is off by.
+    /// interval or what a scale may be off by (its bound in the dictionary: the loosest screw of ISO 3408-3 and some more).
     fn is_of_a_screw(&self, half_mm: f64) -> bool {
-        let within = |lead: f64| (self.period_mm - lead).abs() <= half_mm.max(LEAD_OFF * lead);
+        let dictionary = Dictionary::default();
+        let scale = dictionary.laws().find(|l| l.describe().name == laws::scale::NAME);
+        let off = scale.map_or(0.0, |l| 1e-6 * l.describe().parameters[0].bounds[1]);
+        let within = |lead: f64| (self.period_mm - lead).abs() <= half_mm.max(off * lead);
         made_periods_mm().any(within)
     }
 }
@@ -97,8 +100,6 @@ pub struct Diagnosis {
 
 /// Leads of inch screws, mm: 0.1, 0.2, 0.25, 0.4, 0.5 and 1 inch.
 const INCH_LEADS_MM: [f64; 6] = [2.54, 5.08, 6.35, 10.16, 12.7, 25.4];
-/// Share by which a warm or worn screw's lead, and the scale of the axis, may be off: some thousand ppm.
-const LEAD_OFF: f64 = 0.002;
 /// Rows nearer than this to where an axis turns are in no cause, mm: play up to 20 µm is taken up by then, and such a row may
 /// stand on either side of the turn.
 const SETTLED_MM: f64 = 0.03;

@@ -394,3 +394,32 @@ fn minutes_and_revolutions_a_second_that_only_the_model_shows_are_said() {
         assert!(names(&r).contains(&"thermal_lag.x".to_owned()), "{}", r.to_json());
     }
 }
+
+/// Tool changes, say: every axis comes back to one place, and what is seen of its travel is a count. A run that was written in metres
+/// is told from it.
+#[test]
+fn an_axis_that_stands_is_no_other_unit() {
+    for (at_mm, stroke_mm, doubted) in [(50.0, 0.0007, false), (0.0, 0.0007, false), (0.0, 300.0, true)] {
+        let mut d = Dice::new(7);
+        let axis = Axis::new("x").unwrap();
+        let (mut columns, n) = (vec![Vec::new(); 4], 40);
+        for i in 0..n {
+            let up = i % 2 == 0;
+            let p = at_mm + if up { stroke_mm * f64::from(i) / f64::from(n) } else { 0.0 };
+            let dir = if up { 1.0 } else { -1.0 };
+            let e = 54.0 * p / 1000.0 + 5.0 * dir + 1.2 * d.normal();
+            let given = if doubted { p / 1000.0 } else { p };
+            columns.iter_mut().zip([10.0 * f64::from(i), given, dir, e]).for_each(|(c, v)| c.push(v));
+        }
+        let roles =
+            [Role::Time, Role::Position(axis.clone()), Role::Direction(axis.clone()), Role::Error(axis)];
+        let columns = ["t", "x", "dir", "e"].into_iter().zip(roles).zip(columns);
+        let columns = columns.map(|((n, r), v)| Column::new(n, r, v)).collect();
+        let record = Record::new(Path::new("r.run.toml"), Kind::Positioning, columns).unwrap();
+        let model = "name = \"m\"\n[[effect]]\nname = \"scale.x\"\nppm = 54.0\n[[effect]]\nname = \"reversal.x\"\num = 10.2\n";
+        let model = Machine::parse(Path::new("m.toml"), model).unwrap();
+        let r = reconcile(&[record], &[], &model, &Options::default()).unwrap();
+        let said = r.suspicions.iter().any(|s| s.what == What::Unit);
+        assert_eq!(said, doubted, "at {at_mm} mm, stroke {stroke_mm} mm: {:?}", r.suspicions);
+    }
+}

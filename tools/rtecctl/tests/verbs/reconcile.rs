@@ -246,6 +246,44 @@ fn an_unknown_in_x_hides_no_reversal_in_z() {
     assert!(um.is_some_and(|um| (um - 6.0).abs() < 0.5), "{document}");
 }
 
+/// On a circle z² = r² − x²: a bow in Z is a curve over X as well, and neither is named alone.
+#[test]
+fn a_bow_told_by_a_circle_has_its_rival() {
+    let folder = tempfile::tempdir().unwrap();
+    let (radius_mm, n) = (150.0, 360);
+    let rows = (0..2 * n)
+        .map(|i| {
+            let way = if i < n { 1.0 } else { -1.0 };
+            let (sin, cos) = (way * std::f64::consts::TAU * f64::from(i % n) / f64::from(n)).sin_cos();
+            let um = 12.0 * sin * sin + 3.0 * scatter(i);
+            let dirs = [-sin * way, cos * way].map(|v| if v > 0.0 { 1 } else { -1 });
+            let (x, z, t) = (radius_mm * cos, radius_mm * sin, 0.1 * f64::from(i));
+            format!("{t:.1},{x:.4},{z:.4},{},{},{um:.4}\n", dirs[0], dirs[1])
+        })
+        .collect::<Vec<_>>()
+        .concat();
+    std::fs::write(folder.path().join("run.csv"), format!("t,x,z,dx,dz,ex\n{rows}")).unwrap();
+    let columns = "[columns]\nt = { role = \"time\", unit = \"s\" }\nx = { role = \"position.x\", unit = \"mm\" }\n\
+                   z = { role = \"position.z\", unit = \"mm\" }\ndx = { role = \"direction.x\", unit = \"1\" }\n\
+                   dz = { role = \"direction.z\", unit = \"1\" }\nex = { role = \"error.x\", unit = \"um\" }\n";
+    let sidecar = format!("file = \"run.csv\"\nkind = \"plate\"\n{columns}");
+    std::fs::write(folder.path().join("run.run.toml"), sidecar).unwrap();
+    std::fs::write(folder.path().join("machine.toml"), "name = \"m\"\n").unwrap();
+    let output = Command::new(env!("CARGO_BIN_EXE_rtecctl"))
+        .args(["reconcile", "run.run.toml", "--model", "machine.toml", "--json"])
+        .current_dir(folder.path())
+        .output()
+        .unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let document: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(document["verdict"], "not_separable", "{document}");
+    let effects = document["effects"].as_array().unwrap();
+    let rivals = effects.iter().flat_map(|e| e["alternatives"].as_array().unwrap());
+    let mut names: Vec<&str> = effects.iter().chain(rivals).filter_map(|e| e["name"].as_str()).collect();
+    names.sort_unstable();
+    assert_eq!(names, ["position_map.x", "straightness.x.z"], "{document}");
+}
+
 /// For and against one name: what is in the answer, what is beside it, what no record shows; what is no effect at all is refused.
 #[test]
 fn why_gives_the_evidence_for_and_against_one_name() {
