@@ -161,6 +161,7 @@ fn looked_at(train: &[Record], holdout: &[Record], machine: &Machine, options: &
         refined,
         gap,
         model,
+        records: train,
         traces: traces_of,
         level: options.level,
         every,
