@@ -48,7 +48,7 @@ mod workflow;
 pub const SEED: u64 = 4832;
 
 pub use answer::Finding;
-pub use gap::{Gap, Trace};
+pub use gap::{Gap, Over, Trace};
 pub use regression::{Regression, RegressionColumn, RegressionRows, SetUpColumns};
 pub use report::{html, pictures};
 pub use rtec_estimate::{Rival, Shape, Tried};

@@ -6,5 +6,6 @@ mod nameless;
 mod names;
 mod noise;
 mod one_room;
+mod page;
 mod weighed;
 mod zeros;
