@@ -4,6 +4,7 @@ mod ballbar;
 mod doubted;
 mod nameless;
 mod names;
+mod next_run;
 mod noise;
 mod one_room;
 mod page;
