@@ -306,7 +306,10 @@ impl Report {
             let all = |key: &str| {
                 self.facts.iter().filter(|f| f.0 == key).map(|f| f.1.as_str()).collect::<Vec<_>>()
             };
-            let of_instrument = self.facts.iter().filter(|f| f.0.starts_with("instrument "));
+            let of_instrument = self
+                .facts
+                .iter()
+                .filter(|f| ["instrument name", "instrument serial"].contains(&f.0.as_str()));
             let instrument: Vec<&str> = of_instrument.map(|f| f.1.as_str()).collect();
             h.push_str(&signed_line(
                 &instrument.join(", "),
@@ -361,7 +364,10 @@ mod tests {
         };
         let conditions = Conditions {
             words: vec![("operator".into(), "N. <N>".into())],
-            instrument: vec![("name".into(), "ballbar".into()), ("serial".into(), "12".into())],
+            instrument: ["name", "ballbar", "serial", "12", "calibrated", "2026-01-15"]
+                .chunks(2)
+                .map(|c| (c[0].to_owned(), c[1].to_owned()))
+                .collect(),
             ..Conditions::default()
         };
         let runs = [run("2026-05-04"), run("2026-05-05"), run("2026-05-04")];

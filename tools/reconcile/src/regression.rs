@@ -20,7 +20,7 @@ pub enum SetUpColumns {
 /// A fitted value, or a set-up term, and what one unit of it makes of every row.
 #[derive(Debug, Clone)]
 pub struct RegressionColumn {
-    /// The effect's identity; of a set-up term `zero` or `centre`.
+    /// The effect with its sensors; of a set-up term `zero` or `centre`.
     pub name: String,
     /// The parameter, with its number where it has many; of a set-up term the record.
     pub parameter: String,
@@ -99,11 +99,13 @@ impl Regression {
 fn of_effect(rows: &Rows<'_>, effect: &Effect, half: &[Option<f64>]) -> Vec<RegressionColumn> {
     let width = effect.width();
     let slopes = rows.slopes(effect);
+    let sensor = effect.delta.as_ref().map_or_else(String::new, |d| format!(" ({d})"));
+    let name = effect.name() + &sensor;
     let column = |(i, derivative): (usize, Vec<f64>)| {
         let half_width = half[i].filter(|h| *h > 0.0)?;
         let p = &effect.description().parameters[i / width];
         Some(RegressionColumn {
-            name: effect.identity(),
+            name: name.clone(),
             parameter: if width == 1 { p.name.clone() } else { format!("{}[{}]", p.name, i % width) },
             unit: p.unit.clone(),
             value: Some(effect.values()[i]),
