@@ -67,6 +67,8 @@ pub struct Fit {
     pub reports: Vec<Report>,
     /// Mistakes that the records show.
     pub doubts: Vec<Suspicion>,
+    /// The training records as they were fitted.
+    pub records: Vec<Record>,
 }
 
 /// A fit of effects that were named.
@@ -153,7 +155,7 @@ pub fn fit(
             say(Said::Warning(format!("{}: {w}", r.response)));
         }
     }
-    Ok(Fit { machine, reports, doubts })
+    Ok(Fit { machine, reports, doubts, records: train })
 }
 
 /// Fits effects by their names (`scale.x`, `thermal_expansion.x:T3-T20`), beside what the base holds.

@@ -47,18 +47,12 @@ const TEMPERATURES: &str = "every temperature sensor";
 /// Bars that are usual, longest first, mm.
 const BARS_MM: [f64; 3] = [150.0, 100.0, 50.0];
 
-/// The test sequence for a machine as a person describes it: [`sequence`], with the longest usual bar whose circle fits
-/// every axis where none is given. What is to be said on the way goes to `say`.
+/// What a person says of a machine, looked at.
 ///
 /// # Errors
 /// No axis, one a second time or of a name that is none, a travel, speed or bar that is no number above zero, a circle
 /// larger than an axis.
-pub fn for_machine(
-    axes: &[PlanAxis],
-    max_rpm: f64,
-    ballbar_mm: Option<f64>,
-    say: &mut dyn FnMut(Said),
-) -> Result<Vec<Step>, InputError> {
+pub fn check(axes: &[PlanAxis], max_rpm: f64, ballbar_mm: Option<f64>) -> Result<(), InputError> {
     let usage =
         |found: String, expected: &str| InputError::whole(Path::new("characterise plan"), found, expected);
     if axes.is_empty() {
@@ -81,12 +75,32 @@ pub fn for_machine(
             return Err(usage(format!("{name} {v}"), "a number above zero"));
         }
     }
-    let shortest = axes.iter().map(|a| a.travel_mm).fold(f64::INFINITY, f64::min);
+    let shortest = shortest_mm(axes);
     if let Some(radius) = ballbar_mm.filter(|r| axes.len() > 1 && 2.0 * r > shortest) {
         let found =
             format!("--ballbar-mm {radius}: a circle {} mm across on an axis of {shortest} mm", 2.0 * radius);
         return Err(usage(found, "a bar whose circle fits every axis"));
     }
+    Ok(())
+}
+
+fn shortest_mm(axes: &[PlanAxis]) -> f64 {
+    axes.iter().map(|a| a.travel_mm).fold(f64::INFINITY, f64::min)
+}
+
+/// The test sequence for a machine as a person describes it: [`sequence`], with the longest usual bar whose circle fits
+/// every axis where none is given. What is to be said on the way goes to `say`.
+///
+/// # Errors
+/// As [`check`].
+pub fn for_machine(
+    axes: &[PlanAxis],
+    max_rpm: f64,
+    ballbar_mm: Option<f64>,
+    say: &mut dyn FnMut(Said),
+) -> Result<Vec<Step>, InputError> {
+    check(axes, max_rpm, ballbar_mm)?;
+    let shortest = shortest_mm(axes);
     let bar_mm = ballbar_mm.or_else(|| BARS_MM.into_iter().find(|r| 2.0 * r <= shortest));
     if bar_mm.is_none() && axes.len() > 1 {
         say(Said::Note(format!(
@@ -168,12 +182,113 @@ fn targets(from_mm: f64, length_mm: f64, count: usize) -> Vec<f64> {
     (0..count).map(|k| from_mm + k as f64 * step + off(k)).collect()
 }
 
+/// A run over targets at uneven distances, both ways.
+#[derive(Debug, Clone, PartialEq)]
+pub struct TargetRun {
+    /// Targets from the lower end, mm.
+    pub targets_mm: Vec<f64>,
+    /// How often they are approached from each side.
+    pub cycles: usize,
+    /// How much warmer the machine is in the second half of the cycles, K.
+    pub warmer_k: Option<f64>,
+}
+
+/// Time of one reading: the way, the rest, the reading, min.
+const MINUTES_EACH: f64 = 0.36;
+/// Time to warm a machine by some kelvin, min.
+const WARMING_MIN: f64 = 60.0;
+/// So far may a target be off the even distance, in distances: no two of any number are then at one place of a wave.
+const UNEVEN: f64 = 0.3;
+
+impl TargetRun {
+    /// So many targets over an axis. The golden ratio places them within their distances, so that no period fits all of them.
+    #[must_use]
+    pub fn uneven(axis: &PlanAxis, count: usize, cycles: usize, warmer_k: Option<f64>) -> Self {
+        let margin_mm = margin_mm(axis);
+        let step = (axis.travel_mm - 2.0 * margin_mm) / (count - 1) as f64;
+        let golden = 0.5 * (5f64.sqrt() - 1.0);
+        let off = |k: usize| {
+            let inner = f64::from(!k.is_multiple_of(count - 1));
+            UNEVEN * step * (2.0 * (k as f64 * golden).fract() - 1.0) * inner
+        };
+        let place = |k: usize| (100.0 * (margin_mm + k as f64 * step + off(k))).round() / 100.0;
+        Self { targets_mm: (0..count).map(place).collect(), cycles, warmer_k }
+    }
+
+    /// Every reading in its order: cycle from 1, direction, target in mm, whether the machine is warm.
+    pub fn readings(&self) -> impl Iterator<Item = (usize, f64, f64, bool)> {
+        let cycles = self.cycles * if self.warmer_k.is_some() { 2 } else { 1 };
+        (1..=cycles).flat_map(move |cycle| {
+            let warm = cycle > self.cycles;
+            let up = self.targets_mm.iter().map(move |t| (cycle, 1.0, *t, warm));
+            up.chain(self.targets_mm.iter().rev().map(move |t| (cycle, -1.0, *t, warm)))
+        })
+    }
+
+    /// Time from reading to reading, s.
+    #[must_use]
+    pub fn seconds_each(&self) -> f64 {
+        60.0 * MINUTES_EACH
+    }
+
+    /// About how long it takes, min.
+    #[must_use]
+    pub fn minutes(&self) -> f64 {
+        let warming = self.warmer_k.map_or(0.0, |_| WARMING_MIN);
+        MINUTES_EACH * self.readings().count() as f64 + warming
+    }
+}
+
+/// The step of a plan for such a run; the gauge reads the error of axis `response`.
+#[must_use]
+pub fn target_run(record: &str, axis: &PlanAxis, response: &str, run: &TargetRun) -> Step {
+    let n = &axis.name;
+    let targets: Vec<String> = run.targets_mm.iter().map(|t| format!("{t:.2}")).collect();
+    let warm = run.warmer_k.map_or_else(String::new, |k| {
+        format!("; then warm the machine by about {k:.0} K with strokes and spindle, and the same once more")
+    });
+    let mount = if n == response {
+        format!(
+            "laser interferometer along {n}, reflector in the spindle; a temperature sensor at scale or screw"
+        )
+    } else {
+        format!("straightness optics or a straightedge along {n}, read across it in {response}")
+    };
+    Step {
+        number: 0,
+        record: record.to_owned(),
+        kind: "positioning",
+        state: "cold, spindle at rest",
+        mount,
+        run: format!(
+            "targets {} mm from the lower end, up and down, {} cycles, the end targets from beyond them, 3 s at rest before each \
+             reading{warm}; the record states turns = \"overtravel\"",
+            targets.join(" "),
+            run.cycles
+        ),
+        columns: words(&[
+            "time",
+            &format!("position.{n}"),
+            &format!("direction.{n}"),
+            "cycle",
+            &format!("error.{response}"),
+            TEMPERATURES,
+        ]),
+        evaluate: "reconcile, together with the records of the verdict",
+        minutes: run.minutes(),
+    }
+}
+
+/// Travel beyond the first and the last target, from which they are approached, mm.
+fn margin_mm(axis: &PlanAxis) -> f64 {
+    (0.02 * axis.travel_mm).clamp(2.0, 25.0).min(axis.travel_mm / 10.0)
+}
+
 /// Bidirectional linear displacement of one axis (the patent's table 2, ISO 230-2). An axis of more than 2 m has a run over
 /// its travel, once each way, and the standard's cycles on 2 m of it.
 fn displacement(axis: &PlanAxis) -> Vec<Step> {
     let travel_mm = axis.travel_mm;
-    // The first and the last target are approached from both sides too: that takes some travel beyond them.
-    let margin_mm = (0.02 * travel_mm).clamp(2.0, 25.0).min(travel_mm / 10.0);
+    let margin_mm = margin_mm(axis);
     let length_mm = travel_mm - 2.0 * margin_mm;
     if length_mm <= LONG_AXIS_MM {
         let count = fewest_targets(length_mm).max(11);
@@ -213,14 +328,14 @@ fn line(axis: &PlanAxis, of: &str, targets_mm: &[f64], cycles: usize) -> Step {
         ),
         columns: words(&["time", &position, &direction, "cycle", &error, TEMPERATURES]),
         evaluate,
-        minutes: 0.36 * (targets_mm.len() * 2 * cycles) as f64,
+        minutes: MINUTES_EACH * (targets_mm.len() * 2 * cycles) as f64,
     }
 }
 
 /// Straightness of one axis's motion in the direction of another (ISO 230-1).
 fn straight(axis: &PlanAxis, across: &PlanAxis) -> Step {
     let (n, b) = (&axis.name, &across.name);
-    let margin_mm = (0.02 * axis.travel_mm).clamp(2.0, 25.0).min(axis.travel_mm / 10.0);
+    let margin_mm = margin_mm(axis);
     let length_mm = axis.travel_mm - 2.0 * margin_mm;
     let places: Vec<String> = targets(margin_mm, length_mm, fewest_targets(length_mm).max(11))
         .iter()
@@ -249,7 +364,7 @@ fn straight(axis: &PlanAxis, across: &PlanAxis) -> Step {
             TEMPERATURES,
         ]),
         evaluate: "straightness about the least-squares line (ISO 230-1 EYX is the record and effect y_x: error of Y while X moves); squareness where the straightedge was squared",
-        minutes: 0.36 * (places.len() * 2 * 3) as f64,
+        minutes: MINUTES_EACH * (places.len() * 2 * 3) as f64,
     }
 }
 

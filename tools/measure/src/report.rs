@@ -47,6 +47,36 @@ impl Table {
 /// Size of a chart, px.
 const PLOT_PX: (u32, u32) = (900, 480);
 
+/// How a page looks: on a screen, and printed on A4.
+pub const STYLE: &str = "@page{size:A4;margin:14mm 15mm}\
+    body{font:14px/1.4 system-ui,sans-serif;color:#1c2733;max-width:820px;margin:1.5em auto;padding:0 1em}\
+    h1{font-size:1.45em;margin:0 0 .5em}h2{font-size:1.08em;margin:1.5em 0 .35em;border-bottom:1px solid #ccd5de;\
+    break-after:avoid}\
+    table{border-collapse:collapse;width:100%}\
+    td,th{text-align:left;padding:.2em .7em .2em 0;border-bottom:1px solid #e6ebf0;vertical-align:top}\
+    th{font-weight:600;border-bottom-color:#9aa7b3}\
+    td.n,th.n{text-align:right;font-variant-numeric:tabular-nums;white-space:nowrap}\
+    thead{display:table-header-group}tr,figure,.signed{break-inside:avoid}\
+    .facts td:first-child{color:#5b6b7b;width:14em}\
+    .warn{background:#fff6e5;border-left:4px solid #e69f00;padding:.4em .8em;margin:.6em 0}\
+    .signed{margin-top:3em}.signed td{border:0;border-top:1px solid #5b6b7b;padding:.2em .7em 0 0;color:#5b6b7b;width:25%}\
+    .signed .given td{border:0;color:#1c2733;height:1.6em;vertical-align:bottom}\
+    figure{margin:1.2em 0}figure svg{display:block;width:100%;height:auto}\
+    @media print{body{font-size:10.5pt;max-width:none;margin:0;padding:0}\
+    *{print-color-adjust:exact;-webkit-print-color-adjust:exact}figure{margin:.8em 0}figure svg{max-height:105mm}}";
+
+/// The line at a page's end that makes it a certificate: instrument, name, day and signature; what is not known is left to be written.
+#[must_use]
+pub fn signed_line(instrument: &str, name: &str, date: &str) -> String {
+    format!(
+        "<table class=\"signed\"><tr class=\"given\"><td>{}</td><td>{}</td><td>{}</td><td></td></tr>\
+         <tr><td>instrument, serial number</td><td>measured by</td><td>date</td><td>signature</td></tr></table>",
+        escape(instrument),
+        escape(name),
+        escape(date)
+    )
+}
+
 /// A section: a table, or a plot with what it shows.
 #[derive(Debug, Clone, PartialEq)]
 enum Section {
@@ -105,6 +135,10 @@ pub struct Report {
     sections: Vec<Section>,
     /// The verb whose page it is.
     by: &'static str,
+    /// Days of the runs, each once.
+    days: Vec<String>,
+    /// Whether the page ends with a line to be signed: what shows one test.
+    is_signed: bool,
 }
 
 /// What is done with rows that look misread or stand twice.
@@ -149,6 +183,9 @@ impl Report {
             let each = ranges.iter().map(|(name, [lo, hi])| format!("{name} {lo:.2} to {hi:.2}"));
             facts.push(("temperatures (°C)".to_owned(), each.collect::<Vec<_>>().join("; ")));
         }
+        let mut days: Vec<String> = runs.iter().filter_map(|r| r.date.clone()).collect();
+        days.sort_unstable();
+        days.dedup();
         Self {
             title: title.to_owned(),
             facts,
@@ -156,6 +193,8 @@ impl Report {
             doubts: 0,
             sections: Vec::new(),
             by: "characterise evaluate",
+            days,
+            is_signed: !runs.is_empty(),
         }
     }
 
@@ -241,21 +280,7 @@ impl Report {
         let mut h = String::new();
         let _ = write!(
             h,
-            "<!doctype html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"><title>{0}</title><style>\
-             @page{{size:A4;margin:14mm 15mm}}\
-             body{{font:14px/1.4 system-ui,sans-serif;color:#1c2733;max-width:820px;margin:1.5em auto;padding:0 1em}}\
-             h1{{font-size:1.45em;margin:0 0 .5em}}h2{{font-size:1.08em;margin:1.5em 0 .35em;border-bottom:1px solid #ccd5de;\
-             break-after:avoid}}\
-             table{{border-collapse:collapse;width:100%}}\
-             td,th{{text-align:left;padding:.2em .7em .2em 0;border-bottom:1px solid #e6ebf0;vertical-align:top}}\
-             th{{font-weight:600;border-bottom-color:#9aa7b3}}\
-             td.n,th.n{{text-align:right;font-variant-numeric:tabular-nums;white-space:nowrap}}\
-             thead{{display:table-header-group}}tr,figure{{break-inside:avoid}}\
-             .facts td:first-child{{color:#5b6b7b;width:14em}}\
-             .warn{{background:#fff6e5;border-left:4px solid #e69f00;padding:.4em .8em;margin:.6em 0}}\
-             figure{{margin:1.2em 0}}figure svg{{display:block;width:100%;height:auto}}\
-             @media print{{body{{font-size:10.5pt;max-width:none;margin:0;padding:0}}\
-             *{{print-color-adjust:exact;-webkit-print-color-adjust:exact}}figure{{margin:.8em 0}}figure svg{{max-height:105mm}}}}\
+            "<!doctype html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"><title>{0}</title><style>{STYLE}\
              </style></head><body><h1>{0}</h1>",
             escape(&self.title)
         );
@@ -276,6 +301,21 @@ impl Report {
                 }
                 Section::Table(t) => table_html(&mut h, t),
             }
+        }
+        if self.is_signed {
+            let all = |key: &str| {
+                self.facts.iter().filter(|f| f.0 == key).map(|f| f.1.as_str()).collect::<Vec<_>>()
+            };
+            let of_instrument = self
+                .facts
+                .iter()
+                .filter(|f| ["instrument name", "instrument serial"].contains(&f.0.as_str()));
+            let instrument: Vec<&str> = of_instrument.map(|f| f.1.as_str()).collect();
+            h.push_str(&signed_line(
+                &instrument.join(", "),
+                &all("operator").join(", "),
+                &self.days.join(", "),
+            ));
         }
         let _ = writeln!(
             h,
@@ -313,6 +353,30 @@ mod tests {
     use super::*;
 
     #[test]
+    fn a_test_s_page_ends_with_a_line_to_be_signed() {
+        let run = |date: &str| Run {
+            name: "a.run.toml".into(),
+            rows: 9,
+            date: Some(date.into()),
+            note: None,
+            sha256: String::new(),
+            ranges_degc: Vec::new(),
+        };
+        let conditions = Conditions {
+            words: vec![("operator".into(), "N. <N>".into())],
+            instrument: ["name", "ballbar", "serial", "12", "calibrated", "2026-01-15"]
+                .chunks(2)
+                .map(|c| (c[0].to_owned(), c[1].to_owned()))
+                .collect(),
+            ..Conditions::default()
+        };
+        let runs = [run("2026-05-04"), run("2026-05-05"), run("2026-05-04")];
+        let page = Report::of_runs("Circles", &runs, &conditions).html();
+        let line = "<td>ballbar, 12</td><td>N. &lt;N&gt;</td><td>2026-05-04, 2026-05-05</td><td></td>";
+        assert!(page.contains(line) && page.contains("signature"), "{page}");
+    }
+
+    #[test]
     fn text_and_page_hold_the_same_cells() {
         let mut report = Report { title: "Axis <y>".into(), ..Report::default() };
         let mut table = Table::new("Figures", &["figure", "#value (µm)"]);
@@ -333,6 +397,7 @@ mod tests {
         ] {
             assert!(html.contains(words), "{words}: {html}");
         }
+        assert!(!html.contains("class=\"signed\""), "nothing was measured");
         assert!(!html.contains("nothing in it") && !html.contains("http://") && !html.contains("https://"));
     }
 }

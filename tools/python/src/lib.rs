@@ -20,6 +20,7 @@ mod _rtec {
     #[pymodule_export]
     use super::work::{
         designs, evaluate, example, export_table, fit, fit_chain, fit_named, history, import_record,
-        part_errors, plan, prediction_picture, reconcile, replay, simulate, validate, where_they_disagree,
+        part_errors, plan, prediction_picture, reconcile, regression, replay, simulate, validate,
+        where_they_disagree,
     };
 }

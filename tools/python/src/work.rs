@@ -3,6 +3,7 @@
 use crate::border::{Failure, quietly, work};
 use crate::machine::Machine;
 use crate::record::Record;
+use numpy::PyArray1;
 use pyo3::prelude::*;
 use rtec_control::config::Config;
 use rtec_driver::quadrature::State;
@@ -24,7 +25,7 @@ use rtec_model::circle::Circle;
 use rtec_model::date;
 use rtec_model::record::{Axis, Role};
 use rtec_part::determine;
-use rtec_reconcile::{Options, Place, SEED};
+use rtec_reconcile::{Options, Place, Regression, RegressionColumn, SEED, SetUpColumns};
 use rtec_rt::axis::{AxisConfig, Design};
 use rtec_sim::bench::{AnyDesign, replay_any};
 use rtec_sim::computer::Computer;
@@ -38,6 +39,10 @@ use std::path::{Path, PathBuf};
 
 fn inners(records: Vec<Record>) -> Vec<rtec_model::record::Record> {
     records.into_iter().map(|r| r.inner).collect()
+}
+
+fn outers(records: Vec<rtec_model::record::Record>) -> Vec<Record> {
+    records.into_iter().map(|inner| Record { inner }).collect()
 }
 
 fn bad(argument: &str, found: impl Into<String>, expected: impl Into<String>) -> Failure {
@@ -130,8 +135,8 @@ impl FitAsked {
     }
 }
 
-/// Document, model, pictures; what was said.
-type Fitted = ((String, Machine, String), Vec<String>);
+/// Document, model, pictures, records as they were fitted; what was said.
+type Fitted = ((String, Machine, String, Vec<Record>), Vec<String>);
 
 /// Growth by chosen sensors; the choice alone where `selection`.
 #[pyfunction]
@@ -152,7 +157,8 @@ pub(crate) fn fit(
         }
         let document = if selection { done.selection()? } else { done.document()? };
         let pictures: Vec<Picture> = done.reports.iter().map(|r| r.chart().into()).collect();
-        Ok((pretty(&document)?, Machine { inner: done.machine }, drawn(pictures.iter())?))
+        let records = outers(done.records);
+        Ok((pretty(&document)?, Machine { inner: done.machine }, drawn(pictures.iter())?, records))
     })
 }
 
@@ -178,7 +184,8 @@ pub(crate) fn fit_named(
             pictures
                 .extend(both.map(|(b, a)| Picture::from(residual_chart(record, &b.role, &b.data, &a.data))));
         }
-        Ok((pretty(&done.document()?)?, Machine { inner: done.machine }, drawn(pictures.iter())?))
+        let document = pretty(&done.document()?)?;
+        Ok((document, Machine { inner: done.machine }, drawn(pictures.iter())?, outers(done.records)))
     })
 }
 
@@ -380,8 +387,8 @@ pub(crate) fn prediction_picture(
     })
 }
 
-/// Document, model, page, pictures, and where something was unexplained and wanted the law's file; what was said.
-type Reconciled = ((String, Machine, String, String, Option<String>), Vec<String>);
+/// Document, model, page, pictures, where something was unexplained and wanted the law's file, records as they were used; what was said.
+type Reconciled = ((String, Machine, String, String, Option<String>, Vec<Record>), Vec<String>);
 
 #[pyfunction]
 #[pyo3(signature = (train, machine, holdout, level, unexplained, date))]
@@ -423,8 +430,40 @@ pub(crate) fn reconcile(
         let page = rtec_reconcile::html(&answer, machine.inner.name());
         let pictures = rtec_reconcile::pictures(&answer);
         let (document, laws) = (answer.to_json(), answer.curve.map(|(_, laws)| laws));
-        Ok((pretty(&document)?, Machine { inner: answer.model }, page, drawn(pictures.iter())?, laws))
+        let model = Machine { inner: answer.model };
+        Ok((pretty(&document)?, model, page, drawn(pictures.iter())?, laws, outers(answer.records)))
     })
+}
+
+/// A column of a regression: effect or set-up term, parameter, unit, value, half width, derivative row by row.
+type Column<'py> = (String, String, String, Option<f64>, Option<f64>, Bound<'py, PyArray1<f64>>);
+/// Rows (record, response, unit, count), measured, predicted, columns.
+type Arrays<'py> = (
+    Vec<(String, String, &'static str, usize)>,
+    Bound<'py, PyArray1<f64>>,
+    Bound<'py, PyArray1<f64>>,
+    Vec<Column<'py>>,
+);
+
+/// What stands behind a fit or a verdict.
+#[pyfunction]
+pub(crate) fn regression<'py>(
+    py: Python<'py>,
+    records: Vec<Record>,
+    base: Option<Machine>,
+    machine: Machine,
+    of_verdict: bool,
+) -> PyResult<Arrays<'py>> {
+    let of = quietly(py, move || {
+        let base = base.map_or_else(|| rtec_model::machine::Machine::ideal(""), |b| b.inner);
+        let set_up = if of_verdict { SetUpColumns::ByHand } else { SetUpColumns::Zeros };
+        Ok(Regression::new(&inners(records), &base, &machine.inner, set_up))
+    })?;
+    let rows = of.rows.into_iter().map(|r| (r.record, r.response, r.unit, r.count)).collect();
+    let array = |data: Vec<f64>| PyArray1::from_vec(py, data);
+    let column =
+        |c: RegressionColumn| (c.name, c.parameter, c.unit, c.value, c.half_width, array(c.derivative));
+    Ok((rows, array(of.measured), array(of.predicted), of.columns.into_iter().map(column).collect()))
 }
 
 /// The first stage of a reconciliation alone.

@@ -6,7 +6,7 @@ use rtec_estimate::refit::{Refit, left};
 use rtec_estimate::rows::Rows;
 use rtec_model::effect::Effect;
 use rtec_model::machine::Machine;
-use rtec_model::record::Record;
+use rtec_model::record::{Axis, Kind, Record, Role};
 
 /// Folds of the blocked cross-validation.
 const FOLDS: usize = 5;
@@ -59,12 +59,58 @@ pub struct Trace {
     pub response: String,
     /// Whether it was held out.
     pub holdout: bool,
-    /// Row times, s.
-    pub time_s: Vec<f64>,
+    /// What the rows are drawn over: position, angle or time.
+    pub over: Over,
     /// Measured minus simulated with the model as it was.
     pub before: Vec<f64>,
     /// The same with the better model.
     pub after: Vec<f64>,
+}
+
+/// What the rows of a response are drawn over.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Over {
+    /// Its name with its unit.
+    pub name: String,
+    /// Its value at every row.
+    pub values: Vec<f64>,
+    /// Whether the rows follow each other along it, as they do in time.
+    pub in_order: bool,
+    /// Direction of approach of every row; empty where the rows have none.
+    pub direction: Vec<f64>,
+}
+
+/// An axis that moves by less stands still, mm.
+const STILL_MM: f64 = 1.0;
+
+impl Over {
+    /// The angle of a circle; the position of the axis that moves, the response's own first; else time.
+    fn of(record: &Record, response: &Role) -> Self {
+        let in_time = matches!(record.kind, Kind::Drift | Kind::Dynamics);
+        if let Some(angle) = record.data(&Role::Angle).filter(|_| !in_time) {
+            let values = angle.iter().map(|a| a.to_degrees()).collect();
+            return Self { name: "angle (°)".to_owned(), values, in_order: false, direction: Vec::new() };
+        }
+        let span = |axis: &&Axis| {
+            let p = record.data(&Role::Position((*axis).clone())).unwrap_or_default();
+            p.iter().copied().reduce(f64::max).unwrap_or(0.0)
+                - p.iter().copied().reduce(f64::min).unwrap_or(0.0)
+        };
+        let moving: Vec<&Axis> = record.axes(Role::Position).filter(|a| span(a) > STILL_MM).collect();
+        let own = moving.iter().find(|a| response.axis() == Some(**a));
+        let most = own.or_else(|| moving.iter().max_by(|a, b| span(a).total_cmp(&span(b))));
+        if let Some(axis) = most.filter(|_| !in_time) {
+            let column = |role: Role| record.data(&role).unwrap_or_default().to_vec();
+            return Self {
+                name: format!("position of {axis} (mm)"),
+                values: column(Role::Position((*axis).clone())),
+                in_order: false,
+                direction: column(Role::Direction((*axis).clone())),
+            };
+        }
+        let (name, values) = record.over_time();
+        Self { name: name.to_owned(), values, in_order: true, direction: Vec::new() }
+    }
 }
 
 /// Measured minus simulated by the model as it was and by the better one, record by record.
@@ -79,7 +125,7 @@ pub(crate) fn traces(train: &[Record], holdout: &[Record], before: &Machine, aft
                 file: record.file.clone(),
                 response: column.role.to_string(),
                 holdout: held,
-                time_s: record.time_s().to_vec(),
+                over: Over::of(record, &column.role),
                 before,
                 after,
             });

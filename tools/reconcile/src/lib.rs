@@ -15,6 +15,8 @@
 //! | `unexplained` | a curve that stands for what has no name |
 //! | `extent` | places on a grid, for the advice |
 //! | `interval` | within what the better model predicts, as a fit states it |
+//! | `next_run` | the run that tells an effect from its rivals, before it is made |
+//! | `regression` | what stands behind a fit or a verdict, as arrays |
 //! | `verdict`, `gap`, `advice`, `document`, `report` | the answer, its figures, what to do next, as JSON and as a page |
 //!
 //! What must not be here: the laws. What a law is, how it is searched, what stands in for what, is asked of its
@@ -31,6 +33,8 @@ mod extent;
 mod gap;
 mod interval;
 mod mistakes;
+mod next_run;
+mod regression;
 mod report;
 mod room;
 mod suspected;
@@ -46,7 +50,9 @@ mod workflow;
 pub const SEED: u64 = 4832;
 
 pub use answer::Finding;
-pub use gap::{Gap, Trace};
+pub use gap::{Gap, Over, Trace};
+pub use next_run::{NextRuns, Open, Tells, next_runs};
+pub use regression::{Regression, RegressionColumn, RegressionRows, SetUpColumns};
 pub use report::{html, pictures};
 pub use rtec_estimate::{Rival, Shape, Tried};
 pub use unexplained::LAWS_FILE;

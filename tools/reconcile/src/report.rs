@@ -3,29 +3,30 @@
 use crate::gap::Trace;
 use crate::verdict::{Reconciliation, Verdict};
 use crate::where_found::{LEAST_P, Place};
+use rtec_estimate::priors::HALF_WIDTH;
+use rtec_estimate::rows::{Rows, Segment};
 use rtec_measure::plot::{Chart, Colour, Picture, Series, Style};
+use rtec_measure::report::{Run, STYLE, signed_line};
+use rtec_model::effect::{Effect, Search};
 use std::fmt::Write as _;
 
-const WIDTH: f64 = 860.0;
+/// Size of a plot, px.
+const PLOT_PX: (u32, u32) = (900, 330);
 /// So many explanations are shown, and so many places.
 const RANKED: usize = 16;
 const PLACES: usize = 14;
-/// So many rows, or groups of them, a plot on the page has.
-const ON_PAGE: usize = 500;
+/// So many stretches of its axis a plot of many rows has: of each the least and the largest row.
+const STRETCHES: usize = 250;
 
-/// The report.
+/// The report: what was found, on which records, how well, and the line to be signed. It prints to A4.
 #[must_use]
 pub fn html(r: &Reconciliation, machine: &str) -> String {
     let mut h = String::new();
     let _ = write!(
         h,
-        "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\"><title>Reconciliation of {0}</title><style>\
-         body{{font:15px/1.45 system-ui,sans-serif;color:#1c2733;max-width:{WIDTH}px;margin:2em auto;padding:0 1em}}\
-         h1{{font-size:1.5em;margin-bottom:.2em}}h2{{font-size:1.1em;margin:1.8em 0 .4em;border-bottom:1px solid #ccd5de}}\
-         table{{border-collapse:collapse;width:100%}}td,th{{text-align:left;padding:.25em .6em .25em 0;border-bottom:1px solid #e6ebf0;\
-         vertical-align:top}}td.n,th.n{{text-align:right;font-variant-numeric:tabular-nums}}.verdict{{font-size:1.15em}}\
-         .tag{{display:inline-block;padding:.1em .6em;border-radius:.3em;color:#fff;background:{1}}}\
-         svg{{display:block;margin:.6em 0}}small{{color:#5b6b7b}}.bar{{background:#0072b2;height:.8em}}.no{{background:#c3ccd6}}</style>\
+        "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\"><title>Reconciliation of {0}</title><style>{STYLE}\
+         .verdict{{font-size:1.15em}}.tag{{display:inline-block;padding:.1em .6em;border-radius:.3em;color:#fff;background:{1}}}\
+         small{{color:#5b6b7b}}.bar{{background:#0072b2;height:.8em}}.no{{background:#c3ccd6}}</style>\
          <h1>Reconciliation of {0}</h1><p class=\"verdict\"><span class=\"tag\">{2}</span> {3}</p>",
         escape(machine),
         match r.verdict {
@@ -37,22 +38,37 @@ pub fn html(r: &Reconciliation, machine: &str) -> String {
         r.verdict.name().replace('_', " "),
         escape(&[Some(headline(r)), r.unsaid()].into_iter().flatten().collect::<Vec<_>>().join("; ")),
     );
+    facts(&mut h, r);
     gap(&mut h, r);
     effects(&mut h, r);
     refined(&mut h, r);
-    h.push_str("<h2>Measured minus simulated, before and after</h2>");
-    for t in &r.traces {
-        trace(&mut h, t);
+    for chart in maps(r) {
+        figure(&mut h, &chart);
     }
+    if !r.traces.is_empty() {
+        h.push_str("<h2>Measured minus simulated, before and after</h2>");
+    }
+    for t in &r.traces {
+        figure(&mut h, &chart(t, STRETCHES));
+    }
+    contributions(&mut h, r);
+    budget(&mut h, r);
+    set_up(&mut h, r);
     places(&mut h, r);
     ranking(&mut h, r);
     doubts(&mut h, r);
     if !r.advice.is_empty() {
         let _ = write!(h, "<h2>Next experiment</h2><p>{}</p>", escape(&r.advice));
     }
+    let mut days: Vec<&str> = r.records.iter().filter_map(|x| x.date.as_deref()).collect();
+    days.sort_unstable();
+    days.dedup();
+    h.push_str(&signed_line("", "", &days.join(", ")));
     let _ = write!(
         h,
-        "<p><small>False-alarm rate {}; block permutation, seed {}; noise autocorrelation from row to row {}. Intervals hold 95 %.</small></p></html>",
+        "<p><small>rtecctl {}, reconcile; false-alarm rate {}; block permutation, seed {}; noise autocorrelation from row to row {}. \
+         Intervals hold 95 %.</small></p></html>",
+        env!("CARGO_PKG_VERSION"),
         r.level,
         crate::SEED,
         number(r.phi)
@@ -60,17 +76,215 @@ pub fn html(r: &Reconciliation, machine: &str) -> String {
     h
 }
 
-/// What the report's plots show, as data: what is left before and after, the means over what it depends on, and what
-/// was tried.
+fn figure(h: &mut String, chart: &Chart) {
+    // A chart without a finite value has nothing to draw.
+    if let Ok(svg) = chart.svg(PLOT_PX.0, PLOT_PX.1) {
+        let _ = write!(h, "<figure>{svg}</figure>");
+    }
+}
+
+/// The records that the verdict is from.
+fn facts(h: &mut String, r: &Reconciliation) {
+    h.push_str("<table class=\"facts\">");
+    for x in &r.records {
+        let run = Run::of(x);
+        let date = run.date.map(|d| format!(", {d}")).unwrap_or_default();
+        let note = run.note.map(|n| format!(", {n}")).unwrap_or_default();
+        let hash = run.sha256.get(..12).map(|s| format!(", SHA-256 {s}…")).unwrap_or_default();
+        let text = format!("{}, {} rows{date}{hash}{note}", run.name, run.rows);
+        let _ = write!(h, "<tr><td>record</td><td>{}</td></tr>", escape(&text));
+    }
+    h.push_str("</table>");
+}
+
+fn unit_of(response: &str) -> &'static str {
+    if response.starts_with("force") { "N" } else { "µm" }
+}
+
+/// Maps and straightness that were found or corrected, each with the band of its values' intervals.
+fn maps(r: &Reconciliation) -> Vec<Chart> {
+    let found = r.effects.iter().map(|(f, half)| (&f.effect, half));
+    let all = found.chain(r.refined.iter().map(|x| (&x.after.0, &x.after.1)));
+    all.filter_map(|(effect, half)| map(effect, half)).collect()
+}
+
+fn map(effect: &Effect, half: &[f64]) -> Option<Chart> {
+    let (law, width) = (effect.description(), effect.width());
+    let knots = law.parameters.iter().position(|p| p.array && p.search == Search::Chosen)?;
+    let values = law.parameters.iter().position(|p| p.array && p.search != Search::Chosen)?;
+    let (x, y) = (effect.get(knots), effect.get(values));
+    let half = half.get(values * width..(values + 1) * width)?;
+    let edge = |sign: f64| y.iter().zip(half).map(|(y, h)| y + sign * h).collect::<Vec<_>>();
+    let along = effect.axes().last().map_or_else(String::new, |a| format!("position of {a} (mm)"));
+    let name = effect.name();
+    let line = x.iter().copied().zip(y.iter().copied()).collect::<Vec<_>>();
+    let chart = Chart::new(
+        &format!("{name}, with its 95 % band"),
+        &along,
+        &law.parameters[values].unit.replace("um", "µm"),
+    )
+    .with(Series::band("95 %", x, &edge(-1.0), &edge(1.0)))
+    .with(Series::new(&name, Style::Line, line.clone()).coloured(Colour::Up));
+    Some(chart.with(Series::new("", Style::Dots, line).coloured(Colour::Up)))
+}
+
+/// What every effect of the better model makes of these runs, largest first: the range that it has in the run that shows it most.
+fn contributions(h: &mut String, r: &Reconciliation) {
+    let rows = Rows::new(&r.records);
+    let mut all: Vec<(String, &str, &str, f64)> = Vec::new();
+    for effect in r.model.effects() {
+        let predicted = rows.predict(effect);
+        let range = |s: &Segment| {
+            let part = predicted[s.rows.clone()].iter();
+            let (l, u) = part.fold((f64::MAX, f64::MIN), |(l, u), v| (l.min(*v), u.max(*v)));
+            (u - l, unit_of(&rows.responses[s.response].to_string()))
+        };
+        let Some((range, unit)) = rows.segments.iter().map(range).max_by(|a, b| a.0.total_cmp(&b.0)) else {
+            continue;
+        };
+        let is = |e: &Effect| e.identity() == effect.identity();
+        let how = if r.effects.iter().any(|(f, _)| is(&f.effect)) {
+            "found"
+        } else if r.refined.iter().any(|x| is(&x.after.0)) {
+            "corrected"
+        } else {
+            "known"
+        };
+        let sensor = effect.delta.as_ref().map_or_else(String::new, |d| format!(" ({d})"));
+        all.push((effect.name() + &sensor, how, unit, range));
+    }
+    all.retain(|c| c.3 > 0.0);
+    all.sort_by(|a, b| b.3.total_cmp(&a.3));
+    if all.is_empty() {
+        return;
+    }
+    h.push_str(
+        "<h2>Contributions, ranked: range that each makes in the run that shows it most, share of their sum</h2>\
+         <table><thead><tr><th class=n>rank<th>effect<th>model<th class=n>makes<th class=n>share<th></thead>",
+    );
+    for (i, (name, how, unit, range)) in all.iter().enumerate() {
+        let sum: f64 = all.iter().filter(|c| c.2 == *unit).map(|c| c.3).sum();
+        let share = 100.0 * range / sum;
+        let _ = write!(
+            h,
+            "<tr><td class=n>{}<td>{}<td>{how}<td class=n>{} {unit}<td class=n>{share:.0} %<td width=\"30%\">\
+             <div class=\"bar\" style=\"width:{:.0}%\"></div>",
+            i + 1,
+            escape(name),
+            number(*range),
+            share.max(1.0)
+        );
+    }
+    h.push_str("</table>");
+}
+
+/// What is not known of one reading that the better model predicts: the noise, and each value that was found or corrected.
+fn budget(h: &mut String, r: &Reconciliation) {
+    let rows = Rows::new(&r.records);
+    let found = r.effects.iter().map(|(f, half)| (&f.effect, half));
+    let values: Vec<(&Effect, &Vec<f64>)> =
+        found.chain(r.refined.iter().map(|x| (&x.after.0, &x.after.1))).collect();
+    for g in &r.gap {
+        let unit = if g.unit == "um" { "µm" } else { &g.unit };
+        let own = |s: &&Segment| unit_of(&rows.responses[s.response].to_string()) == unit;
+        let count: usize = rows.segments.iter().filter(own).map(|s| s.rows.len()).sum();
+        let mut parts = vec![("noise of one reading".to_owned(), g.floor)];
+        for (effect, half) in &values {
+            let mut squares = 0.0;
+            for (slope, half) in rows.slopes(effect).iter().zip(half.iter()) {
+                let rows = rows.segments.iter().filter(own).flat_map(|s| &slope[s.rows.clone()]);
+                squares += (half / HALF_WIDTH).powi(2) * rows.map(|v| v * v).sum::<f64>();
+            }
+            parts.push((
+                format!("what is not known of {}", effect.name()),
+                (squares / count.max(1) as f64).sqrt(),
+            ));
+        }
+        let (where_left, left) = match (g.holdout, g.blocked) {
+            (Some(p), _) => ("on the hold-out", p[1]),
+            (None, Some(p)) => ("in blocks left out in turn", p[1]),
+            (None, None) => ("on these runs", g.train[1]),
+        };
+        // What the model leaves beyond the noise is as real as the noise.
+        let beyond = (left * left - g.floor * g.floor).max(0.0).sqrt();
+        parts.push((format!("left beyond the noise {where_left}"), beyond));
+        parts.retain(|(_, u)| *u > 0.0);
+        let together = parts.iter().map(|(_, u)| u * u).sum::<f64>().sqrt();
+        if !together.is_finite() || together == 0.0 {
+            continue;
+        }
+        let _ = write!(
+            h,
+            "<h2>Uncertainty of one reading that the better model predicts, mean over these runs</h2>\
+             <table><thead><tr><th>contributor<th class=n>standard uncertainty ({unit})<th class=n>share of the variance</thead>"
+        );
+        for (name, u) in &parts {
+            let share = 100.0 * (u / together).powi(2);
+            let _ = write!(h, "<tr><td>{}<td class=n>{}<td class=n>{share:.0} %", escape(name), number(*u));
+        }
+        let _ = write!(
+            h,
+            "<tr><td>together<td class=n>{}<td class=n>100 %<tr><td>expanded, k = 2<td class=n>{}<td></table>\
+             <p><small>Without what the records cannot show: the instrument's calibration, its alignment, the air. \
+             <code>characterise evaluate --conditions</code> reckons with these. Values found together are taken as independent.</small></p>",
+            number(together),
+            number(2.0 * together)
+        );
+    }
+}
+
+/// What was found of each record's set-up.
+fn set_up(h: &mut String, r: &Reconciliation) {
+    let all = || r.set_up.iter().filter(|s| !s.terms.is_empty());
+    if all().next().is_none() {
+        return;
+    }
+    h.push_str(
+        "<h2>Set-up found, record by record: in no model</h2>\
+         <table><thead><tr><th>record<th>term<th class=n>value<th class=n>interval</thead>",
+    );
+    for s in all() {
+        let name = s.record.rsplit('/').next().unwrap_or_default();
+        for (term, value, half) in &s.terms {
+            let (what, unit) = term_of(term);
+            let _ = write!(
+                h,
+                "<tr><td>{}<td>{}<td class=n>{} {unit}<td class=n>{}",
+                escape(name),
+                escape(&what),
+                number(*value),
+                if *half > 0.0 { within(*value, *half) } else { String::new() }
+            );
+        }
+    }
+    h.push_str("</table>");
+}
+
+/// A set-up term in words, and its unit.
+fn term_of(term: &str) -> (String, &'static str) {
+    match term.split_once('.') {
+        Some(("zero_um", response)) => (format!("zero of {response}"), "µm"),
+        Some(("centre_um", "0")) => ("centre, first axis of the plane".to_owned(), "µm"),
+        Some(("centre_um", _)) => ("centre, second axis of the plane".to_owned(), "µm"),
+        Some(("line_um_per_h", response)) => (format!("line in time of {response}"), "µm/h"),
+        _ if term == "bar_um" => ("length of the bar, less nominal".to_owned(), "µm"),
+        _ if term == "jump_um" => ("jump at a pause".to_owned(), "µm"),
+        _ => (term.to_owned(), ""),
+    }
+}
+
+/// What the report's plots show, as data: what is left before and after, maps with their bands, the means over what it depends on,
+/// and what was tried.
 #[must_use]
 pub fn pictures(r: &Reconciliation) -> Vec<Picture> {
     let place = |p: &Place| {
-        let unit = if p.response.starts_with("force") { "N" } else { "µm" };
+        let unit = unit_of(&p.response);
         let mean = p.profile.iter().map(|v| (v[0], v[1])).collect();
         let title = format!("{} against {}: {:.1} %", p.response, p.against, 100.0 * p.statistic);
         Chart::new(&title, &p.against, unit).with(Series::new("mean", Style::Line, mean))
     };
     let mut all: Vec<Picture> = r.traces.iter().map(|t| chart(t, usize::MAX).into()).collect();
+    all.extend(maps(r).into_iter().map(Picture::from));
     all.extend(found(r).map(|p| Picture::from(place(p))));
     let tried: Vec<_> = r.ranking.iter().take(RANKED).collect();
     if !tried.is_empty() {
@@ -201,7 +415,7 @@ fn effects(h: &mut String, r: &Reconciliation) {
             .join("<br>");
         for (i, p) in description.parameters.iter().enumerate() {
             let (value, interval) = if p.array {
-                (format!("{} values", f.effect.width()), String::new())
+                (format!("{} values, drawn below", f.effect.width()), String::new())
             } else {
                 let (v, w) = (f.effect.scalar(i), half[i]);
                 (number(v), if w > 0.0 { within(v, w) } else { "held".into() })
@@ -228,30 +442,45 @@ fn effects(h: &mut String, r: &Reconciliation) {
     h.push_str("</table>");
 }
 
-/// A trace with its rows along, before as dots, after as a line; of more rows than this the least and the largest of groups.
-fn chart(t: &Trace, most: usize) -> Chart {
-    let unit = if t.response.starts_with("force") { "N" } else { "µm" };
+/// A trace over position, angle or time: before in grey, after in colour, up and down apart.
+fn chart(t: &Trace, stretches: usize) -> Chart {
+    let unit = unit_of(&t.response);
     let held = if t.holdout { ", hold-out" } else { "" };
-    let series = |name: &str, style: Style, data: &[f64]| {
-        let group = data.len().div_ceil(most).max(1);
-        let points = data.chunks(group).enumerate().flat_map(|(g, part)| {
-            let (l, u) = part.iter().fold((f64::MAX, f64::MIN), |(l, u), v| (l.min(*v), u.max(*v)));
-            let both = if group == 1 { vec![l] } else { vec![l, u] };
-            both.into_iter().map(move |v| ((g * group + 1) as f64, v))
-        });
-        Series::new(name, style, points.collect())
+    let style = if t.over.in_order { Style::Line } else { Style::Dots };
+    let of = |data: &[f64], sign: f64| {
+        let rows = t.over.values.iter().copied().zip(data.iter().copied()).enumerate();
+        let way = |i: usize| t.over.direction.get(i).copied().unwrap_or(0.0);
+        let own = rows.filter(|(i, _)| sign == 0.0 || way(*i) == sign);
+        of_stretches(own.map(|(_, p)| p).collect(), stretches)
     };
     let title = format!("{}, {}{held}: measured minus simulated", t.file, t.response);
-    Chart::new(&title, "row", &format!("{} ({unit})", t.response))
-        .with(series("before", Style::Dots, &t.before).coloured(Colour::Grey))
-        .with(series("after", Style::Line, &t.after).coloured(Colour::Up))
+    let chart = Chart::new(&title, &t.over.name, &format!("{} ({unit})", t.response))
+        .with(Series::new("before", Style::Dots, of(&t.before, 0.0)).coloured(Colour::Grey));
+    if t.over.direction.is_empty() {
+        return chart.with(Series::new("after", style, of(&t.after, 0.0)).coloured(Colour::Up));
+    }
+    let ways = [("after, up", 1.0, Colour::Up), ("after, down", -1.0, Colour::Down)];
+    ways.into_iter().fold(chart, |chart, (name, sign, colour)| {
+        chart.with(Series::new(name, style, of(&t.after, sign)).coloured(colour))
+    })
 }
 
-fn trace(h: &mut String, t: &Trace) {
-    // A trace without a finite value has nothing to draw.
-    if let Ok(svg) = chart(t, ON_PAGE).svg(WIDTH as u32, 300) {
-        h.push_str(&svg);
+/// Of very many points the least and the largest of each stretch of their axis, in the order in which they stand.
+fn of_stretches(points: Vec<(f64, f64)>, stretches: usize) -> Vec<(f64, f64)> {
+    if points.len() / 2 <= stretches {
+        return points;
     }
+    let (l, u) = points.iter().fold((f64::MAX, f64::MIN), |(l, u), p| (l.min(p.0), u.max(p.0)));
+    let mut ends: Vec<Option<(usize, usize)>> = vec![None; stretches];
+    for (i, p) in points.iter().enumerate() {
+        let at = ((p.0 - l) / (u - l).max(f64::MIN_POSITIVE) * stretches as f64) as usize;
+        let end = ends[at.min(stretches - 1)].get_or_insert((i, i));
+        *end = (if p.1 < points[end.0].1 { i } else { end.0 }, if p.1 > points[end.1].1 { i } else { end.1 });
+    }
+    let mut kept: Vec<usize> = ends.into_iter().flatten().flat_map(|(a, b)| [a, b]).collect();
+    kept.sort_unstable();
+    kept.dedup();
+    kept.into_iter().map(|i| points[i]).collect()
 }
 
 fn places(h: &mut String, r: &Reconciliation) {
@@ -328,4 +557,25 @@ fn number(v: f64) -> String {
 
 fn escape(s: &str) -> String {
     s.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn many_rows_keep_their_peaks_and_their_order() {
+        let mut points: Vec<(f64, f64)> =
+            (0..100_000).map(|i| (f64::from(i % 1000), f64::from(i % 7))).collect();
+        points[54_321].1 = 99.0;
+        points[12_345].1 = -99.0;
+        let kept = of_stretches(points.clone(), STRETCHES);
+        assert!(
+            kept.len() <= 2 * STRETCHES && kept.contains(&points[54_321]) && kept.contains(&points[12_345])
+        );
+        let few = points[..400].to_vec();
+        assert_eq!(of_stretches(few.clone(), STRETCHES), few);
+        // One place alone has no stretches.
+        assert_eq!(of_stretches(vec![(3.0, 1.0); 1000], STRETCHES).len(), 1);
+    }
 }

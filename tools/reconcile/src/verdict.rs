@@ -133,6 +133,8 @@ pub struct Reconciliation {
     pub ranking: Vec<Tried>,
     /// The better model.
     pub model: Machine,
+    /// The training records as they were used: without what was left out.
+    pub records: Vec<Record>,
     /// Per record and response: role, measured minus simulated before and after.
     pub traces: Vec<Trace>,
     /// False-alarm rate.

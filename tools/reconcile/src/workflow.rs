@@ -161,6 +161,7 @@ fn looked_at(train: &[Record], holdout: &[Record], machine: &Machine, options: &
         refined,
         gap,
         model,
+        records: train,
         traces: traces_of,
         level: options.level,
         every,
@@ -595,7 +596,7 @@ mod tests {
         assert_eq!((r.verdict, f.effect.name().as_str()), (Verdict::Named, "scale.x"), "{}", r.to_json());
         assert!((f.effect.scalar(0) - 120.0).abs() < 2.0 * half[0] && half[0] < 1.0);
         assert!(r.every >= 4 && r.left_out.iter().any(|l| l.contains("every 4th of")), "{:?}", r.left_out);
-        assert_eq!(r.traces[0].time_s.len(), rows);
+        assert_eq!(r.traces[0].over.values.len(), rows);
     }
 
     /// A slope of 3 mm in a metre is no scale: nothing is named outside its bounds, nor written.

@@ -63,6 +63,8 @@ pub struct Contribution {
     pub cause: String,
     /// Range of what it does to the radius, µm.
     pub um: f64,
+    /// Its share of the sum of all such ranges, %.
+    pub percent: f64,
 }
 
 /// What makes the deviations of a plane. `None` where the runs do not tell; effects that do not show beyond the noise are
@@ -662,10 +664,15 @@ impl<'t> Fit<'t> {
                 || !self.separates(&t.name);
             if !fitted_only {
                 let shape = self.value(t);
-                contributions.push(Contribution { cause: cause(&t.name), um: shape.max() - shape.min() });
+                let um = shape.max() - shape.min();
+                contributions.push(Contribution { cause: cause(&t.name), um, percent: 0.0 });
             }
         }
         contributions.sort_by(|a, b| b.um.total_cmp(&a.um));
+        let sum: f64 = contributions.iter().map(|c| c.um).sum();
+        for c in &mut contributions {
+            c.percent = 100.0 * c.um / sum.max(f64::MIN_POSITIVE);
+        }
         (values, contributions)
     }
 

@@ -269,6 +269,15 @@ fn diagnosis(report: &mut Report, b: &Ballbar) {
     add("not explained, the same both ways (RMS)", "", d.unexplained_um, "µm", 2);
     add("left over (RMS)", "", Some(d.rms).filter(|_| !d.interval_95.is_empty()), "µm", 2);
     report.table(table);
+    let title = format!(
+        "Contributions in plane {}, ranked: range of the radius that each makes, share of their sum",
+        b.plane
+    );
+    let mut table = Table::new(&title, &["#rank", "cause", "#makes (µm)", "#share (%)"]);
+    for (i, c) in d.contributions.iter().enumerate() {
+        table.row([(i + 1).to_string(), c.cause.clone(), um(c.um), format!("{:.0}", c.percent)]);
+    }
+    report.table(table);
 }
 
 /// One plot for each feed.

@@ -16,6 +16,7 @@ a plan of runs, designs of insertion      :func:`plan`, :func:`designs`
 a recorded trace through the engine       :func:`replay`
 a part's errors                           :func:`part_errors`
 simulated machines                        :func:`simulate`, :func:`example`
+residuals, covariance, band as arrays      :class:`Regression`
 figures                                   :mod:`rtec.plots`
 a shop of many machines                   :mod:`rtec.shop`
 ========================================  ==========================================================
@@ -42,6 +43,7 @@ from rtec._results import (
     Validation,
     Verdict,
 )
+from rtec._regression import Regression
 from rtec._errors import Bug, InputError, MissingFileError, RtecError
 from rtec._record import Record, import_record, read_record, record
 from rtec._machine import Machine, read_machine
@@ -78,6 +80,7 @@ __all__ = [
     "Picture",
     "Plan",
     "Record",
+    "Regression",
     "Replay",
     "Result",
     "RtecError",

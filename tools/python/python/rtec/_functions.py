@@ -124,8 +124,8 @@ def select_sensors(
     Fit
     """
     asked = _asked(sensors, environment, folds, lag, square, base, "1970-01-01", 365, True)
-    (document, machine, pictures), said = _rtec.fit(inners(train), [], asked, True)
-    return Fit(document, pictures, say(said), Machine(machine))
+    (document, machine, pictures, used), said = _rtec.fit(inners(train), [], asked, True)
+    return Fit(document, pictures, say(said), Machine(machine), used, asked["base"])
 
 
 def fit(
@@ -177,8 +177,8 @@ def fit(
     Fit
     """
     asked = _asked(sensors, environment, folds, lag, square, base, date, valid_days, despite_suspicions)
-    (document, machine, pictures), said = _rtec.fit(inners(train), inners(holdout), asked, False)
-    return Fit(document, pictures, say(said), Machine(machine))
+    (document, machine, pictures, used), said = _rtec.fit(inners(train), inners(holdout), asked, False)
+    return Fit(document, pictures, say(said), Machine(machine), used, asked["base"])
 
 
 def fit_effects(
@@ -212,8 +212,8 @@ def fit_effects(
     Fit
     """
     asked = _asked((), None, 10, True, True, base, date, valid_days, despite_suspicions)
-    (document, machine, pictures), said = _rtec.fit_named(inners(train), names("effects", effects), asked)
-    return Fit(document, pictures, say(said), Machine(machine))
+    (document, machine, pictures, used), said = _rtec.fit_named(inners(train), names("effects", effects), asked)
+    return Fit(document, pictures, say(said), Machine(machine), used, asked["base"])
 
 
 def fit_chain(
@@ -282,10 +282,11 @@ def reconcile(
     -------
     Verdict
     """
-    (document, model, html, pictures, laws), said = _rtec.reconcile(
-        inners(train), a_machine(machine)._inner, inners(holdout), level, unexplained, date
+    base = a_machine(machine)._inner
+    (document, model, html, pictures, laws, used), said = _rtec.reconcile(
+        inners(train), base, inners(holdout), level, unexplained, date
     )
-    verdict = Verdict(document, pictures, say(said), Machine(model), html, laws)
+    verdict = Verdict(document, pictures, say(said), Machine(model), html, laws, used, base)
     if out is not None:
         folder = Path(out)
         folder.mkdir(parents=True, exist_ok=True)

@@ -11,10 +11,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rtec._errors import for_python, needs
+from rtec._regression import Regression, regression
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from rtec import _rtec
     from rtec._machine import Machine
     from rtec._record import Record
 
@@ -125,6 +127,13 @@ class Fit(Drawn):
     """A fit: how it was found (the document), and the model with it."""
 
     machine: Machine = field(default=None, repr=False)  # type: ignore[assignment]
+    _records: list[_rtec.Record] = field(default_factory=list, repr=False, compare=False)
+    _base: _rtec.Machine | None = field(default=None, repr=False, compare=False)
+
+    @cached_property
+    def regression(self) -> Regression:
+        """Residuals, derivatives, covariance and confidence band as arrays, each with its shape and unit."""
+        return regression(self._records, self._base, self.machine._inner, False)
 
 
 @dataclass(frozen=True, repr=False)
@@ -184,6 +193,13 @@ class Verdict(Drawn):
     html: str = field(default="", repr=False)
     #: Where something has no name and a curve was wanted: the file of its law.
     laws: str | None = field(default=None, repr=False)
+    _records: list[_rtec.Record] = field(default_factory=list, repr=False, compare=False)
+    _base: _rtec.Machine | None = field(default=None, repr=False, compare=False)
+
+    @cached_property
+    def regression(self) -> Regression:
+        """Residuals, derivatives, covariance and confidence band as arrays, each with its shape and unit."""
+        return regression(self._records, self._base, self.model._inner, True)
 
     def _facts(self) -> list[tuple[str, str]]:
         facts = [("verdict", self.verdict)]

@@ -4,6 +4,9 @@ use crate::verbs::suspicions;
 use anyhow::Context;
 use rtec_files::InputError;
 use rtec_measure::plan::{self, PlanAxis};
+use rtec_model::machine::Machine;
+use rtec_reconcile::{NextRuns, Open, next_runs};
+use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 /// Write the test sequence for this machine: what to mount where, how to move, what to record
@@ -21,6 +24,12 @@ pub(crate) struct Args {
     /// Radius of the ballbar, mm [default: the longest of 150, 100 and 50 whose circle fits every axis]
     #[arg(long)]
     ballbar_mm: Option<f64>,
+    /// Plan only the runs that tell what this verdict could not tell apart
+    #[arg(long, value_name = "verdict.json")]
+    verdict: Option<PathBuf>,
+    /// The model that the verdict was made with [default: an ideal machine]
+    #[arg(long, value_name = "machine.toml", requires = "verdict")]
+    model: Option<PathBuf>,
     /// Write the sequence as Markdown
     #[arg(long, value_name = "FILE.md")]
     out: Option<PathBuf>,
@@ -39,6 +48,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         })?;
         axes.push(PlanAxis { name, travel_mm });
     }
+    if let Some(verdict) = &args.verdict {
+        return telling(args, verdict, &axes);
+    }
     let steps = plan::for_machine(&axes, args.max_rpm, args.ballbar_mm, &mut suspicions::said)?;
     let text = plan::markdown(&args.machine, &steps);
     if let Some(path) = &args.out {
@@ -51,4 +63,38 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         print!("{text}");
     }
     Ok(())
+}
+
+/// The runs that tell an effect from its rivals, and what each tells.
+fn telling(args: &Args, verdict: &Path, axes: &[PlanAxis]) -> anyhow::Result<()> {
+    plan::check(axes, args.max_rpm, args.ballbar_mm)?;
+    let machine = match &args.model {
+        Some(file) => Machine::read(file)?,
+        None => Machine::ideal(&args.machine),
+    };
+    let found = next_runs(&Open::read(verdict, machine.dictionary())?, &machine, axes);
+    let text = said(&args.machine, &found);
+    if let Some(path) = &args.out {
+        rtec_files::write::whole(path, text.as_bytes())
+            .with_context(|| format!("writing {}", path.display()))?;
+    }
+    if args.json {
+        println!("{}", serde_json::to_string_pretty(&found)?);
+    } else if args.out.is_none() {
+        print!("{text}");
+    }
+    Ok(())
+}
+
+fn said(machine: &str, found: &NextRuns) -> String {
+    if found.tells.is_empty() {
+        return format!("# Characterisation of {machine}\n\nThe verdict leaves nothing to be told apart.\n");
+    }
+    let mut out = plan::markdown(machine, &found.steps);
+    out.push_str("\n## What they tell\n\n| effect | rival | log odds to expect | by |\n|---|---|---|---|\n");
+    for t in &found.tells {
+        let odds = t.log_odds.map_or_else(|| "–".to_owned(), |o| format!("{o:.0}"));
+        let _ = writeln!(out, "| {} | {} | {odds} | {} |", t.effect, t.rival, t.by);
+    }
+    out
 }
