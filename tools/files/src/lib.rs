@@ -14,6 +14,7 @@
 //! | [`mod@write`] | files that appear whole or not at all |
 //! | [`folder`] | a folder that others write to as well: nothing in it is followed through a link |
 //! | [`words`] | the word that was probably meant |
+//! | [`watch`] | a long computation that somebody waits for |
 //!
 //! Private: `decimal` makes a number of digits, `lines` reads a file line by line through one buffer, `vcd` is the VCD half of [`trace`].
 //!
@@ -34,6 +35,7 @@ pub mod text;
 pub mod toml;
 pub mod trace;
 mod vcd;
+pub mod watch;
 pub mod words;
 pub mod write;
 
