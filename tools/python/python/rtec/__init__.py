@@ -15,6 +15,7 @@ one machine's figures over time           :func:`history`
 a plan of runs, designs of insertion      :func:`plan`, :func:`designs`
 a recorded trace through the engine       :func:`replay`
 a part's errors                           :func:`part_errors`
+how far a long call is                    :func:`progress`
 simulated machines                        :func:`simulate`, :func:`example`
 figures                                   :mod:`rtec.plots`
 a shop of many machines                   :mod:`rtec.shop`
@@ -43,6 +44,8 @@ from rtec._results import (
     Verdict,
 )
 from rtec._errors import Bug, InputError, MissingFileError, RtecError
+from rtec._progress import Progress, progress
+from rtec._rtec import __version__
 from rtec._record import Record, import_record, read_record, record
 from rtec._machine import Machine, read_machine
 from rtec._functions import (
@@ -62,9 +65,8 @@ from rtec._functions import (
     where_they_disagree,
 )
 
-__version__ = "0.1.0"
-
 __all__ = [
+    "__version__",
     "Bug",
     "ChainFit",
     "Design",
@@ -77,6 +79,7 @@ __all__ = [
     "PartErrors",
     "Picture",
     "Plan",
+    "Progress",
     "Record",
     "Replay",
     "Result",
@@ -95,6 +98,7 @@ __all__ = [
     "import_record",
     "part_errors",
     "plan",
+    "progress",
     "read_machine",
     "read_record",
     "reconcile",
