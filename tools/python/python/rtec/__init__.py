@@ -27,26 +27,14 @@ Bad input raises :class:`InputError`, a ``ValueError`` with file and line; a fil
 ``FileNotFoundError`` too. All are :class:`RtecError`.
 """
 
-from rtec._results import (
-    ChainFit,
-    Design,
-    Evaluation,
-    Fit,
-    InputWarning,
-    PartErrors,
-    Picture,
-    Plan,
-    Replay,
-    Result,
-    Simulation,
-    Table,
-    Validation,
-    Verdict,
-)
-from rtec._errors import Bug, InputError, MissingFileError, RtecError
-from rtec._progress import Progress, progress
 from rtec._rtec import __version__
+from rtec._documents import Picture
+from rtec._errors import Bug, InputError, MissingFileError, RtecError
+from rtec._found import Fit, Simulation, Verdict
+from rtec._progress import Progress, progress
 from rtec._record import Record, import_record, read_record, record
+from rtec._results import ChainFit, Design, Evaluation, History, PartErrors, Plan, Replay, Result, Table, Validation
+from rtec._text import InputWarning
 from rtec._machine import Machine, read_machine
 from rtec._functions import (
     designs,
@@ -72,6 +60,7 @@ __all__ = [
     "Design",
     "Evaluation",
     "Fit",
+    "History",
     "InputError",
     "InputWarning",
     "Machine",
