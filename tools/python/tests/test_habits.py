@@ -156,7 +156,9 @@ def fits(value, kind, where):
         assert isinstance(value, dict), where
         hints = typing.get_type_hints(kind)
         assert value.keys() <= hints.keys(), f"{where}: not declared: {sorted(value.keys() - hints.keys())}"
-        assert kind.__required_keys__ <= value.keys(), f"{where}: missing: {sorted(kind.__required_keys__ - value.keys())}"
+        marked = typing.get_type_hints(kind, include_extras=True)
+        missing = {key for key, of in marked.items() if kind.__total__ and typing.get_origin(of) is not typing.NotRequired} - value.keys()
+        assert not missing, f"{where}: missing: {sorted(missing)}"
         for key, inside in value.items():
             fits(inside, hints[key], f"{where}.{key}")
     elif origin is list:

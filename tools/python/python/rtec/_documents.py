@@ -163,6 +163,21 @@ class EvaluationDocument(TypedDict, total=False):
     G_ccw: float
     G_cw: float
     H: float
+    # Straightness
+    across: str
+    symbol: str
+    straightness_um: float
+    straightness_up_um: float | None
+    straightness_down_um: float | None
+    slope_urad: float
+    slope_standard_error_urad: float
+    reversal_um: float | None
+    repeatability_um: float | None
+    places: list[dict[str, Any]]
+    # Repeatability: an entry an axis
+    x: dict[str, Any]
+    y: dict[str, Any]
+    z: dict[str, Any]
     # A plate
     holes: int
     joint: dict[str, Any]
@@ -292,6 +307,12 @@ class PartDocument(TypedDict, total=False):
     radius_mm: float
     centre_mm: list[float]
     size_error_um: float
+    centre_standard_error_um: list[float]
+    size_standard_error_um: float
+    plain_centre_mm: list[float]
+    plain_radius_mm: float
+    plain_size_standard_error_um: float
+    robust: dict[str, Any]
     sd_before_um: float
     sd_after_um: float
     form_um: float
