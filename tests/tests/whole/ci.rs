@@ -178,6 +178,34 @@ fn steps_are_there_in_an_empty_clone() {
     assert!(row(&said, "real").contains("EXCUSED: no measured data beside this clone"), "{said}");
 }
 
+/// What stands between two texts.
+fn between<'t>(text: &'t str, before: &str, after: &str) -> Option<&'t str> {
+    text.split_once(before)?.1.split_once(after).map(|(inside, _)| inside)
+}
+
+/// The workspace has the version. Files that cannot read it from there are compared with it.
+#[test]
+fn the_version_is_the_workspace_s_everywhere() {
+    let workspace = read("Cargo.toml");
+    let version = between(&workspace, "\nversion = \"", "\"").unwrap();
+    for (file, before, after) in [
+        ("tools/python/Cargo.toml", "\nversion = \"", "\""),
+        ("CITATION.cff", "\nversion: ", "\n"),
+        ("udev/changelog", "rtec (", "-1)"),
+    ] {
+        assert_eq!(between(&read(file), before, after), Some(version), "{file}: expected {version}");
+    }
+    let changelog = read("CHANGELOG.md");
+    let heads = changelog.lines().filter_map(|line| line.strip_prefix("## "));
+    let newest = heads.filter_map(|head| head.split_whitespace().next()).find(|v| *v != "Unreleased");
+    assert_eq!(newest, Some(version), "the newest release in the changelog");
+    for member in std::fs::read_dir(root().join("tools")).unwrap() {
+        let manifest = member.unwrap().path().join("Cargo.toml");
+        let own = manifest.exists() && !manifest.ends_with("python/Cargo.toml");
+        assert!(!own || read(&manifest).contains("\nversion.workspace = true\n"), "{}", manifest.display());
+    }
+}
+
 /// The crates that a program links, our own too.
 fn linked(program: &str) -> BTreeSet<String> {
     let wanted =

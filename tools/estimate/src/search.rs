@@ -260,6 +260,7 @@ impl<'p> Search<'p> {
 
     /// One more member of a set, and the score that the set has with it, but for what counts being whole says.
     fn weighed(&self, set: &Set, seed: &Seed) -> Option<(f64, Member)> {
+        rtec_files::watch::step();
         if set.members.len() >= MOST_MEMBERS {
             return None;
         }

@@ -13,7 +13,9 @@
 //! | [`trace`] | recorded quadrature, as CSV and VCD, and requested totals |
 //! | [`mod@write`] | files that appear whole or not at all |
 //! | [`folder`] | a folder that others write to as well: nothing in it is followed through a link |
+//! | [`stamp`] | the format and the writer of what is written |
 //! | [`words`] | the word that was probably meant |
+//! | [`watch`] | a long computation that somebody waits for |
 //!
 //! Private: `decimal` makes a number of digits, `lines` reads a file line by line through one buffer, `vcd` is the VCD half of [`trace`].
 //!
@@ -30,10 +32,12 @@ pub mod input;
 mod lines;
 mod numbers;
 mod sheet;
+pub mod stamp;
 pub mod text;
 pub mod toml;
 pub mod trace;
 mod vcd;
+pub mod watch;
 pub mod words;
 pub mod write;
 

@@ -319,6 +319,7 @@ impl Problem {
 
     /// The solution, or the number of a parameter that these rows do not determine beside those before it.
     pub(crate) fn solve(&self) -> Result<Vec<Found>, usize> {
+        rtec_files::watch::step();
         let p = self.columns.len();
         let scale = self.scale();
         if let Some(k) = scale.iter().position(|s| *s <= 1e-12) {

@@ -2,7 +2,11 @@
 
 use pyo3::prelude::*;
 use rtec_files::Said;
+use rtec_files::watch::Watch;
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::Arc;
+use std::sync::mpsc::{self, Receiver, RecvTimeoutError};
+use std::time::{Duration, Instant};
 
 /// The classes are written in Python: each has two bases.
 fn raised<'py, A: pyo3::call::PyCallArgs<'py>>(py: Python<'py>, class: &str, arguments: A) -> PyErr {
@@ -61,24 +65,37 @@ impl Failure {
     }
 }
 
-/// Works without the interpreter's lock. What was said is given with the answer, and stands in the notes of an error.
-pub(crate) fn work<T: Send>(
+/// A call looks for Ctrl-C, and tells how far it is, so often.
+const LOOK: Duration = Duration::from_millis(40);
+
+type Done<T> = std::thread::Result<Option<(Result<T, Failure>, Vec<String>)>>;
+
+/// Works in a thread of its own, without the interpreter's lock. Ctrl-C, or an error of the hook `rtec.progress`, ends the call at
+/// once; what works for it ends at its next step. What was said is given with the answer, and stands in the notes of an error.
+pub(crate) fn work<T: Send + 'static>(
     py: Python<'_>,
-    of: impl FnOnce(&mut dyn FnMut(Said)) -> Result<T, Failure> + Send,
+    of: impl FnOnce(&mut dyn FnMut(Said)) -> Result<T, Failure> + Send + 'static,
 ) -> PyResult<(T, Vec<String>)> {
-    let (done, said) = py.detach(|| {
+    let watch = Arc::new(Watch::default());
+    let (send, done) = mpsc::channel::<Done<T>>();
+    let watched = Arc::clone(&watch);
+    let working = move || {
         let mut said = Vec::new();
+        let of = || watched.over(|| of(&mut |s: Said| said.push(s.to_string())));
         // What a panic leaves behind is dropped here: nothing of it is looked at again.
-        let done = catch_unwind(AssertUnwindSafe(|| of(&mut |s: Said| said.push(s.to_string()))));
-        (done, said)
-    });
-    let error = match done {
-        Ok(Ok(answer)) => return Ok((answer, said)),
-        Ok(Err(failure)) => failure.raise(py),
+        let done = catch_unwind(AssertUnwindSafe(of));
+        // Nobody waits any more after Ctrl-C.
+        let _ = send.send(done.map(|answer| answer.map(|answer| (answer, said))));
+    };
+    // As much room as the main thread has.
+    std::thread::Builder::new().name("rtec".to_owned()).stack_size(8 << 20).spawn(working)?;
+    let (error, said) = match waited(py, &watch, done)? {
+        Ok(Some((Ok(answer), said))) => return Ok((answer, said)),
+        Ok(Some((Err(failure), said))) => (failure.raise(py), said),
+        Ok(None) => (bug(py, "a call ended that nobody gave up"), Vec::new()),
         Err(panic) => {
             let why = panic.downcast_ref::<String>().map(String::as_str);
-            let why = why.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or("a panic");
-            raised(py, "Bug", (format!("{why}; this is a mistake of rtec's, not of its input"),))
+            (bug(py, why.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or("a panic")), Vec::new())
         }
     };
     for line in said {
@@ -87,10 +104,39 @@ pub(crate) fn work<T: Send>(
     Err(error)
 }
 
+fn bug(py: Python<'_>, why: &str) -> PyErr {
+    raised(py, "Bug", (format!("{why}; this is a mistake of rtec's, not of its input"),))
+}
+
+/// What the work came to. Python's signals and its hook are asked meanwhile.
+fn waited<T: Send>(py: Python<'_>, watch: &Watch, mut done: Receiver<Done<T>>) -> PyResult<Done<T>> {
+    let start = Instant::now();
+    loop {
+        let answer;
+        (done, answer) = py.detach(move || {
+            let answer = done.recv_timeout(LOOK);
+            (done, answer)
+        });
+        match answer {
+            Ok(done) => return Ok(done),
+            Err(RecvTimeoutError::Disconnected) => return Err(bug(py, "the work ended without an answer")),
+            Err(RecvTimeoutError::Timeout) => {}
+        }
+        let told = || {
+            let hook = py.import("rtec._progress")?.getattr("tell")?;
+            hook.call1((start.elapsed().as_secs_f64(), watch.steps()))
+        };
+        if let Err(error) = py.check_signals().and_then(|()| told()) {
+            watch.give_up();
+            return Err(error);
+        }
+    }
+}
+
 /// Work that says nothing on the way.
-pub(crate) fn quietly<T: Send>(
+pub(crate) fn quietly<T: Send + 'static>(
     py: Python<'_>,
-    of: impl FnOnce() -> Result<T, Failure> + Send,
+    of: impl FnOnce() -> Result<T, Failure> + Send + 'static,
 ) -> PyResult<T> {
     work(py, |_| of()).map(|(answer, _)| answer)
 }

@@ -13,6 +13,13 @@ use pyo3::prelude::*;
 
 #[pymodule]
 mod _rtec {
+    use pyo3::prelude::*;
+
+    #[pymodule_init]
+    fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {
+        module.add("__version__", rtec_files::stamp::VERSION)
+    }
+
     #[pymodule_export]
     use super::machine::Machine;
     #[pymodule_export]

@@ -36,14 +36,14 @@ fn day(text: Option<&str>) -> Result<i64, InputError> {
 impl Machine {
     #[staticmethod]
     fn read(py: Python<'_>, path: PathBuf) -> PyResult<Self> {
-        quietly(py, || Ok(Self { inner: Inner::read(&path)? }))
+        quietly(py, move || Ok(Self { inner: Inner::read(&path)? }))
     }
 
     #[staticmethod]
     #[pyo3(signature = (text, path=None))]
     fn parse(py: Python<'_>, text: String, path: Option<PathBuf>) -> PyResult<Self> {
         let path = path.unwrap_or_else(|| PathBuf::from("machine.toml"));
-        quietly(py, || Ok(Self { inner: Inner::parse(&path, &text)? }))
+        quietly(py, move || Ok(Self { inner: Inner::parse(&path, &text)? }))
     }
 
     #[staticmethod]
@@ -52,7 +52,8 @@ impl Machine {
     }
 
     fn write(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
-        quietly(py, || Ok(self.inner.write(&path)?))
+        let inner = self.inner.clone();
+        quietly(py, move || Ok(inner.write(&path)?))
     }
 
     fn to_text(&self) -> String {
@@ -80,13 +81,15 @@ impl Machine {
     }
 
     fn to_json(&self, py: Python<'_>) -> PyResult<String> {
-        quietly(py, || Ok(serde_json::to_string_pretty(&self.inner.to_json())?))
+        let inner = self.inner.clone();
+        quietly(py, move || Ok(serde_json::to_string_pretty(&inner.to_json())?))
     }
 
     /// Predicted response of every row, by the response's column name; and what was said.
     fn predict<'py>(&self, py: Python<'py>, record: &Record) -> PyResult<(Predicted<'py>, Vec<String>)> {
+        let (machine, record) = (self.inner.clone(), record.inner.clone());
         let (columns, said) =
-            work(py, |say| Ok(rtec_measure::prediction::predict(&self.inner, &record.inner, say)?))?;
+            work(py, move |say| Ok(rtec_measure::prediction::predict(&machine, &record, say)?))?;
         Ok((columns.into_iter().map(|(name, data)| (name, PyArray1::from_vec(py, data))).collect(), said))
     }
 
@@ -96,7 +99,8 @@ impl Machine {
         record: &Record,
         interval: bool,
     ) -> PyResult<(String, Vec<String>)> {
-        work(py, |say| Ok(rtec_measure::prediction::csv(&self.inner, &record.inner, interval, say)?))
+        let (machine, record) = (self.inner.clone(), record.inner.clone());
+        work(py, move |say| Ok(rtec_measure::prediction::csv(&machine, &record, interval, say)?))
     }
 
     /// Half width of the 95 % interval at every row, µm; none where no fit of the response states one for such a run.
@@ -106,27 +110,31 @@ impl Machine {
         record: &Record,
         response: &str,
     ) -> PyResult<Option<Bound<'py, PyArray1<f64>>>> {
-        let widths = quietly(py, || {
+        let (machine, record, response) = (self.inner.clone(), record.inner.clone(), response.to_owned());
+        let widths = quietly(py, move || {
             let found = format!("response `{response}`");
             let expected = "error.AXIS or force.AXIS";
-            let role = Role::parse(response)
+            let role = Role::parse(&response)
                 .ok_or_else(|| InputError::whole("half_widths_um".as_ref(), found, expected))?;
-            Ok(self.inner.half_widths_um(&record.inner, &role))
+            Ok(machine.half_widths_um(&record, &role))
         })?;
         Ok(widths.map(|w| PyArray1::from_vec(py, w)))
     }
 
     /// The record less what the model predicts.
     fn beyond(&self, py: Python<'_>, record: &Record) -> PyResult<Record> {
-        quietly(py, || Ok(Record { inner: self.inner.beyond(&record.inner)? }))
+        let (machine, record) = (self.inner.clone(), record.inner.clone());
+        quietly(py, move || Ok(Record { inner: machine.beyond(&record)? }))
     }
 
-    fn doubts(&self, py: Python<'_>, today: Option<&str>) -> PyResult<Vec<String>> {
-        quietly(py, || Ok(self.inner.doubts(day(today)?)))
+    fn doubts(&self, py: Python<'_>, today: Option<String>) -> PyResult<Vec<String>> {
+        let inner = self.inner.clone();
+        quietly(py, move || Ok(inner.doubts(day(today.as_deref())?)))
     }
 
-    fn days_left(&self, py: Python<'_>, today: Option<&str>) -> PyResult<Option<i64>> {
-        quietly(py, || Ok(self.inner.days_left(day(today)?)))
+    fn days_left(&self, py: Python<'_>, today: Option<String>) -> PyResult<Option<i64>> {
+        let inner = self.inner.clone();
+        quietly(py, move || Ok(inner.days_left(day(today.as_deref())?)))
     }
 
     fn __repr__(&self) -> String {

@@ -102,14 +102,14 @@ impl Record {
         let columns: Vec<_> =
             columns.into_iter().map(|(n, r, u, data)| (n, r, u, data.as_array().to_vec())).collect();
         let about = About { count_um, date, note, zero, circle, sha256 };
-        quietly(py, || made(&path, &kind, columns, about, log)).map(|inner| Self { inner })
+        quietly(py, move || made(&path, &kind, columns, about, log)).map(|inner| Self { inner })
     }
 
     #[staticmethod]
     #[pyo3(signature = (path, *, log=false))]
     fn read(py: Python<'_>, path: PathBuf, log: bool) -> PyResult<Self> {
         let read = if log { rtec_measure::record::read_log } else { rtec_measure::record::read };
-        quietly(py, || Ok(read(&path)?)).map(|inner| Self { inner })
+        quietly(py, move || Ok(read(&path)?)).map(|inner| Self { inner })
     }
 
     fn write(&self, py: Python<'_>, path: Option<PathBuf>) -> PyResult<Self> {
@@ -124,7 +124,8 @@ impl Record {
     }
 
     fn to_csv(&self, py: Python<'_>) -> PyResult<String> {
-        quietly(py, || Ok(rtec_measure::record::to_csv(&self.inner)))
+        let inner = self.inner.clone();
+        quietly(py, move || Ok(rtec_measure::record::to_csv(&inner)))
     }
 
     fn to_sidecar(&self) -> String {
@@ -206,11 +207,12 @@ impl Record {
         if let Some(row) = rows.iter().find(|r| **r >= self.inner.rows()) {
             return Err(PyIndexError::new_err(format!("row {row} of {}", self.inner.rows())));
         }
-        quietly(py, || {
+        let from = self.inner.clone();
+        quietly(py, move || {
             if rows.is_empty() {
-                return Err(InputError::whole(&self.inner.path, "no rows", "at least one").into());
+                return Err(InputError::whole(&from.path, "no rows", "at least one").into());
             }
-            let inner = self.inner.select(&rows);
+            let inner = from.select(&rows);
             // Time must go on.
             Inner::new(&inner.path, inner.kind, inner.columns.clone())?;
             Ok(Self { inner })
@@ -218,7 +220,8 @@ impl Record {
     }
 
     fn suspicions(&self, py: Python<'_>) -> PyResult<String> {
-        quietly(py, || Ok(serde_json::to_string(&plausible::suspicions(std::slice::from_ref(&self.inner)))?))
+        let inner = self.inner.clone();
+        quietly(py, move || Ok(serde_json::to_string(&plausible::suspicions(std::slice::from_ref(&inner)))?))
     }
 
     fn __repr__(&self) -> String {

@@ -7,6 +7,7 @@ use numpy::PyArray1;
 use pyo3::prelude::*;
 use rtec_control::config::Config;
 use rtec_driver::quadrature::State;
+use rtec_files::stamp::signed;
 use rtec_files::trace::{RequestReader, TraceReader};
 use rtec_files::{InputError, Said};
 use rtec_fit::chain::{self as chain_fit, ChainRun};
@@ -49,8 +50,9 @@ fn bad(argument: &str, found: impl Into<String>, expected: impl Into<String>) ->
     InputError::whole(Path::new(argument), found, expected).into()
 }
 
-fn pretty(document: &Value) -> Result<String, Failure> {
-    Ok(serde_json::to_string_pretty(document)?)
+/// A document as `rtecctl … --json` prints it.
+fn pretty(document: &impl serde::Serialize) -> Result<String, Failure> {
+    Ok(signed(serde_json::to_string_pretty(document)?))
 }
 
 fn drawn<'p>(pictures: impl Iterator<Item = &'p Picture>) -> Result<String, Failure> {
@@ -220,7 +222,7 @@ pub(crate) fn fit_chain(
             Some(Picture::from(residual_chart(record, &Role::parse(response)?, &left[0], &left[1])))
         });
         let pictures: Vec<Picture> = pictures.collect();
-        Ok((serde_json::to_string_pretty(&report)?, text, drawn(pictures.iter())?))
+        Ok((pretty(&report)?, text, drawn(pictures.iter())?))
     })
 }
 
@@ -375,11 +377,12 @@ pub(crate) fn prediction_picture(
     machine: &Machine,
     record: &Record,
 ) -> PyResult<(String, Vec<String>)> {
-    work(py, |say| {
-        let record = plausible::only_good(record.inner.clone(), say);
-        let says = rtec_measure::prediction::predict(&machine.inner, &record, say)?;
+    let (machine, record) = (machine.inner.clone(), record.inner.clone());
+    work(py, move |say| {
+        let record = plausible::only_good(record, say);
+        let says = rtec_measure::prediction::predict(&machine, &record, say)?;
         let chart = |(response, (_, data)): (&rtec_model::record::Column, &(String, Vec<f64>))| {
-            let widths = machine.inner.half_widths_um(&record, &response.role);
+            let widths = machine.half_widths_um(&record, &response.role);
             Picture::from(prediction_chart(&record, response, data, widths.as_deref()))
         };
         let pictures: Vec<Picture> = record.responses().zip(&says).map(chart).collect();
@@ -497,7 +500,7 @@ pub(crate) fn plan(
         let axes: Vec<PlanAxis> =
             axes.into_iter().map(|(name, travel_mm)| PlanAxis { name, travel_mm }).collect();
         let steps = for_machine(&axes, max_rpm, ballbar_mm, say)?;
-        Ok((serde_json::to_string_pretty(&steps)?, markdown(&machine, &steps)))
+        Ok((pretty(&steps)?, markdown(&machine, &steps)))
     })
 }
 
@@ -529,7 +532,7 @@ pub(crate) fn designs(
             ..TestMotion::default()
         };
         let comparison = compare(&computer, motion, seed);
-        Ok((serde_json::to_string_pretty(&comparison)?, comparison.to_table()))
+        Ok((pretty(&comparison)?, comparison.to_table()))
     })
 }
 
@@ -571,7 +574,7 @@ pub(crate) fn replay(
             ReplayError::Start(error) => bad("replay", error.to_string(), "an axis that can be corrected"),
         })?;
         let sound = outcome.faults.is_empty() && outcome.balanced() && outcome.illegal_out == 0;
-        Ok((serde_json::to_string(&outcome)?, sound))
+        Ok((signed(serde_json::to_string(&outcome)?), sound))
     })
 }
 
@@ -618,7 +621,7 @@ pub(crate) fn part_errors(
             },
             say,
         )?;
-        let document = serde_json::to_string_pretty(&report)?;
+        let document = pretty(&report)?;
         Ok((document, report.error_cor(asked.with_size), report.whisker_svg()))
     })
 }
@@ -649,7 +652,7 @@ pub(crate) fn simulate(
         let setting = Setting { spec: &spec, truth: &truth, known: known.as_ref(), seed, out: &out };
         let done = found.run(&setting).map_err(|e| Failure::Other(e.to_string()))?;
         let records = done.records.into_iter().map(|inner| Record { inner }).collect();
-        Ok((records, pretty(&Value::Object(done.summary))?))
+        Ok((records, serde_json::to_string_pretty(&done.summary)?))
     })
 }
 
@@ -688,6 +691,6 @@ pub(crate) fn history(
         let all: Vec<_> = read.chain(made).collect();
         let found = rtec_measure::history::history(&machine, &all, &limits);
         let report = found.report()?;
-        Ok((serde_json::to_string_pretty(&found)?, report.text(), report.html(), drawn(report.pictures())?))
+        Ok((pretty(&found)?, report.text(), report.html(), drawn(report.pictures())?))
     })
 }

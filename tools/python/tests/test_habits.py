@@ -1,15 +1,20 @@
 """What a reader of Python expects of a library: reprs, iteration, standard errors, docstrings, pickles."""
 
+import graphlib
 import inspect
 import pickle
 import re
 import subprocess
 import sys
+import types
+import typing
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import rtec
+from rtec import _documents
 
 T = np.linspace(0.0, 1.0, 5)
 
@@ -129,6 +134,98 @@ def test_docstrings_name_every_parameter_and_the_result(name, function):
     assert given == wanted, name
     assert head.strip() and head.split("\n")[0].endswith((".", ":")), name
     assert ("Returns\n-------\n" in text) == (signature.return_annotation != "None"), name
+
+
+def test_no_file_of_the_package_imports_itself_in_a_circle():
+    """Imports anywhere in a file count, those for types alone and those within a function too."""
+    folder = Path(rtec.__file__).parent
+    names = {path.stem: path for path in folder.glob("*.py") if path.stem != "__init__"}
+    after = {}
+    for name, path in names.items():
+        text = path.read_text(encoding="utf-8")
+        found = set(re.findall(r"^ *from rtec\.(\w+) import", text, re.MULTILINE))
+        found |= {word for line in re.findall(r"^ *from rtec import (.+)$", text, re.MULTILINE) for word in re.findall(r"\w+", line)}
+        after[name] = found & names.keys()
+    list(graphlib.TopologicalSorter(after).static_order())  # raises CycleError
+
+
+def fits(value, kind, where):
+    """Whether a value is of an annotated type; a TypedDict has the declared keys and no other."""
+    origin, arguments = typing.get_origin(kind), typing.get_args(kind)
+    if typing.is_typeddict(kind):
+        assert isinstance(value, dict), where
+        hints = typing.get_type_hints(kind)
+        assert value.keys() <= hints.keys(), f"{where}: not declared: {sorted(value.keys() - hints.keys())}"
+        marked = typing.get_type_hints(kind, include_extras=True)
+        missing = {key for key, of in marked.items() if kind.__total__ and typing.get_origin(of) is not typing.NotRequired} - value.keys()
+        assert not missing, f"{where}: missing: {sorted(missing)}"
+        for key, inside in value.items():
+            fits(inside, hints[key], f"{where}.{key}")
+    elif origin is list:
+        assert isinstance(value, list), where
+        for n, inside in enumerate(value):
+            fits(inside, arguments[0], f"{where}[{n}]")
+    elif origin is dict:
+        assert isinstance(value, dict), where
+        for key, inside in value.items():
+            fits(inside, arguments[1], f"{where}.{key}")
+    elif origin is typing.Literal:
+        assert value in arguments, where
+    elif origin in (typing.Union, types.UnionType):
+        for one in arguments:
+            try:
+                return fits(value, one, where)
+            except AssertionError as error:
+                last = error
+        raise last
+    elif kind is not typing.Any:
+        assert isinstance(value, (int, float) if kind is float else kind), f"{where}: {value!r} is no {kind}"
+
+
+def declared(result):
+    """The type of a result's document, from its class."""
+    for of in type(result).__mro__:
+        for base in getattr(of, "__orig_bases__", ()):
+            for argument in typing.get_args(base):
+                if not isinstance(argument, typing.TypeVar):
+                    return argument
+    raise AssertionError(type(result))
+
+
+def test_documents_are_of_their_declared_types(mill, lathe, tmp_path):
+    records = sorted((mill / "records").glob("*.run.toml"))
+    known = mill / "machine.toml"
+    straight = {"x": ("position.x", np.linspace(0, 400, 41)), "e": ("error.y", np.sin(np.arange(41.0)))}
+    evaluated = [rtec.evaluate(run) for run in records]
+    evaluated.append(rtec.evaluate([r for r in records if "ballbar" in r.name], "iso230-4"))
+    evaluated.append(rtec.evaluate(rtec.record("s.run.toml", "positioning", straight), "straightness"))
+    evaluated.append(rtec.evaluate(mill / "records/linear-displacement-y.run.toml", "repeatability"))
+    drift = mill / "records/drift-dry.run.toml"
+    points = tmp_path / "probed.csv"
+    points.write_text("z_mm,x_mm\n0.0,10.001\n3.826834,9.238795\n7.071068,7.071068\n9.238795,3.826834\n10.002,0.0\n")
+    dated = [rtec.record(f"{day}.run.toml", "positioning", straight, date=day) for day in ("2026-05-04", "2026-06-04")]
+    fitted = rtec.fit(drift, base=known, sensors=["T6", "T8", "T18"], environment="T18", despite_suspicions=True)
+    z = lathe / "records/linear-displacement-z.run.toml"
+    verdict = rtec.reconcile(z, lathe / "machine.toml", lathe / "holdout/linear-displacement-z.run.toml")
+    for result in (
+        *evaluated,
+        fitted,
+        rtec.select_sensors(drift, base=known, sensors=["T6", "T8", "T18"]),
+        rtec.fit_effects(mill / "records/linear-displacement-y.run.toml", ["offset.y"], base=known),
+        fitted.machine.validate(mill / "holdout/production-cycle.run.toml"),
+        verdict,
+        rtec.read_machine(known).export("y", 0, 400),
+        rtec.plan({"x": 500}),
+        rtec.designs(counts=2000),
+        rtec.part_errors(points, radius_mm=10.0),
+        rtec.history(dated),
+    ):
+        fits(result.document, declared(result), type(result).__name__)
+        assert isinstance(result.document, list) or re.match(r"rtec \d+\.\d+\.\d+", result.document["by"])
+    fits(rtec.where_they_disagree(z, lathe / "machine.toml").document, _documents.WhereDocument, "where")
+    fits(rtec.read_machine(known).document, _documents.MachineDocument, "machine")
+    assert verdict.document["format"] == 1
+    assert 'by = "rtec ' in verdict.model.text and "format = 1" in run().to_sidecar()
 
 
 def test_a_missing_package_is_named_with_its_extra():

@@ -1,6 +1,7 @@
 //! Run records on file: `NAME.run.toml` beside a CSV (formats.md, "Run record"), read strictly and written whole.
 
 use rtec_files::csv::{self, Reader, Style};
+use rtec_files::stamp;
 use rtec_files::text::{LONGEST, open_regular};
 use rtec_files::toml::{Document, Table};
 use rtec_files::{InputError, Marks, Numbers};
@@ -286,6 +287,8 @@ pub fn to_csv(record: &Record) -> String {
 #[must_use]
 pub fn to_sidecar(record: &Record) -> String {
     let mut doc = toml_edit::DocumentMut::new();
+    doc["format"] = toml_edit::value(i64::from(stamp::FORMAT));
+    doc["by"] = toml_edit::value(stamp::by());
     doc["file"] = toml_edit::value(&record.file);
     doc["kind"] = toml_edit::value(record.kind.name());
     if let Some(um) = record.count_um {
@@ -625,8 +628,11 @@ impl Sidecar {
             "note",
             "zero",
             "columns",
+            "format",
+            "by",
         ])
         .map_err(mistaken)?;
+        stamp::check(&root)?;
         let file = root.required("file", "the CSV's name, as file = \"NAME.csv\"")?;
         let kind = root.required("kind", "the kind of run, as kind = \"positioning\"")?;
         let kinds = Kind::ALL.map(|(name, _)| name).join(", ");

@@ -5,6 +5,7 @@
 //! | `verbs/` | one file per verb: its arguments, what it calls, what it prints |
 //! | `help` | verbs by their users, examples, exit codes |
 //! | `http` | a server for a few readers on this computer |
+//! | `progress` | how far a long computation is |
 //! | `terminal` | where the output goes: colours, width, a reader that has gone |
 //! | `archive` | a tar for one user's eyes |
 //! | `daemon` | the running daemon: where its socket is, its answers as exit codes |
@@ -32,6 +33,7 @@ mod daemon;
 mod figures;
 mod help;
 mod http;
+mod progress;
 #[cfg(test)]
 mod reference;
 mod screen;
@@ -76,6 +78,19 @@ macro_rules! verbs {
             }
         }
     };
+}
+
+impl Verb {
+    /// Whether it computes; others wait for a daemon, a machine or a person, and print as they go on.
+    fn computes(&self) -> bool {
+        use Verb::{
+            Characterise, Designs, Example, History, Model, Papers, Part, Reconcile, Replay, Ship, Simulate,
+            Trace,
+        };
+        let named =
+            matches!(self, Designs(_) | Example(_) | History(_) | Papers(_) | Part(_) | Replay(_) | Ship(_));
+        named || matches!(self, Characterise(_) | Model(_) | Reconcile(_) | Simulate(_) | Trace(_))
+    }
 }
 
 verbs! {
@@ -193,7 +208,11 @@ fn main() -> ExitCode {
         return ExitCode::SUCCESS;
     };
     rtec_files::write::spare_inputs();
-    let done = verb.run();
+    let done = if verb.computes() {
+        progress::shown(&words[1].to_string_lossy(), || verb.run())
+    } else {
+        verb.run()
+    };
     let Err(error) = done else { return ExitCode::SUCCESS };
     let colour = std::io::stderr().is_terminal() && terminal::colours_are_wanted();
     let text = rtec_files::words::whole(error.as_ref());
@@ -204,9 +223,11 @@ fn main() -> ExitCode {
 /// Prints to standard output. A reader that has gone away (`| head`) is no error: what is to be done goes on, and its exit
 /// code is what it would have been. Standard output that takes nothing for another reason ends the command.
 pub(crate) fn say(text: &str) {
+    let line = progress::cleared();
     let mut out = std::io::stdout().lock();
     match out.write_all(text.as_bytes()).and_then(|()| out.flush()) {
         Err(e) if e.kind() != ErrorKind::BrokenPipe => {
+            drop(line);
             eprintln!("rtecctl: writing to standard output: {e}");
             std::process::exit(1);
         }
@@ -216,6 +237,7 @@ pub(crate) fn say(text: &str) {
 
 /// Prints to standard error. Where that takes nothing there is nowhere to say so.
 pub(crate) fn tell(text: &str) {
+    let _line = progress::cleared();
     let mut out = std::io::stderr().lock();
     let _ = out.write_all(text.as_bytes()).and_then(|()| out.flush());
 }

@@ -3,8 +3,6 @@
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 use std::io::IsTerminal;
 use std::os::fd::AsFd;
-use std::sync::mpsc;
-use std::time::{Duration, Instant};
 
 /// A colour of the eight that every terminal has, by what it says.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -97,51 +95,9 @@ fn columns(word: &str) -> usize {
     word.chars().count() - hidden
 }
 
-/// The first word of what takes long comes after so long, and every further one.
-const PATIENCE: Duration = Duration::from_secs(2);
-
-/// Does it, and says from time to time that it is still being done; to a terminal only.
-pub(crate) fn patiently<T>(what: &str, work: impl FnOnce() -> T) -> T {
-    let shown = std::io::stderr().is_terminal();
-    let say = |s: f64| {
-        if shown {
-            eprintln!("{what}, {s:.0} s …");
-        }
-    };
-    saying(PATIENCE, say, work)
-}
-
-/// Does it, and every so often calls `say` with the seconds gone.
-fn saying<T>(every: Duration, say: impl Fn(f64) + Send, work: impl FnOnce() -> T) -> T {
-    let start = Instant::now();
-    let (done, waiting) = mpsc::channel::<()>();
-    std::thread::scope(|scope| {
-        scope.spawn(move || {
-            while waiting.recv_timeout(every) == Err(mpsc::RecvTimeoutError::Timeout) {
-                say(start.elapsed().as_secs_f64());
-            }
-        });
-        let result = work();
-        drop(done);
-        result
-    })
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    /// Words come while something is being done, and none after it.
-    #[test]
-    fn what_takes_long_is_said_until_it_is_done() {
-        let (said, heard) = mpsc::channel();
-        let say = move |s: f64| said.send(s).unwrap_or_default();
-        let twice = saying(Duration::from_millis(1), say, || (heard.recv(), heard.recv()));
-        assert!(twice.0.is_ok_and(|first| twice.1.is_ok_and(|second| second > first)), "{twice:?}");
-        // Who says it has gone.
-        while heard.try_recv().is_ok() {}
-        assert_eq!(heard.try_recv(), Err(mpsc::TryRecvError::Disconnected));
-    }
 
     #[test]
     fn a_terminal_that_does_not_know_its_columns_has_none() {

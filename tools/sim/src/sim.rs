@@ -380,6 +380,7 @@ impl Sim {
 
     /// Every 10 ms: heat, the true machine's errors, and new totals.
     fn control(&mut self) -> Result<(), SimError> {
+        rtec_files::watch::step();
         let t_s = self.next_control_ns as f64 * 1e-9;
         self.next_control_ns += self.control_ns;
         self.errors.heat.advance(t_s, self.machine.rpm(), self.machine.coolant());

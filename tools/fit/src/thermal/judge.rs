@@ -223,6 +223,7 @@ impl<'a> Beside<'a> {
 
     /// Least squares on all folds, and judged by leaving out each in turn; `None` when the columns are dependent.
     pub(super) fn solve(&mut self) -> Option<Solved> {
+        rtec_files::watch::step();
         let response = &self.columns[0];
         let fit = self.roots_of_all.least_squares(&self.all)?;
         let left = left_over(&self.all, &fit) / self.total;

@@ -8,6 +8,7 @@ use crate::effect::{Dictionary, Effect, Need, Parameter, read_difference};
 use crate::file_kind::FileKind;
 use crate::record::{Kind, hex};
 use rtec_files::InputError;
+use rtec_files::stamp;
 use rtec_files::text::short;
 use rtec_files::toml::{Document, Entry, Table};
 use sha2::{Digest, Sha256};
@@ -56,7 +57,9 @@ impl Machine {
         let mistaken = |e: InputError| FileKind::Model.finding(path, text, e);
         let doc = Document::parse(path, text).map_err(mistaken)?;
         let root = doc.root();
-        root.only(&["name", "note", "dictionary", "chain", "fit", "effect"]).map_err(mistaken)?;
+        root.only(&["name", "note", "dictionary", "chain", "fit", "effect", "format", "by"])
+            .map_err(mistaken)?;
+        stamp::check(&root)?;
         let name = root.required("name", "the machine's name, as name = \"…\"")?.str("the machine's name")?;
         if let Some(note) = root.get("note") {
             note.str("free text")?;

@@ -5,12 +5,20 @@ use super::note::{FitNote, Listed, Provenance, Source, Validity};
 use super::places::{folder_of, named_from, whole};
 use crate::effect::{Against, Dictionary, Effect, ValueError};
 use rtec_files::InputError;
+use rtec_files::stamp;
 use std::path::{Path, PathBuf};
 use toml_edit::{Array, InlineTable, Item, Value, value};
 
 impl Machine {
+    /// What the program changes carries the format and the writer.
+    fn stamp(&mut self) {
+        self.doc["format"] = value(i64::from(stamp::FORMAT));
+        self.doc["by"] = value(stamp::by());
+    }
+
     /// Adds what a fit says about itself; it stands for what an earlier fit of the same response said.
     pub fn note_fit(&mut self, note: FitNote) {
+        self.stamp();
         let mut t = toml_edit::Table::new();
         t["response"] = value(&note.response);
         t["date"] = value(&note.date);
@@ -93,6 +101,7 @@ impl Machine {
             let found = format!("`{}` a second time", next.effect.name());
             return Err(ValueError::new("name", found, "one of a name"));
         }
+        self.stamp();
         let table = effect_table(&next.effect, &next.provenance);
         self.tables().push(table);
         self.listed.push(next);

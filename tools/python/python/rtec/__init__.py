@@ -15,8 +15,8 @@ one machine's figures over time           :func:`history`
 a plan of runs, designs of insertion      :func:`plan`, :func:`designs`
 a recorded trace through the engine       :func:`replay`
 a part's errors                           :func:`part_errors`
+how far a long call is                    :func:`progress`
 simulated machines                        :func:`simulate`, :func:`example`
-residuals, covariance, band as arrays      :class:`Regression`
 figures                                   :mod:`rtec.plots`
 a shop of many machines                   :mod:`rtec.shop`
 ========================================  ==========================================================
@@ -27,25 +27,15 @@ Bad input raises :class:`InputError`, a ``ValueError`` with file and line; a fil
 ``FileNotFoundError`` too. All are :class:`RtecError`.
 """
 
-from rtec._results import (
-    ChainFit,
-    Design,
-    Evaluation,
-    Fit,
-    InputWarning,
-    PartErrors,
-    Picture,
-    Plan,
-    Replay,
-    Result,
-    Simulation,
-    Table,
-    Validation,
-    Verdict,
-)
-from rtec._regression import Regression
+from rtec._rtec import __version__
+from rtec._documents import Picture
 from rtec._errors import Bug, InputError, MissingFileError, RtecError
+from rtec._found import Fit, Simulation, Verdict
+from rtec._progress import Progress, progress
 from rtec._record import Record, import_record, read_record, record
+from rtec._regression import Regression
+from rtec._results import ChainFit, Design, Evaluation, History, PartErrors, Plan, Replay, Result, Table, Validation
+from rtec._text import InputWarning
 from rtec._machine import Machine, read_machine
 from rtec._functions import (
     designs,
@@ -64,14 +54,14 @@ from rtec._functions import (
     where_they_disagree,
 )
 
-__version__ = "0.1.0"
-
 __all__ = [
+    "__version__",
     "Bug",
     "ChainFit",
     "Design",
     "Evaluation",
     "Fit",
+    "History",
     "InputError",
     "InputWarning",
     "Machine",
@@ -79,6 +69,7 @@ __all__ = [
     "PartErrors",
     "Picture",
     "Plan",
+    "Progress",
     "Record",
     "Regression",
     "Replay",
@@ -98,6 +89,7 @@ __all__ = [
     "import_record",
     "part_errors",
     "plan",
+    "progress",
     "read_machine",
     "read_record",
     "reconcile",

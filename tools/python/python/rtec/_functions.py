@@ -8,26 +8,18 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from rtec import _documents as doc
 from rtec import _rtec
+from rtec._alike import documented, place
 from rtec._errors import names
+from rtec._found import Fit, Simulation, Verdict
 from rtec._machine import Machine, a_machine
 from rtec._record import Place, Record, Runs, inners
-from rtec._results import (
-    ChainFit,
-    Design,
-    Evaluation,
-    Fit,
-    PartErrors,
-    Plan,
-    Replay,
-    Result,
-    Simulation,
-    Verdict,
-    say,
-    whole,
-)
+from rtec._results import ChainFit, Design, Evaluation, History, PartErrors, Plan, Replay, Result
+from rtec._text import say, whole
 
 
+@documented
 def evaluate(
     runs: Runs,
     standard: str | None = None,
@@ -44,8 +36,6 @@ def evaluate(
 
     Parameters
     ----------
-    runs : Record, path, or iterable of these
-        The records.
     standard : str, optional
         By the first record's kind where left out.
     conditions : path, optional
@@ -59,8 +49,7 @@ def evaluate(
     -------
     Evaluation
     """
-    place = None if conditions is None else os.fspath(conditions)
-    (document, text, html, pictures), said = _rtec.evaluate(inners(runs), standard, place, one_way, norm)
+    (document, text, html, pictures), said = _rtec.evaluate(inners(runs), standard, place(conditions), one_way, norm)
     return Evaluation(document, pictures, say(said), text, html)
 
 
@@ -90,6 +79,7 @@ def _asked(
     }
 
 
+@documented
 def select_sensors(
     train: Runs,
     *,
@@ -102,32 +92,16 @@ def select_sensors(
 ) -> Fit:
     """Chooses sensors by correlation (CASC) and rounds of refitting; options as :func:`fit`.
 
-    Parameters
-    ----------
-    train : Record, path, or iterable of these
-        The records that decide.
-    sensors : sequence of str
-        Differences to choose from, as ``["T0", "T8-T18"]``; all where it is empty.
-    environment : str, optional
-        The sensor of the air, which no difference is taken of.
-    folds : int
-        Blocks of time that are left out in turn.
-    lag : bool
-        Offer temperatures behind a lag too.
-    square : bool
-        Offer squares of differences too.
-    base : Machine or path, optional
-        What is known of the machine already.
-
     Returns
     -------
     Fit
     """
     asked = _asked(sensors, environment, folds, lag, square, base, "1970-01-01", 365, True)
     (document, machine, pictures, used), said = _rtec.fit(inners(train), [], asked, True)
-    return Fit(document, pictures, say(said), Machine(machine), used, asked["base"])
+    return Fit(document, pictures, say(said), machine=Machine(machine), _records=used, _base=asked["base"])
 
 
+@documented
 def fit(
     train: Runs,
     holdout: Runs = (),
@@ -147,40 +121,16 @@ def fit(
     ``sensors``: differences to choose from, as ``["T0", "T8-T18"]``; all where it is empty. ``holdout`` never influences the fit.
     ``base``: what is known already. ``date``: the day that the model carries.
 
-    Parameters
-    ----------
-    train : Record, path, or iterable of these
-        The records that decide.
-    holdout : Record, path, or iterable of these
-        Records that never influence the answer, only the last figures.
-    sensors : sequence of str
-        Differences to choose from, as ``["T0", "T8-T18"]``; all where it is empty.
-    environment : str, optional
-        The sensor of the air, which no difference is taken of.
-    folds : int
-        Blocks of time that are left out in turn.
-    lag : bool
-        Offer temperatures behind a lag too.
-    square : bool
-        Offer squares of differences too.
-    base : Machine or path, optional
-        What is known of the machine already.
-    date : str, optional
-        The day that the result carries, ``YYYY-MM-DD``; today where left out.
-    valid_days : int
-        How long the fit is good.
-    despite_suspicions : bool
-        Fit although the records show mistakes.
-
     Returns
     -------
     Fit
     """
     asked = _asked(sensors, environment, folds, lag, square, base, date, valid_days, despite_suspicions)
     (document, machine, pictures, used), said = _rtec.fit(inners(train), inners(holdout), asked, False)
-    return Fit(document, pictures, say(said), Machine(machine), used, asked["base"])
+    return Fit(document, pictures, say(said), machine=Machine(machine), _records=used, _base=asked["base"])
 
 
+@documented
 def fit_effects(
     train: Runs,
     effects: Sequence[str],
@@ -194,18 +144,8 @@ def fit_effects(
 
     Parameters
     ----------
-    train : Record, path, or iterable of these
-        The records that decide.
     effects : sequence of str
         Names, as ``["scale.x", "thermal_expansion.x:T3-T20"]``.
-    base : Machine or path, optional
-        What is known of the machine already.
-    date : str, optional
-        The day that the result carries, ``YYYY-MM-DD``; today where left out.
-    valid_days : int
-        How long the fit is good.
-    despite_suspicions : bool
-        Fit although the records show mistakes.
 
     Returns
     -------
@@ -213,7 +153,7 @@ def fit_effects(
     """
     asked = _asked((), None, 10, True, True, base, date, valid_days, despite_suspicions)
     (document, machine, pictures, used), said = _rtec.fit_named(inners(train), names("effects", effects), asked)
-    return Fit(document, pictures, say(said), Machine(machine), used, asked["base"])
+    return Fit(document, pictures, say(said), machine=Machine(machine), _records=used, _base=asked["base"])
 
 
 def fit_chain(
@@ -246,6 +186,7 @@ def fit_chain(
     return ChainFit(document, pictures, (), text)
 
 
+@documented
 def reconcile(
     train: Runs,
     machine: Machine | Place,
@@ -263,18 +204,8 @@ def reconcile(
 
     Parameters
     ----------
-    train : Record, path, or iterable of these
-        The records that decide.
-    machine : Machine or path
-        The model.
-    holdout : Record, path, or iterable of these
-        Records that never influence the answer, only the last figures.
-    level : float
-        How often chance alone may lead to an answer, 0 to 0.5.
     unexplained : bool
         Give a law for structure without a name.
-    date : str, optional
-        The day that the result carries, ``YYYY-MM-DD``; today where left out.
     out : path, optional
         A folder for ``verdict.json``, ``model.toml`` and ``report.html``.
 
@@ -286,7 +217,9 @@ def reconcile(
     (document, model, html, pictures, laws, used), said = _rtec.reconcile(
         inners(train), base, inners(holdout), level, unexplained, date
     )
-    verdict = Verdict(document, pictures, say(said), Machine(model), html, laws, used, base)
+    verdict = Verdict(
+        document, pictures, say(said), html, laws, model=Machine(model), _records=used, _base=base
+    )
     if out is not None:
         folder = Path(out)
         folder.mkdir(parents=True, exist_ok=True)
@@ -298,17 +231,9 @@ def reconcile(
     return verdict
 
 
-def where_they_disagree(train: Runs, machine: Machine | Place, *, level: float = 0.01) -> Result:
+@documented
+def where_they_disagree(train: Runs, machine: Machine | Place, *, level: float = 0.01) -> Result[doc.WhereDocument]:
     """The first stage of a reconciliation alone: where measured and simulated disagree.
-
-    Parameters
-    ----------
-    train : Record, path, or iterable of these
-        The records that decide.
-    machine : Machine or path
-        The model.
-    level : float
-        How often chance alone may lead to an answer, 0 to 0.5.
 
     Returns
     -------
@@ -346,6 +271,7 @@ def plan(
     return Plan(document, markdown, say(said))
 
 
+@documented
 def designs(
     computer: str = "8051",
     *,
@@ -366,8 +292,6 @@ def designs(
         Acceleration, counts/s².
     counts : int
         Length of the motion, counts.
-    seed : int
-        The same seed gives the same answer.
 
     Returns
     -------
@@ -404,11 +328,11 @@ def replay(
     -------
     Replay
     """
-    place = None if config is None else os.fspath(config)
-    document, sound = _rtec.replay(os.fspath(trace), os.fspath(requests), design, place, axis)
+    document, sound = _rtec.replay(os.fspath(trace), os.fspath(requests), design, place(config), axis)
     return Replay(document, sound)
 
 
+@documented
 def part_errors(
     points: Place,
     *,
@@ -436,8 +360,6 @@ def part_errors(
         CSV ``z_mm,x_mm[,approach_z,approach_x]``.
     columns : mapping, optional
         The file's columns by name or number.
-    radius_mm : float, optional
-        A circle's nominal radius; a ballbar's length, mm.
     tip_mm : float, optional
         Radius of the probe's tip, mm.
     feature : str, optional
@@ -462,7 +384,7 @@ def part_errors(
     PartErrors
     """
     places = {"machine": machine, "expected": expected, "path": path}
-    asked: dict[str, Any] = {name: None if p is None else os.fspath(p) for name, p in places.items()}
+    asked: dict[str, Any] = {name: place(p) for name, p in places.items()}
     asked |= {"points": os.fspath(points), "radius_mm": radius_mm, "tip_mm": tip_mm, "feature": feature}
     asked |= {"taper_deg": taper_deg, "trip_window_mm": trip_window_mm, "with_size": with_size}
     asked["columns"] = [f"{name}={column}" for name, column in (columns or {}).items()]
@@ -475,6 +397,7 @@ def part_errors(
     return PartErrors(document, json.dumps([picture | {"series": [series]}]), say(said), cor, svg)
 
 
+@documented
 def simulate(
     name: str,
     truth: Machine | Place | None = None,
@@ -496,10 +419,6 @@ def simulate(
         The machine as it is.
     known : Machine or path, optional
         What the corrector knows of it.
-    seed : int
-        The same seed gives the same answer.
-    out : path
-        Where the result will be.
 
     Returns
     -------
@@ -540,9 +459,10 @@ def example(name: str, folder: Place) -> list[Path]:
     return written
 
 
+@documented
 def history(
     runs: Runs, machine: str = "the machine", *, limits: Mapping[str, float] | Place | None = None
-) -> Evaluation:
+) -> History:
     """One machine's figures over time: ``figures`` (``x.A`` … with ``points``, ``limit``, ``trend``), ``left_out``.
 
     Each record is evaluated by itself; one without a date, or that cannot be read, is named and left out. ``limits``: what the
@@ -550,8 +470,6 @@ def history(
 
     Parameters
     ----------
-    runs : Record, path, or iterable of these
-        The records.
     machine : str
         Its name.
     limits : mapping or path, optional
@@ -559,7 +477,7 @@ def history(
 
     Returns
     -------
-    Evaluation
+    History
     """
     many: list[Record | Place] = [runs] if isinstance(runs, (Record, str, os.PathLike)) else list(runs)
     paths = [os.fspath(run) for run in many if not isinstance(run, Record)]
@@ -567,4 +485,4 @@ def history(
     named = [(n, float(v)) for n, v in limits.items()] if isinstance(limits, Mapping) else []
     file = None if limits is None or isinstance(limits, Mapping) else os.fspath(limits)
     document, text, html, pictures = _rtec.history(machine, paths, made, named, file)
-    return Evaluation(document, pictures, (), text, html)
+    return History(document, pictures, (), text, html)

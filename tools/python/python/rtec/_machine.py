@@ -5,11 +5,14 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, cast
 
+from rtec import _documents as doc
 from rtec import _rtec
+from rtec._alike import documented, place
 from rtec._record import Numbers, Place, Record, Runs, inners
-from rtec._results import Table, Validation, say
+from rtec._results import Table, Validation
+from rtec._text import say
 
 
 class Machine:
@@ -48,7 +51,7 @@ class Machine:
         -------
         Machine
         """
-        return Machine(_rtec.Machine.parse(text, None if path is None else os.fspath(path)))
+        return Machine(_rtec.Machine.parse(text, place(path)))
 
     def __repr__(self) -> str:
         return repr(self._inner)
@@ -87,32 +90,23 @@ class Machine:
         return self._inner.to_json()
 
     @property
-    def document(self) -> dict[str, Any]:
+    def document(self) -> doc.MachineDocument:
         """``effects`` (name, law, parameters with value, unit and interval), ``fits``, ``chain``."""
-        return dict(json.loads(self.json))
+        return cast(doc.MachineDocument, json.loads(self.json))
 
     @property
     def effects(self) -> list[dict[str, Any]]:
         """Its effects, in the file's order."""
         return list(self.document["effects"])
 
+    @documented
     def write(self, path: Place) -> None:
-        """Writes it whole or not at all; what would not be read again is not written.
-
-        Parameters
-        ----------
-        path : path
-            Where it is, or will be.
-        """
+        """Writes it whole or not at all; what would not be read again is not written."""
         self._inner.write(os.fspath(path))
 
+    @documented
     def predict(self, run: Record) -> dict[str, Numbers]:
         """The sum of its effects at every row, by the response's column name: µm (N for forces), shape ``(len(run),)``.
-
-        Parameters
-        ----------
-        run : Record
-            Rows are those of the answer.
 
         Returns
         -------
@@ -123,13 +117,12 @@ class Machine:
         say(said)
         return columns
 
+    @documented
     def predicted_csv(self, run: Record, *, interval: bool = False) -> str:
         """The record's CSV with ``predicted_…`` columns, as ``rtecctl model predict`` writes it.
 
         Parameters
         ----------
-        run : Record
-            Rows are those of the answer.
         interval : bool
             With half widths of the 95 % interval.
 
@@ -141,13 +134,12 @@ class Machine:
         say(said)
         return text
 
+    @documented
     def half_widths_um(self, run: Record, response: str) -> Numbers | None:
         """Half width of the 95 % interval of a response (``error.y``) at every row, µm; None where no fit states one.
 
         Parameters
         ----------
-        run : Record
-            Rows are those of the answer.
         response : str
             As ``error.y``.
 
@@ -158,13 +150,9 @@ class Machine:
         """
         return self._inner.half_widths_um(run._inner, response)
 
+    @documented
     def validate(self, runs: Runs) -> Validation:
         """Judges it on records that it has not seen: what is left, how often its interval holds.
-
-        Parameters
-        ----------
-        runs : Record, path, or iterable of these
-            The records.
 
         Returns
         -------
@@ -173,6 +161,7 @@ class Machine:
         (document, pictures), said = _rtec.validate(self._inner, inners(runs))
         return Validation(document, pictures, say(said))
 
+    @documented
     def export(
         self,
         axis: str,
@@ -212,8 +201,6 @@ class Machine:
             Its first position, mm.
         to_mm : float
             Its last position, mm.
-        format : str
-            The name of the file's format.
         step_mm : float, optional
             Between positions, mm.
         limit_um : float
@@ -224,8 +211,6 @@ class Machine:
             °C by sensor; others are at 20.
         at_mm : mapping of str to float, optional
             Where the other axes are, mm; else 0.
-        unit : str
-            ``mm`` or ``inch``: the unit of positions.
         along : str, optional
             Another axis that the table goes along.
         along_name : str, optional
@@ -242,8 +227,6 @@ class Machine:
             Siemens: the reference point, mm.
         axis_number : int, optional
             ``ssfk``: the axis.
-        form : path, optional
-            A description of a format of one's own.
 
         Returns
         -------
@@ -268,18 +251,14 @@ class Machine:
             "encoder": encoder,
             "reference_mm": reference_mm,
             "axis_number": axis_number,
-            "form": None if form is None else os.fspath(form),
+            "form": place(form),
         }
         (document, text), said = _rtec.export_table(self._inner, asked)
         return Table(document, text, say(said))
 
+    @documented
     def beyond(self, run: Record) -> Record:
         """The record less what the model predicts of its responses.
-
-        Parameters
-        ----------
-        run : Record
-            Rows are those of the answer.
 
         Returns
         -------
@@ -287,13 +266,9 @@ class Machine:
         """
         return Record(self._inner.beyond(run._inner))
 
+    @documented
     def doubts(self, today: str | None = None) -> list[str]:
         """What to know before it is trusted, on a day (``YYYY-MM-DD``; today where left out).
-
-        Parameters
-        ----------
-        today : str, optional
-            A day, ``YYYY-MM-DD``; today where left out.
 
         Returns
         -------
@@ -301,13 +276,9 @@ class Machine:
         """
         return self._inner.doubts(today)
 
+    @documented
     def days_left(self, today: str | None = None) -> int | None:
         """Days until the first of its fits is no longer good; None without fits.
-
-        Parameters
-        ----------
-        today : str, optional
-            A day, ``YYYY-MM-DD``; today where left out.
 
         Returns
         -------

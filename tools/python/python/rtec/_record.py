@@ -11,8 +11,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rtec import _rtec
+from rtec._alike import documented, place
+from rtec._documents import Suspicion
 from rtec._errors import names, needs
-from rtec._results import say, table
+from rtec._text import say, table
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -198,7 +200,7 @@ class Record:
             raise ValueError(f"found the file {to!r}, expected NAME.run.toml")
         return Record(self._inner.write(to))
 
-    def suspicions(self) -> list[dict[str, Any]]:
+    def suspicions(self) -> list[Suspicion]:
         """Mistakes that the record itself shows: ``column``, ``rows``, ``what``, ``text``.
 
         Returns
@@ -233,15 +235,9 @@ def _numbers(name: str, role: str, values: Any) -> Numbers:
     return np.ascontiguousarray(found, dtype=np.float64)
 
 
+@documented
 def read_record(path: Place, *, log: bool = False) -> Record:
     """Reads a run record from its sidecar ``NAME.run.toml``; ``log``: it need not have a response.
-
-    Parameters
-    ----------
-    path : path
-        Where it is, or will be.
-    log : bool
-        The record need not have a response.
 
     Returns
     -------
@@ -250,6 +246,7 @@ def read_record(path: Place, *, log: bool = False) -> Record:
     return Record(_rtec.Record.read(os.fspath(path), log=log))
 
 
+@documented
 def record(
     path: Place,
     kind: str,
@@ -272,28 +269,16 @@ def record(
 
     Parameters
     ----------
-    path : path
-        Where it is, or will be.
-    kind : str
-        ``positioning``, ``drift``, ``ballbar``, ``plate``, ``dynamics``, ``probing``, ``feed_sweep`` or ``part``.
     columns : mapping or pandas.DataFrame
         Role and values by name; each array has shape ``(rows,)``.
     roles : mapping of str to str, optional
         Roles by the DataFrame's columns.
     count_um : float, optional
         What one count is worth, µm.
-    date : str, optional
-        The day that the result carries, ``YYYY-MM-DD``; today where left out.
     note : str, optional
         Free words.
     zero : str, optional
         Name of the gauges' zero.
-    radius_mm : float, optional
-        A circle's nominal radius; a ballbar's length, mm.
-    plane : pair of str, optional
-        A ballbar's axes: angles go from the first towards the second.
-    log : bool
-        The record need not have a response.
 
     Returns
     -------
@@ -333,6 +318,7 @@ def _made(
     return Record(inner)
 
 
+@documented
 def import_record(
     file: Place,
     format: str,
@@ -361,34 +347,18 @@ def import_record(
     ----------
     file : path
         The other tool's file.
-    format : str
-        The name of the file's format.
-    out : path
-        Where the result will be.
     axis : str, optional
         The axis that was measured.
     columns : mapping or sequence of str
         Roles by name, with the unit where it is not the role's own.
-    kind : str
-        ``positioning``, ``drift``, ``ballbar``, ``plate``, ``dynamics``, ``probing``, ``feed_sweep`` or ``part``.
     decimal : str, optional
         ``point`` or ``comma``.
-    log : bool
-        The record need not have a response.
     period_s : float, optional
         Time between rows, s.
     numbered : bool
         The first column numbers the rows.
-    unit : str
-        ``mm`` or ``inch``: the unit of positions.
-    form : path, optional
-        A description of a format of one's own.
     derive : bool
         Add velocity and acceleration.
-    radius_mm : float, optional
-        A circle's nominal radius; a ballbar's length, mm.
-    plane : pair of str, optional
-        A ballbar's axes: angles go from the first towards the second.
 
     Returns
     -------
@@ -411,7 +381,7 @@ def import_record(
         "period_s": period_s,
         "numbered": numbered,
         "unit": unit,
-        "form": None if form is None else os.fspath(form),
+        "form": place(form),
         "derive": derive,
         "radius_mm": radius_mm,
         "plane": None if plane is None else names("plane", plane),

@@ -2,80 +2,48 @@
 
 from __future__ import annotations
 
-import html as _html
 import json as _json
-import warnings
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Generic, TypeVar, cast
 
-from rtec._errors import for_python, needs
-from rtec._regression import Regression, regression
+from rtec import _documents as doc
+from rtec._alike import documented
+from rtec._documents import Picture
+from rtec._errors import needs
+from rtec._text import table, whole
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from rtec import _rtec
-    from rtec._machine import Machine
-    from rtec._record import Record
+D = TypeVar("D")
 
 
-class InputWarning(UserWarning):
-    """What to know about the input before the result is used."""
-
-
-def say(said: list[str], depth: int = 3) -> tuple[str, ...]:
-    """Lines said on the way: warnings become Python's, at the caller's line."""
-    for line in said:
-        if line.startswith("warning: "):
-            warnings.warn(for_python(line.removeprefix("warning: ")), InputWarning, stacklevel=depth)
-    return tuple(said)
-
-
-#: A plot as data: ``kind`` is ``chart`` (series over an axis), ``polar`` (deviations from a circle, µm) or ``vectors`` (µm at places in mm).
-Picture = dict[str, Any]
-
-
-def table(title: str, head: list[str], rows: list[list[str]]) -> str:
-    """A small table for a notebook."""
-
-    def line(tag: str, cells: list[str]) -> str:
-        return "<tr>" + "".join(f"<{tag}>{_html.escape(cell)}</{tag}>" for cell in cells) + "</tr>"
-
-    body = "".join(line("td", row) for row in rows)
-    return f"<table><caption>{_html.escape(title)}</caption>{line('th', head)}{body}</table>"
-
-
-def _intervals(effect: dict[str, Any]) -> str:
-    """The parameters of an effect with their 95 % intervals."""
-    parameters = effect.get("parameters", {})
-    each = [(name, *(_short(p[key]) for key in ("value", "low", "high"))) for name, p in parameters.items() if "low" in p]
-    return ", ".join(f"{name} = {value} ({low} to {high})" for name, value, low, high in each)
-
-
-def _short(value: Any) -> str:
+def short(value: Any) -> str:
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
 @dataclass(frozen=True, repr=False)
-class Result:
+class Result(Generic[D]):
     """A document: as text, and as dictionaries and lists."""
 
     #: The document as ``rtecctl … --json`` prints it, without the last line's end.
     json: str = field(repr=False)
 
     @cached_property
-    def document(self) -> Any:
+    def document(self) -> D:
         """The document as dictionaries, lists, numbers and strings."""
-        return _json.loads(self.json)
+        return cast(D, _json.loads(self.json))
 
     def _facts(self) -> list[tuple[str, str]]:
         """What a person wants to see first: figures and words that the document holds at its top."""
-        if isinstance(self.document, list):
-            return [("entries", str(len(self.document)))]
+        document: Any = self.document
+        if isinstance(document, list):
+            return [("entries", str(len(document)))]
         plain = (bool, int, float, str)
-        return [(name, _short(v)) for name, v in self.document.items() if isinstance(v, plain)][:12]
+        shown = [(name, short(v)) for name, v in document.items() if isinstance(v, plain) and name not in ("format", "by")]
+        return shown[:12]
 
     def __repr__(self) -> str:
         facts = ", ".join(f"{name} {value}" for name, value in self._facts())
@@ -86,7 +54,7 @@ class Result:
 
 
 @dataclass(frozen=True, repr=False)
-class Drawn(Result):
+class Drawn(Result[D]):
     """A result with plots, and with what was said on the way."""
 
     pictures_json: str = field(repr=False)
@@ -106,15 +74,15 @@ class Drawn(Result):
         list of matplotlib.figure.Figure
         """
         try:
-            from rtec import plots
+            from rtec._draw import draw
         except ModuleNotFoundError:
             raise needs("matplotlib", "plots") from None
-        return plots.of(self)
+        return [draw(picture) for picture in self.pictures]
 
 
 @dataclass(frozen=True, repr=False)
-class Evaluation(Drawn):
-    """Figures of a standard; keys as the standard's symbols (``A``, ``E_up``, ``R`` …), in µm."""
+class Report(Drawn[D]):
+    """Figures with a report of them."""
 
     #: The report as text.
     text: str = field(default="", repr=False)
@@ -123,39 +91,30 @@ class Evaluation(Drawn):
 
 
 @dataclass(frozen=True, repr=False)
-class Fit(Drawn):
-    """A fit: how it was found (the document), and the model with it."""
-
-    machine: Machine = field(default=None, repr=False)  # type: ignore[assignment]
-    _records: list[_rtec.Record] = field(default_factory=list, repr=False, compare=False)
-    _base: _rtec.Machine | None = field(default=None, repr=False, compare=False)
-
-    @cached_property
-    def regression(self) -> Regression:
-        """Residuals, derivatives, covariance and confidence band as arrays, each with its shape and unit."""
-        return regression(self._records, self._base, self.machine._inner, False)
+class Evaluation(Report[doc.EvaluationDocument]):
+    """Figures of a standard; keys as the standard's symbols (``A``, ``E_up``, ``R`` …), in µm."""
 
 
 @dataclass(frozen=True, repr=False)
-class ChainFit(Drawn):
+class History(Report[doc.HistoryDocument]):
+    """One machine's figures over time: ``figures``, ``left_out``."""
+
+
+@dataclass(frozen=True, repr=False)
+class ChainFit(Drawn[doc.ChainFitDocument]):
     """A chain's fit: ``terms`` with value and interval, ``rms_um`` before and after for each record and response."""
 
     #: The chain's file with its coefficients in place; comments and order stay.
     text: str = field(default="", repr=False)
 
+    @documented
     def write(self, path: str | Path) -> None:
-        """Writes the chain whole or not at all.
-
-        Parameters
-        ----------
-        path : path
-            Where it is, or will be.
-        """
+        """Writes the chain whole or not at all."""
         whole(path, self.text)
 
 
 @dataclass(frozen=True, repr=False)
-class Validation(Drawn):
+class Validation(Drawn[doc.ValidationDocument]):
     """A model judged on records: ``responses`` (``rms``, ``rms_without_model``, ``coverage`` …), ``no_better``, ``suspicions``."""
 
     @property
@@ -165,66 +124,21 @@ class Validation(Drawn):
 
 
 @dataclass(frozen=True, repr=False)
-class Table(Result):
+class Table(Result[doc.TableDocument]):
     """A controller's table: ``points``, ``step_mm``, what it leaves of the model (``max_up_um``, ``rms_um`` …), ``warnings``."""
 
     #: The file's text.
     text: str = field(default="", repr=False)
     said: tuple[str, ...] = ()
 
+    @documented
     def write(self, path: str | Path) -> None:
-        """Writes the file whole or not at all.
-
-        Parameters
-        ----------
-        path : path
-            Where it is, or will be.
-        """
+        """Writes the file whole or not at all."""
         whole(path, self.text)
 
 
 @dataclass(frozen=True, repr=False)
-class Verdict(Drawn):
-    """What a model lacks: ``verdict``, ``where``, ``effects``, ``gap`` and more stand in the document."""
-
-    #: The model with what was added; the one that was given is never touched.
-    model: Machine = field(default=None, repr=False)  # type: ignore[assignment]
-    #: The report as one page.
-    html: str = field(default="", repr=False)
-    #: Where something has no name and a curve was wanted: the file of its law.
-    laws: str | None = field(default=None, repr=False)
-    _records: list[_rtec.Record] = field(default_factory=list, repr=False, compare=False)
-    _base: _rtec.Machine | None = field(default=None, repr=False, compare=False)
-
-    @cached_property
-    def regression(self) -> Regression:
-        """Residuals, derivatives, covariance and confidence band as arrays, each with its shape and unit."""
-        return regression(self._records, self._base, self.model._inner, True)
-
-    def _facts(self) -> list[tuple[str, str]]:
-        facts = [("verdict", self.verdict)]
-        for effect in self.effects:
-            facts.append((str(effect["name"]), _intervals(effect)))
-        for effect in self.document.get("refined", []):
-            facts.append((f"{effect['name']} corrected", _intervals(effect)))
-        gap = self.document.get("gap")
-        if isinstance(gap, dict):
-            facts += [(f"gap {name}", _short(v)) for name, v in gap.items() if isinstance(v, (int, float))]
-        return facts
-
-    @property
-    def verdict(self) -> str:
-        """``named``, ``nothing_missing``, ``unknown_effect`` or ``not_separable``."""
-        return str(self.document["verdict"])
-
-    @property
-    def effects(self) -> list[dict[str, Any]]:
-        """What was added, strongest first: name, parameters with intervals, p-value, alternatives."""
-        return list(self.document["effects"])
-
-
-@dataclass(frozen=True, repr=False)
-class Plan(Result):
+class Plan(Result[list[doc.Step]]):
     """A sequence of runs; the document is a list of them."""
 
     #: The sequence as Markdown.
@@ -233,7 +147,7 @@ class Plan(Result):
 
 
 @dataclass(frozen=True, repr=False)
-class Design(Result):
+class Design(Result[doc.DesignsDocument]):
     """Designs of insertion side by side."""
 
     #: The comparison as a table.
@@ -241,7 +155,7 @@ class Design(Result):
 
 
 @dataclass(frozen=True, repr=False)
-class Replay(Result):
+class Replay(Result[doc.ReplayDocument]):
     """What the controller would have counted."""
 
     #: No fault was latched, the ledger balances, no transition at the controller was illegal.
@@ -249,37 +163,10 @@ class Replay(Result):
 
 
 @dataclass(frozen=True, repr=False)
-class PartErrors(Drawn):
+class PartErrors(Drawn[doc.PartDocument]):
     """A feature's errors: ``errors`` (``angle_rad``, ``error_um``), ``centre_mm``, ``sd_before_um`` …"""
 
     #: The table for the finish cut, ``error.cor``.
     error_cor: str = field(default="", repr=False)
     #: Points and whiskers, as SVG.
     whisker_svg: str = field(default="", repr=False)
-
-
-@dataclass(frozen=True, repr=False)
-class Simulation(Result):
-    """An experiment's figures, and its records: not written yet."""
-
-    records: list[Record] = field(default_factory=list)
-
-    def _facts(self) -> list[tuple[str, str]]:
-        return [("records", ", ".join(run.file for run in self.records)), *super()._facts()]
-
-
-def whole(path: str | Path, text: str) -> None:
-    """Writes a text file whole or not at all."""
-    import os
-    import tempfile
-
-    path = Path(path)
-    with tempfile.NamedTemporaryFile("w", dir=path.parent, encoding="utf-8", newline="", delete=False) as file:
-        try:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-        except BaseException:
-            os.unlink(file.name)
-            raise
-    os.replace(file.name, path)

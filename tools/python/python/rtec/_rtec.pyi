@@ -5,6 +5,8 @@ from numpy.typing import NDArray
 
 _Numbers = NDArray[np.float64]
 
+__version__: str
+
 @final
 class Record:
     def __new__(

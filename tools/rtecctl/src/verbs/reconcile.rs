@@ -2,9 +2,9 @@
 
 use super::characterise::record::{Recorder, record};
 use crate::figures::with_half;
-use crate::terminal::patiently;
 use anyhow::Context;
 use rtec_files::InputError;
+use rtec_files::stamp::signed;
 use rtec_measure::plausible;
 use rtec_model::machine::Machine;
 use rtec_reconcile::{LAWS_FILE, Options, Place, Reconciliation, Refined, SEED, find, html, reconcile, why};
@@ -94,10 +94,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     }
     let (train, holdout) = (read(&runs)?, read(&args.holdout)?);
     spares_inputs(args)?;
-    let values: usize = train.iter().map(|r| r.rows() * r.responses().count()).sum();
     if args.stage == Stage::Find {
         super::suspicions::warn(&train);
-        let places = patiently(&format!("reconciling {values} measured values"), || find(&train, &machine))?;
+        let places = find(&train, &machine)?;
         let document = json!({
             "where": places.iter().map(Place::to_json).collect::<Vec<_>>(), "level": args.level, "seed": SEED,
         });
@@ -106,9 +105,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let date = humantime::format_rfc3339_seconds(SystemTime::now()).to_string()[..10].to_owned();
     let figures = args.stage == Stage::Show;
     let options = Options { level: args.level, date: Some(date), unexplained: args.unexplained, figures };
-    let answer = patiently(&format!("reconciling {values} measured values"), || {
-        reconcile(&train, &holdout, &machine, &options)
-    })?;
+    let answer = reconcile(&train, &holdout, &machine, &options)?;
     for note in &answer.derived {
         eprintln!("note: {note}");
     }
@@ -154,7 +151,7 @@ fn spares_inputs(args: &Args) -> Result<(), InputError> {
 
 /// Writes the verdict and further files where a directory is given, and prints what was asked for.
 fn tell(args: &Args, document: &Value, summary: &str, files: &[(&str, String)]) -> anyhow::Result<()> {
-    let text = serde_json::to_string_pretty(document)?;
+    let text = signed(serde_json::to_string_pretty(document)?);
     if let Some(dir) = &args.out {
         std::fs::create_dir_all(dir).with_context(|| format!("creating {}", dir.display()))?;
         let write = |name: &str, text: &str| {

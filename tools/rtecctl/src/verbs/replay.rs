@@ -8,6 +8,7 @@ use rtec_driver::quadrature::State;
 use rtec_driver::replay::Listener;
 use rtec_driver::replay::TracePoint;
 use rtec_files::InputError;
+use rtec_files::stamp::signed;
 use rtec_files::trace::{Playable, RequestReader, TraceFile, TraceFormat, TraceReader};
 use rtec_model::clock;
 use rtec_rt::axis::{AxisConfig, Design};
@@ -125,7 +126,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         }
     })?;
     if args.json {
-        println!("{}", serde_json::to_string(&outcome)?);
+        println!("{}", signed(serde_json::to_string(&outcome)?));
     } else {
         print(&outcome);
     }

@@ -2,6 +2,7 @@
 
 use anyhow::Context;
 use rtec_files::InputError;
+use rtec_files::stamp::signed;
 use rtec_model::machine::Machine;
 use rtec_model::record::Kind;
 use rtec_sim::experiment::{EXPERIMENTS, Experiment, ExperimentError, Setting};
@@ -115,7 +116,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         let document = serde_json::json!({
             "experiment": experiment.name, "seed": args.seed, "files": files, "summary": findings.summary,
         });
-        serde_json::to_string_pretty(&document)? + "\n"
+        signed(serde_json::to_string_pretty(&document)?) + "\n"
     } else {
         for file in &files {
             eprintln!("rtecctl: wrote {file}");

@@ -2,6 +2,7 @@
 
 use crate::verbs::suspicions;
 use anyhow::Context;
+use rtec_files::stamp::signed;
 use rtec_measure::evaluation::{self, Asked, evaluate_files};
 use rtec_measure::iso230::Conditions;
 use std::path::{Path, PathBuf};
@@ -90,7 +91,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         write(path, &found.report.html())?;
     }
     if args.json {
-        println!("{}", serde_json::to_string_pretty(&found.document)?);
+        println!("{}", signed(serde_json::to_string_pretty(&found.document)?));
     } else {
         print!("{}", found.report.text());
     }

@@ -4,6 +4,7 @@ use super::fit::draw;
 use crate::figures::with_bounds;
 use crate::verbs::suspicions;
 use rtec_files::InputError;
+use rtec_files::stamp::signed;
 use rtec_fit::chain::{self as chain_fit, ChainRun};
 use rtec_fit::thermal::residual_chart;
 use rtec_measure::plausible;
@@ -60,7 +61,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         draw(path, &charts.collect::<Vec<_>>())?;
     }
     if args.json {
-        println!("{}", serde_json::to_string_pretty(&report)?);
+        println!("{}", signed(serde_json::to_string_pretty(&report)?));
         return Ok(());
     }
     for t in &report.terms {

@@ -2,6 +2,7 @@
 
 use anyhow::Context;
 use rtec_files::InputError;
+use rtec_files::stamp::signed;
 use rtec_measure::export::Wanted;
 use rtec_measure::export::linuxcnc::Unit;
 use rtec_measure::export::order::{Name, Order};
@@ -173,7 +174,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         eprintln!("{of}{note}");
     }
     if args.json {
-        println!("{:#}", done.document);
+        println!("{}", signed(format!("{:#}", done.document)));
     }
     Ok(())
 }

@@ -1,16 +1,16 @@
 //! `rtecctl model fit` and `select-sensors`: choose sensors, fit growth, judge it on what it has not seen.
 
 use crate::figures::with_bounds;
-use crate::terminal::patiently;
 use crate::verbs::suspicions;
 use anyhow::Context;
 use rtec_files::InputError;
+use rtec_files::stamp::signed;
 use rtec_fit::thermal::{self, Fitted, Report};
 use rtec_fit::workflow::{self, Asked, Fit};
 use rtec_measure::plot::Chart;
 use rtec_model::date;
 use rtec_model::machine::{FitNote, Machine};
-use rtec_model::record::{Record, Role};
+use rtec_model::record::Record;
 use std::path::{Path, PathBuf};
 
 /// What both verbs take
@@ -99,10 +99,7 @@ impl Common {
 
     fn fit(&self, holdout: &[PathBuf], asked: &Asked) -> anyhow::Result<Fit> {
         let (train, holdout) = (read(&self.records)?, read(holdout)?);
-        let rows: usize = train.iter().map(Record::rows).sum();
-        let sensors = train.first().map_or(0, |r| r.names(&Role::Temperature).count());
-        let what = format!("choosing among the differences of {sensors} sensors, {rows} rows");
-        let done = patiently(&what, || workflow::fit(train, holdout, asked, &mut suspicions::say))?;
+        let done = workflow::fit(train, holdout, asked, &mut suspicions::say)?;
         if let Some(path) = &self.plot {
             draw(path, &done.reports.iter().map(Report::chart).collect::<Vec<_>>())?;
         }
@@ -272,7 +269,7 @@ pub(crate) fn draw_beside<'c>(
 }
 
 fn print_json(document: &serde_json::Value) -> anyhow::Result<()> {
-    println!("{}", serde_json::to_string_pretty(document)?);
+    println!("{}", signed(serde_json::to_string_pretty(document)?));
     Ok(())
 }
 

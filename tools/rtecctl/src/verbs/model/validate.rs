@@ -5,6 +5,7 @@ use crate::Outcome;
 use crate::verbs::suspicions;
 use rtec_control::config::{Config, ConfiguredAxis};
 use rtec_correct::rehearse::{self, AxisChange};
+use rtec_files::stamp::signed;
 use rtec_fit::validate;
 use rtec_measure::plausible;
 use rtec_measure::plot::{Chart, Series, Style};
@@ -63,7 +64,7 @@ pub(crate) fn validate(args: &ValidateArgs) -> anyhow::Result<()> {
         draw(path, &found.charts)?;
     }
     if args.json {
-        println!("{}", serde_json::to_string_pretty(&found.document)?);
+        println!("{}", signed(serde_json::to_string_pretty(&found.document)?));
     } else {
         for v in found.document["responses"].as_array().into_iter().flatten() {
             print_judged(v);

@@ -3,6 +3,7 @@
 use super::features::Units;
 use super::{print, write_all};
 use crate::verbs::suspicions;
+use rtec_files::stamp::signed;
 use rtec_part::determine::{self, Asked};
 use rtec_part::errors::ErrorReport;
 use rtec_part::fit;
@@ -105,7 +106,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         write_all(folder, &files)?;
     }
     if args.json {
-        print(&(serde_json::to_string_pretty(&report)? + "\n"))
+        print(&(signed(serde_json::to_string_pretty(&report)?) + "\n"))
     } else {
         print(&text(&report, args.with_size))
     }

@@ -1,0 +1,85 @@
+//! What the program writes of itself into what it writes: the format's number, and who wrote it.
+//!
+//! The number rises when something that stood is changed, not when something is added. A file without one is of the first format.
+
+use crate::InputError;
+use crate::toml::Table;
+
+/// The version of all that is built here.
+pub const VERSION: &str = env!("CARGO_PKG_VERSION");
+
+/// The format of run records, machine models and verdicts that is written and read.
+pub const FORMAT: u32 = 1;
+
+/// Who wrote it: `rtec 0.1.0`; of a release with its commit, `rtec 0.1.0 (c7e189b)`.
+#[must_use]
+pub fn by() -> String {
+    match option_env!("RTEC_COMMIT") {
+        Some(commit) if !commit.is_empty() => format!("rtec {VERSION} ({commit})"),
+        _ => format!("rtec {VERSION}"),
+    }
+}
+
+/// The keys of the stamp at the top of a TOML file.
+pub const KEYS: [&str; 2] = ["format", "by"];
+
+/// Whether a file is of the format that is read here.
+///
+/// # Errors
+/// It is of a later one.
+pub fn check(root: &Table<'_>) -> Result<(), InputError> {
+    if let Some(by) = root.get("by") {
+        by.str("the program that wrote the file")?;
+    }
+    let Some(format) = root.get("format") else { return Ok(()) };
+    let expected = format!("format = {FORMAT}: a later version wrote this file, read it with that one");
+    match format.integer::<u32>(&expected)? {
+        FORMAT => Ok(()),
+        _ => Err(format.mismatch(expected)),
+    }
+}
+
+/// A document in JSON with its writer as the last key; a list has no place for one.
+#[must_use]
+pub fn signed(mut json: String) -> String {
+    if !json.starts_with('{') || !json.ends_with('}') {
+        return json;
+    }
+    json.pop();
+    let (before, after) = if json.contains('\n') { ("\n  ", "\n") } else { ("", "") };
+    json.truncate(json.trim_end().len());
+    let (comma, space) = (if json == "{" { "" } else { "," }, if after.is_empty() { "" } else { " " });
+    format!("{json}{comma}{before}\"by\":{space}\"{}\"{after}}}", by())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::toml::Document;
+    use std::path::Path;
+
+    #[test]
+    fn a_document_ends_with_its_writer() {
+        let signed = |json: &str| super::signed(json.to_owned());
+        let by = by();
+        assert_eq!(signed("{\"a\":1}"), format!("{{\"a\":1,\"by\":\"{by}\"}}"));
+        assert_eq!(signed("{\n  \"a\": 1\n}"), format!("{{\n  \"a\": 1,\n  \"by\": \"{by}\"\n}}"));
+        assert_eq!(signed("{}"), format!("{{\"by\":\"{by}\"}}"));
+        assert_eq!(signed("[1]"), "[1]");
+    }
+
+    #[test]
+    fn a_later_format_is_refused_and_none_is_the_first() {
+        let read = |text: &str| {
+            let doc = Document::parse(Path::new("m.toml"), text).unwrap();
+            check(&doc.root()).map_err(|e| e.to_string())
+        };
+        assert_eq!(read("name = \"a\"\n"), Ok(()));
+        assert_eq!(read("format = 1\nby = \"rtec 0.1.0\"\n"), Ok(()));
+        for later in ["format = 2\n", "format = \"1\"\n", "format = -1\n", "format = 1.5\n"] {
+            let said = read(later).unwrap_err();
+            assert!(said.starts_with("m.toml:1:") && said.contains("expected format = 1"), "{said}");
+        }
+        assert!(read("by = 3\n").is_err());
+    }
+}

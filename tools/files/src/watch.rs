@@ -1,0 +1,103 @@
+//! A long computation that somebody waits for. It counts its steps, and it ends early where nobody waits any more.
+//!
+//! Whoever computes calls [`step`] often; whoever waits, in another thread, holds the [`Watch`].
+
+use std::cell::RefCell;
+use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+
+/// What the two threads share: one computes, one waits.
+#[derive(Debug, Default)]
+pub struct Watch {
+    given_up: AtomicBool,
+    steps: AtomicU64,
+}
+
+thread_local! {
+    static HERE: RefCell<Option<Arc<Watch>>> = const { RefCell::new(None) };
+}
+
+/// How a computation unwinds that nobody waits for: no hook of a panic runs.
+struct GivenUp;
+
+impl Watch {
+    /// Steps so far.
+    #[must_use]
+    pub fn steps(&self) -> u64 {
+        self.steps.load(Ordering::Relaxed)
+    }
+
+    /// The computation ends at its next step.
+    pub fn give_up(&self) {
+        self.given_up.store(true, Ordering::Relaxed);
+    }
+
+    /// Computes in this thread, watched; `None` where it was given up.
+    pub fn over<T>(self: &Arc<Self>, work: impl FnOnce() -> T) -> Option<T> {
+        let before = HERE.replace(Some(Arc::clone(self)));
+        // What was half done is dropped on the way here: nothing of it is looked at again.
+        let done = catch_unwind(AssertUnwindSafe(work));
+        HERE.set(before);
+        match done {
+            Ok(answer) => Some(answer),
+            Err(why) if why.is::<GivenUp>() => None,
+            Err(why) => resume_unwind(why),
+        }
+    }
+}
+
+/// One step of a computation: a candidate, a block, a row of a long simulation. Does nothing where nobody watches.
+pub fn step() {
+    let given_up = HERE.with_borrow(|watch| {
+        watch.as_ref().is_some_and(|w| {
+            w.steps.fetch_add(1, Ordering::Relaxed);
+            w.given_up.load(Ordering::Relaxed)
+        })
+    });
+    if given_up {
+        resume_unwind(Box::new(GivenUp));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::sync::mpsc;
+
+    #[test]
+    fn steps_are_counted_where_somebody_watches() {
+        step();
+        let watch = Arc::new(Watch::default());
+        assert_eq!(watch.over(|| (0..7).for_each(|_| step())), Some(()));
+        step();
+        assert_eq!(watch.steps(), 7);
+    }
+
+    #[test]
+    fn what_is_given_up_ends_at_its_next_step() {
+        let watch = Arc::new(Watch::default());
+        let (begun, wait) = mpsc::channel();
+        let computing = std::thread::spawn({
+            let watch = Arc::clone(&watch);
+            move || {
+                watch.over(|| {
+                    loop {
+                        step();
+                        begun.send(()).unwrap_or_default();
+                    }
+                })
+            }
+        });
+        wait.recv().unwrap();
+        watch.give_up();
+        assert_eq!(computing.join().unwrap(), None::<()>);
+    }
+
+    #[test]
+    fn a_panic_is_no_giving_up() {
+        let watch = Arc::new(Watch::default());
+        let caught = catch_unwind(AssertUnwindSafe(|| watch.over(|| resume_unwind(Box::new("mistake")))));
+        assert!(caught.is_err_and(|why| why.is::<&str>()));
+    }
+}

@@ -1,0 +1,52 @@
+"""How far a long call is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from typing import NamedTuple
+
+
+class Progress(NamedTuple):
+    """How far a call is."""
+
+    #: Seconds since the call began.
+    seconds: float
+    #: Candidates that the search has weighed, fits that were solved, control periods that were simulated.
+    steps: int
+
+
+Hook = Callable[[Progress], object]
+
+_hook: ContextVar[Hook | None] = ContextVar("rtec.progress", default=None)
+
+
+@contextmanager
+def progress(hook: Hook) -> Iterator[None]:
+    """Calls a hook some twenty times a second while a call within the block works.
+
+    What the hook raises ends the call, as Ctrl-C does: the way to a button that stops it.
+
+    Parameters
+    ----------
+    hook : callable
+        Called with a :class:`Progress`.
+
+    Returns
+    -------
+    context manager
+        The hook is called within its block.
+    """
+    token = _hook.set(hook)
+    try:
+        yield
+    finally:
+        _hook.reset(token)
+
+
+def tell(seconds: float, steps: int) -> None:
+    """Called by the library while it works."""
+    hook = _hook.get()
+    if hook is not None:
+        hook(Progress(seconds, steps))
