@@ -227,9 +227,6 @@ fn without_untold_turns(rows: &Rows<'_>, effect: &Effect, columns: &mut [Vec<f64
     for s in &rows.segments {
         let record = rows.record(s);
         let Some(direction) = record.data(&Role::Direction(axis.clone())) else { continue };
-        if record.turns.is_some() {
-            continue;
-        }
         for i in first_after_turn(record, direction) {
             for c in columns.iter_mut() {
                 c[s.rows.start + i] = 0.0;

@@ -3,7 +3,7 @@
 use crate::effort::OUT_OF_STEP;
 use crate::factor::{Factor, add, dot};
 use crate::priors::{CHANCE, KNOWN_SHARE, MOST_PHI, NOISE, PERIOD_SHARE, TAIL_FREEDOM, TAIL_FROM};
-use crate::rows::{Noise, Rows};
+use crate::rows::{Noise, Rows, Segment};
 use crate::setup::{self, Term};
 use rtec_model::effect::{Effect, Refine, Search};
 use statrs::distribution::{ChiSquared, ContinuousCDF as _};
@@ -221,6 +221,7 @@ impl<'r> Problem<'r> {
         let flat = Noise {
             sigma: vec![1e-3; self.rows.responses.len()],
             phi: vec![0.0; self.rows.responses.len()],
+            share: vec![1.0; self.rows.segments.len()],
             weight: vec![1.0; self.rows.n],
         };
         let mut left = self.base(flat).factor.residual().to_vec();
@@ -228,7 +229,9 @@ impl<'r> Problem<'r> {
             *x *= 1e-3;
         }
         let mut noise = Noise::guess(self.rows, &left);
-        noise.sigma.iter_mut().zip(&self.floors).for_each(|(s, f)| *s = s.max(*f));
+        let steps = |s: &Segment| left[s.rows.clone()].windows(2).map(|w| (w[1] - w[0]).powi(2)).sum();
+        let steps: Vec<f64> = self.rows.segments.iter().map(steps).collect();
+        noise.shared_out(self.rows, &steps, &self.floors);
         noise.weight.clone_from(&self.weights);
         noise.phi.iter_mut().zip(&self.floors).filter(|(_, f)| **f > 0.0).for_each(|(p, _)| *p = 0.0);
         noise
@@ -253,22 +256,26 @@ impl<'r> Problem<'r> {
         let rows = self.rows;
         let e = factor.residual();
         let mut new = noise.clone();
+        let mut of_segments = vec![0.0; rows.segments.len()];
         for j in 0..rows.responses.len() {
-            let segments: Vec<_> = rows.segments.iter().filter(|s| s.response == j).collect();
-            let n: f64 = segments.iter().map(|s| s.rows.len() as f64).sum();
+            let segments: Vec<_> =
+                rows.segments.iter().enumerate().filter(|(_, s)| s.response == j).collect();
+            let n: f64 = segments.iter().map(|(_, s)| s.rows.len() as f64).sum();
             if n < 1.0 {
                 continue;
             }
             let mut squares = 0.0;
             let mut leverage = 0.0;
             let mut sizes = Vec::new();
-            for s in &segments {
+            for (number, s) in &segments {
                 let part = &e[s.rows.clone()];
-                squares += dot(part, part);
                 sizes.extend(part.iter().zip(&noise.weight[s.rows.clone()]).map(|(x, w)| (x / w).abs()));
-                for q in factor.columns() {
-                    leverage += dot(&q[s.rows.clone()], &q[s.rows.clone()]);
-                }
+                let taken = factor.columns().iter().map(|q| dot(&q[s.rows.clone()], &q[s.rows.clone()]));
+                let (own, taken) = (dot(part, part), taken.sum::<f64>());
+                of_segments[*number] =
+                    (own + taken.min(0.9 * s.rows.len() as f64)) * noise.share[*number].powi(2);
+                squares += own;
+                leverage += taken;
             }
             leverage = leverage.min(0.9 * n);
             let scale = ((squares + leverage) / n).sqrt().clamp(1e-3, 1e3);
@@ -276,15 +283,16 @@ impl<'r> Problem<'r> {
             sizes.sort_by(f64::total_cmp);
             let middle = (1.4826 * sizes[sizes.len() / 2]).max(0.3 * scale).max(1e-9);
             let (mut all, mut with, mut count) = (0.0, 0.0, 0.0);
-            for s in &segments {
-                let (sigma, phi) = (noise.sigma[j], noise.phi[j]);
+            for (number, s) in &segments {
+                let (sigma, phi) = (noise.size(rows, *number), noise.phi[j]);
                 let mut raw = Vec::with_capacity(s.rows.len());
                 let mut before = 0.0;
                 for (i, row) in s.rows.clone().enumerate() {
                     let step = e[row] / noise.weight[row] * sigma;
                     let now = if i == 0 { step / (1.0 - phi * phi).sqrt() } else { step + phi * before };
                     let limit = 4.0 * middle * sigma / (1.0 - phi * phi).sqrt();
-                    raw.push(now.clamp(-limit, limit));
+                    // Of one size, so that each segment says as much of the memory as it has rows.
+                    raw.push(now.clamp(-limit, limit) / sigma);
                     before = now;
                 }
                 all += dot(&raw, &raw);
@@ -296,11 +304,12 @@ impl<'r> Problem<'r> {
                     new.weight[row] = self.weights[row] * less.min(1.0).sqrt();
                 }
             }
-            new.sigma[j] = (noise.sigma[j] * scale).max(1e-9).max(self.floors[j]);
+            new.sigma[j] = (noise.sigma[j] * scale).max(1e-9);
             // Steps of a coarse gauge are counted by their weights, not by a memory.
             let most = if self.floors[j] > 0.0 { 0.0 } else { MOST_PHI };
             new.phi[j] = (with / all.max(1e-300) + (leverage + 1.0) / count).clamp(0.0, most);
         }
+        new.shared_out(rows, &of_segments, &self.floors);
         new
     }
 }

@@ -1,7 +1,7 @@
 //! All rows of all responses of all records, one under the other, and their noise.
 
 use crate::effort::{MUCH_MEMORY, ONE_PLACE, TIME_CONSTANTS};
-use crate::priors::{MOST_PHI, NOISE};
+use crate::priors::{ALIKE_ROWS, MOST_PHI, NOISE};
 use rtec_model::effect::{Dictionary, Effect, Extent, Law, Quantity};
 use rtec_model::record::{Axis, Record, Role};
 use std::ops::Range;
@@ -231,6 +231,8 @@ pub struct Noise {
     pub sigma: Vec<f64>,
     /// Autocorrelation from row to row, per response.
     pub phi: Vec<f64>,
+    /// Size of each segment's noise beside its response's: another day, another gauge.
+    pub share: Vec<f64>,
     /// Root of each row's weight: below one far from all that explains the others.
     pub weight: Vec<f64>,
 }
@@ -257,7 +259,35 @@ impl Noise {
             phi.push(memory);
             sigma.push(own.min(size).max(1e-3 * size).max(1e-9));
         }
-        Self { sigma, phi, weight: vec![1.0; rows.n] }
+        Self { sigma, phi, share: vec![1.0; rows.segments.len()], weight: vec![1.0; rows.n] }
+    }
+
+    /// The size of each segment's noise from its squares, of which only what they are beside each other counts; the response's is in the
+    /// middle of them, and not below its floor. The noise of a coarse gauge is its step, and the same everywhere.
+    pub fn shared_out(&mut self, rows: &Rows<'_>, squares: &[f64], floors: &[f64]) {
+        for (j, floor) in floors.iter().enumerate() {
+            self.sigma[j] = self.sigma[j].max(*floor);
+            let own: Vec<usize> =
+                (0..rows.segments.len()).filter(|s| rows.segments[*s].response == j).collect();
+            let n = |s: usize| rows.segments[s].rows.len() as f64;
+            let count: f64 = own.iter().map(|s| n(*s)).sum();
+            let mean = own.iter().map(|s| squares[*s]).sum::<f64>() / count;
+            if mean <= 0.0 || *floor > 0.0 {
+                continue;
+            }
+            let variance = |s: usize| (squares[s] / mean + ALIKE_ROWS) / (n(s) + ALIKE_ROWS);
+            let middle = (own.iter().map(|s| n(*s) * variance(*s).ln()).sum::<f64>() / count).exp();
+            for s in own {
+                self.share[s] = (variance(s) / middle).sqrt();
+            }
+            self.sigma[j] *= middle.sqrt();
+        }
+    }
+
+    /// Standard deviation of what each row of a segment adds.
+    #[must_use]
+    pub fn size(&self, rows: &Rows<'_>, segment: usize) -> f64 {
+        self.sigma[rows.segments[segment].response] * self.share[segment]
     }
 
     /// The same steps from row to row without a memory; `None` where there is little of it.
@@ -276,8 +306,8 @@ impl Noise {
 
     /// Divides a column by the noise: what is left has unit size and no memory.
     pub fn whiten(&self, rows: &Rows<'_>, column: &mut [f64]) {
-        for s in &rows.segments {
-            let (by, phi) = (1.0 / self.sigma[s.response], self.phi[s.response]);
+        for (number, s) in rows.segments.iter().enumerate() {
+            let (by, phi) = (1.0 / self.size(rows, number), self.phi[s.response]);
             let part = &mut column[s.rows.clone()];
             let weight = &self.weight[s.rows.clone()];
             let mut before = 0.0;
@@ -293,8 +323,8 @@ impl Noise {
 
     /// The transpose of [`Noise::whiten`]: products of whitened columns with `column` are products of the columns with this.
     pub fn transpose(&self, rows: &Rows<'_>, column: &mut [f64]) {
-        for s in &rows.segments {
-            let (by, phi) = (1.0 / self.sigma[s.response], self.phi[s.response]);
+        for (number, s) in rows.segments.iter().enumerate() {
+            let (by, phi) = (1.0 / self.size(rows, number), self.phi[s.response]);
             let part = &mut column[s.rows.clone()];
             let weight = &self.weight[s.rows.clone()];
             let first = (1.0 - phi * phi).sqrt();
@@ -314,7 +344,8 @@ impl Noise {
             let size = sigma / (1.0 - phi * phi).sqrt();
             -0.5 * ((size / middle).ln() / factor.ln()).powi(2)
         };
-        self.sigma.iter().zip(&self.phi).map(of).sum()
+        let apart = |share: &f64| -0.5 * ALIKE_ROWS * (2.0 * share.ln() + share.powi(-2) - 1.0);
+        self.sigma.iter().zip(&self.phi).map(of).sum::<f64>() + self.share.iter().map(apart).sum::<f64>()
     }
 
     /// log of the density's Jacobian: Σ log(w/σ) + ½ Σ log(1 − φ²).
@@ -322,8 +353,9 @@ impl Noise {
     pub fn log_scale(&self, rows: &Rows<'_>) -> f64 {
         rows.segments
             .iter()
-            .map(|s| {
-                let (sigma, phi) = (self.sigma[s.response], self.phi[s.response]);
+            .enumerate()
+            .map(|(number, s)| {
+                let (sigma, phi) = (self.size(rows, number), self.phi[s.response]);
                 let weights: f64 = self.weight[s.rows.clone()].iter().map(|w| w.ln()).sum();
                 weights - (s.rows.len() as f64) * sigma.ln() + 0.5 * (1.0 - phi * phi).ln()
             })

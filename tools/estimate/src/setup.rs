@@ -3,14 +3,14 @@
 
 use crate::effort::{AIR_DIRECTIONS, MOST_PAUSES, MOST_PLACES, PLACES_PER_MM};
 use crate::priors::{
-    AIR_S, AIR_UM, CENTRE_UM, CONTRIBUTION, KNOTS, LINE_HOURS, LINE_UM_PER_H, PAUSE_STEPS, PLACE_MM,
+    AIR_S, AIR_UM, CENTRE_UM, CONTRIBUTION, KNOTS, LINE_HOURS, LINE_UM_PER_H, NOISE, PAUSE_STEPS, PLACE_MM,
     TURN_URAD, ZERO_UM,
 };
 use crate::rows::{Rows, Segment, is_placed};
 use crate::smooth::{Kernel, directions, knots, shares};
 use rtec_model::circle::Circle;
 use rtec_model::effect::{Effect, Search};
-use rtec_model::record::{Kind, Record, Role, Turns};
+use rtec_model::record::{Kind, Record, Role};
 
 /// What a set-up term is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -308,14 +308,25 @@ pub fn floors(rows: &Rows<'_>) -> Vec<f64> {
             out[s.response] = out[s.response].max(q / 12f64.sqrt());
         }
     }
+    // Where no reading ever changes, nothing says how small the noise is.
+    let changes = |j: usize| rows.segments.iter().any(|s| s.response == j && !stands_still(rows, s));
+    for (_, floor) in out.iter_mut().enumerate().filter(|(j, _)| !changes(*j)) {
+        *floor = NOISE[0];
+    }
     out
+}
+
+/// Whether all readings of a segment are one.
+fn stands_still(rows: &Rows<'_>, s: &Segment) -> bool {
+    let y = &rows.measured[s.rows.clone()];
+    y.iter().all(|v| v.to_bits() == y[0].to_bits())
 }
 
 /// Root of each row's weight: rows in a row that read the same on a coarse gauge say one thing together.
 #[must_use]
 pub fn weights(rows: &Rows<'_>) -> Vec<f64> {
     let mut out = vec![1.0; rows.n];
-    for s in rows.segments.iter().filter(|s| coarse_segment(rows, s).is_some()) {
+    for s in rows.segments.iter().filter(|s| stands_still(rows, s) || coarse_segment(rows, s).is_some()) {
         let y = &rows.measured[s.rows.clone()];
         let mut from = 0;
         for run in y.chunk_by(|a, b| (a - b).abs() < 1e-9) {
@@ -459,10 +470,10 @@ fn turned(rows: &Rows<'_>, _: &[Effect], out: &mut Vec<Term>) {
     }
 }
 
-/// The first reading behind a turn of a positioning run that does not say where its axis turned.
+/// The first reading behind each turn of a run that does not say where its axis turned.
 #[must_use]
 pub fn first_after_turn(record: &Record, direction: &[f64]) -> Vec<usize> {
-    if record.kind != Kind::Positioning || record.turns == Some(Turns::AtTarget) {
+    if record.tells_turns() {
         return Vec::new();
     }
     (1..direction.len()).filter(|i| direction[*i] * direction[i - 1] < 0.0).collect()
@@ -499,15 +510,12 @@ fn begins(rows: &Rows<'_>, model: &[Effect], out: &mut Vec<Term>) {
     }
 }
 
-/// Such readings say nothing of a reversal spike.
-fn after_turns(rows: &Rows<'_>, _: &[Effect], out: &mut Vec<Term>) {
+/// Such readings say nothing of a reversal spike: there may be none, or all of it.
+fn after_turns(rows: &Rows<'_>, model: &[Effect], out: &mut Vec<Term>) {
     for s in errors(rows) {
         let record = rows.record(s);
         let Some(axis) = rows.responses[s.response].axis() else { continue };
         let Some(direction) = record.data(&Role::Direction(axis.clone())) else { continue };
-        if record.turns.is_some() {
-            continue;
-        }
         let first = first_after_turn(record, direction);
         if first.is_empty() {
             continue;
@@ -516,7 +524,10 @@ fn after_turns(rows: &Rows<'_>, _: &[Effect], out: &mut Vec<Term>) {
         for i in first {
             own[s.rows.start + i] = direction[i];
         }
-        // As large as a spike may be, and as seldom.
-        out.push(Term { what: What::AfterTurn, record: s.record, column: own, sd: 0.3 * CONTRIBUTION });
+        // As large as a spike may be, and as seldom; as large as the model's own where it has one.
+        let spikes = model.iter().filter(|e| e.description().after_turn && e.axes().first() == Some(axis));
+        let own_um = spikes.filter_map(|e| Some(e.scalar(e.description().place(Search::Linear)?).abs()));
+        let sd = own_um.fold(0.3 * CONTRIBUTION, f64::max);
+        out.push(Term { what: What::AfterTurn, record: s.record, column: own, sd });
     }
 }

@@ -399,6 +399,7 @@ impl Reading {
             t_s: thermal.1,
             p_mm: [first.position_mm, at(1).position_mm, at(2).position_mm],
             dir: first.direction,
+            past_mm: 0.0,
             v_mm_s: first.velocity_mm_s,
             a_mm_s2: first.acceleration_mm_s2,
             load_n: first.load_n,

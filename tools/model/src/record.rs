@@ -59,6 +59,22 @@ pub enum Turns {
 const MOVES: f64 = 0.1;
 
 impl Record {
+    /// How far beyond its end targets a positioning run turned, mm: zero at them, or where nobody said.
+    #[must_use]
+    pub fn past_mm(&self) -> f64 {
+        match self.turns {
+            Some(Turns::Overtravel(Some(over_mm))) => over_mm,
+            _ => 0.0,
+        }
+    }
+
+    /// Whether it is known where a row behind a turn stands in the way since that turn.
+    #[must_use]
+    pub fn tells_turns(&self) -> bool {
+        self.kind != Kind::Positioning
+            || matches!(self.turns, Some(Turns::Overtravel(Some(_)) | Turns::AtTarget))
+    }
+
     /// A record made in memory (by the simulator or the recorder).
     ///
     /// # Errors

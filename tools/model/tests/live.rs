@@ -46,6 +46,7 @@ impl Plain {
             t_s,
             p_mm: [at(0).position_mm, at(1).position_mm, at(2).position_mm],
             dir: at(0).direction,
+            past_mm: 0.0,
             v_mm_s: at(0).velocity_mm_s,
             a_mm_s2: at(0).acceleration_mm_s2,
             load_n: at(0).load_n,

@@ -450,13 +450,13 @@ type Arrays<'py> = (
 
 /// What stands behind a fit or a verdict.
 #[pyfunction]
-pub(crate) fn regression<'py>(
-    py: Python<'py>,
+pub(crate) fn regression(
+    py: Python<'_>,
     records: Vec<Record>,
     base: Option<Machine>,
     machine: Machine,
     of_verdict: bool,
-) -> PyResult<Arrays<'py>> {
+) -> PyResult<Arrays<'_>> {
     let of = quietly(py, move || {
         let base = base.map_or_else(|| rtec_model::machine::Machine::ideal(""), |b| b.inner);
         let set_up = if of_verdict { SetUpColumns::ByHand } else { SetUpColumns::Zeros };

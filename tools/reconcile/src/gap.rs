@@ -164,15 +164,15 @@ pub(crate) fn gaps(used: &[Record], traces: &[Trace], answer: &Answer, blocked: 
     let noise = &answer.estimate.noise;
     let of = |unit: &str| {
         let of_unit = |j: usize| unit_of(&rows.responses[j].to_string()) == unit;
-        let own = || rows.segments.iter().filter(|s| of_unit(s.response));
-        let pick = |all: &[f64]| rms(own().flat_map(|s| &all[s.rows.clone()]));
+        let own = || rows.segments.iter().enumerate().filter(|(_, s)| of_unit(s.response));
+        let pick = |all: &[f64]| rms(own().flat_map(|(_, s)| &all[s.rows.clone()]));
         let variance: f64 = own()
-            .map(|s| {
-                let (sigma, phi) = (noise.sigma[s.response], noise.phi[s.response]);
+            .map(|(number, s)| {
+                let (sigma, phi) = (noise.size(&rows, number), noise.phi[s.response]);
                 s.rows.len() as f64 * sigma * sigma / (1.0 - phi * phi)
             })
             .sum();
-        let n: f64 = own().map(|s| s.rows.len() as f64).sum();
+        let n: f64 = own().map(|(_, s)| s.rows.len() as f64).sum();
         let train = pooled(traces, unit, false).unwrap_or([0.0; 2]);
         let held_rows =
             traces.iter().filter(|t| t.holdout && unit_of(&t.response) == unit).map(|t| t.before.len()).sum();

@@ -349,7 +349,9 @@ fn candidates(record: &Record, all: &[Record], model: &[Effect]) -> Vec<Mistake>
             0.0,
         );
         let units: &[(f64, &str)] = if matches!(c.role, Role::Force(_)) { &FORCES } else { &RESPONSES };
-        for (by, text) in units {
+        // Of one reading over and over every unit is as good as any.
+        let changes = c.data.iter().any(|x| (x - c.data[0]).abs() > 0.0);
+        for (by, text) in units.iter().filter(|_| changes) {
             let text = only(&format!("{by} times as large: {text}"));
             add(What::Unit, &c.name, text, changed(record, &own, &|x| by * x), rows * by.ln());
         }

@@ -280,6 +280,7 @@ impl Simulated {
         let noise = Noise {
             sigma: vec![self.noise.max(1e-6); count],
             phi: vec![0.0; count],
+            share: vec![1.0; rows.segments.len()],
             weight: vec![1.0; rows.n],
         };
         let base = problem.base(noise);
@@ -288,7 +289,9 @@ impl Simulated {
             for mut column in rows.basis(effect) {
                 let rms = (column.iter().map(|v| v * v).sum::<f64>() / column.len().max(1) as f64).sqrt();
                 if rms > 0.0 {
-                    column.iter_mut().for_each(|v| *v *= FREE * self.noise / rms);
+                    for v in &mut column {
+                        *v *= FREE * self.noise / rms;
+                    }
                     base.noise.whiten(&rows, &mut column);
                     factor.push(&column);
                 }

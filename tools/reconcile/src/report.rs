@@ -450,7 +450,7 @@ fn chart(t: &Trace, stretches: usize) -> Chart {
     let of = |data: &[f64], sign: f64| {
         let rows = t.over.values.iter().copied().zip(data.iter().copied()).enumerate();
         let way = |i: usize| t.over.direction.get(i).copied().unwrap_or(0.0);
-        let own = rows.filter(|(i, _)| sign == 0.0 || way(*i) == sign);
+        let own = rows.filter(|(i, _)| sign == 0.0 || way(*i) * sign > 0.0);
         of_stretches(own.map(|(_, p)| p).collect(), stretches)
     };
     let title = format!("{}, {}{held}: measured minus simulated", t.file, t.response);

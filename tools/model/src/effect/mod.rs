@@ -63,6 +63,8 @@ pub struct Input {
     pub p_mm: [f64; 3],
     /// Direction of the first axis: −1, 0, +1.
     pub dir: f64,
+    /// How far beyond the last row of a direction the first axis turns back, mm; zero where it turns there, or every row is seen.
+    pub past_mm: f64,
     /// Velocity of the first axis, mm/s.
     pub v_mm_s: f64,
     /// Acceleration of the first axis, mm/s².

@@ -1,6 +1,6 @@
 use super::*;
 use crate::live::{AxisNow, Frame, Layout, Live};
-use crate::record::Column;
+use crate::record::{Column, Turns};
 use std::path::Path;
 
 /// A record with something in every column; responses error.x, error.y and force.x.
@@ -401,6 +401,31 @@ fn spike_counts_travel_from_the_last_row_of_the_old_direction() {
         e.law().basis(&e, &now, 0, &mut state, &mut out);
         let want = d.map_or(0.0, |d: f64| dir * (-d / 2.0).exp());
         assert!((out[0] - want).abs() < 1e-12, "at {p}: {} {want}", out[0]);
+    }
+}
+
+/// A run that turns beyond its targets is that much further from the turn at the first of them.
+#[test]
+fn a_spike_dies_out_on_the_way_that_no_row_shows() {
+    let mut run = record(Kind::Positioning, 20, &["error.x"]);
+    for (column, of) in [("x", [1.0, 9.0, 9.0, 1.0]), ("dx", [1.0, 1.0, -1.0, -1.0])] {
+        let data = &mut run.columns.iter_mut().find(|c| c.name == column).unwrap().data;
+        data.iter_mut().enumerate().for_each(|(i, x)| *x = of[i.min(3)]);
+    }
+    let spike =
+        Dictionary::default().effect("reversal_spike.x").unwrap().with(&[(0, 4.0), (1, 2.0)]).unwrap();
+    for (turns, past_mm) in [
+        (None, 0.0),
+        (Some(Turns::AtTarget), 0.0),
+        (Some(Turns::Overtravel(None)), 0.0),
+        (Some(Turns::Overtravel(Some(3.0))), 3.0),
+    ] {
+        run.turns = turns;
+        let said = value_on(&spike, &run, "error.x");
+        for (row, travel_mm) in [(2, past_mm), (3, past_mm + 8.0)] {
+            let want = -4.0 * f64::exp(-travel_mm / 2.0);
+            assert!((said[row] - want).abs() < 1e-12, "{turns:?}, row {row}: {} {want}", said[row]);
+        }
     }
 }
 

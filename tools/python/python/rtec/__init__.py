@@ -16,6 +16,7 @@ a plan of runs, designs of insertion      :func:`plan`, :func:`designs`
 a recorded trace through the engine       :func:`replay`
 a part's errors                           :func:`part_errors`
 how far a long call is                    :func:`progress`
+residuals, covariance, band as arrays     :class:`Regression`
 simulated machines                        :func:`simulate`, :func:`example`
 figures                                   :mod:`rtec.plots`
 a shop of many machines                   :mod:`rtec.shop`

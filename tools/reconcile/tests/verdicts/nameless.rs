@@ -2,6 +2,7 @@
 
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
+use rtec_measure::plausible::What;
 use rtec_model::machine::Machine;
 use rtec_model::record::{Column, Kind, Record, Role};
 use rtec_reconcile::{Options, Reconciliation, Verdict, reconcile};
@@ -92,4 +93,49 @@ fn what_the_model_explains_is_no_misread_row() {
     let columns = vec![("t", "time", t), ("a", "angle", angle), ("e", "error.r", e)];
     let said = answer(model, &[record("ring", Kind::Part, columns)]);
     assert_eq!(said.suspicions.iter().map(ToString::to_string).collect::<Vec<_>>(), Vec::<String>::new());
+}
+
+/// A line to and fro, five times, with nothing but noise.
+fn line(name: &str, seed: u64, noise_um: f64) -> Record {
+    let mut d = Dice::new(seed);
+    let mut rows: Vec<Vec<f64>> = vec![Vec::new(); 4];
+    for row in 0..31 * 2 * 5 {
+        let (lap, at) = (row / 31, row % 31);
+        let back = lap % 2 == 1;
+        let place = if back { 30 - at } else { at };
+        // Uneven, so that no wave looks like another.
+        let mm = 20.0 * f64::from(place) + 0.9 * f64::from(place * 7 % 11);
+        let direction = if back { -1.0 } else { 1.0 };
+        let row = [5.0 * f64::from(row), mm, direction, noise_um * d.normal()];
+        rows.iter_mut().zip(row).for_each(|(c, v)| c.push(v));
+    }
+    let roles = [("t", "time"), ("x", "position.x"), ("d", "direction.x"), ("e", "error.x")];
+    let columns = roles.into_iter().zip(rows).map(|((n, r), v)| (n, r, v)).collect();
+    record(name, Kind::Positioning, columns)
+}
+
+/// One day the air is quiet, another day it is not: what is noise on the second says nothing of the first.
+#[test]
+fn each_run_has_noise_of_its_own_size() {
+    for seed in 0..12 {
+        let runs = [line("quiet", 2 * seed, 0.1), line("loud", 2 * seed + 1, 0.6)];
+        let said = answer("", &runs);
+        assert_eq!(said.verdict, Verdict::NothingMissing, "{seed}: {:?}", said.unexplained);
+    }
+}
+
+/// A gauge that reads the same all the time has no noise that could be known, nor a unit that could be wrong.
+#[test]
+fn a_gauge_that_stands_still_says_nothing() {
+    let steady = |name: &str, seed: u64| {
+        let mut d = Dice::new(seed);
+        let t: Vec<f64> = (0..240).map(|i| 20.0 * f64::from(i)).collect();
+        let moves = t.iter().map(|_| 0.3 * d.normal()).collect();
+        let still = vec![40.0; 240];
+        let columns = vec![("t", "time", t), ("e", "error.x", moves), ("f", "error.z", still)];
+        record(name, Kind::Drift, columns)
+    };
+    let said = answer("", &[steady("a", 1), steady("b", 2)]);
+    assert_eq!(said.verdict, Verdict::NothingMissing, "{:?}", said.unexplained);
+    assert!(said.suspicions.iter().all(|s| s.what != What::Unit), "{:?}", said.suspicions);
 }

@@ -16,11 +16,14 @@ fn axis() -> PlanAxis {
     PlanAxis { name: "x".to_owned(), travel_mm: TRAVEL_MM }
 }
 
+/// Cycle from 1, direction, target in mm, whether the machine is warm.
+type Reading = (usize, f64, f64, bool);
+
 /// A positioning run of a machine with a wave, read with a noise of 0.3 µm.
 fn measured(name: &str, run: &TargetRun, wave: &Effect, seed: u64) -> Record {
     let x = Axis::new("x").unwrap();
     let readings: Vec<_> = run.readings().collect();
-    let column = |of: &dyn Fn(&(usize, f64, f64, bool)) -> f64| readings.iter().map(of).collect::<Vec<f64>>();
+    let column = |of: &dyn Fn(&Reading) -> f64| readings.iter().map(of).collect::<Vec<f64>>();
     let columns = vec![
         Column::new("t", Role::Time, (0..readings.len()).map(|i| run.seconds_each() * i as f64).collect()),
         Column::new("x", Role::Position(x.clone()), column(&|r| r.2)),
@@ -111,7 +114,7 @@ fn what_no_targets_tell_has_its_experiment() {
         margin: 0.3,
     };
     let open = Open { effect: growth, rivals: vec![rival], noise: 0.3 };
-    let found = next_runs(&[open.clone()], &Machine::ideal("m"), &[axis()]);
+    let found = next_runs(std::slice::from_ref(&open), &Machine::ideal("m"), &[axis()]);
     assert!(found.steps.is_empty() && found.tells[0].log_odds.is_none(), "{found:?}");
     assert!(found.tells[0].by.contains("heat one place only"), "{found:?}");
     // An axis that the machine does not have is planned for by nobody.

@@ -35,7 +35,7 @@ pub(super) fn law() -> Arc<dyn Law> {
     }))
 }
 
-/// Travel since the last row of the old direction; `None` before the first reversal or without a direction.
+/// Travel since the axis turned, beyond the last row of the old direction or there; `None` before the first reversal or without a direction.
 ///
 /// State: the last direction, the position before, the travel since the last row of the present direction (it
 /// becomes the start when the direction changes), the travel since the reversal (−1 before the first).
@@ -53,7 +53,7 @@ fn travel(now: &Input, state: &mut State) -> Option<f64> {
     }
     if now.dir != 0.0 {
         if old * now.dir < 0.0 {
-            since_reversal = since_row;
+            since_reversal = now.past_mm + since_row;
         }
         old = now.dir;
         since_row = 0.0;
