@@ -31,7 +31,7 @@ pub struct Record {
     pub note: Option<String>,
     /// How its CSV is written where that is unusual: decimal commas, semicolons, UTF-16.
     pub written: Option<String>,
-    /// The name of the gauges' zero: records of one name, and those without, share it.
+    /// The name of the gauges' zero, which records of one name share; without one it is the record's own.
     pub zero: Option<String>,
     /// Where the axis of a positioning run turned back; `None` where nobody said.
     pub turns: Option<Turns>,
