@@ -193,7 +193,7 @@ def ship(monkeypatch):
         done = subprocess.run(
             [str(c) for c in command], capture_output=True, text=True, env={**os.environ, **own, **(env or {})}
         )
-        assert done.returncode == code, done.stderr
+        assert code is None or done.returncode == code, done.stderr
         assert not key or secret == KEY or secret not in done.stdout + done.stderr
         assert done.stderr.count("\n") <= 1, done.stderr
         return done
@@ -242,7 +242,13 @@ def test_a_connection_cut_anywhere_loses_nothing_and_sends_nothing_twice(store, 
     assert proxy.cut and "records wait in the spool" in done.stderr
     # What has left the spool is in the store, whole.
     assert len(waiting(spool)) + len(list(spool.glob("sent/*"))) == 3
-    ship(spool, f"s3://plant/{prefix}", store.endpoint)
+    # This store keeps half of a body, and may do so only now: what is read back shows it, and the record waits for another run.
+    for _ in range(3):
+        done = ship(spool, f"s3://plant/{prefix}", store.endpoint, code=None)
+        assert len(waiting(spool)) + len(list(spool.glob("sent/*"))) == 3
+        if done.returncode == 0:
+            break
+        assert "what was read back is not what was sent" in done.stderr
     assert waiting(spool) == []
     all_there(store, 3, prefix)
 

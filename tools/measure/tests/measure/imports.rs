@@ -52,7 +52,7 @@ fn a_csv_comes_in_with_its_own_names_units_and_commas() {
         ("t,f\n0,1\n", 1, 1, "no column e"),
         ("t,e,e\n0,1,1\n", 1, 5, "column 'e' a second time"),
         ("t,e\n0,1\n1\n", 3, 2, "after 1 of 2 fields"),
-        ("t,e\n0,1\n1, ,\n", 3, 5, "nothing"),
+        ("t,e\n0,1\n1, ,\n", 3, 4, "nothing in column e"),
         ("t,e\n0,1\n1, x\n", 3, 4, "'x' in column e"),
         ("t,e\n0,1\n1,\n", 3, 3, "nothing in column e"),
         ("t,e\n0,inf\n", 2, 3, "'inf'"),

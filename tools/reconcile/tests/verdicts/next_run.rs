@@ -98,7 +98,8 @@ fn the_planned_run_tells_what_the_verdict_could_not() {
         resolved.push((after.verdict == Verdict::Named && right, said));
     }
     assert_eq!(resolved.len(), 10, "{resolved:#?}");
-    assert!(resolved.iter().all(|(is, _)| *is), "{resolved:#?}");
+    // A run that is planned as enough falls short by chance in one of forty.
+    assert!(resolved.iter().filter(|(is, _)| *is).count() >= 9, "{resolved:#?}");
 }
 
 #[test]
