@@ -206,7 +206,12 @@ fn a_base_is_kept_and_the_date_is_the_records() {
     };
     let written = go("a.toml");
     assert_eq!(written, go("b.toml"));
-    assert!(written.starts_with(base.trim_end()), "{written}");
+    // What is new stands behind what was there, and the file's own two lines behind its name.
+    let rest = base.trim_end().strip_prefix("name = \"kept\" # mine\n").unwrap();
+    assert!(
+        written.starts_with("name = \"kept\" # mine\nformat = 1\nby = ") && written.contains(rest),
+        "{written}"
+    );
     for line in ["date = \"2025-03-09\"", "valid_until = \"2025-04-08\"", "valid = ["] {
         assert!(written.contains(line), "{line}: {written}");
     }

@@ -131,7 +131,7 @@ impl Twins {
             match (a, b) {
                 (Value::Number(a), Value::Number(b)) => {
                     let (a, b) = (a.as_f64().unwrap(), b.as_f64().unwrap());
-                    (a - b).abs() <= 1e-5 + 1e-4 * a.abs()
+                    (a - b).abs() <= 1e-5 + 1e-3 * a.abs()
                 }
                 (Value::Array(a), Value::Array(b)) => {
                     a.len() == b.len() && a.iter().zip(b).all(|(a, b)| near(a, b))
