@@ -218,13 +218,7 @@ impl<'r> Problem<'r> {
     /// A first guess of the noise: what set-up and model leave.
     #[must_use]
     pub fn first_noise(&self) -> Noise {
-        let flat = Noise {
-            sigma: vec![1e-3; self.rows.responses.len()],
-            phi: vec![0.0; self.rows.responses.len()],
-            share: vec![1.0; self.rows.segments.len()],
-            weight: vec![1.0; self.rows.n],
-        };
-        let mut left = self.base(flat).factor.residual().to_vec();
+        let mut left = self.base(Noise::white(self.rows, 1e-3)).factor.residual().to_vec();
         for x in &mut left {
             *x *= 1e-3;
         }

@@ -238,6 +238,18 @@ pub struct Noise {
 }
 
 impl Noise {
+    /// White, of one size in all rows of all responses.
+    #[must_use]
+    pub fn white(rows: &Rows<'_>, sigma: f64) -> Self {
+        let count = rows.responses.len();
+        Self {
+            sigma: vec![sigma; count],
+            phi: vec![0.0; count],
+            share: vec![1.0; rows.segments.len()],
+            weight: vec![1.0; rows.n],
+        }
+    }
+
     /// A first guess, from what the model leaves: steps from row to row, and memory as long as noise may have.
     #[must_use]
     pub fn guess(rows: &Rows<'_>, left: &[f64]) -> Self {

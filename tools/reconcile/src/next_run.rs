@@ -276,14 +276,7 @@ impl Simulated {
     fn log_odds(&self, rival: &Effect, given: bool) -> f64 {
         let rows = Rows::new(&self.records);
         let problem = Problem::new(&rows, &self.model, &[]);
-        let count = rows.responses.len();
-        let noise = Noise {
-            sigma: vec![self.noise.max(1e-6); count],
-            phi: vec![0.0; count],
-            share: vec![1.0; rows.segments.len()],
-            weight: vec![1.0; rows.n],
-        };
-        let base = problem.base(noise);
+        let base = problem.base(Noise::white(&rows, self.noise.max(1e-6)));
         let left = |effect: &Effect| {
             let mut factor: Factor = base.factor.clone();
             for mut column in rows.basis(effect) {

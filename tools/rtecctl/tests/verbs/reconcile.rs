@@ -234,16 +234,21 @@ fn an_unknown_in_x_hides_no_reversal_in_z() {
     )
     .unwrap();
     std::fs::write(folder.path().join("machine.toml"), "name = \"m\"\n").unwrap();
-    let output = Command::new(env!("CARGO_BIN_EXE_rtecctl"))
-        .args(["reconcile", "run.run.toml", "--model", "machine.toml", "--json"])
-        .current_dir(folder.path())
-        .output()
-        .unwrap();
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    let document: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    let document = reconciled(folder.path());
     let reversal = document["effects"].as_array().unwrap().iter().find(|e| e["name"] == "reversal.z");
     let um = reversal.and_then(|e| e["parameters"]["um"]["value"].as_f64());
     assert!(um.is_some_and(|um| (um - 6.0).abs() < 0.5), "{document}");
+}
+
+/// What is said of `run.run.toml` beside `machine.toml` in a folder.
+fn reconciled(folder: &std::path::Path) -> serde_json::Value {
+    let output = Command::new(env!("CARGO_BIN_EXE_rtecctl"))
+        .args(["reconcile", "run.run.toml", "--model", "machine.toml", "--json"])
+        .current_dir(folder)
+        .output()
+        .unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    serde_json::from_slice(&output.stdout).unwrap()
 }
 
 /// On a circle z² = r² − x²: a bow in Z is a curve over X as well, and neither is named alone.
@@ -269,13 +274,7 @@ fn a_bow_told_by_a_circle_has_its_rival() {
     let sidecar = format!("file = \"run.csv\"\nkind = \"plate\"\n{columns}");
     std::fs::write(folder.path().join("run.run.toml"), sidecar).unwrap();
     std::fs::write(folder.path().join("machine.toml"), "name = \"m\"\n").unwrap();
-    let output = Command::new(env!("CARGO_BIN_EXE_rtecctl"))
-        .args(["reconcile", "run.run.toml", "--model", "machine.toml", "--json"])
-        .current_dir(folder.path())
-        .output()
-        .unwrap();
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    let document: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    let document = reconciled(folder.path());
     assert_eq!(document["verdict"], "not_separable", "{document}");
     let effects = document["effects"].as_array().unwrap();
     let rivals = effects.iter().flat_map(|e| e["alternatives"].as_array().unwrap());
