@@ -35,6 +35,10 @@ pub const NOISE_STEPS: usize = 3;
 pub const UNDER_NOISE: usize = 4;
 /// Rows on either side of a step at which it may have been as well.
 pub const MOMENT_ROWS: usize = 30;
+/// Times that rounding is taken out as the fit predicts it.
+pub const ROUNDING_STEPS: usize = 3;
+/// Harmonics of a gauge's saw.
+pub const ROUNDING_HARMONICS: i32 = 12;
 /// Steps of the last fit.
 pub const LAST_STEPS: usize = 4;
 /// Autocorrelation of what the noise model left whitened, beyond which rows are too close together.

@@ -7,7 +7,7 @@ use crate::effort::{
 use crate::factor::dot;
 use crate::family::{Families, Scan};
 use crate::priors::{HALF_WIDTH, HELD, LISTED, MOST_PHI, SAME_PERIOD};
-use crate::problem::{Problem, in_step, is_beyond_chance};
+use crate::problem::{Problem, Units, in_step, is_beyond_chance};
 use crate::rows::{Noise, Rows};
 use crate::search::{Member, Search, Set, fit, known_again};
 use crate::setup;
@@ -168,8 +168,8 @@ pub fn estimate(
     found
 }
 
-/// Log evidence of the likeliest account of the records that is reached from the members of another one, whatever the units of their
-/// responses. It is given up where it is far below `enough`.
+/// Log evidence of the likeliest account of the records that is reached from the members of another one. It is given up where it is far
+/// below `enough`.
 #[must_use]
 pub fn score(
     records: &[Record],
@@ -177,11 +177,12 @@ pub fn score(
     model: &[Effect],
     intervals: &[Vec<Option<f64>>],
     start: &[Member],
+    units: Units,
     enough: f64,
 ) -> f64 {
     let rows = Rows::new(records);
     let model = &in_step(&rows, model)[..];
-    let problem = Problem::new(&rows, model, intervals).of_any_unit();
+    let problem = Problem::new(&rows, model, intervals).in_units(units);
     let mut families = Families::new(&rows, dictionary, model);
     let start = known_again(&families, start);
     let noise = under(&problem, &start, problem.first_noise()).1;
@@ -979,10 +980,17 @@ pub fn unexplained(record: &Record, model: &[Effect]) -> Vec<f64> {
 
 /// Log evidence of one record beside a model with nothing missing, and the size of the noise that it leaves per response.
 #[must_use]
-pub fn alone(record: &Record, model: &[Effect], intervals: &[Vec<Option<f64>>]) -> (f64, Vec<(Role, f64)>) {
+pub fn alone(
+    record: &Record,
+    model: &[Effect],
+    intervals: &[Vec<Option<f64>>],
+    units: Units,
+) -> (f64, Vec<(Role, f64)>) {
     let records = std::slice::from_ref(record);
     let rows = Rows::new(records);
-    let problem = Problem::new(&rows, model, intervals).of_any_unit();
+    let mut problem = Problem::new(&rows, model, intervals).in_units(units);
+    // Beside others it may lie turned.
+    problem.terms.extend(setup::turns(&rows));
     let mut noise = problem.first_noise();
     let mut total = f64::NEG_INFINITY;
     for _ in 0..NOISE_STEPS {

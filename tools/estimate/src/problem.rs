@@ -1,6 +1,6 @@
 //! The measurement model y = M(θ) + Z(η) + H(β, ψ) + e, linear in all but ψ: what is beside every hypothesis.
 
-use crate::effort::OUT_OF_STEP;
+use crate::effort::{OUT_OF_STEP, ROUNDING_STEPS};
 use crate::factor::{Factor, add, dot};
 use crate::priors::{CHANCE, KNOWN_SHARE, MOST_PHI, NOISE, PERIOD_SHARE, TAIL_FREEDOM, TAIL_FROM};
 use crate::rows::{Noise, Rows, Segment};
@@ -134,6 +134,16 @@ pub fn is_beyond_chance(distance: f64, parameters: usize) -> bool {
     ChiSquared::new(parameters as f64).is_ok_and(|chance| chance.sf(distance.max(0.0)) < CHANCE)
 }
 
+/// Whether the unit of a response is in question.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Units {
+    /// It is what the record says.
+    AsWritten,
+    /// No size of a set-up prefers one unit to another: zero, centre and line are as large beside the noise as they are beside a usual
+    /// one, and the air does nothing.
+    Any,
+}
+
 /// Everything beside the hypotheses, whitened by one noise.
 pub struct Base {
     /// The noise it is whitened by.
@@ -158,6 +168,8 @@ pub struct Problem<'r> {
     pub floors: Vec<f64>,
     /// Root of each row's weight, before any is far off.
     pub weights: Vec<f64>,
+    /// Per segment the size of its gauge's rounding, µm RMS: no reading as written in the file is told more finely.
+    pub rounding_um: Vec<f64>,
 }
 
 impl<'r> Problem<'r> {
@@ -168,22 +180,59 @@ impl<'r> Problem<'r> {
         for effect in model {
             add(&mut missing, -1.0, &rows.predict(effect));
         }
-        let floors = setup::floors(rows);
-        Self {
+        let mut problem = Self {
             rows,
             missing,
             terms: setup::terms(rows, model),
             known: known(rows, model, intervals),
-            floors,
+            floors: setup::floors(rows),
             weights: setup::weights(rows),
+            rounding_um: vec![0.0; rows.segments.len()],
+        };
+        problem.take_rounding_out();
+        problem
+    }
+
+    /// A gauge that noise does not dither rounds alike whatever reads alike: the error is a saw over the reading, and no finding. It is
+    /// taken out as model and set-up predict the readings; where they predict them badly it averages out, and nothing is taken out.
+    fn take_rounding_out(&mut self) {
+        let steps: Vec<Option<f64>> =
+            self.rows.segments.iter().map(|s| setup::unshared_step(self.rows, s)).collect();
+        if steps.iter().all(Option::is_none) {
+            return;
+        }
+        self.rounding_um = steps.iter().map(|q| q.unwrap_or(0.0) / 12f64.sqrt()).collect();
+        let as_read = self.missing.clone();
+        for _ in 0..ROUNDING_STEPS {
+            let factor = self.base(Noise::white(self.rows, 1.0)).factor;
+            let mut taken = vec![0.0; self.rows.n];
+            for (s, q) in self.rows.segments.iter().zip(&steps) {
+                let Some(q) = *q else { continue };
+                let own = s.rows.clone();
+                // What is left of the readings as they are, for as long as the prediction holds.
+                let left = |row: usize| factor.residual()[row] + as_read[row] - self.missing[row];
+                let square = own.clone().map(|row| left(row).powi(2)).sum::<f64>() / own.len() as f64;
+                let rounding = q * q / 12.0;
+                for row in own.clone() {
+                    let leverage: f64 = factor.columns().iter().map(|c| c[row] * c[row]).sum();
+                    let variance = (square - rounding).max(0.0) + leverage.min(1.0) * square;
+                    let read = self.rows.measured[row];
+                    let off = read - left(row) - self.rows.measured[own.start];
+                    taken[row] = setup::rounding_error(q, off, variance);
+                }
+            }
+            self.missing.clone_from(&as_read);
+            add(&mut self.missing, -1.0, &taken);
         }
     }
 
-    /// The same where no size of a set-up prefers one unit of a response to another: zero, centre and line are as large beside the noise
-    /// as they are beside a usual one, and the air does nothing.
+    /// The same in these units.
     #[must_use]
-    pub fn of_any_unit(mut self) -> Self {
+    pub fn in_units(mut self, units: Units) -> Self {
         use setup::What::{Air, CentreFirst, CentreSecond, Line, Zero};
+        if units == Units::AsWritten {
+            return self;
+        }
         let noise = self.first_noise();
         self.terms.retain(|t| t.what != Air);
         for t in &mut self.terms {
@@ -226,6 +275,7 @@ impl<'r> Problem<'r> {
         let steps = |s: &Segment| left[s.rows.clone()].windows(2).map(|w| (w[1] - w[0]).powi(2)).sum();
         let steps: Vec<f64> = self.rows.segments.iter().map(steps).collect();
         noise.shared_out(self.rows, &steps, &self.floors);
+        noise.at_least(self.rows, &self.rounding_um);
         noise.weight.clone_from(&self.weights);
         noise.phi.iter_mut().zip(&self.floors).filter(|(_, f)| **f > 0.0).for_each(|(p, _)| *p = 0.0);
         noise
@@ -292,6 +342,8 @@ impl<'r> Problem<'r> {
                 all += dot(&raw, &raw);
                 with += raw.windows(2).map(|w| w[0] * w[1]).sum::<f64>();
                 count += raw.len() as f64;
+                // Within its rounding no reading is far off.
+                let middle = middle.max(self.rounding_um[*number] / sigma);
                 for row in s.rows.clone() {
                     let off = (e[row] / noise.weight[row] / middle).powi(2);
                     let less = (TAIL_FREEDOM + TAIL_FROM * TAIL_FROM) / (TAIL_FREEDOM + off);
@@ -304,6 +356,7 @@ impl<'r> Problem<'r> {
             new.phi[j] = (with / all.max(1e-300) + (leverage + 1.0) / count).clamp(0.0, most);
         }
         new.shared_out(rows, &of_segments, &self.floors);
+        new.at_least(rows, &self.rounding_um);
         new
     }
 }

@@ -296,6 +296,16 @@ impl Noise {
         }
     }
 
+    /// No segment's noise is smaller than this.
+    pub fn at_least(&mut self, rows: &Rows<'_>, um: &[f64]) {
+        for (number, least) in um.iter().enumerate() {
+            let size = self.size(rows, number);
+            if size < *least {
+                self.share[number] *= least / size;
+            }
+        }
+    }
+
     /// Standard deviation of what each row of a segment adds.
     #[must_use]
     pub fn size(&self, rows: &Rows<'_>, segment: usize) -> f64 {

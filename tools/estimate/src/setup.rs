@@ -1,7 +1,7 @@
 //! What belongs to how the instrument stood and never to the machine: free in every record, never named, never written into a
 //! model, never corrected live. One function per term; a new one is its function and a line in [`TERMS`].
 
-use crate::effort::{AIR_DIRECTIONS, MOST_PAUSES, MOST_PLACES, PLACES_PER_MM};
+use crate::effort::{AIR_DIRECTIONS, MOST_PAUSES, MOST_PLACES, PLACES_PER_MM, ROUNDING_HARMONICS};
 use crate::priors::{
     AIR_S, AIR_UM, CENTRE_UM, CONTRIBUTION, KNOTS, LINE_HOURS, LINE_UM_PER_H, NOISE, PAUSE_STEPS, PLACE_MM,
     TURN_URAD, ZERO_UM,
@@ -114,20 +114,27 @@ fn centres(rows: &Rows<'_>, _: &[Effect], out: &mut Vec<Term>) {
     }
 }
 
-/// The times of a record that takes long enough for air and stand to creep.
-fn creeping(record: &Record) -> Option<&[f64]> {
-    record.data(&Role::Time).filter(|_| matches!(record.kind, Kind::Positioning | Kind::Drift))
+/// The times of a record that takes long enough for air and stand to creep, s from its first row. Where nobody wrote the time, rows come
+/// at one pace, and the run may last as long as a creep keeps its direction.
+fn creeping_s(record: &Record) -> Option<Vec<f64>> {
+    if !matches!(record.kind, Kind::Positioning | Kind::Drift) {
+        return None;
+    }
+    let t = record.time_s();
+    let (first, last) = (*t.first()?, *t.last()?);
+    let timed = record.column(&Role::Time).is_some();
+    let pace = if timed { 1.0 } else { 3600.0 * LINE_HOURS / (last - first).max(1.0) };
+    Some(t.iter().map(|t| (t - first) * pace).collect())
 }
 
 /// What air and stand do to a gauge over hours.
 fn lines(rows: &Rows<'_>, _: &[Effect], out: &mut Vec<Term>) {
     for s in errors(rows) {
-        let record = rows.record(s);
-        let Some(t) = creeping(record) else { continue };
+        let Some(t) = creeping_s(rows.record(s)) else { continue };
         // From the start on: there the gauge was set to zero.
-        let hours = column(rows, s, |i| (t[i] - t[0]) / 3600.0);
+        let hours = column(rows, s, |i| t[i] / 3600.0);
         // Nothing creeps one way for longer.
-        let whole = t.last().map_or(0.0, |last| (last - t[0]) / 3600.0);
+        let whole = t.last().map_or(0.0, |last| last / 3600.0);
         let sd = LINE_UM_PER_H * (LINE_HOURS / whole.max(1e-9)).min(1.0);
         out.push(Term { what: What::Line, record: s.record, column: hours, sd });
     }
@@ -136,9 +143,8 @@ fn lines(rows: &Rows<'_>, _: &[Effect], out: &mut Vec<Term>) {
 /// What air and stand do beside that: a walk that is pulled back.
 fn air(rows: &Rows<'_>, _: &[Effect], out: &mut Vec<Term>) {
     for s in errors(rows) {
-        let record = rows.record(s);
-        let Some(t) = creeping(record) else { continue };
-        let places = knots(t, KNOTS);
+        let Some(t) = creeping_s(rows.record(s)) else { continue };
+        let places = knots(&t, KNOTS);
         let (Some(first), Some(last)) = (places.first(), places.last()) else { continue };
         let length = AIR_S.max(0.1 * (last - first));
         for d in directions(&places, Kernel::Rough(length), &[vec![1.0; places.len()]], AIR_DIRECTIONS) {
@@ -289,14 +295,32 @@ pub fn resolution_um(record: &Record) -> f64 {
     errors.filter_map(|c| step_of(&c.data)).fold(0.0, f64::max) / 12f64.sqrt()
 }
 
-/// The step that all numbers are multiples of.
+/// The step of a segment's gauge where rows share no reading: what they share is [`rounding`]'s.
+#[must_use]
+pub fn unshared_step(rows: &Rows<'_>, s: &Segment) -> Option<f64> {
+    step_of(&rows.measured[s.rows.clone()]).filter(|_| coarse_segment(rows, s).is_none())
+}
+
+/// Expected rounding error of a value that lies `off` a multiple of the step `q` and scatters with a variance (Widrow 1956).
+#[must_use]
+pub fn rounding_error(q: f64, off: f64, variance: f64) -> f64 {
+    use std::f64::consts::{PI, TAU};
+    let harmonic = |k: i32| {
+        let (sign, k) = (if k % 2 == 0 { 1.0 } else { -1.0 }, f64::from(k));
+        sign * q / (PI * k) * (TAU * k * off / q).sin() * (-0.5 * variance * (TAU * k / q).powi(2)).exp()
+    };
+    (1..=ROUNDING_HARMONICS).map(harmonic).sum()
+}
+
+/// The step that all numbers are multiples of. Two numbers define it; each further one lies on it by chance in one case of 25, so that five
+/// are no chance.
 fn step_of(y: &[f64]) -> Option<f64> {
     let mut values: Vec<f64> = y.to_vec();
     values.sort_by(f64::total_cmp);
     values.dedup_by(|a, b| (*a - *b).abs() < 1e-9);
     let q = values.windows(2).map(|w| w[1] - w[0]).fold(f64::MAX, f64::min);
     let on = |v: &f64| ((v - values[0]) / q - ((v - values[0]) / q).round()).abs() < 0.02;
-    (values.len() > 1 && values.len() < 400 && values.iter().all(on)).then_some(q)
+    ((5..400).contains(&values.len()) && values.iter().all(on)).then_some(q)
 }
 
 /// Per response the least size of its noise: rounding that nothing dithers.
@@ -441,10 +465,26 @@ fn proportional(a: &[f64], b: &[f64]) -> bool {
 
 /// Each plate lies turned a little of its own: what they are turned by on average is a rotation, and stays the contract's.
 fn turned(rows: &Rows<'_>, _: &[Effect], out: &mut Vec<Term>) {
-    let mut turns: Vec<(usize, Vec<f64>)> = Vec::new();
-    for (r, record) in rows.records.iter().enumerate().filter(|(_, r)| r.kind == Kind::Plate) {
+    let turns = turns(rows);
+    if turns.len() < 2 {
+        return;
+    }
+    let mut mean = vec![0.0; rows.n];
+    for t in &turns {
+        crate::factor::add(&mut mean, 1.0 / turns.len() as f64, &t.column);
+    }
+    for mut t in turns {
+        crate::factor::add(&mut t.column, -1.0, &mean);
+        out.push(t);
+    }
+}
+
+/// How each plate lies turned on the table, µrad.
+#[must_use]
+pub fn turns(rows: &Rows<'_>) -> Vec<Term> {
+    let of = |(r, record): (usize, &Record)| {
         let axes: Vec<_> = record.axes(Role::Position).cloned().collect();
-        let [a, b] = &axes[..] else { continue };
+        let [a, b] = &axes[..] else { return None };
         let mut own = vec![0.0; rows.n];
         for s in errors(rows).filter(|s| s.record == r) {
             let Some(axis) = rows.responses[s.response].axis() else { continue };
@@ -454,20 +494,9 @@ fn turned(rows: &Rows<'_>, _: &[Effect], out: &mut Vec<Term>) {
                 *x = by * p / 1000.0;
             }
         }
-        turns.push((r, own));
-    }
-    let count = turns.len() as f64;
-    if turns.len() < 2 {
-        return;
-    }
-    let mut mean = vec![0.0; rows.n];
-    for (_, own) in &turns {
-        crate::factor::add(&mut mean, 1.0 / count, own);
-    }
-    for (record, mut own) in turns {
-        crate::factor::add(&mut own, -1.0, &mean);
-        out.push(Term { what: What::Turn, record, column: own, sd: TURN_URAD });
-    }
+        Some(Term { what: What::Turn, record: r, column: own, sd: TURN_URAD })
+    };
+    rows.records.iter().enumerate().filter(|(_, r)| r.kind == Kind::Plate).filter_map(of).collect()
 }
 
 /// The first reading behind each turn of a run that does not say where its axis turned.

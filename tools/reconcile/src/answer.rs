@@ -1,5 +1,6 @@
 //! What an estimate says of the records, as findings: effects with a name, shapes without one, corrections of the model.
 
+use rtec_estimate::problem::Units;
 use rtec_estimate::{Estimate, Found, Rival, Shape};
 use rtec_model::effect::Effect;
 use rtec_model::machine::Machine;
@@ -78,10 +79,10 @@ pub(crate) fn analyse(records: &[Record], machine: &Machine, level: f64) -> Answ
 }
 
 /// Log evidence of the likeliest account of records that is reached from an answer's; given up far below `enough`.
-pub(crate) fn score(records: &[Record], machine: &Machine, from: &Answer, enough: f64) -> f64 {
+pub(crate) fn score(records: &[Record], machine: &Machine, from: &Answer, units: Units, enough: f64) -> f64 {
     let model: Vec<Effect> = machine.effects().cloned().collect();
     let start = &from.estimate.members;
-    rtec_estimate::score(records, machine.dictionary(), &model, &stated(machine), start, enough)
+    rtec_estimate::score(records, machine.dictionary(), &model, &stated(machine), start, units, enough)
 }
 
 fn finding(f: &Found, effect: &Effect) -> Finding {

@@ -2,19 +2,22 @@
 //! shows beside the model, a record that agrees with it only with another sign, unit, direction or sensor. What is doubted
 //! is left out of the analysis and said; it is never named as an effect.
 
-use crate::gap::{self, Gap, Trace};
+use crate::answer::stated;
+use crate::gap::{self, Gap};
 use crate::suspected::{about, is_of_clock, is_one_of_several, is_sensor, whole};
 use crate::verdict::Unsaid;
+use rtec_estimate::alone;
+use rtec_estimate::problem::Units;
 use rtec_measure::plausible::{self, Suspicion, What};
 use rtec_model::effect::{Effect, Heat};
 use rtec_model::machine::Machine;
-use rtec_model::record::{Column, Record};
+use rtec_model::record::{Column, Record, Role};
 
 /// A gap that is so many times as wide afterwards is no chance.
 const WORSE: f64 = 1.1;
 /// Fewer rows tell nothing.
 const FEWEST: usize = 12;
-/// A hold-out that the better model leaves so many times the training's remainder of is of another machine, or state.
+/// A hold-out that the better model leaves so many times the training's noise of is of another machine, or state.
 const OTHER: f64 = 4.0;
 
 /// What is doubted, and the records to analyse.
@@ -232,21 +235,37 @@ pub(crate) fn reads_clock(effect: &Effect) -> bool {
     law.lag.is_some() || law.heat == Heat::FromStart
 }
 
-/// The hold-outs that the better model describes far worse than the training, and no better than the model as it was, by
-/// their numbers: how much of their gap is closed says nothing. `traces` are those of the hold-outs, record by record.
-pub(crate) fn other_machines(holdout: &[Record], traces: &[Trace], gap: &[Gap]) -> Vec<(usize, Suspicion)> {
+/// The hold-outs that the better model describes far worse than the training, and no better than the model as it was, by their numbers:
+/// how much of their gap is closed says nothing. Each is judged by what is left once its own set-up is taken out.
+pub(crate) fn other_machines(
+    holdout: &[Record],
+    before: &Machine,
+    after: &Machine,
+    gap: &[Gap],
+) -> Vec<(usize, Suspicion)> {
     let mut found = Vec::new();
-    for (k, (record, own)) in holdout.iter().zip(gap::by_record(holdout, traces)).enumerate() {
+    for (k, record) in holdout.iter().enumerate() {
+        let [old, new] = [before, after].map(|m| {
+            let effects: Vec<Effect> = m.effects().cloned().collect();
+            alone(record, &effects, &stated(m), Units::AsWritten).1
+        });
         for g in gap {
-            let floor = g.floor.max(g.train[1]).max(rtec_estimate::setup::resolution_um(record));
-            let Some([before, after]) = gap::pooled(own, &g.unit, true) else { continue };
-            let worse = after > WORSE * before.max(g.floor) && after > 2.0 * floor;
+            let size = |left: &[(Role, f64)]| {
+                let own: Vec<f64> = left
+                    .iter()
+                    .filter(|(r, _)| gap::unit_of(&r.to_string()) == g.unit)
+                    .map(|l| l.1)
+                    .collect();
+                gap::rms(&own)
+            };
+            let (before, after) = (size(&old), size(&new));
+            let floor = g.floor.max(rtec_estimate::setup::resolution_um(record));
+            let worse = after > WORSE * before.max(floor) && after > 2.0 * floor;
             if worse || (after > OTHER * floor && after > 0.7 * before) {
                 let unit = if g.unit == "um" { "µm" } else { g.unit.as_str() };
                 let text = format!(
-                    "the model that leaves {:.2} {unit} of the training leaves {after:.2} {unit} of this hold-out: another \
-                     machine, or another state of it?",
-                    g.train[1]
+                    "the model that leaves {floor:.2} {unit} of the training leaves {after:.2} {unit} of this hold-out: another \
+                     machine, or another state of it?"
                 );
                 found.push((k, Suspicion::new(record, "", What::OtherMachine, &[], text)));
                 break;

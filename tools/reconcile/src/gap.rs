@@ -134,7 +134,7 @@ pub(crate) fn traces(train: &[Record], holdout: &[Record], before: &Machine, aft
     out
 }
 
-fn unit_of(response: &str) -> &'static str {
+pub(crate) fn unit_of(response: &str) -> &'static str {
     if response.starts_with("force") { "N" } else { "um" }
 }
 

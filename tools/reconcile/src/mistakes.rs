@@ -3,6 +3,7 @@
 
 use crate::answer::{Answer, Finding, analyse, score, stated};
 use rtec_estimate::priors::TRAVEL_MM;
+use rtec_estimate::problem::Units;
 use rtec_estimate::{alone, unexplained};
 use rtec_measure::plausible::{Suspicion, What};
 use rtec_model::circle::Circle;
@@ -19,6 +20,14 @@ pub(crate) struct Mistake {
     undone: Record,
     /// log of how much closer together the numbers lie in the file than undone, and of how much better directions go with positions.
     jacobian: f64,
+}
+
+impl Mistake {
+    /// What is in question beside it.
+    fn units(&self) -> Units {
+        let response = self.undone.responses().any(|c| c.name == self.said.column);
+        if self.said.what == What::Unit && response { Units::Any } else { Units::AsWritten }
+    }
 }
 
 /// Mistakes that were made together, each with its record.
@@ -70,8 +79,8 @@ pub(crate) fn of_training(
     let mut out = Vec::new();
     let mut now = records.to_vec();
     let mut best: Option<Answer> = None;
-    // Log evidence of the records as they stand now.
-    let mut as_they_stand: Option<f64> = None;
+    // Log evidence of the records as they stand now, in either unit.
+    let mut as_they_stand: Vec<(Units, f64)> = Vec::new();
     // Beside the model as given: what was found may have taken the mistake for a change of the machine.
     let model: Vec<Effect> = machine.effects().cloned().collect();
     while out.len() < MOST {
@@ -85,14 +94,22 @@ pub(crate) fn of_training(
         let intervals = stated(machine);
         let mut tried: Vec<(f64, usize, Mistake)> = Vec::new();
         for (k, record) in now.iter().enumerate() {
-            let stands: Vec<f64> = models.iter().map(|m| alone(record, m, &intervals).0).collect();
+            let stands = |units| -> Vec<f64> {
+                models.iter().map(|m| alone(record, m, &intervals, units).0).collect()
+            };
+            let [written, any] = [Units::AsWritten, Units::Any].map(stands);
             let left: Vec<_> = models.iter().map(|m| unexplained(record, m)).collect();
             for m in candidates(record, &now, models.last().unwrap_or(&model)) {
                 let gain = |(model, (stands, left)): (&Vec<Effect>, (&f64, &Vec<f64>))| {
                     // Of a column that the model does not read here.
                     let same = m.jacobian == 0.0 && unexplained(&m.undone, model) == *left;
-                    if same { 0.0 } else { alone(&m.undone, model, &intervals).0 + m.jacobian - stands }
+                    if same {
+                        0.0
+                    } else {
+                        alone(&m.undone, model, &intervals, m.units()).0 + m.jacobian - stands
+                    }
                 };
+                let stands = if m.units() == Units::Any { &any } else { &written };
                 let gain = models.iter().zip(stands.iter().zip(&left)).map(gain).fold(0.0, f64::max);
                 if gain > 0.0 {
                     tried.push((gain, k, m));
@@ -113,24 +130,28 @@ pub(crate) fn of_training(
         tried.truncate(LOOKED_AT);
         let mut sets: Vec<Made> = tried.into_iter().map(|(_, k, m)| vec![(k, m)]).collect();
         sets.extend(habit);
-        let mut likeliest: Option<(f64, f64, Made)> = None;
+        let mut likeliest: Option<(f64, (Units, f64), Made)> = None;
         for set in sets {
-            let before =
-                *as_they_stand.get_or_insert_with(|| score(&now, machine, answer, f64::NEG_INFINITY));
+            let units = set[0].1.units();
+            let known = as_they_stand.iter().find(|s| s.0 == units).map(|s| s.1);
+            let before = known.unwrap_or_else(|| score(&now, machine, answer, units, f64::NEG_INFINITY));
+            if known.is_none() {
+                as_they_stand.push((units, before));
+            }
             let mut others = now.clone();
             let mut gain = -before - ONE_IN.ln();
             for (k, m) in &set {
                 others[*k] = m.undone.clone();
                 gain += m.jacobian;
             }
-            let undone = score(&others, machine, answer, -gain);
+            let undone = score(&others, machine, answer, units, -gain);
             gain += undone;
             if gain > likeliest.as_ref().map_or(0.0, |b| b.0) {
-                likeliest = Some((gain, undone, set));
+                likeliest = Some((gain, (units, undone), set));
             }
         }
         let Some((gain, undone, set)) = likeliest else { break };
-        as_they_stand = Some(undone);
+        as_they_stand = vec![undone];
         for (k, m) in &set {
             now[*k] = m.undone.clone();
         }
@@ -171,7 +192,9 @@ pub(crate) fn of_hold_out(
     if effects.is_empty() {
         return None;
     }
-    let (as_it_stands, noise) = alone(record, &effects, &intervals);
+    let stands = |units| alone(record, &effects, &intervals, units);
+    let (as_it_stands, noise) = stands(Units::AsWritten);
+    let of_any_unit = stands(Units::Any).0;
     let explained = |noise: &[(Role, f64)]| noise.iter().all(|(r, s)| *s <= EXPLAINED * floor_um(r));
     if explained(&noise) {
         return None;
@@ -179,8 +202,9 @@ pub(crate) fn of_hold_out(
     let mut all = train.to_vec();
     all.push(record.clone());
     let weigh = |m: Mistake| {
-        let (then, noise) = alone(&m.undone, &effects, &intervals);
-        let gain = then + m.jacobian - as_it_stands - ONE_IN.ln() - CERTAIN.ln();
+        let (then, noise) = alone(&m.undone, &effects, &intervals, m.units());
+        let stands = if m.units() == Units::Any { of_any_unit } else { as_it_stands };
+        let gain = then + m.jacobian - stands - ONE_IN.ln() - CERTAIN.ln();
         (gain > 0.0 && explained(&noise)).then_some((gain, m.said))
     };
     let found = candidates(record, &all, &effects).into_iter().filter_map(weigh);

@@ -9,7 +9,7 @@ use rtec_estimate::{Shape, Tried};
 use rtec_measure::plausible::Suspicion;
 use rtec_model::effect::Effect;
 use rtec_model::machine::Machine;
-use rtec_model::record::Record;
+use rtec_model::record::{Record, Role};
 use serde::Serialize;
 use std::fmt;
 
@@ -75,24 +75,36 @@ pub struct Refined {
 pub struct SetUp {
     /// The record's sidecar.
     pub record: String,
-    /// Term (`zero_um.error.x`, `centre_um`, `bar_um`, `line_um_per_h`, `jump_um`), value and half width of its 95 % interval.
+    /// Term (`zero_um.error.x`, `centre_um`, `bar_um`, `line_um_per_h`, `line_um_per_run` where no time was written,
+    /// `jump_um`), value and half width of its 95 % interval.
     pub terms: Vec<(String, f64, f64)>,
 }
 
 impl SetUp {
     /// Per record, in their order.
     pub(crate) fn of(records: &[Record], found: &[rtec_estimate::SetUp]) -> Vec<Self> {
+        let timed = |s: &rtec_estimate::SetUp| records[s.record].column(&Role::Time).is_some();
+        // The estimator lets a run without times last as long as a creep keeps its direction.
+        let runs = |s: &rtec_estimate::SetUp| {
+            if s.what == What::Line && !timed(s) { rtec_estimate::priors::LINE_HOURS } else { 1.0 }
+        };
         let name = |s: &rtec_estimate::SetUp| match (s.what, s.response.as_str()) {
             (What::Zero, "error.r") => "bar_um".to_owned(),
             (What::Zero, response) => format!("zero_um.{response}"),
             (What::CentreFirst, _) => "centre_um.0".to_owned(),
             (What::CentreSecond, _) => "centre_um.1".to_owned(),
-            (What::Line, response) => format!("line_um_per_h.{response}"),
+            (What::Line, response) => {
+                format!("line_um_per_{}.{response}", if timed(s) { "h" } else { "run" })
+            }
             _ => "jump_um".to_owned(),
         };
         let of = |(i, r): (usize, &Record)| Self {
             record: r.path.display().to_string(),
-            terms: found.iter().filter(|s| s.record == i).map(|s| (name(s), s.value, s.half)).collect(),
+            terms: found
+                .iter()
+                .filter(|s| s.record == i)
+                .map(|s| (name(s), s.value * runs(s), s.half * runs(s)))
+                .collect(),
         };
         records.iter().enumerate().map(of).collect()
     }

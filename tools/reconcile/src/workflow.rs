@@ -118,7 +118,7 @@ fn looked_at(train: &[Record], holdout: &[Record], machine: &Machine, options: &
         }
     }
     let first_held = traces_of.iter().position(|t| t.holdout).unwrap_or(traces_of.len());
-    let strangers = doubt::other_machines(better.comparable(&answer, &held), &traces_of[first_held..], &gap);
+    let strangers = doubt::other_machines(better.comparable(&answer, &held), machine, &better.model, &gap);
     let unsaid = doubts.unsaid(given.0, given.1, &better.model);
     let mut left_out = [doubts.left_out, held_out].concat();
     let beside = said_beside(&strangers, &held, &traces_of[first_held..], &mut gap);

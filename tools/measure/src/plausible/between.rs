@@ -4,7 +4,7 @@ use super::stats::{median, middle_range, range, span};
 use super::told::{told, with_lags};
 use super::{Suspicion, What, repeats};
 use crate::iso230::correlation;
-use rtec_model::record::{Axis, Column, Record, Role};
+use rtec_model::record::{Axis, Column, Kind, Record, Role};
 
 /// Records that hold the very rows of an earlier one: the earlier one's number, and its own.
 #[must_use]
@@ -103,11 +103,45 @@ fn units(a: &Record, b: &Record, out: &mut Vec<Suspicion>) {
 
 /// An error that depends on the position, or on a temperature, with the opposite sign in the other record.
 fn signs(a: &Record, b: &Record) -> Vec<String> {
+    let (a, b) = (&as_aligned(a), &as_aligned(b));
     let opposite = |ea: &Column| {
         let eb = b.column(&ea.role)?;
         (by_position(a, ea, b, eb) || by_temperature(a, ea, b, eb)).then(|| eb.name.clone())
     };
     a.responses().filter_map(opposite).collect()
+}
+
+/// A plate's record as if the plate lay along the axes: how it lies turned is no error of either column.
+fn as_aligned(record: &Record) -> Record {
+    let mut out = record.clone();
+    let axes: Vec<Axis> = record.axes(Role::Position).cloned().collect();
+    let [a, b] = &axes[..] else { return out };
+    if record.kind != Kind::Plate {
+        return out;
+    }
+    let centred = |role: Role| {
+        let data = record.data(&role)?;
+        let mean = data.iter().sum::<f64>() / data.len() as f64;
+        Some(data.iter().map(|v| v - mean).collect::<Vec<f64>>())
+    };
+    let read =
+        |axis: &Axis| Some((centred(Role::Position(axis.clone()))?, centred(Role::Error(axis.clone()))?));
+    let (Some((x, e_x)), Some((y, e_y))) = (read(a), read(b)) else { return out };
+    let dot = |u: &[f64], v: &[f64]| u.iter().zip(v).map(|(u, v)| u * v).sum::<f64>();
+    let size = dot(&x, &x) + dot(&y, &y);
+    if size <= 0.0 {
+        return out;
+    }
+    let turn = (dot(&e_y, &x) - dot(&e_x, &y)) / size;
+    for c in &mut out.columns {
+        let (along, by) = match &c.role {
+            Role::Error(axis) if axis == a => (&y, turn),
+            Role::Error(axis) if axis == b => (&x, -turn),
+            _ => continue,
+        };
+        c.data.iter_mut().zip(along).for_each(|(e, p)| *e += by * p);
+    }
+    out
 }
 
 /// A temperature that goes from place to place by more than this in both records, K, and the other way round in one of them:

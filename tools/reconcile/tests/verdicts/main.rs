@@ -8,5 +8,26 @@ mod next_run;
 mod noise;
 mod one_room;
 mod page;
+mod stands;
 mod weighed;
 mod zeros;
+
+use rtec_model::machine::Machine;
+use rtec_model::record::{Column, Kind, Record, Role};
+use rtec_reconcile::{Options, Reconciliation, reconcile};
+use std::path::Path;
+
+/// A record of columns: name, role, values.
+#[expect(clippy::unwrap_used, reason = "a test's own helper")]
+fn record(name: &str, kind: Kind, columns: Vec<(&str, &str, Vec<f64>)>) -> Record {
+    let of = |(n, r, v)| Column::new(n, Role::parse(r).unwrap(), v);
+    let columns = columns.into_iter().map(of).collect();
+    Record::new(Path::new(&format!("{name}.run.toml")), kind, columns).unwrap()
+}
+
+/// What records say beside the effects of a model, and later ones of it.
+#[expect(clippy::unwrap_used, reason = "a test's own helper")]
+fn answer(model: &str, train: &[Record], later: &[Record]) -> Reconciliation {
+    let model = Machine::parse(Path::new("m.toml"), &format!("name = \"m\"\n{model}")).unwrap();
+    reconcile(train, later, &model, &Options::default()).unwrap()
+}

@@ -2,27 +2,15 @@
 
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
+use crate::{answer, record};
 use rtec_measure::plausible::What;
-use rtec_model::machine::Machine;
-use rtec_model::record::{Column, Kind, Record, Role};
-use rtec_reconcile::{Options, Reconciliation, Verdict, reconcile};
+use rtec_model::record::{Kind, Record};
+use rtec_reconcile::Verdict;
 use std::f64::consts::TAU;
-use std::path::Path;
 use test_needs::dice::Dice;
 
-fn record(name: &str, kind: Kind, columns: Vec<(&str, &str, Vec<f64>)>) -> Record {
-    let of = |(n, r, v)| Column::new(n, Role::parse(r).unwrap(), v);
-    let columns = columns.into_iter().map(of).collect();
-    Record::new(Path::new(&format!("{name}.run.toml")), kind, columns).unwrap()
-}
-
-fn answer(model: &str, train: &[Record]) -> Reconciliation {
-    let model = Machine::parse(Path::new("m.toml"), &format!("name = \"m\"\n{model}")).unwrap();
-    reconcile(train, &[], &model, &Options::default()).unwrap()
-}
-
 fn nameless(model: &str, train: &[Record]) {
-    let said = answer(model, train);
+    let said = answer(model, train, &[]);
     let names: Vec<String> = said.effects.iter().map(|(f, _)| f.effect.name()).collect();
     assert!(names.is_empty(), "{names:?}");
     assert_eq!(said.verdict, Verdict::UnknownEffect, "{:?}", said.unexplained);
@@ -73,7 +61,7 @@ fn what_repeats_at_its_places_is_seen_whatever_its_form() {
         }
         let roles = [("t", "time"), ("x", "position.x"), ("d", "direction.x"), ("e", "error.x")];
         let columns = roles.into_iter().zip(rows).map(|((n, r), v)| (n, r, v)).collect();
-        let said = answer("", &[record("line", Kind::Positioning, columns)]);
+        let said = answer("", &[record("line", Kind::Positioning, columns)], &[]);
         assert!(!said.unexplained.is_empty(), "{:?}", said.verdict);
     }
 }
@@ -91,7 +79,7 @@ fn what_the_model_explains_is_no_misread_row() {
     let e = angle.iter().map(|a| bump(*a) + 0.3 * d.normal()).collect();
     let t = (0..96).map(|i| f64::from(i) * 2.0).collect();
     let columns = vec![("t", "time", t), ("a", "angle", angle), ("e", "error.r", e)];
-    let said = answer(model, &[record("ring", Kind::Part, columns)]);
+    let said = answer(model, &[record("ring", Kind::Part, columns)], &[]);
     assert_eq!(said.suspicions.iter().map(ToString::to_string).collect::<Vec<_>>(), Vec::<String>::new());
 }
 
@@ -119,7 +107,7 @@ fn line(name: &str, seed: u64, noise_um: f64) -> Record {
 fn each_run_has_noise_of_its_own_size() {
     for seed in 0..12 {
         let runs = [line("quiet", 2 * seed, 0.1), line("loud", 2 * seed + 1, 0.6)];
-        let said = answer("", &runs);
+        let said = answer("", &runs, &[]);
         assert_eq!(said.verdict, Verdict::NothingMissing, "{seed}: {:?}", said.unexplained);
     }
 }
@@ -135,7 +123,7 @@ fn a_gauge_that_stands_still_says_nothing() {
         let columns = vec![("t", "time", t), ("e", "error.x", moves), ("f", "error.z", still)];
         record(name, Kind::Drift, columns)
     };
-    let said = answer("", &[steady("a", 1), steady("b", 2)]);
+    let said = answer("", &[steady("a", 1), steady("b", 2)], &[]);
     assert_eq!(said.verdict, Verdict::NothingMissing, "{:?}", said.unexplained);
     assert!(said.suspicions.iter().all(|s| s.what != What::Unit), "{:?}", said.suspicions);
 }
