@@ -424,6 +424,16 @@ fn place(search: &Search<'_>, set: &Set, member: usize) -> Place {
             all.push((seed.family, own_label.clone(), refined.cause.effect().cloned(), other.score));
         }
     }
+    for seed in search.maps_alike(&search.of_last(set, member)) {
+        let score = set.score + seed.score - families[own.family].prior;
+        match all.iter_mut().find(|a| a.0 == seed.family) {
+            Some(known) => known.3 = known.3.max(score),
+            None => {
+                let name = families[seed.family].label();
+                all.push((seed.family, name, seed.cause.effect().cloned(), score));
+            }
+        }
+    }
     let masses: Vec<f64> = all.iter().map(|a| a.3).chain([without.score]).collect();
     let total = log_sum(&masses);
     let of = |yes: &dyn Fn(&Stand) -> bool| {

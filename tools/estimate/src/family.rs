@@ -398,11 +398,15 @@ fn maps(rows: &Rows<'_>, effect: &Effect) -> Vec<(f64, Cause)> {
     use rtec_model::effect::Extent as _;
     // The axis that its knots lie on: the last of its name.
     let Some(axis) = effect.axes().last() else { return Vec::new() };
-    let places = rows.places_mm(axis);
-    let knots = knots(&places, KNOTS);
+    let mut knots = knots(&rows.places_mm(axis), KNOTS);
     let k = knots.len();
     if k < 4 {
         return Vec::new();
+    }
+    // Places close to each other are one, but nothing lies beyond the last knots: a map is constant there, and no bow is.
+    let of = |record: &Record| record.data(&Role::Position(axis.clone())).map(<[f64]>::to_vec);
+    for p in rows.records.iter().filter(|r| r.knows_places()).filter_map(of).flatten() {
+        (knots[0], knots[k - 1]) = (knots[0].min(p), knots[k - 1].max(p));
     }
     let range = knots[k - 1] - knots[0];
     // Constant and straight line over the rows are other effects'.

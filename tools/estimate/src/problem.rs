@@ -343,7 +343,7 @@ impl<'r> Problem<'r> {
                 with += raw.windows(2).map(|w| w[0] * w[1]).sum::<f64>();
                 count += raw.len() as f64;
                 // Within its rounding no reading is far off.
-                let middle = middle.max(self.rounding_um[*number] / sigma);
+                let middle = middle.max(self.rounding_um[*number].max(self.floors[j]) / sigma);
                 for row in s.rows.clone() {
                     let off = (e[row] / noise.weight[row] / middle).powi(2);
                     let less = (TAIL_FREEDOM + TAIL_FROM * TAIL_FROM) / (TAIL_FREEDOM + off);

@@ -9,7 +9,9 @@ use crate::effort::{
 };
 use crate::factor::{Factor, add, dot};
 use crate::family::{Families, Family, Scan};
-use crate::priors::{AGAIN, BENT_SHARE, CONTRIBUTION, LEVELS, LISTED, USUAL_SHARE, USUAL_WITHIN};
+use crate::priors::{
+    AGAIN, ALIKE, BENT_SHARE, CONTRIBUTION, LEVELS, LISTED, USUAL_SHARE, USUAL_WITHIN, WIDE,
+};
 use crate::problem::{Base, Problem};
 use crate::rows::Rows;
 use crate::shapes::changing_wave;
@@ -600,6 +602,38 @@ impl<'p> Search<'p> {
         all
     }
 
+    /// Other maps that can be what the last member of a set is, at these rows: on a circle z² = r² − x². What the data prefer among
+    /// them is chance in the directions that none needs.
+    #[must_use]
+    pub fn maps_alike(&self, set: &Set) -> Vec<Seed> {
+        let Some(own) = set.members.last().filter(|m| matches!(m.cause, Cause::Map { .. })) else {
+            return Vec::new();
+        };
+        let without = self.first(set, set.members.len() - 1);
+        let beta = set.factor.solve();
+        let mut found = vec![0.0; self.problem.rows.n];
+        for (c, b) in own.columns.iter().zip(&beta[without.len()..]) {
+            add(&mut found, b * own.level, c);
+        }
+        let found = without.beside(&found);
+        let power = dot(&found, &found);
+        let shows = |cause: &Cause| {
+            let mut other = Factor::new(&found);
+            for c in self.columns(cause) {
+                other.push(&without.beside(&c).iter().map(|x| x * WIDE).collect::<Vec<_>>());
+            }
+            1.0 - dot(other.residual(), other.residual()) / power
+        };
+        let of = |(family, f): (usize, &Family)| {
+            let Scan::Grid(points) = &f.scan else { return None };
+            let other = family != own.family && f.replaces.is_none();
+            let maps = points.iter().filter(|p| other && matches!(p.2, Cause::Map { .. }));
+            let (_, weight, cause) = maps.into_iter().find(|p| shows(&p.2) > ALIKE)?;
+            Some(Seed { family, cause: cause.clone(), weight: *weight, score: f.prior })
+        };
+        self.families.list.iter().enumerate().filter_map(of).collect()
+    }
+
     /// The place of a seed's non-linear parameters where it explains most, beside a factor.
     #[must_use]
     pub fn refined(&self, factor: &Factor, seed: &Seed) -> Seed {
@@ -824,6 +858,15 @@ impl<'p> Search<'p> {
     pub fn without(&self, set: &Set, member: usize) -> Set {
         let mut members = set.members.clone();
         members.remove(member);
+        self.grown_from(self.first(set, member), members, member)
+    }
+
+    /// The same set with one of its members last.
+    #[must_use]
+    pub fn of_last(&self, set: &Set, member: usize) -> Set {
+        let mut members = set.members.clone();
+        let last = members.remove(member);
+        members.push(last);
         self.grown_from(self.first(set, member), members, member)
     }
 

@@ -10,7 +10,7 @@ use crate::rows::{Rows, Segment, is_placed};
 use crate::smooth::{Kernel, directions, knots, shares};
 use rtec_model::circle::Circle;
 use rtec_model::effect::{Effect, Search};
-use rtec_model::record::{Kind, Record, Role};
+use rtec_model::record::{Column, Kind, Record, Role};
 
 /// What a set-up term is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -190,10 +190,27 @@ pub fn place_of(mm: f64) -> i64 {
     (mm * PLACES_PER_MM).round() as i64
 }
 
-/// The step in which numbers are written, where noise does not dither it: most repeats of one place and direction read the same. With
-/// it the groups of rows that share one reading in one direction.
-#[must_use]
-pub fn coarse(y: &[f64], place: Option<&[f64]>, direction: Option<&[f64]>) -> Option<(f64, Vec<Vec<usize>>)> {
+/// Where each row was read: the places of all axes and their directions; all alike where the response's axis has no place. Whatever a
+/// column is called, rows of one reading stay rows of one reading.
+fn places(rows: &Rows<'_>, s: &Segment) -> Vec<Vec<i64>> {
+    let record = rows.record(s);
+    let own = rows.responses[s.response].axis().cloned();
+    let placed = own.is_some_and(|a| record.data(&Role::Position(a)).is_some());
+    let of = |i: usize| {
+        let key = |c: &Column| match c.role {
+            Role::Position(_) => Some(place_of(c.data[i])),
+            Role::Direction(_) => Some(c.data[i] as i64),
+            _ => None,
+        };
+        if placed { record.columns.iter().filter_map(key).collect() } else { Vec::new() }
+    };
+    (0..s.rows.len()).map(of).collect()
+}
+
+/// The step in which numbers are written, where noise does not dither it: most repeats of one place read the same. With it the groups of
+/// rows that share one reading in one direction.
+fn coarse(rows: &Rows<'_>, s: &Segment) -> Option<(f64, Vec<Vec<usize>>)> {
+    let y = &rows.measured[s.rows.clone()];
     let mut values: Vec<f64> = y.to_vec();
     values.sort_by(f64::total_cmp);
     values.dedup_by(|a, b| (*a - *b).abs() < 1e-9);
@@ -204,19 +221,21 @@ pub fn coarse(y: &[f64], place: Option<&[f64]>, direction: Option<&[f64]>) -> Op
     if values.iter().any(|v| ((v - values[0]) / q - ((v - values[0]) / q).round()).abs() > 0.02) {
         return None;
     }
-    let way = |i: usize| direction.map_or(0, |d| d[i] as i64);
-    // Repeats: the next row at the same place in the same direction; without places the next row.
+    // Repeats: the next row at the same place; without places the next row.
+    let at = places(rows, s);
     let mut order: Vec<usize> = (0..y.len()).collect();
-    let at = |i: usize| place.map_or(0, |p| place_of(p[i]));
-    order.sort_by_key(|i| (way(*i), at(*i), *i));
+    order.sort_by_key(|i| (&at[*i], *i));
     let (mut repeats, mut same) = (0, 0);
-    for w in order.windows(2).filter(|w| (way(w[0]), at(w[0])) == (way(w[1]), at(w[1]))) {
+    for w in order.windows(2).filter(|w| at[w[0]] == at[w[1]]) {
         repeats += 1;
         same += usize::from((y[w[0]] - y[w[1]]).abs() < 0.5 * q);
     }
     if repeats < 6 || 2 * same < repeats {
         return None;
     }
+    let axis = rows.responses[s.response].axis().cloned();
+    let direction = axis.and_then(|a| rows.record(s).data(&Role::Direction(a)));
+    let way = |i: usize| direction.map_or(0, |d| d[i] as i64);
     let mut groups: Vec<((i64, i64), Vec<usize>)> = Vec::new();
     for (i, v) in y.iter().enumerate() {
         let key = ((v / q).round() as i64, way(i));
@@ -234,7 +253,7 @@ pub fn coarse(y: &[f64], place: Option<&[f64]>, direction: Option<&[f64]>) -> Op
 pub fn rounding(rows: &Rows<'_>) -> Vec<Term> {
     let mut out = Vec::new();
     for s in errors(rows) {
-        let Some((q, groups)) = coarse_segment(rows, s) else { continue };
+        let Some((q, groups)) = coarse(rows, s) else { continue };
         for group in groups {
             let mut own = vec![0.0; rows.n];
             for i in group {
@@ -250,17 +269,11 @@ pub fn rounding(rows: &Rows<'_>) -> Vec<Term> {
 /// q/π · exp(−2π²σ²/q²), the first harmonic of the step's saw (Widrow 1956).
 fn dithered(rows: &Rows<'_>, _: &[Effect], out: &mut Vec<Term>) {
     for s in errors(rows) {
-        let record = rows.record(s);
-        let Some(axis) = rows.responses[s.response].axis() else { continue };
-        let Some(place) = record.data(&Role::Position(axis.clone())) else { continue };
         let y = &rows.measured[s.rows.clone()];
         let Some(q) = step_of(y) else { continue };
-        let direction = record.data(&Role::Direction(axis.clone()));
-        let mut groups: std::collections::BTreeMap<(i64, i64), Vec<usize>> =
-            std::collections::BTreeMap::new();
-        for i in 0..y.len() {
-            let key = (place_of(place[i]), direction.map_or(0, |d| d[i] as i64));
-            groups.entry(key).or_default().push(i);
+        let mut groups: std::collections::BTreeMap<Vec<i64>, Vec<usize>> = std::collections::BTreeMap::new();
+        for (i, place) in places(rows, s).into_iter().enumerate().filter(|(_, p)| !p.is_empty()) {
+            groups.entry(place).or_default().push(i);
         }
         groups.retain(|_, g| g.len() > 1);
         let (mut squares, mut freedom) = (0.0, 0.0);
@@ -298,7 +311,7 @@ pub fn resolution_um(record: &Record) -> f64 {
 /// The step of a segment's gauge where rows share no reading: what they share is [`rounding`]'s.
 #[must_use]
 pub fn unshared_step(rows: &Rows<'_>, s: &Segment) -> Option<f64> {
-    step_of(&rows.measured[s.rows.clone()]).filter(|_| coarse_segment(rows, s).is_none())
+    step_of(&rows.measured[s.rows.clone()]).filter(|_| coarse(rows, s).is_none())
 }
 
 /// Expected rounding error of a value that lies `off` a multiple of the step `q` and scatters with a variance (Widrow 1956).
@@ -328,7 +341,7 @@ fn step_of(y: &[f64]) -> Option<f64> {
 pub fn floors(rows: &Rows<'_>) -> Vec<f64> {
     let mut out = vec![0.0_f64; rows.responses.len()];
     for s in &rows.segments {
-        if let Some((q, _)) = coarse_segment(rows, s) {
+        if let Some((q, _)) = coarse(rows, s) {
             out[s.response] = out[s.response].max(q / 12f64.sqrt());
         }
     }
@@ -350,7 +363,7 @@ fn stands_still(rows: &Rows<'_>, s: &Segment) -> bool {
 #[must_use]
 pub fn weights(rows: &Rows<'_>) -> Vec<f64> {
     let mut out = vec![1.0; rows.n];
-    for s in rows.segments.iter().filter(|s| stands_still(rows, s) || coarse_segment(rows, s).is_some()) {
+    for s in rows.segments.iter().filter(|s| stands_still(rows, s) || coarse(rows, s).is_some()) {
         let y = &rows.measured[s.rows.clone()];
         let mut from = 0;
         for run in y.chunk_by(|a, b| (a - b).abs() < 1e-9) {
@@ -359,14 +372,6 @@ pub fn weights(rows: &Rows<'_>) -> Vec<f64> {
         }
     }
     out
-}
-
-fn coarse_segment(rows: &Rows<'_>, s: &Segment) -> Option<(f64, Vec<Vec<usize>>)> {
-    let record = rows.record(s);
-    let axis = rows.responses[s.response].axis().cloned();
-    let direction = axis.clone().and_then(|a| record.data(&Role::Direction(a)));
-    let place = axis.and_then(|a| record.data(&Role::Position(a)));
-    coarse(&rows.measured[s.rows.clone()], place, direction)
 }
 
 /// What an effect that needs a place may do in circles whose centre nobody told: a wave has a phase of its own there, anything else
