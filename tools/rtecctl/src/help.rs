@@ -111,7 +111,6 @@ const VERBS: [(&str, usize, &str, &str); 41] = [
     ),
     ("trace", 4, "rtecctl trace convert x.csv x.vcd", READS),
     ("designs", 4, "rtecctl designs --json", READS),
-    ("papers", 4, "rtecctl papers 4832", READS),
     ("completions", 4, "rtecctl completions bash", READS),
     ("man", 4, "rtecctl man target/man", READS),
     ("help", 4, "rtecctl help status", READS),

@@ -84,11 +84,9 @@ impl Verb {
     /// Whether it computes; others wait for a daemon, a machine or a person, and print as they go on.
     fn computes(&self) -> bool {
         use Verb::{
-            Characterise, Designs, Example, History, Model, Papers, Part, Reconcile, Replay, Ship, Simulate,
-            Trace,
+            Characterise, Designs, Example, History, Model, Part, Reconcile, Replay, Ship, Simulate, Trace,
         };
-        let named =
-            matches!(self, Designs(_) | Example(_) | History(_) | Papers(_) | Part(_) | Replay(_) | Ship(_));
+        let named = matches!(self, Designs(_) | Example(_) | History(_) | Part(_) | Replay(_) | Ship(_));
         named || matches!(self, Characterise(_) | Model(_) | Reconcile(_) | Simulate(_) | Trace(_))
     }
 }
@@ -120,7 +118,6 @@ verbs! {
     Hold hold,
     Clear clear,
     Log log,
-    Papers papers,
     Park park,
     Part part,
     Model model,

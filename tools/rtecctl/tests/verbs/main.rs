@@ -12,7 +12,6 @@ mod import;
 mod kinds;
 mod linuxcnc_tables;
 mod model;
-mod papers;
 mod part;
 mod part_mistakes;
 mod parts;

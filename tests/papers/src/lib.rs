@@ -8,11 +8,11 @@
 //! | [`wo97`] | WO 97/43703 (1997): the global differential wet model |
 //!
 //! Each runs the machine that its source describes (`rtec_sim::described`) and gives one [`Row`] for every table, figure and
-//! figure in the text: what the paper says, what came out, and why it is not the same. What cannot be compared is a row too.
+//! figure in the text that can be compared: what the paper says, what came out, and why it is not the same.
 //!
 //! What must not live here: a machine, an experiment (`rtec-sim`), a fit (`rtec-fit`).
 //!
-//! At work: `cargo run -p rtec-papers --example compare`, which the tests run too.
+//! `cargo run --profile quick -p rtec-papers -- cmti` prints the table of a source.
 
 pub mod cmti;
 pub mod nistir4832;
@@ -99,12 +99,12 @@ pub struct Compared {
     pub title: &'static str,
     /// Seed of all noise.
     pub seed: u64,
-    /// How many rows agree, differ, and cannot be compared.
+    /// Rows that agree.
     pub agree: usize,
     /// Rows that differ, each with its reason.
     pub differ: usize,
-    /// Rows that cannot be compared, each with its reason.
-    pub not_compared: usize,
+    /// Figures left out because they are no larger than their tolerance.
+    pub too_small: usize,
     /// Every figure, in the source's order.
     pub rows: Vec<Row>,
     /// Its figures as they come out here: file name and text.
@@ -130,10 +130,9 @@ impl Paper {
         seed: u64,
         progress: &mut dyn FnMut(&str),
     ) -> Result<Compared, PaperError> {
-        let Rows { rows, figures } = (self.run)(described, seed, progress)?;
+        let Rows { list: rows, figures, too_small } = (self.run)(described, seed, progress)?;
         let count = |v: Verdict| rows.iter().filter(|r| r.verdict == v).count();
-        let (agree, differ, not_compared) =
-            (count(Verdict::Agrees), count(Verdict::Differs), count(Verdict::NotCompared));
-        Ok(Compared { paper: self.name, title: self.title, seed, agree, differ, not_compared, rows, figures })
+        let (agree, differ) = (count(Verdict::Agrees), count(Verdict::Differs));
+        Ok(Compared { paper: self.name, title: self.title, seed, agree, differ, too_small, rows, figures })
     }
 }

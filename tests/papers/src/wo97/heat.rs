@@ -69,7 +69,6 @@ pub(super) fn drifts(rows: &mut Rows, found: &Findings) -> [[f64; 3]; 2] {
             let cooled = at(240, &|g| g.um[gauge]) - at(180, &|g| g.um[gauge]);
             -cooled / grown
         };
-        let minutes = |share: f64| if share > 0.0 { -60.0 / (1.0 - share).ln() } else { f64::INFINITY };
         for p in 0..3 {
             let says = -table[1][p] / table[0][p];
             rows.number(
@@ -78,22 +77,6 @@ pub(super) fn drifts(rows: &mut Rows, found: &Findings) -> [[f64; 3]; 2] {
                 back(p),
                 Is::Within(0.2),
                 "from the two phases above; below zero it goes on growing at rest",
-            );
-            rows.not(
-                (place, &format!("{} axis: time constant of cooling by that share", AXES[p]), "min"),
-                &if says > 0.0 { shown(minutes(says)) } else { "none: it goes on growing".to_owned() },
-                &if back(p) > 0.0 { shown(minutes(back(p))) } else { "none: it goes on growing".to_owned() },
-                "one exponential is no law of a machine of many masses: hours by either",
-            );
-            let gauge = [1, 0, 2][p];
-            let whole = at(180, &|g| g.um[gauge]) - at(0, &|g| g.um[gauge]);
-            let risen =
-                (0..180).find(|m| (at(*m, &|g| g.um[gauge]) - at(0, &|g| g.um[gauge])) / whole >= 0.632);
-            rows.not(
-                (place, &format!("{} axis: time to 63 % of what three hours heat", AXES[p]), "min"),
-                "-",
-                &risen.map_or_else(|| "-".to_owned(), |m| shown(m as f64)),
-                "the paper gives the end of the three hours only; heating is faster than cooling where fast masses are heated first",
             );
         }
     }
@@ -157,20 +140,6 @@ pub(super) fn dry_against_wet(rows: &mut Rows, found: &Findings) {
         w.abs() > d.abs(),
         "curves without figures",
     );
-    for (what, sensor) in [("front", front), ("rear", rear)] {
-        let (d, w) =
-            (degc(dry, sensor, 180) - degc(dry, sensor, 0), degc(wet, sensor, 180) - degc(wet, sensor, 0));
-        rows.not(
-            (
-                if what == "front" { "Figure 13" } else { "Figure 14" },
-                &format!("rise of the housing's {what} in three hours, dry and wet"),
-                "K",
-            ),
-            "curve",
-            &format!("{} and {}", shown(d), shown(w)),
-            "curves without figures",
-        );
-    }
     let growth = |r: &Record, p: usize| {
         let e = error_of(r, p);
         (e.get(140).copied().unwrap_or(0.0) - e.first().copied().unwrap_or(0.0)).abs()
@@ -215,10 +184,4 @@ pub(super) fn equations(rows: &mut Rows, centre: &Centre, found: &Findings) {
             why,
         );
     }
-    rows.not(
-        ("Figures 18a to 18c", "growth, measured and modelled, over 1200 min", "mm"),
-        "Y plotted from 0.3 to 0.38",
-        "",
-        "curves without figures; they show that equations 2 to 4 are in millimetres and that their constants are the gauges' readings",
-    );
 }

@@ -9,7 +9,7 @@ mod starts;
 use crate::PaperError;
 use crate::rows::Rows;
 use drilling::drilling;
-use geometry::{circles, displacement, grown_reversal, tool_changes};
+use geometry::{circles, displacement, tool_changes};
 use heat::{drifts, dry_against_wet, equations, table_6};
 pub use starts::{STARTS, Started, starts};
 
@@ -129,7 +129,6 @@ pub(crate) fn run(
     progress("WO 97/43703: circles in three planes");
     let found = characterise(&mut rows, "ballbar")?;
     circles(&mut rows, &found);
-    grown_reversal(&mut rows, &run)?;
     progress("WO 97/43703: linear displacement, tool changes");
     let found = characterise(&mut rows, "linear-displacement")?;
     let linear = displacement(&mut rows, &found);
@@ -145,13 +144,6 @@ pub(crate) fn run(
     let model = wet_model(&mut rows, &centre, &run, &drift)?;
     progress("WO 97/43703: drilling, tests 1 to 3");
     drilling(&mut rows, &run, &model, (linear, positioning, thermal))?;
-    for (place, what) in [
-        ("Figure 1", "flow of modelling and compensation"),
-        ("Figures 2, 3, 5, 7, 8, 16", "set-ups and places of sensors"),
-        ("Figure 20", "block diagram of the controller"),
-    ] {
-        rows.not((place, what, ""), "diagram", "", "no figures in it");
-    }
     Ok(rows)
 }
 

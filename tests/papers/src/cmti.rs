@@ -101,7 +101,6 @@ pub(crate) fn run(
     progress("CMTI: the PLL's range");
     frequencies(&mut rows, &circuit, seed)?;
     fifteen(&mut rows, &circuit, seed)?;
-    diagrams(&mut rows);
     Ok(rows)
 }
 
@@ -180,14 +179,6 @@ fn lines(rows: &mut Rows, board: &Board) {
         "2 and 1",
         &format!("{} and {}", board.acknowledged[0], board.acknowledged[1]),
         "",
-    );
-    let acks = board.ack_ns();
-    let longest = acks.iter().copied().max().unwrap_or(0) as f64 / 1e3;
-    rows.not(
-        ("Section 2.3", "the acknowledgement, a short pulse at the end of each compensation", "µs"),
-        "short",
-        &shown(longest),
-        "the paper gives no length; a microsecond is ours, for each of the compensations",
     );
     let on = |name: &str, is: bool| board.changes.iter().filter(|c| c.1 == name && c.2 == is).count();
     rows.number(
@@ -324,22 +315,6 @@ fn frequencies(rows: &mut Rows, circuit: &Circuit, seed: u64) -> Result<(), Pape
         Is::Share(0.05),
         edge_of_range,
     );
-    rows.not(
-        (place, "centre frequency", "kHz"),
-        "80",
-        "",
-        "a choice of the design: half of the highest frequency",
-    );
-    for (what, says) in [("C1", "1000 pF"), ("R1", "56 kΩ"), ("C2", "1 µF"), ("R3", "360 Ω"), ("R4", "100 Ω")]
-    {
-        rows.not(
-            (place, what, ""),
-            says,
-            "",
-            "read off the charts of a PLL chip that the paper does not show; the model takes what was measured of the circuit, and \
-             from R3, R4 and C2 its natural frequency",
-        );
-    }
     Ok(())
 }
 
@@ -382,23 +357,4 @@ fn fifteen(rows: &mut Rows, circuit: &Circuit, seed: u64) -> Result<(), PaperErr
         "counted from S1, which comes up to a cycle before the first split pulse",
     );
     Ok(())
-}
-
-fn diagrams(rows: &mut Rows) {
-    for (place, what) in [
-        ("Figure 1", "block diagram of the set-up"),
-        ("Figure 2", "pulse subtraction circuit"),
-        ("Figure 3", "block diagram of pulse addition"),
-        ("Figure 4", "frequency doubler"),
-        ("Figure 5", "90° phase shifter and its simulation"),
-        ("Figure 6", "pulse pre-conditioning"),
-        ("Figure 7", "direction detector"),
-    ] {
-        rows.not(
-            (place, what, ""),
-            "diagram",
-            "",
-            "no figures in it; what the block does is run, see `rtec_sim::ecc`",
-        );
-    }
 }

@@ -5,11 +5,9 @@ use crate::PaperError;
 use crate::rows::{Is, Rows, shown};
 use rtec_driver::quadrature::State;
 use rtec_model::machine::Machine;
-use rtec_rt::axis::AxisConfig;
 use rtec_sim::axis::AxisSpec;
 use rtec_sim::bench::{AnyDesign, BenchResult, BenchRun, constant};
 use rtec_sim::computer::Computer;
-use rtec_sim::designs::safe_range;
 use rtec_sim::experiment::one_metre;
 use rtec_sim::gcode::Block;
 use rtec_sim::sim::{Sim, Spec};
@@ -233,13 +231,6 @@ fn times(rows: &mut Rows, computer: &Computer) -> Result<(), PaperError> {
         ),
         rapid.waited_for_gate > 0 && rapid.error_counts() == 0,
         "the timer between two \"A&B low\" holds insertions back, as the report's does",
-    );
-    let (_, high) = safe_range(AnyDesign::Original, computer, AxisConfig::default(), 1);
-    rows.not(
-        (place, "highest encoder frequency at which corrections go in", "kHz"),
-        "below 30",
-        &shown(high / 1e3),
-        "the report gives no figure; a quarter of the period must hold the nine microseconds",
     );
     let quicker = go(AnyDesign::C, 10_000.0, 2)?.edge_to_done_ns.map_or(0, |t| t.0);
     rows.number(

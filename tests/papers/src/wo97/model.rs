@@ -2,14 +2,13 @@
 
 use super::{Centre, Run, error_of, record};
 use crate::PaperError;
-use crate::rows::{Is, Rows, shown};
+use crate::rows::{Is, Rows};
 use rtec_fit::thermal::{self, Options, ROUNDS, Report};
 use rtec_measure::plot::{Chart, Series, Style};
 use rtec_model::effect::Need;
 use rtec_model::machine::{Machine, Provenance};
 use rtec_model::record::{Record, Role};
 use rtec_sim::experiment::Findings;
-use rtec_sim::heat::SENSORS;
 
 fn correlation(a: &[f64], b: &[f64]) -> f64 {
     let n = a.len().min(b.len()) as f64;
@@ -57,15 +56,6 @@ pub(super) fn wet_model(
         Is::Within(0.02),
         "places of the sensors are those of the simulated network",
     );
-    let mut ranked: Vec<(f64, &str)> =
-        SENSORS.iter().map(|s| (correlation(&of(s.0), &z_heated).abs(), s.0)).collect();
-    ranked.sort_by(|a, b| b.0.total_cmp(&a.0));
-    rows.not(
-        ("Figure 17", "highest γ with the growth in Z: sensor", ""),
-        "13",
-        ranked.first().map_or("", |r| r.1),
-        "which sensor leads depends on where it sits",
-    );
     let offered = wet.names(&Role::Temperature).count();
     rows.number(("CASC", "sensors to begin with", ""), 20.0, offered as f64, Is::Within(0.0), "");
     let options =
@@ -103,18 +93,7 @@ pub(super) fn wet_model(
                 "",
             );
         }
-        rows.not(
-            (
-                "Figures 18 and 19",
-                &format!("left of the growth in {axis} by the fitted model, RMS over blocks it had not seen"),
-                "µm",
-            ),
-            "curve",
-            &shown(report.rms_um.folds_mean),
-            "curves without figures",
-        );
     }
-    selected(rows, &reports);
     modelled(rows, wet, &model)?;
     Ok(model)
 }
@@ -149,24 +128,6 @@ pub(super) fn from_wet_runs(run: &Run<'_>) -> Result<Machine, PaperError> {
         Options { base: Some(geometry(run.truth)?), date: 20_000, speed: false, ..Options::default() };
     let drift = run.experiment("drift", None)?;
     Ok(fitted(run, record(&drift, "drift-wet")?, &options)?.0)
-}
-
-/// Which sensors the fit reads, beside the patent's.
-fn selected(rows: &mut Rows, reports: &[Report]) {
-    for (axis, says) in [("X", "T8, T15, T18"), ("Y", "T6, T8, T18"), ("Z", "T7, T9, T11, T18, T20")] {
-        let own = reports.iter().find(|r| r.response == format!("error.{}", axis.to_lowercase()));
-        let mut ours: Vec<String> = own
-            .map(|r| r.effects.iter().flat_map(|e| e.sensor.iter().chain(&e.minus).cloned()).collect())
-            .unwrap_or_default();
-        ours.sort();
-        ours.dedup();
-        rows.not(
-            ("Text before equation 2", &format!("sensors selected for {axis}"), ""),
-            says,
-            &ours.join(", "),
-            "which sensors are chosen depends on where they sit: figure 8 shows it, without a list",
-        );
-    }
 }
 
 /// What the geometric characterisation gives: everything of the true machine that is at rest and cold.

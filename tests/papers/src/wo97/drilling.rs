@@ -89,29 +89,6 @@ pub(super) fn drilling(
             "root sum of squares of table 6's scale, positioning and wet thermal errors, which gives the paper's figures of its own",
         );
     }
-    for (figure, test, name) in [
-        ("21", &test_1, "test 1, cold, not compensated"),
-        ("22", &test_2, "test 2, warm, compensated"),
-        ("23", &test_3, "test 3, cold, compensated"),
-    ] {
-        for (p, axis) in AXES.iter().enumerate() {
-            for (k, cycle) in ["I", "II", "III"].into_iter().enumerate() {
-                for pass in 0..2 {
-                    let begin = CYCLE_ROWS * k + CYCLE_ROWS / 2 * pass;
-                    rows.not(
-                        (
-                            &format!("Figure {figure}{}", ["a", "b", "c"][p]),
-                            &format!("{name}: largest deviation in {axis}, cycle {cycle}, pass {}", pass + 1),
-                            "in",
-                        ),
-                        "plotted within ±0.004",
-                        &shown(worst(test, p, begin..begin + CYCLE_ROWS / 2)),
-                        "curves without figures",
-                    );
-                }
-            }
-        }
-    }
     for (test, name) in [(&test_2, "2, warm"), (&test_3, "3, cold")] {
         for (p, axis) in AXES.iter().enumerate() {
             let (with, without) = (worst(test, p, 0..3 * CYCLE_ROWS), worst(&test_1, p, 0..3 * CYCLE_ROWS));

@@ -10,8 +10,6 @@ pub enum Verdict {
     Agrees,
     /// Not, for a reason that is stated.
     Differs,
-    /// It cannot be compared, for a reason that is stated.
-    NotCompared,
 }
 
 /// One table entry, figure, or figure in the text.
@@ -27,7 +25,7 @@ pub struct Row {
     pub says: String,
     /// The same as a number, where it is one.
     pub paper: Option<f64>,
-    /// What came out, as it is shown; empty where nothing can be compared.
+    /// What came out, as it is shown.
     pub gets: String,
     /// The same as a number, where it is one.
     pub we: Option<f64>,
@@ -64,7 +62,7 @@ impl Is {
         }
     }
 
-    /// Agreement would say nothing: a figure of the other sign, or none, would agree as well. (Of a zero it says how small it is.)
+    /// Zero or the other sign would agree as well. A source's zero is compared all the same.
     fn cannot_tell(self, says: f64) -> bool {
         matches!(self, Self::Within(apart) if says != 0.0 && apart >= says.abs())
     }
@@ -83,8 +81,10 @@ impl Is {
 /// Rows in the making, and the figures drawn on the way: file name and text.
 #[derive(Debug, Default)]
 pub(crate) struct Rows {
-    pub(crate) rows: Vec<Row>,
+    pub(crate) list: Vec<Row>,
     pub(crate) figures: Vec<(String, String)>,
+    /// Figures no larger than their tolerance: agreement would tell nothing.
+    pub(crate) too_small: usize,
 }
 
 /// A number as people read it: four digits that count.
@@ -101,7 +101,7 @@ pub(crate) fn shown(v: f64) -> String {
 }
 
 impl Rows {
-    /// A number. `why` says what sets the two apart, and is shown where they are not the same.
+    /// Compares a number. `why` is shown where the two differ. A figure within its own tolerance of zero is only counted.
     pub(crate) fn number(
         &mut self,
         (place, what, unit): (&str, &str, &'static str),
@@ -112,8 +112,11 @@ impl Rows {
     ) {
         let met = is.met(says, gets);
         let same = shown(says) == shown(gets);
-        let vague = met && !same && is.cannot_tell(says);
-        self.rows.push(Row {
+        if met && !same && is.cannot_tell(says) {
+            self.too_small += 1;
+            return;
+        }
+        self.list.push(Row {
             place: place.to_owned(),
             what: what.to_owned(),
             unit,
@@ -126,19 +129,8 @@ impl Rows {
             gets: shown(gets),
             we: Some(gets),
             agreement: is.words(unit),
-            verdict: match (met, vague) {
-                (_, true) => Verdict::NotCompared,
-                (true, false) => Verdict::Agrees,
-                (false, false) => Verdict::Differs,
-            },
-            why: match (same, vague) {
-                (true, _) => String::new(),
-                (false, true) => format!(
-                    "cannot tell: the figure is no larger than what it may be off ({})",
-                    is.words(unit)
-                ),
-                (false, false) => why.to_owned(),
-            },
+            verdict: if met { Verdict::Agrees } else { Verdict::Differs },
+            why: if same { String::new() } else { why.to_owned() },
         });
     }
 
@@ -156,7 +148,7 @@ impl Rows {
         holds: bool,
         why: &str,
     ) {
-        self.rows.push(Row {
+        self.list.push(Row {
             place: place.to_owned(),
             what: what.to_owned(),
             unit: "",
@@ -167,28 +159,6 @@ impl Rows {
             agreement: "holds".to_owned(),
             verdict: if holds { Verdict::Agrees } else { Verdict::Differs },
             why: if holds && says == gets { String::new() } else { why.to_owned() },
-        });
-    }
-
-    /// A figure that cannot be compared; what is known of it all the same may stand in `gets`.
-    pub(crate) fn not(
-        &mut self,
-        (place, what, unit): (&str, &str, &'static str),
-        says: &str,
-        gets: &str,
-        why: &str,
-    ) {
-        self.rows.push(Row {
-            place: place.to_owned(),
-            what: what.to_owned(),
-            unit,
-            says: says.to_owned(),
-            paper: says.parse().ok(),
-            gets: gets.to_owned(),
-            we: gets.parse().ok(),
-            agreement: String::new(),
-            verdict: Verdict::NotCompared,
-            why: why.to_owned(),
         });
     }
 }
@@ -210,16 +180,15 @@ mod tests {
         let mut rows = Rows::default();
         rows.number(("t", "w", ""), 1.0, 1.0, Is::Within(0.0), "never shown");
         rows.number(("t", "w", ""), 1.0, 2.0, Is::Within(0.0), "shown");
-        assert_eq!((rows.rows[0].why.as_str(), rows.rows[0].verdict), ("", Verdict::Agrees));
+        assert_eq!((rows.list[0].why.as_str(), rows.list[0].verdict), ("", Verdict::Agrees));
         // As far off as the figure is large: zero and the other sign would agree too.
         rows.number(("t", "w", "in"), 0.0002, -0.0001, Is::Within(0.0003), "");
-        assert_eq!(rows.rows[2].verdict, Verdict::NotCompared);
-        assert!(rows.rows[2].why.contains("cannot tell"), "{}", rows.rows[2].why);
+        assert_eq!((rows.list.len(), rows.too_small), (2, 1));
         rows.number(("t", "w", "in"), 0.0002, 0.0009, Is::Within(0.0003), "");
         rows.number(("t", "w", "in"), 0.0004, 0.0003, Is::Within(0.0003), "");
         rows.number(("t", "w", "in"), 0.0, 0.0001, Is::Within(0.0003), "");
-        let verdicts: Vec<Verdict> = rows.rows[3..].iter().map(|r| r.verdict).collect();
+        let verdicts: Vec<Verdict> = rows.list[2..].iter().map(|r| r.verdict).collect();
         assert_eq!(verdicts, [Verdict::Differs, Verdict::Agrees, Verdict::Agrees]);
-        assert_eq!((rows.rows[1].why.as_str(), rows.rows[1].verdict), ("shown", Verdict::Differs));
+        assert_eq!((rows.list[1].why.as_str(), rows.list[1].verdict), ("shown", Verdict::Differs));
     }
 }

@@ -5,7 +5,7 @@ mod designs;
 mod signals;
 
 use crate::PaperError;
-use crate::rows::{Is, Rows, shown};
+use crate::rows::{Is, Rows};
 use rtec_driver::quadrature::State;
 use rtec_model::machine::Machine;
 use rtec_model::record::Role;
@@ -28,8 +28,6 @@ struct Bench {
     travel_mm: f64,
     rapid_mm_min: f64,
     cutting_mm_min: f64,
-    probing_mm_min: f64,
-    slower_probing: f64,
     part_share: f64,
     correction_bits: u32,
     window_corrections: i64,
@@ -69,7 +67,6 @@ pub(crate) fn run(
     let (computer, faster) = (bench.computer.computer(), bench.faster_computer.computer());
     let mut rows = Rows::default();
     progress("NISTIR 4832: the axis over its travel, the pulses");
-    introduction(&mut rows, &bench);
     signals::signals(&mut rows, &bench, seed)?;
     signals::pulses(&mut rows, &bench, &computer)?;
     for design in AnyDesign::ALL {
@@ -88,28 +85,11 @@ pub(crate) fn run(
     belief::range(&mut rows, &bench, &computer)?;
     belief::belief(&mut rows, &bench)?;
     belief::switches(&mut rows)?;
-    diagrams(&mut rows);
     Ok(rows)
 }
 
 fn cannot(what: &str) -> PaperError {
     PaperError::Cannot(format!("NISTIR 4832: {what} cannot be run on the machine as described"))
-}
-
-fn introduction(rows: &mut Rows, bench: &Bench) {
-    let place = "Introduction";
-    rows.not(
-        (place, "probing feed", "m/min"),
-        "2.5",
-        &shown(bench.probing_mm_min / 1e3),
-        "a choice, put in; what it costs and saves is measured in 4854",
-    );
-    rows.not(
-        (place, "faster than the rate commonly used", "times"),
-        "20",
-        &shown(bench.slower_probing),
-        "put in; NISTIR 4854 says 10 to 20 and is run at both feeds",
-    );
 }
 
 /// 240 µm over one metre, one correction every 16 700 µm, fifteen over a quarter of the travel.
@@ -146,13 +126,6 @@ fn linear(rows: &mut Rows, bench: &Bench, machine: &Machine, seed: u64) -> Resul
         Is::Within(0.0),
         other,
     );
-    let worst = |e: &[f64]| e.iter().fold(0.0_f64, |w, e| w.max(e.abs()));
-    rows.not(
-        (place, "largest error of the part, corrected", "µm"),
-        "-",
-        &shown(worst(&ce)),
-        "the report gives none; half a correction of 4 µm is the least",
-    );
     // A new value only every so often.
     let place = "Alternate Configurations";
     let mut sim = Sim::new(&spec, machine, Some(machine), [0.0; 3], seed)?;
@@ -180,15 +153,4 @@ fn linear(rows: &mut Rows, bench: &Bench, machine: &Machine, seed: u64) -> Resul
         "10 ms",
     );
     Ok(())
-}
-
-fn diagrams(rows: &mut Rows) {
-    rows.not(("Figure 1", "system overview", ""), "diagram", "", "no figures in it");
-    rows.not(("Figure 3", "generic RTEC: block diagram", ""), "diagram", "", "no figures in it");
-    rows.not(
-        ("The \"Right Way\"", "response to a probe's trip", ""),
-        "microseconds rather than milliseconds",
-        "",
-        "4854 gives the figure, 25 µs, and is measured there",
-    );
 }
