@@ -133,7 +133,7 @@ def check_spelling(name, texts):
 
 def comments(code):
     """(line, text, is a doc comment) of every comment paragraph of a Rust file."""
-    found, buffer, begin, kind = [], [], 0, None
+    found, buffer, begin, kind, fence = [], [], 0, None, False
 
     def flush():
         if buffer:
@@ -143,6 +143,9 @@ def comments(code):
     for number, line in enumerate(code.splitlines(), 1):
         match = re.match(r"\s*(///|//!|//)(?!/)\s?(.*)", line)
         text = match.group(2).strip() if match else ""
+        fence = bool(match) and fence != text.startswith("```")
+        if fence:
+            text = ""
         if not match or match.group(1) != kind or not text or re.match(r"[|#`]|[*-] |\d+\. ", text):
             flush()
         if match and text and not re.match(r"[|#`]", text):

@@ -240,7 +240,9 @@ pub struct Trial {
     pub config: PathBuf,
     /// The daemon's control socket.
     pub socket: PathBuf,
-    /// How often it is killed. Every fourth kill is aimed: between the two inversions of an insertion.
+    /// How often it is killed.
+    ///
+    /// Every fourth kill is aimed: between the two inversions of an insertion.
     pub kills: u32,
     /// Of the random moments and totals.
     pub seed: u64,

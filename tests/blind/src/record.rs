@@ -103,7 +103,9 @@ pub struct Quoted {
     pub by: &'static str,
     /// On how much: cases, seeds, edges, minutes.
     pub on: &'static str,
-    /// The figures with unit and error, as the pages quote them. Of a share (`17 of 19`) the number of cases gives the error.
+    /// The figures with unit and error, as the pages quote them.
+    ///
+    /// Of a share (`17 of 19`) the number of cases gives the error.
     pub figures: &'static [&'static str],
     /// The pages that quote it: all figures or some, never another.
     pub pages: &'static [&'static str],

@@ -63,7 +63,9 @@ impl Motion {
     }
 }
 
-/// When vt + at²/2 first is d, s. Of two ways to write the root the one without a difference of near numbers.
+/// When vt + at²/2 first is d, s.
+///
+/// Of two ways to write the root the one without a difference of near numbers.
 fn first_s(v: f64, a: f64, d: f64) -> f64 {
     let root = (v * v + 2.0 * a * d).max(0.0).sqrt();
     2.0 * d / (v + root.copysign(d))

@@ -1,7 +1,7 @@
 //! CMTI (2014): the Error Correction Circuit.
 
 use crate::PaperError;
-use crate::rows::{Is, Rows, shown};
+use crate::rows::{Agreement, Rows, shown};
 use rtec_rt::axis::AxisConfig;
 use rtec_sim::bench::{AnyDesign, BenchRun, Edge, constant};
 use rtec_sim::computer::Computer;
@@ -145,7 +145,7 @@ fn table_1(rows: &mut Rows, circuit: &Circuit, seed: u64) -> Result<(), PaperErr
             ("Table 1", &format!("S1 = {}, S0 = {}: {says}", u8::from(s1), u8::from(s0)), "counts"),
             per_pulse * pulses,
             came,
-            Is::Within(0.0),
+            Agreement::Within(0.0),
             "the PLL of the machine file does not lock at the speed shown",
         );
     }
@@ -171,7 +171,7 @@ fn lines(rows: &mut Rows, board: &Board) {
         (place, "counts on X of one subtraction and one addition", ""),
         0.0,
         board.mtc_minus_scale[0] as f64,
-        Is::Within(0.0),
+        Agreement::Within(0.0),
         "",
     );
     rows.words(
@@ -185,7 +185,7 @@ fn lines(rows: &mut Rows, board: &Board) {
         ("Section 2.3", "acknowledgement pulses in the trace of three compensations", ""),
         3.0,
         on("ack", true) as f64,
-        Is::Within(0.0),
+        Agreement::Within(0.0),
         "",
     );
 }
@@ -199,7 +199,7 @@ fn shown_pulses(rows: &mut Rows, board: &Board) {
         (place, "pulses added for a value of 3", ""),
         3.0,
         mtc as f64 - scale as f64,
-        Is::Within(0.0),
+        Agreement::Within(0.0),
         other,
     );
     let mut before = 0;
@@ -216,21 +216,21 @@ fn shown_pulses(rows: &mut Rows, board: &Board) {
         (place, "pulses subtracted for a value of 3", ""),
         3.0,
         f64::from(before - blocked),
-        Is::Within(0.0),
+        Agreement::Within(0.0),
         other,
     );
     rows.number(
         (place, "the 90° between A and B, largest deviation", "°"),
         0.0,
         board.worst_phase_mdeg as f64 / 1e3,
-        Is::Within(0.5),
+        Agreement::Within(0.5),
         "the PLL of the machine file is not clean at the speed shown",
     );
     rows.number(
         (place, "illegal states at the controller", ""),
         0.0,
         (board.illegal[0] + board.illegal[1]) as f64,
-        Is::Within(0.0),
+        Agreement::Within(0.0),
         "",
     );
 }
@@ -253,14 +253,14 @@ fn frequencies(rows: &mut Rows, circuit: &Circuit, seed: u64) -> Result<(), Pape
         (place, "encoder at 10 m/min, 2500 pulses a turn of 5 mm", "kHz"),
         80.0,
         a as f64 / 100.0,
-        Is::Share(0.05),
+        Agreement::Share(0.05),
         about,
     );
     rows.number(
         (place, "XOR of A and B at that speed", "kHz"),
         160.0,
         xor as f64 / 100.0,
-        Is::Share(0.05),
+        Agreement::Share(0.05),
         about,
     );
     let dsp = Computer::dsp();
@@ -272,10 +272,10 @@ fn frequencies(rows: &mut Rows, circuit: &Circuit, seed: u64) -> Result<(), Pape
         (place, "doubling is perfect from (XOR)", "kHz"),
         2.3,
         2.0 * low / 1e3,
-        Is::Share(0.01),
+        Agreement::Share(0.01),
         put_in,
     );
-    rows.number((place, "to (XOR)", "kHz"), 125.0, 2.0 * high / 1e3, Is::Share(0.01), put_in);
+    rows.number((place, "to (XOR)", "kHz"), 125.0, 2.0 * high / 1e3, Agreement::Share(0.01), put_in);
     let edge_of_range = "put in as the loop's lock range, and found again by bisection: beyond it the controller asks for no addition";
     // Doubling at all: the right number, whatever the phase.
     let counts = |xor_hz: f64| {
@@ -305,14 +305,14 @@ fn frequencies(rows: &mut Rows, circuit: &Circuit, seed: u64) -> Result<(), Pape
         (place, "it begins to double at (XOR)", "kHz"),
         0.7,
         edge(middle, 100.0) / 1e3,
-        Is::Share(0.2),
+        Agreement::Share(0.2),
         edge_of_range,
     );
     rows.number(
         (place, "it goes on to (XOR)", "kHz"),
         160.0,
         edge(middle, 1e6) / 1e3,
-        Is::Share(0.05),
+        Agreement::Share(0.05),
         edge_of_range,
     );
     Ok(())
@@ -339,7 +339,7 @@ fn fifteen(rows: &mut Rows, circuit: &Circuit, seed: u64) -> Result<(), PaperErr
         (place, "largest compensation value, pulses: four bits", ""),
         15.0,
         most as f64,
-        Is::Within(0.0),
+        Agreement::Within(0.0),
         "the PLL of the machine file does not lock at the speed shown",
     );
     let (board, _) = both(circuit, &[Order { x: true, s1: true, s0: true, value: MAX_PULSES as u8 }], seed)?;
@@ -353,7 +353,7 @@ fn fifteen(rows: &mut Rows, circuit: &Circuit, seed: u64) -> Result<(), PaperErr
         (place, "pulses passed while 15 are added, twice the value: the full adder's sum", ""),
         30.0,
         mtc - (scale - 15.0).max(0.0),
-        Is::Within(1.0),
+        Agreement::Within(1.0),
         "counted from S1, which comes up to a cycle before the first split pulse",
     );
     Ok(())

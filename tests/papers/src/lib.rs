@@ -120,7 +120,9 @@ impl Paper {
         PAPERS.iter().find(|p| p.name == name)
     }
 
-    /// Runs everything that the source gives a figure of. `progress` is told what is under way.
+    /// Runs everything that the source gives a figure of.
+    ///
+    /// `progress` is told what is under way.
     ///
     /// # Errors
     /// A description that is not right, or a machine that stops.

@@ -1,4 +1,6 @@
-//! `rtec-papers`: prints what the sources say beside what the simulated machines give, and draws the sources' figures.
+//! Prints the sources beside what the simulated machines give.
+//!
+//! It draws the sources' figures too.
 
 use anyhow::Context;
 use clap::Parser as _;
@@ -11,7 +13,7 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-/// Compares the tables and figures of the sources with what the simulation gives now
+/// Compares the sources with what the simulation gives now
 #[derive(Debug, clap::Parser)]
 struct Args {
     /// The source: 4832 (or nistir4832), 4854, cmti or wo97 [default: all four]
@@ -20,7 +22,7 @@ struct Args {
     /// Take the machines' files from this folder; missing ones are built in
     #[arg(long, value_name = "DIR")]
     from: Option<PathBuf>,
-    /// Write the machines' files and the trace of the Error Correction Circuit into this folder, and end
+    /// Write the machines' files and the circuit's trace into this folder, and end
     #[arg(long, value_name = "DIR")]
     write: Option<PathBuf>,
     /// Draw the source's figures into this folder
@@ -88,13 +90,11 @@ fn input_error(error: PaperError) -> anyhow::Error {
     }
 }
 
-/// A source as a table: place, what, paper, we. A row that differs has the number of its reason; the reason follows the first
-/// such row of a place.
+/// A source as a table: place, what, paper, we.
+///
+/// A row that differs has the number of its reason. The reason follows the first such row of a place.
 fn table(c: &Compared, differ: bool) -> String {
-    let mut text = format!(
-        "{}, seed {}\n{} agree, {} differ\n",
-        c.title, c.seed, c.agree, c.differ
-    );
+    let mut text = format!("{}, seed {}\n{} agree, {} differ\n", c.title, c.seed, c.agree, c.differ);
     let mut reasons: Vec<&str> = Vec::new();
     let (mut place, mut said) = ("", Vec::new());
     for row in c.rows.iter().filter(|r| !differ || r.verdict == Verdict::Differs) {

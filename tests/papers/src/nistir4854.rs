@@ -1,7 +1,7 @@
 //! NISTIR 4854: fast probing, a part-form error and its compensation.
 
 use crate::PaperError;
-use crate::rows::{Is, Rows};
+use crate::rows::{Agreement, Rows};
 use rtec_model::machine::Machine;
 use rtec_part::contour::nose;
 use rtec_part::cor::PointError;
@@ -104,8 +104,8 @@ fn gauging(rows: &mut Rows, lathe: &Lathe, seed: u64) -> Result<(), PaperError> 
     let setup = lathe.setup(seed);
     let from = "from the acceleration and deceleration of the machine file, which were read out of this very sentence";
     let (off, over) = (setup.motion.stand_off_mm(), setup.motion.over_travel_mm());
-    rows.number((place, "stand-off", "mm"), 5.0, off, Is::Within(0.05), from);
-    rows.number((place, "over-travel", "mm"), 2.5, over, Is::Within(0.05), from);
+    rows.number((place, "stand-off", "mm"), 5.0, off, Agreement::Within(0.05), from);
+    rows.number((place, "over-travel", "mm"), 2.5, over, Agreement::Within(0.05), from);
     let bench = &lathe.bench;
     let axis = AxisSpec {
         count_um: bench.count_um,
@@ -133,7 +133,7 @@ fn gauging(rows: &mut Rows, lathe: &Lathe, seed: u64) -> Result<(), PaperError> 
         (place, "of the touch at constant velocity (within 1 %)", "mm"),
         2.0,
         constant_mm,
-        Is::Within(0.5),
+        Agreement::Within(0.5),
         "\"about\"; the servo settles to 1 % of the velocity a little after the ramp",
     );
     Ok(())
@@ -146,14 +146,14 @@ fn probing(rows: &mut Rows, lathe: &Lathe, o: &TurningOutcome) {
         (place, "a capture 25 µs late at 2.5 m/min costs the position resolution", "µm"),
         1.0,
         fast.late_25us_um,
-        Is::Within(0.05),
+        Agreement::Within(0.05),
         "41.7 mm/s times 25 µs",
     );
     rows.number(
         (place, "captured within the position resolution, largest of 20 trips", "µm"),
         lathe.bench.count_um,
         fast.capture_worst_um,
-        Is::AtMost,
+        Agreement::AtMost,
         "positions are interpolated between two counts",
     );
     rows.number(
@@ -164,7 +164,7 @@ fn probing(rows: &mut Rows, lathe: &Lathe, o: &TurningOutcome) {
         ),
         1.0,
         fast.late_1ms_um,
-        Is::AtLeast,
+        Agreement::AtLeast,
         "41.7 mm/s times 1 ms",
     );
     let place = "The RTEC; Introduction of 4832";
@@ -172,7 +172,7 @@ fn probing(rows: &mut Rows, lathe: &Lathe, o: &TurningOutcome) {
         (place, "faster than commonly used: 10 to 20 times in feed", "times"),
         20.0,
         fast.feed_mm_min / slow.feed_mm_min,
-        Is::Within(0.0),
+        Agreement::Within(0.0),
         "",
     );
 }
@@ -181,14 +181,14 @@ fn form(rows: &mut Rows, o: &TurningOutcome) {
     let place = "Part-Form Error; figure 5";
     let seeds = "one cut of one tool there, one of other noise here";
     let semi = &o.semi_finish;
-    rows.number((place, "height of the bump", "µm"), 23.0, semi.bump_um, Is::Within(1.5), seeds);
-    rows.number((place, "largest error bar", "µm"), 21.4, semi.largest_um, Is::Within(1.0), seeds);
+    rows.number((place, "height of the bump", "µm"), 23.0, semi.bump_um, Agreement::Within(1.5), seeds);
+    rows.number((place, "largest error bar", "µm"), 21.4, semi.largest_um, Agreement::Within(1.0), seeds);
     let report = &o.reports[0].1;
     rows.number(
         (place, "points probed", ""),
         20.0,
         report.errors.len() as f64,
-        Is::Within(0.0),
+        Agreement::Within(0.0),
         "the machine file has another number",
     );
     let on_bump = report.errors.iter().filter(|e| e.error_um > 0.5).count();
@@ -196,7 +196,7 @@ fn form(rows: &mut Rows, o: &TurningOutcome) {
         (place, "points on the bump, about", ""),
         6.0,
         on_bump as f64,
-        Is::Within(1.0),
+        Agreement::Within(1.0),
         "read off figure 5 there; points above 0.5 µm here",
     );
     let place = "Part Error Calculations";
@@ -204,14 +204,14 @@ fn form(rows: &mut Rows, o: &TurningOutcome) {
         (place, "SD of the circle fit, all points", "µm"),
         5.6,
         semi.sd_before_um,
-        Is::Within(0.7),
+        Agreement::Within(0.7),
         "the shape of the bump beyond its height and points is not given",
     );
     rows.number(
         (place, "SD of the second fit", "µm"),
         1.7,
         semi.sd_after_um,
-        Is::Within(1.0),
+        Agreement::Within(1.0),
         "the probe here repeats better than 1.7 µm, and the flanks of the bump are left out",
     );
     corrected(rows, o);
@@ -225,14 +225,14 @@ fn corrected(rows: &mut Rows, o: &TurningOutcome) {
         (place, "one correction", "µm"),
         4.0,
         o.increment_um,
-        Is::Within(0.0),
+        Agreement::Within(0.0),
         "the machine file has another design or count",
     );
     rows.number(
         (place, "corrections for the largest error", ""),
         5.0,
         o.corrections as f64,
-        Is::Within(0.0),
+        Agreement::Within(0.0),
         "21.4 µm in steps of 4 µm, rounded",
     );
     let place = "Figure 6";
@@ -240,21 +240,21 @@ fn corrected(rows: &mut Rows, o: &TurningOutcome) {
         (place, "longest error bar after the finish cut", "µm"),
         4.0,
         o.finish.largest_um,
-        Is::AtMost,
+        Agreement::AtMost,
         "ours may be less: half a correction is the least",
     );
     rows.number(
         (place, "SD of the circle fit", "µm"),
         2.0,
         o.finish.sd_before_um,
-        Is::AtMost,
+        Agreement::AtMost,
         "less noise of probe and cut than the report's",
     );
     rows.number(
         (place, "the components of the errors are below the correction resolution", "µm"),
         o.increment_um,
         component(&o.reports[1].1),
-        Is::AtMost,
+        Agreement::AtMost,
         "",
     );
     rows.holds(
@@ -268,7 +268,7 @@ fn corrected(rows: &mut Rows, o: &TurningOutcome) {
         ("CAD Error Display", "a 4 µm error is drawn as", "mm"),
         1.0,
         4e-3 * MAGNIFICATION,
-        Is::Within(1e-9),
+        Agreement::Within(1e-9),
         "",
     );
     let place = "The Determination of Part-Form Errors";
@@ -276,14 +276,14 @@ fn corrected(rows: &mut Rows, o: &TurningOutcome) {
         (place, "radius of the nose", "mm"),
         38.1,
         report_radius(&o.reports[1].1),
-        Is::Within(0.01),
+        Agreement::Within(0.01),
         "as fitted to what was probed",
     );
     rows.number(
         (place, "the semi-finish cut is larger in radius by", "mm"),
         0.254,
         report_radius(report) - report_radius(&o.reports[1].1),
-        Is::Within(0.005),
+        Agreement::Within(0.005),
         "between the two fitted radii",
     );
 }
@@ -320,21 +320,21 @@ fn program(rows: &mut Rows, lathe: &Lathe, o: &TurningOutcome, plain: usize) {
         (place, "G01 lines that stay within about 1.5 µm of the arc", ""),
         90.0,
         plain as f64,
-        Is::Share(0.05),
+        Agreement::Share(0.05),
         "of the path of the nose's centre, and coordinates of four decimals",
     );
     rows.number(
         (place, "the same with the errors in them", ""),
         90.0,
         o.program_lines as f64,
-        Is::Share(0.05),
+        Agreement::Share(0.05),
         "shorter where the errors bend",
     );
     rows.number(
         ("Implementing Corrections", "bits for the longest axis", "bits"),
         20.0,
         bits(lathe.longest_axis_mm * 1e3 / lathe.bench.count_um),
-        Is::Within(0.0),
+        Agreement::Within(0.0),
         "the machine file has another axis",
     );
     let most = f64::from((1_u32 << (lathe.correction_bits - 1)) - 1);
@@ -342,7 +342,7 @@ fn program(rows: &mut Rows, lathe: &Lathe, o: &TurningOutcome, plain: usize) {
         ("Implementing Corrections", "range of the \"Correction Requested\" byte, ±", "µm"),
         127.0,
         most * o.increment_um,
-        Is::Within(0.0),
+        Agreement::Within(0.0),
         "the report prints ±127 µm; ±127 corrections of 4 µm are ±508 µm, as NISTIR 4832 has it",
     );
 }
@@ -417,7 +417,13 @@ fn paths(rows: &mut Rows, lathe: &Lathe) -> Result<(), PaperError> {
     ] {
         let got = of(point, role);
         for (k, axis) in ["Z", "X"].iter().enumerate() {
-            rows.number((place, &format!("{what}, {axis}"), "in"), says[k], got[k], Is::Within(2e-6), why);
+            rows.number(
+                (place, &format!("{what}, {axis}"), "in"),
+                says[k],
+                got[k],
+                Agreement::Within(2e-6),
+                why,
+            );
         }
     }
     let place = "Requirements of NC Probing Code";
@@ -438,7 +444,7 @@ fn paths(rows: &mut Rows, lathe: &Lathe) -> Result<(), PaperError> {
         ("Operating Procedure", "longest line of general comments", "characters"),
         66.0,
         longest.unwrap_or(0) as f64,
-        Is::Within(0.0),
+        Agreement::Within(0.0),
         "",
     );
     let controller = Controller::built_in("report").transpose()?;
@@ -453,7 +459,7 @@ fn paths(rows: &mut Rows, lathe: &Lathe) -> Result<(), PaperError> {
         ),
         says.len() as f64,
         there as f64,
-        Is::Within(0.0),
+        Agreement::Within(0.0),
         "",
     );
     Ok(())
@@ -473,21 +479,21 @@ fn geometric_thermal(
         (place, "error components of the two-axis machine", ""),
         11.0,
         components as f64,
-        Is::Within(0.0),
+        Agreement::Within(0.0),
         "the machine file has another chain",
     );
     rows.number(
         (place, "a new correction about every", "ms"),
         50.0,
         lathe.bench.control_ms,
-        Is::Within(0.0),
+        Agreement::Within(0.0),
         "the machine file has another period",
     );
     rows.number(
         (place, "the tool moves in that time less than", "mm"),
         1.0,
         lathe.cut_mm_min / 60.0 * lathe.bench.control_ms * 1e-3,
-        Is::AtMost,
+        Agreement::AtMost,
         "at the feed of the finish cut",
     );
     let known =
@@ -497,7 +503,7 @@ fn geometric_thermal(
         (place, "nose cut on that machine an hour after switching on: longest error bar", "µm"),
         4.0,
         o.finish.largest_um,
-        Is::AtMost,
+        Agreement::AtMost,
         "model and table together, probing corrected off line",
     );
     Ok(())

@@ -39,7 +39,7 @@ pub struct Row {
 
 /// What counts as agreement.
 #[derive(Debug, Clone, Copy)]
-pub(crate) enum Is {
+pub(crate) enum Agreement {
     /// As many units apart at most.
     Within(f64),
     /// As large a share of the paper's figure apart at most.
@@ -50,7 +50,7 @@ pub(crate) enum Is {
     AtLeast,
 }
 
-impl Is {
+impl Agreement {
     fn met(self, says: f64, gets: f64) -> bool {
         // What is equal but for rounding is equal.
         let hair = 1e-9 * (1.0 + says.abs());
@@ -62,7 +62,9 @@ impl Is {
         }
     }
 
-    /// Zero or the other sign would agree as well. A source's zero is compared all the same.
+    /// Zero or the other sign would agree as well.
+    ///
+    /// A source's zero is compared all the same.
     fn cannot_tell(self, says: f64) -> bool {
         matches!(self, Self::Within(apart) if says != 0.0 && apart >= says.abs())
     }
@@ -101,13 +103,15 @@ pub(crate) fn shown(v: f64) -> String {
 }
 
 impl Rows {
-    /// Compares a number. `why` is shown where the two differ. A figure within its own tolerance of zero is only counted.
+    /// Compares a number.
+    ///
+    /// `why` is shown where the two differ. A figure within its own tolerance of zero is only counted.
     pub(crate) fn number(
         &mut self,
         (place, what, unit): (&str, &str, &'static str),
         says: f64,
         gets: f64,
-        is: Is,
+        is: Agreement,
         why: &str,
     ) {
         let met = is.met(says, gets);
@@ -121,8 +125,8 @@ impl Rows {
             what: what.to_owned(),
             unit,
             says: match is {
-                Is::AtMost => format!("≤ {}", shown(says)),
-                Is::AtLeast => format!("≥ {}", shown(says)),
+                Agreement::AtMost => format!("≤ {}", shown(says)),
+                Agreement::AtLeast => format!("≥ {}", shown(says)),
                 _ => shown(says),
             },
             paper: Some(says),
@@ -174,19 +178,23 @@ mod tests {
         {
             assert_eq!(shown(v), text);
         }
-        assert!(Is::Within(0.5).met(8.0, 8.333) && !Is::Within(0.1).met(8.0, 8.333));
-        assert!(Is::Share(0.05).met(30.0, 29.167) && !Is::Share(0.01).met(30.0, 29.167));
-        assert!(Is::AtMost.met(4.0, 2.9) && !Is::AtMost.met(4.0, 4.1) && Is::AtLeast.met(10.0, 14.0));
+        assert!(Agreement::Within(0.5).met(8.0, 8.333) && !Agreement::Within(0.1).met(8.0, 8.333));
+        assert!(Agreement::Share(0.05).met(30.0, 29.167) && !Agreement::Share(0.01).met(30.0, 29.167));
+        assert!(
+            Agreement::AtMost.met(4.0, 2.9)
+                && !Agreement::AtMost.met(4.0, 4.1)
+                && Agreement::AtLeast.met(10.0, 14.0)
+        );
         let mut rows = Rows::default();
-        rows.number(("t", "w", ""), 1.0, 1.0, Is::Within(0.0), "never shown");
-        rows.number(("t", "w", ""), 1.0, 2.0, Is::Within(0.0), "shown");
+        rows.number(("t", "w", ""), 1.0, 1.0, Agreement::Within(0.0), "never shown");
+        rows.number(("t", "w", ""), 1.0, 2.0, Agreement::Within(0.0), "shown");
         assert_eq!((rows.list[0].why.as_str(), rows.list[0].verdict), ("", Verdict::Agrees));
         // As far off as the figure is large: zero and the other sign would agree too.
-        rows.number(("t", "w", "in"), 0.0002, -0.0001, Is::Within(0.0003), "");
+        rows.number(("t", "w", "in"), 0.0002, -0.0001, Agreement::Within(0.0003), "");
         assert_eq!((rows.list.len(), rows.too_small), (2, 1));
-        rows.number(("t", "w", "in"), 0.0002, 0.0009, Is::Within(0.0003), "");
-        rows.number(("t", "w", "in"), 0.0004, 0.0003, Is::Within(0.0003), "");
-        rows.number(("t", "w", "in"), 0.0, 0.0001, Is::Within(0.0003), "");
+        rows.number(("t", "w", "in"), 0.0002, 0.0009, Agreement::Within(0.0003), "");
+        rows.number(("t", "w", "in"), 0.0004, 0.0003, Agreement::Within(0.0003), "");
+        rows.number(("t", "w", "in"), 0.0, 0.0001, Agreement::Within(0.0003), "");
         let verdicts: Vec<Verdict> = rows.list[2..].iter().map(|r| r.verdict).collect();
         assert_eq!(verdicts, [Verdict::Differs, Verdict::Agrees, Verdict::Agrees]);
         assert_eq!((rows.list[1].why.as_str(), rows.list[1].verdict), ("shown", Verdict::Differs));

@@ -1,4 +1,6 @@
-//! The sources beside the simulated machines: what agrees, what another machine changes, and what is refused.
+//! The sources beside the simulated machines.
+//!
+//! Tests of what agrees, what another machine changes, and what is refused.
 
 #![allow(clippy::unwrap_used)]
 
@@ -11,7 +13,7 @@ fn rtec_papers(arguments: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_rtec-papers")).args(arguments).output().unwrap()
 }
 
-/// Compares a source, with the machines' files of a folder, and checks that every row is complete.
+/// Compares a source and checks that every row is complete.
 fn compared(paper: &str, from: Option<&Path>, seed: u64) -> Compared {
     let described = Described { folder: from.map(Path::to_owned) };
     let compared = Paper::find(paper).unwrap().compare(&described, seed, &mut |_| ()).unwrap();
@@ -204,7 +206,7 @@ fn circuit_refuses_settings_beyond_its_limits() {
     assert!((we(&full, "Figures 8", "pulses added") - 15.0).abs() < 1e-9);
 }
 
-/// The loop doubles from 0.7 to 160 kHz (section 2.2.2) and not a hertz beyond, however the numbers fall.
+/// The loop doubles from 0.7 to 160 kHz and not beyond (section 2.2.2).
 #[test]
 fn circuit_adds_only_within_its_lock_range() {
     for seed in 1..=3 {

@@ -543,8 +543,10 @@ fn port() -> anyhow::Result<Vec<String>> {
     Ok(said)
 }
 
-/// A PCI card of I/O ports: QEMU's `pci-serial`. Of a 16550 looped back on itself the modem outputs are the modem inputs: the
-/// machine sets A and B there; its scratch register holds the inverters; its line control must be set up once.
+/// A PCI card of I/O ports: QEMU's `pci-serial`.
+///
+/// Of a 16550 looped back on itself the modem outputs are the modem inputs: the machine sets A and B there; its scratch
+/// register holds the inverters; its line control must be set up once.
 const UART: &str = "name = 'a 16550 as a card'\nsource = 'PC16550D datasheet: line control at 3, modem control at 4, modem status \
     at 6, scratch at 7; bit 4 of modem control loops back'\n\
     inputs = [{ register = 6, width = 8 }]\noutputs = [{ register = 7, width = 8 }]\n\

@@ -1,4 +1,6 @@
-//! A model at one instant: one effect of every law, and as many more. Prints, asserts nothing: `cargo bench --workspace --bench live`.
+//! A model at one instant: one effect of every law, and as many more.
+//!
+//! Prints, asserts nothing: `cargo bench --workspace --bench live`.
 
 use rtec_model::effect::{Dictionary, Difference, Effect, Naming, Need};
 use rtec_model::live::{AxisNow, Frame, Layout, Live};

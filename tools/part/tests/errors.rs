@@ -276,8 +276,8 @@ fn the_size_by_the_robust_fit_stands_beside() {
     assert!((report.robust.size_error_um.unwrap() - 10.0).abs() < 0.1, "{:?}", report.robust.size_error_um);
 }
 
-/// A cylinder 6 µm large with a bump on it: the size is what the bump's neighbours have, and size and error together are
-/// each point's distance from its expected place.
+/// A cylinder 6 µm large with a bump on it: the size is that of the bump's neighbours.
+/// Size and error together are the distance of each point from its expected place.
 #[test]
 fn size_and_errors_of_a_straight_feature_make_the_distance() {
     let files = Files::new();
@@ -296,8 +296,10 @@ fn size_and_errors_of_a_straight_feature_make_the_distance() {
     }
 }
 
-/// A straight feature of 12 points at `along` (z or x from 10 mm, 2 mm apart), the tip's centres at `place_mm` across it,
-/// 30 µm too much material and 12 µm more in the middle, tilted by `tilt_um` over its length.
+/// A straight feature of 12 points at `along` (z or x from 10 mm, 2 mm apart).
+///
+/// The tip's centres are at `place_mm` across it. The feature has 30 µm too much material, 12 µm more in the middle,
+/// and is tilted by `tilt_um` over its length.
 fn straight(along_z: bool, place_mm: f64, outward: f64, tilt_um: f64, approach: &str) -> String {
     let header = format!("z_mm,x_mm{}\n", if approach.is_empty() { "" } else { ",approach_z,approach_x" });
     (0..12).fold(header, |mut text, k| {

@@ -2,7 +2,7 @@
 
 use super::{Bench, cannot};
 use crate::PaperError;
-use crate::rows::{Is, Rows};
+use crate::rows::{Agreement, Rows};
 use rtec_driver::card::AxisLines;
 use rtec_driver::quadrature::State;
 use rtec_driver::replay::{ReplayCard, RequestedTotal, TracePoint, Xor};
@@ -42,13 +42,19 @@ pub(super) fn range(rows: &mut Rows, bench: &Bench, computer: &Computer) -> Resu
         (place, "corrections in one signed byte, ±", ""),
         127.0,
         (taken[0] / step) as f64,
-        Is::Within(0.0),
+        Agreement::Within(0.0),
         other,
     );
     let um = taken[0].min(-taken[1]) as f64 * bench.count_um;
-    rows.number((place, "largest correction, ±", "µm"), 508.0, um, Is::Within(0.0), other);
-    rows.number((place, "the same", "mil"), 20.0, um / 25.4, Is::Within(0.05), other);
-    rows.number((place, "one correction", "µm"), 4.0, step as f64 * bench.count_um, Is::Within(0.0), other);
+    rows.number((place, "largest correction, ±", "µm"), 508.0, um, Agreement::Within(0.0), other);
+    rows.number((place, "the same", "mil"), 20.0, um / 25.4, Agreement::Within(0.05), other);
+    rows.number(
+        (place, "one correction", "µm"),
+        4.0,
+        step as f64 * bench.count_um,
+        Agreement::Within(0.0),
+        other,
+    );
     Ok(())
 }
 
@@ -87,7 +93,7 @@ pub(super) fn belief(rows: &mut Rows, bench: &Bench) -> Result<(), PaperError> {
         (place, "belief window, corrections at once, ±", ""),
         3.0,
         widest as f64,
-        Is::Within(0.0),
+        Agreement::Within(0.0),
         "the machine file has another window",
     );
     let wild = (widest + 50) * step;
@@ -121,7 +127,7 @@ pub(super) fn belief(rows: &mut Rows, bench: &Bench) -> Result<(), PaperError> {
         ),
         3.0,
         fatal as f64,
-        Is::Within(0.0),
+        Agreement::Within(0.0),
         "",
     );
     let large = believe(window, &[wild], true)?;

@@ -2,7 +2,7 @@
 
 use super::{Bench, cannot};
 use crate::PaperError;
-use crate::rows::{Is, Rows};
+use crate::rows::{Agreement, Rows};
 use rtec_driver::quadrature::State;
 use rtec_model::machine::Machine;
 use rtec_rt::axis::AxisConfig;
@@ -30,21 +30,21 @@ pub(super) fn at_rest(
         ("The \"Original RTEC\"", "states at rest in which the Original corrects: A and B low", "of 4"),
         1.0,
         served(AnyDesign::Original),
-        Is::Within(0.0),
+        Agreement::Within(0.0),
         "",
     );
     rows.number(
         ("Design A", "states at rest in which it corrects", "of 4"),
         4.0,
         served(AnyDesign::A),
-        Is::Within(0.0),
+        Agreement::Within(0.0),
         "",
     );
     rows.number(
         ("Design C", "states at rest in which it corrects", "of 4"),
         4.0,
         served(AnyDesign::C),
-        Is::Within(0.0),
+        Agreement::Within(0.0),
         "",
     );
     let place = "The \"Original RTEC\"";
@@ -53,7 +53,7 @@ pub(super) fn at_rest(
         (place, "a good servo at rest, no dither: places corrected", "of 4"),
         0.0,
         without as f64,
-        Is::Within(0.0),
+        Agreement::Within(0.0),
         "without an edge nothing tells the corrector that A and B are low: it waits",
     );
     let one = dithering(bench, bench.dither_counts, seed)?;
@@ -73,7 +73,7 @@ pub(super) fn at_rest(
         ),
         4.0,
         full as f64,
-        Is::Within(0.0),
+        Agreement::Within(0.0),
         "",
     );
     Ok(())
@@ -109,7 +109,7 @@ pub(super) fn design_b(rows: &mut Rows, computer: &Computer, faster: &Computer) 
         (place, "a signal of 100 kHz has a transition every", "µs"),
         2.5,
         (edges[399].0 - edges[0].0) as f64 / 399.0 / 1e3,
-        Is::Within(0.01),
+        Agreement::Within(0.01),
         "",
     );
     let with = |pass_ns: u64| Computer {
@@ -139,7 +139,7 @@ pub(super) fn design_b(rows: &mut Rows, computer: &Computer, faster: &Computer) 
         (place, "faster than the 8051 to pass 100 kHz: at least an order of magnitude", "times"),
         10.0,
         computer.pass_ns as f64 / passed.max(1) as f64,
-        Is::AtLeast,
+        Agreement::AtLeast,
         "to pass the signals alone a pass within the 2.5 µs between two transitions is enough, and the 8051's pass is taken as \
          ten instructions of a microsecond; corrections need more, see the next row",
     );
@@ -149,7 +149,7 @@ pub(super) fn design_b(rows: &mut Rows, computer: &Computer, faster: &Computer) 
         (place, "the same with corrections inserted between two transitions", "times"),
         10.0,
         if corrected == 0 { f64::INFINITY } else { computer.pass_ns as f64 / corrected as f64 },
-        Is::AtLeast,
+        Agreement::AtLeast,
         "edge, insertion and the MTC's separations within 2.5 µs",
     );
     let serves = |c: &Computer, hz: f64| safe_at(AnyDesign::B, c, AxisConfig::default(), hz, 1);
@@ -178,7 +178,7 @@ pub(super) fn design_b(rows: &mut Rows, computer: &Computer, faster: &Computer) 
         (place, "counts added or subtracted can be in the hundreds", "counts"),
         100.0,
         many as f64,
-        Is::AtLeast,
+        Agreement::AtLeast,
         "300 were asked for",
     );
     let dead = BenchRun { die_ns: edges[1000].0, totals: &totals, edges: &edges, ..run }.run();
@@ -187,7 +187,7 @@ pub(super) fn design_b(rows: &mut Rows, computer: &Computer, faster: &Computer) 
         ("General Considerations", "the computer stops: counts that reach the MTC from then on", "counts"),
         0.0,
         moved as f64,
-        Is::Within(0.0),
+        Agreement::Within(0.0),
         "",
     );
 }
@@ -239,7 +239,7 @@ pub(super) fn design_c(rows: &mut Rows, computer: &Computer) -> Result<(), Paper
         ("Design C", "the algorithm, A and B alike or not, adding or subtracting: right in", "of 8"),
         8.0,
         right as f64,
-        Is::Within(0.0),
+        Agreement::Within(0.0),
         "",
     );
     Ok(())

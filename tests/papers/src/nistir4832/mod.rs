@@ -5,7 +5,7 @@ mod designs;
 mod signals;
 
 use crate::PaperError;
-use crate::rows::{Is, Rows};
+use crate::rows::{Agreement, Rows};
 use rtec_driver::quadrature::State;
 use rtec_model::machine::Machine;
 use rtec_model::record::Role;
@@ -110,7 +110,7 @@ fn linear(rows: &mut Rows, bench: &Bench, machine: &Machine, seed: u64) -> Resul
     let ((x, e), (cx, ce)) = (data(0), data(1));
     let whole = e.last().copied().unwrap_or(0.0) / (x.last().copied().unwrap_or(1.0) / bench.travel_mm);
     let other = "the machine file has another error";
-    rows.number((place, "error over one metre", "µm"), 240.0, whole, Is::Within(1.0), other);
+    rows.number((place, "error over one metre", "µm"), 240.0, whole, Agreement::Within(1.0), other);
     let half_um = 2.0 * bench.count_um;
     let steps: Vec<f64> =
         (1..ce.len()).filter(|&k| (ce[k - 1] - ce[k]).abs() > half_um).map(|k| cx[k]).collect();
@@ -118,12 +118,12 @@ fn linear(rows: &mut Rows, bench: &Bench, machine: &Machine, seed: u64) -> Resul
         (Some(a), Some(b)) if steps.len() > 1 => (b - a) / (steps.len() - 1) as f64,
         _ => 0.0,
     };
-    rows.number((place, "one correction every", "mm"), 16.7, spacing, Is::Within(0.2), other);
+    rows.number((place, "one correction every", "mm"), 16.7, spacing, Agreement::Within(0.2), other);
     rows.number(
         (place, "corrections over a quarter of the travel", ""),
         15.0,
         found.summary.get("insertions").and_then(serde_json::Value::as_f64).unwrap_or(0.0),
-        Is::Within(0.0),
+        Agreement::Within(0.0),
         other,
     );
     // A new value only every so often.
@@ -141,7 +141,7 @@ fn linear(rows: &mut Rows, bench: &Bench, machine: &Machine, seed: u64) -> Resul
         (place, "a new value every 1 to 2 mm is sufficient: the error stays below one correction", "µm"),
         4.0 * bench.count_um,
         late,
-        Is::AtMost,
+        Agreement::AtMost,
         "with a value every 2 mm",
     );
     let every_ms = rtec_sim::sim::CONTROL_NS as f64 / 1e6;
@@ -149,7 +149,7 @@ fn linear(rows: &mut Rows, bench: &Bench, machine: &Machine, seed: u64) -> Resul
         (place, "a new value every 10 to 20 ms: our control period", "ms"),
         20.0,
         every_ms,
-        Is::AtMost,
+        Agreement::AtMost,
         "10 ms",
     );
     Ok(())

@@ -2,7 +2,7 @@
 
 use super::{Bench, Change, cannot};
 use crate::PaperError;
-use crate::rows::{Is, Rows, shown};
+use crate::rows::{Agreement, Rows, shown};
 use rtec_driver::quadrature::State;
 use rtec_model::machine::Machine;
 use rtec_sim::axis::AxisSpec;
@@ -26,7 +26,7 @@ pub(super) fn signals(rows: &mut Rows, bench: &Bench, seed: u64) -> Result<(), P
         (place, "resolution against the encoder's square wave", "times"),
         4.0,
         seen.mtc as f64 / cycles as f64,
-        Is::Within(1e-6),
+        Agreement::Within(1e-6),
         "",
     );
     let rapid = traverse(bench.count_um, bench.rapid_mm_min, bench.travel_mm, seed)?;
@@ -35,21 +35,21 @@ pub(super) fn signals(rows: &mut Rows, bench: &Bench, seed: u64) -> Result<(), P
         (place, "bits for an axis of one metre at 1 µm", "bits"),
         20.0,
         f64::from(64 - (rapid.counts.unsigned_abs() - 1).leading_zeros()),
-        Is::Within(0.0),
+        Agreement::Within(0.0),
         "the travel or the resolution of the machine file is another",
     );
     rows.number(
         (place, "counts of that axis", ""),
         1e6,
         rapid.counts as f64,
-        Is::Share(0.001),
+        Agreement::Share(0.001),
         "the axis stops within a count of either end",
     );
     rows.number(
         (place, "encoder frequency at rapid traverse, 7 m/min", "kHz"),
         30.0,
         rapid.encoder_hz / 1e3,
-        Is::Share(0.05),
+        Agreement::Share(0.05),
         "the report says \"about\": 7 m/min are 116 667 counts/s, a quarter of it is the encoder's frequency",
     );
     let coming = traverse(bench.count_um / 10.0, 2.0 * bench.rapid_mm_min, 60.0, seed)?;
@@ -57,7 +57,7 @@ pub(super) fn signals(rows: &mut Rows, bench: &Bench, seed: u64) -> Result<(), P
         (place, "twice the speed at nearly a tenth of the resolution: up to", "kHz"),
         500.0,
         coming.encoder_hz / 1e3,
-        Is::Share(0.2),
+        Agreement::Share(0.2),
         "the report rounds: resolutions \"approaching\" a tenth; exactly a tenth gives this",
     );
     for (hz, width_us) in [(100e3, 5.0), (1e6, 0.5)] {
@@ -69,7 +69,7 @@ pub(super) fn signals(rows: &mut Rows, bench: &Bench, seed: u64) -> Result<(), P
             (place, &format!("pulse width of a square wave of {} kHz", shown(hz / 1e3)), "µs"),
             width_us,
             high_ns(&seen.log, |s| s.a()) / 1e3,
-            Is::Within(0.002),
+            Agreement::Within(0.002),
             "",
         );
     }
@@ -77,7 +77,7 @@ pub(super) fn signals(rows: &mut Rows, bench: &Bench, seed: u64) -> Result<(), P
         ("The \"Original RTEC\"", "rapid traverse over cutting speed: an order of magnitude", "times"),
         10.0,
         bench.rapid_mm_min / bench.cutting_mm_min,
-        Is::AtLeast,
+        Agreement::AtLeast,
         "",
     );
     Ok(())
@@ -146,7 +146,13 @@ pub(super) fn pulses(rows: &mut Rows, bench: &Bench, computer: &Computer) -> Res
     ] {
         let seen = go(design, 10_000.0, total)?;
         let why = "the insertion was not made on the computer as described";
-        rows.number((place, what, "counts"), says, (seen.mtc - seen.scale) as f64, Is::Within(0.0), why);
+        rows.number(
+            (place, what, "counts"),
+            says,
+            (seen.mtc - seen.scale) as f64,
+            Agreement::Within(0.0),
+            why,
+        );
     }
     // Where the machine goes with four counts more.
     let known = Machine::parse(
@@ -167,7 +173,7 @@ pub(super) fn pulses(rows: &mut Rows, bench: &Bench, computer: &Computer) -> Res
         (place, "four counts added: the axis stops from the programmed position by", "counts"),
         -4.0,
         ((sim.moment().position_mm[0] - 20.0) * 1e3 / bench.count_um).round(),
-        Is::Within(0.0),
+        Agreement::Within(0.0),
         "the servo is in position within a count",
     );
     times(rows, computer)
@@ -192,7 +198,7 @@ fn times(rows: &mut Rows, computer: &Computer) -> Result<(), PaperError> {
         (place, "width of an added pulse", "µs"),
         2.0,
         high_ns(&slow.log, |s| s.a()) / 1e3,
-        Is::Within(0.01),
+        Agreement::Within(0.01),
         "the computer of the machine file steps at another pace",
     );
     let place = "The \"Original RTEC\"";
@@ -209,7 +215,7 @@ fn times(rows: &mut Rows, computer: &Computer) -> Result<(), PaperError> {
         ("after the pulses", 2.0, done.saturating_sub(last - edge)),
         ("total", 9.0, done),
     ] {
-        rows.number((place, what, "µs"), says, ns as f64 / 1e3, Is::Within(0.01), other);
+        rows.number((place, what, "µs"), says, ns as f64 / 1e3, Agreement::Within(0.01), other);
     }
     let edges = constant(1_000_000, 30_000.0, 4000, 1);
     let low: Vec<u64> = edges.chunks(4).take(900).map(|c| c[1].0 - c[0].0).collect();
@@ -217,7 +223,7 @@ fn times(rows: &mut Rows, computer: &Computer) -> Result<(), PaperError> {
         (place, "at 30 kHz A and B are low for", "µs"),
         8.0,
         low.iter().sum::<u64>() as f64 / low.len() as f64 / 1e3,
-        Is::Within(0.5),
+        Agreement::Within(0.5),
         "\"about\": a quarter of the period of 33.3 µs",
     );
     let rapid = go(AnyDesign::Original, 30_000.0, 40)?;
@@ -237,7 +243,7 @@ fn times(rows: &mut Rows, computer: &Computer) -> Result<(), PaperError> {
         ("Design C", "time of an insertion: somewhat less than the Original's", "µs"),
         done as f64 / 1e3,
         quicker as f64 / 1e3,
-        Is::AtMost,
+        Agreement::AtMost,
         "two inversions instead of four changes",
     );
     let a = go(AnyDesign::A, 10_000.0, 4)?.edge_to_done_ns.map_or(0, |t| t.0);
@@ -245,7 +251,7 @@ fn times(rows: &mut Rows, computer: &Computer) -> Result<(), PaperError> {
         ("Design A", "time of an insertion: the same as the Original's", "µs"),
         done as f64 / 1e3,
         a as f64 / 1e3,
-        Is::Within(0.01),
+        Agreement::Within(0.01),
         "",
     );
     for (design, says) in [(AnyDesign::Original, 4), (AnyDesign::A, 4), (AnyDesign::B, 1), (AnyDesign::C, 2)]
@@ -263,7 +269,7 @@ fn times(rows: &mut Rows, computer: &Computer) -> Result<(), PaperError> {
             ("Designs", &format!("correction resolution of {}", design.name()), "counts"),
             f64::from(says),
             step,
-            Is::Within(0.0),
+            Agreement::Within(0.0),
             "the insertions were not made",
         );
     }

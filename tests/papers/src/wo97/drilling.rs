@@ -2,7 +2,7 @@
 
 use super::{AXES, INCH_UM, Run, error_of, record};
 use crate::PaperError;
-use crate::rows::{Is, Rows, shown};
+use crate::rows::{Agreement, Rows, shown};
 use rtec_model::machine::Machine;
 use rtec_sim::experiment::Findings;
 
@@ -57,7 +57,7 @@ pub(super) fn drilling(
                     ("Table 7 (test 1)", &format!("{name} {hole}, {}", AXES[p]), "in"),
                     both[k][p].abs() * 1e-4,
                     ours.abs(),
-                    Is::Within(0.003),
+                    Agreement::Within(0.003),
                     if hole == 6 && k == 1 && p == 0 {
                         "0.008 in is printed, ten times its hole's 0.0012: read as 0.0008"
                     } else {
@@ -75,7 +75,7 @@ pub(super) fn drilling(
             ("Text after table 7", &format!("errors of the machining test in {}", AXES[p]), "in"),
             says,
             worst(&test_1, p, 0..3 * CYCLE_ROWS),
-            Is::Within(0.002),
+            Agreement::Within(0.002),
             sizes,
         );
     }
@@ -85,7 +85,7 @@ pub(super) fn drilling(
             ("Text after table 7", &format!("uncertainty from the characterisation in {}", AXES[p]), "in"),
             says,
             rss,
-            Is::Within(0.0008),
+            Agreement::Within(0.0008),
             "root sum of squares of table 6's scale, positioning and wet thermal errors, which gives the paper's figures of its own",
         );
     }

@@ -1,7 +1,7 @@
 //! Tables 1 to 3: circles, linear displacement, tool changes.
 
 use super::{AXES, INCH_UM, column, error_of, record};
-use crate::rows::{Is, Rows};
+use crate::rows::{Agreement, Rows};
 use rtec_model::record::{Record, Role};
 use rtec_sim::experiment::Findings;
 
@@ -44,7 +44,7 @@ pub(super) fn circles(rows: &mut Rows, found: &Findings) {
                    circles have no vibration, and their radius is ours (150 mm)";
         // Figures that the scan has lost are left out.
         if let Some(says) = totals[k] {
-            rows.number(("Table 1", &what, "in"), says * 1e-4, inch, Is::Within(0.0006), why);
+            rows.number(("Table 1", &what, "in"), says * 1e-4, inch, Agreement::Within(0.0006), why);
         }
     }
     for (&((i, j), inches, _, reversals), record, k, way, cycle) in each() {
@@ -54,7 +54,7 @@ pub(super) fn circles(rows: &mut Rows, found: &Findings) {
                    hardly counter-clockwise; a reversal of Z that grows with the speed would grow both ways";
         // Figures that the scan has lost are left out.
         if let Some(says) = reversals[k] {
-            rows.number(("Table 1", &what, "in"), says * 1e-4, inch, Is::Within(0.0004), why);
+            rows.number(("Table 1", &what, "in"), says * 1e-4, inch, Agreement::Within(0.0004), why);
         }
     }
 }
@@ -121,14 +121,14 @@ pub(super) fn displacement(rows: &mut Rows, found: &Findings) -> [f64; 3] {
             ("Table 2", &format!("{} axis: largest scale error", AXES[p]), "in"),
             scale,
             um / INCH_UM,
-            Is::Within(0.0003),
+            Agreement::Within(0.0003),
             "over 95 % of the travel, from its first target; the error is put in as a straight line",
         );
         rows.number(
             ("Table 2", &format!("{} axis: reversal error", AXES[p]), "in"),
             reversal,
             apart / INCH_UM,
-            Is::Within(0.0001),
+            Agreement::Within(0.0001),
             "the mean over the targets",
         );
     }
@@ -161,7 +161,7 @@ pub(super) fn tool_changes(rows: &mut Rows, found: &Findings) -> [f64; 3] {
                 ("Table 3 and figure 6", &format!("run {}, {} axis", run + 1, AXES[p]), "in"),
                 says[p] * 1e-4,
                 gets,
-                Is::Within(0.0006),
+                Agreement::Within(0.0006),
                 "how one holder seats once; here 1.2 µm of chance and the reversals of the way back, there a shift after the first \
                  change as well",
             );

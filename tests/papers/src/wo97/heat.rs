@@ -1,7 +1,7 @@
 //! Tables 4 to 6, figures 9 to 11, 13 to 15 and 18, equations 2 to 4: drift and tilt, dry and wet.
 
 use super::{AXES, Centre, INCH_UM, PHASES, TABLE_4, TABLE_5, error_of, record};
-use crate::rows::{Is, Rows, shown};
+use crate::rows::{Agreement, Rows, shown};
 use rtec_model::record::Record;
 use rtec_sim::experiment::{Findings, Gauged};
 use rtec_sim::heat::FIGURE_9;
@@ -11,14 +11,16 @@ fn gauges<'f>(found: &'f Findings, name: &str) -> &'f [Gauged] {
     found.gauges.iter().find(|g| g.0 == name).map_or(&[], |g| &g.1)
 }
 
-/// Tables 4 and 5 by phase, and how heating compares with cooling. Gives the drift of the wet three hours, µm.
+/// Tables 4 and 5 by phase, and how heating compares with cooling.
+///
+/// Gives the drift of the wet three hours, µm.
 pub(super) fn drifts(rows: &mut Rows, found: &Findings) -> [[f64; 3]; 2] {
     let mut three_hours = [[0.0; 3]; 2];
     rows.number(
         ("Figure 9", "length of the cycle", "min"),
         435.0,
         FIGURE_9.iter().map(|c| c.1).sum(),
-        Is::Within(0.0),
+        Agreement::Within(0.0),
         "",
     );
     for (w, (name, table, place)) in
@@ -46,7 +48,7 @@ pub(super) fn drifts(rows: &mut Rows, found: &Findings) -> [[f64; 3]; 2] {
                     (place, &format!("{phase}: drift in {}", AXES[p]), "in"),
                     says[p],
                     um / INCH_UM,
-                    Is::Within(0.0008),
+                    Agreement::Within(0.0008),
                     "growth of four terms per axis, on the sensors of a simulated thermal network, fitted to all sixteen phases at \
                      once: what such a model cannot follow stays",
                 );
@@ -57,7 +59,7 @@ pub(super) fn drifts(rows: &mut Rows, found: &Findings) -> [[f64; 3]; 2] {
                     (place, &format!("{phase}: tilt in {}", AXES[p]), "″"),
                     says[3 + p],
                     got,
-                    Is::Within(8.0),
+                    Agreement::Within(8.0),
                     "four terms without lag in the chain; the table's short phases repeat to some seconds of arc only, and our \
                      gauges' 0.1 µm over 100 mm are 0.3″",
                 );
@@ -75,7 +77,7 @@ pub(super) fn drifts(rows: &mut Rows, found: &Findings) -> [[f64; 3]; 2] {
                 (place, &format!("{} axis: share of the growth that an hour's rest takes back", AXES[p]), ""),
                 says,
                 back(p),
-                Is::Within(0.2),
+                Agreement::Within(0.2),
                 "from the two phases above; below zero it goes on growing at rest",
             );
         }
@@ -98,7 +100,7 @@ pub(super) fn table_6(rows: &mut Rows, scale: [f64; 3], positioning: [f64; 3], t
                 (place, &format!("{what}, {} axis", AXES[p]), "in"),
                 says[p],
                 ours[p] / INCH_UM,
-                Is::Within(tolerance),
+                Agreement::Within(tolerance),
                 from,
             );
         }
@@ -123,7 +125,7 @@ pub(super) fn dry_against_wet(rows: &mut Rows, found: &Findings) {
                 ),
                 40.0,
                 most,
-                Is::AtMost,
+                Agreement::AtMost,
                 "a curve without figures; its scale runs from 20 to 40 °C",
             );
         }
@@ -166,7 +168,7 @@ pub(super) fn equations(rows: &mut Rows, centre: &Centre, found: &Findings) {
             (&place, &format!("E_{axis} with all temperatures alike: the gauge's own reading, mm"), "mm"),
             constant,
             equation.mm(|_| 20.0),
-            Is::Within(1e-9),
+            Agreement::Within(1e-9),
             "the machine file has another constant",
         );
         let Ok(wet) = record(found, "drift-wet") else { continue };
@@ -180,7 +182,7 @@ pub(super) fn equations(rows: &mut Rows, centre: &Centre, found: &Findings) {
             (&place, &format!("E_{axis} grows in three wet hours at 5500 rpm (table 5)"), "in"),
             TABLE_5[0][p],
             growth_in,
-            Is::Within(0.0008),
+            Agreement::Within(0.0008),
             why,
         );
     }

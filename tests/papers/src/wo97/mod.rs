@@ -11,7 +11,7 @@ use crate::rows::Rows;
 use drilling::drilling;
 use geometry::{circles, displacement, tool_changes};
 use heat::{drifts, dry_against_wet, equations, table_6};
-pub use starts::{STARTS, Started, starts};
+pub use starts::{STARTS, StartResult, starts};
 
 use model::wet_model;
 use rtec_model::machine::Machine;

@@ -2,7 +2,7 @@
 
 use super::{Centre, Run, error_of, record};
 use crate::PaperError;
-use crate::rows::{Is, Rows};
+use crate::rows::{Agreement, Rows};
 use rtec_fit::thermal::{self, Options, ROUNDS, Report};
 use rtec_measure::plot::{Chart, Series, Style};
 use rtec_model::effect::Need;
@@ -35,7 +35,7 @@ pub(super) fn wet_model(
         ("Figure 17", "γ of sensor 13 (spindle nose) with the growth in Z", ""),
         0.97,
         correlation(&t13, &z_heated).abs(),
-        Is::Within(0.1),
+        Agreement::Within(0.1),
         "wet, over the three hours of heating; the paper does not say over which run",
     );
     let range =
@@ -46,18 +46,18 @@ pub(super) fn wet_model(
         ("Figure 17", "temperature change of sensor 13", "K"),
         16.0,
         range(&dry13),
-        Is::Within(1.5),
+        Agreement::Within(1.5),
         "dry; 16 °C in one place of the text, 15 °C in another",
     );
     rows.number(
         ("CASC", "autocorrelation α of sensors 13 and 10", ""),
         0.985,
         correlation(&t13, &of("T10")),
-        Is::Within(0.02),
+        Agreement::Within(0.02),
         "places of the sensors are those of the simulated network",
     );
     let offered = wet.names(&Role::Temperature).count();
-    rows.number(("CASC", "sensors to begin with", ""), 20.0, offered as f64, Is::Within(0.0), "");
+    rows.number(("CASC", "sensors to begin with", ""), 20.0, offered as f64, Agreement::Within(0.0), "");
     let options =
         Options { base: Some(geometry(run.truth)?), date: 20_000, speed: false, ..Options::default() };
     let (model, reports) = fitted(run, wet, &options)?;
@@ -73,14 +73,14 @@ pub(super) fn wet_model(
             ("CASC", &format!("sensors in the end for {axis}: 4 or 5"), ""),
             5.0,
             sensors.len() as f64,
-            Is::AtMost,
+            Agreement::AtMost,
             "fewer where fewer do",
         );
         rows.number(
             ("CASC", &format!("rounds of the refit for {axis}: seldom more than five"), ""),
             5.0,
             report.rounds.len().min(ROUNDS) as f64,
-            Is::AtMost,
+            Agreement::AtMost,
             "fewer where R no longer improves by 1 %",
         );
         let dropped = report.dropped.iter().map(|d| d.alpha.abs()).fold(f64::INFINITY, f64::min);
@@ -89,7 +89,7 @@ pub(super) fn wet_model(
                 ("CASC", &format!("least α at which a sensor was left out for {axis}"), ""),
                 centre.redundant,
                 dropped,
-                Is::AtLeast,
+                Agreement::AtLeast,
                 "",
             );
         }

@@ -20,7 +20,7 @@ pub const STARTS: [&str; 6] = [
 
 /// What an axis was off by in a drilling test without and with the fitted model.
 #[derive(Debug, Clone)]
-pub struct Started {
+pub struct StartResult {
     /// The experiment.
     pub start: &'static str,
     /// X, Y or Z.
@@ -34,7 +34,7 @@ pub struct Started {
     pub promised_um: [f64; 2],
 }
 
-impl Started {
+impl StartResult {
     /// The share of the tool's error that is left.
     #[must_use]
     pub fn left(&self) -> f64 {
@@ -59,7 +59,7 @@ impl Started {
 ///
 /// # Errors
 /// A description that is not right, or a machine that stops.
-pub fn starts(described: &Described, seed: u64) -> Result<Vec<Started>, PaperError> {
+pub fn starts(described: &Described, seed: u64) -> Result<Vec<StartResult>, PaperError> {
     let centre: Centre = described.read("wo97.toml")?;
     let truth = described.machine(&centre.machine)?;
     let run = Run { truth: &truth, seed };
@@ -78,7 +78,7 @@ pub fn starts(described: &Described, seed: u64) -> Result<Vec<Started>, PaperErr
             }
             let plain = record(&found, start)?;
             let promised_um = fit.map_or([0.0; 2], |f| [f.half_width_um, outside_um(f, plain)]);
-            all.push(Started { start, axis, off_um, from_hole_1_um, promised_um });
+            all.push(StartResult { start, axis, off_um, from_hole_1_um, promised_um });
         }
     }
     Ok(all)

@@ -59,8 +59,8 @@ fn characterise(dir: &Path) -> Value {
     )
 }
 
-/// WO 97/43703, tests 2 and 3: the plate of holes, uncompensated errors as large as table 7's, corrected by a model that
-/// was fitted on other runs, from a cold and from a warm machine.
+/// WO 97/43703, tests 2 and 3: the plate of holes, from a cold and from a warm machine.
+/// The errors are as large as table 7's. The model was fitted on other runs.
 #[test]
 fn a_tenth_of_the_drilling_errors_is_left_from_cold_and_from_warm() {
     let dir = tempfile::tempdir().unwrap();
@@ -311,8 +311,8 @@ fn a_chain_is_shown_and_exported_along_an_axis() {
     assert!(z["z_without"]["max"].as_f64().is_some(), "{z}");
 }
 
-/// Each run has a zero of its own, from homing: no model foretells it. The fit says what it took off, and a later run is judged about
-/// its own: before, an interval of ±0.2 µm held none of its rows and nothing said why.
+/// Each run has its own zero, from homing, which no model can predict.
+/// The fit reports what it took off, and a later run is judged about its own zero.
 #[test]
 fn a_run_s_own_zero_is_said_and_in_no_interval() {
     let dir = tempfile::tempdir().unwrap();
@@ -364,8 +364,8 @@ fn a_drift_test_of_few_minutes_is_not_fitted_in_silence() {
     assert!(fit().contains("is its time in another unit than stated?"), "{}", fit());
 }
 
-/// A record that a model is judged by is looked at as one that it is fitted to: a temperature in °F, the other sign, an axis that
-/// the model says nothing of.
+/// A record that judges a model is checked like one that a model is fitted to.
+/// Mistakes: a temperature in °F, the other sign, an axis that the model does not have.
 #[test]
 fn a_model_is_not_judged_by_a_mistaken_record_in_silence() {
     let dir = tempfile::tempdir().unwrap();
