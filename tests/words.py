@@ -29,7 +29,10 @@ GENERATED = {"tools/guide/reference/verbs.md", "tools/guide/reference/effects.md
 FORMS = [
     r"\bIt is not that\b",
     r"\bwhich is told so\b",
-    r"\bis said to be\b",
+    r"\b(?:is|are|was) said(?! of CODE)\b",
+    r"\banew\b",
+    r"\b(?:comes|come) to\b",
+    r"\bholds no\b",
     r"\bwhich is no\b",
     r"\bthis door\b",
     r"\b\w+'s door\b",

@@ -265,8 +265,9 @@ pub struct FarSideCounts {
     pub looks: AtomicU64,
 }
 
-/// The card's lines as the machine sees them: one axis, A and B in bits 0 and 1 of the inputs, their inverters in bits 0
-/// and 1 of the outputs.
+/// The card's lines as the machine sees them, for one axis.
+///
+/// A and B are bits 0 and 1 of the inputs, their inverters bits 0 and 1 of the outputs.
 pub trait Lines: Send {
     /// The inverters as the corrector has written them.
     fn outputs(&mut self) -> u64;

@@ -39,8 +39,9 @@ impl Motion {
         self.v
     }
 
-    /// One short step at a part of the full acceleration (-1 to 1), and the edge within it, if any: its time, ns, where
-    /// the parabola crosses the threshold, and its direction.
+    /// One short step at a part of the full acceleration (-1 to 1).
+    ///
+    /// Gives the edge within it, if any: the time in ns at which the parabola crosses the threshold, and the direction.
     pub fn step(&mut self, throttle: f64) -> Option<(u64, i64)> {
         let dt_s = (0.1 / (self.v.abs() + 1.0)).clamp(1e-7, 1e-5);
         let mut a = self.accel_counts_s2 * throttle;

@@ -7,8 +7,9 @@
 //! | [`cmti`] | CMTI (2014): the Error Correction Circuit |
 //! | [`wo97`] | WO 97/43703 (1997): the global differential wet model |
 //!
-//! Each runs the machine that its source describes (`rtec_sim::described`) and gives one [`Row`] for every table, figure and
-//! figure in the text that can be compared: what the paper says, what came out, and why it is not the same.
+//! Each runs the machine that its source describes (`rtec_sim::described`). It gives one [`Row`] for every table,
+//! figure and figure in the text that can be compared. A row has what the paper says, what came out, and why they
+//! differ.
 //!
 //! What must not live here: a machine, an experiment (`rtec-sim`), a fit (`rtec-fit`).
 //!

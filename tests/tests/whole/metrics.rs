@@ -1,5 +1,7 @@
-//! Metrics of a real `rtecd`, judged by programs that are not ours: promtool, the Python client's strict `OpenMetrics` parser,
-//! and a Prometheus that scrapes them and fires the rules that we ship.
+//! Metrics of a real `rtecd`, judged by programs of others.
+//!
+//! Judges: promtool, the Python client's strict `OpenMetrics` parser, and a Prometheus that scrapes them and fires our
+//! rules.
 
 use rtec_tests::daemon::{Daemon, among_others, program, until};
 use rtec_tests::{root, skipped};

@@ -1,157 +1,9 @@
-//! `rtecctl characterise record` and `evaluate` as a person runs them.
+//! `characterise evaluate`: figures, pages and warnings.
 
+use super::{Noise, ballbar, feed, rtecctl, said, tilt, write};
 use std::io::Write;
-use std::net::TcpListener;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
-use std::time::Duration;
-
-fn rtecctl(folder: &Path, words: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_rtecctl"))
-        .current_dir(folder)
-        .arg("characterise")
-        .args(words)
-        .output()
-        .unwrap()
-}
-
-fn said(out: &Output) -> (Option<i32>, String, String) {
-    let text = |bytes: &[u8]| String::from_utf8(bytes.to_vec()).unwrap();
-    (out.status.code(), text(&out.stdout), text(&out.stderr))
-}
-
-/// A feed that says so many lines, a reading every 20 ms; its address.
-fn feed(line: impl Fn(usize) -> String + Send + 'static) -> String {
-    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
-    let address = listener.local_addr().unwrap().to_string();
-    std::thread::spawn(move || {
-        let Ok((mut stream, _)) = listener.accept() else { return };
-        for i in 0.. {
-            if stream.write_all(line(i).as_bytes()).is_err() {
-                return;
-            }
-            std::thread::sleep(Duration::from_millis(20));
-        }
-    });
-    address
-}
-
-#[test]
-fn one_nan_costs_its_row_and_not_the_run() {
-    let dir = tempfile::tempdir().unwrap();
-    let from = feed(|i| if (10..13).contains(&i) { "gz nan\n".to_owned() } else { format!("gz {i}\n") });
-    let words =
-        ["record", "--out", "r.run.toml", "--feed", &from, "--columns", "gz=error.z", "--period", "0.02"];
-    let (code, _, err) = said(&rtecctl(dir.path(), &[&words[..], &["--duration", "1.5"]].concat()));
-    assert_eq!(code, Some(0), "{err}");
-    assert!(err.contains("'gz nan' is no line NAME VALUE") && err.contains("rows are missing"), "{err}");
-    let record = rtec_measure::record::read(&dir.path().join("r.run.toml")).unwrap();
-    assert!(record.rows() > 20 && !dir.path().join("r.run.csv.part").exists(), "{}", record.rows());
-}
-
-/// Ctrl-C ends a run and keeps its rows; the rows of one that was killed are not the next one's to remove.
-#[test]
-fn a_run_that_is_interrupted_is_kept() {
-    let dir = tempfile::tempdir().unwrap();
-    let part = dir.path().join("r.run.csv.part");
-    let start = |duration: &str| {
-        let from = feed(|i| format!("gz {i}\n"));
-        let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_rtecctl"));
-        command.args([
-            "characterise",
-            "record",
-            "--out",
-            "r.run.toml",
-            "--feed",
-            &from,
-            "--columns",
-            "gz=error.z",
-        ]);
-        command.args(["--period", "0.02", "--duration", duration]).current_dir(dir.path());
-        command.stdout(std::process::Stdio::piped()).stderr(std::process::Stdio::piped()).spawn().unwrap()
-    };
-    let rows = || std::fs::read_to_string(&part).unwrap_or_default().lines().count();
-    let end = |run: std::process::Child, signal: &str| {
-        while rows() < 12 {
-            std::thread::sleep(Duration::from_millis(10));
-        }
-        std::process::Command::new("kill").args([signal, &run.id().to_string()]).status().unwrap();
-        run.wait_with_output().unwrap()
-    };
-    let out = end(start("600"), "-INT");
-    let err = String::from_utf8_lossy(&out.stderr).into_owned();
-    assert!(out.status.success() && err.contains("of 600 s: ") && err.contains("rows are kept"), "{err}");
-    assert!(
-        rtec_measure::record::read(&dir.path().join("r.run.toml")).unwrap().rows() >= 11 && !part.exists()
-    );
-    assert!(!end(start("600"), "-KILL").status.success());
-    let left = std::fs::read(&part).unwrap();
-    let (code, _, err) = said(&start("0.1").wait_with_output().unwrap());
-    assert!(code == Some(2) && err.contains("rows of a run that was cut off"), "{code:?} {err}");
-    assert!(std::fs::read(&part).unwrap() == left);
-}
-
-/// A gauge that says nothing more while its line stays open: its last value is no reading of the rows that follow.
-#[test]
-fn a_gauge_that_goes_silent_gives_no_more_rows() {
-    let dir = tempfile::tempdir().unwrap();
-    let from = feed(|i| if i < 20 { format!("gz {i}.5\nT1 20.0\n") } else { "T1 20.1\n".to_owned() });
-    let words = ["record", "--out", "r.run.toml", "--feed", &from, "--columns", "gz=error.z,T1=temperature"];
-    let to = ["--period", "0.02", "--duration", "1.5"];
-    let (code, _, err) = said(&rtecctl(dir.path(), &[&words[..], &to].concat()));
-    assert_eq!(code, Some(0), "{err}");
-    assert!(err.contains("gz no new reading") && err.contains("rows are missing"), "{err}");
-    let record = rtec_measure::record::read(&dir.path().join("r.run.toml")).unwrap();
-    let mut readings = record.responses().next().unwrap().data.clone();
-    let rows = readings.len();
-    readings.dedup();
-    assert!(rows <= 20 && readings.len() == rows, "{rows} rows of 20 readings: {readings:?}");
-}
-
-#[test]
-fn a_shift_without_a_response_is_recorded_and_two_alike_are_refused_first() {
-    let dir = tempfile::tempdir().unwrap();
-    let from = feed(|i| format!("T1 20.{}\n", i % 10));
-    let words = [
-        "record",
-        "--out",
-        "s.run.toml",
-        "--feed",
-        &from,
-        "--period",
-        "0.02",
-        "--duration",
-        "0.6",
-        "--columns",
-    ];
-    let (code, _, err) = said(&rtecctl(dir.path(), &[&words[..], &["T1=temperature"]].concat()));
-    assert_eq!(code, Some(0), "{err}");
-    assert!(rtec_measure::record::read_log(&dir.path().join("s.run.toml")).unwrap().rows() > 5);
-    let (code, _, err) = said(&rtecctl(dir.path(), &[&words[..], &["a=error.x,b=error.x"]].concat()));
-    assert!(code == Some(2) && err.contains("two columns of role error.x"), "{code:?} {err}");
-}
-
-struct Noise(u64);
-
-impl Noise {
-    fn next(&mut self) -> f64 {
-        self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-        (self.0 >> 11) as f64 / (1_u64 << 53) as f64 - 0.5
-    }
-}
-
-fn write(folder: &Path, name: &str, head: &str, columns: &[(&str, &str, &str)], rows: &[Vec<f64>]) {
-    let listed = columns
-        .iter()
-        .map(|(column, role, unit)| format!("{column} = {{ role = \"{role}\", unit = \"{unit}\" }}"));
-    let sidecar =
-        format!("file = \"{name}.csv\"\n{head}\n[columns]\n{}\n", listed.collect::<Vec<_>>().join("\n"));
-    let line = |r: &Vec<f64>| r.iter().map(f64::to_string).collect::<Vec<_>>().join(",");
-    let names = columns.iter().map(|c| c.0).collect::<Vec<_>>().join(",");
-    let csv = std::iter::once(names).chain(rows.iter().map(line)).collect::<Vec<_>>().join("\n");
-    std::fs::write(folder.join(format!("{name}.csv")), csv + "\n").unwrap();
-    std::fs::write(folder.join(format!("{name}.run.toml")), sidecar).unwrap();
-}
+use std::process::Command;
 
 fn positioning(folder: &Path, name: &str, length_mm: f64, way: impl Fn(f64) -> f64) {
     let mut noise = Noise(4);
@@ -173,28 +25,6 @@ fn positioning(folder: &Path, name: &str, length_mm: f64, way: impl Fn(f64) -> f
         ("T3", "temperature", "degC"),
     ];
     write(folder, name, "kind = \"positioning\"\ndate = \"2026-05-01\"", &columns, &rows);
-}
-
-fn ballbar(folder: &Path, name: &str, feed_mm_s: f64) {
-    let mut noise = Noise(5);
-    let mut rows = Vec::new();
-    let step = std::f64::consts::TAU * 1.02 / 720.0;
-    let mut t = 0.0;
-    for turn in [1.0, -1.0] {
-        for i in 0..720 {
-            let a: f64 = turn * (f64::from(i) + 0.5) * step + 0.3;
-            let (s, c) = a.sin_cos();
-            let square = 25e-3 * 150.0 * s * c;
-            let travel = 150.0 * (1.0 - turn * s.signum() * c);
-            let reversal = -turn * s.signum() * c * (2.5 + 4.0 * f64::exp(-travel / 0.6));
-            let lag = turn * 0.3 * feed_mm_s * s * c;
-            rows.push(vec![t, a, square + reversal + lag + 4.0 * c - 2.0 * s + 0.4 * noise.next()]);
-            t += step * 150.0 / feed_mm_s;
-        }
-        t += 2.0;
-    }
-    let head = "kind = \"ballbar\"\nradius_mm = 150.0\nplane = [\"x\", \"y\"]";
-    write(folder, name, head, &[("t", "time", "s"), ("a", "angle", "rad"), ("e", "error.r", "um")], &rows);
 }
 
 fn drift(folder: &Path) {
@@ -306,23 +136,6 @@ fn faces(folder: &Path) {
         ];
         write(folder, &format!("f{n}"), "kind = \"positioning\"", &columns, &rows);
     }
-}
-
-/// How x pitches, over 800 mm, in arcseconds.
-fn tilt(folder: &Path) {
-    let mut noise = Noise(30);
-    let mut rows = Vec::new();
-    for _ in 0..5 {
-        for way in [1.0, -1.0] {
-            for k in 0..11 {
-                let x = 80.0 * f64::from(if way > 0.0 { k } else { 10 - k }) + 3.0;
-                rows.push(vec![x, way, 2.5 * (x / 250.0).sin() + 0.3 * way + 0.2 * noise.next()]);
-            }
-        }
-    }
-    let columns =
-        [("x", "position.x", "mm"), ("dir", "direction.x", "1"), ("pitch", "angle_error.x.b", "arcsec")];
-    write(folder, "tilt", "kind = \"positioning\"", &columns, &rows);
 }
 
 /// A workpiece reduced to 20 °C beside a scale that is not; conditions of lengths for a tilt.
@@ -568,57 +381,4 @@ fn json_has_the_standard_s_keys() {
     ] {
         assert!(out.contains(&format!("\"{key}\": ")), "{key}: {out}");
     }
-}
-
-/// No plan asks for what the machine cannot do.
-#[test]
-fn a_plan_fits_the_machine() {
-    let dir = tempfile::tempdir().unwrap();
-    let plan = |words: &[&str]| said(&rtecctl(dir.path(), &[&["plan", "--axes"], words].concat()));
-    for (words, code, what) in [
-        (&["x=500,y=400"][..], 0, "ballbar of 150 mm"),
-        (&["x=500,y=220"], 0, "ballbar of 100 mm"),
-        (&["x=500,y=110"], 0, "ballbar of 50 mm"),
-        (&["x=500,y=80"], 0, "no circles"),
-        (&["x=500,y=80", "--ballbar-mm", "40"], 0, "ballbar of 40 mm"),
-        (&["x=500,y=400", "--ballbar-mm", "900"], 2, "a circle 1800 mm across on an axis of 400 mm"),
-        (&["x=500,x=400"], 2, "x a second time"),
-        (&["x=500"], 0, "linear_x"),
-    ] {
-        let (got, out, err) = plan(words);
-        assert_eq!(got, Some(code), "{words:?}: {err}");
-        assert!(out.contains(what) || err.contains(what), "{words:?}: {out} {err}");
-    }
-}
-
-#[test]
-fn a_verdict_s_rivals_get_the_run_that_tells_them() {
-    let dir = tempfile::tempdir().unwrap();
-    let verdict = r#"{"verdict":"not_separable","gap":{"unit":"um","floor":0.3},"effects":[
-        {"name":"screw_periodic.x","parameters":{"period_mm":{"value":12.0},"um":{"value":1.5},"phase_rad":{"value":0.3}},
-         "alternatives":[{"name":"screw_periodic.x","period_mm":16.0,"log_odds":0.4}]},
-        {"name":"scale.x","parameters":{"ppm":{"value":8.0}},
-         "alternatives":[{"name":"thermal_expansion.x","sensor":"T3","log_odds":0.2}]},
-        {"name":"thermal_growth.z","sensor":"T1","parameters":{"um_per_K":{"value":2.0},"um_per_K2":{"value":0.0}},
-         "alternatives":[{"name":"thermal_growth.z","sensor":"T2","log_odds":0.2}]}]}"#;
-    std::fs::write(dir.path().join("verdict.json"), verdict).unwrap();
-    let plan = |more: &[&str]| {
-        let all = ["plan", "--axes", "x=600,z=400", "--verdict", "verdict.json"];
-        rtecctl(dir.path(), &[&all[..], more].concat())
-    };
-    let found: serde_json::Value = serde_json::from_slice(&plan(&["--json"]).stdout).unwrap();
-    let (steps, tells) = (found["steps"].as_array().unwrap(), found["tells"].as_array().unwrap());
-    // One run tells wave and scale; no run of targets parts two sensors.
-    assert_eq!((steps.len(), tells.len()), (1, 3), "{found}");
-    assert!(tells[0]["log_odds"].as_f64() > Some(20.0) && tells[1]["by"] == steps[0]["record"], "{found}");
-    assert!(tells[2]["log_odds"].is_null() && tells[2]["by"].as_str().unwrap().contains("heat one place"));
-    let text = String::from_utf8(plan(&[]).stdout).unwrap();
-    assert!(text.contains("| screw_periodic.x | screw_periodic.x (period_mm = 16.0000) |"), "{text}");
-    std::fs::write(dir.path().join("verdict.json"), verdict.replace("scale.x", "scal.x")).unwrap();
-    let refused = plan(&[]);
-    let said = String::from_utf8(refused.stderr).unwrap();
-    assert!(
-        refused.status.code() == Some(2) && said.contains("verdict.json: found the effect `scal.x`"),
-        "{said}"
-    );
 }

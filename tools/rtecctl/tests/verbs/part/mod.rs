@@ -1,0 +1,7 @@
+//! `rtecctl part`: the contract of `part errors`, exit codes, and all steps one after the other through their files.
+
+mod contract;
+mod loop_of_files;
+mod servers;
+
+use std::fmt::Write as _;
