@@ -5,7 +5,6 @@
 use rtec_builders::axis;
 use rtec_model::effect::{Dictionary, Difference, Effect, Naming, Need};
 use rtec_model::live::{AxisNow, Frame, Layout, Live};
-use rtec_model::record::Axis;
 use std::hint::black_box;
 use std::time::Instant;
 

@@ -1,7 +1,7 @@
 //! Columns, signs and cycles that were exchanged or copied.
 
 use super::{
-    Clean, Machine, again, along, by_name, column, drift, one, positioning, record, rounded, to_and_fro,
+    Clean, Machine, Mistake, again, along, by_name, column, drift, positioning, record, rounded, to_and_fro,
     two_drift, warming,
 };
 use rtec_measure::plausible::{What, suspicions};

@@ -1,9 +1,8 @@
 //! A random machine and the records of its runs.
 
 use super::{column, noise, read, record};
-use rtec_model::record::{Column, Kind, Record, Role};
+use rtec_model::record::{Kind, Record};
 use std::f64::consts::TAU;
-use std::path::Path;
 use test_needs::dice::Dice;
 
 /// Settings that several records of one machine share.

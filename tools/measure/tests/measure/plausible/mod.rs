@@ -13,8 +13,6 @@ mod wild_rows;
 use machine::Machine;
 use rtec_builders::{column, record};
 use rtec_model::record::{Column, Kind, Record, Role};
-use std::f64::consts::TAU;
-use std::path::Path;
 use test_needs::dice::Dice;
 
 /// Noise with memory from row to row, maybe read in steps.

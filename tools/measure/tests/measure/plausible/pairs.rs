@@ -1,8 +1,8 @@
 //! Every mistake beside its clean twin.
 
 use super::{
-    Clean, Machine, Mistake, actual, again, ballbar, by_name, column, drift, dynamics, growing, lively_drift,
-    long_axis, one, patched, plate, positioning, positioning_timed, probing, record, repeated, rows_again,
+    Clean, Machine, Mistake, actual, again, ballbar, by_name, drift, dynamics, growing, lively_drift,
+    long_axis, one, patched, plate, positioning, positioning_timed, probing, repeated, rows_again,
     scaled, two_drift, warming, warming_through, wild,
 };
 use rtec_measure::plausible::{What, steps_of, suspicions};

@@ -1,6 +1,6 @@
 //! What a good machine does, and no mistake is reported.
 
-use super::{along, column, drift, plate, read, record, rounded, to_and_fro, wild};
+use super::{along, column, record, rounded, to_and_fro};
 use rtec_measure::plausible::{Suspicion, What, suspicions, unusable};
 use rtec_model::record::{Kind, Record};
 use std::f64::consts::TAU;

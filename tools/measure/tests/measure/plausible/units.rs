@@ -1,6 +1,6 @@
 //! Columns in other units than stated.
 
-use super::{ballbar, column, drift, plate, record, rounded, serpentine};
+use super::{column, record, serpentine};
 use rtec_measure::plausible::{Suspicion, What, suspicions};
 use rtec_model::record::{Kind, Record};
 use std::f64::consts::TAU;

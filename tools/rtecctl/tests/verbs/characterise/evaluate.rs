@@ -1,7 +1,6 @@
 //! `characterise evaluate`: figures, pages and warnings.
 
-use super::{Noise, ballbar, feed, rtecctl, said, tilt, write};
-use std::io::Write;
+use super::{Noise, ballbar, rtecctl, said, tilt, write};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 

@@ -1,7 +1,6 @@
 //! `characterise plan`: runs that fit machine and verdict.
 
-use super::{ballbar, rtecctl, said, write};
-use std::io::Write;
+use super::{rtecctl, said};
 
 /// No plan asks for what the machine cannot do.
 #[test]

@@ -1,8 +1,6 @@
 //! `characterise record`: feeds, gaps and ends.
 
 use super::{feed, rtecctl, said};
-use std::io::Write;
-use std::process::Command;
 use std::time::Duration;
 
 #[test]

@@ -1,7 +1,6 @@
 //! Fits on a base, and records that a model is judged by.
 
-use super::{TRUE_MACHINE, characterise, rtecctl};
-use serde_json::Value;
+use super::{TRUE_MACHINE, rtecctl};
 use std::process::Command;
 
 /// A model written into another folder than its base goes on with the base's chain.

@@ -2,7 +2,6 @@
 
 use crate::parts::{drawing, json, part};
 use serde_json::Value;
-use std::fmt::Write as _;
 use std::path::Path;
 use std::process::Command;
 

@@ -4,4 +4,3 @@ mod contract;
 mod loop_of_files;
 mod servers;
 
-use std::fmt::Write as _;

@@ -2,7 +2,6 @@
 
 use crate::parts::{drawing, json, part};
 use serde_json::Value;
-use std::fmt::Write as _;
 use std::process::Command;
 
 /// A server that answers as LinuxCNC's `linuxcncrsh` does: echo until it is told not to, acknowledgements in verbose mode.
