@@ -1,9 +1,10 @@
 //! Floods, kills and faults of a running daemon.
 
 use super::{axis, completed, line, refused_start, write};
-use rtec_tests::daemon::{Bench, CONFIG, Daemon, alone, until, user};
+use rtec_tests::daemon::{Bench, CONFIG, Daemon, alone, until};
 use std::fmt::Write as _;
-use std::io::{BufRead, BufReader, Read, Write};
+use std::io::{BufReader, Read, Write};
+use std::os::unix::fs::{MetadataExt, PermissionsExt};
 use std::os::unix::net::UnixStream;
 use std::path::Path;
 use std::process::Command;

@@ -5,8 +5,7 @@ mod start;
 
 use rtec_tests::daemon::{Daemon, program, until};
 use serde_json::Value;
-use std::fmt::Write as _;
-use std::io::{BufRead, BufReader, Read, Write};
+use std::io::{BufRead, BufReader};
 use std::os::unix::net::UnixStream;
 use std::path::{Path, PathBuf};
 use std::process::Command;

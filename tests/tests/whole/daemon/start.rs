@@ -1,10 +1,9 @@
 //! Starts, refusals, and answers without a daemon.
 
-use super::{axis, completed, line, refused_start, write};
+use super::{axis, completed, refused_start, write};
 use rtec_tests::daemon::{Bench, CONFIG, Daemon, alone, program, until, user};
 use serde_json::Value;
-use std::fmt::Write as _;
-use std::io::{BufRead, Read, Write};
+use std::os::unix::fs::{MetadataExt, PermissionsExt};
 use std::os::unix::net::UnixListener;
 use std::process::{Command, Stdio};
 

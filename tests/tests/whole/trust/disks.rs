@@ -4,8 +4,6 @@ use super::{Line, wants};
 use rtec_tests::daemon::{Daemon, alone, program, until};
 use rtec_tests::disk::SmallDisk;
 use rtec_tests::skipped;
-use std::fmt::Write as _;
-use std::io::{BufRead, Read, Write};
 use std::process::Command;
 use std::time::Instant;
 

@@ -1,9 +1,8 @@
 //! State files that were lost, damaged or moved.
 
 use rtec_tests::daemon::{Bench, CONFIG, alone, program, until};
-use serde_json::Value;
-use std::fmt::Write as _;
-use std::io::{BufRead, BufReader, Read, Write};
+use std::io::{BufRead, BufReader};
+use std::os::unix::fs::FileExt;
 use std::process::Command;
 
 #[test]

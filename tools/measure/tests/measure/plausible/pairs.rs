@@ -2,8 +2,8 @@
 
 use super::{
     Clean, Machine, Mistake, actual, again, ballbar, by_name, drift, dynamics, growing, lively_drift,
-    long_axis, one, patched, plate, positioning, positioning_timed, probing, repeated, rows_again,
-    scaled, two_drift, warming, warming_through, wild,
+    long_axis, one, patched, plate, positioning, positioning_timed, probing, repeated, rows_again, scaled,
+    two_drift, warming, warming_through, wild,
 };
 use rtec_measure::plausible::{What, steps_of, suspicions};
 use rtec_model::record::Record;

@@ -1,8 +1,8 @@
 //! Rows that are far off all others.
 
 use super::{
-    Machine, by_name, column, drift, growing, noise, one, patched, plate, positioning_timed,
-    read, record, repeated, rows_again, scaled, serpentine,
+    Machine, by_name, column, drift, growing, noise, one, patched, plate, positioning_timed, read, record,
+    repeated, rows_again, scaled, serpentine,
 };
 use rtec_measure::plausible::{Suspicion, What, steps_of, suspicions, unusable};
 use rtec_model::record::{Kind, Record};

@@ -3,4 +3,3 @@
 mod contract;
 mod loop_of_files;
 mod servers;
-
