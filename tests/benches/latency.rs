@@ -95,8 +95,10 @@ fn kept_p999(all: &Snapshot, limit_ns: u64) -> (u64, f64) {
     (at.map_or(0, |b| b.low), 1.0 - kept as f64 / all.samples().max(1) as f64)
 }
 
-/// A loop that does nothing but read the clock, set up as the engine's thread: the gaps between two readings; and how late it
-/// is after two waits of `separation_ns` one after the other, as an insertion has them, each over at the first reading after it.
+/// A loop that only reads the clock, set up as the engine's thread.
+///
+/// Measures the gaps between two readings, and the delay after two waits of `separation_ns` one after the other. An
+/// insertion waits like that; each wait ends at the first reading after it.
 fn floor(wanted: Wanted, time: Duration, separation_ns: u64) -> anyhow::Result<(Snapshot, Snapshot)> {
     let (mut gaps, gaps_reader) = histogram();
     let (mut late, late_reader) = histogram();

@@ -1,5 +1,7 @@
-//! A soak: the daemon on a mapped card with a moving axis, a model whose sensor never stops changing, a part table, clients and a
-//! scrape; its memory, descriptors, threads and latencies over the time, printed, as CSV and as plots.
+//! A soak: the daemon on a mapped card with a moving axis.
+//!
+//! A model whose sensor never stops changing, a part table, clients and a scrape load it. Memory, descriptors, threads
+//! and latencies over time are printed, as CSV and as plots.
 //!
 //! `cargo bench -p rtec-tests --bench soak [-- MINUTES]`, three minutes where none are named; `target/soak/` holds `soak.csv` and the
 //! plots. It fails where a count is lost, the MTC sees an illegal state, a fault is latched or the daemon ends; what grows

@@ -252,7 +252,7 @@ pub fn user(socket: &Path, args: &[&str]) -> Output {
 
 /// What the machine and its controller at the end of a shared-memory card show.
 #[derive(Debug, Default)]
-pub struct Seen {
+pub struct FarSideCounts {
     /// The scale's count, counts.
     pub scale: AtomicI64,
     /// The controller's count minus the scale's.
@@ -265,8 +265,9 @@ pub struct Seen {
     pub looks: AtomicU64,
 }
 
-/// The card's lines as the machine sees them: one axis, A and B in bits 0 and 1 of the inputs, their inverters in bits 0
-/// and 1 of the outputs.
+/// The card's lines as the machine sees them, for one axis.
+///
+/// A and B are bits 0 and 1 of the inputs, their inverters bits 0 and 1 of the outputs.
 pub trait Lines: Send {
     /// The inverters as the corrector has written them.
     fn outputs(&mut self) -> u64;
@@ -305,15 +306,17 @@ impl Lines for Registers {
 #[derive(Debug)]
 pub struct Machine {
     /// What machine and controller count, for the test to read.
-    pub seen: Arc<Seen>,
+    pub seen: Arc<FarSideCounts>,
     moving: Arc<AtomicBool>,
     glitch: Arc<AtomicBool>,
     stop: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
 }
 
-/// Time between two edges. Slow, and the separation in [`CONFIG`] long: daemon and controller are ordinary processes
-/// here, and each must see every single change of the other.
+/// Time between two edges.
+///
+/// Slow, and the separation in [`CONFIG`] long: daemon and controller are ordinary processes here, and each must see
+/// every single change of the other.
 pub const EDGE: Duration = Duration::from_millis(120);
 
 /// A configuration for a [`Machine`]; `CARD` stands for the file of registers.
@@ -343,7 +346,7 @@ impl Machine {
     /// The same, with this time between two edges.
     #[must_use]
     pub fn paced(mut card: impl Lines + 'static, between: Duration) -> Self {
-        let seen = Arc::new(Seen::default());
+        let seen = Arc::new(FarSideCounts::default());
         let [moving, glitch, stop] = [(); 3].map(|()| Arc::new(AtomicBool::new(false)));
         let (show, go, both, end) =
             (Arc::clone(&seen), Arc::clone(&moving), Arc::clone(&glitch), Arc::clone(&stop));
@@ -514,8 +517,9 @@ impl Bench {
         status["axes"][0].clone()
     }
 
-    /// Sets the axis going, homes it and enables corrections. A speed is known only from the second edge on; before,
-    /// every late look is a fault.
+    /// Sets the axis going, homes it and enables corrections.
+    ///
+    /// A speed is known only from the second edge on; before, every late look is a fault.
     ///
     /// # Panics
     /// When the daemon does not do it.

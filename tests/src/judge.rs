@@ -19,12 +19,12 @@ pub struct Verdict {
     /// States at which it counted otherwise than due.
     pub wrong: u64,
     /// The first of these.
-    pub first_wrong: Option<Wrong>,
+    pub first_wrong: Option<WrongCount>,
 }
 
 /// A state at which the judge's count is not the one that is due.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Wrong {
+pub struct WrongCount {
     /// Number of the state, from 0.
     pub state: u64,
     /// Counts due since the first state.
@@ -37,7 +37,7 @@ impl Verdict {
     fn take(&mut self, due: i64, counted: i64) {
         if due != counted {
             self.wrong += 1;
-            self.first_wrong.get_or_insert(Wrong { state: self.judged, due, counted });
+            self.first_wrong.get_or_insert(WrongCount { state: self.judged, due, counted });
         }
         self.judged += 1;
     }

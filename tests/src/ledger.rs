@@ -27,9 +27,10 @@ impl Totals {
     }
 }
 
-/// Walks a scale's trace and the trace that the MTC saw, and gives each state of the latter with the count that is
-/// due there: scale counts plus what the inversions added so far (NISTIR 4832, Design C: inverting A adds where
-/// A = B and subtracts where not, inverting B the other way round).
+/// Gives each state of the MTC's trace with the count that is due there.
+///
+/// The count is that of the scale plus what the inversions added (NISTIR 4832, Design C). Inverting A adds where A = B
+/// and subtracts elsewhere; inverting B does the opposite.
 ///
 /// Which signals are inverted is the XOR of the two traces, the gates' own law. Any change that the gates cannot
 /// have made, or whose order within one nanosecond is unknown, is an error.

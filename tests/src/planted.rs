@@ -32,11 +32,13 @@ pub fn motion(edges: usize) -> Vec<TracePoint> {
     points
 }
 
-/// Inserts ±2 counts after every `every`-th edge that is followed by a long enough pause, in an order of signs that
-/// looks random, and returns what the MTC sees with the count due at each state.
+/// Inserts ±2 counts after every `every`-th edge that a long enough pause follows.
 ///
-/// Written from the three count tables of NISTIR 4832, Design C, and not from the engine: A and B equal: A first adds,
-/// B first subtracts; different: the other way round. The second inversion follows `separation_ns` after the first.
+/// The order of signs looks random. Returns what the MTC sees, with the count due at each state.
+///
+/// Written from the three count tables of NISTIR 4832, Design C, and not from the engine. Where A and B are equal, A
+/// first adds and B first subtracts; elsewhere the opposite. The second inversion follows `separation_ns` after the
+/// first.
 #[must_use]
 pub fn corrected(
     scale: &[TracePoint],

@@ -96,8 +96,8 @@ impl Supervisor {
             .env("LISTEN_FDS", names.len().to_string())
             .env("LISTEN_FDNAMES", names.join(":"));
         let from: Vec<RawFd> = self.store.iter().map(|(_, fd)| fd.as_raw_fd()).collect();
-        // SAFETY: between fork and exec only dup2 is called, which is async-signal-safe, on numbers made beforehand;
-        // its targets are the low numbers that this process keeps taken by files closed at exec.
+        // SAFETY: between fork and exec only dup2 is called, on numbers made beforehand; dup2 is async-signal-safe.
+        // Its targets are the low numbers that this process keeps taken by files closed at exec.
         unsafe {
             command.pre_exec(move || {
                 for (n, from) in from.iter().enumerate() {
@@ -240,7 +240,9 @@ pub struct Trial {
     pub config: PathBuf,
     /// The daemon's control socket.
     pub socket: PathBuf,
-    /// How often it is killed. Every fourth kill is aimed: between the two inversions of an insertion.
+    /// How often it is killed.
+    ///
+    /// Every fourth kill is aimed: between the two inversions of an insertion.
     pub kills: u32,
     /// Of the random moments and totals.
     pub seed: u64,
@@ -287,8 +289,10 @@ impl Trial {
     /// Runs the trial. `say` gets a line per kill.
     ///
     /// # Errors
-    /// The first thing that must not be: an illegal transition at the MTC, a jump while nobody was there or when the
-    /// successor began, a ledger that does not balance without a fault, a fault without a cause.
+    /// The first violation of what must hold.
+    ///
+    /// Violations: an illegal transition at the MTC, a jump between two daemons, a ledger that does not balance without
+    /// a fault, a fault without a cause.
     pub fn run(&self, machine: &Machine, mut say: impl Write) -> anyhow::Result<Tally> {
         let mut supervisor = Supervisor::new(Duration::from_secs(20))?;
         let mut random = Xoshiro256PlusPlus::seed_from_u64(self.seed);

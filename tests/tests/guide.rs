@@ -1,5 +1,6 @@
-//! README and guide: what they show is what runs here. `GUIDE=overwrite` writes the pages anew, `GUIDE_PAGE=fault` runs those of
-//! that name.
+//! README and guide: what they show is what runs here.
+//!
+//! `GUIDE=overwrite` writes the pages anew, `GUIDE_PAGE=fault` runs those of that name.
 
 #![allow(clippy::unwrap_used)]
 

@@ -1,5 +1,7 @@
-//! Blind cases one by one: `files` writes each with what is true of it, to be tried by hand with `rtecctl reconcile`; `verdicts`
-//! writes the verdict document of each and prints what they took, by both of which two builds are compared.
+//! Blind cases one by one, to try by hand or to compare two builds.
+//!
+//! `files` writes each case with its truth, for `rtecctl reconcile`. `verdicts` writes the verdict document of each and
+//! prints the time.
 //!
 //! `cargo run --release -p rtec-blind --example cases -- files|verdicts FOLDER FROM COUNT CLASS...`
 

@@ -1,6 +1,7 @@
-//! What an able analyst's afternoon gives, twice, over the same dictionary, non-linear parameters on a grid, the model's
-//! own parameters fitted along: forward selection by the Bayesian information criterion, and the LASSO with
-//! cross-validation.
+//! Two baselines, as an able analyst's afternoon gives them.
+//!
+//! Forward selection by the Bayesian information criterion, and the LASSO with cross-validation. Both use the same
+//! dictionary, non-linear parameters on a grid, and fit the parameters of the model along.
 
 use crate::linear::{Basis, dot, length};
 use rtec_model::effect::{Dictionary, Effect, Heat, Search};
@@ -247,8 +248,10 @@ impl Lasso<'_> {
     }
 }
 
-/// Names that the LASSO would add: the largest penalty within one standard error of the best of a cross-validation in
-/// blocks of rows, and of what it takes the names that make up a fair share.
+/// Names that the LASSO would add.
+///
+/// The penalty is the largest within one standard error of the best, cross-validated in blocks of rows. A name needs a
+/// fair share of what that penalty selects.
 #[must_use]
 pub fn lasso(records: &[Record], machine: &Machine) -> Vec<String> {
     let Problem { y, basis, candidates } = problem(records, machine);

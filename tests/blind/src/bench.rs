@@ -94,7 +94,9 @@ impl Heat {
             .collect()
     }
 
-    /// Adds the sensors, and the true temperatures beside what is logged. The loads of spindle and drive.
+    /// Adds the sensors, and the true temperatures beside what is logged.
+    ///
+    /// The loads of spindle and drive.
     fn on(&self, r: &mut Run, t: &[f64], dice: &mut Dice) -> Vec<f64> {
         let mut fixed = Dice::new(self.seed);
         let (t0, span) = (t[0], (t[t.len() - 1] - t[0]).max(1.0));

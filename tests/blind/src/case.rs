@@ -240,7 +240,9 @@ const PLAUSIBLE: [(&str, &str, f64, f64); 5] = [
     ("thermal_lag", "tau_s", 60.0, f64::MAX),
 ];
 
-/// Makes a case and writes it into `dir`. `law` asks for a kind of effect where the case hides one.
+/// Makes a case and writes it into `dir`.
+///
+/// `law` asks for a kind of effect where the case hides one.
 ///
 /// # Errors
 /// The directory cannot be written.

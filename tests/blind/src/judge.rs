@@ -122,8 +122,8 @@ pub struct Covered {
     pub what: String,
     /// The truth lies within the interval.
     pub holds: bool,
-    /// Where it does not: it belongs to a wave whose true period is not the one given, and stands beside it among the alternatives,
-    /// as one that looks the same at these places.
+    /// Where it does not, it belongs to a wave of another true period. It stands among the alternatives, because it
+    /// looks the same at these places.
     pub alias_said: bool,
 }
 
@@ -145,9 +145,10 @@ fn alias_said(e: &Value, t: &Source) -> bool {
 /// A period is another's alias as near as its places lie on a grid: within this share.
 const SAME_PERIOD: f64 = 2e-3;
 
-/// Parameters of found effects, by name, and whether the truth lies within their interval. A value without an interval (a
-/// time, a whole number, a term that was left out) claims none; by another sensor, or from another reference, growth is
-/// another number, and with it the constant and the straight line beside it.
+/// Parameters of found effects, and whether the truth lies within their interval.
+///
+/// A value without an interval claims none: a time, a whole number, a term that was left out. Growth by another sensor
+/// or reference is another number; so are then the constant and the straight line beside it.
 #[must_use]
 pub fn covered(document: &Value, hidden: &[Source]) -> Vec<Covered> {
     let mut out = Vec::new();

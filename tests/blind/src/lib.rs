@@ -1,5 +1,7 @@
-//! Blind cases: random machines with something hidden, and the score of an answer. What makes the cases ([`plan`], [`source`],
-//! [`case`]) and marks the answers ([`score`]) shares no code and no formula with what it judges.
+//! Blind cases: random machines with something hidden, and the score of an answer.
+//!
+//! What makes the cases ([`plan`], [`source`], [`case`]) and marks the answers ([`score`]) shares no code and no
+//! formula with what it judges.
 
 // Long lists of experiments and formulas, each with its switches; text is put together plainly.
 #![allow(

@@ -1,5 +1,7 @@
-//! The table of record: what is asked of each figure of the main suite, its newest run on seeds never run before, and every other
-//! figure that README and guide quote. `rtec-blind` judges by it, and a test compares the pages with it. A newer run goes in here first.
+//! The table of record: the figures that README and guide quote.
+//!
+//! It has what is asked of each figure of the main suite, its newest run on seeds never run before, and every other
+//! quoted figure. `rtec-blind` judges by it, and a test compares the pages with it. A newer run goes in here first.
 
 /// The command of the newest run.
 pub const COMMAND: &str = "rtec-blind --bare --from 94000000";
@@ -67,8 +69,9 @@ impl Figure {
         of == 0 || if self.at_least { percent >= self.asked } else { percent <= self.asked }
     }
 
-    /// A share is not worse than what is asked by more than chance: if the share asked for were the true one, so few (or so many) would
-    /// come at least once in a thousand times.
+    /// Whether chance explains the distance of a share from what is asked.
+    ///
+    /// It does if the asked share, taken as true, would give so few (or so many) at least once in a thousand times.
     #[must_use]
     pub fn within_chance(&self, (yes, of): (usize, usize)) -> bool {
         let bad = if self.at_least { of.saturating_sub(yes) } else { yes };
@@ -103,7 +106,9 @@ pub struct Quoted {
     pub by: &'static str,
     /// On how much: cases, seeds, edges, minutes.
     pub on: &'static str,
-    /// The figures with unit and error, as the pages quote them. Of a share (`17 of 19`) the number of cases gives the error.
+    /// The figures with unit and error, as the pages quote them.
+    ///
+    /// Of a share (`17 of 19`) the number of cases gives the error.
     pub figures: &'static [&'static str],
     /// The pages that quote it: all figures or some, never another.
     pub pages: &'static [&'static str],

@@ -1,5 +1,7 @@
-//! A batch measured on a coordinate measuring machine. Nothing writes it: the same rows in other words must be judged the same,
-//! and with every error turned round the other way round.
+//! A batch measured on a coordinate measuring machine.
+//!
+//! Nothing writes it: the same rows in other words must be judged the same, and with every error turned round the other
+//! way round.
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;

@@ -1,4 +1,6 @@
-//! Card profiles. Nothing writes them: what is read must be what the same TOML in other words says.
+//! Card profiles.
+//!
+//! Nothing writes them: what is read must be what the same TOML in other words says.
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;

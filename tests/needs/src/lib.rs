@@ -1,8 +1,10 @@
 //! What a test needs that the project does not bring: other programs, measured data, root.
 //!
-//! Where it is missing the test says so and ends; the test harness hides what a passing test says, so it is noted, and the
-//! last test of `cargo test --workspace` names all that was not run. With `RTEC_REQUIRE=1`, as `.ci/run` sets it, no program may be
-//! missing. Measured data is other people's: a clone that has no folder `../shared/data` beside it passes without, and says so.
+//! Where it is missing, the test says so and ends. The test harness hides what a passing test prints. So it is noted,
+//! and the last test of `cargo test --workspace` names all that was not run.
+//!
+//! With `RTEC_REQUIRE=1`, as `.ci/run` sets it, no program may be missing. A clone without the folder `../shared/data`
+//! passes without measured data, and says so.
 //!
 //! And what tests of several crates are made of: numbers ([`dice`]), and an axis that moves ([`motion`]).
 

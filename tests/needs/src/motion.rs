@@ -39,8 +39,9 @@ impl Motion {
         self.v
     }
 
-    /// One short step at a part of the full acceleration (-1 to 1), and the edge within it, if any: its time, ns, where
-    /// the parabola crosses the threshold, and its direction.
+    /// One short step at a part of the full acceleration (-1 to 1).
+    ///
+    /// Gives the edge within it, if any: the time in ns at which the parabola crosses the threshold, and the direction.
     pub fn step(&mut self, throttle: f64) -> Option<(u64, i64)> {
         let dt_s = (0.1 / (self.v.abs() + 1.0)).clamp(1e-7, 1e-5);
         let mut a = self.accel_counts_s2 * throttle;
@@ -63,7 +64,9 @@ impl Motion {
     }
 }
 
-/// When vt + at²/2 first is d, s. Of two ways to write the root the one without a difference of near numbers.
+/// When vt + at²/2 first is d, s.
+///
+/// Of two ways to write the root the one without a difference of near numbers.
 fn first_s(v: f64, a: f64, d: f64) -> f64 {
     let root = (v * v + 2.0 * a * d).max(0.0).sqrt();
     2.0 * d / (v + root.copysign(d))

@@ -1,4 +1,6 @@
-//! The last lines of `cargo test --workspace`: what was not run, and why. A program without a test harness, which would hide them.
+//! The last lines of `cargo test --workspace`: what was not run, and why.
+//!
+//! A program without a test harness, which would hide them.
 
 use test_needs::{note, take_notes};
 

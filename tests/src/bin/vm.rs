@@ -90,9 +90,9 @@ const PROBE: u32 = 5;
 const DISABLE: u32 = 6;
 const BACK: [u32; 2] = [7, 8];
 
-/// The axis is slow and the separation long: daemon and machine are processes of an emulated computer that itself waits for
-/// its turn, and each must see every single change of the other. The latencies are no measurement; they only have to be
-/// there.
+/// The axis is slow and the separation long. Daemon and machine are processes of an emulated computer that waits for
+/// its turn, and each must see every change of the other.
+/// The latencies are no measurement; they only have to be there.
 const EDGE: Duration = Duration::from_millis(1600);
 const AXIS: &str = "[[axis]]\nname = 'x'\ncount_um = 1.0\ntravel_mm = 400\nmax_correction_counts = 1000\n\
     window_counts = 50\nmin_separation_ns = 160000000\nmax_accel_counts_s2 = 0.56\nhysteresis_counts = 0.2\nrapid_mm_min = 1\n";
@@ -543,8 +543,10 @@ fn port() -> anyhow::Result<Vec<String>> {
     Ok(said)
 }
 
-/// A PCI card of I/O ports: QEMU's `pci-serial`. Of a 16550 looped back on itself the modem outputs are the modem inputs: the
-/// machine sets A and B there; its scratch register holds the inverters; its line control must be set up once.
+/// A PCI card of I/O ports: QEMU's `pci-serial`.
+///
+/// A 16550 looped back on itself: its modem outputs are its modem inputs, where the machine sets A and B.
+/// Its scratch register holds the inverters. Its line control must be set up once.
 const UART: &str = "name = 'a 16550 as a card'\nsource = 'PC16550D datasheet: line control at 3, modem control at 4, modem status \
     at 6, scratch at 7; bit 4 of modem control loops back'\n\
     inputs = [{ register = 6, width = 8 }]\noutputs = [{ register = 7, width = 8 }]\n\
@@ -731,9 +733,10 @@ fn far_side(file: &Path) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// In step with the guest: time goes on only when it has looked, and done what follows from it; and then by one unit while
-/// the guest has something to do, else to two units before the next edge: an edge right after a late look may be as old as
-/// that look, and has no period.
+/// In step with the guest: time goes on only when the guest has looked and acted.
+///
+/// It goes on by one unit while the guest has something to do, else to two units before the next edge. An edge right
+/// after a late look may be as old as that look, and has no period.
 fn in_step(words: &Registers, say: &impl Fn(i64, u64), phase: &impl Fn() -> u32) -> (i64, Decoder) {
     let lines = AxisLines::standard(0, false);
     let (mut state, mut mtc, mut scale, mut tick) =

@@ -11,8 +11,10 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicI16, AtomicU32, Ordering};
 use std::time::{Duration, Instant};
 
-/// A counter card in a file. A flag is cleared by a write of zeros: memory can do no more. Lines and count lie in one
-/// word, so that one write changes both, as one edge does in hardware.
+/// A counter card in a file.
+///
+/// A flag is cleared by a write of zeros: memory can do no more. Lines and count lie in one word, so that one write
+/// changes both, as one edge does in hardware.
 const PROFILE: &str = "name = 'counter card'\nsource = 'tests'\ninputs = [{ register = 0, width = 16 }]\n\
     outputs = [{ register = 4, width = 32 }]\n[lines]\na = { input = 0 }\nb = { input = 1 }\ninvert_a = { output = 0 }\n\
     invert_b = { output = 1 }\nhold = { output = 28 }\n\

@@ -157,7 +157,9 @@ fn workflows_call_stages_that_exist_and_all_of_them() {
     assert_eq!(left, ["figures"], "judged by no workflow; figures judge nothing");
 }
 
-/// The commit as a stranger gets it: nothing beside it, nothing built. The cheapest stage runs there, and every step's script is there.
+/// The commit as a stranger gets it: nothing beside it, nothing built.
+///
+/// The cheapest stage runs there, and every step's script is there.
 #[test]
 fn steps_are_there_in_an_empty_clone() {
     let folder = tempfile::tempdir().unwrap();
@@ -183,7 +185,9 @@ fn between<'t>(text: &'t str, before: &str, after: &str) -> Option<&'t str> {
     text.split_once(before)?.1.split_once(after).map(|(inside, _)| inside)
 }
 
-/// The workspace has the version. Files that cannot read it from there are compared with it.
+/// The workspace has the version.
+///
+/// Files that cannot read it from there are compared with it.
 #[test]
 fn the_version_is_the_workspace_s_everywhere() {
     let workspace = read("Cargo.toml");

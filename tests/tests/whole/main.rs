@@ -1,4 +1,6 @@
-//! The whole, a file for each question. One program: what waits for a daemon, a disk or a broker runs beside what calculates.
+//! The whole, a file for each question.
+//!
+//! One program: what waits for a daemon, a disk or a broker runs beside what calculates.
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 

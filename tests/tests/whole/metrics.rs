@@ -1,5 +1,7 @@
-//! Metrics of a real `rtecd`, judged by programs that are not ours: promtool, the Python client's strict `OpenMetrics` parser,
-//! and a Prometheus that scrapes them and fires the rules that we ship.
+//! Metrics of a real `rtecd`, judged by programs of others.
+//!
+//! Judges: promtool, the Python client's strict `OpenMetrics` parser, and a Prometheus that scrapes them and fires our
+//! rules.
 
 use rtec_tests::daemon::{Daemon, among_others, program, until};
 use rtec_tests::{root, skipped};
@@ -13,15 +15,15 @@ use std::path::Path;
 use std::process::{Child, Command, Stdio};
 
 /// A program that runs beside the test and ends with it.
-struct Beside(Child);
+struct ChildProgram(Child);
 
-impl Beside {
+impl ChildProgram {
     fn spawn(command: &mut Command) -> Self {
         Self(command.spawn().unwrap_or_else(|e| panic!("{command:?}: {e}")))
     }
 }
 
-impl Drop for Beside {
+impl Drop for ChildProgram {
     fn drop(&mut self) {
         let _ = self.0.kill();
         let _ = self.0.wait();
@@ -183,7 +185,7 @@ fn served_is_metrics_only_on_loopback_or_a_socket() {
     assert!(said.contains("--beyond-loopback") && said.contains("0.0.0.0"), "{said}");
     assert!(daemon.expect(2, &["metrics", "--listen", "localhost"]).contains("expected ADDRESS:PORT"));
     assert!(daemon.expect(2, &["metrics", "--json"]).contains("rtecctl status --json"));
-    let _server = Beside::spawn(metrics(&socket).args(["--listen", &format!("127.0.0.1:{port}")]));
+    let _server = ChildProgram::spawn(metrics(&socket).args(["--listen", &format!("127.0.0.1:{port}")]));
     until("served", || get(port, "/metrics", "*/*").is_ok());
     let (head, body) = get(port, "/metrics", "application/openmetrics-text;version=1.0.0,*/*").unwrap();
     assert!(head.starts_with("HTTP/1.1 200") && head.contains("application/openmetrics-text; version=1.0.0"));
@@ -209,7 +211,7 @@ fn served_is_metrics_only_on_loopback_or_a_socket() {
     // A port that is taken is the answer no; a socket is as good as a port, and an old one gives way.
     daemon.expect(1, &["metrics", "--listen", &format!("127.0.0.1:{port}")]);
     let at = directory.path().join("metrics.sock");
-    let listen = || Beside::spawn(metrics(&socket).arg("--listen").arg(&at));
+    let listen = || ChildProgram::spawn(metrics(&socket).arg("--listen").arg(&at));
     let request = "GET /metrics HTTP/1.1\r\nHost: x\r\nConnection: close\r\n\r\n";
     let read = || UnixStream::connect(&at).and_then(|s| exchange(s, request));
     drop({
@@ -330,7 +332,7 @@ fn a_prometheus_scrapes_it_and_fires_on_a_latched_fault() {
     let daemon = Daemon::enabled(&socket);
     daemon.expect(0, &["correct", "y", "6"]);
     let (port, own) = (free_port(), free_port());
-    let _server = Beside::spawn(metrics(&socket).args(["--listen", &format!("127.0.0.1:{port}")]));
+    let _server = ChildProgram::spawn(metrics(&socket).args(["--listen", &format!("127.0.0.1:{port}")]));
     let rules = root().join("udev/plant/rtec-alerts.yml").canonicalize().unwrap();
     let config = directory.path().join("prometheus.yml");
     let text = format!(
@@ -339,7 +341,7 @@ fn a_prometheus_scrapes_it_and_fires_on_a_latched_fault() {
         rules.display()
     );
     std::fs::write(&config, text).unwrap();
-    let _prometheus = Beside::spawn(
+    let _prometheus = ChildProgram::spawn(
         Command::new("prometheus")
             .arg(format!("--config.file={}", config.display()))
             .arg(format!("--storage.tsdb.path={}", directory.path().join("tsdb").display()))

@@ -9,29 +9,29 @@ use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::sync::{Arc, Mutex};
 
-struct Beside(Child);
+struct ChildProgram(Child);
 
-impl Drop for Beside {
+impl Drop for ChildProgram {
     fn drop(&mut self) {
         let _ = self.0.kill();
         let _ = self.0.wait();
     }
 }
 
-fn broker(directory: &Path, port: u16) -> Beside {
+fn broker(directory: &Path, port: u16) -> ChildProgram {
     let config = directory.join("mosquitto.conf");
     let text = format!("listener {port} 127.0.0.1\nallow_anonymous true\n");
     std::fs::write(&config, text).unwrap();
     let child =
         Command::new("mosquitto").arg("-c").arg(config).stderr(Stdio::null()).stdout(Stdio::null()).spawn();
-    let broker = Beside(child.unwrap());
+    let broker = ChildProgram(child.unwrap());
     until("the broker listens", || TcpStream::connect(("127.0.0.1", port)).is_ok());
     broker
 }
 
 /// A real client that writes down what it is told, a line `TOPIC PAYLOAD` each.
 struct Listener {
-    _child: Beside,
+    _child: ChildProgram,
     heard: Arc<Mutex<Vec<String>>>,
 }
 
@@ -50,7 +50,7 @@ impl Listener {
                 to.lock().unwrap().push(line);
             }
         });
-        Self { _child: Beside(child), heard }
+        Self { _child: ChildProgram(child), heard }
     }
 
     fn heard(&self, is: impl Fn(&str) -> bool) -> bool {
@@ -71,7 +71,7 @@ fn a_client_hears_faults_the_daemons_restart_and_the_brokers() {
     let daemon = Daemon::enabled(&socket);
     let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
     let first_broker = broker(directory.path(), port);
-    let bridge = Beside(
+    let bridge = ChildProgram(
         Command::new(program("rtec-mqtt"))
             .args([
                 "--broker",
@@ -145,7 +145,7 @@ fn a_broker_that_stays_away_is_one_line() {
     let port = listener.local_addr().unwrap().port();
     let mut command = Command::new(program("rtec-mqtt"));
     command.args(["--broker", &format!("127.0.0.1:{port}"), "--socket"]).arg(directory.path().join("s"));
-    let mut bridge = Beside(command.stderr(Stdio::piped()).spawn().unwrap());
+    let mut bridge = ChildProgram(command.stderr(Stdio::piped()).spawn().unwrap());
     for _ in 0..4 {
         let (mut stream, _) = listener.accept().unwrap();
         assert!(stream.read(&mut [0; 1024]).unwrap() > 0);

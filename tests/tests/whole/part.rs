@@ -1,5 +1,7 @@
-//! The process-intermittent loop through a real `rtecd`: a simulated turning centre behind its mock card, whose
-//! controller runs the probing program and the finish cut; everything else is done by `rtecctl`.
+//! The process-intermittent loop through a real `rtecd`.
+//!
+//! A simulated turning centre moves behind its mock card. Its controller runs the probing program and the finish cut;
+//! `rtecctl` does everything else.
 
 use rtec_part::contour::nose;
 use rtec_part::unit::Unit;

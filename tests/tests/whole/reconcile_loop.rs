@@ -1,5 +1,7 @@
-//! The closed loop of reconciliation, through `rtecctl` alone: a machine with something hidden is corrected by a model
-//! that lacks it; what was measured is reconciled; corrected again, the parts are better.
+//! The closed loop of reconciliation, through `rtecctl` alone.
+//!
+//! A model lacks an effect of the machine that it corrects. The measured runs are reconciled; with the found model the
+//! parts are better.
 
 use rtec_tests::daemon::program;
 use serde_json::Value;

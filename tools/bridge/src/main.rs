@@ -10,9 +10,11 @@
 //! | `faults` | what is latched: `[{"axis":"x","fault":"poll_gap"}]`, the machine's own with `null` | yes |
 //! | `event` | each event as it comes; `{"missed":N}` where some are lost | no |
 //!
-//! Why MQTT and not OPC UA: OPC UA's companion specifications have no object for a compensation or its ledger, so that a
-//! server would offer plain variables, at the price of certificates, an address space and a port that listens. Here nothing
-//! listens, and any plant's gateway takes JSON topics. TLS: a broker on this computer forwards over it (mosquitto: `connection`,
+//! MQTT was chosen over OPC UA because the companion specifications of OPC UA have no object for a compensation or its
+//! ledger.
+//! A server would offer plain variables, and need certificates, an address space and an open port. Here nothing
+//! listens, and any plant's gateway takes JSON topics. TLS: a broker on this computer forwards over it (mosquitto:
+//! `connection`,
 //! `bridge_cafile`).
 //!
 //! What must not live here: anything that decides or commands; a second copy of the protocol (`rtec-control`).

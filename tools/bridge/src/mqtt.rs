@@ -1,7 +1,7 @@
 //! As much of MQTT 3.1.1 (OASIS, 2014) as a publisher needs: CONNECT with a last will, PUBLISH of `QoS` 0, PINGREQ, DISCONNECT.
 //!
-//! Nothing is subscribed to. A PINGRESP comes after everything that was sent before its PINGREQ (one ordered TCP stream), so
-//! that a ping that is answered confirms what was published, without the bookkeeping of `QoS` 1.
+//! Nothing is subscribed to. The broker answers a PINGREQ after everything that was sent before it (one ordered TCP
+//! stream). An answered ping therefore confirms what was published, without the bookkeeping of `QoS` 1.
 
 use std::io::{self, Error, ErrorKind, Read, Write};
 use std::net::{TcpStream, ToSocketAddrs};

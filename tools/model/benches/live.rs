@@ -1,14 +1,12 @@
-//! A model at one instant: one effect of every law, and as many more. Prints, asserts nothing: `cargo bench --workspace --bench live`.
+//! A model at one instant: one effect of every law, and as many more.
+//!
+//! Prints, asserts nothing: `cargo bench --workspace --bench live`.
 
+use rtec_builders::axis;
 use rtec_model::effect::{Dictionary, Difference, Effect, Naming, Need};
 use rtec_model::live::{AxisNow, Frame, Layout, Live};
-use rtec_model::record::Axis;
 use std::hint::black_box;
 use std::time::Instant;
-
-fn axis(name: &str) -> Axis {
-    Axis::new(name).expect("a letter is an axis name")
-}
 
 /// One effect of every law of the dictionary (thirty).
 fn every_law() -> Vec<Effect> {

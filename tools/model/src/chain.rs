@@ -75,12 +75,12 @@ pub struct Chain {
 #[derive(Debug, Clone)]
 pub(crate) struct JointPlaces<A, S> {
     axis: Option<A>,
-    deltas: Vec<Option<Taken<S>>>,
+    deltas: Vec<Option<DifferenceSource<S>>>,
 }
 
 /// Where a difference's sensors are found, and what is taken off where there is only one.
 #[derive(Debug, Clone)]
-struct Taken<S> {
+struct DifferenceSource<S> {
     sensor: S,
     minus: Option<S>,
     reference_degc: f64,
@@ -110,7 +110,9 @@ impl Transform {
         Self { turn, shift_mm: self.apply(inner.shift_mm) }
     }
 
-    /// The point that it brings here, by Cramer's rule. None where it brings many points to one, which nothing near the identity does.
+    /// The point that it brings here, by Cramer's rule.
+    ///
+    /// None where it brings many points to one, which nothing near the identity does.
     fn undo(&self, point_mm: [f64; 3]) -> Option<[f64; 3]> {
         let p = [0, 1, 2].map(|row| point_mm[row] - self.shift_mm[row]);
         let [a, b, c] = [0, 1, 2].map(|k| self.column(k));
@@ -172,8 +174,9 @@ impl Chain {
         moved
     }
 
-    /// Error of the tool point in the frame of the work, µm (x, y, z of the machine), at axis positions (mm) and
-    /// temperature differences (K) that the two functions look up. Allocates nothing.
+    /// Error of the tool point in the frame of the work, µm (machine x, y, z).
+    ///
+    /// The two functions look up axis positions (mm) and temperature differences (K). Allocates nothing.
     pub fn error_um(
         &self,
         position_mm: impl Fn(&Axis) -> f64,
@@ -252,7 +255,7 @@ impl Chain {
                 Against::Reference(degc) => (None, *degc),
                 Against::Standard => (None, STANDARD_DEGC),
             };
-            Taken { sensor: sensor(&d.sensor), minus, reference_degc }
+            DifferenceSource { sensor: sensor(&d.sensor), minus, reference_degc }
         };
         let joint = |j: &Joint| JointPlaces {
             axis: j.axis.as_ref().and_then(|(a, _)| axis(a)),
@@ -271,7 +274,8 @@ impl Chain {
     ) -> [f64; 3] {
         let position = |joint: usize| places[joint].axis.as_ref().map_or(0.0, &position_mm);
         let delta = |joint: usize, component: usize| {
-            let of = |t: &Taken<S>| degc(&t.sensor) - t.minus.as_ref().map_or(t.reference_degc, &degc);
+            let of =
+                |t: &DifferenceSource<S>| degc(&t.sensor) - t.minus.as_ref().map_or(t.reference_degc, &degc);
             places[joint].deltas[component].as_ref().map_or(0.0, of)
         };
         self.error_by_um(&position, &delta)

@@ -1,8 +1,8 @@
 //! A circular run measured by a bar: what its angle and the bar's length say of the two axes that drive it.
 //!
-//! At the angle θ (from the first axis of the plane towards the second) the axes stand at (R·cos θ, R·sin θ) about the
-//! circle's centre, and the bar reads `e_a·cos θ + e_b·sin θ` of their
-//! errors `e_a` and `e_b` (ISO 230-4; formats.md, "Run record").
+//! θ is the angle from the first axis of the plane towards the second. The axes stand at (R·cos θ, R·sin θ) about the
+//! circle's centre. The bar reads `e_a·cos θ + e_b·sin θ` of their errors `e_a` and `e_b` (ISO 230-4; formats.md, "Run
+//! record").
 
 use crate::role::{Axis, Column, Role};
 use std::f64::consts::{PI, TAU};
@@ -31,7 +31,9 @@ pub(crate) struct Derived {
 const AT_REST: f64 = 1e-9;
 
 impl Circle {
-    /// What follows from the angle for the axes' columns that are not logged. Velocities need the time.
+    /// What follows from the angle for the axes' columns that are not logged.
+    ///
+    /// Velocities need the time.
     pub(crate) fn derive(&self, angle: &[f64], time_s: Option<&[f64]>, logged: &[Column]) -> Derived {
         let share = [angle.iter().map(|a| a.cos()).collect(), angle.iter().map(|a| a.sin()).collect()];
         let rows: Vec<f64> = (0..angle.len()).map(|row| row as f64).collect();
@@ -117,7 +119,9 @@ fn rates_of(angle: &[f64], time_s: &[f64], tick: Option<f64>) -> Vec<f64> {
 /// Share of a rate that a clock's steps may make.
 const RATE_WITHIN: f64 = 0.005;
 
-/// Two rates that a coarse clock may show of one motion: one row a step of it and two, or one step of it a row and two, and no more.
+/// Whether a coarse clock may show these two rates of one motion.
+///
+/// It may if a step holds one row or two, or if a row holds one step or two.
 fn same_rate(a: f64, b: f64) -> bool {
     (a - b).abs() <= 0.55 * a.abs().max(b.abs())
 }

@@ -99,8 +99,10 @@ pub fn of_day_ns(text: &str) -> Option<i128> {
     iso8601_ns(&format!("1970-01-01T{clock}Z")).filter(|ns| *ns < DAY_NS)
 }
 
-/// Nanoseconds since 1970-01-01 UTC of `2022-08-08T13:51:37.2515150Z`: a blank may stand for the T; Z, an offset or nothing
-/// (then taken as UTC) at the end; up to nine decimals of a second.
+/// Nanoseconds since 1970-01-01 UTC of `2022-08-08T13:51:37.2515150Z`.
+///
+/// A blank may replace the T. The time ends with Z, an offset or nothing (UTC), and has up to nine decimals of a
+/// second.
 #[must_use]
 pub fn iso8601_ns(text: &str) -> Option<i128> {
     let text = text.trim();
@@ -193,8 +195,9 @@ pub fn spreadsheet(time_d: f64) -> Option<Counted> {
     is_date.then(|| Counted { unit: "d", what: "a spreadsheet's date", day: day() })
 }
 
-/// The day that times in seconds show if they are a spreadsheet's dates: from 2000 to 2100, less than two months long, with more
-/// decimals than a clock in seconds has.
+/// Day of times in seconds that are a spreadsheet's dates.
+///
+/// They lie from 2000 to 2100, span less than two months, and have more decimals than a clock in seconds.
 #[must_use]
 pub fn spreadsheet_in_s(times: &[f64]) -> Option<String> {
     let (first, last) = (*times.first()?, *times.last()?);

@@ -40,8 +40,9 @@ const fn code(value: f64, why: &'static str) -> Disconnected {
     Disconnected { value, why, real: false }
 }
 
-/// Common codes: data sheets of DS18B20 (power-on value), MAX6675 and MAX31855, ranges of PT100 (IEC 60751) and of
-/// thermocouples type K (IEC 60584), the ends of 16 bit numbers in tenths and hundredths, absolute zero.
+/// Common codes, from data sheets of DS18B20 (power-on value), MAX6675 and MAX31855, and the ranges of PT100 (IEC
+/// 60751) and thermocouples type K (IEC 60584).
+/// Others are the ends of 16 bit numbers in tenths and hundredths, and absolute zero.
 const DISCONNECTED: [Disconnected; 25] = [
     code(999.9, "an open input's code"),
     code(999.0, "an open input's code"),
@@ -70,8 +71,9 @@ const DISCONNECTED: [Disconnected; 25] = [
     Disconnected { value: 0.0, why: "an input without a sensor", real: true },
 ];
 
-/// Why a temperature of exactly this value is no temperature: what is wrong, and whether that is certain (`true`), or a
-/// machine can be that warm too (85 °C, 0 °C) and its neighbours decide.
+/// Why a temperature of exactly this value is a code and no temperature.
+///
+/// `true`: certain. `false`: a machine can have this temperature too (85 °C, 0 °C), and the neighbouring rows decide.
 #[must_use]
 pub fn disconnected(degc: f64) -> Option<(&'static str, bool)> {
     // Readings pass through tenths and single precision on their way.

@@ -3,9 +3,10 @@
 //! Everything is looked up by name once, in [`Live::new`]; [`Live::evaluate`] allocates nothing. Effects that read the same
 //! (axes, temperature difference, channel) read it from one place, which is filled once an instant (`Reading`).
 //!
-//! Outside the range of ΔT that an effect was fitted on, ΔT is held at the bound and the effect fades: what the held
-//! part leaves out, u = |gain|·excess, is weighed against the model's own uncertainty h (half width of its prediction
-//! interval), weight = 1/(1 + (u/h)²). It is one at the bound, so nothing jumps.
+//! Outside the range of ΔT that an effect was fitted on, ΔT is held at the bound and the effect fades. The held part
+//! leaves out u = |gain|·excess. The model's own uncertainty is h, the half width of its prediction interval. The
+//! weight is 1/(1 + (u/h)²).
+//! It is one at the bound, so nothing jumps.
 //!
 //! An axis whose sensors are lost is held: its temperature differences and lags stand as they were, what depends on
 //! position goes on.
@@ -71,7 +72,9 @@ pub struct Frame<'a> {
     pub angle_rad: f64,
     /// The machine is probing: effects of the probe act.
     pub probing: bool,
-    /// Per axis of the layout: its thermal state stands still. Empty where none is held.
+    /// Per axis of the layout: its thermal state stands still.
+    ///
+    /// Empty where none is held.
     pub held: &'a [bool],
 }
 
@@ -97,7 +100,9 @@ struct Places {
 #[derive(Debug, Clone)]
 struct Reading {
     places: Places,
-    /// Filled at every instant. Time and ΔT of a thermal one stand still while one of its axes is held.
+    /// Filled at every instant.
+    ///
+    /// Time and ΔT of a thermal one stand still while one of its axes is held.
     now: Input,
 }
 
@@ -165,8 +170,9 @@ pub struct Live {
 }
 
 impl Live {
-    /// Looks up everything a machine's effects and chain read. The zero of a set-up is left out: it is the gauges', and no error of the
-    /// machine.
+    /// Looks up everything a machine's effects and chain read.
+    ///
+    /// The zero of a set-up is left out: it is the gauges', and no error of the machine.
     ///
     /// # Errors
     /// A sensor, channel or (for the chain) axis that the layout does not have.
@@ -288,7 +294,9 @@ impl Live {
         }
     }
 
-    /// Evaluates all effects at an instant. Call it with time never decreasing: lags and reversals move on with it.
+    /// Evaluates all effects at an instant.
+    ///
+    /// Call it with time never decreasing: lags and reversals move on with it.
     ///
     /// # Panics
     /// When the frame has fewer values than the layout has names.
@@ -419,9 +427,11 @@ impl Item {
         if self.probing_only && !probing { 0.0 } else { value * self.weight }
     }
 
-    /// How far ΔT (after the lag, where there is one) is outside, and what is left of the effect for it: the share of a value at the
-    /// bound that is nearest to the truth where so much beyond is unknown. Half is left where the unknown is as large as the value.
-    /// What is given up is never more than half of the unknown: two effects that nearly cancel do so beyond the bound, too.
+    /// How far ΔT (after any lag) is outside the range, and the share of the effect that is left.
+    ///
+    /// The share is the value nearest to the truth if so much beyond the bound is unknown. Half is left if the unknown
+    /// is as large as the value.
+    /// Never more than half of the unknown is given up, so two effects that nearly cancel do so beyond the bound too.
     /// `first` is the law's first basis function here, at the bound.
     fn fade(&mut self, value: f64, first: f64, delta_k: f64) {
         let Some([lo, hi]) = self.effect.range_k else { return };

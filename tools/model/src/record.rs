@@ -1,4 +1,6 @@
-//! A run in memory: columns by role, row by row. On file it is a run record (formats.md, "Run record"), which
+//! A run in memory: columns by role, row by row.
+//!
+//! On file it is a run record (formats.md, "Run record"), which
 //! `rtec-measure` reads and writes.
 
 use crate::circle::{Circle, Derived};
@@ -219,8 +221,9 @@ impl Record {
         Ok(self)
     }
 
-    /// Where the axes that drive the circle are logged, they are those of its plane: of an axis of the plane that nobody logged the places
-    /// follow from the angle, but not while another one moves in its stead.
+    /// Logged axes that drive the circle are those of its plane.
+    ///
+    /// If an axis of the plane is not logged, its places follow from the angle, unless another axis moves in its stead.
     fn logs_plane(&self, circle: &Circle) -> Result<(), (String, &'static str)> {
         let logged: Vec<&Axis> = self.axes(Role::Position).collect();
         let Some(missing) = circle.plane.iter().find(|a| !logged.contains(a)) else { return Ok(()) };
@@ -242,8 +245,9 @@ impl Record {
         Err((found, "the two axes that drive the circle, those whose positions the record logs"))
     }
 
-    /// The share of an axis' error in the radial one at every row (cos θ or sin θ); `None` for an axis that is not in the
-    /// plane of the record's circle.
+    /// Share of an axis' error in the radial one at every row: cos θ or sin θ.
+    ///
+    /// `None` for an axis that is not in the plane of the record's circle.
     pub(crate) fn share(&self, axis: &Axis) -> Option<&[f64]> {
         let (circle, derived) = self.circle.as_ref()?;
         circle.plane.iter().zip(&derived.share).find(|(a, _)| *a == axis).map(|(_, share)| share.as_slice())

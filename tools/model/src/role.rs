@@ -39,7 +39,9 @@ impl fmt::Display for Axis {
     }
 }
 
-/// What a column is. Errors and forces are responses, everything else is what they may depend on.
+/// What a column is.
+///
+/// Errors and forces are responses, everything else is what they may depend on.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Role {
     /// Time, s; never decreasing.

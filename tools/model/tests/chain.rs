@@ -51,16 +51,19 @@ fn turning_centre_by_hand() {
         chain.error_um(axis, |_| 0.0)
     };
     let e = at(50.0, 200.0);
-    // carriage at p = 2 (100 mm): dx 1.92, dz 2.6 µm, ey 2 µrad; cross-slide at p = 0.5: dx −1.1, dz 0.1 µm,
-    // ey −1.5 µrad; its guide ey 21 µrad; spindle ey 12 µrad. Tool point from carriage and guide (120, −, 5), from the
-    // cross-slide (−80, −, −35), from the spindle (120, −, 385) mm. A rotation ey moves x by +ey·z and z by −ey·x.
+    // Carriage at p = 2 (100 mm): dx 1.92, dz 2.6 µm, ey 2 µrad.
+    // Cross-slide at p = 0.5: dx −1.1, dz 0.1 µm, ey −1.5 µrad.
+    // Its guide: ey 21 µrad. Spindle: ey 12 µrad.
+    // Tool point in mm: from carriage and guide (120, −, 5), from the cross-slide (−80, −, −35), from the spindle
+    // (120, −, 385).
+    // A rotation ey moves x by +ey·z and z by −ey·x.
     let x = 1.92 + 2e-3 * 5.0 - 1.1 - 1.5e-3 * -35.0 + 21e-3 * 5.0 - 12e-3 * 385.0;
     let z = 2.6 - 2e-3 * 120.0 + 0.1 - 1.5e-3 * 80.0 - 21e-3 * 120.0 + 12e-3 * 120.0;
     assert!((e[0] - x).abs() < 2e-3 && (e[2] - z).abs() < 2e-3, "{e:?}: {x} {z}");
 }
 
-/// What was looked up once, live and for a record's rows, is what the names say at every instant, to the last bit; sensors and
-/// axes stand in another order than the chain's, and one more of each.
+/// Names that were looked up once, live or for the rows of a record, give the same values to the last bit.
+/// Sensors and axes stand in another order than in the chain, with one more of each.
 #[test]
 fn live_and_by_rows_it_is_what_its_names_say() {
     let chain = Chain::read(&data("turning_centre.toml")).unwrap();

@@ -2,6 +2,7 @@
 
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
+use rtec_builders::column;
 use rtec_model::circle::Circle;
 use rtec_model::effect::{Dictionary, Effect};
 use rtec_model::machine::Machine;
@@ -13,10 +14,6 @@ use std::path::Path;
 const ROWS: usize = 1440;
 const RADIUS_MM: f64 = 150.0;
 const FEED_MM_S: f64 = 25.0;
-
-fn column(name: &str, role: &str, data: Vec<f64>) -> Column {
-    Column::new(name, Role::parse(role).unwrap(), data)
-}
 
 fn circle(radius_mm: f64) -> Circle {
     Circle { radius_mm, plane: [Axis::new("x").unwrap(), Axis::new("y").unwrap()], centre_mm: None }

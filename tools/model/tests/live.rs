@@ -1,5 +1,5 @@
-//! The prepared evaluation of a model is the plain one, to the last bit: every law, with places shared and not, axes that the layout
-//! does not have, held axes, lost probing, ranges that are left.
+//! The prepared evaluation of a model equals the plain one, to the last bit.
+//! Cases: every law, places shared and not, axes that the layout lacks, held axes, lost probing, ranges that are left.
 
 #![allow(clippy::unwrap_used)] // a test's own helpers
 

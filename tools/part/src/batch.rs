@@ -113,7 +113,7 @@ pub struct Judgement {
 
 /// A change of one feature's table.
 #[derive(Debug, Clone, Serialize)]
-pub struct Offered {
+pub struct TableChange {
     /// Name of the feature, as the file has it.
     pub feature: String,
     /// The error to add at an angle.
@@ -127,11 +127,12 @@ pub struct Batch {
     /// Every place, features and angles ascending.
     pub places: Vec<PlaceStatistics>,
     /// Systematic errors by angle: to be added to the table's errors, if the user decides so.
-    pub offer_table: Vec<Offered>,
+    pub offer_table: Vec<TableChange>,
     /// What is offered and to whom, in words.
     pub offers: Vec<String>,
-    /// The step that the errors are written in, where the parts scatter by less: what rounding may do to a mean is in its
-    /// interval, and no mean below half a step is systematic. µm.
+    /// Step that the errors are written in, µm, if the parts scatter by less.
+    ///
+    /// The interval of a mean includes its rounding. A mean below half a step is not systematic.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub step_um: Option<f64>,
     /// How the file is written where it is not as usual.
@@ -251,7 +252,7 @@ fn judge(
         .filter(|p| p.finding == BatchFinding::Systematic)
         .filter_map(|p| {
             let error = PointError { angle_rad: p.angle_rad?, error_um: p.mean_um, along_mm: None };
-            Some(Offered { feature: p.feature.clone(), error })
+            Some(TableChange { feature: p.feature.clone(), error })
         })
         .collect();
     let offers = places.iter().filter_map(offer).collect();

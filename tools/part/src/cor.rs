@@ -13,8 +13,10 @@ use std::path::Path;
 pub struct PointError {
     /// Direction of the surface normal from the part's +Z axis, in rad; along an arc it goes on past ±π.
     pub angle_rad: f64,
-    /// Deviation along that normal, in µm. Positive: the surface is further out than nominal, too much material; in a hollow arc,
-    /// whose normal points into the part, too little.
+    /// Deviation along that normal, in µm.
+    ///
+    /// Positive: the surface is further out than nominal, too much material; in a hollow arc, whose normal points into
+    /// the part, too little.
     pub error_um: f64,
     /// Place along a straight feature, in mm from the points' centroid.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -53,8 +55,10 @@ pub enum FeatureErrors {
 pub struct LineError {
     /// Direction of the surface normal from the part's +Z axis, in rad.
     pub angle_rad: f64,
-    /// Deviation along that normal, in µm. Positive: the surface is further out than nominal, too much material; in a hollow arc,
-    /// whose normal points into the part, too little.
+    /// Deviation along that normal, in µm.
+    ///
+    /// Positive: the surface is further out than nominal, too much material; in a hollow arc, whose normal points into
+    /// the part, too little.
     pub error_um: f64,
     /// Place along the feature, in mm from the points' centroid.
     pub along_mm: f64,
@@ -63,12 +67,14 @@ pub struct LineError {
 }
 
 impl FeatureErrors {
-    /// Read an `error.cor`: two numbers a line of an arc, five of a straight feature, separated by blanks, a comma, or as a
-    /// spreadsheet saves them (semicolons or tabs, decimal commas, quotes, a line `sep=`); `#` starts a comment.
+    /// Reads an `error.cor`: two numbers a line of an arc, five of a straight feature.
+    ///
+    /// Blanks or a comma separate them. A spreadsheet's file is read too: semicolons or tabs, decimal commas, quotes, a
+    /// line `sep=`. `#` starts a comment.
     ///
     /// # Errors
-    /// Other numbers than these in a line, or ones that no part has; angles or places that do not ascend, places that
-    /// do not lie along the feature, or no line at all.
+    /// A line with other numbers than these, or with numbers that no part has. Angles or places that do not ascend, or
+    /// do not lie along the feature. No line at all.
     pub fn read(file: &Path) -> Result<Self, InputError> {
         let (text, _) = rtec_files::text::decode_western(file, &rtec_files::text::bytes(file)?)?;
         Self::parse(file, &text)
@@ -181,8 +187,10 @@ impl Row {
     }
 }
 
-/// The lines with words. A comma parts them, or is the decimal mark where something else does: semicolons, tabs, or blanks beside
-/// commas within words, none of which has a point.
+/// The lines with words.
+///
+/// A comma parts them, or is the decimal mark where something else does: semicolons, tabs, or blanks beside commas
+/// within words, none of which has a point.
 fn rows(text: &str) -> Vec<Row> {
     let contents = || {
         text.lines().enumerate().filter_map(|(i, line)| {

@@ -176,7 +176,9 @@ fn read(args: &Asked, say: &mut dyn FnMut(Said)) -> Result<(Probed, Option<Vec<Z
     Ok((probed, places))
 }
 
-/// The errors of the feature that was probed. What is to be said on the way goes to `say`.
+/// The errors of the feature that was probed.
+///
+/// What is to be said on the way goes to `say`.
 ///
 /// # Errors
 /// A file that cannot be read, a number that cannot be meant, points that do not determine the feature.

@@ -1,7 +1,7 @@
 //! The part's contour from a DXF drawing: entities ordered along it, bad drawings named.
 //!
-//! The drawing shows the upper half of the part: its X is the part's axis (Z of the machine), its Y the distance from
-//! the axis (X of the machine), as in NISTIR 4854, figures 4 and 7.
+//! The drawing shows the upper half of the part (NISTIR 4854, figures 4 and 7). Its X is the part's axis (machine Z).
+//! Its Y is the distance from the axis (machine X).
 
 use crate::contour::{Contour, Segment, Spline};
 use crate::dxf::{Drawing, Entity};
@@ -103,8 +103,8 @@ fn is_annotation(kind: &str) -> bool {
 /// Read a drawing's contour and the unit its coordinates are in.
 ///
 /// # Errors
-/// No DXF, unknown units, an entity that is no part of a contour (or without length, or below the axis, or out of the
-/// plane), an entity that is there twice, a contour with a gap, a branch or in several pieces.
+/// No DXF, or unknown units. An entity that belongs to no contour, is given twice, has no length, or lies below the
+/// axis or out of the plane. A contour with a gap, a branch or several pieces.
 pub fn read(file: &Path, options: &Options) -> Result<(Contour, Unit), InputError> {
     let drawing = load(file)?;
     let unit = options.unit.or_else(|| unit_of_header(drawing.units)).ok_or_else(|| {

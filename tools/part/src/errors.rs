@@ -504,8 +504,9 @@ impl Probed {
         Ok(())
     }
 
-    /// +1: probed from outside (against the normal), −1: from inside. Without approaches from outside, which of a face
-    /// nobody can tell: its normal's sign would be that of its tilt.
+    /// +1: probed from outside (against the normal), −1: from inside.
+    ///
+    /// Without approaches from outside, which of a face nobody can tell: its normal's sign would be that of its tilt.
     fn side(&self, fitted: &FittedShape) -> Result<f64, InputError> {
         let Some(approach) = &self.approach else {
             return match *fitted {

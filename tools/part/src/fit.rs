@@ -384,8 +384,9 @@ pub struct TwoStep {
 
 /// Fit all points, drop the largest deviations, keep both ends, fit again; deviations for all points.
 ///
-/// The largest deviations are those on the side of the worst point (a worn tool leaves material, a chipped one
-/// takes it: a form error has one sign) that exceed 0.5 SD. Dropping the other side too would drop the good points
+/// Drops deviations on the side of the worst point that exceed 0.5 SD.
+///
+/// A form error has one sign: a worn tool leaves material, a chipped one takes it. The other side holds the good points
 /// that the first circle was pulled away from.
 ///
 /// # Errors
@@ -468,9 +469,11 @@ const BIWEIGHT: f64 = 4.685;
 /// Most points that candidates are drawn from: all triples of 24 are 2024 circles.
 const CANDIDATE_POINTS: usize = 24;
 
-/// An MM-estimate: of all shapes through as few points as determine one, that with the smallest median absolute
-/// deviation gives start and scale; then iterated reweighting with Tukey's biweight at that scale. Nothing is
-/// drawn at random: same points, same answer.
+/// An MM-estimate of the shape.
+///
+/// Of all shapes through as few points as determine one, that with the smallest median absolute deviation gives start
+/// and scale. Iterated reweighting with Tukey's biweight at that scale follows.
+/// Nothing is drawn at random: the same points give the same answer.
 ///
 /// # Errors
 /// As [`least_squares`].

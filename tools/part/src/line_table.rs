@@ -107,8 +107,10 @@ impl LineTable {
         self.errors.iter().map(corner).collect()
     }
 
-    /// The table as CSV, with the columns of [`crate::table::csv`]: `lead_mm` is how far before each position its totals are
-    /// to be sent along the cut, which runs towards larger places, or with `backwards` towards smaller ones.
+    /// The table as CSV, with the columns of [`crate::table::csv`].
+    ///
+    /// `lead_mm` is how far before each position its totals are sent. The cut runs towards larger places, or with
+    /// `backwards` towards smaller ones.
     #[must_use]
     pub fn csv(&self, rows: &[FinishRow], lead_mm: f64, backwards: bool) -> String {
         let way = match (self.errors.first(), self.errors.last()) {

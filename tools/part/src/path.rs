@@ -118,7 +118,7 @@ pub struct PathPoint {
 
 /// The probe meets the part where it should not.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Hit {
+pub struct Collision {
     /// On the way to this gauging point, from 1.
     pub point: usize,
     /// During the touch itself, not on the way to it.
@@ -269,13 +269,13 @@ impl Plan {
 
     /// Every place where the probe meets the part on its way, or in a touch before the trip.
     #[must_use]
-    pub fn hits(&self, contour: &Contour) -> Vec<Hit> {
+    pub fn hits(&self, contour: &Contour) -> Vec<Collision> {
         let mut hits = Vec::new();
         for (i, p) in self.points.iter().enumerate() {
             let mut note = |found: Option<(Zx, usize, &'static str)>, touching| {
                 if let Some((at, feature, by)) = found {
                     let feature = contour.features[feature].name.clone();
-                    hits.push(Hit { point: i + 1, touching, at, feature, by });
+                    hits.push(Collision { point: i + 1, touching, at, feature, by });
                 }
             };
             for leg in self.way(i).windows(2) {

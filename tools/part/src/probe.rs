@@ -66,8 +66,10 @@ pub struct Captured {
     pub bounces: Vec<usize>,
 }
 
-/// Give each trip its gauging point. `expected` are the tip's centres at the nominal part; positions are turned into
-/// part coordinates by `count_um` and the machine's `origin`.
+/// Give each trip its gauging point.
+///
+/// `expected` are the tip's centres at the nominal part; positions are turned into part coordinates by `count_um` and
+/// the machine's `origin`.
 ///
 /// # Errors
 /// The first point that was missed, tripped twice, bounced or tripped elsewhere.
@@ -128,8 +130,10 @@ pub fn probed_csv(trips: &[Trip], approach: &[Zx], sensors: &[&str], degc: &[Vec
     text
 }
 
-/// The session as a run record of the machine (`probing.run.toml`): where each axis was, the way it came, temperatures,
-/// and how far beyond the nominal part the trip lay along the touch. `origin` is the machine at the part's zero.
+/// The session as a run record of the machine (`probing.run.toml`).
+///
+/// It has axis positions, directions, temperatures, and how far beyond the nominal part each trip lay along its touch.
+/// `origin` is the machine at the part's zero.
 ///
 /// `None` for a session without a trip.
 #[must_use]

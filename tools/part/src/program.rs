@@ -88,8 +88,9 @@ const fn parameter(
     Parameter { number, name, default, meaning }
 }
 
-/// All parameters, numbered as the report's template numbers them. `$21` is the moves. Lengths are in the program's
-/// unit.
+/// All parameters, numbered as the report's template numbers them.
+///
+/// `$21` is the moves. Lengths are in the program's unit.
 pub const PARAMETERS: [Parameter; 22] = [
     parameter(1, "part", "0101", "two digits of the part and two of its version"),
     parameter(2, "segment", "2", "one even digit: probing segments lie between machining segments"),
@@ -356,7 +357,9 @@ impl ProbingProgram<'_> {
             .join("\n")
     }
 
-    /// One block per move. The first goes along Z alone, then along X alone: most clear of the part.
+    /// One block per move.
+    ///
+    /// The first goes along Z alone, then along X alone: most clear of the part.
     fn moves(&self, block: &mut u32) -> String {
         let d = &self.controller.dialect;
         let mut text = String::new();

@@ -23,8 +23,9 @@ impl AxisCounts {
         self.count_um * self.increment as f64
     }
 
-    /// The requested total that takes an error out: counts that the MTC sees too many make the axis stop short, so
-    /// too much material is answered by counts of its own sign.
+    /// Requested total that removes an error.
+    ///
+    /// An axis stops short by the counts that the MTC sees too many. So too much material needs counts of its own sign.
     #[must_use]
     pub fn requested(&self, error_um: f64) -> i64 {
         (self.sign * error_um / self.increment_um()).round() as i64 * self.increment
@@ -44,7 +45,9 @@ pub struct FinishCut {
     pub centre: Zx,
     /// Radius of the finished surface.
     pub radius_mm: f64,
-    /// Radius of the tool's nose: its centre runs on the larger arc. Negative in a hollow arc, where it runs inside.
+    /// Radius of the tool's nose: its centre runs on the larger arc.
+    ///
+    /// Negative in a hollow arc, where it runs inside.
     pub nose_mm: f64,
     /// Machine position at which the nose's centre is at the part's origin: work offset and tool dimensions.
     pub origin: Zx,
@@ -136,9 +139,10 @@ impl FinishTable {
         }
     }
 
-    /// Components of the error, in µm, at the machine position that is reached in `lead_s` at a velocity in mm/s:
-    /// asked ahead, so that the counts are in when the tool cuts there. What a geometric-thermal model wants is added
-    /// to this before counts are made of the sum.
+    /// Components of the error, µm, at the machine position reached in `lead_s`.
+    ///
+    /// The velocity is in mm/s. The error is evaluated ahead, so that the counts are in when the tool cuts there. The
+    /// geometric-thermal model is added before the sum is made counts.
     #[must_use]
     pub fn components_um(&self, machine: Zx, velocity_mm_s: Zx, lead_s: f64) -> Zx {
         let angle_rad = self.cut.angle_at(machine + velocity_mm_s * lead_s);
@@ -179,9 +183,10 @@ impl FinishTable {
             .collect()
     }
 
-    /// The same compensation written into the NC program instead: end points of the straight moves, none longer than
-    /// what stays within `off_mm` of the corrected path with coordinates rounded to `decimals`, in part coordinates.
-    /// The first point is where the cut starts.
+    /// The same compensation as end points of straight moves for the NC program.
+    ///
+    /// Each move stays within `off_mm` of the corrected path, with coordinates rounded to `decimals`. Points are in
+    /// part coordinates; the first is where the cut starts.
     #[must_use]
     pub fn straight_moves(&self, off_mm: f64, decimals: i32) -> Vec<Zx> {
         let (Some(first), Some(last)) = (self.errors.first(), self.errors.last()) else { return Vec::new() };

@@ -47,12 +47,12 @@ pub struct FarSide {
 }
 
 /// The other end of a card's wires.
-pub(crate) trait Far {
+pub(crate) trait FarEnd {
     fn drive(&mut self, inputs: u64);
     fn outputs(&mut self) -> u64;
 }
 
-impl Far for SharedWires {
+impl FarEnd for SharedWires {
     fn drive(&mut self, inputs: u64) {
         self.inputs.store(inputs, Release);
     }
@@ -63,7 +63,7 @@ impl Far for SharedWires {
 }
 
 /// The registers of the shared-memory test card, from the machine's side.
-impl Far for Registers {
+impl FarEnd for Registers {
     fn drive(&mut self, inputs: u64) {
         self.write(0, Width::Bits32, inputs as u32);
     }
@@ -173,7 +173,9 @@ impl<'a> Control<'a> {
         self.homed = Homed::Asked { at_ns: self.looked_ns };
     }
 
-    /// The time is up. On a crowded machine it goes on until one insertion has been `timed`.
+    /// The time is up.
+    ///
+    /// On a crowded machine it goes on until one insertion has been `timed`.
     fn over(&self, now_ns: u64, timed: bool) -> bool {
         now_ns >= self.end_ns && (timed || now_ns >= self.end_ns + PATIENCE_NS) || self.link.ended()
     }
@@ -196,7 +198,7 @@ struct Player<'a, 'c, F> {
 /// Moves the scale edge by edge, and is the MTC, until the time is up; the times from edge to second inversion go to
 /// `done`. Returns what was seen and the last of those times, ns.
 pub(crate) fn play(
-    far: &mut impl Far,
+    far: &mut impl FarEnd,
     control: &mut Control,
     done: &mut Recorder,
     random: &mut impl RngCore,
@@ -219,7 +221,7 @@ pub(crate) fn play(
     (player.seen, player.last_done_ns.unwrap_or(0))
 }
 
-impl<F: Far> Player<'_, '_, F> {
+impl<F: FarEnd> Player<'_, '_, F> {
     fn inverters_now(&mut self) -> u8 {
         LINES.inverters(self.far.outputs())
     }

@@ -1,7 +1,7 @@
 //! The polling loop on the card that will do the work: its reads with the outputs held, and its writes where that is allowed.
 //!
-//! Nobody plays the machine here. Reads are timed as the engine takes them. Writes are insertions that the engine makes at
-//! rest, without an edge: as many counts are added as are taken out again, so that the outputs end as they were found.
+//! Nothing moves the machine here. Reads are timed as the engine takes them. Writes are insertions at rest, without an
+//! edge. As many counts are added as are removed, so the outputs end as they were found.
 
 use crate::measurement::{Driven, Latency, Polling, SelftestError, SelftestOptions, tid_of};
 use rtec_driver::card::{Card, CardError, MachineLines, Sample};
@@ -20,9 +20,9 @@ const BACK_AGAIN: Duration = Duration::from_secs(5);
 const SECOND: Duration = Duration::from_secs(1);
 
 /// A card whose outputs are held as they are: writes go nowhere.
-struct Held<C>(C);
+struct HeldOutputs<C>(C);
 
-impl<C: Card> Card for Held<C> {
+impl<C: Card> Card for HeldOutputs<C> {
     const SLEEPS: bool = C::SLEEPS;
 
     fn sample(&mut self, wake_ns: u64) -> Result<Sample, CardError> {
@@ -45,7 +45,7 @@ pub(crate) fn reads<C: Card + Send + 'static>(
     options: SelftestOptions,
     progress: &mut impl FnMut(&str, u64),
 ) -> Result<(Polling, C), SelftestError> {
-    let mut card = Held(card);
+    let mut card = HeldOutputs(card);
     let engine = engine(&mut card, axes)?;
     let running = spawn(engine, card, thread(options))?;
     let tid = tid_of("rtec-rt");

@@ -8,13 +8,13 @@
 //! | poll gap | between two looks of the engine's own polling loop, as oslat does with an empty one |
 //! | edge to done, of a simulated card | another CPU plays the scale and the MTC: from the moment before it changes A or B to the moment it has seen the second inversion |
 //!
-//! On a simulated card poll gap and edge to done are measured twice: undisturbed, and with requests streaming in as fast as
-//! the link takes them. The gate is given the worse of the two. On the card that will do the work nobody plays the machine:
-//! its reads are timed with the outputs held, its writes by insertions at rest, where the caller allows that
-//! ([`run_on_card`]).
+//! On a simulated card, poll gap and edge to done are measured twice: undisturbed, and with requests as fast as the
+//! link takes them. The gate gets the worse of the two.
+//! On the real card nothing moves the machine. Its reads are timed with the outputs held. Its writes are insertions at
+//! rest, if the caller allows them ([`run_on_card`]).
 
 pub use crate::far::FarSide;
-use crate::far::{Control, Far, play};
+use crate::far::{Control, FarEnd, play};
 pub use crate::measurement::{Driven, Latency, Polling, SelftestError, SelftestOptions};
 use crate::measurement::{tid, tid_of};
 use crate::on_card;
@@ -59,19 +59,21 @@ pub struct Measured {
     pub wakeup: Latency,
     /// The axis that was measured with.
     pub axis: AxisConfig,
-    /// The polling loop undisturbed. Empty with one CPU only: polling would leave nobody to end it.
+    /// The polling loop undisturbed.
+    ///
+    /// Empty with one CPU only: polling would leave nobody to end it.
     pub quiet: Polling,
     /// The polling loop with requests streaming in as fast as the link takes them, or, on the card that will do the work,
     /// with insertions. Empty with one CPU only.
     pub with_requests: Polling,
     /// How the card was measured.
-    pub how: How,
+    pub how: MeasuredOn,
 }
 
 /// How a card was measured.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
-pub enum How {
+pub enum MeasuredOn {
     /// A simulated card: another CPU played the machine.
     Simulated,
     /// The card that will do the work, with its outputs held.
@@ -94,9 +96,11 @@ impl Measured {
     #[must_use]
     pub fn timed(&self) -> bool {
         match self.how {
-            How::Simulated => self.both().iter().all(|p| p.edge_to_done.ns.samples() > 0),
-            How::Reads => false,
-            How::ReadsAndWrites { .. } => self.looked() && self.with_requests.seen_to_done.samples() > 0,
+            MeasuredOn::Simulated => self.both().iter().all(|p| p.edge_to_done.ns.samples() > 0),
+            MeasuredOn::Reads => false,
+            MeasuredOn::ReadsAndWrites { .. } => {
+                self.looked() && self.with_requests.seen_to_done.samples() > 0
+            }
         }
     }
 
@@ -135,14 +139,16 @@ impl Measured {
     #[must_use]
     pub fn balanced(&self) -> bool {
         match self.how {
-            How::Simulated => self.both().iter().all(|p| p.balanced()),
-            How::Reads => true,
-            How::ReadsAndWrites { restored, .. } => restored && self.completed() == 0,
+            MeasuredOn::Simulated => self.both().iter().all(|p| p.balanced()),
+            MeasuredOn::Reads => true,
+            MeasuredOn::ReadsAndWrites { restored, .. } => restored && self.completed() == 0,
         }
     }
 
-    /// Time from an edge until the engine acts on it, ns, beyond the separations that it has to keep, with or without
-    /// requests streaming in, whichever is worse: at the worst seen and, apart from one look in ten thousand, at the worst.
+    /// Time from an edge until the engine acts on it, ns, less its separations.
+    ///
+    /// The worse of with and without requests streaming in. Two figures: the worst seen, and the worst apart from one
+    /// look in ten thousand.
     #[must_use]
     pub fn detect_ns(&self) -> (u64, u64) {
         let separations = self.separations_ns();
@@ -152,17 +158,19 @@ impl Measured {
             };
             let late = late(&self.quiet).max(late(&self.with_requests));
             // Nobody gave edges: one that falls behind the reading of its line is seen at the end of the look after.
-            if self.how == How::Simulated { late } else { late + self.quiet.poll_gap.ns.p99() }
+            if self.how == MeasuredOn::Simulated { late } else { late + self.quiet.poll_gap.ns.p99() }
         };
         (of(Snapshot::max), of(Snapshot::p9999))
     }
 
-    /// Time of one write until the next look, ns: half of what an insertion took beyond the separations that it has to
-    /// keep, but for one in ten thousand, with or without requests streaming in. Rarer delays are in [`Self::detect_ns`].
+    /// Time of one write until the next look, ns.
+    ///
+    /// Half of what an insertion took beyond its separations, apart from one in ten thousand, with or without requests
+    /// streaming in. Rarer delays are in [`Self::detect_ns`].
     #[must_use]
     pub fn write_ns(&self) -> u64 {
         let inserting_ns = self.both().map(|p| p.seen_to_done.p9999());
-        if self.how != How::Simulated {
+        if self.how != MeasuredOn::Simulated {
             // At rest an insertion has its first write, what confirms it, one separation, and the look that orders the second.
             return inserting_ns[1].saturating_sub(self.axis.min_separation_ns);
         }
@@ -173,11 +181,17 @@ impl Measured {
     /// insertion at rest the latter.
     #[must_use]
     pub fn separations_ns(&self) -> u64 {
-        if self.how == How::Simulated { 2 * self.axis.min_separation_ns } else { self.axis.min_separation_ns }
+        if self.how == MeasuredOn::Simulated {
+            2 * self.axis.min_separation_ns
+        } else {
+            self.axis.min_separation_ns
+        }
     }
 }
 
-/// Measures a simulated card. `progress` is called about once a second with what is going on and for how many more seconds.
+/// Measures a simulated card.
+///
+/// `progress` is called about once a second with what is going on and for how many more seconds.
 ///
 /// # Errors
 /// When the test card or a thread cannot be made, or the card fails.
@@ -221,7 +235,7 @@ pub fn run_on_card<C: Card + Send + 'static>(
     let (wakeup, setup) = measure_wake_ups(options, &mut progress)?;
     let axis = axes.iter().max_by_key(|a| a.min_separation_ns).copied().unwrap_or_default();
     let (quiet, with_requests) = (Polling::default(), Polling::default());
-    let mut measured = Measured { setup, wakeup, axis, quiet, with_requests, how: How::Reads };
+    let mut measured = Measured { setup, wakeup, axis, quiet, with_requests, how: MeasuredOn::Reads };
     if left.is_some() {
         let (quiet, card) = on_card::reads(card, axes, options, &mut progress)?;
         measured.quiet = quiet;
@@ -232,7 +246,7 @@ pub fn run_on_card<C: Card + Send + 'static>(
             let Driven { polling, ended_by, restored } =
                 on_card::writes(card, &axes, options, &mut progress)?;
             measured.with_requests = polling;
-            measured.how = How::ReadsAndWrites { ended_by, restored };
+            measured.how = MeasuredOn::ReadsAndWrites { ended_by, restored };
         }
     }
     Ok(measured)
@@ -240,7 +254,7 @@ pub fn run_on_card<C: Card + Send + 'static>(
 
 /// Wake-ups, then the polling loop without and with requests, each on a new card from `wires`: the engine's end and the
 /// machine's.
-fn measure<C: Card + Send + 'static, F: Far>(
+fn measure<C: Card + Send + 'static, F: FarEnd>(
     options: SelftestOptions,
     mut progress: impl FnMut(&str, u64),
     mut wires: impl FnMut() -> Result<(C, F), SelftestError>,
@@ -257,7 +271,7 @@ fn measure<C: Card + Send + 'static, F: Far>(
         axis,
         quiet: Polling::default(),
         with_requests: Polling::default(),
-        how: How::Simulated,
+        how: MeasuredOn::Simulated,
     };
     if left.is_some() {
         measured.quiet = measure_polling(options, axis, wires()?, false, &mut progress)?;
@@ -266,9 +280,11 @@ fn measure<C: Card + Send + 'static, F: Far>(
     Ok(measured)
 }
 
-/// The engine's own thread polls for a third of the time; this thread is the far side and the control side at once, so
-/// that requests stream in at the very moment of an edge, however few CPUs there are.
-fn measure_polling<C: Card + Send + 'static, F: Far>(
+/// The engine's own thread polls for a third of the time.
+///
+/// This thread is both the far side and the control side, so that requests arrive at the moment of an edge on any
+/// number of CPUs.
+fn measure_polling<C: Card + Send + 'static, F: FarEnd>(
     options: SelftestOptions,
     axis: AxisConfig,
     (mut card, mut far): (C, F),

@@ -23,7 +23,7 @@ const JUDGES: &str = "0 yes; 1 no; 2 bad input or usage";
 const READS: &str = "0 done; 2 bad input or usage";
 
 /// Verb, door, example, exit codes.
-const VERBS: [(&str, usize, &str, &str); 41] = [
+const VERBS: [(&str, usize, &str, &str); 40] = [
     ("status", 0, "rtecctl status --watch", "0 shown; 2 bad usage; 3 no daemon; 4 a fault is latched"),
     ("top", 0, "rtecctl top", SHOWS),
     ("home", 0, "rtecctl home x", ASKS),
@@ -111,7 +111,6 @@ const VERBS: [(&str, usize, &str, &str); 41] = [
     ),
     ("trace", 4, "rtecctl trace convert x.csv x.vcd", READS),
     ("designs", 4, "rtecctl designs --json", READS),
-    ("papers", 4, "rtecctl papers 4832", READS),
     ("completions", 4, "rtecctl completions bash", READS),
     ("man", 4, "rtecctl man target/man", READS),
     ("help", 4, "rtecctl help status", READS),

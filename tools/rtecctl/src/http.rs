@@ -2,8 +2,8 @@
 //! limits of size and time. Whoever is slow holds up nobody else; a body is read once its head was found good. Where all places
 //! are taken, the connection that has kept its request to itself longest gives way to a new one.
 //!
-//! Heads are read by `httparse`, which needs nothing else. A whole server would be `hyper` with a run time (seventeen crates), which
-//! lets nobody give way, or `tiny_http`, which reads bodies on the thread that accepts: one slow sender holds up all.
+//! Heads are read by `httparse`, which needs nothing else. `hyper` needs a run time (seventeen crates) and cannot drop
+//! a slow client. `tiny_http` reads bodies on the thread that accepts, so one slow sender stops all.
 
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 use std::collections::BTreeMap;
@@ -169,11 +169,11 @@ impl Server {
 }
 
 /// Ends a connection from outside its thread.
-type Hand = Box<dyn Fn() + Send>;
+type CloseConnection = Box<dyn Fn() + Send>;
 
 /// The connections that there are, and of those whose request is not all there, how to end them: the oldest first.
 #[derive(Default)]
-struct Seats(Mutex<(u64, usize, BTreeMap<u64, Hand>)>);
+struct Seats(Mutex<(u64, usize, BTreeMap<u64, CloseConnection>)>);
 
 /// A connection's place, until it is dropped.
 struct Seat {
@@ -183,7 +183,7 @@ struct Seat {
 
 impl Seats {
     /// A place; where there is none the one who has kept its request to itself longest gives way. None where all have asked.
-    fn take(of: &Arc<Self>, hand: Hand) -> Option<Seat> {
+    fn take(of: &Arc<Self>, hand: CloseConnection) -> Option<Seat> {
         let mut seats = of.lock();
         let (next, taken, silent) = &mut *seats;
         if *taken >= AT_ONCE {
@@ -196,7 +196,7 @@ impl Seats {
         Some(Seat { of: Arc::clone(of), number: *next })
     }
 
-    fn lock(&self) -> MutexGuard<'_, (u64, usize, BTreeMap<u64, Hand>)> {
+    fn lock(&self) -> MutexGuard<'_, (u64, usize, BTreeMap<u64, CloseConnection>)> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
@@ -220,7 +220,7 @@ trait Stream: Read + Write + Send {
     fn patience(&self, time: Duration) -> io::Result<()>;
     fn end(&self) -> io::Result<()>;
     /// What ends both directions, from wherever it is called.
-    fn end_both(&self) -> io::Result<Hand>;
+    fn end_both(&self) -> io::Result<CloseConnection>;
 }
 
 macro_rules! stream {
@@ -237,7 +237,7 @@ macro_rules! stream {
                 self.shutdown(Shutdown::Write)
             }
 
-            fn end_both(&self) -> io::Result<Hand> {
+            fn end_both(&self) -> io::Result<CloseConnection> {
                 let other = self.try_clone()?;
                 Ok(Box::new(move || drop(other.shutdown(Shutdown::Both))))
             }
@@ -379,7 +379,7 @@ mod tests {
     fn whoever_is_silent_longest_gives_way() {
         let seats = Arc::<Seats>::default();
         let ended = Arc::<Mutex<Vec<usize>>>::default();
-        let hand = |n: usize| -> Hand {
+        let hand = |n: usize| -> CloseConnection {
             let ended = Arc::clone(&ended);
             Box::new(move || ended.lock().unwrap().push(n))
         };

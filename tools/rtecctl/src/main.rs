@@ -84,11 +84,9 @@ impl Verb {
     /// Whether it computes; others wait for a daemon, a machine or a person, and print as they go on.
     fn computes(&self) -> bool {
         use Verb::{
-            Characterise, Designs, Example, History, Model, Papers, Part, Reconcile, Replay, Ship, Simulate,
-            Trace,
+            Characterise, Designs, Example, History, Model, Part, Reconcile, Replay, Ship, Simulate, Trace,
         };
-        let named =
-            matches!(self, Designs(_) | Example(_) | History(_) | Papers(_) | Part(_) | Replay(_) | Ship(_));
+        let named = matches!(self, Designs(_) | Example(_) | History(_) | Part(_) | Replay(_) | Ship(_));
         named || matches!(self, Characterise(_) | Model(_) | Reconcile(_) | Simulate(_) | Trace(_))
     }
 }
@@ -120,7 +118,6 @@ verbs! {
     Hold hold,
     Clear clear,
     Log log,
-    Papers papers,
     Park park,
     Part part,
     Model model,
@@ -167,8 +164,10 @@ pub(crate) fn with_negative_values(command: clap::Command) -> clap::Command {
     names.into_iter().fold(command, |c, name| c.mut_subcommand(name, with_negative_values))
 }
 
-/// What is asked. Describing every verb takes longer than most verbs: the one that is named is described first, and all of
-/// them only where that one does not take the words, so that help and errors are always those of the whole.
+/// Parses the command line.
+///
+/// Describing every verb takes longer than most verbs run. So only the named verb is described first. If it does not
+/// take the words, all verbs are described, and help and errors are those of the whole.
 fn asked(words: &[OsString]) -> Result<clap::ArgMatches, clap::Error> {
     let named = words.get(1).and_then(|w| help::command_of(w.to_str()?));
     match named.map(|command| command.try_get_matches_from(words)) {

@@ -1,4 +1,4 @@
-//! The machines that the sources describe, as files within the program: what `rtecctl papers` runs, and what the experiments of
+//! The machines that the sources describe, as files within the program: what `rtec-papers` runs, and what the experiments of
 //! the sources bring with them. A folder with files of the same names stands for them.
 
 use rtec_files::InputError;
@@ -71,7 +71,7 @@ impl Described {
     /// Not such a file: file, line, column, what was found and expected.
     pub fn read<T: DeserializeOwned>(&self, name: &str) -> Result<T, InputError> {
         let (path, text) = self.text(name)?;
-        rtec_files::toml::from_str(&path, &text, "keys of this description, see `rtecctl papers --write`")
+        rtec_files::toml::from_str(&path, &text, "keys of this description, see `rtec-papers --write`")
     }
 
     /// What is wrong with a value of a description: file, line of its key, found, expected.

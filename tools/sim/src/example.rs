@@ -23,7 +23,7 @@ pub struct Example {
     /// Files as they stand: path below the example's folder, and text. `true.toml` is among them.
     pub files: &'static [(&'static str, &'static str)],
     spec: fn() -> Spec,
-    /// Experiments that characterise it, and those that are held out; none where `rtecctl papers` runs it whole.
+    /// Experiments that characterise it, and those that are held out; none where `rtec-papers` runs it whole.
     runs: [&'static [&'static str]; 2],
 }
 
@@ -143,7 +143,7 @@ impl Example {
         EXAMPLES.iter().find(|e| e.name == name)
     }
 
-    /// It has runs of its own; else `rtecctl papers` runs it whole.
+    /// It has runs of its own; else `rtec-papers` runs it whole.
     #[must_use]
     pub fn has_runs(&self) -> bool {
         self.runs.iter().any(|runs| !runs.is_empty())

@@ -38,7 +38,9 @@ fn clean_records_raise_no_suspicion() {
     quiet(&kinds.map(|(k, h)| (Class::Narrow(h), 7_000_000 + 1000 * k as u64)).collect::<Vec<_>>(), 75, 100);
 }
 
-/// Short runs, heat that is switched, machines that turn with a spike. What is still suspected is mostly single rows that stand out.
+/// Short runs, heat that is switched, machines that turn with a spike.
+///
+/// What is still suspected is mostly single rows that stand out.
 #[test]
 fn clean_records_of_the_wider_kinds_raise_no_suspicion() {
     let kinds = [Class::Many, Class::ManyZeros, Class::ManyRadial, Class::Heat, Class::Fast, Class::Pairs];

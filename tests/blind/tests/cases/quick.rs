@@ -91,8 +91,9 @@ fn another_reference_temperature_is_no_certain_offset() {
     assert_eq!(good, 1, "{bad:#?}");
 }
 
-/// A bug once: over a dozen uneven targets many waves explain nearly as much; only the three highest peaks of what was left
-/// were looked at, and a map beside a wave of another period took the place of the one wave.
+/// A bug once: over a dozen uneven targets many waves explain nearly as much.
+/// Only the three highest peaks of the residual were looked at. A map and a wave of another period replaced the one
+/// wave.
 #[test]
 fn one_wave_at_few_targets_is_no_map_and_another_wave() {
     for seed in [42_026, 42_046, 42_085, 42_148] {
@@ -108,8 +109,8 @@ fn one_wave_at_few_targets_is_no_map_and_another_wave() {
     assert!(mark(&case, &reply) == Mark::Exact || reply.verdict == "not_separable", "{:?}", reply.effects);
 }
 
-/// A bug once: maps and waves that had as many coefficients as a response had rows made its noise look like nothing, so that
-/// still more was fitted to it, for a quarter of a minute, and all was called unknown.
+/// A bug once: maps and waves with as many coefficients as a response has rows hid its noise.
+/// Still more was fitted to that, for a quarter of a minute, and all was called unknown.
 #[test]
 fn no_response_of_a_short_circle_is_fitted_full() {
     let mut right = 0;

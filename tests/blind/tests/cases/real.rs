@@ -2,23 +2,15 @@
 
 #![allow(clippy::unwrap_used)] // helpers of tests count as tests
 
+use rtec_builders::axis;
 use rtec_model::machine::Machine;
-use rtec_model::record::{Axis, Column, Kind, Record, Role};
+use rtec_model::record::{Column, Kind, Record, Role};
 use rtec_reconcile::{Options, Reconciliation, Verdict, reconcile};
 use std::path::{Path, PathBuf};
 
 fn data(name: &str) -> Option<String> {
     let path = test_needs::shared(&format!("data/{name}"))?;
     Some(std::fs::read_to_string(path).unwrap())
-}
-
-fn column(name: &str, role: Role, data: Vec<f64>) -> Column {
-    let unit = role.unit().unwrap_or("1").to_owned();
-    Column { name: name.to_owned(), role, unit, data }
-}
-
-fn axis(name: &str) -> Axis {
-    Axis::new(name).unwrap()
 }
 
 fn names(r: &Reconciliation) -> Vec<String> {
@@ -34,10 +26,10 @@ fn plate(text: &str) -> Record {
         .collect();
     let pick = |at: usize, by: f64| rows.iter().map(|r| r[at] * by).collect();
     let columns = vec![
-        column("x", Role::Position(axis("x")), pick(2, 1.0)),
-        column("y", Role::Position(axis("y")), pick(3, 1.0)),
-        column("ex", Role::Error(axis("x")), pick(4, 1000.0)),
-        column("ey", Role::Error(axis("y")), pick(5, 1000.0)),
+        Column::new("x", Role::Position(axis("x")), pick(2, 1.0)),
+        Column::new("y", Role::Position(axis("y")), pick(3, 1.0)),
+        Column::new("ex", Role::Error(axis("x")), pick(4, 1000.0)),
+        Column::new("ey", Role::Error(axis("y")), pick(5, 1000.0)),
     ];
     Record::new(&PathBuf::from("plate.run.toml"), Kind::Plate, columns).unwrap()
 }
@@ -85,10 +77,10 @@ fn the_iso_230_axis_has_a_map_and_a_reversal() {
         }
     }
     let columns = vec![
-        column("y", Role::Position(axis("y")), y),
-        column("dir", Role::Direction(axis("y")), dir),
-        column("n", Role::Cycle, n),
-        column("e", Role::Error(axis("y")), e),
+        Column::new("y", Role::Position(axis("y")), y),
+        Column::new("dir", Role::Direction(axis("y")), dir),
+        Column::new("n", Role::Cycle, n),
+        Column::new("e", Role::Error(axis("y")), e),
     ];
     let record = Record::new(&PathBuf::from("axis.run.toml"), Kind::Positioning, columns).unwrap();
     let r = reconcile(&[record], &[], &Machine::ideal("ecmc"), &Options::default()).unwrap();
@@ -129,15 +121,15 @@ fn emps(text: &str, corner_hz: f64, every: usize) -> Record {
     let places: Vec<usize> = (reach + 1..rows.len() - reach - 1).step_by(every).collect();
     let pick = |f: &dyn Fn(usize) -> f64| places.iter().map(|r| f(*r)).collect::<Vec<_>>();
     let columns = vec![
-        column("t", Role::Time, pick(&|r| r as f64 * 1e-3)),
-        column("x", Role::Position(axis("x")), pick(&|r| smooth(r, 0))),
-        column("v", Role::Velocity(axis("x")), pick(&|r| (smooth(r + 1, 0) - smooth(r - 1, 0)) / 2e-3)),
-        column(
+        Column::new("t", Role::Time, pick(&|r| r as f64 * 1e-3)),
+        Column::new("x", Role::Position(axis("x")), pick(&|r| smooth(r, 0))),
+        Column::new("v", Role::Velocity(axis("x")), pick(&|r| (smooth(r + 1, 0) - smooth(r - 1, 0)) / 2e-3)),
+        Column::new(
             "a",
             Role::Acceleration(axis("x")),
             pick(&|r| (smooth(r + 1, 0) - 2.0 * smooth(r, 0) + smooth(r - 1, 0)) / 1e-6),
         ),
-        column("f", Role::Force(axis("x")), pick(&|r| smooth(r, 1))),
+        Column::new("f", Role::Force(axis("x")), pick(&|r| smooth(r, 1))),
     ];
     Record::new(&PathBuf::from("emps.run.toml"), Kind::Dynamics, columns).unwrap()
 }
@@ -190,9 +182,9 @@ fn a_raw_log_of_position_and_current_is_enough() {
     let part = |rows: &[[f64; 3]]| {
         let pick = |k: usize| rows.iter().map(|r| r[k]).collect::<Vec<_>>();
         let columns = vec![
-            column("t", Role::Time, pick(0)),
-            column("x", Role::Position(axis("x")), pick(1)),
-            column("f", Role::Force(axis("x")), pick(2)),
+            Column::new("t", Role::Time, pick(0)),
+            Column::new("x", Role::Position(axis("x")), pick(1)),
+            Column::new("f", Role::Force(axis("x")), pick(2)),
         ];
         Record::new(&PathBuf::from("raw.run.toml"), Kind::Dynamics, columns).unwrap()
     };
@@ -215,10 +207,12 @@ fn spindle(text: &str, rows: std::ops::Range<usize>, decoys: &[(&str, Role, Vec<
     let lines: Vec<Vec<f64>> =
         text.lines().skip(1).map(|l| l.split(',').map(|f| f.parse().unwrap()).collect()).collect();
     let pick = |k: usize, by: f64| lines[rows.clone()].iter().map(|l| l[k] * by).collect::<Vec<_>>();
-    let mut columns =
-        vec![column("t", Role::Time, pick(0, 60.0)), column("e", Role::Error(axis("z")), pick(1, 1.0))];
-    columns.extend((0..16).map(|k| column(&format!("T{k}"), Role::Temperature, pick(k + 2, 1.0))));
-    columns.extend(decoys.iter().map(|(n, r, d)| column(n, r.clone(), d[rows.clone()].to_vec())));
+    let mut columns = vec![
+        Column::new("t", Role::Time, pick(0, 60.0)),
+        Column::new("e", Role::Error(axis("z")), pick(1, 1.0)),
+    ];
+    columns.extend((0..16).map(|k| Column::new(&format!("T{k}"), Role::Temperature, pick(k + 2, 1.0))));
+    columns.extend(decoys.iter().map(|(n, r, d)| Column::new(n, r.clone(), d[rows.clone()].to_vec())));
     Record::new(&PathBuf::from("spindle.run.toml"), Kind::Drift, columns).unwrap()
 }
 
@@ -253,8 +247,10 @@ fn a_spindle_grows_with_its_heat_and_later_hours_are_predicted() {
     assert!(sum / (splits.len() as f64) < 0.95, "{sum}");
 }
 
-/// Every fourth minute of the whole run, with a random walk and a sensor whose rows were shuffled among the temperatures, and a random walk
-/// among the channels: heat is named, in relation to the surroundings and with a lag, and no decoy is.
+/// Every fourth minute of the whole run, with decoys.
+///
+/// Decoys are a random walk and a sensor with shuffled rows among the temperatures, and a random walk among the
+/// channels. Heat is named, in relation to the surroundings and with a lag, and no decoy is.
 #[test]
 fn a_decoy_is_never_the_cause_of_growth() {
     use rand_xoshiro::rand_core::{RngCore, SeedableRng};

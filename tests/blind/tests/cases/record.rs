@@ -101,7 +101,9 @@ fn pages() -> Vec<String> {
     pages
 }
 
-/// The shares that a text quotes: `17 of 19`, `19 of the 20`. What a command printed is judged where it runs, so blocks are left out.
+/// The shares that a text quotes: `17 of 19`, `19 of the 20`.
+///
+/// What a command printed is judged where it runs, so blocks are left out.
 fn shares(text: &str) -> Vec<String> {
     let prose: String = text.split("```").step_by(2).collect();
     let words: Vec<&str> =

@@ -2,14 +2,10 @@
 
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
+use rtec_builders::column;
 use rtec_measure::iso230;
-use rtec_model::record::{Column, Kind, Record, Role};
+use rtec_model::record::{Kind, Record};
 use std::path::Path;
-
-fn column(name: &str, role: &str, data: Vec<f64>) -> Column {
-    let role = Role::parse(role).unwrap();
-    Column { name: name.into(), unit: role.unit().unwrap().into(), role, data }
-}
 
 #[test]
 fn drift_ranges_and_rate() {
@@ -89,7 +85,6 @@ fn a_plate_that_is_not_square_is_fitted_at_once() {
     }
     let (sx, sy, c, d) = (30.0, -10.0, 13.0, 12.0);
     let of = |f: &dyn Fn(f64, f64) -> f64| holes.iter().map(|(x, y)| f(*x, *y)).collect::<Vec<_>>();
-    let column = |name: &str, role: &str, data| Column::new(name, Role::parse(role).unwrap(), data);
     let columns = vec![
         column("x", "position.x", of(&|x, _| x)),
         column("y", "position.y", of(&|_, y| y)),

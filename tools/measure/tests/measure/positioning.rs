@@ -2,14 +2,11 @@
 
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
+use rtec_builders::column;
 use rtec_measure::iso230::{Conditions, Options, Positioning, diagonals, positioning, positioning_with};
 use rtec_model::record::{Column, Kind, Record, Role};
 use std::path::Path;
 use std::process::Command;
-
-fn column(name: &str, role: &str, data: Vec<f64>) -> Column {
-    Column::new(name, Role::parse(role).unwrap(), data)
-}
 
 fn uniform(state: &mut u64) -> f64 {
     *state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);

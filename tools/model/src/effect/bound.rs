@@ -21,8 +21,9 @@ pub(super) const RADIAL: usize = 2;
 /// What an effect remembers from one piece of a record to the next, of each component.
 pub(crate) type States = [State; 2];
 
-/// The columns of a record that an effect reads. Good for every value of the effect's parameters, so that a search
-/// over non-linear parameters binds once.
+/// The columns of a record that an effect reads.
+///
+/// Good for every value of the effect's parameters, so that a search over non-linear parameters binds once.
 #[derive(Debug, Clone)]
 pub struct Bound<'r> {
     rows: usize,

@@ -20,7 +20,9 @@ pub enum Naming {
     Channel,
 }
 
-/// What an effect reads, beside its parameters. Axis numbers count the axes of its name.
+/// What an effect reads, beside its parameters.
+///
+/// Axis numbers count the axes of its name.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Need {
     /// Time, s.
@@ -161,8 +163,10 @@ pub enum Refine {
     Step(f64),
     /// The same for its logarithm.
     Factor(f64),
-    /// The same for the logarithm of a time constant, which is not refined beyond the longest that the records show:
-    /// one far longer than the run is a straight line by another name, and no ground for prediction.
+    /// The same for the logarithm of a time constant.
+    ///
+    /// It is not refined beyond the longest that the records show. A constant far longer than the run looks like a
+    /// straight line and predicts nothing.
     TimeConstant(f64),
     /// From one moment of the records to another.
     Moment,
@@ -175,7 +179,9 @@ pub struct Parameter {
     pub name: String,
     /// Its unit.
     pub unit: String,
-    /// What a sound machine may show: where a search begins, and a warning outside. In the parameter's own unit.
+    /// What a sound machine may show: where a search begins, and a warning outside.
+    ///
+    /// In the parameter's own unit.
     pub plausible: [f64; 2],
     /// How large it usually is where a machine has it, in the parameter's own unit: the scale of the prior of an amplitude. Zero
     /// where nobody knows: then a part of `plausible` stands for it ([`Parameter::prior_size`]).
@@ -293,7 +299,9 @@ pub struct Wave {
     pub most_periods: Option<f64>,
 }
 
-/// How a search for a missing effect treats a law. Its grid is [`super::Law::grid`].
+/// How a search for a missing effect treats a law.
+///
+/// Its grid is [`super::Law::grid`].
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Searched {
     /// What it costs beyond a law with physics behind it, nats.

@@ -14,8 +14,9 @@ pub trait Extent {
     fn moments_s(&self) -> Vec<f64>;
     /// Places of an axis that were measured at, mm, rising, those that differ by little as one; empty where none is logged.
     fn places_mm(&self, axis: &Axis) -> Vec<f64>;
-    /// From where to where single records go along an axis that do not go as far as all together, mm; those that differ by little
-    /// as one, and as few as that leaves.
+    /// Travel of single records along an axis, mm, where shorter than that of all together.
+    ///
+    /// Ranges that differ by little are merged.
     fn stretches_mm(&self, axis: &Axis) -> Vec<[f64; 2]>;
 }
 

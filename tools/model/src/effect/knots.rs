@@ -73,8 +73,10 @@ impl Law for BrokenLine {
         Err(ValueError::new("knots_mm", format!("{:?}", effect.get(KNOTS)), "knots that increase strictly"))
     }
 
-    /// From a few even knots to two dozen, over all that was travelled and over each record's own part of it, and one at every
-    /// place where there are not too many.
+    /// Sets of knots: from a few even ones to two dozen.
+    ///
+    /// They cover the whole travel and each record's own part. If there are few places, one set has a knot at every
+    /// place.
     fn grid(&self, effect: &Effect, records: &dyn Extent) -> Vec<Point> {
         let axis = &effect.axes()[self.along];
         let places = records.places_mm(axis);

@@ -1,4 +1,6 @@
-//! A first-order lag: what follows its input late. The one place where its recursion is written.
+//! A first-order lag: what follows its input late.
+//!
+//! The one place where its recursion is written.
 
 /// What a first-order lag does over one step of time.
 #[derive(Debug, Clone, Copy, Default)]

@@ -9,9 +9,9 @@
 //! For most laws the coefficients are the parameters themselves. For a periodic law they are um·cos(phase) and
 //! um·sin(phase), so that amplitude and phase are found by one linear fit.
 //!
-//! A built-in effect is one file of [`laws`] and one line in its list. What others need to know of a law beyond its values
-//! (how it is searched, how it stands to heat, whose it is, its bounds) they ask of its [`Description`]: nobody asks for
-//! its name. A program's own law implements [`Law`] and joins a [`Dictionary`]; a project's own comes from a file (`own`).
+//! A built-in effect is one file of [`laws`] and one line in its list. Others never ask for the name of a law. They ask
+//! its [`Description`] how it is searched, how it depends on heat, whose it is and what its bounds are.
+//! A program's own law implements [`Law`] and joins a [`Dictionary`]; a project's own comes from a file (`own`).
 //!
 //! | module | what |
 //! |---|---|
@@ -120,7 +120,9 @@ pub trait Law: fmt::Debug + Send + Sync {
         self.basis(effect, now, component, state, out);
     }
 
-    /// The coefficients that the effect's parameters stand for. The default: its linear parameters in order.
+    /// The coefficients that the effect's parameters stand for.
+    ///
+    /// The default: its linear parameters in order.
     fn coefficients(&self, effect: &Effect, out: Out<'_>) {
         let mut at = 0;
         for (i, p) in self.describe().parameters.iter().enumerate() {
@@ -235,7 +237,9 @@ pub struct Effect {
     pub start_k: Option<f64>,
     /// All values, parameter after parameter, each with as many as the effect has knots (1 for scalars).
     values: Vec<f64>,
-    /// Values per parameter: 1, or the number of knots. Kept beside them, because a law asks at every instant.
+    /// Values per parameter: 1, or the number of knots.
+    ///
+    /// Kept beside them, because a law asks at every instant.
     width: usize,
 }
 
@@ -479,8 +483,9 @@ impl Effect {
         id
     }
 
-    /// The responses of a record on which it acts: column's role and component (0 or 1 of a pair; one further for the
-    /// projection of both on the radial error of a circle).
+    /// Responses of a record on which the effect acts: role and component.
+    ///
+    /// The component is 0 or 1 of a pair. One further is the projection of both on the radial error of a circle.
     #[must_use]
     pub fn acts_on(&self, record: &Record) -> Vec<(Role, usize)> {
         if self.description().probing == Probing::Only && record.kind != Kind::Probing {

@@ -1,9 +1,10 @@
 //! A project's own effects: laws given by a file instead of code.
 //!
-//! Each parameter is linear and multiplies a sum of products of what an effect may read, each to a whole power, maybe
-//! with the sine or cosine of a multiple of the angle, or with a hat over one of them (`hat = [20.0, 25.0, 30.0],
-//! of = "t"`: 0 at the ends, 1 in the middle; two equal numbers at a side: 1 from there on). That covers what a machine's own cross terms look like, can be
-//! fitted like any built-in law, and cannot fail at run time.
+//! Each parameter is linear and multiplies a sum of products of what an effect may read, each to a whole power. A
+//! product may have the sine or cosine of a multiple of the angle.
+//! A product may also have a hat over one of them: `hat = [20.0, 25.0, 30.0], of = "t"` is 0 at the ends and 1 in the
+//! middle. Two equal numbers at a side mean 1 from there on.
+//! That covers a machine's usual cross terms. Such a law is fitted like any built-in law, and cannot fail at run time.
 //!
 //! ```toml
 //! [[law]]
@@ -59,13 +60,13 @@ struct Term {
 }
 
 #[derive(Debug)]
-struct Own {
+struct FileLaw {
     description: Description,
     /// Terms of each parameter.
     terms: Vec<Vec<Term>>,
 }
 
-impl Law for Own {
+impl Law for FileLaw {
     fn describe(&self) -> &Description {
         &self.description
     }
@@ -125,7 +126,7 @@ impl Dictionary {
     }
 }
 
-fn read_law(t: Table<'_>, name: &Entry<'_>) -> Result<Own, InputError> {
+fn read_law(t: Table<'_>, name: &Entry<'_>) -> Result<FileLaw, InputError> {
     t.only(&["name", "naming", "acts_on", "law", "cause", "experiment", "parameters"])?;
     let id = name.str("the law's name")?;
     if id.is_empty() || id.contains(['.', ' ']) {
@@ -186,7 +187,7 @@ fn read_law(t: Table<'_>, name: &Entry<'_>) -> Result<Own, InputError> {
         companion,
         ..Description::default()
     };
-    Ok(Own { description, terms })
+    Ok(FileLaw { description, terms })
 }
 
 fn read_term(t: Table<'_>, naming: Naming, axes: usize, needs: &mut Vec<Need>) -> Result<Term, InputError> {

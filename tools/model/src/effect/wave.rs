@@ -1,5 +1,6 @@
-//! Waves along a position. Amplitude and phase stand for two linear coefficients, amplitude times cosine and sine of the
-//! phase.
+//! Waves along a position.
+//!
+//! Amplitude and phase stand for two linear coefficients, amplitude times cosine and sine of the phase.
 
 use super::{Description, Effect, Input, Law, Out, Parameter, Search, State, ValueError};
 use std::f64::consts::TAU;

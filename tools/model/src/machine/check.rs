@@ -181,8 +181,9 @@ impl<'m> Asked<'m> {
         found
     }
 
-    /// The difference that leaves most what a fit saw of it, where no effect of the fit's response reads it: what grows with it
-    /// there is not in the model at all.
+    /// Difference that leaves the fitted range most and that no effect of the response reads.
+    ///
+    /// Growth with that difference is not in the model at all.
     fn unseen(&self, fit: &FitNote, farthest: &[Option<Farthest>]) -> Option<String> {
         let axis = fit.response.split('.').nth(1)?;
         let read = |d: &Difference| {

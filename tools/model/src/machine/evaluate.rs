@@ -7,8 +7,9 @@ use crate::record::{Record, Role};
 use rtec_files::InputError;
 
 impl Machine {
-    /// The sum of the effects at every row of a record, for each response in the record's order; and what the record
-    /// does not log and was taken as zero (effect, role).
+    /// Sum of the effects at every row of a record, per response in the record's order.
+    ///
+    /// Also gives (effect, role) of what the record does not log; it was taken as zero.
     ///
     /// # Errors
     /// An effect reads a sensor or channel that the record does not have.
@@ -36,9 +37,11 @@ impl Machine {
         self.fits.iter().find(|f| f.response == response).map(|f| f.half_width_um)
     }
 
-    /// Half width of the 95 % prediction interval at every row of a record, µm, where a fit of the response has said
-    /// it and has seen the axes where they are in the record: as its kind of run has shown it; wider just after the record's start, by what is not known of the lags, and where a difference is held at
-    /// the bound of the range it was fitted on.
+    /// Half width of the 95 % prediction interval at every row of a record, µm.
+    ///
+    /// Only where a fit of the response has stated it for this kind of run and has seen these axis positions.
+    /// The interval is wider just after the record's start, because the lags are unknown. It is also wider where a
+    /// difference is held at the bound of its fitted range.
     #[must_use]
     pub fn half_widths_um(&self, record: &Record, response: &Role) -> Option<Vec<f64>> {
         Some(HalfWidths::of(self, &Reach::of(record), response)?.next(record))
@@ -185,6 +188,8 @@ pub(super) fn differences(effect: &Effect, record: &Record, states: &mut States)
 pub struct Prediction {
     /// Per response: its column's name and the sum of the effects at every row.
     pub columns: Vec<(String, Vec<f64>)>,
-    /// Effects that read a quantity the record does not log: effect and role. It was taken as zero.
+    /// Effects that read a quantity the record does not log: effect and role.
+    ///
+    /// It was taken as zero.
     pub taken_as_zero: Vec<(String, String)>,
 }

@@ -10,8 +10,10 @@ use super::places::folder_of;
 /// Half width of a normal distribution's 95 % interval in standard deviations.
 pub const NORMAL_95: f64 = 1.96;
 
-/// What an effect of a temperature difference may be off by at a row, µm, beyond what the fit itself leaves: the slope at
-/// the bound times what was asked beyond it, and, `elapsed_s` after a start, its part of an unknown state of the lag.
+/// Possible error of a temperature effect at a row, µm, beyond what the fit leaves.
+///
+/// It is the slope at the bound times the excess. `elapsed_s` after a start it also has its part of an unknown state of
+/// the lag.
 #[must_use]
 pub fn unknown_um(
     gain: f64,
@@ -130,8 +132,10 @@ pub struct FitNote {
     pub half_width_um: f64,
     /// Where it is valid: outside of these, the interval is wider.
     pub valid: Vec<Validity>,
-    /// Where each axis was while it was seen, mm; axes that are not named stood still. Elsewhere there is no interval: what
-    /// the machine does there no record has shown. None in a model that does not say.
+    /// Where each axis was while it was seen, mm; axes that are not named stood still.
+    ///
+    /// Elsewhere there is no interval: what the machine does there no record has shown. None in a model that does not
+    /// say.
     pub at_mm: Option<BTreeMap<String, [f64; 2]>>,
     /// The same by kind of run, as `positioning`; what no run has shown has the largest of all.
     pub by_kind_um: BTreeMap<String, f64>,
@@ -251,9 +255,12 @@ impl FitNote {
         own.copied().unwrap_or(self.half_width_um)
     }
 
-    /// This fit on top of an earlier one of the same response: what neither knows adds up, less the gauge's noise (one standard
-    /// deviation, µm), which is in both; both ranges were seen. A kind of run that only one of them has seen keeps what it says: a
-    /// drift at one place does not see what changes from place to place.
+    /// This fit on top of an earlier one of the same response.
+    ///
+    /// Their uncertainties add up, less the gauge's noise (one standard deviation, µm), which is in both. Their ranges
+    /// are joined.
+    /// A kind of run that only one of them has seen keeps its uncertainty: a drift at one place does not see changes
+    /// from place to place.
     pub fn on(&mut self, earlier: &Self, noise_um: f64) {
         let own_um = self.half_width_um;
         let beyond_um = (own_um.powi(2) - (NORMAL_95 * noise_um).powi(2)).max(0.0).sqrt();

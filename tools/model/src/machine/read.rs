@@ -20,8 +20,10 @@ impl Machine {
     /// Reads a machine model with the built-in effects, and with those of the file that its key `dictionary` names.
     ///
     /// # Errors
-    /// The first finding, with file, line and column: syntax, unknown key or effect, a parameter that is missing, not
-    /// a finite number or outside its bounds, `minus` together with `reference_degC`, one effect twice.
+    /// The first finding, with file, line and column.
+    ///
+    /// Findings: syntax, unknown key or effect, a parameter that is missing, not finite or outside its bounds, `minus`
+    /// together with `reference_degC`, one effect twice.
     pub fn read(path: &Path) -> Result<Self, InputError> {
         let text = rtec_files::text::read(path)?;
         Self::parse(path, &text)

@@ -70,8 +70,10 @@ impl Machine {
         self.fits.push(note);
     }
 
-    /// Adds laws to its dictionary. The text that comes back, with the laws it had of its own, belongs into `file`
-    /// beside the model: the model names it from now on.
+    /// Adds laws to its dictionary.
+    ///
+    /// The text that comes back, with the laws it had of its own, belongs into `file` beside the model: the model names
+    /// it from now on.
     ///
     /// # Errors
     /// The laws are refused, or its present dictionary cannot be read.
@@ -205,8 +207,9 @@ impl Machine {
         moved.to_text()
     }
 
-    /// The file's text for another place, read back: whatever is written can be loaded. `beside`: names and texts of files that will
-    /// be written beside it and are not there yet.
+    /// The file's text for another place, read back: whatever is written can be loaded.
+    ///
+    /// `beside`: names and texts of files that will be written beside it and are not there yet.
     ///
     /// # Errors
     /// A value that no machine has, as a fit to a record in the wrong unit gives it.

@@ -15,9 +15,9 @@ use std::process::Command;
 
 /// Put configuration, model, profile, devices, state, record, log, platform and versions into one archive, for this user's eyes only
 ///
-/// Made with or without a running daemon: what could not be had is named, also in contents.txt; then the exit code is 3 where
-/// the daemon does not answer, else 1. Values of keys that sound secret
-/// (password, token, secret, key) and hosts of network sensors are left out. Read it before you give it away.
+/// Works with or without a running daemon. What is missing is listed, also in contents.txt; the exit code is then 3 if
+/// the daemon does not answer, else 1. Values of keys that sound secret (password, token, secret, key) and hosts of
+/// network sensors are left out. Read it before you give it away.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     /// The archive; it must not exist yet [default: rtec-bugreport-SECONDS.tar]

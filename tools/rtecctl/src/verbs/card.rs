@@ -27,11 +27,11 @@ use std::time::Duration;
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     #[command(subcommand)]
-    what: What,
+    what: CardAction,
 }
 
 #[derive(Debug, Subcommand)]
-enum What {
+enum CardAction {
     /// The card profiles that come with this program, and what is in this machine
     List {
         /// Print one JSON document
@@ -84,9 +84,9 @@ fn pause(text: &str) -> Result<Duration, String> {
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     match &args.what {
-        What::List { json } => list(*json),
-        What::Show { profile, toml, json } => show(profile, *toml, *json),
-        What::Probe { config, drive, mtc_is_off, watch: live, every, during, json } => {
+        CardAction::List { json } => list(*json),
+        CardAction::Show { profile, toml, json } => show(profile, *toml, *json),
+        CardAction::Probe { config, drive, mtc_is_off, watch: live, every, during, json } => {
             let config = load(config)?;
             if *live {
                 if *json && during.is_none() {

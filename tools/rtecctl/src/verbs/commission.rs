@@ -1,11 +1,15 @@
 //! `rtecctl commission`: proves by a guided jog that sign and unit of an axis are right, and that the controller is not
 //! already compensating.
 //!
-//! Three numbers are compared: what the controller displays, what an indicator at the axis shows, and what the scale
-//! counts. Indicator against scale: sign and unit. Display against feedback: what the controller compensates by itself.
-//! Then counts are inserted and the axis is jogged back to where it was: as displayed it stands where it stood, on its
-//! scale it must stand away by exactly the inserted total. However it ends, by an answer, a signal or nobody there, the
-//! total is requested back to zero, and what still waits for a motion of the axis is said.
+//! Three numbers are compared: the display of the controller, an indicator at the axis, and the count of the scale.
+//! Indicator against scale shows sign and unit. Display against feedback shows what the controller compensates by
+//! itself.
+//!
+//! Then counts are inserted and the axis is jogged back. The display shows the old place; the scale must differ by
+//! exactly the inserted total.
+//!
+//! However it ends (an answer, a signal or nobody there), the total is requested back to zero. What still waits for a
+//! motion of the axis is reported.
 
 use crate::Outcome;
 use crate::daemon::{Daemon, check, unreachable};

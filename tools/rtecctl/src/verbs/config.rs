@@ -10,11 +10,11 @@ use std::path::PathBuf;
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     #[command(subcommand)]
-    what: What,
+    what: ConfigAction,
 }
 
 #[derive(Debug, Subcommand)]
-enum What {
+enum ConfigAction {
     /// Explain every finding with its line; exit 0 when there is none, 2 otherwise
     Check {
         /// The configuration
@@ -35,8 +35,8 @@ enum What {
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     match &args.what {
-        What::Default => print!("{EMBEDDED}"),
-        What::Check { file, elsewhere, quiet, json } => {
+        ConfigAction::Default => print!("{EMBEDDED}"),
+        ConfigAction::Check { file, elsewhere, quiet, json } => {
             let config = if *elsewhere { Config::load(file) } else { Config::check_here(file) };
             if *json {
                 println!("{}", document(file, &config));

@@ -1,6 +1,7 @@
 //! `rtecctl demo`: the main job on the embedded default, with nothing but this program.
 
 use crate::Outcome;
+use anyhow::Context as _;
 use rtec_correct::{AxisSetup, Corrector, RAMP_UM_S};
 use rtec_driver::card::{AxisLines, MachineLines};
 use rtec_driver::clock::Monotonic;
@@ -12,8 +13,9 @@ use rtec_rt::event::{EventKind, Mode, Request, Status};
 use rtec_rt::thread::{Running, ThreadOptions, spawn};
 use rtec_sim::strokes::{MovingAxes, StrokeMotion, Truth, moving_axes};
 use std::f64::consts::TAU;
+use std::fmt::Write as _;
 use std::io::{IsTerminal, Write};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 /// Correct a simulated axis in real time: no hardware, no root, no configuration
@@ -28,15 +30,19 @@ pub(crate) struct Args {
     /// Print one JSON document at the end instead of the live view
     #[arg(long)]
     json: bool,
+    /// Write the tool's error every 10 ms into this CSV file, without and with correction
+    #[arg(long, value_name = "FILE")]
+    errors: Option<PathBuf>,
 }
 
 const COUNT_UM: f64 = 1.0;
 const STROKE_MM: f64 = 60.0;
 const FEED_MM_S: f64 = 30.0;
 
-/// What the corrector is told of the axis: the linear error that NISTIR 4832 calls the largest to be expected on a
-/// one-metre axis, and a ball screw's once-per-turn error.
-const KNOWN: &str = r#"
+/// Model of the axis: a linear error and a ball screw's error once a turn.
+///
+/// 240 µm per metre is the largest error to be expected on a one-metre axis (NISTIR 4832).
+const MODEL: &str = r#"
 name = "demo axis"
 [[effect]]
 name = "scale.x"
@@ -47,11 +53,12 @@ period_mm = 5.0
 um = 3.0
 phase_rad = 0.0
 "#;
-/// The law looks this often, and the axis follows an insertion this much later, s.
+/// Period of the control law, s.
 const TICK_S: f64 = 0.01;
+/// Delay of the axis behind an insertion, s.
 const FOLLOWS_S: f64 = 0.006;
 
-/// The same error, as the judge of what is left has it, at a place, µm.
+/// Error of the axis at a position, µm: the formula of `MODEL`, written again to judge it.
 fn error_um(position_mm: f64) -> f64 {
     let (ppm, period_mm, periodic_um) = (240.0, 5.0, 3.0);
     ppm * position_mm / 1000.0 + periodic_um * (TAU * position_mm / period_mm).sin()
@@ -59,13 +66,13 @@ fn error_um(position_mm: f64) -> f64 {
 
 /// Sums of squares of the tool's error, µm².
 #[derive(Debug, Default)]
-struct Seen {
+struct SquaredErrors {
     without: f64,
     with: f64,
     samples: u32,
 }
 
-impl Seen {
+impl SquaredErrors {
     fn add(&mut self, without_um: f64, with_um: f64) {
         self.without += without_um * without_um;
         self.with += with_um * with_um;
@@ -106,10 +113,11 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let truth = &operator.truth;
     operator.cycle_start();
 
-    let mut law = law(&axis, KNOWN)?;
+    let mut law = law(&axis, MODEL)?;
     let live = !args.json && std::io::stdout().is_terminal();
     let (begun, mut drawn) = (Instant::now(), Duration::ZERO);
-    let mut seen = Seen::default();
+    let mut squares = SquaredErrors::default();
+    let mut errors = "t_s,without_um,with_um\n".to_owned();
     let mut view = View { live, lines: 0 };
     if !args.json {
         println!(
@@ -124,12 +132,19 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             running.control.send(Request::Correct { axis: 0, total_counts, large: false })?;
         }
         let (without, with) = tool_error_um(&truth[0]);
-        seen.add(without, with);
+        squares.add(without, with);
+        if args.errors.is_some() {
+            writeln!(errors, "{:.3},{without:.3},{with:.3}", begun.elapsed().as_secs_f64())?;
+        }
         let every = Duration::from_millis(if live { 100 } else { 1000 });
         if !args.json && begun.elapsed() >= drawn + every {
             drawn = begun.elapsed();
             view.draw(drawn, &status, without, with)?;
         }
+    }
+    if let Some(file) = &args.errors {
+        rtec_files::write::whole(file, errors.as_bytes())
+            .with_context(|| format!("writing {}", file.display()))?;
     }
     let (ended, mut control) = running.stop();
     let status = ended.status;
@@ -142,7 +157,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let axis = status.axes[0];
     let mtc_minus_scale = truth[0].mtc_counts() - axis.position_counts;
     let balanced = mtc_minus_scale == axis.completed && truth[0].illegal() == 0 && status.balanced();
-    let (without_um, with_um) = seen.rms_um();
+    let (without_um, with_um) = squares.rms_um();
     if args.json {
         let document = serde_json::json!({
             "position_counts": axis.position_counts, "mtc_counts": truth[0].mtc_counts(),
@@ -176,8 +191,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// The control law with what is known of the axis.
-fn law(axis: &AxisConfig, known: &str) -> anyhow::Result<Corrector> {
+/// Control law of the axis with a model.
+fn law(axis: &AxisConfig, model: &str) -> anyhow::Result<Corrector> {
     let setup = AxisSetup {
         name: "x".to_owned(),
         count_um: COUNT_UM,
@@ -186,11 +201,11 @@ fn law(axis: &AxisConfig, known: &str) -> anyhow::Result<Corrector> {
         max_counts: axis.max_correction_counts,
     };
     let mut law = Corrector::new(vec![setup], RAMP_UM_S, TICK_S + FOLLOWS_S, 0.0);
-    law.load(Machine::parse(Path::new("demo"), known)?, &[], &|_| Vec::new())?;
+    law.load(Machine::parse(Path::new("demo"), model)?, &[], &|_| Vec::new())?;
     Ok(law)
 }
 
-/// Homes the axis as the start-up must: nothing further before the home position has been read back. Then enables.
+/// Homes the axis, reads the home position back, then enables corrections.
 fn start(running: &mut Running<Card>) -> anyhow::Result<()> {
     let control = &mut running.control;
     control.send(Request::Home { axis: 0, position_counts: 0, controller_homed: true })?;
@@ -202,7 +217,7 @@ fn start(running: &mut Running<Card>) -> anyhow::Result<()> {
         };
         match event.kind {
             EventKind::HomeSet { .. } => {
-                // A status from before the zeroing would tell an old position.
+                // A status from before the zeroing has the old position.
                 while control.status().t_ns <= event.t_ns && !control.ended() {
                     std::thread::sleep(Duration::from_millis(1));
                 }
@@ -217,14 +232,14 @@ fn start(running: &mut Running<Card>) -> anyhow::Result<()> {
     }
 }
 
-/// The tool's error without and with correction, µm: its own at that place, and where it is against where the program
-/// wanted it.
+/// The tool's error without and with correction, µm.
 fn tool_error_um(truth: &Truth) -> (f64, f64) {
     let (commanded_mm, off_um) =
         (truth.commanded_counts() * COUNT_UM / 1000.0, truth.off_counts() * COUNT_UM);
     (error_um(commanded_mm), off_um + error_um(commanded_mm + off_um / 1000.0))
 }
 
+/// Printed progress: rows that are redrawn on a terminal, one line a second otherwise.
 struct View {
     live: bool,
     lines: usize,
@@ -289,8 +304,8 @@ mod tests {
     use super::*;
     use rtec_files::csv::{Cell, Reader};
 
-    /// The recorded shift of `rtec-correct`'s tests through the demo's law, for what of its model acts by the axis that the
-    /// demo has: as many totals as the same law gives with all axes and nothing else to correct.
+    /// Plays the recorded shift of `rtec-correct`'s tests through the demo's law, with effects of the demo's axis only.
+    /// The totals must equal those of the same law with all axes and nothing else to correct.
     #[test]
     fn a_recorded_shift_gets_the_totals_of_the_law() {
         let known = "name = \"m\"\n[[effect]]\nname = \"scale.x\"\nppm = 120.0\n[[effect]]\nname = \"screw_periodic.x\"\n\

@@ -21,19 +21,19 @@ use std::time::Duration;
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     #[command(subcommand)]
-    what: What,
+    what: LedgerAction,
 }
 
 #[derive(Debug, Subcommand)]
-enum What {
+enum LedgerAction {
     /// Write counts, totals and every insertion with its time since homing, for `rtecctl replay`
     ///
-    /// For each axis `AXIS_trace.csv` and `AXIS_requests.csv`, which are replayed at once to see that they give the same totals,
-    /// and `AXIS_insertions.csv`: every change of the ledger between two looks of the daemon, with position and totals then.
-    /// The daemon looks every 10 ms or so and keeps the last 8192 changes of the ledger: positions are right at the look that saw
-    /// a change and at the one before it, and now. From one change to the next the trace is one even, straight way, whatever
-    /// the axis did there: it is no record of the motion. The requests are what leads to these insertions in a replay; what was
-    /// asked for is `requested` of the insertions. Exit 1 where the replay gives other totals.
+    /// For each axis it writes `AXIS_trace.csv`, `AXIS_requests.csv` and `AXIS_insertions.csv`. Trace and requests are
+    /// replayed at once; exit 1 if the replay gives other totals. The insertions are every change of the ledger between
+    /// two looks of the daemon, with position and totals. The daemon looks every 10 ms and keeps the last 8192 changes.
+    /// Positions are right at the looks before and after a change, and now. Between two changes the trace is one
+    /// straight line: it is no record of the motion. Replaying the exported requests gives the same totals. The
+    /// requests that were made are in the column `requested` of the insertions.
     Export {
         /// The folder to write to; it is made where it is not there
         #[arg(long, value_name = "DIR")]
@@ -62,7 +62,7 @@ const REQUESTS_ARE: &str = "# totals that lead to the ledger's insertions when t
 const EDGE_NS: u64 = 100_000;
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
-    let What::Export { out, axis, last, daemon } = &args.what;
+    let LedgerAction::Export { out, axis, last, daemon } = &args.what;
     let mut client = daemon.view()?;
     let status = observe(&mut client, NO_EVENTS)?.status;
     let wanted = |a: &&AxisReport| axis.as_ref().is_none_or(|name| *name == a.name);
@@ -85,7 +85,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             shorten(&mut kept, Duration::from(*last));
         }
         let files = |what| out.join(format!("{}_{what}.csv", axis.name));
-        let told = Told::of(&kept, axis.window_counts);
+        let told = LedgerExport::of(&kept, axis.window_counts);
         if told.edges > MOST_EDGES {
             let text = format!(
                 "axis {}: {} edges since {} ns, more than {MOST_EDGES}: --last TIME for fewer",
@@ -187,7 +187,7 @@ fn shorten(kept: &mut LedgerPage, last: Duration) {
 }
 
 /// A ledger's story: what the files will say.
-struct Told {
+struct LedgerExport {
     window: i64,
     /// From here on every change is known.
     whole_from_ns: u64,
@@ -202,7 +202,7 @@ struct Told {
     edges: u64,
 }
 
-impl Told {
+impl LedgerExport {
     fn of(kept: &LedgerPage, window: i64) -> Self {
         let first = kept.rows.first().copied().unwrap_or_default();
         let last = kept.rows.last().copied().unwrap_or_default();
@@ -439,7 +439,7 @@ mod tests {
     fn replays(kept: &LedgerPage, counts: i64, requested: i64, completed: i64) {
         let folder = tempfile::tempdir().unwrap();
         let file = |name: &str| folder.path().join(name);
-        let told = Told::of(kept, 50);
+        let told = LedgerExport::of(kept, 50);
         told.write(kept, &file("t.csv"), &file("r.csv"), &file("i.csv")).unwrap();
         let again = replayed(&file("t.csv"), &file("r.csv")).unwrap();
         assert_eq!(
@@ -491,7 +491,7 @@ mod tests {
             row((300, 200), (310, 210), 0, 0, 1),
             row((400, 300), (410, 320), 4, 4, 3),
         ];
-        let told = Told::of(&page(rows, (500, 400)), 50);
+        let told = LedgerExport::of(&page(rows, (500, 400)), 50);
         assert_eq!((told.insertions, told.shadow), (3, 1));
         let says = "the same totals, by 4 insertions (1 of the 3 in shadow mode, which the MTC did not see)";
         assert_eq!((told.compared(3), told.compared(4)), ("the same".to_owned(), says.to_owned()));

@@ -24,7 +24,6 @@ pub(crate) mod log;
 pub(crate) mod man;
 pub(crate) mod metrics;
 pub(crate) mod model;
-pub(crate) mod papers;
 pub(crate) mod park;
 pub(crate) mod part;
 pub(crate) mod platform;

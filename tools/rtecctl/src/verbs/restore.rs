@@ -43,7 +43,7 @@ pub(crate) struct Args {
 }
 
 /// A file to be written.
-struct Wanted<'a> {
+struct RestoredFile<'a> {
     packed: &'a Packed,
     bytes: &'a [u8],
     to: PathBuf,
@@ -63,7 +63,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     // To look, no daemon has to end.
     let _held =
         if args.dry_run { None } else { Some(lock::keep_out(&config.control.socket).map_err(running)?) };
-    let differs = |w: &&Wanted<'_>| std::fs::read(&w.to).is_ok_and(|there| there != w.bytes);
+    let differs = |w: &&RestoredFile<'_>| std::fs::read(&w.to).is_ok_and(|there| there != w.bytes);
     let in_the_way: Vec<String> = wanted.iter().filter(differs).map(|w| w.to.display().to_string()).collect();
     if !in_the_way.is_empty() && !args.replace {
         let text = format!(
@@ -151,7 +151,7 @@ fn wanted<'a>(
     contents: &'a [Vec<u8>],
     folder: &Path,
     config: &Config,
-) -> anyhow::Result<(Vec<Wanted<'a>>, Vec<String>)> {
+) -> anyhow::Result<(Vec<RestoredFile<'a>>, Vec<String>)> {
     let state = config.control.state_path();
     let (mut wanted, mut left_out) = (Vec::new(), Vec::new());
     for (packed, bytes) in manifest.files.iter().zip(contents) {
@@ -181,13 +181,13 @@ fn wanted<'a>(
         } else {
             folder.join(inside(args, packed)?)
         };
-        wanted.push(Wanted { packed, bytes, to });
+        wanted.push(RestoredFile { packed, bytes, to });
     }
     Ok((wanted, left_out))
 }
 
 /// Writes a file whole, as its folder's owner has it.
-fn write(wanted: &Wanted<'_>) -> std::io::Result<()> {
+fn write(wanted: &RestoredFile<'_>) -> std::io::Result<()> {
     let parent = wanted.to.parent().filter(|f| !f.as_os_str().is_empty()).unwrap_or(Path::new("."));
     std::fs::create_dir_all(parent)?;
     let name = wanted.to.file_name().unwrap_or_default().to_string_lossy();

@@ -8,7 +8,7 @@ use rtec_control::config::{CardConfig, Config, ConfiguredAxis, Measured as Prove
 use rtec_control::protocol::{Rates, explain_fault, word};
 use rtec_files::InputError;
 use rtec_platform::selftest::{
-    Backend, FarSide, How, Latency, Measured, SelftestError, SelftestOptions, WAKEUP_INTERVAL_NS,
+    Backend, FarSide, Latency, Measured, MeasuredOn, SelftestError, SelftestOptions, WAKEUP_INTERVAL_NS,
     run as measure, run_on_card,
 };
 use rtec_rt::axis::AxisConfig;
@@ -132,7 +132,7 @@ struct Document<'a> {
     /// What was measured with.
     card: &'a str,
     /// How: `simulated`, `reads` (outputs held), `reads_and_writes`.
-    how: How,
+    how: MeasuredOn,
     verdict: &'static str,
     reason: String,
     separations_ns: u64,
@@ -184,7 +184,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         run: args.duration,
         seed: 1,
     };
-    let histfile = args.histfile.as_deref().map(Whole::create).transpose()?;
+    let histfile = args.histfile.as_deref().map(AtomicFile::create).transpose()?;
     let progress = |what: &str, left_s: u64| eprintln!("selftest: {what}, {left_s} s left");
     let mut provenance = Provenance::here(&CardConfig::Mock, options.cpu, &System::live());
     let measured = match &target {
@@ -354,7 +354,7 @@ fn reasons(measured: &Measured, rates: &[AxisRate], floors: Option<(u64, u64, &'
         let errno = f.errno.as_ref().map(|e| format!(" ({e})")).unwrap_or_default();
         format!("{} is {}, wanted {}{errno}: {}", f.name, f.got, f.wanted, f.remedy)
     }));
-    if let How::ReadsAndWrites { ended_by, restored } = measured.how {
+    if let MeasuredOn::ReadsAndWrites { ended_by, restored } = measured.how {
         reasons.extend(ended_by.map(|fault| {
             format!("{} was latched while the card was written to: {}", word(fault), explain_fault(fault))
         }));
@@ -365,7 +365,7 @@ fn reasons(measured: &Measured, rates: &[AxisRate], floors: Option<(u64, u64, &'
             );
         }
     }
-    if measured.how != How::Simulated && !measured.looked() {
+    if measured.how != MeasuredOn::Simulated && !measured.looked() {
         let why = if measured.quiet.poll_gap.tid == 0 {
             "a polling loop needs a second CPU"
         } else {
@@ -377,14 +377,14 @@ fn reasons(measured: &Measured, rates: &[AxisRate], floors: Option<(u64, u64, &'
     }
     if !measured.timed() {
         let why = match measured.how {
-            How::Reads => {
+            MeasuredOn::Reads => {
                 "reads only: writes were not measured, so this never passes; with the MTC off, --drive measures them"
             }
-            How::ReadsAndWrites { .. } => "writes were not measured: no insertion was made",
-            How::Simulated if measured.far().is_some() => {
+            MeasuredOn::ReadsAndWrites { .. } => "writes were not measured: no insertion was made",
+            MeasuredOn::Simulated if measured.far().is_some() => {
                 "edge to done was not measured: no insertion was seen"
             }
-            How::Simulated => "edge to done was not measured: a polling loop needs a second CPU",
+            MeasuredOn::Simulated => "edge to done was not measured: a polling loop needs a second CPU",
         };
         reasons.push(why.to_owned());
         reasons.extend(rates.iter().filter_map(|axis| axis.outruns.clone()));
@@ -457,13 +457,15 @@ fn text(
     line(format_args!("{}", table(measured).trim_end()));
     line(format_args!("# Card: {}", provenance.card));
     match measured.how {
-        How::Simulated => line(format_args!(
+        MeasuredOn::Simulated => line(format_args!(
             "# Edge to done contains {} ns that the MTC is given: {} after the edge, as much between the inversions.",
             measured.separations_ns(),
             measured.axis.min_separation_ns
         )),
-        How::Reads => line(format_args!("# Reads alone were measured; every output was held as it was.")),
-        How::ReadsAndWrites { .. } => line(format_args!(
+        MeasuredOn::Reads => {
+            line(format_args!("# Reads alone were measured; every output was held as it was."));
+        }
+        MeasuredOn::ReadsAndWrites { .. } => line(format_args!(
             "# {} insertions at rest; each contains {} ns that the MTC is given between the inversions.",
             measured.with_requests.insertions,
             measured.separations_ns()
@@ -534,7 +536,7 @@ fn table(measured: &Measured) -> String {
     let (quiet, with_requests) = (&measured.quiet, &measured.with_requests);
     row("T0 wake-up", &measured.wakeup.ns);
     row("T1 poll gap", &quiet.poll_gap.ns);
-    if measured.how != How::Simulated {
+    if measured.how != MeasuredOn::Simulated {
         row("   w. writes", &with_requests.poll_gap.ns);
         row("   insertions", &with_requests.seen_to_done);
         return out;
@@ -575,12 +577,12 @@ fn histogram(measured: &Measured) -> String {
 
 /// A file that appears under its name only when it is whole. Made before the measurement: a place that cannot be
 /// written to is known at once.
-struct Whole<'a> {
+struct AtomicFile<'a> {
     file: &'a Path,
     temporary: tempfile::NamedTempFile,
 }
 
-impl<'a> Whole<'a> {
+impl<'a> AtomicFile<'a> {
     fn create(file: &'a Path) -> Result<Self, InputError> {
         let directory = file.parent().filter(|d| !d.as_os_str().is_empty()).unwrap_or(Path::new("."));
         let mut builder = tempfile::Builder::new();

@@ -69,10 +69,10 @@ fn watch(daemon: &Daemon, every: Duration) -> anyhow::Result<()> {
 }
 
 /// An axis whose correction ramps, and how far it has still to go, µm.
-type OnItsWay = (String, f64);
+type RampingAxis = (String, f64);
 
 /// The corrections that ramp to another place, as `explain` knows them; none where nobody answers.
-fn on_their_way(client: &mut Client, status: &DaemonStatus) -> Vec<OnItsWay> {
+fn on_their_way(client: &mut Client, status: &DaemonStatus) -> Vec<RampingAxis> {
     if status.mode != "run" {
         return Vec::new();
     }
@@ -82,7 +82,7 @@ fn on_their_way(client: &mut Client, status: &DaemonStatus) -> Vec<OnItsWay> {
     }
 }
 
-fn still_to_go(axes: &[Explained]) -> Vec<OnItsWay> {
+fn still_to_go(axes: &[Explained]) -> Vec<RampingAxis> {
     let of = |a: &Explained| a.parts.iter().find(|p| p.name == "on its way").map_or(0.0, |p| -p.um);
     let ramps = axes.iter().filter(|a| a.holds.is_none()).map(|a| (a.axis.clone(), of(a)));
     // Less is not shown.
@@ -122,7 +122,7 @@ impl Screen {
     }
 }
 
-fn table(s: &DaemonStatus, way: &[OnItsWay], screen: Screen) -> String {
+fn table(s: &DaemonStatus, way: &[RampingAxis], screen: Screen) -> String {
     screen.fit(head(s, screen)) + &axes(s, screen) + &screen.fit(below(s, way, screen))
 }
 
@@ -153,7 +153,7 @@ fn head(s: &DaemonStatus, screen: Screen) -> String {
 }
 
 /// What stands below the axes.
-fn below(s: &DaemonStatus, way: &[OnItsWay], screen: Screen) -> String {
+fn below(s: &DaemonStatus, way: &[RampingAxis], screen: Screen) -> String {
     let mut text = String::new();
     let tone = |text: &str, tone| toned(text, tone, screen.colour);
     let thread = match (s.rt.cpu, s.rt.priority) {
@@ -267,7 +267,7 @@ fn axes(s: &DaemonStatus, screen: Screen) -> String {
 }
 
 /// What is corrected, where nothing stands in the way.
-fn correcting(s: &DaemonStatus, way: &[OnItsWay]) -> String {
+fn correcting(s: &DaemonStatus, way: &[RampingAxis]) -> String {
     let way: Vec<String> = way.iter().map(|(axis, um)| format!("{axis} {um:+.1} µm")).collect();
     let way = (!way.is_empty()).then(|| format!("ramping, still to go: {}", way.join(", ")));
     let asked: Vec<String> = (s.axes.iter().filter(|a| a.requested != 0 || a.in_effect != 0))

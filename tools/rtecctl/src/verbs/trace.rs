@@ -16,11 +16,11 @@ use std::time::{Duration, Instant};
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     #[command(subcommand)]
-    what: What,
+    what: TraceAction,
 }
 
 #[derive(Debug, Subcommand)]
-enum What {
+enum TraceAction {
     /// Rewrite a trace; the extensions tell the formats (.csv: `t_ns,a,b`; .vcd: IEEE 1364, signals a and b)
     Convert {
         /// The trace to read
@@ -112,8 +112,8 @@ fn not_negative(text: &str) -> Result<f64, String> {
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     match &args.what {
-        What::Convert { input, output, json } => convert(input, output)?.print(output, *json),
-        What::FromPosition(args) => from_position(args)?.print(&args.out, args.json),
+        TraceAction::Convert { input, output, json } => convert(input, output)?.print(output, *json),
+        TraceAction::FromPosition(args) => from_position(args)?.print(&args.out, args.json),
     }
     Ok(())
 }
@@ -218,7 +218,7 @@ fn from_position(args: &FromPosition) -> anyhow::Result<Summary> {
         }
         way.is_short_enough(args)?;
     }
-    let (mut record, mut way) = (Record::open(args, bits)?, Way::default());
+    let (mut record, mut way) = (Record::open(args, bits)?, TravelledCounts::default());
     let mut out = Output::create(&args.out)?;
     let Some((t_ns, counts)) = record.next()? else {
         let expected = "a header and at least one row";
@@ -252,14 +252,14 @@ fn from_position(args: &FromPosition) -> anyhow::Result<Summary> {
 
 /// The way that a record goes, in counts: as many edges at most.
 #[derive(Default)]
-struct Way {
+struct TravelledCounts {
     counts: f64,
     last: Option<f64>,
     /// The line from which on it is too long, and how long it is there.
     too_long: Option<(usize, f64)>,
 }
 
-impl Way {
+impl TravelledCounts {
     fn goes_on(&mut self, counts: f64, line: usize, args: &FromPosition) {
         self.counts += (counts - self.last.replace(counts).unwrap_or(counts)).abs();
         if self.counts > args.most_edges as f64 {
@@ -279,8 +279,12 @@ impl Way {
 }
 
 /// Goes through a record whose counter has so many bits; `see` is given time, counts and line of each row.
-fn walk(args: &FromPosition, bits: u32, mut see: impl FnMut(u64, f64, usize)) -> Result<Way, InputError> {
-    let (mut record, mut way) = (Record::open(args, bits)?, Way::default());
+fn walk(
+    args: &FromPosition,
+    bits: u32,
+    mut see: impl FnMut(u64, f64, usize),
+) -> Result<TravelledCounts, InputError> {
+    let (mut record, mut way) = (Record::open(args, bits)?, TravelledCounts::default());
     while let Some((t_ns, counts)) = record.next()? {
         way.goes_on(counts, record.line, args);
         see(t_ns, counts, record.line);

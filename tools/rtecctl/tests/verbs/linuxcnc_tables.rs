@@ -1,5 +1,7 @@
-//! Exported tables in a whole LinuxCNC: what it adds to the motors' command, read back at the tables' points and between them, both
-//! directions, both types, millimetres and inches, against the model's laws written down here.
+//! Exported tables in a whole LinuxCNC, compared with the model's laws written down here.
+//!
+//! The tests read back what LinuxCNC adds to the motors' command: at the tables' points and between them, both
+//! directions, both types, millimetres and inches.
 
 use std::path::Path;
 use std::process::Command;

@@ -220,8 +220,8 @@ fn a_unit_other_than_the_headers_is_said() {
     assert!(path.starts_with("POINT touch 1, 167.600000, 0.000000"), "{path}");
 }
 
-/// In a hollow arc the tool's nose runs inside: on 5 mm less 0.8 mm about the centre, and it stays off the surface that
-/// it cuts by its own radius.
+/// In a hollow arc the tool's nose runs inside, at 5 mm less 0.8 mm about the centre.
+/// It stays off the surface that it cuts by its own radius.
 #[test]
 fn the_nose_runs_inside_a_hollow_arc() {
     let dir = tempfile::tempdir().unwrap();

@@ -240,8 +240,9 @@ fn designs_that_drive_the_signals_themselves_replay_too() {
     }
 }
 
-/// The Error Correction Circuit's controller asks only when a compensation is sure to end well: on a slow axis it waits, and
-/// the ledger balances (CMTI 2014, section 2.2.2: the PLL doubles from 700 Hz of the XOR signal).
+/// The Error Correction Circuit's controller asks only when a compensation is sure to end well.
+/// On a slow axis it waits, and the ledger balances (CMTI 2014, section 2.2.2: the PLL doubles from 700 Hz of the XOR
+/// signal).
 #[test]
 fn the_ecc_waits_on_a_slow_axis_and_balances() {
     let directory = tempfile::tempdir().unwrap();

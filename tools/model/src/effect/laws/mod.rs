@@ -1,4 +1,6 @@
-//! The built-in effects, one file each. A new one is its file and its line in this list.
+//! The built-in effects, one file each.
+//!
+//! A new one is its file and its line in this list.
 
 use super::Law;
 use std::sync::{Arc, LazyLock};

@@ -37,8 +37,10 @@ pub(super) fn law() -> Arc<dyn Law> {
 
 /// Travel since the axis turned, beyond the last row of the old direction or there; `None` before the first reversal or without a direction.
 ///
-/// State: the last direction, the position before, the travel since the last row of the present direction (it
-/// becomes the start when the direction changes), the travel since the reversal (−1 before the first).
+/// State: last direction, previous position, two travels.
+///
+/// The first travel is since the last row of the present direction; it becomes the start when the direction changes.
+/// The second is since the reversal, −1 before the first.
 fn travel(now: &Input, state: &mut State) -> Option<f64> {
     let p = now.p_mm[0];
     if !state.started {

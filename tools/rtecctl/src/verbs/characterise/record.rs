@@ -43,9 +43,9 @@ pub(crate) struct Recorder {
     /// File of `[[sensor]]` tables
     #[arg(long, value_name = "FILE")]
     sensors: Option<PathBuf>,
-    /// The daemon's positions and sensors are recorded too, and the correction in effect is added back to each error, so
-    /// that the record shows the machine without it; without a path, or without --sensors and --feed, by the
-    /// configuration's socket
+    /// Record the daemon's positions and sensors too, and add the correction in effect back to each error, so that the
+    /// record shows the uncorrected machine; without a path, or without --sensors and --feed, by the configuration's
+    /// socket
     #[arg(long, value_name = "PATH")]
     #[allow(clippy::option_option)] // a path, the configuration's, or none of it
     socket: Option<Option<PathBuf>>,

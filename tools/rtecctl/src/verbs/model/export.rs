@@ -57,7 +57,7 @@ pub(crate) struct Args {
     table: u16,
     /// siemens-cec: which way a positive value moves the axis, as tried on the machine
     #[arg(long, value_enum)]
-    positive_moves: Option<Way>,
+    positive_moves: Option<TableDirection>,
     /// siemens, siemens-cec: the machine axis as the controller names it, as X1
     #[arg(long, required_if_eq("format", "siemens"))]
     axis_name: Option<String>,
@@ -101,7 +101,7 @@ enum Format {
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
-enum Way {
+enum TableDirection {
     Up,
     Down,
 }
@@ -156,7 +156,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         along: args.along.clone(),
         along_name: args.along_name.clone(),
         table: args.table,
-        positive_moves_up: args.positive_moves.map(|way| way == Way::Up),
+        positive_moves_up: args.positive_moves.map(|way| way == TableDirection::Up),
         axis_name: args.axis_name.clone(),
         encoder: args.encoder,
         reference_mm: args.reference_mm,

@@ -63,14 +63,14 @@ pub(crate) fn load(args: &LoadArgs) -> anyhow::Result<()> {
 
 /// A model of this user's: its files, the model first, and what is to be said of it here.
 #[derive(Debug, Default)]
-struct Own {
+struct ModelFiles {
     files: Vec<PathBuf>,
     warnings: Vec<String>,
 }
 
 /// The files of a model that this user names; the daemon is given them open. One that is not there, or has a mistake, is said
 /// here.
-fn of_model(file: &Path) -> Result<Own, InputError> {
+fn of_model(file: &Path) -> Result<ModelFiles, InputError> {
     let path = PathBuf::from(absolute(file));
     let text = rtec_files::text::read(&path)?;
     let files = RefCell::new(vec![path.clone()]);
@@ -78,7 +78,7 @@ fn of_model(file: &Path) -> Result<Own, InputError> {
         files.borrow_mut().push(beside.to_owned());
         rtec_files::text::read(beside)
     })?;
-    Ok(Own { warnings: machine.changed_sources(), files: files.into_inner() })
+    Ok(ModelFiles { warnings: machine.changed_sources(), files: files.into_inner() })
 }
 
 pub(crate) fn unload(daemon: &Daemon) -> anyhow::Result<()> {

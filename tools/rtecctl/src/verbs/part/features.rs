@@ -15,12 +15,12 @@ pub(crate) struct DrawingArgs {
     /// The part's half profile as DXF: X along the axis, Y ≥ 0 the distance from it
     pub(crate) drawing: PathBuf,
     #[command(flatten)]
-    how: How,
+    how: DrawingOptions,
 }
 
 /// How to read a drawing
 #[derive(Debug, clap::Args)]
-pub(crate) struct How {
+pub(crate) struct DrawingOptions {
     /// The drawing's unit, where its header does not say
     #[arg(long, value_enum)]
     pub(crate) units: Option<Units>,
@@ -56,7 +56,7 @@ impl DrawingArgs {
     }
 }
 
-impl How {
+impl DrawingOptions {
     pub(crate) fn read(&self, drawing: &Path) -> anyhow::Result<(Contour, Unit)> {
         let unit = self.units.map(Units::unit);
         let options = Options { unit, layer: self.layer.as_deref(), tolerance_mm: self.tolerance_mm };

@@ -4,7 +4,7 @@ use super::features::DrawingArgs;
 use super::web::{Page, PlanEditor};
 use super::{print, usage, write_all};
 use crate::Outcome;
-use rtec_part::path::{Hit, Plan, Probe, ProbingMotion, Stem, number_at};
+use rtec_part::path::{Collision, Plan, Probe, ProbingMotion, Stem, number_at};
 use rtec_part::unit::Unit;
 use std::fmt::Write as _;
 use std::path::PathBuf;
@@ -110,14 +110,14 @@ pub(crate) fn positive(name: &str, value: f64) -> anyhow::Result<f64> {
 #[derive(Debug, Clone)]
 struct Choice {
     feature: String,
-    by: By,
+    by: PointSelection,
 }
 
 /// More points than these on one feature take days to probe.
 const MOST_POINTS: usize = 10_000;
 
 #[derive(Debug, Clone, Copy)]
-enum By {
+enum PointSelection {
     Number(usize),
     SpacingMm(f64),
 }
@@ -126,8 +126,8 @@ impl Choice {
     /// How many points it asks for on so much of its feature.
     fn number(&self, between_mm: f64) -> anyhow::Result<usize> {
         let mm = match self.by {
-            By::Number(n) => return Ok(n),
-            By::SpacingMm(mm) => mm,
+            PointSelection::Number(n) => return Ok(n),
+            PointSelection::SpacingMm(mm) => mm,
         };
         let points = between_mm / mm;
         if points > MOST_POINTS as f64 {
@@ -146,7 +146,9 @@ impl FromStr for Choice {
         let expected = "NAME:NUMBER or NAME:SPACINGmm, as F1:20 or F1:5mm";
         let (feature, points) = text.split_once(':').ok_or(expected)?;
         let by = if let Some(mm) = points.strip_suffix("mm") {
-            By::SpacingMm(mm.parse().ok().filter(|v: &f64| v.is_finite() && *v > 0.0).ok_or(expected)?)
+            PointSelection::SpacingMm(
+                mm.parse().ok().filter(|v: &f64| v.is_finite() && *v > 0.0).ok_or(expected)?,
+            )
         } else {
             let is_whole = !points.is_empty() && points.bytes().all(|byte| byte.is_ascii_digit());
             // A number that no integer holds is a number all the same.
@@ -156,7 +158,7 @@ impl FromStr for Choice {
                     "{feature}:{points} asks for {points} points; 1 to {MOST_POINTS} are expected"
                 ));
             }
-            By::Number(number)
+            PointSelection::Number(number)
         };
         Ok(Self { feature: feature.to_owned(), by })
     }
@@ -253,7 +255,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         .into())
 }
 
-fn text(plan: &Plan, hits: &[Hit]) -> String {
+fn text(plan: &Plan, hits: &[Collision]) -> String {
     let probe = &plan.probe;
     let mut t = format!(
         "{} points, stand-off {:.3} mm, over-travel {:.3} mm\n",

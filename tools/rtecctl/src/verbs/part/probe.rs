@@ -117,7 +117,7 @@ fn show(json: bool, trips: &[Trip], seconds: f64) -> anyhow::Result<()> {
 }
 
 /// What a session through the daemon brought.
-struct Seen {
+struct ProbedSession {
     trips: Vec<Trip>,
     sensors: Vec<String>,
     /// Temperatures at each trip, one value per sensor, °C.
@@ -130,7 +130,7 @@ struct Seen {
 const SETTLED: Duration = Duration::from_secs(1);
 
 /// Probing on, every trip held against the plan as it comes, probing off again whatever happens.
-fn watch(args: &LiveArgs, expected: &[Zx], window_mm: f64) -> anyhow::Result<Seen> {
+fn watch(args: &LiveArgs, expected: &[Zx], window_mm: f64) -> anyhow::Result<ProbedSession> {
     let patience = Duration::from_secs_f64(positive("--patience-s", args.patience_s)?.min(86_400.0));
     let Some(&[z_mm, x_mm]) = args.origin_mm.as_deref() else {
         return Err(usage("--origin-mm", "nothing", "the machine's position at the part's origin, Z,X"));
@@ -179,7 +179,7 @@ fn watch(args: &LiveArgs, expected: &[Zx], window_mm: f64) -> anyhow::Result<See
     }
     let sensors = kept.iter().copied().map(name).collect();
     let degc = degc.iter().map(|d| kept.iter().filter_map(|&n| d[n]).collect()).collect();
-    Ok(Seen { trips, sensors, degc, origin, seconds: began.elapsed().as_secs_f64() })
+    Ok(ProbedSession { trips, sensors, degc, origin, seconds: began.elapsed().as_secs_f64() })
 }
 
 /// Per trip, in the order of the status's sensors.

@@ -1,7 +1,7 @@
 //! `rtecctl part run`: the whole process-intermittent loop on the simulated machine.
 
 use super::bench::BenchArgs;
-use super::features::{How, write_drawn};
+use super::features::{DrawingOptions, write_drawn};
 use super::points::positive;
 use super::{failed, print, usage, write_all};
 use crate::Outcome;
@@ -18,7 +18,7 @@ pub(crate) struct Args {
     /// The part's half profile as DXF, whose nose is turned; else the report's, with --radius-mm
     drawing: Option<PathBuf>,
     #[command(flatten)]
-    how: How,
+    how: DrawingOptions,
     #[command(flatten)]
     bench: BenchArgs,
     /// What is known of the machine: corrected live while cutting, off line in what was probed

@@ -68,7 +68,7 @@ impl Page {
     /// The listening socket failed.
     pub(crate) fn serve(&self, session: PlanEditor) -> std::io::Result<()> {
         let done = Arc::<AtomicBool>::default();
-        let asked = Asked {
+        let asked = PlanServer {
             secret: self.secret.clone(),
             address: self.address,
             session: Mutex::new(session),
@@ -85,14 +85,14 @@ impl Page {
 const LAST_ANSWER: Duration = Duration::from_millis(100);
 
 /// What requests are answered from.
-struct Asked {
+struct PlanServer {
     secret: String,
     address: SocketAddr,
     session: Mutex<PlanEditor>,
     done: Arc<AtomicBool>,
 }
 
-impl Asked {
+impl PlanServer {
     /// What a request is for.
     fn what<'r>(&self, request: &'r Request) -> Option<&'r str> {
         request.path.strip_prefix(&self.secret).filter(|what| what.starts_with('/'))
@@ -108,7 +108,7 @@ impl Asked {
     }
 }
 
-impl Handler for Asked {
+impl Handler for PlanServer {
     fn may(&self, head: &Request) -> Result<(), Answer> {
         match self.what(head) {
             Some(_) if self.is_ours(head) => Ok(()),

@@ -1,0 +1,141 @@
+//! Which figures of the four sources come out of the simulated machines, run now.
+//!
+//! | module | source |
+//! |---|---|
+//! | [`nistir4832`] | NISTIR 4832 (1992): the Original RTEC, Designs A, B and C |
+//! | [`nistir4854`] | NISTIR 4854 (1992): fast probing, part-form error, compensation by table |
+//! | [`cmti`] | CMTI (2014): the Error Correction Circuit |
+//! | [`wo97`] | WO 97/43703 (1997): the global differential wet model |
+//!
+//! Each runs the machine that its source describes (`rtec_sim::described`). It gives one [`Row`] for every table,
+//! figure and figure in the text that can be compared. A row has what the paper says, what came out, and why they
+//! differ.
+//!
+//! What must not live here: a machine, an experiment (`rtec-sim`), a fit (`rtec-fit`).
+//!
+//! `cargo run --profile quick -p rtec-papers -- cmti` prints the table of a source.
+
+pub mod cmti;
+pub mod nistir4832;
+pub mod nistir4854;
+mod rows;
+pub mod wo97;
+
+pub use rows::{Row, Verdict};
+
+use rows::Rows;
+use rtec_files::InputError;
+use rtec_sim::described::Described;
+use rtec_sim::experiment::ExperimentError;
+use rtec_sim::replay::ReplayError;
+use rtec_sim::sim::SimError;
+use rtec_sim::turning::TurningError;
+use serde::Serialize;
+
+/// A source.
+#[derive(Debug, Clone, Copy)]
+pub struct Paper {
+    /// Its name on the command line.
+    pub name: &'static str,
+    /// What it is.
+    pub title: &'static str,
+    run: Run,
+}
+
+/// From a source's description, a seed, and whoever is told of progress.
+type Run = fn(&Described, u64, &mut dyn FnMut(&str)) -> Result<Rows, PaperError>;
+
+/// The four sources.
+pub const PAPERS: [Paper; 4] = [
+    Paper {
+        name: "4832",
+        title: "NISTIR 4832 (1992), alternative designs of a real-time error corrector",
+        run: nistir4832::run,
+    },
+    Paper {
+        name: "4854",
+        title: "NISTIR 4854 (1992), compensation of part errors by in-process gauging",
+        run: nistir4854::run,
+    },
+    Paper {
+        name: "cmti",
+        title: "CMTI (2014), thermal error compensation by feedback signal manipulation",
+        run: cmti::run,
+    },
+    Paper { name: "wo97", title: "WO 97/43703 (1997), global differential wet modelling", run: wo97::run },
+];
+
+/// What stops a comparison.
+#[derive(Debug, thiserror::Error)]
+pub enum PaperError {
+    /// A description is not as it must be, or a record or model that came of it.
+    #[error(transparent)]
+    Input(#[from] InputError),
+    /// An experiment failed on the machine that is described.
+    #[error(transparent)]
+    Experiment(#[from] ExperimentError),
+    /// The simulated machine stopped.
+    #[error(transparent)]
+    Sim(#[from] SimError),
+    /// The simulated lathe stopped.
+    #[error(transparent)]
+    Turning(#[from] TurningError),
+    /// A recording could not be played.
+    #[error(transparent)]
+    Replay(#[from] ReplayError<InputError>),
+    /// A figure could not be drawn.
+    #[error(transparent)]
+    Plot(#[from] rtec_measure::plot::PlotError),
+    /// A machine as described cannot do what its source does with it.
+    #[error("{0}")]
+    Cannot(String),
+}
+
+/// A source beside what came out.
+#[derive(Debug, Clone, Serialize)]
+pub struct Compared {
+    /// The source's name on the command line.
+    pub paper: &'static str,
+    /// What it is.
+    pub title: &'static str,
+    /// Seed of all noise.
+    pub seed: u64,
+    /// Rows that agree.
+    pub agree: usize,
+    /// Rows that differ, each with its reason.
+    pub differ: usize,
+    /// Figures left out because they are no larger than their tolerance.
+    pub too_small: usize,
+    /// Every figure, in the source's order.
+    pub rows: Vec<Row>,
+    /// Its figures as they come out here: file name and text.
+    #[serde(skip)]
+    pub figures: Vec<(String, String)>,
+}
+
+impl Paper {
+    /// The source of this name; `nistir4832` is `4832`.
+    #[must_use]
+    pub fn find(name: &str) -> Option<&'static Self> {
+        let name = name.strip_prefix("nistir").unwrap_or(name);
+        PAPERS.iter().find(|p| p.name == name)
+    }
+
+    /// Runs everything that the source gives a figure of.
+    ///
+    /// `progress` is told what is under way.
+    ///
+    /// # Errors
+    /// A description that is not right, or a machine that stops.
+    pub fn compare(
+        &self,
+        described: &Described,
+        seed: u64,
+        progress: &mut dyn FnMut(&str),
+    ) -> Result<Compared, PaperError> {
+        let Rows { list: rows, figures, too_small } = (self.run)(described, seed, progress)?;
+        let count = |v: Verdict| rows.iter().filter(|r| r.verdict == v).count();
+        let (agree, differ) = (count(Verdict::Agrees), count(Verdict::Differs));
+        Ok(Compared { paper: self.name, title: self.title, seed, agree, differ, too_small, rows, figures })
+    }
+}

@@ -1,0 +1,176 @@
+//! Prints the sources beside what the simulated machines give.
+//!
+//! It draws the sources' figures too.
+
+use anyhow::Context;
+use clap::Parser as _;
+use rtec_files::InputError;
+use rtec_papers::{Compared, PAPERS, Paper, PaperError, Verdict};
+use rtec_sim::described::{Described, FILES};
+use rtec_sim::experiment::ExperimentError;
+use rtec_sim::sim::SimError;
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+/// Compares the sources with what the simulation gives now
+#[derive(Debug, clap::Parser)]
+struct Args {
+    /// The source: 4832 (or nistir4832), 4854, cmti or wo97 [default: all four]
+    #[arg(value_parser = paper)]
+    paper: Option<&'static Paper>,
+    /// Take the machines' files from this folder; missing ones are built in
+    #[arg(long, value_name = "DIR")]
+    from: Option<PathBuf>,
+    /// Write the machines' files and the circuit's trace into this folder, and end
+    #[arg(long, value_name = "DIR")]
+    write: Option<PathBuf>,
+    /// Draw the source's figures into this folder
+    #[arg(long, value_name = "DIR", requires = "paper")]
+    out: Option<PathBuf>,
+    /// Print only rows that differ
+    #[arg(long)]
+    differ: bool,
+    /// Seed of all noise
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+}
+
+fn paper(name: &str) -> Result<&'static Paper, String> {
+    Paper::find(name).ok_or_else(|| format!("expected one of {}", PAPERS.map(|p| p.name).join(", ")))
+}
+
+/// Exits with 2 on bad input, with 1 on any other error.
+fn main() -> ExitCode {
+    let Err(error) = run(&Args::parse()) else { return ExitCode::SUCCESS };
+    eprintln!("rtec-papers: {error:#}");
+    ExitCode::from(if error.is::<InputError>() { 2 } else { 1 })
+}
+
+fn run(args: &Args) -> anyhow::Result<()> {
+    let described = Described { folder: args.from.clone() };
+    if let Some(folder) = args.from.as_deref().filter(|f| !f.is_dir()) {
+        return Err(InputError::whole(folder, "no such folder", "a folder with the machines' files").into());
+    }
+    if let Some(folder) = &args.write {
+        let trace = rtec_papers::cmti::trace(&described, args.seed).map_err(input_error)?;
+        return write_all(folder, FILES.iter().copied().chain([("cmti.vcd", trace.as_str())]));
+    }
+    for paper in PAPERS.iter().filter(|p| args.paper.is_none_or(|own| own.name == p.name)) {
+        let mut progress = |step: &str| eprintln!("rtec-papers: {step}");
+        let compared = paper.compare(&described, args.seed, &mut progress).map_err(input_error)?;
+        if let Some(folder) = &args.out {
+            write_all(folder, compared.figures.iter().map(|(name, text)| (name.as_str(), text.as_str())))?;
+        }
+        print!("{}", table(&compared, args.differ));
+    }
+    Ok(())
+}
+
+fn write_all<'t>(folder: &Path, files: impl Iterator<Item = (&'t str, &'t str)>) -> anyhow::Result<()> {
+    std::fs::create_dir_all(folder).with_context(|| format!("making {}", folder.display()))?;
+    for (name, text) in files {
+        let file = folder.join(name);
+        rtec_files::write::whole(&file, text.as_bytes())
+            .with_context(|| format!("writing {}", file.display()))?;
+        eprintln!("rtec-papers: wrote {}", file.display());
+    }
+    Ok(())
+}
+
+/// Finds the input error within the errors of the layers above it.
+fn input_error(error: PaperError) -> anyhow::Error {
+    match error {
+        PaperError::Input(input)
+        | PaperError::Experiment(
+            ExperimentError::Record(input) | ExperimentError::Sim(SimError::Model(input)),
+        )
+        | PaperError::Sim(SimError::Model(input)) => input.into(),
+        other => other.into(),
+    }
+}
+
+/// A source as a table: place, what, paper, we.
+///
+/// A row that differs has the number of its reason. The reason follows the first such row of a place.
+fn table(c: &Compared, differ: bool) -> String {
+    let mut text = format!("{}, seed {}\n{} agree, {} differ\n", c.title, c.seed, c.agree, c.differ);
+    let mut reasons: Vec<&str> = Vec::new();
+    let (mut place, mut said) = ("", Vec::new());
+    for row in c.rows.iter().filter(|r| !differ || r.verdict == Verdict::Differs) {
+        if place != row.place {
+            let _ = writeln!(text, "\n{}\n  {:<76} {:>16}  {:>16}", row.place, "", "paper says", "we get");
+            place = &row.place;
+            said.clear();
+        }
+        let mark = match row.verdict {
+            Verdict::Agrees if row.why.is_empty() => String::new(),
+            Verdict::Agrees => format!("  ({})", row.agreement),
+            Verdict::Differs => format!("  DIFFERS: not {}", row.agreement),
+        };
+        let line = format!("  {:<76} {:>16}  {:>16} {}{mark}", row.what, row.says, row.gets, row.unit);
+        text += line.trim_end();
+        if row.why.is_empty() {
+            text.push('\n');
+            continue;
+        }
+        let number = reasons.iter().position(|w| *w == row.why).unwrap_or_else(|| {
+            reasons.push(&row.why);
+            reasons.len() - 1
+        });
+        let _ = writeln!(text, " [{}]", number + 1);
+        if !said.contains(&number) {
+            said.push(number);
+            let _ = writeln!(text, "      [{}] {}", number + 1, row.why);
+        }
+    }
+    if c.too_small > 0 {
+        let _ = writeln!(text, "\nleft out: {} figures that are no larger than their tolerance", c.too_small);
+    }
+    text + "\n"
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rtec_papers::Row;
+
+    fn row(place: &str, what: &str, verdict: Verdict, why: &str) -> Row {
+        Row {
+            place: place.into(),
+            what: what.into(),
+            unit: "um",
+            says: "1".into(),
+            paper: Some(1.0),
+            gets: "2".into(),
+            we: Some(2.0),
+            agreement: "within 0.5 um".into(),
+            verdict,
+            why: why.into(),
+        }
+    }
+
+    #[test]
+    fn names_the_reason_of_every_row_that_differs() {
+        let rows = vec![
+            row("Table 1", "first", Verdict::Differs, "a scale of its own"),
+            row("Table 1", "second", Verdict::Agrees, ""),
+            row("Table 1", "third", Verdict::Differs, "noise"),
+            row("Table 1", "fourth", Verdict::Differs, "a scale of its own"),
+            row("Table 2", "fifth", Verdict::Differs, "a scale of its own"),
+        ];
+        let (paper, title) = ("p", "A paper");
+        let compared =
+            Compared { paper, title, seed: 1, agree: 1, differ: 4, too_small: 0, rows, figures: Vec::new() };
+        let text = table(&compared, false);
+        let mark = |what: &str| {
+            let line = text.lines().find(|l| l.trim_start().starts_with(what)).unwrap_or_default();
+            line.rsplit_once(" [").map(|(_, n)| n.trim_end_matches(']').to_owned())
+        };
+        let marks = ["first", "second", "third", "fourth", "fifth"].map(mark);
+        assert_eq!(marks.map(Option::unwrap_or_default), ["1", "", "2", "1", "1"], "{text}");
+        // Once in each table.
+        assert_eq!(text.matches("[1] a scale of its own").count(), 2, "{text}");
+        assert!(table(&compared, true).contains("fourth"));
+    }
+}

@@ -1,0 +1,282 @@
+//! Position feedback signals, and the Original RTEC's pulses.
+
+use super::{Bench, Change, cannot};
+use crate::PaperError;
+use crate::rows::{Agreement, Rows, shown};
+use rtec_driver::quadrature::State;
+use rtec_model::machine::Machine;
+use rtec_sim::axis::AxisSpec;
+use rtec_sim::bench::{AnyDesign, BenchResult, BenchRun, constant};
+use rtec_sim::computer::Computer;
+use rtec_sim::experiment::one_metre;
+use rtec_sim::gcode::Block;
+use rtec_sim::sim::{Sim, Spec};
+use std::path::Path;
+
+/// The axis over its travel at rapid traverse: how far it counts, how fast.
+pub(super) fn signals(rows: &mut Rows, bench: &Bench, seed: u64) -> Result<(), PaperError> {
+    let place = "Position Feedback Signals";
+    let slow = constant(1_000_000, 1000.0, 4000, 1);
+    let computer = Computer::dsp();
+    let seen = BenchRun { edges: &slow, keep_log: true, ..BenchRun::new(AnyDesign::C, &computer) }
+        .run()
+        .ok_or_else(|| cannot("a plain motion"))?;
+    let cycles = rising(&seen.log, |s| s.a());
+    rows.number(
+        (place, "resolution against the encoder's square wave", "times"),
+        4.0,
+        seen.mtc as f64 / cycles as f64,
+        Agreement::Within(1e-6),
+        "",
+    );
+    let rapid = traverse(bench.count_um, bench.rapid_mm_min, bench.travel_mm, seed)?;
+    let place = "Altering the Position Signal";
+    rows.number(
+        (place, "bits for an axis of one metre at 1 µm", "bits"),
+        20.0,
+        f64::from(64 - (rapid.counts.unsigned_abs() - 1).leading_zeros()),
+        Agreement::Within(0.0),
+        "the travel or the resolution of the machine file is another",
+    );
+    rows.number(
+        (place, "counts of that axis", ""),
+        1e6,
+        rapid.counts as f64,
+        Agreement::Share(0.001),
+        "the axis stops within a count of either end",
+    );
+    rows.number(
+        (place, "encoder frequency at rapid traverse, 7 m/min", "kHz"),
+        30.0,
+        rapid.encoder_hz / 1e3,
+        Agreement::Share(0.05),
+        "the report says \"about\": 7 m/min are 116 667 counts/s, a quarter of it is the encoder's frequency",
+    );
+    let coming = traverse(bench.count_um / 10.0, 2.0 * bench.rapid_mm_min, 60.0, seed)?;
+    rows.number(
+        (place, "twice the speed at nearly a tenth of the resolution: up to", "kHz"),
+        500.0,
+        coming.encoder_hz / 1e3,
+        Agreement::Share(0.2),
+        "the report rounds: resolutions \"approaching\" a tenth; exactly a tenth gives this",
+    );
+    for (hz, width_us) in [(100e3, 5.0), (1e6, 0.5)] {
+        let edges = constant(1_000_000, hz, 400, 1);
+        let seen = BenchRun { edges: &edges, keep_log: true, ..BenchRun::new(AnyDesign::C, &computer) }
+            .run()
+            .ok_or_else(|| cannot("a plain motion"))?;
+        rows.number(
+            (place, &format!("pulse width of a square wave of {} kHz", shown(hz / 1e3)), "µs"),
+            width_us,
+            high_ns(&seen.log, |s| s.a()) / 1e3,
+            Agreement::Within(0.002),
+            "",
+        );
+    }
+    rows.number(
+        ("The \"Original RTEC\"", "rapid traverse over cutting speed: an order of magnitude", "times"),
+        10.0,
+        bench.rapid_mm_min / bench.cutting_mm_min,
+        Agreement::AtLeast,
+        "",
+    );
+    Ok(())
+}
+
+struct Traverse {
+    counts: i64,
+    encoder_hz: f64,
+}
+
+/// From one end of the travel to the other.
+fn traverse(count_um: f64, rapid_mm_min: f64, travel_mm: f64, seed: u64) -> Result<Traverse, PaperError> {
+    let axis = AxisSpec { count_um, speed_mm_s: rapid_mm_min / 60.0, ..AxisSpec::new("x", travel_mm) };
+    let mut spec = Spec::new(vec![axis]);
+    // A decoder that bears what is coming.
+    spec.controller.decoder_hz = 1e8;
+    let ideal = Machine::ideal("axis");
+    let mut sim = Sim::new(&spec, &ideal, None, [-travel_mm / 2.0, 0.0, 0.0], seed)?;
+    sim.machine.load([Block::Rapid { to: [travel_mm / 2.0, 0.0, 0.0] }]);
+    let mut counts_s: f64 = 0.0;
+    // At speed: over the middle half of the way.
+    let (mut middle, every_s) = (None, 0.05_f64.min(travel_mm / 20.0 / (rapid_mm_min / 60.0)));
+    while !sim.machine.finished() {
+        sim.advance(every_s)?;
+        let (at, count) = (sim.moment().position_mm[0], sim.machine.mtc_counts(0));
+        if at.abs() < travel_mm / 4.0 {
+            if let Some(before) = middle {
+                counts_s = counts_s.max((count - before) as f64 / every_s);
+            }
+            middle = Some(count);
+        }
+    }
+    sim.finish()?;
+    Ok(Traverse { counts: sim.machine.mtc_counts(0), encoder_hz: counts_s / 4.0 })
+}
+
+fn rising(log: &[Change], level: fn(&State) -> bool) -> usize {
+    log.windows(2).filter(|w| !level(&w[0].2) && level(&w[1].2)).count()
+}
+
+/// How long a signal at the MTC is high, the shortest in the log, ns.
+fn high_ns(log: &[Change], level: fn(&State) -> bool) -> f64 {
+    let (mut began, mut shortest) = (None, f64::INFINITY);
+    for w in log.windows(2) {
+        match (level(&w[0].2), level(&w[1].2)) {
+            (false, true) => began = Some(w[1].0),
+            (true, false) => {
+                if let Some(t) = began.take() {
+                    shortest = shortest.min((w[1].0 - t) as f64);
+                }
+            }
+            _ => {}
+        }
+    }
+    shortest
+}
+
+/// The Original RTEC's pulses at 10 kHz, and what does not fit at 30 kHz.
+pub(super) fn pulses(rows: &mut Rows, bench: &Bench, computer: &Computer) -> Result<(), PaperError> {
+    let go = |design, hz, total| insert(computer, design, hz, total);
+    let place = "Figure 2";
+    for (what, says, design, total) in [
+        ("b: a pair of pulses, A leading B, adds", 4.0, AnyDesign::Original, 4),
+        ("d: a pair of pulses, B leading A, subtracts", -4.0, AnyDesign::Original, -4),
+        ("c: a pair of pulses left out (the ECC does it) subtracts", -4.0, AnyDesign::Ecc, -4),
+    ] {
+        let seen = go(design, 10_000.0, total)?;
+        let why = "the insertion was not made on the computer as described";
+        rows.number(
+            (place, what, "counts"),
+            says,
+            (seen.mtc - seen.scale) as f64,
+            Agreement::Within(0.0),
+            why,
+        );
+    }
+    // Where the machine goes with four counts more.
+    let known = Machine::parse(
+        Path::new("four.toml"),
+        &format!("name = \"four counts\"\n[[effect]]\nname = \"offset.x\"\num = {}\n", 4.0 * bench.count_um),
+    )?;
+    let mut sim = Sim::new(
+        &one_metre(bench.count_um, bench.travel_mm),
+        &Machine::ideal("m"),
+        Some(&known),
+        [0.0; 3],
+        1,
+    )?;
+    sim.run([Block::Feed { to: [20.0, 0.0, 0.0], feed_mm_s: bench.cutting_mm_min / 60.0 }])?;
+    sim.advance(0.5)?;
+    let place = "Altering the Position Signal";
+    rows.number(
+        (place, "four counts added: the axis stops from the programmed position by", "counts"),
+        -4.0,
+        ((sim.moment().position_mm[0] - 20.0) * 1e3 / bench.count_um).round(),
+        Agreement::Within(0.0),
+        "the servo is in position within a count",
+    );
+    times(rows, computer)
+}
+
+/// One correction on the way, at an encoder frequency.
+fn insert(computer: &Computer, design: AnyDesign, hz: f64, total: i64) -> Result<BenchResult, PaperError> {
+    let edges = constant(1_000_000, hz, 4000, 1);
+    let totals = [(edges[500].0, total)];
+    BenchRun { edges: &edges, totals: &totals, keep_log: true, ..BenchRun::new(design, computer) }
+        .run()
+        .ok_or_else(|| cannot("an insertion"))
+}
+
+/// Nine microseconds at 10 kHz, which do not fit at 30 kHz; the other designs beside it.
+fn times(rows: &mut Rows, computer: &Computer) -> Result<(), PaperError> {
+    let go = |design, hz, total| insert(computer, design, hz, total);
+    let place = "Altering the Position Signal";
+    let slow = go(AnyDesign::Original, 10_000.0, 4)?;
+    let inserted: Vec<Change> = inserted(&slow.log);
+    rows.number(
+        (place, "width of an added pulse", "µs"),
+        2.0,
+        high_ns(&slow.log, |s| s.a()) / 1e3,
+        Agreement::Within(0.01),
+        "the computer of the machine file steps at another pace",
+    );
+    let place = "The \"Original RTEC\"";
+    let (first, last) = match (inserted.first(), inserted.last()) {
+        (Some(a), Some(b)) => (a.0, b.0),
+        _ => return Err(cannot("an insertion")),
+    };
+    let edge = slow.log.iter().rev().find(|l| l.0 < first && l.0 > 0).map_or(first, |l| l.0);
+    let done = slow.edge_to_done_ns.map_or(0, |t| t.0);
+    let other = "the computer of the machine file has other times";
+    for (what, says, ns) in [
+        ("from recognising A and B low until a pulse can be added", 4.0, first - edge),
+        ("for the pulses", 3.0, last - first),
+        ("after the pulses", 2.0, done.saturating_sub(last - edge)),
+        ("total", 9.0, done),
+    ] {
+        rows.number((place, what, "µs"), says, ns as f64 / 1e3, Agreement::Within(0.01), other);
+    }
+    let edges = constant(1_000_000, 30_000.0, 4000, 1);
+    let low: Vec<u64> = edges.chunks(4).take(900).map(|c| c[1].0 - c[0].0).collect();
+    rows.number(
+        (place, "at 30 kHz A and B are low for", "µs"),
+        8.0,
+        low.iter().sum::<u64>() as f64 / low.len() as f64 / 1e3,
+        Agreement::Within(0.5),
+        "\"about\": a quarter of the period of 33.3 µs",
+    );
+    let rapid = go(AnyDesign::Original, 30_000.0, 40)?;
+    rows.holds(
+        (place, "at 30 kHz the nine microseconds run into the next transition"),
+        "they may",
+        &format!(
+            "held back {} times by the timer; the count {} off",
+            rapid.waited_for_gate,
+            rapid.error_counts()
+        ),
+        rapid.waited_for_gate > 0 && rapid.error_counts() == 0,
+        "the timer between two \"A&B low\" holds insertions back, as the report's does",
+    );
+    let quicker = go(AnyDesign::C, 10_000.0, 2)?.edge_to_done_ns.map_or(0, |t| t.0);
+    rows.number(
+        ("Design C", "time of an insertion: somewhat less than the Original's", "µs"),
+        done as f64 / 1e3,
+        quicker as f64 / 1e3,
+        Agreement::AtMost,
+        "two inversions instead of four changes",
+    );
+    let a = go(AnyDesign::A, 10_000.0, 4)?.edge_to_done_ns.map_or(0, |t| t.0);
+    rows.number(
+        ("Design A", "time of an insertion: the same as the Original's", "µs"),
+        done as f64 / 1e3,
+        a as f64 / 1e3,
+        Agreement::Within(0.01),
+        "",
+    );
+    for (design, says) in [(AnyDesign::Original, 4), (AnyDesign::A, 4), (AnyDesign::B, 1), (AnyDesign::C, 2)]
+    {
+        // Design B needs the faster computer; what it inserts is the same on any.
+        let quick = Computer::dsp();
+        let with = if design == AnyDesign::B { &quick } else { computer };
+        let edges = constant(1_000_000, 10_000.0, 4000, 1);
+        let totals = [(edges[500].0, 8)];
+        let seen = BenchRun { edges: &edges, totals: &totals, ..BenchRun::new(design, with) }
+            .run()
+            .ok_or_else(|| cannot("an insertion"))?;
+        let step = (seen.mtc - seen.scale) as f64 / (seen.insertions as f64).max(1.0);
+        rows.number(
+            ("Designs", &format!("correction resolution of {}", design.name()), "counts"),
+            f64::from(says),
+            step,
+            Agreement::Within(0.0),
+            "the insertions were not made",
+        );
+    }
+    Ok(())
+}
+
+/// The changes at the MTC that the scale did not make.
+fn inserted(log: &[Change]) -> Vec<Change> {
+    log.windows(2).filter(|w| w[0].1 == w[1].1 && w[0].2 != w[1].2).map(|w| w[1]).collect()
+}

@@ -1,0 +1,510 @@
+//! NISTIR 4854: fast probing, a part-form error and its compensation.
+
+use crate::PaperError;
+use crate::rows::{Agreement, Rows};
+use rtec_model::machine::Machine;
+use rtec_part::contour::nose;
+use rtec_part::cor::PointError;
+use rtec_part::errors::{ErrorReport, MAGNIFICATION};
+use rtec_part::fit::Zx;
+use rtec_part::path::{PathRole, Plan, Probe, ProbingMotion};
+use rtec_part::program::{Controller, Parameters};
+use rtec_part::table::FinishTable;
+use rtec_sim::axis::AxisSpec;
+use rtec_sim::described::Described;
+use rtec_sim::gcode::Block;
+use rtec_sim::lathe::{self, Bench};
+use rtec_sim::sim::{Sim, Spec};
+use rtec_sim::turning::{Setup, TurningOutcome};
+use serde::Deserialize;
+use std::path::Path;
+
+/// The machine as its file describes it.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Lathe {
+    machine: String,
+    design: String,
+    radius_mm: f64,
+    allowance_mm: f64,
+    points: usize,
+    tip_mm: f64,
+    probing_mm_min: f64,
+    cut_mm_min: f64,
+    longest_axis_mm: f64,
+    correction_bits: u32,
+    part_number: String,
+    size_error_um: f64,
+    g01_um: f64,
+    bench: Bench,
+}
+
+impl Lathe {
+    fn read(described: &Described) -> Result<Self, PaperError> {
+        let lathe: Self = described.read("4854.toml")?;
+        lathe.bench.check().map_err(|(key, expected)| {
+            described.refuse("4854.toml", key, format!("{key} out of range"), expected.to_owned())
+        })?;
+        Ok(lathe)
+    }
+
+    fn setup(&self, seed: u64) -> Setup {
+        Setup {
+            design: self.design.clone(),
+            radius_mm: self.radius_mm,
+            allowance_mm: self.allowance_mm,
+            points: self.points,
+            tip_mm: self.tip_mm,
+            cut_feed_mm_min: self.cut_mm_min,
+            motion: ProbingMotion {
+                feed_mm_min: self.probing_mm_min,
+                accel_mm_s2: self.bench.accel_mm_s2,
+                decel_mm_s2: self.bench.decel_mm_s2,
+                ..ProbingMotion::REPORT
+            },
+            // One control period and the lag of the position loop.
+            lead_s: self.bench.control_ms * 1e-3 + 1.0 / self.bench.gain,
+            bench: self.bench.clone(),
+            seed,
+            ..Setup::default()
+        }
+    }
+}
+
+const INCH: f64 = 25.4;
+
+pub(crate) fn run(
+    described: &Described,
+    seed: u64,
+    progress: &mut dyn FnMut(&str),
+) -> Result<Rows, PaperError> {
+    let lathe = Lathe::read(described)?;
+    let machine = described.machine(&lathe.machine)?;
+    let setup = lathe.setup(seed);
+    let mut rows = Rows::default();
+    progress("NISTIR 4854: constant velocity in a touch");
+    gauging(&mut rows, &lathe, seed)?;
+    let outcome = setup.run(&mut |step| progress(&format!("NISTIR 4854: {step}")))?;
+    for ((_, report), figure) in outcome.reports.iter().zip([5, 6]) {
+        rows.figures.push((format!("figure-{figure}.svg"), report.whisker_svg()));
+    }
+    probing(&mut rows, &lathe, &outcome);
+    form(&mut rows, &outcome);
+    let blank = rewritten(&lathe, &setup);
+    program(&mut rows, &lathe, &outcome, blank);
+    paths(&mut rows, &lathe)?;
+    progress("NISTIR 4854: geometric-thermal errors, eleven components, a correction every 50 ms");
+    geometric_thermal(&mut rows, &lathe, &setup, &machine, progress)?;
+    Ok(rows)
+}
+
+/// Stand-off, over-travel, and what of them is at constant velocity.
+fn gauging(rows: &mut Rows, lathe: &Lathe, seed: u64) -> Result<(), PaperError> {
+    let place = "On-Machine Gauging";
+    let setup = lathe.setup(seed);
+    let from = "from the acceleration and deceleration of the machine file, which were read out of this very sentence";
+    let (off, over) = (setup.motion.stand_off_mm(), setup.motion.over_travel_mm());
+    rows.number((place, "stand-off", "mm"), 5.0, off, Agreement::Within(0.05), from);
+    rows.number((place, "over-travel", "mm"), 2.5, over, Agreement::Within(0.05), from);
+    let bench = &lathe.bench;
+    let axis = AxisSpec {
+        count_um: bench.count_um,
+        accel_mm_s2: bench.accel_mm_s2,
+        decel_mm_s2: bench.decel_mm_s2,
+        jerk_mm_s3: 100_000.0,
+        position_gain_per_s: bench.gain,
+        backlash_um: 0.0,
+        ..AxisSpec::new("z", lathe.longest_axis_mm)
+    };
+    let mut sim = Sim::new(&Spec::new(vec![axis]), &Machine::ideal("axis"), None, [0.0; 3], seed)?;
+    let v_mm_s = lathe.probing_mm_min / 60.0;
+    sim.machine.load([Block::Feed { to: [0.0, 0.0, off + over], feed_mm_s: v_mm_s }]);
+    let mut constant_mm = 0.0;
+    let mut last = 0.0;
+    while !sim.machine.finished() {
+        sim.advance(0.0005)?;
+        let now = sim.moment();
+        if (now.velocity_mm_s[2] - v_mm_s).abs() < 0.01 * v_mm_s {
+            constant_mm += now.position_mm[2] - last;
+        }
+        last = now.position_mm[2];
+    }
+    rows.number(
+        (place, "of the touch at constant velocity (within 1 %)", "mm"),
+        2.0,
+        constant_mm,
+        Agreement::Within(0.5),
+        "\"about\"; the servo settles to 1 % of the velocity a little after the ramp",
+    );
+    Ok(())
+}
+
+fn probing(rows: &mut Rows, lathe: &Lathe, o: &TurningOutcome) {
+    let [fast, slow] = &o.probing;
+    let place = "The RTEC";
+    rows.number(
+        (place, "a capture 25 µs late at 2.5 m/min costs the position resolution", "µm"),
+        1.0,
+        fast.late_25us_um,
+        Agreement::Within(0.05),
+        "41.7 mm/s times 25 µs",
+    );
+    rows.number(
+        (place, "captured within the position resolution, largest of 20 trips", "µm"),
+        lathe.bench.count_um,
+        fast.capture_worst_um,
+        Agreement::AtMost,
+        "positions are interpolated between two counts",
+    );
+    rows.number(
+        (
+            place,
+            "a controller that looks once in milliseconds does not allow fast probing: 1 ms late costs more",
+            "µm",
+        ),
+        1.0,
+        fast.late_1ms_um,
+        Agreement::AtLeast,
+        "41.7 mm/s times 1 ms",
+    );
+    let place = "The RTEC; Introduction of 4832";
+    rows.number(
+        (place, "faster than commonly used: 10 to 20 times in feed", "times"),
+        20.0,
+        fast.feed_mm_min / slow.feed_mm_min,
+        Agreement::Within(0.0),
+        "",
+    );
+}
+
+fn form(rows: &mut Rows, o: &TurningOutcome) {
+    let place = "Part-Form Error; figure 5";
+    let seeds = "one cut of one tool there, one of other noise here";
+    let semi = &o.semi_finish;
+    rows.number((place, "height of the bump", "µm"), 23.0, semi.bump_um, Agreement::Within(1.5), seeds);
+    rows.number((place, "largest error bar", "µm"), 21.4, semi.largest_um, Agreement::Within(1.0), seeds);
+    let report = &o.reports[0].1;
+    rows.number(
+        (place, "points probed", ""),
+        20.0,
+        report.errors.len() as f64,
+        Agreement::Within(0.0),
+        "the machine file has another number",
+    );
+    let on_bump = report.errors.iter().filter(|e| e.error_um > 0.5).count();
+    rows.number(
+        (place, "points on the bump, about", ""),
+        6.0,
+        on_bump as f64,
+        Agreement::Within(1.0),
+        "read off figure 5 there; points above 0.5 µm here",
+    );
+    let place = "Part Error Calculations";
+    rows.number(
+        (place, "SD of the circle fit, all points", "µm"),
+        5.6,
+        semi.sd_before_um,
+        Agreement::Within(0.7),
+        "the shape of the bump beyond its height and points is not given",
+    );
+    rows.number(
+        (place, "SD of the second fit", "µm"),
+        1.7,
+        semi.sd_after_um,
+        Agreement::Within(1.0),
+        "the probe here repeats better than 1.7 µm, and the flanks of the bump are left out",
+    );
+    corrected(rows, o);
+}
+
+/// The finish cut, and what is drawn of it.
+fn corrected(rows: &mut Rows, o: &TurningOutcome) {
+    let report = &o.reports[0].1;
+    let place = "Compensating for the Part-Form Error";
+    rows.number(
+        (place, "one correction", "µm"),
+        4.0,
+        o.increment_um,
+        Agreement::Within(0.0),
+        "the machine file has another design or count",
+    );
+    rows.number(
+        (place, "corrections for the largest error", ""),
+        5.0,
+        o.corrections as f64,
+        Agreement::Within(0.0),
+        "21.4 µm in steps of 4 µm, rounded",
+    );
+    let place = "Figure 6";
+    rows.number(
+        (place, "longest error bar after the finish cut", "µm"),
+        4.0,
+        o.finish.largest_um,
+        Agreement::AtMost,
+        "ours may be less: half a correction is the least",
+    );
+    rows.number(
+        (place, "SD of the circle fit", "µm"),
+        2.0,
+        o.finish.sd_before_um,
+        Agreement::AtMost,
+        "less noise of probe and cut than the report's",
+    );
+    rows.number(
+        (place, "the components of the errors are below the correction resolution", "µm"),
+        o.increment_um,
+        component(&o.reports[1].1),
+        Agreement::AtMost,
+        "",
+    );
+    rows.holds(
+        ("Section 2", "the MTC's count less the scales' is what was inserted"),
+        "it must be",
+        if o.balanced() { "it is" } else { "it is not" },
+        o.balanced(),
+        "counted by the simulated controller's own decoders",
+    );
+    rows.number(
+        ("CAD Error Display", "a 4 µm error is drawn as", "mm"),
+        1.0,
+        4e-3 * MAGNIFICATION,
+        Agreement::Within(1e-9),
+        "",
+    );
+    let place = "The Determination of Part-Form Errors";
+    rows.number(
+        (place, "radius of the nose", "mm"),
+        38.1,
+        report_radius(&o.reports[1].1),
+        Agreement::Within(0.01),
+        "as fitted to what was probed",
+    );
+    rows.number(
+        (place, "the semi-finish cut is larger in radius by", "mm"),
+        0.254,
+        report_radius(report) - report_radius(&o.reports[1].1),
+        Agreement::Within(0.005),
+        "between the two fitted radii",
+    );
+}
+
+fn report_radius(report: &ErrorReport) -> f64 {
+    report.radius_mm.unwrap_or(0.0)
+}
+
+/// Largest component of an error along Z or X.
+fn component(report: &ErrorReport) -> f64 {
+    let of = |e: &PointError| {
+        let n = Zx::at_angle(e.angle_rad) * e.error_um;
+        n.z.abs().max(n.x.abs())
+    };
+    report.errors.iter().map(of).fold(0.0, f64::max)
+}
+
+/// G01 lines for the plain arc.
+fn rewritten(lathe: &Lathe, setup: &Setup) -> usize {
+    let round = (0..lathe.points.max(2)).map(|k| PointError {
+        angle_rad: std::f64::consts::FRAC_PI_2 * k as f64 / (lathe.points.max(2) - 1) as f64,
+        error_um: 0.0,
+        along_mm: None,
+    });
+    let design = lathe::design(&lathe.design).unwrap_or(rtec_rt::axis::Design::C);
+    let table =
+        FinishTable::new(setup.cut(lathe.radius_mm), lathe::axes(&lathe.bench, design), round.collect());
+    table.straight_moves(lathe.g01_um * 1e-3, 4).len().saturating_sub(1)
+}
+
+fn program(rows: &mut Rows, lathe: &Lathe, o: &TurningOutcome, plain: usize) {
+    let place = "Compensating for the Part-Form Error";
+    rows.number(
+        (place, "G01 lines that stay within about 1.5 µm of the arc", ""),
+        90.0,
+        plain as f64,
+        Agreement::Share(0.05),
+        "of the path of the nose's centre, and coordinates of four decimals",
+    );
+    rows.number(
+        (place, "the same with the errors in them", ""),
+        90.0,
+        o.program_lines as f64,
+        Agreement::Share(0.05),
+        "shorter where the errors bend",
+    );
+    rows.number(
+        ("Implementing Corrections", "bits for the longest axis", "bits"),
+        20.0,
+        bits(lathe.longest_axis_mm * 1e3 / lathe.bench.count_um),
+        Agreement::Within(0.0),
+        "the machine file has another axis",
+    );
+    let most = f64::from((1_u32 << (lathe.correction_bits - 1)) - 1);
+    rows.number(
+        ("Implementing Corrections", "range of the \"Correction Requested\" byte, ±", "µm"),
+        127.0,
+        most * o.increment_um,
+        Agreement::Within(0.0),
+        "the report prints ±127 µm; ±127 corrections of 4 µm are ±508 µm, as NISTIR 4832 has it",
+    );
+}
+
+fn bits(counts: f64) -> f64 {
+    counts.max(2.0).log2().ceil()
+}
+
+/// Size and largest form error (µm) left by four ways to correct a tool whose dimension is off.
+///
+/// # Errors
+/// A description that is not right, or a lathe that stops.
+pub fn size_and_form(described: &Described, seed: u64) -> Result<[(&'static str, [f64; 2]); 4], PaperError> {
+    let lathe = Lathe::read(described)?;
+    let setup = lathe.setup(seed);
+    let off_mm = lathe.size_error_um * 1e-3;
+    let semi_mm = lathe.radius_mm + lathe.allowance_mm;
+    let feed = setup.motion.feed_mm_min;
+    let mut part = setup.raw();
+    setup.turn(&mut part, semi_mm + off_mm, None, setup.seed)?;
+    let session = setup.probe(&part, &setup.plan(semi_mm), feed, setup.seed + 1)?;
+    let semi = setup.errors(&session, semi_mm)?;
+    let size_um = semi.size_error_um.unwrap_or(0.0);
+    let axes = lathe::axes(&lathe.bench, lathe::design(&lathe.design).unwrap_or(rtec_rt::axis::Design::C));
+    let table = |with_um: f64| {
+        let sized = semi.errors.iter().map(|e| PointError { error_um: e.error_um + with_um, ..*e });
+        FinishTable::new(setup.cut(lathe.radius_mm), axes, sized.collect())
+    };
+    let finish = |offset_um: f64, table: Option<&FinishTable>| -> Result<[f64; 2], PaperError> {
+        let mut part = part.clone();
+        setup.turn(&mut part, lathe.radius_mm + off_mm - offset_um * 1e-3, table, setup.seed + 2)?;
+        let session = setup.probe(&part, &setup.plan(lathe.radius_mm), feed, setup.seed + 3)?;
+        let report = setup.errors(&session, lathe.radius_mm)?;
+        let bump = report.errors.iter().map(|e| e.error_um.abs()).fold(0.0, f64::max);
+        Ok([report.size_error_um.unwrap_or(0.0), bump])
+    };
+    Ok([
+        ("tool offset alone", finish(size_um, None)?),
+        ("table alone", finish(0.0, Some(&table(0.0)))?),
+        ("tool offset and table", finish(size_um, Some(&table(0.0)))?),
+        ("table with the size in it", finish(0.0, Some(&table(size_um)))?),
+    ])
+}
+
+/// Figure 7 and the file's name.
+fn paths(rows: &mut Rows, lathe: &Lathe) -> Result<(), PaperError> {
+    let place = "Figure 7";
+    // The part of figure 7, in inches: a nose of 1.5 in about Z 5 in, touched from 0.3 in off.
+    let (centre, radius) = (Zx::new(5.0 * INCH, 0.0), 1.5 * INCH);
+    let contour = nose(centre, radius);
+    let off = 0.3 * INCH;
+    let mut plan = Plan::new(Probe { tip_mm: 0.0, stand_off_mm: off, over_travel_mm: 0.0, stem: None });
+    plan.add_number(&contour, 0, lathe.points, 0.0);
+    rows.figures.push(("figure-7.svg".to_owned(), plan.svg(&contour)));
+    let n = plan.points.len();
+    if n < 2 {
+        return Err(PaperError::Cannot("NISTIR 4854: fewer than two probing points".to_owned()));
+    }
+    let records = plan.records();
+    let of = |point: usize, wanted: PathRole| {
+        let touch = records.iter().position(|r| r.role == PathRole::Touch(point)).unwrap_or(0);
+        let at = if wanted == PathRole::Start { touch.saturating_sub(1) } else { touch };
+        let p = records[at].at;
+        [p.z / INCH, p.x / INCH]
+    };
+    let why = "the machine file has another number of points";
+    for (what, point, role, says) in [
+        ("start of point 1", n - 1, PathRole::Start, [5.148_643, 1.793_852]),
+        ("touch of point 1", n - 1, PathRole::Touch(0), [5.123_869, 1.494_877]),
+        ("start of point 2", n, PathRole::Start, [5.0, 1.8]),
+        ("touch of point 2", n, PathRole::Touch(0), [5.0, 1.5]),
+    ] {
+        let got = of(point, role);
+        for (k, axis) in ["Z", "X"].iter().enumerate() {
+            rows.number(
+                (place, &format!("{what}, {axis}"), "in"),
+                says[k],
+                got[k],
+                Agreement::Within(2e-6),
+                why,
+            );
+        }
+    }
+    let place = "Requirements of NC Probing Code";
+    let mut parameters = Parameters::default();
+    let bad = |(found, expected): (String, String)| {
+        PaperError::from(rtec_files::InputError::whole(Path::new("4854.toml"), found, expected))
+    };
+    parameters.set("part", &lathe.part_number).map_err(bad)?;
+    parameters.set("segment", "2").map_err(bad)?;
+    rows.words(
+        (place, "file of the first probing segment of version 4 of part 63"),
+        "pt6304s2.dnc",
+        &parameters.file_name(),
+        "the machine file has another part",
+    );
+    let longest = (60..80).take_while(|n| parameters.clone().set("note_1", &"x".repeat(*n)).is_ok()).last();
+    rows.number(
+        ("Operating Procedure", "longest line of general comments", "characters"),
+        66.0,
+        longest.unwrap_or(0) as f64,
+        Agreement::Within(0.0),
+        "",
+    );
+    let controller = Controller::built_in("report").transpose()?;
+    let template = controller.map(|c| c.template).unwrap_or_default();
+    let says = ["N0010", "N0150", "T00", "G92 X", "M14", "M02", "(END, PROG)"];
+    let there = says.iter().filter(|w| template.contains(**w)).count();
+    rows.number(
+        (
+            "Figure 8",
+            "words of template.prb that are in ours: N0010, N0150, T00, G92 X, M14, M02, (END, PROG)",
+            "of 7",
+        ),
+        says.len() as f64,
+        there as f64,
+        Agreement::Within(0.0),
+        "",
+    );
+    Ok(())
+}
+
+/// Eleven components, corrected every 50 ms while the nose is cut.
+fn geometric_thermal(
+    rows: &mut Rows,
+    lathe: &Lathe,
+    setup: &Setup,
+    machine: &Machine,
+    progress: &mut dyn FnMut(&str),
+) -> Result<(), PaperError> {
+    let place = "Compensation of G-T Errors";
+    let components: usize = machine.chain().map_or(0, |c| c.joints.iter().map(|j| j.components.len()).sum());
+    rows.number(
+        (place, "error components of the two-axis machine", ""),
+        11.0,
+        components as f64,
+        Agreement::Within(0.0),
+        "the machine file has another chain",
+    );
+    rows.number(
+        (place, "a new correction about every", "ms"),
+        50.0,
+        lathe.bench.control_ms,
+        Agreement::Within(0.0),
+        "the machine file has another period",
+    );
+    rows.number(
+        (place, "the tool moves in that time less than", "mm"),
+        1.0,
+        lathe.cut_mm_min / 60.0 * lathe.bench.control_ms * 1e-3,
+        Agreement::AtMost,
+        "at the feed of the finish cut",
+    );
+    let known =
+        Setup { machine: machine.clone(), model: Some(machine.clone()), begin_s: 3600.0, ..setup.clone() };
+    let o = known.run(&mut |step| progress(&format!("NISTIR 4854, G-T: {step}")))?;
+    rows.number(
+        (place, "nose cut on that machine an hour after switching on: longest error bar", "µm"),
+        4.0,
+        o.finish.largest_um,
+        Agreement::AtMost,
+        "model and table together, probing corrected off line",
+    );
+    Ok(())
+}

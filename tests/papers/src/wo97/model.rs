@@ -1,0 +1,145 @@
+//! Figure 17 and the choice of sensors: the model that the wet characterisation gives.
+
+use super::{Centre, Run, error_of, record};
+use crate::PaperError;
+use crate::rows::{Agreement, Rows};
+use rtec_fit::thermal::{self, Options, ROUNDS, Report};
+use rtec_measure::plot::{Chart, Series, Style};
+use rtec_model::effect::Need;
+use rtec_model::machine::{Machine, Provenance};
+use rtec_model::record::{Record, Role};
+use rtec_sim::experiment::Findings;
+
+fn correlation(a: &[f64], b: &[f64]) -> f64 {
+    let n = a.len().min(b.len()) as f64;
+    let mean = |v: &[f64]| v.iter().sum::<f64>() / n;
+    let (ma, mb) = (mean(a), mean(b));
+    let sum = |f: &dyn Fn(f64, f64) -> f64| a.iter().zip(b).map(|(x, y)| f(x - ma, y - mb)).sum::<f64>();
+    sum(&|x, y| x * y) / (sum(&|x, _| x * x) * sum(&|_, y| y * y)).sqrt()
+}
+
+/// Figure 17 and the choice of sensors; the model that the wet characterisation gives, on top of the geometry.
+pub(super) fn wet_model(
+    rows: &mut Rows,
+    centre: &Centre,
+    run: &Run<'_>,
+    found: &Findings,
+) -> Result<Machine, PaperError> {
+    let wet = record(found, "drift-wet")?;
+    let z = error_of(wet, 2);
+    let heated = 0..=180_usize;
+    let of = |sensor: &str| wet.temperature(sensor).map_or_else(Vec::new, |t| t[heated.clone()].to_vec());
+    let z_heated = z[heated.clone()].to_vec();
+    let t13 = of("T13");
+    rows.number(
+        ("Figure 17", "γ of sensor 13 (spindle nose) with the growth in Z", ""),
+        0.97,
+        correlation(&t13, &z_heated).abs(),
+        Agreement::Within(0.1),
+        "wet, over the three hours of heating; the paper does not say over which run",
+    );
+    let range =
+        |t: &[f64]| t.iter().copied().fold(f64::MIN, f64::max) - t.iter().copied().fold(f64::MAX, f64::min);
+    let dry = record(found, "drift-dry")?;
+    let dry13 = dry.temperature("T13").map_or_else(Vec::new, |t| t[heated.clone()].to_vec());
+    rows.number(
+        ("Figure 17", "temperature change of sensor 13", "K"),
+        16.0,
+        range(&dry13),
+        Agreement::Within(1.5),
+        "dry; 16 °C in one place of the text, 15 °C in another",
+    );
+    rows.number(
+        ("CASC", "autocorrelation α of sensors 13 and 10", ""),
+        0.985,
+        correlation(&t13, &of("T10")),
+        Agreement::Within(0.02),
+        "places of the sensors are those of the simulated network",
+    );
+    let offered = wet.names(&Role::Temperature).count();
+    rows.number(("CASC", "sensors to begin with", ""), 20.0, offered as f64, Agreement::Within(0.0), "");
+    let options =
+        Options { base: Some(geometry(run.truth)?), date: 20_000, speed: false, ..Options::default() };
+    let (model, reports) = fitted(run, wet, &options)?;
+    for report in &reports {
+        let mut sensors: Vec<String> = Vec::new();
+        for e in &report.effects {
+            sensors.extend(e.sensor.iter().chain(&e.minus).cloned());
+        }
+        sensors.sort();
+        sensors.dedup();
+        let axis = report.response.trim_start_matches("error.").to_uppercase();
+        rows.number(
+            ("CASC", &format!("sensors in the end for {axis}: 4 or 5"), ""),
+            5.0,
+            sensors.len() as f64,
+            Agreement::AtMost,
+            "fewer where fewer do",
+        );
+        rows.number(
+            ("CASC", &format!("rounds of the refit for {axis}: seldom more than five"), ""),
+            5.0,
+            report.rounds.len().min(ROUNDS) as f64,
+            Agreement::AtMost,
+            "fewer where R no longer improves by 1 %",
+        );
+        let dropped = report.dropped.iter().map(|d| d.alpha.abs()).fold(f64::INFINITY, f64::min);
+        if dropped.is_finite() {
+            rows.number(
+                ("CASC", &format!("least α at which a sensor was left out for {axis}"), ""),
+                centre.redundant,
+                dropped,
+                Agreement::AtLeast,
+                "",
+            );
+        }
+    }
+    modelled(rows, wet, &model)?;
+    Ok(model)
+}
+
+/// Figures 18a to 18c: the growth of the wet spindle cycle, measured and modelled.
+fn modelled(rows: &mut Rows, wet: &Record, model: &Machine) -> Result<(), PaperError> {
+    let minutes: Vec<f64> = wet.data(&Role::Time).unwrap_or_default().iter().map(|s| s / 60.0).collect();
+    let from_start = |um: &[f64]| -> Vec<(f64, f64)> {
+        let first = um.first().copied().unwrap_or(0.0);
+        minutes.iter().copied().zip(um.iter().map(|e| e - first)).collect()
+    };
+    for (p, (response, modelled)) in model.predict(wet)?.columns.into_iter().enumerate() {
+        let chart = Chart::new(&format!("Growth of {response}"), "time (min)", "growth (µm)")
+            .with(Series::new("measured", Style::Dots, from_start(&error_of(wet, p))))
+            .with(Series::new("modelled", Style::Line, from_start(&modelled)));
+        rows.figures.push((format!("figure-18{}.svg", ["a", "b", "c"][p.min(2)]), chart.svg(900, 420)?));
+    }
+    Ok(())
+}
+
+/// The fit of the patent's runs, all wet: spindle cycle, warm-up with speeds and cool-down, a shift, a production cycle.
+fn fitted(run: &Run<'_>, wet: &Record, options: &Options) -> Result<(Machine, Vec<Report>), PaperError> {
+    let (runs, production) = (run.experiment("wet-runs", None)?, run.experiment("production-cycle", None)?);
+    let train =
+        [wet, record(&runs, "warm-day")?, record(&runs, "shift")?, record(&production, "production-cycle")?];
+    Ok(thermal::fit(&train, &[], options)?)
+}
+
+/// The model that the wet runs give, on top of the geometry.
+pub(super) fn from_wet_runs(run: &Run<'_>) -> Result<Machine, PaperError> {
+    let options =
+        Options { base: Some(geometry(run.truth)?), date: 20_000, speed: false, ..Options::default() };
+    let drift = run.experiment("drift", None)?;
+    Ok(fitted(run, record(&drift, "drift-wet")?, &options)?.0)
+}
+
+/// What the geometric characterisation gives: everything of the true machine that is at rest and cold.
+fn geometry(truth: &Machine) -> Result<Machine, PaperError> {
+    let mut known = Machine::ideal("geometry");
+    for effect in truth.effects() {
+        let needs = &effect.description().needs;
+        let still = !needs.contains(&Need::Delta) && !needs.contains(&Need::Velocity);
+        if still {
+            let pushed = known.push(effect.clone(), Provenance::default());
+            pushed.map_err(|e| PaperError::Cannot(e.to_string()))?;
+        }
+    }
+    Ok(known)
+}

@@ -1,0 +1,100 @@
+//! The drilling test from every thermal state, with a model that never saw a hole.
+
+use super::model::from_wet_runs;
+use super::{AXES, Centre, Run, error_of, record};
+use crate::PaperError;
+use rtec_model::effect::{Against, STANDARD_DEGC};
+use rtec_model::machine::FitNote;
+use rtec_model::record::Record;
+use rtec_sim::described::Described;
+
+/// The experiments, one for each thermal state of the machine at the start.
+pub const STARTS: [&str; 6] = [
+    "drilling",
+    "drilling-semi-warm",
+    "drilling-warm",
+    "drilling-fully-warm",
+    "drilling-after-rest",
+    "drilling-weekend",
+];
+
+/// What an axis was off by in a drilling test without and with the fitted model.
+#[derive(Debug, Clone)]
+pub struct StartResult {
+    /// The experiment.
+    pub start: &'static str,
+    /// X, Y or Z.
+    pub axis: &'static str,
+    /// The largest error of the tool, without and with correction, µm.
+    pub off_um: [f64; 2],
+    /// The largest deviation from hole 1, without and with correction, µm.
+    pub from_hole_1_um: [f64; 2],
+    /// What the model says before anything is corrected, µm: its 95 % interval, and what it costs where temperatures at the start
+    /// are outside the range that the model has seen.
+    pub promised_um: [f64; 2],
+}
+
+impl StartResult {
+    /// The share of the tool's error that is left.
+    #[must_use]
+    pub fn left(&self) -> f64 {
+        self.off_um[1] / self.off_um[0]
+    }
+
+    /// The share of the deviation from hole 1 that is left.
+    #[must_use]
+    pub fn left_from_hole_1(&self) -> f64 {
+        self.from_hole_1_um[1] / self.from_hole_1_um[0]
+    }
+
+    /// The model said before that it cannot leave a quarter of the tool's error.
+    #[must_use]
+    pub fn warned(&self) -> bool {
+        self.promised_um.iter().sum::<f64>() > 0.25 * self.off_um[0]
+    }
+}
+
+/// Characterises the machine of WO 97/43703 with this seed, fits the model on its wet runs alone, and drills from each of
+/// [`STARTS`].
+///
+/// # Errors
+/// A description that is not right, or a machine that stops.
+pub fn starts(described: &Described, seed: u64) -> Result<Vec<StartResult>, PaperError> {
+    let centre: Centre = described.read("wo97.toml")?;
+    let truth = described.machine(&centre.machine)?;
+    let run = Run { truth: &truth, seed };
+    let model = from_wet_runs(&run)?;
+    let mut all = Vec::new();
+    for start in STARTS {
+        let found = run.experiment(start, Some(&model))?;
+        for (p, axis) in AXES.into_iter().enumerate() {
+            let response = format!("error.{}", axis.to_lowercase());
+            let fit = model.fits().iter().find(|f| f.response == response);
+            let (mut off_um, mut from_hole_1_um) = ([0.0; 2], [0.0; 2]);
+            for (k, suffix) in ["", "-compensated"].into_iter().enumerate() {
+                let um = error_of(record(&found, &format!("{start}{suffix}"))?, p);
+                let largest = |zero: f64| um.iter().fold(0.0_f64, |w, e| w.max((e - zero).abs()));
+                (off_um[k], from_hole_1_um[k]) = (largest(0.0), largest(um.first().copied().unwrap_or(0.0)));
+            }
+            let plain = record(&found, start)?;
+            let promised_um = fit.map_or([0.0; 2], |f| [f.half_width_um, outside_um(f, plain)]);
+            all.push(StartResult { start, axis, off_um, from_hole_1_um, promised_um });
+        }
+    }
+    Ok(all)
+}
+
+/// What it may cost at a record's first row that temperatures are outside the range of the fit, µm.
+fn outside_um(fit: &FitNote, record: &Record) -> f64 {
+    let read =
+        |name: &str| record.temperature(name).and_then(|t| t.first()).copied().unwrap_or(STANDARD_DEGC);
+    let of = |v: &rtec_model::machine::Validity| {
+        let other = match &v.difference.against {
+            Against::Sensor(name) => read(name),
+            Against::Reference(degc) => *degc,
+            Against::Standard => STANDARD_DEGC,
+        };
+        v.outside_um(read(&v.difference.sensor) - other)
+    };
+    fit.valid.iter().map(of).fold(0.0, f64::max)
+}
