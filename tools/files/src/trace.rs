@@ -83,7 +83,7 @@ struct Table<const N: usize> {
     /// The file where it can be read twice, to learn its decimal marks; and its columns.
     file: Option<PathBuf>,
     columns: Vec<String>,
-    marks: Option<Option<Marks>>,
+    numbers: Option<[Numbers; N]>,
 }
 
 /// Names of a time, each with the decimals that make it one in ns.
@@ -128,7 +128,7 @@ impl<const N: usize> Table<N> {
             return Err(header.finding("one column for two names", "every column once"));
         }
         let file = file.map(Path::to_owned);
-        Ok(Self { header, places, shift, file, columns: wanted.to_vec(), marks: None })
+        Ok(Self { header, places, shift, file, columns: wanted.to_vec(), numbers: None })
     }
 
     /// The table has other columns too.
@@ -155,22 +155,26 @@ impl<const N: usize> Table<N> {
         {
             return Ok(number);
         }
-        if self.marks.is_none() {
-            let columns: Vec<&str> = self.columns.iter().map(String::as_str).collect();
-            self.marks = Some(match self.file.as_deref() {
-                Some(file) => Marks::find(file, &mut open_regular(file)?, &columns)?,
-                None => None,
-            });
-        }
-        let numbers = match self.marks.as_ref().and_then(Option::as_ref) {
-            Some(marks) => marks.numbers(self.places[n]),
-            None => Numbers::shown(None, None, by),
+        let numbers = match self.numbers {
+            Some(numbers) => numbers[n],
+            None => self.find_numbers(by)?[n],
         };
         // A whole number has no decimals: a lone mark in it more likely parts thousands.
         let is_open = shift == 0 && numbers.leaves_open(cell.text());
         let plain = numbers.plain(cell.text()).filter(|_| !is_open);
         let whole = plain.and_then(|plain| shifted(&plain, shift)?.parse().ok());
         whole.ok_or_else(|| cell.finding(expected))
+    }
+
+    /// How the columns' numbers are written: as all their cells show, where the file can be read twice.
+    fn find_numbers(&mut self, by: char) -> Result<[Numbers; N], InputError> {
+        let columns: Vec<&str> = self.columns.iter().map(String::as_str).collect();
+        let marks = match self.file.as_deref() {
+            Some(file) => Marks::find(file, &mut open_regular(file)?, &columns)?,
+            None => None,
+        };
+        let of = |place| marks.as_ref().map_or(Numbers::shown(None, None, by), |marks| marks.numbers(place));
+        Ok(*self.numbers.insert(self.places.map(of)))
     }
 }
 
@@ -185,13 +189,14 @@ fn shifted(plain: &str, places: usize) -> Option<String> {
     if !fraction.bytes().all(|byte| byte.is_ascii_digit()) {
         return None;
     }
+    if places == 0 {
+        return fraction.bytes().all(|byte| byte == b'0').then(|| whole.to_owned());
+    }
     let kept = &fraction[..places.min(fraction.len())];
     let digits = format!("{whole}{kept:0<places$}");
     // Away from zero, as times are never below it.
     match fraction.as_bytes().get(places) {
-        None => Some(digits),
-        Some(b'0'..=b'4') => Some(digits),
-        Some(_) if places == 0 => None,
+        None | Some(b'0'..=b'4') => Some(digits),
         Some(_) => Some((digits.parse::<u64>().ok()? + 1).to_string()),
     }
 }

@@ -265,11 +265,7 @@ pub fn table(
         .collect::<Result<Vec<_>, _>>()?;
     let (numbers, written) = numbers(from, &text, form, reader.separator(), header.as_ref(), &places)?;
     let mut data = vec![Vec::new(); wanted.len()];
-    let time = wanted.iter().zip(&places).find(|(w, _)| w.role == Role::Time).map(|(_, place)| *place);
-    let mut clock = Clock {
-        moments: Moments::of_order(time.and_then(|at| slash_order(&text, at, reader.separator()))),
-        ..Clock::default()
-    };
+    let mut clock = Clock::of(&text, wanted, &places, reader.separator());
     let by = reader.separator();
     let cut = cut_line(whole, by);
     while let Some(row) = reader.row()? {
@@ -439,6 +435,13 @@ struct Clock {
 }
 
 impl Clock {
+    /// Of a table's time column, whose dates may show their order.
+    fn of(text: &str, wanted: &[ImportColumn], places: &[usize], by: char) -> Self {
+        let time = wanted.iter().zip(places).find(|(w, _)| w.role == Role::Time);
+        let order = time.and_then(|(_, place)| slash_order(text, *place, by));
+        Self { moments: Moments::of_order(order), ..Self::default() }
+    }
+
     /// Seconds since the first row of a time that is a date or a time of the day; `first`: this is that row.
     fn moment(&mut self, text: &str, first: bool) -> Option<f64> {
         if !first && self.moments.start().is_none() {

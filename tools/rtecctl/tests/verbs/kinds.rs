@@ -723,6 +723,10 @@ fn traces_and_requests_take_columns_by_name_and_number() {
         "{}",
         refused.err
     );
+    // A total is whole.
+    put("half.csv", "t_ns,requested\n0,0\n1500000,1.4\n");
+    let refused = run(at, &words("replay --trace trace.csv --requests half.csv"));
+    assert!(refused.exit == 2 && refused.says("half.csv:3:9: found '1.4'"), "{}", refused.err);
     // One lone mark has two readings, and no other cell tells.
     put("lone.csv", "t;a;b\n0;0;0\n10.000;1;0\n");
     let refused = run(at, &words("replay --trace lone.csv --columns t_ns=t,a=a,b=b --requests totals.csv"));
