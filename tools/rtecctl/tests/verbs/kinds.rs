@@ -107,6 +107,44 @@ fn coarse_temperatures_are_said_and_in_intervals() {
     assert!(evaluated.says("T: readings in steps of 0.5 K over 2 K"), "{}", evaluated.err);
 }
 
+/// A log of 10 s a row by a clock of whole minutes: the lag is named alone, with the truth in its interval.
+#[test]
+fn a_clock_of_minutes_makes_no_effects() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let (mut csv, mut lagged) = ("t,T1,e\n".to_owned(), 0.0);
+    for i in 0..400_u32 {
+        let t = 10.0 * f64::from(i);
+        let cold = 4.0 * (1.0 - (-2200.0_f64 / 900.0).exp());
+        let warm =
+            if t < 2200.0 { 4.0 * (1.0 - (-t / 900.0).exp()) } else { cold * (-(t - 2200.0) / 700.0).exp() };
+        let keeps = (-10.0_f64 / 400.0).exp();
+        lagged = if i == 0 { 0.0 } else { lagged * keeps + warm * (1.0 - keeps) };
+        // Noise without a memory, the same in every run.
+        let noise = (f64::from(i) * 12.9898).sin() * 43_758.545;
+        let e = 6.0 * lagged + 0.4 * (noise - noise.floor() - 0.5);
+        csv += &format!("{},{:.3},{e:.3}\n", 60 * (10 * i / 60), 20.0 + warm);
+    }
+    std::fs::write(at.join("a.csv"), csv).unwrap();
+    let sidecar = "file = \"a.csv\"\nkind = \"drift\"\n[columns]\nt = { role = \"time\", unit = \"s\" }\n\
+                   T1 = { role = \"temperature\", unit = \"degC\" }\ne = { role = \"error.z\", unit = \"um\" }\n";
+    std::fs::write(at.join("a.run.toml"), sidecar).unwrap();
+    std::fs::write(at.join("m.toml"), "name = \"m\"\neffect = []\n").unwrap();
+    let found = run(at, &words("reconcile a.run.toml --model m.toml --json"));
+    let effects = found.json()["effects"].as_array().unwrap().len();
+    assert_eq!(
+        (effects, found.json()["effects"][0]["name"].as_str()),
+        (1, Some("thermal_lag.z")),
+        "{}",
+        found.out
+    );
+    for (parameter, truth) in [("um_per_K", 6.0), ("tau_s", 400.0)] {
+        let [low, high] =
+            ["low", "high"].map(|end| found.figure(&format!("/effects/0/parameters/{parameter}/{end}")));
+        assert!(low <= truth && truth <= high, "{parameter}: {truth} is not in [{low}, {high}]");
+    }
+}
+
 #[test]
 fn absolute_clocks_are_set_back_or_questioned() {
     let folder = inputs();
