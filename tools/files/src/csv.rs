@@ -33,6 +33,18 @@ pub struct Reader<R> {
     /// The present line, where it is no UTF-8.
     decoded: String,
     commented: Option<Commented>,
+    /// Rows that go on behind the last named column with separators alone, and others.
+    beyond: Beyond,
+}
+
+/// Rows that end with more separators than their header.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub(crate) struct Beyond {
+    /// The line of the first of them.
+    pub(crate) line: usize,
+    pub(crate) rows: usize,
+    /// Rows that do not.
+    pub(crate) others: usize,
 }
 
 /// What the lines so far are written in.
@@ -86,6 +98,7 @@ impl<R: Read> Reader<R> {
             encoding: Encoding::Ascii,
             decoded: String::new(),
             commented: None,
+            beyond: Beyond::default(),
         })
     }
 
@@ -140,6 +153,14 @@ impl<R: Read> Reader<R> {
         if has_quote(row.text) {
             row.quotes_are_closed()?;
         }
+        if let Some(width) = self.width {
+            if row.ends_beyond(width) {
+                self.beyond.rows += 1;
+                self.beyond.line = if self.beyond.rows == 1 { row.line } else { self.beyond.line };
+            } else {
+                self.beyond.others += 1;
+            }
+        }
         Ok(Some(row))
     }
 
@@ -181,6 +202,7 @@ impl<R: Read> Reader<R> {
     /// Goes on behind a row that [`Reader::plain_row`] has just found; gives it as it stands, ASCII.
     #[inline]
     pub fn take(&mut self, row: PlainRow) -> &[u8] {
+        self.beyond.others += 1;
         self.lines.take_line(row.line, row.text).trim_ascii_end()
     }
 
@@ -234,6 +256,26 @@ impl<R: Read> Reader<R> {
         Ok(self.begin(&first, &by, names))
     }
 
+    /// As [`Reader::header_with`], for columns that somebody called by names or by numbers from 1; see [`Reader::or_numbers`].
+    ///
+    /// # Errors
+    /// As [`Reader::header_by_any`].
+    pub fn header_of(&mut self, expected: &str, columns: &[&str]) -> Result<Header, InputError> {
+        let names: Vec<&str> = columns.iter().filter(|column| !is_number(column)).copied().collect();
+        let header = self.header_with(expected, &names)?;
+        Ok(self.or_numbers(header, columns))
+    }
+
+    /// The header that was just read. Where all columns are called by numbers and it is a line of values, that line is a row, and
+    /// the numbers are the names.
+    pub fn or_numbers(&mut self, header: Header, columns: &[&str]) -> Header {
+        if columns.is_empty() || !columns.iter().all(is_number) || header.is_missing().is_none() {
+            return header;
+        }
+        self.lines.unread_line();
+        header.numbered()
+    }
+
     /// The first line that holds something besides a comment.
     fn first_line(&mut self, expected: &str) -> Result<FirstLine, InputError> {
         let file = self.lines.file.clone();
@@ -265,19 +307,25 @@ impl<R: Read> Reader<R> {
         header
     }
 
-    /// The first row, which must be these names.
+    /// The first row, which must be these names; `otherwise` says what else may be done.
     ///
     /// # Errors
     /// It is not.
-    pub fn expect_header<const N: usize>(&mut self, names: [&str; N]) -> Result<(), InputError> {
-        let expected = format!("the header {}", names.join(","));
-        let header = self.header_by_any(&expected)?;
+    pub fn expect_header<const N: usize>(
+        &mut self,
+        names: [&str; N],
+        otherwise: &str,
+    ) -> Result<Header, InputError> {
+        let wanted = format!("the header {}", names.join(","));
+        let header = self.header_by_any(&format!("{wanted}{otherwise}"))?;
         if header.names().eq(names) {
-            return Ok(());
+            return Ok(header);
         }
         let finding = match header.is_missing() {
-            Some(missing) => InputError { expected: format!("{expected} in front of them"), ..missing },
-            None => header.finding(quoted(&header.text), expected),
+            Some(missing) => {
+                InputError { expected: format!("{wanted} in front of them{otherwise}"), ..missing }
+            }
+            None => header.finding(quoted(&header.text), format!("{wanted}{otherwise}")),
         };
         Err(self.instead_of(&header, finding))
     }
@@ -314,6 +362,11 @@ impl<R: Read> Reader<R> {
         self
     }
 
+    /// Rows so far that end with more separators than their header, and others.
+    pub(crate) fn beyond(&self) -> Beyond {
+        self.beyond
+    }
+
     /// A line so far was no UTF-8, and read as Windows-1252.
     #[must_use]
     pub fn is_western(&self) -> bool {
@@ -346,6 +399,11 @@ fn parser(by: u8) -> Parser {
 
 fn has_quote(text: &str) -> bool {
     memchr::memchr(b'"', text.as_bytes()).is_some()
+}
+
+/// Whether a column is called by its number.
+fn is_number(column: &&str) -> bool {
+    column.parse::<usize>().is_ok()
 }
 
 /// The first line of a table, with its comment and without.
@@ -470,20 +528,10 @@ impl<'a> Row<'a> {
         Cells { row: self, next: Some(0), quotes: has_quote(self.text) }
     }
 
-    /// The cells of a row that must have these columns.
-    ///
-    /// # Errors
-    /// The row is too short or too long.
-    pub fn exactly<const N: usize>(self, names: [&str; N]) -> Result<[Cell<'a>; N], InputError> {
-        let mut cells = self.cells();
-        let mut found = Vec::with_capacity(N);
-        found.extend(cells.by_ref().take(N));
-        let found =
-            found.try_into().map_err(|short: Vec<_>| self.short(short.len(), N, names[short.len()]))?;
-        match cells.find(|cell| !cell.text().is_empty()) {
-            Some(cell) => Err(cell.beyond(N, &names.join(","))),
-            None => Ok(found),
-        }
+    /// Whether it ends with a separator behind so many cells.
+    fn ends_beyond(self, width: usize) -> bool {
+        self.text.as_bytes().last() == Some(&self.by)
+            && outside_quotes(self.text.as_bytes()).filter(|(_, byte)| *byte == self.by).count() >= width
     }
 
     /// A row of more fields than there are columns, as one of decimal commas between commas is: numbers all, none with a point.
@@ -725,8 +773,7 @@ impl Header {
     }
 
     /// The columns called by their numbers, from 1, where the first row is one of values.
-    #[must_use]
-    pub fn numbered(&self) -> Self {
+    fn numbered(&self) -> Self {
         let names = (1..=self.names.len()).map(|n| (n.to_string(), 1)).collect();
         Self { names, ..self.clone() }
     }

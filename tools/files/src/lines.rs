@@ -38,6 +38,8 @@ pub(crate) struct Lines<R> {
     pub(crate) line: usize,
     /// Characters of the present line that are in the buffer no more.
     gone: usize,
+    /// Where the present line begins in the buffer.
+    line_start: usize,
 }
 
 impl<R: Read> Lines<R> {
@@ -45,8 +47,18 @@ impl<R: Read> Lines<R> {
     pub(crate) fn new(file: &Path, input: R) -> Result<Self, InputError> {
         let buffer = vec![0; BUFFER].into_boxed_slice();
         let file = file.to_owned();
-        let mut lines =
-            Self { file, input, buffer, start: 0, end: 0, exhausted: false, utf16: None, line: 0, gone: 0 };
+        let mut lines = Self {
+            file,
+            input,
+            buffer,
+            start: 0,
+            end: 0,
+            exhausted: false,
+            utf16: None,
+            line: 0,
+            gone: 0,
+            line_start: 0,
+        };
         // Four bytes tell UTF-16 without a mark.
         while lines.end < 4 && lines.fill()? {}
         if let Some((encoding, mark)) = utf16(&lines.buffer[..lines.end]) {
@@ -180,12 +192,19 @@ impl<R: Read> Lines<R> {
             return Ok(None);
         }
         let range = self.start..self.start + length;
+        self.line_start = range.start;
         self.start = (range.end + 1).min(self.end);
         self.line += 1;
         if self.line == 1 && self.bytes(range.clone()).trim_ascii_end().contains(&b'\r') {
             return Err(self.carriage_returns());
         }
         Ok(Some(range))
+    }
+
+    /// The line that [`Lines::line`] gave last is the next one again.
+    pub(crate) fn unread_line(&mut self) {
+        self.start = self.line_start;
+        self.line -= 1;
     }
 
     /// The next word between white space, as a range of the buffer.

@@ -4,10 +4,11 @@
 //! that cannot part thousands (`38,1125`, `0,125`). One mark with three digits behind it (`1.000`, `38,125`) does not tell; the
 //! other cells of the column decide then.
 
-use crate::csv::{Commented, Reader, Style};
+use crate::csv::{Beyond, Commented, Reader, Style};
 use crate::decimal::{SIGNS, number};
 use crate::input::InputError;
 use crate::text::unreadable;
+use std::borrow::Cow;
 use std::io::{Read, Seek};
 use std::path::Path;
 
@@ -53,8 +54,14 @@ impl Numbers {
     /// The finite number in a cell; `None` where there is none, or where it has two readings.
     #[must_use]
     pub fn parse(self, text: &str) -> Option<f64> {
+        number(&self.plain(text)?)
+    }
+
+    /// A cell's number with a decimal point and nothing that parts thousands; `None` where it has two readings.
+    #[must_use]
+    pub fn plain(self, text: &str) -> Option<Cow<'_, str>> {
         if !text.contains(['.', ',']) && !text.contains(BLANKS) {
-            return number(text);
+            return Some(Cow::Borrowed(text));
         }
         let default = if text.contains(',') {
             // A lone comma with three digits behind it.
@@ -68,7 +75,13 @@ impl Numbers {
             Some('.')
         };
         let mark = self.column.or_else(|| shown_mark(text)).or(default)?;
-        number(&ungrouped(text, mark)?)
+        ungrouped(text, mark).map(Cow::Owned)
+    }
+
+    /// Whether a cell's mark may part thousands or be the decimal mark, and no other cell tells.
+    #[must_use]
+    pub fn leaves_open(self, text: &str) -> bool {
+        self.column.is_none() && self.table.is_none() && has_two_readings(text)
     }
 
     /// What to write instead of a cell that is no number or has two readings.
@@ -104,6 +117,7 @@ pub struct Marks {
     /// The first cell with two readings.
     open: Option<String>,
     commented: Option<Commented>,
+    beyond: Beyond,
 }
 
 impl Marks {
@@ -117,6 +131,7 @@ impl Marks {
             encoding: None,
             open: None,
             commented: None,
+            beyond: Beyond::default(),
         };
         marks.read_so_far(reader);
         marks
@@ -130,6 +145,7 @@ impl Marks {
             reader.is_western().then_some(crate::text::WESTERN)
         };
         self.commented = reader.commented();
+        self.beyond = reader.beyond();
     }
 
     /// Sees a cell of a row; `place` is its column's, from 0.
@@ -173,7 +189,7 @@ impl Marks {
         seen
     }
 
-    /// Of a table with a header of these names, from its beginning, where the input is again afterwards. `None` for a plain
+    /// Of a table with these columns, from its beginning, where the input is again afterwards. `None` for a plain
     /// table: commas part the cells, none is in quotes, and it is UTF-8, so that a number can only have a decimal point.
     ///
     /// # Errors
@@ -181,11 +197,11 @@ impl Marks {
     pub fn find<R: Read + Seek>(
         file: &Path,
         input: &mut R,
-        names: &[&str],
+        columns: &[&str],
     ) -> Result<Option<Self>, InputError> {
         let rewind = |input: &mut R| input.rewind().map_err(|e| unreadable(file, &e));
         let mut reader = Reader::new(file, &mut *input)?;
-        reader.header_with("a header line", names)?;
+        reader.header_of("a header line", columns)?;
         let plain = reader.separator() == ',' && !reader.is_utf16() && !reader.is_western();
         rewind(input)?;
         let plain = plain && is_plain(input).map_err(|e| unreadable(file, &e))?;
@@ -194,7 +210,7 @@ impl Marks {
             return Ok(None);
         }
         let mut reader = Reader::new(file, &mut *input)?;
-        reader.header_with("a header line", names)?;
+        reader.header_of("a header line", columns)?;
         let mut marks = Self::new(&reader);
         // What is wrong with a row is found when it is read; the rows before it come first.
         let _ = marks.see_rows(&mut reader);
@@ -237,7 +253,7 @@ impl Marks {
     }
 
     fn said(&self, file: &Path, read: Option<String>) -> Option<String> {
-        let said = [read, self.two_readings(), self.rows_commented()];
+        let said = [read, self.two_readings(), self.rows_commented(), self.separators()];
         let said: Vec<String> = said.into_iter().flatten().collect();
         (!said.is_empty()).then(|| format!("{}: {}", file.display(), said.join("; ")))
     }
@@ -252,6 +268,17 @@ impl Marks {
             "{text} was read as {fraction}, with a decimal {name}; it may be {thousands}, as no cell shows the decimal mark: if so, \
              write it without the {name}, or one cell with a decimal {other}"
         ))
+    }
+
+    /// Separators at the end of every row are a program's habit; at the end of some, a cell may be missing.
+    fn separators(&self) -> Option<String> {
+        let Beyond { line, rows, others } = self.beyond;
+        let end = if rows == 1 { "row ends" } else { "rows end" };
+        (rows > 0 && others > 0).then(|| {
+            format!(
+                "{rows} {end} with a separator behind the last column (line {line} first), {others} do not: is a cell missing there?"
+            )
+        })
     }
 
     fn rows_commented(&self) -> Option<String> {

@@ -53,19 +53,22 @@ impl Columns {
         Ok(Self(columns))
     }
 
-    fn is_empty(&self) -> bool {
+    /// Nobody named any.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
         self.0.is_empty()
     }
 
-    /// The file's names among them.
-    fn named(&self) -> Vec<&str> {
-        let places = self.0.iter().map(|(_, place)| place.as_str());
-        places.filter(|place| place.parse::<usize>().is_err()).collect()
+    /// The file's names or numbers.
+    #[must_use]
+    pub fn places(&self) -> Vec<&str> {
+        self.0.iter().map(|(_, place)| place.as_str()).collect()
     }
 
-    /// All of them by number: the file need not have a line of names.
-    fn are_numbers(&self) -> bool {
-        !self.is_empty() && self.0.iter().all(|(_, place)| place.parse::<usize>().is_ok())
+    /// The file's name or number of the one that somebody named.
+    #[must_use]
+    pub fn place_of(&self, name: &str) -> Option<&str> {
+        self.0.iter().find(|(n, _)| n == name).map(|(_, place)| place.as_str())
     }
 }
 
@@ -132,18 +135,7 @@ impl Sheet {
     ) -> Result<Self, InputError> {
         let expected = format!("a header: {}", known.join(","));
         let mut reader = Reader::new(file, bytes)?;
-        let mut header = reader.header_with(&expected, &columns.named())?;
-        if columns.are_numbers() && header.is_missing().is_some() {
-            let by = reader.separator();
-            let said = header.line();
-            reader = Reader::new(file, bytes)?.parted_by(by);
-            // Past a line `sep=`.
-            while reader.lines.line + 1 < said {
-                reader.row()?;
-            }
-            header = header.numbered();
-            reader = reader.of_width(header.names().count());
-        }
+        let header = reader.header_of(&expected, &columns.places())?;
         let header = if columns.is_empty() {
             header.only(known, also).map_err(|e| {
                 let e = header.is_missing().map_or(e, |missing| InputError {

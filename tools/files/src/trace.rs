@@ -2,20 +2,24 @@
 //!
 //! Readers stream: memory stays flat for a file of any length. A trace has one row per change and strictly rising
 //! times; a row in which both signals change is passed on, because an illegal transition is the engine's to report.
+//!
+//! Other programs name the columns and signals otherwise, and write times in seconds: [`Columns`] says which is which. Where a
+//! table has other columns too, rows in which neither a nor b changes are theirs, and passed over.
 
-use crate::csv;
+use crate::csv::{self, Cell, Header};
 use crate::file_kind::FileKind;
 use crate::input::InputError;
 use crate::lines::BUFFER;
-use crate::numbers::Marks;
-use crate::text::opened;
+use crate::numbers::{Marks, Numbers};
+use crate::sheet::Columns;
+use crate::text::{open_regular, opened};
 use crate::vcd::Vcd;
 use crate::write::WholeFile;
 use rtec_driver::quadrature::State;
 use rtec_driver::replay::{RequestedTotal, TracePoint};
 use std::fs::File;
 use std::io::{self, Read, Write};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// Longest plain row, `18446744073709551615,1,1\r\n`, rounded up.
 const PLAIN_ROW: usize = 32;
@@ -55,8 +59,146 @@ impl TraceFormat {
 pub struct TraceReader<R> {
     rows: csv::Reader<R>,
     last: Option<TracePoint>,
-    vcd: Option<Vcd>,
+    points: Points,
     done: bool,
+}
+
+/// Where a trace's points are.
+#[derive(Debug)]
+enum Points {
+    /// In rows of `t_ns,a,b` in this order.
+    Plain(Table<3>),
+    /// In rows of any table.
+    Table(Table<3>),
+    Vcd(Vcd),
+}
+
+/// Where a table's columns are, and how its whole numbers are written.
+#[derive(Debug)]
+struct Table<const N: usize> {
+    header: Header,
+    places: [usize; N],
+    /// Decimals that make a time one in ns.
+    shift: usize,
+    /// The file where it can be read twice, to learn its decimal marks; and its columns.
+    file: Option<PathBuf>,
+    columns: Vec<String>,
+    numbers: Option<[Numbers; N]>,
+}
+
+/// Names of a time, each with the decimals that make it one in ns.
+const TIMES: [(&str, usize); 4] = [("t_ns", 0), ("t_us", 3), ("t_ms", 6), ("t_s", 9)];
+
+impl<const N: usize> Table<N> {
+    /// Of a table with a time and these columns, in this order unless somebody named them.
+    fn new<R: Read>(
+        rows: &mut csv::Reader<R>,
+        names: [&str; N],
+        columns: &Columns,
+        file: Option<&Path>,
+    ) -> Result<Self, InputError> {
+        let option = if N == COLUMNS.len() { "--columns" } else { "--request-columns" };
+        let otherwise = format!(", or {option} with the columns' names or numbers");
+        let (mut shift, mut wanted) = (0, names.map(str::to_owned));
+        let header = if columns.is_empty() {
+            rows.expect_header(names, &otherwise)?
+        } else {
+            let of_file = |name: &str| columns.place_of(name).map(str::to_owned);
+            let times: Vec<_> = TIMES.iter().filter_map(|(t, n)| Some((of_file(t)?, *n))).collect();
+            let [(time, decimals)] = times.as_slice() else {
+                let known = TIMES.map(|(t, _)| t).join(", ");
+                let found = if times.is_empty() { "no time" } else { "two times" };
+                return Err(InputError::whole(Path::new(option), found, format!("one of {known}")));
+            };
+            shift = *decimals;
+            wanted[0].clone_from(time);
+            for (wanted, name) in wanted.iter_mut().zip(names).skip(1) {
+                *wanted = of_file(name).ok_or_else(|| {
+                    let expected = format!("{name}=COLUMN, the file's name or number");
+                    InputError::whole(Path::new(option), format!("no {name}"), expected)
+                })?;
+            }
+            rows.header_of("a header line", &wanted.each_ref().map(String::as_str))?
+        };
+        let mut places = [0; N];
+        for (place, column) in places.iter_mut().zip(&wanted) {
+            *place = header.place_or_number(column).map_err(|e| rows.instead_of(&header, e))?;
+        }
+        if (1..N).any(|n| places[..n].contains(&places[n])) {
+            return Err(header.finding("one column for two names", "every column once"));
+        }
+        let file = file.map(Path::to_owned);
+        Ok(Self { header, places, shift, file, columns: wanted.to_vec(), numbers: None })
+    }
+
+    /// The table has other columns too.
+    fn has_others(&self) -> bool {
+        self.header.names().count() > N
+    }
+
+    fn cells<'a>(&self, row: csv::Row<'a>) -> Result<[Cell<'a>; N], InputError> {
+        let cells = self.header.cells(row)?;
+        Ok(self.places.map(|place| cells[place].clone()))
+    }
+
+    /// The whole number in a cell of the column `n`, once its decimal mark is moved to the right.
+    fn whole<T: std::str::FromStr>(
+        &mut self,
+        n: usize,
+        cell: &Cell<'_>,
+        shift: usize,
+        by: char,
+        expected: &str,
+    ) -> Result<T, InputError> {
+        if shift == 0
+            && let Ok(number) = cell.text().parse()
+        {
+            return Ok(number);
+        }
+        let numbers = match self.numbers {
+            Some(numbers) => numbers[n],
+            None => self.find_numbers(by)?[n],
+        };
+        // A whole number has no decimals: a lone mark in it more likely parts thousands.
+        let is_open = shift == 0 && numbers.leaves_open(cell.text());
+        let plain = numbers.plain(cell.text()).filter(|_| !is_open);
+        let whole = plain.and_then(|plain| shifted(&plain, shift)?.parse().ok());
+        whole.ok_or_else(|| cell.finding(expected))
+    }
+
+    /// How the columns' numbers are written: as all their cells show, where the file can be read twice.
+    fn find_numbers(&mut self, by: char) -> Result<[Numbers; N], InputError> {
+        let columns: Vec<&str> = self.columns.iter().map(String::as_str).collect();
+        let marks = match self.file.as_deref() {
+            Some(file) => Marks::find(file, &mut open_regular(file)?, &columns)?,
+            None => None,
+        };
+        let of = |place| marks.as_ref().map_or(Numbers::shown(None, None, by), |marks| marks.numbers(place));
+        Ok(*self.numbers.insert(self.places.map(of)))
+    }
+}
+
+/// The digits of a number whose decimal mark is moved so many places to the right, rounded to a whole number.
+fn shifted(plain: &str, places: usize) -> Option<String> {
+    if plain.contains(['e', 'E']) {
+        // Beyond 2^53 a number in a float is not whole any more.
+        let number = crate::decimal::number(plain)? * 10_f64.powi(places as i32);
+        return (number.abs() < 9_007_199_254_740_992.0).then(|| format!("{number:.0}"));
+    }
+    let (whole, fraction) = plain.split_once('.').unwrap_or((plain, ""));
+    if !fraction.bytes().all(|byte| byte.is_ascii_digit()) {
+        return None;
+    }
+    if places == 0 {
+        return fraction.bytes().all(|byte| byte == b'0').then(|| whole.to_owned());
+    }
+    let kept = &fraction[..places.min(fraction.len())];
+    let digits = format!("{whole}{kept:0<places$}");
+    // Away from zero, as times are never below it.
+    match fraction.as_bytes().get(places) {
+        None | Some(b'0'..=b'4') => Some(digits),
+        Some(_) => Some((digits.parse::<u64>().ok()? + 1).to_string()),
+    }
 }
 
 impl TraceReader<File> {
@@ -65,9 +207,33 @@ impl TraceReader<File> {
     /// # Errors
     /// The file cannot be read, its extension is unknown, or its header is wrong.
     pub fn open(file: &Path) -> Result<Self, InputError> {
-        let format = TraceFormat::of(file)?;
-        Self::new(format, file, opened(file)?)
+        Self::open_columns(file, &Columns::default())
     }
+
+    /// As [`TraceReader::open`]; time, a and b are the columns, or a and b the signals, that somebody named.
+    ///
+    /// # Errors
+    /// As [`TraceReader::open`]; a column or signal that was named and is not there.
+    pub fn open_columns(file: &Path, columns: &Columns) -> Result<Self, InputError> {
+        let format = TraceFormat::of(file)?;
+        Self::of(format, file, opened(file)?, columns, file.is_file().then_some(file))
+    }
+}
+
+/// The columns of a trace that somebody names by words such as `t_s=1` or `a=Channel 0`.
+///
+/// # Errors
+/// As [`Columns::parse`].
+pub fn trace_columns(words: &[String]) -> Result<Columns, InputError> {
+    Columns::parse(words, &["t_ns", "t_us", "t_ms", "t_s", "a", "b"], |_| false)
+}
+
+/// As [`trace_columns`], of requested totals.
+///
+/// # Errors
+/// As [`Columns::parse`].
+pub fn request_columns(words: &[String]) -> Result<Columns, InputError> {
+    Columns::parse(words, &["t_ns", "t_us", "t_ms", "t_s", "requested"], |_| false)
 }
 
 impl<R: Read> TraceReader<R> {
@@ -76,26 +242,42 @@ impl<R: Read> TraceReader<R> {
     /// # Errors
     /// The header is missing or wrong.
     pub fn new(format: TraceFormat, file: &Path, input: R) -> Result<Self, InputError> {
+        Self::of(format, file, input, &Columns::default(), None)
+    }
+
+    fn of(
+        format: TraceFormat,
+        file: &Path,
+        input: R,
+        columns: &Columns,
+        again: Option<&Path>,
+    ) -> Result<Self, InputError> {
         let mut rows = csv::Reader::new(file, input)?;
-        let vcd = match format {
+        let points = match format {
             TraceFormat::Csv => {
-                rows.expect_header(COLUMNS)?;
-                None
+                let table = Table::new(&mut rows, COLUMNS, columns, again)?;
+                let is_plain = table.places == [0, 1, 2] && table.shift == 0 && !table.has_others();
+                if is_plain { Points::Plain(table) } else { Points::Table(table) }
             }
             TraceFormat::Vcd => {
                 let begin = rows.lines.unread();
                 let begin = String::from_utf8_lossy(&begin[..begin.len().min(BEGIN)]).into_owned();
-                let vcd = Vcd::definitions(&mut rows.lines);
-                Some(vcd.map_err(|e| FileKind::instead_of(Some(FileKind::Vcd), &begin, e))?)
+                let names = ["a", "b"].map(|name| columns.place_of(name));
+                if TIMES.iter().any(|(time, _)| columns.place_of(time).is_some()) {
+                    let expected = "a and b alone: a VCD tells its times by itself";
+                    return Err(InputError::whole(Path::new("--columns"), "a time's column", expected));
+                }
+                let vcd = Vcd::definitions(&mut rows.lines, names);
+                Points::Vcd(vcd.map_err(|e| FileKind::instead_of(Some(FileKind::Vcd), &begin, e))?)
             }
         };
-        Ok(Self { rows, last: None, vcd, done: false })
+        Ok(Self { rows, last: None, points, done: false })
     }
 
     /// How the file is written where it is not as formats.md has it: UTF-16, another separator.
     #[must_use]
     pub fn written(&self) -> Option<String> {
-        self.vcd.is_none().then(|| written(&self.rows))?
+        (!matches!(self.points, Points::Vcd(_))).then(|| written(&self.rows))?
     }
 
     /// The next point, or `None` at the end.
@@ -104,7 +286,7 @@ impl<R: Read> TraceReader<R> {
     /// The first row that is not as the format wants it.
     #[inline]
     pub fn next_point(&mut self) -> Result<Option<TracePoint>, InputError> {
-        if self.vcd.is_none()
+        if matches!(self.points, Points::Plain(_))
             && let Some(last) = self.last
             && let Some(row) = self.rows.lines.ahead::<PLAIN_ROW>()
             && let Some((point, length)) = plain_row(row)
@@ -124,9 +306,9 @@ impl<R: Read> TraceReader<R> {
         if self.done {
             return Ok(None);
         }
-        let next = match &mut self.vcd {
-            Some(vcd) => vcd.next(&mut self.rows.lines, self.last),
-            None => csv_row(&mut self.rows, self.last),
+        let next = match &mut self.points {
+            Points::Vcd(vcd) => vcd.next(&mut self.rows.lines, self.last),
+            Points::Plain(table) | Points::Table(table) => csv_row(&mut self.rows, table, self.last),
         };
         match next {
             Ok(Some(point)) => {
@@ -195,6 +377,7 @@ impl<R: Read> Iterator for Playable<R> {
 #[derive(Debug)]
 pub struct RequestReader<R> {
     rows: csv::Reader<R>,
+    table: Table<2>,
     last_ns: u64,
     done: bool,
 }
@@ -205,7 +388,15 @@ impl RequestReader<File> {
     /// # Errors
     /// The file cannot be read or its header is wrong.
     pub fn open(file: &Path) -> Result<Self, InputError> {
-        Self::new(file, opened(file)?)
+        Self::open_columns(file, &Columns::default())
+    }
+
+    /// As [`RequestReader::open`]; time and total are the columns that somebody named.
+    ///
+    /// # Errors
+    /// As [`RequestReader::open`]; a column that was named and is not there.
+    pub fn open_columns(file: &Path, columns: &Columns) -> Result<Self, InputError> {
+        Self::of(file, opened(file)?, columns, file.is_file().then_some(file))
     }
 }
 
@@ -215,9 +406,13 @@ impl<R: Read> RequestReader<R> {
     /// # Errors
     /// The header is missing or wrong.
     pub fn new(file: &Path, input: R) -> Result<Self, InputError> {
+        Self::of(file, input, &Columns::default(), None)
+    }
+
+    fn of(file: &Path, input: R, columns: &Columns, again: Option<&Path>) -> Result<Self, InputError> {
         let mut rows = csv::Reader::new(file, input)?;
-        rows.expect_header(["t_ns", "requested"])?;
-        Ok(Self { rows, last_ns: 0, done: false })
+        let table = Table::new(&mut rows, ["t_ns", "requested"], columns, again)?;
+        Ok(Self { rows, table, last_ns: 0, done: false })
     }
 
     /// As [`TraceReader::written`].
@@ -227,13 +422,14 @@ impl<R: Read> RequestReader<R> {
     }
 
     fn row(&mut self) -> Result<Option<RequestedTotal>, InputError> {
+        let by = self.rows.separator();
         let Some(row) = self.rows.row()? else { return Ok(None) };
-        let [t, requested] = row.exactly(["t_ns", "requested"])?;
-        let t_ns = t.number(TIME)?;
+        let [t, requested] = self.table.cells(row)?;
+        let t_ns = self.table.whole(0, &t, self.table.shift, by, TIME)?;
         if t_ns < self.last_ns {
             return Err(t.finding(format!("a time not before the last one, {} ns", self.last_ns)));
         }
-        let requested = requested.number("a whole number of counts")?;
+        let requested = self.table.whole(1, &requested, 0, by, "a whole number of counts")?;
         self.last_ns = t_ns;
         Ok(Some(RequestedTotal { t_ns, requested }))
     }
@@ -386,27 +582,34 @@ const fn level(high: bool) -> u8 {
 
 fn csv_row<R: Read>(
     rows: &mut csv::Reader<R>,
+    table: &mut Table<3>,
     last: Option<TracePoint>,
 ) -> Result<Option<TracePoint>, InputError> {
-    let Some(row) = rows.row()? else { return Ok(None) };
-    let [t, a, b] = row.exactly(COLUMNS)?;
-    let t_ns = t.number(TIME)?;
-    let level = |cell: &csv::Cell<'_>| match cell.text() {
-        "0" => Ok(false),
-        "1" => Ok(true),
-        _ => Err(cell.finding("the level 0 or 1")),
-    };
-    let state = State::new(level(&a)?, level(&b)?);
-    if let Some(last) = last {
-        if t_ns <= last.t_ns {
-            return Err(t.finding(format!("a time after the row before, {} ns", last.t_ns)));
+    let by = rows.separator();
+    while let Some(row) = rows.row()? {
+        let [t, a, b] = table.cells(row)?;
+        let t_ns = table.whole(0, &t, table.shift, by, TIME)?;
+        let level = |cell: &Cell<'_>| match cell.text() {
+            "0" => Ok(false),
+            "1" => Ok(true),
+            _ => Err(cell.finding("the level 0 or 1")),
+        };
+        let state = State::new(level(&a)?, level(&b)?);
+        if let Some(last) = last {
+            if t_ns <= last.t_ns {
+                return Err(t.finding(format!("a time after the row before, {} ns", last.t_ns)));
+            }
+            if state == last.state {
+                if table.has_others() {
+                    continue;
+                }
+                let found = format!("the state {},{} again", a.text(), b.text());
+                return Err(a.said(found, "a change of a or b: one row per change"));
+            }
         }
-        if state == last.state {
-            let found = format!("the state {},{} again", a.text(), b.text());
-            return Err(a.said(found, "a change of a or b: one row per change"));
-        }
+        return Ok(Some(TracePoint { t_ns, state }));
     }
-    Ok(Some(TracePoint { t_ns, state }))
+    Ok(None)
 }
 
 /// A row without spaces or comment: the point and the row's length, or `None` for the careful reader to explain.

@@ -29,9 +29,16 @@ pub(crate) struct Vcd {
 }
 
 impl Vcd {
-    pub(crate) fn definitions<R: Read>(input: &mut Lines<R>) -> Result<Self, InputError> {
+    /// Reads the definitions; `names`: what a and b are called where they have other names, or their numbers from 1 among the
+    /// signals of one bit.
+    pub(crate) fn definitions<R: Read>(
+        input: &mut Lines<R>,
+        names: [Option<&str>; 2],
+    ) -> Result<Self, InputError> {
         input.line = 1;
         let (mut ns_per_unit, mut codes, mut others) = (None, [None, None], Vec::new());
+        // Signals of one bit so far.
+        let mut bits = 0_usize;
         loop {
             let Some(keyword) = word(input)? else {
                 return Err(input.at_word("the end of the file", "$enddefinitions"));
@@ -47,13 +54,15 @@ impl Vcd {
                 }
                 "$var" => {
                     let body = until_end(input)?;
-                    variable(input, &body, &mut codes)?;
                     if let [_, size, _, name, ..] = body.as_slice()
                         && size == "1"
-                        && others.len() < MOST_NAMED
                     {
-                        others.push(name.clone());
+                        bits += 1;
+                        if others.len() < MOST_NAMED {
+                            others.push(name.clone());
+                        }
                     }
+                    variable(input, &body, names, bits, &mut codes)?;
                 }
                 "$comment" | "$date" | "$version" | "$scope" | "$upscope" => skip_to_end(input)?,
                 other => {
@@ -66,11 +75,12 @@ impl Vcd {
             return Err(input.at_word("no $timescale", "for example $timescale 1 ns $end"));
         };
         let [Some(a), Some(b)] = codes else {
-            let missing = if codes[0].is_none() { "a" } else { "b" };
+            let signal = usize::from(codes[0].is_some());
+            let missing = names[signal].unwrap_or(["a", "b"][signal]);
             let mut expected = "two variables of one bit named a and b".to_owned();
             others.retain(|name| !matches!(name.as_str(), "a" | "A" | "b" | "B"));
             if !others.is_empty() {
-                let _ = write!(expected, ": rename two of {}", others.join(", "));
+                let _ = write!(expected, ", or --columns a=NAME,b=NAME with two of {}", others.join(", "));
             }
             return Err(input.at_word(&format!("no variable named {missing}"), &expected));
         };
@@ -248,16 +258,18 @@ fn timescale<R>(input: &Lines<R>, text: &str) -> Result<(u64, u64), InputError> 
 fn variable<R>(
     input: &Lines<R>,
     body: &[String],
+    names: [Option<&str>; 2],
+    number: usize,
     codes: &mut [Option<Vec<u8>>; 2],
 ) -> Result<(), InputError> {
     let [_kind, size, code, name, ..] = body else {
         return Err(input.at_word(&quoted(&body.join(" ")), "$var TYPE SIZE CODE NAME $end"));
     };
-    let signal = match name.as_str() {
-        "a" | "A" => 0,
-        "b" | "B" => 1,
-        _ => return Ok(()),
+    let is_named = |signal: usize| match names[signal] {
+        None => name.eq_ignore_ascii_case(["a", "b"][signal]),
+        Some(wanted) => wanted == name || size == "1" && wanted.parse() == Ok(number),
     };
+    let Some(signal) = (0..2).find(|signal| is_named(*signal)) else { return Ok(()) };
     if size != "1" {
         return Err(input.at_word(&format!("{name} of {size} bits"), "one bit"));
     }

@@ -77,17 +77,23 @@ fn bom_crlf_comments_blank_lines_and_spaces_are_no_matter() {
 fn csv_errors_say_where_and_what() {
     let long = format!("t_ns,a,b\n0,0,0\n{}", "9".repeat(200_000));
     let table: &[(&str, &str)] = &[
-        ("", "t: found no header, expected the header t_ns,a,b"),
+        (
+            "",
+            "t: found no header, expected the header t_ns,a,b, or --columns with the columns' names or numbers",
+        ),
         ("t_ns,a,b\n", "t: found a trace without a point, expected at least the initial state of a and b"),
         (
             "0,0,0\n",
-            "t:1:1: found numbers ('0,0,0') in the first line, expected the header t_ns,a,b in front of them",
+            "t:1:1: found numbers ('0,0,0') in the first line, expected the header t_ns,a,b in front of them, or --columns with the columns' names or numbers",
         ),
         (
             "t_ns,requested\n0,4\n",
-            "t:1:1: found requested totals: it has columns t_ns, requested, expected the header t_ns,a,b",
+            "t:1:1: found requested totals: it has columns t_ns, requested, expected the header t_ns,a,b, or --columns with the columns' names or numbers",
         ),
-        ("t_us,a,b\n0,0,0\n", "t:1:1: found 't_us,a,b', expected the header t_ns,a,b"),
+        (
+            "t_us,a,b\n0,0,0\n",
+            "t:1:1: found 't_us,a,b', expected the header t_ns,a,b, or --columns with the columns' names or numbers",
+        ),
         ("t_ns,a,b\n0,0,0\n5,1,0\n4,1,1\n", "t:4:1: found '4', expected a time after the row before, 5 ns"),
         ("t_ns,a,b\n0,0,0\n5,1,0\n5,1,1\n", "t:4:1: found '5', expected a time after the row before, 5 ns"),
         (
@@ -211,7 +217,7 @@ fn vcd_errors_say_where_and_what() {
         ),
         (
             head.replace(" b ", " c "),
-            "t:4:17: found no variable named b, expected two variables of one bit named a and b: rename two of c",
+            "t:4:17: found no variable named b, expected two variables of one bit named a and b, or --columns a=NAME,b=NAME with two of c",
         ),
         (
             head.replace("\" b", "! b"),
@@ -263,7 +269,10 @@ fn requests_and_their_errors() {
     );
     assert_eq!(read("t_ns,requested\n").unwrap(), []);
     let table = [
-        ("t_ns,counts\n", "r:1:1: found 't_ns,counts', expected the header t_ns,requested"),
+        (
+            "t_ns,counts\n",
+            "r:1:1: found 't_ns,counts', expected the header t_ns,requested, or --request-columns with the columns' names or numbers",
+        ),
         ("t_ns,requested\n5,2\n4,4\n", "r:3:1: found '4', expected a time not before the last one, 5 ns"),
         ("t_ns,requested\n5,inf\n", "r:2:3: found 'inf', expected a whole number of counts"),
         (

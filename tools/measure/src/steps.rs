@@ -7,7 +7,7 @@
 use crate::iso230::targets;
 use rtec_files::text::short;
 use rtec_model::circle::tick;
-use rtec_model::record::{Column, Kind, Record, Role};
+use rtec_model::record::{Column, Kind, Record, Role, shared_step};
 
 /// More values than these are no coarse steps.
 const MOST_VALUES: usize = 400;
@@ -128,7 +128,7 @@ pub fn said(record: &Record, responses: bool) -> Vec<String> {
     if let Some(step) = record.data(&Role::Time).filter(|_| record.kind == Kind::Drift).and_then(shared_step)
     {
         said.push(format!(
-            "time in steps of {0} s, several rows at each: a row's moment is known within ±{0} s, and so is a lag or a time constant",
+            "time in steps of {0} s, several rows at each: models take them as even within it, and a row's moment is known within ±{0} s",
             short(step)
         ));
     }
@@ -139,13 +139,6 @@ pub fn said(record: &Record, responses: bool) -> Vec<String> {
         ));
     }
     said
-}
-
-/// The step of a clock that stands still from row to row more often than not, s.
-fn shared_step(time_s: &[f64]) -> Option<f64> {
-    let steps: Vec<f64> = time_s.windows(2).map(|w| w[1] - w[0]).filter(|step| *step > 0.0).collect();
-    let is_shared = 2 * steps.len() < time_s.len();
-    steps.into_iter().min_by(f64::total_cmp).filter(|_| is_shared)
 }
 
 /// Rows of a response that differ by noise alone.

@@ -5,56 +5,133 @@ use crate::date;
 /// A day, ns.
 pub const DAY_NS: i128 = 86_400_000_000_000;
 
-/// Nanoseconds since 1970-01-01 UTC of a time in ISO 8601, or of `23.1.2021 10:23:57` (day, month, year). Dates parted by
-/// slashes have two readings and are none.
+/// Which of the first two numbers of a date with slashes is the day.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum SlashOrder {
+    /// `13/8/2022`.
+    DayFirst,
+    /// `8/13/2022`.
+    MonthFirst,
+}
+
+/// Nanoseconds since 1970-01-01 UTC of a time in ISO 8601, of `2022/8/13 10:23:57`, or of `23.1.2021 10:23:57` (day, month, year).
+/// Of a date with slashes that ends with its year: what it is with the day first, and with the month first.
 #[must_use]
-pub fn absolute_ns(text: &str) -> Option<i128> {
-    let iso = || {
-        let (day, clock) = text.trim().split_once([' ', 'T'])?;
-        let mut parts = day.split('.');
-        let (day, month, year) = (parts.next()?, parts.next()?, parts.next()?);
-        if parts.next().is_some() || year.len() != 4 {
+pub fn absolute_ns(text: &str) -> [Option<i128>; 2] {
+    if let Some(ns) = iso8601_ns(text) {
+        return [Some(ns); 2];
+    }
+    let read = || {
+        let (date, clock) = text.trim().split_once([' ', 'T'])?;
+        let clock = clock_of_24_hours(clock)?;
+        let by = if date.contains('/') { '/' } else { '.' };
+        let mut parts = date.split(by);
+        let (first, second, third) = (parts.next()?, parts.next()?, parts.next()?);
+        if parts.next().is_some() {
             return None;
         }
-        let clock = clock.trim();
-        // One digit of the hour is usual there.
-        let clock = if clock.find(':') == Some(1) { format!("0{clock}") } else { clock.to_owned() };
-        iso8601_ns(&format!("{year}-{month:0>2}-{day:0>2}T{clock}"))
+        let ns = |year: &str, month: &str, day: &str| {
+            (year.len() == 4).then(|| iso8601_ns(&format!("{year}-{month:0>2}-{day:0>2}T{clock}")))?
+        };
+        Some(match by {
+            '/' if first.len() == 4 => [ns(first, second, third); 2],
+            '/' => [ns(third, second, first), ns(third, first, second)],
+            _ => [ns(third, second, first); 2],
+        })
     };
-    iso8601_ns(text).or_else(iso)
+    read().unwrap_or_default()
+}
+
+/// What dates with slashes show of their order: one of them has a day that is no month.
+#[must_use]
+pub fn slash_order<'t>(texts: impl IntoIterator<Item = &'t str>) -> Option<SlashOrder> {
+    texts.into_iter().find_map(|text| match absolute_ns(text) {
+        [Some(_), None] => Some(SlashOrder::DayFirst),
+        [None, Some(_)] => Some(SlashOrder::MonthFirst),
+        _ => None,
+    })
+}
+
+/// A time of the day with two digits of its hour, from 0 to 23: `9:05:07 PM` is 21:05:07.
+fn clock_of_24_hours(text: &str) -> Option<String> {
+    let text = text.trim();
+    let two_digits =
+        |text: &str| if text.find(':') == Some(1) { format!("0{text}") } else { text.to_owned() };
+    let Some((clock, half)) = text.split_once(' ') else { return Some(two_digits(text)) };
+    let clock = two_digits(clock);
+    let hour = clock.get(..2)?.parse::<u32>().ok().filter(|hour| (1..=12).contains(hour))? % 12;
+    let hour = match half.trim().to_ascii_uppercase().as_str() {
+        "AM" => hour,
+        "PM" => hour + 12,
+        _ => return None,
+    };
+    Some(format!("{hour:02}{}", &clock[2..]))
 }
 
 /// A column of dates or of times of the day, which go on past midnight: nanoseconds since its first row.
 #[derive(Debug, Default)]
 pub struct Moments {
-    /// The first row's time, and as it is written.
-    start: Option<(i128, String)>,
+    /// The first row's time in both readings of [`absolute_ns`], as far as the rows leave them, and as it is written.
+    start: Option<([Option<i128>; 2], String)>,
     /// Of times of the day: midnights so far, and the last time.
     of_day: Option<(i128, i128)>,
+    order: Option<SlashOrder>,
 }
 
 impl Moments {
-    /// Nanoseconds from the first time to this one; none where it is not written as that one.
+    /// Of a column whose dates are known to be written so.
+    #[must_use]
+    pub fn of_order(order: Option<SlashOrder>) -> Self {
+        Self { order, ..Self::default() }
+    }
+
+    /// Nanoseconds from the first time to this one; none where it is not written as that one, or where it has two readings that
+    /// no row tells apart.
     pub fn since_start(&mut self, text: &str) -> Option<i128> {
-        let ns = match (&mut self.of_day, &self.start) {
-            (Some((days, last_ns)), _) => {
+        if self.start.is_none() {
+            let mut first = self.read(text);
+            if first == [None; 2] {
+                let ns = of_day_ns(text)?;
+                (self.of_day, first) = (Some((0, ns)), [Some(ns); 2]);
+            }
+            self.start = Some((first, text.trim().to_owned()));
+            return Some(0);
+        }
+        let now = match &mut self.of_day {
+            Some((days, last_ns)) => {
                 let ns = of_day_ns(text)?;
                 // From late in the evening to early in the morning; anything else runs backwards.
                 if ns + DAY_NS / 2 < *last_ns {
                     *days += 1;
                 }
                 *last_ns = ns;
-                *days * DAY_NS + ns
+                [Some(*days * DAY_NS + ns); 2]
             }
-            (None, Some(_)) => absolute_ns(text)?,
-            (None, None) => absolute_ns(text).or_else(|| {
-                let ns = of_day_ns(text)?;
-                self.of_day = Some((0, ns));
-                Some(ns)
-            })?,
+            None => self.read(text),
         };
-        let start = self.start.get_or_insert_with(|| (ns, text.trim().to_owned())).0;
-        Some(ns - start)
+        let (start, _) = self.start.as_mut()?;
+        let [day_first, month_first] = [0, 1].map(|n| Some(now[n]? - start[n]?));
+        match (day_first, month_first) {
+            (Some(a), Some(b)) if a == b => Some(a),
+            (Some(_), Some(_)) | (None, None) => None,
+            (Some(only), None) => {
+                start[1] = None;
+                Some(only)
+            }
+            (None, Some(only)) => {
+                start[0] = None;
+                Some(only)
+            }
+        }
+    }
+
+    fn read(&self, text: &str) -> [Option<i128>; 2] {
+        let [day_first, month_first] = absolute_ns(text);
+        match self.order {
+            None => [day_first, month_first],
+            Some(SlashOrder::DayFirst) => [day_first; 2],
+            Some(SlashOrder::MonthFirst) => [month_first; 2],
+        }
     }
 
     /// The first time as it is written.
@@ -63,10 +140,14 @@ impl Moments {
         self.start.as_ref().map(|(_, text)| text.as_str())
     }
 
-    /// The first row's day, where the column has days.
+    /// The first row's day, where the column has days of one reading.
     #[must_use]
     pub fn first_day(&self) -> Option<String> {
-        self.start.as_ref().filter(|_| self.of_day.is_none()).map(|(ns, _)| day(*ns))
+        let (start, _) = self.start.as_ref().filter(|_| self.of_day.is_none())?;
+        match *start {
+            [Some(a), Some(b)] => (a == b).then(|| day(a)),
+            [one, other] => one.or(other).map(day),
+        }
     }
 }
 
@@ -77,8 +158,12 @@ pub fn expected_instead(text: &str) -> Option<&'static str> {
     let is_clock = text.contains([':', '/'])
         && text.starts_with(|c: char| c.is_ascii_digit())
         && text.chars().all(is_part);
-    is_clock.then_some(if text.contains('/') {
-        "a time as ISO 8601 writes it, 2022-08-08T13:51:37.25Z, or a number: 08/07/2022 is a day of July or of August"
+    let is_date = absolute_ns(text) != [None; 2];
+    is_clock.then_some(if text.contains('/') && is_date {
+        "a time as ISO 8601 writes it, 2022-08-08T13:51:37.25Z, or a number: 08/07/2022 is a day of July or of August, and no day \
+         above 12 tells which"
+    } else if text.contains('/') {
+        "a time as ISO 8601 writes it, 2022-08-08T13:51:37.25Z, or a number; a date with slashes has a year of four digits"
     } else {
         "a time as ISO 8601 writes it, 2022-08-08T13:51:37.25Z, or a number"
     })
@@ -94,9 +179,7 @@ pub fn has_zone(text: &str) -> bool {
 /// Nanoseconds since midnight of a time without a day, `13:51:37.25`.
 #[must_use]
 pub fn of_day_ns(text: &str) -> Option<i128> {
-    let text = text.trim();
-    let clock = if text.find(':') == Some(1) { format!("0{text}") } else { text.to_owned() };
-    iso8601_ns(&format!("1970-01-01T{clock}Z")).filter(|ns| *ns < DAY_NS)
+    iso8601_ns(&format!("1970-01-01T{}Z", clock_of_24_hours(text)?)).filter(|ns| *ns < DAY_NS)
 }
 
 /// Nanoseconds since 1970-01-01 UTC of `2022-08-08T13:51:37.2515150Z`.
@@ -266,11 +349,14 @@ mod tests {
             ("08.08.2022 9:21:37,5", Some(1_659_950_497_500_000_000)),
             ("31.2.2022 13:51:37", None),
             ("8.8.22 13:51:37", None),
-            ("8/8/2022 13:51:37", None),
+            ("2022/8/8 13:51:37", Some(1_659_966_697_000_000_000)),
+            ("8.8.2022 1:51:37 PM", Some(1_659_966_697_000_000_000)),
+            ("8.8.2022 13:51:37 PM", None),
+            ("8.8.2022 12:00:00 AM", Some(1_659_916_800_000_000_000)),
             ("12.5", None),
             ("é2022-08-08T1", None),
         ] {
-            assert_eq!(absolute_ns(text), ns, "{text}");
+            assert_eq!(absolute_ns(text), [ns; 2], "{text}");
         }
         assert_eq!(of_day_ns("9:21:37.5"), Some(33_697_500_000_000));
         assert_eq!((of_day_ns("13:51:37Z"), of_day_ns("24:00:00")), (None, None));
@@ -278,6 +364,33 @@ mod tests {
         assert_eq!(day(-1), "1969-12-31");
         assert!(has_zone("2022-08-08T13:51:37Z") && has_zone("2022-08-08 15:51:37+02:00"));
         assert!(!has_zone("2022-08-08 15:51:37") && !has_zone("15:51:37"));
+    }
+
+    #[test]
+    fn slashes_are_read_where_one_reading_is_left() {
+        let seconds = |texts: &[&str]| {
+            let mut moments = Moments::default();
+            let read = texts.iter().map(|t| moments.since_start(t).map(|ns| ns / 1_000_000_000)).collect();
+            (read, moments.first_day())
+        };
+        // datetime differences: within one day both readings are one.
+        for (texts, wants, day) in [
+            (["08/07/2022 10:00:00", "08/07/2022 10:00:10"], [Some(0), Some(10)], None),
+            (["12/08/2022 23:59:50", "13/08/2022 00:00:00"], [Some(0), Some(10)], Some("2022-08-12")),
+            (["8/12/2022 11:59:50 PM", "8/13/2022 12:00:00 AM"], [Some(0), Some(10)], Some("2022-08-12")),
+            (["13/8/2022 10:00:00", "1/9/2022 10:00:00"], [Some(0), Some(19 * 86_400)], Some("2022-08-13")),
+            (["8/8/2022 10:00:00", "8/8/2022 10:01:00"], [Some(0), Some(60)], Some("2022-08-08")),
+            (["08/07/2022 23:59:50", "08/08/2022 00:00:00"], [Some(0), None], None),
+            (["13/13/2022 10:00:00", "8/8/2022 10:01:00"], [None, Some(0)], Some("2022-08-08")),
+        ] {
+            assert_eq!(seconds(&texts), (wants.to_vec(), day.map(str::to_owned)), "{texts:?}");
+        }
+        // The whole column tells what its first days leave open.
+        let column = ["08/11/2022 10:00:00", "08/12/2022 10:00:00", "08/13/2022 10:00:00"];
+        let mut moments = Moments::of_order(slash_order(column));
+        let days: Vec<_> = column.iter().map(|t| moments.since_start(t).map(|ns| ns / DAY_NS)).collect();
+        assert_eq!(days, [Some(0), Some(1), Some(2)]);
+        assert_eq!(slash_order(["08/11/2022 10:00:00", "08/12/2022 10:00:00"]), None);
     }
 
     #[test]

@@ -147,7 +147,7 @@ impl Record {
             written: None,
             zero: None,
             turns: None,
-            time_s: times(&columns),
+            time_s: times(kind, &columns),
             first_row: 0,
             selected: Vec::new(),
             columns,
@@ -264,7 +264,8 @@ impl Record {
         self.time_s.len()
     }
 
-    /// Time of every row, s: the time column as it stands, or the row number where there is none.
+    /// Time of every row, s: the time column as it stands, or the row number where there is none. Of a drift whose clock stands
+    /// still from row to row, the rows of each of its steps are evenly within it.
     #[must_use]
     pub fn time_s(&self) -> &[f64] {
         &self.time_s
@@ -347,11 +348,36 @@ impl Record {
     }
 }
 
-fn times(columns: &[Column]) -> Vec<f64> {
+fn times(kind: Kind, columns: &[Column]) -> Vec<f64> {
     match columns.iter().find(|c| c.role == Role::Time) {
+        Some(c) if kind == Kind::Drift => spread(&c.data).unwrap_or_else(|| c.data.clone()),
         Some(c) => c.data.clone(),
         None => (0..columns[0].data.len()).map(|row| row as f64).collect(),
     }
+}
+
+/// The step of a clock that stands still from row to row more often than not, s.
+#[must_use]
+pub fn shared_step(time_s: &[f64]) -> Option<f64> {
+    let steps = || time_s.windows(2).map(|w| w[1] - w[0]).filter(|step| *step > 0.0);
+    let is_shared = 2 * steps().count() < time_s.len();
+    steps().min_by(f64::total_cmp).filter(|_| is_shared)
+}
+
+/// Times of rows that share those of a coarse clock: a logger reads evenly, so they are as far apart as they fill the clock's step.
+/// Where the run began and ended within a step, as far as in the fullest one. `None` where the clock is fine enough.
+fn spread(time_s: &[f64]) -> Option<Vec<f64>> {
+    let step = shared_step(time_s)?;
+    let groups: Vec<&[f64]> = time_s.chunk_by(|a, b| a >= b).collect();
+    let fullest = groups.iter().map(|rows| rows.len()).max()?;
+    let mut spread = Vec::with_capacity(time_s.len());
+    for (n, rows) in groups.iter().enumerate() {
+        let at_end = n == 0 || n + 1 == groups.len();
+        let apart = step / if at_end { fullest } else { rows.len() } as f64;
+        let first = if n == 0 { rows[0] + step - apart * rows.len() as f64 } else { rows[0] };
+        spread.extend((0..rows.len()).map(|row| first + apart * row as f64));
+    }
+    Some(spread)
 }
 
 /// What one value must be, given its role and the value before it.

@@ -8,7 +8,7 @@ use pyo3::prelude::*;
 use rtec_control::config::Config;
 use rtec_driver::quadrature::State;
 use rtec_files::stamp::signed;
-use rtec_files::trace::{RequestReader, TraceReader};
+use rtec_files::trace::{RequestReader, TraceReader, request_columns, trace_columns};
 use rtec_files::{InputError, Said};
 use rtec_fit::chain::{self as chain_fit, ChainRun};
 use rtec_fit::thermal::{prediction_chart, residual_chart};
@@ -537,11 +537,12 @@ pub(crate) fn designs(
 }
 
 #[pyfunction]
-#[pyo3(signature = (trace, requests, design, config, axis))]
+#[pyo3(signature = (trace, requests, columns, design, config, axis))]
 pub(crate) fn replay(
     py: Python<'_>,
     trace: PathBuf,
     requests: PathBuf,
+    columns: (Vec<String>, Vec<String>),
     design: Option<String>,
     config: Option<PathBuf>,
     axis: Option<String>,
@@ -567,7 +568,8 @@ pub(crate) fn replay(
                 Design::C => AnyDesign::C,
             },
         };
-        let (trace, requests) = (TraceReader::open(&trace)?.playable(), RequestReader::open(&requests)?);
+        let trace = TraceReader::open_columns(&trace, &trace_columns(&columns.0)?)?.playable();
+        let requests = RequestReader::open_columns(&requests, &request_columns(&columns.1)?)?;
         let played = replay_any(design, engine, trace, requests, large, |_, _: State| {});
         let (outcome, _) = played.map_err(|error| match error {
             ReplayError::Input(error) => Failure::from(error),

@@ -121,6 +121,12 @@ def test_plan_designs_replay_part(rtecctl, tmp_path):
     shown = rtecctl("replay", "--trace", trace, "--requests", requests, "--design", "c", "--json")
     assert played.json == printed(shown)
     assert played.sound and played.document["completed"] == 6
+    table = [row.replace(",", ";") for row in ["Zeit,D0,D1", *rows]]
+    trace.write_text("\n".join(table) + "\n")
+    requests.write_text("1000000,6\n")
+    columns, totals = {"t_ns": "Zeit", "a": 2, "b": "D1"}, {"t_ns": 1, "requested": 2}
+    again = rtec.replay(trace, requests, columns=columns, request_columns=totals, design="c")
+    assert again.json == played.json
     points = tmp_path / "probed.csv"
     rows = ["0.0,10.001", "3.826834,9.238795", "7.071068,7.071068", "9.238795,3.826834", "10.002,0.0"]
     points.write_text("z_mm,x_mm\n" + "\n".join(rows) + "\n")

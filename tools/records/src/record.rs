@@ -519,7 +519,7 @@ impl<R: Read> Rows<R> {
                 };
                 let v = v.map_err(|e| {
                     if column.role == Role::Time
-                        && absolute_ns(cell.text()).or_else(|| of_day_ns(cell.text())).is_some()
+                        && (absolute_ns(cell.text()) != [None; 2] || of_day_ns(cell.text()).is_some())
                     {
                         let name = &column.name;
                         let import = format!(

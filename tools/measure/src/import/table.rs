@@ -241,19 +241,15 @@ pub fn table(
         Some(by) => reader = reader.parted_by(by),
         None => {}
     }
-    let mut header = match (form.nameless, form.by) {
+    let columns: Vec<&str> = wanted.iter().map(|w| w.column.as_str()).collect();
+    let header = match (form.nameless, form.by) {
         (true, _) => None,
-        (false, Some(_)) => Some(reader.header(HEADER)?),
-        (false, None) => Some(reader.header_with(HEADER, &names_of(wanted))?),
+        (false, Some(_)) => {
+            let header = reader.header(HEADER)?;
+            Some(reader.or_numbers(header, &columns))
+        }
+        (false, None) => Some(reader.header_of(HEADER, &columns)?),
     };
-    // Columns that are called by their numbers need no names.
-    let by_number = wanted.iter().all(|w| w.column.parse::<usize>().is_ok());
-    if by_number && header.as_ref().is_some_and(|header| header.is_missing().is_some()) {
-        let by = reader.separator();
-        let cells = header.as_ref().map_or(0, |header| header.names().count());
-        reader = Reader::new(from, text.as_bytes())?.parted_by(by).of_width(cells);
-        header = None;
-    }
     let places = wanted
         .iter()
         .map(|w| match &header {
@@ -269,7 +265,7 @@ pub fn table(
         .collect::<Result<Vec<_>, _>>()?;
     let (numbers, written) = numbers(from, &text, form, reader.separator(), header.as_ref(), &places)?;
     let mut data = vec![Vec::new(); wanted.len()];
-    let mut clock = Clock::default();
+    let mut clock = Clock::of(&text, wanted, &places, reader.separator());
     let by = reader.separator();
     let cut = cut_line(whole, by);
     while let Some(row) = reader.row()? {
@@ -294,9 +290,10 @@ pub fn table(
                 continue;
             }
             if is_time && clock.moments.start().is_some() {
-                return Err(named(
-                    cell.finding("a time as in the rows before, 2022-08-08T13:51:37.25Z or 13:51:37"),
-                ));
+                let expected = clock::expected_instead(cell.text()).filter(|_| cell.text().contains('/'));
+                return Err(named(cell.finding(
+                    expected.unwrap_or("a time as in the rows before, 2022-08-08T13:51:37.25Z or 13:51:37"),
+                )));
             }
             let number = numbers.parse(cell.text()).ok_or_else(|| {
                 let in_units = data.is_empty() && cells.iter().all(|cell| is_unit(cell.text()));
@@ -416,6 +413,15 @@ const SUMMER_S: f64 = 3600.0;
 /// Values of a counter of 32 bits.
 const COUNTER: f64 = 4_294_967_296.0;
 
+/// What the dates of a column show of their order; none where no cell has a slash.
+fn slash_order(text: &str, place: usize, by: char) -> Option<clock::SlashOrder> {
+    text.contains('/').then_some(())?;
+    let cell =
+        |line: &str| line.split(by).nth(place).map(|cell| cell.trim_matches(['"', ' ', '\r']).to_owned());
+    let cells: Vec<String> = text.lines().filter_map(cell).filter(|cell| cell.contains('/')).collect();
+    clock::slash_order(cells.iter().map(String::as_str))
+}
+
 /// A time column that need not begin with the run.
 #[derive(Default)]
 struct Clock {
@@ -429,6 +435,13 @@ struct Clock {
 }
 
 impl Clock {
+    /// Of a table's time column, whose dates may show their order.
+    fn of(text: &str, wanted: &[ImportColumn], places: &[usize], by: char) -> Self {
+        let time = wanted.iter().zip(places).find(|(w, _)| w.role == Role::Time);
+        let order = time.and_then(|(_, place)| slash_order(text, *place, by));
+        Self { moments: Moments::of_order(order), ..Self::default() }
+    }
+
     /// Seconds since the first row of a time that is a date or a time of the day; `first`: this is that row.
     fn moment(&mut self, text: &str, first: bool) -> Option<f64> {
         if !first && self.moments.start().is_none() {
@@ -539,9 +552,9 @@ fn numbers(
     }
     let mut reader = Reader::new(from, text.as_bytes())?.parted_by(by);
     if let Some(header) = header {
-        reader = reader.of_width(header.names().count());
         // Past a line `sep=` too.
         while reader.row()?.is_some_and(|row| row.line() < header.line()) {}
+        reader = reader.of_width(header.names().count());
     }
     let marks = Marks::of(&mut reader)?;
     let written = if form.by.is_none() { marks.written(from) } else { marks.questions(from) };

@@ -113,7 +113,8 @@ fn factors_names_and_times_as_they_are_written() {
         ("t,F\n0,0,1,5\n", 2, "4 fields in 2 columns: decimal commas between commas?"),
         ("t;F\n0;12.34,5\n", 2, "'12.34,5' in column F"),
         ("t,F\n1767700000123,1\n", 2, "as t=time:ms"),
-        ("t,F\n8/8/2022 13:51:37,1\n", 2, "ISO 8601"),
+        ("t,F\n8/7/2022 13:51:37,1\n8/8/2022 13:51:37,2\n", 3, "no day above 12 tells which"),
+        ("t,F\n8/7/22 13:51:37,1\n", 2, "has a year of four digits"),
         ("t,F\n23:59:50,1\n23:60:00,1\n", 3, "a time as in the rows before"),
         ("t,F\n12:00:10,1\n12:00:00,1\n", 3, "time that never decreases"),
     ] {

@@ -301,10 +301,17 @@ def designs(
     return Design(document, text)
 
 
+def _pairs(columns: Mapping[str, str | int] | None) -> list[str]:
+    """Columns by name or number as the command line has them."""
+    return [f"{name}={column}" for name, column in (columns or {}).items()]
+
+
 def replay(
     trace: Place,
     requests: Place,
     *,
+    columns: Mapping[str, str | int] | None = None,
+    request_columns: Mapping[str, str | int] | None = None,
     design: str | None = None,
     config: Place | None = None,
     axis: str | None = None,
@@ -317,6 +324,10 @@ def replay(
         CSV ``t_ns,a,b`` or VCD.
     requests : path
         CSV ``t_ns,requested``.
+    columns : mapping, optional
+        The trace's columns or signals by name or number, as ``{"t_s": 1, "a": "D0", "b": "D1"}``.
+    request_columns : mapping, optional
+        The requests' columns by name or number, as ``{"t_ns": 1, "requested": 2}``.
     design : str, optional
         ``original``, ``a``, ``b``, ``c`` or ``ecc``.
     config : path, optional
@@ -328,7 +339,8 @@ def replay(
     -------
     Replay
     """
-    document, sound = _rtec.replay(os.fspath(trace), os.fspath(requests), design, place(config), axis)
+    named = _pairs(columns), _pairs(request_columns)
+    document, sound = _rtec.replay(os.fspath(trace), os.fspath(requests), named, design, place(config), axis)
     return Replay(document, sound)
 
 
@@ -387,7 +399,7 @@ def part_errors(
     asked: dict[str, Any] = {name: place(p) for name, p in places.items()}
     asked |= {"points": os.fspath(points), "radius_mm": radius_mm, "tip_mm": tip_mm, "feature": feature}
     asked |= {"taper_deg": taper_deg, "trip_window_mm": trip_window_mm, "with_size": with_size}
-    asked["columns"] = [f"{name}={column}" for name, column in (columns or {}).items()]
+    asked["columns"] = _pairs(columns)
     asked["origin_mm"] = None if origin_mm is None else [float(v) for v in origin_mm]
     (document, cor, svg), said = _rtec.part_errors(asked)
     errors = json.loads(document)["errors"]

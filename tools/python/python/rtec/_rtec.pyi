@@ -123,7 +123,12 @@ def designs(
     computer: str, encoder_hz: float, accel_counts_s2: float, counts: int, seed: int
 ) -> tuple[str, str]: ...
 def replay(
-    trace: str, requests: str, design: str | None, config: str | None, axis: str | None
+    trace: str,
+    requests: str,
+    columns: tuple[list[str], list[str]],
+    design: str | None,
+    config: str | None,
+    axis: str | None,
 ) -> tuple[str, bool]: ...
 def part_errors(asked: dict[str, Any]) -> tuple[tuple[str, str, str], list[str]]: ...
 def simulate(

@@ -9,12 +9,15 @@ use rtec_driver::replay::Listener;
 use rtec_driver::replay::TracePoint;
 use rtec_files::InputError;
 use rtec_files::stamp::signed;
-use rtec_files::trace::{Playable, RequestReader, TraceFile, TraceFormat, TraceReader};
+use rtec_files::trace::{
+    Playable, RequestReader, TraceFile, TraceFormat, TraceReader, request_columns, trace_columns,
+};
 use rtec_model::clock;
 use rtec_rt::axis::{AxisConfig, Design};
 use rtec_sim::bench::{AnyDesign, replay_any};
 use rtec_sim::ecc::Pll;
 use rtec_sim::replay::ReplayError;
+use std::fs::File;
 use std::io;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -28,6 +31,13 @@ pub(crate) struct Args {
     /// Requested totals (CSV: `t_ns,requested`)
     #[arg(long, value_name = "FILE")]
     requests: PathBuf,
+    /// Columns or signals of the trace that have other names, or none, each by its name or number from 1; `t_us`, `t_ms` and
+    /// `t_s` for times that are not in ns
+    #[arg(long, value_name = "NAME=COLUMN", value_delimiter = ',')]
+    columns: Vec<String>,
+    /// Columns of the requests that have other names, or none: as --columns, with `requested` for the total
+    #[arg(long, value_name = "NAME=COLUMN", value_delimiter = ',')]
+    request_columns: Vec<String>,
     /// Insertion design [default: that of the configuration, or c]
     #[arg(long, value_parser = designs())]
     design: Option<AnyDesign>,
@@ -49,6 +59,18 @@ pub(crate) struct Args {
     json: bool,
 }
 
+impl Args {
+    fn open_trace(&self) -> Result<TraceReader<File>, InputError> {
+        TraceReader::open_columns(&self.trace, &trace_columns(&self.columns)?)
+    }
+
+    fn open_requests(&self) -> Result<RequestReader<File>, InputError> {
+        let columns = request_columns(&self.request_columns)
+            .map_err(|e| InputError { file: Path::new("--request-columns").to_owned(), ..e })?;
+        RequestReader::open_columns(&self.requests, &columns)
+    }
+}
+
 /// The designs by the names of the contract.
 fn designs() -> impl TypedValueParser<Value = AnyDesign> {
     PossibleValuesParser::new(AnyDesign::ALL.map(AnyDesign::name))
@@ -61,9 +83,9 @@ fn two_clocks(args: &Args) -> anyhow::Result<()> {
     if !(args.trace.is_file() && args.requests.is_file()) {
         return Ok(());
     }
-    let first = TraceReader::open(&args.trace)?.next_point()?.map(|point| point.t_ns);
+    let first = args.open_trace()?.next_point()?.map(|point| point.t_ns);
     // A total of 0 at 0 may stand in front on any clock.
-    let last = RequestReader::open(&args.requests)?.last().transpose()?.map(|request| request.t_ns);
+    let last = args.open_requests()?.last().transpose()?.map(|request| request.t_ns);
     let Some((first, last)) = first.zip(last) else { return Ok(()) };
     let day = |t_ns: u64| match clock::unix(t_ns as f64) {
         Some(("ns", day)) => Some(day),
@@ -87,7 +109,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         Design::A => AnyDesign::A,
         Design::C => AnyDesign::C,
     });
-    let (trace, requests) = (TraceReader::open(&args.trace)?, RequestReader::open(&args.requests)?);
+    let (trace, requests) = (args.open_trace()?, args.open_requests()?);
     for written in [trace.written(), requests.written()].into_iter().flatten() {
         eprintln!("note: {written}");
     }

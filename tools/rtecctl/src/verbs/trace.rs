@@ -6,7 +6,7 @@ use rtec_driver::quadrature::State;
 use rtec_driver::replay::TracePoint;
 use rtec_files::csv::{Header, Reader};
 use rtec_files::text::open_regular;
-use rtec_files::trace::{TraceFile, TraceReader};
+use rtec_files::trace::{TraceFile, TraceReader, trace_columns};
 use rtec_files::{InputError, Marks};
 use rtec_model::clock::{self, Moments};
 use std::path::{Path, PathBuf};
@@ -28,6 +28,10 @@ enum TraceAction {
         /// The trace to write
         #[arg(value_parser = crate::verbs::output())]
         output: PathBuf,
+        /// Columns or signals that have other names, or none, each by its name or number from 1; `t_us`, `t_ms` and `t_s` for
+        /// times that are not in ns
+        #[arg(long, value_name = "NAME=COLUMN", value_delimiter = ',')]
+        columns: Vec<String>,
         /// Print the summary as one JSON document
         #[arg(long)]
         json: bool,
@@ -112,7 +116,9 @@ fn not_negative(text: &str) -> Result<f64, String> {
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     match &args.what {
-        TraceAction::Convert { input, output, json } => convert(input, output)?.print(output, *json),
+        TraceAction::Convert { input, output, columns, json } => {
+            convert(input, output, columns)?.print(output, *json);
+        }
         TraceAction::FromPosition(args) => from_position(args)?.print(&args.out, args.json),
     }
     Ok(())
@@ -188,8 +194,8 @@ impl Output {
     }
 }
 
-fn convert(input: &Path, output: &Path) -> anyhow::Result<Summary> {
-    let mut reader = TraceReader::open(input)?;
+fn convert(input: &Path, output: &Path, columns: &[String]) -> anyhow::Result<Summary> {
+    let mut reader = TraceReader::open_columns(input, &trace_columns(columns)?)?;
     if let Some(written) = reader.written() {
         eprintln!("note: {written}");
     }
@@ -451,24 +457,14 @@ impl Record {
     fn open(args: &FromPosition, counter_bits: u32) -> Result<Self, InputError> {
         let mut rows = Reader::open(&args.input)?;
         let named = [&args.column, &args.time_column].into_iter().flatten().map(String::as_str);
-        let named: Vec<&str> = named.filter(|column| column.parse::<usize>().is_err()).collect();
-        let mut header = rows.header_with("a header such as t_s,position_mm", &named)?;
+        let named: Vec<&str> = named.collect();
+        let header = rows.header_of("a header such as t_s,position_mm", &named)?;
         // A pipe cannot be read twice: its numbers have decimal points.
         let marks = if args.input.is_file() {
             Marks::find(&args.input, &mut open_regular(&args.input)?, &named)?
         } else {
             None
         };
-        // Columns that are called by their numbers need no names.
-        let is_number = |column: &Option<String>| column.as_ref().is_some_and(|c| c.parse::<usize>().is_ok());
-        if is_number(&args.column)
-            && is_number(&args.time_column)
-            && args.input.is_file()
-            && header.is_missing().is_some()
-        {
-            rows = Reader::open(&args.input)?.parted_by(rows.separator());
-            header = header.numbered();
-        }
         let columns = || format!("the columns {}", header.text());
         let units = [("s", 1e9), ("ms", 1e6), ("us", 1e3), ("ns", 1.0)];
         let (time, (time_unit, ns_per_unit)) = match &args.time_column {
@@ -548,7 +544,10 @@ impl Record {
                     return Ok(());
                 }
                 if let Some(start) = self.moments.start() {
-                    return Err(cell.finding(format!("a time as in the first row, {start}")));
+                    let slashes = clock::expected_instead(cell.text()).filter(|_| cell.text().contains('/'));
+                    let expected =
+                        slashes.map_or_else(|| format!("a time as in the first row, {start}"), str::to_owned);
+                    return Err(cell.finding(expected));
                 }
                 let written = || clock::expected_instead(cell.text()).map(|expected| cell.finding(expected));
                 let read = finite("time").map_err(|e| written().unwrap_or(e))?;

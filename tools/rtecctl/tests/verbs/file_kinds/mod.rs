@@ -2,6 +2,7 @@
 
 #![allow(clippy::format_collect, clippy::format_push_string, reason = "inputs of tests")]
 
+mod columns;
 mod dialects;
 mod readings;
 mod signals;

@@ -69,13 +69,25 @@ fn absolute_clocks_are_set_back_or_questioned() {
     write("ms.csv", &|t| format!("{}", 1000 * t));
     write("iso.csv", &|t| format!("2026-01-06T{:02}:{:02}:{:02}Z", day(t).0, day(t).1, day(t).2));
     write("german.csv", &|t| format!("06.01.2026 {:02}:{:02}:{:02}", day(t).0, day(t).1, day(t).2));
+    write("blank.csv", &|t| format!("2026-01-06 {:02}:{:02}:{:02}", day(t).0, day(t).1, day(t).2));
+    // All on one day: whether that is in January or in June, the times since the first row are the same.
+    write("slashes.csv", &|t| format!("06/01/2026 {:02}:{:02}:{:02}", day(t).0, day(t).1, day(t).2));
+    write("year-first.csv", &|t| format!("2026/1/6 {:02}:{:02}:{:02}", day(t).0, day(t).1, day(t).2));
+    write("am-pm.csv", &|t| {
+        let half = if day(t).0 < 12 { "AM" } else { "PM" };
+        format!("1/6/2026 {}:{:02}:{:02} {half}", (day(t).0 + 11) % 12 + 1, day(t).1, day(t).2)
+    });
     write("of-day.csv", &|t| format!("{:02}:{:02}:{:02}", day(t).0, day(t).1, day(t).2));
     for (file, time) in [
         ("epoch.csv", "t=time"),
         ("ms.csv", "t=time:ms"),
         ("iso.csv", "t=time"),
+        ("blank.csv", "t=time"),
         ("german.csv", "t=time"),
         ("of-day.csv", "t=time"),
+        ("slashes.csv", "t=time"),
+        ("year-first.csv", "t=time"),
+        ("am-pm.csv", "t=time"),
     ] {
         let line = format!(
             "characterise import {file} --format csv --columns {time},e=error.z --out {file}.run.toml"
@@ -106,6 +118,11 @@ fn absolute_clocks_are_set_back_or_questioned() {
     for (first, second, exit, says) in [
         ("1767700000", "1767700001", 0, "time 0 of the trace is 1767700000, Unix time of 2026-01-06"),
         ("2026-01-06T11:46:40Z", "2026-01-06T11:46:41Z", 0, "time 0 of the trace is 2026-01-06T11:46:40Z"),
+        ("2026-01-06 11:46:40", "2026-01-06 11:46:41", 0, "time 0 of the trace is 2026-01-06 11:46:40"),
+        ("6.1.2026 11:46:40", "6.1.2026 11:46:41", 0, "time 0 of the trace is 6.1.2026 11:46:40"),
+        ("12/8/2022 23:59:59", "13/8/2022 00:00:00", 0, "time 0 of the trace is 12/8/2022 23:59:59"),
+        ("08/07/2022 23:59:59", "08/08/2022 00:00:00", 2, "no day above 12 tells which"),
+        ("08/07/22 23:59:59", "08/07/22 23:59:59", 2, "has a year of four digits"),
         (
             "1767700000000",
             "1767700001000",
@@ -205,4 +222,76 @@ fn bad_readings_are_in_no_figure_of_any_verb() {
     let dead = run(at, &words("characterise evaluate power-on-85.run.toml --standard iso230-3 --json"));
     assert!(dead.json().pointer("/temperatures/T1").is_none(), "{}", dead.out);
     assert!(dead.json().pointer("/temperatures/T2").is_some(), "{}", dead.out);
+}
+
+/// A log of 10 s a row by a clock of whole minutes: the lag is named alone, with the truth in its interval.
+#[test]
+fn a_clock_of_minutes_makes_no_effects() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let (mut csv, mut lagged) = ("t,T1,e\n".to_owned(), 0.0);
+    for i in 0..400_u32 {
+        let t = 10.0 * f64::from(i);
+        let cold = 4.0 * (1.0 - (-2200.0_f64 / 900.0).exp());
+        let warm =
+            if t < 2200.0 { 4.0 * (1.0 - (-t / 900.0).exp()) } else { cold * (-(t - 2200.0) / 700.0).exp() };
+        let keeps = (-10.0_f64 / 400.0).exp();
+        lagged = if i == 0 { 0.0 } else { lagged * keeps + warm * (1.0 - keeps) };
+        // Noise without a memory, the same in every run.
+        let noise = (f64::from(i) * 12.9898).sin() * 43_758.545;
+        let e = 6.0 * lagged + 0.4 * (noise - noise.floor() - 0.5);
+        csv += &format!("{},{:.3},{e:.3}\n", 60 * (10 * i / 60), 20.0 + warm);
+    }
+    std::fs::write(at.join("a.csv"), csv).unwrap();
+    let sidecar = "file = \"a.csv\"\nkind = \"drift\"\n[columns]\nt = { role = \"time\", unit = \"s\" }\n\
+                   T1 = { role = \"temperature\", unit = \"degC\" }\ne = { role = \"error.z\", unit = \"um\" }\n";
+    std::fs::write(at.join("a.run.toml"), sidecar).unwrap();
+    std::fs::write(at.join("m.toml"), "name = \"m\"\neffect = []\n").unwrap();
+    let found = run(at, &words("reconcile a.run.toml --model m.toml --json"));
+    let effects = found.json()["effects"].as_array().unwrap().len();
+    assert_eq!(
+        (effects, found.json()["effects"][0]["name"].as_str()),
+        (1, Some("thermal_lag.z")),
+        "{}",
+        found.out
+    );
+    for (parameter, truth) in [("um_per_K", 6.0), ("tau_s", 400.0)] {
+        let [low, high] =
+            ["low", "high"].map(|end| found.figure(&format!("/effects/0/parameters/{parameter}/{end}")));
+        assert!(low <= truth && truth <= high, "{parameter}: {truth} is not in [{low}, {high}]");
+    }
+}
+
+/// An import says which channel is dead, and which readings are codes of a sensor that did not measure.
+#[test]
+fn an_import_names_dead_channels_and_codes_of_sensors() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let import = |name: &str, t1: &dyn Fn(u32) -> f64| {
+        let rows: String =
+            (0..120).map(|i| format!("{},{:.3},{:.3}\n", 30 * i, t1(i), 0.05 * f64::from(i))).collect();
+        std::fs::write(at.join(name), format!("t,T1,e\n{rows}")).unwrap();
+        let line = format!(
+            "characterise import {name} --format csv --columns t=time,T1=temperature,e=error.z --kind drift --out o.run.toml"
+        );
+        run(at, &words(&line))
+    };
+    let warm = |i: u32| 21.0 + 0.01 * f64::from(i);
+    for (code, says) in [
+        (85.0, "reads 85 degC: the power-on value of a DS18B20 in some rows (rows 1,41)"),
+        (-127.0, "reads -127 degC: a DS18B20 that does not answer in some rows (rows 1,41)"),
+        (0.0, "reads 0 degC: an input without a sensor in some rows (rows 1,41)"),
+        (850.0, "reads 850 degC: an open PT100 in some rows (rows 1,41)"),
+    ] {
+        let imported = import("code.csv", &|i| if matches!(i, 0 | 40) { code } else { warm(i) });
+        assert!(
+            imported.exit == 0 && imported.says("unplugged: T1") && imported.says(says),
+            "{}",
+            imported.err
+        );
+    }
+    let dead = import("dead.csv", &|_| 21.5);
+    assert!(dead.says("T1 reads 21.5 degC in every row: is it read?"), "{}", dead.err);
+    let good = import("good.csv", &warm);
+    assert!(!good.says("T1"), "{}", good.err);
 }
