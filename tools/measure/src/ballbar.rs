@@ -23,6 +23,7 @@ use std::ops::Range;
 
 mod diagnosis;
 mod search;
+mod spike;
 mod structure;
 
 pub use diagnosis::{Contribution, Cyclic, Diagnosis, Spike};
