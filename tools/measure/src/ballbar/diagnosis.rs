@@ -14,6 +14,7 @@ use rtec_model::record::{Axis, Role};
 use serde::Serialize;
 use statrs::distribution::{ContinuousCDF, StudentsT};
 use std::collections::BTreeMap;
+use std::f64::consts::SQRT_2;
 use std::ops::Range;
 
 /// A reversal spike of an axis.
@@ -699,9 +700,16 @@ impl<'t> Fit<'t> {
             let at = |p: &str| get(&format!("cyclic.{a}.{p}"));
             Some((a.clone(), Cyclic { period_mm: at("period_mm")?, um: at("um")? }))
         });
+        // One way round reversals are among it.
+        let unexplained_um = shown
+            .beside
+            .filter(|_| self.structure.both_ways)
+            .map(|t| t.rms_um)
+            .filter(|um| *um > SHOWS * self.rms(&self.noise()));
         let (cyclic, form): (Vec<_>, Vec<_>) = cyclic.partition(|(a, c)| {
             let half_mm = values.get(&format!("cyclic.{a}.period_mm")).map_or(0.0, |v| v.1);
-            c.is_of_a_screw(half_mm)
+            // A wave of less power than the map or bend beside it may be a part of that, whatever its period.
+            c.is_of_a_screw(half_mm) && unexplained_um.is_none_or(|rms| c.um > SQRT_2 * rms)
         });
         let form: ByAxis<Cyclic> = form.into_iter().collect();
         for c in &mut contributions {
@@ -763,12 +771,7 @@ impl<'t> Fit<'t> {
             interval_95,
             contributions,
             rms: self.least_left(),
-            // One way round reversals are among it.
-            unexplained_um: shown
-                .beside
-                .filter(|_| self.structure.both_ways)
-                .map(|t| t.rms_um)
-                .filter(|um| *um > SHOWS * self.rms(&self.noise())),
+            unexplained_um,
         }
     }
 
@@ -779,7 +782,8 @@ impl<'t> Fit<'t> {
             let known = (at..at + t.free.len()).all(|k| shown.resolved[k]);
             if known && t.name.starts_with("spike.") && told.contains(&t.name) && t.free.len() == 2 {
                 let profile = self.spike_profile(t, [shown.rises[at], shown.rises[at + 1]]);
-                let named = |ends| ["um", "length_mm"].map(|p| format!("{}.{p}", t.name)).into_iter().zip(ends);
+                let named =
+                    |ends| ["um", "length_mm"].map(|p| format!("{}.{p}", t.name)).into_iter().zip(ends);
                 intervals.extend(profile.into_iter().flat_map(named));
             }
             at += t.free.len();

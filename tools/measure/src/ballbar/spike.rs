@@ -45,7 +45,11 @@ impl Fit<'_> {
         let at = |length_mm: f64| {
             let shape = apart(self.basis(&effect.with(&[(1, length_mm)])?, None).first()?);
             let (curvature, with) = (shape.norm_squared(), shape.dot(&measured));
-            (curvature > 0.0).then(|| Fitted { gain: with * with / curvature, um: with / curvature, curvature })
+            (curvature > 0.0).then(|| Fitted {
+                gain: with * with / curvature,
+                um: with / curvature,
+                curvature,
+            })
         };
         let best_mm = effect.scalar(1);
         let best = at(best_mm)?.gain;
@@ -86,8 +90,10 @@ impl Fit<'_> {
 fn mean_unseen_mm(traces: &[Trace], axis: &Axis) -> f64 {
     let of = |t: &Trace| -> Vec<f64> {
         let Some(circle) = t.record.circle() else { return Vec::new() };
-        let share = |row: usize| if circle.plane[0] == *axis { t.angle[row].cos() } else { t.angle[row].sin() };
-        let slope = |row: usize| if circle.plane[0] == *axis { t.angle[row].sin() } else { t.angle[row].cos() };
+        let share =
+            |row: usize| if circle.plane[0] == *axis { t.angle[row].cos() } else { t.angle[row].sin() };
+        let slope =
+            |row: usize| if circle.plane[0] == *axis { t.angle[row].sin() } else { t.angle[row].cos() };
         // Where the slope's sign changes within a contour; a row at the turn itself has none.
         let turns = t.contours.iter().flat_map(|(rows, _)| {
             let moving: Vec<usize> = rows.clone().filter(|row| slope(*row).abs() > 1e-9).collect();
