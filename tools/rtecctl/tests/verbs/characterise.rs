@@ -49,6 +49,18 @@ fn one_nan_costs_its_row_and_not_the_run() {
     assert!(record.rows() > 20 && !dir.path().join("r.run.csv.part").exists(), "{}", record.rows());
 }
 
+/// A bug once: a run of a rotary axis was recorded, and then refused by every verb that reads it.
+#[test]
+fn a_rotary_axis_is_refused_before_it_is_recorded() {
+    let dir = tempfile::tempdir().unwrap();
+    for columns in ["b=position.b,e=error.x", "e=error.c"] {
+        let words = ["record", "--out", "r.run.toml", "--feed", "127.0.0.1:9", "--columns", columns];
+        let (code, _, err) = said(&rtecctl(dir.path(), &words));
+        assert!(code == Some(2) && err.contains("of a rotary axis"), "{columns}: {err}");
+    }
+    assert!(std::fs::read_dir(dir.path()).unwrap().next().is_none());
+}
+
 /// Ctrl-C ends a run and keeps its rows; the rows of one that was killed are not the next one's to remove.
 #[test]
 fn a_run_that_is_interrupted_is_kept() {
@@ -417,10 +429,13 @@ fn reports_are_pages_of_their_own() {
     tilt(folder);
     std::fs::write(folder.join("conditions.toml"), CONDITIONS).unwrap();
     std::fs::write(folder.join("uncertainty.toml"), "[uncertainty]\ndevice_um_per_m = 0.8\n").unwrap();
+    let of_a_drift =
+        "[uncertainty]\ndevice_um = 0.3\nset_up_um = 0.4\ndrift_um = 1.7\nmisalignment_mm = 1.0\n";
+    std::fs::write(folder.join("drift.toml"), of_a_drift).unwrap();
     let reports = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../target/reports");
     std::fs::create_dir_all(&reports).unwrap();
     // Page, standard and its words, what stands on it.
-    let tests: [(&str, &[&str], &[&str]); 7] = [
+    let tests: [(&str, &[&str], &[&str]); 8] = [
         (
             "iso230-2",
             &["iso230-2", "y.run.toml", "--conditions", "conditions.toml"],
@@ -436,8 +451,11 @@ fn reports_are_pages_of_their_own() {
         ),
         (
             "ballbar",
-            &["ballbar", "slow.run.toml", "fast.run.toml"],
+            &["ballbar", "slow.run.toml", "fast.run.toml", "--conditions", "conditions.toml"],
             &[
+                "Uncertainty budget, plane",
+                "of G and H: a difference of two readings",
+                "instrument, serial number",
                 "squareness",
                 "µrad",
                 "servo mismatch",
@@ -456,6 +474,15 @@ fn reports_are_pages_of_their_own() {
                 "at rest after heat",
                 "K/h",
                 "bearing",
+            ],
+        ),
+        (
+            "drift-budget",
+            &["iso230-3", "drift.run.toml", "--conditions", "drift.toml"],
+            &[
+                "Uncertainty budget of the displacements",
+                "drift (E_VE)",
+                "does not use [uncertainty] misalignment_mm",
             ],
         ),
         ("plate", &["plate", "plate.run.toml"], &["quadrupole", "ppm", "this arrow is", "times enlarged"]),
