@@ -132,7 +132,7 @@ pub fn tick(time_s: &[f64]) -> Option<f64> {
     let usual = *by_size.get(by_size.len() / 2)?;
     // Clocks step by a decimal fraction of a second.
     let tick = (-1..=6)
-        .map(|n| 0.1f64.powi(n))
+        .map(|n| 1.0 / 10f64.powi(n))
         .find(|tick| steps.iter().all(|h| *h > 0.5 * tick && (h / tick - (h / tick).round()).abs() < 0.01))?;
     // Rows as regular as their clock are not rounded to it; rows that share a time are.
     let shared = steps.len() + 1 < time_s.len();
