@@ -593,6 +593,10 @@ fn rotary_and_coupled_axes_are_refused_by_name() {
             );
         }
     }
+    // A, B and C turn by their names: no other verb takes them for linear.
+    let text = CONTRACT.replacen("name = \"x\"", "name = \"b\"", 1);
+    let said = Config::parse(Path::new("rtec.toml"), &text).unwrap_err().to_string();
+    assert!(said.contains("axis b, which is rotary"), "{said}");
     let linear = CONTRACT.replace("[[axis]]\n", "[[axis]]\nkind = \"linear\"\n");
     assert!(Config::parse(Path::new("rtec.toml"), &linear).is_ok());
 }

@@ -11,7 +11,7 @@
 //! The diagnosis fits the laws of the model's own effects (scale, squareness, reversal, spike, following error, screw) to
 //! the radial errors of all records of a plane together; each record has a centre and a mean radius of its own.
 
-use crate::iso230::{Round, error_axes, lacks};
+use crate::iso230::{Budget, Round, error_axes, lacks};
 use rtec_files::InputError;
 use rtec_model::circle::{Circle, rates};
 use rtec_model::effect::Dictionary;
@@ -23,6 +23,7 @@ use std::ops::Range;
 
 mod diagnosis;
 mod search;
+mod spike;
 mod structure;
 
 pub use diagnosis::{Contribution, Cyclic, Diagnosis, Spike};
@@ -90,6 +91,9 @@ pub struct Ballbar {
     /// What makes the deviations.
     #[serde(flatten)]
     pub diagnosis: Diagnosis,
+    /// What instrument, set-up and room contribute to its figures, where the conditions state it and the radius is known.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub uncertainty: Option<Budget>,
     /// Every contour.
     pub contours: Vec<Contour>,
     /// What to know before using it.
@@ -183,6 +187,7 @@ fn plane_of(plane: String, traces: &[Trace]) -> Result<Ballbar, InputError> {
         d: mean_radius.iter().copied().max_by(|a, b| a.abs().total_cmp(&b.abs())),
         h: of_both(hysteresis),
         diagnosis,
+        uncertainty: None,
         contours,
         warnings,
         plane,

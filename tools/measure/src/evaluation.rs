@@ -85,9 +85,17 @@ impl Standard {
         let parts = [
             thermal.then_some("[thermal]: nothing is reduced to 20 °C"),
             conditions.air.is_some().then_some("[air]: no length is corrected"),
-            (!conditions.stated.is_empty()).then_some("[uncertainty]: no figure has one"),
         ];
-        let said: Vec<&str> = parts.into_iter().flatten().collect();
+        let mut said: Vec<String> = parts.into_iter().flatten().map(str::to_owned).collect();
+        let keys = match self {
+            Self::Ballbar | Self::Iso230_3 => conditions.not_in_budget(self == Self::Ballbar),
+            _ => conditions.stated.keys().map(String::as_str).collect(),
+        };
+        if keys.len() == conditions.stated.len() && !keys.is_empty() {
+            said.push("[uncertainty]: no figure has one".to_owned());
+        } else if !keys.is_empty() {
+            said.push(format!("[uncertainty] {}", keys.join(", ")));
+        }
         (!said.is_empty())
             .then(|| format!("of the conditions this evaluation does not use {}", said.join(", ")))
     }
@@ -214,6 +222,7 @@ fn in_pieces(
         long.leave_out(&doubts)?;
         all = long.drift(rows_at_once, |_| ())?;
     }
+    iso230::state_budget(&mut all, &asked.conditions);
     let head = long.head();
     let ranges = long.ranges_degc().map(|(name, range)| (name.to_owned(), range)).collect();
     let csv = path.parent().unwrap_or(Path::new("")).join(&head.file);
@@ -398,7 +407,8 @@ fn by(
         }
         Standard::Iso230_3 => {
             let record = single(records)?;
-            let all = iso230::drift(record)?;
+            let mut all = iso230::drift(record)?;
+            iso230::state_budget(&mut all, conditions);
             let charts = iso230::drift_charts(record);
             let mut report = report::drift(&all, &Run::of(record), charts, conditions).map_err(undrawn)?;
             if let Some(gap) = gaps(record) {
@@ -412,7 +422,10 @@ fn by(
             (serde_json::to_value(found).map_err(unwritten)?, report)
         }
         Standard::Ballbar => {
-            let planes = ballbar::evaluate(records)?;
+            let mut planes = ballbar::evaluate(records)?;
+            for b in &mut planes {
+                b.uncertainty = b.radius_mm.and_then(|mm| conditions.circle_budget(mm));
+            }
             let report = report::ballbar(&planes, records, conditions).map_err(undrawn)?;
             (one_or("planes", values(&planes).map_err(unwritten)?), report)
         }

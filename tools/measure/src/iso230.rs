@@ -16,8 +16,9 @@ mod positioning;
 mod straightness;
 
 pub use air::{Air, AirState, AirTemperature};
-pub use conditions::{Conditions, Contributor, Expansion, Uncertainty};
+pub use conditions::{Budget, Conditions, Contributor, Expansion, Uncertainty};
 pub use diagonals::{Diagonal, Diagonals, diagonals};
+pub(crate) use drift::state_budget;
 pub use drift::{Drift, Figures, LongDrift, Phase, SensorDrift, drift, drift_charts};
 pub(crate) use positioning::{LONG_AXIS_MM, LONG_INTERVAL_MM, fewest_targets};
 pub use positioning::{

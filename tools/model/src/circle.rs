@@ -130,10 +130,13 @@ fn same_rate(a: f64, b: f64) -> bool {
 #[must_use]
 pub fn tick(time_s: &[f64]) -> Option<f64> {
     let steps: Vec<f64> = time_s.windows(2).map(|w| w[1] - w[0]).filter(|h| *h > 0.0).collect();
-    let usual = *steps.get(steps.len() / 2)?;
+    // The middle one by size: by order it is the pause, where both ways are in one record.
+    let mut by_size = steps.clone();
+    by_size.sort_by(f64::total_cmp);
+    let usual = *by_size.get(by_size.len() / 2)?;
     // Clocks step by a decimal fraction of a second.
     let tick = (-1..=6)
-        .map(|n| 0.1f64.powi(n))
+        .map(|n| 1.0 / 10f64.powi(n))
         .find(|tick| steps.iter().all(|h| *h > 0.5 * tick && (h / tick - (h / tick).round()).abs() < 0.01))?;
     // Rows as regular as their clock are not rounded to it; rows that share a time are.
     let shared = steps.len() + 1 < time_s.len();
@@ -201,6 +204,23 @@ mod tests {
         for (row, r) in rates(&angle, &time).iter().enumerate().filter(|(row, _)| row.abs_diff(300) > 2) {
             let want = if row < 300 { 0.1375 } else { -0.1375 };
             assert!((r / want - 1.0).abs() < 0.01, "row {row}: {r}");
+        }
+    }
+
+    /// A bug once: the pause between both ways, in the record's middle, passed for the usual step, and the clock for a fine one.
+    #[test]
+    fn a_pause_in_the_middle_hides_no_coarse_clock() {
+        for pause_s in [0.0, 3.0, 60.0] {
+            let at = |i: i32| 0.1375 * 0.0324 * f64::from(if i < 300 { i } else { 599 - i });
+            let angle: Vec<f64> = (0..600).map(at).collect();
+            let clock =
+                |i: i32| ((3.24 * f64::from(i) + 100.0 * if i < 300 { 0.0 } else { pause_s }).round()) * 0.01;
+            let time: Vec<f64> = (0..600).map(clock).collect();
+            assert!(tick(&time).is_some_and(|t| (t - 0.01).abs() < 1e-9), "{pause_s}");
+            for (row, r) in rates(&angle, &time).iter().enumerate().filter(|(row, _)| row.abs_diff(300) > 2) {
+                let want = if row < 300 { 0.1375 } else { -0.1375 };
+                assert!((r / want - 1.0).abs() < 0.01, "pause {pause_s}, row {row}: {r}");
+            }
         }
     }
 

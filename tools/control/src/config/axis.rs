@@ -3,6 +3,7 @@
 use super::card::{Card, Kind, read_lines};
 use super::{ConfiguredAxis, Simulated, plain};
 use rtec_files::toml::{Section, SourceFile};
+use rtec_model::record::Axis;
 use rtec_rt::axis::{AxisConfig, Design, RestPolicy};
 use std::path::{Path, PathBuf};
 
@@ -30,7 +31,9 @@ pub(super) fn read(
     let name = s.required(source, "name", meaning, name);
     let name = plain::name(source, "name", name, true);
     let owner = name.map_or_else(|| format!("axis {n}"), |name| format!("axis {}", name.value));
-    let other_kind = refuse_other_kinds(source, &mut s, &owner);
+    let turns = |name: &str| Axis::new(name).is_some_and(|a| a.is_rotary());
+    let by_name = name.as_ref().filter(|n| turns(&n.value)).map(|n| n.offset);
+    let other_kind = refuse_other_kinds(source, &mut s, &owner, by_name);
     let count_um = plain::within(&mut s, source, "count_um", 1e-4, 1000.0);
     let travel_mm = plain::within(&mut s, source, "travel_mm", 1e-3, 1e6);
     let (count_um, travel_mm) = if other_kind {
@@ -243,8 +246,13 @@ const ROTARY: &str = "a linear axis: rotary axes are not supported, since models
 const COUPLED: &str = "an axis of its own: two scales of one axis (a gantry) are not supported, since unequal corrections would \
                        rack it. Leave both scales out: they go straight to the MTC";
 
-/// A rotary or a coupled axis is refused by its name, not by an unknown key. `true` where it was.
-fn refuse_other_kinds(source: &mut SourceFile<'_>, s: &mut Section<'_>, owner: &str) -> bool {
+/// A rotary or a coupled axis is refused by what it is, not by an unknown key: `by_name` where its name says that it turns (ISO 841). `true` where it was.
+fn refuse_other_kinds(
+    source: &mut SourceFile<'_>,
+    s: &mut Section<'_>,
+    owner: &str,
+    by_name: Option<usize>,
+) -> bool {
     let mut refused = None;
     if s.has_unoffered("kind") {
         let kinds = [("linear", None), ("rotary", Some(ROTARY)), ("gantry", Some(COUPLED))];
@@ -255,11 +263,11 @@ fn refuse_other_kinds(source: &mut SourceFile<'_>, s: &mut Section<'_>, owner: &
             refused = s.value(source, key, "a linear axis", |_| Some(())).map(|at| (at.offset, why));
         }
     }
-    if let Some((offset, why)) = refused {
+    if let Some((offset, why)) = refused.or(by_name.map(|offset| (offset, ROTARY))) {
         let what = if why == ROTARY { "rotary" } else { "coupled to another" };
         source.finding(offset, format!("{owner}, which is {what}"), why);
     }
-    refused.is_some()
+    refused.is_some() || by_name.is_some()
 }
 
 /// What `simulated` says; as configured where it says nothing.

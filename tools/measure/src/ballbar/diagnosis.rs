@@ -14,6 +14,7 @@ use rtec_model::record::{Axis, Role};
 use serde::Serialize;
 use statrs::distribution::{ContinuousCDF, StudentsT};
 use std::collections::BTreeMap;
+use std::f64::consts::SQRT_2;
 use std::ops::Range;
 
 /// A reversal spike of an axis.
@@ -164,6 +165,8 @@ pub(super) struct Fit<'t> {
 pub(super) struct Shown {
     /// Half the width of each 95 % interval.
     pub(super) halves: Vec<f64>,
+    /// What the sum of squares may rise by within each interval.
+    rises: Vec<f64>,
     /// Whether the runs tell it at all.
     resolved: Vec<bool>,
     /// What the harmonics say of what has no law.
@@ -392,7 +395,7 @@ impl<'t> Fit<'t> {
     }
 
     /// Derivatives of a term by its free values; those of a linear term are its columns.
-    fn slopes(&self, term: &Term) -> Vec<DVector<f64>> {
+    pub(super) fn slopes(&self, term: &Term) -> Vec<DVector<f64>> {
         let mut sum: Vec<DVector<f64>> = Vec::new();
         for (effect, weight) in &term.parts {
             let width = effect.values().len();
@@ -407,7 +410,7 @@ impl<'t> Fit<'t> {
         sum
     }
 
-    fn value(&self, term: &Term) -> DVector<f64> {
+    pub(super) fn value(&self, term: &Term) -> DVector<f64> {
         let mut out = DVector::zeros(self.n);
         for (effect, weight) in &term.parts {
             let columns = self.basis(effect, term.only);
@@ -589,14 +592,15 @@ impl<'t> Fit<'t> {
             // Welch and Satterthwaite: few values tell the structure's size.
             let effective = if spread > 0.0 { (all * all / spread).max(1.0) } else { freedom };
             let quantile = StudentsT::new(0.0, 1.0, effective).map_or(1.96, |t| t.inverse_cdf(0.975));
-            quantile * all.sqrt() / scaled[at]
+            let rise = if noise > 0.0 { quantile * quantile * variance * all / noise } else { 0.0 };
+            (quantile * all.sqrt() / scaled[at], rise)
         };
-        let halves: Vec<f64> = (0..j.ncols()).map(half).collect();
+        let (halves, rises): (Vec<f64>, Vec<f64>) = (0..j.ncols()).map(half).unzip();
         // What may be anything that a machine can have is not told either.
         let told = |(half, widest): (&f64, f64)| *half < widest;
         let within: Vec<bool> = halves.iter().zip(self.widest()).map(told).collect();
         let resolved = resolution.iter().zip(within).map(|(r, within)| *r > RESOLVED && within).collect();
-        Shown { halves, resolved, beside: told_beside }
+        Shown { halves, rises, resolved, beside: told_beside }
     }
 
     /// The physical range of each free value.
@@ -696,9 +700,16 @@ impl<'t> Fit<'t> {
             let at = |p: &str| get(&format!("cyclic.{a}.{p}"));
             Some((a.clone(), Cyclic { period_mm: at("period_mm")?, um: at("um")? }))
         });
+        // One way round reversals are among it.
+        let unexplained_um = shown
+            .beside
+            .filter(|_| self.structure.both_ways)
+            .map(|t| t.rms_um)
+            .filter(|um| *um > SHOWS * self.rms(&self.noise()));
         let (cyclic, form): (Vec<_>, Vec<_>) = cyclic.partition(|(a, c)| {
             let half_mm = values.get(&format!("cyclic.{a}.period_mm")).map_or(0.0, |v| v.1);
-            c.is_of_a_screw(half_mm)
+            // A wave of less power than the map or bend beside it may be a part of that, whatever its period.
+            c.is_of_a_screw(half_mm) && unexplained_um.is_none_or(|rms| c.um > SQRT_2 * rms)
         });
         let form: ByAxis<Cyclic> = form.into_iter().collect();
         for c in &mut contributions {
@@ -738,7 +749,7 @@ impl<'t> Fit<'t> {
                 }),
             }
         };
-        let interval_95 = values
+        let mut interval_95: BTreeMap<String, [f64; 2]> = values
             .iter()
             .filter(|(name, _)| stands(name))
             .filter_map(|(name, (v, half))| {
@@ -746,6 +757,7 @@ impl<'t> Fit<'t> {
                 Some((rename(name)?, [v - half, v + half]))
             })
             .collect();
+        interval_95.extend(self.spike_intervals(told, shown));
         Diagnosis {
             centre_um: [set_up("centre.0.0", 1), set_up("centre.1.0", 2)],
             radius_um: set_up("radius.0", 0),
@@ -759,13 +771,24 @@ impl<'t> Fit<'t> {
             interval_95,
             contributions,
             rms: self.least_left(),
-            // One way round reversals are among it.
-            unexplained_um: shown
-                .beside
-                .filter(|_| self.structure.both_ways)
-                .map(|t| t.rms_um)
-                .filter(|um| *um > SHOWS * self.rms(&self.noise())),
+            unexplained_um,
         }
+    }
+
+    /// Intervals of the spikes that are told, by the names of their values.
+    fn spike_intervals(&self, told: &[String], shown: &Shown) -> Vec<(String, [f64; 2])> {
+        let (mut at, mut intervals) = (0, Vec::new());
+        for t in &self.terms {
+            let known = (at..at + t.free.len()).all(|k| shown.resolved[k]);
+            if known && t.name.starts_with("spike.") && told.contains(&t.name) && t.free.len() == 2 {
+                let profile = self.spike_profile(t, [shown.rises[at], shown.rises[at + 1]]);
+                let named =
+                    |ends| ["um", "length_mm"].map(|p| format!("{}.{p}", t.name)).into_iter().zip(ends);
+                intervals.extend(profile.into_iter().flat_map(named));
+            }
+            at += t.free.len();
+        }
+        intervals
     }
 
     /// Whether these runs tell this term from a map or a bend: one way round what turns with the sense does not show.

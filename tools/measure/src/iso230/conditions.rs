@@ -160,6 +160,30 @@ impl Conditions {
     pub fn uncertainty(&self, length_mm: f64, approaches: usize) -> Option<Uncertainty> {
         (!self.stated.is_empty()).then(|| Uncertainty::new(&self.stated, length_mm, approaches))
     }
+
+    /// What contributes to the figures of a circle of this radius, where anything is stated.
+    #[must_use]
+    pub fn circle_budget(&self, radius_mm: f64) -> Option<Budget> {
+        self.budget(|key| key != NOT_OF_CIRCLES, Some(radius_mm))
+    }
+
+    /// What contributes to the figures of a drift test, where anything is stated.
+    #[must_use]
+    pub fn drift_budget(&self) -> Option<Budget> {
+        self.budget(|key| OF_DIFFERENCES.contains(&key), None)
+    }
+
+    fn budget(&self, used: impl Fn(&str) -> bool, radius_mm: Option<f64>) -> Option<Budget> {
+        let stated: BTreeMap<String, f64> =
+            self.stated.iter().filter(|(key, _)| used(key)).map(|(k, v)| (k.clone(), *v)).collect();
+        (!stated.is_empty()).then(|| Budget::of(&stated, radius_mm))
+    }
+
+    /// Keys of `[uncertainty]` that the figures of a circle, or else of a drift test, do not ask for.
+    pub(crate) fn not_in_budget(&self, circle: bool) -> Vec<&str> {
+        let used = |key: &str| if circle { key != NOT_OF_CIRCLES } else { OF_DIFFERENCES.contains(&key) };
+        self.stated.keys().map(String::as_str).filter(|key| !used(key)).collect()
+    }
 }
 
 fn words(table: &Table<'_>) -> Result<Vec<(String, String)>, InputError> {
@@ -264,37 +288,88 @@ pub struct Uncertainty {
     pub M: f64,
 }
 
+/// What is stated, by its key; nothing is zero.
+fn get(stated: &BTreeMap<String, f64>, key: &str) -> f64 {
+    stated.get(key).copied().unwrap_or(0.0)
+}
+
+/// What contributes along a length, those that are not zero.
+fn along(stated: &BTreeMap<String, f64>, length_mm: f64) -> Vec<Contributor> {
+    let get = |key: &str| get(stated, key);
+    let (metres, root3) = (length_mm / 1000.0, 3.0_f64.sqrt());
+    let cosine_um = get("misalignment_mm").powi(2) / (2.0 * length_mm.max(1e-9)) * 1000.0;
+    let mut all = vec![
+        ("device".to_owned(), get("device_um").hypot(get("device_um_per_m") * metres)),
+        ("misalignment".to_owned(), cosine_um / root3),
+    ];
+    for (of, name) in [("machine", "of the machine"), ("device", "of the device")] {
+        let at = |what: &str| get(&format!("{of}_{what}"));
+        let grown = 2.0 * at("ppm_per_K") * metres * at("temperature_K") / root3;
+        all.push((format!("temperature {name}"), grown));
+        let unknown = 2.0 * at("off_20_K") * metres * at("expansion_ppm_per_K") / root3;
+        all.push((format!("expansion {name}"), unknown));
+    }
+    all.push(("set-up".to_owned(), get("set_up_um")));
+    let there = all.into_iter().filter(|(_, u_um)| *u_um > 0.0);
+    there.map(|(name, u_um)| Contributor { name, u_um }).collect()
+}
+
+/// The drift in one reading: a range, and in every reading anew.
+fn drift_of(stated: &BTreeMap<String, f64>) -> Contributor {
+    Contributor { name: "drift (E_VE)".to_owned(), u_um: get(stated, "drift_um") / 3.0_f64.sqrt() }
+}
+
+/// What instrument, set-up and room contribute to the figures of a circle or of a drift test, by the GUM: expanded uncertainties (k = 2).
+/// The readings' own scatter is not in it.
+///
+/// | figure | U (k = 2) |
+/// |---|---|
+/// | G, H of a circle: differences of two readings of one bar | √(`device_um`² + 2·`U_EVE`²) |
+/// | F, D of a circle: a bar's length R against the nominal one | √(`U_L`² + `U_EVE`²), `U_L` as [`Uncertainty`] has it over R, without misalignment |
+/// | ranges and end − start of a drift test: differences of two readings | √(`device_um`² + `set_up_um`² + 2·`U_EVE`²) |
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Budget {
+    /// Coverage factor.
+    pub k: f64,
+    /// What contributes, in one reading.
+    pub contributors: Vec<Contributor>,
+    /// Expanded uncertainty of a difference of two readings, µm.
+    #[serde(rename = "U_difference_um")]
+    pub difference_um: f64,
+    /// That of a length, µm; a drift test has none.
+    #[serde(rename = "U_length_um", skip_serializing_if = "Option::is_none")]
+    pub length_um: Option<f64>,
+}
+
+/// Keys of `[uncertainty]` that a budget of differences has a use for; a circle has one for the others too, but for the misalignment.
+const OF_DIFFERENCES: [&str; 3] = ["device_um", "set_up_um", "drift_um"];
+const NOT_OF_CIRCLES: &str = "misalignment_mm";
+
+impl Budget {
+    fn of(stated: &BTreeMap<String, f64>, radius_mm: Option<f64>) -> Self {
+        let drift = drift_of(stated);
+        let mut along = along(stated, radius_mm.unwrap_or(0.0));
+        let length = along.iter().map(|c| c.u_um * c.u_um).sum::<f64>() + drift.u_um * drift.u_um;
+        // The bar is as long at one angle as at another, and its set-up the same.
+        let fixed = if radius_mm.is_some() { 0.0 } else { get(stated, "set_up_um") };
+        let difference = get(stated, "device_um").powi(2) + fixed * fixed + 2.0 * drift.u_um * drift.u_um;
+        along.extend(Some(drift).filter(|c| c.u_um > 0.0));
+        Self {
+            k: 2.0,
+            contributors: along,
+            difference_um: difference.sqrt(),
+            length_um: radius_mm.map(|_| length.sqrt()),
+        }
+    }
+}
+
 impl Uncertainty {
     fn new(stated: &BTreeMap<String, f64>, length_mm: f64, approaches: usize) -> Self {
-        let get = |key: &str| stated.get(key).copied().unwrap_or(0.0);
-        let metres = length_mm / 1000.0;
-        let root3 = 3.0_f64.sqrt();
-        let mut contributors = Vec::new();
-        let mut add = |name: &str, u_um: f64| {
-            if u_um > 0.0 {
-                contributors.push(Contributor { name: name.to_owned(), u_um });
-            }
-            u_um
-        };
-        let cosine_um = get("misalignment_mm").powi(2) / (2.0 * length_mm.max(1e-9)) * 1000.0;
-        let mut along = vec![
-            add("device", get("device_um").hypot(get("device_um_per_m") * metres)),
-            add("misalignment", cosine_um / root3),
-        ];
-        for (of, name) in [("machine", "of the machine"), ("device", "of the device")] {
-            let at = |what: &str| get(&format!("{of}_{what}"));
-            along.push(add(
-                &format!("temperature {name}"),
-                2.0 * at("ppm_per_K") * metres * at("temperature_K") / root3,
-            ));
-            along.push(add(
-                &format!("expansion {name}"),
-                2.0 * at("off_20_K") * metres * at("expansion_ppm_per_K") / root3,
-            ));
-        }
-        along.push(add("set-up", get("set_up_um")));
-        let eve = add("drift (E_VE)", get("drift_um") / root3);
-        let square: f64 = along.iter().map(|u| u * u).sum();
+        let mut contributors = along(stated, length_mm);
+        let square: f64 = contributors.iter().map(|c| c.u_um * c.u_um).sum();
+        let drift = drift_of(stated);
+        let eve = drift.u_um;
+        contributors.extend(Some(drift).filter(|c| c.u_um > 0.0));
         let n = approaches.max(1) as f64;
         let r_up = 2.0 * eve;
         let b = (2.0 / n).sqrt() * eve;
@@ -381,6 +456,22 @@ mod tests {
         near(u.B, 0.4_f64.sqrt() * eve);
         near(u.A, (e * e + 4.0 * eve * eve).sqrt());
         near(u.M, (square + 0.2 * eve * eve).sqrt());
+        // A circle of 150 mm: the same contributors over its radius; a bar has no misalignment.
+        let b = c.circle_budget(150.0).unwrap();
+        let (device, temperature) = (0.8 * 0.15, 2.0 * 11.0 * 0.15 * 0.5 / root3);
+        near(b.difference_um, 2.0_f64.sqrt() * eve);
+        near(b.length_um.unwrap(), (device * device + temperature * temperature + eve * eve).sqrt());
+        let names: Vec<&str> = b.contributors.iter().map(|c| c.name.as_str()).collect();
+        assert_eq!(names, ["device", "temperature of the machine", "drift (E_VE)"]);
+        assert_eq!(c.not_in_budget(true), ["misalignment_mm"]);
+        // A drift test is a difference, whatever the length.
+        let of = |text: &str| Conditions::parse(Path::new("c.toml"), text).unwrap().drift_budget();
+        let d =
+            of("[uncertainty]\ndevice_um = 0.3\nset_up_um = 0.4\ndrift_um = 1.7\ndevice_um_per_m = 0.8\n")
+                .unwrap();
+        near(d.difference_um, (0.09 + 0.16 + 2.0 * eve * eve).sqrt());
+        assert_eq!(d.length_um, None);
+        assert_eq!(of("[uncertainty]\ndevice_um_per_m = 0.8\n"), None);
         assert_eq!(Conditions::default().uncertainty(100.0, 5), None);
     }
 }

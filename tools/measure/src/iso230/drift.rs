@@ -6,7 +6,7 @@ mod spans;
 
 pub use long::LongDrift;
 
-use super::{lacks, targets};
+use super::{Budget, Conditions, lacks, targets};
 use crate::plot::{Chart, Series, Style};
 use figures::{Look, Sums};
 use rtec_files::InputError;
@@ -27,6 +27,9 @@ pub struct Drift {
     pub whole: Figures,
     /// Its phases, in order.
     pub phases: Vec<Phase>,
+    /// What instrument, set-up and room contribute to its figures in µm, where the conditions state it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub uncertainty: Option<Budget>,
 }
 
 /// What a displacement did over some time.
@@ -107,10 +110,23 @@ pub fn drift(record: &Record) -> Result<Vec<Drift>, InputError> {
     Ok(found)
 }
 
+/// States what contributes to the figures of displacements.
+pub(crate) fn state_budget(all: &mut [Drift], conditions: &Conditions) {
+    for d in all.iter_mut().filter(|d| d.unit == "um") {
+        d.uncertainty = conditions.drift_budget();
+    }
+}
+
 impl Drift {
     /// Of a column, with the figures of the whole test.
     fn of(column: &Column, whole: Figures) -> Self {
-        Self { response: column.role.to_string(), unit: column.unit.clone(), whole, phases: Vec::new() }
+        Self {
+            response: column.role.to_string(),
+            unit: column.unit.clone(),
+            whole,
+            phases: Vec::new(),
+            uncertainty: None,
+        }
     }
 }
 

@@ -3,7 +3,7 @@
 use super::{Report, Run, Table};
 use crate::ballbar::{Ballbar, Contour};
 use crate::history::History;
-use crate::iso230::{Conditions, Diagonals, Drift, Figures, Positioning, Returns, Straightness};
+use crate::iso230::{Budget, Conditions, Diagonals, Drift, Figures, Positioning, Returns, Straightness};
 use crate::plate::Plate;
 use crate::plot::{Chart, Colour, PlotError, Polar, Series, Style};
 use rtec_model::record::Record;
@@ -183,6 +183,21 @@ pub fn straightness(
     Ok(report)
 }
 
+/// Contributors in one reading, then what follows for the figures.
+fn budget(report: &mut Report, of: &str, b: &Budget, figures: &[(&str, Option<f64>)]) {
+    let title = format!(
+        "Uncertainty budget{of} (GUM): instrument, set-up and room; the readings' own scatter is not in it"
+    );
+    let mut table = Table::new(&title, &["contributor or figure", "#U, k = 2 (µm)"]);
+    for c in &b.contributors {
+        table.row([c.name.clone(), um(c.u_um)]);
+    }
+    for (words, u) in figures {
+        table.row([(*words).to_owned(), um(*u)]);
+    }
+    report.table(table);
+}
+
 /// Circular tests: contours, and what makes their deviations.
 ///
 /// # Errors
@@ -228,6 +243,13 @@ pub fn ballbar(planes: &[Ballbar], records: &[Record], conditions: &Conditions) 
             table.row(start.into_iter().chain(figures));
         }
         report.table(table);
+        if let Some(u) = &b.uncertainty {
+            let figures = [
+                ("together, of G and H: a difference of two readings", Some(u.difference_um)),
+                ("together, of F and D: the bar's length", u.length_um),
+            ];
+            budget(&mut report, &format!(", plane {}{radius}", b.plane), u, &figures);
+        }
     }
     Ok(report)
 }
@@ -259,7 +281,7 @@ fn diagnosis(report: &mut Report, b: &Ballbar) {
     }
     for (axis, c) in &d.form {
         add(&format!("form that repeats {axis}"), &format!("form.{axis}.um"), Some(c.um), "µm", 2);
-        add("every, no screw's lead", &format!("form.{axis}.period_mm"), Some(c.period_mm), "mm", 3);
+        add("it repeats every", &format!("form.{axis}.period_mm"), Some(c.period_mm), "mm", 3);
     }
     if let Some((a, c)) = b.plane.split_once('-') {
         add(&format!("centre {a}"), &format!("centre_um.{a}"), d.centre_um[0], "µm", 2);
@@ -395,6 +417,11 @@ pub fn drift(
             table.row(std::iter::once(sensor.clone()).chain(own).chain(gammas));
         }
         report.table(table);
+    }
+    if let Some(u) = all.iter().find_map(|d| d.uncertainty.as_ref()) {
+        let figures =
+            [("together, of a range or of end − start: a difference of two readings", Some(u.difference_um))];
+        budget(&mut report, " of the displacements", u, &figures);
     }
     Ok(report)
 }

@@ -140,6 +140,22 @@ fn a_period_of_no_screw_is_a_form_that_repeats() {
     }
 }
 
+/// A map of kinks 37.5 mm apart has something at every period, at those of screws too.
+#[test]
+fn a_wave_smaller_than_the_map_beside_it_is_a_form() {
+    let map = "knots_mm = [-150.0, -112.5, -75.0, -37.5, 0.0, 37.5, 75.0, 112.5, 150.0]; um = [0.0, 3.0, -2.0, 4.0, -1.0, 3.0, -3.0, 2.0, 0.0]";
+    let effects = format!("following_error.x ms = 0.12\nscale.x ppm = 20.0\nposition_map.x {map}");
+    for seed in 1..=3 {
+        let d = one(&[Run::both(150.0, 41.7).of_machine(&effects, &mut Noise(seed), 0.3, 0.0)]).diagnosis;
+        assert!(d.unexplained_um.is_some() && d.cyclic.is_empty(), "{seed}: {d:?}");
+        near(d.servo_mismatch_ms, 0.12, 0.02);
+        // A screw's wave that is larger than the map is one all the same.
+        let both = format!("{effects}\nscrew_periodic.x period_mm = 10.0; um = 4.0; phase_rad = 0.4");
+        let d = one(&[Run::both(150.0, 41.7).of_machine(&both, &mut Noise(seed), 0.3, 0.0)]).diagnosis;
+        near(d.cyclic["x"].um, 4.0, 0.4);
+    }
+}
+
 #[test]
 fn one_way_at_one_feed_cannot_tell_squareness_from_a_lag_and_two_feeds_can() {
     let mut run = Run::both(150.0, 25.0);

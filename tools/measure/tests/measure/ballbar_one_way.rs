@@ -8,7 +8,7 @@ use rtec_measure::ballbar::Ballbar;
 use rtec_model::circle::Circle;
 use rtec_model::record::{Axis, Kind, Record};
 use std::collections::BTreeMap;
-use std::f64::consts::{PI, TAU};
+use std::f64::consts::TAU;
 use std::fmt::Write as _;
 use std::path::Path;
 use test_needs::cases;
@@ -134,30 +134,42 @@ fn a_circle_that_begins_where_an_axis_turns_invents_no_reversal() {
     judge(&held);
 }
 
-/// Both ways of a machine, begun and ended where an axis turns, as controllers run them. Between the ways the axes stop and turn back
-/// unseen.
-fn begun_at_zero(noise: &mut Noise, [reversal, spike, length_mm]: [[f64; 2]; 3]) -> [Vec<[f64; 3]>; 2] {
+/// A machine's reversals, spikes and the spikes' lengths, of X and Y.
+type Turning = [[f64; 2]; 3];
+
+/// Where a spike's travel counts from.
+#[derive(Clone, Copy, PartialEq)]
+enum From {
+    /// The last row of the old direction, as `reversal_spike` has it.
+    LastRow,
+    /// The place where the axis turned, whatever the rows.
+    Turn,
+}
+
+/// Both ways of a machine, begun and ended where an axis turns, as controllers run them, a row a degree. Between the ways the axes stop and
+/// turn back unseen.
+fn begun_at_zero(noise: &mut Noise, [reversal, spike, length_mm]: Turning, from: From) -> [Vec<[f64; 3]>; 2] {
     let (radius_mm, feed_mm_s, sd) = (150.0, 20.0, 0.15);
     [1.0, -1.0].map(|turn| {
         let row = |degree: i32| {
             let phi = f64::from(degree).to_radians();
             let (s, c) = phi.sin_cos();
             // Direction and travel since the axis turned: X at the ends of its travel, Y there and where the circle begins.
-            let x = if phi < PI { (-1.0, 1.0 - c) } else { (1.0, 1.0 + c) };
-            let y = if phi < 0.5 * PI {
-                (turn, s)
-            } else if phi < 1.5 * PI {
-                (-turn, 1.0 - s)
-            } else {
-                (turn, 1.0 + s)
+            let x = if degree < 180 { (-1.0, 1.0 - c) } else { (1.0, 1.0 + c) };
+            let y = match degree {
+                ..90 => (turn, s),
+                90..270 => (-turn, 1.0 - s),
+                _ => (turn, 1.0 + s),
             };
+            // From the last row of the old direction, a degree before the turn.
+            let before = if from == From::LastRow { 1.0 - 1f64.to_radians().cos() } else { 0.0 };
             let error = |k: usize, (dir, travel): (f64, f64)| {
-                dir * (0.5 * reversal[k] + spike[k] * (-travel * radius_mm / length_mm[k]).exp())
+                let spike_um = spike[k] * (-(travel + before) * radius_mm / length_mm[k]).exp();
+                dir * (0.5 * reversal[k] + spike_um)
             };
             let t_s = if turn > 0.0 { 0.0 } else { 60.0 } + phi * radius_mm / feed_mm_s;
             let angle = turn * phi;
-            let e = error(0, x) * angle.cos() + error(1, y) * angle.sin() + sd * noise.normal();
-            [t_s, angle, e]
+            [t_s, angle, error(0, x) * angle.cos() + error(1, y) * angle.sin() + sd * noise.normal()]
         };
         (1..360).map(row).collect()
     })
@@ -175,31 +187,49 @@ fn of_rows(rows: &[[f64; 3]]) -> Record {
     Record::new(Path::new("b.run.toml"), Kind::Ballbar, columns).unwrap().with_circle(circle).unwrap()
 }
 
-/// A bug once: in one record the pause between the ways was counted as a turn, and 3 of 12 machines' spikes held.
-#[test]
-fn both_ways_in_one_record_tell_as_much_as_two() {
-    let mut noise = Noise(41);
-    // Machines whose intervals all hold: reversals and spikes, with both ways in one record and in two.
-    let mut held = [[0_u32; 2]; 2];
-    for _ in 0..12 {
-        let mut pair = |lo: f64, hi: f64| [noise.within(lo, hi), noise.within(lo, hi)];
-        let truth = [pair(-8.0, 8.0), pair(3.0, 8.0), pair(0.5, 4.0)];
-        let [ccw, cw] = begun_at_zero(&mut noise, truth);
-        let one_record = vec![of_rows(&[ccw.clone(), cw.clone()].concat())];
-        for (k, records) in [one_record, vec![of_rows(&ccw), of_rows(&cw)]].iter().enumerate() {
-            let found = one(records).diagnosis.interval_95;
-            let holds = |name: &str, k: usize| {
-                ["x", "y"].iter().enumerate().all(|(n, axis)| {
-                    let [lo, hi] = found.get(&name.replace('A', axis)).copied().unwrap_or([f64::NAN; 2]);
-                    (lo..=hi).contains(&truth[k][n])
-                })
-            };
-            held[0][k] += u32::from(holds("reversal.A", 0));
-            held[1][k] += u32::from(holds("spike.A.um", 1) && holds("spike.A.length_mm", 2));
+/// Machines drawn from these seeds: in how many each interval holds the truth (both axes'), and in how many both spikes' all do; with both
+/// ways in one record, and in two. Half of the spikes count from the last row of the old direction, half from the turn itself.
+fn machines_that_hold(seeds: &[u64]) -> [BTreeMap<&'static str, u32>; 2] {
+    let mut held: [BTreeMap<&str, u32>; 2] = Default::default();
+    for seed in seeds {
+        let mut noise = Noise(*seed);
+        for machine in 0..12 {
+            let mut pair = |lo: f64, hi: f64| [noise.within(lo, hi), noise.within(lo, hi)];
+            let truth = [pair(-8.0, 8.0), pair(3.0, 8.0), pair(0.5, 4.0)];
+            let from = if machine % 2 == 0 { From::LastRow } else { From::Turn };
+            let [ccw, cw] = begun_at_zero(&mut noise, truth, from);
+            let one_record = vec![of_rows(&[ccw.clone(), cw.clone()].concat())];
+            for (records, held) in [one_record, vec![of_rows(&ccw), of_rows(&cw)]].iter().zip(&mut held) {
+                let found = one(records).diagnosis.interval_95;
+                let holds = |(name, truth): (&str, [f64; 2])| {
+                    ["x", "y"].iter().zip(truth).all(|(axis, truth)| {
+                        let [lo, hi] = found.get(&name.replace('A', axis)).copied().unwrap_or([f64::NAN; 2]);
+                        (lo..=hi).contains(&truth)
+                    })
+                };
+                let names = ["reversal.A", "spike.A.um", "spike.A.length_mm"];
+                let each: Vec<bool> = names.into_iter().zip(truth).map(holds).collect();
+                let figures = [("reversal", each[0]), ("height", each[1]), ("length", each[2])];
+                for (what, holds) in figures.into_iter().chain([("spikes", each[1] && each[2])]) {
+                    *held.entry(what).or_default() += u32::from(holds);
+                }
+            }
         }
     }
-    eprintln!("reversal, spike; one record, two: {held:?}");
-    // Height and length of both axes' spikes hold together for about half of the machines, as rows a degree apart see them; the pause
-    // costs nothing.
-    assert!(held[0].iter().all(|n| *n >= 11) && held[1][0] + 1 >= held[1][1], "{held:?}");
+    held
+}
+
+/// A bug once: in one record the pause between the ways was counted as a turn, and 3 of 12 machines' spikes held. Then 7 and 6: a spike that
+/// begins where the axis turned is higher, seen from the row before, than its interval at the best fit. `BALLBAR_SEED` is the first of the
+/// seeds, `RTEC_CASES` how many threes of them.
+#[test]
+fn both_ways_in_one_record_tell_as_much_as_two() {
+    let first = test_needs::asked("BALLBAR_SEED", 1);
+    let seeds: Vec<u64> = (first..first + cases(3)).collect();
+    let held = machines_that_hold(&seeds);
+    let machines = 12 * seeds.len() as u32;
+    eprintln!("of {machines} machines; both ways in one record, in two: {held:?}");
+    for (what, n) in held.iter().flatten() {
+        assert!(12 * n >= 11 * machines, "{what}: {n} of {machines}");
+    }
 }

@@ -10,7 +10,7 @@ use rtec_control::sources::{Bank, Feed};
 use rtec_correct::sensors::{self, SensorConfig, Use};
 use rtec_files::InputError;
 use rtec_files::toml::Document;
-use rtec_model::record::{Column, Kind, Record, Role, check};
+use rtec_model::record::{Column, Kind, LINEAR, Record, Role, check};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -96,7 +96,11 @@ impl Recorder {
             let parsed = text.split_once('=').and_then(|(n, r)| Some((n, Role::parse(r)?)));
             let (name, role) =
                 parsed.ok_or_else(|| usage(format!("--columns {text}"), "NAME=ROLE, as gz=error.z"))?;
-            Ok(column(name, role))
+            let column = column(name, role);
+            if column.role.is_rotary(&column.unit) {
+                return Err(usage(format!("--columns {text}: of a rotary axis"), LINEAR));
+            }
+            Ok(column)
         };
         self.columns.iter().map(parsed).collect()
     }

@@ -229,10 +229,13 @@ fn reports_are_pages_of_their_own() {
     tilt(folder);
     std::fs::write(folder.join("conditions.toml"), CONDITIONS).unwrap();
     std::fs::write(folder.join("uncertainty.toml"), "[uncertainty]\ndevice_um_per_m = 0.8\n").unwrap();
+    let of_a_drift =
+        "[uncertainty]\ndevice_um = 0.3\nset_up_um = 0.4\ndrift_um = 1.7\nmisalignment_mm = 1.0\n";
+    std::fs::write(folder.join("drift.toml"), of_a_drift).unwrap();
     let reports = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../target/reports");
     std::fs::create_dir_all(&reports).unwrap();
     // Page, standard and its words, what stands on it.
-    let tests: [(&str, &[&str], &[&str]); 7] = [
+    let tests: [(&str, &[&str], &[&str]); 8] = [
         (
             "iso230-2",
             &["iso230-2", "y.run.toml", "--conditions", "conditions.toml"],
@@ -248,8 +251,11 @@ fn reports_are_pages_of_their_own() {
         ),
         (
             "ballbar",
-            &["ballbar", "slow.run.toml", "fast.run.toml"],
+            &["ballbar", "slow.run.toml", "fast.run.toml", "--conditions", "conditions.toml"],
             &[
+                "Uncertainty budget, plane",
+                "of G and H: a difference of two readings",
+                "instrument, serial number",
                 "squareness",
                 "µrad",
                 "servo mismatch",
@@ -268,6 +274,15 @@ fn reports_are_pages_of_their_own() {
                 "at rest after heat",
                 "K/h",
                 "bearing",
+            ],
+        ),
+        (
+            "drift-budget",
+            &["iso230-3", "drift.run.toml", "--conditions", "drift.toml"],
+            &[
+                "Uncertainty budget of the displacements",
+                "drift (E_VE)",
+                "does not use [uncertainty] misalignment_mm",
             ],
         ),
         ("plate", &["plate", "plate.run.toml"], &["quadrupole", "ppm", "this arrow is", "times enlarged"]),

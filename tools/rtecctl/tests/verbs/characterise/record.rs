@@ -16,6 +16,18 @@ fn one_nan_costs_its_row_and_not_the_run() {
     assert!(record.rows() > 20 && !dir.path().join("r.run.csv.part").exists(), "{}", record.rows());
 }
 
+/// A bug once: a run of a rotary axis was recorded, and then refused by every verb that reads it.
+#[test]
+fn a_rotary_axis_is_refused_before_it_is_recorded() {
+    let dir = tempfile::tempdir().unwrap();
+    for columns in ["b=position.b,e=error.x", "e=error.c"] {
+        let words = ["record", "--out", "r.run.toml", "--feed", "127.0.0.1:9", "--columns", columns];
+        let (code, _, err) = said(&rtecctl(dir.path(), &words));
+        assert!(code == Some(2) && err.contains("of a rotary axis"), "{columns}: {err}");
+    }
+    assert!(std::fs::read_dir(dir.path()).unwrap().next().is_none());
+}
+
 /// Ctrl-C ends a run and keeps its rows; the rows of one that was killed are not the next one's to remove.
 #[test]
 fn a_run_that_is_interrupted_is_kept() {

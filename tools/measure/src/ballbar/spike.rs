@@ -1,0 +1,107 @@
+//! What the runs show of a spike's height and length together.
+//!
+//! The two trade against each other, and a length enters the law as no line does: their interval at the best fit alone would be too
+//! short on one side. So they are taken by the likelihood's profile: all heights and lengths whose sum of squares is no more above the
+//! least than the level allows, with the noise's memory and the structure in it.
+
+use super::Trace;
+use super::diagnosis::{Fit, Term};
+use nalgebra::{DMatrix, DVector};
+use rtec_model::record::Axis;
+
+/// Lengths at which the heights are looked at, from the shortest that the level allows to the longest.
+const LENGTHS: i32 = 24;
+/// Halvings of the way to the law's bound, and of the last step, that find an end of the lengths.
+const HALVINGS: i32 = 14;
+
+/// A spike's shape of one length among the other terms: what it explains, at which height, and how sharply.
+struct Fitted {
+    gain: f64,
+    um: f64,
+    /// Squares that a µm more or less costs.
+    curvature: f64,
+}
+
+impl Fit<'_> {
+    /// Intervals of a spike's height (µm) and length (mm), where the sum of squares may rise by so much for each of them.
+    ///
+    /// The law counts the travel from the last row of the old direction, and the axis turned somewhere behind it. The height where it
+    /// turned is smaller by what the spike dies out over that travel: the interval holds both.
+    pub(super) fn spike_profile(&self, spike: &Term, rises: [f64; 2]) -> Option<[[f64; 2]; 2]> {
+        let (effect, _) = spike.parts.first()?;
+        let others: Vec<DVector<f64>> = self
+            .terms
+            .iter()
+            .filter(|t| t.name != spike.name)
+            .flat_map(|t| self.slopes(t))
+            .map(|c| self.white(&c))
+            .collect();
+        let q = DMatrix::from_columns(&others).qr().q();
+        let apart = |c: &DVector<f64>| {
+            let c = self.white(c);
+            &c - &q * q.tr_mul(&c)
+        };
+        let measured = apart(&(self.left() + self.value(spike)));
+        let at = |length_mm: f64| {
+            let shape = apart(self.basis(&effect.with(&[(1, length_mm)])?, None).first()?);
+            let (curvature, with) = (shape.norm_squared(), shape.dot(&measured));
+            (curvature > 0.0).then(|| Fitted {
+                gain: with * with / curvature,
+                um: with / curvature,
+                curvature,
+            })
+        };
+        let best_mm = effect.scalar(1);
+        let best = at(best_mm)?.gain;
+        let allowed = |mm: f64, rise: f64| at(mm).is_some_and(|f| best - f.gain <= rise);
+        // The farthest length that is allowed towards a bound: in steps that grow, then by halving the last one.
+        let end = |bound: f64, rise: f64| {
+            let whole = (bound / best_mm).ln();
+            let far = |k: i32| whole * (0.5_f64.powi(HALVINGS - k));
+            let outside = (0..=HALVINGS).find(|k| !allowed(best_mm * far(*k).exp(), rise));
+            let Some(k) = outside else { return bound };
+            let (mut inside, mut outside) = (if k > 0 { far(k - 1) } else { 0.0 }, far(k));
+            for _ in 0..HALVINGS {
+                let middle = 0.5 * (inside + outside);
+                if allowed(best_mm * middle.exp(), rise) { inside = middle } else { outside = middle }
+            }
+            best_mm * inside.exp()
+        };
+        let [shortest, longest] = effect.description().parameters[1].bounds;
+        let lengths = |rise: f64| [end(shortest, rise), end(longest, rise)];
+        let [from, to] = lengths(rises[0]);
+        let axis = effect.axes().first()?;
+        let unseen_mm = mean_unseen_mm(self.traces, axis);
+        let mut um = [f64::INFINITY, f64::NEG_INFINITY];
+        for k in 0..=LENGTHS {
+            let mm = from * (to / from).powf(f64::from(k) / f64::from(LENGTHS));
+            let Some(fitted) = at(mm) else { continue };
+            let half = ((rises[0] - best + fitted.gain).max(0.0) / fitted.curvature).sqrt();
+            let at_turn = (-unseen_mm / mm).exp();
+            for end in [fitted.um - half, fitted.um + half].into_iter().flat_map(|e| [e, e * at_turn]) {
+                um = [um[0].min(end), um[1].max(end)];
+            }
+        }
+        Some([um, lengths(rises[1])])
+    }
+}
+
+/// Travel from the last row of the old direction to where the axis turned, the mean over its turns, mm.
+fn mean_unseen_mm(traces: &[Trace], axis: &Axis) -> f64 {
+    let of = |t: &Trace| -> Vec<f64> {
+        let Some(circle) = t.record.circle() else { return Vec::new() };
+        let share =
+            |row: usize| if circle.plane[0] == *axis { t.angle[row].cos() } else { t.angle[row].sin() };
+        let slope =
+            |row: usize| if circle.plane[0] == *axis { t.angle[row].sin() } else { t.angle[row].cos() };
+        // Where the slope's sign changes within a contour; a row at the turn itself has none.
+        let turns = t.contours.iter().flat_map(|(rows, _)| {
+            let moving: Vec<usize> = rows.clone().filter(|row| slope(*row).abs() > 1e-9).collect();
+            let turned = moving.windows(2).filter(|w| slope(w[0]) * slope(w[1]) < 0.0).map(|w| w[0]);
+            turned.collect::<Vec<_>>()
+        });
+        turns.map(|row| circle.radius_mm * (1.0 - share(row).abs())).collect()
+    };
+    let all: Vec<f64> = traces.iter().flat_map(of).collect();
+    all.iter().sum::<f64>() / all.len().max(1) as f64
+}
