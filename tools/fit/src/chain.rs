@@ -44,8 +44,26 @@ pub struct ChainReport {
     /// What is left at every row of the same, µm: before, and after. For plots.
     #[serde(skip)]
     pub left_um: Vec<[Vec<f64>; 2]>,
+    /// What the fit rests on, response by response of the records that show a coefficient. For arrays.
+    #[serde(skip)]
+    pub rows: Vec<ChainRows>,
     /// What to know of the gauges' steps.
     pub warnings: Vec<String>,
+}
+
+/// One response of a record in a chain's fit; it has a zero of its own.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ChainRows {
+    /// The record's sidecar.
+    pub record: PathBuf,
+    /// The response, as `error.x`.
+    pub response: String,
+    /// What was measured, µm.
+    pub measured: Vec<f64>,
+    /// What the fitted chain says, µm.
+    pub predicted: Vec<f64>,
+    /// What one µm or µrad of each coefficient makes of it, µm, in the order of [`ChainReport::terms`].
+    pub derivatives: Vec<Vec<f64>>,
 }
 
 /// A record with the point that it measured.
@@ -124,6 +142,22 @@ pub fn fit(
             .filter(|c| matches!(&c.role, Role::Error(a) if ["x", "y", "z"].contains(&a.as_str())));
         of.map(|c| (c.role.clone(), c.data.clone())).collect()
     };
+    // What one µm or µrad more of each coefficient makes of a response.
+    let slopes = |chain: &Chain, run: &ChainRun<'_>, role: &Role, base: &[f64]| {
+        let mut columns = Vec::with_capacity(places.len());
+        for place in &places {
+            let mut more = chain.clone();
+            set(&mut more, *place, get(chain, *place) + 1.0);
+            let with = says(&more, run, role)?;
+            columns.push(with.iter().zip(base).map(|(w, b)| w - b).collect::<Vec<f64>>());
+        }
+        // A component that moves this response in products with other errors only is not to be seen in it.
+        for c in columns.iter_mut().filter(|c| c.iter().all(|v| v.abs() < SEEN_UM)) {
+            c.fill(0.0);
+        }
+        let seen = columns.iter().flatten().any(|v| *v != 0.0);
+        Ok::<_, InputError>(seen.then_some(columns))
+    };
     let (mut found, mut warnings): (Vec<Found>, Vec<String>) = (Vec::new(), Vec::new());
     for _ in 0..2 {
         warnings.clear();
@@ -131,20 +165,7 @@ pub fn fit(
         for run in runs {
             for (role, y) in measured(run.record) {
                 let base = says(&now, run, &role)?;
-                let mut columns = Vec::with_capacity(places.len());
-                for place in &places {
-                    let mut more = now.clone();
-                    set(&mut more, *place, get(&now, *place) + 1.0);
-                    let with = says(&more, run, &role)?;
-                    columns.push(with.iter().zip(&base).map(|(w, b)| w - b).collect::<Vec<f64>>());
-                }
-                // A component that moves this response in products with other errors only is not to be seen in it.
-                for c in columns.iter_mut().filter(|c| c.iter().all(|v| v.abs() < SEEN_UM)) {
-                    c.fill(0.0);
-                }
-                if columns.iter().all(|c| c.iter().all(|v| *v == 0.0)) {
-                    continue;
-                }
+                let Some(columns) = slopes(&now, run, &role, &base)? else { continue };
                 let left: Vec<f64> = y.iter().zip(&base).map(|(y, b)| y - b).collect();
                 problem.push(&left, &columns, false);
                 if let Some(read) = run.record.column(&role) {
@@ -172,7 +193,7 @@ pub fn fit(
             set(&mut now, *place, f.value);
         }
     }
-    let (mut rms_um, mut left_um) = (Vec::new(), Vec::new());
+    let (mut rms_um, mut left_um, mut rows) = (Vec::new(), Vec::new(), Vec::new());
     for run in runs {
         for (role, y) in measured(run.record) {
             let left = |c: &Chain| {
@@ -187,6 +208,11 @@ pub fn fit(
             });
             rms_um.push((run.record.path.clone(), role.to_string(), rms));
             left_um.push(both);
+            let predicted = says(&now, run, &role)?;
+            if let Some(derivatives) = slopes(&now, run, &role, &predicted)? {
+                let (record, response) = (run.record.path.clone(), role.to_string());
+                rows.push(ChainRows { record, response, measured: y, predicted, derivatives });
+            }
         }
     }
     let term = |(&[j, c, t], f): (&Place, &Found)| {
@@ -202,7 +228,7 @@ pub fn fit(
         }
     };
     let terms = places.iter().zip(&found).map(term).collect();
-    Ok((now, ChainReport { terms, rms_um, left_um, warnings }))
+    Ok((now, ChainReport { terms, rms_um, left_um, rows, warnings }))
 }
 
 /// Writes a fitted chain, see [`text`].

@@ -10,7 +10,7 @@ use rtec_driver::quadrature::State;
 use rtec_files::stamp::signed;
 use rtec_files::trace::{RequestReader, TraceReader, request_columns, trace_columns};
 use rtec_files::{InputError, Said};
-use rtec_fit::chain::{self as chain_fit, ChainRun};
+use rtec_fit::chain::{self as chain_fit, ChainReport, ChainRows, ChainRun, TermFound};
 use rtec_fit::thermal::{prediction_chart, residual_chart};
 use rtec_fit::workflow;
 use rtec_measure::evaluation::{self, Standard};
@@ -26,7 +26,7 @@ use rtec_model::circle::Circle;
 use rtec_model::date;
 use rtec_model::record::{Axis, Role};
 use rtec_part::determine;
-use rtec_reconcile::{Options, Place, Regression, RegressionColumn, SEED, SetUpColumns};
+use rtec_reconcile::{Options, Place, Regression, RegressionColumn, RegressionRows, SEED, SetUpColumns};
 use rtec_rt::axis::{AxisConfig, Design};
 use rtec_sim::bench::{AnyDesign, replay_any};
 use rtec_sim::computer::Computer;
@@ -191,19 +191,19 @@ pub(crate) fn fit_named(
     })
 }
 
-/// Document, the chain's text, pictures.
-type FittedChain = (String, String, String);
+/// Document, the chain's text, pictures, and what the fit rests on.
+type FittedChain<'py> = (String, String, String, Arrays<'py>);
 
 /// Components of a chain, on records and the points of the tool that they measured.
 #[pyfunction]
-pub(crate) fn fit_chain(
-    py: Python<'_>,
+pub(crate) fn fit_chain<'py>(
+    py: Python<'py>,
     chain: PathBuf,
     components: Vec<String>,
     records: Vec<Record>,
     tools_mm: Vec<Option<[f64; 3]>>,
-) -> PyResult<FittedChain> {
-    quietly(py, move || {
+) -> PyResult<FittedChain<'py>> {
+    let (document, text, pictures, of) = quietly(py, move || {
         let from = Chain::read(&chain)?;
         let good = |record| plausible::only_good(record, &mut |_| ());
         let records: Vec<_> = inners(records).into_iter().map(good).collect();
@@ -222,8 +222,52 @@ pub(crate) fn fit_chain(
             Some(Picture::from(residual_chart(record, &Role::parse(response)?, &left[0], &left[1])))
         });
         let pictures: Vec<Picture> = pictures.collect();
-        Ok((pretty(&report)?, text, drawn(pictures.iter())?))
-    })
+        let of = regression_of_chain(&records, &report);
+        Ok((pretty(&report)?, text, drawn(pictures.iter())?, of))
+    })?;
+    Ok((document, text, pictures, arrays(py, of)))
+}
+
+/// Rows and columns of a chain's fit: its coefficients, and the zero of each response of each record.
+fn regression_of_chain(records: &[rtec_model::record::Record], report: &ChainReport) -> Regression {
+    let file = |path: &Path| records.iter().find(|r| r.path == path).map_or_else(String::new, |r| r.file.clone());
+    let of_rows = |r: &ChainRows| RegressionRows {
+        record: file(&r.record),
+        response: r.response.clone(),
+        unit: "um",
+        count: r.measured.len(),
+    };
+    let together = |of: &dyn Fn(usize, &ChainRows) -> Vec<f64>| -> Vec<f64> {
+        report.rows.iter().enumerate().flat_map(|(k, r)| of(k, r)).collect()
+    };
+    let coefficient = |(n, t): (usize, &TermFound)| RegressionColumn {
+        name: format!("{}.{}", t.joint, t.component),
+        parameter: format!("p{} dT{}", t.p, t.dt),
+        unit: if t.component.starts_with('d') { "um" } else { "urad" }.to_owned(),
+        value: Some(t.value),
+        half_width: Some(0.5 * (t.interval[1] - t.interval[0])),
+        derivative: together(&|_, r| r.derivatives[n].clone()),
+    };
+    let zero = |(n, r): (usize, &ChainRows)| RegressionColumn {
+        name: format!("zero of {}", r.response),
+        parameter: file(&r.record),
+        unit: "um".to_owned(),
+        value: None,
+        half_width: None,
+        derivative: together(&|k, r| vec![f64::from(u8::from(k == n)); r.measured.len()]),
+    };
+    Regression {
+        rows: report.rows.iter().map(of_rows).collect(),
+        measured: together(&|_, r| r.measured.clone()),
+        predicted: together(&|_, r| r.predicted.clone()),
+        columns: report
+            .terms
+            .iter()
+            .enumerate()
+            .map(coefficient)
+            .chain(report.rows.iter().enumerate().map(zero))
+            .collect(),
+    }
 }
 
 /// Document, pictures; what was said.
@@ -462,11 +506,15 @@ pub(crate) fn regression(
         let set_up = if of_verdict { SetUpColumns::ByHand } else { SetUpColumns::Zeros };
         Ok(Regression::new(&inners(records), &base, &machine.inner, set_up))
     })?;
+    Ok(arrays(py, of))
+}
+
+fn arrays(py: Python<'_>, of: Regression) -> Arrays<'_> {
     let rows = of.rows.into_iter().map(|r| (r.record, r.response, r.unit, r.count)).collect();
     let array = |data: Vec<f64>| PyArray1::from_vec(py, data);
     let column =
         |c: RegressionColumn| (c.name, c.parameter, c.unit, c.value, c.half_width, array(c.derivative));
-    Ok((rows, array(of.measured), array(of.predicted), of.columns.into_iter().map(column).collect()))
+    (rows, array(of.measured), array(of.predicted), of.columns.into_iter().map(column).collect())
 }
 
 /// The first stage of a reconciliation alone.

@@ -284,6 +284,22 @@ def test_a_chain_is_fitted_alike(rtecctl, tmp_path):
     free = np.column_stack([both, both * lever, *(np.repeat(np.eye(2), x.size, axis=0).T)])
     assert np.allclose(values, np.linalg.lstsq(free, measured, rcond=None)[0][:2], rtol=1e-6)
     assert len(fitted.plots()) == 2
+    # What the fit rests on, as arrays.
+    found = fitted.regression
+    assert found.names == ["x slide.dx p1 dT0", "x slide.ey p1 dT0"] and found.units == ["um", "urad"]
+    assert set(found.record) == {run.file for run in runs} and set(found.response) == {"error.x"}
+    # Products of two small quantities are in the chain, and not in the columns by hand.
+    assert np.allclose(found.design, free[:, :2], atol=1e-4) and np.allclose(found.set_up, free[:, 2:])
+    beta, squares, *_ = np.linalg.lstsq(free, measured, rcond=None)
+    assert np.allclose(found.residuals, measured - free @ beta, atol=3e-4)
+    white = squares[0] / (measured.size - 4) * np.linalg.inv(free.T @ free)[:2, :2]
+    assert np.allclose(found.white_covariance, white, rtol=1e-2)
+    by_hand = [1.959963984540054 * np.sqrt(row @ found.covariance @ row) for row in found.design]
+    assert np.allclose(found.band, by_hand)
+    stated = np.array([term["interval"] for term in fitted.document["terms"]])
+    assert np.allclose(2 * found.half_widths, stated[:, 1] - stated[:, 0])
+    pd = pytest.importorskip("pandas")
+    assert isinstance(found.frame(), pd.DataFrame) and list(found.covariance_frame().columns) == found.names
     with pytest.raises(rtec.InputError, match="slide"):
         rtec.fit_chain(chain, ["y slide.dx"], runs)
 

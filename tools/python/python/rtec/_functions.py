@@ -15,6 +15,7 @@ from rtec._errors import names
 from rtec._found import Fit, Simulation, Verdict
 from rtec._machine import Machine, a_machine
 from rtec._record import Place, Record, Runs, inners
+from rtec._regression import arranged
 from rtec._results import ChainFit, Design, Evaluation, History, PartErrors, Plan, Replay, Result
 from rtec._text import say, whole
 
@@ -182,8 +183,8 @@ def fit_chain(
     given = [run if isinstance(run, tuple) else (run, None) for run in runs]
     points = [None if point is None else [float(v) for v in point] for _, point in given]
     records = inners([run for run, _ in given])
-    document, text, pictures = _rtec.fit_chain(os.fspath(chain), names("components", components), records, points)
-    return ChainFit(document, pictures, (), text)
+    document, text, pictures, arrays = _rtec.fit_chain(os.fspath(chain), names("components", components), records, points)
+    return ChainFit(document, pictures, (), text, regression=arranged(arrays))
 
 
 @documented

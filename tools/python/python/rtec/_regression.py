@@ -183,7 +183,12 @@ def regression(
     """The arrays of what a machine has beyond its base."""
     from rtec import _rtec
 
-    rows, measured, predicted, columns = _rtec.regression(records, base, machine, of_verdict)
+    return arranged(_rtec.regression(records, base, machine, of_verdict))
+
+
+def arranged(arrays: _rtec.Arrays) -> Regression:
+    """The arrays as they come over the border, with their names."""
+    rows, measured, predicted, columns = arrays
     counts = [count for *_, count in rows]
     fitted = [c for c in columns if c[3] is not None]
     terms = [c for c in columns if c[3] is None]

@@ -12,6 +12,7 @@ from rtec import _documents as doc
 from rtec._alike import documented
 from rtec._documents import Picture
 from rtec._errors import needs
+from rtec._regression import Regression
 from rtec._text import table, whole
 
 if TYPE_CHECKING:
@@ -106,6 +107,8 @@ class ChainFit(Drawn[doc.ChainFitDocument]):
 
     #: The chain's file with its coefficients in place; comments and order stay.
     text: str = field(default="", repr=False)
+    #: Residuals, derivatives, covariance and confidence band as arrays, each with its shape and unit.
+    regression: Regression = field(kw_only=True, repr=False, compare=False)
 
     @documented
     def write(self, path: str | Path) -> None:

@@ -4,6 +4,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 _Numbers = NDArray[np.float64]
+# Rows (record, response, unit, count), measured, predicted, columns (name, parameter, unit, value, half width, derivative).
+Arrays = tuple[
+    list[tuple[str, str, str, int]],
+    _Numbers,
+    _Numbers,
+    list[tuple[str, str, str, float | None, float | None, _Numbers]],
+]
 
 __version__: str
 
@@ -94,7 +101,7 @@ def fit_named(
 ) -> tuple[tuple[str, Machine, str, list[Record]], list[str]]: ...
 def fit_chain(
     chain: str, components: list[str], records: list[Record], tools_mm: list[list[float] | None]
-) -> tuple[str, str, str]: ...
+) -> tuple[str, str, str, Arrays]: ...
 def validate(machine: Machine, records: list[Record]) -> tuple[tuple[str, str], list[str]]: ...
 def export_table(machine: Machine, asked: dict[str, Any]) -> tuple[tuple[str, str], list[str]]: ...
 def import_record(asked: dict[str, Any]) -> tuple[Record, list[str]]: ...
@@ -107,14 +114,7 @@ def reconcile(
     unexplained: bool,
     date: str | None,
 ) -> tuple[tuple[str, Machine, str, str, str | None, list[Record]], list[str]]: ...
-def regression(
-    records: list[Record], base: Machine | None, machine: Machine, of_verdict: bool
-) -> tuple[
-    list[tuple[str, str, str, int]],
-    _Numbers,
-    _Numbers,
-    list[tuple[str, str, str, float | None, float | None, _Numbers]],
-]: ...
+def regression(records: list[Record], base: Machine | None, machine: Machine, of_verdict: bool) -> Arrays: ...
 def where_they_disagree(train: list[Record], machine: Machine, level: float) -> str: ...
 def plan(
     axes: list[tuple[str, float]], machine: str, max_rpm: float, ballbar_mm: float | None
