@@ -32,7 +32,7 @@ pub(super) fn read(
     let name = plain::name(source, "name", name, true);
     let owner = name.map_or_else(|| format!("axis {n}"), |name| format!("axis {}", name.value));
     let turns = |name: &str| Axis::new(name).is_some_and(|a| a.is_rotary());
-    let by_name = name.as_ref().filter(|n| turns(&n.value)).map(|n| n.offset);
+    let by_name = name.as_ref().filter(|n| turns(n.value)).map(|n| n.offset);
     let other_kind = refuse_other_kinds(source, &mut s, &owner, by_name);
     let count_um = plain::within(&mut s, source, "count_um", 1e-4, 1000.0);
     let travel_mm = plain::within(&mut s, source, "travel_mm", 1e-3, 1e6);
