@@ -27,7 +27,7 @@ use rtec_model::date;
 use rtec_model::record::{Axis, Role};
 use rtec_part::determine;
 use rtec_reconcile::{Options, Place, Regression, RegressionColumn, SEED, SetUpColumns};
-use rtec_rt::axis::{AxisConfig, Design};
+use rtec_rt::axis::AxisConfig;
 use rtec_sim::bench::{AnyDesign, replay_any};
 use rtec_sim::computer::Computer;
 use rtec_sim::designs::{TestMotion, compare};
@@ -542,7 +542,7 @@ pub(crate) fn replay(
     py: Python<'_>,
     trace: PathBuf,
     requests: PathBuf,
-    design: Option<String>,
+    design: String,
     config: Option<PathBuf>,
     axis: Option<String>,
 ) -> PyResult<(String, bool)> {
@@ -559,14 +559,7 @@ pub(crate) fn replay(
                 (config.axes[n].engine, false)
             }
         };
-        let design = match &design {
-            Some(name) => one_of("design", name, &AnyDesign::ALL.map(|d| (d.name(), d)))?,
-            None => match engine.design {
-                Design::Original => AnyDesign::Original,
-                Design::A => AnyDesign::A,
-                Design::C => AnyDesign::C,
-            },
-        };
+        let design = one_of("design", &design, &AnyDesign::ALL.map(|d| (d.name(), d)))?;
         let (trace, requests) = (TraceReader::open(&trace)?.playable(), RequestReader::open(&requests)?);
         let played = replay_any(design, engine, trace, requests, large, |_, _: State| {});
         let (outcome, _) = played.map_err(|error| match error {

@@ -305,7 +305,7 @@ def replay(
     trace: Place,
     requests: Place,
     *,
-    design: str | None = None,
+    design: str = "c",
     config: Place | None = None,
     axis: str | None = None,
 ) -> Replay:
@@ -317,7 +317,7 @@ def replay(
         CSV ``t_ns,a,b`` or VCD.
     requests : path
         CSV ``t_ns,requested``.
-    design : str, optional
+    design : str
         ``original``, ``a``, ``b``, ``c`` or ``ecc``.
     config : path, optional
         An ``rtec.toml``.

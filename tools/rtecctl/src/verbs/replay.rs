@@ -11,7 +11,7 @@ use rtec_files::InputError;
 use rtec_files::stamp::signed;
 use rtec_files::trace::{Playable, RequestReader, TraceFile, TraceFormat, TraceReader};
 use rtec_model::clock;
-use rtec_rt::axis::{AxisConfig, Design};
+use rtec_rt::axis::AxisConfig;
 use rtec_sim::bench::{AnyDesign, replay_any};
 use rtec_sim::ecc::Pll;
 use rtec_sim::replay::ReplayError;
@@ -28,9 +28,9 @@ pub(crate) struct Args {
     /// Requested totals (CSV: `t_ns,requested`)
     #[arg(long, value_name = "FILE")]
     requests: PathBuf,
-    /// Insertion design [default: that of the configuration, or c]
-    #[arg(long, value_parser = designs())]
-    design: Option<AnyDesign>,
+    /// Insertion design
+    #[arg(long, default_value = "c", value_parser = designs())]
+    design: AnyDesign,
     /// Take the axis and its belief window from this configuration; without it: 1 µm counts, 500 ns separation,
     /// 1e6 counts/s², ±1000 counts, requests believed whatever their size
     #[arg(long, value_name = "FILE")]
@@ -82,11 +82,7 @@ fn two_clocks(args: &Args) -> anyhow::Result<()> {
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let (config, large) = axis(args)?;
-    let design = args.design.unwrap_or(match config.design {
-        Design::Original => AnyDesign::Original,
-        Design::A => AnyDesign::A,
-        Design::C => AnyDesign::C,
-    });
+    let design = args.design;
     let (trace, requests) = (TraceReader::open(&args.trace)?, RequestReader::open(&args.requests)?);
     for written in [trace.written(), requests.written()].into_iter().flatten() {
         eprintln!("note: {written}");
