@@ -242,12 +242,12 @@ struct Wire {
 }
 
 impl Wire {
-    /// One signal changes at the MTC.
+    /// `signal` changes at the MTC, which is this step to it.
     #[inline]
-    fn pass_on(&mut self, changed: u8) {
-        let next = self.mtc.inverted(changed);
-        self.mtc_count += i64::from(self.mtc.step_to_neighbour(next));
-        self.mtc = next;
+    fn pass_on(&mut self, signal: Signal, step: i8) {
+        debug_assert_eq!(self.mtc.step_of(signal), step);
+        self.mtc_count += i64::from(step);
+        self.mtc = self.mtc.flipped(signal);
     }
 }
 
@@ -597,7 +597,7 @@ impl AxisEngine {
     /// `false`, and nothing is changed, where there may be more to it: [`AxisEngine::look`] sees to that.
     #[inline]
     pub(crate) fn goes_on_calmly(&mut self, look: &Look) -> bool {
-        let (Some(last_edge), true) = (&mut self.last_edge, self.calm) else { return false };
+        let (Some(last_edge), true) = (self.last_edge, self.calm) else { return false };
         let scale_inputs = look.inputs & self.scale_mask;
         let changed = scale_inputs ^ self.scale_inputs;
         let (line, signal) = self.onward;
@@ -610,15 +610,23 @@ impl AxisEngine {
         {
             return false;
         }
-        self.scale.take_step(self.scale.state().flipped(signal), self.last_step);
-        self.wire.mtc = self.wire.mtc.flipped(signal);
-        self.wire.mtc_count += i64::from(self.last_step);
-        self.scale_inputs = scale_inputs;
-        // A and B take turns.
-        self.onward = (line ^ self.scale_mask, signal.other());
-        self.period_ns = look.edge_ns.0.saturating_sub(last_edge.1);
-        *last_edge = look.edge_ns;
+        self.count_edge(signal, line, self.last_step, scale_inputs, look.edge_ns);
+        // Both inverters are equal: the MTC counts as the scale does.
+        self.wire.pass_on(signal, self.last_step);
         true
+    }
+
+    /// Enters an edge of `signal` on `line` into the scale's count and into what the next edge is compared with.
+    #[allow(clippy::inline_always, reason = "each edge of a moving axis passes here")]
+    #[inline(always)]
+    fn count_edge(&mut self, signal: Signal, line: u64, step: i8, scale_inputs: u64, edge_ns: (u64, u64)) {
+        self.scale.take_step(self.scale.state().flipped(signal), step);
+        self.scale_inputs = scale_inputs;
+        // A and B take turns while the axis goes on.
+        self.onward = (line ^ self.scale_mask, signal.other());
+        self.period_ns = self.last_edge.map_or(REST, |(_, last_ns)| edge_ns.0.saturating_sub(last_ns));
+        // Without a second `Some`: one instruction less at a regular edge.
+        *self.last_edge.get_or_insert(edge_ns) = edge_ns;
     }
 
     /// One look, at which lines of the axis have changed or not. Returns the inversion to be made now.
@@ -703,31 +711,31 @@ impl AxisEngine {
     /// The scale has changed.
     fn edge(&mut self, state: State, look: &Look, report: &mut impl FnMut(EventKind)) {
         let before = self.scale.state();
-        let Some(step) = self.scale.update(state) else {
+        let Some(step) = before.step_to(state) else {
             self.edge_of_both(state, look, report);
             return;
         };
-        let last_period_ns = self.period_ns;
-        let last = self.enter_time(look, report);
+        let (last, last_period_ns, signal) = (self.last_edge, self.period_ns, before.signal_to(state));
+        let line = match signal {
+            Signal::A => self.a_mask,
+            Signal::B => self.scale_mask ^ self.a_mask,
+        };
+        self.count_edge(signal, line, step, look.inputs & self.scale_mask, look.edge_ns);
         if let Some((last_ns, _)) = last
             && look.unseen & self.a_mask != 0
         {
+            self.check_gap(look.gap_ns, last_period_ns, report);
             self.check_limits(step, look.edge_ns.1 - last_ns, last_period_ns, report);
         }
-        // A and B take turns while the axis goes on. [`AxisEngine::goes_on_calmly`] never gets here without that.
         let turned = self.last_step != 0 && step != self.last_step;
         self.last_step = step;
         if turned {
             self.check_turns(look, last.map(|(ns, _)| ns), report);
         }
-        self.onward = match before.signal_to(state) {
-            Signal::A => (self.scale_mask ^ self.a_mask, Signal::B),
-            Signal::B => (self.a_mask, Signal::A),
-        };
         if self.unsettled.is_none() {
-            self.wire.pass_on(before.bits() ^ state.bits());
+            self.wire.pass_on(signal, self.wire.mtc.step_of(signal));
         } else {
-            self.pass_on_beside_inversion(before.signal_to(state), look.edge_ns.1, report);
+            self.pass_on_beside_inversion(signal, look.edge_ns.1, report);
         }
         if self.wire.inverters == 0 || self.wire.inverters == 3 {
             if self.wire.mtc_count - self.scale.count() != self.wire.completed && self.faults == Faults::NONE
@@ -777,9 +785,16 @@ impl AxisEngine {
     }
 
     /// A and B have both changed: the step is unknown.
-    #[inline]
+    #[cold]
     fn edge_of_both(&mut self, state: State, look: &Look, report: &mut impl FnMut(EventKind)) {
-        self.enter_time(look, report);
+        self.scale.update(state);
+        self.scale_inputs = look.inputs & self.scale_mask;
+        let last = self.last_edge.replace(look.edge_ns);
+        let period_ns = last.map_or(REST, |(_, last_ns)| look.edge_ns.0.saturating_sub(last_ns));
+        let last_period_ns = std::mem::replace(&mut self.period_ns, period_ns);
+        if last.is_some() && look.unseen & self.a_mask != 0 {
+            self.check_gap(look.gap_ns, last_period_ns, report);
+        }
         (self.last_step, self.onward, self.alone) = (0, NOWHERE, Alone::default());
         self.wire.mtc = state.inverted(self.wire.inverters);
         if let Insertion::Half { edges, .. } = &mut self.insertion {
@@ -788,28 +803,15 @@ impl AxisEngine {
         self.fault(Fault::IllegalTransition, report);
     }
 
-    /// Enters when an edge came, and what the lines are since. Returns when the one before it did.
-    #[inline]
-    fn enter_time(&mut self, look: &Look, report: &mut impl FnMut(EventKind)) -> Option<(u64, u64)> {
-        self.scale_inputs = look.inputs & self.scale_mask;
-        let last = self.last_edge.replace(look.edge_ns);
-        let period_ns = last.map_or(REST, |(_, last_ns)| look.edge_ns.0.saturating_sub(last_ns));
-        let last_period_ns = std::mem::replace(&mut self.period_ns, period_ns);
-        if last.is_some() && look.unseen & self.a_mask != 0 && look.gap_ns > self.gate.need_ns() {
-            self.check_gap(look.gap_ns, last_period_ns, report);
-        }
-        last
-    }
-
     /// The position of the boundary that the last edge crossed.
     fn last_boundary(&self) -> i64 {
         self.home_counts + self.scale.count() + i64::from(self.last_step < 0)
     }
 
-    /// An edge was seen late: three counts or more may have passed, and one change may stand for them.
-    #[cold]
+    /// An edge that was seen late: three counts or more may have passed, and one change may stand for them.
+    #[inline]
     fn check_gap(&mut self, gap_ns: u64, period_ns: u64, report: &mut impl FnMut(EventKind)) {
-        if self.homed && self.gate.travel_ns(period_ns, 3.0) < gap_ns as f64 {
+        if gap_ns > self.gate.need_ns() && self.homed && self.gate.travel_ns(period_ns, 3.0) < gap_ns as f64 {
             self.fault(Fault::PollGap, report);
         }
     }
@@ -855,7 +857,7 @@ impl AxisEngine {
                 w.mtc_count += i64::from(undone.flipped(signal).step_of(u.signal));
                 w.mtc = w.mtc.flipped(signal);
             }
-            _ => w.pass_on(signal as u8),
+            _ => w.pass_on(signal, w.mtc.step_of(signal)),
         }
         if order == Order::Unknown {
             self.fault(Fault::OrderUnknown, report);
