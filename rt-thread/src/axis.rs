@@ -596,7 +596,7 @@ impl AxisEngine {
     /// soon, and nothing under way or to begin. It is entered in both counts, which step alike and so differ as before.
     /// `false`, and nothing is changed, where there may be more to it: [`AxisEngine::look`] sees to that.
     #[inline]
-    pub(crate) fn goes_on_calmly(&mut self, look: &Look) -> bool {
+    pub(crate) fn count_regular_edge(&mut self, look: &Look) -> bool {
         let (Some(last_edge), true) = (self.last_edge, self.calm) else { return false };
         let scale_inputs = look.inputs & self.scale_mask;
         let changed = scale_inputs ^ self.scale_inputs;
@@ -643,11 +643,11 @@ impl AxisEngine {
                 self.edge(state, look, report);
             }
         }
-        self.go_on(look, report)
+        self.advance(look, report)
     }
 
     /// What is under way or due.
-    fn go_on(&mut self, look: &Look, report: &mut impl FnMut(EventKind)) -> Option<Inversion> {
+    fn advance(&mut self, look: &Look, report: &mut impl FnMut(EventKind)) -> Option<Inversion> {
         if let Some(u) = self.unsettled
             && u.done_ns.is_none_or(|done| look.edge_ns.1 > done)
         {
@@ -712,7 +712,7 @@ impl AxisEngine {
     fn edge(&mut self, state: State, look: &Look, report: &mut impl FnMut(EventKind)) {
         let before = self.scale.state();
         let Some(step) = before.step_to(state) else {
-            self.edge_of_both(state, look, report);
+            self.illegal_edge(state, look, report);
             return;
         };
         let (last, last_period_ns, signal) = (self.last_edge, self.period_ns, before.signal_to(state));
@@ -786,7 +786,7 @@ impl AxisEngine {
 
     /// A and B have both changed: the step is unknown.
     #[cold]
-    fn edge_of_both(&mut self, state: State, look: &Look, report: &mut impl FnMut(EventKind)) {
+    fn illegal_edge(&mut self, state: State, look: &Look, report: &mut impl FnMut(EventKind)) {
         self.scale.update(state);
         self.scale_inputs = look.inputs & self.scale_mask;
         let last = self.last_edge.replace(look.edge_ns);
@@ -1130,7 +1130,7 @@ mod tests {
                     return true;
                 }
                 let (need_ns, count) = (axis.gate.need_ns(), axis.scale.count());
-                let calm = axis.goes_on_calmly(&look);
+                let calm = axis.count_regular_edge(&look);
                 assert_eq!(axis.scale.count() - count, i64::from(calm));
                 assert_eq!(need_ns, 2200);
                 calm
@@ -1186,7 +1186,7 @@ mod tests {
                 let [quick, careful] = &mut axes;
                 let mut told = [Vec::new(), Vec::new()];
                 let mut toggled = [None; 2];
-                if quick.goes_on_calmly(&look) {
+                if quick.count_regular_edge(&look) {
                     calm += 1;
                 } else {
                     toggled[0] = quick.look(&look, state != before, &mut |kind| told[0].push(kind));
