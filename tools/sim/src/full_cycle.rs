@@ -204,11 +204,10 @@ impl FullCycle {
                 };
                 self.look_at_once = self.axes.iter().any(|a| a.look_at_once);
                 let kind = match answer {
-                    Answer::Accepted => return Ok(()),
                     Answer::AcceptedWithWarning => EventKind::Warning { total_counts },
                     Answer::Refused(why) => EventKind::Refused { total_counts, why },
                     Answer::Fault(fault) if self.axes[n].faults.latch(fault) => EventKind::Fault(fault),
-                    Answer::Fault(_) => return Ok(()),
+                    Answer::Accepted | Answer::Fault(_) => return Ok(()),
                 };
                 report(Event { t_ns: self.look_ns, axis: Some(axis), kind });
             }
