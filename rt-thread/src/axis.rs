@@ -4,31 +4,9 @@ use crate::event::{AxisStatus, Capture, EventKind, Fault, Faults, GateState, Ref
 use crate::gate::{Gate, GateInput};
 use rtec_driver::card::{AxisLines, Sample};
 use rtec_driver::quadrature::{Decoder, Signal, State};
-use serde::{Deserialize, Serialize};
 
-/// An insertion design that works by inverting A and B.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Design {
-    /// ±4 by a pair of pulses, begun in A = B = low only (NISTIR 4832, the "Original RTEC").
-    Original,
-    /// ±4 by a pair of pulses of either polarity, in any state (NISTIR 4832, Design A).
-    A,
-    /// ±2 by two inversions (NISTIR 4832, Design C).
-    #[default]
-    C,
-}
-
-impl Design {
-    /// Counts of one insertion.
-    #[must_use]
-    pub const fn increment_counts(self) -> i64 {
-        match self {
-            Self::Original | Self::A => 4,
-            Self::C => 2,
-        }
-    }
-}
+/// Counts of one insertion: two inversions, each one count (NISTIR 4832, Design C).
+pub const INCREMENT_COUNTS: i64 = 2;
 
 /// What to do for an axis that stands still and so gives no edge.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -48,8 +26,6 @@ pub enum RestPolicy {
 pub struct AxisConfig {
     /// Where its wires are.
     pub lines: AxisLines,
-    /// How counts are inserted.
-    pub design: Design,
     /// Largest correction, counts; a request beyond it is refused.
     pub max_correction_counts: i64,
     /// Largest change of a request that is believed at once, counts.
@@ -82,7 +58,6 @@ impl Default for AxisConfig {
     fn default() -> Self {
         Self {
             lines: AxisLines::standard(0, false),
-            design: Design::C,
             max_correction_counts: 1000,
             window_counts: i64::MAX,
             warn_counts: i64::MAX,
@@ -102,8 +77,7 @@ impl Default for AxisConfig {
 impl AxisConfig {
     /// Time from the moment the first inversion is written until the MTC is ready for a real edge, ns.
     fn busy_ns(&self) -> u64 {
-        let inversions = self.design.increment_counts() as u64;
-        inversions * (self.write_ns + self.min_separation_ns) + self.guard_ns
+        INCREMENT_COUNTS as u64 * (self.write_ns + self.min_separation_ns) + self.guard_ns
     }
 
     /// The axis's speed gate; `None` where its limits leave no time for an insertion at any speed.
@@ -118,6 +92,33 @@ impl AxisConfig {
             need_ns: (self.detect_ns + self.min_separation_ns + self.busy_ns()).max(1),
         })
     }
+
+    /// Judges a new total after `requested`, counts. `large` flags one that may lie outside the belief window.
+    ///
+    /// A total outside the window is not believed once. Two more readings may come back into range, then it is a fault
+    /// (NISTIR 4832, General Considerations: "I Don't Believe You", "I Still Don't Believe You").
+    pub const fn judge(&self, total: i64, requested: i64, large: bool, not_believed: &mut u8) -> Answer {
+        if total.unsigned_abs() > self.max_correction_counts.unsigned_abs() {
+            return Answer::Refused(Refusal::AboveMaximum);
+        }
+        if total.unsigned_abs() >= self.error_counts.unsigned_abs() {
+            return Answer::Fault(Fault::ErrorLimit);
+        }
+        if !large && total.abs_diff(requested) > self.window_counts.unsigned_abs() {
+            *not_believed += 1;
+            return if *not_believed > 2 {
+                Answer::Fault(Fault::StillNotBelieved)
+            } else {
+                Answer::Refused(Refusal::NotBelieved)
+            };
+        }
+        *not_believed = 0;
+        if total.unsigned_abs() >= self.warn_counts.unsigned_abs() {
+            Answer::AcceptedWithWarning
+        } else {
+            Answer::Accepted
+        }
+    }
 }
 
 /// The life of an insertion.
@@ -127,12 +128,10 @@ enum Insertion {
     Idle,
     /// An edge has opened the gate. The MTC first gets its separation from that edge; after `until_ns` the promise
     /// that no other edge comes has run out, and the insertion is given up unmade.
-    Opened { add: bool, pairs: u8, from_ns: u64, until_ns: u64 },
-    /// The first inversion of a pair is written: until the second is, the MTC counts mirrored. It is known to be in
+    Opened { add: bool, from_ns: u64, until_ns: u64 },
+    /// The first inversion is written: until the second is, the MTC counts mirrored. It is known to be in
     /// effect from `effective_ns` on, once the card or the next look has confirmed it.
-    Half { add: bool, pairs: u8, effective_ns: Option<u64>, edges: u8, seen_ns: u64 },
-    /// Full-cycle designs: one pair is done, the MTC gets its separation before the next.
-    Between { add: bool, pairs: u8, effective_ns: Option<u64>, seen_ns: u64 },
+    Half { add: bool, effective_ns: Option<u64>, edges: u8, seen_ns: u64 },
 }
 
 /// An inversion written at the last look, not yet known to be in effect.
@@ -171,7 +170,7 @@ enum Order {
 
 /// What became of a new total.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Answer {
+pub enum Answer {
     /// It is the axis's total from now on.
     Accepted,
     /// The same, and it is at or beyond the axis's warning limit.
@@ -243,12 +242,12 @@ struct Wire {
 }
 
 impl Wire {
-    /// One signal changes at the MTC.
+    /// `signal` changes at the MTC, which is this step to it.
     #[inline]
-    fn pass_on(&mut self, changed: u8) {
-        let next = self.mtc.inverted(changed);
-        self.mtc_count += i64::from(self.mtc.step_to_neighbour(next));
-        self.mtc = next;
+    fn pass_on(&mut self, signal: Signal, step: i8) {
+        debug_assert_eq!(self.mtc.step_of(signal), step);
+        self.mtc_count += i64::from(step);
+        self.mtc = self.mtc.flipped(signal);
     }
 }
 
@@ -357,7 +356,7 @@ impl AxisEngine {
         if half {
             faults.latch(Fault::Interrupted);
         }
-        let interval = config.design.increment_counts() as f64 / config.max_rate_counts_s * 1e9;
+        let interval = INCREMENT_COUNTS as f64 / config.max_rate_counts_s * 1e9;
         Some(Self {
             config,
             gate: config.gate()?,
@@ -376,7 +375,7 @@ impl AxisEngine {
             requested: total,
             insertion: if half {
                 let (effective_ns, seen_ns) = (Some(found.t_ns), found.t_ns);
-                Insertion::Half { add, pairs: 1, effective_ns, edges: 0, seen_ns }
+                Insertion::Half { add, effective_ns, edges: 0, seen_ns }
             } else {
                 Insertion::Idle
             },
@@ -556,31 +555,13 @@ impl AxisEngine {
 
     /// Takes a new total, counts since homing. The caller latches the fault that it may be.
     pub(crate) fn request(&mut self, total: i64, large: bool) -> Answer {
-        if total.unsigned_abs() > self.config.max_correction_counts.unsigned_abs() {
-            return Answer::Refused(Refusal::AboveMaximum);
+        let answer = self.config.judge(total, self.requested, large, &mut self.not_believed);
+        if matches!(answer, Answer::Accepted | Answer::AcceptedWithWarning) {
+            self.requested = total;
+            // An edge may open an insertion for it, or the axis has been at rest for long enough; nothing else is due sooner.
+            self.set_wake_time();
         }
-        if total.unsigned_abs() >= self.config.error_counts.unsigned_abs() {
-            return Answer::Fault(Fault::ErrorLimit);
-        }
-        // Not believed once; two more readings to come back into range, then a fault (NISTIR 4832, General
-        // Considerations: "I Don't Believe You", "I Still Don't Believe You").
-        if !large && total.abs_diff(self.requested) > self.config.window_counts.unsigned_abs() {
-            self.not_believed += 1;
-            return if self.not_believed > 2 {
-                Answer::Fault(Fault::StillNotBelieved)
-            } else {
-                Answer::Refused(Refusal::NotBelieved)
-            };
-        }
-        self.not_believed = 0;
-        self.requested = total;
-        // An edge may open an insertion for it, or the axis has been at rest for long enough; nothing else is due sooner.
-        self.set_wake_time();
-        if total.unsigned_abs() >= self.config.warn_counts.unsigned_abs() {
-            Answer::AcceptedWithWarning
-        } else {
-            Answer::Accepted
-        }
+        answer
     }
 
     /// The probe tripped between the two times. `false` where a capture is already under way: a bounce.
@@ -604,8 +585,7 @@ impl AxisEngine {
     }
 
     fn settle(&mut self, at_ns: u64) {
-        if let Insertion::Half { effective_ns, .. } | Insertion::Between { effective_ns, .. } =
-            &mut self.insertion
+        if let Insertion::Half { effective_ns, .. } = &mut self.insertion
             && effective_ns.is_none()
         {
             *effective_ns = Some(at_ns);
@@ -616,8 +596,8 @@ impl AxisEngine {
     /// soon, and nothing under way or to begin. It is entered in both counts, which step alike and so differ as before.
     /// `false`, and nothing is changed, where there may be more to it: [`AxisEngine::look`] sees to that.
     #[inline]
-    pub(crate) fn goes_on_calmly(&mut self, look: &Look) -> bool {
-        let (Some(last_edge), true) = (&mut self.last_edge, self.calm) else { return false };
+    pub(crate) fn count_regular_edge(&mut self, look: &Look) -> bool {
+        let (Some(last_edge), true) = (self.last_edge, self.calm) else { return false };
         let scale_inputs = look.inputs & self.scale_mask;
         let changed = scale_inputs ^ self.scale_inputs;
         let (line, signal) = self.onward;
@@ -630,15 +610,23 @@ impl AxisEngine {
         {
             return false;
         }
-        self.scale.take_step(self.scale.state().flipped(signal), self.last_step);
-        self.wire.mtc = self.wire.mtc.flipped(signal);
-        self.wire.mtc_count += i64::from(self.last_step);
-        self.scale_inputs = scale_inputs;
-        // A and B take turns.
-        self.onward = (line ^ self.scale_mask, signal.other());
-        self.period_ns = look.edge_ns.0.saturating_sub(last_edge.1);
-        *last_edge = look.edge_ns;
+        self.count_edge(signal, line, self.last_step, scale_inputs, look.edge_ns);
+        // Both inverters are equal: the MTC counts as the scale does.
+        self.wire.pass_on(signal, self.last_step);
         true
+    }
+
+    /// Enters an edge of `signal` on `line` into the scale's count and into what the next edge is compared with.
+    #[allow(clippy::inline_always, reason = "each edge of a moving axis passes here")]
+    #[inline(always)]
+    fn count_edge(&mut self, signal: Signal, line: u64, step: i8, scale_inputs: u64, edge_ns: (u64, u64)) {
+        self.scale.take_step(self.scale.state().flipped(signal), step);
+        self.scale_inputs = scale_inputs;
+        // A and B take turns while the axis goes on.
+        self.onward = (line ^ self.scale_mask, signal.other());
+        self.period_ns = self.last_edge.map_or(REST, |(_, last_ns)| edge_ns.0.saturating_sub(last_ns));
+        // Without a second `Some`: one instruction less at a regular edge.
+        *self.last_edge.get_or_insert(edge_ns) = edge_ns;
     }
 
     /// One look, at which lines of the axis have changed or not. Returns the inversion to be made now.
@@ -655,11 +643,11 @@ impl AxisEngine {
                 self.edge(state, look, report);
             }
         }
-        self.go_on(look, report)
+        self.advance(look, report)
     }
 
     /// What is under way or due.
-    fn go_on(&mut self, look: &Look, report: &mut impl FnMut(EventKind)) -> Option<Inversion> {
+    fn advance(&mut self, look: &Look, report: &mut impl FnMut(EventKind)) -> Option<Inversion> {
         if let Some(u) = self.unsettled
             && u.done_ns.is_none_or(|done| look.edge_ns.1 > done)
         {
@@ -723,31 +711,31 @@ impl AxisEngine {
     /// The scale has changed.
     fn edge(&mut self, state: State, look: &Look, report: &mut impl FnMut(EventKind)) {
         let before = self.scale.state();
-        let Some(step) = self.scale.update(state) else {
-            self.edge_of_both(state, look, report);
+        let Some(step) = before.step_to(state) else {
+            self.illegal_edge(state, look, report);
             return;
         };
-        let last_period_ns = self.period_ns;
-        let last = self.enter_time(look, report);
+        let (last, last_period_ns, signal) = (self.last_edge, self.period_ns, before.signal_to(state));
+        let line = match signal {
+            Signal::A => self.a_mask,
+            Signal::B => self.scale_mask ^ self.a_mask,
+        };
+        self.count_edge(signal, line, step, look.inputs & self.scale_mask, look.edge_ns);
         if let Some((last_ns, _)) = last
             && look.unseen & self.a_mask != 0
         {
+            self.check_gap(look.gap_ns, last_period_ns, report);
             self.check_limits(step, look.edge_ns.1 - last_ns, last_period_ns, report);
         }
-        // A and B take turns while the axis goes on. [`AxisEngine::goes_on_calmly`] never gets here without that.
         let turned = self.last_step != 0 && step != self.last_step;
         self.last_step = step;
         if turned {
             self.check_turns(look, last.map(|(ns, _)| ns), report);
         }
-        self.onward = match before.signal_to(state) {
-            Signal::A => (self.scale_mask ^ self.a_mask, Signal::B),
-            Signal::B => (self.a_mask, Signal::A),
-        };
         if self.unsettled.is_none() {
-            self.wire.pass_on(before.bits() ^ state.bits());
+            self.wire.pass_on(signal, self.wire.mtc.step_of(signal));
         } else {
-            self.pass_on_beside_inversion(before.signal_to(state), look.edge_ns.1, report);
+            self.pass_on_beside_inversion(signal, look.edge_ns.1, report);
         }
         if self.wire.inverters == 0 || self.wire.inverters == 3 {
             if self.wire.mtc_count - self.scale.count() != self.wire.completed && self.faults == Faults::NONE
@@ -776,7 +764,6 @@ impl AxisEngine {
                 }
             }
             Insertion::Half { edges, .. } => *edges += 1,
-            Insertion::Between { .. } => {}
         }
     }
 
@@ -798,9 +785,16 @@ impl AxisEngine {
     }
 
     /// A and B have both changed: the step is unknown.
-    #[inline]
-    fn edge_of_both(&mut self, state: State, look: &Look, report: &mut impl FnMut(EventKind)) {
-        self.enter_time(look, report);
+    #[cold]
+    fn illegal_edge(&mut self, state: State, look: &Look, report: &mut impl FnMut(EventKind)) {
+        self.scale.update(state);
+        self.scale_inputs = look.inputs & self.scale_mask;
+        let last = self.last_edge.replace(look.edge_ns);
+        let period_ns = last.map_or(REST, |(_, last_ns)| look.edge_ns.0.saturating_sub(last_ns));
+        let last_period_ns = std::mem::replace(&mut self.period_ns, period_ns);
+        if last.is_some() && look.unseen & self.a_mask != 0 {
+            self.check_gap(look.gap_ns, last_period_ns, report);
+        }
         (self.last_step, self.onward, self.alone) = (0, NOWHERE, Alone::default());
         self.wire.mtc = state.inverted(self.wire.inverters);
         if let Insertion::Half { edges, .. } = &mut self.insertion {
@@ -809,28 +803,15 @@ impl AxisEngine {
         self.fault(Fault::IllegalTransition, report);
     }
 
-    /// Enters when an edge came, and what the lines are since. Returns when the one before it did.
-    #[inline]
-    fn enter_time(&mut self, look: &Look, report: &mut impl FnMut(EventKind)) -> Option<(u64, u64)> {
-        self.scale_inputs = look.inputs & self.scale_mask;
-        let last = self.last_edge.replace(look.edge_ns);
-        let period_ns = last.map_or(REST, |(_, last_ns)| look.edge_ns.0.saturating_sub(last_ns));
-        let last_period_ns = std::mem::replace(&mut self.period_ns, period_ns);
-        if last.is_some() && look.unseen & self.a_mask != 0 && look.gap_ns > self.gate.need_ns() {
-            self.check_gap(look.gap_ns, last_period_ns, report);
-        }
-        last
-    }
-
     /// The position of the boundary that the last edge crossed.
     fn last_boundary(&self) -> i64 {
         self.home_counts + self.scale.count() + i64::from(self.last_step < 0)
     }
 
-    /// An edge was seen late: three counts or more may have passed, and one change may stand for them.
-    #[cold]
+    /// An edge that was seen late: three counts or more may have passed, and one change may stand for them.
+    #[inline]
     fn check_gap(&mut self, gap_ns: u64, period_ns: u64, report: &mut impl FnMut(EventKind)) {
-        if self.homed && self.gate.travel_ns(period_ns, 3.0) < gap_ns as f64 {
+        if gap_ns > self.gate.need_ns() && self.homed && self.gate.travel_ns(period_ns, 3.0) < gap_ns as f64 {
             self.fault(Fault::PollGap, report);
         }
     }
@@ -876,7 +857,7 @@ impl AxisEngine {
                 w.mtc_count += i64::from(undone.flipped(signal).step_of(u.signal));
                 w.mtc = w.mtc.flipped(signal);
             }
-            _ => w.pass_on(signal as u8),
+            _ => w.pass_on(signal, w.mtc.step_of(signal)),
         }
         if order == Order::Unknown {
             self.fault(Fault::OrderUnknown, report);
@@ -886,33 +867,15 @@ impl AxisEngine {
         }
     }
 
-    /// Full-cycle designs do two pairs, or one to switch both inverters off again.
-    fn pairs(&self) -> u8 {
-        if self.config.design == Design::C || self.wire.inverters != 0 { 1 } else { 2 }
-    }
-
-    /// The Original RTEC inserts at A = B = low only.
-    fn place(&self) -> bool {
-        self.config.design != Design::Original || self.scale.state() == State::default()
-    }
-
     fn ready(&self) -> bool {
         let pending = self.pending();
-        // As a rule, and then the rest need not be asked.
-        if (-1..=1).contains(&pending) || !self.homed || self.faults.any() {
-            return false;
-        }
-        // Full-cycle designs insert four counts; two switch both inverters off again.
-        self.config.design == Design::C || self.wire.inverters != 0 || !(-3..=3).contains(&pending)
+        // Less than an insertion, as a rule: then the rest need not be asked.
+        !(-1..=1).contains(&pending) && self.homed && !self.faults.any()
     }
 
     /// After an edge, something is pending: an insertion is opened, or why not is noted. Written in place: an insertion that
     /// is handed over is copied in other pieces than it was written in, and the processor waits for them.
     fn open(&mut self, edge: (u64, u64)) {
-        if !self.place() {
-            self.waits_for = GateState::WaitingForEdge;
-            return;
-        }
         if edge.1 < self.next_allowed_ns {
             self.waits_for = GateState::RateCap;
             return;
@@ -928,7 +891,6 @@ impl AxisEngine {
         self.waits_for = GateState::WaitingForEdge;
         self.insertion = Insertion::Opened {
             add: self.pending() > 0,
-            pairs: self.pairs(),
             from_ns: edge.1 + self.config.min_separation_ns,
             until_ns: edge.0 + quiet_ns - self.busy_ns,
         };
@@ -943,16 +905,16 @@ impl AxisEngine {
                 if t_ns < due_ns || !look.permit.insert {
                     return Due::At(due_ns);
                 }
-                self.invert_first(self.pending() > 0, self.pairs(), t_ns, t_ns)
+                self.invert_first(self.pending() > 0, t_ns, t_ns)
             }
-            Insertion::Opened { add, pairs, from_ns, until_ns } => {
+            Insertion::Opened { add, from_ns, until_ns } => {
                 if t_ns < from_ns {
                     return Due::At(from_ns);
                 }
                 self.insertion = Insertion::Idle;
                 let wanted = look.permit.insert && self.ready() && (self.pending() > 0) == add;
                 if wanted && t_ns <= until_ns {
-                    return self.invert_first(add, pairs, t_ns, from_ns - self.config.min_separation_ns);
+                    return self.invert_first(add, t_ns, from_ns - self.config.min_separation_ns);
                 }
                 if wanted {
                     self.late += 1;
@@ -960,29 +922,22 @@ impl AxisEngine {
                 }
                 Due::At(self.due_at_rest_ns())
             }
-            Insertion::Half { add, pairs, effective_ns: Some(effective), edges, seen_ns } => {
+            Insertion::Half { add, effective_ns: Some(effective), edges, seen_ns } => {
                 // Two real edges inside: the axis is too fast for a separation, and the MTC counts mirrored.
                 let due_ns = self.apart_ns(effective);
                 if t_ns < due_ns && edges < 2 {
                     return Due::At(due_ns);
                 }
-                self.invert_second(add, pairs, edges > 0, t_ns, seen_ns, report)
+                self.invert_second(add, edges > 0, t_ns, seen_ns, report)
             }
-            Insertion::Between { add, pairs, effective_ns: Some(effective), seen_ns } => {
-                let due_ns = self.apart_ns(effective);
-                if t_ns < due_ns {
-                    return Due::At(due_ns);
-                }
-                self.invert_first(add, pairs, t_ns, seen_ns)
-            }
-            Insertion::Half { .. } | Insertion::Between { .. } => Due::At(0),
+            Insertion::Half { .. } => Due::At(0),
         }
     }
 
-    /// The first inversion of a pair. A and B equal: A first adds, B first subtracts; different: the other way round
+    /// The first inversion. A and B equal: A first adds, B first subtracts; different: the other way round
     /// (NISTIR 4832, Design C). Both inverters are equal here, so A' and B' decide alike.
-    fn invert_first(&mut self, add: bool, pairs: u8, t_ns: u64, seen_ns: u64) -> Due {
-        self.insertion = Insertion::Half { add, pairs, effective_ns: None, edges: 0, seen_ns };
+    fn invert_first(&mut self, add: bool, t_ns: u64, seen_ns: u64) -> Due {
+        self.insertion = Insertion::Half { add, effective_ns: None, edges: 0, seen_ns };
         self.touched |= self.real.is_none();
         let inverter = self.invert(self.wire.mtc.signal_towards(add), if add { 1 } else { -1 }, t_ns);
         Due::Now(Inversion { inverter, edge_to_done_ns: None })
@@ -993,7 +948,6 @@ impl AxisEngine {
     fn invert_second(
         &mut self,
         add: bool,
-        pairs: u8,
         overlapped: bool,
         t_ns: u64,
         seen_ns: u64,
@@ -1018,11 +972,6 @@ impl AxisEngine {
             if offset != wanted {
                 self.fault(Fault::LedgerImbalance, report);
             }
-        }
-        let pairs = pairs - 1;
-        if pairs > 0 {
-            self.insertion = Insertion::Between { add, pairs, effective_ns: None, seen_ns };
-            return Due::Now(Inversion { inverter, edge_to_done_ns: None });
         }
         self.insertion = Insertion::Idle;
         self.insertions += 1;
@@ -1052,16 +1001,15 @@ impl AxisEngine {
         match self.insertion {
             Insertion::Idle => self.due_at_rest_ns(),
             Insertion::Opened { from_ns, .. } => from_ns,
-            Insertion::Half { effective_ns: Some(e), edges: 0..2, .. }
-            | Insertion::Between { effective_ns: Some(e), .. } => self.apart_ns(e),
-            Insertion::Half { .. } | Insertion::Between { .. } => 0,
+            Insertion::Half { effective_ns: Some(e), edges: 0..2, .. } => self.apart_ns(e),
+            Insertion::Half { .. } => 0,
         }
     }
 
     /// When an insertion begins that no edge opens, ns.
     fn due_at_rest_ns(&self) -> u64 {
         match self.config.rest {
-            RestPolicy::Insert { after_ns } if self.ready() && self.place() => {
+            RestPolicy::Insert { after_ns } if self.ready() => {
                 self.last_edge.map_or(0, |(_, t)| t).max(self.next_allowed_ns) + after_ns
             }
             _ => u64::MAX,
@@ -1182,7 +1130,7 @@ mod tests {
                     return true;
                 }
                 let (need_ns, count) = (axis.gate.need_ns(), axis.scale.count());
-                let calm = axis.goes_on_calmly(&look);
+                let calm = axis.count_regular_edge(&look);
                 assert_eq!(axis.scale.count() - count, i64::from(calm));
                 assert_eq!(need_ns, 2200);
                 calm
@@ -1238,7 +1186,7 @@ mod tests {
                 let [quick, careful] = &mut axes;
                 let mut told = [Vec::new(), Vec::new()];
                 let mut toggled = [None; 2];
-                if quick.goes_on_calmly(&look) {
+                if quick.count_regular_edge(&look) {
                     calm += 1;
                 } else {
                     toggled[0] = quick.look(&look, state != before, &mut |kind| told[0].push(kind));

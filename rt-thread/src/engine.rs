@@ -339,7 +339,7 @@ impl Engine {
         let changed = (sample.inputs ^ self.inputs) & self.watched;
         if sample.t_ns < self.wake_ns
             && sample.trouble.is_none()
-            && (changed == 0 || self.all_go_on_calmly(&sample, changed, since_ns))
+            && (changed == 0 || self.count_regular_edges(&sample, changed, since_ns))
         {
             return Ok(());
         }
@@ -350,13 +350,13 @@ impl Engine {
     /// Nothing is due, and every axis that has changed only goes on as before: its edge is counted. `false` where there may
     /// be more to it; what has been counted then is not counted again.
     #[inline]
-    fn all_go_on_calmly(&mut self, sample: &Sample, changed: u64, since_ns: u64) -> bool {
+    fn count_regular_edges(&mut self, sample: &Sample, changed: u64, since_ns: u64) -> bool {
         if changed & self.own_mask != 0 || self.mode_due {
             return false;
         }
         let look = Look::new(sample, self.edge_since_ns(since_ns), self.permit);
         for axis in &mut self.axes {
-            if changed & axis.input_mask() != 0 && !axis.goes_on_calmly(&look) {
+            if changed & axis.input_mask() != 0 && !axis.count_regular_edge(&look) {
                 return false;
             }
         }

@@ -16,7 +16,7 @@
 #![allow(clippy::unwrap_used)]
 
 use rtec_driver::card::{AxisLines, Card, CardError, MachineLines, Sample};
-use rtec_rt::axis::{AxisConfig, Design, RestPolicy};
+use rtec_rt::axis::{AxisConfig, INCREMENT_COUNTS, RestPolicy};
 use rtec_rt::engine::{Engine, MachineConfig};
 use rtec_rt::event::Request;
 use std::collections::HashSet;
@@ -28,11 +28,11 @@ const SEPARATION_NS: u64 = 100;
 const HYSTERESIS: f64 = 0.1;
 
 /// The acceleration limit of an axis that turns back two slots later than an insertion needs.
-fn accel_counts_ns2(design: Design) -> f64 {
+fn accel_counts_ns2() -> f64 {
     // Detection, separation, then for each inversion: to the look that knows it is in effect, separation, to the next look.
-    let inversions = design.increment_counts() as f64;
     let look_ns = (LOOK * SLOT_NS) as f64;
-    let need_ns = look_ns + SEPARATION_NS as f64 + inversions * (2.0 * look_ns + SEPARATION_NS as f64);
+    let need_ns =
+        look_ns + SEPARATION_NS as f64 + INCREMENT_COUNTS as f64 * (2.0 * look_ns + SEPARATION_NS as f64);
     2.0 * HYSTERESIS / (need_ns + 2.0 * SLOT_NS as f64).powi(2)
 }
 
@@ -133,7 +133,6 @@ enum Plant {
 /// The bound, and what is told of the axis.
 #[derive(Debug, Clone, Copy)]
 struct Case {
-    design: Design,
     /// Direction of the axis before the choices begin.
     sense: i64,
     /// Counts asked for.
@@ -238,7 +237,7 @@ impl World<'_> {
         if step != 0 {
             // Of the first edge nothing is known but its direction; beyond the limits nothing at all.
             let any = Motion {
-                accel_counts_ns2: accel_counts_ns2(self.case.design),
+                accel_counts_ns2: accel_counts_ns2(),
                 hysteresis_counts: if self.case.plant == Plant::TurnRound {
                     HYSTERESIS / 4.0
                 } else {
@@ -317,10 +316,9 @@ fn config(case: &Case) -> AxisConfig {
     let look_ns = LOOK * SLOT_NS;
     AxisConfig {
         lines: AxisLines::standard(0, false),
-        design: case.design,
         rest: RestPolicy::Wait,
         min_separation_ns: SEPARATION_NS,
-        max_accel_counts_s2: accel_counts_ns2(case.design) * 1e18,
+        max_accel_counts_s2: accel_counts_ns2() * 1e18,
         hysteresis_counts: HYSTERESIS,
         detect_ns: look_ns,
         // In effect by the next look, at which alone that is known; and the next is written at a look.
@@ -460,7 +458,6 @@ fn wide() -> bool {
 }
 
 const WITHIN: Case = Case {
-    design: Design::C,
     sense: 1,
     asked: 4,
     phase: 0,
@@ -509,18 +506,10 @@ fn run(name: &str, cases: impl Iterator<Item = Case>) -> Tally {
 fn within_its_limits_no_history_loses_a_count() {
     let looks = if wide() { 22 } else { 14 };
     let edges = if wide() { 3 } else { 2 };
-    for (design, asked) in [(Design::C, 4), (Design::A, 4), (Design::Original, 4)] {
-        // As fast as the gate admits, and slower.
-        let first = config(&Case { design, ..WITHIN }).gate().unwrap().min_period_ns().div_ceil(SLOT_NS);
-        for period in [first + 2 * LOOK, 3 * first] {
-            // An insertion of two pairs takes longer.
-            let (looks, edges) =
-                if design == Design::C { (looks, edges) } else { (looks * 3 / 2, edges - 1) };
-            let case = Case { design, asked, period, looks, edges, ..WITHIN };
-            // Two pairs lead back to where they began: one place in the cycle is enough but for the wide bounds.
-            let cases = turned(case).filter(|c| wide() || design != Design::A || c.phase == 0);
-            run(&format!("within {design:?} {period}"), cases);
-        }
+    // As fast as the gate admits, and slower.
+    let first = config(&WITHIN).gate().unwrap().min_period_ns().div_ceil(SLOT_NS);
+    for period in [first + 2 * LOOK, 3 * first] {
+        run(&format!("within {period}"), turned(Case { period, looks, edges, ..WITHIN }));
     }
 }
 

@@ -5,7 +5,7 @@
 
 use proptest::prelude::*;
 use rtec_driver::card::{AxisLines, Card, CardError, MachineLines, Sample};
-use rtec_rt::axis::{AxisConfig, Design, RestPolicy};
+use rtec_rt::axis::{AxisConfig, RestPolicy};
 use rtec_rt::engine::{Engine, MachineConfig};
 use rtec_rt::event::{Event, EventKind, Fault, Request, Status};
 use std::collections::VecDeque;
@@ -268,16 +268,15 @@ fn totals() -> impl Strategy<Value = Vec<(u64, i64)>> {
 }
 
 /// The ledger, the legality and the separation that hold whenever the gate's promise does.
-fn assert_kept(seen: &Seen, status: &Status, separation_ns: u64, design: Design) {
+fn assert_kept(seen: &Seen, status: &Status, separation_ns: u64) {
     let axis = &status.axes[0];
     assert!(!axis.faults.any(), "{axis:?}");
     assert_eq!(seen.illegal, 0);
     assert_eq!(seen.mtc_minus_scale, axis.completed);
     assert_eq!(axis.mtc_minus_scale, axis.completed);
     assert!(seen.ours_ns >= separation_ns, "{} ns beside our inversion", seen.ours_ns);
-    let step = if design == Design::C { 2 } else { 4 };
     assert!(seen.offsets.iter().all(|o| o % 2 == 0));
-    assert_eq!(axis.completed % step, 0);
+    assert_eq!(axis.completed % 2, 0);
 }
 
 proptest! {
@@ -287,13 +286,12 @@ proptest! {
     #[test]
     fn the_ledger_balances_within_the_promise(
         pieces in pieces(), totals in totals(), choices in prop::collection::vec(any::<u16>(), 64),
-        log_accel in 4.0..7.0_f64, design in prop::sample::select(vec![Design::C, Design::A, Design::Original]),
-        stamps in any::<bool>(), max_gap_ns in 40_u64..400,
+        log_accel in 4.0..7.0_f64, stamps in any::<bool>(), max_gap_ns in 40_u64..400,
     ) {
         let accel = 10_f64.powf(log_accel);
         let hysteresis = 0.1;
         let config = AxisConfig {
-            design, max_accel_counts_s2: accel * 1.001, hysteresis_counts: hysteresis * 0.9,
+            max_accel_counts_s2: accel * 1.001, hysteresis_counts: hysteresis * 0.9,
             // An edge is seen at the end of the next look at the latest, and acted on one look after its separation.
             detect_ns: 3 * max_gap_ns, write_ns: 2 * max_gap_ns, guard_ns: 50, ..AxisConfig::default()
         };
@@ -301,7 +299,7 @@ proptest! {
         let edges = motion(&pieces, accel, 300_000.0, hysteresis);
         let rig = Rig::new(edges, 0, Jittery { choices, at: 0, max_gap_ns }, stamps);
         let (seen, status, _) = run(config, rig, &totals);
-        assert_kept(&seen, &status, 500, design);
+        assert_kept(&seen, &status, 500);
         prop_assert_eq!(status.axes[0].overlaps, 0);
     }
 
@@ -405,17 +403,14 @@ fn an_edge_inside_an_insertion_that_the_limits_forbid_is_latched() {
 /// The general algorithm of NISTIR 4832 in every state and direction, alone.
 #[test]
 fn every_state_direction_and_sign_is_served() {
-    for design in [Design::C, Design::A, Design::Original] {
-        for start in 0..4_i64 {
-            for direction in [1, -1] {
-                for total in [4, -4, 40, -40] {
-                    let edges = (1..=200).map(|n| (n * 50_000, direction)).collect();
-                    let config = AxisConfig { design, ..AxisConfig::default() };
-                    let (seen, status, _) =
-                        run(config, Rig::new(edges, start, Steady(30), false), &[(60_000, total)]);
-                    assert_kept(&seen, &status, 500, design);
-                    assert_eq!(status.axes[0].completed, total, "{design:?} {start} {direction}");
-                }
+    for start in 0..4_i64 {
+        for direction in [1, -1] {
+            for total in [4, -4, 40, -40] {
+                let edges = (1..=200).map(|n| (n * 50_000, direction)).collect();
+                let rig = Rig::new(edges, start, Steady(30), false);
+                let (seen, status, _) = run(AxisConfig::default(), rig, &[(60_000, total)]);
+                assert_kept(&seen, &status, 500);
+                assert_eq!(status.axes[0].completed, total, "{start} {direction}");
             }
         }
     }
@@ -423,19 +418,10 @@ fn every_state_direction_and_sign_is_served() {
 
 #[test]
 fn a_remainder_smaller_than_one_increment_stays() {
-    for (design, total, served) in [
-        (Design::C, 7, 6),
-        (Design::C, -3, -2),
-        (Design::C, 1, 0),
-        (Design::A, 7, 4),
-        (Design::A, 3, 0),
-        (Design::A, -2, 0),
-        (Design::A, -3, 0),
-        (Design::A, -7, -4),
-    ] {
+    for (total, served) in [(7, 6), (-3, -2), (1, 0)] {
         let edges = (1..=200).map(|n| (n * 50_000, 1)).collect();
-        let config = AxisConfig { design, ..AxisConfig::default() };
-        let (seen, status, _) = run(config, Rig::new(edges, 0, Steady(30), false), &[(60_000, total)]);
+        let rig = Rig::new(edges, 0, Steady(30), false);
+        let (seen, status, _) = run(AxisConfig::default(), rig, &[(60_000, total)]);
         assert_eq!((status.axes[0].completed, seen.mtc_minus_scale), (served, served));
     }
 }
@@ -446,7 +432,7 @@ fn at_rest_the_policy_decides() {
         let config = AxisConfig { rest, ..AxisConfig::default() };
         let rig = Rig::new(vec![(10_000, 1)], 0, Steady(30), false);
         let (seen, status, _) = run(config, rig, &[(20_000, 6)]);
-        assert_kept(&seen, &status, 500, Design::C);
+        assert_kept(&seen, &status, 500);
         assert_eq!(status.axes[0].completed, served);
     }
 }
@@ -459,7 +445,7 @@ fn no_insertion_while_the_axis_is_too_fast_and_catch_up_afterwards() {
     let config = AxisConfig { max_accel_counts_s2: 0.0, ..AxisConfig::default() };
     let rig = Rig::new(fast.chain(slow).collect(), 0, Steady(30), false);
     let (seen, status, _) = run(config, rig, &[(20_000, 20)]);
-    assert_kept(&seen, &status, 500, Design::C);
+    assert_kept(&seen, &status, 500);
     assert_eq!(status.axes[0].completed, 20);
     assert!(status.axes[0].waited_for_gate > 900);
 }
@@ -470,7 +456,7 @@ fn the_rate_cap_spaces_insertions() {
     let edges = (1..=100_u64).map(|n| (n * 100_000, 1)).collect();
     let config = AxisConfig { max_rate_counts_s: 1000.0, ..AxisConfig::default() };
     let (seen, status, _) = run(config, Rig::new(edges, 0, Steady(50), false), &[(150_000, 100)]);
-    assert_kept(&seen, &status, 500, Design::C);
+    assert_kept(&seen, &status, 500);
     assert_eq!(status.axes[0].completed, 10);
 }
 

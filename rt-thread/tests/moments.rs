@@ -6,7 +6,7 @@
 
 use rtec_driver::card::{AxisLines, Card, CardError, MachineLines, Sample};
 use rtec_driver::quadrature::{Decoder, Signal, State};
-use rtec_rt::axis::{AxisConfig, Design, RestPolicy};
+use rtec_rt::axis::{AxisConfig, RestPolicy};
 use rtec_rt::engine::{Engine, MachineConfig};
 use rtec_rt::event::{Event, EventKind, Fault, Faults, GateState, Mode, Refusal, Request};
 use rtec_rt::journal::{Journal, StateRecord};
@@ -162,10 +162,8 @@ fn resting(after_ns: u64) -> AxisConfig {
 
 #[test]
 fn the_time_that_an_insertion_needs_is_the_sum_of_all_its_delays() {
-    for (design, inversions) in [(Design::C, 2), (Design::A, 4), (Design::Original, 4)] {
-        let config = AxisConfig { design, detect_ns: 7, write_ns: 11, guard_ns: 13, ..AxisConfig::default() };
-        assert_eq!(config.gate().unwrap().need_ns(), 7 + 500 + inversions * (11 + 500) + 13, "{design:?}");
-    }
+    let config = AxisConfig { detect_ns: 7, write_ns: 11, guard_ns: 13, ..AxisConfig::default() };
+    assert_eq!(config.gate().unwrap().need_ns(), 7 + 500 + 2 * (11 + 500) + 13);
 }
 
 #[test]
@@ -241,48 +239,22 @@ fn the_rate_cap_ends_at_its_very_moment() {
 fn inversions_keep_their_separation_from_edge_and_write_and_no_more() {
     // Told: in effect after 20 ns. Not told: at the next look, 10 ns on.
     for (tells_ns, after_ns) in [(Some(20), 520), (None, 510)] {
-        for (design, total, inversions) in
-            [(Design::C, 2, 2), (Design::C, -2, 2), (Design::A, 4, 4), (Design::A, -4, 4)]
-        {
-            let config = AxisConfig { design, ..AxisConfig::default() };
-            let mut rig = Rig::steady(config, Hand { tells_ns, ..stamping() });
+        for total in [2, -2] {
+            let mut rig = Rig::steady(AxisConfig::default(), Hand { tells_ns, ..stamping() });
             rig.stamped(true, 10_000);
             rig.correct(total);
             rig.stamped(true, 20_000);
             rig.looks(29_000);
-            let due: Vec<u64> = (0..inversions).map(|n| 500 + n * after_ns).collect();
-            assert_eq!(rig.written(20_000), due, "{design:?} {total} {tells_ns:?}");
+            let due = [500, 500 + after_ns];
+            assert_eq!(rig.written(20_000), due, "{total} {tells_ns:?}");
             let axis = rig.engine.status().axes[0];
             assert_eq!((axis.completed, axis.insertions, axis.overlaps), (total, 1, 0));
-            assert_eq!(axis.inverted, design == Design::C, "two pairs switch the inverters off again");
+            assert!(axis.inverted, "two inversions leave both inverters on");
             // From the edge to the last order: once, and in no other figure.
             rig.stamped(true, 40_000);
             let times = rig.engine.timing().edge_to_done_ns.snapshot();
-            let whole_ns = *due.last().unwrap();
-            assert_eq!((times.samples(), times.min(), times.max()), (1, whole_ns, whole_ns), "{design:?}");
+            assert_eq!((times.samples(), times.min(), times.max()), (1, due[1], due[1]));
         }
-    }
-}
-
-#[test]
-fn the_original_design_begins_at_both_signals_low_and_nowhere_else() {
-    for first in 0..4 {
-        let config = AxisConfig { design: Design::Original, ..AxisConfig::default() };
-        let mut rig = Rig::steady(config, stamping());
-        for n in 0..=first {
-            rig.stamped(true, 10_000 * (n + 1));
-        }
-        rig.correct(4);
-        for n in first + 1..first + 6 {
-            rig.stamped(true, 10_000 * (n + 1));
-            rig.looks(10_000 * (n + 1) + 5000);
-            let low = rig.card.inputs & BOTH == 0;
-            assert_eq!(!rig.card.writes.is_empty(), low, "after {} edges", n + 1);
-            if low {
-                break;
-            }
-        }
-        assert_eq!((rig.card.writes.len(), rig.engine.status().axes[0].completed), (4, 4));
     }
 }
 

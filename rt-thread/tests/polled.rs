@@ -19,7 +19,7 @@
 #![allow(clippy::unwrap_used)]
 
 use rtec_driver::card::{AxisLines, Card, CardError, MachineLines, Sample};
-use rtec_rt::axis::{AxisConfig, Design, RestPolicy};
+use rtec_rt::axis::{AxisConfig, RestPolicy};
 use rtec_rt::engine::{Engine, MachineConfig};
 use rtec_rt::event::{Event, EventKind, Fault, Request};
 use std::collections::BTreeMap;
@@ -269,7 +269,6 @@ fn campaign(class: Class, seed: u64, edges: u64, tally: &mut Tally) {
     let accel = 10_f64.powf(5.5 + 1.5 * dice.unit());
     let hysteresis = 0.1;
     let max_gap_ns = if class == Class::Random { dice.within(21, 1200) } else { dice.within(40, 400) };
-    let design = [Design::C, Design::C, Design::A, Design::Original][dice.within(0, 3) as usize];
     let rest = if dice.one_in(3) {
         RestPolicy::Insert { after_ns: dice.within(2, 200) * 1000 }
     } else {
@@ -277,7 +276,6 @@ fn campaign(class: Class, seed: u64, edges: u64, tally: &mut Tally) {
     };
     let told = AxisConfig {
         lines: AxisLines::standard(0, false),
-        design,
         rest,
         max_accel_counts_s2: accel * 1.001,
         hysteresis_counts: hysteresis * 0.9,

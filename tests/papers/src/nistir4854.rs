@@ -308,7 +308,7 @@ fn rewritten(lathe: &Lathe, setup: &Setup) -> usize {
         error_um: 0.0,
         along_mm: None,
     });
-    let design = lathe::design(&lathe.design).unwrap_or(rtec_rt::axis::Design::C);
+    let design = lathe::design(&lathe.design).unwrap_or(rtec_sim::insertion::GateDesign::C);
     let table =
         FinishTable::new(setup.cut(lathe.radius_mm), lathe::axes(&lathe.bench, design), round.collect());
     table.straight_moves(lathe.g01_um * 1e-3, 4).len().saturating_sub(1)
@@ -366,7 +366,8 @@ pub fn size_and_form(described: &Described, seed: u64) -> Result<[(&'static str,
     let session = setup.probe(&part, &setup.plan(semi_mm), feed, setup.seed + 1)?;
     let semi = setup.errors(&session, semi_mm)?;
     let size_um = semi.size_error_um.unwrap_or(0.0);
-    let axes = lathe::axes(&lathe.bench, lathe::design(&lathe.design).unwrap_or(rtec_rt::axis::Design::C));
+    let axes =
+        lathe::axes(&lathe.bench, lathe::design(&lathe.design).unwrap_or(rtec_sim::insertion::GateDesign::C));
     let table = |with_um: f64| {
         let sized = semi.errors.iter().map(|e| PointError { error_um: e.error_um + with_um, ..*e });
         FinishTable::new(setup.cut(lathe.radius_mm), axes, sized.collect())

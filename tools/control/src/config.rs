@@ -14,7 +14,6 @@
 //! | | `chip`, `bias`, `drive` | – | –, as it is, `push-pull` | `gpio`: of every line that does not say otherwise |
 //! | | `probe`, `disable`, `mtc_ready`, `hold` | line | not wired | `gpio`, `mapped`, `port`: the machine's own lines |
 //! | `[[axis]]` | `name`, `count_um`, `travel_mm` | µm, mm | must be there | |
-//! | | `design` | – | `c` | insertion design (NISTIR 4832): `c`, `original`, `a` |
 //! | | `max_correction_counts` | counts | must be there | largest total |
 //! | | `window_counts` | counts | 12 µm | largest change that is believed at once (NISTIR 4832: three corrections of 4 µm) |
 //! | | `min_separation_ns` | ns | must be there | what the MTC's decoder needs between two edges |
@@ -70,7 +69,7 @@ use rtec_driver::profile::Profile;
 use rtec_files::toml::{At, Document, Section, SourceFile};
 use rtec_files::{InputError, nearest};
 use rtec_model::file_kind::FileKind;
-use rtec_rt::axis::AxisConfig;
+use rtec_rt::axis::{AxisConfig, INCREMENT_COUNTS};
 use rtec_rt::event::MAX_AXES;
 use std::fmt;
 use std::fmt::Write as _;
@@ -397,7 +396,7 @@ impl ConfiguredAxis {
         rtec_correct::AxisSetup {
             name: self.name.clone(),
             count_um: self.count_um,
-            increment_counts: self.engine.design.increment_counts(),
+            increment_counts: INCREMENT_COUNTS,
             window_counts: self.engine.window_counts,
             max_counts: self.engine.max_correction_counts,
         }

@@ -4,7 +4,7 @@ use rtec_control::config::{CardConfig, Config, EMBEDDED, MappedPlace, PortPlace}
 use rtec_correct::Corrector;
 use rtec_driver::card::{Card, CardError, Sample};
 use rtec_driver::gpio::{Bias, Drive, LineId};
-use rtec_rt::axis::{Design, RestPolicy};
+use rtec_rt::axis::RestPolicy;
 use rtec_rt::engine::{Engine, MachineConfig};
 use rtec_rt::event::Request;
 use std::collections::BTreeMap;
@@ -53,7 +53,6 @@ probe = 28
 name = "x"
 count_um = 0.5
 travel_mm = 400
-design = "original"
 max_correction_counts = 1000
 window_counts = 50
 min_separation_ns = 1000
@@ -80,7 +79,6 @@ fn values_arrive_where_they_belong() {
     let config = Config::parse(Path::new("/etc/rtec/rtec.toml"), CONTRACT).unwrap();
     let axis = &config.axes[0];
     let engine = &axis.engine;
-    assert_eq!(engine.design, Design::Original);
     assert!((engine.max_accel_counts_s2 - 2e6).abs() < 1e-6);
     // The budget caps the maximum, and says so.
     assert_eq!((engine.max_correction_counts, config.notes.len()), (400, 2));

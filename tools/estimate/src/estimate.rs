@@ -389,6 +389,19 @@ fn answer(search: &Search<'_>, set: &Set, model: &[Effect]) -> Estimate {
 /// Something that could stand in a place: family, label, effect, log mass.
 type Stand = (usize, String, Option<Effect>, f64);
 
+/// Adds the maps that are alike at these rows, each as likely as its prior has it beside the member's.
+fn add_alike_maps(search: &Search<'_>, set: &Set, member: usize, all: &mut Vec<Stand>) {
+    let families = &search.families.list;
+    for seed in search.maps_alike(&search.of_last(set, member)) {
+        let score = set.score + seed.score - families[set.members[member].family].prior;
+        if let Some(known) = all.iter_mut().find(|a| a.0 == seed.family) {
+            known.3 = known.3.max(score);
+        } else {
+            all.push((seed.family, families[seed.family].label(), seed.cause.effect().cloned(), score));
+        }
+    }
+}
+
 /// The posterior of one place: all that could stand there beside the other members.
 fn place(search: &Search<'_>, set: &Set, member: usize) -> Place {
     let own = &set.members[member];
@@ -424,16 +437,7 @@ fn place(search: &Search<'_>, set: &Set, member: usize) -> Place {
             all.push((seed.family, own_label.clone(), refined.cause.effect().cloned(), other.score));
         }
     }
-    for seed in search.maps_alike(&search.of_last(set, member)) {
-        let score = set.score + seed.score - families[own.family].prior;
-        match all.iter_mut().find(|a| a.0 == seed.family) {
-            Some(known) => known.3 = known.3.max(score),
-            None => {
-                let name = families[seed.family].label();
-                all.push((seed.family, name, seed.cause.effect().cloned(), score));
-            }
-        }
-    }
+    add_alike_maps(search, set, member, &mut all);
     let masses: Vec<f64> = all.iter().map(|a| a.3).chain([without.score]).collect();
     let total = log_sum(&masses);
     let of = |yes: &dyn Fn(&Stand) -> bool| {

@@ -111,6 +111,27 @@ fn places(chain: &Chain, components: &[String]) -> Result<Vec<Place>, InputError
     Ok(found)
 }
 
+/// What lacks where the records do not determine a coefficient.
+fn not_determined(chain: &Chain, [j, c, t]: Place) -> InputError {
+    let joint = &chain.joints[j];
+    let (component, term) = (&joint.components[c], &joint.components[c].terms[t]);
+    let name = format!("{}.{}", joint.name, COMPONENTS[component.kind]);
+    let (p, dt) = (term.position, term.temperature);
+    InputError::whole(
+        Path::new("--component"),
+        format!("records that do not determine {name}, p = {p}, dT = {dt}, beside the terms before it"),
+        "records in which its axis moves and its temperature varies, a gauge at another offset (@x,y,z behind its record) \
+         for a rotation beside a displacement; a constant displacement is the gauge's zero",
+    )
+}
+
+/// Root mean square about the mean, µm.
+fn about_mean_um(left: &[f64]) -> f64 {
+    let n = left.len() as f64;
+    let mean = left.iter().sum::<f64>() / n;
+    (left.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / n).sqrt()
+}
+
 /// Fits the named components (`z slide.dx`) of a chain on the records.
 ///
 /// # Errors
@@ -173,19 +194,7 @@ pub fn fit(
                 }
             }
         }
-        found = problem.solve().map_err(|k| {
-            let [j, c, t] = places[k];
-            let joint = &chain.joints[j];
-            let (component, term) = (&joint.components[c], &joint.components[c].terms[t]);
-            let name = format!("{}.{}", joint.name, COMPONENTS[component.kind]);
-            let (p, dt) = (term.position, term.temperature);
-            InputError::whole(
-                Path::new("--component"),
-                format!("records that do not determine {name}, p = {p}, dT = {dt}, beside the terms before it"),
-                "records in which its axis moves and its temperature varies, a gauge at another offset (@x,y,z behind its \
-                 record) for a rotation beside a displacement; a constant displacement is the gauge's zero",
-            )
-        })?;
+        found = problem.solve().map_err(|k| not_determined(chain, places[k]))?;
         for (place, f) in places.iter().zip(&mut found) {
             let before = get(&now, *place);
             f.value += before;
@@ -201,11 +210,7 @@ pub fn fit(
                 Ok::<_, InputError>(left)
             };
             let both = [left(chain)?, left(&now)?];
-            let rms = both.each_ref().map(|left| {
-                let n = left.len() as f64;
-                let m = left.iter().sum::<f64>() / n;
-                (left.iter().map(|v| (v - m).powi(2)).sum::<f64>() / n).sqrt()
-            });
+            let rms = both.each_ref().map(|left| about_mean_um(left));
             rms_um.push((run.record.path.clone(), role.to_string(), rms));
             left_um.push(both);
             let predicted = says(&now, run, &role)?;

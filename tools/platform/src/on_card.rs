@@ -5,7 +5,7 @@
 
 use crate::measurement::{Driven, Latency, Polling, SelftestError, SelftestOptions, tid_of};
 use rtec_driver::card::{Card, CardError, MachineLines, Sample};
-use rtec_rt::axis::{AxisConfig, Design, RestPolicy};
+use rtec_rt::axis::{AxisConfig, RestPolicy};
 use rtec_rt::engine::{Engine, MachineConfig};
 use rtec_rt::event::{Mode, Request};
 use rtec_rt::thread::{Ended, Running, ThreadOptions, spawn};
@@ -71,12 +71,8 @@ pub(crate) fn writes<C: Card + Send + 'static>(
     progress: &mut impl FnMut(&str, u64),
 ) -> Result<Driven, SelftestError> {
     let before = card.outputs()?;
-    let at_rest = axes.iter().map(|axis| AxisConfig {
-        // Two counts by two inversions, whatever the axis's own design: the wires are the same.
-        design: Design::C,
-        rest: RestPolicy::Insert { after_ns: REST_NS },
-        ..idle(axis)
-    });
+    let at_rest =
+        axes.iter().map(|axis| AxisConfig { rest: RestPolicy::Insert { after_ns: REST_NS }, ..idle(axis) });
     let axes: Vec<AxisConfig> = at_rest.collect();
     let engine = engine(&mut card, &axes)?;
     let mut running = spawn(engine, card, thread(options))?;

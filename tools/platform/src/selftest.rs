@@ -25,7 +25,7 @@ use rtec_driver::clock::{Clock, Monotonic};
 use rtec_driver::mapped::{MappedCard, Registers};
 use rtec_driver::mock::{MockCard, SharedWires};
 use rtec_driver::profile::Profile;
-use rtec_rt::axis::AxisConfig;
+use rtec_rt::axis::{AxisConfig, INCREMENT_COUNTS};
 use rtec_rt::engine::{Engine, MachineConfig};
 use rtec_rt::event::Fault;
 use rtec_rt::histogram::{Recorder, Snapshot, histogram};
@@ -318,8 +318,7 @@ fn measure_polling<C: Card + Send + 'static, F: FarEnd>(
         edge_to_done: Latency { ns: done_reader.snapshot(), last_ns: last_done_ns, tid: tid() },
         far,
         // Not the axis's own total: that begins anew at every homing.
-        completed: ended.status.axes().first().map_or(0, |a| a.insertions as i64)
-            * axis.design.increment_counts(),
+        completed: ended.status.axes().first().map_or(0, |a| a.insertions as i64) * INCREMENT_COUNTS,
         faults,
         requests,
         insertions: ended.status.axes().iter().map(|a| a.insertions).sum(),

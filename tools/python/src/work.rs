@@ -27,7 +27,7 @@ use rtec_model::date;
 use rtec_model::record::{Axis, Role};
 use rtec_part::determine;
 use rtec_reconcile::{Options, Place, Regression, RegressionColumn, RegressionRows, SEED, SetUpColumns};
-use rtec_rt::axis::{AxisConfig, Design};
+use rtec_rt::axis::AxisConfig;
 use rtec_sim::bench::{AnyDesign, replay_any};
 use rtec_sim::computer::Computer;
 use rtec_sim::designs::{TestMotion, compare};
@@ -196,13 +196,13 @@ type FittedChain<'py> = (String, String, String, Arrays<'py>);
 
 /// Components of a chain, on records and the points of the tool that they measured.
 #[pyfunction]
-pub(crate) fn fit_chain<'py>(
-    py: Python<'py>,
+pub(crate) fn fit_chain(
+    py: Python<'_>,
     chain: PathBuf,
     components: Vec<String>,
     records: Vec<Record>,
     tools_mm: Vec<Option<[f64; 3]>>,
-) -> PyResult<FittedChain<'py>> {
+) -> PyResult<FittedChain<'_>> {
     let (document, text, pictures, of) = quietly(py, move || {
         let from = Chain::read(&chain)?;
         let good = |record| plausible::only_good(record, &mut |_| ());
@@ -230,7 +230,8 @@ pub(crate) fn fit_chain<'py>(
 
 /// Rows and columns of a chain's fit: its coefficients, and the zero of each response of each record.
 fn regression_of_chain(records: &[rtec_model::record::Record], report: &ChainReport) -> Regression {
-    let file = |path: &Path| records.iter().find(|r| r.path == path).map_or_else(String::new, |r| r.file.clone());
+    let file =
+        |path: &Path| records.iter().find(|r| r.path == path).map_or_else(String::new, |r| r.file.clone());
     let of_rows = |r: &ChainRows| RegressionRows {
         record: file(&r.record),
         response: r.response.clone(),
@@ -591,7 +592,7 @@ pub(crate) fn replay(
     trace: PathBuf,
     requests: PathBuf,
     columns: (Vec<String>, Vec<String>),
-    design: Option<String>,
+    design: String,
     config: Option<PathBuf>,
     axis: Option<String>,
 ) -> PyResult<(String, bool)> {
@@ -608,14 +609,7 @@ pub(crate) fn replay(
                 (config.axes[n].engine, false)
             }
         };
-        let design = match &design {
-            Some(name) => one_of("design", name, &AnyDesign::ALL.map(|d| (d.name(), d)))?,
-            None => match engine.design {
-                Design::Original => AnyDesign::Original,
-                Design::A => AnyDesign::A,
-                Design::C => AnyDesign::C,
-            },
-        };
+        let design = one_of("design", &design, &AnyDesign::ALL.map(|d| (d.name(), d)))?;
         let trace = TraceReader::open_columns(&trace, &trace_columns(&columns.0)?)?.playable();
         let requests = RequestReader::open_columns(&requests, &request_columns(&columns.1)?)?;
         let played = replay_any(design, engine, trace, requests, large, |_, _: State| {});

@@ -2,14 +2,16 @@
 
 use crate::computer::Computer;
 use crate::ecc::{Ecc, Pll};
+use crate::full_cycle::FullCycle;
+use crate::insertion::{CorrectedAxis, GateDesign, homed_engine};
 use crate::noise::Noise;
-use crate::replay::{CorrectedAxis, ReplayError, ReplayOutcome, homed_engine, replay, replay_with};
+use crate::replay::{ReplayError, ReplayOutcome, replay, replay_with};
 use crate::through::DesignB;
-use rtec_driver::card::{AxisLines, Card, CardError, Sample};
+use rtec_driver::card::{AxisLines, Card, CardError, MachineLines, Sample};
 use rtec_driver::quadrature::{Decoder, State};
 use rtec_driver::replay::{Gates, Listener, Through, Xor};
 use rtec_driver::replay::{RequestedTotal, TracePoint};
-use rtec_rt::axis::{AxisConfig, Design, RestPolicy};
+use rtec_rt::axis::{AxisConfig, RestPolicy};
 use rtec_rt::engine::StartError;
 use rtec_rt::event::{Event, EventKind};
 use serde::{Deserialize, Serialize};
@@ -67,15 +69,6 @@ impl AnyDesign {
     pub const fn through_computer(self) -> bool {
         matches!(self, Self::B)
     }
-
-    /// The design as the engine knows it; Design B and the ECC are configured like Design C.
-    pub(crate) const fn engine(self) -> Design {
-        match self {
-            Self::Original => Design::Original,
-            Self::A => Design::A,
-            Self::B | Self::C | Self::Ecc => Design::C,
-        }
-    }
 }
 
 /// Plays a recorded trace to any design, as [`replay`] does to those on XOR gates.
@@ -95,9 +88,15 @@ where
     R: Iterator<Item = Result<RequestedTotal, E>>,
     L: Listener,
 {
-    let config = AxisConfig { lines: AxisLines::standard(0, false), design: design.engine(), ..config };
+    let config = AxisConfig { lines: AxisLines::standard(0, false), ..config };
     match design {
-        AnyDesign::Original | AnyDesign::A | AnyDesign::C => replay(config, trace, totals, large, to),
+        AnyDesign::C => replay(config, trace, totals, large, to),
+        AnyDesign::Original => {
+            replay_with(Xor, |card| full_cycle(GateDesign::Original, config, card), trace, totals, large, to)
+        }
+        AnyDesign::A => {
+            replay_with(Xor, |card| full_cycle(GateDesign::A, config, card), trace, totals, large, to)
+        }
         AnyDesign::B => replay_with(
             Through,
             |card| DesignB::new(config, card)?.ok_or(StartError::NoGate(0)),
@@ -112,6 +111,15 @@ where
             replay_with(Through, start, trace, totals, large, to)
         }
     }
+}
+
+/// One axis with two pairs of inversions an insertion, homed where it stands.
+fn full_cycle<C: Card>(
+    design: GateDesign,
+    config: AxisConfig,
+    card: &mut C,
+) -> Result<FullCycle, StartError> {
+    FullCycle::new(design, card, &[config], MachineLines::default(), |_| 0)
 }
 
 /// The Original RTEC's gates: a pulse is OR-ed in. At A = B = low the same as an inversion, elsewhere a level that is
@@ -382,7 +390,7 @@ impl BenchRun<'_> {
     /// The axis as the design on this computer is configured.
     #[must_use]
     pub fn config(&self) -> AxisConfig {
-        let config = self.computer.configure(self.design.engine(), self.config);
+        let config = self.computer.configure(self.config);
         let config = match self.design {
             // One pass to see the edge and write it, at the latest one after it came; steps in passes of their own.
             AnyDesign::B => {
@@ -404,9 +412,12 @@ impl BenchRun<'_> {
         let config = AxisConfig { lines: AxisLines::standard(0, false), ..self.config() };
         match self.design {
             AnyDesign::Original => {
-                self.go(Or, |card| homed_engine(config, card, &mut |_| true).ok(), |_| (0.0, None))
+                self.go(Or, |card| full_cycle(GateDesign::Original, config, card).ok(), |_| (0.0, None))
             }
-            AnyDesign::A | AnyDesign::C => {
+            AnyDesign::A => {
+                self.go(Xor, |card| full_cycle(GateDesign::A, config, card).ok(), |_| (0.0, None))
+            }
+            AnyDesign::C => {
                 self.go(Xor, |card| homed_engine(config, card, &mut |_| true).ok(), |_| (0.0, None))
             }
             AnyDesign::B => {

@@ -2,7 +2,7 @@
 
 use crate::noise::Noise;
 use rtec_files::InputError;
-use rtec_rt::axis::{AxisConfig, Design};
+use rtec_rt::axis::AxisConfig;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
@@ -119,9 +119,8 @@ impl Computer {
 
     /// An axis as it is configured for this computer: its speed gate is told all of these times.
     #[must_use]
-    pub fn configure(&self, design: Design, config: AxisConfig) -> AxisConfig {
+    pub fn configure(&self, config: AxisConfig) -> AxisConfig {
         AxisConfig {
-            design,
             min_separation_ns: self.step_ns,
             detect_ns: self.worst_look_ns() + self.react_ns.saturating_sub(self.step_ns),
             write_ns: 2 * self.worst_look_ns(),
@@ -144,10 +143,9 @@ mod tests {
     #[test]
     fn the_8051_needs_nine_microseconds() {
         let computer = Computer::i8051();
-        let config = computer.configure(Design::Original, AxisConfig::default());
-        assert_eq!(config.gate().unwrap().need_ns(), 9000);
+        let config = computer.configure(AxisConfig::default());
+        assert_eq!(crate::full_cycle::gate(&config).unwrap().need_ns(), 9000);
         // Design C: two inversions instead of four.
-        let config = computer.configure(Design::C, AxisConfig::default());
         assert_eq!(config.gate().unwrap().need_ns(), 7000);
     }
 

@@ -1,6 +1,7 @@
 //! The simulated turning centre in real time, at a mock card's wires: its controller runs one program, once, from the
 //! axes' home places, and honours feed hold. Cycle start is the release of feed hold.
 
+use crate::insertion::GateDesign;
 use crate::lathe::{Bench, Cut, Lathe, Move, RAPID_MM_S, Stand, arc_moves, cut_away, probing_moves};
 use crate::wires::MachineWires;
 use crate::workpiece::Workpiece;
@@ -10,7 +11,6 @@ use rtec_model::machine::Machine;
 use rtec_part::contour::Segment;
 use rtec_part::fit::Zx;
 use rtec_part::unit::Unit;
-use rtec_rt::axis::Design;
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -153,7 +153,7 @@ impl Duty {
             bench: &self.bench,
             machine: &machine,
             begin_s: self.begin_s,
-            design: Design::C,
+            design: GateDesign::C,
             // A mock card's time stands between a look and the write after it: nothing a decoder could check.
             decoder_hz: f64::INFINITY,
             seed: self.seed,

@@ -13,8 +13,8 @@
 //!
 //! The PLL is a behavioural model of what the paper measured of it, not of its parts.
 
+use crate::insertion::CorrectedAxis;
 use crate::noise::Noise;
-use crate::replay::CorrectedAxis;
 use rtec_driver::card::{AxisLines, Card, CardError};
 use rtec_driver::quadrature::{Decoder, State};
 use rtec_rt::event::{AxisStatus, Event, EventKind, Refusal};

@@ -4,7 +4,7 @@
 use crate::bench::Edge;
 use crate::designs::trace;
 use crate::ecc::{BeyondFourBits, ControlLines, Ecc, Pll};
-use crate::replay::CorrectedAxis;
+use crate::insertion::CorrectedAxis;
 use rtec_driver::card::{AxisLines, Card, CardError, Sample};
 use rtec_driver::quadrature::{Decoder, State};
 use std::fmt::Write as _;

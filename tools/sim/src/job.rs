@@ -3,6 +3,7 @@
 
 use crate::attended::Attended;
 use crate::control::{Control, WINDOW_COUNTS};
+use crate::insertion::{CorrectedMachine, GateDesign};
 use crate::lathe::{Lathe, Move, Stand, axes, cut_away};
 use crate::machine::ServoFault;
 use crate::polled::Polled;
@@ -16,8 +17,8 @@ use rtec_model::machine::Machine;
 use rtec_part::fit::Zx;
 use rtec_part::probe::Captured;
 use rtec_part::table::{AxisCounts, FinishCut, FinishTable};
-use rtec_rt::axis::{AxisConfig, Design, RestPolicy};
-use rtec_rt::engine::{Engine, MachineConfig, StartError};
+use rtec_rt::axis::{AxisConfig, RestPolicy};
+use rtec_rt::engine::StartError;
 use rtec_rt::event::{Event, EventKind, Request, Status};
 
 /// What a program on the machine is run for.
@@ -119,17 +120,16 @@ const SETTLES_S: f64 = 600.0;
 
 const LINES: [AxisLines; 2] = [AxisLines::standard(0, true), AxisLines::standard(1, true)];
 
-/// The engine on the machine: homed, enabled, and probing where it is to.
-fn engine(
+/// The corrected axes: homed, enabled, and probing where `probing` says so.
+fn corrected(
     card: &mut Polled<Lathe>,
     stand: &Stand,
     probing: bool,
     report: &mut impl FnMut(Event) -> bool,
-) -> Result<Engine, StartError> {
+) -> Result<CorrectedMachine, StartError> {
     let poll_ns = stand.bench.poll_ns as u64;
     let configs = LINES.map(|lines| AxisConfig {
         lines,
-        design: stand.design,
         window_counts: WINDOW_COUNTS,
         max_correction_counts: MAX_COUNTS,
         min_separation_ns: 500,
@@ -140,13 +140,12 @@ fn engine(
         ..AxisConfig::default()
     });
     let lines = MachineLines { probe: MachineLines::standard().probe, ..MachineLines::default() };
-    let mut engine = Engine::new(card, &configs, MachineConfig { lines, may_arm: true }, &[])?;
     let origins = [0, 1].map(|n| card.attended.machine().origin_counts(n));
-    engine.start_homed_at(card, |n| origins[n], report)?;
+    let mut corrected = CorrectedMachine::new(stand.design, card, &configs, lines, &origins, report)?;
     if probing {
-        engine.take(Request::Probe(true), card, report)?;
+        corrected.take(Request::Probe(true), card, report)?;
     }
-    Ok(engine)
+    Ok(corrected)
 }
 
 /// Run a program on the machine with the engine between scales and controller. The workpiece is what is left.
@@ -176,29 +175,29 @@ pub fn run(
         events.push(event);
         true
     };
-    let mut engine = engine(&mut card, stand, tip_mm.is_some(), &mut report)?;
+    let mut corrected = corrected(&mut card, stand, tip_mm.is_some(), &mut report)?;
     let (mut control_ns, period_ns) = (0_u64, (stand.bench.control_ms * 1e6) as u64);
     let mut waiting = true;
     loop {
-        match engine.poll(&mut card, control_ns.max(1), &mut report) {
+        match corrected.poll(&mut card, control_ns.max(1), &mut report) {
             Ok(()) => {}
             Err(CardError::Ended) => break,
             Err(error) => return Err(StartError::Card(error).into()),
         }
-        let now_ns = engine.now_ns();
+        let now_ns = corrected.now_ns();
         if now_ns < control_ns {
             continue;
         }
         control_ns = now_ns + period_ns;
-        let (t_s, status) = (card.attended.t_s(), engine.status());
+        let (t_s, status) = (card.attended.t_s(), corrected.status());
         if let Some(law) = &mut law {
             for request in law.requests(t_s, &status, card.attended.readings()) {
-                engine.take(request, &mut card, &mut report).map_err(StartError::Card)?;
+                corrected.take(request, &mut card, &mut report).map_err(StartError::Card)?;
             }
         }
         // Cycle start: the operator waits until what is known is in force.
-        let mut status = engine.status();
-        if stand.design == Design::Original {
+        let mut status = corrected.status();
+        if stand.design == GateDesign::Original {
             // It inserts where A and B are low: at rest perhaps never. It catches up on the way to the part (NISTIR 4832).
             for axis in &mut status.axes {
                 axis.completed = axis.requested;
@@ -211,7 +210,7 @@ pub fn run(
             return Err(RunError::Unsettled);
         }
     }
-    let (status, lathe) = (engine.status(), card.attended);
+    let (status, lathe) = (corrected.status(), card.attended);
     let machine = lathe.machine();
     if let Some(fault) = machine.fault() {
         return Err(RunError::Servo(fault));

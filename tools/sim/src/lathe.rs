@@ -7,6 +7,7 @@ use crate::control::Readings;
 use crate::errors::{Errors, layout, probe_delay_ns, set_friction};
 use crate::gcode::Block;
 use crate::heat::{Heat, SENSORS};
+use crate::insertion::GateDesign;
 use crate::machine::{ControllerSpec, SERVO_NS, SimMachine};
 use crate::noise::Noise;
 use crate::path::AXES;
@@ -18,7 +19,6 @@ use rtec_part::contour::Segment;
 use rtec_part::fit::Zx;
 use rtec_part::path::{PathPoint, PathRole};
 use rtec_part::table::AxisCounts;
-use rtec_rt::axis::Design;
 use serde::Deserialize;
 use std::f64::consts::FRAC_PI_2;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -153,7 +153,7 @@ pub struct Stand<'a> {
     /// The spindle has run for so long when the program starts.
     pub begin_s: f64,
     /// Insertion design of the corrector.
-    pub design: Design,
+    pub design: GateDesign,
     /// Highest count rate of the controller's decoder, Hz.
     pub decoder_hz: f64,
     /// Seed of everything that is random.
@@ -437,19 +437,19 @@ pub(crate) fn cut_away(part: &mut Workpiece, bench: &Bench, cuts: &[Cut], seed: 
     }
 }
 
-/// The engine's design and the axis's counts for a name of the contract.
+/// The design of this name, where it can correct the lathe: `original`, `a` or `c`.
 #[must_use]
-pub fn design(name: &str) -> Option<Design> {
+pub fn design(name: &str) -> Option<GateDesign> {
     match name {
-        "original" => Some(Design::Original),
-        "a" => Some(Design::A),
-        "c" => Some(Design::C),
+        "original" => Some(GateDesign::Original),
+        "a" => Some(GateDesign::A),
+        "c" => Some(GateDesign::C),
         _ => None,
     }
 }
 
 /// Counts of Z and of X on this bench, for a design's increment.
 #[must_use]
-pub fn axes(bench: &Bench, design: Design) -> [AxisCounts; 2] {
+pub fn axes(bench: &Bench, design: GateDesign) -> [AxisCounts; 2] {
     [AxisCounts { count_um: bench.count_um, increment: design.increment_counts(), sign: 1.0 }; 2]
 }

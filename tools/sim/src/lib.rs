@@ -8,6 +8,8 @@
 //! | [`computer`] | computing hardware as a timing model: 8051, DSP, this PC as measured |
 //! | [`ecc`], [`ecc_board`] | the Error Correction Circuit of CMTI (2014); two of them behind one controller |
 //! | [`mod@bench`] | one axis in motion, any design on any computer, and what the MTC made of it |
+//! | [`insertion`] | what every insertion design offers, and the designs that a whole machine can have |
+//! | [`full_cycle`] | the Original RTEC and Design A: four counts an insertion |
 //! | [`through`] | Design B: the signals pass through the computer |
 //! | [`replay`] | the engine over a recording, and what the MTC would have counted |
 //! | [`designs`] | the designs compared: increments, times, highest safe frequency, death of the computer; waveforms |
@@ -45,8 +47,10 @@ mod errors;
 pub mod example;
 #[cfg(feature = "experiments")]
 pub mod experiment;
+pub mod full_cycle;
 pub mod gcode;
 pub mod heat;
+pub mod insertion;
 pub mod job;
 pub mod lathe;
 pub mod machine;

@@ -1,11 +1,12 @@
 //! The engine over a recording of one axis, on a virtual clock, and what the MTC would have counted.
 
-use rtec_driver::card::{AxisLines, Card, CardError, MachineLines};
+use crate::insertion::{CorrectedAxis, homed_engine};
+use rtec_driver::card::CardError;
 use rtec_driver::quadrature::{Decoder, State};
 use rtec_driver::replay::{Gates, Listener, ReplayCard, RequestedTotal, TracePoint, Xor};
 use rtec_rt::axis::AxisConfig;
-use rtec_rt::engine::{Engine, MachineConfig, StartError};
-use rtec_rt::event::{AxisStatus, Event, EventKind, Fault, Refusal, Request};
+use rtec_rt::engine::StartError;
+use rtec_rt::event::{Event, EventKind, Fault, Refusal};
 use serde::Serialize;
 
 /// What came of a replay.
@@ -108,84 +109,6 @@ impl<L: Listener> Listener for Mtc<L> {
         }
         self.to.changed(t_ns, state);
     }
-}
-
-/// One corrected axis, homed: what a replay, or a comparison of designs, drives. [`Engine`] is one for the designs on XOR
-/// gates, [`crate::through::DesignB`] one for Design B.
-pub trait CorrectedAxis {
-    /// One look at the card and everything that follows from it; a card that can wait does so at most until `by_ns`.
-    ///
-    /// # Errors
-    /// When the card fails.
-    fn poll<C: Card>(
-        &mut self,
-        card: &mut C,
-        by_ns: u64,
-        report: &mut impl FnMut(Event) -> bool,
-    ) -> Result<(), CardError>;
-
-    /// Takes a new total, counts.
-    ///
-    /// # Errors
-    /// When the card fails.
-    fn correct<C: Card>(
-        &mut self,
-        total_counts: i64,
-        large: bool,
-        card: &mut C,
-        report: &mut impl FnMut(Event) -> bool,
-    ) -> Result<(), CardError>;
-
-    /// The axis at this moment.
-    fn axis(&self) -> AxisStatus;
-
-    /// The card's time of the last look, ns.
-    fn now_ns(&self) -> u64;
-}
-
-impl CorrectedAxis for Engine {
-    fn poll<C: Card>(
-        &mut self,
-        card: &mut C,
-        by_ns: u64,
-        report: &mut impl FnMut(Event) -> bool,
-    ) -> Result<(), CardError> {
-        Engine::poll(self, card, by_ns, report)
-    }
-
-    fn correct<C: Card>(
-        &mut self,
-        total_counts: i64,
-        large: bool,
-        card: &mut C,
-        report: &mut impl FnMut(Event) -> bool,
-    ) -> Result<(), CardError> {
-        self.take(Request::Correct { axis: 0, total_counts, large }, card, report)
-    }
-
-    fn axis(&self) -> AxisStatus {
-        self.status().axes[0]
-    }
-
-    fn now_ns(&self) -> u64 {
-        Engine::now_ns(self)
-    }
-}
-
-/// An engine of one axis on `card`, homed where it stands, corrections enabled.
-///
-/// # Errors
-/// When the axis cannot be corrected as configured.
-pub fn homed_engine<C: Card>(
-    config: AxisConfig,
-    card: &mut C,
-    report: &mut impl FnMut(Event) -> bool,
-) -> Result<Engine, StartError> {
-    let config = AxisConfig { lines: AxisLines::standard(0, false), ..config };
-    let machine = MachineConfig { lines: MachineLines::default(), may_arm: true };
-    let mut engine = Engine::new(card, &[config], machine, &[])?;
-    engine.start_homed(card, report)?;
-    Ok(engine)
 }
 
 /// Plays `trace` with `totals` to the engine as one homed axis; `to` gets every change that the MTC sees.

@@ -5,6 +5,7 @@ use crate::control::{Control, REST_NS, Readings, WINDOW_COUNTS};
 use crate::errors::{Errors, layout, probe_delay_ns, set_friction};
 use crate::gcode::Block;
 use crate::heat::Heat;
+use crate::insertion::{CorrectedMachine, GateDesign};
 use crate::machine::{ControllerSpec, ServoFault, SimMachine, Surface};
 use crate::path::{AXES, Command};
 use rtec_correct::AxisSetup;
@@ -13,8 +14,8 @@ use rtec_files::InputError;
 use rtec_model::effect::Missing;
 use rtec_model::live::Live;
 use rtec_model::machine::Machine;
-use rtec_rt::axis::{AxisConfig, Design, RestPolicy};
-use rtec_rt::engine::{Engine, MachineConfig, StartError};
+use rtec_rt::axis::{AxisConfig, RestPolicy};
+use rtec_rt::engine::StartError;
 use rtec_rt::event::{Capture, Event, EventKind, Fault, Request, Status};
 
 pub use crate::control::CONTROL_NS;
@@ -27,7 +28,7 @@ pub struct Spec {
     /// The machine's controller.
     pub controller: ControllerSpec,
     /// Insertion design of every axis.
-    pub design: Design,
+    pub design: GateDesign,
     /// What to do for an axis at rest.
     pub rest: RestPolicy,
     /// Time from an edge until the engine acts on it, at the worst, and of one write, ns: what the speed gate is told.
@@ -57,7 +58,7 @@ impl Spec {
         Self {
             axes,
             controller: ControllerSpec::default(),
-            design: Design::C,
+            design: GateDesign::C,
             rest: RestPolicy::Insert { after_ns: REST_NS },
             detect_ns: 500,
             write_ns: 200,
@@ -82,7 +83,7 @@ impl Spec {
         let axes = self.axes.iter().zip(configs).map(|(axis, config)| AxisSetup {
             name: axis.name.to_owned(),
             count_um: axis.count_um,
-            increment_counts: config.design.increment_counts(),
+            increment_counts: self.design.increment_counts(),
             window_counts: config.window_counts,
             max_counts: config.max_correction_counts,
         });
@@ -96,7 +97,6 @@ impl Spec {
         let axis = &self.axes[n];
         AxisConfig {
             lines: machine.lines()[n],
-            design: self.design,
             max_correction_counts: 5000,
             window_counts: WINDOW_COUNTS,
             min_separation_ns: 500,
@@ -197,7 +197,7 @@ impl Moment {
 pub struct Sim {
     /// The machine under the engine.
     pub machine: SimMachine,
-    engine: Engine,
+    corrected: CorrectedMachine,
     errors: Errors,
     control: Option<Control>,
     control_ns: u64,
@@ -230,15 +230,15 @@ impl Sim {
         set_friction(&mut machine, &truth.effects().collect::<Vec<_>>());
         machine.set_surface(None, probe_delay_ns(truth.effects()));
         let configs: Vec<AxisConfig> = (0..spec.axes.len()).map(|n| spec.config(n, &machine)).collect();
-        let rt = MachineConfig { lines: machine.machine_lines(), may_arm: true };
-        let mut engine = Engine::new(&mut machine, &configs, rt, &[])?;
         let origins: Vec<i64> = (0..spec.axes.len()).map(|n| machine.origin_counts(n)).collect();
-        engine.start_homed_at(&mut machine, |n| origins[n], &mut |_| true)?;
+        let lines = machine.machine_lines();
+        let corrected =
+            CorrectedMachine::new(spec.design, &mut machine, &configs, lines, &origins, &mut |_| true)?;
         let control = known.map(|known| spec.control(&configs, &channels, known)).transpose()?;
         let heat = Heat::cold(spec.ambient_degc, 0.02, seed);
         let mut sim = Self {
             machine,
-            engine,
+            corrected,
             errors: Errors::new(Live::of(truth, layout(channels))?, heat, seed),
             control,
             control_ns: CONTROL_NS,
@@ -301,7 +301,7 @@ impl Sim {
     /// The engine's status at this moment.
     #[must_use]
     pub fn status(&self) -> Status {
-        self.engine.status()
+        self.corrected.status()
     }
 
     /// How often the corrector computes new totals from now on, ns: errors of a machine at rest change slowly.
@@ -321,13 +321,13 @@ impl Sim {
         let end_ns = self.machine.now_ns() + ns;
         loop {
             let by_ns = end_ns.min(self.next_control_ns);
-            let (engine, machine, events) = (&mut self.engine, &mut self.machine, &mut self.events);
+            let (corrected, machine, events) = (&mut self.corrected, &mut self.machine, &mut self.events);
             let mut report = |e: Event| {
                 events.push(e);
                 true
             };
-            while engine.now_ns() < by_ns {
-                engine.poll(machine, by_ns, &mut report)?;
+            while corrected.now_ns() < by_ns {
+                corrected.poll(machine, by_ns, &mut report)?;
             }
             if by_ns == self.next_control_ns {
                 self.control()?;
@@ -401,8 +401,8 @@ impl Sim {
             events.push(e);
             true
         };
-        for request in control.requests(t_s, &self.engine.status(), now) {
-            self.engine.take(request, &mut self.machine, &mut report)?;
+        for request in control.requests(t_s, &self.corrected.status(), now) {
+            self.corrected.take(request, &mut self.machine, &mut report)?;
         }
         Ok(())
     }
@@ -457,7 +457,7 @@ impl Sim {
             events.push(e);
             true
         };
-        self.engine.take(Request::Probe(self.probing), &mut self.machine, &mut report)?;
+        self.corrected.take(Request::Probe(self.probing), &mut self.machine, &mut report)?;
         let delay_ns = self.machine.probe_delay_ns();
         self.machine.set_surface(surface, delay_ns);
         self.trips = [None; AXES];
@@ -474,7 +474,7 @@ impl Sim {
             events.push(e);
             true
         };
-        self.engine.take(Request::Hold { on, by: 0 }, &mut self.machine, &mut report)?;
+        self.corrected.take(Request::Hold { on, by: 0 }, &mut self.machine, &mut report)?;
         Ok(())
     }
 

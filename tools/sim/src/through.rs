@@ -4,7 +4,7 @@
 //! inserted steps go out one after the other, each with the MTC's separation before it. What the computer does not look
 //! at in time is lost, and when it stops the MTC sees an axis at rest.
 
-use crate::replay::CorrectedAxis;
+use crate::insertion::CorrectedAxis;
 use rtec_driver::card::{Card, CardError};
 use rtec_driver::quadrature::{Decoder, State};
 use rtec_rt::axis::{AxisConfig, RestPolicy};

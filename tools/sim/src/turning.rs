@@ -3,6 +3,7 @@
 
 use crate::errors::{layout, of_the_probe};
 use crate::heat::SENSORS;
+use crate::insertion::GateDesign;
 use crate::job::{Job, Ran, RunError, captured, run};
 use crate::lathe::{self, BEYOND_RAD, Bench, Move, Stand, arc_moves, probing_moves};
 use crate::machine::ControllerSpec;
@@ -26,7 +27,6 @@ use rtec_part::program::{self, Controller, Parameters};
 use rtec_part::svg::escaped;
 use rtec_part::table::{FinishCut, FinishTable, csv};
 use rtec_part::unit::Unit;
-use rtec_rt::axis::Design;
 use serde::Serialize;
 use std::f64::consts::FRAC_PI_2;
 use std::fmt::Write as _;
@@ -220,7 +220,7 @@ pub const ORIGIN: Zx = Zx::new(300.0, 100.0);
 const PAUSE_S: f64 = 120.0;
 
 impl Setup {
-    fn engine_design(&self) -> Result<Design, TurningError> {
+    fn gate_design(&self) -> Result<GateDesign, TurningError> {
         lathe::design(&self.design).ok_or_else(|| TurningError::Design(self.design.clone()))
     }
 
@@ -273,7 +273,7 @@ impl Setup {
         job: Job,
         seed: u64,
     ) -> Result<Ran, TurningError> {
-        let (bench, machine, design) = (&self.bench, &self.machine, self.engine_design()?);
+        let (bench, machine, design) = (&self.bench, &self.machine, self.gate_design()?);
         let decoder_hz = ControllerSpec::default().decoder_hz;
         let stand = Stand { bench, machine, begin_s: self.begin_s, design, decoder_hz, seed };
         let ran = run(&stand, &self.cut(radius_mm), moves, job, part)?;
@@ -406,7 +406,7 @@ impl Setup {
     /// The table of a finish cut: of what is known of the part's form, where the model knows any, or of probed errors.
     fn table(&self, probed: &[PointError]) -> Result<FinishTable, TurningError> {
         let known = self.model.as_ref().map(|m| known_form(m, self.points)).transpose()?.flatten();
-        let axes = lathe::axes(&self.bench, self.engine_design()?);
+        let axes = lathe::axes(&self.bench, self.gate_design()?);
         Ok(FinishTable::new(self.cut(self.radius_mm), axes, known.unwrap_or_else(|| probed.to_vec())))
     }
 
@@ -450,7 +450,7 @@ impl Setup {
     /// # Errors
     /// The first step that cannot be done.
     pub fn run(&self, progress: &mut dyn FnMut(&str)) -> Result<TurningOutcome, TurningError> {
-        let design = self.engine_design()?;
+        let design = self.gate_design()?;
         let mut files: Vec<(String, Vec<u8>)> = Vec::new();
         let mut decisions = Vec::new();
         let semi_mm = self.radius_mm + self.allowance_mm;

@@ -7,11 +7,12 @@ use rtec_driver::card::AxisLines;
 use rtec_driver::quadrature::State;
 use rtec_driver::replay::{ReplayCard, RequestedTotal, TracePoint, Xor};
 use rtec_files::InputError;
-use rtec_rt::axis::{AxisConfig, Design, RestPolicy};
+use rtec_rt::axis::{AxisConfig, RestPolicy};
 use rtec_rt::event::{EventKind, Request};
 use rtec_sim::bench::{AnyDesign, BenchRun, constant};
 use rtec_sim::computer::Computer;
-use rtec_sim::replay::{CorrectedAxis as _, ReplayOutcome, homed_engine, replay};
+use rtec_sim::insertion::{CorrectedAxis as _, homed_engine};
+use rtec_sim::replay::{ReplayOutcome, replay};
 
 /// The signed byte of the Original RTEC: the largest total that it takes.
 pub(super) fn range(rows: &mut Rows, bench: &Bench, computer: &Computer) -> Result<(), PaperError> {
@@ -68,9 +69,9 @@ fn recording() -> impl Iterator<Item = Result<TracePoint, InputError>> {
     })
 }
 
-/// Totals given every 20 ms to the Original with its belief window.
+/// Totals given every 20 ms to an axis with this belief window.
 fn believe(window_counts: i64, totals: &[i64], large: bool) -> Result<ReplayOutcome, PaperError> {
-    let config = AxisConfig { design: Design::Original, window_counts, ..AxisConfig::default() };
+    let config = AxisConfig { window_counts, ..AxisConfig::default() };
     let given: Vec<Result<RequestedTotal, InputError>> = totals
         .iter()
         .enumerate()
@@ -81,7 +82,7 @@ fn believe(window_counts: i64, totals: &[i64], large: bool) -> Result<ReplayOutc
 
 pub(super) fn belief(rows: &mut Rows, bench: &Bench) -> Result<(), PaperError> {
     let place = "General Considerations";
-    let step = Design::Original.increment_counts();
+    let step = AnyDesign::Original.increment_counts();
     let window = bench.window_corrections * step;
     let believed =
         |n: i64| -> Result<bool, PaperError> { Ok(believe(window, &[n * step], false)?.refused.is_empty()) };
@@ -145,7 +146,6 @@ pub(super) fn belief(rows: &mut Rows, bench: &Bench) -> Result<(), PaperError> {
 pub(super) fn switches(rows: &mut Rows) -> Result<(), PaperError> {
     let place = "General Considerations";
     let config = AxisConfig {
-        design: Design::Original,
         rest: RestPolicy::Insert { after_ns: 1_000_000 },
         lines: AxisLines::standard(0, false),
         ..AxisConfig::default()

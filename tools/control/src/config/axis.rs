@@ -4,15 +4,15 @@ use super::card::{Card, Kind, read_lines};
 use super::{ConfiguredAxis, Simulated, plain};
 use rtec_files::toml::{Section, SourceFile};
 use rtec_model::record::Axis;
-use rtec_rt::axis::{AxisConfig, Design, RestPolicy};
+use rtec_rt::axis::{AxisConfig, INCREMENT_COUNTS, RestPolicy};
 use std::path::{Path, PathBuf};
 
 /// The belief window of an axis that does not state one, µm: three corrections of 4 µm (NISTIR 4832, General Considerations).
 const BELIEVED_UM: f64 = 12.0;
 
 /// The belief window as counts of this size, at least one insertion.
-fn window_of(count_um: f64, increment_counts: i64) -> i64 {
-    ((BELIEVED_UM / count_um).floor() as i64).max(increment_counts)
+fn window_of(count_um: f64) -> i64 {
+    ((BELIEVED_UM / count_um).floor() as i64).max(INCREMENT_COUNTS)
 }
 
 #[allow(clippy::too_many_lines)] // One key after the other.
@@ -45,24 +45,7 @@ pub(super) fn read(
             s.required(source, "travel_mm", "the length of its travel, mm", travel_mm),
         )
     };
-    let design = s.choice(
-        source,
-        "design",
-        3,
-        &[
-            ("c", Some(Design::C)),
-            ("original", Some(Design::Original)),
-            ("a", Some(Design::A)),
-            ("b", None),
-            ("ecc", None),
-        ],
-    );
-    if let Some(at) = design.filter(|d| d.value.is_none()) {
-        let expected = "\"c\", \"original\" or \"a\": b and ecc pass the signals through the computer, and exist \
-                        in simulation only (rtecctl designs)";
-        source.finding(at.offset, "a design that cannot drive XOR gates", expected);
-    }
-    let design = design.map_or(Some(Design::C), |d| d.value);
+    refuse_design(source, &mut s);
     let max = s.integer(source, "max_correction_counts", 1..=1_000_000_000);
     let max = s.required(source, "max_correction_counts", "the largest total correction, counts", max);
     let window = s.integer(source, "window_counts", 1..=1_000_000_000);
@@ -132,10 +115,9 @@ pub(super) fn read(
     }
     let simulated = read_simulated(source, &mut s, card.kind);
     let budget = s.integer(source, "reference_budget_counts", 1..=1_000_000_000);
-    let increment = design.map_or(1, Design::increment_counts);
     for (key, limit) in [("max_correction_counts", max), ("reference_budget_counts", budget)] {
-        if let Some(at) = limit.filter(|at| at.value < increment) {
-            let found = format!("{key} = {} with insertions of {increment} counts", at.value);
+        if let Some(at) = limit.filter(|at| at.value < INCREMENT_COUNTS) {
+            let found = format!("{key} = {} with insertions of {INCREMENT_COUNTS} counts", at.value);
             source.finding(
                 at.offset,
                 found,
@@ -187,11 +169,10 @@ pub(super) fn read(
     let window_counts = match window {
         Some(window) => window.value,
         None if window_given => return None,
-        None => window_of(count_um, design?.increment_counts()).min(max.value),
+        None => window_of(count_um).min(max.value),
     };
     let engine = AxisConfig {
         lines: lines?,
-        design: design?,
         max_correction_counts: budget.map_or(max.value, |b| b.value.min(max.value)),
         window_counts,
         warn_counts: warn.map_or(i64::MAX, |w| w.value),
@@ -228,6 +209,18 @@ pub(super) fn read(
         simulated: Simulated { count_um: simulated.count_um.unwrap_or(count_um), ..simulated.rest },
     };
     Some((axis, trace))
+}
+
+/// The key `design` of older configurations: the daemon inserts by Design C alone.
+fn refuse_design(source: &mut SourceFile<'_>, s: &mut Section<'_>) {
+    if !s.has_unoffered("design") {
+        return;
+    }
+    let expected = "no key `design`: every axis inserts by Design C; delete this line (the other designs are simulated: \
+                    rtecctl designs, rtecctl replay --design)";
+    if let Some(at) = s.value(source, "design", expected, |_| Some(())) {
+        source.finding(at.offset, "the key `design`", expected);
+    }
 }
 
 /// Keys by which a configuration asks for an axis that is not supported, and what that is.

@@ -313,7 +313,7 @@ def replay(
     *,
     columns: Mapping[str, str | int] | None = None,
     request_columns: Mapping[str, str | int] | None = None,
-    design: str | None = None,
+    design: str = "c",
     config: Place | None = None,
     axis: str | None = None,
 ) -> Replay:
@@ -329,7 +329,7 @@ def replay(
         The trace's columns or signals by name or number, as ``{"t_s": 1, "a": "D0", "b": "D1"}``.
     request_columns : mapping, optional
         The requests' columns by name or number, as ``{"t_ns": 1, "requested": 2}``.
-    design : str, optional
+    design : str
         ``original``, ``a``, ``b``, ``c`` or ``ecc``.
     config : path, optional
         An ``rtec.toml``.

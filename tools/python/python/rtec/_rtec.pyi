@@ -126,7 +126,7 @@ def replay(
     trace: str,
     requests: str,
     columns: tuple[list[str], list[str]],
-    design: str | None,
+    design: str,
     config: str | None,
     axis: str | None,
 ) -> tuple[str, bool]: ...

@@ -12,7 +12,7 @@ use test_needs::dice::Dice;
 fn line(seed: u64, creep_um: f64, timed: bool) -> Record {
     let mut d = Dice::new(seed);
     let n = 120;
-    let way = |i: usize| if (i / 20) % 2 == 0 { 1.0 } else { -1.0 };
+    let way = |i: usize| if (i / 20).is_multiple_of(2) { 1.0 } else { -1.0 };
     let at = |i: usize| if way(i) > 0.0 { (i % 20) as f64 } else { 19.0 - (i % 20) as f64 };
     let of = |f: &mut dyn FnMut(usize) -> f64| (0..n).map(f).collect::<Vec<f64>>();
     let share = |i: usize| i as f64 / (n - 1) as f64;

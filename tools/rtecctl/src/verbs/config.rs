@@ -83,15 +83,14 @@ fn measured(config: &Config) -> bool {
 fn print(config: &Config) {
     println!("machine \"{}\", card {}", config.machine, config.card.named());
     println!(
-        "{:<8} {:>10} {:>10} {:>9} {:>8} {:>8} {:>10} {:>9}",
-        "axis", "µm/count", "travel/mm", "design", "max", "window", "sep/ns", "need/ns"
+        "{:<8} {:>10} {:>10} {:>8} {:>8} {:>10} {:>9}",
+        "axis", "µm/count", "travel/mm", "max", "window", "sep/ns", "need/ns"
     );
     for axis in &config.axes {
         let e = &axis.engine;
         let Some(gate) = e.gate() else { continue };
-        let design = format!("{:?}", e.design).to_lowercase();
         println!(
-            "{:<8} {:>10} {:>10} {design:>9} {:>8} {:>8} {:>10} {:>9}",
+            "{:<8} {:>10} {:>10} {:>8} {:>8} {:>10} {:>9}",
             axis.name,
             axis.count_um,
             axis.travel_mm,

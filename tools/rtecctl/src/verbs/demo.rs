@@ -7,7 +7,7 @@ use rtec_driver::card::{AxisLines, MachineLines};
 use rtec_driver::clock::Monotonic;
 use rtec_driver::mock::MockCard;
 use rtec_model::machine::Machine;
-use rtec_rt::axis::AxisConfig;
+use rtec_rt::axis::{AxisConfig, INCREMENT_COUNTS};
 use rtec_rt::engine::{Engine, MachineConfig};
 use rtec_rt::event::{EventKind, Mode, Request, Status};
 use rtec_rt::thread::{Running, ThreadOptions, spawn};
@@ -196,7 +196,7 @@ fn law(axis: &AxisConfig, model: &str) -> anyhow::Result<Corrector> {
     let setup = AxisSetup {
         name: "x".to_owned(),
         count_um: COUNT_UM,
-        increment_counts: axis.design.increment_counts(),
+        increment_counts: INCREMENT_COUNTS,
         window_counts: axis.window_counts,
         max_counts: axis.max_correction_counts,
     };

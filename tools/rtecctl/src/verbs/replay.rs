@@ -13,7 +13,7 @@ use rtec_files::trace::{
     Playable, RequestReader, TraceFile, TraceFormat, TraceReader, request_columns, trace_columns,
 };
 use rtec_model::clock;
-use rtec_rt::axis::{AxisConfig, Design};
+use rtec_rt::axis::AxisConfig;
 use rtec_sim::bench::{AnyDesign, replay_any};
 use rtec_sim::ecc::Pll;
 use rtec_sim::replay::ReplayError;
@@ -38,9 +38,9 @@ pub(crate) struct Args {
     /// Columns of the requests that have other names, or none: as --columns, with `requested` for the total
     #[arg(long, value_name = "NAME=COLUMN", value_delimiter = ',')]
     request_columns: Vec<String>,
-    /// Insertion design [default: that of the configuration, or c]
-    #[arg(long, value_parser = designs())]
-    design: Option<AnyDesign>,
+    /// Insertion design
+    #[arg(long, default_value = "c", value_parser = designs())]
+    design: AnyDesign,
     /// Take the axis and its belief window from this configuration; without it: 1 µm counts, 500 ns separation,
     /// 1e6 counts/s², ±1000 counts, requests believed whatever their size
     #[arg(long, value_name = "FILE")]
@@ -104,11 +104,7 @@ fn two_clocks(args: &Args) -> anyhow::Result<()> {
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let (config, large) = axis(args)?;
-    let design = args.design.unwrap_or(match config.design {
-        Design::Original => AnyDesign::Original,
-        Design::A => AnyDesign::A,
-        Design::C => AnyDesign::C,
-    });
+    let design = args.design;
     let (trace, requests) = (args.open_trace()?, args.open_requests()?);
     for written in [trace.written(), requests.written()].into_iter().flatten() {
         eprintln!("note: {written}");

@@ -348,13 +348,12 @@ impl Life {
         let mut dice = Dice::new(seed);
         let accel = 10_f64.powf(4.3 + 1.2 * dice.unit());
         let max_gap_ns = dice.within(3000, 20_000);
-        let design = ["c", "c", "a", "original"][dice.within(0, 3) as usize];
         let rest = if dice.one_in(4) { "rest_policy = 'insert'\nrest_quiet_ms = 5\n" } else { "" };
         let axis = |name: &str, at: u64| {
             format!(
                 "[[axis]]\nname = '{name}'\ncount_um = 1.0\ntravel_mm = 400\nmax_correction_counts = 400\nwindow_counts = 40\n\
                  error_counts = 300\nmin_separation_ns = 3000\nmax_accel_counts_s2 = {}\nhysteresis_counts = 0.09\n\
-                 design = '{design}'\n{rest}lines = {{ a = 'in{}', b = 'in{}', invert_a = 'out{}', invert_b = 'out{}' }}\n",
+                 {rest}lines = {{ a = 'in{}', b = 'in{}', invert_a = 'out{}', invert_b = 'out{}' }}\n",
                 accel * 1.001,
                 at,
                 at + 1,

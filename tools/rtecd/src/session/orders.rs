@@ -6,6 +6,7 @@ use rtec_control::config::ConfiguredAxis;
 use rtec_control::protocol::{
     Jump, Response, explain_fault, explain_not_homed, explain_refusal, explain_unknown, word,
 };
+use rtec_rt::axis::INCREMENT_COUNTS;
 use rtec_rt::event::{AxisStatus, Event, EventKind, Mode, Refusal, Request, Status};
 use rtec_rt::link::{ControlEnd, REQUESTS};
 use std::time::Duration;
@@ -357,11 +358,10 @@ impl Session {
 
 /// What a request leaves undone, where it is no whole number of insertions away.
 fn rest(axis: &ConfiguredAxis, total_counts: i64, in_effect: i64) -> Option<String> {
-    let increment = axis.engine.design.increment_counts();
-    let left = (total_counts - in_effect) % increment;
+    let left = (total_counts - in_effect) % INCREMENT_COUNTS;
     (left != 0).then(|| {
         format!(
-            "axis {}: {:+} of {total_counts:+} counts will be in effect, {left:+} is left: an insertion is {increment} counts",
+            "axis {}: {:+} of {total_counts:+} counts will be in effect, {left:+} is left: an insertion is {INCREMENT_COUNTS} counts",
             axis.name,
             total_counts - left
         )

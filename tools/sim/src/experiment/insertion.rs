@@ -4,16 +4,17 @@ use super::runs::{Row, along, both, digits, feed, nothing};
 use super::{ExperimentError, Findings, Setting};
 use crate::axis::AxisSpec;
 use crate::gcode::Block;
+use crate::insertion::GateDesign;
 use crate::sim::Spec;
 use rtec_model::record::Kind;
-use rtec_rt::axis::{Design, RestPolicy};
+use rtec_rt::axis::{AxisConfig, RestPolicy};
 use serde_json::json;
 
 /// The report's machine: one axis of a metre, corrected by the Original RTEC.
 #[must_use]
 pub fn one_metre(count_um: f64, travel_mm: f64) -> Spec {
     let mut spec = Spec::new(vec![AxisSpec { count_um, ..AxisSpec::new("x", travel_mm) }]);
-    spec.design = Design::Original;
+    spec.design = GateDesign::Original;
     spec.rest = RestPolicy::Wait;
     spec
 }
@@ -56,8 +57,7 @@ pub(super) fn rapid_catch_up(setting: &Setting<'_>) -> Result<Findings, Experime
     let mut findings = nothing();
     let mut spec = one_metre(1.0, 1000.0);
     // The 8051's nine microseconds (NISTIR 4832): at rapid traverse they do not fit.
-    let nine =
-        crate::computer::Computer::i8051().configure(Design::Original, rtec_rt::axis::AxisConfig::default());
+    let nine = crate::computer::Computer::i8051().configure(AxisConfig::default());
     (spec.detect_ns, spec.write_ns) = (nine.detect_ns + nine.guard_ns, 500);
     let (mut waited, mut entering) = (0, Vec::new());
     let runs = both(setting, &spec, [0.0; 3], "rapid-catch-up", |sim, log| {

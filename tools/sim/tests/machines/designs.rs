@@ -92,6 +92,47 @@ fn without_the_speed_gate_it_runs_into_the_next_transition() {
     assert!(wrong(&run(40_000.0)));
 }
 
+/// The gates of the Original hide a pulse outside A = B = low: that its count is right shows that it begins nowhere else.
+#[test]
+fn full_cycle_designs_keep_the_ledger() {
+    let computer = Computer::i8051();
+    for design in [AnyDesign::Original, AnyDesign::A] {
+        for n in 0..60_u64 {
+            let accel = 1e5 * (1 + n % 7) as f64;
+            let edges = there_and_back(2000.0 + 700.0 * n as f64, accel, 1500 + 10 * n, 1_000_000);
+            let at = |k: u64| edges[(k * 211 + n * 37) as usize % edges.len()].0;
+            let mut totals: Vec<(u64, i64)> =
+                (0..12).map(|k| (at(k), (k * 7 + n) as i64 % 41 - 20)).collect();
+            totals.sort_unstable();
+            let run = BenchRun {
+                config: AxisConfig { max_accel_counts_s2: accel, ..AxisConfig::default() },
+                start: State::from_bits(n as u8 % 4),
+                edges: &edges,
+                totals: &totals,
+                ..BenchRun::new(design, &computer)
+            };
+            let seen = run.run().unwrap();
+            let wrong = (seen.error_counts(), seen.illegal, seen.faults, seen.overlaps, seen.completed % 4);
+            assert_eq!(wrong, (0, 0, 0, 0, 0), "{design:?} {n}: {seen:?}");
+            assert!(seen.insertions > 0, "{design:?} {n}");
+        }
+    }
+}
+
+#[test]
+fn full_cycle_designs_leave_less_than_four_counts() {
+    let computer = Computer::i8051();
+    let edges = constant(1_000_000, 5000.0, 400, 1);
+    for design in [AnyDesign::Original, AnyDesign::A] {
+        for (total, served) in [(7, 4), (3, 0), (-2, 0), (-3, 0), (-7, -4), (8, 8)] {
+            let totals = [(edges[20].0, total)];
+            let run = BenchRun { edges: &edges, totals: &totals, ..BenchRun::new(design, &computer) };
+            let seen = run.run().unwrap();
+            assert_eq!((seen.completed, seen.mtc - seen.scale), (served, served), "{design:?} {total}");
+        }
+    }
+}
+
 /// NISTIR 4832, The "Original RTEC": the machine cannot be corrected at rest outside A = B = low; Design A in any state.
 #[test]
 fn the_original_cannot_insert_at_rest_outside_low_low() {

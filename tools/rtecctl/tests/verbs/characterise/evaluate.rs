@@ -216,6 +216,7 @@ const CONDITIONS: &str = "machine = \"machining centre 12\"\naxis = \"Y, 800 mm\
 
 /// Reports; kept in target/reports for whoever wants to look at them, and as pictures where Chromium is there.
 #[test]
+#[expect(clippy::too_many_lines, reason = "a table of pages")]
 fn reports_are_pages_of_their_own() {
     let dir = tempfile::tempdir().unwrap();
     let folder = dir.path();

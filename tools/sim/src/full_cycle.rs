@@ -1,0 +1,626 @@
+//! The Original RTEC and Design A (NISTIR 4832): an insertion of four counts, by two pairs of inversions.
+//!
+//! Every insertion switches the inverters on and off again, one whole encoder cycle. The Original begins at A = B = low
+//! only; Design A begins in any state. Both wait for the same speed gate as the engine, for twice as many inversions.
+//! The simulated cards show every edge and confirm every write at once, so nothing here guards against missed counts.
+
+use crate::insertion::{CorrectedAxis, GateDesign};
+use rtec_driver::card::{Card, CardError, MachineLines};
+use rtec_driver::quadrature::{Decoder, Signal, State};
+use rtec_rt::axis::{Answer, AxisConfig, RestPolicy};
+use rtec_rt::engine::StartError;
+use rtec_rt::event::{
+    AxisStatus, Capture, Event, EventKind, Fault, Faults, GateState, HeldBy, MAX_AXES, Mode, Refusal,
+    Request, Status,
+};
+use rtec_rt::gate::{Gate, GateInput};
+
+/// Inversions of one insertion, and its counts.
+pub(crate) const INCREMENT_COUNTS: i64 = 4;
+/// A capture that finds no further edge is complete after this time: the axis has stopped (as in the engine).
+const CAPTURE_LIMIT_NS: u64 = 100_000_000;
+
+/// The speed gate for four inversions; `None` where no speed leaves time for an insertion.
+#[must_use]
+pub fn gate(config: &AxisConfig) -> Option<Gate> {
+    Gate::new(GateInput {
+        max_accel_counts_s2: config.max_accel_counts_s2,
+        hysteresis_counts: config.hysteresis_counts,
+        need_ns: (config.detect_ns + config.min_separation_ns + busy_ns(config)).max(1),
+    })
+}
+
+/// Time from the first inversion until the MTC is ready for a real edge, ns.
+fn busy_ns(config: &AxisConfig) -> u64 {
+    INCREMENT_COUNTS as u64 * (config.write_ns + config.min_separation_ns) + config.guard_ns
+}
+
+/// The corrected axes of one machine, each homed where it stood, corrections enabled.
+#[derive(Debug)]
+pub struct FullCycle {
+    axes: Vec<FullCycleAxis>,
+    lines: MachineLines,
+    inputs: u64,
+    look_ns: u64,
+    /// The next look comes at once: the mode has changed, or something was written.
+    look_at_once: bool,
+    probing: bool,
+    held: Option<HeldBy>,
+    enabled: bool,
+    mode: Mode,
+}
+
+/// How far an insertion has come.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Phase {
+    Idle,
+    /// An edge has opened the gate: the insertion begins from `from_ns` until `until_ns`.
+    Opened {
+        add: bool,
+        pairs: u8,
+        from_ns: u64,
+        until_ns: u64,
+    },
+    /// The first inversion of a pair is in effect since `effective_ns`; real edges fell after it.
+    HalfPair {
+        add: bool,
+        pairs: u8,
+        effective_ns: u64,
+        edges: u8,
+    },
+    /// One pair is done; the MTC gets its separation before the next.
+    BetweenPairs {
+        add: bool,
+        pairs: u8,
+        effective_ns: u64,
+    },
+}
+
+/// An inversion that an edge may have come before.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct LastInversion {
+    signal: Signal,
+    from_ns: u64,
+    done_ns: u64,
+}
+
+#[derive(Debug)]
+struct FullCycleAxis {
+    config: AxisConfig,
+    gate: Gate,
+    only_at_low: bool,
+    scale: Decoder,
+    home_counts: i64,
+    /// Inverters: bit 0 A, bit 1 B.
+    inverters: u8,
+    /// A' and B', and the MTC's count since homing.
+    mtc: State,
+    mtc_count: i64,
+    requested: i64,
+    completed: i64,
+    not_believed: u8,
+    phase: Phase,
+    last_inversion: Option<LastInversion>,
+    /// The last edge came between these two times, ns.
+    last_edge: Option<(u64, u64)>,
+    /// Direction of the last edge; 0 before the first and after an illegal transition.
+    last_step: i8,
+    /// Lower bound of the last period, ns; `None` before the second edge.
+    period_ns: Option<u64>,
+    next_allowed_ns: u64,
+    faults: Faults,
+    capture: Option<Capture>,
+    insertions: u64,
+    waited_for_gate: u64,
+    overlaps: u64,
+    late: u64,
+    /// The mode has changed since the last look or total.
+    look_at_once: bool,
+}
+
+/// One look, as an axis needs it.
+#[derive(Debug, Clone, Copy)]
+struct Look {
+    t_ns: u64,
+    /// An edge that this look shows came between these two times, ns.
+    edge_ns: (u64, u64),
+    may_insert: bool,
+}
+
+impl FullCycle {
+    /// Takes over the card as it stands: axis `n` is homed at `origin_counts(n)`.
+    ///
+    /// # Errors
+    /// When the card cannot be read or written, or an axis has no speed that leaves time for an insertion.
+    pub fn new<C: Card>(
+        design: GateDesign,
+        card: &mut C,
+        configs: &[AxisConfig],
+        lines: MachineLines,
+        origin_counts: impl Fn(usize) -> i64,
+    ) -> Result<Self, StartError> {
+        let sample = card.sample(0)?;
+        let axis = |(n, config): (usize, &AxisConfig)| {
+            let state = config.lines.scale(sample.inputs);
+            Some(FullCycleAxis {
+                config: *config,
+                gate: gate(config)?,
+                only_at_low: design == GateDesign::Original,
+                scale: Decoder::new(state),
+                home_counts: origin_counts(n),
+                inverters: 0,
+                mtc: state,
+                mtc_count: 0,
+                requested: 0,
+                completed: 0,
+                not_believed: 0,
+                phase: Phase::Idle,
+                last_inversion: None,
+                last_edge: None,
+                last_step: 0,
+                period_ns: None,
+                next_allowed_ns: sample.t_ns,
+                faults: Faults::NONE,
+                capture: None,
+                insertions: 0,
+                waited_for_gate: 0,
+                overlaps: 0,
+                late: 0,
+                look_at_once: true,
+            })
+        };
+        let axes = configs.iter().enumerate().map(|at| axis(at).ok_or(StartError::NoGate(at.0)));
+        Ok(Self {
+            axes: axes.collect::<Result<_, _>>()?,
+            lines,
+            inputs: sample.inputs,
+            look_ns: sample.t_ns,
+            look_at_once: true,
+            probing: false,
+            held: None,
+            enabled: true,
+            mode: Mode::Run,
+        })
+    }
+
+    /// Takes one request: a total, probing mode, feed hold, enabling and disabling. The others do not concern a
+    /// simulated machine, which is homed from the start.
+    ///
+    /// # Errors
+    /// When the hold line cannot be written.
+    pub fn take<C: Card>(
+        &mut self,
+        request: Request,
+        card: &mut C,
+        report: &mut impl FnMut(Event) -> bool,
+    ) -> Result<(), CardError> {
+        match request {
+            Request::Correct { axis, total_counts, large } => {
+                let (n, why_not) = (usize::from(axis), self.why_not());
+                let answer = match (self.axes.get_mut(n), why_not) {
+                    (None, _) => Answer::Refused(Refusal::NoSuchAxis),
+                    (_, Some(why)) => Answer::Refused(why),
+                    (Some(a), None) => a.request(total_counts, large),
+                };
+                self.look_at_once = self.axes.iter().any(|a| a.look_at_once);
+                let kind = match answer {
+                    Answer::AcceptedWithWarning => EventKind::Warning { total_counts },
+                    Answer::Refused(why) => EventKind::Refused { total_counts, why },
+                    Answer::Fault(fault) if self.axes[n].faults.latch(fault) => EventKind::Fault(fault),
+                    Answer::Accepted | Answer::Fault(_) => return Ok(()),
+                };
+                report(Event { t_ns: self.look_ns, axis: Some(axis), kind });
+            }
+            Request::Probe(on) => self.probing = on,
+            Request::Hold { on, by } => self.held = on.then_some(HeldBy::User(by)),
+            Request::Enable => self.enabled = true,
+            Request::Disable => self.enabled = false,
+            Request::Home { .. }
+            | Request::ConfirmHome { .. }
+            | Request::Shadow
+            | Request::Clear
+            | Request::StateFileLost => {}
+        }
+        self.update_mode(card)
+    }
+
+    /// Why a total is refused whatever its size.
+    fn why_not(&self) -> Option<Refusal> {
+        let conditions = [
+            (self.mode == Mode::Fault, Refusal::FaultLatched),
+            (self.probing, Refusal::Probing),
+            (self.held.is_some(), Refusal::Held),
+            (!self.enabled, Refusal::Disabled),
+        ];
+        conditions.into_iter().find_map(|(is, why)| is.then_some(why))
+    }
+
+    fn update_mode<C: Card>(&mut self, card: &mut C) -> Result<(), CardError> {
+        let faulted = self.axes.iter().any(|a| a.faults.any());
+        let mode = if faulted {
+            Mode::Fault
+        } else if self.held.is_some() {
+            Mode::Hold
+        } else if self.probing {
+            Mode::Probe
+        } else if self.enabled {
+            Mode::Run
+        } else {
+            Mode::Disabled
+        };
+        if mode != self.mode {
+            let wants_hold = |mode| matches!(mode, Mode::Fault | Mode::Hold);
+            if let Some(bit) = self.lines.hold.filter(|_| wants_hold(mode) != wants_hold(self.mode)) {
+                card.write(1 << bit, u64::from(wants_hold(mode)) << bit)?;
+            }
+            (self.mode, self.look_at_once) = (mode, true);
+            self.axes.iter_mut().for_each(|a| a.look_at_once = true);
+        }
+        Ok(())
+    }
+
+    /// Everything at this moment.
+    #[must_use]
+    pub fn status(&self) -> Status {
+        let mut axes = [AxisStatus::default(); MAX_AXES];
+        for (status, axis) in axes.iter_mut().zip(&self.axes) {
+            *status = axis.status();
+        }
+        Status {
+            t_ns: self.look_ns,
+            mode: self.mode,
+            mtc_ready: true,
+            enabled: self.enabled,
+            held: self.held,
+            axes_used: self.axes.len() as u8,
+            axes,
+            ..Status::default()
+        }
+    }
+}
+
+impl CorrectedAxis for FullCycle {
+    fn poll<C: Card>(
+        &mut self,
+        card: &mut C,
+        by_ns: u64,
+        report: &mut impl FnMut(Event) -> bool,
+    ) -> Result<(), CardError> {
+        let due_ns = self.axes.iter().map(FullCycleAxis::wake_ns).min().unwrap_or(u64::MAX);
+        let wake_ns = if std::mem::replace(&mut self.look_at_once, false) { 0 } else { due_ns };
+        let sample = card.sample(wake_ns.min(by_ns))?;
+        let since_ns = std::mem::replace(&mut self.look_ns, sample.t_ns);
+        let changed = sample.inputs ^ std::mem::replace(&mut self.inputs, sample.inputs);
+        let look = Look {
+            t_ns: sample.t_ns,
+            edge_ns: sample.edge_ns.map_or((since_ns, sample.t_ns), |ns| (ns, ns)),
+            may_insert: self.mode == Mode::Run,
+        };
+        let mut emit = |n: usize, kind| report(Event { t_ns: look.t_ns, axis: Some(n as u8), kind });
+        let probe_mask = self.lines.probe.map_or(0, |bit| 1_u64 << bit);
+        if self.probing && changed & sample.inputs & probe_mask != 0 {
+            for (n, axis) in self.axes.iter_mut().enumerate() {
+                if !axis.trip(look.edge_ns) {
+                    emit(n, EventKind::Bounce);
+                }
+            }
+        }
+        let (mut mask, mut value) = (0, 0);
+        for (n, axis) in self.axes.iter_mut().enumerate() {
+            let state = axis.config.lines.scale(sample.inputs);
+            if let Some(signal) = axis.look(state, &look, &mut |kind| {
+                emit(n, kind);
+            }) {
+                let lines = &axis.config.lines;
+                let line = 1_u64 << if signal == Signal::A { lines.invert_a } else { lines.invert_b };
+                mask |= line;
+                value |= if axis.inverters & signal as u8 == 0 { 0 } else { line };
+            }
+        }
+        if mask != 0 {
+            self.look_at_once = true;
+            let done_ns = card.write(mask, value)?.unwrap_or(look.t_ns);
+            for axis in &mut self.axes {
+                let lines = &axis.config.lines;
+                if mask & (1 << lines.invert_a | 1 << lines.invert_b) != 0 {
+                    axis.written(done_ns);
+                }
+            }
+        }
+        self.update_mode(card)
+    }
+
+    fn correct<C: Card>(
+        &mut self,
+        total_counts: i64,
+        large: bool,
+        card: &mut C,
+        report: &mut impl FnMut(Event) -> bool,
+    ) -> Result<(), CardError> {
+        self.take(Request::Correct { axis: 0, total_counts, large }, card, report)
+    }
+
+    fn axis(&self) -> AxisStatus {
+        self.axes[0].status()
+    }
+
+    fn now_ns(&self) -> u64 {
+        self.look_ns
+    }
+}
+
+impl FullCycleAxis {
+    fn pending(&self) -> i64 {
+        self.requested - self.completed
+    }
+
+    /// Two pairs make an insertion; a left-over pair switches the inverters off again.
+    fn pairs(&self) -> u8 {
+        if self.inverters == 0 { 2 } else { 1 }
+    }
+
+    fn ready(&self) -> bool {
+        let least = if self.inverters == 0 { INCREMENT_COUNTS } else { INCREMENT_COUNTS / 2 };
+        self.pending().abs() >= least && !self.faults.any()
+    }
+
+    fn may_begin_here(&self) -> bool {
+        !self.only_at_low || self.scale.state() == State::default()
+    }
+
+    fn request(&mut self, total: i64, large: bool) -> Answer {
+        let answer = self.config.judge(total, self.requested, large, &mut self.not_believed);
+        if matches!(answer, Answer::Accepted | Answer::AcceptedWithWarning) {
+            (self.requested, self.look_at_once) = (total, false);
+        }
+        answer
+    }
+
+    /// The probe tripped; `false` while a capture is under way: a bounce.
+    fn trip(&mut self, trip_ns: (u64, u64)) -> bool {
+        if self.capture.is_some() {
+            return false;
+        }
+        let before = (self.last_boundary(), self.last_edge.map(|(_, t)| t));
+        self.capture = Some(Capture { trip_ns, before, after: None });
+        true
+    }
+
+    /// Position of the boundary that the last edge crossed, counts.
+    fn last_boundary(&self) -> i64 {
+        self.home_counts + self.scale.count() + i64::from(self.last_step < 0)
+    }
+
+    /// The signal to invert now, if any.
+    fn look(&mut self, state: State, look: &Look, report: &mut impl FnMut(EventKind)) -> Option<Signal> {
+        self.look_at_once = false;
+        if state != self.scale.state() {
+            self.edge(state, look, report);
+        }
+        self.last_inversion = self.last_inversion.filter(|i| look.edge_ns.1 <= i.done_ns);
+        if let Some(c) = self.capture
+            && look.t_ns > c.trip_ns.1 + CAPTURE_LIMIT_NS
+        {
+            self.capture = None;
+            report(EventKind::Trip(c));
+        }
+        self.act(look, report)
+    }
+
+    fn fault(&mut self, fault: Fault, report: &mut impl FnMut(EventKind)) {
+        if self.faults.latch(fault) {
+            report(EventKind::Fault(fault));
+        }
+    }
+
+    fn edge(&mut self, state: State, look: &Look, report: &mut impl FnMut(EventKind)) {
+        let before = self.scale.state();
+        let step = self.scale.update(state);
+        let last = self.last_edge.replace(look.edge_ns);
+        self.period_ns = last.map(|(_, last_ns)| look.edge_ns.0.saturating_sub(last_ns));
+        if let Phase::HalfPair { edges, .. } = &mut self.phase {
+            *edges += 1;
+        }
+        let Some(step) = step else {
+            (self.last_step, self.mtc) = (0, state.inverted(self.inverters));
+            self.fault(Fault::IllegalTransition, report);
+            return;
+        };
+        let turned = self.last_step != 0 && step != self.last_step;
+        self.last_step = step;
+        self.pass_on(before.signal_to(state), look.edge_ns.1, report);
+        if matches!(self.inverters, 1 | 2) {
+            self.overlaps += 1;
+            report(EventKind::Overlap);
+        } else if self.mtc_count - self.scale.count() != self.completed && !self.faults.any() {
+            self.fault(Fault::LedgerImbalance, report);
+        }
+        if let Some(mut c) = self.capture.take() {
+            c.after = Some((self.last_boundary(), look.edge_ns.1));
+            report(EventKind::Trip(c));
+        }
+        if matches!(self.phase, Phase::Idle | Phase::Opened { .. }) {
+            self.phase = Phase::Idle;
+            if self.ready() && look.may_insert {
+                if turned {
+                    self.waited_for_gate += 1;
+                } else {
+                    self.open(look.edge_ns);
+                }
+            }
+        }
+    }
+
+    /// Enters a real edge into the MTC's count, in the order in which it and the last inversion fell.
+    fn pass_on(&mut self, signal: Signal, edge_ns: u64, report: &mut impl FnMut(EventKind)) {
+        let overtaken = self.last_inversion.filter(|i| i.signal != signal && edge_ns <= i.done_ns);
+        if let Some(inversion) = overtaken.filter(|i| edge_ns <= i.from_ns) {
+            let before = self.mtc.flipped(inversion.signal);
+            self.mtc_count -= i64::from(before.step_of(inversion.signal));
+            self.mtc_count += i64::from(before.step_of(signal));
+            self.mtc_count += i64::from(before.flipped(signal).step_of(inversion.signal));
+            self.mtc = self.mtc.flipped(signal);
+            if matches!(self.inverters, 0 | 3) {
+                self.completed = self.mtc_count - self.scale.count();
+            }
+            return;
+        }
+        self.mtc_count += i64::from(self.mtc.step_of(signal));
+        self.mtc = self.mtc.flipped(signal);
+        if overtaken.is_some() {
+            self.fault(Fault::OrderUnknown, report);
+        }
+    }
+
+    /// Opens an insertion after an edge, if the next edge cannot come before it is done.
+    fn open(&mut self, edge: (u64, u64)) {
+        if !self.may_begin_here() || edge.1 < self.next_allowed_ns {
+            return;
+        }
+        let period_ns = self.period_ns.unwrap_or(0);
+        let quiet_ns = self.gate.quiet_ns(period_ns);
+        if period_ns < self.gate.min_period_ns() || quiet_ns < self.gate.need_ns() {
+            self.waited_for_gate += 1;
+            return;
+        }
+        self.phase = Phase::Opened {
+            add: self.pending() > 0,
+            pairs: self.pairs(),
+            from_ns: edge.1 + self.config.min_separation_ns,
+            until_ns: edge.0 + quiet_ns - busy_ns(&self.config),
+        };
+    }
+
+    fn act(&mut self, look: &Look, report: &mut impl FnMut(EventKind)) -> Option<Signal> {
+        if look.t_ns < self.due_ns() {
+            return None;
+        }
+        match self.phase {
+            Phase::Idle => {
+                let add = self.pending() > 0;
+                look.may_insert.then(|| self.invert_first(add, self.pairs(), look.t_ns))
+            }
+            Phase::Opened { add, pairs, until_ns, .. } => {
+                self.phase = Phase::Idle;
+                let wanted = look.may_insert && self.ready() && (self.pending() > 0) == add;
+                if wanted && look.t_ns <= until_ns {
+                    return Some(self.invert_first(add, pairs, look.t_ns));
+                }
+                if wanted {
+                    self.late += 1;
+                    report(EventKind::Late);
+                }
+                None
+            }
+            Phase::HalfPair { add, pairs, edges, .. } => {
+                Some(self.invert_second(add, pairs, edges > 0, look.t_ns, report))
+            }
+            Phase::BetweenPairs { add, pairs, .. } => Some(self.invert_first(add, pairs, look.t_ns)),
+        }
+    }
+
+    /// The first inversion of a pair (NISTIR 4832: A = B and adding inverts A first).
+    fn invert_first(&mut self, add: bool, pairs: u8, t_ns: u64) -> Signal {
+        self.phase = Phase::HalfPair { add, pairs, effective_ns: t_ns, edges: 0 };
+        self.invert(self.mtc.signal_towards(add), t_ns)
+    }
+
+    /// The second inversion: the signal that leaves the MTC where it should be, or else where it was.
+    fn invert_second(
+        &mut self,
+        add: bool,
+        pairs: u8,
+        overlapped: bool,
+        t_ns: u64,
+        report: &mut impl FnMut(EventKind),
+    ) -> Signal {
+        let wanted = self.completed + if add { 2 } else { -2 };
+        let offset = self.mtc_count - self.scale.count();
+        let mut signal = self.mtc.signal_towards(add);
+        let step = if add { 1 } else { -1 };
+        let [ahead, aback] = [offset + step, offset - step].map(|o| o.abs_diff(wanted));
+        if aback < ahead || aback == ahead && signal == Signal::B {
+            signal = signal.other();
+        }
+        self.invert(signal, t_ns);
+        let offset = self.mtc_count - self.scale.count();
+        self.completed = if overlapped { offset } else { wanted };
+        if offset != self.completed {
+            self.fault(Fault::LedgerImbalance, report);
+        }
+        if pairs > 1 {
+            self.phase = Phase::BetweenPairs { add, pairs: pairs - 1, effective_ns: t_ns };
+        } else {
+            self.phase = Phase::Idle;
+            self.insertions += 1;
+            let interval_ns = INCREMENT_COUNTS as f64 / self.config.max_rate_counts_s * 1e9;
+            self.next_allowed_ns = t_ns + interval_ns as u64;
+        }
+        signal
+    }
+
+    fn invert(&mut self, signal: Signal, t_ns: u64) -> Signal {
+        self.mtc_count += i64::from(self.mtc.step_of(signal));
+        self.mtc = self.mtc.flipped(signal);
+        self.inverters ^= signal as u8;
+        self.last_inversion = Some(LastInversion { signal, from_ns: t_ns, done_ns: t_ns });
+        signal
+    }
+
+    /// The card has confirmed that the last write took effect at `at_ns`.
+    fn written(&mut self, at_ns: u64) {
+        if let Some(inversion) = &mut self.last_inversion {
+            inversion.done_ns = at_ns;
+        }
+        if let Phase::HalfPair { effective_ns, .. } | Phase::BetweenPairs { effective_ns, .. } =
+            &mut self.phase
+        {
+            *effective_ns = at_ns;
+        }
+    }
+
+    /// When the insertion under way goes on, or one begins at rest, ns.
+    fn due_ns(&self) -> u64 {
+        match self.phase {
+            Phase::Idle => match self.config.rest {
+                RestPolicy::Insert { after_ns } if self.ready() && self.may_begin_here() => {
+                    self.last_edge.map_or(0, |(_, t)| t).max(self.next_allowed_ns) + after_ns
+                }
+                _ => u64::MAX,
+            },
+            Phase::Opened { from_ns, .. } => from_ns,
+            // Two real edges inside: the axis is too fast for a separation, and the MTC counts mirrored.
+            Phase::HalfPair { edges: 2.., .. } => 0,
+            Phase::HalfPair { effective_ns, .. } | Phase::BetweenPairs { effective_ns, .. } => {
+                let last_out = self.last_edge.map_or(effective_ns, |(_, edge)| edge.max(effective_ns));
+                last_out + self.config.min_separation_ns
+            }
+        }
+    }
+
+    fn wake_ns(&self) -> u64 {
+        let capture_ns = self.capture.map_or(u64::MAX, |c| c.trip_ns.1 + CAPTURE_LIMIT_NS + 1);
+        self.due_ns().min(capture_ns)
+    }
+
+    fn status(&self) -> AxisStatus {
+        AxisStatus {
+            position_counts: self.home_counts + self.scale.count(),
+            mtc_minus_scale: self.mtc_count - self.scale.count(),
+            requested: self.requested,
+            completed: self.completed,
+            in_effect: self.completed,
+            inverted: self.inverters == 3,
+            homed: !self.faults.any(),
+            mtc_known: !self.faults.any(),
+            gate: if self.faults.any() { GateState::Fault } else { GateState::WaitingForEdge },
+            faults: self.faults,
+            insertions: self.insertions,
+            waited_for_gate: self.waited_for_gate,
+            overlaps: self.overlaps,
+            late: self.late,
+            illegal: self.scale.illegal(),
+            ..AxisStatus::default()
+        }
+    }
+}
