@@ -24,7 +24,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut running = spawn(engine, card, options)?;
 
     let known = "name = \"axis\"\n[[effect]]\nname = \"scale.x\"\nppm = 1000.0\n";
-    let (name, increment_counts) = ("x".to_owned(), axis.design.increment_counts());
+    let (name, increment_counts) = ("x".to_owned(), rtec_rt::axis::INCREMENT_COUNTS);
     let (window_counts, max_counts) = (axis.window_counts, axis.max_correction_counts);
     let setup = AxisSetup { name, count_um: 1.0, increment_counts, window_counts, max_counts };
     let mut law = Corrector::new(vec![setup], RAMP_UM_S, 0.01, 0.0);
