@@ -2,8 +2,9 @@
 //! Lines have systemd's level prefix where systemd listens. What standard error does not take at once is dropped. The
 //! control loop never waits for a reader, and a full disk does not end the daemon.
 //!
-//! Faults, changes of mode, models and part tables go to the journal with fields of their own (journald's native protocol, a
-//! datagram), where it is the journal that reads standard error; where it does not take them, to standard error.
+//! Faults, changes of mode, models and part tables go to the journal with fields of their own. They are datagrams of
+//! journald's native protocol, sent where the journal reads standard error. If journald does not take them, they go
+//! to standard error.
 //!
 //! | field | what |
 //! |---|---|
