@@ -57,10 +57,11 @@ pub struct Entry {
     pub n: u64,
     /// When, UTC (RFC 3339).
     pub t: String,
-    /// `command`, `start`, `stop`.
-    /// `mode`, `fault`, `homed`, `control_stale`, `stood_still` (what happened, when it was first seen); `lost`
-    /// (lines that could not be written), `torn` (a line that a crash cut), `moved` (its file or head was removed or
-    /// renamed while it was written) or `missing` (the same, while nobody wrote).
+    /// What the entry is about.
+    /// It is `command`, `start` or `stop`, or an event: `mode`, `fault`, `homed`, `control_stale`, `stood_still`
+    /// (when it was first seen). `lost` counts lines that could not be written. `torn` is a line that a crash cut.
+    /// `moved` means that its file or head was removed or renamed while it was written. `missing` means the same
+    /// while nobody wrote.
     pub what: String,
     /// The axis that it happened to; none for the machine as a whole.
     #[serde(default, skip_serializing_if = "Option::is_none")]
