@@ -1,4 +1,4 @@
-//! What the engine asks of an I/O card: one look at all lines with a time, and one masked write.
+//! The interface of an I/O card: read all input lines with a time, or write some.
 
 use crate::quadrature::State;
 
@@ -18,7 +18,8 @@ pub struct AxisLines {
 }
 
 impl AxisLines {
-    /// The layout of the mock and shared-memory test cards: inputs A, B, A', B' of axis `n` from bit 4n, outputs from 2n.
+    /// The layout of the mock and shared-memory test cards.
+    /// Axis `n` has inputs A, B, A', B' from bit 4n and outputs from bit 2n.
     #[must_use]
     pub const fn standard(n: u8, read_back: bool) -> Self {
         let back = if read_back { Some((4 * n + 2, 4 * n + 3)) } else { None };
@@ -85,19 +86,23 @@ pub struct Sample {
     pub t_ns: u64,
     /// Levels of the input lines, polarity already taken out.
     pub inputs: u64,
-    /// The time of the change itself, ns, on cards that stamp edges; such a card shows one change per look.
+    /// The time of the change itself, ns, on cards that stamp edges.
+    /// Such a card shows one change per look.
     pub edge_ns: Option<u64>,
-    /// Lines on which no count can have passed unseen since the look before, however long ago that was: their edges wait
-    /// in a queue, or the card counts them itself.
+    /// Lines on which no count can have been missed since the last look.
+    /// This holds however late the look was.
+    /// Their edges wait in a queue, or the card counts them itself.
     pub complete: u64,
-    /// A further change is known already and comes with the next look: this is no state to act on.
+    /// The card already knows a further change and shows it at the next look.
+    /// The engine must not act on this state.
     pub more: bool,
-    /// Which of `inputs` are levels of this very moment; a card of queued edges knows the others from before.
+    /// Which of `inputs` are levels of this very moment.
+    /// A card of queued edges knows the others from before.
     pub fresh: u64,
     /// What the card itself found wrong since the look before.
     pub trouble: Option<Trouble>,
-    /// How long this look was late without the card's time going on, ns: a simulated machine waits for a process that
-    /// was kept away.
+    /// How long this look was late without the card's time advancing, ns.
+    /// A simulated machine waits for a process that was not scheduled.
     pub waited_ns: u64,
 }
 
@@ -110,7 +115,7 @@ impl Sample {
         Self { t_ns, inputs, edge_ns: None, complete, more, fresh, trouble: None, waited_ns: 0 }
     }
 
-    /// The same from a card that stamps its changes and shows every one, with the time of this one.
+    /// A sample of a card that stamps and shows every change, with this one's time.
     #[inline]
     #[must_use]
     pub const fn stamped(t_ns: u64, inputs: u64, edge_ns: Option<u64>) -> Self {
@@ -134,29 +139,33 @@ pub enum TroubleKind {
     SequenceGap,
     /// The kernel's queue of edges was full, and the oldest were dropped.
     QueueOverflow,
-    /// A line is not where its edges have led: one of them was never reported, or reported with the wrong polarity.
+    /// A line's level disagrees with its edges.
+    /// An edge was not reported, or was reported with the wrong polarity.
     EdgeMissed,
     /// The card's own counter reports that it has overflowed.
     CounterOverflow,
-    /// The card's own decoder reports an illegal transition, or disagrees with the lines.
+    /// The card's decoder reports an illegal transition, or disagrees with the lines.
     CounterError,
 }
 
-/// An I/O card. The engine is generic over it; nothing here may allocate, lock or log.
+/// An I/O card.
+/// The engine is generic over it; nothing here may allocate, lock or log.
 pub trait Card {
-    /// The card sleeps until a line changes: not the time between two looks counts but the age of
-    /// an edge when it is seen.
+    /// The card sleeps until a line changes.
+    /// Latency is then the age of an edge when it is seen, not the time between two looks.
     const SLEEPS: bool = false;
 
-    /// Looks at all lines. The engine has nothing to do before `wake_ns` unless a line changes: a card that can sleep,
-    /// or whose time is virtual, may wait until then; a polled card ignores it.
+    /// Looks at all lines.
+    /// The engine has nothing to do before `wake_ns` unless a line changes. A card that can sleep, or whose time is
+    /// virtual, may wait until then. A polled card ignores it.
     ///
     /// # Errors
     /// When the lines cannot be read, or a recording has ended.
     fn sample(&mut self, wake_ns: u64) -> Result<Sample, CardError>;
 
-    /// Sets the output lines of `mask` to `value`, the others stay. Returns a time after which the change is certainly
-    /// in effect, where the card knows it; otherwise the next look is that time.
+    /// Sets the output lines of `mask` to `value`, the others stay.
+    /// Returns a time after which the change is certainly in effect, where the card knows it; otherwise the next look
+    /// is that time.
     ///
     /// # Errors
     /// When the lines cannot be written.
@@ -169,7 +178,7 @@ pub trait Card {
     fn outputs(&mut self) -> Result<u64, CardError>;
 }
 
-/// Why a card could not be read or written: the operation and the system's error number.
+/// Why a card could not be read or written.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum CardError {
     /// A recording, or a simulation, has come to its end.

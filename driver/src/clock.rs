@@ -6,7 +6,8 @@ pub trait Clock {
     fn now_ns(&mut self) -> u64;
 }
 
-/// The kernel's `CLOCK_MONOTONIC`, the clock that GPIO edge time stamps use too. Read through the vDSO: no system call.
+/// The kernel's `CLOCK_MONOTONIC`, the clock that GPIO edge time stamps use too.
+/// Read through the vDSO: no system call.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Monotonic;
 

@@ -1,12 +1,14 @@
 //! GPIO lines through the Linux character device (uapi v2).
 //!
-//! Inputs either as edges or as levels. *Edges*: the kernel stamps each in its interrupt and queues it; the thread sleeps
-//! until one comes. A, B and the read-back of an axis are one request, so that the kernel numbers their edges together and
-//! a merged pair shows as a gap. *Levels*: one bulk read per chip and look; the thread never sleeps.
+//! Inputs are requested either as edges or as levels. *Edges*: the kernel stamps each edge in its interrupt and
+//! queues it. The thread sleeps until one comes. A, B and the read-back of an axis share one request. The kernel then
+//! numbers their edges together, and a merged pair shows as a gap. *Levels*: each look reads a chip's lines in one
+//! call, and the thread never sleeps.
 //!
-//! Outputs are one request per chip. Requesting them changes nothing: an output keeps its level, a line that was no output
-//! becomes one at the level it is read at. The request's descriptor can be kept elsewhere while the process is gone
-//! ([`GpioCard::kept`]) and be given back to the next one ([`GpioCard::open`]); closing the last one may let the lines fall.
+//! Outputs are one request per chip. The request changes no level. An output keeps its level, and any other line
+//! becomes an output at the level it is read at. Another process may keep the request's descriptor
+//! ([`GpioCard::kept`]) and give it to the next daemon ([`GpioCard::open`]). When the last descriptor is closed, the
+//! lines may fall.
 
 use crate::card::{Card, CardError, Sample, Trouble, TroubleKind};
 use crate::clock::Clock;
@@ -26,16 +28,19 @@ use std::path::PathBuf;
 
 /// Who we are in `gpioinfo`.
 const CONSUMER: &str = "rtec";
-/// Edges that the kernel may hold for us, per request: its maximum. A stall then costs late insertions, not counts.
+/// Edges that the kernel may hold for us, per request: its maximum.
+/// A stall then costs late insertions, not counts.
 const KERNEL_QUEUE: u32 = 1024;
 /// Edges taken from the kernel at once.
 const BATCH: usize = 64;
 /// Words of one edge.
 const EDGE_WORDS: usize = size_of::<LineEdgeEvent>() / 8;
-/// A line that differs from its edges for so long, with no edge on its request, has lost one, ns. Until then the edge may be
-/// on its way through the interrupt's thread.
+/// A line that differs from its edges for this long has lost one, ns.
+/// The request must have had no edge meanwhile. Before that, the edge may still be on its way through the interrupt's
+/// thread.
 const MISSED_AFTER_NS: u64 = 20_000_000;
-/// While an edge is on its way the thread gives way for so long, ns: the interrupt's thread may need this CPU.
+/// The thread yields for this long while an edge is on its way, ns.
+/// The interrupt's thread may need this CPU.
 const GIVE_WAY_NS: u64 = 50_000;
 
 /// A line as a person names it: by its name or its number on a chip.
@@ -59,7 +64,8 @@ impl fmt::Display for LineId {
 /// One line and how it is to be used.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct GpioLine {
-    /// The chip: `gpiochip0`, a path, or its label; `None` looks for the line's name on every chip.
+    /// The chip: `gpiochip0`, a path, or its label.
+    /// `None` looks for the line's name on every chip.
     pub chip: Option<String>,
     /// The line on its chip, by name or offset.
     pub line: LineId,
@@ -278,7 +284,8 @@ pub fn chips() -> Vec<(String, String, u32)> {
     chips.filter_map(|chip| chip.info().ok().map(|info| (info.name, info.label, info.num_lines))).collect()
 }
 
-/// What the kernel reports of a line, in words: where it is, its direction, who has it. Nothing is requested.
+/// Describes a line as the kernel reports it: place, direction, holder.
+/// Requests nothing.
 ///
 /// # Errors
 /// When it is not there.
@@ -316,8 +323,9 @@ fn flags(line: &GpioLine, output: bool, edges: bool) -> LineFlags {
     }
 }
 
-/// The configuration of a request's lines: the first line's flags for all, exceptions grouped, then output levels. The
-/// kernel takes ten exceptions; with two polarities, three biases and three drives no machine comes near.
+/// The configuration of a request's lines.
+/// It sets the first line's flags for all, then grouped exceptions, then output levels. The kernel takes ten
+/// exceptions. Two polarities, three biases and three drives need fewer on any real machine.
 fn line_config(flags: &[LineFlags], levels: Option<u64>) -> LineConfig {
     let mut config = LineConfig { flags: flags[0], ..LineConfig::default() };
     let mut others: Vec<(LineFlags, u64)> = Vec::new();
@@ -341,7 +349,8 @@ const fn all(n: usize) -> u64 {
     if n >= 64 { u64::MAX } else { (1 << n) - 1 }
 }
 
-/// Requests lines of one chip; a line that somebody else has is named with its holder.
+/// Requests lines of one chip.
+/// A line that somebody else has is named with its holder.
 fn request(chip: &Chip, offsets: &[u32], names: &[LineId], config: LineConfig) -> Result<File, GpioError> {
     let io = |op, source| GpioError::Io { op, chip: path_of(chip), source };
     for (offset, name) in offsets.iter().zip(names) {
@@ -377,9 +386,11 @@ fn read_levels(file: &File, lines: usize) -> Result<u64, CardError> {
 /// How the kernel's numbering of edges goes on.
 #[derive(Debug, Clone, PartialEq, Eq)]
 struct Numbering {
-    /// Edges of the request so far. The kernel counts them in its interrupt, so that a merged one leaves a gap.
+    /// Edges of the request so far.
+    /// The kernel counts them in its interrupt, so that a merged one leaves a gap.
     all: u32,
-    /// Edges of each line so far, as far as they have come to the queue: one that was dropped there leaves a gap.
+    /// Edges of each line so far, as numbered in the queue.
+    /// An edge dropped from the queue leaves a gap.
     line: Box<[u32]>,
 }
 
@@ -487,8 +498,9 @@ pub struct GpioCard<K> {
 }
 
 impl<K: Clock> GpioCard<K> {
-    /// Requests the lines. `kept` are descriptors of output requests that outlived their process: those lines are taken
-    /// over without being touched.
+    /// Requests the lines.
+    /// `kept` are descriptors of output requests that outlived their process: those lines are taken over without
+    /// being touched.
     ///
     /// # Errors
     /// When a chip or line is not there, is taken, or a kept descriptor holds other lines than those wanted.
@@ -507,13 +519,14 @@ impl<K: Clock> GpioCard<K> {
         Ok(Self { inputs: inputs.into(), outputs: outputs.into(), waits, levels, clock })
     }
 
-    /// The output requests: a name and the descriptor whose life the levels hang on. Whoever keeps a duplicate of each
-    /// keeps the lines as they are when this process dies.
+    /// The output requests: a name and the descriptor whose life the levels hang on.
+    /// Whoever keeps a duplicate of each keeps the lines as they are when this process dies.
     pub fn kept(&self) -> impl Iterator<Item = (String, BorrowedFd<'_>)> {
         self.outputs.iter().map(|r| (format!("outputs-{}", r.chip), r.file.as_fd()))
     }
 
-    /// Sleeps until an edge comes or `wait_ns` are over, and takes what has come. Nothing is allocated.
+    /// Sleeps until an edge comes or `wait_ns` are over, and takes what has come.
+    /// Nothing is allocated.
     fn wait(&mut self, wait_ns: u64) -> Result<(), CardError> {
         let time = libc::timespec {
             tv_sec: (wait_ns / 1_000_000_000) as i64,
@@ -543,8 +556,8 @@ impl<K: Clock> GpioCard<K> {
         heads.min_by_key(|(_, t)| *t).map(|(n, _)| n)
     }
 
-    /// A look at which no edge has come: the levels, as far as they agree with the edges. Those that differ are on their way,
-    /// or, when they stay away, missed.
+    /// A look without an edge: the levels, as far as they agree with the edges.
+    /// A line that differs has an edge on its way. If it differs for long, the edge was missed.
     fn levels_now(&mut self) -> Result<Sample, CardError> {
         let (mut fresh, mut more, mut trouble) = (0, false, None);
         for r in &mut self.inputs {
@@ -684,7 +697,7 @@ fn open_inputs(setup: &GpioSetup) -> Result<Vec<Inputs>, GpioError> {
     Ok(requests)
 }
 
-/// What a descriptor holds, as the kernel reports it: the chip's name and the lines in the request's order.
+/// The chip's name and the lines that a descriptor holds, in the request's order.
 fn held(fd: BorrowedFd<'_>) -> io::Result<(String, Vec<u32>)> {
     let text = std::fs::read_to_string(format!("/proc/self/fdinfo/{}", fd.as_raw_fd()))?;
     let values = |key: &'static str| text.lines().filter_map(move |l| l.strip_prefix(key).map(str::trim));
@@ -734,7 +747,7 @@ fn open_outputs(setup: &GpioSetup, kept: Vec<OwnedFd>) -> Result<Vec<Outputs>, G
     Ok(requests)
 }
 
-/// Requests lines as they are, reads them, and only then makes outputs of them, at the levels read.
+/// Requests lines as they are, reads them, then makes them outputs at those levels.
 fn request_outputs(chip: &Chip, offsets: &[u32], lines: &[(u32, &GpioOutput)]) -> Result<File, GpioError> {
     let names: Vec<LineId> = lines.iter().map(|(_, output)| output.line.line.clone()).collect();
     let polarity = |l: &GpioLine| if l.active_low { LineFlags::ACTIVE_LOW } else { LineFlags::empty() };

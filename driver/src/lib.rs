@@ -1,4 +1,4 @@
-//! The wires between a machine's scales, the corrector and the machine-tool controller (MTC).
+//! The wires between scales, corrector and machine-tool controller (MTC).
 //!
 //! | module | what |
 //! |---|---|
@@ -14,8 +14,8 @@
 //! | [`mock`] | a card in the same process |
 //! | [`replay`] | a recorded trace on a virtual clock |
 //!
-//! No file format is read here: profiles and traces come as data. Never known here: what an axis should be corrected
-//! by, or when: no insertion, no gate, no ledger, no thread.
+//! This crate reads no file formats: profiles and traces come as data. It contains no insertion, gate, ledger or
+//! thread. It does not know what an axis should be corrected by, or when.
 //!
 //! At work: `cargo run -p rtec-driver --example count_edges`, which the tests run too.
 

@@ -1,4 +1,5 @@
-//! Registers that are memory: any file that can be mapped (shared memory, a PCI BAR in sysfs, UIO).
+//! Registers in memory: a file that can be mapped.
+//! Examples are shared memory, a PCI BAR in sysfs, and UIO.
 
 use crate::card::CardError;
 use crate::clock::Clock;
@@ -56,7 +57,8 @@ pub enum MapError {
     SetUp(#[from] SetUpError),
 }
 
-/// A mapped file of registers. Accesses are volatile, of the register's own width, aligned and inside the file.
+/// A mapped file of registers.
+/// Accesses are volatile, of the register's own width, aligned and inside the file.
 #[derive(Debug)]
 pub struct Registers {
     base: NonNull<c_void>,
@@ -78,7 +80,8 @@ fn uio_map(device: &str, map: u8) -> Option<(usize, u64)> {
 unsafe impl Send for Registers {}
 
 impl Registers {
-    /// Maps the first `len` bytes of `path`, shared, for reading and writing; of a UIO device, of its first map.
+    /// Maps the first `len` bytes of `path`, shared, for reading and writing.
+    /// Of a UIO device, of its first map.
     ///
     /// # Errors
     /// As [`Registers::open_map`].
@@ -191,8 +194,9 @@ impl Bus for Registers {
 pub type MappedCard<K> = RegisterCard<Registers, K>;
 
 impl<K: Clock> MappedCard<K> {
-    /// Maps `path` as the profile states. No register is written but those that the profile sets up after a reset; the
-    /// outputs are taken over as they stand.
+    /// Maps `path` as the profile states.
+    /// No register is written but those that the profile sets up after a reset; the outputs are taken over as they
+    /// stand.
     ///
     /// # Errors
     /// As [`Registers::open_map`] and [`RegisterCard::new`].

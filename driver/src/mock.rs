@@ -1,4 +1,5 @@
-//! A card whose wires are in this process: driven by a test, another thread, or a simulated machine.
+//! A card whose wires are in this process.
+//! A test, another thread or a simulated machine drives them.
 
 use crate::card::{Card, CardError, Sample};
 use crate::clock::Clock;
@@ -7,11 +8,13 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 /// What is at the other end of a mock card's wires.
 pub trait Wires {
-    /// The levels of the input lines at `t_ns`, with the output lines as given. Called once per look, and once after
-    /// every write with the same time, so that whatever listens to the outputs sees each change in order.
+    /// The levels of the input lines at `t_ns`, with the output lines as given.
+    /// Called once per look, and once after every write with the same time, so that whatever listens to the outputs
+    /// sees each change in order.
     fn levels(&mut self, t_ns: u64, outputs: u64) -> u64;
 
-    /// How far the machine's time may go between two looks, ns, so that it shows at most one change per line pair.
+    /// The longest step of the machine's time between two looks, ns.
+    /// Within it at most one line of a pair changes.
     fn step_limit_ns(&self) -> u64 {
         u64::MAX
     }
@@ -19,8 +22,8 @@ pub trait Wires {
 
 /// A card in the same process.
 ///
-/// Its time follows the clock but never takes a step longer than the wires allow: a process that is kept from looking,
-/// as any is without real-time priority, finds the mock machine where it left it. Real machines don't wait.
+/// Its time follows the clock but never takes a step longer than the wires allow. A process without real-time
+/// priority is sometimes not scheduled. The mock machine then waits for it; a real machine does not.
 #[derive(Debug)]
 pub struct MockCard<W, K> {
     wires: W,

@@ -1,4 +1,5 @@
-//! A function on the PCI bus, through sysfs: found, enabled, its BAR and its command register checked.
+//! A function on the PCI bus, through sysfs.
+//! It is found and enabled, and its BAR and command register are checked.
 
 use std::fmt;
 use std::fs;
@@ -12,7 +13,7 @@ const SYSFS: &str = "/sys/bus/pci/devices";
 /// Flags of a resource, from the kernel's ioport.h.
 const RESOURCE_IO: u64 = 0x100;
 const RESOURCE_MEM: u64 = 0x200;
-/// Drivers that hold a card for a program, or for nobody, and leave its registers alone.
+/// Drivers that leave a card's registers alone, for a program or for nobody.
 const FOR_PROGRAMS: [&str; 3] = ["pci-stub", "uio_pci_generic", "vfio-pci"];
 
 /// Which function is meant.
@@ -136,7 +137,8 @@ pub struct Function {
     directory: PathBuf,
 }
 
-/// Everything on the bus, in the order of its addresses. A machine without one has nothing on it.
+/// Everything on the bus, in the order of its addresses.
+/// A machine without one has nothing on it.
 #[must_use]
 pub fn functions() -> Vec<Function> {
     functions_in(Path::new(SYSFS))
@@ -233,8 +235,9 @@ impl Function {
         self.check(bar, space, size)
     }
 
-    /// No driver of the kernel works with it: two masters would write the same registers, and a driver that takes the memory
-    /// takes our mapping away.
+    /// Checks that no kernel driver uses the card.
+    /// Otherwise two masters would write the same registers. A driver that takes the memory would also remove our
+    /// mapping.
     fn free(&self) -> Result<(), PciError> {
         let Ok(driver) = fs::read_link(self.directory.join("driver")) else { return Ok(()) };
         let driver = driver.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
@@ -244,11 +247,11 @@ impl Function {
         Err(PciError::Held { address: self.address.clone(), driver })
     }
 
-    /// Checks that no driver has the card, and that the BAR is in `space`, has `size` bytes, and is switched on. Nothing is
-    /// written.
+    /// Checks that no driver has the card and that its BAR is usable.
+    /// The BAR must be in `space`, have `size` bytes, and be switched on. Writes nothing.
     ///
     /// # Errors
-    /// When it is not so, or the system refuses.
+    /// When a check fails, or the system refuses.
     pub fn check(&self, bar: u8, space: Space, size: usize) -> Result<Bar, PciError> {
         self.free()?;
         let found = self.fits(bar, space, size)?;
@@ -288,7 +291,8 @@ impl Function {
 mod tests {
     use super::*;
 
-    /// A bus with two cards: `04.0` with memory at BAR 2 and I/O at BAR 0, disabled until `enable` is written.
+    /// A bus with two cards, both disabled until `enable` is written.
+    /// `04.0` has memory at BAR 2 and I/O at BAR 0.
     fn bus(command: u8) -> tempfile::TempDir {
         let sysfs = tempfile::tempdir().unwrap();
         for (address, device) in

@@ -1,4 +1,5 @@
-//! Port I/O: a parallel port through the kernel's `ppdev`, or any I/O ports of a PC by the processor's own instructions.
+//! Port I/O: a parallel port, or any I/O ports of a PC.
+//! A parallel port is reached through the kernel's `ppdev`, other ports by the processor's own instructions.
 //!
 //! Each access costs about a microsecond on an old bus, so a write that changes nothing is not made
 //! ([`RegisterCard::write`](crate::registers::RegisterCard)).
@@ -49,7 +50,7 @@ pub struct Ports {
 }
 
 impl Ports {
-    /// Takes `len` ports from `base` for this thread and those that it starts from here on.
+    /// Takes `len` ports from `base`, for this thread and those that it starts later.
     ///
     /// # Errors
     /// When the kernel refuses, or the processor has no ports.
@@ -143,8 +144,9 @@ mod call {
     nix::ioctl_none!(exclusive, b'p', 0x8f);
 }
 
-/// A parallel port through `/dev/parportN`: data at offset 0, status at 1, control at 2, as its I/O ports would be. Each
-/// access is a system call; who wants none takes the ports themselves.
+/// A parallel port through `/dev/parportN`.
+/// Offsets are those of its I/O ports: data 0, status 1, control 2. Each access is a system call. [`Ports`] avoids
+/// system calls.
 #[derive(Debug)]
 pub struct Parport {
     file: File,

@@ -1,5 +1,5 @@
-//! Card profiles: which register and which bit a line is, as data. Their files are read above this crate; the texts of
-//! those that come with the program are in `profiles/`.
+//! Card profiles: which register and which bit a line is, as data.
+//! Their files are read above this crate; the texts of those that come with the program are in `profiles/`.
 
 use std::collections::BTreeMap;
 
@@ -159,7 +159,8 @@ pub fn pci_id(text: &str) -> Option<(u16, u16)> {
 }
 
 impl Profile {
-    /// The profile of the shared-memory test card: 32 inputs `in0`… at byte 0, 32 outputs `out0`… at byte 4.
+    /// The profile of the shared-memory test card.
+    /// 32 inputs `in0`… are at byte 0, 32 outputs `out0`… at byte 4.
     #[must_use]
     pub fn shared_memory() -> Self {
         let register = |offset| vec![Register { offset, width: Width::Bits32 }];

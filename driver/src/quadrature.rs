@@ -71,7 +71,8 @@ impl State {
         Self(self.0 ^ signal as u8)
     }
 
-    /// The state with the signals of `mask` (bit 0 A, bit 1 B) inverted, as the XOR gates do it.
+    /// The state with the signals of `mask` inverted, as the XOR gates do it.
+    /// In `mask`, bit 0 is A and bit 1 is B.
     #[must_use]
     pub const fn inverted(self, mask: u8) -> Self {
         Self((self.0 ^ mask) & 3)
@@ -84,7 +85,8 @@ impl State {
         self.0 ^ other.0
     }
 
-    /// Counts of the transition to `next`: −1, 0 or +1; `None` when both signals changed.
+    /// Counts of the transition to `next`: −1, 0 or +1.
+    /// `None` when both signals changed.
     #[must_use]
     #[inline]
     pub const fn step_to(self, next: Self) -> Option<i8> {
@@ -95,15 +97,16 @@ impl State {
         }
     }
 
-    /// Counts of the transition to a state in which one signal has changed: forward where A as it is now and B as it was
-    /// differ.
+    /// Counts of the transition to a state in which exactly one signal differs.
+    /// The step is +1 where the present A differs from the previous B.
     #[inline]
     #[must_use]
     pub const fn step_to_neighbour(self, next: Self) -> i8 {
         2 * ((next.0 ^ self.0 >> 1) & 1) as i8 - 1
     }
 
-    /// Counts of inverting `signal` in this state: A forward when A = B, backward when not; B the other way.
+    /// Counts of inverting `signal` in this state.
+    /// A gives +1 when A = B and −1 otherwise. B gives the opposite.
     #[must_use]
     pub const fn step_of(self, signal: Signal) -> i8 {
         self.step_to_neighbour(self.flipped(signal))
@@ -128,7 +131,8 @@ impl State {
     }
 }
 
-/// Counts one pair of signals. An illegal transition is counted as such and never guessed at.
+/// Counts one pair of signals.
+/// An illegal transition is counted as such and never guessed at.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Decoder {
     state: State,
@@ -143,7 +147,8 @@ impl Decoder {
         Self { state, count: 0, illegal: 0 }
     }
 
-    /// Takes the next state; returns the step, or `None` for an illegal transition (the count then stays).
+    /// Takes the next state.
+    /// Returns the step, or `None` for an illegal transition (the count then stays).
     #[inline]
     pub fn update(&mut self, next: State) -> Option<i8> {
         let step = self.state.step_to(next);
@@ -155,7 +160,8 @@ impl Decoder {
         step
     }
 
-    /// Takes the next state, whose step is known: what [`State::step_to`] says, −1, 0 or +1.
+    /// Takes the next state, whose step is already known.
+    /// The step is that of [`State::step_to`]: −1, 0 or +1.
     #[inline]
     pub fn take_step(&mut self, next: State, step: i8) {
         debug_assert_eq!(self.state.step_to(next), Some(step));
@@ -186,7 +192,8 @@ impl Decoder {
 mod tests {
     use super::*;
 
-    /// Counts of the step from one state to the next, indexed by `from << 2 | to`; 2 marks an illegal transition.
+    /// Counts of the step from one state to the next, indexed by `from << 2 | to`.
+    /// 2 marks an illegal transition.
     const STEP: [i8; 16] = [
         0, 1, -1, 2, // from A=0 B=0: A rises +1, B rises −1, both: illegal
         -1, 0, 2, 1, // from A=1 B=0

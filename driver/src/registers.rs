@@ -1,10 +1,11 @@
-//! A card of registers, however they are reached: memory, port I/O, or a driver's calls.
+//! A card of registers, reached by memory, port I/O or a driver's calls.
 
 use crate::card::{Card, CardError, Sample, Trouble, TroubleKind};
 use crate::clock::Clock;
 use crate::profile::{Counter, Flag, Order, Profile, Register, SetUp, Width};
 
-/// How registers are read and written. An implementation that cannot fail costs nothing.
+/// How registers are read and written.
+/// An implementation that cannot fail costs nothing.
 pub trait Bus {
     /// Reads a register at a byte offset.
     ///
@@ -25,7 +26,7 @@ pub enum SetUpError {
     /// A register cannot be read or written.
     #[error(transparent)]
     Card(#[from] CardError),
-    /// A register that must hold a value holds neither that nor what it holds after a reset.
+    /// A set-up register reads neither its wanted value nor its value after a reset.
     #[error(
         "register {offset:#x} reads {found:#x}, expected {value:#x} (set up) or {after_reset:#x} (after a reset): is this \
          the card of profile \"{profile}\"? Nothing was written"
@@ -67,8 +68,9 @@ const MAX_JUMP_COUNTS: i64 = 1 << 16;
 /// States of a scale in the order of its counts.
 const CYCLE: [u64; 4] = [0b00, 0b01, 0b11, 0b10];
 
-/// A counter of the card's own. It is shown to the engine as the states that it stands for, one count per look, so that
-/// the ledger runs on the card's count and no two counts fall into one look.
+/// A counter of the card's own.
+/// The engine sees it as quadrature states, one count per look. The ledger so runs on the card's count, and no look
+/// contains two counts.
 #[derive(Debug)]
 struct Counting {
     counter: Counter,
@@ -143,8 +145,8 @@ pub struct RegisterCard<B, K> {
     counters: Box<[Counting]>,
     input_invert: u64,
     output_invert: u64,
-    /// The output registers as last written, so that a masked write needs no read over the bus, and none that changes
-    /// nothing is made.
+    /// The output registers as last written.
+    /// A masked write needs no read over the bus, and a write that changes nothing is left out.
     written: u64,
     /// Input lines as last read, of a card with counters.
     levels: u64,
@@ -152,7 +154,8 @@ pub struct RegisterCard<B, K> {
 }
 
 impl<B: Bus, K: Clock> RegisterCard<B, K> {
-    /// A card as it stands: no register is written but those that the profile sets up after a reset.
+    /// Opens a card without changing it.
+    /// Only registers that the profile sets up after a reset are written.
     ///
     /// # Errors
     /// When a register cannot be read, or is not what the profile states.
@@ -237,8 +240,8 @@ impl<B: Bus, K: Clock> RegisterCard<B, K> {
         self.bus.read(counter.count.offset, counter.count.width)
     }
 
-    /// A look at a card with counters: one count of each at a time, so that the engine follows the card's count through
-    /// every state.
+    /// A look at a card with counters, advancing each by at most one count.
+    /// The engine then follows the card's count through every state.
     fn sample_counted(&mut self) -> Result<Sample, CardError> {
         let mut trouble = None;
         if self.counters.iter().all(|c| c.shown == c.target) {
@@ -354,7 +357,7 @@ mod tests {
         (bench, card)
     }
 
-    /// Whatever the other inputs are, and whatever the count is when it is agreed with the lines.
+    /// Holds for any other inputs, and for any count at the time of alignment.
     #[test]
     fn a_count_agreed_with_its_lines_is_shown_as_them() {
         let (_bench, card) = counter_card();
@@ -476,8 +479,9 @@ mod tests {
         assert_eq!(bench.written(), [(4, 0b01)]);
     }
 
-    /// Two output registers, some lines of each inverted: whatever is written, the lines asked for and no others change, each
-    /// register is written where a line of its own changes and not else, and the levels read back are those written.
+    /// A write changes only the lines asked for.
+    /// The card has two output registers, with some lines of each inverted. A register is written only where one of
+    /// its own lines changes. The levels read back are those written.
     #[test]
     fn every_write_changes_its_own_lines_and_no_others() {
         let output = |offset, width| Register { offset, width };

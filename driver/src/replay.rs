@@ -1,4 +1,4 @@
-//! A recorded trace of one axis, on a virtual clock: time jumps from one event to the next.
+//! A recorded trace of one axis, on a virtual clock that jumps from event to event.
 
 use crate::card::{AxisLines, Card, CardError, Sample};
 use crate::quadrature::State;
@@ -6,7 +6,8 @@ use crate::quadrature::State;
 /// The state that the two signals take at a time.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct TracePoint {
-    /// Time of the change in ns; in the first point the time from which the initial state is known.
+    /// Time of the change in ns.
+    /// In the first point the time from which the initial state is known.
     pub t_ns: u64,
     /// The levels from this time on.
     pub state: State,
@@ -23,7 +24,8 @@ pub struct RequestedTotal {
 
 /// What is told of every change that the MTC sees, in order.
 pub trait Listener {
-    /// A' and B' at `t_ns`: the first call gives the initial state, each later one a change.
+    /// A' and B' at `t_ns`.
+    /// The first call gives the initial state, each later one a change.
     fn changed(&mut self, t_ns: u64, state: State);
 }
 
@@ -34,7 +36,8 @@ impl<F: FnMut(u64, State)> Listener for F {
     }
 }
 
-/// What stands between the scale and the MTC: how A' and B' come from A and B and the two output lines of an axis.
+/// The gates between scale and MTC.
+/// They form A' and B' from A and B and the two output lines of an axis.
 pub trait Gates: Copy {
     /// A' and B'. `outputs`: bit 0 the line of A, bit 1 the line of B.
     fn out(self, scale: State, outputs: u8) -> State;
@@ -73,11 +76,12 @@ impl Gates for Through {
     }
 }
 
-/// Plays a trace to the engine as axis 0 of the standard layout, and what comes out to a listener. Where the points come
-/// from is the caller's matter, and so is the error `E` that ends them.
+/// Plays a trace to the engine, and reports A' and B' to a listener.
+/// The engine sees it as axis 0 of the standard layout. The caller chooses where the points come from, and the error
+/// `E` that ends them.
 ///
-/// Changes carry their own times, writes are in effect at the time of the look before them: the order of edges and
-/// inversions is always certain here.
+/// Changes carry their own times. Writes take effect at the time of the look before them. The order of edges and
+/// inversions is therefore always certain.
 #[derive(Debug)]
 pub struct ReplayCard<T, L, E, G = Xor> {
     gates: G,
@@ -94,7 +98,8 @@ pub struct ReplayCard<T, L, E, G = Xor> {
 }
 
 impl<T: Iterator<Item = Result<TracePoint, E>>, L: Listener, E, G: Gates> ReplayCard<T, L, E, G> {
-    /// Reads the initial state. An empty trace stands for an axis at rest at A = B = low.
+    /// Reads the initial state.
+    /// An empty trace stands for an axis at rest at A = B = low.
     ///
     /// # Errors
     /// When the first row is bad.
@@ -217,7 +222,8 @@ mod tests {
         Ok(TracePoint { t_ns, state: State::from_bits(bits) })
     }
 
-    /// A' and B' are the output lines; they begin as A and B, and each write changes its own.
+    /// A' and B' are the output lines.
+    /// They begin as A and B, and each write changes its own.
     #[test]
     fn without_gates_the_outputs_are_what_the_mtc_sees() {
         let mut heard = Vec::new();

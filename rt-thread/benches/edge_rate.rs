@@ -42,7 +42,7 @@ fn measure() -> Result<Vec<u32>, Box<dyn std::error::Error>> {
     Ok(gaps)
 }
 
-/// A scale at constant speed, looked at in the measured rhythm, and an MTC that counts.
+/// A scale at constant speed, an MTC that counts, and looks at the measured times.
 struct Steady<'a> {
     gaps: &'a [u32],
     random: u64,
@@ -96,7 +96,8 @@ impl Card for Steady<'_> {
     }
 }
 
-/// Insertions made over so many edges at this period, or `None` where a count was lost or a fault latched.
+/// Insertions made over `edges` edges at this period.
+/// `None` where a count was lost or a fault was latched.
 fn run(
     gaps: &[u32],
     separation_ns: u64,

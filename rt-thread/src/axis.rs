@@ -14,7 +14,8 @@ pub enum RestPolicy {
     /// Wait for the next edge (NISTIR 4832).
     #[default]
     Wait,
-    /// Insert after this long without an edge, ns. No gate can promise that none comes: one that does is worked out.
+    /// Insert after this long without an edge, ns.
+    /// No gate can promise that none comes: one that does is worked out.
     Insert {
         /// The quiet time, ns.
         after_ns: u64,
@@ -44,17 +45,20 @@ pub struct AxisConfig {
     pub hysteresis_counts: f64,
     /// What to do at rest.
     pub rest: RestPolicy,
-    /// This machine's measured time from an edge until the engine acts on it, at the worst, ns (the self-test's tail).
+    /// The longest time from an edge until the engine acts on it, ns.
+    /// It is measured on this machine (the tail of the self-test).
     pub detect_ns: u64,
-    /// Time of one write, at the worst, ns: until it is in effect, and, on a card that does not tell when that is, until the
-    /// look that acts on it. On a polled card up to two gaps between looks.
+    /// The longest time until a write is in effect, ns.
+    /// A card that does not report this needs a look to confirm the write, so the time includes that look. On a
+    /// polled card it is up to two gaps between looks.
     pub write_ns: u64,
     /// Reserve, ns.
     pub guard_ns: u64,
 }
 
 impl Default for AxisConfig {
-    /// The replay's axis: 500 ns separation, 1e6 counts/s², ±1000 counts, no belief window, an ideal computer.
+    /// The axis of a replay, with an ideal computer.
+    /// It has 500 ns separation, 1e6 counts/s², ±1000 counts and no belief window.
     fn default() -> Self {
         Self {
             lines: AxisLines::standard(0, false),
@@ -75,12 +79,13 @@ impl Default for AxisConfig {
 }
 
 impl AxisConfig {
-    /// Time from the moment the first inversion is written until the MTC is ready for a real edge, ns.
+    /// Time from writing the first inversion until the MTC can take a real edge, ns.
     fn busy_ns(&self) -> u64 {
         INCREMENT_COUNTS as u64 * (self.write_ns + self.min_separation_ns) + self.guard_ns
     }
 
-    /// The axis's speed gate; `None` where its limits leave no time for an insertion at any speed.
+    /// The axis's speed gate.
+    /// `None` where its limits leave no time for an insertion at any speed.
     ///
     /// Time needed: detection + the MTC's separation after the edge + the inversions, each with its write and the
     /// separation behind it + guard.
@@ -93,7 +98,8 @@ impl AxisConfig {
         })
     }
 
-    /// Judges a new total after `requested`, counts. `large` flags one that may lie outside the belief window.
+    /// Judges a new total after `requested`, counts.
+    /// `large` flags one that may lie outside the belief window.
     ///
     /// A total outside the window is not believed once. Two more readings may come back into range, then it is a fault
     /// (NISTIR 4832, General Considerations: "I Don't Believe You", "I Still Don't Believe You").
@@ -126,11 +132,12 @@ impl AxisConfig {
 enum Insertion {
     /// None under way; both inverters are equal.
     Idle,
-    /// An edge has opened the gate. The MTC first gets its separation from that edge; after `until_ns` the promise
-    /// that no other edge comes has run out, and the insertion is given up unmade.
+    /// An edge has opened the gate.
+    /// The MTC first gets its separation from that edge; after `until_ns` the promise that no other edge comes has
+    /// run out, and the insertion is given up unmade.
     Opened { add: bool, from_ns: u64, until_ns: u64 },
-    /// The first inversion is written: until the second is, the MTC counts mirrored. It is known to be in
-    /// effect from `effective_ns` on, once the card or the next look has confirmed it.
+    /// The first inversion is written: until the second is, the MTC counts mirrored.
+    /// It is known to be in effect from `effective_ns` on, once the card or the next look has confirmed it.
     Half { add: bool, effective_ns: Option<u64>, edges: u8, seen_ns: u64 },
 }
 
@@ -196,7 +203,8 @@ pub(crate) struct Look {
     pub t_ns: u64,
     pub inputs: u64,
     gap_ns: u64,
-    /// An edge that this look shows came between these two times: its own where the card stamps it.
+    /// The earliest and latest time of the edge that this look shows, ns.
+    /// Both are the edge's own time where the card stamps it.
     edge_ns: (u64, u64),
     /// Input lines on which counts may pass between two looks of this card unseen.
     unseen: u64,
@@ -206,7 +214,8 @@ pub(crate) struct Look {
 }
 
 impl Look {
-    /// `since_ns`: the look before; where that came late, the one before it: an unstamped edge is later than that.
+    /// `since_ns`: the look before.
+    /// Where that came late, the one before it: an unstamped edge is later than that.
     #[inline]
     pub(crate) fn new(sample: &Sample, since_ns: u64, permit: Permit) -> Self {
         let Sample { t_ns, inputs, edge_ns, complete, more, fresh, .. } = *sample;
@@ -222,13 +231,15 @@ impl Look {
         }
     }
 
-    /// What changed at this look, the probe's line too, changed between these two times.
+    /// The earliest and latest time of the change that this look shows, ns.
+    /// It applies to the probe's line too.
     pub(crate) const fn edge_ns(&self) -> (u64, u64) {
         self.edge_ns
     }
 }
 
-/// The part of an axis that its inverters and the MTC's count make up; shadow mode works on a copy.
+/// The part of an axis that its inverters and the MTC's count make up.
+/// Shadow mode works on a copy.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct Wire {
     /// Inverters: bit 0 A, bit 1 B.
@@ -251,7 +262,7 @@ impl Wire {
     }
 }
 
-/// One axis between two edges: its count, its inverters, and the insertion under way.
+/// One axis between two edges: its count, its inverters and its open insertion.
 #[allow(clippy::struct_excessive_bools)] // Each is known or not without any other.
 #[derive(Debug)]
 pub(crate) struct AxisEngine {
@@ -290,8 +301,8 @@ pub(crate) struct AxisEngine {
     capture: Option<Capture>,
     /// Nothing to do before this, ns, unless a line changes.
     wake_ns: u64,
-    /// Nothing is under way, waited for or to begin, and no request but a total has come since: an edge is counted, and
-    /// that is all.
+    /// No insertion is open, pending or due, and only totals were requested since the last full look.
+    /// An edge then only has to be counted.
     calm: bool,
     /// Mask of its lines in the input word, of A alone, and of A and B.
     input_mask: u64,
@@ -301,8 +312,8 @@ pub(crate) struct AxisEngine {
     invert_masks: (u64, u64),
     /// A and B in the input word as they were at the last look that counted.
     scale_inputs: u64,
-    /// What the next count in the direction of the last one changes: the line in the input word, and the signal. No line at
-    /// all where the last edge had no direction.
+    /// The line (in the input word) and the signal that change at the next count in the last direction.
+    /// There is no line where the last edge had no direction.
     onward: (u64, Signal),
     insertions: u64,
     waited_for_gate: u64,
@@ -315,8 +326,8 @@ pub(crate) struct AxisEngine {
     alone: Alone,
 }
 
-/// Edges of one channel, one after the other, while the other channel has not changed: the axis goes to and fro over one
-/// boundary between two counts, or the other channel is dead.
+/// Successive edges of one channel while the other does not change.
+/// Either the axis oscillates over one boundary between two counts, or the other channel is dead.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 struct Alone {
     /// That boundary, counts.
@@ -334,14 +345,16 @@ pub(crate) struct Found {
     pub t_ns: u64,
 }
 
-/// The period before the second edge: the axis is taken to come from rest, as it stood when it was homed.
+/// The period before the second edge after homing.
+/// The axis is taken to start from rest.
 const REST: u64 = u64::MAX;
 /// No change of lines: after an edge without a direction none goes on as before.
 const NOWHERE: (u64, Signal) = (u64::MAX, Signal::A);
-/// After so many edges in a row at which the axis would have turned back sooner than it can, the other channel is dead.
-/// A burst of noise is shorter, and an axis moves on by 32 counts at most.
+/// After this many too early reversals in a row, the other channel is dead.
+/// A reversal is too early if the axis cannot turn that fast. A burst of noise is shorter, and an axis moves on by at
+/// most 32 counts.
 const DEAD_AFTER: u8 = 16;
-/// A capture that finds no further edge is complete after this time: the axis has stopped.
+/// A capture that finds no further edge ends after this time, ns: the axis has stopped.
 const CAPTURE_LIMIT_NS: u64 = 100_000_000;
 
 impl AxisEngine {
@@ -451,7 +464,7 @@ impl AxisEngine {
         self.mtc_known
     }
 
-    /// The MTC was off, or nobody knows what it counts: it has to be homed, and this axis with it.
+    /// The MTC was off or its count is unknown: it must be homed together with this axis.
     pub(crate) fn lose_controller(&mut self) {
         (self.mtc_known, self.homed, self.homing) = (false, false, None);
     }
@@ -465,8 +478,9 @@ impl AxisEngine {
         matches!(self.insertion, Insertion::Idle | Insertion::Opened { .. })
     }
 
-    /// The real inverters and what is in the MTC's count: what a restart must know. The completed total; between the two
-    /// inversions of a pair, when the inverters differ, the odd number that stands there.
+    /// The real inverters and what is in the MTC's count: what a restart must know.
+    /// The completed total; between the two inversions of a pair, when the inverters differ, the odd number that
+    /// stands there.
     pub(crate) fn in_effect(&self) -> (u8, i64) {
         let wire = self.real.unwrap_or(self.wire);
         let half = matches!(wire.inverters, 1 | 2);
@@ -477,8 +491,9 @@ impl AxisEngine {
         self.requested - self.wire.completed
     }
 
-    /// Whether four counts may have passed unseen between two looks, on lines of which not all is `complete`: the axis was
-    /// on its way, and the time was enough for them. Four counts look like none.
+    /// Whether four counts may have passed unseen between two looks.
+    /// Four counts look like none. It applies to lines that are not all `complete`, if the axis was moving and the
+    /// time was long enough.
     pub(crate) fn may_have_missed_a_cycle(&self, complete: u64, since_ns: u64, t_ns: u64) -> bool {
         let Some((_, last_ns)) = self.last_edge else { return false };
         let gap_ns = t_ns - since_ns;
@@ -524,8 +539,9 @@ impl AxisEngine {
         }
     }
 
-    /// Zeroes the scale's counter at the known place, and with it the total where the MTC has been homed there too.
-    /// Otherwise the MTC still counts what was inserted: the total goes on from there.
+    /// Zeroes the scale's counter at the known place.
+    /// The total is zeroed too if the MTC has been homed there. Otherwise the MTC still counts what was inserted, and
+    /// the total continues.
     pub(crate) fn home(&mut self, position_counts: i64, controller_homed: bool) {
         self.scale = Decoder::new(self.scale.state());
         self.home_counts = position_counts;
@@ -553,7 +569,8 @@ impl AxisEngine {
         self.homed
     }
 
-    /// Takes a new total, counts since homing. The caller latches the fault that it may be.
+    /// Takes a new total, counts since homing.
+    /// The caller latches the fault that it may be.
     pub(crate) fn request(&mut self, total: i64, large: bool) -> Answer {
         let answer = self.config.judge(total, self.requested, large, &mut self.not_believed);
         if matches!(answer, Answer::Accepted | Answer::AcceptedWithWarning) {
@@ -564,7 +581,8 @@ impl AxisEngine {
         answer
     }
 
-    /// The probe tripped between the two times. `false` where a capture is already under way: a bounce.
+    /// The probe tripped between the two times.
+    /// `false` where a capture is already under way: a bounce.
     pub(crate) fn trip(&mut self, trip_ns: (u64, u64)) -> bool {
         if self.capture.is_some() {
             return false;
@@ -592,9 +610,9 @@ impl AxisEngine {
         }
     }
 
-    /// What nearly every look finds, if anything: an edge in the direction of the one before, neither seen late nor too
-    /// soon, and nothing under way or to begin. It is entered in both counts, which step alike and so differ as before.
-    /// `false`, and nothing is changed, where there may be more to it: [`AxisEngine::look`] sees to that.
+    /// Fast path for a regular edge: same direction, on time, no insertion pending.
+    /// The edge steps both counts alike, so their difference stays. Returns `false` and changes nothing where
+    /// [`AxisEngine::look`] has to check more.
     #[inline]
     pub(crate) fn count_regular_edge(&mut self, look: &Look) -> bool {
         let (Some(last_edge), true) = (self.last_edge, self.calm) else { return false };
@@ -616,7 +634,8 @@ impl AxisEngine {
         true
     }
 
-    /// Enters an edge of `signal` on `line` into the scale's count and into what the next edge is compared with.
+    /// Enters an edge of `signal` on `line` into the scale's count.
+    /// It also stores what the next edge is compared with.
     #[allow(clippy::inline_always, reason = "each edge of a moving axis passes here")]
     #[inline(always)]
     fn count_edge(&mut self, signal: Signal, line: u64, step: i8, scale_inputs: u64, edge_ns: (u64, u64)) {
@@ -629,7 +648,8 @@ impl AxisEngine {
         *self.last_edge.get_or_insert(edge_ns) = edge_ns;
     }
 
-    /// One look, at which lines of the axis have changed or not. Returns the inversion to be made now.
+    /// One look, at which lines of the axis have changed or not.
+    /// Returns the inversion to be made now.
     #[inline]
     pub(crate) fn look(
         &mut self,
@@ -687,8 +707,9 @@ impl AxisEngine {
         }
     }
 
-    /// A' and B', which are looked at once for each inversion, are not what they should be. Gates, receivers and the card's
-    /// input filter take their time; what the MTC is given, they are given too. Not inlined: few looks need it.
+    /// Whether A' and B' differ from what was written.
+    /// Each inversion is checked once, after gates, receivers and the card's input filter had the separation that the
+    /// MTC is given. Not inlined, because few looks need it.
     #[inline(never)]
     fn reads_back_wrong(&mut self, effective_ns: u64, look: &Look) -> bool {
         if self.unsettled.is_some()
@@ -767,8 +788,9 @@ impl AxisEngine {
         }
     }
 
-    /// The channel that changed last has changed again, and has so turned the axis back. Only while A and B take turns
-    /// is it known to move: over one boundary it may go to and fro, but no sooner than its limits allow.
+    /// Checks a repeated edge of one channel, which is a reversal.
+    /// The axis is known to move only while A and B take turns. It may oscillate over one boundary, but no sooner
+    /// than its limits allow.
     #[cold]
     fn check_turns(&mut self, look: &Look, before_ns: Option<u64>, report: &mut impl FnMut(EventKind)) {
         let boundary = self.last_boundary();
@@ -808,7 +830,8 @@ impl AxisEngine {
         self.home_counts + self.scale.count() + i64::from(self.last_step < 0)
     }
 
-    /// An edge that was seen late: three counts or more may have passed, and one change may stand for them.
+    /// Checks an edge that was seen late.
+    /// Three or more counts may have passed, and one change may hide them.
     #[inline]
     fn check_gap(&mut self, gap_ns: u64, period_ns: u64, report: &mut impl FnMut(EventKind)) {
         if gap_ns > self.gate.need_ns() && self.homed && self.gate.travel_ns(period_ns, 3.0) < gap_ns as f64 {
@@ -816,9 +839,9 @@ impl AxisEngine {
         }
     }
 
-    /// An edge at most `after_ns` after the one before. Sooner than the axis's limits allow, it proves them wrong, and
-    /// with them what was taken for certain of every insertion since homing: that no two edges that cancel out fell
-    /// beside it between two looks.
+    /// Checks an edge at most `after_ns` after the one before.
+    /// An edge that is too early disproves the axis's limits. The engine relied on them for every insertion since
+    /// homing: it assumed that no two edges cancelled between two looks beside an insertion.
     fn check_limits(&mut self, step: i8, after_ns: u64, period_ns: u64, report: &mut impl FnMut(EventKind)) {
         // The look before read its lines some time before it took its time.
         let after_ns = after_ns + self.config.detect_ns;
@@ -835,8 +858,8 @@ impl AxisEngine {
         }
     }
 
-    /// Enters a real edge of `signal` into the MTC's count, in the order in which it and an inversion not yet known to be in
-    /// effect fell.
+    /// Enters a real edge of `signal` into the MTC's count beside an unconfirmed inversion.
+    /// The two are entered in the order in which they happened.
     fn pass_on_beside_inversion(&mut self, signal: Signal, edge_ns: u64, report: &mut impl FnMut(EventKind)) {
         let order = match self.unsettled {
             None => Order::EdgeLast,
@@ -873,8 +896,8 @@ impl AxisEngine {
         !(-1..=1).contains(&pending) && self.homed && !self.faults.any()
     }
 
-    /// After an edge, something is pending: an insertion is opened, or why not is noted. Written in place: an insertion that
-    /// is handed over is copied in other pieces than it was written in, and the processor waits for them.
+    /// After an edge with a total pending, opens an insertion or notes why not.
+    /// The insertion is written in place, because a copy in other pieces than it was written in stalls the processor.
     fn open(&mut self, edge: (u64, u64)) {
         if edge.1 < self.next_allowed_ns {
             self.waits_for = GateState::RateCap;
@@ -934,8 +957,9 @@ impl AxisEngine {
         }
     }
 
-    /// The first inversion. A and B equal: A first adds, B first subtracts; different: the other way round
-    /// (NISTIR 4832, Design C). Both inverters are equal here, so A' and B' decide alike.
+    /// The first inversion.
+    /// A and B equal: A first adds, B first subtracts; different: the other way round (NISTIR 4832, Design C). Both
+    /// inverters are equal here, so A' and B' decide alike.
     fn invert_first(&mut self, add: bool, t_ns: u64, seen_ns: u64) -> Due {
         self.insertion = Insertion::Half { add, effective_ns: None, edges: 0, seen_ns };
         self.touched |= self.real.is_none();
@@ -943,8 +967,9 @@ impl AxisEngine {
         Due::Now(Inversion { inverter, edge_to_done_ns: None })
     }
 
-    /// The second inversion. Without an edge in between it is the other signal; with one, the signal that leaves the
-    /// MTC where it should be, or else where it was.
+    /// The second inversion.
+    /// Without an edge in between it is the other signal; with one, the signal that leaves the MTC where it should
+    /// be, or else where it was.
     fn invert_second(
         &mut self,
         add: bool,
@@ -990,7 +1015,8 @@ impl AxisEngine {
         signal as u8
     }
 
-    /// The MTC has had its separation from an inversion in effect since then, and from the last edge.
+    /// Until when the MTC needs its separation, ns.
+    /// It counts from an inversion in effect since `effective_ns` and from the last edge.
     fn apart_ns(&self, effective_ns: u64) -> u64 {
         let last_out = self.last_edge.map_or(effective_ns, |(_, edge)| edge.max(effective_ns));
         last_out + self.config.min_separation_ns
@@ -1022,7 +1048,7 @@ impl AxisEngine {
         self.set_wake(if next_look_tells { 0 } else { self.due_ns() });
     }
 
-    /// The same where it is known already when the insertion goes on, and that no look has yet to tell of an inversion.
+    /// Sets the wake time where it is known and no look has to confirm an inversion.
     fn set_wake(&mut self, due_ns: u64) {
         debug_assert!(due_ns == 0 || self.unsettled.is_none_or(|u| u.done_ns.is_some()));
         let mut wake = due_ns;
@@ -1039,7 +1065,8 @@ impl AxisEngine {
             && matches!(self.wire.inverters, 0 | 3);
     }
 
-    /// The axis as a status shows it. `blocked` is what the machine as a whole holds against insertions.
+    /// The axis as a status shows it.
+    /// `blocked` is what the machine as a whole holds against insertions.
     pub(crate) fn status(&self, t_ns: u64, blocked: Option<GateState>) -> AxisStatus {
         let real = self.real.unwrap_or(self.wire);
         let mtc_count =
@@ -1110,7 +1137,7 @@ mod tests {
         ]
     }
 
-    /// Where nothing can be wrong the short way is taken, to the last nanosecond of what is not late and not too soon.
+    /// The fast path is taken for every edge that is neither late nor too early, to the nanosecond.
     #[test]
     fn the_short_way_is_taken_where_nothing_can_be_wrong() {
         // Edges 10 µs apart; one that came at most `after_ns` after the last, seen at a look `gap_ns` after the one before.

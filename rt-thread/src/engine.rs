@@ -15,7 +15,8 @@ use rtec_driver::card::{Card, CardError, MachineLines, Sample, Trouble};
 pub struct MachineConfig {
     /// Where the machine's own lines are.
     pub lines: MachineLines,
-    /// Corrections may be enabled: the card is a mock, or every real-time setting has been verified.
+    /// Corrections may be enabled.
+    /// The card is a mock, or every real-time setting has been verified.
     pub may_arm: bool,
 }
 
@@ -28,10 +29,11 @@ pub enum StartError {
     /// More axes than the engine holds, or none.
     #[error("found {0} axes, expected 1 to {MAX_AXES}")]
     Axes(usize),
-    /// The axis's acceleration limit, hysteresis, separation and latency leave no time for an insertion.
+    /// The axis's limits leave no time for an insertion.
+    /// The limits are acceleration, hysteresis, separation and latency.
     #[error("axis {0}: no speed leaves time for an insertion; lower max_accel or the time it needs")]
     NoGate(usize),
-    /// The two inverters of an axis are not equal, and what was completed is no total halfway through an insertion.
+    /// The two inverters of an axis differ, but the completed total is not one of a half-done insertion.
     #[error("axis {0}: its two inverters are not equal")]
     HalfInverted(usize),
 }
@@ -39,14 +41,16 @@ pub enum StartError {
 /// Distributions of the loop's times, to be read at any moment.
 #[derive(Debug, Clone)]
 pub struct Timing {
-    /// Between two looks, ns; on a card that sleeps, from an edge to the look that shows it.
+    /// Between two looks, ns.
+    /// On a card that sleeps, from an edge to the look that shows it.
     pub poll_gap_ns: Reader,
     /// From the look that saw an edge to the look that ordered the last inversion, ns.
     pub edge_to_done_ns: Reader,
 }
 
 #[allow(clippy::struct_excessive_bools)] // Each is one switch of the machine.
-/// The engine. Generic over the card at each look; it owns no thread, no file and no clock.
+/// The engine.
+/// Generic over the card at each look; it owns no thread, no file and no clock.
 #[derive(Debug)]
 pub struct Engine {
     axes: Box<[AxisEngine]>,
@@ -72,7 +76,8 @@ pub struct Engine {
     journal: Option<Journal>,
     /// What the mode lets every axis do.
     permit: Permit,
-    /// The mode is to be worked out anew: at the start, and after a fault that was found outside an axis's own look.
+    /// The mode must be worked out again.
+    /// It is set at the start, and after a fault that was found outside an axis's own look.
     mode_due: bool,
     /// Masks of the machine's own inputs, none where not wired.
     probe_mask: u64,
@@ -80,9 +85,10 @@ pub struct Engine {
     mtc_mask: u64,
     /// All of them together.
     own_mask: u64,
-    /// A look that comes later than this after the one before may have missed counts of some axis.
+    /// A look later than this after the last one may have missed counts of some axis, ns.
     late_ns: u64,
-    /// The last such look, and the one before it: its lines may have been read long before it took its time.
+    /// The last late look and the one before it, ns.
+    /// A late look may have read its lines long before it took its time.
     late_look: (u64, u64),
     poll_gap_ns: Recorder,
     edge_to_done_ns: Recorder,
@@ -90,10 +96,10 @@ pub struct Engine {
 }
 
 impl Engine {
-    /// An engine on a card as it stands: inverters and feed hold are taken over, `completed` gives each axis's total from
-    /// before (zero at a first start), as [`Engine::in_effect`] returned it. Nothing is written; corrections are off. The MTC
-    /// is taken to count what `completed` says, until [`Engine::lose_controller`] says otherwise.
-    ///
+    /// Takes over a card as it is: inverters and feed hold.
+    /// `completed` gives each axis's total as [`Engine::in_effect`] returned it (zero at a first start). Nothing is
+    /// written, and corrections are off. The MTC is taken to count what `completed` says, until
+    /// [`Engine::lose_controller`] is called.
     /// An axis that was left between two inversions is latched as [`Fault::Interrupted`]; the second one follows from
     /// [`Engine::poll`].
     ///
@@ -170,7 +176,8 @@ impl Engine {
         Ok(engine)
     }
 
-    /// Homes every axis at zero where it stands and enables corrections: how a replay or a simulation starts.
+    /// Homes every axis at zero in its present place and enables corrections.
+    /// A replay or a simulation starts so.
     ///
     /// # Errors
     /// When the hold line cannot be written.
@@ -200,7 +207,8 @@ impl Engine {
         self.take(Request::Enable, card, report)
     }
 
-    /// From here on every inversion is noted in `journal` before it is made. Returns what watches over its file.
+    /// From here on every inversion is noted in `journal` before it is made.
+    /// Returns what watches over its file.
     ///
     /// # Errors
     /// When a new file cannot be given its name ([`Journal::place`]).
@@ -211,8 +219,9 @@ impl Engine {
         self.journal.as_mut().map(placed).transpose()
     }
 
-    /// Notes every axis as it is in effect now, and the machine. At no moment does the file say that feed hold is on and not
-    /// why: a fault of an axis comes before the hold, and goes after it.
+    /// Notes every axis as it is in effect now, and the machine.
+    /// At no moment does the file say that feed hold is on and not why: a fault of an axis comes before the hold, and
+    /// goes after it.
     fn note(&mut self) {
         let hold_output = self.wants_hold();
         if !hold_output {
@@ -241,19 +250,20 @@ impl Engine {
         }
     }
 
-    /// Nobody knows what the MTC counts of this axis: it has to be homed, and the axis with it.
+    /// Marks the MTC's count of this axis as unknown: the MTC and the axis must be homed.
     pub fn lose_controller(&mut self, axis: usize) {
         if let Some(axis) = self.axes.get_mut(axis) {
             axis.lose_controller();
         }
     }
 
-    /// Feed hold as the process before this one left it, and not as it was found on the card.
+    /// Takes over feed hold from the process before, instead of the state found on the card.
     pub fn take_over_hold(&mut self, held: Option<HeldBy>) {
         self.held = held.or(self.held.filter(|by| *by == HeldBy::Controller));
     }
 
-    /// Sets whether corrections may be enabled: the card is a mock, or every real-time setting has been verified.
+    /// Sets whether corrections may be enabled.
+    /// The card must be a mock, or every real-time setting must have been verified.
     pub fn set_may_arm(&mut self, may_arm: bool) {
         self.machine.may_arm = may_arm;
     }
@@ -277,7 +287,8 @@ impl Engine {
         }
     }
 
-    /// The loop ends by this fault: corrections are off, and what a restart must know is noted.
+    /// Ends the loop by this fault.
+    /// Corrections are off, and what a restart must know is recorded.
     fn fail(&mut self, fault: Fault, report: &mut impl FnMut(Event) -> bool) {
         if self.faults.latch(fault) {
             self.mode = Mode::Fault;
@@ -287,7 +298,8 @@ impl Engine {
         }
     }
 
-    /// The loop has panicked: the fault is latched and feed hold written. Inverters stay as they are.
+    /// The loop has panicked: the fault is latched and feed hold written.
+    /// Inverters stay as they are.
     pub fn panicked<C: Card>(&mut self, card: &mut C, report: &mut impl FnMut(Event) -> bool) {
         self.fail(Fault::ThreadLost, report);
         // A card that refuses this too is beyond reach: the fault is latched already.
@@ -307,8 +319,8 @@ impl Engine {
         self.timing.clone()
     }
 
-    /// One look at the card and everything that follows from it. A card that can wait does so at most until `by_ns`.
-    /// `report` takes an event and returns whether it was kept.
+    /// One look at the card and everything that follows from it.
+    /// A card that can wait does so at most until `by_ns`. `report` takes an event and returns whether it was kept.
     ///
     /// # Errors
     /// When the card fails; every axis is then latched, and the outputs stay as they are.
@@ -347,8 +359,8 @@ impl Engine {
         self.work(card, &look, changed, report)
     }
 
-    /// Nothing is due, and every axis that has changed only goes on as before: its edge is counted. `false` where there may
-    /// be more to it; what has been counted then is not counted again.
+    /// Counts the edges of a look where nothing is due and each changed axis has a regular edge.
+    /// Returns `false` where more has to be checked. Edges already counted are not counted again.
     #[inline]
     fn count_regular_edges(&mut self, sample: &Sample, changed: u64, since_ns: u64) -> bool {
         if changed & self.own_mask != 0 || self.mode_due {
@@ -364,13 +376,15 @@ impl Engine {
         true
     }
 
-    /// Since when an edge may have come that this look shows: the look before, or where that came late, the one before it.
+    /// The earliest time of an edge that this look shows, ns.
+    /// It is the time of the look before, or where that came late, of the one before it.
     #[inline]
     fn edge_since_ns(&self, since_ns: u64) -> u64 {
         if since_ns == self.late_look.0 { self.late_look.1 } else { since_ns }
     }
 
-    /// After a look that came late, an axis that was moving and shows no change may have moved by whole cycles.
+    /// Checks axes after a late look.
+    /// An axis that was moving and shows no change may have moved by whole cycles.
     #[cold]
     fn check_late_look(
         &mut self,
@@ -397,7 +411,7 @@ impl Engine {
         }
     }
 
-    /// Latches what the card found, for every axis that it concerns, or for the machine where it concerns none.
+    /// Latches what the card found for every axis concerned, or else for the machine.
     #[cold]
     fn latch_trouble(&mut self, trouble: Trouble, report: &mut impl FnMut(Event) -> bool) {
         let fault = Fault::from(trouble.kind);
@@ -416,8 +430,8 @@ impl Engine {
         }
     }
 
-    /// Lets each axis act on what this look found, and writes what they want at once. Not inlined: what nearly every look
-    /// needs stays in registers.
+    /// Lets each axis act on what this look found, and writes what they want at once.
+    /// Not inlined: what nearly every look needs stays in registers.
     #[inline(never)]
     fn work<C: Card>(
         &mut self,
@@ -677,7 +691,8 @@ impl Engine {
         Ok(())
     }
 
-    /// Nothing arms on hope: no fault, no switch, every axis homed, and on a real card a verified set-up.
+    /// Whether corrections may be enabled, or why not.
+    /// It needs no fault, no switch, every axis homed, and on a real card a verified set-up.
     fn armable(&self, shadow: bool) -> Result<(), Refusal> {
         if self.mode == Mode::Fault {
             Err(Refusal::FaultLatched)
@@ -741,7 +756,8 @@ impl Engine {
         Ok(())
     }
 
-    /// Sets whether the control side is silent (`stale`). It switches corrections off; its return does not enable them.
+    /// Sets whether the control side is silent (`stale`).
+    /// It switches corrections off; its return does not enable them.
     pub fn set_control_stale(&mut self, stale: bool, report: &mut impl FnMut(Event) -> bool) {
         if stale != self.stale {
             self.stale = stale;
@@ -756,7 +772,7 @@ impl Engine {
         }
     }
 
-    /// Latches a fault of the machine as a whole, or of one axis, found outside the loop.
+    /// Latches a fault that was found outside the loop, of the machine or of one axis.
     ///
     /// # Errors
     /// When the hold line cannot be written.
@@ -790,8 +806,8 @@ impl Engine {
         self.mode
     }
 
-    /// Real inverters (bit 0 A, bit 1 B) of an axis and what is in the MTC's count, an odd number halfway through an
-    /// insertion: what a restart must know.
+    /// Real inverters of an axis and the total in the MTC's count: what a restart must know.
+    /// Bit 0 is A, bit 1 is B. The total is odd halfway through an insertion.
     #[must_use]
     pub fn in_effect(&self, axis: usize) -> Option<(u8, i64)> {
         self.axes.get(axis).map(AxisEngine::in_effect)

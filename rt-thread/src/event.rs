@@ -1,4 +1,5 @@
-//! What goes over the link: requests down, events up, and what a status shows. All `Copy`, nothing allocates.
+//! What goes over the link: requests down, events up, and what a status shows.
+//! All `Copy`, nothing allocates.
 
 use rtec_driver::card::TroubleKind;
 use serde::{Deserialize, Serialize};
@@ -24,17 +25,20 @@ pub enum Request {
         axis: u8,
         /// Position of the known place, counts.
         position_counts: i64,
-        /// The MTC has been homed there too: what it counted before is forgotten. Otherwise the total in effect is kept.
+        /// The MTC has been homed there too: what it counted before is forgotten.
+        /// Otherwise the total in effect is kept.
         controller_homed: bool,
     },
-    /// What the control side has read back after [`Request::Home`]; only the same value completes it.
+    /// What the control side has read back after [`Request::Home`].
+    /// Only the same value completes it.
     ConfirmHome {
         /// Which axis, from 0.
         axis: u8,
         /// The position as read back, counts.
         position_counts: i64,
     },
-    /// Corrections on: every axis homed, no fault, on a real card every setting verified.
+    /// Corrections on.
+    /// It needs every axis homed and no fault; on a real card also every setting verified.
     Enable,
     /// Corrections off: they freeze where they are.
     Disable,
@@ -51,8 +55,8 @@ pub enum Request {
     },
     /// Release latched faults. Axes whose count is in doubt must be homed again.
     Clear,
-    /// The state file is not the one that was written any more; another is there instead. Everything is to be noted in it, and
-    /// [`Fault::StateFileLost`] is latched.
+    /// The state file is not the one that was written any more.
+    /// Another is there instead. Everything is to be noted in it, and [`Fault::StateFileLost`] is latched.
     StateFileLost,
 }
 
@@ -65,7 +69,8 @@ pub enum Fault {
     IllegalTransition,
     /// Counts to the MTC minus counts of the scale is not what was completed.
     LedgerImbalance,
-    /// A real edge and an inversion fell so close together that their order, and so the MTC's count, is not certain.
+    /// The order of a real edge and an inversion is uncertain, because they were too close.
+    /// So the MTC's count is uncertain too.
     OrderUnknown,
     /// The lines were not looked at for so long that counts may have passed unseen.
     PollGap,
@@ -91,16 +96,17 @@ pub enum Fault {
     CounterError,
     /// The process before this one ended between the two inversions of an insertion.
     Interrupted,
-    /// On a polled card an edge came sooner after the one before than the axis's acceleration limit and its scale's
-    /// hysteresis allow: what the gate promised was no promise, and more may have passed between two looks than was seen.
+    /// On a polled card an edge came sooner than acceleration limit and hysteresis allow.
+    /// The gate's promise did not hold, and more may have passed between two looks than was seen.
     BeyondLimits,
     /// The state file has lost what this axis had in effect.
     RecordLost,
-    /// The real-time thread panicked or stood still: nobody looked at the lines from then on.
+    /// The real-time thread panicked or stalled: nobody has looked at the lines since.
     ThreadLost,
-    /// One channel of the scale changes again and again, and the other does not take its turn: a broken wire.
+    /// One channel of the scale keeps changing and the other does not: a broken wire.
     ChannelDead,
-    /// The state file was removed, replaced, overwritten or cut short while the daemon wrote it. It has been written anew.
+    /// The state file was removed, replaced, overwritten or cut short while in use.
+    /// The daemon has written it again.
     StateFileLost,
 }
 
@@ -187,7 +193,8 @@ impl Faults {
         self.0
     }
 
-    /// The set of such a number; none where it has faults that this version does not know.
+    /// The set of such a number.
+    /// None where it has faults that this version does not know.
     pub(crate) fn from_bits(bits: u32) -> Option<Self> {
         let known = Fault::ALL.into_iter().fold(0, |all, f| all | 1 << f as u8);
         (bits & !known == 0).then_some(Self(bits))
@@ -221,7 +228,7 @@ pub enum Refusal {
     AboveMaximum,
     /// A change beyond the belief window: "I don't believe you".
     NotBelieved,
-    /// The real-time set-up of this machine is incomplete, and the card drives a real machine.
+    /// The real-time set-up is incomplete, and the card drives a real machine.
     NotArmable,
     /// An insertion is under way; ask again.
     Busy,
@@ -239,7 +246,7 @@ pub enum HeldBy {
     User(u32),
     /// The MTC: it was switched off, and the configuration asks for feed hold then.
     Controller,
-    /// Nobody known: the line was on when the daemon started, and the state file does not say why.
+    /// Unknown: the line was on when the daemon started, and the state file does not say why.
     FoundOn,
 }
 
@@ -290,14 +297,16 @@ pub enum EventKind {
         /// The request, counts.
         total_counts: i64,
     },
-    /// The counter was zeroed at the known place; the control side must now confirm what it reads.
+    /// The counter was zeroed at the known place.
+    /// The control side must now confirm what it reads.
     HomeSet {
         /// The position now, counts.
         position_counts: i64,
     },
     /// Homing is complete.
     Homed {
-        /// What the MTC still counts of what was inserted before, counts; 0 where it has been homed too.
+        /// What the MTC still counts of what was inserted before, counts.
+        /// 0 where it has been homed too.
         kept_counts: i64,
     },
     /// A real edge fell into an insertion; its effect was certain and is in the ledger.
@@ -306,9 +315,10 @@ pub enum EventKind {
     Late,
     /// The mode is now this one.
     Mode(Mode),
-    /// No sign of life from the control side for too long: corrections freeze. `false`: it is back.
+    /// No sign of life from the control side for too long: corrections freeze.
+    /// `false`: it is back.
     ControlStale(bool),
-    /// The MTC counts (`true`), or it was switched off: what it counts is not known any more.
+    /// The MTC counts (`true`), or it was switched off and its count is unknown.
     ControllerReady(bool),
     /// The probe tripped.
     Trip(Capture),
@@ -321,16 +331,16 @@ pub enum EventKind {
 pub struct Capture {
     /// The trip lies between these two times, ns.
     pub trip_ns: (u64, u64),
-    /// The last count edge before the trip: its place (the boundary between counts n − 1 and n is at n), and its time,
-    /// ns; no time before a first edge.
+    /// The last count edge before the trip: its place and its time, ns.
+    /// The boundary between counts n − 1 and n is at n. Before a first edge there is no time.
     pub before: (i64, Option<u64>),
     /// The next count edge, alike; `None` when the axis stopped.
     pub after: Option<(i64, u64)>,
 }
 
 impl Capture {
-    /// Position at the trip, counts, interpolated between the two neighbouring edges in constant motion; and half the
-    /// width of what it may be, counts.
+    /// Position at the trip, and half the width of its uncertainty, both in counts.
+    /// The position is interpolated between the two neighbouring edges at constant speed.
     #[must_use]
     pub fn position_counts(&self) -> (f64, f64) {
         let (p0, t0) = self.before;
@@ -354,7 +364,8 @@ pub enum Mode {
     /// Corrections are off, frozen where they are.
     #[default]
     Disabled,
-    /// Corrections are on: insertions are made where a total is pending and the gate allows.
+    /// Corrections are on.
+    /// Insertions are made where a total is pending and the gate allows.
     Run,
     /// Everything is computed, nothing is written.
     Shadow,
@@ -379,13 +390,14 @@ pub enum GateState {
     WaitingForEdge,
     /// The axis is too fast for an insertion.
     TooFast,
-    /// One channel has changed twice, the other not: the axis turned, trembles over one boundary, or has a broken wire.
+    /// One channel has changed twice and the other not.
+    /// The axis turned, oscillates over one boundary, or has a broken wire.
     OneChannel,
     /// The rate cap holds the next insertion back.
     RateCap,
     /// The axis is at rest, and its rest policy is to wait.
     AtRest,
-    /// The axis has not been homed since the start or since a fault that loses its count.
+    /// The axis is not homed: not since the start, or not since a fault that lost its count.
     NotHomed,
     /// Corrections are off (see the mode).
     Off,
@@ -400,7 +412,7 @@ pub enum GateState {
 pub struct AxisStatus {
     /// Scale position, counts from the machine's zero.
     pub position_counts: i64,
-    /// What the MTC has counted since homing minus what the scale has: the left side of the ledger.
+    /// The MTC's count minus the scale's since homing: the left side of the ledger.
     pub mtc_minus_scale: i64,
     /// The accepted total, counts.
     pub requested: i64,
@@ -412,7 +424,8 @@ pub struct AxisStatus {
     pub inverted: bool,
     /// Counters zeroed at the known place, and the place confirmed.
     pub homed: bool,
-    /// The MTC's count less the scale's is certain: the MTC has been homed, and nothing has put it in doubt since.
+    /// The difference of the MTC's and the scale's counts is certain.
+    /// The MTC has been homed, and nothing has put it in doubt since.
     pub mtc_known: bool,
     /// Why it is or is not correcting.
     pub gate: GateState,
@@ -448,7 +461,8 @@ pub struct Status {
     pub disable_switch: bool,
     /// The MTC counts; `true` too where no line tells.
     pub mtc_ready: bool,
-    /// Corrections are enabled, whatever else is in their way. Hold and probing do not switch them off.
+    /// Corrections are enabled, whatever else is in their way.
+    /// Hold and probing do not switch them off.
     pub enabled: bool,
     /// What switched them off last.
     pub off_because: OffBecause,
@@ -475,7 +489,8 @@ impl Status {
         &self.axes[..usize::from(self.axes_used)]
     }
 
-    /// Every axis's ledger balances; that of an axis in the middle of an insertion is made up when it is done.
+    /// Every axis's ledger balances.
+    /// That of an axis in the middle of an insertion is made up when it is done.
     #[must_use]
     pub fn balanced(&self) -> bool {
         self.axes().iter().all(|a| a.gate == GateState::Inserting || a.mtc_minus_scale == a.in_effect)

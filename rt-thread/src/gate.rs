@@ -8,10 +8,10 @@
 //! | T < √(2/a) | 1/T + aT/2: one count in T at full acceleration |
 //! | otherwise, at most | √(2a(1 + H)): back from the last edge by the hysteresis H without an edge, then forth |
 //!
-//! and from there the next edge in the same direction takes at least τ with vτ + aτ²/2 = 1. An axis that turns back
-//! must first cross the scale's hysteresis h, which from standstill takes √(2h/a). h is the least that the scale has, H
-//! the most: a count, or h where that is more. The smaller of the two is the time
-//! in which, right after an edge, no other can come. (NISTIR 4832 times the last period alone.)
+//! From there the next edge in the same direction takes at least τ with vτ + aτ²/2 = 1. An axis that turns back must
+//! first cross the scale's hysteresis h, which takes √(2h/a) from standstill. h is the least hysteresis of the scale.
+//! H is the larger of h and one count. The smaller of the two times is the time after an edge in which no other can
+//! come. (NISTIR 4832 uses the last period alone.)
 
 /// When a real edge could come at the earliest, for one axis.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -31,17 +31,19 @@ pub struct Gate {
 /// What the gate is computed from.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct GateInput {
-    /// The axis's acceleration limit, counts/s². Zero stands for an axis that cannot accelerate.
+    /// The axis's acceleration limit, counts/s².
+    /// Zero stands for an axis that cannot accelerate.
     pub max_accel_counts_s2: f64,
-    /// The least of the scale's hysteresis on reversal, counts; more than zero on any real scale.
+    /// The least of the scale's hysteresis on reversal, counts.
+    /// More than zero on any real scale.
     pub hysteresis_counts: f64,
-    /// Time from an edge until an insertion that it opened is over for the MTC, ns, at the worst.
+    /// The longest time from an edge until its insertion is over for the MTC, ns.
     pub need_ns: u64,
 }
 
 impl Gate {
-    /// A gate, or `None` where no period of this axis is ever long enough: its acceleration limit and the time
-    /// needed contradict each other.
+    /// A gate, or `None` where no period of this axis is long enough.
+    /// Then the acceleration limit and the time needed contradict each other.
     #[must_use]
     pub fn new(input: GateInput) -> Option<Self> {
         let need = input.need_ns as f64;
@@ -78,7 +80,7 @@ impl Gate {
         self.need_ns
     }
 
-    /// The highest speed at the moment of an edge after a period of at least `period_ns`, counts/ns.
+    /// The highest speed at an edge after a period of at least `period_ns`, counts/ns.
     fn speed_counts_ns(&self, period_ns: u64) -> f64 {
         // Signed: one instruction where unsigned takes six. No period is that long.
         let (t, a) = (period_ns.clamp(1, i64::MAX as u64) as i64 as f64, self.accel_counts_ns2);
@@ -86,15 +88,17 @@ impl Gate {
         if a * t * t < 2.0 { v } else { v.min(self.from_rest_counts_ns) }
     }
 
-    /// The time after an edge within which no other can come, ns, when the period before it was at least `period_ns`.
+    /// The time after an edge in which no other can come, ns.
+    /// The period before the edge was at least `period_ns`.
     #[must_use]
     pub fn quiet_ns(&self, period_ns: u64) -> u64 {
         let travel_ns = self.travel_ns(period_ns, 1.0);
         (if travel_ns < self.turn_back_ns { travel_ns } else { self.turn_back_ns }) as i64 as u64
     }
 
-    /// Whether an edge in the same direction, `after_ns` after one with the given period before it, breaks the
-    /// acceleration limit: with v = 1/T + aT/2, vτ + aτ²/2 < 1, multiplied by T.
+    /// Whether an edge in the same direction breaks the acceleration limit.
+    /// It came `after_ns` after one with the given period before it. The condition is vτ + aτ²/2 < 1 with v = 1/T +
+    /// aT/2, multiplied by T.
     #[must_use]
     #[inline]
     pub fn too_soon(&self, period_ns: u64, after_ns: u64) -> bool {
@@ -107,20 +111,21 @@ impl Gate {
         tau + a / 2.0 * tau * t * (t + tau) < t || tau < self.from_rest_ns && a * t * t >= 2.0
     }
 
-    /// The shortest time in which the axis can turn back over the edge that it has just crossed, ns.
+    /// The shortest time in which the axis can turn back over its last edge, ns.
     #[must_use]
     pub const fn turn_back_ns(&self) -> u64 {
         self.turn_back_whole_ns
     }
 
-    /// The shortest time in which the axis can travel `counts`, ns, after an edge with the given period before it.
+    /// The shortest time in which the axis can travel `counts`, ns.
+    /// It starts at an edge with the given period before it.
     #[must_use]
     pub fn travel_ns(&self, period_ns: u64, counts: f64) -> f64 {
         travel_ns(self.speed_counts_ns(period_ns), self.accel_counts_ns2, counts)
     }
 }
 
-/// The time in which an axis at this speed (counts/ns) travels `counts` at full acceleration, ns.
+/// The time to travel `counts` from speed `v` (counts/ns) at full acceleration, ns.
 fn travel_ns(v: f64, a: f64, counts: f64) -> f64 {
     2.0 * counts / (v + (v * v + 2.0 * a * counts).sqrt())
 }
@@ -149,7 +154,8 @@ mod tests {
         assert!((g.travel_ns(u64::MAX, 1.0) - 449_490.0).abs() < 1.0);
     }
 
-    /// From 10 kHz, at 1e6 counts/s², the next count takes 99.0 µs at least: v = 10 050 counts/s and a little more.
+    /// From 10 kHz at 1e6 counts/s² the next count takes at least 99.0 µs.
+    /// The speed is at most a little above v = 10 050 counts/s.
     #[test]
     fn an_edge_that_comes_a_little_sooner_is_within_the_limit() {
         let g = gate(1500, 1e6).unwrap();
@@ -159,7 +165,7 @@ mod tests {
         );
     }
 
-    /// An axis that goes back by nearly the hysteresis between two edges has more than a count in which to get faster.
+    /// An axis that goes back by nearly the hysteresis has more than a count in which to accelerate.
     #[test]
     fn a_run_up_through_the_hysteresis_is_within_the_limit() {
         for h in [0.05_f64, 0.3, 0.99, 2.5] {
@@ -189,7 +195,7 @@ mod tests {
     }
 
     proptest! {
-        /// The shortest period that the gate admits is the one from which the next edge cannot come in the time needed.
+        /// From the shortest period that the gate admits, the next edge cannot come in the time needed.
         #[test]
         fn min_period_is_the_boundary(need in 200_u64..100_000, log_a in 0.0..8.0_f64) {
             let Some(g) = gate(need, 10_f64.powf(log_a)) else { return Ok(()) };

@@ -1,4 +1,5 @@
-//! Latency histograms in fixed memory: one thread writes a few nanoseconds at a time, any thread reads at any time.
+//! Latency histograms in fixed memory.
+//! One thread writes in a few nanoseconds. Any thread may read at any time.
 //!
 //! Log-linear buckets: every octave is cut into 64 equal buckets, so a bucket is never wider than 1/64 (1.6 %) of its
 //! lowest value, and values below 128 ns are kept exactly. The range ends at 2^40 ns (18 minutes); what lies beyond
@@ -20,14 +21,17 @@ const SUB: usize = 1 << SUB_BITS;
 const TOP_BITS: u32 = 40;
 /// Number of buckets of every histogram.
 pub const BUCKETS: usize = SUB * (TOP_BITS - SUB_BITS + 1) as usize;
-/// A percentile is never below the true one and never above it by more than this fraction (values below 2^40 ns).
+/// The most by which a percentile may exceed the true one, as a fraction.
+/// It is never below the true one. It holds for values below 2^40 ns.
 pub const RELATIVE_ERROR: f64 = 1.0 / SUB as f64;
 
-/// What the two halves share. Relaxed atomics everywhere: a reader wants numbers, not an order between them.
+/// What the two halves share.
+/// Relaxed atomics everywhere: a reader wants numbers, not an order between them.
 #[derive(Debug)]
 #[repr(align(128))]
 struct Shared {
-    /// Smallest value, `u64::MAX` while empty. Written by: recorder. Read by: recorder, readers.
+    /// Smallest value, `u64::MAX` while empty.
+    /// Written by: recorder. Read by: recorder, readers.
     min: AtomicU64,
     /// Largest value, 0 while empty. Written by: recorder. Read by: recorder, readers.
     max: AtomicU64,
@@ -50,14 +54,16 @@ pub fn histogram() -> (Recorder, Reader) {
     (Recorder { shared: Arc::clone(&shared) }, Reader { shared })
 }
 
-/// The half that writes: exactly one exists per histogram, so plain loads and stores suffice.
+/// The half that writes.
+/// Exactly one exists per histogram, so plain loads and stores suffice.
 #[derive(Debug)]
 pub struct Recorder {
     shared: Arc<Shared>,
 }
 
 impl Recorder {
-    /// Count one value in ns. Never allocates, never locks, makes no system call; a few ns.
+    /// Count one value in ns.
+    /// Never allocates, never locks, makes no system call; a few ns.
     #[inline]
     pub fn record(&mut self, ns: u64) {
         let s = &*self.shared;
@@ -72,7 +78,8 @@ impl Recorder {
         }
     }
 
-    /// Forget everything. A snapshot taken at the same moment may hold part of the old counts.
+    /// Forget everything.
+    /// A snapshot taken at the same moment may hold part of the old counts.
     pub fn clear(&mut self) {
         let s = &*self.shared;
         for count in &s.counts {
@@ -91,8 +98,9 @@ pub struct Reader {
 }
 
 impl Reader {
-    /// A copy to compute with. While the writer runs, the copy may miss values recorded during the copying; it never
-    /// holds one that was not recorded.
+    /// A copy to compute with.
+    /// While the writer runs, the copy may miss values recorded during the copying; it never holds one that was not
+    /// recorded.
     #[must_use]
     pub fn snapshot(&self) -> Snapshot {
         let s = &*self.shared;
@@ -155,8 +163,9 @@ impl Snapshot {
         if self.samples == 0 { 0.0 } else { self.sum as f64 / self.samples as f64 }
     }
 
-    /// The value in ns that a fraction `q` (0 to 1) of all values does not exceed (nearest rank): never below the true
-    /// one, never above it by more than [`RELATIVE_ERROR`]. 0 when there is none.
+    /// The value in ns that a fraction `q` (0 to 1) of all values does not exceed (nearest rank).
+    /// It is never below the true one, and never above it by more than [`RELATIVE_ERROR`]. It is 0 when there are no
+    /// values.
     #[must_use]
     pub fn quantile(&self, q: f64) -> u64 {
         let rank = ((q * self.samples as f64).ceil() as u64).clamp(1, self.samples.max(1));
@@ -205,8 +214,8 @@ impl Snapshot {
         self.max = self.max.max(other.max);
     }
 
-    /// The same values in `rows` linear buckets of `width_ns`, as plotting scripts want them, and how many lie beyond.
-    /// What a bucket holds is spread evenly over the rows that it reaches into.
+    /// The same values in `rows` linear buckets of `width_ns`, and how many lie beyond.
+    /// Plotting scripts need this form. A bucket's values are spread evenly over the rows that it overlaps.
     #[must_use]
     pub fn linear(&self, width_ns: u64, rows: usize) -> (Vec<u64>, u64) {
         let mut linear = vec![0; rows];
@@ -235,7 +244,8 @@ impl Snapshot {
     }
 }
 
-/// `{"min","p50","p99","p999","p9999","max","mean","samples","histogram":[[low_ns, high_ns, count], …]}`.
+/// Serialises as a map of figures and the histogram as `[low_ns, high_ns, count]`.
+/// The keys are `min`, `p50`, `p99`, `p999`, `p9999`, `max`, `mean`, `samples` and `histogram`.
 impl Serialize for Snapshot {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         #[derive(Serialize)]

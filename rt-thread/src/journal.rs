@@ -1,23 +1,24 @@
-//! What must survive a crash of the process, in a mapped file: each axis's inverters, completed total and latched faults,
-//! whether the MTC's count is known; feed hold and who asked for it; when each fault was latched.
+//! What must survive a crash of the process, in a mapped file.
+//! For each axis it has inverters, completed total, latched faults and whether the MTC's count is known. It also has
+//! feed hold with who asked for it, and the time of each fault.
 //!
 //! The engine writes a record *before* it inverts anything, alternating between two slots per axis. After a crash one
-//! of the two records agrees with the inverters as they are read back, and holds what was completed; if none does, the
-//! axis is at fault. Writing is a few stores to memory: no system call in the loop. Put the file on a tmpfs (`/run`),
-//! where the kernel never makes a page read-only to write it back. A file on a disk outlives a power cut, and the MTC's
-//! count does not: the file says in which boot of the computer it was written, and after another one the count is not
-//! known.
+//! of the two records agrees with the inverters as they are read back, and holds what was completed. If neither
+//! agrees, the axis gets a fault. Writing is a few stores to memory, so the loop makes no system call. Put the file
+//! on a tmpfs (`/run`), where the kernel never makes a page read-only to write it back. A file on a disk survives a
+//! power cut, but the MTC's count does not. The file therefore says in which boot of the computer it was written.
+//! After another boot the count is unknown.
 //!
 //! | page | what |
 //! |---|---|
 //! | 1 | head (magic, whose file it is), the axes' slots, the machine's slots, the times of faults |
 //! | 2 | the same once more: a record is lost only when both copies are |
 //!
-//! A file of version 2 is read: it has no machine's slots and no times, and it does not say whether the MTC was homed.
+//! A file of version 2 can be read. It has no machine's slots and no times, and does not say whether the MTC was homed.
 //!
-//! The file belongs to one machine on one card with one wiring, and to one process at a time (`flock(2)`). A file that is
-//! there and has no record of an axis is no first start: whoever opens it must latch that axis. A first start therefore
-//! writes another file, and gives it the name once every record is in it ([`Journal::place`]).
+//! The file belongs to one machine on one card with one wiring, and to one process at a time (`flock(2)`). An existing
+//! file without a record of an axis is no first start: whoever opens it must latch that axis. A first start therefore
+//! writes a file without the name, and names it once every record is in it ([`Journal::place`]).
 
 use crate::event::{Fault, Faults, HeldBy, MAX_AXES};
 use nix::errno::Errno;
@@ -38,14 +39,15 @@ const MAGIC_2: u64 = u64::from_le_bytes(*b"RTECJ\0\0\x02");
 /// Sequence number, flags, completed or user, check sum.
 const SLOT_WORDS: usize = 4;
 const AXIS_WORDS: usize = 2 * SLOT_WORDS;
-/// Sequence numbers are below: nobody writes so many, and there is room to count on from any.
+/// Sequence numbers must be below this, which leaves room to count on from any of them.
 const ROOM: u64 = 1 << 63;
 /// Magic, hash of the identity, its length, check sum.
 pub(crate) const HEAD_WORDS: usize = 8;
 /// The slots of the machine as a whole come behind those of the axes.
 const MACHINE: usize = MAX_AXES;
 const ROWS: usize = MAX_AXES + 1;
-/// Where the times begin, a row for each axis and one for the machine: of every fault, and at its end of feed hold.
+/// Where the times begin: a row for each axis and one for the machine.
+/// A row has a time for each fault. The machine's row ends with that of feed hold.
 const TIMES_AT: usize = 64;
 const ROW_WORDS: usize = 32;
 const HOLD_AT: usize = ROW_WORDS - 1;
@@ -59,14 +61,15 @@ const COPIES: usize = 2;
 const ACCESS: ProtFlags = ProtFlags::PROT_READ.union(ProtFlags::PROT_WRITE);
 pub(crate) const BYTES: NonZeroUsize = NonZeroUsize::new(COPIES * PAGE_WORDS * 8).unwrap();
 const _: () = assert!(HEAD_WORDS + ROWS * AXIS_WORDS <= TIMES_AT && TIMES_AT + ROWS * ROW_WORDS <= TEXT_AT);
-/// The word of the head that says that the real-time thread was lost, and what it says then.
+/// The head's word that says that the real-time thread was lost, and its value then.
 pub(crate) const LOST_AT: usize = 4;
 pub(crate) const LOST: u64 = u64::from_le_bytes(*b"RTECLOST");
-/// The words of the head that say in which boot of the computer it was written: its hash, and a check sum.
+/// The head's words for the boot in which the file was written: its hash and a check sum.
 const BOOT_AT: usize = 5;
 const BOOT_FILE: &str = "/proc/sys/kernel/random/boot_id";
 const _: () = assert!(LOST_AT < BOOT_AT && BOOT_AT + 2 <= HEAD_WORDS);
-/// A time of the card's clock is kept in µs, in the upper bits of its word; below is its check sum.
+/// A time of the card's clock is kept in µs, in the upper bits of its word.
+/// Below is its check sum.
 const TIME_SHIFT: u32 = 16;
 
 #[cfg(test)]
@@ -80,7 +83,8 @@ thread_local! {
 pub struct StateRecord {
     /// Bit 0: A inverted, bit 1: B inverted.
     pub inverters: u8,
-    /// What is in the MTC's count, counts: the completed total, or an odd number halfway through an insertion.
+    /// What is in the MTC's count, counts.
+    /// It is the completed total, or an odd number halfway through an insertion.
     pub completed: i64,
     /// What is latched: a restart is no way round a fault.
     pub faults: Faults,
@@ -138,12 +142,13 @@ impl MachineRecord {
     }
 }
 
-/// When each fault was latched, and when feed hold was asked for, on the card's clock.
+/// When each fault was latched, and when feed hold was asked for (the card's clock).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Times([[Option<u64>; ROW_WORDS]; ROWS]);
 
 impl Times {
-    /// When a fault was latched, ns; of the machine as a whole where no axis is given. None where that is not known.
+    /// When a fault was latched, ns; of the machine as a whole where no axis is given.
+    /// None where that is not known.
     #[must_use]
     pub fn latched_ns(&self, axis: Option<usize>, fault: Fault) -> Option<u64> {
         self.0.get(axis.unwrap_or(MACHINE))?[fault as usize]
@@ -162,15 +167,15 @@ impl Times {
 pub struct Before {
     /// There was no file: a first start, at which no record can be missing.
     pub first_start: bool,
-    /// The file was of the version before: nothing is known of feed hold, of faults that leave the count certain, and of
-    /// whether the MTC was homed.
+    /// The file is of version 2.
+    /// It does not tell feed hold, faults that leave the count certain, or whether the MTC was homed.
     pub older: bool,
     /// Per axis, the valid records, newest first.
     pub records: [[Option<StateRecord>; 2]; MAX_AXES],
-    /// The computer was restarted since it was written, or nothing says that it was not: what is in the MTC's count is not
-    /// known. `false` where the kernel does not tell its boot.
+    /// The computer was restarted since the file was written, or may have been.
+    /// The MTC's count is then unknown. It is `false` where the kernel does not report its boot.
     pub other_boot: bool,
-    /// Per axis, a record is there and damaged in both copies: it may have been the newest.
+    /// Axes with a record that is damaged in both copies: it may have been the newest.
     pub damaged: [bool; MAX_AXES],
     /// The same of the machine's records, or there is none.
     pub machine_damaged: bool,
@@ -178,7 +183,8 @@ pub struct Before {
     pub machine: Option<MachineRecord>,
     /// When it all was.
     pub times: Times,
-    /// The real-time thread of the process before was lost ([`crate::state_file::StateFile::note_thread_lost`]).
+    /// The real-time thread of the process before was lost.
+    /// See [`crate::state_file::StateFile::note_thread_lost`].
     pub thread_lost: bool,
 }
 
@@ -196,8 +202,9 @@ impl Before {
         thread_lost: false,
     };
 
-    /// Nobody knows why feed hold is on, or whether it was: the machine's record is lost, or names neither a user nor a fault.
-    /// A fault of an axis is noted before the hold that follows from it, and ends after it.
+    /// Why feed hold is on, or whether it was on, is unknown.
+    /// The machine's record is lost, or names neither a user nor a fault. The fault of an axis is recorded before the
+    /// hold that it causes, and cleared after it.
     #[must_use]
     pub fn hold_unexplained(&self) -> bool {
         let faulted = self.records.iter().any(|found| found[0].is_some_and(|r| r.faults.any()));
@@ -250,8 +257,8 @@ pub enum JournalError {
     },
 }
 
-/// The mapped file, as the journal that writes it and [`crate::state_file::StateFile`] that watches over it share
-/// it.
+/// The mapped file.
+/// The journal writes it, and [`crate::state_file::StateFile`] watches over it.
 #[derive(Debug)]
 pub(crate) struct Mapping {
     words: NonNull<AtomicU64>,
@@ -334,7 +341,8 @@ pub struct Journal {
     next: [u64; ROWS],
     last: [Option<StateRecord>; MAX_AXES],
     last_machine: Option<MachineRecord>,
-    /// What is latched by the times in the file, a row each; and whether feed hold is on by them.
+    /// What is latched by the times in the file, a row each.
+    /// And whether feed hold is on by them.
     timed: [Faults; ROWS],
     timed_hold: bool,
     /// The times as they are in the file.
@@ -349,7 +357,8 @@ pub struct Journal {
     held: Flock<File>,
 }
 
-/// A torn or foreign record must not pass: every bit of every word reaches every bit of the sum.
+/// A check sum in which every bit of every word reaches every bit.
+/// A torn or foreign record must not pass.
 fn check(words: &[u64]) -> u64 {
     // No word that is written: zeros behind the magic must not sum up to zero. It stays what it was in version 2.
     let mut sum = !MAGIC_2;
@@ -370,11 +379,11 @@ fn words_of(text: &[u8]) -> impl Iterator<Item = u64> {
 }
 
 impl Journal {
-    /// Opens or creates the file of `identity`, a text that names machine, card and lines. Returns the journal and what
-    /// was found in it.
+    /// Opens or creates the file of `identity`, and returns what was found in it.
+    /// `identity` is a text that names machine, card and lines.
     ///
     /// # Errors
-    /// When the file cannot be opened, sized or mapped, is locked, is something else, or is somebody else's.
+    /// When the file cannot be opened, sized or mapped, is locked, is no state file, or has another identity.
     pub fn open(path: &Path, identity: &str) -> Result<(Self, Before), JournalError> {
         let io = |source: io::Error| JournalError::Io { path: path.to_owned(), source };
         let mut unplaced = None;
@@ -432,7 +441,7 @@ impl Journal {
         Ok((journal, before))
     }
 
-    /// What [`crate::state_file::StateFile`] shares with it: the mapping, the file and its name.
+    /// What [`crate::state_file::StateFile`] shares: the mapping, the file and its name.
     pub(crate) fn shared(&self) -> (Arc<Mapping>, &File, &Path) {
         (Arc::clone(&self.mapping), &self.held, &self.path)
     }
@@ -450,8 +459,8 @@ impl Journal {
         slots.map(|s| s.map(|(_, record)| record))
     }
 
-    /// A record of this row is whole in neither copy: it may have been the newest. One that was cut short before there was
-    /// another never was in effect.
+    /// A record of this row is whole in neither copy: it may have been the newest.
+    /// One that was cut short before there was another never was in effect.
     fn damaged<T>(&self, row: usize, of: impl Fn([u64; 2]) -> Option<T>) -> bool {
         let slots = [0, 1].map(|n| self.slot(row, n, &of).map(|(seq, _)| seq));
         (0..2).any(|n| {
@@ -488,8 +497,9 @@ impl Journal {
         self.mapping.load(n)
     }
 
-    /// Refuses the file of another version or of somebody else; says whether it is of the version before. A head that both
-    /// copies have lost says nothing: the records are judged then.
+    /// Refuses the file of another version or of somebody else.
+    /// Says whether it is of the version before. A head that both copies have lost says nothing: the records are
+    /// judged then.
     fn is_ours(&self, path: &Path, identity: &str) -> Result<bool, JournalError> {
         for page in [0, PAGE_WORDS] {
             let [magic, hash, bytes, sum] = [0, 1, 2, 3].map(|k| self.load(page + k));
@@ -543,11 +553,11 @@ impl Journal {
         records.max_by_key(|(seq, _)| *seq)
     }
 
-    /// Every record is in the file: from here on it says so, in which boot of the computer, and has its name. After a kill
-    /// before, the next process finds what this one found.
+    /// Marks the file as complete, with this boot of the computer, and gives it its name.
+    /// Every record must be in the file. If the process is killed before, the next one finds what this one found.
     ///
     /// # Errors
-    /// When the disk does not take it, or somebody else's file is there by now.
+    /// When the disk refuses it, or another process has placed its file meanwhile.
     pub fn place(&mut self) -> io::Result<()> {
         self.write_head(&self.identity);
         for page in [0, PAGE_WORDS] {
@@ -563,7 +573,8 @@ impl Journal {
         Ok(())
     }
 
-    /// Notes at `t_ns` what an axis will have in effect once the write that follows is made. No system call.
+    /// Notes at `t_ns` what an axis will have in effect after the write that follows.
+    /// Makes no system call.
     #[inline]
     pub fn record(&mut self, axis: usize, record: StateRecord, t_ns: u64) {
         if self.last[axis] == Some(record) {
@@ -594,7 +605,8 @@ impl Journal {
         }
     }
 
-    /// Notes everything once more: the file is a new one, with nothing but its head. No system call.
+    /// Notes everything once more: the file is a new one, with nothing but its head.
+    /// No system call.
     pub(crate) fn note_again(&mut self) {
         for row in 0..ROWS {
             for (k, word) in self.times[row].into_iter().enumerate() {
@@ -687,7 +699,7 @@ fn opened(path: &Path, create: bool) -> Result<Flock<File>, JournalError> {
     })
 }
 
-/// Makes a state file of zeros, or begins one anew that was not completed, and locks it.
+/// Makes and locks a state file of zeros, or clears one that was not completed.
 pub(crate) fn empty(path: &Path) -> Result<Flock<File>, JournalError> {
     let io = |source: io::Error| JournalError::Io { path: path.to_owned(), source };
     let held = opened(path, true)?;
@@ -728,8 +740,8 @@ impl Drop for Journal {
     }
 }
 
-/// What was completed, by the records found and the inverters as they are read back: the newest record that agrees. What
-/// is latched and known of the MTC is the newest record's, whether its write was made or not.
+/// What was completed: the newest record that agrees with the inverters as read back.
+/// Latched faults and the MTC's state come from the newest record, whether or not its write was made.
 #[must_use]
 pub fn resume(found: [Option<StateRecord>; 2], inverters: u8) -> Option<StateRecord> {
     let StateRecord { faults, mtc_known, .. } = found.into_iter().flatten().next()?;
@@ -859,7 +871,7 @@ mod tests {
         assert_eq!(before.records[2][0].map(|r| r.faults), Some(both));
     }
 
-    /// A fault and an inversion of the same look: killed before the write, the fault is there all the same.
+    /// A fault and an inversion at the same look: after a kill before the write, the fault is still there.
     #[test]
     fn what_is_latched_does_not_hang_on_the_write_that_was_not_made() {
         let latched = StateRecord { faults: set(&[Fault::PollGap]), mtc_known: false, ..record(1, 3) };
@@ -870,8 +882,7 @@ mod tests {
         assert_eq!(resume(found, 3), None);
     }
 
-    /// A file of version 2, as the program before this one wrote it: counts and faults are kept, and what it cannot know of
-    /// the MTC is not known.
+    /// A file of version 2 keeps counts and faults. What it cannot know of the MTC is unknown.
     #[test]
     fn the_file_of_the_version_before_is_read() {
         let (_directory, path) = new();
@@ -903,7 +914,7 @@ mod tests {
         assert_eq!((again.older, again.records), (false, before.records), "it is of this version now");
     }
 
-    /// Whoever sees that the thread does not look any more leaves it to the next process, until that has latched it.
+    /// A watcher that sees the thread stalled records it for the next process, until that one has latched it.
     #[test]
     fn a_lost_thread_is_found_until_it_is_latched() {
         let (_directory, path) = new();
@@ -920,7 +931,7 @@ mod tests {
         assert!(!Journal::open(&path, OURS).unwrap().1.thread_lost);
     }
 
-    /// Both the PC and the MTC have lost their power, and the disk with the file has not.
+    /// Both the PC and the MTC lost power, and the file on the disk survived.
     #[test]
     fn a_file_of_another_boot_is_told_until_its_records_say_what_follows() {
         let (_directory, path) = new();
@@ -949,7 +960,7 @@ mod tests {
         }
     }
 
-    /// The newest record is gone in both copies: the one before it says nothing of a fault that came with it.
+    /// Both copies of the newest record are damaged, and the older one lacks a fault that came with the newest.
     #[test]
     fn a_record_that_both_copies_have_lost_is_told() {
         let (_directory, path) = new();
@@ -1018,7 +1029,7 @@ mod tests {
         assert_eq!(resume(found(&path), 1), None);
     }
 
-    /// Found by a fuzz target: a number that cannot be counted on from, with its right sum.
+    /// Found by a fuzz target: the highest sequence number, with its right sum.
     #[test]
     fn a_record_of_the_last_number_there_is_is_not_believed() {
         let (_directory, path) = new();
@@ -1066,7 +1077,7 @@ mod tests {
         assert_eq!(found(&path), [None, None]);
     }
 
-    /// The next version has to read what this one wrote: the sum as it was worked out by another hand.
+    /// The next version must read this one's files, so the sum is compared with one worked out independently.
     #[test]
     fn the_check_sum_stays_what_it_is() {
         assert_eq!(check(&[]), 0xFDFF_FFB5_BCBA_ABAD);
@@ -1148,7 +1159,7 @@ mod tests {
         }
     }
 
-    /// An identity that is longer than the file has room for is told from another all the same, and named as far as there is room.
+    /// An identity too long for the file is still told from others, and is named as far as there is room.
     #[test]
     fn of_a_long_identity_is_kept_what_there_is_room_for() {
         let (_directory, path) = new();

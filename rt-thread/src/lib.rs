@@ -14,8 +14,8 @@
 //! | [`thread`] | the pinned thread and its loop |
 //! | [`setup`] | real-time set-up of the thread: applied, read back, reported |
 //!
-//! Never known here: why an axis should have a total (models, temperatures, parts), any file format, and whether the
-//! card is a machine, a recording or a simulation.
+//! This crate does not know why an axis should have a total: models, temperatures and parts are above it. It knows no
+//! file format, and not whether the card is a machine, a recording or a simulation.
 //!
 //! At work: `cargo run -p rtec-rt --example mock_card`, which the tests run too.
 

@@ -1,4 +1,5 @@
-//! The link between the control side and real time: requests down one ring, events up another, status in a snapshot.
+//! The link between the control side and the real-time thread.
+//! Requests go down one ring, events up another, and the status is in a snapshot.
 //!
 //! Neither side ever waits for the other. What cannot be sent is handed back.
 
@@ -27,15 +28,19 @@ pub const EVENTS: usize = 4096;
 /// The words that both sides see, each on a cache line of its own.
 #[derive(Debug)]
 struct Shared {
-    /// Goes up while the control side is alive. Written by the control side, read by the real-time thread.
+    /// Goes up while the control side is alive.
+    /// Written by the control side, read by the real-time thread.
     beats: CachePadded<AtomicU64>,
-    /// The real-time thread shall end. Written by the control side, read by the real-time thread.
+    /// The real-time thread shall end.
+    /// Written by the control side, read by the real-time thread.
     stop: CachePadded<AtomicBool>,
-    /// The real-time thread has ended. Written by the real-time thread, read by the control side.
+    /// The real-time thread has ended.
+    /// Written by the real-time thread, read by the control side.
     ended: CachePadded<AtomicBool>,
 }
 
-/// The control side's end. `Send`, not `Clone`: one thread at a time is the control side.
+/// The control side's end.
+/// `Send`, not `Clone`: one thread at a time is the control side.
 pub struct ControlEnd {
     requests: HeapProd<Request>,
     events: HeapCons<Event>,
@@ -116,12 +121,14 @@ impl ControlEnd {
         self.shared.beats.store(self.shared.beats.load(Ordering::Relaxed) + 1, Ordering::Relaxed);
     }
 
-    /// Asks the real-time thread to end: corrections freeze, inverters stay as they are.
+    /// Asks the real-time thread to end.
+    /// Corrections freeze, and inverters stay as they are.
     pub fn stop(&self) {
         self.shared.stop.store(true, Ordering::Release);
     }
 
-    /// The real-time thread has ended; the last status and all events are there to be read.
+    /// The real-time thread has ended.
+    /// The last status and all events are there to be read.
     #[must_use]
     pub fn ended(&self) -> bool {
         self.shared.ended.load(Ordering::Acquire)
@@ -225,7 +232,7 @@ mod tests {
 mod tests {
     use super::*;
 
-    /// The words beside the rings: what was published before the end is there when the end is seen.
+    /// A status published before the end flag is visible when the flag is.
     #[test]
     fn the_last_status_is_there_when_the_end_is_seen() {
         loom::model(|| {

@@ -1,5 +1,6 @@
-//! The real-time set-up of a thread and its process: applied where it is ours to apply, read back from the kernel, and
-//! reported with what was wanted, what is there, the errno and the remedy. Nothing arms on hope.
+//! The real-time set-up of a thread and its process.
+//! Each setting is applied where we may, and read back from the kernel. It is reported with what was wanted, what was
+//! found, the errno and the remedy. Corrections need a verified set-up.
 //!
 //! | finding | applied here | read back from | needed to arm |
 //! |---|---|---|---|
@@ -31,7 +32,8 @@ const CAP_SYS_NICE: u32 = 23;
 pub struct OsError {
     /// The system call, or `open`, `read`, `write` with the path.
     pub operation: String,
-    /// The error number of errno(3); 0 where the kernel gave none (a file without the expected content).
+    /// The error number of errno(3).
+    /// 0 where the kernel gave none (a file without the expected content).
     pub errno: i32,
 }
 
@@ -54,7 +56,7 @@ impl fmt::Display for OsError {
 
 impl std::error::Error for OsError {}
 
-/// One setting: what real time wants, what the kernel says is there, and how to get from one to the other.
+/// One setting: the wanted value, the value found, and the remedy.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Finding {
     /// The setting, see the module's table.
@@ -116,16 +118,18 @@ impl Finding {
     }
 }
 
-/// All findings about one CPU and, after [`apply`], about the thread that called it.
+/// All findings about one CPU, and after [`apply`] about the thread that called it.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Report {
     /// The kernel's release, as `uname -r` prints it.
     pub kernel: String,
     /// The CPU for the real-time thread.
     pub cpu: usize,
-    /// The emulator's name when instructions are emulated (QEMU's TCG): its times are no evidence for any machine.
+    /// The emulator's name when instructions are emulated (QEMU's TCG).
+    /// Its times are no evidence for any machine.
     pub emulated: Option<String>,
-    /// What to boot the kernel with so that this CPU belongs to the real-time thread; empty with one CPU only.
+    /// What to boot the kernel with so that this CPU belongs to the real-time thread.
+    /// Empty with one CPU only.
     pub kernel_command_line: String,
     /// What of it the running kernel was not booted with.
     pub kernel_command_line_lacks: String,
@@ -152,11 +156,12 @@ impl Report {
     }
 }
 
-/// Where `/proc`, `/sys` and `/dev` are: the running system, or a directory that looks like one.
+/// Where `/proc`, `/sys` and `/dev` are: the running system, or a copy of such a tree.
 #[derive(Debug, Clone)]
 pub struct System {
     root: PathBuf,
-    /// Is it the running system? CPU instructions and signals to the kernel concern that one only.
+    /// Is it the running system?
+    /// CPU instructions and signals to the kernel concern that one only.
     live: bool,
 }
 
@@ -173,13 +178,14 @@ impl System {
         Self { root: root.to_owned(), live: false }
     }
 
-    /// How many CPUs are online, whichever of them the calling thread may use; 0 where the kernel does not say.
+    /// How many CPUs are online, whichever of them the calling thread may use.
+    /// 0 where the kernel does not say.
     #[must_use]
     pub fn cpus_online(&self) -> usize {
         self.read("sys/devices/system/cpu/online").map_or(0, |text| cpu_list(&text).len())
     }
 
-    /// The CPU that suits a polling thread: the first isolated one, else the last one online.
+    /// The CPU for a polling thread: the first isolated one, else the last one online.
     #[must_use]
     pub fn default_cpu(&self) -> usize {
         let list = |path| self.read(path).map(|text| cpu_list(&text)).unwrap_or_default();
@@ -188,7 +194,8 @@ impl System {
         isolated.first().or(online.last()).copied().unwrap_or(0)
     }
 
-    /// What this kernel and machine offer a real-time thread on `cpu`, without changing anything.
+    /// What this machine offers a real-time thread on `cpu`.
+    /// Changes nothing.
     #[must_use]
     pub fn inspect(&self, cpu: usize, priority: u8) -> Report {
         Report {
@@ -256,7 +263,8 @@ impl System {
         self.read("sys/devices/system/cpu/online").map(|text| cpu_list(&text)).unwrap_or_default()
     }
 
-    /// The CPUs left for everything else, as a list the kernel understands; empty with one CPU only.
+    /// The CPUs left for everything else, as a list the kernel understands.
+    /// Empty with one CPU only.
     #[must_use]
     pub fn housekeeping(&self, cpu: usize) -> String {
         let others: Vec<String> =
@@ -272,7 +280,8 @@ impl System {
         format!("isolcpus=managed_irq,domain,{cpu} nohz_full={cpu} rcu_nocbs={cpu} irqaffinity={others}")
     }
 
-    /// The words that the running kernel was not booted with. One for more CPUs than this one will do.
+    /// The words that the running kernel was not booted with.
+    /// One for more CPUs than this one will do.
     fn lacks(&self, wanted: &str, cpu: usize) -> String {
         let booted = self.read("proc/cmdline").unwrap_or_default();
         let there = |word: &&str| {
@@ -303,9 +312,10 @@ impl System {
         .remedy(REMEDY)
     }
 
-    /// From Linux 6.12 a deadline server runs fair tasks for 50 ms of every second on a CPU that a real-time thread does
-    /// not leave, whatever `sched_rt_runtime_us` says. Its switch is in debugfs, which is often not there to be read:
-    /// then it cannot be required, only named.
+    /// The deadline server of Linux 6.12 and later.
+    /// It runs fair tasks for 50 ms of every second on a CPU that a real-time thread does not leave, whatever
+    /// `sched_rt_runtime_us` says. Its switch is in debugfs, which is often unreadable. Then it is reported but not
+    /// required.
     fn fair_server(&self, cpu: usize) -> Finding {
         const NAME: &str = "fair_server";
         let release = self.read("proc/sys/kernel/osrelease").unwrap_or_default();
@@ -353,7 +363,8 @@ impl System {
         .remedy(format!("boot with {parameter}={cpu}"))
     }
 
-    /// The kernel shows no list of these CPUs; a CPU in `nohz_full` is always among them.
+    /// The kernel shows no list of these CPUs.
+    /// A CPU in `nohz_full` is always among them.
     fn rcu_nocbs(&self, cpu: usize) -> Finding {
         let wanted = format!("CPU {cpu}");
         let remedy = format!("boot with rcu_nocbs={cpu}");
@@ -563,7 +574,8 @@ impl System {
     }
 }
 
-/// What a hypervisor calls itself; none on a machine without one, and on other architectures.
+/// What a hypervisor calls itself.
+/// None on a machine without one, and on other architectures.
 #[allow(unused_unsafe)] // newer compilers know that CPUID is safe, 1.88 does not
 fn hypervisor_signature() -> Option<String> {
     #[cfg(target_arch = "x86_64")]
@@ -577,7 +589,8 @@ fn hypervisor_signature() -> Option<String> {
     None
 }
 
-/// The twelve letters of CPUID leaf 4000 0000h, which says something where the features of leaf 1 say that there is a hypervisor.
+/// The hypervisor's twelve letters from CPUID leaf 4000 0000h.
+/// They are valid only where the features of leaf 1 report a hypervisor.
 #[cfg(any(target_arch = "x86_64", test))]
 fn hypervisor_letters(features_ecx: u32, leaf: [u32; 3]) -> Option<String> {
     const PRESENT: u32 = 1 << 31;
@@ -603,16 +616,16 @@ pub struct Wanted {
     pub priority: u8,
 }
 
-/// What must be kept for the set-up to last: `/dev/cpu_dma_latency` counts only while it is open.
+/// Keeps the set-up in effect: `/dev/cpu_dma_latency` counts only while it is open.
 #[derive(Debug)]
 #[must_use = "the CPU may sleep deeply again as soon as this is dropped"]
 pub struct DmaLatencyHold {
     _cpu_dma_latency: Option<File>,
 }
 
-/// Set up the calling thread and its process, read everything back, and report it together with [`System::inspect`].
-/// Never fails: without privileges the thread runs on as it is, and the report says what is missing. Takes some
-/// milliseconds and allocates: call it before the loop, on the thread that will run the loop.
+/// Sets up the calling thread and its process, and reads everything back.
+/// The report includes [`System::inspect`]. Without privileges the thread runs on as it is, and the report says what
+/// is missing. It takes some milliseconds and allocates. Call it before the loop, on the thread that runs the loop.
 pub fn apply(system: &System, wanted: Wanted) -> (DmaLatencyHold, Report) {
     // Memory first: what is locked before the stack is touched stays.
     let memory_lock = memory_lock(system);
@@ -631,8 +644,8 @@ pub struct Left {
     before: nix::sched::CpuSet,
 }
 
-/// Takes the calling thread, and those it starts meanwhile, off `cpu`, so that nothing there competes with the
-/// real-time thread. `None` when no other CPU is left to it: then it stays.
+/// Moves the calling thread off `cpu`, so that nothing competes with the real-time thread.
+/// Threads that it starts meanwhile are moved too. Returns `None` when it has no other CPU; then it stays.
 #[must_use]
 pub fn leave(cpu: usize) -> Option<Left> {
     let me = nix::unistd::Pid::from_raw(0);
@@ -759,7 +772,8 @@ fn touch_stack(pages: usize) {
     std::hint::black_box(&mut page);
 }
 
-/// Ask for zero wake-up latency of the CPU's sleep states, and read back the smallest that anyone asked for.
+/// Requests zero wake-up latency from the CPU's sleep states.
+/// Reads back the smallest latency that any process requested.
 fn cpu_dma_latency(system: &System) -> (Option<File>, Finding) {
     const NAME: &str = "cpu_dma_latency";
     let path = system.root.join("dev/cpu_dma_latency");
@@ -791,7 +805,8 @@ fn cpu_dma_latency(system: &System) -> (Option<File>, Finding) {
     }
 }
 
-/// `0-2,5` as numbers; what is no number (`(null)`, flags as in `isolcpus=domain,1`) is passed over.
+/// `0-2,5` as numbers.
+/// Other words are skipped: `(null)`, or flags as in `isolcpus=domain,1`.
 #[must_use]
 pub fn cpu_list(text: &str) -> Vec<usize> {
     text.trim()
@@ -828,8 +843,9 @@ mod tests {
         assert_eq!([0, 0x7fff_ffff].map(|ecx| letters(ecx, b"VMwareVMware")), [None, None]);
     }
 
-    /// In a thread that had none of it, all of the stack that the loop may use is there afterwards, as the kernel says of each page;
-    /// and was there when it was looked at again.
+    /// In a fresh thread, all of the stack that the loop may use is present afterwards, as the kernel reports each
+    /// page.
+    /// It is still present at a second check.
     #[test]
     #[allow(clippy::unwrap_used)] // a test may
     fn the_stack_is_there_to_its_working_depth() {

@@ -17,7 +17,7 @@ use std::{
 
 use crossbeam_utils::CachePadded;
 
-/// `std`'s cell with the interface of loom's, so that both builds run the same code.
+/// `std`'s cell with the interface of loom's, so that both builds share their code.
 #[cfg(not(loom))]
 #[derive(Debug)]
 struct UnsafeCell<T>(std::cell::UnsafeCell<T>);
@@ -45,13 +45,13 @@ const SLOT: u8 = 3;
 struct Shared<T> {
     /// Each slot is touched only by the side that owns it at the moment.
     slots: [CachePadded<UnsafeCell<T>>; 3],
-    /// Index of the slot between the two sides, and [`FRESH`]. Swapped by the writer at every write and by the reader
-    /// when it takes a fresh value.
+    /// Index of the slot between the two sides, and [`FRESH`].
+    /// Swapped by the writer at every write and by the reader when it takes a fresh value.
     between: CachePadded<AtomicU8>,
 }
 
-// SAFETY: a slot's index is held by the writer, the reader or `between`, never by two of them, and ownership is handed
-// over by an acquire-release swap; so no slot is ever touched from two threads at once.
+// SAFETY: a slot's index is held by the writer, the reader or `between`, never by two of them. Ownership passes by an
+// acquire-release swap. So no slot is ever touched from two threads at once.
 unsafe impl<T: Send> Sync for Shared<T> {}
 
 /// The side that writes.

@@ -1,6 +1,6 @@
-//! The control side's watch over the state file. The real-time thread stores to its pages and never learns what became of
-//! the file: somebody may remove it, put another in its place, overwrite it or cut it short. All of that is found here, and
-//! the file is written anew from what the engine knows.
+//! The control side's watch over the state file.
+//! The real-time thread stores to the file's pages and cannot notice its loss: somebody may remove, replace,
+//! overwrite or truncate it. The control side finds such a loss and writes the file again from what the engine knows.
 //!
 //! | what is done | by whom |
 //! |---|---|
@@ -46,7 +46,8 @@ pub struct StateFile {
     mapped: (u64, u64),
     /// The words of a page without its records and times.
     head: Vec<u64>,
-    /// The file of [`StateFile::renew`], which is locked as long as it is open; and whether it has the name.
+    /// The file of [`StateFile::renew`], which is locked as long as it is open.
+    /// And whether it has the name.
     made: Option<Flock<File>>,
     placed: bool,
 }
@@ -56,7 +57,8 @@ fn identity(file: &Metadata) -> (u64, u64) {
 }
 
 impl StateFile {
-    /// Watches over the file that `journal` writes, which has its name already ([`Journal::place`]).
+    /// Watches over the file that `journal` writes.
+    /// The file must have its name already ([`Journal::place`]).
     ///
     /// # Errors
     /// When the system does not say which file it is.
@@ -89,7 +91,8 @@ impl StateFile {
         (!kept).then_some(Lost::Overwritten)
     }
 
-    /// Makes a new file beside the lost one; from here on the journal writes to it. All that it has is its head.
+    /// Makes a new file beside the lost one; from here on the journal writes to it.
+    /// All that it has is its head.
     ///
     /// # Errors
     /// When there is no place for it.
@@ -127,16 +130,18 @@ impl StateFile {
         Ok(())
     }
 
-    /// Notes that the real-time thread does not look at the card any more. For whoever sees that from another thread: the next
-    /// process finds [`crate::event::Fault::ThreadLost`], and holds.
+    /// Notes that the real-time thread does not look at the card any more.
+    /// For whoever sees that from another thread: the next process finds [`crate::event::Fault::ThreadLost`], and
+    /// holds.
     pub fn note_thread_lost(&self) {
         for page in [0, PAGE_WORDS] {
             self.mapping.put(page + LOST_AT, LOST);
         }
     }
 
-    /// From here on the process outlives it when the file is cut short: a store to a page that was cut off goes to memory, and
-    /// [`StateFile::lost`] says so. One file a process.
+    /// Lets the process survive when the file is cut short.
+    /// A store to a page that was cut off then goes to memory, and [`StateFile::lost`] reports it. Only one file per
+    /// process can be protected.
     ///
     /// # Errors
     /// When the process has such a file already, or the system gives no handler.
@@ -163,10 +168,12 @@ impl Drop for StateFile {
 
 /// Address of the mapping whose pages may be cut off; 0 where there is none.
 static GUARDED: AtomicUsize = AtomicUsize::new(0);
-/// Address of a mapping whose pages were cut off: memory is there instead. 0 where there is none.
+/// Address of a mapping whose pages were cut off: memory is there instead.
+/// 0 where there is none.
 static CUT_OFF: AtomicUsize = AtomicUsize::new(0);
 
-/// A store to a page of the state file that is not there any more: memory takes its place, and the store is made again.
+/// Handles a store to a page of the state file that was cut off.
+/// Memory takes its place, and the store is repeated.
 extern "C" fn on_bus_error(_signal: libc::c_int, info: *mut libc::siginfo_t, _context: *mut libc::c_void) {
     let base = GUARDED.load(Ordering::Acquire);
     // SAFETY: the kernel gives a valid siginfo_t to a handler with SA_SIGINFO; of SIGBUS it has an address.
@@ -197,7 +204,7 @@ mod tests {
 
     type Deed<'a> = (Lost, Box<dyn Fn() + 'a>);
 
-    /// Whatever is done to the file while it is written, the next process finds everything in it.
+    /// After any damage to the file while in use, the next process finds everything in it.
     #[test]
     fn a_lost_file_is_told_and_written_anew() {
         let folder = tempfile::tempdir().unwrap();

@@ -1,4 +1,5 @@
-//! The pinned thread: sets itself up, reports what it got, then looks at the card until it is asked to stop.
+//! The pinned thread.
+//! It sets itself up, reports the result, then looks at the card until asked to stop.
 
 use crate::engine::{Engine, Timing};
 use crate::event::Status;
@@ -18,9 +19,9 @@ const PUBLISH_NS: u64 = 1_000_000;
 pub struct ThreadOptions {
     /// CPU and priority; `None` runs as an ordinary thread.
     pub wanted: Option<Wanted>,
-    /// The card drives a real machine: it is armed only with every setting read back as wanted.
+    /// The card drives a real machine: it needs every setting read back as wanted.
     pub real: bool,
-    /// Without a sign of life from the control side for this long, no new insertion begins, ns.
+    /// After this long without a sign of life from the control side, no insertion begins, ns.
     pub stale_after_ns: u64,
 }
 
@@ -53,7 +54,7 @@ pub enum SpawnError {
     /// The system gave no thread.
     #[error("starting the real-time thread: {0}")]
     Thread(#[from] std::io::Error),
-    /// A thread that polls at real-time priority would leave nothing of the only CPU to anyone.
+    /// A polling thread at real-time priority would leave no time on the only CPU.
     #[error("a real-time thread that polls needs a CPU of its own, and this machine has one in all")]
     OneCpu,
     /// It ended while setting itself up.
@@ -88,8 +89,9 @@ pub fn spawn<C: Card + Send + 'static>(
 }
 
 impl<C> Running<C> {
-    /// Stops the thread and waits for it. Requests that were sent before are taken first, an insertion under way is
-    /// finished; then corrections freeze, inverters stay as they are.
+    /// Stops the thread and waits for it.
+    /// Requests that were sent before are taken first, an insertion under way is finished; then corrections freeze,
+    /// inverters stay as they are.
     ///
     /// # Panics
     /// When the real-time thread itself panicked.
@@ -102,8 +104,9 @@ impl<C> Running<C> {
     }
 }
 
-/// The loop, until it is asked to stop or the card fails. Nothing in it allocates, locks, logs or (on a card of mapped
-/// registers) calls the system. A panic in it is a fault: it is latched, and feed hold is written.
+/// The loop, until it is asked to stop or the card fails.
+/// Nothing in it allocates, locks, logs or (on a card of mapped registers) calls the system. A panic in it is a
+/// fault: it is latched, and feed hold is written.
 pub fn run<C: Card>(engine: Engine, card: C, rt: RtEnd, stale_after_ns: u64) -> Ended<C> {
     let mut turns = Turns::new(engine, card, rt, stale_after_ns);
     // After a panic the engine is only asked to latch a fault and to write the hold line.
@@ -120,7 +123,7 @@ pub fn run<C: Card>(engine: Engine, card: C, rt: RtEnd, stale_after_ns: u64) -> 
     }
 }
 
-/// The loop, turn by turn: what [`run`] repeats, for whoever has another clock than the card's.
+/// The loop of [`run`], one turn at a time, for a caller with another clock.
 #[derive(Debug)]
 pub struct Turns<C> {
     engine: Engine,
@@ -144,8 +147,8 @@ impl<C: Card> Turns<C> {
         &self.engine
     }
 
-    /// One request at most, one look, and now and then a status. It breaks with the card's error, or with none where the
-    /// end was asked for or the card has come to its own.
+    /// One request at most, one look, and now and then a status.
+    /// It breaks with the card's error, or with none where the end was asked for or the card has come to its own.
     #[inline]
     pub fn turn(&mut self) -> ControlFlow<Option<CardError>> {
         let Self { engine, card, rt, .. } = self;

@@ -24,7 +24,8 @@ struct Bench {
     writes: usize,
     broken: bool,
     count: i64,
-    /// What the next looks say beside the levels; `fresh` counts as said only with `says`.
+    /// What the next looks say beside the levels.
+    /// `fresh` counts as said only with `says`.
     says: Option<Sample>,
 }
 
@@ -317,7 +318,8 @@ fn an_mtc_that_was_off_has_to_be_homed() {
     }
 }
 
-/// Homing the scale alone keeps what the MTC counts; it counts against the limit, and enabled again nothing moves.
+/// Homing the scale alone keeps what the MTC counts.
+/// It counts against the limit, and enabled again nothing moves.
 #[test]
 fn homing_the_scale_alone_keeps_the_total() {
     let config = AxisConfig { max_correction_counts: 10, ..windowed() };
@@ -693,8 +695,9 @@ impl Card for Sleeper {
     }
 }
 
-/// The figure that the self-test and the gate go by. Of a polled card it is the time from look to look, with what the process was
-/// kept away; the time before the first look was the set-up's.
+/// The figure that the self-test and the gate go by.
+/// Of a polled card it is the time from look to look, with what the process was kept away; the time before the first
+/// look was the set-up's.
 #[test]
 fn a_polled_cards_latency_is_the_time_between_two_looks() {
     let mut rig = Rig::with(windowed(), true);

@@ -82,7 +82,8 @@ struct Motion {
 }
 
 impl Motion {
-    /// After an edge at `at_ns` in the direction `step`; `None` where no motion within the limits makes it.
+    /// After an edge at `at_ns` in the direction `step`.
+    /// `None` where no motion within the limits makes it.
     ///
     /// From v₀ over d in τ with |a| ≤ A: possible where e = d − v₀τ is within ±Aτ²/2, and the speed at the end lies
     /// between v₀ ± A(2√(τ²/2 ± e/A) − τ), by full throttle one way and then the other.

@@ -176,7 +176,8 @@ fn judge(log: &[(u64, i64, u64, bool)]) -> Seen {
     seen
 }
 
-/// Runs the engine on a rig with totals requested at given times; returns what the MTC saw, the status and events.
+/// Runs the engine on a rig with totals requested at given times.
+/// Returns what the MTC saw, the status and events.
 fn run<P: Computer>(
     config: AxisConfig,
     mut rig: Rig<P>,

@@ -258,7 +258,8 @@ fn inversions_keep_their_separation_from_edge_and_write_and_no_more() {
     }
 }
 
-/// Edges at 20 µs, one of them with an insertion or not; then one at `after_ns` from the earliest moment that the last can have come.
+/// Edges at 20 µs, one of them with an insertion or not.
+/// Then one at `after_ns` from the earliest moment that the last can have come.
 fn sooner_than_allowed(touched: bool, detect_ns: u64, up: bool, after_ns: u64) -> (u64, Vec<Fault>) {
     let config = AxisConfig { detect_ns, ..AxisConfig::default() };
     let mut rig = Rig::new(&[one(config)], Hand::default());
@@ -608,7 +609,8 @@ fn in_the_middle_of_an_insertion_nothing_is_homed_or_armed() {
     assert_eq!((rig.refusals()[3], rig.events.last().unwrap().axis), (Refusal::NotHomed, Some(0)));
 }
 
-/// What is under way is finished; only shadow mode's copy would be thrown away half done.
+/// What is under way is finished.
+/// Only shadow mode's copy would be thrown away half done.
 #[test]
 fn corrections_are_switched_off_at_any_moment_but_for_the_middle_of_a_shadowed_insertion() {
     for (mode, refused) in [(Request::Enable, vec![]), (Request::Shadow, vec![Refusal::Busy])] {
@@ -697,7 +699,8 @@ fn a_fault_that_a_look_finds_holds_back_what_is_due_at_it() {
     assert_eq!((rig.faults(), rig.card.writes.len()), (vec![Fault::ReadBackMismatch], 2));
 }
 
-/// An axis with a fault counts its edges and does no more; cleared and armed again it corrects at the next one.
+/// An axis with a fault counts its edges and does no more.
+/// Cleared and armed again it corrects at the next one.
 #[test]
 fn a_cleared_axis_corrects_at_its_next_edge() {
     let mut rig = Rig::steady(AxisConfig { error_counts: 50, ..AxisConfig::default() }, stamping());
@@ -790,7 +793,8 @@ fn arming_waits_for_the_real_time_set_up() {
     assert_eq!(engine.mode(), Mode::Run);
 }
 
-/// The state file at each write has what that write makes; and at each look at which a fault is found, the fault.
+/// The state file at each write has what that write makes.
+/// And at each look at which a fault is found, the fault.
 #[test]
 fn everything_is_noted_before_it_is_made() {
     let folder = tempfile::tempdir().unwrap();

@@ -256,14 +256,16 @@ struct Tally {
     illegal: u64,
 }
 
-/// Homed at this place, corrections on. What the MTC counts beyond the scale is zero from here.
+/// Homed at this place, corrections on.
+/// What the MTC counts beyond the scale is zero from here.
 fn arm(engine: &mut Engine, rig: &mut Rig) {
     let mut quiet = |_: Event| true;
     engine.take(Request::Clear, rig, &mut quiet).unwrap();
     engine.start_homed(rig, &mut quiet).unwrap();
 }
 
-/// One axis for `edges` edges; after each fault it is cleared, homed and armed again.
+/// One axis for `edges` edges.
+/// After each fault it is cleared, homed and armed again.
 fn campaign(class: Class, seed: u64, edges: u64, tally: &mut Tally) {
     let mut dice = Dice::new(seed ^ 0x5eed);
     let accel = 10_f64.powf(5.5 + 1.5 * dice.unit());
@@ -398,7 +400,8 @@ fn an_axis_within_its_limits_balances() {
     assert!(tally.latched.keys().all(|kind| kind == "OrderUnknown"), "{tally:?}");
 }
 
-/// Four counts from rest within one late look look like none; the edges that follow are then too quick for an axis at rest.
+/// Four counts from rest within one late look look like none.
+/// The edges that follow are then too quick for an axis at rest.
 #[test]
 fn late_looks_are_latched() {
     let tally = run(Class::Late, 8);

@@ -445,7 +445,8 @@ fn callbacks_are_taken_off_a_cpu_by_any_of_three_words() {
     }
 }
 
-/// A file that is not there says that the kernel has no such thing; one that cannot be read says nothing, and is named.
+/// A file that is not there says that the kernel has no such thing.
+/// One that cannot be read says nothing, and is named.
 #[test]
 fn what_is_not_there_is_told_from_what_cannot_be_read() {
     for (path, name, without, fine) in [
@@ -493,8 +494,8 @@ fn applied(root: &Path, priority: u8, before: impl FnOnce() + Send + 'static) ->
     .unwrap()
 }
 
-/// No device and no state to wake up from: nothing is to be asked for. With such states the device is missing, and one that cannot
-/// be opened is no reason to hope.
+/// No device and no state to wake up from: nothing is to be asked for.
+/// With such states the device is missing, and one that cannot be opened is no reason to hope.
 #[test]
 fn wake_up_latency_is_asked_for_where_there_is_something_to_wake_from() {
     let root = ideal();

@@ -135,7 +135,8 @@ fn no_look_waits_while_requests_may_be_there() {
     assert!(waits[REQUESTS..].contains(&true), "a card may sleep when there are none");
 }
 
-/// A status every millisecond; a control side that was silent for longer than it may be is told then, and one that is back.
+/// A status every millisecond.
+/// A control side that was silent for longer than it may be is told then, and one that is back.
 #[test]
 fn a_status_is_published_every_millisecond_and_silence_is_noticed_with_it() {
     const MS: u64 = 1_000_000;

@@ -1,4 +1,5 @@
-//! The engine's short path beside its careful one, whatever is asked of them; and what a kill leaves in the state file.
+//! The engine's short path beside its careful one, whatever is asked of them.
+//! And what a kill leaves in the state file.
 
 use super::*;
 use crate::axis::RestPolicy;
@@ -81,7 +82,7 @@ fn step(inputs: &mut u64, axis: u8, counts: i8) {
     }
 }
 
-/// An engine, and one that is made to look at every edge with care, and after every request at everything.
+/// An engine, and a second one that takes no fast path at any edge or request.
 #[derive(Debug)]
 struct One {
     engine: Engine,
@@ -155,8 +156,7 @@ impl One {
 }
 
 proptest! {
-    /// Whatever is asked of it, an engine that counts edges calmly, and takes totals without looking at anything else, does
-    /// what one does that looks at all of it with care.
+    /// An engine with fast paths for edges and totals does what an engine without them does, for any requests.
     #[test]
     fn calm_edges_change_nothing_whatever_is_asked(
         looks in prop::collection::vec((before(), 100_u64..2000), 1..400),
@@ -193,8 +193,8 @@ fn kept() -> impl Strategy<Value = Before> {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(24))]
 
-    /// Wherever a kill falls between two stores to the state file, every record is the one before or the one after: none is
-    /// taken for damaged, and feed hold is never on for no reason.
+    /// A kill between any two stores to the state file leaves the record before or the one after.
+    /// No record is taken for damaged, and feed hold is never on without a reason.
     #[test]
     fn a_kill_at_any_store_is_no_damage(steps in prop::collection::vec((kept(), 100_u64..2000), 1..24)) {
         let folder = tempfile::tempdir().unwrap();

@@ -5,14 +5,15 @@
 //! ```text
 //! {"n":7,"t":"2026-11-22T13:00:00.123Z","what":"command","by":{…},"request":{…},"result":"done",…,"prev":"…","hash":"…"}
 //! ```
-//!
-//! `hash` is the SHA-256 of the line before `,"hash":`, in which `prev` is the hash of the line before. A full file becomes
-//! `NAME.1`, that one `NAME.2` and so on; the chain goes on. `NAME.head` names the last line and the first that is kept, so
+//! `hash` is the SHA-256 of the line before `,"hash":`, in which `prev` is the hash of the line before. A full file
+//! becomes `NAME.1`, that one `NAME.2` and so on, and the chain continues. `NAME.head` names the last line and the
+//! first that is kept, so that lines cut off at either end are missed. The writer locks it.
 //! that lines cut off at either end are missed; it is locked by whoever writes.
-//!
+//! Refusals are in a chain of their own, `NAME.refused`, so that no refusal displaces a command.
 //! What was refused stands in a chain of its own, `NAME.refused`, so that no refusal ever displaces a command.
-//!
-//! Someone with the daemon's rights can forge all of these files: the chain shows what was done by hand, not what was done with
+//! Someone with the daemon's rights can forge all of these files. The chain reveals changes made by hand, not those
+//! made with the daemon's tools. If its end is also published elsewhere from time to time ([`Anchor`]), older parts
+//! cannot be forged unseen.
 //! its tools. Where its end is said elsewhere from time to time ([`Anchor`]), an older part cannot be forged unseen.
 
 use crate::protocol::Caller;
@@ -56,9 +57,11 @@ pub struct Entry {
     pub n: u64,
     /// When, UTC (RFC 3339).
     pub t: String,
-    /// `command`, `start`, `stop`; `mode`, `fault`, `homed`, `control_stale`, `stood_still` (what happened, when it was first
-    /// seen); `lost` (lines that could not be written), `torn` (a line that a crash cut), `moved` (its file or head was removed or
-    /// renamed while it was written) or `missing` (the same, while nobody wrote).
+    /// What the entry is about.
+    /// It is `command`, `start` or `stop`, or an event: `mode`, `fault`, `homed`, `control_stale`, `stood_still`
+    /// (when it was first seen). `lost` counts lines that could not be written. `torn` is a line that a crash cut.
+    /// `moved` means that its file or head was removed or renamed while it was written. `missing` means the same
+    /// while nobody wrote.
     pub what: String,
     /// The axis that it happened to; none for the machine as a whole.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -75,8 +78,8 @@ pub struct Entry {
     /// Why not, or what else there is to say.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub text: String,
-    /// How often the same was refused to the same caller within a second, where that is more than once; or how many
-    /// lines, or bytes, `lost` and `torn` are about.
+    /// How often the same was refused to the same caller within a second.
+    /// It is set if that is more than once. For `lost` and `torn` it is the number of lines or bytes.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub times: Option<u64>,
     /// Totals before, by axis: requested and in effect, counts.
@@ -120,7 +123,8 @@ impl Entry {
         self.what == "command" && self.result != "done"
     }
 
-    /// With texts that are no longer than a record needs: whoever is refused does not fill a disk with what he asked.
+    /// Cuts texts to the length that a record needs.
+    /// A caller whose requests are refused cannot fill the disk with them.
     #[must_use]
     pub fn bounded(mut self) -> Self {
         cut(&mut self.text, LONGEST_TEXT);
@@ -130,7 +134,8 @@ impl Entry {
         self
     }
 
-    /// It is about this axis: asked for it or for all of them, happened to it or to the machine, or its totals changed.
+    /// Whether the entry is about this axis.
+    /// It was asked for this axis or all, it happened to it or to the machine, or it changed its totals.
     #[must_use]
     pub fn concerns(&self, axis: &str) -> bool {
         let asked = self.request.as_ref().and_then(|r| r.get("axis")).and_then(Value::as_str);
@@ -190,7 +195,8 @@ pub fn stamp(time: SystemTime) -> String {
     format!("{day}T{hour:02}:{minute:02}:{:02}.{:03}Z", second % 60, since.subsec_millis())
 }
 
-/// Seconds since 1970 of a day or a moment: `2026-11-22`, `2026-11-22T13:00`, `2026-11-22T13:00:00.123Z`.
+/// Seconds since 1970 of a day or a time.
+/// Forms are `2026-11-22`, `2026-11-22T13:00` and `2026-11-22T13:00:00.123Z`.
 #[must_use]
 pub fn seconds(text: &str) -> Option<f64> {
     let day = date::parse(text)?;

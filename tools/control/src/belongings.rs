@@ -1,4 +1,4 @@
-//! The files that make up a machine's set-up: its configuration, and what that names.
+//! The files of a machine's set-up: its configuration, and the files it names.
 
 use crate::config::{CardConfig, Config};
 use rtec_correct::sensors::SensorSource;
@@ -18,7 +18,8 @@ pub struct Belonging {
     pub path: PathBuf,
 }
 
-/// What belongs to the machine of a configuration, which comes first. Files that it names are given whether they are there or not.
+/// What belongs to the machine of a configuration, which comes first.
+/// Files that it names are given whether they are there or not.
 ///
 /// # Errors
 /// The configuration, or the model that it names, cannot be read.
@@ -72,8 +73,8 @@ pub fn of(file: &Path, config: &Config) -> Result<Vec<Belonging>, InputError> {
     Ok(all)
 }
 
-/// Files beside the state file of a daemon, by what they are. The first is the state itself: what the controller has in effect,
-/// faults, hold.
+/// Files beside the state file of a daemon, by what they are.
+/// The first is the state itself: what the controller has in effect, faults, hold.
 #[must_use]
 pub fn state(config: &Config) -> Vec<(&'static str, PathBuf)> {
     let state = config.control.state_path();

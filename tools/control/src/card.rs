@@ -1,4 +1,4 @@
-//! The real cards that a configuration names, opened: to do the work, or only to be read.
+//! Opens the real cards that a configuration names, for work or only for reading.
 
 use crate::config::{CardConfig, MappedPlace, PortPlace};
 use rtec_driver::card::{Card, CardError};
@@ -63,7 +63,8 @@ pub trait OnCard {
 /// Whether a card may be written to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Access {
-    /// Nothing is enabled, set up or requested as an output. What the card needs to be read (latching its counters) is done.
+    /// Nothing is enabled, set up or requested as an output.
+    /// What the card needs to be read (latching its counters) is done.
     Read,
     /// The card is opened as the daemon opens it.
     Drive,
@@ -141,7 +142,8 @@ pub fn gpio(setup: &GpioSetup, kept: Vec<OwnedFd>) -> Result<GpioCard<Monotonic>
     Ok(GpioCard::open(setup, kept, Monotonic)?)
 }
 
-/// The file that the mapped registers are in, and which map of it: of a PCI card the BAR's, once the card is enabled.
+/// The file of the mapped registers, and which map of it.
+/// For a PCI card it is that of the BAR, once the card is enabled.
 ///
 /// # Errors
 /// When the PCI card is not as it should be.

@@ -14,9 +14,11 @@ use std::os::unix::net::UnixStream;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-/// An answer takes milliseconds, that to a load some seconds; a daemon that takes longer than this is not well.
+/// An answer takes milliseconds, that to a load some seconds.
+/// A daemon that takes longer than this is not well.
 const PATIENCE: Duration = Duration::from_secs(10);
-/// Nothing longer is an answer, bytes: a page of a ledger and a whole status have some hundred thousand.
+/// The longest answer, bytes.
+/// A page of a ledger or a whole status has some hundred thousand.
 const LONGEST_ANSWER: u64 = 16 << 20;
 
 /// Why the daemon gave no answer.
@@ -105,7 +107,8 @@ pub struct Client {
 }
 
 impl Client {
-    /// Connects by a socket, or, where this user may not use it, by the one of a lesser role beside it.
+    /// Connects by a socket.
+    /// If this user may not use it, tries the sockets of lesser roles beside it.
     ///
     /// # Errors
     /// When nobody listens, this user may use none of them, or somebody else listens there.
@@ -163,7 +166,8 @@ impl Client {
         self.ask_with(request, &[])
     }
 
-    /// Sends a request with open files, which the daemon reads instead of opening them itself, and waits for its answer.
+    /// Sends a request with open files and waits for the answer.
+    /// The daemon reads these files instead of opening them itself.
     ///
     /// # Errors
     /// When there is none.
@@ -197,7 +201,8 @@ impl Client {
         self.stream.get_ref().set_read_timeout(None)
     }
 
-    /// Waits so long at most; then the answer is an error of kind `WouldBlock` or `TimedOut`.
+    /// Waits so long at most.
+    /// Then the answer is an error of kind `WouldBlock` or `TimedOut`.
     ///
     /// # Errors
     /// What the system reports.
@@ -237,7 +242,7 @@ fn unreachable_io() -> ClientError {
     io::Error::from(ErrorKind::BrokenPipe).into()
 }
 
-/// Refuses to speak to another user's process: it could take a command and say that it was done.
+/// Refuses another user's process, which could accept a command and not do it.
 fn is_daemon(stream: &UnixStream, socket: &Path) -> Result<(), ClientError> {
     let peer = getsockopt(stream, sockopt::PeerCredentials).map_err(io::Error::from)?;
     let uid = peer.uid();
@@ -256,7 +261,7 @@ fn is_daemon(stream: &UnixStream, socket: &Path) -> Result<(), ClientError> {
 mod tests {
     use super::*;
 
-    /// Whoever answers instead of the daemon: nothing of what he says acts on a terminal, and it takes no memory without end.
+    /// An impostor's answer cannot act on a terminal, and uses bounded memory.
     #[test]
     fn what_is_no_answer_is_shown_short_and_as_text() {
         for (key, says) in
@@ -277,7 +282,7 @@ mod tests {
         );
     }
 
-    /// Figures come through to the last bit: most numbers of 17 digits, and where a sloppy reader goes wrong first.
+    /// Numbers arrive exact to the last bit: most of 17 digits, and those that careless readers get wrong.
     #[test]
     fn what_the_daemon_sends_is_what_its_client_has() {
         let mut random = 0x9E37_79B9_7F4A_7C15_u64;
@@ -290,7 +295,7 @@ mod tests {
         }
     }
 
-    /// Of three sockets one may be closed to this user and another left over: that one says why.
+    /// One of three sockets is closed to this user and another is stale: the stale one gives the reason.
     #[test]
     fn a_daemon_that_has_died_is_not_mistaken_for_one_that_forbids() {
         let directory = tempfile::tempdir().unwrap();

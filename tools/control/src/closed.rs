@@ -3,8 +3,8 @@
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
-/// The owner of a socket's directory, where nobody but owners can put anything on the way there; else the directory that is
-/// open to everybody.
+/// The owner of a socket's directory, if only owners can write on the way there.
+/// Otherwise the error is the directory that is open to everybody.
 ///
 /// # Errors
 /// That directory; none where one cannot be looked at.

@@ -1,4 +1,4 @@
-//! `rtec.toml`: one machine, its card, its axes, the real-time thread and the control socket.
+//! `rtec.toml`: machine, card, axes, real-time thread and control sockets.
 //!
 //! | table | key | unit | default | meaning |
 //! |---|---|---|---|---|
@@ -189,8 +189,8 @@ impl CardConfig {
         matches!(self, Self::Gpio(_) | Self::Mapped { .. } | Self::Port { .. })
     }
 
-    /// What hangs on the lines may be a machine: anything but a plain file of registers, which is there. Corrections are enabled
-    /// there only with measured figures.
+    /// Whether a machine may be connected to the lines.
+    /// Only an existing plain file of registers rules it out. Corrections then need measured latencies.
     #[must_use]
     pub fn may_drive_a_machine(&self) -> bool {
         match self {
@@ -243,7 +243,7 @@ pub struct RtConfig {
     pub cpu: Option<usize>,
     /// Its `SCHED_FIFO` priority, 1 to 99.
     pub priority: u8,
-    /// The machine's latency has been measured (`detect_ns` and `write_ns` stand in the file).
+    /// The file gives measured latencies of the machine (`detect_ns` and `write_ns`).
     pub latency_measured: bool,
     /// Where and when it has been; none where the file does not say.
     pub measured: Option<Measured>,
@@ -256,7 +256,7 @@ pub struct ModelConfig {
     pub file: Option<PathBuf>,
     /// Time between two evaluations, ms.
     pub period_ms: u64,
-    /// How fast a correction goes to a new place that no motion of the axis asks for, µm/s.
+    /// The rate at which a correction approaches a value that no motion asks for, µm/s.
     pub ramp_um_s: f64,
     /// How long before the axes are there it is evaluated, ms.
     pub lead_ms: f64,
@@ -307,7 +307,8 @@ impl Config {
         Self::parse(file, &text_of(file)?)
     }
 
-    /// As [`Config::load`], and on this computer: groups, cards, devices, recordings and the model that it names are looked for.
+    /// As [`Config::load`], and checks what the configuration names on this computer.
+    /// It looks for groups, cards, devices, recordings and the model.
     ///
     /// # Errors
     /// Everything that is wrong with it.
@@ -344,7 +345,7 @@ impl Config {
         self.axes.iter().map(|axis| axis.engine).collect()
     }
 
-    /// Which machine, which card and which lines this is, in words: what a state file belongs to.
+    /// Machine, card and lines as a text: the identity that a state file belongs to.
     #[must_use]
     pub fn identity(&self) -> String {
         let card = match &self.card {
@@ -414,7 +415,8 @@ fn text_of(file: &Path) -> Result<String, ConfigFindings> {
     })
 }
 
-/// The file's whole content; findings are in the source, `None` where there is no way on.
+/// The file's whole content.
+/// Findings are in the source, `None` where there is no way on.
 fn read(source: &mut SourceFile<'_>, document: &Document<'_>, here: bool) -> Option<Config> {
     let mut root = Section::root(document);
     let mut notes = Vec::new();
@@ -539,7 +541,8 @@ fn read_model(source: &mut SourceFile<'_>, root: &mut Section<'_>) -> ModelConfi
     }
 }
 
-/// A line that is not TOML takes those after it with it: what directly follows a finding is not a mistake of its own.
+/// Keeps the first causes.
+/// A line that is not TOML spoils the lines after it, so findings directly after another are dropped.
 fn first_causes(text: &str, findings: Vec<InputError>) -> Vec<InputError> {
     let lines: Vec<&str> = text.lines().collect();
     let blank = |line: usize| {

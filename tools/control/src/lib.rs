@@ -1,4 +1,5 @@
-//! What the daemon and its command line share: the configuration, what it names on this computer, and the control protocol.
+//! What the daemon and its command line share.
+//! It has the configuration, the checks on this computer, and the control protocol.
 //!
 //! | module | what |
 //! |---|---|

@@ -31,7 +31,8 @@ pub(crate) fn line<'a>(
     })
 }
 
-/// A GPIO line: its name, its number, or a table that says more. What the table leaves out is in `card`.
+/// A GPIO line: its name, its number, or a table that says more.
+/// What the table leaves out is in `card`.
 pub(crate) fn gpio_line(
     section: &mut Section<'_>,
     source: &mut SourceFile<'_>,

@@ -1,4 +1,4 @@
-//! One program at a time: the lock beside a control socket, and the lock of a card's file.
+//! One program at a time: locks for a control socket and for a card's file.
 
 use nix::errno::Errno;
 use nix::fcntl::{Flock, FlockArg, OFlag};
@@ -88,10 +88,11 @@ pub fn socket(socket: &Path) -> Result<Held, LockError> {
     Ok(held)
 }
 
-/// Keeps the daemon of a control socket from starting for as long as the value lives; `None` where none has ever run.
+/// Keeps the daemon of a control socket from starting while the value lives.
+/// `None` where no daemon has ever run.
 ///
 /// # Errors
-/// When it runs.
+/// When the daemon runs.
 pub fn keep_out(socket: &Path) -> Result<Option<Held>, LockError> {
     let path = beside(socket);
     if path.exists() { lock(&path, "lock", &own()).map(Some) } else { Ok(None) }

@@ -39,7 +39,8 @@ const SENSOR_STATES: [&str; 3] = ["good", "frozen", "hold"];
 /// Units that a family's name may end in, as `OpenMetrics` names them.
 const UNITS: [&str; 4] = ["seconds", "meters", "celsius", "hertz"];
 
-/// The metrics of what the daemon shows; without it, that the daemon does not answer. `by` is the version of the program that says so.
+/// The metrics of what the daemon shows.
+/// Without it, that the daemon does not answer. `by` is the version of the program that says so.
 #[must_use]
 pub fn text(seen: Option<&Observed>, form: Form, by: &str) -> String {
     let mut out = Out { text: String::new(), form };
@@ -291,14 +292,15 @@ impl Out {
     }
 }
 
-/// How many values are not above each bound, from 31 ns to 0.8 s, two bounds an octave. Each bound is the highest value of one
-/// of the engine's buckets, so that the counts are exact.
+/// How many values are at most each bound: 31 ns to 0.8 s, two bounds an octave.
+/// Each bound is the highest value of one of the engine's buckets, so the counts are exact.
 fn cumulative(buckets: &[[u64; 3]]) -> impl Iterator<Item = (u64, u64)> {
     let bounds = (5..30).flat_map(|octave| [(1_u64 << octave) - 1, (3_u64 << (octave - 1)) - 1]);
     bounds.map(|le| (le, buckets.iter().filter(|[_, high, _]| *high <= le).map(|[_, _, count]| count).sum()))
 }
 
-/// A number as both formats write it: the shortest that reads back the same, small ones with an exponent of two digits.
+/// A number for both formats: the shortest that reads back the same.
+/// Small ones have an exponent of two digits.
 fn number(value: f64) -> String {
     if value != 0.0 && value.abs() < 1e-4 {
         let text = format!("{value:e}");

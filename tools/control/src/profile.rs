@@ -37,7 +37,7 @@ use rtec_files::toml::{Document, Entry, Table};
 use rtec_files::{InputError, nearest};
 use std::path::Path;
 
-/// The profiles that come with the program: the name in `profile = "…"`, and their text.
+/// The profiles that come with the program: name in `profile = "…"` and text.
 pub const SHIPPED: [(&str, &str); 5] = [
     ("8255-pci", include_str!("../../../driver/profiles/8255-pci.toml")),
     ("counter-card", include_str!("../../../driver/profiles/counter-card.toml")),

@@ -1,4 +1,5 @@
-//! The control protocol: JSON lines over a Unix stream socket, one answer per request.
+//! The control protocol: JSON lines over a Unix stream socket.
+//! Each request has one answer.
 //!
 //! ```text
 //! → {"do":"correct","axis":"x","total_counts":12}
@@ -42,7 +43,8 @@ use serde::{Deserialize, Serialize};
 pub use status::{AxisReport, DaemonStatus, Distribution, HoldReport, LatchedFault, Rates, Rt};
 pub use words::{explain_fault, explain_not_homed, explain_refusal, explain_unknown, word};
 
-/// Version of this protocol. Fields and requests are added without a new one; it rises when something that stood is changed.
+/// Version of this protocol.
+/// Fields and requests are added without a new one; it rises when something that stood is changed.
 pub const PROTOCOL: u32 = 1;
 /// Longest request line, bytes.
 pub const MAX_LINE: usize = 4096;
@@ -58,8 +60,9 @@ pub enum ClientRequest {
         /// Name of the axis; all axes without it.
         #[serde(default)]
         axis: Option<String>,
-        /// The MTC has been homed there too, and counts nothing of what was inserted before; or it has not, and the total is
-        /// kept. Without it an axis is refused of which something is in the MTC's count.
+        /// Whether the MTC has been homed there too.
+        /// If `true`, it counts nothing of what was inserted before. If `false`, the total is kept. Without it, an
+        /// axis with inserted counts at the MTC is refused.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         controller_homed: Option<bool>,
     },
@@ -140,12 +143,14 @@ pub enum ClientRequest {
         #[serde(default)]
         axis: Option<String>,
     },
-    /// A part's errors, to be taken out where the tool cuts (`part table`), on top of everything else.
+    /// Loads a part's errors (`part table`), which are removed where the tool cuts.
+    /// They are added to the other sources.
     TableLoad(PartTable),
     /// No part table from now on.
     TableUnload {},
-    /// A finished run record for the spool folder: the descriptors of its sidecar and of its CSV come with this line. Without
-    /// any it is only asked whether records are kept.
+    /// A finished run record for the spool folder.
+    /// The descriptors of its sidecar and its CSV come with this line. Without descriptors it only asks whether
+    /// records are kept.
     Keep {
         /// Their names, in that order.
         #[serde(default, skip_serializing_if = "Vec::is_empty")]
@@ -153,7 +158,8 @@ pub enum ClientRequest {
     },
     /// Everything there is to see at this moment, in one answer.
     Observe {
-        /// The number of the last event that is known already; all that are kept without it.
+        /// The number of the last event that is known already.
+        /// All that are kept without it.
         #[serde(default)]
         events_after: Option<u64>,
     },
@@ -271,7 +277,8 @@ pub struct Numbered {
     pub event: Happened,
 }
 
-/// Whole distributions of the real-time thread's times: `[low_ns, high_ns, count]` of every bucket that is not empty.
+/// Whole distributions of the real-time thread's times.
+/// Each non-empty bucket is `[low_ns, high_ns, count]`.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Histograms {
     /// Time between two looks, ns.
@@ -344,7 +351,8 @@ pub struct Caller {
 /// A page of the changes of an axis's ledger.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct LedgerPage {
-    /// Number of the first row; they are counted since homing, or since the daemon's start.
+    /// Number of the first row.
+    /// They are counted since homing, or since the daemon's start.
     pub first: u64,
     /// The rows, oldest first.
     pub rows: Vec<LedgerRow>,
@@ -420,17 +428,18 @@ pub struct TripReport {
     /// The same half width, µm.
     #[serde(default)]
     pub uncertainty_um: f64,
-    /// The trip lies between these two times of the card's clock, ns: the same for all axes.
+    /// The earliest and latest time of the trip on the card's clock, ns, for all axes.
     #[serde(default)]
     pub at_ns: [u64; 2],
-    /// What the machine model says of the axis at this place, µm: to be added to the position, which is not corrected
-    /// while probing.
+    /// The model's error of the axis at this place, µm.
+    /// Add it to the position, which is not corrected while probing.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub error_um: Option<f64>,
     /// The position with that taken in, mm.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub corrected_mm: Option<f64>,
-    /// Temperatures at that time, in the order of the status's sensors, °C; null where none is known.
+    /// Temperatures at that time, in the order of the status's sensors, °C.
+    /// Null where none is known.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub degc: Vec<Option<f64>>,
 }

@@ -22,7 +22,8 @@ use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-/// A feed of lines `NAME VALUE` or `NAME=VALUE` from `host:port` (TCP) or a serial device.
+/// A feed of lines `NAME VALUE` or `NAME=VALUE`.
+/// It comes from `host:port` (TCP) or a serial device.
 #[derive(Debug)]
 pub struct Feed {
     from: String,
@@ -33,7 +34,7 @@ pub struct Feed {
     values: BTreeMap<String, f64>,
     /// Why there is no connection.
     trouble: String,
-    /// When a value of each key came last, and the last line of it that could not be read since.
+    /// The time of each key's last value, and the last unreadable line since then.
     came: BTreeMap<String, (f64, Option<String>)>,
     /// The last line that could not be read, until somebody asks.
     odd: Option<String>,
@@ -51,17 +52,18 @@ pub struct Feed {
 
 /// Keys of a feed of which nobody says which are read.
 const KEYS: usize = 256;
-/// What a poll takes in at most, bytes: a poll is some tens of milliseconds, and a sensor's line some tens of bytes.
+/// The most that one poll reads, bytes.
+/// A poll comes every few tens of milliseconds, and a sensor's line has some tens of bytes.
 const MOST: usize = 256 << 10;
 /// A line that is longer is no sensor's, bytes.
 const LONGEST_LINE: usize = 4096;
 
-/// A value beyond this, and one that is no number at all, is no reading of any sensor, °C.
+/// A larger value, or one that is not a number, is no sensor's reading, °C.
 const LARGEST: f64 = 1e6;
 
-/// A connection by which nothing comes for so long is given up, where nobody says how often values come, s.
+/// Default time without data after which a connection is closed, s.
 const IDLE_S: f64 = 30.0;
-/// Time between two tries to connect, and between two looks whether a device is still there, s.
+/// Time between two attempts to connect, or two checks for a device, s.
 const RETRY_S: f64 = 5.0;
 
 #[derive(Debug)]
@@ -98,7 +100,7 @@ impl Feed {
         Self { keys: Some(keys.into_iter().collect()), ..Self::new(from) }
     }
 
-    /// With another time after which a connection by which nothing comes is given up, s.
+    /// Sets the time without data after which a connection is closed, s.
     #[must_use]
     pub fn idle_after(self, idle_s: f64) -> Self {
         Self { idle_s: idle_s.max(RETRY_S), ..self }
@@ -282,7 +284,8 @@ pub struct Bank {
 }
 
 impl Bank {
-    /// Sensors under a root (`/`; tests put their own tree there); `recording` reads one that is to be replayed.
+    /// Sensors under a root (`/`; tests put their own tree there).
+    /// `recording` reads one that is to be replayed.
     ///
     /// # Errors
     /// A recording to replay that cannot be read.
@@ -359,7 +362,8 @@ impl Bank {
         }
     }
 
-    /// The worst of the named sensors, and which: what a model that reads them may do now.
+    /// The worst state of the named sensors, and which sensor has it.
+    /// It decides what a model that reads them may do now.
     #[must_use]
     pub fn usable<'a>(&'a self, names: &[String], now_s: f64) -> (Use, Option<&'a Watch>) {
         let known = self.sensors.iter().filter(|w| names.contains(&w.config().name));
@@ -427,8 +431,8 @@ fn one_wire(root: &Path, id: &str) -> Result<f64, String> {
     value.map(|v| v / 1000.0).ok_or_else(|| format!("{}: no t=", path.display()))
 }
 
-/// Whether something can be read from a sensor now, under a root; of a feed from another computer, and of a recording,
-/// nothing is asked.
+/// Whether something can be read from a sensor now, under a root.
+/// Of a feed from another computer, and of a recording, nothing is asked.
 pub(crate) fn look(root: &Path, source: &SensorSource) -> Result<(), String> {
     match source {
         SensorSource::Iio { device, channel } => iio(root, device, *channel).map(drop),
@@ -441,7 +445,8 @@ pub(crate) fn look(root: &Path, source: &SensorSource) -> Result<(), String> {
     }
 }
 
-/// The row that was last at a time since the replay's start; after the last row the sensor is silent.
+/// The row that was last at a time since the replay's start.
+/// After the last row the sensor is silent.
 fn replay(record: &Record, column: &str, t_s: f64) -> Result<f64, String> {
     let data = record.columns.iter().find(|c| c.name == column).map(|c| &c.data);
     let data = data.ok_or_else(|| format!("no column {column} in the recording"))?;
@@ -558,7 +563,7 @@ mod tests {
         assert_eq!(bank.usable(&["T1".into()], 20.0).0, Use::Hold);
     }
 
-    /// A hostile neighbour on the network: escapes, endless keys, endless lines, a stream without a pause.
+    /// Hostile network input is bounded: escapes, endless keys, lines and streams.
     #[test]
     fn whatever_comes_over_the_network_stays_within_bounds() {
         let server = TcpListener::bind("127.0.0.1:0").unwrap();
@@ -608,7 +613,7 @@ mod tests {
         assert_eq!(feed.values.len(), KEYS);
     }
 
-    /// A gateway that lost its power says nothing of it: the connection stands, and no line comes any more.
+    /// A gateway that loses power leaves its connection open and sends no more lines.
     #[test]
     fn a_gateway_that_was_power_cycled_is_connected_again_and_the_reason_is_true() {
         let server = TcpListener::bind("127.0.0.1:0").unwrap();
@@ -660,7 +665,7 @@ mod tests {
         drop(peer);
     }
 
-    /// A bug once: a serial adapter that was pulled out and put in again stayed silent for good.
+    /// Regression: a serial adapter stayed silent after it was plugged in again.
     #[test]
     fn a_device_that_comes_back_is_opened_again() {
         let directory = tempfile::tempdir().unwrap();

@@ -1,4 +1,5 @@
-//! What a person sees who made a mistake in rtec.toml. `RTEC_BLESS=1 cargo test` writes the golden files anew.
+//! What a person sees who made a mistake in rtec.toml.
+//! `RTEC_BLESS=1 cargo test` writes the golden files anew.
 
 use rtec_control::config::{CardConfig, Config, EMBEDDED, MappedPlace, PortPlace};
 use rtec_correct::Corrector;
@@ -245,8 +246,9 @@ fn what_this_computer_lacks_is_found_on_it_and_nowhere_else() {
     assert_eq!(found.lines().count(), 4 + cpus, "{found}");
 }
 
-/// What an integrator gets wrong most: a record or a column of another name, a model of sensors that nothing gives, a card that is
-/// in another computer. A sensor that is not plugged in may come yet.
+/// The commonest mistakes are found.
+/// They are a wrong record or column name, a model of missing sensors, and a card in another computer. A sensor may
+/// be plugged in later.
 #[test]
 fn what_sensors_model_and_card_name_is_looked_for() {
     let directory = tempfile::tempdir().unwrap();
@@ -302,7 +304,7 @@ fn what_sensors_model_and_card_name_is_looked_for() {
     assert!(Config::load(&file).is_ok());
 }
 
-/// Three corrections of 4 µm (NISTIR 4832), at least one insertion, and no more than the largest total.
+/// Three corrections of 4 µm (NISTIR 4832), at least one insertion, at most the largest total.
 #[test]
 fn a_window_that_is_not_given_is_12_um() {
     for (count_um, max, counts) in
@@ -384,8 +386,8 @@ fn mtc_ready_is_a_line_and_mtc_off_needs_it() {
     );
 }
 
-/// No number of a configuration leads to a panic: it is refused, or engine and control law run on it. Arithmetic that
-/// overflows panics in tests.
+/// No number of a configuration causes a panic.
+/// It is refused, or engine and control law run with it. Arithmetic that overflows panics in tests.
 #[test]
 fn extreme_numbers_are_refused_or_run() {
     const KEYS: [&str; 27] = [
@@ -487,7 +489,7 @@ fn extreme_numbers_are_refused_or_run() {
     assert!(ran > 200 && refused > 1000, "{ran} ran, {refused} refused");
 }
 
-/// Engine and control law for some hundred edges there and back, with the largest totals.
+/// Runs engine and control law for some hundred edges there and back, with the largest totals.
 fn runs(config: &Config) {
     let mut card = Strokes::default();
     let machine = MachineConfig { lines: config.lines, may_arm: true };
@@ -534,7 +536,7 @@ impl Card for Strokes {
     }
 }
 
-/// What a configuration names and this computer does not have: chip, CPU, group, file, each with its line.
+/// Names that this computer lacks are reported with their lines: chip, CPU, group, file.
 #[test]
 fn names_what_this_computer_does_not_have() {
     let directory = tempfile::tempdir().unwrap();
@@ -599,8 +601,8 @@ fn rotary_and_coupled_axes_are_refused_by_name() {
     assert!(Config::parse(Path::new("rtec.toml"), &linear).is_ok());
 }
 
-/// Every number of a configuration that has all keys, replaced by every extreme: it is refused, or what comes of it is
-/// finite and an engine can be made of it.
+/// Replaces every number of a full configuration by every extreme.
+/// It is refused, or the results are finite and an engine accepts them.
 #[test]
 fn no_number_reaches_arithmetic_unbounded() {
     const ALL: &str = "[machine]\nname = 'm'\n[card]\nbackend = 'mock'\n[[axis]]\nname = 'x'\ncount_um = 1.0\ntravel_mm = 500.0\n\
@@ -649,7 +651,7 @@ fn no_number_reaches_arithmetic_unbounded() {
     assert!(tried > 400, "{tried}");
 }
 
-/// What a configuration names and this computer lacks is a finding with its name: the guide's promise of `config check`.
+/// A name that this computer lacks is a finding, as the guide promises for `config check`.
 #[test]
 fn check_here_names_what_this_computer_lacks() {
     let folder = tempfile::tempdir().unwrap();

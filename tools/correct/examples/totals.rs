@@ -1,4 +1,5 @@
-//! The control law, ten milliseconds at a time: a scale that is 100 ppm long, and an axis that goes to 400 mm.
+//! The control law, ten milliseconds at a time.
+//! The scale is 100 ppm too long, and the axis goes to 400 mm.
 use rtec_correct::{AxisSetup, Corrector, RAMP_UM_S};
 use rtec_model::machine::Machine;
 use rtec_rt::event::{Mode, Status};

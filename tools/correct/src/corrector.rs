@@ -1,4 +1,5 @@
-//! All axes: requested = model + part table + operator. Called every 10 to 20 ms (NISTIR 4832, Alternate Configurations).
+//! All axes: requested = model + part table + operator.
+//! Called every 10 to 20 ms (NISTIR 4832, Alternate Configurations).
 
 use crate::AxisSetup;
 use crate::explain::{Change, Contribution, Explained, ModelPreview, Reading, RunningModel};
@@ -18,10 +19,11 @@ use rtec_part::fit::Zx;
 use rtec_rt::event::{AxisStatus, MAX_AXES, Mode, Status};
 use std::time::{Duration, Instant};
 
-/// Logged temperatures of these sensors, oldest first: time, s, and °C. What a lag is brought up from.
+/// Logged temperatures of these sensors, oldest first: time, s, and °C.
+/// What a lag is brought up from.
 pub type Past<'p> = &'p dyn Fn(&[String]) -> Vec<(f64, Vec<f64>)>;
 
-/// However long nobody looked, the ramp goes no further at once than in this time, s.
+/// The longest time by which the ramp advances at once, s, however late the call.
 const LONGEST_S: f64 = 1.0;
 
 /// What the corrector keeps of one axis.
@@ -62,7 +64,8 @@ pub struct Corrector {
     today: i64,
 }
 
-/// Makes models ready for a machine; it may go to another thread while the corrector works on.
+/// Makes models ready for a machine.
+/// It may go to another thread while the corrector works on.
 #[derive(Debug, Clone)]
 pub struct Preparer {
     layout_axes: Vec<Axis>,
@@ -99,13 +102,15 @@ impl Prepared {
         &self.0.machine
     }
 
-    /// What of it has no effect here, in sentences: axes and sensors that it reads and the configuration does not have.
+    /// What of the model has no effect here, in sentences.
+    /// It reads axes or sensors that the configuration lacks.
     #[must_use]
     pub fn missing(&self) -> &[String] {
         self.0.missing()
     }
 
-    /// How long one evaluation takes on this computer, at best of three; the model is left as it is.
+    /// How long one evaluation takes on this computer, at best of three.
+    /// The model is left as it is.
     #[must_use]
     pub fn evaluation_time(&self, preparer: &Preparer, now_s: f64) -> Duration {
         let mut shortest = Duration::MAX;
@@ -120,8 +125,9 @@ impl Prepared {
 }
 
 impl Corrector {
-    /// A corrector without sources. `ramp_um_s`: how fast a total goes to a new place that no motion asks for; `lead_s`:
-    /// how long before the axes are there the model is asked; `now_s`: the time, s, as every later call gives it.
+    /// A corrector without sources.
+    /// `ramp_um_s`: the rate at which a total approaches a new value that no motion asks for. `lead_s`: how long the
+    /// model is evaluated ahead of the axes' motion. `now_s`: the time, s, on the clock of every later call.
     #[must_use]
     pub fn new(setups: Vec<AxisSetup>, ramp_um_s: f64, lead_s: f64, now_s: f64) -> Self {
         let mut layout_axes = Vec::new();
@@ -166,7 +172,7 @@ impl Corrector {
         model.machine.expired(today).into_iter().filter(|e| !known.contains(e)).collect()
     }
 
-    /// Fits of the model whose validity has ended, and nobody has said that this is meant.
+    /// Fits of the model whose validity has ended without anybody having accepted it.
     #[must_use]
     pub fn expired(&self) -> Vec<String> {
         let model = self.model.as_ref().filter(|m| !m.although_expired);
@@ -219,7 +225,8 @@ impl Corrector {
         Ok(())
     }
 
-    /// No part table from now on; corrections go back in a ramp. Says whether there was one.
+    /// No part table from now on; corrections go back in a ramp.
+    /// Says whether there was one.
     pub fn unload_table(&mut self) -> bool {
         let Some(table) = self.table.take() else { return false };
         table.axes.into_iter().for_each(|n| self.axes[n].table_um = 0.0);
@@ -308,7 +315,8 @@ impl Corrector {
         }
     }
 
-    /// An axis has been homed: its counter is zero. So is its total, unless the MTC still counts what was inserted before.
+    /// An axis has been homed: its counter is zero.
+    /// So is its total, unless the MTC still counts what was inserted before.
     pub fn homed(&mut self, n: usize, kept_counts: i64) {
         if let Some(axis) = self.axes.get_mut(n) {
             if kept_counts == 0 {
@@ -320,12 +328,13 @@ impl Corrector {
         self.motion.forget();
     }
 
-    /// Corrections have been enabled: sensors that were lost and are good again count from now on, in a ramp.
+    /// Corrections have been enabled.
+    /// Lost sensors that are good again are used from now on, in a ramp.
     pub fn enabled(&mut self) {
         self.changed |= self.model.as_mut().is_some_and(ModelSource::enabled);
     }
 
-    /// The total that an operator's total makes together with the other sources, counts.
+    /// The total that an operator's total gives with the other sources, counts.
     #[must_use]
     pub fn with_operator(&self, n: usize, operator_counts: i64) -> i64 {
         self.axes[n].total.with_operator(operator_counts)
@@ -336,7 +345,8 @@ impl Corrector {
         self.axes[n].total.set_operator(operator_counts);
     }
 
-    /// The total that an axis is on its way to, counts; the one requested where no source asks.
+    /// The total that an axis is on its way to, counts.
+    /// The one requested where no source asks.
     #[must_use]
     pub fn goal(&self, n: usize, status: &AxisStatus) -> i64 {
         let axis = &self.axes[n];
@@ -354,7 +364,7 @@ impl Corrector {
         asked && self.axes[n].holds.is_none() && status.completed == status.requested
     }
 
-    /// A source other than the operator asks, or what it asked for is still on its way back.
+    /// Whether a source other than the operator asks, or its total is still ramping down.
     fn asks(&self, n: usize) -> bool {
         self.model.is_some()
             || self.table.as_ref().is_some_and(|t| t.axes.contains(&n))
@@ -402,7 +412,8 @@ impl Corrector {
         }
     }
 
-    /// What the model asks for, where it can tell. Says whether what it knows has become better or worse.
+    /// What the model asks for, where it can tell.
+    /// Says whether what it knows has become better or worse.
     fn ask_model(&mut self, now_s: f64, status: &Status, watches: &[Watch]) -> bool {
         let Some(model) = &mut self.model else { return false };
         let mut changed = model.read(watches, now_s);
@@ -441,8 +452,9 @@ impl Corrector {
         (self.axes[table.axes[0]].table_um, self.axes[table.axes[1]].table_um) = (out.z, out.x);
     }
 
-    /// What the model says of an axis at a place it was captured at, µm. Positions are not corrected while probing; the
-    /// other axes are taken where they were at that time of the card's clock. `None` where nothing can be said.
+    /// What the model says of an axis at a place it was captured at, µm.
+    /// Positions are not corrected while probing; the other axes are taken where they were at that time of the card's
+    /// clock. `None` where nothing can be said.
     #[must_use]
     pub fn error_um_at(&self, n: usize, t_ns: u64, position_mm: f64) -> Option<f64> {
         let (Some(model), Some(place)) = (&self.model, self.axes[n].place) else { return None };
@@ -586,8 +598,9 @@ fn fits(machine: &Machine) -> Vec<String> {
     machine.fits().iter().map(of).collect()
 }
 
-/// Velocity of an axis that slows down as it will be after this time, at most at rest. What goes with the speed is then off before
-/// the axis stands: taken off later, it would move the table back, and turn the axis round.
+/// Velocity of a decelerating axis after this time, at least zero.
+/// Errors that depend on speed are then removed before the axis stands. Removing them later would move the table back
+/// and reverse the axis.
 fn slowed_mm_s(a: &AxisNow, after_s: f64) -> f64 {
     if a.velocity_mm_s * a.acceleration_mm_s2 >= 0.0 {
         return a.velocity_mm_s;
@@ -600,7 +613,8 @@ fn slowed_mm_s(a: &AxisNow, after_s: f64) -> f64 {
 mod tests {
     use super::*;
 
-    /// What goes with the speed is off before the axis stands: in 30 ms at 200 mm/s² an axis is 6 mm/s slower, at most at rest.
+    /// A slowing axis is evaluated at its later speed.
+    /// After 30 ms at 200 mm/s² it is 6 mm/s slower.
     #[test]
     #[allow(clippy::float_cmp)] // what does not slow down is as it was
     fn an_axis_that_slows_down_is_asked_for_slower() {

@@ -1,4 +1,4 @@
-//! What a correction is made of, in a form that is shown to people and sent over the control socket.
+//! The parts of a correction, for people and for the control socket.
 
 use crate::sensors::{Use, Watch};
 use serde::{Deserialize, Serialize};
@@ -40,7 +40,8 @@ pub struct Change {
     pub holds: Option<String>,
 }
 
-/// What an axis's correction is made of. Errors that are taken out, µm: the axis moves by the opposite.
+/// What an axis's correction is made of.
+/// Errors that are taken out, µm: the axis moves by the opposite.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Explained {
     /// Name of the axis.
@@ -58,8 +59,9 @@ pub struct Explained {
 /// One part of a correction.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Contribution {
-    /// An effect's name; or `chain`, `part table`, `operator`, `on its way` (what the ramp has still to go),
-    /// `rounding` (to the design's increment), or `beyond max_correction_counts`.
+    /// The name of an effect, or of one of the other parts.
+    /// These are `chain`, `part table`, `operator`, `on its way` (what the ramp has still to go), `rounding` (to the
+    /// design's increment) and `beyond max_correction_counts`.
     pub name: String,
     /// How much of the total it is, µm.
     pub um: f64,

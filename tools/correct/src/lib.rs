@@ -1,7 +1,7 @@
 //! The control law: which total should each axis have now?
 //!
-//! requested = model + part table + operator, in micrometres until the very end. The daemon, the simulator, the
-//! rehearsal of a shift, the part loop and the demo all ask here; there is no other law.
+//! requested = model + part table + operator, in micrometres until the last step. The daemon, the simulator, the
+//! rehearsal of a shift, the part loop and the demo all use this law, and no other.
 //!
 //! | module | what |
 //! |---|---|
@@ -29,7 +29,7 @@ mod total;
 
 pub use corrector::Corrector;
 
-/// How fast a total goes to a new place that no motion of the axis asks for, µm/s, where nobody says.
+/// Default rate, µm/s, for a change of total that no motion asks for.
 pub const RAMP_UM_S: f64 = 5.0;
 
 /// One axis, as the law needs to know it.

@@ -1,11 +1,12 @@
-//! How the axes move, as the engine's status shows it: position, velocity, acceleration, direction of the last motion.
+//! The axes' motion from the engine's status.
+//! It gives position, velocity, acceleration and the direction of the last motion.
 
 use crate::AxisSetup;
 use rtec_model::live::AxisNow;
 use rtec_rt::event::Status;
 use std::collections::VecDeque;
 
-/// Beyond an increment, how far an axis must come back before it counts as having turned, counts.
+/// How far beyond an increment an axis must come back to count as reversed, counts.
 const TURNED_COUNTS: i64 = 2;
 /// States that are kept: half a second of them.
 const KEPT: usize = 64;
@@ -23,7 +24,8 @@ pub(crate) struct Motion {
     now: Vec<AxisNow>,
 }
 
-/// The direction of an axis, and the furthest places in it: of the scale, and as the MTC counts.
+/// The direction of an axis and its furthest places in it.
+/// There is one place for the scale and one for the MTC's count.
 #[derive(Debug, Clone, Copy, Default)]
 struct Turning {
     direction: i64,
@@ -32,9 +34,10 @@ struct Turning {
 }
 
 impl Turning {
-    /// Our own insertions move the scale while the MTC's count stands, and the MTC's count until the drive has followed:
-    /// an axis has turned when both say so, and by more than was inserted a moment ago; and no place is the furthest that
-    /// our insertions alone may have made it seem.
+    /// Follows the direction of motion, ignoring the effect of our own insertions.
+    /// An insertion moves the MTC's count first, and the scale once the drive has followed. An axis has therefore
+    /// reversed only when both say so, and by more than was inserted a moment ago. A place that our insertions alone
+    /// may have reached is never the furthest.
     fn follow(&mut self, at_counts: [i64; 2], enough_counts: i64, own_counts: i64) {
         let Some(furthest_counts) = &mut self.furthest_counts else {
             self.furthest_counts = Some(at_counts);
@@ -84,7 +87,8 @@ impl Motion {
         self.turning.iter_mut().for_each(|t| t.furthest_counts = None);
     }
 
-    /// Position of an axis at the kept state nearest to a time of the card's clock, counts.
+    /// Position of an axis at the kept state nearest to a time, counts.
+    /// The time is on the card's clock.
     pub(crate) fn position_counts_at(&self, axis: usize, t_ns: u64) -> Option<i64> {
         let nearest = self.seen.iter().min_by_key(|s| s.t_ns.abs_diff(t_ns))?;
         Some(nearest.axes[axis].position_counts)
@@ -166,7 +170,7 @@ mod tests {
         status
     }
 
-    /// While the acceleration itself changes, both are still means over the last 30 ms, and the 30 ms before them.
+    /// While the acceleration changes, both values are means over 30 ms and the 30 ms before them.
     #[test]
     fn velocity_and_acceleration_are_of_the_last_thirty_milliseconds() {
         let place = |k: i64| k * k * k;
@@ -195,7 +199,7 @@ mod tests {
         assert_eq!(after_six.now()[0].acceleration_mm_s2, 0.0, "30 ms before the last 30 ms: not yet");
     }
 
-    /// The engine's state may be read twice before there is a new one: the axis does not stand because of that.
+    /// Reading the engine's state twice does not make an axis appear to stand.
     #[test]
     fn a_state_that_is_seen_twice_does_not_slow_an_axis_down() {
         let mut motion = Motion::new(1);
@@ -208,7 +212,8 @@ mod tests {
         assert_eq!(motion.now()[0].acceleration_mm_s2, 0.0);
     }
 
-    /// A capture finds its place within the last half second, at the nearest state; before that, at the oldest one there is.
+    /// A capture finds its place within the last half second, at the nearest state.
+    /// Before that, at the oldest one there is.
     #[test]
     fn places_are_known_for_half_a_second_and_no_memory_grows() {
         let motion = seen((0..1000).map(|k| 7 * k));
@@ -219,7 +224,8 @@ mod tests {
         assert_eq!(Motion::new(1).position_counts_at(0, 0), None);
     }
 
-    /// An operator's total moves the scale: until the drive has followed that is no turn, and from then on the axis is believed.
+    /// An operator's total moves the scale.
+    /// It hides a reversal only until the drive has followed.
     #[test]
     fn an_insertion_hides_a_turn_only_until_the_drive_has_followed() {
         let direction_after = |wait: u64, back_counts: i64| {
@@ -243,7 +249,7 @@ mod tests {
         assert_eq!(direction_after(SETTLED as u64, 0), 1.0);
     }
 
-    /// An axis has turned when it is back by more than an increment and two counts, whatever an increment is.
+    /// An axis has reversed when it is back by more than an increment and two counts, for any increment.
     #[test]
     fn a_turn_is_more_than_an_increment_and_two_counts() {
         for increment_counts in [1, 2, 6] {

@@ -1,4 +1,5 @@
-//! A part's errors as a source: taken out where the tool cuts (NISTIR 4854, section 5), and nowhere else.
+//! A part's errors as a source, removed only where the tool cuts.
+//! (NISTIR 4854, section 5)
 
 use crate::AxisSetup;
 use rtec_part::cor::FeatureErrors;
@@ -7,23 +8,25 @@ use rtec_part::line_table::LineTable;
 use rtec_part::table::{AxisCounts, FinishCut, FinishTable};
 use serde::{Deserialize, Serialize};
 
-/// A part table acts in full within this distance of its feature, mm, and no more beyond the second: a tool on its way
-/// elsewhere is none of its business.
+/// Distances from a feature, mm, for a part table's full effect and for its end.
+/// A tool on its way elsewhere must not be moved.
 pub(crate) const NEAR_MM: [f64; 2] = [2.0, 10.0];
 
 /// A kilometre: the bounds of every position.
 const FARTHEST_MM: f64 = 1e6;
 
-/// The errors of a part along an arc or a straight feature, and the cut that takes them out. Pairs are along the part's axis (Z)
-/// and across it (X).
+/// The errors of a part along an arc or a straight feature, and the correcting cut.
+/// Pairs are along the part's axis (Z) and across it (X).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PartTable {
-    /// `error.cor`, absolute: angle in rad and error in µm a line; of a straight feature with its place.
+    /// `error.cor`, absolute: angle in rad and error in µm a line.
+    /// Of a straight feature with its place.
     pub errors: String,
     /// Names of the two axes.
     pub axes: [String; 2],
-    /// Centre of the arc in part coordinates; none of a straight feature, whose errors bring their places.
+    /// Centre of the arc in part coordinates.
+    /// None of a straight feature, whose errors bring their places.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub centre_mm: Option<[f64; 2]>,
     /// Radius of the finished surface; none of a straight feature.
@@ -51,7 +54,8 @@ pub struct TableNow {
     pub off_mm: f64,
     /// Within this distance of it the table acts, mm.
     pub acts_within_mm: f64,
-    /// What it takes out here, µm, in the order of its axes; when it is not in force, what it would.
+    /// What it takes out here, µm, in the order of its axes.
+    /// When it is not in force, what it would.
     pub um: [f64; 2],
     /// Why it is off.
     #[serde(default, skip_serializing_if = "Option::is_none")]

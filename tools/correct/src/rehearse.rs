@@ -1,5 +1,5 @@
-//! A recorded shift run through the control law with the present model and with a new one: what would change before it
-//! is loaded, count for count.
+//! A recorded shift run through the law with the present and with a new model.
+//! It shows, count for count, what would change before the new model is loaded.
 //!
 //! The machine is the shift's: its positions, temperatures, loads. The engine is one that inserts at once. Between two
 //! rows everything is linear in time, so that ramp, window and lags see the time that passes.
@@ -14,7 +14,8 @@ use rtec_rt::event::{MAX_AXES, Mode, Status};
 use serde::Serialize;
 use std::collections::BTreeMap;
 
-/// The law is asked this often between two rows, s, but at most [`MOST_TICKS`] times: rows may be minutes apart.
+/// Time between two calls of the law, s.
+/// At most [`MOST_TICKS`] calls are made between two rows, which may be minutes apart.
 const PERIOD_S: f64 = 0.01;
 /// Most ticks of the law between two rows; see [`PERIOD_S`].
 const MOST_TICKS: f64 = 20.0;
@@ -22,10 +23,10 @@ const MOST_TICKS: f64 = 20.0;
 /// What the law is run with, where the shift does not say.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Options {
-    /// The axes as the configuration has them; those it lacks count as the shift does, or 1 µm, by Design C
-    /// with a window of 50 counts.
+    /// The axes as the configuration has them.
+    /// Those it lacks count as the shift does, or 1 µm, by Design C with a window of 50 counts.
     pub axes: Vec<AxisSetup>,
-    /// How fast a total goes to a new place that no motion asks for, µm/s (see [`Corrector::new`]).
+    /// The ramp's rate, µm/s (see [`Corrector::new`]).
     pub ramp_um_s: f64,
     /// How long before the axes are there the law is asked, s (see [`Corrector::new`]).
     pub lead_s: f64,
@@ -38,7 +39,8 @@ impl Default for Options {
 }
 
 impl Options {
-    /// An axis that no configuration describes: counts of the shift, or of 1 µm, Design C, a window of 50 counts.
+    /// An axis without a configuration: Design C, a window of 50 counts.
+    /// Its count is that of the shift, or 1 µm.
     fn axis(&self, name: &str, count_um: Option<f64>) -> AxisSetup {
         let known = self.axes.iter().find(|a| a.name == name).cloned();
         known.unwrap_or_else(|| AxisSetup {
@@ -68,7 +70,8 @@ pub struct AxisChange {
     pub change_rms_um: f64,
     /// Fastest the new correction moves from row to row, µm/s.
     pub fastest_um_per_s: f64,
-    /// Rows on which the axis would not follow the new model (a sensor or a lag that is not known yet), as a share.
+    /// Share of the rows on which the axis would not follow the new model.
+    /// Then a sensor is bad or a lag is not known yet.
     pub held: f64,
     /// Totals at every row, counts: time, s, present, new.
     #[serde(skip)]
@@ -80,7 +83,7 @@ pub struct AxisChange {
 pub struct Rehearsal {
     /// One entry per axis of the shift.
     pub axes: Vec<AxisChange>,
-    /// Share of the rows on which an effect of the new model was outside its range, by effect.
+    /// Share of the rows on which an effect of the new model was outside its range.
     pub outside: BTreeMap<String, f64>,
 }
 

@@ -1,5 +1,6 @@
-//! Trust in a sensor: one that is stuck, jumps, falls silent or reads what cannot be is said by name; its last good value
-//! stands for a stated time, then corrections hold. Who reads the sensor offers each reading here.
+//! Trust in a sensor.
+//! A sensor that is stuck, jumps, falls silent or reads an impossible value is reported by name. Its last good value
+//! is used for a stated time, then corrections hold. Whoever reads the sensor passes each reading in here.
 
 use rtec_files::InputError;
 use rtec_files::toml::Table;
@@ -31,7 +32,8 @@ pub struct SensorConfig {
     pub name: String,
     /// Where it sits on the machine, for people.
     pub place: String,
-    /// What it reads: a temperature, or what else an effect may ask for (spindle speed, coolant, load, channel).
+    /// What it reads: a temperature, or another role that an effect may ask for.
+    /// Roles are spindle speed, coolant, load and channel.
     pub role: Role,
     /// Where its values come from.
     pub source: SensorSource,
@@ -43,7 +45,8 @@ pub struct SensorConfig {
     pub max_rate_k_per_min: f64,
     /// Without a reading for so long it is silent, s.
     pub timeout_s: f64,
-    /// Exactly the same value for so long is stuck, s; 0 where the sensor is too coarse to tell.
+    /// Exactly the same value for so long is stuck, s.
+    /// 0 where the sensor is too coarse to tell.
     pub stuck_s: f64,
     /// The last good value stands for so long, s; after that corrections hold.
     pub freeze_s: f64,
@@ -139,7 +142,8 @@ impl SensorConfig {
 }
 
 impl SensorConfig {
-    /// A sensor whose every reading is believed and never grows old: of a simulation, or of a recorded shift.
+    /// A sensor whose readings are always believed and never expire.
+    /// It belongs to a simulation or a recorded shift.
     #[must_use]
     pub fn believed(name: &str, role: Role) -> Self {
         Self {
@@ -206,13 +210,13 @@ pub struct Watch {
     good: Option<(f64, f64)>,
     raw: Option<(f64, f64)>,
     last_reading_s: Option<f64>,
-    /// Where the good readings so far allow the next one, at the fastest change that can be real.
+    /// The next reading's possible range, by the good readings and the fastest change.
     reach: Option<Reach>,
     fault: Option<SensorFault>,
 }
 
-/// What a value can have come to: from each good reading so far at the fastest rate, °C. The bound is over time: however often
-/// readings come, together they go no faster.
+/// The range a value can have reached from the good readings so far, °C.
+/// The fastest rate bounds the change over time, however often readings come.
 #[derive(Debug, Clone, Copy)]
 struct Reach {
     low: f64,
@@ -301,7 +305,8 @@ impl Watch {
         self.config.max_rate_k_per_min / 60.0
     }
 
-    /// More than can have changed since the good values so far; one second's worth for the reading itself.
+    /// More than can have changed since the good values so far.
+    /// One second's worth for the reading itself.
     fn jumps(&self, now_s: f64, value: f64) -> bool {
         let Some(reach) = self.reach.filter(|_| self.rate().is_finite()) else { return false };
         let Reach { low, high, .. } = reach.at(now_s, self.rate());
@@ -310,7 +315,8 @@ impl Watch {
         value > high + reading || value < low - reading
     }
 
-    /// Why this is no temperature: a code that no machine is warm as, or one (85 °C, 0 °C) that it cannot have come to.
+    /// Why this reading is not a temperature of the machine.
+    /// It is an error code outside any machine's range, or a code (85 °C, 0 °C) that it cannot have reached.
     fn unplugged(&self, now_s: f64, value: f64) -> Option<&'static str> {
         if self.config.role != Role::Temperature || self.config.range[0] == f64::NEG_INFINITY {
             return None;
@@ -426,7 +432,7 @@ mod tests {
         says(&same, "stuck at 20", 20.0);
     }
 
-    /// 6 K a minute: however quickly lines come, and with what noise, together they go no faster.
+    /// The limit is 6 K a minute, however often readings come and with whatever noise.
     #[test]
     fn the_limit_of_a_change_is_over_time_not_per_reading() {
         for (per_s, noise) in [(1.0, 0.0), (20.0, 0.0), (20.0, 0.05), (1000.0, 0.05)] {
@@ -460,7 +466,8 @@ mod tests {
         assert_eq!((w.fault(), w.value_degc()), (None, Some(20.2)));
     }
 
-    /// Whatever is exactly at a limit is within it: the range, a change, a silence, a value that stands, an age.
+    /// A value exactly at a limit is within it.
+    /// Limits are range, change, silence, unchanged value and age.
     #[test]
     fn at_its_limits_a_sensor_is_still_good() {
         let channel = |value: f64| {
@@ -500,8 +507,8 @@ mod tests {
         assert_eq!(stuck(60, 0.01), None);
     }
 
-    /// 0 and 85 °C are temperatures too, but not the first that is heard; of what is no temperature, and where every reading is
-    /// believed, they are values like any other.
+    /// 0 and 85 °C are temperatures too, but not the first that is heard.
+    /// Of what is no temperature, and where every reading is believed, they are values like any other.
     #[test]
     fn a_code_is_one_only_where_a_temperature_is_read() {
         let source = SensorSource::OneWire { id: "28-0".into() };
@@ -529,7 +536,7 @@ mod tests {
         read_tables(&document.root())
     }
 
-    /// What a table does not say: once a second, from -20 to 120 °C and 10 K a minute of a temperature, anything of what is none.
+    /// Defaults of a sensor: a reading each second; a temperature from -20 to 120 °C, at most 10 K a minute.
     #[test]
     fn what_a_sensors_table_does_not_say_has_a_default() {
         let read = tables(

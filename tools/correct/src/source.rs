@@ -1,4 +1,5 @@
-//! The machine model as a source: fed with sensors, it says what each axis is off by, or why nothing can be said.
+//! The machine model as a source.
+//! From the sensors it gives each axis's error, or why the error is unknown.
 
 use crate::sensors::{Use, Watch};
 use rtec_files::InputError;
@@ -9,7 +10,7 @@ use rtec_model::record::{Axis, Role};
 
 /// A lag is known to 2 % after so many of its time constants.
 const LAGS_KNOWN: f64 = 4.0;
-/// Temperatures as far apart as this are those of a machine that has stood still for long, K.
+/// Spread of the temperatures of a machine that has long been standing, K.
 const COLD_K: f64 = 1.0;
 /// Shorter gaps in the temperatures never make a lag forget, s.
 const GAP_S: f64 = 15.0;
@@ -34,7 +35,7 @@ pub(crate) struct ModelSource {
     inputs: Inputs,
     /// What each configured sensor was good for when it was last looked at.
     states: Vec<Use>,
-    /// Those whose value was lost for so long that corrections hold: until they are enabled again.
+    /// Sensors lost for so long that corrections hold until they are enabled again.
     lost: Vec<bool>,
     /// It was taken although its validity had ended.
     pub(crate) although_expired: bool,
@@ -170,8 +171,8 @@ fn readers(machine: &Machine, name: &str) -> Vec<String> {
     readers
 }
 
-/// What the effects read that no configured sensor gives: taken as zero. And the axes that they correct and that are not
-/// configured, under another name perhaps.
+/// What the effects read that no configured sensor gives: taken as zero.
+/// And the axes that they correct and that are not configured, under another name perhaps.
 fn missing(machine: &Machine, axes: &[Axis], watches: &[Watch]) -> Vec<String> {
     let mut missing = Vec::new();
     let mut absent: Vec<(&Axis, Vec<String>)> = Vec::new();
@@ -304,8 +305,8 @@ impl ModelSource {
         &self.missing
     }
 
-    /// Brings the lags up from temperatures of the past, oldest first: time on the clock of [`Self::evaluate`], s, and
-    /// the layout's sensors, °C.
+    /// Brings the lags up to date from past temperatures, oldest first.
+    /// Times are on the clock of [`Self::evaluate`], s. Temperatures are in the order of the layout's sensors, °C.
     pub(crate) fn catch_up(&mut self, past: Vec<(f64, Vec<f64>)>, started_s: f64, axes: &[AxisNow]) {
         for (t_s, degc) in past {
             self.inputs.temperatures_degc = degc;
@@ -346,7 +347,8 @@ impl ModelSource {
         changed
     }
 
-    /// Corrections have been enabled: sensors that are good again count again. Says whether there are any.
+    /// Corrections have been enabled: sensors that are good again count again.
+    /// Says whether there are any.
     pub(crate) fn enabled(&mut self) -> bool {
         let mut back = false;
         for (lost, state) in self.lost.iter_mut().zip(&self.states) {
@@ -374,15 +376,16 @@ impl ModelSource {
         move |t_s, axes| live.evaluate(&self.inputs.frame(t_s, axes, false))
     }
 
-    /// The error of an axis where all of them are at these places, µm; what runs is left as it is.
+    /// The error of an axis where all of them are at these places, µm.
+    /// What runs is left as it is.
     pub(crate) fn error_um_at(&self, place: usize, t_s: f64, axes: &[AxisNow], probing: bool) -> f64 {
         let mut live = self.live.clone();
         live.evaluate(&self.inputs.frame(t_s, axes, probing));
         live.errors_um()[place]
     }
 
-    /// What sensors and time ask for on an axis, of its error at the last evaluation, µm. A chain counts whole where it reads
-    /// temperatures.
+    /// The part of an axis's last error that depends on sensors and time, µm.
+    /// A chain that reads temperatures counts as a whole.
     pub(crate) fn slow_um(&self, place: usize) -> f64 {
         let axis = &self.live.layout().axes[place];
         let mut slow_um = 0.0;
@@ -453,7 +456,8 @@ impl ModelSource {
 mod tests {
     use super::*;
 
-    /// A lag of 100 s that has followed since 1000 s, after a gap; and whether the machine was cold then.
+    /// A lag of 100 s that has followed since 1000 s, after a gap.
+    /// And whether the machine was cold then.
     fn lag(gap_s: f64, cold: bool) -> Lag {
         let mut lag = Lag::new(0, 100.0);
         lag.follow(1000.0 - gap_s, false);
@@ -461,7 +465,8 @@ mod tests {
         lag
     }
 
-    /// A quarter of a lag is no gap; after a longer one four lags pass until it is known again.
+    /// A quarter of a lag is no gap.
+    /// After a longer one four lags pass until it is known again.
     #[test]
     fn a_lag_forgets_over_a_gap_of_more_than_a_quarter_of_it() {
         let known_in = |lag: &Lag, s: f64| lag.unknown_s(1000.0 + s);
@@ -476,7 +481,7 @@ mod tests {
         assert_eq!(short.unknown_s(15.0), Some(65.0));
     }
 
-    /// A machine that is cold, and may have been for four lags, has no heat inside that nobody knows.
+    /// A cold machine that was unobserved for four lags has no unknown heat inside.
     #[test]
     fn a_cold_machine_is_known_at_once_after_four_lags_unseen() {
         assert_eq!(lag(401.0, true).unknown_s(1000.0), None);

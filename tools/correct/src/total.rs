@@ -1,16 +1,19 @@
-//! From what is wanted, in micrometres, to a total in counts: ramp, hysteresis, limits, window.
+//! From the wanted correction in micrometres to a total in counts.
+//! The steps are ramp, hysteresis, limits and window.
 //!
-//! A total follows the axes' motion at once. What no motion asks for (a sensor's value, a model loaded, corrections enabled,
-//! a sensor back) is a ramp, never a jump. No step is larger than the belief window, so that the engine believes it.
+//! A total follows the axes' motion at once. Every other change is a ramp, never a jump: a sensor's value, a model
+//! loaded, corrections enabled, a sensor that is good again. No step is larger than the belief window, so that the
+//! engine believes it.
 //!
-//! What the sensors ask for passes a dead band first: it trembles with their noise, and what trembles on a boundary must not
-//! send counts back and forth, whether an axis stands or moves.
+//! The part that depends on sensors passes a dead band first. It varies with the sensors' noise, which must not send
+//! counts back and forth at a boundary, whether an axis stands or moves.
 
-/// A total changes when it is further than half an increment and this share of one off.
+/// How far beyond half an increment a total must be off to change, in increments.
 const HYSTERESIS: f64 = 0.02;
-/// Half the dead band of what the sensors ask for, as a share of an increment: some tenths of a micrometre.
+/// Half the dead band of the sensors' part, in increments (some tenths of a µm).
 const DEAD: f64 = 0.25;
-/// More increments than any axis has: what is asked for beyond is held here before it becomes counts.
+/// A limit in increments above any axis's total.
+/// A larger request is held here before it becomes counts.
 const MOST_INCREMENTS: f64 = 1e9;
 
 /// The counts of one axis.
@@ -75,7 +78,7 @@ impl Total {
         increments.round().clamp(-MOST_INCREMENTS, MOST_INCREMENTS) as i64 * self.increment_counts
     }
 
-    /// The total that these micrometres and the operator's counts make in the end, within the limit.
+    /// The final total of these micrometres and the operator's counts, limited.
     pub(crate) fn goal(&self, um: f64) -> i64 {
         (self.rounded(um) + self.operator_counts).clamp(-self.max_counts, self.max_counts)
     }
@@ -136,7 +139,7 @@ impl Total {
         self.offset_um = in_effect_um - um - slow_um;
     }
 
-    /// What the sensors ask for, as far as it leaves the dead band, and no faster than the ramp.
+    /// Takes the sensors' part as far as it leaves the dead band, at the ramp's rate.
     fn take_slow(&mut self, slow_um: f64, ramp_um: f64) {
         let dead_um = DEAD * self.increment_counts as f64 * self.count_um;
         let off_um = slow_um - self.slow_um;
@@ -151,7 +154,7 @@ impl Total {
         self.offset_um != 0.0 || self.counts != 0
     }
 
-    /// Nothing is on its way any more: this total stands, unless the axis moves or a source changes.
+    /// Whether this total is final, unless the axis moves or a source changes.
     pub(crate) fn settled(&self, requested: i64) -> bool {
         let goal = (self.counts + self.operator_counts).clamp(-self.max_counts, self.max_counts);
         self.following && self.offset_um == 0.0 && !self.slow_left && requested == goal
@@ -211,7 +214,8 @@ mod tests {
         assert_eq!(total.next(wanted(0.95, 2)), Some(0));
     }
 
-    /// What sensors ask for trembles by more; it passes a dead band, and is a ramp however suddenly it comes.
+    /// What sensors ask for trembles by more.
+    /// It passes a dead band, and is a ramp however suddenly it comes.
     #[test]
     fn what_sensors_ask_for_passes_a_dead_band_and_is_a_ramp() {
         let mut total = following();
@@ -229,7 +233,8 @@ mod tests {
         assert_eq!(total.goal(1e300), 100, "held at the limit, whatever is asked for");
     }
 
-    /// The dead band is a quarter of an increment to either side, however fine the scale is: of 0.32 µm 0.05 stay away.
+    /// The dead band is a quarter of an increment to either side for every scale.
+    /// Of 0.32 µm, 0.05 µm are held back.
     #[test]
     fn the_dead_band_goes_with_the_scale() {
         let mut total = Total::new(0.1, 2, 10, 1000);
@@ -248,7 +253,7 @@ mod tests {
         assert_eq!(requested, 4, "3.5 counts");
     }
 
-    /// What an operator asked for belongs to the total that an axis comes to rest at, within the limit; and is said in µm.
+    /// The operator's counts are part of an axis's final total, within the limit, and are given in µm.
     #[test]
     fn an_axis_has_settled_with_the_operators_share() {
         let mut total = Total::new(0.1, 2, 1000, 100);
@@ -266,8 +271,8 @@ mod tests {
         assert!(total.settled(-100) && !total.settled(100));
     }
 
-    /// A source that asks for far more than the limit leaves: the way back begins at the limit, and the operator's way out
-    /// is open all the time.
+    /// A source that asks for far more than the limit is withdrawn.
+    /// The way back begins at the limit, and the operator can always reduce the total.
     #[test]
     fn beyond_the_limit_nothing_piles_up() {
         let mut total = following();
@@ -317,7 +322,8 @@ mod tests {
         assert!((total.ramp_left_um() - 39.95).abs() < 1e-9);
     }
 
-    /// The operator's counts are part of the total that is gone to; without the limit only where that is asked for.
+    /// The operator's counts are part of the total that is gone to.
+    /// Without the limit only where that is asked for.
     #[test]
     fn a_goal_is_within_the_limit_and_holds_the_operators_share() {
         let mut total = Total::new(0.5, 2, 10, 100);
@@ -326,7 +332,7 @@ mod tests {
         assert_eq!((total.goal(70.0), total.unlimited(70.0)), (100, 146));
     }
 
-    /// What is on its way is neither at rest nor where it goes, whichever way it goes there.
+    /// A total on its way has not settled, in either direction.
     #[test]
     fn what_is_on_its_way_has_not_settled() {
         let mut total = following();
@@ -347,7 +353,7 @@ mod tests {
         assert!(!total.settled(0) && !total.following(), "nobody says where it goes");
     }
 
-    /// Counts are not micrometres: what was requested is taken up, and what was beyond the limit is left, in the axis's own.
+    /// A ramp begins at the requested counts, converted to micrometres. What was beyond the limit is left out.
     #[test]
     fn a_ramp_begins_at_what_is_in_effect_in_micrometres() {
         let mut total = Total::new(0.1, 2, 1000, 100);
@@ -368,7 +374,7 @@ mod tests {
         assert_eq!((total.next(wanted(100.0, 14)), total.limited()), (Some(24), Some(100)));
     }
 
-    /// Half an increment and the hysteresis, no further: that is where a total still stands.
+    /// At exactly half an increment and the hysteresis a total stays.
     #[test]
     fn on_the_boundary_itself_a_total_stands() {
         let mut total = following();

@@ -1,4 +1,5 @@
-//! The control law as the daemon runs it, tick by tick, against an engine that inserts at once.
+//! The control law as the daemon runs it, tick by tick.
+//! The engine inserts at once.
 
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
@@ -93,7 +94,8 @@ fn a_part_table_acts_near_its_arc_and_says_when_it_does_not() {
     assert_eq!(bench.corrector.table_now(&bench.status), None);
 }
 
-/// In a hollow arc the nose's centre runs inside: on 41 mm less 1 mm. As a convex one the same table would act 2 mm beside it.
+/// In a hollow arc the nose's centre runs inside: on 41 mm less 1 mm.
+/// As a convex one the same table would act 2 mm beside it.
 #[test]
 fn a_hollow_arcs_table_acts_where_the_nose_runs_inside() {
     let hollow = PartTable { radius_mm: Some(41.0), hollow: true, ..part(["z", "x"]) };
@@ -107,8 +109,8 @@ fn a_hollow_arcs_table_acts_where_the_nose_runs_inside() {
     assert!(said.contains("expected one that fits into it"), "{said}");
 }
 
-/// A taper of 30° from Z 100, X 20 on, 40 mm long, probed every 10 mm. Its corrections by hand: n = (−sin 30°, cos 30°) in Z and X,
-/// the nose's centre 1 mm outside.
+/// A taper of 30° from Z 100, X 20 on, 40 mm long, probed every 10 mm.
+/// Its corrections by hand: n = (−sin 30°, cos 30°) in Z and X, the nose's centre 1 mm outside.
 #[test]
 fn a_straight_features_table_acts_along_it_and_fades_beyond_its_ends() {
     let (sin, cos) = (0.5, 0.75_f64.sqrt());
@@ -251,8 +253,8 @@ fn follow(bench: &mut Bench, axis: usize, commanded: i64, ticks: usize) -> usize
     changes
 }
 
-/// The MTC counts what is inserted at once; the drive makes room for it a little later. Neither is a turn, then or when the
-/// insertion is long past.
+/// The MTC counts what is inserted at once.
+/// The drive makes room for it a little later. Neither is a turn, then or when the insertion is long past.
 #[test]
 fn a_direction_is_turned_by_the_axis_not_by_our_own_insertions() {
     for (um, back) in [(40.0, 30), (40.0, 10), (20.0, 25), (60.0, 7), (12.0, 14)] {
@@ -298,7 +300,7 @@ fn homing_keeps_the_direction_of_the_last_motion() {
     assert_eq!(bench.status.axes[1].requested, 20);
 }
 
-/// What no motion asks for is a ramp: coolant that comes on, and a law that was not asked for ten seconds.
+/// A change that no motion asks for is a ramp: coolant that comes on, or ten seconds without a call.
 #[test]
 fn what_no_motion_asks_for_is_never_a_jump() {
     let mut bench = Bench::of(5.0, 1000.0, vec![sensor("wet", Role::Coolant)]);
@@ -322,7 +324,7 @@ fn what_no_motion_asks_for_is_never_a_jump() {
     assert!(bench.z() <= 6, "{} after a stall", bench.z());
 }
 
-/// Other axes move, the sensors tremble: the axis that stands is not sent back and forth.
+/// An axis that stands is not sent back and forth by other axes' motion or the sensors' noise.
 #[test]
 fn noise_of_the_sensors_passes_no_count_while_another_axis_moves() {
     let mut bench = Bench::new();
@@ -400,7 +402,7 @@ fn outside_its_range_a_correction_fades_and_says_so() {
     assert!((total - sum).abs() < 1e-9);
 }
 
-/// Whoever asks why an axis moved is told which sensors said so, how far outside its range a fit is used, and what is left of it.
+/// The explanation names the sensors, how far outside its range a fit is used, and the residual.
 #[test]
 fn a_part_is_explained_with_its_sensors_and_what_is_left_of_it() {
     let mut bench = Bench::new();
@@ -427,7 +429,7 @@ fn a_part_is_explained_with_its_sensors_and_what_is_left_of_it() {
     }
 }
 
-/// Temperatures as a log and as they come: a restart in the middle gives the same correction as none.
+/// After a restart in the middle, temperatures from the log give the same correction as without one.
 #[test]
 fn a_restart_knows_the_heat_from_the_log_or_holds() {
     let degc = |t: f64| {
@@ -503,7 +505,8 @@ fn a_model_that_reads_what_the_machine_has_not_is_refused_by_name() {
     assert!(bench.corrector.shown().unwrap().notes[0].contains("no [[sensor]] of role coolant"));
 }
 
-/// Whoever loads it has been asked; one that ends while it runs has not been meant, and says so once.
+/// Whoever loads it has been asked.
+/// One that ends while it runs has not been meant, and says so once.
 #[test]
 fn a_model_that_ends_while_it_runs_goes_on_and_is_known_to_have_ended() {
     let fit = "[[fit]]\nresponse = \"error.x\"\ndate = \"1970-01-01\"\nvalid_until = \"1970-01-11\"\n\

@@ -1,4 +1,4 @@
-//! A rehearsal by hand: shifts of a few rows, whose totals, shares and speeds are known beforehand.
+//! Rehearsals of a few rows whose totals, shares and speeds are known by hand.
 
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
@@ -48,8 +48,9 @@ fn axis<'r>(found: &'r Rehearsal, name: &str) -> &'r AxisChange {
     found.axes.iter().find(|a| a.axis == name).unwrap()
 }
 
-/// 400 mm in a second between two rows, there and back: 20 µm by the present model and 40 by the new one. 80 counts are more than
-/// a window, so the law must be asked between the rows; and the clock of the shift begins late.
+/// The axis goes 400 mm in a second between two rows, and back.
+/// The present model asks for 20 µm and the new one for 40 µm. The law must be called between the rows, because 80
+/// counts are more than a window. The shift's clock starts late.
 #[test]
 fn what_changes_is_said_in_micrometres_when_and_how_fast() {
     let t_s = vec![500.0, 501.0, 502.0, 502.0, 503.0];
@@ -77,7 +78,7 @@ fn a_change_has_its_sign() {
     assert_eq!((x.largest_um, x.change_um, x.change_at_s), ([20.0, 20.0], -40.0, 2.0));
 }
 
-/// Five kelvin between two rows: the ramp takes as long as it takes, over rows that are two seconds apart.
+/// Five kelvin between two rows: the ramp continues over rows that are two seconds apart.
 #[test]
 fn between_the_rows_a_ramp_sees_the_time_that_passes() {
     let rows = 12;
@@ -99,8 +100,9 @@ fn between_the_rows_a_ramp_sees_the_time_that_passes() {
     assert!((z.fastest_um_per_s - RAMP_UM_S).abs() <= 0.5, "{}", z.fastest_um_per_s);
 }
 
-/// A machine that is warm at the first row: four lags of five seconds pass before its heat is known, ten rows of thirty. Then the
-/// difference leaves the range it was fitted on for six rows.
+/// The machine is warm at the first row.
+/// Its heat is known after four lags of five seconds, which is ten rows of thirty. The difference then leaves its
+/// fitted range for six rows.
 #[test]
 fn rows_that_hold_and_rows_outside_are_shares() {
     let rows = 30;
@@ -124,7 +126,7 @@ fn rows_that_hold_and_rows_outside_are_shares() {
     assert!(found.outside.len() == 1 && (share - 6.0 / 30.0).abs() < 1e-9, "{:?}", found.outside);
 }
 
-/// As many axes as the engine has, each once: those of the shift and those that only a model knows.
+/// The axes of shift and models count once each, and are at most the engine's number of axes.
 #[test]
 fn axes_of_shift_and_models_are_counted_once_and_are_no_more_than_the_engines() {
     let names = ["x", "y", "z", "u", "v", "w", "p"];

@@ -1,5 +1,6 @@
-//! What the law says of itself: what a model would change, what a total is made of, whether it is on its way; and what it says of
-//! a model that it cannot follow.
+//! What the law reports of itself.
+//! It reports what a model would change, the parts of a total, whether a total is on its way, and why it cannot
+//! follow a model.
 
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
@@ -60,8 +61,8 @@ fn of(bench: &Bench, n: usize, name: &str) -> f64 {
     parts(bench, n).into_iter().find(|p| p.0 == name).map_or(0.0, |p| p.1)
 }
 
-/// A table, an operator's total and a model's error on one axis, time on another: the preview says in counts and µm what then
-/// comes to pass, and of what it is made.
+/// The preview gives, in counts and µm, what then happens and its parts.
+/// One axis has a table, an operator's total and a model's error, the other depends on time.
 #[test]
 fn what_a_preview_says_comes_to_pass() {
     let mut bench = fine(0.0);
@@ -133,7 +134,8 @@ fn an_axis_has_settled_when_nothing_is_on_its_way_any_more() {
     assert!(!settled(&bench, 2) && goal(&bench, 2) == 6 && bench.z() == 6);
 }
 
-/// Time counts from the daemon's start, however early the model is asked; and for a captured point too.
+/// Time counts from the daemon's start, however early the model is asked.
+/// And for a captured point too.
 #[test]
 fn a_models_clock_begins_with_the_daemon() {
     for lead_s in [0.0, 0.02] {
@@ -153,7 +155,7 @@ fn a_models_clock_begins_with_the_daemon() {
     }
 }
 
-/// With no lead the model is asked for the axes as they are: a slowing one is not taken for slower than it was seen.
+/// Without a lead the model is evaluated at the speed that was seen, even if the axis slows down.
 #[test]
 fn without_a_lead_an_axis_that_slows_down_has_the_speed_that_was_seen() {
     let mut bench = Bench::new();
@@ -207,7 +209,7 @@ fn effects_of_two_axes_act_where_their_law_says() {
     }
 }
 
-/// A joint that grows along Z and X with one temperature difference, and effects beside it.
+/// A joint that grows along Z and X with one temperature difference, and other effects.
 fn chained(sensor: &str, effects: &str) -> Machine {
     let chain = format!(
         "tool_mm = [0.0, 0.0, 0.0]\n[[joint]]\nname = \"head\"\nbranch = \"tool\"\n\
@@ -295,7 +297,8 @@ fn an_axis_waits_for_its_own_sensors_only() {
     assert!(lost(&why, "x", "rpm"), "{why:?}");
 }
 
-/// While a lag is not known nothing of its axis is followed; when it is, all of it begins as a ramp, that of its place too.
+/// While a lag is not known nothing of its axis is followed.
+/// When it is, all of it begins as a ramp, that of its place too.
 #[test]
 fn an_axis_that_may_follow_again_begins_with_a_ramp() {
     let mut bench = Bench::of(5.0, 1300.0, Vec::new());
@@ -308,7 +311,7 @@ fn an_axis_that_may_follow_again_begins_with_a_ramp() {
     assert!(bench.z() > 140, "{}", bench.z());
 }
 
-/// A sensor that is heard again after its axis stood: what the ramp has still to go is said to be on its way.
+/// A sensor returns after its axis stood: the rest of the ramp is reported as on its way.
 #[test]
 fn what_a_sensor_asks_for_that_is_back_is_on_its_way() {
     let mut bench = Bench::new();
@@ -323,8 +326,8 @@ fn what_a_sensor_asks_for_that_is_back_is_on_its_way() {
     assert!((-30.0..-20.0).contains(&left_um), "{:?}", parts(&bench, 2));
 }
 
-/// The arc's place is the part's origin and the arc's centre in it; between probed points without an error the table acts, by
-/// nothing.
+/// The arc's place is the part's origin and the arc's centre in it.
+/// Between probed points without an error the table acts, by nothing.
 #[test]
 fn a_part_tables_arc_is_where_the_part_is_clamped() {
     let wanted = PartTable { centre_mm: Some([10.0, 20.0]), origin_mm: [100.0, 200.0], ..part(["z", "x"]) };
@@ -341,7 +344,7 @@ fn a_part_tables_arc_is_where_the_part_is_clamped() {
     assert_eq!((seen(0.0), seen(1.0)), ([10.0, 0.0], [0.0; 2]));
 }
 
-/// A tool that is at the arc in the table's lead is asked for there already, though it is 20 mm away.
+/// The table's lead makes it act at the arc while the tool is still 20 mm away.
 #[test]
 fn a_part_table_acts_before_the_tool_is_there() {
     let mut bench = Bench::new();

@@ -12,7 +12,8 @@ use rtec_files::file_kind::FileKind;
 use rtec_files::toml::{Document, Entry, Table};
 use std::path::Path;
 
-/// The six components of a joint's error: displacements (µm) along x, y, z, rotations (µrad) about x, y, z.
+/// The six components of a joint's error.
+/// They are displacements (µm) along x, y, z, and rotations (µrad) about x, y, z.
 pub const COMPONENTS: [&str; 6] = ["dx", "dy", "dz", "ex", "ey", "ez"];
 
 /// Which end of the machine a joint carries.
@@ -27,7 +28,8 @@ pub enum Branch {
 /// One term of a component: coefficient · (p/100 mm)^i · ΔT^j.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Term {
-    /// Power of the position in units of 100 mm, so that coefficients keep the component's order of magnitude.
+    /// Power of the position in units of 100 mm.
+    /// Coefficients so keep the component's order of magnitude.
     pub position: u8,
     /// Power of the temperature difference, K.
     pub temperature: u8,
@@ -46,15 +48,16 @@ pub struct Component {
     pub terms: Vec<Term>,
 }
 
-/// A joint: a frame fixed at an offset from the one before, moved along an axis, with its errors.
+/// A joint: a frame at an offset from the one before.
+/// It moves along an axis and has errors.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Joint {
     /// The joint's name.
     pub name: String,
     /// The branch of the chain that it belongs to.
     pub branch: Branch,
-    /// The axis whose position moves it, with the direction in the machine's frame; none for a joint at rest
-    /// (spindle, tool post).
+    /// The axis whose position moves it, with the direction in the machine's frame.
+    /// None for a joint at rest (spindle, tool post).
     pub axis: Option<(Axis, [f64; 3])>,
     /// Offset from the frame before, mm.
     pub offset_mm: [f64; 3],
@@ -78,7 +81,7 @@ pub(crate) struct JointPlaces<A, S> {
     deltas: Vec<Option<DifferenceSource<S>>>,
 }
 
-/// Where a difference's sensors are found, and what is taken off where there is only one.
+/// Where a difference's sensors are, and what is subtracted if there is only one.
 #[derive(Debug, Clone)]
 struct DifferenceSource<S> {
     sensor: S,
@@ -134,7 +137,8 @@ fn cross([a, b, c]: [f64; 3], [x, y, z]: [f64; 3]) -> [f64; 3] {
     [b * z - c * y, c * x - a * z, a * y - b * x]
 }
 
-/// The transform of a displacement (mm) and small rotations (rad): exact to the first order, as the method has it.
+/// The transform of a displacement (mm) and small rotations (rad).
+/// It is exact to the first order, as in the method.
 #[must_use]
 pub fn transform(displacement_mm: [f64; 3], rotation_rad: [f64; 3]) -> Transform {
     let [a, b, c] = rotation_rad;
@@ -166,7 +170,7 @@ impl Chain {
         roles.filter(|role| record.data(role).is_none()).collect()
     }
 
-    /// The same chain with its tool point moved, mm along x, y, z: where a gauge stands.
+    /// The same chain with its tool point moved to a gauge's place, mm along x, y, z.
     #[must_use]
     pub fn with_tool_moved(&self, by_mm: [f64; 3]) -> Self {
         let mut moved = self.clone();
@@ -243,7 +247,8 @@ impl Chain {
         end
     }
 
-    /// Looks up once what it reads: where each joint's axis and the sensors of each component's difference are found.
+    /// Looks up once what the chain reads.
+    /// It finds each joint's axis and the sensors of each component's difference.
     pub(crate) fn places<A, S>(
         &self,
         axis: impl Fn(&Axis) -> Option<A>,
@@ -264,8 +269,8 @@ impl Chain {
         self.joints.iter().map(joint).collect()
     }
 
-    /// [`Chain::error_um`] with what [`Chain::places`] found: positions in mm and temperatures in °C by their places. What has
-    /// no place is zero.
+    /// [`Chain::error_um`] with the places that [`Chain::places`] found.
+    /// Positions (mm) and temperatures (°C) are given by place. A value without a place is zero.
     pub(crate) fn error_at_um<A, S>(
         &self,
         places: &[JointPlaces<A, S>],
@@ -312,7 +317,8 @@ impl Chain {
         Ok(Self { joints, tool_mm })
     }
 
-    /// Adds the chain's errors to the error responses x, y and z of a record, or to the radial one of a circle, row by row.
+    /// Adds the chain's errors to a record's responses, row by row.
+    /// Responses are the errors x, y and z, or the radial one of a circle.
     ///
     /// The position of an axis that the record does not log is zero ([`Chain::taken_as_zero`]).
     ///

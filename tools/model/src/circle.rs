@@ -27,7 +27,7 @@ pub(crate) struct Derived {
     pub(crate) columns: Vec<Column>,
 }
 
-/// A sine or cosine below this is an axis that turns back: its velocity there is zero but for rounding.
+/// An axis whose sine or cosine is below this reverses: its velocity there is zero.
 const AT_REST: f64 = 1e-9;
 
 impl Circle {
@@ -65,8 +65,9 @@ impl Circle {
     }
 }
 
-/// Angular velocity at every row, in radians per unit of time: the mean of the steps before and behind it. Where the two differ by more than
-/// half, one of them is no motion (a pause or a jump between two circles): the one nearer the run's usual rate stands. Where the clock's steps are
+/// Angular velocity at every row, radians per unit of time.
+/// It is the mean of the steps before and after the row. Where the two differ by more than half, one of them is a
+/// pause or a jump between two circles. The one nearer the run's usual rate is then used. If the clock's steps are
 /// coarse against the rows, more rows are taken.
 #[must_use]
 pub fn rates(angle: &[f64], time_s: &[f64]) -> Vec<f64> {
@@ -126,7 +127,8 @@ fn same_rate(a: f64, b: f64) -> bool {
     (a - b).abs() <= 0.55 * a.abs().max(b.abs())
 }
 
-/// The step of a coarse clock, s: all times are multiples of it, and rows are less than 100 of it apart.
+/// The step of a coarse clock, s.
+/// All times are multiples of it, and rows are less than 100 steps apart.
 #[must_use]
 pub fn tick(time_s: &[f64]) -> Option<f64> {
     let steps: Vec<f64> = time_s.windows(2).map(|w| w[1] - w[0]).filter(|h| *h > 0.0).collect();
@@ -207,7 +209,7 @@ mod tests {
         }
     }
 
-    /// A bug once: the pause between both ways, in the record's middle, passed for the usual step, and the clock for a fine one.
+    /// Regression: a pause between both ways passed for the usual step, and the clock for a fine one.
     #[test]
     fn a_pause_in_the_middle_hides_no_coarse_clock() {
         for pause_s in [0.0, 3.0, 60.0] {
@@ -224,7 +226,7 @@ mod tests {
         }
     }
 
-    /// A bug once: rows that came faster than their clock stepped had no rate, or one of a third too much.
+    /// Regression: rows faster than their clock had no rate, or one of a third too much.
     #[test]
     fn rows_faster_than_their_clock_have_the_rate_of_the_path() {
         for row_s in [0.001, 0.004, 0.0065, 0.0099, 0.016] {

@@ -1,4 +1,5 @@
-//! Clocks that do not begin with the run: times as ISO 8601 or a German spreadsheet writes them, times of the day, Unix times.
+//! Clocks that do not begin with the run.
+//! Times are in ISO 8601, as a German spreadsheet writes them, times of the day, or Unix times.
 
 use crate::date;
 
@@ -42,7 +43,7 @@ pub fn absolute_ns(text: &str) -> [Option<i128>; 2] {
     read().unwrap_or_default()
 }
 
-/// What dates with slashes show of their order: one of them has a day that is no month.
+/// The order of dates with slashes, if one of them has a day above 12.
 #[must_use]
 pub fn slash_order<'t>(texts: impl IntoIterator<Item = &'t str>) -> Option<SlashOrder> {
     texts.into_iter().find_map(|text| match absolute_ns(text) {
@@ -52,7 +53,8 @@ pub fn slash_order<'t>(texts: impl IntoIterator<Item = &'t str>) -> Option<Slash
     })
 }
 
-/// A time of the day with two digits of its hour, from 0 to 23: `9:05:07 PM` is 21:05:07.
+/// A time of the day on the 24-hour clock with two digits of its hour.
+/// `9:05:07 PM` gives 21:05:07.
 fn clock_of_24_hours(text: &str) -> Option<String> {
     let text = text.trim();
     let two_digits =
@@ -68,10 +70,12 @@ fn clock_of_24_hours(text: &str) -> Option<String> {
     Some(format!("{hour:02}{}", &clock[2..]))
 }
 
-/// A column of dates or of times of the day, which go on past midnight: nanoseconds since its first row.
+/// A column of dates or of times of the day: nanoseconds since its first row.
+/// Times of the day continue past midnight.
 #[derive(Debug, Default)]
 pub struct Moments {
-    /// The first row's time in both readings of [`absolute_ns`], as far as the rows leave them, and as it is written.
+    /// The first row's time as written, and in both readings of [`absolute_ns`].
+    /// A reading is dropped when a row rules it out.
     start: Option<([Option<i128>; 2], String)>,
     /// Of times of the day: midnights so far, and the last time.
     of_day: Option<(i128, i128)>,
@@ -85,8 +89,8 @@ impl Moments {
         Self { order, ..Self::default() }
     }
 
-    /// Nanoseconds from the first time to this one; none where it is not written as that one, or where it has two readings that
-    /// no row tells apart.
+    /// Nanoseconds from the first time to this one.
+    /// None where it is not written as that one, or where it has two readings that no row tells apart.
     pub fn since_start(&mut self, text: &str) -> Option<i128> {
         if self.start.is_none() {
             let mut first = self.read(text);
@@ -151,7 +155,7 @@ impl Moments {
     }
 }
 
-/// What to write instead of a cell that looks like a date or a time of the day and is none that can be read.
+/// What to write instead of a cell that resembles a date or time but cannot be read.
 #[must_use]
 pub fn expected_instead(text: &str) -> Option<&'static str> {
     let is_part = |c: char| c.is_ascii_digit() || ":/.-+ TZtzAPMapm,".contains(c);
@@ -221,13 +225,15 @@ pub fn iso8601_ns(text: &str) -> Option<i128> {
 /// Units of a clock, and how many make a second.
 const UNITS: [(&str, f64); 4] = [("s", 1.0), ("ms", 1e3), ("us", 1e6), ("ns", 1e9)];
 
-/// From 2000 to 2100, s since 1970: no counter of a machine's own has run for thirty years.
+/// From 2000 to 2100, s since 1970: no machine's own counter has run for thirty years.
 const UNIX_S: [f64; 2] = [946_684_800.0, 4_102_444_800.0];
 
-/// Seconds from 1904-01-01, the zero of `LabVIEW` and of old Macintoshes, to 1970-01-01.
+/// Seconds from 1904-01-01, the zero of `LabVIEW`, to 1970-01-01.
+/// Old Macintoshes have the same zero.
 const SINCE_1904_S: f64 = 2_082_844_800.0;
 
-/// Steps of Windows' FILETIME in a second, and seconds from its zero, 1601-01-01, to 1970-01-01.
+/// Steps of Windows' FILETIME in a second.
+/// Then the seconds from its zero, 1601-01-01, to 1970-01-01.
 const FILETIME_PER_S: f64 = 1e7;
 const FILETIME_ZERO_S: f64 = 11_644_473_600.0;
 
@@ -247,7 +253,8 @@ pub struct Counted {
     pub day: String,
 }
 
-/// A Unix time between 2000 and 2100, in any unit; Windows' FILETIME of those years; or seconds since 1904 where that Unix time has not come yet. `None` for what is
+/// A Unix time between 2000 and 2100, in any unit.
+/// Windows' FILETIME of those years; or seconds since 1904 where that Unix time has not come yet. `None` for what is
 /// neither.
 #[must_use]
 pub fn counted(time: f64) -> Option<Counted> {
@@ -289,7 +296,8 @@ pub fn spreadsheet_in_s(times: &[f64]) -> Option<String> {
     spreadsheet(first).filter(|_| dates).map(|c| c.day)
 }
 
-/// The unit of a Unix time between 2000 and 2100, and its day; `None` for what is none.
+/// The unit of a Unix time between 2000 and 2100, and its day.
+/// `None` for what is none.
 #[must_use]
 pub fn unix(time: f64) -> Option<(&'static str, String)> {
     let (unit, per_s) = UNITS.into_iter().find(|(_, per_s)| {

@@ -1,6 +1,7 @@
 //! Calendar days, for what a model says about its age.
 
-/// Days since 1970-01-01 of a day as ISO 8601 (`2026-05-01`); `None` where it is none.
+/// Days since 1970-01-01 of a day as ISO 8601 (`2026-05-01`).
+/// `None` where it is none.
 #[must_use]
 pub fn parse(text: &str) -> Option<i64> {
     let (head, tail) = (text.get(..10)?, text.get(10..)?);

@@ -1,4 +1,5 @@
-//! The machine model: what is known about a machine's errors, for simulation, live compensation and reconciliation.
+//! The machine model: what is known about a machine's errors.
+//! It serves simulation, live compensation and reconciliation.
 //!
 //! | module | what |
 //! |---|---|

@@ -1,4 +1,5 @@
-//! What a value can be at all, by its role; and what a temperature input reads while no sensor is on it.
+//! What a value can be at all, by its role.
+//! And what a temperature input reads while no sensor is on it.
 
 use crate::role::Role;
 
@@ -32,7 +33,7 @@ pub fn possible(role: &Role) -> [f64; 2] {
 struct Disconnected {
     value: f64,
     why: &'static str,
-    /// A machine can have this temperature too: other readings must say that it has not.
+    /// A machine can also have this temperature, so other readings must rule it out.
     real: bool,
 }
 

@@ -19,7 +19,7 @@ use crate::effect::{
 use crate::machine::Machine;
 use crate::record::Axis;
 
-/// Where the values of a [`Frame`] stand: names of axes, sensors and channels, in the frame's order.
+/// The order of a [`Frame`]'s values: names of axes, sensors and channels.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Layout {
     /// Names of the axes.
@@ -111,7 +111,7 @@ struct Reading {
 struct Item {
     effect: Effect,
     coefficients: Vec<f64>,
-    /// Where it is one coefficient times a function of what is read, on one axis, weighed by nothing: those two.
+    /// The basis and its coefficient, if the effect is just their product on one axis.
     quick: Option<(Basis, f64)>,
     /// Which of the readings is its own.
     reading: usize,
@@ -126,7 +126,7 @@ struct Item {
     state: State,
     /// What each component is worth now.
     now: [f64; 2],
-    /// How far ΔT is outside the range it was fitted on, K, and what is left of the effect for it.
+    /// How far ΔT is outside its fitted range, K, and the share of the effect left.
     outside_k: f64,
     weight: f64,
 }
@@ -148,7 +148,7 @@ pub struct Part<'l> {
 #[derive(Debug, Clone)]
 struct LiveChain {
     chain: Chain,
-    /// Of each joint: its axis among the layout's, the sensors of its components' differences.
+    /// Per joint: its axis in the layout, and the sensors of its components' differences.
     places: Vec<JointPlaces<usize, usize>>,
     /// Places of the axes x, y, z.
     out: [Option<usize>; 3],
@@ -165,7 +165,8 @@ pub struct Live {
     items: Vec<Item>,
     chain: Option<LiveChain>,
     scratch: Vec<f64>,
-    /// Errors of the layout's axes, µm; their forces, N; the radial error; what acts on no axis of the layout.
+    /// Errors of the layout's axes, µm.
+    /// Their forces, N; the radial error; what acts on no axis of the layout.
     sums: Vec<f64>,
 }
 
@@ -421,7 +422,7 @@ impl Reading {
 }
 
 impl Item {
-    /// What is left of a value outside the range that it was fitted on, or while nothing is probed.
+    /// The value that is left outside the fitted range, or while nothing is probed.
     fn weigh(&mut self, value: f64, first: f64, delta_k: f64, probing: bool) -> f64 {
         self.fade(value, first, delta_k);
         if self.probing_only && !probing { 0.0 } else { value * self.weight }
@@ -495,7 +496,8 @@ mod tests {
         assert!(at(60.0).0.abs() < 0.01);
     }
 
-    /// Two lags that nearly cancel, as fits find them: a little beyond the range of one, fading takes no more than is unknown there.
+    /// Two lags nearly cancel, as in fits.
+    /// A little beyond the range of one, fading removes no more than is unknown there.
     #[test]
     fn fading_takes_less_than_is_unknown() {
         let effect = |sensor: &str, gain: f64, hi: f64| {

@@ -33,7 +33,8 @@ pub struct Record {
     pub note: Option<String>,
     /// How its CSV is written where that is unusual: decimal commas, semicolons, UTF-16.
     pub written: Option<String>,
-    /// The name of the gauges' zero, which records of one name share; without one it is the record's own.
+    /// The name of the gauges' zero, which records of one name share.
+    /// Without one it is the record's own.
     pub zero: Option<String>,
     /// Where the axis of a positioning run turned back; `None` where nobody said.
     pub turns: Option<Turns>,
@@ -42,7 +43,8 @@ pub struct Record {
     time_s: Vec<f64>,
     /// Rows before its first one in the record that it is a piece of.
     first_row: usize,
-    /// Of a record whose rows were selected: the place of each among those of the file; empty where it has them all.
+    /// Of a record whose rows were selected: the place of each among those of the file.
+    /// Empty where it has them all.
     selected: Vec<usize>,
     /// For a circle measured by a bar: which, and what follows from its angle.
     circle: Option<(Circle, Derived)>,
@@ -327,7 +329,8 @@ impl Record {
         })
     }
 
-    /// A record of some rows only, in the given order, for cross-validation; the time stays each row's own.
+    /// A record of some rows only, in the given order, for cross-validation.
+    /// The time stays each row's own.
     ///
     /// # Panics
     /// When a row is out of range.

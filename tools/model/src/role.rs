@@ -259,7 +259,8 @@ pub struct Column {
 }
 
 impl Column {
-    /// Values in the role's own unit; a role that has none (a channel) leaves the unit empty.
+    /// Values in the role's own unit.
+    /// A role that has none (a channel) leaves the unit empty.
     #[must_use]
     pub fn new(name: &str, role: Role, data: Vec<f64>) -> Self {
         Self { name: name.to_owned(), unit: role.unit().unwrap_or_default().to_owned(), role, data }

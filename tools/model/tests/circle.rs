@@ -19,7 +19,8 @@ fn circle(radius_mm: f64) -> Circle {
     Circle { radius_mm, plane: [Axis::new("x").unwrap(), Axis::new("y").unwrap()], centre_mm: None }
 }
 
-/// Two turns counter-clockwise, a pause, two turns back; rows fall between the quadrants.
+/// Two turns counter-clockwise, a pause, two turns back.
+/// Rows fall between the quadrants.
 fn angles() -> Vec<(f64, f64, f64)> {
     let step = 2.0 * TAU / ROWS as f64 * 2.0;
     let half = ROWS / 2;

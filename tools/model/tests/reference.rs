@@ -1,4 +1,5 @@
-//! The guide's page of effects, made from the dictionary; `RTEC_BLESS=1` writes it anew.
+//! The guide's page of effects, made from the dictionary.
+//! `RTEC_BLESS=1` writes it anew.
 
 #![allow(clippy::unwrap_used)]
 

@@ -70,8 +70,9 @@ const LOOK: Duration = Duration::from_millis(40);
 
 type Done<T> = std::thread::Result<Option<(Result<T, Failure>, Vec<String>)>>;
 
-/// Works in a thread of its own, without the interpreter's lock. Ctrl-C, or an error of the hook `rtec.progress`, ends the call at
-/// once; what works for it ends at its next step. What was said is given with the answer, and stands in the notes of an error.
+/// Works in a thread of its own, without the interpreter's lock.
+/// Ctrl-C, or an error of the hook `rtec.progress`, ends the call at once; what works for it ends at its next step.
+/// What was said is given with the answer, and stands in the notes of an error.
 pub(crate) fn work<T: Send + 'static>(
     py: Python<'_>,
     of: impl FnOnce(&mut dyn FnMut(Said)) -> Result<T, Failure> + Send + 'static,

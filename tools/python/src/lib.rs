@@ -1,5 +1,5 @@
-//! The libraries from Python: what crosses the border, and nothing else. Every answer is the library's; the shapes that a
-//! reader of Python expects are made in `python/rtec`.
+//! The libraries from Python: what crosses the border, and nothing else.
+//! Every answer is the library's; the shapes that a reader of Python expects are made in `python/rtec`.
 //!
 //! Each function gives documents as the text that `rtecctl … --json` prints, arrays as numpy's, and last the lines that are
 //! said on the way. Rust works without the interpreter's lock.

@@ -85,7 +85,8 @@ impl Machine {
         quietly(py, move || Ok(serde_json::to_string_pretty(&inner.to_json())?))
     }
 
-    /// Predicted response of every row, by the response's column name; and what was said.
+    /// Predicted response of every row, by the response's column name.
+    /// And what was said.
     fn predict<'py>(&self, py: Python<'py>, record: &Record) -> PyResult<(Predicted<'py>, Vec<String>)> {
         let (machine, record) = (self.inner.clone(), record.inner.clone());
         let (columns, said) =
@@ -103,7 +104,8 @@ impl Machine {
         work(py, move |say| Ok(rtec_measure::prediction::csv(&machine, &record, interval, say)?))
     }
 
-    /// Half width of the 95 % interval at every row, µm; none where no fit of the response states one for such a run.
+    /// Half width of the 95 % interval at every row, µm.
+    /// None where no fit of the response states one for such a run.
     fn half_widths_um<'py>(
         &self,
         py: Python<'py>,

@@ -6,7 +6,8 @@ use std::os::unix::fs::OpenOptionsExt;
 use std::path::Path;
 use std::time::{SystemTime, UNIX_EPOCH};
 
-/// An archive that is being written. Without [`Archive::finish`] nothing of it stays.
+/// An archive that is being written.
+/// Without [`Archive::finish`] nothing of it stays.
 pub(crate) struct Archive<'p> {
     path: &'p Path,
     tar: Option<tar::Builder<File>>,

@@ -63,7 +63,8 @@ impl Daemon {
         Client::connect_to(&[&sockets[0].path, &sockets[1].path, &sockets[2].path]).map_err(unreachable)
     }
 
-    /// Connects by the socket that only shows; where this user may not use it, by another.
+    /// Connects by the socket that only shows.
+    /// Where this user may not use it, by another.
     pub(crate) fn view(&self) -> anyhow::Result<Client> {
         let sockets = self.control()?.sockets();
         Client::connect_to(&[&sockets[2].path, &sockets[1].path, &sockets[0].path]).map_err(unreachable)
@@ -81,7 +82,8 @@ impl Daemon {
         told.map_or_else(|| Ok(self.control()?.log_path()), Ok)
     }
 
-    /// Asks, and prints the answer where JSON is wanted. Anything but "done" is an error with its exit code.
+    /// Asks, and prints the answer where JSON is wanted.
+    /// Anything but "done" is an error with its exit code.
     pub(crate) fn ask(&self, request: &ClientRequest) -> anyhow::Result<Response> {
         self.ask_with(request, &[])
     }
@@ -117,8 +119,8 @@ pub(crate) fn open(file: &Path) -> Result<File, InputError> {
     rtec_files::text::open_regular(file)
 }
 
-/// A user's file as the daemon finds it, which has a directory of its own. One that is not there is the daemon's to
-/// refuse, by the name as it was given.
+/// A user's file as the daemon finds it, which has a directory of its own.
+/// One that is not there is the daemon's to refuse, by the name as it was given.
 pub(crate) fn absolute(file: &Path) -> String {
     file.canonicalize().unwrap_or_else(|_| file.to_owned()).display().to_string()
 }
@@ -134,7 +136,8 @@ pub(crate) fn observe(client: &mut Client, events_after: Option<u64>) -> anyhow:
     }
 }
 
-/// "Done", a status or an event; anything else as the error that it is. What is not as it was meant is said.
+/// "Done", a status or an event; anything else as the error that it is.
+/// What is not as it was meant is said.
 pub(crate) fn check(response: Response) -> anyhow::Result<Response> {
     if let Response::Done { warnings, .. } = &response {
         for warning in warnings {

@@ -16,7 +16,8 @@ const DOORS: [(&str, &str); 5] = [
     ("anyone", "looks round: no hardware, no daemon"),
 ];
 
-/// Exit codes of verbs that ask the daemon; of verbs that judge something; of verbs that only read files.
+/// Exit codes of verbs that ask the daemon.
+/// Of verbs that judge something; of verbs that only read files.
 const ASKS: &str = "0 done; 1 refused; 2 bad usage; 3 no daemon; 4 a fault is latched";
 const SHOWS: &str = "0 shown; 2 bad usage; 3 no daemon";
 const JUDGES: &str = "0 yes; 1 no; 2 bad input or usage";
@@ -160,7 +161,8 @@ pub(crate) fn command() -> Command {
         .after_help(list)
 }
 
-/// The command line with this verb alone, to take its words; none where there is no such verb.
+/// The command line with this verb alone, to take its words.
+/// None where there is no such verb.
 pub(crate) fn command_of(verb: &str) -> Option<Command> {
     let own = crate::Verb::described(verb)?;
     Some(crate::with_negative_values(Command::new("rtecctl").subcommand(own)))

@@ -219,8 +219,9 @@ fn main() -> ExitCode {
     ExitCode::from(exit_code(&error))
 }
 
-/// Prints to standard output. A reader that has gone away (`| head`) is no error: what is to be done goes on, and its exit
-/// code is what it would have been. Standard output that takes nothing for another reason ends the command.
+/// Prints to standard output.
+/// A reader that has gone away (`| head`) is no error: what is to be done goes on, and its exit code is what it would
+/// have been. Standard output that takes nothing for another reason ends the command.
 pub(crate) fn say(text: &str) {
     let line = progress::cleared();
     let mut out = std::io::stdout().lock();
@@ -263,7 +264,8 @@ pub(crate) fn exit_code(error: &anyhow::Error) -> u8 {
     1
 }
 
-/// Compares a text with a golden file of `tests/golden`; `RTEC_BLESS=1` writes it anew.
+/// Compares a text with a golden file of `tests/golden`.
+/// `RTEC_BLESS=1` writes it anew.
 #[cfg(test)]
 #[track_caller]
 pub(crate) fn golden(name: &str, text: &str) {

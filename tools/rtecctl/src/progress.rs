@@ -1,5 +1,5 @@
-//! The line that says how far a long computation is. It stands on standard error, on a terminal only, and goes when it has ended or
-//! anything else is printed.
+//! The line that says how far a long computation is.
+//! It stands on standard error, on a terminal only, and goes when it has ended or anything else is printed.
 
 use rtec_files::watch::Watch;
 use std::io::{IsTerminal as _, Write as _};
@@ -15,7 +15,8 @@ const RENEWED: Duration = Duration::from_millis(500);
 /// Whether the line is on the terminal now.
 static SHOWN: Mutex<bool> = Mutex::new(false);
 
-/// Takes the line away before anything else is printed. The guard keeps it away for as long.
+/// Takes the line away before anything else is printed.
+/// The guard keeps it away for as long.
 pub(crate) fn cleared() -> impl Drop {
     let mut shown = SHOWN.lock().unwrap_or_else(PoisonError::into_inner);
     if std::mem::take(&mut *shown) {

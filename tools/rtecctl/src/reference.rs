@@ -1,4 +1,5 @@
-//! The guide's page of verbs, made from the command line itself; `RTEC_BLESS=1` writes it anew.
+//! The guide's page of verbs, made from the command line itself.
+//! `RTEC_BLESS=1` writes it anew.
 
 use crate::help::{command, known};
 use clap::builder::StyledStr;

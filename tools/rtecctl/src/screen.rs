@@ -72,7 +72,8 @@ pub(crate) fn keys() -> io::Result<Vec<Key>> {
     }
 }
 
-/// The keys that a terminal sent. Arrows and function keys begin with an escape, and nothing here listens to them.
+/// The keys that a terminal sent.
+/// Arrows and function keys begin with an escape, and nothing here listens to them.
 fn keys_of(bytes: &[u8]) -> Vec<Key> {
     let text = String::from_utf8_lossy(bytes);
     let mut letters = text.chars().peekable();

@@ -26,7 +26,8 @@ pub(crate) fn colour() -> bool {
     std::io::stdout().is_terminal() && colours_are_wanted()
 }
 
-/// Columns of the terminal on standard output; none where it is none, or does not know its own.
+/// Columns of the terminal on standard output.
+/// None where it is none, or does not know its own.
 pub(crate) fn width() -> Option<u16> {
     let terminal = std::io::stdout().is_terminal();
     let size = terminal.then(terminal_size::terminal_size).flatten();

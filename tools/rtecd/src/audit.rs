@@ -1,5 +1,6 @@
-//! The record of commands, written by a thread of its own: the control side never waits for a disk, and one that is full
-//! or gone stops nothing. What could not be written is counted, and told by the first line that can be written again.
+//! The record of commands, written by its own thread.
+//! The control side never waits for a disk, and a full or missing disk stops nothing. Entries that could not be
+//! written are counted, and the next line that can be written reports them.
 //!
 //! | nobody fills it | by |
 //! |---|---|
@@ -21,19 +22,21 @@ use std::time::{Duration, Instant};
 const WAITING: usize = 1024;
 /// The same refusal to the same caller is one line in this time.
 const TOGETHER: Duration = Duration::from_secs(1);
-/// A simulated axis is asked where it stands many times a second: the same question of one caller is one line in this time.
+/// The time in which one caller's repeated question about a simulated axis is one line.
+/// Clients ask for its position many times a second.
 const LOOKING: Duration = Duration::from_secs(60);
-/// Different refusals of one user that are told apart at a time: whoever varies what is refused him would else write the
-/// record full, and what was in it is lost.
+/// How many kinds of refusal of one user are distinguished at a time.
+/// Otherwise a user who varies his requests could fill the record and push out what was in it.
 const KINDS: usize = 16;
-/// Lines that a user has at once, of refusals and of commands to operate; and how many a second come back.
+/// Lines that a user has at once, of refusals and of commands to operate.
+/// And how many a second come back.
 const BUDGET: f64 = 500.0;
 const BUDGET_PER_S: f64 = 0.1;
 /// Beyond its budget a user has a line of each verb in this time.
 const COUNTED: Duration = Duration::from_secs(600);
 /// Users whose budgets are known; those that are whole are forgotten first.
 const USERS: usize = 4096;
-/// Where the end of the record is anchored elsewhere, that is at least so often where lines were added.
+/// The longest time between two anchors of the record's end, if lines were added.
 const ANCHOR_EVERY: Duration = Duration::from_secs(24 * 3600);
 /// After a line that could not be written the next one is tried so much later.
 const RETRY: Duration = Duration::from_secs(1);
@@ -68,7 +71,7 @@ struct Repeated {
 enum Kind {
     Refused,
     Done,
-    /// Changes of mode, which whoever operates can bring about: of the machine, not of a user.
+    /// Changes of mode, which any operator can cause: they are the machine's, not a user's.
     Mode,
 }
 
@@ -175,8 +178,9 @@ impl Audit {
         self.budgets.entry((uid, kind)).or_insert(whole).takes(now)
     }
 
-    /// Records a command. A refusal that comes again and again is one line with its number, and so is a jog that asks for
-    /// nothing new: where a simulated axis stands, or what it is asked for already.
+    /// Records a command.
+    /// A repeated refusal is one line with its number. So is a jog that asks for nothing new: a simulated axis's
+    /// position, or a target already set.
     pub(crate) fn command(&mut self, command: Command) {
         let Command { by, request, result, text, before, after, model } = command;
         let looks = result == "done" && request["do"] == "jog";
@@ -268,7 +272,8 @@ impl Audit {
         LogState { lost: state.lost + self.lost, ..state }
     }
 
-    /// The end of the record, where it is to be said elsewhere now: at first, with each file that is full, and once a day.
+    /// The end of the record, if it must be published now.
+    /// That is at first, with each full file, and once a day.
     pub(crate) fn anchor(&mut self) -> Option<String> {
         let shared = lock(&self.shared);
         if shared.state.last_n == 0 {
@@ -373,7 +378,8 @@ struct Lost {
     began: String,
 }
 
-/// Writes lines, after one that tells of those that were lost before; counts those that could not be written.
+/// Writes lines, after one that tells of those that were lost before.
+/// Counts those that could not be written.
 fn write_batch(writers: &mut Writers, batch: Vec<Entry>, so_far: &mut Lost) -> std::io::Result<()> {
     let mut left = batch.len() as u64;
     let before = so_far.lines;
@@ -439,7 +445,7 @@ mod tests {
         assert!(verify(&path, &[]).unwrap().broken.is_empty());
     }
 
-    /// `commission` asks a simulated axis every 20 ms whether it is there: commands must be found between it.
+    /// `commission` asks a simulated axis every 20 ms whether it has arrived, and these must not hide commands.
     #[test]
     fn a_jog_that_is_asked_again_and_again_is_one_line_with_its_number_and_every_new_one_its_own() {
         let directory = tempfile::tempdir().unwrap();

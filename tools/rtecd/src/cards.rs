@@ -17,13 +17,14 @@ use rtec_sim::wires::MachineWires;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// Feed of the simulated axes: 20 mm/s, and not so fast that a process without real-time priority falls behind.
+/// Feed of the simulated axes, mm/s.
+/// It is slow enough for a process without real-time priority.
 const FEED_MM_S: f64 = 20.0;
 const FEED_COUNTS_S: f64 = 50_000.0;
 /// Points of all recorded traces together: they are held in memory, 16 bytes each.
 const MAX_POINTS: usize = 50_000_000;
 
-/// Who stands at the simulated machine: jogs its axes, and reads display and indicator.
+/// The person at the simulated machine, who jogs its axes and reads display and indicator.
 pub(crate) struct Stand {
     axes: Vec<(Arc<Truth>, Simulated)>,
     operator: Operator,
@@ -51,7 +52,8 @@ impl Stand {
     }
 }
 
-/// Axes that stand until they are homed and then go to and fro over a quarter of their travel, with a probe in the middle of the first one's stroke.
+/// Simulated axes that stand until they are homed.
+/// They then move to and fro over a quarter of their travel, with a probe in the middle of the first one's stroke.
 pub(crate) fn mock(config: &Config) -> (MockCard<MovingAxes, Monotonic>, Stand) {
     let motions: Vec<_> = config
         .axes
@@ -72,7 +74,7 @@ pub(crate) fn mock(config: &Config) -> (MockCard<MovingAxes, Monotonic>, Stand) 
     (MockCard::new(axes, Monotonic), stand)
 }
 
-/// The simulated turning centre of this file on the axes z and x, and the part it cuts on.
+/// The simulated turning centre of this file, with axes z and x, and its part.
 pub(crate) fn lathe(
     config: &Config,
     file: &Path,
@@ -101,7 +103,8 @@ struct Recorded {
     at: usize,
 }
 
-/// Recorded axes, played in real time from the first look on; after the last edge they stand still.
+/// Recorded axes, played in real time from the first look on.
+/// After the last edge they stand still.
 pub(crate) struct Recordings {
     axes: Vec<Recorded>,
     start_ns: Option<u64>,
@@ -124,7 +127,7 @@ impl Wires for Recordings {
         inputs
     }
 
-    /// Up to the next edge of any axis: late looks find the recording waiting, not torn.
+    /// Up to the next edge of any axis, so that late looks do not miss recorded edges.
     fn step_limit_ns(&self) -> u64 {
         let next = self.axes.iter().filter_map(|axis| {
             let next = axis.points.get(axis.at + 1)?;
@@ -157,8 +160,8 @@ pub(crate) fn replay(
     Ok(MockCard::new(Recordings { axes, start_ns: None, now_ns: 0 }, Monotonic))
 }
 
-/// A plain file (shared memory) drives nothing: whoever plays the card is another program. A device, or a PCI resource
-/// in sysfs, does.
+/// Whether the file may drive a machine.
+/// A plain file (shared memory) does not: another program plays the card. A device, or a PCI resource in sysfs, does.
 pub(crate) fn drives_a_machine(file: &Path) -> Result<bool, Failure> {
     let failed = |e: std::io::Error| Failure::Unreachable(format!("card {}: {e}", file.display()));
     let plain = std::fs::metadata(file).map_err(failed)?.is_file();

@@ -1,4 +1,5 @@
-//! One connection: who it is, what it has sent, what it has not read yet. Everything is bounded.
+//! One connection: who it is, what it has sent, what it has not read yet.
+//! Everything is bounded.
 
 use nix::cmsg_space;
 use nix::errno::Errno;
@@ -12,10 +13,11 @@ use std::os::unix::net::UnixStream;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-/// Unread answers that a client may leave lying, bytes. Beyond it nothing more is read from it, and a watcher is dropped.
+/// Unread answers that a client may leave lying, bytes.
+/// Beyond it nothing more is read from it, and a watcher is dropped.
 const MAX_UNREAD: usize = 256 * 1024;
-/// A client that says nothing whole for so long is dropped; watchers may be silent. One that reads nothing of its answers for so
-/// long is dropped, a watcher too.
+/// A client that says nothing whole for so long is dropped; watchers may be silent.
+/// One that reads nothing of its answers for so long is dropped, a watcher too.
 const IDLE: Duration = Duration::from_secs(30);
 /// The same on a reserved place.
 const IDLE_RESERVED: Duration = Duration::from_secs(2);
@@ -69,7 +71,8 @@ pub(crate) struct Client {
     pub reserved: bool,
     pub watching: bool,
     pub pending: Option<Pending>,
-    /// The answer to its request comes later; nothing more of it is taken up until then.
+    /// The answer to its request comes later.
+    /// Nothing more of it is taken up until then.
     pub waits: bool,
     inbox: Vec<u8>,
     files: VecDeque<OwnedFd>,
@@ -126,7 +129,7 @@ impl Client {
         self.stage = self.stage.max(stage);
     }
 
-    /// Its next bytes are wanted: not before it has read its answers and its line has had its turn.
+    /// Whether to read from it: only after it has its answers and its line was handled.
     pub(crate) fn reads(&self) -> bool {
         self.is_open() && self.outbox.len() < MAX_UNREAD && self.inbox.len() < 2 * MAX_LINE
     }
@@ -182,7 +185,7 @@ impl Client {
         }
     }
 
-    /// Takes up the next line, where there is a whole one and the one before is answered.
+    /// Takes up the next whole line, once the one before is answered.
     pub(crate) fn take_up(&mut self) {
         if self.pending.is_some() || self.waits || self.outbox.len() >= MAX_UNREAD {
             return;
@@ -251,7 +254,8 @@ impl Client {
     }
 }
 
-/// The user's name by the local list of users: no directory service is asked, whose answer could take long.
+/// The user's name from the local list of users.
+/// A directory service could take too long to answer.
 pub(crate) fn user_name(uid: u32) -> String {
     let users = std::fs::read_to_string("/etc/passwd").unwrap_or_default();
     let named = users.lines().find(|line| line.split(':').nth(2).and_then(|n| n.parse().ok()) == Some(uid));

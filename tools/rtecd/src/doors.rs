@@ -70,8 +70,9 @@ fn group(socket: &SocketAt) -> anyhow::Result<Option<Gid>> {
     Ok(Some(found.with_context(|| format!("there is no group {name} (found in [control] {key})"))?.gid))
 }
 
-/// The socket's directory: made where it is missing, for ourselves alone unless a group is to reach a socket in it. One that
-/// everybody can write to is refused: others could put their files in the place of ours.
+/// Makes the socket's directory where it is missing.
+/// It is for ourselves alone unless a group uses a socket in it. A directory that everybody can write to is refused,
+/// because others could replace our files.
 fn directory(socket: &Path, open: bool) -> anyhow::Result<()> {
     let Some(directory) = socket.parent().filter(|d| !d.as_os_str().is_empty()) else { return Ok(()) };
     if !directory.exists() {

@@ -1,5 +1,5 @@
-//! What has happened, for whoever asks later: how often each fault was latched, and every change of each axis's ledger since
-//! it was homed. All of it bounded.
+//! The bounded history for later questions.
+//! It has how often each fault was latched, and every change of each axis's ledger since it was homed.
 
 use rtec_control::protocol::{LedgerPage, LedgerRow, word};
 use rtec_rt::event::{AxisStatus, Event, EventKind, Status};
@@ -59,7 +59,8 @@ impl History {
         &self.latched
     }
 
-    /// Changes of an axis's ledger from number `from` on; the oldest that is kept where that is gone.
+    /// Changes of an axis's ledger from number `from` on.
+    /// The oldest that is kept where that is gone.
     pub(crate) fn ledger(&self, n: usize, from: u64) -> LedgerPage {
         let Some(ledger) = self.ledgers.get(n) else { return LedgerPage::default() };
         let first = from.clamp(ledger.dropped, ledger.dropped + ledger.rows.len() as u64);

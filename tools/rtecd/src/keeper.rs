@@ -1,4 +1,5 @@
-//! Finished records into the spool folder (`[control] spool`), from where `rtecctl ship` sends them to the shop.
+//! Puts finished records into the spool folder (`[control] spool`).
+//! From there `rtecctl ship` sends them to the shop.
 //!
 //! | record | where it comes from |
 //! |---|---|
@@ -172,8 +173,8 @@ impl Keeper {
     }
 }
 
-/// A record that a client hands over: read as every record is, then put into the folder. `go_on` says no where it has taken
-/// too long: then it is not kept.
+/// Reads a record that a client hands over and puts it into the folder.
+/// `go_on` returns `false` once this takes too long. The record is then not kept.
 ///
 /// # Errors
 /// It is no record, or cannot be written.
@@ -222,7 +223,8 @@ fn no_folder(folder: &Path) -> String {
     )
 }
 
-/// A probing run as a record: a row per trip. An axis or a sensor that was not known at every trip has no column.
+/// A probing run as a record: a row per trip.
+/// An axis or a sensor that was not known at every trip has no column.
 fn record(run: &Run, axes: &[ConfiguredAxis], sensors: &[(usize, String)]) -> Option<Record> {
     let seconds = |t: &Trip| u64::midpoint(t.at_ns[0], t.at_ns[1]).saturating_sub(run.began_ns) as f64 / 1e9;
     let column = |name: &str, role: Role, data: Vec<f64>| {

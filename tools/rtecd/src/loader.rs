@@ -1,5 +1,5 @@
-//! Files that a request names, read and made ready by a thread of their own: one at a time, regular files only, within
-//! limits of size and time. The control side goes on meanwhile.
+//! A thread that reads and prepares the files of a request.
+//! It reads one at a time, regular files only, within limits of size and time. The control side continues meanwhile.
 
 use crate::keeper::{Kept, Spool, take_over};
 use rtec_control::protocol::PartTable;
@@ -21,17 +21,20 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::time::{Duration, Instant};
 
-/// Files of a model are together no longer than this, bytes. What is read of a TOML takes some 150 times its bytes in memory.
+/// Files of a model are together no longer than this, bytes.
+/// What is read of a TOML takes some 150 times its bytes in memory.
 const LONGEST_MODEL: u64 = 2 << 20;
 /// A part's errors, bytes.
 const LONGEST_ERRORS: u64 = 2 << 20;
-/// A record's CSV, bytes: a day of twenty columns, each second. Its columns take four times as much at most.
+/// A record's CSV, bytes: a day of twenty columns, each second.
+/// Its columns take four times as much at most.
 const LONGEST_CSV: u64 = 32 << 20;
 /// A part has no more points.
 const POINTS: usize = 20_000;
 /// A load that takes longer is given up.
 pub(crate) const PATIENCE: Duration = Duration::from_secs(8);
-/// Loads that were given up and still hang in a file system. With so many nothing more is loaded.
+/// Loads that were given up and still hang in a file system.
+/// With so many nothing more is loaded.
 const HANGING: usize = 2;
 /// Of the time between two evaluations a model may take so much.
 const SHARE: f64 = 0.25;
@@ -47,7 +50,7 @@ pub(crate) enum Source {
     Kept(BTreeMap<PathBuf, String>),
 }
 
-/// Rows of logged temperatures, oldest first, of the sensors of these names: time, s, and °C.
+/// Rows of logged temperatures of the named sensors, oldest first: time (s) and °C.
 type History = Box<dyn Fn(&[String]) -> Vec<(f64, Vec<f64>)> + Send>;
 
 /// What became of a load.
@@ -90,7 +93,8 @@ pub(crate) type Ticket = u64;
 pub(crate) struct Told {
     /// It is to end.
     given_up: AtomicBool,
-    /// It reads a file: where it does not end it hangs there, and takes no time of a processor.
+    /// The thread is reading a file.
+    /// If the read hangs, it waits there and uses no processor time.
     reads: AtomicBool,
 }
 

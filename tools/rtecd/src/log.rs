@@ -1,9 +1,10 @@
-//! Standard error, fit for the journal: one line per message, with systemd's level prefix where it listens, and never a
-//! flood. What standard error does not take at once is left out: the control loop never waits for a reader, and a full
-//! disk is no reason to die.
+//! Standard error for the journal: one line per message, limited in rate.
+//! Lines have systemd's level prefix where systemd listens. What standard error does not take at once is dropped. The
+//! control loop never waits for a reader, and a full disk does not end the daemon.
 //!
-//! Faults, changes of mode, models and part tables go to the journal with fields of their own (journald's native protocol, a
-//! datagram), where it is the journal that reads standard error; where it does not take them, to standard error.
+//! Faults, changes of mode, models and part tables go to the journal with fields of their own. They are datagrams of
+//! journald's native protocol, sent where the journal reads standard error. If journald does not take them, they go
+//! to standard error.
 //!
 //! | field | what |
 //! |---|---|
@@ -33,7 +34,8 @@ pub(crate) enum Level {
 /// Messages of one kind that are written in [`PERIOD`]; the others are counted.
 const BURST: u32 = 20;
 const PERIOD: Duration = Duration::from_secs(10);
-/// Where journald takes datagrams (`systemd.journal-fields(7)`, "Native Journal Protocol").
+/// The socket on which journald takes datagrams.
+/// (`systemd.journal-fields(7)`, "Native Journal Protocol")
 const JOURNALD: &str = "/run/systemd/journal/socket";
 
 /// The message's kind, as 128 bits in hexadecimal.
@@ -148,7 +150,8 @@ fn native(to: &Path) -> Option<(UnixDatagram, PathBuf)> {
     Some((socket, to.to_owned()))
 }
 
-/// A message in the journal's native form: `KEY=value`, and with a length where the value has lines of its own.
+/// A message in the journal's native form: `KEY=value`.
+/// A value of several lines is given with its length.
 fn datagram(level: Level, event: &str, text: &str, fields: &[(&str, &str)]) -> Vec<u8> {
     let priority = (level as u8).to_string();
     let own = [

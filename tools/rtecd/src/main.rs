@@ -1,4 +1,4 @@
-//! `rtecd`: the real-time thread, and the control side that talks to it for everyone else.
+//! `rtecd`: the real-time thread, and the control side that serves its clients.
 //!
 //! | file | what |
 //! |---|---|
@@ -69,7 +69,7 @@ const CARD_AGAIN: Duration = Duration::from_millis(100);
 /// Why the process ends when its real-time thread is lost.
 const LOST: &str =
     "the real-time thread is lost: the machine is held, and the service is to be started again";
-/// At its end the daemon waits so long for the disk that the record of commands is on.
+/// How long the daemon, at its end, waits for the disk of the record of commands.
 const LOG_PATIENCE: Duration = Duration::from_secs(1);
 
 /// Real-time error corrector: the daemon
@@ -253,7 +253,8 @@ struct Patience<'a> {
 }
 
 impl Patience<'_> {
-    /// Opens a card, again and again until it is there; none when a signal has ended the waiting.
+    /// Opens a card, again and again until it is there.
+    /// None when a signal has ended the waiting.
     fn open<T>(
         &self,
         log: &mut Log,
@@ -288,7 +289,7 @@ enum Kind {
     Simulated(cards::Stand),
 }
 
-/// Whom the daemon listens to and reports to: clients, signals, the service manager.
+/// The daemon's outside: clients, signals and the service manager.
 struct Outside<'a> {
     doors: &'a Doors,
     signals: &'a SignalFd,
@@ -432,7 +433,7 @@ mod tests {
         }
     }
 
-    /// From the panic of the real-time thread to the end of the process: the fault, feed hold, the exit code.
+    /// A panic of the real-time thread latches the fault, asserts feed hold and sets the exit code.
     #[test]
     fn a_panic_of_the_thread_holds_and_ends_the_daemon() {
         let directory = tempfile::tempdir().unwrap();

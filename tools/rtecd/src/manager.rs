@@ -1,4 +1,5 @@
-//! The service manager: what is reported to it (`sd_notify(3)`), and the store in which file descriptors outlive this process.
+//! The service manager: reports (`sd_notify(3)`) and its store of file descriptors.
+//! Descriptors in the store outlive this process.
 //!
 //! | message | when |
 //! |---|---|
@@ -29,7 +30,8 @@ const STATUS_EVERY: Duration = Duration::from_secs(1);
 /// The service manager, or nobody.
 pub(crate) struct Manager {
     socket: Option<UnixDatagram>,
-    /// Time between two watchdog messages that the manager expects; none without a watchdog.
+    /// Time between two watchdog messages that the manager expects.
+    /// None without a watchdog.
     watchdog_every: Option<Duration>,
     fed: Instant,
     /// Looks at the card when the watchdog was fed last.
@@ -43,7 +45,8 @@ pub(crate) struct Manager {
 }
 
 impl Manager {
-    /// Reads what the environment says. To be called first: the descriptors that were passed become ours here.
+    /// Reads what the environment says.
+    /// To be called first: the descriptors that were passed become ours here.
     ///
     /// # Errors
     /// An environment that cannot be meant; a notification socket that is not there.
@@ -79,7 +82,7 @@ impl Manager {
         })
     }
 
-    /// The descriptors that were stored under names with this beginning before this process began.
+    /// The descriptors stored by an earlier process under names with this beginning.
     pub(crate) fn take_back(&mut self, beginning: &str) -> Vec<OwnedFd> {
         let (taken, left) =
             std::mem::take(&mut self.stored).into_iter().partition(|(name, _)| name.starts_with(beginning));
@@ -87,13 +90,14 @@ impl Manager {
         BTreeMap::into_values(taken).collect()
     }
 
-    /// What came back and was not taken: it stays open, so that the lines behind it stay as they are.
+    /// Descriptors that came back and were not taken.
+    /// They stay open, so that their lines keep their levels.
     pub(crate) fn left_over(&self) -> impl Iterator<Item = &str> {
         self.stored.keys().map(String::as_str)
     }
 
-    /// Keeps a descriptor beyond our own end; one that came back from the store is still in it. `false` without a service
-    /// manager: then nobody keeps it.
+    /// Keeps a descriptor beyond our own end.
+    /// One that came back from the store is still in it. `false` without a service manager: then nobody keeps it.
     ///
     /// # Errors
     /// When it could not be handed over.
@@ -120,8 +124,9 @@ impl Manager {
         let _ = self.send("STOPPING=1\nSTATUS=parking\n", None, MsgFlags::MSG_DONTWAIT);
     }
 
-    /// One turn of the control loop: `polls` looks at the card so far, and the status in words. Never waits: what the
-    /// service manager does not take now it gets at a later turn.
+    /// One turn of the control loop.
+    /// `polls` is the number of looks at the card so far, `status` the status in words. It never waits: what the
+    /// service manager does not take now is sent at a later turn.
     pub(crate) fn turn(&mut self, polls: u64, status: impl FnOnce() -> String) {
         if self.socket.is_none() {
             return;
@@ -157,8 +162,8 @@ impl Manager {
 /// Makes a descriptor that was passed at the start our own, closed at every `exec`.
 fn take(fd: RawFd) -> nix::Result<OwnedFd> {
     use nix::fcntl::{FcntlArg, FdFlag, fcntl};
-    // SAFETY: whoever set LISTEN_PID to us opened it for us and for nobody else here, and it is taken once; should it
-    // not be open after all, the call below says so.
+    // SAFETY: the process that set LISTEN_PID for us opened it for us alone, and it is taken once. If it is not open
+    // after all, the call below reports that.
     let fd = unsafe { OwnedFd::from_raw_fd(fd) };
     match fcntl(&fd, FcntlArg::F_SETFD(FdFlag::FD_CLOEXEC)) {
         Ok(_) => Ok(fd),

@@ -1,4 +1,5 @@
-//! Files that were edited since they were read: what runs is not what is on the disk.
+//! Finds files that were edited since they were read.
+//! What runs then differs from what is on the disk.
 
 use rtec_model::machine::Machine;
 use std::path::{Path, PathBuf};
@@ -48,7 +49,7 @@ struct Shared {
     edited: Vec<String>,
 }
 
-/// Looks at the files from a thread of its own: a disk that hangs keeps nobody else waiting.
+/// Looks at the files from its own thread, so that a hanging disk blocks nobody else.
 #[derive(Debug)]
 pub(crate) struct OnDisk {
     configuration: Option<(PathBuf, Known)>,
@@ -80,7 +81,8 @@ impl OnDisk {
         Self { configuration: configuration.and_then(read), shared }
     }
 
-    /// The files that are not what runs, in words, as last looked at. `model`: the file and SHA-256 of the model that runs.
+    /// The files that are not what runs, in words, as last looked at.
+    /// `model`: the file and SHA-256 of the model that runs.
     pub(crate) fn edited(&self, model: Option<(PathBuf, String)>) -> Vec<String> {
         let model = model.map(|(file, sha256)| (file, Known::Model(sha256)));
         let files: Vec<_> = self.configuration.iter().cloned().chain(model).collect();
@@ -100,7 +102,8 @@ struct Last {
 }
 
 impl Last {
-    /// What differs, where anything has changed since the last time: most looks read no file.
+    /// The differences, if anything has changed since the last time.
+    /// Most looks read no file.
     fn look(&mut self, files: &[(PathBuf, Known)]) -> Option<Vec<String>> {
         let stamp = |file: &Path| {
             let now = std::fs::metadata(file).ok()?;

@@ -1,4 +1,5 @@
-//! The control sockets' clients: one thread, no client can hold up another or the heartbeat, everything is bounded.
+//! The control sockets' clients, served by one thread.
+//! No client can hold up another or the heartbeat, and everything is bounded.
 //!
 //! | what | limit |
 //! |---|---|
@@ -88,7 +89,7 @@ pub(crate) enum Served {
     HungUp,
     /// The real-time thread panicked.
     Panicked,
-    /// The real-time thread does not look at the card any more, and does not end either.
+    /// The real-time thread has stopped looking at the card, but has not ended.
     StandsStill,
 }
 
@@ -175,7 +176,8 @@ pub(crate) fn serve(
     }
 }
 
-/// Sees whether the real-time thread looks at the card. Its own standstill, as when the process was stopped, does not count.
+/// Sees whether the real-time thread looks at the card.
+/// Its own standstill, as when the process was stopped, does not count.
 struct Watch {
     polls: u64,
     looked: Instant,
@@ -230,7 +232,8 @@ impl Desk<'_> {
         manager.turn(status.polls, || self.session.in_short(&status));
     }
 
-    /// Answers at most one request of each client, the urgent ones first; says whether some had to be left.
+    /// Answers at most one request of each client, the urgent ones first.
+    /// Says whether some had to be left.
     fn work(&mut self, clients: &mut [Client], turn: usize) -> bool {
         clients.iter_mut().for_each(Client::take_up);
         let count = clients.len().max(1);
@@ -501,7 +504,8 @@ fn seat(mut client: Client, clients: &mut Vec<Client>) {
     clients.push(client);
 }
 
-/// Of those who have places of a kind the user with most, `least` or more, loses the one that has been silent longest.
+/// Frees a place of one kind.
+/// Of the users with places, the one with most (at least `least`) loses the client that has been silent longest.
 fn give_way(clients: &mut Vec<Client>, least: usize, kind: &dyn Fn(&Client) -> bool) -> bool {
     let of_user = |uid: u32| clients.iter().filter(|c| kind(c) && c.caller.uid == uid).count();
     let crowd = clients.iter().filter(|c| kind(c)).map(|c| c.caller.uid).max_by_key(|uid| of_user(*uid));
@@ -517,7 +521,8 @@ mod tests {
     use super::*;
     use std::os::unix::net::UnixStream;
 
-    /// It is found within 0.2 s; a process that was itself kept away, or a thread that is slow, is not.
+    /// It is found within 0.2 s.
+    /// A process that was itself kept away, or a thread that is slow, is not.
     #[test]
     fn a_thread_that_stands_still_is_found_and_a_stopped_process_is_not() {
         let begun = Instant::now();

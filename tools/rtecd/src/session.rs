@@ -1,4 +1,5 @@
-//! What the control side knows and does: requests of the protocol, the corrector's looks, what the real-time thread reports.
+//! The control side's knowledge and actions.
+//! It handles requests, the corrector's ticks, and reports of the real-time thread.
 //!
 //! | file | what |
 //! |---|---|
@@ -42,11 +43,14 @@ use std::path::{Path, PathBuf};
 use std::rc::Rc;
 use std::time::{Duration, Instant};
 
-/// The real-time thread takes a request within a millisecond or two; one that takes longer than this does not run.
+/// The real-time thread takes a request within a millisecond or two.
+/// One that takes longer than this does not run.
 const PATIENCE: Duration = Duration::from_secs(2);
-/// A real-time thread that has not looked at the card for so long is lost: with the turns of the control loop, below 0.2 s.
+/// A real-time thread that has not looked at the card for this long is lost.
+/// With the turns of the control loop the delay stays below 0.2 s.
 pub(crate) const STANDS_STILL: Duration = Duration::from_millis(150);
-/// A silence of the control side itself that is worth a line; a request that is not answered takes [`PATIENCE`].
+/// A silence of the control side itself that is worth a line.
+/// A request that is not answered takes [`PATIENCE`].
 const STOOD_STILL: Duration = Duration::from_secs(3);
 /// How often it is looked whether the state file is still the one that is written.
 const STATE_FILE_EVERY: Duration = Duration::from_secs(1);
@@ -57,7 +61,8 @@ const EVENTS: usize = 1000;
 pub(crate) enum Answer {
     /// It is answered.
     Now(Response),
-    /// An insertion is under way: to be asked again. The response is for whoever has no time left.
+    /// An insertion is under way: to be asked again.
+    /// The response is for whoever has no time left.
     Again(Response),
     /// It is answered when this load is done.
     Later(Ticket),
@@ -79,7 +84,7 @@ impl Answer {
 pub(crate) struct Beside {
     /// Open files of the caller, in the order in which they came.
     pub(crate) files: Vec<OwnedFd>,
-    /// The caller may have files opened by their names: it is root, or the daemon's own user.
+    /// The caller may name files to open: it is root, or the daemon's own user.
     pub(crate) trusted: bool,
     /// Number and name of the caller's user.
     pub(crate) user: (u32, String),
@@ -92,7 +97,8 @@ pub(crate) struct SetUp {
     pub wanted: Option<Wanted>,
     pub missing: Option<Report>,
     pub timing: Timing,
-    /// What the state file said: when what is latched was latched, and of which boot of the computer it is.
+    /// What the state file said at the start.
+    /// It tells when faults were latched, and in which boot of the computer.
     pub before: Before,
 }
 
@@ -129,7 +135,7 @@ pub(crate) struct Session {
     looked: Instant,
     /// Who stands at the machine, where it is a simulated one.
     stand: Option<Stand>,
-    /// Why corrections may not be enabled on this card and computer, whatever else is right.
+    /// Why corrections may not be enabled on this card and computer, in any state.
     unfit: Vec<String>,
     /// The files that were read, as they are now; none in a simulation.
     on_disk: Option<OnDisk>,
@@ -148,14 +154,16 @@ pub(crate) struct Session {
     happened: Vec<Happened>,
     /// What happened before, for whoever asks later.
     history: History,
-    /// When each fault was latched, on the card's clock, ns; and when feed hold was asked for.
+    /// When each fault was latched, on the card's clock, ns.
+    /// And when feed hold was asked for.
     latched_ns: BTreeMap<(Option<usize>, u8), u64>,
     held_ns: Option<u64>,
     /// Number and name of the user who asked for feed hold last.
     holder: (u32, String),
     /// The day, since 1970-01-01.
     today: fn() -> i64,
-    /// The state file, where there is one; when it is looked at next, and what was said of it last.
+    /// The state file, where there is one.
+    /// When it is looked at next, and what was said of it last.
     state_file: Option<StateFile>,
     state_file_due: Instant,
     state_file_said: String,
@@ -234,7 +242,8 @@ impl Session {
         stale.min(Duration::from_millis(self.config.model.period_ms))
     }
 
-    /// After this time without a look the real-time thread is lost. An ordinary thread may be kept waiting by others.
+    /// After this time without a look the real-time thread is lost.
+    /// An ordinary thread may be kept waiting by others.
     pub(crate) fn stands_still_after(&self) -> Duration {
         if self.set_up.wanted.is_some() { STANDS_STILL } else { PATIENCE }
     }
@@ -244,7 +253,7 @@ impl Session {
         self.stand = Some(stand);
     }
 
-    /// Where the temperatures' log and the name of the taken model are: beside the state file.
+    /// The directory of the temperatures' log and the taken model: the state file's.
     fn directory(&self) -> PathBuf {
         self.config.control.state_path().parent().unwrap_or(Path::new("")).to_owned()
     }
@@ -303,8 +312,8 @@ impl Session {
         self.state_file = state_file;
     }
 
-    /// A state file that is not the one that is written any more is written anew, and the fault is latched: what is in effect
-    /// and latched must not be lost with the process.
+    /// Writes the state file again if it was lost, and latches the fault.
+    /// Otherwise the totals and faults in effect would be lost with the process.
     pub(crate) fn look_after_state_file(&mut self, control: &mut ControlEnd, log: &mut Log) {
         let lost = self.state_file.as_ref().filter(|_| !control.ended()).and_then(StateFile::lost);
         let Some((lost, mut file)) = lost.and_then(|lost| Some((lost, self.state_file.take()?))) else {
@@ -344,7 +353,8 @@ impl Session {
         }
     }
 
-    /// The real-time thread does not look at the card any more: the next process finds it. `false` where nothing tells it.
+    /// Records for the next process that the real-time thread does not look at the card.
+    /// Returns `false` where nothing can record it.
     pub(crate) fn note_thread_lost(&self) -> bool {
         self.state_file.as_ref().is_none_or(|file| {
             file.note_thread_lost();

@@ -1,5 +1,5 @@
-//! The engine as the last process left the machine: totals by the state file and the inverters, feed hold and faults as they
-//! were, doubts latched.
+//! Makes the engine as the last process left the machine.
+//! Totals come from the state file and the inverters. Feed hold and faults stay. Doubts are latched as faults.
 
 use crate::Failure;
 use crate::log::{Level, Log};
@@ -11,8 +11,8 @@ use rtec_rt::event::{Fault, HeldBy};
 use rtec_rt::journal::{Before, Journal, JournalError, resume};
 use rtec_rt::state_file::StateFile;
 
-/// The engine on `card`, with its state file where the card's outputs outlive the process; what that file said, and what watches over
-/// it.
+/// The engine on `card`, with what its state file said and the watch over that file.
+/// It has a state file where the card's outputs outlive the process.
 ///
 /// # Errors
 /// A state file that cannot be used, a card that cannot be read, inverters of which nobody knows.
@@ -127,7 +127,8 @@ struct Taken {
     faults: Vec<Fault>,
 }
 
-/// What each axis had completed before, from the state file and the inverters as they are, and what is to be latched.
+/// What each axis had completed before, and what must be latched.
+/// It follows from the state file and the inverters as they are.
 fn take_over<C: Card>(card: &mut C, config: &Config, before: &Before) -> anyhow::Result<Vec<Taken>> {
     let outputs = card.outputs().map_err(|e| Failure::Unreachable(e.to_string()))?;
     let axes = config.axes.iter().zip(before.records.iter().zip(before.damaged)).map(

@@ -1,5 +1,5 @@
-//! Temperatures: one thread per bus, so that a slow sensor holds up its own kind only; and a log that a restart reads
-//! back.
+//! Temperatures: one thread per bus, and a log that a restart reads back.
+//! A slow sensor so delays only those of its own kind.
 
 use rtec_control::sources::Bank;
 use rtec_correct::sensors::{SensorConfig, SensorSource, Use, Watch};
@@ -17,7 +17,8 @@ const NAMES: [&str; 2] = ["temperatures.csv", "temperatures.old.csv"];
 /// A log of this size becomes the old one, bytes: some days of twenty sensors.
 const FULL: u64 = 16 << 20;
 
-/// Seconds since 1970 that never jump: the system's time at the start, and a steady clock from there on.
+/// Seconds since 1970 that never jump.
+/// They begin at the system's time and continue on a steady clock.
 #[derive(Debug, Clone, Copy)]
 pub(crate) enum Clock {
     Steady {
@@ -120,7 +121,8 @@ impl Temperatures {
         self.clock.now_s()
     }
 
-    /// Takes over what has been read; a bus whose thread is at it right now keeps what it had.
+    /// Takes over what has been read.
+    /// A bus whose thread is at it right now keeps what it had.
     pub(crate) fn look(&mut self) {
         for (own, (bus, place)) in self.seen.iter_mut().zip(&self.places) {
             if let Ok(read) = self.buses[*bus].try_lock() {
@@ -203,8 +205,8 @@ fn append(directory: &Path, names: &[String], now_s: f64, values: &[Option<f64>]
     OpenOptions::new().append(true).create(true).open(path)?.write_all(row.as_bytes())
 }
 
-/// The logged rows of these sensors, oldest first: time and temperatures, °C. Rows where one of them is not known are
-/// left out, as is what a crash has torn and what the clock has passed twice.
+/// The logged rows of these sensors, oldest first: time and temperatures, °C.
+/// Rows where one of them is not known are left out, as is what a crash has torn and what the clock has passed twice.
 pub(crate) fn history(directory: &Path, names: &[String], now_s: f64) -> Vec<(f64, Vec<f64>)> {
     let mut rows: Vec<(f64, Vec<f64>)> = Vec::new();
     for name in NAMES.iter().rev() {

@@ -1,4 +1,5 @@
-//! The real-time thread on a mock card with a moving axis behind it, corrected from here: `corrected_strokes [SECONDS]`.
+//! The real-time thread on a mock card with a moving axis, corrected from here.
+//! Run it as `corrected_strokes [SECONDS]`.
 use rtec_correct::{AxisSetup, Corrector, RAMP_UM_S};
 use rtec_driver::{card::AxisLines, card::MachineLines, clock::Monotonic, mock::MockCard};
 use rtec_model::machine::Machine;

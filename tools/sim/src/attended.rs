@@ -1,5 +1,5 @@
-//! A machine that somebody, or something, attends to once in every period of its controller: errors move its tool, the
-//! tool cuts, an operator presses a button.
+//! A machine with something to do in every period of its controller.
+//! Errors move its tool, the tool cuts, or an operator presses a button.
 
 use crate::machine::{SERVO_NS, SimMachine};
 
@@ -17,7 +17,7 @@ pub trait Attended {
     /// Lines may have changed.
     fn changed(&mut self) {}
 
-    /// Lets the machine run until `t_ns`, ns of its own clock, doing what is due on the way.
+    /// Runs the machine until `t_ns`, ns of its own clock, with what is due meanwhile.
     fn run_to(&mut self, t_ns: u64) {
         let mut now_ns = self.machine().now_ns();
         while now_ns / SERVO_NS < t_ns / SERVO_NS {

@@ -1,4 +1,4 @@
-//! One axis of the machine: drive, screw with backlash, friction, and the scale that counts.
+//! One axis of the machine: drive, screw with backlash, friction, and scale.
 
 use rtec_driver::quadrature::{Decoder, Signal, State};
 
@@ -41,12 +41,15 @@ pub struct AxisSpec {
     pub position_gain_per_s: f64,
     /// Bandwidth of the speed loop, 1/s.
     pub speed_gain_per_s: f64,
-    /// How far the servo dithers at rest, counts from one side to the other: "servo gain or some amplifier zero-offset" altered
-    /// (NISTIR 4832, The "Original RTEC"); zero for a good servo.
+    /// Dither of the servo at rest, counts from one side to the other.
+    /// "Servo gain or some amplifier zero-offset" altered (NISTIR 4832, The "Original RTEC"). It is zero for a good
+    /// servo.
     pub dither_counts: f64,
-    /// Share of the commanded speed that is fed forward; the rest is following error: (1 − share)·v/gain.
+    /// Share of the commanded speed that is fed forward.
+    /// The rest is following error: (1 − share)·v/gain.
     pub feed_forward: f64,
-    /// The position loop is closed on what the gates send; if not, on an encoder of the motor's own.
+    /// The position loop is closed on what the gates send.
+    /// If not, on an encoder of the motor's own.
     pub on_feedback: bool,
 }
 
@@ -80,11 +83,13 @@ impl AxisSpec {
     }
 }
 
-/// An axis in motion. Lengths inside are in counts; position 0 is the middle of count 0.
+/// An axis in motion.
+/// Lengths inside are in counts; position 0 is the middle of count 0.
 #[derive(Debug, Clone)]
 pub(crate) struct AxisSim {
     pub spec: AxisSpec,
-    /// Motor side of the screw and table, counts (edges of the scale lie at whole numbers).
+    /// Place of the screw's motor side and the table, counts.
+    /// Edges of the scale are at whole numbers.
     motor: f64,
     table: f64,
     /// Speed of the motor side, counts/s.
@@ -108,12 +113,14 @@ pub(crate) struct AxisSim {
     next: f64,
     per_count: f64,
     up: bool,
-    /// The signal that changes with that edge, and its lines at the card, the gate's output with them.
+    /// The signal that changes with that edge.
+    /// Then its lines at the card and at the gate.
     signal: Signal,
     signal_lines: u64,
     /// All its lines at the card.
     lines: u64,
-    /// What the edge is to the scale's counter and to the MTC's, counts: mirrored while one inverter is on.
+    /// Steps of that edge in the scale's counter and in the MTC's, counts.
+    /// The MTC's step is mirrored while one inverter is on.
     counts: (i8, i8),
     step: (u64, f64, f64),
     /// Shortest time between two edges at the MTC, ns.
@@ -202,7 +209,8 @@ impl AxisSim {
         self.scale.count()
     }
 
-    /// Where the table is by the scale, without its quantisation, at `t_ns` within the present step, mm.
+    /// The table's position by the scale at `t_ns` within the present step, mm.
+    /// It has no quantisation.
     pub(crate) fn position_mm(&self, t_ns: u64) -> f64 {
         let (from_ns, from, per_ns) = self.step;
         (from + per_ns * t_ns.saturating_sub(from_ns) as f64 - 0.5) * self.count_mm()
@@ -329,15 +337,16 @@ impl AxisSim {
     #[inline]
     fn book(&mut self, from_ns: u64, step_ns: u64) {
         self.next_ns = if self.next < step_ns as f64 {
-            // No step is longer than 32 bits can say; a threshold passed a hair before it began is crossed at its beginning,
-            // which is what becomes of a negative number here.
+            // No step is longer than 32 bits can say. A threshold passed just before the step began gives a negative
+            // number, and is crossed at the step's beginning.
             from_ns + u64::from(self.next as u32)
         } else {
             u64::MAX
         };
     }
 
-    /// The scale's edge at `next_ns`: both counters move on. Returns the lines that change.
+    /// The scale's edge at `next_ns`: both counters move on.
+    /// Returns the lines that change.
     #[inline]
     pub(crate) fn edge(&mut self, step_ns: u64) -> u64 {
         let (signal, (scale, mtc)) = (self.signal, self.counts);
@@ -355,7 +364,8 @@ impl AxisSim {
         changed
     }
 
-    /// Moves the next edge by what the interpolation is off there and here. Not inlined: a scale without it stays short.
+    /// Moves the next edge by what the interpolation is off there and here.
+    /// Not inlined: a scale without it stays short.
     #[inline(never)]
     fn interpolate(&mut self) {
         let count = self.origin + self.scale.count();
@@ -371,7 +381,8 @@ impl AxisSim {
         self.counts = (step, if mirrored { -step } else { step });
     }
 
-    /// The inverters have changed: whether what the MTC's decoder makes of it is illegal, and how long after its last edge, ns.
+    /// Takes a change of the inverters.
+    /// Returns whether the MTC's decoder sees an illegal transition, and the time since its last edge, ns.
     pub(crate) fn invert(&mut self, inverters: u8, t_ns: u64) -> (bool, u64) {
         let illegal = self.mtc.update(self.scale.state().inverted(inverters)).is_none();
         self.see_counts();

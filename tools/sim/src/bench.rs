@@ -122,8 +122,9 @@ fn full_cycle<C: Card>(
     FullCycle::new(design, card, &[config], MachineLines::default(), |_| 0)
 }
 
-/// The Original RTEC's gates: a pulse is OR-ed in. At A = B = low the same as an inversion, elsewhere a level that is
-/// already high hides it (NISTIR 4832, The "Original RTEC").
+/// The Original RTEC's gates: a pulse is OR-ed in.
+/// At A = B = low the same as an inversion, elsewhere a level that is already high hides it (NISTIR 4832, The
+/// "Original RTEC").
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Or;
 
@@ -147,8 +148,8 @@ pub fn constant(from_ns: u64, encoder_hz: f64, counts: u64, direction: i64) -> V
     (0..counts).map(|n| (from_ns + (n as f64 * period_ns) as u64, direction)).collect()
 }
 
-/// A move of `counts` counts and back: from rest up to `encoder_hz` and down to rest, twice, with `rest_ns` in between.
-/// The acceleration is in counts/s².
+/// A move of `counts` counts and back, with `rest_ns` in between.
+/// Each way starts from rest, reaches `encoder_hz`, and ends at rest. The acceleration is in counts/s².
 #[must_use]
 pub fn there_and_back(encoder_hz: f64, accel_counts_s2: f64, counts: u64, rest_ns: u64) -> Vec<Edge> {
     let mut edges = Vec::new();
@@ -174,7 +175,8 @@ pub fn there_and_back(encoder_hz: f64, accel_counts_s2: f64, counts: u64, rest_n
     edges
 }
 
-/// A computer at work on one axis: looks that come when it has time, writes that land when they land.
+/// A computer at work on one axis.
+/// Its looks come when it has time, and its writes take effect later.
 struct Rig<'a, G> {
     gates: G,
     computer: Option<&'a Computer>,
@@ -317,7 +319,8 @@ pub struct BenchRun<'a> {
     pub totals: &'a [(u64, i64)],
     /// The computer stops at this time, ns.
     pub die_ns: u64,
-    /// The speed gate is told nothing: every insertion is tried (what the report's computer would do without its timer).
+    /// No speed gate: every insertion is tried.
+    /// The report's computer would do this without its timer.
     pub ungated: bool,
     /// Seed of the computer's and the PLL's noise.
     pub seed: u64,
@@ -350,7 +353,7 @@ pub struct BenchResult {
     pub waited_for_gate: u64,
     /// Number of latched faults.
     pub faults: usize,
-    /// Shortest and longest time from an edge to the end of the insertion it opened, ns.
+    /// Shortest and longest time from an edge to the end of its insertion, ns.
     pub edge_to_done_ns: Option<(u64, u64)>,
     /// Scale and MTC counts when the computer died.
     pub at_death: Option<(i64, i64)>,

@@ -1,4 +1,4 @@
-//! Computing hardware as a timing model: how long from an edge until the outputs change.
+//! Timing models of computers: the time from an edge until the outputs change.
 
 use crate::noise::Noise;
 use rtec_files::InputError;
@@ -19,20 +19,22 @@ pub struct Computer {
     pub after_ns: u64,
     /// One pass of a loop that reads A and B and writes A' and B' (Design B).
     pub pass_ns: u64,
-    /// Time between two looks while it waits: cumulative share and ns. Empty: an edge is recognised at once, and the
-    /// reaction time holds it all.
+    /// Time between two looks while it waits: cumulative share and ns.
+    /// Empty: an edge is recognised at once, and the reaction time holds it all.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub looks: Vec<(f64, u64)>,
     /// From an order until the output has changed, at the worst.
     pub write_ns: u64,
 }
 
-/// The share of a measured distribution that a timing model takes as the worst; what is later is rarer than any test.
+/// The share of a measured distribution that a timing model takes as the worst.
+/// What is later is rarer than any test.
 const TAIL: f64 = 0.9999;
 
 impl Computer {
-    /// The 8051 family at 12 MHz. NISTIR 4832, The "Original RTEC": 4 µs from recognising "A&B low" until a pulse can be
-    /// added, pulses 2 µs wide overlapping by half (3 µs for the pair), 2 µs after them. A pass of Design B: some ten
+    /// The 8051 family at 12 MHz.
+    /// It takes 4 µs from recognising "A&B low" until a pulse can be added. Pulses are 2 µs wide and overlap by half
+    /// (3 µs for the pair), with 2 µs after them (NISTIR 4832, The "Original RTEC"). A pass of Design B is some ten
     /// instructions of one microsecond.
     #[must_use]
     pub fn i8051() -> Self {
@@ -47,8 +49,9 @@ impl Computer {
         }
     }
 
-    /// A digital signal processor of 1992, an order of magnitude faster than the 8051 (NISTIR 4832, Design B): 20 MHz,
-    /// 100 ns an instruction, byte-wide I/O that needs masking. Steps are as long as a 1 MHz decoder needs.
+    /// A digital signal processor of 1992, ten times as fast as the 8051.
+    /// (NISTIR 4832, Design B) It runs at 20 MHz, with 100 ns an instruction and byte-wide I/O that needs masking.
+    /// Steps are as long as a 1 MHz decoder needs.
     #[must_use]
     pub fn dsp() -> Self {
         Self {
@@ -62,8 +65,8 @@ impl Computer {
         }
     }
 
-    /// A PC that polls, from what `rtecctl selftest latency --json` measured on it: its distribution of the time between
-    /// two looks (`poll_gap_ns`).
+    /// A PC that polls, with the measured distribution of the time between two looks.
+    /// `rtecctl selftest latency --json` on that PC gives it (`poll_gap_ns`).
     ///
     /// # Errors
     /// When the file cannot be read or is no such document.
@@ -117,7 +120,7 @@ impl Computer {
         at_share(&self.looks, TAIL)
     }
 
-    /// An axis as it is configured for this computer: its speed gate is told all of these times.
+    /// The configuration of an axis with this computer's times for its speed gate.
     #[must_use]
     pub fn configure(&self, config: AxisConfig) -> AxisConfig {
         AxisConfig {

@@ -1,4 +1,5 @@
-//! The control side of the simulated machine: its sensors under watch, and the control law that the daemon runs.
+//! The control side of the simulated machine.
+//! It has watched sensors and the daemon's control law.
 
 use crate::errors::NAMES;
 use crate::heat::SENSORS;
@@ -13,11 +14,13 @@ use rtec_part::cor::FeatureErrors;
 use rtec_part::cor::PointError;
 use rtec_rt::event::{Request, Status};
 
-/// How often new totals are computed, ns (NISTIR 4832, Alternate Configurations: every 10 to 20 ms).
+/// Time between two computations of totals, ns.
+/// (NISTIR 4832, Alternate Configurations: every 10 to 20 ms)
 pub const CONTROL_NS: u64 = 10_000_000;
-/// How long an axis must have been quiet to be taken as at rest, ns: longer than it is on its own while it turns. On the slowest
-/// circle, 150 mm at 10 in/min, it turns at 119 counts/s², and takes 2·√(2·1.1/119) s from one edge over a count and the
-/// hysteresis to the next: 0.27 s. What is inserted while it moves may meet its next edge, and the controller sees both as one.
+/// Quiet time after which an axis is taken as at rest, ns.
+/// It must exceed the longest quiet time of a reversing axis. On the slowest circle, 150 mm at 10 in/min, the axis
+/// accelerates at 119 counts/s². From one edge over a count and the hysteresis to the next it takes 2·√(2·1.1/119) s,
+/// which is 0.27 s. An insertion in a moving axis may meet its next edge, and the controller sees both as one.
 pub(crate) const REST_NS: u64 = 300_000_000;
 /// Largest change that the simulated corrector believes at once, counts.
 pub(crate) const WINDOW_COUNTS: i64 = 64;
@@ -43,7 +46,8 @@ pub(crate) struct Control {
 }
 
 impl Control {
-    /// For a machine with these axes and channels, switched on at time 0; the law asks `lead_s` ahead.
+    /// For a machine with these axes and channels, switched on at time 0.
+    /// The law asks `lead_s` ahead.
     pub(crate) fn new(axes: Vec<AxisSetup>, channels: &[String], lead_s: f64) -> Self {
         let axis = |n: &str| Axis::new(n).map(Role::Load);
         let temperatures = SENSORS.iter().map(|s| (s.0.to_owned(), Role::Temperature));
@@ -55,8 +59,8 @@ impl Control {
         Self { law: Corrector::new(axes, RAMP_UM_S, lead_s, 0.0), watches }
     }
 
-    /// Takes a model, its lags brought up from the heat of the past: time since the machine was switched on, s, and all
-    /// sensors, °C.
+    /// Loads a model and brings its lags up to date from past temperatures.
+    /// `past` has the time since the machine was switched on, s, and all sensors, °C.
     ///
     /// # Errors
     /// An effect reads what the machine does not have.
@@ -113,7 +117,7 @@ mod tests {
     use rtec_rt::event::Mode;
     use std::path::Path;
 
-    /// The recorded shift of `rtec-correct`'s tests through what simulator and lathe do: the same totals, count for count.
+    /// The recorded shift of `rtec-correct`'s tests gives the same totals in simulator and lathe, count for count.
     #[test]
     fn a_recorded_shift_gets_the_recorded_totals() {
         let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../correct/tests/shift");

@@ -1,5 +1,5 @@
-//! The machines that the sources describe, as files within the program: what `rtec-papers` runs, and what the experiments of
-//! the sources bring with them. A folder with files of the same names stands for them.
+//! The machines that the sources describe, as files within the program.
+//! `rtec-papers` and the experiments of the sources use them. A folder with files of the same names can replace them.
 
 use rtec_files::InputError;
 use rtec_model::effect::Dictionary;
@@ -7,7 +7,7 @@ use rtec_model::machine::Machine;
 use serde::de::DeserializeOwned;
 use std::path::{Path, PathBuf};
 
-/// What was done with the machining centre of WO 97/43703, the machine in this file.
+/// Files of the experiments with the machining centre of WO 97/43703.
 macro_rules! wo97_of {
     ($machine:literal) => {
         concat!(
@@ -74,7 +74,7 @@ impl Described {
         rtec_files::toml::from_str(&path, &text, "keys of this description, see `rtec-papers --write`")
     }
 
-    /// What is wrong with a value of a description: file, line of its key, found, expected.
+    /// The error for a wrong value of a description: file, line, found and expected.
     #[must_use]
     pub fn refuse(&self, name: &str, key: &str, found: String, expected: String) -> InputError {
         let (path, text) = match self.text(name) {

@@ -8,8 +8,8 @@ use rtec_rt::axis::AxisConfig;
 use serde::Serialize;
 use std::fmt::Write as _;
 
-/// The motion that all designs are put through: from rest up to speed and back to rest, both ways, with corrections
-/// of both signs asked for throughout.
+/// The motion for comparing all designs.
+/// It goes from rest up to speed and back to rest, both ways, with corrections of both signs.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct TestMotion {
     /// Encoder frequency at speed (a quarter of the count rate), Hz.
@@ -25,8 +25,8 @@ pub struct TestMotion {
 }
 
 impl Default for TestMotion {
-    /// The report's turning centre: 1 µm counts, rapid traverse at 7 m/min, "about 30 kHz" (NISTIR 4832, Altering the
-    /// Position Signal).
+    /// The report's turning centre: 1 µm counts, rapid traverse at 7 m/min.
+    /// That is "about 30 kHz" (NISTIR 4832, Altering the Position Signal).
     fn default() -> Self {
         Self {
             encoder_hz: 7e6 / 60.0 / 4.0,
@@ -83,9 +83,11 @@ pub struct DesignRow {
     pub design: AnyDesign,
     /// Counts of one insertion.
     pub increment_counts: i64,
-    /// From the edge that opens it until the hardware is free again, ns, as run (ECC: one pulse, at the motion's speed).
+    /// Time from the opening edge until the hardware is free again, ns, as run.
+    /// For the ECC it is that of one pulse at the motion's speed.
     pub insertion_time_ns: Option<u64>,
-    /// Highest encoder frequency at which corrections are served and nothing goes wrong, Hz; 0: none.
+    /// Highest encoder frequency at which corrections are served without a fault, Hz.
+    /// It is 0 where there is none.
     pub max_safe_encoder_hz: f64,
     /// Lowest such frequency, Hz (ECC: below it the PLL does not lock).
     pub min_safe_encoder_hz: f64,
@@ -99,7 +101,7 @@ pub struct DesignRow {
     pub illegal_states: u64,
     /// Largest error left in the MTC's count, on the motion.
     pub worst_count_error: i64,
-    /// The last total was reached when the motion ended, or what was left of it is below one increment.
+    /// The last total was reached at the end of the motion, to below one increment.
     pub served: bool,
     /// What happens when the computer dies, in words, from what was run.
     pub when_computer_dies: String,
@@ -167,8 +169,9 @@ fn row(design: AnyDesign, computer: &Computer, motion: &TestMotion, seed: u64) -
     }
 }
 
-/// At this encoder frequency corrections of both signs are served, in both directions, in full, with nothing wrong at
-/// the MTC: no illegal transition, no edge closer than its separation, no count too many or too few, 90° kept.
+/// Whether the design is safe at this encoder frequency.
+/// Corrections of both signs must be served in full in both directions. The MTC must see no illegal transition, no
+/// edge closer than its separation, no wrong count, and keep 90°.
 #[must_use]
 pub fn safe_at(
     design: AnyDesign,
@@ -219,7 +222,8 @@ fn clean(seen: &BenchResult, separation_ns: u64) -> bool {
         && seen.worst_phase_deg < 20.0
 }
 
-/// The lowest and the highest encoder frequency at which the design is safe, Hz, by bisection to 0.1 %. (0, 0): none.
+/// The lowest and highest encoder frequency at which the design is safe, Hz.
+/// Found by bisection to 0.1 %. (0, 0) where there is none.
 #[must_use]
 pub fn safe_range(design: AnyDesign, computer: &Computer, config: AxisConfig, seed: u64) -> (f64, f64) {
     safe_range_of(design, computer, config, Pll::default(), seed)
@@ -250,7 +254,7 @@ pub fn safe_range_of(
     (low, high)
 }
 
-/// Are corrections served at rest in this state, exactly and without an illegal transition?
+/// Whether corrections are exact and legal at rest in this state.
 #[must_use]
 pub fn served_at_rest(design: AnyDesign, computer: &Computer, config: AxisConfig, state: State) -> bool {
     let totals = [(2_000_000, 12), (40_000_000, -12), (80_000_000, -12)];
@@ -370,8 +374,8 @@ impl Comparison {
     }
 }
 
-/// Waveforms of one design as an SVG: A, B, A', B' and the MTC's count, while it adds and then takes off `pulses`
-/// increments (NISTIR 4832, figure 2; CMTI 2014, figures 8 and 9).
+/// Waveforms of one design as an SVG: A, B, A', B' and the MTC's count.
+/// The design adds `pulses` increments, then removes them (NISTIR 4832, figure 2; CMTI 2014, figures 8 and 9).
 #[must_use]
 pub fn waveforms(design: AnyDesign, computer: &Computer, pulses: i64) -> String {
     let increments = pulses * design.increment_counts();
@@ -384,7 +388,8 @@ pub fn waveforms(design: AnyDesign, computer: &Computer, pulses: i64) -> String 
     draw(design, &seen.log, &totals)
 }
 
-/// One signal of a timing diagram, its name beside it: from a left edge to a right one, low at `base`; changes are (x, level).
+/// One signal of a timing diagram with its name, from a left edge to a right one.
+/// Low is at `base`, and changes are (x, level).
 pub(crate) fn trace(
     (name, colour): (&str, &str),
     (left, right, base): (f64, f64, f64),

@@ -1,5 +1,6 @@
-//! The simulated turning centre in real time, at a mock card's wires: its controller runs one program, once, from the
-//! axes' home places, and honours feed hold. Cycle start is the release of feed hold.
+//! The simulated turning centre in real time, at a mock card's wires.
+//! Its controller runs one program once, from the axes' home places, and honours feed hold. Releasing feed hold is
+//! the cycle start.
 
 use crate::insertion::GateDesign;
 use crate::lathe::{Bench, Cut, Lathe, Move, RAPID_MM_S, Stand, arc_moves, cut_away, probing_moves};
@@ -19,7 +20,8 @@ use std::sync::{Arc, Mutex, PoisonError};
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Duty {
-    /// The part, as `part finish` writes it; a cut changes it. A path is relative to this file.
+    /// The part, as `part finish` writes it; a cut changes it.
+    /// A path is relative to this file.
     pub workpiece: PathBuf,
     /// The probe's path, mm.
     pub path: Option<PathBuf>,
@@ -107,7 +109,7 @@ impl Duty {
         Ok(duty)
     }
 
-    /// The machine at rest at `home` (machine mm), on these lines of Z and X, and the part it cuts on.
+    /// The machine at rest at `home` (machine mm), its lines of Z and X, and its part.
     ///
     /// # Errors
     /// A file that the duty names is not right; an effect reads what this machine does not have.

@@ -1,5 +1,6 @@
-//! The Error Correction Circuit of CMTI (2014): pulses are subtracted by blocking them, added by splitting each into two
-//! with a phase-locked loop that doubles their frequency.
+//! The Error Correction Circuit of CMTI (2014).
+//! It subtracts pulses by blocking them. It adds pulses by splitting each into two with a phase-locked loop (PLL)
+//! that doubles their frequency.
 //!
 //! | block of the paper | here |
 //! |---|---|
@@ -20,7 +21,8 @@ use rtec_driver::quadrature::{Decoder, State};
 use rtec_rt::event::{AxisStatus, Event, EventKind, Refusal};
 use serde::{Deserialize, Serialize};
 
-/// What the paper measured of its PLL: frequencies of the XOR of A and B, which is twice the encoder's.
+/// The paper's measurements of its PLL.
+/// Frequencies are of the XOR of A and B, which is twice the encoder's.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Pll {
@@ -37,8 +39,9 @@ pub struct Pll {
 }
 
 impl Default for Pll {
-    /// CMTI (2014), section 2.2.2: from 700 Hz, clean 2.3 to 125 kHz, up to 160 kHz. The time constant is that of the
-    /// loop's natural frequency, 2 kHz with the parts given there (R3 = 360 Ω, R4 = 100 Ω, C2 = 1 µF, 5 V, 320 kHz).
+    /// CMTI (2014), section 2.2.2: from 700 Hz, clean 2.3 to 125 kHz, up to 160 kHz.
+    /// The time constant is that of the loop's natural frequency, 2 kHz with the parts given there (R3 = 360 Ω, R4 =
+    /// 100 Ω, C2 = 1 µF, 5 V, 320 kHz).
     fn default() -> Self {
         Self {
             lock_from_hz: 700.0,
@@ -50,10 +53,11 @@ impl Default for Pll {
     }
 }
 
-/// How long the acknowledgement is on, ns: "a short duration pulse" (CMTI 2014, section 2.3), which the paper gives no figure of.
+/// Duration of the acknowledgement, ns: "a short duration pulse".
+/// The paper gives no figure (CMTI 2014, section 2.3).
 pub const ACK_NS: u64 = 1000;
 
-/// The lines between the embedded controller and the circuit (CMTI 2014, section 2).
+/// The lines between embedded controller and circuit (CMTI 2014, section 2).
 #[allow(clippy::struct_excessive_bools, reason = "each is a wire")]
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
 pub struct ControlLines {
@@ -94,7 +98,7 @@ enum Passing {
     },
 }
 
-/// One axis with the circuit in its feedback, and the embedded controller that asks for compensation.
+/// One axis with the circuit in its feedback, and its embedded controller.
 #[derive(Debug)]
 pub struct Ecc {
     pll: Pll,
@@ -128,8 +132,8 @@ pub struct Ecc {
     lines_log: Vec<(u64, ControlLines)>,
     /// S1, S0 and the value are set from outside instead of by the totals.
     by_hand: bool,
-    /// The controller asks only where, at this acceleration at most, the axis neither leaves the PLL's clean range nor turns
-    /// back before the compensation is over, counts/s².
+    /// The acceleration that the controller allows for, counts/s².
+    /// It asks only if the axis can neither leave the PLL's clean range nor reverse before the compensation is over.
     accel_counts_s2: Option<f64>,
     waited: u64,
 }
@@ -175,15 +179,17 @@ impl Ecc {
         Ok(ecc)
     }
 
-    /// With a controller that asks only when the compensation is sure to end well on an axis that never accelerates by
-    /// more than this, counts/s²: the paper's circuit miscounts when its PLL loses lock or the axis turns back in the middle.
+    /// Adds a controller that asks only when a compensation is sure to end well.
+    /// The axis must never accelerate by more than this, counts/s². The paper's circuit miscounts when its PLL loses
+    /// lock or the axis reverses in the middle.
     #[must_use]
     pub fn guarded(mut self, accel_counts_s2: f64) -> Self {
         self.accel_counts_s2 = Some(accel_counts_s2.max(1.0));
         self
     }
 
-    /// The controller's lines, set by hand: nothing is asked for by totals from now on. S1 goes off with the acknowledgement.
+    /// The controller's lines, set by hand: nothing is asked for by totals from now on.
+    /// S1 goes off with the acknowledgement.
     ///
     /// # Errors
     /// A value of more than four bits.
@@ -196,12 +202,14 @@ impl Ecc {
         Ok(())
     }
 
-    /// X/Z: whether the controller speaks to this axis. Compensations begin on a selected axis alone.
+    /// X/Z: whether the controller speaks to this axis.
+    /// Compensations begin on a selected axis alone.
     pub fn select(&mut self, selected: bool) {
         self.put(self.look_ns, ControlLines { selected, ..self.control });
     }
 
-    /// Every change of the controller's lines and of the acknowledgement: when (ns), and how they stood from then on.
+    /// Every change of the controller's lines and of the acknowledgement.
+    /// Each has its time (ns) and the new state.
     #[must_use]
     pub fn lines_log(&self) -> &[(u64, ControlLines)] {
         &self.lines_log
@@ -240,7 +248,7 @@ impl Ecc {
         Ok(())
     }
 
-    /// A tick of the phase shifter's clock: one count further in the encoder's direction.
+    /// A tick of the phase shifter's clock: one count in the encoder's direction.
     fn tick<C: Card>(&mut self, card: &mut C) -> Result<(), CardError> {
         if let Passing::Split { left } = &mut self.passing {
             *left -= 1;
@@ -254,7 +262,8 @@ impl Ecc {
         Ok(())
     }
 
-    /// The multiplexer goes back to the encoder; the controller books what it asked for, whatever came of it.
+    /// The multiplexer goes back to the encoder.
+    /// The controller books what it asked for, whatever came of it.
     fn acknowledge<C: Card>(&mut self, card: &mut C) -> Result<(), CardError> {
         self.passing = Passing::Encoder;
         self.tick_ns = None;
@@ -288,7 +297,7 @@ impl Ecc {
         self.half_sent = false;
     }
 
-    /// Time between two ticks of a VCO that is not locked: it rests at one end of its range, ns.
+    /// Time between two ticks of an unlocked VCO, at one end of its range, ns.
     fn free_ns(&self) -> u64 {
         let limit =
             if self.input_hz > self.pll.lock_to_hz { self.pll.lock_to_hz } else { self.pll.lock_from_hz };
@@ -336,8 +345,9 @@ impl Ecc {
         Ok(())
     }
 
-    /// How many pulses are over before the axis can turn back, or with `adds` before the PLL can leave its clean range. None are
-    /// added beyond the lock range: the VCO would run free, and the number come out by chance.
+    /// How many pulses are over before the axis can turn back.
+    /// With `adds`, before the PLL can leave its clean range. None are added beyond the lock range, where the VCO
+    /// would run free and the number could not be kept.
     fn sure_pulses(&self, adds: bool) -> i64 {
         if adds && !self.in_range(self.pll.lock_from_hz, self.pll.lock_to_hz) {
             return 0;

@@ -1,5 +1,6 @@
-//! The Error Correction Circuit on both axes behind one embedded controller (CMTI 2014, section 2): X/Z selects the axis, S1
-//! and S0 say what is to be done, four bits how often, and a short acknowledgement says that it is over.
+//! The Error Correction Circuit on both axes behind one embedded controller.
+//! X/Z selects the axis. S1 and S0 give the operation, four bits its number. A short acknowledgement ends it (CMTI
+//! 2014, section 2).
 
 use crate::bench::Edge;
 use crate::designs::trace;
@@ -33,7 +34,7 @@ pub struct Board {
     pub acknowledged: [u64; 2],
     /// Illegal transitions at the MTC, X and Z.
     pub illegal: [u64; 2],
-    /// Largest deviation from 90° between two edges of a split pulse, thousandths of a degree.
+    /// Largest deviation from 90° between two edges of a split pulse, 0.001°.
     pub worst_phase_mdeg: u64,
     /// Every change: time, ns; signal; level.
     pub changes: Vec<(u64, &'static str, bool)>,
@@ -113,8 +114,8 @@ pub enum BoardError {
 /// How long the controller takes from one step of its program to the next, ns.
 const STEP_NS: u64 = 1000;
 
-/// Runs both axes over their edges (X, Z) while the controller works through its orders, the first given at `from_ns`; an
-/// order without S1 stands for `idle_ns`.
+/// Runs both axes over their edges (X, Z) while the controller works off its orders.
+/// The first order is given at `from_ns`. An order without S1 waits for `idle_ns`.
 ///
 /// # Errors
 /// An order of more than four bits; never by these wires.
@@ -214,8 +215,9 @@ impl Board {
         .collect()
     }
 
-    /// The timing diagram of the n-th compensation, as figures 8 and 9 of the paper have it: from before S1 comes up to after
-    /// the acknowledgement, half as long as the compensation takes. None where there was no such compensation.
+    /// The timing diagram of the n-th compensation, as in figures 8 and 9 of the paper.
+    /// It begins before S1 rises and ends after the acknowledgement, by half the compensation's duration. `None`
+    /// where there was no such compensation.
     #[must_use]
     pub fn svg(&self, n: usize, title: &str) -> Option<String> {
         let (at, begin) = self.changes.iter().enumerate().filter(|(_, c)| c.1 == "s1" && c.2).nth(n)?;
@@ -258,7 +260,8 @@ impl Board {
         Some(text + "</svg>\n")
     }
 
-    /// The board's signals as a value change dump (IEEE 1364): [`SIGNALS`], all low at the start.
+    /// The board's signals as a value change dump (IEEE 1364).
+    /// They are [`SIGNALS`], all low at the start.
     #[must_use]
     pub fn to_vcd(&self) -> String {
         let code = |n: usize| char::from(b'!' + n as u8);

@@ -1,5 +1,5 @@
-//! What the machine does wrong as time goes on: the effects of its model under its own heat. They move whatever the
-//! machine carries, tool and probe alike.
+//! The machine's errors over time: the effects of its model under its own heat.
+//! They move whatever the machine carries, tool and probe alike.
 
 use crate::axis::Friction;
 use crate::heat::{Heat, SENSORS};
@@ -13,7 +13,8 @@ use rtec_model::record::Axis;
 /// Names of the controller's axes.
 pub(crate) const NAMES: [&str; AXES] = ["x", "y", "z"];
 
-/// What a model of the simulated machine may read: the controller's axes, all sensors, these channels.
+/// What a model of the simulated machine may read.
+/// It may read the controller's axes, all sensors and these channels.
 pub(crate) fn layout(channels: Vec<String>) -> Layout {
     Layout {
         axes: NAMES.iter().filter_map(|n| Axis::new(n)).collect(),
@@ -27,7 +28,7 @@ pub(crate) fn of_the_probe(effect: &Effect) -> bool {
     effect.description().owner == Owner::Probe
 }
 
-/// Time from contact to the probe's line that a true machine's effects stand for, ns.
+/// Delay from contact to the probe's line by a true machine's effects, ns.
 pub(crate) fn probe_delay_ns<'e>(effects: impl IntoIterator<Item = &'e Effect>) -> u64 {
     let late = effects.into_iter().filter(|e| e.description().mechanism == Some(Mechanism::ProbeDelay));
     let us = late.map(|e| e.scalar(0)).fold(0.0, f64::max);
@@ -133,7 +134,8 @@ impl Errors {
         errors_um
     }
 
-    /// Radial effects at the angle evaluated last, µm: the form of the part, and how much further the probe feels it.
+    /// Radial effects at the angle evaluated last, µm.
+    /// They are the part's form, and the probe's additional reach.
     pub(crate) fn radial_um(&self) -> (f64, f64) {
         let probe_um = self.truth.parts().filter(|p| of_the_probe(p.effect)).map(|p| p.value[0]).sum::<f64>();
         (self.truth.radial_um() - probe_um, probe_um)

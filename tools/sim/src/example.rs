@@ -1,5 +1,6 @@
-//! Example machines, each ready for a first day with it: what is known of it, runs that characterise it, later runs that
-//! judge a model, configuration, drawings. Texts are in `machines/`, the runs are simulated, from fixed seeds.
+//! Example machines, each with the files for a first day.
+//! They are the known model, runs that characterise the machine, later runs that judge a model, configuration and
+//! drawings. Texts are in `machines/`. The runs are simulated from fixed seeds.
 
 use crate::axis::AxisSpec;
 use crate::described::{self, wo97_of};
@@ -20,10 +21,12 @@ pub struct Example {
     pub name: &'static str,
     /// What it is, in one line.
     pub what: &'static str,
-    /// Files as they stand: path below the example's folder, and text. `true.toml` is among them.
+    /// Files as they stand: path below the example's folder, and text.
+    /// `true.toml` is among them.
     pub files: &'static [(&'static str, &'static str)],
     spec: fn() -> Spec,
-    /// Experiments that characterise it, and those that are held out; none where `rtec-papers` runs it whole.
+    /// Experiments that characterise it, and those that are held out.
+    /// None where `rtec-papers` runs it whole.
     runs: [&'static [&'static str]; 2],
 }
 
@@ -162,7 +165,8 @@ impl Example {
         Machine::parse_from(path, &text(path)?, Dictionary::default(), &text)
     }
 
-    /// Its run records, with the paths below `folder` that they are to be written to; none is written yet.
+    /// Its run records, with the paths below `folder` that they are to be written to.
+    /// None is written yet.
     ///
     /// # Errors
     /// As [`Experiment::run`].

@@ -1,5 +1,5 @@
-//! The experiments that characterise a machine, run on the simulated one: without and with compensation, each with a
-//! run record and a plot.
+//! The experiments that characterise a machine, run on the simulated one.
+//! Each runs without and with compensation, and gives a run record and a plot.
 //!
 //! | module | what |
 //! |---|---|
@@ -33,7 +33,8 @@ use std::path::Path;
 /// What an experiment is run with.
 #[derive(Debug, Clone, Copy)]
 pub struct Setting<'a> {
-    /// The machine as it is built. Experiments whose machine is fixed, and the nose, build their own.
+    /// The machine as it is built.
+    /// Experiments whose machine is fixed, and the nose, build their own.
     pub spec: &'a Spec,
     /// The machine as it really is.
     pub truth: &'a Machine,
@@ -48,20 +49,22 @@ pub struct Setting<'a> {
 /// What an experiment leaves.
 #[derive(Debug)]
 pub struct Findings {
-    /// Run records, not yet written: as measured without compensation, and with it (`…-compensated`).
+    /// Run records, not yet written, without compensation and with (`…-compensated`).
     pub records: Vec<Record>,
     /// Plots and tables beside the records: file name and text.
     pub plots: Vec<(String, String)>,
-    /// What gauges on a mandrel showed, by record: its name and a row for each of its own.
+    /// What gauges on a mandrel showed, by the record's name, a row for each of its rows.
     pub gauges: Vec<(String, Vec<Gauged>)>,
     /// The figures that the experiment is run for, by name with unit.
     pub summary: Map<String, Value>,
 }
 
-/// Distance between the two gauges of each direction on the mandrel, mm (WO 97/43703, figure 7, gives none).
+/// Distance between the two gauges of each direction on the mandrel, mm.
+/// WO 97/43703, figure 7, gives none.
 pub const GAUGE_SPACING_MM: f64 = 100.0;
 
-/// Five gauges at a mandrel in the spindle (WO 97/43703, figure 7): 2 and 5 in X, 1 and 4 in Y, near and far, 3 in Z.
+/// Five gauges at a mandrel in the spindle (WO 97/43703, figure 7).
+/// 2 and 5 are in X, 1 and 4 in Y, near and far, and 3 in Z.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Gauged {
     /// Time of the simulation, s.

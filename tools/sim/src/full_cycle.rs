@@ -1,4 +1,5 @@
-//! The Original RTEC and Design A (NISTIR 4832): an insertion of four counts, by two pairs of inversions.
+//! The Original RTEC and Design A (NISTIR 4832).
+//! They insert four counts by two pairs of inversions.
 //!
 //! Every insertion switches the inverters on and off again, one whole encoder cycle. The Original begins at A = B = low
 //! only; Design A begins in any state. Both wait for the same speed gate as the engine, for twice as many inversions.
@@ -17,10 +18,12 @@ use rtec_rt::gate::{Gate, GateInput};
 
 /// Inversions of one insertion, and its counts.
 pub(crate) const INCREMENT_COUNTS: i64 = 4;
-/// A capture that finds no further edge is complete after this time: the axis has stopped (as in the engine).
+/// A capture without a further edge ends after this time, ns: the axis has stopped.
+/// The engine does the same.
 const CAPTURE_LIMIT_NS: u64 = 100_000_000;
 
-/// The speed gate for four inversions; `None` where no speed leaves time for an insertion.
+/// The speed gate for four inversions.
+/// `None` where no speed leaves time for an insertion.
 #[must_use]
 pub fn gate(config: &AxisConfig) -> Option<Gate> {
     Gate::new(GateInput {
@@ -35,7 +38,7 @@ fn busy_ns(config: &AxisConfig) -> u64 {
     INCREMENT_COUNTS as u64 * (config.write_ns + config.min_separation_ns) + config.guard_ns
 }
 
-/// The corrected axes of one machine, each homed where it stood, corrections enabled.
+/// The corrected axes of one machine, homed in place, with corrections enabled.
 #[derive(Debug)]
 pub struct FullCycle {
     axes: Vec<FullCycleAxis>,
@@ -54,14 +57,16 @@ pub struct FullCycle {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Phase {
     Idle,
-    /// An edge has opened the gate: the insertion begins from `from_ns` until `until_ns`.
+    /// An edge has opened the gate.
+    /// The insertion begins from `from_ns` until `until_ns`.
     Opened {
         add: bool,
         pairs: u8,
         from_ns: u64,
         until_ns: u64,
     },
-    /// The first inversion of a pair is in effect since `effective_ns`; real edges fell after it.
+    /// The first inversion of a pair is in effect since `effective_ns`.
+    /// Real edges fell after it.
     HalfPair {
         add: bool,
         pairs: u8,
@@ -183,8 +188,8 @@ impl FullCycle {
         })
     }
 
-    /// Takes one request: a total, probing mode, feed hold, enabling and disabling. The others do not concern a
-    /// simulated machine, which is homed from the start.
+    /// Takes one request: a total, probing mode, feed hold, enabling and disabling.
+    /// The others do not concern a simulated machine, which is homed from the start.
     ///
     /// # Errors
     /// When the hold line cannot be written.
@@ -451,7 +456,7 @@ impl FullCycleAxis {
         }
     }
 
-    /// Enters a real edge into the MTC's count, in the order in which it and the last inversion fell.
+    /// Enters a real edge into the MTC's count, in true order with the last inversion.
     fn pass_on(&mut self, signal: Signal, edge_ns: u64, report: &mut impl FnMut(EventKind)) {
         let overtaken = self.last_inversion.filter(|i| i.signal != signal && edge_ns <= i.done_ns);
         if let Some(inversion) = overtaken.filter(|i| edge_ns <= i.from_ns) {
@@ -472,7 +477,7 @@ impl FullCycleAxis {
         }
     }
 
-    /// Opens an insertion after an edge, if the next edge cannot come before it is done.
+    /// Opens an insertion after an edge, if it is done before the next edge can come.
     fn open(&mut self, edge: (u64, u64)) {
         if !self.may_begin_here() || edge.1 < self.next_allowed_ns {
             return;
@@ -525,7 +530,8 @@ impl FullCycleAxis {
         self.invert(self.mtc.signal_towards(add), t_ns)
     }
 
-    /// The second inversion: the signal that leaves the MTC where it should be, or else where it was.
+    /// Makes the second inversion.
+    /// It picks the signal that brings the MTC's count to its goal, or else back to where it was.
     fn invert_second(
         &mut self,
         add: bool,

@@ -1,4 +1,5 @@
-//! NC programs for the simulated controller: G00 to G04, G17 to G19, G90, G91, M03, M05, M08, M09, F, S.
+//! NC programs for the simulated controller.
+//! It knows G00 to G04, G17 to G19, G90, G91, M03, M05, M08, M09, F and S.
 
 use crate::path::AXES;
 use rtec_files::InputError;
@@ -145,7 +146,8 @@ pub fn parse(file: &Path, text: &str, start: [f64; AXES]) -> Result<Vec<Block>, 
 /// A word of a block: column, letter, value.
 type Word = (usize, char, f64);
 
-/// The words of a line: column, letter, value. Comments in parentheses and after a semicolon are left out.
+/// The words of a line: column, letter, value.
+/// Comments in parentheses and after a semicolon are left out.
 fn words(line: &str) -> Result<Vec<Word>, (usize, String)> {
     let mut found = Vec::new();
     let chars: Vec<char> = line.split(';').next().unwrap_or("").to_ascii_uppercase().chars().collect();

@@ -1,8 +1,8 @@
 //! Heat in the machine: a lumped network of thermal masses, driven by the spindle and by coolant.
 //!
-//! Tuned to the machining centre of WO 97/43703: at 5500 rpm the sensor at the spindle's nose rises by some 16 K in three
-//! hours (figure 17); with coolant the front of the housing stays cool while its rear heats, so that the gradient along
-//! the housing is larger wet than dry (text after table 7).
+//! It is tuned to the machining centre of WO 97/43703. At 5500 rpm the sensor at the spindle's nose rises by some 16
+//! K in three hours (figure 17). With coolant the front of the housing stays cool while its rear heats. The gradient
+//! along the housing is therefore larger wet than dry (text after table 7).
 
 use crate::noise::Noise;
 
@@ -63,14 +63,15 @@ const WET: [(Node, Node, f64); 4] = [
     (Node::Bed, Node::Coolant, 20.0),
 ];
 
-/// Heat at 5500 rpm, W, and the share of it that grows with the square of the speed (the rest grows with the speed).
+/// Heat at 5500 rpm, W, and the share that grows with the square of the speed.
+/// The rest grows with the speed.
 const SOURCES: [(Node, f64, f64); 3] =
     [(Node::FrontBearing, 170.0, 0.6), (Node::RearBearing, 135.0, 0.6), (Node::Motor, 185.0, 0.3)];
 
 /// Heat that the coolant's pump puts into it, W.
 const PUMP_W: f64 = 300.0;
 
-/// The sensors: name, the mass it sits on, its neighbour, and the neighbour's share.
+/// The sensors: name, mass that it sits on, neighbour, and the neighbour's share.
 pub const SENSORS: [(&str, Node, Node, f64); 20] = [
     ("T1", Node::Bed, Node::Ambient, 0.1),
     ("T2", Node::Bed, Node::Table, 0.4),
@@ -113,7 +114,8 @@ pub struct Heat {
 const STEP_S: f64 = 1.0;
 
 impl Heat {
-    /// A machine that has stood overnight in a hall of this temperature; sensors with this noise, K.
+    /// A machine that has stood overnight in a hall of this temperature.
+    /// Sensors with this noise, K.
     #[must_use]
     pub fn cold(ambient_degc: f64, noise_k: f64, seed: u64) -> Self {
         let mut heat = Self {
@@ -194,8 +196,9 @@ impl Heat {
 /// A spindle cycle: speeds and for how long. `(rpm, minutes)`.
 pub type Cycle = &'static [(f64, f64)];
 
-/// WO 97/43703, figure 9 and table 4: three hours at 5500 rpm, an hour's rest, an hour at 3000, an hour's rest, then a
-/// quarter of an hour at 1500, 3000, 5500 and 3000 with five minutes' rest in between.
+/// The spindle cycle of WO 97/43703, figure 9 and table 4.
+/// It runs three hours at 5500 rpm, rests an hour, runs an hour at 3000, and rests an hour. Then it runs a quarter of
+/// an hour each at 1500, 3000, 5500 and 3000, with five minutes' rest in between.
 pub const FIGURE_9: Cycle = &[
     (5500.0, 180.0),
     (0.0, 60.0),
@@ -229,7 +232,7 @@ mod tests {
         assert!((15.0..=17.0).contains(&rise), "{rise} K");
     }
 
-    /// WO 97/43703, text after table 7: the gradient between front and rear of the housing is larger wet than dry.
+    /// The gradient between front and rear of the housing is larger wet than dry (WO 97/43703, after table 7).
     #[test]
     fn the_housing_gradient_is_larger_wet_than_dry() {
         let gradient = |coolant| {
@@ -240,7 +243,7 @@ mod tests {
         assert!(wet > 1.5 * dry && wet > 1.0, "dry {dry} K, wet {wet} K");
     }
 
-    /// WO 97/43703, figures 10 and 11: all housing temperatures stay between 20 and 40 °C.
+    /// All housing temperatures stay between 20 and 40 °C (WO 97/43703, figures 10 and 11).
     #[test]
     fn the_housing_stays_below_forty_degrees() {
         for coolant in [false, true] {

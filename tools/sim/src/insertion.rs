@@ -1,4 +1,4 @@
-//! What every insertion design offers: looks at a card, takes totals, tells its status.
+//! The interface of every insertion design: look at a card, take totals, give status.
 //!
 //! | design | implemented by |
 //! |---|---|
@@ -15,7 +15,8 @@ use rtec_rt::event::{AxisStatus, Event, Request, Status};
 
 /// One corrected axis, homed: what a replay, or a comparison of designs, drives.
 pub trait CorrectedAxis {
-    /// One look at the card and everything that follows from it; a card that can wait does so at most until `by_ns`.
+    /// One look at the card and everything that follows from it.
+    /// A card that can wait does so at most until `by_ns`.
     ///
     /// # Errors
     /// When the card fails.
@@ -90,12 +91,15 @@ pub fn homed_engine<C: Card>(
     Ok(engine)
 }
 
-/// The designs that invert A and B by gates, and so can correct several axes of a simulated machine.
+/// The designs that invert A and B by gates.
+/// They can correct several axes of a simulated machine.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum GateDesign {
-    /// ±4 counts by two pairs of inversions, begun at A = B = low only (NISTIR 4832, the "Original RTEC").
+    /// ±4 counts by two pairs of inversions, begun at A = B = low only.
+    /// (NISTIR 4832, the "Original RTEC")
     Original,
-    /// ±4 counts by two pairs of inversions, begun in any state (NISTIR 4832, Design A).
+    /// ±4 counts by two pairs of inversions, begun in any state.
+    /// (NISTIR 4832, Design A)
     A,
     /// ±2 counts by two inversions (NISTIR 4832, Design C).
     #[default]
@@ -121,7 +125,8 @@ pub(crate) enum CorrectedMachine {
 }
 
 impl CorrectedMachine {
-    /// Takes over the card as it stands: axis `n` is homed at `origins[n]`, corrections are enabled.
+    /// Takes over the card as it is.
+    /// It homes axis `n` at `origins[n]` and enables corrections.
     pub(crate) fn new<C: Card>(
         design: GateDesign,
         card: &mut C,

@@ -1,5 +1,5 @@
-//! A program on the lathe with the unchanged engine between scales and controller, and a corrector that is told what
-//! probing has found and what is known of the machine.
+//! A program on the lathe, with the unchanged engine between scales and controller.
+//! A corrector uses the probed errors and the machine's known model.
 
 use crate::attended::Attended;
 use crate::control::{Control, WINDOW_COUNTS};
@@ -26,7 +26,8 @@ use rtec_rt::event::{Event, EventKind, Request, Status};
 pub enum Job<'a> {
     /// Cut without corrections.
     Cut,
-    /// Cut with the corrections of a table, of a machine model, or of both: totals asked this long ahead, s.
+    /// Cut with the corrections of a table, of a machine model, or of both.
+    /// The third value is the time, s, by which totals are requested ahead.
     Corrected(Option<&'a FinishTable>, Option<&'a Machine>, f64),
     /// Probe with a tip of this radius, mm.
     Probe(f64),
@@ -41,9 +42,11 @@ pub struct Ran {
     pub status: Status,
     /// Time on the machine, s.
     pub seconds: f64,
-    /// The controller's own count minus the scale's, Z and X, by the machine's decoders, not the engine's.
+    /// The controller's count minus the scale's, Z and X.
+    /// The machine's decoders give it, not the engine.
     pub mtc_minus_scale: [i64; 2],
-    /// Where the tip's centre was on the scales at each trip, part coordinates: the truth to hold captures against.
+    /// Place of the tip's centre on the scales at each trip, in part coordinates.
+    /// Captures are compared with this truth.
     pub trips: Vec<Zx>,
     /// What the sensors read at each trip, °C.
     pub degc: Vec<Vec<f64>>,
@@ -75,7 +78,7 @@ pub enum RunError {
     Servo(ServoFault),
 }
 
-/// The law with what it is told: switched on with the machine, its lags brought up from the heat since.
+/// The law with its inputs, its lags up to date since the machine was switched on.
 fn control(
     stand: &Stand,
     table: Option<(&FinishTable, f64)>,
@@ -148,7 +151,8 @@ fn corrected(
     Ok(corrected)
 }
 
-/// Run a program on the machine with the engine between scales and controller. The workpiece is what is left.
+/// Run a program on the machine with the engine between scales and controller.
+/// The workpiece is what is left.
 ///
 /// # Errors
 /// The engine refuses the configuration, there is no move, or the controller gave up.
@@ -228,8 +232,8 @@ pub fn run(
     })
 }
 
-/// Pairs the trips of axis 0 (Z) and 1 (X) by their time. Positions are those of the scale's edges, whole at the boundary
-/// below a count.
+/// Pairs the trips of axis 0 (Z) and 1 (X) by their time.
+/// Positions are those of the scale's edges, whole at the boundary below a count.
 #[must_use]
 pub fn captured(events: &[Event]) -> Captured {
     struct Open {

@@ -1,5 +1,6 @@
-//! A job on a turning centre: the simulated machine with two axes, a worn tool or a touch probe in its turret, and a
-//! workpiece. NISTIR 4854's experiment runs on it. What the machine does wrong moves tool and probe alike.
+//! A job on a simulated turning centre, on which NISTIR 4854's experiment runs.
+//! It has two axes, a worn tool or a touch probe in its turret, and a workpiece. The machine's errors move tool and
+//! probe alike.
 
 use crate::attended::Attended;
 use crate::axis::AxisSpec;
@@ -56,7 +57,8 @@ pub struct Bench {
 }
 
 impl Default for Bench {
-    /// Like the machine of NISTIR 4854: 1 µm counts, 25 µm ground off a 1/32 in nose just above the centre line.
+    /// Like the machine of NISTIR 4854, with 1 µm counts.
+    /// 25 µm are ground off a 1/32 in nose just above the centre line.
     fn default() -> Self {
         Self {
             count_um: 1.0,
@@ -140,7 +142,7 @@ impl Bench {
 
 /// Rapid traverse of the report's machine: 7 m/min.
 pub const RAPID_MM_S: f64 = 116.7;
-/// So that the ramps of `accel_mm_s2` and `decel_mm_s2` are what a probing path is planned with.
+/// High enough that a probing path's ramps follow `accel_mm_s2` and `decel_mm_s2`.
 const JERK_MM_S3: f64 = 100_000.0;
 
 /// A machine with its errors, switched on so long ago.
@@ -148,7 +150,8 @@ const JERK_MM_S3: f64 = 100_000.0;
 pub struct Stand<'a> {
     /// Machine, tool and probe.
     pub bench: &'a Bench,
-    /// What it does wrong: effects of Z and X by position and temperature, and of the probe.
+    /// The machine's errors.
+    /// They are effects of Z and X by position and temperature, and of the probe.
     pub machine: &'a Machine,
     /// The spindle has run for so long when the program starts.
     pub begin_s: f64,
@@ -163,7 +166,7 @@ pub struct Stand<'a> {
 /// One move of the part program.
 #[derive(Debug, Clone)]
 pub struct Move {
-    /// Where along, in part coordinates of the tool's nose centre or the probe's tip centre.
+    /// The path of the tool's nose centre or the probe's tip centre, in part coordinates.
     pub segment: Segment,
     /// Feed along it, mm/s.
     pub feed_mm_s: f64,
@@ -214,7 +217,8 @@ fn zx(p: [f64; AXES]) -> Zx {
     Zx::new(p[2], p[0])
 }
 
-/// The moves as an NC program, each with an exact stop; and which of its blocks cut, counted from 1.
+/// The moves as an NC program, each with an exact stop.
+/// And which of its blocks cut, counted from 1.
 fn program(
     bench: &Bench,
     moves: &[Move],
@@ -246,8 +250,8 @@ fn program(
     (blocks, first..=last)
 }
 
-/// What a tool does from one place of its nose's centre: where, in part coordinates, and what the part's own form leaves
-/// there, µm.
+/// A cut from one place of the nose's centre (part coordinates).
+/// The second value is what the part's own form leaves there, µm.
 pub(crate) type Cut = (Zx, f64);
 
 /// The machine at work on one program.
@@ -268,17 +272,17 @@ pub struct Lathe {
     block: usize,
     cuts: Arc<Mutex<Vec<Cut>>>,
     last_cut: Option<Zx>,
-    /// At each trip: where the tip's centre was on the scales, part coordinates, and what the sensors read.
+    /// At each trip, the tip's centre on the scales (part coordinates) and the sensors.
     trips: Vec<(Zx, Vec<f64>)>,
     noise: Noise,
     touch_mm: f64,
-    /// What the sensors read while the machine warmed up: time since it was switched on, s, and °C.
+    /// The sensors while the machine warmed up: time since it was switched on, s, and °C.
     past: Vec<(f64, Vec<f64>)>,
 }
 
 impl Lathe {
-    /// At rest at `start` (machine mm), the spindle having run for the stand's time, with a program for `tip_mm`, a probe,
-    /// or for the tool.
+    /// A machine at rest at `start` (machine mm), after the spindle has run for the stand's time.
+    /// It has a program for `tip_mm`, for a probe or for the tool.
     pub(crate) fn new(
         stand: &Stand,
         start: Zx,

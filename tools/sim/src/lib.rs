@@ -1,5 +1,5 @@
-//! The one simulated machine, for the unchanged engine to run against, in virtual time and in real time; every
-//! experiment on it, and every insertion design side by side.
+//! The simulated machine that the unchanged engine runs against.
+//! It runs in virtual time and in real time. Every experiment runs on it, and it compares every insertion design.
 //!
 //! What moves, counts, grows warm, cuts or touches is here, once.
 //!

@@ -18,7 +18,8 @@ pub const SERVO_NS: u64 = 1_000_000;
 /// What stops a controller.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ServoFault {
-    /// Both signals of an axis changed at once (NISTIR 4832, Design B: "typically a *servo fault* message").
+    /// Both signals of an axis changed at once.
+    /// (NISTIR 4832, Design B: "typically a *servo fault* message")
     IllegalState {
         /// Index of the axis.
         axis: usize,
@@ -28,7 +29,7 @@ pub enum ServoFault {
         /// Index of the axis.
         axis: usize,
     },
-    /// The axis is further from where it should be than the controller allows: feedback lost or mirrored.
+    /// The axis is too far from its command: its feedback is lost or mirrored.
     FollowingError {
         /// Index of the axis.
         axis: usize,
@@ -38,7 +39,8 @@ pub enum ServoFault {
 /// What the controller (MTC) can follow and tolerates.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ControllerSpec {
-    /// Highest count rate of its decoder: edges closer than the inverse are a servo fault, Hz.
+    /// Highest count rate of its decoder, Hz.
+    /// Edges closer than the inverse are a servo fault.
     pub decoder_hz: f64,
     /// Following error at which it gives up, mm.
     pub max_following_mm: f64,
@@ -51,7 +53,8 @@ impl Default for ControllerSpec {
     }
 }
 
-/// Signed distance from the probe's tip to the part's surface, mm, for the tip's centre at X, Y, Z (mm): contact at zero.
+/// Signed distance from the probe's tip to the part's surface, mm.
+/// The argument is the tip's centre in X, Y, Z (mm). Contact is at zero.
 pub type Surface = Box<dyn Fn([f64; AXES]) -> f64 + Send>;
 
 /// A move under way.
@@ -65,16 +68,18 @@ enum Job {
 /// Of a word that says when something happens, the bits that say to whom.
 const SOURCE_BITS: u32 = 3;
 const SOURCE: u64 = (1 << SOURCE_BITS) - 1;
-/// The probe, before the axes: of what happens at once, its line comes first, then those of the axes in their order.
+/// The probe, before the axes.
+/// Of simultaneous events its line comes first, then those of the axes in order.
 const PROBE: usize = 0;
 
-/// When something happens, ns (later than any step where it does not), and to whom, in one word: the sooner is the smaller.
+/// An event's time (ns) and source in one word, so that the sooner is the smaller.
+/// An event that does not happen has a time later than any step.
 #[inline]
 const fn due(t_ns: u64, source: usize) -> u64 {
     t_ns << SOURCE_BITS | source as u64
 }
 
-/// The simulated machine: axes, scales, decoders and probe, behind the lines of a card.
+/// The simulated machine behind a card's lines: axes, scales, decoders and probe.
 pub struct SimMachine {
     axes: Vec<AxisSim>,
     /// Axis of the controller (0 X, 1 Y, 2 Z) of each axis of the machine.
@@ -85,10 +90,11 @@ pub struct SimMachine {
     program: std::collections::VecDeque<Block>,
     job: Job,
     command: Command,
-    /// Share of the programmed speed at which the path is run: feed hold takes it to zero and back.
+    /// Share of the programmed speed at which the path runs.
+    /// Feed hold reduces it to zero and back.
     pace: f64,
     hold: bool,
-    /// What the operator wants instead of the program, as soon as the path has come to rest.
+    /// The operator's jog, run instead of the program once the path is at rest.
     jog: Option<Block>,
     /// Blocks begun so far.
     begun: usize,
@@ -99,7 +105,8 @@ pub struct SimMachine {
     step_end_ns: u64,
     outputs: u64,
     inputs: u64,
-    /// The next event of every axis within the step, and of them all with the probe's, as [`due`].
+    /// The next event of every axis within the step, and the first of them and the probe.
+    /// Both are in the form of [`due`].
     due: [u64; MAX_AXES],
     next: u64,
     surface: Option<Surface>,
@@ -109,7 +116,8 @@ pub struct SimMachine {
     probe_delay_ns: u64,
     probe_reach_mm: f64,
     trip_ns: u64,
-    /// How often the probe's line has come on, and where the axes were (X, Y, Z by the scales, mm) at the last time.
+    /// How often the probe tripped, and the axes' places at the last trip.
+    /// Places are X, Y, Z by the scales, mm.
     trips: (usize, [f64; AXES]),
     edges: u64,
 }
@@ -124,7 +132,8 @@ impl std::fmt::Debug for SimMachine {
 }
 
 impl SimMachine {
-    /// A machine at rest at `at_mm` (X, Y, Z). Its axes are `x`, `y` or `z`, in any order.
+    /// A machine at rest at `at_mm` (X, Y, Z).
+    /// Its axes are `x`, `y` or `z`, in any order.
     #[must_use]
     pub fn new(axes: &[AxisSpec], controller: ControllerSpec, at_mm: [f64; AXES]) -> Self {
         let place: Vec<usize> =
@@ -325,7 +334,8 @@ impl SimMachine {
         self.axes[axis].min_separation_ns
     }
 
-    /// Scale count of the machine's zero at the start: position in counts minus this is the count since the start.
+    /// Scale count of the machine's zero at the start.
+    /// The position in counts minus this is the count since the start.
     #[must_use]
     pub fn origin_counts(&self, axis: usize) -> i64 {
         self.axes[axis].origin
@@ -346,7 +356,8 @@ impl SimMachine {
         self.probe_delay_ns
     }
 
-    /// The part that the probe may touch, and the delay from contact to the probe's line, ns. `None`: out of reach.
+    /// Sets the part that the probe may touch, and its delay from contact to line, ns.
+    /// `None` is out of reach.
     pub fn set_surface(&mut self, surface: Option<Surface>, delay_ns: u64) {
         self.surface = surface;
         self.probe_delay_ns = delay_ns;
@@ -355,12 +366,14 @@ impl SimMachine {
         self.find_soonest();
     }
 
-    /// How far from the tip's centre the probe feels the part, mm: the tip's radius and what it is off now.
+    /// Sets the distance from the tip's centre at which the probe feels the part, mm.
+    /// It is the tip's radius and its present error.
     pub fn set_probe_reach_mm(&mut self, reach_mm: f64) {
         self.probe_reach_mm = reach_mm;
     }
 
-    /// How often the probe's line has come on, and where the axes were at the last time (X, Y, Z by the scales, mm).
+    /// How often the probe tripped, and the axes' places at the last trip.
+    /// Places are X, Y, Z by the scales, mm.
     #[must_use]
     pub const fn trips(&self) -> (usize, [f64; AXES]) {
         self.trips
@@ -514,7 +527,8 @@ impl SimMachine {
         Job::Move { shape, profile: FeedProfile::new(length, limits), t_s: 0.0 }
     }
 
-    /// Moves everything on by one step; a machine at rest, by as many servo periods as fit before `wake_ns`.
+    /// Moves everything on by one step.
+    /// A machine at rest, by as many servo periods as fit before `wake_ns`.
     #[inline(never)]
     fn step(&mut self, wake_ns: u64) {
         let from_ns = self.step_end_ns;
@@ -640,8 +654,8 @@ impl SimMachine {
         }
     }
 
-    /// Up to when the lines stay as they are for certain, ns, and whether one of them changes then: further ahead than the
-    /// present step of the axes nothing is known.
+    /// Until when the lines certainly stay, ns, and whether one of them changes then.
+    /// Nothing is known beyond the present step of the axes.
     pub fn quiet_until_ns(&mut self) -> (u64, bool) {
         if self.t_ns >= self.step_end_ns {
             self.step(self.t_ns);

@@ -19,7 +19,8 @@ impl Noise {
         (self.0.next_u64() >> 11) as f64 / (1_u64 << 53) as f64
     }
 
-    /// Normal with mean 0 and standard deviation 1: the sum of twelve uniforms, exact arithmetic on every machine.
+    /// A normal variate with mean 0 and standard deviation 1.
+    /// It is the sum of twelve uniforms, whose arithmetic is exact on every machine.
     pub fn normal(&mut self) -> f64 {
         (0..12).map(|_| self.uniform()).sum::<f64>() - 6.0
     }

@@ -24,7 +24,8 @@ pub struct Along {
     pub a_mm_s2: f64,
 }
 
-/// From rest to a speed with rising, constant and falling acceleration. Played backwards, from the speed to rest.
+/// From rest to a speed with rising, constant and falling acceleration.
+/// Played backwards, from the speed to rest.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Ramp {
     /// Duration of rising acceleration, and of the whole, s.

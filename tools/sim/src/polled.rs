@@ -1,10 +1,12 @@
-//! A polled card on a virtual clock: it looks once in a while and knows no time of a change but that of its looks.
+//! A polled card on a virtual clock.
+//! It looks now and then, and knows changes only by the times of its looks.
 
 use crate::attended::Attended;
 use crate::noise::Noise;
 use rtec_driver::card::{Card, CardError, Sample};
 
-/// The card. Of all its looks, only the one before a change and the one that sees it are shown.
+/// The card.
+/// Of all its looks, only the one before a change and the one that sees it are shown.
 #[derive(Debug)]
 pub(crate) struct Polled<A> {
     pub attended: A,

@@ -1,4 +1,5 @@
-//! The engine over a recording of one axis, on a virtual clock, and what the MTC would have counted.
+//! The engine over a recording of one axis, on a virtual clock.
+//! It gives what the MTC would have counted.
 
 use crate::insertion::{CorrectedAxis, homed_engine};
 use rtec_driver::card::CardError;
@@ -111,8 +112,9 @@ impl<L: Listener> Listener for Mtc<L> {
     }
 }
 
-/// Plays `trace` with `totals` to the engine as one homed axis; `to` gets every change that the MTC sees.
-/// `large` flags every request as meant, whatever its size. Memory does not grow with the trace.
+/// Plays `trace` with `totals` to the engine as one homed axis.
+/// `to` gets every change that the MTC sees. `large` flags every request as meant, whatever its size. Memory does not
+/// grow with the trace.
 ///
 /// # Errors
 /// At the first bad row, or when the axis cannot be corrected as configured.
@@ -132,7 +134,8 @@ where
     replay_with(Xor, start, trace, totals, large, to)
 }
 
-/// As [`replay`], with another design: `start` makes its corrector on a card with these gates.
+/// As [`replay`] with another design.
+/// `start` makes its corrector on a card with these gates.
 ///
 /// # Errors
 /// At the first bad row, or when `start` fails.

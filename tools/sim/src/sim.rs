@@ -1,4 +1,4 @@
-//! The machine with the unchanged engine in its feedback and a corrector that tells it what it knows.
+//! The machine with the unchanged engine in its feedback, and a corrector.
 
 use crate::axis::AxisSpec;
 use crate::control::{Control, REST_NS, Readings, WINDOW_COUNTS};
@@ -31,7 +31,7 @@ pub struct Spec {
     pub design: GateDesign,
     /// What to do for an axis at rest.
     pub rest: RestPolicy,
-    /// Time from an edge until the engine acts on it, at the worst, and of one write, ns: what the speed gate is told.
+    /// The longest time from an edge until the engine acts on it, ns (for the gate).
     pub detect_ns: u64,
     /// Worst time that a write to the card takes, ns.
     pub write_ns: u64,
@@ -66,8 +66,8 @@ impl Spec {
         }
     }
 
-    /// How long before the axes are there their errors are asked for, s: one control period and the lag of the position
-    /// loop.
+    /// How far ahead of the axes errors are evaluated, s.
+    /// It is one control period and the lag of the position loop.
     fn lead_s(&self) -> f64 {
         let gain = self.axes.iter().map(|a| a.position_gain_per_s).fold(f64::INFINITY, f64::min);
         CONTROL_NS as f64 * 1e-9 + 1.0 / gain
@@ -147,7 +147,8 @@ pub enum SimError {
 /// A probe's trip: what the engine captured.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CapturedPosition {
-    /// Position of X, Y, Z by the scales, mm, interpolated between the edges before and after the trip.
+    /// Position of X, Y, Z by the scales, mm.
+    /// It is interpolated between the edges before and after the trip.
     pub position_mm: [f64; AXES],
     /// Half the width of what it may be, mm.
     pub within_mm: [f64; AXES],
@@ -185,7 +186,8 @@ pub struct Moment {
 }
 
 impl Moment {
-    /// What the tool is off from where the controller believes it, µm: the machine's error less what was inserted.
+    /// The tool's offset from its place by the controller, µm.
+    /// It is the machine's error minus what was inserted.
     #[must_use]
     pub fn off_um(&self, axis: usize) -> f64 {
         self.error_um[axis] - self.inserted_um[axis]
@@ -210,8 +212,8 @@ pub struct Sim {
 }
 
 impl Sim {
-    /// A cold machine at rest at `at_mm` (X, Y, Z), homed there, with the errors of `truth`. `known`: what the corrector
-    /// is told; `None`: corrections are off.
+    /// A cold machine at rest at `at_mm` (X, Y, Z), homed there, with the errors of `truth`.
+    /// `known` is the corrector's model. `None`: corrections are off.
     ///
     /// # Errors
     /// An effect reads what the machine does not have; a configuration that leaves no time for an insertion.
@@ -252,7 +254,7 @@ impl Sim {
         Ok(sim)
     }
 
-    /// From now on the corrector is told of the errors in `known`, where it was told nothing before.
+    /// Gives a corrector without a model the errors in `known`.
     ///
     /// # Errors
     /// An effect reads what the machine does not have.
@@ -275,7 +277,7 @@ impl Sim {
         self.errors.channels()
     }
 
-    /// Readings of the temperature sensors, °C, in the order of [`crate::heat::SENSORS`].
+    /// Readings of the temperature sensors, °C, ordered as [`crate::heat::SENSORS`].
     #[must_use]
     pub fn temperatures_degc(&self) -> &[f64] {
         self.errors.heat.readings_degc()
@@ -304,7 +306,8 @@ impl Sim {
         self.corrected.status()
     }
 
-    /// How often the corrector computes new totals from now on, ns: errors of a machine at rest change slowly.
+    /// Sets the time between two computations of totals, ns.
+    /// Errors of a machine at rest change slowly.
     pub fn set_control_period(&mut self, control_ns: u64) {
         self.control_ns = control_ns.max(CONTROL_NS);
     }
@@ -445,8 +448,9 @@ impl Sim {
         now
     }
 
-    /// Probing mode on or off. On, nothing is inserted and the engine captures positions at the probe's trip; the part
-    /// that can be touched is `surface`.
+    /// Probing mode on or off.
+    /// On, nothing is inserted and the engine captures positions at the probe's trip; the part that can be touched is
+    /// `surface`.
     ///
     /// # Errors
     /// The simulated card failed.
@@ -478,7 +482,7 @@ impl Sim {
         Ok(())
     }
 
-    /// Runs blocks in probing mode and returns the first trip in them, if the part was touched.
+    /// Runs blocks in probing mode and returns their first trip, if the part was touched.
     ///
     /// # Errors
     /// As [`Sim::advance`].

@@ -1,4 +1,5 @@
-//! Axes that go to and fro in real time until somebody jogs them: each a machine of one axis at the mock card's wires.
+//! Axes that move to and fro in real time until somebody jogs them.
+//! Each is a machine of one axis at the mock card's wires.
 
 use crate::attended::Attended;
 use crate::axis::AxisSpec;
@@ -19,19 +20,23 @@ pub struct StrokeMotion {
     pub feed_counts_s: f64,
     /// Pause at either end, s.
     pub dwell_s: f64,
-    /// The controller closes its loop on what it is sent; if not, on an encoder of its own.
+    /// The controller closes its loop on what it is sent.
+    /// If not, on an encoder of its own.
     pub on_feedback: bool,
 }
 
-/// What the outside may know of an axis at any time. Written by the card's thread, read by anyone.
+/// What the outside may know of an axis at any time.
+/// Written by the card's thread, read by anyone.
 #[derive(Debug)]
 pub struct Truth {
     commanded: AtomicU64,
-    /// How far the axis is from there: it changes slowly, so that a command read a moment too early does no harm.
+    /// Distance of the axis from there.
+    /// It changes slowly, so a command read a moment too early does no harm.
     off: AtomicU64,
     mtc_count: AtomicI64,
     illegal: AtomicU64,
-    /// Where it shall go, counts; no number while it runs its cycle. Written by the operator, read by the card's thread.
+    /// Where it shall go, counts; no number while it runs its cycle.
+    /// Written by the operator, read by the card's thread.
     jog: AtomicU64,
 }
 
@@ -68,7 +73,8 @@ impl Truth {
         self.mtc_count.load(Ordering::Relaxed)
     }
 
-    /// Leaves the cycle and goes to a commanded place, counts, at the motion's feed; stays there.
+    /// Leaves the cycle and goes to a commanded place, counts, at the motion's feed.
+    /// Stays there.
     pub fn jog_to(&self, commanded_counts: f64) {
         self.jog.store(commanded_counts.to_bits(), Ordering::Relaxed);
     }
@@ -105,7 +111,8 @@ pub struct Stroking {
     machine: SimMachine,
     motion: StrokeMotion,
     truth: Arc<Truth>,
-    /// Cycle start. Written by whoever has the machine's other end, read by the card's thread.
+    /// Cycle start.
+    /// Written by whoever has the machine's other end, read by the card's thread.
     go: Arc<AtomicBool>,
     /// The last jog taken, as the operator wrote it.
     jogged: u64,
@@ -114,11 +121,13 @@ pub struct Stroking {
 /// Axes that go to and fro, on one card.
 pub type MovingAxes = MachineWires<Stroking>;
 
-/// Of the controller's axes these machines have the first alone. A count stands for a micrometre.
+/// Of the controller's axes these machines have the first alone.
+/// A count stands for a micrometre.
 const MM_PER_COUNT: f64 = 1e-3;
 /// An axis that follows its command, and an insertion, within some milliseconds.
 const GAIN_PER_S: f64 = 300.0;
-/// Time to the feed, and of that at rising acceleration, s: 20 mm/s at less than the 1 m/s² that such axes are given.
+/// Time to reach the feed, part of it at rising acceleration, s.
+/// 20 mm/s needs less than the 1 m/s² that such axes have.
 const RAMP_S: f64 = 0.03;
 const RISE_S: f64 = 0.006;
 
@@ -146,7 +155,8 @@ impl StrokeMotion {
     }
 }
 
-/// Axes on these lines, at rest at zero until cycle start, a probe in the middle of the first one's stroke.
+/// Axes on these lines, at rest at zero until cycle start.
+/// A probe is in the middle of the first one's stroke.
 #[must_use]
 pub fn moving_axes(axes: &[(AxisLines, StrokeMotion)], lines: MachineLines) -> (MovingAxes, Operator) {
     // Such a controller believes what it is sent, however fast it comes and wherever it leads.
@@ -306,7 +316,8 @@ mod tests {
         assert!((tripped_at.unwrap() - 0.5).abs() < 1e-4, "{tripped_at:?}");
     }
 
-    /// The process is kept away between any two looks; the machine is where it was, as far as an insertion is concerned.
+    /// The process is kept away between any two looks.
+    /// The machine is where it was, as far as an insertion is concerned.
     #[test]
     fn a_process_that_is_kept_away_overtakes_no_insertion() {
         struct Away(u64);

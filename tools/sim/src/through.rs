@@ -1,8 +1,9 @@
-//! Design B (NISTIR 4832): A and B pass through the computer, which may add or leave out single counts on the way.
+//! Design B (NISTIR 4832): A and B pass through the computer.
+//! The computer may add or leave out single counts on the way.
 //!
 //! A' and B' are driven, not gated: the state for scale count n and total c is that of count n + c. Real edges and
-//! inserted steps go out one after the other, each with the MTC's separation before it. What the computer does not look
-//! at in time is lost, and when it stops the MTC sees an axis at rest.
+//! inserted steps are sent one after the other, each with the MTC's separation before it. Edges that the computer
+//! sees too late are lost. When the computer stops, the MTC sees an axis at rest.
 
 use crate::insertion::CorrectedAxis;
 use rtec_driver::card::{Card, CardError};
@@ -36,7 +37,8 @@ pub struct DesignB {
 }
 
 impl DesignB {
-    /// Takes over the card as it stands. `None` where the configuration leaves no time for a step at any speed.
+    /// Takes over the card as it stands.
+    /// `None` where the configuration leaves no time for a step at any speed.
     ///
     /// # Errors
     /// When the card cannot be read or written.
@@ -97,7 +99,8 @@ impl DesignB {
         self.scale.count() + self.completed
     }
 
-    /// After an edge: until when may a step begin, so that the next edge cannot come before it is done?
+    /// The latest time after an edge at which a step may begin.
+    /// The step must be done before the next edge can come.
     fn open(&mut self, edge_ns: u64) -> Option<u64> {
         let quiet_ns = self.gate.quiet_ns(self.period_ns);
         if self.period_ns >= self.gate.min_period_ns() && quiet_ns >= self.gate.need_ns() {

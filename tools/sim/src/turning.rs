@@ -1,5 +1,5 @@
-//! The report's experiment step by step on the simulated machine: semi-finish cut, probing, errors, table, finish cut,
-//! inspection (NISTIR 4854, section 2).
+//! The report's experiment step by step on the simulated machine.
+//! Steps are semi-finish cut, probing, errors, table, finish cut and inspection (NISTIR 4854, section 2).
 
 use crate::errors::{layout, of_the_probe};
 use crate::heat::SENSORS;
@@ -39,13 +39,15 @@ pub struct Setup {
     pub bench: Bench,
     /// What the machine does wrong.
     pub machine: Machine,
-    /// What is known of that: corrected live while cutting, off line in what was probed.
+    /// The known model of those errors.
+    /// It is corrected live while cutting, and off line in the probed results.
     pub model: Option<Machine>,
     /// The spindle has run for so long before the first program.
     pub begin_s: f64,
     /// Name of the corrector's design, as the command line gives it.
     pub design: String,
-    /// Centre of the nose in part coordinates: 5 in along the axis in figure 7 of the report.
+    /// Centre of the nose in part coordinates.
+    /// In figure 7 of the report it is 5 in along the axis.
     pub centre: Zx,
     /// Radius of the finished nose: 38.1 mm in the report.
     pub radius_mm: f64,
@@ -59,7 +61,8 @@ pub struct Setup {
     pub motion: ProbingMotion,
     /// Feed of the cuts.
     pub cut_feed_mm_min: f64,
-    /// Corrections are asked this long ahead: one control period and the lag of the position loop.
+    /// How far ahead corrections are requested, s.
+    /// It is one control period and the lag of the position loop.
     pub lead_s: f64,
     /// How near a trip must be to its expected place.
     pub window_mm: f64,
@@ -155,13 +158,14 @@ pub struct Probing {
 pub struct CutResult {
     /// Largest error by its size.
     pub largest_um: f64,
-    /// Largest error minus the error at the part's axis (the report's height of the bump).
+    /// Largest error minus the error at the part's axis (the report's height of bump).
     pub bump_um: f64,
     /// SD of all points about the plain circle.
     pub sd_before_um: f64,
     /// SD about the second fit.
     pub sd_after_um: f64,
-    /// Form of the true surface, largest minus smallest deviation from its own circle at the probed angles.
+    /// Form of the true surface.
+    /// It is the largest minus the smallest deviation from its own circle at the probed angles.
     pub true_form_um: f64,
     /// SD of the true surface about its circle.
     pub true_sd_um: f64,
@@ -184,7 +188,7 @@ pub struct TurningOutcome {
     pub finish: CutResult,
     /// Insertions the engine made in the finish cut, Z and X.
     pub insertions: [u64; 2],
-    /// What the controller counted in the finish cut minus what the scales did, Z and X, counts.
+    /// The controller's count in the finish cut minus the scales', Z and X, counts.
     pub mtc_minus_scale: [i64; 2],
     /// Completed totals at its end.
     pub completed: [i64; 2],
@@ -194,7 +198,8 @@ pub struct TurningOutcome {
     pub program: CutResult,
     /// Fast probing and slow.
     pub probing: [Probing; 2],
-    /// What a measuring machine off the machine sees and probing cannot; only with a machine error.
+    /// What a measuring machine off the machine sees and probing cannot.
+    /// Only with a machine error.
     pub off_machine: Option<Batch>,
     /// What was decided and why, in order.
     pub decisions: Vec<String>,
@@ -207,7 +212,7 @@ pub struct TurningOutcome {
 }
 
 impl TurningOutcome {
-    /// What the controller counted beyond the scales is what the engine says it completed.
+    /// The controller's count beyond the scales equals what the engine completed.
     #[must_use]
     pub fn balanced(&self) -> bool {
         self.mtc_minus_scale == self.completed
@@ -313,7 +318,8 @@ impl Setup {
         self.probe_path(part, &plan.records(), &plan.expected(), &approach, feed_mm_min, seed)
     }
 
-    /// Probe along any path. `expected` are the tip's centres at the trips, `approach` the directions of the touches.
+    /// Probe along any path.
+    /// `expected` are the tip's centres at the trips, `approach` the directions of the touches.
     ///
     /// # Errors
     /// As [`Setup::probe`].
@@ -369,7 +375,8 @@ impl Setup {
         Self { begin_s: self.begin_s + seconds, ..self.clone() }
     }
 
-    /// What a measuring machine finds on the part: its true surface at the probed angles about its own circle.
+    /// What a measuring machine would find on the part.
+    /// It measures the true surface at the probed angles about its own circle.
     ///
     /// # Errors
     /// The points give no circle.
@@ -403,14 +410,16 @@ impl Setup {
         })
     }
 
-    /// The table of a finish cut: of what is known of the part's form, where the model knows any, or of probed errors.
+    /// The table of a finish cut.
+    /// It comes from the known form of the part where the model has one, else from probed errors.
     fn table(&self, probed: &[PointError]) -> Result<FinishTable, TurningError> {
         let known = self.model.as_ref().map(|m| known_form(m, self.points)).transpose()?.flatten();
         let axes = lathe::axes(&self.bench, self.gate_design()?);
         Ok(FinishTable::new(self.cut(self.radius_mm), axes, known.unwrap_or_else(|| probed.to_vec())))
     }
 
-    /// The loop alone: semi-finish cut, probing, finish cut (corrected or not), and the session that inspects it.
+    /// The loop: semi-finish cut, probing, finish cut (corrected or not), inspection.
+    /// Returns the inspecting session.
     ///
     /// # Errors
     /// The first step that cannot be done.
@@ -430,8 +439,8 @@ impl Setup {
         Ok(session)
     }
 
-    /// The session's record less what is known of the machine: probing runs uncorrected, so that a part which is right
-    /// shows the machine's errors (NISTIR 4832, probing mode).
+    /// The session's record minus the known errors of the machine.
+    /// Probing runs uncorrected, so a correct part shows the machine's errors (NISTIR 4832, probing mode).
     fn correct_off_line(&self, session: &mut ProbingSession, plan: &Plan) -> Result<(), TurningError> {
         let (Some(model), Some(record)) = (&self.model, &mut session.record) else { return Ok(()) };
         let mut probed = Probed::parse(Path::new("probed.csv"), &session.csv)?;
@@ -547,8 +556,9 @@ impl Setup {
         Ok(outcome)
     }
 
-    /// The finish cut with the table's corrections in its G01 lines, from beyond one end to beyond the other: a cut that
-    /// begins at rest in the first point would show where the axes came from.
+    /// The finish cut with the table's corrections in its G01 lines.
+    /// It runs from beyond one end to beyond the other, because a cut begun at rest in the first point would show
+    /// where the axes came from.
     fn program_moves(&self, table: &FinishTable) -> Vec<Move> {
         let mut corners = table.straight_moves(0.0015, 4);
         // Along the same arc as the one move of the arc comes, so that the axes turn where they turn there.
@@ -590,7 +600,8 @@ impl Setup {
         Ok((batch::evaluate_text(Path::new("batch.csv"), &text, Some(&inspected.errors), judgement)?, text))
     }
 
-    /// The files of a probing session: its plan, the NC program that makes it, what was captured, the errors.
+    /// Adds the files of a probing session.
+    /// They are its plan, its NC program, the captured positions and the errors.
     fn add(
         &self,
         files: &mut Vec<(String, Vec<u8>)>,
@@ -650,7 +661,8 @@ impl Setup {
     }
 }
 
-/// Radial errors by angle that a model knows the part to have, µm; `None` where it knows of no form.
+/// Radial errors by angle that a model knows the part to have, µm.
+/// `None` where it knows of no form.
 fn known_form(model: &Machine, points: usize) -> Result<Option<Vec<PointError>>, RunError> {
     let form: Vec<&Effect> = model
         .effects()

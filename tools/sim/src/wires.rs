@@ -1,6 +1,7 @@
-//! Machines at the other end of a mock card's wires, in real time. The card lets time go no further than the next change
-//! of a line, and a sixteenth of a count at the axes' fastest: late looks find the machine waiting, and what takes a few
-//! looks, as an insertion does, is not overtaken by a count because the process was kept away in the middle of it.
+//! Machines at the other end of a mock card's wires, in real time.
+//! The card lets time advance at most to the next change of a line, and by a sixteenth of a count at the axes'
+//! fastest. Late looks then find the machine waiting. An insertion takes a few looks, and no count overtakes it if
+//! the process is not scheduled in the middle of it.
 
 use crate::attended::Attended;
 use rtec_driver::card::{AxisLines, MachineLines};
@@ -30,7 +31,8 @@ pub struct MachineWires<A> {
     inputs: u64,
 }
 
-/// A machine's own lines: A, B, A', B' of axis n from bit 4n, its inverters from 2n, probe and hold as on a mock card.
+/// A machine's own lines: A, B, A', B' of axis n from bit 4n, its inverters from 2n.
+/// Probe and hold are as on a mock card.
 const OWN: MachineLines = MachineLines::standard();
 
 fn bit(line: Option<u8>) -> u64 {
@@ -61,7 +63,8 @@ impl<A: Attended> Station<A> {
 }
 
 impl<A: Attended> MachineWires<A> {
-    /// Machines with the card's lines of their axes; feed hold and probe are common to all.
+    /// Machines with the card's lines of their axes.
+    /// Feed hold and probe are common to all.
     #[must_use]
     pub fn new(machines: impl IntoIterator<Item = (A, Vec<AxisLines>)>, lines: MachineLines) -> Self {
         let stations: Vec<_> =

@@ -1,4 +1,4 @@
-//! The workpiece: what a tool with a worn nose leaves of it, and the surface that a probe finds.
+//! The workpiece that a worn nose leaves, and the surface that a probe finds.
 
 use rtec_files::InputError;
 use rtec_files::Sheet;
@@ -54,7 +54,7 @@ impl Workpiece {
         p.norm() - self.radius_mm(p.angle_rad())
     }
 
-    /// Errors of the surface against the nominal circle, as a measuring machine off the machine would find them.
+    /// Errors of the surface against the nominal circle, as a measuring machine finds them.
     #[must_use]
     pub fn truth(&self, radius_mm: f64, number: usize) -> Vec<PointError> {
         (0..number)
@@ -100,7 +100,8 @@ impl Workpiece {
             .then_some(Self { centre, radius_mm })
     }
 
-    /// Takes away what the nose reaches from one place of its centre, `deeper_um` beyond its radius.
+    /// Removes what the nose reaches from one place of its centre.
+    /// It cuts `deeper_um` beyond its radius.
     pub fn cut(&mut self, tool: Nose, nose_centre: Zx, deeper_um: f64) {
         let facing = (nose_centre - self.centre).angle_rad();
         let nose_mm = tool.radius_mm + deeper_um * 1e-3;
@@ -123,7 +124,8 @@ impl Workpiece {
 mod tests {
     use super::*;
 
-    /// NISTIR 4854, Part-Form Error: what a flat leaves is the nose's support function, that of the flat's two ends.
+    /// A flat leaves the nose's support function, which is that of the flat's two ends.
+    /// (NISTIR 4854, Part-Form Error)
     #[test]
     fn a_flat_of_25_um_leaves_25_um_where_its_middle_cuts() {
         let tool = Nose { radius_mm: 0.8, flat_um: 25.0, flat_rad: 0.7 };

@@ -1,4 +1,4 @@
-//! The drilling test of WO 97/43703, and a corrector that is switched on beside a warm machine.
+//! The drilling test of WO 97/43703, and a corrector switched on at a warm machine.
 
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
@@ -8,7 +8,8 @@ use rtec_sim::gcode::Block;
 use rtec_sim::sim::{Sim, Spec};
 use std::path::Path;
 
-/// WO 97/43703, p. 25: four holes, and four more an inch further in X, in each of three cycles.
+/// WO 97/43703, p.
+/// 25: four holes, and four more an inch further in X, in each of three cycles.
 #[test]
 fn drills_two_passes_an_inch_apart() {
     let truth = Described::default().machine("wo97-machine.toml").unwrap();
@@ -35,7 +36,7 @@ fn drills_two_passes_an_inch_apart() {
     }
 }
 
-/// Without the temperatures of the past nobody knows where the lags of a warm machine are: the corrector holds and says so.
+/// On a warm machine without past temperatures the lags are unknown: the corrector holds and reports it.
 #[test]
 fn holds_and_says_so_on_a_warm_machine_without_a_past() {
     let truth = Described::default().machine("wo97-machine.toml").unwrap();

@@ -177,7 +177,8 @@ pub struct Verified {
     pub broken: Vec<Broken>,
 }
 
-/// Checks every line, and that none is missing, changed or in another place; and that what was said elsewhere is true.
+/// Checks every line, and that none is missing, changed or in another place.
+/// And that what was said elsewhere is true.
 ///
 /// # Errors
 /// A file that cannot be read.

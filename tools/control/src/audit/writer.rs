@@ -1,4 +1,5 @@
-//! The record's writer: one process at a time, off every thread that must not wait for a disk.
+//! The record's writer: one process at a time.
+//! It must not run on a thread that cannot wait for a disk.
 
 use super::{Entry, FILES, FULL, Head, LONGEST_LINE, NOTHING, files, head_path, read_head, with_suffix};
 use nix::errno::Errno;
@@ -9,7 +10,8 @@ use std::io::{self, BufRead, BufReader, Read, Seek, SeekFrom, Write};
 use std::os::unix::fs::{FileExt, MetadataExt, OpenOptionsExt, PermissionsExt, fchown};
 use std::path::{Path, PathBuf};
 
-/// Writes the record. To be used by one process at a time, off every thread that must not wait for a disk.
+/// Writes the record.
+/// To be used by one process at a time, off every thread that must not wait for a disk.
 #[derive(Debug)]
 pub struct Writer {
     path: PathBuf,
@@ -24,13 +26,14 @@ pub struct Writer {
     head_behind: bool,
     /// How many files it keeps.
     keeps: usize,
-    /// How often its file or its head were found removed or renamed, and how often a full file was put aside.
+    /// How often a file or head was removed or renamed, and how often a file was full.
     moved: u64,
     rotated: u64,
 }
 
 impl Writer {
-    /// A writer that goes on where the record ends; it opens the file at its first line.
+    /// A writer that goes on where the record ends.
+    /// It opens the file at its first line.
     #[must_use]
     pub fn new(path: &Path) -> Self {
         let head = Head { n: 0, hash: NOTHING.to_owned(), first_n: 1 };
@@ -114,7 +117,7 @@ impl Writer {
         Ok(())
     }
 
-    /// Begins new files where somebody has removed or renamed those that are open, and says so in the record.
+    /// Starts new files if the open ones were removed or renamed, and records that.
     fn look(&mut self) -> io::Result<()> {
         let is_there = |file: Option<&File>, path: &Path| {
             file.is_none_or(|file| {
@@ -186,7 +189,8 @@ impl Writer {
         Ok(())
     }
 
-    /// Lets the group read a file, whatever the process's mask says; where it cannot be given away it stays ours alone.
+    /// Lets the group read a file, whatever the process's mask says.
+    /// Where it cannot be given away it stays ours alone.
     fn give(&self, file: &File) {
         if self.group.is_some() && fchown(file, None, self.group).is_ok() {
             let _ = file.set_permissions(Permissions::from_mode(0o640));
@@ -214,8 +218,8 @@ impl Writer {
         if n == 0 { self.path.clone() } else { with_suffix(&self.path, &n.to_string()) }
     }
 
-    /// Notes which line will be the first, before the files that make it so get their new names: killed in between, the record
-    /// has more than it promises, and not less.
+    /// Notes the future first line before the files are renamed.
+    /// A kill in between leaves more lines than promised, never fewer.
     pub(super) fn begin_rotation(&mut self) -> io::Result<()> {
         // The oldest is overwritten where there is one before it.
         let goes = self.name(self.keeps - 1);

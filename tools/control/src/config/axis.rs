@@ -7,7 +7,8 @@ use rtec_model::record::Axis;
 use rtec_rt::axis::{AxisConfig, INCREMENT_COUNTS, RestPolicy};
 use std::path::{Path, PathBuf};
 
-/// The belief window of an axis that does not state one, µm: three corrections of 4 µm (NISTIR 4832, General Considerations).
+/// The default belief window of an axis, µm: three corrections of 4 µm.
+/// (NISTIR 4832, General Considerations)
 const BELIEVED_UM: f64 = 12.0;
 
 /// The belief window as counts of this size, at least one insertion.
@@ -16,7 +17,8 @@ fn window_of(count_um: f64) -> i64 {
 }
 
 #[allow(clippy::too_many_lines)] // One key after the other.
-/// Reads one `[[axis]]`; none where something is wrong with it. With it the recording of a replay.
+/// Reads one `[[axis]]`; none where something is wrong with it.
+/// With it the recording of a replay.
 pub(super) fn read(
     source: &mut SourceFile<'_>,
     mut s: Section<'_>,
@@ -223,7 +225,7 @@ fn refuse_design(source: &mut SourceFile<'_>, s: &mut Section<'_>) {
     }
 }
 
-/// Keys by which a configuration asks for an axis that is not supported, and what that is.
+/// Keys of unsupported kinds of axis, and the kind that each asks for.
 const OTHER_KINDS: [(&str, &str); 8] = [
     ("count_deg", ROTARY),
     ("count_arcsec", ROTARY),
@@ -239,7 +241,8 @@ const ROTARY: &str = "a linear axis: rotary axes are not supported, since models
 const COUPLED: &str = "an axis of its own: two scales of one axis (a gantry) are not supported, since unequal corrections would \
                        rack it. Leave both scales out: they go straight to the MTC";
 
-/// A rotary or a coupled axis is refused by what it is, not by an unknown key: `by_name` where its name says that it turns (ISO 841). `true` where it was.
+/// Refuses a rotary or coupled axis by its kind, not by an unknown key.
+/// `by_name`: its name says that it rotates (ISO 841). Returns `true` where it was refused.
 fn refuse_other_kinds(
     source: &mut SourceFile<'_>,
     s: &mut Section<'_>,

@@ -215,7 +215,7 @@ fn read_registers(
     }
 }
 
-/// The keys that say where the registers are, one of which must be there, and what they mean.
+/// The keys for the registers' place, one of which is required, and their meaning.
 const fn places_of(port: bool) -> (&'static str, &'static str) {
     if port {
         ("parport, io or pci", "where the ports are: \"/dev/parport0\", 0x378, or a card's \"vendor:device\"")

@@ -1,4 +1,4 @@
-//! `[control]`: the sockets and who may use them, the files that outlive the process.
+//! `[control]`: sockets with their users, and files that outlive the process.
 
 use super::plain;
 use crate::closed::closed_directory;
@@ -27,7 +27,8 @@ pub struct ControlConfig {
     pub state_file: Option<PathBuf>,
     /// The record of every command; `None` is as [`ControlConfig::log_path`] says.
     pub log_file: Option<PathBuf>,
-    /// The record's end is said in the system's journal, where the daemon's own rights do not reach.
+    /// Whether the record's end is written to the system's journal.
+    /// The daemon's own rights cannot change it there.
     pub log_anchor: bool,
     /// The folder that finished records are kept in, for the shop; none without one.
     pub spool: Option<PathBuf>,
@@ -73,8 +74,8 @@ impl ControlConfig {
         self.state_file.clone().unwrap_or_else(|| self.socket.with_file_name("state"))
     }
 
-    /// Path of the record of every command: as configured; else of an installed daemon in `/var/log/rtec`; else beside
-    /// the state file.
+    /// Path of the record of every command: as configured.
+    /// Else of an installed daemon in `/var/log/rtec`; else beside the state file.
     #[must_use]
     pub fn log_path(&self) -> PathBuf {
         let state = self.state_path();
@@ -106,7 +107,8 @@ impl ControlConfig {
     }
 }
 
-/// The socket of a role, from the path of the one for everything: `control.sock`, `control-view.sock`.
+/// The socket of a role, from the path of the main one.
+/// `control.sock` gives `control-view.sock`.
 #[must_use]
 pub fn derived(socket: &Path, role: Role) -> PathBuf {
     if role == Role::SetUp {
@@ -121,9 +123,10 @@ pub fn derived(socket: &Path, role: Role) -> PathBuf {
     socket.with_file_name(name)
 }
 
-/// Directory of sockets and state file unless the configuration names others: the one of `RTEC_RUN_DIR`; `/run/rtec` where it exists (an installed
-/// daemon's) and for root; else the user's run-time directory, else the user's state directory. Never one that others
-/// can write to.
+/// Default directory of sockets and state file.
+/// It is the one of `RTEC_RUN_DIR`. Otherwise it is `/run/rtec` for root, or where it exists (an installed daemon's).
+/// Otherwise it is the user's run-time directory, then the user's state directory. It is never one that others can
+/// write to.
 #[must_use]
 pub fn default_directory() -> PathBuf {
     let absolute = |name: &str| std::env::var_os(name).map(PathBuf::from).filter(|p| p.is_absolute());
@@ -212,7 +215,8 @@ pub(super) fn read(source: &mut SourceFile<'_>, root: &mut Section<'_>, here: bo
     config
 }
 
-/// What is allowed, and may be more than was meant. `here`: this computer is the one it is meant for.
+/// What is allowed, and may be more than was meant.
+/// `here`: this computer is the one it is meant for.
 pub(super) fn notes(control: &ControlConfig, here: bool) -> Vec<String> {
     let mut notes = Vec::new();
     if let Some(spool) = control.spool.as_ref().filter(|s| here && !s.is_dir()) {

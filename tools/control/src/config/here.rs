@@ -1,4 +1,5 @@
-//! What a configuration names beside itself, looked for on this computer: `rtecctl config check` without `--elsewhere`.
+//! Checks on this computer what a configuration names.
+//! `rtecctl config check` does so without `--elsewhere`.
 
 use super::{CardConfig, Config};
 use crate::sources;
@@ -10,8 +11,9 @@ use rtec_files::words::quoted;
 use rtec_model::machine::Machine;
 use std::path::Path;
 
-/// Findings: files that are not what they should be, a model that this machine does not take. Notes: what may come yet, as
-/// a sensor that is plugged in later, and what of a model has no effect.
+/// Findings and notes about what the configuration names.
+/// Findings are unusable files, or a model that this machine does not take. Notes are things that may come later,
+/// such as a sensor, and parts of a model without effect.
 pub(super) fn look(source: &mut SourceFile<'_>, document: &Document<'_>, config: &mut Config) {
     let whole = source.findings.is_empty();
     model(source, document, config, whole);
@@ -35,7 +37,8 @@ pub(super) fn look(source: &mut SourceFile<'_>, document: &Document<'_>, config:
     }
 }
 
-/// The model that runs from the start, made ready as the daemon does it where the configuration is `whole`.
+/// Prepares the model that runs from the start, as the daemon does.
+/// Only where the configuration is `whole`.
 fn model(source: &mut SourceFile<'_>, document: &Document<'_>, config: &mut Config, whole: bool) {
     let Some(file) = &config.model.file else { return };
     let entry = document.root().get("model").and_then(|e| e.as_table()).and_then(|t| t.get("file"));

@@ -1,4 +1,5 @@
-//! What `[rt]` says of this machine's latency: where it was measured, whether that can be, and what it leaves the axes.
+//! The latency figures of `[rt]`.
+//! It checks where they were measured, whether they are possible, and what they leave the axes.
 
 use super::{CardConfig, Config, ConfiguredAxis, MappedPlace, PortPlace, plain};
 use crate::protocol::Rates;
@@ -8,7 +9,8 @@ use rtec_rt::setup::System;
 use std::fmt;
 use std::path::Path;
 
-/// A figure older than this, days, is measured anew: disks, firmware and cards change.
+/// The age in days after which a figure must be measured again.
+/// Disks, firmware and cards change.
 const OLDEST_DAYS: i64 = 366;
 
 /// Where and when latencies were measured: `measured` in `[rt]`.
@@ -101,7 +103,8 @@ pub(super) fn read_measured(source: &mut SourceFile<'_>, rt: &mut Section<'_>) -
     Some(Measured { card: card.value, kernel: kernel.value, cpu: cpu.value, date: day.value })
 }
 
-/// The least that `detect_ns` and `write_ns` can be on such a card, ns, and why; none of a simulated one.
+/// The least that `detect_ns` and `write_ns` can be on such a card, ns, and why.
+/// None of a simulated one.
 #[must_use]
 pub fn floors_ns(card: &CardConfig) -> Option<(u64, u64, &'static str)> {
     let bus = (800, 200, "two reads over a PCI bus take longer");
@@ -171,8 +174,9 @@ impl ConfiguredAxis {
         hz * 60.0 * self.count_um / 1000.0
     }
 
-    /// The highest edge rate that is followed, Hz: not two edges within the longest time between two looks, whatever the
-    /// axis gains on the way. None where nothing limits it: a card that counts itself, a simulated one.
+    /// The highest edge rate that can be followed, Hz.
+    /// No two edges may come within the longest time between two looks, even if the axis accelerates. `None` where
+    /// nothing limits it: a card with its own counters, or a simulated one.
     #[must_use]
     pub fn followed_hz(&self) -> Option<f64> {
         let looks_s = self.engine.detect_ns as f64 * 1e-9;
@@ -180,7 +184,8 @@ impl ConfiguredAxis {
         limited.then(|| (1.0 / looks_s - self.engine.max_accel_counts_s2 * looks_s / 2.0).max(0.0))
     }
 
-    /// The highest edge rate at which an insertion still has time, Hz; none where there is no such rate.
+    /// The highest edge rate at which an insertion still has time, Hz.
+    /// None where there is no such rate.
     #[must_use]
     pub fn corrected_hz(&self) -> Option<f64> {
         self.engine.gate().map(|gate| 1e9 / gate.min_period_ns() as f64)
@@ -213,8 +218,9 @@ impl ConfiguredAxis {
 }
 
 impl Config {
-    /// Why corrections may not be enabled on this card and computer, each with its remedy: latencies that were not measured
-    /// here, an axis that outruns the card. Of a card that drives no machine nothing is asked.
+    /// Why corrections may not be enabled on this card and computer, each with its remedy.
+    /// Reasons are latencies not measured here, or an axis too fast for the card. A card that drives no machine needs
+    /// neither.
     #[must_use]
     pub fn unfit(&self, here: &Measured) -> Vec<String> {
         self.unfit_on(here, date::today())

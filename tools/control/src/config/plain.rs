@@ -1,4 +1,5 @@
-//! Values that are well formed and still make no sense: names that a terminal would obey, numbers that nobody means.
+//! Checks well-formed values that make no sense.
+//! Examples are names with terminal controls and absurd numbers.
 
 use rtec_files::toml::{At, Section, SourceFile};
 use rtec_files::words::unseen;
@@ -47,7 +48,8 @@ pub(super) fn name<'a>(
     None
 }
 
-/// A text that is shown as it stands, in one line: without marks that a terminal obeys; else a finding.
+/// A one-line text without terminal controls, or a finding.
+/// It is shown as it is.
 pub(super) fn line<'a>(
     source: &mut SourceFile<'_>,
     key: &str,

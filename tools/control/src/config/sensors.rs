@@ -1,4 +1,4 @@
-//! `[[sensor]]`, as the control law reads it, and what cannot be meant all the same.
+//! `[[sensor]]` for the control law, with checks for values that make no sense.
 
 use super::plain;
 use rtec_correct::sensors::{self, SensorConfig, SensorSource};

@@ -28,7 +28,8 @@ pub struct DaemonStatus {
     pub hold: Option<HoldReport>,
     /// Since the daemon's start, s.
     pub uptime_s: f64,
-    /// The ledger of every axis balances. `false` too while the MTC's count of an axis is not known: there is none then.
+    /// The ledger of every axis balances.
+    /// `false` too while the MTC's count of an axis is not known: there is none then.
     pub balanced: bool,
     /// Latched faults of the machine as a whole.
     pub faults: Vec<Fault>,
@@ -43,7 +44,8 @@ pub struct DaemonStatus {
     pub record_trouble: Option<String>,
     /// Why nothing is corrected now, and what to do about it; empty while correcting.
     pub why_not: Vec<String>,
-    /// Files that were edited since they were read: what runs is not what they say; each with what to do.
+    /// Files that were edited since they were read: what runs is not what they say.
+    /// Each with what to do.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub edited: Vec<String>,
     /// The real-time thread: set-up, losses and latencies.
@@ -65,7 +67,7 @@ pub struct DaemonStatus {
 }
 
 impl DaemonStatus {
-    /// The MTC's count is known on every axis: without it there is no ledger that could balance.
+    /// Whether the MTC's count is known on every axis, so that the ledger can balance.
     #[must_use]
     pub fn ledger_known(&self) -> bool {
         self.axes.iter().all(|axis| axis.mtc_known)
@@ -89,7 +91,8 @@ impl DaemonStatus {
 /// Feed hold, while it is on.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct HoldReport {
-    /// Who asked for it: a user, `the controller`, `fault`, or `unknown` where it was on when the daemon started.
+    /// Who asked for it: a user, `the controller`, `fault`, or `unknown`.
+    /// It is `unknown` where it was on when the daemon started.
     pub by: String,
     /// Since when, s since 1970; none where that is not known. It outlives a restart.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -104,7 +107,8 @@ pub struct LatchedFault {
     pub axis: Option<String>,
     /// The fault.
     pub fault: Fault,
-    /// When it was latched, s since 1970; none where that is not known. It outlives a restart.
+    /// When it was latched, s since 1970; none where that is not known.
+    /// It outlives a restart.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub at_s: Option<f64>,
 }
@@ -124,7 +128,7 @@ pub struct Rt {
     pub cpu: Option<usize>,
     /// Its `SCHED_FIFO` priority; none for an ordinary thread.
     pub priority: Option<u8>,
-    /// Real-time settings that are not as they should be: name, what was found, what to do.
+    /// Real-time settings that are wrong: name, value found, remedy.
     pub missing: Vec<String>,
     /// Looks at the card so far.
     pub polls: u64,
@@ -189,7 +193,7 @@ pub struct AxisReport {
     /// The MTC has been homed, and nothing has put its count in doubt since.
     #[serde(default)]
     pub mtc_known: bool,
-    /// Why it is or is not correcting: `done`, `inserting`, `waiting_for_edge`, `too_fast`, …
+    /// Why it corrects or not: `done`, `inserting`, `waiting_for_edge`, `too_fast`, …
     pub gate: String,
     /// Scale edges per second.
     pub edge_rate_hz: f64,
@@ -238,7 +242,8 @@ impl std::fmt::Display for Rates {
 }
 
 impl Rates {
-    /// In words; `uncorrected` says what stands where no speed is known at which corrections are inserted.
+    /// The speeds of an axis in words: rapid, followed and corrected, mm/min.
+    /// `uncorrected` stands in where no speed is known at which corrections are inserted.
     #[must_use]
     pub fn told(&self, uncorrected: &str) -> String {
         // Axes of a test are slow.

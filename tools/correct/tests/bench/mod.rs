@@ -1,4 +1,5 @@
-//! What the tests of the control law share: a machine whose engine inserts at once, its sensors, models and a part.
+//! Shared by the tests of the control law.
+//! It has a machine whose engine inserts at once, its sensors, models and a part.
 #![allow(dead_code)] // each test program has its own need of it
 
 use rtec_correct::part_table::PartTable;
@@ -11,7 +12,7 @@ use rtec_part::cor::{FeatureErrors, PointError};
 use rtec_rt::event::{MAX_AXES, Mode, Status};
 use std::path::Path;
 
-/// A machine of one or more axes as the engine would have it: what is requested is completed at once.
+/// A machine of one or more axes whose engine completes each request at once.
 pub(crate) struct Bench {
     pub(crate) corrector: Corrector,
     pub(crate) status: Status,
@@ -62,7 +63,7 @@ impl Bench {
         Self::of(5.0, 1000.0, Vec::new())
     }
 
-    /// With this ramp, begun at this time, and with these sensors before the temperatures T1 and T2.
+    /// A bench with this ramp, start time and sensors before the temperatures T1 and T2.
     pub(crate) fn of(ramp_um_s: f64, now_s: f64, mut sensors: Vec<SensorConfig>) -> Self {
         sensors.extend(["T1", "T2"].map(|name| sensor(name, Role::Temperature)));
         let mut status = Status { mode: Mode::Run, axes_used: 3, ..Status::default() };
@@ -88,7 +89,8 @@ impl Bench {
         self.corrector.load(machine(model), &self.watches, &|_| Vec::new())
     }
 
-    /// One evaluation, and an engine that takes what is within its window; the totals asked for.
+    /// One evaluation, and an engine that takes what is within its window.
+    /// The totals asked for.
     pub(crate) fn tick(&mut self) -> [Option<i64>; MAX_AXES] {
         self.now_s += TICK_S;
         self.status.t_ns += (TICK_S * 1e9) as u64;
@@ -102,7 +104,8 @@ impl Bench {
         totals
     }
 
-    /// Evaluations for so long, with a reading of every sensor each second; the largest step of an axis's total.
+    /// Evaluations for so long, with a reading of every sensor each second.
+    /// The largest step of an axis's total.
     pub(crate) fn run(
         &mut self,
         s: f64,
@@ -134,7 +137,8 @@ impl Bench {
     }
 }
 
-/// A nose of 40 mm about the machine's zero, on z and x; 10 µm too large at the tip.
+/// A nose of 40 mm about the machine's zero, on z and x.
+/// 10 µm too large at the tip.
 pub(crate) fn part(axes: [&str; 2]) -> PartTable {
     PartTable {
         errors: "error.cor".to_owned(),

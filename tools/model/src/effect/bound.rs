@@ -1,4 +1,5 @@
-//! An effect over a record: the columns that it reads, found once, then basis values, sums and slopes column by column.
+//! An effect over a record, with the columns that it reads found once.
+//! Basis values, sums and slopes are computed column by column.
 
 use super::{Against, Effect, Input, Naming, Need, Out, STANDARD_DEGC, State, sign};
 use crate::record::{Record, Role};
@@ -15,10 +16,10 @@ pub struct Missing {
     pub has: String,
 }
 
-/// The component of an effect of the axes in a circle's radial error: its errors along the two axes, projected.
+/// The radial component: the errors along a circle's two axes, projected.
 pub(super) const RADIAL: usize = 2;
 
-/// What an effect remembers from one piece of a record to the next, of each component.
+/// What an effect remembers between two pieces of a record, for each component.
 pub(crate) type States = [State; 2];
 
 /// The columns of a record that an effect reads.
@@ -55,7 +56,8 @@ impl Bound<'_> {
         self.rows
     }
 
-    /// Quantities the effect reads and the record does not log: taken as zero (at rest, dry, unloaded).
+    /// Quantities that the effect reads and the record lacks.
+    /// They are taken as zero: at rest, dry, unloaded.
     #[must_use]
     pub fn taken_as_zero(&self) -> &[Role] {
         &self.taken_as_zero
@@ -66,7 +68,8 @@ impl Bound<'_> {
         self.t[row]
     }
 
-    /// Where an axis of the effect's name stands, row by row, mm; none where that is not logged.
+    /// Where an axis of the effect's name stands, row by row, mm.
+    /// None where that is not logged.
     pub(super) fn p_mm(&self, axis: usize) -> Option<&[f64]> {
         self.p[axis]
     }
@@ -113,7 +116,8 @@ impl Bound<'_> {
         });
     }
 
-    /// Columns of one component; or of all that have a share in the radial error, each by its share.
+    /// Columns of one component.
+    /// Or of all that have a share in the radial error, each by its share.
     fn projected(&self, component: usize, out: Out<'_>, mut fill: impl FnMut(usize, Out<'_>)) {
         if component != RADIAL {
             return fill(component, out);

@@ -1,4 +1,4 @@
-//! What a law says about itself: everything that others ask of it, so that nobody asks for its name.
+//! What a law states about itself, so that no caller depends on its name.
 
 use crate::record::{Axis, Role};
 
@@ -12,7 +12,8 @@ pub enum Naming {
     One,
     /// `NAME.A.B`, A and B different.
     Two,
-    /// `NAME.A.B`, one effect for both orders, written alphabetically; acts on A and on B.
+    /// `NAME.A.B`, one effect for both orders, written alphabetically.
+    /// It acts on A and on B.
     Pair,
     /// `NAME.A.B.C`
     Three,
@@ -110,18 +111,20 @@ pub enum Heat {
     /// Not at all.
     #[default]
     None,
-    /// Heat is not its cause, but steady or in one step as it is, it stands in for a drift.
+    /// It is not caused by heat, but steady or in one step it can stand in for a drift.
     StandsIn,
     /// It grows with the time since the start instead of a temperature.
     FromStart,
-    /// Growth at a point: its first coefficient is µm/K of the temperature difference, lagged or not.
+    /// Growth at a point.
+    /// Its first coefficient is µm/K of the temperature difference, lagged or not.
     Growth,
     /// In proportion to a temperature difference and to a length.
     Expansion,
 }
 
-/// The part of an axis's mechanics or of the probe that an effect's first parameter is the size of. What simulates a
-/// machine builds it in; what it does to the position then follows.
+/// The mechanism whose size an effect's first parameter gives.
+/// It is part of an axis's mechanics or of the probe. A simulation builds it in, and the effect on the position
+/// follows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Mechanism {
     /// Moved mass, kg.
@@ -143,13 +146,15 @@ pub enum Mechanism {
 pub enum Search {
     /// The law is linear in it.
     Linear,
-    /// Amplitude of a periodic law: found with the phase by a linear fit of two coefficients.
+    /// Amplitude of a periodic law.
+    /// A linear fit of two coefficients finds it with the phase.
     Amplitude,
     /// Phase of a periodic law.
     Phase,
     /// Non-linear and smooth: search the range, then descend along the derivative.
     Smooth,
-    /// Chosen from the data before the fit (knots, a whole number of lobes, the moment of a step): no derivative.
+    /// Chosen from the data before the fit, so it has no derivative.
+    /// Examples are knots, a whole number of lobes, the time of a step.
     Chosen,
 }
 
@@ -183,8 +188,9 @@ pub struct Parameter {
     ///
     /// In the parameter's own unit.
     pub plausible: [f64; 2],
-    /// How large it usually is where a machine has it, in the parameter's own unit: the scale of the prior of an amplitude. Zero
-    /// where nobody knows: then a part of `plausible` stands for it ([`Parameter::prior_size`]).
+    /// Its usual size on machines that have it, in the parameter's unit.
+    /// It is the scale of an amplitude's prior. Zero where it is unknown: then a part of `plausible` replaces it
+    /// ([`Parameter::prior_size`]).
     pub typical: f64,
     /// Physical bounds: outside them a value is an error.
     pub bounds: [f64; 2],
@@ -196,7 +202,8 @@ pub struct Parameter {
     pub refine: Refine,
     /// One value per knot instead of a single one.
     pub array: bool,
-    /// Two effects of one name with different values of it are two effects: a period, knots, a moment.
+    /// Two effects of one name with different values of it are two effects.
+    /// Examples are a period, knots, a time.
     pub tells_apart: bool,
     /// A place on a circle: a turn further on it is the same.
     pub cyclic: bool,
@@ -205,7 +212,8 @@ pub struct Parameter {
 }
 
 impl Parameter {
-    /// A parameter without bounds that has to be given; `plausible` is its range in a sound machine.
+    /// A parameter without bounds that has to be given.
+    /// `plausible` is its range in a sound machine.
     #[must_use]
     pub fn new(name: &str, unit: &str, plausible: [f64; 2], search: Search) -> Self {
         Self {
@@ -246,7 +254,8 @@ impl Parameter {
         }
     }
 
-    /// With physical bounds and the sentence that says where they come from; what is plausible is within them.
+    /// With physical bounds and the sentence that says where they come from.
+    /// What is plausible is within them.
     #[must_use]
     pub fn within(self, bounds: [f64; 2], source: &str) -> Self {
         let plausible = self.plausible.map(|x| x.clamp(bounds[0], bounds[1]));
@@ -284,16 +293,16 @@ impl Parameter {
     }
 }
 
-/// A periodic law of the first axis's position whose period is searched over all frequencies. Its parameters are, in this
-/// order, period, amplitude and phase.
+/// A periodic law of the first axis's position, with its period searched over all frequencies.
+/// Its parameters are period, amplitude and phase, in this order.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Wave {
     /// Unit of the period, mm.
     pub unit_mm: f64,
-    /// Periods that machines are made with, mm: of several that are equally good one of them is likelier.
+    /// Usual periods of machines, mm: of several equally good ones they are likelier.
     pub usual_mm: &'static [f64],
-    /// Steps that positions were read in to the shortest period that is told from a longer one; `None` for a period
-    /// that is long beside any step.
+    /// The shortest period that can be told from a longer one, in steps of the positions' reading.
+    /// `None` for a period that is long compared with any step.
     pub steps: Option<f64>,
     /// Largest amplitude, in periods.
     pub most_periods: Option<f64>,
@@ -310,7 +319,8 @@ pub struct Searched {
     pub repeats: bool,
     /// For a wave: what the search of its period has to know. It has no grid.
     pub wave: Option<Wave>,
-    /// It goes with this law: beside its effect, and where that is a wave with its period.
+    /// The law that it accompanies.
+    /// It is used with that law's effect, and if that is a wave, with its period.
     pub beside: Option<&'static str>,
 }
 
@@ -342,9 +352,10 @@ pub struct Description {
     pub heat: Heat,
     /// What a simulated machine builds in for it.
     pub mechanism: Option<Mechanism>,
-    /// The law that does to a run what another reference temperature of this one does; `None` without a temperature.
+    /// The law that does to a run what another reference temperature of this one does.
+    /// `None` without a temperature.
     pub companion: Option<&'static str>,
-    /// The parameter that is the time constant of a first-order lag of the temperature difference.
+    /// The time constant of a first-order lag of the temperature difference.
     pub lag: Option<usize>,
     /// It is the same at all times and places: the zero of its axis.
     pub constant: bool,

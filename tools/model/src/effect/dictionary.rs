@@ -38,8 +38,8 @@ impl Dictionary {
         Ok(())
     }
 
-    /// The effect of a full name (`scale.x`), with every parameter at its default, or at zero (linear ones) or in
-    /// the middle of its plausible range.
+    /// The effect of a full name (`scale.x`).
+    /// Parameters have their default, or zero (linear ones), or the middle of their plausible range.
     ///
     /// # Errors
     /// Unknown law, or a name that does not go on as the law's does.
@@ -62,9 +62,9 @@ impl Dictionary {
         Ok(Effect { law, axes, channel, delta: None, range_k: None, start_k: None, values, width })
     }
 
-    /// Every effect that could act in these records: each law on each response, with each sensor, sensor pair and
-    /// channel that the records have in common, in a fixed order. Parameters as [`Dictionary::effect`] leaves them;
-    /// knots are for the caller to place.
+    /// Every effect that could act in these records, in a fixed order.
+    /// It has each law on each response, with each sensor, sensor pair and channel that the records have in common.
+    /// Parameters are those of [`Dictionary::effect`]. The caller places the knots.
     #[must_use]
     pub fn candidates(&self, records: &[&Record]) -> Vec<Effect> {
         let Some(common) = Common::of(records) else { return Vec::new() };
@@ -92,7 +92,8 @@ fn form(naming: Naming) -> &'static str {
     }
 }
 
-/// The axes and the channel of a name, from what stands behind the law's; `None` where that is not how the law's names go on.
+/// The axes and the channel of a name, from what stands behind the law's.
+/// `None` where that is not how the law's names go on.
 fn axes_of(law: &Description, rest: Option<&str>) -> Option<(Vec<Axis>, Option<String>)> {
     let parts: Vec<&str> = match (law.naming, rest) {
         (Naming::Channel, Some(r)) => r.splitn(2, '.').collect(),
@@ -128,7 +129,8 @@ struct Common<'r> {
     probing: bool,
 }
 
-/// The axes on whose errors (or forces: true) a record has something to say: those of its responses, and of a circle's plane.
+/// The axes on whose errors (or forces: true) a record is informative.
+/// They are those of its responses and of a circle's plane.
 fn responding(record: &Record) -> impl Iterator<Item = (bool, &Axis)> {
     let of = |c: &'_ crate::record::Column| matches!(c.role, Role::Force(_));
     let own = record.responses().filter_map(move |c| Some((of(c), c.role.axis()?)));
@@ -205,7 +207,7 @@ impl<'r> Common<'r> {
             && !(law.probing == Probing::Displaced && self.probing)
     }
 
-    /// The effect, once for each sensor and each pair of sensors where it reads a temperature.
+    /// The effect, once for each sensor and pair of sensors if it reads a temperature.
     fn with_sensors(&self, effect: Effect) -> Vec<Effect> {
         if !effect.description().needs.contains(&Need::Delta) {
             return vec![effect];
@@ -220,7 +222,8 @@ impl<'r> Common<'r> {
     }
 }
 
-/// Where a parameter starts: its default, zero, or the (geometric, where it can be) middle of its plausible range.
+/// The start value of a parameter: its default, zero, or the middle of its range.
+/// The middle of the plausible range is geometric where possible.
 fn start_value(p: &Parameter) -> f64 {
     let [lo, hi] = p.plausible;
     match p.search {

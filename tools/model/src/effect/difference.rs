@@ -49,7 +49,8 @@ impl Difference {
         matches!(self.against, Against::Sensor(_))
     }
 
-    /// What is taken from what, the standard temperature too: `T3-20` where the name alone is `T3`.
+    /// The difference in full, with the standard temperature.
+    /// `T3-20` where the name alone is `T3`.
     #[must_use]
     pub fn in_full(&self) -> String {
         match self.against {

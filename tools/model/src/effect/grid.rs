@@ -1,5 +1,5 @@
-//! Where a search for a missing effect looks first: each law lists grid points of its non-linear parameters for what the
-//! records span.
+//! Where a search for a missing effect looks first.
+//! Each law lists grid points of its non-linear parameters over the records' range.
 
 use super::Effect;
 use crate::record::Axis;
@@ -8,11 +8,14 @@ use crate::record::Axis;
 pub trait Extent {
     /// Number of rows of all responses.
     fn rows(&self) -> usize;
-    /// Time constants that the records can show, s, rising: from a few rows to beyond the longest record.
+    /// Time constants that the records can show, s, rising.
+    /// They go from a few rows to beyond the longest record.
     fn time_constants_s(&self) -> Vec<f64>;
-    /// Instants of the rows, s, rising, but for the first and last few: where a step may fall.
+    /// Times of the rows at which a step may fall, s, rising.
+    /// The first and last few are left out.
     fn moments_s(&self) -> Vec<f64>;
-    /// Places of an axis that were measured at, mm, rising, those that differ by little as one; empty where none is logged.
+    /// Measured places of an axis, mm, rising; empty where none is logged.
+    /// Places that differ by little are merged.
     fn places_mm(&self, axis: &Axis) -> Vec<f64>;
     /// Travel of single records along an axis, mm, where shorter than that of all together.
     ///
@@ -25,7 +28,7 @@ pub trait Extent {
 pub struct Point {
     /// The effect with its non-linear parameters set.
     pub effect: Effect,
-    /// Price of having searched, nats: the logarithm of how many points can be told apart.
+    /// Price of the search, nats: the logarithm of how many points can be distinguished.
     pub price: f64,
 }
 
@@ -36,7 +39,8 @@ impl Point {
         vec![Self { effect: effect.clone(), price: 0.0 }]
     }
 
-    /// One point for each value of one parameter, all at one price; values outside its bounds are left out.
+    /// One point for each value of one parameter, all at one price.
+    /// Values outside its bounds are left out.
     #[must_use]
     pub fn along(
         effect: &Effect,
@@ -50,7 +54,8 @@ impl Point {
 }
 
 impl Effect {
-    /// The effect with some of its scalar parameters at other values; `None` outside their bounds.
+    /// The effect with some of its scalar parameters at other values.
+    /// `None` outside their bounds.
     #[must_use]
     pub fn with(&self, set: &[(usize, f64)]) -> Option<Self> {
         let mut values = self.values().to_vec();

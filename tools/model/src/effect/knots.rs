@@ -15,7 +15,8 @@ pub(super) struct BrokenLine {
 const KNOTS: usize = 0;
 const UM: usize = 1;
 
-/// The heights on either side of a place, each with its share there; beyond the end knots their own alone.
+/// The heights on either side of a place, each with its share there.
+/// Beyond the end knots their own alone.
 fn shares(knots: &[f64], p_mm: f64) -> [(usize, f64); 2] {
     let after = knots.partition_point(|k| *k <= p_mm);
     if after == 0 || after == knots.len() {
@@ -59,7 +60,7 @@ impl Law for BrokenLine {
         Some((self.along, [*knots.first()?, *knots.last()?]))
     }
 
-    /// What a constant and a straight line over the knots explain is left to offset, scale and squareness.
+    /// A constant and a line over the knots, which offset, scale and squareness explain.
     fn constraints(&self, effect: &Effect) -> Vec<Vec<f64>> {
         let knots = effect.get(KNOTS);
         let middle = knots.iter().sum::<f64>() / knots.len() as f64;
@@ -99,7 +100,8 @@ impl Law for BrokenLine {
     }
 }
 
-/// Even knots from the first of some places to the last, of each of these numbers that the places can tell from one another.
+/// Even knots from the first place to the last, for each of these numbers.
+/// Numbers that the places cannot tell apart are left out.
 fn even(sizes: &[usize], places: &[f64], rows: usize) -> Vec<Vec<f64>> {
     let (Some(lo), Some(hi)) = (places.first(), places.last()) else { return Vec::new() };
     let sizes = sizes.iter().copied().filter(|k| *k < places.len().min(rows / 3));
@@ -109,7 +111,8 @@ fn even(sizes: &[usize], places: &[f64], rows: usize) -> Vec<Vec<f64>> {
     all
 }
 
-/// The knots that some place is nearest to: where nothing was measured a height would be anything.
+/// The knots that are nearest to some place.
+/// Elsewhere nothing was measured, and a height would be arbitrary.
 fn with_places(knots: Vec<f64>, places: &[f64]) -> Vec<f64> {
     let mut has = vec![false; knots.len()];
     for p in places {
@@ -148,7 +151,8 @@ pub(super) fn parameters() -> Vec<Parameter> {
 mod tests {
     use super::with_places;
 
-    /// Dense in the middle, as a circle is, and a few targets over the travel: a bug once, heights of 92 µm between targets.
+    /// Regression: heights of 92 µm between targets.
+    /// Places are dense in the middle, as on a circle, with a few targets over the travel.
     #[test]
     fn knots_stay_where_something_was_measured() {
         let places: Vec<f64> =

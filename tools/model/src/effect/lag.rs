@@ -36,7 +36,8 @@ fn place_of(h_s: f64) -> usize {
     (h_s.to_bits().wrapping_mul(0x9E37_79B9_7F4A_7C15) >> 61) as usize
 }
 
-/// The last few steps of different lengths: a record's rows are a step apart, but for rounding.
+/// The last few steps of different lengths.
+/// A record's rows are equally far apart but for rounding.
 #[derive(Debug, Default)]
 struct Decays([Decay; 8]);
 
@@ -50,7 +51,8 @@ impl Decays {
     }
 }
 
-/// An input passed through a first-order lag row by row; in equilibrium at its first row.
+/// An input passed through a first-order lag row by row.
+/// In equilibrium at its first row.
 #[derive(Debug)]
 pub struct Lag {
     tau_s: f64,
@@ -71,7 +73,8 @@ impl Lag {
         Self { before: at, ..Self::new(tau_s) }
     }
 
-    /// Where it is: lagged value, input and time of the last row; `None` before the first.
+    /// Where it is: lagged value, input and time of the last row.
+    /// `None` before the first.
     pub(super) fn at(&self) -> Option<[f64; 3]> {
         self.before
     }
@@ -90,11 +93,13 @@ impl Lag {
     }
 }
 
-/// An input passed through several lags at once, row by row: to the last digit what as many [`Lag`]s say, in less time.
+/// An input passed through several lags at once, row by row.
+/// It equals as many [`Lag`]s to the last digit and is faster.
 #[derive(Debug)]
 pub struct Lags<const N: usize> {
     taus_s: [f64; N],
-    /// The last step, and 1 − exp(−h/τ) of each lag over it; rows a step apart but for rounding have a few.
+    /// The last step, and 1 − exp(−h/τ) of each lag over it.
+    /// Rows a step apart but for rounding have a few.
     steps: [(f64, [f64; N]); 8],
     /// Lagged values, input and time of the row before.
     before: Option<([f64; N], f64, f64)>,
@@ -136,7 +141,7 @@ impl<const N: usize> Lags<N> {
 mod tests {
     use super::*;
 
-    /// Several at once are what they are one by one, whatever the steps: equal, uneven, none.
+    /// Several lags at once equal single ones for equal, uneven and no steps.
     #[test]
     fn several_lags_at_once_are_each_to_the_last_digit() {
         let taus_s = [0.5, 30.0, 77.0, 4000.0];
@@ -154,7 +159,7 @@ mod tests {
         }
     }
 
-    /// A step of the input: what is left of it has fallen to 1/e after one time constant, whatever the rows.
+    /// The rest of a step has fallen to 1/e after one time constant, for any rows.
     #[test]
     fn a_step_fades_with_the_time_constant() {
         for rows in [1, 7, 100] {

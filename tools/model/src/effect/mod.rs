@@ -63,7 +63,8 @@ pub struct Input {
     pub p_mm: [f64; 3],
     /// Direction of the first axis: −1, 0, +1.
     pub dir: f64,
-    /// How far beyond the last row of a direction the first axis turns back, mm; zero where it turns there, or every row is seen.
+    /// How far beyond the last row of a direction the first axis turns back, mm.
+    /// Zero where it turns there, or every row is seen.
     pub past_mm: f64,
     /// Velocity of the first axis, mm/s.
     pub v_mm_s: f64,
@@ -163,7 +164,8 @@ pub trait Law: fmt::Debug + Send + Sync {
         Vec::new()
     }
 
-    /// What a set of values must fulfil beyond the bounds of each; `Err` says what was found and what was expected.
+    /// What a set of values must fulfil beyond the bounds of each.
+    /// `Err` says what was found and what was expected.
     ///
     /// # Errors
     /// The parameter, what was found and what was expected.
@@ -177,7 +179,8 @@ pub trait Law: fmt::Debug + Send + Sync {
         Point::only(effect)
     }
 
-    /// Basis values over the rows of a record, column by column: `out[k·rows + row]`; moves the state on to the last row.
+    /// Basis values over the rows of a record, column by column: `out[k·rows + row]`.
+    /// Moves the state on to the last row.
     fn basis_rows(
         &self,
         effect: &Effect,
@@ -428,8 +431,9 @@ impl Effect {
         self.range_k.map_or(delta_k, |[lo, hi]| delta_k.clamp(lo, hi))
     }
 
-    /// The component with which it acts on a response of this role; `None` where it does not. `sole_error` tells
-    /// that the response is the record's only error, `plane` the axes that a radial error is made of.
+    /// The component with which it acts on a response of this role.
+    /// `None` where it does not. `sole_error` tells that the response is the record's only error, `plane` the axes
+    /// that a radial error is made of.
     fn component(&self, role: &Role, has_angle: bool, sole_error: bool, plane: &[Axis]) -> Option<usize> {
         let law = self.description();
         let ((Role::Error(axis), Quantity::Error) | (Role::Force(axis), Quantity::Force)) =
@@ -500,7 +504,8 @@ impl Effect {
         roles.into_iter().filter_map(|r| Some((r.clone(), component(r)?))).collect()
     }
 
-    /// Adds the effect to `out` at every row of a record, for one response; nothing where it does not act on it.
+    /// Adds the effect to `out` at every row of a record, for one response.
+    /// Nothing where it does not act on it.
     ///
     /// # Errors
     /// As [`Effect::bind`].

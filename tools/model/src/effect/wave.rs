@@ -16,7 +16,7 @@ pub(super) struct Sine {
     pub(super) description: Description,
     /// Unit of the period, mm.
     pub(super) unit_mm: f64,
-    /// Largest amplitude in periods, where the amplitude has that to do with the period.
+    /// Largest amplitude in periods, if the amplitude is bound to the period.
     pub(super) most_periods: Option<f64>,
     /// The amplitude grows in proportion to the position: it is per metre.
     pub(super) grows: bool,

@@ -60,7 +60,8 @@ impl Machine {
         ended.map(|f| format!("{}: the fit's validity ended on {}", f.response, f.valid_until)).collect()
     }
 
-    /// Days since the oldest of its fits, on a day (days since 1970-01-01); none without fits.
+    /// Days since the oldest of its fits, on a day (days since 1970-01-01).
+    /// None without fits.
     #[must_use]
     pub fn age_days(&self, today: i64) -> Option<i64> {
         self.fits.iter().filter_map(|f| date::parse(&f.date)).min().map(|oldest| today - oldest)

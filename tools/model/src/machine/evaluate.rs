@@ -62,7 +62,8 @@ pub struct HalfWidths<'m> {
 }
 
 impl<'m> HalfWidths<'m> {
-    /// Before the first piece of a record that goes so far; `None` where [`Machine::half_widths_um`] says nothing.
+    /// Before the first piece of a record that goes so far.
+    /// `None` where [`Machine::half_widths_um`] says nothing.
     #[must_use]
     pub fn of(machine: &'m Machine, reach: &Reach, response: &Role) -> Option<Self> {
         let note = machine.fits.iter().find(|f| f.response == response.to_string())?;

@@ -96,7 +96,8 @@ impl Machine {
         self.chain.as_ref()
     }
 
-    /// The same machine with another chain, or none; what is written of it goes on naming the file that it was read from.
+    /// The same machine with another chain, or none.
+    /// What is written of it goes on naming the file that it was read from.
     #[must_use]
     pub fn with_chain(&self, chain: Option<Chain>) -> Self {
         Self { chain, ..self.clone() }

@@ -95,7 +95,8 @@ pub struct Validity {
 }
 
 impl Validity {
-    /// The difference at every row of a record; nothing where the record lacks a sensor of it.
+    /// The difference at every row of a record.
+    /// Nothing where the record lacks a sensor of it.
     #[must_use]
     pub fn of(&self, record: &Record) -> Option<Vec<f64>> {
         let u = record.temperature(&self.difference.sensor)?;
@@ -137,7 +138,8 @@ pub struct FitNote {
     /// Elsewhere there is no interval: what the machine does there no record has shown. None in a model that does not
     /// say.
     pub at_mm: Option<BTreeMap<String, [f64; 2]>>,
-    /// The same by kind of run, as `positioning`; what no run has shown has the largest of all.
+    /// The same by kind of run, as `positioning`.
+    /// What no run has shown has the largest of all.
     pub by_kind_um: BTreeMap<String, f64>,
     /// The records that it was fitted on.
     pub from: Vec<Source>,

@@ -29,7 +29,8 @@ impl Machine {
         Self::parse(path, &text)
     }
 
-    /// As [`Machine::read`], from text; `path` is for messages and for what the file refers to.
+    /// As [`Machine::read`], from text.
+    /// `path` is for messages and for what the file refers to.
     ///
     /// # Errors
     /// As [`Machine::read`].
@@ -45,8 +46,8 @@ impl Machine {
         Self::parse_from(path, text, given, &|beside| rtec_files::text::read(beside))
     }
 
-    /// As [`Machine::parse_with`]; `read` gives the text of the dictionary and the chain that it names: for files that are
-    /// held elsewhere.
+    /// As [`Machine::parse_with`].
+    /// `read` gives the text of the dictionary and the chain that it names: for files that are held elsewhere.
     ///
     /// # Errors
     /// As [`Machine::read`].

@@ -16,7 +16,8 @@ impl Machine {
         self.doc["by"] = value(stamp::by());
     }
 
-    /// Adds what a fit says about itself; it stands for what an earlier fit of the same response said.
+    /// Adds what a fit says about itself.
+    /// It stands for what an earlier fit of the same response said.
     pub fn note_fit(&mut self, note: FitNote) {
         self.stamp();
         let mut t = toml_edit::Table::new();
@@ -110,7 +111,8 @@ impl Machine {
         Ok(())
     }
 
-    /// Sets a parameter of the n-th effect, and its interval; comments and order of the file stay.
+    /// Sets a parameter of the n-th effect, and its interval.
+    /// Comments and order of the file stay.
     ///
     /// # Errors
     /// Unknown parameter, a value outside its bounds.
@@ -144,7 +146,8 @@ impl Machine {
         Ok(())
     }
 
-    /// The file's effects as tables; an empty or inline array becomes one of `[[effect]]`.
+    /// The file's effects as tables.
+    /// An empty or inline array becomes one of `[[effect]]`.
     fn tables(&mut self) -> &mut toml_edit::ArrayOfTables {
         let item = &mut self.doc["effect"];
         if !item.is_array_of_tables() {

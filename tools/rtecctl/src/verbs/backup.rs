@@ -1,4 +1,5 @@
-//! `rtecctl backup`: a machine's set-up in one archive; `restore` puts it back, here or on another computer.
+//! `rtecctl backup`: a machine's set-up in one archive.
+//! `restore` puts it back, here or on another computer.
 
 use crate::archive::Archive;
 use anyhow::Context;
@@ -56,7 +57,8 @@ pub(crate) struct Packed {
     pub name: String,
     /// `configuration`, `profile`, `model`, `trace`, `recording`, `devices`, `state` or `loaded`.
     pub kind: String,
-    /// Where it was: relative to the configuration's folder, or to the state file's; else from the root.
+    /// Where it was: relative to the configuration's folder, or to the state file's.
+    /// Else from the root.
     pub path: PathBuf,
     pub mode: u32,
     pub bytes: u64,

@@ -114,8 +114,8 @@ fn fill(args: &Args, mut archive: Archive<'_>) -> anyhow::Result<Contents> {
     Ok(contents)
 }
 
-/// What a configuration names that can be read: model, profile, list of devices. What it names and cannot be had is said in the
-/// place of its text.
+/// What a configuration names that can be read: model, profile, list of devices.
+/// What it names and cannot be had is said in the place of its text.
 fn beside(file: &Path) -> Vec<(String, String)> {
     let named =
         Config::load(file).map_err(anyhow::Error::from).and_then(|config| Ok(belongings::of(file, &config)?));
@@ -182,7 +182,8 @@ fn output(program: &str, args: &[&str]) -> anyhow::Result<String> {
     Ok(String::from_utf8_lossy(&run.stdout).into_owned())
 }
 
-/// A configuration without what is nobody's business; lines and keys stay, so that findings keep their places.
+/// A configuration without what is nobody's business.
+/// Lines and keys stay, so that findings keep their places.
 fn without_secrets(text: &str) -> String {
     let line = |line: &str| {
         let Some((key, _)) = line.split_once('=') else { return line.to_owned() };

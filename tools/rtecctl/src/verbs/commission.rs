@@ -406,7 +406,8 @@ impl Guide<'_> {
     }
 }
 
-/// The numbers of a line; anything else is asked for again, the end of the input is an end.
+/// The numbers of a line.
+/// Anything else is asked for again, the end of the input is an end.
 fn numbers<const N: usize>(from: &mut impl std::io::BufRead, expected: &str) -> anyhow::Result<[f64; N]> {
     loop {
         let mut line = String::new();

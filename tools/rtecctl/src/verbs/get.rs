@@ -90,7 +90,8 @@ fn find<'a>(status: &'a Value, name: &str) -> Result<&'a Value, String> {
     Ok(at)
 }
 
-/// The names of what is here; of the status as a whole those that it has only sometimes, too.
+/// The names of what is here.
+/// Of the status as a whole those that it has only sometimes, too.
 fn known(at: &Value, whole: bool) -> String {
     let names: Vec<String> = match at {
         Value::Object(fields) => {

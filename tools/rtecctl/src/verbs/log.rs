@@ -230,7 +230,8 @@ fn since(text: &str, zone: &TimeZone) -> anyhow::Result<f64> {
     }
 }
 
-/// One line for people. What stands in the record came from outside: what cannot be seen is written out.
+/// One line for people.
+/// What stands in the record came from outside: what cannot be seen is written out.
 fn text(e: &Entry, zone: &TimeZone) -> String {
     let mut text = format!("{} ", local(&e.t, zone));
     if let Some(by) = &e.by {

@@ -110,7 +110,8 @@ fn at_port(address: &str, beyond_loopback: bool) -> anyhow::Result<Server> {
     Server::tcp(at).map_err(|e| Outcome::No(format!("cannot listen at {at}: {e}")).into())
 }
 
-/// A Unix socket that owner and group may use; an old one that nobody listens at gives way.
+/// A Unix socket that owner and group may use.
+/// An old one that nobody listens at gives way.
 fn at_path(path: &Path) -> anyhow::Result<Server> {
     let no = |e: &dyn std::fmt::Display| Outcome::No(format!("cannot listen at {}: {e}", path.display()));
     if let Ok(found) = std::fs::symlink_metadata(path) {

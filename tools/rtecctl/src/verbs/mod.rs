@@ -1,4 +1,5 @@
-//! One file per verb: its options and one function; `suspicions` is what several of them say of records.
+//! One file per verb: its options and one function.
+//! `suspicions` is what several of them say of records.
 
 pub(crate) mod backup;
 pub(crate) mod bugreport;

@@ -193,8 +193,8 @@ fn operator_counts(parts: &Explained) -> i64 {
     }
 }
 
-/// The operator's next total towards zero that the belief window lets through. What a model has asked for runs out by
-/// itself once it is unloaded.
+/// The operator's next total towards zero that the belief window lets through.
+/// What a model has asked for runs out by itself once it is unloaded.
 fn next(axis: &AxisReport, parts: &Explained) -> ClientRequest {
     let operator_counts = operator_counts(parts);
     let step = axis.window_counts.max(1);

@@ -102,7 +102,8 @@ fn devices(card: &CardConfig) -> anyhow::Result<(Vec<Device>, bool)> {
     })
 }
 
-/// The chips of a configuration. Labels and line names have to be asked of the chips themselves.
+/// The chips of a configuration.
+/// Labels and line names have to be asked of the chips themselves.
 fn gpio_chips(setup: &GpioSetup) -> anyhow::Result<Vec<Device>> {
     let lines = setup.inputs.iter().map(|i| &i.line).chain(setup.outputs.iter().map(|o| &o.line));
     let direct = |chip: &String| {

@@ -197,7 +197,8 @@ fn found(places: &[Place]) -> String {
     s
 }
 
-/// What an effect of the model was corrected from and to; nothing of a curve's many values.
+/// What an effect of the model was corrected from and to.
+/// Nothing of a curve's many values.
 fn values(x: &Refined) -> String {
     let (after, half) = &x.after;
     let law = x.before.description();

@@ -120,7 +120,8 @@ struct Document<'a> {
     seen_to_done_with_requests_ns: &'a Snapshot,
     /// Number of requests that streamed in.
     requests: u64,
-    /// Per axis, from the worst that was seen; null where that leaves no time for an insertion at any speed.
+    /// Per axis, from the worst that was seen.
+    /// Null where that leaves no time for an insertion at any speed.
     max_safe_edge_rate_hz: BTreeMap<&'a str, Option<f64>>,
     /// The same but for one look in ten thousand.
     edge_rate_at_p9999_hz: BTreeMap<&'a str, Option<f64>>,
@@ -575,8 +576,8 @@ fn histogram(measured: &Measured) -> String {
     out
 }
 
-/// A file that appears under its name only when it is whole. Made before the measurement: a place that cannot be
-/// written to is known at once.
+/// A file that appears under its name only when it is whole.
+/// Made before the measurement: a place that cannot be written to is known at once.
 struct AtomicFile<'a> {
     file: &'a Path,
     temporary: tempfile::NamedTempFile,

@@ -71,7 +71,8 @@ fn watch(daemon: &Daemon, every: Duration) -> anyhow::Result<()> {
 /// An axis whose correction ramps, and how far it has still to go, µm.
 type RampingAxis = (String, f64);
 
-/// The corrections that ramp to another place, as `explain` knows them; none where nobody answers.
+/// The corrections that ramp to another place, as `explain` knows them.
+/// None where nobody answers.
 fn on_their_way(client: &mut Client, status: &DaemonStatus) -> Vec<RampingAxis> {
     if status.mode != "run" {
         return Vec::new();

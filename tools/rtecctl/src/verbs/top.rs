@@ -1,4 +1,5 @@
-//! `rtecctl top`: the corrector on a full screen, as it goes. It shows, and commands nothing.
+//! `rtecctl top`: the corrector on a full screen, as it goes.
+//! It shows, and commands nothing.
 
 mod view;
 

@@ -284,7 +284,8 @@ impl TravelledCounts {
     }
 }
 
-/// Goes through a record whose counter has so many bits; `see` is given time, counts and line of each row.
+/// Goes through a record whose counter has so many bits.
+/// `see` is given time, counts and line of each row.
 fn walk(
     args: &FromPosition,
     bits: u32,
@@ -399,7 +400,8 @@ impl Scale {
         Self { hysteresis, from: (t_ns, counts), count, at: TracePoint { t_ns, state } }
     }
 
-    /// Gives each edge on the way to a sample; `false` when they do not fit into whole nanoseconds.
+    /// Gives each edge on the way to a sample.
+    /// `false` when they do not fit into whole nanoseconds.
     fn move_to(
         &mut self,
         t_ns: u64,
@@ -443,7 +445,8 @@ struct Record {
     last_ns: Option<u64>,
     /// The time column's unit.
     time_unit: &'static str,
-    /// The range of a counter that begins again, in counts; 0: of none. Its last reading, and what its beginnings add.
+    /// The range of a counter that begins again, in counts; 0: of none.
+    /// Its last reading, and what its beginnings add.
     range: f64,
     last_counts: Option<f64>,
     begun_again: f64,

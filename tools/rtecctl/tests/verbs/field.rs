@@ -65,7 +65,8 @@ fn copied() -> tempfile::TempDir {
     copy
 }
 
-/// The words of a command, parted by blanks; what stands between single quotes is one.
+/// The words of a command, parted by blanks.
+/// What stands between single quotes is one.
 fn words(command: &str) -> Vec<String> {
     let mut words = vec![String::new()];
     let mut quoted = false;
@@ -139,7 +140,8 @@ fn check(file: &str) {
     assert!(wrong.is_empty(), "{wrong}");
 }
 
-/// The rows of a table in Markdown; with `now`, what is printed now is the last cell.
+/// The rows of a table in Markdown.
+/// With `now`, what is printed now is the last cell.
 fn rows(file: &str, now: bool) -> String {
     let cell = |text: &str| text.replace('|', "\\|");
     let row = |case: &Case| {

@@ -1,4 +1,5 @@
-//! `rtecctl` as a user meets it, a file for each family of verbs. One program: what waits for LinuxCNC runs beside what calculates.
+//! `rtecctl` as a user meets it, a file for each family of verbs.
+//! One program: what waits for LinuxCNC runs beside what calculates.
 
 #![allow(clippy::unwrap_used, clippy::float_cmp, reason = "helpers of tests")]
 

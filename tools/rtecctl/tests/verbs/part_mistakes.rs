@@ -57,7 +57,8 @@ fn a_part_of_the_wrong_size_is_not_accepted() {
     }
 }
 
-/// A bump draws the size to itself: both together are less than it. And what was not probed again is not accepted.
+/// A bump draws the size to itself: both together are less than it.
+/// And what was not probed again is not accepted.
 #[test]
 fn a_bump_that_the_size_hides_is_not_accepted() {
     let dir = tempfile::tempdir().unwrap();
@@ -183,7 +184,8 @@ fn a_model_without_the_machines_place_or_direction_is_said() {
     assert!(code == Some(2) && said.contains("--origin-mm: found 300, expected Z,X"), "{said}");
 }
 
-/// A drawing in inches that is read as millimetres on request: said; the same unit twice is no reason for a word.
+/// A drawing in inches that is read as millimetres on request: said.
+/// The same unit twice is no reason for a word.
 #[test]
 fn a_unit_other_than_the_headers_is_said() {
     let dir = tempfile::tempdir().unwrap();

@@ -1,4 +1,5 @@
-//! `rtecctl replay` as a user meets it. `RTEC_BLESS=1 cargo test` writes the golden files anew.
+//! `rtecctl replay` as a user meets it.
+//! `RTEC_BLESS=1 cargo test` writes the golden files anew.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
@@ -186,7 +187,8 @@ fn an_illegal_transition_is_a_latched_fault_not_a_guess() {
     assert_eq!(document["insertions"], 1);
 }
 
-/// B never changes while A does 300 times, or the other way round; 40 counts are asked for at 1 ms.
+/// B never changes while A does 300 times, or the other way round.
+/// 40 counts are asked for at 1 ms.
 #[test]
 fn latches_a_broken_wire_and_inserts_nothing() {
     let directory = tempfile::tempdir().unwrap();
@@ -211,7 +213,8 @@ fn latches_a_broken_wire_and_inserts_nothing() {
     }
 }
 
-/// NISTIR 4832, Design B: single counts; CMTI (2014), figures 8 and 9: three pulses added, three subtracted.
+/// NISTIR 4832, Design B: single counts.
+/// CMTI (2014), figures 8 and 9: three pulses added, three subtracted.
 #[test]
 fn designs_that_drive_the_signals_themselves_replay_too() {
     let directory = tempfile::tempdir().unwrap();

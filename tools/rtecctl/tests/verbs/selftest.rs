@@ -1,4 +1,5 @@
-//! `rtecctl selftest latency`: the ledger, the document and the text's shape. No figure is asserted: time is the machine's.
+//! `rtecctl selftest latency`: the ledger, the document and the text's shape.
+//! No figure is asserted: time is the machine's.
 
 use serde_json::Value;
 use std::process::{Command, Output};

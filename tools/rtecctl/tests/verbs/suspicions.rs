@@ -232,7 +232,8 @@ fn a_misread_row_is_in_no_figure_of_any_verb() {
     ballbar.are_near("history r.run.toml --json");
 }
 
-/// A run of scale and reversal over so many targets; positions, direction and error as they are written.
+/// A run of scale and reversal over so many targets.
+/// Positions, direction and error as they are written.
 fn positioning(dir: &Path, ppm: f64, write: impl Fn(f64, f64, f64) -> (f64, f64, f64)) {
     let mut csv = String::from("x,d,e\n");
     for cycle in 0..3 {
@@ -252,7 +253,8 @@ fn positioning(dir: &Path, ppm: f64, write: impl Fn(f64, f64, f64) -> (f64, f64,
     std::fs::write(dir.join("p.run.toml"), side).unwrap();
 }
 
-/// What looks wrong is not carried on into a model; what no model can hold is not written even when it is asked for.
+/// What looks wrong is not carried on into a model.
+/// What no model can hold is not written even when it is asked for.
 #[test]
 fn no_model_is_written_from_what_looks_wrong_nor_one_that_cannot_be_loaded() {
     let dir = tempfile::tempdir().unwrap();

@@ -63,7 +63,8 @@ fn figures_are_for_people_and_json_for_programs() {
     }
 }
 
-/// A usage error is the parser's, with its code, and ends with an example; where the help is shown it has one already.
+/// A usage error is the parser's, with its code, and ends with an example.
+/// Where the help is shown it has one already.
 #[test]
 fn a_usage_error_ends_with_an_example() {
     for (words, ends, times) in [
@@ -169,7 +170,8 @@ fn nothing_that_was_read_is_written_over() {
     }
 }
 
-/// A limit that nothing was held against is not kept; a name that is not there is bad input.
+/// A limit that nothing was held against is not kept.
+/// A name that is not there is bad input.
 #[test]
 fn a_history_within_its_limits_has_judged_something() {
     let dir = tempfile::tempdir().unwrap();

@@ -1,6 +1,7 @@
-//! Whole lives of the daemon, drawn from a seed: state file, start, real-time loop, link, requests, control law, sensors and
-//! model, in one thread and on one clock, so that each seed is one history. The machine on the far side of the card moves
-//! by itself, and an MTC of its own counts every change in true order.
+//! Whole lives of the daemon, drawn from a seed.
+//! One thread on one clock runs state file, start, real-time loop, link, requests, control law, sensors and model, so
+//! each seed gives one history. The machine beyond the card moves by itself. An MTC of its own counts every change in
+//! true order.
 //!
 //! | drawn | how |
 //! |---|---|
@@ -70,7 +71,8 @@ struct Tally {
     power_cuts: u64,
     lost_files: u64,
     kept_totals: u64,
-    /// Lost by noise that met an edge within one look, which nobody could tell from a step: why not.
+    /// Counts lost through noise at an edge within one look, by reason.
+    /// Nobody could tell these from a step.
     unseen: [u64; 3],
     checks: u64,
     latched: BTreeMap<String, u64>,
@@ -121,25 +123,26 @@ impl World {
 /// Compares what the daemon says with what the MTC has counted.
 struct Judge {
     seed: u64,
-    /// Of each axis, what is to be taken off what it has counted: since the MTC was homed.
+    /// Per axis, what to subtract from its counts: their values when the MTC was homed.
     base: [[i64; 2]; 2],
     /// The MTC has been homed, and nothing has put its count in doubt since.
     trusted: [bool; 2],
     /// What people have asked for since nothing was under way.
     asked: Asked,
-    /// At the last look: who holds the machine, what is latched, and whether corrections are enabled.
+    /// At the last look: the holder of feed hold, the faults, and whether corrections are on.
     held: bool,
     latched: Vec<(Option<usize>, Fault)>,
     enabled: bool,
-    /// Times that this was looked at since the process started, and since the MTC was switched off.
+    /// Looks since the process started, and since the MTC was switched off.
     looks: u64,
     off_looks: u64,
     /// Masked glitches, and insertions begun, when it was last homed.
     masked: [(usize, u64); 2],
-    /// The shortest time in which an axis turns back over an edge, less what is reckoned for its looks, ns.
+    /// The shortest time in which an axis reverses over an edge, less that of its looks, ns.
     turn_back_ns: u64,
-    /// Counts lost by glitches that nobody could see: as a turn that the limits allow, before anything of ours was made,
-    /// among several edges in a look that came late.
+    /// Counts lost through glitches that nobody could see, by reason.
+    /// A glitch looked like an allowed reversal, came before any insertion, or was among several edges in a late
+    /// look.
     unseen: [u64; 3],
     /// A count was lost, and how many edges have come since: nobody knows of it yet.
     lost: [Option<u64>; 2],
@@ -175,7 +178,8 @@ impl Judge {
         }
     }
 
-    /// What no look and no restart may change by itself: feed hold, faults, corrections that are off, an MTC that is off.
+    /// Checks what no look and no restart may change by itself.
+    /// That is feed hold, faults, corrections that are off, and an MTC that is off.
     fn keeps(&mut self, engine: &Engine, m: &Machine) {
         self.looks += 1;
         let status = engine.status();
@@ -473,7 +477,7 @@ impl Life {
         }
     }
 
-    /// The newest record of an axis as a store cut short, or one that reached one copy only, leaves it.
+    /// Damages an axis's newest record like a store cut short or one that reached one copy.
     fn tear(&mut self) {
         const WORD: usize = 8;
         const PAGE: usize = 4096;
@@ -614,7 +618,8 @@ impl Life {
         }
     }
 
-    /// Somebody removes the state file or puts an older one in its place, and the daemon looks before it dies.
+    /// Somebody removes the state file or puts an older one in its place.
+    /// The daemon notices before it dies.
     fn lose_state_file(
         &mut self,
         session: &mut Session,

@@ -15,11 +15,13 @@ use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-/// Which model was taken last: a file of this name beside the state file. Only that one runs after a restart. Its hash, its
-/// file, and [`MEANT`] where it was taken although its validity had ended.
+/// Which model was taken last: a file of this name beside the state file.
+/// Only that one runs after a restart. Its hash, its file, and [`MEANT`] where it was taken although its validity had
+/// ended.
 const TAKEN: &str = "model.taken";
 const MEANT: &str = "although expired";
-/// The same of the model that was unloaded last: it does not run after a restart, and `model_again` takes it up.
+/// The same of the model that was unloaded last.
+/// It does not run after a restart, and `model_again` takes it up.
 const UNLOADED: &str = "model.unloaded";
 /// Behind them the name of the machine that it was taken for.
 const FOR: &str = "for ";
@@ -28,7 +30,8 @@ pub(super) const LOOK_AGAIN: &str = "`rtecctl model validate` it on a new record
                           load --expired` takes it as it is, `rtecctl model unload` goes on without";
 /// What to do about a model that was unloaded.
 const AGAIN: &str = "the model was unloaded: `rtecctl model again` takes it up as it was";
-/// The files of that model as they were read, beside it: a restart reads no file that is another by then.
+/// The files of that model as they were read, beside it.
+/// A restart so does not read files that have changed since.
 const KEPT: &str = "model.kept";
 
 /// What is to be done with a model when it has been read.
@@ -92,8 +95,9 @@ impl Remembered {
 }
 
 impl Session {
-    /// The model that was taken last runs on after a restart: as it was read then, or, where the configuration names it,
-    /// unless its file has changed. Before anybody is served: this waits for the files.
+    /// Continues the last model after a restart, as it was read then.
+    /// If the configuration names it, its file must be unchanged. It runs before any client is served, because it
+    /// waits for the files.
     pub(crate) fn take_up_model(&mut self, log: &mut Log) {
         let taken = Remembered::read(&self.directory().join(TAKEN));
         let Remembered { sha256, meant, .. } = &taken;
@@ -146,7 +150,8 @@ impl Session {
         serde_json::from_slice(&kept).unwrap_or_default()
     }
 
-    /// The model that was unloaded last, as it was read when it was loaded: somebody who may load it has looked at it then.
+    /// Loads the model that was unloaded last, as it was read then.
+    /// A user who may load models has checked it at that time.
     pub(super) fn model_again(&mut self) -> Answer {
         let model = Remembered::read(&self.directory().join(UNLOADED));
         let kept = self.kept();
@@ -162,7 +167,8 @@ impl Session {
         self.begin(job, Wish::Model(Wanted { take: Some(model.sha256), expired: model.meant }))
     }
 
-    /// No model runs: why, and what to load; nothing to say where a part table was loaded without one.
+    /// No model runs: why, and what to load.
+    /// Nothing to say where a part table was loaded without one.
     pub(super) fn no_model(&self) -> Option<String> {
         if self.corrector.shown().is_some() {
             return None;
@@ -175,14 +181,15 @@ impl Session {
         }
     }
 
-    /// Why a model is not to be used any more: nobody has looked at it since its validity ended.
+    /// Why a model may not be used any more: its validity ended and nobody accepted that.
     fn ended(&self, machine: &Machine) -> Option<String> {
         let ended = machine.expired((self.today)());
         let file = machine.path.display();
         (!ended.is_empty()).then(|| format!("the model {file}: {}: {LOOK_AGAIN}", ended.join("; ")))
     }
 
-    /// Shows what a model would change, or takes the one that was shown: once it has been read.
+    /// Shows what a model would change, or takes the one that was shown.
+    /// It answers once the model has been read.
     pub(super) fn model_load(
         &mut self,
         file: Option<&str>,
@@ -214,7 +221,8 @@ impl Session {
         self.begin(job, Wish::Model(wanted))
     }
 
-    /// Puts a finished record into the spool folder, once it has been read; without files it says whether it would.
+    /// Puts a finished record into the spool folder, once it has been read.
+    /// Without files it says whether it would.
     pub(super) fn keep(&mut self, names: &[String], beside: Beside) -> Answer {
         let Some(spool) = self.keeper.spool().cloned() else {
             let text = "this daemon keeps no records: `spool = \"/var/spool/rtec\"` in [control] of its configuration names \
@@ -271,8 +279,9 @@ impl Session {
         }
     }
 
-    /// The load that is done, its answer, and what the record says of it where that is something else: what stands in a file
-    /// is its reader's alone. `waits` says whether somebody still waits for it; what nobody waits for is not taken.
+    /// The finished load, its answer, and what the record says of it where that differs.
+    /// A file's contents are for its reader alone. `waits`: somebody still waits for the load; otherwise it is not
+    /// taken.
     pub(crate) fn loaded(
         &mut self,
         waits: impl FnOnce(Ticket) -> bool,
@@ -363,7 +372,8 @@ impl Session {
         Response::Done { jumps: Vec::new(), warnings }
     }
 
-    /// What a restart is to take up: the model's name and hash, and its files as they were read. Says what it could not keep.
+    /// Stores the model for a restart: its name and hash, and its files as read.
+    /// Returns what could not be stored.
     fn remember(&self, text: &str, files: &BTreeMap<PathBuf, String>, log: &mut Log) -> Vec<String> {
         let named: BTreeMap<String, &String> =
             files.iter().map(|(path, text)| (path.display().to_string(), text)).collect();
@@ -378,7 +388,8 @@ impl Session {
         self.failed(written, "a restart will not know which model was loaded", log)
     }
 
-    /// A restart is to take up none. A new name needs no room on a disk, as writing would.
+    /// A restart is to take up none.
+    /// A new name needs no room on a disk, as writing would.
     fn forget(&self, log: &mut Log) -> Vec<String> {
         let at = |name: &str| self.directory().join(name);
         let renamed = match std::fs::rename(at(TAKEN), at(UNLOADED)) {
@@ -388,7 +399,7 @@ impl Session {
         self.failed([(TAKEN, renamed)], "a restart may take the model up again", log)
     }
 
-    /// What failed of the files beside the state file, and what that means: logged, and for the caller.
+    /// Logs and returns what failed of the files beside the state file, and its effect.
     fn failed<const N: usize>(
         &self,
         done: [(&str, std::io::Result<()>); N],

@@ -11,12 +11,13 @@ use rtec_rt::event::{AxisStatus, Event, EventKind, Mode, Refusal, Request, Statu
 use rtec_rt::link::{ControlEnd, REQUESTS};
 use std::time::Duration;
 
-/// Below this many edges per second an axis stands: between setting its counter and reading it back, some milliseconds, it
-/// does not move by half a count.
+/// An axis with fewer edges per second stands.
+/// It moves by less than half a count in the milliseconds between setting its counter and reading it back.
 const STANDSTILL_HZ: f64 = 50.0;
 
 impl Session {
-    /// Sends a request and waits until it has been worked off; returns what was reported in the meantime.
+    /// Sends a request and waits until it has been worked off.
+    /// Returns what was reported in the meantime.
     pub(super) fn send(
         &mut self,
         request: Request,
@@ -226,7 +227,8 @@ impl Session {
         Ok(Response::Stands { display_mm, indicator_mm })
     }
 
-    /// Homes one axis or all: the counter is set, read back here, and only the expected value completes it.
+    /// Homes one axis or all.
+    /// It sets the counter and reads it back, and only the expected value completes the homing.
     pub(super) fn home(
         &mut self,
         axis: Option<&str>,
@@ -276,8 +278,8 @@ impl Session {
         Ok(Response::done())
     }
 
-    /// What the MTC still counts of these axes, where the caller does not say that it has been homed: a count that is in its
-    /// position is not forgotten.
+    /// What the MTC still counts of these axes, if the caller does not say that it was homed.
+    /// A count that is part of its position must not be forgotten.
     fn still_counted(
         &self,
         axes: std::ops::Range<usize>,

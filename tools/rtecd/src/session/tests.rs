@@ -43,7 +43,7 @@ fn session(engine: &Engine) -> Session {
     Session::by(Rc::new(RealTime), config, set_up, temperatures)
 }
 
-/// The recorded shift of `rtec-correct`'s tests through the daemon's own tick: the same totals, count for count.
+/// The recorded shift of `rtec-correct`'s tests gives the same totals in the daemon's tick, count for count.
 #[test]
 fn a_recorded_shift_gets_the_recorded_totals() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../correct/tests/shift");
@@ -94,7 +94,7 @@ fn a_recorded_shift_gets_the_recorded_totals() {
     assert_eq!(rows, 2400);
 }
 
-/// A real-time thread that takes nothing: the request is answered, and when the ring is full that is said.
+/// A request to a silent real-time thread gets an answer, and a full ring is reported.
 #[test]
 fn a_full_ring_and_a_silent_thread_are_answers_not_hangs() {
     let (engine, _card) = engine(&Config::embedded());
@@ -120,7 +120,8 @@ fn a_full_ring_and_a_silent_thread_are_answers_not_hangs() {
     ));
 }
 
-/// A model that ends while it runs goes on with what is being cut; it is not armed again before somebody has meant it.
+/// A model that ends while it runs goes on with what is being cut.
+/// It is not armed again before somebody has meant it.
 #[test]
 fn corrections_are_not_enabled_on_a_model_that_has_ended() {
     let directory = tempfile::tempdir().unwrap();
@@ -178,7 +179,8 @@ fn corrections_are_not_enabled_on_a_model_that_has_ended() {
     running.stop();
 }
 
-/// A control side that falls silent: corrections are off, and the status says so; back again, they wait to be enabled.
+/// A control side that falls silent: corrections are off, and the status says so.
+/// Back again, they wait to be enabled.
 #[test]
 fn a_stale_control_side_freezes_corrections_and_is_named() {
     let config = Config::embedded();
@@ -235,7 +237,7 @@ impl Wires for Patient {
     }
 }
 
-/// A machine with every line wired, its inputs in the test's hand, and a daemon on it.
+/// A machine with every line wired, its inputs set by the test, and a daemon on it.
 struct Hand {
     session: Session,
     running: rtec_rt::thread::Running<MockCard<Patient, Monotonic>>,
@@ -255,14 +257,14 @@ fn homes_right_behind_the_first_edge() {
     hand.done(&ClientRequest::Home { axis: None, controller_homed: Some(true) });
 }
 
-/// Everything that a verb could change: what is said to be refused leaves all of it alone.
+/// Everything that a verb could change: a refused verb leaves all of it as it was.
 #[derive(Debug, PartialEq)]
 struct State {
     mode: Mode,
     enabled: bool,
     held: bool,
     model: bool,
-    /// Of each axis: requested, in effect, homed, the MTC known, faults, the operator's share in µm.
+    /// Per axis: requested, in effect, homed, MTC known, faults, operator's share in µm.
     axes: Vec<(i64, i64, bool, bool, usize, f64)>,
 }
 
@@ -361,8 +363,8 @@ type Put = Box<dyn Fn(&mut Hand)>;
 /// What is so once a verb is done.
 type Is = fn(&State) -> bool;
 
-/// Every verb that changes a total or a mode, in every mode: it is done, and then it is so; or it is refused, and then nothing
-/// has changed.
+/// Every verb that changes a total or a mode, in every mode.
+/// Either it is done and takes effect, or it is refused and nothing changes.
 #[test]
 fn every_verb_is_done_or_refused_in_every_mode() {
     use ClientRequest as R;
@@ -433,7 +435,8 @@ fn every_verb_is_done_or_refused_in_every_mode() {
     hand.running.stop();
 }
 
-/// A real card with figures of elsewhere, or with an axis that outruns it: nothing is armed, and the status says why.
+/// A real card with figures from elsewhere, or too fast an axis, cannot be enabled.
+/// The status says why.
 #[test]
 fn a_card_without_figures_of_its_own_is_not_armed() {
     let text = "[machine]\nname = 'm'\n[card]\nbackend = 'mapped'\nuio = '/dev/uio0'\n[[axis]]\nname = 'x'\ncount_um = 0.1\n\

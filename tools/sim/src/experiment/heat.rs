@@ -31,8 +31,8 @@ fn soak(sim: &mut Sim, log: &mut Log, cycle: &[(f64, f64)], coolant: bool) -> Re
     Ok(())
 }
 
-/// What the five gauges show: the near ones where the tool is, the far ones where a tilt of the true machine's chain takes the
-/// mandrel as well.
+/// The readings of the five gauges.
+/// The near ones are at the tool. A tilt in the true machine's chain moves the mandrel at the far ones too.
 fn gauged(rows: &[Row], setting: &Setting<'_>, run: &str) -> Vec<Gauged> {
     let arcsec = |um: f64| um / (GAUGE_SPACING_MM * 1e3) * 648_000.0 / std::f64::consts::PI;
     let mut noise = Noise::new(seed_of(setting, run), 0x6A06E);
@@ -144,8 +144,9 @@ pub(super) fn tool_change(setting: &Setting<'_>) -> Result<Findings, ExperimentE
     Ok(findings)
 }
 
-/// The wet runs that WO 97/43703 fits its model on (text before equation 2), beside the spindle cycle and the production cycle.
-/// Warm-up, speeds and cool-down are one record: a lag is known from a start in equilibrium alone.
+/// The wet runs for the model of WO 97/43703 (text before equation 2).
+/// The spindle cycle and the production cycle are the others. Warm-up, speeds and cool-down are one record, because a
+/// lag is known only from a start in equilibrium.
 const WET_RUNS: [(&str, &[(f64, f64)]); 2] = [
     (
         "warm-day",
@@ -195,7 +196,8 @@ pub(super) struct Start {
     pub(super) name: &'static str,
     /// What the spindle did before, wet: rpm and minutes.
     pub(super) before: &'static [(f64, f64)],
-    /// The hall stood at this temperature, machine and all; it is heated for an hour before the start.
+    /// The hall stood at this temperature, machine and all.
+    /// It is heated for an hour before the start.
     pub(super) stood_degc: Option<f64>,
 }
 
@@ -207,7 +209,8 @@ const PASSES: usize = 2;
 const CYCLES: usize = 3;
 const INCH_MM: f64 = 25.4;
 
-/// Where a hole is drilled. Figure 12: a plate of 24 in by 8 in; each pass drills near its corners, the next an inch further in X.
+/// Where a hole is drilled.
+/// Figure 12: a plate of 24 in by 8 in; each pass drills near its corners, the next an inch further in X.
 fn hole_mm(cycle: usize, pass: usize, n: usize) -> [f64; 3] {
     let (left, low) = (n == 0 || n == 3, n < 2);
     let x = if left { -11.0 } else { 6.0 } + (PASSES * cycle + pass) as f64;
@@ -265,7 +268,8 @@ pub(super) fn drilling(setting: &Setting<'_>, start: &Start) -> Result<Findings,
     Ok(findings)
 }
 
-/// As table 7 and figures 21 to 23: deviations with reference to hole 1, a table and a plot for each axis, and the largest.
+/// Deviations relative to hole 1, as in table 7 and figures 21 to 23.
+/// Each axis has a table and a plot, and the largest deviation is given.
 fn by_hole(start: &Start, logs: &[Log], findings: &mut Findings) -> Result<(), ExperimentError> {
     let off_um = |log: &Log, p: usize| -> Vec<f64> {
         let first = log.rows[0].now.off_um(p);
@@ -314,7 +318,8 @@ fn by_hole(start: &Start, logs: &[Log], findings: &mut Findings) -> Result<(), E
     Ok(())
 }
 
-/// What the model's own fits promise: where the machine moves by less than that, correction gains nothing.
+/// The residuals that the model's own fits promise.
+/// Correction gains nothing where the machine moves by less.
 fn promised(setting: &Setting<'_>, findings: &mut Findings) {
     let fits = setting.known.map_or(&[][..], Machine::fits);
     let of = |fit: &FitNote| (format!("{}_um", fit.response), json!(digits(fit.half_width_um, 1e3)));

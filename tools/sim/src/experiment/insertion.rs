@@ -24,7 +24,7 @@ pub(super) fn linear_error(setting: &Setting<'_>) -> Result<Findings, Experiment
     over_a_part(setting, &one_metre(1.0, 1000.0), 250.0, 500.0)
 }
 
-/// X over the length of a part at a cutting feed: how often something is inserted, and where.
+/// X over the length of a part at a cutting feed: number and places of insertions.
 ///
 /// # Errors
 /// As [`super::Experiment::run`].

@@ -1,4 +1,4 @@
-//! What a machine does in motion: displacement and circles, the plate, feeds, drive forces.
+//! Experiments in motion: displacement, circles, the plate, feeds and drive forces.
 
 use super::runs::{Log, Row, along, both, feed, nothing, places};
 use super::{ExperimentError, Findings, Setting};

@@ -8,8 +8,9 @@ use rtec_model::record::{Kind, Record, Role};
 use serde_json::{Map, Value, json};
 use std::path::Path;
 
-/// A probing session as a record of the part: what differs from row to row is the angle and, last, the radial error. Time,
-/// place and temperatures are those at its end: where the machine was at each trip says no more than the angle does.
+/// A probing session as a record of the part.
+/// Rows differ in the angle and, last, in the radial error. Time, place and temperatures are those at the end,
+/// because the place at each trip says no more than the angle.
 fn part_record(session: Record, path: &Path) -> Result<Record, InputError> {
     let mut columns = session.columns;
     columns.sort_by_key(|c| match c.role {
@@ -33,8 +34,8 @@ fn part_record(session: Record, path: &Path) -> Result<Record, InputError> {
     Record::new(path, Kind::Probing, columns)
 }
 
-/// The loop of NISTIR 4854 without and with correction: by what is known of the part's form, or else by what the
-/// semi-finish cut's own probing finds.
+/// The loop of NISTIR 4854 without and with correction.
+/// It corrects by the known form of the part, or else by the errors probed after the semi-finish cut.
 pub(super) fn hemisphere(setting: &Setting<'_>) -> Result<Findings, ExperimentError> {
     let mut findings = nothing();
     let setup = Setup { machine: setting.truth.clone(), design: "c".to_owned(), ..Setup::default() };

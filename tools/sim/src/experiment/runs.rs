@@ -1,4 +1,5 @@
-//! Both runs of an experiment, without and with compensation: their rows, records and plots.
+//! Both runs of an experiment, without and with compensation.
+//! It makes their rows, records and plots.
 
 use super::{ExperimentError, Findings, Setting};
 use crate::errors::NAMES;
@@ -70,7 +71,8 @@ pub(super) fn digits(v: f64, per: f64) -> f64 {
 }
 
 impl Log {
-    /// The record of these rows: every quantity that an effect may read and that was not zero throughout.
+    /// The record of these rows.
+    /// It has every quantity that an effect may read and that was not zero throughout.
     pub(super) fn record(
         &self,
         path: &Path,
@@ -131,14 +133,16 @@ impl Log {
     }
 }
 
-/// Both runs of an experiment: without and, where something is known of the machine, with compensation.
+/// Both runs of an experiment, without compensation and with.
+/// The second exists where something is known of the machine.
 pub(super) struct Both {
     name: String,
     pub(super) logs: Vec<Log>,
     pub(super) channels: Vec<String>,
 }
 
-/// The seed of one run: runs of one experiment, and experiments of one seed, share no noise. FNV-1a of the run's name.
+/// The seed of one run, from an FNV-1a hash of its name.
+/// Runs of one experiment, and experiments of one seed, so share no noise.
 pub(super) fn seed_of(setting: &Setting<'_>, run: &str) -> u64 {
     let hash = |h: u64, byte: u8| (h ^ u64::from(byte)).wrapping_mul(0x0100_0000_01B3);
     let mixed = run.bytes().fold(0xCBF2_9CE4_8422_2325 ^ setting.seed, hash);
@@ -192,7 +196,8 @@ impl Both {
 pub(super) const SUFFIXES: [&str; 2] = ["", "-compensated"];
 
 impl Findings {
-    /// The records without and with compensation, each with its rows' places on the axis `x_title`; their plot and figures.
+    /// Publishes both records with their plot and figures.
+    /// Each has its rows' places on the axis `x_title`.
     pub(super) fn publish(
         &mut self,
         setting: &Setting<'_>,

@@ -12,7 +12,8 @@ fn comparison(computer: &Computer) -> Comparison {
     compare(computer, TestMotion { counts: 4000, ..TestMotion::default() }, 1)
 }
 
-/// NISTIR 4832, The "Original RTEC", Designs A to C; CMTI 2014: the whole table, on the 8051 and on a DSP.
+/// NISTIR 4832, The "Original RTEC", Designs A to C.
+/// CMTI 2014: the whole table, on the 8051 and on a DSP.
 #[test]
 fn the_table_is_what_the_papers_say() {
     for (computer, b_serves) in [(Computer::i8051(), false), (Computer::dsp(), true)] {
@@ -43,8 +44,8 @@ fn the_table_is_what_the_papers_say() {
     }
 }
 
-/// NISTIR 4832, The "Original RTEC": 4 µs + 3 µs + 2 µs = 9 µs; at 30 kHz A and B are low for about 8 µs and it no longer
-/// fits. Design C takes somewhat less time.
+/// NISTIR 4832, The "Original RTEC": 4 µs + 3 µs + 2 µs = 9 µs.
+/// At 30 kHz A and B are low for about 8 µs and it no longer fits. Design C takes somewhat less time.
 #[test]
 fn at_30_khz_nine_microseconds_no_longer_fit() {
     let computer = Computer::i8051();
@@ -152,8 +153,8 @@ fn the_original_cannot_insert_at_rest_outside_low_low() {
     }
 }
 
-/// NISTIR 4832, Design B: an 8051 is at least an order of magnitude too slow for the 100 kHz that are moderate; a
-/// position count and a correction count are the same size; when the computer stops, position feedback is lost.
+/// An 8051 is at least ten times too slow for the moderate 100 kHz (NISTIR 4832, Design B).
+/// A position count and a correction count are the same size. When the computer stops, position feedback is lost.
 #[test]
 fn design_b_needs_a_faster_computer_and_steps_by_one() {
     let config = AxisConfig::default();
@@ -218,8 +219,8 @@ fn more_than_fifteen_pulses_take_two_compensations() {
     }
 }
 
-/// CMTI 2014, section 2.2.2: the PLL doubles from 700 Hz, cleanly from 2.3 to 125 kHz, up to 160 kHz of the XOR signal,
-/// which is twice the encoder's frequency.
+/// The PLL doubles from 700 Hz, cleanly from 2.3 to 125 kHz, and up to 160 kHz of the XOR signal.
+/// That is twice the encoder's frequency (CMTI 2014, section 2.2.2).
 #[test]
 fn the_ecc_works_in_its_lock_range_only() {
     let (low, high) = safe_range(AnyDesign::Ecc, &Computer::dsp(), AxisConfig::default(), 1);
@@ -270,8 +271,8 @@ fn the_ecc_goes_wrong_at_reversal() {
     }
 }
 
-/// NISTIR 4832, Design C: a computer that stops between insertions leaves the signals as they are; one that stops between
-/// the two inversions leaves the MTC counting mirrored, which the report does not say.
+/// A computer that stops between insertions leaves the signals as they are (NISTIR 4832, Design C).
+/// One that stops between the two inversions leaves the MTC counting mirrored, which the report does not say.
 #[test]
 fn when_the_computer_stops() {
     let computer = Computer::i8051();

@@ -1,4 +1,4 @@
-//! Published figures that come out of the experiments, and that records are what the true machine says.
+//! Published figures of the experiments, and records equal to the true machine.
 
 #![allow(clippy::unwrap_used)]
 
@@ -47,8 +47,8 @@ fn beyond(record: &Record, model: &Machine) -> f64 {
     (sum / n).sqrt()
 }
 
-/// NISTIR 4832, The "Original RTEC": 240 µm on a one-metre axis is one correction of 4 µm every 16 700 µm; a part over a
-/// quarter of the travel needs 15.
+/// 240 µm on a one-metre axis is one correction of 4 µm every 16 700 µm, and a quarter of the travel needs 15.
+/// (NISTIR 4832, The "Original RTEC")
 #[test]
 fn fifteen_corrections_over_a_quarter_of_the_travel() {
     let ideal = Machine::ideal("m");
@@ -65,7 +65,8 @@ fn fifteen_corrections_over_a_quarter_of_the_travel() {
     assert!(steps.windows(2).all(|w| (w[1] - w[0] - 16.667).abs() < 1.2), "{steps:?}");
 }
 
-/// What is corrected while an axis moves is off when it stands: it turns no axis round, and the reversal is corrected, not doubled.
+/// A correction that depends on motion is off at rest.
+/// It reverses no axis, and the reversal is corrected, not doubled.
 #[test]
 fn a_following_error_does_not_double_the_reversal_at_rest() {
     let reversal = effect("reversal.x", "um = 10.2");
@@ -90,8 +91,8 @@ fn a_rapid_is_caught_up_before_the_part() {
     assert!(findings.summary["largest_error_in_part_um"].as_f64().unwrap() <= 2.1);
 }
 
-/// NISTIR 4854, Part-Form Error: a flat of 25 µm makes a bump of about 23 µm on which 6 of 20 points fall; after the
-/// correction no component is larger than the 4 µm correction resolution (here 2 µm).
+/// A flat of 25 µm makes a bump of about 23 µm on 6 of 20 points.
+/// After the correction no component is larger than the 4 µm resolution (here 2 µm). (NISTIR 4854, Part-Form Error)
 #[test]
 fn a_worn_tool_leaves_a_bump_that_the_finish_cut_does_not() {
     let ideal = Machine::ideal("m");
@@ -111,7 +112,8 @@ fn a_worn_tool_leaves_a_bump_that_the_finish_cut_does_not() {
     assert!(after <= 4.0, "{after} µm");
 }
 
-/// WO 97/43703, figure 9 and tables 4 and 5: three hours, then the shorter runs; 20 sensors.
+/// WO 97/43703, figure 9 and tables 4 and 5: three hours, then the shorter runs.
+/// 20 sensors.
 #[test]
 fn the_spindle_cycle_of_figure_9() {
     let minutes: f64 = FIGURE_9.iter().map(|c| c.1).sum();
@@ -226,7 +228,8 @@ fn no_two_runs_share_their_noise() {
     }
 }
 
-/// WO 97/43703, text before table 3: ten tool changes; and a record and a plot for every experiment.
+/// WO 97/43703, text before table 3: ten tool changes.
+/// And a record and a plot for every experiment.
 #[test]
 fn every_experiment_is_listed_once_and_tool_changes_repeat() {
     let mut names = EXPERIMENTS.map(|e| e.name);
@@ -239,8 +242,9 @@ fn every_experiment_is_listed_once_and_tool_changes_repeat() {
     assert!(findings.plots[0].1.contains("<svg"));
 }
 
-/// A nose that is cut right with the machine's errors known must be found right: its probing runs uncorrected, and what is
-/// known is taken out off line (NISTIR 4832, probing mode; NISTIR 4854, On-Machine Gauging).
+/// A nose cut correctly with a known machine must be found correct.
+/// Its probing runs uncorrected, and known errors are removed off line (NISTIR 4832, probing mode; NISTIR 4854,
+/// On-Machine Gauging).
 #[test]
 fn a_perfect_model_shows_the_part_not_the_machine() {
     let truth = model(
@@ -299,7 +303,8 @@ fn gauges_show_the_tilt() {
     assert!(findings.plots.iter().any(|(n, t)| n == "drift-dry-gauges.csv" && t.lines().count() == 437));
 }
 
-/// The experiments of the sources bring their machine; the one that is about its machine takes no other.
+/// The experiments of the sources bring their machine.
+/// The one that is about its machine takes no other.
 #[test]
 fn experiments_of_the_sources_bring_their_machine() {
     for e in EXPERIMENTS {
@@ -314,8 +319,10 @@ fn experiments_of_the_sources_bring_their_machine() {
     assert_eq!(run("linear-error-240um", &other, &other, 1).summary["insertions"], 15);
 }
 
-/// While an axis turns on the slowest circle of the ballbar, no edge comes for long, and the next may come at any moment: one that
-/// falls into an insertion is two edges at once for the controller. (With 5 ms seeds 3, 5 and 6 ended with `TooFast`.)
+/// A slow axis is not at rest.
+/// While an axis reverses on the slowest circle of the ballbar, no edge comes for long, and the next may come at any
+/// moment. An edge inside an insertion is two edges at once for the controller. With 5 ms, seeds 3, 5 and 6 ended
+/// with `TooFast`.
 #[test]
 fn an_axis_that_turns_slowly_is_not_at_rest() {
     let spec = Spec::machining_centre();

@@ -1,4 +1,5 @@
-//! Simulated machines from outside, a file a question. One program: what takes long runs beside the rest.
+//! Simulated machines from outside, a file a question.
+//! One program: what takes long runs beside the rest.
 
 mod designs;
 mod ecc;

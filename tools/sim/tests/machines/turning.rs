@@ -1,4 +1,4 @@
-//! The report's experiment on the simulated machine, with the engine between scales and controller.
+//! The report's experiment with the engine between scales and controller.
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
 use rtec_model::machine::Machine;
@@ -106,8 +106,9 @@ fn a_lobe_of_the_machine_is_not_observable_by_its_own_probe() {
     assert!(run(&setup("c", 7)).off_machine.is_none());
 }
 
-/// A machine that is off by its scale and grows warm. Its probe is off as its tool is; what was recorded with the
-/// temperatures and the machine's model show the part as a measuring machine does.
+/// A machine that is off by its scale and grows warm.
+/// Its probe is off as its tool is; what was recorded with the temperatures and the machine's model show the part as
+/// a measuring machine does.
 #[test]
 fn temperatures_recorded_at_the_trips_take_the_machines_error_out_off_line() {
     let wrong = machine(
@@ -190,8 +191,9 @@ fn trips_that_are_not_as_planned_name_their_point() {
     assert!(matches!(judge(surplus, vec![]), Err(TripFault::Outside { point: 6, .. })));
 }
 
-/// The same compensation as G01 lines comes from where the arc comes: a cut that began at rest in its first point would show
-/// the reversal that the machine has not made yet (27 µm with this machine). What is left is at the pole, where Z turns.
+/// G01 lines must begin where the arc does.
+/// A cut that began at rest in its first point would show a reversal that the machine has not made yet (27 µm here).
+/// The rest is at the pole, where Z reverses.
 #[test]
 fn g01_lines_begin_beyond_the_arc() {
     let wrong = machine(
@@ -203,7 +205,8 @@ fn g01_lines_begin_beyond_the_arc() {
     assert!((88..=92).contains(&o.program_lines), "{}", o.program_lines);
 }
 
-/// The Original RTEC may stand where it cannot insert; the cut begins all the same and it catches up in the air.
+/// The Original RTEC may stand where it cannot insert.
+/// The cut begins all the same and it catches up in the air.
 #[test]
 fn the_original_is_not_waited_for_at_rest() {
     let wrong =

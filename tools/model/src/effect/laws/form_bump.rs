@@ -1,4 +1,5 @@
-//! `form_bump`: a raised cosine over part of a circle, as a part's own form or a fault of the path leaves it.
+//! `form_bump`: a raised cosine over part of a circle.
+//! A part's own form or a fault of the path causes it.
 
 use crate::effect::{
     Description, Effect, Extent, Input, Law, Naming, Need, Out, Owner, Parameter, Point, Refine, Search,

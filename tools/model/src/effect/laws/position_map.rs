@@ -1,4 +1,4 @@
-//! `position_map.A`: what an axis repeats along its own travel beyond a straight line.
+//! `position_map.A`: an axis's repeatable error beyond a straight line.
 
 use crate::effect::knots::{BrokenLine, parameters};
 use crate::effect::{Description, Law, Need};

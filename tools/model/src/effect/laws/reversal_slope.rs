@@ -1,4 +1,5 @@
-//! `reversal_slope.A`: a reversal that grows along the axis, as a worn screw's does.
+//! `reversal_slope.A`: a reversal that grows along the axis.
+//! A worn screw causes it.
 
 use crate::effect::{Description, Law, Linear, Need, Parameter, Searched};
 use std::sync::Arc;

@@ -1,4 +1,5 @@
-//! `reversal_spike.A`: the peak after a change of direction that dies out with the travel since.
+//! `reversal_spike.A`: the peak after a change of direction.
+//! It fades with the travel since then.
 
 use crate::effect::{
     Description, Effect, Extent, Input, Law, Need, Out, Parameter, Point, Refine, Search, State,
@@ -35,7 +36,8 @@ pub(super) fn law() -> Arc<dyn Law> {
     }))
 }
 
-/// Travel since the axis turned, beyond the last row of the old direction or there; `None` before the first reversal or without a direction.
+/// Travel since the axis turned, beyond the last row of the old direction or there.
+/// `None` before the first reversal or without a direction.
 ///
 /// State: last direction, previous position, two travels.
 ///

@@ -1,4 +1,4 @@
-//! `screw_periodic.A`: a wave along the travel with the turn of a screw or of an encoder.
+//! `screw_periodic.A`: a wave along the travel, periodic in a screw's or encoder's turn.
 
 use crate::effect::wave::{Sine, amplitude, period, phase};
 use crate::effect::{Description, Law, Need, Searched, Wave};

@@ -1,4 +1,4 @@
-//! `straightness.A.B`: what an axis shows along the travel of another beyond a straight line.
+//! `straightness.A.B`: an axis's error along another's travel beyond a straight line.
 
 use crate::effect::knots::{BrokenLine, parameters};
 use crate::effect::{Description, Law, Naming, Need};

@@ -10,10 +10,12 @@ pub const NAME: &str = "subdivision";
 /// Unit of the period, mm.
 const UNIT_MM: f64 = 1e-3;
 
-/// Signal periods that scales are made with, mm: gratings of 2 to 100 µm, inductive ones of 200 µm.
+/// Usual signal periods of scales, mm.
+/// Gratings have 2 to 100 µm, inductive scales 200 µm.
 const SIGNALS_MM: [f64; 9] = [0.2, 0.128, 0.1, 0.04, 0.02, 0.01, 0.008, 0.004, 0.002];
 
-/// Largest amplitude in periods: sine and cosine that leave the count a quarter of a period off lose counts instead.
+/// Largest amplitude in periods.
+/// If sine and cosine put the count off by a quarter of a period, counts are lost instead.
 const MOST_PERIODS: f64 = 0.25;
 
 pub(super) fn law() -> Arc<dyn Law> {

@@ -11,8 +11,8 @@ use std::fmt::Write as _;
 use std::io::{IsTerminal, Write};
 use std::time::Duration;
 
-/// So many changes of one channel alone, and the other is said to be silent. A hand that pushes an axis to and fro over one
-/// boundary makes a few.
+/// So many changes of one channel alone, and the other is said to be silent.
+/// A hand that pushes an axis to and fro over one boundary makes a few.
 const ALONE: u64 = 8;
 
 /// How long, how often, and in which form.
@@ -297,7 +297,8 @@ mod tests {
         Config::parse(Path::new("rtec.toml"), &CONFIG.replace("AXES", &axes)).unwrap()
     }
 
-    /// x moves, of y one channel alone, z stands, w turns both at once; the probe rises. 1 ms a look, two pictures.
+    /// x moves, of y one channel alone, z stands, w turns both at once.
+    /// The probe rises. 1 ms a look, two pictures.
     #[test]
     fn shows_levels_edges_rates_and_silent_channels() {
         let config = config();

@@ -84,7 +84,8 @@ impl Recorder {
         given.into_iter().find_map(|(is, name)| is.then_some(name))
     }
 
-    /// The daemon, where it is asked for or there is no other source; it has no response.
+    /// The daemon, where it is asked for or there is no other source.
+    /// It has no response.
     fn corrector(&self, with_response: bool) -> anyhow::Result<Option<DaemonTotals>> {
         let alone = !with_response && self.sensors.is_none() && self.feed.is_none();
         self.socket.clone().or(alone.then_some(None)).map(DaemonTotals::connect).transpose()
@@ -158,7 +159,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Records a run into `out`; a shift's log need not have a response, unless it is asked for.
+/// Records a run into `out`.
+/// A shift's log need not have a response, unless it is asked for.
 pub(crate) fn record(out: &Path, args: &Recorder, with_response: bool) -> anyhow::Result<()> {
     let kind = args.kind.as_deref().unwrap_or("drift");
     let kind = Kind::parse(kind).ok_or_else(|| usage(format!("--kind {kind}"), "a kind of run"))?;
@@ -414,7 +416,8 @@ impl DaemonTotals {
         Some(self.status.axes.iter().find(|a| a.name == axis)?.position_mm)
     }
 
-    /// What a response was made smaller by; `None` while an axis's resolution is not known.
+    /// What a response was made smaller by.
+    /// `None` while an axis's resolution is not known.
     fn in_effect_um(&self, role: &Role) -> Option<f64> {
         let Role::Error(axis) = role else { return Some(0.0) };
         let axis = axis.to_string();
@@ -449,8 +452,9 @@ fn wait_until(start: Instant, due_s: f64, ended: &AtomicBool) -> bool {
     }
 }
 
-/// While what this returns is held, a first signal ends the run and not its record; otherwise, and a second one, the
-/// program. Before sensors and feed have threads of their own, so that none but this one gets it.
+/// While what this returns is held, a first signal ends the run and not its record.
+/// Otherwise, and a second one, the program. Before sensors and feed have threads of their own, so that none but this
+/// one gets it.
 fn on_signal() -> anyhow::Result<Arc<AtomicBool>> {
     let mut ends = SigSet::empty();
     for signal in [Signal::SIGINT, Signal::SIGTERM, Signal::SIGHUP] {

@@ -246,8 +246,8 @@ pub(crate) fn draw(path: &Path, charts: &[Chart]) -> anyhow::Result<()> {
     draw_beside(path, charts.iter().enumerate().map(|(i, chart)| (number(i), chart)), [1000, 520])
 }
 
-/// Each chart beside the file, with its own word before the extension; none, and it is the file itself. Says which files these
-/// are, where they are not the one that was asked for.
+/// Each chart beside the file, with its own word before the extension.
+/// None, and it is the file itself. Says which files these are, where they are not the one that was asked for.
 pub(crate) fn draw_beside<'c>(
     path: &Path,
     charts: impl Iterator<Item = (String, &'c Chart)>,

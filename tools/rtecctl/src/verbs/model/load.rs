@@ -68,8 +68,8 @@ struct ModelFiles {
     warnings: Vec<String>,
 }
 
-/// The files of a model that this user names; the daemon is given them open. One that is not there, or has a mistake, is said
-/// here.
+/// The files of a model that this user names; the daemon is given them open.
+/// One that is not there, or has a mistake, is said here.
 fn of_model(file: &Path) -> Result<ModelFiles, InputError> {
     let path = PathBuf::from(absolute(file));
     let text = rtec_files::text::read(&path)?;

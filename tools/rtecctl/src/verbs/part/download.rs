@@ -100,8 +100,8 @@ impl Client {
         Err(last)
     }
 
-    /// Sends a command and reads up to the line that answers it; commands may be echoed before. Without an expected answer
-    /// nothing is waited for.
+    /// Sends a command and reads up to the line that answers it.
+    /// Commands may be echoed before. Without an expected answer nothing is waited for.
     fn ask(&mut self, command: &str, answer: &str) -> std::io::Result<String> {
         self.lines.get_mut().write_all(format!("{command}\r\n").as_bytes())?;
         if answer.is_empty() {

@@ -115,7 +115,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
 /// More size than this for each µm of form is said.
 const MUCH_FORM: f64 = 5.0;
 
-/// What to do about a size that is so far off; `held`: how much of it each µm of form may be.
+/// What to do about a size that is so far off.
+/// `held`: how much of it each µm of form may be.
 fn of_size(r: &ErrorReport, off_um: f64, held: Option<f64>, with_size: bool) -> String {
     if !r.is_size_known() {
         let within = r.size_within_um().unwrap_or(f64::INFINITY);

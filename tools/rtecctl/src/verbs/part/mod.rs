@@ -1,4 +1,5 @@
-//! `rtecctl part`: from a drawing to a probed, compensated part (NISTIR 4854). One file per step.
+//! `rtecctl part`: from a drawing to a probed, compensated part (NISTIR 4854).
+//! One file per step.
 
 mod bench;
 mod download;
@@ -61,7 +62,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     }
 }
 
-/// How the names of files end that the steps read and write; no folder is made of such a name.
+/// How the names of files end that the steps read and write.
+/// No folder is made of such a name.
 const FILES: [&str; 10] = ["csv", "cor", "nc", "ngc", "dnc", "svg", "dxf", "cdl", "html", "toml"];
 
 /// Write files of one result into a folder, making the folder where it is not there.

@@ -252,7 +252,8 @@ impl View {
         other.into_iter().chain(good).map(line).collect()
     }
 
-    /// What stands in the way of correcting; the machine's own faults are the first of it.
+    /// What stands in the way of correcting.
+    /// The machine's own faults are the first of it.
     fn why(&self) -> Vec<Line<'static>> {
         let Some(s) = &self.status else { return Vec::new() };
         let style = if s.mode == "fault" { self.wrong() } else { self.doubtful() };
@@ -348,7 +349,8 @@ fn shortened(name: &str, to: usize) -> String {
     name.chars().take(to - 1).chain(['…']).collect()
 }
 
-/// The last values in so many columns, from 0 (the least) to 8 (the most); a value that stands still is in the middle.
+/// The last values in so many columns, from 0 (the least) to 8 (the most).
+/// A value that stands still is in the middle.
 fn squeezed(values: &VecDeque<f64>, columns: usize) -> Vec<u64> {
     let least = values.iter().copied().fold(f64::INFINITY, f64::min);
     let most = values.iter().copied().fold(f64::NEG_INFINITY, f64::max);

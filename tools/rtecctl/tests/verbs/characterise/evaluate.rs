@@ -137,7 +137,8 @@ fn faces(folder: &Path) {
     }
 }
 
-/// A workpiece reduced to 20 °C beside a scale that is not; conditions of lengths for a tilt.
+/// A workpiece reduced to 20 °C beside a scale that is not.
+/// Conditions of lengths for a tilt.
 #[test]
 fn conditions_of_which_half_is_used_are_said() {
     let dir = tempfile::tempdir().unwrap();

@@ -28,7 +28,8 @@ fn a_rotary_axis_is_refused_before_it_is_recorded() {
     assert!(std::fs::read_dir(dir.path()).unwrap().next().is_none());
 }
 
-/// Ctrl-C ends a run and keeps its rows; the rows of one that was killed are not the next one's to remove.
+/// Ctrl-C ends a run and keeps its rows.
+/// The rows of one that was killed are not the next one's to remove.
 #[test]
 fn a_run_that_is_interrupted_is_kept() {
     let dir = tempfile::tempdir().unwrap();

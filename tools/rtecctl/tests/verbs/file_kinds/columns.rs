@@ -3,7 +3,8 @@
 use super::{column, run, words};
 use std::process::Command;
 
-/// Separators at the end of every row part nothing; at the end of some rows they are said.
+/// Separators at the end of every row part nothing.
+/// At the end of some rows they are said.
 #[test]
 fn separators_at_the_end_of_some_rows_are_said() {
     let folder = tempfile::tempdir().unwrap();

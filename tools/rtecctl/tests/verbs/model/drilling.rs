@@ -50,7 +50,8 @@ fn a_tenth_of_the_drilling_errors_is_left_from_cold_and_from_warm() {
     assert!((130.0..=170.0).contains(&largest), "table 7's largest is 150 µm: {without_cold:?}");
 }
 
-/// Twenty sensors, cold start to hot, dry and wet; then a spindle cycle that no characterisation runs.
+/// Twenty sensors, cold start to hot, dry and wet.
+/// Then a spindle cycle that no characterisation runs.
 #[test]
 fn few_of_twenty_sensors_leave_a_tenth_of_the_drift() {
     let dir = tempfile::tempdir().unwrap();

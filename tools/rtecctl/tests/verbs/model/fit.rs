@@ -36,7 +36,8 @@ fn a_fit_on_a_base_with_a_chain_may_be_written_anywhere() {
     );
 }
 
-/// The same records give the same bytes; the base's effects stand, and the record's own date is the model's.
+/// The same records give the same bytes.
+/// The base's effects stand, and the record's own date is the model's.
 #[test]
 fn a_base_is_kept_and_the_date_is_the_records() {
     let dir = tempfile::tempdir().unwrap();
@@ -69,7 +70,8 @@ fn a_base_is_kept_and_the_date_is_the_records() {
     }
 }
 
-/// A run of returns to one position is of kind positioning; without a direction of approach its evaluation has to be named.
+/// A run of returns to one position is of kind positioning.
+/// Without a direction of approach its evaluation has to be named.
 #[test]
 fn returns_to_one_position_are_told_of_their_own_evaluation() {
     let dir = tempfile::tempdir().unwrap();

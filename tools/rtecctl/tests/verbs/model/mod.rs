@@ -34,7 +34,8 @@ fn rtecctl(dir: &Path, words: &str) -> Value {
     if words.contains("--json") { serde_json::from_slice(&out.stdout).unwrap() } else { Value::Null }
 }
 
-/// A machine characterised once: geometry cold, then the spindle cycle dry and wet; the model that this gives.
+/// A machine characterised once: geometry cold, then the spindle cycle dry and wet.
+/// The model that this gives.
 fn characterise(dir: &Path) -> Value {
     std::fs::write(dir.join("true.toml"), TRUE_MACHINE).unwrap();
     std::fs::write(dir.join("ideal.toml"), "name = \"centre\"\n").unwrap();

@@ -124,7 +124,8 @@ fn a_table_is_checked_before_the_daemon_is_asked_and_no_daemon_is_said() {
     }
 }
 
-/// A taper needs no radius, and gets whiskers, errors by place and a table; an arc asked of it is refused.
+/// A taper needs no radius, and gets whiskers, errors by place and a table.
+/// An arc asked of it is refused.
 #[test]
 fn a_straight_feature_is_recognised_and_gets_its_table() {
     let folder = tempfile::tempdir().unwrap();

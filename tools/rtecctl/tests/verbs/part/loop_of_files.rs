@@ -5,7 +5,8 @@ use serde_json::Value;
 use std::path::Path;
 use std::process::Command;
 
-/// LinuxCNC's interpreter reads the G01 moves; where they run it must be within 1.5 µm of the corrected arc.
+/// LinuxCNC's interpreter reads the G01 moves.
+/// Where they run it must be within 1.5 µm of the corrected arc.
 fn worst_of_g01_um(folder: &Path, g01: &str, errors: &[(f64, f64)]) -> Option<f64> {
     if !test_needs::installed("rs274", "linuxcnc-uspace") {
         return None;

@@ -46,7 +46,8 @@ fn linuxcncrsh(opens: bool) -> (std::net::SocketAddr, std::thread::JoinHandle<Ve
     (address, server)
 }
 
-/// NISTIR 4854, Operating Procedure: the program is down-loaded to the MTC; here over LinuxCNC's own network interface.
+/// NISTIR 4854, Operating Procedure: the program is down-loaded to the MTC.
+/// Here over LinuxCNC's own network interface.
 #[test]
 fn the_program_is_opened_in_linuxcnc() {
     let folder = tempfile::tempdir().unwrap();

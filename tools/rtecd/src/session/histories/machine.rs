@@ -1,5 +1,5 @@
-//! The far side of the card: two axes that move by themselves, their scales, XOR gates, and an MTC that counts every
-//! change in true order. It goes on whether a daemon lives or not.
+//! The far side of the card, which runs whether a daemon lives or not.
+//! Two axes move by themselves. They have scales, XOR gates and an MTC that counts every change in true order.
 
 use rtec_driver::card::{AxisLines, Card, CardError, Sample};
 use std::cell::RefCell;
@@ -23,7 +23,7 @@ pub(super) struct Place {
     pub scale: i64,
     pub mtc: i64,
     mtc_off: bool,
-    /// What the MTC has counted otherwise than the scale because of inverters: that we did.
+    /// Counts of the MTC that differ from the scale's through inverters: our own.
     pub ours: i64,
     /// What reaches the MTC: place in the cycle of four.
     out: u64,
@@ -32,11 +32,12 @@ pub(super) struct Place {
     pub edges: u64,
     /// Times that both lines changed at once by noise.
     pub glitches: u64,
-    /// Those among them that met an edge within one look: it shows one step the other way, as a turn does.
+    /// Glitches that met an edge within one look.
+    /// Such a pair shows one step the other way, as a reversal does.
     pub masked: Vec<Masked>,
     /// Glitches and edges at the last look.
     looked: (u64, u64),
-    /// The look before the one that came before the last that showed an edge, ns: it is later than that.
+    /// The look before the look before the last edge, ns: the edge came after it.
     edge_since_ns: u64,
     /// Insertions begun: the inverters, equal before, were ordered to differ.
     pub begun: u64,
@@ -229,7 +230,8 @@ impl Machine {
         // What the MTC makes of two counts at once is anybody's guess; here it takes none.
     }
 
-    /// The MTC is switched off, or on again: then it counts from nothing, wherever the axes are.
+    /// Switches the MTC off or on.
+    /// Switched on again, it counts from zero wherever the axes are.
     pub(super) fn switch_mtc(&mut self, off: bool) {
         self.mtc_off = off;
         for place in &mut self.axes {
@@ -237,7 +239,8 @@ impl Machine {
         }
     }
 
-    /// Mains failure of the computer alone, and it is back: outputs low, no state file. The MTC has gone on counting.
+    /// Mains failure of the computer alone, and it is back: outputs low, no state file.
+    /// The MTC has gone on counting.
     pub(super) fn lose_power(&mut self) {
         self.flying = None;
         self.outputs = 0;
@@ -251,7 +254,8 @@ impl Machine {
         self.flying.is_none().then_some(self.outputs >> 28 & 1 == 1)
     }
 
-    /// By hand, with the MTC off: all inverters off. It is switched on again and counts from here.
+    /// By hand, with the MTC off: all inverters off.
+    /// It is switched on again and counts from here.
     pub(super) fn inverters_off(&mut self) {
         self.outputs = 0;
         for place in &mut self.axes {
