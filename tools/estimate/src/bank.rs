@@ -10,7 +10,8 @@ use std::ops::Range;
 pub struct Bank {
     n: usize,
     raw: Vec<Vec<f64>>,
-    /// Whitened, one after the other; in single precision, which is enough to see what is worth an exact look.
+    /// Whitened, one after the other.
+    /// In single precision, which is enough to see what is worth an exact look.
     white: Vec<f32>,
     /// Columns of each group, and where its products begin.
     groups: Vec<(Range<usize>, usize)>,

@@ -1,4 +1,5 @@
-//! What a hypothesis puts into the rows: an effect of the dictionary with its non-linear parameters set, or a shape of no name.
+//! What a hypothesis puts into the rows.
+//! An effect of the dictionary with its non-linear parameters set, or a shape of no name.
 
 use crate::factor::dot;
 use crate::priors::{CONTRIBUTION, OF_MOST, REFERENCE_K};
@@ -20,7 +21,8 @@ pub struct Shape {
 }
 
 impl Shape {
-    /// What an effect looks like that is given no name; none where it acts on nothing that was measured.
+    /// What an effect looks like that is given no name.
+    /// None where it acts on nothing that was measured.
     #[must_use]
     pub fn like(rows: &Rows<'_>, effect: &Effect, manner: &str) -> Option<Self> {
         let acts = rows.records.iter().find_map(|r| effect.acts_on(r).into_iter().next())?;
@@ -40,7 +42,8 @@ impl Shape {
 /// What a hypothesis puts into the rows.
 #[derive(Debug, Clone)]
 pub enum Cause {
-    /// An effect: its first `free` coefficients, and whether its reference temperature is free too.
+    /// An effect.
+    /// Its first `free` coefficients, and whether its reference temperature is free too.
     Effect {
         /// With its non-linear parameters set.
         effect: Effect,
@@ -137,7 +140,8 @@ impl Cause {
         }
     }
 
-    /// Coefficients of the law that are not free: number, what one standard deviation of each is, column of one unit.
+    /// Coefficients of the law that are not free.
+    /// Number, what one standard deviation of each is, column of one unit.
     #[must_use]
     pub fn left_out(&self, rows: &Rows<'_>) -> Vec<(usize, f64, Vec<f64>)> {
         let Self::Effect { effect, free, .. } = self else { return Vec::new() };
@@ -202,7 +206,8 @@ impl Cause {
     }
 }
 
-/// Prior sizes of an effect's coefficients, in their own units; zero where only the data give a scale (a channel).
+/// Prior sizes of an effect's coefficients, in their own units.
+/// Zero where only the data give a scale (a channel).
 #[must_use]
 pub fn sizes(effect: &Effect) -> Vec<f64> {
     let law = effect.description();

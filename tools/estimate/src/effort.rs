@@ -1,5 +1,6 @@
-//! How far the search goes: each number bounds its work, and was chosen by time. Where one is too small something is not found; that a
-//! larger one changes no answer was not measured for each. What decides stands in [`priors`](crate::priors).
+//! How far the search goes: each number bounds its work, and was chosen by time.
+//! Where one is too small something is not found; that a larger one changes no answer was not measured for each. What decides stands in
+//! [`priors`](crate::priors).
 
 /// Families that are tried exactly at each step of the search, and sets that are kept.
 pub const TRIED: usize = 30;
@@ -11,7 +12,8 @@ pub const HOPELESS: f64 = 8.0;
 pub const WORTHLESS: f64 = -5.0;
 /// A member without which the rows are so much less likely is not exchanged together with another, nats.
 pub const STRONG: f64 = 40.0;
-/// Most shapes of one response: what takes more is not understood, and more of them say no more.
+/// Most shapes of one response.
+/// What takes more is not understood, and more of them say no more.
 pub const MOST_SHAPES: usize = 2;
 /// Most members of a set.
 pub const MOST_MEMBERS: usize = 14;

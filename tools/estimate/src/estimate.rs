@@ -98,7 +98,8 @@ pub struct SetUp {
 pub struct Tried {
     /// Name, with its sensors.
     pub label: String,
-    /// Log odds against what was accepted in its place; what is far below was looked at quickly alone.
+    /// Log odds against what was accepted in its place.
+    /// What is far below was looked at quickly alone.
     pub odds: f64,
     /// Whether it is in the answer.
     pub accepted: bool,
@@ -195,7 +196,8 @@ pub fn score(
     best
 }
 
-/// Search and noise in turn until neither changes; the estimate then, and its members.
+/// Search and noise in turn until neither changes.
+/// The estimate then, and its members.
 fn settle(
     problem: &Problem<'_>,
     families: &mut Families,
@@ -299,7 +301,8 @@ fn under(problem: &Problem<'_>, members: &[Member], mut noise: Noise) -> (f64, N
     (total, noise)
 }
 
-/// What shows only once it is no longer taken for noise: sets with one member more, each under the noise that it leaves.
+/// What shows only once it is no longer taken for noise.
+/// Sets with one member more, each under the noise that it leaves.
 fn under_own_noise(search: &Search<'_>, set: &Set) -> Option<(Set, Noise)> {
     let look = search.look_at(set);
     let seeds = search.seeds(set, &look, false);
@@ -578,7 +581,8 @@ struct Solved {
     at: usize,
     width: usize,
     bent: Vec<Bent>,
-    /// Coefficients that the rows did not call for: number, place among the columns, what one standard deviation is.
+    /// Coefficients that the rows did not call for.
+    /// Number, place among the columns, what one standard deviation is.
     left_out: Vec<(usize, usize, f64)>,
 }
 
@@ -595,7 +599,8 @@ struct Bent {
     value: usize,
     /// What one standard deviation of it is.
     sd: f64,
-    /// Another value that moves with it, and by how much per unit: a wave's phase, so that it stays where it is amid the places.
+    /// Another value that moves with it, and by how much per unit.
+    /// A wave's phase, so that it stays where it is amid the places.
     with: Option<(usize, f64)>,
 }
 
@@ -970,7 +975,8 @@ impl Found {
 }
 
 impl Estimate {
-    /// Whether rows remember each other for longer than noise may: they lie closer together than the noise forgets.
+    /// Whether rows remember each other for longer than noise may.
+    /// They lie closer together than the noise forgets.
     #[must_use]
     pub fn remembers(&self) -> bool {
         self.noise.phi.iter().any(|phi| *phi >= MOST_PHI) && {

@@ -1,4 +1,5 @@
-//! The one least-squares core: orthogonal factors of columns under Gaussian priors, grown column by column.
+//! The one least-squares core.
+//! Orthogonal factors of columns under Gaussian priors, grown column by column.
 //!
 //! Columns come scaled by the standard deviation of their coefficients, so that each coefficient has a prior of unit size. The
 //! prior is a row below the data: [X; I] = Q R with orthonormal Q, by Gram–Schmidt applied twice where once leaves little (which is as
@@ -59,7 +60,8 @@ pub fn add(a: &mut [f64], k: f64, b: &[f64]) {
     a.iter_mut().zip(b).for_each(|(a, b)| *a += k * b);
 }
 
-/// The same for processors with wide registers, in their own words: what the compiler makes of a generic loop depends on what it inlines.
+/// The same for processors with wide registers, in their own words.
+/// What the compiler makes of a generic loop depends on what it inlines.
 #[cfg(target_arch = "x86_64")]
 mod wide {
     use std::arch::x86_64::{

@@ -1,5 +1,6 @@
-//! What may be missing: every effect of the dictionary that the rows could show, and the shapes without a name; each a family of
-//! hypotheses over its non-linear parameters.
+//! What may be missing.
+//! Every effect of the dictionary that the rows could show, and the shapes without a name; each a family of hypotheses over its non-linear
+//! parameters.
 
 use crate::bank::Bank;
 use crate::cause::{Cause, Shape, sizes};
@@ -37,14 +38,16 @@ pub struct Family {
 pub enum Scan {
     /// A group of columns for each point of a grid, with its log weight.
     Grid(Vec<(usize, f64, Cause)>),
-    /// Temperatures: for each time constant a group with a column for each sensor, alone or against another.
+    /// Temperatures.
+    /// For each time constant a group with a column for each sensor, alone or against another.
     Sensors {
         /// The sensors' names.
         sensors: Vec<String>,
         /// Group, log weight of the time constant, effect.
         points: Vec<(usize, f64, Effect)>,
     },
-    /// A wave beside others, with their periods: law of the others, and the periods that the model has.
+    /// A wave beside others, with their periods.
+    /// Law of the others, and the periods that the model has.
     Beside {
         /// The law.
         law: &'static str,
@@ -330,7 +333,8 @@ impl Families {
         }
     }
 
-    /// A wave without a name in one response: places of a record's rows, and the share of the wave that each shows.
+    /// A wave without a name in one response.
+    /// Places of a record's rows, and the share of the wave that each shows.
     fn unnamed_wave(
         &mut self,
         rows: &Rows<'_>,
@@ -370,7 +374,8 @@ impl Families {
 /// Places of a record's rows, and the share of a wave that each shows.
 type Shown = (Vec<f64>, Vec<f64>);
 
-/// Log prior of a time constant: none is shorter than a part of a machine takes, and few are longer.
+/// Log prior of a time constant.
+/// None is shorter than a part of a machine takes, and few are longer.
 fn implausible(effect: &Effect) -> f64 {
     let of = |(i, p): (usize, &rtec_model::effect::Parameter)| {
         let [shortest, longest] = p.plausible;

@@ -1,12 +1,13 @@
-//! Every number that an answer depends on. The typical size of each effect is in the dictionary, with the effect.
+//! Every number that an answer depends on.
+//! The typical size of each effect is in the dictionary, with the effect.
 //!
 //! Sources: *contract* (formats.md), *physics* (the sentence beside it), *calibration* (`rtec-blind --class null --count 1000`:
 //! the largest value at which at most one clean case in a hundred is given a name).
 
 /// Amplitudes of the model are this share off, one standard deviation (contract).
 pub const KNOWN_SHARE: f64 = 0.1;
-/// Probability that a known amplitude is off by any share at all: another machine's file, a part that was changed (calibration). It is
-/// then of the size that this effect has on any machine.
+/// Probability that a known amplitude is off by any share at all.
+/// Another machine's file, a part that was changed (calibration). It is then of the size that this effect has on any machine.
 pub const KNOWN_REPLACED: f64 = 0.01;
 
 /// A gauge's zero, µm, one standard deviation (physics: a dial's travel is 1 mm).
@@ -36,13 +37,16 @@ pub const JUMP_PROBABILITY: f64 = 0.02;
 /// A gap in time of so many usual steps is a pause.
 pub const PAUSE_STEPS: f64 = 8.0;
 
-/// Levels of an amplitude, in typical sizes, and their prior weights: a heavy tail in four steps (calibration).
+/// Levels of an amplitude, in typical sizes, and their prior weights.
+/// A heavy tail in four steps (calibration).
 pub const LEVELS: [(f64, f64); 4] = [(1.0 / 3.0, 0.25), (1.0, 0.4), (3.0, 0.25), (10.0, 0.1)];
-/// Size of a coefficient that nothing pulls towards zero, in typical sizes: the largest level, ten times.
+/// Size of a coefficient that nothing pulls towards zero, in typical sizes.
+/// The largest level, ten times.
 pub const WIDE: f64 = 10.0 * LEVELS[LEVELS.len() - 1].0;
 /// Price of one more effect, nats, beside the choice of its name (calibration).
 pub const PRICE: f64 = 3.0;
-/// Prior share of effects with a name; shapes without one have the rest (calibration).
+/// Prior share of effects with a name.
+/// Shapes without one have the rest (calibration).
 pub const NAMED_SHARE: f64 = 0.75;
 /// Prior share of pairs among temperature differences (physics: growth follows one source, or a source against its surroundings).
 pub const PAIR_SHARE: f64 = 0.5;
@@ -64,8 +68,8 @@ pub const CONTRIBUTION: f64 = 3.0;
 /// Correlation lengths of maps and smooth shapes, in shares of the range (physics: guideways bend over their length, screws and
 /// scales over a tenth of it).
 pub const LENGTHS: [f64; 2] = [0.3, 0.1];
-/// Most knots of a smooth function. How sharp a map may be decides (calibration: with 80 of them, and a rank of 2e-4, three of 482
-/// blind cases were answered otherwise).
+/// Most knots of a smooth function.
+/// How sharp a map may be decides (calibration: with 80 of them, and a rank of 2e-4, three of 482 blind cases were answered otherwise).
 pub const KNOTS: usize = 40;
 /// Directions of a smooth function with less than this share of the largest variance are left out.
 pub const SMOOTH_RANK: f64 = 1e-3;
@@ -121,7 +125,8 @@ mod tests {
         assert!((20..=44).contains(&n), "{n} constants");
     }
 
-    /// No number has a name elsewhere: what decides is here, what bounds work in `effort.rs`.
+    /// No number has a name elsewhere.
+    /// What decides is here, what bounds work in `effort.rs`.
     #[test]
     fn no_other_file_has_a_constant() {
         let sources = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("src");

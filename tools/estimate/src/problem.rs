@@ -1,4 +1,5 @@
-//! The measurement model y = M(θ) + Z(η) + H(β, ψ) + e, linear in all but ψ: what is beside every hypothesis.
+//! The measurement model y = M(θ) + Z(η) + H(β, ψ) + e, linear in all but ψ.
+//! What is beside every hypothesis.
 
 use crate::effort::{OUT_OF_STEP, ROUNDING_STEPS};
 use crate::factor::{Factor, add, dot};
@@ -58,7 +59,8 @@ pub fn known(rows: &Rows<'_>, model: &[Effect], intervals: &[Vec<Option<f64>>]) 
     out
 }
 
-/// Waves of the model with their period where the rows have it: over many turns a period of four digits is out of step.
+/// Waves of the model with their period where the rows have it.
+/// Over many turns a period of four digits is out of step.
 #[must_use]
 pub fn in_step(rows: &Rows<'_>, model: &[Effect]) -> Vec<Effect> {
     let mut model = model.to_vec();
@@ -139,8 +141,8 @@ pub fn is_beyond_chance(distance: f64, parameters: usize) -> bool {
 pub enum Units {
     /// It is what the record says.
     AsWritten,
-    /// No size of a set-up prefers one unit to another: zero, centre and line are as large beside the noise as they are beside a usual
-    /// one, and the air does nothing.
+    /// No size of a set-up prefers one unit to another.
+    /// Zero, centre and line are as large beside the noise as they are beside a usual one, and the air does nothing.
     Any,
 }
 
@@ -168,7 +170,8 @@ pub struct Problem<'r> {
     pub floors: Vec<f64>,
     /// Root of each row's weight, before any is far off.
     pub weights: Vec<f64>,
-    /// Per segment the size of its gauge's rounding, µm RMS: no reading as written in the file is told more finely.
+    /// Per segment the size of its gauge's rounding, µm RMS.
+    /// No reading as written in the file is told more finely.
     pub rounding_um: Vec<f64>,
 }
 
@@ -193,8 +196,9 @@ impl<'r> Problem<'r> {
         problem
     }
 
-    /// A gauge that noise does not dither rounds alike whatever reads alike: the error is a saw over the reading, and no finding. It is
-    /// taken out as model and set-up predict the readings; where they predict them badly it averages out, and nothing is taken out.
+    /// A gauge that noise does not dither rounds alike whatever reads alike.
+    /// The error is a saw over the reading, and no finding. It is taken out as model and set-up predict the readings; where they predict
+    /// them badly it averages out, and nothing is taken out.
     fn take_rounding_out(&mut self) {
         let steps: Vec<Option<f64>> =
             self.rows.segments.iter().map(|s| setup::unshared_step(self.rows, s)).collect();

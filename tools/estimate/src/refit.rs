@@ -1,4 +1,5 @@
-//! Sizes of given effects once more: with rows left out, or with a curve that stands for something without a name.
+//! Sizes of given effects once more.
+//! With rows left out, or with a curve that stands for something without a name.
 
 use crate::cause::Cause;
 use crate::factor::{Factor, add};

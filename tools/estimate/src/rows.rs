@@ -145,7 +145,8 @@ impl<'r> Rows<'r> {
     }
 }
 
-/// Whether it matters to an effect where on its axis it acts: a circle of unknown centre says nothing of such an effect.
+/// Whether it matters to an effect where on its axis it acts.
+/// A circle of unknown centre says nothing of such an effect.
 #[must_use]
 pub fn needs_place(effect: &Effect) -> bool {
     use rtec_model::effect::Need;
@@ -250,7 +251,8 @@ impl Noise {
         }
     }
 
-    /// A first guess, from what the model leaves: steps from row to row, and memory as long as noise may have.
+    /// A first guess, from what the model leaves.
+    /// Steps from row to row, and memory as long as noise may have.
     #[must_use]
     pub fn guess(rows: &Rows<'_>, left: &[f64]) -> Self {
         let (mut sigma, mut phi) = (Vec::new(), Vec::new());
@@ -343,7 +345,8 @@ impl Noise {
         }
     }
 
-    /// The transpose of [`Noise::whiten`]: products of whitened columns with `column` are products of the columns with this.
+    /// The transpose of [`Noise::whiten`].
+    /// Products of whitened columns with `column` are products of the columns with this.
     pub fn transpose(&self, rows: &Rows<'_>, column: &mut [f64]) {
         for (number, s) in rows.segments.iter().enumerate() {
             let (by, phi) = (1.0 / self.size(rows, number), self.phi[s.response]);

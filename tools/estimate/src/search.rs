@@ -1,5 +1,6 @@
-//! The search for the likeliest set of hypotheses: sets grow one member at a time, several side by side; then members are exchanged,
-//! one for one and two for two, and left out, until nothing is better.
+//! The search for the likeliest set of hypotheses.
+//! Sets grow one member at a time, several side by side; then members are exchanged, one for one and two for two, and left out, until
+//! nothing is better.
 
 use crate::bank::Look;
 use crate::cause::Cause;
@@ -119,7 +120,8 @@ fn log_sum(values: impl IntoIterator<Item = f64>) -> f64 {
     top + values.iter().map(|v| (v - top).exp()).sum::<f64>().ln()
 }
 
-/// Log likelihood of a remainder: the noise's size is what it leaves, but no smaller than it is said to be.
+/// Log likelihood of a remainder.
+/// The noise's size is what it leaves, but no smaller than it is said to be.
 #[must_use]
 pub fn fit(left: f64, freedom: f64) -> f64 {
     let left = left.max(1e-9 * freedom);
@@ -227,8 +229,9 @@ impl<'p> Search<'p> {
         gain(&along, &among, factor.left(), self.base.freedom)
     }
 
-    /// The quick look beside a set. What the bank's columns share with a member's, beside the base, is asked once; what they share with
-    /// what the factor made of it follows from R.
+    /// The quick look beside a set.
+    /// What the bank's columns share with a member's, beside the base, is asked once; what they share with what the factor made of it
+    /// follows from R.
     #[must_use]
     pub fn look_at(&self, set: &Set) -> Look {
         let bank = &self.families.bank;
@@ -300,7 +303,8 @@ impl<'p> Search<'p> {
         Set { members, factor, score }
     }
 
-    /// Log likelihood of counts: lost ones are whole, and of a whole number there are fewer than of any.
+    /// Log likelihood of counts.
+    /// Lost ones are whole, and of a whole number there are fewer than of any.
     fn whole(&self, members: &[Member], factor: &Factor) -> f64 {
         let count_um = self.problem.rows.records.iter().find_map(|r| r.count_um);
         let Some(count_um) = count_um else { return 0.0 };
@@ -584,7 +588,8 @@ impl<'p> Search<'p> {
         Some(Cause::Shape(Arc::new((family.shape.clone()?, columns))))
     }
 
-    /// Where else a wave looks the same at these places: the likeliest beforehand of them.
+    /// Where else a wave looks the same at these places.
+    /// The likeliest beforehand of them.
     #[must_use]
     pub fn alike(&self, member: &Member) -> Vec<Seed> {
         let family = self.family(member.family);
@@ -602,8 +607,8 @@ impl<'p> Search<'p> {
         all
     }
 
-    /// Other maps that can be what the last member of a set is, at these rows: on a circle z² = r² − x². What the data prefer among
-    /// them is chance in the directions that none needs.
+    /// Other maps that can be what the last member of a set is, at these rows.
+    /// On a circle z² = r² − x². What the data prefer among them is chance in the directions that none needs.
     #[must_use]
     pub fn maps_alike(&self, set: &Set) -> Vec<Seed> {
         let Some(own) = set.members.last().filter(|m| matches!(m.cause, Cause::Map { .. })) else {
@@ -699,7 +704,8 @@ impl<'p> Search<'p> {
         wave_weight(family, 1.0 / (effect.scalar(0) * unit), *unit, along.range(), along.span())
     }
 
-    /// Richer forms of a seed: growth that bends, another reference temperature, a wave that changes.
+    /// Richer forms of a seed.
+    /// Growth that bends, another reference temperature, a wave that changes.
     fn richer(seed: &Seed) -> Vec<Seed> {
         let mut out = Vec::new();
         let Cause::Effect { effect, free, .. } = &seed.cause else { return out };
@@ -719,7 +725,8 @@ impl<'p> Search<'p> {
         out
     }
 
-    /// A wave whose size changes along its way, beside a seed that is a wave: it has no name.
+    /// A wave whose size changes along its way, beside a seed that is a wave.
+    /// It has no name.
     fn changing(&self, seed: &Seed) -> Option<Seed> {
         let Scan::Wave { along, .. } = &self.family(seed.family).scan else { return None };
         let effect = seed.cause.effect()?;
@@ -815,7 +822,8 @@ impl<'p> Search<'p> {
         Some(best).filter(|s| s.score > set.score - HOPELESS)
     }
 
-    /// A set whose last two members are a wave and what goes with it: the period that they share, where both explain most.
+    /// A set whose last two members are a wave and what goes with it.
+    /// The period that they share, where both explain most.
     fn in_tune(&self, mut set: Set) -> Set {
         let n = set.members.len();
         let (Some(wave), Scan::Wave { along, unit, .. }) =
@@ -913,7 +921,8 @@ impl<'p> Search<'p> {
         self.polished(best)
     }
 
-    /// The best set that exchanges of two members reach from one; the same where none is better.
+    /// The best set that exchanges of two members reach from one.
+    /// The same where none is better.
     #[must_use]
     pub fn exchanged(&self, start: &Set) -> Set {
         let mut best = start.clone();
@@ -985,14 +994,16 @@ impl<'p> Search<'p> {
         best
     }
 
-    /// A set with a new last member: each other one that acts on what it acts on is chosen again beside it.
+    /// A set with a new last member.
+    /// Each other one that acts on what it acts on is chosen again beside it.
     fn rechosen(&self, set: Set) -> Set {
         let last = set.members.len() - 1;
         let Some(own) = set.members.last().and_then(axis_of) else { return set };
         self.chosen_again(set, &own, last)
     }
 
-    /// The first `most` members of a set that act on an axis, each chosen again: maps and what reads temperatures.
+    /// The first `most` members of a set that act on an axis, each chosen again.
+    /// Maps and what reads temperatures.
     fn chosen_again(&self, mut set: Set, axis: &Axis, most: usize) -> Set {
         for i in (0..most).rev() {
             let m = &set.members[i];
@@ -1108,7 +1119,8 @@ pub fn difference(sensors: &[String], i: usize, j: usize) -> Difference {
     if i == j { Difference::single(&sensors[i]) } else { Difference::pair(&sensors[i], &sensors[j]) }
 }
 
-/// Log prior weight of a wave of this frequency: all periods alike in their logarithm, usual ones more.
+/// Log prior weight of a wave of this frequency.
+/// All periods alike in their logarithm, usual ones more.
 fn wave_weight(family: &Family, frequency: f64, unit: f64, [from, to]: [f64; 2], span: f64) -> f64 {
     // A mode is about so wide.
     let cell = (0.35 / span / frequency).min(1.0);
@@ -1171,7 +1183,8 @@ fn everything() -> [f64; 2] {
 }
 
 impl Family {
-    /// From where to where its grid goes in one parameter: what the rows can show of it.
+    /// From where to where its grid goes in one parameter.
+    /// What the rows can show of it.
     fn range(&self, parameter: usize) -> [f64; 2] {
         let wider = |[lo, hi]: [f64; 2], effect: &Effect| {
             let v = effect.scalar(parameter);

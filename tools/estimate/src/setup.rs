@@ -1,5 +1,6 @@
-//! What belongs to how the instrument stood and never to the machine: free in every record, never named, never written into a
-//! model, never corrected live. One function per term; a new one is its function and a line in [`TERMS`].
+//! What belongs to how the instrument stood and never to the machine.
+//! Free in every record, never named, never written into a model, never corrected live. One function per term; a new one is its function
+//! and a line in [`TERMS`].
 
 use crate::effort::{AIR_DIRECTIONS, MOST_PAUSES, MOST_PLACES, PLACES_PER_MM, ROUNDING_HARMONICS};
 use crate::priors::{
@@ -39,7 +40,8 @@ pub enum What {
     AfterTurn,
 }
 
-/// A set-up term: its column, and how large its coefficient may be, one standard deviation.
+/// A set-up term.
+/// Its column, and how large its coefficient may be, one standard deviation.
 #[derive(Debug, Clone)]
 pub struct Term {
     /// What it is.
@@ -165,8 +167,8 @@ pub fn pauses(record: &Record) -> Vec<usize> {
     (0..gaps.len()).filter(|i| gaps[*i] > PAUSE_STEPS * usual).collect()
 }
 
-/// Where a run paused somebody may have touched the stand: a step for each pause, one micrometre high. They are looked for as
-/// hypotheses are, since they are seldom and then of any size.
+/// Where a run paused somebody may have touched the stand.
+/// A step for each pause, one micrometre high. They are looked for as hypotheses are, since they are seldom and then of any size.
 #[must_use]
 pub fn jumps(rows: &Rows<'_>) -> Vec<Term> {
     let mut out = Vec::new();
@@ -190,8 +192,8 @@ pub fn place_of(mm: f64) -> i64 {
     (mm * PLACES_PER_MM).round() as i64
 }
 
-/// Where each row was read: the places of all axes and their directions; all alike where the response's axis has no place. Whatever a
-/// column is called, rows of one reading stay rows of one reading.
+/// Where each row was read: the places of all axes and their directions.
+/// All alike where the response's axis has no place. Whatever a column is called, rows of one reading stay rows of one reading.
 fn places(rows: &Rows<'_>, s: &Segment) -> Vec<Vec<i64>> {
     let record = rows.record(s);
     let own = rows.responses[s.response].axis().cloned();
@@ -207,8 +209,8 @@ fn places(rows: &Rows<'_>, s: &Segment) -> Vec<Vec<i64>> {
     (0..s.rows.len()).map(of).collect()
 }
 
-/// The step in which numbers are written, where noise does not dither it: most repeats of one place read the same. With it the groups of
-/// rows that share one reading in one direction.
+/// The step in which numbers are written, where noise does not dither it.
+/// Most repeats of one place read the same. With it the groups of rows that share one reading in one direction.
 fn coarse(rows: &Rows<'_>, s: &Segment) -> Option<(f64, Vec<Vec<usize>>)> {
     let y = &rows.measured[s.rows.clone()];
     let mut values: Vec<f64> = y.to_vec();
@@ -247,8 +249,8 @@ fn coarse(rows: &Rows<'_>, s: &Segment) -> Option<(f64, Vec<Vec<usize>>)> {
     Some((q, groups.into_iter().map(|(_, g)| g).collect()))
 }
 
-/// Rows that share one reading share its rounding error: repeats do not average it away. It widens intervals; the noise is no smaller
-/// than it ([`floors`]).
+/// Rows that share one reading share its rounding error.
+/// Repeats do not average it away. It widens intervals; the noise is no smaller than it ([`floors`]).
 #[must_use]
 pub fn rounding(rows: &Rows<'_>) -> Vec<Term> {
     let mut out = Vec::new();
@@ -265,8 +267,8 @@ pub fn rounding(rows: &Rows<'_>) -> Vec<Term> {
     out
 }
 
-/// What is left of rounding where noise dithers it in part: repeats of one place and direction share an error of
-/// q/π · exp(−2π²σ²/q²), the first harmonic of the step's saw (Widrow 1956).
+/// What is left of rounding where noise dithers it in part.
+/// Repeats of one place and direction share an error of q/π · exp(−2π²σ²/q²), the first harmonic of the step's saw (Widrow 1956).
 fn dithered(rows: &Rows<'_>, _: &[Effect], out: &mut Vec<Term>) {
     for s in errors(rows) {
         let y = &rows.measured[s.rows.clone()];
@@ -301,14 +303,16 @@ fn dithered(rows: &Rows<'_>, _: &[Effect], out: &mut Vec<Term>) {
     }
 }
 
-/// What rounding alone makes of a record's responses, µm RMS: the coarsest of its gauges.
+/// What rounding alone makes of a record's responses, µm RMS.
+/// The coarsest of its gauges.
 #[must_use]
 pub fn resolution_um(record: &Record) -> f64 {
     let errors = record.responses().filter(|c| matches!(c.role, Role::Error(_)));
     errors.filter_map(|c| step_of(&c.data)).fold(0.0, f64::max) / 12f64.sqrt()
 }
 
-/// The step of a segment's gauge where rows share no reading: what they share is [`rounding`]'s.
+/// The step of a segment's gauge where rows share no reading.
+/// What they share is [`rounding`]'s.
 #[must_use]
 pub fn unshared_step(rows: &Rows<'_>, s: &Segment) -> Option<f64> {
     step_of(&rows.measured[s.rows.clone()]).filter(|_| coarse(rows, s).is_none())
@@ -325,8 +329,8 @@ pub fn rounding_error(q: f64, off: f64, variance: f64) -> f64 {
     (1..=ROUNDING_HARMONICS).map(harmonic).sum()
 }
 
-/// The step that all numbers are multiples of. Two numbers define it; each further one lies on it by chance in one case of 25, so that five
-/// are no chance.
+/// The step that all numbers are multiples of.
+/// Two numbers define it; each further one lies on it by chance in one case of 25, so that five are no chance.
 fn step_of(y: &[f64]) -> Option<f64> {
     let mut values: Vec<f64> = y.to_vec();
     values.sort_by(f64::total_cmp);
@@ -359,7 +363,8 @@ fn stands_still(rows: &Rows<'_>, s: &Segment) -> bool {
     y.iter().all(|v| v.to_bits() == y[0].to_bits())
 }
 
-/// Root of each row's weight: rows in a row that read the same on a coarse gauge say one thing together.
+/// Root of each row's weight.
+/// Rows in a row that read the same on a coarse gauge say one thing together.
 #[must_use]
 pub fn weights(rows: &Rows<'_>) -> Vec<f64> {
     let mut out = vec![1.0; rows.n];
@@ -374,8 +379,9 @@ pub fn weights(rows: &Rows<'_>) -> Vec<f64> {
     out
 }
 
-/// What an effect that needs a place may do in circles whose centre nobody told: a wave has a phase of its own there, anything else
-/// lobes of its own. `size` of each coefficient; record and column, at one standard deviation.
+/// What an effect that needs a place may do in circles whose centre nobody told.
+/// A wave has a phase of its own there, anything else lobes of its own. `size` of each coefficient; record and column, at one standard
+/// deviation.
 #[must_use]
 pub fn unplaced_columns(rows: &Rows<'_>, effect: &Effect, sizes: &[f64]) -> Vec<(usize, Vec<f64>)> {
     let mut out = Vec::new();
@@ -468,7 +474,8 @@ fn proportional(a: &[f64], b: &[f64]) -> bool {
     apart > 0.0 && together > (1.0 - 1e-12) * apart
 }
 
-/// Each plate lies turned a little of its own: what they are turned by on average is a rotation, and stays the contract's.
+/// Each plate lies turned a little of its own.
+/// What they are turned by on average is a rotation, and stays the contract's.
 fn turned(rows: &Rows<'_>, _: &[Effect], out: &mut Vec<Term>) {
     let turns = turns(rows);
     if turns.len() < 2 {
@@ -513,8 +520,8 @@ pub fn first_after_turn(record: &Record, direction: &[f64]) -> Vec<usize> {
     (1..direction.len()).filter(|i| direction[*i] * direction[i - 1] < 0.0).collect()
 }
 
-/// Nobody knows whether an axis came the other way before a record begins: a spike of the model may stand there too, up to the first
-/// turn.
+/// Nobody knows whether an axis came the other way before a record begins.
+/// A spike of the model may stand there too, up to the first turn.
 fn begins(rows: &Rows<'_>, model: &[Effect], out: &mut Vec<Term>) {
     for effect in model.iter().filter(|e| e.description().after_turn) {
         let Some(axis) = effect.axes().first() else { continue };

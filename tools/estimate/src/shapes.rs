@@ -1,5 +1,6 @@
-//! Shapes without a name: what real life does that no effect of the dictionary describes. One function per kind; a new one is its
-//! function and a line in [`SHAPES`].
+//! Shapes without a name.
+//! What real life does that no effect of the dictionary describes. One function per kind; a new one is its function and a line in
+//! [`SHAPES`].
 
 use crate::cause::Shape;
 use crate::effort::{
@@ -142,13 +143,15 @@ impl<'r> Response<'r> {
         out
     }
 
-    /// A smooth function of a variable; without its constant, and without its line where a name explains that.
+    /// A smooth function of a variable.
+    /// Without its constant, and without its line where a name explains that.
     fn smooth(&self, v: &[f64], kernel: &dyn Fn(f64) -> Kernel, line: bool) -> Vec<Vec<f64>> {
         let line: &[fn(f64) -> f64] = if line { &[|x| x] } else { &[] };
         self.smooth_without(v, kernel, line)
     }
 
-    /// A smooth function of a variable; without its constant, and without these functions, which have names.
+    /// A smooth function of a variable.
+    /// Without its constant, and without these functions, which have names.
     fn smooth_without(
         &self,
         v: &[f64],
@@ -237,7 +240,8 @@ fn wander(r: &Response<'_>, out: &mut Vec<Shaped>) {
     out.push((r.shape(&["time"], "wanders"), columns));
 }
 
-/// What settles as stands, glue and magnetic bases do, with the logarithm of time: in each run from its beginning, by a size of its own.
+/// What settles as stands, glue and magnetic bases do, with the logarithm of time.
+/// In each run from its beginning, by a size of its own.
 fn creep(r: &Response<'_>, out: &mut Vec<Shaped>) {
     let own: Vec<_> = r.rows.segments.iter().filter(|s| s.response == r.number).collect();
     for share in CREEPS {
@@ -395,7 +399,8 @@ fn over_plane(r: &Response<'_>, out: &mut Vec<Shaped>) {
     }
 }
 
-/// What repeats at each place as it likes: an own level of each that was measured at several times.
+/// What repeats at each place as it likes.
+/// An own level of each that was measured at several times.
 fn place_by_place(r: &Response<'_>, out: &mut Vec<Shaped>) {
     let Some(first) = r.rows.segments.iter().find(|s| s.response == r.number) else { return };
     let mut labels: Vec<String> = Vec::new();

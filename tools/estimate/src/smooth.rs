@@ -1,9 +1,11 @@
-//! Smooth functions of one variable as a few columns: a Gaussian process on knots, without what lines explain.
+//! Smooth functions of one variable as a few columns.
+//! A Gaussian process on knots, without what lines explain.
 
 use crate::priors::SMOOTH_RANK;
 use nalgebra::{DMatrix, SymmetricEigen};
 
-/// Knots over these values: each of them where they are few, evenly spread otherwise.
+/// Knots over these values.
+/// Each of them where they are few, evenly spread otherwise.
 #[must_use]
 pub fn knots(values: &[f64], most: usize) -> Vec<f64> {
     let mut sorted: Vec<f64> = values.to_vec();

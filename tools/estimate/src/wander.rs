@@ -1,5 +1,6 @@
-//! What goes on for longer than noise remembers and does not repeat: a walk that is pulled back (Ornstein–Uhlenbeck), beside the
-//! noise of a response. Judged in the spectrum of what is left: noise alone has an even one (Whittle 1953).
+//! What goes on for longer than noise remembers and does not repeat.
+//! A walk that is pulled back (Ornstein–Uhlenbeck), beside the noise of a response. Judged in the spectrum of what is left: noise alone has
+//! an even one (Whittle 1953).
 
 use crate::effort::{WALK_FEWEST_ROWS, WALK_MEMORIES, WALK_RANK, WALK_SIZES};
 use crate::priors::{NAMED_SHARE, PRICE, WALK_KINDS};

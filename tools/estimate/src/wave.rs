@@ -20,7 +20,8 @@ pub struct Along {
     pitch: f64,
     length: usize,
     transform: Arc<dyn Fft<f64>>,
-    /// At each frequency the products of cosine and sine, without their means: with themselves and with each other.
+    /// At each frequency the products of cosine and sine, without their means.
+    /// With themselves and with each other.
     products: Vec<[f64; 3]>,
 }
 
@@ -179,8 +180,8 @@ impl Along {
         shifts.flat_map(of).filter(|f| (self.range[0]..=self.range[1]).contains(f)).collect()
     }
 
-    /// Frequencies at which a wave explains most of a weighted residual, best first. At few places sine and cosine may look alike, or
-    /// like a constant: what counts is what both explain beside one.
+    /// Frequencies at which a wave explains most of a weighted residual, best first.
+    /// At few places sine and cosine may look alike, or like a constant: what counts is what both explain beside one.
     #[must_use]
     pub fn peaks(&self, residual: &[f64], most: usize) -> Vec<f64> {
         let (step, sums) = self.transformed(self.rows.iter().map(|r| (r.1, residual[r.0] * r.2)));

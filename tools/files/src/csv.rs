@@ -64,14 +64,16 @@ pub struct Commented {
     pub lines: usize,
 }
 
-/// A row that [`Reader::plain_row`] has found: how long its text is, and its line with the line's end, bytes.
+/// A row that [`Reader::plain_row`] has found.
+/// How long its text is, and its line with the line's end, bytes.
 #[derive(Debug, Clone, Copy)]
 pub struct PlainRow {
     text: usize,
     line: usize,
 }
 
-/// Shared by the rows: the parser's state ends with the cell, and it cannot be cloned once it is built.
+/// Shared by the rows.
+/// The parser's state ends with the cell, and it cannot be cloned once it is built.
 type Parser = RefCell<csv_core::Reader>;
 
 impl Reader<File> {
@@ -215,8 +217,9 @@ impl<R: Read> Reader<R> {
         Ok(self.begin(&first, &[self.by], &[]))
     }
 
-    /// The first row, as the columns' names; what parts it (`;`, a tab, `|` where it has no comma, or else a comma) parts all rows. A
-    /// line `sep=X` in front of it, as spreadsheets write and read it, says what parts them.
+    /// The first row, as the columns' names.
+    /// What parts it (`;`, a tab, `|` where it has no comma, or else a comma) parts all rows. A line `sep=X` in front of it, as
+    /// spreadsheets write and read it, says what parts them.
     ///
     /// # Errors
     /// As [`Reader::header`]; a `sep=` of another character than `,`, `;`, `|` and a tab.
@@ -266,8 +269,8 @@ impl<R: Read> Reader<R> {
         Ok(self.or_numbers(header, columns))
     }
 
-    /// The header that was just read. Where all columns are called by numbers and it is a line of values, that line is a row, and
-    /// the numbers are the names.
+    /// The header that was just read.
+    /// Where all columns are called by numbers and it is a line of values, that line is a row, and the numbers are the names.
     pub fn or_numbers(&mut self, header: Header, columns: &[&str]) -> Header {
         if columns.is_empty() || !columns.iter().all(is_number) || header.is_missing().is_none() {
             return header;
@@ -414,7 +417,8 @@ struct FirstLine {
     whole: String,
 }
 
-/// A line without its comment and the blanks at its end; empty where nothing but separators is in it.
+/// A line without its comment and the blanks at its end.
+/// Empty where nothing but separators is in it.
 fn content(line: &[u8], by: u8, width: Option<usize>) -> &[u8] {
     let comment = if memchr::memchr(b'#', line).is_some() { comment_at(line, by, width) } else { None };
     let text = line[..comment.unwrap_or(line.len())].trim_ascii_end();
@@ -703,8 +707,8 @@ impl<'a> Cell<'a> {
     }
 }
 
-/// A field of a plain row that is no plain decimal, up to the byte that is its end: what the standard library's parser makes of
-/// it, or anything where it is to be skipped.
+/// A field of a plain row that is no plain decimal, up to the byte that is its end.
+/// What the standard library's parser makes of it, or anything where it is to be skipped.
 #[inline(never)]
 fn other_field(text: &[u8], is_end: impl Fn(u8) -> bool, skip: bool) -> Option<(f64, usize)> {
     let length = text.iter().position(|byte| is_end(*byte))?;
@@ -791,8 +795,8 @@ impl Header {
         }
     }
 
-    /// The columns under other names: pairs of the new name, and of the column's name or number; those that are in no pair lose
-    /// theirs.
+    /// The columns under other names.
+    /// Pairs of the new name, and of the column's name or number; those that are in no pair lose theirs.
     ///
     /// # Errors
     /// As [`Header::place`].
@@ -809,7 +813,8 @@ impl Header {
         Ok(renamed)
     }
 
-    /// A finding where the first row is one of numbers, not of names: more of its cells are numbers than are not.
+    /// A finding where the first row is one of numbers, not of names.
+    /// More of its cells are numbers than are not.
     #[must_use]
     pub fn is_missing(&self) -> Option<InputError> {
         let is_number = |text: &str| text.trim().replace(',', ".").parse::<f64>().is_ok();
@@ -952,8 +957,8 @@ impl Header {
     }
 }
 
-/// A cell as it must be written so that it reads back: in quotes where it is empty, has blanks at its ends, or holds a
-/// comma, a quote, a `#`, what else may part cells, or a byte-order mark.
+/// A cell as it must be written so that it reads back.
+/// In quotes where it is empty, has blanks at its ends, or holds a comma, a quote, a `#`, what else may part cells, or a byte-order mark.
 #[must_use]
 pub fn cell(text: &str) -> Cow<'_, str> {
     let quoted = [',', '"', '#', ';', '\t', '\u{feff}'];
@@ -1005,7 +1010,8 @@ pub fn header_line<'n>(names: impl IntoIterator<Item = &'n str>) -> String {
 mod tests {
     use super::*;
 
-    /// Whatever stands in the rows: what is read the short way is what each cell says by itself.
+    /// Whatever stands in the rows.
+    /// What is read the short way is what each cell says by itself.
     #[test]
     fn a_plain_row_is_what_its_cells_say() {
         use proptest::prelude::*;

@@ -1,4 +1,5 @@
-//! A number with a decimal point out of its digits: quickly where that is exact, by the standard library otherwise.
+//! A number with a decimal point out of its digits.
+//! Quickly where that is exact, by the standard library otherwise.
 
 /// The minus sign of typography (U+2212), which some countries' spreadsheets write.
 const MINUS: char = '\u{2212}';
@@ -38,8 +39,9 @@ pub(crate) fn decimal(text: &[u8]) -> Option<(f64, usize)> {
 const TENS: [f64; 16] =
     [1e0, 1e1, 1e2, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8, 1e9, 1e10, 1e11, 1e12, 1e13, 1e14, 1e15];
 
-/// [`decimal`] without a sign, of eight bytes at most, which nearly all are: looked at all at once, each byte in its place of a
-/// word, the first one lowest. It ends before a byte that is less than a point: a comma, a line's end.
+/// [`decimal`] without a sign, of eight bytes at most, which nearly all are.
+/// Looked at all at once, each byte in its place of a word, the first one lowest. It ends before a byte that is less than a point: a comma,
+/// a line's end.
 #[inline]
 fn short_decimal(text: &[u8]) -> Option<(f64, usize)> {
     const fn each(byte: u8) -> u64 {

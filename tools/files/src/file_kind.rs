@@ -43,7 +43,8 @@ pub enum FileKind {
     Etalon,
     /// `MTConnect`'s SHDR lines.
     Shdr,
-    /// Lines of three numbers between blanks, the first ones rising: a compensation table of `LinuxCNC`.
+    /// Lines of three numbers between blanks, the first ones rising.
+    /// A compensation table of `LinuxCNC`.
     Numbers,
     /// A spreadsheet's own file, or another zip archive.
     Workbook,
@@ -80,7 +81,8 @@ const LINES: usize = 2000;
 /// A program of a controller has a block among so many lines.
 const BLOCKS: usize = 30;
 
-/// Whether a line is a block of a program: `N10 G0 X5`, `G1X9`, `G21`. A row of a table has something that parts its cells.
+/// Whether a line is a block of a program: `N10 G0 X5`, `G1X9`, `G21`.
+/// A row of a table has something that parts its cells.
 fn is_block(line: &str) -> bool {
     let word = |text: &str, letter: char| -> Option<usize> {
         let rest = text.strip_prefix(letter)?;

@@ -1,5 +1,6 @@
-//! How a file is read and written. Everything that a person or another program wrote comes in through here, and every
-//! finding about it is one [`InputError`]: file, line, column, what was found, what was expected.
+//! How a file is read and written.
+//! Everything that a person or another program wrote comes in through here, and every finding about it is one [`InputError`]: file, line,
+//! column, what was found, what was expected.
 //!
 //! | module | what |
 //! |---|---|

@@ -1,4 +1,5 @@
-//! How a table's numbers are written: decimal point or comma, thousands parted or not.
+//! How a table's numbers are written.
+//! Decimal point or comma, thousands parted or not.
 //!
 //! A cell tells its decimal mark by itself where it has both marks (`1.000,5`), one mark several times (`1.000.000`), or one
 //! that cannot part thousands (`38,1125`, `0,125`). One mark with three digits behind it (`1.000`, `38,125`) does not tell; the
@@ -22,7 +23,8 @@ pub struct Numbers {
     column: Option<char>,
     /// The mark that any cell of the table shows.
     table: Option<char>,
-    /// Commas part the cells: a comma within a cell is no decimal mark unless a cell shows that it is.
+    /// Commas part the cells.
+    /// A comma within a cell is no decimal mark unless a cell shows that it is.
     commas_part: bool,
 }
 
@@ -106,7 +108,8 @@ impl Numbers {
     }
 }
 
-/// How a table is written: what parts its cells, and the decimal marks that they show, column by column.
+/// How a table is written.
+/// What parts its cells, and the decimal marks that they show, column by column.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Marks {
     columns: Vec<Option<char>>,
@@ -270,7 +273,8 @@ impl Marks {
         ))
     }
 
-    /// Separators at the end of every row are a program's habit; at the end of some, a cell may be missing.
+    /// Separators at the end of every row are a program's habit.
+    /// At the end of some, a cell may be missing.
     fn separators(&self) -> Option<String> {
         let Beyond { line, rows, others } = self.beyond;
         let end = if rows == 1 { "row ends" } else { "rows end" };
@@ -354,7 +358,8 @@ fn mark_by_shape(text: &str) -> Option<char> {
     (!may_part).then_some(mark)
 }
 
-/// A number as the standard library reads it: decimal point, nothing that parts thousands.
+/// A number as the standard library reads it.
+/// Decimal point, nothing that parts thousands.
 fn ungrouped(text: &str, mark: char) -> Option<String> {
     let (sign, body) = text.split_at(text.len() - text.trim_start_matches(SIGNS).len());
     let end = body.find(mark).or_else(|| body.find(['e', 'E'])).unwrap_or(body.len());

@@ -1,4 +1,5 @@
-//! A CSV whose columns are known, read whole: columns by name, every finding with its line and column.
+//! A CSV whose columns are known, read whole.
+//! Columns by name, every finding with its line and column.
 
 use crate::csv::{Header, Reader};
 use crate::file_kind::FileKind;
@@ -24,7 +25,8 @@ struct Row {
     cells: Vec<(String, usize)>,
 }
 
-/// Which column of a file is which, where its names are others: known names, each with the file's name or number, from 1.
+/// Which column of a file is which, where its names are others.
+/// Known names, each with the file's name or number, from 1.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Columns(Vec<(String, String)>);
 
@@ -100,7 +102,8 @@ impl Sheet {
         Self::of(file, &crate::text::bytes(file)?, known, also, &Columns::default())
     }
 
-    /// As [`Sheet::read`]; the columns are those that somebody named, all others are left out.
+    /// As [`Sheet::read`].
+    /// The columns are those that somebody named, all others are left out.
     ///
     /// # Errors
     /// As [`Sheet::read`]; a column that was named and is not there.

@@ -1,4 +1,5 @@
-//! What the program writes of itself into what it writes: the format's number, and who wrote it.
+//! What the program writes of itself into what it writes.
+//! The format's number, and who wrote it.
 //!
 //! The number rises when something that stood is changed, not when something is added. A file without one is of the first format.
 

@@ -1,4 +1,5 @@
-//! Least squares for parameters that an error is linear in: effects named by the user, terms of a chain.
+//! Least squares for parameters that an error is linear in.
+//! Effects named by the user, terms of a chain.
 //!
 //! A gauge's zero is arbitrary: every response of every record has a constant of its own, which is found and thrown
 //! away. Intervals come from leaving out each of ten stretches of rows in turn (delete-one-block jackknife): what
@@ -32,14 +33,16 @@ pub(crate) struct Found {
     pub(crate) interval: [f64; 2],
 }
 
-/// A linear problem: one column per parameter, rows of all records under one another.
+/// A linear problem.
+/// One column per parameter, rows of all records under one another.
 #[derive(Debug, Default)]
 pub(crate) struct Problem {
     columns: Vec<Vec<f64>>,
     y: Vec<f64>,
     /// Where each response of each record starts, and where it ends.
     pieces: Vec<std::ops::Range<usize>>,
-    /// The means that were taken off each piece: of the response, and of every column; none where the zero is known.
+    /// The means that were taken off each piece: of the response, and of every column.
+    /// None where the zero is known.
     means: Vec<Option<(f64, Vec<f64>)>>,
     /// Rows that share one rounding error of a coarse gauge, and its standard deviation.
     rounded: Vec<(Vec<usize>, f64)>,
@@ -60,7 +63,8 @@ struct CoarseCause {
     alike: Vec<std::ops::Range<usize>>,
 }
 
-/// The step that a cause was read in. Places that an axis was sent to are no readings.
+/// The step that a cause was read in.
+/// Places that an axis was sent to are no readings.
 fn cause_step(record: &Record, column: &Column) -> Option<f64> {
     let moving = matches!(record.kind, Kind::Dynamics | Kind::Ballbar | Kind::FeedSweep);
     match column.role {
@@ -76,8 +80,8 @@ impl Problem {
         Self { columns: vec![Vec::new(); parameters], ..Self::default() }
     }
 
-    /// A response of a record: what was measured, and per parameter what one unit of it makes of every row. The mean is
-    /// taken off unless the zero is known.
+    /// A response of a record.
+    /// What was measured, and per parameter what one unit of it makes of every row. The mean is taken off unless the zero is known.
     pub(crate) fn push(&mut self, y: &[f64], columns: &[Vec<f64>], zero_is_known: bool) {
         let mean =
             |v: &[f64]| if zero_is_known { 0.0 } else { v.iter().sum::<f64>() / v.len().max(1) as f64 };
@@ -94,14 +98,16 @@ impl Problem {
         self.means.push((!zero_is_known).then_some((of_y, of_columns)));
     }
 
-    /// What the solution leaves of a piece on average, µm: its own zero; none where that is known.
+    /// What the solution leaves of a piece on average, µm: its own zero.
+    /// None where that is known.
     fn zero_um(&self, found: &[Found], piece: usize) -> Option<f64> {
         let (of_y, of_columns) = self.means[piece].as_ref()?;
         Some(of_y - found.iter().zip(of_columns).map(|(f, m)| f.value * m).sum::<f64>())
     }
 
-    /// The response pushed last, as its gauge reads it, is rounded to coarse steps: readings of one value from one side are off by the
-    /// same; where noise dithers the steps, what is left of them is alike from one side. Gives what to know of that.
+    /// The response pushed last, as its gauge reads it, is rounded to coarse steps.
+    /// Readings of one value from one side are off by the same; where noise dithers the steps, what is left of them is alike from one side.
+    /// Gives what to know of that.
     pub(crate) fn rounded_as(&mut self, record: &Record, column: &Column) -> Option<String> {
         let piece = self.pieces.last().cloned()?;
         if column.data.iter().all(|v| v - column.data[0] == 0.0) {
@@ -216,7 +222,8 @@ impl Problem {
         }
     }
 
-    /// Stretches that are left out in turn: those of time, and those of each axis' places; every row's block.
+    /// Stretches that are left out in turn.
+    /// Those of time, and those of each axis' places; every row's block.
     fn stretches(&self) -> Vec<Vec<usize>> {
         // Every stretch is one of its record's response, so that each holds rows of all of them.
         let block = |i: usize| {
@@ -399,9 +406,11 @@ pub struct Zero {
 pub struct NamedReport {
     /// The fitted effects with their intervals.
     pub effects: Vec<Fitted>,
-    /// RMS per response over all records, each record's own zero taken off, µm: before, and after.
+    /// RMS per response over all records, each record's own zero taken off, µm.
+    /// Before, and after.
     pub rms_um: Vec<(String, [f64; 2])>,
-    /// The records' own zeros that were taken off: no part of the model, and of no interval.
+    /// The records' own zeros that were taken off.
+    /// No part of the model, and of no interval.
     pub zeros: Vec<Zero>,
     /// What is left that is no noise, by response.
     pub warnings: Vec<String>,
@@ -513,7 +522,8 @@ fn structure(
     (0..problem.pieces.len()).filter_map(of).collect()
 }
 
-/// What one unit of each coefficient makes of a response, row by row; nothing where the record lacks what an effect needs.
+/// What one unit of each coefficient makes of a response, row by row.
+/// Nothing where the record lacks what an effect needs.
 fn basis_of(effects: &[Effect], record: &Record, role: &Role) -> Option<Vec<Vec<f64>>> {
     let mut columns = Vec::new();
     for effect in effects {

@@ -1,5 +1,5 @@
-//! What is the same at a place every time: how far it is above what the rows of one place differ by, and stretches of places
-//! that are left out in turn.
+//! What is the same at a place every time.
+//! How far it is above what the rows of one place differ by, and stretches of places that are left out in turn.
 
 use rtec_model::record::{Record, Role};
 use statrs::distribution::{ContinuousCDF, FisherSnedecor};
@@ -63,7 +63,8 @@ pub(crate) fn stretches(p: &[Option<f64>], most: usize) -> Option<Vec<Option<usi
 pub(crate) struct Left {
     /// RMS of all that is left, µm.
     rms_um: f64,
-    /// Standard deviation of the rows of one place, µm; none where no place was come to twice.
+    /// Standard deviation of the rows of one place, µm.
+    /// None where no place was come to twice.
     repeats_um: Option<f64>,
 }
 

@@ -1,6 +1,6 @@
-//! Temperatures without their sensors' noise. A machine grows with the true temperature, which is smooth; its log carries
-//! a hundredth of a kelvin. A law fitted to the log takes whatever averages that noise away, a lag of some seconds or
-//! a pair of sensors, for the better explanation, so it is taken out first.
+//! Temperatures without their sensors' noise.
+//! A machine grows with the true temperature, which is smooth; its log carries a hundredth of a kelvin. A law fitted to the log takes
+//! whatever averages that noise away, a lag of some seconds or a pair of sensors, for the better explanation, so it is taken out first.
 //!
 //! The smoothest series near the log (Whittaker, Proc. Edinb. Math. Soc. 41 (1923) 63), how near by restricted maximum
 //! likelihood: a log that jumps stays as it is.
@@ -9,7 +9,8 @@ use rtec_model::record::{Record, Role};
 
 /// Fewer rows do not tell noise from movement.
 const FEWEST: usize = 12;
-/// A sensor that is noisier than this, K, is no sensor of a machine: its log jumps for another reason.
+/// A sensor that is noisier than this, K, is no sensor of a machine.
+/// Its log jumps for another reason.
 const NOISIEST_K: f64 = 0.15;
 /// Autocorrelation from row to row of what is taken away, beyond which it is no noise.
 const ALIKE: f64 = 0.3;
@@ -151,7 +152,8 @@ mod tests {
         (v.iter().map(|x| x * x).sum::<f64>() / v.len() as f64).sqrt()
     }
 
-    /// A warm-up with a hundredth of a kelvin of noise: most of it is gone, and nothing of the warm-up.
+    /// A warm-up with a hundredth of a kelvin of noise.
+    /// Most of it is gone, and nothing of the warm-up.
     #[test]
     fn noise_goes_and_the_warm_up_stays() {
         let t: Vec<f64> = (0..300).map(|i| 60.0 * f64::from(i)).collect();
@@ -164,7 +166,8 @@ mod tests {
         }
     }
 
-    /// Rows at uneven times, and a kink where the spindle is switched: no more is lost than the noise was.
+    /// Rows at uneven times, and a kink where the spindle is switched.
+    /// No more is lost than the noise was.
     #[test]
     fn a_kink_survives() {
         let t: Vec<f64> = (0..200).map(|i| 10.0 * f64::from(i) + if i > 90 { 900.0 } else { 0.0 }).collect();

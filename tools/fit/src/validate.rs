@@ -1,4 +1,5 @@
-//! A model judged on records: what is left, how often its interval holds, where it is asked too much.
+//! A model judged on records.
+//! What is left, how often its interval holds, where it is asked too much.
 
 use crate::thermal::prediction_chart;
 use rtec_files::{InputError, Said};

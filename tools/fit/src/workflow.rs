@@ -1,5 +1,5 @@
-//! A fit from records as people give them: what is doubted in them is said and left out, then sensors are chosen or named
-//! effects fitted; the document that programs read.
+//! A fit from records as people give them.
+//! What is doubted in them is said and left out, then sensors are chosen or named effects fitted; the document that programs read.
 
 use crate::least::{self, NamedReport};
 use crate::thermal::{self, Options, Report};
@@ -18,7 +18,8 @@ use std::path::Path;
 #[derive(Debug, Clone)]
 #[allow(clippy::struct_excessive_bools)] // each is an option of its own
 pub struct Asked {
-    /// Differences to choose from, as `T0` (to the environment) or `T8-T18`; empty for all sensors.
+    /// Differences to choose from, as `T0` (to the environment) or `T8-T18`.
+    /// Empty for all sensors.
     pub sensors: Vec<String>,
     /// The sensor of the environment; the coldest on average where it is left out.
     pub environment: Option<String>,
@@ -84,8 +85,8 @@ pub struct NamedFit {
     pub records: Vec<Record>,
 }
 
-/// A spindle's housing takes half an hour and more to warm through: a shorter drift test shows the beginning of it, or has minutes
-/// for seconds.
+/// A spindle's housing takes half an hour and more to warm through.
+/// A shorter drift test shows the beginning of it, or has minutes for seconds.
 const SHORT_S: f64 = 1800.0;
 
 /// Chooses sensors and fits growth; `holdout` never influences it, only the last figures. What is to be said on the way

@@ -1,4 +1,5 @@
-//! Circular tests: deviations as ISO 230-4:2005 defines them, and what makes them, with intervals.
+//! Circular tests.
+//! Deviations as ISO 230-4:2005 defines them, and what makes them, with intervals.
 //!
 //! | symbol | of | meaning |
 //! |---|---|---|
@@ -28,7 +29,8 @@ mod structure;
 
 pub use diagnosis::{Contribution, Cyclic, Diagnosis, Spike};
 
-/// One contour: a run round in one sense at one feed. Values in µm unless named otherwise.
+/// One contour: a run round in one sense at one feed.
+/// Values in µm unless named otherwise.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Contour {
     /// The record it is in.
@@ -60,7 +62,8 @@ pub struct Contour {
     pub trace: Vec<(f64, f64)>,
 }
 
-/// The circular tests of one plane. Values in µm unless named otherwise; `None` where the runs do not show them.
+/// The circular tests of one plane.
+/// Values in µm unless named otherwise; `None` where the runs do not show them.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Ballbar {
     /// The plane, as the two axes.
@@ -100,7 +103,8 @@ pub struct Ballbar {
     pub warnings: Vec<String>,
 }
 
-/// A record as a circle: angle and radial error, with plane and radius where they are known.
+/// A record as a circle.
+/// Angle and radial error, with plane and radius where they are known.
 pub(crate) struct Trace {
     pub(crate) record: Record,
     name: String,
@@ -111,7 +115,8 @@ pub(crate) struct Trace {
     pub(crate) contours: Vec<(Range<usize>, f64)>,
 }
 
-/// Evaluates circular tests, plane by plane: the radial error over the angle, or two axes with position and error.
+/// Evaluates circular tests, plane by plane.
+/// The radial error over the angle, or two axes with position and error.
 ///
 /// # Errors
 /// A record that is no circle, or has less than half a turn.
@@ -227,8 +232,8 @@ fn pairs(rows: &[Row]) -> Vec<(f64, f64)> {
     rows.iter().map(|r| (r.0, r.1)).collect()
 }
 
-/// Radius and centre of the least-squares circle of small radial deviations; every part of the circle counts alike, however
-/// often it was run over. `None` where the points do not give one.
+/// Radius and centre of the least-squares circle of small radial deviations.
+/// Every part of the circle counts alike, however often it was run over. `None` where the points do not give one.
 fn round_fit(points: &[(f64, f64)]) -> Option<[f64; 3]> {
     let count = (points.len() / 4).clamp(12, 360);
     let sector = |angle: f64| ((angle.rem_euclid(TAU) / TAU * count as f64) as usize).min(count - 1);
@@ -355,7 +360,8 @@ fn turned_rad(from: f64, to: f64) -> f64 {
     (to - from + PI).rem_euclid(TAU) - PI
 }
 
-/// Runs of rows in one sense of turning at one feed; those of less than a twentieth of a turn are starts and stops.
+/// Runs of rows in one sense of turning at one feed.
+/// Those of less than a twentieth of a turn are starts and stops.
 fn contours(record: &Record, angle: &[f64]) -> Vec<(Range<usize>, f64)> {
     let n = angle.len();
     // Some rows ahead and back, so that noise in the angle turns nothing round.

@@ -18,8 +18,9 @@ const FEWEST: usize = 5;
 const FIRST: usize = 3;
 /// Rows by which the windows are judged: evenly spread, enough for a mean.
 const JUDGED: usize = 1500;
-/// Half a window still has a part of the whole one's distortion: a third of it where the acceleration has a corner, as at the
-/// ends of a stroke. So what the change says of the distortion falls short, by this factor in its square.
+/// Half a window still has a part of the whole one's distortion.
+/// A third of it where the acceleration has a corner, as at the ends of a stroke. So what the change says of the distortion falls short, by
+/// this factor in its square.
 const SHORT: f64 = 2.0;
 /// A gap in time this many times the usual one parts two runs.
 const GAP: f64 = 8.0;
@@ -159,8 +160,9 @@ fn median(values: impl Iterator<Item = f64>) -> f64 {
     sorted.get(sorted.len() / 2).copied().unwrap_or(0.0)
 }
 
-/// Standard deviation of the positions' noise, mm: what a cubic through its four neighbours leaves of a row, by the median, which
-/// a few jerks do not move; of rows that move, because a scale at rest says nothing of its noise.
+/// Standard deviation of the positions' noise, mm.
+/// What a cubic through its four neighbours leaves of a row, by the median, which a few jerks do not move; of rows that move, because a
+/// scale at rest says nothing of its noise.
 fn noise(t: &[f64], p: &[f64], runs: &[Range<usize>]) -> f64 {
     let mut left = Vec::new();
     for run in runs {
@@ -189,8 +191,8 @@ struct Motion<'a> {
 }
 
 impl Motion<'_> {
-    /// The window for a derivative: rows on each side, and the derivative's standard error with it: noise,
-    /// distortion, and what the rows cannot tell of the distortion.
+    /// The window for a derivative.
+    /// Rows on each side, and the derivative's standard error with it: noise, distortion, and what the rows cannot tell of the distortion.
     fn window(&self, order: usize) -> (usize, f64) {
         let longest = self.runs.iter().map(Range::len).max().unwrap_or(0);
         let every = (self.t.len() / JUDGED).max(1);
@@ -244,8 +246,9 @@ impl Motion<'_> {
         out
     }
 
-    /// What each position around row `i` counts in the derivative there: the first row, and the weights from it on. At the ends
-    /// of a run the window is the one-sided rest of it, reaching as far as a whole one.
+    /// What each position around row `i` counts in the derivative there.
+    /// The first row, and the weights from it on. At the ends of a run the window is the one-sided rest of it, reaching as far as a whole
+    /// one.
     fn weights(&self, order: usize, rows: usize, i: usize, run: &Range<usize>) -> (usize, Vec<f64>) {
         let (mut from, mut to) = (i.saturating_sub(rows).max(run.start), (i + rows + 1).min(run.end));
         // Never fewer distinct times than a cubic needs.

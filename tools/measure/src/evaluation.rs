@@ -1,4 +1,5 @@
-//! Runs evaluated by the standard that fits them: the document that programs read and the report that people read.
+//! Runs evaluated by the standard that fits them.
+//! The document that programs read and the report that people read.
 
 use crate::iso230::{self, Conditions, Drift, LongDrift, Options};
 use crate::plausible::{self, Suspicion};
@@ -108,7 +109,8 @@ pub struct Asked {
     pub standard: Option<Standard>,
     /// What the test was done under.
     pub conditions: Conditions,
-    /// Positioning: targets approached from one side only are accepted, and the one-sided figures given alone.
+    /// Positioning.
+    /// Targets approached from one side only are accepted, and the one-sided figures given alone.
     pub one_way: bool,
     /// Plates: the sum of fourth powers is made small instead of that of squares.
     pub fourth_powers: bool,
@@ -125,7 +127,8 @@ pub struct Evaluation {
     pub doubts: Vec<Suspicion>,
 }
 
-/// Evaluates runs as their standard defines it; what is to be said on the way goes to `say`.
+/// Evaluates runs as their standard defines it.
+/// What is to be said on the way goes to `say`.
 ///
 /// # Errors
 /// No record; a kind without a standard; what the standard needs and the records lack; a sensor that reads nonsense and
@@ -173,8 +176,9 @@ pub fn evaluate(
     Ok(doubted(&first.path, document, report, doubts, say))
 }
 
-/// As [`evaluate`], of records on file. A drift test of more than [`MOST_ROWS`] rows in which no axis moves is gone through piece by
-/// piece: its figures are those of the whole, and mistakes are looked for in each piece by itself.
+/// As [`evaluate`], of records on file.
+/// A drift test of more than [`MOST_ROWS`] rows in which no axis moves is gone through piece by piece: its figures are those of the whole,
+/// and mistakes are looked for in each piece by itself.
 ///
 /// # Errors
 /// As [`evaluate`], and as [`record::read`].
@@ -252,7 +256,8 @@ fn undrawn(file: &Path, e: &PlotError) -> InputError {
     InputError::whole(file, e.to_string(), "figures that can be drawn")
 }
 
-/// An evaluation with what is doubted of its records; says what the report warns of.
+/// An evaluation with what is doubted of its records.
+/// Says what the report warns of.
 fn doubted(
     file: &Path,
     mut document: Value,
@@ -306,7 +311,8 @@ pub(crate) fn is_same_figure(one: f64, other: f64) -> bool {
     (one - other).abs() <= SAME * one.abs().max(other.abs())
 }
 
-/// So many figures are said beside those without the rows that were left out; the document has all of them.
+/// So many figures are said beside those without the rows that were left out.
+/// The document has all of them.
 const MOST_BESIDE: usize = 8;
 
 fn digits(figure: f64) -> String {
@@ -517,7 +523,8 @@ mod tests {
     use crate::plausible::What;
     use std::fmt::Write as _;
 
-    /// A drift test on file: rest, spindle with pauses, rest; time uneven; a row changed as `spoilt` says.
+    /// A drift test on file: rest, spindle with pauses, rest; time uneven.
+    /// A row changed as `spoilt` says.
     fn drift(folder: &Path, rows: usize, spoilt: impl Fn(usize, &mut [f64; 7])) -> PathBuf {
         let mut csv = "t,rpm,z,T1,T2,e,f\n".to_owned();
         let mut dice = 1_u64;
@@ -586,7 +593,8 @@ mod tests {
         }
     }
 
-    /// A mistake has its rows wherever it stands; one of all pieces is one of the record.
+    /// A mistake has its rows wherever it stands.
+    /// One of all pieces is one of the record.
     #[test]
     fn mistakes_in_a_long_drift_are_found_piece_by_piece() {
         let folder = tempfile::tempdir().unwrap();
@@ -605,7 +613,8 @@ mod tests {
         assert_eq!(found.document["suspicions"].as_array().map(Vec::len), Some(3));
     }
 
-    /// What asks for all rows at once is held: few rows, an axis that moves, another kind, no time.
+    /// What asks for all rows at once is held.
+    /// Few rows, an axis that moves, another kind, no time.
     #[test]
     fn what_cannot_be_cut_is_held() {
         let folder = tempfile::tempdir().unwrap();

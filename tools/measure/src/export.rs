@@ -1,4 +1,5 @@
-//! One axis' errors as a table for a controller that compensates by itself: chosen from the model, and judged against it.
+//! One axis' errors as a table for a controller that compensates by itself.
+//! Chosen from the model, and judged against it.
 //!
 //! | module | what | source |
 //! |---|---|---|
@@ -36,7 +37,8 @@ const MANY: usize = 100_000;
 /// Steps that read well, as parts of a power of ten.
 const ROUND: [f64; 6] = [8.0, 5.0, 4.0, 2.5, 2.0, 1.0];
 
-/// One place of a table: error of the axis there, approached from below and from above.
+/// One place of a table.
+/// Error of the axis there, approached from below and from above.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Point {
     /// Commanded position, mm.
@@ -75,9 +77,11 @@ pub struct Rules {
 /// Where a controller looks a table's value up.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Lookup {
-    /// At the commanded position; the drive goes elsewhere by the value, and the error there is another one.
+    /// At the commanded position.
+    /// The drive goes elsewhere by the value, and the error there is another one.
     Commanded,
-    /// At the position that the encoder reads: the value meets the error of that same place.
+    /// At the position that the encoder reads.
+    /// The value meets the error of that same place.
     Encoder,
 }
 
@@ -157,13 +161,14 @@ pub struct Errors<'m> {
     places_mm: Vec<f64>,
     /// Axes of a chain whose place nobody stated.
     unstated: Vec<String>,
-    /// Which of the layout's axes the table goes along: the first, unless it is a cross table.
+    /// Which of the layout's axes the table goes along.
+    /// The first, unless it is a cross table.
     moving: usize,
 }
 
 impl<'m> Errors<'m> {
-    /// The axis' errors at these temperatures and places of the other axes; sensors that are not among them are at 20 °C, axes
-    /// at 0 mm.
+    /// The axis' errors at these temperatures and places of the other axes.
+    /// Sensors that are not among them are at 20 °C, axes at 0 mm.
     ///
     /// # Errors
     /// An axis that the model knows no error of, a sensor or another axis that it does not read or that is given twice, no
@@ -245,7 +250,8 @@ impl<'m> Errors<'m> {
         Ok(Self { machine, axis, layout, degc, places_mm, unstated, moving: 0 })
     }
 
-    /// The same along another axis, the own one standing at this place: what squareness, straightness and sag make of it.
+    /// The same along another axis, the own one standing at this place.
+    /// What squareness, straightness and sag make of it.
     ///
     /// # Errors
     /// The model has no error of this axis that depends on the other.
@@ -278,7 +284,8 @@ impl<'m> Errors<'m> {
             && (self.moving == 0 || effect.axes().contains(&self.layout.axes[self.moving]))
     }
 
-    /// Errors at these rising places, µm: approached from below each (`up`) or from above.
+    /// Errors at these rising places, µm.
+    /// Approached from below each (`up`) or from above.
     ///
     /// # Errors
     /// The model needs what a table cannot give it.
@@ -325,8 +332,8 @@ impl<'m> Errors<'m> {
         Ok(own.map(|(name, degc)| (name.as_str(), *degc)).collect())
     }
 
-    /// What a person should know: effects of the axis that a table of positions cannot hold, and temperatures outside the
-    /// range that an effect was fitted on.
+    /// What a person should know.
+    /// Effects of the axis that a table of positions cannot hold, and temperatures outside the range that an effect was fitted on.
     ///
     /// # Errors
     /// As [`Errors::along`].
@@ -398,7 +405,8 @@ pub struct Table {
     pub points: Vec<Point>,
     /// Distance between them, mm.
     pub step_mm: f64,
-    /// What was taken from all values to make the one at the reference point zero, µm: it moves the axis' zero.
+    /// What was taken from all values to make the one at the reference point zero, µm.
+    /// It moves the axis' zero.
     pub constant_um: f64,
     /// What it leaves.
     pub left: Left,
@@ -433,7 +441,8 @@ struct Dense {
     down_um: Vec<f64>,
 }
 
-/// The straight line between the points, or the value of the last one; for rising places.
+/// The straight line between the points, or the value of the last one.
+/// For rising places.
 fn interpolate<'a>(
     points: &'a [Point],
     places_mm: &'a [f64],
@@ -595,8 +604,9 @@ impl Table {
         Ok(table)
     }
 
-    /// Judges what is left where a controller applies the table. One that looks the value up at the commanded position moves the
-    /// drive by it, and the error there is another one. Across a large reversal that is a good part of a screw's wave.
+    /// Judges what is left where a controller applies the table.
+    /// One that looks the value up at the commanded position moves the drive by it, and the error there is another one. Across a large
+    /// reversal that is a good part of a screw's wave.
     fn applied(mut self, errors: &Errors<'_>, dense: &Dense, rules: &Rules) -> Result<Self, InputError> {
         if rules.lookup == Lookup::Encoder {
             // As `judge` has it: value and error of one place.
@@ -643,7 +653,8 @@ impl Table {
 }
 
 impl Dense {
-    /// Evenly spread places, each moved within its own stretch by the golden ratio: no period falls into step with them.
+    /// Evenly spread places, each moved within its own stretch by the golden ratio.
+    /// No period falls into step with them.
     fn of(errors: &Errors<'_>, from: f64, to: f64, most: usize) -> Result<Self, InputError> {
         const GOLDEN: f64 = 0.618_033_988_749_894_9;
         let n = (most * PLACES.0).clamp(PLACES.1 / 4, PLACES.1);

@@ -1,4 +1,5 @@
-//! One machine's figures of merit over time: what each of its records says, with limits and trend.
+//! One machine's figures of merit over time.
+//! What each of its records says, with limits and trend.
 
 use crate::iso230::{self, Options};
 use crate::plausible::{self, Suspicion};
@@ -154,7 +155,8 @@ pub struct History {
     pub suspicions: Vec<Suspicion>,
 }
 
-/// One machine's history from its records, each by its path: one that cannot be read is left out and named.
+/// One machine's history from its records, each by its path.
+/// One that cannot be read is left out and named.
 #[must_use]
 pub fn history(machine: &str, records: &[(String, Result<Record, InputError>)], limits: &Limits) -> History {
     let mut found: BTreeMap<String, Figure> = BTreeMap::new();
@@ -264,7 +266,8 @@ fn figures(record: &Record, sensors: &BTreeMap<String, String>) -> Result<Vec<Sa
     })
 }
 
-/// For each response the sensor that tells its growth best over all drift records: one for all, so that they can be compared.
+/// For each response the sensor that tells its growth best over all drift records.
+/// One for all, so that they can be compared.
 fn sensors<'r>(records: impl Iterator<Item = &'r Record>) -> BTreeMap<String, String> {
     let mut merit: BTreeMap<(String, String), f64> = BTreeMap::new();
     for record in records.filter(|r| matches!(Standard::of(r), Ok(Standard::Iso230_3))) {
@@ -286,7 +289,8 @@ fn sensors<'r>(records: impl Iterator<Item = &'r Record>) -> BTreeMap<String, St
     best.into_iter().map(|(response, (sensor, _))| (response, sensor)).collect()
 }
 
-/// Slope of a straight line, its standard error, and the correlation; none where x hardly moves.
+/// Slope of a straight line, its standard error, and the correlation.
+/// None where x hardly moves.
 fn slope(x: &[f64], y: &[f64]) -> Option<(f64, f64, f64)> {
     let n = x.len() as f64;
     let (mx, my) = (x.iter().sum::<f64>() / n, y.iter().sum::<f64>() / n);

@@ -44,7 +44,8 @@ pub(crate) struct Place {
     pub(crate) down: Vec<f64>,
 }
 
-/// The places of a run, in order; where no direction is known all is called upwards.
+/// The places of a run, in order.
+/// Where no direction is known all is called upwards.
 pub(crate) fn places(position: &[f64], direction: Option<&[f64]>, error: &[f64]) -> Vec<Place> {
     let of = |rows: Vec<usize>| {
         let side = |up: bool| -> Vec<f64> {
@@ -208,7 +209,8 @@ pub fn correlation(x: &[f64], y: &[f64]) -> f64 {
     if xx > 0.0 && yy > 0.0 { xy / (xx * yy).sqrt() } else { 0.0 }
 }
 
-/// Returning to one position (tool changes, reference marks): how far the returns scatter, with and without their drift.
+/// Returning to one position (tool changes, reference marks).
+/// How far the returns scatter, with and without their drift.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Returns {
     /// Number of returns.
@@ -233,7 +235,8 @@ pub struct Returns {
     pub step: Option<ReturnStep>,
 }
 
-/// A step in the returns: all before it about one mean, all from it on about another.
+/// A step in the returns.
+/// All before it about one mean, all from it on about another.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct ReturnStep {
     /// The first return behind it, from 1.
@@ -330,7 +333,8 @@ impl Returns {
         })
     }
 
-    /// The drift is no straight line: about it neighbours are more alike than chance makes them.
+    /// The drift is no straight line.
+    /// About it neighbours are more alike than chance makes them.
     #[must_use]
     pub fn is_bent(&self) -> bool {
         let n = self.returns as f64;

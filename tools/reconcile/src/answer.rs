@@ -1,4 +1,5 @@
-//! What an estimate says of the records, as findings: effects with a name, shapes without one, corrections of the model.
+//! What an estimate says of the records, as findings.
+//! Effects with a name, shapes without one, corrections of the model.
 
 use rtec_estimate::problem::Units;
 use rtec_estimate::{Estimate, Found, Rival, Shape};
@@ -49,8 +50,9 @@ pub(crate) fn stated(machine: &Machine) -> Vec<Vec<Option<f64>>> {
     machine.listed().iter().map(of).collect()
 }
 
-/// Probability that chance alone gives odds like these: under chance a Bayes factor is one on average, so one of x comes with a
-/// probability below 1/x (Markov's inequality). The price of one more effect is no part of the prior over names.
+/// Probability that chance alone gives odds like these.
+/// Under chance a Bayes factor is one on average, so one of x comes with a probability below 1/x (Markov's inequality). The price of one
+/// more effect is no part of the prior over names.
 fn p_value(f: &Found) -> f64 {
     (-f.evidence - rtec_estimate::priors::PRICE).exp().min(1.0)
 }

@@ -1,6 +1,6 @@
-//! People's mistakes, before anything is explained: what the records show by themselves (`rtec_measure::plausible`), and what
-//! shows beside the model, a record that agrees with it only with another sign, unit, direction or sensor. What is doubted
-//! is left out of the analysis and said; it is never named as an effect.
+//! People's mistakes, before anything is explained.
+//! What the records show by themselves (`rtec_measure::plausible`), and what shows beside the model, a record that agrees with it only with
+//! another sign, unit, direction or sensor. What is doubted is left out of the analysis and said; it is never named as an effect.
 
 use crate::answer::stated;
 use crate::gap::{self, Gap};
@@ -33,7 +33,8 @@ pub(crate) struct Doubts {
     of_holdout: Vec<Suspicion>,
 }
 
-/// Looks at all records by themselves and beside each other. What a hold-out shows changes nothing of the training.
+/// Looks at all records by themselves and beside each other.
+/// What a hold-out shows changes nothing of the training.
 pub(crate) fn doubts(train: &[Record], holdout: &[Record], machine: &Machine) -> Doubts {
     let all: Vec<&Record> = train.iter().chain(holdout).collect();
     let twice = plausible::repeated(&all);
@@ -91,7 +92,8 @@ fn suspicions(records: &[Record], machine: &Machine) -> Vec<Suspicion> {
 }
 
 impl Doubts {
-    /// The hold-outs without what is doubted, for a model: what it does not read may be off. And what was left out.
+    /// The hold-outs without what is doubted, for a model.
+    /// What it does not read may be off. And what was left out.
     pub(crate) fn holdouts(&self, model: &Machine) -> (Vec<Record>, Vec<String>) {
         let left = self.holdout.iter().filter_map(|r| without(r, &self.of_holdout, model));
         let left: Vec<Record> = left.map(|(r, _)| r).collect();
@@ -99,7 +101,8 @@ impl Doubts {
         (left, lines)
     }
 
-    /// Leaves out the training records whose clock is doubted: no lag is told by them. Whether there were any.
+    /// Leaves out the training records whose clock is doubted: no lag is told by them.
+    /// Whether there were any.
     pub(crate) fn without_clocks(&mut self) -> bool {
         let before = self.train.len();
         for (k, record) in std::mem::take(&mut self.train).into_iter().enumerate().rev() {
@@ -179,7 +182,8 @@ fn lines(before: &[Record], after: &[Record], said: &[Suspicion]) -> Vec<String>
     out
 }
 
-/// The record without what is doubted of it; none where nothing is left that could be trusted.
+/// The record without what is doubted of it.
+/// None where nothing is left that could be trusted.
 fn without(record: &Record, said: &[Suspicion], machine: &Machine) -> Option<(Record, Vec<usize>)> {
     let clocked = machine.effects().any(reads_clock);
     let useless = |s: &Suspicion| whole(s, record) || clocked && is_of_clock(s, record);

@@ -3,8 +3,9 @@
 use rtec_model::record::Record;
 use std::borrow::Cow;
 
-/// More rows are not looked at: an effect's value is then known to a hundredth of the noise, and what a search takes grows with rows times
-/// candidates, to minutes and a gigabyte.
+/// More rows are not looked at.
+/// An effect's value is then known to a hundredth of the noise, and what a search takes grows with rows times candidates, to minutes and a
+/// gigabyte.
 pub(crate) const MOST_ROWS: usize = 20_000;
 
 /// So many rows as are looked at.
@@ -15,7 +16,8 @@ pub(crate) fn bounded(train: &[Record]) -> Cow<'_, [Record]> {
     }
 }
 
-/// One row of how many is looked at before anything is known of them: the least power of two that leaves [`MOST_ROWS`] at most.
+/// One row of how many is looked at before anything is known of them.
+/// The least power of two that leaves [`MOST_ROWS`] at most.
 pub(crate) fn at_least_every(records: &[Record]) -> usize {
     let rows: usize = records.iter().map(Record::rows).sum();
     rows.div_ceil(MOST_ROWS).next_power_of_two()

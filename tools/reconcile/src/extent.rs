@@ -28,8 +28,8 @@ pub(crate) const GRID_SHARE: f64 = 0.02;
 /// So many multiples of a grid's frequency are looked through for periods that machines are made with.
 const MULTIPLES: usize = 200;
 
-/// Frequencies that look the same as `f` on a grid, inside a range, slowest first: so many, and beyond them those of periods
-/// that machines are made with.
+/// Frequencies that look the same as `f` on a grid, inside a range, slowest first.
+/// So many, and beyond them those of periods that machines are made with.
 pub(crate) fn aliases(f: f64, pitch: f64, range: [f64; 2], most: usize, usual_mm: &[f64]) -> Vec<f64> {
     let whole = 1.0 / pitch;
     let rest = f.rem_euclid(whole);
@@ -74,7 +74,8 @@ mod tests {
         }
     }
 
-    /// A bug once: at 50 mm steps a screw of 12 mm was not among the eight that were listed beside it.
+    /// A bug once.
+    /// At 50 mm steps a screw of 12 mm was not among the eight that were listed beside it.
     #[test]
     fn what_machines_are_made_with_is_among_the_aliases() {
         let of = |usual: &[f64]| aliases(1.0 / 60.0, 50.0, [1.0 / 60.0, 2.0], 8, usual);

@@ -27,7 +27,8 @@ pub struct Gap {
     pub blocked: Option<[f64; 2]>,
     /// Noise of the data.
     pub floor: f64,
-    /// The hold-out is doubted, or so few rows taught nothing: how much of the gap is closed says nothing.
+    /// The hold-out is doubted, or so few rows taught nothing.
+    /// How much of the gap is closed says nothing.
     pub doubted: bool,
     /// Rows of the hold-outs.
     pub held_rows: usize,
@@ -84,7 +85,8 @@ pub struct Over {
 const STILL_MM: f64 = 1.0;
 
 impl Over {
-    /// The angle of a circle; the position of the axis that moves, the response's own first; else time.
+    /// The angle of a circle.
+    /// The position of the axis that moves, the response's own first; else time.
     fn of(record: &Record, response: &Role) -> Self {
         let in_time = matches!(record.kind, Kind::Drift | Kind::Dynamics);
         if let Some(angle) = record.data(&Role::Angle).filter(|_| !in_time) {
@@ -154,8 +156,8 @@ pub(crate) fn left_of_blocks(used: &[Record], answer: &Answer, machine: &Machine
     })
 }
 
-/// The gap of the responses of each unit. `used`: the rows that were looked at; `blocked`: what is left of each
-/// ([`left_of_blocks`]).
+/// The gap of the responses of each unit.
+/// `used`: the rows that were looked at; `blocked`: what is left of each ([`left_of_blocks`]).
 pub(crate) fn gaps(used: &[Record], traces: &[Trace], answer: &Answer, blocked: Option<&[f64]>) -> Vec<Gap> {
     let mut units: Vec<&str> = traces.iter().map(|t| unit_of(&t.response)).collect();
     units.sort_unstable();

@@ -1,4 +1,5 @@
-//! What a better model says of itself: within what it predicts each response, as a fit says it.
+//! What a better model says of itself.
+//! Within what it predicts each response, as a fit says it.
 
 use rtec_estimate::rows::Rows;
 use rtec_model::effect::{Effect, Heat};
@@ -11,8 +12,8 @@ const VALID_DAYS: i64 = 365;
 /// Share of the rows that an interval is to hold.
 const HOLDS: f64 = 0.95;
 
-/// States the interval of each response: what the other blocks' fit leaves of each row (`left`) is what such a run may
-/// be off by. Of several records of a kind the widest counts.
+/// States the interval of each response.
+/// What the other blocks' fit leaves of each row (`left`) is what such a run may be off by. Of several records of a kind the widest counts.
 pub(crate) fn state(model: &mut Machine, used: &[Record], left: &[f64], date: &str) {
     let rows = Rows::new(used);
     let day = rtec_model::date::parse(date).unwrap_or_else(rtec_model::date::today);

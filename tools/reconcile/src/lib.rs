@@ -1,5 +1,5 @@
-//! Reconciliation: measured runs and a machine model in; out comes where they disagree, which effect is missing, a
-//! better model, and how far the gap shrank.
+//! Reconciliation: measured runs and a machine model in.
+//! Out comes where they disagree, which effect is missing, a better model, and how far the gap shrank.
 //!
 //! A reader's way: [`reconcile()`] → `doubt` → `answer` (which asks `rtec-estimate`) → [`Reconciliation`].
 //!
@@ -70,7 +70,8 @@ pub struct Options {
     pub date: Option<String>,
     /// Where something is unexplained, add a bounded curve in its place, marked as such.
     pub unexplained: bool,
-    /// Whether the figures of the gap and the traces are wanted too: the last stage's work.
+    /// Whether the figures of the gap and the traces are wanted too.
+    /// The last stage's work.
     pub figures: bool,
 }
 

@@ -1,5 +1,6 @@
-//! People's mistakes beside a model: a record as it stands against the same record with a mistake undone, by one likelihood. What
-//! counts is the density of the numbers as they are written in the file.
+//! People's mistakes beside a model.
+//! A record as it stands against the same record with a mistake undone, by one likelihood. What counts is the density of the numbers as
+//! they are written in the file.
 
 use crate::answer::{Answer, Finding, analyse, score, stated};
 use rtec_estimate::priors::TRAVEL_MM;
@@ -48,7 +49,8 @@ impl Suspected {
         self.odds > CERTAIN.ln()
     }
 
-    /// What a name that the mistake explains as well holds of its place; whether it explains this one.
+    /// What a name that the mistake explains as well holds of its place.
+    /// Whether it explains this one.
     pub(crate) fn weaken(&self, finding: &mut Finding) -> bool {
         let explains = !self.without.contains(&finding.effect.name());
         if explains {
@@ -58,7 +60,8 @@ impl Suspected {
     }
 }
 
-/// One record in so many carries a mistake of one kind: one in 30 carries any, of some 20 kinds (experience of people who read logs).
+/// One record in so many carries a mistake of one kind.
+/// One in 30 carries any, of some 20 kinds (experience of people who read logs).
 const ONE_IN: f64 = 600.0;
 /// Odds at which a record is left out.
 const CERTAIN: f64 = 99.0;
@@ -167,7 +170,8 @@ pub(crate) fn of_training(
     out
 }
 
-/// A mistake that every record shows: whoever makes it always makes it in one way, so it costs as much as one.
+/// A mistake that every record shows.
+/// Whoever makes it always makes it in one way, so it costs as much as one.
 fn habit(tried: &[(f64, usize, Mistake)], records: usize) -> Option<Made> {
     let same = |a: &Mistake, b: &Mistake| {
         (a.said.what, &a.said.column, &a.said.text) == (b.said.what, &b.said.column, &b.said.text)
@@ -180,7 +184,8 @@ fn habit(tried: &[(f64, usize, Mistake)], records: usize) -> Option<Made> {
     Some(tried.iter().filter(|t| same(&t.2, first)).map(|t| (t.1, t.2.clone())).collect())
 }
 
-/// Mistakes of a hold-out beside the better model: without it the model explains the record.
+/// Mistakes of a hold-out beside the better model.
+/// Without it the model explains the record.
 pub(crate) fn of_hold_out(
     record: &Record,
     train: &[Record],
@@ -281,7 +286,8 @@ const FORCES: [(f64, &str); 4] = [
     (10.0, "a decimal point one place off?"),
     (0.1, "a decimal point one place off?"),
 ];
-/// The shortest and the longest travel of a machine's axis, mm: none is the length of a street.
+/// The shortest and the longest travel of a machine's axis, mm.
+/// None is the length of a street.
 const TRAVELS_MM: [f64; 2] = [1e-1, 3e4];
 /// Log prior of a travel, but for a constant: few are far from the usual ones.
 fn travel_prior(mm: f64) -> f64 {

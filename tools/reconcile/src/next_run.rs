@@ -1,5 +1,6 @@
-//! The run that tells an effect from its rivals, before anybody measures it: each run that could be made is simulated without noise,
-//! and what the best of a rival's curves leaves of it is weighed against the noise that the records have.
+//! The run that tells an effect from its rivals, before anybody measures it.
+//! Each run that could be made is simulated without noise, and what the best of a rival's curves leaves of it is weighed against the noise
+//! that the records have.
 //!
 //! Log odds of a run are half of what is left, in noise variances (the likelihood ratio of normal noise). Noise spreads them by
 //! √(2·odds): a run is enough where two such standard deviations less still hold the name's place.
@@ -135,7 +136,8 @@ fn is_enough(log_odds: f64, rivals: usize) -> bool {
     log_odds - 2.0 * (2.0 * log_odds).sqrt() >= wanted
 }
 
-/// Where an effect's curve goes along: the last axis of its name that the machine has.
+/// Where an effect's curve goes along.
+/// The last axis of its name that the machine has.
 fn along<'a>(effect: &Effect, axes: &'a [PlanAxis]) -> Option<&'a PlanAxis> {
     effect.axes().iter().rev().find_map(|a| axes.iter().find(|p| p.name == a.as_str()))
 }
@@ -272,7 +274,8 @@ impl Simulated {
         Self { records: records.collect(), model, noise: open.noise }
     }
 
-    /// Log odds against the best curve of a rival's law; against its values as they are where these are given.
+    /// Log odds against the best curve of a rival's law.
+    /// Against its values as they are where these are given.
     fn log_odds(&self, rival: &Effect, given: bool) -> f64 {
         let rows = Rows::new(&self.records);
         let problem = Problem::new(&rows, &self.model, &[]);

@@ -1,5 +1,6 @@
-//! What stands behind a fit or a verdict, as arrays: measured and predicted row by row, the derivative of each fitted value, the
-//! columns of the set-up. For those who check the intervals with tools of their own.
+//! What stands behind a fit or a verdict, as arrays.
+//! Measured and predicted row by row, the derivative of each fitted value, the columns of the set-up. For those who check the intervals
+//! with tools of their own.
 
 use crate::answer::stated;
 use rtec_estimate::rows::{Rows, Segment};
@@ -61,7 +62,8 @@ pub struct Regression {
 }
 
 impl Regression {
-    /// Of what a model has and `base` has not, or has otherwise, over these records. A value without an interval was held.
+    /// Of what a model has and `base` has not, or has otherwise, over these records.
+    /// A value without an interval was held.
     #[must_use]
     pub fn new(records: &[Record], base: &Machine, machine: &Machine, set_up: SetUpColumns) -> Self {
         let rows = Rows::new(records);

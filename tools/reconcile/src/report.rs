@@ -18,7 +18,8 @@ const PLACES: usize = 14;
 /// So many stretches of its axis a plot of many rows has: of each the least and the largest row.
 const STRETCHES: usize = 250;
 
-/// The report: what was found, on which records, how well, and the line to be signed. It prints to A4.
+/// The report.
+/// What was found, on which records, how well, and the line to be signed. It prints to A4.
 #[must_use]
 pub fn html(r: &Reconciliation, machine: &str) -> String {
     let mut h = String::new();
@@ -128,7 +129,8 @@ fn map(effect: &Effect, half: &[f64]) -> Option<Chart> {
     Some(chart.with(Series::new("", Style::Dots, line).coloured(Colour::Up)))
 }
 
-/// What every effect of the better model makes of these runs, largest first: the range that it has in the run that shows it most.
+/// What every effect of the better model makes of these runs, largest first.
+/// The range that it has in the run that shows it most.
 fn contributions(h: &mut String, r: &Reconciliation) {
     let rows = Rows::new(&r.records);
     let mut all: Vec<(String, &str, &str, f64)> = Vec::new();
@@ -178,7 +180,8 @@ fn contributions(h: &mut String, r: &Reconciliation) {
     h.push_str("</table>");
 }
 
-/// What is not known of one reading that the better model predicts: the noise, and each value that was found or corrected.
+/// What is not known of one reading that the better model predicts.
+/// The noise, and each value that was found or corrected.
 fn budget(h: &mut String, r: &Reconciliation) {
     let rows = Rows::new(&r.records);
     let found = r.effects.iter().map(|(f, half)| (&f.effect, half));
@@ -273,8 +276,8 @@ fn term_of(term: &str) -> (String, &'static str) {
     }
 }
 
-/// What the report's plots show, as data: what is left before and after, maps with their bands, the means over what it depends on,
-/// and what was tried.
+/// What the report's plots show, as data.
+/// What is left before and after, maps with their bands, the means over what it depends on, and what was tried.
 #[must_use]
 pub fn pictures(r: &Reconciliation) -> Vec<Picture> {
     let place = |p: &Place| {
@@ -442,7 +445,8 @@ fn effects(h: &mut String, r: &Reconciliation) {
     h.push_str("</table>");
 }
 
-/// A trace over position, angle or time: before in grey, after in colour, up and down apart.
+/// A trace over position, angle or time.
+/// Before in grey, after in colour, up and down apart.
 fn chart(t: &Trace, stretches: usize) -> Chart {
     let unit = unit_of(&t.response);
     let held = if t.holdout { ", hold-out" } else { "" };

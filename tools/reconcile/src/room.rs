@@ -1,4 +1,5 @@
-//! The sensors that a fit of growth chooses on the same drift: one choice, or the reason why there are two.
+//! The sensors that a fit of growth chooses on the same drift.
+//! One choice, or the reason why there are two.
 
 use crate::answer::Finding;
 use rtec_fit::thermal;

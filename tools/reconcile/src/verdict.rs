@@ -28,8 +28,8 @@ pub enum Verdict {
 }
 
 impl Verdict {
-    /// From what was added to the model, and what stayed unexplained: a shape makes it unknown; a name, or a mode of it, that does not
-    /// hold its place makes it not separable.
+    /// From what was added to the model, and what stayed unexplained.
+    /// A shape makes it unknown; a name, or a mode of it, that does not hold its place makes it not separable.
     #[must_use]
     pub fn of(added: &[(Finding, Vec<f64>)], unexplained: &[Shape]) -> Self {
         let holds = |f: &Finding| f.name_mass >= HELD && f.mode_mass >= HELD;
@@ -129,7 +129,8 @@ pub struct Reconciliation {
     pub effects: Vec<(Finding, Vec<f64>)>,
     /// Structure without a name.
     pub unexplained: Vec<Shape>,
-    /// Where asked for: the curve that stands for what is unexplained, and the file of its law.
+    /// Where asked for.
+    /// The curve that stands for what is unexplained, and the file of its law.
     pub curve: Option<(Effect, String)>,
     /// Corrected parameters.
     pub refined: Vec<Refined>,
@@ -174,7 +175,8 @@ impl fmt::Display for Unsaid {
 }
 
 impl Reconciliation {
-    /// What the verdict does not speak of, for its headline; nothing where it speaks of all that was given.
+    /// What the verdict does not speak of, for its headline.
+    /// Nothing where it speaks of all that was given.
     #[must_use]
     pub fn unsaid(&self) -> Option<String> {
         let records: Vec<String> = self.unsaid.iter().map(ToString::to_string).collect();

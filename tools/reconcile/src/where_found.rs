@@ -1,5 +1,6 @@
-//! Where measured and simulated disagree: structure of the residual against every channel, each with a p-value by
-//! permutation of blocks of the residual, and which of them survive a false-discovery rate.
+//! Where measured and simulated disagree.
+//! Structure of the residual against every channel, each with a p-value by permutation of blocks of the residual, and which of them survive
+//! a false-discovery rate.
 
 use crate::SEED;
 use rand_xoshiro::Xoshiro256PlusPlus;
@@ -75,8 +76,8 @@ const ROWS_OF_PLACE: usize = 5;
 /// Differences of more temperatures than these are too many to look at.
 const PAIRED_TEMPERATURES: usize = 6;
 
-/// A block is so many times as long as the residual remembers: what is cut at its ends makes chance look smaller than it is, by
-/// a quarter of the variance where it is twice as long.
+/// A block is so many times as long as the residual remembers.
+/// What is cut at its ends makes chance look smaller than it is, by a quarter of the variance where it is twice as long.
 const BLOCK: f64 = 5.0;
 /// Permutations of the residual's blocks: no p-value is below one in so many.
 const PERMUTATIONS: usize = 999;
@@ -89,9 +90,11 @@ const CLEAR: f64 = 0.01;
 /// A channel is looked at beside so many more of the stronger ones, and one fewer each time.
 const BESIDE: usize = 2;
 
-/// What a residual remembers from row to row up to here is noise by contract; what is slower is structure.
+/// What a residual remembers from row to row up to here is noise by contract.
+/// What is slower is structure.
 const NOISE_REMEMBERS: f64 = 0.7;
-/// Frequencies of a wave are so far apart, in waves over the whole range: none between them loses more than a tenth.
+/// Frequencies of a wave are so far apart, in waves over the whole range.
+/// None between them loses more than a tenth.
 const WAVES_APART: f64 = 0.35;
 
 /// No more frequencies are tried: a look takes a second at most.
@@ -100,8 +103,8 @@ const MOST_FREQUENCIES: usize = 3000;
 /// The smallest p-value that is given.
 pub(crate) const LEAST_P: f64 = 1.0 / (PERMUTATIONS as f64 + 1.0);
 
-/// Every response against every channel, strongest first: what the model as it was leaves once its own parameters are
-/// where the data have them.
+/// Every response against every channel, strongest first.
+/// What the model as it was leaves once its own parameters are where the data have them.
 pub(crate) fn places(records: &[Record], machine: &Machine) -> Vec<Place> {
     let stack = Rows::new(records);
     let model: Vec<Effect> = machine.effects().cloned().collect();
@@ -191,8 +194,9 @@ fn strongest_first(places: &mut [Place]) {
     places.sort_by(|a, b| a.p_value.total_cmp(&b.p_value).then(b.statistic.total_cmp(&a.statistic)));
 }
 
-/// A closer look at one response: what is slower than noise may be against the time, what comes back at each target against the
-/// place, and a wave over either. Slow channels are not asked: what drifts looks like each of them.
+/// A closer look at one response.
+/// What is slower than noise may be against the time, what comes back at each target against the place, and a wave over either. Slow
+/// channels are not asked: what drifts looks like each of them.
 fn closely(role: &str, stack: &Rows<'_>, segments: &[&Segment], residual: &[f64], sigma: f64) -> Vec<Place> {
     let mut out = Vec::new();
     for (against, x) in channels(stack, segments) {
@@ -209,8 +213,9 @@ fn closely(role: &str, stack: &Rows<'_>, segments: &[&Segment], residual: &[f64]
     out
 }
 
-/// The clearest wave of a residual over one channel: least squares at each frequency (Lomb, Astrophys. Space Sci. 39 (1976) 447),
-/// of what is left of the residual without its memory. As many frequencies as were tried could each be the clearest by chance.
+/// The clearest wave of a residual over one channel.
+/// Least squares at each frequency (Lomb, Astrophys. Space Sci. 39 (1976) 447), of what is left of the residual without its memory. As many
+/// frequencies as were tried could each be the clearest by chance.
 fn wave(response: &str, against: &str, x: &[f64], residual: &[f64], sigma: f64) -> Option<Place> {
     let n = residual.len();
     let (low, high) = x.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(*v), h.max(*v)));
@@ -322,8 +327,8 @@ fn below(rng: &mut Xoshiro256PlusPlus, n: usize) -> usize {
     ((u128::from(rng.next_u64()) * n as u128) >> 64) as usize
 }
 
-/// Structure of a residual against one channel; none for a constant one. Permutations end once the p-value can no longer be
-/// below `known`.
+/// Structure of a residual against one channel; none for a constant one.
+/// Permutations end once the p-value can no longer be below `known`.
 fn place(
     response: &str,
     against: &str,
@@ -407,7 +412,8 @@ struct Run {
     to: u32,
 }
 
-/// Per stretch its runs of rows, block by block of so many rows: mostly long, as most channels change slowly.
+/// Per stretch its runs of rows, block by block of so many rows.
+/// Mostly long, as most channels change slowly.
 fn runs(bin: &[u32], length: usize, bins: usize) -> Vec<Vec<Run>> {
     let mut out: Vec<Vec<Run>> = (0..bins).map(|_| Vec::new()).collect();
     for (block, bins) in bin.chunks(length).enumerate() {
@@ -431,8 +437,8 @@ fn running(residual: &[f64]) -> Vec<f64> {
     std::iter::once(0.0).chain(twice).collect()
 }
 
-/// Sums of a residual by stretch, from its running sums. `begin`: from which row on each block has its values of the residual,
-/// which begins anew at its end.
+/// Sums of a residual by stretch, from its running sums.
+/// `begin`: from which row on each block has its values of the residual, which begins anew at its end.
 fn sums_by(runs: &[Vec<Run>], running: &[f64], begin: &[usize]) -> Vec<f64> {
     let of = |Run { block, from, to }: &Run| {
         let running = &running[begin[*block as usize]..];
@@ -441,8 +447,8 @@ fn sums_by(runs: &[Vec<Run>], running: &[f64], begin: &[usize]) -> Vec<f64> {
     runs.iter().map(|stretch| stretch.iter().map(of).sum()).collect()
 }
 
-/// Takes a channel's means out of a residual: at each of its places where there are many rows of each, over its stretches
-/// otherwise.
+/// Takes a channel's means out of a residual.
+/// At each of its places where there are many rows of each, over its stretches otherwise.
 fn flatten(x: &[f64], residual: &mut [f64]) {
     let groups = places_of(x).or_else(|| stretches(x)).unwrap_or_default();
     for rows in groups {
@@ -453,7 +459,8 @@ fn flatten(x: &[f64], residual: &mut [f64]) {
     }
 }
 
-/// Rows by place, where a channel comes back to few: targets that are approached again and again differ by little.
+/// Rows by place, where a channel comes back to few.
+/// Targets that are approached again and again differ by little.
 fn places_of(x: &[f64]) -> Option<Vec<Vec<usize>>> {
     let mut order: Vec<usize> = (0..x.len()).collect();
     order.sort_by(|a, b| x[*a].total_cmp(&x[*b]));
@@ -509,7 +516,8 @@ mod tests {
         );
     }
 
-    /// A residual whose squares are no numbers any more has no place; nothing is divided by what it would give.
+    /// A residual whose squares are no numbers any more has no place.
+    /// Nothing is divided by what it would give.
     #[test]
     fn numbers_beyond_all_measure_have_no_place() {
         let x: Vec<f64> = (0..60).map(f64::from).collect();
@@ -519,7 +527,8 @@ mod tests {
         }
     }
 
-    /// Sensors of noise beside an error that drifts: as often as chance, and never with certainty.
+    /// Sensors of noise beside an error that drifts.
+    /// As often as chance, and never with certainty.
     #[test]
     fn noise_is_no_place() {
         let mut few = 0;
@@ -544,7 +553,8 @@ mod tests {
         assert!(few <= 6, "{few} of 40 below 5 %");
     }
 
-    /// Row by row: the value of row i of block k is the one that lies i rows behind the block's beginning.
+    /// Row by row.
+    /// The value of row i of block k is the one that lies i rows behind the block's beginning.
     #[test]
     fn blocks_are_summed_where_they_are_moved_to() {
         let residual = noise(9, 103);

@@ -1,4 +1,5 @@
-//! The whole of it: what is doubted, the estimate, what is written into the model, the figures.
+//! The whole of it.
+//! What is doubted, the estimate, what is written into the model, the figures.
 
 use crate::Options;
 use crate::advice::advice;
@@ -228,7 +229,8 @@ struct Better {
 }
 
 impl Better {
-    /// The hold-outs, where the training is understood, and in one way: what is not may be all that they show more of.
+    /// The hold-outs, where the training is understood, and in one way.
+    /// What is not may be all that they show more of.
     fn comparable<'h>(&self, answer: &Answer, held: &'h [Record]) -> &'h [Record] {
         if answer.unexplained.is_empty() && self.is_one_way() { held } else { &[] }
     }
@@ -263,7 +265,8 @@ impl Work<'_> {
         Better { model, refined, effects, curve: curve.map(|(e, _, laws)| (e, laws)) }
     }
 
-    /// Where asked for: a curve that stands for the first shape along what a law can read.
+    /// Where asked for.
+    /// A curve that stands for the first shape along what a law can read.
     fn curve(&self, answer: &Answer, model: &mut Machine, learn: bool) -> Option<(Effect, Vec<f64>, String)> {
         if !self.options.unexplained || !learn {
             return None;
@@ -458,7 +461,8 @@ fn whole_counts(effect: &Effect, records: &[Record], half: &[f64]) -> Effect {
     out
 }
 
-/// A step that no row saw come, came at any moment between two rows: the middle of them is farthest from none.
+/// A step that no row saw come, came at any moment between two rows.
+/// The middle of them is farthest from none.
 fn between_rows(effect: &Effect, records: &[Record], half: &[f64]) -> (Effect, Vec<f64>) {
     let moment = effect.description().parameters.iter().position(|p| p.refine == Refine::Moment);
     let Some(moment) = moment else { return (effect.clone(), half.to_vec()) };
@@ -506,7 +510,8 @@ mod tests {
     use rtec_model::effect::Against;
     use std::path::Path;
 
-    /// A reversal of no name is in no one's way: an error in proportion to the position is a scale, and nothing else.
+    /// A reversal of no name is in no one's way.
+    /// An error in proportion to the position is a scale, and nothing else.
     #[test]
     fn what_is_missing_is_named_and_written() {
         let dice = noise(7, 300);
@@ -553,7 +558,8 @@ mod tests {
         assert!(none.model.fits().is_empty());
     }
 
-    /// A bug once: the figures of a hold-out that shares a training record's zero kept that zero, 5 µm of it here.
+    /// A bug once.
+    /// The figures of a hold-out that shares a training record's zero kept that zero, 5 µm of it here.
     #[test]
     fn a_hold_out_s_own_zero_is_no_gap() {
         let of = |seed: u64, zero: &str, um: f64| {
@@ -581,7 +587,8 @@ mod tests {
         assert!((whole_counts(&effect, &[run], &[0.1, 0.0]).scalar(0) - 9.7).abs() < 1e-12);
     }
 
-    /// Of very many rows some are looked at, which is said; what is found and its share are those of the whole.
+    /// Of very many rows some are looked at, which is said.
+    /// What is found and its share are those of the whole.
     #[test]
     fn of_very_many_rows_as_many_as_are_needed_are_looked_at() {
         let rows = 2 * MOST_ROWS + 1;
@@ -599,7 +606,8 @@ mod tests {
         assert_eq!(r.traces[0].over.values.len(), rows);
     }
 
-    /// A slope of 3 mm in a metre is no scale: nothing is named outside its bounds, nor written.
+    /// A slope of 3 mm in a metre is no scale.
+    /// Nothing is named outside its bounds, nor written.
     #[test]
     fn outside_its_bounds_nothing_is_named() {
         let dice = noise(8, 300);
@@ -615,7 +623,8 @@ mod tests {
         assert!(rivals.into_iter().all(|r| r.name != "scale.x"));
     }
 
-    /// A growth and its bend over few kelvins stand for each other: each value may be anywhere, and both together be a fifth off.
+    /// A growth and its bend over few kelvins stand for each other.
+    /// Each value may be anywhere, and both together be a fifth off.
     #[test]
     fn values_that_lean_on_one_another_are_corrected_together() {
         let dice = noise(5, 145);
@@ -640,7 +649,8 @@ mod tests {
         assert!(r.gap[0].train[1] < 0.13, "{:?}", r.gap);
     }
 
-    /// A bug once: the first row behind a pause was given, and a hold-out that ran through the pause was wrong all that time.
+    /// A bug once.
+    /// The first row behind a pause was given, and a hold-out that ran through the pause was wrong all that time.
     #[test]
     fn counts_that_were_lost_in_a_pause_were_lost_in_its_middle() {
         let mut run = record(40, |i| 8.0 * f64::from(u8::from(i >= 20.0)) + 0.1 * (i * 7.0 % 5.0));

@@ -1,4 +1,5 @@
-//! The 95 % prediction interval: what the fit cannot know at a row, and what blocks that it has not seen say of the rest.
+//! The 95 % prediction interval.
+//! What the fit cannot know at a row, and what blocks that it has not seen say of the rest.
 
 use super::problem::Problem;
 use super::rows::Rows;
@@ -19,7 +20,8 @@ pub(super) struct Guard {
     pub(super) square: Option<usize>,
     /// Beyond this the difference is held, K.
     pub(super) range_k: [f64; 2],
-    /// How far the lagged difference used to be from the difference itself, RMS, K: what is not known at a start.
+    /// How far the lagged difference used to be from the difference itself, RMS, K.
+    /// What is not known at a start.
     pub(super) start_k: f64,
     pub(super) tau_s: f64,
 }
@@ -72,8 +74,8 @@ impl Rows {
     }
 }
 
-/// Every offered difference as measured, chosen or not: where one leaves the range that the fit has seen, the machine is
-/// in a state that the fit does not know, whatever the chosen ones say.
+/// Every offered difference as measured, chosen or not.
+/// Where one leaves the range that the fit has seen, the machine is in a state that the fit does not know, whatever the chosen ones say.
 pub(super) struct Watched {
     rows: Rows,
     offered: Vec<Term>,
@@ -121,7 +123,8 @@ impl Watched {
     }
 }
 
-/// What nested blocks say: structure and parameters chosen without the block they are judged on.
+/// What nested blocks say.
+/// Structure and parameters chosen without the block they are judged on.
 pub(super) struct Nested {
     pub(super) folds: Vec<f64>,
     pub(super) half_width_um: f64,

@@ -1,5 +1,6 @@
-//! 95 % intervals of the parameters, from what they are with each block left out. A lag's is not narrower than what the sum
-//! of squares says around it: blocks in which nothing warms say nothing of a lag, and leaving one of them out nothing either.
+//! 95 % intervals of the parameters, from what they are with each block left out.
+//! A lag's is not narrower than what the sum of squares says around it: blocks in which nothing warms say nothing of a lag, and leaving one
+//! of them out nothing either.
 
 use super::judge::independent;
 use super::problem::Problem;
@@ -167,7 +168,8 @@ fn smallest(
     Ok(f64::midpoint(lo, hi))
 }
 
-/// Every coefficient's interval, and every lag's: without each block in turn, lags found anew.
+/// Every coefficient's interval, and every lag's.
+/// Without each block in turn, lags found anew.
 pub(super) fn jackknife(
     problem: &Problem,
     terms: &[Term],
@@ -202,8 +204,9 @@ pub(super) fn jackknife(
 }
 
 impl Jackknife {
-    /// A square that may as well be none, by its place among the terms: its own interval holds zero, or blocks that it has
-    /// not seen are not certainly better off with it than with the lag that fits best without.
+    /// A square that may as well be none, by its place among the terms.
+    /// Its own interval holds zero, or blocks that it has not seen are not certainly better off with it than with the lag that fits best
+    /// without.
     pub(super) fn idle_square(
         &self,
         problem: &mut Problem,
@@ -229,8 +232,8 @@ impl Jackknife {
         Ok(None)
     }
 
-    /// The place of a growth that is alone among the terms and may as well be none: its interval holds zero. Of several, two that
-    /// are much the same may hold zero one by one and say much together.
+    /// The place of a growth that is alone among the terms and may as well be none.
+    /// Its interval holds zero. Of several, two that are much the same may hold zero one by one and say much together.
     pub(super) fn alone_and_idle(&self, terms: &[Term]) -> Option<usize> {
         let mut growths = terms.iter().enumerate().filter(|(_, t)| matches!(t, Term::Thermal { .. }));
         let (Some((k, _)), None) = (growths.next(), growths.next()) else { return None };
@@ -238,8 +241,8 @@ impl Jackknife {
         (lo <= 0.0 && hi >= 0.0).then_some(k)
     }
 
-    /// Whether a growth is bent is itself a choice that the data made: where the square was left out, the intervals of
-    /// growth, lag and square hold what they are with the square and what they are without.
+    /// Whether a growth is bent is itself a choice that the data made.
+    /// Where the square was left out, the intervals of growth, lag and square hold what they are with the square and what they are without.
     pub(super) fn allow_for_squares(
         &mut self,
         problem: &mut Problem,

@@ -17,14 +17,16 @@ pub(super) struct Judged {
     pub(super) coefficients: Vec<f64>,
     /// Mean square of what the fit leaves on its own data, as a share of the response's variance.
     left: f64,
-    /// How many independent values what it leaves is worth: neighbours in time share their noise.
+    /// How many independent values what it leaves is worth.
+    /// Neighbours in time share their noise.
     independent: f64,
 }
 
 /// What a chance improvement reaches once in some thousand times, as twice the logarithm of the likelihood.
 const CHANCE: f64 = 9.0;
 
-/// The same for one column that needs no choice, while a structure is looked for: once in twenty times.
+/// The same for one column that needs no choice, while a structure is looked for.
+/// Once in twenty times.
 const BENT: f64 = 4.0;
 
 /// A square stands in the model beyond this: three standard errors.
@@ -50,8 +52,9 @@ impl Judged {
         mean > (var / n).sqrt().max(rounding)
     }
 
-    /// This one, with more in it, earns what it has beyond `simpler`: blocks that it has not seen are better off, and what
-    /// it explains is more than the best of so many chance columns would, noise being alike from row to row.
+    /// This one, with more in it, earns what it has beyond `simpler`.
+    /// Blocks that it has not seen are better off, and what it explains is more than the best of so many chance columns would, noise being
+    /// alike from row to row.
     pub(super) fn earns(&self, simpler: &Self, choices: usize) -> bool {
         self.beyond_chance(simpler, choices) && self.beats(simpler)
     }
@@ -61,8 +64,8 @@ impl Judged {
         self.independent * (simpler.left.max(1e-12) / self.left.max(1e-12)).ln()
     }
 
-    /// This one, with the square of a difference that `simpler` has without, earns it: equation 1 has the square of every
-    /// difference, so that there is no choice to allow for.
+    /// This one, with the square of a difference that `simpler` has without, earns it.
+    /// Equation 1 has the square of every difference, so that there is no choice to allow for.
     pub(super) fn is_bent(&self, simpler: &Self) -> bool {
         self.gain_over(simpler) > BENT && self.rms() < simpler.rms()
     }
@@ -105,14 +108,15 @@ struct Ready {
     weighted: Vec<f64>,
 }
 
-/// Columns beside one another, with what least squares on some folds asks of them: response, constant, then one per term.
-/// Terms come and go at the end; the products of those that stay are not made again.
+/// Columns beside one another, with what least squares on some folds asks of them.
+/// Response, constant, then one per term. Terms come and go at the end; the products of those that stay are not made again.
 pub(super) struct Beside<'a> {
     problem: &'a Problem,
     folds: &'a [usize],
     total: f64,
     columns: Vec<Ready>,
-    /// Per fold and over all: products of every column with those up to itself, row after row.
+    /// Per fold and over all.
+    /// Products of every column with those up to itself, row after row.
     products: Vec<Vec<f64>>,
     all: Vec<f64>,
     /// What least squares without each fold and on all of them has worked out already: of columns that stay, once.
@@ -266,7 +270,8 @@ impl<'a> Beside<'a> {
     }
 }
 
-/// Where the constant's product with itself stands: after the response's, and the constant's with the response.
+/// Where the constant's product with itself stands.
+/// After the response's, and the constant's with the response.
 const CONSTANT: usize = 2;
 
 /// Where the products of the k-th column begin.
@@ -274,7 +279,8 @@ const fn row(k: usize) -> usize {
     k * (k + 1) / 2
 }
 
-/// Least squares by products of columns (Cholesky): the factor, row after row, and the response by it.
+/// Least squares by products of columns (Cholesky).
+/// The factor, row after row, and the response by it.
 #[derive(Default)]
 struct Roots {
     factor: Vec<f64>,
@@ -377,9 +383,9 @@ impl Problem {
         seen().fold(f64::NEG_INFINITY, f64::max) - seen().fold(f64::INFINITY, f64::min)
     }
 
-    /// Differences to the environment keep the sign of their own correlation: the sign is known, and a fit that
-    /// turns it round lives on collinearity, as one with gains beyond reason does, and one whose terms move the response far
-    /// more than it moves and cancel each other: elsewhere they do not cancel.
+    /// Differences to the environment keep the sign of their own correlation.
+    /// The sign is known, and a fit that turns it round lives on collinearity, as one with gains beyond reason does, and one whose terms
+    /// move the response far more than it moves and cancel each other: elsewhere they do not cancel.
     pub(super) fn physical(&self, terms: &[Term], coefficients: &[f64], folds: &[usize]) -> bool {
         let signs = terms.iter().zip(&coefficients[1..]).all(|(t, c)| match t {
             Term::Thermal { minus, square: false, .. } => {
@@ -449,7 +455,8 @@ mod tests {
         Term::Thermal { sensor, minus: Some(2), lag, square: false }
     }
 
-    /// Weighted least squares by another hand: singular values of all rows at once, each fold left out.
+    /// Weighted least squares by another hand.
+    /// Singular values of all rows at once, each fold left out.
     #[test]
     fn a_structure_is_judged_as_by_singular_values() {
         let record = drift(3);
@@ -480,7 +487,8 @@ mod tests {
         }
     }
 
-    /// A column that came and went leaves no trace; one that does not vary, or is another's double, is refused.
+    /// A column that came and went leaves no trace.
+    /// One that does not vary, or is another's double, is refused.
     #[test]
     fn columns_come_and_go() {
         let record = drift(3);

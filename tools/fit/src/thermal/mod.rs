@@ -66,7 +66,8 @@ use term::{Term, unlagged};
 /// What to fit and how.
 #[derive(Debug, Clone)]
 pub struct Options {
-    /// Differences to choose from; empty for all sensors. A sensor without `minus` is taken against the environment.
+    /// Differences to choose from; empty for all sensors.
+    /// A sensor without `minus` is taken against the environment.
     pub sensors: Vec<Difference>,
     /// The sensor of the environment; the coldest on average where it is not given.
     pub environment: Option<String>,
@@ -76,7 +77,8 @@ pub struct Options {
     pub lag: bool,
     /// Offer squares.
     pub square: bool,
-    /// Offer the spindle's speed. Equation 1 of WO 97/43703 has temperatures alone; a speed acts at once, and heat does not.
+    /// Offer the spindle's speed.
+    /// Equation 1 of WO 97/43703 has temperatures alone; a speed acts at once, and heat does not.
     pub speed: bool,
     /// What is known already: its effects are kept, and the rest is fitted.
     pub base: Option<Machine>,
@@ -103,7 +105,8 @@ impl Default for Options {
 }
 
 impl Options {
-    /// Differences that the base has an effect of on this response already: sensor and the one taken off.
+    /// Differences that the base has an effect of on this response already.
+    /// Sensor and the one taken off.
     fn base_differences(&self, response: &Role) -> Vec<(String, Option<String>)> {
         let own = |e: &&Effect| e.description().heat == Heat::Growth;
         let of = |e: &Effect| {
@@ -170,7 +173,8 @@ pub fn fit(
     Ok((machine, reports))
 }
 
-/// The whole fit of one response: the structure, its parameters with their intervals, what it is worth.
+/// The whole fit of one response.
+/// The structure, its parameters with their intervals, what it is worth.
 fn fit_response(
     train: &[&Record],
     holdout: &[&Record],
@@ -408,7 +412,8 @@ fn enter(
     Ok(fitted)
 }
 
-/// Adds a fitted effect to a machine; a zero that an earlier fit left and this fit's are one zero.
+/// Adds a fitted effect to a machine.
+/// A zero that an earlier fit left and this fit's are one zero.
 fn take_in(machine: &mut Machine, effect: Effect, provenance: Provenance) -> Result<(), ValueError> {
     let earlier = |l: &Listed| l.provenance.set_up && provenance.set_up && l.effect.name() == effect.name();
     let place = machine.listed().iter().position(earlier);

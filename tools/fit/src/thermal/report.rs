@@ -123,7 +123,8 @@ impl Rms {
 /// The 95 % prediction interval.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Interval {
-    /// Half width where the model knows most, µm; wider after a start and beyond the range of the fit.
+    /// Half width where the model knows most, µm.
+    /// Wider after a start and beyond the range of the fit.
     pub half_width_um: f64,
     /// Share of the rows inside, each block judged by the others' width.
     pub coverage_folds: f64,
@@ -148,7 +149,8 @@ pub struct DryWet {
     pub growth_dry_um: f64,
     /// The same on the wet rows.
     pub growth_wet_um: f64,
-    /// RMS of the dry model on the wet rows, µm: what it costs to model dry and cut wet.
+    /// RMS of the dry model on the wet rows, µm.
+    /// What it costs to model dry and cut wet.
     pub dry_model_on_wet_rms_um: f64,
     /// RMS of the wet model on the wet rows, µm.
     pub wet_model_on_wet_rms_um: f64,

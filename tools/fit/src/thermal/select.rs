@@ -31,7 +31,8 @@ const SENSORS: usize = 5;
 pub(super) struct Selection {
     pub(super) structure: Judged,
     pub(super) rounds: Vec<Judged>,
-    /// After the rounds: what a term that went out for a better one left, its last term being the new one.
+    /// After the rounds.
+    /// What a term that went out for a better one left, its last term being the new one.
     pub(super) swaps: Vec<(Judged, Term)>,
     pub(super) kept: Vec<Judged>,
     /// Sensor, α, and the kept one (by number) it is redundant with.
@@ -98,7 +99,8 @@ impl Selection {
 }
 
 impl Problem {
-    /// The whole selection on the given folds: the structure, its rounds, the rivals of its first term.
+    /// The whole selection on the given folds.
+    /// The structure, its rounds, the rivals of its first term.
     pub(super) fn select(&self, folds: &[usize]) -> Option<Selection> {
         let mut singles = self.with_best_lags(&[], &self.offered, folds);
         singles.sort_by_key(|j| self.merit(j));
@@ -162,8 +164,9 @@ impl Problem {
         Some(Selection { structure, rounds, swaps, kept, dropped, tied, passed_over })
     }
 
-    /// By this the better one comes first: what it leaves to nine digits. Where the same sums are said by other differences
-    /// rounding does not decide, but which reads the environment: that one's gain is the body's own.
+    /// By this the better one comes first: what it leaves to nine digits.
+    /// Where the same sums are said by other differences rounding does not decide, but which reads the environment: that one's gain is the
+    /// body's own.
     fn merit(&self, j: &Judged) -> (i64, bool) {
         let of_two = pair_of(j.terms[j.terms.len() - 1]).is_some_and(|(_, minus)| minus != self.environment);
         ((j.rms().ln() * 1e9).round() as i64, of_two)
@@ -254,8 +257,8 @@ impl Problem {
         now
     }
 
-    /// In order of merit, a sensor that watches what a better one watches is left out: those kept, and those dropped
-    /// with their α and the kept one (by number).
+    /// In order of merit, a sensor that watches what a better one watches is left out.
+    /// Those kept, and those dropped with their α and the kept one (by number).
     fn casc(&self, order: Vec<Judged>) -> (Vec<Judged>, Vec<(Judged, f64, usize)>) {
         let mut kept: Vec<Judged> = Vec::new();
         let mut dropped: Vec<(Judged, f64, usize)> = Vec::new();
@@ -271,8 +274,8 @@ impl Problem {
         (kept, dropped)
     }
 
-    /// The rounds of the refit, the first term's among them: the next best term while it earns its place. None where nothing
-    /// says more than the mean does.
+    /// The rounds of the refit, the first term's among them.
+    /// The next best term while it earns its place. None where nothing says more than the mean does.
     ///
     /// Where two bodies drive the growth, either alone leaves the other's share, which is slow and so worth few independent
     /// values: neither earns its place by itself, both together do. So the first terms, as many as may be `unearned`, come in
@@ -335,7 +338,8 @@ impl Problem {
         rounds
     }
 
-    /// What else may be added: coolant, spindle speed, squares of the differences that are there.
+    /// What else may be added.
+    /// Coolant, spindle speed, squares of the differences that are there.
     fn unlike_differences(&self, terms: &[Term]) -> Vec<Term> {
         let coolant = self.coolant.as_ref().map(|_| Term::Coolant);
         let speed = self.speed.as_ref().map(|_| Term::Speed);
@@ -343,8 +347,8 @@ impl Problem {
         coolant.into_iter().chain(speed).chain(squares).collect()
     }
 
-    /// Each term was the best beside those before it: is another one better beside all? (Not of a single term: that one
-    /// was physics' choice.) What is left then, and each exchange with the term that went out.
+    /// Each term was the best beside those before it: is another one better beside all?
+    /// (Not of a single term: that one was physics' choice.) What is left then, and each exchange with the term that went out.
     fn exchange(
         &self,
         mut now: Judged,
@@ -386,8 +390,8 @@ impl Problem {
         (now, swaps)
     }
 
-    /// Of the offered, those whose growth goes the way that the hottest body's does: heat comes from there. Where
-    /// that body says nothing, all.
+    /// Of the offered, those whose growth goes the way that the hottest body's does.
+    /// Heat comes from there. Where that body says nothing, all.
     fn driven_by_the_source(&self, singles: Vec<Judged>, folds: &[usize]) -> Vec<Judged> {
         let rows: Vec<usize> = self.stretches(folds).flatten().collect();
         let warmth = |j: &Judged| {

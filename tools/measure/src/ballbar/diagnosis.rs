@@ -1,4 +1,5 @@
-//! What makes a circle's deviations: the model's own effects fitted to the radial errors of one plane.
+//! What makes a circle's deviations.
+//! The model's own effects fitted to the radial errors of one plane.
 //!
 //! Linear effects first; then spikes and cyclic errors over a grid of lengths and periods; then all of it together by
 //! Gauss and Newton, with noise of the autocorrelation that is left. What none of them explains is fitted beside them and
@@ -36,8 +37,9 @@ pub struct Cyclic {
 }
 
 impl Cyclic {
-    /// Whether a screw makes it: its period is a lead, or half of one as of two turns of a bearing, within its own
-    /// interval or what a scale may be off by (its bound in the dictionary: the loosest screw of ISO 3408-3 and some more).
+    /// Whether a screw makes it.
+    /// Its period is a lead, or half of one as of two turns of a bearing, within its own interval or what a scale may be off by (its bound
+    /// in the dictionary: the loosest screw of ISO 3408-3 and some more).
     fn is_of_a_screw(&self, half_mm: f64) -> bool {
         let dictionary = Dictionary::default();
         let scale = dictionary.laws().find(|l| l.describe().name == laws::scale::NAME);
@@ -47,7 +49,8 @@ impl Cyclic {
     }
 }
 
-/// Periods that screws make, mm: leads of metric screws (the law's own) and of inch ones, and the halves of both.
+/// Periods that screws make, mm.
+/// Leads of metric screws (the law's own) and of inch ones, and the halves of both.
 fn made_periods_mm() -> impl Iterator<Item = f64> {
     let metric = Dictionary::default()
         .laws()
@@ -68,17 +71,20 @@ pub struct Contribution {
     pub percent: f64,
 }
 
-/// What makes the deviations of a plane. `None` where the runs do not tell; effects that do not show beyond the noise are
-/// left out of spikes and cyclic errors.
+/// What makes the deviations of a plane.
+/// `None` where the runs do not tell; effects that do not show beyond the noise are left out of spikes and cyclic errors.
 #[derive(Debug, Clone, PartialEq, Default, Serialize)]
 pub struct Diagnosis {
-    /// Centre of the first record's circle: its set-up, µm. One way round that of the least-squares circle, without an interval.
+    /// Centre of the first record's circle: its set-up, µm.
+    /// One way round that of the least-squares circle, without an interval.
     pub centre_um: [Option<f64>; 2],
-    /// Mean radius of the first record minus the nominal one, µm; one way round as the centre.
+    /// Mean radius of the first record minus the nominal one, µm.
+    /// One way round as the centre.
     pub radius_um: Option<f64>,
     /// Scale of the first axis minus that of the second, ppm.
     pub scale_mismatch_ppm: Option<f64>,
-    /// Squareness, µrad: positive when the angle between the positive axes is below 90°, as `squareness.A.B`.
+    /// Squareness, µrad.
+    /// Positive when the angle between the positive axes is below 90°, as `squareness.A.B`.
     pub squareness_urad: Option<f64>,
     /// Reversal per axis, µm, as `reversal.A`: mean up minus mean down.
     pub reversal: ByAxis<f64>,
@@ -88,7 +94,8 @@ pub struct Diagnosis {
     pub servo_mismatch_ms: Option<f64>,
     /// Cyclic error per axis, of a period that screws are made with.
     pub cyclic: ByAxis<Cyclic>,
-    /// A form along the axis that repeats at a period no screw is made with: a map as likely as a wave.
+    /// A form along the axis that repeats at a period no screw is made with.
+    /// A map as likely as a wave.
     pub form: ByAxis<Cyclic>,
     /// 95 % intervals by name.
     pub interval_95: BTreeMap<String, [f64; 2]>,
@@ -103,14 +110,15 @@ pub struct Diagnosis {
 
 /// Leads of inch screws, mm: 0.1, 0.2, 0.25, 0.4, 0.5 and 1 inch.
 const INCH_LEADS_MM: [f64; 6] = [2.54, 5.08, 6.35, 10.16, 12.7, 25.4];
-/// Rows nearer than this to where an axis turns are in no cause, mm: play up to 20 µm is taken up by then, and such a row may
-/// stand on either side of the turn.
+/// Rows nearer than this to where an axis turns are in no cause, mm.
+/// Play up to 20 µm is taken up by then, and such a row may stand on either side of the turn.
 const SETTLED_MM: f64 = 0.03;
 /// Rows are left out to so many times the play that is found.
 const TAKEN_UP: f64 = 1.5;
 /// More play than this is no machine tool's.
 const LONGEST_PLAY_MM: f64 = 0.5;
-/// Where structure shows, laws were chosen among it as well: their variance is so many times larger.
+/// Where structure shows, laws were chosen among it as well.
+/// Their variance is so many times larger.
 const CHOSEN_AMONG: f64 = 1.5;
 /// Structure that shows: its RMS over that of the noise that is left.
 const SHOWS: f64 = 0.5;
@@ -128,7 +136,8 @@ const RESOLVED: f64 = 0.99;
 /// More autocorrelation than this is structure that no cause here explains.
 const MOST_MEMORY: f64 = 0.95;
 
-/// A term of the fit: effects with the weights of their sum, and which of the first one's values are free.
+/// A term of the fit.
+/// Effects with the weights of their sum, and which of the first one's values are free.
 pub(super) struct Term {
     pub(super) name: String,
     pub(super) parts: Vec<(Effect, f64)>,
@@ -247,7 +256,8 @@ fn plain(trace: &Trace) -> Diagnosis {
     Diagnosis { centre_um: [Some(a), Some(b)], radius_um: Some(radius), ..Diagnosis::default() }
 }
 
-/// Radius and centre of a record: the mean of its contours' least-squares circles, µm.
+/// Radius and centre of a record.
+/// The mean of its contours' least-squares circles, µm.
 fn circle_of(trace: &Trace) -> [f64; 3] {
     let contours = trace.evaluate();
     let n = contours.len().max(1) as f64;
@@ -394,7 +404,8 @@ impl<'t> Fit<'t> {
         self.stack(effect, only, effect.coefficient_count(), |b, c, out| b.basis(effect, c, out))
     }
 
-    /// Derivatives of a term by its free values; those of a linear term are its columns.
+    /// Derivatives of a term by its free values.
+    /// Those of a linear term are its columns.
     pub(super) fn slopes(&self, term: &Term) -> Vec<DVector<f64>> {
         let mut sum: Vec<DVector<f64>> = Vec::new();
         for (effect, weight) in &term.parts {
@@ -505,7 +516,8 @@ impl<'t> Fit<'t> {
         left
     }
 
-    /// Linear values by least squares, then the noise's coefficient; twice, as each asks for the other.
+    /// Linear values by least squares, then the noise's coefficient.
+    /// Twice, as each asks for the other.
     pub(super) fn memory(&mut self) {
         for _ in 0..2 {
             self.step();
@@ -613,7 +625,8 @@ impl<'t> Fit<'t> {
         self.terms.iter().flat_map(of)
     }
 
-    /// The least that the causes found can leave, RMS in µm: what stands beside them takes nothing.
+    /// The least that the causes found can leave, RMS in µm.
+    /// What stands beside them takes nothing.
     fn least_left(&self) -> f64 {
         let own = |v: &DVector<f64>| DVector::from_fn(self.n, |i, _| if self.counts[i] { v[i] } else { 0.0 });
         let columns: Vec<DVector<f64>> =
@@ -791,7 +804,8 @@ impl<'t> Fit<'t> {
         intervals
     }
 
-    /// Whether these runs tell this term from a map or a bend: one way round what turns with the sense does not show.
+    /// Whether these runs tell this term from a map or a bend.
+    /// One way round what turns with the sense does not show.
     fn separates(&self, name: &str) -> bool {
         self.structure.both_ways || !(name.starts_with("reversal.") || name.starts_with("spike."))
     }

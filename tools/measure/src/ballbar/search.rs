@@ -1,5 +1,5 @@
-//! Which causes show: drift, spikes over a grid of lengths, cyclic errors over a grid of periods; and whether anything is left
-//! that none of them explains.
+//! Which causes show.
+//! Drift, spikes over a grid of lengths, cyclic errors over a grid of periods; and whether anything is left that none of them explains.
 
 use super::diagnosis::Fit;
 use super::{law, structure};

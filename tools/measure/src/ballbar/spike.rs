@@ -14,7 +14,8 @@ const LENGTHS: i32 = 24;
 /// Halvings of the way to the law's bound, and of the last step, that find an end of the lengths.
 const HALVINGS: i32 = 14;
 
-/// A spike's shape of one length among the other terms: what it explains, at which height, and how sharply.
+/// A spike's shape of one length among the other terms.
+/// What it explains, at which height, and how sharply.
 struct Fitted {
     gain: f64,
     um: f64,

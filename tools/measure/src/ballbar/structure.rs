@@ -1,5 +1,5 @@
-//! What the diagnosis has no law for: maps, bends and slow drift. It is fitted beside the laws, so that it does not pass for one
-//! of them, and widens the intervals of those that it could have moved.
+//! What the diagnosis has no law for: maps, bends and slow drift.
+//! It is fitted beside the laws, so that it does not pass for one of them, and widens the intervals of those that it could have moved.
 //!
 //! What depends on the place alone is the same both ways round: harmonics of the angle, common to both senses. Those of the
 //! third order and above are fitted; those below are centre, radius, scale and squareness themselves, and how much of them is
@@ -10,15 +10,16 @@ use nalgebra::{DMatrix, DVector};
 use rtec_model::record::Role;
 use std::f64::consts::TAU;
 
-/// Orders that the laws themselves take: radius (0), centre (1), scale and squareness (2).
+/// Orders that the laws themselves take.
+/// Radius (0), centre (1), scale and squareness (2).
 const TAKEN: usize = 2;
 /// Highest order that is fitted beside the laws.
 const HIGHEST: usize = 20;
 /// Orders just above those taken, from which the taken ones' share is told.
 const TELLING: [usize; 4] = [3, 4, 5, 6];
 
-/// Harmonics of the angle common to both ways, cosine and sine of each order. One way round nothing but their smoothness tells
-/// them from reversals.
+/// Harmonics of the angle common to both ways, cosine and sine of each order.
+/// One way round nothing but their smoothness tells them from reversals.
 pub(super) struct Structure {
     /// Whether both ways were run.
     pub(super) both_ways: bool,
@@ -28,7 +29,8 @@ pub(super) struct Structure {
     highest: usize,
     /// Rows of the shortest contour.
     rows: usize,
-    /// A record leaves out a part of the circle: there the harmonics are no longer apart from each other, nor from what the laws take.
+    /// A record leaves out a part of the circle.
+    /// There the harmonics are no longer apart from each other, nor from what the laws take.
     arc: bool,
     /// Columns of the orders that the laws take: 1, cos, sin, cos 2, sin 2.
     pub(super) taken: DMatrix<f64>,
@@ -84,8 +86,8 @@ impl Structure {
         [5, 10, 20].map(of).into_iter().fold(1.0, f64::max)
     }
 
-    /// The noise's coefficient from row to row, where what is left shows `seen`: the harmonics have taken the slow part of it,
-    /// more of what remembers.
+    /// The noise's coefficient from row to row, where what is left shows `seen`.
+    /// The harmonics have taken the slow part of it, more of what remembers.
     pub(super) fn memory(&self, seen: f64, n: usize, most: f64) -> f64 {
         if self.arc {
             return seen.clamp(0.0, most);
@@ -133,8 +135,8 @@ impl Structure {
     }
 }
 
-/// Drift of centre and radius over a record's time; nothing without time. Straight only: out and back on one path, a bent one is
-/// the same at a place both ways, and so among the harmonics.
+/// Drift of centre and radius over a record's time; nothing without time.
+/// Straight only: out and back on one path, a bent one is the same at a place both ways, and so among the harmonics.
 pub(super) fn drift(trace: &Trace, start: usize, n: usize) -> Vec<DVector<f64>> {
     let Some(t) = trace.record.data(&Role::Time) else { return Vec::new() };
     let (from, to) = (t.first().copied().unwrap_or(0.0), t.last().copied().unwrap_or(0.0));

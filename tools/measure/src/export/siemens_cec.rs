@@ -8,7 +8,8 @@ use super::{Format, Lookup, Point, Rules, Table, number, usage};
 use rtec_files::InputError;
 use std::fmt::Write as _;
 
-/// Points of a table of an 828D (the manual, p. 264); an 840D has as many as MD18342 says.
+/// Points of a table of an 828D (the manual, p.
+/// 264); an 840D has as many as MD18342 says.
 pub const MOST: usize = 200;
 
 /// A table of sag compensation.

@@ -1,5 +1,5 @@
-//! Etalon's exchange format, variant "Vendor": like an INI file, `//` begins a comment, a block per error component, in mm and
-//! rad (ISG kernel documentation, 296430091).
+//! Etalon's exchange format, variant "Vendor".
+//! Like an INI file, `//` begins a comment, a block per error component, in mm and rad (ISG kernel documentation, 296430091).
 //!
 //! `EXY` is the error in X while Y moves; its `Gridpoints` are position and value.
 

@@ -40,7 +40,8 @@ fn sections(text: &str) -> Vec<Section<'_>> {
     sections
 }
 
-/// Reads a file of linear targets. Directions are those in which a run goes through its targets.
+/// Reads a file of linear targets.
+/// Directions are those in which a run goes through its targets.
 ///
 /// # Errors
 /// A section that is missing, a count that does not hold, a run without one of its targets, a file of angles.

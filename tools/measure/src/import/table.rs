@@ -1,4 +1,5 @@
-//! Any table whose columns somebody names: what parts them, how its numbers are written, which roles and units they have.
+//! Any table whose columns somebody names.
+//! What parts them, how its numbers are written, which roles and units they have.
 
 use super::{add_note, column, record_of};
 use rtec_files::csv::{Cell, Header, Reader, Row};
@@ -199,8 +200,8 @@ fn prepared<'t>(text: &'t str, form: &Form) -> Cow<'t, str> {
     Cow::Owned(out)
 }
 
-/// Reads the wanted columns of a CSV with a header line. Fields are parted by commas, by semicolons (numbers may then have
-/// a decimal comma) or by tabs, whichever the header has.
+/// Reads the wanted columns of a CSV with a header line.
+/// Fields are parted by commas, by semicolons (numbers may then have a decimal comma) or by tabs, whichever the header has.
 ///
 /// # Errors
 /// As [`table`].
@@ -217,8 +218,8 @@ pub fn csv(
 /// What a table begins with.
 const HEADER: &str = "a header line";
 
-/// Reads the wanted columns of a table. Times may be ISO 8601: time 0 is then the first row's, and the record's note says
-/// when that was.
+/// Reads the wanted columns of a table.
+/// Times may be ISO 8601: time 0 is then the first row's, and the record's note says when that was.
 ///
 /// # Errors
 /// A wanted column that is not there or there twice, a row that is too short or too long, a field that is no number; and
@@ -388,7 +389,8 @@ fn is_unit(text: &str) -> bool {
 /// Rows whose last numbers all have so many decimals, or more of them, show how a program writes them.
 const ALIKE_ROWS: usize = 5;
 
-/// The last line, from 1, where a log was cut off within its last number: it has no line end, and fewer decimals than all others.
+/// The last line, from 1, where a log was cut off within its last number.
+/// It has no line end, and fewer decimals than all others.
 fn cut_line(text: &str, by: char) -> Option<usize> {
     if text.ends_with(['\n', '\r']) {
         return None;
@@ -538,7 +540,8 @@ fn put_forward(times: &[f64]) -> Option<(usize, f64, f64)> {
     is_hour.then(|| (at + 2, tidy(gap), tidy(usual)))
 }
 
-/// How the numbers of each wanted column are written: as the form says, or as all its cells show; and what was found of it.
+/// How the numbers of each wanted column are written.
+/// As the form says, or as all its cells show; and what was found of it.
 fn numbers(
     from: &Path,
     text: &str,

@@ -1,5 +1,5 @@
-//! The air in the path of a laser interferometer: its refractive index, and what the length is off by where the instrument took
-//! another.
+//! The air in the path of a laser interferometer.
+//! Its refractive index, and what the length is off by where the instrument took another.
 //!
 //! The index is Edlén's equation as Birch and Downs revised it (Metrologia 30, 1993, 155; 31, 1994, 315), with the water vapour's
 //! term by Stone and Zimmerman (NIST Engineering Metrology Toolbox, "Index of Refraction of Air", appendix A-IV), from −40 to 100 °C.
@@ -83,7 +83,8 @@ pub struct Air {
     pub assumed: AirState,
     /// Path between interferometer and reflector where the reading was set to zero, mm.
     pub dead_path_mm: f64,
-    /// Where that was on the axis, mm; the record's first place where it is not said. From there the reflector moves away.
+    /// Where that was on the axis, mm; the record's first place where it is not said.
+    /// From there the reflector moves away.
     pub zero_mm: Option<f64>,
     /// Vacuum wavelength, nm.
     pub wavelength_nm: f64,
@@ -251,7 +252,8 @@ mod tests {
     const SAID: &str = "sensor = \"T1\"\nkPa = 95.0\nrh_percent = 30\nassumed_degC = 20\nassumed_kPa = 101.325\n\
                         assumed_rh_percent = 50\ndead_path_mm = 800\n";
 
-    /// A laser that counts waves, in air that warms: what it shows, corrected, is where the axis was, both ways from the zero.
+    /// A laser that counts waves, in air that warms.
+    /// What it shows, corrected, is where the axis was, both ways from the zero.
     #[test]
     fn what_a_laser_shows_in_any_air_is_corrected() {
         let rows = 60;

@@ -79,7 +79,8 @@ const KEYS: [(&str, &str); 13] = [
     ("set_up_um", "the set-up, k = 2"),
 ];
 
-/// Keys that say something only together: a coefficient and what it is multiplied by.
+/// Keys that say something only together.
+/// A coefficient and what it is multiplied by.
 const PAIRS: [(&str, &str); 4] = [
     ("machine_temperature_K", "machine_ppm_per_K"),
     ("machine_off_20_K", "machine_expansion_ppm_per_K"),
@@ -341,7 +342,8 @@ pub struct Budget {
     pub length_um: Option<f64>,
 }
 
-/// Keys of `[uncertainty]` that a budget of differences has a use for; a circle has one for the others too, but for the misalignment.
+/// Keys of `[uncertainty]` that a budget of differences has a use for.
+/// A circle has one for the others too, but for the misalignment.
 const OF_DIFFERENCES: [&str; 3] = ["device_um", "set_up_um", "drift_um"];
 const NOT_OF_CIRCLES: &str = "misalignment_mm";
 

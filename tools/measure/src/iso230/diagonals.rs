@@ -1,5 +1,6 @@
-//! Body and face diagonals, ISO 230-6: several axes moving together along the diagonals of a box, with the figures of
-//! ISO 230-2 along each; and what their differences say of squareness.
+//! Body and face diagonals, ISO 230-6.
+//! Several axes moving together along the diagonals of a box, with the figures of ISO 230-2 along each; and what their differences say of
+//! squareness.
 
 use super::{Options, Positioning, error_axes, lacks, positioning_with};
 use rtec_files::InputError;
@@ -44,7 +45,8 @@ pub struct Diagonals {
     /// Diagonal reversal: the largest B of the diagonals.
     #[serde(rename = "B_d")]
     pub b_d: Option<f64>,
-    /// Squareness per pair of axes, µrad, as `squareness.A.B`: where all diagonals of the box or face are there.
+    /// Squareness per pair of axes, µrad, as `squareness.A.B`.
+    /// Where all diagonals of the box or face are there.
     pub squareness_urad: BTreeMap<String, f64>,
     /// Their standard errors, µrad.
     pub squareness_standard_error_urad: BTreeMap<String, Option<f64>>,
@@ -58,8 +60,9 @@ pub struct Diagonals {
     pub warnings: Vec<String>,
 }
 
-/// Evaluates the diagonals of a box or of one face or several, a record each: positions of the axes that move, and the error
-/// along the diagonal (`error.d`, or any other name but x, y and z without a position) or the errors of all its axes.
+/// Evaluates the diagonals of a box or of one face or several, a record each.
+/// Positions of the axes that move, and the error along the diagonal (`error.d`, or any other name but x, y and z without a position) or
+/// the errors of all its axes.
 ///
 /// # Errors
 /// A record that is no straight line of two or three axes, or has no error along it; face and body diagonals mixed; what
@@ -207,8 +210,9 @@ fn diagonal(record: &Record, options: &Options) -> Result<Diagonal, InputError> 
     })
 }
 
-/// +1: the device along the diagonal counts up as the last axis rises, −1: as it falls; nothing where it has no direction,
-/// or where the order of the rows is not that of the movement: that moves both ways, each under its own direction.
+/// +1: the device along the diagonal counts up as the last axis rises, −1.
+/// As it falls; nothing where it has no direction, or where the order of the rows is not that of the movement: that moves both ways, each
+/// under its own direction.
 fn sense(record: &Record, own: &Axis, along: &[f64]) -> Option<f64> {
     let roles = [Role::Direction(own.clone()), Role::Velocity(own.clone())];
     let way = roles.iter().find_map(|r| record.data(r))?;
@@ -282,8 +286,8 @@ fn slope(p: &Positioning) -> (f64, Option<f64>) {
     (slope, (n > 2.0).then(|| (left / (n - 2.0) / xx).sqrt()))
 }
 
-/// Squareness from the diagonals of one box: an error of A by the position of B lengthens the diagonals along which both
-/// rise or fall together by α·A·B/D and shortens the others.
+/// Squareness from the diagonals of one box.
+/// An error of A by the position of B lengthens the diagonals along which both rise or fall together by α·A·B/D and shortens the others.
 fn squareness(all: &[Diagonal]) -> (BTreeMap<String, f64>, BTreeMap<String, Option<f64>>) {
     let (mut found, mut errors) = (BTreeMap::new(), BTreeMap::new());
     let mut boxes: Vec<Vec<&Diagonal>> = Vec::new();

@@ -1,4 +1,5 @@
-//! Thermal effects, ISO 230-3: environment, rotation of the spindle and movement of axes, each a phase of its own.
+//! Thermal effects, ISO 230-3.
+//! Environment, rotation of the spindle and movement of axes, each a phase of its own.
 
 mod figures;
 mod long;
@@ -86,7 +87,8 @@ pub struct SensorDrift {
     pub gamma: f64,
 }
 
-/// Places at which an axis is read while it moves to and fro: more are a log of the movement itself.
+/// Places at which an axis is read while it moves to and fro.
+/// More are a log of the movement itself.
 const MOST_PLACES: usize = 10;
 
 /// Evaluates a drift run, response by response.

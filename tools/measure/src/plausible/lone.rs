@@ -19,7 +19,8 @@ const FEWEST: usize = 5;
 const CHANCE: f64 = 1e-3;
 /// So many rows are wild at the most, as a share of all.
 const MOST: f64 = 0.12;
-/// Second differences are correlated by −2/3 and 1/6 from row to row: so many of them are worth one free one (1 + 2 Σ ρ²).
+/// Second differences are correlated by −2/3 and 1/6 from row to row.
+/// So many of them are worth one free one (1 + 2 Σ ρ²).
 const WORTH_ONE: f64 = 1.0 + 2.0 * (4.0 / 9.0 + 1.0 / 36.0);
 
 /// Wild readings of a column, and how much the others differ from the middle of their neighbours by.

@@ -1,5 +1,6 @@
-//! Where a short peak is honest: at a turn, a change of coolant, speed, load or temperature, at a run's ends, in a state that stays;
-//! and the orders of the rows in which readings are held against their neighbours.
+//! Where a short peak is honest.
+//! At a turn, a change of coolant, speed, load or temperature, at a run's ends, in a state that stays; and the orders of the rows in which
+//! readings are held against their neighbours.
 
 use super::stats::{median, spread, steps};
 use rtec_model::record::{Column, Record, Role};
@@ -7,7 +8,8 @@ use rtec_model::record::{Column, Record, Role};
 /// The bound of a reversal spike's amplitude in the dictionary, µm.
 pub(super) const LARGEST_PEAK_UM: f64 = 1000.0;
 
-/// The rows of each direction in the order of the response's own positions; none where these were not logged.
+/// The rows of each direction in the order of the response's own positions.
+/// None where these were not logged.
 pub(super) fn ways(record: &Record, c: &Column) -> Vec<Vec<usize>> {
     let Some(axis) = c.role.axis() else { return Vec::new() };
     let Some(p) = record.data(&Role::Position(axis.clone())) else { return Vec::new() };
@@ -63,7 +65,8 @@ pub(super) fn stays(v: &[f64], row: usize, off: f64) -> bool {
 /// A state of so few rows makes a peak.
 const SHORT: usize = 3;
 
-/// How many rows on either side of a turn may have a peak. Turns every few rows excuse nothing: that is how the run is made.
+/// How many rows on either side of a turn may have a peak.
+/// Turns every few rows excuse nothing: that is how the run is made.
 fn after_turns(turns: usize, rows: usize) -> Option<usize> {
     match rows / turns.max(1) {
         12.. => Some(3),
@@ -73,7 +76,8 @@ fn after_turns(turns: usize, rows: usize) -> Option<usize> {
     }
 }
 
-/// Rows where something else may honestly make a short peak: at the ends, or by one of the [`causes`].
+/// Rows where something else may honestly make a short peak.
+/// At the ends, or by one of the [`causes`].
 pub(super) fn excused(record: &Record) -> Vec<bool> {
     let mut out = causes(record);
     let n = out.len();

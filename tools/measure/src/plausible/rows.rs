@@ -334,7 +334,8 @@ fn width(v: &[f64]) -> f64 {
     sizes[sizes.len() * 9 / 10] / 1.645
 }
 
-/// Standard deviation of the noise from row to row of these orders: what three rows on end are off a straight line.
+/// Standard deviation of the noise from row to row of these orders.
+/// What three rows on end are off a straight line.
 fn noise_along(v: &[f64], orders: &[Vec<usize>]) -> f64 {
     let off = |w: &[usize]| v[w[0]] - 2.0 * v[w[1]] + v[w[2]];
     let all: Vec<f64> = orders.iter().flat_map(|o| o.windows(3).map(off)).collect();

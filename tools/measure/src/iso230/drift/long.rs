@@ -1,4 +1,5 @@
-//! A drift test of any number of rows, in the memory of some: its file is gone through three times.
+//! A drift test of any number of rows, in the memory of some.
+//! Its file is gone through three times.
 
 use super::figures::{Look, Row, Sums};
 use super::spans::{Span, Spans, State, TURNS_RPM};
@@ -15,7 +16,8 @@ use std::path::{Path, PathBuf};
 /// Rows that are held at a time where nothing asks for more.
 const PIECE_ROWS: usize = 4096;
 
-/// A drift test on file that has been gone through once: what the next look has to know of all its rows.
+/// A drift test on file that has been gone through once.
+/// What the next look has to know of all its rows.
 pub struct LongDrift {
     path: PathBuf,
     pieces: Pieces,
@@ -150,8 +152,8 @@ impl LongDrift {
         temperatures(&self.head.columns).map(|c| c.name.as_str()).zip(self.degc.iter().map(Outline::range))
     }
 
-    /// What [`super::drift`] says of the whole, to the last bit. Goes through the file twice; `each` is given its rows, so many at
-    /// a time.
+    /// What [`super::drift`] says of the whole, to the last bit.
+    /// Goes through the file twice; `each` is given its rows, so many at a time.
     ///
     /// # Errors
     /// The file is no longer what it was.
@@ -353,8 +355,8 @@ fn widen([_, low, high, last]: &mut Block, [_, next_low, next_high, next_last]: 
 mod tests {
     use super::*;
 
-    /// Of many more rows than blocks: few points, the first and the last of all, and of every column of pixels what lies in
-    /// blocks that are in no other column.
+    /// Of many more rows than blocks.
+    /// Few points, the first and the last of all, and of every column of pixels what lies in blocks that are in no other column.
     #[test]
     fn an_outline_has_what_a_plot_shows() {
         let rows = 20 * MOST_BLOCKS + 77;
