@@ -35,7 +35,7 @@ pub(crate) struct Answer {
     pub(crate) estimate: Estimate,
 }
 
-/// Half widths of the intervals that a model states, effect by effect and value by value.
+/// Half widths of the model's intervals, effect by effect and value by value.
 pub(crate) fn stated(machine: &Machine) -> Vec<Vec<Option<f64>>> {
     let of = |l: &rtec_model::machine::Listed| {
         let width = l.effect.width();
@@ -80,7 +80,8 @@ pub(crate) fn analyse(records: &[Record], machine: &Machine, level: f64) -> Answ
     Answer { findings, unexplained, estimate }
 }
 
-/// Log evidence of the likeliest account of records that is reached from an answer's; given up far below `enough`.
+/// Log evidence of the best explanation of records, from an answer's members.
+/// The search gives up far below `enough`.
 pub(crate) fn score(records: &[Record], machine: &Machine, from: &Answer, units: Units, enough: f64) -> f64 {
     let model: Vec<Effect> = machine.effects().cloned().collect();
     let start = &from.estimate.members;

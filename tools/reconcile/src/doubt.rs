@@ -17,7 +17,8 @@ use rtec_model::record::{Column, Record, Role};
 const WORSE: f64 = 1.1;
 /// Fewer rows tell nothing.
 const FEWEST: usize = 12;
-/// A hold-out that the better model leaves so many times the training's noise of is of another machine, or state.
+/// Ratio of residual to training noise that marks another machine or state.
+/// Compared on each hold-out, under the better model.
 const OTHER: f64 = 4.0;
 
 /// What is doubted, and the records to analyse.
@@ -68,7 +69,8 @@ pub(crate) fn doubts(train: &[Record], holdout: &[Record], machine: &Machine) ->
     Doubts { said, train: left, rows, left_out, holdout, of_holdout }
 }
 
-/// What records show by themselves; of readings far off the others only what the model does not explain.
+/// What records show by themselves.
+/// Outlying readings count only if the model does not explain them.
 fn suspicions(records: &[Record], machine: &Machine) -> Vec<Suspicion> {
     let mut found = plausible::suspicions(records);
     let is_wild = |s: &Suspicion| s.what == What::Outliers && !s.is_of_sensor();
@@ -239,8 +241,9 @@ pub(crate) fn reads_clock(effect: &Effect) -> bool {
     law.lag.is_some() || law.heat == Heat::FromStart
 }
 
-/// The hold-outs that the better model describes far worse than the training, and no better than the model as it was, by their numbers:
-/// how much of their gap is closed says nothing. Each is judged by what is left once its own set-up is taken out.
+/// The hold-outs that may be from another machine, by their numbers.
+/// The better model describes them far worse than the training, and no better than the original model did. How much of their gap is closed
+/// then tells nothing. Each is judged by the residual after its own set-up is removed.
 pub(crate) fn other_machines(
     holdout: &[Record],
     before: &Machine,

@@ -23,8 +23,8 @@ pub(crate) fn at_least_every(records: &[Record]) -> usize {
     rows.div_ceil(MOST_ROWS).next_power_of_two()
 }
 
-/// One row of each stretch of so many, at a place in it that a fixed sequence draws: rows an equal number apart may all be of one
-/// target, or of one way.
+/// Draws one row from each stretch of `every` rows.
+/// A fixed sequence chooses the place in the stretch: evenly spaced rows may all belong to one target or one direction.
 fn drawn(rows: usize, every: usize) -> Vec<usize> {
     (0..rows)
         .step_by(every)
@@ -39,7 +39,7 @@ fn drawn(rows: usize, every: usize) -> Vec<usize> {
 mod tests {
     use super::drawn;
 
-    /// Whatever the length: one of each stretch, in order; not always the same place of it.
+    /// One row of each stretch in order, at varying places, for any length.
     #[test]
     fn rows_are_drawn_one_of_each_stretch() {
         for (rows, every) in [(1, 1), (7, 2), (8, 2), (1000, 8), (40_001, 4)] {

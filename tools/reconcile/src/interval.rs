@@ -7,7 +7,7 @@ use rtec_model::machine::{FitNote, Machine, Source, Validity};
 use rtec_model::record::{Record, Role};
 use std::collections::BTreeMap;
 
-/// Days that such a model may be used for without being looked at again, as those of `model fit`.
+/// Days for which such a model is valid, as for `model fit`.
 const VALID_DAYS: i64 = 365;
 /// Share of the rows that an interval is to hold.
 const HOLDS: f64 = 0.95;
@@ -59,7 +59,7 @@ pub(crate) fn state(model: &mut Machine, used: &[Record], left: &[f64], date: &s
     }
 }
 
-/// The range of the temperature difference that an effect of this axis reads, as the records show it.
+/// The range of the temperature difference that an effect reads in the records.
 fn seen(effect: &Effect, axis: &str, records: &[&Record]) -> Option<Validity> {
     let own = effect.axes().first().filter(|a| a.as_str() == axis)?;
     let um_per_k = match effect.description().heat {

@@ -19,8 +19,8 @@
 //! | `regression` | what stands behind a fit or a verdict, as arrays |
 //! | `verdict`, `gap`, `advice`, `document`, `report` | the answer, its figures, what to do next, as JSON and as a page |
 //!
-//! What must not be here: the laws. What a law is, how it is searched, what stands in for what, is asked of its
-//! description in `rtec-model`; no module matches a law by its name. Nothing here knows a machine, a simulator or time.
+//! Laws must not be here. A law, how it is searched and what may replace it are in its description in `rtec-model`; no module matches a law
+//! by its name. Nothing here depends on a machine, a simulator or time.
 //!
 //! At work: `cargo run -p rtec-reconcile --example name_what_is_missing`, which the tests run too.
 

@@ -19,7 +19,8 @@ pub(crate) struct Mistake {
     said: Suspicion,
     /// The record without it.
     undone: Record,
-    /// log of how much closer together the numbers lie in the file than undone, and of how much better directions go with positions.
+    /// Log Jacobian of undoing the mistake, plus the evidence from directions.
+    /// The Jacobian says how much closer the numbers lie in the file than after undoing; directions must agree with positions.
     jacobian: f64,
 }
 
@@ -65,14 +66,14 @@ impl Suspected {
 const ONE_IN: f64 = 600.0;
 /// Odds at which a record is left out.
 const CERTAIN: f64 = 99.0;
-/// So many of those that make their record alone likelier by what a mistake costs are looked at beside all records, and so many are found
-/// at most.
+/// Mistakes that are looked at beside all records, and most that are found.
+/// Only mistakes that make their own record likelier by more than their price are candidates.
 const LOOKED_AT: usize = 3;
 const MOST: usize = 3;
-/// A hold-out without the mistake leaves no more than so many times the training's noise.
+/// Largest ratio of a hold-out's residual to the training's noise, once undone.
 const EXPLAINED: f64 = 2.0;
 
-/// Mistakes of training records that explain them better than what was found as they stand.
+/// Mistakes of training records that explain them better than the findings do.
 pub(crate) fn of_training(
     records: &[Record],
     machine: &Machine,
@@ -270,7 +271,7 @@ fn with_axis(role: &Role, axis: Axis) -> Role {
     }
 }
 
-/// What a response may be given as instead of micrometres, and how much larger it is then.
+/// Units that a response may be given in instead of µm, and their factors.
 const RESPONSES: [(f64, &str); 6] = [
     (1e3, "given in mm, called µm?"),
     (25.4, "given in thousandths of an inch, called µm?"),
@@ -311,8 +312,9 @@ fn other_units(role: &Role) -> &'static [(f64, &'static str)] {
 /// Lengths that ballbars are made with, mm.
 const BARS_MM: [f64; 8] = [50.0, 75.0, 100.0, 150.0, 200.0, 250.0, 300.0, 600.0];
 
-/// A direction that goes with the positions contradicts them in one row of so many (experience of people who read logs); one that is of
-/// something else, an approach say, in every other row. Either is as likely.
+/// A direction contradicts its positions in one row of this many.
+/// (Experience of people who read logs.) A direction of something else, such as the approach, does so in every other row. Both are equally
+/// likely a priori.
 const CONTRADICTED: f64 = 100.0;
 
 /// Axes whose direction is logged beside their position.

@@ -12,7 +12,8 @@ use rtec_model::record::Record;
 /// The set-up terms that belong to a regression.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum SetUpColumns {
-    /// A zero for every response of every record, unless a fitted effect is such a constant: those of `model fit --effects`.
+    /// A zero for every response of every record, as in `model fit --effects`.
+    /// Left out if a fitted effect is such a constant.
     Zeros,
     /// Zeros that records may share, and a circle's centre: those of a verdict.
     ByHand,

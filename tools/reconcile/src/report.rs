@@ -15,7 +15,7 @@ const PLOT_PX: (u32, u32) = (900, 330);
 /// So many explanations are shown, and so many places.
 const RANKED: usize = 16;
 const PLACES: usize = 14;
-/// So many stretches of its axis a plot of many rows has: of each the least and the largest row.
+/// Stretches of a plot's axis; of each the least and the largest row is drawn.
 const STRETCHES: usize = 250;
 
 /// The report.
@@ -102,7 +102,7 @@ fn unit_of(response: &str) -> &'static str {
     if response.starts_with("force") { "N" } else { "µm" }
 }
 
-/// Maps and straightness that were found or corrected, each with the band of its values' intervals.
+/// Maps and straightness found or corrected, with the band of their intervals.
 fn maps(r: &Reconciliation) -> Vec<Chart> {
     let found = r.effects.iter().map(|(f, half)| (&f.effect, half));
     let all = found.chain(r.refined.iter().map(|x| (&x.after.0, &x.after.1)));
@@ -469,7 +469,8 @@ fn chart(t: &Trace, stretches: usize) -> Chart {
     })
 }
 
-/// Of very many points the least and the largest of each stretch of their axis, in the order in which they stand.
+/// The least and the largest point of each stretch of an axis.
+/// In their original order.
 fn of_stretches(points: Vec<(f64, f64)>, stretches: usize) -> Vec<(f64, f64)> {
     if points.len() / 2 <= stretches {
         return points;

@@ -19,7 +19,7 @@ use std::fmt;
 pub enum Verdict {
     /// Effects of the dictionary explain what was missing.
     Named,
-    /// Model and measurement agree, but for parameters of the model that the data corrected.
+    /// Model and measurement agree, apart from parameters that the data corrected.
     NothingMissing,
     /// Something is missing that no effect of the dictionary explains.
     UnknownEffect,
@@ -75,8 +75,8 @@ pub struct Refined {
 pub struct SetUp {
     /// The record's sidecar.
     pub record: String,
-    /// Term (`zero_um.error.x`, `centre_um`, `bar_um`, `line_um_per_h`, `line_um_per_run` where no time was written,
-    /// `jump_um`), value and half width of its 95 % interval.
+    /// Term, value and half width of its 95 % interval.
+    /// Terms are `zero_um.error.x`, `centre_um`, `bar_um`, `line_um_per_h`, `line_um_per_run` (no time was written) and `jump_um`.
     pub terms: Vec<(String, f64, f64)>,
 }
 

@@ -70,7 +70,8 @@ impl Place {
 
 /// Stretches of a channel that a smooth function is made of.
 const STRETCHES: usize = 8;
-/// Readings so near beside the whole range are at one place, and a place has so many rows.
+/// Share of the whole range within which readings are at one place.
+/// A place has at least two rows.
 const SAME_PLACE: f64 = 1e-3;
 const ROWS_OF_PLACE: usize = 5;
 /// Differences of more temperatures than these are too many to look at.
@@ -81,13 +82,13 @@ const PAIRED_TEMPERATURES: usize = 6;
 const BLOCK: f64 = 5.0;
 /// Permutations of the residual's blocks: no p-value is below one in so many.
 const PERMUTATIONS: usize = 999;
-/// So many of them as large as what was found are enough to know that it is nothing.
+/// Permutations as large as the finding that suffice to reject it.
 const ENOUGH: usize = 20;
 
 /// A place this clear is taken out before weaker ones are looked at.
 const CLEAR: f64 = 0.01;
 
-/// A channel is looked at beside so many more of the stronger ones, and one fewer each time.
+/// Stronger channels beside which a channel is looked at; one fewer each time.
 const BESIDE: usize = 2;
 
 /// What a residual remembers from row to row up to here is noise by contract.
@@ -171,7 +172,8 @@ pub(crate) fn places(records: &[Record], machine: &Machine) -> Vec<Place> {
     out
 }
 
-/// What set-up and known effects leave, each row by the size of its noise, and that size by response.
+/// Residuals beside set-up and known effects, and the noise of each response.
+/// Each row is divided by its noise.
 fn left_by(problem: &Problem<'_>) -> (Vec<f64>, Vec<f64>) {
     let mut noise = problem.first_noise();
     noise.phi.fill(0.0);
@@ -281,8 +283,8 @@ fn profile(bins: &[Vec<usize>], x: &[f64], residual: &[f64], sigma: f64) -> Vec<
     bins.iter().map(|b| [mean_of(b, x), mean_of(b, residual) * sigma, b.len() as f64]).collect()
 }
 
-/// False-discovery rates, of places that are sorted by their p-values (Benjamini and Hochberg, J. R. Statist. Soc. B 57
-/// (1995) 289).
+/// False-discovery rates of places that are sorted by p-value.
+/// (Benjamini and Hochberg, J. R. Statist. Soc. B 57 (1995) 289.)
 fn rate(places: &mut [Place]) {
     let m = places.len() as f64;
     let mut least = 1.0_f64;
@@ -292,7 +294,8 @@ fn rate(places: &mut [Place]) {
     }
 }
 
-/// What a response's segments all log, with labels, and the differences of a few temperatures.
+/// Channels that all of a response's segments log, with labels.
+/// Differences of a few temperatures are added.
 fn channels(stack: &Rows<'_>, segments: &[&Segment]) -> Vec<(String, Vec<f64>)> {
     let Some(first) = segments.first().map(|s| stack.record(s)) else { return Vec::new() };
     let mut channels: Vec<(String, Vec<f64>)> = Vec::new();
@@ -340,8 +343,8 @@ fn place(
     judged(response, against, x, residual, sigma, &stretches(x)?, 0.99, known)
 }
 
-/// Structure of a residual over these groups of rows, beside permutations of its blocks. `remembers`: as much of what it has in
-/// common from row to row is noise.
+/// Structure of a residual over groups of rows, tested by permuting blocks.
+/// If `remembers` is set, the row-to-row correlation counts as noise.
 #[allow(clippy::too_many_arguments, reason = "what is looked at, and how")]
 fn judged(
     response: &str,
@@ -475,7 +478,8 @@ fn places_of(x: &[f64]) -> Option<Vec<Vec<usize>>> {
     (groups.len() > 1 && groups.iter().all(|g| g.len() >= ROWS_OF_PLACE)).then_some(groups)
 }
 
-/// Rows by stretch: by value where there are few, by equal numbers of rows otherwise; none for a constant.
+/// Groups rows into stretches; `None` for a constant.
+/// By value if there are few values, otherwise by equal numbers of rows.
 fn stretches(x: &[f64]) -> Option<Vec<Vec<usize>>> {
     let mut order: Vec<usize> = (0..x.len()).collect();
     order.sort_by(|a, b| x[*a].total_cmp(&x[*b]));

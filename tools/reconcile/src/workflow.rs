@@ -184,8 +184,9 @@ fn to_mend(unsaid: &[Unsaid]) -> Vec<String> {
     unsaid.iter().map(line).collect()
 }
 
-/// The gap without the hold-outs that may be another machine's, beside what it is with them, and what to say of it: it may as well be
-/// the model that is wrong, and no gap is narrower for a record that is not looked at. `traces` are those of the hold-outs.
+/// The gap without hold-outs that may be another machine's, and a message.
+/// It is given beside the gap with them, because the model may be wrong instead. Leaving a record out must not narrow the reported gap.
+/// `traces` are those of the hold-outs.
 fn said_beside(
     strangers: &[(usize, Suspicion)],
     held: &[Record],
@@ -242,7 +243,8 @@ impl Better {
 }
 
 impl Work<'_> {
-    /// The findings, written into the model; `learn`: the model's own parameters may be corrected.
+    /// Writes the findings into the model.
+    /// With `learn` the model's own parameters may be corrected.
     fn better(&self, answer: &mut Answer, learn: bool) -> Better {
         let Self { train, machine, .. } = *self;
         let mut model = machine.clone();
@@ -308,7 +310,7 @@ fn correct(model: &mut Machine, machine: &Machine, answer: &Answer) -> Vec<Refin
     out
 }
 
-/// The records with velocity and acceleration from their positions where they have none, and what was done.
+/// Adds velocity and acceleration from positions where missing; says what was done.
 fn with_motion(train: &[Record], holdout: &[Record]) -> (Vec<Record>, Vec<Record>, Vec<String>) {
     let mut notes = Vec::new();
     let mut of = |records: &[Record]| -> Vec<Record> {
@@ -347,7 +349,7 @@ struct Writer<'w> {
 }
 
 impl Writer<'_> {
-    /// Adds an effect to the model with where it comes from; not one of an identity that the model has.
+    /// Adds an effect and its origin to the model, unless its identity is there.
     fn add(&self, model: &mut Machine, effect: &Effect, half: &[f64], why: &str) -> bool {
         let provenance = Provenance {
             added_by: Some(format!("rtecctl reconcile {}{why}", env!("CARGO_PKG_VERSION"))),
@@ -371,8 +373,8 @@ struct Analysed {
 }
 
 impl Analysed {
-    /// The training records without what is doubted of them before, or for what comes of the analysis; all of them where
-    /// all are doubted.
+    /// The training records without those in doubt; all if all are in doubt.
+    /// Doubts may be known before or follow from the analysis.
     fn without_doubts(train: &[Record], doubts: &mut Doubts, machine: &Machine, level: f64) -> Self {
         if doubts.train.is_empty() {
             return Self::of(train, machine, level);
@@ -403,8 +405,8 @@ impl Analysed {
         Self::of(&doubts.train, machine, level)
     }
 
-    /// The analysis of every nth row, n the least power of two at which noise and effects are told apart: rows much closer
-    /// than the noise forgets (a filtered force, sampled fast) say the same thing over and over.
+    /// Analyses every nth row. n is the least power of two at which noise and effects
+    /// are told apart. Rows much closer than the noise forgets (a filtered force, sampled fast) repeat the same information.
     fn of(train: &[Record], machine: &Machine, level: f64) -> Self {
         let quiet: Vec<Record> = train.iter().map(quiet::temperatures).collect();
         let (first, bounded) = (at_least_every(&quiet), bounded(&quiet));
@@ -425,8 +427,8 @@ impl Analysed {
     }
 }
 
-/// Scales that are wrong alike on every axis of a plate whose temperature nobody logged may as well be a plate that is
-/// not at 20 °C.
+/// Reports a plate that may not be at 20 °C.
+/// Its temperature was not logged, and the scales of all its axes are wrong by the same amount.
 fn warm_plate(findings: &mut [(Finding, Vec<f64>)], train: &[Record], dictionary: &Dictionary) {
     let Some(expansion) = dictionary.laws().map(Law::describe).find(|l| l.heat == Heat::Expansion) else {
         return;
@@ -528,7 +530,7 @@ mod tests {
         assert!(r.gap[0].closed().is_some_and(|c| c > 0.9), "{:?}", r.gap);
     }
 
-    /// A bug once: of a model that was reconciled nobody could say within what it predicts.
+    /// Regression test: a reconciled model must keep its prediction interval.
     #[test]
     fn a_better_model_states_its_interval() {
         let of = |seed: u64| {
