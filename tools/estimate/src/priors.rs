@@ -27,8 +27,8 @@ pub const TRAVEL_MM: [f64; 2] = [500.0, 3.0];
 /// Linear drift of a laser's or gauge's reading, µm/h.
 /// (Physics: 1 K of air is 1 µm/m.)
 pub const LINE_UM_PER_H: f64 = 1.0;
-/// Hours for which the drift keeps its direction (physics: a shift, a heating, the
-/// sun).
+/// Hours for which the drift keeps its direction.
+/// (Physics: a shift, a heating, the sun.)
 pub const LINE_HOURS: f64 = 3.0;
 /// Wander of air and stand beside the drift, µm; [`AIR_S`] is its memory.
 /// (Physics: half a metre of air that is 0.3 K warmer for ten minutes.)

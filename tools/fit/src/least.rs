@@ -1,10 +1,10 @@
 //! Least squares for parameters that an error is linear in.
 //! Effects named by the user, terms of a chain.
 //!
-//! A gauge's zero is arbitrary: every response of every record has a constant of its own, which is found and thrown
-//! away. Intervals come from leaving out each of ten stretches of rows in turn (delete-one-block jackknife): what
-//! neighbours in time share does not make them narrower. The same is done with stretches of every axis' places, as what no
-//! effect explains (a wave, a bend) is the same at a place every time; the widest interval stands.
+//! A gauge's zero is arbitrary, so every response of every record has its own constant, which is discarded. Intervals come from leaving out
+//! each of ten stretches of rows in turn (delete-one-block jackknife), so that errors shared by neighbouring rows do not narrow them. The
+//! same is done with stretches of places of every axis, because an unexplained wave or bend repeats at its place. The widest interval
+//! counts.
 
 use crate::places::{self, Left};
 use crate::statistics::quantile;
@@ -23,7 +23,7 @@ use std::path::Path;
 
 /// Stretches of rows that are left out in turn.
 const BLOCKS: usize = 10;
-/// Two columns are one when what sets one apart from the others is smaller than this share of it.
+/// Columns are dependent if less than this share of one is independent.
 const DEPENDENT: f64 = 1e-5;
 
 /// One parameter of an effect, fitted.
@@ -44,7 +44,7 @@ pub(crate) struct Problem {
     /// The means that were taken off each piece: of the response, and of every column.
     /// None where the zero is known.
     means: Vec<Option<(f64, Vec<f64>)>>,
-    /// Rows that share one rounding error of a coarse gauge, and its standard deviation.
+    /// Rows that share a coarse gauge's rounding error, and its standard deviation.
     rounded: Vec<(Vec<usize>, f64)>,
     /// Causes that were read in coarse steps.
     causes: Vec<CoarseCause>,
@@ -138,8 +138,8 @@ impl Problem {
         })
     }
 
-    /// The causes of a record that were read in coarse steps, for the response pushed last; `basis` gives the columns of the record
-    /// that it is given. Gives what to know of that.
+    /// Finds causes of a record that were read in coarse steps.
+    /// They concern the response pushed last. `basis` gives the columns of a record. Returns the messages for the user.
     fn rounded_causes(
         &mut self,
         record: &Record,
@@ -183,7 +183,7 @@ impl Problem {
         said
     }
 
-    /// Standard deviation of every parameter from rounding alone, where the parameters have these values.
+    /// Standard deviation of every parameter from rounding alone, at these values.
     fn rounding(&self, scale: &[f64], values: &[f64]) -> Option<Vec<f64>> {
         let p = self.columns.len();
         if self.rounded.is_empty() && self.causes.is_empty() {
@@ -316,15 +316,16 @@ impl Problem {
         grams
     }
 
-    /// Within this the solution says 95 % of the rows, of the worst of the pieces that `take` chooses: what one kind of run
-    /// shows another may not.
+    /// Half width that holds 95 % of the rows in the worst selected piece.
+    /// One kind of run may show what another does not.
     fn half_width_um(&self, found: &[Found], take: impl Fn(usize) -> bool) -> f64 {
         let own = self.pieces.iter().enumerate().filter(|(k, p)| take(*k) && !p.is_empty());
         own.map(|(_, p)| quantile(p.clone().map(|i| self.left_um(found, i).abs()).collect(), 0.95))
             .fold(1e-9, f64::max)
     }
 
-    /// The solution, or the number of a parameter that these rows do not determine beside those before it.
+    /// Solves, or returns the first parameter that these rows do not determine.
+    /// It is not determined beside those before it.
     pub(crate) fn solve(&self) -> Result<Vec<Found>, usize> {
         rtec_files::watch::step();
         let p = self.columns.len();
@@ -491,7 +492,7 @@ fn effects_of(base: &Machine, names: &[String]) -> Result<Vec<Effect>, InputErro
     Ok(effects)
 }
 
-/// Half widths of a response by the kinds of run that say something of it, with each piece's response and kind.
+/// Half widths of a response by kind of run, with each piece's response and kind.
 fn by_kind_um(
     problem: &Problem,
     found: &[Found],
@@ -537,8 +538,8 @@ fn basis_of(effects: &[Effect], record: &Record, role: &Role) -> Option<Vec<Vec<
     Some(columns)
 }
 
-/// Fits effects that the user names, beside all that the base holds already: by least squares on all responses of the
-/// records, errors and forces. Gives the base with the effects added.
+/// Fits effects that the user names, beside all that the base holds.
+/// It uses least squares on all responses of the records, errors and forces, and returns the base with the effects added.
 ///
 /// # Errors
 /// An unknown effect, one that the base has, one that is not linear; a record that lacks what an effect reads; effects

@@ -1,5 +1,5 @@
-//! What an estimate says of the records, as findings.
-//! Effects with a name, shapes without one, corrections of the model.
+//! Turns an estimate into findings.
+//! They are effects with a name, shapes without one, and corrections of the model.
 
 use rtec_estimate::problem::Units;
 use rtec_estimate::{Estimate, Found, Rival, Shape};
@@ -50,9 +50,9 @@ pub(crate) fn stated(machine: &Machine) -> Vec<Vec<Option<f64>>> {
     machine.listed().iter().map(of).collect()
 }
 
-/// Probability that chance alone gives odds like these.
-/// Under chance a Bayes factor is one on average, so one of x comes with a probability below 1/x (Markov's inequality). The price of one
-/// more effect is no part of the prior over names.
+/// Bound on the probability that chance alone gives such odds.
+/// Under chance the mean Bayes factor is one, so a factor of x has a probability below 1/x (Markov's inequality). The price of one more
+/// effect is no part of the prior over names.
 fn p_value(f: &Found) -> f64 {
     (-f.evidence - rtec_estimate::priors::PRICE).exp().min(1.0)
 }

@@ -34,8 +34,8 @@ pub(crate) struct Doubts {
     of_holdout: Vec<Suspicion>,
 }
 
-/// Looks at all records by themselves and beside each other.
-/// What a hold-out shows changes nothing of the training.
+/// Checks all records by themselves and against each other.
+/// A hold-out's findings do not affect the training.
 pub(crate) fn doubts(train: &[Record], holdout: &[Record], machine: &Machine) -> Doubts {
     let all: Vec<&Record> = train.iter().chain(holdout).collect();
     let twice = plausible::repeated(&all);
@@ -94,8 +94,8 @@ fn suspicions(records: &[Record], machine: &Machine) -> Vec<Suspicion> {
 }
 
 impl Doubts {
-    /// The hold-outs without what is doubted, for a model.
-    /// What it does not read may be off. And what was left out.
+    /// The hold-outs without doubted columns that the model reads.
+    /// Columns that it does not read may be wrong. Also says what was left out.
     pub(crate) fn holdouts(&self, model: &Machine) -> (Vec<Record>, Vec<String>) {
         let left = self.holdout.iter().filter_map(|r| without(r, &self.of_holdout, model));
         let left: Vec<Record> = left.map(|(r, _)| r).collect();
@@ -103,8 +103,8 @@ impl Doubts {
         (left, lines)
     }
 
-    /// Leaves out the training records whose clock is doubted: no lag is told by them.
-    /// Whether there were any.
+    /// Leaves out training records whose clock is in doubt; true if there were any.
+    /// They cannot tell a lag.
     pub(crate) fn without_clocks(&mut self) -> bool {
         let before = self.train.len();
         for (k, record) in std::mem::take(&mut self.train).into_iter().enumerate().rev() {
@@ -184,8 +184,7 @@ fn lines(before: &[Record], after: &[Record], said: &[Suspicion]) -> Vec<String>
     out
 }
 
-/// The record without what is doubted of it.
-/// None where nothing is left that could be trusted.
+/// The record without its doubted columns; `None` if nothing remains.
 fn without(record: &Record, said: &[Suspicion], machine: &Machine) -> Option<(Record, Vec<usize>)> {
     let clocked = machine.effects().any(reads_clock);
     let useless = |s: &Suspicion| whole(s, record) || clocked && is_of_clock(s, record);

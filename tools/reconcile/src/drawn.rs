@@ -1,14 +1,14 @@
-//! Of very many rows some are looked at: one of each stretch.
+//! Draws a subsample of very many rows: one of each stretch.
 
 use rtec_model::record::Record;
 use std::borrow::Cow;
 
-/// More rows are not looked at.
-/// An effect's value is then known to a hundredth of the noise, and what a search takes grows with rows times candidates, to minutes and a
-/// gigabyte.
+/// Most rows that are analysed.
+/// An effect's value is then known to a hundredth of the noise. The search needs time in proportion to rows times candidates: minutes, and
+/// a gigabyte.
 pub(crate) const MOST_ROWS: usize = 20_000;
 
-/// So many rows as are looked at.
+/// The records themselves, or a subsample of [`MOST_ROWS`] at most.
 pub(crate) fn bounded(train: &[Record]) -> Cow<'_, [Record]> {
     match at_least_every(train) {
         1 => Cow::Borrowed(train),
@@ -16,8 +16,8 @@ pub(crate) fn bounded(train: &[Record]) -> Cow<'_, [Record]> {
     }
 }
 
-/// One row of how many is looked at before anything is known of them.
-/// The least power of two that leaves [`MOST_ROWS`] at most.
+/// The stride between analysed rows before anything is known of them.
+/// The least power of two that leaves at most [`MOST_ROWS`].
 pub(crate) fn at_least_every(records: &[Record]) -> usize {
     let rows: usize = records.iter().map(Record::rows).sum();
     rows.div_ceil(MOST_ROWS).next_power_of_two()

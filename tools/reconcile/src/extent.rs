@@ -76,8 +76,8 @@ mod tests {
         }
     }
 
-    /// A bug once.
-    /// At 50 mm steps a screw of 12 mm was not among the eight that were listed beside it.
+    /// Regression test: at 50 mm steps the rivals must include a screw of 12 mm.
+    /// It was missing from the eight that were listed.
     #[test]
     fn what_machines_are_made_with_is_among_the_aliases() {
         let of = |usual: &[f64]| aliases(1.0 / 60.0, 50.0, [1.0 / 60.0, 2.0], 8, usual);

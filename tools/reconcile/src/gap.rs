@@ -1,4 +1,5 @@
-//! How far measured and simulated are apart, before and after, and what the data itself repeats to.
+//! The gap between measured and simulated, before and after, and its floor.
+//! The floor is what the data itself repeats to.
 
 use crate::answer::{Answer, stated};
 use rtec_estimate::problem::Problem;
@@ -27,8 +28,7 @@ pub struct Gap {
     pub blocked: Option<[f64; 2]>,
     /// Noise of the data.
     pub floor: f64,
-    /// The hold-out is doubted, or so few rows taught nothing.
-    /// How much of the gap is closed says nothing.
+    /// The closed share tells nothing: the hold-out is doubted, or has few rows.
     pub doubted: bool,
     /// Rows of the hold-outs.
     pub held_rows: usize,
@@ -87,8 +87,8 @@ pub struct Over {
 const STILL_MM: f64 = 1.0;
 
 impl Over {
-    /// The angle of a circle.
-    /// The position of the axis that moves, the response's own first; else time.
+    /// The abscissa of a trace: angle of a circle, position, or time.
+    /// The position is that of the axis that moves, the response's own first.
     fn of(record: &Record, response: &Role) -> Self {
         let in_time = matches!(record.kind, Kind::Drift | Kind::Dynamics);
         if let Some(angle) = record.data(&Role::Angle).filter(|_| !in_time) {

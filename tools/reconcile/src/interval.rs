@@ -1,5 +1,4 @@
-//! What a better model says of itself.
-//! Within what it predicts each response, as a fit says it.
+//! The prediction interval of the better model, per response, as a fit states it.
 
 use rtec_estimate::rows::Rows;
 use rtec_model::effect::{Effect, Heat};

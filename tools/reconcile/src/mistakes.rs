@@ -50,8 +50,8 @@ impl Suspected {
         self.odds > CERTAIN.ln()
     }
 
-    /// What a name that the mistake explains as well holds of its place.
-    /// Whether it explains this one.
+    /// Lowers a name's posterior share if the mistake explains it equally well.
+    /// Returns whether it does.
     pub(crate) fn weaken(&self, finding: &mut Finding) -> bool {
         let explains = !self.without.contains(&finding.effect.name());
         if explains {
@@ -61,7 +61,7 @@ impl Suspected {
     }
 }
 
-/// One record in so many carries a mistake of one kind.
+/// Prior odds of one kind of mistake: one record in this many carries it.
 /// One in 30 carries any, of some 20 kinds (experience of people who read logs).
 const ONE_IN: f64 = 600.0;
 /// Odds at which a record is left out.
@@ -85,7 +85,7 @@ pub(crate) fn of_training(
     let mut best: Option<Answer> = None;
     // Log evidence of the records as they stand now, in either unit.
     let mut as_they_stand: Vec<(Units, f64)> = Vec::new();
-    // Beside the model as given: what was found may have taken the mistake for a change of the machine.
+    // Tested beside the original model, because the findings may have absorbed the mistake as a change of the machine.
     let model: Vec<Effect> = machine.effects().cloned().collect();
     while out.len() < MOST {
         let answer = best.as_ref().unwrap_or(first);
@@ -171,8 +171,8 @@ pub(crate) fn of_training(
     out
 }
 
-/// A mistake that every record shows.
-/// Whoever makes it always makes it in one way, so it costs as much as one.
+/// A mistake that every record shows, which costs as much as a single one.
+/// Its author always makes it in the same way.
 fn habit(tried: &[(f64, usize, Mistake)], records: usize) -> Option<Made> {
     let same = |a: &Mistake, b: &Mistake| {
         (a.said.what, &a.said.column, &a.said.text) == (b.said.what, &b.said.column, &b.said.text)
@@ -185,8 +185,7 @@ fn habit(tried: &[(f64, usize, Mistake)], records: usize) -> Option<Made> {
     Some(tried.iter().filter(|t| same(&t.2, first)).map(|t| (t.1, t.2.clone())).collect())
 }
 
-/// Mistakes of a hold-out beside the better model.
-/// Without it the model explains the record.
+/// Mistakes of a hold-out whose removal lets the better model explain it.
 pub(crate) fn of_hold_out(
     record: &Record,
     train: &[Record],
@@ -288,7 +287,6 @@ const FORCES: [(f64, &str); 4] = [
     (0.1, "a decimal point one place off?"),
 ];
 /// The shortest and the longest travel of a machine's axis, mm.
-/// None is the length of a street.
 const TRAVELS_MM: [f64; 2] = [1e-1, 3e4];
 /// Log prior of a travel, but for a constant: few are far from the usual ones.
 fn travel_prior(mm: f64) -> f64 {
@@ -413,7 +411,7 @@ fn candidates(record: &Record, all: &[Record], model: &[Effect]) -> Vec<Mistake>
         let own: Vec<&Column> = record.columns.iter().filter(|c| kind(&c.role)).collect();
         let Some(first) = own.first() else { continue };
         for (by, unit) in other_units(&first.role) {
-            // An axis that stands at 50 mm travels that far, though the run shows less than a micrometre of it.
+            // An axis at 50 mm can travel that far, although the run moves less than a micrometre.
             let travel = |c: &&Column| c.data.iter().fold(0.0_f64, |most, x| most.max(x.abs()));
             let as_given = own.iter().map(travel).fold(0.0, f64::max);
             let place = matches!(first.role, Role::Position(_));

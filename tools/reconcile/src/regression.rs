@@ -63,7 +63,7 @@ pub struct Regression {
 }
 
 impl Regression {
-    /// Of what a model has and `base` has not, or has otherwise, over these records.
+    /// The regression of what a model has beyond `base`, or otherwise than it.
     /// A value without an interval was held.
     #[must_use]
     pub fn new(records: &[Record], base: &Machine, machine: &Machine, set_up: SetUpColumns) -> Self {
@@ -74,7 +74,7 @@ impl Regression {
         if let Some(chain) = machine.chain() {
             let mut of_chain = vec![0.0; rows.n];
             for s in &rows.segments {
-                // A record without what the chain reads has no prediction: `Machine::predict` has refused it before.
+                // If a record lacks a column that the chain reads, `Machine::predict` has refused it before.
                 let _bound =
                     chain.add(rows.record(s), &rows.responses[s.response], &mut of_chain[s.rows.clone()]);
             }

@@ -18,8 +18,8 @@ const PLACES: usize = 14;
 /// Stretches of a plot's axis; of each the least and the largest row is drawn.
 const STRETCHES: usize = 250;
 
-/// The report.
-/// What was found, on which records, how well, and the line to be signed. It prints to A4.
+/// The report: findings, records, figures of the fit, and a line to be signed.
+/// It prints to A4.
 #[must_use]
 pub fn html(r: &Reconciliation, machine: &str) -> String {
     let mut h = String::new();
@@ -129,8 +129,8 @@ fn map(effect: &Effect, half: &[f64]) -> Option<Chart> {
     Some(chart.with(Series::new("", Style::Dots, line).coloured(Colour::Up)))
 }
 
-/// What every effect of the better model makes of these runs, largest first.
-/// The range that it has in the run that shows it most.
+/// The contribution of every effect of the better model, largest first.
+/// It is the effect's range in the run that shows it most.
 fn contributions(h: &mut String, r: &Reconciliation) {
     let rows = Rows::new(&r.records);
     let mut all: Vec<(String, &str, &str, f64)> = Vec::new();
@@ -180,8 +180,8 @@ fn contributions(h: &mut String, r: &Reconciliation) {
     h.push_str("</table>");
 }
 
-/// What is not known of one reading that the better model predicts.
-/// The noise, and each value that was found or corrected.
+/// The uncertainty of one predicted reading.
+/// It combines the noise and each value that was found or corrected.
 fn budget(h: &mut String, r: &Reconciliation) {
     let rows = Rows::new(&r.records);
     let found = r.effects.iter().map(|(f, half)| (&f.effect, half));

@@ -1,5 +1,5 @@
-//! The sensors that a fit of growth chooses on the same drift.
-//! One choice, or the reason why there are two.
+//! Compares the sensors with those that a fit of growth chooses on the same drift.
+//! Returns the reason if they differ.
 
 use crate::answer::Finding;
 use rtec_fit::thermal;

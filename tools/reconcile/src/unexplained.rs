@@ -131,8 +131,7 @@ impl Along {
     }
 }
 
-/// A stand-in for a shape with so many knots; the model adopts its law.
-/// None for a shape along what no law reads (the cycle), or where the model has a law of this name.
+/// A stand-in for a shape, with this number of knots; the model adopts its law.
 pub(crate) fn stand_in(
     shape: &Shape,
     knots: usize,

@@ -129,8 +129,7 @@ pub struct Reconciliation {
     pub effects: Vec<(Finding, Vec<f64>)>,
     /// Structure without a name.
     pub unexplained: Vec<Shape>,
-    /// Where asked for.
-    /// The curve that stands for what is unexplained, and the file of its law.
+    /// On request: the curve for what is unexplained, and its law's file.
     pub curve: Option<(Effect, String)>,
     /// Corrected parameters.
     pub refined: Vec<Refined>,
@@ -175,8 +174,7 @@ impl fmt::Display for Unsaid {
 }
 
 impl Reconciliation {
-    /// What the verdict does not speak of, for its headline.
-    /// Nothing where it speaks of all that was given.
+    /// What the verdict does not cover, for its headline; empty if it covers all.
     #[must_use]
     pub fn unsaid(&self) -> Option<String> {
         let records: Vec<String> = self.unsaid.iter().map(ToString::to_string).collect();

@@ -71,14 +71,14 @@ impl Place {
 /// Stretches of a channel that a smooth function is made of.
 const STRETCHES: usize = 8;
 /// Share of the whole range within which readings are at one place.
-/// A place has at least two rows.
+/// A place has at least [`ROWS_OF_PLACE`] rows.
 const SAME_PLACE: f64 = 1e-3;
 const ROWS_OF_PLACE: usize = 5;
 /// Differences of more temperatures than these are too many to look at.
 const PAIRED_TEMPERATURES: usize = 6;
 
-/// A block is so many times as long as the residual remembers.
-/// What is cut at its ends makes chance look smaller than it is, by a quarter of the variance where it is twice as long.
+/// Length of a block in correlation lengths of the residual.
+/// Cuts at the ends of blocks make chance look smaller: by a quarter of the variance at twice the correlation length.
 const BLOCK: f64 = 5.0;
 /// Permutations of the residual's blocks: no p-value is below one in so many.
 const PERMUTATIONS: usize = 999;
@@ -91,11 +91,10 @@ const CLEAR: f64 = 0.01;
 /// Stronger channels beside which a channel is looked at; one fewer each time.
 const BESIDE: usize = 2;
 
-/// What a residual remembers from row to row up to here is noise by contract.
-/// What is slower is structure.
+/// Largest row-to-row correlation that is noise by contract; slower is structure.
 const NOISE_REMEMBERS: f64 = 0.7;
-/// Frequencies of a wave are so far apart, in waves over the whole range.
-/// None between them loses more than a tenth.
+/// Spacing of a wave's frequencies, in waves over the whole range.
+/// No frequency between them loses more than a tenth.
 const WAVES_APART: f64 = 0.35;
 
 /// No more frequencies are tried: a look takes a second at most.
@@ -114,7 +113,7 @@ pub(crate) fn places(records: &[Record], machine: &Machine) -> Vec<Place> {
     let mut out = Vec::new();
     for (response, &sigma) in sigmas.iter().enumerate() {
         let (segments, residual) = of_response(&stack, &before, response);
-        // What is large hides what is small: each channel is looked at beside what stronger ones show, too.
+        // Large effects hide small ones, so each channel is also tested beside stronger ones.
         let role = stack.responses[response].to_string();
         let channels = channels(&stack, &segments);
         let found: Vec<Option<Place>> =
@@ -124,7 +123,7 @@ pub(crate) fn places(records: &[Record], machine: &Machine) -> Vec<Place> {
         alone.sort_by(|a, b| b.1.statistic.total_cmp(&a.1.statistic));
         let mut left = vec![residual.clone()];
         for (x, mut found) in alone {
-            // What runs along with a stronger one (cycles with the time) is looked at without taking that out, too.
+            // A channel that runs along with a stronger one (cycles with time) is also tested without removing that one.
             for left in left.iter().skip(1).rev().take(BESIDE) {
                 if found.p_value <= LEAST_P {
                     break;
@@ -143,7 +142,7 @@ pub(crate) fn places(records: &[Record], machine: &Machine) -> Vec<Place> {
     }
     strongest_first(&mut out);
     rate(&mut out);
-    // A response that is nowhere is looked at more closely, beside its noise alone: without the air, which can follow any drift.
+    // A response without a finding is tested again beside its noise alone. The air is left out, because it can follow any drift.
     let nowhere = |role: &str| !out.iter().any(|p: &Place| p.counts() && p.response == role);
     let roles: Vec<String> = stack.responses.iter().map(ToString::to_string).collect();
     let lost: Vec<usize> = (0..roles.len()).filter(|response| nowhere(&roles[*response])).collect();
@@ -197,8 +196,8 @@ fn strongest_first(places: &mut [Place]) {
 }
 
 /// A closer look at one response.
-/// What is slower than noise may be against the time, what comes back at each target against the place, and a wave over either. Slow
-/// channels are not asked: what drifts looks like each of them.
+/// It tests slow changes against time, repeats at each target against the place, and waves over either. Slow channels are left out, because
+/// a drift resembles each of them.
 fn closely(role: &str, stack: &Rows<'_>, segments: &[&Segment], residual: &[f64], sigma: f64) -> Vec<Place> {
     let mut out = Vec::new();
     for (against, x) in channels(stack, segments) {
@@ -216,8 +215,8 @@ fn closely(role: &str, stack: &Rows<'_>, segments: &[&Segment], residual: &[f64]
 }
 
 /// The clearest wave of a residual over one channel.
-/// Least squares at each frequency (Lomb, Astrophys. Space Sci. 39 (1976) 447), of what is left of the residual without its memory. As many
-/// frequencies as were tried could each be the clearest by chance.
+/// Least squares at each frequency (Lomb, Astrophys. Space Sci. 39 (1976) 447), on the residual without its memory. The p-value allows for
+/// the number of frequencies tried.
 fn wave(response: &str, against: &str, x: &[f64], residual: &[f64], sigma: f64) -> Option<Place> {
     let n = residual.len();
     let (low, high) = x.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(*v), h.max(*v)));
@@ -415,8 +414,8 @@ struct Run {
     to: u32,
 }
 
-/// Per stretch its runs of rows, block by block of so many rows.
-/// Mostly long, as most channels change slowly.
+/// Per stretch its runs of rows in each block.
+/// Most are long, because most channels change slowly.
 fn runs(bin: &[u32], length: usize, bins: usize) -> Vec<Vec<Run>> {
     let mut out: Vec<Vec<Run>> = (0..bins).map(|_| Vec::new()).collect();
     for (block, bins) in bin.chunks(length).enumerate() {
@@ -462,8 +461,8 @@ fn flatten(x: &[f64], residual: &mut [f64]) {
     }
 }
 
-/// Rows by place, where a channel comes back to few.
-/// Targets that are approached again and again differ by little.
+/// Rows by place, if a channel returns to few places.
+/// Targets that are approached again differ by little.
 fn places_of(x: &[f64]) -> Option<Vec<Vec<usize>>> {
     let mut order: Vec<usize> = (0..x.len()).collect();
     order.sort_by(|a, b| x[*a].total_cmp(&x[*b]));
@@ -520,8 +519,7 @@ mod tests {
         );
     }
 
-    /// A residual whose squares are no numbers any more has no place.
-    /// Nothing is divided by what it would give.
+    /// A residual whose squares overflow has no place.
     #[test]
     fn numbers_beyond_all_measure_have_no_place() {
         let x: Vec<f64> = (0..60).map(f64::from).collect();
@@ -531,8 +529,7 @@ mod tests {
         }
     }
 
-    /// Sensors of noise beside an error that drifts.
-    /// As often as chance, and never with certainty.
+    /// Sensors of pure noise beside a drifting error are found only as often as chance.
     #[test]
     fn noise_is_no_place() {
         let mut few = 0;
@@ -557,8 +554,7 @@ mod tests {
         assert!(few <= 6, "{few} of 40 below 5 %");
     }
 
-    /// Row by row.
-    /// The value of row i of block k is the one that lies i rows behind the block's beginning.
+    /// Reference: the value of row i of block k is i rows after the block's beginning.
     #[test]
     fn blocks_are_summed_where_they_are_moved_to() {
         let residual = noise(9, 103);

@@ -1,5 +1,4 @@
-//! The whole of it.
-//! What is doubted, the estimate, what is written into the model, the figures.
+//! The whole workflow: doubts, the estimate, changes to the model, the figures.
 
 use crate::Options;
 use crate::advice::advice;
@@ -230,8 +229,8 @@ struct Better {
 }
 
 impl Better {
-    /// The hold-outs, where the training is understood, and in one way.
-    /// What is not may be all that they show more of.
+    /// The hold-outs, if the training is understood in only one way.
+    /// Otherwise whatever they show more may be what is not understood.
     fn comparable<'h>(&self, answer: &Answer, held: &'h [Record]) -> &'h [Record] {
         if answer.unexplained.is_empty() && self.is_one_way() { held } else { &[] }
     }
@@ -258,7 +257,7 @@ impl Work<'_> {
         let write = Writer { train, date: self.options.date.as_ref() };
         let mut effects = Vec::new();
         for (f, half) in &answer.findings {
-            // An effect of this very identity is in the model already: then it was a correction, not an addition.
+            // The model already has an effect of this identity, so this was a correction, not an addition.
             if write.add(&mut model, &f.effect, half, "") {
                 effects.push((f.clone(), half.clone()));
             }
@@ -405,8 +404,9 @@ impl Analysed {
         Self::of(&doubts.train, machine, level)
     }
 
-    /// Analyses every nth row. n is the least power of two at which noise and effects
-    /// are told apart. Rows much closer than the noise forgets (a filtered force, sampled fast) repeat the same information.
+    /// Analyses every nth row, n being a power of two.
+    /// It is the least at which noise and effects are told apart. Rows much closer than the noise forgets (a filtered force, sampled fast)
+    /// repeat the same information.
     fn of(train: &[Record], machine: &Machine, level: f64) -> Self {
         let quiet: Vec<Record> = train.iter().map(quiet::temperatures).collect();
         let (first, bounded) = (at_least_every(&quiet), bounded(&quiet));
@@ -463,8 +463,8 @@ fn whole_counts(effect: &Effect, records: &[Record], half: &[f64]) -> Effect {
     out
 }
 
-/// A step that no row saw come, came at any moment between two rows.
-/// The middle of them is farthest from none.
+/// Moment of a step between two rows.
+/// It may have come at any time between them; the middle has the smallest error.
 fn between_rows(effect: &Effect, records: &[Record], half: &[f64]) -> (Effect, Vec<f64>) {
     let moment = effect.description().parameters.iter().position(|p| p.refine == Refine::Moment);
     let Some(moment) = moment else { return (effect.clone(), half.to_vec()) };
@@ -512,8 +512,8 @@ mod tests {
     use rtec_model::effect::Against;
     use std::path::Path;
 
-    /// A reversal of no name is in no one's way.
-    /// An error in proportion to the position is a scale, and nothing else.
+    /// A reversal without a name does not hide a scale.
+    /// An error in proportion to the position is a scale.
     #[test]
     fn what_is_missing_is_named_and_written() {
         let dice = noise(7, 300);
@@ -560,8 +560,8 @@ mod tests {
         assert!(none.model.fits().is_empty());
     }
 
-    /// A bug once.
-    /// The figures of a hold-out that shares a training record's zero kept that zero, 5 µm of it here.
+    /// Regression test: a hold-out must not keep the zero that it shares with training.
+    /// The figure was 5 µm too large here.
     #[test]
     fn a_hold_out_s_own_zero_is_no_gap() {
         let of = |seed: u64, zero: &str, um: f64| {
@@ -589,8 +589,8 @@ mod tests {
         assert!((whole_counts(&effect, &[run], &[0.1, 0.0]).scalar(0) - 9.7).abs() < 1e-12);
     }
 
-    /// Of very many rows some are looked at, which is said.
-    /// What is found and its share are those of the whole.
+    /// With very many rows a subsample is analysed and reported.
+    /// Findings and their share are those of all rows.
     #[test]
     fn of_very_many_rows_as_many_as_are_needed_are_looked_at() {
         let rows = 2 * MOST_ROWS + 1;
@@ -608,8 +608,8 @@ mod tests {
         assert_eq!(r.traces[0].over.values.len(), rows);
     }
 
-    /// A slope of 3 mm in a metre is no scale.
-    /// Nothing is named outside its bounds, nor written.
+    /// A slope of 3 mm in a metre is outside a scale's bounds.
+    /// It is neither named nor written.
     #[test]
     fn outside_its_bounds_nothing_is_named() {
         let dice = noise(8, 300);
@@ -625,8 +625,8 @@ mod tests {
         assert!(rivals.into_iter().all(|r| r.name != "scale.x"));
     }
 
-    /// A growth and its bend over few kelvins stand for each other.
-    /// Each value may be anywhere, and both together be a fifth off.
+    /// Over few kelvins a growth and its bend are exchangeable.
+    /// Each value is undetermined, and their sum may be off by a fifth.
     #[test]
     fn values_that_lean_on_one_another_are_corrected_together() {
         let dice = noise(5, 145);
@@ -651,8 +651,8 @@ mod tests {
         assert!(r.gap[0].train[1] < 0.13, "{:?}", r.gap);
     }
 
-    /// A bug once.
-    /// The first row behind a pause was given, and a hold-out that ran through the pause was wrong all that time.
+    /// Regression test: a step must not be dated to the row after a pause.
+    /// A hold-out that ran through the pause was wrong all that time.
     #[test]
     fn counts_that_were_lost_in_a_pause_were_lost_in_its_middle() {
         let mut run = record(40, |i| 8.0 * f64::from(u8::from(i >= 20.0)) + 0.1 * (i * 7.0 % 5.0));
