@@ -60,8 +60,7 @@ impl Rows {
         found
     }
 
-    /// The prediction of a row with its differences held in range, and its interval's
-    /// x.
+    /// The prediction of a row with its differences in range, and its interval's x.
     fn held(&self, c: &[f64], guards: &[Guard], i: usize) -> (f64, f64) {
         let mut says = c[0] + self.columns.iter().zip(&c[1..]).map(|(u, c)| c * u[i]).sum::<f64>();
         let mut x2 = 0.0;
@@ -216,8 +215,7 @@ pub(super) fn halves(
     Ok(Some(held))
 }
 
-/// Residuals of the blocks `asked`, under a fit without them, with the interval's
-/// x.
+/// Residuals of the `asked` blocks under a fit without them, and the interval's x.
 fn unseen(
     problem: &Problem,
     terms: &[Term],

@@ -247,7 +247,8 @@ fn stands_still(records: &[&Record], name: &str) -> bool {
     readings.all(|degc| first.is_some_and(|first| first.to_bits() == degc.to_bits()))
 }
 
-/// No lag, then lags from one minute to a third of the longest record, in equal ratios.
+/// No lag, then lags from a minute to a third of the longest record.
+/// In equal ratios.
 fn lag_grid(records: &[&Record], offered: bool) -> Vec<f64> {
     let span = records.iter().map(|r| r.time_s()[r.rows() - 1] - r.time_s()[0]).fold(0.0, f64::max);
     let timed = records.iter().all(|r| r.column(&Role::Time).is_some());
@@ -257,8 +258,8 @@ fn lag_grid(records: &[&Record], offered: bool) -> Vec<f64> {
     if offered && timed { none.chain(lags).collect() } else { none.collect() }
 }
 
-/// The environment is the coldest body of a machine that makes heat; of those within 1 K of the coldest it is the one
-/// that moves fastest: air, not a casting that follows it.
+/// The sensor of the environment: the coldest body of a machine that makes heat.
+/// Of those within 1 K of the coldest it is the fastest: air, not a casting that follows it.
 fn environment_of(sensors: &[String], records: &[&Record]) -> usize {
     let of = |s: &String| {
         let (mut sum, mut n, mut moves) = (0.0, 0.0, 0.0);
@@ -283,8 +284,8 @@ fn place(record: &Record, sensors: &[String], name: &str) -> Result<usize, Input
     })
 }
 
-/// The differences to choose from, and the pairs offered beside them where nobody named any; without those that the base
-/// has an effect of already.
+/// The differences to choose from, and pairs offered if nobody named any.
+/// Those that the base has an effect of are left out.
 fn differences(
     first: &Record,
     response: &Role,

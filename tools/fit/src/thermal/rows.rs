@@ -135,8 +135,8 @@ impl Rows {
     }
 }
 
-/// Response and columns about their means on some stretches of rows, and the products of the columns: what stays is not made
-/// again when a column changes.
+/// Response and columns less their means on stretches of rows, and products.
+/// Products of columns that stay are not computed again when a column changes.
 pub(super) struct Centred<'a> {
     taken: &'a [Range<usize>],
     y: (Vec<f64>, f64),

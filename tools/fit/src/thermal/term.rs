@@ -7,7 +7,7 @@ pub(super) type Pair = (usize, Option<usize>);
 /// A model term.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Term {
-    /// Difference of two sensors (or one and the reference) at a lag of the grid, maybe squared.
+    /// Difference of two sensors, or to the reference, at a lag; maybe squared.
     Thermal { sensor: usize, minus: Option<usize>, lag: usize, square: bool },
     /// Coolant on.
     Coolant,
