@@ -54,8 +54,8 @@ pub struct Contour {
     pub centre_um: [f64; 2],
     /// Radius of its least-squares circle minus the nominal one.
     pub radius_um: f64,
-    /// Standard errors of the centre's two places and of the radius, as far as what is left of the circle is chance: large on a short
-    /// arc.
+    /// Standard errors of the centre's two coordinates and of the radius.
+    /// They assume that the residual is chance; they are large on a short arc.
     pub standard_error_um: [f64; 3],
     /// Angle (rad) and deviation from the least-squares circle, row by row.
     #[serde(skip)]
@@ -76,7 +76,8 @@ pub struct Ballbar {
     /// Largest circular deviation clockwise.
     #[serde(rename = "G_cw")]
     pub g_cw: Option<f64>,
-    /// Largest bi-directional circular deviation of a record (or of all records together, where none goes both ways).
+    /// Largest bi-directional circular deviation of a record.
+    /// If no record goes both ways, of all records together.
     #[serde(rename = "G_b")]
     pub g_b: Option<f64>,
     /// Largest radial deviation.
@@ -94,7 +95,8 @@ pub struct Ballbar {
     /// What makes the deviations.
     #[serde(flatten)]
     pub diagnosis: Diagnosis,
-    /// What instrument, set-up and room contribute to its figures, where the conditions state it and the radius is known.
+    /// Uncertainty that instrument, set-up and room contribute to its figures.
+    /// Set if the conditions state it and the radius is known.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub uncertainty: Option<Budget>,
     /// Every contour.
@@ -132,7 +134,7 @@ pub fn evaluate(records: &[Record]) -> Result<Vec<Ballbar>, InputError> {
     planes.into_iter().map(|(plane, traces)| plane_of(plane, &traces)).collect()
 }
 
-/// So much of a circle may be missing where it starts and stops, degrees, or two rows of it.
+/// Gap that a circle may have at start and stop, degrees; or two rows of it.
 const MISSING_DEG: f64 = 2.0;
 
 /// A mean radius further off than by any scale: µm per mm of radius.
@@ -202,7 +204,8 @@ fn plane_of(plane: String, traces: &[Trace]) -> Result<Ballbar, InputError> {
 /// A row: angle, radial error, sense of turning.
 type Row = (f64, f64, f64);
 
-/// Rows of each record that goes both ways; of all of one radius together, where none does.
+/// Rows of each record that goes both ways.
+/// If none does, of all records of one radius together.
 fn bidirectional(traces: &[Trace]) -> Vec<Vec<Row>> {
     let rows = |t: &Trace, centred: bool| -> Vec<Row> {
         let of = |(rows, turn): &(Range<usize>, f64)| {
@@ -271,7 +274,8 @@ fn range_about(points: &[(f64, f64)]) -> Option<f64> {
     Some(hi - lo)
 }
 
-/// Largest difference of both ways at one angle, over sectors of one degree (or wider, where rows are scarce).
+/// Largest difference of both ways at one angle, over sectors of a degree.
+/// Sectors are wider if rows are scarce.
 fn hysteresis(rows: &[Row]) -> Option<f64> {
     let count = (rows.len() / 4).clamp(36, 360);
     let mut sectors = vec![[(0.0, 0_u32); 2]; count];

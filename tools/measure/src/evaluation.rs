@@ -127,8 +127,7 @@ pub struct Evaluation {
     pub doubts: Vec<Suspicion>,
 }
 
-/// Evaluates runs as their standard defines it.
-/// What is to be said on the way goes to `say`.
+/// Evaluates runs as their standard defines it. Messages go to `say`.
 ///
 /// # Errors
 /// No record; a kind without a standard; what the standard needs and the records lack; a sensor that reads nonsense and
@@ -177,8 +176,8 @@ pub fn evaluate(
 }
 
 /// As [`evaluate`], of records on file.
-/// A drift test of more than [`MOST_ROWS`] rows in which no axis moves is gone through piece by piece: its figures are those of the whole,
-/// and mistakes are looked for in each piece by itself.
+/// A drift test of more than [`MOST_ROWS`] rows in which no axis moves is read piece by piece. Its figures are those of the whole; mistakes
+/// are looked for in each piece.
 ///
 /// # Errors
 /// As [`evaluate`], and as [`record::read`].
@@ -278,7 +277,8 @@ fn doubted(
     Evaluation { document, report, doubts }
 }
 
-/// Enters each single figure that is another one with all rows as `with_every_row`, and says the first few of them.
+/// Enters figures that differ with all rows as `with_every_row`.
+/// Reports the first few of them.
 fn with_every_row(document: &mut Value, all: &Value, report: &mut Report) {
     let (own, every) = (single_figures("", document), single_figures("", all));
     let differs = |(name, with): (String, f64)| {
@@ -319,7 +319,8 @@ fn digits(figure: f64) -> String {
     format!("{figure:.3}")
 }
 
-/// The numbers of a document by their place in it, as `x.A`, but for those in lists that are not named by their axis or response.
+/// The numbers of a document by their path, such as `x.A`.
+/// Lists that are not named by axis or response are left out.
 fn single_figures(place: &str, value: &Value) -> Vec<(String, f64)> {
     let under = |name: &str| if place.is_empty() { name.to_owned() } else { format!("{place}.{name}") };
     match value {
@@ -336,7 +337,7 @@ fn single_figures(place: &str, value: &Value) -> Vec<(String, f64)> {
     }
 }
 
-/// A sensor that reads nonsense would carry it into every figure by the reduction to 20 °C.
+/// Refuses a nonsensical sensor, which would spoil every figure reduced to 20 °C.
 fn reducible(conditions: &Conditions, doubts: &[Suspicion]) -> Result<(), InputError> {
     let bodies = [&conditions.scale, &conditions.workpiece].into_iter().flatten();
     let bodies = bodies.map(|body| (body.sensor.as_str(), "[thermal]", "reduced to 20 °C"));
@@ -565,7 +566,7 @@ mod tests {
         evaluate(&[record::read(path).unwrap()], &Asked::default(), &mut |_| ()).unwrap()
     }
 
-    /// Figures, phases, tables and plots of a test that is gone through piece by piece are those of the whole.
+    /// Reading piece by piece gives the same figures, phases, tables and plots.
     #[test]
     fn a_long_drift_is_evaluated_as_a_short_one() {
         let folder = tempfile::tempdir().unwrap();

@@ -10,8 +10,8 @@
 //! | `own` | a form of the user's own, from a file | |
 //! | `order` | what somebody orders, and what to know of it | |
 //!
-//! A controller takes the table's value between its points by a straight line, and beyond them as at the last one. What
-//! that leaves of the model is computed with the values as they are written, at places that fall into step with no period.
+//! A controller interpolates the table linearly and holds the end values beyond it. The residual of the model is computed with the values
+//! as written, at places that fall into step with no period.
 
 pub mod beckhoff;
 pub mod linuxcnc;
@@ -149,8 +149,8 @@ fn usage(found: impl Into<String>, expected: impl Into<String>) -> InputError {
     InputError::whole(Path::new("model export"), found, expected)
 }
 
-/// The model's errors of one axis, at rest at every place, approached from one side; what depends on speed, time and load
-/// stays out.
+/// The model's errors of one axis at rest, approached from one side.
+/// Parts that depend on speed, time and load are left out.
 #[derive(Debug)]
 pub struct Errors<'m> {
     machine: &'m Machine,
@@ -168,7 +168,7 @@ pub struct Errors<'m> {
 
 impl<'m> Errors<'m> {
     /// The axis' errors at these temperatures and places of the other axes.
-    /// Sensors that are not among them are at 20 °C, axes at 0 mm.
+    /// Sensors without a value are at 20 °C, axes at 0 mm.
     ///
     /// # Errors
     /// An axis that the model knows no error of, a sensor or another axis that it does not read or that is given twice, no
@@ -278,7 +278,8 @@ impl<'m> Errors<'m> {
         Ok(self)
     }
 
-    /// Whether an effect is in the table: of a cross table, what depends on the axis that it goes along.
+    /// Whether an effect is in the table.
+    /// A cross table holds what depends on the axis that it runs along.
     fn is_in_table(&self, effect: &Effect) -> bool {
         acts_on(effect, &self.axis)
             && (self.moving == 0 || effect.axes().contains(&self.layout.axes[self.moving]))
@@ -314,7 +315,8 @@ impl<'m> Errors<'m> {
         live.errors_um()[0]
     }
 
-    /// The sensors that the axis' errors are taken from, with the temperatures that the table holds at, °C: 20 where none was stated.
+    /// The sensors that the axis' errors use, with the table's temperatures, °C.
+    /// A sensor without a stated temperature is at 20 °C.
     ///
     /// # Errors
     /// As [`Errors::along`].
@@ -410,12 +412,12 @@ pub struct Table {
     pub constant_um: f64,
     /// What it leaves.
     pub left: Left,
-    /// What it leaves of what it stands for (the mean, where it has one value for both directions): what more points
-    /// could mend. Largest, µm.
+    /// Largest error between points, µm, which more points could reduce.
+    /// With one value for both directions, it is measured against their mean.
     pub between_um: f64,
 }
 
-/// What is left of the model over the travel where the controller applies the table, the constant left out.
+/// Residual of the model over the compensated travel, without the constant.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Left {
     /// Largest absolute value moving up, µm.
@@ -475,8 +477,8 @@ fn round_to(value: f64, resolution: f64) -> f64 {
 }
 
 impl Table {
-    /// The table that a format takes, with the step given or with the widest that keeps within the limit; where none does,
-    /// the one that is least off.
+    /// The table that a format takes, with the given step or the widest one allowed.
+    /// The limit decides; if no step keeps it, the table with the smallest error is used.
     ///
     /// # Errors
     /// A range or step that is none, more points than the format takes, a reference point outside the range, and what
@@ -667,7 +669,8 @@ impl Dense {
     }
 }
 
-/// Steps to try, from the widest on, so that the last point is the end of the travel: round ones that divide it, and parts of it.
+/// Steps to try, widest first, so that the last point is the end of the travel.
+/// Round steps that divide the travel, and fractions of it.
 fn steps(span_mm: f64, most: usize, position_mm: f64) -> Vec<f64> {
     let up = |step: f64| round_to((step / position_mm - 1e-6).ceil().max(1.0) * position_mm, position_mm);
     let mut steps = Vec::new();

@@ -29,7 +29,8 @@ const FAR_DAYS: f64 = 3650.0;
 /// Figures of positioning that are followed, with their meaning.
 const POSITIONING: [&str; 5] = ["A", "E", "M", "R", "B_mean"];
 
-/// Bounds of what a figure may be, either side of zero: by its whole name (`x.A`) or for every axis (`A`).
+/// Bounds of a figure, either side of zero.
+/// By its whole name (`x.A`) or for every axis (`A`).
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Limits(BTreeMap<String, f64>);
 
@@ -90,7 +91,8 @@ pub struct Point {
     pub record: String,
     /// The figure, in its unit.
     pub value: f64,
-    /// What it would be with every row, where rows of the record are in no figure and it would be another one.
+    /// The figure with every row, if it differs.
+    /// Set if rows of the record are left out of all figures.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub with_every_row: Option<f64>,
     #[serde(skip)]

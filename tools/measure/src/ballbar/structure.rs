@@ -1,9 +1,9 @@
-//! What the diagnosis has no law for: maps, bends and slow drift.
-//! It is fitted beside the laws, so that it does not pass for one of them, and widens the intervals of those that it could have moved.
+//! Structure that the diagnosis has no law for: maps, bends and slow drift.
+//! It is fitted beside the laws, so that no law absorbs it, and it widens the intervals that it could have moved.
 //!
-//! What depends on the place alone is the same both ways round: harmonics of the angle, common to both senses. Those of the
-//! third order and above are fitted; those below are centre, radius, scale and squareness themselves, and how much of them is
-//! not the law's own is told by the size of the orders just above.
+//! Structure that depends on the place alone is the same both ways: harmonics of the angle, common to both senses. Those of the third order
+//! and above are fitted. The lower ones are centre, radius, scale and squareness themselves. How much of those is not the law's own is
+//! estimated from the orders just above.
 
 use super::Trace;
 use nalgebra::{DMatrix, DVector};
@@ -36,10 +36,10 @@ pub(super) struct Structure {
     pub(super) taken: DMatrix<f64>,
 }
 
-/// How the orders that the laws take may be moved, µm², and how many values that was told from.
+/// How far structure may move the laws' orders, µm², from how many values.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Told {
-    /// Variance of the amplitude of an order that scale takes (cosines of even orders above).
+    /// Variance of the amplitude of a scale's order, µm², from even cosines above.
     pub(super) variance: [f64; 5],
     /// Number of values behind each.
     pub(super) freedom: [f64; 5],
@@ -73,8 +73,8 @@ impl Structure {
         Self { both_ways: both, columns, highest, rows, arc, taken }
     }
 
-    /// What is left, whitened, as a multiple of white noise's variance when it is summed over some rows on end: above one
-    /// where it hangs together in another way than the noise's memory has it.
+    /// Variance of summed whitened residuals, relative to white noise.
+    /// Above one the residual is correlated otherwise than the noise's memory says.
     pub(super) fn hangs_together(white: &DVector<f64>) -> f64 {
         let n = white.len();
         let own = white.norm_squared() / n.max(1) as f64;
@@ -105,7 +105,8 @@ impl Structure {
         (0..=100).map(|i| most * f64::from(i) / 100.0).find(|phi| expected(*phi) >= seen).unwrap_or(most)
     }
 
-    /// What the fitted amplitudes, with their variances, say of those that could not be fitted.
+    /// Estimates the variance of orders that could not be fitted.
+    /// From the fitted amplitudes and their variances.
     pub(super) fn told(&self, amplitude: &DVector<f64>, variance: &DVector<f64>) -> Option<Told> {
         if self.highest < TELLING[TELLING.len() - 1] {
             return None;
@@ -155,7 +156,7 @@ pub(super) fn drift(trace: &Trace, start: usize, n: usize) -> Vec<DVector<f64>> 
 
 /// A record that leaves out more of the circle than this is an arc.
 const MISSING_RAD: f64 = 0.2;
-/// Shapes of less than this share of the largest one's size are no shapes of their own on an arc.
+/// Least size of an independent shape on an arc, relative to the largest.
 const OF_ITS_OWN: f64 = 0.1;
 
 /// The widest angle without a row.
@@ -168,8 +169,8 @@ fn widest_gap(mut angles: Vec<f64>) -> f64 {
     angles.windows(2).map(|w| w[1] - w[0]).fold(round, f64::max)
 }
 
-/// What is left of harmonics on an arc beside what the laws take there, as shapes that are apart from each other, each as large as
-/// a harmonic of amplitude one.
+/// Independent shapes of harmonics on an arc, beside the laws' columns.
+/// Each is as large as a harmonic of amplitude one.
 fn apart(columns: DMatrix<f64>, taken: &DMatrix<f64>) -> DMatrix<f64> {
     if columns.ncols() == 0 {
         return columns;

@@ -8,7 +8,8 @@ use super::{Format, Lookup, Rules, Table, usage};
 use rtec_files::InputError;
 use std::fmt::Write as _;
 
-/// Points of builds before V3.1.3079.06, and of later ones unless P-COMP-00059 says otherwise.
+/// Most points in builds before V3.1.3079.06.
+/// Also in later builds unless P-COMP-00059 says otherwise.
 pub const MOST: usize = 1500;
 
 /// A compensation value list.
