@@ -1,5 +1,5 @@
-//! The test sequence that a machine is characterised with, after WO 97/43703 ("Geometric characterization … three
-//! phases", spindle cycles dry and wet): what to mount where, how to move, what to record.
+//! The test sequence that characterises a machine, after WO 97/43703.
+//! What to mount where, how to move and what to record ("Geometric characterization … three phases", spindle cycles dry and wet).
 
 use crate::iso230::{LONG_AXIS_MM, LONG_INTERVAL_MM, fewest_targets};
 use rtec_files::{InputError, Said};
@@ -47,7 +47,7 @@ const TEMPERATURES: &str = "every temperature sensor";
 /// Bars that are usual, longest first, mm.
 const BARS_MM: [f64; 3] = [150.0, 100.0, 50.0];
 
-/// What a person says of a machine, looked at.
+/// Checks a person's description of a machine.
 ///
 /// # Errors
 /// No axis, one a second time or of a name that is none, a travel, speed or bar that is no number above zero, a circle

@@ -1,9 +1,9 @@
 //! A plate of holes drilled by the machine and measured elsewhere.
 //! Offset, scale, rotation, and what is left.
 //!
-//! Two fits stand side by side. The plate's owners (SDSS plug plates) take offset, scale and rotation first, then a quadrupole out of what
-//! is left; their figures are comparable only so. On holes that do not fill a square or a disc the first fit takes a share of
-//! what belongs to the quadrupole; [`Joint`] fits everything linear at once and does not.
+//! There are two fits. The plate's owners (SDSS plug plates) fit offset, scale and rotation first, then a quadrupole to the residual; only
+//! so their figures are comparable. If the holes do not fill a square or a disc, the first fit takes part of the quadrupole. [`Joint`] fits
+//! all linear terms at once and does not.
 
 use crate::plot::Vectors;
 use rtec_files::InputError;
@@ -39,8 +39,8 @@ pub struct Plate {
     /// The same for the holes of each nominal diameter (mm), where the record has it.
     /// Drills differ.
     pub rms_um_by_diameter: BTreeMap<String, f64>,
-    /// Magnitude m of the quadrupole in what is left, mm per mm, as the plate's owners have it: a hole at r, θ about the origin of the
-    /// record's positions is shifted by r·m·cos 2(θ − φ) along its radius, and not across it.
+    /// Magnitude m of the residual's quadrupole, mm per mm, as its owners define it.
+    /// A hole at r, θ about the origin of the positions is shifted along its radius by r·m·cos 2(θ − φ), and not across it.
     pub quadrupole: f64,
     /// The same in ppm: longer by so much along φ, shorter by so much across.
     pub quadrupole_ppm: f64,

@@ -1,9 +1,8 @@
-//! Coarse steps.
-//! The step in which a gauge's readings are written, and the error that rounding to it leaves in a mean.
+//! The resolution of a gauge, and the rounding error that it leaves in a mean.
 //!
-//! Noise of more than half a step dithers the readings: their mean loses the rounding. Without it repeats read the same, and a
-//! mean of any number of them is off by up to half a step (Widrow, "A study of rough amplitude quantization", 1956: what is
-//! left of the step falls with exp(−2π²σ²/q²)).
+//! Noise of more than half a step dithers the readings, so their mean loses the rounding. Without it repeats read the same, and a mean of
+//! any number of them is off by up to half a step. The remaining error falls with exp(−2π²σ²/q²) (Widrow, "A study of rough amplitude
+//! quantization", 1956).
 
 use crate::iso230::targets;
 use rtec_files::text::short;

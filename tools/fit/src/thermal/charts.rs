@@ -6,8 +6,8 @@ use rtec_measure::plot::{Chart, Series, Style};
 use rtec_model::record::{Column, Record, Role};
 
 impl Report {
-    /// The patent's figure 17: γ and temperature range of every sensor. γ is a bar
-    /// upwards, the range a bar downwards, best to the right. In addition a dot shows γ of the lagged difference.
+    /// The patent's figure 17: γ and temperature range of every sensor.
+    /// Bars show γ upwards and the range downwards, best to the right. In addition a dot shows γ of the lagged difference.
     #[must_use]
     pub fn chart(&self) -> Chart {
         let kept = self.kept.iter().map(|k| (k.sensor.clone(), [k.gamma, k.gamma_lagged, k.range_k]));

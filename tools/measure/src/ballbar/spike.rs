@@ -9,8 +9,7 @@ use super::diagnosis::{Fit, Term};
 use nalgebra::{DMatrix, DVector};
 use rtec_model::record::Axis;
 
-/// Lengths at which heights are evaluated, between the level's shortest and
-/// longest.
+/// Number of lengths tried between the shortest and longest that the level allows.
 const LENGTHS: i32 = 24;
 /// Halvings that find an end of the lengths.
 /// They halve the way to the law's bound, and then the last step.

@@ -1,9 +1,9 @@
-//! The air in the path of a laser interferometer.
-//! Its refractive index, and what the length is off by where the instrument took another.
+//! The air in a laser interferometer's path.
+//! Its refractive index, and the length error if the instrument assumed another one.
 //!
-//! The index is Edlén's equation as Birch and Downs revised it (Metrologia 30, 1993, 155; 31, 1994, 315), with the water vapour's
-//! term by Stone and Zimmerman (NIST Engineering Metrology Toolbox, "Index of Refraction of Air", appendix A-IV), from −40 to 100 °C.
-//! The pressure of saturated vapour is that of IAPWS R7-97 over water, and of Wagner and others (1994) over ice (A-I there).
+//! The index is Edlén's equation as revised by Birch and Downs (Metrologia 30, 1993, 155; 31, 1994, 315), from −40 to 100 °C. The water
+//! vapour's term is by Stone and Zimmerman (NIST Engineering Metrology Toolbox, "Index of Refraction of Air", appendix A-IV). The pressure
+//! of saturated vapour is that of IAPWS R7-97 over water, and of Wagner and others (1994) over ice (A-I there).
 
 use super::lacks;
 use rtec_files::InputError;
@@ -152,7 +152,8 @@ impl Air {
         })
     }
 
-    /// What each error (µm, at these places) would be had the instrument known its air; and that in words.
+    /// Each error (µm) as if the instrument had known its air, and a message.
+    /// The errors are at the given places.
     pub(super) fn corrected(
         &self,
         record: &Record,

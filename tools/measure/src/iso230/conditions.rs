@@ -156,13 +156,14 @@ impl Conditions {
         Ok(found)
     }
 
-    /// Expanded uncertainties (k = 2) of a positioning test over this length with so many approaches from each side.
+    /// Expanded uncertainties (k = 2) of a positioning test.
+    /// Over this length, with this number of approaches from each side.
     #[must_use]
     pub fn uncertainty(&self, length_mm: f64, approaches: usize) -> Option<Uncertainty> {
         (!self.stated.is_empty()).then(|| Uncertainty::new(&self.stated, length_mm, approaches))
     }
 
-    /// What contributes to the figures of a circle of this radius, where anything is stated.
+    /// Uncertainty of the figures of a circle of this radius, if any is stated.
     #[must_use]
     pub fn circle_budget(&self, radius_mm: f64) -> Option<Budget> {
         self.budget(|key| key != NOT_OF_CIRCLES, Some(radius_mm))

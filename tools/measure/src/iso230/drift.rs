@@ -28,7 +28,7 @@ pub struct Drift {
     pub whole: Figures,
     /// Its phases, in order.
     pub phases: Vec<Phase>,
-    /// What instrument, set-up and room contribute to its figures in µm, where the conditions state it.
+    /// Uncertainty from instrument, set-up and room, µm, if the conditions state it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub uncertainty: Option<Budget>,
 }
@@ -36,7 +36,8 @@ pub struct Drift {
 /// What a displacement did over some time.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Figures {
-    /// Range of displacement within the first 60 minutes, d₆₀ (over the environment's phase: `E_TVE` of an hour).
+    /// Range of displacement within the first 60 minutes, d₆₀.
+    /// In the environment's phase: `E_TVE` of an hour.
     pub d_60: f64,
     /// Range of displacement over the whole time, `d_t`.
     pub d_t: f64,

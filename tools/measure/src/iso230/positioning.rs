@@ -18,7 +18,8 @@ mod change;
 use change::Change;
 pub use change::{Step, Trend};
 
-/// Axes longer than this are tested with one approach from each side and without s, mm (ISO 230-2:2014, 5.3.3).
+/// Axes longer than this, mm, have one approach from each side and no s.
+/// (ISO 230-2:2014, 5.3.3.)
 pub(crate) const LONG_AXIS_MM: f64 = 2000.0;
 /// Largest mean distance of targets on a long axis, mm.
 pub(crate) const LONG_INTERVAL_MM: f64 = 250.0;
@@ -88,7 +89,8 @@ pub struct Positioning {
     pub arcsec: Option<BTreeMap<String, Option<f64>>>,
     /// Expanded uncertainties, where the conditions state what they come from.
     pub uncertainty: Option<Uncertainty>,
-    /// What rounding leaves in the means, where the gauge reads in steps and most repeats read the same.
+    /// Error of the means from rounding in a coarse gauge.
+    /// Set if most repeats read the same.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub resolution: Option<Resolution>,
     /// The drift that the approaches show beyond chance.

@@ -148,8 +148,8 @@ fn as_aligned(record: &Record) -> Record {
     out
 }
 
-/// A temperature that goes from place to place by more than this in both records, K, and the other way round in one of them:
-/// correlated by less than this.
+/// A temperature must vary by more than this in both records, K.
+/// It is reversed in one of them if they correlate by less than this.
 const TURNS_K: f64 = 0.5;
 const TURNS: f64 = -0.5;
 
@@ -289,8 +289,9 @@ fn exchanged(a: &Record, b: &Record) -> Option<Vec<String>> {
     })
 }
 
-/// What the rest says in one record of a pair of sensors is found in the other record with the two exchanged, and not as they
-/// stand there: how many times as far off they are there. None where nothing is told of the two.
+/// How much better a pair of sensors fits another record when exchanged.
+/// The other sensors predict the pair from the first record. Returns the ratio of the errors as they stand to those exchanged; `None` if
+/// the pair cannot be predicted.
 fn crosses(a: &Record, b: &Record, (p, q): (&str, &str), rest: &[&str]) -> Option<f64> {
     let columns = (a.temperature(p), a.temperature(q), b.temperature(p), b.temperature(q));
     let (Some(ap), Some(aq), Some(bp), Some(bq)) = columns else { return None };

@@ -1,6 +1,5 @@
-//! Where a short peak is honest.
-//! At a turn, a change of coolant, speed, load or temperature, at a run's ends, in a state that stays; and the orders of the rows in which
-//! readings are held against their neighbours.
+//! Where a short peak is physical, and in which orders rows are neighbours.
+//! A peak is physical at a turn, at a change of coolant, speed, load or temperature, at a run's ends, and in a state that stays.
 
 use super::stats::{median, spread, steps};
 use rtec_model::record::{Column, Record, Role};
@@ -23,9 +22,9 @@ pub(super) fn ways(record: &Record, c: &Column) -> Vec<Vec<usize>> {
     [-1.0, 0.0, 1.0].map(of).into()
 }
 
-/// What each row has beyond the median of the three before, itself and the three after it in these orders (of fewer
-/// towards the ends, so that a trend leaves nothing there); and whether it stands alone, or in a group of up to [`GROUP`] rows
-/// that are as it is, far from what lies on either side: the edge of a step does not.
+/// Each row's deviation from the median of seven rows, and whether it is isolated.
+/// The seven are the row itself and three on each side, in these orders; towards the ends they are fewer, so that a trend leaves nothing. A
+/// row is isolated if it stands alone, or in a group of up to [`GROUP`] equal rows far from both sides. The edge of a step is not.
 pub(super) fn beside(v: &[f64], orders: &[Vec<usize>]) -> (Vec<f64>, Vec<bool>) {
     let (mut left, mut alone) = (vec![0.0; v.len()], vec![false; v.len()]);
     for order in orders {
@@ -46,7 +45,7 @@ pub(super) fn beside(v: &[f64], orders: &[Vec<usize>]) -> (Vec<f64>, Vec<bool>) 
     (left, alone)
 }
 
-/// So many bad readings may follow each other; of more the median of seven rows is one.
+/// Most consecutive bad readings; with more, the median of seven rows is bad.
 const GROUP: usize = 3;
 
 /// So many rows on end, one of them far off others, are a level and no single readings; and they lie this near, as a share of how

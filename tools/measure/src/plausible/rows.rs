@@ -61,8 +61,9 @@ const FEW_ROWS: f64 = 0.12;
 /// Probability above which so many rows on end may read the same by chance.
 const ALIKE_BY_CHANCE: f64 = 0.05;
 
-/// Rows on end that read the same to the last digit, far beyond all others of a gauge that seldom reads the same twice: what an
-/// instrument writes where it has no reading, as 9999. No state of a machine takes a gauge's noise away.
+/// Consecutive rows with one exact value far beyond all others, such as 9999.
+/// An instrument writes it if it has no reading. The gauge must seldom read the same twice, because no state of a machine removes a gauge's
+/// noise.
 fn one_reading(c: &Column) -> Vec<usize> {
     let v = &c.data;
     let usual = median(v.clone());

@@ -18,8 +18,8 @@ pub(super) fn finite(points: &[Point]) -> impl Iterator<Item = Point> {
     points.iter().copied().filter(|p| p.0.is_finite() && p.1.is_finite())
 }
 
-/// The points of a line that touches the same pixels: of those that follow one another in one column of pixels the first, the
-/// lowest, the highest and the last, in their order.
+/// A subset of a line's points that touches the same pixels.
+/// Of consecutive points in one column of pixels it keeps the first, lowest, highest and last.
 pub(super) fn line(points: &[Point], pixel: impl Fn(&Point) -> Pixel) -> Vec<Point> {
     if points.len() < MANY {
         return finite(points).collect();

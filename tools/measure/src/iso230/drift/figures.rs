@@ -1,4 +1,5 @@
-//! What a displacement did over some rows, in two looks at them: of the rows of a whole column, or of a file gone through twice.
+//! Figures of a displacement over some rows, in two passes.
+//! The rows are those of a column, or of a file that is read twice.
 
 use super::{Figures, SensorDrift};
 use std::collections::VecDeque;

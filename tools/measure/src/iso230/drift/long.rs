@@ -28,12 +28,13 @@ pub struct LongDrift {
     errors: Vec<Outline>,
     degc: Vec<Outline>,
     usual: Usual,
-    /// What its rows show of mistakes, and the rows that are in no figure for it, from 0.
+    /// Mistakes that its rows show, and rows left out of all figures, from 0.
     doubts: Vec<Suspicion>,
     left_out: BTreeSet<usize>,
 }
 
-/// How warm each sensor is in the first rows: beside that a code of its input shows as one.
+/// Each sensor's temperature in the first rows.
+/// Relative to it an input's error code is recognised.
 #[derive(Default)]
 struct Usual(Vec<f64>);
 
@@ -66,8 +67,8 @@ impl Usual {
 const UNUSUAL_K: f64 = 15.0;
 
 impl LongDrift {
-    /// Goes through a record of more than so many rows; `None` for a shorter one, and for one whose figures ask for all rows at
-    /// once: where an axis moves, the places that it was read at are found among all of them.
+    /// Reads a record of more than `more_than` rows; `None` for a shorter one.
+    /// Also `None` if an axis moves: its places are found among all rows at once.
     ///
     /// # Errors
     /// What [`crate::record::read`] finds.
@@ -105,7 +106,8 @@ impl LongDrift {
         Ok(head.map(|head| Self { path, pieces, head, rows, spans, errors, degc, usual, doubts, left_out }))
     }
 
-    /// Leaves the rows that these suspicions name out of all figures and plots, as [`crate::plausible::in_figures`] does. Goes through the file once.
+    /// Leaves the rows that these suspicions name out of all figures and plots.
+    /// As [`crate::plausible::in_figures`] does; it reads the file once.
     ///
     /// # Errors
     /// The file is no longer what it was.
@@ -202,7 +204,8 @@ impl LongDrift {
             .collect())
     }
 
-    /// Goes through the file: gives `each` its rows, so many at a time, and `see` each row's phase, response and values.
+    /// Reads the file.
+    /// `each` gets its rows in pieces, `see` each row's phase, response and values.
     fn walk(
         &mut self,
         rows_at_once: usize,
@@ -239,7 +242,8 @@ impl LongDrift {
         Ok(())
     }
 
-    /// What [`super::drift_charts`] draws, of fewer points that touch the same pixels, but for some at the edge between two.
+    /// The charts of [`super::drift_charts`] from fewer points.
+    /// They touch the same pixels, except for some at the edge between two.
     #[must_use]
     pub fn charts(&self) -> Vec<Chart> {
         let start_s = self.spans.first().map_or(0.0, |s| s.start_s);

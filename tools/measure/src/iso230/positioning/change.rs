@@ -185,9 +185,9 @@ impl Repeats {
 }
 
 impl Run<'_> {
-    /// The drift or step of all approaches in common, and R, B and the mean of B without it; says it where chance gives so much in
-    /// less than one of a hundred runs. It is taken off row by row: within a cycle, too, the approaches downwards come later than
-    /// those upwards.
+    /// The common drift or step of all approaches; R, B and mean B without it.
+    /// It is reported if chance gives as much in less than one of a hundred runs. It is removed row by row, because within a cycle the
+    /// downward approaches come later than the upward ones.
     pub(super) fn change(&mut self, with: [Option<f64>; 3], unit: &str) -> Option<Change> {
         let n = self.error.len();
         let rows: Vec<f64> = (0..n).map(|row| row as f64).collect();
