@@ -166,10 +166,10 @@ impl<R: Read> Reader<R> {
         Ok(Some(row))
     }
 
-    /// The numbers of the next row where it is as many as `row` has places, and nothing else but fields that `skip` says are no
-    /// matter: what [`Reader::row`] and [`Cell::finite`] would say, with less work, because each byte is looked at once. Nothing
-    /// is taken yet: [`Reader::take`] does. `None`, and anything in `row`, where there may be more to it: a quote, a comment,
-    /// blanks, a mistake, or the end of what the buffer holds.
+    /// Fast path: the numbers of the next row, if it has as many cells as `row`.
+    /// Fields that `skip` marks do not matter. The result equals that of [`Reader::row`] and [`Cell::finite`], with less work, because each
+    /// byte is looked at once. Nothing is consumed: [`Reader::take`] does that. `None`, with anything in `row`, if the row needs the
+    /// careful reader: a quote, a comment, blanks, a mistake, or the end of what the buffer holds.
     #[inline]
     #[must_use]
     pub fn plain_row(&self, row: &mut [f64], skip: impl Fn(usize) -> bool) -> Option<PlainRow> {
@@ -201,7 +201,8 @@ impl<R: Read> Reader<R> {
         }
     }
 
-    /// Goes on behind a row that [`Reader::plain_row`] has just found; gives it as it stands, ASCII.
+    /// Consumes the row that [`Reader::plain_row`] has just found.
+    /// Returns its text, which is ASCII.
     #[inline]
     pub fn take(&mut self, row: PlainRow) -> &[u8] {
         self.beyond.others += 1;
@@ -227,7 +228,8 @@ impl<R: Read> Reader<R> {
         self.header_with(expected, &[])
     }
 
-    /// As [`Reader::header_by_any`]; of several separators in the row, the one that gives all of `names`.
+    /// As [`Reader::header_by_any`], with the separator that gives all `names`.
+    /// It chooses among several separators in the row.
     ///
     /// # Errors
     /// As [`Reader::header_by_any`].
@@ -259,7 +261,8 @@ impl<R: Read> Reader<R> {
         Ok(self.begin(&first, &by, names))
     }
 
-    /// As [`Reader::header_with`], for columns that somebody called by names or by numbers from 1; see [`Reader::or_numbers`].
+    /// As [`Reader::header_with`], for columns given by name or number from 1.
+    /// See [`Reader::or_numbers`].
     ///
     /// # Errors
     /// As [`Reader::header_by_any`].
@@ -290,7 +293,8 @@ impl<R: Read> Reader<R> {
         })
     }
 
-    /// Takes the columns' names from the first line: of several separators the first that gives all of `names`, or else the first.
+    /// Takes the columns' names from the first line.
+    /// Of several separators it uses the first that gives all `names`, otherwise the first.
     fn begin(&mut self, first: &FirstLine, by: &[u8], names: &[&str]) -> Header {
         let width = |by: u8| width_of_rows(self.lines.unread(), by);
         let cut = |by: u8| content(first.whole.as_bytes(), by, width(by)).len();
@@ -310,7 +314,8 @@ impl<R: Read> Reader<R> {
         header
     }
 
-    /// The first row, which must be these names; `otherwise` says what else may be done.
+    /// Reads the first row, which must be these names.
+    /// `otherwise` says what else the user may do.
     ///
     /// # Errors
     /// It is not.
@@ -465,7 +470,8 @@ fn comment_at(line: &[u8], by: u8, width: Option<usize>) -> Option<usize> {
     None
 }
 
-/// Whether a comment has as many cells as a row, a word in the first and a number in another: `#1;2,5;3`, `#1;D1;2,5`.
+/// Whether a comment looks like a row: `#1;2,5;3`, `#1;D1;2,5`.
+/// It has as many cells, a word in the first and a number in another.
 fn looks_like_a_row(line: &[u8], by: u8, width: Option<usize>) -> bool {
     let Some(text) = line.trim_ascii().strip_prefix(b"#").and_then(|text| std::str::from_utf8(text).ok())
     else {
@@ -485,7 +491,7 @@ fn width_of_rows(ahead: &[u8], by: u8) -> Option<usize> {
     Some(1 + outside_quotes(row).filter(|(_, byte)| *byte == by).count())
 }
 
-/// The bytes of a line, with their places, that stand behind an even number of quotes.
+/// The bytes of a line outside quotes, with their positions.
 fn outside_quotes(line: &[u8]) -> impl Iterator<Item = (usize, u8)> {
     let mut inside = false;
     line.iter().copied().enumerate().filter(move |(_, byte)| {
@@ -538,7 +544,8 @@ impl<'a> Row<'a> {
             && outside_quotes(self.text.as_bytes()).filter(|(_, byte)| *byte == self.by).count() >= width
     }
 
-    /// A row of more fields than there are columns, as one of decimal commas between commas is: numbers all, none with a point.
+    /// Whether a row has too many fields because of decimal commas.
+    /// All fields are then numbers without a point.
     #[must_use]
     pub fn has_decimal_commas(&self, columns: usize) -> bool {
         let cells: Vec<&str> = self.text.split(',').map(str::trim).collect();
@@ -584,7 +591,8 @@ pub struct Cells<'a> {
 }
 
 impl<'a> Cells<'a> {
-    /// The cell that begins at a byte, by the `csv` crate's parser; `None` where its quote is not closed.
+    /// The cell that begins at a byte, by the `csv` crate's parser.
+    /// `None` if its quote is not closed.
     #[cold]
     fn quoted_cell(&mut self, start: usize) -> Option<Cow<'a, str>> {
         self.next = None;
@@ -776,13 +784,13 @@ impl Header {
         }
     }
 
-    /// The columns called by their numbers, from 1, where the first row is one of values.
+    /// Numbers the columns from 1, for a first row that holds values.
     fn numbered(&self) -> Self {
         let names = (1..=self.names.len()).map(|n| (n.to_string(), 1)).collect();
         Self { names, ..self.clone() }
     }
 
-    /// Where a column is that is called by its name or, where no column has that name, by its number from 1.
+    /// Index of a column by its name, or else by its number from 1.
     ///
     /// # Errors
     /// As [`Header::place`].
@@ -853,7 +861,8 @@ impl Header {
         }
     }
 
-    /// That blanks part the columns, where nothing else does and one of these names is there by itself then.
+    /// Finds that only blanks separate the columns.
+    /// One of these names must then be there by itself.
     fn blanks_part<'n>(&self, names: impl IntoIterator<Item = &'n str>) -> Option<&'static str> {
         let mut words =
             names.into_iter().flat_map(|name| self.text.split_ascii_whitespace().map(move |w| w == name));

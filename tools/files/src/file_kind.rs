@@ -1,7 +1,7 @@
-//! What a file says that it is, for the message where another kind was asked for.
+//! Recognises a file's kind, for messages if another kind was expected.
 //!
-//! Each kind is known by what only it begins with or holds: a magic number, the first words of an exchange format, the
-//! tables of a TOML file, the names of a CSV's columns.
+//! A kind is recognised by what only it begins with or holds: a magic number, the first words of an exchange format, the tables of a TOML
+//! file, or the names of a CSV's columns.
 
 use crate::input::InputError;
 use std::path::Path;
@@ -60,7 +60,7 @@ pub enum FileKind {
     Picture,
     /// A program for a machine's controller.
     Program,
-    /// A compensation table that another controller loads: `$AA_ENC_COMP`, `$AN_CEC`, `kw.ssfk`.
+    /// A controller's compensation table: `$AA_ENC_COMP`, `$AN_CEC`, `kw.ssfk`.
     ControllerTable,
 }
 
@@ -272,7 +272,7 @@ impl FileKind {
         InputError::whole(path, other.name(), self.expected())
     }
 
-    /// The finding of a reader of `self`: that it is a file of another kind, where it is one.
+    /// The finding of a reader of `self` that the file is of another kind.
     #[must_use]
     pub fn finding(self, path: &Path, text: &str, finding: InputError) -> InputError {
         match Self::of(text) {
@@ -283,8 +283,8 @@ impl FileKind {
         }
     }
 
-    /// The finding of a reader of another format than these: that the text is a file of a known kind, where it is one. `own` is
-    /// the reader's own kind, where it is one of these.
+    /// The finding of another format's reader that the text is of a known kind.
+    /// `own` is the reader's own kind, if it is one of these.
     #[must_use]
     pub fn instead_of(own: Option<Self>, text: &str, finding: InputError) -> InputError {
         match Self::of(text).filter(|kind| Some(*kind) != own && *kind != Self::Table) {

@@ -187,8 +187,8 @@ impl Folder {
         Ok(())
     }
 
-    /// Gives a file or folder another name, in this folder or in another one; what has that name stays, and is an error of kind
-    /// `AlreadyExists`.
+    /// Renames a file or folder, within this folder or into another.
+    /// An existing target stays, and is an error of kind `AlreadyExists`.
     ///
     /// # Errors
     /// What the file system reports.

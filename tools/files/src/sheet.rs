@@ -93,7 +93,8 @@ fn record_beside(file: &Path) -> Option<String> {
 }
 
 impl Sheet {
-    /// Read a file whose columns are all in `known`, or match `also` (say, temperature columns).
+    /// Reads a file whose columns are all in `known`, or match `also`.
+    /// `also` is for temperature columns, say.
     ///
     /// # Errors
     /// Unreadable, no regular file, no header, unknown or repeated column, a row that is too short or too long, a file of
@@ -183,7 +184,8 @@ impl Sheet {
         &self.file
     }
 
-    /// How the file is written where it is not as formats.md has it: UTF-16, another separator, decimal commas.
+    /// How the file's format differs from formats.md.
+    /// UTF-16, another separator or decimal commas.
     #[must_use]
     pub fn written(&self) -> Option<String> {
         self.marks.written(&self.file)

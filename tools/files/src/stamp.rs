@@ -12,7 +12,7 @@ pub const VERSION: &str = env!("CARGO_PKG_VERSION");
 /// The format of run records, machine models and verdicts that is written and read.
 pub const FORMAT: u32 = 1;
 
-/// Who wrote it: `rtec 0.1.0`; of a release with its commit, `rtec 0.1.0 (c7e189b)`.
+/// Who wrote it: `rtec 0.1.0`. A release adds its commit: `rtec 0.1.0 (c7e189b)`.
 #[must_use]
 pub fn by() -> String {
     match option_env!("RTEC_COMMIT") {

@@ -34,8 +34,7 @@ use std::collections::BTreeMap;
 
 /// Largest scatter of a measured position at one target, as a share of travel.
 const ALIKE: f64 = 1e-4;
-/// Least ratio of distances between targets to those within one, for larger
-/// scatter.
+/// For larger scatter: least ratio of distances between targets to those within.
 const APART: f64 = 10.0;
 
 /// A place of a run, with the errors read there by side of approach.

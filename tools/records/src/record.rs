@@ -1,4 +1,5 @@
-//! Run records on file: `NAME.run.toml` beside a CSV (formats.md, "Run record"), read strictly and written whole.
+//! Run records on file: `NAME.run.toml` beside a CSV.
+//! They are read strictly and written whole (formats.md, "Run record").
 
 use rtec_files::csv::{self, Reader, Style};
 use rtec_files::stamp;
@@ -55,7 +56,7 @@ pub fn read_log(path: &Path) -> Result<Record, InputError> {
     of_parts(path, sidecar, &csv_path, file, bytes)
 }
 
-/// Reads a log from the text of its sidecar and what stands in its CSV; `path` is the sidecar's.
+/// Reads a log from its sidecar's text and its CSV; `path` is the sidecar's.
 ///
 /// # Errors
 /// As [`read_log`].
@@ -81,7 +82,8 @@ pub fn csv_name(path: &Path, sidecar: &str) -> Result<String, InputError> {
     }
 }
 
-/// A record on file, gone through piece by piece: of any number of rows, in the memory of a few.
+/// A record on file, read piece by piece.
+/// It may have any number of rows, and needs the memory of a few.
 pub struct Pieces {
     path: PathBuf,
     sidecar: Sidecar,
@@ -233,7 +235,8 @@ impl<R: Read> Read for Hashed<R> {
     }
 }
 
-/// The CSV's own rows (unlisted columns too) with further columns at the end, as CSV text.
+/// The CSV's own rows with further columns at the end, as CSV text.
+/// Unlisted columns are kept.
 ///
 /// # Errors
 /// The CSV can no longer be read, or its number of rows has changed since.
@@ -366,7 +369,8 @@ pub fn can_be_written(record: &Record) -> Result<(), InputError> {
     Ok(())
 }
 
-/// Writes `NAME.run.toml` (at [`Record::path`]) and its CSV, each whole or not at all; sets the hash.
+/// Writes `NAME.run.toml` and its CSV, each whole or not at all; sets the hash.
+/// The sidecar goes to [`Record::path`].
 ///
 /// # Errors
 /// The directory cannot be written.
@@ -471,7 +475,7 @@ impl<R: Read> Rows<R> {
         std::mem::replace(&mut self.columns, empty)
     }
 
-    /// Enters the next row into the columns and gives `kept` its text; `false` at the end.
+    /// Enters the next row into the columns; `false` at the end. `kept` gets its text.
     #[inline]
     fn next(&mut self, kept: impl FnOnce(&[u8])) -> Result<bool, InputError> {
         if self.marks.is_none()
@@ -559,7 +563,7 @@ impl<R: Read> Rows<R> {
     }
 }
 
-/// Where in the sidecar something stood, for findings that show only when the CSV is read.
+/// Positions in the sidecar, for findings that show only when the CSV is read.
 #[derive(Debug, Clone)]
 struct Place(InputError);
 

@@ -1,9 +1,9 @@
-//! Finished records on their way to the shop.
-//! A spool folder that they wait in, and the store that they are sent to.
+//! Sends finished records to the shop's store.
+//! They wait in a spool folder until they are there.
 //!
-//! A record is sent as `inbox/MACHINE/DIGEST/NAME.run.toml` with its CSV beside it; the digest is of both, so that the same record
-//! has the same place however often it is sent. The sidecar goes last: where it stands, the record is whole. Only what was read back
-//! from the store as it was sent leaves the spool, for `sent/` below it.
+//! A record is sent as `inbox/MACHINE/DIGEST/NAME.run.toml` with its CSV beside it. The digest is of both, so a record has the same place
+//! however often it is sent. The sidecar is sent last: if it is there, the record is complete. A record moves to `sent/` below the spool
+//! only after it was read back from the store unchanged.
 
 use rtec_files::InputError;
 use rtec_files::folder::Folder as Open;
@@ -20,8 +20,8 @@ const DIGITS: usize = 16;
 pub const LONGEST_SIDECAR: u64 = 64 << 10;
 /// Nothing longer is sent, bytes.
 const LONGEST_SENT: u64 = 1 << 30;
-/// Folders of records that are being put into the spool, and of those that are being put aside. Killed in between, the next one
-/// who comes finishes what was begun.
+/// Prefix of folders of records that are being put into the spool or put aside.
+/// If the program is killed in between, the next one finishes the work.
 const PUTTING: &str = ".rtec-put-";
 const SENDING: &str = ".rtec-sent-";
 
@@ -91,7 +91,7 @@ pub struct Round {
 }
 
 impl Round {
-    /// What is printed of it: the places, and how many; or one JSON document, in a line.
+    /// The printed result: the places and their number, or one line of JSON.
     #[must_use]
     pub fn text(&self, json: bool) -> String {
         if json {
@@ -429,7 +429,8 @@ pub fn ship(spool: &Path, store: &dyn Store, machine: &str) -> Result<Round, Shi
     Ok(round)
 }
 
-/// Puts a sent record where the sent ones are, from the folder that its sidecar was moved to first.
+/// Moves a sent record to the sent ones.
+/// Its sidecar is in the folder `sending` already.
 fn aside(folder: &Open, sending: &Open, digits: &str) -> io::Result<()> {
     let names = sending.names()?;
     // Killed between the two: the CSV that the sidecar names still lies in the spool, and no other record names it.
