@@ -1,5 +1,5 @@
-//! The columns of all hypotheses that have a fixed place, and what they explain of a residual: a quick look that decides nothing, but
-//! only what is looked at exactly.
+//! The columns of all hypotheses that have a fixed place, for a quick look.
+//! It estimates what each column explains of a residual. It decides nothing: it only selects what is looked at exactly.
 
 use crate::factor::{Factor, add};
 use crate::rows::{Noise, Rows};
@@ -10,14 +10,15 @@ use std::ops::Range;
 pub struct Bank {
     n: usize,
     raw: Vec<Vec<f64>>,
-    /// Whitened, one after the other; in single precision, which is enough to see what is worth an exact look.
+    /// Whitened, one after the other.
+    /// In single precision, which is enough to see what is worth an exact look.
     white: Vec<f32>,
-    /// Columns of each group, and where its products begin.
+    /// Range of columns of each group, and the index at which its products begin.
     groups: Vec<(Range<usize>, usize)>,
     count: usize,
 }
 
-/// What columns explain of what a factor leaves.
+/// What the columns explain of a factor's residual.
 #[derive(Debug, Clone)]
 pub struct Look {
     /// Products with the residual.
@@ -27,13 +28,13 @@ pub struct Look {
 }
 
 impl Bank {
-    /// No columns of so many rows.
+    /// An empty bank for columns of `n` rows.
     #[must_use]
     pub fn new(n: usize) -> Self {
         Self { n, ..Self::default() }
     }
 
-    /// Adds a group; its number.
+    /// Adds a group and returns its number.
     pub fn push(&mut self, columns: Vec<Vec<f64>>) -> usize {
         let from = self.raw.len();
         self.raw.extend(columns);
@@ -62,7 +63,7 @@ impl Bank {
         }
     }
 
-    /// The first look, beside a factor.
+    /// The first look: products of the columns with a factor's residual.
     #[must_use]
     pub fn look(&self, factor: &Factor) -> Look {
         let along = self.shares(factor.residual());
@@ -99,7 +100,8 @@ impl Bank {
         self.white.chunks_exact(self.n).map(|c| f64::from(single::dot(c, &column))).collect()
     }
 
-    /// Products of some columns with others, that lie one after the other: row by row.
+    /// Products of a range of columns with others, row by row.
+    /// The others are stored one after the other.
     fn products(&self, columns: Range<usize>, others: &[f32], k: usize) -> Vec<f64> {
         let (m, n) = (columns.len(), self.n);
         if m == 0 || k == 0 || n == 0 {
@@ -130,8 +132,8 @@ impl Bank {
         out.into_iter().map(f64::from).collect()
     }
 
-    /// The look beside further orthonormal columns: `shares` are the bank's products with each, `along` theirs with the residual
-    /// before them.
+    /// Updates the look after further orthonormal columns were added.
+    /// `shares` are the bank's products with each, `along` their products with the residual before them.
     pub fn after(&self, look: &mut Look, shares: &[Vec<f64>], along: &[f64]) {
         for (shares, along) in shares.iter().zip(along) {
             add(&mut look.along, -along, shares);
@@ -139,7 +141,7 @@ impl Bank {
         self.take(look, shares);
     }
 
-    /// Takes orthonormal columns out of the products among the bank's.
+    /// Removes orthonormal columns from the products among the bank's columns.
     fn take(&self, look: &mut Look, shares: &[Vec<f64>]) {
         for share in shares {
             for (columns, at) in &self.groups {
@@ -159,7 +161,7 @@ mod single {
     pub(super) fn dot(a: &[f32], b: &[f32]) -> f32 {
         #[cfg(target_arch = "x86_64")]
         if std::arch::is_x86_feature_detected!("avx2") && std::arch::is_x86_feature_detected!("fma") {
-            // SAFETY: the processor has both.
+            // SAFETY: the processor has AVX2 and FMA.
             return unsafe { wide(a, b) };
         }
         sum(a, b)

@@ -1,4 +1,5 @@
-//! What a hypothesis puts into the rows: an effect of the dictionary with its non-linear parameters set, or a shape of no name.
+//! What a hypothesis adds to the rows.
+//! It is an effect of the dictionary with its non-linear parameters set, or a shape without a name.
 
 use crate::factor::dot;
 use crate::priors::{CONTRIBUTION, OF_MOST, REFERENCE_K};
@@ -13,14 +14,15 @@ use std::sync::Arc;
 pub struct Shape {
     /// The response it is seen in.
     pub response: String,
-    /// What it runs along: roles, as in `where`.
+    /// The variables it depends on: roles, as in `where`.
     pub against: Vec<String>,
     /// In words: smooth, periodic, differs by direction, …
     pub manner: String,
 }
 
 impl Shape {
-    /// What an effect looks like that is given no name; none where it acts on nothing that was measured.
+    /// The shape that describes an effect without a name.
+    /// `None` if the effect acts on nothing that was measured.
     #[must_use]
     pub fn like(rows: &Rows<'_>, effect: &Effect, manner: &str) -> Option<Self> {
         let acts = rows.records.iter().find_map(|r| effect.acts_on(r).into_iter().next())?;
@@ -40,7 +42,8 @@ impl Shape {
 /// What a hypothesis puts into the rows.
 #[derive(Debug, Clone)]
 pub enum Cause {
-    /// An effect: its first `free` coefficients, and whether its reference temperature is free too.
+    /// An effect.
+    /// Its first `free` coefficients, and whether its reference temperature is free too.
     Effect {
         /// With its non-linear parameters set.
         effect: Effect,
@@ -56,7 +59,7 @@ pub enum Cause {
         /// Heights of each direction at one standard deviation.
         directions: Arc<Vec<Vec<f64>>>,
     },
-    /// No effect of the dictionary: its columns at one standard deviation.
+    /// A shape without a name: its columns at one standard deviation.
     Shape(Arc<(Shape, Vec<Vec<f64>>)>),
 }
 
@@ -81,8 +84,8 @@ impl Cause {
         }
     }
 
-    /// The columns, each at one standard deviation of its coefficient for a typical size; behind those of the coefficients what the
-    /// effect does where nobody told its place.
+    /// The columns, each at one standard deviation for a typical size.
+    /// After the coefficients' columns come those of what the effect does where the record does not state its place.
     #[must_use]
     pub fn columns(&self, rows: &Rows<'_>) -> Vec<Vec<f64>> {
         match self {
@@ -137,7 +140,8 @@ impl Cause {
         }
     }
 
-    /// Coefficients of the law that are not free: number, what one standard deviation of each is, column of one unit.
+    /// The law's coefficients that are not free.
+    /// For each: its number, its standard deviation in its own unit, and the column of one unit.
     #[must_use]
     pub fn left_out(&self, rows: &Rows<'_>) -> Vec<(usize, f64, Vec<f64>)> {
         let Self::Effect { effect, free, .. } = self else { return Vec::new() };
@@ -148,7 +152,8 @@ impl Cause {
         all.skip(*free).map(|(k, (size, column))| (k, size, column)).collect()
     }
 
-    /// The effect that coefficients (in standard deviations of the columns above) stand for; none for a shape.
+    /// The effect that these coefficients describe; `None` for a shape.
+    /// The coefficients are in standard deviations of the columns above.
     #[must_use]
     pub fn solved(&self, rows: &Rows<'_>, beta: &[f64]) -> Option<Effect> {
         match self {
@@ -202,13 +207,14 @@ impl Cause {
     }
 }
 
-/// Prior sizes of an effect's coefficients, in their own units; zero where only the data give a scale (a channel).
+/// Prior sizes of an effect's coefficients, in their own units.
+/// Zero where only the data give a scale (a channel).
 #[must_use]
 pub fn sizes(effect: &Effect) -> Vec<f64> {
     let law = effect.description();
     let k = effect.coefficient_count();
     if let Some(i) = law.place(Search::Amplitude) {
-        // What is bounded by its period is typically a share of it.
+        // An amplitude that the period bounds is typically a share of the period.
         let by_period = law.searched.wave.and_then(|w| Some(w.most_periods? * w.unit_mm * 1e3));
         let size = by_period.map_or(law.parameters[i].prior_size(), |most| OF_MOST * most * effect.scalar(0));
         return vec![size; k];
@@ -221,7 +227,7 @@ pub fn sizes(effect: &Effect) -> Vec<f64> {
     linear.flat_map(|p| vec![of(p); if p.array { effect.width() } else { 1 }]).take(k).collect()
 }
 
-/// A spike says nothing of the first reading behind a turn that nobody described.
+/// Zeroes a spike's columns at readings after turns that the record does not state.
 fn without_untold_turns(rows: &Rows<'_>, effect: &Effect, columns: &mut [Vec<f64>]) {
     let Some(axis) = effect.axes().first() else { return };
     for s in &rows.segments {
@@ -235,7 +241,8 @@ fn without_untold_turns(rows: &Rows<'_>, effect: &Effect, columns: &mut [Vec<f64
     }
 }
 
-/// Turns a constant beside a law of ΔT into a reference temperature: c₁x + c₀ = c₁(x − d).
+/// Turns a constant beside a law of ΔT into a reference temperature.
+/// The identity is c₁x + c₀ = c₁(x − d).
 fn refer(effect: &mut Effect, c1: f64, c0: f64) {
     let d = -c0 / c1;
     if d.is_finite()

@@ -1,4 +1,4 @@
-//! Noise and search in turn; then names, values and intervals.
+//! Alternates noise and search until both settle; then names, values and intervals.
 
 use crate::cause::{Cause, Shape};
 use crate::effort::{
@@ -49,17 +49,17 @@ pub struct Found {
     pub replaces: Option<usize>,
     /// Half widths of its 95 % intervals, value by value.
     pub half: Vec<f64>,
-    /// Values that were left at what they are.
+    /// Values that were not estimated.
     pub held: Vec<usize>,
     /// Log odds of the set with it against the set without it.
     pub evidence: f64,
-    /// What the name holds of its place, 0 to 1, among all that could stand there.
+    /// Posterior share of the name among all candidates for its place, 0 to 1.
     pub name_mass: f64,
-    /// What this mode holds of its name.
+    /// Posterior share of this mode within its name.
     pub mode_mass: f64,
-    /// What shapes without a name hold of its place.
+    /// Posterior share of shapes without a name for its place.
     pub shape_mass: f64,
-    /// For a step in time: from when to when it holds 95 %.
+    /// For a step in time: the 95 % interval of its moment.
     pub moments: Option<[f64; 2]>,
     /// What else it might be, likeliest first.
     pub rivals: Vec<Rival>,
@@ -70,7 +70,7 @@ pub struct Found {
 pub struct Moved {
     /// Its place in the model.
     pub place: usize,
-    /// As the rows have it.
+    /// The effect as estimated from the rows.
     pub after: Effect,
     /// Half widths of its 95 % intervals, value by value.
     pub half: Vec<f64>,
@@ -98,7 +98,8 @@ pub struct SetUp {
 pub struct Tried {
     /// Name, with its sensors.
     pub label: String,
-    /// Log odds against what was accepted in its place; what is far below was looked at quickly alone.
+    /// Log odds against what was accepted in its place.
+    /// Names far below the best were only looked at quickly.
     pub odds: f64,
     /// Whether it is in the answer.
     pub accepted: bool,
@@ -117,17 +118,18 @@ pub struct Estimate {
     pub set_up: Vec<SetUp>,
     /// The noise.
     pub noise: Noise,
-    /// What is left, whitened.
+    /// The whitened residual.
     pub residual: Vec<f64>,
-    /// log p(y, S), but for a constant of the rows.
+    /// log p(y, S), up to a constant of the rows.
     pub score: f64,
     /// Names that were tried.
     pub tried: Vec<Tried>,
-    /// The likeliest set, to start from beside other records.
+    /// The members of the likeliest set, as a start for the analysis of other records.
     pub members: Vec<Member>,
 }
 
-/// What the records support beside a model; `intervals`: half widths that the model states, effect by effect and value by value.
+/// Estimates what the records support beside a model.
+/// `intervals` are the half widths that the model states, effect by effect and value by value.
 #[must_use]
 pub fn estimate(
     records: &[Record],
@@ -142,7 +144,7 @@ pub fn estimate(
     let mut families = Families::new(&rows, dictionary, model);
     let noise = problem.first_noise();
     let (mut found, mut left) = settle(&problem, &mut families, noise.clone(), None, model);
-    // What is slow is noise that remembers, or an effect: both are followed, and the likelier one is kept.
+    // A slow signal is autocorrelated noise or an effect. Both are followed, and the likelier one is kept.
     if let Some(other) = noise.without_memory().filter(|_| !left.is_empty()) {
         let (second, members) = settle(&problem, &mut families, other, None, model);
         if second.score > found.score {
@@ -152,7 +154,7 @@ pub fn estimate(
     let wanders = wanders(&problem, &found.noise, &found.residual);
     if !wanders.is_empty() {
         if found.found.iter().any(|f| f.effect.is_some()) {
-            // What a walk explains no name has to.
+            // A name need not explain what a walk already explains.
             for w in &wanders {
                 problem.terms.extend(wander::terms(&rows, w));
             }
@@ -168,8 +170,8 @@ pub fn estimate(
     found
 }
 
-/// Log evidence of the likeliest account of the records that is reached from the members of another one. It is given up where it is far
-/// below `enough`.
+/// Log evidence of the best explanation of the records, from given members.
+/// The search gives up far below `enough`.
 #[must_use]
 pub fn score(
     records: &[Record],
@@ -195,7 +197,8 @@ pub fn score(
     best
 }
 
-/// Search and noise in turn until neither changes; the estimate then, and its members.
+/// Alternates search and noise until neither changes.
+/// Returns the estimate and its members.
 fn settle(
     problem: &Problem<'_>,
     families: &mut Families,
@@ -213,7 +216,8 @@ fn settle(
     )
 }
 
-/// The same; `goes_on` says after each round whether to; `then` is asked once they have settled.
+/// As `settle`, with callbacks.
+/// After each round `goes_on` says whether to continue; `then` is called once both have settled.
 fn settled<T>(
     problem: &Problem<'_>,
     families: &mut Families,
@@ -250,7 +254,7 @@ fn settled<T>(
                 && (renewed.phi[j] - noise.phi[j]).abs() < SETTLED.1
         });
         if settled && round + 1 < ROUNDS && !exchanged {
-            // Once, when the noise is known: exchanges take longest.
+            // Only once, when the noise is known, because exchanges take longest.
             exchanged = true;
             let other = search.exchanged(&set);
             if other.score > set.score + 0.05 {
@@ -273,7 +277,8 @@ fn with_own_noise(search: &Search<'_>, set: &Set) -> (f64, Noise) {
     under(search.problem, &set.members, search.problem.renewed(&search.base.noise, &set.factor))
 }
 
-/// Log evidence of members under the noise that they leave, and that noise, from a first guess of it.
+/// Log evidence of members under the noise that they leave, and that noise.
+/// It starts from a first guess of the noise.
 fn under(problem: &Problem<'_>, members: &[Member], mut noise: Noise) -> (f64, Noise) {
     let mut total = f64::NEG_INFINITY;
     for _ in 0..NOISE_STEPS {
@@ -299,7 +304,8 @@ fn under(problem: &Problem<'_>, members: &[Member], mut noise: Noise) -> (f64, N
     (total, noise)
 }
 
-/// What shows only once it is no longer taken for noise: sets with one member more, each under the noise that it leaves.
+/// Finds members that the noise model has absorbed.
+/// Returns a set with one member more, under the noise that it leaves.
 fn under_own_noise(search: &Search<'_>, set: &Set) -> Option<(Set, Noise)> {
     let look = search.look_at(set);
     let seeds = search.seeds(set, &look, false);
@@ -386,10 +392,11 @@ fn answer(search: &Search<'_>, set: &Set, model: &[Effect]) -> Estimate {
     }
 }
 
-/// Something that could stand in a place: family, label, effect, log mass.
+/// A candidate for a place: family, label, effect, log mass.
 type Stand = (usize, String, Option<Effect>, f64);
 
-/// Adds the maps that are alike at these rows, each as likely as its prior has it beside the member's.
+/// Adds the maps that are equivalent at these rows.
+/// Each gets the mass of its prior relative to the member's.
 fn add_alike_maps(search: &Search<'_>, set: &Set, member: usize, all: &mut Vec<Stand>) {
     let families = &search.families.list;
     for seed in search.maps_alike(&search.of_last(set, member)) {
@@ -476,7 +483,7 @@ fn place(search: &Search<'_>, set: &Set, member: usize) -> Place {
             margin,
         });
     }
-    // What is far below was looked at quickly alone.
+    // Seeds far below the best were only looked at quickly.
     for seed in &seeds[far..] {
         let name = seed.cause.effect().map_or_else(|| families[seed.family].label(), label);
         all_tried.push(tried(&name, seed.score - evidence, false));
@@ -502,7 +509,7 @@ fn place(search: &Search<'_>, set: &Set, member: usize) -> Place {
     Place { found, tried: all_tried, nothing: evidence < 0.0 }
 }
 
-/// From when to when a step in time holds 95 %: over the rows' moments.
+/// The 95 % interval of a step's moment, over the moments of the rows.
 fn moments(search: &Search<'_>, without: &Set, own: &Member) -> Option<[f64; 2]> {
     use rtec_model::effect::Extent as _;
     let effect = own.cause.effect()?;
@@ -578,7 +585,8 @@ struct Solved {
     at: usize,
     width: usize,
     bent: Vec<Bent>,
-    /// Coefficients that the rows did not call for: number, place among the columns, what one standard deviation is.
+    /// Coefficients that the rows did not require.
+    /// For each: number, place among the columns, and its standard deviation in its own unit.
     left_out: Vec<(usize, usize, f64)>,
 }
 
@@ -595,11 +603,12 @@ struct Bent {
     value: usize,
     /// What one standard deviation of it is.
     sd: f64,
-    /// Another value that moves with it, and by how much per unit: a wave's phase, so that it stays where it is amid the places.
+    /// Another value that moves with it, and by how much per unit.
+    /// A wave's phase moves with its period, so that the wave stays where it is amid the places.
     with: Option<(usize, f64)>,
 }
 
-/// Values that the last fit moves beside the linear ones, and how far each may be off.
+/// Non-linear values that the last fit moves, with their standard deviations.
 fn bent(search: &Search<'_>, family: usize, effect: &Effect) -> Vec<Bent> {
     let family = &search.families.list[family];
     if family.replaces.is_some() || effect.width() > 1 || matches!(family.scan, Scan::Beside { .. }) {
@@ -707,7 +716,7 @@ impl<'s, 'p> Last<'s, 'p> {
         }
         let beta = factor.solve();
         let left = factor.left();
-        // Beside what may be there too, and what all rows of one reading share, values are less certain.
+        // Values are less certain beside possible further effects, and where all rows of one reading share an error.
         for m in &mut members {
             for (k, size, mut c) in m.cause.left_out(rows) {
                 let sd = size * m.level;
@@ -732,7 +741,7 @@ impl<'s, 'p> Last<'s, 'p> {
         dot(&self.inverse[i], &self.inverse[j])
     }
 
-    /// How far these coefficients are from zero together, in standard deviations, squared.
+    /// Squared distance of these coefficients from zero, in standard deviations.
     fn distance(&self, coefficients: &[usize]) -> f64 {
         let mut axes: Vec<(Vec<f64>, f64)> = Vec::new();
         for i in coefficients {
@@ -808,7 +817,7 @@ impl<'s, 'p> Last<'s, 'p> {
                 *h = HALF_WIDTH * variance.max(0.0).sqrt();
             }
             if let Some(p) = effect.description().place(How::Phase) {
-                // More than half a turn to either side is no angle.
+                // An interval of an angle is at most half a turn to either side.
                 half[p] = half[p].min(std::f64::consts::PI);
             }
             if let (Some([from, to]), Some(p)) =
@@ -822,7 +831,7 @@ impl<'s, 'p> Last<'s, 'p> {
         }
     }
 
-    /// A wave beside another has the other's period, and its interval.
+    /// Gives a wave that accompanies another the other's period and its interval.
     fn tie_periods(found: &mut [Found]) {
         for i in 0..found.len() {
             let Some(effect) = found[i].effect.clone() else { continue };
@@ -886,7 +895,7 @@ impl<'s, 'p> Last<'s, 'p> {
             .collect()
     }
 
-    /// Jumps at pauses, that were looked for as hypotheses are.
+    /// Jumps at pauses, which are searched as hypotheses are.
     fn jumps(&self, search: &Search<'_>, found: &[Found]) -> Vec<SetUp> {
         let terms = setup::jumps(search.problem.rows);
         let of = |(m, f): (&Solved, &Found)| {
@@ -956,7 +965,7 @@ impl Found {
         }
     }
 
-    /// Whether it has a size: an interval of one of its sizes that does not hold zero.
+    /// Whether its size is known: an interval of one of its sizes excludes zero.
     #[must_use]
     pub fn has_size(&self) -> bool {
         let Some(effect) = &self.effect else { return true };
@@ -970,7 +979,8 @@ impl Found {
 }
 
 impl Estimate {
-    /// Whether rows remember each other for longer than noise may: they lie closer together than the noise forgets.
+    /// Whether rows are correlated for longer than the noise model allows.
+    /// The rows are then closer together than the noise forgets.
     #[must_use]
     pub fn remembers(&self) -> bool {
         self.noise.phi.iter().any(|phi| *phi >= MOST_PHI) && {
@@ -981,7 +991,7 @@ impl Estimate {
     }
 }
 
-/// What a model leaves of each row of a record, response by response, set-up included.
+/// Residuals of a record beside a model, set-up included, response by response.
 #[must_use]
 pub fn unexplained(record: &Record, model: &[Effect]) -> Vec<f64> {
     let rows = Rows::new(std::slice::from_ref(record));
@@ -992,7 +1002,8 @@ pub fn unexplained(record: &Record, model: &[Effect]) -> Vec<f64> {
     left
 }
 
-/// Log evidence of one record beside a model with nothing missing, and the size of the noise that it leaves per response.
+/// Log evidence of one record beside a model that lacks nothing.
+/// Also returns the size of the residual noise per response.
 #[must_use]
 pub fn alone(
     record: &Record,
@@ -1003,7 +1014,7 @@ pub fn alone(
     let records = std::slice::from_ref(record);
     let rows = Rows::new(records);
     let mut problem = Problem::new(&rows, model, intervals).in_units(units);
-    // Beside others it may lie turned.
+    // Relative to other records the plate may be turned.
     problem.terms.extend(setup::turns(&rows));
     let mut noise = problem.first_noise();
     let mut total = f64::NEG_INFINITY;

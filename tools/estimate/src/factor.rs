@@ -1,18 +1,19 @@
-//! The one least-squares core: orthogonal factors of columns under Gaussian priors, grown column by column.
+//! The one least-squares core.
+//! Orthogonal factors of columns under Gaussian priors, grown column by column.
 //!
-//! Columns come scaled by the standard deviation of their coefficients, so that each coefficient has a prior of unit size. The
-//! prior is a row below the data: [X; I] = Q R with orthonormal Q, by Gram–Schmidt applied twice where once leaves little (which is as
-//! stable as Householder's reflections; Giraud, Langou, Rozložník 2005). No Gram matrix of the data is formed.
+//! Columns are scaled by the standard deviation of their coefficients, so that each coefficient has a prior of unit size. The prior is a
+//! row below the data: [X; I] = Q R with orthonormal Q. Gram–Schmidt is applied twice where the first pass leaves little; that is as stable
+//! as Householder's reflections (Giraud, Langou, Rozložník 2005). The Gram matrix of the data is never formed.
 
 use std::ops::Range;
 use std::rc::Rc;
 
-/// Orthogonal factors of a growing set of columns, and what they leave of a response.
+/// Orthogonal factors of a growing set of columns, and the residual of a response.
 #[derive(Debug, Clone)]
 pub struct Factor {
     /// Upper parts (data rows) of the orthonormal columns.
     upper: Vec<Rc<[f64]>>,
-    /// Rows in which each of them is: a set-up term is its record's alone.
+    /// Rows in which each is non-zero: a set-up term acts on its own record only.
     within: Vec<Range<usize>>,
     /// Lower parts (prior rows): column k has k + 1 entries.
     lower: Vec<Vec<f64>>,
@@ -22,7 +23,7 @@ pub struct Factor {
     along: Vec<f64>,
     /// What is left of the response: C⁻¹y, C = I + `XXᵀ`.
     residual: Vec<f64>,
-    /// The same of the prior rows.
+    /// The residual in the prior rows.
     pulled: Vec<f64>,
     /// yᵀC⁻¹y.
     left: f64,
@@ -59,7 +60,8 @@ pub fn add(a: &mut [f64], k: f64, b: &[f64]) {
     a.iter_mut().zip(b).for_each(|(a, b)| *a += k * b);
 }
 
-/// The same for processors with wide registers, in their own words: what the compiler makes of a generic loop depends on what it inlines.
+/// The same with explicit AVX2 instructions.
+/// For a generic loop the compiler's code would depend on what it inlines.
 #[cfg(target_arch = "x86_64")]
 mod wide {
     use std::arch::x86_64::{
@@ -150,7 +152,7 @@ impl Factor {
         self.shares_after(Vec::new(), column)
     }
 
-    /// The same, where those of the first columns are known.
+    /// As `products`, if those with the first columns are known.
     #[must_use]
     pub fn shares_after(&self, mut first: Vec<f64>, column: &[f64]) -> Vec<f64> {
         let of = |(q, within): (&Rc<[f64]>, &Range<usize>)| dot(&q[within.clone()], &column[within.clone()]);
@@ -159,7 +161,7 @@ impl Factor {
         first
     }
 
-    /// What these columns leave of another one.
+    /// The residual of another column after projection on these.
     #[must_use]
     pub fn beside(&self, column: &[f64]) -> Vec<f64> {
         let mut out = column.to_vec();
@@ -169,13 +171,14 @@ impl Factor {
         out
     }
 
-    /// Columns of R: what each column that was pushed has of the orthonormal ones.
+    /// Columns of R: products of each pushed column with the orthonormal ones.
     #[must_use]
     pub fn triangle(&self) -> &[Vec<f64>] {
         &self.triangle
     }
 
-    /// Products of the orthonormal columns with what the ones before them left of the response.
+    /// Products of the orthonormal columns with the response.
+    /// Each is taken after the columns before it.
     #[must_use]
     pub fn along(&self) -> &[f64] {
         &self.along
@@ -199,7 +202,8 @@ impl Factor {
         self.half_log_det
     }
 
-    /// Number of coefficients that the data determine, each by how much narrower than its prior it is.
+    /// Effective number of coefficients that the data determine.
+    /// Each counts by how much narrower it is than its prior.
     #[must_use]
     pub fn freedom(&self) -> f64 {
         let inverse = self.inverse();
@@ -216,7 +220,7 @@ impl Factor {
         let mut r = vec![0.0; k + 1];
         let whole = dot(&up, &up) + 1.0;
         for pass in 0..2 {
-            // Once is enough where little was taken out (Daniel, Gragg, Kaufman, Stewart 1976).
+            // One pass is enough if little was removed (Daniel, Gragg, Kaufman, Stewart 1976).
             if pass == 1 && dot(&up, &up) + dot(&low, &low) > 0.5 * whole {
                 break;
             }
@@ -319,7 +323,7 @@ mod tests {
     use super::*;
     use nalgebra::{DMatrix, DVector};
 
-    /// Against the normal equations of another library, where these are good enough.
+    /// Compares with the normal equations of another library, well-conditioned.
     #[test]
     fn agrees_with_ridge_regression() {
         let n = 40;
@@ -359,7 +363,7 @@ mod tests {
         assert!(first.solve().iter().zip(two.solve()).all(|(a, b)| (a - b).abs() < 1e-9));
     }
 
-    /// Columns that are nearly the same leave nothing undefined.
+    /// Nearly equal columns give finite results.
     #[test]
     fn survives_equal_columns() {
         let y: Vec<f64> = (0..30).map(f64::from).collect();

@@ -1,5 +1,5 @@
-//! What may be missing: every effect of the dictionary that the rows could show, and the shapes without a name; each a family of
-//! hypotheses over its non-linear parameters.
+//! What a model may lack: effects of the dictionary, and shapes without a name.
+//! Each is a family of hypotheses over its non-linear parameters. Effects that the rows cannot show are left out.
 
 use crate::bank::Bank;
 use crate::cause::{Cause, Shape, sizes};
@@ -18,13 +18,13 @@ use std::sync::Arc;
 /// One name, or one shape.
 #[derive(Debug)]
 pub struct Family {
-    /// What it is about: an effect without its sensor and values, or none for a shape.
+    /// An effect without its sensor and values; `None` for a shape.
     pub effect: Option<Effect>,
     /// A known effect of the model that was replaced: its place in the model.
     pub replaces: Option<usize>,
     /// The shape, where it is one.
     pub shape: Option<Shape>,
-    /// It is an instrument's, and never reported as missing.
+    /// It belongs to the instrument and is never reported as missing.
     pub set_up: bool,
     /// Log prior of the name.
     pub prior: f64,
@@ -37,14 +37,16 @@ pub struct Family {
 pub enum Scan {
     /// A group of columns for each point of a grid, with its log weight.
     Grid(Vec<(usize, f64, Cause)>),
-    /// Temperatures: for each time constant a group with a column for each sensor, alone or against another.
+    /// Temperatures.
+    /// For each time constant a group with a column for each sensor, alone or against another.
     Sensors {
         /// The sensors' names.
         sensors: Vec<String>,
         /// Group, log weight of the time constant, effect.
         points: Vec<(usize, f64, Effect)>,
     },
-    /// A wave beside others, with their periods: law of the others, and the periods that the model has.
+    /// A wave beside others, with their periods.
+    /// Law of the others, and the periods that the model has.
     Beside {
         /// The law.
         law: &'static str,
@@ -53,7 +55,7 @@ pub enum Scan {
     },
     /// A wave of any period.
     Wave {
-        /// Along what.
+        /// The variable it runs along.
         along: Along,
         /// Unit of the period in that of the variable.
         unit: f64,
@@ -99,7 +101,7 @@ pub struct Families {
 }
 
 impl Families {
-    /// What these rows could show beside a model.
+    /// All families that these rows could show beside a model.
     #[must_use]
     pub fn new(rows: &Rows<'_>, dictionary: &Dictionary, model: &[Effect]) -> Self {
         let mut all = Self { list: Vec::new(), bank: Bank::new(rows.n) };
@@ -165,7 +167,7 @@ impl Families {
         });
     }
 
-    /// A known effect of the model that is no longer what it was.
+    /// Adds a family for a known effect of the model that has changed.
     fn replaced(&mut self, rows: &Rows<'_>, place: usize, effect: &Effect) {
         let free = effect.coefficient_count();
         if free > 4 {
@@ -193,7 +195,7 @@ impl Families {
         let effect = own[0];
         let law = effect.description();
         if law.constant && law.quantity == Quantity::Error {
-            // Every gauge has a zero of its own: no constant is the machine's.
+            // Every gauge has its own zero, so a constant cannot be attributed to the machine.
             return;
         }
         let known = |e: &Effect| {
@@ -305,7 +307,8 @@ impl Families {
         }
     }
 
-    /// What repeats in time has no name, nor what repeats along an axis of which nobody said where the circle stands on it.
+    /// Adds waves without a name.
+    /// They run over time, or along an axis on which the circle's place is unknown.
     fn unnamed_waves(&mut self, rows: &Rows<'_>) {
         let in_time = |r: &Record| Some((r.time_s().to_vec(), vec![1.0; r.rows()]));
         for j in 0..rows.responses.len() {
@@ -330,7 +333,8 @@ impl Families {
         }
     }
 
-    /// A wave without a name in one response: places of a record's rows, and the share of the wave that each shows.
+    /// A wave without a name in one response.
+    /// Places of a record's rows, and the share of the wave that each shows.
     fn unnamed_wave(
         &mut self,
         rows: &Rows<'_>,
@@ -356,7 +360,7 @@ impl Families {
         self.list.push(Family::unnamed(shape, Scan::Wave { along, unit: 1.0 }));
     }
 
-    /// Log share of each of so many sensors alone, and of each pair.
+    /// Log prior share of each of `n` sensors alone, and of each pair.
     #[must_use]
     pub fn sensor_weights(sensors: usize) -> [f64; 2] {
         let n = sensors as f64;
@@ -370,7 +374,8 @@ impl Families {
 /// Places of a record's rows, and the share of a wave that each shows.
 type Shown = (Vec<f64>, Vec<f64>);
 
-/// Log prior of a time constant: none is shorter than a part of a machine takes, and few are longer.
+/// Log prior penalty of a time constant outside the plausible range.
+/// No part of a machine is faster, and few are slower.
 fn implausible(effect: &Effect) -> f64 {
     let of = |(i, p): (usize, &rtec_model::effect::Parameter)| {
         let [shortest, longest] = p.plausible;
@@ -396,20 +401,20 @@ fn step_of(along: &[(usize, f64, f64)]) -> Option<f64> {
 /// A map on the places that were measured at, long and short waves of it.
 fn maps(rows: &Rows<'_>, effect: &Effect) -> Vec<(f64, Cause)> {
     use rtec_model::effect::Extent as _;
-    // The axis that its knots lie on: the last of its name.
+    // The axis of its knots is the last of its name.
     let Some(axis) = effect.axes().last() else { return Vec::new() };
     let mut knots = knots(&rows.places_mm(axis), KNOTS);
     let k = knots.len();
     if k < 4 {
         return Vec::new();
     }
-    // Places close to each other are one, but nothing lies beyond the last knots: a map is constant there, and no bow is.
+    // Places close together are merged. The end knots keep the extreme places, since a map is constant beyond them.
     let of = |record: &Record| record.data(&Role::Position(axis.clone())).map(<[f64]>::to_vec);
     for p in rows.records.iter().filter(|r| r.knows_places()).filter_map(of).flatten() {
         (knots[0], knots[k - 1]) = (knots[0].min(p), knots[k - 1].max(p));
     }
     let range = knots[k - 1] - knots[0];
-    // Constant and straight line over the rows are other effects'.
+    // The constant and the straight line over the rows belong to other effects.
     let mut without = vec![vec![0.0; k]; 2];
     for s in &rows.segments {
         let record = rows.record(s);

@@ -1,7 +1,7 @@
-//! What measured records support: which effects a machine's model lacks, which parameters, within which intervals.
+//! What measured records support: missing effects, parameters and their intervals.
 //!
 //! y = M(θ) + Z(η) + H(β, ψ) + e: the machine as its model has it, the set-up of each instrument, hypotheses, noise. One likelihood
-//! decides; everything that an answer depends on stands in [`priors`].
+//! decides. Every number that an answer depends on is in [`priors`].
 //!
 //! | module | what |
 //! |---|---|

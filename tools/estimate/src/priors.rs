@@ -1,113 +1,133 @@
-//! Every number that an answer depends on. The typical size of each effect is in the dictionary, with the effect.
+//! Every number that an answer depends on.
+//! The typical size of each effect is in the dictionary, with the effect.
 //!
 //! Sources: *contract* (formats.md), *physics* (the sentence beside it), *calibration* (`rtec-blind --class null --count 1000`:
 //! the largest value at which at most one clean case in a hundred is given a name).
 
-/// Amplitudes of the model are this share off, one standard deviation (contract).
+/// Standard deviation of the model's amplitudes, as a share of each (contract).
 pub const KNOWN_SHARE: f64 = 0.1;
-/// Probability that a known amplitude is off by any share at all: another machine's file, a part that was changed (calibration). It is
-/// then of the size that this effect has on any machine.
+/// Probability that a known amplitude is off by any share at all.
+/// Another machine's file, or a part that was changed (calibration). The amplitude then has the typical size of this effect on any machine.
 pub const KNOWN_REPLACED: f64 = 0.01;
 
 /// A gauge's zero, µm, one standard deviation (physics: a dial's travel is 1 mm).
 pub const ZERO_UM: f64 = 300.0;
-/// Centre of a ballbar's or a ring's circle, µm (physics: set by hand on a magnetic cup).
+/// Centre of a ballbar's or a ring's circle, µm, one standard deviation.
+/// (Physics: set by hand on a magnetic cup.)
 pub const CENTRE_UM: f64 = 50.0;
-/// How far a plate lies turned on the table, µrad, one standard deviation (physics: aligned by hand within 0.05 mm over 0.5 m).
+/// Rotation of a plate on the table, µrad, one standard deviation.
+/// (Physics: aligned by hand within 0.05 mm over 0.5 m.)
 pub const TURN_URAD: f64 = 100.0;
-/// How far from the axes' zero a circle may stand whose centre nobody told, mm, one standard deviation (physics: axes of 0.5 m).
+/// Unknown centre of a circle, mm from the axes' zero, one standard deviation.
+/// (Physics: axes of 0.5 m.)
 pub const PLACE_MM: f64 = 250.0;
-/// Travel of a measured axis, mm, in the middle, and by what factor it is off (physics: axes of 0.1 to 3 m; signal periods are
-/// measured over some mm). It tells mm from inches and metres.
+/// Typical travel of a measured axis, mm, and the factor of its spread.
+/// (Physics: axes of 0.1 to 3 m; signal periods are measured over some mm.) It tells mm from inches and metres.
 pub const TRAVEL_MM: [f64; 2] = [500.0, 3.0];
-/// Straight line in time of a laser's or gauge's reading, µm/h (physics: 1 K of air is 1 µm/m).
+/// Linear drift of a laser's or gauge's reading, µm/h.
+/// (Physics: 1 K of air is 1 µm/m.)
 pub const LINE_UM_PER_H: f64 = 1.0;
-/// It keeps its direction for so many hours (physics: a shift, a heating, the sun).
+/// Hours for which the drift keeps its direction.
+/// (Physics: a shift, a heating, the sun.)
 pub const LINE_HOURS: f64 = 3.0;
-/// What air and stand do beside that line, µm, and for how long they remember, s (physics: half a metre of air that is 0.3 K warmer for
-/// ten minutes).
+/// Wander of air and stand beside the drift, µm; [`AIR_S`] is its memory.
+/// (Physics: half a metre of air that is 0.3 K warmer for ten minutes.)
 pub const AIR_UM: f64 = 0.15;
-/// See [`AIR_UM`].
+/// Memory of [`AIR_UM`], s.
 pub const AIR_S: f64 = 600.0;
-/// A jump at a pause, µm, and its probability (physics: somebody touched the stand).
+/// A jump at a pause, µm (physics: somebody touched the stand).
 pub const JUMP_UM: f64 = 3.0;
-/// See [`JUMP_UM`].
+/// Probability of a jump at a pause (physics: as for [`JUMP_UM`]).
 pub const JUMP_PROBABILITY: f64 = 0.02;
-/// A gap in time of so many usual steps is a pause.
+/// A gap in time of this many usual steps is a pause.
 pub const PAUSE_STEPS: f64 = 8.0;
 
-/// Levels of an amplitude, in typical sizes, and their prior weights: a heavy tail in four steps (calibration).
+/// Levels of an amplitude, in typical sizes, and their prior weights.
+/// A heavy tail in four steps (calibration).
 pub const LEVELS: [(f64, f64); 4] = [(1.0 / 3.0, 0.25), (1.0, 0.4), (3.0, 0.25), (10.0, 0.1)];
-/// Size of a coefficient that nothing pulls towards zero, in typical sizes: the largest level, ten times.
+/// Size of a coefficient without shrinkage, in typical sizes.
+/// Ten times the largest level.
 pub const WIDE: f64 = 10.0 * LEVELS[LEVELS.len() - 1].0;
 /// Price of one more effect, nats, beside the choice of its name (calibration).
 pub const PRICE: f64 = 3.0;
-/// Prior share of effects with a name; shapes without one have the rest (calibration).
+/// Prior share of effects with a name; the rest is for shapes (calibration).
 pub const NAMED_SHARE: f64 = 0.75;
-/// Prior share of pairs among temperature differences (physics: growth follows one source, or a source against its surroundings).
+/// Prior share of pairs among temperature differences.
+/// (Physics: growth follows one source, or a source against its surroundings.)
 pub const PAIR_SHARE: f64 = 0.5;
 /// Price of the same law again on the same axis, nats (calibration).
 pub const AGAIN: f64 = 2.0;
-/// Prior share of usual periods (leads, gratings) among all periods (physics: catalogues).
+/// Prior share of usual periods among all periods.
+/// (Physics: catalogues of leads and gratings.)
 pub const USUAL_SHARE: f64 = 0.5;
-/// A usual period is met within this share (physics: 40 K of steel and a tenth of a millimetre per metre of lead error).
+/// A usual period is met within this share.
+/// (Physics: 40 K of steel and a tenth of a millimetre per metre of lead error.)
 pub const USUAL_WITHIN: f64 = 1e-3;
-/// What a wave within the signal period is of the largest that its scale still counts with (physics: 1 to 2 % of the period, of 25 %).
+/// Typical wave within the signal period, as a share of the largest one.
+/// The largest is what the scale can still count with. (Physics: 1 to 2 % of the period, of 25 %.)
 pub const OF_MOST: f64 = 0.06;
-/// Prior probability that growth is bent, that is, has a square of ΔT (physics: spindles bend by some per cent).
+/// Prior probability that growth has a square of ΔT.
+/// (Physics: spindles bend by some per cent.)
 pub const BENT_SHARE: f64 = 0.25;
-/// Price of a time constant beyond the dictionary's plausible range, nats (physics: parts of a machine take minutes to hours).
+/// Price of a time constant beyond the dictionary's plausible range, nats.
+/// (Physics: parts of a machine take minutes to hours.)
 pub const IMPLAUSIBLE: f64 = 3.0;
-/// Size of a channel's or a shape's contribution, µm or N (physics: what a machine leaves is some µm).
+/// Size of a channel's or a shape's contribution, µm or N.
+/// (Physics: what a machine leaves is some µm.)
 pub const CONTRIBUTION: f64 = 3.0;
 
-/// Correlation lengths of maps and smooth shapes, in shares of the range (physics: guideways bend over their length, screws and
-/// scales over a tenth of it).
+/// Correlation lengths of maps and smooth shapes, in shares of the range.
+/// (Physics: guideways bend over their length, screws and scales over a tenth of it.)
 pub const LENGTHS: [f64; 2] = [0.3, 0.1];
-/// Most knots of a smooth function. How sharp a map may be decides (calibration: with 80 of them, and a rank of 2e-4, three of 482
-/// blind cases were answered otherwise).
+/// Most knots of a smooth function. The sharpness of a map decides answers.
+/// (Calibration: with 80 knots and a rank of 2e-4, three of 482 blind cases were answered otherwise.)
 pub const KNOTS: usize = 40;
-/// Directions of a smooth function with less than this share of the largest variance are left out.
+/// Least variance of a smooth function's direction, as a share of the largest.
+/// Directions below are left out.
 pub const SMOOTH_RANK: f64 = 1e-3;
 
-/// Size of what a reading scatters by, µm (forces: N), in the middle, and by what factor it is off, one standard deviation (physics: from
-/// a laser on a quiet axis to a dial on a worn one). It tells a unit error from noise of a metre.
+/// Typical scatter of a reading, µm (forces: N), and the factor of its spread.
+/// The factor is one standard deviation. (Physics: from a laser on a quiet axis to a dial on a worn one.) It tells a unit error from noise
+/// of a metre.
 pub const NOISE: [f64; 2] = [0.5, 5.0];
-/// Noise of one response is alike from record to record as if they shared so many rows: its size differs by some 60 % (physics: another
-/// day, another operator, air that is quiet or not).
+/// How alike one response's noise is from record to record, as shared rows.
+/// Two shared rows let its size differ by some 60 %. (Physics: another day, another operator, air that is quiet or not.)
 pub const ALIKE_ROWS: f64 = 2.0;
-/// Largest autocorrelation from row to row that is noise (contract).
+/// Largest autocorrelation from row to row that counts as noise (contract).
 pub const MOST_PHI: f64 = 0.7;
 /// Degrees of freedom of the noise's tails (physics: a gauge's rare knocks).
 pub const TAIL_FREEDOM: f64 = 5.0;
-/// They begin so many standard deviations off (physics: of a hundred readings one is further).
+/// The noise's tails begin at this many standard deviations.
+/// (Physics: of a hundred readings one is further.)
 pub const TAIL_FROM: f64 = 2.5;
 
 /// How far a reference temperature may be from 20 °C, K, one standard deviation.
 pub const REFERENCE_K: f64 = 2.0;
 /// Periods of one mode differ by less than this share.
 pub const SAME_PERIOD: f64 = 0.02;
-/// A period is known to this share, one standard deviation (contract: as given, in the digits that people write).
+/// A period is known to this share, one standard deviation.
+/// (Contract: as given, in the digits that people write.)
 pub const PERIOD_SHARE: f64 = 1e-4;
-/// Shapes that it is one of (a prior of even odds among kinds).
+/// Number of shapes that a walk is one of (even odds among kinds).
 pub const WALK_KINDS: f64 = 30.0;
-/// Two waves look the same at places that show so much of the power of their difference as if it were none (physics: what is left of
-/// one beside the other is a tenth of its size).
+/// Two waves look the same if they share this much of their power.
+/// (Physics: what is left of one beside the other is a tenth of its size.)
 pub const ALIKE: f64 = 0.99;
-/// A name or a mode must hold so much of its place.
+/// Least posterior share of its place that a name or a mode must hold.
 pub const HELD: f64 = 0.95;
-/// Something is missing where it holds more than this.
+/// Something is missing if the posterior share is above this.
 pub const THERE: f64 = 0.5;
 /// A rival within these odds is listed, nats (1 to 20).
 pub const LISTED: f64 = 3.0;
-/// A known effect is corrected whose parameters chance takes so far with less than this probability (contract: "beyond chance").
+/// A known effect is corrected if chance is less probable than this.
+/// (Contract: "beyond chance".)
 pub const CHANCE: f64 = 1e-4;
 /// Half width of a 95 % interval in standard errors.
 pub const HALF_WIDTH: f64 = 1.96;
 
 #[cfg(test)]
 mod tests {
-    /// Numbers that decide stand here, and they stay few.
+    /// All numbers that decide are in this file, and there are few of them.
     #[test]
     fn constants_are_few_and_each_says_what_it_is() {
         let text = include_str!("priors.rs");
@@ -121,7 +141,8 @@ mod tests {
         assert!((20..=44).contains(&n), "{n} constants");
     }
 
-    /// No number has a name elsewhere: what decides is here, what bounds work in `effort.rs`.
+    /// No number has a name elsewhere.
+    /// What decides is here, what bounds work in `effort.rs`.
     #[test]
     fn no_other_file_has_a_constant() {
         let sources = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("src");

@@ -1,4 +1,5 @@
-//! The measurement model y = M(θ) + Z(η) + H(β, ψ) + e, linear in all but ψ: what is beside every hypothesis.
+//! The measurement model y = M(θ) + Z(η) + H(β, ψ) + e, linear in all but ψ.
+//! This module holds everything but the hypotheses.
 
 use crate::effort::{OUT_OF_STEP, ROUNDING_STEPS};
 use crate::factor::{Factor, add, dot};
@@ -8,7 +9,7 @@ use crate::setup::{self, Term};
 use rtec_model::effect::{Effect, Refine, Search};
 use statrs::distribution::{ChiSquared, ContinuousCDF as _};
 
-/// A way in which a known effect may be a little off.
+/// A direction in which a known effect may deviate a little.
 #[derive(Debug, Clone)]
 pub struct Known {
     /// Its place in the model.
@@ -19,7 +20,8 @@ pub struct Known {
     pub column: Vec<f64>,
 }
 
-/// Amplitudes, phases and time constants of the model are known to some per cent, periods as given.
+/// Deviations of the model's known effects.
+/// Amplitudes, phases and time constants are known to some per cent, periods as given.
 #[must_use]
 pub fn known(rows: &Rows<'_>, model: &[Effect], intervals: &[Vec<Option<f64>>]) -> Vec<Known> {
     let mut out = Vec::new();
@@ -58,7 +60,8 @@ pub fn known(rows: &Rows<'_>, model: &[Effect], intervals: &[Vec<Option<f64>>]) 
     out
 }
 
-/// Waves of the model with their period where the rows have it: over many turns a period of four digits is out of step.
+/// Waves of the model with their period where the rows have it.
+/// Over many turns a period of four digits is out of step.
 #[must_use]
 pub fn in_step(rows: &Rows<'_>, model: &[Effect]) -> Vec<Effect> {
     let mut model = model.to_vec();
@@ -128,7 +131,8 @@ fn columns_gain(factor: &Factor, columns: &[Vec<f64>], freedom: f64) -> f64 {
     0.5 * freedom * (factor.left() / with.left().max(1e-300)).ln()
 }
 
-/// Whether so many parameters that are together so far off, in standard deviations, squared, are off beyond chance.
+/// Whether a squared distance of several parameters is beyond chance.
+/// The distance is in standard deviations.
 #[must_use]
 pub fn is_beyond_chance(distance: f64, parameters: usize) -> bool {
     ChiSquared::new(parameters as f64).is_ok_and(|chance| chance.sf(distance.max(0.0)) < CHANCE)
@@ -137,10 +141,10 @@ pub fn is_beyond_chance(distance: f64, parameters: usize) -> bool {
 /// Whether the unit of a response is in question.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Units {
-    /// It is what the record says.
+    /// The unit is what the record states.
     AsWritten,
-    /// No size of a set-up prefers one unit to another: zero, centre and line are as large beside the noise as they are beside a usual
-    /// one, and the air does nothing.
+    /// Set-up terms do not prefer one unit to another.
+    /// Relative to the noise, zero, centre and line are as large as beside a usual noise, and the air has no influence.
     Any,
 }
 
@@ -158,7 +162,7 @@ pub struct Base {
 pub struct Problem<'r> {
     /// The rows.
     pub rows: &'r Rows<'r>,
-    /// Measured minus the model as it is.
+    /// Measured minus simulated by the model as given.
     pub missing: Vec<f64>,
     /// Set-up.
     pub terms: Vec<Term>,
@@ -166,14 +170,16 @@ pub struct Problem<'r> {
     pub known: Vec<Known>,
     /// Per response the least size of its noise.
     pub floors: Vec<f64>,
-    /// Root of each row's weight, before any is far off.
+    /// Root of each row's weight, before outliers are weighted down.
     pub weights: Vec<f64>,
-    /// Per segment the size of its gauge's rounding, µm RMS: no reading as written in the file is told more finely.
+    /// Per segment the RMS of its gauge's rounding error, µm.
+    /// No reading in the file is finer than this.
     pub rounding_um: Vec<f64>,
 }
 
 impl<'r> Problem<'r> {
-    /// The problem of these rows beside a model; `intervals`: half widths that the model states, value by value.
+    /// The problem of these rows beside a model.
+    /// `intervals` are the half widths that the model states, value by value.
     #[must_use]
     pub fn new(rows: &'r Rows<'r>, model: &[Effect], intervals: &[Vec<Option<f64>>]) -> Self {
         let mut missing = rows.measured.clone();
@@ -193,8 +199,9 @@ impl<'r> Problem<'r> {
         problem
     }
 
-    /// A gauge that noise does not dither rounds alike whatever reads alike: the error is a saw over the reading, and no finding. It is
-    /// taken out as model and set-up predict the readings; where they predict them badly it averages out, and nothing is taken out.
+    /// Removes the rounding error of a coarse gauge whose noise does not dither it.
+    /// Equal readings round alike, so the error is a saw over the reading and no finding. Model and set-up predict the readings. If they
+    /// predict them badly the saw averages out, and nothing is removed.
     fn take_rounding_out(&mut self) {
         let steps: Vec<Option<f64>> =
             self.rows.segments.iter().map(|s| setup::unshared_step(self.rows, s)).collect();
@@ -245,7 +252,7 @@ impl<'r> Problem<'r> {
         self
     }
 
-    /// What is beside every hypothesis under a noise.
+    /// Set-up terms and known effects, whitened by a noise.
     #[must_use]
     pub fn base(&self, noise: Noise) -> Base {
         let whiten = |column: &[f64], by: f64| {
@@ -281,9 +288,10 @@ impl<'r> Problem<'r> {
         noise
     }
 
-    /// log of the density's scale under a noise: Σ log(w/σ) + ½ Σ log(1 − φ²), and what rows in the tails cost. A weight w² makes
-    /// ½ w²e² − log w of a row; the density of which it is the weight is (m/2) log((ν + e²)/m) and a constant, m = ν + its beginning
-    /// squared. Without the difference a row far off would cost next to nothing, and who gives up most rows would win.
+    /// Log of the density's normalisation under a noise.
+    /// It is Σ log(w/σ) + ½ Σ log(1 − φ²), plus the cost of rows in the tails. A weight w² contributes ½ w²e² − log w per row. The density
+    /// with that weight is (m/2) log((ν + e²)/m) plus a constant, with m = ν + (start of the tails)². The difference must be added:
+    /// otherwise an outlier would cost almost nothing, and the set that gives up most rows would win.
     #[must_use]
     pub fn log_scale(&self, noise: &Noise) -> f64 {
         let most = TAIL_FREEDOM + TAIL_FROM * TAIL_FROM;
@@ -294,7 +302,8 @@ impl<'r> Problem<'r> {
         noise.log_scale(self.rows) + noise.weight.iter().zip(&self.weights).map(tail).sum::<f64>()
     }
 
-    /// The noise that a fit's remainder shows, by one step of expectation and maximisation.
+    /// The noise estimated from a fit's residual.
+    /// One step of expectation and maximisation.
     #[must_use]
     pub fn renewed(&self, noise: &Noise, factor: &Factor) -> Noise {
         let rows = self.rows;
@@ -335,14 +344,14 @@ impl<'r> Problem<'r> {
                     let step = e[row] / noise.weight[row] * sigma;
                     let now = if i == 0 { step / (1.0 - phi * phi).sqrt() } else { step + phi * before };
                     let limit = 4.0 * middle * sigma / (1.0 - phi * phi).sqrt();
-                    // Of one size, so that each segment says as much of the memory as it has rows.
+                    // Scaled to one size, so that each segment counts by its number of rows.
                     raw.push(now.clamp(-limit, limit) / sigma);
                     before = now;
                 }
                 all += dot(&raw, &raw);
                 with += raw.windows(2).map(|w| w[0] * w[1]).sum::<f64>();
                 count += raw.len() as f64;
-                // Within its rounding no reading is far off.
+                // A reading within its rounding is no outlier.
                 let middle = middle.max(self.rounding_um[*number].max(self.floors[j]) / sigma);
                 for row in s.rows.clone() {
                     let off = (e[row] / noise.weight[row] / middle).powi(2);
@@ -351,7 +360,7 @@ impl<'r> Problem<'r> {
                 }
             }
             new.sigma[j] = (noise.sigma[j] * scale).max(1e-9);
-            // Steps of a coarse gauge are counted by their weights, not by a memory.
+            // The weights account for the steps of a coarse gauge; a memory would count them twice.
             let most = if self.floors[j] > 0.0 { 0.0 } else { MOST_PHI };
             new.phi[j] = (with / all.max(1e-300) + (leverage + 1.0) / count).clamp(0.0, most);
         }

@@ -1,4 +1,5 @@
-//! Sizes of given effects once more: with rows left out, or with a curve that stands for something without a name.
+//! Sizes of given effects once more.
+//! With rows left out, or with a curve that stands for something without a name.
 
 use crate::cause::Cause;
 use crate::factor::{Factor, add};
@@ -21,7 +22,7 @@ fn cause(effect: &Effect) -> Cause {
 }
 
 impl<'p, 'r> Refit<'p, 'r> {
-    /// Of these effects, non-linear parameters as they are.
+    /// A refit of these effects; their non-linear parameters stay as they are.
     #[must_use]
     pub fn new(problem: &'p Problem<'r>, effects: &[Effect]) -> Self {
         let columns = effects
@@ -47,7 +48,8 @@ impl<'p, 'r> Refit<'p, 'r> {
         (factor, from)
     }
 
-    /// The effects with their sizes as the rows have them, and half widths of the linear parameters' 95 % intervals.
+    /// The effects with refitted sizes, and their half widths.
+    /// The 95 % half widths are those of the linear parameters.
     #[must_use]
     pub fn sizes(&self, noise: &Noise) -> Vec<(Effect, Vec<f64>)> {
         let (factor, from) = self.factor(noise);
@@ -75,7 +77,8 @@ impl<'p, 'r> Refit<'p, 'r> {
             .collect()
     }
 
-    /// What is left of each row by a fit of the other blocks of its record, in the response's unit.
+    /// Residual of each row under a fit of the record's other blocks.
+    /// In the response's unit.
     #[must_use]
     pub fn left_by_others(&self, noise: &Noise, folds: usize) -> Vec<f64> {
         let rows = self.problem.rows;
@@ -112,7 +115,7 @@ impl<'p, 'r> Refit<'p, 'r> {
     }
 }
 
-/// What a model leaves of a record's responses once its set-up is taken out, response by response.
+/// Residuals of a record once its set-up is removed, response by response.
 #[must_use]
 pub fn left(record: &Record, model: &[Effect]) -> Vec<Vec<f64>> {
     let records = std::slice::from_ref(record);
@@ -125,7 +128,7 @@ pub fn left(record: &Record, model: &[Effect]) -> Vec<Vec<f64>> {
         noise.whiten(&rows, &mut y);
         y
     });
-    // What is set by hand: lines and jumps in time are part of what a record shows.
+    // Only what is set by hand is removed. Lines and jumps in time are part of what a record shows.
     let by_hand = |t: &&crate::setup::Term| {
         use crate::setup::What::{CentreFirst, CentreSecond, Unplaced, Zero};
         matches!(t.what, Zero | CentreFirst | CentreSecond | Unplaced)

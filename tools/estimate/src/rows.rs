@@ -81,7 +81,8 @@ impl<'r> Rows<'r> {
         })
     }
 
-    /// What of an axis's error each row shows; `None` where no constant of the axis is an effect.
+    /// The share of an axis's error that each row shows.
+    /// `None` if no constant of the axis is an effect.
     #[must_use]
     pub fn share(&self, axis: &Axis) -> Option<Vec<f64>> {
         let dictionary = Dictionary::default();
@@ -145,7 +146,8 @@ impl<'r> Rows<'r> {
     }
 }
 
-/// Whether it matters to an effect where on its axis it acts: a circle of unknown centre says nothing of such an effect.
+/// Whether an effect depends on the place along its axis.
+/// A circle of unknown centre cannot show such an effect.
 #[must_use]
 pub fn needs_place(effect: &Effect) -> bool {
     use rtec_model::effect::Need;
@@ -169,7 +171,7 @@ impl Extent for Rows<'_> {
         self.n
     }
 
-    /// From two rows to twice the longest record, in equal ratios.
+    /// Time constants from two rows to twice the longest record, in equal ratios.
     fn time_constants_s(&self) -> Vec<f64> {
         let span = |t: &[f64]| t.last().zip(t.first()).map_or(0.0, |(b, a)| b - a);
         let longest = self
@@ -224,7 +226,8 @@ impl Extent for Rows<'_> {
     }
 }
 
-/// The noise of each response: its size and its memory from row to row; and how much each row counts.
+/// The noise of each response, and how much each row counts.
+/// It has a size and a memory from row to row.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Noise {
     /// Size of what each row adds, per response, in its unit.
@@ -233,12 +236,12 @@ pub struct Noise {
     pub phi: Vec<f64>,
     /// Size of each segment's noise beside its response's: another day, another gauge.
     pub share: Vec<f64>,
-    /// Root of each row's weight: below one far from all that explains the others.
+    /// Root of each row's weight: below one for outliers.
     pub weight: Vec<f64>,
 }
 
 impl Noise {
-    /// White, of one size in all rows of all responses.
+    /// White noise of one size in all rows of all responses.
     #[must_use]
     pub fn white(rows: &Rows<'_>, sigma: f64) -> Self {
         let count = rows.responses.len();
@@ -250,7 +253,8 @@ impl Noise {
         }
     }
 
-    /// A first guess, from what the model leaves: steps from row to row, and memory as long as noise may have.
+    /// A first guess, from what the model leaves.
+    /// Steps from row to row, and memory as long as noise may have.
     #[must_use]
     pub fn guess(rows: &Rows<'_>, left: &[f64]) -> Self {
         let (mut sigma, mut phi) = (Vec::new(), Vec::new());
@@ -274,8 +278,9 @@ impl Noise {
         Self { sigma, phi, share: vec![1.0; rows.segments.len()], weight: vec![1.0; rows.n] }
     }
 
-    /// The size of each segment's noise from its squares, of which only what they are beside each other counts; the response's is in the
-    /// middle of them, and not below its floor. The noise of a coarse gauge is its step, and the same everywhere.
+    /// Updates the size of each segment's noise from its squares.
+    /// The squares give the ratios between segments. The response's size is their middle, but not below its floor. The noise of a coarse
+    /// gauge is its step, and equal everywhere.
     pub fn shared_out(&mut self, rows: &Rows<'_>, squares: &[f64], floors: &[f64]) {
         for (j, floor) in floors.iter().enumerate() {
             self.sigma[j] = self.sigma[j].max(*floor);
@@ -296,7 +301,7 @@ impl Noise {
         }
     }
 
-    /// No segment's noise is smaller than this.
+    /// Raises each segment's noise to at least this, µm.
     pub fn at_least(&mut self, rows: &Rows<'_>, um: &[f64]) {
         for (number, least) in um.iter().enumerate() {
             let size = self.size(rows, number);
@@ -312,7 +317,8 @@ impl Noise {
         self.sigma[rows.segments[segment].response] * self.share[segment]
     }
 
-    /// The same steps from row to row without a memory; `None` where there is little of it.
+    /// The same steps from row to row without a memory.
+    /// `None` if there is little memory.
     #[must_use]
     pub fn without_memory(&self) -> Option<Self> {
         if self.phi.iter().all(|phi| *phi < MUCH_MEMORY) {
@@ -343,7 +349,8 @@ impl Noise {
         }
     }
 
-    /// The transpose of [`Noise::whiten`]: products of whitened columns with `column` are products of the columns with this.
+    /// The transpose of [`Noise::whiten`].
+    /// Products of whitened columns with `column` are products of the columns with this.
     pub fn transpose(&self, rows: &Rows<'_>, column: &mut [f64]) {
         for (number, s) in rows.segments.iter().enumerate() {
             let (by, phi) = (1.0 / self.size(rows, number), self.phi[s.response]);

@@ -1,5 +1,6 @@
-//! The search for the likeliest set of hypotheses: sets grow one member at a time, several side by side; then members are exchanged,
-//! one for one and two for two, and left out, until nothing is better.
+//! The search for the likeliest set of hypotheses.
+//! Several sets grow side by side, one member at a time. Then members are exchanged (one for one, two for two) and left out, until nothing
+//! improves the set.
 
 use crate::bank::Look;
 use crate::cause::Cause;
@@ -35,9 +36,9 @@ pub struct Member {
     pub level: f64,
     /// Log prior: name, place in the grid, level.
     pub prior: f64,
-    /// Its columns, whitened by the noise of the search that it is of.
+    /// Its columns, whitened by the noise of its search.
     columns: Rc<Columns>,
-    /// The bank's products with what the base leaves of them, once they were asked for.
+    /// The bank's products with its columns beside the base; computed on first use.
     shares: Rc<OnceCell<Columns>>,
 }
 
@@ -61,7 +62,7 @@ pub struct Set {
     pub members: Vec<Member>,
     /// The base's columns, then the members'.
     pub factor: Factor,
-    /// log p(y | S) + log p(S), but for a constant.
+    /// log p(y | S) + log p(S), up to a constant.
     pub score: f64,
 }
 
@@ -84,13 +85,13 @@ pub struct Search<'p> {
     pub problem: &'p Problem<'p>,
     /// What may explain it.
     pub families: &'p Families,
-    /// What is beside.
+    /// Set-up terms and known effects.
     pub base: Base,
     /// The quick look beside the base alone.
     pub look: Look,
     /// Rounding that rows share, for intervals.
     pub rounding: Vec<crate::setup::Term>,
-    /// Whitened columns of waves that were looked at, and what they share with the base's.
+    /// Cached columns of waves, whitened, and their products with the base's.
     waves: RefCell<Waves>,
 }
 
@@ -119,14 +120,15 @@ fn log_sum(values: impl IntoIterator<Item = f64>) -> f64 {
     top + values.iter().map(|v| (v - top).exp()).sum::<f64>().ln()
 }
 
-/// Log likelihood of a remainder: the noise's size is what it leaves, but no smaller than it is said to be.
+/// Log likelihood of a residual.
+/// The noise's size is estimated from it, but not below its floor.
 #[must_use]
 pub fn fit(left: f64, freedom: f64) -> f64 {
     let left = left.max(1e-9 * freedom);
     if left > freedom { -0.5 * freedom * ((left / freedom).ln() + 1.0) } else { -0.5 * left }
 }
 
-/// Gain of columns of which at each level ½ log |I + t²S| and t²hᵀ(I + t²S)⁻¹h are given.
+/// Gain of columns from ½ log |I + t²S| and t²hᵀ(I + t²S)⁻¹h at each level.
 fn gain_of(at_level: impl Fn(f64) -> (f64, f64), left: f64, freedom: f64) -> Gain {
     let now = fit(left, freedom);
     let at = LEVELS.map(|(level, weight)| {
@@ -164,7 +166,7 @@ pub fn gain(along: &[f64], among: &[f64], left: f64, freedom: f64) -> Gain {
                 let row = &above[j * p..=j * p + j];
                 own[j] = (t * among[i * p + j] - dot(&own[..j], &row[..j])) / row[j];
             }
-            // No pivot of I and a sum of squares is below one, but for rounding.
+            // A pivot of I plus a sum of squares is at least one, up to rounding.
             let pivot = (1.0 + t * among[i * p + i] - dot(&own[..i], &own[..i])).max(1.0).sqrt();
             z[i] = (along[i] - dot(&own[..i], &z[..i])) / pivot;
             own[i] = pivot;
@@ -177,7 +179,8 @@ pub fn gain(along: &[f64], among: &[f64], left: f64, freedom: f64) -> Gain {
 }
 
 impl<'p> Search<'p> {
-    /// Of a problem under a noise; the families' columns are whitened already.
+    /// A search of a problem under a noise.
+    /// The families' columns must be whitened already.
     #[must_use]
     pub fn new(problem: &'p Problem<'p>, families: &'p Families, base: Base) -> Self {
         let look = families.bank.look(&base.factor);
@@ -212,7 +215,7 @@ impl<'p> Search<'p> {
         self.gain_of(factor, columns, &columns.iter().map(|c| factor.shares(c)).collect::<Columns>())
     }
 
-    /// The same of columns whose shares are known.
+    /// As `gain`, for columns whose products with the factor are known.
     fn gain_of(&self, factor: &Factor, columns: &[Vec<f64>], shares: &[Vec<f64>]) -> Gain {
         let p = columns.len();
         let along: Vec<f64> = columns.iter().map(|c| dot(c, factor.residual())).collect();
@@ -227,8 +230,9 @@ impl<'p> Search<'p> {
         gain(&along, &among, factor.left(), self.base.freedom)
     }
 
-    /// The quick look beside a set. What the bank's columns share with a member's, beside the base, is asked once; what they share with
-    /// what the factor made of it follows from R.
+    /// The quick look beside a set.
+    /// The bank's products with a member's columns, beside the base, are computed once. Those with the factor's orthonormal columns follow
+    /// from R.
     #[must_use]
     pub fn look_at(&self, set: &Set) -> Look {
         let bank = &self.families.bank;
@@ -260,7 +264,8 @@ impl<'p> Search<'p> {
         self.built(set, self.weighed(set, seed)?.1)
     }
 
-    /// One more member of a set, and the score that the set has with it, but for what counts being whole says.
+    /// One more member of a set, and the set's score with it.
+    /// The score leaves out the correction for whole counts.
     fn weighed(&self, set: &Set, seed: &Seed) -> Option<(f64, Member)> {
         rtec_files::watch::step();
         if set.members.len() >= MOST_MEMBERS {
@@ -300,7 +305,8 @@ impl<'p> Search<'p> {
         Set { members, factor, score }
     }
 
-    /// Log likelihood of counts: lost ones are whole, and of a whole number there are fewer than of any.
+    /// Correction to the likelihood for lost counts, which are whole numbers.
+    /// There are fewer whole numbers than real ones.
     fn whole(&self, members: &[Member], factor: &Factor) -> f64 {
         let count_um = self.problem.rows.records.iter().find_map(|r| r.count_um);
         let Some(count_um) = count_um else { return 0.0 };
@@ -395,7 +401,8 @@ impl<'p> Search<'p> {
         f.repeats() || !set.members.iter().any(|m| m.family == family)
     }
 
-    /// What is worth an exact look beside a set, best first; `long`: fine waves over long travel too.
+    /// The seeds worth an exact look beside a set, best first.
+    /// `long`: fine waves over long travel too.
     #[must_use]
     pub fn seeds(&self, set: &Set, look: &Look, long: bool) -> Vec<Seed> {
         let (left, freedom) = (set.factor.left(), self.base.freedom);
@@ -424,7 +431,7 @@ impl<'p> Search<'p> {
                             weight: *weight,
                             score: prior + total,
                         });
-                        // Other numbers of lobes, other places: modes of their own.
+                        // Other numbers of lobes and other places are separate modes.
                         let tells = cause.effect().is_some_and(|e| {
                             e.description().searched.repeats
                                 && e.description().parameters.iter().any(|p| p.tells_apart)
@@ -468,7 +475,8 @@ impl<'p> Search<'p> {
         seeds
     }
 
-    /// The periods of a wave at which a residual, `weighed` by the noise, has its peaks, and the usual ones near such.
+    /// Seeds of a wave at the peaks of a residual's spectrum.
+    /// The residual is `weighed` by the noise. Usual periods near a peak are added.
     fn wave_seeds(&self, number: usize, set: &Set, weighed: &[f64], prior: f64) -> Vec<Seed> {
         let family = self.family(number);
         let Scan::Wave { along, unit, .. } = &family.scan else { return Vec::new() };
@@ -506,7 +514,7 @@ impl<'p> Search<'p> {
             }
             seeds.push(Seed { family: number, cause, weight, score });
         }
-        // What has no name need not be a sine.
+        // A wave without a name need not be a sine.
         if family.effect.is_none()
             && best.1 > 0.0
             && let Some(cause) = self.wave(family, best.1, HARMONICS)
@@ -568,7 +576,8 @@ impl<'p> Search<'p> {
             .collect()
     }
 
-    /// A wave at a frequency; of what has no name so many harmonics, each as large as one over its number.
+    /// A wave at a frequency.
+    /// A wave without a name has harmonics, each of size one over its number.
     fn wave(&self, family: &Family, frequency: f64, harmonics: usize) -> Option<Cause> {
         let Scan::Wave { along, unit, .. } = &family.scan else { return None };
         if let Some(effect) = &family.effect {
@@ -584,7 +593,8 @@ impl<'p> Search<'p> {
         Some(Cause::Shape(Arc::new((family.shape.clone()?, columns))))
     }
 
-    /// Where else a wave looks the same at these places: the likeliest beforehand of them.
+    /// The wave of another frequency that looks the same at these places.
+    /// Of several, the one that is likeliest a priori.
     #[must_use]
     pub fn alike(&self, member: &Member) -> Vec<Seed> {
         let family = self.family(member.family);
@@ -602,8 +612,8 @@ impl<'p> Search<'p> {
         all
     }
 
-    /// Other maps that can be what the last member of a set is, at these rows: on a circle z² = r² − x². What the data prefer among
-    /// them is chance in the directions that none needs.
+    /// Other maps that are equivalent to the last member at these rows.
+    /// On a circle z² = r² − x². Which of them the data prefer is chance, in directions that none of them needs.
     #[must_use]
     pub fn maps_alike(&self, set: &Set) -> Vec<Seed> {
         let Some(own) = set.members.last().filter(|m| matches!(m.cause, Cause::Map { .. })) else {
@@ -634,7 +644,7 @@ impl<'p> Search<'p> {
         self.families.list.iter().enumerate().filter_map(of).collect()
     }
 
-    /// The place of a seed's non-linear parameters where it explains most, beside a factor.
+    /// Refines a seed's non-linear parameters to where it explains most.
     #[must_use]
     pub fn refined(&self, factor: &Factor, seed: &Seed) -> Seed {
         let Some(effect) = seed.cause.effect().cloned() else { return seed.clone() };
@@ -671,7 +681,7 @@ impl<'p> Search<'p> {
                             }
                         }
                         if round == 1 || moves.len() == 1 {
-                            // How much narrower the mode is than a cell of the grid.
+                            // Width of the mode relative to a cell of the grid.
                             let width = (std::f64::consts::TAU * step * step / (-bend).max(1e-12)).sqrt();
                             narrower = (width / (2.0 * m.step)).ln().min(0.0);
                         }
@@ -681,7 +691,7 @@ impl<'p> Search<'p> {
             }
         }
         let before = self.gain(factor, &self.columns(&seed.cause)).total;
-        // A usual period that the rows do not keep is none.
+        // A period that left the usual range by refinement is no usual period.
         let at = |e: Option<&Effect>| self.weight_at(seed.family, e);
         let less = narrower + at(Some(&now)) - at(seed.cause.effect());
         Seed {
@@ -692,14 +702,15 @@ impl<'p> Search<'p> {
         }
     }
 
-    /// Log prior weight of a wave's period; zero for what is none.
+    /// Log prior weight of a wave's period; zero for other causes.
     fn weight_at(&self, family: usize, effect: Option<&Effect>) -> f64 {
         let family = self.family(family);
         let (Scan::Wave { along, unit, .. }, Some(effect)) = (&family.scan, effect) else { return 0.0 };
         wave_weight(family, 1.0 / (effect.scalar(0) * unit), *unit, along.range(), along.span())
     }
 
-    /// Richer forms of a seed: growth that bends, another reference temperature, a wave that changes.
+    /// Richer forms of a seed.
+    /// Growth that bends, another reference temperature, a wave that changes.
     fn richer(seed: &Seed) -> Vec<Seed> {
         let mut out = Vec::new();
         let Cause::Effect { effect, free, .. } = &seed.cause else { return out };
@@ -719,7 +730,8 @@ impl<'p> Search<'p> {
         out
     }
 
-    /// A wave whose size changes along its way, beside a seed that is a wave: it has no name.
+    /// A wave whose size changes along its way, beside a seed that is a wave.
+    /// It has no name.
     fn changing(&self, seed: &Seed) -> Option<Seed> {
         let Scan::Wave { along, .. } = &self.family(seed.family).scan else { return None };
         let effect = seed.cause.effect()?;
@@ -791,7 +803,7 @@ impl<'p> Search<'p> {
         out
     }
 
-    /// A set whose last member is a wave, with what is looked for beside such waves alone.
+    /// Adds to a set that ends in a wave the effects that only accompany waves.
     fn with_beside(&self, set: &Set) -> Option<Set> {
         let last = set.members.last()?.cause.effect()?;
         let of = |(number, f): (usize, &Family)| {
@@ -811,11 +823,12 @@ impl<'p> Search<'p> {
             .enumerate()
             .filter_map(of)
             .max_by(|a, b| a.score.total_cmp(&b.score))?;
-        // Out of tune both explain less.
+        // Before the periods agree both explain less.
         Some(best).filter(|s| s.score > set.score - HOPELESS)
     }
 
-    /// A set whose last two members are a wave and what goes with it: the period that they share, where both explain most.
+    /// Tunes the last two members, a wave and its companion, to one period.
+    /// The period is where both explain most.
     fn in_tune(&self, mut set: Set) -> Set {
         let n = set.members.len();
         let (Some(wave), Scan::Wave { along, unit, .. }) =
@@ -879,7 +892,8 @@ impl<'p> Search<'p> {
         all
     }
 
-    /// The best set that can be reached from one: `anew`, several sets side by side grow from it first.
+    /// The best set that can be reached from one.
+    /// With `anew`, several sets first grow from it side by side.
     #[must_use]
     pub fn best(&self, start: &Set, anew: bool) -> Set {
         let mut best = start.clone();
@@ -889,7 +903,7 @@ impl<'p> Search<'p> {
             let mut next: Vec<Set> =
                 beam.iter().enumerate().flat_map(|(i, s)| self.children(s, i == 0)).collect();
             next.sort_by(|a, b| b.score.total_cmp(&a.score));
-            // A shape stands for several names at once: sets of names alone have places of their own.
+            // A shape can replace several names at once, so sets of names alone keep places of their own.
             let mut kept: Vec<Set> = Vec::new();
             let mut named = 0;
             for s in next {
@@ -913,7 +927,8 @@ impl<'p> Search<'p> {
         self.polished(best)
     }
 
-    /// The best set that exchanges of two members reach from one; the same where none is better.
+    /// The best set that exchanging two members reaches.
+    /// Returns the same set if none is better.
     #[must_use]
     pub fn exchanged(&self, start: &Set) -> Set {
         let mut best = start.clone();
@@ -956,7 +971,7 @@ impl<'p> Search<'p> {
         best
     }
 
-    /// Each shape, and each two of the weakest members, for two others.
+    /// Exchanges each shape, and each two of the weakest members, for two others.
     fn two_for_two(&self, set: &Set) -> Set {
         let mut best = set.clone();
         let alone: Vec<f64> = (0..set.members.len()).map(|i| self.without(set, i).score).collect();
@@ -985,14 +1000,14 @@ impl<'p> Search<'p> {
         best
     }
 
-    /// A set with a new last member: each other one that acts on what it acts on is chosen again beside it.
+    /// Re-selects the members that act on the same axis as the new last member.
     fn rechosen(&self, set: Set) -> Set {
         let last = set.members.len() - 1;
         let Some(own) = set.members.last().and_then(axis_of) else { return set };
         self.chosen_again(set, &own, last)
     }
 
-    /// The first `most` members of a set that act on an axis, each chosen again: maps and what reads temperatures.
+    /// Re-selects up to `most` members of an axis: maps and temperature laws.
     fn chosen_again(&self, mut set: Set, axis: &Axis, most: usize) -> Set {
         for i in (0..most).rev() {
             let m = &set.members[i];
@@ -1011,7 +1026,7 @@ impl<'p> Search<'p> {
         set
     }
 
-    /// A set without one of its weaker members, the others on its axis chosen again.
+    /// A set without one of its weaker members; the others on its axis are re-selected.
     fn simpler(&self, set: &Set) -> Set {
         let mut best = set.clone();
         for i in 0..set.members.len() {
@@ -1029,7 +1044,7 @@ impl<'p> Search<'p> {
         best
     }
 
-    /// Each member's non-linear parameters beside the others', twice.
+    /// Refines each member's non-linear parameters beside the others', twice.
     fn together(&self, mut set: Set) -> Set {
         if set.members.len() < 2 {
             return set;
@@ -1054,7 +1069,8 @@ impl<'p> Search<'p> {
     }
 }
 
-/// Members of another search, as members of these families; not what runs over the rows themselves.
+/// Converts members of another search into members of these families.
+/// Members that depend on the rows themselves are dropped.
 #[must_use]
 pub fn known_again(families: &Families, members: &[Member]) -> Vec<Member> {
     let of = |m: &Member| {
@@ -1076,7 +1092,8 @@ fn push(factor: &mut Factor, member: &Member) {
     }
 }
 
-/// Whether a growth shrinks at one end of the temperatures that were seen and grows at the other: no part does.
+/// Whether a growth changes sign within the temperatures seen.
+/// No part of a machine does that.
 fn turns_back(rows: &Rows<'_>, effect: &Effect) -> bool {
     let [per_k, per_k2] = effect.coefficients()[..] else { return false };
     if effect.description().heat != Heat::Growth || per_k2 == 0.0 {
@@ -1092,7 +1109,7 @@ fn axis_of(m: &Member) -> Option<Axis> {
     m.cause.effect().and_then(|e| e.axes().first().cloned())
 }
 
-/// Whether two sets are of other families.
+/// Whether two sets consist of different families.
 fn differ(a: &Set, b: &Set) -> bool {
     let of = |s: &Set| {
         let mut f: Vec<usize> = s.members.iter().map(|m| m.family).collect();
@@ -1108,9 +1125,10 @@ pub fn difference(sensors: &[String], i: usize, j: usize) -> Difference {
     if i == j { Difference::single(&sensors[i]) } else { Difference::pair(&sensors[i], &sensors[j]) }
 }
 
-/// Log prior weight of a wave of this frequency: all periods alike in their logarithm, usual ones more.
+/// Log prior weight of a wave of this frequency.
+/// Uniform in the logarithm of the period; usual periods weigh more.
 fn wave_weight(family: &Family, frequency: f64, unit: f64, [from, to]: [f64; 2], span: f64) -> f64 {
-    // A mode is about so wide.
+    // Typical width of a mode, as a share of the frequency.
     let cell = (0.35 / span / frequency).min(1.0);
     let even = cell / (to / from).ln().max(cell);
     let Some(facts) = family.effect.as_ref().and_then(|e| e.description().searched.wave) else {
@@ -1171,7 +1189,7 @@ fn everything() -> [f64; 2] {
 }
 
 impl Family {
-    /// From where to where its grid goes in one parameter: what the rows can show of it.
+    /// Range of the grid in one parameter: what the rows can show of it.
     fn range(&self, parameter: usize) -> [f64; 2] {
         let wider = |[lo, hi]: [f64; 2], effect: &Effect| {
             let v = effect.scalar(parameter);
@@ -1193,7 +1211,8 @@ mod tests {
     use rtec_model::effect::Dictionary;
     use rtec_model::record::{Column, Kind, Record, Role};
 
-    /// What follows from R is what is asked of the bank anew, though a reading of 20 °C is nearly the zero's column.
+    /// The products that follow from R equal those computed directly.
+    /// A reading of 20 °C, which is nearly the zero's column, is included.
     #[test]
     fn the_look_beside_a_set_is_that_beside_its_factor() {
         let n = 400;

@@ -1,5 +1,6 @@
-//! What belongs to how the instrument stood and never to the machine: free in every record, never named, never written into a
-//! model, never corrected live. One function per term; a new one is its function and a line in [`TERMS`].
+//! Terms of an instrument's set-up, which are never the machine's.
+//! They are free in every record, never named, never written into a model and never corrected live. Each term has one function; a new one
+//! needs its function and a line in [`TERMS`].
 
 use crate::effort::{AIR_DIRECTIONS, MOST_PAUSES, MOST_PLACES, PLACES_PER_MM, ROUNDING_HARMONICS};
 use crate::priors::{
@@ -23,23 +24,24 @@ pub enum What {
     CentreSecond,
     /// A line in time, µm/h.
     Line,
-    /// What air and stand do beside the line, µm.
+    /// Wander of air and stand beside the line, µm.
     Air,
     /// A jump at a pause, µm.
     Jump,
     /// Rounding that rows of one reading share, µm.
     Rounding,
-    /// An effect of the model where the record does not say the place.
+    /// An effect of the model whose place the record does not state.
     Unplaced,
-    /// How a plate lies turned, against the others, µrad.
+    /// Rotation of a plate relative to the others, µrad.
     Turn,
     /// A walk of a response that has no name.
     Wander,
-    /// The first reading behind a turn that nobody described.
+    /// The first reading after a turn that the record does not state.
     AfterTurn,
 }
 
-/// A set-up term: its column, and how large its coefficient may be, one standard deviation.
+/// A set-up term.
+/// Its column, and how large its coefficient may be, one standard deviation.
 #[derive(Debug, Clone)]
 pub struct Term {
     /// What it is.
@@ -114,8 +116,8 @@ fn centres(rows: &Rows<'_>, _: &[Effect], out: &mut Vec<Term>) {
     }
 }
 
-/// The times of a record that takes long enough for air and stand to creep, s from its first row. Where nobody wrote the time, rows come
-/// at one pace, and the run may last as long as a creep keeps its direction.
+/// Times of a record long enough for air and stand to creep, s from the first row.
+/// If no time was written, rows are evenly spaced, and the run may last as long as a creep keeps its direction.
 fn creeping_s(record: &Record) -> Option<Vec<f64>> {
     if !matches!(record.kind, Kind::Positioning | Kind::Drift) {
         return None;
@@ -127,20 +129,20 @@ fn creeping_s(record: &Record) -> Option<Vec<f64>> {
     Some(t.iter().map(|t| (t - first) * pace).collect())
 }
 
-/// What air and stand do to a gauge over hours.
+/// Linear drift of air and stand over hours.
 fn lines(rows: &Rows<'_>, _: &[Effect], out: &mut Vec<Term>) {
     for s in errors(rows) {
         let Some(t) = creeping_s(rows.record(s)) else { continue };
-        // From the start on: there the gauge was set to zero.
+        // From the start, where the gauge was set to zero.
         let hours = column(rows, s, |i| t[i] / 3600.0);
-        // Nothing creeps one way for longer.
+        // A creep does not keep its direction for longer.
         let whole = t.last().map_or(0.0, |last| last / 3600.0);
         let sd = LINE_UM_PER_H * (LINE_HOURS / whole.max(1e-9)).min(1.0);
         out.push(Term { what: What::Line, record: s.record, column: hours, sd });
     }
 }
 
-/// What air and stand do beside that: a walk that is pulled back.
+/// Wander of air and stand beside the drift: a walk that is pulled back.
 fn air(rows: &Rows<'_>, _: &[Effect], out: &mut Vec<Term>) {
     for s in errors(rows) {
         let Some(t) = creeping_s(rows.record(s)) else { continue };
@@ -154,7 +156,7 @@ fn air(rows: &Rows<'_>, _: &[Effect], out: &mut Vec<Term>) {
     }
 }
 
-/// Rows behind which a pause of the run lies.
+/// Rows after which the run pauses.
 #[must_use]
 pub fn pauses(record: &Record) -> Vec<usize> {
     let Some(t) = record.data(&Role::Time) else { return Vec::new() };
@@ -165,8 +167,8 @@ pub fn pauses(record: &Record) -> Vec<usize> {
     (0..gaps.len()).filter(|i| gaps[*i] > PAUSE_STEPS * usual).collect()
 }
 
-/// Where a run paused somebody may have touched the stand: a step for each pause, one micrometre high. They are looked for as
-/// hypotheses are, since they are seldom and then of any size.
+/// A step for each pause of a run, one micrometre high.
+/// Somebody may have touched the stand there. Steps are searched as hypotheses are, because they are rare and then of any size.
 #[must_use]
 pub fn jumps(rows: &Rows<'_>) -> Vec<Term> {
     let mut out = Vec::new();
@@ -190,8 +192,8 @@ pub fn place_of(mm: f64) -> i64 {
     (mm * PLACES_PER_MM).round() as i64
 }
 
-/// Where each row was read: the places of all axes and their directions; all alike where the response's axis has no place. Whatever a
-/// column is called, rows of one reading stay rows of one reading.
+/// Where each row was read: the places of all axes and their directions.
+/// All are equal if the response's axis has no place. The names of the columns do not matter: rows of one reading stay together.
 fn places(rows: &Rows<'_>, s: &Segment) -> Vec<Vec<i64>> {
     let record = rows.record(s);
     let own = rows.responses[s.response].axis().cloned();
@@ -207,8 +209,8 @@ fn places(rows: &Rows<'_>, s: &Segment) -> Vec<Vec<i64>> {
     (0..s.rows.len()).map(of).collect()
 }
 
-/// The step in which numbers are written, where noise does not dither it: most repeats of one place read the same. With it the groups of
-/// rows that share one reading in one direction.
+/// The resolution of a gauge whose noise does not dither it.
+/// Most repeats at one place then read the same. Also returns the groups of rows that share one reading in one direction.
 fn coarse(rows: &Rows<'_>, s: &Segment) -> Option<(f64, Vec<Vec<usize>>)> {
     let y = &rows.measured[s.rows.clone()];
     let mut values: Vec<f64> = y.to_vec();
@@ -221,7 +223,7 @@ fn coarse(rows: &Rows<'_>, s: &Segment) -> Option<(f64, Vec<Vec<usize>>)> {
     if values.iter().any(|v| ((v - values[0]) / q - ((v - values[0]) / q).round()).abs() > 0.02) {
         return None;
     }
-    // Repeats: the next row at the same place; without places the next row.
+    // A repeat is the next row at the same place; without places it is the next row.
     let at = places(rows, s);
     let mut order: Vec<usize> = (0..y.len()).collect();
     order.sort_by_key(|i| (&at[*i], *i));
@@ -247,8 +249,8 @@ fn coarse(rows: &Rows<'_>, s: &Segment) -> Option<(f64, Vec<Vec<usize>>)> {
     Some((q, groups.into_iter().map(|(_, g)| g).collect()))
 }
 
-/// Rows that share one reading share its rounding error: repeats do not average it away. It widens intervals; the noise is no smaller
-/// than it ([`floors`]).
+/// Rows that share one reading share its rounding error.
+/// Repeats do not average it away. It widens intervals; the noise is no smaller than it ([`floors`]).
 #[must_use]
 pub fn rounding(rows: &Rows<'_>) -> Vec<Term> {
     let mut out = Vec::new();
@@ -265,8 +267,8 @@ pub fn rounding(rows: &Rows<'_>) -> Vec<Term> {
     out
 }
 
-/// What is left of rounding where noise dithers it in part: repeats of one place and direction share an error of
-/// q/π · exp(−2π²σ²/q²), the first harmonic of the step's saw (Widrow 1956).
+/// Rounding error that is left if noise dithers it in part.
+/// Repeats of one place and direction share an error of q/π · exp(−2π²σ²/q²), the first harmonic of the step's saw (Widrow 1956).
 fn dithered(rows: &Rows<'_>, _: &[Effect], out: &mut Vec<Term>) {
     for s in errors(rows) {
         let y = &rows.measured[s.rows.clone()];
@@ -301,20 +303,23 @@ fn dithered(rows: &Rows<'_>, _: &[Effect], out: &mut Vec<Term>) {
     }
 }
 
-/// What rounding alone makes of a record's responses, µm RMS: the coarsest of its gauges.
+/// What rounding alone makes of a record's responses, µm RMS.
+/// The coarsest of its gauges.
 #[must_use]
 pub fn resolution_um(record: &Record) -> f64 {
     let errors = record.responses().filter(|c| matches!(c.role, Role::Error(_)));
     errors.filter_map(|c| step_of(&c.data)).fold(0.0, f64::max) / 12f64.sqrt()
 }
 
-/// The step of a segment's gauge where rows share no reading: what they share is [`rounding`]'s.
+/// The resolution of a segment's gauge if no rows share a reading.
+/// Shared readings are handled by [`rounding`].
 #[must_use]
 pub fn unshared_step(rows: &Rows<'_>, s: &Segment) -> Option<f64> {
     step_of(&rows.measured[s.rows.clone()]).filter(|_| coarse(rows, s).is_none())
 }
 
-/// Expected rounding error of a value that lies `off` a multiple of the step `q` and scatters with a variance (Widrow 1956).
+/// Expected rounding error of a value under Gaussian noise (Widrow 1956).
+/// The value is `off` from a multiple of the step `q`, with this variance.
 #[must_use]
 pub fn rounding_error(q: f64, off: f64, variance: f64) -> f64 {
     use std::f64::consts::{PI, TAU};
@@ -325,8 +330,8 @@ pub fn rounding_error(q: f64, off: f64, variance: f64) -> f64 {
     (1..=ROUNDING_HARMONICS).map(harmonic).sum()
 }
 
-/// The step that all numbers are multiples of. Two numbers define it; each further one lies on it by chance in one case of 25, so that five
-/// are no chance.
+/// The step that all numbers are multiples of.
+/// Two numbers define it; each further one lies on it by chance in one case of 25, so that five are no chance.
 fn step_of(y: &[f64]) -> Option<f64> {
     let mut values: Vec<f64> = y.to_vec();
     values.sort_by(f64::total_cmp);
@@ -336,7 +341,7 @@ fn step_of(y: &[f64]) -> Option<f64> {
     ((5..400).contains(&values.len()) && values.iter().all(on)).then_some(q)
 }
 
-/// Per response the least size of its noise: rounding that nothing dithers.
+/// Per response the least size of its noise: undithered rounding.
 #[must_use]
 pub fn floors(rows: &Rows<'_>) -> Vec<f64> {
     let mut out = vec![0.0_f64; rows.responses.len()];
@@ -345,7 +350,7 @@ pub fn floors(rows: &Rows<'_>) -> Vec<f64> {
             out[s.response] = out[s.response].max(q / 12f64.sqrt());
         }
     }
-    // Where no reading ever changes, nothing says how small the noise is.
+    // If no reading ever changes, the size of the noise is unknown.
     let changes = |j: usize| rows.segments.iter().any(|s| s.response == j && !stands_still(rows, s));
     for (_, floor) in out.iter_mut().enumerate().filter(|(j, _)| !changes(*j)) {
         *floor = NOISE[0];
@@ -359,7 +364,8 @@ fn stands_still(rows: &Rows<'_>, s: &Segment) -> bool {
     y.iter().all(|v| v.to_bits() == y[0].to_bits())
 }
 
-/// Root of each row's weight: rows in a row that read the same on a coarse gauge say one thing together.
+/// Root of each row's weight.
+/// Consecutive rows that read the same on a coarse gauge count as one.
 #[must_use]
 pub fn weights(rows: &Rows<'_>) -> Vec<f64> {
     let mut out = vec![1.0; rows.n];
@@ -374,8 +380,9 @@ pub fn weights(rows: &Rows<'_>) -> Vec<f64> {
     out
 }
 
-/// What an effect that needs a place may do in circles whose centre nobody told: a wave has a phase of its own there, anything else
-/// lobes of its own. `size` of each coefficient; record and column, at one standard deviation.
+/// What an effect that needs a place may do in circles whose centre nobody told.
+/// A wave has a phase of its own there, anything else lobes of its own. `size` of each coefficient; record and column, at one standard
+/// deviation.
 #[must_use]
 pub fn unplaced_columns(rows: &Rows<'_>, effect: &Effect, sizes: &[f64]) -> Vec<(usize, Vec<f64>)> {
     let mut out = Vec::new();
@@ -427,7 +434,7 @@ pub fn unplaced_columns(rows: &Rows<'_>, effect: &Effect, sizes: &[f64]) -> Vec<
     out
 }
 
-/// A circle as it would be farther along each of its axes.
+/// The same circle, moved along each of its axes.
 fn elsewhere(record: &Record) -> Vec<Record> {
     let Some(circle) = record.circle() else { return Vec::new() };
     let at = |centre: [f64; 2]| {
@@ -444,7 +451,7 @@ fn unplaced(rows: &Rows<'_>, model: &[Effect], out: &mut Vec<Term>) {
             None => effect.coefficients().iter().map(|c| c.abs()).collect(),
         };
         for (record, column) in unplaced_columns(rows, effect, &sizes) {
-            // The same lobes of several effects are one term: variances add.
+            // Equal lobes of several effects are merged into one term: their variances add.
             let same = |t: &&mut Term| {
                 t.what == What::Unplaced && t.record == record && proportional(&t.column, &column)
             };
@@ -468,7 +475,8 @@ fn proportional(a: &[f64], b: &[f64]) -> bool {
     apart > 0.0 && together > (1.0 - 1e-12) * apart
 }
 
-/// Each plate lies turned a little of its own: what they are turned by on average is a rotation, and stays the contract's.
+/// Rotation of each plate relative to the mean of all plates.
+/// The mean rotation is part of the contract and stays.
 fn turned(rows: &Rows<'_>, _: &[Effect], out: &mut Vec<Term>) {
     let turns = turns(rows);
     if turns.len() < 2 {
@@ -484,7 +492,7 @@ fn turned(rows: &Rows<'_>, _: &[Effect], out: &mut Vec<Term>) {
     }
 }
 
-/// How each plate lies turned on the table, µrad.
+/// Rotation of each plate on the table, µrad.
 #[must_use]
 pub fn turns(rows: &Rows<'_>) -> Vec<Term> {
     let of = |(r, record): (usize, &Record)| {
@@ -504,7 +512,7 @@ pub fn turns(rows: &Rows<'_>) -> Vec<Term> {
     rows.records.iter().enumerate().filter(|(_, r)| r.kind == Kind::Plate).filter_map(of).collect()
 }
 
-/// The first reading behind each turn of a run that does not say where its axis turned.
+/// First readings after turns whose place the run does not state.
 #[must_use]
 pub fn first_after_turn(record: &Record, direction: &[f64]) -> Vec<usize> {
     if record.tells_turns() {
@@ -513,8 +521,8 @@ pub fn first_after_turn(record: &Record, direction: &[f64]) -> Vec<usize> {
     (1..direction.len()).filter(|i| direction[*i] * direction[i - 1] < 0.0).collect()
 }
 
-/// Nobody knows whether an axis came the other way before a record begins: a spike of the model may stand there too, up to the first
-/// turn.
+/// A spike of the model before the first turn of a record.
+/// The direction in which the axis came before the record begins is unknown, so a spike may act up to the first turn.
 fn begins(rows: &Rows<'_>, model: &[Effect], out: &mut Vec<Term>) {
     for effect in model.iter().filter(|e| e.description().after_turn) {
         let Some(axis) = effect.axes().first() else { continue };
@@ -544,7 +552,7 @@ fn begins(rows: &Rows<'_>, model: &[Effect], out: &mut Vec<Term>) {
     }
 }
 
-/// Such readings say nothing of a reversal spike: there may be none, or all of it.
+/// First readings after a turn tell nothing about a spike: none of it, or all.
 fn after_turns(rows: &Rows<'_>, model: &[Effect], out: &mut Vec<Term>) {
     for s in errors(rows) {
         let record = rows.record(s);
@@ -558,7 +566,7 @@ fn after_turns(rows: &Rows<'_>, model: &[Effect], out: &mut Vec<Term>) {
         for i in first {
             own[s.rows.start + i] = direction[i];
         }
-        // As large as a spike may be, and as seldom; as large as the model's own where it has one.
+        // As large and as rare as a spike may be; as large as the model's own if it has one.
         let spikes = model.iter().filter(|e| e.description().after_turn && e.axes().first() == Some(axis));
         let own_um = spikes.filter_map(|e| Some(e.scalar(e.description().place(Search::Linear)?).abs()));
         let sd = own_um.fold(0.3 * CONTRIBUTION, f64::max);

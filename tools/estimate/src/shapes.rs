@@ -1,5 +1,5 @@
-//! Shapes without a name: what real life does that no effect of the dictionary describes. One function per kind; a new one is its
-//! function and a line in [`SHAPES`].
+//! Shapes without a name: errors that no effect of the dictionary describes.
+//! Each kind has one function; a new one needs its function and a line in [`SHAPES`].
 
 use crate::cause::Shape;
 use crate::effort::{
@@ -66,7 +66,7 @@ impl<'r> Response<'r> {
         Self { rows, number, name: role.to_string(), axis: role.axis().cloned(), own }
     }
 
-    /// A quantity that all records of the response log; rows of others are zero.
+    /// A quantity that all records of the response log; zero in other rows.
     fn get(&self, of: &dyn Fn(&rtec_model::record::Record) -> Option<Vec<f64>>) -> Option<Vec<f64>> {
         let mut out = vec![0.0; self.rows.n];
         for s in self.rows.segments.iter().filter(|s| s.response == self.number) {
@@ -108,7 +108,8 @@ impl<'r> Response<'r> {
         self.get(&|r| Some(r.time_s().to_vec())).unwrap_or_default()
     }
 
-    /// All that is logged of these rows and varies, with labels; not the places (they have names).
+    /// All logged quantities that vary, with labels.
+    /// Places are left out, because effects with names depend on them.
     fn scalars(&self) -> Vec<(String, Vec<f64>)> {
         let mut out = vec![("time".to_owned(), self.time())];
         let Some(first) = self.rows.segments.iter().find(|s| s.response == self.number) else { return out };
@@ -142,13 +143,15 @@ impl<'r> Response<'r> {
         out
     }
 
-    /// A smooth function of a variable; without its constant, and without its line where a name explains that.
+    /// A smooth function of a variable.
+    /// Without its constant, and without its line where a name explains that.
     fn smooth(&self, v: &[f64], kernel: &dyn Fn(f64) -> Kernel, line: bool) -> Vec<Vec<f64>> {
         let line: &[fn(f64) -> f64] = if line { &[|x| x] } else { &[] };
         self.smooth_without(v, kernel, line)
     }
 
-    /// A smooth function of a variable; without its constant, and without these functions, which have names.
+    /// A smooth function of a variable.
+    /// Without its constant, and without these functions, which have names.
     fn smooth_without(
         &self,
         v: &[f64],
@@ -189,7 +192,7 @@ fn times(columns: Vec<Vec<f64>>, by: &[f64]) -> Vec<Vec<f64>> {
     columns.into_iter().map(of).collect()
 }
 
-/// What of a column is none of others.
+/// The part of a column that is orthogonal to others.
 fn apart(mut column: Vec<f64>, others: &[Vec<f64>]) -> Vec<f64> {
     let whole = dot(&column, &column);
     let mut basis: Vec<Vec<f64>> = Vec::new();
@@ -210,7 +213,7 @@ fn apart(mut column: Vec<f64>, others: &[Vec<f64>]) -> Vec<f64> {
     if dot(&column, &column) < 1e-9 * whole { vec![0.0; column.len()] } else { column }
 }
 
-/// Over half the range: from −1 to 1.
+/// Scales a variable to the range from −1 to 1.
 fn unit(x: &[f64], own: &[usize]) -> Vec<f64> {
     let (lo, hi) = own.iter().fold((f64::MAX, f64::MIN), |(l, h), i| (l.min(x[*i]), h.max(x[*i])));
     x.iter().map(|x| if hi > lo { (2.0 * x - lo - hi) / (hi - lo) } else { 0.0 }).collect()
@@ -219,7 +222,7 @@ fn unit(x: &[f64], own: &[usize]) -> Vec<f64> {
 fn along_scalars(r: &Response<'_>, out: &mut Vec<Shaped>) {
     for (label, data) in r.scalars() {
         for length in LENGTHS {
-            // A line of a temperature, speed or load has a name; one of time has not. Friction has more names.
+            // Named effects explain a line in temperature, speed or load, but not in time. Friction has several names.
             let named: &[fn(f64) -> f64] = match label.as_str() {
                 l if l == "time" || l.starts_with("cycle") => &[],
                 l if l.starts_with("velocity") => &[|v| v, sign, f64::abs],
@@ -231,13 +234,14 @@ fn along_scalars(r: &Response<'_>, out: &mut Vec<Shaped>) {
     }
 }
 
-/// What goes on for long and does not repeat.
+/// A slow walk over time that does not repeat.
 fn wander(r: &Response<'_>, out: &mut Vec<Shaped>) {
     let columns = r.smooth(&r.time(), &|range| Kernel::Rough(0.1 * range), false);
     out.push((r.shape(&["time"], "wanders"), columns));
 }
 
-/// What settles as stands, glue and magnetic bases do, with the logarithm of time: in each run from its beginning, by a size of its own.
+/// Creep of stands, glue and magnetic bases with the logarithm of time.
+/// In each run it starts at the beginning and has a size of its own.
 fn creep(r: &Response<'_>, out: &mut Vec<Shaped>) {
     let own: Vec<_> = r.rows.segments.iter().filter(|s| s.response == r.number).collect();
     for share in CREEPS {
@@ -296,7 +300,7 @@ fn with_direction(r: &Response<'_>, out: &mut Vec<Shaped>) {
 fn with_velocity(r: &Response<'_>, out: &mut Vec<Shaped>) {
     let Some((name, v)) = r.axis_role(Role::Velocity) else { return };
     let top = r.own.iter().fold(1e-12_f64, |m, i| m.max(v[*i].abs()));
-    // Friction, lag and backlash have names: a shape is what is left beside them.
+    // Friction, lag and backlash have names, so the shape is orthogonal to them.
     let named = [r.over(&|_| 1.0), v.clone(), r.over(&|i| sign(v[i])), r.over(&|i| v[i].abs())];
     let of = |f: &dyn Fn(f64) -> f64| vec![apart(r.over(&|i| CONTRIBUTION * f(v[i] / top)), &named)];
     out.push((r.shape(&[&name], "quadratic, with the sign of the velocity"), of(&|v| v * v.abs())));
@@ -395,7 +399,7 @@ fn over_plane(r: &Response<'_>, out: &mut Vec<Shaped>) {
     }
 }
 
-/// What repeats at each place as it likes: an own level of each that was measured at several times.
+/// A level of its own at each place that was measured at several times.
 fn place_by_place(r: &Response<'_>, out: &mut Vec<Shaped>) {
     let Some(first) = r.rows.segments.iter().find(|s| s.response == r.number) else { return };
     let mut labels: Vec<String> = Vec::new();

@@ -1,9 +1,11 @@
-//! Smooth functions of one variable as a few columns: a Gaussian process on knots, without what lines explain.
+//! Smooth functions of one variable as a few columns.
+//! A Gaussian process on knots, without what lines explain.
 
 use crate::priors::SMOOTH_RANK;
 use nalgebra::{DMatrix, SymmetricEigen};
 
-/// Knots over these values: each of them where they are few, evenly spread otherwise.
+/// Knots over these values.
+/// Each of them where they are few, evenly spread otherwise.
 #[must_use]
 pub fn knots(values: &[f64], most: usize) -> Vec<f64> {
     let mut sorted: Vec<f64> = values.to_vec();
@@ -23,7 +25,7 @@ pub fn knots(values: &[f64], most: usize) -> Vec<f64> {
         return distinct;
     }
     let even: Vec<f64> = (0..most).map(|i| lo + (hi - lo) * i as f64 / (most - 1) as f64).collect();
-    // A knot that nothing is near would be anything.
+    // A knot far from all data would be undetermined.
     let pitch = (hi - lo) / (most - 1) as f64;
     let near = |k: &f64| {
         let i = sorted.partition_point(|v| v < k);
@@ -57,8 +59,8 @@ pub enum Kernel {
     Rough(f64),
 }
 
-/// Directions over knots, each times its standard deviation, of a process of unit variance of which `without` (rows over the knots)
-/// is taken out; at most `most`.
+/// Directions over knots, each times its standard deviation.
+/// The process has unit variance, and `without` (rows over the knots) is projected out; at most `most` directions.
 #[must_use]
 pub fn directions(knots: &[f64], kernel: Kernel, without: &[Vec<f64>], most: usize) -> Vec<Vec<f64>> {
     let k = knots.len();

@@ -1,5 +1,6 @@
-//! What goes on for longer than noise remembers and does not repeat: a walk that is pulled back (Ornstein–Uhlenbeck), beside the
-//! noise of a response. Judged in the spectrum of what is left: noise alone has an even one (Whittle 1953).
+//! A slow walk beside a response's noise (Ornstein–Uhlenbeck).
+//! It lasts longer than the noise remembers and does not repeat. It is judged in the residual's spectrum, which is flat for noise alone
+//! (Whittle 1953).
 
 use crate::effort::{WALK_FEWEST_ROWS, WALK_MEMORIES, WALK_RANK, WALK_SIZES};
 use crate::priors::{NAMED_SHARE, PRICE, WALK_KINDS};
@@ -22,7 +23,8 @@ pub struct Wander {
     pub odds: f64,
 }
 
-/// The likeliest walk of each response in a whitened remainder, where it is likelier than none.
+/// The likeliest walk of each response, if it is likelier than none.
+/// It is searched in a whitened residual.
 #[must_use]
 pub fn wanders(problem: &Problem<'_>, noise: &Noise, residual: &[f64]) -> Vec<Wander> {
     let rows = problem.rows;
@@ -57,7 +59,7 @@ pub fn wanders(problem: &Problem<'_>, noise: &Noise, residual: &[f64]) -> Vec<Wa
                     let walk = variance * (1.0 - rho * rho) / (1.0 - 2.0 * rho * w.cos() + rho * rho);
                     walk * (1.0 - 2.0 * phi * w.cos() + phi * phi)
                 };
-                // The even part is what is left of the level.
+                // The flat part is the remaining level of the noise.
                 let mean = spectra
                     .iter()
                     .flat_map(|p| (0..p.len()).map(move |k| shape(frequency(k, p.len()))))

@@ -20,7 +20,8 @@ pub struct Along {
     pitch: f64,
     length: usize,
     transform: Arc<dyn Fft<f64>>,
-    /// At each frequency the products of cosine and sine, without their means: with themselves and with each other.
+    /// At each frequency the products of cosine and sine, without their means.
+    /// With themselves and with each other.
     products: Vec<[f64; 3]>,
 }
 
@@ -63,7 +64,7 @@ impl Along {
         let (_, once) = self.transformed(self.rows.iter().map(|r| (r.1, r.2)));
         let (_, squared) = self.transformed(self.rows.iter().map(|r| (r.1, r.2 * r.2)));
         let of = |i: usize| {
-            // What a wave of twice the frequency sums to says how much of the power is the cosine's.
+            // The sum at twice the frequency gives the cosine's share of the power.
             let (mean, twice) = (once[i], squared[2 * i]);
             [
                 0.5 * (whole + twice.re) - mean.re * mean.re / n,
@@ -107,7 +108,7 @@ impl Along {
         out
     }
 
-    /// Whether its spectrum takes as long as all other looks together.
+    /// Whether its spectrum takes as long to compute as all other looks together.
     #[must_use]
     pub fn is_long(&self) -> bool {
         self.length > 1 << 15
@@ -119,7 +120,8 @@ impl Along {
         self.range
     }
 
-    /// Near each of these frequencies (within a share of it) the one at which a weighted residual has the largest power, best first.
+    /// The strongest frequency near each of these, best first.
+    /// Near means within a share of it; strongest by the power of a weighted residual.
     #[must_use]
     pub fn near(&self, residual: &[f64], frequencies: &[f64], share: f64) -> Vec<f64> {
         let step = FREQUENCY_STEP / self.span;
@@ -147,13 +149,13 @@ impl Along {
         all.into_iter().map(|b| b.1).collect()
     }
 
-    /// Frequencies at which a wave looks nearly the same at these places as at this one.
+    /// Frequencies of waves that look nearly the same at these places.
     #[must_use]
     pub fn alike(&self, frequency: f64) -> Vec<f64> {
         let rows = self.rows.iter().map(|r| r.0).max().map_or(0, |last| last + 1);
         let (step, power) = self.spectrum(&vec![1.0; rows]);
         let whole: f64 = self.rows.iter().map(|r| r.2).sum();
-        // Half of the spectrum is enough: shifts beyond it lead out of the range.
+        // Half of the spectrum suffices: larger shifts lead out of the range.
         let last = power.len() - 1;
         let peaks = (1..last).filter(|i| power[*i] >= power[i - 1] && power[*i] > power[i + 1]);
         let shown = |d: f64| {
@@ -179,8 +181,8 @@ impl Along {
         shifts.flat_map(of).filter(|f| (self.range[0]..=self.range[1]).contains(f)).collect()
     }
 
-    /// Frequencies at which a wave explains most of a weighted residual, best first. At few places sine and cosine may look alike, or
-    /// like a constant: what counts is what both explain beside one.
+    /// Frequencies at which a wave explains most of a weighted residual, best first.
+    /// At few places sine and cosine may look alike, or like a constant. So the power counts that both explain beside a constant.
     #[must_use]
     pub fn peaks(&self, residual: &[f64], most: usize) -> Vec<f64> {
         let (step, sums) = self.transformed(self.rows.iter().map(|r| (r.1, residual[r.0] * r.2)));
@@ -208,7 +210,7 @@ impl Along {
         (step, sums.iter().map(Complex::norm_sqr).collect())
     }
 
-    /// Step of frequency, and at each what values at places sum to with cosine and sine.
+    /// Step of frequency, and at each the sums of values with cosine and sine.
     fn transformed(&self, values: impl Iterator<Item = (f64, f64)>) -> (f64, Vec<Complex<f64>>) {
         let mut grid = vec![Complex::new(0.0, 0.0); self.length];
         for (place, x) in values {

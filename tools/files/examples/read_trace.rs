@@ -1,4 +1,5 @@
-//! A recorded quadrature trace is read, and counted; a row that is wrong is said with its place.
+//! A recorded quadrature trace is read, and counted.
+//! A row that is wrong is said with its place.
 use rtec_files::trace::{TraceFormat, TraceReader};
 use std::path::Path;
 

@@ -64,14 +64,16 @@ pub struct Commented {
     pub lines: usize,
 }
 
-/// A row that [`Reader::plain_row`] has found: how long its text is, and its line with the line's end, bytes.
+/// A row that [`Reader::plain_row`] has found.
+/// How long its text is, and its line with the line's end, bytes.
 #[derive(Debug, Clone, Copy)]
 pub struct PlainRow {
     text: usize,
     line: usize,
 }
 
-/// Shared by the rows: the parser's state ends with the cell, and it cannot be cloned once it is built.
+/// Shared by the rows.
+/// The parser's state ends with the cell, and it cannot be cloned once it is built.
 type Parser = RefCell<csv_core::Reader>;
 
 impl Reader<File> {
@@ -164,10 +166,10 @@ impl<R: Read> Reader<R> {
         Ok(Some(row))
     }
 
-    /// The numbers of the next row where it is as many as `row` has places, and nothing else but fields that `skip` says are no
-    /// matter: what [`Reader::row`] and [`Cell::finite`] would say, with less work, because each byte is looked at once. Nothing
-    /// is taken yet: [`Reader::take`] does. `None`, and anything in `row`, where there may be more to it: a quote, a comment,
-    /// blanks, a mistake, or the end of what the buffer holds.
+    /// Fast path: the numbers of the next row, if it has as many cells as `row`.
+    /// Fields that `skip` marks do not matter. The result equals that of [`Reader::row`] and [`Cell::finite`], with less work, because each
+    /// byte is looked at once. Nothing is consumed: [`Reader::take`] does that. `None`, with anything in `row`, if the row needs the
+    /// careful reader: a quote, a comment, blanks, a mistake, or the end of what the buffer holds.
     #[inline]
     #[must_use]
     pub fn plain_row(&self, row: &mut [f64], skip: impl Fn(usize) -> bool) -> Option<PlainRow> {
@@ -199,7 +201,8 @@ impl<R: Read> Reader<R> {
         }
     }
 
-    /// Goes on behind a row that [`Reader::plain_row`] has just found; gives it as it stands, ASCII.
+    /// Consumes the row that [`Reader::plain_row`] has just found.
+    /// Returns its text, which is ASCII.
     #[inline]
     pub fn take(&mut self, row: PlainRow) -> &[u8] {
         self.beyond.others += 1;
@@ -215,8 +218,9 @@ impl<R: Read> Reader<R> {
         Ok(self.begin(&first, &[self.by], &[]))
     }
 
-    /// The first row, as the columns' names; what parts it (`;`, a tab, `|` where it has no comma, or else a comma) parts all rows. A
-    /// line `sep=X` in front of it, as spreadsheets write and read it, says what parts them.
+    /// The first row, as the columns' names.
+    /// What parts it (`;`, a tab, `|` where it has no comma, or else a comma) parts all rows. A line `sep=X` in front of it, as
+    /// spreadsheets write and read it, says what parts them.
     ///
     /// # Errors
     /// As [`Reader::header`]; a `sep=` of another character than `,`, `;`, `|` and a tab.
@@ -224,7 +228,8 @@ impl<R: Read> Reader<R> {
         self.header_with(expected, &[])
     }
 
-    /// As [`Reader::header_by_any`]; of several separators in the row, the one that gives all of `names`.
+    /// As [`Reader::header_by_any`], with the separator that gives all `names`.
+    /// It chooses among several separators in the row.
     ///
     /// # Errors
     /// As [`Reader::header_by_any`].
@@ -256,7 +261,8 @@ impl<R: Read> Reader<R> {
         Ok(self.begin(&first, &by, names))
     }
 
-    /// As [`Reader::header_with`], for columns that somebody called by names or by numbers from 1; see [`Reader::or_numbers`].
+    /// As [`Reader::header_with`], for columns given by name or number from 1.
+    /// See [`Reader::or_numbers`].
     ///
     /// # Errors
     /// As [`Reader::header_by_any`].
@@ -266,8 +272,8 @@ impl<R: Read> Reader<R> {
         Ok(self.or_numbers(header, columns))
     }
 
-    /// The header that was just read. Where all columns are called by numbers and it is a line of values, that line is a row, and
-    /// the numbers are the names.
+    /// The header that was just read.
+    /// Where all columns are called by numbers and it is a line of values, that line is a row, and the numbers are the names.
     pub fn or_numbers(&mut self, header: Header, columns: &[&str]) -> Header {
         if columns.is_empty() || !columns.iter().all(is_number) || header.is_missing().is_none() {
             return header;
@@ -287,7 +293,8 @@ impl<R: Read> Reader<R> {
         })
     }
 
-    /// Takes the columns' names from the first line: of several separators the first that gives all of `names`, or else the first.
+    /// Takes the columns' names from the first line.
+    /// Of several separators it uses the first that gives all `names`, otherwise the first.
     fn begin(&mut self, first: &FirstLine, by: &[u8], names: &[&str]) -> Header {
         let width = |by: u8| width_of_rows(self.lines.unread(), by);
         let cut = |by: u8| content(first.whole.as_bytes(), by, width(by)).len();
@@ -307,7 +314,8 @@ impl<R: Read> Reader<R> {
         header
     }
 
-    /// The first row, which must be these names; `otherwise` says what else may be done.
+    /// Reads the first row, which must be these names.
+    /// `otherwise` says what else the user may do.
     ///
     /// # Errors
     /// It is not.
@@ -414,7 +422,8 @@ struct FirstLine {
     whole: String,
 }
 
-/// A line without its comment and the blanks at its end; empty where nothing but separators is in it.
+/// A line without its comment and the blanks at its end.
+/// Empty where nothing but separators is in it.
 fn content(line: &[u8], by: u8, width: Option<usize>) -> &[u8] {
     let comment = if memchr::memchr(b'#', line).is_some() { comment_at(line, by, width) } else { None };
     let text = line[..comment.unwrap_or(line.len())].trim_ascii_end();
@@ -461,7 +470,8 @@ fn comment_at(line: &[u8], by: u8, width: Option<usize>) -> Option<usize> {
     None
 }
 
-/// Whether a comment has as many cells as a row, a word in the first and a number in another: `#1;2,5;3`, `#1;D1;2,5`.
+/// Whether a comment looks like a row: `#1;2,5;3`, `#1;D1;2,5`.
+/// It has as many cells, a word in the first and a number in another.
 fn looks_like_a_row(line: &[u8], by: u8, width: Option<usize>) -> bool {
     let Some(text) = line.trim_ascii().strip_prefix(b"#").and_then(|text| std::str::from_utf8(text).ok())
     else {
@@ -481,7 +491,7 @@ fn width_of_rows(ahead: &[u8], by: u8) -> Option<usize> {
     Some(1 + outside_quotes(row).filter(|(_, byte)| *byte == by).count())
 }
 
-/// The bytes of a line, with their places, that stand behind an even number of quotes.
+/// The bytes of a line outside quotes, with their positions.
 fn outside_quotes(line: &[u8]) -> impl Iterator<Item = (usize, u8)> {
     let mut inside = false;
     line.iter().copied().enumerate().filter(move |(_, byte)| {
@@ -534,7 +544,8 @@ impl<'a> Row<'a> {
             && outside_quotes(self.text.as_bytes()).filter(|(_, byte)| *byte == self.by).count() >= width
     }
 
-    /// A row of more fields than there are columns, as one of decimal commas between commas is: numbers all, none with a point.
+    /// Whether a row has too many fields because of decimal commas.
+    /// All fields are then numbers without a point.
     #[must_use]
     pub fn has_decimal_commas(&self, columns: usize) -> bool {
         let cells: Vec<&str> = self.text.split(',').map(str::trim).collect();
@@ -580,7 +591,8 @@ pub struct Cells<'a> {
 }
 
 impl<'a> Cells<'a> {
-    /// The cell that begins at a byte, by the `csv` crate's parser; `None` where its quote is not closed.
+    /// The cell that begins at a byte, by the `csv` crate's parser.
+    /// `None` if its quote is not closed.
     #[cold]
     fn quoted_cell(&mut self, start: usize) -> Option<Cow<'a, str>> {
         self.next = None;
@@ -703,8 +715,8 @@ impl<'a> Cell<'a> {
     }
 }
 
-/// A field of a plain row that is no plain decimal, up to the byte that is its end: what the standard library's parser makes of
-/// it, or anything where it is to be skipped.
+/// A field of a plain row that is no plain decimal, up to the byte that is its end.
+/// What the standard library's parser makes of it, or anything where it is to be skipped.
 #[inline(never)]
 fn other_field(text: &[u8], is_end: impl Fn(u8) -> bool, skip: bool) -> Option<(f64, usize)> {
     let length = text.iter().position(|byte| is_end(*byte))?;
@@ -772,13 +784,13 @@ impl Header {
         }
     }
 
-    /// The columns called by their numbers, from 1, where the first row is one of values.
+    /// Numbers the columns from 1, for a first row that holds values.
     fn numbered(&self) -> Self {
         let names = (1..=self.names.len()).map(|n| (n.to_string(), 1)).collect();
         Self { names, ..self.clone() }
     }
 
-    /// Where a column is that is called by its name or, where no column has that name, by its number from 1.
+    /// Index of a column by its name, or else by its number from 1.
     ///
     /// # Errors
     /// As [`Header::place`].
@@ -791,8 +803,8 @@ impl Header {
         }
     }
 
-    /// The columns under other names: pairs of the new name, and of the column's name or number; those that are in no pair lose
-    /// theirs.
+    /// The columns under other names.
+    /// Pairs of the new name, and of the column's name or number; those that are in no pair lose theirs.
     ///
     /// # Errors
     /// As [`Header::place`].
@@ -809,7 +821,8 @@ impl Header {
         Ok(renamed)
     }
 
-    /// A finding where the first row is one of numbers, not of names: more of its cells are numbers than are not.
+    /// A finding where the first row is one of numbers, not of names.
+    /// More of its cells are numbers than are not.
     #[must_use]
     pub fn is_missing(&self) -> Option<InputError> {
         let is_number = |text: &str| text.trim().replace(',', ".").parse::<f64>().is_ok();
@@ -848,7 +861,8 @@ impl Header {
         }
     }
 
-    /// That blanks part the columns, where nothing else does and one of these names is there by itself then.
+    /// Finds that only blanks separate the columns.
+    /// One of these names must then be there by itself.
     fn blanks_part<'n>(&self, names: impl IntoIterator<Item = &'n str>) -> Option<&'static str> {
         let mut words =
             names.into_iter().flat_map(|name| self.text.split_ascii_whitespace().map(move |w| w == name));
@@ -952,8 +966,8 @@ impl Header {
     }
 }
 
-/// A cell as it must be written so that it reads back: in quotes where it is empty, has blanks at its ends, or holds a
-/// comma, a quote, a `#`, what else may part cells, or a byte-order mark.
+/// A cell as it must be written so that it reads back.
+/// In quotes where it is empty, has blanks at its ends, or holds a comma, a quote, a `#`, what else may part cells, or a byte-order mark.
 #[must_use]
 pub fn cell(text: &str) -> Cow<'_, str> {
     let quoted = [',', '"', '#', ';', '\t', '\u{feff}'];
@@ -1005,7 +1019,8 @@ pub fn header_line<'n>(names: impl IntoIterator<Item = &'n str>) -> String {
 mod tests {
     use super::*;
 
-    /// Whatever stands in the rows: what is read the short way is what each cell says by itself.
+    /// Whatever stands in the rows.
+    /// What is read the short way is what each cell says by itself.
     #[test]
     fn a_plain_row_is_what_its_cells_say() {
         use proptest::prelude::*;

@@ -1,7 +1,7 @@
-//! What a file says that it is, for the message where another kind was asked for.
+//! Recognises a file's kind, for messages if another kind was expected.
 //!
-//! Each kind is known by what only it begins with or holds: a magic number, the first words of an exchange format, the
-//! tables of a TOML file, the names of a CSV's columns.
+//! A kind is recognised by what only it begins with or holds: a magic number, the first words of an exchange format, the tables of a TOML
+//! file, or the names of a CSV's columns.
 
 use crate::input::InputError;
 use std::path::Path;
@@ -43,7 +43,8 @@ pub enum FileKind {
     Etalon,
     /// `MTConnect`'s SHDR lines.
     Shdr,
-    /// Lines of three numbers between blanks, the first ones rising: a compensation table of `LinuxCNC`.
+    /// Lines of three numbers between blanks, the first ones rising.
+    /// A compensation table of `LinuxCNC`.
     Numbers,
     /// A spreadsheet's own file, or another zip archive.
     Workbook,
@@ -59,7 +60,7 @@ pub enum FileKind {
     Picture,
     /// A program for a machine's controller.
     Program,
-    /// A compensation table that another controller loads: `$AA_ENC_COMP`, `$AN_CEC`, `kw.ssfk`.
+    /// A controller's compensation table: `$AA_ENC_COMP`, `$AN_CEC`, `kw.ssfk`.
     ControllerTable,
 }
 
@@ -80,7 +81,8 @@ const LINES: usize = 2000;
 /// A program of a controller has a block among so many lines.
 const BLOCKS: usize = 30;
 
-/// Whether a line is a block of a program: `N10 G0 X5`, `G1X9`, `G21`. A row of a table has something that parts its cells.
+/// Whether a line is a block of a program: `N10 G0 X5`, `G1X9`, `G21`.
+/// A row of a table has something that parts its cells.
 fn is_block(line: &str) -> bool {
     let word = |text: &str, letter: char| -> Option<usize> {
         let rest = text.strip_prefix(letter)?;
@@ -270,7 +272,7 @@ impl FileKind {
         InputError::whole(path, other.name(), self.expected())
     }
 
-    /// The finding of a reader of `self`: that it is a file of another kind, where it is one.
+    /// The finding of a reader of `self` that the file is of another kind.
     #[must_use]
     pub fn finding(self, path: &Path, text: &str, finding: InputError) -> InputError {
         match Self::of(text) {
@@ -281,8 +283,8 @@ impl FileKind {
         }
     }
 
-    /// The finding of a reader of another format than these: that the text is a file of a known kind, where it is one. `own` is
-    /// the reader's own kind, where it is one of these.
+    /// The finding of another format's reader that the text is of a known kind.
+    /// `own` is the reader's own kind, if it is one of these.
     #[must_use]
     pub fn instead_of(own: Option<Self>, text: &str, finding: InputError) -> InputError {
         match Self::of(text).filter(|kind| Some(*kind) != own && *kind != Self::Table) {

@@ -1,5 +1,6 @@
-//! A folder that others may write to as well: a shop's share, a spool, the place that a backup is restored to. Every step goes
-//! through an open folder (openat(2)) and follows no link, so that nobody leads a write or a read to another place.
+//! A folder that others may write to as well.
+//! A shop's share, a spool, the place that a backup is restored to. Every step goes through an open folder (openat(2)) and follows no link,
+//! so that nobody leads a write or a read to another place.
 
 use nix::dir::Dir;
 use nix::errno::Errno;
@@ -26,7 +27,8 @@ pub struct Folder {
 }
 
 impl Folder {
-    /// Opens a folder that is there. Links in `path` itself are followed: it is the caller's.
+    /// Opens a folder that is there.
+    /// Links in `path` itself are followed: it is the caller's.
     ///
     /// # Errors
     /// It is no folder, or cannot be opened.
@@ -132,8 +134,8 @@ impl Folder {
         Ok(Some(bytes))
     }
 
-    /// Writes a file whole or not at all; what had its name before is replaced, a link too. `go_on` is asked between pieces:
-    /// where it says no, nothing is written.
+    /// Writes a file whole or not at all.
+    /// What had its name before is replaced, a link too. `go_on` is asked between pieces: where it says no, nothing is written.
     ///
     /// # Errors
     /// What the file system reports; of kind `Interrupted` where it was given up.
@@ -185,8 +187,8 @@ impl Folder {
         Ok(())
     }
 
-    /// Gives a file or folder another name, in this folder or in another one; what has that name stays, and is an error of kind
-    /// `AlreadyExists`.
+    /// Renames a file or folder, within this folder or into another.
+    /// An existing target stays, and is an error of kind `AlreadyExists`.
     ///
     /// # Errors
     /// What the file system reports.
@@ -217,7 +219,8 @@ impl Folder {
         Ok(unlinkat(&self.fd, plain(name)?, UnlinkatFlags::RemoveDir)?)
     }
 
-    /// Locks the folder for this process; none where another one holds it. File systems that lock no folder give an error.
+    /// Locks the folder for this process; none where another one holds it.
+    /// File systems that lock no folder give an error.
     ///
     /// # Errors
     /// What the file system reports.
@@ -249,7 +252,8 @@ impl Folder {
         Ok(names)
     }
 
-    /// What its regular files take on the disk, bytes: at least a block each; those in folders of it are not counted.
+    /// What its regular files take on the disk, bytes: at least a block each.
+    /// Those in folders of it are not counted.
     ///
     /// # Errors
     /// What the file system reports.

@@ -1,13 +1,16 @@
-//! The one shape of error for a file that a person wrote: where, what was found, what was expected.
+//! The one shape of error for a file that a person wrote.
+//! Where, what was found, what was expected.
 
 use crate::words::{cut_at, printable};
 use std::fmt;
 use std::path::{Path, PathBuf};
 
-/// No more characters than these are said of what was found or expected: some of it may come from the file.
+/// No more characters than these are said of what was found or expected.
+/// Some of it may come from the file.
 const LONGEST: usize = 2000;
 
-/// Bad input in a file: one finding, with its place and its remedy. Ends a command with exit code 2.
+/// Bad input in a file: one finding, with its place and its remedy.
+/// Ends a command with exit code 2.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct InputError {
     /// The file, as the user named it.
@@ -74,7 +77,8 @@ impl fmt::Display for InputError {
 
 impl std::error::Error for InputError {}
 
-/// What is said on the way about input that is taken all the same: a line on a terminal, a warning in a notebook.
+/// What is said on the way about input that is taken all the same.
+/// A line on a terminal, a warning in a notebook.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Said {
     /// What to know before the result is used.

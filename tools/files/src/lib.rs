@@ -1,5 +1,6 @@
-//! How a file is read and written. Everything that a person or another program wrote comes in through here, and every
-//! finding about it is one [`InputError`]: file, line, column, what was found, what was expected.
+//! How a file is read and written.
+//! Everything that a person or another program wrote comes in through here, and every finding about it is one [`InputError`]: file, line,
+//! column, what was found, what was expected.
 //!
 //! | module | what |
 //! |---|---|
@@ -19,8 +20,8 @@
 //!
 //! Private: `decimal` makes a number of digits, `lines` reads a file line by line through one buffer, `vcd` is the VCD half of [`trace`].
 //!
-//! What must not live here: the formats of the crates above (records, models, configurations), only what they are made
-//! of; engine, machine and law are unknown.
+//! Formats of the crates above (records, models, configurations) must not be here, only their building blocks. This crate does not know
+//! engine, machine or laws.
 //!
 //! At work: `cargo run -p rtec-files --example read_trace`, which the tests run too.
 

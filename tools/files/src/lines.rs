@@ -92,7 +92,8 @@ impl<R: Read> Lines<R> {
         &self.buffer[self.start..self.end]
     }
 
-    /// Takes a whole line of so many bytes that was seen ahead; gives its first `text` bytes.
+    /// Consumes a line of known length that was seen ahead.
+    /// Returns its first `text` bytes.
     #[inline]
     pub(crate) fn take_line(&mut self, length: usize, text: usize) -> &[u8] {
         let start = self.start;

@@ -1,4 +1,5 @@
-//! How a table's numbers are written: decimal point or comma, thousands parted or not.
+//! How a table's numbers are written.
+//! Decimal point or comma, thousands parted or not.
 //!
 //! A cell tells its decimal mark by itself where it has both marks (`1.000,5`), one mark several times (`1.000.000`), or one
 //! that cannot part thousands (`38,1125`, `0,125`). One mark with three digits behind it (`1.000`, `38,125`) does not tell; the
@@ -22,18 +23,20 @@ pub struct Numbers {
     column: Option<char>,
     /// The mark that any cell of the table shows.
     table: Option<char>,
-    /// Commas part the cells: a comma within a cell is no decimal mark unless a cell shows that it is.
+    /// Commas part the cells.
+    /// A comma within a cell is no decimal mark unless a cell shows that it is.
     commas_part: bool,
 }
 
 impl Numbers {
-    /// For a column of these cells; `table` is what [`Numbers::mark_of`] finds among all cells, `by` what parts the cells.
+    /// The format of a column of these cells.
+    /// `table` is what [`Numbers::mark_of`] finds among all cells, `by` the separator of cells.
     #[must_use]
     pub fn of<'t>(column: impl IntoIterator<Item = &'t str>, table: Option<char>, by: char) -> Self {
         Self::shown(Self::mark_of(column), table, by)
     }
 
-    /// For a column whose cells show one mark, or none, in a table that shows one, or none.
+    /// The format of a column from its own mark, if any, and the table's, if any.
     #[must_use]
     pub fn shown(column: Option<char>, table: Option<char>, by: char) -> Self {
         Self { column, table, commas_part: by == ',' }
@@ -51,13 +54,14 @@ impl Numbers {
         cells.into_iter().find_map(shown_mark)
     }
 
-    /// The finite number in a cell; `None` where there is none, or where it has two readings.
+    /// The finite number in a cell. `None` if there is none, or if it has two readings.
     #[must_use]
     pub fn parse(self, text: &str) -> Option<f64> {
         number(&self.plain(text)?)
     }
 
-    /// A cell's number with a decimal point and nothing that parts thousands; `None` where it has two readings.
+    /// A cell's number with a decimal point and without thousands separators.
+    /// `None` if it has two readings.
     #[must_use]
     pub fn plain(self, text: &str) -> Option<Cow<'_, str>> {
         if !text.contains(['.', ',']) && !text.contains(BLANKS) {
@@ -78,7 +82,8 @@ impl Numbers {
         ungrouped(text, mark).map(Cow::Owned)
     }
 
-    /// Whether a cell's mark may part thousands or be the decimal mark, and no other cell tells.
+    /// Whether a cell's mark may be a decimal mark or separate thousands.
+    /// No other cell decides it.
     #[must_use]
     pub fn leaves_open(self, text: &str) -> bool {
         self.column.is_none() && self.table.is_none() && has_two_readings(text)
@@ -106,7 +111,8 @@ impl Numbers {
     }
 }
 
-/// How a table is written: what parts its cells, and the decimal marks that they show, column by column.
+/// How a table is written.
+/// What parts its cells, and the decimal marks that they show, column by column.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Marks {
     columns: Vec<Option<char>>,
@@ -189,8 +195,8 @@ impl Marks {
         seen
     }
 
-    /// Of a table with these columns, from its beginning, where the input is again afterwards. `None` for a plain
-    /// table: commas part the cells, none is in quotes, and it is UTF-8, so that a number can only have a decimal point.
+    /// Finds the format of a table; the input is at its beginning again afterwards.
+    /// `None` for a plain table: cells separated by commas, no quotes, UTF-8. Its numbers can only have a decimal point.
     ///
     /// # Errors
     /// There is no header; a row that is no text; the input cannot be read.
@@ -230,8 +236,8 @@ impl Marks {
         Style { by: self.by, decimal_comma: self.table == Some(',') }
     }
 
-    /// How the file is written where it is not as formats.md has it: UTF-16, another separator, decimal commas; and what has two
-    /// readings in it.
+    /// How the file's format differs from formats.md.
+    /// UTF-16, another separator or decimal commas; and cells with two readings.
     #[must_use]
     pub fn written(&self, file: &Path) -> Option<String> {
         let by = match self.by {
@@ -258,7 +264,8 @@ impl Marks {
         (!said.is_empty()).then(|| format!("{}: {}", file.display(), said.join("; ")))
     }
 
-    /// Cells whose mark may be the decimal mark or part thousands, where no other cell of the table tells.
+    /// Cells whose mark may be a decimal mark or separate thousands.
+    /// No other cell of the table decides it.
     fn two_readings(&self) -> Option<String> {
         let text = self.open.as_ref().filter(|_| self.table.is_none() && self.by != ',')?;
         let (mark, name) = if text.contains(',') { (',', "comma") } else { ('.', "point") };
@@ -270,7 +277,8 @@ impl Marks {
         ))
     }
 
-    /// Separators at the end of every row are a program's habit; at the end of some, a cell may be missing.
+    /// Separators at the end of every row are a program's habit.
+    /// At the end of some, a cell may be missing.
     fn separators(&self) -> Option<String> {
         let Beyond { line, rows, others } = self.beyond;
         let end = if rows == 1 { "row ends" } else { "rows end" };
@@ -354,7 +362,8 @@ fn mark_by_shape(text: &str) -> Option<char> {
     (!may_part).then_some(mark)
 }
 
-/// A number as the standard library reads it: decimal point, nothing that parts thousands.
+/// A number as the standard library reads it.
+/// Decimal point, nothing that parts thousands.
 fn ungrouped(text: &str, mark: char) -> Option<String> {
     let (sign, body) = text.split_at(text.len() - text.trim_start_matches(SIGNS).len());
     let end = body.find(mark).or_else(|| body.find(['e', 'E'])).unwrap_or(body.len());

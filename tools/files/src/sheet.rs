@@ -1,4 +1,5 @@
-//! A CSV whose columns are known, read whole: columns by name, every finding with its line and column.
+//! A CSV whose columns are known, read whole.
+//! Columns by name, every finding with its line and column.
 
 use crate::csv::{Header, Reader};
 use crate::file_kind::FileKind;
@@ -24,7 +25,8 @@ struct Row {
     cells: Vec<(String, usize)>,
 }
 
-/// Which column of a file is which, where its names are others: known names, each with the file's name or number, from 1.
+/// Which column of a file is which, where its names are others.
+/// Known names, each with the file's name or number, from 1.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Columns(Vec<(String, String)>);
 
@@ -91,7 +93,8 @@ fn record_beside(file: &Path) -> Option<String> {
 }
 
 impl Sheet {
-    /// Read a file whose columns are all in `known`, or match `also` (say, temperature columns).
+    /// Reads a file whose columns are all in `known`, or match `also`.
+    /// `also` is for temperature columns, say.
     ///
     /// # Errors
     /// Unreadable, no regular file, no header, unknown or repeated column, a row that is too short or too long, a file of
@@ -100,7 +103,8 @@ impl Sheet {
         Self::of(file, &crate::text::bytes(file)?, known, also, &Columns::default())
     }
 
-    /// As [`Sheet::read`]; the columns are those that somebody named, all others are left out.
+    /// As [`Sheet::read`].
+    /// The columns are those that somebody named, all others are left out.
     ///
     /// # Errors
     /// As [`Sheet::read`]; a column that was named and is not there.
@@ -180,7 +184,8 @@ impl Sheet {
         &self.file
     }
 
-    /// How the file is written where it is not as formats.md has it: UTF-16, another separator, decimal commas.
+    /// How the file's format differs from formats.md.
+    /// UTF-16, another separator or decimal commas.
     #[must_use]
     pub fn written(&self) -> Option<String> {
         self.marks.written(&self.file)

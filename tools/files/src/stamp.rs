@@ -1,4 +1,5 @@
-//! What the program writes of itself into what it writes: the format's number, and who wrote it.
+//! What the program writes of itself into what it writes.
+//! The format's number, and who wrote it.
 //!
 //! The number rises when something that stood is changed, not when something is added. A file without one is of the first format.
 
@@ -11,7 +12,7 @@ pub const VERSION: &str = env!("CARGO_PKG_VERSION");
 /// The format of run records, machine models and verdicts that is written and read.
 pub const FORMAT: u32 = 1;
 
-/// Who wrote it: `rtec 0.1.0`; of a release with its commit, `rtec 0.1.0 (c7e189b)`.
+/// Who wrote it: `rtec 0.1.0`. A release adds its commit: `rtec 0.1.0 (c7e189b)`.
 #[must_use]
 pub fn by() -> String {
     match option_env!("RTEC_COMMIT") {

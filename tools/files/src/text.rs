@@ -1,5 +1,5 @@
-//! Text files read whole: UTF-8 or UTF-16, a byte-order mark dropped. Whoever names a pipe or a device is told so: nobody waits for what
-//! never ends.
+//! Text files read whole: UTF-8 or UTF-16, a byte-order mark dropped.
+//! Whoever names a pipe or a device is told so: nobody waits for what never ends.
 
 use crate::file_kind::FileKind;
 use crate::input::InputError;
@@ -113,7 +113,8 @@ pub(crate) fn western(bytes: &[u8]) -> String {
     encoding_rs::WINDOWS_1252.decode_without_bom_handling(bytes).0.into_owned()
 }
 
-/// A number as a person reads it: as it is, or with a power of ten where it would be a row of zeros.
+/// A number as a person reads it.
+/// As it is, or with a power of ten where it would be a row of zeros.
 #[must_use]
 pub fn short(v: f64) -> String {
     if v == 0.0 || (1e-6..1e12).contains(&v.abs()) { v.to_string() } else { format!("{v:e}") }

@@ -1,4 +1,5 @@
-//! TOML read strictly: unknown keys are findings, every finding has its line and column.
+//! TOML read strictly.
+//! Unknown keys are findings, every finding has its line and column.
 //!
 //! [`Table`] and [`Entry`] end at the first finding; [`Section`] asks for each key once and collects every finding of a
 //! file. Both say the same of the same mistake.
@@ -30,7 +31,8 @@ impl<'t> Document<'t> {
         findings.into_iter().next().map_or(Ok(document), Err)
     }
 
-    /// As [`Document::parse`], with every syntax error; the document is what could be understood.
+    /// As [`Document::parse`], with every syntax error.
+    /// The document is what could be understood.
     #[must_use]
     pub fn parse_all(file: &'t Path, text: &'t str) -> (Self, Vec<InputError>) {
         let (root, errors) = DeTable::parse_recoverable(text);

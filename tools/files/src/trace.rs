@@ -1,4 +1,5 @@
-//! Recorded quadrature: traces as CSV (`t_ns,a,b`) and VCD (IEEE 1364), and the CSV of requested totals.
+//! Recorded quadrature.
+//! Traces as CSV (`t_ns,a,b`) and VCD (IEEE 1364), and the CSV of requested totals.
 //!
 //! Readers stream: memory stays flat for a file of any length. A trace has one row per change and strictly rising
 //! times; a row in which both signals change is passed on, because an illegal transition is the engine's to report.
@@ -166,7 +167,8 @@ impl<const N: usize> Table<N> {
         whole.ok_or_else(|| cell.finding(expected))
     }
 
-    /// How the columns' numbers are written: as all their cells show, where the file can be read twice.
+    /// How the columns' numbers are written.
+    /// As all their cells show, where the file can be read twice.
     fn find_numbers(&mut self, by: char) -> Result<[Numbers; N], InputError> {
         let columns: Vec<&str> = self.columns.iter().map(String::as_str).collect();
         let marks = match self.file.as_deref() {
@@ -210,7 +212,8 @@ impl TraceReader<File> {
         Self::open_columns(file, &Columns::default())
     }
 
-    /// As [`TraceReader::open`]; time, a and b are the columns, or a and b the signals, that somebody named.
+    /// As [`TraceReader::open`].
+    /// Time, a and b are the columns, or a and b the signals, that somebody named.
     ///
     /// # Errors
     /// As [`TraceReader::open`]; a column or signal that was named and is not there.
@@ -344,7 +347,8 @@ impl<R: Read> Iterator for TraceReader<R> {
     }
 }
 
-/// A trace whose times are worked with: a player adds to them, and a time that leaves no room for that is a bad row.
+/// A trace whose times are worked with.
+/// A player adds to them, and a time that leaves no room for that is a bad row.
 #[derive(Debug)]
 pub struct Playable<R>(TraceReader<R>);
 
@@ -373,7 +377,8 @@ impl<R: Read> Iterator for Playable<R> {
     }
 }
 
-/// Reads requested totals (`t_ns,requested`), times never falling; after an error it yields nothing more.
+/// Reads requested totals (`t_ns,requested`), times never falling.
+/// After an error it yields nothing more.
 #[derive(Debug)]
 pub struct RequestReader<R> {
     rows: csv::Reader<R>,
@@ -448,7 +453,8 @@ impl<R: Read> Iterator for RequestReader<R> {
     }
 }
 
-/// Writes a trace point by point, buffered. The caller gives strictly rising times and one point per change.
+/// Writes a trace point by point, buffered.
+/// The caller gives strictly rising times and one point per change.
 #[derive(Debug)]
 pub struct TraceWriter<W: Write> {
     out: io::BufWriter<W>,
@@ -612,7 +618,8 @@ fn csv_row<R: Read>(
     Ok(None)
 }
 
-/// A row without spaces or comment: the point and the row's length, or `None` for the careful reader to explain.
+/// A row without spaces or comment.
+/// The point and the row's length, or `None` for the careful reader to explain.
 #[inline]
 fn plain_row(row: &[u8; PLAIN_ROW]) -> Option<(TracePoint, usize)> {
     let (mut t_ns, mut at) = (0_u64, 0);

@@ -8,7 +8,8 @@ use rtec_driver::replay::TracePoint;
 use std::fmt::Write as _;
 use std::io::Read;
 
-/// The levels of a signal of one bit: those of IEEE 1364, and the nine of VHDL (IEEE 1164), of which H and L are driven weakly.
+/// The levels of a signal of one bit.
+/// Those of IEEE 1364, and the nine of VHDL (IEEE 1164), of which H and L are driven weakly.
 const LEVELS: &[u8] = b"01xXzZuUwWhHlL-";
 
 /// So many variables are named at most where a or b is not among them.

@@ -1,4 +1,5 @@
-//! A long computation that somebody waits for. It counts its steps, and it ends early where nobody waits any more.
+//! A long computation that somebody waits for.
+//! It counts its steps, and it ends early where nobody waits any more.
 //!
 //! Whoever computes calls [`step`] often; whoever waits, in another thread, holds the [`Watch`].
 
@@ -47,7 +48,8 @@ impl Watch {
     }
 }
 
-/// One step of a computation: a candidate, a block, a row of a long simulation. Does nothing where nobody watches.
+/// One step of a computation: a candidate, a block, a row of a long simulation.
+/// Does nothing where nobody watches.
 pub fn step() {
     let given_up = HERE.with_borrow(|watch| {
         watch.as_ref().is_some_and(|w| {

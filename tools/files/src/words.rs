@@ -2,7 +2,8 @@
 
 use std::borrow::Cow;
 
-/// The word that was probably meant: a few letters away, or begun with all of the other's letters.
+/// The word that was probably meant.
+/// A few letters away, or begun with all of the other's letters.
 #[must_use]
 pub fn nearest<'w>(word: &str, words: &[&'w str]) -> Option<&'w str> {
     let length = word.chars().count();
@@ -29,7 +30,8 @@ pub fn unseen(text: &str) -> Option<char> {
     text.chars().find(|c| c.is_control() || is_hidden(*c))
 }
 
-/// Text as a terminal may show it: what cannot be seen (controls, directions, marks without width) is written out.
+/// Text as a terminal may show it.
+/// What cannot be seen (controls, directions, marks without width) is written out.
 #[must_use]
 pub fn printable(text: &str) -> Cow<'_, str> {
     let seen = |c: char| c == ' ' || c.is_alphanumeric() || c.is_ascii_punctuation();

@@ -1,5 +1,6 @@
-//! Files that appear whole or not at all: written beside their place under another name, made safe on the disk, then
-//! renamed. What was there before stays until then, and stays where anything fails.
+//! Files that appear whole or not at all.
+//! Written beside their place under another name, made safe on the disk, then renamed. What was there before stays until then, and stays
+//! where anything fails.
 
 use crate::input::InputError;
 use nix::fcntl::{AT_FDCWD, AtFlags};
@@ -16,8 +17,9 @@ use tempfile::NamedTempFile;
 /// The files that this process has read, by device and inode; `None` while no account is kept.
 static INPUTS: Mutex<Option<HashSet<(u64, u64)>>> = Mutex::new(None);
 
-/// From now on nothing that this process reads is written over by it: for a program that does one thing and ends, where a
-/// result in the place of a measurement or a model is a slip of the person. (A daemon reads back what it writes.)
+/// From now on nothing that this process reads is written over by it.
+/// For a program that does one thing and ends, where a result in the place of a measurement or a model is a slip of the person. (A daemon
+/// reads back what it writes.)
 pub fn spare_inputs() {
     INPUTS.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert_default();
 }
@@ -63,7 +65,8 @@ pub fn whole(file: &Path, content: &[u8]) -> io::Result<()> {
     out.finish()
 }
 
-/// A file being written: it has its name only after [`WholeFile::finish`], and dropped before that it leaves nothing.
+/// A file being written.
+/// It has its name only after [`WholeFile::finish`], and dropped before that it leaves nothing.
 ///
 /// A symbolic link stays and what it names is replaced, with the permissions that it had. What is no regular file (a
 /// pipe, a terminal, `/dev/null`) is written to as it stands: it cannot be replaced.

@@ -1,4 +1,5 @@
-//! Traces and requests: what is read, what is written, and what a user is told about a bad file.
+//! Traces and requests.
+//! What is read, what is written, and what a user is told about a bad file.
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
@@ -17,7 +18,8 @@ fn point(t_ns: u64, a: u8, b: u8) -> TracePoint {
     TracePoint { t_ns, state: State::new(a == 1, b == 1) }
 }
 
-/// The golden files' points: an ordinary start, an illegal transition 1 ns later, the last time there is.
+/// The golden files' points.
+/// An ordinary start, an illegal transition 1 ns later, the last time there is.
 fn golden() -> Vec<TracePoint> {
     vec![point(0, 0, 0), point(1000, 1, 0), point(1500, 1, 1), point(1501, 0, 0), point(u64::MAX, 0, 1)]
 }

@@ -1,9 +1,9 @@
-//! A chain's polynomials fitted from records, component by component (NISTIR 4854): every record measures one
-//! component, or a combination whose other members are known.
+//! Fits a chain's polynomials to records, component by component (NISTIR 4854).
+//! Every record measures one component, or a combination whose other members are known.
 //!
-//! The powers of a component's terms are what the chain's file states; their coefficients are found by least squares
-//! on all error responses of the records, everything else in the chain held as it stands. The error is linear in them
-//! but for products of two small quantities, which a second pass takes in.
+//! The chain's file states the powers of a component's terms. Least squares on all error responses finds their coefficients; the rest of
+//! the chain stays fixed. The error is linear in the coefficients except for products of two small quantities, which a second pass
+//! includes.
 
 use crate::least::{Found, Problem};
 use rtec_files::InputError;
@@ -44,7 +44,7 @@ pub struct ChainReport {
     /// What is left at every row of the same, µm: before, and after. For plots.
     #[serde(skip)]
     pub left_um: Vec<[Vec<f64>; 2]>,
-    /// What the fit rests on, response by response of the records that show a coefficient. For arrays.
+    /// Arrays behind the fit, per response of the records that show a coefficient.
     #[serde(skip)]
     pub rows: Vec<ChainRows>,
     /// What to know of the gauges' steps.
@@ -71,8 +71,8 @@ pub struct ChainRows {
 pub struct ChainRun<'r> {
     /// The run that measured it.
     pub record: &'r Record,
-    /// The point in the last frame of the tool branch, mm; the chain's own tool point where it is not given. The same
-    /// path measured at two points tells a rotation from a displacement.
+    /// The point in the last frame of the tool branch, mm.
+    /// The chain's own tool point where it is not given. The same path measured at two points tells a rotation from a displacement.
     pub tool_mm: Option<[f64; 3]>,
 }
 
@@ -245,8 +245,8 @@ pub fn write(from: &Path, chain: &Chain, report: &ChainReport, to: &Path) -> Res
         .map_err(|e| InputError::whole(to, format!("error `{e}`"), "a file that can be written"))
 }
 
-/// A fitted chain: the file it was read from with its coefficients (and the intervals of those that the fit found) in
-/// place; comments and order stay.
+/// A fitted chain.
+/// The file it was read from with its coefficients (and the intervals of those that the fit found) in place; comments and order stay.
 ///
 /// # Errors
 /// The file that it was read from is not there any more.

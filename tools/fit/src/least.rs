@@ -1,9 +1,10 @@
-//! Least squares for parameters that an error is linear in: effects named by the user, terms of a chain.
+//! Least squares for parameters that an error is linear in.
+//! Effects named by the user, terms of a chain.
 //!
-//! A gauge's zero is arbitrary: every response of every record has a constant of its own, which is found and thrown
-//! away. Intervals come from leaving out each of ten stretches of rows in turn (delete-one-block jackknife): what
-//! neighbours in time share does not make them narrower. The same is done with stretches of every axis' places, as what no
-//! effect explains (a wave, a bend) is the same at a place every time; the widest interval stands.
+//! A gauge's zero is arbitrary, so every response of every record has its own constant, which is discarded. Intervals come from leaving out
+//! each of ten stretches of rows in turn (delete-one-block jackknife), so that errors shared by neighbouring rows do not narrow them. The
+//! same is done with stretches of places of every axis, because an unexplained wave or bend repeats at its place. The widest interval
+//! counts.
 
 use crate::places::{self, Left};
 use crate::statistics::quantile;
@@ -22,7 +23,7 @@ use std::path::Path;
 
 /// Stretches of rows that are left out in turn.
 const BLOCKS: usize = 10;
-/// Two columns are one when what sets one apart from the others is smaller than this share of it.
+/// Columns are dependent if less than this share of one is independent.
 const DEPENDENT: f64 = 1e-5;
 
 /// One parameter of an effect, fitted.
@@ -32,16 +33,18 @@ pub(crate) struct Found {
     pub(crate) interval: [f64; 2],
 }
 
-/// A linear problem: one column per parameter, rows of all records under one another.
+/// A linear problem.
+/// One column per parameter, rows of all records under one another.
 #[derive(Debug, Default)]
 pub(crate) struct Problem {
     columns: Vec<Vec<f64>>,
     y: Vec<f64>,
     /// Where each response of each record starts, and where it ends.
     pieces: Vec<std::ops::Range<usize>>,
-    /// The means that were taken off each piece: of the response, and of every column; none where the zero is known.
+    /// The means that were taken off each piece: of the response, and of every column.
+    /// None where the zero is known.
     means: Vec<Option<(f64, Vec<f64>)>>,
-    /// Rows that share one rounding error of a coarse gauge, and its standard deviation.
+    /// Rows that share a coarse gauge's rounding error, and its standard deviation.
     rounded: Vec<(Vec<usize>, f64)>,
     /// Causes that were read in coarse steps.
     causes: Vec<CoarseCause>,
@@ -60,7 +63,8 @@ struct CoarseCause {
     alike: Vec<std::ops::Range<usize>>,
 }
 
-/// The step that a cause was read in. Places that an axis was sent to are no readings.
+/// The step that a cause was read in.
+/// Places that an axis was sent to are no readings.
 fn cause_step(record: &Record, column: &Column) -> Option<f64> {
     let moving = matches!(record.kind, Kind::Dynamics | Kind::Ballbar | Kind::FeedSweep);
     match column.role {
@@ -76,8 +80,8 @@ impl Problem {
         Self { columns: vec![Vec::new(); parameters], ..Self::default() }
     }
 
-    /// A response of a record: what was measured, and per parameter what one unit of it makes of every row. The mean is
-    /// taken off unless the zero is known.
+    /// A response of a record.
+    /// What was measured, and per parameter what one unit of it makes of every row. The mean is taken off unless the zero is known.
     pub(crate) fn push(&mut self, y: &[f64], columns: &[Vec<f64>], zero_is_known: bool) {
         let mean =
             |v: &[f64]| if zero_is_known { 0.0 } else { v.iter().sum::<f64>() / v.len().max(1) as f64 };
@@ -94,14 +98,16 @@ impl Problem {
         self.means.push((!zero_is_known).then_some((of_y, of_columns)));
     }
 
-    /// What the solution leaves of a piece on average, µm: its own zero; none where that is known.
+    /// What the solution leaves of a piece on average, µm: its own zero.
+    /// None where that is known.
     fn zero_um(&self, found: &[Found], piece: usize) -> Option<f64> {
         let (of_y, of_columns) = self.means[piece].as_ref()?;
         Some(of_y - found.iter().zip(of_columns).map(|(f, m)| f.value * m).sum::<f64>())
     }
 
-    /// The response pushed last, as its gauge reads it, is rounded to coarse steps: readings of one value from one side are off by the
-    /// same; where noise dithers the steps, what is left of them is alike from one side. Gives what to know of that.
+    /// The response pushed last, as its gauge reads it, is rounded to coarse steps.
+    /// Readings of one value from one side are off by the same; where noise dithers the steps, what is left of them is alike from one side.
+    /// Gives what to know of that.
     pub(crate) fn rounded_as(&mut self, record: &Record, column: &Column) -> Option<String> {
         let piece = self.pieces.last().cloned()?;
         if column.data.iter().all(|v| v - column.data[0] == 0.0) {
@@ -132,8 +138,8 @@ impl Problem {
         })
     }
 
-    /// The causes of a record that were read in coarse steps, for the response pushed last; `basis` gives the columns of the record
-    /// that it is given. Gives what to know of that.
+    /// Finds causes of a record that were read in coarse steps.
+    /// They concern the response pushed last. `basis` gives the columns of a record. Returns the messages for the user.
     fn rounded_causes(
         &mut self,
         record: &Record,
@@ -177,7 +183,7 @@ impl Problem {
         said
     }
 
-    /// Standard deviation of every parameter from rounding alone, where the parameters have these values.
+    /// Standard deviation of every parameter from rounding alone, at these values.
     fn rounding(&self, scale: &[f64], values: &[f64]) -> Option<Vec<f64>> {
         let p = self.columns.len();
         if self.rounded.is_empty() && self.causes.is_empty() {
@@ -216,7 +222,8 @@ impl Problem {
         }
     }
 
-    /// Stretches that are left out in turn: those of time, and those of each axis' places; every row's block.
+    /// Stretches that are left out in turn.
+    /// Those of time, and those of each axis' places; every row's block.
     fn stretches(&self) -> Vec<Vec<usize>> {
         // Every stretch is one of its record's response, so that each holds rows of all of them.
         let block = |i: usize| {
@@ -309,15 +316,16 @@ impl Problem {
         grams
     }
 
-    /// Within this the solution says 95 % of the rows, of the worst of the pieces that `take` chooses: what one kind of run
-    /// shows another may not.
+    /// Half width that holds 95 % of the rows in the worst selected piece.
+    /// One kind of run may show what another does not.
     fn half_width_um(&self, found: &[Found], take: impl Fn(usize) -> bool) -> f64 {
         let own = self.pieces.iter().enumerate().filter(|(k, p)| take(*k) && !p.is_empty());
         own.map(|(_, p)| quantile(p.clone().map(|i| self.left_um(found, i).abs()).collect(), 0.95))
             .fold(1e-9, f64::max)
     }
 
-    /// The solution, or the number of a parameter that these rows do not determine beside those before it.
+    /// Solves, or returns the first parameter that these rows do not determine.
+    /// It is not determined beside those before it.
     pub(crate) fn solve(&self) -> Result<Vec<Found>, usize> {
         rtec_files::watch::step();
         let p = self.columns.len();
@@ -399,9 +407,11 @@ pub struct Zero {
 pub struct NamedReport {
     /// The fitted effects with their intervals.
     pub effects: Vec<Fitted>,
-    /// RMS per response over all records, each record's own zero taken off, µm: before, and after.
+    /// RMS per response over all records, each record's own zero taken off, µm.
+    /// Before, and after.
     pub rms_um: Vec<(String, [f64; 2])>,
-    /// The records' own zeros that were taken off: no part of the model, and of no interval.
+    /// The records' own zeros that were taken off.
+    /// No part of the model, and of no interval.
     pub zeros: Vec<Zero>,
     /// What is left that is no noise, by response.
     pub warnings: Vec<String>,
@@ -482,7 +492,7 @@ fn effects_of(base: &Machine, names: &[String]) -> Result<Vec<Effect>, InputErro
     Ok(effects)
 }
 
-/// Half widths of a response by the kinds of run that say something of it, with each piece's response and kind.
+/// Half widths of a response by kind of run, with each piece's response and kind.
 fn by_kind_um(
     problem: &Problem,
     found: &[Found],
@@ -513,7 +523,8 @@ fn structure(
     (0..problem.pieces.len()).filter_map(of).collect()
 }
 
-/// What one unit of each coefficient makes of a response, row by row; nothing where the record lacks what an effect needs.
+/// What one unit of each coefficient makes of a response, row by row.
+/// Nothing where the record lacks what an effect needs.
 fn basis_of(effects: &[Effect], record: &Record, role: &Role) -> Option<Vec<Vec<f64>>> {
     let mut columns = Vec::new();
     for effect in effects {
@@ -527,8 +538,8 @@ fn basis_of(effects: &[Effect], record: &Record, role: &Role) -> Option<Vec<Vec<
     Some(columns)
 }
 
-/// Fits effects that the user names, beside all that the base holds already: by least squares on all responses of the
-/// records, errors and forces. Gives the base with the effects added.
+/// Fits effects that the user names, beside all that the base holds.
+/// It uses least squares on all responses of the records, errors and forces, and returns the base with the effects added.
 ///
 /// # Errors
 /// An unknown effect, one that the base has, one that is not linear; a record that lacks what an effect reads; effects

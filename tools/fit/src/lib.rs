@@ -11,7 +11,7 @@
 //! | [`validate`] | a model judged on records it has not seen |
 //! | [`chain`] | a chain's polynomials, fitted component by component |
 //!
-//! What must not live here: which effect is missing altogether (`rtec-reconcile`).
+//! Which effect is missing altogether is decided in `rtec-reconcile`, not here.
 //!
 //! At work: `cargo run -p rtec-fit --example fit_growth`, which the tests run too.
 

@@ -1,5 +1,5 @@
-//! What is the same at a place every time: how far it is above what the rows of one place differ by, and stretches of places
-//! that are left out in turn.
+//! What is the same at a place every time.
+//! How far it is above what the rows of one place differ by, and stretches of places that are left out in turn.
 
 use rtec_model::record::{Record, Role};
 use statrs::distribution::{ContinuousCDF, FisherSnedecor};
@@ -14,8 +14,8 @@ const ONE_PLACE: f64 = 2e-3;
 const FEWEST: usize = 5;
 /// Chance that noise alone looks as structured, per response.
 const CHANCE: f64 = 1e-4;
-/// Autocorrelation from row to row up to 0.7 is noise (and this much of it chance, over so many rows); it tells where no place
-/// was come to twice.
+/// Autocorrelation from row to row up to which a residual is noise.
+/// 0.7 is noise by contract; the rest allows for chance over so many rows. It decides if no place was visited twice.
 const MEMORY: f64 = 0.85;
 const ROWS: usize = 40;
 /// Finer than any instrument, µm.
@@ -51,7 +51,7 @@ fn numbered(p: &[Option<f64>]) -> (Vec<Option<usize>>, usize) {
     (out, number + 1)
 }
 
-/// Stretches of neighbouring places, no more than `most` of them; `None` where there are few places.
+/// At most `most` stretches of neighbouring places. `None` if there are few places.
 pub(crate) fn stretches(p: &[Option<f64>], most: usize) -> Option<Vec<Option<usize>>> {
     let (number, count) = numbered(p);
     let of = |n: Option<usize>| n.map(|n| n * most.min(count) / count);
@@ -63,12 +63,14 @@ pub(crate) fn stretches(p: &[Option<f64>], most: usize) -> Option<Vec<Option<usi
 pub(crate) struct Left {
     /// RMS of all that is left, µm.
     rms_um: f64,
-    /// Standard deviation of the rows of one place, µm; none where no place was come to twice.
+    /// Standard deviation of the rows of one place, µm.
+    /// None where no place was come to twice.
     repeats_um: Option<f64>,
 }
 
 impl Left {
-    /// What these rows' residuals show after `fitted` parameters; `None` where they may be noise.
+    /// What these rows' residuals show after `fitted` parameters.
+    /// `None` if they may be noise.
     pub(crate) fn of(record: &Record, left_um: &[f64], fitted: usize) -> Option<Self> {
         let n = left_um.len();
         let rms_um = (left_um.iter().map(|v| v * v).sum::<f64>() / n.max(1) as f64).sqrt();

@@ -1,17 +1,18 @@
-//! Temperatures without their sensors' noise. A machine grows with the true temperature, which is smooth; its log carries
-//! a hundredth of a kelvin. A law fitted to the log takes whatever averages that noise away, a lag of some seconds or
-//! a pair of sensors, for the better explanation, so it is taken out first.
+//! Removes the sensors' noise from temperatures.
+//! A machine grows with the true temperature, which is smooth; its log carries a hundredth of a kelvin of noise. A law fitted to the log
+//! would prefer whatever averages that noise away: a lag of some seconds, or a pair of sensors.
 //!
-//! The smoothest series near the log (Whittaker, Proc. Edinb. Math. Soc. 41 (1923) 63), how near by restricted maximum
-//! likelihood: a log that jumps stays as it is.
+//! The result is the smoothest series near the log (Whittaker, Proc. Edinb. Math. Soc. 41 (1923) 63). Restricted maximum likelihood decides
+//! how near. A log that jumps stays as it is.
 
 use rtec_model::record::{Record, Role};
 
 /// Fewer rows do not tell noise from movement.
 const FEWEST: usize = 12;
-/// A sensor that is noisier than this, K, is no sensor of a machine: its log jumps for another reason.
+/// A sensor that is noisier than this, K, is no sensor of a machine.
+/// Its log jumps for another reason.
 const NOISIEST_K: f64 = 0.15;
-/// Autocorrelation from row to row of what is taken away, beyond which it is no noise.
+/// Largest row-to-row autocorrelation of what is removed. Above it, it is no noise.
 const ALIKE: f64 = 0.3;
 /// Penalties that are tried: powers of ten, so many steps each.
 const DECADES: std::ops::RangeInclusive<i32> = -1..=6;
@@ -30,7 +31,8 @@ pub fn temperatures(record: &Record) -> Record {
     quiet
 }
 
-/// One series without its noise; `None` where it shows none, or is too short to tell. `t`: never decreasing.
+/// One series without its noise. `None` if it shows none, or is too short to tell.
+/// `t` never decreases.
 #[must_use]
 pub fn series(t: &[f64], y: &[f64]) -> Option<Vec<f64>> {
     let bends = Bends::of(t, y)?;
@@ -51,7 +53,8 @@ pub fn series(t: &[f64], y: &[f64]) -> Option<Vec<f64>> {
     (small && with_next < ALIKE * squares).then_some(x)
 }
 
-/// Changes of slope from row to row, each divided by what is expected of it over so long a time.
+/// Changes of slope from row to row, each relative to its expected size.
+/// The expected size depends on the time between rows.
 struct Bends {
     /// Weights of three rows in a row.
     rows: Vec<[f64; 3]>,
@@ -84,7 +87,8 @@ impl Bends {
         Some(Self { rows: gaps.windows(2).map(row).collect(), n })
     }
 
-    /// The smoothest series at this penalty, and minus twice its restricted log likelihood up to a constant.
+    /// The smoothest series at this penalty, and its criterion.
+    /// The criterion is minus twice the restricted log likelihood, up to a constant.
     fn smooth(&self, y: &[f64], penalty: f64) -> (f64, Vec<f64>) {
         // I + penalty·DᵀD: the diagonal and two neighbours, factored as LDLᵀ.
         let n = self.n;
@@ -151,7 +155,8 @@ mod tests {
         (v.iter().map(|x| x * x).sum::<f64>() / v.len() as f64).sqrt()
     }
 
-    /// A warm-up with a hundredth of a kelvin of noise: most of it is gone, and nothing of the warm-up.
+    /// A warm-up with a hundredth of a kelvin of noise.
+    /// Most of it is gone, and nothing of the warm-up.
     #[test]
     fn noise_goes_and_the_warm_up_stays() {
         let t: Vec<f64> = (0..300).map(|i| 60.0 * f64::from(i)).collect();
@@ -164,7 +169,8 @@ mod tests {
         }
     }
 
-    /// Rows at uneven times, and a kink where the spindle is switched: no more is lost than the noise was.
+    /// Rows at uneven times, and a kink where the spindle is switched.
+    /// No more is lost than the noise was.
     #[test]
     fn a_kink_survives() {
         let t: Vec<f64> = (0..200).map(|i| 10.0 * f64::from(i) + if i > 90 { 900.0 } else { 0.0 }).collect();
@@ -176,7 +182,7 @@ mod tests {
         assert!(left < 0.014, "{left}");
     }
 
-    /// Temperatures that were chosen anew for each row carry no noise that could be told.
+    /// Temperatures that are independent from row to row show no removable noise.
     #[test]
     fn what_jumps_stays_as_it_is() {
         let t: Vec<f64> = (0..100).map(f64::from).collect();

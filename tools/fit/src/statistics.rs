@@ -23,7 +23,8 @@ pub(crate) fn mean(v: &[f64]) -> f64 {
     v.iter().sum::<f64>() / v.len().max(1) as f64
 }
 
-/// The sum of the products, in eight sums side by side: each waits for its own last addition only.
+/// The sum of the products, in eight sums side by side.
+/// Each waits for its own last addition only.
 pub(crate) fn dot(a: &[f64], b: &[f64]) -> f64 {
     const SIDE: usize = 8;
     let (of_a, of_b) = (a.chunks_exact(SIDE), b.chunks_exact(SIDE));

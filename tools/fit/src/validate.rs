@@ -1,4 +1,5 @@
-//! A model judged on records: what is left, how often its interval holds, where it is asked too much.
+//! A model judged on records.
+//! What is left, how often its interval holds, where it is asked too much.
 
 use crate::thermal::prediction_chart;
 use rtec_files::{InputError, Said};
@@ -17,7 +18,7 @@ const HOLDS: f64 = 0.9;
 /// What was found: one entry for each response of each record.
 #[derive(Debug)]
 pub struct Validation {
-    /// `{"responses", "no_better", "suspicions"}`, as `rtecctl model validate --json` prints it.
+    /// `{"responses", "no_better", "suspicions"}`: output of `model validate --json`.
     pub document: Value,
     /// Responses that the model explains no better than nothing does.
     pub no_better: Vec<String>,

@@ -1,5 +1,5 @@
-//! A fit from records as people give them: what is doubted in them is said and left out, then sensors are chosen or named
-//! effects fitted; the document that programs read.
+//! A fit from records as people give them.
+//! What is doubted in them is said and left out, then sensors are chosen or named effects fitted; the document that programs read.
 
 use crate::least::{self, NamedReport};
 use crate::thermal::{self, Options, Report};
@@ -18,7 +18,8 @@ use std::path::Path;
 #[derive(Debug, Clone)]
 #[allow(clippy::struct_excessive_bools)] // each is an option of its own
 pub struct Asked {
-    /// Differences to choose from, as `T0` (to the environment) or `T8-T18`; empty for all sensors.
+    /// Differences to choose from, as `T0` (to the environment) or `T8-T18`.
+    /// Empty for all sensors.
     pub sensors: Vec<String>,
     /// The sensor of the environment; the coldest on average where it is left out.
     pub environment: Option<String>,
@@ -32,12 +33,12 @@ pub struct Asked {
     pub speed: bool,
     /// What is known already.
     pub base: Option<Machine>,
-    /// The day that the model carries, days since 1970-01-01; that of the latest record where it is left out, today
-    /// where none has one.
+    /// The model's date, days since 1970-01-01.
+    /// Without it: the day of the latest record, or today if none has one.
     pub date: Option<i64>,
     /// Days that the model may be used for without being looked at again.
     pub valid_days: i64,
-    /// Fit although a record looks as if a unit, a sign, a direction or a column were wrong.
+    /// Fit even if a record's unit, sign, direction or column looks wrong.
     pub despite_suspicions: bool,
 }
 
@@ -84,12 +85,12 @@ pub struct NamedFit {
     pub records: Vec<Record>,
 }
 
-/// A spindle's housing takes half an hour and more to warm through: a shorter drift test shows the beginning of it, or has minutes
-/// for seconds.
+/// A spindle's housing takes half an hour and more to warm through.
+/// A shorter drift test shows the beginning of it, or has minutes for seconds.
 const SHORT_S: f64 = 1800.0;
 
-/// Chooses sensors and fits growth; `holdout` never influences it, only the last figures. What is to be said on the way
-/// goes to `say`. The model of doubted records is for looking at: [`Fit::is_to_be_written`] asks before it is kept.
+/// Chooses sensors and fits growth. `holdout` only affects the last figures.
+/// Messages go to `say`. A model of doubted records is only for inspection: [`Fit::is_to_be_written`] decides before it is kept.
 ///
 /// # Errors
 /// No record; a sensor that is not there; records that say nothing of growth.
@@ -158,7 +159,8 @@ pub fn fit(
     Ok(Fit { machine, reports, doubts, records: train })
 }
 
-/// Fits effects by their names (`scale.x`, `thermal_expansion.x:T3-T20`), beside what the base holds.
+/// Fits effects by their names, beside what the base holds.
+/// Names are such as `scale.x` and `thermal_expansion.x:T3-T20`.
 ///
 /// # Errors
 /// No record; a suspicion against one, where it is not overruled; an unknown effect, or one that these records say
@@ -191,7 +193,8 @@ pub fn fit_named(
 }
 
 impl Fit {
-    /// Whether the model may be kept: not from training records in which a unit, a sign, a direction or a column looks wrong.
+    /// Whether the model may be kept.
+    /// It may not if a unit, a sign, a direction or a column of a training record looks wrong.
     ///
     /// # Errors
     /// The first such suspicion.

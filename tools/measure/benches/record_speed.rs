@@ -1,6 +1,7 @@
-//! What reading a record takes beside the `csv` crate on the same file, in nanoseconds, each the least of several readings in
-//! turns, so that memory and caches are as warm as they are for pandas, which `tests/cost.py records` asks in turns with this:
-//! `cargo bench --workspace --bench record_speed -- FILE.run.toml [READINGS]`. Prints, asserts nothing.
+//! Compares the time to read a record with that of the `csv` crate.
+//! Prints nanoseconds, each the least of several alternating readings, and asserts nothing. Memory and caches are then as warm as for
+//! pandas, which `tests/cost.py records` alternates with this. Run `cargo bench --workspace --bench record_speed -- FILE.run.toml
+//! [READINGS]`.
 
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -30,7 +31,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     Ok(())
 }
 
-/// The columns of a CSV as the `csv` crate gives its cells and the standard library their numbers.
+/// The columns of a CSV, by the `csv` crate and the standard library's parser.
 fn by_crate(file: &Path) -> Result<Vec<Vec<f64>>, Box<dyn std::error::Error>> {
     let mut reader = csv::Reader::from_path(file)?;
     let mut columns = vec![Vec::new(); reader.byte_headers()?.len()];

@@ -1,4 +1,5 @@
-//! Circular tests: deviations as ISO 230-4:2005 defines them, and what makes them, with intervals.
+//! Circular tests.
+//! Deviations as ISO 230-4:2005 defines them, and what makes them, with intervals.
 //!
 //! | symbol | of | meaning |
 //! |---|---|---|
@@ -28,7 +29,8 @@ mod structure;
 
 pub use diagnosis::{Contribution, Cyclic, Diagnosis, Spike};
 
-/// One contour: a run round in one sense at one feed. Values in µm unless named otherwise.
+/// One contour: a run round in one sense at one feed.
+/// Values in µm unless named otherwise.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Contour {
     /// The record it is in.
@@ -52,15 +54,16 @@ pub struct Contour {
     pub centre_um: [f64; 2],
     /// Radius of its least-squares circle minus the nominal one.
     pub radius_um: f64,
-    /// Standard errors of the centre's two places and of the radius, as far as what is left of the circle is chance: large on a short
-    /// arc.
+    /// Standard errors of the centre's two coordinates and of the radius.
+    /// They assume that the residual is chance; they are large on a short arc.
     pub standard_error_um: [f64; 3],
     /// Angle (rad) and deviation from the least-squares circle, row by row.
     #[serde(skip)]
     pub trace: Vec<(f64, f64)>,
 }
 
-/// The circular tests of one plane. Values in µm unless named otherwise; `None` where the runs do not show them.
+/// The circular tests of one plane.
+/// Values in µm unless named otherwise; `None` where the runs do not show them.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Ballbar {
     /// The plane, as the two axes.
@@ -73,7 +76,8 @@ pub struct Ballbar {
     /// Largest circular deviation clockwise.
     #[serde(rename = "G_cw")]
     pub g_cw: Option<f64>,
-    /// Largest bi-directional circular deviation of a record (or of all records together, where none goes both ways).
+    /// Largest bi-directional circular deviation of a record.
+    /// If no record goes both ways, of all records together.
     #[serde(rename = "G_b")]
     pub g_b: Option<f64>,
     /// Largest radial deviation.
@@ -91,7 +95,8 @@ pub struct Ballbar {
     /// What makes the deviations.
     #[serde(flatten)]
     pub diagnosis: Diagnosis,
-    /// What instrument, set-up and room contribute to its figures, where the conditions state it and the radius is known.
+    /// Uncertainty that instrument, set-up and room contribute to its figures.
+    /// Set if the conditions state it and the radius is known.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub uncertainty: Option<Budget>,
     /// Every contour.
@@ -100,7 +105,8 @@ pub struct Ballbar {
     pub warnings: Vec<String>,
 }
 
-/// A record as a circle: angle and radial error, with plane and radius where they are known.
+/// A record as a circle.
+/// Angle and radial error, with plane and radius where they are known.
 pub(crate) struct Trace {
     pub(crate) record: Record,
     name: String,
@@ -111,7 +117,8 @@ pub(crate) struct Trace {
     pub(crate) contours: Vec<(Range<usize>, f64)>,
 }
 
-/// Evaluates circular tests, plane by plane: the radial error over the angle, or two axes with position and error.
+/// Evaluates circular tests, plane by plane.
+/// The radial error over the angle, or two axes with position and error.
 ///
 /// # Errors
 /// A record that is no circle, or has less than half a turn.
@@ -127,7 +134,7 @@ pub fn evaluate(records: &[Record]) -> Result<Vec<Ballbar>, InputError> {
     planes.into_iter().map(|(plane, traces)| plane_of(plane, &traces)).collect()
 }
 
-/// So much of a circle may be missing where it starts and stops, degrees, or two rows of it.
+/// Gap that a circle may have at start and stop, degrees; or two rows of it.
 const MISSING_DEG: f64 = 2.0;
 
 /// A mean radius further off than by any scale: µm per mm of radius.
@@ -197,7 +204,8 @@ fn plane_of(plane: String, traces: &[Trace]) -> Result<Ballbar, InputError> {
 /// A row: angle, radial error, sense of turning.
 type Row = (f64, f64, f64);
 
-/// Rows of each record that goes both ways; of all of one radius together, where none does.
+/// Rows of each record that goes both ways.
+/// If none does, of all records of one radius together.
 fn bidirectional(traces: &[Trace]) -> Vec<Vec<Row>> {
     let rows = |t: &Trace, centred: bool| -> Vec<Row> {
         let of = |(rows, turn): &(Range<usize>, f64)| {
@@ -227,8 +235,8 @@ fn pairs(rows: &[Row]) -> Vec<(f64, f64)> {
     rows.iter().map(|r| (r.0, r.1)).collect()
 }
 
-/// Radius and centre of the least-squares circle of small radial deviations; every part of the circle counts alike, however
-/// often it was run over. `None` where the points do not give one.
+/// Radius and centre of the least-squares circle of small radial deviations.
+/// Every part of the circle counts alike, however often it was run over. `None` where the points do not give one.
 fn round_fit(points: &[(f64, f64)]) -> Option<[f64; 3]> {
     let count = (points.len() / 4).clamp(12, 360);
     let sector = |angle: f64| ((angle.rem_euclid(TAU) / TAU * count as f64) as usize).min(count - 1);
@@ -266,7 +274,8 @@ fn range_about(points: &[(f64, f64)]) -> Option<f64> {
     Some(hi - lo)
 }
 
-/// Largest difference of both ways at one angle, over sectors of one degree (or wider, where rows are scarce).
+/// Largest difference of both ways at one angle, over sectors of a degree.
+/// Sectors are wider if rows are scarce.
 fn hysteresis(rows: &[Row]) -> Option<f64> {
     let count = (rows.len() / 4).clamp(36, 360);
     let mut sectors = vec![[(0.0, 0_u32); 2]; count];
@@ -355,7 +364,8 @@ fn turned_rad(from: f64, to: f64) -> f64 {
     (to - from + PI).rem_euclid(TAU) - PI
 }
 
-/// Runs of rows in one sense of turning at one feed; those of less than a twentieth of a turn are starts and stops.
+/// Runs of rows in one sense of turning at one feed.
+/// Those of less than a twentieth of a turn are starts and stops.
 fn contours(record: &Record, angle: &[f64]) -> Vec<(Range<usize>, f64)> {
     let n = angle.len();
     // Some rows ahead and back, so that noise in the angle turns nothing round.

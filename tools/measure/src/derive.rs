@@ -1,10 +1,9 @@
 //! Velocity and acceleration from recorded positions, where a record has none of its own.
 //!
-//! Around every row a cubic is fitted to the positions in a window that reaches as far back as forward in time, near
-//! rows counting most (tricube): zero phase, and no need of evenly spaced rows (Cleveland, 1979; Fan and Gijbels, 1996).
-//! The window is chosen from the data, apart for velocity and acceleration: it is doubled as long as that changes the
-//! derivative by no more than the noise of the positions explains, and of those windows the one is taken whose noise and
-//! distortion together are smallest.
+//! Around every row a cubic is fitted to the positions in a symmetric window, near rows counting most (tricube). So there is no phase
+//! shift, and rows need not be evenly spaced (Cleveland, 1979; Fan and Gijbels, 1996). The window is chosen from the data, for velocity and
+//! acceleration separately. It is doubled while the derivative changes by no more than the noise of the positions explains. Of these
+//! windows the one with the least sum of noise and distortion is used.
 
 use nalgebra::{Matrix4, Vector4};
 use rtec_files::InputError;
@@ -18,16 +17,19 @@ const FEWEST: usize = 5;
 const FIRST: usize = 3;
 /// Rows by which the windows are judged: evenly spread, enough for a mean.
 const JUDGED: usize = 1500;
-/// Half a window still has a part of the whole one's distortion: a third of it where the acceleration has a corner, as at the
-/// ends of a stroke. So what the change says of the distortion falls short, by this factor in its square.
+/// Half a window still has a part of the whole one's distortion.
+/// A third of it where the acceleration has a corner, as at the ends of a stroke. So what the change says of the distortion falls short, by
+/// this factor in its square.
 const SHORT: f64 = 2.0;
 /// A gap in time this many times the usual one parts two runs.
 const GAP: f64 = 8.0;
-/// Rows further apart than this are readings at stops, not a motion, in the kinds of runs that are measured at stops, s.
+/// Time between rows above which a run of targets is read at stops, s.
+/// Such rows show no motion.
 const AT_STOPS_S: f64 = 0.1;
 
-/// Adds velocity (mm/s) and acceleration (mm/s²) of every axis that has positions and times but not these. Returns one
-/// note per column added, with its window and standard error, and one per axis whose motion the rows do not show.
+/// Adds velocity (mm/s) and acceleration (mm/s²) of axes that lack them.
+/// An axis needs positions and times. Returns one note per added column, with its window and standard error, and one per axis whose motion
+/// the rows do not show.
 ///
 /// The columns are called `velocity_AXIS` and `acceleration_AXIS`. An axis that stands still gets none: it is at rest.
 pub fn derive(record: &mut Record) -> Vec<String> {
@@ -89,8 +91,8 @@ pub fn derive(record: &mut Record) -> Vec<String> {
     notes
 }
 
-/// What a model says about a record, with the motion that it reads and nobody logged from the positions, as a reconciliation has it; and
-/// a note for each column of that.
+/// Predicts a record with a model, deriving motion that was not logged.
+/// The derivation is that of a reconciliation; each derived column gets a note.
 ///
 /// # Errors
 /// An effect reads a sensor or channel that the record does not have.
@@ -107,7 +109,8 @@ pub fn predict(machine: &Machine, record: &Record) -> Result<(Prediction, Vec<St
     Ok((machine.predict(&with_motion)?, notes))
 }
 
-/// Whether a model reads motion that a record, or the first rows of one, does not log and shows.
+/// Whether a model reads motion that a record shows but does not log.
+/// The first rows of a record suffice.
 pub(crate) fn reads_more_motion(machine: &Machine, record: &Record) -> bool {
     machine.predict(record).is_ok_and(|prediction| lacks_motion(&prediction, record))
 }
@@ -159,8 +162,9 @@ fn median(values: impl Iterator<Item = f64>) -> f64 {
     sorted.get(sorted.len() / 2).copied().unwrap_or(0.0)
 }
 
-/// Standard deviation of the positions' noise, mm: what a cubic through its four neighbours leaves of a row, by the median, which
-/// a few jerks do not move; of rows that move, because a scale at rest says nothing of its noise.
+/// Standard deviation of the positions' noise, mm.
+/// It is the median residual of a row from a cubic through its four neighbours, which a few jerks do not move. Only moving rows count,
+/// because a scale at rest does not show its noise.
 fn noise(t: &[f64], p: &[f64], runs: &[Range<usize>]) -> f64 {
     let mut left = Vec::new();
     for run in runs {
@@ -189,8 +193,8 @@ struct Motion<'a> {
 }
 
 impl Motion<'_> {
-    /// The window for a derivative: rows on each side, and the derivative's standard error with it: noise,
-    /// distortion, and what the rows cannot tell of the distortion.
+    /// The window for a derivative.
+    /// Rows on each side, and the derivative's standard error with it: noise, distortion, and what the rows cannot tell of the distortion.
     fn window(&self, order: usize) -> (usize, f64) {
         let longest = self.runs.iter().map(Range::len).max().unwrap_or(0);
         let every = (self.t.len() / JUDGED).max(1);
@@ -244,8 +248,9 @@ impl Motion<'_> {
         out
     }
 
-    /// What each position around row `i` counts in the derivative there: the first row, and the weights from it on. At the ends
-    /// of a run the window is the one-sided rest of it, reaching as far as a whole one.
+    /// What each position around row `i` counts in the derivative there.
+    /// The first row, and the weights from it on. At the ends of a run the window is the one-sided rest of it, reaching as far as a whole
+    /// one.
     fn weights(&self, order: usize, rows: usize, i: usize, run: &Range<usize>) -> (usize, Vec<f64>) {
         let (mut from, mut to) = (i.saturating_sub(rows).max(run.start), (i + rows + 1).min(run.end));
         // Never fewer distinct times than a cubic needs.

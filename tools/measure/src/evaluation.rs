@@ -1,4 +1,5 @@
-//! Runs evaluated by the standard that fits them: the document that programs read and the report that people read.
+//! Runs evaluated by the standard that fits them.
+//! The document that programs read and the report that people read.
 
 use crate::iso230::{self, Conditions, Drift, LongDrift, Options};
 use crate::plausible::{self, Suspicion};
@@ -108,7 +109,8 @@ pub struct Asked {
     pub standard: Option<Standard>,
     /// What the test was done under.
     pub conditions: Conditions,
-    /// Positioning: targets approached from one side only are accepted, and the one-sided figures given alone.
+    /// Positioning.
+    /// Targets approached from one side only are accepted, and the one-sided figures given alone.
     pub one_way: bool,
     /// Plates: the sum of fourth powers is made small instead of that of squares.
     pub fourth_powers: bool,
@@ -125,7 +127,7 @@ pub struct Evaluation {
     pub doubts: Vec<Suspicion>,
 }
 
-/// Evaluates runs as their standard defines it; what is to be said on the way goes to `say`.
+/// Evaluates runs as their standard defines it. Messages go to `say`.
 ///
 /// # Errors
 /// No record; a kind without a standard; what the standard needs and the records lack; a sensor that reads nonsense and
@@ -173,8 +175,9 @@ pub fn evaluate(
     Ok(doubted(&first.path, document, report, doubts, say))
 }
 
-/// As [`evaluate`], of records on file. A drift test of more than [`MOST_ROWS`] rows in which no axis moves is gone through piece by
-/// piece: its figures are those of the whole, and mistakes are looked for in each piece by itself.
+/// As [`evaluate`], of records on file.
+/// A drift test of more than [`MOST_ROWS`] rows in which no axis moves is read piece by piece. Its figures are those of the whole; mistakes
+/// are looked for in each piece.
 ///
 /// # Errors
 /// As [`evaluate`], and as [`record::read`].
@@ -252,7 +255,8 @@ fn undrawn(file: &Path, e: &PlotError) -> InputError {
     InputError::whole(file, e.to_string(), "figures that can be drawn")
 }
 
-/// An evaluation with what is doubted of its records; says what the report warns of.
+/// An evaluation with what is doubted of its records.
+/// Says what the report warns of.
 fn doubted(
     file: &Path,
     mut document: Value,
@@ -273,7 +277,8 @@ fn doubted(
     Evaluation { document, report, doubts }
 }
 
-/// Enters each single figure that is another one with all rows as `with_every_row`, and says the first few of them.
+/// Enters figures that differ with all rows as `with_every_row`.
+/// Reports the first few of them.
 fn with_every_row(document: &mut Value, all: &Value, report: &mut Report) {
     let (own, every) = (single_figures("", document), single_figures("", all));
     let differs = |(name, with): (String, f64)| {
@@ -306,14 +311,16 @@ pub(crate) fn is_same_figure(one: f64, other: f64) -> bool {
     (one - other).abs() <= SAME * one.abs().max(other.abs())
 }
 
-/// So many figures are said beside those without the rows that were left out; the document has all of them.
+/// So many figures are said beside those without the rows that were left out.
+/// The document has all of them.
 const MOST_BESIDE: usize = 8;
 
 fn digits(figure: f64) -> String {
     format!("{figure:.3}")
 }
 
-/// The numbers of a document by their place in it, as `x.A`, but for those in lists that are not named by their axis or response.
+/// The numbers of a document by their path, such as `x.A`.
+/// Lists that are not named by axis or response are left out.
 fn single_figures(place: &str, value: &Value) -> Vec<(String, f64)> {
     let under = |name: &str| if place.is_empty() { name.to_owned() } else { format!("{place}.{name}") };
     match value {
@@ -330,7 +337,7 @@ fn single_figures(place: &str, value: &Value) -> Vec<(String, f64)> {
     }
 }
 
-/// A sensor that reads nonsense would carry it into every figure by the reduction to 20 °C.
+/// Refuses a nonsensical sensor, which would spoil every figure reduced to 20 °C.
 fn reducible(conditions: &Conditions, doubts: &[Suspicion]) -> Result<(), InputError> {
     let bodies = [&conditions.scale, &conditions.workpiece].into_iter().flatten();
     let bodies = bodies.map(|body| (body.sensor.as_str(), "[thermal]", "reduced to 20 °C"));
@@ -517,7 +524,8 @@ mod tests {
     use crate::plausible::What;
     use std::fmt::Write as _;
 
-    /// A drift test on file: rest, spindle with pauses, rest; time uneven; a row changed as `spoilt` says.
+    /// A drift test on file: rest, spindle with pauses, rest; time uneven.
+    /// A row changed as `spoilt` says.
     fn drift(folder: &Path, rows: usize, spoilt: impl Fn(usize, &mut [f64; 7])) -> PathBuf {
         let mut csv = "t,rpm,z,T1,T2,e,f\n".to_owned();
         let mut dice = 1_u64;
@@ -558,7 +566,7 @@ mod tests {
         evaluate(&[record::read(path).unwrap()], &Asked::default(), &mut |_| ()).unwrap()
     }
 
-    /// Figures, phases, tables and plots of a test that is gone through piece by piece are those of the whole.
+    /// Reading piece by piece gives the same figures, phases, tables and plots.
     #[test]
     fn a_long_drift_is_evaluated_as_a_short_one() {
         let folder = tempfile::tempdir().unwrap();
@@ -586,7 +594,8 @@ mod tests {
         }
     }
 
-    /// A mistake has its rows wherever it stands; one of all pieces is one of the record.
+    /// A mistake has its rows wherever it stands.
+    /// One of all pieces is one of the record.
     #[test]
     fn mistakes_in_a_long_drift_are_found_piece_by_piece() {
         let folder = tempfile::tempdir().unwrap();
@@ -605,7 +614,8 @@ mod tests {
         assert_eq!(found.document["suspicions"].as_array().map(Vec::len), Some(3));
     }
 
-    /// What asks for all rows at once is held: few rows, an axis that moves, another kind, no time.
+    /// What asks for all rows at once is held.
+    /// Few rows, an axis that moves, another kind, no time.
     #[test]
     fn what_cannot_be_cut_is_held() {
         let folder = tempfile::tempdir().unwrap();

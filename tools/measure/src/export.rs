@@ -1,4 +1,5 @@
-//! One axis' errors as a table for a controller that compensates by itself: chosen from the model, and judged against it.
+//! One axis' errors as a table for a controller that compensates by itself.
+//! Chosen from the model, and judged against it.
 //!
 //! | module | what | source |
 //! |---|---|---|
@@ -9,8 +10,8 @@
 //! | `own` | a form of the user's own, from a file | |
 //! | `order` | what somebody orders, and what to know of it | |
 //!
-//! A controller takes the table's value between its points by a straight line, and beyond them as at the last one. What
-//! that leaves of the model is computed with the values as they are written, at places that fall into step with no period.
+//! A controller interpolates the table linearly and holds the end values beyond it. The residual of the model is computed with the values
+//! as written, at places that fall into step with no period.
 
 pub mod beckhoff;
 pub mod linuxcnc;
@@ -36,7 +37,8 @@ const MANY: usize = 100_000;
 /// Steps that read well, as parts of a power of ten.
 const ROUND: [f64; 6] = [8.0, 5.0, 4.0, 2.5, 2.0, 1.0];
 
-/// One place of a table: error of the axis there, approached from below and from above.
+/// One place of a table.
+/// Error of the axis there, approached from below and from above.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Point {
     /// Commanded position, mm.
@@ -75,9 +77,11 @@ pub struct Rules {
 /// Where a controller looks a table's value up.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Lookup {
-    /// At the commanded position; the drive goes elsewhere by the value, and the error there is another one.
+    /// At the commanded position.
+    /// The drive goes elsewhere by the value, and the error there is another one.
     Commanded,
-    /// At the position that the encoder reads: the value meets the error of that same place.
+    /// At the position that the encoder reads.
+    /// The value meets the error of that same place.
     Encoder,
 }
 
@@ -145,8 +149,8 @@ fn usage(found: impl Into<String>, expected: impl Into<String>) -> InputError {
     InputError::whole(Path::new("model export"), found, expected)
 }
 
-/// The model's errors of one axis, at rest at every place, approached from one side; what depends on speed, time and load
-/// stays out.
+/// The model's errors of one axis at rest, approached from one side.
+/// Parts that depend on speed, time and load are left out.
 #[derive(Debug)]
 pub struct Errors<'m> {
     machine: &'m Machine,
@@ -157,13 +161,14 @@ pub struct Errors<'m> {
     places_mm: Vec<f64>,
     /// Axes of a chain whose place nobody stated.
     unstated: Vec<String>,
-    /// Which of the layout's axes the table goes along: the first, unless it is a cross table.
+    /// Which of the layout's axes the table goes along.
+    /// The first, unless it is a cross table.
     moving: usize,
 }
 
 impl<'m> Errors<'m> {
-    /// The axis' errors at these temperatures and places of the other axes; sensors that are not among them are at 20 °C, axes
-    /// at 0 mm.
+    /// The axis' errors at these temperatures and places of the other axes.
+    /// Sensors without a value are at 20 °C, axes at 0 mm.
     ///
     /// # Errors
     /// An axis that the model knows no error of, a sensor or another axis that it does not read or that is given twice, no
@@ -245,7 +250,8 @@ impl<'m> Errors<'m> {
         Ok(Self { machine, axis, layout, degc, places_mm, unstated, moving: 0 })
     }
 
-    /// The same along another axis, the own one standing at this place: what squareness, straightness and sag make of it.
+    /// The same along another axis, the own one standing at this place.
+    /// What squareness, straightness and sag make of it.
     ///
     /// # Errors
     /// The model has no error of this axis that depends on the other.
@@ -272,13 +278,15 @@ impl<'m> Errors<'m> {
         Ok(self)
     }
 
-    /// Whether an effect is in the table: of a cross table, what depends on the axis that it goes along.
+    /// Whether an effect is in the table.
+    /// A cross table holds what depends on the axis that it runs along.
     fn is_in_table(&self, effect: &Effect) -> bool {
         acts_on(effect, &self.axis)
             && (self.moving == 0 || effect.axes().contains(&self.layout.axes[self.moving]))
     }
 
-    /// Errors at these rising places, µm: approached from below each (`up`) or from above.
+    /// Errors at these rising places, µm.
+    /// Approached from below each (`up`) or from above.
     ///
     /// # Errors
     /// The model needs what a table cannot give it.
@@ -307,7 +315,8 @@ impl<'m> Errors<'m> {
         live.errors_um()[0]
     }
 
-    /// The sensors that the axis' errors are taken from, with the temperatures that the table holds at, °C: 20 where none was stated.
+    /// The sensors that the axis' errors use, with the table's temperatures, °C.
+    /// A sensor without a stated temperature is at 20 °C.
     ///
     /// # Errors
     /// As [`Errors::along`].
@@ -325,8 +334,8 @@ impl<'m> Errors<'m> {
         Ok(own.map(|(name, degc)| (name.as_str(), *degc)).collect())
     }
 
-    /// What a person should know: effects of the axis that a table of positions cannot hold, and temperatures outside the
-    /// range that an effect was fitted on.
+    /// What a person should know.
+    /// Effects of the axis that a table of positions cannot hold, and temperatures outside the range that an effect was fitted on.
     ///
     /// # Errors
     /// As [`Errors::along`].
@@ -398,16 +407,17 @@ pub struct Table {
     pub points: Vec<Point>,
     /// Distance between them, mm.
     pub step_mm: f64,
-    /// What was taken from all values to make the one at the reference point zero, µm: it moves the axis' zero.
+    /// What was taken from all values to make the one at the reference point zero, µm.
+    /// It moves the axis' zero.
     pub constant_um: f64,
     /// What it leaves.
     pub left: Left,
-    /// What it leaves of what it stands for (the mean, where it has one value for both directions): what more points
-    /// could mend. Largest, µm.
+    /// Largest error between points, µm, which more points could reduce.
+    /// With one value for both directions, it is measured against their mean.
     pub between_um: f64,
 }
 
-/// What is left of the model over the travel where the controller applies the table, the constant left out.
+/// Residual of the model over the compensated travel, without the constant.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Left {
     /// Largest absolute value moving up, µm.
@@ -433,7 +443,8 @@ struct Dense {
     down_um: Vec<f64>,
 }
 
-/// The straight line between the points, or the value of the last one; for rising places.
+/// The straight line between the points, or the value of the last one.
+/// For rising places.
 fn interpolate<'a>(
     points: &'a [Point],
     places_mm: &'a [f64],
@@ -466,8 +477,8 @@ fn round_to(value: f64, resolution: f64) -> f64 {
 }
 
 impl Table {
-    /// The table that a format takes, with the step given or with the widest that keeps within the limit; where none does,
-    /// the one that is least off.
+    /// The table that a format takes, with the given step or the widest one allowed.
+    /// The limit decides; if no step keeps it, the table with the smallest error is used.
     ///
     /// # Errors
     /// A range or step that is none, more points than the format takes, a reference point outside the range, and what
@@ -595,8 +606,9 @@ impl Table {
         Ok(table)
     }
 
-    /// Judges what is left where a controller applies the table. One that looks the value up at the commanded position moves the
-    /// drive by it, and the error there is another one. Across a large reversal that is a good part of a screw's wave.
+    /// Judges what is left where a controller applies the table.
+    /// One that looks the value up at the commanded position moves the drive by it, and the error there is another one. Across a large
+    /// reversal that is a good part of a screw's wave.
     fn applied(mut self, errors: &Errors<'_>, dense: &Dense, rules: &Rules) -> Result<Self, InputError> {
         if rules.lookup == Lookup::Encoder {
             // As `judge` has it: value and error of one place.
@@ -643,7 +655,8 @@ impl Table {
 }
 
 impl Dense {
-    /// Evenly spread places, each moved within its own stretch by the golden ratio: no period falls into step with them.
+    /// Evenly spread places, each moved within its own stretch by the golden ratio.
+    /// No period falls into step with them.
     fn of(errors: &Errors<'_>, from: f64, to: f64, most: usize) -> Result<Self, InputError> {
         const GOLDEN: f64 = 0.618_033_988_749_894_9;
         let n = (most * PLACES.0).clamp(PLACES.1 / 4, PLACES.1);
@@ -656,7 +669,8 @@ impl Dense {
     }
 }
 
-/// Steps to try, from the widest on, so that the last point is the end of the travel: round ones that divide it, and parts of it.
+/// Steps to try, widest first, so that the last point is the end of the travel.
+/// Round steps that divide the travel, and fractions of it.
 fn steps(span_mm: f64, most: usize, position_mm: f64) -> Vec<f64> {
     let up = |step: f64| round_to((step / position_mm - 1e-6).ceil().max(1.0) * position_mm, position_mm);
     let mut steps = Vec::new();

@@ -1,4 +1,5 @@
-//! One machine's figures of merit over time: what each of its records says, with limits and trend.
+//! One machine's figures of merit over time.
+//! What each of its records says, with limits and trend.
 
 use crate::iso230::{self, Options};
 use crate::plausible::{self, Suspicion};
@@ -28,7 +29,8 @@ const FAR_DAYS: f64 = 3650.0;
 /// Figures of positioning that are followed, with their meaning.
 const POSITIONING: [&str; 5] = ["A", "E", "M", "R", "B_mean"];
 
-/// Bounds of what a figure may be, either side of zero: by its whole name (`x.A`) or for every axis (`A`).
+/// Bounds of a figure, either side of zero.
+/// By its whole name (`x.A`) or for every axis (`A`).
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Limits(BTreeMap<String, f64>);
 
@@ -89,7 +91,8 @@ pub struct Point {
     pub record: String,
     /// The figure, in its unit.
     pub value: f64,
-    /// What it would be with every row, where rows of the record are in no figure and it would be another one.
+    /// The figure with every row, if it differs.
+    /// Set if rows of the record are left out of all figures.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub with_every_row: Option<f64>,
     #[serde(skip)]
@@ -154,7 +157,8 @@ pub struct History {
     pub suspicions: Vec<Suspicion>,
 }
 
-/// One machine's history from its records, each by its path: one that cannot be read is left out and named.
+/// One machine's history from its records, each by its path.
+/// One that cannot be read is left out and named.
 #[must_use]
 pub fn history(machine: &str, records: &[(String, Result<Record, InputError>)], limits: &Limits) -> History {
     let mut found: BTreeMap<String, Figure> = BTreeMap::new();
@@ -264,7 +268,8 @@ fn figures(record: &Record, sensors: &BTreeMap<String, String>) -> Result<Vec<Sa
     })
 }
 
-/// For each response the sensor that tells its growth best over all drift records: one for all, so that they can be compared.
+/// For each response the sensor that tells its growth best over all drift records.
+/// One for all, so that they can be compared.
 fn sensors<'r>(records: impl Iterator<Item = &'r Record>) -> BTreeMap<String, String> {
     let mut merit: BTreeMap<(String, String), f64> = BTreeMap::new();
     for record in records.filter(|r| matches!(Standard::of(r), Ok(Standard::Iso230_3))) {
@@ -286,7 +291,8 @@ fn sensors<'r>(records: impl Iterator<Item = &'r Record>) -> BTreeMap<String, St
     best.into_iter().map(|(response, (sensor, _))| (response, sensor)).collect()
 }
 
-/// Slope of a straight line, its standard error, and the correlation; none where x hardly moves.
+/// Slope of a straight line, its standard error, and the correlation.
+/// None where x hardly moves.
 fn slope(x: &[f64], y: &[f64]) -> Option<(f64, f64, f64)> {
     let n = x.len() as f64;
     let (mx, my) = (x.iter().sum::<f64>() / n, y.iter().sum::<f64>() / n);

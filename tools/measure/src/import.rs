@@ -44,7 +44,8 @@ fn column(name: &str, role: Role, data: Vec<f64>) -> Column {
     Column { name: name.to_owned(), role, unit, data }
 }
 
-/// A record of what was read; a log (for a rehearsal, say) need not have a response.
+/// A record of what was read.
+/// A log (for a rehearsal, say) need not have a response.
 fn record_of(to: &Path, kind: Kind, mut columns: Vec<Column>, log: bool) -> Result<Record, InputError> {
     let bare = log && !columns.iter().any(|c| c.role.is_response()) && !columns.is_empty();
     if bare {

@@ -32,19 +32,20 @@ use serde::Serialize;
 use statrs::distribution::{ContinuousCDF, StudentsT};
 use std::collections::BTreeMap;
 
-/// A position that is read instead of commanded scatters by far less than a ten-thousandth of the travel.
+/// Largest scatter of a measured position at one target, as a share of travel.
 const ALIKE: f64 = 1e-4;
-/// Where it scatters by more, targets are told apart by distances so many times larger than those within one.
+/// For larger scatter: least ratio of distances between targets to those within.
 const APART: f64 = 10.0;
 
-/// A place of a run, with the errors read there by the side that it was approached from.
+/// A place of a run, with the errors read there by side of approach.
 pub(crate) struct Place {
     pub(crate) position_mm: f64,
     pub(crate) up: Vec<f64>,
     pub(crate) down: Vec<f64>,
 }
 
-/// The places of a run, in order; where no direction is known all is called upwards.
+/// The places of a run, in order.
+/// Where no direction is known all is called upwards.
 pub(crate) fn places(position: &[f64], direction: Option<&[f64]>, error: &[f64]) -> Vec<Place> {
     let of = |rows: Vec<usize>| {
         let side = |up: bool| -> Vec<f64> {
@@ -57,7 +58,8 @@ pub(crate) fn places(position: &[f64], direction: Option<&[f64]>, error: &[f64])
     targets(position).into_iter().map(of).collect()
 }
 
-/// A straight line y = a + b·x by least squares, with the standard deviation of what is left; none where x stands still.
+/// Least-squares line y = a + b·x with its residual standard deviation.
+/// `None` if x does not vary.
 pub(crate) fn line(x: &[f64], y: &[f64]) -> Option<(f64, f64, f64)> {
     let n = x.len() as f64;
     let (mx, my) = (x.iter().sum::<f64>() / n, y.iter().sum::<f64>() / n);
@@ -71,7 +73,7 @@ pub(crate) fn line(x: &[f64], y: &[f64]) -> Option<(f64, f64, f64)> {
     Some((a, b, (left / (n - 2.0)).sqrt()))
 }
 
-/// The circle through places, by least squares of what their squared distances from its centre differ by (Kåsa).
+/// The circle through places, by least squares of squared distances (Kåsa).
 pub(crate) struct Round {
     centre: [f64; 2],
     /// Unit of the places.
@@ -141,7 +143,7 @@ fn sorted(position: &[f64]) -> Vec<f64> {
     all
 }
 
-/// Rows in groups, those in one that follow each other by no more than a share of the span.
+/// Groups rows whose sorted positions differ by at most a share of the span.
 pub(crate) fn alike(position: &[f64], share: f64) -> Vec<Vec<usize>> {
     let mut order: Vec<usize> = (0..position.len()).collect();
     order.sort_by(|a, b| position[*a].total_cmp(&position[*b]));
@@ -208,7 +210,8 @@ pub fn correlation(x: &[f64], y: &[f64]) -> f64 {
     if xx > 0.0 && yy > 0.0 { xy / (xx * yy).sqrt() } else { 0.0 }
 }
 
-/// Returning to one position (tool changes, reference marks): how far the returns scatter, with and without their drift.
+/// Returning to one position (tool changes, reference marks).
+/// How far the returns scatter, with and without their drift.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Returns {
     /// Number of returns.
@@ -225,15 +228,17 @@ pub struct Returns {
     pub trend_p_value: Option<f64>,
     /// Standard deviation about that line, µm; `None` below three returns.
     pub s_about_trend_um: Option<f64>,
-    /// Standard deviation by the differences from each return to the next, which hold no slow drift of any shape, µm; `None` below
-    /// three returns.
+    /// Standard deviation from differences of consecutive returns, µm.
+    /// They contain no slow drift of any shape. `None` below three returns.
     pub s_of_neighbours_um: Option<f64>,
-    /// A step that explains the returns better than a straight line does, and leaves nothing else in them.
+    /// A step that explains the returns better than a straight line does.
+    /// It must leave no other structure in them.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub step: Option<ReturnStep>,
 }
 
-/// A step in the returns: all before it about one mean, all from it on about another.
+/// A step in the returns.
+/// All before it about one mean, all from it on about another.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct ReturnStep {
     /// The first return behind it, from 1.
@@ -256,8 +261,8 @@ const CHANCE: f64 = 0.01;
 const ONE_IN_A_HUNDRED: f64 = 2.326;
 
 impl ReturnStep {
-    /// The step that explains the returns best, where a straight line, which leaves `about_line` (sum of squares, µm²), does not
-    /// explain them as well.
+    /// The step that explains the returns best, if better than a straight line.
+    /// `about_line` is the line's residual sum of squares, µm².
     fn of(e: &[f64], about_line: f64) -> Option<Self> {
         let n = e.len();
         let squares = |v: &[f64]| {
@@ -290,8 +295,8 @@ impl ReturnStep {
     }
 }
 
-/// Whether neighbours are more alike than chance makes them in one of a hundred runs: von Neumann's ratio, mean 2 and variance
-/// 4 (n − 2) / (n² − 1).
+/// Whether neighbours are more alike than by chance in one of a hundred runs.
+/// Von Neumann's ratio has mean 2 and variance 4 (n − 2) / (n² − 1).
 fn is_alike(ratio: f64, n: usize) -> bool {
     let n = n as f64;
     ratio < 2.0 - ONE_IN_A_HUNDRED * 2.0 * ((n - 2.0) / (n * n - 1.0)).sqrt()
@@ -330,7 +335,8 @@ impl Returns {
         })
     }
 
-    /// The drift is no straight line: about it neighbours are more alike than chance makes them.
+    /// The drift is no straight line.
+    /// About it neighbours are more alike than chance makes them.
     #[must_use]
     pub fn is_bent(&self) -> bool {
         let n = self.returns as f64;
@@ -340,7 +346,8 @@ impl Returns {
         })
     }
 
-    /// The returns drift by more than chance gives in one of a hundred runs, and no step explains them better.
+    /// Whether the returns drift beyond chance (one of a hundred runs).
+    /// A step must not explain them better.
     #[must_use]
     pub fn is_trend(&self) -> bool {
         self.step.is_none() && self.trend_p_value.is_some_and(|p| p < CHANCE)

@@ -1,4 +1,5 @@
-//! What a run showed: run records on file, other tools' files, the plan of a characterisation, evaluations, charts.
+//! What a run showed.
+//! Run records on file, other tools' files, the plan of a characterisation, evaluations, charts.
 //!
 //! | module | what |
 //! |---|---|

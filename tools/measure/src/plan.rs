@@ -1,5 +1,5 @@
-//! The test sequence that a machine is characterised with, after WO 97/43703 ("Geometric characterization … three
-//! phases", spindle cycles dry and wet): what to mount where, how to move, what to record.
+//! The test sequence that characterises a machine, after WO 97/43703.
+//! What to mount where, how to move and what to record ("Geometric characterization … three phases", spindle cycles dry and wet).
 
 use crate::iso230::{LONG_AXIS_MM, LONG_INTERVAL_MM, fewest_targets};
 use rtec_files::{InputError, Said};
@@ -47,7 +47,7 @@ const TEMPERATURES: &str = "every temperature sensor";
 /// Bars that are usual, longest first, mm.
 const BARS_MM: [f64; 3] = [150.0, 100.0, 50.0];
 
-/// What a person says of a machine, looked at.
+/// Checks a person's description of a machine.
 ///
 /// # Errors
 /// No axis, one a second time or of a name that is none, a travel, speed or bar that is no number above zero, a circle
@@ -110,8 +110,8 @@ pub fn for_machine(
     Ok(sequence(axes, max_rpm, bar_mm))
 }
 
-/// The sequence for these axes and this highest spindle speed. The warm runs come last, each from a machine that has
-/// stood over night where it says *cold*. Without a bar there are no circles.
+/// The sequence for these axes and this highest spindle speed.
+/// The warm runs come last, each from a machine that has stood over night where it says *cold*. Without a bar there are no circles.
 #[must_use]
 pub fn sequence(axes: &[PlanAxis], max_rpm: f64, ball_radius_mm: Option<f64>) -> Vec<Step> {
     let mut steps = ball_radius_mm.map_or_else(Vec::new, |radius_mm| contouring(axes, radius_mm));
@@ -197,11 +197,13 @@ pub struct TargetRun {
 const MINUTES_EACH: f64 = 0.36;
 /// Time to warm a machine by some kelvin, min.
 const WARMING_MIN: f64 = 60.0;
-/// So far may a target be off the even distance, in distances: no two of any number are then at one place of a wave.
+/// So far may a target be off the even distance, in distances.
+/// No two of any number are then at one place of a wave.
 const UNEVEN: f64 = 0.3;
 
 impl TargetRun {
-    /// So many targets over an axis. The golden ratio places them within their distances, so that no period fits all of them.
+    /// So many targets over an axis.
+    /// The golden ratio places them within their distances, so that no period fits all of them.
     #[must_use]
     pub fn uneven(axis: &PlanAxis, count: usize, cycles: usize, warmer_k: Option<f64>) -> Self {
         let margin_mm = margin_mm(axis);
@@ -215,7 +217,8 @@ impl TargetRun {
         Self { targets_mm: (0..count).map(place).collect(), cycles, warmer_k }
     }
 
-    /// Every reading in its order: cycle from 1, direction, target in mm, whether the machine is warm.
+    /// Every reading in its order.
+    /// Cycle from 1, direction, target in mm, whether the machine is warm.
     pub fn readings(&self) -> impl Iterator<Item = (usize, f64, f64, bool)> {
         let cycles = self.cycles * if self.warmer_k.is_some() { 2 } else { 1 };
         (1..=cycles).flat_map(move |cycle| {
@@ -284,8 +287,8 @@ fn margin_mm(axis: &PlanAxis) -> f64 {
     (0.02 * axis.travel_mm).clamp(2.0, 25.0).min(axis.travel_mm / 10.0)
 }
 
-/// Bidirectional linear displacement of one axis (the patent's table 2, ISO 230-2). An axis of more than 2 m has a run over
-/// its travel, once each way, and the standard's cycles on 2 m of it.
+/// Bidirectional linear displacement of one axis (the patent's table 2, ISO 230-2).
+/// An axis of more than 2 m has a run over its travel, once each way, and the standard's cycles on 2 m of it.
 fn displacement(axis: &PlanAxis) -> Vec<Step> {
     let travel_mm = axis.travel_mm;
     let margin_mm = margin_mm(axis);
@@ -495,7 +498,8 @@ mod tests {
         );
     }
 
-    /// ISO 230-2:2014, 5.3: at most 250 mm apart on an axis of more than 2 m, and the cycles on 2 m of it.
+    /// ISO 230-2:2014, 5.3.
+    /// At most 250 mm apart on an axis of more than 2 m, and the cycles on 2 m of it.
     #[test]
     fn a_long_axis_has_a_long_run_and_the_cycles_on_two_metres() {
         let steps = sequence(&[PlanAxis { name: "x".into(), travel_mm: 4000.0 }], 6000.0, Some(150.0));

@@ -1,8 +1,9 @@
-//! A plate of holes drilled by the machine and measured elsewhere: offset, scale, rotation, and what is left.
+//! A plate of holes drilled by the machine and measured elsewhere.
+//! Offset, scale, rotation, and what is left.
 //!
-//! Two fits stand side by side. The plate's owners (SDSS plug plates) take offset, scale and rotation first, then a quadrupole out of what
-//! is left; their figures are comparable only so. On holes that do not fill a square or a disc the first fit takes a share of
-//! what belongs to the quadrupole; [`Joint`] fits everything linear at once and does not.
+//! There are two fits. The plate's owners (SDSS plug plates) fit offset, scale and rotation first, then a quadrupole to the residual; only
+//! so their figures are comparable. If the holes do not fill a square or a disc, the first fit takes part of the quadrupole. [`Joint`] fits
+//! all linear terms at once and does not.
 
 use crate::plot::Vectors;
 use rtec_files::InputError;
@@ -13,10 +14,12 @@ use std::collections::BTreeMap;
 /// Channel of a plate's record that holds each hole's nominal diameter, mm.
 pub const NOMINAL_DIAMETER: &str = "nominal_d";
 
-/// Linear thermal expansion of aluminium, 1/K: what a scale would mean as a temperature.
+/// Linear thermal expansion of aluminium, 1/K.
+/// What a scale would mean as a temperature.
 pub const ALUMINIUM_PER_K: f64 = 23.1e-6;
 
-/// A plate's fit: measured = scale · R(rotation) · nominal + offset, then a quadrupole.
+/// A plate's fit.
+/// Measured = scale · R(rotation) · nominal + offset, then a quadrupole.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Plate {
     /// Number of holes that the fit used.
@@ -33,10 +36,11 @@ pub struct Plate {
     pub rotation_urad: f64,
     /// RMS of the residual's length after offset, scale and rotation, µm.
     pub rms_um: f64,
-    /// The same for the holes of each nominal diameter (mm), where the record has it: drills differ.
+    /// The same for the holes of each nominal diameter (mm), where the record has it.
+    /// Drills differ.
     pub rms_um_by_diameter: BTreeMap<String, f64>,
-    /// Magnitude m of the quadrupole in what is left, mm per mm, as the plate's owners have it: a hole at r, θ about the origin of the
-    /// record's positions is shifted by r·m·cos 2(θ − φ) along its radius, and not across it.
+    /// Magnitude m of the residual's quadrupole, mm per mm, as its owners define it.
+    /// A hole at r, θ about the origin of the positions is shifted along its radius by r·m·cos 2(θ − φ), and not across it.
     pub quadrupole: f64,
     /// The same in ppm: longer by so much along φ, shorter by so much across.
     pub quadrupole_ppm: f64,
@@ -44,7 +48,8 @@ pub struct Plate {
     pub quadrupole_deg: f64,
     /// RMS of the residual's length after the quadrupole too, µm.
     pub rms_quadrupole_um: f64,
-    /// The joint fit's mean scale as a temperature of an aluminium plate, K: the data cannot tell the two apart.
+    /// The joint fit's mean scale as a temperature of an aluminium plate, K.
+    /// The data cannot tell the two apart.
     #[serde(rename = "scale_as_aluminium_K")]
     pub scale_as_aluminium_k: f64,
     /// Standard errors of offset, scale and rotation.
@@ -57,7 +62,8 @@ pub struct Plate {
     pub residual_um: Vec<[f64; 2]>,
 }
 
-/// Offset, a scale for each axis, squareness and rotation by one fit: error x = `scale_x·x + c·y`, error y = `scale_y·y + d·x`.
+/// Offset, a scale for each axis, squareness and rotation by one fit.
+/// Error x = `scale_x·x + c·y`, error y = `scale_y·y + d·x`.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Joint {
     /// Offset of the measured holes, mm; that of [`Plate`] belongs to the other fit.
@@ -66,11 +72,13 @@ pub struct Joint {
     pub scale_x_ppm: f64,
     /// Scale of y, ppm.
     pub scale_y_ppm: f64,
-    /// Squareness c + d, µrad, as `squareness.x.y`: positive where the angle between the positive axes is below 90°.
+    /// Squareness c + d, µrad, as `squareness.x.y`.
+    /// Positive where the angle between the positive axes is below 90°.
     pub squareness_urad: f64,
     /// Rotation (d − c)/2, µrad, counter-clockwise positive: the antisymmetric part.
     pub rotation_urad: f64,
-    /// Quadrupole as a pure stretch, ppm: longer by so much along its angle, shorter by so much across, without turning.
+    /// Quadrupole as a pure stretch, ppm.
+    /// Longer by so much along its angle, shorter by so much across, without turning.
     pub quadrupole_ppm: f64,
     /// The direction in which it is longest, degrees from x.
     pub quadrupole_deg: f64,
@@ -183,7 +191,8 @@ impl Joint {
 pub enum Norm {
     /// The sum of the squared residual lengths.
     Squares,
-    /// The sum of their fourth powers, as some published plate fits have it: the worst holes count for more.
+    /// The sum of their fourth powers, as some published plate fits have it.
+    /// The worst holes count for more.
     Fourth,
 }
 
@@ -327,7 +336,8 @@ pub fn evaluate(record: &Record, norm: Norm) -> Result<Plate, InputError> {
     })
 }
 
-/// Holes are no farther off one line than a thousandth of their length: nothing is known across it.
+/// Holes are no farther off one line than a thousandth of their length.
+/// Nothing is known across it.
 const ON_A_LINE: f64 = 1e-3;
 
 fn spans_a_plane(x: &[f64], y: &[f64]) -> bool {

@@ -1,4 +1,5 @@
-//! Plots as SVG text: what a report shows, small and without fonts or scripts of its own. The legend stands beside the data.
+//! Plots as SVG text.
+//! What a report shows, small and without fonts or scripts of its own. The legend stands beside the data.
 
 mod look;
 mod polar;
@@ -23,7 +24,8 @@ pub enum Style {
     Dots,
     /// A bar from zero to each point.
     Bars,
-    /// A shaded band: the first half of the points is its lower edge, the second half its upper edge.
+    /// A shaded band.
+    /// The first half of the points is its lower edge, the second half its upper edge.
     Band,
 }
 
@@ -119,7 +121,8 @@ pub struct Chart {
     pub marks: Vec<(f64, String)>,
 }
 
-/// A plot as data: a page shows it as SVG, another program draws it by its own means.
+/// A plot as data.
+/// A page shows it as SVG, another program draws it by its own means.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[serde(tag = "kind", rename_all = "snake_case")]
 pub enum Picture {
@@ -176,7 +179,8 @@ const COLOURS: [RGBColor; 7] = [
 
 type Area<'t> = DrawingArea<SVGBackend<'t>, plotters::coord::Shift>;
 
-/// A drawing that failed; the back end writes into memory, so only a chart without any finite point does.
+/// A drawing that failed.
+/// The back end writes into memory, so only a chart without any finite point does.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("the chart `{title}` could not be drawn: {reason}")]
 pub struct PlotError {
@@ -394,7 +398,8 @@ fn wrapped(text: &str, fits: usize) -> Vec<String> {
     lines
 }
 
-/// A tick's number with as many decimals as the axis' span asks for; none where it is whole.
+/// A tick's number with as many decimals as the axis' span asks for.
+/// None where it is whole.
 fn plain(v: f64, span: f64) -> String {
     let decimals = (1.0 - span.log10()).ceil().clamp(0.0, 6.0) as usize;
     let text = format!("{v:.decimals$}");
@@ -425,7 +430,8 @@ mod tests {
         }
     }
 
-    /// In grey, two series differ by their dash or their marker; a phase is a number in the plot and a name beside it.
+    /// In grey, two series differ by their dash or their marker.
+    /// A phase is a number in the plot and a name beside it.
     #[test]
     fn series_and_marks_are_told_apart_without_colour() {
         let line = |k: f64| (0..9).map(|i| (f64::from(i), k * f64::from(i))).collect::<Vec<_>>();

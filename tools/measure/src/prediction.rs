@@ -7,8 +7,8 @@ use rtec_model::record::{Record, Role};
 use std::io::Write;
 use std::path::Path;
 
-/// The sum of the model's effects at every row, by the response's column; what the record does not log, and where it is
-/// beyond what the model was fitted on, goes to `say`.
+/// The sum of the model's effects at every row, by the response's column.
+/// What the record does not log, and where it is beyond what the model was fitted on, goes to `say`.
 ///
 /// # Errors
 /// An effect reads a sensor or channel that the record does not have.
@@ -35,9 +35,9 @@ fn warn(file: &Path, taken_as_zero: &[(String, String)], beyond: &[String], say:
     }
 }
 
-/// As [`csv`] of the record on file at `path`, to `out`; row by row, in the memory of a few thousand, but for a circle's
-/// and one whose motion is derived. With an
-/// interval the file is read twice: whether a fit speaks for it depends on where all its rows are.
+/// As [`csv`] of the record on file at `path`, to `out`.
+/// Row by row, in the memory of a few thousand, but for a circle's and one whose motion is derived. With an interval the file is read
+/// twice: whether a fit speaks for it depends on where all its rows are.
 ///
 /// # Errors
 /// As [`csv`]; the record cannot be read; what `out` reports. What has been written then is to be thrown away.
@@ -113,7 +113,8 @@ pub fn write(
     Ok(())
 }
 
-/// Readings that a sensor did not take: the prediction of those rows is as wrong as they are.
+/// Readings that a sensor did not take.
+/// The prediction of those rows is as wrong as they are.
 fn warn_of_readings(file: &Path, not_taken: usize, say: &mut dyn FnMut(Said)) {
     if not_taken > 0 {
         say(Said::Warning(format!(
@@ -165,7 +166,8 @@ pub enum Failed {
     Output(#[from] std::io::Error),
 }
 
-/// The record's rows with a column `predicted_RESPONSE` for each response; with its 95 % interval where that is asked for.
+/// The record's rows with a column `predicted_RESPONSE` for each response.
+/// With its 95 % interval where that is asked for.
 ///
 /// # Errors
 /// As [`predict`]; no interval is known; the record's CSV has changed.

@@ -1,5 +1,5 @@
-//! What an evaluation says to a person: conditions, tables and plots in the standard's order, as text for a terminal and as
-//! one HTML file that prints to A4.
+//! What an evaluation says to a person.
+//! Conditions, tables and plots in the standard's order, as text for a terminal and as one HTML file that prints to A4.
 
 mod of;
 
@@ -65,7 +65,8 @@ pub const STYLE: &str = "@page{size:A4;margin:14mm 15mm}\
     @media print{body{font-size:10.5pt;max-width:none;margin:0;padding:0}\
     *{print-color-adjust:exact;-webkit-print-color-adjust:exact}figure{margin:.8em 0}figure svg{max-height:105mm}}";
 
-/// The line at a page's end that makes it a certificate: instrument, name, day and signature; what is not known is left to be written.
+/// The line at a page's end that makes it a certificate.
+/// Instrument, name, day and signature; what is not known is left to be written.
 #[must_use]
 pub fn signed_line(instrument: &str, name: &str, date: &str) -> String {
     format!(

@@ -1,8 +1,8 @@
-//! Coarse steps: the step in which a gauge's readings are written, and the error that rounding to it leaves in a mean.
+//! The resolution of a gauge, and the rounding error that it leaves in a mean.
 //!
-//! Noise of more than half a step dithers the readings: their mean loses the rounding. Without it repeats read the same, and a
-//! mean of any number of them is off by up to half a step (Widrow, "A study of rough amplitude quantization", 1956: what is
-//! left of the step falls with exp(−2π²σ²/q²)).
+//! Noise of more than half a step dithers the readings, so their mean loses the rounding. Without it repeats read the same, and a mean of
+//! any number of them is off by up to half a step. The remaining error falls with exp(−2π²σ²/q²) (Widrow, "A study of rough amplitude
+//! quantization", 1956).
 
 use crate::iso230::targets;
 use rtec_files::text::short;
@@ -24,7 +24,8 @@ pub struct Steps {
 }
 
 impl Steps {
-    /// Of readings; `repeats` are rows that differ by noise alone. `None` for readings without a step, or too few repeats.
+    /// Of readings; `repeats` are rows that differ by noise alone.
+    /// `None` for readings without a step, or too few repeats.
     #[must_use]
     pub fn of(readings: &[f64], repeats: &[Vec<usize>]) -> Option<Self> {
         let step = step_of(readings)?;
@@ -45,7 +46,8 @@ impl Steps {
         Some(Self { step, noise: if 2 * same >= pairs { 0.0 } else { variance.sqrt() } })
     }
 
-    /// Of one response of a record: rows at one place from one side are repeats; without positions neighbours are.
+    /// Of one response of a record: rows at one place from one side are repeats.
+    /// Without positions neighbours are.
     #[must_use]
     pub fn of_response(record: &Record, column: &Column) -> Option<Self> {
         Self::of(&column.data, &repeats(record, column))

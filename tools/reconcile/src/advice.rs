@@ -15,7 +15,8 @@ fn places(axis: &Axis, train: &[Record]) -> Vec<f64> {
     places
 }
 
-/// Leads of screws that targets on a grid cannot tell from a constant: each target is at the same angle of the screw.
+/// Leads of screws that targets on a grid cannot tell from a constant.
+/// Each target is at the same angle of the screw.
 fn hidden_leads(effect: &Effect, train: &[Record], dictionary: &Dictionary) -> Option<String> {
     let axis = effect.axes().first().filter(|_| effect.description().constant)?;
     let screw = dictionary.effect(&format!("screw_periodic.{axis}")).ok()?;
@@ -157,7 +158,8 @@ fn isolating(s: &Shape, train: &[Record]) -> String {
     )
 }
 
-/// Whether a column is what a place of `where` names: a role, or `temperature.NAME`.
+/// Whether a column is what a place of `where` names.
+/// A role, or `temperature.NAME`.
 fn is_of(c: &Column, over: &str) -> bool {
     let role = c.role.to_string();
     role == over || over.strip_prefix(&role).and_then(|rest| rest.strip_prefix('.')) == Some(&c.name)

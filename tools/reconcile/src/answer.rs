@@ -1,4 +1,5 @@
-//! What an estimate says of the records, as findings: effects with a name, shapes without one, corrections of the model.
+//! Turns an estimate into findings.
+//! They are effects with a name, shapes without one, and corrections of the model.
 
 use rtec_estimate::problem::Units;
 use rtec_estimate::{Estimate, Found, Rival, Shape};
@@ -34,7 +35,7 @@ pub(crate) struct Answer {
     pub(crate) estimate: Estimate,
 }
 
-/// Half widths of the intervals that a model states, effect by effect and value by value.
+/// Half widths of the model's intervals, effect by effect and value by value.
 pub(crate) fn stated(machine: &Machine) -> Vec<Vec<Option<f64>>> {
     let of = |l: &rtec_model::machine::Listed| {
         let width = l.effect.width();
@@ -49,8 +50,9 @@ pub(crate) fn stated(machine: &Machine) -> Vec<Vec<Option<f64>>> {
     machine.listed().iter().map(of).collect()
 }
 
-/// Probability that chance alone gives odds like these: under chance a Bayes factor is one on average, so one of x comes with a
-/// probability below 1/x (Markov's inequality). The price of one more effect is no part of the prior over names.
+/// Bound on the probability that chance alone gives such odds.
+/// Under chance the mean Bayes factor is one, so a factor of x has a probability below 1/x (Markov's inequality). The price of one more
+/// effect is no part of the prior over names.
 fn p_value(f: &Found) -> f64 {
     (-f.evidence - rtec_estimate::priors::PRICE).exp().min(1.0)
 }
@@ -78,7 +80,8 @@ pub(crate) fn analyse(records: &[Record], machine: &Machine, level: f64) -> Answ
     Answer { findings, unexplained, estimate }
 }
 
-/// Log evidence of the likeliest account of records that is reached from an answer's; given up far below `enough`.
+/// Log evidence of the best explanation of records, from an answer's members.
+/// The search gives up far below `enough`.
 pub(crate) fn score(records: &[Record], machine: &Machine, from: &Answer, units: Units, enough: f64) -> f64 {
     let model: Vec<Effect> = machine.effects().cloned().collect();
     let start = &from.estimate.members;

@@ -47,7 +47,8 @@ fn parameters(
     (beside, inside)
 }
 
-/// An effect with its sensors and parameters: what it has in `effects` and in `refined`.
+/// An effect with its sensors and parameters.
+/// What it has in `effects` and in `refined`.
 fn effect(effect: &Effect, half: &[f64], before: Option<&Effect>) -> Map<String, Value> {
     let (mut map, inside) = parameters(effect, half, before);
     map.insert("name".into(), json!(effect.name()));

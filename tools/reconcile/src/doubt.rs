@@ -1,6 +1,6 @@
-//! People's mistakes, before anything is explained: what the records show by themselves (`rtec_measure::plausible`), and what
-//! shows beside the model, a record that agrees with it only with another sign, unit, direction or sensor. What is doubted
-//! is left out of the analysis and said; it is never named as an effect.
+//! People's mistakes, before anything is explained.
+//! What the records show by themselves (`rtec_measure::plausible`), and what shows beside the model, a record that agrees with it only with
+//! another sign, unit, direction or sensor. What is doubted is left out of the analysis and said; it is never named as an effect.
 
 use crate::answer::stated;
 use crate::gap::{self, Gap};
@@ -17,7 +17,8 @@ use rtec_model::record::{Column, Record, Role};
 const WORSE: f64 = 1.1;
 /// Fewer rows tell nothing.
 const FEWEST: usize = 12;
-/// A hold-out that the better model leaves so many times the training's noise of is of another machine, or state.
+/// Ratio of residual to training noise that marks another machine or state.
+/// Compared on each hold-out, under the better model.
 const OTHER: f64 = 4.0;
 
 /// What is doubted, and the records to analyse.
@@ -33,7 +34,8 @@ pub(crate) struct Doubts {
     of_holdout: Vec<Suspicion>,
 }
 
-/// Looks at all records by themselves and beside each other. What a hold-out shows changes nothing of the training.
+/// Checks all records by themselves and against each other.
+/// A hold-out's findings do not affect the training.
 pub(crate) fn doubts(train: &[Record], holdout: &[Record], machine: &Machine) -> Doubts {
     let all: Vec<&Record> = train.iter().chain(holdout).collect();
     let twice = plausible::repeated(&all);
@@ -67,7 +69,8 @@ pub(crate) fn doubts(train: &[Record], holdout: &[Record], machine: &Machine) ->
     Doubts { said, train: left, rows, left_out, holdout, of_holdout }
 }
 
-/// What records show by themselves; of readings far off the others only what the model does not explain.
+/// What records show by themselves.
+/// Outlying readings count only if the model does not explain them.
 fn suspicions(records: &[Record], machine: &Machine) -> Vec<Suspicion> {
     let mut found = plausible::suspicions(records);
     let is_wild = |s: &Suspicion| s.what == What::Outliers && !s.is_of_sensor();
@@ -91,7 +94,8 @@ fn suspicions(records: &[Record], machine: &Machine) -> Vec<Suspicion> {
 }
 
 impl Doubts {
-    /// The hold-outs without what is doubted, for a model: what it does not read may be off. And what was left out.
+    /// The hold-outs without doubted columns that the model reads.
+    /// Columns that it does not read may be wrong. Also says what was left out.
     pub(crate) fn holdouts(&self, model: &Machine) -> (Vec<Record>, Vec<String>) {
         let left = self.holdout.iter().filter_map(|r| without(r, &self.of_holdout, model));
         let left: Vec<Record> = left.map(|(r, _)| r).collect();
@@ -99,7 +103,8 @@ impl Doubts {
         (left, lines)
     }
 
-    /// Leaves out the training records whose clock is doubted: no lag is told by them. Whether there were any.
+    /// Leaves out training records whose clock is in doubt; true if there were any.
+    /// They cannot tell a lag.
     pub(crate) fn without_clocks(&mut self) -> bool {
         let before = self.train.len();
         for (k, record) in std::mem::take(&mut self.train).into_iter().enumerate().rev() {
@@ -179,7 +184,7 @@ fn lines(before: &[Record], after: &[Record], said: &[Suspicion]) -> Vec<String>
     out
 }
 
-/// The record without what is doubted of it; none where nothing is left that could be trusted.
+/// The record without its doubted columns; `None` if nothing remains.
 fn without(record: &Record, said: &[Suspicion], machine: &Machine) -> Option<(Record, Vec<usize>)> {
     let clocked = machine.effects().any(reads_clock);
     let useless = |s: &Suspicion| whole(s, record) || clocked && is_of_clock(s, record);
@@ -235,8 +240,9 @@ pub(crate) fn reads_clock(effect: &Effect) -> bool {
     law.lag.is_some() || law.heat == Heat::FromStart
 }
 
-/// The hold-outs that the better model describes far worse than the training, and no better than the model as it was, by their numbers:
-/// how much of their gap is closed says nothing. Each is judged by what is left once its own set-up is taken out.
+/// The hold-outs that may be from another machine, by their numbers.
+/// The better model describes them far worse than the training, and no better than the original model did. How much of their gap is closed
+/// then tells nothing. Each is judged by the residual after its own set-up is removed.
 pub(crate) fn other_machines(
     holdout: &[Record],
     before: &Machine,

@@ -1,13 +1,14 @@
-//! Of very many rows some are looked at: one of each stretch.
+//! Draws a subsample of very many rows: one of each stretch.
 
 use rtec_model::record::Record;
 use std::borrow::Cow;
 
-/// More rows are not looked at: an effect's value is then known to a hundredth of the noise, and what a search takes grows with rows times
-/// candidates, to minutes and a gigabyte.
+/// Most rows that are analysed.
+/// An effect's value is then known to a hundredth of the noise. The search needs time in proportion to rows times candidates: minutes, and
+/// a gigabyte.
 pub(crate) const MOST_ROWS: usize = 20_000;
 
-/// So many rows as are looked at.
+/// The records themselves, or a subsample of [`MOST_ROWS`] at most.
 pub(crate) fn bounded(train: &[Record]) -> Cow<'_, [Record]> {
     match at_least_every(train) {
         1 => Cow::Borrowed(train),
@@ -15,14 +16,15 @@ pub(crate) fn bounded(train: &[Record]) -> Cow<'_, [Record]> {
     }
 }
 
-/// One row of how many is looked at before anything is known of them: the least power of two that leaves [`MOST_ROWS`] at most.
+/// The stride between analysed rows before anything is known of them.
+/// The least power of two that leaves at most [`MOST_ROWS`].
 pub(crate) fn at_least_every(records: &[Record]) -> usize {
     let rows: usize = records.iter().map(Record::rows).sum();
     rows.div_ceil(MOST_ROWS).next_power_of_two()
 }
 
-/// One row of each stretch of so many, at a place in it that a fixed sequence draws: rows an equal number apart may all be of one
-/// target, or of one way.
+/// Draws one row from each stretch of `every` rows.
+/// A fixed sequence chooses the place in the stretch: evenly spaced rows may all belong to one target or one direction.
 fn drawn(rows: usize, every: usize) -> Vec<usize> {
     (0..rows)
         .step_by(every)
@@ -37,7 +39,7 @@ fn drawn(rows: usize, every: usize) -> Vec<usize> {
 mod tests {
     use super::drawn;
 
-    /// Whatever the length: one of each stretch, in order; not always the same place of it.
+    /// One row of each stretch in order, at varying places, for any length.
     #[test]
     fn rows_are_drawn_one_of_each_stretch() {
         for (rows, every) in [(1, 1), (7, 2), (8, 2), (1000, 8), (40_001, 4)] {

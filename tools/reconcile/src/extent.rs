@@ -1,6 +1,7 @@
 //! Places on a grid: what looks the same there.
 
-/// The pitch of a grid that all places, in rising order, lie on to within `close`; `None` where they lie on none, or hardly repeat.
+/// The pitch of a grid that all places lie on to within `close`.
+/// The places are in rising order. `None` if there is no such grid, or the places hardly repeat.
 pub(crate) fn pitch(places: &[f64], close: f64) -> Option<f64> {
     let mut distinct: Vec<f64> = Vec::new();
     for x in places {
@@ -22,14 +23,15 @@ pub(crate) fn pitch(places: &[f64], close: f64) -> Option<f64> {
     (!places.iter().any(off)).then_some(pitch)
 }
 
-/// How far from a grid the places may lie that a wave cannot tell from it, in periods.
+/// Largest distance from a grid at which a wave cannot tell the places from it.
+/// In periods.
 pub(crate) const GRID_SHARE: f64 = 0.02;
 
-/// So many multiples of a grid's frequency are looked through for periods that machines are made with.
+/// Multiples of a grid's frequency that are searched for usual periods.
 const MULTIPLES: usize = 200;
 
-/// Frequencies that look the same as `f` on a grid, inside a range, slowest first: so many, and beyond them those of periods
-/// that machines are made with.
+/// Frequencies that look the same as `f` on a grid, inside a range, slowest first.
+/// So many, and beyond them those of periods that machines are made with.
 pub(crate) fn aliases(f: f64, pitch: f64, range: [f64; 2], most: usize, usual_mm: &[f64]) -> Vec<f64> {
     let whole = 1.0 / pitch;
     let rest = f.rem_euclid(whole);
@@ -74,7 +76,8 @@ mod tests {
         }
     }
 
-    /// A bug once: at 50 mm steps a screw of 12 mm was not among the eight that were listed beside it.
+    /// Regression test: at 50 mm steps the rivals must include a screw of 12 mm.
+    /// It was missing from the eight that were listed.
     #[test]
     fn what_machines_are_made_with_is_among_the_aliases() {
         let of = |usual: &[f64]| aliases(1.0 / 60.0, 50.0, [1.0 / 60.0, 2.0], 8, usual);

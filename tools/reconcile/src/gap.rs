@@ -1,4 +1,5 @@
-//! How far measured and simulated are apart, before and after, and what the data itself repeats to.
+//! The gap between measured and simulated, before and after, and its floor.
+//! The floor is what the data itself repeats to.
 
 use crate::answer::{Answer, stated};
 use rtec_estimate::problem::Problem;
@@ -20,28 +21,30 @@ pub struct Gap {
     pub train: [f64; 2],
     /// The same on the hold-outs.
     pub holdout: Option<[f64; 2]>,
-    /// The same on those hold-outs alone that do not look like another machine's, where some do and some do not. [`Gap::holdout`] is of
-    /// all: it may as well be the model that is wrong.
+    /// The same without hold-outs that look like another machine's.
+    /// Set only if some do and some do not. [`Gap::holdout`] is of all, because the model may be wrong instead.
     pub without_strangers: Option<[f64; 2]>,
     /// The same by blocked cross-validation, where anything was fitted.
     pub blocked: Option<[f64; 2]>,
     /// Noise of the data.
     pub floor: f64,
-    /// The hold-out is doubted, or so few rows taught nothing: how much of the gap is closed says nothing.
+    /// The closed share tells nothing: the hold-out is doubted, or has few rows.
     pub doubted: bool,
     /// Rows of the hold-outs.
     pub held_rows: usize,
 }
 
 impl Gap {
-    /// Share of the gap that is closed on the hold-out (or by cross-validation): 1 is down to the floor.
+    /// Share of the gap closed on the hold-out or by cross-validation.
+    /// 1 means closed down to the floor.
     #[must_use]
     pub fn closed(&self) -> Option<f64> {
         let [before, after] = self.holdout.or(self.blocked).unwrap_or(self.train);
         (before > self.floor && !self.doubted).then(|| ((before - after) / (before - self.floor)).max(0.0))
     }
 
-    /// Whether the hold-out is no worse with what was found, but for chance (two standard errors of a mean square); `None` without one.
+    /// Whether the hold-out is no worse with the findings, up to chance.
+    /// Chance is two standard errors of a mean square. `None` without a hold-out.
     #[must_use]
     pub fn confirmed(&self) -> Option<bool> {
         let [before, after] = self.holdout?;
@@ -84,7 +87,8 @@ pub struct Over {
 const STILL_MM: f64 = 1.0;
 
 impl Over {
-    /// The angle of a circle; the position of the axis that moves, the response's own first; else time.
+    /// The abscissa of a trace: angle of a circle, position, or time.
+    /// The position is that of the axis that moves, the response's own first.
     fn of(record: &Record, response: &Role) -> Self {
         let in_time = matches!(record.kind, Kind::Drift | Kind::Dynamics);
         if let Some(angle) = record.data(&Role::Angle).filter(|_| !in_time) {
@@ -113,7 +117,7 @@ impl Over {
     }
 }
 
-/// Measured minus simulated by the model as it was and by the better one, record by record.
+/// Residuals under the original and the better model, record by record.
 pub(crate) fn traces(train: &[Record], holdout: &[Record], before: &Machine, after: &Machine) -> Vec<Trace> {
     let mut out = Vec::new();
     let effects = |m: &Machine| -> Vec<Effect> { m.effects().cloned().collect() };
@@ -143,7 +147,8 @@ pub(crate) fn rms<'v>(v: impl IntoIterator<Item = &'v f64>) -> f64 {
     (sum / f64::max(n, 1.0)).sqrt()
 }
 
-/// What the model with what was found leaves of each row by a fit of the other blocks; `None` where nothing was fitted.
+/// Residual of each row under a fit of the other blocks.
+/// `None` if nothing was fitted.
 pub(crate) fn left_of_blocks(used: &[Record], answer: &Answer, machine: &Machine) -> Option<Vec<f64>> {
     let found: Vec<Effect> = answer.findings.iter().map(|(f, _)| f.effect.clone()).collect();
     let moved = answer.estimate.known.iter().any(|k| k.beyond_chance);
@@ -154,8 +159,8 @@ pub(crate) fn left_of_blocks(used: &[Record], answer: &Answer, machine: &Machine
     })
 }
 
-/// The gap of the responses of each unit. `used`: the rows that were looked at; `blocked`: what is left of each
-/// ([`left_of_blocks`]).
+/// The gap of the responses of each unit.
+/// `used`: the rows that were looked at; `blocked`: what is left of each ([`left_of_blocks`]).
 pub(crate) fn gaps(used: &[Record], traces: &[Trace], answer: &Answer, blocked: Option<&[f64]>) -> Vec<Gap> {
     let mut units: Vec<&str> = traces.iter().map(|t| unit_of(&t.response)).collect();
     units.sort_unstable();
@@ -190,7 +195,8 @@ pub(crate) fn gaps(used: &[Record], traces: &[Trace], answer: &Answer, blocked: 
     units.into_iter().map(of).collect()
 }
 
-/// RMS before and after over all responses of a unit, of the training records or of the held-out ones.
+/// RMS before and after, over all responses of a unit.
+/// Of the training records, or of the hold-outs if `held`.
 pub(crate) fn pooled(traces: &[Trace], unit: &str, held: bool) -> Option<[f64; 2]> {
     let of: Vec<&Trace> =
         traces.iter().filter(|t| t.holdout == held && unit_of(&t.response) == unit).collect();
@@ -198,7 +204,8 @@ pub(crate) fn pooled(traces: &[Trace], unit: &str, held: bool) -> Option<[f64; 2
     (!of.is_empty()).then(|| [pool(|t| &t.before), pool(|t| &t.after)])
 }
 
-/// The traces of each hold-out, where `traces` are those of all of them, record by record.
+/// The traces of each hold-out.
+/// `traces` are those of all hold-outs, record by record.
 pub(crate) fn by_record<'t>(held: &[Record], traces: &'t [Trace]) -> Vec<&'t [Trace]> {
     let mut rest = traces;
     let own = |record: &Record| {

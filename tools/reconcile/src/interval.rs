@@ -1,4 +1,4 @@
-//! What a better model says of itself: within what it predicts each response, as a fit says it.
+//! The prediction interval of the better model, per response, as a fit states it.
 
 use rtec_estimate::rows::Rows;
 use rtec_model::effect::{Effect, Heat};
@@ -6,13 +6,13 @@ use rtec_model::machine::{FitNote, Machine, Source, Validity};
 use rtec_model::record::{Record, Role};
 use std::collections::BTreeMap;
 
-/// Days that such a model may be used for without being looked at again, as those of `model fit`.
+/// Days for which such a model is valid, as for `model fit`.
 const VALID_DAYS: i64 = 365;
 /// Share of the rows that an interval is to hold.
 const HOLDS: f64 = 0.95;
 
-/// States the interval of each response: what the other blocks' fit leaves of each row (`left`) is what such a run may
-/// be off by. Of several records of a kind the widest counts.
+/// States the interval of each response.
+/// What the other blocks' fit leaves of each row (`left`) is what such a run may be off by. Of several records of a kind the widest counts.
 pub(crate) fn state(model: &mut Machine, used: &[Record], left: &[f64], date: &str) {
     let rows = Rows::new(used);
     let day = rtec_model::date::parse(date).unwrap_or_else(rtec_model::date::today);
@@ -58,7 +58,7 @@ pub(crate) fn state(model: &mut Machine, used: &[Record], left: &[f64], date: &s
     }
 }
 
-/// The range of the temperature difference that an effect of this axis reads, as the records show it.
+/// The range of the temperature difference that an effect reads in the records.
 fn seen(effect: &Effect, axis: &str, records: &[&Record]) -> Option<Validity> {
     let own = effect.axes().first().filter(|a| a.as_str() == axis)?;
     let um_per_k = match effect.description().heat {

@@ -1,5 +1,5 @@
-//! Reconciliation: measured runs and a machine model in; out comes where they disagree, which effect is missing, a
-//! better model, and how far the gap shrank.
+//! Reconciliation: measured runs and a machine model in.
+//! Out comes where they disagree, which effect is missing, a better model, and how far the gap shrank.
 //!
 //! A reader's way: [`reconcile()`] → `doubt` → `answer` (which asks `rtec-estimate`) → [`Reconciliation`].
 //!
@@ -19,8 +19,8 @@
 //! | `regression` | what stands behind a fit or a verdict, as arrays |
 //! | `verdict`, `gap`, `advice`, `document`, `report` | the answer, its figures, what to do next, as JSON and as a page |
 //!
-//! What must not be here: the laws. What a law is, how it is searched, what stands in for what, is asked of its
-//! description in `rtec-model`; no module matches a law by its name. Nothing here knows a machine, a simulator or time.
+//! Laws must not be here. A law, how it is searched and what may replace it are in its description in `rtec-model`; no module matches a law
+//! by its name. Nothing here depends on a machine, a simulator or time.
 //!
 //! At work: `cargo run -p rtec-reconcile --example name_what_is_missing`, which the tests run too.
 
@@ -70,7 +70,8 @@ pub struct Options {
     pub date: Option<String>,
     /// Where something is unexplained, add a bounded curve in its place, marked as such.
     pub unexplained: bool,
-    /// Whether the figures of the gap and the traces are wanted too: the last stage's work.
+    /// Whether the figures of the gap and the traces are wanted too.
+    /// The last stage's work.
     pub figures: bool,
 }
 

@@ -1,5 +1,6 @@
-//! People's mistakes beside a model: a record as it stands against the same record with a mistake undone, by one likelihood. What
-//! counts is the density of the numbers as they are written in the file.
+//! People's mistakes beside a model.
+//! A record as it stands against the same record with a mistake undone, by one likelihood. What counts is the density of the numbers as
+//! they are written in the file.
 
 use crate::answer::{Answer, Finding, analyse, score, stated};
 use rtec_estimate::priors::TRAVEL_MM;
@@ -18,7 +19,8 @@ pub(crate) struct Mistake {
     said: Suspicion,
     /// The record without it.
     undone: Record,
-    /// log of how much closer together the numbers lie in the file than undone, and of how much better directions go with positions.
+    /// Log Jacobian of undoing the mistake, plus the evidence from directions.
+    /// The Jacobian says how much closer the numbers lie in the file than after undoing; directions must agree with positions.
     jacobian: f64,
 }
 
@@ -48,7 +50,8 @@ impl Suspected {
         self.odds > CERTAIN.ln()
     }
 
-    /// What a name that the mistake explains as well holds of its place; whether it explains this one.
+    /// Lowers a name's posterior share if the mistake explains it equally well.
+    /// Returns whether it does.
     pub(crate) fn weaken(&self, finding: &mut Finding) -> bool {
         let explains = !self.without.contains(&finding.effect.name());
         if explains {
@@ -58,18 +61,19 @@ impl Suspected {
     }
 }
 
-/// One record in so many carries a mistake of one kind: one in 30 carries any, of some 20 kinds (experience of people who read logs).
+/// Prior odds of one kind of mistake: one record in this many carries it.
+/// One in 30 carries any, of some 20 kinds (experience of people who read logs).
 const ONE_IN: f64 = 600.0;
 /// Odds at which a record is left out.
 const CERTAIN: f64 = 99.0;
-/// So many of those that make their record alone likelier by what a mistake costs are looked at beside all records, and so many are found
-/// at most.
+/// Mistakes that are looked at beside all records, and most that are found.
+/// Only mistakes that make their own record likelier by more than their price are candidates.
 const LOOKED_AT: usize = 3;
 const MOST: usize = 3;
-/// A hold-out without the mistake leaves no more than so many times the training's noise.
+/// Largest ratio of a hold-out's residual to the training's noise, once undone.
 const EXPLAINED: f64 = 2.0;
 
-/// Mistakes of training records that explain them better than what was found as they stand.
+/// Mistakes of training records that explain them better than the findings do.
 pub(crate) fn of_training(
     records: &[Record],
     machine: &Machine,
@@ -81,7 +85,7 @@ pub(crate) fn of_training(
     let mut best: Option<Answer> = None;
     // Log evidence of the records as they stand now, in either unit.
     let mut as_they_stand: Vec<(Units, f64)> = Vec::new();
-    // Beside the model as given: what was found may have taken the mistake for a change of the machine.
+    // Tested beside the original model, because the findings may have absorbed the mistake as a change of the machine.
     let model: Vec<Effect> = machine.effects().cloned().collect();
     while out.len() < MOST {
         let answer = best.as_ref().unwrap_or(first);
@@ -167,7 +171,8 @@ pub(crate) fn of_training(
     out
 }
 
-/// A mistake that every record shows: whoever makes it always makes it in one way, so it costs as much as one.
+/// A mistake that every record shows, which costs as much as a single one.
+/// Its author always makes it in the same way.
 fn habit(tried: &[(f64, usize, Mistake)], records: usize) -> Option<Made> {
     let same = |a: &Mistake, b: &Mistake| {
         (a.said.what, &a.said.column, &a.said.text) == (b.said.what, &b.said.column, &b.said.text)
@@ -180,7 +185,7 @@ fn habit(tried: &[(f64, usize, Mistake)], records: usize) -> Option<Made> {
     Some(tried.iter().filter(|t| same(&t.2, first)).map(|t| (t.1, t.2.clone())).collect())
 }
 
-/// Mistakes of a hold-out beside the better model: without it the model explains the record.
+/// Mistakes of a hold-out whose removal lets the better model explain it.
 pub(crate) fn of_hold_out(
     record: &Record,
     train: &[Record],
@@ -265,7 +270,7 @@ fn with_axis(role: &Role, axis: Axis) -> Role {
     }
 }
 
-/// What a response may be given as instead of micrometres, and how much larger it is then.
+/// Units that a response may be given in instead of µm, and their factors.
 const RESPONSES: [(f64, &str); 6] = [
     (1e3, "given in mm, called µm?"),
     (25.4, "given in thousandths of an inch, called µm?"),
@@ -281,7 +286,7 @@ const FORCES: [(f64, &str); 4] = [
     (10.0, "a decimal point one place off?"),
     (0.1, "a decimal point one place off?"),
 ];
-/// The shortest and the longest travel of a machine's axis, mm: none is the length of a street.
+/// The shortest and the longest travel of a machine's axis, mm.
 const TRAVELS_MM: [f64; 2] = [1e-1, 3e4];
 /// Log prior of a travel, but for a constant: few are far from the usual ones.
 fn travel_prior(mm: f64) -> f64 {
@@ -305,8 +310,9 @@ fn other_units(role: &Role) -> &'static [(f64, &'static str)] {
 /// Lengths that ballbars are made with, mm.
 const BARS_MM: [f64; 8] = [50.0, 75.0, 100.0, 150.0, 200.0, 250.0, 300.0, 600.0];
 
-/// A direction that goes with the positions contradicts them in one row of so many (experience of people who read logs); one that is of
-/// something else, an approach say, in every other row. Either is as likely.
+/// A direction contradicts its positions in one row of this many.
+/// (Experience of people who read logs.) A direction of something else, such as the approach, does so in every other row. Both are equally
+/// likely a priori.
 const CONTRADICTED: f64 = 100.0;
 
 /// Axes whose direction is logged beside their position.
@@ -405,7 +411,7 @@ fn candidates(record: &Record, all: &[Record], model: &[Effect]) -> Vec<Mistake>
         let own: Vec<&Column> = record.columns.iter().filter(|c| kind(&c.role)).collect();
         let Some(first) = own.first() else { continue };
         for (by, unit) in other_units(&first.role) {
-            // An axis that stands at 50 mm travels that far, though the run shows less than a micrometre of it.
+            // An axis at 50 mm can travel that far, although the run moves less than a micrometre.
             let travel = |c: &&Column| c.data.iter().fold(0.0_f64, |most, x| most.max(x.abs()));
             let as_given = own.iter().map(travel).fold(0.0, f64::max);
             let place = matches!(first.role, Role::Position(_));

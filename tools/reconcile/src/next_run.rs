@@ -1,8 +1,9 @@
-//! The run that tells an effect from its rivals, before anybody measures it: each run that could be made is simulated without noise,
-//! and what the best of a rival's curves leaves of it is weighed against the noise that the records have.
+//! The run that tells an effect from its rivals, before anybody measures it.
+//! Each possible run is simulated without noise. The residual that the best of a rival's curves leaves is compared with the noise of the
+//! records.
 //!
-//! Log odds of a run are half of what is left, in noise variances (the likelihood ratio of normal noise). Noise spreads them by
-//! √(2·odds): a run is enough where two such standard deviations less still hold the name's place.
+//! Log odds of a run are half of that residual, in noise variances (the likelihood ratio of normal noise). Noise spreads them by √(2·odds).
+//! A run suffices if the name still holds its place at two such standard deviations less.
 
 use rtec_estimate::Rival;
 use rtec_estimate::factor::Factor;
@@ -135,13 +136,15 @@ fn is_enough(log_odds: f64, rivals: usize) -> bool {
     log_odds - 2.0 * (2.0 * log_odds).sqrt() >= wanted
 }
 
-/// Where an effect's curve goes along: the last axis of its name that the machine has.
+/// Where an effect's curve goes along.
+/// The last axis of its name that the machine has.
 fn along<'a>(effect: &Effect, axes: &'a [PlanAxis]) -> Option<&'a PlanAxis> {
     effect.axes().iter().rev().find_map(|a| axes.iter().find(|p| p.name == a.as_str()))
 }
 
-/// The runs of targets that tell open effects from their rivals, the shortest for each axis and response, on a machine with these
-/// axes and this model. What no such run tells has the experiment of the rival's law.
+/// The shortest runs of targets that tell open effects from their rivals.
+/// One for each axis and response, on a machine with these axes and this model. If no such run tells them apart, the experiment of the
+/// rival's law is listed.
 #[must_use]
 pub fn next_runs(open: &[Open], machine: &Machine, axes: &[PlanAxis]) -> NextRuns {
     let mut out = NextRuns { steps: Vec::new(), tells: Vec::new() };
@@ -212,7 +215,8 @@ fn not_told(o: &Open, rival: &Rival, effect: Option<&Effect>) -> Tells {
     Tells { effect: o.effect.name(), rival: rival.label(), log_odds: None, by }
 }
 
-/// A rival as an effect: of the same law with the value that differs, or of its own law.
+/// A rival as an effect.
+/// It has the same law with the value that differs, or its own law.
 fn effect_of(rival: &Rival, found: &Effect, machine: &Machine) -> Option<Effect> {
     let mut effect = if rival.name == found.name() {
         found.clone()
@@ -272,7 +276,8 @@ impl Simulated {
         Self { records: records.collect(), model, noise: open.noise }
     }
 
-    /// Log odds against the best curve of a rival's law; against its values as they are where these are given.
+    /// Log odds against the best curve of a rival's law.
+    /// Against its values as they are where these are given.
     fn log_odds(&self, rival: &Effect, given: bool) -> f64 {
         let rows = Rows::new(&self.records);
         let problem = Problem::new(&rows, &self.model, &[]);

@@ -1,5 +1,6 @@
-//! What stands behind a fit or a verdict, as arrays: measured and predicted row by row, the derivative of each fitted value, the
-//! columns of the set-up. For those who check the intervals with tools of their own.
+//! What stands behind a fit or a verdict, as arrays.
+//! Measured and predicted row by row, the derivative of each fitted value, the columns of the set-up. For those who check the intervals
+//! with tools of their own.
 
 use crate::answer::stated;
 use rtec_estimate::rows::{Rows, Segment};
@@ -11,7 +12,8 @@ use rtec_model::record::Record;
 /// The set-up terms that belong to a regression.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum SetUpColumns {
-    /// A zero for every response of every record, unless a fitted effect is such a constant: those of `model fit --effects`.
+    /// A zero for every response of every record, as in `model fit --effects`.
+    /// Left out if a fitted effect is such a constant.
     Zeros,
     /// Zeros that records may share, and a circle's centre: those of a verdict.
     ByHand,
@@ -61,7 +63,8 @@ pub struct Regression {
 }
 
 impl Regression {
-    /// Of what a model has and `base` has not, or has otherwise, over these records. A value without an interval was held.
+    /// The regression of what a model has beyond `base`, or otherwise than it.
+    /// A value without an interval was held.
     #[must_use]
     pub fn new(records: &[Record], base: &Machine, machine: &Machine, set_up: SetUpColumns) -> Self {
         let rows = Rows::new(records);
@@ -71,7 +74,7 @@ impl Regression {
         if let Some(chain) = machine.chain() {
             let mut of_chain = vec![0.0; rows.n];
             for s in &rows.segments {
-                // A record without what the chain reads has no prediction: `Machine::predict` has refused it before.
+                // If a record lacks a column that the chain reads, `Machine::predict` has refused it before.
                 let _bound =
                     chain.add(rows.record(s), &rows.responses[s.response], &mut of_chain[s.rows.clone()]);
             }

@@ -15,10 +15,11 @@ const PLOT_PX: (u32, u32) = (900, 330);
 /// So many explanations are shown, and so many places.
 const RANKED: usize = 16;
 const PLACES: usize = 14;
-/// So many stretches of its axis a plot of many rows has: of each the least and the largest row.
+/// Stretches of a plot's axis; of each the least and the largest row is drawn.
 const STRETCHES: usize = 250;
 
-/// The report: what was found, on which records, how well, and the line to be signed. It prints to A4.
+/// The report: findings, records, figures of the fit, and a line to be signed.
+/// It prints to A4.
 #[must_use]
 pub fn html(r: &Reconciliation, machine: &str) -> String {
     let mut h = String::new();
@@ -101,7 +102,7 @@ fn unit_of(response: &str) -> &'static str {
     if response.starts_with("force") { "N" } else { "µm" }
 }
 
-/// Maps and straightness that were found or corrected, each with the band of its values' intervals.
+/// Maps and straightness found or corrected, with the band of their intervals.
 fn maps(r: &Reconciliation) -> Vec<Chart> {
     let found = r.effects.iter().map(|(f, half)| (&f.effect, half));
     let all = found.chain(r.refined.iter().map(|x| (&x.after.0, &x.after.1)));
@@ -128,7 +129,8 @@ fn map(effect: &Effect, half: &[f64]) -> Option<Chart> {
     Some(chart.with(Series::new("", Style::Dots, line).coloured(Colour::Up)))
 }
 
-/// What every effect of the better model makes of these runs, largest first: the range that it has in the run that shows it most.
+/// The contribution of every effect of the better model, largest first.
+/// It is the effect's range in the run that shows it most.
 fn contributions(h: &mut String, r: &Reconciliation) {
     let rows = Rows::new(&r.records);
     let mut all: Vec<(String, &str, &str, f64)> = Vec::new();
@@ -178,7 +180,8 @@ fn contributions(h: &mut String, r: &Reconciliation) {
     h.push_str("</table>");
 }
 
-/// What is not known of one reading that the better model predicts: the noise, and each value that was found or corrected.
+/// The uncertainty of one predicted reading.
+/// It combines the noise and each value that was found or corrected.
 fn budget(h: &mut String, r: &Reconciliation) {
     let rows = Rows::new(&r.records);
     let found = r.effects.iter().map(|(f, half)| (&f.effect, half));
@@ -273,8 +276,8 @@ fn term_of(term: &str) -> (String, &'static str) {
     }
 }
 
-/// What the report's plots show, as data: what is left before and after, maps with their bands, the means over what it depends on,
-/// and what was tried.
+/// What the report's plots show, as data.
+/// What is left before and after, maps with their bands, the means over what it depends on, and what was tried.
 #[must_use]
 pub fn pictures(r: &Reconciliation) -> Vec<Picture> {
     let place = |p: &Place| {
@@ -442,7 +445,8 @@ fn effects(h: &mut String, r: &Reconciliation) {
     h.push_str("</table>");
 }
 
-/// A trace over position, angle or time: before in grey, after in colour, up and down apart.
+/// A trace over position, angle or time.
+/// Before in grey, after in colour, up and down apart.
 fn chart(t: &Trace, stretches: usize) -> Chart {
     let unit = unit_of(&t.response);
     let held = if t.holdout { ", hold-out" } else { "" };
@@ -465,7 +469,8 @@ fn chart(t: &Trace, stretches: usize) -> Chart {
     })
 }
 
-/// Of very many points the least and the largest of each stretch of their axis, in the order in which they stand.
+/// The least and the largest point of each stretch of an axis.
+/// In their original order.
 fn of_stretches(points: Vec<(f64, f64)>, stretches: usize) -> Vec<(f64, f64)> {
     if points.len() / 2 <= stretches {
         return points;

@@ -1,4 +1,5 @@
-//! The sensors that a fit of growth chooses on the same drift: one choice, or the reason why there are two.
+//! Compares the sensors with those that a fit of growth chooses on the same drift.
+//! Returns the reason if they differ.
 
 use crate::answer::Finding;
 use rtec_fit::thermal;
@@ -21,7 +22,7 @@ fn list(differences: &[&Difference]) -> String {
     differences.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ")
 }
 
-/// Where `rtecctl model fit` reads other temperatures than the growth that was found: which, and why.
+/// Which other temperatures `rtecctl model fit` would read, and why.
 pub(crate) fn other_sensors(
     effects: &[(Finding, Vec<f64>)],
     train: &[Record],

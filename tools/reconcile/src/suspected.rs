@@ -14,7 +14,8 @@ pub(crate) fn is_sensor(record: &Record, name: &str) -> bool {
     record.columns.iter().any(sensor)
 }
 
-/// Whether what is left of the record without a column that stands still tells nothing: it is no sensor, nor one error of several.
+/// Whether a record without a constant column tells nothing any more.
+/// Then the column is neither a sensor nor one of several errors.
 fn is_dead(record: &Record, name: &str) -> bool {
     !is_sensor(record, name) && !is_one_of_several(record, name)
 }

@@ -12,7 +12,7 @@ pub(crate) fn column(name: &str, role: Role, data: Vec<f64>) -> Column {
     Column { name: name.to_owned(), role, unit, data }
 }
 
-/// Rows 5 s apart at positions that never repeat, with an error by the row's number.
+/// Rows 5 s apart at positions that never repeat, with an error by row number.
 pub(crate) fn record(rows: usize, error: impl Fn(f64) -> f64) -> Record {
     let of = |f: &dyn Fn(f64) -> f64| (0..rows).map(|i| f(i as f64)).collect::<Vec<f64>>();
     let columns = vec![

@@ -1,5 +1,6 @@
-//! A bounded stand-in for a shape that no effect of the dictionary explains: a broken line over what the shape runs
-//! along, constant beyond the range that was seen. It is a law of the project's own file, marked as unexplained.
+//! A bounded stand-in for a shape that no effect of the dictionary explains.
+//! A broken line over what the shape runs along, constant beyond the range that was seen. It is a law of the project's own file, marked as
+//! unexplained.
 
 use rtec_estimate::Shape;
 use rtec_model::effect::{Against, Difference, Effect, STANDARD_DEGC};
@@ -130,8 +131,7 @@ impl Along {
     }
 }
 
-/// A stand-in for a shape with so many knots; the model adopts its law. None for a shape along what no law reads (the
-/// cycle), or where the model has a law of this name.
+/// A stand-in for a shape, with this number of knots; the model adopts its law.
 pub(crate) fn stand_in(
     shape: &Shape,
     knots: usize,
@@ -157,7 +157,8 @@ mod tests {
         Shape { response: "error.x".into(), against, manner: manner.into() }
     }
 
-    /// A broken line over the position: with heights at the knots it is that line, and constant beyond.
+    /// A broken line over the position.
+    /// With heights at the knots it is that line, and constant beyond.
     #[test]
     fn a_stand_in_is_a_broken_line_that_the_model_reads_again() {
         let train = [record(200, |i| i)];

@@ -19,7 +19,7 @@ use std::fmt;
 pub enum Verdict {
     /// Effects of the dictionary explain what was missing.
     Named,
-    /// Model and measurement agree, but for parameters of the model that the data corrected.
+    /// Model and measurement agree, apart from parameters that the data corrected.
     NothingMissing,
     /// Something is missing that no effect of the dictionary explains.
     UnknownEffect,
@@ -28,8 +28,8 @@ pub enum Verdict {
 }
 
 impl Verdict {
-    /// From what was added to the model, and what stayed unexplained: a shape makes it unknown; a name, or a mode of it, that does not
-    /// hold its place makes it not separable.
+    /// From what was added to the model, and what stayed unexplained.
+    /// A shape makes it unknown; a name, or a mode of it, that does not hold its place makes it not separable.
     #[must_use]
     pub fn of(added: &[(Finding, Vec<f64>)], unexplained: &[Shape]) -> Self {
         let holds = |f: &Finding| f.name_mass >= HELD && f.mode_mass >= HELD;
@@ -75,8 +75,8 @@ pub struct Refined {
 pub struct SetUp {
     /// The record's sidecar.
     pub record: String,
-    /// Term (`zero_um.error.x`, `centre_um`, `bar_um`, `line_um_per_h`, `line_um_per_run` where no time was written,
-    /// `jump_um`), value and half width of its 95 % interval.
+    /// Term, value and half width of its 95 % interval.
+    /// Terms are `zero_um.error.x`, `centre_um`, `bar_um`, `line_um_per_h`, `line_um_per_run` (no time was written) and `jump_um`.
     pub terms: Vec<(String, f64, f64)>,
 }
 
@@ -129,7 +129,7 @@ pub struct Reconciliation {
     pub effects: Vec<(Finding, Vec<f64>)>,
     /// Structure without a name.
     pub unexplained: Vec<Shape>,
-    /// Where asked for: the curve that stands for what is unexplained, and the file of its law.
+    /// On request: the curve for what is unexplained, and its law's file.
     pub curve: Option<(Effect, String)>,
     /// Corrected parameters.
     pub refined: Vec<Refined>,
@@ -174,7 +174,7 @@ impl fmt::Display for Unsaid {
 }
 
 impl Reconciliation {
-    /// What the verdict does not speak of, for its headline; nothing where it speaks of all that was given.
+    /// What the verdict does not cover, for its headline; empty if it covers all.
     #[must_use]
     pub fn unsaid(&self) -> Option<String> {
         let records: Vec<String> = self.unsaid.iter().map(ToString::to_string).collect();

@@ -1,5 +1,6 @@
-//! Where measured and simulated disagree: structure of the residual against every channel, each with a p-value by
-//! permutation of blocks of the residual, and which of them survive a false-discovery rate.
+//! Where measured and simulated disagree.
+//! Structure of the residual against every channel, each with a p-value by permutation of blocks of the residual, and which of them survive
+//! a false-discovery rate.
 
 use crate::SEED;
 use rand_xoshiro::Xoshiro256PlusPlus;
@@ -69,29 +70,31 @@ impl Place {
 
 /// Stretches of a channel that a smooth function is made of.
 const STRETCHES: usize = 8;
-/// Readings so near beside the whole range are at one place, and a place has so many rows.
+/// Share of the whole range within which readings are at one place.
+/// A place has at least [`ROWS_OF_PLACE`] rows.
 const SAME_PLACE: f64 = 1e-3;
 const ROWS_OF_PLACE: usize = 5;
 /// Differences of more temperatures than these are too many to look at.
 const PAIRED_TEMPERATURES: usize = 6;
 
-/// A block is so many times as long as the residual remembers: what is cut at its ends makes chance look smaller than it is, by
-/// a quarter of the variance where it is twice as long.
+/// Length of a block in correlation lengths of the residual.
+/// Cuts at the ends of blocks make chance look smaller: by a quarter of the variance at twice the correlation length.
 const BLOCK: f64 = 5.0;
 /// Permutations of the residual's blocks: no p-value is below one in so many.
 const PERMUTATIONS: usize = 999;
-/// So many of them as large as what was found are enough to know that it is nothing.
+/// Permutations as large as the finding that suffice to reject it.
 const ENOUGH: usize = 20;
 
 /// A place this clear is taken out before weaker ones are looked at.
 const CLEAR: f64 = 0.01;
 
-/// A channel is looked at beside so many more of the stronger ones, and one fewer each time.
+/// Stronger channels beside which a channel is looked at; one fewer each time.
 const BESIDE: usize = 2;
 
-/// What a residual remembers from row to row up to here is noise by contract; what is slower is structure.
+/// Largest row-to-row correlation that is noise by contract; slower is structure.
 const NOISE_REMEMBERS: f64 = 0.7;
-/// Frequencies of a wave are so far apart, in waves over the whole range: none between them loses more than a tenth.
+/// Spacing of a wave's frequencies, in waves over the whole range.
+/// No frequency between them loses more than a tenth.
 const WAVES_APART: f64 = 0.35;
 
 /// No more frequencies are tried: a look takes a second at most.
@@ -100,8 +103,8 @@ const MOST_FREQUENCIES: usize = 3000;
 /// The smallest p-value that is given.
 pub(crate) const LEAST_P: f64 = 1.0 / (PERMUTATIONS as f64 + 1.0);
 
-/// Every response against every channel, strongest first: what the model as it was leaves once its own parameters are
-/// where the data have them.
+/// Every response against every channel, strongest first.
+/// What the model as it was leaves once its own parameters are where the data have them.
 pub(crate) fn places(records: &[Record], machine: &Machine) -> Vec<Place> {
     let stack = Rows::new(records);
     let model: Vec<Effect> = machine.effects().cloned().collect();
@@ -110,7 +113,7 @@ pub(crate) fn places(records: &[Record], machine: &Machine) -> Vec<Place> {
     let mut out = Vec::new();
     for (response, &sigma) in sigmas.iter().enumerate() {
         let (segments, residual) = of_response(&stack, &before, response);
-        // What is large hides what is small: each channel is looked at beside what stronger ones show, too.
+        // Large effects hide small ones, so each channel is also tested beside stronger ones.
         let role = stack.responses[response].to_string();
         let channels = channels(&stack, &segments);
         let found: Vec<Option<Place>> =
@@ -120,7 +123,7 @@ pub(crate) fn places(records: &[Record], machine: &Machine) -> Vec<Place> {
         alone.sort_by(|a, b| b.1.statistic.total_cmp(&a.1.statistic));
         let mut left = vec![residual.clone()];
         for (x, mut found) in alone {
-            // What runs along with a stronger one (cycles with the time) is looked at without taking that out, too.
+            // A channel that runs along with a stronger one (cycles with time) is also tested without removing that one.
             for left in left.iter().skip(1).rev().take(BESIDE) {
                 if found.p_value <= LEAST_P {
                     break;
@@ -139,7 +142,7 @@ pub(crate) fn places(records: &[Record], machine: &Machine) -> Vec<Place> {
     }
     strongest_first(&mut out);
     rate(&mut out);
-    // A response that is nowhere is looked at more closely, beside its noise alone: without the air, which can follow any drift.
+    // A response without a finding is tested again beside its noise alone. The air is left out, because it can follow any drift.
     let nowhere = |role: &str| !out.iter().any(|p: &Place| p.counts() && p.response == role);
     let roles: Vec<String> = stack.responses.iter().map(ToString::to_string).collect();
     let lost: Vec<usize> = (0..roles.len()).filter(|response| nowhere(&roles[*response])).collect();
@@ -168,7 +171,8 @@ pub(crate) fn places(records: &[Record], machine: &Machine) -> Vec<Place> {
     out
 }
 
-/// What set-up and known effects leave, each row by the size of its noise, and that size by response.
+/// Residuals beside set-up and known effects, and the noise of each response.
+/// Each row is divided by its noise.
 fn left_by(problem: &Problem<'_>) -> (Vec<f64>, Vec<f64>) {
     let mut noise = problem.first_noise();
     noise.phi.fill(0.0);
@@ -191,8 +195,9 @@ fn strongest_first(places: &mut [Place]) {
     places.sort_by(|a, b| a.p_value.total_cmp(&b.p_value).then(b.statistic.total_cmp(&a.statistic)));
 }
 
-/// A closer look at one response: what is slower than noise may be against the time, what comes back at each target against the
-/// place, and a wave over either. Slow channels are not asked: what drifts looks like each of them.
+/// A closer look at one response.
+/// It tests slow changes against time, repeats at each target against the place, and waves over either. Slow channels are left out, because
+/// a drift resembles each of them.
 fn closely(role: &str, stack: &Rows<'_>, segments: &[&Segment], residual: &[f64], sigma: f64) -> Vec<Place> {
     let mut out = Vec::new();
     for (against, x) in channels(stack, segments) {
@@ -209,8 +214,9 @@ fn closely(role: &str, stack: &Rows<'_>, segments: &[&Segment], residual: &[f64]
     out
 }
 
-/// The clearest wave of a residual over one channel: least squares at each frequency (Lomb, Astrophys. Space Sci. 39 (1976) 447),
-/// of what is left of the residual without its memory. As many frequencies as were tried could each be the clearest by chance.
+/// The clearest wave of a residual over one channel.
+/// Least squares at each frequency (Lomb, Astrophys. Space Sci. 39 (1976) 447), on the residual without its memory. The p-value allows for
+/// the number of frequencies tried.
 fn wave(response: &str, against: &str, x: &[f64], residual: &[f64], sigma: f64) -> Option<Place> {
     let n = residual.len();
     let (low, high) = x.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(*v), h.max(*v)));
@@ -276,8 +282,8 @@ fn profile(bins: &[Vec<usize>], x: &[f64], residual: &[f64], sigma: f64) -> Vec<
     bins.iter().map(|b| [mean_of(b, x), mean_of(b, residual) * sigma, b.len() as f64]).collect()
 }
 
-/// False-discovery rates, of places that are sorted by their p-values (Benjamini and Hochberg, J. R. Statist. Soc. B 57
-/// (1995) 289).
+/// False-discovery rates of places that are sorted by p-value.
+/// (Benjamini and Hochberg, J. R. Statist. Soc. B 57 (1995) 289.)
 fn rate(places: &mut [Place]) {
     let m = places.len() as f64;
     let mut least = 1.0_f64;
@@ -287,7 +293,8 @@ fn rate(places: &mut [Place]) {
     }
 }
 
-/// What a response's segments all log, with labels, and the differences of a few temperatures.
+/// Channels that all of a response's segments log, with labels.
+/// Differences of a few temperatures are added.
 fn channels(stack: &Rows<'_>, segments: &[&Segment]) -> Vec<(String, Vec<f64>)> {
     let Some(first) = segments.first().map(|s| stack.record(s)) else { return Vec::new() };
     let mut channels: Vec<(String, Vec<f64>)> = Vec::new();
@@ -322,8 +329,8 @@ fn below(rng: &mut Xoshiro256PlusPlus, n: usize) -> usize {
     ((u128::from(rng.next_u64()) * n as u128) >> 64) as usize
 }
 
-/// Structure of a residual against one channel; none for a constant one. Permutations end once the p-value can no longer be
-/// below `known`.
+/// Structure of a residual against one channel; none for a constant one.
+/// Permutations end once the p-value can no longer be below `known`.
 fn place(
     response: &str,
     against: &str,
@@ -335,8 +342,8 @@ fn place(
     judged(response, against, x, residual, sigma, &stretches(x)?, 0.99, known)
 }
 
-/// Structure of a residual over these groups of rows, beside permutations of its blocks. `remembers`: as much of what it has in
-/// common from row to row is noise.
+/// Structure of a residual over groups of rows, tested by permuting blocks.
+/// If `remembers` is set, the row-to-row correlation counts as noise.
 #[allow(clippy::too_many_arguments, reason = "what is looked at, and how")]
 fn judged(
     response: &str,
@@ -407,7 +414,8 @@ struct Run {
     to: u32,
 }
 
-/// Per stretch its runs of rows, block by block of so many rows: mostly long, as most channels change slowly.
+/// Per stretch its runs of rows in each block.
+/// Most are long, because most channels change slowly.
 fn runs(bin: &[u32], length: usize, bins: usize) -> Vec<Vec<Run>> {
     let mut out: Vec<Vec<Run>> = (0..bins).map(|_| Vec::new()).collect();
     for (block, bins) in bin.chunks(length).enumerate() {
@@ -431,8 +439,8 @@ fn running(residual: &[f64]) -> Vec<f64> {
     std::iter::once(0.0).chain(twice).collect()
 }
 
-/// Sums of a residual by stretch, from its running sums. `begin`: from which row on each block has its values of the residual,
-/// which begins anew at its end.
+/// Sums of a residual by stretch, from its running sums.
+/// `begin`: from which row on each block has its values of the residual, which begins anew at its end.
 fn sums_by(runs: &[Vec<Run>], running: &[f64], begin: &[usize]) -> Vec<f64> {
     let of = |Run { block, from, to }: &Run| {
         let running = &running[begin[*block as usize]..];
@@ -441,8 +449,8 @@ fn sums_by(runs: &[Vec<Run>], running: &[f64], begin: &[usize]) -> Vec<f64> {
     runs.iter().map(|stretch| stretch.iter().map(of).sum()).collect()
 }
 
-/// Takes a channel's means out of a residual: at each of its places where there are many rows of each, over its stretches
-/// otherwise.
+/// Takes a channel's means out of a residual.
+/// At each of its places where there are many rows of each, over its stretches otherwise.
 fn flatten(x: &[f64], residual: &mut [f64]) {
     let groups = places_of(x).or_else(|| stretches(x)).unwrap_or_default();
     for rows in groups {
@@ -453,7 +461,8 @@ fn flatten(x: &[f64], residual: &mut [f64]) {
     }
 }
 
-/// Rows by place, where a channel comes back to few: targets that are approached again and again differ by little.
+/// Rows by place, if a channel returns to few places.
+/// Targets that are approached again differ by little.
 fn places_of(x: &[f64]) -> Option<Vec<Vec<usize>>> {
     let mut order: Vec<usize> = (0..x.len()).collect();
     order.sort_by(|a, b| x[*a].total_cmp(&x[*b]));
@@ -468,7 +477,8 @@ fn places_of(x: &[f64]) -> Option<Vec<Vec<usize>>> {
     (groups.len() > 1 && groups.iter().all(|g| g.len() >= ROWS_OF_PLACE)).then_some(groups)
 }
 
-/// Rows by stretch: by value where there are few, by equal numbers of rows otherwise; none for a constant.
+/// Groups rows into stretches; `None` for a constant.
+/// By value if there are few values, otherwise by equal numbers of rows.
 fn stretches(x: &[f64]) -> Option<Vec<Vec<usize>>> {
     let mut order: Vec<usize> = (0..x.len()).collect();
     order.sort_by(|a, b| x[*a].total_cmp(&x[*b]));
@@ -509,7 +519,7 @@ mod tests {
         );
     }
 
-    /// A residual whose squares are no numbers any more has no place; nothing is divided by what it would give.
+    /// A residual whose squares overflow has no place.
     #[test]
     fn numbers_beyond_all_measure_have_no_place() {
         let x: Vec<f64> = (0..60).map(f64::from).collect();
@@ -519,7 +529,7 @@ mod tests {
         }
     }
 
-    /// Sensors of noise beside an error that drifts: as often as chance, and never with certainty.
+    /// Sensors of pure noise beside a drifting error are found only as often as chance.
     #[test]
     fn noise_is_no_place() {
         let mut few = 0;
@@ -544,7 +554,7 @@ mod tests {
         assert!(few <= 6, "{few} of 40 below 5 %");
     }
 
-    /// Row by row: the value of row i of block k is the one that lies i rows behind the block's beginning.
+    /// Reference: the value of row i of block k is i rows after the block's beginning.
     #[test]
     fn blocks_are_summed_where_they_are_moved_to() {
         let residual = noise(9, 103);

@@ -27,7 +27,7 @@ impl Table {
     }
 }
 
-/// What the records say for and against an effect of the dictionary, and what would tell it from its rivals.
+/// The evidence for and against an effect, and what would tell it from its rivals.
 ///
 /// `effect` is any of the name that is asked for.
 #[must_use]

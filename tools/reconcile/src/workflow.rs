@@ -1,4 +1,4 @@
-//! The whole of it: what is doubted, the estimate, what is written into the model, the figures.
+//! The whole workflow: doubts, the estimate, changes to the model, the figures.
 
 use crate::Options;
 use crate::advice::advice;
@@ -183,8 +183,9 @@ fn to_mend(unsaid: &[Unsaid]) -> Vec<String> {
     unsaid.iter().map(line).collect()
 }
 
-/// The gap without the hold-outs that may be another machine's, beside what it is with them, and what to say of it: it may as well be
-/// the model that is wrong, and no gap is narrower for a record that is not looked at. `traces` are those of the hold-outs.
+/// The gap without hold-outs that may be another machine's, and a message.
+/// It is given beside the gap with them, because the model may be wrong instead. Leaving a record out must not narrow the reported gap.
+/// `traces` are those of the hold-outs.
 fn said_beside(
     strangers: &[(usize, Suspicion)],
     held: &[Record],
@@ -228,7 +229,8 @@ struct Better {
 }
 
 impl Better {
-    /// The hold-outs, where the training is understood, and in one way: what is not may be all that they show more of.
+    /// The hold-outs, if the training is understood in only one way.
+    /// Otherwise whatever they show more may be what is not understood.
     fn comparable<'h>(&self, answer: &Answer, held: &'h [Record]) -> &'h [Record] {
         if answer.unexplained.is_empty() && self.is_one_way() { held } else { &[] }
     }
@@ -240,7 +242,8 @@ impl Better {
 }
 
 impl Work<'_> {
-    /// The findings, written into the model; `learn`: the model's own parameters may be corrected.
+    /// Writes the findings into the model.
+    /// With `learn` the model's own parameters may be corrected.
     fn better(&self, answer: &mut Answer, learn: bool) -> Better {
         let Self { train, machine, .. } = *self;
         let mut model = machine.clone();
@@ -254,7 +257,7 @@ impl Work<'_> {
         let write = Writer { train, date: self.options.date.as_ref() };
         let mut effects = Vec::new();
         for (f, half) in &answer.findings {
-            // An effect of this very identity is in the model already: then it was a correction, not an addition.
+            // The model already has an effect of this identity, so this was a correction, not an addition.
             if write.add(&mut model, &f.effect, half, "") {
                 effects.push((f.clone(), half.clone()));
             }
@@ -263,7 +266,8 @@ impl Work<'_> {
         Better { model, refined, effects, curve: curve.map(|(e, _, laws)| (e, laws)) }
     }
 
-    /// Where asked for: a curve that stands for the first shape along what a law can read.
+    /// Where asked for.
+    /// A curve that stands for the first shape along what a law can read.
     fn curve(&self, answer: &Answer, model: &mut Machine, learn: bool) -> Option<(Effect, Vec<f64>, String)> {
         if !self.options.unexplained || !learn {
             return None;
@@ -305,7 +309,7 @@ fn correct(model: &mut Machine, machine: &Machine, answer: &Answer) -> Vec<Refin
     out
 }
 
-/// The records with velocity and acceleration from their positions where they have none, and what was done.
+/// Adds velocity and acceleration from positions where missing; says what was done.
 fn with_motion(train: &[Record], holdout: &[Record]) -> (Vec<Record>, Vec<Record>, Vec<String>) {
     let mut notes = Vec::new();
     let mut of = |records: &[Record]| -> Vec<Record> {
@@ -344,7 +348,7 @@ struct Writer<'w> {
 }
 
 impl Writer<'_> {
-    /// Adds an effect to the model with where it comes from; not one of an identity that the model has.
+    /// Adds an effect and its origin to the model, unless its identity is there.
     fn add(&self, model: &mut Machine, effect: &Effect, half: &[f64], why: &str) -> bool {
         let provenance = Provenance {
             added_by: Some(format!("rtecctl reconcile {}{why}", env!("CARGO_PKG_VERSION"))),
@@ -368,8 +372,8 @@ struct Analysed {
 }
 
 impl Analysed {
-    /// The training records without what is doubted of them before, or for what comes of the analysis; all of them where
-    /// all are doubted.
+    /// The training records without those in doubt; all if all are in doubt.
+    /// Doubts may be known before or follow from the analysis.
     fn without_doubts(train: &[Record], doubts: &mut Doubts, machine: &Machine, level: f64) -> Self {
         if doubts.train.is_empty() {
             return Self::of(train, machine, level);
@@ -400,8 +404,9 @@ impl Analysed {
         Self::of(&doubts.train, machine, level)
     }
 
-    /// The analysis of every nth row, n the least power of two at which noise and effects are told apart: rows much closer
-    /// than the noise forgets (a filtered force, sampled fast) say the same thing over and over.
+    /// Analyses every nth row, n being a power of two.
+    /// It is the least at which noise and effects are told apart. Rows much closer than the noise forgets (a filtered force, sampled fast)
+    /// repeat the same information.
     fn of(train: &[Record], machine: &Machine, level: f64) -> Self {
         let quiet: Vec<Record> = train.iter().map(quiet::temperatures).collect();
         let (first, bounded) = (at_least_every(&quiet), bounded(&quiet));
@@ -422,8 +427,8 @@ impl Analysed {
     }
 }
 
-/// Scales that are wrong alike on every axis of a plate whose temperature nobody logged may as well be a plate that is
-/// not at 20 °C.
+/// Reports a plate that may not be at 20 °C.
+/// Its temperature was not logged, and the scales of all its axes are wrong by the same amount.
 fn warm_plate(findings: &mut [(Finding, Vec<f64>)], train: &[Record], dictionary: &Dictionary) {
     let Some(expansion) = dictionary.laws().map(Law::describe).find(|l| l.heat == Heat::Expansion) else {
         return;
@@ -458,7 +463,8 @@ fn whole_counts(effect: &Effect, records: &[Record], half: &[f64]) -> Effect {
     out
 }
 
-/// A step that no row saw come, came at any moment between two rows: the middle of them is farthest from none.
+/// Moment of a step between two rows.
+/// It may have come at any time between them; the middle has the smallest error.
 fn between_rows(effect: &Effect, records: &[Record], half: &[f64]) -> (Effect, Vec<f64>) {
     let moment = effect.description().parameters.iter().position(|p| p.refine == Refine::Moment);
     let Some(moment) = moment else { return (effect.clone(), half.to_vec()) };
@@ -506,7 +512,8 @@ mod tests {
     use rtec_model::effect::Against;
     use std::path::Path;
 
-    /// A reversal of no name is in no one's way: an error in proportion to the position is a scale, and nothing else.
+    /// A reversal without a name does not hide a scale.
+    /// An error in proportion to the position is a scale.
     #[test]
     fn what_is_missing_is_named_and_written() {
         let dice = noise(7, 300);
@@ -523,7 +530,7 @@ mod tests {
         assert!(r.gap[0].closed().is_some_and(|c| c > 0.9), "{:?}", r.gap);
     }
 
-    /// A bug once: of a model that was reconciled nobody could say within what it predicts.
+    /// Regression test: a reconciled model must keep its prediction interval.
     #[test]
     fn a_better_model_states_its_interval() {
         let of = |seed: u64| {
@@ -553,7 +560,8 @@ mod tests {
         assert!(none.model.fits().is_empty());
     }
 
-    /// A bug once: the figures of a hold-out that shares a training record's zero kept that zero, 5 µm of it here.
+    /// Regression test: a hold-out must not keep the zero that it shares with training.
+    /// The figure was 5 µm too large here.
     #[test]
     fn a_hold_out_s_own_zero_is_no_gap() {
         let of = |seed: u64, zero: &str, um: f64| {
@@ -581,7 +589,8 @@ mod tests {
         assert!((whole_counts(&effect, &[run], &[0.1, 0.0]).scalar(0) - 9.7).abs() < 1e-12);
     }
 
-    /// Of very many rows some are looked at, which is said; what is found and its share are those of the whole.
+    /// With very many rows a subsample is analysed and reported.
+    /// Findings and their share are those of all rows.
     #[test]
     fn of_very_many_rows_as_many_as_are_needed_are_looked_at() {
         let rows = 2 * MOST_ROWS + 1;
@@ -599,7 +608,8 @@ mod tests {
         assert_eq!(r.traces[0].over.values.len(), rows);
     }
 
-    /// A slope of 3 mm in a metre is no scale: nothing is named outside its bounds, nor written.
+    /// A slope of 3 mm in a metre is outside a scale's bounds.
+    /// It is neither named nor written.
     #[test]
     fn outside_its_bounds_nothing_is_named() {
         let dice = noise(8, 300);
@@ -615,7 +625,8 @@ mod tests {
         assert!(rivals.into_iter().all(|r| r.name != "scale.x"));
     }
 
-    /// A growth and its bend over few kelvins stand for each other: each value may be anywhere, and both together be a fifth off.
+    /// Over few kelvins a growth and its bend are exchangeable.
+    /// Each value is undetermined, and their sum may be off by a fifth.
     #[test]
     fn values_that_lean_on_one_another_are_corrected_together() {
         let dice = noise(5, 145);
@@ -640,7 +651,8 @@ mod tests {
         assert!(r.gap[0].train[1] < 0.13, "{:?}", r.gap);
     }
 
-    /// A bug once: the first row behind a pause was given, and a hold-out that ran through the pause was wrong all that time.
+    /// Regression test: a step must not be dated to the row after a pause.
+    /// A hold-out that ran through the pause was wrong all that time.
     #[test]
     fn counts_that_were_lost_in_a_pause_were_lost_in_its_middle() {
         let mut run = record(40, |i| 8.0 * f64::from(u8::from(i >= 20.0)) + 0.1 * (i * 7.0 % 5.0));

@@ -5,7 +5,7 @@
 //! | [`record`] | run records, read strictly and written whole |
 //! | [`spool`] | finished records on their way to the shop's store |
 //!
-//! What must not live here: what a record shows (`rtec-measure`), and charts.
+//! What a record shows is in `rtec-measure`, and so are charts.
 
 pub mod record;
 pub mod spool;

@@ -1,4 +1,5 @@
-//! Run records on file: `NAME.run.toml` beside a CSV (formats.md, "Run record"), read strictly and written whole.
+//! Run records on file: `NAME.run.toml` beside a CSV.
+//! They are read strictly and written whole (formats.md, "Run record").
 
 use rtec_files::csv::{self, Reader, Style};
 use rtec_files::stamp;
@@ -55,7 +56,7 @@ pub fn read_log(path: &Path) -> Result<Record, InputError> {
     of_parts(path, sidecar, &csv_path, file, bytes)
 }
 
-/// Reads a log from the text of its sidecar and what stands in its CSV; `path` is the sidecar's.
+/// Reads a log from its sidecar's text and its CSV; `path` is the sidecar's.
 ///
 /// # Errors
 /// As [`read_log`].
@@ -81,7 +82,8 @@ pub fn csv_name(path: &Path, sidecar: &str) -> Result<String, InputError> {
     }
 }
 
-/// A record on file, gone through piece by piece: of any number of rows, in the memory of a few.
+/// A record on file, read piece by piece.
+/// It may have any number of rows, and needs the memory of a few.
 pub struct Pieces {
     path: PathBuf,
     sidecar: Sidecar,
@@ -101,8 +103,8 @@ pub struct Piece {
 }
 
 impl Pieces {
-    /// Before the first piece. `None` for a record whose rows are not by themselves: places on a ballbar's circle follow from
-    /// the rows around them.
+    /// Before the first piece.
+    /// `None` for a record whose rows are not by themselves: places on a ballbar's circle follow from the rows around them.
     ///
     /// # Errors
     /// What [`read`] finds before the rows.
@@ -233,7 +235,8 @@ impl<R: Read> Read for Hashed<R> {
     }
 }
 
-/// The CSV's own rows (unlisted columns too) with further columns at the end, as CSV text.
+/// The CSV's own rows with further columns at the end, as CSV text.
+/// Unlisted columns are kept.
 ///
 /// # Errors
 /// The CSV can no longer be read, or its number of rows has changed since.
@@ -268,7 +271,8 @@ pub fn csv_with(record: &Record, extra: &[(String, Vec<f64>)]) -> Result<String,
     Ok(out)
 }
 
-/// The CSV text of the record's columns: shortest decimal that reads back as the same number.
+/// The CSV text of the record's columns.
+/// Shortest decimal that reads back as the same number.
 #[must_use]
 pub fn to_csv(record: &Record) -> String {
     let mut out = csv::header_line(record.columns.iter().map(|c| c.name.as_str()));
@@ -332,7 +336,8 @@ pub fn to_sidecar(record: &Record) -> String {
     doc.to_string()
 }
 
-/// Gives a record another place: its sidecar there, the CSV of the same name beside it.
+/// Gives a record another place.
+/// Its sidecar there, the CSV of the same name beside it.
 ///
 /// # Errors
 /// A name that does not end in `.run.toml`: its CSV would have none of its own.
@@ -345,7 +350,8 @@ pub fn at(record: &mut Record, path: &Path) -> Result<(), InputError> {
     Ok(())
 }
 
-/// Whether a record made in memory would be read back as it is: its columns' names stand in a CSV's header.
+/// Whether a record made in memory would be read back as it is.
+/// Its columns' names stand in a CSV's header.
 ///
 /// # Errors
 /// A column without a name, or with one that a header does not give back.
@@ -363,7 +369,8 @@ pub fn can_be_written(record: &Record) -> Result<(), InputError> {
     Ok(())
 }
 
-/// Writes `NAME.run.toml` (at [`Record::path`]) and its CSV, each whole or not at all; sets the hash.
+/// Writes `NAME.run.toml` and its CSV, each whole or not at all; sets the hash.
+/// The sidecar goes to [`Record::path`].
 ///
 /// # Errors
 /// The directory cannot be written.
@@ -387,7 +394,8 @@ struct Rows<R> {
     places: Vec<usize>,
     /// For every field of the CSV the listed column it belongs to.
     slots: Vec<Option<usize>>,
-    /// Between what [`check`] asks each field to be; one that is not listed may be anything.
+    /// Between what [`check`] asks each field to be.
+    /// One that is not listed may be anything.
     low: Vec<f64>,
     high: Vec<f64>,
     /// The fields of which it asks more: time goes on, directions are whole.
@@ -437,7 +445,8 @@ impl<R: Read> Rows<R> {
         Ok(Self { reader, marks, header, columns, places, slots, low, high, further, before, fields })
     }
 
-    /// Makes room for what a CSV of so many bytes holds: rows as long as the header would be so many; they are mostly longer.
+    /// Makes room for what a CSV of so many bytes holds.
+    /// Rows as long as the header would be so many; they are mostly longer.
     fn expect(&mut self, bytes: u64) {
         let rows = bytes as usize / self.header.text().len().max(1);
         self.columns.iter_mut().for_each(|c| c.data.reserve(rows.min(1 << 20)));
@@ -466,7 +475,7 @@ impl<R: Read> Rows<R> {
         std::mem::replace(&mut self.columns, empty)
     }
 
-    /// Enters the next row into the columns and gives `kept` its text; `false` at the end.
+    /// Enters the next row into the columns; `false` at the end. `kept` gets its text.
     #[inline]
     fn next(&mut self, kept: impl FnOnce(&[u8])) -> Result<bool, InputError> {
         if self.marks.is_none()
@@ -554,7 +563,7 @@ impl<R: Read> Rows<R> {
     }
 }
 
-/// Where in the sidecar something stood, for findings that show only when the CSV is read.
+/// Positions in the sidecar, for findings that show only when the CSV is read.
 #[derive(Debug, Clone)]
 struct Place(InputError);
 
@@ -804,7 +813,8 @@ mod tests {
         assert!(read(SIDECAR, "").unwrap_err().found.contains("no header"));
     }
 
-    /// Whatever stands in the cells: what is read the short way is what each cell says by itself, and so is the first finding.
+    /// Whatever stands in the cells.
+    /// What is read the short way is what each cell says by itself, and so is the first finding.
     #[test]
     fn rows_read_the_short_way_are_those_read_cell_by_cell() {
         use proptest::prelude::*;
@@ -1056,7 +1066,8 @@ mod tests {
         }
     }
 
-    /// A circle in x and y, said to be in x and z: the places of z would be taken from the angle. An axis that nobody logs is no mistake.
+    /// A circle in x and y, said to be in x and z.
+    /// The places of z would be taken from the angle. An axis that nobody logs is no mistake.
     #[test]
     fn a_plane_of_an_axis_that_nobody_logged_is_found() {
         let logged = "a = { role = \"angle\", unit = \"rad\" }\nx = { role = \"position.x\", unit = \"mm\" }\n\

@@ -1,8 +1,9 @@
-//! Finished records on their way to the shop: a spool folder that they wait in, and the store that they are sent to.
+//! Sends finished records to the shop's store.
+//! They wait in a spool folder until they are there.
 //!
-//! A record is sent as `inbox/MACHINE/DIGEST/NAME.run.toml` with its CSV beside it; the digest is of both, so that the same record
-//! has the same place however often it is sent. The sidecar goes last: where it stands, the record is whole. Only what was read back
-//! from the store as it was sent leaves the spool, for `sent/` below it.
+//! A record is sent as `inbox/MACHINE/DIGEST/NAME.run.toml` with its CSV beside it. The digest is of both, so a record has the same place
+//! however often it is sent. The sidecar is sent last: if it is there, the record is complete. A record moves to `sent/` below the spool
+//! only after it was read back from the store unchanged.
 
 use rtec_files::InputError;
 use rtec_files::folder::Folder as Open;
@@ -19,8 +20,8 @@ const DIGITS: usize = 16;
 pub const LONGEST_SIDECAR: u64 = 64 << 10;
 /// Nothing longer is sent, bytes.
 const LONGEST_SENT: u64 = 1 << 30;
-/// Folders of records that are being put into the spool, and of those that are being put aside. Killed in between, the next one
-/// who comes finishes what was begun.
+/// Prefix of folders of records that are being put into the spool or put aside.
+/// If the program is killed in between, the next one finishes the work.
 const PUTTING: &str = ".rtec-put-";
 const SENDING: &str = ".rtec-sent-";
 
@@ -39,12 +40,14 @@ pub trait Store {
     fn get(&self, key: &str) -> io::Result<Option<Vec<u8>>>;
 }
 
-/// A folder: of this computer, or a share that is mounted. Others write to it as well: no link in it is followed.
+/// A folder: of this computer, or a share that is mounted.
+/// Others write to it as well: no link in it is followed.
 #[derive(Debug, Clone)]
 pub struct Folder(PathBuf);
 
 impl Folder {
-    /// A folder that is there: one that is missing is a share that is not mounted, and is not made.
+    /// A folder that is there.
+    /// One that is missing is a share that is not mounted, and is not made.
     ///
     /// # Errors
     /// No such folder.
@@ -88,7 +91,7 @@ pub struct Round {
 }
 
 impl Round {
-    /// What is printed of it: the places, and how many; or one JSON document, in a line.
+    /// The printed result: the places and their number, or one line of JSON.
     #[must_use]
     pub fn text(&self, json: bool) -> String {
         if json {
@@ -140,7 +143,8 @@ pub enum ShipError {
 pub struct Room {
     /// What waits in it takes no more than this, bytes.
     pub most_bytes: u64,
-    /// So much of the disk is left free, %; never more than `most_bytes`, which a large disk has long since left.
+    /// So much of the disk is left free, %.
+    /// Never more than `most_bytes`, which a large disk has long since left.
     pub free_percent: u64,
 }
 
@@ -191,9 +195,9 @@ pub fn add(sidecar: &Path, spool: &Path) -> io::Result<PathBuf> {
     put(record, &csv, spool, Room::ANY, &|| true)
 }
 
-/// Puts a record into a spool that is there: its CSV, then its sidecar, each whole; under the record's own name, or with a
-/// number behind it where another one waits under that name. `go_on` is asked between pieces: where it says no, the record is
-/// not kept.
+/// Puts a record into a spool that is there: its CSV, then its sidecar, each whole.
+/// Under the record's own name, or with a number behind it where another one waits under that name. `go_on` is asked between pieces: where
+/// it says no, the record is not kept.
 ///
 /// # Errors
 /// The spool cannot be written or has no room: what was begun is taken away again.
@@ -279,8 +283,8 @@ pub fn finish(spool: &Path) -> io::Result<()> {
     finish_begun(&Open::open(spool)?)
 }
 
-/// Finishes what others began who were killed: a record of which both files were written is whole; what is less is taken away. A
-/// record that was sent is put aside.
+/// Finishes what others began who were killed.
+/// A record of which both files were written is whole; what is less is taken away. A record that was sent is put aside.
 fn finish_begun(folder: &Open) -> io::Result<()> {
     for name in folder.names()? {
         if !name.starts_with(PUTTING) && !name.starts_with(SENDING) {
@@ -425,7 +429,8 @@ pub fn ship(spool: &Path, store: &dyn Store, machine: &str) -> Result<Round, Shi
     Ok(round)
 }
 
-/// Puts a sent record where the sent ones are, from the folder that its sidecar was moved to first.
+/// Moves a sent record to the sent ones.
+/// Its sidecar is in the folder `sending` already.
 fn aside(folder: &Open, sending: &Open, digits: &str) -> io::Result<()> {
     let names = sending.names()?;
     // Killed between the two: the CSV that the sidecar names still lies in the spool, and no other record names it.
@@ -466,7 +471,8 @@ mod tests {
     use std::cell::{Cell, RefCell};
     use std::collections::BTreeMap;
 
-    /// A store that goes away before its nth call, or in the middle of it; what it was given in full it keeps.
+    /// A store that goes away before its nth call, or in the middle of it.
+    /// What it was given in full it keeps.
     struct Flaky {
         calls: Cell<usize>,
         gone_at: usize,

@@ -6,8 +6,8 @@ use rtec_measure::plot::{Chart, Series, Style};
 use rtec_model::record::{Column, Record, Role};
 
 impl Report {
-    /// The patent's figure 17: γ of every sensor as a bar upwards, its temperature range downwards, best to the right;
-    /// and, which the patent has not, γ of the difference behind its lag as a dot.
+    /// The patent's figure 17: γ and temperature range of every sensor.
+    /// Bars show γ upwards and the range downwards, best to the right. In addition a dot shows γ of the lagged difference.
     #[must_use]
     pub fn chart(&self) -> Chart {
         let kept = self.kept.iter().map(|k| (k.sensor.clone(), [k.gamma, k.gamma_lagged, k.range_k]));
@@ -32,8 +32,8 @@ impl Report {
     }
 }
 
-/// Measured and predicted response of a record over time, with the 95 % interval where there is one (the patent's
-/// figure 18).
+/// Measured and predicted response of a record over time.
+/// With the 95 % interval if there is one (the patent's figure 18).
 #[must_use]
 pub fn prediction_chart(
     record: &Record,
@@ -54,8 +54,8 @@ pub fn prediction_chart(
     chart
 }
 
-/// What is left of a response before and after a fit, each less its mean (a gauge's zero is arbitrary): over the position
-/// that moves most, or over time where none does.
+/// Residual of a response before and after a fit, each less its mean.
+/// A gauge's zero is arbitrary. The abscissa is the position that moves most, or time if none moves.
 #[must_use]
 pub fn residual_chart(record: &Record, response: &Role, before_um: &[f64], after_um: &[f64]) -> Chart {
     let span = |v: &[f64]| {

@@ -7,8 +7,8 @@ use rtec_files::InputError;
 use rtec_model::effect::Difference;
 use rtec_model::record::{Record, Role};
 
-/// The temperature differences that [`super::fit`] chooses for a response before it asks blocks of time that it has not
-/// seen; empty where the temperatures explain no more than chance.
+/// The temperature differences that [`super::fit`] chooses for a response.
+/// They are chosen before blocks of time are left out to test them. Empty if the temperatures explain no more than chance.
 ///
 /// # Errors
 /// As [`super::fit`].

@@ -1,4 +1,5 @@
-//! The model beside others: simpler predictions, records it has not seen, dry rows against wet ones.
+//! The model beside others.
+//! Simpler predictions, records it has not seen, dry rows against wet ones.
 
 use super::problem::Problem;
 use super::report::{DryWet, Rms};
@@ -10,8 +11,8 @@ use rtec_model::machine::Machine;
 use rtec_model::record::{Record, Role};
 use std::collections::BTreeMap;
 
-/// Simple predictions on the same blocks: the mean, the value one row before, each offered difference as a straight
-/// line.
+/// Simple predictions on the same blocks.
+/// The mean, the value one row before, each offered difference as a straight line.
 pub(super) fn baselines(
     problem: &Problem,
     train: &[&Record],

@@ -1,4 +1,5 @@
-//! The 95 % prediction interval: what the fit cannot know at a row, and what blocks that it has not seen say of the rest.
+//! The 95 % prediction interval.
+//! What the fit cannot know at a row, and what blocks that it has not seen say of the rest.
 
 use super::problem::Problem;
 use super::rows::Rows;
@@ -9,7 +10,8 @@ use rtec_model::effect::Difference;
 use rtec_model::machine::{Validity, unknown_um};
 use rtec_model::record::{Record, Role};
 
-/// A difference may be believed so far beyond what was seen, as a share of its range; further out it is held.
+/// How far beyond the range seen a difference is used, as a share of the range.
+/// Further out it is held at the bound.
 const BEYOND: f64 = 0.1;
 
 /// What a fit knows of one difference, and so where it knows less.
@@ -19,13 +21,15 @@ pub(super) struct Guard {
     pub(super) square: Option<usize>,
     /// Beyond this the difference is held, K.
     pub(super) range_k: [f64; 2],
-    /// How far the lagged difference used to be from the difference itself, RMS, K: what is not known at a start.
+    /// How far the lagged difference used to be from the difference itself, RMS, K.
+    /// What is not known at a start.
     pub(super) start_k: f64,
     pub(super) tau_s: f64,
 }
 
 impl Rows {
-    /// What a fit on the rows that `take` chooses knows of its differences; `plain` has the same terms without lag.
+    /// Bounds of a fit's differences on the rows that `take` selects.
+    /// `plain` has the same terms without lag.
     pub(super) fn guards(
         &self,
         problem: &Problem,
@@ -56,7 +60,7 @@ impl Rows {
         found
     }
 
-    /// What the model says of a row with its differences held in their ranges, and x of its interval.
+    /// The prediction of a row with its differences in range, and its interval's x.
     fn held(&self, c: &[f64], guards: &[Guard], i: usize) -> (f64, f64) {
         let mut says = c[0] + self.columns.iter().zip(&c[1..]).map(|(u, c)| c * u[i]).sum::<f64>();
         let mut x2 = 0.0;
@@ -72,8 +76,8 @@ impl Rows {
     }
 }
 
-/// Every offered difference as measured, chosen or not: where one leaves the range that the fit has seen, the machine is
-/// in a state that the fit does not know, whatever the chosen ones say.
+/// Every offered difference as measured, chosen or not.
+/// Where one leaves the range that the fit has seen, the machine is in a state that the fit does not know, whatever the chosen ones say.
 pub(super) struct Watched {
     rows: Rows,
     offered: Vec<Term>,
@@ -87,8 +91,9 @@ impl Watched {
         Ok(Self { rows: Rows::new(problem, &offered, train, response)?, offered })
     }
 
-    /// The range of each on the rows that `take` chooses, and how much the response moved with its movement: the ratio
-    /// of their standard deviations, which noise does not make smaller as it does a slope.
+    /// The range of each difference, and how much the response moved with it.
+    /// Taken on the rows that `take` selects. The movement is a ratio of standard deviations, which noise does not shrink as it shrinks a
+    /// slope.
     pub(super) fn ranges(&self, problem: &Problem, take: &dyn Fn(usize) -> bool) -> Vec<Validity> {
         let rows: Vec<usize> = (0..self.rows.y.len()).filter(|i| take(*i)).collect();
         let sd = |v: &[f64]| {
@@ -121,7 +126,8 @@ impl Watched {
     }
 }
 
-/// What nested blocks say: structure and parameters chosen without the block they are judged on.
+/// What nested blocks say.
+/// Structure and parameters chosen without the block they are judged on.
 pub(super) struct Nested {
     pub(super) folds: Vec<f64>,
     pub(super) half_width_um: f64,
@@ -168,9 +174,8 @@ fn blocks(
         folds.push(rms(own.iter().map(|l| l.0)));
         left.push(own);
     }
-    // h so that 95 % of a block's rows lie within √(h² + x²), in the worst of the blocks: neighbours in time are off
-    // together, so a new stretch of time is one more block, not a thousand more rows, and of n + 1 blocks n are no worse than
-    // the worst of n.
+    // h is such that 95 % of a block's rows lie within √(h² + x²), in the worst block. Neighbouring rows are off together, so a new stretch
+    // of time counts as one more block, not as a thousand more rows. Of n + 1 blocks, n are no worse than the worst of n.
     let of_block = |rows: &Vec<(f64, f64)>| {
         quantile(rows.iter().map(|(r, x)| (r * r - x * x).max(0.0).sqrt()).collect(), 0.95)
     };
@@ -187,8 +192,9 @@ fn blocks(
     Ok(Some(Nested { folds, half_width_um: width_without(None), coverage }))
 }
 
-/// Share of the later half of the blocks that a model chosen and fitted on the earlier one holds within this half width, and
-/// of the earlier one by the later: what is left of a promise made on one day in states that it has not seen.
+/// Share of one half's rows inside this half width under a fit on the other half.
+/// Model and terms are chosen on that other half; both directions are given. It shows what a promise is worth in states that the fit has
+/// not seen.
 pub(super) fn halves(
     problem: &Problem,
     train: &[&Record],
@@ -209,7 +215,7 @@ pub(super) fn halves(
     Ok(Some(held))
 }
 
-/// What a structure fitted without the blocks that are `asked` leaves of their rows, with x of the interval.
+/// Residuals of the `asked` blocks under a fit without them, and the interval's x.
 fn unseen(
     problem: &Problem,
     terms: &[Term],

@@ -1,5 +1,6 @@
-//! 95 % intervals of the parameters, from what they are with each block left out. A lag's is not narrower than what the sum
-//! of squares says around it: blocks in which nothing warms say nothing of a lag, and leaving one of them out nothing either.
+//! 95 % intervals of the parameters, by leaving out each block.
+//! A lag's interval is at least as wide as the curvature of the sum of squares says. Blocks in which nothing warms do not show a lag, so
+//! leaving one of them out tells nothing either.
 
 use super::judge::independent;
 use super::problem::Problem;
@@ -28,7 +29,7 @@ fn student(degrees_of_freedom: f64) -> f64 {
     StudentsT::new(0.0, 1.0, degrees_of_freedom).map_or(1.96, |d| d.inverse_cdf(0.975))
 }
 
-/// 95 % intervals by leaving out each block: of every coefficient, and of each lag by its term's place.
+/// 95 % intervals by leaving out each block: of coefficients, and of lags by term.
 pub(super) struct Jackknife {
     pub(super) coefficients: Vec<[f64; 2]>,
     /// Of the squares that were left out, by the place of their difference's term.
@@ -36,11 +37,11 @@ pub(super) struct Jackknife {
     pub(super) tau_s: BTreeMap<usize, [f64; 2]>,
 }
 
-/// How far from the grid's value a lag is looked for, in the logarithm; and how finely.
+/// Range around the grid's value in which a lag is refined (log), and its accuracy.
 const REACH: f64 = 0.5;
 const CLOSE: f64 = 1e-3;
 
-/// The terms with their lags as all rows have them best, between the steps of the grid.
+/// The terms with their lags refined between the steps of the grid, on all rows.
 pub(super) fn tuned(
     problem: &mut Problem,
     mut terms: Vec<Term>,
@@ -56,7 +57,7 @@ pub(super) fn tuned(
     Ok(terms)
 }
 
-/// The lag of each term, s, with which least squares on the blocks that `take` chooses leave least.
+/// The lags with the least sum of squares on the blocks that `take` selects, s.
 fn best_lags(
     problem: &Problem,
     terms: &[Term],
@@ -101,11 +102,11 @@ fn best_lags(
     Ok(lags_s)
 }
 
-/// How far a lag is looked at on either side for the curvature of the sum of squares, in the logarithm.
+/// Step in a lag's logarithm to either side, for the sum of squares' curvature.
 const BESIDE: f64 = 0.05;
 
-/// Half the 95 % interval of a lag's logarithm by the curvature of the sum of squares that is left when all else is fitted
-/// anew, with as many values as are independent. None where it does not curve upwards.
+/// Half the 95 % interval of a lag's logarithm, from the sum of squares' curvature.
+/// All other parameters are refitted at each lag; the number of values is that of independent ones. `None` if it does not curve upwards.
 fn lag_half_width(
     problem: &Problem,
     terms: &[Term],
@@ -167,7 +168,8 @@ fn smallest(
     Ok(f64::midpoint(lo, hi))
 }
 
-/// Every coefficient's interval, and every lag's: without each block in turn, lags found anew.
+/// Every coefficient's interval, and every lag's.
+/// Without each block in turn, lags found anew.
 pub(super) fn jackknife(
     problem: &Problem,
     terms: &[Term],
@@ -202,8 +204,9 @@ pub(super) fn jackknife(
 }
 
 impl Jackknife {
-    /// A square that may as well be none, by its place among the terms: its own interval holds zero, or blocks that it has
-    /// not seen are not certainly better off with it than with the lag that fits best without.
+    /// A square that may as well be none, by its place among the terms.
+    /// Its own interval holds zero, or blocks that it has not seen are not certainly better off with it than with the lag that fits best
+    /// without.
     pub(super) fn idle_square(
         &self,
         problem: &mut Problem,
@@ -229,8 +232,8 @@ impl Jackknife {
         Ok(None)
     }
 
-    /// The place of a growth that is alone among the terms and may as well be none: its interval holds zero. Of several, two that
-    /// are much the same may hold zero one by one and say much together.
+    /// The place of a growth that is alone among the terms and may as well be none.
+    /// Its interval holds zero. Of several, two that are much the same may hold zero one by one and say much together.
     pub(super) fn alone_and_idle(&self, terms: &[Term]) -> Option<usize> {
         let mut growths = terms.iter().enumerate().filter(|(_, t)| matches!(t, Term::Thermal { .. }));
         let (Some((k, _)), None) = (growths.next(), growths.next()) else { return None };
@@ -238,8 +241,8 @@ impl Jackknife {
         (lo <= 0.0 && hi >= 0.0).then_some(k)
     }
 
-    /// Whether a growth is bent is itself a choice that the data made: where the square was left out, the intervals of
-    /// growth, lag and square hold what they are with the square and what they are without.
+    /// Whether a growth is bent is itself a choice that the data made.
+    /// Where the square was left out, the intervals of growth, lag and square hold what they are with the square and what they are without.
     pub(super) fn allow_for_squares(
         &mut self,
         problem: &mut Problem,

@@ -15,22 +15,24 @@ pub(super) struct Judged {
     pub(super) r: f64,
     /// Constant, then one coefficient per term.
     pub(super) coefficients: Vec<f64>,
-    /// Mean square of what the fit leaves on its own data, as a share of the response's variance.
+    /// Mean square residual on its own data, as a share of the response's variance.
     left: f64,
-    /// How many independent values what it leaves is worth: neighbours in time share their noise.
+    /// How many independent values what it leaves is worth.
+    /// Neighbours in time share their noise.
     independent: f64,
 }
 
-/// What a chance improvement reaches once in some thousand times, as twice the logarithm of the likelihood.
+/// Twice the log likelihood that chance reaches once in some thousand times.
 const CHANCE: f64 = 9.0;
 
-/// The same for one column that needs no choice, while a structure is looked for: once in twenty times.
+/// The same for one column that needs no choice, while a structure is looked for.
+/// Once in twenty times.
 const BENT: f64 = 4.0;
 
 /// A square stands in the model beyond this: three standard errors.
 const CERTAIN: f64 = 9.0;
 
-/// Beside others a term may move the response so many times as far as it moves in all.
+/// Most movement of one term, relative to the response's whole movement.
 const CANCELLED: f64 = 2.0;
 
 impl Judged {
@@ -39,7 +41,7 @@ impl Judged {
         (self.mse.iter().sum::<f64>() / self.mse.len() as f64).sqrt()
     }
 
-    /// This one is better than `other` by more than the standard error of the difference over the folds.
+    /// Whether it beats `other` by more than the standard error over the folds.
     pub(super) fn beats(&self, other: &Self) -> bool {
         let d: Vec<f64> = other.mse.iter().zip(&self.mse).map(|(o, s)| o - s).collect();
         let n = d.len() as f64;
@@ -50,19 +52,20 @@ impl Judged {
         mean > (var / n).sqrt().max(rounding)
     }
 
-    /// This one, with more in it, earns what it has beyond `simpler`: blocks that it has not seen are better off, and what
-    /// it explains is more than the best of so many chance columns would, noise being alike from row to row.
+    /// Whether a larger structure earns what it has beyond `simpler`.
+    /// It must predict unseen blocks better, and explain more than the best of that many chance columns. The noise may be correlated from
+    /// row to row.
     pub(super) fn earns(&self, simpler: &Self, choices: usize) -> bool {
         self.beyond_chance(simpler, choices) && self.beats(simpler)
     }
 
-    /// Twice the logarithm of the likelihood that this one has more than `simpler`, with as many values as are independent.
+    /// Twice the log likelihood ratio to `simpler`, counting independent values only.
     pub(super) fn gain_over(&self, simpler: &Self) -> f64 {
         self.independent * (simpler.left.max(1e-12) / self.left.max(1e-12)).ln()
     }
 
-    /// This one, with the square of a difference that `simpler` has without, earns it: equation 1 has the square of every
-    /// difference, so that there is no choice to allow for.
+    /// This one, with the square of a difference that `simpler` has without, earns it.
+    /// Equation 1 has the square of every difference, so that there is no choice to allow for.
     pub(super) fn is_bent(&self, simpler: &Self) -> bool {
         self.gain_over(simpler) > BENT && self.rms() < simpler.rms()
     }
@@ -72,8 +75,8 @@ impl Judged {
         self.is_bent(simpler) && self.gain_over(simpler) > CERTAIN
     }
 
-    /// The same, where unseen blocks need only be better off on the whole: beside the mean, which a machine that stood most
-    /// of the time leaves little in most blocks.
+    /// As `earns`, but unseen blocks need only be better on the whole.
+    /// Used against the mean, which leaves little in most blocks if the machine stood most of the time.
     pub(super) fn beyond_chance(&self, simpler: &Self, choices: usize) -> bool {
         // Every term more was a choice; a square was none.
         let chosen =
@@ -97,7 +100,8 @@ pub(super) fn independent(series: impl Iterator<Item = f64>) -> f64 {
     n * (1.0 - phi) / (1.0 + phi)
 }
 
-/// A column about its mean over the folds and in its own scale, so that the normal equations keep their digits.
+/// A column less its mean over the folds, scaled.
+/// The normal equations so keep their digits.
 struct Ready {
     mean: f64,
     scale: f64,
@@ -105,17 +109,19 @@ struct Ready {
     weighted: Vec<f64>,
 }
 
-/// Columns beside one another, with what least squares on some folds asks of them: response, constant, then one per term.
-/// Terms come and go at the end; the products of those that stay are not made again.
+/// Columns beside one another, with what least squares on some folds asks of them.
+/// Response, constant, then one per term. Terms come and go at the end; the products of those that stay are not made again.
 pub(super) struct Beside<'a> {
     problem: &'a Problem,
     folds: &'a [usize],
     total: f64,
     columns: Vec<Ready>,
-    /// Per fold and over all: products of every column with those up to itself, row after row.
+    /// Per fold and over all.
+    /// Products of every column with those up to itself, row after row.
     products: Vec<Vec<f64>>,
     all: Vec<f64>,
-    /// What least squares without each fold and on all of them has worked out already: of columns that stay, once.
+    /// Cached factors of least squares: without each fold, and on all.
+    /// Columns that stay are not factored again.
     roots: Vec<Roots>,
     roots_of_all: Roots,
 }
@@ -158,7 +164,8 @@ impl<'a> Beside<'a> {
         Some(())
     }
 
-    /// Puts a column in the place of the k-th term's; `None`, and that one stays, where it does not vary.
+    /// Replaces the k-th term's column.
+    /// `None`, and the old one stays, if it does not vary.
     pub(super) fn replace(&mut self, k: usize, column: &[f64]) -> Option<()> {
         // After response and constant.
         let place = k + 2;
@@ -221,7 +228,8 @@ impl<'a> Beside<'a> {
         self.roots.iter_mut().chain([&mut self.roots_of_all]).for_each(|r| r.keep(columns));
     }
 
-    /// Least squares on all folds, and judged by leaving out each in turn; `None` when the columns are dependent.
+    /// Least squares on all folds, judged by leaving out each in turn.
+    /// `None` if the columns are dependent.
     pub(super) fn solve(&mut self) -> Option<Solved> {
         rtec_files::watch::step();
         let response = &self.columns[0];
@@ -242,7 +250,8 @@ impl<'a> Beside<'a> {
         Some(Solved { mse, coefficients, left })
     }
 
-    /// Least squares by these terms, whose columns these are, judged; `None` when they are dependent.
+    /// Fits and judges these terms, whose columns are here.
+    /// `None` if they are dependent.
     pub(super) fn judge(&mut self, terms: &[Term]) -> Option<Judged> {
         let solved = self.solve()?;
         let independent = independent(self.residuals(&solved).into_iter()).max(self.folds.len() as f64);
@@ -266,7 +275,8 @@ impl<'a> Beside<'a> {
     }
 }
 
-/// Where the constant's product with itself stands: after the response's, and the constant's with the response.
+/// Where the constant's product with itself stands.
+/// After the response's, and the constant's with the response.
 const CONSTANT: usize = 2;
 
 /// Where the products of the k-th column begin.
@@ -274,7 +284,8 @@ const fn row(k: usize) -> usize {
     k * (k + 1) / 2
 }
 
-/// Least squares by products of columns (Cholesky): the factor, row after row, and the response by it.
+/// Least squares by products of columns (Cholesky).
+/// The factor, row after row, and the response by it.
 #[derive(Default)]
 struct Roots {
     factor: Vec<f64>,
@@ -288,8 +299,8 @@ impl Roots {
         self.factor.truncate(row(self.response.len()));
     }
 
-    /// The coefficients of constant and terms by these products, of which those of the columns kept are what they were; `None`
-    /// where columns are nearly one another.
+    /// Coefficients of constant and terms from these products.
+    /// Factors of the columns kept are reused. `None` if columns are nearly equal.
     fn least_squares(&mut self, products: &[f64]) -> Option<Vec<f64>> {
         let mut begin = row(self.response.len() + 1);
         while begin < products.len() {
@@ -309,8 +320,8 @@ impl Roots {
         Some(solution)
     }
 
-    /// The next row of the factor, with the forward substitution of the response beside it; `false` where no more than this is
-    /// left of the column beside those before.
+    /// Adds the next row of the factor and its forward substitution.
+    /// `false` if no more than `least` of the column is independent of those before.
     fn enter(&mut self, own: &[f64], least: f64) -> bool {
         let (roots, k) = (&mut self.factor, self.response.len());
         for j in 0..=k {
@@ -332,7 +343,8 @@ impl Roots {
     }
 }
 
-/// The sum of squares that these coefficients leave, by the products of the response, the constant and the terms.
+/// The residual sum of squares of these coefficients, from the products.
+/// The products are of the response, the constant and the terms.
 fn left_over(products: &[f64], coefficients: &[f64]) -> f64 {
     let by = |k: usize| if k == 0 { -1.0 } else { coefficients[k - 1] };
     let mut sum = 0.0;
@@ -345,13 +357,13 @@ fn left_over(products: &[f64], coefficients: &[f64]) -> f64 {
 }
 
 impl Problem {
-    /// Fits the terms on the given folds and judges them by leaving out each in turn; `None` when the columns are
-    /// dependent.
+    /// Fits the terms on the given folds, judged by leaving out each in turn.
+    /// `None` if the columns are dependent.
     pub(super) fn judge(&self, terms: &[Term], folds: &[usize]) -> Option<Judged> {
         self.beside(terms, folds)?.judge(terms)
     }
 
-    /// The columns of these terms on some folds; `None` where one of them does not vary.
+    /// The columns of these terms on some folds; `None` if one does not vary.
     pub(super) fn beside<'a>(&'a self, terms: &[Term], folds: &'a [usize]) -> Option<Beside<'a>> {
         let mut beside = Beside::new(self, folds)?;
         for term in terms {
@@ -377,9 +389,10 @@ impl Problem {
         seen().fold(f64::NEG_INFINITY, f64::max) - seen().fold(f64::INFINITY, f64::min)
     }
 
-    /// Differences to the environment keep the sign of their own correlation: the sign is known, and a fit that
-    /// turns it round lives on collinearity, as one with gains beyond reason does, and one whose terms move the response far
-    /// more than it moves and cancel each other: elsewhere they do not cancel.
+    /// Whether the coefficients are physical.
+    /// Differences to the environment keep the sign of their own correlation; a fit that reverses it exploits collinearity. So does a fit
+    /// with implausible gains, or with terms that move the response far more than it moves and cancel each other. In other states they
+    /// would not cancel.
     pub(super) fn physical(&self, terms: &[Term], coefficients: &[f64], folds: &[usize]) -> bool {
         let signs = terms.iter().zip(&coefficients[1..]).all(|(t, c)| match t {
             Term::Thermal { minus, square: false, .. } => {
@@ -391,7 +404,8 @@ impl Problem {
         plausible && (terms.len() < 2 || !self.cancel(terms, coefficients, folds))
     }
 
-    /// The term whose gain is furthest beyond what the dictionary holds plausible; `None` where all are within.
+    /// The term whose gain is furthest beyond the dictionary's plausible range.
+    /// `None` if all are within.
     pub(super) fn implausible(&self, terms: &[Term], coefficients: &[f64]) -> Option<usize> {
         let share = |(k, t): (usize, &Term)| match t {
             Term::Thermal { square, .. } => coefficients[k + 1].abs() / self.plausible[usize::from(*square)],
@@ -449,7 +463,8 @@ mod tests {
         Term::Thermal { sensor, minus: Some(2), lag, square: false }
     }
 
-    /// Weighted least squares by another hand: singular values of all rows at once, each fold left out.
+    /// Weighted least squares by another hand.
+    /// Singular values of all rows at once, each fold left out.
     #[test]
     fn a_structure_is_judged_as_by_singular_values() {
         let record = drift(3);
@@ -480,7 +495,8 @@ mod tests {
         }
     }
 
-    /// A column that came and went leaves no trace; one that does not vary, or is another's double, is refused.
+    /// A column that came and went leaves no trace.
+    /// One that does not vary, or is another's double, is refused.
     #[test]
     fn columns_come_and_go() {
         let record = drift(3);
@@ -497,8 +513,8 @@ mod tests {
         assert!(beside.solve().is_none());
     }
 
-    /// What was worked out of columns that stay is what is worked out anew, to the last bit: after another column in any place,
-    /// one more, one less, and one that is another's double.
+    /// Cached results equal fresh ones to the last bit.
+    /// After replacing a column in any place, adding or removing one, or doubling one.
     #[test]
     fn columns_change_places() {
         let record = drift(4);
@@ -525,7 +541,7 @@ mod tests {
         }
     }
 
-    /// The same structure with its terms in another order leaves the same but for rounding, and so is no better.
+    /// Reordered terms leave the same up to rounding, so they are not better.
     #[test]
     fn the_order_of_terms_is_no_gain() {
         let record = drift(3);

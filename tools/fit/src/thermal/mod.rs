@@ -1,20 +1,17 @@
 //! Sensor selection (CASC) and the fit of equation 1 of WO 97/43703, with a lag where it earns its place.
 //!
-//! Growth is fitted as a constant plus terms of temperature differences: to the environment, between sensors, their
-//! squares, each either as measured or passed through a first-order lag. Which terms: the best single difference
-//! first, then the next best, at most five rounds (the patent's rule, which asks R to improve by 1 %; above 0.99 no term
-//! can, so here each must earn its place: better blocks that it has not seen, by more than the best of as many chance
-//! columns; where none does, nothing is added). *Best* is judged by blocked cross-validation in time, never by the fit
-//! itself: sixteen sensors that warm together fit any stretch of the past in hundreds of ways. Where cross-validation cannot choose either, physics does: heat flows
-//! from its source outwards and growth follows, so the difference that leads the growth most (that needs the longest
-//! lag) is nearest to the cause, and one that runs beside it is not; the first difference has the sign of the hottest
-//! body's, any difference to the environment keeps the sign of its own correlation, and no gain is beyond what the
-//! dictionary holds plausible.
+//! Growth is fitted as a constant plus terms of temperature differences: to the environment, between sensors, and their squares. Each is as
+//! measured or passed through a first-order lag. The best single difference comes first, then the next best, in at most five rounds. The
+//! patent's rule asks R to improve by 1 %, which no term can do above 0.99. So here each term must earn its place: it must predict unseen
+//! blocks better, by more than the best of as many chance columns. If none does, nothing is added. *Best* is judged by blocked
+//! cross-validation in time, never by the fit itself, because sixteen sensors that warm together fit any stretch of the past in hundreds of
+//! ways. If cross-validation cannot choose, physics does. Heat flows from its source outwards and growth follows, so the difference that
+//! leads the growth most (it needs the longest lag) is nearest to the cause. The first difference has the sign of the hottest body's. Any
+//! difference to the environment keeps the sign of its own correlation. No gain is beyond the dictionary's plausible range.
 //!
-//! The 95 % interval of a row is √(h² + x²): h from what the worst of the blocks left, and x for what the fit cannot know there: a
-//! difference beyond the range it was fitted on (held at the bound, so that gain · excess is left out), any difference,
-//! chosen or not, beyond the range it was seen in, and, just after a start, how far the lagged difference was from
-//! equilibrium (fading with its lag).
+//! The 95 % interval of a row is √(h² + x²). h is what the worst of the blocks left; x is what the fit cannot know in that row. It grows
+//! with any difference beyond its fitted range (held at the bound, so that gain · excess is left out) or, chosen or not, beyond the range
+//! seen. Just after a start it contains the lagged difference's distance from equilibrium, which fades with its lag.
 //!
 //! | module | what |
 //! |---|---|
@@ -66,7 +63,8 @@ use term::{Term, unlagged};
 /// What to fit and how.
 #[derive(Debug, Clone)]
 pub struct Options {
-    /// Differences to choose from; empty for all sensors. A sensor without `minus` is taken against the environment.
+    /// Differences to choose from; empty for all sensors.
+    /// A sensor without `minus` is taken against the environment.
     pub sensors: Vec<Difference>,
     /// The sensor of the environment; the coldest on average where it is not given.
     pub environment: Option<String>,
@@ -76,7 +74,8 @@ pub struct Options {
     pub lag: bool,
     /// Offer squares.
     pub square: bool,
-    /// Offer the spindle's speed. Equation 1 of WO 97/43703 has temperatures alone; a speed acts at once, and heat does not.
+    /// Offer the spindle's speed.
+    /// Equation 1 of WO 97/43703 has temperatures alone; a speed acts at once, and heat does not.
     pub speed: bool,
     /// What is known already: its effects are kept, and the rest is fitted.
     pub base: Option<Machine>,
@@ -103,7 +102,8 @@ impl Default for Options {
 }
 
 impl Options {
-    /// Differences that the base has an effect of on this response already: sensor and the one taken off.
+    /// Differences that the base has an effect of on this response already.
+    /// Sensor and the one taken off.
     fn base_differences(&self, response: &Role) -> Vec<(String, Option<String>)> {
         let own = |e: &&Effect| e.description().heat == Heat::Growth;
         let of = |e: &Effect| {
@@ -130,7 +130,8 @@ impl Options {
     }
 }
 
-/// Fits every error response of the training records; gives the model and, per response, how it was found.
+/// Fits every error response of the training records.
+/// Returns the model and, per response, how it was found.
 ///
 /// # Errors
 /// No temperatures, a sensor that is not there, too few rows, no structure that can be fitted.
@@ -170,7 +171,8 @@ pub fn fit(
     Ok((machine, reports))
 }
 
-/// The whole fit of one response: the structure, its parameters with their intervals, what it is worth.
+/// The whole fit of one response.
+/// The structure, its parameters with their intervals, what it is worth.
 fn fit_response(
     train: &[&Record],
     holdout: &[&Record],
@@ -289,8 +291,8 @@ struct Settled {
     left_out: Option<String>,
 }
 
-/// Tunes the terms and takes out squares, and a growth that is alone, that may as well be none; `None` where the rows do not
-/// give the values.
+/// Tunes the terms and removes squares, or a single growth, that may be none.
+/// `None` if the rows do not determine the values.
 fn settle(
     problem: &mut Problem,
     mut terms: Vec<Term>,
@@ -328,7 +330,7 @@ fn settle(
     }
 }
 
-/// Of the longest record, a lag that is longer than this share of it is hardly seen to end.
+/// Largest lag, as a share of the longest record, whose end is seen well.
 const LONG: f64 = 0.25;
 
 /// Says of lags that the records are hardly long enough for.
@@ -347,7 +349,8 @@ fn long_lags(fitted: &[Fitted], train: &[&Record]) -> Vec<String> {
     fitted.iter().filter_map(of).collect()
 }
 
-/// Of rows that a fit on the other half of the records does not hold, more than the 5 % that may be.
+/// Largest share of rows outside the interval of the other half's fit.
+/// 5 % would be expected.
 const UNHELD: f64 = 0.10;
 
 /// Says that the interval is of states as the records show them.
@@ -362,7 +365,7 @@ fn unlike([later, earlier]: [f64; 2], half_width_um: f64) -> Option<String> {
     })
 }
 
-/// A single difference as a straight line that does better than the fit on the same blocks by more than this is said.
+/// Ratio by which a single linear difference must beat the fit to be reported.
 const OUTDONE: f64 = 1.1;
 
 /// Says of a simple prediction that leaves less of the blocks than the fit does.
@@ -384,7 +387,7 @@ fn by_kind(records: &[&Record], half_width_um: f64) -> BTreeMap<String, f64> {
     records.iter().filter_map(|r| FitNote::kind_of(r)).map(|kind| (kind, half_width_um)).collect()
 }
 
-/// Adds the fitted effects to the fit's own machine and to the one that is asked for.
+/// Adds the fitted effects to the fit's own machine and to the requested one.
 fn enter(
     effects: Vec<(Effect, Intervals)>,
     train: &[&Record],
@@ -408,7 +411,8 @@ fn enter(
     Ok(fitted)
 }
 
-/// Adds a fitted effect to a machine; a zero that an earlier fit left and this fit's are one zero.
+/// Adds a fitted effect to a machine.
+/// A zero that an earlier fit left and this fit's are one zero.
 fn take_in(machine: &mut Machine, effect: Effect, provenance: Provenance) -> Result<(), ValueError> {
     let earlier = |l: &Listed| l.provenance.set_up && provenance.set_up && l.effect.name() == effect.name();
     let place = machine.listed().iter().position(earlier);

@@ -1,4 +1,5 @@
-//! What there is to choose from: sensors, differences, lags, and the rows binned for the search.
+//! What there is to choose from.
+//! Sensors, differences, lags, and the rows binned for the search.
 
 use super::Options;
 use super::term::{Pair, Term};
@@ -9,9 +10,11 @@ use rtec_model::effect::{Against, Dictionary, Lag, Lags, STANDARD_DEGC};
 use rtec_model::record::{Axis, Record, Role};
 use std::ops::Range;
 
-/// Rows that the search sees at most: neighbours in time are averaged, temperatures change slowly.
+/// Rows that the search sees at most.
+/// Neighbours in time are averaged, temperatures change slowly.
 const BINS: usize = 512;
-/// Sensors whose differences are all looked at where nobody names any: their pairs grow with the square.
+/// Sensors whose differences are all looked at where nobody names any.
+/// Their pairs grow with the square.
 const MOST_SENSORS: usize = 256;
 /// Lags tried, from one minute on, each this much longer than the one before.
 const LAG_STEP: f64 = 1.02;
@@ -244,7 +247,8 @@ fn stands_still(records: &[&Record], name: &str) -> bool {
     readings.all(|degc| first.is_some_and(|first| first.to_bits() == degc.to_bits()))
 }
 
-/// No lag, then lags from one minute to a third of the longest record, in equal ratios.
+/// No lag, then lags from a minute to a third of the longest record.
+/// In equal ratios.
 fn lag_grid(records: &[&Record], offered: bool) -> Vec<f64> {
     let span = records.iter().map(|r| r.time_s()[r.rows() - 1] - r.time_s()[0]).fold(0.0, f64::max);
     let timed = records.iter().all(|r| r.column(&Role::Time).is_some());
@@ -254,8 +258,8 @@ fn lag_grid(records: &[&Record], offered: bool) -> Vec<f64> {
     if offered && timed { none.chain(lags).collect() } else { none.collect() }
 }
 
-/// The environment is the coldest body of a machine that makes heat; of those within 1 K of the coldest it is the one
-/// that moves fastest: air, not a casting that follows it.
+/// The sensor of the environment: the coldest body of a machine that makes heat.
+/// Of those within 1 K of the coldest it is the fastest: air, not a casting that follows it.
 fn environment_of(sensors: &[String], records: &[&Record]) -> usize {
     let of = |s: &String| {
         let (mut sum, mut n, mut moves) = (0.0, 0.0, 0.0);
@@ -280,8 +284,8 @@ fn place(record: &Record, sensors: &[String], name: &str) -> Result<usize, Input
     })
 }
 
-/// The differences to choose from, and the pairs offered beside them where nobody named any; without those that the base
-/// has an effect of already.
+/// The differences to choose from, and pairs offered if nobody named any.
+/// Those that the base has an effect of are left out.
 fn differences(
     first: &Record,
     response: &Role,
@@ -314,7 +318,8 @@ fn differences(
     Ok((offered, pairs))
 }
 
-/// Rows averaged so many at a time, never across records; the folds of the search are stretches of these.
+/// Rows averaged so many at a time, never across records.
+/// The folds of the search are stretches of these.
 struct Bins<'a> {
     records: &'a [&'a Record],
     /// Number of the record, and its rows.
@@ -331,7 +336,8 @@ impl<'a> Bins<'a> {
         Self { records, spans }
     }
 
-    /// A temperature behind each of these lags, those of no length among them: per lag one value per bin.
+    /// A temperature behind each of these lags, those of no length among them.
+    /// Per lag one value per bin.
     fn sensor(&self, name: &str, taus_s: &[f64]) -> Vec<Vec<f64>> {
         let mut found = Vec::with_capacity(taus_s.len());
         for some in taus_s.chunk_by(|a, b| (*a > 0.0) == (*b > 0.0)).flat_map(|c| c.chunks(TOGETHER)) {
@@ -373,7 +379,8 @@ impl<'a> Bins<'a> {
         self.spans.iter().map(mean).collect()
     }
 
-    /// A column by its role, each value as `of` has it; zeros in a record that has none.
+    /// A column by its role, each value as `of` has it.
+    /// Zeros in a record that has none.
     fn column(&self, role: &Role, of: fn(f64) -> f64) -> Vec<f64> {
         self.average(&|r| {
             r.data(role).map_or_else(|| vec![0.0; r.rows()], |d| d.iter().map(|v| of(*v)).collect())

@@ -123,12 +123,13 @@ impl Rms {
 /// The 95 % prediction interval.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Interval {
-    /// Half width where the model knows most, µm; wider after a start and beyond the range of the fit.
+    /// Half width where the model knows most, µm.
+    /// Wider after a start and beyond the range of the fit.
     pub half_width_um: f64,
     /// Share of the rows inside, each block judged by the others' width.
     pub coverage_folds: f64,
-    /// Share of the later half's rows inside this half width by a fit on the earlier half alone, and of the earlier by the
-    /// later: what to expect in a state that the records do not show. Nothing where a half is too short to choose from.
+    /// Share of one half's rows inside this half width by a fit on the other half.
+    /// Both directions. It shows what to expect in a state that the records do not contain. `None` if a half is too short to choose from.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub coverage_halves: Option<[f64; 2]>,
     /// Share of the rows inside on every hold-out.
@@ -137,7 +138,7 @@ pub struct Interval {
     pub mean_half_width_holdout_um: Vec<f64>,
 }
 
-/// The same structure fitted on dry and on wet rows alone, as the patent compares them.
+/// The structure fitted on dry and on wet rows alone, as the patent compares.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct DryWet {
     /// Growth per kelvin, dry, by term.
@@ -148,7 +149,8 @@ pub struct DryWet {
     pub growth_dry_um: f64,
     /// The same on the wet rows.
     pub growth_wet_um: f64,
-    /// RMS of the dry model on the wet rows, µm: what it costs to model dry and cut wet.
+    /// RMS of the dry model on the wet rows, µm.
+    /// What it costs to model dry and cut wet.
     pub dry_model_on_wet_rms_um: f64,
     /// RMS of the wet model on the wet rows, µm.
     pub wet_model_on_wet_rms_um: f64,

@@ -1,4 +1,5 @@
-//! The least-squares problem itself: every row of the records under one another, a column per term.
+//! The least-squares problem itself.
+//! Every row of the records under one another, a column per term.
 
 use super::problem::{Problem, lagged};
 use super::term::Term;
@@ -50,7 +51,8 @@ impl Rows {
         Ok(Self { columns, y, fold, elapsed_s })
     }
 
-    /// Least squares on the rows that `take` chooses: constant, then one coefficient per column.
+    /// Least squares on the rows that `take` chooses.
+    /// Constant, then one coefficient per column.
     pub(super) fn solve(&self, take: &dyn Fn(usize) -> bool) -> Option<Vec<f64>> {
         self.solve_on(&self.runs(take))
     }
@@ -101,7 +103,8 @@ impl Rows {
         self.y[i] - model
     }
 
-    /// Standard deviation of what differs from row to row in what is left: the gauge's own noise, µm.
+    /// Standard deviation of what differs from row to row in what is left.
+    /// The gauge's own noise, µm.
     pub(super) fn noise_um(&self, c: &[f64]) -> f64 {
         let left: Vec<f64> = (0..self.y.len()).map(|i| self.residual(c, i)).collect();
         let steps: f64 = left.windows(2).map(|w| (w[1] - w[0]).powi(2)).sum();
@@ -132,8 +135,8 @@ impl Rows {
     }
 }
 
-/// Response and columns about their means on some stretches of rows, and the products of the columns: what stays is not made
-/// again when a column changes.
+/// Response and columns less their means on stretches of rows, and products.
+/// Products of columns that stay are not computed again when a column changes.
 pub(super) struct Centred<'a> {
     taken: &'a [Range<usize>],
     y: (Vec<f64>, f64),
@@ -246,7 +249,8 @@ fn full_columns(
         .collect()
 }
 
-/// 1 at the rows of a record at which coolant is on; a record that logs none is dry.
+/// 1 at the rows of a record at which coolant is on.
+/// A record that logs none is dry.
 pub(super) fn wet(record: &Record) -> Vec<f64> {
     let logged = record.data(&Role::Coolant).map(|c| c.iter().map(|v| f64::from(*v > 0.5)).collect());
     logged.unwrap_or_else(|| vec![0.0; record.rows()])

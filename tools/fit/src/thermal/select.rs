@@ -1,4 +1,4 @@
-//! Which terms: CASC over the sensors, the refit round by round, then every term once more beside the others.
+//! Selects terms: CASC over the sensors, the refit by rounds, then exchanges.
 
 use super::judge::{Beside, Judged};
 use super::problem::Problem;
@@ -7,7 +7,8 @@ use super::term::{Pair, Term, pair_of, relagged, squared};
 use crate::statistics::dot;
 use rtec_measure::iso230::correlation;
 
-/// Two sensors of a higher autocorrelation watch the same source of heat (WO 97/43703, "0.97 was selected").
+/// Two sensors with a higher correlation watch the same source of heat.
+/// (WO 97/43703, "0.97 was selected".)
 pub const REDUNDANT: f64 = 0.97;
 
 /// Rounds of the refit; more were seldom needed (WO 97/43703).
@@ -25,13 +26,15 @@ const SCREENED: usize = 12;
 /// So many lags are different to the data.
 const LAG_CHOICES: usize = 4;
 
-/// Sensors that a model may read, the environment's among them ("the final number may generally be only 4 or 5").
+/// Most sensors of a model, the environment's included.
+/// ("The final number may generally be only 4 or 5".)
 const SENSORS: usize = 5;
 
 pub(super) struct Selection {
     pub(super) structure: Judged,
     pub(super) rounds: Vec<Judged>,
-    /// After the rounds: what a term that went out for a better one left, its last term being the new one.
+    /// After the rounds.
+    /// What a term that went out for a better one left, its last term being the new one.
     pub(super) swaps: Vec<(Judged, Term)>,
     pub(super) kept: Vec<Judged>,
     /// Sensor, α, and the kept one (by number) it is redundant with.
@@ -85,7 +88,7 @@ impl Selection {
 }
 
 impl Selection {
-    /// Says where all rows together speak for another choice than blocks of time that were left out.
+    /// Reports if all rows prefer another choice than cross-validation does.
     pub(super) fn by_all_rows(&self, problem: &Problem) -> Option<String> {
         let other = self.passed_over.as_ref()?;
         let names: Vec<String> = other.terms.iter().map(|t| problem.name(*t)).collect();
@@ -98,7 +101,8 @@ impl Selection {
 }
 
 impl Problem {
-    /// The whole selection on the given folds: the structure, its rounds, the rivals of its first term.
+    /// The whole selection on the given folds.
+    /// The structure, its rounds, the rivals of its first term.
     pub(super) fn select(&self, folds: &[usize]) -> Option<Selection> {
         let mut singles = self.with_best_lags(&[], &self.offered, folds);
         singles.sort_by_key(|j| self.merit(j));
@@ -162,14 +166,15 @@ impl Problem {
         Some(Selection { structure, rounds, swaps, kept, dropped, tied, passed_over })
     }
 
-    /// By this the better one comes first: what it leaves to nine digits. Where the same sums are said by other differences
-    /// rounding does not decide, but which reads the environment: that one's gain is the body's own.
+    /// By this the better one comes first: what it leaves to nine digits.
+    /// Where the same sums are said by other differences rounding does not decide, but which reads the environment: that one's gain is the
+    /// body's own.
     fn merit(&self, j: &Judged) -> (i64, bool) {
         let of_two = pair_of(j.terms[j.terms.len() - 1]).is_some_and(|(_, minus)| minus != self.environment);
         ((j.rms().ln() * 1e9).round() as i64, of_two)
     }
 
-    /// The rounds, with terms exchanged and those taken out that the later ones made idle.
+    /// Runs the rounds, exchanges terms and removes those that became idle.
     fn built(
         &self,
         rounds: Vec<Judged>,
@@ -190,8 +195,8 @@ impl Problem {
         (rounds, structure, swaps)
     }
 
-    /// The same sums by differences to the environment where they can be: beside T1−T0 a T1−T2 says what T2−T0 says, and
-    /// that one's gain is the body's own.
+    /// Rewrites sums as differences to the environment where possible.
+    /// Beside T1−T0, T1−T2 adds what T2−T0 adds, whose gain is the body's own.
     pub(super) fn to_environment(&self, mut now: Judged, folds: &[usize]) -> Judged {
         for k in 0..now.terms.len() {
             let Term::Thermal { sensor, minus: Some(minus), lag, square: false } = now.terms[k] else {
@@ -254,8 +259,8 @@ impl Problem {
         now
     }
 
-    /// In order of merit, a sensor that watches what a better one watches is left out: those kept, and those dropped
-    /// with their α and the kept one (by number).
+    /// In order of merit, a sensor that watches what a better one watches is left out.
+    /// Those kept, and those dropped with their α and the kept one (by number).
     fn casc(&self, order: Vec<Judged>) -> (Vec<Judged>, Vec<(Judged, f64, usize)>) {
         let mut kept: Vec<Judged> = Vec::new();
         let mut dropped: Vec<(Judged, f64, usize)> = Vec::new();
@@ -271,12 +276,12 @@ impl Problem {
         (kept, dropped)
     }
 
-    /// The rounds of the refit, the first term's among them: the next best term while it earns its place. None where nothing
-    /// says more than the mean does.
+    /// The rounds of the refit, the first term's included.
+    /// Adds the next best term while it earns its place. `None` if nothing improves on the mean.
     ///
-    /// Where two bodies drive the growth, either alone leaves the other's share, which is slow and so worth few independent
-    /// values: neither earns its place by itself, both together do. So the first terms, as many as may be `unearned`, come in
-    /// without, and stand once what came with them has earned the place of all.
+    /// If two bodies drive the growth, either alone leaves the other's share. That share is slow and so worth few independent values, so
+    /// neither term earns its place alone; both together do. The first `unearned` terms are therefore accepted provisionally, until later
+    /// terms earn the place of all.
     fn refit(
         &self,
         first: Judged,
@@ -306,8 +311,8 @@ impl Problem {
                 self.is_physical(&judged, folds).then_some(judged)
             }));
             next.sort_by_key(|j| self.merit(j));
-            // The patent asks R to improve by 1 %, which a term cannot do where R is above 0.99: a term stays where blocks
-            // that it has not seen are better off with it, by more than chance makes the best of so many.
+            // The patent asks R to improve by 1 %, which is impossible where R is above 0.99. Here a term stays if unseen blocks are better
+            // with it, by more than the best of so many chance columns.
             let choices = LAG_CHOICES * (offered.len() + 1);
             let next: Vec<Judged> = next.into_iter().map(|j| self.retune(j, folds)).collect();
             let bent = |j: &Judged| matches!(j.terms.last(), Some(Term::Thermal { square: true, .. }));
@@ -335,7 +340,8 @@ impl Problem {
         rounds
     }
 
-    /// What else may be added: coolant, spindle speed, squares of the differences that are there.
+    /// What else may be added.
+    /// Coolant, spindle speed, squares of the differences that are there.
     fn unlike_differences(&self, terms: &[Term]) -> Vec<Term> {
         let coolant = self.coolant.as_ref().map(|_| Term::Coolant);
         let speed = self.speed.as_ref().map(|_| Term::Speed);
@@ -343,8 +349,8 @@ impl Problem {
         coolant.into_iter().chain(speed).chain(squares).collect()
     }
 
-    /// Each term was the best beside those before it: is another one better beside all? (Not of a single term: that one
-    /// was physics' choice.) What is left then, and each exchange with the term that went out.
+    /// Each term was the best beside those before it: is another one better beside all?
+    /// (Not of a single term: that one was physics' choice.) What is left then, and each exchange with the term that went out.
     fn exchange(
         &self,
         mut now: Judged,
@@ -386,8 +392,8 @@ impl Problem {
         (now, swaps)
     }
 
-    /// Of the offered, those whose growth goes the way that the hottest body's does: heat comes from there. Where
-    /// that body says nothing, all.
+    /// Of the offered, those whose growth goes the way that the hottest body's does.
+    /// Heat comes from there. Where that body says nothing, all.
     fn driven_by_the_source(&self, singles: Vec<Judged>, folds: &[usize]) -> Vec<Judged> {
         let rows: Vec<usize> = self.stretches(folds).flatten().collect();
         let warmth = |j: &Judged| {
@@ -499,7 +505,8 @@ impl Problem {
         pairs.iter().filter_map(|(s, m)| self.best_lag(&mut beside, terms, *s, *m, folds)).collect()
     }
 
-    /// The best lag of a difference beside the terms that are there, whose columns these are; no lag unless it earns its place.
+    /// The best lag of a difference beside the terms there; none unless it is earned.
+    /// The terms' columns are given.
     fn best_lag(
         &self,
         beside: &mut Beside,
@@ -540,7 +547,7 @@ impl Problem {
         }
     }
 
-    /// From a lag, and what it leaves, to the best near it, by shorter and shorter steps of the grid.
+    /// Refines a lag and its residual with ever shorter steps of the grid.
     fn nearer(&self, mut best: (usize, f64), at: &mut dyn FnMut(usize) -> Option<f64>) -> (usize, f64) {
         for step in std::iter::successors(Some(COARSE / 2), |s| Some(s / 2)).take_while(|s| *s > 0) {
             let from = best.0;

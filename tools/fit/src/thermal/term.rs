@@ -1,12 +1,13 @@
 //! A term of the model, and the terms that are made of it.
 
-/// A sensor and the one taken off, by their places; none for the reference temperature.
+/// A sensor and the one taken off, by their places.
+/// None for the reference temperature.
 pub(super) type Pair = (usize, Option<usize>);
 
 /// A model term.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Term {
-    /// Difference of two sensors (or one and the reference) at a lag of the grid, maybe squared.
+    /// Difference of two sensors, or to the reference, at a lag; maybe squared.
     Thermal { sensor: usize, minus: Option<usize>, lag: usize, square: bool },
     /// Coolant on.
     Coolant,
@@ -32,7 +33,8 @@ pub(super) fn squared(term: Term) -> Option<Term> {
     }
 }
 
-/// The same terms with another lag of the k-th; the square of the same difference shares it.
+/// The same terms with another lag of the k-th.
+/// The square of the same difference shares it.
 pub(super) fn relagged(terms: &[Term], k: usize, other: usize) -> Vec<Term> {
     let Term::Thermal { sensor: s, minus: m, lag: l, .. } = terms[k] else { return terms.to_vec() };
     let of = |t: &Term| match *t {

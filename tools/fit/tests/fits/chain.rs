@@ -13,7 +13,8 @@ fn data(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../model/tests/data").join(name)
 }
 
-/// A chain whose coefficients are all zero: the powers are stated, nothing is known.
+/// A chain whose coefficients are all zero.
+/// The powers are stated, nothing is known.
 fn template(name: &str) -> (tempfile::TempDir, PathBuf) {
     let dir = tempfile::tempdir().unwrap();
     let text = std::fs::read_to_string(data(name)).unwrap();
@@ -159,8 +160,8 @@ fn three_axis(noise_um: f64) -> (Chain, Vec<chain_fit::TermFound>, PathBuf, temp
     (Chain::read(&path).unwrap(), terms, path, dir)
 }
 
-/// 21 geometric errors and the spindle's growth and tilt, from nothing; then the symbolic reference, which knows the
-/// truth only.
+/// 21 geometric errors and the spindle's growth and tilt, from nothing.
+/// Then the symbolic reference, which knows the truth only.
 #[test]
 fn three_axis_machine_component_by_component() {
     let truth = Chain::read(&data("three_axis.toml")).unwrap();
@@ -193,8 +194,8 @@ fn three_axis_machine_component_by_component() {
     assert!(std::fs::read_to_string(path).unwrap().contains("# squareness of Z to Y and to X"));
 }
 
-/// With a gauge's noise of 0.2 µm: intervals hold the truth as often as they say, and at places that were not measured
-/// the chain is right within the noise.
+/// With a gauge's noise of 0.2 µm.
+/// Intervals hold the truth as often as they say, and at places that were not measured the chain is right within the noise.
 #[test]
 fn noise_gives_intervals_that_hold() {
     let truth = Chain::read(&data("three_axis.toml")).unwrap();

@@ -1,11 +1,13 @@
-//! Records of gauges that read in coarse steps: the steps are in the intervals, and said.
+//! Records of gauges that read in coarse steps.
+//! The steps are in the intervals, and said.
 
 use rtec_fit::least::fit_named;
 use rtec_model::machine::Machine;
 use rtec_model::record::{Column, Kind, Record, Role};
 use std::path::Path;
 
-/// Five times both ways over nine targets; the error is a constant and a reversal, read in steps.
+/// Five times both ways over nine targets.
+/// The error is a constant and a reversal, read in steps.
 fn run(offset: f64, reversal: f64, step: f64, wobble: f64) -> Record {
     let (mut p, mut dir, mut e) = (vec![], vec![], vec![]);
     for n in 0..10_u32 {

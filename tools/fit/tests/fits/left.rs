@@ -1,4 +1,5 @@
-//! What a fit of named effects leaves behind: a wave or a bend is said, and the intervals hold the truth beside it; noise is not.
+//! What a fit of named effects leaves behind.
+//! A wave or a bend is said, and the intervals hold the truth beside it; noise is not.
 
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
@@ -23,8 +24,8 @@ impl Dice {
     }
 }
 
-/// A run of five times both ways over targets off an even pitch; what the error has beside scale and reversal, by the position and the
-/// travel's half.
+/// A run of five times both ways over targets off an even pitch.
+/// What the error has beside scale and reversal, by the position and the travel's half.
 fn run(d: &mut Dice, [ppm, um]: [f64; 2], noise: f64, more: impl Fn(f64, f64) -> f64) -> Record {
     let (half, count) = (d.within(150.0, 450.0), 11 + (d.unit() * 10.0) as usize);
     let pitch = 2.0 * half / (count - 1) as f64;

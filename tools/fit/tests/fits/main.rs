@@ -1,4 +1,5 @@
-//! Fits from outside, a file a question. One program: what takes long runs beside the rest.
+//! Fits from outside, a file a question.
+//! One program: what takes long runs beside the rest.
 
 mod chain;
 mod coarse;

@@ -1,5 +1,6 @@
-//! Eighty random machines: what a fit of equation 1 says of laws that are known, and of axes without any. Machines, heat and
-//! noise are made here, by formulas of their own. `RTEC_CASES=3` takes three times as many, `RTEC_SEED` others.
+//! Eighty random machines.
+//! What a fit of equation 1 says of laws that are known, and of axes without any. Machines, heat and noise are made here, by formulas of
+//! their own. `RTEC_CASES=3` takes three times as many, `RTEC_SEED` others.
 
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
@@ -36,7 +37,8 @@ impl Truth {
     }
 }
 
-/// Eight hours, a row every two minutes: a spindle in steps, six bodies that follow it, air; an error per axis.
+/// Eight hours, a row every two minutes.
+/// A spindle in steps, six bodies that follow it, air; an error per axis.
 fn drift(d: &mut Dice, truths: &[Option<Truth>]) -> Record {
     let (n, h) = (240, 120.0);
     let mut speed = 0.0;

@@ -27,7 +27,8 @@ fn report_um(report: &str, key: &str) -> f64 {
     found.unwrap_or_else(|| panic!("{key} in the report"))
 }
 
-/// The owners' report calls the file's backward data forward; otherwise every figure it has right is equal.
+/// The owners' report calls the file's backward data forward.
+/// Otherwise every figure it has right is equal.
 #[test]
 fn real_axis_equals_the_report_where_it_is_right() {
     let (Some((path, text)), Some((_, report))) =
@@ -127,7 +128,8 @@ fn spindle(text: &str, rows: std::ops::Range<usize>) -> Record {
     Record::new(Path::new("spindle.run.toml"), Kind::Drift, columns.collect()).unwrap()
 }
 
-/// Growth of a real spindle from temperatures alone; sensors, lag and parameters chosen without the block judged.
+/// Growth of a real spindle from temperatures alone.
+/// Sensors, lag and parameters chosen without the block judged.
 #[test]
 fn real_spindle_is_predicted_from_temperatures() {
     let Some((_, text)) = shared("spindle_thermal/first_half.csv") else { return };
@@ -156,7 +158,8 @@ fn real_spindle_is_predicted_from_temperatures() {
     assert!(growth.value("um_per_K").unwrap()[0] > 0.0 && growth.value("tau_s").unwrap()[0] > 600.0);
 }
 
-/// The trap: what wins inside one stretch may fail on the next. Fitted on the first 30 h, asked for the 9 h after.
+/// The trap: what wins inside one stretch may fail on the next.
+/// Fitted on the first 30 h, asked for the 9 h after.
 #[test]
 fn real_spindle_is_predicted_into_unseen_later_time() {
     let Some((_, text)) = shared("spindle_thermal/first_half.csv") else { return };

@@ -76,8 +76,9 @@ impl Noise {
     }
 }
 
-/// A machine with twenty sensors warmed by its spindle from cold: bearings, housing, column, table and ambient as
-/// first-order bodies; growth from bearing and housing, both late, more when wet. The speeds are the cycle.
+/// A machine with twenty sensors warmed by its spindle from cold.
+/// Bearings, housing, column, table and ambient as first-order bodies; growth from bearing and housing, both late, more when wet. The
+/// speeds are the cycle.
 fn warm_up(cycle: &[(f64, f64, bool)], seed: u64) -> Record {
     let mut noise = Noise(seed);
     let minutes: usize = cycle.iter().map(|c| c.0 as usize).sum();
@@ -178,7 +179,8 @@ fn twenty_sensors_become_few_and_a_tenth_of_the_drift_is_left() {
     assert!((rms - r.rms_um.holdout[0]).abs() < 1e-9);
 }
 
-/// A lag that is there is found, with an interval that holds it; a record without any gets none.
+/// A lag that is there is found, with an interval that holds it.
+/// A record without any gets none.
 #[test]
 fn a_lag_earns_its_place_or_is_not_there() {
     let mut noise = Noise(3);
@@ -218,8 +220,8 @@ fn a_lag_earns_its_place_or_is_not_there() {
     }
 }
 
-/// Eight hours cannot tell a lag of five from a drift: the allowance for that covers all that the blocks leave. The gauge's own
-/// scatter is in the interval all the same.
+/// Eight hours cannot tell a lag of five from a drift.
+/// The allowance for that covers all that the blocks leave. The gauge's own scatter is in the interval all the same.
 #[test]
 fn no_interval_is_narrower_than_the_gauges_scatter() {
     const NOISE_UM: f64 = 0.15;
@@ -252,7 +254,8 @@ fn no_interval_is_narrower_than_the_gauges_scatter() {
     }
 }
 
-/// A body that lags by more than the record is long: said, as what is fitted may then be another one.
+/// A body that lags by more than the record is long.
+/// Said, as what is fitted may then be another one.
 #[test]
 fn a_lag_that_the_record_is_too_short_for_is_said() {
     let record = |hours: f64, tau_s: f64| {

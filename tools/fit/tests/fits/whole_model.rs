@@ -1,5 +1,6 @@
-//! The interval of a model that was fitted in steps: it holds on runs of every kind that it was fitted on, and there is
-//! none where no record has been. Machines and runs are made here, by formulas of their own.
+//! The interval of a model that was fitted in steps.
+//! It holds on runs of every kind that it was fitted on, and there is none where no record has been. Machines and runs are made here, by
+//! formulas of their own.
 
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
@@ -10,7 +11,8 @@ use rtec_model::record::{Axis, Column, Kind, Record, Role};
 use std::path::Path;
 use test_needs::dice::Dice;
 
-/// Ten effects: scales, reversals, squareness, waves that no fit is asked for, growth of both axes, one of them late.
+/// Ten effects.
+/// Scales, reversals, squareness, waves that no fit is asked for, growth of both axes, one of them late.
 struct Truth {
     scale: [f64; 2],
     reversal: [f64; 2],
@@ -28,7 +30,8 @@ impl Truth {
         Self { scale, reversal, wave, growth, squareness: d.between(-40.0, 40.0), noise: d.between(0.1, 0.4) }
     }
 
-    /// Errors of x and y at a place, µm; growth from the warmth of the bearing and what lags behind it.
+    /// Errors of x and y at a place, µm.
+    /// Growth from the warmth of the bearing and what lags behind it.
     fn errors(&self, p: [f64; 2], dir: [f64; 2], warm: [f64; 2]) -> [f64; 2] {
         let axis = |k: usize| {
             self.scale[k] * p[k] / 1000.0
@@ -89,7 +92,8 @@ fn record(truth: &Truth, d: &mut Dice, name: &str, kind: Kind, rows: &Rows) -> R
     Record::new(Path::new(&format!("{name}.run.toml")), kind, columns).unwrap()
 }
 
-/// The runs that the README names: linear in both axes, plate, drift, circle; cold but for the drift.
+/// The runs that the README names: linear in both axes, plate, drift, circle.
+/// Cold but for the drift.
 fn runs(truth: &Truth, d: &mut Dice) -> Vec<Record> {
     let cold = || Box::new(|_: usize| 0.0) as Box<dyn Fn(usize) -> f64>;
     let mut out = Vec::new();
@@ -184,7 +188,8 @@ fn the_interval_of_the_whole_model_holds_on_every_kind_of_run() {
     }
 }
 
-/// A bug once: named effects of forces were refused, as if the records did not tell them from nothing.
+/// A bug once.
+/// Named effects of forces were refused, as if the records did not tell them from nothing.
 #[test]
 fn forces_are_fitted_as_errors_are() {
     let mut d = Dice::new(5);

@@ -1,8 +1,9 @@
-//! What makes a circle's deviations: the model's own effects fitted to the radial errors of one plane.
+//! What makes a circle's deviations.
+//! The model's own effects fitted to the radial errors of one plane.
 //!
-//! Linear effects first; then spikes and cyclic errors over a grid of lengths and periods; then all of it together by
-//! Gauss and Newton, with noise of the autocorrelation that is left. What none of them explains is fitted beside them and
-//! widens the intervals (`structure`). Intervals hold 95 %.
+//! Linear effects are fitted first, then spikes and cyclic errors over a grid of lengths and periods. Last, all are fitted together by
+//! Gauss–Newton, with the autocorrelation of the residual. Structure that no effect explains is fitted beside them and widens the intervals
+//! (`structure`). Intervals hold 95 %.
 
 use super::structure::{Structure, Told};
 use super::{ByAxis, Trace, law};
@@ -36,8 +37,9 @@ pub struct Cyclic {
 }
 
 impl Cyclic {
-    /// Whether a screw makes it: its period is a lead, or half of one as of two turns of a bearing, within its own
-    /// interval or what a scale may be off by (its bound in the dictionary: the loosest screw of ISO 3408-3 and some more).
+    /// Whether a screw causes it.
+    /// The period must be a lead, or half a lead (two turns of a bearing). The tolerance is its own interval or a scale's bound in the
+    /// dictionary, which is slightly above the loosest screw of ISO 3408-3.
     fn is_of_a_screw(&self, half_mm: f64) -> bool {
         let dictionary = Dictionary::default();
         let scale = dictionary.laws().find(|l| l.describe().name == laws::scale::NAME);
@@ -47,7 +49,8 @@ impl Cyclic {
     }
 }
 
-/// Periods that screws make, mm: leads of metric screws (the law's own) and of inch ones, and the halves of both.
+/// Periods that screws make, mm.
+/// Leads of metric screws (the law's own) and of inch ones, and the halves of both.
 fn made_periods_mm() -> impl Iterator<Item = f64> {
     let metric = Dictionary::default()
         .laws()
@@ -68,27 +71,31 @@ pub struct Contribution {
     pub percent: f64,
 }
 
-/// What makes the deviations of a plane. `None` where the runs do not tell; effects that do not show beyond the noise are
-/// left out of spikes and cyclic errors.
+/// What makes the deviations of a plane.
+/// `None` where the runs do not tell; effects that do not show beyond the noise are left out of spikes and cyclic errors.
 #[derive(Debug, Clone, PartialEq, Default, Serialize)]
 pub struct Diagnosis {
-    /// Centre of the first record's circle: its set-up, µm. One way round that of the least-squares circle, without an interval.
+    /// Centre of the first record's circle: its set-up, µm.
+    /// One way round that of the least-squares circle, without an interval.
     pub centre_um: [Option<f64>; 2],
-    /// Mean radius of the first record minus the nominal one, µm; one way round as the centre.
+    /// Mean radius of the first record minus the nominal one, µm.
+    /// One way round as the centre.
     pub radius_um: Option<f64>,
     /// Scale of the first axis minus that of the second, ppm.
     pub scale_mismatch_ppm: Option<f64>,
-    /// Squareness, µrad: positive when the angle between the positive axes is below 90°, as `squareness.A.B`.
+    /// Squareness, µrad.
+    /// Positive when the angle between the positive axes is below 90°, as `squareness.A.B`.
     pub squareness_urad: Option<f64>,
     /// Reversal per axis, µm, as `reversal.A`: mean up minus mean down.
     pub reversal: ByAxis<f64>,
     /// Spike per axis.
     pub spike: ByAxis<Spike>,
-    /// Following error of the first axis minus that of the second, ms, as `following_error.A`.
+    /// Following error of the first axis minus the second, ms: `following_error.A`.
     pub servo_mismatch_ms: Option<f64>,
     /// Cyclic error per axis, of a period that screws are made with.
     pub cyclic: ByAxis<Cyclic>,
-    /// A form along the axis that repeats at a period no screw is made with: a map as likely as a wave.
+    /// A form along the axis that repeats at a period no screw is made with.
+    /// A map as likely as a wave.
     pub form: ByAxis<Cyclic>,
     /// 95 % intervals by name.
     pub interval_95: BTreeMap<String, [f64; 2]>,
@@ -96,39 +103,42 @@ pub struct Diagnosis {
     pub contributions: Vec<Contribution>,
     /// RMS of what the causes leave at best, µm.
     pub rms: f64,
-    /// RMS of what is the same both ways round (maps, bends: the third harmonic and above) and none of the causes explains, µm; `None` where
-    /// it does not show beyond the noise. The intervals are widened by it.
+    /// RMS of structure that is the same both ways and unexplained, µm.
+    /// Maps and bends: the third harmonic and above. `None` if it is below the noise. It widens the intervals.
     pub unexplained_um: Option<f64>,
 }
 
 /// Leads of inch screws, mm: 0.1, 0.2, 0.25, 0.4, 0.5 and 1 inch.
 const INCH_LEADS_MM: [f64; 6] = [2.54, 5.08, 6.35, 10.16, 12.7, 25.4];
-/// Rows nearer than this to where an axis turns are in no cause, mm: play up to 20 µm is taken up by then, and such a row may
-/// stand on either side of the turn.
+/// Rows nearer than this to where an axis turns are in no cause, mm.
+/// Play up to 20 µm is taken up by then, and such a row may stand on either side of the turn.
 const SETTLED_MM: f64 = 0.03;
 /// Rows are left out to so many times the play that is found.
 const TAKEN_UP: f64 = 1.5;
 /// More play than this is no machine tool's.
 const LONGEST_PLAY_MM: f64 = 0.5;
-/// Where structure shows, laws were chosen among it as well: their variance is so many times larger.
+/// Where structure shows, laws were chosen among it as well.
+/// Their variance is so many times larger.
 const CHOSEN_AMONG: f64 = 1.5;
 /// Structure that shows: its RMS over that of the noise that is left.
 const SHOWS: f64 = 0.5;
-/// Columns that leave less than this of themselves beside the others cannot be told from them.
+/// Least independent share of a column; below it, others explain the column.
 const DISTINCT: f64 = 1e-4;
-/// An axis may have turned right before a record begins: of its spike then the law knows nothing. So much of the radius the axis
-/// moves until that has died out.
+/// Share of the radius after which a spike at the start has died out.
+/// An axis may have turned just before a record begins, so the law does not know its spike.
 const DIED_OUT: f64 = 0.25;
-/// What a single sense of turning at a single feed shows of squareness and servo mismatch: their sum.
+/// With one sense of turning at one feed only the sum of both can be seen.
 const TOGETHER: &str = "squareness and servo mismatch";
-/// Directions among the values that the runs show with less than this (squared, all values as large) are not shown.
+/// Least squared visibility of a direction among the values; all scaled alike.
+/// Directions below it are not shown by the runs.
 const SHOWN: f64 = 1e-6;
 /// A value that lies in the directions shown to no more than this is not told.
 const RESOLVED: f64 = 0.99;
 /// More autocorrelation than this is structure that no cause here explains.
 const MOST_MEMORY: f64 = 0.95;
 
-/// A term of the fit: effects with the weights of their sum, and which of the first one's values are free.
+/// A term of the fit.
+/// Effects with the weights of their sum, and which of the first one's values are free.
 pub(super) struct Term {
     pub(super) name: String,
     pub(super) parts: Vec<(Effect, f64)>,
@@ -156,7 +166,7 @@ pub(super) struct Fit<'t> {
     pub(super) phi: f64,
     /// What there are no laws for.
     pub(super) structure: Structure,
-    /// Columns that stand beside the terms, and an orthonormal basis of them as `white` sees them.
+    /// Columns fitted beside the terms, and a whitened orthonormal basis of them.
     pub(super) beside: DMatrix<f64>,
     pub(super) beside_white: DMatrix<f64>,
 }
@@ -189,7 +199,7 @@ pub(super) fn diagnose(traces: &[Trace], warnings: &mut Vec<String>) -> Result<D
     }
 }
 
-/// The same by rows at which both axes are further than this from where they turn, mm.
+/// As `diagnose`, from rows at least this far from both axes' turns, mm.
 fn diagnose_beyond(
     traces: &[Trace],
     settled_mm: f64,
@@ -247,7 +257,8 @@ fn plain(trace: &Trace) -> Diagnosis {
     Diagnosis { centre_um: [Some(a), Some(b)], radius_um: Some(radius), ..Diagnosis::default() }
 }
 
-/// Radius and centre of a record: the mean of its contours' least-squares circles, µm.
+/// Radius and centre of a record.
+/// The mean of its contours' least-squares circles, µm.
 fn circle_of(trace: &Trace) -> [f64; 3] {
     let contours = trace.evaluate();
     let n = contours.len().max(1) as f64;
@@ -316,8 +327,8 @@ impl<'t> Fit<'t> {
             n += t.radial.len();
             // Set-up and radius may lie beyond what a machine's error may be.
             y.extend(t.angle.iter().zip(&t.radial).map(|(p, e)| e - radius - a * p.cos() - b * p.sin()));
-            // Where the record begins, and where the other sense does after a pause, an axis may have turned unseen; in one sense a circle
-            // goes on where the one before it ended.
+            // An axis may have turned unseen where the record begins, and where the other sense begins after a pause. In one sense a circle
+            // continues where the one before it ended.
             let of = |(k, (rows, sense)): (usize, &(Range<usize>, f64))| {
                 let goes_on = k > 0 && t.contours[k - 1].1 * sense > 0.0;
                 if goes_on { rows.clone() } else { begun(&t.angle, rows)..rows.end }
@@ -394,7 +405,8 @@ impl<'t> Fit<'t> {
         self.stack(effect, only, effect.coefficient_count(), |b, c, out| b.basis(effect, c, out))
     }
 
-    /// Derivatives of a term by its free values; those of a linear term are its columns.
+    /// Derivatives of a term by its free values.
+    /// Those of a linear term are its columns.
     pub(super) fn slopes(&self, term: &Term) -> Vec<DVector<f64>> {
         let mut sum: Vec<DVector<f64>> = Vec::new();
         for (effect, weight) in &term.parts {
@@ -421,7 +433,8 @@ impl<'t> Fit<'t> {
         out
     }
 
-    /// The noise taken white: each row less what the one before foretells; and what stands beside the terms taken out.
+    /// Whitens a column and projects out the columns beside the terms.
+    /// Each row has the prediction from the row before subtracted.
     pub(super) fn white(&self, column: &DVector<f64>) -> DVector<f64> {
         let own = self.whitened(column);
         let beside = &self.beside_white * self.beside_white.tr_mul(&own);
@@ -505,7 +518,8 @@ impl<'t> Fit<'t> {
         left
     }
 
-    /// Linear values by least squares, then the noise's coefficient; twice, as each asks for the other.
+    /// Linear values by least squares, then the noise's coefficient.
+    /// Twice, as each asks for the other.
     pub(super) fn memory(&mut self) {
         for _ in 0..2 {
             self.step();
@@ -561,7 +575,7 @@ impl<'t> Fit<'t> {
         inside
     }
 
-    /// What the runs show of each free value, and what the harmonics say of what has no law.
+    /// What the runs show of each free value, and harmonics' share without a law.
     pub(super) fn shown(&self) -> Shown {
         let j = self.jacobian();
         let left = self.left();
@@ -613,7 +627,8 @@ impl<'t> Fit<'t> {
         self.terms.iter().flat_map(of)
     }
 
-    /// The least that the causes found can leave, RMS in µm: what stands beside them takes nothing.
+    /// The least that the causes found can leave, RMS in µm.
+    /// What stands beside them takes nothing.
     fn least_left(&self) -> f64 {
         let own = |v: &DVector<f64>| DVector::from_fn(self.n, |i, _| if self.counts[i] { v[i] } else { 0.0 });
         let columns: Vec<DVector<f64>> =
@@ -621,7 +636,7 @@ impl<'t> Fit<'t> {
         self.rms(&residual(&DMatrix::from_columns(&columns), &own(&self.left())))
     }
 
-    /// Causes and set-up that are looked for and that these runs do not tell, as people call them.
+    /// Causes and set-up terms that these runs cannot determine, in people's words.
     fn not_told(&self, told: &[String], shown: &Shown) -> Vec<String> {
         let (mut at, mut names) = (0, Vec::new());
         for t in &self.terms {
@@ -639,8 +654,8 @@ impl<'t> Fit<'t> {
         names
     }
 
-    /// What each free value is, with half its interval, and what the causes told make of the radius; what is not resolved is in
-    /// neither.
+    /// Each free value with half its interval, and the causes' share of the radius.
+    /// Values that are not resolved are left out.
     fn values(&self, shown: &Shown, told: &[String]) -> (BTreeMap<String, (f64, f64)>, Vec<Contribution>) {
         let mut values: BTreeMap<String, (f64, f64)> = BTreeMap::new();
         let mut contributions = Vec::new();
@@ -791,7 +806,8 @@ impl<'t> Fit<'t> {
         intervals
     }
 
-    /// Whether these runs tell this term from a map or a bend: one way round what turns with the sense does not show.
+    /// Whether these runs tell this term from a map or a bend.
+    /// One way round what turns with the sense does not show.
     fn separates(&self, name: &str) -> bool {
         self.structure.both_ways || !(name.starts_with("reversal.") || name.starts_with("spike."))
     }
@@ -808,13 +824,15 @@ impl<'t> Fit<'t> {
     }
 }
 
-/// Whether one of the axes is so near to where it turns that play may not be taken up, or the row be on either side of the turn.
+/// Whether an axis is so near its turn that a row is ambiguous.
+/// Play may not be taken up there, or the row may be on either side of the turn.
 fn turns(trace: &Trace, angle: f64, settled_mm: f64) -> bool {
     let radius_mm = trace.record.circle().map_or(f64::INFINITY, |c| c.radius_mm);
     [angle.cos(), angle.sin()].iter().any(|share| radius_mm * (1.0 - share.abs()) < settled_mm)
 }
 
-/// The first row of a contour at which both axes have turned within it, or moved on far enough from where it begins.
+/// The first row of a contour at which both axes have a known history.
+/// Both have turned within it, or moved far enough from its beginning.
 fn begun(angle: &[f64], rows: &Range<usize>) -> usize {
     let own = &angle[rows.clone()];
     let by_axis = [f64::cos as fn(f64) -> f64, f64::sin].map(|share| {
@@ -851,7 +869,7 @@ fn residual(j: &DMatrix<f64>, y: &DVector<f64>) -> DVector<f64> {
     y - j * solve(j, y)
 }
 
-/// The normal equations of columns taken as large as each other, in the directions that they show.
+/// The normal equations of equally scaled columns, in their visible directions.
 struct Normal {
     /// The columns, each of length one.
     unit: DMatrix<f64>,

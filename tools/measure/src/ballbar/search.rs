@@ -1,5 +1,5 @@
-//! Which causes show: drift, spikes over a grid of lengths, cyclic errors over a grid of periods; and whether anything is left
-//! that none of them explains.
+//! Which causes show.
+//! Drift, spikes over a grid of lengths, cyclic errors over a grid of periods; and whether anything is left that none of them explains.
 
 use super::diagnosis::Fit;
 use super::{law, structure};
@@ -8,8 +8,9 @@ use rtec_model::effect::{Dictionary, Effect, laws};
 use rtec_model::record::{Axis, Role};
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
-/// A spike is taken into the fit from so many squared standard deviations on, so that it does not bend what stands beside
-/// it, and told from more on: one in a thousand circles of noise over all lengths.
+/// Squared standard deviations from which a spike is fitted.
+/// It is fitted early so that it does not bend other terms. It is reported from a higher value on: one in a thousand circles of noise over
+/// all lengths.
 const SPIKE_FITTED: f64 = 6.0;
 const SPIKE_TOLD: f64 = 18.0;
 /// The shortest spike that is looked for, mm.
@@ -18,8 +19,8 @@ const SHORTEST_MM: f64 = 0.05;
 const CYCLIC_RISK: f64 = 1e-3;
 /// Screw pitches and pitch circles, mm.
 const PERIODS_MM: [f64; 2] = [0.5, 60.0];
-/// Drift within a record is taken into the fit from so many squared standard deviations on: one in twenty circles of noise, over
-/// its three columns.
+/// Squared standard deviations from which drift within a record is fitted.
+/// One in twenty circles of noise reaches it, over its three columns.
 const DRIFT_FITTED: f64 = 7.8;
 
 impl Fit<'_> {
@@ -50,8 +51,8 @@ impl Fit<'_> {
         self.drop_endless(told);
     }
 
-    /// Takes out spikes whose length has run off to where no spike was looked for, and those told whose interval holds zero: what
-    /// they followed is none, or a single row.
+    /// Removes spikes with an endless length, and those whose interval holds zero.
+    /// They followed no spike, or a single row.
     fn drop_endless(&mut self, told: &mut Vec<String>) {
         let longest_mm = self.traces[0].record.circle().map_or(f64::INFINITY, |c| c.radius_mm) / 2.0;
         let before = self.terms.len();
@@ -73,7 +74,7 @@ impl Fit<'_> {
         }
     }
 
-    /// Whether harmonics explain more of what is left than noise lets them in one circle out of ten.
+    /// Whether harmonics explain more than noise does in one circle out of ten.
     pub(super) fn harmonics_show(&self) -> bool {
         let m = self.structure.columns.ncols();
         if m == 0 {
@@ -131,7 +132,8 @@ impl Fit<'_> {
         (j.qr().q(), left, variance.max(1e-18))
     }
 
-    /// The spike that explains most of what is left, over lengths from a twentieth of a millimetre to a third of the radius.
+    /// The spike that explains most of the residual.
+    /// Lengths are from a twentieth of a millimetre to a third of the radius.
     fn best_spike(&self, d: &Dictionary, axis: &Axis) -> Option<(Effect, f64)> {
         let radius_mm = self.traces[0].record.circle()?.radius_mm;
         let spike = law(d, laws::reversal_spike::NAME, &[axis])?;
@@ -147,7 +149,8 @@ impl Fit<'_> {
         lengths.filter_map(of).max_by(|a, b| a.1.total_cmp(&b.1))
     }
 
-    /// The cyclic error that explains most of what is left, if more than chance does over all periods.
+    /// The cyclic error that explains most of the residual, beyond chance.
+    /// Chance is taken over all periods.
     fn best_wave(&self, d: &Dictionary, axis: &Axis) -> Option<Effect> {
         let wave = law(d, laws::screw_periodic::NAME, &[axis])?;
         let places = self.traces.iter().filter_map(|t| t.record.data(&Role::Position(axis.clone())));

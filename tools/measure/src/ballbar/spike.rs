@@ -1,20 +1,22 @@
 //! What the runs show of a spike's height and length together.
 //!
-//! The two trade against each other, and a length enters the law as no line does: their interval at the best fit alone would be too
-//! short on one side. So they are taken by the likelihood's profile: all heights and lengths whose sum of squares is no more above the
-//! least than the level allows, with the noise's memory and the structure in it.
+//! Height and length trade against each other, and the length is not linear in the law. An interval at the best fit alone would be too
+//! short on one side. So the profile of the likelihood is used: all heights and lengths whose sum of squares exceeds the least by no more
+//! than the level allows, with the noise's memory and the structure included.
 
 use super::Trace;
 use super::diagnosis::{Fit, Term};
 use nalgebra::{DMatrix, DVector};
 use rtec_model::record::Axis;
 
-/// Lengths at which the heights are looked at, from the shortest that the level allows to the longest.
+/// Number of lengths tried between the shortest and longest that the level allows.
 const LENGTHS: i32 = 24;
-/// Halvings of the way to the law's bound, and of the last step, that find an end of the lengths.
+/// Halvings that find an end of the lengths.
+/// They halve the way to the law's bound, and then the last step.
 const HALVINGS: i32 = 14;
 
-/// A spike's shape of one length among the other terms: what it explains, at which height, and how sharply.
+/// A spike's shape of one length among the other terms.
+/// What it explains, at which height, and how sharply.
 struct Fitted {
     gain: f64,
     um: f64,
@@ -23,10 +25,11 @@ struct Fitted {
 }
 
 impl Fit<'_> {
-    /// Intervals of a spike's height (µm) and length (mm), where the sum of squares may rise by so much for each of them.
+    /// Intervals of a spike's height (µm) and length (mm).
+    /// `rises` are the allowed rises of the sum of squares.
     ///
-    /// The law counts the travel from the last row of the old direction, and the axis turned somewhere behind it. The height where it
-    /// turned is smaller by what the spike dies out over that travel: the interval holds both.
+    /// The law counts the travel from the last row of the old direction, but the axis turned after it. The height at the turn is smaller by
+    /// the decay over that travel. The interval holds both heights.
     pub(super) fn spike_profile(&self, spike: &Term, rises: [f64; 2]) -> Option<[[f64; 2]; 2]> {
         let (effect, _) = spike.parts.first()?;
         let others: Vec<DVector<f64>> = self
@@ -86,7 +89,7 @@ impl Fit<'_> {
     }
 }
 
-/// Travel from the last row of the old direction to where the axis turned, the mean over its turns, mm.
+/// Mean travel from the last row of the old direction to the turn, mm.
 fn mean_unseen_mm(traces: &[Trace], axis: &Axis) -> f64 {
     let of = |t: &Trace| -> Vec<f64> {
         let Some(circle) = t.record.circle() else { return Vec::new() };

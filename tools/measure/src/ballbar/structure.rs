@@ -1,24 +1,25 @@
-//! What the diagnosis has no law for: maps, bends and slow drift. It is fitted beside the laws, so that it does not pass for one
-//! of them, and widens the intervals of those that it could have moved.
+//! Structure that the diagnosis has no law for: maps, bends and slow drift.
+//! It is fitted beside the laws, so that no law absorbs it, and it widens the intervals that it could have moved.
 //!
-//! What depends on the place alone is the same both ways round: harmonics of the angle, common to both senses. Those of the
-//! third order and above are fitted; those below are centre, radius, scale and squareness themselves, and how much of them is
-//! not the law's own is told by the size of the orders just above.
+//! Structure that depends on the place alone is the same both ways: harmonics of the angle, common to both senses. Those of the third order
+//! and above are fitted. The lower ones are centre, radius, scale and squareness themselves. How much of those is not the law's own is
+//! estimated from the orders just above.
 
 use super::Trace;
 use nalgebra::{DMatrix, DVector};
 use rtec_model::record::Role;
 use std::f64::consts::TAU;
 
-/// Orders that the laws themselves take: radius (0), centre (1), scale and squareness (2).
+/// Orders that the laws themselves take.
+/// Radius (0), centre (1), scale and squareness (2).
 const TAKEN: usize = 2;
 /// Highest order that is fitted beside the laws.
 const HIGHEST: usize = 20;
 /// Orders just above those taken, from which the taken ones' share is told.
 const TELLING: [usize; 4] = [3, 4, 5, 6];
 
-/// Harmonics of the angle common to both ways, cosine and sine of each order. One way round nothing but their smoothness tells
-/// them from reversals.
+/// Harmonics of the angle common to both ways, cosine and sine of each order.
+/// One way round nothing but their smoothness tells them from reversals.
 pub(super) struct Structure {
     /// Whether both ways were run.
     pub(super) both_ways: bool,
@@ -28,16 +29,17 @@ pub(super) struct Structure {
     highest: usize,
     /// Rows of the shortest contour.
     rows: usize,
-    /// A record leaves out a part of the circle: there the harmonics are no longer apart from each other, nor from what the laws take.
+    /// A record leaves out a part of the circle.
+    /// There the harmonics are no longer apart from each other, nor from what the laws take.
     arc: bool,
     /// Columns of the orders that the laws take: 1, cos, sin, cos 2, sin 2.
     pub(super) taken: DMatrix<f64>,
 }
 
-/// How the orders that the laws take may be moved, µm², and how many values that was told from.
+/// How far structure may move the laws' orders, µm², from how many values.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Told {
-    /// Variance of the amplitude of an order that scale takes (cosines of even orders above).
+    /// Variance of the amplitude of a scale's order, µm², from even cosines above.
     pub(super) variance: [f64; 5],
     /// Number of values behind each.
     pub(super) freedom: [f64; 5],
@@ -71,8 +73,8 @@ impl Structure {
         Self { both_ways: both, columns, highest, rows, arc, taken }
     }
 
-    /// What is left, whitened, as a multiple of white noise's variance when it is summed over some rows on end: above one
-    /// where it hangs together in another way than the noise's memory has it.
+    /// Variance of summed whitened residuals, relative to white noise.
+    /// Above one the residual is correlated otherwise than the noise's memory says.
     pub(super) fn hangs_together(white: &DVector<f64>) -> f64 {
         let n = white.len();
         let own = white.norm_squared() / n.max(1) as f64;
@@ -84,8 +86,8 @@ impl Structure {
         [5, 10, 20].map(of).into_iter().fold(1.0, f64::max)
     }
 
-    /// The noise's coefficient from row to row, where what is left shows `seen`: the harmonics have taken the slow part of it,
-    /// more of what remembers.
+    /// The noise's coefficient from row to row, where what is left shows `seen`.
+    /// The harmonics have taken the slow part of it, more of what remembers.
     pub(super) fn memory(&self, seen: f64, n: usize, most: f64) -> f64 {
         if self.arc {
             return seen.clamp(0.0, most);
@@ -103,7 +105,8 @@ impl Structure {
         (0..=100).map(|i| most * f64::from(i) / 100.0).find(|phi| expected(*phi) >= seen).unwrap_or(most)
     }
 
-    /// What the fitted amplitudes, with their variances, say of those that could not be fitted.
+    /// Estimates the variance of orders that could not be fitted.
+    /// From the fitted amplitudes and their variances.
     pub(super) fn told(&self, amplitude: &DVector<f64>, variance: &DVector<f64>) -> Option<Told> {
         if self.highest < TELLING[TELLING.len() - 1] {
             return None;
@@ -133,8 +136,8 @@ impl Structure {
     }
 }
 
-/// Drift of centre and radius over a record's time; nothing without time. Straight only: out and back on one path, a bent one is
-/// the same at a place both ways, and so among the harmonics.
+/// Drift of centre and radius over a record's time; nothing without time.
+/// Straight only: out and back on one path, a bent one is the same at a place both ways, and so among the harmonics.
 pub(super) fn drift(trace: &Trace, start: usize, n: usize) -> Vec<DVector<f64>> {
     let Some(t) = trace.record.data(&Role::Time) else { return Vec::new() };
     let (from, to) = (t.first().copied().unwrap_or(0.0), t.last().copied().unwrap_or(0.0));
@@ -153,7 +156,7 @@ pub(super) fn drift(trace: &Trace, start: usize, n: usize) -> Vec<DVector<f64>> 
 
 /// A record that leaves out more of the circle than this is an arc.
 const MISSING_RAD: f64 = 0.2;
-/// Shapes of less than this share of the largest one's size are no shapes of their own on an arc.
+/// Least size of an independent shape on an arc, relative to the largest.
 const OF_ITS_OWN: f64 = 0.1;
 
 /// The widest angle without a row.
@@ -166,8 +169,8 @@ fn widest_gap(mut angles: Vec<f64>) -> f64 {
     angles.windows(2).map(|w| w[1] - w[0]).fold(round, f64::max)
 }
 
-/// What is left of harmonics on an arc beside what the laws take there, as shapes that are apart from each other, each as large as
-/// a harmonic of amplitude one.
+/// Independent shapes of harmonics on an arc, beside the laws' columns.
+/// Each is as large as a harmonic of amplitude one.
 fn apart(columns: DMatrix<f64>, taken: &DMatrix<f64>) -> DMatrix<f64> {
     if columns.ncols() == 0 {
         return columns;

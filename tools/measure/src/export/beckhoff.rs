@@ -1,4 +1,5 @@
-//! Leadscrew error compensation of Beckhoff's TF5200 and the ISG kernel: a compensation value list `kw.ssfk.*`.
+//! Leadscrew error compensation of Beckhoff's TF5200 and the ISG kernel.
+//! A compensation value list `kw.ssfk.*`.
 //!
 //! Value = position reached minus commanded one, in 0.1 µm, said so in the maker's example (TF5200, 308695435). Positions in
 //! 0.1 µm, each by itself (`interval 0`), as in that example; values beyond the ends as at the ends.
@@ -7,7 +8,8 @@ use super::{Format, Lookup, Rules, Table, usage};
 use rtec_files::InputError;
 use std::fmt::Write as _;
 
-/// Points of builds before V3.1.3079.06, and of later ones unless P-COMP-00059 says otherwise.
+/// Most points in builds before V3.1.3079.06.
+/// Also in later builds unless P-COMP-00059 says otherwise.
 pub const MOST: usize = 1500;
 
 /// A compensation value list.

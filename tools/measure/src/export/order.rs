@@ -1,4 +1,4 @@
-//! A table as somebody orders it: which format, for which axis, and what to know of what was written.
+//! An ordered table: format, axis, and messages about what was written.
 
 use super::linuxcnc::{LinuxCnc, Unit};
 use super::own::Own;
@@ -63,7 +63,7 @@ pub struct Order {
     pub along_name: Option<String>,
     /// siemens-cec: number of the table.
     pub table: u16,
-    /// siemens-cec: which way a positive value moves the axis, as it was tried on the machine: up is true.
+    /// siemens-cec: true if a positive value moves the axis up, tried on the machine.
     pub positive_moves_up: Option<bool>,
     /// Siemens: the machine axis as the controller names it.
     pub axis_name: Option<String>,

@@ -1,8 +1,8 @@
 //! Encoder and leadscrew error compensation of SINUMERIK (840D, 828D, 808D): `$AA_ENC_COMP`.
 //!
-//! The value is added to the actual position, so that a positive one moves the axis in the negative direction (Siemens 808D
-//! function manual, p. 106; 6FC5397-1BP40-3BA1, p. 238): it is the error itself. One table serves both directions, its points are
-//! evenly spaced, and at the reference point it must be zero.
+//! The value is added to the actual position, so a positive value moves the axis in the negative direction (Siemens 808D function manual,
+//! p. 106; 6FC5397-1BP40-3BA1, p. 238). The value is therefore the error itself. One table serves both directions, its points are evenly
+//! spaced, and it must be zero at the reference point.
 
 use super::{Format, Lookup, Rules, Table, number, usage};
 use rtec_files::InputError;

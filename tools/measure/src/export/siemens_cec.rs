@@ -1,14 +1,15 @@
 //! Sag and angularity compensation of SINUMERIK (840D, 828D): `$AN_CEC`, what one axis' position does to another.
 //!
 //! The structure is that of the function manual (6FC5397-1BP40-3BA1, K3, 4.4.3, p. 248 and 249; 802D sl, 6FC5397-1CP10-5BA0, p. 222).
-//! Values beyond the ends are those of the ends. No public page says which way a positive value moves the compensation axis: whoever
-//! orders the table has tried it on the machine, and says it.
+//! Values beyond the ends are those of the ends. No public page says which way a positive value moves the compensation axis. The user must
+//! try it on the machine and state it.
 
 use super::{Format, Lookup, Point, Rules, Table, number, usage};
 use rtec_files::InputError;
 use std::fmt::Write as _;
 
-/// Points of a table of an 828D (the manual, p. 264); an 840D has as many as MD18342 says.
+/// Points of a table of an 828D (the manual, p.
+/// 264); an 840D has as many as MD18342 says.
 pub const MOST: usize = 200;
 
 /// A table of sag compensation.

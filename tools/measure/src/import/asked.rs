@@ -201,7 +201,8 @@ impl Asked {
     }
 }
 
-/// Columns whose names hold commas, put together again: what has no `=` belongs to the next.
+/// Columns whose names hold commas, put together again.
+/// What has no `=` belongs to the next.
 fn with_commas(parts: &[String]) -> Vec<String> {
     let mut whole: Vec<String> = Vec::new();
     let mut is_open = false;

@@ -6,7 +6,8 @@ use rtec_files::InputError;
 use rtec_model::record::{Axis, Column, Kind, Record, Role};
 use std::path::Path;
 
-/// Reads a hole table of a coordinate measuring machine (`Meas X`, `Meas Y`, `Nom X`, `Nom Y`, `Nom D`, …, mm) as a plate.
+/// Reads a hole table of a coordinate measuring machine as a plate.
+/// Columns are `Meas X`, `Meas Y`, `Nom X`, `Nom Y`, `Nom D`, …, mm.
 ///
 /// # Errors
 /// No line with the headings, a row that is too short or holds no numbers.

@@ -6,7 +6,8 @@ use rtec_model::record::{Axis, Kind, Record, Role};
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// Reads the data file of ecmc's ISO 230-2 test (`TGT_DATA[i]`, `REF_DATA_FWD[i,j]`, `REF_DATA_BWD[i,j]`, mm).
+/// Reads the data file of ecmc's ISO 230-2 test.
+/// It holds `TGT_DATA[i]`, `REF_DATA_FWD[i,j]`, `REF_DATA_BWD[i,j]`, mm.
 ///
 /// Rows follow the test: cycle by cycle, forward up the targets, backward down them. *Forward* and *backward* are
 /// taken as the file names them.

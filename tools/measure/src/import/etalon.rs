@@ -1,5 +1,5 @@
-//! Etalon's exchange format, variant "Vendor": like an INI file, `//` begins a comment, a block per error component, in mm and
-//! rad (ISG kernel documentation, 296430091).
+//! Etalon's exchange format, variant "Vendor".
+//! Like an INI file, `//` begins a comment, a block per error component, in mm and rad (ISG kernel documentation, 296430091).
 //!
 //! `EXY` is the error in X while Y moves; its `Gridpoints` are position and value.
 
@@ -81,8 +81,9 @@ fn blocks(from: &Path, text: &str) -> Result<Vec<Block>, InputError> {
     }
 }
 
-/// Reads the errors of an axis' motion: `EXA`, `EYA`, `EZA` of axis A, as `error.x`, `error.y`, `error.z` over its position. The
-/// sign is as the file has it; angles and other blocks are named in the note and left out.
+/// Reads the errors of an axis' motion.
+/// `EXA`, `EYA`, `EZA` of axis A become `error.x`, `error.y`, `error.z` over its position. The sign is as in the file. Angles and other
+/// blocks are named in the note and left out.
 ///
 /// # Errors
 /// A line that is not understood, no such block, blocks of unequal positions, positions that do not rise.

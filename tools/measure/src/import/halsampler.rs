@@ -1,5 +1,6 @@
-//! What LinuxCNC's `halsampler` prints: values parted by blanks, a blank at the end; with `-t` the sample's number in front; a
-//! line `overrun` where samples were lost. Times are not in it: the period is given beside it.
+//! What LinuxCNC's `halsampler` prints.
+//! Values parted by blanks, a blank at the end; with `-t` the sample's number in front; a line `overrun` where samples were lost. Times are
+//! not in it: the period is given beside it.
 
 use super::table::{Form, ImportColumn, table};
 use super::{add_note, column};
@@ -16,8 +17,8 @@ pub struct Sampling {
     pub numbered: bool,
 }
 
-/// Reads a halsampler log of so many seconds a sample; columns are called by their numbers, from 1, the sample's number
-/// not counted.
+/// Reads a halsampler log of so many seconds a sample.
+/// Columns are called by their numbers, from 1, the sample's number not counted.
 ///
 /// # Errors
 /// A period that is none, an overrun in a log without numbers, numbers that do not rise, and what [`table`] finds.

@@ -1,14 +1,14 @@
 //! `.rtl`, the linear targets of a laser interferometer: sections that end in `::`, deviations as `run target value`.
 //!
-//! The structure is that which programs read that other people wrote; no file of the maker's was seen, and the maker
-//! publishes none. Targets in mm, deviations in µm, measured minus target. The target's number is gone by, never the row.
+//! The structure is that of programs by others that read such files. No file of the maker's was seen, and the maker publishes no
+//! description. Targets are in mm, deviations in µm, measured minus target. The target's number counts, not the order of the rows.
 
 use super::{add_note, column};
 use rtec_files::InputError;
 use rtec_model::record::{Axis, Kind, Record, Role};
 use std::path::Path;
 
-/// A text whose names may be in any encoding: UTF-16 or UTF-8 where it is that, Latin-1 otherwise.
+/// Decodes a text in any encoding: UTF-16 or UTF-8 if it is, otherwise Latin-1.
 ///
 /// # Errors
 /// UTF-16 with half a character in it.
@@ -40,7 +40,8 @@ fn sections(text: &str) -> Vec<Section<'_>> {
     sections
 }
 
-/// Reads a file of linear targets. Directions are those in which a run goes through its targets.
+/// Reads a file of linear targets.
+/// Directions are those in which a run goes through its targets.
 ///
 /// # Errors
 /// A section that is missing, a count that does not hold, a run without one of its targets, a file of angles.

@@ -1,4 +1,5 @@
-//! A log of `MTConnect`'s SHDR lines: `TIME|KEY|VALUE`, several pairs a line; what is not a sample of a wanted key is passed over.
+//! A log of `MTConnect`'s SHDR lines: `TIME|KEY|VALUE`, several pairs a line.
+//! What is not a sample of a wanted key is passed over.
 
 use super::table::ImportColumn;
 use super::{add_note, column, record_of};
@@ -7,8 +8,9 @@ use rtec_model::clock::{day, iso8601_ns};
 use rtec_model::record::{Column, Kind, Record, Role};
 use std::path::Path;
 
-/// Reads the wanted keys: a row whenever one of them is told, the others as they were told last. Rows begin when all are
-/// known, and pause while one is `UNAVAILABLE`. Times are ISO 8601, or seconds; time 0 is the first row's.
+/// Reads the wanted keys.
+/// A row whenever one of them is told, the others as they were told last. Rows begin when all are known, and pause while one is
+/// `UNAVAILABLE`. Times are ISO 8601, or seconds; time 0 is the first row's.
 ///
 /// # Errors
 /// A time that is none or runs backwards, a wanted value that is no number, a wanted key that is never told.

@@ -1,4 +1,5 @@
-//! Any table whose columns somebody names: what parts them, how its numbers are written, which roles and units they have.
+//! Any table whose columns somebody names.
+//! What parts them, how its numbers are written, which roles and units they have.
 
 use super::{add_note, column, record_of};
 use rtec_files::csv::{Cell, Header, Reader, Row};
@@ -110,7 +111,7 @@ impl ImportColumn {
         Self::of(name, name, role, Some(unit), number, 0.0)
     }
 
-    /// A column that holds a quantity in a unit, once its numbers are multiplied and added to.
+    /// A column that holds a quantity in a unit, after a factor and an offset.
     ///
     /// # Errors
     /// What was found and what was expected.
@@ -152,9 +153,11 @@ impl ImportColumn {
 /// How a table is written.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Form {
-    /// What parts its columns: `,`, `;`, a tab, or a blank for any number of blanks; `None`: what the header line shows.
+    /// Separator of columns: `,`, `;`, a tab, or a blank for any number of blanks.
+    /// `None`: as the header line shows.
     pub by: Option<char>,
-    /// Numbers have a decimal comma; `None`: they may where semicolons part the columns.
+    /// Numbers have a decimal comma.
+    /// `None`: they may, if semicolons separate the columns.
     pub decimal_comma: Option<bool>,
     /// Lines in front that are not looked at.
     pub skip: usize,
@@ -199,8 +202,8 @@ fn prepared<'t>(text: &'t str, form: &Form) -> Cow<'t, str> {
     Cow::Owned(out)
 }
 
-/// Reads the wanted columns of a CSV with a header line. Fields are parted by commas, by semicolons (numbers may then have
-/// a decimal comma) or by tabs, whichever the header has.
+/// Reads the wanted columns of a CSV with a header line.
+/// Fields are parted by commas, by semicolons (numbers may then have a decimal comma) or by tabs, whichever the header has.
 ///
 /// # Errors
 /// As [`table`].
@@ -217,8 +220,8 @@ pub fn csv(
 /// What a table begins with.
 const HEADER: &str = "a header line";
 
-/// Reads the wanted columns of a table. Times may be ISO 8601: time 0 is then the first row's, and the record's note says
-/// when that was.
+/// Reads the wanted columns of a table.
+/// Times may be ISO 8601: time 0 is then the first row's, and the record's note states its date.
 ///
 /// # Errors
 /// A wanted column that is not there or there twice, a row that is too short or too long, a field that is no number; and
@@ -340,7 +343,7 @@ fn names_of(wanted: &[ImportColumn]) -> Vec<&str> {
 /// Lines in which the columns' names are looked for.
 const PREAMBLE: usize = 100;
 
-/// How many lines of another program stand in front of the line that has the columns' names; 0 where no line has them.
+/// Number of lines before the line with the columns' names; 0 if there is none.
 fn preamble(from: &Path, text: &str, wanted: &[ImportColumn]) -> usize {
     // A row of the numbers 1 and 2 is no line of names.
     let names = names_of(wanted);
@@ -385,10 +388,11 @@ fn is_unit(text: &str) -> bool {
     bare.chars().count() <= 8 && !bare.starts_with(|c: char| c.is_ascii_digit() || "+-.".contains(c))
 }
 
-/// Rows whose last numbers all have so many decimals, or more of them, show how a program writes them.
+/// Number of rows with equally many decimals that show how a program writes them.
 const ALIKE_ROWS: usize = 5;
 
-/// The last line, from 1, where a log was cut off within its last number: it has no line end, and fewer decimals than all others.
+/// The last line, from 1, where a log was cut off within its last number.
+/// It has no line end, and fewer decimals than all others.
 fn cut_line(text: &str, by: char) -> Option<usize> {
     if text.ends_with(['\n', '\r']) {
         return None;
@@ -428,7 +432,7 @@ struct Clock {
     moments: Moments,
     /// The last time, as it is written.
     written: String,
-    /// The first row's time where that is counted from long before the run, in the column's unit.
+    /// The first row's time, in the column's unit, if its epoch is long before the run.
     counted: Option<(f64, Counted)>,
     /// The last time that is a number, as the file has it.
     last: Option<f64>,
@@ -442,7 +446,8 @@ impl Clock {
         Self { moments: Moments::of_order(order), ..Self::default() }
     }
 
-    /// Seconds since the first row of a time that is a date or a time of the day; `first`: this is that row.
+    /// Seconds since the first row of a date or a time of day.
+    /// `first`: this is the first row.
     fn moment(&mut self, text: &str, first: bool) -> Option<f64> {
         if !first && self.moments.start().is_none() {
             return None;
@@ -450,8 +455,8 @@ impl Clock {
         Some(self.moments.since_start(text)? as f64 / 1e9)
     }
 
-    /// What was expected of a time that is an hour before its turn, as a local clock is at the end of summer time. `before`: the
-    /// times so far.
+    /// The message for a time that is set back an hour, as at the end of summer time.
+    /// `before`: the times so far.
     fn set_back(&mut self, text: &str, s: f64, before: &[f64]) -> Option<String> {
         let last = std::mem::replace(&mut self.written, text.to_owned());
         let [.., a, b] = before else { return None };
@@ -465,7 +470,8 @@ impl Clock {
         })
     }
 
-    /// A time that is a number, since the first row where it is counted from long before the run. Or what was expected.
+    /// Parses a numeric time, or returns what was expected.
+    /// It is relative to the first row if its epoch is long before the run.
     fn number(&mut self, number: f64, w: &ImportColumn, first: bool) -> Result<f64, String> {
         let in_days = (w.scale[0] - DAY_S).abs() < 0.5;
         let in_filetime = w.scale[0].to_bits() == FILETIME_S.to_bits();
@@ -526,7 +532,8 @@ impl Clock {
     }
 }
 
-/// The one row that comes an hour later than it should, from 1, with its time since the row before and the usual one, s.
+/// The one row that comes an hour late, from 1.
+/// With its time since the row before and the usual one, s.
 fn put_forward(times: &[f64]) -> Option<(usize, f64, f64)> {
     let mut steps: Vec<f64> = times.windows(2).map(|w| w[1] - w[0]).collect();
     let at = steps.iter().position(|s| *s >= SUMMER_S)?;
@@ -538,7 +545,8 @@ fn put_forward(times: &[f64]) -> Option<(usize, f64, f64)> {
     is_hour.then(|| (at + 2, tidy(gap), tidy(usual)))
 }
 
-/// How the numbers of each wanted column are written: as the form says, or as all its cells show; and what was found of it.
+/// How the numbers of each wanted column are written.
+/// As the form says, or as all its cells show; and what was found of it.
 fn numbers(
     from: &Path,
     text: &str,

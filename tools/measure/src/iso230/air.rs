@@ -1,9 +1,9 @@
-//! The air in the path of a laser interferometer: its refractive index, and what the length is off by where the instrument took
-//! another.
+//! The air in a laser interferometer's path.
+//! Its refractive index, and the length error if the instrument assumed another one.
 //!
-//! The index is Edlén's equation as Birch and Downs revised it (Metrologia 30, 1993, 155; 31, 1994, 315), with the water vapour's
-//! term by Stone and Zimmerman (NIST Engineering Metrology Toolbox, "Index of Refraction of Air", appendix A-IV), from −40 to 100 °C.
-//! The pressure of saturated vapour is that of IAPWS R7-97 over water, and of Wagner and others (1994) over ice (A-I there).
+//! The index is Edlén's equation as revised by Birch and Downs (Metrologia 30, 1993, 155; 31, 1994, 315), from −40 to 100 °C. The water
+//! vapour's term is by Stone and Zimmerman (NIST Engineering Metrology Toolbox, "Index of Refraction of Air", appendix A-IV). The pressure
+//! of saturated vapour is that of IAPWS R7-97 over water, and of Wagner and others (1994) over ice (A-I there).
 
 use super::lacks;
 use rtec_files::InputError;
@@ -83,7 +83,8 @@ pub struct Air {
     pub assumed: AirState,
     /// Path between interferometer and reflector where the reading was set to zero, mm.
     pub dead_path_mm: f64,
-    /// Where that was on the axis, mm; the record's first place where it is not said. From there the reflector moves away.
+    /// Where that was on the axis, mm; the record's first place where it is not said.
+    /// From there the reflector moves away.
     pub zero_mm: Option<f64>,
     /// Vacuum wavelength, nm.
     pub wavelength_nm: f64,
@@ -151,7 +152,8 @@ impl Air {
         })
     }
 
-    /// What each error (µm, at these places) would be had the instrument known its air; and that in words.
+    /// Each error (µm) as if the instrument had known its air, and a message.
+    /// The errors are at the given places.
     pub(super) fn corrected(
         &self,
         record: &Record,
@@ -251,7 +253,8 @@ mod tests {
     const SAID: &str = "sensor = \"T1\"\nkPa = 95.0\nrh_percent = 30\nassumed_degC = 20\nassumed_kPa = 101.325\n\
                         assumed_rh_percent = 50\ndead_path_mm = 800\n";
 
-    /// A laser that counts waves, in air that warms: what it shows, corrected, is where the axis was, both ways from the zero.
+    /// A laser that counts waves, in air that warms.
+    /// What it shows, corrected, is where the axis was, both ways from the zero.
     #[test]
     fn what_a_laser_shows_in_any_air_is_corrected() {
         let rows = 60;

@@ -79,7 +79,8 @@ const KEYS: [(&str, &str); 13] = [
     ("set_up_um", "the set-up, k = 2"),
 ];
 
-/// Keys that say something only together: a coefficient and what it is multiplied by.
+/// Keys that say something only together.
+/// A coefficient and what it is multiplied by.
 const PAIRS: [(&str, &str); 4] = [
     ("machine_temperature_K", "machine_ppm_per_K"),
     ("machine_off_20_K", "machine_expansion_ppm_per_K"),
@@ -155,13 +156,14 @@ impl Conditions {
         Ok(found)
     }
 
-    /// Expanded uncertainties (k = 2) of a positioning test over this length with so many approaches from each side.
+    /// Expanded uncertainties (k = 2) of a positioning test.
+    /// Over this length, with this number of approaches from each side.
     #[must_use]
     pub fn uncertainty(&self, length_mm: f64, approaches: usize) -> Option<Uncertainty> {
         (!self.stated.is_empty()).then(|| Uncertainty::new(&self.stated, length_mm, approaches))
     }
 
-    /// What contributes to the figures of a circle of this radius, where anything is stated.
+    /// Uncertainty of the figures of a circle of this radius, if any is stated.
     #[must_use]
     pub fn circle_budget(&self, radius_mm: f64) -> Option<Budget> {
         self.budget(|key| key != NOT_OF_CIRCLES, Some(radius_mm))
@@ -341,7 +343,8 @@ pub struct Budget {
     pub length_um: Option<f64>,
 }
 
-/// Keys of `[uncertainty]` that a budget of differences has a use for; a circle has one for the others too, but for the misalignment.
+/// Keys of `[uncertainty]` that a budget of differences has a use for.
+/// A circle has one for the others too, but for the misalignment.
 const OF_DIFFERENCES: [&str; 3] = ["device_um", "set_up_um", "drift_um"];
 const NOT_OF_CIRCLES: &str = "misalignment_mm";
 

@@ -1,5 +1,6 @@
-//! Body and face diagonals, ISO 230-6: several axes moving together along the diagonals of a box, with the figures of
-//! ISO 230-2 along each; and what their differences say of squareness.
+//! Body and face diagonals, ISO 230-6.
+//! Several axes moving together along the diagonals of a box, with the figures of ISO 230-2 along each; and what their differences say of
+//! squareness.
 
 use super::{Options, Positioning, error_axes, lacks, positioning_with};
 use rtec_files::InputError;
@@ -20,7 +21,8 @@ pub struct Diagonal {
     pub box_mm: Vec<f64>,
     /// Change of the mean error from end to end by the straight line through it, µm.
     pub slope_um: f64,
-    /// Standard error of that change, as far as what the targets leave of the line is chance, µm; `None` for two targets.
+    /// Standard error of that change, µm; `None` for two targets.
+    /// It assumes that the targets' residual from the line is chance.
     pub slope_standard_error_um: Option<f64>,
     /// What is assumed of the error's sign.
     #[serde(skip)]
@@ -44,7 +46,8 @@ pub struct Diagonals {
     /// Diagonal reversal: the largest B of the diagonals.
     #[serde(rename = "B_d")]
     pub b_d: Option<f64>,
-    /// Squareness per pair of axes, µrad, as `squareness.A.B`: where all diagonals of the box or face are there.
+    /// Squareness per pair of axes, µrad, as `squareness.A.B`.
+    /// Where all diagonals of the box or face are there.
     pub squareness_urad: BTreeMap<String, f64>,
     /// Their standard errors, µrad.
     pub squareness_standard_error_urad: BTreeMap<String, Option<f64>>,
@@ -58,8 +61,9 @@ pub struct Diagonals {
     pub warnings: Vec<String>,
 }
 
-/// Evaluates the diagonals of a box or of one face or several, a record each: positions of the axes that move, and the error
-/// along the diagonal (`error.d`, or any other name but x, y and z without a position) or the errors of all its axes.
+/// Evaluates the diagonals of a box or of one or several faces, a record each.
+/// A record needs positions of the axes that move. It also needs the error along the diagonal (`error.d`, or any name but x, y and z
+/// without a position), or the errors of all its axes.
 ///
 /// # Errors
 /// A record that is no straight line of two or three axes, or has no error along it; face and body diagonals mixed; what
@@ -207,8 +211,8 @@ fn diagonal(record: &Record, options: &Options) -> Result<Diagonal, InputError> 
     })
 }
 
-/// +1: the device along the diagonal counts up as the last axis rises, −1: as it falls; nothing where it has no direction,
-/// or where the order of the rows is not that of the movement: that moves both ways, each under its own direction.
+/// The device's sense along the diagonal: +1 if it rises with the last axis, or −1.
+/// `None` if it has no direction, or if the rows are not in the order of the movement; then both directions occur under each sense.
 fn sense(record: &Record, own: &Axis, along: &[f64]) -> Option<f64> {
     let roles = [Role::Direction(own.clone()), Role::Velocity(own.clone())];
     let way = roles.iter().find_map(|r| record.data(r))?;
@@ -223,10 +227,11 @@ fn sense(record: &Record, own: &Axis, along: &[f64]) -> Option<f64> {
     (up.abs().min(down.abs()) > ORDERLY && up * down < 0.0).then(|| up.signum())
 }
 
-/// At least this share more of the rows that move one way have one direction than the other.
+/// Least excess of rows with one direction over the other, among rows one way.
 const ORDERLY: f64 = 0.8;
 
-/// Direction along the diagonal, from its own column (with the device's sense) or that of an axis that moves along it.
+/// Direction along the diagonal, from its own column or a moving axis's.
+/// Its own column has the device's sense.
 fn direction(
     record: &Record,
     own: Option<(&Axis, f64)>,
@@ -259,7 +264,8 @@ fn together(errors: impl ExactSizeIterator<Item = Option<f64>>) -> Option<f64> {
     Some(squares?.sqrt() / n)
 }
 
-/// Slope of the mean error over the targets, µm/mm, and its standard error where there are more than two.
+/// Slope of the mean error over the targets, µm/mm, and its standard error.
+/// The error needs more than two targets.
 fn slope(p: &Positioning) -> (f64, Option<f64>) {
     let points: Vec<(f64, f64)> = p
         .targets
@@ -282,8 +288,8 @@ fn slope(p: &Positioning) -> (f64, Option<f64>) {
     (slope, (n > 2.0).then(|| (left / (n - 2.0) / xx).sqrt()))
 }
 
-/// Squareness from the diagonals of one box: an error of A by the position of B lengthens the diagonals along which both
-/// rise or fall together by α·A·B/D and shortens the others.
+/// Squareness from the diagonals of one box.
+/// An error of A by the position of B lengthens the diagonals along which both rise or fall together by α·A·B/D and shortens the others.
 fn squareness(all: &[Diagonal]) -> (BTreeMap<String, f64>, BTreeMap<String, Option<f64>>) {
     let (mut found, mut errors) = (BTreeMap::new(), BTreeMap::new());
     let mut boxes: Vec<Vec<&Diagonal>> = Vec::new();

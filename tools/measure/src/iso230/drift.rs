@@ -1,4 +1,5 @@
-//! Thermal effects, ISO 230-3: environment, rotation of the spindle and movement of axes, each a phase of its own.
+//! Thermal effects, ISO 230-3.
+//! Environment, rotation of the spindle and movement of axes, each a phase of its own.
 
 mod figures;
 mod long;
@@ -27,7 +28,7 @@ pub struct Drift {
     pub whole: Figures,
     /// Its phases, in order.
     pub phases: Vec<Phase>,
-    /// What instrument, set-up and room contribute to its figures in µm, where the conditions state it.
+    /// Uncertainty from instrument, set-up and room, µm, if the conditions state it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub uncertainty: Option<Budget>,
 }
@@ -35,7 +36,8 @@ pub struct Drift {
 /// What a displacement did over some time.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Figures {
-    /// Range of displacement within the first 60 minutes, d₆₀ (over the environment's phase: `E_TVE` of an hour).
+    /// Range of displacement within the first 60 minutes, d₆₀.
+    /// In the environment's phase: `E_TVE` of an hour.
     pub d_60: f64,
     /// Range of displacement over the whole time, `d_t`.
     pub d_t: f64,
@@ -86,7 +88,8 @@ pub struct SensorDrift {
     pub gamma: f64,
 }
 
-/// Places at which an axis is read while it moves to and fro: more are a log of the movement itself.
+/// Places at which an axis is read while it moves to and fro.
+/// More are a log of the movement itself.
 const MOST_PLACES: usize = 10;
 
 /// Evaluates a drift run, response by response.

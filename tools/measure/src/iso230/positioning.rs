@@ -18,7 +18,8 @@ mod change;
 use change::Change;
 pub use change::{Step, Trend};
 
-/// Axes longer than this are tested with one approach from each side and without s, mm (ISO 230-2:2014, 5.3.3).
+/// Axes longer than this, mm, have one approach from each side and no s.
+/// (ISO 230-2:2014, 5.3.3.)
 pub(crate) const LONG_AXIS_MM: f64 = 2000.0;
 /// Largest mean distance of targets on a long axis, mm.
 pub(crate) const LONG_INTERVAL_MM: f64 = 250.0;
@@ -36,7 +37,8 @@ pub struct Options {
     pub conditions: Conditions,
 }
 
-/// One target of a positioning run. Values in µm (of tilts in µrad) unless named otherwise.
+/// One target of a positioning run.
+/// Values in µm (of tilts in µrad) unless named otherwise.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Target {
     /// Target position, mm.
@@ -59,8 +61,8 @@ pub struct Target {
     pub approaches: [usize; 2],
 }
 
-/// Accuracy and repeatability of positioning, ISO 230-2:2014. Values in µm, of tilts in µrad; `None` where the run has only
-/// one direction, or (without s) is a long axis.
+/// Accuracy and repeatability of positioning, ISO 230-2:2014.
+/// Values in µm, of tilts in µrad; `None` where the run has only one direction, or (without s) is a long axis.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[allow(non_snake_case)]
 #[allow(missing_docs)] // the standard's own symbols
@@ -87,7 +89,8 @@ pub struct Positioning {
     pub arcsec: Option<BTreeMap<String, Option<f64>>>,
     /// Expanded uncertainties, where the conditions state what they come from.
     pub uncertainty: Option<Uncertainty>,
-    /// What rounding leaves in the means, where the gauge reads in steps and most repeats read the same.
+    /// Error of the means from rounding in a coarse gauge.
+    /// Set if most repeats read the same.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub resolution: Option<Resolution>,
     /// The drift that the approaches show beyond chance.
@@ -187,7 +190,8 @@ fn direction_of<'r>(record: &'r Record, axis: &Axis) -> Result<&'r [f64], InputE
     Ok(direction)
 }
 
-/// Targets are a few places approached again and again, errors are not: where it is the other way round, the columns are.
+/// Targets are a few places approached again and again, errors are not.
+/// Where it is the other way round, the columns are.
 fn swapped(record: &Record, error: &Column, position: &[f64]) -> Result<(), InputError> {
     let n = position.len();
     let (places, values) = (targets(position).len(), alike(&error.data, ALIKE).len());
@@ -219,7 +223,8 @@ struct Run<'r> {
 }
 
 impl Run<'_> {
-    /// Takes off what the scale has grown, against what it was measured with: the error as it were at 20 °C.
+    /// Takes off what the scale has grown, against what it was measured with.
+    /// The error as it were at 20 °C.
     fn reduce(&mut self, conditions: &Conditions) -> Result<(), InputError> {
         if let Some(air) = &conditions.air {
             let (corrected, words) = air.corrected(self.record, self.position, &self.error)?;
@@ -449,7 +454,8 @@ impl Run<'_> {
 }
 
 impl Target {
-    /// With those sides alone that the figures are made of: approached at least twice, or every one on a long axis.
+    /// With those sides alone that the figures are made of.
+    /// Approached at least twice, or every one on a long axis.
     fn counted(&self, long: bool) -> Self {
         let mut own = self.clone();
         if !long {
@@ -505,7 +511,8 @@ impl Positioning {
         ]
     }
 
-    /// The standard's diagram: mean deviations with ±2s, upwards and downwards each in its colour.
+    /// The standard's diagram.
+    /// Mean deviations with ±2s, upwards and downwards each in its colour.
     #[must_use]
     pub fn chart(&self) -> Chart {
         type Of = fn(&Target) -> Option<f64>;

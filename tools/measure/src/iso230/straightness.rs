@@ -1,4 +1,5 @@
-//! Straightness of an axis's motion: the error across it, less a least-squares line over the travel (ISO 230-1:2012; its text was not at hand).
+//! Straightness of an axis's motion.
+//! The error across it, less a least-squares line over the travel (ISO 230-1:2012; its text was not at hand).
 
 use super::{Place, lacks, line, range};
 use crate::plot::{Chart, Colour, Series, Style};
@@ -36,7 +37,8 @@ pub struct Straightness {
     pub straightness_up_um: Option<f64>,
     /// The same downwards.
     pub straightness_down_um: Option<f64>,
-    /// Slope of the line, µrad: of straightedge and axis together. It is squareness only where the straightedge was squared.
+    /// Slope of the line, µrad: of straightedge and axis together.
+    /// It is squareness only where the straightedge was squared.
     pub slope_urad: f64,
     /// Standard error of that slope, as far as what is left of the line is chance, µrad.
     pub slope_standard_error_urad: f64,

@@ -6,7 +6,8 @@ use super::{Suspicion, What, repeats};
 use crate::iso230::correlation;
 use rtec_model::record::{Axis, Column, Kind, Record, Role};
 
-/// Records that hold the very rows of an earlier one: the earlier one's number, and its own.
+/// Records that hold the very rows of an earlier one.
+/// The earlier one's number, and its own.
 #[must_use]
 pub fn repeated(records: &[&Record]) -> Vec<(usize, usize)> {
     let same = |a: &Record, b: &Record| {
@@ -48,7 +49,8 @@ pub(super) fn look(records: &[Record], out: &mut Vec<Suspicion>) {
     }
 }
 
-/// Of records that contradict one another, those at fault: the one that contradicts most first; of two alone, the later.
+/// Of records that contradict one another, those at fault.
+/// The one that contradicts most first; of two alone, the later.
 fn odd_ones(mut pairs: Vec<(usize, usize, Vec<String>)>) -> Vec<(usize, Vec<String>)> {
     let mut found = Vec::new();
     while let Some((_, _, columns)) = pairs.first().cloned() {
@@ -62,7 +64,8 @@ fn odd_ones(mut pairs: Vec<(usize, usize, Vec<String>)>) -> Vec<(usize, Vec<Stri
     found
 }
 
-/// Targets in metres are whole millimetres; those of short strokes in millimetres are not.
+/// Targets in metres are whole millimetres.
+/// Those of short strokes in millimetres are not.
 fn is_round_in_metres(c: &Column) -> bool {
     let round = |p: &&f64| (*p * 1000.0 - (*p * 1000.0).round()).abs() < 0.06;
     c.data.iter().filter(round).count() * 10 >= c.data.len() * 9
@@ -111,7 +114,8 @@ fn signs(a: &Record, b: &Record) -> Vec<String> {
     a.responses().filter_map(opposite).collect()
 }
 
-/// A plate's record as if the plate lay along the axes: how it lies turned is no error of either column.
+/// A plate's record as if the plate lay along the axes.
+/// How it lies turned is no error of either column.
 fn as_aligned(record: &Record) -> Record {
     let mut out = record.clone();
     let axes: Vec<Axis> = record.axes(Role::Position).cloned().collect();
@@ -144,12 +148,13 @@ fn as_aligned(record: &Record) -> Record {
     out
 }
 
-/// A temperature that goes from place to place by more than this in both records, K, and the other way round in one of them:
-/// correlated by less than this.
+/// A temperature must vary by more than this in both records, K.
+/// It is reversed in one of them if they correlate by less than this.
 const TURNS_K: f64 = 0.5;
 const TURNS: f64 = -0.5;
 
-/// The same temperatures within 2 K on average, or none logged: heat does not turn the sign then.
+/// The same temperatures within 2 K on average, or none logged.
+/// Heat does not turn the sign then.
 fn as_warm(a: &Record, b: &Record) -> bool {
     let near = |name: &str| match (a.temperature(name), b.temperature(name)) {
         (Some(x), Some(y)) => (median(x.to_vec()) - median(y.to_vec())).abs() < 2.0,
@@ -251,13 +256,13 @@ fn by_temperature(a: &Record, ea: &Column, b: &Record, eb: &Column) -> bool {
 /// A sensor that moves by less over a record, K, tells nothing of the others.
 const MOVES_K: f64 = 1.0;
 
-/// So many times as far off as they stand than exchanged: two sensors are in each other's place, as one record says of the other
-/// and as that one has to say of it.
+/// So many times as far off as they stand than exchanged.
+/// Two sensors are in each other's place, as one record says of the other and as that one has to say of it.
 const CERTAINLY: f64 = 2.5;
 const LIKELY: f64 = 1.5;
 
-/// Two sensors in each other's place: what the other sensors say of one is what the other reads, and the other way
-/// round. The first such pair.
+/// Two sensors in each other's place.
+/// What the other sensors say of one is what the other reads, and the other way round. The first such pair.
 fn exchanged(a: &Record, b: &Record) -> Option<Vec<String>> {
     let names: Vec<&str> = a.names(&Role::Temperature).filter(|n| b.temperature(n).is_some()).collect();
     if names.len() < 3 || a.rows() < 30 || b.rows() < 30 {
@@ -284,8 +289,9 @@ fn exchanged(a: &Record, b: &Record) -> Option<Vec<String>> {
     })
 }
 
-/// What the rest says in one record of a pair of sensors is found in the other record with the two exchanged, and not as they
-/// stand there: how many times as far off they are there. None where nothing is told of the two.
+/// How much better a pair of sensors fits another record when exchanged.
+/// The other sensors predict the pair from the first record. Returns the ratio of the errors as they stand to those exchanged; `None` if
+/// the pair cannot be predicted.
 fn crosses(a: &Record, b: &Record, (p, q): (&str, &str), rest: &[&str]) -> Option<f64> {
     let columns = (a.temperature(p), a.temperature(q), b.temperature(p), b.temperature(q));
     let (Some(ap), Some(aq), Some(bp), Some(bq)) = columns else { return None };

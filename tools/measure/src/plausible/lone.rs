@@ -1,10 +1,10 @@
 //! Wild readings in records of few rows, where no robust spread is known well.
 //!
-//! A reading is off its neighbours by the smaller of its differences from the one before and the one behind, where both have one
-//! sign: a step, a slope and a bend are off by nothing. What the other readings differ from the middle of their neighbours by says
-//! how much of that is noise. The quotient of the two follows Student's law, with as many degrees of freedom as the differences
-//! are worth; the row was sought, which costs a factor of their number. Several wild readings are taken one after the other, and
-//! as many count as the last that chance does not give (Rosner's generalised test, Technometrics 25, 1983).
+//! A reading deviates by the smaller of its differences from the reading before and after, if both have one sign. So a step, a slope and a
+//! bend do not deviate. The other readings' differences from the middle of their neighbours give the noise. The quotient follows Student's
+//! law, with as many degrees of freedom as the differences are worth. The row was selected, so the probability is multiplied by the number
+//! of rows. Several wild readings are taken one after the other, up to the last that chance does not explain (Rosner's generalised test,
+//! Technometrics 25, 1983).
 
 use super::peaks::{LARGEST_PEAK_UM, causes, stays, ways};
 use super::stats::{median, quantum};
@@ -19,7 +19,8 @@ const FEWEST: usize = 5;
 const CHANCE: f64 = 1e-3;
 /// So many rows are wild at the most, as a share of all.
 const MOST: f64 = 0.12;
-/// Second differences are correlated by −2/3 and 1/6 from row to row: so many of them are worth one free one (1 + 2 Σ ρ²).
+/// Second differences are correlated by −2/3 and 1/6 from row to row.
+/// So many of them are worth one free one (1 + 2 Σ ρ²).
 const WORTH_ONE: f64 = 1.0 + 2.0 * (4.0 / 9.0 + 1.0 / 36.0);
 
 /// Wild readings of a column, and how much the others differ from the middle of their neighbours by.

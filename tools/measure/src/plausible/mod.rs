@@ -1,4 +1,5 @@
-//! Mistakes in records that the records alone show: a unit, a sign, a sensor that is off, rows that stand twice.
+//! Mistakes in records that the records alone show.
+//! A unit, a sign, a sensor that is off, rows that stand twice.
 //!
 //! Each finding is a question to whoever measured, never an error: the record stays as it is, and [`Unusable`] says what a
 //! fit should leave out. Every rule asks for more than chance, coarse resolution and honest physics give, so that clean
@@ -54,7 +55,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 use std::path::Path;
 
-/// Bad readings of a sensor in no more than this share of the rows cost those rows; more of them cost the sensor.
+/// Bad readings of a sensor in no more than this share of the rows cost those rows.
+/// More of them cost the sensor.
 const FEW: f64 = 0.1;
 
 /// What kind of mistake it looks like (formats.md, "Reconciliation": `what`).
@@ -154,7 +156,8 @@ impl Suspicion {
         Self::new(record, "", What::Doubled, &[], text)
     }
 
-    /// It is about few of its record's rows: they can be spared, and the column is good without them.
+    /// It is about few of its record's rows.
+    /// They can be spared, and the column is good without them.
     #[must_use]
     pub fn is_few(&self) -> bool {
         !self.rows.is_empty()
@@ -250,8 +253,8 @@ pub fn said(records: &[Record], say: &mut dyn FnMut(Said)) -> Vec<Suspicion> {
     found
 }
 
-/// Says what is no mistake and worth knowing of records: how their CSV is written, a clock that does not begin with the run, sensors
-/// that stand still.
+/// Says what is no mistake and worth knowing of records.
+/// How their CSV is written, a clock that does not begin with the run, sensors that stand still.
 pub fn say_conditions(records: &[Record], found: &[Suspicion], say: &mut dyn FnMut(Said)) {
     for still in stuck::still(records, found) {
         say(Said::Warning(still));
@@ -288,7 +291,8 @@ pub fn refuse(found: &[Suspicion], records: &[&Path]) -> Result<(), InputError> 
     Err(InputError::whole(Path::new(&first.record), found, expected))
 }
 
-/// The records that no earlier one of these repeats: those to learn from, and those to judge by.
+/// The records that no earlier one of these repeats.
+/// Those to learn from, and those to judge by.
 #[must_use]
 pub fn once(train: Vec<Record>, holdout: Vec<Record>) -> (Vec<Record>, Vec<Record>) {
     let all: Vec<&Record> = train.iter().chain(&holdout).collect();
@@ -322,8 +326,9 @@ pub fn usable(records: &[Record], found: &[Suspicion], say: &mut dyn FnMut(Said)
     left
 }
 
-/// The records as figures and plots may hold them, after these suspicions: without the rows that look misread or stand twice, and
-/// without the sensors that took no reading. A single reading that a sensor did not take is no number.
+/// The records as figures and plots may hold them, after these suspicions.
+/// Without the rows that look misread or stand twice, and without the sensors that took no reading. A single reading that a sensor did not
+/// take is no number.
 #[must_use]
 pub fn in_figures<'r>(records: &'r [Record], doubts: &[Suspicion]) -> Cow<'r, [Record]> {
     let mut usable = every_row(records, doubts);
@@ -336,7 +341,8 @@ pub fn in_figures<'r>(records: &'r [Record], doubts: &[Suspicion]) -> Cow<'r, [R
     usable
 }
 
-/// As [`in_figures`], with every row: what a figure would be if no row had been left out. Sensors that change places are put back.
+/// As [`in_figures`], with every row.
+/// What a figure would be if no row had been left out. Sensors that change places are put back.
 #[must_use]
 pub fn every_row<'r>(records: &'r [Record], doubts: &[Suspicion]) -> Cow<'r, [Record]> {
     let mut usable = Cow::Borrowed(records);
@@ -394,14 +400,16 @@ pub(crate) fn rows_left_out(doubts: &[Suspicion]) -> BTreeMap<String, BTreeSet<u
     rows
 }
 
-/// A record without the rows that no figure may hold; what the record shows of mistakes is said, and how many rows are left out.
+/// A record without the rows that no figure may hold.
+/// What the record shows of mistakes is said, and how many rows are left out.
 pub fn only_good(record: Record, say: &mut dyn FnMut(Said)) -> Record {
     let records = [record];
     let doubts = said(&records, say);
     good_rows(&in_figures(&records, &doubts)[0], records[0].rows(), say).into_owned()
 }
 
-/// The rows of a record of [`in_figures`] in which every sensor took its reading; says how many of its `all` rows are left out.
+/// The rows of a record of [`in_figures`] in which every sensor took its reading.
+/// Says how many of its `all` rows are left out.
 pub fn good_rows<'r>(record: &'r Record, all: usize, say: &mut dyn FnMut(Said)) -> Cow<'r, Record> {
     let off = |c: &&Column| is_sensor(c) && c.data.iter().any(|v| !v.is_finite());
     let mut left = Cow::Borrowed(record);
@@ -459,8 +467,9 @@ pub struct Unusable {
     rows: BTreeMap<String, BTreeSet<usize>>,
 }
 
-/// What a fit should leave out after these suspicions: sensors that are no predictors in any record, and rows (those of a
-/// few bad readings among them). A unit, a sign or a direction is left as it stands: what is right there only who measured can say.
+/// What a fit should leave out after these suspicions.
+/// Sensors that are no predictors in any record, and rows (those of a few bad readings among them). A unit, a sign or a direction is left
+/// as it stands: what is right there only who measured can say.
 #[must_use]
 pub fn unusable(suspicions: &[Suspicion]) -> Unusable {
     let mut out = Unusable::default();
@@ -498,7 +507,8 @@ impl Unusable {
         rows.map(|r| r.iter().copied().filter(|i| *i < record.rows()).collect()).unwrap_or_default()
     }
 
-    /// The record without its unusable rows, temperatures and channels; as it is where that would leave nothing.
+    /// The record without its unusable rows, temperatures and channels.
+    /// As it is where that would leave nothing.
     #[must_use]
     pub fn without(&self, record: &Record) -> Record {
         let out = self.rows(record);

@@ -31,7 +31,8 @@ pub(super) fn look(record: &Record, out: &mut Vec<Suspicion>) {
     }
 }
 
-/// A time of milliseconds called seconds: rows hours apart. And a clock that steps: set on the way, or two runs in one file.
+/// A time of milliseconds called seconds: rows hours apart.
+/// And a clock that steps: set on the way, or two runs in one file.
 fn clock(record: &Record, out: &mut Vec<Suspicion>) {
     let Some(t) = record.column(&Role::Time) else { return };
     if t.data.len() < 5 {
@@ -77,8 +78,9 @@ const DAY_S: f64 = 86_400.0;
 /// A machine may stand over a long weekend between two rows of one run.
 const LONGEST_PAUSE_S: f64 = 5.0 * DAY_S;
 
-/// Degrees called radians: a dozen turns and more, in quarters of a degree, in steps that no circle is read in, or over
-/// a whole number of half turns in degrees. And an angle that is not that of the positions.
+/// Degrees called radians.
+/// A dozen turns and more, in quarters of a degree, in steps that no circle is read in, or over a whole number of half turns in degrees.
+/// And an angle that is not that of the positions.
 fn angle(record: &Record, out: &mut Vec<Suspicion>) {
     let Some(a) = record.column(&Role::Angle) else { return };
     let [lo, hi] = span(&a.data);
@@ -126,7 +128,8 @@ fn beside_positions(record: &Record, angle: &Column, out: &mut Vec<Suspicion>) {
     }
 }
 
-/// The position reached in place of the error: it runs along the position at one to one.
+/// The position reached in place of the error.
+/// It runs along the position at one to one.
 fn actual(record: &Record, p: &Column, e: &Column, out: &mut Vec<Suspicion>) -> bool {
     let Some((_, slope, left)) = line(&p.data, &e.data) else { return false };
     if distinct(&p.data) < 4 {
@@ -213,7 +216,8 @@ fn repeats(v: &[f64]) -> bool {
     }
 }
 
-/// Position and error in each other's place: the error moves as a position does, the position as an error.
+/// Position and error in each other's place.
+/// The error moves as a position does, the position as an error.
 fn exchanged(record: &Record, axis: &Axis, p: &Column, e: &Column, out: &mut Vec<Suspicion>) -> bool {
     let n = p.data.len();
     if n < 10 {
@@ -447,7 +451,8 @@ fn error_unit(record: &Record, e: &Column, out: &mut Vec<Suspicion>) {
 mod tests {
     use super::*;
 
-    /// A million rows that never repeat: every period of all of them once took minutes of processor.
+    /// A million rows that never repeat.
+    /// Every period of all of them once took minutes of processor.
     #[test]
     fn what_repeats_is_told_of_any_number_of_rows() {
         let mut dice = 1_u64;

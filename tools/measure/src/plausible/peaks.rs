@@ -1,5 +1,5 @@
-//! Where a short peak is honest: at a turn, a change of coolant, speed, load or temperature, at a run's ends, in a state that stays;
-//! and the orders of the rows in which readings are held against their neighbours.
+//! Where a short peak is physical, and in which orders rows are neighbours.
+//! A peak is physical at a turn, at a change of coolant, speed, load or temperature, at a run's ends, and in a state that stays.
 
 use super::stats::{median, spread, steps};
 use rtec_model::record::{Column, Record, Role};
@@ -7,7 +7,8 @@ use rtec_model::record::{Column, Record, Role};
 /// The bound of a reversal spike's amplitude in the dictionary, µm.
 pub(super) const LARGEST_PEAK_UM: f64 = 1000.0;
 
-/// The rows of each direction in the order of the response's own positions; none where these were not logged.
+/// The rows of each direction in the order of the response's own positions.
+/// None where these were not logged.
 pub(super) fn ways(record: &Record, c: &Column) -> Vec<Vec<usize>> {
     let Some(axis) = c.role.axis() else { return Vec::new() };
     let Some(p) = record.data(&Role::Position(axis.clone())) else { return Vec::new() };
@@ -21,9 +22,9 @@ pub(super) fn ways(record: &Record, c: &Column) -> Vec<Vec<usize>> {
     [-1.0, 0.0, 1.0].map(of).into()
 }
 
-/// What each row has beyond the median of the three before, itself and the three after it in these orders (of fewer
-/// towards the ends, so that a trend leaves nothing there); and whether it stands alone, or in a group of up to [`GROUP`] rows
-/// that are as it is, far from what lies on either side: the edge of a step does not.
+/// Each row's deviation from the median of seven rows, and whether it is isolated.
+/// The seven are the row itself and three on each side, in these orders; towards the ends they are fewer, so that a trend leaves nothing. A
+/// row is isolated if it stands alone, or in a group of up to [`GROUP`] equal rows far from both sides. The edge of a step is not.
 pub(super) fn beside(v: &[f64], orders: &[Vec<usize>]) -> (Vec<f64>, Vec<bool>) {
     let (mut left, mut alone) = (vec![0.0; v.len()], vec![false; v.len()]);
     for order in orders {
@@ -44,7 +45,7 @@ pub(super) fn beside(v: &[f64], orders: &[Vec<usize>]) -> (Vec<f64>, Vec<bool>) 
     (left, alone)
 }
 
-/// So many bad readings may follow each other; of more the median of seven rows is one.
+/// Most consecutive bad readings; with more, the median of seven rows is bad.
 const GROUP: usize = 3;
 
 /// So many rows on end, one of them far off others, are a level and no single readings; and they lie this near, as a share of how
@@ -63,7 +64,8 @@ pub(super) fn stays(v: &[f64], row: usize, off: f64) -> bool {
 /// A state of so few rows makes a peak.
 const SHORT: usize = 3;
 
-/// How many rows on either side of a turn may have a peak. Turns every few rows excuse nothing: that is how the run is made.
+/// How many rows on either side of a turn may have a peak.
+/// Turns every few rows excuse nothing: that is how the run is made.
 fn after_turns(turns: usize, rows: usize) -> Option<usize> {
     match rows / turns.max(1) {
         12.. => Some(3),
@@ -73,7 +75,8 @@ fn after_turns(turns: usize, rows: usize) -> Option<usize> {
     }
 }
 
-/// Rows where something else may honestly make a short peak: at the ends, or by one of the [`causes`].
+/// Rows where something else may honestly make a short peak.
+/// At the ends, or by one of the [`causes`].
 pub(super) fn excused(record: &Record) -> Vec<bool> {
     let mut out = causes(record);
     let n = out.len();

@@ -1,4 +1,5 @@
-//! Mistakes in a record that is too long to be held: what each of its pieces shows by itself.
+//! Mistakes in a record that is too long to be held.
+//! What each of its pieces shows by itself.
 
 use super::{Suspicion, What, steps_of, suspicions};
 use rtec_files::Said;
@@ -29,7 +30,8 @@ impl Pieces {
         self.found.len()
     }
 
-    /// As [`super::said`], of all of them: what is said of every piece as a whole is said once, of the record.
+    /// As [`super::said`], of all of them.
+    /// What is said of every piece as a whole is said once, of the record.
     pub fn said(self, say: &mut dyn FnMut(Said)) -> Vec<Suspicion> {
         let alike = |a: &Suspicion, b: &Suspicion| {
             a.column == b.column && a.what == b.what && a.rows.is_empty() == b.rows.is_empty()

@@ -9,7 +9,8 @@ use rtec_model::record::{Axis, Column, Kind, Record, Role};
 const FAR: f64 = 10.0;
 const WORST: f64 = 14.0;
 
-/// Approaches of a positioning run that neither drift nor repeatability explains; nothing where they were found already.
+/// Approaches of a positioning run that neither drift nor repeatability explains.
+/// Nothing where they were found already.
 pub(super) fn look(record: &Record, out: &mut Vec<Suspicion>) {
     let path = record.path.display().to_string();
     for c in record.responses().filter(|_| record.kind == Kind::Positioning) {
@@ -60,7 +61,8 @@ pub(super) fn look(record: &Record, out: &mut Vec<Suspicion>) {
 /// An axis moves where its positions run over this share of what those of another one do.
 pub(super) const MOVES: f64 = 0.01;
 
-/// The positions of the axes beside this one that move in a record: on a plate or a circle one axis alone makes no place.
+/// The positions of the axes beside this one that move in a record.
+/// On a plate or a circle one axis alone makes no place.
 pub(super) fn also_moved<'r>(record: &'r Record, axis: &Axis) -> Vec<&'r [f64]> {
     let least = MOVES * record.data(&Role::Position(axis.clone())).map_or(0.0, range);
     let other = |c: &&Column| matches!(&c.role, Role::Position(a) if a != axis) && range(&c.data) > least;

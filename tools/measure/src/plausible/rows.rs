@@ -61,8 +61,9 @@ const FEW_ROWS: f64 = 0.12;
 /// Probability above which so many rows on end may read the same by chance.
 const ALIKE_BY_CHANCE: f64 = 0.05;
 
-/// Rows on end that read the same to the last digit, far beyond all others of a gauge that seldom reads the same twice: what an
-/// instrument writes where it has no reading, as 9999. No state of a machine takes a gauge's noise away.
+/// Consecutive rows with one exact value far beyond all others, such as 9999.
+/// An instrument writes it if it has no reading. The gauge must seldom read the same twice, because no state of a machine removes a gauge's
+/// noise.
 fn one_reading(c: &Column) -> Vec<usize> {
     let v = &c.data;
     let usual = median(v.clone());
@@ -334,7 +335,8 @@ fn width(v: &[f64]) -> f64 {
     sizes[sizes.len() * 9 / 10] / 1.645
 }
 
-/// Standard deviation of the noise from row to row of these orders: what three rows on end are off a straight line.
+/// Standard deviation of the noise from row to row of these orders.
+/// What three rows on end are off a straight line.
 fn noise_along(v: &[f64], orders: &[Vec<usize>]) -> f64 {
     let off = |w: &[usize]| v[w[0]] - 2.0 * v[w[1]] + v[w[2]];
     let all: Vec<f64> = orders.iter().flat_map(|o| o.windows(3).map(off)).collect();

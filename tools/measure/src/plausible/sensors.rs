@@ -120,7 +120,8 @@ fn frozen(record: &Record, c: &Column) -> Option<(std::ops::Range<usize>, f64)> 
 /// A sensor that is read well scatters by less from row to row, K.
 const SCATTER_K: f64 = 1.0;
 
-/// Readings that go up and down by kelvins from row to row, as no body does: a loose contact, an open input.
+/// Readings that go up and down by kelvins from row to row, as no body does.
+/// A loose contact, an open input.
 fn loose(record: &Record, c: &Column, out: &mut Vec<Suspicion>) {
     let moves = steps(&c.data);
     let turns = moves.windows(2).filter(|w| w[0] * w[1] < 0.0).count();
@@ -142,7 +143,8 @@ fn noise_k(v: &[f64]) -> f64 {
     second.get(second.len() / 2).copied().unwrap_or(0.0) / 0.6745 / 6_f64.sqrt()
 }
 
-/// A value next to which there are others nearly the same: the sensor got there by degrees.
+/// A value next to which there are others nearly the same.
+/// The sensor got there by degrees.
 fn passes_through(c: &Column, i: usize) -> bool {
     let near = |j: usize| {
         let d = (c.data[j] - c.data[i]).abs();
@@ -222,12 +224,14 @@ fn jump(record: &Record, c: &Column, others: &[&Column], out: &mut Vec<Suspicion
     true
 }
 
-/// Rows on either side of a moment from which a sensor's slope is taken: a slow body shows its bend over many only.
+/// Rows on either side of a moment from which a sensor's slope is taken.
+/// A slow body shows its bend over many only.
 const SIDES: [usize; 3] = [8, 16, 24];
 /// Another sensor that moves on by this share of a jump within the fewest of them, otherwise than before, follows it; over more
 /// rows it has more time.
 const FOLLOWS: f64 = 0.05;
-/// So many standard errors of a slope are no chance; so many times the bend that was there before is a new one.
+/// So many standard errors of a slope are no chance.
+/// So many times the bend that was there before is a new one.
 const CERTAIN: f64 = 6.0;
 const NEW_BEND: f64 = 2.0;
 
@@ -260,7 +264,8 @@ fn bends(v: &[f64], at: usize, side: usize, least: f64, noise: f64) -> bool {
 /// Another step of at least this share of the largest is one of something that is switched.
 const AGAIN: f64 = 0.5;
 
-/// Whether what a sensor jumps by is switched: it jumps as far at other times, or spindle or coolant change there.
+/// Whether what a sensor jumps by is switched.
+/// It jumps as far at other times, or spindle or coolant change there.
 fn is_switched(record: &Record, own: &[f64], at: usize) -> bool {
     let again = own.iter().enumerate().any(|(i, d)| i.abs_diff(at) > 5 && d.abs() > AGAIN * own[at].abs());
     let changes = |c: &Column| {
@@ -332,8 +337,8 @@ fn copies(record: &Record, out: &mut Vec<Suspicion>) {
 mod tests {
     use super::*;
 
-    /// A body that a load warms at once: what it warms begins to move then. A reading that jumps by itself moves nothing, nor
-    /// does it where others are on their way already.
+    /// A body that a load warms at once: what it warms begins to move then.
+    /// A reading that jumps by itself moves nothing, nor does it where others are on their way already.
     #[test]
     fn what_others_follow_is_no_jump() {
         let body = |from: usize, tau: f64| -> Vec<f64> {

@@ -1,5 +1,5 @@
-//! A single position with its decimal point in another place, or a digit too few: others of its place, or the run's own way, say
-//! where the axis was.
+//! A single position with its decimal point in another place, or a digit too few.
+//! Others of its place, or the run's own way, say where the axis was.
 
 use super::stats::{median, middle_range, steps};
 use super::{Suspicion, What};
@@ -18,7 +18,8 @@ const MIDDLE: f64 = 0.35;
 const BESIDE: f64 = 0.5;
 /// More than one row in so many is how a run is made.
 const ONE_IN: usize = 25;
-/// So many rows beside rows are looked at; a run of more that turns all the time is not.
+/// So many rows beside rows are looked at.
+/// A run of more that turns all the time is not.
 const MOST_PAIRS: usize = 50_000_000;
 
 pub(super) fn look(record: &Record, out: &mut Vec<Suspicion>) {
@@ -88,7 +89,8 @@ impl<'p> Way<'p> {
         own != 0.0 && self.near > 0.0 && off > self.near.max(BESIDE * (hi - lo)).max(turns)
     }
 
-    /// Where a row was that stands beside the way, if it is at no place of its own; none where it may stand there.
+    /// Where a row was that stands beside the way, if it is at no place of its own.
+    /// None where it may stand there.
     fn meant(&self, i: usize) -> Option<f64> {
         let (p, n) = (self.p, self.p.len());
         let (own, [a, b]) = (p[i], self.around(i));
@@ -135,8 +137,8 @@ mod tests {
     use rtec_model::record::Kind;
     use std::path::Path;
 
-    /// An axis to and fro between moving places, read once just where it turns: farther out than the rows on both sides, by less than it
-    /// goes from row to row. A digit that was lost is farther off.
+    /// An axis to and fro between moving places, read once just where it turns.
+    /// Farther out than the rows on both sides, by less than it goes from row to row. A digit that was lost is farther off.
     #[test]
     fn where_a_run_turns_no_digit_is_lost() {
         let said = |lost: Option<usize>| {

@@ -1,4 +1,5 @@
-//! What may be a mistake or the machine's own, and is worth a look either way: an error that steps between two rows and stays.
+//! What may be a mistake or the machine's own, and is worth a look either way.
+//! An error that steps between two rows and stays.
 
 use super::peaks::excused;
 use super::stats::{median, spread, steps};
@@ -12,7 +13,8 @@ const PAUSE: f64 = 3.0;
 /// Rows on either side that a level is taken from.
 const SIDE: usize = 6;
 
-/// Steps in the errors of drift tests, a line each: lost counts, or a gauge or tool that was moved.
+/// Steps in the errors of drift tests, a line each.
+/// Lost counts, or a gauge or tool that was moved.
 #[must_use]
 pub fn steps_of(records: &[Record]) -> Vec<String> {
     let drifts = records.iter().filter(|r| r.kind == Kind::Drift);

@@ -45,8 +45,8 @@ pub(super) fn look(records: &[Record], out: &mut Vec<Suspicion>) {
     }
 }
 
-/// Temperatures that read the same in every row and are not doubted: a coarse sensor in a calm room does that, and one that is not
-/// read. A line each.
+/// Temperatures that read the same in every row and are not doubted.
+/// A coarse sensor in a calm room does that, and one that is not read. A line each.
 pub(super) fn still(records: &[Record], found: &[Suspicion]) -> Vec<String> {
     let of = |record: &Record| {
         let path = record.path.display().to_string();
@@ -81,9 +81,9 @@ fn longest_run(v: &[f64]) -> (usize, usize) {
     best
 }
 
-/// Standard deviation of a reading's noise from row to row, and its resolution. From second differences, which a trend
-/// leaves alone, without their largest tenth: those are the machine's. Where a reading goes on the way it went, or stays,
-/// its steps are those of the resolution on a slope: only noise turns back.
+/// Standard deviation of a reading's noise from row to row, and its resolution.
+/// From second differences, which a trend leaves alone, without their largest tenth: those are the machine's. Where a reading goes on the
+/// way it went, or stays, its steps are those of the resolution on a slope: only noise turns back.
 fn noise(pieces: &[&[f64]]) -> (f64, f64) {
     let turn = |w: &[f64]| {
         let (before, behind) = (w[1] - w[0], w[2] - w[1]);
@@ -117,13 +117,15 @@ fn stands_still(records: &[Record], k: usize, c: &Column) -> Option<(usize, usiz
     found.then_some((start, end))
 }
 
-/// The largest of [`RESOLUTIONS_K`] that all readings are multiples of: those of a sensor that moves one way lie farther apart.
+/// The largest of [`RESOLUTIONS_K`] that all readings are multiples of.
+/// Those of a sensor that moves one way lie farther apart.
 fn resolution(v: &[f64]) -> f64 {
     let whole = |step: f64| v.iter().all(|x| (x / step - (x / step).round()).abs() < 1e-4);
     RESOLUTIONS_K.into_iter().find(|step| whole(*step)).unwrap_or(0.0)
 }
 
-/// In the middle of warming or cooling, from one row to the next: a body's heat goes on flowing, and where its source ends it turns back.
+/// In the middle of warming or cooling, from one row to the next.
+/// A body's heat goes on flowing, and where its source ends it turns back.
 fn in_full_course(record: &Record, c: &Column, start: usize) -> bool {
     let Some(first) = start.checked_sub(COURSE) else { return false };
     let own = steps(&c.data[first..=start]);
@@ -137,7 +139,8 @@ fn in_full_course(record: &Record, c: &Column, start: usize) -> bool {
     even && own.iter().all(|s| s * way >= 0.9 * step) && mean > FAST * step && half > 0.7 * mean
 }
 
-/// By its own noise: at other times it changes from row to row so much that this run is no chance.
+/// By its own noise.
+/// At other times it changes from row to row so much that this run is no chance.
 fn by_noise(record: &Record, c: &Column, (start, end): (usize, usize), elsewhere: &[&Record]) -> bool {
     let mut pieces: Vec<&[f64]> = vec![&c.data[..start], &c.data[end..]];
     pieces.extend(elsewhere.iter().filter_map(|r| r.temperature(&c.name)));
@@ -175,7 +178,8 @@ fn by_noise(record: &Record, c: &Column, (start, end): (usize, usize), elsewhere
     chance < CHANCE.ln() && awake
 }
 
-/// By the others: what they say of it moves on, by much more than they were ever wrong.
+/// By the others.
+/// What they say of it moves on, by much more than they were ever wrong.
 fn by_the_others(record: &Record, c: &Column, (start, end): (usize, usize), elsewhere: &[&Record]) -> bool {
     let own: Vec<usize> = (0..record.rows()).filter(|i| *i < start || *i >= end).collect();
     let own = (own.len() >= ENOUGH).then(|| record.select(&own));
@@ -207,8 +211,9 @@ fn by_the_others(record: &Record, c: &Column, (start, end): (usize, usize), else
     })
 }
 
-/// How far values move on: twice the range of the middle half of them, which is the range of what goes on evenly. A step in their
-/// last few rows is none: heat comes late.
+/// How far values move on.
+/// Twice the range of the middle half of them, which is the range of what goes on evenly. A step in their last few rows is none: heat comes
+/// late.
 fn moves_on(mut values: Vec<f64>) -> f64 {
     values.sort_by(f64::total_cmp);
     let at = |share: usize| values[(values.len() - 1) * share / 4];
@@ -244,8 +249,8 @@ fn beside_the_run(record: &Record, c: &Column, (start, end): (usize, usize), res
     Some(wrong_beside(record, c, (start, end), &told(&known, known.temperature(&c.name)?, rest)?, rest))
 }
 
-/// All along, among others that change at most rows, one of which moves: a sensor of coarse resolution may stand still in a
-/// calm room, but not there.
+/// All along, among others that change at most rows, one of which moves.
+/// A sensor of coarse resolution may stand still in a calm room, but not there.
 fn among_lively_ones(record: &Record, c: &Column) -> bool {
     let others: Vec<&Column> = temperatures(record).filter(|o| o.name != c.name).collect();
     let changes = |o: &Column| steps(&o.data).iter().filter(|d| **d != 0.0).count() as f64;
@@ -267,7 +272,8 @@ mod tests {
     use rtec_model::record::Kind;
     use std::path::Path;
 
-    /// Heat comes late: what the spindle's own sensor does in the last rows of a run says nothing of one farther away.
+    /// Heat comes late.
+    /// What the spindle's own sensor does in the last rows of a run says nothing of one farther away.
     #[test]
     fn a_step_at_the_end_of_a_run_is_no_moving_on() {
         let even: Vec<f64> = (0..20).map(|i| 0.1 * f64::from(i)).collect();

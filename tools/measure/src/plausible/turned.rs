@@ -1,4 +1,5 @@
-//! A record beside itself: single runs whose direction is wrong, a sign that turns on the way, a clock that was put forward.
+//! A record beside itself.
+//! Single runs whose direction is wrong, a sign that turns on the way, a clock that was put forward.
 
 use super::stats::{median, medians_of_others, quantum, range, spread, steps};
 use super::told::told;
@@ -12,12 +13,13 @@ const RUN: usize = 5;
 /// The sign has turned where what is left of the error with the sign turned back is less than this share of what is left as it
 /// stands.
 const TURNED: f64 = 0.1;
-/// Nor has it where a step says nearly as much: what is left with the sign turned back is less than this share of what is left with the
-/// step taken off, both squared.
+/// Nor has it where a step says nearly as much.
+/// What is left with the sign turned back is less than this share of what is left with the step taken off, both squared.
 const NO_STEP: f64 = 0.5;
 /// Two sensors that exchange their places from one row to the next are at least so far apart, K.
 const EXCHANGE_K: f64 = 1.5;
-/// So few rows are no part of a record in another unit; what is in it is smaller by about this.
+/// So few rows are no part of a record in another unit.
+/// What is in it is smaller by about this.
 const PART: usize = 12;
 const A_THOUSAND: std::ops::RangeInclusive<f64> = 350.0..=3000.0;
 /// A clock's step is out of the ordinary from so many usual ones on.
@@ -85,7 +87,8 @@ fn other_unit_midway(record: &Record, c: &Column, out: &mut Vec<Suspicion>) {
     }
 }
 
-/// Time and repeat in each other's place: what counts the repeats is no whole number, and the time stands still at whole seconds.
+/// Time and repeat in each other's place.
+/// What counts the repeats is no whole number, and the time stands still at whole seconds.
 fn counts_as_clock(record: &Record, out: &mut Vec<Suspicion>) {
     let column = |role: &Role| record.columns.iter().find(|c| c.role == *role);
     let (Some(t), Some(n)) = (column(&Role::Time), column(&Role::Cycle)) else { return };
@@ -100,7 +103,8 @@ fn counts_as_clock(record: &Record, out: &mut Vec<Suspicion>) {
     }
 }
 
-/// Two sensors of one record in each other's place from a row on: both step at once, each to where the other was.
+/// Two sensors of one record in each other's place from a row on.
+/// Both step at once, each to where the other was.
 fn exchanged(record: &Record, out: &mut Vec<Suspicion>) {
     let sensors: Vec<&Column> = record.columns.iter().filter(|c| c.role == Role::Temperature).collect();
     let usual: Vec<f64> = sensors.iter().map(|c| spread(&steps(&c.data)).max(quantum(&c.data))).collect();
@@ -165,8 +169,9 @@ fn runs(record: &Record, axis: &Axis, out: &mut Vec<Suspicion>) {
     out.push(Suspicion::new(record, &d.name, What::Direction, &rows, text));
 }
 
-/// Which way an axis went at each row: as logged, or as its velocity says, or, around a circle, its positions: what follows late
-/// is to the other side on the way back. Nothing of a run that says none of it.
+/// Which way an axis went at each row.
+/// As logged, or as its velocity says, or, around a circle, its positions: what follows late is to the other side on the way back. Nothing
+/// of a run that says none of it.
 fn ways(record: &Record, axis: &Axis, p: &[f64]) -> Vec<f64> {
     if let Some(d) = record.data(&Role::Direction(axis.clone())) {
         return d.to_vec();
@@ -216,8 +221,8 @@ fn by_place(record: &Record, c: &Column) -> Option<usize> {
     (a.len() >= 8 && correlation(&a, &b) < -0.85).then_some(at)
 }
 
-/// The approaches whose error has the other sign: one cycle beside the others. Not all from one side beside those from the other: a
-/// screw that is worn along its length gives that too.
+/// The approaches whose error has the other sign: one cycle beside the others.
+/// Not all from one side beside those from the other: a screw that is worn along its length gives that too.
 fn of_approaches(record: &Record, c: &Column) -> Option<Vec<usize>> {
     let axis = c.role.axis()?;
     let p = record.data(&Role::Position(axis.clone()))?;
@@ -302,7 +307,8 @@ fn in_time(record: &Record, c: &Column) -> Option<usize> {
     (squares < TURNED * as_it_is * as_it_is && squares < NO_STEP * stepped * stepped).then_some(at)
 }
 
-/// A pause in which nothing went on: heat moves on over a pause, a clock that was put forward moves alone.
+/// A pause in which nothing went on.
+/// Heat moves on over a pause, a clock that was put forward moves alone.
 fn clock(record: &Record, out: &mut Vec<Suspicion>) {
     let Some(t) = record.column(&Role::Time).filter(|t| record.kind == Kind::Drift && t.data.len() >= 40)
     else {

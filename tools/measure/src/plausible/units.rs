@@ -1,4 +1,5 @@
-//! Minutes or hours called seconds, inches called millimetres: only where the record shows it by itself.
+//! Minutes or hours called seconds, inches called millimetres.
+//! Only where the record shows it by itself.
 
 use super::stats::{distinct, median, range};
 use super::{Suspicion, What};
@@ -6,7 +7,8 @@ use crate::iso230::{Round, line};
 use rtec_model::record::{Axis, Column, Kind, Record, Role};
 use std::collections::VecDeque;
 
-/// No part of a machine tool warms through half of what it warms at all in less, s: a bearing's ring takes a minute.
+/// No part of a machine tool warms through half of what it warms at all in less, s.
+/// A bearing's ring takes a minute.
 const HALF_WARM_S: f64 = 20.0;
 /// Faster than this it is hours that are called seconds, not minutes, s.
 const HOURS_S: f64 = 0.7;
@@ -24,12 +26,14 @@ pub(super) fn look(record: &Record, out: &mut Vec<Suspicion>) {
     exchanged(record, out);
 }
 
-/// No scale is longer or shorter than this over the whole of its travel, ppm: the dictionary's bound of one.
+/// No scale is longer or shorter than this over the whole of its travel, ppm.
+/// The dictionary's bound of one.
 const STEEPEST_PPM: f64 = 1000.0;
 /// No bar is shorter, mm.
 const SHORTEST_BAR_MM: f64 = 20.0;
 
-/// A bar's length in inches: far too short, and round in millimetres once it is converted.
+/// A bar's length in inches.
+/// Far too short, and round in millimetres once it is converted.
 fn bar(record: &Record, out: &mut Vec<Suspicion>) {
     let Some(circle) = record.circle() else { return small_circle(record, out) };
     let mm = circle.radius_mm * MM_PER_INCH;
@@ -43,8 +47,8 @@ fn bar(record: &Record, out: &mut Vec<Suspicion>) {
     }
 }
 
-/// A circle that no bar is named of, in inches: smaller than any but a grid plate's, of no round radius, and of whole centimetres once
-/// it is converted.
+/// A circle that no bar is named of, in inches.
+/// Smaller than any but a grid plate's, of no round radius, and of whole centimetres once it is converted.
 fn small_circle(record: &Record, out: &mut Vec<Suspicion>) {
     let moving: Vec<&Column> = record
         .columns
@@ -69,7 +73,8 @@ fn small_circle(record: &Record, out: &mut Vec<Suspicion>) {
 /// What an axis is off its place changes a circle's radius by no more than this share.
 const OFF_RADIUS: f64 = 5e-4;
 
-/// Targets in inches: whole millimetres once they are converted, or an error that runs along them steeper than any scale's.
+/// Targets in inches.
+/// Whole millimetres once they are converted, or an error that runs along them steeper than any scale's.
 fn inches(record: &Record, axis: &Axis, out: &mut Vec<Suspicion>) {
     let Some(p) = record.column(&Role::Position(axis.clone())) else { return };
     let known = |s: &Suspicion| s.column == p.name && s.record == record.path.display().to_string();
@@ -115,7 +120,8 @@ fn drifts(e: &[f64], left: f64) -> bool {
     line(&rows, e).is_some_and(|(_, _, over_time)| over_time < AS_WELL * left)
 }
 
-/// A temperature and the error in each other's place: the error begins where the hall is, the sensor at a gauge's zero.
+/// A temperature and the error in each other's place.
+/// The error begins where the hall is, the sensor at a gauge's zero.
 fn exchanged(record: &Record, out: &mut Vec<Suspicion>) {
     if record.kind != Kind::Drift || record.rows() < 20 {
         return;
@@ -177,8 +183,8 @@ fn half_warm(t: &[f64], c: &Column) -> Option<f64> {
     shortest_window(t, &c.data, size / 2.0)
 }
 
-/// Shortest time in which the values come to lie so far apart. Each row goes into the window once and out once: the rows that can
-/// still be its highest or its lowest wait in order.
+/// Shortest time in which the values come to lie so far apart.
+/// Each row goes into the window once and out once: the rows that can still be its highest or its lowest wait in order.
 fn shortest_window(t: &[f64], data: &[f64], apart: f64) -> Option<f64> {
     let mut shortest = f64::INFINITY;
     let (mut highest, mut lowest) = (VecDeque::<usize>::new(), VecDeque::<usize>::new());

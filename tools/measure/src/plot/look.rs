@@ -1,4 +1,5 @@
-//! How series are told apart without colour: a dash and a marker of their own, the same in the plot and in the legend.
+//! How series are told apart without colour.
+//! A dash and a marker of their own, the same in the plot and in the legend.
 
 use plotters::coord::Shift;
 use plotters::prelude::*;
@@ -14,7 +15,8 @@ pub(super) fn dash(place: usize) -> Option<(i32, i32)> {
 
 type Drawn<DB> = Result<(), DrawingAreaErrorKind<<DB as DrawingBackend>::ErrorType>>;
 
-/// Draws a marker about a place in pixels, in the shape that a place has: a disc, a triangle, a square, a cross.
+/// Draws a marker about a place in pixels, in the shape that a place has.
+/// A disc, a triangle, a square, a cross.
 pub(super) fn marker<DB: DrawingBackend>(
     area: &DrawingArea<DB, Shift>,
     place: usize,

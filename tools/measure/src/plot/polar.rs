@@ -1,4 +1,5 @@
-//! Small deviations around a circle, enlarged: round, with the scale of the deviations on it.
+//! Small deviations around a circle, enlarged.
+//! Round, with the scale of the deviations on it.
 
 use super::{Series, look};
 use std::f64::consts::TAU;

@@ -1,11 +1,13 @@
-//! What of many points shows: pixels are whole, so of a million points over some hundred columns most fall on others.
+//! What of many points shows.
+//! Pixels are whole, so of a million points over some hundred columns most fall on others.
 
 use std::collections::HashSet;
 
 type Point = (f64, f64);
 type Pixel = (i32, i32);
 
-/// A column of pixels, and the first, lowest, highest and last point in it: number, point, height.
+/// A column of pixels, and the first, lowest, highest and last point in it.
+/// Number, point, height.
 type Column = (i32, [(usize, Point, i32); 4]);
 
 /// Fewer are drawn as they are.
@@ -16,8 +18,8 @@ pub(super) fn finite(points: &[Point]) -> impl Iterator<Item = Point> {
     points.iter().copied().filter(|p| p.0.is_finite() && p.1.is_finite())
 }
 
-/// The points of a line that touches the same pixels: of those that follow one another in one column of pixels the first, the
-/// lowest, the highest and the last, in their order.
+/// A subset of a line's points that touches the same pixels.
+/// Of consecutive points in one column of pixels it keeps the first, lowest, highest and last.
 pub(super) fn line(points: &[Point], pixel: impl Fn(&Point) -> Pixel) -> Vec<Point> {
     if points.len() < MANY {
         return finite(points).collect();
@@ -68,8 +70,8 @@ mod tests {
         (p.0.round() as i32, p.1.round() as i32)
     }
 
-    /// From pixel to pixel, what a line goes along in its columns: runs of one column with their lowest and highest pixel, and where
-    /// each is entered and left.
+    /// From pixel to pixel, what a line goes along in its columns.
+    /// Runs of one column with their lowest and highest pixel, and where each is entered and left.
     fn traced(points: &[Point]) -> Vec<[i32; 5]> {
         let mut runs: Vec<[i32; 5]> = Vec::new();
         for (x, y) in finite(points).map(|p| whole(&p)) {
@@ -103,7 +105,8 @@ mod tests {
         }
     }
 
-    /// A million noisy points are some thousand in the picture; a few hundred are all of them.
+    /// A million noisy points are some thousand in the picture.
+    /// A few hundred are all of them.
     #[test]
     fn few_points_stay_as_they_are() {
         let points: Vec<Point> = (0..1999).map(|i| (f64::from(i) / 100.0, f64::from(i * 7 % 31))).collect();

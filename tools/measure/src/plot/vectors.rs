@@ -1,4 +1,5 @@
-//! Small displacements on a plane: both axes to one scale, the displacements to another, both stated.
+//! Small displacements on a plane.
+//! Both axes to one scale, the displacements to another, both stated.
 
 use super::Colour;
 use super::polar::{escaped, round_up};

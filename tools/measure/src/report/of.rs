@@ -570,7 +570,8 @@ pub fn plate(p: &Plate, record: &Record, conditions: &Conditions) -> Result<Repo
     Ok(report)
 }
 
-/// One machine's figures over time: a table, and each figure with its limit and trend.
+/// One machine's figures over time.
+/// A table, and each figure with its limit and trend.
 ///
 /// # Errors
 /// A plot without a finite point.

@@ -121,7 +121,8 @@ fn spikes_and_cyclic_errors_are_found_with_length_and_period() {
     assert!(!d.spike.contains_key("y") && !d.cyclic.contains_key("x"), "{d:?}");
 }
 
-/// A bug once: a map of the axis was called a cyclic error of 39 mm, a lead that no screw has.
+/// A bug once.
+/// A map of the axis was called a cyclic error of 39 mm, a lead that no screw has.
 #[test]
 fn a_period_of_no_screw_is_a_form_that_repeats() {
     for (mm, of_a_screw) in
@@ -215,7 +216,8 @@ fn two_axes_with_their_errors_are_a_circle_too() {
     assert!(found.warnings.iter().any(|w| w.contains("no time")), "{:?}", found.warnings);
 }
 
-/// The same machine by three quarters of a circle: the middle of its positions is not the centre.
+/// The same machine by three quarters of a circle.
+/// The middle of its positions is not the centre.
 #[test]
 fn an_arc_by_its_positions_has_its_own_centre() {
     let rows: Vec<[f64; 2]> = (0..900)
@@ -237,8 +239,8 @@ fn an_arc_by_its_positions_has_its_own_centre() {
     near(found.diagnosis.scale_mismatch_ppm, -10.0, 0.05);
 }
 
-/// One way each on circles of two radii are not one contour both ways: a scale of 50 ppm on both, and no play, gave a
-/// hysteresis of the difference of their radii.
+/// One way each on circles of two radii are not one contour both ways.
+/// A scale of 50 ppm on both, and no play, gave a hysteresis of the difference of their radii.
 #[test]
 fn circles_of_two_radii_share_no_figure() {
     let run = |radius_mm: f64, turn: f64| Run { circles: vec![(turn, 8.0)], ..Run::both(radius_mm, 8.0) };
@@ -268,7 +270,8 @@ fn without_plane_and_radius_there_are_deviations_only() {
     assert!(found.warnings.iter().any(|w| w.contains("radius_mm")), "{:?}", found.warnings);
 }
 
-/// A circle whose first and last rows were cut off is one all the same; one that lacks ten degrees is an arc, and is said to be.
+/// A circle whose first and last rows were cut off is one all the same.
+/// One that lacks ten degrees is an arc, and is said to be.
 #[test]
 fn a_circle_without_its_start_and_stop_is_a_full_one() {
     let says_arc = |rows: usize, turned_deg: f64| {
@@ -480,7 +483,8 @@ fn with_errors(record: &Record, errors: Vec<f64>) -> Record {
 const TRUTH: [(&str, f64); 4] =
     [("scale_mismatch_ppm", 30.0), ("squareness_urad", 60.0), ("reversal.x", 4.0), ("reversal.y", -3.0)];
 
-/// Arcs as they are usual in planes with z: what is told holds the truth, what cannot be told is not.
+/// Arcs as they are usual in planes with z.
+/// What is told holds the truth, what cannot be told is not.
 #[test]
 fn an_arc_tells_what_it_shows_and_nothing_else() {
     for seed in 1..=6 {

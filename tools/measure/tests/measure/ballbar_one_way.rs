@@ -1,5 +1,5 @@
-//! Circles that show less than they could: run one way only, or begun where an axis turns. What they cannot tell is not given, or
-//! given with intervals that hold the truth.
+//! Circles that show less than they could.
+//! Run one way only, or begun where an axis turns. What they cannot tell is not given, or given with intervals that hold the truth.
 
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
@@ -187,8 +187,9 @@ fn of_rows(rows: &[[f64; 3]]) -> Record {
     Record::new(Path::new("b.run.toml"), Kind::Ballbar, columns).unwrap().with_circle(circle).unwrap()
 }
 
-/// Machines drawn from these seeds: in how many each interval holds the truth (both axes'), and in how many both spikes' all do; with both
-/// ways in one record, and in two. Half of the spikes count from the last row of the old direction, half from the turn itself.
+/// Machines drawn from these seeds.
+/// In how many each interval holds the truth (both axes'), and in how many both spikes' all do; with both ways in one record, and in two.
+/// Half of the spikes count from the last row of the old direction, half from the turn itself.
 fn machines_that_hold(seeds: &[u64]) -> [BTreeMap<&'static str, u32>; 2] {
     let mut held: [BTreeMap<&str, u32>; 2] = Default::default();
     for seed in seeds {
@@ -219,9 +220,10 @@ fn machines_that_hold(seeds: &[u64]) -> [BTreeMap<&'static str, u32>; 2] {
     held
 }
 
-/// A bug once: in one record the pause between the ways was counted as a turn, and 3 of 12 machines' spikes held. Then 7 and 6: a spike that
-/// begins where the axis turned is higher, seen from the row before, than its interval at the best fit. `BALLBAR_SEED` is the first of the
-/// seeds, `RTEC_CASES` how many threes of them.
+/// A bug once.
+/// In one record the pause between the ways was counted as a turn, and 3 of 12 machines' spikes held. Then 7 and 6: a spike that begins
+/// where the axis turned is higher, seen from the row before, than its interval at the best fit. `BALLBAR_SEED` is the first of the seeds,
+/// `RTEC_CASES` how many threes of them.
 #[test]
 fn both_ways_in_one_record_tell_as_much_as_two() {
     let first = test_needs::asked("BALLBAR_SEED", 1);

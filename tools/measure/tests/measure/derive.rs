@@ -1,5 +1,5 @@
-//! Velocity and acceleration from positions: against trajectories written down as formulas, and against what the owners of
-//! a real axis' record identified from it.
+//! Velocity and acceleration from positions.
+//! Against trajectories written down as formulas, and against what the owners of a real axis' record identified from it.
 
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
@@ -47,7 +47,8 @@ fn rms(values: impl Iterator<Item = f64>) -> f64 {
     (sum / n).sqrt()
 }
 
-/// Derivatives of a record, and their errors against the formula, both RMS; the lag in s that explains most of the velocity's.
+/// Derivatives of a record, and their errors against the formula, both RMS.
+/// The lag in s that explains most of the velocity's.
 fn judged(t: &[f64], noise_mm: f64, resolution_mm: f64) -> ([f64; 2], f64, Vec<String>) {
     let true_: Vec<[f64; 3]> = t.iter().map(|t| stroke(*t)).collect();
     let p: Vec<f64> = true_
@@ -147,7 +148,8 @@ fn what_is_there_stays_and_what_is_no_motion_is_not_differentiated() {
     assert!(derive(&mut same.clone())[0].contains("same time"));
 }
 
-/// A pause between two strokes in which nothing was logged: neither knows of the other.
+/// A pause between two strokes in which nothing was logged.
+/// Neither knows of the other.
 #[test]
 fn a_gap_in_time_parts_two_runs() {
     let t: Vec<f64> = (0..400).map(|n| f64::from(n) * 1e-3 + if n < 200 { 0.0 } else { 30.0 }).collect();
@@ -160,8 +162,9 @@ fn a_gap_in_time_parts_two_runs() {
     assert!(v[200..].iter().all(|v| (v + 20.0).abs() < 1e-6), "{:?}", &v[195..205]);
 }
 
-/// The EMPS record: mass, friction and offset by ordinary least squares on what was derived, against those its owners state
-/// (95.11 kg, 203.50 N s/m, 20.39 N, −3.165 N; 4.08 % of the force left).
+/// The EMPS record.
+/// Mass, friction and offset by ordinary least squares on what was derived, against those its owners state (95.11 kg, 203.50 N s/m, 20.39
+/// N, −3.165 N; 4.08 % of the force left).
 #[test]
 fn a_real_axis_has_the_mass_and_friction_that_its_owners_found() {
     let Some(path) = test_needs::shared("data/axis_dynamics/identification.csv") else { return };

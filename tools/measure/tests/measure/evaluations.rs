@@ -73,8 +73,8 @@ fn a_drift_test_is_evaluated_phase_by_phase() {
     assert!(charts[0].svg(800, 500).unwrap().contains("at rest after heat"));
 }
 
-/// A plate that is not square with a scale for each axis, squareness and rotation: one fit gives each back; one after another, as
-/// owners of plates publish it, does not, and leaves more.
+/// A plate that is not square with a scale for each axis, squareness and rotation.
+/// One fit gives each back; one after another, as owners of plates publish it, does not, and leaves more.
 #[test]
 fn a_plate_that_is_not_square_is_fitted_at_once() {
     let mut holes: Vec<(f64, f64)> = Vec::new();
@@ -124,7 +124,8 @@ fn holes_on_one_line_are_no_plate() {
     }
 }
 
-/// Five gauges on a mandrel show the tilt of the spindle too: it drifts as displacements do, in its own unit.
+/// Five gauges on a mandrel show the tilt of the spindle too.
+/// It drifts as displacements do, in its own unit.
 #[test]
 fn the_tilt_of_a_spindle_drifts_as_displacements_do() {
     let rows = 121;

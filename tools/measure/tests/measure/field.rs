@@ -1,4 +1,5 @@
-//! Records as people have them: each stands for a kind that was evaluated wrongly once.
+//! Records as people have them.
+//! Each stands for a kind that was evaluated wrongly once.
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
@@ -64,7 +65,8 @@ fn angular_targets_are_refused_by_their_file_type() {
 /// What reads a table as its controller does.
 type Reader = Box<dyn Fn(&str) -> Points>;
 
-/// A table as a controller has it: position, mm, and what the axis is off by there moving up and down, µm.
+/// A table as a controller has it.
+/// Position, mm, and what the axis is off by there moving up and down, µm.
 type Points = Vec<[f64; 3]>;
 
 /// `COMP_FILE` as LinuxCNC's loader reads it (`usrmotLoadComp`), in mm and µm.
@@ -196,7 +198,8 @@ fn warming_of_an_axis_is_not_its_repeatability() {
     assert!(said.iter().any(|s| s.contains("the approaches drift by")), "{said:?}");
 }
 
-/// A step is named with its row; a line, a bend as heat makes it, and noise are none.
+/// A step is named with its row.
+/// A line, a bend as heat makes it, and noise are none.
 #[test]
 fn a_step_of_the_returns_is_no_drift() {
     type Curve = fn(f64) -> f64;
@@ -277,7 +280,8 @@ fn positioning_tells_a_step_from_a_drift() {
     }
 }
 
-/// The approaches downwards come later in each cycle: what drifts meanwhile is no reversal and no scatter.
+/// The approaches downwards come later in each cycle.
+/// What drifts meanwhile is no reversal and no scatter.
 #[test]
 fn drift_within_a_cycle_is_in_neither_reversal_nor_repeatability() {
     for seed in 1..=20 {
@@ -326,8 +330,8 @@ fn cec(text: &str) -> impl Fn(f64) -> f64 {
     }
 }
 
-/// Squareness, bow and sag of Y along X go into a cross table: a controller that reads it by the manual, its sign as tried, leaves
-/// of them less than the limit; what is Y's own stays out.
+/// Squareness, bow and sag of Y along X go into a cross table.
+/// A controller that reads it by the manual, its sign as tried, leaves of them less than the limit; what is Y's own stays out.
 #[test]
 fn a_cross_table_takes_out_what_one_axis_does_to_another() {
     let model = "name = \"m\"\n[[effect]]\nname = \"squareness.y.x\"\nurad = 40.0\n[[effect]]\nname = \"straightness.y.x\"\n\

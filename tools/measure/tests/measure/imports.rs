@@ -1,4 +1,5 @@
-//! Other programs' files as run records: each structure written down here by hand, with what it means.
+//! Other programs' files as run records.
+//! Each structure written down here by hand, with what it means.
 
 #![allow(clippy::unwrap_used, clippy::float_cmp)] // a test's own helpers; directions are 1 or -1
 
@@ -185,7 +186,8 @@ fn linuxcnc_files_of_both_types_mean_the_same_errors() {
     refused(read(&many, false, Unit::Mm), 257, "at most 256 points");
 }
 
-/// Made here after the structure that seven programs read alike; no file of the maker's was at hand.
+/// Made here after the structure that seven programs read alike.
+/// No file of the maker's was at hand.
 const RTL: &str = "HEADER::\r\nFile type: Linear\r\nOwner: Renishaw\r\nVersion no: 5\r\n\r\nTARGET DATA::\r\nFiletype: 1\r\n\
     Target-count: 6\r\nTargets : \r\n -100.0  -60.0  -20.0  20.0  60.0 \r\n 100.0 \r\nFlags: 0 0 2 0\r\n\r\nUSER-TEXT::\r\n\
     Machine: M\u{fc}ller 3\r\nSerial No: 17\r\nDate: 08/11/2022\r\nBy: me\r\nAxis: X\r\nLocation: \r\nTITLE: cold\r\n\r\n\

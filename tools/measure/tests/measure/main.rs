@@ -1,4 +1,5 @@
-//! Records, evaluations, imports and their mistakes from outside. One program: what takes long runs beside the rest.
+//! Records, evaluations, imports and their mistakes from outside.
+//! One program: what takes long runs beside the rest.
 
 mod ballbar;
 mod ballbar_one_way;

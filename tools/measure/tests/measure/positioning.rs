@@ -157,7 +157,8 @@ fn a_long_axis_is_tested_its_own_way() {
     assert!(error_of(&noisy(&cycles(&uneven(800.0, 9), 1))).contains("approached twice"));
 }
 
-/// Targets at the ends can be approached from inside only: they count one-sided and are named.
+/// Targets at the ends can be approached from inside only.
+/// They count one-sided and are named.
 #[test]
 fn the_ends_of_the_travel_are_one_sided() {
     let targets = uneven(800.0, 9);
@@ -194,7 +195,8 @@ fn tilts_are_in_urad_and_arcsec() {
     assert!(as_urad.uncertainty.is_none());
 }
 
-/// A scale at 23 °C with 8.5 ppm/K is 25.5 µm/m too long; against a work piece at 22 °C with 11.5 ppm/K 2.5 µm/m too long.
+/// A scale at 23 °C with 8.5 ppm/K is 25.5 µm/m too long.
+/// Against a work piece at 22 °C with 11.5 ppm/K 2.5 µm/m too long.
 #[test]
 fn lengths_are_reduced_to_20_degrees() {
     let rows = cycles(&uneven(1000.0, 9), 5);
@@ -280,7 +282,8 @@ fn body_diagonals_give_squareness() {
     }
 }
 
-/// A device that counts from the diagonal's other end: its direction says so, or what is assumed is said.
+/// A device that counts from the diagonal's other end.
+/// Its direction says so, or what is assumed is said.
 #[test]
 fn a_diagonal_may_be_logged_from_its_other_end() {
     let (size, xy) = ([400.0_f64, 300.0], 25.0);

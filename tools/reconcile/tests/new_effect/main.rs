@@ -1,5 +1,5 @@
-//! What a new effect takes: its file and its line in a list. It is then found in records, evaluated on the machine and
-//! over a record like any other.
+//! What a new effect takes: its file and its line in a list.
+//! It is then found in records, evaluated on the machine and over a record like any other.
 
 #![allow(clippy::unwrap_used)] // helpers of tests count as tests
 

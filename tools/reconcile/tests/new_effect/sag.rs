@@ -1,4 +1,5 @@
-//! `sag.A.B`: a cantilever of length `length_mm` bends as B reaches out, not before it leaves its guide.
+//! `sag.A.B`: a cantilever of length `length_mm` bends as B reaches out.
+//! It does not bend before B leaves its guide.
 
 use crate::Sample;
 use rtec_model::effect::{

@@ -1,4 +1,5 @@
-//! What a ballbar's radial error lacks is named by the axis it comes from. The errors are written out here.
+//! What a ballbar's radial error lacks is named by the axis it comes from.
+//! The errors are written out here.
 
 #![allow(clippy::unwrap_used)] // a test's own helpers
 

@@ -1,5 +1,5 @@
-//! Records that carry people's mistakes: what is said of them, what is left out, and what is not learned. The runs are made
-//! here, by formulas of their own.
+//! Records that carry people's mistakes.
+//! What is said of them, what is left out, and what is not learned. The runs are made here, by formulas of their own.
 
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
@@ -121,7 +121,8 @@ fn a_row_alone_tells_nothing() {
     );
 }
 
-/// A sensor that stands still from some row on, read in tenths: its own noise before says that it should not.
+/// A sensor that stands still from some row on, read in tenths.
+/// Its own noise before says that it should not.
 #[test]
 fn a_sensor_that_stops_midway_is_stuck() {
     let (mut train, good) = (run("a", 10, 160), run("b", 11, 160));
@@ -238,7 +239,8 @@ fn plate(seed: u64, more: impl Fn(f64, f64) -> [f64; 2]) -> Record {
     parsed("plate", Kind::Plate, columns)
 }
 
-/// Two axes in each other's place are no squareness and no rotation; what is one of those is named as before.
+/// Two axes in each other's place are no squareness and no rotation.
+/// What is one of those is named as before.
 #[test]
 fn positions_or_errors_of_two_axes_exchanged_are_said() {
     let model = "name = \"m\"\n[[effect]]\nname = \"scale.x\"\nppm = 50.0\n[[effect]]\nname = \"scale.y\"\nppm = -85.0\n";
@@ -258,7 +260,8 @@ fn positions_or_errors_of_two_axes_exchanged_are_said() {
     }
 }
 
-/// Three strokes; a value of the model that is off by a third is refined, and one that is off by what an inch has is no refinement.
+/// Three strokes.
+/// A value of the model that is off by a third is refined, and one that is off by what an inch has is no refinement.
 #[test]
 fn inches_that_only_the_model_shows_are_said() {
     let run = |ppm: f64, per: f64| {
@@ -276,7 +279,8 @@ fn inches_that_only_the_model_shows_are_said() {
     assert_eq!((kinds(&r), r.refined.len()), (vec![(What::Unit, "x")], 0), "{}", r.to_json());
 }
 
-/// The same beside a reversal that the model lacks: found, and then the scale is off by what an inch has.
+/// The same beside a reversal that the model lacks.
+/// Found, and then the scale is off by what an inch has.
 #[test]
 fn inches_beside_a_missing_effect_are_said() {
     let run = |per: f64| {
@@ -305,7 +309,8 @@ fn inches_beside_a_missing_effect_are_said() {
     assert!(r.refined.is_empty() && r.suspicions[0].text.contains("inch"), "{:?}", r.suspicions);
 }
 
-/// A circle of 100 mm radius, both ways, four times: errors of two scales, two reversals and a squareness.
+/// A circle of 100 mm radius, both ways, four times.
+/// Errors of two scales, two reversals and a squareness.
 fn circle(seed: u64) -> Record {
     let mut d = Dice::new(seed);
     let mut columns: Vec<Vec<f64>> = vec![Vec::new(); 8];
@@ -379,7 +384,8 @@ fn warming(seed: u64, minutes: bool, revolutions: bool) -> Record {
 const WARM: &str = "name = \"m\"\n[[effect]]\nname = \"thermal_lag.x\"\nsensor = \"T1\"\num_per_K = 3.1\num_per_K2 = 0.0\ntau_s = 1450.0\n\
     [[effect]]\nname = \"spindle_speed.z\"\num_per_krpm = 3.9\num_per_krpm2 = 0.0\n";
 
-/// Minutes and revolutions a second that only the model shows; no lag is named by a clock that is doubted, whoever doubts it.
+/// Minutes and revolutions a second that only the model shows.
+/// No lag is named by a clock that is doubted, whoever doubts it.
 #[test]
 fn minutes_and_revolutions_a_second_that_only_the_model_shows_are_said() {
     for seed in 1..=3 {
@@ -395,8 +401,8 @@ fn minutes_and_revolutions_a_second_that_only_the_model_shows_are_said() {
     }
 }
 
-/// Tool changes, say: every axis comes back to one place, and what is seen of its travel is a count. A run that was written in metres
-/// is told from it.
+/// Tool changes, say.
+/// Every axis comes back to one place, and what is seen of its travel is a count. A run that was written in metres is told from it.
 #[test]
 fn an_axis_that_stands_is_no_other_unit() {
     for (at_mm, stroke_mm, doubted) in [(50.0, 0.0007, false), (0.0, 0.0007, false), (0.0, 300.0, true)] {

@@ -1,4 +1,5 @@
-//! Verdicts from outside, a file a question. One program: what takes long runs beside the rest.
+//! Verdicts from outside, a file a question.
+//! One program: what takes long runs beside the rest.
 
 mod ballbar;
 mod doubted;

@@ -1,4 +1,5 @@
-//! What has no name gets none: shapes of real life that are near a law, and readings that the model explains.
+//! What has no name gets none.
+//! Shapes of real life that are near a law, and readings that the model explains.
 
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
@@ -102,7 +103,8 @@ fn line(name: &str, seed: u64, noise_um: f64) -> Record {
     record(name, Kind::Positioning, columns)
 }
 
-/// One day the air is quiet, another day it is not: what is noise on the second says nothing of the first.
+/// One day the air is quiet, another day it is not.
+/// What is noise on the second says nothing of the first.
 #[test]
 fn each_run_has_noise_of_its_own_size() {
     for seed in 0..12 {

@@ -23,7 +23,8 @@ fn names(r: &Reconciliation) -> Vec<String> {
     r.effects.iter().map(|(f, _)| f.effect.name()).collect()
 }
 
-/// One slow sweep in even steps: a hundred micrometres look the same as several shorter periods, whose amplitude no scale has.
+/// One slow sweep in even steps.
+/// A hundred micrometres look the same as several shorter periods, whose amplitude no scale has.
 #[test]
 fn a_signal_period_is_found_in_one_even_sweep() {
     let mut normal = noise(1);
@@ -73,14 +74,16 @@ fn a_value_that_is_left_out_has_an_interval() {
     assert!(off(0, 2.0) < half[0], "{} ± {}", finding.effect.scalar(0), half[0]);
 }
 
-/// Five metres of steel grow by less: what is there is said, though nothing is named.
+/// Five metres of steel grow by less.
+/// What is there is said, though nothing is named.
 #[test]
 fn what_no_machine_has_is_missing_all_the_same() {
     let r = answer(warm(|a, _| 90.0 * (a - 20.0), 2.0));
     assert_eq!(r.verdict, Verdict::UnknownEffect, "{}", r.to_json());
 }
 
-/// Targets every 23 mm do not tell a lead of 10 mm from some others: all that are likely are said.
+/// Targets every 23 mm do not tell a lead of 10 mm from some others.
+/// All that are likely are said.
 #[test]
 fn leads_that_the_targets_cannot_tell_apart_are_weighed() {
     let mut normal = noise(3);
@@ -116,7 +119,8 @@ fn drift(seed: u64, degc: impl Fn(f64) -> f64) -> Record {
     record(Kind::Drift, vec![("t", "time", t), ("A", "temperature", a), ("e", "error.z", e)])
 }
 
-/// One warm-up does not tell growth from what only goes with time; another record, in which the machine cools down, does.
+/// One warm-up does not tell growth from what only goes with time.
+/// Another record, in which the machine cools down, does.
 #[test]
 fn of_several_records_one_refutes_what_the_other_leaves_open() {
     let warm = || drift(5, |t| 20.0 + 7.0 * (1.0 - (-t / 2400.0).exp()));
@@ -204,7 +208,8 @@ fn positions_in_another_unit_are_said_where_no_straight_line_does_as_well() {
     }
 }
 
-/// Growth that begins at a temperature is no parabola that falls first; one that bends as growth does keeps its name.
+/// Growth that begins at a temperature is no parabola that falls first.
+/// One that bends as growth does keeps its name.
 #[test]
 fn a_knee_over_the_temperature_is_no_growth_that_turns_back() {
     let drift = |seed: u64, error: &dyn Fn(f64) -> f64| {
@@ -246,7 +251,8 @@ fn a_row_of_bumps_is_no_name() {
     assert_eq!(names(&r), ["form_bump"; 3], "{:?}", r.verdict);
 }
 
-/// Far from zero a short period and its phase lean on each other: no angle is more open than half a turn to either side.
+/// Far from zero a short period and its phase lean on each other.
+/// No angle is more open than half a turn to either side.
 #[test]
 fn a_phase_is_open_by_half_a_turn_at_most() {
     let mut normal = noise(33);

@@ -1,4 +1,5 @@
-//! Advice before measuring: the run that is planned from a verdict tells what the verdict could not.
+//! Advice before measuring.
+//! The run that is planned from a verdict tells what the verdict could not.
 
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
@@ -61,7 +62,8 @@ fn planned(r: &rtec_reconcile::Reconciliation) -> NextRuns {
     next_runs(&r.effects.iter().map(of).collect::<Vec<_>>(), &Machine::ideal("m"), &[axis()])
 }
 
-/// The run of a step, as a person would make it: targets and cycles stand in its words.
+/// The run of a step, as a person would make it.
+/// Targets and cycles stand in its words.
 fn run_of(step: &rtec_measure::plan::Step) -> TargetRun {
     let words: Vec<&str> = step.run.split_whitespace().collect();
     let targets_mm = words[1..].iter().map_while(|w| w.parse().ok()).collect();
@@ -69,7 +71,8 @@ fn run_of(step: &rtec_measure::plan::Step) -> TargetRun {
     TargetRun { targets_mm, cycles, warmer_k: None }
 }
 
-/// On even targets a wave looks like others: the first ten machines whose verdict is open, each with a wave of its own.
+/// On even targets a wave looks like others.
+/// The first ten machines whose verdict is open, each with a wave of its own.
 #[test]
 fn the_planned_run_tells_what_the_verdict_could_not() {
     let targets_mm = (0..11).map(|k| 10.0 + 48.0 * f64::from(k)).collect();

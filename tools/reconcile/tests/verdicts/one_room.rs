@@ -1,5 +1,6 @@
-//! A drift that `model fit` and the reconciliation both look at: one choice of sensors, intervals that hold each other's
-//! values, or a said reason. Machines, heat and noise are made here, by formulas of their own.
+//! A drift that `model fit` and the reconciliation both look at.
+//! One choice of sensors, intervals that hold each other's values, or a said reason. Machines, heat and noise are made here, by formulas of
+//! their own.
 
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
@@ -132,7 +133,8 @@ impl Plan {
     }
 }
 
-/// Growth by a temperature difference: the difference, then each parameter with its interval.
+/// Growth by a temperature difference.
+/// The difference, then each parameter with its interval.
 type Law = (String, Vec<(String, [f64; 3])>);
 
 fn by_fit(record: &Record) -> (Vec<Law>, Vec<String>) {

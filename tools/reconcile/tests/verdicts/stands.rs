@@ -8,7 +8,8 @@ use rtec_model::record::{Kind, Record, Role};
 use rtec_reconcile::Verdict;
 use test_needs::dice::Dice;
 
-/// A laser's run along x, up and down again: its stand creeps by so much from the first reading to the last.
+/// A laser's run along x, up and down again.
+/// Its stand creeps by so much from the first reading to the last.
 fn line(seed: u64, creep_um: f64, timed: bool) -> Record {
     let mut d = Dice::new(seed);
     let n = 120;
@@ -73,7 +74,8 @@ fn a_plate_that_lies_otherwise_is_of_no_other_machine() {
     }
 }
 
-/// What a gauge in steps of 1 µm makes of a slope is a saw: no wave, no shape, no other unit.
+/// What a gauge in steps of 1 µm makes of a slope is a saw.
+/// No wave, no shape, no other unit.
 #[test]
 fn the_saw_of_a_gauge_in_steps_is_no_finding() {
     for seed in 0..6 {

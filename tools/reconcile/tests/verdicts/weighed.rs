@@ -93,7 +93,8 @@ fn line(seed: u64, axis: &str, at: f64, law: &dyn Fn([f64; 2]) -> [f64; 2]) -> R
     parsed("line", Kind::Positioning, columns)
 }
 
-/// Strokes of 400 mm, two to and two fro: a scale and a reversal; the columns under these roles.
+/// Strokes of 400 mm, two to and two fro: a scale and a reversal.
+/// The columns under these roles.
 fn strokes(name: &str, seed: u64, roles: [&str; 3], per_um: f64) -> Record {
     let mut d = Dice::new(seed);
     let (mut p, mut way, mut e) = (Vec::new(), Vec::new(), Vec::new());
@@ -111,7 +112,8 @@ const STROKES: &str =
     "[[effect]]\nname = \"scale.x\"\nppm = 23.0\n[[effect]]\nname = \"reversal.x\"\num = 5.8\n";
 const RIGHT: [&str; 3] = ["position.x", "direction.x", "error.x"];
 
-/// The positions of the axis whose error was read stand in another one's column: with its directions, or without.
+/// The positions of the axis whose error was read stand in another one's column.
+/// With its directions, or without.
 #[test]
 fn positions_in_another_axis_s_column_are_said() {
     for roles in [["position.y", "direction.x", "error.x"], ["position.y", "direction.y", "error.x"]] {
@@ -211,8 +213,8 @@ fn a_wave_of_a_size_that_is_not_told_is_not_separable() {
     }
 }
 
-/// A reversal as large as the model's, and opposite: the directions are those that the axis went, so that is the machine's. With the
-/// directions exchanged they are not.
+/// A reversal as large as the model's, and opposite.
+/// The directions are those that the axis went, so that is the machine's. With the directions exchanged they are not.
 #[test]
 fn a_reversal_opposite_to_the_model_s_is_no_mistake_in_the_directions() {
     let model = "[[effect]]\nname = \"reversal.x\"\num = 7.0\n[[effect]]\nname = \"scale.x\"\nppm = 20.0\n";

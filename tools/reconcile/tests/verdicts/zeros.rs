@@ -1,4 +1,5 @@
-//! What is of no size is no finding: an effect whose interval holds zero, and the constant of a session of its own.
+//! What is of no size is no finding.
+//! An effect whose interval holds zero, and the constant of a session of its own.
 
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
@@ -53,8 +54,9 @@ fn what_is_of_no_size_is_not_named() {
     }
 }
 
-/// A bug once: a bump that one angle of forty shows, twice around. Beside a second one, which went as its size was not told, the first had
-/// one; by itself it had none any more, and was named with 0.5 ± 2.3 µm.
+/// A bug once: a bump that one angle of forty shows, twice around.
+/// Beside a second one, which went as its size was not told, the first had one; by itself it had none any more, and was named with 0.5 ±
+/// 2.3 µm.
 #[test]
 fn what_is_of_no_size_without_another_is_not_named() {
     let ways = "------++++++-+-++-+--++--+---+++-+---+-+--+-+++++----++++-+--+++-+++-+-++++-+---";
@@ -85,7 +87,8 @@ fn what_is_of_no_size_without_another_is_not_named() {
     assert_eq!(r.verdict, Verdict::UnknownEffect);
 }
 
-/// A bug once: at one speed and at rest 1.0 ± 155 µm/krpm, for a square that nothing speaks for.
+/// A bug once.
+/// At one speed and at rest 1.0 ± 155 µm/krpm, for a square that nothing speaks for.
 #[test]
 fn a_value_that_is_left_out_does_not_undo_the_others() {
     let mut dice = noise(5);
@@ -100,7 +103,8 @@ fn a_value_that_is_left_out_does_not_undo_the_others() {
     assert!((value - 1.0).abs() < half && half < value, "{value} ± {half}");
 }
 
-/// Each of three sessions has a zero of its own: how far they are apart is nothing of the machine's, however far.
+/// Each of three sessions has a zero of its own.
+/// How far they are apart is nothing of the machine's, however far.
 #[test]
 fn the_constant_of_a_session_is_no_finding() {
     for apart in [3.0, 300.0, 3e6] {

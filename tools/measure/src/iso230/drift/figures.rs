@@ -1,4 +1,5 @@
-//! What a displacement did over some rows, in two looks at them: of the rows of a whole column, or of a file gone through twice.
+//! Figures of a displacement over some rows, in two passes.
+//! The rows are those of a column, or of a file that is read twice.
 
 use super::{Figures, SensorDrift};
 use std::collections::VecDeque;
@@ -17,7 +18,8 @@ pub(super) struct Sums {
     last_s: f64,
     t: f64,
     e: f64,
-    /// Sum and number of the readings of each sensor that are any: one that is called bad is no number.
+    /// Sum and number of the readings of each sensor that are any.
+    /// One that is called bad is no number.
     degc: Vec<(f64, usize)>,
 }
 
@@ -81,7 +83,8 @@ struct Beside {
     tv: f64,
     vv: f64,
     ve: f64,
-    /// Sums over its readings: time and displacement about their means over all rows, and their squares.
+    /// Sums over its readings.
+    /// Time and displacement about their means over all rows, and their squares.
     t: [f64; 2],
     e: [f64; 2],
 }
@@ -162,7 +165,8 @@ pub(super) struct Look {
     tt: f64,
     te: f64,
     ee: f64,
-    /// Rates are over an hour, or the whole where it is shorter: the window slides with the rows, and holds those in it.
+    /// Rates are over an hour, or the whole where it is shorter.
+    /// The window slides with the rows, and holds those in it.
     window_s: f64,
     window: VecDeque<(f64, f64)>,
     max_rate_per_h: f64,

@@ -1,4 +1,5 @@
-//! A drift test of any number of rows, in the memory of some: its file is gone through three times.
+//! A drift test of any number of rows, in the memory of some.
+//! Its file is gone through three times.
 
 use super::figures::{Look, Row, Sums};
 use super::spans::{Span, Spans, State, TURNS_RPM};
@@ -15,7 +16,8 @@ use std::path::{Path, PathBuf};
 /// Rows that are held at a time where nothing asks for more.
 const PIECE_ROWS: usize = 4096;
 
-/// A drift test on file that has been gone through once: what the next look has to know of all its rows.
+/// A drift test on file that has been gone through once.
+/// What the next look has to know of all its rows.
 pub struct LongDrift {
     path: PathBuf,
     pieces: Pieces,
@@ -26,12 +28,13 @@ pub struct LongDrift {
     errors: Vec<Outline>,
     degc: Vec<Outline>,
     usual: Usual,
-    /// What its rows show of mistakes, and the rows that are in no figure for it, from 0.
+    /// Mistakes that its rows show, and rows left out of all figures, from 0.
     doubts: Vec<Suspicion>,
     left_out: BTreeSet<usize>,
 }
 
-/// How warm each sensor is in the first rows: beside that a code of its input shows as one.
+/// Each sensor's temperature in the first rows.
+/// Relative to it an input's error code is recognised.
 #[derive(Default)]
 struct Usual(Vec<f64>);
 
@@ -64,8 +67,8 @@ impl Usual {
 const UNUSUAL_K: f64 = 15.0;
 
 impl LongDrift {
-    /// Goes through a record of more than so many rows; `None` for a shorter one, and for one whose figures ask for all rows at
-    /// once: where an axis moves, the places that it was read at are found among all of them.
+    /// Reads a record of more than `more_than` rows; `None` for a shorter one.
+    /// Also `None` if an axis moves: its places are found among all rows at once.
     ///
     /// # Errors
     /// What [`crate::record::read`] finds.
@@ -103,7 +106,8 @@ impl LongDrift {
         Ok(head.map(|head| Self { path, pieces, head, rows, spans, errors, degc, usual, doubts, left_out }))
     }
 
-    /// Leaves the rows that these suspicions name out of all figures and plots, as [`crate::plausible::in_figures`] does. Goes through the file once.
+    /// Leaves the rows that these suspicions name out of all figures and plots.
+    /// As [`crate::plausible::in_figures`] does; it reads the file once.
     ///
     /// # Errors
     /// The file is no longer what it was.
@@ -150,8 +154,8 @@ impl LongDrift {
         temperatures(&self.head.columns).map(|c| c.name.as_str()).zip(self.degc.iter().map(Outline::range))
     }
 
-    /// What [`super::drift`] says of the whole, to the last bit. Goes through the file twice; `each` is given its rows, so many at
-    /// a time.
+    /// What [`super::drift`] says of the whole, to the last bit.
+    /// Goes through the file twice; `each` is given its rows, so many at a time.
     ///
     /// # Errors
     /// The file is no longer what it was.
@@ -200,7 +204,8 @@ impl LongDrift {
             .collect())
     }
 
-    /// Goes through the file: gives `each` its rows, so many at a time, and `see` each row's phase, response and values.
+    /// Reads the file.
+    /// `each` gets its rows in pieces, `see` each row's phase, response and values.
     fn walk(
         &mut self,
         rows_at_once: usize,
@@ -237,7 +242,8 @@ impl LongDrift {
         Ok(())
     }
 
-    /// What [`super::drift_charts`] draws, of fewer points that touch the same pixels, but for some at the edge between two.
+    /// The charts of [`super::drift_charts`] from fewer points.
+    /// They touch the same pixels, except for some at the edge between two.
     #[must_use]
     pub fn charts(&self) -> Vec<Chart> {
         let start_s = self.spans.first().map_or(0.0, |s| s.start_s);
@@ -353,8 +359,8 @@ fn widen([_, low, high, last]: &mut Block, [_, next_low, next_high, next_last]: 
 mod tests {
     use super::*;
 
-    /// Of many more rows than blocks: few points, the first and the last of all, and of every column of pixels what lies in
-    /// blocks that are in no other column.
+    /// Of many more rows than blocks.
+    /// Few points, the first and the last of all, and of every column of pixels what lies in blocks that are in no other column.
     #[test]
     fn an_outline_has_what_a_plot_shows() {
         let rows = 20 * MOST_BLOCKS + 77;

@@ -4,7 +4,8 @@ use super::{Figures, Phase};
 use rtec_model::record::{Column, Role};
 use std::ops::Range;
 
-/// Shorter than this is no phase of its own, s; nor what is shorter than a twentieth of the test.
+/// Shorter than this is no phase of its own, s.
+/// Nor what is shorter than a twentieth of the test.
 const SHORTEST_S: f64 = 900.0;
 /// The spindle turns from this speed on, rpm.
 pub(super) const TURNS_RPM: f64 = 0.5;

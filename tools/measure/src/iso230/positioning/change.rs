@@ -1,4 +1,5 @@
-//! What all approaches of a positioning run have in common over time: a drift, or a step.
+//! What all approaches of a positioning run have in common over time.
+//! A drift, or a step.
 //!
 //! Both are told by likelihood: what leaves least, with Schwarz's price for each parameter. A drift is a straight line or a warm-up
 //! over time, each with a part that grows along the axis. A step has a size and a place.
@@ -15,7 +16,8 @@ const WARM_UPS: [f64; 6] = [0.05, 0.1, 0.2, 0.4, 0.8, 1.6];
 /// So many rows at least on either side of a step: fewer are bad approaches.
 const STEP_SIDE: usize = 2;
 
-/// A drift of all targets together, and repeatability and reversal without it. In the unit of the figures.
+/// A drift of all targets together, and repeatability and reversal without it.
+/// In the unit of the figures.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Trend {
     /// From the first row to the last, in the middle of the travel.
@@ -33,7 +35,8 @@ pub struct Trend {
     pub mean_reversal: Option<f64>,
 }
 
-/// A step of all targets together, and repeatability and reversal without it. In the unit of the figures.
+/// A step of all targets together, and repeatability and reversal without it.
+/// In the unit of the figures.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Step {
     /// The first row behind it, from 1, as it stands in the file.
@@ -119,7 +122,8 @@ impl Repeats {
         all
     }
 
-    /// By least squares of what the repeats differ by (`y`); none where its columns say nothing, or the same.
+    /// By least squares of what the repeats differ by (`y`).
+    /// None where its columns say nothing, or the same.
     fn fit(&self, shape: Shape, y: &[f64]) -> Option<Fitted> {
         let columns: Vec<Vec<f64>> = shape.columns.iter().map(|c| self.within(c)).collect();
         let square = |k: usize| dot(&columns[k], &columns[k]);
@@ -181,9 +185,9 @@ impl Repeats {
 }
 
 impl Run<'_> {
-    /// The drift or step of all approaches in common, and R, B and the mean of B without it; says it where chance gives so much in
-    /// less than one of a hundred runs. It is taken off row by row: within a cycle, too, the approaches downwards come later than
-    /// those upwards.
+    /// The common drift or step of all approaches; R, B and mean B without it.
+    /// It is reported if chance gives as much in less than one of a hundred runs. It is removed row by row, because within a cycle the
+    /// downward approaches come later than the upward ones.
     pub(super) fn change(&mut self, with: [Option<f64>; 3], unit: &str) -> Option<Change> {
         let n = self.error.len();
         let rows: Vec<f64> = (0..n).map(|row| row as f64).collect();
@@ -293,7 +297,8 @@ impl Run<'_> {
         Repeats { groups, rows: self.error.len() }
     }
 
-    /// The cycle of a row: the record's own number, or which approach to its target from its side it is.
+    /// The cycle of a row.
+    /// The record's own number, or which approach to its target from its side it is.
     fn cycle(&self, repeats: &Repeats, row: usize) -> usize {
         if let Some(own) = self.record.data(&Role::Cycle) {
             return own[row].round().max(0.0) as usize;

@@ -9,7 +9,8 @@ use rtec_model::record::{Column, Kind, Record, Role};
 use std::f64::consts::TAU;
 use test_needs::dice::Dice;
 
-/// The directions are those of x, and y moves as they say; with its own directions it is a straightness.
+/// The directions are those of x, and y moves as they say.
+/// With its own directions it is a straightness.
 #[test]
 fn positions_in_another_axis_s_column_are_said() {
     let of = |way: &str, still: bool| {
@@ -187,7 +188,8 @@ fn signs_and_copies_of_cycles_are_said() {
     }
 }
 
-/// Circles one way, then the other, no direction logged: an axis that follows late errs to the other side on the way back.
+/// Circles one way, then the other, no direction logged.
+/// An axis that follows late errs to the other side on the way back.
 #[test]
 fn an_axis_that_follows_late_around_a_circle_has_no_turned_sign() {
     let mut d = Dice::new(8);

@@ -1,5 +1,5 @@
-//! Mistakes in records, each beside its clean twin: said, and nothing said of the twin. The machines and runs are made
-//! here, by formulas of their own.
+//! Mistakes in records, each beside its clean twin.
+//! Said, and nothing said of the twin. The machines and runs are made here, by formulas of their own.
 
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
@@ -208,7 +208,8 @@ fn rounded(v: impl Iterator<Item = f64>, step: f64) -> Vec<f64> {
     v.map(|v| (v / step).round() * step).collect()
 }
 
-/// Targets whose positions are given, three times to and fro; a position for each row.
+/// Targets whose positions are given, three times to and fro.
+/// A position for each row.
 fn to_and_fro(targets: &[f64], d: &mut Dice) -> Vec<f64> {
     let there = targets.iter();
     let once: Vec<f64> = there.clone().chain(there.rev()).copied().collect();

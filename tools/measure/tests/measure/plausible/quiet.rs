@@ -27,7 +27,8 @@ fn a_long_record_and_a_clock_that_steps() {
     assert!(at(&milliseconds).iter().any(|s| s.what == What::Unit), "seconds in milliseconds");
 }
 
-/// Rows sorted by position, − before + at each; a gauge read by hand every hour: nothing is wrong with either.
+/// Rows sorted by position, − before + at each; a gauge read by hand every hour.
+/// Nothing is wrong with either.
 #[test]
 fn a_sorted_run_and_hourly_readings_are_not_doubted() {
     let mut d = Dice::new(3);
@@ -65,7 +66,8 @@ fn a_sorted_run_and_hourly_readings_are_not_doubted() {
     assert!(drift(10_000.0).iter().any(|s| s.text.contains("milliseconds")), "a row each ten seconds, in ms");
 }
 
-/// An axis that turns with a spike has none until it has turned: the first pass of a record begins without it.
+/// An axis that turns with a spike has none until it has turned.
+/// The first pass of a record begins without it.
 #[test]
 fn the_first_pass_of_an_axis_with_a_spike_is_not_doubted() {
     let run = |d: &mut Dice, spike: f64, wild: Option<usize>| {
@@ -132,8 +134,8 @@ fn switched(d: &mut Dice, rows: usize, tau_rows: f64, steps: &[(usize, f64)], rp
     record("switched", Kind::Drift, columns)
 }
 
-/// A sensor that jumps by itself is doubted; one whose jump a slow body follows, that jumps each time it is switched, or with
-/// the spindle, is not.
+/// A sensor that jumps by itself is doubted.
+/// One whose jump a slow body follows, that jumps each time it is switched, or with the spindle, is not.
 #[test]
 fn heat_that_is_switched_is_no_jump() {
     for seed in 0..20 {

@@ -29,7 +29,8 @@ fn a_radius_in_inches_or_off_is_said() {
     assert!(!warned(record(150.0, -20.0)).contains("off the nominal"));
 }
 
-/// A circle about its centre that no bar is named of: in inches, as a grid plate's of ten millimetres, and as a bar's.
+/// A circle about its centre that no bar is named of.
+/// In inches, as a grid plate's of ten millimetres, and as a bar's.
 #[test]
 fn a_circle_in_inches_without_a_bar_is_said() {
     let circle = |radius: f64| {
@@ -53,7 +54,8 @@ fn a_circle_in_inches_without_a_bar_is_said() {
     }
 }
 
-/// A ballbar's positions in inches beside a radius in millimetres; in millimetres nothing is said.
+/// A ballbar's positions in inches beside a radius in millimetres.
+/// In millimetres nothing is said.
 #[test]
 fn inches_on_a_circle_are_said() {
     let record = |per_mm: f64, radius_mm: f64, turn: f64| {
@@ -84,7 +86,8 @@ fn inches_on_a_circle_are_said() {
     }
 }
 
-/// A plate's holes in inches: round in millimetres once they are converted, or a scale that no machine has.
+/// A plate's holes in inches.
+/// Round in millimetres once they are converted, or a scale that no machine has.
 #[test]
 fn a_plate_in_inches_is_said() {
     let plate = |per_mm: f64, pitch_mm: f64| {
@@ -115,7 +118,8 @@ fn a_plate_in_inches_is_said() {
     }
 }
 
-/// Lines over targets: as steep as the dictionary has scales is a scale, steeper is another unit.
+/// Lines over targets.
+/// As steep as the dictionary has scales is a scale, steeper is another unit.
 #[test]
 fn a_steep_scale_is_no_inch_and_a_steeper_line_is() {
     let run = |ppm: f64| {
@@ -148,7 +152,8 @@ fn a_drift_over_a_plate_is_no_inch() {
     assert_eq!(suspicions(&[record("p", Kind::Plate, columns)]), []);
 }
 
-/// Two plates, one of which warms while the other cools: the errors are the other way round from place to place, by no sign.
+/// Two plates, one of which warms while the other cools.
+/// The errors are the other way round from place to place, by no sign.
 #[test]
 fn a_plate_that_cools_is_none_of_the_other_sign() {
     let mut d = Dice::new(7);
@@ -162,7 +167,8 @@ fn a_plate_that_cools_is_none_of_the_other_sign() {
     assert_eq!(suspicions(&records), []);
 }
 
-/// Half of a run in mm among µm, and the directions of half of its runs turned; a drift that begins at nothing, or at rest, is neither.
+/// Half of a run in mm among µm, and the directions of half of its runs turned.
+/// A drift that begins at nothing, or at rest, is neither.
 #[test]
 fn another_unit_and_other_directions_from_a_row_on_are_said() {
     for seed in 1..=20 {

@@ -10,7 +10,8 @@ use std::f64::consts::TAU;
 use test_needs::cases;
 use test_needs::dice::Dice;
 
-/// An error that steps and stays is said with its row, and is no suspicion: counts that are lost do that.
+/// An error that steps and stays is said with its row, and is no suspicion.
+/// Counts that are lost do that.
 #[test]
 fn a_step_of_the_error_is_said() {
     let mut told = 0;
@@ -126,7 +127,8 @@ fn noise_single_wild_rows_and_days_are_said() {
     }
 }
 
-/// Records of few rows: returns, a warming spindle, a short sweep both ways; noise of any memory, a gauge of any step.
+/// Records of few rows: returns, a warming spindle, a short sweep both ways.
+/// Noise of any memory, a gauge of any step.
 fn few_rows(d: &mut Dice) -> Record {
     let n = 6 + d.below(24);
     let (noise, step) = noise(d, n);
@@ -185,7 +187,8 @@ fn one_wild_reading_in_few_rows_is_named() {
     assert!(found * 100 >= looked_at * 99, "{found} of {looked_at}");
 }
 
-/// What is 30 times the noise off is found among 15 rows, at each but the ends; so is a reading of a sensor.
+/// What is 30 times the noise off is found among 15 rows, at each but the ends.
+/// So is a reading of a sensor.
 #[test]
 fn a_wild_reading_of_thirty_times_the_noise_is_named_in_fifteen_rows() {
     let mut found = [0; 2];
@@ -250,8 +253,8 @@ fn adjacent_wild_readings_are_named() {
     }
 }
 
-/// Between its turns a steep curve is its own running median, however noisy: what is left at the turns is no wild row. A bug
-/// once: eight of 68 rows, 6 to 14 µm off, beside others that "spread by 0.42".
+/// Between its turns a steep curve is its own running median, however noisy.
+/// What is left at the turns is no wild row. A bug once: eight of 68 rows, 6 to 14 µm off, beside others that "spread by 0.42".
 #[test]
 fn the_turns_of_a_steep_curve_are_no_wild_rows() {
     let mut said = Vec::new();
