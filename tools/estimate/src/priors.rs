@@ -84,7 +84,7 @@ pub const LENGTHS: [f64; 2] = [0.3, 0.1];
 pub const KNOTS: usize = 40;
 /// Least variance of a smooth function's direction, as a share of the largest.
 /// Directions below are left out.
-pub const SMOOTH_RANK: f64 = 1e-3;
+pub const SMOOTH_RANK: f64 = 1e-5;
 
 /// Typical scatter of a reading, µm (forces: N), and the factor of its spread.
 /// The factor is one standard deviation. (Physics: from a laser on a quiet axis to a dial on a worn one.) It tells a unit error from noise

@@ -21,7 +21,17 @@ fn one_nan_costs_its_row_and_not_the_run() {
 fn a_rotary_axis_is_refused_before_it_is_recorded() {
     let dir = tempfile::tempdir().unwrap();
     for columns in ["b=position.b,e=error.x", "e=error.c"] {
-        let words = ["record", "--out", "r.run.toml", "--feed", "127.0.0.1:9", "--columns", columns];
+        let words = [
+            "record",
+            "--out",
+            "r.run.toml",
+            "--feed",
+            "127.0.0.1:9",
+            "--columns",
+            columns,
+            "--duration",
+            "1",
+        ];
         let (code, _, err) = said(&rtecctl(dir.path(), &words));
         assert!(code == Some(2) && err.contains("of a rotary axis"), "{columns}: {err}");
     }
