@@ -4,7 +4,7 @@
 //! quoted figure. `rtec-blind` judges by it, and a test compares the pages with it. A newer run goes in here first.
 
 /// The command of the newest run.
-pub const COMMAND: &str = "rtec-blind --bare --from 94000000";
+pub const COMMAND: &str = "rtec-blind --bare --from 95000000";
 /// Its cases.
 pub const CASES: usize = 482;
 
@@ -22,19 +22,19 @@ pub struct Figure {
 }
 
 /// One effect hidden at twice the noise or more: named rightly.
-pub const ONE_CLEAR: Figure = at_least("right, effect/noise >= 2", 98.0, (137, 141));
+pub const ONE_CLEAR: Figure = at_least("right, effect/noise >= 2", 98.0, (131, 135));
 /// One effect hidden at 0.7 to 10 times the noise: named rightly.
 pub const ONE: Figure = at_least("right, 0.7 to 10", 97.0, (226, 232));
 /// One or two effects hidden: a wrong name.
-pub const WRONG: Figure = at_most("wrong name", 0.5, (3, 312));
+pub const WRONG: Figure = at_most("wrong name", 0.5, (4, 312));
 /// Nothing hidden: something found.
 pub const NOTHING: Figure = at_most("cries wolf on nothing", 1.0, (0, 110));
 /// A shape of no dictionary: called unknown.
-pub const UNKNOWN: Figure = at_least("shape of no dictionary called unknown", 90.0, (58, 60));
+pub const UNKNOWN: Figure = at_least("shape of no dictionary called unknown", 90.0, (57, 60));
 /// A shape of no dictionary: given a name.
-pub const UNKNOWN_NAMED: Figure = at_most("shape of no dictionary given a name", 5.0, (2, 60));
+pub const UNKNOWN_NAMED: Figure = at_most("shape of no dictionary given a name", 5.0, (0, 60));
 /// Two effects hidden, each at three times the noise or more: both named rightly.
-pub const BOTH: Figure = at_least("both of two, effect/noise >= 3", 97.0, (73, 79));
+pub const BOTH: Figure = at_least("both of two, effect/noise >= 3", 97.0, (75, 80));
 
 const fn at_least(what: &'static str, asked: f64, newest: (usize, usize)) -> Figure {
     Figure { what, asked, at_least: true, newest }
@@ -117,7 +117,8 @@ pub struct Quoted {
 const README: &str = "README.md";
 const FIGURES: &str = "tools/guide/contributor/figures.md";
 const PART: &str = "tools/guide/metrologist/part.md";
-const SHOP: &str = "tests/judges/shop.py --from 9301 --count 40";
+const SHOP: &str = "tests/judges/shop.py --from 9601 --count 40";
+const SHOP_BEFORE: &str = "tests/judges/shop.py --from 9301 --count 40";
 const ELSEWHERE: &str = "tests/judges/elsewhere.py all --count 20 --at-least";
 const FITS: &str = "cargo test -p rtec-fit --test fits random_machines";
 const MUTANTS: &str = "tests/mutants.py";
@@ -176,10 +177,11 @@ pub const QUOTED: &[Quoted] = &[
     quoted(FITS, "200 machines", &["0 of 66", "0 of 63"], &[FIGURES]),
     quoted("`model fit`; `reconcile`", "the real spindle", &["1170 of 2341"], &[FIGURES]),
     quoted(MUTANTS, "23 files", &["2205 of 2215", "16 of 18"], &[FIGURES]),
+    quoted(SHOP, "40 cases a class", &["37 of 40", "40 of 40", "96 ± 2 %"], &[FIGURES]),
     quoted(
-        SHOP,
+        SHOP_BEFORE,
         "40 cases a class",
-        &["37 of 40", "32 of 40", "30 of 40", "26 of 40", "34 of 40", "97 ± 2 %", "87 ± 2 %"],
+        &["30 of 40", "26 of 40", "34 of 40", "37 of 40", "87 ± 2 %"],
         &[FIGURES],
     ),
     quoted(

@@ -186,7 +186,7 @@ def regression(
     return arranged(_rtec.regression(records, base, machine, of_verdict))
 
 
-def arranged(arrays: _rtec.Arrays) -> Regression:
+def arranged(arrays: _rtec._Arrays) -> Regression:
     """The arrays as they come over the border, with their names."""
     rows, measured, predicted, columns = arrays
     counts = [count for *_, count in rows]
