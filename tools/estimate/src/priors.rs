@@ -84,6 +84,7 @@ pub const LENGTHS: [f64; 2] = [0.3, 0.1];
 pub const KNOTS: usize = 40;
 /// Least variance of a smooth function's direction, as a share of the largest.
 /// Directions below are left out.
+/// (Calibration: at 1e-3 what a map cannot show of a bow of 12 µm was named beside noise of 0.2 µm.)
 pub const SMOOTH_RANK: f64 = 1e-5;
 
 /// Typical scatter of a reading, µm (forces: N), and the factor of its spread.

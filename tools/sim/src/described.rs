@@ -19,6 +19,7 @@ macro_rules! wo97_of {
         )
     };
 }
+#[cfg(feature = "experiments")]
 pub(crate) use wo97_of;
 
 /// Every file: name and text.

@@ -17,7 +17,7 @@ use rtec_rt::event::{
 use rtec_rt::gate::{Gate, GateInput};
 
 /// Inversions of one insertion, and its counts.
-pub(crate) const INCREMENT_COUNTS: i64 = 4;
+const INCREMENT_COUNTS: i64 = GateDesign::A.increment_counts();
 /// A capture without a further edge ends after this time, ns: the axis has stopped.
 /// The engine does the same.
 const CAPTURE_LIMIT_NS: u64 = 100_000_000;

@@ -7,11 +7,10 @@
 //! | Design C (NISTIR 4832) | [`rtec_rt::engine::Engine`], which is the one that corrects machines |
 //! | Error Correction Circuit (CMTI 2014) | [`crate::ecc::Ecc`] |
 
-use crate::full_cycle::{self, FullCycle};
 use rtec_driver::card::{AxisLines, Card, CardError, MachineLines};
 use rtec_rt::axis::{self, AxisConfig};
 use rtec_rt::engine::{Engine, MachineConfig, StartError};
-use rtec_rt::event::{AxisStatus, Event, Request, Status};
+use rtec_rt::event::{AxisStatus, Event, Request};
 
 /// One corrected axis, homed: what a replay, or a comparison of designs, drives.
 pub trait CorrectedAxis {
@@ -111,73 +110,8 @@ impl GateDesign {
     #[must_use]
     pub const fn increment_counts(self) -> i64 {
         match self {
-            Self::Original | Self::A => full_cycle::INCREMENT_COUNTS,
+            Self::Original | Self::A => 4,
             Self::C => axis::INCREMENT_COUNTS,
-        }
-    }
-}
-
-/// The corrected axes of a simulated machine, by whichever design.
-#[derive(Debug)]
-pub(crate) enum CorrectedMachine {
-    C(Box<Engine>),
-    FullCycle(FullCycle),
-}
-
-impl CorrectedMachine {
-    /// Takes over the card as it is.
-    /// It homes axis `n` at `origins[n]` and enables corrections.
-    pub(crate) fn new<C: Card>(
-        design: GateDesign,
-        card: &mut C,
-        configs: &[AxisConfig],
-        lines: MachineLines,
-        origins: &[i64],
-        report: &mut impl FnMut(Event) -> bool,
-    ) -> Result<Self, StartError> {
-        if design != GateDesign::C {
-            return FullCycle::new(design, card, configs, lines, |n| origins[n]).map(Self::FullCycle);
-        }
-        let mut engine = Engine::new(card, configs, MachineConfig { lines, may_arm: true }, &[])?;
-        engine.start_homed_at(card, |n| origins[n], report)?;
-        Ok(Self::C(Box::new(engine)))
-    }
-
-    pub(crate) fn poll<C: Card>(
-        &mut self,
-        card: &mut C,
-        by_ns: u64,
-        report: &mut impl FnMut(Event) -> bool,
-    ) -> Result<(), CardError> {
-        match self {
-            Self::C(engine) => engine.poll(card, by_ns, report),
-            Self::FullCycle(axes) => axes.poll(card, by_ns, report),
-        }
-    }
-
-    pub(crate) fn take<C: Card>(
-        &mut self,
-        request: Request,
-        card: &mut C,
-        report: &mut impl FnMut(Event) -> bool,
-    ) -> Result<(), CardError> {
-        match self {
-            Self::C(engine) => engine.take(request, card, report),
-            Self::FullCycle(axes) => axes.take(request, card, report),
-        }
-    }
-
-    pub(crate) fn status(&self) -> Status {
-        match self {
-            Self::C(engine) => engine.status(),
-            Self::FullCycle(axes) => axes.status(),
-        }
-    }
-
-    pub(crate) fn now_ns(&self) -> u64 {
-        match self {
-            Self::C(engine) => engine.now_ns(),
-            Self::FullCycle(axes) => axes.now_ns(),
         }
     }
 }

@@ -3,7 +3,8 @@
 
 use crate::attended::Attended;
 use crate::control::{Control, WINDOW_COUNTS};
-use crate::insertion::{CorrectedMachine, GateDesign};
+use crate::corrected::CorrectedMachine;
+use crate::insertion::GateDesign;
 use crate::lathe::{Lathe, Move, Stand, axes, cut_away};
 use crate::machine::ServoFault;
 use crate::polled::Polled;

@@ -37,6 +37,7 @@ pub mod axis;
 pub mod bench;
 pub mod computer;
 mod control;
+mod corrected;
 pub mod described;
 pub mod designs;
 pub mod duty;

@@ -2,10 +2,11 @@
 
 use crate::axis::AxisSpec;
 use crate::control::{Control, REST_NS, Readings, WINDOW_COUNTS};
+use crate::corrected::CorrectedMachine;
 use crate::errors::{Errors, layout, probe_delay_ns, set_friction};
 use crate::gcode::Block;
 use crate::heat::Heat;
-use crate::insertion::{CorrectedMachine, GateDesign};
+use crate::insertion::GateDesign;
 use crate::machine::{ControllerSpec, ServoFault, SimMachine, Surface};
 use crate::path::{AXES, Command};
 use rtec_correct::AxisSetup;

@@ -1,0 +1,73 @@
+//! The corrected axes of a simulated machine, by the engine or by a full-cycle design.
+
+use crate::full_cycle::FullCycle;
+use crate::insertion::{CorrectedAxis as _, GateDesign};
+use rtec_driver::card::{Card, CardError, MachineLines};
+use rtec_rt::axis::AxisConfig;
+use rtec_rt::engine::{Engine, MachineConfig, StartError};
+use rtec_rt::event::{Event, Request, Status};
+
+/// The corrected axes of a simulated machine, by whichever design.
+#[derive(Debug)]
+pub(crate) enum CorrectedMachine {
+    C(Box<Engine>),
+    FullCycle(FullCycle),
+}
+
+impl CorrectedMachine {
+    /// Takes over the card as it is.
+    /// It homes axis `n` at `origins[n]` and enables corrections.
+    pub(crate) fn new<C: Card>(
+        design: GateDesign,
+        card: &mut C,
+        configs: &[AxisConfig],
+        lines: MachineLines,
+        origins: &[i64],
+        report: &mut impl FnMut(Event) -> bool,
+    ) -> Result<Self, StartError> {
+        if design != GateDesign::C {
+            return FullCycle::new(design, card, configs, lines, |n| origins[n]).map(Self::FullCycle);
+        }
+        let mut engine = Engine::new(card, configs, MachineConfig { lines, may_arm: true }, &[])?;
+        engine.start_homed_at(card, |n| origins[n], report)?;
+        Ok(Self::C(Box::new(engine)))
+    }
+
+    pub(crate) fn poll<C: Card>(
+        &mut self,
+        card: &mut C,
+        by_ns: u64,
+        report: &mut impl FnMut(Event) -> bool,
+    ) -> Result<(), CardError> {
+        match self {
+            Self::C(engine) => engine.poll(card, by_ns, report),
+            Self::FullCycle(axes) => axes.poll(card, by_ns, report),
+        }
+    }
+
+    pub(crate) fn take<C: Card>(
+        &mut self,
+        request: Request,
+        card: &mut C,
+        report: &mut impl FnMut(Event) -> bool,
+    ) -> Result<(), CardError> {
+        match self {
+            Self::C(engine) => engine.take(request, card, report),
+            Self::FullCycle(axes) => axes.take(request, card, report),
+        }
+    }
+
+    pub(crate) fn status(&self) -> Status {
+        match self {
+            Self::C(engine) => engine.status(),
+            Self::FullCycle(axes) => axes.status(),
+        }
+    }
+
+    pub(crate) fn now_ns(&self) -> u64 {
+        match self {
+            Self::C(engine) => engine.now_ns(),
+            Self::FullCycle(axes) => axes.now_ns(),
+        }
+    }
+}
