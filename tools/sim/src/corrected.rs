@@ -1,4 +1,4 @@
-//! The corrected axes of a simulated machine, by the engine or by a full-cycle design.
+//! The corrected axes of a simulated machine, by engine or full-cycle design.
 
 use crate::full_cycle::FullCycle;
 use crate::insertion::{CorrectedAxis as _, GateDesign};

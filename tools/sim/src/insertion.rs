@@ -1,4 +1,4 @@
-//! The interface of every insertion design: look at a card, take totals, give status.
+//! What every insertion design does: look at a card, take totals, give status.
 //!
 //! | design | implemented by |
 //! |---|---|
