@@ -409,7 +409,7 @@ fn a_part_is_explained_with_its_sensors_and_what_is_left_of_it() {
     bench.load(&format!("{GROWTH}range_K = [0.0, 3.0]\n"));
     for (delta_k, outside_k) in [(2.0, None), (3.5, Some(0.5))] {
         bench.run(60.0, 2, |_| Some((20.0 + delta_k, 20.0)));
-        let explained = bench.corrector.explain(2, &bench.status.axes[2], &bench.watches, bench.now_s);
+        let explained = bench.corrector.explain(2, &bench.status.axes[2]);
         let part = explained.parts.iter().find(|p| p.name == "thermal_growth.z").unwrap();
         let sensors: Vec<_> = part.sensors.iter().map(|s| (s.sensor.as_str(), s.degc)).collect();
         assert_eq!(sensors, [("T1", Some(20.0 + delta_k)), ("T2", Some(20.0))]);
@@ -461,7 +461,7 @@ fn a_restart_knows_the_heat_from_the_log_or_holds() {
             assert_eq!(sensors, ["T1", "T2"]);
             log.clone()
         };
-        bench.corrector.load(machine(LAG), &bench.watches, &past).unwrap();
+        bench.corrector.load(machine(LAG), &past).unwrap();
         bench.tick();
         bench
     };

@@ -10,6 +10,7 @@
 //! | [`file_kind`] | what a file says that it is, where another kind was asked for |
 //! | [`Sheet`] | a CSV whose columns are known, read whole |
 //! | [`Numbers`] | how the numbers of a column are written: decimal point or comma, thousands |
+//! | [`keys`] | one table of keys per section of a TOML file: it reads, checks and describes |
 //! | [`mod@toml`] | TOML read strictly: the first finding, or all of them |
 //! | [`trace`] | recorded quadrature, as CSV and VCD, and requested totals |
 //! | [`mod@write`] | files that appear whole or not at all |
@@ -30,6 +31,7 @@ mod decimal;
 pub mod file_kind;
 pub mod folder;
 pub mod input;
+pub mod keys;
 mod lines;
 mod numbers;
 mod sheet;

@@ -201,7 +201,7 @@ fn law(axis: &AxisConfig, model: &str) -> anyhow::Result<Corrector> {
         max_counts: axis.max_correction_counts,
     };
     let mut law = Corrector::new(vec![setup], RAMP_UM_S, TICK_S + FOLLOWS_S, 0.0);
-    law.load(Machine::parse(Path::new("demo"), model)?, &[], &|_| Vec::new())?;
+    law.load(Machine::parse(Path::new("demo"), model)?, &|_| Vec::new())?;
     Ok(law)
 }
 

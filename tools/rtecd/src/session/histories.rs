@@ -28,7 +28,6 @@ use super::*;
 use crate::start;
 use machine::{AtWrite, Killed, Machine, Wires};
 use rtec_control::role::Role as Caller;
-use rtec_correct::sensors::SensorConfig;
 use rtec_driver::card::AxisLines;
 use rtec_model::machine::Machine as Model;
 use rtec_rt::engine::Engine;
@@ -89,6 +88,10 @@ struct World {
 impl Time for World {
     fn now(&self) -> Instant {
         self.base + Duration::from_nanos(self.machine.borrow().t_ns)
+    }
+
+    fn now_s(&self) -> f64 {
+        self.machine.borrow().t_ns as f64 * 1e-9
     }
 
     fn sleep(&self, duration: Duration) {
@@ -553,7 +556,7 @@ impl Life {
         let sensor = |n: &str| {
             Watch::new(SensorConfig { timeout_s: 0.1, ..SensorConfig::believed(n, Role::Temperature) })
         };
-        let played = Temperatures::played(["T1", "T2"].map(sensor).to_vec());
+        let played = Buses::of(["T1", "T2"].map(sensor).to_vec());
         let mut session = Session::by(time, self.config.clone(), set_up, played);
         session.watch_over(state_file.filter(|_| self.planted != Some(Planted::FileUnwatched)));
         session.today = || DAY.get();
@@ -607,7 +610,9 @@ impl Life {
             *degc += 0.02 * self.dice.normal();
         }
         let t_s = self.now_ns() as f64 * 1e-9;
-        session.temperatures.play(t_s, &self.heat[..self.speaks]);
+        for (watch, degc) in session.sensors.look().iter_mut().zip(&self.heat[..self.speaks]) {
+            watch.offer(t_s, Ok(*degc));
+        }
     }
 
     fn mishaps(&mut self) {
@@ -827,9 +832,8 @@ impl Life {
             return;
         }
         let machine = Model::parse(Path::new("machine.toml"), MODEL).unwrap();
-        let watches = session.temperatures.sensors().to_vec();
         // A sensor that does not speak may be the reason for which it is refused.
-        let _ = session.corrector.load(machine, &watches, &|_| Vec::new());
+        let _ = session.corrector.load(machine, &|_| Vec::new());
     }
 }
 

@@ -1,5 +1,4 @@
 use super::*;
-use rtec_correct::sensors;
 use rtec_driver::clock::Monotonic;
 use rtec_driver::mock::{MockCard, SharedWires, Wires};
 use rtec_files::csv::Reader;
@@ -8,6 +7,7 @@ use rtec_rt::engine::{Engine, MachineConfig};
 use rtec_rt::journal::Before;
 use rtec_rt::link::{REQUESTS, link};
 use rtec_rt::thread::{ThreadOptions, spawn};
+use std::cell::Cell;
 
 fn ask(session: &mut Session, request: &ClientRequest, control: &mut ControlEnd, log: &mut Log) -> Response {
     let deadline = Instant::now() + Duration::from_secs(60);
@@ -39,8 +39,22 @@ fn session(engine: &Engine) -> Session {
     let set_up =
         SetUp { real: false, wanted: None, missing: None, timing: engine.timing(), before: Before::NOTHING };
     let config = Config::embedded();
-    let temperatures = Temperatures::start(&config.sensors, Path::new(""), 1.0).unwrap();
-    Session::by(Rc::new(RealTime), config, set_up, temperatures)
+    Session::by(Rc::new(RealTime(Clock::start())), config, set_up, Buses::of(Vec::new()))
+}
+
+/// The time of a recorded shift.
+struct Recorded(Cell<f64>);
+
+impl Time for Recorded {
+    fn now(&self) -> Instant {
+        Instant::now()
+    }
+
+    fn now_s(&self) -> f64 {
+        self.0.get()
+    }
+
+    fn sleep(&self, _: Duration) {}
 }
 
 /// The recorded shift of `rtec-correct`'s tests gives the same totals in the daemon's tick, count for count.
@@ -54,13 +68,12 @@ fn a_recorded_shift_gets_the_recorded_totals() {
     let (engine, _card) = engine(&config);
     let set_up =
         SetUp { real: false, wanted: None, missing: None, timing: engine.timing(), before: Before::NOTHING };
-    let watch = |n: &str| Watch::new(sensors::SensorConfig::believed(n, Role::Temperature));
-    let played = Temperatures::played(["T8", "T18"].map(watch).to_vec());
-    let mut session = Session::by(Rc::new(RealTime), config, set_up, played);
+    let watch = |n: &str| Watch::new(SensorConfig::believed(n, Role::Temperature));
+    let time = Rc::new(Recorded(Cell::new(0.0)));
+    let played = Buses::of(["T8", "T18"].map(watch).to_vec());
+    let mut session = Session::by(Rc::clone(&time) as _, config, set_up, played);
     let machine = Machine::read(&folder.join("machine.toml")).unwrap();
-    session.temperatures.look();
-    let watches = session.temperatures.sensors().to_vec();
-    session.corrector.load(machine, &watches, &|_| Vec::new()).unwrap();
+    session.corrector.load(machine, &|_| Vec::new()).unwrap();
     let mut status = Status { mode: Mode::Run, axes_used: 3, ..Status::default() };
     status.axes.iter_mut().for_each(|a| a.homed = true);
     let (mut control, mut rt) = link(status);
@@ -72,7 +85,10 @@ fn a_recorded_shift_gets_the_recorded_totals() {
         let mut at = Vec::new();
         let take = |_, cell: rtec_files::csv::Cell<'_>| cell.finite().map(|v| at.push(v));
         header.each(row, take).unwrap();
-        session.temperatures.play(at[0], &at[4..6]);
+        time.0.set(at[0]);
+        for (watch, value) in session.sensors.look().iter_mut().zip(&at[4..6]) {
+            watch.offer(at[0], Ok(*value));
+        }
         session.corrector.operator_is(0, at[6] as i64);
         status.t_ns = (at[0] * 1e9).round() as u64;
         (0..3).for_each(|n| status.axes[n].position_counts = at[1 + n] as i64);
@@ -286,8 +302,8 @@ impl Hand {
         let engine = Engine::new(&mut card, &config.engine_axes(), machine, &[]).unwrap();
         let before = Before::NOTHING;
         let set_up = SetUp { real: false, wanted: None, missing: None, timing: engine.timing(), before };
-        let temperatures = Temperatures::start(&config.sensors, Path::new(""), 1.0).unwrap();
-        let session = Session::by(Rc::new(RealTime), config, set_up, temperatures);
+        let time = Rc::new(RealTime(Clock::start()));
+        let session = Session::by(time, config, set_up, Buses::of(Vec::new()));
         let options = ThreadOptions { wanted: None, real: false, stale_after_ns: 60_000_000_000 };
         let running = spawn(engine, card, options).unwrap();
         Self { session, running, inputs, log: Log::new(), _directory: directory }
@@ -462,8 +478,8 @@ fn a_card_without_figures_of_its_own_is_not_armed() {
             timing: engine.timing(),
             before: Before::NOTHING,
         };
-        let temperatures = Temperatures::start(&config.sensors, Path::new(""), 1.0).unwrap();
-        let session = Session::by(Rc::new(RealTime), config, set_up, temperatures);
+        let time = Rc::new(RealTime(Clock::start()));
+        let session = Session::by(time, config, set_up, Buses::of(Vec::new()));
         let (mut control, _rt) = link(engine.status());
         let (refusal, status) =
             (session.forbidden(&engine.status(), &[], true), session.status(&mut control));

@@ -6,11 +6,12 @@ use anyhow::Context;
 use nix::sys::signal::{SigSet, Signal};
 use rtec_control::client::Client;
 use rtec_control::protocol::{ClientRequest, DaemonStatus, Response};
-use rtec_control::sources::{Bank, Feed};
-use rtec_correct::sensors::{self, SensorConfig, Use};
 use rtec_files::InputError;
-use rtec_files::toml::Document;
+use rtec_files::toml::{Document, Section, SourceFile};
 use rtec_model::record::{Column, Kind, LINEAR, Record, Role, check};
+use rtec_sensors::bank::Bank;
+use rtec_sensors::feed::Feed;
+use rtec_sensors::{SensorConfig, Use};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -478,9 +479,13 @@ fn on_signal() -> anyhow::Result<Arc<AtomicBool>> {
 fn read_sensors(path: Option<&Path>) -> Result<Vec<SensorConfig>, InputError> {
     let Some(path) = path else { return Ok(Vec::new()) };
     let text = rtec_files::text::read(path)?;
-    let doc = Document::parse(path, &text)?;
-    let root = doc.root();
-    root.only(&["sensor"])?;
-    root.required("sensor", "[[sensor]] tables")?;
-    sensors::read_tables(&root)
+    let document = Document::parse(path, &text)?;
+    let mut source = SourceFile { file: path, text: &text, findings: Vec::new() };
+    let mut root = Section::root(&document);
+    if !root.has("sensor") {
+        root.say_missing(&mut source, "sensor", "[[sensor]] tables");
+    }
+    let sensors = rtec_sensors::read_tables(&mut source, &mut root);
+    root.finish(&mut source);
+    source.findings.into_iter().next().map_or(Ok(sensors), Err)
 }
