@@ -8,7 +8,7 @@ use crate::part_table::{NEAR_MM, PartErrors, PartTable, TableNow};
 use crate::source::{ModelSource, acts};
 use crate::total::{TickInputs, Total};
 use rtec_files::InputError;
-use rtec_model::date;
+use rtec_files::date;
 use rtec_model::effect::Difference;
 use rtec_model::live::AxisNow;
 use rtec_model::machine::{FitNote, Machine};
