@@ -96,7 +96,7 @@ impl LedgerExport {
         format!("the same totals, by {insertions} insertions ({why})")
     }
 
-    /// Gives every edge (time, position) after the first row and every request (time, total), in order of time.
+    /// Gives every edge and every request after the first row, in order of time.
     fn tell(
         &self,
         kept: &LedgerPage,
@@ -198,7 +198,8 @@ fn in_shadow(rows: &[LedgerRow]) -> u64 {
     pairs.map(|w| w[1].insertions.saturating_sub(w[0].insertions)).sum()
 }
 
-/// Times that a stretch turns round at most: no insertion begins at an edge at which the axis turns.
+/// Times that a stretch turns round at most.
+/// No insertion begins at an edge at which the axis turns.
 const TURNS: u64 = 3;
 
 /// Edges before the first row, for what had been inserted by then.
@@ -213,7 +214,8 @@ struct Stretch {
 }
 
 impl Stretch {
-    /// Goes evenly to a place, with so many edges at least: those that the way does not have are beyond it and back again.
+    /// Goes evenly to a place, with so many edges at least.
+    /// Those that the way does not have are beyond it and back again.
     fn go(
         &mut self,
         t_ns: u64,

@@ -233,7 +233,7 @@ fn a_place_that_cannot_be_is_explained() {
     }
 }
 
-/// Three corrections of 4 µm (NISTIR 4832), at least one insertion, at most the largest total.
+/// Three corrections of 4 µm (NISTIR 4832), within one insertion and the maximum.
 #[test]
 fn a_window_that_is_not_given_is_12_um() {
     for (count_um, max, counts) in

@@ -392,7 +392,7 @@ impl Corrector {
         asked && self.axes[n].holds.is_none() && status.completed == status.requested
     }
 
-    /// Whether a source other than the operator asks, or its total is still ramping down.
+    /// Whether another source than the operator asks, or a ramp is under way.
     fn asks(&self, n: usize) -> bool {
         self.model.is_some()
             || self.table.as_ref().is_some_and(|t| t.axes.contains(&n))

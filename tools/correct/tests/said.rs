@@ -155,7 +155,7 @@ fn a_models_clock_begins_with_the_daemon() {
     }
 }
 
-/// Without a lead the model is evaluated at the speed that was seen, even if the axis slows down.
+/// Without a lead the model is evaluated at the speed that was seen.
 #[test]
 fn without_a_lead_an_axis_that_slows_down_has_the_speed_that_was_seen() {
     let mut bench = Bench::new();
@@ -209,7 +209,7 @@ fn effects_of_two_axes_act_where_their_law_says() {
     }
 }
 
-/// A joint that grows along Z and X with one temperature difference, and other effects.
+/// A joint that grows along Z and X, and other effects.
 fn chained(sensor: &str, effects: &str) -> Machine {
     let chain = format!(
         "tool_mm = [0.0, 0.0, 0.0]\n[[joint]]\nname = \"head\"\nbranch = \"tool\"\n\
@@ -310,7 +310,8 @@ fn an_axis_that_may_follow_again_begins_with_a_ramp() {
     assert!(bench.z() > 140, "{}", bench.z());
 }
 
-/// A sensor returns after its axis stood: the rest of the ramp is reported as on its way.
+/// A sensor returns after its axis stood.
+/// The rest of the ramp is reported as on its way.
 #[test]
 fn what_a_sensor_asks_for_that_is_back_is_on_its_way() {
     let mut bench = Bench::new();

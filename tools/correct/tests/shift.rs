@@ -1,4 +1,5 @@
-//! One recorded shift through the law and through a rehearsal: the same totals, count for count. The simulator, the
+//! One recorded shift through the law and through a rehearsal.
+//! The same totals, count for count. The simulator, the
 //! daemon and the demo run the same file through their own code (`shift` in their tests).
 
 #![allow(clippy::unwrap_used)] // a test's own helpers

@@ -433,7 +433,7 @@ mod tests {
         }
     }
 
-    /// A panic of the real-time thread latches the fault, asserts feed hold and sets the exit code.
+    /// A panic of the real-time thread latches the fault and asserts feed hold.
     #[test]
     fn a_panic_of_the_thread_holds_and_ends_the_daemon() {
         let directory = tempfile::tempdir().unwrap();

@@ -133,7 +133,7 @@ pub(crate) struct Session {
     time: Rc<dyn Time>,
     started: Instant,
     patience: Duration,
-    /// The sensors' threads; what they have read goes to the corrector at each tick, and nowhere else.
+    /// The sensors' threads: at each tick their readings go to the corrector.
     sensors: Buses,
     corrector: Corrector,
     /// Time of the corrector's next look.
@@ -359,7 +359,7 @@ impl Session {
         }
     }
 
-    /// Records for the next process that the real-time thread does not look at the card.
+    /// Records for the next process that the real-time thread stands still.
     /// Returns `false` where nothing can record it.
     pub(crate) fn note_thread_lost(&self) -> bool {
         self.state_file.as_ref().is_none_or(|file| {

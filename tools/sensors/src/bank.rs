@@ -1,4 +1,5 @@
-//! All sensors of one bus, as Linux offers them: each reading goes to the sensor's watch.
+//! All sensors of one bus, as Linux offers them.
+//! Each reading goes to the sensor's watch.
 //!
 //! | source | read from |
 //! |---|---|

@@ -1,4 +1,5 @@
-//! Every key of `rtec.toml`, by its table: this is what is read, checked and shown on the reference page.
+//! Every key of `rtec.toml`, by its table.
+//! This is what is read, checked and shown on the reference page.
 
 use rtec_files::keys;
 use rtec_files::keys::Takes::{self, Choice, Flag, Line, Name, Number, Own, Text, Whole, Word};

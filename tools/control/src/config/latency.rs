@@ -210,7 +210,7 @@ impl ConfiguredAxis {
 }
 
 impl Config {
-    /// Why corrections may not be enabled on this card and computer, each with its remedy.
+    /// Why corrections may not be enabled here, each with its remedy.
     /// Reasons are latencies not measured here, or an axis too fast for the card. A card that drives no machine needs
     /// neither.
     #[must_use]

@@ -78,7 +78,8 @@ fn what_sensors_model_and_card_name_is_looked_for() {
     assert!(Config::load(&file).is_ok());
 }
 
-/// Names that this computer lacks are reported with their lines: chip, CPU, group, file.
+/// Names that this computer lacks are reported with their lines.
+/// Chip, CPU, group, file.
 #[test]
 fn names_what_this_computer_does_not_have() {
     let directory = tempfile::tempdir().unwrap();
@@ -110,7 +111,7 @@ fn names_what_this_computer_does_not_have() {
     }
 }
 
-/// A name that this computer lacks is a finding, as the guide promises for `config check`.
+/// A name that this computer lacks is a finding of `config check`.
 #[test]
 fn check_here_names_what_this_computer_lacks() {
     let folder = tempfile::tempdir().unwrap();

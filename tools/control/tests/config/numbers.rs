@@ -105,7 +105,7 @@ fn extreme_numbers_are_refused_or_run() {
     assert!(ran > 200 && refused > 1000, "{ran} ran, {refused} refused");
 }
 
-/// Runs engine and control law for some hundred edges there and back, with the largest totals.
+/// Runs engine and control law there and back with the largest totals.
 fn runs(config: &Config) {
     let mut card = Strokes::default();
     let machine = MachineConfig { lines: config.lines, may_arm: true };

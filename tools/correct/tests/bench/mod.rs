@@ -63,7 +63,7 @@ impl Bench {
         Self::of(5.0, 1000.0, Vec::new())
     }
 
-    /// A bench with this ramp, start time and sensors before the temperatures T1 and T2.
+    /// A bench with this ramp, start time and sensors before T1 and T2.
     pub(crate) fn of(ramp_um_s: f64, now_s: f64, mut sensors: Vec<SensorConfig>) -> Self {
         sensors.extend(["T1", "T2"].map(|name| sensor(name, Role::Temperature)));
         let mut status = Status { mode: Mode::Run, axes_used: 3, ..Status::default() };

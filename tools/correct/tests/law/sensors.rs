@@ -1,8 +1,8 @@
-//! What the law does with sensors: lost, never heard, out of range, after a restart.
+//! Sensors that are lost, never heard or out of range, and a restart.
 
 use super::*;
 
-/// An axis that stands is not sent back and forth by other axes' motion or the sensors' noise.
+/// Neither other axes' motion nor noise of sensors moves a standing axis.
 #[test]
 fn noise_of_the_sensors_passes_no_count_while_another_axis_moves() {
     let mut bench = Bench::new();
@@ -80,7 +80,7 @@ fn outside_its_range_a_correction_fades_and_says_so() {
     assert!((total - sum).abs() < 1e-9);
 }
 
-/// The explanation names the sensors, how far outside its range a fit is used, and the residual.
+/// The explanation names sensors, distance outside the range, and residual.
 #[test]
 fn a_part_is_explained_with_its_sensors_and_what_is_left_of_it() {
     let mut bench = Bench::new();
@@ -107,7 +107,7 @@ fn a_part_is_explained_with_its_sensors_and_what_is_left_of_it() {
     }
 }
 
-/// After a restart in the middle, temperatures from the log give the same correction as without one.
+/// After a restart the logged temperatures give the same correction.
 #[test]
 fn a_restart_knows_the_heat_from_the_log_or_holds() {
     let degc = |t: f64| {

@@ -180,7 +180,8 @@ impl Session {
         }
     }
 
-    /// Why a model may not be used any more: its validity ended and nobody accepted that.
+    /// Why a model may not be used any more.
+    /// Its validity ended and nobody accepted that.
     fn ended(&self, machine: &Machine) -> Option<String> {
         let ended = machine.expired((self.today)());
         let file = machine.path.display();
@@ -274,7 +275,7 @@ impl Session {
         }
     }
 
-    /// The finished load, its answer, and what the record says of it where that differs.
+    /// The finished load, its answer, and its line of the record if another.
     /// A file's contents are for its reader alone. `waits`: somebody still waits for the load; otherwise it is not
     /// taken.
     pub(crate) fn loaded(

@@ -59,7 +59,7 @@ impl Time for Recorded {
     fn sleep(&self, _: Duration) {}
 }
 
-/// The recorded shift of `rtec-correct`'s tests gives the same totals in the daemon's tick, count for count.
+/// The recorded shift gives the same totals in the daemon's tick.
 #[test]
 fn a_recorded_shift_gets_the_recorded_totals() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../correct/tests/shift");
@@ -112,7 +112,7 @@ fn a_recorded_shift_gets_the_recorded_totals() {
     assert_eq!(rows, 2400);
 }
 
-/// A request to a silent real-time thread gets an answer, and a full ring is reported.
+/// A silent real-time thread is answered for, and a full ring is reported.
 #[test]
 fn a_full_ring_and_a_silent_thread_are_answers_not_hangs() {
     let (engine, _card) = engine(&Config::embedded());

@@ -1,4 +1,4 @@
-//! The world around the daemon, and the judge that compares what it says with what the MTC has counted.
+//! The world around the daemon, and the judge of what the daemon says.
 
 use super::*;
 
@@ -57,7 +57,7 @@ pub(super) struct Judge {
     pub(super) trusted: [bool; 2],
     /// What people have asked for since nothing was under way.
     pub(super) asked: Asked,
-    /// At the last look: the holder of feed hold, the faults, and whether corrections are on.
+    /// At the last look: holder of feed hold, faults, corrections on.
     pub(super) held: bool,
     pub(super) latched: Vec<(Option<usize>, Fault)>,
     pub(super) enabled: bool,
@@ -66,7 +66,7 @@ pub(super) struct Judge {
     pub(super) off_looks: u64,
     /// Masked glitches, and insertions begun, when it was last homed.
     pub(super) masked: [(usize, u64); 2],
-    /// The shortest time in which an axis reverses over an edge, less that of its looks, ns.
+    /// Shortest time of a reversal over an edge, less that of the looks, ns.
     pub(super) turn_back_ns: u64,
     /// Counts lost through glitches that nobody could see, by reason.
     /// A glitch looked like an allowed reversal, came before any insertion, or was among several edges in a late

@@ -3,7 +3,7 @@
 use super::*;
 
 impl Life {
-    /// Damages an axis's newest record like a store cut short or one that reached one copy.
+    /// Damages an axis's newest record as a store that was cut short.
     pub(super) fn tear(&mut self) {
         const WORD: usize = 8;
         const PAGE: usize = 4096;

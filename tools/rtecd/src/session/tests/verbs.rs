@@ -42,7 +42,7 @@ struct State {
     enabled: bool,
     held: bool,
     model: bool,
-    /// Per axis: requested, in effect, homed, MTC known, faults, operator's share in µm.
+    /// Per axis: requested, in effect, homed, MTC known, faults, operator in µm.
     axes: Vec<(i64, i64, bool, bool, usize, f64)>,
 }
 
