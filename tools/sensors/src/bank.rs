@@ -212,25 +212,10 @@ fn replay(record: &Record, column: &str, t_s: f64) -> Result<f64, String> {
 mod tests {
     use super::*;
     use crate::SensorFault;
-    use rtec_model::record::Role;
+    use crate::config::for_test as config;
     use std::io::Write;
     use std::net::{TcpListener, TcpStream};
     use std::time::Duration;
-
-    fn config(name: &str, source: SensorSource) -> SensorConfig {
-        SensorConfig {
-            name: name.into(),
-            place: String::new(),
-            source,
-            period_s: 1.0,
-            role: Role::Temperature,
-            range: [0.0, 80.0],
-            max_rate_k_per_min: 6.0,
-            timeout_s: 3.0,
-            stuck_s: 20.0,
-            freeze_s: 10.0,
-        }
-    }
 
     fn no_recording(path: &Path) -> Result<Record, InputError> {
         Err(InputError::whole(path, "a recording", "none in this test"))

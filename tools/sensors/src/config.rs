@@ -228,6 +228,23 @@ fn is_one_folder(name: &str) -> bool {
     !name.is_empty() && name != "." && name != ".." && !name.contains(['/', '\0'])
 }
 
+/// A sensor of the tests: °C within 0 to 80, at most 6 K a minute.
+#[cfg(test)]
+pub(crate) fn for_test(name: &str, source: SensorSource) -> SensorConfig {
+    SensorConfig {
+        name: name.into(),
+        place: String::new(),
+        source,
+        period_s: 1.0,
+        role: Role::Temperature,
+        range: [0.0, 80.0],
+        max_rate_k_per_min: 6.0,
+        timeout_s: 3.0,
+        stuck_s: 20.0,
+        freeze_s: 10.0,
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

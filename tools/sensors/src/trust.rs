@@ -203,21 +203,7 @@ impl Watch {
 mod tests {
     use super::*;
     use crate::SensorSource;
-
-    fn config(name: &str, source: SensorSource) -> SensorConfig {
-        SensorConfig {
-            name: name.into(),
-            place: String::new(),
-            source,
-            period_s: 1.0,
-            role: Role::Temperature,
-            range: [0.0, 80.0],
-            max_rate_k_per_min: 6.0,
-            timeout_s: 3.0,
-            stuck_s: 20.0,
-            freeze_s: 10.0,
-        }
-    }
+    use crate::config::for_test as config;
 
     fn watch() -> Watch {
         Watch::new(config("T1", SensorSource::OneWire { id: "28-0".into() }))

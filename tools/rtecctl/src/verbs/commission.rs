@@ -12,8 +12,8 @@
 //! motion of the axis is reported.
 
 use crate::Outcome;
-use crate::daemon::{Daemon, check, unreachable};
-use nix::sys::signal::{SigSet, Signal};
+use crate::daemon::{self, Daemon};
+use nix::sys::signal::Signal;
 use rtec_control::client::Client;
 use rtec_control::protocol::{AxisReport, ClientRequest, DaemonStatus, Response};
 use rtec_correct::commission::{
@@ -76,13 +76,11 @@ struct Guide<'a> {
 
 impl Guide<'_> {
     fn ask(&mut self, request: &ClientRequest) -> anyhow::Result<Response> {
-        check(self.client.ask(request).map_err(unreachable)?)
+        daemon::ask(&mut self.client, request)
     }
 
-    fn status(&mut self) -> anyhow::Result<(Box<DaemonStatus>, AxisReport)> {
-        let Response::Status(status) = self.ask(&ClientRequest::Status {})? else {
-            return Err(Outcome::Unreachable("rtecd answered something else".to_owned()).into());
-        };
+    fn status(&mut self) -> anyhow::Result<(DaemonStatus, AxisReport)> {
+        let status = daemon::status(&mut self.client)?;
         let name = &self.args.axis;
         let axis = status.axes.iter().find(|a| a.name == *name).cloned().ok_or_else(|| {
             let names: Vec<&str> = status.axes.iter().map(|a| a.name.as_str()).collect();
@@ -117,7 +115,7 @@ impl Guide<'_> {
         let request = ClientRequest::Jog { axis: self.args.axis.clone(), display_mm };
         match self.ask(&request)? {
             Response::Stands { display_mm, indicator_mm } => Ok((display_mm, indicator_mm)),
-            _ => Err(Outcome::Unreachable("rtecd answered something else".to_owned()).into()),
+            other => Err(daemon::unexpected(&other)),
         }
     }
 
@@ -283,11 +281,7 @@ fn take_back(args: &Args) -> anyhow::Result<()> {
 /// From here on a signal ends the run only after what was inserted has been taken back. The thread that is asked to wait
 /// for answers cannot do it: it waits.
 fn on_signal(args: &Args) -> anyhow::Result<()> {
-    let mut ends = SigSet::empty();
-    for signal in [Signal::SIGINT, Signal::SIGTERM, Signal::SIGHUP] {
-        ends.add(signal);
-    }
-    ends.thread_block()?;
+    let ends = daemon::block_end_signals()?;
     let args = args.clone();
     std::thread::spawn(move || {
         let signal = ends.wait();

@@ -1,7 +1,7 @@
 //! `rtecctl ledger`: what each axis was asked for and what was inserted, as files that `rtecctl replay` plays.
 
 use crate::Outcome;
-use crate::daemon::{Daemon, NO_EVENTS, check, observe, unreachable};
+use crate::daemon::{Daemon, NO_EVENTS, ask, observe, unexpected};
 use anyhow::Context;
 use clap::Subcommand;
 use rtec_control::client::Client;
@@ -145,9 +145,9 @@ fn fetch(client: &mut Client, axis: &str) -> anyhow::Result<LedgerPage> {
     loop {
         let from = whole.as_ref().map_or(0, |w| w.first + w.rows.len() as u64);
         let request = ClientRequest::Ledger { axis: axis.to_owned(), from };
-        let page = match check(client.ask(&request).map_err(unreachable)?)? {
+        let page = match ask(client, &request)? {
             Response::Ledger(page) => page,
-            other => anyhow::bail!("rtecd answered {other:?}; are rtecctl and rtecd of the same version?"),
+            other => return Err(unexpected(&other)),
         };
         // Homed in the meantime, or overtaken: from the start.
         if page.first != from && whole.is_some() {

@@ -1,11 +1,11 @@
 //! `rtecctl characterise record`: temperatures, positions and gauges into a run record, with progress.
 
-use crate::daemon::{self, Daemon, unreachable};
+use crate::daemon::{self, Daemon, status};
 use crate::verbs::suspicions;
 use anyhow::Context;
-use nix::sys::signal::{SigSet, Signal};
+use nix::sys::signal::Signal;
 use rtec_control::client::Client;
-use rtec_control::protocol::{ClientRequest, DaemonStatus, Response};
+use rtec_control::protocol::{ClientRequest, DaemonStatus};
 use rtec_files::InputError;
 use rtec_files::toml::{Document, Section, SourceFile};
 use rtec_model::record::{Column, Kind, LINEAR, Record, Role, check};
@@ -430,13 +430,6 @@ impl DaemonTotals {
     }
 }
 
-fn status(client: &mut Client) -> anyhow::Result<DaemonStatus> {
-    match daemon::check(client.ask(&ClientRequest::Status {}).map_err(unreachable)?)? {
-        Response::Status(status) => Ok(*status),
-        other => Err(crate::Outcome::Unreachable(format!("an answer that is no status: {other:?}")).into()),
-    }
-}
-
 fn column(name: &str, role: Role) -> Column {
     let unit = role.unit().unwrap_or("1").to_owned();
     Column { name: name.to_owned(), role, unit, data: Vec::new() }
@@ -457,11 +450,7 @@ fn wait_until(start: Instant, due_s: f64, ended: &AtomicBool) -> bool {
 /// Otherwise, and a second one, the program. Before sensors and feed have threads of their own, so that none but this
 /// one gets it.
 fn on_signal() -> anyhow::Result<Arc<AtomicBool>> {
-    let mut ends = SigSet::empty();
-    for signal in [Signal::SIGINT, Signal::SIGTERM, Signal::SIGHUP] {
-        ends.add(signal);
-    }
-    ends.thread_block()?;
+    let ends = daemon::block_end_signals()?;
     let ended = Arc::new(AtomicBool::new(false));
     let told = Arc::downgrade(&ended);
     std::thread::spawn(move || {
