@@ -137,8 +137,7 @@ fn run(args: &Args) -> anyhow::Result<()> {
 struct Bridge<'a> {
     args: &'a Args,
     client: Option<Client>,
-    /// Number of the last event that the broker has.
-    /// Before the first look none, and what was before is not told.
+    /// Number of the last event that the broker has; none before the first look.
     known: Option<u64>,
     uptime_s: f64,
 }

@@ -139,8 +139,7 @@ fn packet(kind: u8, body: &[u8]) -> io::Result<Vec<u8>> {
 mod tests {
     use super::*;
 
-    /// The standard's own examples.
-    /// Table 2.4 for lengths, figure 1.1 of section 1.5.3 for strings.
+    /// The standard's examples: table 2.4, and figure 1.1 of section 1.5.3.
     #[test]
     fn lengths_and_fields_are_those_of_the_standard() {
         for (length, wanted) in [

@@ -198,8 +198,7 @@ fn in_shadow(rows: &[LedgerRow]) -> u64 {
     pairs.map(|w| w[1].insertions.saturating_sub(w[0].insertions)).sum()
 }
 
-/// Times that a stretch turns round at most.
-/// No insertion begins at an edge at which the axis turns.
+/// Most turns of a stretch: no insertion begins where the axis turns.
 const TURNS: u64 = 3;
 
 /// Edges before the first row, for what had been inserted by then.
@@ -214,8 +213,7 @@ struct Stretch {
 }
 
 impl Stretch {
-    /// Goes evenly to a place, with so many edges at least.
-    /// Those that the way does not have are beyond it and back again.
+    /// Goes evenly to a place, by at least so many edges: beyond it and back.
     fn go(
         &mut self,
         t_ns: u64,

@@ -5,11 +5,9 @@ use rtec_model::effect::STANDARD_DEGC;
 use rtec_model::live::{AxisNow, Frame, Layout, Live};
 use rtec_model::machine::Machine;
 
-/// Indicator and scale may differ by this share before it is a matter of the unit.
-/// No machine errs by a hundredth.
+/// Indicator and scale may differ by this share: no machine errs by more.
 const UNIT: f64 = 0.01;
-/// The smallest belief window that is proposed, µm.
-/// Three corrections of 4 µm (NISTIR 4832, General Considerations).
+/// Least window that is proposed, µm: three corrections of 4 µm (NISTIR 4832).
 const LEAST_WINDOW_UM: f64 = 12.0;
 
 /// Largest change of a model's correction from one moment to the next, µm.
@@ -145,15 +143,13 @@ pub fn judge_jog(a: &JogReading, b: &JogReading, tolerance_um: f64) -> Option<Jo
     None
 }
 
-/// What the controller compensates by itself over the way, µm.
-/// Feedback against display.
+/// What the controller compensates over the way, µm: feedback less display.
 #[must_use]
 pub fn compensation_um(a: &JogReading, b: &JogReading) -> f64 {
     1000.0 * ((b.fed_mm() - a.fed_mm()) - (b.display_mm - a.display_mm))
 }
 
-/// Judges whether the controller compensates by itself, by a long jog.
-/// `None`: it does not.
+/// Judges by a long jog whether the controller compensates; `None`: no.
 #[must_use]
 pub fn judge_compensation(a: &JogReading, b: &JogReading, tolerance_um: f64) -> Option<JogFinding> {
     let own_um = compensation_um(a, b);
@@ -169,8 +165,7 @@ pub fn judge_compensation(a: &JogReading, b: &JogReading, tolerance_um: f64) -> 
     JogFinding::new("controller_compensates", text)
 }
 
-/// Judges what an insertion did to the scale at the same displayed place.
-/// `None`: what it should.
+/// Judges what an insertion did to the scale; `None`: what it should.
 #[must_use]
 pub fn judge_insertion(before: &JogReading, after: &JogReading, inserted: i64) -> Option<JogFinding> {
     let moved = after.scale_counts - before.scale_counts;

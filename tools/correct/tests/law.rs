@@ -170,8 +170,7 @@ fn homing_keeps_the_direction_of_the_last_motion() {
     assert_eq!(bench.status.axes[1].requested, 20);
 }
 
-/// A change that no motion asks for is a ramp.
-/// Coolant that comes on, or ten seconds without a call.
+/// What no motion asks for is a ramp: coolant, ten seconds without a call.
 #[test]
 fn what_no_motion_asks_for_is_never_a_jump() {
     let mut bench = Bench::of(5.0, 1000.0, vec![sensor("wet", Role::Coolant)]);

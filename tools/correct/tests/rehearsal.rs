@@ -78,8 +78,7 @@ fn a_change_has_its_sign() {
     assert_eq!((x.largest_um, x.change_um, x.change_at_s), ([20.0, 20.0], -40.0, 2.0));
 }
 
-/// Five kelvin between two rows.
-/// The ramp continues over rows that are two seconds apart.
+/// Five kelvin between two rows: the ramp continues over the rows.
 #[test]
 fn between_the_rows_a_ramp_sees_the_time_that_passes() {
     let rows = 12;

@@ -310,8 +310,7 @@ fn an_axis_that_may_follow_again_begins_with_a_ramp() {
     assert!(bench.z() > 140, "{}", bench.z());
 }
 
-/// A sensor returns after its axis stood.
-/// The rest of the ramp is reported as on its way.
+/// A sensor returns: the rest of the ramp is reported as on its way.
 #[test]
 fn what_a_sensor_asks_for_that_is_back_is_on_its_way() {
     let mut bench = Bench::new();

@@ -16,8 +16,7 @@ pub struct Key {
     pub takes: Takes,
     /// The unit of its value; empty where it has none.
     pub unit: &'static str,
-    /// What holds without it, as the reference shows it.
-    /// [`REQUIRED`] where it must be there.
+    /// What holds without it; [`REQUIRED`] where it must be there.
     pub default: &'static str,
     /// What it means, in a phrase.
     pub meaning: &'static str,
@@ -219,8 +218,7 @@ impl<'a> Section<'a> {
     }
 }
 
-/// A value as a finding shows it.
-/// What cannot be seen is written out, what is long is cut.
+/// A value as a finding shows it: printable, and cut where it is long.
 fn shown(key: &str, value: &str) -> String {
     let shown: String = value.chars().take(24).flat_map(char::escape_debug).collect();
     let more = if value.chars().nth(24).is_some() { "…" } else { "" };

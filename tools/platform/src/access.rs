@@ -216,8 +216,7 @@ impl Tree<'_> {
         all.into_iter().take_while(move |p| *p != top && p.starts_with(&top))
     }
 
-    /// The name of a number in `/etc/passwd` or `/etc/group`.
-    /// The number where it has none.
+    /// The name of a number in `/etc/passwd` or `/etc/group`, else the number.
     fn name_of(&self, table: &str, id: u32) -> String {
         let text = self.system.read(format!("etc/{table}")).unwrap_or_default();
         let name = text.lines().find_map(|line| {

@@ -22,8 +22,7 @@ const LINES: AxisLines = AxisLines::standard(0, false);
 const DWELL_NS: (u64, u64) = (20_000, 40_000);
 /// A sample for which the far side itself did not look for longer than this is not counted: its time is its own, ns.
 const RESOLUTION_NS: u64 = 1_000;
-/// How often the control side looks after the engine, ns.
-/// Seldom, because it is the far side's time.
+/// How often the control side looks after the engine, ns: seldom.
 const CONTROL_INTERVAL_NS: u64 = 2_000_000;
 /// A request that has shown no effect for this long is sent again, ns.
 const ASK_AGAIN_NS: u64 = 20_000_000;
@@ -75,8 +74,7 @@ impl FarEnd for Registers {
     }
 }
 
-/// The control side while the engine runs.
-/// Always a correction pending, homed again after a fault.
+/// The control side: always a correction pending, homed after a fault.
 pub(crate) struct Control<'a> {
     link: &'a mut ControlEnd,
     /// Requests are sent as fast as the link takes them.
@@ -230,8 +228,7 @@ impl<F: FarEnd> Player<'_, '_, F> {
         LINES.inverters(self.far.outputs())
     }
 
-    /// Leaves the axis at rest until then.
-    /// An insertion that came after it had been given up is entered.
+    /// Leaves the axis at rest until then; late insertions are entered.
     fn dwell_until(&mut self, until_ns: u64) {
         loop {
             let now_ns = self.clock.now_ns();
@@ -292,8 +289,7 @@ impl<F: FarEnd> Player<'_, '_, F> {
         }
     }
 
-    /// Enters a change of the inverters into the MTC's count.
-    /// Returns how many inversions it was.
+    /// Enters inversions into the MTC's count; returns how many they were.
     fn inverted(&mut self, scale: State, now: u8) -> u32 {
         let inversions = (now ^ self.inverters).count_ones();
         if inversions == 2 {

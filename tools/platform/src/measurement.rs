@@ -84,7 +84,6 @@ pub struct Polling {
     /// Counts inserted according to the engine.
     pub completed: i64,
     /// Faults that a gap in the polling loop latched.
-    /// The axis was homed again after each.
     pub faults: u64,
     /// Requests that streamed in.
     pub requests: u64,

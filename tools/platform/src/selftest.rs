@@ -93,8 +93,7 @@ impl Measured {
         [&self.quiet, &self.with_requests]
     }
 
-    /// At least one insertion was timed.
-    /// On a simulated card that is both undisturbed and with requests.
+    /// At least one insertion was timed, undisturbed and with requests.
     #[must_use]
     pub fn timed(&self) -> bool {
         match self.how {
@@ -354,8 +353,7 @@ fn measure_wake_ups(
     thread.join().map_err(|_| SelftestError::Panicked)
 }
 
-/// Sleeps to one absolute time after the other and records how late it wakes.
-/// Returns the last value, ns.
+/// Records how late it wakes at one time after another; the last one, ns.
 fn wake_ups(run_ns: u64, recorder: &mut Recorder) -> u64 {
     let mut clock = Monotonic;
     let start_ns = clock.now_ns();

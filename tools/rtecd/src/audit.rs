@@ -71,8 +71,7 @@ struct Repeated {
 enum Kind {
     Refused,
     Done,
-    /// Changes of mode, which any operator can cause.
-    /// They are the machine's, not a user's.
+    /// Changes of mode: they are the machine's, not a user's.
     Mode,
 }
 

@@ -1,5 +1,4 @@
 //! All sensors of one bus, as Linux offers them.
-//! Each reading goes to the sensor's watch.
 //!
 //! | source | read from |
 //! |---|---|

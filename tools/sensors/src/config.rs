@@ -260,8 +260,7 @@ mod tests {
         if said.is_empty() { Ok(all) } else { Err(said.join("\n")) }
     }
 
-    /// Defaults of a sensor: a reading each second.
-    /// A temperature from -20 to 120 °C, at most 10 K a minute.
+    /// Defaults: a reading each second, -20 to 120 °C, at most 10 K a minute.
     #[test]
     fn what_a_sensors_table_does_not_say_has_a_default() {
         let read = tables(

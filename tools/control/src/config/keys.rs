@@ -1,5 +1,4 @@
-//! Every key of `rtec.toml`, by its table.
-//! This is what is read, checked and shown on the reference page.
+//! Every key of `rtec.toml`: these tables read, check and show it.
 
 use rtec_files::keys;
 use rtec_files::keys::Takes::{self, Choice, Flag, Line, Name, Number, Own, Text, Whole, Word};

@@ -180,8 +180,7 @@ impl Session {
         }
     }
 
-    /// Why a model may not be used any more.
-    /// Its validity ended and nobody accepted that.
+    /// Why a model may not be used any more: its validity has ended.
     fn ended(&self, machine: &Machine) -> Option<String> {
         let ended = machine.expired((self.today)());
         let file = machine.path.display();
