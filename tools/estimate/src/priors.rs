@@ -33,7 +33,8 @@ pub const LINE_HOURS: f64 = 3.0;
 /// Wander of air and stand beside the drift, µm, and its memory, s.
 /// (Physics: half a metre of air that is 0.3 K warmer for ten minutes.)
 pub const AIR_UM_S: (f64, f64) = (0.15, 600.0);
-/// A jump at a pause, µm, and its probability (physics: somebody touched the stand).
+/// A jump at a pause, µm, and its probability.
+/// (Physics: somebody touched the stand.)
 pub const JUMP_UM_PROBABILITY: (f64, f64) = (3.0, 0.02);
 /// A gap in time of this many usual steps is a pause.
 pub const PAUSE_STEPS: f64 = 8.0;

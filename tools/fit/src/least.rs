@@ -256,7 +256,8 @@ impl Problem {
         self.y[i] - found.iter().zip(&self.columns).map(|(f, c)| f.value * c[i]).sum::<f64>()
     }
 
-    /// RMS over the pieces that `take` chooses, each stretch of time by the solution of all the others.
+    /// RMS over the pieces that `take` chooses.
+    /// Each stretch of time by the solution of all the others.
     fn unseen_um(&self, take: impl Fn(usize) -> bool) -> Option<f64> {
         let blocks = self.stretches().swap_remove(0);
         let equal = self.equal_rows(&blocks);
@@ -271,7 +272,7 @@ impl Problem {
         (n > 0.0).then(|| (sum / n).sqrt())
     }
 
-    /// Rows as few as there are columns, for each block, with the same solution beside any others.
+    /// The blocks as few rows each, which have the same solution.
     fn equal_rows(&self, blocks: &[usize]) -> Vec<(Vec<Vec<f64>>, Vec<f64>)> {
         let of = |b: usize| {
             let own =

@@ -249,7 +249,8 @@ fn round_fit(points: &[(f64, f64)]) -> Option<[f64; 3]> {
     rtec_least_squares::solve(&columns, &y).ok()?.values.try_into().ok()
 }
 
-/// Columns of radius and centre, and the deviations; each row times its root of weight.
+/// Columns of radius and centre, and the deviations.
+/// Each row is multiplied by its root of weight.
 fn round_columns(points: &[(f64, f64)], root: impl Fn(&(f64, f64)) -> f64) -> ([Vec<f64>; 3], Vec<f64>) {
     let of = |f: fn(f64) -> f64| points.iter().map(|p| root(p) * f(p.0)).collect();
     ([of(|_| 1.0), of(f64::cos), of(f64::sin)], points.iter().map(|p| root(p) * p.1).collect())
