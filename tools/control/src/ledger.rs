@@ -172,20 +172,8 @@ impl LedgerExport {
             "since_ns,since_counts,t_ns,position_counts,requested,completed,in_effect,insertions\n"
                 .to_owned();
         for r in &kept.rows {
-            let LedgerRow {
-                since_ns,
-                since_counts,
-                t_ns,
-                position_counts,
-                requested,
-                completed,
-                in_effect,
-                insertions,
-            } = r;
-            let _ = writeln!(
-                table,
-                "{since_ns},{since_counts},{t_ns},{position_counts},{requested},{completed},{in_effect},{insertions}"
-            );
+            let _ = write!(table, "{},{},{},{},", r.since_ns, r.since_counts, r.t_ns, r.position_counts);
+            let _ = writeln!(table, "{},{},{},{}", r.requested, r.completed, r.in_effect, r.insertions);
         }
         rtec_files::write::whole(insertions, table.as_bytes()).map_err(of(insertions))
     }

@@ -231,17 +231,16 @@ fn is_one_folder(name: &str) -> bool {
 /// A sensor of the tests: °C within 0 to 80, at most 6 K a minute.
 #[cfg(test)]
 pub(crate) fn for_test(name: &str, source: SensorSource) -> SensorConfig {
+    let believed = SensorConfig::believed(name, Role::Temperature);
+    let (range, max_rate_k_per_min) = ([0.0, 80.0], 6.0);
     SensorConfig {
-        name: name.into(),
-        place: String::new(),
         source,
-        period_s: 1.0,
-        role: Role::Temperature,
-        range: [0.0, 80.0],
-        max_rate_k_per_min: 6.0,
+        range,
+        max_rate_k_per_min,
         timeout_s: 3.0,
         stuck_s: 20.0,
         freeze_s: 10.0,
+        ..believed
     }
 }
 
