@@ -1,7 +1,7 @@
 //! `rtecctl probe`: positions at the probe's trip.
 
 use crate::Outcome;
-use crate::daemon::{Daemon, NO_EVENTS, check, observe, unreachable};
+use crate::daemon::{Daemon, NO_EVENTS, ask, check, observe, unreachable};
 use clap::ValueEnum;
 use rtec_control::protocol::{ClientRequest, Happened, Response};
 
@@ -40,9 +40,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     }
     // Watching first: no trip can come between the two.
     let mut watch = args.daemon.connect()?;
-    check(watch.ask(&ClientRequest::Watch {}).map_err(unreachable)?)?;
+    ask(&mut watch, &ClientRequest::Watch {})?;
     watch.be_patient()?;
-    check(args.daemon.connect()?.ask(&ClientRequest::Probe { on: true }).map_err(unreachable)?)?;
+    ask(&mut args.daemon.connect()?, &ClientRequest::Probe { on: true })?;
     let mut captured = Vec::new();
     match args.captures {
         None => eprintln!(
@@ -92,7 +92,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     if args.daemon.json {
         println!("{}", serde_json::json!({ "captures": captured }));
     }
-    check(args.daemon.connect()?.ask(&ClientRequest::Probe { on: false }).map_err(unreachable)?)?;
+    ask(&mut args.daemon.connect()?, &ClientRequest::Probe { on: false })?;
     Ok(())
 }
 
