@@ -63,8 +63,6 @@ const PATIENCE: Duration = Duration::from_secs(60);
 
 /// Counts that are inserted where the user does not say and the belief window is no smaller.
 const USUAL_COUNTS: i64 = 20;
-/// The smallest belief window that is proposed, µm: three corrections of 4 µm (NISTIR 4832, General Considerations).
-const LEAST_WINDOW_UM: f64 = 12.0;
 
 /// What a model's correction of an axis changes by at most from one moment to the next, µm: where the axis turns, and where coolant
 /// comes on. All else creeps, or is part of a motion. Looked at where the axis is jogged to.
@@ -108,11 +106,6 @@ fn largest_step_um(file: &Path, axis: &str, places_mm: [f64; 3]) -> anyhow::Resu
         }
     }
     Ok(step_um)
-}
-
-/// The belief window for a largest step, counts.
-fn window_counts(step_um: f64, count_um: f64) -> i64 {
-    ((3.0 * step_um).max(LEAST_WINDOW_UM) / count_um).ceil() as i64
 }
 
 /// The axis at rest.
@@ -349,7 +342,8 @@ impl Guide<'_> {
         let [start, there] = [start, there].map(|p| Place { count_um, ..p });
         if let Some(step_um) = self.step_um {
             note(figures, "largest_step_of_the_model_um", step_um);
-            figures.insert("window_counts_proposed".to_owned(), window_counts(step_um, count_um).into());
+            let window = rtec_correct::belief_window_counts(count_um, step_um);
+            figures.insert("window_counts_proposed".to_owned(), window.into());
         }
         note(figures, "display_mm", there.display_mm - start.display_mm);
         note(figures, "indicator_mm", there.indicator_mm - start.indicator_mm);
@@ -579,6 +573,29 @@ mod tests {
         );
     }
 
+    /// Examples have the window that `commission` proposes for their model.
+    #[test]
+    fn every_example_has_the_window_proposed_for_its_model() {
+        let mut axes = 0;
+        for example in rtec_sim::example::EXAMPLES {
+            let Some((_, text)) = example.files.iter().find(|f| f.0 == "rtec.toml") else { continue };
+            let folder = tempfile::tempdir().unwrap();
+            for (name, text) in example.files.iter().filter(|f| !f.0.contains('/')) {
+                std::fs::write(folder.path().join(name), text).unwrap();
+            }
+            let config = rtec_control::config::Config::parse(Path::new("rtec.toml"), text).unwrap();
+            for axis in &config.axes {
+                let places_mm = [0.0, axis.travel_mm / 2.0, axis.travel_mm];
+                let file = folder.path().join("machine.toml");
+                let step_um = largest_step_um(&file, &axis.name, places_mm).unwrap_or(0.0);
+                let proposed = rtec_correct::belief_window_counts(axis.count_um, step_um);
+                assert_eq!(axis.engine.window_counts, proposed, "{}: {}", example.name, axis.name);
+                axes += 1;
+            }
+        }
+        assert!(axes > 8, "{axes}");
+    }
+
     #[test]
     fn the_window_is_three_of_the_largest_step() {
         let folder = tempfile::tempdir().unwrap();
@@ -600,7 +617,11 @@ mod tests {
         ] {
             assert!((step(&effects) - um).abs() < 1e-9, "{effects}: {}", step(&effects));
         }
-        assert_eq!((window_counts(6.0, 1.0), window_counts(6.0, 0.5), window_counts(0.0, 1.0)), (18, 36, 12));
+        let window = rtec_correct::belief_window_counts;
+        assert_eq!(
+            (window(1.0, 6.0), window(0.5, 6.0), window(1.0, 0.0), window(20.0, 0.0)),
+            (18, 36, 12, 2)
+        );
         std::fs::write(&file, "name = \"m\"\n").unwrap();
         assert!(
             largest_step_um(&file, "x", [0.0; 3]).unwrap_err().to_string().contains("no effect on axis x")
