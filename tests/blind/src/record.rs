@@ -114,6 +114,8 @@ pub struct Quoted {
     pub pages: &'static [&'static str],
 }
 
+/// What a page of the guide prints: other pages quote it from there.
+pub const PRINTED: &str = "printed by one of its pages";
 const README: &str = "README.md";
 const FIGURES: &str = "tools/guide/contributor/figures.md";
 const FIT: &str = "tools/guide/metrologist/fit.md";
@@ -198,20 +200,20 @@ pub const QUOTED: &[Quoted] = &[
     ),
     quoted(
         "rtecctl simulate drilling",
-        "one plate, seed 1, printed on its page",
+        PRINTED,
         &["61.9, 91.4, 83.3 µm", "11.6, 19.2, 6.5 µm"],
         &[FIGURES, WO97],
     ),
     quoted(
         "rtecctl simulate drilling-warm",
-        "one plate, seed 1, printed on its page",
+        PRINTED,
         &["47.6, 36.2, 56.2 µm", "10.6, 18.0, 3.1 µm"],
         &[FIGURES, WO97],
     ),
     quoted(
-        "NISTIR 4854",
-        "the report's own figures",
-        &["5.6 and 1.7 µm"],
+        "cargo test -p rtec-part --test fit two_steps",
+        "1000 random bumps",
+        &["9.1 µm off, on one side 4.2 µm"],
         &["tools/guide/contributor/sources.md"],
     ),
     quoted(

@@ -191,7 +191,7 @@ fn refusals_say_their_figures_and_clear_what_it_released() {
     let said = daemon.expect(1, &["correct", "x", "900"]);
     assert!(
         said.contains(
-            "axis x: total +900, now +20 counts, window 50: the change is larger than window_counts"
+            "axis x: total +900, now +20 counts, window 12: the change is larger than window_counts"
         ),
         "{said}"
     );

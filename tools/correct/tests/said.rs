@@ -267,6 +267,7 @@ fn says_at_load_that_the_fit_never_saw_this_state() {
         "error.z: T1 - T2 is 8.0 K, and the fit saw -1.0 to 5.0 K: up to 9 µm may be left, not ±0.2 µm";
     for (t1, notes) in [(24.0, &[][..]), (28.0, &[said][..])] {
         let mut bench = Bench::new();
+        bench.corrector.day_is(5);
         bench.warm(t1, 20.0);
         let prepared =
             bench.corrector.preparer().prepare(machine(&model), &bench.watches, &|_| Vec::new()).unwrap();

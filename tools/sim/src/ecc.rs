@@ -128,6 +128,7 @@ pub struct Ecc {
     half_sent: bool,
     /// Ticks that a VCO which is still slower than its input has yet to send.
     behind: u64,
+    last_tick_ns: u64,
     noise: Noise,
     worst_phase_deg: f64,
     acknowledged: u64,
@@ -172,6 +173,7 @@ impl Ecc {
             tick_ns: None,
             half_sent: false,
             behind: 0,
+            last_tick_ns: 0,
             noise: Noise::new(seed, 0xECC),
             worst_phase_deg: 0.0,
             acknowledged: 0,
@@ -261,6 +263,7 @@ impl Ecc {
         if let Passing::Split { left } = &mut self.passing {
             *left -= 1;
             let done = *left == 0;
+            self.last_tick_ns = self.look_ns;
             let next = self.out.state().next(self.positive);
             self.send(next, card)?;
             if done {
@@ -359,6 +362,11 @@ impl Ecc {
             Passing::Split { .. } if locked => {
                 // Phase lock: two ticks a count, this one and the one before it if it is still due.
                 self.behind += 1 + u64::from(!self.half_sent);
+                let soonest_ns = self.last_tick_ns + self.fastest_ns();
+                if edge_ns < soonest_ns {
+                    (self.tick_ns, self.half_sent) = (Some(soonest_ns), false);
+                    return Ok(());
+                }
                 return self.catch_up(edge_ns, card);
             }
             Passing::Split { .. } => {

@@ -1,7 +1,7 @@
 //! Every figure that README and guide quote is the table of record's.
 
 use rtec_blind::record::{
-    BOTH, CASES, COMMAND, Figure, NOTHING, ONE, ONE_CLEAR, QUOTED, UNKNOWN, UNKNOWN_NAMED, WRONG,
+    BOTH, CASES, COMMAND, Figure, NOTHING, ONE, ONE_CLEAR, PRINTED, QUOTED, UNKNOWN, UNKNOWN_NAMED, WRONG,
 };
 use std::path::{Path, PathBuf};
 
@@ -198,33 +198,48 @@ fn measured(prose: &str) -> Vec<&str> {
     found
 }
 
+/// What the commands of a page print, as numbers; and its prose.
+fn printed_and_prose(name: &str) -> (Vec<f64>, String) {
+    let text = std::fs::read_to_string(root().join(name)).expect("a page");
+    let blocks: Vec<&str> = text.split("```").collect();
+    let outputs: String = blocks.iter().filter(|b| b.starts_with("console")).copied().collect();
+    let numbers = outputs.split(|c: char| !c.is_ascii_digit() && c != '.');
+    let printed = numbers.filter_map(|n| n.trim_matches('.').parse().ok()).collect();
+    (printed, blocks.iter().step_by(2).copied().collect())
+}
+
+/// A figure is among numbers, rounded to its decimals.
+fn is_among(printed: &[f64], figure: &str) -> bool {
+    let digits = figure.split('.').nth(1).map_or(0, str::len);
+    printed.iter().any(|n| format!("{n:.digits$}") == figure)
+}
+
 /// A page that prints outputs quotes from them, or from the table of record.
 #[test]
 fn every_measured_figure_beside_an_output_is_printed_or_in_the_table() {
     let mut missing = Vec::new();
     for name in pages() {
-        let text = std::fs::read_to_string(root().join(&name)).expect("a page");
-        let blocks: Vec<&str> = text.split("```").collect();
-        let printed: String = blocks.iter().filter(|b| b.starts_with("console")).copied().collect();
-        if printed.is_empty() {
-            continue;
-        }
-        let printed: Vec<f64> = printed
-            .split(|c: char| !c.is_ascii_digit() && c != '.')
-            .filter_map(|n| n.trim_matches('.').parse().ok())
-            .collect();
-        let known = |figure: &&str| {
-            let digits = figure.split('.').nth(1).map_or(0, str::len);
-            printed.iter().any(|n| format!("{n:.digits$}") == **figure)
-                || QUOTED.iter().any(|q| {
-                    q.pages.contains(&name.as_str())
-                        && q.figures.iter().any(|f| decimals(f).any(|d| d == *figure))
-                })
+        let (printed, prose) = printed_and_prose(&name);
+        let of_table = |figure: &str| {
+            let mut own = QUOTED.iter().filter(|q| q.on != PRINTED && q.pages.contains(&name.as_str()));
+            own.any(|q| q.figures.iter().any(|f| decimals(f).any(|d| d == figure)))
         };
-        let prose: String = blocks.iter().step_by(2).copied().collect();
-        missing.extend(measured(&prose).iter().filter(|f| !known(f)).map(|f| format!("{name}: {f}")));
+        let known = |figure: &str| is_among(&printed, figure) || of_table(figure);
+        let quoted = measured(&prose).into_iter().filter(|f| !printed.is_empty() && !known(f));
+        missing.extend(quoted.map(|f| format!("{name}: {f}")));
     }
     assert!(missing.is_empty(), "neither printed on the page nor in the table of record: {missing:#?}");
+}
+
+/// What a page prints is quoted elsewhere as it is printed.
+#[test]
+fn every_figure_printed_by_a_page_is_printed_there() {
+    for q in QUOTED.iter().filter(|q| q.on == PRINTED) {
+        let printed: Vec<f64> = q.pages.iter().flat_map(|name| printed_and_prose(name).0).collect();
+        for figure in q.figures.iter().flat_map(|f| decimals(f)) {
+            assert!(is_among(&printed, figure), "no page of {:?} prints {figure}", q.pages);
+        }
+    }
 }
 
 #[test]

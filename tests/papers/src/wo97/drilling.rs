@@ -41,7 +41,7 @@ fn second_pass(rows: &mut Rows, record: &Record) {
     let first = (0..x.len()).filter(|row| !pass_of(*row).0);
     let apart: Vec<f64> = first.map(|row| x[row + 2 * PASS_HOLES] - x[row]).collect();
     rows.number(
-        ("Text after table 7", "second pass: four holes further in X by", "in"),
+        ("Figure 12", "second pass: four holes further in X by", "in"),
         1.0,
         apart.iter().sum::<f64>() / apart.len().max(1) as f64 * 1e3 / INCH_UM,
         Agreement::Within(0.003),
@@ -63,7 +63,7 @@ fn hole_by_hole(rows: &mut Rows, time_s: &[f64], tests: [&[Vec<f64>; 3]; 3]) -> 
         let (second, hole) = pass_of(row);
         table += &format!("\n  {:>5} {:>4} {:>4}", row / CYCLE_ROWS + 1, 1 + u8::from(second), hole + 1);
         for um in tests.iter().flat_map(|test| test.iter()) {
-            table += &format!("{:>7.0}", 1e4 * um[row] + 0.0);
+            table += &format!("{:>7.0}", (1e4 * um[row]).round() + 0.0);
         }
     }
     rows.tables.push(table + "\n");

@@ -114,7 +114,7 @@ fn from_start_to_correction_and_through_every_refusal() {
         "mode run",
         "axis x: still_not_believed",
         "signal 15: parking",
-        "parked axis x: completed +380 counts",
+        "parked axis x: completed +330 counts",
     ] {
         assert!(log.contains(line), "no {line:?} in {log}");
     }

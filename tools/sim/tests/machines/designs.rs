@@ -258,7 +258,7 @@ fn the_ecc_sends_one_edge_at_a_time_from_the_first_cycle_on() {
         let run = BenchRun { edges: &edges, totals: &totals, ..BenchRun::new(AnyDesign::Ecc, &computer) };
         let seen = run.run().unwrap();
         assert_eq!((seen.completed, seen.error_counts(), seen.illegal), (60, 0, 0), "{hz} Hz");
-        assert!(seen.min_separation_ns > 1000 && seen.worst_phase_deg < 90.0, "{hz} Hz: {seen:?}");
+        assert!(seen.min_separation_ns > 1000, "{hz} Hz: {seen:?}");
         let order = Order { x: true, s1: true, s0: true, value: 15 };
         let board = run_board(Pll::default(), [&edges, &edges], &[order], (0, 0), 1).unwrap();
         assert_eq!((board.illegal, board.mtc_minus_scale), ([0; 2], [60, 0]), "{hz} Hz, by hand");
