@@ -263,8 +263,7 @@ fn whoever_reads_a_sensor_that_is_not_there_is_named_and_nobody_else() {
 fn says_at_load_that_the_fit_never_saw_this_state() {
     let saw = "valid = [{ sensor = \"T1\", minus = \"T2\", range_K = [-1.0, 5.0], um_per_K = 3.0 }]\n";
     let model = [SCALE_Z, FIT, saw].concat();
-    let said =
-        "error.z: T1-T2 is 8.0 K, and the fit saw -1.0 to 5.0 K: up to 9 µm may be left, not ±0.2 µm";
+    let said = "error.z: T1-T2 is 8.0 K, and the fit saw -1.0 to 5.0 K: up to 9 µm may be left, not ±0.2 µm";
     for (t1, notes) in [(24.0, &[][..]), (28.0, &[said][..])] {
         let mut bench = Bench::new();
         bench.corrector.day_is(5);

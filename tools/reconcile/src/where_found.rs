@@ -359,7 +359,7 @@ fn since_turn(record: &Record, axis: &Axis) -> Option<Vec<f64>> {
     let mut last = at.first().copied()?;
     let mut travel = Vec::with_capacity(at.len());
     for (p, d) in at.iter().zip(direction) {
-        if *d != 0.0 && d.signum() != sign {
+        if *d != 0.0 && d * sign <= 0.0 {
             if sign != 0.0 {
                 (turned_at, turns) = (Some(last), turns + 1);
             }
