@@ -7,6 +7,7 @@ use rtec_measure::plot::{Chart, Series, Style};
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, Record, Role};
 use rtec_sim::experiment::Findings;
+use std::fmt::Write as _;
 
 /// Table 7, inches ·10⁻⁴: hole (and counterbore) by hole (and counterbore), X, Y, Z.
 const TABLE_7: [(u32, [[f64; 3]; 2]); 11] = [
@@ -56,14 +57,15 @@ fn hole_by_hole(rows: &mut Rows, time_s: &[f64], tests: [&[Vec<f64>; 3]; 3]) -> 
         .to_owned();
     for test in 1..=3 {
         for axis in AXES {
-            table += &format!("{:>7}", format!("{test} {axis}"));
+            // Writing to a String does not fail.
+            let _ = write!(table, "{:>7}", format!("{test} {axis}"));
         }
     }
     for row in (0..time_s.len()).step_by(2) {
         let (second, hole) = pass_of(row);
-        table += &format!("\n  {:>5} {:>4} {:>4}", row / CYCLE_ROWS + 1, 1 + u8::from(second), hole + 1);
+        let _ = write!(table, "\n  {:>5} {:>4} {:>4}", row / CYCLE_ROWS + 1, 1 + u8::from(second), hole + 1);
         for um in tests.iter().flat_map(|test| test.iter()) {
-            table += &format!("{:>7.0}", (1e4 * um[row]).round() + 0.0);
+            let _ = write!(table, "{:>7.0}", (1e4 * um[row]).round() + 0.0);
         }
     }
     rows.tables.push(table + "\n");
