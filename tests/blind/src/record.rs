@@ -114,9 +114,13 @@ pub struct Quoted {
     pub pages: &'static [&'static str],
 }
 
+/// What a page of the guide prints: other pages quote it from there.
+pub const PRINTED: &str = "printed by one of its pages";
 const README: &str = "README.md";
 const FIGURES: &str = "tools/guide/contributor/figures.md";
+const FIT: &str = "tools/guide/metrologist/fit.md";
 const PART: &str = "tools/guide/metrologist/part.md";
+const WO97: &str = "tools/guide/metrologist/wo97.md";
 const SHOP: &str = "tests/judges/shop.py --from 9601 --count 40";
 const SHOP_BEFORE: &str = "tests/judges/shop.py --from 9301 --count 40";
 const ELSEWHERE: &str = "tests/judges/elsewhere.py all --count 20 --at-least";
@@ -162,8 +166,9 @@ pub const QUOTED: &[Quoted] = &[
         "cargo test -p rtec-fit --test fits real_data",
         "2341 minutes",
         &["0.47 µm RMS"],
-        &[README, FIGURES],
+        &[README, FIGURES, FIT],
     ),
+    quoted("model fit", "the page's own spindle", &["0.003 µm"], &[FIT]),
     quoted("rtecctl part run --seed 1", "seeds 1 to 20", &["0.9 to 1.8 µm"], &[README, PART]),
     quoted(
         "rtecctl part run --design original --seed 1",
@@ -171,8 +176,52 @@ pub const QUOTED: &[Quoted] = &[
         &["22.5 to 23.8 µm"],
         &[README, PART],
     ),
-    quoted("rtecctl part run --seed 1", "seeds 1 to 20", &["19 of the 20"], &[PART]),
-    quoted("cargo test -p rtec-part --test fit", "1000 random bumps", &["999 of 1000"], &[PART]),
+    quoted(
+        "rtecctl part run --design original --seed 1",
+        "seeds 1 to 20",
+        &["2.3 to 3.2 µm", "0.82 to 0.98 µm"],
+        &[PART],
+    ),
+    quoted("rtecctl part run --seed 1", "seeds 1 to 20", &["19 of the 20", "0.33 to 0.54 µm"], &[PART]),
+    quoted(
+        "cargo test -p rtec-part --test fit",
+        "1000 random bumps",
+        &["999 of 1000", "5.75 → 1.85 µm", "19.6 → 4.2 µm", "2.2 µm"],
+        &[PART],
+    ),
+    quoted("rtecctl part run", "G01 moves", &["1.5 µm", "1.1 to 2.4 µm"], &[PART]),
+    quoted("bash .ci/run controller", "a whole LinuxCNC", &["0.18 µm", "39.9", "0.1 to 2.9 µm"], &[PART]),
+    quoted("part load", "an example of an answer", &["12.38 µm"], &[PART]),
+    quoted(
+        "rtec-papers nistir4854",
+        "one nose, compared by the tests of rtec-papers",
+        &["0.9 µm | 21.4 µm", "10.1 µm | 2.8 µm", "0.9 µm | 2.9 µm", "1.1 µm | 3.3 µm"],
+        &["tools/guide/metrologist/nistir4854.md"],
+    ),
+    quoted(
+        "rtecctl simulate drilling",
+        PRINTED,
+        &["61.9, 91.4, 83.3 µm", "11.6, 19.2, 6.5 µm"],
+        &[FIGURES, WO97],
+    ),
+    quoted(
+        "rtecctl simulate drilling-warm",
+        PRINTED,
+        &["47.6, 36.2, 56.2 µm", "10.6, 18.0, 3.1 µm"],
+        &[FIGURES, WO97],
+    ),
+    quoted(
+        "cargo test -p rtec-part --test fit two_steps",
+        "1000 random bumps",
+        &["9.1 µm off, on one side 4.2 µm"],
+        &["tools/guide/contributor/sources.md"],
+    ),
+    quoted(
+        "rtecctl selftest latency",
+        "a share of all samples",
+        &["99.99 %"],
+        &["tools/guide/integrator/latency.md"],
+    ),
     quoted("cargo test -p rtec-sim --test machines lobe", "20 places", &["18 of 20"], &[PART]),
     quoted(FITS, "200 machines", &["0 of 66", "0 of 63"], &[FIGURES]),
     quoted("`model fit`; `reconcile`", "the real spindle", &["1170 of 2341"], &[FIGURES]),

@@ -108,6 +108,8 @@ pub struct Compared {
     pub too_small: usize,
     /// Every figure, in the source's order.
     pub rows: Vec<Row>,
+    /// What the source draws without printing its values, as tables to read.
+    pub tables: Vec<String>,
     /// Its figures as they come out here: file name and text.
     #[serde(skip)]
     pub figures: Vec<(String, String)>,
@@ -133,9 +135,19 @@ impl Paper {
         seed: u64,
         progress: &mut dyn FnMut(&str),
     ) -> Result<Compared, PaperError> {
-        let Rows { list: rows, figures, too_small } = (self.run)(described, seed, progress)?;
+        let Rows { list: rows, figures, tables, too_small } = (self.run)(described, seed, progress)?;
         let count = |v: Verdict| rows.iter().filter(|r| r.verdict == v).count();
         let (agree, differ) = (count(Verdict::Agrees), count(Verdict::Differs));
-        Ok(Compared { paper: self.name, title: self.title, seed, agree, differ, too_small, rows, figures })
+        Ok(Compared {
+            paper: self.name,
+            title: self.title,
+            seed,
+            agree,
+            differ,
+            too_small,
+            rows,
+            tables,
+            figures,
+        })
     }
 }

@@ -124,6 +124,9 @@ fn table(c: &Compared, differ: bool) -> String {
             let _ = writeln!(text, "      [{}] {}", number + 1, row.why);
         }
     }
+    for table in c.tables.iter().filter(|_| !differ) {
+        let _ = write!(text, "\n{table}");
+    }
     if c.too_small > 0 {
         let _ = writeln!(text, "\nleft out: {} figures that are no larger than their tolerance", c.too_small);
     }
@@ -160,8 +163,9 @@ mod tests {
             row("Table 2", "fifth", Verdict::Differs, "a scale of its own"),
         ];
         let (paper, title) = ("p", "A paper");
+        let (tables, figures) = (Vec::new(), Vec::new());
         let compared =
-            Compared { paper, title, seed: 1, agree: 1, differ: 4, too_small: 0, rows, figures: Vec::new() };
+            Compared { paper, title, seed: 1, agree: 1, differ: 4, too_small: 0, rows, tables, figures };
         let text = table(&compared, false);
         let mark = |what: &str| {
             let line = text.lines().find(|l| l.trim_start().starts_with(what)).unwrap_or_default();

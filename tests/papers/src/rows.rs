@@ -85,6 +85,8 @@ impl Agreement {
 pub(crate) struct Rows {
     pub(crate) list: Vec<Row>,
     pub(crate) figures: Vec<(String, String)>,
+    /// What a source draws without printing its values, as tables to read.
+    pub(crate) tables: Vec<String>,
     /// Figures no larger than their tolerance: agreement would tell nothing.
     pub(crate) too_small: usize,
 }

@@ -90,8 +90,8 @@ fn judges_read_both_forms_and_find_the_same_as_in_the_status() {
     let directory = tempfile::tempdir().unwrap();
     let socket = directory.path().join("s");
     let daemon = Daemon::enabled(&socket);
-    daemon.expect(0, &["correct", "x", "-40"]);
-    until("completed", || daemon.status()["axes"][0]["completed"] == -40);
+    daemon.expect(0, &["correct", "x", "-12"]);
+    until("completed", || daemon.status()["axes"][0]["completed"] == -12);
     let plain = daemon.expect(0, &["metrics"]);
     let open = daemon.expect(0, &["metrics", "--openmetrics"]);
     let status = daemon.status();
@@ -119,8 +119,8 @@ fn judges_read_both_forms_and_find_the_same_as_in_the_status() {
             "family rtec_build info ",
             "rtec_mode{mode=run} 1.0",
             "rtec_mode{mode=fault} 0.0",
-            "rtec_requested_counts{axis=x} -40.0",
-            "rtec_completed_counts{axis=x} -40.0",
+            "rtec_requested_counts{axis=x} -12.0",
+            "rtec_completed_counts{axis=x} -12.0",
             "rtec_insertions_total{axis=x} 20.0",
             "rtec_beyond_limits_total{axis=x} 0.0",
             "rtec_fault_latched{axis=x,fault=still_not_believed} 0.0",

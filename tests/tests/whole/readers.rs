@@ -15,12 +15,12 @@ fn corrected() -> (tempfile::TempDir, Daemon) {
     let daemon = Daemon::start(&directory.path().join("s"), None);
     daemon.expect(0, &["home"]);
     daemon.expect(0, &["enable"]);
-    for total in [14, 40, -6, 20] {
+    for total in [12, 0, -6, 4, 14, 20] {
         daemon.expect(0, &["correct", "x", &total.to_string()]);
         until("completed", || daemon.status()["axes"][0]["completed"] == total);
     }
-    daemon.expect(0, &["correct", "y", "-30"]);
-    until("completed", || daemon.status()["axes"][1]["completed"] == -30);
+    daemon.expect(0, &["correct", "y", "-12"]);
+    until("completed", || daemon.status()["axes"][1]["completed"] == -12);
     (directory, daemon)
 }
 
@@ -32,7 +32,7 @@ fn a_ledger_replays_to_the_same_totals() {
     let name = |file: &str| out.join(file).to_str().unwrap().to_owned();
     let said = daemon.expect(0, &["ledger", "export", "--out", out.to_str().unwrap()]);
     assert!(said.contains("axis x: ") && said.contains("replayed: the same"), "{said}");
-    for (axis, total) in [("x", 20), ("y", -30), ("z", 0)] {
+    for (axis, total) in [("x", 20), ("y", -12), ("z", 0)] {
         let run = Command::new(program("rtecctl"))
             .args(["replay", "--json", "--trace", &name(&format!("{axis}_trace.csv"))])
             .args(["--requests", &name(&format!("{axis}_requests.csv"))])
@@ -83,7 +83,7 @@ fn one_value_and_a_document_a_line() {
     let (directory, daemon) = corrected();
     let get = |name: &str| daemon.expect(0, &["get", name]);
     assert_eq!(get("axes.x.completed"), "20\n");
-    assert_eq!(get("axes.1.completed"), "-30\n");
+    assert_eq!(get("axes.1.completed"), "-12\n");
     assert_eq!(get("mode"), "run\n");
     assert_eq!(daemon.expect(0, &["get", "mode", "--json"]), "\"run\"\n");
     let names: Vec<String> = serde_json::from_str(&daemon.expect(0, &["get", "--json"])).unwrap();
@@ -191,7 +191,7 @@ fn refusals_say_their_figures_and_clear_what_it_released() {
     let said = daemon.expect(1, &["correct", "x", "900"]);
     assert!(
         said.contains(
-            "axis x: total +900, now +20 counts, window 50: the change is larger than window_counts"
+            "axis x: total +900, now +20 counts, window 12: the change is larger than window_counts"
         ),
         "{said}"
     );

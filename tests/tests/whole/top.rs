@@ -55,11 +55,11 @@ fn it_shows_the_machine_and_outlives_its_daemon() {
     let terminal = Terminal::start(directory.path(), &socket, (100, 30), "");
     terminal.shows("embedded default");
     terminal.shows("RUN");
-    daemon.expect(0, &["correct", "x", "14"]);
+    daemon.expect(0, &["correct", "x", "12"]);
     until("the correction", || {
         let screen = terminal.screen();
-        screen.lines().any(|l| l.starts_with("x ") && l.split_whitespace().nth(3) == Some("14"))
-            && screen.lines().any(|l| l.contains("operator") && l.contains("14.00"))
+        screen.lines().any(|l| l.starts_with("x ") && l.split_whitespace().nth(3) == Some("12"))
+            && screen.lines().any(|l| l.contains("operator") && l.contains("12.00"))
     });
     let screen = terminal.screen();
     for text in ["poll gap p50", "last events", "mode run", "? help   q quit"] {

@@ -237,7 +237,7 @@ fn a_place_that_cannot_be_is_explained() {
 #[test]
 fn a_window_that_is_not_given_is_12_um() {
     for (count_um, max, counts) in
-        [("1.0", 1000, 12), ("0.1", 1000, 120), ("5.0", 1000, 2), ("20.0", 1000, 2), ("1.0", 9, 9)]
+        [("1.0", 1000, 12), ("0.1", 1000, 120), ("5.0", 1000, 3), ("20.0", 1000, 2), ("1.0", 9, 9)]
     {
         let text = format!(
             "[machine]\nname = 'm'\n[card]\nbackend = 'mock'\n[[axis]]\nname = 'x'\ncount_um = {count_um}\ntravel_mm = 900\n\

@@ -7,8 +7,6 @@ use rtec_model::machine::Machine;
 
 /// Indicator and scale may differ by this share: no machine errs by more.
 const UNIT: f64 = 0.01;
-/// Least window that is proposed, µm: three corrections of 4 µm (NISTIR 4832).
-const LEAST_WINDOW_UM: f64 = 12.0;
 
 /// Largest change of a model's correction from one moment to the next, µm.
 /// It comes where the axis turns and where coolant comes on; all else creeps or is part of a motion. Evaluated at these places.
@@ -54,12 +52,6 @@ pub fn largest_step_um(machine: &Machine, axis: &str, places_mm: [f64; 3]) -> Re
         }
     }
     Ok(step_um)
-}
-
-/// The belief window for a largest step, counts.
-#[must_use]
-pub fn window_counts(step_um: f64, count_um: f64) -> i64 {
-    ((3.0 * step_um).max(LEAST_WINDOW_UM) / count_um).ceil() as i64
 }
 
 /// An axis at rest, as display, indicator and scale read it.
@@ -252,7 +244,11 @@ mod tests {
         ] {
             assert!((step(&effects) - um).abs() < 1e-9, "{effects}: {}", step(&effects));
         }
-        assert_eq!((window_counts(6.0, 1.0), window_counts(6.0, 0.5), window_counts(0.0, 1.0)), (18, 36, 12));
+        let window = crate::belief_window_counts;
+        assert_eq!(
+            (window(1.0, 6.0), window(0.5, 6.0), window(1.0, 0.0), window(20.0, 0.0)),
+            (18, 36, 12, 2)
+        );
         let none = largest_step_um(&machine(""), "x", [0.0; 3]).unwrap_err();
         assert!(none.to_string().contains("no effect on axis x"), "{none}");
     }

@@ -32,6 +32,19 @@ pub use corrector::Corrector;
 /// Default rate, µm/s, for a change of total that no motion asks for.
 pub const RAMP_UM_S: f64 = 5.0;
 
+/// The least that is believed at once, µm: three corrections of 4 µm.
+/// (NISTIR 4832, General Considerations)
+const LEAST_BELIEVED_UM: f64 = 12.0;
+
+/// The belief window of an axis: three of its largest steps, at least 12 µm.
+/// It is given in counts.
+/// `step_um` is the most that its model changes by at once. A window never refuses a single insertion.
+#[must_use]
+pub fn belief_window_counts(count_um: f64, step_um: f64) -> i64 {
+    let counts = (3.0 * step_um).max(LEAST_BELIEVED_UM) / count_um;
+    (counts.ceil() as i64).max(rtec_rt::axis::INCREMENT_COUNTS)
+}
+
 /// One axis, as the law needs to know it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct AxisSetup {

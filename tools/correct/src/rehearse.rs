@@ -24,7 +24,7 @@ const MOST_TICKS: f64 = 20.0;
 #[derive(Debug, Clone, PartialEq)]
 pub struct Options {
     /// The axes as the configuration has them.
-    /// Those it lacks count as the shift does, or 1 µm, by Design C with a window of 50 counts.
+    /// Those it lacks count as the shift does, or 1 µm, by Design C with a window of 12 µm.
     pub axes: Vec<AxisSetup>,
     /// The ramp's rate, µm/s (see [`Corrector::new`]).
     pub ramp_um_s: f64,
@@ -39,15 +39,16 @@ impl Default for Options {
 }
 
 impl Options {
-    /// An axis without a configuration: Design C, a window of 50 counts.
+    /// An axis without a configuration: Design C, a window of 12 µm.
     /// Its count is that of the shift, or 1 µm.
     fn axis(&self, name: &str, count_um: Option<f64>) -> AxisSetup {
         let known = self.axes.iter().find(|a| a.name == name).cloned();
+        let count_um = count_um.unwrap_or(1.0);
         known.unwrap_or_else(|| AxisSetup {
             name: name.to_owned(),
-            count_um: count_um.unwrap_or(1.0),
+            count_um,
             increment_counts: 2,
-            window_counts: 50,
+            window_counts: crate::belief_window_counts(count_um, 0.0),
             max_counts: 1_000_000,
         })
     }

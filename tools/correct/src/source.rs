@@ -2,9 +2,9 @@
 //! From the sensors it gives each axis's error, or why the error is unknown.
 
 use rtec_files::InputError;
-use rtec_model::effect::{Difference, Effect, Heat, Naming, Need, STANDARD_DEGC};
+use rtec_model::effect::{Against, Difference, Effect, Heat, Naming, Need, STANDARD_DEGC};
 use rtec_model::live::{AxisNow, Frame, Layout, Live};
-use rtec_model::machine::Machine;
+use rtec_model::machine::{FitNote, Machine};
 use rtec_model::record::{Axis, Role};
 use rtec_sensors::{Use, Watch};
 
@@ -32,6 +32,9 @@ pub(crate) struct ModelSource {
     lags: Vec<Lag>,
     /// What the model reads and no sensor gives.
     missing: Vec<String>,
+    ranges: Vec<FittedRange>,
+    /// The last value of each configured sensor.
+    values: Vec<Option<f64>>,
     inputs: Inputs,
     /// What each configured sensor was good for when it was last looked at.
     states: Vec<Use>,
@@ -104,6 +107,36 @@ impl Lag {
     fn unknown_s(&self, now_s: f64) -> Option<f64> {
         let left = LAGS_KNOWN * self.tau_s - (now_s - self.since_s);
         (!self.settled && left > 0.0).then_some(left)
+    }
+}
+
+/// A temperature difference that a fit saw over a range.
+/// An effect may read it or not.
+#[derive(Debug)]
+struct FittedRange {
+    /// Places of the fit in the model and of the difference in the fit.
+    fit: usize,
+    valid: usize,
+    /// Places of its sensors among the configured ones.
+    sensor: usize,
+    minus: Option<usize>,
+}
+
+impl FittedRange {
+    /// Those of a model whose sensors are configured.
+    fn all(machine: &Machine, watches: &[Watch]) -> Vec<Self> {
+        let mut all = Vec::new();
+        for (fit, note) in machine.fits().iter().enumerate() {
+            for (valid, v) in note.valid.iter().enumerate() {
+                let minus = match &v.difference.against {
+                    Against::Sensor(name) => of_name(watches, name).map(Some),
+                    _ => Some(None),
+                };
+                let places = of_name(watches, &v.difference.sensor).zip(minus);
+                all.extend(places.map(|(sensor, minus)| Self { fit, valid, sensor, minus }));
+            }
+        }
+        all
     }
 }
 
@@ -293,6 +326,8 @@ impl ModelSource {
             reads: reads(&machine, axes, watches),
             lags: lags(&machine, axes),
             missing: missing(&machine, axes, watches),
+            ranges: FittedRange::all(&machine, watches),
+            values: vec![None; watches.len()],
             live,
             machine,
             sensors,
@@ -319,6 +354,7 @@ impl ModelSource {
     /// Takes the sensors in; says whether one of them has become better or worse.
     pub(crate) fn read(&mut self, watches: &[Watch], now_s: f64) -> bool {
         let value = |n: usize| watches[n].value_degc();
+        self.values.iter_mut().enumerate().for_each(|(n, v)| *v = value(n));
         let take = |to: &mut [f64], from: &[usize]| {
             for (to, n) in to.iter_mut().zip(from) {
                 *to = value(*n).unwrap_or(*to);
@@ -430,10 +466,39 @@ impl ModelSource {
         Some(format!("sensor {}: {why}; its last good value is {age_s:.0} s old", lost.config().name))
     }
 
+    /// Fits that have not seen the present thermal state.
+    /// Each names the difference that may cost most.
+    /// Only what may cost more than the fit promises anyway.
+    fn unseen(&self) -> Vec<String> {
+        let unseen = |(n, fit): (usize, &FitNote)| {
+            let now = |r: &FittedRange| {
+                let v = &fit.valid[r.valid];
+                let minus = match (r.minus, &v.difference.against) {
+                    (Some(n), _) => self.values[n]?,
+                    (None, Against::Reference(degc)) => *degc,
+                    (None, _) => STANDARD_DEGC,
+                };
+                let delta_k = self.values[r.sensor]? - minus;
+                Some((v, delta_k, v.outside_um(delta_k)))
+            };
+            let own = self.ranges.iter().filter(|r| r.fit == n).filter_map(now);
+            let (v, delta_k, um) = own.max_by(|a, b| a.2.total_cmp(&b.2))?;
+            let ([lo, hi], unit) = (v.range_k, FitNote::unit_of(&fit.response));
+            (um > fit.half_width_um).then(|| {
+                format!(
+                    "{}: {} is {delta_k:.1} K, and the fit saw {lo:.1} to {hi:.1} K: up to {um:.0} {unit} may be left, not ±{:.1} {unit}",
+                    fit.response, v.difference, fit.half_width_um
+                )
+            })
+        };
+        self.machine.fits().iter().enumerate().filter_map(unseen).collect()
+    }
+
     /// What to know of it on a day (days since 1970-01-01).
     pub(crate) fn notes(&self, today: i64) -> Vec<String> {
         let mut notes = self.machine.doubts(today);
         notes.extend(self.missing.iter().cloned());
+        notes.extend(self.unseen());
         for p in self.live.parts() {
             if p.outside_k > 0.0 {
                 let delta = p.effect.delta.as_ref().map_or(String::new(), |d| format!(" ({d})"));

@@ -256,6 +256,26 @@ fn whoever_reads_a_sensor_that_is_not_there_is_named_and_nobody_else() {
     assert_eq!(found, "no temperature T9 (read by thermal_growth.z) in the daemon's configuration");
 }
 
+/// `model load` and `status` name a thermal state that no run of the fit has shown.
+/// The effects read none of it: the hall is warmer than it ever was.
+#[test]
+fn says_at_load_that_the_fit_never_saw_this_state() {
+    let saw = "valid = [{ sensor = \"T1\", minus = \"T2\", range_K = [-1.0, 5.0], um_per_K = 3.0 }]\n";
+    let model = [SCALE_Z, FIT, saw].concat();
+    let said = "error.z: T1-T2 is 8.0 K, and the fit saw -1.0 to 5.0 K: up to 9 µm may be left, not ±0.2 µm";
+    for (t1, notes) in [(24.0, &[][..]), (28.0, &[said][..])] {
+        let mut bench = Bench::new();
+        bench.corrector.day_is(5);
+        bench.warm(t1, 20.0);
+        let prepared = bench.corrector.preparer().prepare(machine(&model), &|_| Vec::new()).unwrap();
+        let preview = bench.corrector.preview(prepared, &bench.status);
+        assert_eq!(preview.warnings, notes);
+        bench.load(&model);
+        bench.tick();
+        assert_eq!(bench.corrector.shown().unwrap().notes, notes);
+    }
+}
+
 /// What is read and no sensor gives is a note; what is given is none.
 #[test]
 fn what_is_taken_as_zero_is_said() {

@@ -35,11 +35,22 @@ pub struct Gap {
 }
 
 impl Gap {
-    /// Share of the gap closed on the hold-out or by cross-validation.
+    /// The gap before and after, and which rows it is of.
+    /// Rows that the fit has not seen come first: hold-outs, then blocks left out in turn.
+    #[must_use]
+    pub fn judged_on(&self) -> ([f64; 2], &'static str) {
+        match (self.holdout, self.blocked) {
+            (Some(pair), _) => (pair, "on the hold-outs"),
+            (None, Some(pair)) => (pair, "on blocks of rows left out in turn; a hold-out would judge it"),
+            (None, None) => (self.train, "nothing was fitted"),
+        }
+    }
+
+    /// Share of the gap closed on the rows of [`Gap::judged_on`].
     /// 1 means closed down to the floor.
     #[must_use]
     pub fn closed(&self) -> Option<f64> {
-        let [before, after] = self.holdout.or(self.blocked).unwrap_or(self.train);
+        let [before, after] = self.judged_on().0;
         (before > self.floor && !self.doubted).then(|| ((before - after) / (before - self.floor)).max(0.0))
     }
 
@@ -149,8 +160,15 @@ pub(crate) fn rms<'v>(v: impl IntoIterator<Item = &'v f64>) -> f64 {
 
 /// Residual of each row under a fit of the other blocks.
 /// `None` if nothing was fitted.
-pub(crate) fn left_of_blocks(used: &[Record], answer: &Answer, machine: &Machine) -> Option<Vec<f64>> {
-    let found: Vec<Effect> = answer.findings.iter().map(|(f, _)| f.effect.clone()).collect();
+/// `curve` stands for what no effect explains, and is fitted with the findings.
+pub(crate) fn left_of_blocks(
+    used: &[Record],
+    answer: &Answer,
+    curve: Option<&Effect>,
+    machine: &Machine,
+) -> Option<Vec<f64>> {
+    let findings = answer.findings.iter().map(|(f, _)| &f.effect);
+    let found: Vec<Effect> = findings.chain(curve).cloned().collect();
     let moved = answer.estimate.known.iter().any(|k| k.beyond_chance);
     (!found.is_empty() || moved).then(|| {
         let (rows, model) = (Rows::new(used), machine.effects().cloned().collect::<Vec<_>>());

@@ -11,7 +11,7 @@ use rtec_estimate::setup::What;
 use rtec_least_squares::dot;
 use rtec_model::effect::Effect;
 use rtec_model::machine::Machine;
-use rtec_model::record::{Record, Role};
+use rtec_model::record::{Axis, Record, Role};
 use serde_json::{Value, json};
 
 /// Structure of a response against one thing.
@@ -31,6 +31,8 @@ pub struct Place {
     pub profile: Vec<[f64; 3]>,
     /// The period of a wave over it, in its unit, where that is what was found.
     pub period: Option<f64>,
+    /// It is near the turns of that direction's axis that it was found.
+    pub near_turns: bool,
 }
 
 impl Place {
@@ -45,12 +47,16 @@ impl Place {
             "q_value": self.q_value,
             "profile": self.profile,
             "period": self.period,
+            "near_turns": self.near_turns,
         })
     }
 
     /// What it is against, a wave's period with it: `position.x, period 10.0 mm`.
     #[must_use]
     pub fn against(&self) -> String {
+        if self.near_turns {
+            return format!("{}, near its turns", self.against);
+        }
         let Some(period) = self.period else { return self.against.clone() };
         let unit = match self.against.split('.').next() {
             Some("time") => " s",
@@ -59,6 +65,12 @@ impl Place {
             _ => "",
         };
         format!("{}, period {period:.4}{unit}", self.against)
+    }
+
+    /// Both are structure of the same response against the same thing.
+    fn is_of(&self, other: &Self) -> bool {
+        let of = |p: &Self| (p.response.clone(), p.against.clone(), p.near_turns);
+        of(self) == of(other)
     }
 
     /// It counts at a false-discovery rate of 5 %.
@@ -134,7 +146,7 @@ pub(crate) fn places(records: &[Record], machine: &Machine) -> Vec<Place> {
             }
             if found.p_value <= CLEAR {
                 let mut without = left[left.len() - 1].clone();
-                flatten(&x, &mut without);
+                flatten(&found, &x, &mut without);
                 left.push(without);
             }
             out.push(found);
@@ -164,7 +176,7 @@ pub(crate) fn places(records: &[Record], machine: &Machine) -> Vec<Place> {
     }
     closer.retain(Place::counts);
     if !closer.is_empty() {
-        out.retain(|p| !closer.iter().any(|c| (&c.response, &c.against) == (&p.response, &p.against)));
+        out.retain(|p| !closer.iter().any(|c| c.is_of(p)));
         out.append(&mut closer);
         strongest_first(&mut out);
     }
@@ -202,14 +214,17 @@ fn closely(role: &str, stack: &Rows<'_>, segments: &[&Segment], residual: &[f64]
     let mut out = Vec::new();
     for (against, x) in channels(stack, segments) {
         let place = against.starts_with("position.");
-        if against != "time" && against != "angle" && !place {
+        let turns = against.starts_with(TRAVEL);
+        if against != "time" && against != "angle" && !place && !turns {
             continue;
         }
-        let bins = if place { places_of(&x) } else { stretches(&x) };
+        let bins = if place { places_of(&x) } else { groups(&against, &x) };
         out.extend(
             bins.and_then(|bins| judged(role, &against, &x, residual, sigma, &bins, NOISE_REMEMBERS, 1.0)),
         );
-        out.extend(wave(role, &against, &x, residual, sigma));
+        if !turns {
+            out.extend(wave(role, &against, &x, residual, sigma));
+        }
     }
     out
 }
@@ -273,6 +288,7 @@ fn wave(response: &str, against: &str, x: &[f64], residual: &[f64], sigma: f64) 
         q_value: 1.0,
         profile: stretches(x).map_or_else(Vec::new, |bins| profile(&bins, x, residual, sigma)),
         period: Some(1.0 / frequency),
+        near_turns: false,
     })
 }
 
@@ -307,6 +323,11 @@ fn channels(stack: &Rows<'_>, segments: &[&Segment]) -> Vec<(String, Vec<f64>)> 
         let parts: Option<Vec<&[f64]>> = segments.iter().map(of).collect();
         channels.extend(parts.map(|parts| (column.label(), parts.concat())));
     }
+    for axis in first.axes(Role::Position) {
+        let parts: Option<Vec<Vec<f64>>> =
+            segments.iter().map(|s| since_turn(stack.record(s), axis)).collect();
+        channels.extend(parts.map(|parts| (format!("{TRAVEL}{axis}"), parts.concat())));
+    }
     if first.column(&Role::Time).is_none() {
         let rows = segments.iter().flat_map(|s| (0..s.rows.len()).map(|r| r as f64)).collect();
         channels.push(("time".into(), rows));
@@ -324,6 +345,53 @@ fn channels(stack: &Rows<'_>, segments: &[&Segment]) -> Vec<(String, Vec<f64>)> 
     channels
 }
 
+/// What stands before an axis in the label of its travel since it last turned.
+const TRAVEL: &str = "travel.";
+
+/// Travel of an axis since its last turn, mm, with the direction as its sign.
+/// A spike at the turns is a function of it. Rows before the first turn are as far as any row can be. `None` without turns.
+fn since_turn(record: &Record, axis: &Axis) -> Option<Vec<f64>> {
+    let at = record.data(&Role::Position(axis.clone()))?;
+    let direction =
+        [Role::Direction(axis.clone()), Role::Velocity(axis.clone())].iter().find_map(|r| record.data(r))?;
+    let (low, high) = at.iter().fold((f64::MAX, f64::MIN), |(l, h), p| (l.min(*p), h.max(*p)));
+    let (mut sign, mut turned_at, mut turns) = (0.0, None, 0);
+    let mut last = at.first().copied()?;
+    let mut travel = Vec::with_capacity(at.len());
+    for (p, d) in at.iter().zip(direction) {
+        if *d != 0.0 && d * sign <= 0.0 {
+            if sign != 0.0 {
+                (turned_at, turns) = (Some(last), turns + 1);
+            }
+            sign = d.signum();
+        }
+        travel.push(sign * turned_at.map_or(high - low, |turn: f64| (p - turn).abs()));
+        last = *p;
+    }
+    (turns > 0).then_some(travel)
+}
+
+/// Rows by how near zero they are, either sign apart.
+/// The farther half is a group, then the farther half of the rest, and so on.
+fn towards_zero(x: &[f64]) -> Option<Vec<Vec<usize>>> {
+    let mut groups = Vec::new();
+    for sign in [1.0, -1.0] {
+        let mut own: Vec<usize> = (0..x.len()).filter(|i| x[*i] * sign > 0.0).collect();
+        own.sort_by(|a, b| x[*a].abs().total_cmp(&x[*b].abs()));
+        while own.len() >= 2 * ROWS_OF_PLACE {
+            groups.push(own.split_off(own.len() / 2));
+        }
+        groups.push(own);
+    }
+    groups.retain(|g| !g.is_empty());
+    (groups.len() > 2).then_some(groups)
+}
+
+/// The groups of rows that a channel is looked at by.
+fn groups(against: &str, x: &[f64]) -> Option<Vec<Vec<usize>>> {
+    if against.starts_with(TRAVEL) { towards_zero(x) } else { stretches(x) }
+}
+
 /// A number below `n`.
 fn below(rng: &mut Xoshiro256PlusPlus, n: usize) -> usize {
     ((u128::from(rng.next_u64()) * n as u128) >> 64) as usize
@@ -339,7 +407,7 @@ fn place(
     sigma: f64,
     known: f64,
 ) -> Option<Place> {
-    judged(response, against, x, residual, sigma, &stretches(x)?, 0.99, known)
+    judged(response, against, x, residual, sigma, &groups(against, x)?, 0.99, known)
 }
 
 /// Structure of a residual over groups of rows, tested by permuting blocks.
@@ -396,9 +464,11 @@ fn judged(
         tried += 1;
     }
     let p_value = (larger + 1) as f64 / (tried + 1) as f64;
+    let of_turns = against.strip_prefix(TRAVEL);
     Some(Place {
         response: response.to_owned(),
-        against: against.to_owned(),
+        against: of_turns.map_or_else(|| against.to_owned(), |axis| format!("direction.{axis}")),
+        near_turns: of_turns.is_some(),
         statistic: own / squares.max(1e-300),
         p_value,
         q_value: 1.0,
@@ -451,8 +521,9 @@ fn sums_by(runs: &[Vec<Run>], running: &[f64], begin: &[usize]) -> Vec<f64> {
 
 /// Takes a channel's means out of a residual.
 /// At each of its places where there are many rows of each, over its stretches otherwise.
-fn flatten(x: &[f64], residual: &mut [f64]) {
-    let groups = places_of(x).or_else(|| stretches(x)).unwrap_or_default();
+fn flatten(found: &Place, x: &[f64], residual: &mut [f64]) {
+    let by_place = || places_of(x).or_else(|| stretches(x));
+    let groups = if found.near_turns { towards_zero(x) } else { by_place() }.unwrap_or_default();
     for rows in groups {
         let mean = rows.iter().map(|i| residual[*i]).sum::<f64>() / rows.len() as f64;
         for i in &rows {
@@ -517,6 +588,37 @@ mod tests {
             "{:?}",
             found[0]
         );
+    }
+
+    /// A spike is found near the turns, where it is a hundredth of the way.
+    #[test]
+    fn a_spike_is_found_near_its_turns() {
+        let mut falsely = 0;
+        for seed in 0..20 {
+            let dice = noise(500 + seed, 1200);
+            // Strokes of 120 mm, a reading every 2 mm, and more behind each turn.
+            let step = |k: usize| if k < 10 { 0.1 } else { 2.0 };
+            let (mut p, mut rows) = (0.0, Vec::new());
+            for i in 0..1200 {
+                let (stroke, k) = (i / 60, i % 60);
+                let dir = if stroke % 2 == 0 { 1.0 } else { -1.0 };
+                p += dir * step(k);
+                let d: f64 = (0..=k).map(step).sum();
+                rows.push((p, dir, if stroke == 0 { 0.0 } else { 2.0 * dir * (-d / 0.8).exp() }));
+            }
+            let of = |size: f64| {
+                let mut run = record(1200, |i| dice[i as usize] + size * rows[i as usize].2);
+                run.columns[1].data = rows.iter().map(|r| r.0).collect();
+                let dir = rows.iter().map(|r| r.1).collect();
+                run.columns.push(crate::testing::column("dir", Role::Direction(crate::testing::axis()), dir));
+                places(&[run], &Machine::ideal("m"))
+            };
+            let found = of(1.0);
+            let near = found.iter().find(|p| p.near_turns).expect("looked at");
+            assert!(near.counts() && near.against() == "direction.x, near its turns", "{seed}: {found:?}");
+            falsely += usize::from(of(0.0).iter().any(|p| p.near_turns && p.counts()));
+        }
+        assert!(falsely <= 3, "{falsely} of 20");
     }
 
     /// A residual whose squares overflow has no place.
@@ -584,6 +686,7 @@ mod tests {
             q_value: 1.0,
             profile: Vec::new(),
             period: None,
+            near_turns: false,
         };
         let mut all: Vec<Place> = p.map(of).into();
         rate(&mut all);

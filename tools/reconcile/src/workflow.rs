@@ -110,7 +110,7 @@ fn looked_at(train: &[Record], holdout: &[Record], machine: &Machine, options: &
     doubts.also_held(more);
     let (held, held_out) = doubts.holdouts(&better.model);
     let traces_of = traces(&train, &held, machine, &better.model);
-    let blocked = gap::left_of_blocks(&used, &answer, machine);
+    let blocked = gap::left_of_blocks(&used, &answer, better.curve.as_ref().map(|(e, _)| e), machine);
     let mut gap = gaps(&used, &traces_of, &answer, blocked.as_deref());
     if why_nothing.is_some() {
         for g in &mut gap {

@@ -46,7 +46,7 @@ const VERBS: [(&str, usize, &str, &str); 40] = [
     ("card", 1, "rtecctl card list", "0 done; 2 bad usage; 3 the card cannot be reached"),
     ("config", 1, "rtecctl config check --quiet /etc/rtec/rtec.toml", READS),
     ("commission", 1, "rtecctl commission x", ASKS),
-    ("correct", 1, "rtecctl correct x 14", ASKS),
+    ("correct", 1, "rtecctl correct x 12", ASKS),
     ("clear", 1, "rtecctl clear", ASKS),
     ("get", 1, "rtecctl get axes.x.completed", "0 printed; 1 no such value now; 2 no such name; 3 no daemon"),
     (

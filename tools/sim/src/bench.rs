@@ -3,7 +3,7 @@
 use crate::computer::Computer;
 use crate::ecc::{Ecc, Pll};
 use crate::full_cycle::FullCycle;
-use crate::insertion::{CorrectedAxis, GateDesign, homed_engine};
+use crate::insertion::{CorrectedAxis, GateDesign, MtcDecoder, homed_engine};
 use crate::noise::Noise;
 use crate::replay::{ReplayError, ReplayOutcome, replay, replay_with};
 use crate::through::DesignB;
@@ -198,10 +198,8 @@ struct Rig<'a, G> {
     /// The last change of the outputs; the next comes a step later.
     wrote_ns: Option<u64>,
     noise: Noise,
-    mtc: Decoder,
+    mtc: MtcDecoder,
     sent: State,
-    last_out_ns: Option<u64>,
-    min_separation_ns: u64,
     /// Every change: time, scale, MTC, MTC's count.
     log: Option<Vec<(u64, State, State, i64)>>,
     /// Scale and MTC counts at the computer's death.
@@ -214,14 +212,10 @@ impl<G: Gates> Rig<'_, G> {
         let out = self.gates.out(self.scale.state(), lines.inverters(self.outputs));
         if out != self.sent {
             self.sent = out;
-            self.mtc.update(out);
-            if let Some(last) = self.last_out_ns {
-                self.min_separation_ns = self.min_separation_ns.min(t_ns - last);
-            }
-            self.last_out_ns = Some(t_ns);
+            self.mtc.update(t_ns, out);
         }
         if let Some(log) = &mut self.log {
-            log.push((t_ns, self.scale.state(), out, self.mtc.count()));
+            log.push((t_ns, self.scale.state(), out, self.mtc.decoder().count()));
         }
     }
 
@@ -229,7 +223,7 @@ impl<G: Gates> Rig<'_, G> {
     fn run_to(&mut self, t_ns: u64) {
         while let Some(&(edge_ns, step)) = self.edges.get(self.next).filter(|e| e.0 <= t_ns) {
             if self.at_death.is_none() && edge_ns > self.die_ns {
-                self.at_death = Some((self.scale.count(), self.mtc.count()));
+                self.at_death = Some((self.scale.count(), self.mtc.decoder().count()));
             }
             self.next += 1;
             let state = self.scale.state().next(step > 0);
@@ -458,10 +452,8 @@ impl BenchRun<'_> {
             busy_ns: 0,
             wrote_ns: None,
             noise: Noise::new(self.seed, 0xBE),
-            mtc: Decoder::new(self.start),
+            mtc: MtcDecoder::new(self.start),
             sent: self.start,
-            last_out_ns: None,
-            min_separation_ns: u64::MAX,
             log: self.keep_log.then(Vec::new),
             at_death: None,
         };
@@ -504,12 +496,12 @@ impl BenchRun<'_> {
         let (worst_phase_deg, pulse_ns) = circuit(&corrector);
         Some(BenchResult {
             scale: rig.scale.count(),
-            mtc: rig.mtc.count(),
+            mtc: rig.mtc.decoder().count(),
             completed: axis.completed,
             requested: axis.requested,
             insertions: axis.insertions,
-            illegal: rig.mtc.illegal(),
-            min_separation_ns: rig.min_separation_ns,
+            illegal: rig.mtc.decoder().illegal(),
+            min_separation_ns: rig.mtc.min_separation_ns,
             overlaps: axis.overlaps,
             waited_for_gate: axis.waited_for_gate,
             faults,

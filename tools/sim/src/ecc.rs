@@ -76,6 +76,11 @@ pub struct ControlLines {
 /// The largest compensation value, pulses (CMTI 2014, section 2.2.7: four bits).
 pub const MAX_PULSES: i64 = 15;
 
+/// A loop that doubles uncleanly has its ticks off by up to this share.
+/// It is a share of their spacing.
+/// The paper gives no figure.
+const UNCLEAN: f64 = 0.45;
+
 /// A compensation that the circuit has no lines for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error(
@@ -121,6 +126,9 @@ pub struct Ecc {
     tick_ns: Option<u64>,
     /// The tick between the last scale edge and the next has been sent.
     half_sent: bool,
+    /// Ticks that a VCO which is still slower than its input has yet to send.
+    behind: u64,
+    last_tick_ns: u64,
     noise: Noise,
     worst_phase_deg: f64,
     acknowledged: u64,
@@ -164,6 +172,8 @@ impl Ecc {
             input_hz: 0.0,
             tick_ns: None,
             half_sent: false,
+            behind: 0,
+            last_tick_ns: 0,
             noise: Noise::new(seed, 0xECC),
             worst_phase_deg: 0.0,
             acknowledged: 0,
@@ -253,6 +263,7 @@ impl Ecc {
         if let Passing::Split { left } = &mut self.passing {
             *left -= 1;
             let done = *left == 0;
+            self.last_tick_ns = self.look_ns;
             let next = self.out.state().next(self.positive);
             self.send(next, card)?;
             if done {
@@ -262,11 +273,26 @@ impl Ecc {
         Ok(())
     }
 
+    /// One tick of those due: never two at one instant.
+    /// The others follow as fast as the VCO can.
+    fn catch_up<C: Card>(&mut self, edge_ns: u64, card: &mut C) -> Result<(), CardError> {
+        self.behind -= 1;
+        self.tick(card)?;
+        if matches!(self.passing, Passing::Split { .. }) {
+            if self.behind > 0 {
+                (self.tick_ns, self.half_sent) = (Some(self.look_ns + self.fastest_ns()), false);
+            } else {
+                self.schedule_half(edge_ns);
+            }
+        }
+        Ok(())
+    }
+
     /// The multiplexer goes back to the encoder.
     /// The controller books what it asked for, whatever came of it.
     fn acknowledge<C: Card>(&mut self, card: &mut C) -> Result<(), CardError> {
         self.passing = Passing::Encoder;
-        self.tick_ns = None;
+        (self.tick_ns, self.behind) = (None, 0);
         self.completed += 4 * self.asked;
         let took = (self.look_ns - self.begun_ns) / self.asked.unsigned_abs().max(1);
         self.pulse_ns = Some(self.pulse_ns.map_or((took, took), |(lo, hi)| (lo.min(took), hi.max(took))));
@@ -291,10 +317,18 @@ impl Ecc {
     /// The VCO ticks between two scale edges as well: halfway where it locks cleanly.
     fn schedule_half(&mut self, edge_ns: u64) {
         let clean = self.in_range(self.pll.clean_from_hz, self.pll.clean_to_hz);
-        let shift = if clean { 0.0 } else { 0.9 * (self.noise.uniform() - 0.5) };
-        self.worst_phase_deg = self.worst_phase_deg.max(90.0 * shift.abs());
-        self.tick_ns = Some(edge_ns + (self.vco_ns * 0.5 * (1.0 + shift)) as u64);
+        let shift = if clean { 0.0 } else { UNCLEAN * (2.0 * self.noise.uniform() - 1.0) };
+        let half_ns = self.vco_ns * 0.5 * (1.0 + shift);
+        // Two edges a count of the input are 90° apart: half of its period.
+        let off = half_ns / (0.25e9 / self.input_hz) - 1.0;
+        self.worst_phase_deg = self.worst_phase_deg.max(90.0 * off.abs());
+        self.tick_ns = Some((edge_ns + half_ns as u64).max(self.look_ns + self.fastest_ns()));
         self.half_sent = false;
+    }
+
+    /// Time between two ticks of the VCO at its highest frequency, ns.
+    fn fastest_ns(&self) -> u64 {
+        (0.25e9 / self.pll.lock_to_hz) as u64
     }
 
     /// Time between two ticks of an unlocked VCO, at one end of its range, ns.
@@ -327,14 +361,13 @@ impl Ecc {
             }
             Passing::Split { .. } if locked => {
                 // Phase lock: two ticks a count, this one and the one before it if it is still due.
-                if !self.half_sent {
-                    self.tick(card)?;
+                self.behind += 1 + u64::from(!self.half_sent);
+                let soonest_ns = self.last_tick_ns + self.fastest_ns();
+                if edge_ns < soonest_ns {
+                    (self.tick_ns, self.half_sent) = (Some(soonest_ns), false);
+                    return Ok(());
                 }
-                self.tick(card)?;
-                if matches!(self.passing, Passing::Split { .. }) {
-                    self.schedule_half(edge_ns);
-                }
-                return Ok(());
+                return self.catch_up(edge_ns, card);
             }
             Passing::Split { .. } => {
                 self.tick_ns.get_or_insert(edge_ns + 1);
@@ -347,9 +380,10 @@ impl Ecc {
 
     /// How many pulses are over before the axis can turn back.
     /// With `adds`, before the PLL can leave its clean range. None are added beyond the lock range, where the VCO
-    /// would run free and the number could not be kept.
+    /// would run free and the number could not be kept. Nor before the loop has followed a motion that just began.
     fn sure_pulses(&self, adds: bool) -> i64 {
-        if adds && !self.in_range(self.pll.lock_from_hz, self.pll.lock_to_hz) {
+        let followed = (self.vco_ns * self.input_hz / 0.5e9 - 1.0).abs() <= UNCLEAN;
+        if adds && !(followed && self.in_range(self.pll.lock_from_hz, self.pll.lock_to_hz)) {
             return 0;
         }
         let Some(a) = self.accel_counts_s2 else { return MAX_PULSES };
@@ -417,6 +451,9 @@ impl CorrectedAxis for Ecc {
             return self.edge(state, sample.edge_ns.unwrap_or(sample.t_ns), card);
         }
         if splitting && self.look_ns >= wake_ns {
+            if self.behind > 0 {
+                return self.catch_up(self.last_edge_ns.unwrap_or(self.look_ns), card);
+            }
             self.tick(card)?;
             self.half_sent = true;
             let locked = self.in_range(self.pll.lock_from_hz, self.pll.lock_to_hz) && self.look_ns < loses_ns;

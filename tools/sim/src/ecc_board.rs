@@ -5,7 +5,7 @@
 use crate::bench::Edge;
 use crate::designs::trace;
 use crate::ecc::{BeyondFourBits, ControlLines, Ecc, Pll};
-use crate::insertion::CorrectedAxis;
+use crate::insertion::{CorrectedAxis, MtcDecoder};
 use rtec_driver::card::{AxisLines, Card, CardError, Sample};
 use rtec_driver::quadrature::{Decoder, State};
 use std::fmt::Write as _;
@@ -51,7 +51,7 @@ struct Wires<'a> {
     next: usize,
     t_ns: u64,
     scale: Decoder,
-    mtc: Decoder,
+    mtc: MtcDecoder,
     pulses: [u64; 2],
     names: [&'static str; 4],
     changes: Vec<(u64, &'static str, bool)>,
@@ -89,14 +89,17 @@ impl Card for Wires<'_> {
 
     fn write(&mut self, _mask: u64, value: u64) -> Result<Option<u64>, CardError> {
         let lines = AxisLines::standard(0, false);
-        let (from, to) = (self.mtc.state(), State::from_bits(lines.inverters(value)));
-        self.mtc.update(to);
+        let (from, to) = (self.mtc.decoder().state(), State::from_bits(lines.inverters(value)));
+        if from == to {
+            return Ok(Some(self.t_ns));
+        }
+        self.mtc.update(self.t_ns, to);
         self.changed(from, to, 1);
         Ok(Some(self.t_ns))
     }
 
     fn outputs(&mut self) -> Result<u64, CardError> {
-        Ok(u64::from(self.mtc.state().bits()))
+        Ok(u64::from(self.mtc.decoder().state().bits()))
     }
 }
 
@@ -131,7 +134,7 @@ pub fn run(
         next: 0,
         t_ns: 0,
         scale: Decoder::default(),
-        mtc: Decoder::default(),
+        mtc: MtcDecoder::new(State::default()),
         pulses: [0; 2],
         names: if n == 0 {
             [SIGNALS[0], SIGNALS[1], SIGNALS[2], SIGNALS[3]]
@@ -181,10 +184,10 @@ pub fn run(
         };
     }
     for (n, (circuit, wires)) in circuits.iter().zip(&mut wires).enumerate() {
-        board.mtc_minus_scale[n] = wires.mtc.count() - wires.scale.count();
+        board.mtc_minus_scale[n] = wires.mtc.decoder().count() - wires.scale.count();
         board.pulses[n] = wires.pulses;
         board.acknowledged[n] = circuit.acknowledged();
-        board.illegal[n] = wires.mtc.illegal();
+        board.illegal[n] = wires.mtc.decoder().illegal();
         board.worst_phase_mdeg = board.worst_phase_mdeg.max((circuit.worst_phase_deg() * 1e3) as u64);
         board.changes.append(&mut wires.changes);
         // One set of lines: what is said to the selected axis, and its answer.

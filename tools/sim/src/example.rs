@@ -152,6 +152,13 @@ impl Example {
         self.runs.iter().any(|runs| !runs.is_empty())
     }
 
+    /// The command that runs a source's experiment from start to end.
+    /// It runs in the example's folder, and README.md names it.
+    #[must_use]
+    pub fn experiment(&self) -> Option<&'static str> {
+        self.files.iter().flat_map(|f| f.1.lines()).map(str::trim).find(|l| l.starts_with("rtec-papers "))
+    }
+
     /// One of its files as a machine model, with the files beside it.
     ///
     /// # Errors

@@ -8,9 +8,49 @@
 //! | Error Correction Circuit (CMTI 2014) | [`crate::ecc::Ecc`] |
 
 use rtec_driver::card::{AxisLines, Card, CardError, MachineLines};
+use rtec_driver::quadrature::{Decoder, State};
 use rtec_rt::axis::{self, AxisConfig};
 use rtec_rt::engine::{Engine, MachineConfig, StartError};
 use rtec_rt::event::{AxisStatus, Event, Request};
+
+/// The MTC's decoder, told when each change came.
+/// Changes at one instant are one change to it: A and B at once are an illegal transition, whatever their order.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct MtcDecoder {
+    now: Decoder,
+    /// Before the changes of the last instant.
+    before: Decoder,
+    last_ns: Option<u64>,
+    /// Shortest time between two changes, ns.
+    /// The largest number where there were fewer.
+    pub(crate) min_separation_ns: u64,
+}
+
+impl MtcDecoder {
+    /// At rest in this state.
+    pub(crate) const fn new(state: State) -> Self {
+        let now = Decoder::new(state);
+        Self { now, before: now, last_ns: None, min_separation_ns: u64::MAX }
+    }
+
+    /// A and B change to this state.
+    #[inline]
+    pub(crate) fn update(&mut self, t_ns: u64, state: State) {
+        if let Some(last_ns) = self.last_ns.replace(t_ns) {
+            self.min_separation_ns = self.min_separation_ns.min(t_ns - last_ns);
+            if t_ns == last_ns {
+                self.now = self.before;
+            }
+        }
+        self.before = self.now;
+        self.now.update(state);
+    }
+
+    /// What it has counted.
+    pub(crate) const fn decoder(&self) -> &Decoder {
+        &self.now
+    }
+}
 
 /// One corrected axis, homed: what a replay, or a comparison of designs, drives.
 pub trait CorrectedAxis {
@@ -112,6 +152,26 @@ impl GateDesign {
         match self {
             Self::Original | Self::A => 4,
             Self::C => axis::INCREMENT_COUNTS,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_and_b_at_one_instant_are_illegal_in_either_order() {
+        for [first, second] in [[1, 3], [2, 3]] {
+            let mut mtc = MtcDecoder::new(State::default());
+            mtc.update(50, State::from_bits(first));
+            assert_eq!(mtc.min_separation_ns, u64::MAX, "one edge has no spacing");
+            mtc.update(50, State::from_bits(second));
+            assert_eq!((mtc.decoder().illegal(), mtc.decoder().count(), mtc.min_separation_ns), (1, 0, 0));
+            // There and back is no change.
+            mtc.update(70, State::from_bits(second ^ 1));
+            mtc.update(70, State::from_bits(second));
+            assert_eq!((mtc.decoder().illegal(), mtc.decoder().count()), (1, 0));
         }
     }
 }

@@ -1,9 +1,9 @@
 //! The engine over a recording of one axis, on a virtual clock.
 //! It gives what the MTC would have counted.
 
-use crate::insertion::{CorrectedAxis, homed_engine};
+use crate::insertion::{CorrectedAxis, MtcDecoder, homed_engine};
 use rtec_driver::card::CardError;
-use rtec_driver::quadrature::{Decoder, State};
+use rtec_driver::quadrature::State;
 use rtec_driver::replay::{Gates, Listener, ReplayCard, RequestedTotal, TracePoint, Xor};
 use rtec_rt::axis::AxisConfig;
 use rtec_rt::engine::StartError;
@@ -86,27 +86,17 @@ pub enum ReplayError<E> {
 /// The MTC's side: decodes what it is sent, and passes it on.
 #[derive(Debug)]
 pub struct Mtc<L> {
-    /// What it has counted, and the time of the last state it was sent.
-    seen: Option<(Decoder, u64)>,
-    /// More than any where no second edge has come.
-    min_separation_ns: u64,
-    /// The first state is no edge.
-    edges: u64,
+    /// From its first state on.
+    seen: Option<MtcDecoder>,
     to: L,
 }
 
 impl<L: Listener> Listener for Mtc<L> {
     #[inline]
     fn changed(&mut self, t_ns: u64, state: State) {
-        if let Some((decoder, last_ns)) = &mut self.seen {
-            decoder.update(state);
-            let since_ns = t_ns - std::mem::replace(last_ns, t_ns);
-            if self.edges > 0 {
-                self.min_separation_ns = self.min_separation_ns.min(since_ns);
-            }
-            self.edges += 1;
-        } else {
-            self.seen = Some((Decoder::new(state), t_ns));
+        match &mut self.seen {
+            Some(decoder) => decoder.update(t_ns, state),
+            None => self.seen = Some(MtcDecoder::new(state)),
         }
         self.to.changed(t_ns, state);
     }
@@ -154,7 +144,7 @@ where
     R: Iterator<Item = Result<RequestedTotal, E>>,
     L: Listener,
 {
-    let mtc = Mtc { seen: None, min_separation_ns: u64::MAX, edges: 0, to };
+    let mtc = Mtc { seen: None, to };
     let mut card = ReplayCard::new(gates, trace, mtc).map_err(ReplayError::Input)?;
     let mut corrector = start(&mut card).map_err(|error| {
         // The recording may have ended in a bad row already.
@@ -197,12 +187,13 @@ where
     outcome.requests = requests;
     outcome.edges = card.edges();
     let mtc = card.into_listener();
-    let (decoder, _) = mtc.seen.unwrap_or_default();
+    let seen = mtc.seen.unwrap_or(MtcDecoder::new(State::default()));
+    let decoder = seen.decoder();
     outcome.counts_in = axis.position_counts;
     outcome.counts_out = decoder.count();
     outcome.illegal_in = axis.illegal;
     outcome.illegal_out = decoder.illegal();
-    outcome.min_edge_separation_ns = (mtc.edges > 1).then_some(mtc.min_separation_ns);
+    outcome.min_edge_separation_ns = Some(seen.min_separation_ns).filter(|ns| *ns < u64::MAX);
     outcome.requested = axis.requested;
     outcome.completed = axis.completed;
     outcome.insertions = axis.insertions;

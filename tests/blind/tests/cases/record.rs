@@ -1,7 +1,7 @@
 //! Every figure that README and guide quote is the table of record's.
 
 use rtec_blind::record::{
-    BOTH, CASES, COMMAND, Figure, NOTHING, ONE, ONE_CLEAR, QUOTED, UNKNOWN, UNKNOWN_NAMED, WRONG,
+    BOTH, CASES, COMMAND, Figure, NOTHING, ONE, ONE_CLEAR, PRINTED, QUOTED, UNKNOWN, UNKNOWN_NAMED, WRONG,
 };
 use std::path::{Path, PathBuf};
 
@@ -163,4 +163,87 @@ fn every_row_of_the_readme_is_a_run_of_the_table() {
         };
         assert!(of_main || QUOTED.iter().any(|q| of(&q)), "no run of the table: {row}");
     }
+}
+
+/// The decimal numbers of a text, as they stand there.
+fn decimals(text: &str) -> impl Iterator<Item = &str> {
+    let bare = |w: &'_ str| w.trim_matches(|c: char| !c.is_ascii_digit()).len();
+    text.split(|c: char| c.is_whitespace() || "`|()±+−=;".contains(c))
+        .map(|w| w.trim_matches(|c: char| ",:.-".contains(c)))
+        .filter(move |w| bare(w) == w.len() && w.contains('.') && w.parse::<f64>().is_ok())
+}
+
+/// The measured figures that a page quotes in its prose.
+///
+/// They are decimal numbers of µm or per cent, and all of three decimals or more.
+///
+/// A range has its unit behind the last number: `0.9 to 1.8 µm`. Commands in the prose are no figures.
+fn measured(prose: &str) -> Vec<&str> {
+    let spans = prose.split('`').enumerate().filter(|(n, span)| n % 2 == 0 || !span.contains("--"));
+    let mut found = Vec::new();
+    for (_, span) in spans {
+        let mut open = Vec::new();
+        for word in span.split_whitespace() {
+            let numbers: Vec<&str> = decimals(word).collect();
+            found.extend(numbers.iter().filter(|n| n.split('.').nth(1).is_some_and(|d| d.len() > 2)));
+            let unit = word.trim_matches(|c: char| ",;:.()|".contains(c));
+            if ["µm", "um", "%"].contains(&unit) {
+                found.append(&mut open);
+            } else if numbers.is_empty() && !["to", "and", "→", "->", "±"].contains(&unit) {
+                open.clear();
+            }
+            open.extend(numbers);
+        }
+    }
+    found
+}
+
+/// What the commands of a page print, as numbers; and its prose.
+fn printed_and_prose(name: &str) -> (Vec<f64>, String) {
+    let text = std::fs::read_to_string(root().join(name)).expect("a page");
+    let blocks: Vec<&str> = text.split("```").collect();
+    let outputs: String = blocks.iter().filter(|b| b.starts_with("console")).copied().collect();
+    let numbers = outputs.split(|c: char| !c.is_ascii_digit() && c != '.');
+    let printed = numbers.filter_map(|n| n.trim_matches('.').parse().ok()).collect();
+    (printed, blocks.iter().step_by(2).copied().collect())
+}
+
+/// A figure is among numbers, rounded to its decimals.
+fn is_among(printed: &[f64], figure: &str) -> bool {
+    let digits = figure.split('.').nth(1).map_or(0, str::len);
+    printed.iter().any(|n| format!("{n:.digits$}") == figure)
+}
+
+/// A page that prints outputs quotes from them, or from the table of record.
+#[test]
+fn every_measured_figure_beside_an_output_is_printed_or_in_the_table() {
+    let mut missing = Vec::new();
+    for name in pages() {
+        let (printed, prose) = printed_and_prose(&name);
+        let of_table = |figure: &str| {
+            let mut own = QUOTED.iter().filter(|q| q.on != PRINTED && q.pages.contains(&name.as_str()));
+            own.any(|q| q.figures.iter().any(|f| decimals(f).any(|d| d == figure)))
+        };
+        let known = |figure: &str| is_among(&printed, figure) || of_table(figure);
+        let quoted = measured(&prose).into_iter().filter(|f| !printed.is_empty() && !known(f));
+        missing.extend(quoted.map(|f| format!("{name}: {f}")));
+    }
+    assert!(missing.is_empty(), "neither printed on the page nor in the table of record: {missing:#?}");
+}
+
+/// What a page prints is quoted elsewhere as it is printed.
+#[test]
+fn every_figure_printed_by_a_page_is_printed_there() {
+    for q in QUOTED.iter().filter(|q| q.on == PRINTED) {
+        let printed: Vec<f64> = q.pages.iter().flat_map(|name| printed_and_prose(name).0).collect();
+        for figure in q.figures.iter().flat_map(|f| decimals(f)) {
+            assert!(is_among(&printed, figure), "no page of {:?} prints {figure}", q.pages);
+        }
+    }
+}
+
+#[test]
+fn a_measured_figure_is_told_from_others() {
+    let text = "a nose of 38.1 mm, version 1.88, left 0.9 to 1.8 µm (4.2 %), `x = 7.484 ± 0.015` and `--nose-mm 0.794` of 2.5 m/min";
+    assert_eq!(measured(text), ["0.9", "1.8", "4.2", "7.484", "0.015"]);
 }

@@ -9,7 +9,7 @@ mod starts;
 use crate::PaperError;
 use crate::rows::Rows;
 use drilling::drilling;
-use geometry::{circles, displacement, tool_changes};
+use geometry::{GROWN_UM, circles, displacement, grown_reversal, tool_changes};
 use heat::{drifts, dry_against_wet, equations, table_6};
 pub use starts::{STARTS, StartResult, starts};
 
@@ -129,6 +129,8 @@ pub(crate) fn run(
     progress("WO 97/43703: circles in three planes");
     let found = characterise(&mut rows, "ballbar")?;
     circles(&mut rows, &found);
+    let grown = with_reversal(&truth, GROWN_UM)?;
+    grown_reversal(&mut rows, &Run { truth: &grown, seed }.experiment("ballbar", None)?);
     progress("WO 97/43703: linear displacement, tool changes");
     let found = characterise(&mut rows, "linear-displacement")?;
     let linear = displacement(&mut rows, &found);
@@ -145,6 +147,17 @@ pub(crate) fn run(
     progress("WO 97/43703: drilling, tests 1 to 3");
     drilling(&mut rows, &run, &model, (linear, positioning, thermal))?;
     Ok(rows)
+}
+
+/// The machine with another reversal of Z.
+fn with_reversal(truth: &Machine, um: f64) -> Result<Machine, PaperError> {
+    let mut machine = truth.clone();
+    let place = truth.effects().position(|e| e.name() == "reversal.z");
+    let set = place.map(|place| machine.set(place, "um", &[um], None));
+    match set {
+        Some(Ok(())) => Ok(machine),
+        _ => Err(PaperError::Cannot("WO 97/43703: no reversal.z in the machine's file".to_owned())),
+    }
 }
 
 fn column<'r>(record: &'r Record, role: &Role) -> &'r [f64] {

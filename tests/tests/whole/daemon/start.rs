@@ -45,14 +45,14 @@ fn from_start_to_correction_and_through_every_refusal() {
     assert!(daemon.expect(2, &["home", "w"]).contains("expected one of x, y, z"));
 
     daemon.expect(0, &["enable"]);
-    daemon.expect(0, &["correct", "x", "-40"]);
-    completed(&daemon, -40);
+    daemon.expect(0, &["correct", "x", "-12"]);
+    completed(&daemon, -12);
     // Twice the same total does no harm.
-    daemon.expect(0, &["correct", "x", "-40"]);
+    daemon.expect(0, &["correct", "x", "-12"]);
     assert!(daemon.expect(1, &["correct", "x", "1001"]).contains("beyond max_correction_counts"));
     // Once outside the window: not believed; back inside: all is well.
     assert!(daemon.expect(1, &["correct", "x", "500"]).contains("larger than window_counts"));
-    daemon.expect(0, &["correct", "x", "-30"]);
+    daemon.expect(0, &["correct", "x", "-2"]);
     daemon.expect(0, &["correct", "x", "300", "--large"]);
     completed(&daemon, 300);
 
@@ -77,15 +77,15 @@ fn from_start_to_correction_and_through_every_refusal() {
 
     // Shadow: counted, not written; the way back shows the jump, and a large one must be meant.
     daemon.expect(0, &["shadow"]);
-    daemon.expect(0, &["correct", "x", "350"]);
-    daemon.expect(0, &["correct", "x", "380"]);
-    completed(&daemon, 380);
+    daemon.expect(0, &["correct", "x", "320"]);
+    daemon.expect(0, &["correct", "x", "330"]);
+    completed(&daemon, 330);
     assert_eq!(axis(&daemon.status(), 0)["in_effect"], 310);
     let text = daemon.expect(1, &["enable"]);
-    assert!(text.contains("axis x: +70 counts (+70.000 µm), belief window 50 counts"), "{text}");
+    assert!(text.contains("axis x: +20 counts (+20.000 µm), belief window 12 counts"), "{text}");
     assert_eq!(daemon.status()["mode"], "shadow");
-    assert!(daemon.expect(0, &["enable", "--accept-jump"]).contains("axis x: +70 counts"));
-    until("the jump", || axis(&daemon.status(), 0)["in_effect"] == 380);
+    assert!(daemon.expect(0, &["enable", "--accept-jump"]).contains("axis x: +20 counts"));
+    until("the jump", || axis(&daemon.status(), 0)["in_effect"] == 330);
 
     // Hold and probe: no corrections, captures.
     daemon.expect(0, &["hold", "on"]);
@@ -100,7 +100,7 @@ fn from_start_to_correction_and_through_every_refusal() {
         assert!(capture["trip"]["uncertainty_counts"].as_f64().unwrap() <= 1.0, "{capture}");
     }
     daemon.expect(0, &["probe", "on", "--captures", "0"]);
-    assert!(daemon.expect(1, &["correct", "x", "381"]).contains("probing mode is on"));
+    assert!(daemon.expect(1, &["correct", "x", "331"]).contains("probing mode is on"));
     daemon.expect(0, &["probe", "off"]);
     daemon.expect(2, &["probe", "on", "--json"]);
 
@@ -114,7 +114,7 @@ fn from_start_to_correction_and_through_every_refusal() {
         "mode run",
         "axis x: still_not_believed",
         "signal 15: parking",
-        "parked axis x: completed +380 counts",
+        "parked axis x: completed +330 counts",
     ] {
         assert!(log.contains(line), "no {line:?} in {log}");
     }

@@ -7,15 +7,6 @@ use rtec_model::record::Axis;
 use rtec_rt::axis::{AxisConfig, INCREMENT_COUNTS, RestPolicy};
 use std::path::PathBuf;
 
-/// The default belief window of an axis, µm: three corrections of 4 µm.
-/// (NISTIR 4832, General Considerations)
-const BELIEVED_UM: f64 = 12.0;
-
-/// The belief window as counts of this size, at least one insertion.
-fn window_of(count_um: f64) -> i64 {
-    ((BELIEVED_UM / count_um).floor() as i64).max(INCREMENT_COUNTS)
-}
-
 #[allow(clippy::too_many_lines)] // One key after the other.
 /// Reads one `[[axis]]`; none where something is wrong with it.
 /// With it the recording of a replay.
@@ -150,7 +141,7 @@ pub(super) fn read(
     let window_counts = match window {
         Some(window) => window.value,
         None if window_given => return None,
-        None => window_of(count_um).min(max.value),
+        None => rtec_correct::belief_window_counts(count_um, 0.0).min(max.value),
     };
     let engine = AxisConfig {
         lines: lines?,

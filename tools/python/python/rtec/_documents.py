@@ -53,6 +53,7 @@ class Place(TypedDict):
     p_value: float
     q_value: float
     period: Any
+    near_turns: bool
     profile: list[Any]
 
 

@@ -18,7 +18,6 @@ use rtec_control::client::Client;
 use rtec_control::protocol::{AxisReport, ClientRequest, DaemonStatus, Response};
 use rtec_correct::commission::{
     JogFinding, JogReading, compensation_um, judge_compensation, judge_insertion, judge_jog, largest_step_um,
-    window_counts,
 };
 use rtec_model::machine::Machine;
 use std::io::Write;
@@ -191,7 +190,8 @@ impl Guide<'_> {
         let [start, there] = [start, there].map(|p| JogReading { count_um, ..p });
         if let Some(step_um) = self.step_um {
             note(figures, "largest_step_of_the_model_um", step_um);
-            figures.insert("window_counts_proposed".to_owned(), window_counts(step_um, count_um).into());
+            let window = rtec_correct::belief_window_counts(count_um, step_um);
+            figures.insert("window_counts_proposed".to_owned(), window.into());
         }
         note(figures, "display_mm", there.display_mm - start.display_mm);
         note(figures, "indicator_mm", there.indicator_mm - start.indicator_mm);
@@ -375,6 +375,28 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::path::Path;
+
+    /// Examples have the window that `commission` proposes for their model.
+    #[test]
+    fn every_example_has_the_window_proposed_for_its_model() {
+        let mut axes = 0;
+        for example in rtec_sim::example::EXAMPLES {
+            let Some((_, text)) = example.files.iter().find(|f| f.0 == "rtec.toml") else { continue };
+            let model =
+                example.files.iter().find(|f| f.0 == "machine.toml").map_or("name = \"m\"\n", |f| f.1);
+            let machine = Machine::parse(Path::new("machine.toml"), model).unwrap();
+            let config = rtec_control::config::Config::parse(Path::new("rtec.toml"), text).unwrap();
+            for axis in &config.axes {
+                let places_mm = [0.0, axis.travel_mm / 2.0, axis.travel_mm];
+                let step_um = largest_step_um(&machine, &axis.name, places_mm).unwrap_or(0.0);
+                let proposed = rtec_correct::belief_window_counts(axis.count_um, step_um);
+                assert_eq!(axis.engine.window_counts, proposed, "{}: {}", example.name, axis.name);
+                axes += 1;
+            }
+        }
+        assert!(axes > 8, "{axes}");
+    }
 
     #[test]
     fn answers_are_asked_for_until_they_are_as_many_numbers() {

@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 /// Write an example machine into a folder: model, run records, hold-outs, configuration
 ///
 /// The runs are simulated, from fixed seeds: the same files each time. README.md in the folder says what is there and what
-/// to try. The four sources' experiments (wo97, nistir4854, nistir4832, cmti) run by one command each, which README.md names.
+/// to try. The four sources' experiments (wo97, nistir4854, nistir4832, cmti) run by one command each, which the last line names.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     /// The machine; see --list
@@ -63,10 +63,14 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         files.push(file);
     }
     let text = if args.json {
-        format!("{}\n", serde_json::json!({ "example": example.name, "files": files }))
+        let command = example.experiment();
+        format!("{}\n", serde_json::json!({ "example": example.name, "files": files, "experiment": command }))
     } else {
+        let experiment = example.experiment().map_or_else(String::new, |command| {
+            format!("its whole experiment, tables and figures: cd {} && {command}\n", dir.display())
+        });
         format!(
-            "{} files in {}: begin with {}\n",
+            "{} files in {}: begin with {}\n{experiment}",
             files.len(),
             dir.display(),
             dir.join("README.md").display()

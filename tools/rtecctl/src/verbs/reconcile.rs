@@ -246,8 +246,8 @@ fn summary(r: &Reconciliation) -> String {
         let _ = writeln!(s, "  {} corrected{}", x.before.name(), values(x));
     }
     for g in &r.gap {
-        let [before, after] = g.holdout.or(g.blocked).unwrap_or(g.train);
-        let closed = g.closed().map_or_else(|| "-".to_owned(), |c| format!("{:.1} %", 100.0 * c));
+        let ([before, after], rows) = g.judged_on();
+        let closed = g.closed().map_or_else(|| "-".to_owned(), |c| format!("{:.1} % ({rows})", 100.0 * c));
         let _ =
             writeln!(s, "Gap: {before:.4} -> {after:.4} {}, floor {:.4}, closed {closed}", g.unit, g.floor);
         if let Some([before, after]) = g.without_strangers {

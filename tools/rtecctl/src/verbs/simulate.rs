@@ -3,7 +3,7 @@
 use anyhow::Context;
 use rtec_files::InputError;
 use rtec_files::stamp::signed;
-use rtec_model::machine::Machine;
+use rtec_model::machine::{FitNote, Machine};
 use rtec_model::record::Kind;
 use rtec_sim::experiment::{EXPERIMENTS, Experiment, ExperimentError, Setting};
 use rtec_sim::job::RunError;
@@ -85,6 +85,13 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     };
     std::fs::create_dir_all(out).with_context(|| format!("making {}", out.display()))?;
     eprintln!("rtecctl: simulating {}, without and with compensation", experiment.name);
+    for fit in known.fits() {
+        let unit = FitNote::unit_of(&fit.response);
+        eprintln!(
+            "rtecctl: {}: the model promises 95 % within ±{:.1} {unit}; an axis that moves by less gains nothing",
+            fit.response, fit.half_width_um
+        );
+    }
     let spec = Spec::machining_centre();
     let setting = Setting { spec: &spec, truth: &truth, known: Some(&known), seed: args.seed, out };
     let mut findings = experiment.run(&setting).map_err(|e| explain(e, &truth.path))?;

@@ -63,6 +63,23 @@ fn the_same_files_each_time_and_never_over_somebody_elses() {
     assert!(rtecctl(dir, "example spindle empty").status.success());
 }
 
+/// A source's example ends with the command of the whole experiment.
+/// The package brings its program.
+#[test]
+fn a_sources_example_names_its_whole_experiment() {
+    let dir = tempfile::tempdir().unwrap();
+    for name in ["nistir4854", "nistir4832", "cmti"] {
+        let done = rtecctl(dir.path(), &format!("example {name} {name}"));
+        let said = String::from_utf8(done.stdout).unwrap();
+        let command = format!("cd {name} && rtec-papers {name} --from . --out figures");
+        assert!(said.lines().last().is_some_and(|l| l.ends_with(&command)), "{said}");
+    }
+    let sources = rtec_sim::example::EXAMPLES.iter().filter(|e| e.experiment().is_some());
+    assert_eq!(sources.count(), 4);
+    let package = include_str!("../../../rtecd/Cargo.toml");
+    assert!(package.contains("target/release/rtec-papers\""));
+}
+
 #[test]
 fn without_a_verb_it_says_where_to_begin() {
     let said = rtecctl(Path::new("."), "");

@@ -162,6 +162,9 @@ fn an_unexplained_curve_is_written_and_loads_again() {
     let document: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
     assert_eq!(document["verdict"], "unknown_effect", "{document}");
     assert!(folder.path().join("found/unexplained.toml").exists());
+    // It is judged on rows that it was not fitted to, and leaves more of those.
+    let left = |rows: &str| document["gap"][rows]["after"].as_f64().unwrap_or(f64::NAN);
+    assert!(left("cross_validation") > left("train"), "{}", document["gap"]);
     let shown = run(&["model", "show", "--machine", "found/model.toml"]);
     let said = String::from_utf8_lossy(&shown.stdout);
     assert!(shown.status.success() && said.contains("unexplained"), "{said}");

@@ -7,6 +7,8 @@ use rtec_rt::axis::AxisConfig;
 use rtec_sim::bench::{AnyDesign, BenchResult, BenchRun, constant, there_and_back};
 use rtec_sim::computer::Computer;
 use rtec_sim::designs::{Comparison, TestMotion, compare, safe_at, safe_range, waveforms};
+use rtec_sim::ecc::Pll;
+use rtec_sim::ecc_board::{Order, run as run_board};
 
 fn comparison(computer: &Computer) -> Comparison {
     compare(computer, TestMotion { counts: 4000, ..TestMotion::default() }, 1)
@@ -242,6 +244,24 @@ fn the_ecc_works_in_its_lock_range_only() {
     for hz in [85_000.0, 120_000.0, 300.0, 150.0] {
         let seen = run(hz);
         assert_eq!((seen.completed, seen.error_counts(), seen.illegal), (0, 0, 0), "{hz} Hz");
+    }
+}
+
+/// In the first cycle of a motion the loop has not followed yet.
+/// The controller waits for it. Lines set by hand do not wait: then the VCO makes up for what it is behind.
+#[test]
+fn the_ecc_sends_one_edge_at_a_time_from_the_first_cycle_on() {
+    let computer = Computer::dsp();
+    for hz in [500.0, 2000.0, 10_000.0, 60_000.0, 79_000.0] {
+        let edges = constant(1_000_000, hz, 4000, 1);
+        let totals = [(0, 60)];
+        let run = BenchRun { edges: &edges, totals: &totals, ..BenchRun::new(AnyDesign::Ecc, &computer) };
+        let seen = run.run().unwrap();
+        assert_eq!((seen.completed, seen.error_counts(), seen.illegal), (60, 0, 0), "{hz} Hz");
+        assert!(seen.min_separation_ns > 1000, "{hz} Hz: {seen:?}");
+        let order = Order { x: true, s1: true, s0: true, value: 15 };
+        let board = run_board(Pll::default(), [&edges, &edges], &[order], (0, 0), 1).unwrap();
+        assert_eq!((board.illegal, board.mtc_minus_scale), ([0; 2], [60, 0]), "{hz} Hz, by hand");
     }
 }
 

@@ -10,7 +10,7 @@ use rtec_files::stamp::signed;
 use rtec_fit::validate;
 use rtec_measure::plausible;
 use rtec_measure::plot::{Chart, Series, Style};
-use rtec_model::machine::Machine;
+use rtec_model::machine::{FitNote, Machine};
 use rtec_model::record::Role;
 use serde_json::Value;
 use std::path::PathBuf;
@@ -129,6 +129,17 @@ pub(crate) fn rehearse(args: &RehearseArgs) -> anyhow::Result<()> {
     for warning in new.doubts(date::today()) {
         eprintln!("warning: {}: {warning}", args.machine.display());
     }
+    for fit in new.fits() {
+        eprintln!(
+            "rtecctl: {}: 95 % within ±{:.2} {}",
+            fit.response,
+            fit.half_width_um,
+            FitNote::unit_of(&fit.response)
+        );
+    }
+    for warning in new.out_of_range(&shift) {
+        eprintln!("warning: {}: {warning}", args.record.display());
+    }
     let found = rehearse::rehearse(&present, &new, &shift, &options)?;
     // Where the shift has no times, its rows' numbers stand for seconds, and are called what they are.
     let timed = shift.column(&Role::Time).is_some();
@@ -160,9 +171,6 @@ pub(crate) fn rehearse(args: &RehearseArgs) -> anyhow::Result<()> {
             a.axis,
             100.0 * a.held
         );
-    }
-    for (effect, share) in &found.outside {
-        println!("{effect}: outside the range it was fitted on for {:.1} % of the shift", 100.0 * share);
     }
     Ok(())
 }
