@@ -156,6 +156,7 @@ class EvaluationDocument(TypedDict, total=False):
     servo_mismatch_ms: float | None
     squareness_urad: float | None
     unexplained_um: float | None
+    scatter_um: float
     D: float
     F_max: float
     F_min: float
