@@ -103,7 +103,8 @@ pub struct Diagnosis {
     pub contributions: Vec<Contribution>,
     /// RMS of what the causes leave at best, µm.
     pub rms: f64,
-    /// Standard deviation of one reading beside its neighbours, of the record where it is largest, µm.
+    /// Standard deviation of one reading beside its neighbours, µm.
+    /// Of the record where it is largest.
     pub scatter_um: f64,
     /// RMS of structure that is the same both ways and unexplained, µm.
     /// Maps and bends: the third harmonic and above. `None` if it is below the noise. It widens the intervals.

@@ -176,7 +176,8 @@ impl Conditions {
         self.budget(|key| OF_DIFFERENCES.contains(&key), None, get(&self.stated, "set_up_um"), 0.0)
     }
 
-    /// A budget of the stated values with these keys; `set_up_um` is what the set-up adds to a difference.
+    /// A budget of the stated values with these keys.
+    /// `set_up_um` is what the set-up adds to a difference.
     fn budget(
         &self,
         used: impl Fn(&str) -> bool,

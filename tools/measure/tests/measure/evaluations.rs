@@ -10,7 +10,8 @@ use rtec_model::record::{Kind, Record};
 use std::f64::consts::TAU;
 use std::path::Path;
 
-/// The scatter of a circle's readings is their noise alone, whatever the machine's form, the number of rows and the steps of the gauge.
+/// The scatter of a circle's readings is their noise alone.
+/// The machine's form, the number of rows and the steps of the gauge do not matter.
 #[test]
 fn a_circles_scatter_is_its_noise() {
     for (rows, wave_um, noise_um, step_um) in
@@ -33,7 +34,7 @@ fn a_circles_scatter_is_its_noise() {
     }
 }
 
-/// Without a radius differences have an uncertainty, lengths have none, and that is said.
+/// Without a radius lengths have no uncertainty, and that is said.
 #[test]
 fn a_circle_without_radius_says_what_has_no_uncertainty() {
     let full = Run::both(150.0, 25.0).record("b.run.toml", |[_, a, _]| 2.0 * (2.0 * a).sin());
