@@ -2,7 +2,7 @@
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
-use rtec_control::sources::Feed;
+use rtec_sensors::feed::Feed;
 
 fuzz_target!(|data: &[u8]| {
     let path = rtec_fuzz::put("tty", data);

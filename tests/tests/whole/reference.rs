@@ -1,5 +1,6 @@
 //! The guide's hand-written reference: what the code reads and writes stands on its page. `verbs.md` and `effects.md` are made
-//! from the code (`rtecctl`, `rtec-model`), `rtec-toml.md` and `protocol.md` are held against it in `rtec-control`.
+//! from the code (`rtecctl`, `rtec-model`), `rtec-toml.md` is made of the
+//! configuration's tables of keys, and `protocol.md` is held against the code in `rtec-control`.
 
 use rtec_control::protocol::word;
 use rtec_measure::plausible::What;
@@ -278,12 +279,13 @@ fn the_table_of_alarms_is_what_the_code_can_say() {
 
     said.extend(all(&[
         "tools/control/src/config/latency.rs",
-        "tools/control/src/sources.rs",
+        "tools/sensors/src/bank.rs",
+        "tools/sensors/src/feed.rs",
         "tools/rtecd/src/loader.rs",
         "tools/rtecd/src/server.rs",
         "tools/correct/src/corrector.rs",
         "tools/correct/src/part_table.rs",
-        "tools/correct/src/sensors.rs",
+        "tools/sensors/src/trust.rs",
         "tools/correct/src/source.rs",
         "tools/correct/src/total.rs",
         "tools/model/src/machine/check.rs",

@@ -1,4 +1,5 @@
-//! `rtec-mqtt`: the corrector's state for a plant's MQTT broker. It reads the daemon's view socket and commands nothing; it
+//! `rtec-mqtt`: the corrector's state for a plant's MQTT broker.
+//! It reads the daemon's view socket and commands nothing; it
 //! subscribes to nothing either.
 //!
 //! | topic under `--topic` | payload | retained |
@@ -136,7 +137,7 @@ fn run(args: &Args) -> anyhow::Result<()> {
 struct Bridge<'a> {
     args: &'a Args,
     client: Option<Client>,
-    /// Number of the last event that the broker has; before the first look none, and what was before is not told.
+    /// Number of the last event that the broker has; none before the first look.
     known: Option<u64>,
     uptime_s: f64,
 }

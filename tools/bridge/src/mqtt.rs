@@ -1,4 +1,5 @@
-//! As much of MQTT 3.1.1 (OASIS, 2014) as a publisher needs: CONNECT with a last will, PUBLISH of `QoS` 0, PINGREQ, DISCONNECT.
+//! As much of MQTT 3.1.1 (OASIS, 2014) as a publisher needs.
+//! CONNECT with a last will, PUBLISH of `QoS` 0, PINGREQ, DISCONNECT.
 //!
 //! Nothing is subscribed to. The broker answers a PINGREQ after everything that was sent before it (one ordered TCP
 //! stream). An answered ping therefore confirms what was published, without the bookkeeping of `QoS` 1.
@@ -138,7 +139,7 @@ fn packet(kind: u8, body: &[u8]) -> io::Result<Vec<u8>> {
 mod tests {
     use super::*;
 
-    /// The standard's own examples: table 2.4 for lengths, figure 1.1 of section 1.5.3 for strings.
+    /// The standard's examples: table 2.4, and figure 1.1 of section 1.5.3.
     #[test]
     fn lengths_and_fields_are_those_of_the_standard() {
         for (length, wanted) in [

@@ -1,11 +1,11 @@
 //! The files of a machine's set-up: its configuration, and the files it names.
 
 use crate::config::{CardConfig, Config};
-use rtec_correct::sensors::SensorSource;
 use rtec_files::InputError;
 use rtec_files::toml::Document;
 use rtec_model::effect::Dictionary;
 use rtec_model::machine::Machine;
+use rtec_sensors::{SensorSource, log};
 use std::cell::RefCell;
 use std::path::{Path, PathBuf};
 
@@ -78,8 +78,9 @@ pub fn of(file: &Path, config: &Config) -> Result<Vec<Belonging>, InputError> {
 #[must_use]
 pub fn state(config: &Config) -> Vec<(&'static str, PathBuf)> {
     let state = config.control.state_path();
-    let beside = ["model.taken", "model.unloaded", "model.kept", "temperatures.csv", "temperatures.old.csv"];
-    let beside = beside.map(|name| ("loaded", state.with_file_name(name)));
+    let [now, old] = log::NAMES;
+    let beside = ["model.taken", "model.unloaded", "model.kept", now, old]
+        .map(|name| ("loaded", state.with_file_name(name)));
     [("state", state.clone())].into_iter().chain(beside).collect()
 }
 

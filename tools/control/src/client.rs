@@ -282,7 +282,7 @@ mod tests {
         );
     }
 
-    /// Numbers arrive exact to the last bit: most of 17 digits, and those that careless readers get wrong.
+    /// Numbers arrive exact to the last bit.
     #[test]
     fn what_the_daemon_sends_is_what_its_client_has() {
         let mut random = 0x9E37_79B9_7F4A_7C15_u64;
@@ -295,7 +295,7 @@ mod tests {
         }
     }
 
-    /// One of three sockets is closed to this user and another is stale: the stale one gives the reason.
+    /// Of three sockets one is closed and one is stale: that is the reason.
     #[test]
     fn a_daemon_that_has_died_is_not_mistaken_for_one_that_forbids() {
         let directory = tempfile::tempdir().unwrap();

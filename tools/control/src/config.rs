@@ -1,50 +1,6 @@
 //! `rtec.toml`: machine, card, axes, real-time thread and control sockets.
 //!
-//! | table | key | unit | default | meaning |
-//! |---|---|---|---|---|
-//! | `[machine]` | `name` | – | must be there | the machine, as `status` shows it |
-//! | | `mtc_off` | – | `freeze` | when `mtc_ready` falls: corrections `freeze`, or feed hold comes on too: `hold` |
-//! | `[card]` | `backend` | – | must be there | `mock`, `gpio`, `mapped`, `port` or `replay` |
-//! | | `file` | – | – | `mapped`: the file of registers |
-//! | | `uio`, `map` | – | –, 0 | `mapped`: a UIO device, as `/dev/uio0`, and which of its maps |
-//! | | `pci`, `bar` | – | the profile's | `mapped`, `port`: the card, as `vendor:device` or by its address, and which BAR |
-//! | | `parport`, `io` | – | – | `port`: a parallel port through `ppdev`, or the first of its I/O ports |
-//! | | `profile` | – | `shared-memory`, `parallel-port` | `mapped`, `port`: what the registers mean; `rtecctl card list` |
-//! | | `mode` | – | `edges` | `gpio`: sleep until an edge comes, or read `levels` as fast as it goes |
-//! | | `chip`, `bias`, `drive` | – | –, as it is, `push-pull` | `gpio`: of every line that does not say otherwise |
-//! | | `probe`, `disable`, `mtc_ready`, `hold` | line | not wired | `gpio`, `mapped`, `port`: the machine's own lines |
-//! | `[[axis]]` | `name`, `count_um`, `travel_mm` | µm, mm | must be there | |
-//! | | `max_correction_counts` | counts | must be there | largest total |
-//! | | `window_counts` | counts | 12 µm | largest change that is believed at once (NISTIR 4832: three corrections of 4 µm) |
-//! | | `min_separation_ns` | ns | must be there | what the MTC's decoder needs between two edges |
-//! | | `max_accel_mm_s2` or `max_accel_counts_s2` | | 1e6 counts/s² (mock, replay) | acceleration limit of the axis |
-//! | | `rapid_mm_min` | mm/min | none (mock, replay) | how fast the axis moves at most: corrections are not enabled where the card cannot follow |
-//! | | `hysteresis_counts` | counts | 0.05 | the scale's, on reversal |
-//! | | `warn_counts`, `error_counts` | counts | none | a request of this size warns; faults and holds |
-//! | | `max_rate_counts_s` | counts/s | none | fastest change of the correction |
-//! | | `rest_policy`, `rest_quiet_ms` | –, ms | `wait` | at rest: `wait` for an edge, or `insert` after a quiet time |
-//! | | `reference_budget_counts` | counts | none | what the MTC tolerates between reference marks, or between two encoders |
-//! | | `home_mm` | mm | 0 | position of the known place where the axis is homed |
-//! | | `lines` | line | – | `gpio`, `mapped`, `port`: `a`, `b`, `invert_a`, `invert_b`, `read_back_a`, `read_back_b` |
-//! | | `simulated` | – | as configured | `mock`: what the machine is really like: `count_um` (negative: it counts backwards), `compensates_ppm`, `feedback = "ignored"` |
-//! | | `trace` | – | – | `replay`: the recorded trace |
-//! | `[rt]` | `cpu`, `priority` | – | isolated or last, 80 | of the real-time thread |
-//! | | `detect_ns`, `write_ns`, `guard_ns` | ns | 0 (mock, replay) | measured worst latencies and a reserve |
-//! | | `measured` | – | – | `{ card, kernel, cpu, date }`: where these figures were measured, as the self-test prints it |
-//! | `[control]` | `socket`, `group`, `mode` | – | see [`default_directory`], none, 0660 or 0600 | the socket by which everything may be asked for, and who may use it |
-//! | | `operate`, `view` | – | `control-operate.sock`, `control-view.sock` | `{ socket, group, mode }` of the roles that may less, see [`crate::role`] |
-//! | | `state_file` | – | beside the socket | what a restart takes over |
-//! | | `log_file` | – | `/var/log/rtec/audit.log`, or beside the state file | the record of every command |
-//! | | `log_anchor` | – | false | whether the record's end is said in the system's journal |
-//! | | `spool` | – | none | the folder that finished records are kept in, for `rtecctl ship` |
-//! | | `spool_mb` | MB | 1024 | what may wait in it at most |
-//! | | `stale_ms` | ms | 500 | silence of the control side after which no insertion begins |
-//! | `[model]` | `file` | – | none | the machine model that shall run, once `rtecctl model load` has taken it |
-//! | | `period_ms` | ms | 10 | how often it is evaluated, 10 to 20 |
-//! | | `ramp_um_s` | µm/s | 5 | how fast a correction goes to a new place that no motion of the axis asks for |
-//! | | `lead_ms` | ms | 0 | how long before the axes are there it is evaluated: one `period_ms` and the lag of the position loop |
-//! | | `log_s` | s | 5 | how often temperatures are logged (beside the state file), for lags after a restart |
-//! | `[[sensor]]` | | | | a temperature, see [`rtec_correct::sensors`] and [`crate::sources`] |
+//! The keys of each table, with what they may be, default and meaning, are in `keys`: the guide's reference is made of it.
 //!
 //! A controller that checks counts between reference marks, or compares two encoders, sees a correction as an error:
 //! `reference_budget_counts` says how much it bears, and caps `max_correction_counts`.
@@ -53,15 +9,14 @@ mod axis;
 mod card;
 mod control;
 mod here;
+mod keys;
 mod latency;
-mod plain;
-mod sensors;
 
 pub use control::{ControlConfig, Door, LONGEST_SOCKET, SocketAt, default_directory, derived};
+pub use keys::reference;
 pub use latency::{Measured, floors_ns};
 
 use card::Kind;
-use rtec_correct::sensors::SensorConfig;
 use rtec_driver::card::MachineLines;
 use rtec_driver::gpio::GpioSetup;
 use rtec_driver::pci::PciId;
@@ -71,6 +26,7 @@ use rtec_files::{InputError, nearest};
 use rtec_model::file_kind::FileKind;
 use rtec_rt::axis::{AxisConfig, INCREMENT_COUNTS};
 use rtec_rt::event::MAX_AXES;
+use rtec_sensors::SensorConfig;
 use std::fmt;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -421,19 +377,16 @@ fn read(source: &mut SourceFile<'_>, document: &Document<'_>, here: bool) -> Opt
     let mut root = Section::root(document);
     let mut notes = Vec::new();
 
-    let mut machine = root.table(source, "machine", "[machine]");
-    let name = machine.string(source, "name", "the machine's name, in quotes");
-    let name = machine.required(source, "name", "the machine's name, in quotes", name);
-    let name = plain::name(source, "name", name, false);
-    let mtc_off = machine.choice(source, "mtc_off", 2, &[("freeze", false), ("hold", true)]);
+    let mut machine = root.table(source, "machine", "[machine]").with(keys::MACHINE);
+    let name = machine.text(source, "name");
+    let mtc_off = machine.pick(source, "mtc_off", &[false, true]);
     machine.finish(source);
 
-    let mut rt_table = root.table(source, "rt", "[rt]");
-    let cpu = rt_table.integer(source, "cpu", 0..=4095);
-    let priority = rt_table.integer(source, "priority", 1..=99);
-    let detect_ns = rt_table.integer(source, "detect_ns", 0..=1_000_000_000);
-    let write_ns = rt_table.integer(source, "write_ns", 0..=1_000_000_000);
-    let guard_ns = rt_table.integer(source, "guard_ns", 0..=1_000_000_000);
+    let mut rt_table = root.table(source, "rt", "[rt]").with(keys::RT);
+    let cpu = rt_table.whole(source, "cpu");
+    let priority = rt_table.whole_or_default(source, "priority");
+    let [detect_ns, write_ns, guard_ns] =
+        ["detect_ns", "write_ns", "guard_ns"].map(|key| rt_table.whole(source, key));
     let measured = latency::read_measured(source, &mut rt_table);
     rt_table.finish(source);
     if here {
@@ -442,7 +395,7 @@ fn read(source: &mut SourceFile<'_>, document: &Document<'_>, here: bool) -> Opt
     let ns = |at: Option<At<i64>>| at.map_or(0, |at| at.value as u64);
     let rt = RtConfig {
         cpu: cpu.map(|c| c.value as usize),
-        priority: priority.map_or(80, |p| p.value as u8),
+        priority: priority as u8,
         latency_measured: detect_ns.is_some() && write_ns.is_some(),
         measured,
     };
@@ -465,7 +418,9 @@ fn read(source: &mut SourceFile<'_>, document: &Document<'_>, here: bool) -> Opt
     let (mut axes, mut traces): (Vec<ConfiguredAxis>, Vec<PathBuf>) = (Vec::new(), Vec::new());
     for (n, table) in tables.into_iter().enumerate() {
         let offset = table.offset;
-        if let Some((axis, trace)) = axis::read(source, table, n as u8, &mut card, &latency, &mut notes) {
+        if let Some((axis, trace)) =
+            axis::read(source, table.with(keys::AXIS), n as u8, &mut card, &latency, &mut notes)
+        {
             if let Some(first) = axes.iter().find(|a| a.name.eq_ignore_ascii_case(&axis.name)) {
                 let found = if first.name == axis.name {
                     format!("a second axis named {}", first.name)
@@ -482,7 +437,7 @@ fn read(source: &mut SourceFile<'_>, document: &Document<'_>, here: bool) -> Opt
     let control = control::read(source, &mut root, here);
     notes.extend(control::notes(&control, here));
     let model = read_model(source, &mut root);
-    let sensors = if root.has("sensor") { sensors::read(source, &document.root()) } else { Vec::new() };
+    let sensors = rtec_sensors::read_tables(source, &mut root);
     root.finish(source);
 
     let kind = match card.kind? {
@@ -524,21 +479,22 @@ fn read(source: &mut SourceFile<'_>, document: &Document<'_>, here: bool) -> Opt
 }
 
 fn read_model(source: &mut SourceFile<'_>, root: &mut Section<'_>) -> ModelConfig {
-    let mut table = root.table(source, "model", "[model]");
-    let file = table.string(source, "file", "the path of the machine model");
-    let period_ms = table.integer(source, "period_ms", 10..=20);
-    let ramp_um_s = plain::within(&mut table, source, "ramp_um_s", 1e-3, 1000.0);
-    let lead_ms = plain::within(&mut table, source, "lead_ms", 1e-3, 1000.0);
-    let log_s = plain::within(&mut table, source, "log_s", 0.05, 60.0);
+    let mut table = root.table(source, "model", "[model]").with(keys::MODEL);
+    let file = table.text(source, "file").map(|at| beside(source.file, at.value));
+    let model = ModelConfig {
+        file,
+        period_ms: table.whole_or_default(source, "period_ms") as u64,
+        ramp_um_s: table.number_or_default(source, "ramp_um_s"),
+        lead_ms: table.number_or_default(source, "lead_ms"),
+        log_s: table.number_or_default(source, "log_s"),
+    };
     table.finish(source);
-    let path = |f: At<&str>| source.file.parent().unwrap_or(Path::new("")).join(f.value);
-    ModelConfig {
-        file: file.map(path),
-        period_ms: period_ms.map_or(10, |p| p.value as u64),
-        ramp_um_s: ramp_um_s.map_or(rtec_correct::RAMP_UM_S, |r| r.value),
-        lead_ms: lead_ms.map_or(0.0, |l| l.value),
-        log_s: log_s.map_or(5.0, |l| l.value),
-    }
+    model
+}
+
+/// A path of a configuration is relative to its file.
+fn beside(file: &Path, path: &str) -> PathBuf {
+    file.parent().unwrap_or(Path::new("")).join(path)
 }
 
 /// Keeps the first causes.

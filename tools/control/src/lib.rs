@@ -9,9 +9,9 @@
 //! | [`audit`] | the record of every command: written, read, checked |
 //! | [`client`] | the client's end of it |
 //! | [`metrics`] | the status as `OpenMetrics` and Prometheus text |
-//! | [`sources`] | sensors as Linux offers them, read for their watches |
 //! | [`card`] | the real card that a configuration names, opened |
 //! | [`profile`] | card profiles, from their files |
+//! | [`ledger`] | an axis's ledger as files that a replay plays |
 //! | [`lock`] | one program at a time on a socket, on a card |
 //! | `closed` | directories into which nobody but their owners can put anything |
 //! | [`belongings`] | the files that make up a machine's set-up |
@@ -28,6 +28,7 @@ pub mod card;
 pub mod client;
 mod closed;
 pub mod config;
+pub mod ledger;
 mod lines;
 pub mod lock;
 pub mod metrics;
@@ -35,4 +36,3 @@ mod needs;
 pub mod profile;
 pub mod protocol;
 pub mod role;
-pub mod sources;

@@ -1,4 +1,4 @@
-//! The status as metrics: `OpenMetrics` 1.0 text, and Prometheus' text format 0.0.4.
+//! The status as `OpenMetrics` 1.0 text and Prometheus text 0.0.4.
 //!
 //! Names are `rtec_…`, in base units (seconds, metres, degrees Celsius) and in counts where the machine counts. What is one
 //! of several (mode, fault, state of a sensor) is one series each, 0 or 1, so that a rule needs no text. The two formats

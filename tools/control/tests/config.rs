@@ -1,7 +1,12 @@
 //! What a person sees who made a mistake in rtec.toml.
 //! `RTEC_BLESS=1 cargo test` writes the golden files anew.
 
-use rtec_control::config::{CardConfig, Config, EMBEDDED, MappedPlace, PortPlace};
+#[path = "config/here.rs"]
+mod here;
+#[path = "config/numbers.rs"]
+mod numbers;
+
+use rtec_control::config::{CardConfig, Config, EMBEDDED, MappedPlace, PortPlace, reference};
 use rtec_correct::Corrector;
 use rtec_driver::card::{Card, CardError, Sample};
 use rtec_driver::gpio::{Bias, Drive, LineId};
@@ -228,83 +233,7 @@ fn a_place_that_cannot_be_is_explained() {
     }
 }
 
-#[test]
-fn what_this_computer_lacks_is_found_on_it_and_nowhere_else() {
-    let directory = tempfile::tempdir().unwrap();
-    let file = directory.path().join("rtec.toml");
-    let text = CONTRACT
-        .replace("file = \"regs\"", "uio = \"/dev/null-and-void\"")
-        .replace("group = \"rtec\"", "group = \"nobody-has-this\"\nview = { group = \"nor-this\" }");
-    std::fs::write(&file, format!("{text}[model]\nfile = \"missing.toml\"\n")).unwrap();
-    assert!(Config::load(&file).is_ok());
-    let found = Config::check_here(&file).unwrap_err().to_string();
-    for wants in ["/dev/null-and-void", "nobody-has-this", "nor-this", "missing.toml"] {
-        assert!(found.contains(wants), "no {wants} in {found}");
-    }
-    // One more: a CPU that a small computer does not have.
-    let cpus = usize::from(found.contains("cpu = 3"));
-    assert_eq!(found.lines().count(), 4 + cpus, "{found}");
-}
-
-/// The commonest mistakes are found.
-/// They are a wrong record or column name, a model of missing sensors, and a card in another computer. A sensor may
-/// be plugged in later.
-#[test]
-fn what_sensors_model_and_card_name_is_looked_for() {
-    let directory = tempfile::tempdir().unwrap();
-    let put = |name: &str, text: &str| std::fs::write(directory.path().join(name), text).unwrap();
-    let file = directory.path().join("rtec.toml");
-    let check = |more: &str| {
-        put("rtec.toml", &format!("{EMBEDDED}\n{more}"));
-        Config::check_here(&file).map(|c| c.notes).map_err(|e| e.to_string())
-    };
-    let usual = check("").unwrap();
-    put(
-        "day.run.toml",
-        "file = \"day.csv\"\nkind = \"drift\"\n[columns]\nT1 = { role = \"temperature\", unit = \"degC\" }\n",
-    );
-    let replayed = |record: &str, column: &str| {
-        format!("[[sensor]]\nname = \"T1\"\nsource = \"csv\"\nrecord = \"{record}\"\ncolumn = \"{column}\"\n")
-    };
-    assert_eq!(check(&replayed("day.run.toml", "T1")), Ok(usual.clone()));
-    let found = check(&replayed("night.run.toml", "T1")).unwrap_err();
-    assert!(found.contains("night.run.toml") && found.lines().count() == 1, "{found}");
-    let found = check(&replayed("day.run.toml", "T9")).unwrap_err();
-    assert!(
-        found.contains("found column 'T9', expected a column of") && found.ends_with("day.run.toml: T1"),
-        "{found}"
-    );
-
-    let notes =
-        check("[[sensor]]\nname = \"T1\"\nsource = \"one_wire\"\nid = \"28-0123456789ab\"\n").unwrap();
-    assert!(
-        notes.len() == usual.len() + 1
-            && notes.last().unwrap().contains("[[sensor]] T1: nothing is read from it now"),
-        "{notes:?}"
-    );
-
-    put(
-        "machine.toml",
-        "name = \"m\"\n[[effect]]\nname = \"thermal_growth.x\"\nsensor = \"T7\"\nreference_degC = 20.0\num_per_K = 2.0\n",
-    );
-    let found = check("[model]\nfile = \"machine.toml\"\n").unwrap_err();
-    assert!(found.contains("T7 (read by thermal_growth.x)"), "{found}");
-    put("machine.toml", "name = \"m\"\n[[effect]]\nname = \"scale.w\"\nppm = 2.0\n");
-    let notes = check("[model]\nfile = \"machine.toml\"\n").unwrap();
-    assert!(
-        notes.last().unwrap().starts_with("[model] no axis w in the daemon's configuration"),
-        "{notes:?}"
-    );
-
-    let card =
-        CONTRACT.replace("file = \"regs\"", "pci = \"dead:beef\"\nbar = 0").replace("group = \"rtec\"", "");
-    std::fs::write(&file, &card).unwrap();
-    let found = Config::check_here(&file).unwrap_err().to_string();
-    assert!(found.contains("no PCI card dead:beef"), "{found}");
-    assert!(Config::load(&file).is_ok());
-}
-
-/// Three corrections of 4 µm (NISTIR 4832), at least one insertion, at most the largest total.
+/// Three corrections of 4 µm (NISTIR 4832), within one insertion and the maximum.
 #[test]
 fn a_window_that_is_not_given_is_12_um() {
     for (count_um, max, counts) in
@@ -336,12 +265,21 @@ fn a_name_without_end_and_a_broken_line_are_one_finding() {
     }
 }
 
-/// Every key that is read stands in the document, in the table of its section.
+/// The reference page is made of the tables of keys.
 #[test]
-fn the_document_names_every_key() {
-    let text = include_str!("../../guide/reference/rtec-toml.md");
+fn the_reference_page_shows_the_tables_of_keys() {
+    let page = Path::new(env!("CARGO_MANIFEST_DIR")).join("../guide/reference/rtec-toml.md");
+    let text = std::fs::read_to_string(&page).unwrap();
+    let intro = text.split("| `[machine]` |").next().unwrap();
+    test_needs::golden(&page, &[intro, &reference()].concat());
+}
+
+/// Every key that is read is in the table of its section.
+#[test]
+fn the_tables_have_every_key() {
+    let text = reference();
     let table = |section: &str| {
-        let head = format!("| `{section}` | meaning |");
+        let head = format!("| `{section}` | takes |");
         let from = text.find(&head).unwrap_or_else(|| panic!("no table of {section}"));
         text[from..].split("\n\n").next().unwrap()
     };
@@ -358,10 +296,9 @@ fn the_document_names_every_key() {
             else {
                 continue;
             };
-            let table = table(if section == "view" { "[control]" } else { section });
             for key in known.split(", ") {
-                let named = [format!("`{key}`"), format!("{key}`"), format!(" {key},"), format!(" {key} }}")];
-                assert!(named.iter().any(|n| table.contains(n.as_str())), "{key} of {section}");
+                let section = if section == "view" { "operate, view" } else { section };
+                assert!(table(section).contains(&format!("| `{key}` |")), "{key} of {section}");
                 keys += 1;
             }
             sections.insert(section.to_owned());
@@ -384,188 +321,6 @@ fn mtc_ready_is_a_line_and_mtc_off_needs_it() {
         text.contains("rtec.toml:4:11: found mtc_off without mtc_ready, expected mtc_ready in [card]"),
         "{text}"
     );
-}
-
-/// No number of a configuration causes a panic.
-/// It is refused, or engine and control law run with it. Arithmetic that overflows panics in tests.
-#[test]
-fn extreme_numbers_are_refused_or_run() {
-    const KEYS: [&str; 27] = [
-        "axis.count_um",
-        "axis.travel_mm",
-        "axis.max_correction_counts",
-        "axis.window_counts",
-        "axis.min_separation_ns",
-        "axis.max_accel_mm_s2",
-        "axis.max_accel_counts_s2",
-        "axis.hysteresis_counts",
-        "axis.warn_counts",
-        "axis.error_counts",
-        "axis.max_rate_counts_s",
-        "axis.rest_quiet_ms",
-        "axis.reference_budget_counts",
-        "axis.home_mm",
-        "rt.cpu",
-        "rt.priority",
-        "rt.detect_ns",
-        "rt.write_ns",
-        "rt.guard_ns",
-        "control.stale_ms",
-        "model.period_ms",
-        "model.ramp_um_s",
-        "model.lead_ms",
-        "model.log_s",
-        "sensor.timeout_s",
-        "sensor.freeze_s",
-        "sensor.max_rate_K_per_min",
-    ];
-    const VALUES: [&str; 20] = [
-        "0",
-        "1",
-        "-1",
-        "2",
-        "4",
-        "20",
-        "99",
-        "0.001",
-        "0.0001",
-        "0.05",
-        "1e-308",
-        "1000",
-        "1000000",
-        "1000000000",
-        "1e9",
-        "1e15",
-        "1e308",
-        "nan",
-        "inf",
-        "9223372036854775807",
-    ];
-    let mut dice = test_needs::dice::Dice::new(38);
-    let (mut ran, mut refused) = (0, 0);
-    for n in 0..4000 {
-        let mut values = BTreeMap::from([
-            ("axis.count_um", "1"),
-            ("axis.travel_mm", "400"),
-            ("axis.max_correction_counts", "1000"),
-            ("axis.window_counts", "50"),
-            ("axis.min_separation_ns", "500"),
-            ("control.stale_ms", "500"),
-        ]);
-        // Each key with each value alone, then several at once.
-        let alone = n < KEYS.len() * VALUES.len();
-        if alone {
-            values.insert(KEYS[n / VALUES.len()], VALUES[n % VALUES.len()]);
-        } else {
-            for _ in 0..dice.within(2, 6) {
-                let (key, value) = (dice.within(0, 26), dice.within(0, 19));
-                values.insert(KEYS[key as usize], VALUES[value as usize]);
-            }
-        }
-        let of = |table: &str| -> String {
-            let own = values.iter().filter_map(|(key, value)| Some((key.strip_prefix(table)?, value)));
-            let lines: Vec<String> =
-                own.map(|(key, value)| format!("{} = {value}\n", key.trim_start_matches('.'))).collect();
-            lines.concat()
-        };
-        let rest = if values.contains_key("axis.rest_quiet_ms") { "rest_policy = 'insert'\n" } else { "" };
-        let text = format!(
-            "[machine]\nname = 'm'\n[card]\nbackend = 'mock'\n[[axis]]\nname = 'x'\n{rest}{}[rt]\n{}[control]\n{}[model]\n{}\
-             [[sensor]]\nname = 'T1'\nsource = 'line'\nfrom = '/dev/null'\n{}",
-            of("axis"),
-            of("rt"),
-            of("control"),
-            of("model"),
-            of("sensor")
-        );
-        match Config::parse(Path::new("rtec.toml"), &text) {
-            Ok(config) => {
-                ran += 1;
-                runs(&config);
-            }
-            Err(_) => refused += 1,
-        }
-    }
-    assert!(ran > 200 && refused > 1000, "{ran} ran, {refused} refused");
-}
-
-/// Runs engine and control law for some hundred edges there and back, with the largest totals.
-fn runs(config: &Config) {
-    let mut card = Strokes::default();
-    let machine = MachineConfig { lines: config.lines, may_arm: true };
-    let Ok(mut engine) = Engine::new(&mut card, &config.engine_axes(), machine, &[]) else { return };
-    engine.start_homed_at(&mut card, |n| config.axes[n].home_counts, &mut |_| true).expect("an engine");
-    let law = config.axes.iter().map(rtec_control::config::ConfiguredAxis::law).collect();
-    let mut corrector = Corrector::new(law, config.model.ramp_um_s, config.model.lead_ms * 1e-3, 0.0);
-    for n in 0..600_u32 {
-        if n % 100 == 0 {
-            let max = config.axes[0].engine.max_correction_counts;
-            for total_counts in [max, -max, 0] {
-                let request = Request::Correct { axis: 0, total_counts, large: true };
-                engine.take(request, &mut card, &mut |_| true).expect("taken");
-            }
-        }
-        engine.poll(&mut card, u64::MAX, &mut |_| true).expect("told");
-        corrector.tick(f64::from(n) * 0.01, &engine.status(), &[]);
-    }
-}
-
-/// A card whose axis goes there and back, an edge a look, slower and slower.
-#[derive(Default)]
-struct Strokes {
-    t_ns: u64,
-    looks: u64,
-    outputs: u64,
-}
-
-impl Card for Strokes {
-    fn sample(&mut self, _wake_ns: u64) -> Result<Sample, CardError> {
-        self.looks += 1;
-        self.t_ns += 1 << (self.looks % 34);
-        let place = if self.looks % 200 < 100 { self.looks } else { 400 - self.looks % 200 };
-        Ok(Sample::level(self.t_ns, [0, 1, 3, 2][place as usize % 4]))
-    }
-
-    fn write(&mut self, mask: u64, value: u64) -> Result<Option<u64>, CardError> {
-        self.outputs = self.outputs & !mask | value & mask;
-        Ok(None)
-    }
-
-    fn outputs(&mut self) -> Result<u64, CardError> {
-        Ok(self.outputs)
-    }
-}
-
-/// Names that this computer lacks are reported with their lines: chip, CPU, group, file.
-#[test]
-fn names_what_this_computer_does_not_have() {
-    let directory = tempfile::tempdir().unwrap();
-    let file = directory.path().join("rtec.toml");
-    let field = "[machine]\nname = \"pi lathe\"\n[card]\nbackend = \"gpio\"\nchip = \"gpiochip77\"\n[[axis]]\nname = \"x\"\n\
-        count_um = 1.0\ntravel_mm = 400\nmax_correction_counts = 1000\nwindow_counts = 50\nmin_separation_ns = 500\n\
-        max_accel_mm_s2 = 1000.0\nlines = { a = 0, b = 1, invert_a = 2, invert_b = 3 }\n[rt]\ncpu = 4000\ndetect_ns = 5000\n\
-        write_ns = 1000\n[control]\ngroup = \"no-such-group\"\n";
-    let mapped = CONTRACT.replace("group = \"rtec\"\n", "");
-    let parport = mapped.replace(
-        "backend = \"mapped\"\nfile = \"regs\"\nprobe = 28",
-        "backend = \"port\"\nparport = \"none\"",
-    );
-    let lines = "lines = { a = 3, b = 4, invert_a = 0, invert_b = 1 }\n[rt]";
-    let parport = parport.replace("write_ns = 300", "write_ns = 1000").replace("lines = { a = \"in4\", b = 5, invert_a = \"out2\", invert_b = \"out3\", read_back_a = 6, read_back_b = 7 }\n[rt]", lines);
-    for (text, says) in [
-        (field, &["5:", "gpiochip77", "cpu = 4000", "no-such-group", "--elsewhere"][1..]),
-        (&mapped, &["\"regs\", which cannot be looked at: No such file"][..]),
-        (&parport, &["\"none\", which cannot be looked at: No such file"][..]),
-    ] {
-        std::fs::write(&file, text).unwrap();
-        assert!(Config::load(&file).is_ok(), "{}", Config::load(&file).unwrap_err());
-        let found = Config::check_here(&file).unwrap_err().to_string();
-        for text in says {
-            assert!(found.contains(text), "no {text} in {found}");
-        }
-        // Four lines on one absent chip are one finding.
-        assert!(found.matches("gpiochip77").count() <= 1, "{found}");
-    }
 }
 
 #[test]
@@ -599,116 +354,4 @@ fn rotary_and_coupled_axes_are_refused_by_name() {
     assert!(said.contains("axis b, which is rotary"), "{said}");
     let linear = CONTRACT.replace("[[axis]]\n", "[[axis]]\nkind = \"linear\"\n");
     assert!(Config::parse(Path::new("rtec.toml"), &linear).is_ok());
-}
-
-/// Replaces every number of a full configuration by every extreme.
-/// It is refused, or the results are finite and an engine accepts them.
-#[test]
-fn no_number_reaches_arithmetic_unbounded() {
-    const ALL: &str = "[machine]\nname = 'm'\n[card]\nbackend = 'mock'\n[[axis]]\nname = 'x'\ncount_um = 1.0\ntravel_mm = 500.0\n\
-        max_correction_counts = 300\nwindow_counts = 50\nwarn_counts = 100\nerror_counts = 200\nmin_separation_ns = 500\n\
-        max_accel_mm_s2 = 1000.0\nrapid_mm_min = 10000.0\nhysteresis_counts = 0.1\nmax_rate_counts_s = 1000.0\n\
-        rest_policy = 'insert'\nrest_quiet_ms = 5.0\nreference_budget_counts = 400\nhome_mm = 10.0\n\
-        simulated = { count_um = 2.0, compensates_ppm = 5.0 }\n[rt]\ncpu = 0\npriority = 80\ndetect_ns = 1000\n\
-        write_ns = 300\nguard_ns = 100\n[control]\nstale_ms = 500\n[model]\nperiod_ms = 10\nramp_um_s = 5.0\nlead_ms = 20.0\n\
-        log_s = 5.0\n[[sensor]]\nname = 'T1'\nsource = 'iio'\ndevice = 'd'\nchannel = 1\nperiod_s = 1.0\n\
-        range_degC = [ -20.0, 120.0]\nmax_rate_K_per_min = 10.0\ntimeout_s = 5.0\nstuck_s = 600.0\nfreeze_s = 60.0\n";
-    let accel = ALL.replace("max_accel_mm_s2", "max_accel_counts_s2");
-    let mut tried = 0;
-    for all in [ALL, &accel] {
-        Config::parse(Path::new("rtec.toml"), all).unwrap();
-        let begins = |before: &str| [" = ", ", "].iter().any(|b| before.ends_with(b));
-        let numbers = all.char_indices().filter(|(n, _)| begins(&all[..*n]));
-        for (at, _) in numbers.filter(|(_, c)| c.is_ascii_digit()) {
-            let end = at + all[at..].find(|c: char| !c.is_ascii_digit() && c != '.').unwrap();
-            for extreme in [
-                "1e-308",
-                "-1e-308",
-                "1e308",
-                "-1e308",
-                "0",
-                "-1",
-                "inf",
-                "-inf",
-                "nan",
-                "9223372036854775807",
-            ] {
-                let text = format!("{}{extreme}{}", &all[..at], &all[end..]);
-                tried += 1;
-                let Ok(config) = Config::parse(Path::new("rtec.toml"), &text) else { continue };
-                let axis = &config.axes[0];
-                let travel_counts = axis.travel_mm * 1000.0 / axis.simulated.count_um;
-                let numbers =
-                    [travel_counts, axis.engine.max_accel_counts_s2, axis.count_um, config.model.lead_ms];
-                assert!(numbers.iter().all(|n| n.is_finite() && n.abs() < 1e16), "{text}");
-                assert!(axis.home_counts.abs() < 1 << 52 && axis.engine.gate().is_some(), "{text}");
-                assert!(
-                    axis.corrected_hz().unwrap().is_finite() && axis.followed_hz().is_none_or(f64::is_finite)
-                );
-            }
-        }
-    }
-    assert!(tried > 400, "{tried}");
-}
-
-/// A name that this computer lacks is a finding, as the guide promises for `config check`.
-#[test]
-fn check_here_names_what_this_computer_lacks() {
-    let folder = tempfile::tempdir().unwrap();
-    let file = folder.path().join("rtec.toml");
-    let axis = |rest: &str| {
-        format!(
-            "[[axis]]\nname = 'x'\ncount_um = 1.0\ntravel_mm = 400\nmax_correction_counts = 1000\nwindow_counts = 50\n\
-             min_separation_ns = 500\nmax_accel_mm_s2 = 1000.0\n{rest}\n"
-        )
-    };
-    let lines = "lines = { a = 0, b = 1, invert_a = 2, invert_b = 3 }";
-    let memory = "lines = { a = 'in0', b = 'in1', invert_a = 'out0', invert_b = 'out1' }";
-    let port = "lines = { a = 'nack', b = 'busy', invert_a = 'd0', invert_b = 'd1' }";
-    let mock = |rest: &str| format!("[card]\nbackend = 'mock'\n{}{rest}", axis(""));
-    let mapped =
-        |key: &str| format!("[card]\nbackend = 'mapped'\nprofile = 'shared-memory'\n{key}\n{}", axis(memory));
-    for (name, says, config) in [
-        (
-            "chip",
-            "GPIO chip gpiochip4095",
-            format!("[card]\nbackend = 'gpio'\nchip = 'gpiochip4095'\n{}", axis(lines)),
-        ),
-        ("file", "/nonexistent/registers", mapped("file = '/nonexistent/registers'")),
-        ("uio", "/dev/uio4095", mapped("uio = '/dev/uio4095'")),
-        ("pci", "PCI card fffe:fffe", mapped("pci = 'fffe:fffe'")),
-        (
-            "parport",
-            "/dev/parport4095",
-            format!(
-                "[card]\nbackend = 'port'\nprofile = 'parallel-port'\nparport = '/dev/parport4095'\n{}",
-                axis(port)
-            ),
-        ),
-        ("profile", "gone.toml", mapped("file = '/dev/null'").replace("'shared-memory'", "'gone.toml'")),
-        ("trace", "gone.csv", format!("[card]\nbackend = 'replay'\n{}", axis("trace = 'gone.csv'"))),
-        ("cpu", "cpu = 4095", mock("[rt]\ncpu = 4095\n")),
-        ("group", "nosuchgroup-rtec", mock("[control]\ngroup = 'nosuchgroup-rtec'\n")),
-        ("log folder", "/nonexistent", mock("[control]\nlog_file = '/nonexistent/log'\n")),
-        ("model", "gone.machine.toml", mock("[model]\nfile = 'gone.machine.toml'\n")),
-        (
-            "recording",
-            "gone.run.toml",
-            mock("[[sensor]]\nname = 'T1'\nsource = 'csv'\nrecord = 'gone.run.toml'\n"),
-        ),
-    ] {
-        let text = format!("[machine]\nname = 'm'\n{config}");
-        std::fs::write(&file, &text).unwrap();
-        let found = Config::check_here(&file).expect_err(name).to_string();
-        assert!(found.contains(says) && found.contains("rtec.toml:"), "{name}: {found}");
-        // For another computer it is nobody's business; profiles are part of the configuration.
-        if name != "profile" {
-            let elsewhere = Config::load(&file).map_err(|e| e.to_string());
-            assert!(elsewhere.is_ok(), "{name}: {elsewhere:?}");
-        }
-    }
-    // What may come yet is a note.
-    std::fs::write(&file, format!("[machine]\nname = 'm'\n{}", mock("[[sensor]]\nname = 'T1'\nsource = 'one_wire'\nid = '28-000000000000'\n[control]\nspool = '/nonexistent/spool'\n"))).unwrap();
-    let notes = Config::check_here(&file).unwrap().notes.join("\n");
-    assert!(notes.contains("[[sensor]] T1") && notes.contains("/nonexistent/spool"), "{notes}");
 }

@@ -11,7 +11,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let x = AxisSetup { name, count_um, increment_counts: 2, window_counts: 50, max_counts: 1000 };
     let mut law = Corrector::new(vec![x], RAMP_UM_S, 0.0, 0.0);
     let model = "name = \"mill\"\n[[effect]]\nname = \"scale.x\"\nppm = 100.0\n";
-    law.load(Machine::parse(Path::new("machine.toml"), model)?, &[], &|_| Vec::new())?;
+    law.load(Machine::parse(Path::new("machine.toml"), model)?, &|_| Vec::new())?;
 
     let mut status = Status { mode: Mode::Run, axes_used: 1, ..Status::default() };
     status.axes[0].homed = true;
@@ -24,7 +24,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             (status.axes[0].completed, status.axes[0].in_effect) = (total, total); // the engine would insert
         }
     }
-    println!("{:#?}", law.explain(0, &status.axes[0], &[], 10.0));
+    println!("{:#?}", law.explain(0, &status.axes[0]));
     assert_eq!(status.axes[0].requested, 40); // 400 mm · 100 ppm
     Ok(())
 }

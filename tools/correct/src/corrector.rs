@@ -5,11 +5,10 @@ use crate::AxisSetup;
 use crate::explain::{Change, Contribution, Explained, ModelPreview, Reading, RunningModel};
 use crate::motion::Motion;
 use crate::part_table::{NEAR_MM, PartErrors, PartTable, TableNow};
-use crate::sensors::Watch;
 use crate::source::{ModelSource, acts};
 use crate::total::{TickInputs, Total};
 use rtec_files::InputError;
-use rtec_model::date;
+use rtec_files::date;
 use rtec_model::effect::Difference;
 use rtec_model::live::AxisNow;
 use rtec_model::machine::{FitNote, Machine};
@@ -17,6 +16,7 @@ use rtec_model::record::Axis;
 use rtec_part::cor::FeatureErrors;
 use rtec_part::fit::Zx;
 use rtec_rt::event::{AxisStatus, MAX_AXES, Mode, Status};
+use rtec_sensors::Watch;
 use std::time::{Duration, Instant};
 
 /// Logged temperatures of these sensors, oldest first: time, s, and °C.
@@ -58,6 +58,9 @@ pub struct Corrector {
     motion: Motion,
     /// Per axis of the layout: its motion at the last tick.
     now: Vec<AxisNow>,
+    /// The sensors as last read, and when.
+    watches: Vec<Watch>,
+    sensed_s: f64,
     /// A source has changed: what follows is a ramp.
     changed: bool,
     /// The day, since 1970-01-01.
@@ -70,7 +73,9 @@ pub struct Corrector {
 pub struct Preparer {
     layout_axes: Vec<Axis>,
     now: Vec<AxisNow>,
+    watches: Vec<Watch>,
     started_s: f64,
+    sensed_s: f64,
 }
 
 /// A model that is ready to be taken.
@@ -82,16 +87,17 @@ impl Preparer {
     ///
     /// # Errors
     /// What it reads and this machine does not have.
-    pub fn prepare(
-        &self,
-        machine: Machine,
-        watches: &[Watch],
-        past: Past<'_>,
-    ) -> Result<Prepared, InputError> {
-        let mut source = ModelSource::new(machine, &self.layout_axes, watches)?;
+    pub fn prepare(&self, machine: Machine, past: Past<'_>) -> Result<Prepared, InputError> {
+        let mut source = ModelSource::new(machine, &self.layout_axes, &self.watches)?;
         let rows = past(&source.live.layout().sensors);
         source.catch_up(rows, self.started_s, &self.now);
         Ok(Prepared(source))
+    }
+
+    /// When its sensors were read, s on the corrector's clock.
+    #[must_use]
+    pub fn sensed_s(&self) -> f64 {
+        self.sensed_s
     }
 }
 
@@ -112,12 +118,12 @@ impl Prepared {
     /// How long one evaluation takes on this computer, at best of three.
     /// The model is left as it is.
     #[must_use]
-    pub fn evaluation_time(&self, preparer: &Preparer, now_s: f64) -> Duration {
+    pub fn evaluation_time(&self, preparer: &Preparer) -> Duration {
         let mut shortest = Duration::MAX;
         for _ in 0..3 {
             let mut trial = self.0.trial();
             let begun = Instant::now();
-            trial(now_s - preparer.started_s, &preparer.now);
+            trial(preparer.sensed_s - preparer.started_s, &preparer.now);
             shortest = shortest.min(begun.elapsed());
         }
         shortest
@@ -159,6 +165,8 @@ impl Corrector {
             lead_s,
             started_s: now_s,
             last_s: now_s,
+            watches: Vec::new(),
+            sensed_s: now_s,
             changed: false,
             today: date::today(),
         }
@@ -182,15 +190,40 @@ impl Corrector {
     /// What makes a model ready for this machine, on any thread.
     #[must_use]
     pub fn preparer(&self) -> Preparer {
-        Preparer { layout_axes: self.layout_axes.clone(), now: self.now.clone(), started_s: self.started_s }
+        Preparer {
+            layout_axes: self.layout_axes.clone(),
+            now: self.now.clone(),
+            watches: self.watches.clone(),
+            started_s: self.started_s,
+            sensed_s: self.sensed_s,
+        }
+    }
+
+    /// Takes over the sensors as they were read at this time, s.
+    /// Models, previews and explanations rest on these readings until the next ones.
+    pub fn sense(&mut self, now_s: f64, watches: &[Watch]) {
+        self.sensed_s = now_s;
+        watches.clone_into(&mut self.watches);
+    }
+
+    /// The sensors that [`Corrector::sense`] took over last.
+    #[must_use]
+    pub fn watches(&self) -> &[Watch] {
+        &self.watches
+    }
+
+    /// The sensors' state for people.
+    #[must_use]
+    pub fn readings(&self) -> Vec<Reading> {
+        self.watches.iter().map(|w| Reading::of(w, self.sensed_s)).collect()
     }
 
     /// Takes a model; corrections go to it in a ramp.
     ///
     /// # Errors
     /// What it reads and this machine does not have.
-    pub fn load(&mut self, machine: Machine, watches: &[Watch], past: Past<'_>) -> Result<(), InputError> {
-        self.take(self.preparer().prepare(machine, watches, past)?);
+    pub fn load(&mut self, machine: Machine, past: Past<'_>) -> Result<(), InputError> {
+        self.take(self.preparer().prepare(machine, past)?);
         Ok(())
     }
 
@@ -281,13 +314,8 @@ impl Corrector {
 
     /// What a model would change now.
     #[must_use]
-    pub fn preview(
-        &self,
-        Prepared(mut then): Prepared,
-        watches: &[Watch],
-        now_s: f64,
-        status: &Status,
-    ) -> ModelPreview {
+    pub fn preview(&self, Prepared(mut then): Prepared, status: &Status) -> ModelPreview {
+        let (watches, now_s) = (&self.watches, self.sensed_s);
         then.read(watches, now_s);
         then.evaluate(now_s - self.started_s, &self.now, false);
         let axes = self.axes.iter().zip(&self.setups).zip(status.axes()).map(|((axis, setup), s)| {
@@ -364,21 +392,22 @@ impl Corrector {
         asked && self.axes[n].holds.is_none() && status.completed == status.requested
     }
 
-    /// Whether a source other than the operator asks, or its total is still ramping down.
+    /// Whether another source than the operator asks, or a ramp is under way.
     fn asks(&self, n: usize) -> bool {
         self.model.is_some()
             || self.table.as_ref().is_some_and(|t| t.axes.contains(&n))
             || self.axes[n].total.on_its_way()
     }
 
-    /// Looks at everything and says which totals are to be requested now.
+    /// Takes over the sensors and says which totals are to be requested now.
     pub fn tick(&mut self, now_s: f64, status: &Status, watches: &[Watch]) -> [Option<i64>; MAX_AXES] {
         // After a stall the ramp goes on where it was.
         let dt_s = (now_s - self.last_s).clamp(0.0, LONGEST_S);
         self.last_s = now_s;
+        self.sense(now_s, watches);
         self.follow(status);
         let mut changed = std::mem::take(&mut self.changed);
-        changed |= self.ask_model(now_s, status, watches);
+        changed |= self.ask_model(status);
         self.ask_table();
         let correcting = matches!(status.mode, Mode::Run | Mode::Shadow);
         let mut totals = [None; MAX_AXES];
@@ -414,8 +443,9 @@ impl Corrector {
 
     /// What the model asks for, where it can tell.
     /// Says whether what it knows has become better or worse.
-    fn ask_model(&mut self, now_s: f64, status: &Status, watches: &[Watch]) -> bool {
+    fn ask_model(&mut self, status: &Status) -> bool {
         let Some(model) = &mut self.model else { return false };
+        let (watches, now_s) = (&self.watches, self.sensed_s);
         let mut changed = model.read(watches, now_s);
         model.add_loads(&mut self.now, watches);
         let probing = status.mode == Mode::Probe;
@@ -473,10 +503,10 @@ impl Corrector {
 
     /// What the correction of an axis is made of; the parts sum to the total.
     #[must_use]
-    pub fn explain(&self, n: usize, status: &AxisStatus, watches: &[Watch], now_s: f64) -> Explained {
+    pub fn explain(&self, n: usize, status: &AxisStatus) -> Explained {
         let (axis, setup) = (&self.axes[n], &self.setups[n]);
         let total_um = status.requested as f64 * setup.count_um;
-        let mut parts = self.model_parts(n, watches, now_s);
+        let mut parts = self.model_parts(n);
         if axis.table_um != 0.0 {
             parts.push(Contribution::plain("part table", axis.table_um));
         }
@@ -506,7 +536,7 @@ impl Corrector {
         }
     }
 
-    fn model_parts(&self, n: usize, watches: &[Watch], now_s: f64) -> Vec<Contribution> {
+    fn model_parts(&self, n: usize) -> Vec<Contribution> {
         let (Some(model), Some(place)) = (&self.model, self.axes[n].place) else { return Vec::new() };
         let mut parts = Vec::new();
         for p in model.live.parts() {
@@ -515,9 +545,9 @@ impl Corrector {
                 continue;
             };
             let read = p.effect.delta.iter().flat_map(Difference::sensors);
-            let find = |name: &str| watches.iter().find(|w| w.config().name == name);
+            let find = |name: &str| self.watches.iter().find(|w| w.config().name == name);
             parts.push(Contribution {
-                sensors: read.filter_map(find).map(|w| Reading::of(w, now_s)).collect(),
+                sensors: read.filter_map(find).map(|w| Reading::of(w, self.sensed_s)).collect(),
                 outside_k: (p.outside_k > 0.0).then_some(p.outside_k),
                 weight: (p.weight < 1.0).then_some(p.weight),
                 ..Contribution::plain(&p.effect.name(), *um)

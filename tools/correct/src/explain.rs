@@ -1,6 +1,6 @@
 //! The parts of a correction, for people and for the control socket.
 
-use crate::sensors::{Use, Watch};
+use rtec_sensors::{Use, Watch};
 use serde::{Deserialize, Serialize};
 
 /// What a model would change now.

@@ -5,25 +5,25 @@
 //!
 //! | module | what |
 //! |---|---|
+//! | [`commission`] | a guided jog judged: sign, unit, what the controller compensates by itself |
 //! | [`corrector`] | all axes: the sources' sum becomes totals |
 //! | `source` | the machine model as a source: sensors in, errors out, or why nothing can be said |
 //! | [`part_table`] | a part's errors as a source |
 //! | `motion` | position, velocity and direction of the axes from the engine's status |
 //! | `total` | ramp, hysteresis, limits, belief window |
 //! | [`explain`] | what a correction is made of, for people |
-//! | [`sensors`] | trust in a sensor: good, its last good value, or hold |
 //! | [`rehearse`] | a recorded shift run through the law with another model |
 //!
-//! What must not live here: sockets, devices, the reading of sensors, anything of a simulated machine.
+//! What must not live here: sockets, devices, the reading of sensors (`rtec-sensors`), anything of a simulated machine.
 //!
 //! At work: `cargo run -p rtec-correct --example totals`, which the tests run too.
 
+pub mod commission;
 pub mod corrector;
 pub mod explain;
 mod motion;
 pub mod part_table;
 pub mod rehearse;
-pub mod sensors;
 mod source;
 mod total;
 

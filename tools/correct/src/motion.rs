@@ -170,7 +170,7 @@ mod tests {
         status
     }
 
-    /// While the acceleration changes, both values are means over 30 ms and the 30 ms before them.
+    /// While the acceleration changes, both values are means over 30 ms.
     #[test]
     fn velocity_and_acceleration_are_of_the_last_thirty_milliseconds() {
         let place = |k: i64| k * k * k;
@@ -249,7 +249,7 @@ mod tests {
         assert_eq!(direction_after(SETTLED as u64, 0), 1.0);
     }
 
-    /// An axis has reversed when it is back by more than an increment and two counts, for any increment.
+    /// A reversal is a way back by more than an increment and two counts.
     #[test]
     fn a_turn_is_more_than_an_increment_and_two_counts() {
         for increment_counts in [1, 2, 6] {

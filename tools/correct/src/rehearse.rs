@@ -4,13 +4,13 @@
 //! The machine is the shift's: its positions, temperatures, loads. The engine is one that inserts at once. Between two
 //! rows everything is linear in time, so that ramp, window and lags see the time that passes.
 
-use crate::sensors::{SensorConfig, Watch};
 use crate::{AxisSetup, Corrector};
 use rtec_files::InputError;
 use rtec_model::effect::Effect;
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, Record, Role};
 use rtec_rt::event::{MAX_AXES, Mode, Status};
+use rtec_sensors::{SensorConfig, Watch};
 use serde::Serialize;
 use std::collections::BTreeMap;
 
@@ -157,7 +157,8 @@ pub fn rehearse(
         let watches: Vec<Watch> =
             columns.iter().map(|c| Watch::new(SensorConfig::believed(&c.name, c.role.clone()))).collect();
         let mut corrector = Corrector::new(setups.clone(), options.ramp_um_s, options.lead_s, 0.0);
-        corrector.load(machine.clone(), &watches, &|_| Vec::new()).map_err(|e| {
+        corrector.sense(0.0, &watches);
+        corrector.load(machine.clone(), &|_| Vec::new()).map_err(|e| {
             InputError::whole(&shift.path, e.found, "every sensor and channel that the model reads")
         })?;
         let mut status = Status { mode: Mode::Run, axes_used: setups.len() as u8, ..Status::default() };

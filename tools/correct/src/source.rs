@@ -1,12 +1,12 @@
 //! The machine model as a source.
 //! From the sensors it gives each axis's error, or why the error is unknown.
 
-use crate::sensors::{Use, Watch};
 use rtec_files::InputError;
 use rtec_model::effect::{Difference, Effect, Heat, Naming, Need, STANDARD_DEGC};
 use rtec_model::live::{AxisNow, Frame, Layout, Live};
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, Role};
+use rtec_sensors::{Use, Watch};
 
 /// A lag is known to 2 % after so many of its time constants.
 const LAGS_KNOWN: f64 = 4.0;

@@ -253,7 +253,7 @@ mod tests {
         assert_eq!(requested, 4, "3.5 counts");
     }
 
-    /// The operator's counts are part of an axis's final total, within the limit, and are given in µm.
+    /// The operator's counts are part of the total, within the limit, in µm.
     #[test]
     fn an_axis_has_settled_with_the_operators_share() {
         let mut total = Total::new(0.1, 2, 1000, 100);
@@ -353,7 +353,7 @@ mod tests {
         assert!(!total.settled(0) && !total.following(), "nobody says where it goes");
     }
 
-    /// A ramp begins at the requested counts, converted to micrometres. What was beyond the limit is left out.
+    /// A ramp begins at the requested counts, less what was beyond the limit.
     #[test]
     fn a_ramp_begins_at_what_is_in_effect_in_micrometres() {
         let mut total = Total::new(0.1, 2, 1000, 100);

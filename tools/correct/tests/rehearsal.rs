@@ -78,7 +78,7 @@ fn a_change_has_its_sign() {
     assert_eq!((x.largest_um, x.change_um, x.change_at_s), ([20.0, 20.0], -40.0, 2.0));
 }
 
-/// Five kelvin between two rows: the ramp continues over rows that are two seconds apart.
+/// Five kelvin between two rows: the ramp continues over the rows.
 #[test]
 fn between_the_rows_a_ramp_sees_the_time_that_passes() {
     let rows = 12;
@@ -126,7 +126,7 @@ fn rows_that_hold_and_rows_outside_are_shares() {
     assert!(found.outside.len() == 1 && (share - 6.0 / 30.0).abs() < 1e-9, "{:?}", found.outside);
 }
 
-/// The axes of shift and models count once each, and are at most the engine's number of axes.
+/// Axes of shift and models count once each, up to the engine's number.
 #[test]
 fn axes_of_shift_and_models_are_counted_once_and_are_no_more_than_the_engines() {
     let names = ["x", "y", "z", "u", "v", "w", "p"];

@@ -46,7 +46,7 @@ fn goal(bench: &Bench, n: usize) -> i64 {
 
 /// The parts of an axis's total by name, µm.
 fn parts(bench: &Bench, n: usize) -> Vec<(String, f64)> {
-    let explained = bench.corrector.explain(n, &bench.status.axes[n], &bench.watches, bench.now_s);
+    let explained = bench.corrector.explain(n, &bench.status.axes[n]);
     let sum: f64 = explained.parts.iter().map(|p| p.um).sum();
     assert!((sum - explained.total_um).abs() < 1e-9, "{explained:?}");
     explained.parts.into_iter().map(|p| (p.name, p.um)).collect()
@@ -77,9 +77,9 @@ fn what_a_preview_says_comes_to_pass() {
 
     let model = [SCALE_Z, WARM_UP, FIT].concat();
     let preparer = bench.corrector.preparer();
-    let prepared = || preparer.prepare(machine(&model), &bench.watches, &|_| Vec::new()).unwrap();
-    assert!(prepared().evaluation_time(&preparer, bench.now_s) > Duration::ZERO);
-    let preview = bench.corrector.preview(prepared(), &bench.watches, bench.now_s, &bench.status);
+    let prepared = || preparer.prepare(machine(&model), &|_| Vec::new()).unwrap();
+    assert!(prepared().evaluation_time(&preparer) > Duration::ZERO);
+    let preview = bench.corrector.preview(prepared(), &bench.status);
     let fit = "error.z: fitted 1970-01-01, good until 1970-01-11, 95 % within ±0.20 µm";
     assert_eq!((preview.name.as_str(), &preview.fits[..]), ("m", &[fit.to_owned()][..]));
     assert_eq!(preview.axes.len(), 3);
@@ -155,7 +155,7 @@ fn a_models_clock_begins_with_the_daemon() {
     }
 }
 
-/// Without a lead the model is evaluated at the speed that was seen, even if the axis slows down.
+/// Without a lead the model is evaluated at the speed that was seen.
 #[test]
 fn without_a_lead_an_axis_that_slows_down_has_the_speed_that_was_seen() {
     let mut bench = Bench::new();
@@ -209,7 +209,7 @@ fn effects_of_two_axes_act_where_their_law_says() {
     }
 }
 
-/// A joint that grows along Z and X with one temperature difference, and other effects.
+/// A joint that grows along Z and X, and other effects.
 fn chained(sensor: &str, effects: &str) -> Machine {
     let chain = format!(
         "tool_mm = [0.0, 0.0, 0.0]\n[[joint]]\nname = \"head\"\nbranch = \"tool\"\n\
@@ -224,7 +224,7 @@ fn chained(sensor: &str, effects: &str) -> Machine {
 fn a_chain_that_grows_warm_is_a_ramp_on_each_axis_and_a_part_of_its_own() {
     let mut bench = Bench::new();
     bench.warm(20.0, 20.0);
-    bench.corrector.load(chained("T1", ""), &bench.watches, &|_| Vec::new()).unwrap();
+    bench.corrector.load(chained("T1", ""), &|_| Vec::new()).unwrap();
     bench.run(1.0, 2, |_| Some((20.0, 20.0)));
     assert!(bench.run(1.0, 2, |_| Some((24.0, 20.0))) <= 2, "no jump");
     assert!(bench.run(10.0, 2, |_| Some((24.0, 20.0))) <= 2);
@@ -249,11 +249,10 @@ fn whoever_reads_a_sensor_that_is_not_there_is_named_and_nobody_else() {
     let found = bench.try_load(&[channel("x", "flow"), channel("y", "damp")].concat()).unwrap_err().found;
     let said = "no channel flow (read by channel.x.flow), damp (read by channel.y.damp) in the daemon's configuration";
     assert_eq!(found, said);
-    let found = bench.corrector.load(chained("T7", ""), &bench.watches, &|_| Vec::new()).unwrap_err().found;
+    let found = bench.corrector.load(chained("T7", ""), &|_| Vec::new()).unwrap_err().found;
     assert_eq!(found, "no temperature T7 (read by the chain) in the daemon's configuration");
     let beside = [growth("z", "T9"), growth("x", "T1")].concat();
-    let found =
-        bench.corrector.load(chained("T1", &beside), &bench.watches, &|_| Vec::new()).unwrap_err().found;
+    let found = bench.corrector.load(chained("T1", &beside), &|_| Vec::new()).unwrap_err().found;
     assert_eq!(found, "no temperature T9 (read by thermal_growth.z) in the daemon's configuration");
 }
 
@@ -311,7 +310,7 @@ fn an_axis_that_may_follow_again_begins_with_a_ramp() {
     assert!(bench.z() > 140, "{}", bench.z());
 }
 
-/// A sensor returns after its axis stood: the rest of the ramp is reported as on its way.
+/// A sensor returns: the rest of the ramp is reported as on its way.
 #[test]
 fn what_a_sensor_asks_for_that_is_back_is_on_its_way() {
     let mut bench = Bench::new();

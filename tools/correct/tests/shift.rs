@@ -1,4 +1,5 @@
-//! One recorded shift through the law and through a rehearsal: the same totals, count for count. The simulator, the
+//! One recorded shift through the law and through a rehearsal.
+//! The same totals, count for count. The simulator, the
 //! daemon and the demo run the same file through their own code (`shift` in their tests).
 
 #![allow(clippy::unwrap_used)] // a test's own helpers
@@ -6,12 +7,12 @@
 mod bench;
 
 use rtec_correct::rehearse::{Options, rehearse};
-use rtec_correct::sensors::{SensorConfig, Watch};
 use rtec_correct::{AxisSetup, Corrector};
 use rtec_files::csv::Reader;
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, Column, Kind, Record, Role};
 use rtec_rt::event::{Mode, Status};
+use rtec_sensors::{SensorConfig, Watch};
 use std::path::Path;
 
 const LEAD_S: f64 = 0.02;
@@ -61,7 +62,8 @@ fn the_law_asks_for_what_was_recorded() {
     let shift = shift();
     let mut watches = ["T8", "T18"].map(|n| Watch::new(SensorConfig::believed(n, Role::Temperature)));
     let mut law = Corrector::new(axes(), rtec_correct::RAMP_UM_S, LEAD_S, 0.0);
-    law.load(machine(), &watches, &|_| Vec::new()).unwrap();
+    law.sense(0.0, &watches);
+    law.load(machine(), &|_| Vec::new()).unwrap();
     let mut status = Status { mode: Mode::Run, axes_used: 3, ..Status::default() };
     status.axes.iter_mut().for_each(|a| a.homed = true);
     let mut moved = [0; 3];

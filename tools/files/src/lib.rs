@@ -7,9 +7,11 @@
 //! | [`input`] | the one shape of error for a file that a person wrote; what is said about one that is taken all the same |
 //! | [`text`] | a text file read whole: UTF-8 or UTF-16, without its byte-order mark |
 //! | [`mod@csv`] | CSV: rows of cells with their places, columns by name |
+//! | [`date`] | calendar days |
 //! | [`file_kind`] | what a file says that it is, where another kind was asked for |
 //! | [`Sheet`] | a CSV whose columns are known, read whole |
 //! | [`Numbers`] | how the numbers of a column are written: decimal point or comma, thousands |
+//! | [`keys`] | one table of keys per section of a TOML file: it reads, checks and describes |
 //! | [`mod@toml`] | TOML read strictly: the first finding, or all of them |
 //! | [`trace`] | recorded quadrature, as CSV and VCD, and requested totals |
 //! | [`mod@write`] | files that appear whole or not at all |
@@ -26,10 +28,12 @@
 //! At work: `cargo run -p rtec-files --example read_trace`, which the tests run too.
 
 pub mod csv;
+pub mod date;
 mod decimal;
 pub mod file_kind;
 pub mod folder;
 pub mod input;
+pub mod keys;
 mod lines;
 mod numbers;
 mod sheet;

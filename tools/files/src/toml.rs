@@ -5,6 +5,7 @@
 //! file. Both say the same of the same mistake.
 
 use crate::input::InputError;
+use crate::keys::Key;
 use crate::words::{cut, nearest};
 use serde::de::DeserializeOwned;
 use std::fmt::{self, Display};
@@ -391,6 +392,11 @@ fn pair(value: &DeValue<'_>) -> Option<[f64; 2]> {
     }
 }
 
+/// Words that a person may choose from.
+pub(crate) fn quoted(words: &[&str]) -> String {
+    words.iter().map(|word| format!("\"{word}\"")).collect::<Vec<_>>().join(" or ")
+}
+
 /// A file whose every finding is collected.
 #[derive(Debug)]
 pub struct SourceFile<'a> {
@@ -432,18 +438,25 @@ pub struct Section<'a> {
     pub offset: usize,
     table: Option<Table<'a>>,
     asked: Vec<&'static str>,
+    pub(crate) keys: &'static [Key],
 }
 
 impl<'a> Section<'a> {
     /// The file's outermost table.
     #[must_use]
     pub fn root(document: &'a Document<'_>) -> Self {
-        Self { title: "the file", offset: 0, table: Some(document.root()), asked: Vec::new() }
+        Self::of("the file", 0, Some(document.root()))
     }
 
     /// A table that the file may not have: every key in it is missing then.
     fn of(title: &'static str, offset: usize, table: Option<Table<'a>>) -> Self {
-        Self { title, offset, table, asked: Vec::new() }
+        Self { title, offset, table, asked: Vec::new(), keys: &[] }
+    }
+
+    /// The section with the table of its keys.
+    #[must_use]
+    pub fn with(self, keys: &'static [Key]) -> Self {
+        Self { keys, ..self }
     }
 
     fn take(&mut self, key: &'static str) -> Option<Entry<'a>> {
@@ -496,16 +509,6 @@ impl<'a> Section<'a> {
         source.keep(parsed).map(|value| At { value, offset: entry.offset() })
     }
 
-    /// A text that is not empty.
-    pub fn string(
-        &mut self,
-        source: &mut SourceFile<'_>,
-        key: &'static str,
-        expected: &str,
-    ) -> Option<At<&'a str>> {
-        self.value(source, key, expected, |v| v.as_str().filter(|s| !s.trim().is_empty()))
-    }
-
     /// One of several words; the first `offered` of them are those a person is told of.
     pub fn choice<T: Copy>(
         &mut self,
@@ -515,7 +518,7 @@ impl<'a> Section<'a> {
         choices: &[(&str, T)],
     ) -> Option<At<T>> {
         let names: Vec<&str> = choices.iter().map(|(name, _)| *name).take(offered).collect();
-        let mut expected = names.iter().map(|name| format!("\"{name}\"")).collect::<Vec<_>>().join(" or ");
+        let mut expected = quoted(&names);
         if let Some(word) = self.table.and_then(|t| t.get(key)?.as_str())
             && let Some(near) = nearest(word, &names)
         {
@@ -543,38 +546,14 @@ impl<'a> Section<'a> {
         self.value(source, key, expected, |v| v.as_integer().filter(|n| range.contains(n)))
     }
 
-    /// A finite number above 0 and up to `high`.
-    pub fn positive(&mut self, source: &mut SourceFile<'_>, key: &'static str, high: f64) -> Option<At<f64>> {
-        self.value(source, key, format!("a number above 0, up to {high}"), |v| {
-            v.as_number().filter(|n| *n > 0.0 && *n <= high)
-        })
-    }
-
-    /// A finite number within ±`limit`.
-    pub fn signed(&mut self, source: &mut SourceFile<'_>, key: &'static str, limit: f64) -> Option<At<f64>> {
-        self.value(source, key, format!("a number from -{limit} to {limit}"), |v| {
-            v.as_number().filter(|n| n.abs() <= limit)
-        })
-    }
-
-    /// Says that a key must be there.
-    pub fn missing(&self, source: &mut SourceFile<'_>, key: &str, meaning: &str) {
+    /// Says that a key must be there, and what it means.
+    pub fn say_missing(&self, source: &mut SourceFile<'_>, key: &str, meaning: &str) {
         let found = format!("no {key} in {}", self.title);
         source.finding(self.offset, found, format!("{key}: {meaning}"));
     }
 
-    /// A key that must be there: reports it where it is missing.
-    pub fn required<T>(
-        &self,
-        source: &mut SourceFile<'_>,
-        key: &str,
-        meaning: &str,
-        value: Option<T>,
-    ) -> Option<T> {
-        if value.is_none() && self.table.is_none_or(|t| t.get(key).is_none()) {
-            self.missing(source, key, meaning);
-        }
-        value
+    pub(crate) fn lacks(&self, key: &str) -> bool {
+        self.table.is_none_or(|t| t.get(key).is_none())
     }
 
     /// Reports every key that nobody asked for.

@@ -45,6 +45,12 @@ pub fn printable(text: &str) -> Cow<'_, str> {
     Cow::Owned(each.collect())
 }
 
+/// Text with the characters that mean something to HTML and XML replaced.
+#[must_use]
+pub fn escaped(text: &str) -> String {
+    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
+}
+
 /// Text as an error message shows it: quoted, printable, cut where it is long.
 #[must_use]
 pub fn quoted(text: &str) -> String {

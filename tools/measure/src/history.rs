@@ -10,8 +10,8 @@ use crate::{
     evaluation::{Standard, is_same_figure},
 };
 use rtec_files::InputError;
+use rtec_files::date;
 use rtec_files::toml::Document;
-use rtec_model::date;
 use rtec_model::record::{Column, Record, Role};
 use serde::Serialize;
 use statrs::distribution::{ContinuousCDF, StudentsT};

@@ -8,6 +8,7 @@ pub use of::{ballbar, diagonals, drift, history, plate, positioning, repeatabili
 
 use crate::iso230::Conditions;
 use crate::plot::{Picture, PlotError};
+use rtec_files::words::escaped;
 use rtec_model::record::{Column, Record, Role};
 use std::fmt::Write as _;
 
@@ -72,9 +73,9 @@ pub fn signed_line(instrument: &str, name: &str, date: &str) -> String {
     format!(
         "<table class=\"signed\"><tr class=\"given\"><td>{}</td><td>{}</td><td>{}</td><td></td></tr>\
          <tr><td>instrument, serial number</td><td>measured by</td><td>date</td><td>signature</td></tr></table>",
-        escape(instrument),
-        escape(name),
-        escape(date)
+        escaped(instrument),
+        escaped(name),
+        escaped(date)
     )
 }
 
@@ -283,17 +284,17 @@ impl Report {
             h,
             "<!doctype html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"><title>{0}</title><style>{STYLE}\
              </style></head><body><h1>{0}</h1>",
-            escape(&self.title)
+            escaped(&self.title)
         );
         if !self.facts.is_empty() {
             h.push_str("<table class=\"facts\">");
             for (name, value) in &self.facts {
-                let _ = write!(h, "<tr><td>{}</td><td>{}</td></tr>", escape(name), escape(value));
+                let _ = write!(h, "<tr><td>{}</td><td>{}</td></tr>", escaped(name), escaped(value));
             }
             h.push_str("</table>");
         }
         for w in &self.warnings {
-            let _ = write!(h, "<p class=\"warn\">{}</p>", escape(w));
+            let _ = write!(h, "<p class=\"warn\">{}</p>", escaped(w));
         }
         for s in &self.sections {
             match s {
@@ -325,23 +326,19 @@ impl Report {
 
 fn table_html(h: &mut String, t: &Table) {
     let class = |c: usize| if t.numeric(c) { " class=\"n\"" } else { "" };
-    let _ = write!(h, "<h2>{}</h2><table><thead><tr>", escape(&t.title));
+    let _ = write!(h, "<h2>{}</h2><table><thead><tr>", escaped(&t.title));
     for c in 0..t.head.len() {
-        let _ = write!(h, "<th{}>{}</th>", class(c), escape(t.name(c)));
+        let _ = write!(h, "<th{}>{}</th>", class(c), escaped(t.name(c)));
     }
     h.push_str("</tr></thead><tbody>");
     for row in &t.rows {
         h.push_str("<tr>");
         for (c, cell) in row.iter().enumerate() {
-            let _ = write!(h, "<td{}>{}</td>", class(c), escape(cell));
+            let _ = write!(h, "<td{}>{}</td>", class(c), escaped(cell));
         }
         h.push_str("</tr>");
     }
     h.push_str("</tbody></table>");
-}
-
-fn escape(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;")
 }
 
 #[cfg(test)]

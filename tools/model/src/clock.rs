@@ -1,7 +1,7 @@
 //! Clocks that do not begin with the run.
 //! Times are in ISO 8601, as a German spreadsheet writes them, times of the day, or Unix times.
 
-use crate::date;
+use rtec_files::date;
 
 /// A day, ns.
 pub const DAY_NS: i128 = 86_400_000_000_000;

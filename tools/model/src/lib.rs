@@ -22,7 +22,6 @@
 pub mod chain;
 pub mod circle;
 pub mod clock;
-pub mod date;
 pub mod effect;
 pub use rtec_files::file_kind;
 pub mod limits;

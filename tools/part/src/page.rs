@@ -1,7 +1,7 @@
 //! Two probing sessions side by side, as a self-contained page.
 
 use crate::errors::ErrorReport;
-use crate::svg::escaped;
+use rtec_files::words::escaped;
 use std::fmt::Write as _;
 
 /// Two sessions side by side: the head of a page and its first part.

@@ -4,6 +4,7 @@ use crate::fit::Zx;
 use crate::path::{PathPoint, PathRole};
 use crate::unit::Unit;
 use rtec_files::InputError;
+use rtec_files::date;
 use rtec_files::toml::Document;
 use serde::Deserialize;
 use std::collections::BTreeMap;
@@ -416,16 +417,8 @@ fn block_number(line: &str) -> Option<u32> {
 /// Date and time of a Unix time, UTC, as programs carry it.
 #[must_use]
 pub fn date_time(unix_s: u64) -> String {
-    // Civil date from days since the epoch: years of 400 × 365.2425 days, the year starting in March.
-    let (days, second) = ((unix_s / 86_400) as i64 + 719_468, unix_s % 86_400);
-    let (era, day) = (days.div_euclid(146_097), days.rem_euclid(146_097));
-    let year = (day - day / 1_460 + day / 36_524 - day / 146_096) / 365;
-    let day_of_year = day - (365 * year + year / 4 - year / 100);
-    let march_month = (5 * day_of_year + 2) / 153;
-    let day_of_month = day_of_year - (153 * march_month + 2) / 5 + 1;
-    let month = if march_month < 10 { march_month + 3 } else { march_month - 9 };
-    let year = year + era * 400 + i64::from(month <= 2);
-    format!("{year}-{month:02}-{day_of_month:02} {:02}:{:02} UTC", second / 3600, second / 60 % 60)
+    let (date, second) = (date::format((unix_s / 86_400) as i64), unix_s % 86_400);
+    format!("{date} {:02}:{:02} UTC", second / 3600, second / 60 % 60)
 }
 
 #[cfg(test)]

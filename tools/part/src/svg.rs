@@ -1,6 +1,7 @@
 //! Drawings of the turning plane as self-contained SVG: Z to the right, X up, in mm.
 
 use crate::fit::Zx;
+use rtec_files::words::escaped;
 use std::fmt::Write as _;
 
 /// A drawing that grows its own frame.
@@ -9,12 +10,6 @@ pub struct Svg {
     body: String,
     low: Option<Zx>,
     high: Option<Zx>,
-}
-
-/// Text with the characters that mean something to XML replaced.
-#[must_use]
-pub fn escaped(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }
 
 impl Svg {

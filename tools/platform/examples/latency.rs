@@ -1,4 +1,5 @@
-//! A short self-test on a mock card: the latencies that a speed gate rests on, and a ledger that balances.
+//! A short self-test on a mock card.
+//! The latencies that a speed gate rests on, and a ledger that balances.
 use rtec_platform::selftest::{Backend, SelftestOptions, run};
 use std::time::Duration;
 

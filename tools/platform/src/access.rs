@@ -1,4 +1,5 @@
-//! What a card's devices need of the system: that the daemon's user may open them, and that their interrupts land where
+//! What a card's devices need of the system.
+//! The daemon's user may open them, and their interrupts land where
 //! they should. Reads `/etc/passwd`, `/etc/group`, `/dev`, `/proc/irq` and `/sys`; changes nothing.
 //!
 //! | finding | wanted |
@@ -80,7 +81,7 @@ pub fn card(system: &System, devices: &[Device], events: bool, cpu: usize) -> Ve
     findings
 }
 
-/// The system's files, as far as they say who may open a device and where its interrupts land.
+/// The system's files that say who may open a device and who serves it.
 struct Tree<'a> {
     system: &'a System,
 }
@@ -215,7 +216,7 @@ impl Tree<'_> {
         all.into_iter().take_while(move |p| *p != top && p.starts_with(&top))
     }
 
-    /// The name of a number in `/etc/passwd` or `/etc/group`; the number where it has none.
+    /// The name of a number in `/etc/passwd` or `/etc/group`, else the number.
     fn name_of(&self, table: &str, id: u32) -> String {
         let text = self.system.read(format!("etc/{table}")).unwrap_or_default();
         let name = text.lines().find_map(|line| {
@@ -301,7 +302,7 @@ impl Tree<'_> {
             .collect()
     }
 
-    /// The interrupts of a PCI function that have a handler: its messages, or else its line.
+    /// The handled interrupts of a PCI function: its messages, else its line.
     fn pci_interrupts(&self, directory: &Path) -> Vec<u32> {
         let messages = std::fs::read_dir(directory.join("msi_irqs")).into_iter().flatten().flatten();
         let line = std::fs::read_to_string(directory.join("irq")).ok();

@@ -1,4 +1,5 @@
-//! The other end of the wires: a scale that moves, an MTC that counts, and the control side beside them.
+//! The other end of the wires.
+//! A scale that moves, an MTC that counts, and the control side beside them.
 
 use rand_xoshiro::rand_core::RngCore;
 use rtec_driver::card::AxisLines;
@@ -21,11 +22,11 @@ const LINES: AxisLines = AxisLines::standard(0, false);
 const DWELL_NS: (u64, u64) = (20_000, 40_000);
 /// A sample for which the far side itself did not look for longer than this is not counted: its time is its own, ns.
 const RESOLUTION_NS: u64 = 1_000;
-/// How often the control side looks after the engine, ns: seldom, because it is the far side's time.
+/// How often the control side looks after the engine, ns: seldom.
 const CONTROL_INTERVAL_NS: u64 = 2_000_000;
 /// A request that has shown no effect for this long is sent again, ns.
 const ASK_AGAIN_NS: u64 = 20_000_000;
-/// So much longer than asked for the loop runs while not one insertion has been timed, ns.
+/// Extra time of the loop while not one insertion has been timed, ns.
 const PATIENCE_NS: u64 = 10_000_000_000;
 const SECOND_NS: u64 = 1_000_000_000;
 /// The total that is always pending.
@@ -36,9 +37,9 @@ const WITHOUT_END: Request = Request::Correct { axis: 0, total_counts: i64::MAX 
 pub struct FarSide {
     /// Number of edges given to the scale's lines.
     pub edges: u64,
-    /// Edges that no insertion followed: the first one, and those that were seen too late.
+    /// Edges without an insertion: the first, and those seen too late.
     pub without_insertion: u64,
-    /// Insertions whose time the far side missed because it was kept from looking itself.
+    /// Insertions whose time the far side missed: it was kept from looking.
     pub unresolved: u64,
     /// What an MTC counted minus what the scale did.
     pub mtc_minus_scale: i64,
@@ -73,7 +74,7 @@ impl FarEnd for Registers {
     }
 }
 
-/// The control side while the engine runs: always a correction pending, homed again after a fault.
+/// The control side: always a correction pending, homed after a fault.
 pub(crate) struct Control<'a> {
     link: &'a mut ControlEnd,
     /// Requests are sent as fast as the link takes them.
@@ -88,7 +89,7 @@ pub(crate) struct Control<'a> {
     /// When the control side looks after the engine again, ns.
     due_ns: u64,
     end_ns: u64,
-    /// When `progress` is called again, ns, and what is called with the seconds that are left.
+    /// When `progress` is called again, ns, with the seconds that are left.
     progress_ns: u64,
     progress: &'a mut dyn FnMut(u64),
 }
@@ -195,7 +196,8 @@ struct Player<'a, 'c, F> {
     last_done_ns: Option<u64>,
 }
 
-/// Moves the scale edge by edge, and is the MTC, until the time is up; the times from edge to second inversion go to
+/// Moves the scale edge by edge, and is the MTC, until the time is up.
+/// The times from edge to second inversion go to
 /// `done`. Returns what was seen and the last of those times, ns.
 pub(crate) fn play(
     far: &mut impl FarEnd,
@@ -226,7 +228,7 @@ impl<F: FarEnd> Player<'_, '_, F> {
         LINES.inverters(self.far.outputs())
     }
 
-    /// Leaves the axis at rest until then; an insertion that came after it had been given up is entered.
+    /// Leaves the axis at rest until then; late insertions are entered.
     fn dwell_until(&mut self, until_ns: u64) {
         loop {
             let now_ns = self.clock.now_ns();
@@ -287,7 +289,7 @@ impl<F: FarEnd> Player<'_, '_, F> {
         }
     }
 
-    /// Enters a change of the inverters into the MTC's count; returns how many inversions it was.
+    /// Enters inversions into the MTC's count; returns how many they were.
     fn inverted(&mut self, scale: State, now: u8) -> u32 {
         let inversions = (now ^ self.inverters).count_ones();
         if inversions == 2 {

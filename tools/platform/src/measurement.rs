@@ -73,7 +73,8 @@ pub struct Latency {
 pub struct Polling {
     /// Time between two looks of the loop.
     pub poll_gap: Latency,
-    /// The engine's own part of edge to done: from the look that saw the edge to the look that ordered the second
+    /// The engine's own part of edge to done.
+    /// It lasts from the look that saw the edge to the look that ordered the second
     /// inversion.
     pub seen_to_done: Snapshot,
     /// From an edge to the second inversion, both separations included.
@@ -82,7 +83,7 @@ pub struct Polling {
     pub far: FarSide,
     /// Counts inserted according to the engine.
     pub completed: i64,
-    /// Faults that a gap in the polling loop latched; the axis was homed again after each.
+    /// Faults that a gap in the polling loop latched.
     pub faults: u64,
     /// Requests that streamed in.
     pub requests: u64,

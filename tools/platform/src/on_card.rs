@@ -1,4 +1,5 @@
-//! The polling loop on the card that will do the work: its reads with the outputs held, and its writes where that is allowed.
+//! The polling loop on the card that will do the work.
+//! It times reads with the outputs held, and writes where that is allowed.
 //!
 //! Nothing moves the machine here. Reads are timed as the engine takes them. Writes are insertions at rest, without an
 //! edge. As many counts are added as are removed, so the outputs end as they were found.
@@ -13,7 +14,7 @@ use std::time::{Duration, Instant};
 
 /// An axis is left alone for so long between two insertions, ns.
 const REST_NS: u64 = 50_000;
-/// How often this side looks at the engine's status, which comes once a millisecond.
+/// How often this side looks at the engine's status.
 const LOOK: Duration = Duration::from_millis(1);
 /// What was inserted is out again within this time, or something is wrong.
 const BACK_AGAIN: Duration = Duration::from_secs(5);

@@ -1,4 +1,5 @@
-//! How late this machine can be: the latencies that the speed gate rests on, measured with the real engine.
+//! How late this machine can be.
+//! The latencies that the speed gate rests on, measured with the real engine.
 //!
 //! Nothing is understated: where a clock had to be read before or after an event, the worse side was taken.
 //!
@@ -46,7 +47,7 @@ const SECOND: Duration = Duration::from_secs(1);
 pub enum Backend {
     /// Wires in the same process.
     Mock,
-    /// Registers in a file that is mapped twice, as the two sides of a PCI card see them.
+    /// Registers in a file that is mapped twice, as both sides of a card see it.
     Mapped,
 }
 
@@ -92,7 +93,7 @@ impl Measured {
         [&self.quiet, &self.with_requests]
     }
 
-    /// At least one insertion was timed: of a simulated card undisturbed and with requests.
+    /// At least one insertion was timed, undisturbed and with requests.
     #[must_use]
     pub fn timed(&self) -> bool {
         match self.how {
@@ -177,7 +178,8 @@ impl Measured {
         inserting_ns[0].max(inserting_ns[1]).saturating_sub(self.separations_ns()).div_ceil(2)
     }
 
-    /// The part of edge to done that is wanted: the MTC's separation after the edge, and between the two inversions; of an
+    /// The part of edge to done that is wanted.
+    /// It is the MTC's separation after the edge, and between the two inversions; of an
     /// insertion at rest the latter.
     #[must_use]
     pub fn separations_ns(&self) -> u64 {
@@ -219,7 +221,8 @@ pub fn run(
     }
 }
 
-/// Measures the card that will do the work, on which the axes' lines are: its reads with the outputs held, and with `drive`
+/// Measures the card that will do the work, on which the axes' lines are.
+/// It times reads with the outputs held, and with `drive`
 /// its writes. Whoever drives it has made sure that no MTC listens: each insertion is counts to it.
 ///
 /// # Errors
@@ -350,7 +353,7 @@ fn measure_wake_ups(
     thread.join().map_err(|_| SelftestError::Panicked)
 }
 
-/// Sleeps to one absolute time after the other and records how late it wakes; returns the last value, ns.
+/// Records how late it wakes at one time after another; the last one, ns.
 fn wake_ups(run_ns: u64, recorder: &mut Recorder) -> u64 {
     let mut clock = Monotonic;
     let start_ns = clock.now_ns();

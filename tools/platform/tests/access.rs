@@ -13,7 +13,7 @@ fn put(root: &Path, path: &str, text: &str) {
     fs::write(path, text).unwrap();
 }
 
-/// A machine with two CPUs and no interrupt on CPU 1. The tree's own user is called rtec.
+/// A machine with two CPUs, no interrupt on CPU 1, and a user rtec.
 /// It has a GPIO chip, a UIO device, a parallel port and a PCI card, and the user may use all their files.
 fn installed() -> tempfile::TempDir {
     let tree = tempfile::tempdir().unwrap();

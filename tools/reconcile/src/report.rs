@@ -4,6 +4,7 @@ use crate::gap::Trace;
 use crate::verdict::{Reconciliation, Verdict};
 use crate::where_found::{LEAST_P, Place};
 use rtec_estimate::rows::{Rows, Segment};
+use rtec_files::words::escaped;
 use rtec_measure::plot::{Chart, Colour, Picture, Series, Style};
 use rtec_measure::report::{Run, STYLE, signed_line};
 use rtec_model::effect::{Effect, Search};
@@ -29,7 +30,7 @@ pub fn html(r: &Reconciliation, machine: &str) -> String {
          .verdict{{font-size:1.15em}}.tag{{display:inline-block;padding:.1em .6em;border-radius:.3em;color:#fff;background:{1}}}\
          small{{color:#5b6b7b}}.bar{{background:#0072b2;height:.8em}}.no{{background:#c3ccd6}}</style>\
          <h1>Reconciliation of {0}</h1><p class=\"verdict\"><span class=\"tag\">{2}</span> {3}</p>",
-        escape(machine),
+        escaped(machine),
         match r.verdict {
             Verdict::Named => "#2a7d46",
             Verdict::NothingMissing => "#5b6b7b",
@@ -37,7 +38,7 @@ pub fn html(r: &Reconciliation, machine: &str) -> String {
             Verdict::UnknownEffect => "#a33",
         },
         r.verdict.name().replace('_', " "),
-        escape(&[Some(headline(r)), r.unsaid()].into_iter().flatten().collect::<Vec<_>>().join("; ")),
+        escaped(&[Some(headline(r)), r.unsaid()].into_iter().flatten().collect::<Vec<_>>().join("; ")),
     );
     facts(&mut h, r);
     gap(&mut h, r);
@@ -59,7 +60,7 @@ pub fn html(r: &Reconciliation, machine: &str) -> String {
     ranking(&mut h, r);
     doubts(&mut h, r);
     if !r.advice.is_empty() {
-        let _ = write!(h, "<h2>Next experiment</h2><p>{}</p>", escape(&r.advice));
+        let _ = write!(h, "<h2>Next experiment</h2><p>{}</p>", escaped(&r.advice));
     }
     let mut days: Vec<&str> = r.records.iter().filter_map(|x| x.date.as_deref()).collect();
     days.sort_unstable();
@@ -93,7 +94,7 @@ fn facts(h: &mut String, r: &Reconciliation) {
         let note = run.note.map(|n| format!(", {n}")).unwrap_or_default();
         let hash = run.sha256.get(..12).map(|s| format!(", SHA-256 {s}…")).unwrap_or_default();
         let text = format!("{}, {} rows{date}{hash}{note}", run.name, run.rows);
-        let _ = write!(h, "<tr><td>record</td><td>{}</td></tr>", escape(&text));
+        let _ = write!(h, "<tr><td>record</td><td>{}</td></tr>", escaped(&text));
     }
     h.push_str("</table>");
 }
@@ -172,7 +173,7 @@ fn contributions(h: &mut String, r: &Reconciliation) {
             "<tr><td class=n>{}<td>{}<td>{how}<td class=n>{} {unit}<td class=n>{share:.0} %<td width=\"30%\">\
              <div class=\"bar\" style=\"width:{:.0}%\"></div>",
             i + 1,
-            escape(name),
+            escaped(name),
             number(*range),
             share.max(1.0)
         );
@@ -223,7 +224,7 @@ fn budget(h: &mut String, r: &Reconciliation) {
         );
         for (name, u) in &parts {
             let share = 100.0 * (u / together).powi(2);
-            let _ = write!(h, "<tr><td>{}<td class=n>{}<td class=n>{share:.0} %", escape(name), number(*u));
+            let _ = write!(h, "<tr><td>{}<td class=n>{}<td class=n>{share:.0} %", escaped(name), number(*u));
         }
         let _ = write!(
             h,
@@ -253,8 +254,8 @@ fn set_up(h: &mut String, r: &Reconciliation) {
             let _ = write!(
                 h,
                 "<tr><td>{}<td>{}<td class=n>{} {unit}<td class=n>{}",
-                escape(name),
-                escape(&what),
+                escaped(name),
+                escaped(&what),
                 number(*value),
                 if *half > 0.0 { within(*value, *half) } else { String::new() }
             );
@@ -319,7 +320,7 @@ fn doubts(h: &mut String, r: &Reconciliation) {
         if !lines.is_empty() {
             let _ = write!(h, "<h2>{title}</h2><ul>");
             for line in &lines {
-                let _ = write!(h, "<li>{}", escape(line));
+                let _ = write!(h, "<li>{}", escaped(line));
             }
             h.push_str("</ul>");
         }
@@ -337,7 +338,7 @@ fn refined(h: &mut String, r: &Reconciliation) {
             let _ = write!(
                 h,
                 "<tr><td>{}<td>{} ({})<td class=n>{}<td class=n>{}<td class=n>{}",
-                escape(&x.before.name()),
+                escaped(&x.before.name()),
                 p.name,
                 p.unit,
                 number(b),
@@ -424,7 +425,7 @@ fn effects(h: &mut String, r: &Reconciliation) {
                 (number(v), if w > 0.0 { within(v, w) } else { "held".into() })
             };
             let (name, law, rivals) = if i == 0 {
-                (escape(&f.effect.name()) + &escape(&sensor), escape(&description.law), rivals.clone())
+                (escaped(&f.effect.name()) + &escaped(&sensor), escaped(&description.law), rivals.clone())
             } else {
                 Default::default()
             };
@@ -438,8 +439,8 @@ fn effects(h: &mut String, r: &Reconciliation) {
         let _ = write!(
             h,
             "<tr><td colspan=6><small>{}: {}. Probability that chance alone explains as much: {p}.</small>",
-            escape(&f.effect.name()),
-            escape(&description.cause)
+            escaped(&f.effect.name()),
+            escaped(&description.cause)
         );
     }
     h.push_str("</table>");
@@ -502,8 +503,8 @@ fn places(h: &mut String, r: &Reconciliation) {
         let _ = write!(
             h,
             "<tr><td>{}<td>{}<td class=n>{:.1} %<td class=n>{}<td><svg viewBox=\"0 0 240 36\" width=\"240\" style=\"margin:0\"><text x=\"64\" y=\"12\" font-size=\"10\" text-anchor=\"end\">{}</text><text x=\"64\" y=\"34\" font-size=\"10\" text-anchor=\"end\">{}</text><path d=\"{line}\" fill=\"none\" stroke=\"#0072b2\" stroke-width=\"1.5\"/></svg>",
-            escape(&p.response),
-            escape(&p.against),
+            escaped(&p.response),
+            escaped(&p.against),
             100.0 * p.statistic,
             if p.p_value <= LEAST_P { "&lt; 0.001".to_owned() } else { number(p.p_value) },
             number(hi),
@@ -533,7 +534,7 @@ fn ranking(h: &mut String, r: &Reconciliation) {
         let _ = write!(
             h,
             "<tr><td>{}<td class=n>{:.1}<td width=\"30%\"><div class=\"{class}\" style=\"width:{width:.0}%\"></div><td><small>{why}</small>",
-            escape(&t.label),
+            escaped(&t.label),
             t.odds
         );
     }
@@ -558,10 +559,6 @@ fn number(v: f64) -> String {
     } else {
         format!("{v:.3e}")
     }
-}
-
-fn escape(s: &str) -> String {
-    s.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }
 
 #[cfg(test)]

@@ -3,9 +3,10 @@
 use crate::Outcome;
 use crate::document::line;
 use crate::say;
+use nix::sys::signal::{SigSet, Signal};
 use rtec_control::client::{Client, ClientError};
 use rtec_control::config::{Config, ControlConfig, INSTALLED};
-use rtec_control::protocol::{ClientRequest, Jump, Observed, Response};
+use rtec_control::protocol::{ClientRequest, DaemonStatus, Jump, Observed, Response};
 use rtec_files::InputError;
 use std::fs::File;
 use std::path::{Path, PathBuf};
@@ -130,12 +131,38 @@ pub(crate) fn absolute(file: &Path) -> String {
 /// No event is later than this one.
 pub(crate) const NO_EVENTS: Option<u64> = Some(u64::MAX);
 
+/// Asks; a refusal is an error.
+pub(crate) fn ask(client: &mut Client, request: &ClientRequest) -> anyhow::Result<Response> {
+    check(client.ask(request).map_err(unreachable)?)
+}
+
+/// An answer that this request does not have.
+pub(crate) fn unexpected(answer: &Response) -> anyhow::Error {
+    let text = format!("rtecd answered {answer:?}; are rtecctl and rtecd of the same version?");
+    Outcome::Unreachable(text).into()
+}
+
 /// Everything that the daemon shows, with the events after one that is known already.
 pub(crate) fn observe(client: &mut Client, events_after: Option<u64>) -> anyhow::Result<Observed> {
-    match check(client.ask(&ClientRequest::Observe { events_after }).map_err(unreachable)?)? {
+    match ask(client, &ClientRequest::Observe { events_after })? {
         Response::Observed(seen) => Ok(*seen),
-        other => anyhow::bail!("rtecd answered {other:?}; are rtecctl and rtecd of the same version?"),
+        other => Err(unexpected(&other)),
     }
+}
+
+/// The daemon's status.
+pub(crate) fn status(client: &mut Client) -> anyhow::Result<DaemonStatus> {
+    match ask(client, &ClientRequest::Status {})? {
+        Response::Status(status) => Ok(*status),
+        other => Err(unexpected(&other)),
+    }
+}
+
+/// Blocks the signals that end a program in this thread and those it starts.
+pub(crate) fn block_end_signals() -> nix::Result<SigSet> {
+    let ends = [Signal::SIGINT, Signal::SIGTERM, Signal::SIGHUP].into_iter().collect::<SigSet>();
+    ends.thread_block()?;
+    Ok(ends)
 }
 
 /// "Done", a status or an event; anything else as the error that it is.

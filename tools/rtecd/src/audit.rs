@@ -22,7 +22,7 @@ use std::time::{Duration, Instant};
 const WAITING: usize = 1024;
 /// The same refusal to the same caller is one line in this time.
 const TOGETHER: Duration = Duration::from_secs(1);
-/// The time in which one caller's repeated question about a simulated axis is one line.
+/// The time in which a caller's repeated question is one line.
 /// Clients ask for its position many times a second.
 const LOOKING: Duration = Duration::from_secs(60);
 /// How many kinds of refusal of one user are distinguished at a time.
@@ -71,7 +71,7 @@ struct Repeated {
 enum Kind {
     Refused,
     Done,
-    /// Changes of mode, which any operator can cause: they are the machine's, not a user's.
+    /// Changes of mode: they are the machine's, not a user's.
     Mode,
 }
 
@@ -445,7 +445,7 @@ mod tests {
         assert!(verify(&path, &[]).unwrap().broken.is_empty());
     }
 
-    /// `commission` asks a simulated axis every 20 ms whether it has arrived, and these must not hide commands.
+    /// Questions of `commission`, one each 20 ms, must not hide commands.
     #[test]
     fn a_jog_that_is_asked_again_and_again_is_one_line_with_its_number_and_every_new_one_its_own() {
         let directory = tempfile::tempdir().unwrap();

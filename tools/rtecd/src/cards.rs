@@ -24,7 +24,7 @@ const FEED_COUNTS_S: f64 = 50_000.0;
 /// Points of all recorded traces together: they are held in memory, 16 bytes each.
 const MAX_POINTS: usize = 50_000_000;
 
-/// The person at the simulated machine, who jogs its axes and reads display and indicator.
+/// The person at the simulated machine, who jogs axes and reads displays.
 pub(crate) struct Stand {
     axes: Vec<(Arc<Truth>, Simulated)>,
     operator: Operator,

@@ -4,12 +4,12 @@
 use crate::keeper::{Kept, Spool, take_over};
 use rtec_control::protocol::PartTable;
 use rtec_correct::corrector::{Prepared, Preparer};
-use rtec_correct::sensors::Watch;
 use rtec_files::{InputError, text};
 use rtec_model::effect::Dictionary;
 use rtec_model::machine::Machine;
 use rtec_part::cor::FeatureErrors;
 use rtec_records::spool::LONGEST_SIDECAR;
+use rtec_sensors::log::history;
 use std::cell::{Cell, RefCell};
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -50,9 +50,6 @@ pub(crate) enum Source {
     Kept(BTreeMap<PathBuf, String>),
 }
 
-/// Rows of logged temperatures of the named sensors, oldest first: time (s) and °C.
-type History = Box<dyn Fn(&[String]) -> Vec<(f64, Vec<f64>)> + Send>;
-
 /// What became of a load.
 type Done = (Ticket, Result<Loaded, InputError>);
 
@@ -63,10 +60,8 @@ pub(crate) enum Job {
         file: PathBuf,
         source: Source,
         preparer: Box<Preparer>,
-        watches: Vec<Watch>,
-        /// Logged temperatures of the sensors of these names.
-        past: History,
-        now_s: f64,
+        /// The directory of the temperatures' log.
+        log: PathBuf,
         period: Duration,
     },
     /// A part's errors.
@@ -177,7 +172,7 @@ impl Loader {
 /// Does a job, on whichever thread.
 pub(crate) fn work(job: Job, told: &Told) -> Result<Loaded, InputError> {
     match job {
-        Job::Model { file, source, preparer, watches, past, now_s, period } => {
+        Job::Model { file, source, preparer, log, period } => {
             let reader = Reader::new(&source, LONGEST_MODEL, told);
             let text = reader.read(&file)?;
             let machine =
@@ -185,8 +180,9 @@ pub(crate) fn work(job: Job, told: &Told) -> Result<Loaded, InputError> {
             // Records beside a model that was handed over are the caller's to look at.
             let warnings =
                 if matches!(source, Source::Named) { machine.changed_sources() } else { Vec::new() };
-            let prepared = preparer.prepare(machine, &watches, &*past)?;
-            let (takes, may) = (prepared.evaluation_time(&preparer, now_s), period.mul_f64(SHARE));
+            let past = |names: &[String]| history(&log, names, preparer.sensed_s());
+            let prepared = preparer.prepare(machine, &past)?;
+            let (takes, may) = (prepared.evaluation_time(&preparer), period.mul_f64(SHARE));
             if takes > may {
                 let found = format!("a model whose evaluation takes {:.1} ms", takes.as_secs_f64() * 1e3);
                 let expected = format!("at most {:.1} ms: fewer effects", may.as_secs_f64() * 1e3);

@@ -3,7 +3,6 @@
 //! | file | what |
 //! |---|---|
 //! | `cards` | the card that the configuration names |
-//! | `temperatures` | the sensors' threads, and their log |
 //! | `history` | every change of the axes' ledgers, and how often each fault was latched |
 //! | `keeper` | finished records into the spool folder |
 //! | `start` | the engine as the last process left the machine |
@@ -32,7 +31,6 @@ mod on_disk;
 mod server;
 mod session;
 mod start;
-mod temperatures;
 
 use anyhow::Context;
 use audit::Audit;
@@ -53,13 +51,13 @@ use rtec_rt::event::Fault;
 use rtec_rt::journal::JournalError;
 use rtec_rt::setup::{Report, System, Wanted};
 use rtec_rt::thread::{ThreadOptions, spawn};
+use rtec_sensors::buses::{Buses, Clock};
 use server::Served;
 use session::Session;
 use std::os::fd::OwnedFd;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::{Duration, Instant};
-use temperatures::Temperatures;
 
 /// Path of an installed machine's configuration.
 const INSTALLED: &str = "/etc/rtec/rtec.toml";
@@ -308,7 +306,9 @@ fn work<C: Card + Send + 'static>(
     let real = matches!(kind, Kind::Real);
     let directory = config.control.state_path();
     let directory = directory.parent().unwrap_or(Path::new(""));
-    let temperatures = Temperatures::start(&config.sensors, directory, config.model.log_s)?;
+    let clock = Clock::start();
+    let log_to = (directory, config.model.log_s);
+    let sensors = Buses::start(&config.sensors, clock, log_to, rtec_records::record::read_log)?;
     let (engine, before, state_file) = start::engine(&mut card, &config, log)?;
     if let Some(file) = &state_file {
         file.outlive_truncation().context("a handler for a state file that is cut short")?;
@@ -346,7 +346,7 @@ fn work<C: Card + Send + 'static>(
     let log_file = config.control.log_path();
     let mut audit =
         Audit::start(&log_file, outside.doors.seers).context("starting the record of commands")?;
-    let mut session = Session::new(config, set_up, temperatures, outside.on_disk.take());
+    let mut session = Session::new(config, set_up, (sensors, clock), outside.on_disk.take());
     session.watch_over(state_file);
     session.take_up_model(log);
     if let Some(trouble) = session.spool_trouble() {
@@ -433,7 +433,7 @@ mod tests {
         }
     }
 
-    /// A panic of the real-time thread latches the fault, asserts feed hold and sets the exit code.
+    /// A panic of the real-time thread latches the fault and asserts feed hold.
     #[test]
     fn a_panic_of_the_thread_holds_and_ends_the_daemon() {
         let directory = tempfile::tempdir().unwrap();

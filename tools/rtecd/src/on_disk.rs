@@ -49,7 +49,7 @@ struct Shared {
     edited: Vec<String>,
 }
 
-/// Looks at the files from its own thread, so that a hanging disk blocks nobody else.
+/// Looks at the files from its own thread: a hanging disk blocks nobody.
 #[derive(Debug)]
 pub(crate) struct OnDisk {
     configuration: Option<(PathBuf, Known)>,

@@ -23,13 +23,11 @@ use crate::keeper::{Keeper, Kept, Spool};
 use crate::loader::{Loader, Ticket};
 use crate::log::{Level, Log};
 use crate::on_disk::OnDisk;
-use crate::temperatures::Temperatures;
 use loads::Wish;
 use rtec_control::config::{Config, ConfiguredAxis, Measured};
 use rtec_control::protocol::{ClientRequest, Happened, Numbered, Response, word};
 use rtec_correct::Corrector;
-use rtec_correct::sensors::{SensorConfig, Watch};
-use rtec_model::date;
+use rtec_files::date;
 use rtec_model::record::Role;
 use rtec_rt::engine::Timing;
 use rtec_rt::event::{Event, EventKind, Fault, HeldBy, Mode, Refusal, Request, Status};
@@ -37,6 +35,8 @@ use rtec_rt::journal::Before;
 use rtec_rt::link::ControlEnd;
 use rtec_rt::setup::{Report, System, Wanted};
 use rtec_rt::state_file::{Lost, StateFile};
+use rtec_sensors::buses::{Buses, Clock};
+use rtec_sensors::{SensorConfig, Watch};
 use std::collections::{BTreeMap, VecDeque};
 use std::os::fd::OwnedFd;
 use std::path::{Path, PathBuf};
@@ -105,15 +105,21 @@ pub(crate) struct SetUp {
 /// The time by which the control side works, and waits. A simulation has its own.
 pub(crate) trait Time {
     fn now(&self) -> Instant;
+    /// Seconds since 1970, steady.
+    fn now_s(&self) -> f64;
     fn sleep(&self, duration: Duration);
 }
 
 /// The system's.
-struct RealTime;
+struct RealTime(Clock);
 
 impl Time for RealTime {
     fn now(&self) -> Instant {
         Instant::now()
+    }
+
+    fn now_s(&self) -> f64 {
+        self.0.now_s()
     }
 
     fn sleep(&self, duration: Duration) {
@@ -127,7 +133,8 @@ pub(crate) struct Session {
     time: Rc<dyn Time>,
     started: Instant,
     patience: Duration,
-    temperatures: Temperatures,
+    /// The sensors' threads: at each tick their readings go to the corrector.
+    sensors: Buses,
     corrector: Corrector,
     /// Time of the corrector's next look.
     due: Instant,
@@ -173,20 +180,21 @@ impl Session {
     pub(crate) fn new(
         config: Config,
         set_up: SetUp,
-        temperatures: Temperatures,
+        (sensors, clock): (Buses, Clock),
         on_disk: Option<OnDisk>,
     ) -> Self {
-        Self { on_disk, ..Self::by(Rc::new(RealTime), config, set_up, temperatures) }
+        Self { on_disk, ..Self::by(Rc::new(RealTime(clock)), config, set_up, sensors) }
     }
 
-    fn by(time: Rc<dyn Time>, config: Config, set_up: SetUp, temperatures: Temperatures) -> Self {
+    fn by(time: Rc<dyn Time>, config: Config, set_up: SetUp, mut sensors: Buses) -> Self {
         let setups = config.axes.iter().map(ConfiguredAxis::law).collect();
         let (model, axes) = (&config.model, config.axes.len());
         let temperature = |c: &SensorConfig| c.role == Role::Temperature;
-        let sensors = config.sensors.iter().enumerate().filter(|(_, c)| temperature(c));
-        let sensors = sensors.map(|(n, c)| (n, c.name.clone())).collect();
-        let keeper = Keeper::new(Spool::of(&config.control), sensors);
-        let corrector = Corrector::new(setups, model.ramp_um_s, model.lead_ms * 1e-3, temperatures.now_s());
+        let logged = config.sensors.iter().enumerate().filter(|(_, c)| temperature(c));
+        let logged = logged.map(|(n, c)| (n, c.name.clone())).collect();
+        let keeper = Keeper::new(Spool::of(&config.control), logged);
+        let mut corrector = Corrector::new(setups, model.ramp_um_s, model.lead_ms * 1e-3, time.now_s());
+        corrector.sense(time.now_s(), sensors.look());
         let places = std::iter::once(None).chain((0..axes).map(Some));
         let known = places.flat_map(|axis| Fault::ALL.map(|fault| (axis, fault)));
         let latched_ns = known
@@ -205,7 +213,7 @@ impl Session {
             set_up,
             started: time.now(),
             patience: PATIENCE,
-            temperatures,
+            sensors,
             corrector,
             due: time.now(),
             looked: time.now(),
@@ -284,7 +292,6 @@ impl Session {
         }
         let period = Duration::from_millis(self.config.model.period_ms);
         self.due = (self.due + period).max(now);
-        self.temperatures.look();
         for ended in self.corrector.day_is((self.today)()) {
             let text = format!("machine model: {ended}; it goes on until corrections are next enabled");
             log.event(Level::Warning, "model_expired", &text);
@@ -295,8 +302,7 @@ impl Session {
             let held = matches!(status.mode, Mode::Hold | Mode::Fault);
             stand.feed(!held && status.axes().iter().all(|a| a.homed));
         }
-        let (now_s, sensors) = (self.temperatures.now_s(), self.temperatures.sensors());
-        let totals = self.corrector.tick(now_s, &status, sensors);
+        let totals = self.corrector.tick(self.time.now_s(), &status, self.sensors.look());
         for (axis, total) in totals.into_iter().enumerate() {
             let Some(total_counts) = total else { continue };
             let request = Request::Correct { axis: axis as u8, total_counts, large: false };
@@ -353,7 +359,7 @@ impl Session {
         }
     }
 
-    /// Records for the next process that the real-time thread does not look at the card.
+    /// Records for the next process that the real-time thread stands still.
     /// Returns `false` where nothing can record it.
     pub(crate) fn note_thread_lost(&self) -> bool {
         self.state_file.as_ref().is_none_or(|file| {
@@ -409,7 +415,7 @@ impl Session {
         if self.events.len() == EVENTS {
             self.events.pop_front();
         }
-        let at_s = self.temperatures.now_s();
+        let at_s = self.time.now_s();
         self.events.push_back(Numbered { n: self.event_count, at_s, event: happened.clone() });
         self.happened.push(happened);
     }
@@ -441,12 +447,12 @@ impl Session {
                 trip.error_um = self.corrector.error_um_at(n, t_ns, trip.position_mm);
                 trip.corrected_mm = trip.error_um.map(|um| trip.position_mm + um / 1000.0);
                 let degc = |w: &Watch| w.value_degc().filter(|_| w.config().role == Role::Temperature);
-                trip.degc = self.temperatures.sensors().iter().map(degc).collect();
-                self.keeper.trip(n, &self.config.axes, trip, self.temperatures.now_s());
+                trip.degc = self.corrector.watches().iter().map(degc).collect();
+                self.keeper.trip(n, &self.config.axes, trip, self.time.now_s());
             }
         }
         match event.kind {
-            EventKind::Mode(Mode::Probe) => self.keeper.begin(event.t_ns, self.temperatures.now_s()),
+            EventKind::Mode(Mode::Probe) => self.keeper.begin(event.t_ns, self.time.now_s()),
             EventKind::Mode(_) => self.keeper.end(&self.config.axes),
             _ => {}
         }

@@ -11,7 +11,7 @@ use rtec_rt::event::{Fault, HeldBy};
 use rtec_rt::journal::{Before, Journal, JournalError, resume};
 use rtec_rt::state_file::StateFile;
 
-/// The engine on `card`, with what its state file said and the watch over that file.
+/// The engine on `card`, what its state file said, and the file's watch.
 /// It has a state file where the card's outputs outlive the process.
 ///
 /// # Errors

@@ -1,4 +1,5 @@
-//! `rtec-ship`: what `rtecctl ship` hands an S3-like store to. What is sent, in which order, and when it leaves the spool is
+//! `rtec-ship`: what `rtecctl ship` hands an S3-like store to.
+//! What is sent, in which order, and when it leaves the spool is
 //! `rtec_records::spool`'s; here is the store.
 
 // Before the module, so that all of it prints this way: standard error that takes nothing is no reason to stop.

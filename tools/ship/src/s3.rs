@@ -1,4 +1,5 @@
-//! A bucket of an S3-like store. `rusty_s3` signs, `ureq` sends; what a store answers becomes one line.
+//! A bucket of an S3-like store.
+//! `rusty_s3` signs, `ureq` sends; what a store answers becomes one line.
 
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD as BASE64;
@@ -30,7 +31,7 @@ pub(crate) struct Address {
 }
 
 impl Address {
-    /// `s3://BUCKET/PREFIX`; endpoint and region by the variables that other programs of S3 read too.
+    /// `s3://BUCKET/PREFIX`; endpoint and region by the usual variables.
     pub(crate) fn parse(
         to: &str,
         endpoint: Option<&str>,
@@ -197,7 +198,8 @@ fn away(error: &ureq::Error) -> io::Error {
     }
 }
 
-/// What a refusal says. Its kind: `PermissionDenied`, `NotFound` and `InvalidInput` are mended by who calls; all else may be
+/// What a refusal says, as an error of a kind.
+/// `PermissionDenied`, `NotFound` and `InvalidInput` are mended by who calls; all else may be
 /// gone the next time.
 fn refusal(status: StatusCode, text: &str, bucket: &str) -> io::Error {
     use io::ErrorKind::{InvalidInput, NotFound, Other, PermissionDenied};

@@ -29,7 +29,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let (window_counts, max_counts) = (axis.window_counts, axis.max_correction_counts);
     let setup = AxisSetup { name, count_um: 1.0, increment_counts, window_counts, max_counts };
     let mut law = Corrector::new(vec![setup], RAMP_UM_S, 0.01, 0.0);
-    law.load(Machine::parse(Path::new("axis"), known)?, &[], &|_| Vec::new())?;
+    law.load(Machine::parse(Path::new("axis"), known)?, &|_| Vec::new())?;
 
     running.control.send(Request::Home { axis: 0, position_counts: 0, controller_homed: true })?;
     let (begun, mut faults) = (Instant::now(), 0);

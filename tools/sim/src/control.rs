@@ -5,7 +5,6 @@ use crate::errors::NAMES;
 use crate::heat::SENSORS;
 use crate::path::AXES;
 use rtec_correct::part_table::PartTable;
-use rtec_correct::sensors::{SensorConfig, Watch};
 use rtec_correct::{AxisSetup, Corrector, RAMP_UM_S};
 use rtec_files::InputError;
 use rtec_model::machine::Machine;
@@ -13,6 +12,7 @@ use rtec_model::record::{Axis, Role};
 use rtec_part::cor::FeatureErrors;
 use rtec_part::cor::PointError;
 use rtec_rt::event::{Request, Status};
+use rtec_sensors::{SensorConfig, Watch};
 
 /// Time between two computations of totals, ns.
 /// (NISTIR 4832, Alternate Configurations: every 10 to 20 ms)
@@ -55,8 +55,11 @@ impl Control {
         let others = [("rpm".to_owned(), Role::SpindleSpeed), ("wet".to_owned(), Role::Coolant)];
         let loads = NAMES.iter().filter_map(|n| Some((format!("load_{n}"), axis(n)?)));
         let all = temperatures.chain(channels).chain(others).chain(loads);
-        let watches = all.map(|(name, role)| Watch::new(SensorConfig::believed(&name, role))).collect();
-        Self { law: Corrector::new(axes, RAMP_UM_S, lead_s, 0.0), watches }
+        let watches: Vec<Watch> =
+            all.map(|(name, role)| Watch::new(SensorConfig::believed(&name, role))).collect();
+        let mut law = Corrector::new(axes, RAMP_UM_S, lead_s, 0.0);
+        law.sense(0.0, &watches);
+        Self { law, watches }
     }
 
     /// Loads a model and brings its lags up to date from past temperatures.
@@ -70,7 +73,7 @@ impl Control {
             let places: Vec<usize> = names.iter().filter_map(place).collect();
             past.iter().map(|(t_s, degc)| (*t_s, places.iter().map(|k| degc[*k]).collect())).collect()
         };
-        self.law.load(model.clone(), &self.watches, &of)
+        self.law.load(model.clone(), &of)
     }
 
     /// Takes a part table.

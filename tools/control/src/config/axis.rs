@@ -1,11 +1,11 @@
 //! `[[axis]]`: one axis, its limits, and whether they leave it anything to do.
 
 use super::card::{Card, Kind, read_lines};
-use super::{ConfiguredAxis, Simulated, plain};
+use super::{ConfiguredAxis, Simulated, beside, keys};
 use rtec_files::toml::{Section, SourceFile};
 use rtec_model::record::Axis;
 use rtec_rt::axis::{AxisConfig, INCREMENT_COUNTS, RestPolicy};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 /// The default belief window of an axis, µm: three corrections of 4 µm.
 /// (NISTIR 4832, General Considerations)
@@ -28,49 +28,31 @@ pub(super) fn read(
     notes: &mut Vec<String>,
 ) -> Option<(ConfiguredAxis, Option<PathBuf>)> {
     let before = source.findings.len();
-    let meaning = "the axis's name, in quotes";
-    let name = s.string(source, "name", meaning);
-    let name = s.required(source, "name", meaning, name);
-    let name = plain::name(source, "name", name, true);
+    let name = s.text(source, "name");
     let owner = name.map_or_else(|| format!("axis {n}"), |name| format!("axis {}", name.value));
     let turns = |name: &str| Axis::new(name).is_some_and(|a| a.is_rotary());
     let by_name = name.as_ref().filter(|n| turns(n.value)).map(|n| n.offset);
     let other_kind = refuse_other_kinds(source, &mut s, &owner, by_name);
-    let count_um = plain::within(&mut s, source, "count_um", 1e-4, 1000.0);
-    let travel_mm = plain::within(&mut s, source, "travel_mm", 1e-3, 1e6);
-    let (count_um, travel_mm) = if other_kind {
-        // What is said in degrees is not missing in millimetres.
-        (count_um, travel_mm)
-    } else {
-        (
-            s.required(source, "count_um", "what one count is worth, µm", count_um),
-            s.required(source, "travel_mm", "the length of its travel, mm", travel_mm),
-        )
-    };
+    // What is said in degrees is not missing in millimetres.
+    let needed = |key| if other_kind && !s.has(key) { None } else { s.number(source, key) };
+    let [count_um, travel_mm] = ["count_um", "travel_mm"].map(needed);
     refuse_design(source, &mut s);
-    let max = s.integer(source, "max_correction_counts", 1..=1_000_000_000);
-    let max = s.required(source, "max_correction_counts", "the largest total correction, counts", max);
-    let window = s.integer(source, "window_counts", 1..=1_000_000_000);
+    let max = s.whole(source, "max_correction_counts");
+    let window = s.whole(source, "window_counts");
     let window_given = s.has("window_counts");
-    let separation = s.integer(source, "min_separation_ns", 1..=1_000_000_000);
-    let meaning = "what the MTC's decoder needs between two edges, ns";
-    let separation = s.required(source, "min_separation_ns", meaning, separation);
-    let accel_mm = plain::within(&mut s, source, "max_accel_mm_s2", 1e-3, 1e9);
-    let accel_counts = plain::within(&mut s, source, "max_accel_counts_s2", 1e-3, 1e15);
+    let separation = s.whole(source, "min_separation_ns");
+    let accel_mm = s.number(source, "max_accel_mm_s2");
+    let accel_counts = s.number(source, "max_accel_counts_s2");
     if let (Some(_), Some(at)) = (accel_mm, accel_counts) {
         source.finding(at.offset, "max_accel_mm_s2 and max_accel_counts_s2", "one of the two");
     }
     if card.is_real() && !s.has("max_accel_mm_s2") && !s.has("max_accel_counts_s2") {
-        s.missing(
-            source,
-            "max_accel_mm_s2",
-            "the axis's acceleration limit, mm/s²: the speed gate rests on it",
-        );
+        s.missing(source, "max_accel_mm_s2");
     }
-    let rapid = plain::within(&mut s, source, "rapid_mm_min", 1e-3, 1e6);
-    let hysteresis = plain::within(&mut s, source, "hysteresis_counts", 1e-3, 1000.0);
-    let warn = s.integer(source, "warn_counts", 1..=1_000_000_000);
-    let error = s.integer(source, "error_counts", 1..=1_000_000_000);
+    let rapid = s.number(source, "rapid_mm_min");
+    let hysteresis = s.number_or_default(source, "hysteresis_counts");
+    let warn = s.whole(source, "warn_counts");
+    let error = s.whole(source, "error_counts");
     if let (Some(warn), Some(error)) = (warn, error)
         && warn.value > error.value
     {
@@ -97,9 +79,9 @@ pub(super) fn read(
             "a belief window within the largest total: else everything is believed",
         );
     }
-    let rate = plain::within(&mut s, source, "max_rate_counts_s", 1e-3, 1e9);
-    let rest = s.choice(source, "rest_policy", 2, &[("wait", false), ("insert", true)]);
-    let quiet_ms = plain::within(&mut s, source, "rest_quiet_ms", 1e-3, 1e6);
+    let rate = s.number(source, "max_rate_counts_s");
+    let rest = s.pick(source, "rest_policy", &[false, true]);
+    let quiet_ms = s.number(source, "rest_quiet_ms");
     let insert = rest.is_some_and(|r| r.value);
     match (insert, quiet_ms, rest) {
         (true, None, Some(at)) if !s.has("rest_quiet_ms") => {
@@ -116,7 +98,7 @@ pub(super) fn read(
         _ => {}
     }
     let simulated = read_simulated(source, &mut s, card.kind);
-    let budget = s.integer(source, "reference_budget_counts", 1..=1_000_000_000);
+    let budget = s.whole(source, "reference_budget_counts");
     for (key, limit) in [("max_correction_counts", max), ("reference_budget_counts", budget)] {
         if let Some(at) = limit.filter(|at| at.value < INCREMENT_COUNTS) {
             let found = format!("{key} = {} with insertions of {INCREMENT_COUNTS} counts", at.value);
@@ -127,15 +109,12 @@ pub(super) fn read(
             );
         }
     }
-    let home_mm = s.signed(source, "home_mm", 1e6);
+    let home_mm = s.number_or_default(source, "home_mm");
     let lines = read_lines(source, &mut s, n, card, &owner);
     let mut trace = None;
     if card.kind == Some(Kind::Replay) {
-        let meaning = "the recorded trace of this axis, .csv or .vcd";
-        let path = s.string(source, "trace", meaning);
-        trace = s
-            .required(source, "trace", meaning, path)
-            .map(|p| source.file.parent().unwrap_or(Path::new("")).join(p.value));
+        let path = s.text(source, "trace");
+        trace = s.required(source, "trace", path).map(|at| beside(source.file, at.value));
     }
     if let (Some(max), Some(um), Some(mm)) = (max, count_um, travel_mm)
         && max.value as f64 * um.value > mm.value * 1000.0
@@ -182,7 +161,7 @@ pub(super) fn read(
         max_rate_counts_s: rate.map_or(f64::INFINITY, |r| r.value),
         min_separation_ns: separation?.value as u64,
         max_accel_counts_s2,
-        hysteresis_counts: hysteresis.map_or(latency.hysteresis_counts, |h| h.value),
+        hysteresis_counts: hysteresis,
         rest: match quiet_ms {
             Some(ms) if insert => RestPolicy::Insert { after_ns: (ms.value * 1e6) as u64 },
             _ => RestPolicy::Wait,
@@ -199,7 +178,7 @@ pub(super) fn read(
         name: name.to_owned(),
         count_um,
         travel_mm: travel_mm?.value,
-        home_counts: (home_mm.map_or(0.0, |h| h.value) * 1000.0 / count_um).round() as i64,
+        home_counts: (home_mm * 1000.0 / count_um).round() as i64,
         rapid_mm_min: rapid.map(|r| r.value),
         counted: card
             .profile
@@ -280,7 +259,7 @@ fn read_simulated(source: &mut SourceFile<'_>, s: &mut Section<'_>, kind: Option
     if !s.has("simulated") {
         return found;
     }
-    let mut table = s.table(source, "simulated", "simulated");
+    let mut table = s.table(source, "simulated", "simulated").with(keys::SIMULATED);
     if kind != Some(Kind::Mock) {
         source.finding(
             table.offset,
@@ -294,8 +273,8 @@ fn read_simulated(source: &mut SourceFile<'_>, s: &mut Section<'_>, kind: Option
             v.as_number().filter(|um| (1e-4..=1000.0).contains(&um.abs()))
         })
         .map(|at| at.value);
-    found.rest.compensates_ppm = table.signed(source, "compensates_ppm", 1e5).map_or(0.0, |p| p.value);
-    let ignores = table.choice(source, "feedback", 2, &[("used", false), ("ignored", true)]);
+    found.rest.compensates_ppm = table.number_or_default(source, "compensates_ppm");
+    let ignores = table.pick(source, "feedback", &[false, true]);
     found.rest.ignores = ignores.is_some_and(|i| i.value);
     table.finish(source);
     found

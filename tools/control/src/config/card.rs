@@ -1,6 +1,6 @@
 //! `[card]` and the lines of the machine and its axes.
 
-use super::{MappedPlace, PortPlace};
+use super::{MappedPlace, PortPlace, beside, keys};
 use crate::lines::{BIASES, DRIVES, LineName, gpio_line, line};
 use crate::profile;
 use rtec_driver::card::{AxisLines, MachineLines};
@@ -54,21 +54,9 @@ pub(super) enum Kind {
 
 /// Reads `[card]`. `here`: this computer is the one it is meant for.
 pub(super) fn read(source: &mut SourceFile<'_>, root: &mut Section<'_>, here: bool) -> Card {
-    let mut section = root.table(source, "card", "[card]");
-    let meaning = "\"mock\" or \"gpio\" or \"mapped\" or \"port\" or \"replay\"";
-    let kind = section.choice(
-        source,
-        "backend",
-        5,
-        &[
-            ("mock", Kind::Mock),
-            ("gpio", Kind::Gpio),
-            ("mapped", Kind::Mapped),
-            ("port", Kind::Port),
-            ("replay", Kind::Replay),
-        ],
-    );
-    let kind = section.required(source, "backend", meaning, kind);
+    let mut section = root.table(source, "card", "[card]").with(keys::CARD);
+    let kinds = [Kind::Mock, Kind::Gpio, Kind::Mapped, Kind::Port, Kind::Replay];
+    let kind = section.pick(source, "backend", &kinds);
     let mut card = Card {
         kind: kind.map(|k| k.value),
         mapped: None,
@@ -96,12 +84,11 @@ pub(super) fn read(source: &mut SourceFile<'_>, root: &mut Section<'_>, here: bo
             section.finish(source);
         }
         Some(Kind::Gpio) => {
-            let mode = section.choice(source, "mode", 2, &[("edges", true), ("levels", false)]);
-            card.gpio.setup.events = mode.is_none_or(|m| m.value);
-            let chip = section.string(source, "chip", "a chip's name, path or label, as \"gpiochip0\"");
-            card.gpio.default.chip = chip.map(|c| c.value.to_owned());
-            card.gpio.default.bias = section.choice(source, "bias", 3, &BIASES).map(|b| b.value);
-            card.gpio.default.drive = section.choice(source, "drive", 3, &DRIVES).map(|d| d.value);
+            card.gpio.setup.events = section.pick(source, "mode", &[true, false]).is_none_or(|m| m.value);
+            let default = &mut card.gpio.default;
+            default.chip = section.text(source, "chip").map(|c| c.value.to_owned());
+            default.bias = section.pick(source, "bias", &BIASES.map(|b| b.1)).map(|b| b.value);
+            default.drive = section.pick(source, "drive", &DRIVES.map(|d| d.1)).map(|d| d.value);
             card.lines = machine_lines(source, &mut section, &mut card);
             section.finish(source);
         }
@@ -119,15 +106,14 @@ fn read_registers(
     card: &mut Card,
     (port, here): (bool, bool),
 ) {
-    let directory = source.file.parent().unwrap_or(Path::new("")).to_owned();
-    let named = section.string(source, "profile", "a profile's name or path");
+    let named = section.text(source, "profile");
     let default = if port { "parallel-port" } else { "shared-memory" };
     card.profile = match named {
         None => profile::shipped(default),
         Some(at) => profile::shipped(at.value)
-            .or_else(|| load_profile(source, &directory.join(at.value), at.value, at.offset)),
+            .or_else(|| load_profile(source, &beside(source.file, at.value), at.value, at.offset)),
     };
-    let pci_at = section.string(source, "pci", "a card as \"1af4:1110\", or its address \"0000:00:04.0\"");
+    let pci_at = section.text(source, "pci");
     let pci = pci_at.and_then(|at| {
         let id = PciId::parse(at.value);
         if id.is_none() {
@@ -137,16 +123,17 @@ fn read_registers(
         }
         id
     });
-    let bar = section.integer(source, "bar", 0..=5);
+    let bar = section.whole(source, "bar");
     // A card is looked for on the bus only when somebody has named it, or its profile.
     let place = card.profile.as_ref().filter(|_| named.is_some()).and_then(|p| p.pci);
     let bar_of = bar.map(|b| b.value as u8).or(place.map(|p| p.bar));
     // One that is wrong is said to be; that there is none is not.
     let mut places = usize::from(section.has("pci"));
-    let path = |at: At<&str>| directory.join(at.value);
+    let config = source.file;
+    let path = |at: At<&str>| beside(config, at.value);
     if port {
-        let parport = section.string(source, "parport", "a parallel port, as \"/dev/parport0\"");
-        let io = section.integer(source, "io", 0..=0xffff);
+        let parport = section.text(source, "parport");
+        let io = section.whole(source, "io");
         places += usize::from(section.has("parport")) + usize::from(section.has("io"));
         is_there(source, parport.filter(|_| here), path);
         card.port = parport.map(|at| PortPlace::Parport(path(at)));
@@ -160,13 +147,13 @@ fn read_registers(
             source.finding(at.offset, found, expected);
         }
     } else {
-        let file = section.string(source, "file", "the path of the file of registers");
-        let uio = section.string(source, "uio", "a UIO device, as \"/dev/uio0\"");
+        let file = section.text(source, "file");
+        let uio = section.text(source, "uio");
         is_there(source, file.filter(|_| here), path);
         if let Some(at) = uio {
             is_uio(source, at, &path(at), here);
         }
-        let map = section.integer(source, "map", 0..=4);
+        let map = section.whole(source, "map");
         places += usize::from(section.has("file")) + usize::from(section.has("uio"));
         card.mapped = file.map(|at| MappedPlace::File(path(at)));
         let uio_map = map.map_or(0, |m| m.value as u8);
@@ -198,11 +185,11 @@ fn read_registers(
         match bar_of {
             Some(bar) if port => card.port = Some(PortPlace::Pci(id, bar)),
             Some(bar) => card.mapped = Some(MappedPlace::Pci(id, bar)),
-            None => section.missing(source, "bar", "which base address register, 0 to 5"),
+            None => section.missing(source, "bar"),
         }
     } else if places == 0 && card.profile.is_some() {
         let (key, meaning) = places_of(port);
-        section.missing(source, key, meaning);
+        section.say_missing(source, key, meaning);
     }
     if places > 1 {
         let found =
@@ -362,15 +349,15 @@ pub(super) fn read_lines(
         }
         return Some(AxisLines::standard(n, card.kind == Some(Kind::Mock)));
     }
-    let meaning = "{ a = \"in0\", b = \"in1\", invert_a = \"out0\", invert_b = \"out1\" }";
     if !section.has("lines") {
-        section.missing(source, "lines", meaning);
+        let meaning = "{ a = \"in0\", b = \"in1\", invert_a = \"out0\", invert_b = \"out1\" }";
+        section.say_missing(source, "lines", meaning);
         return None;
     }
-    let mut lines = section.table(source, "lines", "lines");
+    let mut lines = section.table(source, "lines", "lines").with(keys::LINES);
     let mut place = |source: &mut SourceFile<'_>, key, output, needed| {
         let bit = wire(source, &mut lines, card, key, output, (n, owner));
-        if needed { lines.required(source, key, "the line it is wired to", bit) } else { bit }
+        if needed { lines.required(source, key, bit) } else { bit }
     };
     let a = place(source, "a", false, true);
     let b = place(source, "b", false, true);

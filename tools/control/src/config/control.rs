@@ -1,10 +1,10 @@
 //! `[control]`: sockets with their users, and files that outlive the process.
 
-use super::plain;
+use super::{beside, keys};
 use crate::closed::closed_directory;
 use crate::role::Role;
 use nix::unistd::{Group, Uid};
-use rtec_files::toml::{At, Section, SourceFile};
+use rtec_files::toml::{Section, SourceFile};
 use std::path::{Path, PathBuf};
 
 /// Longest path of a Unix socket, bytes (unix(7): 108 with the zero at its end).
@@ -148,41 +148,34 @@ pub fn default_directory() -> PathBuf {
 
 /// Reads `[control]`. `here`: this computer is the one it is meant for.
 pub(super) fn read(source: &mut SourceFile<'_>, root: &mut Section<'_>, here: bool) -> ControlConfig {
-    let mut table = root.table(source, "control", "[control]");
+    let mut table = root.table(source, "control", "[control]").with(keys::CONTROL);
     let own = read_door(source, &mut table, here);
-    let mut door = |source: &mut SourceFile<'_>, key, title| {
-        if !table.has(key) {
+    let [operate, view] = ["operate", "view"].map(|role| {
+        if !table.has(role) {
             return Door::default();
         }
-        let mut inner = table.table(source, key, title);
+        let mut inner = table.table(source, role, role).with(keys::SOCKET);
         let door = read_door(source, &mut inner, here);
         inner.finish(source);
         door
-    };
-    let operate = door(source, "operate", "operate");
-    let view = door(source, "view", "view");
-    let state_file = table.string(source, "state_file", "the path of the state file");
-    let log_file = table.string(source, "log_file", "the path of the record of every command");
-    let log_anchor = table.value(source, "log_anchor", "true or false", |v| v.as_bool());
-    let spool = table.string(source, "spool", "the path of the folder for finished records");
-    let spool_mb = table.integer(source, "spool_mb", 1..=1_048_576);
-    let stale_ms = table.integer(source, "stale_ms", 10..=60_000);
-    let offset = table.offset;
-    table.finish(source);
-    let relative = |path: At<&str>| source.file.parent().unwrap_or(Path::new("")).join(path.value);
+    });
+    let state_file = table.text(source, "state_file").map(|at| beside(source.file, at.value));
+    let log_file = table.text(source, "log_file");
     let config = ControlConfig {
         socket: own.socket.unwrap_or_else(|| default_directory().join("control.sock")),
         group: own.group,
         mode: own.mode,
         operate,
         view,
-        state_file: state_file.map(relative),
-        log_file: log_file.map(relative),
-        log_anchor: log_anchor.is_some_and(|at| at.value),
-        spool: spool.map(relative),
-        spool_mb: spool_mb.map_or(1024, |s| s.value as u64),
-        stale_ms: stale_ms.map_or(500, |s| s.value as u64),
+        state_file,
+        log_file: log_file.map(|at| beside(source.file, at.value)),
+        log_anchor: table.flag(source, "log_anchor"),
+        spool: table.text(source, "spool").map(|at| beside(source.file, at.value)),
+        spool_mb: table.whole_or_default(source, "spool_mb") as u64,
+        stale_ms: table.whole_or_default(source, "stale_ms") as u64,
     };
+    let offset = table.offset;
+    table.finish(source);
     if let Some(at) = log_file.filter(|_| config.log_path() == config.state_path()) {
         let found = format!("log_file = \"{}\", which is the state file", at.value);
         source.finding(at.offset, found, "a file of its own for each");
@@ -261,9 +254,8 @@ pub(super) fn notes(control: &ControlConfig, here: bool) -> Vec<String> {
 }
 
 fn read_door(source: &mut SourceFile<'_>, table: &mut Section<'_>, here: bool) -> Door {
-    let socket = table.string(source, "socket", "the path of the control socket");
-    let group = table.string(source, "group", "the group that may use the socket");
-    let group = plain::name(source, "group", group, true);
+    let socket = table.text(source, "socket");
+    let group = table.text(source, "group");
     if let Some(at) = group
         && here
         && matches!(Group::from_name(at.value), Ok(None))
@@ -281,7 +273,7 @@ fn read_door(source: &mut SourceFile<'_>, table: &mut Section<'_>, here: bool) -
         source.finding(at.offset, found, "read and write for its owner and no execution: 0600, 0660, 0666");
     }
     Door {
-        socket: socket.map(|s| source.file.parent().unwrap_or(Path::new("")).join(s.value)),
+        socket: socket.map(|at| beside(source.file, at.value)),
         group: group.map(|g| g.value.to_owned()),
         mode: mode.map(|m| m.value),
     }

@@ -2,13 +2,12 @@
 //! `rtecctl config check` does so without `--elsewhere`.
 
 use super::{CardConfig, Config};
-use crate::sources;
 use rtec_correct::Corrector;
-use rtec_correct::sensors::{SensorSource, Watch};
 use rtec_files::toml::{Document, SourceFile, Table};
 use rtec_files::trace::TraceReader;
 use rtec_files::words::quoted;
 use rtec_model::machine::Machine;
+use rtec_sensors::{SensorSource, Watch, bank};
 use std::path::Path;
 
 /// Findings and notes about what the configuration names.
@@ -27,7 +26,7 @@ pub(super) fn look(source: &mut SourceFile<'_>, document: &Document<'_>, config:
         match &sensor.source {
             SensorSource::Csv { record, column } => recording(source, table, record, column),
             other => {
-                if let Err(why) = sources::look(Path::new("/"), other) {
+                if let Err(why) = bank::look(Path::new("/"), other) {
                     config
                         .notes
                         .push(format!("[[sensor]] {}: nothing is read from it now: {why}", sensor.name));
@@ -55,9 +54,10 @@ fn model(source: &mut SourceFile<'_>, document: &Document<'_>, config: &mut Conf
         return;
     }
     let setups = config.axes.iter().map(super::ConfiguredAxis::law).collect();
-    let law = Corrector::new(setups, config.model.ramp_um_s, config.model.lead_ms * 1e-3, 0.0);
+    let mut law = Corrector::new(setups, config.model.ramp_um_s, config.model.lead_ms * 1e-3, 0.0);
     let watches: Vec<Watch> = config.sensors.iter().cloned().map(Watch::new).collect();
-    match law.preparer().prepare(machine, &watches, &|_| Vec::new()) {
+    law.sense(0.0, &watches);
+    match law.preparer().prepare(machine, &|_| Vec::new()) {
         Ok(prepared) => config.notes.extend(prepared.missing().iter().map(|m| format!("[model] {m}"))),
         Err(error) => source.finding(at, format!("{}: {}", file.display(), error.found), error.expected),
     }

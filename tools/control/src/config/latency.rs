@@ -1,10 +1,10 @@
 //! The latency figures of `[rt]`.
 //! It checks where they were measured, whether they are possible, and what they leave the axes.
 
-use super::{CardConfig, Config, ConfiguredAxis, MappedPlace, PortPlace, plain};
+use super::{CardConfig, Config, ConfiguredAxis, MappedPlace, PortPlace, keys};
 use crate::protocol::Rates;
+use rtec_files::date;
 use rtec_files::toml::{At, Section, SourceFile};
-use rtec_model::date;
 use rtec_rt::setup::System;
 use std::fmt;
 use std::path::Path;
@@ -85,22 +85,14 @@ pub(super) fn read_measured(source: &mut SourceFile<'_>, rt: &mut Section<'_>) -
     if !rt.has("measured") {
         return None;
     }
-    let mut table = rt.table(source, "measured", "measured");
-    let mut text = |source: &mut SourceFile<'_>, key: &'static str, meaning: &'static str| {
-        let at = table.string(source, key, meaning);
-        let at = table.required(source, key, meaning, at);
-        plain::line(source, key, at).map(|at| At { value: at.value.to_owned(), offset: at.offset })
-    };
-    let card = text(source, "card", "the card that was measured with, as the self-test prints it");
-    let kernel = text(source, "kernel", "the kernel's release, as the self-test prints it");
-    let cpu = text(source, "cpu", "the processor, as the self-test prints it");
-    let day = text(source, "date", "the day, as \"2026-11-26\"");
+    let mut table = rt.table(source, "measured", "measured").with(keys::MEASURED);
+    let [card, kernel, cpu, day] = ["card", "kernel", "cpu", "date"].map(|key| table.text(source, key));
     table.finish(source);
-    if let Some(at) = day.as_ref().filter(|at| date::parse(&at.value).is_none()) {
+    if let Some(at) = day.as_ref().filter(|at| date::parse(at.value).is_none()) {
         source.finding(at.offset, format!("date = \"{}\"", at.value), "a day, as \"2026-11-26\"");
     }
-    let (card, kernel, cpu, day) = (card?, kernel?, cpu?, day?);
-    Some(Measured { card: card.value, kernel: kernel.value, cpu: cpu.value, date: day.value })
+    let text = |at: Option<At<&str>>| Some(at?.value.to_owned());
+    Some(Measured { card: text(card)?, kernel: text(kernel)?, cpu: text(cpu)?, date: text(day)? })
 }
 
 /// The least that `detect_ns` and `write_ns` can be on such a card, ns, and why.
@@ -218,7 +210,7 @@ impl ConfiguredAxis {
 }
 
 impl Config {
-    /// Why corrections may not be enabled on this card and computer, each with its remedy.
+    /// Why corrections may not be enabled here, each with its remedy.
     /// Reasons are latencies not measured here, or an axis too fast for the card. A card that drives no machine needs
     /// neither.
     #[must_use]

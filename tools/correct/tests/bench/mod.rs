@@ -3,13 +3,13 @@
 #![allow(dead_code)] // each test program has its own need of it
 
 use rtec_correct::part_table::PartTable;
-use rtec_correct::sensors::{SensorConfig, SensorSource, Watch};
 use rtec_correct::{AxisSetup, Corrector};
 use rtec_files::InputError;
 use rtec_model::machine::Machine;
 use rtec_model::record::Role;
 use rtec_part::cor::{FeatureErrors, PointError};
 use rtec_rt::event::{MAX_AXES, Mode, Status};
+use rtec_sensors::{SensorConfig, SensorSource, Watch};
 use std::path::Path;
 
 /// A machine of one or more axes whose engine completes each request at once.
@@ -63,22 +63,21 @@ impl Bench {
         Self::of(5.0, 1000.0, Vec::new())
     }
 
-    /// A bench with this ramp, start time and sensors before the temperatures T1 and T2.
+    /// A bench with this ramp, start time and sensors before T1 and T2.
     pub(crate) fn of(ramp_um_s: f64, now_s: f64, mut sensors: Vec<SensorConfig>) -> Self {
         sensors.extend(["T1", "T2"].map(|name| sensor(name, Role::Temperature)));
         let mut status = Status { mode: Mode::Run, axes_used: 3, ..Status::default() };
         status.axes.iter_mut().for_each(|a| a.homed = true);
-        Self {
-            corrector: Corrector::new(["x", "y", "z"].map(axis).to_vec(), ramp_um_s, 0.0, now_s),
-            status,
-            watches: sensors.into_iter().map(Watch::new).collect(),
-            now_s,
-        }
+        let watches: Vec<Watch> = sensors.into_iter().map(Watch::new).collect();
+        let mut corrector = Corrector::new(["x", "y", "z"].map(axis).to_vec(), ramp_um_s, 0.0, now_s);
+        corrector.sense(now_s, &watches);
+        Self { corrector, status, watches, now_s }
     }
 
     pub(crate) fn warm(&mut self, t1: f64, t2: f64) {
         self.watches[0].offer(self.now_s, Ok(t1));
         self.watches[1].offer(self.now_s, Ok(t2));
+        self.corrector.sense(self.now_s, &self.watches);
     }
 
     pub(crate) fn load(&mut self, model: &str) {
@@ -86,7 +85,7 @@ impl Bench {
     }
 
     pub(crate) fn try_load(&mut self, model: &str) -> Result<(), InputError> {
-        self.corrector.load(machine(model), &self.watches, &|_| Vec::new())
+        self.corrector.load(machine(model), &|_| Vec::new())
     }
 
     /// One evaluation, and an engine that takes what is within its window.
@@ -132,7 +131,7 @@ impl Bench {
     }
 
     pub(crate) fn explained_um(&self, n: usize) -> (f64, f64) {
-        let e = self.corrector.explain(n, &self.status.axes[n], &self.watches, self.now_s);
+        let e = self.corrector.explain(n, &self.status.axes[n]);
         (e.total_um, e.parts.iter().map(|p| p.um).sum())
     }
 }

@@ -2,6 +2,7 @@
 //! Round, with the scale of the deviations on it.
 
 use super::{Series, look};
+use rtec_files::words::escaped;
 use std::f64::consts::TAU;
 use std::fmt::Write as _;
 
@@ -28,11 +29,6 @@ const SIZE_PX: (u32, u32) = (800, 590);
 pub(super) fn round_up(v: f64) -> f64 {
     let power = 10_f64.powf(v.max(1e-9).log10().floor());
     [1.0, 2.0, 5.0, 10.0].map(|m| m * power).into_iter().find(|n| *n >= v * (1.0 - 1e-9)).unwrap_or(power)
-}
-
-/// Text for SVG.
-pub(super) fn escaped(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;")
 }
 
 /// The dash of a series, as an SVG attribute.

@@ -2,7 +2,8 @@
 //! Both axes to one scale, the displacements to another, both stated.
 
 use super::Colour;
-use super::polar::{escaped, round_up};
+use super::polar::round_up;
+use rtec_files::words::escaped;
 use std::fmt::Write as _;
 
 /// Displacements at places of a plane.

@@ -1,6 +1,6 @@
 //! `rtecctl clear`: release latched faults.
 
-use crate::daemon::{Daemon, NO_EVENTS, check, observe, unreachable};
+use crate::daemon::{Daemon, NO_EVENTS, ask, observe};
 use rtec_control::protocol::{ClientRequest, DaemonStatus, word};
 use std::fmt::Write as _;
 
@@ -17,7 +17,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     }
     let mut client = args.daemon.connect()?;
     let before = observe(&mut client, NO_EVENTS)?.status;
-    check(client.ask(&ClientRequest::Clear {}).map_err(unreachable)?)?;
+    ask(&mut client, &ClientRequest::Clear {})?;
     let after = observe(&mut client, NO_EVENTS)?.status;
     print!("{}", released(&before, &after));
     Ok(())

@@ -12,18 +12,19 @@
 //! motion of the axis is reported.
 
 use crate::Outcome;
-use crate::daemon::{Daemon, check, unreachable};
+use crate::daemon::{self, Daemon};
 use crate::document::line;
 use crate::say;
-use nix::sys::signal::{SigSet, Signal};
+use nix::sys::signal::Signal;
 use rtec_control::client::Client;
 use rtec_control::protocol::{AxisReport, ClientRequest, DaemonStatus, Response};
-use rtec_files::InputError;
-use rtec_model::effect::STANDARD_DEGC;
-use rtec_model::live::{AxisNow, Frame, Layout, Live};
+use rtec_correct::commission::{
+    JogFinding, JogReading, compensation_um, judge_compensation, judge_insertion, judge_jog, largest_step_um,
+    window_counts,
+};
 use rtec_model::machine::Machine;
 use std::io::Write;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 /// Prove sign and unit of an axis, and that its controller does not compensate already, by a guided jog
@@ -56,8 +57,6 @@ pub(crate) struct Args {
     daemon: Daemon,
 }
 
-/// Indicator and scale may differ by this share before it is a matter of the unit: no machine errs by a hundredth.
-const UNIT: f64 = 0.01;
 /// The scale is at rest when it has not changed for so long.
 const REST: Duration = Duration::from_millis(300);
 /// An axis that is not at rest after this is not jogged, it is running.
@@ -65,164 +64,6 @@ const PATIENCE: Duration = Duration::from_secs(60);
 
 /// Counts that are inserted where the user does not say and the belief window is no smaller.
 const USUAL_COUNTS: i64 = 20;
-/// The smallest belief window that is proposed, µm: three corrections of 4 µm (NISTIR 4832, General Considerations).
-const LEAST_WINDOW_UM: f64 = 12.0;
-
-/// What a model's correction of an axis changes by at most from one moment to the next, µm: where the axis turns, and where coolant
-/// comes on. All else creeps, or is part of a motion. Looked at where the axis is jogged to.
-fn largest_step_um(file: &Path, axis: &str, places_mm: [f64; 3]) -> anyhow::Result<f64> {
-    let machine = Machine::read(file)?;
-    let refused = |found: String, expected: &str| InputError::whole(file, found, expected);
-    let mut layout = Layout { sensors: machine.sensors(), ..Layout::default() };
-    for effect in machine.effects() {
-        layout.axes.extend(effect.axes().iter().cloned());
-        layout.channels.extend(effect.channel().map(str::to_owned));
-    }
-    layout.axes.sort();
-    layout.axes.dedup();
-    layout.channels.sort();
-    layout.channels.dedup();
-    let own = layout.axes.iter().position(|a| a.as_str() == axis);
-    let own = own.ok_or_else(|| refused(format!("no effect on axis {axis}"), "the model of this machine"))?;
-    let (degc, channels) = (vec![STANDARD_DEGC; layout.sensors.len()], vec![0.0; layout.channels.len()]);
-    let mut axes = vec![AxisNow::default(); layout.axes.len()];
-    let mut live = Live::of(&machine, layout)
-        .map_err(|missing| refused(missing.to_string(), "a model of axes, sensors and channels"))?;
-    let mut t_s = 0.0;
-    let mut step_um: f64 = 0.0;
-    for position_mm in places_mm {
-        let mut before: Option<f64> = None;
-        for (direction, coolant) in [(-1.0, 0.0), (1.0, 0.0), (1.0, 1.0), (-1.0, 1.0)] {
-            t_s += 1.0;
-            axes[own] = AxisNow { position_mm, direction, ..AxisNow::default() };
-            let (axes, temperatures_degc) = (&axes[..], &degc[..]);
-            live.evaluate(&Frame {
-                t_s,
-                axes,
-                temperatures_degc,
-                channels: &channels,
-                coolant,
-                ..Frame::default()
-            });
-            let now = live.errors_um()[own];
-            step_um = before.map_or(step_um, |before| step_um.max((now - before).abs()));
-            before = Some(now);
-        }
-    }
-    Ok(step_um)
-}
-
-/// The belief window for a largest step, counts.
-fn window_counts(step_um: f64, count_um: f64) -> i64 {
-    ((3.0 * step_um).max(LEAST_WINDOW_UM) / count_um).ceil() as i64
-}
-
-/// The axis at rest.
-#[derive(Debug, Clone, Copy, PartialEq)]
-struct Place {
-    display_mm: f64,
-    /// NaN while the indicator is off.
-    indicator_mm: f64,
-    scale_counts: i64,
-    /// What the controller's count differs by from the scale's, counts.
-    in_effect: i64,
-    /// What a count is worth as configured, µm.
-    count_um: f64,
-}
-
-impl Place {
-    fn scale_mm(&self) -> f64 {
-        self.scale_counts as f64 * self.count_um / 1000.0
-    }
-
-    /// What the controller is fed.
-    fn fed_mm(&self) -> f64 {
-        (self.scale_counts + self.in_effect) as f64 * self.count_um / 1000.0
-    }
-}
-
-/// The verdict of one proof, in words.
-#[derive(Debug, Clone, PartialEq, serde::Serialize)]
-struct Finding {
-    /// `right`, `wrong_sign`, `wrong_unit`, `controller_compensates`, `controller_ignores`, `wrong_insertion`
-    verdict: &'static str,
-    text: String,
-}
-
-impl Finding {
-    fn new(verdict: &'static str, text: String) -> Option<Self> {
-        Some(Self { verdict, text })
-    }
-}
-
-/// Sign and unit, from a jog with the indicator.
-fn judge_jog(a: &Place, b: &Place, tolerance_um: f64) -> Option<Finding> {
-    let scale = b.scale_mm() - a.scale_mm();
-    let indicator = b.indicator_mm - a.indicator_mm;
-    let display = b.display_mm - a.display_mm;
-    let moved = |mm: f64| mm.abs() * 1000.0 > 10.0 * tolerance_um;
-    if !moved(display) || !moved(indicator) {
-        let text = format!(
-            "the display moved by {display:+.4} mm and the indicator by {indicator:+.4} mm: too little to tell anything"
-        );
-        return Finding::new("not_jogged", text);
-    }
-    if !moved(scale) {
-        let text = format!(
-            "the axis moved by {indicator:+.4} mm and its scale by {scale:+.4} mm: another scale is wired here"
-        );
-        return Finding::new("wrong_scale", text);
-    }
-    if scale * indicator < 0.0 {
-        let text = format!(
-            "the indicator moved by {indicator:+.4} mm and the scale by {scale:+.4} mm: swap A and B of this axis (or the \
-             indicator's direction, if it counts backwards)"
-        );
-        return Finding::new("wrong_sign", text);
-    }
-    if (scale / indicator - 1.0).abs() > UNIT && (scale - indicator).abs() * 1000.0 > 2.0 * tolerance_um {
-        let right = a.count_um * indicator / scale;
-        let text = format!(
-            "the indicator moved by {indicator:+.4} mm and the scale by {scale:+.4} mm: count_um = {} should be about {right:.4}",
-            a.count_um
-        );
-        return Finding::new("wrong_unit", text);
-    }
-    None
-}
-
-/// What the controller compensates by itself, µm over the way: feedback against display.
-fn own_um(a: &Place, b: &Place) -> f64 {
-    1000.0 * ((b.fed_mm() - a.fed_mm()) - (b.display_mm - a.display_mm))
-}
-
-/// What inserting did to the scale at the same displayed place.
-fn judge_insertion(before: &Place, after: &Place, inserted: i64) -> Option<Finding> {
-    let moved = after.scale_counts - before.scale_counts;
-    // A servo comes to rest within a count or two.
-    let near = |counts: i64| (moved - counts).abs() <= 2;
-    if near(-inserted) {
-        None
-    } else if near(0) {
-        let text = format!(
-            "{inserted:+} counts were inserted and the axis did not move: the controller closes its loop on another encoder, \
-             or A' and B' do not reach it"
-        );
-        Finding::new("controller_ignores", text)
-    } else if near(inserted) {
-        let text = format!(
-            "{inserted:+} counts moved the axis by {moved:+}: the wrong way; check A' and B' at the controller"
-        );
-        Finding::new("wrong_insertion", text)
-    } else {
-        let text = format!(
-            "{inserted:+} counts moved the axis by {moved:+} counts on its scale, expected {:+}",
-            -inserted
-        );
-        Finding::new("wrong_insertion", text)
-    }
-}
-
 struct Guide<'a> {
     client: Client,
     args: &'a Args,
@@ -237,13 +78,11 @@ struct Guide<'a> {
 
 impl Guide<'_> {
     fn ask(&mut self, request: &ClientRequest) -> anyhow::Result<Response> {
-        check(self.client.ask(request).map_err(unreachable)?)
+        daemon::ask(&mut self.client, request)
     }
 
-    fn status(&mut self) -> anyhow::Result<(Box<DaemonStatus>, AxisReport)> {
-        let Response::Status(status) = self.ask(&ClientRequest::Status {})? else {
-            return Err(Outcome::Unreachable("rtecd answered something else".to_owned()).into());
-        };
+    fn status(&mut self) -> anyhow::Result<(DaemonStatus, AxisReport)> {
+        let status = daemon::status(&mut self.client)?;
         let name = &self.args.axis;
         let axis = status.axes.iter().find(|a| a.name == *name).cloned().ok_or_else(|| {
             let names: Vec<&str> = status.axes.iter().map(|a| a.name.as_str()).collect();
@@ -278,12 +117,12 @@ impl Guide<'_> {
         let request = ClientRequest::Jog { axis: self.args.axis.clone(), display_mm };
         match self.ask(&request)? {
             Response::Stands { display_mm, indicator_mm } => Ok((display_mm, indicator_mm)),
-            _ => Err(Outcome::Unreachable("rtecd answered something else".to_owned()).into()),
+            other => Err(daemon::unexpected(&other)),
         }
     }
 
     /// Sends the axis to a place of the display (none: where it stands), and reads everything there.
-    fn go(&mut self, to_mm: Option<f64>) -> anyhow::Result<Place> {
+    fn go(&mut self, to_mm: Option<f64>) -> anyhow::Result<JogReading> {
         let name = self.args.axis.clone();
         let (display_mm, indicator_mm) = if self.simulated {
             let to_mm = to_mm.map_or_else(|| self.stands(None).map(|s| s.0.round()), Ok)?;
@@ -316,7 +155,7 @@ impl Guide<'_> {
         };
         let axis = self.at_rest()?;
         let count_um = 1000.0 * axis.position_mm / axis.position_counts as f64;
-        Ok(Place {
+        Ok(JogReading {
             display_mm,
             indicator_mm,
             scale_counts: axis.position_counts,
@@ -339,7 +178,10 @@ impl Guide<'_> {
     }
 
     /// Runs every proof in order.
-    fn prove(&mut self, figures: &mut serde_json::Map<String, serde_json::Value>) -> anyhow::Result<Finding> {
+    fn prove(
+        &mut self,
+        figures: &mut serde_json::Map<String, serde_json::Value>,
+    ) -> anyhow::Result<JogFinding> {
         let (args, tolerance_um) = (self.args, self.args.tolerance_um);
         let note = |f: &mut serde_json::Map<String, serde_json::Value>, key: &str, v: f64| {
             f.insert(key.to_owned(), serde_json::json!((v * 1e4).round() / 1e4));
@@ -348,7 +190,7 @@ impl Guide<'_> {
         let there = self.go(Some(start.display_mm + args.jog_mm))?;
         // Either of them may stand at zero, where position and counts say nothing of the unit.
         let count_um = if there.count_um.is_nan() { start.count_um } else { there.count_um };
-        let [start, there] = [start, there].map(|p| Place { count_um, ..p });
+        let [start, there] = [start, there].map(|p| JogReading { count_um, ..p });
         if let Some(step_um) = self.step_um {
             note(figures, "largest_step_of_the_model_um", step_um);
             figures.insert("window_counts_proposed".to_owned(), window_counts(step_um, count_um).into());
@@ -364,17 +206,11 @@ impl Guide<'_> {
             start.display_mm + args.far_mm
         );
         self.indicator(false, &off);
-        let far = Place { count_um, ..self.go(Some(start.display_mm + args.far_mm))? };
-        let own = own_um(&start, &far);
+        let far = JogReading { count_um, ..self.go(Some(start.display_mm + args.far_mm))? };
+        let own = compensation_um(&start, &far);
         note(figures, "controller_compensates_um", own);
-        if own.abs() > tolerance_um {
-            let (way, display) = (args.far_mm, far.display_mm - start.display_mm);
-            let text = format!(
-                "over {way} mm the display moved by {display:+.4} mm and the feedback by {:+.4} mm: the controller compensates \
-                 {own:+.1} µm by itself; switch its own table off, or leave these effects out of the model",
-                far.fed_mm() - start.fed_mm()
-            );
-            return Ok(Finding { verdict: "controller_compensates", text });
+        if let Some(finding) = judge_compensation(&start, &far, tolerance_um) {
+            return Ok(finding);
         }
         let before = self.go(Some(start.display_mm))?;
         self.indicator(true, "put the indicator back now: the axis stays near it");
@@ -389,7 +225,7 @@ impl Guide<'_> {
         figures.insert("scale_moved_counts".to_owned(), (after.scale_counts - before.scale_counts).into());
         if total == 0 {
             let text = "nothing was inserted: see the gate in `rtecctl status`".to_owned();
-            return Ok(Finding { verdict: "not_inserted", text });
+            return Ok(JogFinding { verdict: "not_inserted", text });
         }
         if let Some(finding) = judge_insertion(&before, &after, total) {
             return Ok(finding);
@@ -404,7 +240,7 @@ impl Guide<'_> {
              compensate by itself",
             after.scale_counts - before.scale_counts
         );
-        Ok(Finding { verdict: "right", text })
+        Ok(JogFinding { verdict: "right", text })
     }
 }
 
@@ -447,11 +283,7 @@ fn take_back(args: &Args) -> anyhow::Result<()> {
 /// From here on a signal ends the run only after what was inserted has been taken back. The thread that is asked to wait
 /// for answers cannot do it: it waits.
 fn on_signal(args: &Args) -> anyhow::Result<()> {
-    let mut ends = SigSet::empty();
-    for signal in [Signal::SIGINT, Signal::SIGTERM, Signal::SIGHUP] {
-        ends.add(signal);
-    }
-    ends.thread_block()?;
+    let ends = daemon::block_end_signals()?;
     let args = args.clone();
     std::thread::spawn(move || {
         let signal = ends.wait();
@@ -479,7 +311,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         return Err(Outcome::Bad(text).into());
     }
     let places_mm = [0.0, args.jog_mm, args.far_mm];
-    let step_um = args.model.as_ref().map(|file| largest_step_um(file, &args.axis, places_mm)).transpose()?;
+    let step_of = |file: &PathBuf| largest_step_um(&Machine::read(file)?, &args.axis, places_mm);
+    let step_um = args.model.as_ref().map(step_of).transpose()?;
     let client = args.daemon.connect()?;
     let mut guide = Guide { client, args, simulated: false, indicator: true, counts: 0, step_um };
     let (status, axis) = guide.status()?;
@@ -544,70 +377,6 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    fn at(display_mm: f64, indicator_mm: f64, scale_counts: i64) -> Place {
-        Place { display_mm, indicator_mm, scale_counts, in_effect: 0, count_um: 0.5 }
-    }
-
-    fn verdict(b: Place) -> Option<&'static str> {
-        judge_jog(&at(0.0, 0.0, 0), &b, 5.0).map(|f| f.verdict)
-    }
-
-    #[test]
-    fn a_jog_names_sign_and_unit() {
-        assert_eq!(verdict(at(10.0, 10.004, 20_003)), None);
-        assert_eq!(verdict(at(-10.0, -9.998, -19_990)), None);
-        assert_eq!(verdict(at(10.0, 10.0, -20_000)), Some("wrong_sign"));
-        assert_eq!(verdict(at(10.0, 10.0, 40_000)), Some("wrong_unit"));
-        assert_eq!(verdict(at(10.0, 10.0, 20_600)), Some("wrong_unit"));
-        assert_eq!(verdict(at(10.0, 0.01, 20_000)), Some("not_jogged"));
-        assert_eq!(verdict(at(10.0, 10.0, 3)), Some("wrong_scale"));
-    }
-
-    #[test]
-    fn what_the_controller_adds_is_display_against_feedback_corrections_and_all() {
-        let (a, b) = (at(0.0, 0.0, 0), Place { in_effect: -20, ..at(50.0, 50.0, 100_044) });
-        assert!((own_um(&a, &b) - 12.0).abs() < 1e-9, "{}", own_um(&a, &b));
-    }
-
-    #[test]
-    fn inserted_counts_move_the_axis_by_their_opposite() {
-        let judge =
-            |moved: i64| judge_insertion(&at(0.0, 0.0, 7), &at(0.0, 0.0, 7 + moved), 20).map(|f| f.verdict);
-        assert_eq!((judge(-20), judge(-19)), (None, None));
-        assert_eq!(
-            (judge(0), judge(20), judge(-10)),
-            (Some("controller_ignores"), Some("wrong_insertion"), Some("wrong_insertion"))
-        );
-    }
-
-    #[test]
-    fn the_window_is_three_of_the_largest_step() {
-        let folder = tempfile::tempdir().unwrap();
-        let file = folder.path().join("m.toml");
-        let step = |effects: &str| {
-            std::fs::write(&file, format!("name = \"m\"\n{effects}")).unwrap();
-            largest_step_um(&file, "x", [0.0, 10.0, 50.0]).unwrap()
-        };
-        let reversal = "[[effect]]\nname = \"reversal.x\"\num = 6.0\n";
-        let coolant = "[[effect]]\nname = \"coolant.x\"\num = -15.0\n";
-        let growing = "[[effect]]\nname = \"reversal_slope.x\"\num_per_m = 40.0\n";
-        let other =
-            "[[effect]]\nname = \"reversal.y\"\num = 90.0\n[[effect]]\nname = \"scale.x\"\nppm = 500.0\n";
-        for (effects, um) in [
-            (reversal.to_owned(), 6.0),
-            ([reversal, coolant].concat(), 15.0),
-            ([reversal, growing].concat(), 8.0),
-            ([reversal, other].concat(), 6.0),
-        ] {
-            assert!((step(&effects) - um).abs() < 1e-9, "{effects}: {}", step(&effects));
-        }
-        assert_eq!((window_counts(6.0, 1.0), window_counts(6.0, 0.5), window_counts(0.0, 1.0)), (18, 36, 12));
-        std::fs::write(&file, "name = \"m\"\n").unwrap();
-        assert!(
-            largest_step_um(&file, "x", [0.0; 3]).unwrap_err().to_string().contains("no effect on axis x")
-        );
-    }
 
     #[test]
     fn answers_are_asked_for_until_they_are_as_many_numbers() {

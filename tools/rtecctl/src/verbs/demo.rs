@@ -203,7 +203,7 @@ fn law(axis: &AxisConfig, model: &str) -> anyhow::Result<Corrector> {
         max_counts: axis.max_correction_counts,
     };
     let mut law = Corrector::new(vec![setup], RAMP_UM_S, TICK_S + FOLLOWS_S, 0.0);
-    law.load(Machine::parse(Path::new("demo"), model)?, &[], &|_| Vec::new())?;
+    law.load(Machine::parse(Path::new("demo"), model)?, &|_| Vec::new())?;
     Ok(law)
 }
 
@@ -322,7 +322,7 @@ mod tests {
             max_counts: 1000,
         };
         let mut all = Corrector::new(vec![setup("x")], RAMP_UM_S, TICK_S + FOLLOWS_S, 0.0);
-        all.load(Machine::parse(Path::new("m"), known).unwrap(), &[], &|_| Vec::new()).unwrap();
+        all.load(Machine::parse(Path::new("m"), known).unwrap(), &|_| Vec::new()).unwrap();
         let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../correct/tests/shift/shift.csv");
         let mut reader = Reader::open(&file).unwrap();
         let header = reader.header("t_s, positions, sensors, operator, totals").unwrap();

@@ -1,8 +1,7 @@
 //! `rtecctl park`: corrections come to rest, frozen where they are or taken out first.
 
 use crate::Outcome;
-use crate::daemon::{Daemon, check, unreachable};
-use anyhow::bail;
+use crate::daemon::{Daemon, ask, status, unexpected};
 use rtec_control::client::Client;
 use rtec_control::protocol::{AxisReport, ClientRequest, DaemonStatus, Explained, Response};
 use std::time::{Duration, Instant};
@@ -61,19 +60,6 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         }
     };
     args.daemon.order(&ClientRequest::Park {}, done)
-}
-
-fn ask(client: &mut Client, request: &ClientRequest) -> anyhow::Result<Response> {
-    check(client.ask(request).map_err(unreachable)?)
-}
-
-fn status(client: &mut Client) -> anyhow::Result<DaemonStatus> {
-    match ask(client, &ClientRequest::Status {})? {
-        Response::Status(status) => Ok(*status),
-        other => {
-            bail!("rtecd answered {other:?}, expected a status; are rtecctl and rtecd of the same version?")
-        }
-    }
 }
 
 /// Why nobody can say what is in effect.
@@ -145,9 +131,7 @@ fn corrects(now: &DaemonStatus) -> anyhow::Result<()> {
 fn explained(client: &mut Client) -> anyhow::Result<Vec<Explained>> {
     match ask(client, &ClientRequest::Explain { axis: None })? {
         Response::Explained { axes } => Ok(axes),
-        _ => {
-            bail!("rtecd did not answer what makes up the totals; are rtecctl and rtecd of the same version?")
-        }
+        other => Err(unexpected(&other)),
     }
 }
 

@@ -1,7 +1,7 @@
 //! `rtecctl probe`: positions at the probe's trip.
 
 use crate::Outcome;
-use crate::daemon::{Daemon, NO_EVENTS, check, observe, unreachable};
+use crate::daemon::{Daemon, NO_EVENTS, ask, check, observe, unreachable};
 use crate::document::line;
 use crate::say;
 use clap::ValueEnum;
@@ -42,9 +42,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     }
     // Watching first: no trip can come between the two.
     let mut watch = args.daemon.connect()?;
-    check(watch.ask(&ClientRequest::Watch {}).map_err(unreachable)?)?;
+    ask(&mut watch, &ClientRequest::Watch {})?;
     watch.be_patient()?;
-    check(args.daemon.connect()?.ask(&ClientRequest::Probe { on: true }).map_err(unreachable)?)?;
+    ask(&mut args.daemon.connect()?, &ClientRequest::Probe { on: true })?;
     let mut captured = Vec::new();
     match args.captures {
         None => eprintln!(
@@ -94,7 +94,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     if args.daemon.json {
         say(&line(&serde_json::json!({ "captures": captured }))?);
     }
-    check(args.daemon.connect()?.ask(&ClientRequest::Probe { on: false }).map_err(unreachable)?)?;
+    ask(&mut args.daemon.connect()?, &ClientRequest::Probe { on: false })?;
     Ok(())
 }
 

@@ -3,7 +3,6 @@
 use super::{Answer, Beside, Session};
 use crate::loader::{self, Job, Loaded, PATIENCE, Source, Ticket};
 use crate::log::{Level, Log};
-use crate::temperatures::history;
 use rtec_control::protocol::{ModelPreview, PartTable, Response};
 use rtec_correct::corrector::Prepared;
 use rtec_files::InputError;
@@ -181,7 +180,7 @@ impl Session {
         }
     }
 
-    /// Why a model may not be used any more: its validity ended and nobody accepted that.
+    /// Why a model may not be used any more: its validity has ended.
     fn ended(&self, machine: &Machine) -> Option<String> {
         let ended = machine.expired((self.today)());
         let file = machine.path.display();
@@ -247,16 +246,12 @@ impl Session {
         }
     }
 
-    fn model_job(&mut self, file: PathBuf, source: Source) -> Job {
-        self.temperatures.look();
-        let (directory, now_s) = (self.directory(), self.temperatures.now_s());
+    fn model_job(&self, file: PathBuf, source: Source) -> Job {
         Job::Model {
             file,
             source,
             preparer: Box::new(self.corrector.preparer()),
-            watches: self.temperatures.sensors().to_vec(),
-            past: Box::new(move |names| history(&directory, names, now_s)),
-            now_s,
+            log: self.directory(),
             period: Duration::from_millis(self.config.model.period_ms),
         }
     }
@@ -279,7 +274,7 @@ impl Session {
         }
     }
 
-    /// The finished load, its answer, and what the record says of it where that differs.
+    /// The finished load, its answer, and its line of the record if another.
     /// A file's contents are for its reader alone. `waits`: somebody still waits for the load; otherwise it is not
     /// taken.
     pub(crate) fn loaded(
@@ -344,8 +339,7 @@ impl Session {
         let machine = prepared.machine();
         let (sha256, file) = (machine.sha256().to_owned(), machine.path.clone());
         let Some(shown) = &wanted.take else {
-            let (now_s, status) = (self.temperatures.now_s(), control.status());
-            let preview = self.corrector.preview(prepared, self.temperatures.sensors(), now_s, &status);
+            let preview = self.corrector.preview(prepared, &control.status());
             warnings.extend(preview.warnings);
             return Response::ModelPreview(Box::new(ModelPreview { warnings, ..preview }));
         };

@@ -278,7 +278,7 @@ impl Session {
         Ok(Response::done())
     }
 
-    /// What the MTC still counts of these axes, if the caller does not say that it was homed.
+    /// What the MTC still counts of these axes, unless it was homed.
     /// A count that is part of its position must not be forgotten.
     fn still_counted(
         &self,

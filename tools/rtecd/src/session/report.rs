@@ -4,7 +4,7 @@ use super::Session;
 use crate::start::OTHER_BOOT;
 use rtec_control::protocol::{
     AxisReport, Clients, DaemonStatus, Distribution, Explained, Histograms, HoldReport, LatchedFault,
-    LogState, Observed, PROTOCOL, Reading, Response, Rt, explain_fault, explain_refusal, word,
+    LogState, Observed, PROTOCOL, Response, Rt, explain_fault, explain_refusal, word,
 };
 use rtec_rt::event::{HeldBy, Mode, OffBecause, Refusal, Status};
 use rtec_rt::histogram::Reader;
@@ -44,10 +44,9 @@ impl Session {
     }
 
     fn explained(&self, only: Option<usize>, control: &mut ControlEnd) -> Vec<Explained> {
-        let (status, now_s) = (control.status(), self.temperatures.now_s());
-        let sensors = self.temperatures.sensors();
+        let status = control.status();
         let wanted = (0..self.config.axes.len()).filter(|n| only.is_none_or(|o| o == *n));
-        wanted.map(|n| self.corrector.explain(n, &status.axes[n], sensors, now_s)).collect()
+        wanted.map(|n| self.corrector.explain(n, &status.axes[n])).collect()
     }
 
     pub(super) fn explain(
@@ -126,19 +125,14 @@ impl Session {
             model: self.corrector.shown(),
             table: self.corrector.table_shown(),
             table_now: self.corrector.table_now(&now),
-            sensors: self
-                .temperatures
-                .sensors()
-                .iter()
-                .map(|w| Reading::of(w, self.temperatures.now_s()))
-                .collect(),
+            sensors: self.corrector.readings(),
             axes: axes.collect(),
         }
     }
 
     /// A time of the card's clock, s since 1970.
     fn at_s(&self, t_ns: u64, now: &Status) -> f64 {
-        self.temperatures.now_s() - now.t_ns.saturating_sub(t_ns) as f64 * 1e-9
+        self.time.now_s() - now.t_ns.saturating_sub(t_ns) as f64 * 1e-9
     }
 
     /// Who holds the machine.

@@ -1,5 +1,6 @@
+mod verbs;
+
 use super::*;
-use rtec_correct::sensors;
 use rtec_driver::clock::Monotonic;
 use rtec_driver::mock::{MockCard, SharedWires, Wires};
 use rtec_files::csv::Reader;
@@ -8,6 +9,7 @@ use rtec_rt::engine::{Engine, MachineConfig};
 use rtec_rt::journal::Before;
 use rtec_rt::link::{REQUESTS, link};
 use rtec_rt::thread::{ThreadOptions, spawn};
+use std::cell::Cell;
 
 fn ask(session: &mut Session, request: &ClientRequest, control: &mut ControlEnd, log: &mut Log) -> Response {
     let deadline = Instant::now() + Duration::from_secs(60);
@@ -39,11 +41,25 @@ fn session(engine: &Engine) -> Session {
     let set_up =
         SetUp { real: false, wanted: None, missing: None, timing: engine.timing(), before: Before::NOTHING };
     let config = Config::embedded();
-    let temperatures = Temperatures::start(&config.sensors, Path::new(""), 1.0).unwrap();
-    Session::by(Rc::new(RealTime), config, set_up, temperatures)
+    Session::by(Rc::new(RealTime(Clock::start())), config, set_up, Buses::of(Vec::new()))
 }
 
-/// The recorded shift of `rtec-correct`'s tests gives the same totals in the daemon's tick, count for count.
+/// The time of a recorded shift.
+struct Recorded(Cell<f64>);
+
+impl Time for Recorded {
+    fn now(&self) -> Instant {
+        Instant::now()
+    }
+
+    fn now_s(&self) -> f64 {
+        self.0.get()
+    }
+
+    fn sleep(&self, _: Duration) {}
+}
+
+/// The recorded shift gives the same totals in the daemon's tick.
 #[test]
 fn a_recorded_shift_gets_the_recorded_totals() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../correct/tests/shift");
@@ -54,13 +70,12 @@ fn a_recorded_shift_gets_the_recorded_totals() {
     let (engine, _card) = engine(&config);
     let set_up =
         SetUp { real: false, wanted: None, missing: None, timing: engine.timing(), before: Before::NOTHING };
-    let watch = |n: &str| Watch::new(sensors::SensorConfig::believed(n, Role::Temperature));
-    let played = Temperatures::played(["T8", "T18"].map(watch).to_vec());
-    let mut session = Session::by(Rc::new(RealTime), config, set_up, played);
+    let watch = |n: &str| Watch::new(SensorConfig::believed(n, Role::Temperature));
+    let time = Rc::new(Recorded(Cell::new(0.0)));
+    let played = Buses::of(["T8", "T18"].map(watch).to_vec());
+    let mut session = Session::by(Rc::clone(&time) as _, config, set_up, played);
     let machine = Machine::read(&folder.join("machine.toml")).unwrap();
-    session.temperatures.look();
-    let watches = session.temperatures.sensors().to_vec();
-    session.corrector.load(machine, &watches, &|_| Vec::new()).unwrap();
+    session.corrector.load(machine, &|_| Vec::new()).unwrap();
     let mut status = Status { mode: Mode::Run, axes_used: 3, ..Status::default() };
     status.axes.iter_mut().for_each(|a| a.homed = true);
     let (mut control, mut rt) = link(status);
@@ -72,7 +87,10 @@ fn a_recorded_shift_gets_the_recorded_totals() {
         let mut at = Vec::new();
         let take = |_, cell: rtec_files::csv::Cell<'_>| cell.finite().map(|v| at.push(v));
         header.each(row, take).unwrap();
-        session.temperatures.play(at[0], &at[4..6]);
+        time.0.set(at[0]);
+        for (watch, value) in session.sensors.look().iter_mut().zip(&at[4..6]) {
+            watch.offer(at[0], Ok(*value));
+        }
         session.corrector.operator_is(0, at[6] as i64);
         status.t_ns = (at[0] * 1e9).round() as u64;
         (0..3).for_each(|n| status.axes[n].position_counts = at[1 + n] as i64);
@@ -94,7 +112,7 @@ fn a_recorded_shift_gets_the_recorded_totals() {
     assert_eq!(rows, 2400);
 }
 
-/// A request to a silent real-time thread gets an answer, and a full ring is reported.
+/// A silent real-time thread is answered for, and a full ring is reported.
 #[test]
 fn a_full_ring_and_a_silent_thread_are_answers_not_hangs() {
     let (engine, _card) = engine(&Config::embedded());
@@ -224,217 +242,6 @@ fn a_stale_control_side_freezes_corrections_and_is_named() {
     assert_eq!(why, "ended");
 }
 
-/// Wires of a machine that waits for a thread that is kept from looking.
-struct Patient(SharedWires);
-
-impl Wires for Patient {
-    fn levels(&mut self, t_ns: u64, outputs: u64) -> u64 {
-        self.0.levels(t_ns, outputs)
-    }
-
-    fn step_limit_ns(&self) -> u64 {
-        1000
-    }
-}
-
-/// A machine with every line wired, its inputs set by the test, and a daemon on it.
-struct Hand {
-    session: Session,
-    running: rtec_rt::thread::Running<MockCard<Patient, Monotonic>>,
-    inputs: std::sync::Arc<std::sync::atomic::AtomicU64>,
-    log: Log,
-    _directory: tempfile::TempDir,
-}
-
-const SWITCH: u64 = 1 << 29;
-const READY: u64 = 1 << 30;
-
-/// Speed is known from the second edge on: one alone, however fresh, is no motion.
-#[test]
-fn homes_right_behind_the_first_edge() {
-    let mut hand = Hand::new();
-    hand.input(1, true);
-    hand.done(&ClientRequest::Home { axis: None, controller_homed: Some(true) });
-}
-
-/// Everything that a verb could change: a refused verb leaves all of it as it was.
-#[derive(Debug, PartialEq)]
-struct State {
-    mode: Mode,
-    enabled: bool,
-    held: bool,
-    model: bool,
-    /// Per axis: requested, in effect, homed, MTC known, faults, operator's share in µm.
-    axes: Vec<(i64, i64, bool, bool, usize, f64)>,
-}
-
-impl Hand {
-    fn new() -> Self {
-        let directory = tempfile::tempdir().unwrap();
-        let mut config = Config::embedded();
-        config.control.state_file = Some(directory.path().join("state"));
-        config.lines.mtc_ready = Some(30);
-        for axis in &mut config.axes {
-            axis.engine.rest = rtec_rt::axis::RestPolicy::Insert { after_ns: 1 };
-            axis.engine.lines.read_back = None;
-        }
-        let wires = SharedWires::default();
-        let inputs = std::sync::Arc::clone(&wires.inputs);
-        inputs.store(READY, std::sync::atomic::Ordering::Release);
-        let mut card = MockCard::new(Patient(wires), Monotonic);
-        let machine = MachineConfig { lines: config.lines, may_arm: true };
-        let engine = Engine::new(&mut card, &config.engine_axes(), machine, &[]).unwrap();
-        let before = Before::NOTHING;
-        let set_up = SetUp { real: false, wanted: None, missing: None, timing: engine.timing(), before };
-        let temperatures = Temperatures::start(&config.sensors, Path::new(""), 1.0).unwrap();
-        let session = Session::by(Rc::new(RealTime), config, set_up, temperatures);
-        let options = ThreadOptions { wanted: None, real: false, stale_after_ns: 60_000_000_000 };
-        let running = spawn(engine, card, options).unwrap();
-        Self { session, running, inputs, log: Log::new(), _directory: directory }
-    }
-
-    fn ask(&mut self, request: &ClientRequest) -> Response {
-        ask(&mut self.session, request, &mut self.running.control, &mut self.log)
-    }
-
-    fn done(&mut self, request: &ClientRequest) {
-        let response = self.ask(request);
-        assert!(matches!(response, Response::Done { .. }), "{request:?}: {response:?}");
-    }
-
-    fn input(&mut self, mask: u64, on: bool) {
-        let inputs = self.inputs.load(std::sync::atomic::Ordering::Acquire);
-        let inputs = if on { inputs | mask } else { inputs & !mask };
-        self.inputs.store(inputs, std::sync::atomic::Ordering::Release);
-        // A status that is newer than the next has seen it.
-        for _ in 0..2 {
-            let polls = self.running.control.status().polls;
-            while self.running.control.status().polls == polls {
-                std::thread::yield_now();
-            }
-        }
-    }
-
-    fn state(&mut self) -> State {
-        let status = self.running.control.status();
-        let Response::Explained { axes } = self.ask(&ClientRequest::Explain { axis: None }) else {
-            panic!("no explanation")
-        };
-        let operator = |n: usize| axes[n].parts.iter().find(|p| p.name == "operator").map_or(0.0, |p| p.um);
-        let each = status.axes().iter().enumerate();
-        State {
-            mode: status.mode,
-            enabled: status.enabled,
-            held: status.held.is_some(),
-            model: self.session.corrector.shown().is_some(),
-            axes: each
-                .map(|(n, a)| {
-                    (a.requested, a.in_effect, a.homed, a.mtc_known, a.faults.iter().count(), operator(n))
-                })
-                .collect(),
-        }
-    }
-
-    /// Homed, with a total of 14 counts in effect on X, corrections enabled.
-    fn running(&mut self) {
-        use ClientRequest as R;
-        self.input(SWITCH, false);
-        self.input(READY, true);
-        let controller_homed = Some(true);
-        for request in [
-            R::Clear {},
-            R::Hold { on: false },
-            R::Probe { on: false },
-            R::Disable {},
-            R::Home { axis: None, controller_homed },
-            R::Enable { accept_jump: true },
-            R::Correct { axis: "x".to_owned(), total_counts: 14, large: false },
-        ] {
-            self.done(&request);
-        }
-        while self.running.control.status().axes[0].in_effect != 14 {
-            self.running.control.beat();
-        }
-    }
-}
-
-/// Puts a machine into a mode.
-type Put = Box<dyn Fn(&mut Hand)>;
-/// What is so once a verb is done.
-type Is = fn(&State) -> bool;
-
-/// Every verb that changes a total or a mode, in every mode.
-/// Either it is done and takes effect, or it is refused and nothing changes.
-#[test]
-fn every_verb_is_done_or_refused_in_every_mode() {
-    use ClientRequest as R;
-    let correct = |total_counts| R::Correct { axis: "x".to_owned(), total_counts, large: false };
-    let home = |controller_homed| R::Home { axis: None, controller_homed };
-    let (hold, probe, enable) = (|on| R::Hold { on }, |on| R::Probe { on }, R::Enable { accept_jump: false });
-    let by = |requests: Vec<R>| -> Put { Box::new(move |hand| requests.iter().for_each(|r| hand.done(r))) };
-    let modes: Vec<(&str, Put)> = vec![
-        ("run", by(vec![])),
-        ("disabled", by(vec![R::Disable {}])),
-        ("shadow", by(vec![R::Shadow {}])),
-        ("probe", by(vec![probe(true)])),
-        ("probe, disabled", by(vec![R::Disable {}, probe(true)])),
-        ("hold", by(vec![hold(true)])),
-        ("hold, disabled", by(vec![R::Disable {}, hold(true)])),
-        ("hold, shadow", by(vec![R::Shadow {}, hold(true)])),
-        ("switch", Box::new(|hand| hand.input(SWITCH, true))),
-        ("switch released", Box::new(|hand| [true, false].into_iter().for_each(|on| hand.input(SWITCH, on)))),
-        ("MTC off", Box::new(|hand| hand.input(READY, false))),
-        ("MTC on again", Box::new(|hand| [false, true].into_iter().for_each(|on| hand.input(READY, on)))),
-        (
-            "fault",
-            Box::new(move |hand| {
-                let far = R::Correct { axis: "x".to_owned(), total_counts: 900, large: false };
-                (0..3).for_each(|_| drop(hand.ask(&far)));
-            }),
-        ),
-    ];
-    let verbs: Vec<(R, Is)> = vec![
-        (correct(0), |s| s.axes[0].0 == 0 && s.axes[0].5 == 0.0),
-        (correct(14), |s| s.axes[0].0 == 14),
-        (correct(20), |s| s.axes[0].0 == 20 && s.axes[0].5 != 0.0),
-        (home(None), |s| s.axes.iter().all(|a| a.2 && a.1 == 0)),
-        (home(Some(true)), |s| s.axes.iter().all(|a| a.2 && a.3 && a.1 == 0 && a.0 == 0)),
-        (home(Some(false)), |s| s.axes.iter().all(|a| a.2) && s.axes[0].1 == 14 && s.axes[0].0 == 14),
-        (enable, |s| s.enabled && s.mode == Mode::Run),
-        (R::Disable {}, |s| !s.enabled),
-        (R::Park {}, |s| !s.enabled),
-        (R::Shadow {}, |s| !s.enabled && s.mode == Mode::Shadow),
-        (hold(true), |s| s.held && matches!(s.mode, Mode::Hold | Mode::Fault)),
-        (hold(false), |s| !s.held),
-        (probe(true), |s| matches!(s.mode, Mode::Probe | Mode::Hold | Mode::Fault)),
-        (probe(false), |s| s.mode != Mode::Probe),
-        (R::Clear {}, |s| s.mode != Mode::Fault && s.axes.iter().all(|a| a.4 == 0)),
-        (R::ModelUnload {}, |s| !s.model),
-        (R::ModelAgain {}, |s| s.model),
-        (R::TableUnload {}, |_| true),
-    ];
-    let mut hand = Hand::new();
-    let (mut done, mut refused) = (0, 0);
-    for (mode, put) in &modes {
-        for (verb, is) in &verbs {
-            hand.running();
-            put(&mut hand);
-            let before = hand.state();
-            let response = hand.ask(verb);
-            let after = hand.state();
-            if matches!(response, Response::Done { .. }) {
-                assert!(is(&after), "{mode}: {verb:?} is done, and {after:?}");
-                done += 1;
-            } else {
-                assert_eq!(after, before, "{mode}: {verb:?}: {response:?}");
-                refused += 1;
-            }
-        }
-    }
-    assert!(done > 80 && refused > 60, "{done} done, {refused} refused");
-    hand.running.stop();
-}
-
 /// A real card with figures from elsewhere, or too fast an axis, cannot be enabled.
 /// The status says why.
 #[test]
@@ -462,8 +269,8 @@ fn a_card_without_figures_of_its_own_is_not_armed() {
             timing: engine.timing(),
             before: Before::NOTHING,
         };
-        let temperatures = Temperatures::start(&config.sensors, Path::new(""), 1.0).unwrap();
-        let session = Session::by(Rc::new(RealTime), config, set_up, temperatures);
+        let time = Rc::new(RealTime(Clock::start()));
+        let session = Session::by(time, config, set_up, Buses::of(Vec::new()));
         let (mut control, _rt) = link(engine.status());
         let (refusal, status) =
             (session.forbidden(&engine.status(), &[], true), session.status(&mut control));

@@ -1,16 +1,17 @@
 //! `rtecctl characterise record`: temperatures, positions and gauges into a run record, with progress.
 
-use crate::daemon::{self, Daemon, unreachable};
+use crate::daemon::{self, Daemon, status};
 use crate::verbs::suspicions;
 use anyhow::Context;
-use nix::sys::signal::{SigSet, Signal};
+use nix::sys::signal::Signal;
 use rtec_control::client::Client;
-use rtec_control::protocol::{ClientRequest, DaemonStatus, Response};
-use rtec_control::sources::{Bank, Feed};
-use rtec_correct::sensors::{self, SensorConfig, Use};
+use rtec_control::protocol::{ClientRequest, DaemonStatus};
 use rtec_files::InputError;
-use rtec_files::toml::Document;
+use rtec_files::toml::{Document, Section, SourceFile};
 use rtec_model::record::{Column, Kind, LINEAR, Record, Role, check};
+use rtec_sensors::bank::Bank;
+use rtec_sensors::feed::Feed;
+use rtec_sensors::{SensorConfig, Use};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -185,7 +186,7 @@ pub(crate) fn record(out: &Path, args: &Recorder, with_response: bool) -> anyhow
     args.check(out, kind, &columns, with_response)?;
     let mut feed = args.feed.as_deref().map(Feed::new);
     let (part, mut file) = rows_apart(out, &columns)?;
-    let (start, begun) = (Instant::now(), rtec_model::date::format(rtec_model::date::today()));
+    let (start, begun) = (Instant::now(), rtec_files::date::format(rtec_files::date::today()));
     let rows = (duration / period).floor() as u64 + 1;
     let mut last: Vec<Option<f64>> = vec![None; columns.len()];
     let mut came_s = vec![0.0; columns.len()];
@@ -429,13 +430,6 @@ impl DaemonTotals {
     }
 }
 
-fn status(client: &mut Client) -> anyhow::Result<DaemonStatus> {
-    match daemon::check(client.ask(&ClientRequest::Status {}).map_err(unreachable)?)? {
-        Response::Status(status) => Ok(*status),
-        other => Err(crate::Outcome::Unreachable(format!("an answer that is no status: {other:?}")).into()),
-    }
-}
-
 fn column(name: &str, role: Role) -> Column {
     let unit = role.unit().unwrap_or("1").to_owned();
     Column { name: name.to_owned(), role, unit, data: Vec::new() }
@@ -456,11 +450,7 @@ fn wait_until(start: Instant, due_s: f64, ended: &AtomicBool) -> bool {
 /// Otherwise, and a second one, the program. Before sensors and feed have threads of their own, so that none but this
 /// one gets it.
 fn on_signal() -> anyhow::Result<Arc<AtomicBool>> {
-    let mut ends = SigSet::empty();
-    for signal in [Signal::SIGINT, Signal::SIGTERM, Signal::SIGHUP] {
-        ends.add(signal);
-    }
-    ends.thread_block()?;
+    let ends = daemon::block_end_signals()?;
     let ended = Arc::new(AtomicBool::new(false));
     let told = Arc::downgrade(&ended);
     std::thread::spawn(move || {
@@ -478,9 +468,13 @@ fn on_signal() -> anyhow::Result<Arc<AtomicBool>> {
 fn read_sensors(path: Option<&Path>) -> Result<Vec<SensorConfig>, InputError> {
     let Some(path) = path else { return Ok(Vec::new()) };
     let text = rtec_files::text::read(path)?;
-    let doc = Document::parse(path, &text)?;
-    let root = doc.root();
-    root.only(&["sensor"])?;
-    root.required("sensor", "[[sensor]] tables")?;
-    sensors::read_tables(&root)
+    let document = Document::parse(path, &text)?;
+    let mut source = SourceFile { file: path, text: &text, findings: Vec::new() };
+    let mut root = Section::root(&document);
+    if !root.has("sensor") {
+        root.say_missing(&mut source, "sensor", "[[sensor]] tables");
+    }
+    let sensors = rtec_sensors::read_tables(&mut source, &mut root);
+    root.finish(&mut source);
+    source.findings.into_iter().next().map_or(Ok(sensors), Err)
 }

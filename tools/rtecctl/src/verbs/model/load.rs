@@ -1,7 +1,7 @@
 //! `rtecctl model load` and `unload`: which machine model the daemon runs.
 
 use crate::Outcome;
-use crate::daemon::{Daemon, absolute, check, open, unreachable};
+use crate::daemon::{Daemon, absolute, check, open, unexpected, unreachable};
 use crate::document::line;
 use crate::say;
 use rtec_control::protocol::{Change, ClientRequest, ModelPreview, Response};
@@ -41,8 +41,9 @@ pub(crate) fn load(args: &LoadArgs) -> anyhow::Result<()> {
     let (take, files) = (None, names.clone());
     let shown = ClientRequest::ModelLoad { file: file.clone(), take, expired: false, files };
     let shown = client.ask_with(&shown, &open()?).map_err(unreachable)?;
-    let Response::ModelPreview(mut preview) = check(shown)? else {
-        return Err(Outcome::Unreachable("rtecd answered something else".to_owned()).into());
+    let mut preview = match check(shown)? {
+        Response::ModelPreview(preview) => preview,
+        other => return Err(unexpected(&other)),
     };
     preview.warnings.splice(0..0, own.warnings.clone());
     let (take, expired) = (Some(preview.sha256.clone()), args.expired);

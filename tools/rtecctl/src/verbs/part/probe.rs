@@ -6,7 +6,7 @@ use super::features::Units;
 use super::points::positive;
 use super::{failed, print, usage, write_all};
 use crate::Outcome;
-use crate::daemon::{Daemon, check, unreachable};
+use crate::daemon::{self, Daemon, unreachable};
 use crate::document::pretty;
 use rtec_control::client::{Client, ClientError};
 use rtec_control::protocol::{self, ClientRequest, Response};
@@ -138,12 +138,8 @@ fn watch(args: &LiveArgs, expected: &[Zx], window_mm: f64) -> anyhow::Result<Pro
     };
     let origin = Zx::new(z_mm, x_mm);
     let daemon = Daemon::at(args.socket.clone());
-    let ask = |request: &ClientRequest| -> anyhow::Result<Response> {
-        check(daemon.connect()?.ask(request).map_err(unreachable)?)
-    };
-    let Response::Status(status) = ask(&ClientRequest::Status {})? else {
-        return Err(Outcome::Unreachable("rtecd answered something else".to_owned()).into());
-    };
+    let ask = |request: &ClientRequest| daemon::ask(&mut daemon.connect()?, request);
+    let status = daemon::status(&mut daemon.connect()?)?;
     for (option, name) in [("--z-axis", &args.z_axis), ("--x-axis", &args.x_axis)] {
         let names: Vec<&str> = status.axes.iter().map(|a| a.name.as_str()).collect();
         if !names.contains(&name.as_str()) {
@@ -155,7 +151,7 @@ fn watch(args: &LiveArgs, expected: &[Zx], window_mm: f64) -> anyhow::Result<Pro
     }
     // Watching first: no trip can come between the two.
     let mut events = daemon.connect()?;
-    check(events.ask(&ClientRequest::Watch {}).map_err(unreachable)?)?;
+    daemon::ask(&mut events, &ClientRequest::Watch {})?;
     if args.start {
         ask(&ClientRequest::Hold { on: true })?;
     }

@@ -1,4 +1,4 @@
-//! Calendar days, for what a model says about its age.
+//! Calendar days: ISO 8601 and days since 1970-01-01.
 
 /// Days since 1970-01-01 of a day as ISO 8601 (`2026-05-01`).
 /// `None` where it is none.

@@ -2,168 +2,10 @@
 //! A sensor that is stuck, jumps, falls silent or reads an impossible value is reported by name. Its last good value
 //! is used for a stated time, then corrections hold. Whoever reads the sensor passes each reading in here.
 
-use rtec_files::InputError;
-use rtec_files::toml::Table;
+use crate::SensorConfig;
 use rtec_model::limits::disconnected;
 use rtec_model::record::Role;
-use std::path::PathBuf;
 use std::sync::Arc;
-
-/// Where a sensor's values come from.
-#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
-#[allow(missing_docs)]
-pub enum SensorSource {
-    /// Device by its `name` file (or `iio:deviceN`), channel number.
-    Iio { device: String, channel: u32 },
-    /// Chip by its `name` file (or `hwmonN`), input number.
-    Hwmon { chip: String, input: u32 },
-    /// Device such as `28-0123456789ab`.
-    OneWire { id: String },
-    /// Column of a run record (its sidecar).
-    Csv { record: PathBuf, column: String },
-    /// `host:port` or `/dev/tty…`, and the name at the start of the line.
-    Line { from: String, key: String },
-}
-
-/// A sensor as it is configured.
-#[derive(Debug, Clone, PartialEq)]
-pub struct SensorConfig {
-    /// Name, as effects use it.
-    pub name: String,
-    /// Where it sits on the machine, for people.
-    pub place: String,
-    /// What it reads: a temperature, or another role that an effect may ask for.
-    /// Roles are spindle speed, coolant, load and channel.
-    pub role: Role,
-    /// Where its values come from.
-    pub source: SensorSource,
-    /// Time between readings, s.
-    pub period_s: f64,
-    /// What it can plausibly read, °C (or its role's unit).
-    pub range: [f64; 2],
-    /// The fastest change that can be real, K/min; infinite for what is no temperature.
-    pub max_rate_k_per_min: f64,
-    /// Without a reading for so long it is silent, s.
-    pub timeout_s: f64,
-    /// Exactly the same value for so long is stuck, s.
-    /// 0 where the sensor is too coarse to tell.
-    pub stuck_s: f64,
-    /// The last good value stands for so long, s; after that corrections hold.
-    pub freeze_s: f64,
-}
-
-impl SensorConfig {
-    /// Reads a `[[sensor]]` table.
-    ///
-    /// # Errors
-    /// The first finding, with line and column.
-    pub fn read(t: Table<'_>) -> Result<Self, InputError> {
-        let common = [
-            "name",
-            "place",
-            "role",
-            "source",
-            "period_s",
-            "range",
-            "range_degC",
-            "max_rate_K_per_min",
-            "timeout_s",
-            "stuck_s",
-            "freeze_s",
-        ];
-        let own = ["device", "channel", "chip", "input", "id", "record", "column", "from", "key"];
-        t.only(&[common.as_slice(), &own].concat())?;
-        let text = |key: &str, form: &str| Ok::<_, InputError>(t.required(key, form)?.str(form)?.to_owned());
-        let number =
-            |key: &str, default: f64| t.get(key).map_or(Ok(default), |e| e.positive("a number above zero"));
-        let whole = |key: &str| match t.get(key) {
-            None => Ok(0),
-            Some(e) => match e.number("a whole number")? {
-                v if v.fract() == 0.0 && v >= 0.0 => Ok(v as u32),
-                v => Err(e.error(v.to_string(), "a whole number")),
-            },
-        };
-        let name = text("name", "the sensor's name, as effects use it")?;
-        let entry = t.required("source", "source = \"iio\", \"hwmon\", \"one_wire\", \"csv\" or \"line\"")?;
-        let source = match entry.str("a source")? {
-            "iio" => {
-                SensorSource::Iio { device: text("device", "device = \"NAME\"")?, channel: whole("channel")? }
-            }
-            "hwmon" => {
-                SensorSource::Hwmon { chip: text("chip", "chip = \"NAME\"")?, input: whole("input")?.max(1) }
-            }
-            "one_wire" => SensorSource::OneWire { id: text("id", "id = \"28-…\"")? },
-            "csv" => SensorSource::Csv {
-                record: PathBuf::from(text("record", "record = \"NAME.run.toml\"")?),
-                column: t.get("column").map_or(Ok(name.as_str()), |e| e.str("a column"))?.to_owned(),
-            },
-            "line" => SensorSource::Line {
-                from: text("from", "from = \"host:port\" or \"/dev/tty…\"")?,
-                key: t.get("key").map_or(Ok(name.as_str()), |e| e.str("a key"))?.to_owned(),
-            },
-            other => {
-                return Err(entry.error(format!("source `{other}`"), "iio, hwmon, one_wire, csv or line"));
-            }
-        };
-        let period_s = number("period_s", 1.0)?;
-        let role = match t.get("role") {
-            None => Role::Temperature,
-            Some(e) => {
-                let form = "temperature, spindle_speed, coolant, load.AXIS or channel";
-                Role::parse(e.str(form)?).filter(is_sensed).ok_or_else(|| e.error(e.text(), form))?
-            }
-        };
-        let warm = role == Role::Temperature;
-        for key in if warm { &["range"][..] } else { &["range_degC", "max_rate_K_per_min"] } {
-            if let Some(e) = t.get(key) {
-                return Err(e.unknown_key(if warm {
-                    "range_degC"
-                } else {
-                    "range, as it is no temperature"
-                }));
-            }
-        }
-        let limits = if warm { [-20.0, 120.0] } else { [-1e9, 1e9] };
-        Ok(Self {
-            place: t.get("place").map_or(Ok(""), |e| e.str("a place"))?.to_owned(),
-            range: t
-                .get(if warm { "range_degC" } else { "range" })
-                .map_or(Ok(limits), |e| e.pair("[lowest, highest]"))?,
-            max_rate_k_per_min: if warm { number("max_rate_K_per_min", 10.0)? } else { f64::INFINITY },
-            timeout_s: number("timeout_s", 5.0 * period_s)?,
-            stuck_s: t.get("stuck_s").map_or(Ok(0.0), |e| e.number("seconds"))?,
-            freeze_s: number("freeze_s", 60.0)?,
-            name,
-            role,
-            source,
-            period_s,
-        })
-    }
-}
-
-impl SensorConfig {
-    /// A sensor whose readings are always believed and never expire.
-    /// It belongs to a simulation or a recorded shift.
-    #[must_use]
-    pub fn believed(name: &str, role: Role) -> Self {
-        Self {
-            name: name.to_owned(),
-            place: String::new(),
-            role,
-            source: SensorSource::Csv { record: PathBuf::new(), column: name.to_owned() },
-            period_s: 1.0,
-            range: [f64::NEG_INFINITY, f64::INFINITY],
-            max_rate_k_per_min: f64::INFINITY,
-            timeout_s: f64::INFINITY,
-            stuck_s: 0.0,
-            freeze_s: f64::INFINITY,
-        }
-    }
-}
-
-fn is_sensed(role: &Role) -> bool {
-    matches!(role, Role::Temperature | Role::SpindleSpeed | Role::Coolant | Role::Load(_) | Role::Channel)
-}
 
 /// What is wrong with a sensor.
 #[derive(Debug, Clone, PartialEq)]
@@ -357,42 +199,11 @@ impl Watch {
     }
 }
 
-/// Reads the `[[sensor]]` tables of a file.
-///
-/// # Errors
-/// The first finding, with line and column.
-pub fn read_tables(root: &Table<'_>) -> Result<Vec<SensorConfig>, InputError> {
-    let mut found: Vec<SensorConfig> = Vec::new();
-    let tables = root.get("sensor").map(|e| e.tables("[[sensor]] tables")).transpose()?;
-    for t in tables.unwrap_or_default() {
-        let config = SensorConfig::read(t)?;
-        if found.iter().any(|c| c.name == config.name) {
-            let found = format!("sensor `{}` twice", config.name);
-            return Err(t.required("name", "")?.error(found, "each name once"));
-        }
-        found.push(config);
-    }
-    Ok(found)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    fn config(name: &str, source: SensorSource) -> SensorConfig {
-        SensorConfig {
-            name: name.into(),
-            place: String::new(),
-            source,
-            period_s: 1.0,
-            role: Role::Temperature,
-            range: [0.0, 80.0],
-            max_rate_k_per_min: 6.0,
-            timeout_s: 3.0,
-            stuck_s: 20.0,
-            freeze_s: 10.0,
-        }
-    }
+    use crate::SensorSource;
+    use crate::config::for_test as config;
 
     fn watch() -> Watch {
         Watch::new(config("T1", SensorSource::OneWire { id: "28-0".into() }))
@@ -527,69 +338,5 @@ mod tests {
             w.offer(1.0, Ok(code));
             assert_eq!((w.fault(), w.value_degc()), (None, Some(code)), "it was nearly there before");
         }
-    }
-
-    fn tables(text: &str) -> Result<Vec<SensorConfig>, InputError> {
-        let text = text.replace('\'', "\"");
-        let file = std::path::Path::new("rtec.toml");
-        let document = rtec_files::toml::Document::parse(file, &text)?;
-        read_tables(&document.root())
-    }
-
-    /// Defaults of a sensor: a reading each second; a temperature from -20 to 120 °C, at most 10 K a minute.
-    #[test]
-    fn what_a_sensors_table_does_not_say_has_a_default() {
-        let read = tables(
-            "[[sensor]]\nname='T1'\nsource='iio'\ndevice='d'\n\
-             [[sensor]]\nname='wet'\nsource='hwmon'\nchip='c'\nrole='coolant'\nperiod_s=2.0\n\
-             [[sensor]]\nname='F'\nsource='csv'\nrecord='r.run.toml'\nrole='load.z'\nrange=[0,900]\n\
-             [[sensor]]\nname='T2'\nsource='line'\nfrom='h:1'\nkey='k'\nrange_degC=[0,50]\nmax_rate_K_per_min=3\n",
-        )
-        .unwrap();
-        let z = rtec_model::record::Axis::new("z").unwrap();
-        let roles = [Role::Temperature, Role::Coolant, Role::Load(z), Role::Temperature];
-        let ranges = [[-20.0, 120.0], [-1e9, 1e9], [0.0, 900.0], [0.0, 50.0]];
-        let rates = [10.0, f64::INFINITY, f64::INFINITY, 3.0];
-        let sources = [
-            SensorSource::Iio { device: "d".into(), channel: 0 },
-            SensorSource::Hwmon { chip: "c".into(), input: 1 },
-            SensorSource::Csv { record: "r.run.toml".into(), column: "F".into() },
-            SensorSource::Line { from: "h:1".into(), key: "k".into() },
-        ];
-        assert_eq!(read.len(), 4);
-        for (n, s) in read.into_iter().enumerate() {
-            assert_eq!((s.role, s.range, s.max_rate_k_per_min), (roles[n].clone(), ranges[n], rates[n]));
-            assert_eq!(
-                (s.period_s, s.timeout_s),
-                ([1.0, 2.0, 1.0, 1.0][n], [5.0, 10.0, 5.0, 5.0][n]),
-                "{}",
-                s.name
-            );
-            assert_eq!((s.source, s.stuck_s, s.freeze_s), (sources[n].clone(), 0.0, 60.0));
-        }
-        assert_eq!(tables("").unwrap(), []);
-    }
-
-    #[test]
-    fn a_sensors_table_that_cannot_be_meant_is_named_with_its_place() {
-        let one = "[[sensor]]\nname='T1'\nsource='iio'\ndevice='d'\n";
-        for (more, said) in [
-            (one, "6:6: found sensor `T1` twice, expected each name once"),
-            ("channel=1.5\n", "5:9: found 1.5, expected a whole number"),
-            ("channel=-1\n", "5:9: found -1, expected a whole number"),
-            ("role='position.x'\n", "5:6: found position.x, expected temperature, spindle_speed"),
-            ("range=[0,50]\n", "5:1: found unknown key range, expected range_degC"),
-            (
-                "role='coolant'\nrange_degC=[0,1]\n",
-                "6:1: found unknown key range_degC, expected range, as it is no",
-            ),
-        ] {
-            let found = tables(&[one, more].concat()).unwrap_err().to_string();
-            assert!(found.contains(&format!("rtec.toml:{said}")), "{found}\n  for {said}");
-        }
-        assert_eq!(
-            tables(&[one, "channel=3\n"].concat()).unwrap()[0].source,
-            SensorSource::Iio { device: "d".into(), channel: 3 }
-        );
     }
 }

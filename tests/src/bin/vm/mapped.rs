@@ -1,0 +1,244 @@
+//! The PCI card in memory, and its far side on the host.
+
+use super::*;
+
+/// Words of the card's memory beside its registers (profile shared-memory: inputs at 0, outputs at 4).
+const TICK: usize = 0x10;
+const SEEN: usize = 0x14;
+const PHASE: usize = 0x18;
+const AT: usize = 0x1c;
+const OFFSET: usize = 0x20;
+const ILLEGAL: usize = 0x24;
+const SCALE: usize = 0x28;
+const BUSY: usize = 0x2c;
+const BYTES: usize = 0x40;
+/// What the far side is to do.
+const SLOW: u32 = 1;
+const STEPPED: u32 = 2;
+const END: u32 = 3; // said by the host, when the machine is off
+
+/// Counts of the stepped run, and its unit of time: a count takes six units, some 40 000 counts/s. An insertion takes four
+/// of them; the last one shows that the second inversion is in effect.
+const COUNTS: u32 = 1_000_000;
+const COUNT_STEPS: u32 = 6;
+const STEP_NS: u64 = 4_000;
+
+/// The card's far side, on the host: does what the guest asks for until it is told to end.
+pub(super) fn far_side(file: &Path) -> anyhow::Result<()> {
+    let words = Registers::open(file, BYTES, "far side")?;
+    let phase = || words.read(PHASE, Width::Bits32);
+    let say = |offset: i64, illegal: u64| {
+        words.write(OFFSET, Width::Bits32, offset as u32);
+        words.write(ILLEGAL, Width::Bits32, illegal as u32);
+    };
+    let (mut illegal, mut counts) = (0, 0);
+    loop {
+        let now = phase();
+        match now {
+            SLOW => {
+                let machine = Machine::paced(Registers::open(file, 8, "machine")?, EDGE);
+                machine.move_axis(true);
+                words.write(AT, Width::Bits32, now);
+                while phase() == now {
+                    say(machine.offset(), machine.illegal());
+                    std::thread::sleep(Duration::from_millis(1));
+                }
+                illegal += machine.illegal();
+            }
+            STEPPED => {
+                let (scale, mtc) = in_step(&words, &say, &phase);
+                println!(
+                    "far side, in step: scale {scale}, controller {}, {} illegal",
+                    mtc.count(),
+                    mtc.illegal()
+                );
+                illegal += mtc.illegal();
+                counts += scale;
+            }
+            END => break,
+            _ => std::thread::sleep(Duration::from_millis(1)),
+        }
+    }
+    println!("far side of the PCI card: {counts} counts in step, {illegal} illegal transitions in all");
+    ensure!(illegal == 0 && counts >= i64::from(COUNTS), "not what was asked for");
+    Ok(())
+}
+
+/// In step with the guest: time goes on only when the guest has looked and acted.
+///
+/// It goes on by one unit while the guest has something to do, else to two units before the next edge. An edge right
+/// after a late look may be as old as that look, and has no period.
+fn in_step(words: &Registers, say: &impl Fn(i64, u64), phase: &impl Fn() -> u32) -> (i64, Decoder) {
+    let lines = AxisLines::standard(0, false);
+    let (mut state, mut mtc, mut scale, mut tick) =
+        (State::default(), Decoder::new(State::default()), 0_i64, 0_u32);
+    words.write(0, Width::Bits32, 0);
+    words.write(AT, Width::Bits32, STEPPED);
+    while phase() == STEPPED {
+        let outputs = || u64::from(words.read(4, Width::Bits32));
+        let idle = words.read(BUSY, Width::Bits32) == 0;
+        tick += if idle { (COUNT_STEPS - 2).saturating_sub(tick % COUNT_STEPS).max(1) } else { 1 };
+        // Beyond what is counted the axis goes on, so that the last request can still be served.
+        if tick.is_multiple_of(COUNT_STEPS) {
+            state = state.next(true);
+            scale += 1;
+            words.write(0, Width::Bits32, u32::from(state.bits()));
+            mtc.update(state.inverted(lines.inverters(outputs())));
+        }
+        words.write(TICK, Width::Bits32, tick);
+        let mut spins = 0_u64;
+        while words.read(SEEN, Width::Bits32) != tick && phase() == STEPPED {
+            spins += 1;
+            // The guest may need this CPU to go on.
+            if spins.is_multiple_of(4096) {
+                std::thread::yield_now();
+            }
+        }
+        mtc.update(state.inverted(lines.inverters(outputs())));
+        say(mtc.count() - scale, mtc.illegal());
+        words.write(SCALE, Width::Bits32, scale as u32);
+    }
+    (scale, mtc)
+}
+
+/// Time as the far side counts it.
+struct FarTime(Registers);
+
+impl Clock for FarTime {
+    fn now_ns(&mut self) -> u64 {
+        u64::from(self.0.read(TICK, Width::Bits32)) * STEP_NS
+    }
+}
+
+/// The card under test, looked at once for every step of the far side.
+struct InStep {
+    card: MappedCard<FarTime>,
+    words: Registers,
+    tick: u32,
+}
+
+impl Card for InStep {
+    fn sample(&mut self, wake_ns: u64) -> Result<Sample, CardError> {
+        let now_ns = u64::from(self.tick) * STEP_NS;
+        let busy = wake_ns < now_ns + u64::from(COUNT_STEPS) * STEP_NS;
+        self.words.write(BUSY, Width::Bits32, u32::from(busy));
+        self.words.write(SEEN, Width::Bits32, self.tick);
+        while self.words.read(TICK, Width::Bits32) == self.tick {
+            std::hint::spin_loop();
+        }
+        self.tick = self.words.read(TICK, Width::Bits32);
+        self.card.sample(wake_ns)
+    }
+
+    fn write(&mut self, mask: u64, value: u64) -> Result<Option<u64>, CardError> {
+        self.card.write(mask, value)
+    }
+
+    fn outputs(&mut self) -> Result<u64, CardError> {
+        self.card.outputs()
+    }
+}
+
+/// The card's BAR, once enabled: mapped, and its file in sysfs.
+fn bar() -> anyhow::Result<(Registers, PathBuf)> {
+    let profile = Profile::shared_memory();
+    let place = profile.pci.context("the profile's place on the bus")?;
+    let card = pci::find(&PciId::Card(place.id.0, place.id.1))?;
+    let file = card.prepare(place.bar, Space::Memory, BYTES)?.file;
+    Ok((Registers::open(&file, BYTES, "vm")?, file))
+}
+
+fn phase(words: &Registers, phase: u32) {
+    words.write(PHASE, Width::Bits32, phase);
+    until("the far side follows", || words.read(AT, Width::Bits32) == phase);
+}
+
+pub(super) fn mapped() -> anyhow::Result<Vec<String>> {
+    let mut said = Vec::new();
+    let (words, file) = bar()?;
+    said.push(through_rtecd(&words, "pci = '1af4:1110'\nbar = 2", "PCI 1af4:1110, BAR 2 by sysfs")?);
+    let (code, text) = refused("backend = 'mapped'\npci = '1af4:1110'\nbar = 1\n", &on_card())?;
+    ensure!(code == Some(3) && text.contains("BAR 1: found none"), "{code:?}: {text}");
+    said.push(a_million(&words, &file)?);
+    drop(words);
+
+    // A driver that shows the BARs as UIO maps takes the card; the mapping by sysfs is no longer valid then.
+    // Kept away by the override that README names, until it is taken back.
+    let device = file.parent().context("a directory")?;
+    fs::write(device.join("driver_override"), "pci-stub")?;
+    fs::write("/sys/bus/pci/drivers/hilscher/new_id", "1af4 1110")?;
+    ensure!(!device.join("driver").exists(), "a driver took the card in spite of driver_override");
+    said.push("driver_override keeps other drivers away".to_owned());
+    fs::write(device.join("driver_override"), "\n")?;
+    let address = device.file_name().and_then(|n| n.to_str()).context("an address")?;
+    fs::write("/sys/bus/pci/drivers/hilscher/bind", address)?;
+    let uio = Path::new("/dev/uio0");
+    until("the UIO device", || uio.exists());
+    let words = Registers::open_map(uio, 1, BYTES, "vm")?;
+    said.push(through_rtecd(&words, "uio = '/dev/uio0'\nmap = 1", "the same BAR by UIO")?);
+    Ok(said)
+}
+
+fn on_card() -> String {
+    format!("{AXIS}lines = {{ a = 'in0', b = 'in1', invert_a = 'out0', invert_b = 'out1' }}\n")
+}
+
+/// A few counts through the daemon, with a slow machine on the far side.
+fn through_rtecd(words: &Registers, card: &str, way: &str) -> anyhow::Result<String> {
+    phase(words, SLOW);
+    let (corrector, _held) = daemon(&format!("backend = 'mapped'\n{card}\n"), &on_card())?;
+    armed(&corrector);
+    for counts in [4, 0] {
+        corrected(&corrector, counts);
+        until("the controller counts it", || {
+            assert_eq!(words.read(ILLEGAL, Width::Bits32), 0, "illegal transitions at the controller");
+            i64::from(words.read(OFFSET, Width::Bits32) as i32) == counts
+        });
+    }
+    Ok(format!("{way}: +4 counts and back through rtecd, ledger balances"))
+}
+
+/// A million counts with the engine itself, in step with the far side.
+fn a_million(words: &Registers, file: &Path) -> anyhow::Result<String> {
+    phase(words, STEPPED);
+    let clock = FarTime(Registers::open(file, BYTES, "vm")?);
+    let card = MappedCard::open(file, &Profile::shared_memory(), clock)?;
+    let mut card = InStep { card, words: Registers::open(file, BYTES, "vm")?, tick: 0 };
+    let axis = AxisConfig {
+        max_correction_counts: 100_000,
+        detect_ns: STEP_NS,
+        write_ns: STEP_NS,
+        ..AxisConfig::default()
+    };
+    let config = MachineConfig { lines: MachineLines::default(), may_arm: true };
+    let mut engine = Engine::new(&mut card, &[axis], config, &[])?;
+    let report = &mut |_| true;
+    engine.start_homed(&mut card, report)?;
+    let (mut requests, mut looks) = (0, 0_u64);
+    loop {
+        engine.poll(&mut card, u64::MAX, report)?;
+        looks += 1;
+        if !looks.is_multiple_of(500) {
+            continue;
+        }
+        let axis = engine.status().axes[0];
+        ensure!(!axis.faults.any(), "{:?}", axis.faults.iter().collect::<Vec<_>>());
+        let last = words.read(SCALE, Width::Bits32) >= COUNTS;
+        if last && axis.completed == 0 && axis.requested == 0 && engine.at_rest() {
+            break;
+        }
+        requests += 1;
+        let total_counts = if last { 0 } else { 2 * ((f64::from(requests) / 40.0).sin() * 200.0) as i64 };
+        engine.take(Request::Correct { axis: 0, total_counts, large: true }, &mut card, report)?;
+    }
+    let (axis, balanced) = (engine.status().axes[0], engine.status().balanced());
+    let counted = i64::from(words.read(OFFSET, Width::Bits32) as i32);
+    ensure!(balanced && counted == axis.completed, "{counted}, {axis:?}");
+    ensure!(words.read(ILLEGAL, Width::Bits32) == 0, "illegal transitions at the controller");
+    ensure!(axis.insertions > 1000, "{} insertions only", axis.insertions);
+    Ok(format!(
+        "{} counts of the scale, {requests} requests, {} insertions; ledger balances, controller minus scale {counted}",
+        words.read(SCALE, Width::Bits32),
+        axis.insertions,
+    ))
+}

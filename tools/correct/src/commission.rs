@@ -1,0 +1,259 @@
+//! Judges a guided jog: sign, unit, and what the controller compensates.
+
+use rtec_files::InputError;
+use rtec_model::effect::STANDARD_DEGC;
+use rtec_model::live::{AxisNow, Frame, Layout, Live};
+use rtec_model::machine::Machine;
+
+/// Indicator and scale may differ by this share: no machine errs by more.
+const UNIT: f64 = 0.01;
+/// Least window that is proposed, µm: three corrections of 4 µm (NISTIR 4832).
+const LEAST_WINDOW_UM: f64 = 12.0;
+
+/// Largest change of a model's correction from one moment to the next, µm.
+/// It comes where the axis turns and where coolant comes on; all else creeps or is part of a motion. Evaluated at these places.
+///
+/// # Errors
+/// The model has no effect on the axis, or reads what no machine has.
+pub fn largest_step_um(machine: &Machine, axis: &str, places_mm: [f64; 3]) -> Result<f64, InputError> {
+    let refused = |found: String, expected: &str| InputError::whole(&machine.path, found, expected);
+    let mut layout = Layout { sensors: machine.sensors(), ..Layout::default() };
+    for effect in machine.effects() {
+        layout.axes.extend(effect.axes().iter().cloned());
+        layout.channels.extend(effect.channel().map(str::to_owned));
+    }
+    layout.axes.sort();
+    layout.axes.dedup();
+    layout.channels.sort();
+    layout.channels.dedup();
+    let own = layout.axes.iter().position(|a| a.as_str() == axis);
+    let own = own.ok_or_else(|| refused(format!("no effect on axis {axis}"), "the model of this machine"))?;
+    let (degc, channels) = (vec![STANDARD_DEGC; layout.sensors.len()], vec![0.0; layout.channels.len()]);
+    let mut axes = vec![AxisNow::default(); layout.axes.len()];
+    let mut live = Live::of(machine, layout)
+        .map_err(|missing| refused(missing.to_string(), "a model of axes, sensors and channels"))?;
+    let mut t_s = 0.0;
+    let mut step_um: f64 = 0.0;
+    for position_mm in places_mm {
+        let mut before: Option<f64> = None;
+        for (direction, coolant) in [(-1.0, 0.0), (1.0, 0.0), (1.0, 1.0), (-1.0, 1.0)] {
+            t_s += 1.0;
+            axes[own] = AxisNow { position_mm, direction, ..AxisNow::default() };
+            let (axes, temperatures_degc) = (&axes[..], &degc[..]);
+            live.evaluate(&Frame {
+                t_s,
+                axes,
+                temperatures_degc,
+                channels: &channels,
+                coolant,
+                ..Frame::default()
+            });
+            let now = live.errors_um()[own];
+            step_um = before.map_or(step_um, |before| step_um.max((now - before).abs()));
+            before = Some(now);
+        }
+    }
+    Ok(step_um)
+}
+
+/// The belief window for a largest step, counts.
+#[must_use]
+pub fn window_counts(step_um: f64, count_um: f64) -> i64 {
+    ((3.0 * step_um).max(LEAST_WINDOW_UM) / count_um).ceil() as i64
+}
+
+/// An axis at rest, as display, indicator and scale read it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct JogReading {
+    /// The controller's display, mm.
+    pub display_mm: f64,
+    /// The indicator at the axis, mm; NaN while it is off.
+    pub indicator_mm: f64,
+    /// The scale's count.
+    pub scale_counts: i64,
+    /// What the controller's count differs by from the scale's, counts.
+    pub in_effect: i64,
+    /// What a count is worth as configured, µm.
+    pub count_um: f64,
+}
+
+impl JogReading {
+    /// The scale's position, mm.
+    #[must_use]
+    pub fn scale_mm(&self) -> f64 {
+        self.scale_counts as f64 * self.count_um / 1000.0
+    }
+
+    /// What the controller is fed, mm.
+    #[must_use]
+    pub fn fed_mm(&self) -> f64 {
+        (self.scale_counts + self.in_effect) as f64 * self.count_um / 1000.0
+    }
+}
+
+/// The verdict of one proof, in words.
+#[derive(Debug, Clone, PartialEq, serde::Serialize)]
+pub struct JogFinding {
+    /// What was found, as one word: `right`, `wrong_sign`, `wrong_unit`, …
+    pub verdict: &'static str,
+    /// With the figures and what to do.
+    pub text: String,
+}
+
+impl JogFinding {
+    fn new(verdict: &'static str, text: String) -> Option<Self> {
+        Some(Self { verdict, text })
+    }
+}
+
+/// Judges sign and unit by a jog with the indicator; `None`: they are right.
+#[must_use]
+pub fn judge_jog(a: &JogReading, b: &JogReading, tolerance_um: f64) -> Option<JogFinding> {
+    let scale = b.scale_mm() - a.scale_mm();
+    let indicator = b.indicator_mm - a.indicator_mm;
+    let display = b.display_mm - a.display_mm;
+    let moved = |mm: f64| mm.abs() * 1000.0 > 10.0 * tolerance_um;
+    if !moved(display) || !moved(indicator) {
+        let text = format!(
+            "the display moved by {display:+.4} mm and the indicator by {indicator:+.4} mm: too little to tell anything"
+        );
+        return JogFinding::new("not_jogged", text);
+    }
+    if !moved(scale) {
+        let text = format!(
+            "the axis moved by {indicator:+.4} mm and its scale by {scale:+.4} mm: another scale is wired here"
+        );
+        return JogFinding::new("wrong_scale", text);
+    }
+    if scale * indicator < 0.0 {
+        let text = format!(
+            "the indicator moved by {indicator:+.4} mm and the scale by {scale:+.4} mm: swap A and B of this axis (or the \
+             indicator's direction, if it counts backwards)"
+        );
+        return JogFinding::new("wrong_sign", text);
+    }
+    if (scale / indicator - 1.0).abs() > UNIT && (scale - indicator).abs() * 1000.0 > 2.0 * tolerance_um {
+        let right = a.count_um * indicator / scale;
+        let text = format!(
+            "the indicator moved by {indicator:+.4} mm and the scale by {scale:+.4} mm: count_um = {} should be about {right:.4}",
+            a.count_um
+        );
+        return JogFinding::new("wrong_unit", text);
+    }
+    None
+}
+
+/// What the controller compensates over the way, µm: feedback less display.
+#[must_use]
+pub fn compensation_um(a: &JogReading, b: &JogReading) -> f64 {
+    1000.0 * ((b.fed_mm() - a.fed_mm()) - (b.display_mm - a.display_mm))
+}
+
+/// Judges by a long jog whether the controller compensates; `None`: no.
+#[must_use]
+pub fn judge_compensation(a: &JogReading, b: &JogReading, tolerance_um: f64) -> Option<JogFinding> {
+    let own_um = compensation_um(a, b);
+    if own_um.abs() <= tolerance_um {
+        return None;
+    }
+    let display = b.display_mm - a.display_mm;
+    let text = format!(
+        "the display moved by {display:+.4} mm and the feedback by {:+.4} mm: the controller compensates \
+         {own_um:+.1} µm by itself; switch its own table off, or leave these effects out of the model",
+        b.fed_mm() - a.fed_mm()
+    );
+    JogFinding::new("controller_compensates", text)
+}
+
+/// Judges what an insertion did to the scale; `None`: what it should.
+#[must_use]
+pub fn judge_insertion(before: &JogReading, after: &JogReading, inserted: i64) -> Option<JogFinding> {
+    let moved = after.scale_counts - before.scale_counts;
+    // A servo comes to rest within a count or two.
+    let near = |counts: i64| (moved - counts).abs() <= 2;
+    if near(-inserted) {
+        None
+    } else if near(0) {
+        let text = format!(
+            "{inserted:+} counts were inserted and the axis did not move: the controller closes its loop on another encoder, \
+             or A' and B' do not reach it"
+        );
+        JogFinding::new("controller_ignores", text)
+    } else if near(inserted) {
+        let text = format!(
+            "{inserted:+} counts moved the axis by {moved:+}: the wrong way; check A' and B' at the controller"
+        );
+        JogFinding::new("wrong_insertion", text)
+    } else {
+        let text = format!(
+            "{inserted:+} counts moved the axis by {moved:+} counts on its scale, expected {:+}",
+            -inserted
+        );
+        JogFinding::new("wrong_insertion", text)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::path::Path;
+
+    fn at(display_mm: f64, indicator_mm: f64, scale_counts: i64) -> JogReading {
+        JogReading { display_mm, indicator_mm, scale_counts, in_effect: 0, count_um: 0.5 }
+    }
+
+    fn verdict(b: JogReading) -> Option<&'static str> {
+        judge_jog(&at(0.0, 0.0, 0), &b, 5.0).map(|f| f.verdict)
+    }
+
+    #[test]
+    fn a_jog_names_sign_and_unit() {
+        assert_eq!(verdict(at(10.0, 10.004, 20_003)), None);
+        assert_eq!(verdict(at(-10.0, -9.998, -19_990)), None);
+        assert_eq!(verdict(at(10.0, 10.0, -20_000)), Some("wrong_sign"));
+        assert_eq!(verdict(at(10.0, 10.0, 40_000)), Some("wrong_unit"));
+        assert_eq!(verdict(at(10.0, 10.0, 20_600)), Some("wrong_unit"));
+        assert_eq!(verdict(at(10.0, 0.01, 20_000)), Some("not_jogged"));
+        assert_eq!(verdict(at(10.0, 10.0, 3)), Some("wrong_scale"));
+    }
+
+    #[test]
+    fn what_the_controller_adds_is_display_against_feedback_corrections_and_all() {
+        let (a, b) = (at(0.0, 0.0, 0), JogReading { in_effect: -20, ..at(50.0, 50.0, 100_044) });
+        assert!((compensation_um(&a, &b) - 12.0).abs() < 1e-9, "{}", compensation_um(&a, &b));
+    }
+
+    #[test]
+    fn inserted_counts_move_the_axis_by_their_opposite() {
+        let judge =
+            |moved: i64| judge_insertion(&at(0.0, 0.0, 7), &at(0.0, 0.0, 7 + moved), 20).map(|f| f.verdict);
+        assert_eq!((judge(-20), judge(-19)), (None, None));
+        assert_eq!(
+            (judge(0), judge(20), judge(-10)),
+            (Some("controller_ignores"), Some("wrong_insertion"), Some("wrong_insertion"))
+        );
+    }
+
+    #[test]
+    fn the_window_is_three_of_the_largest_step() {
+        let machine =
+            |effects: &str| Machine::parse(Path::new("m.toml"), &format!("name = \"m\"\n{effects}")).unwrap();
+        let step = |effects: &str| largest_step_um(&machine(effects), "x", [0.0, 10.0, 50.0]).unwrap();
+        let reversal = "[[effect]]\nname = \"reversal.x\"\num = 6.0\n";
+        let coolant = "[[effect]]\nname = \"coolant.x\"\num = -15.0\n";
+        let growing = "[[effect]]\nname = \"reversal_slope.x\"\num_per_m = 40.0\n";
+        let other =
+            "[[effect]]\nname = \"reversal.y\"\num = 90.0\n[[effect]]\nname = \"scale.x\"\nppm = 500.0\n";
+        for (effects, um) in [
+            (reversal.to_owned(), 6.0),
+            ([reversal, coolant].concat(), 15.0),
+            ([reversal, growing].concat(), 8.0),
+            ([reversal, other].concat(), 6.0),
+        ] {
+            assert!((step(&effects) - um).abs() < 1e-9, "{effects}: {}", step(&effects));
+        }
+        assert_eq!((window_counts(6.0, 1.0), window_counts(6.0, 0.5), window_counts(0.0, 1.0)), (18, 36, 12));
+        let none = largest_step_um(&machine(""), "x", [0.0; 3]).unwrap_err();
+        assert!(none.to_string().contains("no effect on axis x"), "{none}");
+    }
+}

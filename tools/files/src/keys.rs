@@ -1,0 +1,346 @@
+//! One table of keys per section of a TOML file.
+//! The table reads and checks the section, and makes its part of the reference page.
+
+use crate::toml::{At, Section, SourceFile, quoted};
+use crate::words::unseen;
+use std::fmt;
+use std::fmt::Write as _;
+use std::str::FromStr;
+
+/// One key: how it is read, checked and described.
+#[derive(Debug, Clone, Copy)]
+pub struct Key {
+    /// The key, with its unit.
+    pub name: &'static str,
+    /// What it may be.
+    pub takes: Takes,
+    /// The unit of its value; empty where it has none.
+    pub unit: &'static str,
+    /// What holds without it; [`REQUIRED`] where it must be there.
+    pub default: &'static str,
+    /// What it means, in a phrase.
+    pub meaning: &'static str,
+}
+
+/// The table of a section's keys, `name: takes, unit, default, meaning;` of each.
+#[macro_export]
+macro_rules! keys {
+    ($(#[$doc:meta])* $visible:vis $table:ident:
+     $($name:ident: $takes:expr, $unit:expr, $default:expr, $meaning:expr;)*) => {
+        $(#[$doc])*
+        $visible const $table: &[$crate::keys::Key] = &[$($crate::keys::Key {
+            name: stringify!($name),
+            takes: $takes,
+            unit: $unit,
+            default: $default,
+            meaning: $meaning,
+        }),*];
+    };
+}
+
+/// The default of a key that must be there.
+pub const REQUIRED: &str = "required";
+
+/// What the value of a key may be.
+#[derive(Debug, Clone, Copy)]
+pub enum Takes {
+    /// Text that is not empty.
+    Text,
+    /// One line of text that can be shown, at most 256 bytes.
+    Line,
+    /// A name that can be shown and typed, at most 64 characters.
+    Name,
+    /// Such a name without blanks.
+    Word,
+    /// `true` or `false`.
+    Flag,
+    /// A whole number from the first to the second.
+    Whole(i64, i64),
+    /// A number from the first to the second.
+    Number(f64, f64),
+    /// Two numbers within ± this, the lower first.
+    Range(f64),
+    /// One of these words.
+    Choice(&'static [&'static str]),
+    /// What code of its own reads, in words.
+    Own(&'static str),
+}
+
+impl fmt::Display for Takes {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Text | Self::Line => f.write_str("text"),
+            Self::Name => f.write_str("a name"),
+            Self::Word => f.write_str("one word"),
+            Self::Flag => f.write_str("`true`, `false`"),
+            Self::Whole(low, high) => write!(f, "{low} to {high}"),
+            Self::Number(low, high) => write!(f, "{low} to {high}"),
+            Self::Range(limit) => write!(f, "`[lowest, highest]` within ±{limit:e}"),
+            Self::Choice(words) => {
+                let words: Vec<_> = words.iter().map(|word| format!("`{word}`")).collect();
+                f.write_str(&words.join(", "))
+            }
+            Self::Own(words) => f.write_str(words),
+        }
+    }
+}
+
+impl Key {
+    /// What it means, as a terminal shows it.
+    fn in_words(&self) -> String {
+        self.meaning.replace('`', "")
+    }
+}
+
+/// The part of the reference page that shows a section.
+#[must_use]
+pub fn markdown(title: &str, keys: &[Key]) -> String {
+    let mut page = format!("| `{title}` | takes | default | meaning |\n|---|---|---|---|\n");
+    for Key { name, takes, unit, default, meaning } in keys {
+        let unit = if unit.is_empty() { String::new() } else { format!(" {unit}") };
+        // Writing to a String does not fail.
+        let _ = writeln!(page, "| `{name}` | {takes}{unit} | {default} | {meaning} |");
+    }
+    page
+}
+
+impl<'a> Section<'a> {
+    fn declared(&self, name: &str) -> Key {
+        match self.keys.iter().find(|key| key.name == name) {
+            Some(key) => *key,
+            None => unreachable!("{name} is not in the table of keys of {}", self.title),
+        }
+    }
+
+    /// Says that a declared key must be there.
+    pub fn missing(&self, source: &mut SourceFile<'_>, name: &str) {
+        let key = self.declared(name);
+        let mut meaning = key.in_words();
+        if let Takes::Choice(words) = key.takes {
+            meaning = format!("{meaning}: {}", quoted(words));
+        } else if !key.unit.is_empty() {
+            meaning = format!("{meaning}, {}", key.unit);
+        }
+        self.say_missing(source, name, &meaning);
+    }
+
+    /// The value of a declared key that must be there; says so where it is missing.
+    pub fn required<T>(&self, source: &mut SourceFile<'_>, name: &str, value: Option<T>) -> Option<T> {
+        if value.is_none() && self.lacks(name) {
+            self.missing(source, name);
+        }
+        value
+    }
+
+    fn checked<T>(&self, source: &mut SourceFile<'_>, key: &Key, value: Option<T>) -> Option<T> {
+        if key.default == REQUIRED { self.required(source, key.name, value) } else { value }
+    }
+
+    /// The text of a declared key.
+    pub fn text(&mut self, source: &mut SourceFile<'_>, name: &'static str) -> Option<At<&'a str>> {
+        let key = self.declared(name);
+        let expected = format!("text in quotes: {}", key.in_words());
+        let at = self.value(source, name, expected, |v| v.as_str().filter(|s| !s.trim().is_empty()));
+        let at = self.checked(source, &key, at)?;
+        let bad = match key.takes {
+            Takes::Name => bad_name(name, at.value, false),
+            Takes::Word => bad_name(name, at.value, true),
+            Takes::Line => bad_line(name, at.value),
+            _ => None,
+        };
+        let Some((found, expected)) = bad else { return Some(at) };
+        source.finding(at.offset, found, expected);
+        None
+    }
+
+    /// The truth value of a declared key; false without it.
+    pub fn flag(&mut self, source: &mut SourceFile<'_>, name: &'static str) -> bool {
+        self.value(source, name, "true or false", |v| v.as_bool()).is_some_and(|at| at.value)
+    }
+
+    /// The whole number of a declared key.
+    pub fn whole(&mut self, source: &mut SourceFile<'_>, name: &'static str) -> Option<At<i64>> {
+        let key = self.declared(name);
+        let Takes::Whole(low, high) = key.takes else { unreachable!("{name} takes no whole number") };
+        let value = self.integer(source, name, low..=high);
+        self.checked(source, &key, value)
+    }
+
+    /// The number of a declared key.
+    pub fn number(&mut self, source: &mut SourceFile<'_>, name: &'static str) -> Option<At<f64>> {
+        let key = self.declared(name);
+        let Takes::Number(low, high) = key.takes else { unreachable!("{name} takes no number") };
+        let value = self.value(source, name, format!("a number from {low} to {high}"), |v| {
+            v.as_number().filter(|n| (low..=high).contains(n))
+        });
+        self.checked(source, &key, value)
+    }
+
+    /// The two numbers of a declared key.
+    pub fn range(&mut self, source: &mut SourceFile<'_>, name: &'static str) -> Option<At<[f64; 2]>> {
+        let key = self.declared(name);
+        let Takes::Range(limit) = key.takes else { unreachable!("{name} takes no range") };
+        self.value(source, name, format!("[lowest, highest] within ±{limit:e}"), |v| {
+            v.pair("").ok().filter(|ends| ends.iter().all(|end| end.abs() <= limit))
+        })
+    }
+
+    /// What the word of a declared key stands for; `values` are in the words' order.
+    pub fn pick<T: Copy>(
+        &mut self,
+        source: &mut SourceFile<'_>,
+        name: &'static str,
+        values: &[T],
+    ) -> Option<At<T>> {
+        let key = self.declared(name);
+        let Takes::Choice(words) = key.takes else { unreachable!("{name} takes no word of a list") };
+        let choices: Vec<_> = words.iter().copied().zip(values.iter().copied()).collect();
+        let value = self.choice(source, name, choices.len(), &choices);
+        self.checked(source, &key, value)
+    }
+
+    /// The declared default of a key, as a number.
+    fn default<T: FromStr>(&self, name: &str) -> T {
+        match self.declared(name).default.parse() {
+            Ok(value) => value,
+            Err(_) => unreachable!("the default of {name} is no number"),
+        }
+    }
+
+    /// The whole number of a declared key, or its default.
+    pub fn whole_or_default(&mut self, source: &mut SourceFile<'_>, name: &'static str) -> i64 {
+        self.whole(source, name).map_or_else(|| self.default(name), |at| at.value)
+    }
+
+    /// The number of a declared key, or its default.
+    pub fn number_or_default(&mut self, source: &mut SourceFile<'_>, name: &'static str) -> f64 {
+        self.number(source, name).map_or_else(|| self.default(name), |at| at.value)
+    }
+}
+
+/// A value as a finding shows it: printable, and cut where it is long.
+fn shown(key: &str, value: &str) -> String {
+    let shown: String = value.chars().take(24).flat_map(char::escape_debug).collect();
+    let more = if value.chars().nth(24).is_some() { "…" } else { "" };
+    format!("{key} = \"{shown}{more}\"")
+}
+
+/// What is wrong with a name, if anything: found, expected.
+fn bad_name(key: &str, name: &str, one_word: bool) -> Option<(String, &'static str)> {
+    let found = shown(key, name);
+    if let Some(c) = unseen(name) {
+        let found = format!("{found} with the character U+{:04X}", u32::from(c));
+        return Some((found, "characters that can be seen"));
+    }
+    let length = name.chars().count();
+    if length > 64 {
+        return Some((format!("{found} of {length} characters"), "at most 64 characters"));
+    }
+    if name.starts_with('-') {
+        return Some((found, "a name that does not begin as an option does"));
+    }
+    if one_word && name.contains(char::is_whitespace) {
+        return Some((found, "a name without blanks"));
+    }
+    (name.trim() != name).then_some((found, "no blank at its beginning or end"))
+}
+
+fn bad_line(key: &str, text: &str) -> Option<(String, &'static str)> {
+    let bad = text.len() > 256 || unseen(text).is_some();
+    bad.then(|| (shown(key, text), "at most 256 characters that can be seen"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Takes::*;
+    use super::*;
+    use crate::toml::Document;
+    use std::path::Path;
+
+    #[test]
+    fn names_that_a_terminal_or_a_shell_would_obey_are_found() {
+        for bad in [
+            "a\nb",
+            "a\u{1b}[31m",
+            "a\u{202e}b",
+            "--help",
+            "-x",
+            " x",
+            "x ",
+            "\u{200b}",
+            &"x".repeat(1 << 20),
+        ] {
+            let (found, expected) = bad_name("name", bad, false).unwrap();
+            assert!(found.len() < 200 && unseen(&found).is_none(), "{found}");
+            assert!(!expected.is_empty());
+        }
+        for good in ["x", "lathe 7", "Drehmaschine Süd", "X1", "日本", "a-b"] {
+            assert_eq!(bad_name("name", good, false), None);
+        }
+        assert!(bad_name("name", "lathe 7", true).is_some());
+    }
+
+    keys! {
+        KEYS:
+        name: Word, "", REQUIRED, "the axis's name";
+        count_um: Number(1e-4, 1000.0), "µm", REQUIRED, "what one count is worth";
+        priority: Whole(1, 99), "", "80", "of the thread";
+        rest: Choice(&["wait", "insert"]), "", "`wait`", "what it does at rest";
+        on: Flag, "", "`false`", "whether it is on";
+        range: Range(1e9), "°C", "none", "what is plausible";
+    }
+
+    type Found = (Option<String>, Option<f64>, i64, Option<bool>, bool, Option<[f64; 2]>);
+
+    fn read(text: &str) -> (Found, Vec<String>) {
+        let file = Path::new("f.toml");
+        let document = Document::parse(file, text).unwrap();
+        let mut source = SourceFile { file, text, findings: Vec::new() };
+        let mut s = Section::root(&document).with(KEYS);
+        let found = (
+            s.text(&mut source, "name").map(|at| at.value.to_owned()),
+            s.number(&mut source, "count_um").map(|at| at.value),
+            s.whole_or_default(&mut source, "priority"),
+            s.pick(&mut source, "rest", &[false, true]).map(|at| at.value),
+            s.flag(&mut source, "on"),
+            s.range(&mut source, "range").map(|at| at.value),
+        );
+        s.finish(&mut source);
+        (found, source.findings.iter().map(ToString::to_string).collect())
+    }
+
+    #[test]
+    fn a_table_of_keys_reads_its_section() {
+        let all = "name = 'x'\ncount_um = 2\npriority = 7\nrest = 'insert'\non = true\nrange = [-1, 2]\n";
+        let found = (Some("x".to_owned()), Some(2.0), 7, Some(true), true, Some([-1.0, 2.0]));
+        assert_eq!(read(all), (found, Vec::new()));
+        let found = (Some("x".to_owned()), Some(2.0), 80, None, false, None);
+        assert_eq!(read("name = 'x'\ncount_um = 2\n"), (found, Vec::new()));
+    }
+
+    #[test]
+    fn each_mistake_has_its_line_and_what_was_expected() {
+        let said = read("name = 'a b'\npriority = 100\nrest = 'inert'\non = 1\nrange = [2, 1]\nrang = 1\n").1;
+        let expected = [
+            "f.toml:1:8: found name = \"a b\", expected a name without blanks",
+            "f.toml:1:1: found no count_um in the file, expected count_um: what one count is worth, µm",
+            "f.toml:2:12: found priority = 100, expected priority = a whole number from 1 to 99",
+            "f.toml:3:8: found rest = 'inert', expected rest = \"wait\" or \"insert\"; did you mean \"insert\"?",
+            "f.toml:4:6: found on = 1, expected on = true or false",
+            "f.toml:5:9: found range = [2, 1], expected range = [lowest, highest] within ±1e9",
+            "f.toml:6:1: found unknown key rang, expected a key of the file; did you mean range?",
+        ];
+        assert_eq!(said, expected);
+    }
+
+    #[test]
+    fn the_reference_shows_every_key() {
+        let page = markdown("[[axis]]", KEYS);
+        assert!(
+            page.contains("| `count_um` | 0.0001 to 1000 µm | required | what one count is worth |"),
+            "{page}"
+        );
+        assert!(page.contains("| `rest` | `wait`, `insert` | `wait` | what it does at rest |"), "{page}");
+        assert_eq!(page.lines().count(), KEYS.len() + 2);
+    }
+}

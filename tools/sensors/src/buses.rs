@@ -1,0 +1,145 @@
+//! One thread per bus reads its sensors, and one logs them.
+//! A slow sensor so delays only those of its own bus.
+
+use crate::bank::Bank;
+use crate::{SensorConfig, SensorSource, Use, Watch, log};
+use rtec_files::InputError;
+use rtec_model::record::Record;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+
+/// Seconds since 1970 that never jump.
+/// They begin at the system's time and continue on a steady clock.
+#[derive(Debug, Clone, Copy)]
+pub struct Clock {
+    start: Instant,
+    start_s: f64,
+}
+
+impl Clock {
+    /// A clock that begins at the system's time.
+    #[must_use]
+    pub fn start() -> Self {
+        let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+        Self { start: Instant::now(), start_s: since.as_secs_f64() }
+    }
+
+    /// Seconds since 1970.
+    #[must_use]
+    pub fn now_s(&self) -> f64 {
+        self.start_s + self.start.elapsed().as_secs_f64()
+    }
+}
+
+/// What each bus's thread has read last.
+/// `places`: per sensor, in the configuration's order, its bus and its place there.
+#[derive(Clone, Default)]
+struct Latest {
+    buses: Vec<Arc<Mutex<Vec<Watch>>>>,
+    places: Vec<(usize, usize)>,
+}
+
+/// All sensors, as they were last read.
+pub struct Buses {
+    latest: Latest,
+    watches: Vec<Watch>,
+}
+
+impl Buses {
+    /// Starts the threads.
+    /// Each `log_s` seconds the temperatures go to the log in `directory`. `recording` reads one that is replayed.
+    ///
+    /// # Errors
+    /// A recording to be replayed that cannot be read.
+    pub fn start(
+        configs: &[SensorConfig],
+        clock: Clock,
+        (directory, log_s): (&Path, f64),
+        recording: impl Fn(&Path) -> Result<Record, InputError>,
+    ) -> Result<Self, InputError> {
+        let mut of_bus: BTreeMap<&str, Vec<usize>> = BTreeMap::new();
+        for (n, config) in configs.iter().enumerate() {
+            let bus = match &config.source {
+                SensorSource::Iio { .. } => "iio",
+                SensorSource::Hwmon { .. } => "hwmon",
+                SensorSource::OneWire { .. } => "one_wire",
+                SensorSource::Csv { .. } => "csv",
+                SensorSource::Line { from, .. } => from,
+            };
+            of_bus.entry(bus).or_default().push(n);
+        }
+        let mut latest = Latest { buses: Vec::new(), places: vec![(0, 0); configs.len()] };
+        for members in of_bus.into_values() {
+            for (k, n) in members.iter().enumerate() {
+                latest.places[*n] = (latest.buses.len(), k);
+            }
+            let own = members.iter().map(|n| configs[*n].clone()).collect();
+            let bank = Bank::new(own, Path::new("/"), &recording)?;
+            let shared = Arc::new(Mutex::new(bank.sensors().to_vec()));
+            latest.buses.push(Arc::clone(&shared));
+            // It may hang in a driver: nobody waits for it, its sensors grow old and are said to be silent.
+            std::thread::spawn(move || listen(bank, &shared, clock));
+        }
+        if !configs.is_empty() {
+            let names: Vec<String> = configs.iter().map(|c| c.name.clone()).collect();
+            let (latest, directory) = (latest.clone(), directory.to_owned());
+            std::thread::spawn(move || keep_log(&latest, &names, &directory, clock, log_s));
+        }
+        Ok(Self { latest, ..Self::of(configs.iter().cloned().map(Watch::new).collect()) })
+    }
+
+    /// Sensors without threads: the caller offers their readings.
+    #[must_use]
+    pub fn of(watches: Vec<Watch>) -> Self {
+        Self { latest: Latest::default(), watches }
+    }
+
+    /// The sensors as last read, in the configuration's order.
+    /// A bus whose thread is writing at this moment keeps its previous readings.
+    pub fn look(&mut self) -> &mut [Watch] {
+        for (own, (bus, place)) in self.watches.iter_mut().zip(&self.latest.places) {
+            if let Ok(read) = self.latest.buses[*bus].try_lock() {
+                own.clone_from(&read[*place]);
+            }
+        }
+        &mut self.watches
+    }
+}
+
+fn lock(shared: &Mutex<Vec<Watch>>) -> MutexGuard<'_, Vec<Watch>> {
+    shared.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+fn listen(mut bank: Bank, shared: &Mutex<Vec<Watch>>, clock: Clock) {
+    let pause = Duration::from_secs_f64(bank.pause_s());
+    loop {
+        bank.poll(clock.now_s());
+        // The lock is held for a copy only, never while a sensor is read.
+        lock(shared).clone_from_slice(bank.sensors());
+        std::thread::sleep(pause);
+    }
+}
+
+fn keep_log(latest: &Latest, names: &[String], directory: &Path, clock: Clock, every_s: f64) {
+    let mut warned = false;
+    loop {
+        std::thread::sleep(Duration::from_secs_f64(every_s));
+        let now_s = clock.now_s();
+        let good = |(bus, place): &(usize, usize)| {
+            let watch = &lock(&latest.buses[*bus])[*place];
+            watch.value_degc().filter(|_| watch.usable(now_s) == Use::Good)
+        };
+        let values: Vec<Option<f64>> = latest.places.iter().map(good).collect();
+        if let Err(error) = log::append(directory, names, now_s, &values)
+            && !std::mem::replace(&mut warned, true)
+        {
+            let name: PathBuf = directory.join(log::NAMES[0]);
+            eprintln!(
+                "rtecd: warning: {}: {error}: a restart will not know the machine's heat",
+                name.display()
+            );
+        }
+    }
+}

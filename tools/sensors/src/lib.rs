@@ -1,0 +1,22 @@
+//! Sensors: how each is configured, read, trusted and logged.
+//!
+//! | module | what |
+//! |---|---|
+//! | `config` | `[[sensor]]` of a file: keys, bounds, defaults |
+//! | [`bank`] | all sensors of one bus: sysfs, recordings, feeds |
+//! | [`feed`] | lines `NAME VALUE` over TCP or a serial device |
+//! | [`trust`] | whether a reading is believed: good, its last good value, or hold |
+//! | [`buses`] | one thread per bus, and the latest readings |
+//! | [`log`] | the temperatures' log, which a restart reads back |
+//!
+//! What a reading is worth in micrometres is not known here.
+
+pub mod bank;
+pub mod buses;
+mod config;
+pub mod feed;
+pub mod log;
+pub mod trust;
+
+pub use config::{KEYS, SensorConfig, SensorSource, read_tables};
+pub use trust::{SensorFault, Use, Watch};
