@@ -199,8 +199,10 @@ impl Daemon {
     #[must_use]
     pub fn status(&self) -> Value {
         let run = self.user(&["status", "--json"]);
-        serde_json::from_slice(&run.stdout)
-            .unwrap_or_else(|e| panic!("{e}: {}", String::from_utf8_lossy(&run.stderr)))
+        let found: Value = serde_json::from_slice(&run.stdout)
+            .unwrap_or_else(|e| panic!("{e}: {}", String::from_utf8_lossy(&run.stderr)));
+        assert!(found["format"] == 1 && found["by"].is_string(), "no format and writer: {found}");
+        found
     }
 
     /// Sends the daemon a signal, by its name without `SIG`.

@@ -40,7 +40,8 @@ pub fn check(root: &Table<'_>) -> Result<(), InputError> {
     }
 }
 
-/// A document in JSON with its writer as the last key; a list has no place for one.
+/// A document in JSON with its format and its writer as the last keys.
+/// A list has no place for them.
 #[must_use]
 pub fn signed(mut json: String) -> String {
     if !json.starts_with('{') || !json.ends_with('}') {
@@ -50,7 +51,8 @@ pub fn signed(mut json: String) -> String {
     let (before, after) = if json.contains('\n') { ("\n  ", "\n") } else { ("", "") };
     json.truncate(json.trim_end().len());
     let (comma, space) = (if json == "{" { "" } else { "," }, if after.is_empty() { "" } else { " " });
-    format!("{json}{comma}{before}\"by\":{space}\"{}\"{after}}}", by())
+    let stamp = format!("{before}\"format\":{space}{FORMAT},{before}\"by\":{space}\"{}\"", by());
+    format!("{json}{comma}{stamp}{after}}}")
 }
 
 #[cfg(test)]
@@ -63,9 +65,10 @@ mod tests {
     fn a_document_ends_with_its_writer() {
         let signed = |json: &str| super::signed(json.to_owned());
         let by = by();
-        assert_eq!(signed("{\"a\":1}"), format!("{{\"a\":1,\"by\":\"{by}\"}}"));
-        assert_eq!(signed("{\n  \"a\": 1\n}"), format!("{{\n  \"a\": 1,\n  \"by\": \"{by}\"\n}}"));
-        assert_eq!(signed("{}"), format!("{{\"by\":\"{by}\"}}"));
+        assert_eq!(signed("{\"a\":1}"), format!("{{\"a\":1,\"format\":1,\"by\":\"{by}\"}}"));
+        let pretty = format!("{{\n  \"a\": 1,\n  \"format\": 1,\n  \"by\": \"{by}\"\n}}");
+        assert_eq!(signed("{\n  \"a\": 1\n}"), pretty);
+        assert_eq!(signed("{}"), format!("{{\"format\":1,\"by\":\"{by}\"}}"));
         assert_eq!(signed("[1]"), "[1]");
     }
 

@@ -12,7 +12,9 @@
 //! The diagnosis fits the laws of the model's own effects (scale, squareness, reversal, spike, following error, screw) to
 //! the radial errors of all records of a plane together; each record has a centre and a mean radius of its own.
 
+use crate::derive::noise;
 use crate::iso230::{Budget, Round, error_axes, lacks};
+use crate::steps::step_of;
 use rtec_files::InputError;
 use rtec_model::circle::{Circle, rates};
 use rtec_model::effect::Dictionary;
@@ -95,8 +97,7 @@ pub struct Ballbar {
     /// What makes the deviations.
     #[serde(flatten)]
     pub diagnosis: Diagnosis,
-    /// Uncertainty that instrument, set-up and room contribute to its figures.
-    /// Set if the conditions state it and the radius is known.
+    /// Uncertainty of its figures, if the conditions state contributors.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub uncertainty: Option<Budget>,
     /// Every contour.
@@ -315,6 +316,21 @@ impl Trace {
         let sum: f64 = (rows.start..rows.start + steps).map(step).sum();
         // The rows stand for as much on either side of them.
         sum * (1.0 + 1.0 / steps.max(1) as f64)
+    }
+
+    /// Standard deviation of one reading, µm, by what causes leave of the radial error.
+    /// No less than the rounding of its gauge gives.
+    fn scatter_um(&self, left: &[f64]) -> f64 {
+        let mut turned = 0.0;
+        let path: Vec<f64> = (0..self.angle.len())
+            .map(|i| {
+                turned += turned_rad(self.angle[i.saturating_sub(1)], self.angle[i]).abs();
+                turned
+            })
+            .collect();
+        let runs: Vec<Range<usize>> = self.contours.iter().map(|(rows, _)| rows.clone()).collect();
+        let rounding = step_of(&self.radial).unwrap_or(0.0) / 12.0_f64.sqrt();
+        noise(&path, left, &runs).max(rounding)
     }
 
     fn evaluate(&self) -> Vec<Contour> {

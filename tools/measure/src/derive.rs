@@ -162,10 +162,10 @@ fn median(values: impl Iterator<Item = f64>) -> f64 {
     sorted.get(sorted.len() / 2).copied().unwrap_or(0.0)
 }
 
-/// Standard deviation of the positions' noise, mm.
+/// Standard deviation of the noise of `p` over `t`, in the unit of `p`.
 /// It is the median residual of a row from a cubic through its four neighbours, which a few jerks do not move. Only moving rows count,
-/// because a scale at rest does not show its noise.
-fn noise(t: &[f64], p: &[f64], runs: &[Range<usize>]) -> f64 {
+/// because a scale at rest does not show its noise. A run has at least five rows.
+pub(crate) fn noise(t: &[f64], p: &[f64], runs: &[Range<usize>]) -> f64 {
     let mut left = Vec::new();
     for run in runs {
         for start in run.start..=run.end - FEWEST {

@@ -431,7 +431,13 @@ fn by(
         Standard::Ballbar => {
             let mut planes = ballbar::evaluate(records)?;
             for b in &mut planes {
-                b.uncertainty = b.radius_mm.and_then(|mm| conditions.circle_budget(mm));
+                b.uncertainty = conditions.circle_budget(b.radius_mm, b.diagnosis.scatter_um);
+                if b.uncertainty.as_ref().is_some_and(|u| u.length_um.is_none()) {
+                    b.warnings.push(
+                        "no uncertainty of F and D: it needs one radius; state radius_mm in the sidecar, and evaluate each radius by itself"
+                            .to_owned(),
+                    );
+                }
             }
             let report = report::ballbar(&planes, records, conditions).map_err(undrawn)?;
             (one_or("planes", values(&planes).map_err(unwritten)?), report)

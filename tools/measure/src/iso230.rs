@@ -6,7 +6,7 @@
 //! | [`drift()`] | ISO 230-3: thermal effects, phase by phase |
 //! | [`straightness()`] | ISO 230-1: straightness of an axis's motion |
 //! | [`diagonals()`] | ISO 230-6: body and face diagonals |
-//! | [`Conditions`] | what a test was done under, and its uncertainty by ISO/TR 230-9 |
+//! | [`Conditions`] | what a test was done under, and the uncertainty that follows |
 
 mod air;
 mod conditions;

@@ -57,7 +57,7 @@ pub const STYLE: &str = "@page{size:A4;margin:14mm 15mm}\
     td,th{text-align:left;padding:.2em .7em .2em 0;border-bottom:1px solid #e6ebf0;vertical-align:top}\
     th{font-weight:600;border-bottom-color:#9aa7b3}\
     td.n,th.n{text-align:right;font-variant-numeric:tabular-nums;white-space:nowrap}\
-    thead{display:table-header-group}tr,figure,.signed{break-inside:avoid}\
+    thead{display:table-header-group}table,tr,figure,.signed{break-inside:avoid}\
     .facts td:first-child{color:#5b6b7b;width:14em}\
     .warn{background:#fff6e5;border-left:4px solid #e69f00;padding:.4em .8em;margin:.6em 0}\
     .signed{margin-top:3em}.signed td{border:0;border-top:1px solid #5b6b7b;padding:.2em .7em 0 0;color:#5b6b7b;width:25%}\
@@ -319,12 +319,7 @@ impl Report {
                 &self.days.join(", "),
             ));
         }
-        let _ = writeln!(
-            h,
-            "<p><small>rtecctl {}, {}</small></p></body></html>",
-            env!("CARGO_PKG_VERSION"),
-            self.by
-        );
+        let _ = writeln!(h, "<p><small>{}, {}</small></p></body></html>", rtec_files::stamp::by(), self.by);
         h
     }
 }

@@ -122,7 +122,6 @@ impl Reconciliation {
     pub fn to_json(&self) -> Value {
         let gaps: Vec<Value> = self.gap.iter().map(gap).collect();
         json!({
-            "format": rtec_files::stamp::FORMAT,
             "verdict": self.verdict,
             "where": self.places.iter().map(Place::to_json).collect::<Vec<_>>(),
             "effects": self.effects.iter().map(finding).collect::<Vec<_>>(),

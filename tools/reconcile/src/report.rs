@@ -68,9 +68,9 @@ pub fn html(r: &Reconciliation, machine: &str) -> String {
     h.push_str(&signed_line("", "", &days.join(", ")));
     let _ = write!(
         h,
-        "<p><small>rtecctl {}, reconcile; false-alarm rate {}; block permutation, seed {}; noise autocorrelation from row to row {}. \
+        "<p><small>{}, reconcile; false-alarm rate {}; block permutation, seed {}; noise autocorrelation from row to row {}. \
          Intervals hold 95 %.</small></p></html>",
-        env!("CARGO_PKG_VERSION"),
+        rtec_files::stamp::by(),
         r.level,
         crate::SEED,
         number(r.phi)

@@ -351,7 +351,7 @@ impl Writer<'_> {
     /// Adds an effect and its origin to the model, unless its identity is there.
     fn add(&self, model: &mut Machine, effect: &Effect, half: &[f64], why: &str) -> bool {
         let provenance = Provenance {
-            added_by: Some(format!("rtecctl reconcile {}{why}", env!("CARGO_PKG_VERSION"))),
+            added_by: Some(format!("rtecctl reconcile {}{why}", rtec_files::stamp::VERSION)),
             date: self.date.cloned(),
             from: self.train.iter().map(Source::of).collect(),
             interval: intervals(effect, half).into_iter().collect(),

@@ -96,7 +96,8 @@ impl Round {
     pub fn text(&self, json: bool) -> String {
         if json {
             let kept: Vec<String> = self.kept.iter().map(ToString::to_string).collect();
-            return format!("{}\n", serde_json::json!({"sent": self.sent, "kept": kept}));
+            let document = serde_json::json!({"sent": self.sent, "kept": kept}).to_string();
+            return rtec_files::stamp::signed(document) + "\n";
         }
         let places = self.sent.iter().fold(String::new(), |all, place| all + place + "\n");
         format!("{places}{} records sent, {} kept\n", self.sent.len(), self.kept.len())

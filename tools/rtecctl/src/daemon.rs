@@ -1,6 +1,8 @@
 //! How the verbs that need the daemon reach it, and what its answers mean for the exit code.
 
 use crate::Outcome;
+use crate::document::line;
+use crate::say;
 use nix::sys::signal::{SigSet, Signal};
 use rtec_control::client::{Client, ClientError};
 use rtec_control::config::{Config, ControlConfig, INSTALLED};
@@ -96,10 +98,10 @@ impl Daemon {
         if self.json {
             match &response {
                 // Documents stand bare.
-                Response::Status(status) => println!("{}", serde_json::to_string(status)?),
-                Response::Explained { axes } => println!("{}", serde_json::json!({ "axes": axes })),
-                Response::Whoami(caller) => println!("{}", serde_json::to_string(caller)?),
-                other => println!("{}", serde_json::to_string(other)?),
+                Response::Status(status) => say(&line(status)?),
+                Response::Explained { axes } => say(&line(&serde_json::json!({ "axes": axes }))?),
+                Response::Whoami(caller) => say(&line(caller)?),
+                other => say(&line(other)?),
             }
         }
         check(response)

@@ -30,6 +30,7 @@ macro_rules! eprint {
 
 mod archive;
 mod daemon;
+mod document;
 mod figures;
 mod help;
 mod http;
@@ -181,7 +182,7 @@ fn main() -> ExitCode {
     if let [_, version] = &words[..]
         && (version == "--version" || version == "-V")
     {
-        println!("rtecctl {}", env!("CARGO_PKG_VERSION"));
+        println!("rtecctl {}", rtec_files::stamp::VERSION);
         return ExitCode::SUCCESS;
     }
     let cli = match asked(&words).and_then(|matches| Cli::from_arg_matches(&matches)) {
@@ -338,7 +339,7 @@ mod tests {
         }
         let version =
             command().try_get_matches_from(["rtecctl", "--version"]).unwrap_err().render().to_string();
-        assert_eq!(version, format!("rtecctl {}\n", env!("CARGO_PKG_VERSION")));
+        assert_eq!(version, format!("rtecctl {}\n", rtec_files::stamp::VERSION));
     }
 
     fn for_all(c: &clap::Command, path: &mut Vec<String>, each: &mut dyn FnMut(&[String], &clap::Arg)) {

@@ -360,7 +360,7 @@ fn work<C: Card + Send + 'static>(
         running.control.beat();
         std::thread::sleep(Duration::from_millis(1));
     }
-    let started = format!("rtecd {} at {}", env!("CARGO_PKG_VERSION"), session.identity());
+    let started = format!("rtecd {} at {}", rtec_files::stamp::VERSION, session.identity());
     audit.note("start", started, session.totals(&mut running.control));
     for happened in session.found_at_start(&running.control.status()) {
         audit.happened(&happened, session.totals(&mut running.control));

@@ -104,6 +104,9 @@ pub struct Diagnosis {
     pub contributions: Vec<Contribution>,
     /// RMS of what the causes leave at best, µm.
     pub rms: f64,
+    /// Standard deviation of one reading beside its neighbours, µm.
+    /// Of the record where it is largest.
+    pub scatter_um: f64,
     /// RMS of structure that is the same both ways and unexplained, µm.
     /// Maps and bends: the third harmonic and above. `None` if it is below the noise. It widens the intervals.
     pub unexplained_um: Option<f64>,
@@ -252,7 +255,12 @@ fn diagnose_beyond(
 /// Where neither radius nor plane are known.
 fn plain(trace: &Trace) -> Diagnosis {
     let [radius, a, b] = circle_of(trace);
-    Diagnosis { centre_um: [Some(a), Some(b)], radius_um: Some(radius), ..Diagnosis::default() }
+    Diagnosis {
+        centre_um: [Some(a), Some(b)],
+        radius_um: Some(radius),
+        scatter_um: trace.scatter_um(&trace.radial),
+        ..Diagnosis::default()
+    }
 }
 
 /// Radius and centre of a record.
@@ -634,6 +642,12 @@ impl<'t> Fit<'t> {
         self.rms(&residual(&DMatrix::from_columns(&columns), &own(&self.left())))
     }
 
+    fn scatter_um(&self) -> f64 {
+        let left = self.left();
+        let of = |(t, start): (&Trace, &usize)| t.scatter_um(&left.as_slice()[*start..][..t.radial.len()]);
+        self.traces.iter().zip(&self.start).map(of).fold(0.0, f64::max)
+    }
+
     /// Causes and set-up terms that these runs cannot determine, in people's words.
     fn not_told(&self, told: &[String], shown: &Shown) -> Vec<String> {
         let (mut at, mut names) = (0, Vec::new());
@@ -784,6 +798,7 @@ impl<'t> Fit<'t> {
             interval_95,
             contributions,
             rms: self.least_left(),
+            scatter_um: self.scatter_um(),
             unexplained_um,
         }
     }

@@ -31,15 +31,8 @@ impl Fit<'_> {
         self.memory();
         self.add_drift();
         self.memory();
-        // One way round a spike hides in the reversal and what stands beside it: it is taken to be there.
-        let fitted = if self.structure.both_ways { SPIKE_FITTED } else { 0.0 };
-        for axis in axes {
-            if let Some((effect, gain)) = self.best_spike(&d, axis).filter(|(_, gain)| *gain > fitted) {
-                let name = format!("spike.{axis}");
-                self.push(&name, Some(vec![(effect, 1.0)]));
-                told.extend((gain > SPIKE_TOLD && self.structure.both_ways).then_some(name));
-            }
-        }
+        self.add_spikes(&d, axes, told);
+        let spikes = self.terms.len();
         for axis in axes {
             if let Some(effect) = self.best_wave(&d, axis) {
                 let name = format!("cyclic.{axis}");
@@ -48,8 +41,33 @@ impl Fit<'_> {
             }
         }
         self.memory();
+        if self.terms.len() > spikes {
+            // A large wave hides a spike, or how clear it is, until its period is right.
+            self.free_all(told);
+            self.terms.retain(|t| !t.name.starts_with("spike."));
+            told.retain(|name| !name.starts_with("spike."));
+            // The clearest first: what is left of it looks like a spike of the other axis.
+            let gain = |axis| self.best_spike(&d, axis).map_or(0.0, |(_, gain)| gain);
+            let [a, b] = axes;
+            let order = if gain(b) > gain(a) { [b, a] } else { axes };
+            self.add_spikes(&d, order, told);
+            self.memory();
+        }
         self.free_all(told);
         self.drop_endless(told);
+    }
+
+    /// Adds a spike for each axis that shows one, in this order.
+    /// One way round a spike hides in the reversal and what stands beside it: it is taken to be there.
+    fn add_spikes(&mut self, d: &Dictionary, axes: [&Axis; 2], told: &mut Vec<String>) {
+        let fitted = if self.structure.both_ways { SPIKE_FITTED } else { 0.0 };
+        for axis in axes {
+            if let Some((effect, gain)) = self.best_spike(d, axis).filter(|(_, gain)| *gain > fitted) {
+                let name = format!("spike.{axis}");
+                self.push(&name, Some(vec![(effect, 1.0)]));
+                told.extend((gain > SPIKE_TOLD && self.structure.both_ways).then_some(name));
+            }
+        }
     }
 
     /// Removes spikes with an endless length, and those whose interval holds zero.

@@ -163,22 +163,48 @@ impl Conditions {
         (!self.stated.is_empty()).then(|| Uncertainty::new(&self.stated, length_mm, approaches))
     }
 
-    /// Uncertainty of the figures of a circle of this radius, if any is stated.
+    /// Uncertainty of the figures of a circle, if any is stated.
+    /// `scatter_um` is the standard deviation of one reading. Without a radius no length has an uncertainty.
     #[must_use]
-    pub fn circle_budget(&self, radius_mm: f64) -> Option<Budget> {
-        self.budget(|key| key != NOT_OF_CIRCLES, Some(radius_mm))
+    pub fn circle_budget(&self, radius_mm: Option<f64>, scatter_um: f64) -> Option<Budget> {
+        self.budget(|key| key != NOT_OF_CIRCLES, radius_mm, 0.0, scatter_um)
     }
 
     /// What contributes to the figures of a drift test, where anything is stated.
     #[must_use]
     pub fn drift_budget(&self) -> Option<Budget> {
-        self.budget(|key| OF_DIFFERENCES.contains(&key), None)
+        self.budget(|key| OF_DIFFERENCES.contains(&key), None, get(&self.stated, "set_up_um"), 0.0)
     }
 
-    fn budget(&self, used: impl Fn(&str) -> bool, radius_mm: Option<f64>) -> Option<Budget> {
+    /// A budget of the stated values with these keys.
+    /// `set_up_um` is what the set-up adds to a difference.
+    fn budget(
+        &self,
+        used: impl Fn(&str) -> bool,
+        radius_mm: Option<f64>,
+        set_up_um: f64,
+        scatter_um: f64,
+    ) -> Option<Budget> {
         let stated: BTreeMap<String, f64> =
             self.stated.iter().filter(|(key, _)| used(key)).map(|(k, v)| (k.clone(), *v)).collect();
-        (!stated.is_empty()).then(|| Budget::of(&stated, radius_mm))
+        if stated.is_empty() {
+            return None;
+        }
+        let mut contributors = along(&stated, radius_mm.unwrap_or(0.0));
+        let square = |all: &[Contributor]| all.iter().map(|c| c.u_um * c.u_um).sum::<f64>();
+        let fixed = square(&contributors);
+        let scatter = Contributor { name: "scatter of a reading".to_owned(), u_um: 2.0 * scatter_um };
+        let each: Vec<Contributor> =
+            [drift_of(&stated), scatter].into_iter().filter(|c| c.u_um > 0.0).collect();
+        let anew = square(&each);
+        contributors.extend(each);
+        let difference = get(&stated, "device_um").powi(2) + set_up_um * set_up_um + 2.0 * anew;
+        Some(Budget {
+            k: 2.0,
+            contributors,
+            difference_um: difference.sqrt(),
+            length_um: radius_mm.map(|_| (fixed + anew).sqrt()),
+        })
     }
 
     /// Keys of `[uncertainty]` that the figures of a circle, or else of a drift test, do not ask for.
@@ -253,8 +279,10 @@ pub struct Contributor {
     pub u_um: f64,
 }
 
-/// Expanded uncertainties (k = 2) of the figures of ISO 230-2, by the equations of ISO/TR 230-9 for rectangular
-/// contributors: half the range over √3 is a standard uncertainty.
+/// Expanded uncertainties (k = 2) of the figures of ISO 230-2.
+///
+/// By the GUM: rectangular contributors (half the range over √3 is a standard uncertainty), squares that add, k = 2. The choice of
+/// contributors and how they enter each figure are meant as in ISO/TR 230-9, but were not compared with its text.
 ///
 /// | contributor | U (k = 2) |
 /// |---|---|
@@ -321,13 +349,15 @@ fn drift_of(stated: &BTreeMap<String, f64>) -> Contributor {
     Contributor { name: "drift (E_VE)".to_owned(), u_um: get(stated, "drift_um") / 3.0_f64.sqrt() }
 }
 
-/// What instrument, set-up and room contribute to the figures of a circle or of a drift test, by the GUM: expanded uncertainties (k = 2).
-/// The readings' own scatter is not in it.
+/// Expanded uncertainties (k = 2) of the figures of a circle or of a drift test.
+///
+/// By the GUM alone: no standard at hand defines a budget of these figures. `U_s` is twice the standard deviation of one reading of a
+/// circle. D and H are means of several readings, whose scatter is smaller. A drift test's budget is without scatter.
 ///
 /// | figure | U (k = 2) |
 /// |---|---|
-/// | G, H of a circle: differences of two readings of one bar | √(`device_um`² + 2·`U_EVE`²) |
-/// | F, D of a circle: a bar's length R against the nominal one | √(`U_L`² + `U_EVE`²), `U_L` as [`Uncertainty`] has it over R, without misalignment |
+/// | G, H of a circle: differences of two readings of one bar | √(`device_um`² + 2·`U_EVE`² + 2·`U_s`²) |
+/// | F, D of a circle: a bar's length R against the nominal one | √(`U_L`² + `U_EVE`² + `U_s`²), `U_L` as [`Uncertainty`] has it over R, without misalignment |
 /// | ranges and end − start of a drift test: differences of two readings | √(`device_um`² + `set_up_um`² + 2·`U_EVE`²) |
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Budget {
@@ -338,7 +368,7 @@ pub struct Budget {
     /// Expanded uncertainty of a difference of two readings, µm.
     #[serde(rename = "U_difference_um")]
     pub difference_um: f64,
-    /// That of a length, µm; a drift test has none.
+    /// That of a length, µm; a drift test and a circle of unknown radius have none.
     #[serde(rename = "U_length_um", skip_serializing_if = "Option::is_none")]
     pub length_um: Option<f64>,
 }
@@ -347,24 +377,6 @@ pub struct Budget {
 /// A circle has one for the others too, but for the misalignment.
 const OF_DIFFERENCES: [&str; 3] = ["device_um", "set_up_um", "drift_um"];
 const NOT_OF_CIRCLES: &str = "misalignment_mm";
-
-impl Budget {
-    fn of(stated: &BTreeMap<String, f64>, radius_mm: Option<f64>) -> Self {
-        let drift = drift_of(stated);
-        let mut along = along(stated, radius_mm.unwrap_or(0.0));
-        let length = along.iter().map(|c| c.u_um * c.u_um).sum::<f64>() + drift.u_um * drift.u_um;
-        // The bar is as long at one angle as at another, and its set-up the same.
-        let fixed = if radius_mm.is_some() { 0.0 } else { get(stated, "set_up_um") };
-        let difference = get(stated, "device_um").powi(2) + fixed * fixed + 2.0 * drift.u_um * drift.u_um;
-        along.extend(Some(drift).filter(|c| c.u_um > 0.0));
-        Self {
-            k: 2.0,
-            contributors: along,
-            difference_um: difference.sqrt(),
-            length_um: radius_mm.map(|_| length.sqrt()),
-        }
-    }
-}
 
 impl Uncertainty {
     fn new(stated: &BTreeMap<String, f64>, length_mm: f64, approaches: usize) -> Self {
@@ -460,13 +472,21 @@ mod tests {
         near(u.A, (e * e + 4.0 * eve * eve).sqrt());
         near(u.M, (square + 0.2 * eve * eve).sqrt());
         // A circle of 150 mm: the same contributors over its radius; a bar has no misalignment.
-        let b = c.circle_budget(150.0).unwrap();
+        let b = c.circle_budget(Some(150.0), 0.0).unwrap();
         let (device, temperature) = (0.8 * 0.15, 2.0 * 11.0 * 0.15 * 0.5 / root3);
         near(b.difference_um, 2.0_f64.sqrt() * eve);
         near(b.length_um.unwrap(), (device * device + temperature * temperature + eve * eve).sqrt());
         let names: Vec<&str> = b.contributors.iter().map(|c| c.name.as_str()).collect();
         assert_eq!(names, ["device", "temperature of the machine", "drift (E_VE)"]);
         assert_eq!(c.not_in_budget(true), ["misalignment_mm"]);
+        // Readings that scatter by 0.3 µm, once in a length, twice in a difference; the radius is in no difference.
+        let s = c.circle_budget(Some(150.0), 0.3).unwrap();
+        assert_eq!(s.contributors.last().unwrap().name, "scatter of a reading");
+        near(s.difference_um, b.difference_um.hypot(0.6 * 2.0_f64.sqrt()));
+        near(s.length_um.unwrap(), b.length_um.unwrap().hypot(0.6));
+        let unknown = c.circle_budget(None, 0.3).unwrap();
+        near(unknown.difference_um, s.difference_um);
+        assert_eq!(unknown.length_um, None);
         // A drift test is a difference, whatever the length.
         let of = |text: &str| Conditions::parse(Path::new("c.toml"), text).unwrap().drift_budget();
         let d =

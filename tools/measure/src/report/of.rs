@@ -123,7 +123,7 @@ fn add_positioning(report: &mut Report, p: &Positioning) -> Result<(), PlotError
     report.table(table);
     if let Some(u) = &p.uncertainty {
         let title = format!(
-            "Uncertainty over {:.0} mm (GUM; contributors as in ISO/TR 230-9, whose text was not at hand)",
+            "Uncertainty over {:.0} mm (by the GUM; meant as in ISO/TR 230-9, not compared with its text)",
             u.length_mm
         );
         let mut table = Table::new(&title, &["contributor", "#U, k = 2 (µm)"]);
@@ -185,9 +185,7 @@ pub fn straightness(
 
 /// Contributors in one reading, then what follows for the figures.
 fn budget(report: &mut Report, of: &str, b: &Budget, figures: &[(&str, Option<f64>)]) {
-    let title = format!(
-        "Uncertainty budget{of} (GUM): instrument, set-up and room; the readings' own scatter is not in it"
-    );
+    let title = format!("Uncertainty budget{of} (GUM alone; no standard's budget)");
     let mut table = Table::new(&title, &["contributor or figure", "#U, k = 2 (µm)"]);
     for c in &b.contributors {
         table.row([c.name.clone(), um(c.u_um)]);
@@ -248,7 +246,8 @@ pub fn ballbar(planes: &[Ballbar], records: &[Record], conditions: &Conditions) 
                 ("together, of G and H: a difference of two readings", Some(u.difference_um)),
                 ("together, of F and D: the bar's length", u.length_um),
             ];
-            budget(&mut report, &format!(", plane {}{radius}", b.plane), u, &figures);
+            let figures = &figures[..if u.length_um.is_some() { 2 } else { 1 }];
+            budget(&mut report, &format!(", plane {}{radius}", b.plane), u, figures);
         }
     }
     Ok(report)
@@ -421,7 +420,7 @@ pub fn drift(
     if let Some(u) = all.iter().find_map(|d| d.uncertainty.as_ref()) {
         let figures =
             [("together, of a range or of end − start: a difference of two readings", Some(u.difference_um))];
-        budget(&mut report, " of the displacements", u, &figures);
+        budget(&mut report, " of the displacements, without the readings' scatter", u, &figures);
     }
     Ok(report)
 }

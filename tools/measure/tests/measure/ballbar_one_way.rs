@@ -14,6 +14,29 @@ use std::path::Path;
 use test_needs::cases;
 
 /// A machine of a plane, and its figures by the names of the intervals.
+/// The example's own machine: its wave is larger than its spike.
+#[test]
+fn a_spike_is_found_beside_a_larger_wave() {
+    let effects = "scale.x ppm = 49.0\nsquareness.x.y urad = 42.0\nreversal.x um = 4.2\nreversal.y um = 7.5\n\
+                   screw_periodic.x period_mm = 10.0; um = 3.1; phase_rad = 0.4\n\
+                   reversal_spike.y um = 2.6; length_mm = 0.9";
+    let mut held = 0;
+    for seed in 1..=10 {
+        let run = Run { rows: 360, ..Run::both(150.0, 21.0) };
+        let found = one(&[run.of_machine(effects, &mut Noise(seed), 0.1, 0.0)]).diagnosis;
+        let holds = |name: &str, truth: f64| {
+            found.interval_95[name][0] <= truth && truth <= found.interval_95[name][1]
+        };
+        assert!(found.spike.contains_key("y") && found.cyclic.contains_key("x"), "seed {seed}: {found:?}");
+        held += ["reversal.y", "reversal.x", "scale_mismatch_ppm", "servo_mismatch_ms"]
+            .into_iter()
+            .zip([7.5, 4.2, 49.0, 0.0])
+            .filter(|(name, truth)| holds(name, *truth))
+            .count();
+    }
+    assert!(held >= 36, "{held} of 40");
+}
+
 fn machine(noise: &mut Noise, [a, b]: [&str; 2], number: u32) -> (String, BTreeMap<String, f64>) {
     let scale = [noise.within(-30.0, 30.0), noise.within(-30.0, 30.0)];
     let square = noise.within(-40.0, 40.0);

@@ -2,10 +2,56 @@
 
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
+use crate::circles::{Noise, Run, one};
 use rtec_builders::column;
-use rtec_measure::iso230;
+use rtec_measure::evaluation::{self, Asked};
+use rtec_measure::iso230::{self, Conditions};
 use rtec_model::record::{Kind, Record};
+use std::f64::consts::TAU;
 use std::path::Path;
+
+/// The scatter of a circle's readings is their noise alone.
+/// The machine's form, the number of rows and the steps of the gauge do not matter.
+#[test]
+fn a_circles_scatter_is_its_noise() {
+    for (rows, wave_um, noise_um, step_um) in
+        [(60, 0.0, 0.3, 0.0), (720, 1.0, 0.3, 0.0), (720, 1.0, 0.05, 0.0), (720, 1.0, 0.05, 1.0)]
+    {
+        let run = Run { rows, ..Run::both(150.0, 25.0) };
+        let of = |seed: u64| {
+            let mut noise = Noise(seed);
+            let record = run.record("b.run.toml", |[_, a, turn]| {
+                let (s, c) = a.sin_cos();
+                let form = 15.0 * s * c + 4.0 * turn * s.signum() * c + wave_um * (TAU * 15.0 * s).sin() * s;
+                let read = form + noise_um * noise.normal();
+                if step_um > 0.0 { (read / step_um).round() * step_um } else { read }
+            });
+            one(&[record]).diagnosis.scatter_um
+        };
+        let mean = (1..=5).map(of).sum::<f64>() / 5.0;
+        let expected = if step_um > 0.0 { step_um / 12.0_f64.sqrt() } else { noise_um };
+        assert!((0.85..1.15).contains(&(mean / expected)), "{rows} rows, {noise_um} µm: {mean}");
+    }
+}
+
+/// Without a radius lengths have no uncertainty, and that is said.
+#[test]
+fn a_circle_without_radius_says_what_has_no_uncertainty() {
+    let full = Run::both(150.0, 25.0).record("b.run.toml", |[_, a, _]| 2.0 * (2.0 * a).sin());
+    let bare = Record::new(&full.path, Kind::Ballbar, full.columns.clone()).unwrap();
+    let conditions = Conditions::parse(Path::new("c.toml"), "[uncertainty]\ndevice_um = 0.5\n").unwrap();
+    let of = |record: Record| {
+        let asked = Asked { conditions: conditions.clone(), ..Asked::default() };
+        let found = evaluation::evaluate(&[record], &asked, &mut |_| ()).unwrap();
+        let said = found.report.warnings().iter().any(|w| w.contains("no uncertainty of F and D"));
+        (found.document["uncertainty"].clone(), said)
+    };
+    let ((with, said), (without, said_without)) = (of(full), of(bare));
+    assert!(with["U_length_um"].is_f64() && !said, "{with}");
+    assert!(without["U_length_um"].is_null() && said_without, "{without}");
+    let of = |u: &serde_json::Value| u["U_difference_um"].as_f64().unwrap();
+    assert!((of(&with) - of(&without)).abs() < 1e-9, "{with} {without}");
+}
 
 #[test]
 fn drift_ranges_and_rate() {

@@ -104,6 +104,7 @@ class VerdictDocument(TypedDict):
 class WhereDocument(TypedDict):
     """The first stage of a reconciliation."""
 
+    format: int
     by: str
     where: list[Place]
     level: float
@@ -113,6 +114,7 @@ class WhereDocument(TypedDict):
 class EvaluationDocument(TypedDict, total=False):
     """Figures of a standard, µm unless the name says otherwise. Which keys it has, the standard says."""
 
+    format: int
     by: str
     suspicions: list[Suspicion]
     warnings: list[str]
@@ -157,6 +159,7 @@ class EvaluationDocument(TypedDict, total=False):
     servo_mismatch_ms: float | None
     squareness_urad: float | None
     unexplained_um: float | None
+    scatter_um: float
     D: float
     F_max: float
     F_min: float
@@ -202,6 +205,7 @@ class EvaluationDocument(TypedDict, total=False):
 class FitDocument(TypedDict, total=False):
     """A fit. By temperatures: an entry of ``responses`` each. Of named effects: ``effects``, ``rms_um``, ``zeros``."""
 
+    format: int
     by: str
     responses: list[dict[str, Any]]
     effects: list[Effect]
@@ -215,6 +219,7 @@ class FitDocument(TypedDict, total=False):
 class ChainFitDocument(TypedDict):
     """A chain's fit."""
 
+    format: int
     by: str
     terms: list[dict[str, Any]]
     rms_um: list[Any]
@@ -224,6 +229,7 @@ class ChainFitDocument(TypedDict):
 class ValidationDocument(TypedDict):
     """A model judged on records."""
 
+    format: int
     by: str
     responses: list[dict[str, Any]]
     no_better: list[str]
@@ -233,6 +239,7 @@ class ValidationDocument(TypedDict):
 class TableDocument(TypedDict):
     """A controller's table, and what it leaves of the model."""
 
+    format: int
     by: str
     axis: str
     along: str
@@ -266,6 +273,7 @@ class Step(TypedDict):
 class DesignsDocument(TypedDict):
     """Designs of insertion side by side."""
 
+    format: int
     by: str
     designs: list[dict[str, Any]]
     motion: dict[str, Any]
@@ -275,6 +283,7 @@ class DesignsDocument(TypedDict):
 class ReplayDocument(TypedDict):
     """What the controller would have counted."""
 
+    format: int
     by: str
     counts_in: int
     counts_out: int
@@ -301,6 +310,7 @@ class PartError(TypedDict):
 class PartDocument(TypedDict, total=False):
     """A feature's errors."""
 
+    format: int
     by: str
     feature: str
     points: int
@@ -324,6 +334,7 @@ class PartDocument(TypedDict, total=False):
 class HistoryDocument(TypedDict):
     """One machine's figures over time."""
 
+    format: int
     by: str
     machine: str
     figures: list[dict[str, Any]]
@@ -334,6 +345,8 @@ class HistoryDocument(TypedDict):
 class MachineDocument(TypedDict):
     """A machine model."""
 
+    format: int
+    by: str
     name: str
     effects: list[dict[str, Any]]
     fits: list[dict[str, Any]]

@@ -2,6 +2,7 @@
 //! `restore` puts it back, here or on another computer.
 
 use crate::archive::Archive;
+use crate::document::pretty;
 use anyhow::Context;
 use rtec_control::audit;
 use rtec_control::belongings;
@@ -40,8 +41,9 @@ pub(crate) struct Manifest {
     pub made: String,
     /// The machine's name.
     pub machine: String,
-    /// Who made it.
-    pub rtecctl: String,
+    /// Who made it; written as in every document.
+    #[serde(skip_serializing, default)]
+    pub by: String,
     /// The system that it was made on (os-release).
     pub system: String,
     /// The end of the record of commands, and of the refusals: number and hash of the last line.
@@ -124,13 +126,13 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         form: FORM,
         made: audit::stamp(SystemTime::now()),
         machine: config.machine,
-        rtecctl: env!("CARGO_PKG_VERSION").to_owned(),
+        by: String::new(),
         system: std::fs::read_to_string("/etc/os-release").unwrap_or_default(),
         record: audit::end(&log),
         refused: audit::end(&audit::refused_path(&log)),
         files,
     };
-    let text = serde_json::to_string_pretty(&manifest)? + "\n";
+    let text = pretty(&manifest)?;
     let mut archive = Archive::create(&args.out)?;
     let mut add = |name: &str, bytes: &[u8]| {
         archive
@@ -178,7 +180,7 @@ pub(crate) fn read(path: &Path) -> anyhow::Result<(Manifest, Vec<Vec<u8>>)> {
             })?;
             if read.form != FORM {
                 let expected =
-                    format!("form {FORM}: an `rtecctl` as new as the one that made it ({})", read.rtecctl);
+                    format!("form {FORM}: an `rtecctl` as new as the one that made it ({})", read.by);
                 return Err(wrong(format!("form {}", read.form), &expected).into());
             }
             manifest = Some(read);

@@ -3,6 +3,8 @@
 use crate::Outcome;
 use crate::archive::{Archive, now_s};
 use crate::daemon::{Daemon, observe};
+use crate::document::{line, pretty};
+use crate::say;
 use anyhow::Context;
 use rtec_control::belongings::{self, Belonging};
 use rtec_control::config::{Config, EMBEDDED, INSTALLED};
@@ -43,7 +45,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let done = Archive::create(&out).and_then(|archive| fill(args, archive));
     let Contents { text, missing } = done?;
     if args.daemon.json {
-        println!("{}", serde_json::json!({ "file": out, "contents": text, "missing": missing }));
+        say(&line(&serde_json::json!({ "file": out, "contents": text, "missing": missing }))?);
     } else {
         print!("{text}");
         println!("{}: read it before you give it away", out.display());
@@ -88,7 +90,7 @@ fn fill(args: &Args, mut archive: Archive<'_>) -> anyhow::Result<Contents> {
     put("versions.txt", Ok(versions()))?;
     put("rtec.toml", config.map(|text| without_secrets(&text)))?;
     let seen = args.daemon.view().and_then(|mut client| observe(&mut client, None));
-    put(STATE, seen.and_then(|seen| Ok(serde_json::to_string_pretty(&seen)? + "\n")))?;
+    put(STATE, seen.and_then(|seen| pretty(&seen)))?;
     put("record.jsonl", args.daemon.log_path().and_then(|path| read(&path)))?;
     let log = output("journalctl", &["-q", "-b", "-u", "rtecd", "--no-pager", "-n", LOG_LINES]);
     let some = |text: String| {
@@ -102,8 +104,7 @@ fn fill(args: &Args, mut archive: Archive<'_>) -> anyhow::Result<Contents> {
     put("kernel.txt", output("uname", &["-a"]))?;
     let system = System::live();
     let cpu = system.default_cpu();
-    let platform = serde_json::to_string_pretty(&system.inspect(cpu, 80)).map_err(anyhow::Error::from);
-    put("platform.json", platform.map(|text| text + "\n"))?;
+    put("platform.json", pretty(&system.inspect(cpu, 80)))?;
     put("devices.txt", Ok(devices()))?;
     for (name, text) in file.map(beside).unwrap_or_default() {
         let _ = writeln!(contents.text, "{name}: {} bytes", text.len());
@@ -162,7 +163,7 @@ fn devices() -> String {
 
 fn versions() -> String {
     let release = std::fs::read_to_string("/etc/os-release").unwrap_or_default();
-    format!("rtecctl {}\n{release}", env!("CARGO_PKG_VERSION"))
+    format!("{}\n{release}", rtec_files::stamp::by())
 }
 
 /// A file, of a long one its end.

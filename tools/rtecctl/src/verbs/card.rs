@@ -3,6 +3,8 @@
 mod watch;
 
 use crate::Outcome;
+use crate::document::pretty;
+use crate::say;
 use anyhow::Context;
 use clap::Subcommand;
 use rtec_control::card::{self, Access, OnCard, OpenError};
@@ -177,7 +179,7 @@ fn list(as_json: bool) -> anyhow::Result<()> {
     let (parports, uio) = (devices("parport"), devices("uio"));
     if as_json {
         let here = json!({"gpio": chips, "pci": cards, "parport": parports, "uio": uio});
-        println!("{}", serde_json::to_string_pretty(&json!({"profiles": profiles, "here": here}))?);
+        say(&pretty(&json!({"profiles": profiles, "here": here}))?);
         return Ok(());
     }
     let text = |value: &Value, key: &str| match &value[key] {
@@ -262,7 +264,7 @@ fn show(name: &str, as_toml: bool, as_json: bool) -> anyhow::Result<()> {
             "inputs": registers(&p.inputs), "outputs": registers(&p.outputs), "lines": lines,
             "setup": setup.collect::<Vec<_>>(), "counters": counters.collect::<Vec<_>>(),
         });
-        println!("{}", serde_json::to_string_pretty(&document)?);
+        say(&pretty(&document)?);
         return Ok(());
     }
     println!("{}", p.name);
@@ -386,7 +388,7 @@ impl Reading {
             let document = json!({
                 "card": self.card, "registers": registers.collect::<Vec<_>>(), "lines": lines.collect::<Vec<_>>(),
             });
-            println!("{}", serde_json::to_string_pretty(&document)?);
+            say(&pretty(&document)?);
             return Ok(());
         }
         if let Some(card) = &self.card {
@@ -597,7 +599,7 @@ fn drive<C: Card>(config: &Config, as_json: bool, card: &mut C) -> anyhow::Resul
         );
     }
     if as_json {
-        println!("{}", serde_json::to_string_pretty(&json!({ "outputs": found }))?);
+        say(&pretty(&json!({ "outputs": found }))?);
     }
     if wrong > 0 {
         return Err(Outcome::No(format!("{wrong} outputs do not read back what was written to them")).into());

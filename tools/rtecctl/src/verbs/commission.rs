@@ -13,6 +13,8 @@
 
 use crate::Outcome;
 use crate::daemon::{self, Daemon};
+use crate::document::line;
+use crate::say;
 use nix::sys::signal::Signal;
 use rtec_control::client::Client;
 use rtec_control::protocol::{AxisReport, ClientRequest, DaemonStatus, Response};
@@ -359,7 +361,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         figures.insert("axis".to_owned(), args.axis.clone().into());
         figures.insert("verdict".to_owned(), found.verdict.into());
         figures.insert("text".to_owned(), found.text.clone().into());
-        println!("{}", serde_json::Value::Object(figures));
+        say(&line(&figures)?);
     } else {
         for (key, value) in &figures {
             println!("{key:28} {value}");

@@ -1,5 +1,7 @@
 //! `rtecctl config`: is a configuration right, and if not, where.
 
+use crate::document::line;
+use crate::say;
 use crate::terminal::{self, Tone, toned};
 use clap::Subcommand;
 use rtec_control::config::{Config, ConfigFindings, EMBEDDED};
@@ -39,7 +41,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         ConfigAction::Check { file, elsewhere, quiet, json } => {
             let config = if *elsewhere { Config::load(file) } else { Config::check_here(file) };
             if *json {
-                println!("{}", document(file, &config));
+                say(&line(&document(file, &config))?);
             }
             let config = config?;
             if !json && !quiet {

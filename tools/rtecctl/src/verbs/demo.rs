@@ -1,6 +1,8 @@
 //! `rtecctl demo`: the main job on the embedded default, with nothing but this program.
 
 use crate::Outcome;
+use crate::document::line;
+use crate::say;
 use anyhow::Context as _;
 use rtec_correct::{AxisSetup, Corrector, RAMP_UM_S};
 use rtec_driver::card::{AxisLines, MachineLines};
@@ -165,7 +167,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             "illegal_out": truth[0].illegal(), "faults": faults, "balanced": balanced,
             "rms_without_um": without_um, "rms_with_um": with_um,
         });
-        println!("{document}");
+        say(&line(&document)?);
     } else {
         println!("tool error, RMS over the run: {without_um:.2} µm without, {with_um:.2} µm with correction");
         println!(

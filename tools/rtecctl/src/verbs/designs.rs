@@ -1,7 +1,7 @@
 //! `rtecctl designs`: every insertion design of the sources on the same motion and computer.
 
+use crate::document::pretty;
 use anyhow::Context;
-use rtec_files::stamp::signed;
 use rtec_sim::bench::AnyDesign;
 use rtec_sim::computer::Computer;
 use rtec_sim::designs::{TestMotion, compare, waveforms};
@@ -86,11 +86,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             eprintln!("rtecctl: wrote {}", file.display());
         }
     }
-    let text = if args.json {
-        signed(serde_json::to_string_pretty(&comparison)?) + "\n"
-    } else {
-        comparison.to_table()
-    };
+    let text = if args.json { pretty(&comparison)? } else { comparison.to_table() };
     crate::say(&text);
     Ok(())
 }

@@ -1,6 +1,7 @@
 //! `rtecctl example`: a machine to begin with.
 
 use crate::Outcome;
+use crate::document::line;
 use anyhow::Context;
 use rtec_sim::example::{EXAMPLES, Example};
 use std::io::ErrorKind;
@@ -34,7 +35,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let (Some(example), Some(dir)) = (args.name, &args.dir) else {
         let text = if args.json {
             let all = EXAMPLES.map(|e| serde_json::json!({"name": e.name, "what": e.what}));
-            format!("{}\n", serde_json::json!({ "examples": all }))
+            line(&serde_json::json!({ "examples": all }))?
         } else {
             EXAMPLES.map(|e| format!("{:<11} {}\n", e.name, e.what)).concat()
         };
@@ -64,7 +65,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     }
     let text = if args.json {
         let command = example.experiment();
-        format!("{}\n", serde_json::json!({ "example": example.name, "files": files, "experiment": command }))
+        line(&serde_json::json!({ "example": example.name, "files": files, "experiment": command }))?
     } else {
         let experiment = example.experiment().map_or_else(String::new, |command| {
             format!("its whole experiment, tables and figures: cd {} && {command}\n", dir.display())

@@ -1,9 +1,9 @@
 //! `rtecctl history`: one machine's figures of merit over time.
 
 use crate::Outcome;
+use crate::document::pretty;
 use anyhow::Context;
 use rtec_files::InputError;
-use rtec_files::stamp::signed;
 use rtec_measure::history::{Limits, history};
 use std::path::{Path, PathBuf};
 
@@ -68,7 +68,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         rtec_files::write::whole(path, report.html().as_bytes())
             .with_context(|| format!("writing {}", path.display()))?;
     }
-    let text = if args.json { signed(serde_json::to_string_pretty(&found)?) + "\n" } else { report.text() };
+    let text = if args.json { pretty(&found)? } else { report.text() };
     crate::say(&text);
     // A limit that nothing was held against is no limit kept.
     let unjudged = limits.without(&found);

@@ -2,6 +2,8 @@
 
 use crate::Outcome;
 use crate::daemon::{Daemon, NO_EVENTS, ask, observe, unexpected};
+use crate::document::{line, pretty};
+use crate::say;
 use anyhow::Context;
 use clap::Subcommand;
 use rtec_control::client::Client;
@@ -122,10 +124,10 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     }
     let document = json!({ "machine": status.machine, "axes": all });
     let file = out.join("ledger.json");
-    rtec_files::write::whole(&file, format!("{document:#}\n").as_bytes())
+    rtec_files::write::whole(&file, pretty(&document)?.as_bytes())
         .with_context(|| format!("writing {}", file.display()))?;
     if daemon.json {
-        println!("{document}");
+        say(&line(&document)?);
     } else if !not_homed.is_empty() {
         eprintln!(
             "rtecctl: axis {} not homed: counted from the daemon's start; `rtecctl home` begins the ledger",

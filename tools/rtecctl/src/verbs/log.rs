@@ -2,6 +2,8 @@
 
 use crate::Outcome;
 use crate::daemon::Daemon;
+use crate::document::line;
+use crate::say;
 use crate::terminal;
 use jiff::Timestamp;
 use jiff::tz::TimeZone;
@@ -92,7 +94,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     })
     .map_err(|e| unreadable(&file, &e))?;
     if document {
-        println!("{}", json!({ "file": file, "lines": all }));
+        say(&line(&json!({ "file": file, "lines": all }))?);
     }
     if args.follow {
         while !terminal::reader_has_gone() {
@@ -163,7 +165,7 @@ fn anchors(file: &Path) -> anyhow::Result<Vec<Anchor>> {
 fn verify(file: &Path, anchors: &[Anchor], as_json: bool) -> anyhow::Result<()> {
     let found = audit::verify(file, anchors).map_err(|e| unreadable(file, &e))?;
     if as_json {
-        println!("{}", json!({ "file": file, "ok": found.broken.is_empty(), "found": found }));
+        say(&line(&json!({ "file": file, "ok": found.broken.is_empty(), "found": found }))?);
     } else {
         for broken in &found.broken {
             let line = if broken.line > 0 { format!(":{}", broken.line) } else { String::new() };

@@ -7,6 +7,7 @@ use anyhow::Context;
 use rtec_control::metrics::{Form, text};
 use rtec_control::protocol::Observed;
 use rtec_files::InputError;
+use rtec_files::stamp::VERSION;
 use std::fs::{Permissions, remove_file};
 use std::net::SocketAddr;
 use std::os::unix::fs::{FileTypeExt, PermissionsExt};
@@ -40,8 +41,6 @@ pub(crate) struct Args {
     #[command(flatten)]
     daemon: Daemon,
 }
-
-const VERSION: &str = env!("CARGO_PKG_VERSION");
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     if args.daemon.json {

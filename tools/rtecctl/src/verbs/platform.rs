@@ -1,6 +1,8 @@
 //! `rtecctl platform`: what this kernel and machine can do for a real-time thread, and what to change.
 
 use crate::Outcome;
+use crate::document::pretty;
+use crate::say;
 use anyhow::Context;
 use rtec_control::config::{CardConfig, Config, INSTALLED, MappedPlace, PortPlace};
 use rtec_driver::gpio::{GpioSetup, chip_names};
@@ -63,10 +65,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     };
     report.findings.extend(access::card(&system, &devices, events, cpu));
     if args.json {
-        println!(
-            "{}",
-            serde_json::to_string_pretty(&Document { can_arm: report.can_arm(), report: &report })?
-        );
+        say(&pretty(&Document { can_arm: report.can_arm(), report: &report })?);
     } else {
         print!("{}", text(&report));
     }

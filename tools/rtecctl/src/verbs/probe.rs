@@ -2,6 +2,8 @@
 
 use crate::Outcome;
 use crate::daemon::{Daemon, NO_EVENTS, ask, check, observe, unreachable};
+use crate::document::line;
+use crate::say;
 use clap::ValueEnum;
 use rtec_control::protocol::{ClientRequest, Happened, Response};
 
@@ -90,7 +92,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         }
     }
     if args.daemon.json {
-        println!("{}", serde_json::json!({ "captures": captured }));
+        say(&line(&serde_json::json!({ "captures": captured }))?);
     }
     ask(&mut args.daemon.connect()?, &ClientRequest::Probe { on: false })?;
     Ok(())

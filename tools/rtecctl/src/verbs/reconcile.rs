@@ -1,10 +1,11 @@
 //! `rtecctl reconcile`: where simulation and measurement disagree, which effect is missing, a better model.
 
 use super::characterise::record::{Recorder, record};
+use crate::document::pretty;
 use crate::figures::with_half;
+use crate::say;
 use anyhow::Context;
 use rtec_files::InputError;
-use rtec_files::stamp::signed;
 use rtec_measure::plausible;
 use rtec_model::machine::Machine;
 use rtec_reconcile::{LAWS_FILE, Options, Place, Reconciliation, Refined, SEED, find, html, reconcile, why};
@@ -151,7 +152,7 @@ fn spares_inputs(args: &Args) -> Result<(), InputError> {
 
 /// Writes the verdict and further files where a directory is given, and prints what was asked for.
 fn tell(args: &Args, document: &Value, summary: &str, files: &[(&str, String)]) -> anyhow::Result<()> {
-    let text = signed(serde_json::to_string_pretty(document)?);
+    let text = pretty(document)?;
     if let Some(dir) = &args.out {
         std::fs::create_dir_all(dir).with_context(|| format!("creating {}", dir.display()))?;
         let write = |name: &str, text: &str| {
@@ -159,13 +160,13 @@ fn tell(args: &Args, document: &Value, summary: &str, files: &[(&str, String)]) 
             rtec_files::write::whole(&path, text.as_bytes())
                 .with_context(|| format!("writing {}", path.display()))
         };
-        write("verdict.json", &format!("{text}\n"))?;
+        write("verdict.json", &text)?;
         for (name, text) in files {
             write(name, text)?;
         }
     }
     if args.json {
-        println!("{text}");
+        say(&text);
     } else {
         print!("{summary}");
     }

@@ -1,6 +1,8 @@
 //! `rtecctl replay`: the engine of the real-time thread over a recorded trace, on a virtual clock.
 
 use crate::Outcome;
+use crate::document::line;
+use crate::say;
 use anyhow::Context;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use rtec_control::config::Config;
@@ -8,7 +10,6 @@ use rtec_driver::quadrature::State;
 use rtec_driver::replay::Listener;
 use rtec_driver::replay::TracePoint;
 use rtec_files::InputError;
-use rtec_files::stamp::signed;
 use rtec_files::trace::{
     Playable, RequestReader, TraceFile, TraceFormat, TraceReader, request_columns, trace_columns,
 };
@@ -144,7 +145,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         }
     })?;
     if args.json {
-        println!("{}", signed(serde_json::to_string(&outcome)?));
+        say(&line(&outcome)?);
     } else {
         print(&outcome);
     }

@@ -2,6 +2,8 @@
 
 use super::backup::{Manifest, Packed, read};
 use crate::Outcome;
+use crate::document::line;
+use crate::say;
 use anyhow::Context;
 use nix::unistd::{Gid, Uid, fchown};
 use rtec_control::config::{Config, INSTALLED};
@@ -85,7 +87,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             "machine": manifest.machine, "made": manifest.made, "written": names, "left_out": left_out,
             "dry_run": args.dry_run, "record": manifest.record,
         });
-        println!("{document}");
+        say(&line(&document)?);
         return Ok(());
     }
     let done = if args.dry_run { "would be written" } else { "written" };

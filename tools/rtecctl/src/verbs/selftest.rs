@@ -1,6 +1,8 @@
 //! `rtecctl selftest latency`: how late this machine can be, and what that leaves for corrections.
 
 use crate::Outcome;
+use crate::document::line;
+use crate::say;
 use crate::verbs::card::{alone, confirm, unreachable};
 use anyhow::Context;
 use rtec_control::card::{self, Access, OnCard};
@@ -262,7 +264,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             far_side: measured.far(),
             missing_to_arm: measured.setup.missing().map(|f| f.name).collect(),
         };
-        println!("{}", serde_json::to_string(&document)?);
+        say(&line(&document)?);
     } else {
         // As cyclictest: what goes into a file is not on the terminal, too.
         print!("{}", text(&measured, &options, &rates, &reasons, &provenance, args.histfile.is_none()));

@@ -1,8 +1,8 @@
 //! `rtecctl simulate`: experiments on the simulated machine.
 
+use crate::document::{line, pretty};
 use anyhow::Context;
 use rtec_files::InputError;
-use rtec_files::stamp::signed;
 use rtec_model::machine::{FitNote, Machine};
 use rtec_model::record::Kind;
 use rtec_sim::experiment::{EXPERIMENTS, Experiment, ExperimentError, Setting};
@@ -48,7 +48,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     if args.list {
         let text = if args.json {
             let all = EXPERIMENTS.map(|e| serde_json::json!({"name": e.name, "what": e.what}));
-            format!("{}\n", serde_json::json!({ "experiments": all }))
+            line(&serde_json::json!({ "experiments": all }))?
         } else {
             EXPERIMENTS.map(|e| format!("{:<26} {}\n", e.name, e.what)).concat()
         };
@@ -123,7 +123,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         let document = serde_json::json!({
             "experiment": experiment.name, "seed": args.seed, "files": files, "summary": findings.summary,
         });
-        signed(serde_json::to_string_pretty(&document)?) + "\n"
+        pretty(&document)?
     } else {
         for file in &files {
             eprintln!("rtecctl: wrote {file}");

@@ -2,6 +2,7 @@
 
 use crate::Outcome;
 use crate::daemon::{Daemon, check, unreachable};
+use crate::document::line;
 use crate::terminal::{self, Tone, toned};
 use rtec_control::client::Client;
 use rtec_control::protocol::{ClientRequest, DaemonStatus, Distribution, PartTable, Response, TableNow};
@@ -53,7 +54,7 @@ fn watch(daemon: &Daemon, every: Duration) -> anyhow::Result<()> {
             // Home, then clear to the end: no flicker, and nothing of a longer view is left.
             let clear = if terminal { "\x1b[H\x1b[J" } else { "" };
             let text = if daemon.json {
-                serde_json::to_string(&status)? + "\n"
+                line(&status)?
             } else {
                 let way = on_their_way(&mut client, &status);
                 format!("{clear}{}", table(&status, &way, Screen::here()))

@@ -1,5 +1,7 @@
 //! `rtecctl trace`: quadrature traces from one form into another, and from a measured position record.
 
+use crate::document::line;
+use crate::say;
 use anyhow::Context;
 use clap::{Subcommand, ValueEnum};
 use rtec_driver::quadrature::State;
@@ -117,11 +119,10 @@ fn not_negative(text: &str) -> Result<f64, String> {
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     match &args.what {
         TraceAction::Convert { input, output, columns, json } => {
-            convert(input, output, columns)?.print(output, *json);
+            convert(input, output, columns)?.print(output, *json)
         }
         TraceAction::FromPosition(args) => from_position(args)?.print(&args.out, args.json),
     }
-    Ok(())
 }
 
 /// Figures of the trace that was written.
@@ -151,15 +152,15 @@ impl Summary {
         self.points += 1;
     }
 
-    fn print(&self, out: &Path, json: bool) {
+    fn print(&self, out: &Path, json: bool) -> anyhow::Result<()> {
         let edges = self.points.saturating_sub(1);
         if json {
             let document = serde_json::json!({
                 "out": out, "edges": edges, "net_counts": self.net_counts, "illegal": self.illegal,
                 "start_ns": self.first.t_ns, "end_ns": self.last.t_ns, "min_edge_separation_ns": self.shortest_ns,
             });
-            println!("{document}");
-            return;
+            say(&line(&document)?);
+            return Ok(());
         }
         println!(
             "{}: {edges} edges, {:+} counts net, {} illegal, {:.6} s, edges at least {} ns apart",
@@ -169,6 +170,7 @@ impl Summary {
             (self.last.t_ns - self.first.t_ns) as f64 / 1e9,
             self.shortest_ns.map_or_else(|| "-".to_owned(), |ns| ns.to_string()),
         );
+        Ok(())
     }
 }
 

@@ -80,7 +80,7 @@ fn every_profile_is_listed_and_what_is_here_is_looked_for() {
     assert_eq!(here.contains("nothing that this program knows"), here.contains("`rtecctl card show FILE`"));
     assert!(!here.is_empty());
     let out = card(&["list", "--json"]);
-    let document: serde_json::Value = serde_json::from_slice(&out.stdout).expect("one JSON document");
+    let document = crate::document(&out.stdout);
     let listed: Vec<_> =
         document["profiles"].as_array().expect("a list").iter().map(|p| p["profile"].as_str()).collect();
     assert_eq!(listed, rtec_control::profile::SHIPPED.map(|(name, _)| Some(name)));
@@ -258,7 +258,7 @@ fn watches_lines_live_and_writes_nothing() {
         }
     }
     let out = watching.wait_with_output().expect("it ends by itself");
-    let document: serde_json::Value = serde_json::from_slice(&out.stdout).expect("one JSON document");
+    let document = crate::document(&out.stdout);
     assert_eq!(out.status.code(), Some(0));
     assert!(
         document["looks"].as_u64() > Some(1) && document["lines"].as_array().is_some_and(|l| l.len() >= 2)

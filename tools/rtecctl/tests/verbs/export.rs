@@ -31,7 +31,7 @@ fn export(dir: &Path, words: &str) -> (Value, String) {
     let out = rtecctl(dir, &format!("model export --machine m.toml --json {words}"));
     let said = String::from_utf8(out.stderr).unwrap();
     assert!(out.status.success(), "{words}: {said}");
-    (serde_json::from_slice(&out.stdout).unwrap(), said)
+    (crate::document(&out.stdout), said)
 }
 
 fn folder() -> tempfile::TempDir {

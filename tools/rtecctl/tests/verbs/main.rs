@@ -3,6 +3,19 @@
 
 #![allow(clippy::unwrap_used, clippy::float_cmp, reason = "helpers of tests")]
 
+use serde_json::Value;
+
+/// A document as a verb prints it, with its format and its writer at its end.
+/// A list has no place for them.
+#[track_caller]
+fn document(text: &[u8]) -> Value {
+    let found: Value = serde_json::from_slice(text).expect("one JSON document");
+    let end = String::from_utf8_lossy(text).replace([' ', '\n'], "");
+    let stamped = end.contains(",\"format\":1,\"by\":\"rtec0") && end.ends_with("\"}");
+    assert!(found.is_array() || stamped, "no format and writer at its end: {found}");
+    found
+}
+
 mod backup;
 mod card;
 mod characterise;

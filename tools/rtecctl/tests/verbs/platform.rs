@@ -31,7 +31,7 @@ fn on_the_running_machine_it_prints_one_document_and_changes_nothing() {
     let throttling = || std::fs::read_to_string("/proc/sys/kernel/sched_rt_runtime_us").unwrap_or_default();
     let before = throttling();
     let out = platform(&["--json", "--cpu", "0"]);
-    let document: serde_json::Value = serde_json::from_slice(&out.stdout).expect("one JSON document");
+    let document = crate::document(&out.stdout);
     let findings = document["findings"].as_array().expect("a list");
     for name in ["scheduler", "affinity", "memory_lock", "stack", "cpu_dma_latency", "rt_throttling"] {
         assert!(findings.iter().any(|f| f["name"] == name), "{name}");

@@ -40,7 +40,7 @@ fn a_live_run_is_recorded_and_reconciled() {
     let said = String::from_utf8_lossy(&output.stderr);
     assert!(output.status.success(), "{said}");
     assert!(folder.path().join("run.run.toml").exists());
-    let verdict: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    let verdict = crate::document(&output.stdout);
     // Every gauge has a zero of its own: it is the set-up's.
     assert_eq!(verdict["verdict"], "nothing_missing", "{verdict}");
     let zero_um = verdict["set_up"]["run.run.toml"]["zero_um"].as_f64().unwrap();
@@ -100,12 +100,12 @@ fn each_stage_does_its_own_part() {
             .output()
             .unwrap();
         assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-        let document: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+        let document = crate::document(&output.stdout);
         let map = document.as_object().unwrap();
         assert!(keys.iter().all(|k| map.contains_key(*k)), "{stage}: {document}");
         assert_eq!(map.contains_key("gap"), stage == "show");
         if stage == "find" {
-            assert_eq!(map.len(), keys.len() + 1, "{document}"); // and `by`
+            assert_eq!(map.len(), keys.len() + 2, "{document}"); // and `format`, `by`
         } else {
             assert_eq!(document["effects"][0]["name"], "warm_up.z", "{document}");
         }
@@ -159,7 +159,7 @@ fn an_unexplained_curve_is_written_and_loads_again() {
         "--json",
     ]);
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    let document: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    let document = crate::document(&output.stdout);
     assert_eq!(document["verdict"], "unknown_effect", "{document}");
     assert!(folder.path().join("found/unexplained.toml").exists());
     // It is judged on rows that it was not fitted to, and leaves more of those.

@@ -67,7 +67,7 @@ fn a_recorded_trace_is_replayed_bit_for_bit() {
 fn the_document_has_the_keys_of_the_contract() {
     let (motion, requests) = (golden("motion.csv"), golden("requests.csv"));
     let run = rtecctl(&["replay", "--json"], &[("--trace", &motion), ("--requests", &requests)]);
-    let document: serde_json::Value = serde_json::from_slice(&run.stdout).unwrap();
+    let document = crate::document(&run.stdout);
     for key in [
         "counts_in",
         "counts_out",
@@ -106,7 +106,7 @@ fn a_configuration_brings_its_belief_window() {
     let (motion, requests) = (golden("motion.csv"), golden("requests.csv"));
     let paths: &[(&str, &Path)] = &[("--trace", &motion), ("--requests", &requests), ("--config", &config)];
     let run = rtecctl(&["replay", "--json"], paths);
-    let document: serde_json::Value = serde_json::from_slice(&run.stdout).unwrap();
+    let document = crate::document(&run.stdout);
     // 10 → −30 is a change of 40, and so is −30 → … : the window of 30 refuses what is too far from the last.
     let refused: Vec<_> = document["refused"].as_array().unwrap().iter().map(|r| &r["why"]).collect();
     assert_eq!(refused, ["not_believed", "not_believed", "above_maximum"], "{document}");
@@ -117,7 +117,7 @@ fn a_configuration_brings_its_belief_window() {
     std::fs::write(&wild, "t_ns,requested\n0,20\n1000000,500\n2000000,501\n3000000,502\n").unwrap();
     let run =
         rtecctl(&["replay", "--json"], &[("--trace", &motion), ("--requests", &wild), ("--config", &config)]);
-    let document: serde_json::Value = serde_json::from_slice(&run.stdout).unwrap();
+    let document = crate::document(&run.stdout);
     assert_eq!(run.status.code(), Some(4), "{}", text(&run.stderr));
     assert_eq!(document["faults"][0]["fault"], "still_not_believed");
     assert_eq!(document["illegal_out"], 0);
@@ -182,7 +182,7 @@ fn an_illegal_transition_is_a_latched_fault_not_a_guess() {
     let run = rtecctl(&["replay", "--json"], &[("--trace", &trace), ("--requests", &requests)]);
     assert_eq!(run.status.code(), Some(4));
     assert!(text(&run.stderr).contains("illegal transition latched at 3000000 ns"), "{}", text(&run.stderr));
-    let document: serde_json::Value = serde_json::from_slice(&run.stdout).unwrap();
+    let document = crate::document(&run.stdout);
     assert_eq!(document["illegal_in"], 1);
     assert_eq!(document["insertions"], 1);
 }
@@ -206,7 +206,7 @@ fn latches_a_broken_wire_and_inserts_nothing() {
             let run = rtecctl(&["replay", "--json"], &[("--trace", &trace), ("--requests", &asked)]);
             assert_eq!(run.status.code(), Some(4), "{}", text(&run.stderr));
             assert!(text(&run.stderr).contains("channel dead latched at 425000 ns"), "{}", text(&run.stderr));
-            let document: serde_json::Value = serde_json::from_slice(&run.stdout).unwrap();
+            let document = crate::document(&run.stdout);
             assert_eq!(document["faults"][0]["fault"], "channel_dead");
             assert_eq!((&document["insertions"], &document["completed"]), (&0.into(), &0.into()));
         }
@@ -228,7 +228,7 @@ fn designs_that_drive_the_signals_themselves_replay_too() {
         let paths: &[(&str, &Path)] = &[("--trace", &trace), ("--requests", &requests)];
         let run = rtecctl(&["replay", "--json", "--design", design], paths);
         assert_eq!(run.status.code(), Some(0), "{design}: {}", text(&run.stderr));
-        let document: serde_json::Value = serde_json::from_slice(&run.stdout).unwrap();
+        let document = crate::document(&run.stdout);
         assert_eq!(
             (&document["counts_in"], &document["completed"]),
             (&3999.into(), &(-12).into()),
@@ -260,7 +260,7 @@ fn the_ecc_waits_on_a_slow_axis_and_balances() {
             &[("--trace", &trace), ("--requests", &requests)],
         );
         assert_eq!(run.status.code(), Some(0), "{period_ns}: {}", text(&run.stderr));
-        let document: serde_json::Value = serde_json::from_slice(&run.stdout).unwrap();
+        let document = crate::document(&run.stdout);
         let number = |key: &str| document[key].as_i64().unwrap();
         assert_eq!(number("counts_out") - number("counts_in"), served, "{document}");
         assert_eq!(number("completed"), served);

@@ -33,7 +33,7 @@ fn shape(line: &str) -> String {
 fn the_document_has_every_key_and_the_far_side_counted_what_the_engine_completed() {
     for backend in ["mock", "mapped"] {
         let out = latency(&["--json", "--backend", backend]);
-        let document: Value = serde_json::from_slice(&out.stdout).expect("one JSON document");
+        let document = crate::document(&out.stdout);
         for key in [
             "wakeup_ns",
             "poll_gap_ns",
@@ -76,7 +76,7 @@ fn the_document_has_every_key_and_the_far_side_counted_what_the_engine_completed
 #[test]
 fn unmet_settings_fail_with_their_remedy() {
     let out = latency(&["--json"]);
-    let document: Value = serde_json::from_slice(&out.stdout).expect("one JSON document");
+    let document = crate::document(&out.stdout);
     let missing = document["missing_to_arm"].as_array().expect("a list");
     let reason = document["reason"].as_str().expect("a text");
     for name in missing {
@@ -104,7 +104,7 @@ fn without_privileges_it_measures_all_the_same_and_names_what_is_missing() {
         command.uid(NOBODY).gid(NOBODY).current_dir("/");
     }
     let out = command.output().expect("the copy runs");
-    let document: Value = serde_json::from_slice(&out.stdout).expect("one JSON document");
+    let document = crate::document(&out.stdout);
     assert!(document["poll_gap_ns"]["samples"].as_u64() > Some(0));
     assert_eq!(document["ledger_balanced"], true, "{document}");
     let missing =
@@ -178,7 +178,7 @@ fn the_configuration_s_axes_have_their_own_rates() {
     let names: Vec<String> =
         rtec_control::config::Config::embedded().axes.into_iter().map(|a| a.name).collect();
     let out = latency(&["--json", "--config", file.to_str().expect("UTF-8")]);
-    let document: Value = serde_json::from_slice(&out.stdout).expect("one JSON document");
+    let document = crate::document(&out.stdout);
     let rates = document["max_safe_edge_rate_hz"].as_object().expect("an object");
     assert!(names.iter().all(|name| rates.contains_key(name)) && rates.len() == names.len(), "{rates:?}");
     assert!(document["rt"]["detect_ns"].is_u64() && document["rt"]["write_ns"].is_u64());

@@ -48,7 +48,7 @@ fn a_fit_warns_and_leaves_out_what_is_no_measurement() {
     ] {
         assert!(said.lines().any(|l| l == line), "{line}: {said}");
     }
-    let document: Value = serde_json::from_slice(&out.stdout).unwrap();
+    let document = crate::document(&out.stdout);
     let list = document["suspicions"].as_array().unwrap();
     assert_eq!(list.len(), 2, "{list:?}");
     assert_eq!((list[0]["what"].as_str(), list[0]["column"].as_str()), (Some("unplugged"), Some("off")));
@@ -56,7 +56,7 @@ fn a_fit_warns_and_leaves_out_what_is_no_measurement() {
     let model = std::fs::read_to_string(dir.path().join("m.toml")).unwrap();
     assert!(model.contains("T1") && !model.contains("\"off\""), "{model}");
     let out = rtecctl(dir.path(), "characterise evaluate d.run.toml --json");
-    let document: Value = serde_json::from_slice(&out.stdout).unwrap();
+    let document = crate::document(&out.stdout);
     assert_eq!(document["suspicions"].as_array().map(Vec::len), Some(2));
 }
 
@@ -180,7 +180,7 @@ fn a_misread_row_is_in_no_figure_of_any_verb() {
     positioning.draw_alike("model validate --machine m.toml --record r.run.toml --plot v.svg", "v.svg");
     // What a standard would say of all rows stands beside.
     let out = rtecctl(positioning.0[0].path(), "characterise evaluate r.run.toml --json");
-    let document: Value = serde_json::from_slice(&out.stdout).unwrap();
+    let document = crate::document(&out.stdout);
     let all = document["with_every_row"]["R"].as_f64().unwrap();
     assert!(all > 400.0 && document["R"].as_f64().unwrap() < 10.0, "{document}");
     let said = String::from_utf8_lossy(&out.stderr);
@@ -199,7 +199,7 @@ fn a_misread_row_is_in_no_figure_of_any_verb() {
     drift.are_alike("history r.run.toml --json");
     // A history, too, says what its figure would be with that row.
     let out = rtecctl(drift.0[0].path(), "history r.run.toml --json");
-    let document: Value = serde_json::from_slice(&out.stdout).unwrap();
+    let document = crate::document(&out.stdout);
     let point = &document["figures"][0]["points"][0];
     let [value, all] = ["value", "with_every_row"].map(|key| point[key].as_f64().unwrap());
     assert!((value - 3.0).abs() < 0.1 && (all - value).abs() > 0.05, "{document}");

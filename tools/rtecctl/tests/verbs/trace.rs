@@ -17,10 +17,10 @@ fn a_trace_goes_there_and_back() {
     std::fs::write(&csv, text).unwrap();
     let run = trace(&["convert", &csv, &vcd, "--json"]);
     assert!(run.status.success(), "{run:?}");
-    let document: serde_json::Value = serde_json::from_slice(&run.stdout).unwrap();
+    let document = crate::document(&run.stdout);
     let want = serde_json::json!({
         "out": vcd, "edges": 3, "net_counts": 2, "illegal": 1, "start_ns": 5, "end_ns": 2501,
-        "min_edge_separation_ns": 1,
+        "min_edge_separation_ns": 1, "format": 1, "by": document["by"],
     });
     assert_eq!(document, want);
     assert!(trace(&["convert", &vcd, &back]).status.success());

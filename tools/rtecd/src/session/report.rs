@@ -106,7 +106,7 @@ impl Session {
             rates: axis.rates(),
         });
         DaemonStatus {
-            version: env!("CARGO_PKG_VERSION").to_owned(),
+            version: rtec_files::stamp::VERSION.to_owned(),
             protocol: PROTOCOL,
             latched: self.history.latched().clone(),
             record_trouble: None,

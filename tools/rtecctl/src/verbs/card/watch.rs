@@ -2,6 +2,8 @@
 //! both edges of each were seen.
 
 use super::{no_lines, unreachable, wired};
+use crate::document::pretty;
+use crate::say;
 use rtec_control::card::{self, Access, OnCard, OpenError};
 use rtec_control::config::Config;
 use rtec_driver::card::{AxisLines, Card, Sample};
@@ -258,7 +260,7 @@ impl OnCard for Watching<'_> {
             }
         }
         if json {
-            println!("{}", serde_json::to_string_pretty(&watch.document())?);
+            say(&pretty(&watch.document())?);
         }
         Ok(())
     }

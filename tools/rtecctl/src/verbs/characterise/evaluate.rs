@@ -1,8 +1,9 @@
 //! `rtecctl characterise evaluate`: runs' figures as their standard defines them, as text, JSON, plots or a page.
 
+use crate::document::pretty;
+use crate::say;
 use crate::verbs::suspicions;
 use anyhow::Context;
-use rtec_files::stamp::signed;
 use rtec_measure::evaluation::{self, Asked, evaluate_files};
 use rtec_measure::iso230::Conditions;
 use std::path::{Path, PathBuf};
@@ -91,7 +92,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         write(path, &found.report.html())?;
     }
     if args.json {
-        println!("{}", signed(serde_json::to_string_pretty(&found.document)?));
+        say(&pretty(&found.document)?);
     } else {
         print!("{}", found.report.text());
     }

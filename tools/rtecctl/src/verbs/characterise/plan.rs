@@ -1,5 +1,7 @@
 //! `rtecctl characterise plan`: the test sequence for this machine.
 
+use crate::document::pretty;
+use crate::say;
 use crate::verbs::suspicions;
 use anyhow::Context;
 use rtec_files::InputError;
@@ -58,7 +60,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             .with_context(|| format!("writing {}", path.display()))?;
     }
     if args.json {
-        println!("{}", serde_json::to_string_pretty(&steps)?);
+        say(&pretty(&steps)?);
     } else if args.out.is_none() {
         print!("{text}");
     }
@@ -79,7 +81,7 @@ fn telling(args: &Args, verdict: &Path, axes: &[PlanAxis]) -> anyhow::Result<()>
             .with_context(|| format!("writing {}", path.display()))?;
     }
     if args.json {
-        println!("{}", serde_json::to_string_pretty(&found)?);
+        say(&pretty(&found)?);
     } else if args.out.is_none() {
         print!("{text}");
     }

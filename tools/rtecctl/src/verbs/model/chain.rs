@@ -1,10 +1,11 @@
 //! `rtecctl model fit-chain`: a chain's polynomials from records, component by component.
 
 use super::fit::draw;
+use crate::document::pretty;
 use crate::figures::with_bounds;
+use crate::say;
 use crate::verbs::suspicions;
 use rtec_files::InputError;
-use rtec_files::stamp::signed;
 use rtec_fit::chain::{self as chain_fit, ChainRun};
 use rtec_fit::thermal::residual_chart;
 use rtec_measure::plausible;
@@ -61,7 +62,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         draw(path, &charts.collect::<Vec<_>>())?;
     }
     if args.json {
-        println!("{}", signed(serde_json::to_string_pretty(&report)?));
+        say(&pretty(&report)?);
         return Ok(());
     }
     for t in &report.terms {

@@ -1,8 +1,9 @@
 //! `rtecctl model export`: a model's correction table for one axis, for a controller that compensates by itself.
 
+use crate::document::pretty;
+use crate::say;
 use anyhow::Context;
 use rtec_files::InputError;
-use rtec_files::stamp::signed;
 use rtec_measure::export::Wanted;
 use rtec_measure::export::linuxcnc::Unit;
 use rtec_measure::export::order::{Name, Order};
@@ -174,7 +175,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         eprintln!("{of}{note}");
     }
     if args.json {
-        println!("{}", signed(format!("{:#}", done.document)));
+        say(&pretty(&done.document)?);
     }
     Ok(())
 }

@@ -1,11 +1,12 @@
 //! `rtecctl model fit` and `select-sensors`: choose sensors, fit growth, judge it on what it has not seen.
 
+use crate::document::pretty;
 use crate::figures::with_bounds;
+use crate::say;
 use crate::verbs::suspicions;
 use anyhow::Context;
 use rtec_files::InputError;
 use rtec_files::date;
-use rtec_files::stamp::signed;
 use rtec_fit::thermal::{self, Fitted, Report};
 use rtec_fit::workflow::{self, Asked, Fit};
 use rtec_measure::plot::Chart;
@@ -269,7 +270,7 @@ pub(crate) fn draw_beside<'c>(
 }
 
 fn print_json(document: &serde_json::Value) -> anyhow::Result<()> {
-    println!("{}", signed(serde_json::to_string_pretty(document)?));
+    say(&pretty(document)?);
     Ok(())
 }
 

@@ -2,6 +2,8 @@
 
 use crate::Outcome;
 use crate::daemon::{Daemon, absolute, check, open, unexpected, unreachable};
+use crate::document::line;
+use crate::say;
 use rtec_control::protocol::{Change, ClientRequest, ModelPreview, Response};
 use rtec_files::InputError;
 use rtec_model::effect::Dictionary;
@@ -47,7 +49,7 @@ pub(crate) fn load(args: &LoadArgs) -> anyhow::Result<()> {
     let (take, expired) = (Some(preview.sha256.clone()), args.expired);
     let take = ClientRequest::ModelLoad { file, take, expired, files: names };
     if args.daemon.json {
-        println!("{}", serde_json::to_string(&*preview)?);
+        say(&line(&*preview)?);
     } else {
         print!("{}", table(&preview));
     }

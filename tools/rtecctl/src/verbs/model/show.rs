@@ -1,6 +1,8 @@
 //! `rtecctl model show` and `compare`: what a model says, and what sets two apart.
 
+use crate::document::pretty;
 use crate::figures::alike;
+use crate::say;
 use crate::verbs::suspicions;
 use rtec_files::date;
 use rtec_measure::plausible;
@@ -45,7 +47,7 @@ pub(crate) fn show(args: &ShowArgs) -> anyhow::Result<()> {
         Err(error) => match Chain::read(&args.machine) {
             Ok(chain) => {
                 if args.json {
-                    println!("{}", serde_json::to_string_pretty(&json!({"chain": chain.to_json()}))?);
+                    say(&pretty(&json!({"chain": chain.to_json()}))?);
                 } else {
                     print!("{}", chain_text(&chain));
                 }
@@ -58,7 +60,7 @@ pub(crate) fn show(args: &ShowArgs) -> anyhow::Result<()> {
         eprintln!("warning: {}: {warning}", args.machine.display());
     }
     if args.json {
-        println!("{}", serde_json::to_string_pretty(&machine.to_json())?);
+        say(&pretty(&machine.to_json())?);
         return Ok(());
     }
     println!("{}", machine.name());
@@ -209,7 +211,7 @@ pub(crate) fn compare(args: &CompareArgs) -> anyhow::Result<()> {
     }
     if args.json {
         let document = json!({"differences": rows, "predictions": predictions});
-        println!("{}", serde_json::to_string_pretty(&document)?);
+        say(&pretty(&document)?);
         return Ok(());
     }
     if rows.is_empty() {

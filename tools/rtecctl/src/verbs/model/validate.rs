@@ -2,11 +2,12 @@
 
 use super::fit::{draw, draw_beside};
 use crate::Outcome;
+use crate::document::pretty;
+use crate::say;
 use crate::verbs::suspicions;
 use rtec_control::config::{Config, ConfiguredAxis};
 use rtec_correct::rehearse::{self, AxisChange};
 use rtec_files::date;
-use rtec_files::stamp::signed;
 use rtec_fit::validate;
 use rtec_measure::plausible;
 use rtec_measure::plot::{Chart, Series, Style};
@@ -64,7 +65,7 @@ pub(crate) fn validate(args: &ValidateArgs) -> anyhow::Result<()> {
         draw(path, &found.charts)?;
     }
     if args.json {
-        println!("{}", signed(serde_json::to_string_pretty(&found.document)?));
+        say(&pretty(&found.document)?);
     } else {
         for v in found.document["responses"].as_array().into_iter().flatten() {
             print_judged(v);
@@ -149,7 +150,7 @@ pub(crate) fn rehearse(args: &RehearseArgs) -> anyhow::Result<()> {
         draw_beside(path, charts.iter().map(|(axis, chart)| (axis.clone(), chart)), [900, 480])?;
     }
     if args.json {
-        println!("{}", serde_json::to_string_pretty(&found)?);
+        say(&pretty(&found)?);
         return Ok(());
     }
     for a in &found.axes {

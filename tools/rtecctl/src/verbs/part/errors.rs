@@ -2,8 +2,8 @@
 
 use super::features::Units;
 use super::{print, write_all};
+use crate::document::pretty;
 use crate::verbs::suspicions;
-use rtec_files::stamp::signed;
 use rtec_part::determine::{self, Asked};
 use rtec_part::errors::ErrorReport;
 use rtec_part::fit;
@@ -105,11 +105,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         ];
         write_all(folder, &files)?;
     }
-    if args.json {
-        print(&(signed(serde_json::to_string_pretty(&report)?) + "\n"))
-    } else {
-        print(&text(&report, args.with_size))
-    }
+    if args.json { print(&pretty(&report)?) } else { print(&text(&report, args.with_size)) }
 }
 
 /// More size than this for each µm of form is said.

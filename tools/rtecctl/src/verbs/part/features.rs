@@ -1,6 +1,7 @@
 //! `rtecctl part features`: the features of a drawing, in probing order.
 
 use super::{print, write_all};
+use crate::document::pretty;
 use rtec_part::contour::{Contour, FeatureKind};
 use rtec_part::drawing::{self, Options};
 use rtec_part::svg::Svg;
@@ -119,7 +120,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             })
             .collect();
         let document = json!({"unit_mm": unit.0, "closed": contour.closed, "features": features});
-        return print(&(serde_json::to_string_pretty(&document)? + "\n"));
+        return print(&pretty(&document)?);
     }
     let mut t = format!("{} features, 1 drawing unit = {} mm\n", contour.features.len(), unit.0);
     for f in &contour.features {

@@ -3,6 +3,7 @@
 use super::bench::BenchArgs;
 use super::points::positive;
 use super::{failed, print, usage, write_all};
+use crate::document::pretty;
 use rtec_model::machine::Machine;
 use rtec_part::cor::read_arc;
 use rtec_part::fit::Zx;
@@ -64,7 +65,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     if args.json {
         let document = serde_json::json!({"seconds": ran.seconds, "insertions": insertions, "completed": completed,
             "mtc_minus_scale": ran.mtc_minus_scale, "corrected": table.is_some()});
-        return print(&(serde_json::to_string_pretty(&document)? + "\n"));
+        return print(&pretty(&document)?);
     }
     let how = match (&table, &setup.model) {
         (Some(_), Some(_)) => "with the table on top of the model",

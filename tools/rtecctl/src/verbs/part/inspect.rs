@@ -3,6 +3,7 @@
 use super::points::positive;
 use super::{print, usage, write_all};
 use crate::Outcome;
+use crate::document::pretty;
 use rtec_part::errors::{ErrorReport, Nominal, Probed};
 use rtec_part::page::inspection_page;
 use std::path::{Path, PathBuf};
@@ -117,7 +118,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     }
     if args.json {
         let document = serde_json::json!({"before": before, "after": after, "decisions": decisions});
-        print(&(serde_json::to_string_pretty(&document)? + "\n"))?;
+        print(&pretty(&document)?)?;
     } else {
         print(&(decisions.join("\n") + "\n"))?;
     }

@@ -4,6 +4,7 @@ use super::features::DrawingArgs;
 use super::web::{Page, PlanEditor};
 use super::{print, usage, write_all};
 use crate::Outcome;
+use crate::document::pretty;
 use rtec_part::path::{Collision, Plan, Probe, ProbingMotion, Stem, number_at};
 use rtec_part::unit::Unit;
 use std::fmt::Write as _;
@@ -244,7 +245,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         let expected: Vec<[f64; 2]> = plan.expected().iter().map(|p| [p.z, p.x]).collect();
         let document = serde_json::json!({"points": plan.points.len(), "stand_off_mm": probe.stand_off_mm,
             "over_travel_mm": probe.over_travel_mm, "path": plan.records(), "expected_mm": expected, "hits": hits});
-        print(&(serde_json::to_string_pretty(&document)? + "\n"))?;
+        print(&pretty(&document)?)?;
     } else {
         print(&text(&plan, &hits))?;
     }

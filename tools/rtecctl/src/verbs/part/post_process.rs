@@ -1,6 +1,7 @@
 //! `rtecctl part post-process`: a batch from a measuring machine, what is systematic in it, offered and not applied.
 
 use super::{print, usage, write_all};
+use crate::document::pretty;
 use rtec_part::batch::{BatchFinding, Judgement, evaluate_columns};
 use rtec_part::cor::{error_cor, read_arc};
 use std::fmt::Write as _;
@@ -92,7 +93,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         write_all(folder, &[("offer.cor", error_cor(&errors).as_bytes())])?;
     }
     if args.json {
-        return print(&(serde_json::to_string_pretty(&batch)? + "\n"));
+        return print(&pretty(&batch)?);
     }
     let mut t =
         "feature         angle rad  parts  mean µm    SD µm        p   trend µm        p\n".to_owned();

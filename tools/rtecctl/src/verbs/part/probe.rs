@@ -7,6 +7,7 @@ use super::points::positive;
 use super::{failed, print, usage, write_all};
 use crate::Outcome;
 use crate::daemon::{self, Daemon, unreachable};
+use crate::document::pretty;
 use rtec_control::client::{Client, ClientError};
 use rtec_control::protocol::{self, ClientRequest, Response};
 use rtec_measure::record::{to_csv, to_sidecar};
@@ -105,7 +106,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
 fn show(json: bool, trips: &[Trip], seconds: f64) -> anyhow::Result<()> {
     if json {
         let document = serde_json::json!({"trips": trips, "seconds": seconds});
-        return print(&(serde_json::to_string_pretty(&document)? + "\n"));
+        return print(&pretty(&document)?);
     }
     let mut t = "point       Z mm       X mm  within µm\n".to_owned();
     for trip in trips {

@@ -4,6 +4,7 @@ use super::download::{DownloadArgs, warn_of_dialect};
 use super::features::Units;
 use super::points::positive;
 use super::{print, usage, write_all};
+use crate::document::pretty;
 use rtec_part::path::{PathRole, read_pathfin};
 use rtec_part::program::{BUILT_IN, Controller, PARAMETERS, Parameters, ProbingProgram, date_time};
 use std::fmt::Write as _;
@@ -127,7 +128,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     if args.json {
         let document = serde_json::json!({"file": args.out.join(&name), "dialect": controller.dialect.name,
             "points": points, "lines": text.lines().count(), "bytes": text.len()});
-        return print(&(serde_json::to_string_pretty(&document)? + "\n"));
+        return print(&pretty(&document)?);
     }
     let shown: Vec<&str> = text.lines().take(20).collect();
     print(&format!("{}\n… {} lines, {points} points\n", shown.join("\n"), text.lines().count()))

@@ -5,6 +5,7 @@ use super::features::{DrawingOptions, write_drawn};
 use super::points::positive;
 use super::{failed, print, usage, write_all};
 use crate::Outcome;
+use crate::document::pretty;
 use rtec_files::InputError;
 use rtec_model::machine::Machine;
 use rtec_part::contour::nose_of;
@@ -83,7 +84,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         write_all(folder, &[("decisions.log", log.as_bytes())])?;
     }
     if args.json {
-        print(&(serde_json::to_string_pretty(&outcome)? + "\n"))?;
+        print(&pretty(&outcome)?)?;
     } else {
         print(&text(&outcome))?;
     }

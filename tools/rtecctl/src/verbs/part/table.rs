@@ -2,6 +2,7 @@
 
 use super::points::positive;
 use super::{print, usage, write_all};
+use crate::document::pretty;
 use rtec_part::cor::FeatureErrors;
 use rtec_part::fit::Zx;
 use rtec_part::line_table::LineTable;
@@ -198,7 +199,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     if args.json {
         let document = serde_json::json!({"rows": rows, "lead_mm": lead_mm, "most_requested": [most(0), most(1)],
             "most_left_um": left_um, "g01_lines": lines});
-        return print(&(serde_json::to_string_pretty(&document)? + "\n"));
+        return print(&pretty(&document)?);
     }
     let mut t = format!(
         "{} entries, at most {} counts in Z and {} in X, at most {left_um:.2} µm left along the normal\n\

@@ -31,7 +31,7 @@ fn rtecctl(dir: &Path, words: &str) -> Value {
     let out =
         Command::new(env!("CARGO_BIN_EXE_rtecctl")).current_dir(dir).args(words.split(' ')).output().unwrap();
     assert!(out.status.success(), "rtecctl {words}: {}", String::from_utf8_lossy(&out.stderr));
-    if words.contains("--json") { serde_json::from_slice(&out.stdout).unwrap() } else { Value::Null }
+    if words.contains("--json") { crate::document(&out.stdout) } else { Value::Null }
 }
 
 /// A machine characterised once: geometry cold, then the spindle cycle dry and wet.

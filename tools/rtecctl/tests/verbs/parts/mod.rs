@@ -20,7 +20,7 @@ pub(crate) fn json(folder: &Path, arguments: &[&str]) -> Value {
     let output = part(folder, arguments);
     let said = String::from_utf8_lossy(&output.stderr);
     assert!(output.status.success(), "{arguments:?}: {said}");
-    serde_json::from_slice(&output.stdout).unwrap_or_else(|e| panic!("{arguments:?}: {e}"))
+    crate::document(&output.stdout)
 }
 
 /// A taper of −20° with 8 µm too much at one of twelve points, 30 µm outside its drawing throughout.
