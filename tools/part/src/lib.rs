@@ -26,6 +26,7 @@ pub mod cor;
 pub mod determine;
 pub mod drawing;
 mod dxf;
+mod edges;
 pub mod errors;
 pub mod fit;
 pub mod line_table;
