@@ -17,7 +17,7 @@
 //! its tools. Where its end is said elsewhere from time to time ([`Anchor`]), an older part cannot be forged unseen.
 
 use crate::protocol::Caller;
-use rtec_model::date;
+use rtec_files::date;
 use rtec_model::record::hex;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;

@@ -9,7 +9,7 @@ use crate::sensors::Watch;
 use crate::source::{ModelSource, acts};
 use crate::total::{TickInputs, Total};
 use rtec_files::InputError;
-use rtec_model::date;
+use rtec_files::date;
 use rtec_model::effect::Difference;
 use rtec_model::live::AxisNow;
 use rtec_model::machine::{FitNote, Machine};

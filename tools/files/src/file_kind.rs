@@ -166,7 +166,7 @@ impl FileKind {
         if lines().any(|l| ["$AA_ENC_COMP", "$AN_CEC", "kw.ssfk"].iter().any(|name| l.starts_with(name))) {
             return Some(Self::ControllerTable);
         }
-        if first == "%" || lines().take(BLOCKS).any(is_block) {
+        if text.lines().next().is_some_and(|l| l.trim() == "%") || lines().take(BLOCKS).any(is_block) {
             return Some(Self::Program);
         }
         let is_shdr = |line: &str| {
@@ -199,7 +199,7 @@ impl FileKind {
         if heads(&["[lines]"]) && heads(&["inputs =", "outputs =", "inputs=", "outputs="]) {
             return Some(Self::Profile);
         }
-        let mut rows = lines().filter(|l| !l.is_empty() && !l.starts_with('#'));
+        let mut rows = lines().filter(|l| !l.is_empty() && !crate::csv::is_comment(l));
         if are_rising_numbers(rows.clone()) {
             return Some(Self::Numbers);
         }

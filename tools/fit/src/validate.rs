@@ -2,12 +2,12 @@
 //! What is left, how often its interval holds, where it is asked too much.
 
 use crate::thermal::prediction_chart;
+use rtec_files::date;
 use rtec_files::{InputError, Said};
 use rtec_measure::derive;
 use rtec_measure::plausible;
 use rtec_measure::plot::Chart;
 use rtec_measure::steps;
-use rtec_model::date;
 use rtec_model::machine::Machine;
 use rtec_model::record::{Column, Record};
 use serde_json::{Value, json};

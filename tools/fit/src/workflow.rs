@@ -3,10 +3,10 @@
 
 use crate::least::{self, NamedReport};
 use crate::thermal::{self, Options, Report};
+use rtec_files::date;
 use rtec_files::{InputError, Said};
 use rtec_measure::plausible::{self, Suspicion};
 use rtec_measure::steps;
-use rtec_model::date;
 use rtec_model::effect::Difference;
 use rtec_model::machine::Machine;
 use rtec_model::record::{Kind, Record, Role};

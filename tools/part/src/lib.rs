@@ -34,6 +34,7 @@ pub mod page;
 pub mod path;
 pub mod probe;
 pub mod program;
+mod repeats;
 mod steps;
 pub mod svg;
 pub mod table;

@@ -5,7 +5,7 @@ use crate::record::Record;
 use numpy::PyArray1;
 use pyo3::prelude::*;
 use rtec_files::InputError;
-use rtec_model::date;
+use rtec_files::date;
 use rtec_model::record::Role;
 use std::collections::BTreeMap;
 use std::path::PathBuf;

@@ -23,7 +23,7 @@ use rtec_measure::plot::Picture;
 use rtec_measure::{export, import};
 use rtec_model::chain::Chain;
 use rtec_model::circle::Circle;
-use rtec_model::date;
+use rtec_files::date;
 use rtec_model::record::{Axis, Role};
 use rtec_part::determine;
 use rtec_reconcile::{Options, Place, Regression, RegressionColumn, RegressionRows, SEED, SetUpColumns};

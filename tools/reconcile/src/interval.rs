@@ -15,7 +15,7 @@ const HOLDS: f64 = 0.95;
 /// What the other blocks' fit leaves of each row (`left`) is what such a run may be off by. Of several records of a kind the widest counts.
 pub(crate) fn state(model: &mut Machine, used: &[Record], left: &[f64], date: &str) {
     let rows = Rows::new(used);
-    let day = rtec_model::date::parse(date).unwrap_or_else(rtec_model::date::today);
+    let day = rtec_files::date::parse(date).unwrap_or_else(rtec_files::date::today);
     for (j, role) in rows.responses.iter().enumerate() {
         let own = || rows.segments.iter().filter(|s| s.response == j && !s.rows.is_empty());
         let records: Vec<&Record> = own().map(|s| &used[s.record]).collect();
@@ -35,8 +35,8 @@ pub(crate) fn state(model: &mut Machine, used: &[Record], left: &[f64], date: &s
         }
         let mut note = FitNote {
             response: role.to_string(),
-            date: rtec_model::date::format(day),
-            valid_until: rtec_model::date::format(day + VALID_DAYS),
+            date: rtec_files::date::format(day),
+            valid_until: rtec_files::date::format(day + VALID_DAYS),
             rms_um: (squares / n.max(1.0)).sqrt(),
             half_width_um,
             valid: model.effects().filter_map(|e| seen(e, role.axis()?.as_str(), &records)).collect(),

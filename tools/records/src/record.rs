@@ -1,14 +1,14 @@
 //! Run records on file: `NAME.run.toml` beside a CSV.
 //! They are read strictly and written whole (formats.md, "Run record").
 
+use rtec_files::clock::{self, absolute_ns, of_day_ns};
 use rtec_files::csv::{self, Reader, Style};
+use rtec_files::date;
 use rtec_files::stamp;
 use rtec_files::text::{LONGEST, open_regular};
 use rtec_files::toml::{Document, Table};
 use rtec_files::{InputError, Marks, Numbers};
 use rtec_model::circle::Circle;
-use rtec_model::clock::{self, absolute_ns, of_day_ns};
-use rtec_model::date;
 use rtec_model::file_kind::FileKind;
 use rtec_model::record::{Axis, Column, Kind, LINEAR, Record, Role, Turns, check, hex, range_alone};
 use sha2::{Digest, Sha256};

@@ -29,7 +29,7 @@ use rtec_control::config::{Config, ConfiguredAxis, Measured};
 use rtec_control::protocol::{ClientRequest, Happened, Numbered, Response, word};
 use rtec_correct::Corrector;
 use rtec_correct::sensors::{SensorConfig, Watch};
-use rtec_model::date;
+use rtec_files::date;
 use rtec_model::record::Role;
 use rtec_rt::engine::Timing;
 use rtec_rt::event::{Event, EventKind, Fault, HeldBy, Mode, Refusal, Request, Status};

@@ -3,8 +3,8 @@
 
 use super::{CardConfig, Config, ConfiguredAxis, MappedPlace, PortPlace, plain};
 use crate::protocol::Rates;
+use rtec_files::date;
 use rtec_files::toml::{At, Section, SourceFile};
-use rtec_model::date;
 use rtec_rt::setup::System;
 use std::fmt;
 use std::path::Path;

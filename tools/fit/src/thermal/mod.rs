@@ -53,7 +53,7 @@ use judge::Judged;
 use problem::Problem;
 use rows::Rows;
 use rtec_files::InputError;
-use rtec_model::date;
+use rtec_files::date;
 use rtec_model::effect::{Against, Difference, Effect, Heat, ValueError};
 use rtec_model::machine::{FitNote, Listed, Machine, Provenance, Source};
 use rtec_model::record::{Record, Role};

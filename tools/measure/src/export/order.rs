@@ -4,7 +4,7 @@ use super::linuxcnc::{LinuxCnc, Unit};
 use super::own::Own;
 use super::{Csv, Errors, Format, Lookup, Rules, Table, Wanted, beckhoff, siemens, siemens_cec, usage};
 use rtec_files::InputError;
-use rtec_model::date;
+use rtec_files::date;
 use rtec_model::machine::{FitNote, Machine};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;

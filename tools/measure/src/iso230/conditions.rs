@@ -217,7 +217,7 @@ fn word(entry: &Entry<'_>) -> Result<String, InputError> {
     let text =
         entry.as_str().map(str::to_owned).or(number).or_else(|| entry.as_bool().map(|b| b.to_string()));
     // A date stands without quotes.
-    let text = text.or_else(|| rtec_model::date::parse(&entry.text()).map(|_| entry.text()));
+    let text = text.or_else(|| rtec_files::date::parse(&entry.text()).map(|_| entry.text()));
     text.ok_or_else(|| entry.mismatch("text or a number"))
 }
 

@@ -4,9 +4,9 @@
 use super::evaluate::differences;
 use super::places::folder_of;
 use super::{FitNote, Listed, Machine, Validity};
-use crate::date;
 use crate::effect::{Difference, Effect, States};
 use crate::record::{Axis, Record, Role, sha256_of};
+use rtec_files::date;
 
 /// A run goes beyond the last knot by as much without a word, of the knots' stretch.
 const OVER_TRAVEL: f64 = 0.02;

@@ -3,11 +3,11 @@
 use super::Machine;
 use super::note::{FitNote, Listed, Provenance, Source, Validity};
 use crate::chain::Chain;
-use crate::date;
 use crate::effect::{Dictionary, Effect, Need, Parameter, read_difference};
 use crate::file_kind::FileKind;
 use crate::record::{Kind, hex};
 use rtec_files::InputError;
+use rtec_files::date;
 use rtec_files::stamp;
 use rtec_files::text::short;
 use rtec_files::toml::{Document, Entry, Table};

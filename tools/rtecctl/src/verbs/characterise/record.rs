@@ -185,7 +185,7 @@ pub(crate) fn record(out: &Path, args: &Recorder, with_response: bool) -> anyhow
     args.check(out, kind, &columns, with_response)?;
     let mut feed = args.feed.as_deref().map(Feed::new);
     let (part, mut file) = rows_apart(out, &columns)?;
-    let (start, begun) = (Instant::now(), rtec_model::date::format(rtec_model::date::today()));
+    let (start, begun) = (Instant::now(), rtec_files::date::format(rtec_files::date::today()));
     let rows = (duration / period).floor() as u64 + 1;
     let mut last: Vec<Option<f64>> = vec![None; columns.len()];
     let mut came_s = vec![0.0; columns.len()];

@@ -2,9 +2,9 @@
 
 use crate::figures::alike;
 use crate::verbs::suspicions;
+use rtec_files::date;
 use rtec_measure::plausible;
 use rtec_model::chain::{self, COMPONENTS, Chain, Term};
-use rtec_model::date;
 use rtec_model::effect::Effect;
 use rtec_model::machine::{FitNote, Machine};
 use serde_json::{Value, json};

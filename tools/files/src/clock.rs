@@ -138,6 +138,17 @@ impl Moments {
         }
     }
 
+    /// Nanoseconds since 1970-01-01 UTC of a date, or since the first row's midnight of a time of the day.
+    /// None as [`Moments::since_start`]; and where the first row's day has two readings.
+    pub fn absolute(&mut self, text: &str) -> Option<i128> {
+        let since = self.since_start(text)?;
+        let (start, _) = self.start.as_ref()?;
+        match *start {
+            [Some(a), Some(b)] => (a == b).then_some(a + since),
+            [one, other] => Some(one.or(other)? + since),
+        }
+    }
+
     /// The first time as it is written.
     #[must_use]
     pub fn start(&self) -> Option<&str> {
