@@ -1,8 +1,8 @@
 //! CSV, line by line: UTF-8, UTF-16 or Windows-1252, a byte-order mark and CRLF accepted, a cell in double quotes may hold commas,
 //! `#` and doubled quotes. Every finding has its line and column. A row of separators alone is empty, as spreadsheets leave them.
 //!
-//! Other programs write lines of their own: comments that begin with `;`, `%` or `//`, and lines in front of the columns' names, which
-//! are passed over where the names that somebody asks for stand in a later line.
+//! Other programs write lines of their own, which are passed over. These are comments that begin with `;`, `%` or `//`, and lines in front
+//! of the columns' names, where somebody asks for names that stand in a later line.
 //!
 //! A comment begins with a `#` at a line's start, or with one behind a whole row that has a blank on one side of it. Within a
 //! cell `#` is text: `#1`, `No#2`, `Sample #,t`, `#N/A`, and `1 # 2` where cells are still to come.
@@ -248,7 +248,7 @@ impl<R: Read> Reader<R> {
         self.header_where(expected, |header| names.iter().all(|name| header.find(name).is_some()))
     }
 
-    /// As [`Reader::header_by_any`], of the first line that gives the columns somebody wants.
+    /// As [`Reader::header_by_any`], of the first line with the wanted columns.
     /// Lines in front of it are passed over. Without such a line it is the first one.
     ///
     /// # Errors
@@ -277,12 +277,12 @@ impl<R: Read> Reader<R> {
             first = self.first_line(expected)?;
         }
         let (mut best, wanted) = self.best(&first, by, &is_wanted);
-        if !wanted && let Some((lines, foreign)) = self.lines_before(by, &is_wanted)? {
+        if !wanted && let Some(lines) = self.lines_before(by, &is_wanted)? {
             for _ in 0..lines {
                 self.lines.line()?;
             }
-            self.preamble = 1 + foreign;
-            first = self.first_line(expected)?;
+            let before = std::mem::replace(&mut first, self.first_line(expected)?).line;
+            self.preamble = first.line - before;
             (best, _) = self.best(&first, by, &is_wanted);
         }
         let (by, header) = best;
@@ -290,7 +290,8 @@ impl<R: Read> Reader<R> {
         Ok(header)
     }
 
-    /// The columns' names in a line, by the separator that gives what is wanted, otherwise by the likeliest.
+    /// The columns' names in a line, by the separator that gives what is wanted.
+    /// Where none does, by the likeliest.
     fn best(
         &self,
         first: &FirstLine,
@@ -320,31 +321,23 @@ impl<R: Read> Reader<R> {
         (headers.swap_remove(best.unwrap_or(0)), best.is_some())
     }
 
-    /// How many of the next lines stand before one with the wanted names, and how many of them hold anything.
+    /// How many of the next lines stand before one with the wanted names.
     fn lines_before(
         &mut self,
         by: Option<u8>,
         is_wanted: &impl Fn(&Header) -> bool,
-    ) -> Result<Option<(usize, usize)>, InputError> {
+    ) -> Result<Option<usize>, InputError> {
         self.lines.fill_lines(PREAMBLE)?;
-        let ahead = self.lines.unread();
-        let mut foreign = 0;
-        for (n, line) in ahead.split(|byte| *byte == b'\n').take(PREAMBLE).enumerate() {
+        let has_names = |line: &[u8]| {
             let text = std::str::from_utf8(line).map_or_else(|_| western(line), str::to_owned);
-            let is_empty = content(text.as_bytes(), self.by, None).is_empty();
-            if is_empty || is_foreign_comment(text.as_bytes(), self.by, None) {
-                continue;
-            }
             let whole = text.trim_ascii_end().to_owned();
-            let line = FirstLine { line: self.lines.line + n + 1, text: whole.clone(), whole };
-            let is_closed =
-                outside_quotes(line.text.as_bytes()).count() > 0 && line.text.matches('"').count() % 2 == 0;
-            if is_closed && self.best(&line, by, is_wanted).1 {
-                return Ok(Some((n, foreign)));
-            }
-            foreign += 1;
-        }
-        Ok(None)
+            let is_open = whole.matches('"').count() % 2 == 1;
+            let is_empty = content(whole.as_bytes(), self.by, None).is_empty();
+            let first = FirstLine { line: self.lines.line + 1, text: whole.clone(), whole };
+            let is_row = !(is_open || is_empty || is_foreign_comment(line, self.by, None));
+            is_row && self.best(&first, by, is_wanted).1
+        };
+        Ok(self.lines.unread().split(|byte| *byte == b'\n').take(PREAMBLE).position(has_names))
     }
 
     /// As [`Reader::header_with`], for columns given by name or number from 1.
@@ -440,7 +433,7 @@ impl<R: Read> Reader<R> {
         self.beyond
     }
 
-    /// Lines of another program that were passed over in front of the columns' names.
+    /// Lines that were passed over in front of the columns' names.
     pub(crate) fn preamble(&self) -> usize {
         self.preamble
     }
@@ -515,7 +508,8 @@ pub fn is_comment(line: &str) -> bool {
     line.starts_with(['#', ';', '%']) || line.starts_with("//")
 }
 
-/// Whether a line is another program's comment, and no row whose first cell begins so. `width`: the cells of a row.
+/// Whether a line is another program's comment.
+/// A row whose first cell begins so is none. `width`: the cells of a row.
 fn is_foreign_comment(line: &[u8], by: u8, width: Option<usize>) -> bool {
     let (mark, rest) = match line.trim_ascii_start() {
         [b'/', b'/', ..] => return true,
@@ -982,7 +976,7 @@ impl Header {
         self.names().position(|n| n == name)
     }
 
-    /// The columns that are known, or match `also`; the names of the others, which are unrelated.
+    /// The columns that are known, or match `also`, and the names of the others.
     ///
     /// # Errors
     /// A column that is there twice; one whose name is nearly that of a known one which is missing; none that is known.

@@ -80,7 +80,7 @@ const MAGIC: [(&[u8], FileKind); 8] = [
 
 const STL: FileKind = FileKind::Cad("triangles of a solid (STL)");
 
-/// Whether bytes are a binary STL: a head of 80, the number of triangles, 50 for each.
+/// Whether bytes are a binary STL: a head of 80, a number, 50 for each triangle.
 fn is_binary_stl(bytes: &[u8]) -> bool {
     let number = bytes.get(80..84).and_then(|n| n.try_into().ok()).map(u32::from_le_bytes);
     number.is_some_and(|n| n > 0 && bytes.len() as u64 == 84 + 50 * u64::from(n))

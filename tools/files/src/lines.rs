@@ -176,7 +176,7 @@ impl<R: Read> Lines<R> {
         }
     }
 
-    /// Reads on until the buffer holds so many lines, or all there are, or is nearly full.
+    /// Reads on until the buffer holds so many lines, or all, or is half full.
     pub(crate) fn fill_lines(&mut self, lines: usize) -> Result<(), InputError> {
         let newlines = |bytes: &[u8]| memchr::memchr_iter(b'\n', bytes).count();
         while newlines(self.unread()) < lines

@@ -318,7 +318,7 @@ impl<R: Read> TraceReader<R> {
     }
 
     /// What a user should know of what was read so far.
-    /// What dates or times of the day are counted from; levels that were unknown at first.
+    /// What dates are counted from; levels that were unknown at first.
     #[must_use]
     pub fn said(&self) -> Option<String> {
         match &self.points {

@@ -319,7 +319,11 @@ fn variable<R>(
     if let Some((_, first)) = codes[signal].as_ref().filter(|(known, _)| *known != code) {
         let found = format!("a second variable named {name}, {path} beside {first}");
         let side = ["a", "b"][signal];
-        let expected = format!("one {side}: --columns {side}={first} or {side}={path} selects it");
+        let expected = if path == *first {
+            format!("one {side}, or --columns {side}=NUMBER: its place among the variables of one bit")
+        } else {
+            format!("one {side}: --columns {side}={first} or {side}={path} selects it")
+        };
         return Err(input.at_word(&found, &expected));
     }
     codes[signal] = Some((code, path));

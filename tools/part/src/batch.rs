@@ -105,7 +105,7 @@ pub struct PlaceStatistics {
     /// What probing on the machine saw there, in µm.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub seen_on_machine_um: Option<f64>,
-    /// A step that explains the change along the batch better than a straight line.
+    /// A step, where it explains the change better than a straight line.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub step: Option<BatchStep>,
     /// Readings that are in no figure.
@@ -470,8 +470,8 @@ fn wild(errors_um: &[f64], places: usize) -> Vec<usize> {
     single
 }
 
-/// The step between two parts that explains errors better than a straight line: the place of the first error behind it, its size,
-/// and the standard deviation about both means. Its place was sought: one parameter more than a line has (Schwarz's criterion).
+/// The step between two parts that explains errors better than a line.
+/// Returns the place of the first error behind it, its size, and the standard deviation about both means. Its place was sought: one parameter more than a line has (Schwarz's criterion).
 fn step(points: &[(usize, f64)]) -> Option<(usize, f64, f64)> {
     const SIDE: usize = 2;
     let (n, line) = (points.len(), Line::through(points));

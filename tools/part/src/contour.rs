@@ -266,7 +266,7 @@ pub struct Contour {
     /// The material is on the left of the direction of travel.
     material_left: bool,
     chords: Vec<(usize, Vec<Zx>)>,
-    /// All chords, the feature of each and its start along that, mm; and the outline that they close.
+    /// All chords; of each its feature and its start along that, mm.
     surface: Edges,
     starts: Vec<(usize, f64)>,
     outline: Edges,

@@ -335,7 +335,8 @@ impl Places {
     }
 }
 
-/// Whether an arc or ellipse begins and ends at one angle: nothing, as a whole circle goes on to 360 degrees.
+/// Whether an arc or ellipse begins and ends at one angle.
+/// It is nothing then: a whole circle goes on to 360 degrees.
 fn has_no_sweep(entity: &Entity) -> bool {
     let (from, to) = if entity.kind == "ARC" { (50, 51) } else { (41, 42) };
     entity.number(from).zip(entity.number(to)).is_some_and(|(from, to)| from == to)

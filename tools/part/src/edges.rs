@@ -1,4 +1,4 @@
-//! Straight edges in a tree of boxes: the nearest one, and those that a ray crosses, without a look at all of them.
+//! Straight edges in a tree of boxes: which is nearest, which a ray crosses.
 
 use crate::fit::Zx;
 
@@ -9,7 +9,8 @@ const LEAF: usize = 4;
 #[derive(Debug, Clone)]
 pub(crate) struct Edges {
     edges: Vec<[Zx; 2]>,
-    /// Lowest and highest corner of each node; node `k` has the children `2 k` and `2 k + 1`, the root is 1.
+    /// Lowest and highest corner of each node.
+    /// Node `k` has the children `2 k` and `2 k + 1`; the root is 1.
     boxes: Vec<[Zx; 2]>,
 }
 
@@ -58,15 +59,16 @@ impl Edges {
         self.edges[n][0]
     }
 
-    /// The edges of the leaf that a node is, with their numbers; `None` for a node above the leaves.
+    /// The edges of a leaf, with their numbers.
+    /// `None` for a node above the leaves.
     fn leaf(&self, node: usize) -> Option<impl Iterator<Item = (usize, [Zx; 2])>> {
         let first = node.checked_sub(self.boxes.len() / 2)? * LEAF;
         let last = (first + LEAF).min(self.edges.len());
         Some((first..last).map(|n| (n, self.edges[n])))
     }
 
-    /// Distance to the nearest edge, its number and the foot on it; of several the first.
-    /// `None` where none is nearer than `within`.
+    /// Distance to the nearest edge, its number, and the foot on it.
+    /// Of several the first; `None` where none is nearer than `within`.
     pub(crate) fn nearest(&self, p: Zx, within: f64) -> Option<(f64, usize, Zx)> {
         let (mut best, mut open) = (None::<(f64, usize, Zx)>, vec![1]);
         while let Some(node) = open.pop() {

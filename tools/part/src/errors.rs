@@ -115,7 +115,8 @@ pub struct ErrorReport {
     /// The step that the points are written in, where it is more than they scatter by: it is in the standard errors. µm.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub step_um: Option<f64>,
-    /// Places that were touched several times: the standard errors count places, not touches.
+    /// Places that were touched several times.
+    /// The standard errors count places then, not touches.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub repeats: Option<Repeats>,
     /// SD of all points about the plain fit, in µm.
@@ -265,7 +266,7 @@ impl Probed {
         machine.effects().filter(|e| e.description().needs.iter().any(blind)).map(Effect::name).collect()
     }
 
-    /// Line of the first point whose coordinates are all exactly 0, as where no position was captured.
+    /// Line of the first point at exactly 0, 0, as where no position was captured.
     #[must_use]
     pub fn at_zero(&self) -> Option<usize> {
         let row = self.tip_centre.iter().position(|p| p.z == 0.0 && p.x == 0.0)?;

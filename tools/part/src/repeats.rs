@@ -1,4 +1,5 @@
-//! Places that were touched several times: their touches share the part's form, so they are no independent points.
+//! Places that were touched several times.
+//! Their touches share the part's form, so they are no independent points.
 
 use crate::fit::{FittedShape, Zx, deviations_um};
 use serde::Serialize;
@@ -13,14 +14,16 @@ pub struct Repeats {
     pub places: usize,
     /// SD of the touches of one place about their mean, pooled, in µm.
     pub sd_within_um: f64,
-    /// SD of the places' means about the fit, in µm; `None` where there are too few places.
+    /// SD of the places' means about the fit, in µm.
+    /// `None` where there are too few places.
     pub sd_between_um: Option<f64>,
     /// Mean of each place, mm.
     #[serde(skip)]
     pub(crate) means: Vec<Zx>,
 }
 
-/// The place of each point along a shape, mm, and how far it is once around; infinite for a line.
+/// The place of each point along a shape, and the way once around it, mm.
+/// The latter is infinite for a line.
 fn along(fitted: &FittedShape, points: &[Zx]) -> (Vec<f64>, f64) {
     match *fitted {
         FittedShape::Circle { centre, radius_mm, .. } => {
@@ -34,13 +37,16 @@ fn along(fitted: &FittedShape, points: &[Zx]) -> (Vec<f64>, f64) {
     }
 }
 
-/// The places of points on a shape with so many parameters; `None` where most points have a place of their own.
+/// The places of points on a shape with so many parameters.
+/// `None` where most points have a place of their own.
 pub(crate) fn find(fitted: &FittedShape, points: &[Zx], parameters: usize) -> Option<Repeats> {
     let (along_mm, turn_mm) = along(fitted, points);
     let mut order: Vec<usize> = (0..points.len()).collect();
     order.sort_by(|a, b| along_mm[*a].total_cmp(&along_mm[*b]));
     let gap = |w: &[usize]| along_mm[w[1]] - along_mm[w[0]];
-    let mut gaps: Vec<f64> = order.windows(2).map(gap).collect();
+    let around = along_mm[*order.first()?] + turn_mm - along_mm[*order.last()?];
+    let mut gaps: Vec<f64> =
+        order.windows(2).map(gap).chain([around].into_iter().filter(|g| g.is_finite())).collect();
     gaps.sort_by(f64::total_cmp);
     // The step between the gaps within places and those between them; most gaps are within.
     let split = (gaps.len().div_ceil(2)..gaps.len()).find(|k| gaps[k - 1] <= NEAR * gaps[*k])?;
@@ -52,7 +58,6 @@ pub(crate) fn find(fitted: &FittedShape, points: &[Zx], parameters: usize) -> Op
             _ => groups.push(vec![*point]),
         }
     }
-    let around = along_mm[order[0]] + turn_mm - along_mm[order[order.len() - 1]];
     if groups.len() > 1 && around <= widest {
         let last = groups.pop().unwrap_or_default();
         groups[0].extend(last);
@@ -72,4 +77,39 @@ pub(crate) fn find(fitted: &FittedShape, points: &[Zx], parameters: usize) -> Op
         sd_between_um: free.map(|free| (between / free as f64).sqrt()),
         means: groups.iter().map(centre).collect(),
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn touches_of_one_place_are_found_and_single_points_are_none() {
+        let circle = FittedShape::Circle { centre: Zx::new(100.0, 0.0), radius_mm: 25.0 };
+        let line = FittedShape::Line { through: Zx::new(0.0, 20.0), normal: Zx::new(0.0, 1.0) };
+        let off = |place: usize, touch: usize| 1e-3 * ((7 * place + 3 * touch) % 5) as f64;
+        for touches in [1_usize, 2, 3, 4] {
+            let places: Vec<(usize, usize)> =
+                (0..7).flat_map(|p| (0..touches).map(move |t| (p, t))).collect();
+            let around = |(p, t): &(usize, usize)| {
+                // A place at half a turn has its touches on both sides of where angles begin again.
+                let angle = std::f64::consts::PI - 0.4 * *p as f64 + 1e-5 * (*t as f64 - 0.5);
+                Zx::new(100.0, 0.0) + Zx::at_angle(angle) * (25.0 + off(*p, *t))
+            };
+            let straight =
+                |(p, t): &(usize, usize)| Zx::new(5.0 * *p as f64 + 1e-3 * *t as f64, 20.0 + off(*p, *t));
+            for (shape, points, parameters) in [
+                (&circle, places.iter().map(around).collect::<Vec<_>>(), 3),
+                (&line, places.iter().map(straight).collect(), 2),
+            ] {
+                let found = find(shape, &points, parameters);
+                assert_eq!(found.map(|r| r.places), (touches > 1).then_some(7), "{touches}: {shape:?}");
+            }
+        }
+        // So few places leave no standard error.
+        let points: Vec<Zx> =
+            (0..8).map(|k| Zx::new(f64::from(k / 4) * 9.0, 20.0 + 1e-4 * f64::from(k))).collect();
+        let found = find(&line, &points, 2).unwrap();
+        assert!(found.places == 2 && found.sd_between_um.is_none(), "{found:?}");
+    }
 }

@@ -71,7 +71,7 @@ pub struct Contribution {
     pub percent: f64,
 }
 
-/// Causes that look alike in these runs, so that only what they do together is told.
+/// Causes that look alike in these runs: their sum alone is told.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct NotSeparable {
     /// The causes.

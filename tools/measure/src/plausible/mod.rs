@@ -429,7 +429,8 @@ pub fn good_rows<'r>(record: &'r Record, all: usize, say: &mut dyn FnMut(Said)) 
     left
 }
 
-/// Puts the last good reading in the place of those that a sensor did not take; how many those are.
+/// Puts the last good reading in place of those that a sensor did not take.
+/// Returns how many those are.
 /// Where none is before them it is the first good one of this piece of the record. `held`: each sensor's last good reading so far.
 pub fn hold_last_good(record: &mut Record, held: &mut BTreeMap<String, f64>) -> usize {
     let mut found = Vec::new();

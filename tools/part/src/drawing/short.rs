@@ -1,4 +1,6 @@
-//! Pieces no longer than the tolerance: joined to the curves they form, then freed of vertices that are too close.
+//! Pieces no longer than the tolerance: joined first, then cleaned.
+//!
+//! Cleaning leaves vertices out, never the way between them.
 
 use super::{Cleaned, Piece, Places};
 use crate::contour::{FeatureKind, Segment};
@@ -12,7 +14,7 @@ pub(super) fn reach_mm(first_mm: f64, second_mm: f64) -> f64 {
     first_mm.min(second_mm) * REACH
 }
 
-/// Joins short pieces end to end, and drops vertices within the tolerance of the one before.
+/// Joins short pieces end to end, and drops vertices that are too close.
 ///
 /// What they form together keeps its place and its length; what is no longer than the tolerance as a whole is left out.
 pub(super) fn joined(short: &[Piece], tolerance_mm: f64, cleaned: &mut Cleaned) -> Vec<Piece> {
@@ -49,7 +51,7 @@ pub(super) fn joined(short: &[Piece], tolerance_mm: f64, cleaned: &mut Cleaned) 
     out
 }
 
-/// The lines along a path of vertices, none of them within the tolerance of the next.
+/// The lines along a path, its vertices more than the tolerance apart.
 fn thinned(path: &[(Zx, usize)], short: &[Piece], tolerance_mm: f64, cleaned: &mut Cleaned) -> Vec<Piece> {
     let near = |a: Zx, b: Zx| (a - b).norm() <= tolerance_mm;
     let (first, last) = (path[0], path[path.len() - 1]);
@@ -78,7 +80,7 @@ fn thinned(path: &[(Zx, usize)], short: &[Piece], tolerance_mm: f64, cleaned: &m
     kept.windows(2).map(line).collect()
 }
 
-/// Closes the joints of a chain where a line can give way without becoming another feature.
+/// Closes the joints of a chain where a line can give way.
 ///
 /// A line along the axis or square to it keeps its place, and so does a curve.
 pub(super) fn close_joints(chain: &mut [(Segment, String)], closed: bool) {

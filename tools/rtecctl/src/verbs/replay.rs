@@ -165,7 +165,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     }
     if let Some((_, said)) = dead {
         let axis = args.axis.as_ref().map_or_else(String::new, |axis| format!(" of axis {axis}"));
-        return Err(Outcome::Fault(format!("{said}{axis}: a broken wire or receiver of that channel")).into());
+        return Err(
+            Outcome::Fault(format!("channel dead{axis}: {said}: a broken wire or receiver of it")).into()
+        );
     }
     // The more telling answer first: a latched fault says why a ledger does not balance.
     if let Some(latched) = outcome.faults.first() {
@@ -230,7 +232,7 @@ struct Progress {
     points: u64,
     shown_at: Instant,
     last: Option<State>,
-    /// Changes of A, and of B, since the other changed last, and when that was, ns; the most so far.
+    /// Changes of A, and of B, since the other changed last; and when that was, ns.
     alone: [(u64, u64); 2],
     longest: [(u64, u64); 2],
 }

@@ -56,10 +56,10 @@ struct FromPosition {
     /// The time column, by its name or number from 1 [default: `t_s`, `t_ms`, `t_us` or `t_ns`]
     #[arg(long, value_name = "NAME")]
     time_column: Option<String>,
-    /// The time's unit [default: as the column's name states it, `t_ms`, `Time [ms]`; without one, s]
+    /// The time's unit [default: of the column's name, `t_ms` or `Time [ms]`; else s]
     #[arg(long, value_parser = ["s", "ms", "us", "ns"], requires = "time_column")]
     time_unit: Option<String>,
-    /// The position's unit [default: as the column's name states it, `position_mm`, `X [mm]`; without one, m]
+    /// The position's unit [default: of the column's name, `x_mm` or `X [mm]`; else m]
     #[arg(long, value_enum)]
     unit: Option<Unit>,
     /// Way back, in counts, before a count edge is undone, as in a scale's interpolator: noise at rest below
@@ -316,7 +316,7 @@ const NEAR_RANGE: f64 = 0.02;
 /// So many changes of the position show the step that it is written in.
 const COARSE_CHANGES: usize = 5;
 
-/// The largest step that two lengths are whole numbers of, µm; 0 below a nanometre.
+/// The largest step that divides two lengths, µm; 0 below a nanometre.
 fn common_step(mut a: f64, mut b: f64) -> f64 {
     const NOTHING_UM: f64 = 1e-3;
     while b > NOTHING_UM {
@@ -342,7 +342,7 @@ struct Jumps {
     largest_jump_um: f64,
     smallest_jump_um: f64,
     largest_step_um: f64,
-    /// The step that all positions are apart by whole numbers of, µm; and how often the position changed.
+    /// The step that positions are written in, µm; how often the position changed.
     written_um: f64,
     changes: usize,
 }
