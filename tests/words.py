@@ -231,7 +231,7 @@ def write_budget(have, before):
     for folder, found in sorted(have.items()):
         text += f'\n["{folder}"]\n'
         for key, n in found.items():
-            text += f"{key} = {min(n, before[folder][key]) if before else n}\n"
+            text += f"{key} = {min(n, before.get(folder, {}).get(key, 0)) if before else n}\n"
     BUDGET.write_text(text, encoding="utf-8")
 
 

@@ -1,8 +1,8 @@
 //! The columns of all hypotheses that have a fixed place, for a quick look.
 //! It estimates what each column explains of a residual. It decides nothing: it only selects what is looked at exactly.
 
-use crate::factor::{Factor, add};
 use crate::rows::{Noise, Rows};
+use rtec_least_squares::{Factor, add};
 use std::ops::Range;
 
 /// Columns in groups.

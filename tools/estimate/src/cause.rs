@@ -1,10 +1,10 @@
 //! What a hypothesis adds to the rows.
 //! It is an effect of the dictionary with its non-linear parameters set, or a shape without a name.
 
-use crate::factor::dot;
 use crate::priors::{CONTRIBUTION, OF_MOST, REFERENCE_K};
 use crate::rows::Rows;
 use crate::setup::{first_after_turn, unplaced_columns};
+use rtec_least_squares::dot;
 use rtec_model::effect::{Against, Effect, Need, STANDARD_DEGC, Search};
 use rtec_model::record::Role;
 use std::sync::Arc;
@@ -98,7 +98,7 @@ impl Cause {
                 let of = |d: &Vec<f64>| {
                     let mut out = vec![0.0; rows.n];
                     for (height, column) in d.iter().zip(&raw) {
-                        crate::factor::add(&mut out, height * size, column);
+                        rtec_least_squares::add(&mut out, height * size, column);
                     }
                     out
                 };
@@ -164,7 +164,7 @@ impl Cause {
                 let size = size.map_or(CONTRIBUTION, rtec_model::effect::Parameter::prior_size);
                 let mut heights = vec![0.0; effect.coefficient_count()];
                 for (b, d) in beta.iter().zip(directions.iter()) {
-                    crate::factor::add(&mut heights, b * size, d);
+                    rtec_least_squares::add(&mut heights, b * size, d);
                 }
                 let mut effect = effect.clone();
                 effect.set_coefficients(&heights);

@@ -4,15 +4,16 @@ use crate::cause::{Cause, Shape};
 use crate::effort::{
     HOPELESS, LAST_STEPS, MOMENT_ROWS, NOISE_STEPS, REMEMBERS, ROUNDS, SETTLED, STRONG, UNDER_NOISE,
 };
-use crate::factor::dot;
 use crate::family::{Families, Scan};
-use crate::priors::{HALF_WIDTH, HELD, LISTED, MOST_PHI, SAME_PERIOD};
+use crate::priors::{HELD, LISTED, MOST_PHI, SAME_PERIOD};
 use crate::problem::{Problem, Units, in_step, is_beyond_chance};
 use crate::rows::{Noise, Rows};
 use crate::search::{Member, Search, Set, fit, known_again};
 use crate::setup;
 use crate::wander::{self, Wander, wanders};
+use rtec_least_squares::dot;
 use rtec_model::effect::{Dictionary, Difference, Effect, Refine, Search as How};
+use rtec_model::machine::NORMAL_95;
 use rtec_model::record::{Record, Role};
 
 /// Another explanation of the same thing.
@@ -705,7 +706,7 @@ impl<'s, 'p> Last<'s, 'p> {
                 for b in &own {
                     let mut c: Vec<f64> = slopes[b.value].iter().map(|x| x * b.sd).collect();
                     if let Some((with, per)) = b.with {
-                        crate::factor::add(&mut c, per * b.sd, &slopes[with]);
+                        rtec_least_squares::add(&mut c, per * b.sd, &slopes[with]);
                     }
                     search.base.noise.whiten(rows, &mut c);
                     factor.push(&c);
@@ -748,7 +749,7 @@ impl<'s, 'p> Last<'s, 'p> {
             let (mut left, mut beta) = (self.inverse[*i].clone(), self.beta[*i]);
             for (axis, along) in &axes {
                 let share = dot(axis, &left);
-                crate::factor::add(&mut left, -share, axis);
+                rtec_least_squares::add(&mut left, -share, axis);
                 beta -= share * along;
             }
             let sd = dot(&left, &left).sqrt();
@@ -814,7 +815,7 @@ impl<'s, 'p> Last<'s, 'p> {
                         variance += a[v] * b[v] * self.covariance(*i, *j);
                     }
                 }
-                *h = HALF_WIDTH * variance.max(0.0).sqrt();
+                *h = NORMAL_95 * variance.max(0.0).sqrt();
             }
             if let Some(p) = effect.description().place(How::Phase) {
                 // An interval of an angle is at most half a turn to either side.
@@ -868,7 +869,7 @@ impl<'s, 'p> Last<'s, 'p> {
                     let sd = self.covariance(from + i, from + i).sqrt();
                     for (v, by) in &k.along {
                         values[*v] += by * self.beta[from + i];
-                        half[*v] = HALF_WIDTH * (by * sd).abs();
+                        half[*v] = NORMAL_95 * (by * sd).abs();
                     }
                 }
                 let replaced = found.iter().position(|f| f.replaces == Some(place));
@@ -885,7 +886,7 @@ impl<'s, 'p> Last<'s, 'p> {
                     let sd = self.covariance(m.at, m.at).sqrt() * m.level * sizes[0];
                     for (v, h) in half.iter_mut().enumerate() {
                         if v / effect.width() == 0 || *h > 0.0 {
-                            *h = h.max(HALF_WIDTH * sd);
+                            *h = h.max(NORMAL_95 * sd);
                         }
                     }
                 }
@@ -904,13 +905,13 @@ impl<'s, 'p> Last<'s, 'p> {
             let term = terms
                 .iter()
                 .find(|t| t.column.iter().zip(&both.1[0]).all(|(a, b)| (*a == 0.0) == (*b == 0.0)))?;
-            let size = crate::priors::JUMP_UM * m.level;
+            let size = crate::priors::JUMP_UM_PROBABILITY.0 * m.level;
             Some(SetUp {
                 record: term.record,
                 response: shape.response.clone(),
                 what: setup::What::Jump,
                 value: self.beta[m.at] * size,
-                half: HALF_WIDTH * self.covariance(m.at, m.at).sqrt() * size,
+                half: NORMAL_95 * self.covariance(m.at, m.at).sqrt() * size,
             })
         };
         self.members
@@ -935,7 +936,7 @@ impl<'s, 'p> Last<'s, 'p> {
                 response: problem.rows.responses[segment.response].to_string(),
                 what: t.what,
                 value: self.beta[i] * t.sd,
-                half: HALF_WIDTH * self.covariance(i, i).sqrt() * t.sd,
+                half: NORMAL_95 * self.covariance(i, i).sqrt() * t.sd,
             })
         };
         problem.terms.iter().enumerate().filter(|(_, t)| named(t.what)).filter_map(of).collect()
@@ -997,7 +998,7 @@ pub fn unexplained(record: &Record, model: &[Effect]) -> Vec<f64> {
     let rows = Rows::new(std::slice::from_ref(record));
     let mut left = rows.measured.clone();
     for effect in model {
-        crate::factor::add(&mut left, -1.0, &rows.predict(effect));
+        rtec_least_squares::add(&mut left, -1.0, &rows.predict(effect));
     }
     left
 }

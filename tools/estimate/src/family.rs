@@ -3,7 +3,7 @@
 
 use crate::bank::Bank;
 use crate::cause::{Cause, Shape, sizes};
-use crate::priors::{IMPLAUSIBLE, JUMP_PROBABILITY, JUMP_UM, KNOTS, LENGTHS, NAMED_SHARE, PAIR_SHARE, PRICE};
+use crate::priors::{IMPLAUSIBLE, JUMP_UM_PROBABILITY, KNOTS, LENGTHS, NAMED_SHARE, PAIR_SHARE, PRICE};
 use crate::rows::{Rows, is_placed};
 use crate::setup;
 use crate::shapes::shapes;
@@ -144,10 +144,10 @@ impl Families {
             let response = segment.map_or(String::new(), |s| rows.responses[s.response].to_string());
             let shape =
                 Shape { response, against: vec!["time".to_owned()], manner: "a jump at a pause".to_owned() };
-            let columns = vec![t.column.iter().map(|x| x * JUMP_UM).collect::<Vec<f64>>()];
+            let columns = vec![t.column.iter().map(|x| x * JUMP_UM_PROBABILITY.0).collect::<Vec<f64>>()];
             let cause = Cause::Shape(Arc::new((shape.clone(), columns.clone())));
             let scan = Scan::Grid(vec![(all.bank.push(columns), 0.0, cause)]);
-            let prior = JUMP_PROBABILITY.ln();
+            let prior = JUMP_UM_PROBABILITY.1.ln();
             all.list.push(Family { set_up: true, prior, ..Family::unnamed(shape, scan) });
         }
         all

@@ -11,7 +11,6 @@
 //! | [`setup`] | set-up terms, in one list |
 //! | [`shapes`] | shapes without a name, in one list |
 //! | `cause`, `family` | what a hypothesis puts into the rows; all of them |
-//! | [`factor`] | the one least-squares core |
 //! | `smooth`, `wave` | smooth functions as columns; frequencies that rows show |
 //! | `wander` | what goes on for longer than noise remembers |
 //! | `bank` | a quick look at many columns |
@@ -24,7 +23,6 @@ pub mod bank;
 pub mod cause;
 pub mod effort;
 pub mod estimate;
-pub mod factor;
 pub mod family;
 pub mod priors;
 pub mod problem;

@@ -30,15 +30,12 @@ pub const LINE_UM_PER_H: f64 = 1.0;
 /// Hours for which the drift keeps its direction.
 /// (Physics: a shift, a heating, the sun.)
 pub const LINE_HOURS: f64 = 3.0;
-/// Wander of air and stand beside the drift, µm; [`AIR_S`] is its memory.
+/// Wander of air and stand beside the drift, µm, and its memory, s.
 /// (Physics: half a metre of air that is 0.3 K warmer for ten minutes.)
-pub const AIR_UM: f64 = 0.15;
-/// Memory of [`AIR_UM`], s.
-pub const AIR_S: f64 = 600.0;
-/// A jump at a pause, µm (physics: somebody touched the stand).
-pub const JUMP_UM: f64 = 3.0;
-/// Probability of a jump at a pause (physics: as for [`JUMP_UM`]).
-pub const JUMP_PROBABILITY: f64 = 0.02;
+pub const AIR_UM_S: (f64, f64) = (0.15, 600.0);
+/// A jump at a pause, µm, and its probability.
+/// (Physics: somebody touched the stand.)
+pub const JUMP_UM_PROBABILITY: (f64, f64) = (3.0, 0.02);
 /// A gap in time of this many usual steps is a pause.
 pub const PAUSE_STEPS: f64 = 8.0;
 
@@ -97,10 +94,8 @@ pub const ALIKE_ROWS: f64 = 2.0;
 /// Largest autocorrelation from row to row that counts as noise (contract).
 pub const MOST_PHI: f64 = 0.7;
 /// Degrees of freedom of the noise's tails (physics: a gauge's rare knocks).
-pub const TAIL_FREEDOM: f64 = 5.0;
-/// The noise's tails begin at this many standard deviations.
-/// (Physics: of a hundred readings one is further.)
-pub const TAIL_FROM: f64 = 2.5;
+/// They begin at the second number of standard deviations: of a hundred readings one is further.
+pub const TAILS: (f64, f64) = (5.0, 2.5);
 
 /// How far a reference temperature may be from 20 °C, K, one standard deviation.
 pub const REFERENCE_K: f64 = 2.0;
@@ -123,8 +118,6 @@ pub const LISTED: f64 = 3.0;
 /// A known effect is corrected if chance is less probable than this.
 /// (Contract: "beyond chance".)
 pub const CHANCE: f64 = 1e-4;
-/// Half width of a 95 % interval in standard errors.
-pub const HALF_WIDTH: f64 = 1.96;
 
 #[cfg(test)]
 mod tests {
@@ -139,7 +132,7 @@ mod tests {
             n += 1;
             assert!(lines[i - 1].starts_with("///"), "{line} says nothing");
         }
-        assert!((20..=44).contains(&n), "{n} constants");
+        assert!((20..=40).contains(&n), "{n} constants");
     }
 
     /// No number has a name elsewhere.

@@ -2,10 +2,10 @@
 //! This module holds everything but the hypotheses.
 
 use crate::effort::{OUT_OF_STEP, ROUNDING_STEPS};
-use crate::factor::{Factor, add, dot};
-use crate::priors::{CHANCE, KNOWN_SHARE, MOST_PHI, NOISE, PERIOD_SHARE, TAIL_FREEDOM, TAIL_FROM};
+use crate::priors::{CHANCE, KNOWN_SHARE, MOST_PHI, NOISE, PERIOD_SHARE, TAILS};
 use crate::rows::{Noise, Rows, Segment};
 use crate::setup::{self, Term};
+use rtec_least_squares::{Factor, add, dot};
 use rtec_model::effect::{Effect, Refine, Search};
 use statrs::distribution::{ChiSquared, ContinuousCDF as _};
 
@@ -48,7 +48,7 @@ pub fn known(rows: &Rows<'_>, model: &[Effect], intervals: &[Vec<Option<f64>>]) 
                     (Search::Phase, _) | (_, Refine::Step(_)) => KNOWN_SHARE,
                     _ => KNOWN_SHARE * value.abs(),
                 };
-                let sd = stated.map_or(share, |half| half / crate::priors::HALF_WIDTH);
+                let sd = stated.map_or(share, |half| half / rtec_model::machine::NORMAL_95);
                 if sd > 0.0 {
                     let column = slope.iter().map(|x| x * sd).collect();
                     out.push(Known { effect: e, along: vec![(v, sd)], column });
@@ -294,10 +294,11 @@ impl<'r> Problem<'r> {
     /// otherwise an outlier would cost almost nothing, and the set that gives up most rows would win.
     #[must_use]
     pub fn log_scale(&self, noise: &Noise) -> f64 {
-        let most = TAIL_FREEDOM + TAIL_FROM * TAIL_FROM;
+        let (freedom, from) = TAILS;
+        let most = freedom + from * from;
         let tail = |(w, own): (&f64, &f64)| {
             let less = w / own;
-            own * own * (most * less.ln() + 0.5 * TAIL_FREEDOM * (1.0 - less * less)) - less.ln()
+            own * own * (most * less.ln() + 0.5 * freedom * (1.0 - less * less)) - less.ln()
         };
         noise.log_scale(self.rows) + noise.weight.iter().zip(&self.weights).map(tail).sum::<f64>()
     }
@@ -355,7 +356,7 @@ impl<'r> Problem<'r> {
                 let middle = middle.max(self.rounding_um[*number].max(self.floors[j]) / sigma);
                 for row in s.rows.clone() {
                     let off = (e[row] / noise.weight[row] / middle).powi(2);
-                    let less = (TAIL_FREEDOM + TAIL_FROM * TAIL_FROM) / (TAIL_FREEDOM + off);
+                    let less = (TAILS.0 + TAILS.1 * TAILS.1) / (TAILS.0 + off);
                     new.weight[row] = self.weights[row] * less.min(1.0).sqrt();
                 }
             }

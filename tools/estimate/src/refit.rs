@@ -2,11 +2,12 @@
 //! With rows left out, or with a curve that stands for something without a name.
 
 use crate::cause::Cause;
-use crate::factor::{Factor, add};
-use crate::priors::{HALF_WIDTH, WIDE};
+use crate::priors::WIDE;
 use crate::problem::Problem;
 use crate::rows::{Noise, Rows};
+use rtec_least_squares::{Factor, add};
 use rtec_model::effect::Effect;
+use rtec_model::machine::NORMAL_95;
 use rtec_model::record::Record;
 
 /// The linear parameters of effects beside model and set-up.
@@ -63,8 +64,8 @@ impl<'p, 'r> Refit<'p, 'r> {
                 let k = scale.len();
                 let value = |i: usize| beta[at + i] * WIDE * scale[i];
                 let half = |i: usize| {
-                    HALF_WIDTH
-                        * crate::factor::dot(&inverse[at + i], &inverse[at + i]).sqrt()
+                    NORMAL_95
+                        * rtec_least_squares::dot(&inverse[at + i], &inverse[at + i]).sqrt()
                         * WIDE
                         * scale[i]
                 };

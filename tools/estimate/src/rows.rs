@@ -105,7 +105,7 @@ impl<'r> Rows<'r> {
     pub fn predict(&self, effect: &Effect) -> Vec<f64> {
         let mut out = vec![0.0; self.n];
         for (c, column) in effect.coefficients().iter().zip(self.basis(effect)) {
-            crate::factor::add(&mut out, *c, &column);
+            rtec_least_squares::add(&mut out, *c, &column);
         }
         out
     }

@@ -8,7 +8,6 @@ use crate::effort::{
     DIFFERENCES, HARMONICS, HOPELESS, KEPT, MOST_MEMBERS, MOST_SHAPES, PEAKS, STRONG, TRIED, USUAL_TRIED,
     WAVES_KEPT, WORTHLESS,
 };
-use crate::factor::{Factor, add, dot};
 use crate::family::{Families, Family, Scan};
 use crate::priors::{
     AGAIN, ALIKE, BENT_SHARE, CONTRIBUTION, LEVELS, LISTED, USUAL_SHARE, USUAL_WITHIN, WIDE,
@@ -16,6 +15,7 @@ use crate::priors::{
 use crate::problem::{Base, Problem};
 use crate::rows::Rows;
 use crate::shapes::changing_wave;
+use rtec_least_squares::{Factor, add, dot};
 use rtec_model::effect::{Difference, Effect, Heat, Refine, Search as How};
 use rtec_model::record::Axis;
 use std::cell::{OnceCell, RefCell};

@@ -4,7 +4,7 @@
 
 use crate::effort::{AIR_DIRECTIONS, MOST_PAUSES, MOST_PLACES, PLACES_PER_MM, ROUNDING_HARMONICS};
 use crate::priors::{
-    AIR_S, AIR_UM, CENTRE_UM, CONTRIBUTION, KNOTS, LINE_HOURS, LINE_UM_PER_H, NOISE, PAUSE_STEPS, PLACE_MM,
+    AIR_UM_S, CENTRE_UM, CONTRIBUTION, KNOTS, LINE_HOURS, LINE_UM_PER_H, NOISE, PAUSE_STEPS, PLACE_MM,
     TURN_URAD, ZERO_UM,
 };
 use crate::rows::{Rows, Segment, is_placed};
@@ -89,7 +89,7 @@ fn zeros(rows: &Rows<'_>, _: &[Effect], out: &mut Vec<Term>) {
         let own = column(rows, s, |_| 1.0);
         if let Some(name) = rows.record(s).zero.as_deref() {
             if let Some((.., at)) = shared.iter().find(|(n, r, _)| *n == name && *r == s.response) {
-                crate::factor::add(&mut out[*at].column, 1.0, &own);
+                rtec_least_squares::add(&mut out[*at].column, 1.0, &own);
                 continue;
             }
             shared.push((name, s.response, out.len()));
@@ -148,10 +148,10 @@ fn air(rows: &Rows<'_>, _: &[Effect], out: &mut Vec<Term>) {
         let Some(t) = creeping_s(rows.record(s)) else { continue };
         let places = knots(&t, KNOTS);
         let (Some(first), Some(last)) = (places.first(), places.last()) else { continue };
-        let length = AIR_S.max(0.1 * (last - first));
+        let length = AIR_UM_S.1.max(0.1 * (last - first));
         for d in directions(&places, Kernel::Rough(length), &[vec![1.0; places.len()]], AIR_DIRECTIONS) {
             let at = |i: usize| shares(&places, t[i]).iter().map(|(k, w)| w * d[*k]).sum();
-            out.push(Term { what: What::Air, record: s.record, column: column(rows, s, at), sd: AIR_UM });
+            out.push(Term { what: What::Air, record: s.record, column: column(rows, s, at), sd: AIR_UM_S.0 });
         }
     }
 }
@@ -466,11 +466,11 @@ fn unplaced(rows: &Rows<'_>, model: &[Effect], out: &mut Vec<Term>) {
 }
 
 fn rms(column: &[f64]) -> f64 {
-    (crate::factor::dot(column, column) / column.len().max(1) as f64).sqrt()
+    (rtec_least_squares::dot(column, column) / column.len().max(1) as f64).sqrt()
 }
 
 fn proportional(a: &[f64], b: &[f64]) -> bool {
-    let together = crate::factor::dot(a, b).abs() / a.len().max(1) as f64;
+    let together = rtec_least_squares::dot(a, b).abs() / a.len().max(1) as f64;
     let apart = rms(a) * rms(b);
     apart > 0.0 && together > (1.0 - 1e-12) * apart
 }
@@ -484,10 +484,10 @@ fn turned(rows: &Rows<'_>, _: &[Effect], out: &mut Vec<Term>) {
     }
     let mut mean = vec![0.0; rows.n];
     for t in &turns {
-        crate::factor::add(&mut mean, 1.0 / turns.len() as f64, &t.column);
+        rtec_least_squares::add(&mut mean, 1.0 / turns.len() as f64, &t.column);
     }
     for mut t in turns {
-        crate::factor::add(&mut t.column, -1.0, &mean);
+        rtec_least_squares::add(&mut t.column, -1.0, &mean);
         out.push(t);
     }
 }

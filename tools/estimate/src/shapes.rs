@@ -5,11 +5,11 @@ use crate::cause::Shape;
 use crate::effort::{
     CHANGING, CREEPS, MOST_PLACES, MOST_SENSORS, PLACE_RAD, PLANE_RANK, SHAPE_FEWEST_ROWS, SHAPE_RANK,
 };
-use crate::factor::{add, dot};
 use crate::priors::{CONTRIBUTION, KNOTS, LENGTHS};
 use crate::rows::{Rows, Segment};
 use crate::setup::place_of;
 use crate::smooth::{Kernel, directions, knots, shares};
+use rtec_least_squares::{add, dot};
 use rtec_model::effect::sign;
 use rtec_model::record::{Axis, Role};
 use std::collections::BTreeMap;

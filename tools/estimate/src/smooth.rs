@@ -80,11 +80,11 @@ pub fn directions(knots: &[f64], kernel: Kernel, without: &[Vec<f64>], most: usi
         let mut v = row.clone();
         for _ in 0..2 {
             for b in &basis {
-                let c = crate::factor::dot(&v, b);
-                crate::factor::add(&mut v, -c, b);
+                let c = rtec_least_squares::dot(&v, b);
+                rtec_least_squares::add(&mut v, -c, b);
             }
         }
-        let size = crate::factor::dot(&v, &v).sqrt();
+        let size = rtec_least_squares::dot(&v, &v).sqrt();
         if size > 1e-9 {
             for x in &mut v {
                 *x /= size;
@@ -119,7 +119,7 @@ mod tests {
             let found = directions(&knots, kernel, &line, 12);
             assert!(found.len() >= 3);
             for d in &found {
-                assert!(line.iter().all(|l| crate::factor::dot(l, d).abs() < 1e-9));
+                assert!(line.iter().all(|l| rtec_least_squares::dot(l, d).abs() < 1e-9));
             }
         }
     }

@@ -9,10 +9,10 @@
 use crate::places::{self, Left};
 use crate::statistics::quantile;
 use crate::thermal::{Fitted, Intervals, jackknife_interval};
-use nalgebra::{DMatrix, DVector};
 use rtec_files::InputError;
 use rtec_files::date;
 use rtec_files::text::short;
+use rtec_least_squares::{Solution, equal_rows};
 use rtec_measure::steps::{Steps, is_coarse_cause, step_of};
 use rtec_model::effect::{Dictionary, Difference, Effect, Need, Search};
 use rtec_model::machine::{FitNote, Machine, NORMAL_95, Provenance, Source};
@@ -184,32 +184,28 @@ impl Problem {
     }
 
     /// Standard deviation of every parameter from rounding alone, at these values.
-    fn rounding(&self, scale: &[f64], values: &[f64]) -> Option<Vec<f64>> {
-        let p = self.columns.len();
-        if self.rounded.is_empty() && self.causes.is_empty() {
-            return Some(vec![0.0; p]);
-        }
-        let everything = vec![0; self.y.len()];
-        let (g, _) = sum_of(&self.grams(&everything, scale), p, None);
-        let inverse = g.cholesky()?.inverse();
-        let mut squares = vec![0.0; p];
+    fn rounding(&self, solution: &Solution) -> Vec<f64> {
+        let covariance = solution.covariance();
+        let mut squares = vec![0.0; self.columns.len()];
+        // Rows are off by the same, or by so many times one standard deviation each.
+        let mut add = |rows: &mut dyn Iterator<Item = (usize, f64)>| {
+            let mut sum = vec![0.0; squares.len()];
+            rows.for_each(|(i, by)| sum.iter_mut().zip(&self.columns).for_each(|(s, c)| *s += by * c[i]));
+            for (s, row) in squares.iter_mut().zip(covariance.row_iter()) {
+                *s += row.iter().zip(&sum).map(|(c, s)| c * s).sum::<f64>().powi(2);
+            }
+        };
         for (rows, sd) in &self.rounded {
-            let sum = DVector::from_fn(p, |k, _| rows.iter().map(|i| self.columns[k][*i] / scale[k]).sum());
-            let moved = &inverse * sum;
-            squares.iter_mut().zip(moved.iter()).for_each(|(s, m)| *s += (sd * m).powi(2));
+            add(&mut rows.iter().map(|i| (*i, *sd)));
         }
         for cause in &self.causes {
             // What one standard deviation of rounding does to the response at a row.
-            let error = |i: usize| -> f64 { cause.moves.iter().zip(values).map(|(m, v)| m[i] * v).sum() };
+            let error = |i: usize| cause.moves.iter().zip(&solution.values).map(|(m, v)| m[i] * v).sum();
             for rows in &cause.alike {
-                let sum = DVector::from_fn(p, |k, _| {
-                    rows.clone().map(|i| self.columns[k][cause.start + i] * error(i) / scale[k]).sum()
-                });
-                let moved = &inverse * sum;
-                squares.iter_mut().zip(moved.iter()).for_each(|(s, m)| *s += m.powi(2));
+                add(&mut rows.clone().map(|i| (cause.start + i, error(i))));
             }
         }
-        Some(squares.iter().zip(scale).map(|(s, scale)| s.sqrt() / scale).collect())
+        squares.into_iter().map(f64::sqrt).collect()
     }
 
     /// Where the axes were that moved through the response pushed last.
@@ -245,30 +241,6 @@ impl Problem {
         std::iter::once(in_time).chain(by_place).collect()
     }
 
-    /// The length of every column.
-    fn scale(&self) -> Vec<f64> {
-        self.columns.iter().map(|c| c.iter().map(|v| v * v).sum::<f64>().sqrt()).collect()
-    }
-
-    /// The first column that those before it make up.
-    fn dependent(&self, scale: &[f64]) -> Option<usize> {
-        let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
-        let mut basis: Vec<Vec<f64>> = Vec::new();
-        for (k, column) in self.columns.iter().enumerate() {
-            let mut left: Vec<f64> = column.iter().map(|v| v / scale[k]).collect();
-            for q in &basis {
-                let c = dot(q, &left);
-                left.iter_mut().zip(q).for_each(|(v, q)| *v -= c * q);
-            }
-            let norm = dot(&left, &left).sqrt();
-            if norm < DEPENDENT {
-                return Some(k);
-            }
-            basis.push(left.into_iter().map(|v| v / norm).collect());
-        }
-        None
-    }
-
     /// RMS over the pieces that `take` chooses: before the solution, and after it.
     fn rms_um(&self, found: &[Found], take: impl Fn(usize) -> bool) -> [f64; 2] {
         let (mut before, mut after, mut n) = (0.0, 0.0, 0.0);
@@ -284,36 +256,30 @@ impl Problem {
         self.y[i] - found.iter().zip(&self.columns).map(|(f, c)| f.value * c[i]).sum::<f64>()
     }
 
-    /// RMS over the pieces that `take` chooses, each stretch of time by the solution of all the others.
+    /// RMS over the pieces that `take` chooses.
+    /// Each stretch of time by the solution of all the others.
     fn unseen_um(&self, take: impl Fn(usize) -> bool) -> Option<f64> {
-        let (p, blocks, scale) = (self.columns.len(), self.stretches().swap_remove(0), self.scale());
-        let grams = self.grams(&blocks, &scale);
-        let mut solutions = Vec::with_capacity(BLOCKS);
-        for b in 0..BLOCKS {
-            let (g, h) = sum_of(&grams, p, Some(b));
-            solutions.push(g.cholesky()?.solve(&h));
-        }
+        let blocks = self.stretches().swap_remove(0);
+        let equal = self.equal_rows(&blocks);
+        let solutions = (0..BLOCKS).map(|b| without(&equal, b).ok()).collect::<Option<Vec<_>>>()?;
         let (mut sum, mut n) = (0.0, 0.0);
         for i in self.pieces.iter().enumerate().filter(|(k, _)| take(*k)).flat_map(|(_, r)| r.clone()) {
             let of = &solutions[blocks[i]];
-            let said: f64 = (0..p).map(|k| of[k] * self.columns[k][i] / scale[k]).sum();
+            let said: f64 = self.columns.iter().zip(&of.values).map(|(c, v)| v * c[i]).sum();
             sum += (self.y[i] - said).powi(2);
             n += 1.0;
         }
         (n > 0.0).then(|| (sum / n).sqrt())
     }
 
-    /// The products of columns and response over the rows of each block.
-    fn grams(&self, blocks: &[usize], scale: &[f64]) -> Vec<Gram> {
-        let p = self.columns.len();
-        let mut grams = vec![(DMatrix::<f64>::zeros(p, p), DVector::<f64>::zeros(p)); BLOCKS];
-        for (i, b) in blocks.iter().enumerate() {
-            let (g, h) = &mut grams[*b];
-            let row = DVector::from_fn(p, |k, _| self.columns[k][i] / scale[k]);
-            g.ger(1.0, &row, &row, 1.0);
-            h.axpy(self.y[i], &row, 1.0);
-        }
-        grams
+    /// The blocks as few rows each, which have the same solution.
+    fn equal_rows(&self, blocks: &[usize]) -> Vec<(Vec<Vec<f64>>, Vec<f64>)> {
+        let of = |b: usize| {
+            let own =
+                |v: &Vec<f64>| v.iter().zip(blocks).filter(|(_, of)| **of == b).map(|(v, _)| *v).collect();
+            equal_rows(&self.columns.iter().map(own).collect::<Vec<_>>(), &own(&self.y))
+        };
+        (0..BLOCKS).map(of).collect()
     }
 
     /// Half width that holds 95 % of the rows in the worst selected piece.
@@ -328,17 +294,15 @@ impl Problem {
     /// It is not determined beside those before it.
     pub(crate) fn solve(&self) -> Result<Vec<Found>, usize> {
         rtec_files::watch::step();
-        let p = self.columns.len();
-        let scale = self.scale();
-        if let Some(k) = scale.iter().position(|s| *s <= 1e-12) {
-            return Err(k);
-        }
-        if let Some(k) = self.dependent(&scale) {
+        let solution = rtec_least_squares::solve(&self.columns, &self.y)?;
+        let tiny = |c: &Vec<f64>| c.iter().map(|v| v * v).sum::<f64>().sqrt() <= 1e-12;
+        let dependent = |k: &usize| solution.independent[*k] < DEPENDENT || tiny(&self.columns[*k]);
+        if let Some(k) = (0..self.columns.len()).find(dependent) {
             return Err(k);
         }
         let mut found: Vec<Found> = Vec::new();
         for blocks in self.stretches() {
-            let of_these = self.jackknifed(&blocks, &scale).ok_or(p - 1)?;
+            let of_these = self.jackknifed(&blocks, &solution.values)?;
             if found.is_empty() {
                 found = of_these;
                 continue;
@@ -347,48 +311,32 @@ impl Problem {
             let wider = found.iter_mut().zip(of_these).filter(|(f, other)| width(other) > width(f));
             wider.for_each(|(f, other)| *f = other);
         }
-        let values: Vec<f64> = found.iter().map(|f| f.value).collect();
-        for (f, sd) in found.iter_mut().zip(self.rounding(&scale, &values).ok_or(p - 1)?) {
+        for (f, sd) in found.iter_mut().zip(self.rounding(&solution)) {
             let beside = |bound: f64| (bound - f.value).hypot(NORMAL_95 * sd);
             f.interval = [f.value - beside(f.interval[0]), f.value + beside(f.interval[1])];
         }
         Ok(found)
     }
 
-    /// The solution with intervals from leaving out each block in turn.
-    fn jackknifed(&self, blocks: &[usize], scale: &[f64]) -> Option<Vec<Found>> {
-        let p = self.columns.len();
-        let grams = self.grams(blocks, scale);
-        let sum = |skip: Option<usize>| sum_of(&grams, p, skip);
-        let (g, h) = sum(None);
-        let all = g.cholesky()?.solve(&h);
+    /// Values with intervals from leaving out each block in turn.
+    fn jackknifed(&self, blocks: &[usize], values: &[f64]) -> Result<Vec<Found>, usize> {
+        let equal = self.equal_rows(blocks);
         let used = (0..BLOCKS).filter(|b| blocks.contains(b));
-        let parts: Vec<DVector<f64>> = used
-            .filter_map(|b| {
-                let (g, h) = sum(Some(b));
-                Some(g.cholesky()?.solve(&h))
-            })
-            .collect();
-        let found = (0..p).map(|k| {
-            let value = all[k] / scale[k];
-            let parts: Vec<f64> = parts.iter().map(|v| v[k] / scale[k]).collect();
-            Found { value, interval: jackknife_interval(value, &parts) }
+        let parts = used.map(|b| without(&equal, b)).collect::<Result<Vec<_>, _>>()?;
+        let found = values.iter().enumerate().map(|(k, value)| {
+            let parts: Vec<f64> = parts.iter().map(|s| s.values[k]).collect();
+            Found { value: *value, interval: jackknife_interval(*value, &parts) }
         });
-        Some(found.collect())
+        Ok(found.collect())
     }
 }
 
-/// Products of columns with each other and with the response.
-type Gram = (DMatrix<f64>, DVector<f64>);
-
-/// All of them but one.
-fn sum_of(grams: &[Gram], p: usize, skip: Option<usize>) -> Gram {
-    let mut all = (DMatrix::zeros(p, p), DVector::zeros(p));
-    for (_, (g, h)) in grams.iter().enumerate().filter(|(b, _)| Some(*b) != skip) {
-        all.0 += g;
-        all.1 += h;
-    }
-    all
+/// The solution without one of these blocks.
+fn without(equal: &[(Vec<Vec<f64>>, Vec<f64>)], block: usize) -> Result<Solution, usize> {
+    let kept = || equal.iter().enumerate().filter(|(b, _)| *b != block).map(|(_, rows)| rows);
+    let column = |k: usize| kept().flat_map(|(columns, _)| &columns[k]).copied().collect::<Vec<f64>>();
+    let y: Vec<f64> = kept().flat_map(|(_, y)| y).copied().collect();
+    rtec_least_squares::solve(&(0..equal[0].0.len()).map(column).collect::<Vec<_>>(), &y)
 }
 
 /// A record's own zero of a response: where its gauge or its homing put it.

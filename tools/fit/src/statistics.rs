@@ -22,18 +22,3 @@ pub(crate) fn rms(values: impl Iterator<Item = f64> + Clone) -> f64 {
 pub(crate) fn mean(v: &[f64]) -> f64 {
     v.iter().sum::<f64>() / v.len().max(1) as f64
 }
-
-/// The sum of the products, in eight sums side by side.
-/// Each waits for its own last addition only.
-pub(crate) fn dot(a: &[f64], b: &[f64]) -> f64 {
-    const SIDE: usize = 8;
-    let (of_a, of_b) = (a.chunks_exact(SIDE), b.chunks_exact(SIDE));
-    let rest: f64 = of_a.remainder().iter().zip(of_b.remainder()).map(|(a, b)| a * b).sum();
-    let mut sums = [0.0; SIDE];
-    for (a, b) in of_a.zip(of_b) {
-        for (k, sum) in sums.iter_mut().enumerate() {
-            *sum += a[k] * b[k];
-        }
-    }
-    sums.iter().sum::<f64>() + rest
-}

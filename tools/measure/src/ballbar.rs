@@ -244,26 +244,25 @@ fn round_fit(points: &[(f64, f64)]) -> Option<[f64; 3]> {
     for (angle, _) in points {
         rows[sector(*angle)] += 1.0;
     }
-    let a = nalgebra::DMatrix::from_fn(points.len(), 3, |i, j| match j {
-        0 => 1.0,
-        1 => points[i].0.cos(),
-        _ => points[i].0.sin(),
-    });
-    let weigh = |i: usize| 1.0 / rows[sector(points[i].0)];
-    let weighed = nalgebra::DMatrix::from_fn(points.len(), 3, |i, j| weigh(i) * a[(i, j)]);
-    let y = nalgebra::DVector::from_iterator(points.len(), points.iter().map(|p| p.1));
-    let fit = weighed.tr_mul(&a).cholesky()?.solve(&weighed.tr_mul(&y));
-    Some([fit[0], fit[1], fit[2]])
+    let root = |p: &(f64, f64)| rows[sector(p.0)].sqrt().recip();
+    let (columns, y) = round_columns(points, root);
+    rtec_least_squares::solve(&columns, &y).ok()?.values.try_into().ok()
+}
+
+/// Columns of radius and centre, and the deviations.
+/// Each row is multiplied by its root of weight.
+fn round_columns(points: &[(f64, f64)], root: impl Fn(&(f64, f64)) -> f64) -> ([Vec<f64>; 3], Vec<f64>) {
+    let of = |f: fn(f64) -> f64| points.iter().map(|p| root(p) * f(p.0)).collect();
+    ([of(|_| 1.0), of(f64::cos), of(f64::sin)], points.iter().map(|p| root(p) * p.1).collect())
 }
 
 /// Standard errors of [`round_fit`]: of the centre's two places and of the radius.
 fn round_errors(points: &[(f64, f64)], [radius, a, b]: [f64; 3]) -> Option<[f64; 3]> {
-    let at = |i: usize| [1.0, points[i].0.cos(), points[i].0.sin()];
-    let x = nalgebra::DMatrix::from_fn(points.len(), 3, |i, j| at(i)[j]);
+    let (columns, y) = round_columns(points, |_| 1.0);
     let left = points.iter().map(|(p, e)| (e - radius - a * p.cos() - b * p.sin()).powi(2)).sum::<f64>();
     let freedom = points.len().checked_sub(3).filter(|n| *n > 0)? as f64;
-    let covariance = x.tr_mul(&x).try_inverse()? * (left / freedom);
-    Some([1, 2, 0].map(|i| covariance[(i, i)].max(0.0).sqrt()))
+    let spread = rtec_least_squares::solve(&columns, &y).ok()?.spread();
+    Some([1, 2, 0].map(|i| spread[i] * (left / freedom).sqrt()))
 }
 
 /// Range of the radial deviation about the least-squares circle.

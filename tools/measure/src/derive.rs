@@ -5,8 +5,8 @@
 //! acceleration separately. It is doubled while the derivative changes by no more than the noise of the positions explains. Of these
 //! windows the one with the least sum of noise and distortion is used.
 
-use nalgebra::{Matrix4, Vector4};
 use rtec_files::InputError;
+use rtec_least_squares::Factor;
 use rtec_model::machine::{Machine, Prediction};
 use rtec_model::record::{Axis, Column, Kind, Record, Role};
 use std::ops::Range;
@@ -264,20 +264,15 @@ impl Motion<'_> {
         // A little beyond the last row, which would count nothing otherwise.
         let reach = 1.05 * (at - self.t[from]).max(self.t[to - 1] - at);
         let near = |t: f64| (1.0 - ((t - at) / reach).abs().powi(3)).powi(3);
-        let powers = |t: f64| {
-            let u = (t - at) / reach;
-            Vector4::new(1.0, u, u * u, u * u * u)
-        };
-        let mut normal = Matrix4::zeros();
-        for &t in &self.t[from..to] {
-            let u = powers(t);
-            normal += near(t) * u * u.transpose();
-        }
-        let unit = Vector4::from_fn(|k, _| if k == order { 1.0 } else { 0.0 });
+        let roots: Vec<f64> = self.t[from..to].iter().map(|t| near(*t).sqrt()).collect();
+        let mut column = roots.clone();
+        let mut cubic = Factor::new(&roots);
         // Five distinct times: the cubic is determined.
-        let row = normal.cholesky().map_or_else(Vector4::zeros, |c| c.solve(&unit));
+        for _ in 0..4 {
+            cubic.push_free(&column);
+            column.iter_mut().zip(&self.t[from..to]).for_each(|(c, t)| *c *= (t - at) / reach);
+        }
         let factor = if order == 1 { reach.recip() } else { 2.0 / (reach * reach) };
-        let of = |t: &f64| factor * near(*t) * powers(*t).dot(&row);
-        (from, self.t[from..to].iter().map(of).collect())
+        (from, cubic.weights(order).iter().zip(roots).map(|(w, root)| factor * w * root).collect())
     }
 }

@@ -89,17 +89,15 @@ impl Round {
         let (mx, my) = (x.iter().sum::<f64>() / n, y.iter().sum::<f64>() / n);
         let size = x.iter().zip(y).map(|(x, y)| (x - mx).hypot(y - my)).fold(0.0, f64::max);
         let place = |i: usize| [(x[i] - mx) / size, (y[i] - my) / size];
-        let a = nalgebra::DMatrix::from_fn(x.len(), 3, |i, j| if j < 2 { place(i)[j] } else { 1.0 });
-        let squares = nalgebra::DVector::from_fn(x.len(), |i, _| place(i).iter().map(|v| v * v).sum());
-        let square = a.tr_mul(&a);
-        let fit = square.clone().cholesky()?.solve(&a.tr_mul(&squares));
-        // Of places on a line the third direction is rounding.
-        let least = square.symmetric_eigenvalues().min();
-        if !(size > 0.0 && least > 1e-9 * n && fit.iter().all(|v| v.is_finite())) {
+        let of = |k: usize| (0..x.len()).map(|i| place(i)[k]).collect::<Vec<f64>>();
+        let squares: Vec<f64> = (0..x.len()).map(|i| place(i).iter().map(|v| v * v).sum()).collect();
+        let fit = rtec_least_squares::solve(&[of(0), of(1), vec![1.0; x.len()]], &squares).ok()?;
+        // Of places on a line one direction is rounding.
+        if fit.independent.iter().any(|share| *share < 3e-5) {
             return None;
         }
-        let [a, b] = [fit[0] / 2.0, fit[1] / 2.0];
-        let radius = (fit[2] + a * a + b * b).sqrt() * size;
+        let [a, b] = [fit.values[0] / 2.0, fit.values[1] / 2.0];
+        let radius = (fit.values[2] + a * a + b * b).sqrt() * size;
         let mut found = Self { centre: [mx + a * size, my + b * size], radius, off: 0.0 };
         let [cx, cy] = found.centre;
         let off = x.iter().zip(y).map(|(x, y)| ((x - cx).hypot(y - cy) - radius).abs());

@@ -208,33 +208,32 @@ fn solve(
     to: &nalgebra::DVector<f64>,
 ) -> Result<Solved, InputError> {
     let n = to.len() / 2;
-    let a = nalgebra::DMatrix::from_fn(2 * n, columns, |row, j| of(row / 2, j)[row % 2]);
-    let weighted = |w: &[f64]| {
-        let rows = |row: usize| w[row / 2].sqrt();
-        let aw = nalgebra::DMatrix::from_fn(2 * n, columns, |i, j| rows(i) * a[(i, j)]);
-        let bw = nalgebra::DVector::from_fn(2 * n, |i, _| rows(i) * to[i]);
-        aw.svd(true, true).solve(&bw, 1e-12).map_err(|e| {
-            InputError::whole(
-                &record.path,
-                format!("holes that do not span a plane ({e})"),
-                "a plate of holes",
-            )
+    let a: Vec<Vec<f64>> =
+        (0..columns).map(|j| (0..2 * n).map(|row| of(row / 2, j)[row % 2]).collect()).collect();
+    let squares = rtec_least_squares::solve(&a, to.as_slice())
+        .map_err(|_| InputError::whole(&record.path, "holes that do not span a plane", "a plate of holes"))?;
+    let mut fit = nalgebra::DVector::from_column_slice(&squares.values);
+    let rest = |fit: &nalgebra::DVector<f64>| {
+        nalgebra::DVector::from_fn(2 * n, |i, _| {
+            to[i] - a.iter().zip(fit).map(|(a, f)| a[i] * f).sum::<f64>()
         })
     };
-    let mut fit = weighted(&vec![1.0; n])?;
-    let mut left = to - &a * &fit;
+    let mut left = rest(&fit);
     if norm == Norm::Fourth {
         // Newton's step for Σ r⁴ is a third of the way to the fit weighted by r².
         for _ in 0..100 {
-            let w: Vec<f64> = (0..n).map(|i| left[2 * i].powi(2) + left[2 * i + 1].powi(2)).collect();
-            fit += (weighted(&w)? - &fit) / 3.0;
-            left = to - &a * &fit;
+            let w: Vec<f64> = (0..2 * n).map(|i| left[i - i % 2].hypot(left[i - i % 2 + 1])).collect();
+            let weighted = |v: &[f64]| v.iter().zip(&w).map(|(v, w)| v * w).collect::<Vec<f64>>();
+            let columns: Vec<Vec<f64>> = a.iter().map(|c| weighted(c)).collect();
+            // Holes that fit exactly weigh nothing, and leave nothing to improve.
+            let Ok(by_lengths) = rtec_least_squares::solve(&columns, &weighted(to.as_slice())) else { break };
+            fit += (nalgebra::DVector::from_vec(by_lengths.values) - &fit) / 3.0;
+            left = rest(&fit);
         }
     }
     // Of the fit by squares; where what is left is exact there is no error.
     let freedom = (2 * n).saturating_sub(columns).max(1) as f64;
-    let inverse = a.tr_mul(&a).try_inverse().unwrap_or_else(|| nalgebra::DMatrix::zeros(columns, columns));
-    let covariance = inverse * (left.norm_squared() / freedom);
+    let covariance = squares.covariance() * (left.norm_squared() / freedom);
     Ok((fit, left, covariance))
 }
 

@@ -6,11 +6,11 @@
 //! A run suffices if the name still holds its place at two such standard deviations less.
 
 use rtec_estimate::Rival;
-use rtec_estimate::factor::Factor;
 use rtec_estimate::priors::HELD;
 use rtec_estimate::problem::Problem;
 use rtec_estimate::rows::{Noise, Rows};
 use rtec_files::InputError;
+use rtec_least_squares::Factor;
 use rtec_measure::plan::{PlanAxis, Step, TargetRun, target_run};
 use rtec_model::effect::{Against, Dictionary, Difference, Effect, Quantity};
 use rtec_model::machine::Machine;
@@ -266,7 +266,7 @@ impl Simulated {
             let rows = Rows::new(&one);
             let mut says = rows.predict(&open.effect);
             for e in &model {
-                rtec_estimate::factor::add(&mut says, 1.0, &rows.predict(e));
+                rtec_least_squares::add(&mut says, 1.0, &rows.predict(e));
             }
             for c in r.columns.iter_mut().filter(|c| c.role.is_response()) {
                 c.data.clone_from(&says);

@@ -3,11 +3,11 @@
 use crate::gap::Trace;
 use crate::verdict::{Reconciliation, Verdict};
 use crate::where_found::{LEAST_P, Place};
-use rtec_estimate::priors::HALF_WIDTH;
 use rtec_estimate::rows::{Rows, Segment};
 use rtec_measure::plot::{Chart, Colour, Picture, Series, Style};
 use rtec_measure::report::{Run, STYLE, signed_line};
 use rtec_model::effect::{Effect, Search};
+use rtec_model::machine::NORMAL_95;
 use std::fmt::Write as _;
 
 /// Size of a plot, px.
@@ -196,7 +196,7 @@ fn budget(h: &mut String, r: &Reconciliation) {
             let mut squares = 0.0;
             for (slope, half) in rows.slopes(effect).iter().zip(half.iter()) {
                 let rows = rows.segments.iter().filter(own).flat_map(|s| &slope[s.rows.clone()]);
-                squares += (half / HALF_WIDTH).powi(2) * rows.map(|v| v * v).sum::<f64>();
+                squares += (half / NORMAL_95).powi(2) * rows.map(|v| v * v).sum::<f64>();
             }
             parts.push((
                 format!("what is not known of {}", effect.name()),

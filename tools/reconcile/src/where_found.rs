@@ -5,10 +5,10 @@
 use crate::SEED;
 use rand_xoshiro::Xoshiro256PlusPlus;
 use rand_xoshiro::rand_core::{RngCore, SeedableRng};
-use rtec_estimate::factor::dot;
 use rtec_estimate::problem::Problem;
 use rtec_estimate::rows::{Rows, Segment};
 use rtec_estimate::setup::What;
+use rtec_least_squares::dot;
 use rtec_model::effect::Effect;
 use rtec_model::machine::Machine;
 use rtec_model::record::{Record, Role};

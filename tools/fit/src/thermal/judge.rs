@@ -2,7 +2,7 @@
 
 use super::problem::Problem;
 use super::term::Term;
-use crate::statistics::dot;
+use rtec_least_squares::dot;
 use rtec_measure::iso230::correlation;
 use std::ops::Range;
 

@@ -3,8 +3,9 @@
 
 use super::Options;
 use super::term::{Pair, Term};
-use crate::statistics::{dot, mean};
+use crate::statistics::mean;
 use rtec_files::InputError;
+use rtec_least_squares::dot;
 use rtec_model::effect::laws::thermal_growth;
 use rtec_model::effect::{Against, Dictionary, Lag, Lags, STANDARD_DEGC};
 use rtec_model::record::{Axis, Record, Role};

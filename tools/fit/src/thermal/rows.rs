@@ -3,9 +3,9 @@
 
 use super::problem::{Problem, lagged};
 use super::term::Term;
-use crate::statistics::{dot, quantile};
-use nalgebra::{DMatrix, DVector};
+use crate::statistics::quantile;
 use rtec_files::InputError;
+use rtec_least_squares::dot;
 use rtec_model::effect::STANDARD_DEGC;
 use rtec_model::record::{Record, Role};
 use std::ops::Range;
@@ -135,29 +135,17 @@ impl Rows {
     }
 }
 
-/// Response and columns less their means on stretches of rows, and products.
-/// Products of columns that stay are not computed again when a column changes.
+/// Response and columns less their means on stretches of rows.
 pub(super) struct Centred<'a> {
     taken: &'a [Range<usize>],
     y: (Vec<f64>, f64),
     columns: Vec<(Vec<f64>, f64)>,
-    products: DMatrix<f64>,
-    with_y: DVector<f64>,
 }
 
 impl<'a> Centred<'a> {
     pub(super) fn new(rows: &Rows, taken: &'a [Range<usize>]) -> Self {
-        let n = rows.columns.len();
-        let mut all = Self {
-            taken,
-            y: about(&rows.y, taken),
-            columns: vec![(Vec::new(), 0.0); n],
-            products: DMatrix::zeros(n, n),
-            with_y: DVector::zeros(n),
-        };
-        let which: Vec<usize> = (0..n).collect();
-        all.renew(rows, &which);
-        all
+        let columns = rows.columns.iter().map(|c| about(c, taken)).collect();
+        Self { taken, y: about(&rows.y, taken), columns }
     }
 
     /// These columns have changed.
@@ -165,25 +153,14 @@ impl<'a> Centred<'a> {
         for k in which {
             self.columns[*k] = about(&rows.columns[*k], self.taken);
         }
-        for k in which {
-            let (own, _) = &self.columns[*k];
-            self.with_y[*k] = dot(own, &self.y.0);
-            for (j, (other, _)) in self.columns.iter().enumerate() {
-                let product = dot(own, other);
-                (self.products[(*k, j)], self.products[(j, *k)]) = (product, product);
-            }
-        }
     }
 
     /// Least squares: constant, then one coefficient per column.
     pub(super) fn solve(&self) -> Option<Vec<f64>> {
-        let (_, mean) = self.y;
-        if self.columns.is_empty() {
-            return Some(vec![mean]);
-        }
-        let c = self.products.clone().cholesky()?.solve(&self.with_y);
-        let constant = mean - c.iter().zip(&self.columns).map(|(c, (_, m))| c * m).sum::<f64>();
-        Some(std::iter::once(constant).chain(c.iter().copied()).collect())
+        let columns: Vec<&[f64]> = self.columns.iter().map(|(c, _)| &**c).collect();
+        let c = rtec_least_squares::solve(&columns, &self.y.0).ok()?.values;
+        let constant = self.y.1 - c.iter().zip(&self.columns).map(|(c, (_, m))| c * m).sum::<f64>();
+        Some(std::iter::once(constant).chain(c).collect())
     }
 }
 

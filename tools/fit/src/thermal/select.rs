@@ -4,7 +4,7 @@ use super::judge::{Beside, Judged};
 use super::problem::Problem;
 use super::report::{Dropped, Ranked, Round};
 use super::term::{Pair, Term, pair_of, relagged, squared};
-use crate::statistics::dot;
+use rtec_least_squares::dot;
 use rtec_measure::iso230::correlation;
 
 /// Two sensors with a higher correlation watch the same source of heat.

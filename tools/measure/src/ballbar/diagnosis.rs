@@ -10,6 +10,7 @@ use super::{ByAxis, Trace, law};
 use crate::iso230::lacks;
 use nalgebra::{DMatrix, DVector};
 use rtec_files::InputError;
+use rtec_least_squares::{Directions, orthonormal};
 use rtec_model::effect::{Bound, Dictionary, Effect, laws};
 use rtec_model::record::{Axis, Role};
 use serde::Serialize;
@@ -143,9 +144,6 @@ const DISTINCT: f64 = 1e-4;
 const DIED_OUT: f64 = 0.25;
 /// With one sense of turning at one feed only the sum of both can be seen.
 const TOGETHER: &str = "squareness and servo mismatch";
-/// Least squared visibility of a direction among the values; all scaled alike.
-/// Directions below it are not shown by the runs.
-const SHOWN: f64 = 1e-6;
 /// A value that lies in the directions shown to no more than this is not told.
 const RESOLVED: f64 = 0.99;
 /// More autocorrelation than this is structure that no cause here explains.
@@ -474,8 +472,7 @@ impl<'t> Fit<'t> {
 
     /// After the columns beside or the noise's memory have changed.
     fn prepare_beside(&mut self) {
-        let all = self.all_whitened(&self.beside);
-        self.beside_white = if all.ncols() == 0 { all } else { all.qr().q() };
+        self.beside_white = orthonormal(self.all_whitened(&self.beside));
     }
 
     /// What neither the terms nor the columns beside them take.
@@ -484,7 +481,7 @@ impl<'t> Fit<'t> {
         if self.beside.ncols() == 0 {
             return left;
         }
-        let amplitudes = solve(&self.all_whitened(&self.beside), &self.whitened(&left));
+        let amplitudes = Directions::by(&self.all_whitened(&self.beside)).solve(&self.whitened(&left));
         left - &self.beside * amplitudes
     }
 
@@ -558,7 +555,7 @@ impl<'t> Fit<'t> {
     pub(super) fn step(&mut self) -> f64 {
         let before = self.white(&self.left()).norm_squared();
         let j = self.jacobian();
-        let by = solve(&j, &self.white(&self.left()));
+        let by = Directions::by(&j).solve(&self.white(&self.left()));
         // Half the way, and half again, where the whole is too far.
         for k in 0..8 {
             let kept: Vec<Vec<(Effect, f64)>> = self.terms.iter().map(|t| t.parts.clone()).collect();
@@ -597,7 +594,7 @@ impl<'t> Fit<'t> {
         let white = self.white(&left);
         let variance = white.norm_squared() / freedom * Structure::hangs_together(&white);
         let variance = if self.beside.ncols() > 0 { CHOSEN_AMONG * variance } else { variance };
-        let Normal { unit, scaled, inverse, resolution } = Normal::of(&j);
+        let directions = Directions::by(&j);
         let told_beside = self.told(&left, variance);
         // What a µm of each order that the laws take moves a value by.
         let moves = told_beside.map(|_| {
@@ -605,10 +602,10 @@ impl<'t> Fit<'t> {
             for (i, c) in self.structure.taken.column_iter().enumerate() {
                 taken.set_column(i, &self.white(&c.into_owned()));
             }
-            &inverse * unit.tr_mul(&taken)
+            directions.solve_all(&taken)
         });
         let half = |at: usize| {
-            let noise = (variance * inverse[(at, at)]).max(0.0);
+            let noise = (variance * directions.covariance[(at, at)]).max(0.0);
             let (mut all, mut spread) = (noise, noise * noise / freedom);
             if let (Some(told), Some(moves)) = (&told_beside, &moves) {
                 for k in 0..moves.ncols() {
@@ -621,13 +618,14 @@ impl<'t> Fit<'t> {
             let effective = if spread > 0.0 { (all * all / spread).max(1.0) } else { freedom };
             let quantile = StudentsT::new(0.0, 1.0, effective).map_or(1.96, |t| t.inverse_cdf(0.975));
             let rise = if noise > 0.0 { quantile * quantile * variance * all / noise } else { 0.0 };
-            (quantile * all.sqrt() / scaled[at], rise)
+            (quantile * all.sqrt(), rise)
         };
         let (halves, rises): (Vec<f64>, Vec<f64>) = (0..j.ncols()).map(half).unzip();
         // What may be anything that a machine can have is not told either.
         let told = |(half, widest): (&f64, f64)| *half < widest;
         let within: Vec<bool> = halves.iter().zip(self.widest()).map(told).collect();
-        let resolved = resolution.iter().zip(within).map(|(r, within)| *r > RESOLVED && within).collect();
+        let resolved =
+            directions.resolution.iter().zip(within).map(|(r, within)| *r > RESOLVED && within).collect();
         Shown { halves, rises, resolved, beside: told_beside }
     }
 
@@ -845,8 +843,9 @@ impl<'t> Fit<'t> {
             return None;
         }
         let all = self.all_whitened(harmonics);
-        let normal = all.tr_mul(&all).pseudo_inverse(1e-12).ok()?;
-        self.structure.told(&solve(&all, &self.whitened(left)), &(normal.diagonal() * variance))
+        let directions = Directions::by(&all);
+        let variances = directions.covariance.diagonal() * variance;
+        self.structure.told(&directions.solve(&self.whitened(left)), &variances)
     }
 }
 
@@ -892,41 +891,5 @@ fn cause(name: &str) -> String {
 }
 
 fn residual(j: &DMatrix<f64>, y: &DVector<f64>) -> DVector<f64> {
-    y - j * solve(j, y)
-}
-
-/// The normal equations of equally scaled columns, in their visible directions.
-struct Normal {
-    /// The columns, each of length one.
-    unit: DMatrix<f64>,
-    /// Their lengths.
-    scaled: Vec<f64>,
-    /// The inverse over the directions shown; of several answers the smallest.
-    inverse: DMatrix<f64>,
-    /// How much of each value lies in the directions shown, 0 to 1.
-    resolution: Vec<f64>,
-}
-
-impl Normal {
-    fn of(j: &DMatrix<f64>) -> Self {
-        let n = j.ncols();
-        let scaled: Vec<f64> = j.column_iter().map(|c| c.norm().max(1e-300)).collect();
-        let unit = DMatrix::from_fn(j.nrows(), n, |r, c| j[(r, c)] / scaled[c]);
-        let eigen = unit.tr_mul(&unit).symmetric_eigen();
-        let (mut inverse, mut resolution) = (DMatrix::zeros(n, n), vec![0.0; n]);
-        for (value, v) in eigen.eigenvalues.iter().zip(eigen.eigenvectors.column_iter()) {
-            if *value > SHOWN {
-                inverse.ger(1.0 / value, &v, &v, 1.0);
-                resolution.iter_mut().zip(v.iter()).for_each(|(r, v)| *r += v * v);
-            }
-        }
-        Self { unit, scaled, inverse, resolution }
-    }
-}
-
-/// Least squares; of several answers the smallest.
-fn solve(j: &DMatrix<f64>, y: &DVector<f64>) -> DVector<f64> {
-    let Normal { unit, scaled, inverse, .. } = Normal::of(j);
-    let beta = inverse * unit.tr_mul(y);
-    DVector::from_fn(j.ncols(), |i, _| beta[i] / scaled[i])
+    y - j * Directions::by(j).solve(y)
 }

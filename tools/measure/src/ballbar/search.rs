@@ -4,6 +4,7 @@
 use super::diagnosis::Fit;
 use super::{law, structure};
 use nalgebra::{DMatrix, DVector};
+use rtec_least_squares::orthonormal;
 use rtec_model::effect::{Dictionary, Effect, laws};
 use rtec_model::record::{Axis, Role};
 use statrs::distribution::{ChiSquared, ContinuousCDF};
@@ -116,20 +117,18 @@ impl Fit<'_> {
                 &c - q * q.tr_mul(&c)
             })
             .collect();
-        let m = DMatrix::from_columns(&own);
-        let normal = m.tr_mul(&m);
-        let with = m.tr_mul(left);
-        let Some(beta) = normal.cholesky().map(|c| c.solve(&with)) else {
-            return (0.0, DVector::zeros(columns.len()));
-        };
-        (beta.dot(&with) / variance, beta)
+        let own: Vec<&[f64]> = own.iter().map(DVector::as_slice).collect();
+        match rtec_least_squares::solve(&own, left.as_slice()) {
+            Ok(found) => ((left.norm_squared() - found.left()) / variance, DVector::from_vec(found.values)),
+            Err(_) => (0.0, DVector::zeros(columns.len())),
+        }
     }
 
     fn prepared(&self) -> (DMatrix<f64>, DVector<f64>, f64) {
         let j = self.jacobian();
         let left = self.white(&self.left());
         let variance = left.norm_squared() / self.freedom(j.ncols());
-        (j.qr().q(), left, variance.max(1e-18))
+        (orthonormal(j), left, variance.max(1e-18))
     }
 
     /// The spike that explains most of the residual.

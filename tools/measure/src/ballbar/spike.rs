@@ -7,6 +7,7 @@
 use super::Trace;
 use super::diagnosis::{Fit, Term};
 use nalgebra::{DMatrix, DVector};
+use rtec_least_squares::orthonormal;
 use rtec_model::record::Axis;
 
 /// Number of lengths tried between the shortest and longest that the level allows.
@@ -39,7 +40,7 @@ impl Fit<'_> {
             .flat_map(|t| self.slopes(t))
             .map(|c| self.white(&c))
             .collect();
-        let q = DMatrix::from_columns(&others).qr().q();
+        let q = orthonormal(DMatrix::from_columns(&others));
         let apart = |c: &DVector<f64>| {
             let c = self.white(c);
             &c - &q * q.tr_mul(&c)

@@ -7,6 +7,7 @@
 
 use super::Trace;
 use nalgebra::{DMatrix, DVector};
+use rtec_least_squares::principal;
 use rtec_model::record::Role;
 use std::f64::consts::TAU;
 
@@ -176,13 +177,8 @@ fn apart(columns: DMatrix<f64>, taken: &DMatrix<f64>) -> DMatrix<f64> {
         return columns;
     }
     let n = columns.nrows();
-    let q = taken.clone().qr().q();
-    let left = &columns - &q * q.tr_mul(&columns);
-    let found = left.svd(true, false);
-    let Some(u) = found.u else { return DMatrix::zeros(n, 0) };
-    let largest = found.singular_values.max();
-    let own = (0..u.ncols()).filter(|i| found.singular_values[*i] > OF_ITS_OWN * largest);
-    let shapes: Vec<DVector<f64>> = own.map(|i| u.column(i) * (n as f64 / 2.0).sqrt()).collect();
+    let own = principal(&columns, taken.clone(), OF_ITS_OWN);
+    let shapes: Vec<DVector<f64>> = own.into_iter().map(|u| u * (n as f64 / 2.0).sqrt()).collect();
     columns_of(n, &shapes)
 }
 

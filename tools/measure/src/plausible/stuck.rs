@@ -191,7 +191,7 @@ fn by_the_others(record: &Record, c: &Column, (start, end): (usize, usize), else
         let common = |n: &&str| *n != c.name && known.temperature(n).is_some();
         let rest: Vec<&str> = record.names(&Role::Temperature).filter(common).collect();
         let Some(y) = known.temperature(&c.name).filter(|_| !rest.is_empty()) else { return false };
-        let Some(told) = told(known, y, &rest) else { return false };
+        let told = told(known, y, &rest);
         // Where the sensor still moves, near this run, they have to say what it reads.
         let wrong = beside_the_run(record, c, (start, end), &rest);
         // Asked of states that it has seen only.
@@ -246,7 +246,7 @@ fn beside_the_run(record: &Record, c: &Column, (start, end): (usize, usize), res
         return None;
     }
     let known = record.select(&far);
-    Some(wrong_beside(record, c, (start, end), &told(&known, known.temperature(&c.name)?, rest)?, rest))
+    Some(wrong_beside(record, c, (start, end), &told(&known, known.temperature(&c.name)?, rest), rest))
 }
 
 /// All along, among others that change at most rows, one of which moves.

@@ -1,6 +1,6 @@
 //! What some sensors say of another one, or of an error, learned from one run and asked of another.
 
-use nalgebra::{DMatrix, DVector};
+use rtec_least_squares::{Factor, add, dot};
 use rtec_model::record::{Record, Role};
 
 /// Lags of what a warm body passes on, s.
@@ -40,7 +40,7 @@ fn lagged(v: &[f64], t: &[f64], tau_s: f64) -> Vec<f64> {
 /// What sensors of a record say of another one, or of an error.
 pub(super) struct Told {
     constant: f64,
-    slopes: DVector<f64>,
+    slopes: Vec<f64>,
     /// Standard deviation of what is left where it was learned.
     pub(super) left: f64,
 }
@@ -55,20 +55,27 @@ impl Told {
     }
 }
 
-pub(super) fn told(record: &Record, y: &[f64], rest: &[&str]) -> Option<Told> {
+pub(super) fn told(record: &Record, y: &[f64], rest: &[&str]) -> Told {
     let columns: Vec<&[f64]> = rest.iter().filter_map(|n| record.temperature(n)).collect();
     let n = y.len() as f64;
     let mean = |v: &[f64]| v.iter().sum::<f64>() / n;
     let means: Vec<f64> = columns.iter().map(|c| mean(c)).collect();
-    let a = DMatrix::from_fn(y.len(), columns.len(), |i, j| columns[j][i] - means[j]);
     let my = mean(y);
-    let b = DVector::from_fn(y.len(), |i, _| y[i] - my);
-    // A touch of ridge: sensors that warm together share their part rather than fight over it.
-    let mut g = a.tr_mul(&a);
-    let ridge = 1e-4 * g.trace() / columns.len().max(1) as f64 + 1e-9;
-    (0..columns.len()).for_each(|k| g[(k, k)] += ridge);
-    let slopes = g.cholesky()?.solve(&a.tr_mul(&b));
-    let left = ((&b - &a * &slopes).norm_squared() / n).sqrt();
+    let about: Vec<Vec<f64>> =
+        columns.iter().zip(&means).map(|(c, m)| c.iter().map(|v| v - m).collect()).collect();
+    // A prior as wide as a hundred usual slopes: sensors that warm together share their part rather than fight over it.
+    let squares: f64 = about.iter().map(|c| dot(c, c)).sum();
+    let sd = (1e-4 * squares / columns.len().max(1) as f64 + 1e-9).sqrt().recip();
+    let mut rest: Vec<f64> = y.iter().map(|v| v - my).collect();
+    let mut factor = Factor::new(&rest);
+    for column in &about {
+        factor.push(&column.iter().map(|v| sd * v).collect::<Vec<_>>());
+    }
+    let slopes: Vec<f64> = factor.solve().iter().map(|v| sd * v).collect();
+    for (column, slope) in about.iter().zip(&slopes) {
+        add(&mut rest, -slope, column);
+    }
+    let left = (dot(&rest, &rest) / n).sqrt();
     let constant = my - slopes.iter().zip(&means).map(|(s, m)| s * m).sum::<f64>();
-    Some(Told { constant, slopes, left })
+    Told { constant, slopes, left }
 }

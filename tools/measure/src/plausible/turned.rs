@@ -293,16 +293,15 @@ fn in_time(record: &Record, c: &Column) -> Option<usize> {
     let candidates: Vec<usize> = (n / 20 + 3..n - n / 20 - 3).filter(|k| steps_over(*k)).collect();
     let left = |at: usize| {
         let data: Vec<f64> = c.data.iter().enumerate().map(|(i, v)| if i < at { *v } else { -v }).collect();
-        told(record, &data, &names).map(|t| t.left)
+        told(record, &data, &names).left
     };
-    let as_it_is = left(n)?;
-    let (turned, at) =
-        candidates.into_iter().filter_map(|k| Some((left(k)?, k))).min_by(|a, b| a.0.total_cmp(&b.0))?;
+    let as_it_is = left(n);
+    let (turned, at) = candidates.into_iter().map(|k| (left(k), k)).min_by(|a, b| a.0.total_cmp(&b.0))?;
     // A step from a value to its opposite, with what goes on behind it as before, is counts that were lost.
     let step = median(c.data[at..at + 3].to_vec()) - median(c.data[at - 3..at].to_vec());
     let stepped: Vec<f64> =
         c.data.iter().enumerate().map(|(i, v)| if i < at { *v } else { v - step }).collect();
-    let stepped = told(record, &stepped, &names)?.left;
+    let stepped = told(record, &stepped, &names).left;
     let squares = turned * turned;
     (squares < TURNED * as_it_is * as_it_is && squares < NO_STEP * stepped * stepped).then_some(at)
 }

@@ -1,8 +1,7 @@
-//! The one least-squares core.
-//! Orthogonal factors of columns under Gaussian priors, grown column by column.
+//! Orthogonal factors of columns, grown column by column.
 //!
 //! Columns are scaled by the standard deviation of their coefficients, so that each coefficient has a prior of unit size. The prior is a
-//! row below the data: [X; I] = Q R with orthonormal Q. Gram–Schmidt is applied twice where the first pass leaves little; that is as stable
+//! row below the data: [X; I] = Q R with orthonormal Q. A free column has no such row. Gram–Schmidt is applied twice where the first pass leaves little; that is as stable
 //! as Householder's reflections (Giraud, Langou, Rozložník 2005). The Gram matrix of the data is never formed.
 
 use std::ops::Range;
@@ -152,7 +151,7 @@ impl Factor {
         self.shares_after(Vec::new(), column)
     }
 
-    /// As `products`, if those with the first columns are known.
+    /// As `shares`, if those with the first columns are known.
     #[must_use]
     pub fn shares_after(&self, mut first: Vec<f64>, column: &[f64]) -> Vec<f64> {
         let of = |(q, within): (&Rc<[f64]>, &Range<usize>)| dot(&q[within.clone()], &column[within.clone()]);
@@ -213,12 +212,22 @@ impl Factor {
 
     /// One more column, scaled by the standard deviation of its coefficient.
     pub fn push(&mut self, column: &[f64]) {
+        self.push_under(column, 1.0);
+    }
+
+    /// One more column whose coefficient may be anything.
+    /// Gives the share of it, 0 to 1, that the columns before do not make up; what is rounding alone counts as none.
+    pub fn push_free(&mut self, column: &[f64]) -> f64 {
+        self.push_under(column, 0.0)
+    }
+
+    fn push_under(&mut self, column: &[f64], prior: f64) -> f64 {
         let k = self.len();
         let mut up = column.to_vec();
         let mut low = vec![0.0; k + 1];
-        low[k] = 1.0;
+        low[k] = prior;
         let mut r = vec![0.0; k + 1];
-        let whole = dot(&up, &up) + 1.0;
+        let whole = dot(&up, &up) + prior;
         for pass in 0..2 {
             // One pass is enough if little was removed (Daniel, Gragg, Kaufman, Stewart 1976).
             if pass == 1 && dot(&up, &up) + dot(&low, &low) > 0.5 * whole {
@@ -236,12 +245,13 @@ impl Factor {
                 r[i] += c;
             }
         }
-        let size = (dot(&up, &up) + dot(&low, &low)).sqrt();
-        for x in &mut up {
-            *x /= size;
-        }
-        for x in &mut low {
-            *x /= size;
+        let mut size = (dot(&up, &up) + dot(&low, &low)).sqrt();
+        let share = size / whole.sqrt();
+        if share > 1e-14 {
+            up.iter_mut().chain(&mut low).for_each(|x| *x /= size);
+        } else {
+            up.iter_mut().chain(&mut low).for_each(|x| *x = 0.0);
+            size = 0.0;
         }
         r[k] = size;
         self.pulled.push(0.0);
@@ -257,6 +267,17 @@ impl Factor {
         self.lower.push(low);
         self.triangle.push(r);
         self.along.push(along);
+        share
+    }
+
+    /// What each row counts in a coefficient's value: a row of the pseudo-inverse.
+    #[must_use]
+    pub fn weights(&self, coefficient: usize) -> Vec<f64> {
+        let mut out = vec![0.0; self.residual.len()];
+        for (r, q) in self.inverse()[coefficient].iter().zip(&self.upper) {
+            add(&mut out, *r, q);
+        }
+        out
     }
 
     /// The first `k` columns alone.
