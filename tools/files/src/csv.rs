@@ -986,7 +986,8 @@ impl Header {
         also: fn(&str) -> bool,
     ) -> Result<(Self, Vec<String>), InputError> {
         let is_known = |name: &str| known.contains(&name) || also(name);
-        let is_slip = |name: &str| nearest(name, known).is_some_and(|k| self.find(k).is_none());
+        let missing: Vec<&str> = known.iter().copied().filter(|k| self.find(k).is_none()).collect();
+        let is_slip = |name: &str| nearest(name, &missing).is_some();
         let has_any = self.names().any(|name| known.contains(&name));
         let (mut kept, mut unrelated) = (self.clone(), Vec::new());
         for (name, _) in &mut kept.names {

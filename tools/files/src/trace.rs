@@ -178,7 +178,8 @@ impl<const N: usize> Table<N> {
         let plain = numbers.plain(cell.text()).filter(|_| !is_open);
         if n == 0 {
             let first = std::mem::take(&mut self.at_start);
-            if plain.is_none() && (first || self.moments.start().is_some()) {
+            let is_number = plain.as_deref().and_then(crate::decimal::number).is_some();
+            if !is_number && (first || self.moments.start().is_some()) {
                 let ns = self.moments.absolute(cell.text()).and_then(|ns| ns.to_string().parse().ok());
                 let expected = clock::expected_instead(cell.text()).unwrap_or(expected);
                 return ns.ok_or_else(|| cell.finding(expected));

@@ -161,8 +161,9 @@ fn takes_the_nine_levels_of_vhdl() {
     let others = "#0\nU#\nbUUUU $\nL!\n0\"\n#5\nW#\n-#\nb01-Z $\nH!\n#9\n1\"\n";
     assert_eq!(read(TraceFormat::Vcd, format!("{head}{others}")).unwrap().len(), 3);
     let undefined = format!("{head}#0\nU!\nU\"\n#5\n0!\n0\"\n");
-    let error = read(TraceFormat::Vcd, undefined).unwrap_err();
-    assert_eq!((error.line, error.found.as_str()), (8, "U for signal a"));
+    assert_eq!(read(TraceFormat::Vcd, &undefined).unwrap(), [point(5, 0, 0)]);
+    let error = read(TraceFormat::Vcd, undefined + "#7\nU!\n").unwrap_err();
+    assert_eq!((error.line, error.found.as_str()), (14, "U for signal a"));
 }
 
 #[test]

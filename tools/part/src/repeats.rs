@@ -45,11 +45,10 @@ pub(crate) fn find(fitted: &FittedShape, points: &[Zx], parameters: usize) -> Op
     order.sort_by(|a, b| along_mm[*a].total_cmp(&along_mm[*b]));
     let gap = |w: &[usize]| along_mm[w[1]] - along_mm[w[0]];
     let around = along_mm[*order.first()?] + turn_mm - along_mm[*order.last()?];
-    let mut gaps: Vec<f64> =
-        order.windows(2).map(gap).chain([around].into_iter().filter(|g| g.is_finite())).collect();
+    let mut gaps: Vec<f64> = order.windows(2).map(gap).collect();
     gaps.sort_by(f64::total_cmp);
-    // The step between the gaps within places and those between them; most gaps are within.
-    let split = (gaps.len().div_ceil(2)..gaps.len()).find(|k| gaps[k - 1] <= NEAR * gaps[*k])?;
+    // The step between the gaps within places and those between them; half of the gaps at least are within.
+    let split = ((gaps.len() / 2).max(2)..gaps.len()).find(|k| gaps[k - 1] <= NEAR * gaps[*k])?;
     let widest = gaps[split - 1];
     let mut groups: Vec<Vec<usize>> = Vec::new();
     for (n, point) in order.iter().enumerate() {
