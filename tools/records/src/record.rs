@@ -418,6 +418,12 @@ impl<R: Read> Rows<R> {
         for listed in &sidecar.columns {
             if header.find(&listed.name).is_none() {
                 let missing = header.place(&listed.name).err();
+                if let Some(missing) = &missing {
+                    let other = reader.instead_of(&header, missing.clone());
+                    if other.found != missing.found {
+                        return Err(other);
+                    }
+                }
                 let expected = missing.map_or_else(String::new, |e| e.expected);
                 let expected = format!("{expected} in {}", path.display());
                 return Err(listed.place.clone().with(format!("column `{}`", listed.name), &expected));
