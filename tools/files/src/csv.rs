@@ -979,7 +979,7 @@ impl Header {
     /// The columns that are known, or match `also`, and the names of the others.
     ///
     /// # Errors
-    /// A column that is there twice; one whose name is nearly that of a known one which is missing; none that is known.
+    /// A column that is there twice; one whose name is nearly that of a missing one; another table.
     pub(crate) fn known(
         &self,
         known: &[&str],
@@ -988,10 +988,11 @@ impl Header {
         let is_known = |name: &str| known.contains(&name) || also(name);
         let missing: Vec<&str> = known.iter().copied().filter(|k| self.find(k).is_none()).collect();
         let is_slip = |name: &str| nearest(name, &missing).is_some();
-        let has_any = self.names().any(|name| known.contains(&name));
+        // One name may be another table's too.
+        let is_one_of_these = known.len() - missing.len() >= known.len().min(2);
         let (mut kept, mut unrelated) = (self.clone(), Vec::new());
         for (name, _) in &mut kept.names {
-            if has_any && !is_known(name) && !is_slip(name) {
+            if is_one_of_these && !is_known(name) && !is_slip(name) {
                 unrelated.push(std::mem::take(name));
             }
         }

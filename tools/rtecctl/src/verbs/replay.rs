@@ -163,11 +163,15 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     } else {
         print(&outcome);
     }
-    if let Some((_, said)) = dead {
+    let latched = outcome.faults.iter().find(|latched| latched.fault == Fault::ChannelDead);
+    if let (Some((_, said)), Some(latched)) = (dead, latched) {
         let axis = args.axis.as_ref().map_or_else(String::new, |axis| format!(" of axis {axis}"));
-        return Err(
-            Outcome::Fault(format!("channel dead{axis}: {said}: a broken wire or receiver of it")).into()
-        );
+        return Err(Outcome::Fault(format!(
+            "{} latched at {} ns{axis}: {said}: a broken wire or receiver of it",
+            word(latched.fault),
+            latched.t_ns
+        ))
+        .into());
     }
     // The more telling answer first: a latched fault says why a ledger does not balance.
     if let Some(latched) = outcome.faults.first() {
