@@ -2,6 +2,7 @@
 //! One program: what takes long runs beside the rest.
 
 mod ballbar;
+mod ballbar_arcs;
 mod ballbar_one_way;
 mod circles;
 mod derive;

@@ -3,6 +3,7 @@
 
 mod ballbar;
 mod doubted;
+mod exchanged;
 mod nameless;
 mod names;
 mod next_run;

@@ -1,0 +1,265 @@
+//! Probe trips, late looks, and cards that sleep or count for themselves.
+
+use super::*;
+
+#[test]
+fn the_probe_captures_between_two_edges_and_corrections_stand_still() {
+    let mut rig = Rig::running(windowed());
+    rig.step(10);
+    rig.take(Request::Probe(true));
+    rig.correct(2);
+    assert_eq!((rig.refusals(), rig.status().mode), (vec![Refusal::Probing], Mode::Probe));
+    // Looks are 100 ns, counts 10 µs: trip after a quarter of a count.
+    rig.card.count += 1;
+    rig.card.inputs = rig.card.inputs & !3 | [0, 1, 3, 2][rig.card.count.rem_euclid(4) as usize];
+    rig.looks(25);
+    rig.card.inputs |= PROBE;
+    rig.looks(5);
+    rig.card.inputs &= !PROBE;
+    rig.looks(5);
+    rig.card.inputs |= PROBE;
+    rig.looks(65);
+    rig.step(1);
+    let capture =
+        rig.events.iter().find_map(|e| if let EventKind::Trip(c) = e.kind { Some(c) } else { None }).unwrap();
+    let (position, half_width) = capture.position_counts();
+    assert!((position - 11.25).abs() < 0.02, "{position} ± {half_width}: {capture:?}");
+    assert!(half_width < 0.02);
+    assert!(rig.events.iter().any(|e| e.kind == EventKind::Bounce));
+    assert_eq!(rig.status().axes[0].completed, 0);
+}
+
+#[test]
+fn a_trip_before_the_axis_stops_is_reported_as_that() {
+    let mut rig = Rig::running(windowed());
+    rig.step(-3);
+    rig.take(Request::Probe(true));
+    rig.card.inputs |= PROBE;
+    rig.looks(2);
+    rig.card.t_ns += 200_000_000;
+    rig.looks(2);
+    let capture =
+        rig.events.iter().find_map(|e| if let EventKind::Trip(c) = e.kind { Some(c) } else { None }).unwrap();
+    assert_eq!((capture.after, capture.position_counts()), (None, (-2.0, 1.0)));
+}
+
+/// A look that comes late may have read its lines long before: what the next one shows may be as old as the look before both.
+#[test]
+fn a_trip_seen_right_after_a_late_look_may_be_as_old_as_the_look_before_it() {
+    for (late_ns, early_ns) in [(0, 100), (10_000_000, 10_000_200)] {
+        let mut rig = Rig::running(windowed());
+        rig.step(3);
+        rig.take(Request::Probe(true));
+        rig.looks(1000);
+        rig.card.t_ns += late_ns;
+        rig.looks(1);
+        rig.card.inputs |= PROBE;
+        rig.looks(1);
+        let seen_ns = rig.card.t_ns;
+        rig.card.t_ns += 200_000_000;
+        rig.looks(2);
+        let trip = |e: &Event| if let EventKind::Trip(c) = e.kind { Some(c.trip_ns) } else { None };
+        assert_eq!(rig.events.iter().find_map(trip), Some((seen_ns - early_ns, seen_ns)), "{late_ns}");
+    }
+}
+
+#[test]
+fn an_axis_on_its_way_that_shows_no_change_after_a_late_look_may_have_gone_round() {
+    for (late_ns, latched) in [(1_000_000, false), (10_000_000, true)] {
+        let mut rig = Rig::running(windowed());
+        rig.step(1);
+        // Four counts later the lines are as they were.
+        rig.card.count += 4;
+        rig.card.t_ns += late_ns;
+        rig.looks(1);
+        assert_eq!(rig.faults().contains(&Fault::PollGap), latched, "{late_ns} ns late");
+        assert_eq!(rig.status().mode == Mode::Fault, latched, "{late_ns} ns late");
+    }
+    // One that came to rest is not accused.
+    let mut rig = Rig::running(windowed());
+    rig.step(3);
+    rig.looks(1000);
+    rig.faults();
+    rig.card.t_ns += 10_000_000;
+    rig.looks(1);
+    assert!(!rig.faults().contains(&Fault::PollGap));
+}
+
+/// The same, asleep until a line changes.
+#[derive(Default)]
+struct Sleeper(Bench);
+
+impl Card for Sleeper {
+    const SLEEPS: bool = true;
+
+    fn sample(&mut self, wake_ns: u64) -> Result<Sample, CardError> {
+        self.0.sample(wake_ns)
+    }
+
+    fn write(&mut self, mask: u64, value: u64) -> Result<Option<u64>, CardError> {
+        self.0.write(mask, value)
+    }
+
+    fn outputs(&mut self) -> Result<u64, CardError> {
+        self.0.outputs()
+    }
+}
+
+/// The figure that the self-test and the gate go by.
+/// Of a polled card it is the time from look to look, with what the process was kept away; the time before the first
+/// look was the set-up's.
+#[test]
+fn a_polled_cards_latency_is_the_time_between_two_looks() {
+    let mut rig = Rig::with(windowed(), true);
+    let found = |rig: &Rig| {
+        let gaps = rig.engine.timing().poll_gap_ns.snapshot();
+        (gaps.samples(), gaps.min(), gaps.max())
+    };
+    rig.card.t_ns += 5_000_000;
+    rig.looks(1);
+    assert_eq!(rig.engine.timing().poll_gap_ns.snapshot().samples(), 0, "no look was before it");
+    rig.looks(10);
+    assert_eq!(found(&rig), (10, 100, 100));
+    rig.card.says = Some(Sample { waited_ns: 7000, ..Sample::level(0, 0) });
+    rig.looks(1);
+    assert_eq!(found(&rig), (11, 100, 7100));
+    // The age of an edge that such a card stamps is another figure.
+    rig.card.says = Some(Sample::stamped(0, 0, Some(1)));
+    rig.looks(3);
+    assert_eq!(found(&rig), (11, 100, 7100));
+}
+
+/// Of a card that sleeps it is the age of an edge when it is seen: how long nothing happened says nothing.
+#[test]
+fn a_sleeping_cards_latency_is_the_age_of_an_edge() {
+    let config = AxisConfig { lines: AxisLines::standard(0, false), ..windowed() };
+    let mut rig = Rig::on(Sleeper::default(), config, true);
+    rig.looks(2);
+    rig.card.0.t_ns += 60_000_000_000;
+    rig.looks(5);
+    assert_eq!(rig.engine.timing().poll_gap_ns.snapshot().samples(), 0, "no edge, no age");
+    let seen_ns = rig.card.0.t_ns + 100;
+    rig.card.0.says = Some(Sample::stamped(0, 0, Some(seen_ns - 42)));
+    rig.looks(1);
+    let gaps = rig.engine.timing().poll_gap_ns.snapshot();
+    assert_eq!((gaps.samples(), gaps.min(), gaps.max()), (1, 42, 42));
+    // Later looks, without an edge.
+    rig.card.0.says = None;
+    rig.looks(5);
+    assert_eq!(rig.engine.timing().poll_gap_ns.snapshot().samples(), 1);
+}
+
+#[test]
+fn a_late_look_before_the_second_edge_is_judged_from_rest() {
+    // From rest at 1e6 counts/s² three counts take 2.4 ms: 1 ms is no loss of counts, 10 ms may be.
+    for (late_ns, latched) in [(1_000_000, false), (10_000_000, true)] {
+        let mut rig = Rig::running(windowed());
+        rig.step(1);
+        rig.card.count += 1;
+        rig.card.inputs = rig.card.inputs & !3 | [0, 1, 3, 2][rig.card.count.rem_euclid(4) as usize];
+        rig.card.t_ns += late_ns;
+        rig.looks(1);
+        assert_eq!(rig.faults().contains(&Fault::PollGap), latched, "{late_ns} ns late");
+    }
+}
+
+#[test]
+fn nothing_is_written_while_a_further_change_is_known() {
+    let mut rig = Rig::running(windowed());
+    rig.step(3);
+    let before = rig.card.writes;
+    rig.correct(2);
+    rig.card.says = Some(Sample { more: true, ..Sample::level(0, 0) });
+    rig.step(1);
+    assert_eq!(rig.card.writes, before);
+    // The last of the queued changes shows where the axis really is: from here on it may be acted on.
+    rig.card.says = None;
+    rig.step(1);
+    assert_eq!((rig.card.writes - before, rig.status().axes[0].completed), (2, 2));
+    assert!(rig.status().balanced() && rig.faults().is_empty());
+}
+
+#[test]
+fn a_card_that_counts_for_itself_may_be_looked_at_late() {
+    let mut rig = Rig::running(windowed());
+    rig.step(3);
+    rig.card.says = Some(Sample { complete: 0b11, ..Sample::level(0, 0) });
+    rig.card.t_ns += 1_000_000_000;
+    rig.step(3);
+    assert!(rig.faults().is_empty() && rig.status().balanced());
+}
+
+#[test]
+fn the_read_back_waits_for_levels_of_this_very_moment() {
+    let mut rig = Rig::wired_back(Bench::default(), windowed());
+    // A' and B' stay as they were: a gate that does not follow. Nobody can tell before they have been read.
+    rig.card.says = Some(Sample { fresh: 0, ..Sample::level(0, 0) });
+    rig.step(3);
+    rig.correct(2);
+    rig.step(2);
+    assert_eq!((rig.status().axes[0].completed, rig.faults().len()), (2, 0));
+    rig.card.says = None;
+    rig.looks(2);
+    assert_eq!(rig.faults(), [Fault::ReadBackMismatch]);
+}
+
+/// Gates and receivers that follow after a while: A' and B' as they were `behind_ns` ago.
+struct Following {
+    bench: Bench,
+    behind_ns: u64,
+    was: Vec<(u64, u64)>,
+}
+
+impl Card for Following {
+    fn sample(&mut self, wake_ns: u64) -> Result<Sample, CardError> {
+        let sample = self.bench.sample(wake_ns)?;
+        let now = (self.bench.inputs ^ self.bench.outputs) & 0b11;
+        if self.was.last().is_none_or(|(_, back)| *back != now) {
+            self.was.push((sample.t_ns, now));
+        }
+        let back = self.was.iter().rev().find(|(t_ns, _)| t_ns + self.behind_ns <= sample.t_ns);
+        Ok(Sample { inputs: sample.inputs | back.map_or(0, |(_, back)| back << 2), ..sample })
+    }
+
+    fn write(&mut self, mask: u64, value: u64) -> Result<Option<u64>, CardError> {
+        self.bench.write(mask, value)
+    }
+
+    fn outputs(&mut self) -> Result<u64, CardError> {
+        self.bench.outputs()
+    }
+}
+
+/// A bug once: A' and B' were compared at the first look after a write, and an input filter of a microsecond was a fault.
+#[test]
+fn a_read_back_that_follows_within_the_mtcs_separation_is_no_fault() {
+    for (behind_ns, follows) in [(0, true), (100, true), (400, true), (2_000, false)] {
+        let card = Following { bench: Bench::default(), behind_ns, was: Vec::new() };
+        let mut rig = Rig::wired_back(card, AxisConfig::default());
+        for n in 0..200_u64 {
+            let total_counts = if n % 40 < 20 { 6 } else { -6 };
+            rig.take(Request::Correct { axis: 0, total_counts, large: true });
+            rig.card.bench.inputs = [0, 1, 3, 2][n as usize % 4];
+            // An edge every 5 µs, looked at ten times a microsecond.
+            rig.looks(50);
+        }
+        let (axis, faults) = (rig.status().axes[0], rig.faults());
+        if follows {
+            assert!(faults.is_empty() && axis.insertions > 20, "{behind_ns} ns behind: {faults:?}, {axis:?}");
+        } else {
+            assert_eq!(faults, [Fault::ReadBackMismatch], "{behind_ns} ns behind");
+        }
+    }
+}
+
+/// The axis stands, or goes on as before: what the machine's own lines say is seen at the look that shows it, both at once too.
+#[test]
+fn a_switch_is_seen_though_the_probe_trips_with_it() {
+    for lines in [SWITCH, SWITCH | PROBE] {
+        let mut rig = Rig::running(windowed());
+        rig.step(4);
+        rig.card.inputs |= lines;
+        rig.looks(1);
+        assert_eq!(rig.status().mode, Mode::Disabled, "{lines:#x}");
+    }
+}

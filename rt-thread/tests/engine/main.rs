@@ -1,0 +1,166 @@
+//! The engine as the control side sees it: requests, refusals, faults, modes, homing, probing, shadow.
+
+#![allow(clippy::unwrap_used)]
+
+mod faults;
+mod looks;
+mod requests;
+
+use rtec_driver::card::{AxisLines, Card, CardError, MachineLines, Sample, Trouble, TroubleKind};
+use rtec_driver::quadrature::Decoder;
+use rtec_rt::axis::{AxisConfig, RestPolicy};
+use rtec_rt::engine::{Engine, MachineConfig, StartError};
+use rtec_rt::event::{
+    Event, EventKind, Fault, GateState, HeldBy, Mode, OffBecause, Refusal, Request, Status,
+};
+
+const PROBE: u64 = 1 << 28;
+const SWITCH: u64 = 1 << 29;
+const READY: u64 = 1 << 30;
+const HOLD: u64 = 1 << 28;
+
+/// A card that a test turns by hand.
+#[derive(Default)]
+struct Bench {
+    t_ns: u64,
+    inputs: u64,
+    outputs: u64,
+    writes: usize,
+    broken: bool,
+    count: i64,
+    /// What the next looks say beside the levels.
+    /// `fresh` counts as said only with `says`.
+    says: Option<Sample>,
+}
+
+impl Card for Bench {
+    fn sample(&mut self, _wake_ns: u64) -> Result<Sample, CardError> {
+        self.t_ns += 100;
+        if self.broken {
+            return Err(CardError::Io { op: "reading the lines", errno: 19 });
+        }
+        let level = Sample::level(self.t_ns, self.inputs);
+        Ok(self.says.map_or(level, |s| Sample { t_ns: self.t_ns, inputs: self.inputs, ..s }))
+    }
+
+    fn write(&mut self, mask: u64, value: u64) -> Result<Option<u64>, CardError> {
+        self.outputs = self.outputs & !mask | value & mask;
+        self.writes += 1;
+        Ok(None)
+    }
+
+    fn outputs(&mut self) -> Result<u64, CardError> {
+        Ok(self.outputs)
+    }
+}
+
+/// An engine on its bench.
+struct Rig<C = Bench> {
+    engine: Engine,
+    card: C,
+    events: Vec<Event>,
+}
+
+impl<C: Card> Rig<C> {
+    fn on(mut card: C, config: AxisConfig, may_arm: bool) -> Self {
+        let machine = MachineConfig { lines: MachineLines::standard(), may_arm };
+        let engine = Engine::new(&mut card, &[config], machine, &[]).unwrap();
+        Self { engine, card, events: Vec::new() }
+    }
+
+    /// Homed and enabled, A' and B' wired back.
+    fn wired_back(card: C, config: AxisConfig) -> Self {
+        let mut rig = Self::on(card, AxisConfig { lines: AxisLines::standard(0, true), ..config }, true);
+        rig.engine.start_homed(&mut rig.card, &mut |_| true).unwrap();
+        rig
+    }
+
+    fn take(&mut self, request: Request) {
+        let events = &mut self.events;
+        let tell = &mut |e| {
+            events.push(e);
+            true
+        };
+        self.engine.take(request, &mut self.card, tell).unwrap();
+    }
+
+    fn correct(&mut self, total_counts: i64) {
+        self.take(Request::Correct { axis: 0, total_counts, large: false });
+    }
+
+    fn looks(&mut self, n: usize) {
+        for _ in 0..n {
+            let events = &mut self.events;
+            let tell = &mut |e| {
+                events.push(e);
+                true
+            };
+            self.engine.poll(&mut self.card, u64::MAX, tell).unwrap();
+        }
+    }
+
+    fn status(&self) -> Status {
+        self.engine.status()
+    }
+
+    fn refusals(&self) -> Vec<Refusal> {
+        let why = |e: &Event| if let EventKind::Refused { why, .. } = e.kind { Some(why) } else { None };
+        self.events.iter().filter_map(why).collect()
+    }
+
+    fn faults(&self) -> Vec<Fault> {
+        let fault = |e: &Event| if let EventKind::Fault(f) = e.kind { Some(f) } else { None };
+        self.events.iter().filter_map(fault).collect()
+    }
+}
+
+impl Rig {
+    fn with(config: AxisConfig, may_arm: bool) -> Self {
+        Self::on(Bench::default(), AxisConfig { lines: AxisLines::standard(0, false), ..config }, may_arm)
+    }
+
+    /// Homed and enabled.
+    fn running(config: AxisConfig) -> Self {
+        let mut rig = Self::with(config, true);
+        rig.take(Request::Home { axis: 0, position_counts: 0, controller_homed: true });
+        rig.take(Request::ConfirmHome { axis: 0, position_counts: 0 });
+        rig.take(Request::Enable);
+        assert_eq!(rig.status().mode, Mode::Run);
+        rig.events.clear();
+        rig
+    }
+
+    /// Moves the scale one count every 100 looks.
+    fn step(&mut self, counts: i64) {
+        for _ in 0..counts.abs() {
+            self.card.count += counts.signum();
+            let state = [0, 1, 3, 2][self.card.count.rem_euclid(4) as usize];
+            self.card.inputs = self.card.inputs & !3 | state;
+            self.looks(100);
+        }
+    }
+}
+
+fn windowed() -> AxisConfig {
+    AxisConfig { window_counts: 3, max_correction_counts: 100, ..AxisConfig::default() }
+}
+
+impl Rig {
+    /// One channel (1 A, 2 B) changes so many times, every 25 µs or every so many looks of 100 ns.
+    fn alone(&mut self, channel: u64, edges: usize, looks: usize) {
+        for _ in 0..edges {
+            self.card.inputs ^= channel;
+            self.looks(looks);
+        }
+    }
+
+    /// Running, having moved by so many counts, on a card that keeps every edge or on one that looks.
+    fn moved(counts: i64, keeps_edges: bool) -> Self {
+        let mut rig = Self::running(AxisConfig::default());
+        if keeps_edges {
+            rig.card.says = Some(Sample { complete: 0b11, ..Sample::level(0, 0) });
+        }
+        rig.step(counts);
+        rig
+    }
+}

@@ -1,0 +1,332 @@
+//! How sets grow, exchange their members and lose them.
+
+use super::seeds::moves;
+use super::{Member, Search, Seed, Set};
+use crate::cause::Cause;
+use crate::effort::{HOPELESS, KEPT, STRONG, TRIED, WORTHLESS};
+use crate::family::{Family, Scan};
+use rtec_model::record::Axis;
+
+impl Search<'_> {
+    /// Sets with one member more, best first.
+    #[must_use]
+    pub fn grown(&self, set: &Set, most: usize, long: bool) -> Vec<Set> {
+        self.grown_by(set, most, long, |_| true)
+    }
+
+    /// The same by families of one kind.
+    pub(super) fn grown_by(
+        &self,
+        set: &Set,
+        most: usize,
+        long: bool,
+        kind: impl Fn(&Family) -> bool,
+    ) -> Vec<Set> {
+        let look = self.look_at(set);
+        let mut seeds = self.seeds(set, &look, long);
+        seeds.retain(|s| kind(self.family(s.family)));
+        let Some(top) = seeds.first().map(|s| s.score) else { return Vec::new() };
+        let mut out: Vec<Set> = Vec::new();
+        let mut forms: Vec<(f64, usize, Member)> = Vec::new();
+        let mut pairs: Vec<Set> = Vec::new();
+        let mut waves = 0;
+        for (number, seed) in seeds.into_iter().take(TRIED).enumerate() {
+            if seed.score < (top - HOPELESS).max(WORTHLESS) {
+                break;
+            }
+            let seed = self.refined(&set.factor, &seed);
+            let mut own = Self::richer(&seed);
+            let wave = matches!(self.family(seed.family).scan, Scan::Wave { .. });
+            if wave && waves < 2 {
+                waves += 1;
+                own.extend(self.changing(&seed));
+            }
+            if wave {
+                pairs.extend(self.with(set, &seed).and_then(|p| self.with_beside(&p)));
+            }
+            own.push(seed);
+            forms
+                .extend(own.iter().filter_map(|f| self.weighed(set, f)).map(|(score, m)| (score, number, m)));
+        }
+        out.extend(pairs.into_iter().max_by(|a, b| a.score.total_cmp(&b.score)).map(|p| self.in_tune(p)));
+        // Only what is kept is fitted.
+        forms.sort_by(|a, b| b.0.total_cmp(&a.0));
+        let counts = |m: &Member| m.cause.effect().is_some_and(|e| e.description().whole_counts);
+        let mut done: Vec<usize> = Vec::new();
+        for (_, number, member) in forms {
+            if done.contains(&number) || done.len() >= most && !counts(&member) {
+                continue;
+            }
+            if let Some(built) = self.built(set, member) {
+                done.push(number);
+                out.push(built);
+            }
+        }
+        out.sort_by(|a, b| b.score.total_cmp(&a.score));
+        out.truncate(most);
+        out
+    }
+
+    /// Adds to a set that ends in a wave the effects that only accompany waves.
+    pub(super) fn with_beside(&self, set: &Set) -> Option<Set> {
+        let last = set.members.last()?.cause.effect()?;
+        let of = |(number, f): (usize, &Family)| {
+            let Scan::Beside { law, .. } = &f.scan else { return None };
+            let effect = f.effect.as_ref()?;
+            if *law != last.description().name || effect.axes() != last.axes() {
+                return None;
+            }
+            let effect = effect.with(&[(0, last.scalar(0))])?;
+            let cause = Cause::Effect { effect, free: 2, reference: false };
+            self.with(set, &Seed { family: number, cause, weight: 0.0, score: 0.0 })
+        };
+        let best = self
+            .families
+            .list
+            .iter()
+            .enumerate()
+            .filter_map(of)
+            .max_by(|a, b| a.score.total_cmp(&b.score))?;
+        // Before the periods agree both explain less.
+        Some(best).filter(|s| s.score > set.score - HOPELESS)
+    }
+
+    /// Tunes the last two members, a wave and its companion, to one period.
+    /// The period is where both explain most.
+    pub(super) fn in_tune(&self, mut set: Set) -> Set {
+        let n = set.members.len();
+        let (Some(wave), Scan::Wave { along, unit, .. }) =
+            (set.members[n - 2].cause.effect().cloned(), &self.family(set.members[n - 2].family).scan)
+        else {
+            return set;
+        };
+        let mut frequency = 1.0 / wave.scalar(0);
+        let mut step = 0.2 / along.span() * unit;
+        let others = self.first(&set, n - 2);
+        let at = |set: &Set, frequency: f64| {
+            let mut members = set.members.clone();
+            for m in &mut members[n - 2..] {
+                let effect = m.cause.effect()?.with(&[(0, 1.0 / frequency)])?;
+                m.cause = m.cause.with_effect(effect);
+                m.set_columns(self.columns(&m.cause));
+            }
+            Some(self.grown_from(others.clone(), members, n - 2))
+        };
+        for _ in 0..12 {
+            let tried = [-step, step].map(|by| at(&set, frequency + by).map(|s| (s, frequency + by)));
+            let better = tried.into_iter().flatten().max_by(|a, b| a.0.score.total_cmp(&b.0.score));
+            match better {
+                Some((s, f)) if s.score > set.score => (set, frequency) = (s, f),
+                _ => step *= 0.4,
+            }
+        }
+        set
+    }
+
+    /// Whether all members have names.
+    pub(super) fn is_named(&self, set: &Set) -> bool {
+        set.members.iter().all(|m| {
+            self.family(m.family).is_named() && matches!(m.cause, Cause::Effect { .. } | Cause::Map { .. })
+        })
+    }
+
+    /// Sets with one member more: the best, and the best by names.
+    pub(super) fn children(&self, set: &Set, long: bool) -> Vec<Set> {
+        let mut all = self.grown(set, KEPT + 1, long);
+        if all.iter().filter(|s| self.family(s.members[s.members.len() - 1].family).is_named()).count() < 2 {
+            all.extend(self.grown_by(set, 2, long, Family::is_named));
+        }
+        all
+    }
+
+    /// The best set that can be reached from one.
+    /// With `anew`, several sets first grow from it side by side.
+    #[must_use]
+    pub fn best(&self, start: &Set, anew: bool) -> Set {
+        let mut best = start.clone();
+        let mut beam = if anew { vec![start.clone()] } else { Vec::new() };
+        let mut idle = 0;
+        while idle < 2 && !beam.is_empty() {
+            let mut next: Vec<Set> =
+                beam.iter().enumerate().flat_map(|(i, s)| self.children(s, i == 0)).collect();
+            next.sort_by(|a, b| b.score.total_cmp(&a.score));
+            // A shape can replace several names at once, so sets of names alone keep places of their own.
+            let mut kept: Vec<Set> = Vec::new();
+            let mut named = 0;
+            for s in next {
+                let all_named = self.is_named(&s);
+                let room = kept.len() < KEPT || (all_named && named < 2);
+                if room && kept.iter().all(|k| (k.score - s.score).abs() > 1e-6 || differ(k, &s)) {
+                    named += usize::from(all_named);
+                    kept.push(s);
+                }
+            }
+            match kept.first() {
+                Some(s) if s.score > best.score => {
+                    best = s.clone();
+                    idle = 0;
+                }
+                _ => idle += 1,
+            }
+            kept.retain(|s| s.score > best.score - HOPELESS);
+            beam = kept;
+        }
+        self.polished(best)
+    }
+
+    /// The best set that exchanging two members reaches.
+    /// Returns the same set if none is better.
+    #[must_use]
+    pub fn exchanged(&self, start: &Set) -> Set {
+        let mut best = start.clone();
+        while !best.members.is_empty() && (best.members.len() > 1 || !self.is_named(&best)) {
+            let exchanged = self.two_for_two(&self.simpler(&best));
+            if exchanged.score < best.score + 0.05 {
+                break;
+            }
+            best = self.polished(exchanged);
+        }
+        best
+    }
+
+    /// Members left out, exchanged and refined again until nothing is better.
+    pub(super) fn polished(&self, mut best: Set) -> Set {
+        for _ in 0..6 {
+            let before = best.score;
+            for i in (0..best.members.len()).rev() {
+                let without = self.without(&best, i);
+                if without.score > best.score && self.possible(&without) {
+                    best = without;
+                    continue;
+                }
+                for other in self.grown(&without, 1, false) {
+                    if other.score > best.score + 1e-6 {
+                        best = other;
+                    }
+                }
+            }
+            best = self.together(best);
+            for other in self.grown(&best, 1, true) {
+                if other.score > best.score {
+                    best = other;
+                }
+            }
+            if best.score < before + 0.05 {
+                break;
+            }
+        }
+        best
+    }
+
+    /// Exchanges each shape, and each two of the weakest members, for two others.
+    pub(super) fn two_for_two(&self, set: &Set) -> Set {
+        let mut best = set.clone();
+        let alone: Vec<f64> = (0..set.members.len()).map(|i| self.without(set, i).score).collect();
+        let mut weak: Vec<usize> = (0..set.members.len()).collect();
+        weak.sort_by(|a, b| alone[*b].total_cmp(&alone[*a]));
+        let shapes = weak.iter().copied().filter(|i| matches!(set.members[*i].cause, Cause::Shape(_)));
+        let mut gone: Vec<Set> = shapes.map(|i| self.without(set, i)).collect();
+        weak.retain(|i| set.score - alone[*i] < STRONG);
+        weak.truncate(3);
+        for (k, i) in weak.iter().enumerate() {
+            gone.extend(weak[..k].iter().map(|j| self.without(&self.without(set, *i.max(j)), *i.min(j))));
+        }
+        for without in gone {
+            for one in self.children(&without, false) {
+                let one = self.rechosen(one);
+                if one.score > best.score + 1e-6 {
+                    best = one.clone();
+                }
+                for two in self.grown(&one, 1, false) {
+                    if two.score > best.score + 1e-6 {
+                        best = two;
+                    }
+                }
+            }
+        }
+        best
+    }
+
+    /// Re-selects the members that act on the same axis as the new last member.
+    pub(super) fn rechosen(&self, set: Set) -> Set {
+        let last = set.members.len() - 1;
+        let Some(own) = set.members.last().and_then(axis_of) else { return set };
+        self.chosen_again(set, &own, last)
+    }
+
+    /// Re-selects up to `most` members of an axis: maps and temperature laws.
+    pub(super) fn chosen_again(&self, mut set: Set, axis: &Axis, most: usize) -> Set {
+        for i in (0..most).rev() {
+            let m = &set.members[i];
+            let grid =
+                matches!(self.family(m.family).scan, Scan::Grid(_)) && !matches!(m.cause, Cause::Map { .. });
+            if axis_of(m).as_ref() != Some(axis) || grid {
+                continue;
+            }
+            let without = self.without(&set, i);
+            if let Some(other) = self.grown_by(&without, 1, false, Family::is_named).pop()
+                && other.score > set.score
+            {
+                set = other;
+            }
+        }
+        set
+    }
+
+    /// A set without one of its weaker members; the others on its axis are re-selected.
+    pub(super) fn simpler(&self, set: &Set) -> Set {
+        let mut best = set.clone();
+        for i in 0..set.members.len() {
+            let Some(axis) = axis_of(&set.members[i]) else { continue };
+            let without = self.without(set, i);
+            if set.score - without.score > 2.0 * STRONG {
+                continue;
+            }
+            let most = without.members.len();
+            let other = self.chosen_again(without, &axis, most);
+            if other.score > best.score {
+                best = other;
+            }
+        }
+        best
+    }
+
+    /// Refines each member's non-linear parameters beside the others', twice.
+    pub(super) fn together(&self, mut set: Set) -> Set {
+        if set.members.len() < 2 {
+            return set;
+        }
+        for i in 0..set.members.len() {
+            let m = set.members[i].clone();
+            if m.cause.effect().is_none_or(|e| moves(self.family(m.family), e).is_empty()) {
+                continue;
+            }
+            let without = self.without(&set, i);
+            let seed = Seed { family: m.family, cause: m.cause, weight: 0.0, score: 0.0 };
+            let refined = self.refined(&without.factor, &seed);
+            let mut members = set.members.clone();
+            members[i].set_columns(self.columns(&refined.cause));
+            members[i].cause = refined.cause;
+            let new = self.grown_from(self.first(&set, i), members, i);
+            if new.score > set.score && self.possible(&new) {
+                set = new;
+            }
+        }
+        set
+    }
+}
+
+/// The axis that a member acts on.
+pub(super) fn axis_of(m: &Member) -> Option<Axis> {
+    m.cause.effect().and_then(|e| e.axes().first().cloned())
+}
+
+/// Whether two sets consist of different families.
+pub(super) fn differ(a: &Set, b: &Set) -> bool {
+    let of = |s: &Set| {
+        let mut f: Vec<usize> = s.members.iter().map(|m| m.family).collect();
+        f.sort_unstable();
+        f
+    };
+    of(a) != of(b)
+}

@@ -1,0 +1,463 @@
+//! What may join a set, and its non-linear parameters.
+
+use super::{Columns, Member, Search, Seed, Set, difference, gain, gain_of_one, log_sum};
+use crate::bank::Look;
+use crate::cause::Cause;
+use crate::effort::{DIFFERENCES, HARMONICS, PEAKS, TRIED, USUAL_TRIED, WAVES_KEPT};
+use crate::family::{Families, Family, Scan};
+use crate::priors::{ALIKE, BENT_SHARE, CONTRIBUTION, LISTED, USUAL_SHARE, USUAL_WITHIN, WIDE};
+use crate::rows::Rows;
+use crate::shapes::changing_wave;
+use rtec_least_squares::{Factor, add, dot};
+use rtec_model::effect::{Difference, Effect, Heat, Refine, Search as How};
+use std::rc::Rc;
+use std::sync::Arc;
+
+impl Search<'_> {
+    /// The seeds worth an exact look beside a set, best first.
+    /// `long`: fine waves over long travel too.
+    #[must_use]
+    pub fn seeds(&self, set: &Set, look: &Look, long: bool) -> Vec<Seed> {
+        let (left, freedom) = (set.factor.left(), self.base.freedom);
+        let mut seeds: Vec<Seed> = Vec::new();
+        let mut weighed: Option<Vec<f64>> = None;
+        for (number, family) in self.families.list.iter().enumerate() {
+            if !self.may_join(set, number) {
+                continue;
+            }
+            let prior = self.prior(set, number);
+            match &family.scan {
+                Scan::Grid(points) => {
+                    let of = |group: usize| {
+                        let (columns, at) = self.families.bank.group(group);
+                        let p = columns.len();
+                        gain(&look.along[columns], &look.among[at..at + p * p], left, freedom).total
+                    };
+                    let scored: Vec<f64> = points.iter().map(|(g, w, _)| of(*g) + w).collect();
+                    let best = (0..points.len()).max_by(|a, b| scored[*a].total_cmp(&scored[*b]));
+                    if let Some(i) = best {
+                        let (_, weight, cause) = &points[i];
+                        let total = log_sum(scored.iter().copied());
+                        seeds.push(Seed {
+                            family: number,
+                            cause: cause.clone(),
+                            weight: *weight,
+                            score: prior + total,
+                        });
+                        // Other numbers of lobes and other places are separate modes.
+                        let tells = cause.effect().is_some_and(|e| {
+                            e.description().searched.repeats
+                                && e.description().parameters.iter().any(|p| p.tells_apart)
+                        });
+                        for k in
+                            (0..points.len()).filter(|k| tells && *k != i && scored[*k] > scored[i] - LISTED)
+                        {
+                            let (_, weight, cause) = &points[k];
+                            let score = prior + total + scored[k] - scored[i];
+                            seeds.push(Seed { family: number, cause: cause.clone(), weight: *weight, score });
+                        }
+                    }
+                }
+                Scan::Sensors { sensors, points } => {
+                    seeds.extend(self.sensor_seeds(number, sensors, points, look, left, prior));
+                }
+                Scan::Beside { law, known } => {
+                    let Some(effect) = &family.effect else { continue };
+                    let own = set.members.iter().filter_map(|m| m.cause.effect());
+                    let own = own.filter(|e| e.description().name == *law && e.axes() == effect.axes());
+                    for period in known.iter().copied().chain(own.map(|e| e.scalar(0))) {
+                        let Some(effect) = effect.with(&[(0, period)]) else { continue };
+                        let cause = Cause::Effect { effect, free: 2, reference: false };
+                        let score = prior + self.gain(&set.factor, &self.columns(&cause)).total;
+                        seeds.push(Seed { family: number, cause, weight: 0.0, score });
+                    }
+                }
+                Scan::Wave { along, .. } if along.is_long() && !long => {}
+                Scan::Wave { .. } => {
+                    let weighed = weighed.get_or_insert_with(|| {
+                        let mut r = set.factor.residual().to_vec();
+                        self.base.noise.transpose(self.problem.rows, &mut r);
+                        r
+                    });
+                    seeds.extend(self.wave_seeds(number, set, weighed, prior));
+                }
+            }
+        }
+        seeds.retain(|s| s.score.is_finite());
+        seeds.sort_by(|a, b| b.score.total_cmp(&a.score));
+        seeds
+    }
+
+    /// Seeds of a wave at the peaks of a residual's spectrum.
+    /// The residual is `weighed` by the noise. Usual periods near a peak are added.
+    pub(super) fn wave_seeds(&self, number: usize, set: &Set, weighed: &[f64], prior: f64) -> Vec<Seed> {
+        let family = self.family(number);
+        let Scan::Wave { along, unit, .. } = &family.scan else { return Vec::new() };
+        let mut seeds = Vec::new();
+        let mut at = along.peaks(weighed, PEAKS);
+        let facts = family.effect.as_ref().and_then(|e| e.description().searched.wave);
+        if let Some(facts) = facts {
+            // The usual ones have half of the prior, and look like others on a grid; some are finer than the spectrum goes.
+            let usual: Vec<f64> = facts.usual_mm.iter().map(|p| 1.0 / p).collect();
+            at.extend(along.near(weighed, &usual, 3e-4).into_iter().take(USUAL_TRIED));
+        }
+        let mut best = (f64::NEG_INFINITY, 0.0);
+        for f in at {
+            let Some(cause) = self.wave(family, f, 1) else { continue };
+            let weight = wave_weight(family, f, *unit, along.range(), along.span());
+            let key = (number, f.to_bits());
+            let known = self.waves.borrow().get(&key).cloned();
+            let known = known.unwrap_or_else(|| {
+                let columns = self.columns(&cause);
+                let shares = columns.iter().map(|c| self.base.factor.shares(c)).collect();
+                let new = Rc::new([columns, shares]);
+                let mut waves = self.waves.borrow_mut();
+                if waves.len() < WAVES_KEPT {
+                    waves.insert(key, Rc::clone(&new));
+                }
+                new
+            });
+            let [columns, base] = &*known;
+            let shares = columns.iter().zip(base);
+            let of = |(c, b): (&Vec<f64>, &Vec<f64>)| set.factor.shares_after(b.clone(), c);
+            let shares: Columns = shares.map(of).collect();
+            let score = prior + weight + self.gain_of(&set.factor, columns, &shares).total;
+            if score > best.0 {
+                best = (score, f);
+            }
+            seeds.push(Seed { family: number, cause, weight, score });
+        }
+        // A wave without a name need not be a sine.
+        if family.effect.is_none()
+            && best.1 > 0.0
+            && let Some(cause) = self.wave(family, best.1, HARMONICS)
+        {
+            let weight = wave_weight(family, best.1, *unit, along.range(), along.span());
+            let gain = self.gain(&set.factor, &self.columns(&cause)).total;
+            seeds.push(Seed { family: number, cause, weight, score: prior + weight + gain });
+        }
+        seeds
+    }
+
+    /// The best temperature difference of each time constant.
+    pub(super) fn sensor_seeds(
+        &self,
+        number: usize,
+        sensors: &[String],
+        points: &[(usize, f64, Effect)],
+        look: &Look,
+        left: f64,
+        prior: f64,
+    ) -> Vec<Seed> {
+        let n = sensors.len();
+        let [alone, paired] = Families::sensor_weights(n);
+        // Of each difference the best time constant: score, weight, place in the grid.
+        let mut best = vec![(f64::NEG_INFINITY, 0.0, 0); n * n];
+        let mut all = Vec::new();
+        for (k, (group, weight, _)) in points.iter().enumerate() {
+            let (columns, at) = self.families.bank.group(*group);
+            let along = &look.along[columns];
+            let among = |i: usize, j: usize| look.among[at + i * n + j];
+            for i in 0..n {
+                for j in i..n {
+                    let (h, s, w) = if i == j {
+                        (along[i], among(i, i), alone)
+                    } else {
+                        (along[i] - along[j], among(i, i) + among(j, j) - 2.0 * among(i, j), paired)
+                    };
+                    let score = w + weight + gain_of_one(s, h, left, self.base.freedom).total;
+                    all.push(score);
+                    if score > best[i * n + j].0 {
+                        best[i * n + j] = (score, w + weight, k);
+                    }
+                }
+            }
+        }
+        let mut best: Vec<_> =
+            best.into_iter().enumerate().map(|(at, (score, w, k))| (score, w, k, at / n, at % n)).collect();
+        best.sort_by(|a, b| b.0.total_cmp(&a.0));
+        best.truncate(DIFFERENCES);
+        let total = log_sum(all);
+        let first = best.first().map_or(0.0, |b| b.0);
+        best.into_iter()
+            .map(|(score, weight, k, i, j)| {
+                let mut effect = points[k].2.clone();
+                effect.delta = Some(difference(sensors, i, j));
+                let cause = Cause::Effect { effect, free: 1, reference: false };
+                Seed { family: number, cause, weight, score: prior + total + score - first }
+            })
+            .collect()
+    }
+
+    /// A wave at a frequency.
+    /// A wave without a name has harmonics, each of size one over its number.
+    pub(super) fn wave(&self, family: &Family, frequency: f64, harmonics: usize) -> Option<Cause> {
+        let Scan::Wave { along, unit, .. } = &family.scan else { return None };
+        if let Some(effect) = &family.effect {
+            let effect = effect.with(&[(0, 1.0 / (frequency * unit))])?;
+            return Some(Cause::Effect { effect, free: 2, reference: false });
+        }
+        let of = |k: usize| {
+            let k = k as f64;
+            along.wave(k * frequency, self.problem.rows.n, CONTRIBUTION / k)
+        };
+        let fine = |k: &usize| *k == 1 || *k as f64 * frequency <= along.range()[1];
+        let columns = (1..=harmonics).filter(fine).flat_map(of).collect();
+        Some(Cause::Shape(Arc::new((family.shape.clone()?, columns))))
+    }
+
+    /// The wave of another frequency that looks the same at these places.
+    /// Of several, the one that is likeliest a priori.
+    #[must_use]
+    pub fn alike(&self, member: &Member) -> Vec<Seed> {
+        let family = self.family(member.family);
+        let (Scan::Wave { along, unit, .. }, Some(effect)) = (&family.scan, member.cause.effect()) else {
+            return Vec::new();
+        };
+        let of = |f: f64| {
+            let weight = wave_weight(family, f, *unit, along.range(), along.span());
+            Some(Seed { family: member.family, cause: self.wave(family, f, 1)?, weight, score: weight })
+        };
+        let mut all: Vec<Seed> =
+            along.alike(1.0 / (effect.scalar(0) * unit)).into_iter().filter_map(of).collect();
+        all.sort_by(|a, b| b.score.total_cmp(&a.score));
+        all.truncate(TRIED);
+        all
+    }
+
+    /// Other maps that are equivalent to the last member at these rows.
+    /// On a circle z² = r² − x². Which of them the data prefer is chance, in directions that none of them needs.
+    #[must_use]
+    pub fn maps_alike(&self, set: &Set) -> Vec<Seed> {
+        let Some(own) = set.members.last().filter(|m| matches!(m.cause, Cause::Map { .. })) else {
+            return Vec::new();
+        };
+        let without = self.first(set, set.members.len() - 1);
+        let beta = set.factor.solve();
+        let mut found = vec![0.0; self.problem.rows.n];
+        for (c, b) in own.columns.iter().zip(&beta[without.len()..]) {
+            add(&mut found, b * own.level, c);
+        }
+        let found = without.beside(&found);
+        let power = dot(&found, &found);
+        let shows = |cause: &Cause| {
+            let mut other = Factor::new(&found);
+            for c in self.columns(cause) {
+                other.push(&without.beside(&c).iter().map(|x| x * WIDE).collect::<Vec<_>>());
+            }
+            1.0 - dot(other.residual(), other.residual()) / power
+        };
+        let of = |(family, f): (usize, &Family)| {
+            let Scan::Grid(points) = &f.scan else { return None };
+            let other = family != own.family && f.replaces.is_none();
+            let maps = points.iter().filter(|p| other && matches!(p.2, Cause::Map { .. }));
+            let (_, weight, cause) = maps.into_iter().find(|p| shows(&p.2) > ALIKE)?;
+            Some(Seed { family, cause: cause.clone(), weight: *weight, score: f.prior })
+        };
+        self.families.list.iter().enumerate().filter_map(of).collect()
+    }
+
+    /// Refines a seed's non-linear parameters to where it explains most.
+    #[must_use]
+    pub fn refined(&self, factor: &Factor, seed: &Seed) -> Seed {
+        let Some(effect) = seed.cause.effect().cloned() else { return seed.clone() };
+        let moves = moves(self.family(seed.family), &effect);
+        if moves.is_empty() {
+            return seed.clone();
+        }
+        let value = |effect: &Effect| {
+            let cause = seed.cause.with_effect(effect.clone());
+            self.gain(factor, &self.columns(&cause)).total
+        };
+        let mut now = effect;
+        let mut best = value(&now);
+        let mut narrower = 0.0;
+        for round in 0..2 {
+            for m in &moves {
+                let mut step = if round == 0 { m.step } else { m.step * 0.3 };
+                for _ in 0..4 {
+                    let (Some(down), Some(up)) = (m.moved(&now, -step), m.moved(&now, step)) else { break };
+                    let (a, b) = (value(&down), value(&up));
+                    if a > best && a >= b {
+                        (now, best) = (down, a);
+                    } else if b > best {
+                        (now, best) = (up, b);
+                    } else {
+                        let bend = a + b - 2.0 * best;
+                        let at = if bend < -1e-9 { 0.5 * step * (a - b) / bend } else { 0.0 };
+                        if at != 0.0
+                            && let Some(top) = m.moved(&now, at)
+                        {
+                            let v = value(&top);
+                            if v > best {
+                                (now, best) = (top, v);
+                            }
+                        }
+                        if round == 1 || moves.len() == 1 {
+                            // Width of the mode relative to a cell of the grid.
+                            let width = (std::f64::consts::TAU * step * step / (-bend).max(1e-12)).sqrt();
+                            narrower = (width / (2.0 * m.step)).ln().min(0.0);
+                        }
+                        step *= 0.4;
+                    }
+                }
+            }
+        }
+        let before = self.gain(factor, &self.columns(&seed.cause)).total;
+        // A period that left the usual range by refinement is no usual period.
+        let at = |e: Option<&Effect>| self.weight_at(seed.family, e);
+        let less = narrower + at(Some(&now)) - at(seed.cause.effect());
+        Seed {
+            family: seed.family,
+            cause: seed.cause.with_effect(now),
+            weight: seed.weight + less,
+            score: seed.score + (best - before).max(0.0) + less,
+        }
+    }
+
+    /// Log prior weight of a wave's period; zero for other causes.
+    pub(super) fn weight_at(&self, family: usize, effect: Option<&Effect>) -> f64 {
+        let family = self.family(family);
+        let (Scan::Wave { along, unit, .. }, Some(effect)) = (&family.scan, effect) else { return 0.0 };
+        wave_weight(family, 1.0 / (effect.scalar(0) * unit), *unit, along.range(), along.span())
+    }
+
+    /// Richer forms of a seed.
+    /// Growth that bends, another reference temperature, a wave that changes.
+    pub(super) fn richer(seed: &Seed) -> Vec<Seed> {
+        let mut out = Vec::new();
+        let Cause::Effect { effect, free, .. } = &seed.cause else { return out };
+        let law = effect.description();
+        if law.companion.is_some() && effect.delta.is_some() {
+            if effect.coefficient_count() > *free {
+                let cause = Cause::Effect { effect: effect.clone(), free: free + 1, reference: false };
+                out.push(Seed { cause, weight: seed.weight + BENT_SHARE.ln(), ..seed.clone() });
+            }
+            let pair = effect.delta.as_ref().is_some_and(Difference::is_pair);
+            let constant = effect.companion().is_some_and(|c| c.description().constant);
+            if !pair && !constant {
+                let cause = Cause::Effect { effect: effect.clone(), free: *free, reference: true };
+                out.push(Seed { cause, weight: seed.weight + BENT_SHARE.ln(), ..seed.clone() });
+            }
+        }
+        out
+    }
+
+    /// A wave whose size changes along its way, beside a seed that is a wave.
+    /// It has no name.
+    pub(super) fn changing(&self, seed: &Seed) -> Option<Seed> {
+        let Scan::Wave { along, .. } = &self.family(seed.family).scan else { return None };
+        let effect = seed.cause.effect()?;
+        let shape = crate::cause::Shape::like(self.problem.rows, effect, "periodic, of changing size")?;
+        let family = self
+            .families
+            .list
+            .iter()
+            .position(|f| f.shape.as_ref().is_some_and(|s| s.response == shape.response))?;
+        let basis = seed.cause.columns(self.problem.rows);
+        let columns = changing_wave(self.problem.rows, &basis, &along.places(self.problem.rows.n));
+        if columns.is_empty() {
+            return None;
+        }
+        let cause = Cause::Shape(Arc::new((shape, columns)));
+        Some(Seed { family, cause, weight: seed.weight, score: seed.score })
+    }
+}
+
+/// Whether a growth changes sign within the temperatures seen.
+/// No part of a machine does that.
+pub(super) fn turns_back(rows: &Rows<'_>, effect: &Effect) -> bool {
+    let [per_k, per_k2] = effect.coefficients()[..] else { return false };
+    if effect.description().heat != Heat::Growth || per_k2 == 0.0 {
+        return false;
+    }
+    let warm = rows.basis(effect).swap_remove(0);
+    let (lo, hi) = warm.iter().fold((0.0_f64, 0.0_f64), |(l, h), x| (l.min(*x), h.max(*x)));
+    (per_k + 2.0 * per_k2 * lo) * (per_k + 2.0 * per_k2 * hi) < 0.0
+}
+
+/// Log prior weight of a wave of this frequency.
+/// Uniform in the logarithm of the period; usual periods weigh more.
+pub(super) fn wave_weight(
+    family: &Family,
+    frequency: f64,
+    unit: f64,
+    [from, to]: [f64; 2],
+    span: f64,
+) -> f64 {
+    // Typical width of a mode, as a share of the frequency.
+    let cell = (0.35 / span / frequency).min(1.0);
+    let even = cell / (to / from).ln().max(cell);
+    let Some(facts) = family.effect.as_ref().and_then(|e| e.description().searched.wave) else {
+        return even.ln();
+    };
+    let period_mm = 1.0 / (frequency * unit) * facts.unit_mm;
+    let usual: Vec<f64> = facts.usual_mm.iter().flat_map(|p| [*p, 0.5 * p]).collect();
+    let near = usual.iter().any(|u| (period_mm / u - 1.0).abs() < USUAL_WITHIN);
+    let usual = if near { USUAL_SHARE / usual.len() as f64 } else { 0.0 };
+    ((1.0 - USUAL_SHARE) * even + usual).ln()
+}
+
+/// A way to move a non-linear parameter.
+pub(super) struct Move {
+    parameter: usize,
+    /// First step.
+    step: f64,
+    how: Refine,
+    /// What the rows can show of it.
+    range: [f64; 2],
+}
+
+pub(super) fn moves(family: &Family, effect: &Effect) -> Vec<Move> {
+    if family.replaces.is_some() {
+        return Vec::new();
+    }
+    if let Scan::Wave { along, unit, .. } = &family.scan {
+        let step = 0.2 / along.span() * unit;
+        return vec![Move { parameter: 0, step, how: Refine::Stays, range: everything() }];
+    }
+    let of = |(parameter, p): (usize, &rtec_model::effect::Parameter)| {
+        let (Refine::Step(step) | Refine::Factor(step) | Refine::TimeConstant(step)) = p.refine else {
+            return None;
+        };
+        let range = family.range(parameter);
+        (p.search == How::Smooth).then_some(Move { parameter, step, how: p.refine, range })
+    };
+    effect.description().parameters.iter().enumerate().filter_map(of).collect()
+}
+
+/// No bounds.
+pub(super) fn everything() -> [f64; 2] {
+    [f64::NEG_INFINITY, f64::INFINITY]
+}
+
+impl Move {
+    fn moved(&self, effect: &Effect, by: f64) -> Option<Effect> {
+        let v = effect.scalar(self.parameter);
+        let to = match self.how {
+            Refine::Step(_) => v + by,
+            // A period: in its frequency.
+            Refine::Stays => 1.0 / (1.0 / v + by),
+            _ => v * by.exp(),
+        };
+        let to = to.clamp(self.range[0], self.range[1]);
+        effect.with(&[(self.parameter, to)])
+    }
+}
+
+impl Family {
+    /// Range of the grid in one parameter: what the rows can show of it.
+    fn range(&self, parameter: usize) -> [f64; 2] {
+        let wider = |[lo, hi]: [f64; 2], effect: &Effect| {
+            let v = effect.scalar(parameter);
+            [lo.min(v), hi.max(v)]
+        };
+        let none = [f64::INFINITY, f64::NEG_INFINITY];
+        let [lo, hi] = match &self.scan {
+            Scan::Grid(points) => points.iter().filter_map(|p| p.2.effect()).fold(none, wider),
+            Scan::Sensors { points, .. } => points.iter().map(|p| &p.2).fold(none, wider),
+            _ => none,
+        };
+        if lo < hi { [lo, hi] } else { everything() }
+    }
+}
