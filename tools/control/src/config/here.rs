@@ -82,8 +82,10 @@ fn recording(source: &mut SourceFile<'_>, table: &Table<'_>, record: &Path, colu
     let read = match rtec_records::record::read_log(record) {
         Ok(read) => read,
         Err(error) => {
-            let found = format!("a recording that cannot be replayed: {error}");
-            source.finding(at, found, "a run record, NAME.run.toml, with its CSV beside it");
+            let line = if error.line > 0 { format!(":{}", error.line) } else { String::new() };
+            let place = format!("{}{line}", error.file.display());
+            let found = format!("a recording that cannot be replayed: {place}: {}", error.found);
+            source.finding(at, found, error.expected);
             return;
         }
     };
