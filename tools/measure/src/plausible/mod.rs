@@ -223,7 +223,7 @@ pub fn suspicions(records: &[Record]) -> Vec<Suspicion> {
     for record in records {
         sensors::look(record, &mut found);
         motion::look(record, &mut found);
-        rows::look(record, &mut found);
+        rows::look(record, records, &mut found);
         slips::look(record, &mut found);
         repeats::look(record, &mut found);
         units::look(record, &mut found);

@@ -16,12 +16,12 @@ const APART: f64 = 5.0;
 /// A block that stands twice is at least so long.
 const BLOCK: usize = 8;
 
-pub(super) fn look(record: &Record, out: &mut Vec<Suspicion>) {
+pub(super) fn look(record: &Record, all: &[Record], out: &mut Vec<Suspicion>) {
     doubled(record, out);
     for c in record.responses() {
         let same = one_reading(c);
         if same.is_empty() {
-            flat(record, c, out);
+            flat(record, all, c, out);
             let found = wild(record, c);
             far_off(record, c, &found, out);
             continue;
@@ -186,19 +186,25 @@ fn rough(v: &[f64]) -> bool {
     turns * 100 > 35 * d.len()
 }
 
-/// Whether the record's other gauges read in whole micrometres or coarser, and this one stands on such a step: less than a step does
-/// not move it.
-fn as_coarse_as_others(record: &Record, c: &Column) -> bool {
-    let moving = record.responses().filter(|o| o.name != c.name && distinct(&o.data) > 1);
-    let steps: Vec<f64> = moving.map(|o| quantum(&o.data)).collect();
-    let on = |q: f64| (c.data[0] / q - (c.data[0] / q).round()).abs() < 1e-6;
-    !steps.is_empty() && steps.iter().all(|q| *q >= 1.0 && on(*q))
+/// Whether this gauge stands on a whole step of gauges as coarse as whole micrometres.
+/// Less than a step does not move it. They are the record's others, or in another record one that reads the same response.
+fn as_coarse_as_others(record: &Record, all: &[Record], c: &Column) -> bool {
+    let is_coarse = |o: &Column| {
+        let q = quantum(&o.data);
+        q >= 1.0 && (c.data[0] / q - (c.data[0] / q).round()).abs() < 1e-6
+    };
+    let moves = |o: &&Column| distinct(&o.data) > 1;
+    let mut beside = record.responses().filter(|o| o.name != c.name).filter(moves).map(is_coarse).peekable();
+    if beside.peek().is_some() {
+        return beside.all(|coarse| coarse);
+    }
+    all.iter().filter_map(|r| r.column(&c.role)).filter(moves).any(is_coarse)
 }
 
 /// A response that stands still: a gauge that is not read.
-fn flat(record: &Record, c: &Column, out: &mut Vec<Suspicion>) {
+fn flat(record: &Record, all: &[Record], c: &Column, out: &mut Vec<Suspicion>) {
     let n = c.data.len();
-    if n >= FLAT && distinct(&c.data) == 1 && !as_coarse_as_others(record, c) {
+    if n >= FLAT && distinct(&c.data) == 1 && !as_coarse_as_others(record, all, c) {
         let text = format!("reads {} in every row, as no gauge that is read does", c.data[0]);
         out.push(Suspicion::new(record, &c.name, What::Stuck, &[], text));
         return;

@@ -277,3 +277,18 @@ fn a_position_that_slipped_is_said_and_targets_that_are_there_are_not() {
         assert_eq!(suspicions(&[along(Kind::Probing, drawn, &mut d)]), [], "{seed}");
     }
 }
+
+/// What moves by less than a gauge's step leaves it where it is.
+/// A gauge that stands alone, or on no step of the other record's, is not read.
+#[test]
+fn a_gauge_that_another_record_shows_as_coarse_may_stand_still() {
+    let drift = |e: Vec<f64>| {
+        let t = (0..e.len()).map(|i| 10.0 * i as f64).collect();
+        record("d", Kind::Drift, vec![column("t", "time", t), column("e", "error.z", e)])
+    };
+    let grown: Vec<f64> = (0..60).map(|i| 10.0 * (f64::from(i) / 20.0).floor()).collect();
+    assert_eq!(suspicions(&[drift(grown.clone()), drift(vec![20.0; 60])]), []);
+    let stuck = |found: Vec<Suspicion>| found.iter().filter(|s| s.what == What::Stuck).count();
+    assert_eq!(stuck(suspicions(&[drift(vec![20.0; 60])])), 1);
+    assert_eq!(stuck(suspicions(&[drift(grown), drift(vec![23.0; 60])])), 1);
+}
