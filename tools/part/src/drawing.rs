@@ -339,7 +339,7 @@ impl Places {
 /// It is nothing then: a whole circle goes on to 360 degrees.
 fn has_no_sweep(entity: &Entity) -> bool {
     let (from, to) = if entity.kind == "ARC" { (50, 51) } else { (41, 42) };
-    entity.number(from).zip(entity.number(to)).is_some_and(|(from, to)| from == to)
+    entity.number(from).zip(entity.number(to)).is_some_and(|(from, to)| from.total_cmp(&to).is_eq())
 }
 
 fn axis_ratio(ellipse: &Entity) -> f64 {

@@ -84,7 +84,8 @@ impl Edges {
             for (n, edge) in leaf {
                 let at = foot(p, edge);
                 let off = (p - at).norm();
-                let is_nearer = |(least, first, _)| off < least || off == least && n < first;
+                let is_nearer =
+                    |(least, first, _): (f64, usize, Zx)| off.total_cmp(&least).then(n.cmp(&first)).is_lt();
                 if best.map_or(off < within, is_nearer) {
                     best = Some((off, n, at));
                 }

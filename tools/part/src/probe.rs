@@ -94,7 +94,7 @@ pub fn assign(
         let p = Zx::new(counts[0], counts[1]) * (count_um * 1e-3) - origin;
         let due = trips.len();
         if !near(p, due) {
-            if *counts == [0.0; 2] && due < expected.len() {
+            if counts.iter().all(|c| *c == 0.0) && due < expected.len() {
                 return Err(TripFault::Zero { point: due + 1 });
             }
             if due > 0 && near(p, due - 1) {
