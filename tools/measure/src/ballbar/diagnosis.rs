@@ -72,6 +72,9 @@ pub struct Contribution {
     pub percent: f64,
 }
 
+/// Free values, each with half its interval.
+type Values = BTreeMap<String, (f64, f64)>;
+
 /// Causes that look alike in these runs: their sum alone is told.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct NotSeparable {
@@ -668,11 +671,7 @@ impl<'t> Fit<'t> {
 
     /// Each free value with half its interval, and the causes' share of the radius.
     /// Values that are not resolved are left out.
-    fn values(
-        &self,
-        shown: &Shown,
-        told: &[String],
-    ) -> (BTreeMap<String, (f64, f64)>, Vec<Contribution>, Option<NotSeparable>) {
+    fn values(&self, shown: &Shown, told: &[String]) -> (Values, Vec<Contribution>, Option<NotSeparable>) {
         let mut values: BTreeMap<String, (f64, f64)> = BTreeMap::new();
         let (mut contributions, mut not_separable) = (Vec::new(), None);
         let mut at = 0;

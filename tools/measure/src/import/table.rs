@@ -166,7 +166,7 @@ impl ImportColumn {
             // Behind a `_` stands many a word, and any is a channel's unit.
             Ok(_) if self.role.unit().is_none() && !stated.in_brackets => Ok((self.clone(), None)),
             Ok(found) => {
-                let is_other = found.scale != self.scale;
+                let is_other = self.role.unit().is_some_and(|own| own != stated.unit);
                 Ok((found, is_other.then(|| format!("{name} in {}", stated.unit))))
             }
             Err((_, expected)) if stated.in_brackets => {

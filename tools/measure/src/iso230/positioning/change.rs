@@ -98,6 +98,21 @@ impl Fitted {
         self.shape.columns.len() + self.shape.sought
     }
 
+    /// What a person reads of a drift that turns back; `number`: a row's number in the file.
+    fn bend_note(&self, time: &[f64], unit: &str, without: &str, number: impl Fn(usize) -> usize) -> String {
+        let [slope, bend] = [self.factors[0], self.factors[1]];
+        let turn = (-0.5 * slope / bend).clamp(0.0, 1.0);
+        let farthest = slope * turn + bend * turn * turn;
+        let until = time[0] + turn * (time[time.len() - 1] - time[0]);
+        let row = time.iter().position(|t| *t >= until).unwrap_or(time.len() - 1);
+        format!(
+            "the approaches drift by {farthest:+.2} {unit} up to row {} and to {:+.2} {unit} at the last, and the figures hold that \
+             drift; about it {without}. Let the machine and its hall come to rest, and test again",
+            number(row),
+            slope + bend,
+        )
+    }
+
     /// Schwarz's criterion over so many rows: the smaller, the better.
     fn criterion(&self, rows: f64, least: f64) -> f64 {
         rows * self.left.max(least).ln() + self.parameters() as f64 * rows.ln()
@@ -274,15 +289,8 @@ impl Run<'_> {
         Some(match best.shape.step_at {
             None => {
                 if best.shape.bends && !without.is_empty() {
-                    let [slope, bend] = [best.factors[0], best.factors[1]];
-                    let turn = (-0.5 * slope / bend).clamp(0.0, 1.0);
-                    let farthest = slope * turn + bend * turn * turn;
-                    let row = time.iter().position(|t| t - time[0] >= turn * span).unwrap_or(n - 1);
-                    self.notes.push(format!(
-                        "the approaches drift by {farthest:+.2} {unit} up to row {} and to {size:+.2} {unit} at the last, and the figures \
-                         hold that drift; about it {without}. Let the machine and its hall come to rest, and test again",
-                        self.record.row_number(row),
-                    ));
+                    let note = best.bend_note(time, unit, &without, |row| self.record.row_number(row));
+                    self.notes.push(note);
                 } else if !without.is_empty() {
                     self.notes.push(format!(
                         "the approaches drift by {size:+.2} {unit} from first to last in the middle of the travel ({:+.2} more at its \
