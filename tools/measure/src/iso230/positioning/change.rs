@@ -98,7 +98,7 @@ impl Fitted {
         self.shape.columns.len() + self.shape.sought
     }
 
-    /// What a person reads of a drift that turns back; `number`: a row's number in the file.
+    /// What a person reads of a drift that turns back.
     fn bend_note(&self, time: &[f64], unit: &str, without: &str, number: impl Fn(usize) -> usize) -> String {
         let [slope, bend] = [self.factors[0], self.factors[1]];
         let turn = (-0.5 * slope / bend).clamp(0.0, 1.0);
