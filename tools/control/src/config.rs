@@ -221,8 +221,9 @@ pub struct ModelConfig {
 }
 
 /// Everything that is wrong with a configuration.
+/// Beside it the notes about what it names on this computer, where that was looked at.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct ConfigFindings(pub Vec<InputError>);
+pub struct ConfigFindings(pub Vec<InputError>, pub Vec<String>);
 
 impl fmt::Display for ConfigFindings {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -231,6 +232,9 @@ impl fmt::Display for ConfigFindings {
                 writeln!(f)?;
             }
             write!(f, "{finding}")?;
+        }
+        for note in &self.1 {
+            write!(f, "\nnote: {note}")?;
         }
         Ok(())
     }
@@ -283,7 +287,8 @@ impl Config {
     fn parse_for(file: &Path, text: &str, here: bool) -> Result<Self, ConfigFindings> {
         let text = text.strip_prefix('\u{feff}').unwrap_or(text);
         if let Some(other) = FileKind::of(text).filter(|k| *k != FileKind::Configuration) {
-            return Err(ConfigFindings(vec![FileKind::Configuration.instead(file, other)]));
+            let finding = FileKind::Configuration.instead(file, other);
+            return Err(ConfigFindings(vec![finding], Vec::new()));
         }
         let (document, findings) = Document::parse_all(file, text);
         let mut source = SourceFile { file, text, findings: first_causes(text, findings) };
@@ -291,7 +296,10 @@ impl Config {
         source.findings.sort_by_key(|f| (f.line, f.column));
         match config {
             Some(config) if source.findings.is_empty() => Ok(config),
-            _ => Err(ConfigFindings(source.findings)),
+            config => {
+                let notes = config.filter(|_| here).map_or_else(Vec::new, |config| config.notes);
+                Err(ConfigFindings(source.findings, notes))
+            }
         }
     }
 
@@ -367,7 +375,7 @@ fn text_of(file: &Path) -> Result<String, ConfigFindings> {
             "a configuration: `rtecctl config default > rtec.toml` begins one"
                 .clone_into(&mut finding.expected);
         }
-        ConfigFindings(vec![finding])
+        ConfigFindings(vec![finding], Vec::new())
     })
 }
 

@@ -1,6 +1,9 @@
 //! CSV, line by line: UTF-8, UTF-16 or Windows-1252, a byte-order mark and CRLF accepted, a cell in double quotes may hold commas,
 //! `#` and doubled quotes. Every finding has its line and column. A row of separators alone is empty, as spreadsheets leave them.
 //!
+//! Other programs write lines of their own, which are passed over. These are comments that begin with `;`, `%` or `//`, and lines in front
+//! of the columns' names, where somebody asks for names that stand in a later line.
+//!
 //! A comment begins with a `#` at a line's start, or with one behind a whole row that has a blank on one side of it. Within a
 //! cell `#` is text: `#1`, `No#2`, `Sample #,t`, `#N/A`, and `1 # 2` where cells are still to come.
 //!
@@ -35,6 +38,8 @@ pub struct Reader<R> {
     commented: Option<Commented>,
     /// Rows that go on behind the last named column with separators alone, and others.
     beyond: Beyond,
+    /// Lines of another program in front of the columns' names.
+    preamble: usize,
 }
 
 /// Rows that end with more separators than their header.
@@ -101,6 +106,7 @@ impl<R: Read> Reader<R> {
             decoded: String::new(),
             commented: None,
             beyond: Beyond::default(),
+            preamble: 0,
         })
     }
 
@@ -112,6 +118,9 @@ impl<R: Read> Reader<R> {
         let (range, length) = loop {
             let Some(range) = self.lines.line()? else { return Ok(None) };
             let line = self.lines.bytes(range.clone());
+            if is_foreign_comment(line, self.by, self.width) {
+                continue;
+            }
             let length = content(line, self.by, self.width).len();
             if length > 0 {
                 break (range, length);
@@ -215,7 +224,9 @@ impl<R: Read> Reader<R> {
     /// There is none: `expected` says what it would hold. Or as [`Reader::row`].
     pub fn header(&mut self, expected: &str) -> Result<Header, InputError> {
         let first = self.first_line(expected)?;
-        Ok(self.begin(&first, &[self.by], &[]))
+        let ((_, header), _) = self.best(&first, Some(self.by), &|_| true);
+        self.width = Some(header.names.len());
+        Ok(header)
     }
 
     /// The first row, as the columns' names.
@@ -229,14 +240,28 @@ impl<R: Read> Reader<R> {
     }
 
     /// As [`Reader::header_by_any`], with the separator that gives all `names`.
-    /// It chooses among several separators in the row.
+    /// It chooses among several separators in the row, and among the first lines.
     ///
     /// # Errors
     /// As [`Reader::header_by_any`].
     pub fn header_with(&mut self, expected: &str, names: &[&str]) -> Result<Header, InputError> {
-        let first = self.first_line(expected)?;
+        self.header_where(expected, |header| names.iter().all(|name| header.find(name).is_some()))
+    }
+
+    /// As [`Reader::header_by_any`], of the first line with the wanted columns.
+    /// Lines in front of it are passed over. Without such a line it is the first one.
+    ///
+    /// # Errors
+    /// As [`Reader::header_by_any`].
+    pub fn header_where(
+        &mut self,
+        expected: &str,
+        is_wanted: impl Fn(&Header) -> bool,
+    ) -> Result<Header, InputError> {
+        let mut first = self.first_line(expected)?;
+        let mut by = None;
         if let Some(said) = first.text.get(..4).filter(|s| s.eq_ignore_ascii_case("sep=")) {
-            let by = match &first.text[said.len()..] {
+            let separator = match &first.text[said.len()..] {
                 "" => b'\t', // the blanks at a line's end are dropped
                 "," => b',',
                 ";" => b';',
@@ -247,18 +272,72 @@ impl<R: Read> Reader<R> {
                     return Err(InputError::at(&self.lines.file, first.line, 0, found, expected));
                 }
             };
-            (self.parser, self.by) = (parser(by), by);
-            let first = self.first_line(expected)?;
-            return Ok(self.begin(&first, &[by], names));
+            (self.parser, self.by) = (parser(separator), separator);
+            by = Some(separator);
+            first = self.first_line(expected)?;
         }
+        let (mut best, wanted) = self.best(&first, by, &is_wanted);
+        if !wanted && let Some(lines) = self.lines_before(by, &is_wanted)? {
+            for _ in 0..lines {
+                self.lines.line()?;
+            }
+            let before = std::mem::replace(&mut first, self.first_line(expected)?).line;
+            self.preamble = first.line - before;
+            (best, _) = self.best(&first, by, &is_wanted);
+        }
+        let (by, header) = best;
+        (self.parser, self.by, self.width) = (parser(by), by, Some(header.names.len()));
+        Ok(header)
+    }
+
+    /// The columns' names in a line, by the separator that gives what is wanted.
+    /// Where none does, by the likeliest.
+    fn best(
+        &self,
+        first: &FirstLine,
+        by: Option<u8>,
+        is_wanted: &impl Fn(&Header) -> bool,
+    ) -> ((u8, Header), bool) {
         // The first name may hold the # that seems to begin a comment.
         let is_parted = outside_quotes(first.text.as_bytes()).any(|(_, byte)| is_separator(byte, b','));
         let text = if is_parted { &first.text } else { &first.whole };
         let has = |by: &u8| outside_quotes(text.as_bytes()).any(|(_, byte)| byte == *by);
-        let mut by: Vec<u8> = [b';', b'\t'].into_iter().filter(has).collect();
+        let mut separators: Vec<u8> = [b';', b'\t'].into_iter().filter(has).collect();
         // SHDR's lines have bars and commas.
-        by.extend(if has(&b'|') && !has(&b',') { &b"|,"[..] } else { b"," });
-        Ok(self.begin(&first, &by, names))
+        separators.extend(if has(&b'|') && !has(&b',') { &b"|,"[..] } else { b"," });
+        let separators = by.map_or(separators, |by| vec![by]);
+        let cut = |by: u8| content(first.whole.as_bytes(), by, width_of_rows(self.lines.unread(), by)).len();
+        // A name may hold a # that would begin a comment: whoever asks for that name has it.
+        let cut_off = separators.iter().map(|by| (*by, cut(*by)));
+        let lengths = cut_off.chain(separators.iter().map(|by| (*by, first.whole.len())));
+        let header_by = |(by, length): (u8, usize)| {
+            let text = &first.whole[..length];
+            let row =
+                Row { file: &self.lines.file, line: first.line, text, whole: text, parser: &parser(by), by };
+            (by, Header::of(row))
+        };
+        let mut headers: Vec<(u8, Header)> = lengths.map(header_by).collect();
+        let best = headers.iter().position(|(_, header)| is_wanted(header));
+        (headers.swap_remove(best.unwrap_or(0)), best.is_some())
+    }
+
+    /// How many of the next lines stand before one with the wanted names.
+    fn lines_before(
+        &mut self,
+        by: Option<u8>,
+        is_wanted: &impl Fn(&Header) -> bool,
+    ) -> Result<Option<usize>, InputError> {
+        self.lines.fill_lines(PREAMBLE)?;
+        let has_names = |line: &[u8]| {
+            let text = std::str::from_utf8(line).map_or_else(|_| western(line), str::to_owned);
+            let whole = text.trim_ascii_end().to_owned();
+            let is_open = whole.matches('"').count() % 2 == 1;
+            let is_empty = content(whole.as_bytes(), self.by, None).is_empty();
+            let first = FirstLine { line: self.lines.line + 1, text: whole.clone(), whole };
+            let is_row = !(is_open || is_empty || is_foreign_comment(line, self.by, None));
+            is_row && self.best(&first, by, is_wanted).1
+        };
+        Ok(self.lines.unread().split(|byte| *byte == b'\n').take(PREAMBLE).position(has_names))
     }
 
     /// As [`Reader::header_with`], for columns given by name or number from 1.
@@ -293,28 +372,7 @@ impl<R: Read> Reader<R> {
         })
     }
 
-    /// Takes the columns' names from the first line.
-    /// Of several separators it uses the first that gives all `names`, otherwise the first.
-    fn begin(&mut self, first: &FirstLine, by: &[u8], names: &[&str]) -> Header {
-        let width = |by: u8| width_of_rows(self.lines.unread(), by);
-        let cut = |by: u8| content(first.whole.as_bytes(), by, width(by)).len();
-        // A name may hold a # that would begin a comment: whoever asks for that name has it.
-        let lengths = by.iter().map(|by| (*by, cut(*by))).chain(by.iter().map(|by| (*by, first.whole.len())));
-        let header_by = |(by, length): (u8, usize)| {
-            let text = &first.whole[..length];
-            let row =
-                Row { file: &self.lines.file, line: first.line, text, whole: text, parser: &parser(by), by };
-            (by, Header::of(row))
-        };
-        let mut headers: Vec<(u8, Header)> = lengths.map(header_by).collect();
-        let named = |(_, header): &(u8, Header)| names.iter().all(|name| header.find(name).is_some());
-        let best = headers.iter().position(named).unwrap_or(0);
-        let (by, header) = headers.swap_remove(best);
-        (self.parser, self.by, self.width) = (parser(by), by, Some(header.names.len()));
-        header
-    }
-
-    /// Reads the first row, which must be these names.
+    /// Reads the row of names, which must hold these; further ones are unrelated.
     /// `otherwise` says what else the user may do.
     ///
     /// # Errors
@@ -325,8 +383,8 @@ impl<R: Read> Reader<R> {
         otherwise: &str,
     ) -> Result<Header, InputError> {
         let wanted = format!("the header {}", names.join(","));
-        let header = self.header_by_any(&format!("{wanted}{otherwise}"))?;
-        if header.names().eq(names) {
+        let header = self.header_with(&format!("{wanted}{otherwise}"), &names)?;
+        if names.iter().all(|name| header.find(name).is_some()) {
             return Ok(header);
         }
         let finding = match header.is_missing() {
@@ -373,6 +431,11 @@ impl<R: Read> Reader<R> {
     /// Rows so far that end with more separators than their header, and others.
     pub(crate) fn beyond(&self) -> Beyond {
         self.beyond
+    }
+
+    /// Lines that were passed over in front of the columns' names.
+    pub(crate) fn preamble(&self) -> usize {
+        self.preamble
     }
 
     /// A line so far was no UTF-8, and read as Windows-1252.
@@ -433,6 +496,34 @@ fn content(line: &[u8], by: u8, width: Option<usize>) -> &[u8] {
         return &[];
     }
     text
+}
+
+/// Lines in which the columns' names are looked for.
+const PREAMBLE: usize = 100;
+
+/// Whether a line is a comment: it begins with `#`, `;`, `%` or `//`.
+#[must_use]
+pub fn is_comment(line: &str) -> bool {
+    let line = line.trim_start();
+    line.starts_with(['#', ';', '%']) || line.starts_with("//")
+}
+
+/// Whether a line is another program's comment.
+/// A row whose first cell begins so is none. `width`: the cells of a row.
+fn is_foreign_comment(line: &[u8], by: u8, width: Option<usize>) -> bool {
+    let (mark, rest) = match line.trim_ascii_start() {
+        [b'/', b'/', ..] => return true,
+        [mark @ (b';' | b'%'), rest @ ..] => (*mark, rest),
+        _ => return false,
+    };
+    let apart = rest.first().is_none_or(|byte| byte.is_ascii_whitespace() || *byte == mark);
+    match width {
+        _ if mark == b'%' && apart => true,
+        None if mark == b';' => apart || !rest.contains(&mark) && rest.trim_ascii().contains(&b' '),
+        None => false,
+        Some(_) if mark == b';' && by != mark => true,
+        Some(width) => outside_quotes(line).filter(|(_, byte)| *byte == by).count() + 1 != width,
+    }
 }
 
 /// Whether a byte parts cells; before the header is read, by whatever separator.
@@ -885,11 +976,36 @@ impl Header {
         self.names().position(|n| n == name)
     }
 
+    /// The columns that are known, or match `also`, and the names of the others.
+    ///
+    /// # Errors
+    /// A column that is there twice; one whose name is nearly that of a missing one; another table.
+    pub(crate) fn known(
+        &self,
+        known: &[&str],
+        also: fn(&str) -> bool,
+    ) -> Result<(Self, Vec<String>), InputError> {
+        let is_known = |name: &str| known.contains(&name) || also(name);
+        let missing: Vec<&str> = known.iter().copied().filter(|k| self.find(k).is_none()).collect();
+        let is_slip = |name: &str| nearest(name, &missing).is_some();
+        // One name may be another table's too.
+        let is_one_of_these = known.len() - missing.len() >= known.len().min(2);
+        let (mut kept, mut unrelated) = (self.clone(), Vec::new());
+        for (name, _) in &mut kept.names {
+            if is_one_of_these && !is_known(name) && !is_slip(name) {
+                unrelated.push(std::mem::take(name));
+            }
+        }
+        unrelated.retain(|name| !name.is_empty());
+        kept.only(known, |name| name.is_empty() || also(name))?;
+        Ok((kept, unrelated))
+    }
+
     /// That every column is known and there once.
     ///
     /// # Errors
     /// The first that is not.
-    pub fn only(&self, known: &[&str], also: impl Fn(&str) -> bool) -> Result<(), InputError> {
+    fn only(&self, known: &[&str], also: impl Fn(&str) -> bool) -> Result<(), InputError> {
         for (n, (name, column)) in self.names.iter().enumerate() {
             if !known.contains(&name.as_str()) && !also(name) {
                 let near = nearest(name, known).map_or_else(String::new, |k| format!("; did you mean {k}?"));
@@ -898,7 +1014,7 @@ impl Header {
                 let found = format!("column {}", quoted(name));
                 return Err(InputError::at(&self.file, self.line, *column, found, expected));
             }
-            if self.find(name) != Some(n) {
+            if !name.is_empty() && self.find(name) != Some(n) {
                 return Err(self.twice(n));
             }
         }

@@ -62,10 +62,12 @@ pub enum FileKind {
     Program,
     /// A controller's compensation table: `$AA_ENC_COMP`, `$AN_CEC`, `kw.ssfk`.
     ControllerTable,
+    /// A drawing or a solid of another program, by its name.
+    Cad(&'static str),
 }
 
 /// How files that are no text begin.
-const MAGIC: [(&[u8], FileKind); 7] = [
+const MAGIC: [(&[u8], FileKind); 8] = [
     (b"\x89PNG", FileKind::Picture),
     (b"\xff\xd8\xff", FileKind::Picture),
     (b"PK\x03\x04", FileKind::Workbook),
@@ -73,7 +75,16 @@ const MAGIC: [(&[u8], FileKind); 7] = [
     (b"%PDF-", FileKind::Pdf),
     (b"\x1f\x8b", FileKind::Compressed),
     (b"AutoCAD Binary DXF", FileKind::Drawing),
+    (b"AC10", FileKind::Cad("an AutoCAD drawing (DWG)")),
 ];
+
+const STL: FileKind = FileKind::Cad("triangles of a solid (STL)");
+
+/// Whether bytes are a binary STL: a head of 80, a number, 50 for each triangle.
+fn is_binary_stl(bytes: &[u8]) -> bool {
+    let number = bytes.get(80..84).and_then(|n| n.try_into().ok()).map(u32::from_le_bytes);
+    number.is_some_and(|n| n > 0 && bytes.len() as u64 == 84 + 50 * u64::from(n))
+}
 
 /// Lines that are looked at: what a file is shows at its beginning.
 const LINES: usize = 2000;
@@ -99,7 +110,8 @@ impl FileKind {
     /// Of a file that is no text: by its first bytes.
     #[must_use]
     pub fn of_bytes(bytes: &[u8]) -> Option<Self> {
-        MAGIC.iter().find(|(magic, _)| bytes.starts_with(magic)).map(|(_, kind)| *kind)
+        let by_magic = MAGIC.iter().find(|(magic, _)| bytes.starts_with(magic)).map(|(_, kind)| *kind);
+        by_magic.or_else(|| is_binary_stl(bytes).then_some(STL))
     }
 
     /// By what only this file has; nothing where none is there.
@@ -115,6 +127,14 @@ impl FileKind {
         let mut words = text.split_whitespace();
         let (first, second) = (words.next()?, words.next().unwrap_or_default());
         match first {
+            _ if first.starts_with("ISO-10303-21") => return Some(Self::Cad("a STEP file (ISO 10303-21)")),
+            "solid" if text.contains("facet") => return Some(STL),
+            _ if text.lines().next().is_some_and(|l| l.get(72..80) == Some("S      1")) => {
+                return Some(Self::Cad("an IGES file"));
+            }
+            _ if first.starts_with('<') && text.contains("<svg") => {
+                return Some(Self::Cad("a picture in SVG"));
+            }
             // Comments of a drawing, group 999, may stand in front of its sections.
             "0" if second == "SECTION" => return Some(Self::Drawing),
             "999" if text.lines().map(str::trim).take(LINES).any(|l| l == "SECTION") => {
@@ -146,7 +166,7 @@ impl FileKind {
         if lines().any(|l| ["$AA_ENC_COMP", "$AN_CEC", "kw.ssfk"].iter().any(|name| l.starts_with(name))) {
             return Some(Self::ControllerTable);
         }
-        if first == "%" || lines().take(BLOCKS).any(is_block) {
+        if text.lines().next().is_some_and(|l| l.trim() == "%") || lines().take(BLOCKS).any(is_block) {
             return Some(Self::Program);
         }
         let is_shdr = |line: &str| {
@@ -179,7 +199,7 @@ impl FileKind {
         if heads(&["[lines]"]) && heads(&["inputs =", "outputs =", "inputs=", "outputs="]) {
             return Some(Self::Profile);
         }
-        let mut rows = lines().filter(|l| !l.is_empty() && !l.starts_with('#'));
+        let mut rows = lines().filter(|l| !l.is_empty() && !crate::csv::is_comment(l));
         if are_rising_numbers(rows.clone()) {
             return Some(Self::Numbers);
         }
@@ -232,6 +252,7 @@ impl FileKind {
             Self::Json => "JSON",
             Self::Picture => "a picture",
             Self::Program => "a program for a controller (G-code)",
+            Self::Cad(name) => name,
             Self::ControllerTable => "a compensation table that a controller loads (SINUMERIK, ISG)",
         }
     }
@@ -323,6 +344,15 @@ mod tests {
     use super::*;
 
     #[test]
+    fn knows_a_binary_stl_by_its_length() {
+        let mut bytes = vec![b' '; 84];
+        bytes[80..].copy_from_slice(&2_u32.to_le_bytes());
+        bytes.extend([7; 100]);
+        assert_eq!(FileKind::of_bytes(&bytes), Some(STL));
+        assert_eq!(FileKind::of_bytes(&bytes[..183]), None);
+    }
+
+    #[test]
     fn files_are_told_apart() {
         for (text, kind) in [
             (
@@ -354,6 +384,11 @@ mod tests {
             ("; turn it\nN10 G0 X5.0\nN20 G1 X4 F0.1\n", Some(FileKind::Program)),
             ("G21\nG28.2 Z\n", Some(FileKind::Program)),
             ("CHANDATA(1)\n$AA_ENC_COMP[0,0,AX1]=0.001\nM17\n", Some(FileKind::ControllerTable)),
+            ("ISO-10303-21;\nHEADER;\n", Some(FileKind::Cad("a STEP file (ISO 10303-21)"))),
+            ("AC1032\0\0", Some(FileKind::Cad("an AutoCAD drawing (DWG)"))),
+            (&format!("{:72}S      1\n", "made by x"), Some(FileKind::Cad("an IGES file"))),
+            ("solid part\n facet normal 0 0 1\n", Some(STL)),
+            ("<?xml version=\"1.0\"?>\n<svg width=\"9\"/>\n", Some(FileKind::Cad("a picture in SVG"))),
             ("G1,G2,e\n0,1,2\n", Some(FileKind::Table)),
             ("M1;M2\n0;1\n", Some(FileKind::Table)),
             ("# mm\n0 0.001 0.002\n100\t0.0 0.0\n", Some(FileKind::Numbers)),

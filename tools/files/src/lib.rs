@@ -13,6 +13,8 @@
 //! | [`Numbers`] | how the numbers of a column are written: decimal point or comma, thousands |
 //! | [`keys`] | one table of keys per section of a TOML file: it reads, checks and describes |
 //! | [`mod@toml`] | TOML read strictly: the first finding, or all of them |
+//! | [`units`] | units that the name of a column states |
+//! | [`clock`], [`date`] | clocks that do not begin with the run: ISO 8601, DD.MM.YYYY, times of the day, Unix times |
 //! | [`trace`] | recorded quadrature, as CSV and VCD, and requested totals |
 //! | [`mod@write`] | files that appear whole or not at all |
 //! | [`folder`] | a folder that others write to as well: nothing in it is followed through a link |
@@ -27,6 +29,7 @@
 //!
 //! At work: `cargo run -p rtec-files --example read_trace`, which the tests run too.
 
+pub mod clock;
 pub mod csv;
 pub mod date;
 mod decimal;
@@ -41,6 +44,7 @@ pub mod stamp;
 pub mod text;
 pub mod toml;
 pub mod trace;
+pub mod units;
 mod vcd;
 pub mod watch;
 pub mod words;

@@ -176,6 +176,16 @@ impl<R: Read> Lines<R> {
         }
     }
 
+    /// Reads on until the buffer holds so many lines, or all, or is half full.
+    pub(crate) fn fill_lines(&mut self, lines: usize) -> Result<(), InputError> {
+        let newlines = |bytes: &[u8]| memchr::memchr_iter(b'\n', bytes).count();
+        while newlines(self.unread()) < lines
+            && self.end - self.start < self.buffer.len() / 2
+            && self.fill()?
+        {}
+        Ok(())
+    }
+
     /// The next line without its end, as a range of the buffer.
     pub(crate) fn line(&mut self) -> Result<Option<Range<usize>>, InputError> {
         let mut searched = 0;

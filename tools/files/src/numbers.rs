@@ -124,6 +124,8 @@ pub struct Marks {
     open: Option<String>,
     commented: Option<Commented>,
     beyond: Beyond,
+    /// Lines of another program in front of the columns' names.
+    preamble: usize,
 }
 
 impl Marks {
@@ -138,6 +140,7 @@ impl Marks {
             open: None,
             commented: None,
             beyond: Beyond::default(),
+            preamble: 0,
         };
         marks.read_so_far(reader);
         marks
@@ -152,6 +155,7 @@ impl Marks {
         };
         self.commented = reader.commented();
         self.beyond = reader.beyond();
+        self.preamble = reader.preamble();
     }
 
     /// Sees a cell of a row; `place` is its column's, from 0.
@@ -259,7 +263,10 @@ impl Marks {
     }
 
     fn said(&self, file: &Path, read: Option<String>) -> Option<String> {
-        let said = [read, self.two_readings(), self.rows_commented(), self.separators()];
+        let lines = if self.preamble == 1 { "1 line".to_owned() } else { format!("{} lines", self.preamble) };
+        let passed_over =
+            (self.preamble > 0).then(|| format!("passed over {lines} in front of the columns' names"));
+        let said = [read, passed_over, self.two_readings(), self.rows_commented(), self.separators()];
         let said: Vec<String> = said.into_iter().flatten().collect();
         (!said.is_empty()).then(|| format!("{}: {}", file.display(), said.join("; ")))
     }

@@ -5,7 +5,7 @@ use crate::csv::{Header, Reader};
 use crate::file_kind::FileKind;
 use crate::input::InputError;
 use crate::numbers::Marks;
-use crate::words::shown;
+use crate::words::{cut, shown};
 use std::path::{Path, PathBuf};
 
 /// A CSV file read whole.
@@ -16,6 +16,8 @@ pub struct Sheet {
     names: Vec<String>,
     rows: Vec<Row>,
     marks: Marks,
+    /// Columns that were left out.
+    unrelated: Vec<String>,
 }
 
 #[derive(Debug, Clone)]
@@ -139,9 +141,17 @@ impl Sheet {
     ) -> Result<Self, InputError> {
         let expected = format!("a header: {}", known.join(","));
         let mut reader = Reader::new(file, bytes)?;
-        let header = reader.header_of(&expected, &columns.places())?;
         let header = if columns.is_empty() {
-            header.only(known, also).map_err(|e| {
+            // A line with two of the names is no chance.
+            let enough = known.len().min(2);
+            let has_enough =
+                |header: &Header| known.iter().filter(|n| header.find(n).is_some()).count() >= enough;
+            reader.header_where(&expected, has_enough)?
+        } else {
+            reader.header_of(&expected, &columns.places())?
+        };
+        let (header, unrelated) = if columns.is_empty() {
+            header.known(known, also).map_err(|e| {
                 let e = header.is_missing().map_or(e, |missing| InputError {
                     expected: format!("{}, as {}", missing.expected, known.join(",")),
                     ..missing
@@ -154,10 +164,9 @@ impl Sheet {
                     .map(|kind| kind.name().to_owned())
                     .or_else(|| record_beside(file))
                     .map_or(e.clone(), |found| InputError { found, ..e })
-            })?;
-            header
+            })?
         } else {
-            header.renamed(&columns.0)?
+            (header.renamed(&columns.0)?, Vec::new())
         };
         let mut rows = Vec::new();
         while let Some(row) = reader.row()? {
@@ -175,7 +184,7 @@ impl Sheet {
         for (place, (text, _)) in rows.iter().flat_map(|r: &Row| r.cells.iter().enumerate()) {
             marks.see(place, text);
         }
-        Ok(Self { file: file.to_owned(), header, names, rows, marks })
+        Ok(Self { file: file.to_owned(), header, names, rows, marks, unrelated })
     }
 
     /// The file as the user named it.
@@ -185,10 +194,14 @@ impl Sheet {
     }
 
     /// How the file's format differs from formats.md.
-    /// UTF-16, another separator or decimal commas.
+    /// UTF-16, another separator or decimal commas; lines in front and columns that were passed over.
     #[must_use]
     pub fn written(&self) -> Option<String> {
-        self.marks.written(&self.file)
+        let names: Vec<String> = self.unrelated.iter().map(|name| cut(name)).collect();
+        let left_out = (!names.is_empty())
+            .then(|| format!("{}: left out the columns {}", self.file.display(), names.join(", ")));
+        let said: Vec<String> = self.marks.written(&self.file).into_iter().chain(left_out).collect();
+        (!said.is_empty()).then(|| said.join("; "))
     }
 
     /// Number of rows without the header.

@@ -7,6 +7,7 @@
 //! Other programs name the columns and signals otherwise, and write times in seconds: [`Columns`] says which is which. Where a
 //! table has other columns too, rows in which neither a nor b changes are theirs, and passed over.
 
+use crate::clock::{self, Moments};
 use crate::csv::{self, Cell, Header};
 use crate::file_kind::FileKind;
 use crate::input::InputError;
@@ -14,6 +15,7 @@ use crate::lines::BUFFER;
 use crate::numbers::{Marks, Numbers};
 use crate::sheet::Columns;
 use crate::text::{open_regular, opened};
+use crate::units;
 use crate::vcd::Vcd;
 use crate::write::WholeFile;
 use rtec_driver::quadrature::State;
@@ -85,6 +87,10 @@ struct Table<const N: usize> {
     file: Option<PathBuf>,
     columns: Vec<String>,
     numbers: Option<[Numbers; N]>,
+    /// Times that are dates or times of the day.
+    moments: Moments,
+    /// No time was read yet.
+    at_start: bool,
 }
 
 /// Names of a time, each with the decimals that make it one in ns.
@@ -128,8 +134,15 @@ impl<const N: usize> Table<N> {
         if (1..N).any(|n| places[..n].contains(&places[n])) {
             return Err(header.finding("one column for two names", "every column once"));
         }
-        let file = file.map(Path::to_owned);
-        Ok(Self { header, places, shift, file, columns: wanted.to_vec(), numbers: None })
+        let time = header.names().nth(places[0]).unwrap_or_default();
+        let stated = units::stated(time).and_then(|s| TIMES.iter().find(|(t, _)| t[2..] == *s.unit));
+        if let Some((name, _)) = stated.filter(|(_, decimals)| *decimals != shift) {
+            let found = format!("the column {time} as {}", TIMES[shift / 3].0);
+            return Err(header.finding(found, format!("its own unit: {option} {name}={time}")));
+        }
+        let (file, moments) = (file.map(Path::to_owned), Moments::default());
+        let columns = wanted.to_vec();
+        Ok(Self { header, places, shift, file, columns, numbers: None, moments, at_start: true })
     }
 
     /// The table has other columns too.
@@ -163,8 +176,30 @@ impl<const N: usize> Table<N> {
         // A whole number has no decimals: a lone mark in it more likely parts thousands.
         let is_open = shift == 0 && numbers.leaves_open(cell.text());
         let plain = numbers.plain(cell.text()).filter(|_| !is_open);
+        if n == 0 {
+            let first = std::mem::take(&mut self.at_start);
+            let is_number = plain.as_deref().and_then(crate::decimal::number).is_some();
+            if !is_number && (first || self.moments.start().is_some()) {
+                let ns = self.moments.absolute(cell.text()).and_then(|ns| ns.to_string().parse().ok());
+                let expected = clock::expected_instead(cell.text()).unwrap_or(expected);
+                return ns.ok_or_else(|| cell.finding(expected));
+            }
+            let unix = plain.as_deref().and_then(|plain| clock::unix(plain.parse().ok()?));
+            if let Some((unit, _)) = unix.filter(|(unit, _)| first && *unit != &TIMES[shift / 3].0[2..]) {
+                let found = format!("{}, Unix time in {unit}", cell.text());
+                return Err(cell.said(found, format!("a time in its own unit: t_{unit}=COLUMN")));
+            }
+        }
         let whole = plain.and_then(|plain| shifted(&plain, shift)?.parse().ok());
         whole.ok_or_else(|| cell.finding(expected))
+    }
+
+    /// What times that are dates or times of the day are counted from.
+    fn said(&self) -> Option<String> {
+        let start = self.moments.start()?;
+        let since = if clock::of_day_ns(start).is_some() { "midnight" } else { "1970-01-01 UTC" };
+        let file = self.header.file().display();
+        Some(format!("{file}: the first time is {start}; ns are counted since {since}"))
     }
 
     /// How the columns' numbers are written.
@@ -281,6 +316,16 @@ impl<R: Read> TraceReader<R> {
     #[must_use]
     pub fn written(&self) -> Option<String> {
         (!matches!(self.points, Points::Vcd(_))).then(|| written(&self.rows))?
+    }
+
+    /// What a user should know of what was read so far.
+    /// What dates are counted from; levels that were unknown at first.
+    #[must_use]
+    pub fn said(&self) -> Option<String> {
+        match &self.points {
+            Points::Plain(table) | Points::Table(table) => table.said(),
+            Points::Vcd(vcd) => Some(format!("{}: {}", self.rows.lines.file.display(), vcd.said()?)),
+        }
     }
 
     /// The next point, or `None` at the end.
@@ -424,6 +469,12 @@ impl<R: Read> RequestReader<R> {
     #[must_use]
     pub fn written(&self) -> Option<String> {
         written(&self.rows)
+    }
+
+    /// As [`TraceReader::said`].
+    #[must_use]
+    pub fn said(&self) -> Option<String> {
+        self.table.said()
     }
 
     fn row(&mut self) -> Result<Option<RequestedTotal>, InputError> {

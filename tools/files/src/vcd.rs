@@ -27,17 +27,21 @@ pub(crate) struct Vcd {
     levels: [Option<bool>; 2],
     /// A level was written since `now`.
     touched: bool,
+    /// Signals whose level is written as unknown, and the time up to which one was.
+    unknown: [bool; 2],
+    unknown_until: Option<u64>,
 }
 
 impl Vcd {
     /// Reads the definitions; `names`: what a and b are called where they have other names, or their numbers from 1 among the
-    /// signals of one bit.
+    /// signals of one bit. A name may have its scopes in front, as `axis.a`.
     pub(crate) fn definitions<R: Read>(
         input: &mut Lines<R>,
         names: [Option<&str>; 2],
     ) -> Result<Self, InputError> {
         input.line = 1;
         let (mut ns_per_unit, mut codes, mut others) = (None, [None, None], Vec::new());
+        let mut scopes: Vec<String> = Vec::new();
         // Signals of one bit so far.
         let mut bits = 0_usize;
         loop {
@@ -63,9 +67,14 @@ impl Vcd {
                             others.push(name.clone());
                         }
                     }
-                    variable(input, &body, names, bits, &mut codes)?;
+                    variable(input, &body, names, bits, &scopes, &mut codes)?;
                 }
-                "$comment" | "$date" | "$version" | "$scope" | "$upscope" => skip_to_end(input)?,
+                "$scope" => scopes.push(until_end(input)?.pop().unwrap_or_default()),
+                "$upscope" => {
+                    scopes.pop();
+                    skip_to_end(input)?;
+                }
+                "$comment" | "$date" | "$version" => skip_to_end(input)?,
                 other => {
                     let expected = "a VCD definition: $timescale, $scope, $var, $upscope, $enddefinitions";
                     return Err(input.at_word(&quoted(other), expected));
@@ -75,7 +84,7 @@ impl Vcd {
         let Some(ns_per_unit) = ns_per_unit else {
             return Err(input.at_word("no $timescale", "for example $timescale 1 ns $end"));
         };
-        let [Some(a), Some(b)] = codes else {
+        let [Some((a, _)), Some((b, _))] = codes else {
             let signal = usize::from(codes[0].is_some());
             let missing = names[signal].unwrap_or(["a", "b"][signal]);
             let mut expected = "two variables of one bit named a and b".to_owned();
@@ -89,7 +98,8 @@ impl Vcd {
             let found = format!("a and b as one variable, {}", quoted(&String::from_utf8_lossy(&a)));
             return Err(input.at_word(&found, "two variables: a and b of one scale never change together"));
         }
-        Ok(Self { ns_per_unit, codes: [a, b], now: 0, levels: [None; 2], touched: false })
+        let (levels, unknown) = ([None; 2], [false; 2]);
+        Ok(Self { ns_per_unit, codes: [a, b], now: 0, levels, touched: false, unknown, unknown_until: None })
     }
 
     /// Reads to the end of the next time step in which a or b changed.
@@ -158,9 +168,15 @@ impl Vcd {
     }
 
     fn set<R: Read>(&mut self, input: &Lines<R>, signal: usize, value: u8) -> Result<(), InputError> {
+        self.touched = true;
         self.levels[signal] = match value {
             b'0' | b'L' | b'l' => Some(false),
             b'1' | b'H' | b'h' => Some(true),
+            // Before the first level nothing can be lost.
+            _ if self.levels[signal].is_none() => {
+                self.unknown[signal] = true;
+                None
+            }
             other => {
                 let found = format!("{} for signal {}", char::from(other), ["a", "b"][signal]);
                 return Err(
@@ -168,8 +184,18 @@ impl Vcd {
                 );
             }
         };
-        self.touched = true;
         Ok(())
+    }
+
+    /// That a level was unknown at first, and until when.
+    pub(crate) fn said(&self) -> Option<String> {
+        let names: Vec<&str> =
+            ["a", "b"].into_iter().zip(self.unknown).filter(|(_, is)| *is).map(|(name, _)| name).collect();
+        let until = self.unknown_until?;
+        Some(format!(
+            "the level of {} is unknown before #{until}: no change before it counts",
+            names.join(" and ")
+        ))
     }
 
     /// The point that the present time step makes, if a or b changed in it.
@@ -182,10 +208,16 @@ impl Vcd {
             return Ok(None);
         }
         let [Some(a), Some(b)] = self.levels else {
+            if (0..2).all(|n| self.levels[n].is_some() || self.unknown[n]) {
+                return Ok(None);
+            }
             let missing = if self.levels[0].is_none() { "a" } else { "b" };
             let found = format!("no value of {missing} at #{}", self.now);
             return Err(input.at_word(&found, "a value of a and b at the first change of either"));
         };
+        if self.unknown != [false; 2] {
+            self.unknown_until.get_or_insert(self.now);
+        }
         let state = State::new(a, b);
         let Some(scaled) = self.now.checked_mul(self.ns_per_unit.0) else {
             return Err(input.at_word(&format!("#{}", self.now), "a time below 18446744073709551616 ns"));
@@ -255,31 +287,45 @@ fn timescale<R>(input: &Lines<R>, text: &str) -> Result<(u64, u64), InputError> 
     Ok((magnitude * mul, div))
 }
 
+/// The identifier of a signal, and its name with the scopes around it.
+type Signal = (Vec<u8>, String);
+
 /// Takes the identifier of a or b out of a `$var TYPE SIZE CODE NAME [RANGE] $end`.
 fn variable<R>(
     input: &Lines<R>,
     body: &[String],
     names: [Option<&str>; 2],
     number: usize,
-    codes: &mut [Option<Vec<u8>>; 2],
+    scopes: &[String],
+    codes: &mut [Option<Signal>; 2],
 ) -> Result<(), InputError> {
     let [_kind, size, code, name, ..] = body else {
         return Err(input.at_word(&quoted(&body.join(" ")), "$var TYPE SIZE CODE NAME $end"));
     };
+    let path: String = scopes.iter().map(|scope| format!("{scope}.")).chain([name.clone()]).collect();
     let is_named = |signal: usize| match names[signal] {
         None => name.eq_ignore_ascii_case(["a", "b"][signal]),
-        Some(wanted) => wanted == name || size == "1" && wanted.parse() == Ok(number),
+        Some(wanted) => {
+            let in_scope =
+                path.strip_suffix(wanted).is_some_and(|front| front.is_empty() || front.ends_with('.'));
+            wanted == name || in_scope || size == "1" && wanted.parse() == Ok(number)
+        }
     };
     let Some(signal) = (0..2).find(|signal| is_named(*signal)) else { return Ok(()) };
     if size != "1" {
         return Err(input.at_word(&format!("{name} of {size} bits"), "one bit"));
     }
     let code = code.as_bytes().to_vec();
-    if codes[signal].as_ref().is_some_and(|known| *known != code) {
-        return Err(
-            input.at_word(&format!("a second variable named {name}"), "one a and one b in all scopes")
-        );
+    if let Some((_, first)) = codes[signal].as_ref().filter(|(known, _)| *known != code) {
+        let found = format!("a second variable named {name}, {path} beside {first}");
+        let side = ["a", "b"][signal];
+        let expected = if path == *first {
+            format!("one {side}, or --columns {side}=NUMBER: its place among the variables of one bit")
+        } else {
+            format!("one {side}: --columns {side}={first} or {side}={path} selects it")
+        };
+        return Err(input.at_word(&found, &expected));
     }
-    codes[signal] = Some(code);
+    codes[signal] = Some((code, path));
     Ok(())
 }

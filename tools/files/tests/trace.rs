@@ -161,8 +161,9 @@ fn takes_the_nine_levels_of_vhdl() {
     let others = "#0\nU#\nbUUUU $\nL!\n0\"\n#5\nW#\n-#\nb01-Z $\nH!\n#9\n1\"\n";
     assert_eq!(read(TraceFormat::Vcd, format!("{head}{others}")).unwrap().len(), 3);
     let undefined = format!("{head}#0\nU!\nU\"\n#5\n0!\n0\"\n");
-    let error = read(TraceFormat::Vcd, undefined).unwrap_err();
-    assert_eq!((error.line, error.found.as_str()), (8, "U for signal a"));
+    assert_eq!(read(TraceFormat::Vcd, &undefined).unwrap(), [point(5, 0, 0)]);
+    let error = read(TraceFormat::Vcd, undefined + "#7\nU!\n").unwrap_err();
+    assert_eq!((error.line, error.found.as_str()), (14, "U for signal a"));
 }
 
 #[test]
@@ -228,7 +229,7 @@ fn vcd_errors_say_where_and_what() {
         (head.replace("1 \" b", "2 \" b"), "t:3:17: found b of 2 bits, expected one bit"),
         (
             head.replace("$enddef", "$var wire 1 # a $end\n$enddef"),
-            "t:4:17: found a second variable named a, expected one a and one b in all scopes",
+            "t:4:17: found a second variable named a, a beside a, expected one a, or --columns a=NUMBER: its place among the variables of one bit",
         ),
         (head.to_owned(), "t: found a trace without a point, expected at least the initial state of a and b"),
         (
@@ -238,6 +239,10 @@ fn vcd_errors_say_where_and_what() {
         (
             format!("{head}#0 0! 0\"\n#9 x!\n"),
             "t:6:4: found x for signal a, expected the level 0 or 1: unknown and open lines cannot be counted",
+        ),
+        (
+            format!("{head}$dumpvars x! x\" $end\n#5 0!\n"),
+            "t: found a trace without a point, expected at least the initial state of a and b",
         ),
         (format!("{head}#9 0! 0\"\n#8 1!\n"), "t:6:1: found #8, expected a time not before #9"),
         (

@@ -5,7 +5,7 @@ use crate::iso230::{self, Conditions, Drift, LongDrift, Options};
 use crate::plausible::{self, Suspicion};
 use crate::plot::PlotError;
 use crate::report::{self, Report, Run};
-use crate::steps::{self, Steps};
+use crate::steps;
 use crate::{ballbar, plate, record};
 use rtec_files::text::short;
 use rtec_files::{InputError, Said};
@@ -485,12 +485,13 @@ fn returns(record: &Record, conditions: &Conditions) -> Result<(Value, Report), 
         ));
     }
     let coarse = |column: &Column| {
-        let steps = Steps::of_response(record, column).filter(Steps::is_coarse)?;
-        Some((column.role.to_string(), short(steps.step)))
+        let (step, of) = (steps::step_of(&column.data)?, iso230::Returns::of(&column.data)?);
+        let s_um = of.s_about_trend_um.unwrap_or(of.s_um);
+        (s_um < step).then(|| (column.role.to_string(), short(step)))
     };
     for (role, step) in record.responses().filter_map(coarse) {
         report.warn(&format!(
-            "{role}: readings in steps of {step} µm, most returns alike: scatter below a step does not show; a finer gauge shows it"
+            "{role}: readings in steps of {step} µm, and the returns scatter by less: scatter below a step does not show; a finer gauge shows it"
         ));
     }
     Ok((found, report))

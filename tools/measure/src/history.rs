@@ -155,6 +155,9 @@ pub struct History {
     /// Mistakes that the records show; the rows that they name are in no figure.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub suspicions: Vec<Suspicion>,
+    /// Figures that hold a drift or a step of their run, in words.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub changes: Vec<String>,
 }
 
 /// One machine's history from its records, each by its path.
@@ -163,7 +166,7 @@ pub struct History {
 pub fn history(machine: &str, records: &[(String, Result<Record, InputError>)], limits: &Limits) -> History {
     let mut found: BTreeMap<String, Figure> = BTreeMap::new();
     let mut left_out = Vec::new();
-    let mut suspicions = Vec::new();
+    let (mut suspicions, mut changes) = (Vec::new(), Vec::new());
     let records: Vec<(&String, Result<Rows, &InputError>)> = records
         .iter()
         .map(|(path, record)| (path, record.as_ref().map(|r| Rows::of(r, &mut suspicions))))
@@ -181,6 +184,7 @@ pub fn history(machine: &str, records: &[(String, Result<Record, InputError>)], 
         match said {
             Err(why) => left_out.push(LeftOut { record: path.clone(), why }),
             Ok((record, day, figures, every)) => {
+                changes.extend(held_changes(record).into_iter().map(|held| format!("{path}: {held}")));
                 for (name, unit, sensor, value) in figures {
                     let with = every.iter().find(|f| f.0 == name).map(|f| f.3);
                     let with_every_row = with.filter(|with| !is_same_figure(*with, value));
@@ -201,7 +205,7 @@ pub fn history(machine: &str, records: &[(String, Result<Record, InputError>)], 
         }
     }
     let figures = found.into_values().map(judged).collect();
-    History { machine: machine.to_owned(), figures, left_out, suspicions }
+    History { machine: machine.to_owned(), figures, left_out, suspicions, changes }
 }
 
 type Said = (String, &'static str, Option<String>, f64);
@@ -228,6 +232,26 @@ impl Rows {
         found.extend(doubts);
         Self { good, every }
     }
+}
+
+/// Figures of a positioning run that hold its drift or step, in words.
+fn held_changes(record: &Record) -> Vec<String> {
+    if !matches!(Standard::of(record), Ok(Standard::Iso230_2)) {
+        return Vec::new();
+    }
+    let options = Options { one_way: true, ..Options::default() };
+    let held = |p: &iso230::Positioning| {
+        let (by, unit) = (p.changes_by()?, if p.unit == "urad" { "µrad" } else { "µm" });
+        let figures: Vec<String> = p
+            .figures()
+            .into_iter()
+            .filter_map(|(symbol, with)| {
+                Some(format!("{symbol} {:.2} instead of {:.2} {unit}", p.without_change(symbol)?, with?))
+            })
+            .collect();
+        Some(format!("{} holds a {by} of its run; without it {}", p.response, figures.join(", ")))
+    };
+    iso230::positioning_with(record, &options).iter().flatten().filter_map(held).collect()
 }
 
 /// What a record says: of an evaluation that has no history nothing.

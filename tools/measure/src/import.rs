@@ -12,7 +12,7 @@
 //! | `ecmc` | ecmc's ISO 230-2 test | |
 //! | `cmm` | tables of holes | |
 //!
-//! `asked`: which of them, as somebody asks for it. Times: `rtec_model::clock`.
+//! `asked`: which of them, as somebody asks for it. Times: `rtec_files::clock`.
 
 pub mod asked;
 mod cmm;

@@ -295,7 +295,7 @@ impl ReturnStep {
 
 /// Whether neighbours are more alike than by chance in one of a hundred runs.
 /// Von Neumann's ratio has mean 2 and variance 4 (n − 2) / (n² − 1).
-fn is_alike(ratio: f64, n: usize) -> bool {
+pub(crate) fn is_alike(ratio: f64, n: usize) -> bool {
     let n = n as f64;
     ratio < 2.0 - ONE_IN_A_HUNDRED * 2.0 * ((n - 2.0) / (n * n - 1.0)).sqrt()
 }

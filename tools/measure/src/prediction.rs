@@ -4,6 +4,7 @@ use crate::{derive, plausible, record};
 use rtec_files::{InputError, Said};
 use rtec_model::machine::{Asked, HalfWidths, Machine, Reach, Running};
 use rtec_model::record::{Record, Role};
+use std::collections::BTreeMap;
 use std::io::Write;
 use std::path::Path;
 
@@ -66,9 +67,9 @@ pub fn write(
     let mut widths: Vec<HalfWidths<'_>> = Vec::new();
     let style = pieces.style();
     let (mut rows, mut taken_as_zero, mut text) = (0, Vec::new(), String::new());
-    let mut not_taken = 0;
-    while let Some(piece) = pieces.next(PIECE_ROWS)? {
-        not_taken += plausible::not_taken(&piece.record);
+    let (mut not_taken, mut held) = (0, BTreeMap::new());
+    while let Some(mut piece) = pieces.next(PIECE_ROWS)? {
+        not_taken += plausible::hold_last_good(&mut piece.record, &mut held);
         let prediction = running.next(&piece.record)?;
         text.clear();
         if rows == 0 {
@@ -113,13 +114,12 @@ pub fn write(
     Ok(())
 }
 
-/// Readings that a sensor did not take.
-/// The prediction of those rows is as wrong as they are.
+/// Readings that a sensor did not take are in no prediction.
 fn warn_of_readings(file: &Path, not_taken: usize, say: &mut dyn FnMut(Said)) {
     if not_taken > 0 {
         say(Said::Warning(format!(
-            "{}: {not_taken} readings that a sensor did not take (`characterise evaluate` names them): the prediction of those rows is \
-             of what they say",
+            "{}: {not_taken} readings that a sensor did not take (`characterise evaluate` names them): those rows are predicted from the \
+             sensor's last good reading",
             file.display()
         )));
     }
@@ -127,8 +127,9 @@ fn warn_of_readings(file: &Path, not_taken: usize, say: &mut dyn FnMut(Said)) {
 
 /// How far a record goes, and how many rows it has.
 fn look_over(pieces: &mut record::Pieces, asked: &mut Asked<'_>) -> Result<(Reach, usize), InputError> {
-    let (mut reach, mut rows) = (Reach::default(), 0);
-    while let Some(record) = pieces.next_record(PIECE_ROWS)? {
+    let (mut reach, mut rows, mut held) = (Reach::default(), 0, BTreeMap::new());
+    while let Some(mut record) = pieces.next_record(PIECE_ROWS)? {
+        plausible::hold_last_good(&mut record, &mut held);
         asked.see(&record);
         reach.see(&record);
         rows += record.rows();
@@ -178,10 +179,12 @@ pub fn csv(
     say: &mut dyn FnMut(Said),
 ) -> Result<String, InputError> {
     let mut columns = Vec::new();
-    warn_of_readings(&record.path, plausible::not_taken(record), say);
-    for (response, (name, data)) in record.responses().zip(predict(machine, record, say)?) {
+    let mut good = record.clone();
+    let not_taken = plausible::hold_last_good(&mut good, &mut BTreeMap::new());
+    warn_of_readings(&record.path, not_taken, say);
+    for (response, (name, data)) in record.responses().zip(predict(machine, &good, say)?) {
         if interval {
-            let width = machine.half_widths_um(record, &response.role);
+            let width = machine.half_widths_um(&good, &response.role);
             let width = width.ok_or_else(|| no_interval(machine, &response.role))?;
             let bound = |sign: f64| data.iter().zip(&width).map(|(p, w)| p + sign * w).collect::<Vec<f64>>();
             let (low, high) = (bound(-1.0), bound(1.0));

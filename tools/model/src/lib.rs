@@ -10,7 +10,6 @@
 //! | [`record`] | a run in memory: what an effect is evaluated over, column by column |
 //! | `role` | what a column is: its role and axis |
 //! | [`circle`] | a circular run measured by a bar: what its angle says of the two axes |
-//! | [`clock`] | clocks that do not begin with the run: ISO 8601, DD.MM.YYYY, times of the day, Unix times |
 //! | [`date`] | calendar days |
 //! | [`file_kind`] | what a file says that it is, where another kind was asked for (of `rtec-files`) |
 //!
@@ -21,7 +20,6 @@
 
 pub mod chain;
 pub mod circle;
-pub mod clock;
 pub mod effect;
 pub use rtec_files::file_kind;
 pub mod limits;

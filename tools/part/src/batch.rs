@@ -61,6 +61,19 @@ pub enum BatchFinding {
     NotObservable,
     /// It changes along the batch: wear, or the machine's temperature.
     Trend,
+    /// It changes between two parts: another tool, offset or material.
+    Step,
+}
+
+/// A step of a place's errors between two parts.
+#[derive(Debug, Clone, Serialize)]
+pub struct BatchStep {
+    /// The first part behind it, as the file has it.
+    pub part: String,
+    /// Its size, in µm.
+    pub um: f64,
+    /// Standard deviation about the means on either side, in µm.
+    pub sd_about_um: f64,
 }
 
 /// The statistics of one place.
@@ -92,6 +105,9 @@ pub struct PlaceStatistics {
     /// What probing on the machine saw there, in µm.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub seen_on_machine_um: Option<f64>,
+    /// A step, where it explains the change better than a straight line.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub step: Option<BatchStep>,
     /// Readings that are in no figure.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub left_out: Vec<WildReading>,
@@ -208,7 +224,11 @@ fn judge(
                 line: sheet.line(s.rows[*k]),
                 error_um: s.errors_um[*k],
             };
-            PlaceStatistics { left_out: s.wild.iter().map(reading).collect(), ..statistics(s, seen) }
+            let step = step(&s.kept()).map(|(k, um, sd_about_um)| {
+                let part = parts[s.rows[k]].clone();
+                BatchStep { part, um, sd_about_um }
+            });
+            PlaceStatistics { left_out: s.wild.iter().map(reading).collect(), step, ..statistics(s, seen) }
         })
         .collect();
     if seen.is_some() && places.iter().all(|p| p.seen_on_machine_um.is_none()) {
@@ -224,7 +244,7 @@ fn judge(
     let errors_mm: Vec<f64> = series.iter().flat_map(Series::kept).map(|(_, um)| um / 1000.0).collect();
     let step_um = written_step_mm(&errors_mm).map_or(0.0, |mm| 1000.0 * mm);
     let rounding = |p: &PlaceStatistics| if step_um > 0.0 { left_in_mean(step_um, p.sd_um) } else { 0.0 };
-    let is_coarse = places.iter().any(|p| rounding(p) > 0.1 * judgement.least_um);
+    let is_coarse = step_um > LEAST_TOLD_UM && places.iter().any(|p| p.sd_um < step_um);
     for p in &mut places {
         let rounding = rounding(p);
         p.interval_um = [p.interval_um[0] - rounding, p.interval_um[1] + rounding];
@@ -236,7 +256,7 @@ fn judge(
         (p.p_value, p.trend_p_value) = (means[i], trends[i]);
         let drift_um = (p.trend_um_per_part * (p.parts - 1) as f64).abs();
         p.finding = if p.trend_p_value < judgement.alpha && drift_um > judgement.least_um {
-            BatchFinding::Trend
+            if p.step.is_some() { BatchFinding::Step } else { BatchFinding::Trend }
         } else if p.p_value < judgement.alpha && p.mean_um.abs() > judgement.least_um.max(rounding(p)) {
             // Seen: most of it, and with its sign.
             match p.seen_on_machine_um {
@@ -450,6 +470,26 @@ fn wild(errors_um: &[f64], places: usize) -> Vec<usize> {
     single
 }
 
+/// The step between two parts that explains errors better than a line.
+/// Returns the place of the first error behind it, its size, and the standard deviation about both means. Its place was sought: one parameter more than a line has (Schwarz's criterion).
+fn step(points: &[(usize, f64)]) -> Option<(usize, f64, f64)> {
+    const SIDE: usize = 2;
+    let (n, line) = (points.len(), Line::through(points));
+    let mean = |points: &[(usize, f64)]| points.iter().map(|(_, um)| um).sum::<f64>() / points.len() as f64;
+    let squares = |points: &[(usize, f64)]| {
+        let mean = mean(points);
+        points.iter().map(|(_, um)| (um - mean).powi(2)).sum::<f64>()
+    };
+    let about_line: f64 = points.iter().map(|point| line.left(*point).powi(2)).sum();
+    let about = |k: usize| squares(&points[..k]) + squares(&points[k..]);
+    let places = SIDE..(n + 1).checked_sub(SIDE)?;
+    let (at, left) = places.map(|k| (k, about(k))).min_by(|a, b| a.1.total_cmp(&b.1))?;
+    let count = n as f64;
+    let is_better = count * (about_line / left.max(f64::MIN_POSITIVE)).ln() > count.ln();
+    let size = mean(&points[at..]) - mean(&points[..at]);
+    (n > 2 * SIDE && is_better).then(|| (points[at].0, size, (left / (count - 2.0)).sqrt()))
+}
+
 fn statistics(series: &Series, seen: Option<&[PointError]>) -> PlaceStatistics {
     let kept = series.kept();
     let (e, n): (Vec<f64>, usize) = (kept.iter().map(|(_, um)| *um).collect(), kept.len());
@@ -483,6 +523,7 @@ fn statistics(series: &Series, seen: Option<&[PointError]>) -> PlaceStatistics {
         sd_about_trend_um: sd_about,
         trend_p_value: two_sided(slope / slope_error, n - 2),
         seen_on_machine_um,
+        step: None,
         left_out: Vec::new(),
         with_every_reading,
         finding: BatchFinding::Nothing,
@@ -520,6 +561,14 @@ fn offer(p: &PlaceStatistics) -> Option<String> {
              {:+.1} µm: tool and probe trace the same machine error; it belongs in the machine's model",
             p.seen_on_machine_um.unwrap_or(0.0)
         ),
+        BatchFinding::Step => {
+            let step = p.step.as_ref()?;
+            format!(
+                "{name}{at}: {:+.2} µm from part {} on, a step and no wear: look at what changed there (tool, offset, clamping, material) \
+                 before changing a table; the SD of {:.2} µm holds it, on either side the parts scatter by {:.2} µm",
+                step.um, step.part, p.sd_um, step.sd_about_um
+            )
+        }
         BatchFinding::Trend => format!(
             "{name}{at}: {:+.2} ± {:.2} µm from part to part: wear or temperature; look at the tool, the spindle's growth and \
              the model's temperatures before changing a table; the SD of {:.2} µm holds that change, about it the parts scatter by {:.2} µm",

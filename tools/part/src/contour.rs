@@ -1,5 +1,6 @@
 //! The contour of a turned part: segments, features in probing order, and the geometry that probing needs of them.
 
+use crate::edges::Edges;
 use crate::fit::Zx;
 use crate::svg::Svg;
 use serde::Serialize;
@@ -67,7 +68,13 @@ impl Spline {
         let (p, n) = (self.degree, self.points.len());
         let (low, high) = (self.knots[p], self.knots[n]);
         let u = low + (high - low) * t.clamp(0.0, 1.0);
-        let k = (p..n).rev().find(|&k| self.knots[k] <= u && self.knots[k] < self.knots[k + 1]).unwrap_or(p);
+        // The last span that begins at or before u; at the end of all, the last that is no point.
+        let before = if u < high {
+            self.knots[..n].partition_point(|k| *k <= u)
+        } else {
+            self.knots[..n].partition_point(|k| *k < u)
+        };
+        let k = before.max(p + 1) - 1;
         let mut d: Vec<(f64, f64, f64)> = (0..=p)
             .map(|j| {
                 let (q, w) = (self.points[j + k - p], self.weights[j + k - p]);
@@ -165,13 +172,11 @@ impl Segment {
         }
     }
 
-    /// The parameter at a length from the start.
-    fn parameter(&self, along_mm: f64) -> f64 {
-        let length_mm = self.length_mm();
+    /// The parameter at a length from the start; `chords` are its own.
+    fn parameter(&self, along_mm: f64, chords: &[Zx]) -> f64 {
         if matches!(self, Self::Line { .. } | Self::Arc { .. }) {
-            return (along_mm / length_mm).clamp(0.0, 1.0);
+            return (along_mm / self.length_mm()).clamp(0.0, 1.0);
         }
-        let chords = self.polyline();
         let mut passed = 0.0;
         for (k, w) in chords.windows(2).enumerate() {
             let step = (w[1] - w[0]).norm();
@@ -261,12 +266,16 @@ pub struct Contour {
     /// The material is on the left of the direction of travel.
     material_left: bool,
     chords: Vec<(usize, Vec<Zx>)>,
+    /// All chords; of each its feature and its start along that, mm.
+    surface: Edges,
+    starts: Vec<(usize, f64)>,
+    outline: Edges,
     /// What was left out of the drawing or taken as something simpler, one sentence each.
     pub cleaned: Vec<String>,
 }
 
 impl FeatureKind {
-    fn of(segment: &Segment) -> Self {
+    pub(crate) fn of(segment: &Segment) -> Self {
         match segment {
             Segment::Line { a, b } => {
                 let d = *b - *a;
@@ -352,15 +361,31 @@ impl Contour {
                 entity,
             })
             .collect();
-        let chords = features.iter().enumerate().map(|(i, f)| (i, f.segment.polyline())).collect();
-        Self { features, closed, material_left, chords, cleaned: Vec::new() }
+        let chords: Vec<(usize, Vec<Zx>)> =
+            features.iter().enumerate().map(|(i, f)| (i, f.segment.polyline())).collect();
+        let (mut edges, mut starts) = (Vec::new(), Vec::new());
+        for (feature, points) in &chords {
+            let mut along_mm = 0.0;
+            for w in points.windows(2) {
+                edges.push([w[0], w[1]]);
+                starts.push((*feature, along_mm));
+                along_mm += (w[1] - w[0]).norm();
+            }
+        }
+        let mut corners: Vec<Zx> = chords.iter().flat_map(|(_, c)| c.iter().copied()).collect();
+        if let (false, Some(&first), Some(&last)) = (closed, corners.first(), corners.last()) {
+            corners.extend([Zx::new(last.z, 0.0), Zx::new(first.z, 0.0)]);
+        }
+        let outline = (0..corners.len()).map(|i| [corners[i], corners[(i + 1) % corners.len()]]);
+        let (surface, outline) = (Edges::new(edges), Edges::new(outline.collect()));
+        Self { features, closed, material_left, chords, surface, starts, outline, cleaned: Vec::new() }
     }
 
     /// The place at a length along a feature.
     #[must_use]
     pub fn place(&self, feature: usize, along_mm: f64) -> SurfacePlace {
         let segment = &self.features[feature].segment;
-        let t = segment.parameter(along_mm);
+        let t = segment.parameter(along_mm, &self.chords[feature].1);
         let d = segment.direction(t);
         let right = Zx::new(d.x, -d.z);
         let normal = if self.material_left { right } else { right * -1.0 };
@@ -372,48 +397,22 @@ impl Contour {
     /// `None` for a contour without features.
     #[must_use]
     pub fn nearest(&self, p: Zx) -> Option<SurfacePlace> {
-        let mut best: Option<(f64, usize, f64)> = None;
-        for (feature, chords) in &self.chords {
-            let mut passed = 0.0;
-            for w in chords.windows(2) {
-                let (foot, step) = foot(p, w[0], w[1]);
-                let off = (p - foot).norm();
-                if best.is_none_or(|(least, ..)| off < least) {
-                    best = Some((off, *feature, passed + (foot - w[0]).norm()));
-                }
-                passed += step;
-            }
-        }
-        best.map(|(_, feature, along_mm)| self.place(feature, along_mm))
+        let (_, n, foot) = self.surface.nearest(p, f64::INFINITY)?;
+        let (feature, along_mm) = self.starts[n];
+        Some(self.place(feature, along_mm + (foot - self.surface.start(n)).norm()))
     }
 
-    /// Distance from a point to the surface and the feature there.
+    /// The feature nearest to a point, if its surface is nearer than `within_mm`.
     #[must_use]
-    pub fn clearance(&self, p: Zx) -> (f64, usize) {
+    pub fn feature_within(&self, p: Zx, within_mm: f64) -> Option<usize> {
         let p = Zx::new(p.z, p.x.abs()); // the part is round
-        let mut best = (f64::INFINITY, 0);
-        for (feature, chords) in &self.chords {
-            for w in chords.windows(2) {
-                let off = (p - foot(p, w[0], w[1]).0).norm();
-                if off < best.0 {
-                    best = (off, *feature);
-                }
-            }
-        }
-        best
+        self.surface.nearest(p, within_mm).map(|(_, n, _)| self.starts[n].0)
     }
 
     /// Is a point in the material? An open contour is closed by way of the axis.
     #[must_use]
     pub fn inside(&self, p: Zx) -> bool {
-        let mut corners: Vec<Zx> = self.chords.iter().flat_map(|(_, c)| c.iter().copied()).collect();
-        if let (false, Some(&first), Some(&last)) = (self.closed, corners.first(), corners.last()) {
-            corners.extend([Zx::new(last.z, 0.0), Zx::new(first.z, 0.0)]);
-        }
-        let p = Zx::new(p.z, p.x.abs()); // the part is round
-        let crosses =
-            |a: Zx, b: Zx| (a.x > p.x) != (b.x > p.x) && p.z < a.z + (p.x - a.x) / (b.x - a.x) * (b.z - a.z);
-        (0..corners.len()).filter(|&i| crosses(corners[i], corners[(i + 1) % corners.len()])).count() % 2 == 1
+        self.outline.crossings(Zx::new(p.z, p.x.abs())) % 2 == 1 // the part is round
     }
 
     /// Largest Z and X of the contour, in mm.
@@ -447,14 +446,6 @@ impl Contour {
             }
         }
     }
-}
-
-/// Foot of a point on a chord and the chord's length.
-fn foot(p: Zx, a: Zx, b: Zx) -> (Zx, f64) {
-    let d = b - a;
-    let square = d.dot(d);
-    let t = if square > 0.0 { ((p - a).dot(d) / square).clamp(0.0, 1.0) } else { 0.0 };
-    (a + d * t, square.sqrt())
 }
 
 /// Twice the area that the chain encloses, by way of the axis where it is open; positive counter-clockwise.

@@ -176,6 +176,28 @@ fn read(args: &Asked, say: &mut dyn FnMut(Said)) -> Result<(Probed, Option<Vec<Z
     Ok((probed, places))
 }
 
+/// Says which places were touched several times, and that a point may be none.
+fn say_touches(args: &Asked, probed: &Probed, report: &ErrorReport, say: &mut dyn FnMut(Said)) {
+    if let Some(repeats) = &report.repeats {
+        let between = match repeats.sd_between_um {
+            Some(um) => {
+                format!("the places by {um:.2} µm about the fit: the standard errors are of the places")
+            }
+            None => "too few places for a standard error".to_owned(),
+        };
+        say(Said::Note(format!(
+            "{} points are touches of {} places: touches of one place scatter by {:.2} µm, {between}",
+            report.points, repeats.places, repeats.sd_within_um
+        )));
+    }
+    if let Some(row) = probed.at_zero() {
+        say(Said::Warning(format!(
+            "{}:{row}: a point at exactly Z 0 X 0: was no position captured there? Then take its row out",
+            args.points.display()
+        )));
+    }
+}
+
 /// The errors of the feature that was probed.
 ///
 /// What is to be said on the way goes to `say`.
@@ -201,6 +223,7 @@ pub fn determine(args: &Asked, say: &mut dyn FnMut(Said)) -> Result<ErrorReport,
             rtec_files::text::short(1e-6 * (1e6 * step).round())
         )));
     }
+    say_touches(args, &probed, &report, say);
     if report.hollow {
         say(Said::Note("touched from inside, a hollow arc: a positive error is too little material; part table wants --hollow".to_owned()));
     }

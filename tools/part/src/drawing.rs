@@ -14,6 +14,8 @@ use std::collections::{BTreeSet, HashMap};
 use std::f64::consts::{PI, TAU};
 use std::path::Path;
 
+mod short;
+
 /// The length of `$INSUNITS`, by its number (DXF reference, "HEADER section").
 fn unit_of_header(units: i32) -> Option<Unit> {
     Some(Unit(match units {
@@ -74,7 +76,9 @@ fn load(file: &Path) -> Result<Drawing, InputError> {
     Drawing::of(file, &bytes).map_err(|finding| {
         let kind = FileKind::of_bytes(&bytes).or_else(|| FileKind::of(&String::from_utf8_lossy(&bytes)));
         match kind.filter(|kind| *kind != FileKind::Drawing) {
-            Some(other) => InputError { line: 0, found: other.name().to_owned(), ..finding },
+            Some(other) => {
+                InputError::whole(file, other.name(), "a DXF drawing: save or export the contour as DXF")
+            }
             None => finding,
         }
     })
@@ -127,10 +131,6 @@ pub fn read(file: &Path, options: &Options) -> Result<(Contour, Unit), InputErro
         }
         reader.pieces(entity, &mut pieces, &mut cleaned)?;
     }
-    if let (true, Some((line, speck))) = (pieces.is_empty(), &cleaned.speck) {
-        let found = format!("{speck} without length, and nothing longer");
-        return Err(InputError::at(file, *line, 0, found, "entities longer than the tolerance"));
-    }
     if pieces.is_empty() && cleaned.hidden > 0 {
         let found = format!("no contour that is shown, and {}", cleaned.not_shown());
         return Err(InputError::whole(
@@ -139,7 +139,7 @@ pub fn read(file: &Path, options: &Options) -> Result<(Contour, Unit), InputErro
             "entities that are visible, on layers that are on; or --layer",
         ));
     }
-    if pieces.is_empty() {
+    if pieces.is_empty() && cleaned.speck.is_none() {
         let layer = options.layer.map_or(String::new(), |l| format!(" on layer '{l}'"));
         let there: BTreeSet<&str> = drawing.entities.iter().map(|e| e.layer.as_str()).collect();
         let there = there.into_iter().take(40).collect::<Vec<_>>().join(", ");
@@ -150,6 +150,17 @@ pub fn read(file: &Path, options: &Options) -> Result<(Contour, Unit), InputErro
         return Err(InputError::whole(file, format!("no contour{layer}"), expected));
     }
     reader.twice(&pieces)?;
+    let (short, mut pieces): (Vec<Piece>, Vec<Piece>) =
+        pieces.into_iter().partition(|piece| reader.is_speck(&piece.segment));
+    let curves = short::joined(&short, options.tolerance_mm, &mut cleaned);
+    for piece in curves {
+        reader.is_fit(&piece.segment, &piece.entity, piece.line)?;
+        pieces.push(piece);
+    }
+    if let (true, Some((line, speck))) = (pieces.is_empty(), &cleaned.speck) {
+        let found = format!("{speck} without length, and nothing longer");
+        return Err(InputError::at(file, *line, 0, found, "entities longer than the tolerance"));
+    }
     let mut contour = reader.chain(pieces)?;
     contour.cleaned = cleaned.said(file, options.tolerance_mm);
     Ok((contour, unit))
@@ -169,6 +180,8 @@ struct Cleaned {
     /// Pieces no longer than the tolerance, and the first of them.
     specks: usize,
     speck: Option<(usize, String)>,
+    /// Arcs and ellipses from an angle to the same angle.
+    no_sweeps: usize,
     /// Arcs that were taken as straight, and other curves.
     arcs: usize,
     curves: usize,
@@ -226,6 +239,13 @@ impl Cleaned {
                 format!("{} within {within} mm of the one before", several(self.vertices, "vertex")),
             ),
             (self.specks, format!("{} no longer than {within} mm", several(self.specks, "piece"))),
+            (
+                self.no_sweeps,
+                format!(
+                    "{} from an angle to the same angle (a whole circle is one from 0 to 360 degrees)",
+                    several(self.no_sweeps, "arc")
+                ),
+            ),
         ];
         let mut out: Vec<String> = parts
             .into_iter()
@@ -315,6 +335,13 @@ impl Places {
     }
 }
 
+/// Whether an arc or ellipse begins and ends at one angle.
+/// It is nothing then: a whole circle goes on to 360 degrees.
+fn has_no_sweep(entity: &Entity) -> bool {
+    let (from, to) = if entity.kind == "ARC" { (50, 51) } else { (41, 42) };
+    entity.number(from).zip(entity.number(to)).is_some_and(|(from, to)| from.total_cmp(&to).is_eq())
+}
+
 fn axis_ratio(ellipse: &Entity) -> f64 {
     ellipse.number(40).unwrap_or(1.0)
 }
@@ -356,6 +383,11 @@ impl Reader<'_> {
             "LINE" => {
                 let (a, b) = (entity.point(10), entity.point(11));
                 (level(&[a[2], b[2]]), vec![Segment::Line { a: self.point(a), b: self.point(b) }])
+            }
+            "ARC" | "ELLIPSE" if has_no_sweep(entity) => {
+                cleaned.no_sweeps += 1;
+                cleaned.speck.get_or_insert_with(|| (line, named(kind)));
+                return Ok(());
             }
             "ARC" => (flat(&[entity.point(10)[2]]), vec![self.arc(entity, mirror)]),
             "ELLIPSE" => {
@@ -410,18 +442,26 @@ impl Reader<'_> {
             return refuse(kind, "out of the drawing's plane", "a flat drawing at elevation 0");
         }
         for segment in segments {
-            if self.is_speck(&segment) {
-                cleaned.specks += 1;
-                cleaned.speck.get_or_insert_with(|| (line, named(kind)));
-                continue;
-            }
-            let segment = rounded(self.straightened(segment, cleaned), self.flat_mm(), cleaned);
-            if let Some((what, expected)) = self.unfit(&segment) {
-                return refuse(kind, what, expected);
-            }
+            let segment = if self.is_speck(&segment) {
+                Segment::Line { a: segment.at(0.0), b: segment.at(1.0) }
+            } else {
+                let segment = rounded(self.straightened(segment, cleaned), self.flat_mm(), cleaned);
+                self.is_fit(&segment, &named(kind), line)?;
+                segment
+            };
             out.push(Piece { segment, entity: named(kind), line });
         }
         Ok(())
+    }
+
+    /// That a piece can be one of a part's contour.
+    fn is_fit(&self, segment: &Segment, entity: &str, line: usize) -> Result<(), InputError> {
+        match self.unfit(segment) {
+            Some((what, expected)) => {
+                Err(InputError::at(self.file, line, 0, format!("{entity} {what}"), expected))
+            }
+            None => Ok(()),
+        }
     }
 
     /// `mirror` is −1 for an arc that is seen from below.
@@ -589,14 +629,17 @@ impl Reader<'_> {
 
     fn twice(&self, pieces: &[Piece]) -> Result<(), InputError> {
         let tolerance = self.options.tolerance_mm;
+        let lengths: Vec<f64> = pieces.iter().map(|p| p.segment.length_mm()).collect();
         let starts = Places::of(pieces.iter().flat_map(Piece::ends), tolerance);
         let middles = Places::of(pieces.iter().map(|p| p.segment.at(0.5)), tolerance);
         for (i, a) in pieces.iter().enumerate() {
             let ([a0, a1], middle) = (a.ends(), a.segment.at(0.5));
             let same = |j: &usize| {
                 let [b0, b1] = pieces[*j].ends();
-                let ends = self.near(a0, b0) && self.near(a1, b1) || self.near(a0, b1) && self.near(a1, b0);
-                ends && self.near(middle, pieces[*j].segment.at(0.5))
+                let reach = short::reach_mm(lengths[i], lengths[*j]).min(tolerance);
+                let near = |p: Zx, q: Zx| self.near(p, q) && (p - q).norm() <= reach;
+                let ends = near(a0, b0) && near(a1, b1) || near(a0, b1) && near(a1, b0);
+                reach > 0.0 && ends && near(middle, pieces[*j].segment.at(0.5))
             };
             // By the place where fewest others are: many may meet in one point, or lie across another.
             let crowds = [starts.crowd(a0), starts.crowd(a1), middles.crowd(middle)];
@@ -687,6 +730,7 @@ impl Reader<'_> {
                 "one contour, or --layer to choose it",
             ));
         }
+        short::close_joints(&mut chain, closed);
         Ok(Contour::new(chain, closed))
     }
 

@@ -4,6 +4,7 @@
 use crate::cor::{PointError, error_cor, turned_near};
 use crate::fit::{self, FitError, FitShape, FittedShape, Zx, sequence};
 use crate::path::{PathPoint, touches};
+use crate::repeats::{self, Repeats};
 use crate::steps::written_step_mm;
 use crate::svg::Svg;
 use rtec_files::InputError;
@@ -114,6 +115,10 @@ pub struct ErrorReport {
     /// The step that the points are written in, where it is more than they scatter by: it is in the standard errors. µm.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub step_um: Option<f64>,
+    /// Places that were touched several times.
+    /// The standard errors count places then, not touches.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub repeats: Option<Repeats>,
     /// SD of all points about the plain fit, in µm.
     pub sd_before_um: f64,
     /// SD of the kept points about the second fit, in µm.
@@ -259,6 +264,13 @@ impl Probed {
             _ => true,
         };
         machine.effects().filter(|e| e.description().needs.iter().any(blind)).map(Effect::name).collect()
+    }
+
+    /// Line of the first point at exactly 0, 0, as where no position was captured.
+    #[must_use]
+    pub fn at_zero(&self) -> Option<usize> {
+        let row = self.tip_centre.iter().position(|p| p.z == 0.0 && p.x == 0.0)?;
+        Some(self.sheet.line(row))
     }
 
     /// Is each trip where it was expected? `expected` are the tip's centres at the nominal part.
@@ -412,8 +424,16 @@ impl Probed {
         let (robust_centre, robust_radius) = place(&robust_surface);
         let kept: Vec<Zx> =
             (0..points.len()).filter(|i| !two.rejected.contains(i)).map(|i| points[i]).collect();
+        let repeats = repeats::find(&two.plain, points, shape.parameters());
         let (sd_um, step_um) = self.scatter_um(two.sd_before_um, shape);
-        let known = fit::standard_errors(&two.fitted, &kept, sd_um);
+        let standard_errors = |fitted: &FittedShape, points: &[Zx]| match &repeats {
+            None => fit::standard_errors(fitted, points, sd_um),
+            Some(repeats) => {
+                let sd_um = repeats.sd_between_um?.hypot(step_um.map_or(0.0, |step| step / 12f64.sqrt()));
+                fit::standard_errors(fitted, &repeats.means, sd_um)
+            }
+        };
+        let known = standard_errors(&two.fitted, &kept);
         let (plain_centre, plain_radius) =
             (place(&moved(&two.plain, 0.0)).0, place(&moved(&two.plain, -tip)).1);
         Ok(ErrorReport {
@@ -430,8 +450,9 @@ impl Probed {
             inclination_standard_error_deg: known.and_then(|k| k.inclination_rad).map(f64::to_degrees),
             plain_centre_mm: plain_centre,
             plain_radius_mm: plain_radius,
-            plain_size_standard_error_um: fit::standard_errors(&two.plain, points, sd_um).map(|k| k.size_um),
+            plain_size_standard_error_um: standard_errors(&two.plain, points).map(|k| k.size_um),
             step_um,
+            repeats,
             sd_before_um: two.sd_before_um,
             sd_after_um: two.sd_after_um,
             rejected: two.rejected,

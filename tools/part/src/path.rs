@@ -238,16 +238,18 @@ impl Plan {
 
     /// Does the probe at a place meet the part? The slack is for the tip only: at a trip it touches.
     fn meets(&self, contour: &Contour, tip: Zx) -> Option<(usize, &'static str)> {
-        let (off, feature) = contour.clearance(tip);
-        if off < self.probe.tip_mm - SLACK_MM || contour.inside(tip) {
+        let met = |p: Zx, radius_mm: f64| {
+            let within_mm = if contour.inside(p) { f64::INFINITY } else { radius_mm - SLACK_MM };
+            contour.feature_within(p, within_mm)
+        };
+        if let Some(feature) = met(tip, self.probe.tip_mm) {
             return Some((feature, "tip"));
         }
         let stem = self.probe.stem?;
         let steps = (stem.length_mm / stem.radius_mm.max(STEP_MM)).ceil().max(1.0) as usize;
         (1..=steps).find_map(|k| {
             let p = tip + Zx::at_angle(stem.angle_rad) * (stem.length_mm * k as f64 / steps as f64);
-            let (off, feature) = contour.clearance(p);
-            (off < stem.radius_mm - SLACK_MM || contour.inside(p)).then_some((feature, "stylus"))
+            Some((met(p, stem.radius_mm)?, "stylus"))
         })
     }
 

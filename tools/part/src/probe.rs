@@ -44,6 +44,14 @@ pub enum TripFault {
         /// Number of the gauging point, from 1.
         point: usize,
     },
+    /// A trip far from its place with all axes at exactly zero.
+    #[error(
+        "point {point}: tripped with every axis at exactly 0: was no position captured, or nothing homed?"
+    )]
+    Zero {
+        /// Number of the gauging point, from 1.
+        point: usize,
+    },
     /// A trip somewhere else.
     #[error("point {point}: tripped {off_mm:.3} mm from its place, outside {window_mm} mm")]
     Outside {
@@ -86,6 +94,9 @@ pub fn assign(
         let p = Zx::new(counts[0], counts[1]) * (count_um * 1e-3) - origin;
         let due = trips.len();
         if !near(p, due) {
+            if counts.iter().all(|c| *c == 0.0) && due < expected.len() {
+                return Err(TripFault::Zero { point: due + 1 });
+            }
             if due > 0 && near(p, due - 1) {
                 return Err(TripFault::Double { point: due });
             }

@@ -40,6 +40,35 @@ fn the_t_test_is_the_textbooks() {
 }
 
 #[test]
+fn a_step_between_parts_is_no_trend_and_a_trend_no_step() {
+    type Beside = fn(f64) -> f64;
+    let kinds: [(BatchFinding, Beside); 4] = [
+        (BatchFinding::Step, |k| if k < 8.0 { 0.0 } else { 12.0 }),
+        (BatchFinding::Step, |k| if k < 5.0 { 6.0 } else { -3.0 }),
+        (BatchFinding::Trend, |k| 0.8 * k),
+        (BatchFinding::Trend, |k| 10.0 * (1.0 - (-k / 12.0).exp())),
+    ];
+    for (n, (kind, beside)) in kinds.into_iter().enumerate() {
+        let mut right = 0;
+        for seed in 0..50 {
+            let mut rng = Xoshiro256PlusPlus::seed_from_u64(100 * n as u64 + seed);
+            let mut text = "part,feature,error_um\n".to_owned();
+            for part in 0..20 {
+                let _ = writeln!(text, "p{part},d,{:.3}", beside(f64::from(part)) + 0.8 * normal(&mut rng));
+            }
+            let batch = judged(&text, None).unwrap();
+            right += u32::from(batch.places[0].finding == kind);
+            if n == 0 && kind == batch.places[0].finding {
+                let step = batch.places[0].step.as_ref().unwrap();
+                assert!(step.part == "p8" && (step.um - 12.0).abs() < 2.0, "{step:?}");
+                assert!(batch.offers[0].contains("from part p8 on, a step"), "{:?}", batch.offers);
+            }
+        }
+        assert!(right >= 45, "case {n}: {right} of 50");
+    }
+}
+
+#[test]
 fn system_trend_and_chance_are_told_apart() {
     let mut rng = Xoshiro256PlusPlus::seed_from_u64(6);
     let mut text = "part,feature,nominal_mm,measured_mm\n".to_owned();

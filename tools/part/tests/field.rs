@@ -96,16 +96,20 @@ mod drawings {
         assert!(alone.cleaned.is_empty());
     }
 
+    fn line(a: [f64; 2], b: [f64; 2]) -> String {
+        format!("0\nLINE\n8\n0\n10\n{}\n20\n{}\n11\n{}\n21\n{}\n", a[0], a[1], b[0], b[1])
+    }
+
     /// A step, a cylinder of 80 mm, a step; with an entity more, or in place of the cylinder.
     fn drawn(entity: &str, instead: bool) -> Result<Contour, rtec_files::InputError> {
-        let line = |a: [f64; 2], b: [f64; 2]| {
-            format!("0\nLINE\n8\n0\n10\n{}\n20\n{}\n11\n{}\n21\n{}\n", a[0], a[1], b[0], b[1])
-        };
         let cylinder = if instead { String::new() } else { line([80.0, 20.0], [0.0, 20.0]) };
+        let (front, back) = (line([80.0, 0.0], [80.0, 20.0]), line([0.0, 20.0], [0.0, 0.0]));
+        of_entities(&format!("{front}{cylinder}{entity}{back}"))
+    }
+
+    fn of_entities(entities: &str) -> Result<Contour, rtec_files::InputError> {
         let text = format!(
-            "0\nSECTION\n2\nHEADER\n9\n$INSUNITS\n70\n4\n0\nENDSEC\n0\nSECTION\n2\nENTITIES\n{}{cylinder}{entity}{}0\nENDSEC\n0\nEOF\n",
-            line([80.0, 0.0], [80.0, 20.0]),
-            line([0.0, 20.0], [0.0, 0.0])
+            "0\nSECTION\n2\nHEADER\n9\n$INSUNITS\n70\n4\n0\nENDSEC\n0\nSECTION\n2\nENTITIES\n{entities}0\nENDSEC\n0\nEOF\n"
         );
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("drawn.dxf");
@@ -169,6 +173,86 @@ mod drawings {
                 contour.cleaned
             );
         }
+    }
+
+    #[test]
+    fn lines_shorter_than_the_tolerance_keep_their_way() {
+        use std::f64::consts::FRAC_PI_2;
+        // A quarter of a circle of 2 mm, then a cylinder and a face; steps of the arc in µm, repeated.
+        let chained = |steps_um: &[f64], jumbled: bool| {
+            let (mut angles, mut k) = (vec![0.0], 0);
+            while let Some(last) = angles.last().copied().filter(|a| *a < FRAC_PI_2) {
+                angles.push((last + steps_um[k % steps_um.len()] / 2000.0).min(FRAC_PI_2));
+                k += 1;
+            }
+            let at = |angle: f64| [2.0 * angle.cos(), 2.0 * angle.sin()];
+            let mut lines: Vec<String> = angles
+                .windows(2)
+                .enumerate()
+                .map(|(i, w)| {
+                    let turned = jumbled && i % 3 == 0;
+                    if turned { line(at(w[1]), at(w[0])) } else { line(at(w[0]), at(w[1])) }
+                })
+                .collect();
+            let n = lines.len();
+            if jumbled {
+                lines = (0..n).map(|i| lines[(i * 7919) % n].clone()).collect();
+            }
+            lines.push(line([2.0 * FRAC_PI_2.cos(), 2.0], [-8.0, 2.0]) + &line([-8.0, 2.0], [-8.0, 0.0]));
+            of_entities(&lines.concat()).unwrap()
+        };
+        for (steps_um, jumbled) in [
+            (&[0.52][..], false),
+            (&[0.52], true),
+            (&[0.9, 1.1], true),
+            (&[0.01, 3.0], false),
+            (&[0.3, 0.3, 5.0, 0.999, 0.1], true),
+        ] {
+            let contour = chained(steps_um, jumbled);
+            let length: f64 = contour.features.iter().map(|f| f.segment.length_mm()).sum();
+            assert!((length - 10.0 - std::f64::consts::PI).abs() < 1e-3, "{steps_um:?}: {length}");
+            let off = contour.chords().iter().flat_map(|(_, c)| c).filter(|p| p.z > 1e-9);
+            assert!(off.clone().all(|p| (p.norm() - 2.0).abs() < 1e-6), "{steps_um:?}");
+            let said = &contour.cleaned[0];
+            assert!(said.contains("left out") && said.contains("0.001 mm"), "{said}");
+            let cylinders =
+                contour.features.iter().filter(|f| matches!(f.kind, FeatureKind::Cylinder { .. }));
+            assert_eq!(cylinders.count(), 1, "{steps_um:?}");
+        }
+    }
+
+    #[test]
+    fn small_fillets_of_short_lines_stay() {
+        // A corner of 2 µm in five lines, between a face and a cylinder.
+        let at = |k: u32| {
+            let turn = f64::from(k) * std::f64::consts::FRAC_PI_2 / 5.0;
+            [79.998 + 0.002 * turn.cos(), 19.998 + 0.002 * turn.sin()]
+        };
+        let mut text = line([80.0, 0.0], [80.0, 19.998]);
+        text.extend((0..5).map(|k| line(at(k), at(k + 1))));
+        text += &(line([79.998, 20.0], [0.0, 20.0]) + &line([0.0, 20.0], [0.0, 0.0]));
+        let contour = of_entities(&text).unwrap();
+        let small: f64 = contour.features.iter().map(|f| f.segment.length_mm()).filter(|mm| *mm < 0.1).sum();
+        assert!((small - 0.003_141_6).abs() < 3e-4, "{small}");
+        assert_eq!(contour.features.iter().filter(|f| f.segment.length_mm() > 1.0).count(), 3);
+    }
+
+    #[test]
+    fn arcs_from_an_angle_to_the_same_are_nothing_and_said() {
+        for more in [
+            entity("ARC", &[(10, 75.0), (20, 20.0), (40, 5.0), (50, 30.0), (51, 30.0)]),
+            entity(
+                "ELLIPSE",
+                &[(10, 75.0), (20, 20.0), (11, 5.0), (21, 0.0), (40, 0.5), (41, 1.0), (42, 1.0)],
+            ),
+        ] {
+            let contour = drawn(&more, false).unwrap();
+            assert_eq!(contour.features.len(), 3);
+            let said = "left out 1 arc from an angle to the same angle";
+            assert!(contour.cleaned[0].contains(said), "{:?}", contour.cleaned);
+        }
+        let alone = entity("ARC", &[(10, 75.0), (20, 20.0), (40, 5.0), (50, 30.0), (51, 30.0)]);
+        assert!(of_entities(&alone).unwrap_err().found.contains("without length, and nothing longer"));
     }
 
     #[test]

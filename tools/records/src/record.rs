@@ -1,6 +1,7 @@
 //! Run records on file: `NAME.run.toml` beside a CSV.
 //! They are read strictly and written whole (formats.md, "Run record").
 
+use rtec_files::clock::{self, absolute_ns, of_day_ns};
 use rtec_files::csv::{self, Reader, Style};
 use rtec_files::date;
 use rtec_files::stamp;
@@ -8,7 +9,6 @@ use rtec_files::text::{LONGEST, open_regular};
 use rtec_files::toml::{Document, Table};
 use rtec_files::{InputError, Marks, Numbers};
 use rtec_model::circle::Circle;
-use rtec_model::clock::{self, absolute_ns, of_day_ns};
 use rtec_model::file_kind::FileKind;
 use rtec_model::record::{Axis, Column, Kind, LINEAR, Record, Role, Turns, check, hex, range_alone};
 use sha2::{Digest, Sha256};
@@ -418,6 +418,12 @@ impl<R: Read> Rows<R> {
         for listed in &sidecar.columns {
             if header.find(&listed.name).is_none() {
                 let missing = header.place(&listed.name).err();
+                if let Some(missing) = &missing {
+                    let other = reader.instead_of(&header, missing.clone());
+                    if other.found != missing.found {
+                        return Err(other);
+                    }
+                }
                 let expected = missing.map_or_else(String::new, |e| e.expected);
                 let expected = format!("{expected} in {}", path.display());
                 return Err(listed.place.clone().with(format!("column `{}`", listed.name), &expected));

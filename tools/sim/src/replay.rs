@@ -42,6 +42,9 @@ pub struct ReplayOutcome {
     pub faults: Vec<Latched>,
     /// Rows of the trace after the first.
     pub edges: u64,
+    /// The channel that stands still, where a dead one is latched.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub dead_channel: Option<&'static str>,
 }
 
 impl ReplayOutcome {

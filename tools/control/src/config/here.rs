@@ -76,25 +76,20 @@ fn traces(source: &mut SourceFile<'_>, document: &Document<'_>, config: &Config)
     }
 }
 
-/// A recording to replay: a run record that has the column.
+/// A recording to replay: a run record that the daemon can read, with the column.
 fn recording(source: &mut SourceFile<'_>, table: &Table<'_>, record: &Path, column: &str) {
     let at = table.get("record").map_or(0, |e| e.offset());
-    let text = match rtec_files::text::read(record) {
-        Ok(text) => text,
+    let read = match rtec_records::record::read_log(record) {
+        Ok(read) => read,
         Err(error) => {
-            source.finding(at, format!("record {}: {}", record.display(), error.found), error.expected);
+            let line = if error.line > 0 { format!(":{}", error.line) } else { String::new() };
+            let place = format!("{}{line}", error.file.display());
+            let found = format!("a recording that cannot be replayed: {place}: {}", error.found);
+            source.finding(at, found, error.expected);
             return;
         }
     };
-    let sidecar = match Document::parse(record, &text) {
-        Ok(sidecar) => sidecar,
-        Err(error) => {
-            source.finding(at, format!("a record that is none: {error}"), "a run record, NAME.run.toml");
-            return;
-        }
-    };
-    let columns = sidecar.root().get("columns").and_then(|e| e.as_table());
-    let names: Vec<&str> = columns.iter().flat_map(Table::entries).map(|e| e.key()).collect();
+    let names: Vec<&str> = read.columns.iter().map(|c| c.name.as_str()).collect();
     if !names.contains(&column) {
         let at = table.get("column").or_else(|| table.get("name")).map_or(at, |e| e.offset());
         let expected = format!("a column of {}: {}", record.display(), names.join(", "));

@@ -8,7 +8,7 @@ use super::rows::{Centred, Rows, lags_of};
 use super::term::{Term, relagged, squared};
 use crate::statistics::mean;
 use rtec_files::InputError;
-use rtec_model::record::{Record, Role};
+use rtec_model::record::{Record, Role, shared_step};
 use statrs::distribution::{ContinuousCDF, StudentsT};
 use std::collections::BTreeMap;
 
@@ -189,6 +189,8 @@ pub(super) fn jackknife(
     }
     let of = |k: usize| jackknife_interval(full[k], &parts.iter().map(|p| p[k]).collect::<Vec<f64>>());
     let mut tau_s = BTreeMap::new();
+    let clocks = train.iter().filter_map(|r| shared_step(r.data(&Role::Time)?));
+    let clock_s = clocks.fold(0.0, f64::max);
     for (k, term) in terms.iter().enumerate() {
         let Term::Thermal { lag: 1.., square: false, .. } = *term else { continue };
         let middle = start_s[k].ln();
@@ -197,7 +199,8 @@ pub(super) fn jackknife(
         if let Some(half) = lag_half_width(problem, terms, &start_s, k, train, response)? {
             (lo, hi) = (lo.min(middle - half), hi.max(middle + half));
         }
-        tau_s.insert(k, [lo.exp(), hi.exp()]);
+        // A row's moment is known within a coarse clock's step.
+        tau_s.insert(k, [(lo.exp() - clock_s).max(0.0), hi.exp() + clock_s]);
     }
     let coefficients = (0..full.len()).map(of).collect();
     Ok(Jackknife { coefficients, squares: BTreeMap::new(), tau_s })

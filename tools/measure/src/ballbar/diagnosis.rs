@@ -72,6 +72,20 @@ pub struct Contribution {
     pub percent: f64,
 }
 
+/// Free values, each with half its interval.
+type Values = BTreeMap<String, (f64, f64)>;
+
+/// Causes that look alike in these runs: their sum alone is told.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct NotSeparable {
+    /// The causes.
+    pub causes: [&'static str; 2],
+    /// Range of what they do to the radius together, µm.
+    pub um: f64,
+    /// Its 95 % interval, µm.
+    pub interval_95: [f64; 2],
+}
+
 /// What makes the deviations of a plane.
 /// `None` where the runs do not tell; effects that do not show beyond the noise are left out of spikes and cyclic errors.
 #[derive(Debug, Clone, PartialEq, Default, Serialize)]
@@ -100,8 +114,11 @@ pub struct Diagnosis {
     pub form: ByAxis<Cyclic>,
     /// 95 % intervals by name.
     pub interval_95: BTreeMap<String, [f64; 2]>,
-    /// Causes by their share, largest first.
+    /// Causes by their share, largest first; without those that look alike.
     pub contributions: Vec<Contribution>,
+    /// Causes that one sense of turning at one feed does not tell apart.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub not_separable: Option<NotSeparable>,
     /// RMS of what the causes leave at best, µm.
     pub rms: f64,
     /// Standard deviation of one reading beside its neighbours, µm.
@@ -668,9 +685,9 @@ impl<'t> Fit<'t> {
 
     /// Each free value with half its interval, and the causes' share of the radius.
     /// Values that are not resolved are left out.
-    fn values(&self, shown: &Shown, told: &[String]) -> (BTreeMap<String, (f64, f64)>, Vec<Contribution>) {
+    fn values(&self, shown: &Shown, told: &[String]) -> (Values, Vec<Contribution>, Option<NotSeparable>) {
         let mut values: BTreeMap<String, (f64, f64)> = BTreeMap::new();
-        let mut contributions = Vec::new();
+        let (mut contributions, mut not_separable) = (Vec::new(), None);
         let mut at = 0;
         for t in &self.terms {
             let Some((effect, _)) = t.parts.first() else { continue };
@@ -696,6 +713,13 @@ impl<'t> Fit<'t> {
             if !fitted_only {
                 let shape = self.value(t);
                 let um = shape.max() - shape.min();
+                if t.name == TOGETHER {
+                    let share = values.get(&t.name).map_or(0.0, |(v, half)| half / v.abs());
+                    let interval_95 = [um * (1.0 - share).max(0.0), um * (1.0 + share)];
+                    let causes = ["squareness", "servo mismatch"];
+                    not_separable = Some(NotSeparable { causes, um, interval_95 });
+                    continue;
+                }
                 contributions.push(Contribution { cause: cause(&t.name), um, percent: 0.0 });
             }
         }
@@ -704,11 +728,11 @@ impl<'t> Fit<'t> {
         for c in &mut contributions {
             c.percent = 100.0 * c.um / sum.max(f64::MIN_POSITIVE);
         }
-        (values, contributions)
+        (values, contributions, not_separable)
     }
 
     fn answer(&self, axes: [&Axis; 2], told: &[String], shown: &Shown) -> Diagnosis {
-        let (values, mut contributions) = self.values(shown, told);
+        let (values, mut contributions, not_separable) = self.values(shown, told);
         let get = |name: &str| values.get(name).map(|v| v.0);
         let of_axes = |what: &str| {
             axes.iter()
@@ -797,6 +821,7 @@ impl<'t> Fit<'t> {
             form,
             interval_95,
             contributions,
+            not_separable,
             rms: self.least_left(),
             scatter_um: self.scatter_um(),
             unexplained_um,

@@ -5,6 +5,7 @@
 use super::table::{Form, ImportColumn, table};
 use super::{add_note, column};
 use rtec_files::InputError;
+use rtec_files::csv::is_comment;
 use rtec_model::record::{Kind, Record, Role};
 use std::path::Path;
 
@@ -48,7 +49,7 @@ pub fn halsampler(
                 return Err(InputError::at(from, i + 1, 1, "`overrun`: samples are lost here", expected));
             }
             lost.push((i + 1).to_string());
-        } else if !line.trim().is_empty() {
+        } else if !(line.trim().is_empty() || is_comment(line)) {
             let n = if numbered {
                 let word = line.split_whitespace().next().unwrap_or_default();
                 let n = word.parse::<u64>().ok();
@@ -63,7 +64,11 @@ pub fn halsampler(
         }
         plain.push('\n');
     }
-    let mut firsts = text.lines().filter_map(|l| l.split_whitespace().next()).map(str::parse::<u64>);
+    let mut firsts = text
+        .lines()
+        .filter(|l| !is_comment(l))
+        .filter_map(|l| l.split_whitespace().next())
+        .map(str::parse::<u64>);
     let first = firsts.next().and_then(Result::ok);
     let counts = first.is_some_and(|n| firsts.zip(n + 1..).all(|(w, n)| w == Ok(n)));
     if !numbered && counts && times.len() >= COUNTED && wanted.iter().any(|w| w.column == "1") {

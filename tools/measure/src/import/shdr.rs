@@ -4,7 +4,8 @@
 use super::table::ImportColumn;
 use super::{add_note, column, record_of};
 use rtec_files::InputError;
-use rtec_model::clock::{day, iso8601_ns};
+use rtec_files::clock::{day, iso8601_ns};
+use rtec_files::csv::is_comment;
 use rtec_model::record::{Column, Kind, Record, Role};
 use std::path::Path;
 
@@ -36,7 +37,7 @@ pub fn shdr(
     let mut lines = text.lines().enumerate();
     while let Some((i, line)) = lines.next() {
         // Lines of the protocol itself (`* PING`) and empty ones.
-        if line.trim().is_empty() || line.starts_with('*') {
+        if line.trim().is_empty() || line.starts_with('*') || is_comment(line) {
             continue;
         }
         let mut fields = line.split('|');

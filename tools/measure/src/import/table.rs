@@ -2,9 +2,9 @@
 //! What parts them, how its numbers are written, which roles and units they have.
 
 use super::{add_note, column, record_of};
+use rtec_files::clock::{self, Counted, Moments, has_zone};
 use rtec_files::csv::{Cell, Header, Reader, Row};
-use rtec_files::{InputError, Marks, Numbers};
-use rtec_model::clock::{self, Counted, Moments, has_zone};
+use rtec_files::{InputError, Marks, Numbers, units};
 use rtec_model::record::{Column, Kind, LINEAR, Record, Role};
 use std::borrow::Cow;
 use std::path::Path;
@@ -22,6 +22,8 @@ pub struct ImportColumn {
     pub unit: String,
     /// What the file has it in: factor to that unit, and what to add then.
     pub scale: [f64; 2],
+    /// Somebody said the unit; else the column's name may state it.
+    pub unit_given: bool,
 }
 
 /// Name, factor, what to add.
@@ -124,6 +126,8 @@ impl ImportColumn {
         add: f64,
     ) -> Result<Self, (String, String)> {
         let own = role.unit();
+        let unit_given = unit.is_some();
+        let unit = unit.map(units::plain);
         let (unit_there, further) = match (own, unit) {
             (None, any) => (any.unwrap_or("1"), [1.0, 0.0]),
             (Some(own), None) => (own, [1.0, 0.0]),
@@ -146,7 +150,32 @@ impl ImportColumn {
             unit: unit_there.to_owned(),
             role,
             scale,
+            unit_given,
         })
+    }
+
+    /// The column in the unit that its name in the header states, and that unit.
+    fn by_header(&self, header: &Header, place: usize) -> Result<(Self, Option<String>), InputError> {
+        let name = header.names().nth(place).unwrap_or_default();
+        let Some(stated) = units::stated(name).filter(|_| !self.unit_given && self.role.unit() != Some("1"))
+        else {
+            return Ok((self.clone(), None));
+        };
+        let [factor, add] = self.scale;
+        match Self::of(&self.column, &self.name, self.role.clone(), Some(stated.unit), factor, add) {
+            // Behind a `_` stands many a word, and any is a channel's unit.
+            Ok(_) if self.role.unit().is_none() && !stated.in_brackets => Ok((self.clone(), None)),
+            Ok(found) => {
+                let is_other = self.role.unit().is_some_and(|own| own != stated.unit);
+                Ok((found, is_other.then(|| format!("{name} in {}", stated.unit))))
+            }
+            Err((_, expected)) if stated.in_brackets => {
+                let found = format!("the unit {} in the name of column {name}", stated.unit);
+                let state = format!("{expected}; or its unit stated: {name}={}:UNIT", self.role);
+                Err(header.finding(found, state))
+            }
+            Err(_) => Ok((self.clone(), None)),
+        }
     }
 }
 
@@ -234,25 +263,8 @@ pub fn table(
     kind: Kind,
     to: &Path,
 ) -> Result<Record, InputError> {
-    let before =
-        if form.nameless || form.by.is_some() || form.skip > 0 { 0 } else { preamble(from, text, wanted) };
-    let form = &Form { skip: form.skip + before, ..form.clone() };
     let (whole, text) = (text, prepared(text, form));
-    let mut reader = Reader::new(from, text.as_bytes())?;
-    match form.by {
-        Some(' ') => reader = reader.parted_by('\t'),
-        Some(by) => reader = reader.parted_by(by),
-        None => {}
-    }
-    let columns: Vec<&str> = wanted.iter().map(|w| w.column.as_str()).collect();
-    let header = match (form.nameless, form.by) {
-        (true, _) => None,
-        (false, Some(_)) => {
-            let header = reader.header(HEADER)?;
-            Some(reader.or_numbers(header, &columns))
-        }
-        (false, None) => Some(reader.header_of(HEADER, &columns)?),
-    };
+    let (mut reader, header) = opened(from, &text, wanted, form)?;
     let places = wanted
         .iter()
         .map(|w| match &header {
@@ -266,7 +278,20 @@ pub fn table(
             }),
         })
         .collect::<Result<Vec<_>, _>>()?;
-    let (numbers, written) = numbers(from, &text, form, reader.separator(), header.as_ref(), &places)?;
+    let mut by_name = Vec::new();
+    let own: Vec<ImportColumn> = match &header {
+        None => wanted.to_vec(),
+        Some(header) => {
+            let of = |(w, place): (&ImportColumn, &usize)| {
+                let (column, stated) = w.by_header(header, *place)?;
+                by_name.extend(stated);
+                Ok(column)
+            };
+            wanted.iter().zip(&places).map(of).collect::<Result<_, InputError>>()?
+        }
+    };
+    let wanted = own.as_slice();
+    let (numbers, written) = numbers(from, &text, wanted, form, &places)?;
     let mut data = vec![Vec::new(); wanted.len()];
     let mut clock = Clock::of(&text, wanted, &places, reader.separator());
     let by = reader.separator();
@@ -321,11 +346,9 @@ pub fn table(
         .zip(data)
         .map(|(w, data)| Column { unit: w.unit.clone(), ..column(&w.name, w.role.clone(), data) });
     let mut record = record_of(to, kind, columns.collect(), form.log)?;
-    let passed_over = (before > 0).then(|| {
-        let lines = if before == 1 { "1 line".to_owned() } else { format!("{before} lines") };
-        format!("{}: passed over {lines} in front of the columns' names", from.display())
-    });
-    let said: Vec<String> = [written, passed_over].into_iter().flatten().collect();
+    let by_name = (!by_name.is_empty())
+        .then(|| format!("{}: read by its name: {}", from.display(), by_name.join(", ")));
+    let said: Vec<String> = written.into_iter().chain(by_name).collect();
     record.written = (!said.is_empty()).then(|| said.join("; "));
     clock.note(&mut record);
     if let Some(line) = cut {
@@ -334,34 +357,29 @@ pub fn table(
     Ok(record)
 }
 
-/// The columns that are called by a name.
-fn names_of(wanted: &[ImportColumn]) -> Vec<&str> {
-    let names = wanted.iter().map(|w| w.column.as_str());
-    names.filter(|name| name.parse::<usize>().is_err()).collect()
-}
-
-/// Lines in which the columns' names are looked for.
-const PREAMBLE: usize = 100;
-
-/// Number of lines before the line with the columns' names; 0 if there is none.
-fn preamble(from: &Path, text: &str, wanted: &[ImportColumn]) -> usize {
-    // A row of the numbers 1 and 2 is no line of names.
-    let names = names_of(wanted);
-    if names.is_empty() {
-        return 0;
+/// A reader of the table behind its header, and the header unless it has none.
+fn opened<'t>(
+    from: &Path,
+    text: &'t str,
+    wanted: &[ImportColumn],
+    form: &Form,
+) -> Result<(Reader<&'t [u8]>, Option<Header>), InputError> {
+    let mut reader = Reader::new(from, text.as_bytes())?;
+    match form.by {
+        Some(' ') => reader = reader.parted_by('\t'),
+        Some(by) => reader = reader.parted_by(by),
+        None => {}
     }
-    let has_names = |line: &str| {
-        let header =
-            Reader::new(from, line.as_bytes()).and_then(|mut r| r.header_with("a header line", &names));
-        header.is_ok_and(|header| names.iter().all(|name| header.find(name).is_some()))
+    let columns: Vec<&str> = wanted.iter().map(|w| w.column.as_str()).collect();
+    let header = match (form.nameless, form.by) {
+        (true, _) => None,
+        (false, Some(_)) => {
+            let header = reader.header(HEADER)?;
+            Some(reader.or_numbers(header, &columns))
+        }
+        (false, None) => Some(reader.header_of(HEADER, &columns)?),
     };
-    let found = text.lines().take(PREAMBLE).position(has_names).unwrap_or(0);
-    // A line `sep=` belongs to the table, comments and empty lines are none of another program's.
-    let foreign = |line: &&str| {
-        let line = line.trim();
-        !line.is_empty() && !line.starts_with('#') && !line.to_ascii_lowercase().starts_with("sep=")
-    };
-    if text.lines().take(found).filter(foreign).count() > 0 { found } else { 0 }
+    Ok((reader, header))
 }
 
 /// What was expected of a cell that is no number.
@@ -550,20 +568,14 @@ fn put_forward(times: &[f64]) -> Option<(usize, f64, f64)> {
 fn numbers(
     from: &Path,
     text: &str,
+    wanted: &[ImportColumn],
     form: &Form,
-    by: char,
-    header: Option<&Header>,
     places: &[usize],
 ) -> Result<(Vec<Numbers>, Option<String>), InputError> {
     if let Some(comma) = form.decimal_comma {
         return Ok((vec![Numbers::written(if comma { ',' } else { '.' }); places.len()], None));
     }
-    let mut reader = Reader::new(from, text.as_bytes())?.parted_by(by);
-    if let Some(header) = header {
-        // Past a line `sep=` too.
-        while reader.row()?.is_some_and(|row| row.line() < header.line()) {}
-        reader = reader.of_width(header.names().count());
-    }
+    let (mut reader, _) = opened(from, text, wanted, form)?;
     let marks = Marks::of(&mut reader)?;
     let written = if form.by.is_none() { marks.written(from) } else { marks.questions(from) };
     Ok((places.iter().map(|place| marks.numbers(*place)).collect(), written))

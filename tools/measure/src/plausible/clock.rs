@@ -1,6 +1,6 @@
 //! A time column that does not begin with the run.
 
-use rtec_model::clock::{Counted, counted, spreadsheet_in_s};
+use rtec_files::clock::{Counted, counted, spreadsheet_in_s};
 use rtec_model::record::{Record, Role};
 
 /// What to know of a record whose clock counts from elsewhere than its run's start.

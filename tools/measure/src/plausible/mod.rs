@@ -429,13 +429,33 @@ pub fn good_rows<'r>(record: &'r Record, all: usize, say: &mut dyn FnMut(Said)) 
     left
 }
 
-/// Readings of this piece of a record that its sensors did not take.
-#[must_use]
-pub fn not_taken(record: &Record) -> usize {
+/// Puts the last good reading in place of those that a sensor did not take.
+/// Returns how many those are.
+/// Where none is before them it is the first good one of this piece of the record. `held`: each sensor's last good reading so far.
+pub fn hold_last_good(record: &mut Record, held: &mut BTreeMap<String, f64>) -> usize {
     let mut found = Vec::new();
     sensors::look(record, &mut found);
-    let bad = found.iter().filter(|d| d.is_not_taken());
-    bad.map(|d| if d.rows.is_empty() { record.rows() } else { d.row_list().len() }).sum()
+    let (first, rows) = (record.first_row(), record.rows());
+    let mut held_rows = 0;
+    for column in record.columns.iter_mut().filter(|c| is_sensor(c)) {
+        let bad = found.iter().filter(|d| d.is_not_taken() && d.column == column.name);
+        let bad: BTreeSet<usize> = bad
+            .flat_map(|d| if d.rows.is_empty() { (0..rows).collect() } else { d.row_list() })
+            .map(|row| row.saturating_sub(first))
+            .collect();
+        let good = (0..rows).find(|row| !bad.contains(row)).map(|row| column.data[row]);
+        let mut last = held.get(&column.name).copied().or(good);
+        for (row, v) in column.data.iter_mut().enumerate() {
+            if bad.contains(&row) {
+                held_rows += 1;
+                *v = last.unwrap_or(*v);
+            } else {
+                last = Some(*v);
+            }
+        }
+        held.extend(last.map(|last| (column.name.clone(), last)));
+    }
+    held_rows
 }
 
 impl Suspicion {

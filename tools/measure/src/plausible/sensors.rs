@@ -53,7 +53,8 @@ fn unplugged(record: &Record, c: &Column, others: &[&Column], out: &mut Vec<Susp
     };
     let known = !rest.is_empty() || !others.is_empty();
     let mut rows = Vec::new();
-    let mut why = "";
+    // Each code that was read, and why it is one.
+    let mut codes: Vec<(f64, &str)> = Vec::new();
     for (i, v) in c.data.iter().enumerate() {
         let off = coded(*v).or_else(|| {
             let doubtful = disconnected(*v).map(|d| d.0);
@@ -61,12 +62,15 @@ fn unplugged(record: &Record, c: &Column, others: &[&Column], out: &mut Vec<Susp
         });
         if let Some(off) = off {
             rows.push(i);
-            why = off;
+            if !codes.iter().any(|(code, _)| code.to_bits() == v.to_bits()) {
+                codes.push((*v, off));
+            }
         }
     }
-    if let Some(i) = rows.first() {
+    if !rows.is_empty() {
         let all = rows.len() == c.data.len();
-        let text = format!("reads {} degC: {why}{}", c.data[*i], if all { "" } else { " in some rows" });
+        let codes: Vec<String> = codes.iter().map(|(code, why)| format!("{code} degC: {why}")).collect();
+        let text = format!("reads {}{}", codes.join(", and "), if all { "" } else { " in some rows" });
         out.push(Suspicion::new(record, &c.name, What::Unplugged, if all { &[] } else { &rows }, text));
         return;
     }

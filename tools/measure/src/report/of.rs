@@ -289,6 +289,11 @@ fn diagnosis(report: &mut Report, b: &Ballbar) {
     add("mean radius", "radius_um", d.radius_um, "µm", 2);
     add("not explained, the same both ways (RMS)", "", d.unexplained_um, "µm", 2);
     add("left over (RMS)", "", Some(d.rms).filter(|_| !d.interval_95.is_empty()), "µm", 2);
+    if let Some(n) = &d.not_separable {
+        let cause = format!("{}, not separable one way at one feed", n.causes.join(" or "));
+        let shown = interval(Some(&n.interval_95), 2);
+        table.row([cause, fixed(n.um, 2), "µm".to_owned(), shown, um(Some(n.um))]);
+    }
     report.table(table);
     let title = format!(
         "Contributions in plane {}, ranked: range of the radius that each makes, share of their sum",

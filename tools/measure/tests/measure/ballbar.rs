@@ -166,6 +166,11 @@ fn one_way_at_one_feed_cannot_tell_squareness_from_a_lag_and_two_feeds_can() {
     assert_eq!((found.diagnosis.squareness_urad, found.diagnosis.servo_mismatch_ms), (None, None));
     assert!(found.warnings.iter().any(|w| w.contains("look alike")), "{:?}", found.warnings);
     assert_eq!((found.g_b, found.h, found.d), (None, None, None));
+    // 25 µrad on 150 mm and 0.5 ms at 25 mm/s are ranges of 3.75 and 12.5 µm, which add up or take from each other.
+    let together = found.diagnosis.not_separable.as_ref().unwrap();
+    let [low, high] = together.interval_95;
+    assert!([8.75, 16.25].iter().any(|um| (low..high).contains(um)), "{together:?}");
+    assert!(found.diagnosis.contributions.iter().all(|c| !c.cause.contains("servo")), "{found:?}");
     run.circles = vec![(1.0, 10.0), (1.0, 50.0)];
     let found = one(&[run.of_machine(effects, &mut Noise(3), 0.05, 0.0)]);
     // A spike that one way does not show could have moved it.

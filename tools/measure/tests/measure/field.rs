@@ -254,12 +254,14 @@ fn bidirectional(dice: &mut Dice, beside: impl Fn(f64) -> f64) -> Record {
 #[test]
 fn positioning_tells_a_step_from_a_drift() {
     type Beside = fn(f64) -> f64;
-    let kinds: [(&str, Beside); 6] = [
+    let kinds: [(&str, Beside); 8] = [
         ("step", |t| if t < 50.0 { 0.0 } else { 2.0 }),
         ("step", |t| if t < 9.0 { 0.0 } else { -3.0 }),
         ("drift", |t| 0.03 * t),
         ("drift", |t| 6.0 * (1.0 - (-t / 20.0).exp())),
         ("drift", |t| 6.0 * (1.0 - (-t / 60.0).exp())),
+        ("drift", |t| 6.0 * (std::f64::consts::PI * t / 110.0).sin()),
+        ("drift", |t| t * (80.0 - t) / 300.0),
         ("neither", |_| 0.0),
     ];
     let runs = 100;

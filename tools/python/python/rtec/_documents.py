@@ -149,6 +149,7 @@ class EvaluationDocument(TypedDict, total=False):
     centre_um: list[float]
     contours: list[dict[str, Any]]
     contributions: list[dict[str, Any]]
+    not_separable: dict[str, Any]
     cyclic: dict[str, dict[str, float]]
     form: dict[str, Any]
     interval_95: dict[str, list[float]]
@@ -298,6 +299,7 @@ class ReplayDocument(TypedDict):
     refused: list[Any]
     faults: list[Any]
     edges: int
+    dead_channel: NotRequired[str]
 
 
 class PartError(TypedDict):
@@ -324,6 +326,7 @@ class PartDocument(TypedDict, total=False):
     plain_radius_mm: float
     plain_size_standard_error_um: float
     robust: dict[str, Any]
+    repeats: dict[str, Any]
     sd_before_um: float
     sd_after_um: float
     form_um: float
@@ -340,6 +343,7 @@ class HistoryDocument(TypedDict):
     figures: list[dict[str, Any]]
     left_out: list[dict[str, str]]
     suspicions: NotRequired[list[Suspicion]]
+    changes: NotRequired[list[str]]
 
 
 class MachineDocument(TypedDict):

@@ -62,7 +62,7 @@ fn document(file: &std::path::Path, config: &Result<Config, ConfigFindings>) -> 
                    "expected": f.expected})
         })
         .collect();
-    let notes = config.as_ref().map_or(&[][..], |c| &c.notes);
+    let notes = config.as_ref().map_or_else(|findings| &findings.1, |c| &c.notes);
     let axes: Vec<_> = config.iter().flat_map(|c| &c.axes).collect();
     let axes: Vec<_> = axes
         .iter()

@@ -63,6 +63,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     for figure in found.with_every_row() {
         eprintln!("warning: {figure}");
     }
+    for change in &found.changes {
+        eprintln!("warning: {change}");
+    }
     let report = found.report()?;
     if let Some(path) = &args.html {
         rtec_files::write::whole(path, report.html().as_bytes())

@@ -10,11 +10,12 @@ use rtec_driver::quadrature::State;
 use rtec_driver::replay::Listener;
 use rtec_driver::replay::TracePoint;
 use rtec_files::InputError;
+use rtec_files::clock;
 use rtec_files::trace::{
     Playable, RequestReader, TraceFile, TraceFormat, TraceReader, request_columns, trace_columns,
 };
-use rtec_model::clock;
 use rtec_rt::axis::AxisConfig;
+use rtec_rt::event::Fault;
 use rtec_sim::bench::{AnyDesign, replay_any};
 use rtec_sim::ecc::Pll;
 use rtec_sim::replay::ReplayError;
@@ -84,9 +85,13 @@ fn two_clocks(args: &Args) -> anyhow::Result<()> {
     if !(args.trace.is_file() && args.requests.is_file()) {
         return Ok(());
     }
-    let first = args.open_trace()?.next_point()?.map(|point| point.t_ns);
+    let (mut trace, mut requests) = (args.open_trace()?, args.open_requests()?);
+    let first = trace.next_point()?.map(|point| point.t_ns);
     // A total of 0 at 0 may stand in front on any clock.
-    let last = args.open_requests()?.last().transpose()?.map(|request| request.t_ns);
+    let last = requests.by_ref().last().transpose()?.map(|request| request.t_ns);
+    for said in [trace.said(), requests.said()].into_iter().flatten() {
+        eprintln!("note: {said}");
+    }
     let Some((first, last)) = first.zip(last) else { return Ok(()) };
     let day = |t_ns: u64| match clock::unix(t_ns as f64) {
         Some(("ns", day)) => Some(day),
@@ -123,13 +128,21 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             files.push((TraceFile::create(file)?, file.as_path()));
         }
     }
-    let trace = Progress { trace, points: 0, shown_at: Instant::now() };
+    let mut trace = Progress {
+        trace,
+        points: 0,
+        shown_at: Instant::now(),
+        last: None,
+        alone: [(0, 0); 2],
+        longest: [(0, 0); 2],
+    };
     // Without an output nothing listens: the compiler takes the whole branch out of the loop.
     let outcome = if files.is_empty() {
-        replay_any(design, config, trace, requests, large, |_, _: State| {}).map(|(outcome, _)| outcome)
+        replay_any(design, config, trace.by_ref(), requests, large, |_, _: State| {})
+            .map(|(outcome, _)| outcome)
     } else {
         let to = Outputs { files, failed: None };
-        match replay_any(design, config, trace, requests, large, to) {
+        match replay_any(design, config, trace.by_ref(), requests, large, to) {
             Ok((outcome, to)) => {
                 to.finish()?;
                 Ok(outcome)
@@ -137,17 +150,29 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             Err(error) => Err(error),
         }
     };
-    let outcome = outcome.map_err(|error| match error {
+    let mut outcome = outcome.map_err(|error| match error {
         ReplayError::Input(error) => error,
         ReplayError::Start(error) => {
             let file = args.config.as_deref().unwrap_or(Path::new("the default axis"));
             InputError::whole(file, error.to_string(), "an axis that can be corrected")
         }
     })?;
+    let dead = outcome.faults.iter().any(|latched| latched.fault == Fault::ChannelDead).then(|| trace.dead());
+    outcome.dead_channel = dead.as_ref().map(|(channel, _)| *channel);
     if args.json {
         say(&line(&outcome)?);
     } else {
         print(&outcome);
+    }
+    let latched = outcome.faults.iter().find(|latched| latched.fault == Fault::ChannelDead);
+    if let (Some((_, said)), Some(latched)) = (dead, latched) {
+        let axis = args.axis.as_ref().map_or_else(String::new, |axis| format!(" of axis {axis}"));
+        return Err(Outcome::Fault(format!(
+            "{} latched at {} ns{axis}: {said}: a broken wire or receiver of it",
+            word(latched.fault),
+            latched.t_ns
+        ))
+        .into());
     }
     // The more telling answer first: a latched fault says why a ledger does not balance.
     if let Some(latched) = outcome.faults.first() {
@@ -211,6 +236,39 @@ struct Progress {
     trace: Playable<std::fs::File>,
     points: u64,
     shown_at: Instant,
+    last: Option<State>,
+    /// Changes of A, and of B, since the other changed last; and when that was, ns.
+    alone: [(u64, u64); 2],
+    longest: [(u64, u64); 2],
+}
+
+impl Progress {
+    #[inline]
+    fn see(&mut self, point: TracePoint) {
+        let Some(last) = self.last.replace(point.state) else {
+            self.alone = [(0, point.t_ns); 2];
+            return;
+        };
+        for (n, changed) in [last.a() != point.state.a(), last.b() != point.state.b()].into_iter().enumerate()
+        {
+            if changed {
+                self.alone[n].0 += 1;
+                if self.alone[n].0 > self.longest[n].0 {
+                    self.longest[n] = self.alone[n];
+                }
+                self.alone[1 - n] = (0, point.t_ns);
+            }
+        }
+    }
+
+    /// The channel that stands still while the other changes.
+    fn dead(&self) -> (&'static str, String) {
+        let moving = usize::from(self.longest[1].0 > self.longest[0].0);
+        let (times, since_ns) = self.longest[moving];
+        let [alive, dead] = [["A", "B"][moving], ["A", "B"][1 - moving]];
+        let said = format!("{dead} does not change after {since_ns} ns while {alive} changes {times} times");
+        (["a", "b"][1 - moving], said)
+    }
 }
 
 impl Iterator for Progress {
@@ -219,6 +277,9 @@ impl Iterator for Progress {
     #[inline]
     fn next(&mut self) -> Option<Self::Item> {
         let point = self.trace.next();
+        if let Some(Ok(point)) = &point {
+            self.see(*point);
+        }
         self.points += 1;
         if self.points.is_multiple_of(1 << 22) && self.shown_at.elapsed() > Duration::from_secs(2) {
             self.shown_at = Instant::now();

@@ -6,11 +6,11 @@ use anyhow::Context;
 use clap::{Subcommand, ValueEnum};
 use rtec_driver::quadrature::State;
 use rtec_driver::replay::TracePoint;
+use rtec_files::clock::{self, Moments};
 use rtec_files::csv::{Header, Reader};
 use rtec_files::text::open_regular;
 use rtec_files::trace::{TraceFile, TraceReader, trace_columns};
-use rtec_files::{InputError, Marks};
-use rtec_model::clock::{self, Moments};
+use rtec_files::{InputError, Marks, units};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
@@ -58,10 +58,10 @@ struct FromPosition {
     /// The time column, by its name or number from 1 [default: `t_s`, `t_ms`, `t_us` or `t_ns`]
     #[arg(long, value_name = "NAME")]
     time_column: Option<String>,
-    /// The time's unit [default: the column name's ending _s, _ms, _us or _ns; without one, s]
+    /// The time's unit [default: of the column's name, `t_ms` or `Time [ms]`; else s]
     #[arg(long, value_parser = ["s", "ms", "us", "ns"], requires = "time_column")]
     time_unit: Option<String>,
-    /// The position's unit [default: the column name's ending _m, _mm, _um or _nm; without one, m]
+    /// The position's unit [default: of the column's name, `x_mm` or `X [mm]`; else m]
     #[arg(long, value_enum)]
     unit: Option<Unit>,
     /// Way back, in counts, before a count edge is undone, as in a scale's interpolator: noise at rest below
@@ -85,13 +85,13 @@ enum Unit {
     Mm,
     Um,
     Nm,
+    In,
 }
 
 impl Unit {
-    /// The unit that a column's name ends with.
+    /// The unit that a column's name states.
     fn of(column: &str) -> Option<Self> {
-        let (_, ending) = column.rsplit_once('_')?;
-        Self::from_str(ending, false).ok()
+        Self::from_str(units::stated(column)?.unit, false).ok()
     }
 
     const fn in_um(self) -> f64 {
@@ -100,6 +100,7 @@ impl Unit {
             Self::Mm => 1e3,
             Self::Um => 1.0,
             Self::Nm => 1e-3,
+            Self::In => 25_400.0,
         }
     }
 }
@@ -206,6 +207,9 @@ fn convert(input: &Path, output: &Path, columns: &[String]) -> anyhow::Result<Su
         out.write(point).with_context(|| format!("writing {}", output.display()))?;
     }
     out.file.finish().with_context(|| format!("writing {}", output.display()))?;
+    if let Some(said) = reader.said() {
+        eprintln!("note: {said}");
+    }
     Ok(out.summary)
 }
 
@@ -225,6 +229,9 @@ fn from_position(args: &FromPosition) -> anyhow::Result<Summary> {
             eprintln!("warning: {warning}");
         }
         way.is_short_enough(args)?;
+        if let Some(coarse) = jumps.coarse(args) {
+            eprintln!("warning: {coarse}");
+        }
     }
     let (mut record, mut way) = (Record::open(args, bits)?, TravelledCounts::default());
     let mut out = Output::create(&args.out)?;
@@ -308,6 +315,19 @@ const COUNTER_BITS: [u32; 4] = [16, 20, 24, 32];
 /// A jump is one of such a counter within this share of its range.
 const NEAR_RANGE: f64 = 0.02;
 
+/// So many changes of the position show the step that it is written in.
+const COARSE_CHANGES: usize = 5;
+
+/// The largest step that divides two lengths, µm; 0 below a nanometre.
+fn common_step(mut a: f64, mut b: f64) -> f64 {
+    const NOTHING_UM: f64 = 1e-3;
+    while b > NOTHING_UM {
+        let rest = a % b;
+        (a, b) = (b, if b - rest < NOTHING_UM { 0.0 } else { rest });
+    }
+    a
+}
+
 /// The range of a counter of so many bits, in counts.
 fn range_of(bits: u32) -> f64 {
     2_f64.powi(i32::try_from(bits).unwrap_or(0))
@@ -324,12 +344,19 @@ struct Jumps {
     largest_jump_um: f64,
     smallest_jump_um: f64,
     largest_step_um: f64,
+    /// The step that positions are written in, µm; how often the position changed.
+    written_um: f64,
+    changes: usize,
 }
 
 impl Jumps {
     fn see(&mut self, t_ns: u64, at_um: f64, line: usize) {
         let Some((from_ns, from_um)) = self.last.replace((t_ns, at_um)) else { return };
         let step_um = at_um - from_um;
+        if step_um != 0.0 {
+            self.changes += 1;
+            self.written_um = common_step(self.written_um, step_um.abs());
+        }
         // µm a ns are thousands of m/s.
         let m_s = step_um.abs() / (t_ns - from_ns) as f64 * 1e3;
         if m_s <= FASTEST_M_S {
@@ -342,6 +369,20 @@ impl Jumps {
         self.found += 1;
         self.largest_jump_um = self.largest_jump_um.max(step_um.abs());
         self.smallest_jump_um = self.smallest_jump_um.min(step_um.abs());
+    }
+
+    /// That the positions are written in steps of more than a count.
+    fn coarse(&self, args: &FromPosition) -> Option<String> {
+        let counts = self.written_um / args.count_um;
+        (self.changes >= COARSE_CHANGES && counts > 1.5).then(|| {
+            format!(
+                "{}: positions in steps of {} µm, {:.0} counts: the edges within a step are spread evenly over the time between two rows, \
+                 where the axis may have moved otherwise",
+                args.input.display(),
+                rtec_files::text::short(1e-6 * (1e6 * self.written_um).round()),
+                counts
+            )
+        })
     }
 
     /// The range that all jumps are near, in bits.
@@ -458,40 +499,61 @@ struct Record {
     start: Option<(f64, String)>,
 }
 
+/// Units of a time, and ns of each.
+const UNITS: [(&str, f64); 4] = [("s", 1e9), ("ms", 1e6), ("us", 1e3), ("ns", 1.0)];
+
 impl Record {
     fn open(args: &FromPosition, counter_bits: u32) -> Result<Self, InputError> {
         let mut rows = Reader::open(&args.input)?;
         let named = [&args.column, &args.time_column].into_iter().flatten().map(String::as_str);
         let named: Vec<&str> = named.collect();
-        let header = rows.header_of("a header such as t_s,position_mm", &named)?;
-        // A pipe cannot be read twice: its numbers have decimal points.
-        let marks = if args.input.is_file() {
-            Marks::find(&args.input, &mut open_regular(&args.input)?, &named)?
+        let expected = "a header such as t_s,position_mm";
+        let time_of = |name: &str| {
+            let stated = units::stated(name)?;
+            let is_time = stated.name == "t" || stated.name.eq_ignore_ascii_case("time");
+            UNITS.into_iter().find(|(unit, _)| is_time && *unit == stated.unit)
+        };
+        let header = if named.is_empty() {
+            let has_both = |header: &Header| {
+                header.names().any(|name| time_of(name).is_some())
+                    && header.names().any(|name| name.starts_with("position"))
+            };
+            rows.header_where(expected, has_both)?
         } else {
-            None
+            rows.header_of(expected, &named)?
         };
         let columns = || format!("the columns {}", header.text());
-        let units = [("s", 1e9), ("ms", 1e6), ("us", 1e3), ("ns", 1.0)];
+        // A unit in brackets that is none of these is not passed over.
+        let known = |name: &str, units: &[&str], option: &str| match units::stated(name) {
+            Some(stated) if stated.in_brackets && !units.contains(&stated.unit) => {
+                let found = format!("the unit {} in the name of column {name}", stated.unit);
+                Err(header.finding(found, format!("one of {}, or {option}", units.join(", "))))
+            }
+            _ => Ok(()),
+        };
         let (time, (time_unit, ns_per_unit)) = match &args.time_column {
             Some(column) => {
                 let place = header.place_or_number(column)?;
                 let name = header.names().nth(place).unwrap_or_default();
-                let named = |unit: &str| name.strip_suffix(unit).is_some_and(|rest| rest.ends_with('_'));
-                let of = |wanted: &str| units.into_iter().find(|(unit, _)| *unit == wanted);
+                let of = |wanted: &str| UNITS.into_iter().find(|(unit, _)| *unit == wanted);
                 let unit = match &args.time_unit {
                     Some(unit) => of(unit),
-                    None => units.into_iter().find(|(unit, _)| named(unit)),
+                    None => {
+                        known(name, &UNITS.map(|(unit, _)| unit), "--time-unit")?;
+                        units::stated(name).and_then(|stated| of(stated.unit))
+                    }
                 };
-                (place, unit.unwrap_or(units[0]))
+                (place, unit.unwrap_or(UNITS[0]))
             }
-            None => units
-                .into_iter()
-                .find_map(|unit| Some((header.find(&format!("t_{}", unit.0))?, unit)))
+            None => header
+                .names()
+                .enumerate()
+                .find_map(|(place, name)| Some((place, time_of(name)?)))
                 .ok_or_else(|| {
-                let expected = "a time column: t_s, t_ms, t_us or t_ns, or --time-column";
-                let finding = header.is_missing().unwrap_or_else(|| header.finding(columns(), expected));
-                rows.instead_of(&header, finding)
-            })?,
+                    let expected = "a time column: t_s, t_ms, t_us or t_ns, or --time-column";
+                    let finding = header.is_missing().unwrap_or_else(|| header.finding(columns(), expected));
+                    rows.instead_of(&header, finding)
+                })?,
         };
         let position = if let Some(column) = &args.column {
             header.place_or_number(column)?
@@ -504,10 +566,21 @@ impl Record {
             position
         };
         let name = header.names().nth(position).unwrap_or_default();
+        if args.unit.is_none() {
+            known(name, &["m", "mm", "um", "nm", "in"], "--unit")?;
+        }
         let unit = args.unit.or_else(|| Unit::of(name)).unwrap_or_else(|| {
             eprintln!("{}: column '{name}' names no unit: taken as m (see --unit)", args.input.display());
             Unit::M
         });
+        // A pipe cannot be read twice: its numbers have decimal points.
+        let names = || [time, position].into_iter().filter_map(|place| header.names().nth(place)).collect();
+        let named: Vec<&str> = if named.is_empty() { names() } else { named };
+        let marks = if args.input.is_file() {
+            Marks::find(&args.input, &mut open_regular(&args.input)?, &named)?
+        } else {
+            None
+        };
         let counts_per_unit = unit.in_um() / args.count_um;
         Ok(Self {
             rows,
@@ -724,6 +797,52 @@ mod tests {
         let bare =
             run_from("t_s,position\n0,0.5\n0.001,2.5\n", &["--count-um", "1e6", "--hysteresis-counts", "0"]);
         assert_eq!(bare.1, written);
+    }
+
+    #[test]
+    fn positions_in_coarse_steps_show_them() {
+        for (values, step) in [
+            (&[0.01, 0.03, 0.02, 0.07, 0.0, 0.05, 0.06][..], 10.0),
+            (&[0.0, 0.0254, 0.0508, 0.0254, 0.1016, 0.127, 0.1016], 25.4),
+            (&[0.0, 0.0123, 0.0457, 0.0211, 0.0999, 0.05, 0.0731], 0.1),
+        ] {
+            let mut jumps = Jumps::default();
+            for (n, mm) in values.iter().enumerate() {
+                jumps.see(n as u64 * 1_000_000, mm * 1e3, n);
+            }
+            assert!((jumps.written_um - step).abs() < 1e-6, "{values:?}: {}", jumps.written_um);
+        }
+    }
+
+    #[test]
+    fn units_of_the_names_are_read() {
+        let wants = "t_ns,a,b\n0,0,0\n250000,1,0\n750000,1,1\n";
+        for (text, options) in [
+            (
+                "Time [ms],X [mm]\n0,0.0005\n1,0.0025\n",
+                &["--time-column", "Time [ms]", "--column", "X [mm]"][..],
+            ),
+            ("Time (us);position (µm)\n0;0,5\n1000;2,5\n", &[]),
+            ("t_ms,pos (in)\n0,0.0000196850394\n1,0.0000984251969\n", &["--column", "pos (in)"]),
+            ("scope x\nmade,2026\n; by y\nt_s,note,position_um\n0,a,0.5\n0.001,b,2.5\n", &[]),
+        ] {
+            let options: Vec<&str> =
+                ["--count-um", "1", "--hysteresis-counts", "0"].iter().chain(options).copied().collect();
+            let (summary, written) = run_from(text, &options);
+            assert_eq!(written, wants, "{text}: {:?}", summary.err());
+        }
+        let text = "Time [min],X [furlong]\n0,0\n1,1\n";
+        for (options, says) in [
+            (&["--time-column", "1", "--column", "2"][..], "one of s, ms, us, ns, or --time-unit"),
+            (
+                &["--time-column", "1", "--time-unit", "s", "--column", "2"],
+                "one of m, mm, um, nm, in, or --unit",
+            ),
+        ] {
+            let options: Vec<&str> = ["--count-um", "1"].iter().chain(options).copied().collect();
+            let error = run_from(text, &options).0.unwrap_err().to_string();
+            assert!(error.contains(says), "{error}");
+        }
     }
 
     #[test]

@@ -317,7 +317,7 @@ fn an_arc_in_another_place_is_not_the_one_before() {
         let out = part(dir.path(), &words.split(' ').collect::<Vec<_>>());
         let said = String::from_utf8_lossy(&out.stderr).into_owned();
         assert_eq!(out.status.code(), Some(code), "{said}");
-        assert!(code == 0 || said.contains("3.00 mm from where it was before"), "{said}");
+        assert!(code == 0 || said.contains("arcs 3.00 mm apart"), "{said}");
     }
 }
 

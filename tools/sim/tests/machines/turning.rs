@@ -186,6 +186,9 @@ fn trips_that_are_not_as_planned_name_their_point() {
     let mut outside = good.clone();
     outside[1].0[1] += 700.0;
     assert!(matches!(judge(outside, vec![]), Err(TripFault::Outside { point: 2, .. })));
+    let mut zero = good.clone();
+    zero[1].0 = [0.0, 0.0];
+    assert_eq!(judge(zero, vec![]), Err(TripFault::Zero { point: 2 }));
     let mut surplus = good;
     surplus.push(([0.0, 0.0], 0.0, 9.0));
     assert!(matches!(judge(surplus, vec![]), Err(TripFault::Outside { point: 6, .. })));

@@ -5,6 +5,7 @@
 //! over time, each with a part that grows along the axis. A step has a size and a place.
 
 use super::{Run, Target, largest, mean_of, targets};
+use crate::iso230::is_alike;
 use rtec_model::record::Role;
 use serde::Serialize;
 use statrs::distribution::{ContinuousCDF, FisherSnedecor};
@@ -77,6 +78,8 @@ struct Shape {
     tried: usize,
     /// The row at which it steps.
     step_at: Option<usize>,
+    /// Its second column is the square of its first: it turns back.
+    bends: bool,
 }
 
 /// A shape fitted: its factors, and what is left (sum of squares).
@@ -86,11 +89,28 @@ struct Fitted {
     left: f64,
     /// Variance of the first factor for noise of variance 1.
     unit_variance: f64,
+    /// What leaves neighbours alike on both sides of a step is no step.
+    is_alike: bool,
 }
 
 impl Fitted {
     fn parameters(&self) -> usize {
         self.shape.columns.len() + self.shape.sought
+    }
+
+    /// What a person reads of a drift that turns back.
+    fn bend_note(&self, time: &[f64], unit: &str, without: &str, number: impl Fn(usize) -> usize) -> String {
+        let [slope, bend] = [self.factors[0], self.factors[1]];
+        let turn = (-0.5 * slope / bend).clamp(0.0, 1.0);
+        let farthest = slope * turn + bend * turn * turn;
+        let until = time[0] + turn * (time[time.len() - 1] - time[0]);
+        let row = time.iter().position(|t| *t >= until).unwrap_or(time.len() - 1);
+        format!(
+            "the approaches drift by {farthest:+.2} {unit} up to row {} and to {:+.2} {unit} at the last, and the figures hold that \
+             drift; about it {without}. Let the machine and its hall come to rest, and test again",
+            number(row),
+            slope + bend,
+        )
     }
 
     /// Schwarz's criterion over so many rows: the smaller, the better.
@@ -144,8 +164,20 @@ impl Repeats {
             (factors, bb / determinant)
         };
         let explained = |row: usize| columns.iter().zip(&factors).map(|(c, f)| c[row] * f).sum::<f64>();
-        let left = (0..self.rows).map(|row| (y[row] - explained(row)).powi(2)).sum();
-        Some(Fitted { shape, factors, left, unit_variance })
+        let residual: Vec<f64> = (0..self.rows).map(|row| y[row] - explained(row)).collect();
+        let left: f64 = residual.iter().map(|r| r * r).sum();
+        let is_alike = self.is_alike(&residual);
+        Some(Fitted { shape, factors, left, unit_variance, is_alike })
+    }
+
+    /// Whether rows that follow each other are more alike than by chance.
+    fn is_alike(&self, residual: &[f64]) -> bool {
+        let mut rows: Vec<usize> = self.groups.iter().flatten().copied().collect();
+        rows.sort_unstable();
+        let own: Vec<f64> = rows.iter().map(|row| residual[*row]).collect();
+        let squares: f64 = own.iter().map(|r| r * r).sum();
+        let pairs: f64 = own.windows(2).map(|w| (w[1] - w[0]).powi(2)).sum();
+        squares > 0.0 && is_alike(pairs / squares, own.len())
     }
 
     /// The row from which on a step explains most of `y`.
@@ -180,7 +212,7 @@ impl Repeats {
         }
         let (at, _) = best?;
         let column = (0..self.rows).map(|row| f64::from(row >= at)).collect();
-        Some(Shape { columns: vec![column], sought: 1, tried, step_at: Some(at) })
+        Some(Shape { columns: vec![column], sought: 1, tried, step_at: Some(at), bends: false })
     }
 }
 
@@ -204,7 +236,7 @@ impl Run<'_> {
         let over_time = |of: &dyn Fn(f64) -> f64, sought: usize, tried: usize| {
             let own: Vec<f64> = time.iter().map(|t| of((t - time[0]) / span)).collect();
             let grows = own.iter().zip(self.position).map(|(v, p)| v * (p - middle) / reach).collect();
-            Shape { columns: vec![own, grows], sought, tried, step_at: None }
+            Shape { columns: vec![own, grows], sought, tried, step_at: None, bends: false }
         };
         let warm_up = |share: f64| {
             let at_end = 1.0 - (-1.0 / share).exp();
@@ -212,11 +244,16 @@ impl Run<'_> {
         };
         let mut shapes = vec![over_time(&|m| m, 0, 1)];
         shapes.extend(WARM_UPS.map(warm_up));
+        // A drift that turns back, as of a hall that warms and cools.
+        let moment: Vec<f64> = time.iter().map(|t| (t - time[0]) / span).collect();
+        let columns = vec![moment.clone(), moment.iter().map(|m| m * m).collect()];
+        shapes.push(Shape { columns, sought: 0, tried: 1, step_at: None, bends: true });
         shapes.extend(repeats.best_step(&y));
         let before = dot(&y, &y);
         let least = (1e-12 * before).max(f64::MIN_POSITIVE);
         let better = |f: &Fitted| f.criterion(used as f64, least);
         let fitted = shapes.into_iter().filter_map(|shape| repeats.fit(shape, &y));
+        let fitted = fitted.filter(|f| f.shape.step_at.is_none() || f.left <= least || !f.is_alike);
         let best = fitted.min_by(|a, b| better(a).total_cmp(&better(b)))?;
         let freedom = used.checked_sub(repeats.groups.len() + best.parameters()).filter(|f| *f > 0)? as f64;
         let columns = best.shape.columns.len() as f64;
@@ -248,10 +285,13 @@ impl Run<'_> {
                 })
                 .collect();
         let without = without.join(", ");
-        let size = best.factors[0];
+        let size = if best.shape.bends { best.factors[0] + best.factors[1] } else { best.factors[0] };
         Some(match best.shape.step_at {
             None => {
-                if !without.is_empty() {
+                if best.shape.bends && !without.is_empty() {
+                    let note = best.bend_note(time, unit, &without, |row| self.record.row_number(row));
+                    self.notes.push(note);
+                } else if !without.is_empty() {
                     self.notes.push(format!(
                         "the approaches drift by {size:+.2} {unit} from first to last in the middle of the travel ({:+.2} more at its \
                          upper end), and the figures hold that drift; about it {without}. Let the machine warm up, or test it again",

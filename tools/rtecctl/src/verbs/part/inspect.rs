@@ -40,6 +40,9 @@ pub(crate) struct Args {
 /// A finish cut leaves an arc's centre where it was, but for allowances that differ in Z and X.
 const OTHER_PLACE_MM: f64 = 1.0;
 
+/// An arc whose radius is off by this share is another one.
+const OTHER_SIZE: f64 = 0.1;
+
 /// The part of an arc that was probed before and not after, where it is more than a tenth.
 fn not_looked_at(before: &ErrorReport, after: &ErrorReport) -> Option<String> {
     let ends = |r: &ErrorReport| {
@@ -69,18 +72,38 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     };
     let before = read(&args.before, "--before-radius-mm", args.before_radius_mm)?;
     let after = read(&args.after, "--radius-mm", args.radius_mm)?;
-    if let Some(um) = after.size_error_um.filter(|um| um.abs() > 100.0 * args.radius_mm) {
-        let found = format!("{}: a size off by {:.1} mm", args.after.display(), um / 1000.0);
-        return Err(usage("--after", found, "the points of the arc of --radius-mm"));
+    let asked = [
+        ("--before", "--before-radius-mm", &args.before, &before, args.before_radius_mm),
+        ("--after", "--radius-mm", &args.after, &after, args.radius_mm),
+    ];
+    let is_of = |r: &ErrorReport, radius_mm: f64| {
+        r.radius_mm.is_none_or(|own| (own - radius_mm).abs() <= OTHER_SIZE * radius_mm)
+    };
+    for (n, (name, option, file, report, radius_mm)) in asked.iter().enumerate() {
+        if !is_of(report, *radius_mm) {
+            let other = &asked[1 - n];
+            let exchanged = if is_of(report, other.4) && is_of(other.3, *radius_mm) {
+                ": the two files are exchanged"
+            } else {
+                ""
+            };
+            let radius = report.radius_mm.unwrap_or_default();
+            let found = format!("{}: an arc of {radius:.3} mm{exchanged}", file.display());
+            return Err(usage(name, found, format!("the points of the arc of {option} {radius_mm}")));
+        }
     }
     if let (true, Some(rest)) = (args.limit_um.is_some(), not_looked_at(&before, &after)) {
         return Err(usage("--after", rest, "points over the whole of what was probed before"));
     }
     let off_mm = (before.centre_mm[0] - after.centre_mm[0]).hypot(before.centre_mm[1] - after.centre_mm[1]);
-    if off_mm > OTHER_PLACE_MM {
-        let found = format!("{}: an arc {off_mm:.2} mm from where it was before", args.after.display());
+    // A short arc tells its centre badly: no other place then.
+    let errors = [&before, &after].map(|r| r.centre_standard_error_um.unwrap_or([f64::INFINITY; 2]));
+    let known_mm = 2e-3 * errors.iter().flatten().fold(0.0, |sum: f64, um| sum.hypot(*um));
+    if off_mm > OTHER_PLACE_MM.max(known_mm) {
+        let at = |r: &ErrorReport| format!("Z {:.3} X {:.3} mm", r.centre_mm[0], r.centre_mm[1]);
+        let found = format!("arcs {off_mm:.2} mm apart, about {} and {}", at(&before), at(&after));
         return Err(usage(
-            "--after",
+            "--before and --after",
             found,
             "the points of the same arc of the same part, in the same clamping",
         ));

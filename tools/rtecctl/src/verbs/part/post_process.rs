@@ -104,6 +104,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             BatchFinding::Systematic => "  systematic",
             BatchFinding::NotObservable => "  systematic, not observable on the machine",
             BatchFinding::Trend => "  trend",
+            BatchFinding::Step => "  step",
         };
         let _ = writeln!(
             t,

@@ -88,6 +88,23 @@ fn dialects(table: &str) -> Vec<(&'static str, Vec<u8>)> {
         ("separators at the end", rows(&german(";"), &|line| format!("{line};;\n")).into_bytes()),
         ("blanks", table.replace(',', " , ").into_bytes()),
         ("comments", format!("# bench 3\n\n{table}\n# end\n").into_bytes()),
+        (
+            "comments of other programs",
+            format!("; CSV, made by a scope\n% bench 3\n// of May\n{table}; end\n% end\n// end\n")
+                .into_bytes(),
+        ),
+        ("lines in front", format!("Scope 3\nSerial,0815\n\nMade; by, x\n{table}").into_bytes()),
+        (
+            "a further column",
+            rows(table, &|line| {
+                let is_row = line.starts_with(|c: char| c.is_ascii_digit());
+                format!(
+                    "{line},{}\n",
+                    if is_row { "seen, \"so\"".replace([',', '"'], "") } else { "remark".to_owned() }
+                )
+            })
+            .into_bytes(),
+        ),
     ]
 }
 

@@ -1,7 +1,7 @@
 //! Clocks that do not begin with the run.
 //! Times are in ISO 8601, as a German spreadsheet writes them, times of the day, or Unix times.
 
-use rtec_files::date;
+use crate::date;
 
 /// A day, ns.
 pub const DAY_NS: i128 = 86_400_000_000_000;
@@ -15,7 +15,8 @@ pub enum SlashOrder {
     MonthFirst,
 }
 
-/// Nanoseconds since 1970-01-01 UTC of a time in ISO 8601, of `2022/8/13 10:23:57`, or of `23.1.2021 10:23:57` (day, month, year).
+/// Nanoseconds since 1970-01-01 UTC of a date with its time of the day.
+/// It is in ISO 8601, `2022/8/13 10:23:57`, or `23.1.2021 10:23:57` (day, month, year).
 /// Of a date with slashes that ends with its year: what it is with the day first, and with the month first.
 #[must_use]
 pub fn absolute_ns(text: &str) -> [Option<i128>; 2] {
@@ -138,6 +139,18 @@ impl Moments {
         }
     }
 
+    /// Nanoseconds since 1970-01-01 UTC of a date.
+    /// Of a time of the day: since the first row's midnight.
+    /// None as [`Moments::since_start`]; and where the first row's day has two readings.
+    pub fn absolute(&mut self, text: &str) -> Option<i128> {
+        let since = self.since_start(text)?;
+        let (start, _) = self.start.as_ref()?;
+        match *start {
+            [Some(a), Some(b)] => (a == b).then_some(a + since),
+            [one, other] => Some(one.or(other)? + since),
+        }
+    }
+
     /// The first time as it is written.
     #[must_use]
     pub fn start(&self) -> Option<&str> {
@@ -155,7 +168,7 @@ impl Moments {
     }
 }
 
-/// What to write instead of a cell that resembles a date or time but cannot be read.
+/// What to write instead of a cell that resembles a time but cannot be read.
 #[must_use]
 pub fn expected_instead(text: &str) -> Option<&'static str> {
     let is_part = |c: char| c.is_ascii_digit() || ":/.-+ TZtzAPMapm,".contains(c);
@@ -225,7 +238,8 @@ pub fn iso8601_ns(text: &str) -> Option<i128> {
 /// Units of a clock, and how many make a second.
 const UNITS: [(&str, f64); 4] = [("s", 1.0), ("ms", 1e3), ("us", 1e6), ("ns", 1e9)];
 
-/// From 2000 to 2100, s since 1970: no machine's own counter has run for thirty years.
+/// From 2000 to 2100, s since 1970.
+/// No machine's own counter has run for thirty years.
 const UNIX_S: [f64; 2] = [946_684_800.0, 4_102_444_800.0];
 
 /// Seconds from 1904-01-01, the zero of `LabVIEW`, to 1970-01-01.

@@ -1,0 +1,93 @@
+//! Units that the name of a column states: `Time [ms]`, `X (in)`, `position_mm`.
+
+/// What people write, and the same unit as formats.md writes it.
+const ALIASES: [(&str, &str); 24] = [
+    ("µm", "um"),
+    ("μm", "um"),
+    ("micron", "um"),
+    ("microns", "um"),
+    ("µs", "us"),
+    ("μs", "us"),
+    ("sec", "s"),
+    ("seconds", "s"),
+    ("msec", "ms"),
+    ("min.", "min"),
+    ("\"", "in"),
+    ("inches", "in"),
+    ("°C", "degC"),
+    ("℃", "degC"),
+    ("C", "degC"),
+    ("°F", "degF"),
+    ("F", "degF"),
+    ("°", "deg"),
+    ("mm/s²", "mm/s2"),
+    ("m/s²", "m/s2"),
+    ("mm/s^2", "mm/s2"),
+    ("m/s^2", "m/s2"),
+    ("1/min", "rpm"),
+    ("µrad", "urad"),
+];
+
+/// A unit as formats.md writes it, one that is not known as it stands.
+#[must_use]
+pub fn plain(unit: &str) -> &str {
+    ALIASES.iter().find(|(alias, _)| *alias == unit).map_or(unit, |(_, plain)| plain)
+}
+
+/// A unit in a column's name.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Stated<'n> {
+    /// As formats.md writes it, where it is known.
+    pub unit: &'n str,
+    /// It stands in brackets, where nothing but a unit stands.
+    pub in_brackets: bool,
+    /// The name without it.
+    pub name: &'n str,
+}
+
+/// The unit that a name states: in brackets at its end, or behind its last `_`.
+#[must_use]
+pub fn stated(name: &str) -> Option<Stated<'_>> {
+    let name = name.trim();
+    let open = match name.chars().next_back()? {
+        ']' => name.rfind('['),
+        ')' => name.rfind('('),
+        _ => None,
+    };
+    if let Some(open) = open {
+        let inside = name[open + 1..name.len() - 1].trim();
+        let is_word = !inside.is_empty()
+            && !inside.contains(char::is_whitespace)
+            && !inside.starts_with(|c: char| c.is_ascii_digit() && inside.len() == 1)
+            && !inside.contains([':', ',', '#', '(', '[']);
+        return is_word.then(|| Stated { unit: plain(inside), in_brackets: true, name: name[..open].trim() });
+    }
+    let (name, unit) = name.rsplit_once('_')?;
+    Some(Stated { unit: plain(unit), in_brackets: false, name })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_state_units_in_brackets_or_behind_a_line() {
+        let unit = |name| stated(name).map(|s| (s.unit, s.in_brackets, s.name));
+        for (name, wants) in [
+            ("Time [ms]", Some(("ms", true, "Time"))),
+            ("X (in)", Some(("in", true, "X"))),
+            ("e (µm)", Some(("um", true, "e"))),
+            ("Temperature [°C]", Some(("degC", true, "Temperature"))),
+            ("X [furlong]", Some(("furlong", true, "X"))),
+            ("position_mm", Some(("mm", false, "position"))),
+            ("Temp, °C (LGR S/N: 7)", None),
+            ("Channel (1)", None),
+            ("e # um", None),
+            ("x", None),
+            ("", None),
+            ("[]", None),
+        ] {
+            assert_eq!(unit(name), wants, "{name}");
+        }
+    }
+}

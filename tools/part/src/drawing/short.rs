@@ -1,0 +1,101 @@
+//! Pieces no longer than the tolerance: joined first, then cleaned.
+//!
+//! Cleaning leaves vertices out, never the way between them.
+
+use super::{Cleaned, Piece, Places};
+use crate::contour::{FeatureKind, Segment};
+use crate::fit::Zx;
+
+/// Two ends are one within this share of the shorter piece.
+const REACH: f64 = 1.0 / 3.0;
+
+/// How near two ends of short pieces are if they are one, mm.
+pub(super) fn reach_mm(first_mm: f64, second_mm: f64) -> f64 {
+    first_mm.min(second_mm) * REACH
+}
+
+/// Joins short pieces end to end, and drops vertices that are too close.
+///
+/// What they form together keeps its place and its length; what is no longer than the tolerance as a whole is left out.
+pub(super) fn joined(short: &[Piece], tolerance_mm: f64, cleaned: &mut Cleaned) -> Vec<Piece> {
+    let ends: Vec<Zx> = short.iter().flat_map(Piece::ends).collect();
+    let lengths: Vec<f64> = short.iter().map(|p| p.segment.length_mm()).collect();
+    let longest = lengths.iter().copied().fold(0.0, f64::max);
+    let places = Places::of(ends.iter().copied(), longest * REACH);
+    let mut used = vec![false; short.len()];
+    let mut out = Vec::new();
+    for first in 0..short.len() {
+        if std::mem::replace(&mut used[first], true) {
+            continue;
+        }
+        // Each vertex with the piece that leads to it, first from one end, then from the other.
+        let mut walk = |mut end: usize| {
+            let mut path = vec![(ends[end], end / 2)];
+            loop {
+                let off = |k: &usize| (ends[*k] - ends[end]).norm();
+                let joins =
+                    |k: &usize| !used[*k / 2] && off(k) <= reach_mm(lengths[*k / 2], lengths[end / 2]);
+                let near = places.around(ends[end]).filter(joins);
+                let Some(next) = near.min_by(|a, b| off(a).total_cmp(&off(b)).then(a.cmp(b))) else { break };
+                used[next / 2] = true;
+                end = next ^ 1;
+                path.push((ends[end], end / 2));
+            }
+            path
+        };
+        let (forward, mut path) = (walk(2 * first + 1), walk(2 * first));
+        path.reverse();
+        path.extend(forward);
+        out.extend(thinned(&path, short, tolerance_mm, cleaned));
+    }
+    out
+}
+
+/// The lines along a path, its vertices more than the tolerance apart.
+fn thinned(path: &[(Zx, usize)], short: &[Piece], tolerance_mm: f64, cleaned: &mut Cleaned) -> Vec<Piece> {
+    let near = |a: Zx, b: Zx| (a - b).norm() <= tolerance_mm;
+    let (first, last) = (path[0], path[path.len() - 1]);
+    let mut kept = vec![first];
+    for vertex in &path[1..path.len() - 1] {
+        if !near(kept[kept.len() - 1].0, vertex.0) {
+            kept.push(*vertex);
+        }
+    }
+    // The end meets a neighbour: the vertices before it give way.
+    while kept.len() > 1 && near(kept[kept.len() - 1].0, last.0) {
+        kept.pop();
+    }
+    if near(kept[kept.len() - 1].0, last.0) {
+        cleaned.specks += path.len() - 1;
+        let piece = &short[first.1];
+        cleaned.speck.get_or_insert_with(|| (piece.line, piece.entity.clone()));
+        return Vec::new();
+    }
+    kept.push(last);
+    cleaned.vertices += path.len() - kept.len();
+    let line = |pair: &[(Zx, usize)]| Piece {
+        segment: Segment::Line { a: pair[0].0, b: pair[1].0 },
+        ..short[pair[1].1].clone()
+    };
+    kept.windows(2).map(line).collect()
+}
+
+/// Closes the joints of a chain where a line can give way.
+///
+/// A line along the axis or square to it keeps its place, and so does a curve.
+pub(super) fn close_joints(chain: &mut [(Segment, String)], closed: bool) {
+    let n = chain.len();
+    for i in 0..if closed { n } else { n.saturating_sub(1) } {
+        let next = (i + 1) % n;
+        let (end, start) = (chain[i].0.at(1.0), chain[next].0.at(0.0));
+        let gives_way = |k: usize| {
+            n > 1 && end != start && matches!(FeatureKind::of(&chain[k].0), FeatureKind::Taper { .. })
+        };
+        let (of_next, of_this) = (gives_way(next), gives_way(i));
+        if let (true, Segment::Line { a, .. }) = (of_next, &mut chain[next].0) {
+            *a = end;
+        } else if let (true, Segment::Line { b, .. }) = (of_this, &mut chain[i].0) {
+            *b = start;
+        }
+    }
+}
