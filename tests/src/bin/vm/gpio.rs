@@ -1,6 +1,24 @@
 //! A GPIO chip: the kernel's simulated one.
 
-use super::*;
+use super::{
+    A, AXIS, BACK, DISABLE, EDGE, GPIO, GPIO_LINES, HOLD, PROBE, agreed, armed, corrected, daemon, faults,
+    refused,
+};
+use anyhow::{Context, ensure};
+use gpiocdev::line::{Direction, Info as LineInfo};
+use rtec_driver::card::MachineLines;
+use rtec_driver::clock::{Clock, Monotonic};
+use rtec_driver::gpio::{Bias, Drive, GpioCard, GpioInput, GpioLine, GpioOutput, GpioSetup, LineId};
+use rtec_rt::axis::AxisConfig;
+use rtec_rt::engine::{Engine, MachineConfig};
+use rtec_rt::event::Request;
+use rtec_tests::daemon::{Machine, until};
+use rtec_tests::gpio_sim::{self, GpioSim};
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::cell::Cell;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 pub(super) fn gpio((chip, directory): &(String, PathBuf)) -> anyhow::Result<Vec<String>> {
     let mut said = Vec::new();

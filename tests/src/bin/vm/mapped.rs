@@ -1,6 +1,20 @@
 //! The PCI card in memory, and its far side on the host.
 
-use super::*;
+use super::{AXIS, EDGE, armed, corrected, daemon, refused};
+use anyhow::{Context, ensure};
+use rtec_driver::card::{AxisLines, Card, CardError, MachineLines, Sample};
+use rtec_driver::clock::Clock;
+use rtec_driver::mapped::{MappedCard, Registers};
+use rtec_driver::pci::{self, PciId};
+use rtec_driver::profile::{Profile, Space, Width};
+use rtec_driver::quadrature::{Decoder, State};
+use rtec_rt::axis::AxisConfig;
+use rtec_rt::engine::{Engine, MachineConfig};
+use rtec_rt::event::Request;
+use rtec_tests::daemon::{Machine, until};
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 /// Words of the card's memory beside its registers (profile shared-memory: inputs at 0, outputs at 4).
 const TICK: usize = 0x10;

@@ -1,6 +1,16 @@
 //! The parallel port, and a card of I/O ports.
 
-use super::*;
+use super::{AXIS, EDGE, agreed, armed, corrected, daemon, refused};
+use anyhow::{Context, ensure};
+use rtec_driver::pci::{self, PciId};
+use rtec_driver::port::Ports;
+use rtec_driver::profile::{Space, Width};
+use rtec_driver::quadrature::State;
+use rtec_driver::registers::Bus;
+use rtec_tests::daemon::{Daemon, Lines, Machine};
+use std::fs;
+use std::path::Path;
+use std::process::Command;
 
 /// What the two ways to the port must write to its data lines: +4 counts (A and B equal: A first), then -2 (B first).
 const PORT_WRITES: [(&str, &[u8]); 2] = [("ppdev", &[1, 3, 2, 0]), ("ioperm", &[2, 3])];

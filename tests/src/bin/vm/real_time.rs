@@ -1,6 +1,11 @@
 //! The real-time set-up, read from the kernel.
 
-use super::*;
+use super::{AXIS, GPIO, GPIO_LINES, configured, daemon};
+use anyhow::{Context, ensure};
+use rtec_tests::daemon::{Daemon, program};
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
 
 /// Reads the set-up from the kernel, not from the daemon's own report.
 pub(super) fn real_time((chip, _): &(String, PathBuf)) -> anyhow::Result<Vec<String>> {

@@ -536,12 +536,11 @@ impl Record {
                 let place = header.place_or_number(column)?;
                 let name = header.names().nth(place).unwrap_or_default();
                 let of = |wanted: &str| UNITS.into_iter().find(|(unit, _)| *unit == wanted);
-                let unit = match &args.time_unit {
-                    Some(unit) => of(unit),
-                    None => {
-                        known(name, &UNITS.map(|(unit, _)| unit), "--time-unit")?;
-                        units::stated(name).and_then(|stated| of(stated.unit))
-                    }
+                let unit = if let Some(unit) = &args.time_unit {
+                    of(unit)
+                } else {
+                    known(name, &UNITS.map(|(unit, _)| unit), "--time-unit")?;
+                    units::stated(name).and_then(|stated| of(stated.unit))
                 };
                 (place, unit.unwrap_or(UNITS[0]))
             }
