@@ -151,7 +151,7 @@ fn a_bug_report_is_for_its_owner_and_whole() {
     let state: Value = serde_json::from_str(&read("state.json")).unwrap();
     assert_eq!(state["status"]["axes"][0]["completed"], 20);
     assert!(read("rtec.toml").contains("(left out)") && !read("rtec.toml").contains("hunter2"));
-    assert!(read("versions.txt").contains("rtecctl ") && read("contents.txt").contains("platform.json"));
+    assert!(read("versions.txt").contains("rtec ") && read("contents.txt").contains("platform.json"));
     // Never over something that is there.
     assert!(daemon.expect(2, &args).contains("expected a name that is free"));
     // What is missing is named, and is the answer no; the archive is there all the same.

@@ -11,7 +11,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     }
     assert_eq!(config.axes.len(), 3);
 
-    let wrong = EMBEDDED.replace("window_counts", "windows_count");
+    let wrong = EMBEDDED.replace("max_correction_counts", "max_corection_counts");
     let findings = Config::parse(file, &wrong).err().ok_or("a key that is none was not seen")?;
     println!("{findings}");
     assert!(findings.0.iter().all(|f| f.line > 0));

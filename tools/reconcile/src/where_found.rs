@@ -130,17 +130,17 @@ pub(crate) fn places(records: &[Record], machine: &Machine) -> Vec<Place> {
         let channels = channels(&stack, &segments);
         let found: Vec<Option<Place>> =
             channels.iter().map(|(against, x)| place(&role, against, x, &residual, sigma, 1.0)).collect();
-        let mut alone: Vec<(Vec<f64>, Place)> =
-            channels.into_iter().zip(found).filter_map(|((_, x), place)| Some((x, place?))).collect();
+        let mut alone: Vec<((String, Vec<f64>), Place)> =
+            channels.into_iter().zip(found).filter_map(|(channel, place)| Some((channel, place?))).collect();
         alone.sort_by(|a, b| b.1.statistic.total_cmp(&a.1.statistic));
         let mut left = vec![residual.clone()];
-        for (x, mut found) in alone {
+        for ((against, x), mut found) in alone {
             // A channel that runs along with a stronger one (cycles with time) is also tested without removing that one.
             for left in left.iter().skip(1).rev().take(BESIDE) {
                 if found.p_value <= LEAST_P {
                     break;
                 }
-                if let Some(beside) = place(&role, &found.against, &x, left, sigma, found.p_value) {
+                if let Some(beside) = place(&role, &against, &x, left, sigma, found.p_value) {
                     found.p_value = found.p_value.min(beside.p_value);
                 }
             }
@@ -407,7 +407,18 @@ fn place(
     sigma: f64,
     known: f64,
 ) -> Option<Place> {
-    judged(response, against, x, residual, sigma, &groups(against, x)?, 0.99, known)
+    let groups = groups(against, x)?;
+    if !against.starts_with(TRAVEL) {
+        return judged(response, against, x, residual, sigma, &groups, 0.99, known);
+    }
+    // What each direction has in common is no matter of the turns.
+    let mut beside = residual.to_vec();
+    for up in [true, false] {
+        let own: Vec<usize> = (0..x.len()).filter(|i| (x[*i] > 0.0) == up).collect();
+        let mean = own.iter().map(|i| residual[*i]).sum::<f64>() / own.len().max(1) as f64;
+        own.iter().for_each(|i| beside[*i] -= mean);
+    }
+    judged(response, against, x, &beside, sigma, &groups, 0.99, known)
 }
 
 /// Structure of a residual over groups of rows, tested by permuting blocks.

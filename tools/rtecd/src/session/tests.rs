@@ -67,6 +67,8 @@ fn a_recorded_shift_gets_the_recorded_totals() {
     let mut config = Config::embedded();
     config.control.state_file = Some(directory.path().join("state"));
     config.model.lead_ms = 20.0;
+    // The window that it was recorded with.
+    config.axes.iter_mut().for_each(|axis| axis.engine.window_counts = 50);
     let (engine, _card) = engine(&config);
     let set_up =
         SetUp { real: false, wanted: None, missing: None, timing: engine.timing(), before: Before::NOTHING };

@@ -113,7 +113,7 @@ impl Hand {
         }
     }
 
-    /// Homed, with a total of 14 counts in effect on X, corrections enabled.
+    /// Homed, with a total of 10 counts in effect on X, corrections enabled.
     fn running(&mut self) {
         use ClientRequest as R;
         self.input(SWITCH, false);
@@ -126,11 +126,11 @@ impl Hand {
             R::Disable {},
             R::Home { axis: None, controller_homed },
             R::Enable { accept_jump: true },
-            R::Correct { axis: "x".to_owned(), total_counts: 14, large: false },
+            R::Correct { axis: "x".to_owned(), total_counts: 10, large: false },
         ] {
             self.done(&request);
         }
-        while self.running.control.status().axes[0].in_effect != 14 {
+        while self.running.control.status().axes[0].in_effect != 10 {
             self.running.control.beat();
         }
     }
@@ -173,11 +173,11 @@ fn every_verb_is_done_or_refused_in_every_mode() {
     ];
     let verbs: Vec<(R, Is)> = vec![
         (correct(0), |s| s.axes[0].0 == 0 && s.axes[0].5 == 0.0),
-        (correct(14), |s| s.axes[0].0 == 14),
+        (correct(10), |s| s.axes[0].0 == 10),
         (correct(20), |s| s.axes[0].0 == 20 && s.axes[0].5 != 0.0),
         (home(None), |s| s.axes.iter().all(|a| a.2 && a.1 == 0)),
         (home(Some(true)), |s| s.axes.iter().all(|a| a.2 && a.3 && a.1 == 0 && a.0 == 0)),
-        (home(Some(false)), |s| s.axes.iter().all(|a| a.2) && s.axes[0].1 == 14 && s.axes[0].0 == 14),
+        (home(Some(false)), |s| s.axes.iter().all(|a| a.2) && s.axes[0].1 == 10 && s.axes[0].0 == 10),
         (enable, |s| s.enabled && s.mode == Mode::Run),
         (R::Disable {}, |s| !s.enabled),
         (R::Park {}, |s| !s.enabled),
