@@ -11,7 +11,7 @@
 //! | [`file_kind`] | what a file says that it is, where another kind was asked for |
 //! | [`Sheet`] | a CSV whose columns are known, read whole |
 //! | [`Numbers`] | how the numbers of a column are written: decimal point or comma, thousands |
-//! | [`keys`] | one table of keys per section of a TOML file: it reads, checks and describes |
+//! | [`mod@keys`] | one table of keys per section of a TOML file: it reads, checks and describes |
 //! | [`mod@toml`] | TOML read strictly: the first finding, or all of them |
 //! | [`units`] | units that the name of a column states |
 //! | [`clock`], [`date`] | clocks that do not begin with the run: ISO 8601, DD.MM.YYYY, times of the day, Unix times |

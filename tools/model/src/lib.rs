@@ -10,7 +10,6 @@
 //! | [`record`] | a run in memory: what an effect is evaluated over, column by column |
 //! | `role` | what a column is: its role and axis |
 //! | [`circle`] | a circular run measured by a bar: what its angle says of the two axes |
-//! | [`date`] | calendar days |
 //! | [`file_kind`] | what a file says that it is, where another kind was asked for (of `rtec-files`) |
 //!
 //! What must not live here: files of runs (`rtec-measure`), anything that chooses or fits (`rtec-fit`), counts, ramps

@@ -5,9 +5,9 @@ use numpy::{PyArray1, PyReadonlyArray1};
 use pyo3::exceptions::{PyIndexError, PyKeyError};
 use pyo3::prelude::*;
 use rtec_files::InputError;
+use rtec_files::date;
 use rtec_measure::plausible;
 use rtec_model::circle::Circle;
-use rtec_files::date;
 use rtec_model::record::{Axis, Column, Kind, Role};
 use std::path::{Path, PathBuf};
 

@@ -416,7 +416,9 @@ fn place(
     for up in [true, false] {
         let own: Vec<usize> = (0..x.len()).filter(|i| (x[*i] > 0.0) == up).collect();
         let mean = own.iter().map(|i| residual[*i]).sum::<f64>() / own.len().max(1) as f64;
-        own.iter().for_each(|i| beside[*i] -= mean);
+        for i in own {
+            beside[i] -= mean;
+        }
     }
     judged(response, against, x, &beside, sigma, &groups, 0.99, known)
 }
