@@ -45,7 +45,7 @@ pub struct Stated<'n> {
     pub name: &'n str,
 }
 
-/// The unit that a name states: in brackets at its end, or behind its last `_`.
+/// The unit that a name states: in brackets at its end, or behind a blank, a `/` or its last `_`.
 #[must_use]
 pub fn stated(name: &str) -> Option<Stated<'_>> {
     let name = name.trim();
@@ -62,8 +62,11 @@ pub fn stated(name: &str) -> Option<Stated<'_>> {
             && !inside.contains([':', ',', '#', '(', '[']);
         return is_word.then(|| Stated { unit: plain(inside), in_brackets: true, name: name[..open].trim() });
     }
-    let (name, unit) = name.rsplit_once('_')?;
-    Some(Stated { unit: plain(unit), in_brackets: false, name })
+    // Behind a blank a letter or a digit tells one column from another: `T C`, `Probe 1`.
+    let is_word = |unit: &str| unit.chars().nth(1).is_some() && !unit.ends_with(|c: char| c.is_ascii_digit());
+    let behind_blank = name.rsplit_once(char::is_whitespace).filter(|(_, unit)| is_word(unit));
+    let (name, unit) = behind_blank.or_else(|| name.split_once('/')).or_else(|| name.rsplit_once('_'))?;
+    Some(Stated { unit: plain(unit.trim()), in_brackets: false, name: name.trim_end_matches('/').trim() })
 }
 
 #[cfg(test)]
@@ -80,9 +83,16 @@ mod tests {
             ("Temperature [°C]", Some(("degC", true, "Temperature"))),
             ("X [furlong]", Some(("furlong", true, "X"))),
             ("position_mm", Some(("mm", false, "position"))),
+            ("Fehler mm", Some(("mm", false, "Fehler"))),
+            ("Abweichung/mm", Some(("mm", false, "Abweichung"))),
+            ("Time / ms", Some(("ms", false, "Time"))),
+            ("t/s", Some(("s", false, "t"))),
+            ("v mm/s", Some(("mm/s", false, "v"))),
+            ("Probe 1", None),
+            ("Motor F", None),
             ("Temp, °C (LGR S/N: 7)", None),
             ("Channel (1)", None),
-            ("e # um", None),
+            ("e # um", Some(("um", false, "e #"))),
             ("x", None),
             ("", None),
             ("[]", None),
