@@ -45,7 +45,8 @@ pub struct Stated<'n> {
     pub name: &'n str,
 }
 
-/// The unit that a name states: in brackets at its end, or behind a blank, a `/` or its last `_`.
+/// The unit that a name states.
+/// It stands in brackets at the end, or behind a blank, a `/` or the last `_`.
 #[must_use]
 pub fn stated(name: &str) -> Option<Stated<'_>> {
     let name = name.trim();
