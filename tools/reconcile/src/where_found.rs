@@ -413,13 +413,8 @@ fn place(
     }
     // What each direction has in common is no matter of the turns.
     let mut beside = residual.to_vec();
-    for up in [true, false] {
-        let own: Vec<usize> = (0..x.len()).filter(|i| (x[*i] > 0.0) == up).collect();
-        let mean = own.iter().map(|i| residual[*i]).sum::<f64>() / own.len().max(1) as f64;
-        for i in own {
-            beside[i] -= mean;
-        }
-    }
+    let (up, down): (Vec<usize>, Vec<usize>) = (0..x.len()).partition(|i| x[*i] > 0.0);
+    take_means([up, down], &mut beside);
     judged(response, against, x, &beside, sigma, &groups, 0.99, known)
 }
 
@@ -537,10 +532,15 @@ fn sums_by(runs: &[Vec<Run>], running: &[f64], begin: &[usize]) -> Vec<f64> {
 fn flatten(found: &Place, x: &[f64], residual: &mut [f64]) {
     let by_place = || places_of(x).or_else(|| stretches(x));
     let groups = if found.near_turns { towards_zero(x) } else { by_place() }.unwrap_or_default();
+    take_means(groups, residual);
+}
+
+/// Takes the mean of each group of rows out of a residual.
+fn take_means(groups: impl IntoIterator<Item = Vec<usize>>, residual: &mut [f64]) {
     for rows in groups {
-        let mean = rows.iter().map(|i| residual[*i]).sum::<f64>() / rows.len() as f64;
-        for i in &rows {
-            residual[*i] -= mean;
+        let mean = rows.iter().map(|i| residual[*i]).sum::<f64>() / rows.len().max(1) as f64;
+        for i in rows {
+            residual[i] -= mean;
         }
     }
 }
