@@ -501,13 +501,6 @@ fn content(line: &[u8], by: u8, width: Option<usize>) -> &[u8] {
 /// Lines in which the columns' names are looked for.
 const PREAMBLE: usize = 100;
 
-/// Whether a line is a comment: it begins with `#`, `;`, `%` or `//`.
-#[must_use]
-pub fn is_comment(line: &str) -> bool {
-    let line = line.trim_start();
-    line.starts_with(['#', ';', '%']) || line.starts_with("//")
-}
-
 /// Whether a line is another program's comment.
 /// A row whose first cell begins so is none. `width`: the cells of a row.
 fn is_foreign_comment(line: &[u8], by: u8, width: Option<usize>) -> bool {

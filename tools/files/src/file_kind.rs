@@ -199,7 +199,7 @@ impl FileKind {
         if heads(&["[lines]"]) && heads(&["inputs =", "outputs =", "inputs=", "outputs="]) {
             return Some(Self::Profile);
         }
-        let mut rows = lines().filter(|l| !l.is_empty() && !crate::csv::is_comment(l));
+        let mut rows = lines().filter(|l| !l.is_empty() && !crate::words::is_comment(l));
         if are_rising_numbers(rows.clone()) {
             return Some(Self::Numbers);
         }

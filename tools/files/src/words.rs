@@ -2,6 +2,13 @@
 
 use std::borrow::Cow;
 
+/// Whether a line is a comment: it begins with `#`, `;`, `%` or `//`.
+#[must_use]
+pub fn is_comment(line: &str) -> bool {
+    let line = line.trim_start();
+    line.starts_with(['#', ';', '%']) || line.starts_with("//")
+}
+
 /// The word that was probably meant.
 /// A few letters away, or begun with all of the other's letters.
 #[must_use]

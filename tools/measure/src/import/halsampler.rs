@@ -5,7 +5,7 @@
 use super::table::{Form, ImportColumn, table};
 use super::{add_note, column};
 use rtec_files::InputError;
-use rtec_files::csv::is_comment;
+use rtec_files::words::is_comment;
 use rtec_model::record::{Kind, Record, Role};
 use std::path::Path;
 

@@ -5,7 +5,7 @@ use super::table::ImportColumn;
 use super::{add_note, column, record_of};
 use rtec_files::InputError;
 use rtec_files::clock::{day, iso8601_ns};
-use rtec_files::csv::is_comment;
+use rtec_files::words::is_comment;
 use rtec_model::record::{Column, Kind, Record, Role};
 use std::path::Path;
 
