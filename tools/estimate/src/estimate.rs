@@ -337,13 +337,11 @@ fn answer(search: &Search<'_>, set: &Set, model: &[Effect]) -> Estimate {
     let mut i = 0;
     while i < set.members.len() {
         let place = place(search, &set, i);
-        if place.nothing {
-            let without = search.without(&set, i);
-            if search.possible(&without) {
-                set = without;
-                (i, found, tried) = (0, Vec::new(), Vec::new());
-                continue;
-            }
+        let without = place.nothing.then(|| search.without(&set, i)).filter(|s| search.possible(s));
+        if let Some(other) = place.better.or(without) {
+            set = other;
+            (i, found, tried) = (0, Vec::new(), Vec::new());
+            continue;
         }
         found.push(place.found);
         tried.extend(place.tried);

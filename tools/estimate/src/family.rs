@@ -9,6 +9,7 @@ use crate::setup;
 use crate::shapes::shapes;
 use crate::smooth::{Kernel, directions, knots, shares};
 use crate::wave::Along;
+use rtec_least_squares::dot;
 use rtec_model::effect::{
     Dictionary, Difference, Effect, Heat, Need, Point, Quantity, Refine, Search as How,
 };
@@ -388,14 +389,18 @@ fn implausible(effect: &Effect) -> f64 {
     effect.description().parameters.iter().enumerate().map(of).sum()
 }
 
-/// The step in which places are written, where they have one.
+/// The step that the distances of all places are multiples of, mm.
+/// Places are written to a nanometre at the most.
 fn step_of(along: &[(usize, f64, f64)]) -> Option<f64> {
-    let mut all: Vec<f64> = along.iter().map(|r| r.1).collect();
-    all.sort_by(f64::total_cmp);
-    let least = all.windows(2).map(|w| w[1] - w[0]).filter(|d| *d > 1e-7).fold(f64::MAX, f64::min);
-    let first = *all.first()?;
-    let on = |x: &f64| ((x - first) / least - ((x - first) / least).round()).abs() < 0.02;
-    (least < f64::MAX && all.iter().all(on)).then_some(least)
+    let nm = |place: f64| (place * 1e6).round() as i64;
+    let first = nm(along.first()?.1);
+    let common = along.iter().fold(0, |common, r| gcd(common, (nm(r.1) - first).abs()));
+    (common > 0).then_some(common as f64 * 1e-6)
+}
+
+/// The greatest common divisor (Euclid).
+const fn gcd(a: i64, b: i64) -> i64 {
+    if b == 0 { a } else { gcd(b, a % b) }
 }
 
 /// A map on the places that were measured at, long and short waves of it.
@@ -435,11 +440,18 @@ fn maps(rows: &Rows<'_>, effect: &Effect) -> Vec<(f64, Cause)> {
     let Some(effect) = effect.with_values(&[knots.clone(), heights].concat()) else { return Vec::new() };
     let kernels =
         [Kernel::Smooth(LENGTHS[0] * range), Kernel::Smooth(LENGTHS[1] * range), Kernel::Rough(range)];
-    kernels
-        .iter()
-        .map(|kernel| {
-            let found = directions(&knots, *kernel, &without, KNOTS);
-            (-(kernels.len() as f64).ln(), Cause::Map { effect: effect.clone(), directions: Arc::new(found) })
-        })
-        .collect()
+    let mut forms: Vec<Vec<Vec<f64>>> =
+        kernels.iter().map(|kernel| directions(&knots, *kernel, &without, KNOTS)).collect();
+    // A guideway that is warmer above than below bends along a parabola.
+    let share = |p: f64| (p - knots[0]) / range;
+    let [one, line, bow] = [0, 1, 2].map(|k| knots.iter().map(|p| share(*p).powi(k)).collect::<Vec<_>>());
+    let over = |f: &[f64]| [0, 1].map(|k| dot(&without[k], f));
+    let ([a, c], [b, d], [e, f]) = (over(&one), over(&line), over(&bow));
+    let (tilt, height) = ((f * a - e * c) / (d * a - b * c), (e * d - f * b) / (d * a - b * c));
+    let bow: Vec<f64> = bow.iter().zip(&line).map(|(bow, line)| bow - height - tilt * line).collect();
+    let most = bow.iter().fold(0.0_f64, |most, x| most.max(x.abs()));
+    forms.push(vec![bow.iter().map(|x| x / most).collect()]);
+    let even = -(forms.len() as f64).ln();
+    let of = |found| (even, Cause::Map { effect: effect.clone(), directions: Arc::new(found) });
+    forms.into_iter().map(of).collect()
 }

@@ -12,6 +12,8 @@ pub(super) struct Place {
     pub(super) found: Found,
     pub(super) tried: Vec<Tried>,
     pub(super) nothing: bool,
+    /// A set that is likelier, with another cause in this place.
+    pub(super) better: Option<Set>,
 }
 
 /// A candidate for a place: family, label, effect, log mass.
@@ -41,6 +43,12 @@ pub(super) fn place(search: &Search<'_>, set: &Set, member: usize) -> Place {
     let own_label = own.cause.effect().map_or_else(|| families[own.family].label(), label);
     // Family, label, effect, log mass.
     let mut all: Vec<Stand> = vec![(own.family, own_label.clone(), own.cause.effect().cloned(), set.score)];
+    let mut better: Option<Set> = None;
+    let mut keep = |other: Set| {
+        if other.score > better.as_ref().map_or(set.score + 0.05, |b| b.score) {
+            better = Some(other);
+        }
+    };
     let top = seeds.first().map_or(0.0, |s| s.score).max(set.score - without.score);
     let far = seeds.iter().position(|s| s.score < top - HOPELESS - 2.0).unwrap_or(seeds.len());
     for seed in &seeds[..far] {
@@ -52,6 +60,7 @@ pub(super) fn place(search: &Search<'_>, set: &Set, member: usize) -> Place {
         }
         if let Some(other) = search.with(&without, &refined) {
             all.push((seed.family, name, refined.cause.effect().cloned(), other.score));
+            keep(other);
         }
     }
     for seed in search.alike(own) {
@@ -64,6 +73,7 @@ pub(super) fn place(search: &Search<'_>, set: &Set, member: usize) -> Place {
             && let Some(other) = search.with(&without, &refined)
         {
             all.push((seed.family, own_label.clone(), refined.cause.effect().cloned(), other.score));
+            keep(other);
         }
     }
     add_alike_maps(search, set, member, &mut all);
@@ -86,12 +96,15 @@ pub(super) fn place(search: &Search<'_>, set: &Set, member: usize) -> Place {
         place: own_label.clone(),
     };
     let mut all_tried = vec![tried(&own_label, 0.0, true)];
+    all[1..].sort_by(|a, b| b.3.total_cmp(&a.3));
+    // Listed are all within fair odds, and as many as the credible set needs beside the name given.
+    let mut held = mode;
     for (family, label, effect, score) in all.iter().skip(1) {
         let margin = set.score - score;
         all_tried.push(tried(label, -margin, false));
-        let Some(effect) =
-            effect.as_ref().filter(|_| margin < LISTED && families[*family].replaces.is_none())
-        else {
+        let listed = margin < LISTED || held < HELD;
+        held += (score - total).exp();
+        let Some(effect) = effect.as_ref().filter(|_| listed && families[*family].replaces.is_none()) else {
             continue;
         };
         let differs = (*family == own.family && effect.delta.is_none()).then(|| {
@@ -128,7 +141,7 @@ pub(super) fn place(search: &Search<'_>, set: &Set, member: usize) -> Place {
         shape_mass,
         rivals,
     };
-    Place { found, tried: all_tried, nothing: evidence < 0.0 }
+    Place { found, tried: all_tried, nothing: evidence < 0.0, better }
 }
 
 /// The 95 % interval of a step's moment, over the moments of the rows.

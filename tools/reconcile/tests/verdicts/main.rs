@@ -1,6 +1,7 @@
 //! Verdicts from outside, a file a question.
 //! One program: what takes long runs beside the rest.
 
+mod alike;
 mod ballbar;
 mod doubted;
 mod exchanged;
