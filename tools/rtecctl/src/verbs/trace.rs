@@ -860,16 +860,16 @@ mod tests {
             let (summary, written) = run_from(text, &options);
             assert_eq!(written, wants, "{text}: {:?}", summary.err());
         }
-        let text = "Time [min],X [furlong]\n0,0\n1,1\n";
-        for (options, says) in [
-            (&["--time-column", "1", "--column", "2"][..], "one of s, ms, us, ns, or --time-unit"),
-            (
-                &["--time-column", "1", "--time-unit", "s", "--column", "2"],
-                "one of m, mm, um, nm, in, or --unit",
-            ),
+        let of = |time: &str| format!("Time [{time}],X [furlong]\n0,0\n1,1\n");
+        for (time, options, says) in [
+            ("min", &[][..], "one of s, ms, us, ns, or --time-unit"),
+            ("min", &["--time-unit", "s"], "with --time-unit s: its name says min"),
+            ("s", &[], "one of m, mm, um, nm, in, or --unit"),
         ] {
-            let options: Vec<&str> = ["--count-um", "1"].iter().chain(options).copied().collect();
-            let error = run_from(text, &options).0.unwrap_err().to_string();
+            let options: Vec<&str> =
+                ["--time-column", "1", "--column", "2"].iter().chain(options).copied().collect();
+            let options: Vec<&str> = ["--count-um", "1"].iter().chain(&options).copied().collect();
+            let error = run_from(&of(time), &options).0.unwrap_err().to_string();
             assert!(error.contains(says), "{error}");
         }
     }
