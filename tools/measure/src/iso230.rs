@@ -312,7 +312,8 @@ pub struct ReturnStep {
 const STEP_SIDE: usize = 2;
 /// Chance is ruled out where it gives as much in one of a hundred runs.
 const CHANCE: f64 = 0.01;
-/// A step comes with this share of its size at once, as a sensor's does; what bends comes slowly.
+/// A step comes with this share of its size at once, as a sensor's does;
+/// what bends comes slowly.
 const AT_ONCE: f64 = 0.7;
 /// The point of a normal distribution that one of a hundred values lies beyond.
 const ONE_IN_A_HUNDRED: f64 = 2.326;
