@@ -16,54 +16,135 @@ pub enum SlashOrder {
 }
 
 /// Nanoseconds since 1970-01-01 UTC of a date with its time of the day.
-/// It is in ISO 8601, `2022/8/13 10:23:57`, or `23.1.2021 10:23:57` (day, month, year).
-/// Of a date with slashes that ends with its year: what it is with the day first, and with the month first.
+///
+/// It is in ISO 8601, `20260304T101530Z`, `2022/8/13 10:23:57`, `23.1.2021 10:23:57` or `23.1.21 10:23` (day, month, year), or with the
+/// month's name, `04-Mar-2026 10:15:30`. Of a date that ends with its year behind slashes or lines: what it is with the day first, and with
+/// the month first.
 #[must_use]
 pub fn absolute_ns(text: &str) -> [Option<i128>; 2] {
-    if let Some(ns) = iso8601_ns(text) {
+    if let Some(ns) = iso8601_ns(text).or_else(|| basic_ns(text)) {
         return [Some(ns); 2];
     }
     let read = || {
-        let (date, clock) = text.trim().split_once([' ', 'T'])?;
+        let (date, clock) = clock_behind_date(text.trim())?;
         let clock = clock_of_24_hours(clock)?;
-        let by = if date.contains('/') { '/' } else { '.' };
-        let mut parts = date.split(by);
-        let (first, second, third) = (parts.next()?, parts.next()?, parts.next()?);
-        if parts.next().is_some() {
-            return None;
-        }
-        let ns = |year: &str, month: &str, day: &str| {
-            (year.len() == 4).then(|| iso8601_ns(&format!("{year}-{month:0>2}-{day:0>2}T{clock}")))?
-        };
-        Some(match by {
-            '/' if first.len() == 4 => [ns(first, second, third); 2],
-            '/' => [ns(third, second, first), ns(third, first, second)],
-            _ => [ns(third, second, first); 2],
-        })
+        Some(days_of(date)?.map(|day| iso8601_ns(&format!("{}T{clock}", day?))))
     };
     read().unwrap_or_default()
+}
+
+/// A date, and the time of the day behind it.
+/// That begins with the hour in front of the first `:` or `h`.
+fn clock_behind_date(text: &str) -> Option<(&str, &str)> {
+    let is_digit = |c: char| c.is_ascii_digit();
+    let mark = text.match_indices([':', 'h']).map(|(at, _)| at).find(|at| text[..*at].ends_with(is_digit))?;
+    let (date, clock) = text.split_at(text[..mark].trim_end_matches(is_digit).len());
+    date.ends_with([' ', ',', 'T', '_']).then(|| (date.trim_end_matches([' ', ',', 'T', '_']), clock))
+}
+
+/// English and German months, each by what its name begins with.
+const MONTHS: [&[&str]; 12] = [
+    &["jan"],
+    &["feb"],
+    &["mar", "m\u{e4}r", "mrz"],
+    &["apr"],
+    &["may", "mai"],
+    &["jun"],
+    &["jul"],
+    &["aug"],
+    &["sep"],
+    &["oct", "okt"],
+    &["nov"],
+    &["dec", "dez"],
+];
+
+/// Which month a name is of, from 1.
+fn month_of(name: &str) -> Option<usize> {
+    let name = name.to_lowercase();
+    MONTHS.iter().position(|begins| begins.iter().any(|b| name.starts_with(b))).map(|place| place + 1)
+}
+
+/// A date as ISO 8601 writes it, with the day first and with the month first.
+fn days_of(date: &str) -> Option<[Option<String>; 2]> {
+    let parts: Vec<&str> = date.split(['/', '.', '-', ' ', ',']).filter(|part| !part.is_empty()).collect();
+    // A weekday may stand in front.
+    let parts =
+        if parts.len() == 4 && parts[0].chars().all(char::is_alphabetic) { &parts[1..] } else { &parts[..] };
+    let [first, second, third] = *parts else { return None };
+    let day = |year: &str, month: &str, day: &str, short: bool| {
+        // Two digits of a year are of this century: no log of a machine tool here is older.
+        let year = if short && year.len() == 2 { format!("20{year}") } else { year.to_owned() };
+        (year.len() == 4).then(|| format!("{year}-{month:0>2}-{day:0>2}"))
+    };
+    if let Some(at) = parts.iter().position(|part| part.starts_with(char::is_alphabetic)) {
+        let month = month_of(parts[at])?.to_string();
+        let (own, year) = match (at, first.len()) {
+            (0, _) => (second, third),
+            (1, 4) => (third, first),
+            (1, _) => (first, third),
+            _ => return None,
+        };
+        let found = day(year, &month, own, true);
+        return Some([found.clone(), found]);
+    }
+    let one = |found: Option<String>| Some([found.clone(), found]);
+    match (date.chars().find(|c| !c.is_ascii_digit())?, first.len()) {
+        (_, 4) => one(day(first, second, third, false)),
+        ('.', _) => one(day(third, second, first, true)),
+        ('/' | '-', _) => Some([day(third, second, first, false), day(third, first, second, false)]),
+        _ => None,
+    }
+}
+
+/// ISO 8601 without lines and colons, `20260304T101530.25Z`.
+fn basic_ns(text: &str) -> Option<i128> {
+    let (day, clock) = text.trim().split_once('T').filter(|(day, _)| day.len() == 8 && day.is_ascii())?;
+    let digits = clock.find(|c: char| !c.is_ascii_digit()).unwrap_or(clock.len());
+    let (clock, rest) = clock.split_at(digits);
+    let seconds = match digits {
+        4 => String::new(),
+        6 => format!(":{}", &clock[4..]),
+        _ => return None,
+    };
+    let (year, month, day) = (&day[..4], &day[4..6], &day[6..]);
+    iso8601_ns(&format!("{year}-{month}-{day}T{}:{}{seconds}{rest}", &clock[..2], &clock[2..4]))
 }
 
 /// The order of dates with slashes, if one of them has a day above 12.
 #[must_use]
 pub fn slash_order<'t>(texts: impl IntoIterator<Item = &'t str>) -> Option<SlashOrder> {
-    texts.into_iter().find_map(|text| match absolute_ns(text) {
+    // A date may have a column of its own.
+    let of =
+        |text: &str| if is_day(text) { absolute_ns(&format!("{text} 00:00:00")) } else { absolute_ns(text) };
+    texts.into_iter().find_map(|text| match of(text) {
         [Some(_), None] => Some(SlashOrder::DayFirst),
         [None, Some(_)] => Some(SlashOrder::MonthFirst),
         _ => None,
     })
 }
 
-/// A time of the day on the 24-hour clock with two digits of its hour.
-/// `9:05:07 PM` gives 21:05:07.
+/// A time of the day on the 24-hour clock with two digits of its hour, parted by
+/// colons. `9:05:07 PM` gives 21:05:07, `14h05` 14:05, and `10:00:00:123` 10:00:00.123.
 fn clock_of_24_hours(text: &str) -> Option<String> {
     let text = text.trim();
     let two_digits =
         |text: &str| if text.find(':') == Some(1) { format!("0{text}") } else { text.to_owned() };
+    if text.contains('h') {
+        let colons = text.replace(['h', 'm'], ":").replace("in", "");
+        return Some(two_digits(colons.trim_end_matches(['s', ':', ' '])));
+    }
+    if let Some((clock, thousandths)) =
+        text.rsplit_once(':').filter(|(clock, _)| clock.matches(':').count() == 2)
+    {
+        let is_fraction = matches!(thousandths.len(), 3 | 6 | 9);
+        return is_fraction
+            .then(|| two_digits(&format!("{clock}.{thousandths}")))
+            .filter(|_| !has_zone(clock));
+    }
     let Some((clock, half)) = text.split_once(' ') else { return Some(two_digits(text)) };
     let clock = two_digits(clock);
     let hour = clock.get(..2)?.parse::<u32>().ok().filter(|hour| (1..=12).contains(hour))? % 12;
-    let hour = match half.trim().to_ascii_uppercase().as_str() {
+    let hour = match half.trim().replace('.', "").to_ascii_uppercase().as_str() {
         "AM" => hour,
         "PM" => hour + 12,
         _ => return None,
@@ -171,15 +252,22 @@ impl Moments {
 /// What to write instead of a cell that resembles a time but cannot be read.
 #[must_use]
 pub fn expected_instead(text: &str) -> Option<&'static str> {
+    if has_two_days(text) {
+        return Some(
+            "a time as ISO 8601 writes it, 2022-08-08T13:51:37.25Z, or a number: 08/07/2022 is a day of July or of August, and no \
+             day above 12 tells which",
+        );
+    }
+    if is_day(text) {
+        return Some(
+            "a time of the day too: where it has a column of its own, both columns are the time: Date=time,Time=time",
+        );
+    }
     let is_part = |c: char| c.is_ascii_digit() || ":/.-+ TZtzAPMapm,".contains(c);
     let is_clock = text.contains([':', '/'])
         && text.starts_with(|c: char| c.is_ascii_digit())
         && text.chars().all(is_part);
-    let is_date = absolute_ns(text) != [None; 2];
-    is_clock.then_some(if text.contains('/') && is_date {
-        "a time as ISO 8601 writes it, 2022-08-08T13:51:37.25Z, or a number: 08/07/2022 is a day of July or of August, and no day \
-         above 12 tells which"
-    } else if text.contains('/') {
+    is_clock.then_some(if text.contains('/') {
         "a time as ISO 8601 writes it, 2022-08-08T13:51:37.25Z, or a number; a date with slashes has a year of four digits"
     } else {
         "a time as ISO 8601 writes it, 2022-08-08T13:51:37.25Z, or a number"
@@ -194,9 +282,24 @@ pub fn has_zone(text: &str) -> bool {
 }
 
 /// Nanoseconds since midnight of a time without a day, `13:51:37.25`.
+/// Some clocks call the first hour of the next day 24.
 #[must_use]
 pub fn of_day_ns(text: &str) -> Option<i128> {
-    iso8601_ns(&format!("1970-01-01T{}Z", clock_of_24_hours(text)?)).filter(|ns| *ns < DAY_NS)
+    iso8601_ns(&format!("1970-01-01T{}Z", clock_of_24_hours(text)?))
+}
+
+/// Whether a text is a date without a time of the day, which may have a column
+/// of its own.
+#[must_use]
+pub fn is_day(text: &str) -> bool {
+    absolute_ns(&format!("{} 00:00:00", text.trim())) != [None; 2]
+}
+
+/// Whether a date ends with its year, so that day or month may be first.
+#[must_use]
+pub fn has_two_days(text: &str) -> bool {
+    let read = absolute_ns(text);
+    read[0] != read[1] || text.contains('/') && read != [None; 2]
 }
 
 /// Nanoseconds since 1970-01-01 UTC of `2022-08-08T13:51:37.2515150Z`.
@@ -361,7 +464,7 @@ mod tests {
             ("2024-02-29T12:00:00,25", Some(1_709_208_000_250_000_000)),
             ("2023-02-29T12:00:00", None),
             ("2022-08-08", None),
-            ("2022-08-08T1:51:37", None),
+            ("2022-08-08T1:51:37", Some(1_659_923_497_000_000_000)),
             ("2022-08-08T13:61:37", None),
             ("2022-08-08T13:51:37.Z", None),
             ("2022-08-08T13:51:37.1234567890Z", None),
@@ -370,7 +473,25 @@ mod tests {
             ("8.8.2022 13:51:37", Some(1_659_966_697_000_000_000)),
             ("08.08.2022 9:21:37,5", Some(1_659_950_497_500_000_000)),
             ("31.2.2022 13:51:37", None),
-            ("8.8.22 13:51:37", None),
+            ("8.8.22 13:51:37", Some(1_659_966_697_000_000_000)),
+            ("20220808T135137Z", Some(1_659_966_697_000_000_000)),
+            ("20220808T155137.5+0200", Some(1_659_966_697_500_000_000)),
+            ("08-Aug-2022 13:51:37", Some(1_659_966_697_000_000_000)),
+            ("8 August 2022 1:51:37 p.m.", Some(1_659_966_697_000_000_000)),
+            ("Mon Aug 8, 2022 13:51:37", Some(1_659_966_697_000_000_000)),
+            ("8. Aug. 22, 13:51:37", Some(1_659_966_697_000_000_000)),
+            ("08.08.2022, 13:51:37", Some(1_659_966_697_000_000_000)),
+            ("2022-08-08_13:51:37", Some(1_659_966_697_000_000_000)),
+            ("2022-08-08 13:51:37:250", Some(1_659_966_697_250_000_000)),
+            ("8/8/2022 13:51:37:250", Some(1_659_966_697_250_000_000)),
+            ("08-08-2022 13:51:37", Some(1_659_966_697_000_000_000)),
+            ("08.08.2022 13h51", Some(1_659_966_660_000_000_000)),
+            ("08.08.2022 13h51m37s", Some(1_659_966_697_000_000_000)),
+            ("8/8/22 13:51:37", None),
+            ("08-Foo-2022 13:51:37", None),
+            ("10:00:00:12", None),
+            ("2022080T135137Z", None),
+            ("x1 Probe 3h2", None),
             ("2022/8/8 13:51:37", Some(1_659_966_697_000_000_000)),
             ("8.8.2022 1:51:37 PM", Some(1_659_966_697_000_000_000)),
             ("8.8.2022 13:51:37 PM", None),
@@ -381,7 +502,11 @@ mod tests {
             assert_eq!(absolute_ns(text), [ns; 2], "{text}");
         }
         assert_eq!(of_day_ns("9:21:37.5"), Some(33_697_500_000_000));
-        assert_eq!((of_day_ns("13:51:37Z"), of_day_ns("24:00:00")), (None, None));
+        assert_eq!(of_day_ns("13:51:37Z"), None);
+        assert_eq!(of_day_ns("24:00:00.5"), Some(DAY_NS + 500_000_000));
+        assert_eq!(of_day_ns("14h05"), Some(50_700_000_000_000));
+        assert_eq!(of_day_ns("10:00:00:123"), Some(36_000_123_000_000));
+        assert!(is_day("04-Mar-2026") && is_day("4.3.26") && !is_day("10:00:00") && !is_day("12.5"));
         assert_eq!(day(1_659_966_697_251_515_000), "2022-08-08");
         assert_eq!(day(-1), "1969-12-31");
         assert!(has_zone("2022-08-08T13:51:37Z") && has_zone("2022-08-08 15:51:37+02:00"));

@@ -26,26 +26,30 @@ pub struct Numbers {
     /// Commas part the cells.
     /// A comma within a cell is no decimal mark unless a cell shows that it is.
     commas_part: bool,
+    /// A cell of the table shows that point or comma part thousands, or somebody
+    /// said which the decimal mark is.
+    is_grouped: bool,
 }
 
 impl Numbers {
     /// The format of a column of these cells.
     /// `table` is what [`Numbers::mark_of`] finds among all cells, `by` the separator of cells.
     #[must_use]
-    pub fn of<'t>(column: impl IntoIterator<Item = &'t str>, table: Option<char>, by: char) -> Self {
-        Self::shown(Self::mark_of(column), table, by)
+    pub fn of<'t>(column: impl IntoIterator<Item = &'t str> + Clone, table: Option<char>, by: char) -> Self {
+        let is_grouped = column.clone().into_iter().any(shows_thousands);
+        Self { is_grouped, ..Self::shown(Self::mark_of(column), table, by) }
     }
 
     /// The format of a column from its own mark, if any, and the table's, if any.
     #[must_use]
     pub fn shown(column: Option<char>, table: Option<char>, by: char) -> Self {
-        Self { column, table, commas_part: by == ',' }
+        Self { column, table, commas_part: by == ',', is_grouped: false }
     }
 
     /// For a column that has this decimal mark: somebody said so.
     #[must_use]
     pub fn written(mark: char) -> Self {
-        Self { column: Some(mark), table: Some(mark), commas_part: false }
+        Self { column: Some(mark), table: Some(mark), commas_part: false, is_grouped: true }
     }
 
     /// The decimal mark that the first cell shows that shows one.
@@ -79,7 +83,9 @@ impl Numbers {
             Some('.')
         };
         let mark = self.column.or_else(|| shown_mark(text)).or(default)?;
-        ungrouped(text, mark).map(Cow::Owned)
+        // 12.345 among 12,4: thousands, or another decimal mark.
+        let is_other = has_two_readings(text) && !text.contains(mark);
+        ungrouped(text, mark).filter(|_| self.is_grouped || !is_other).map(Cow::Owned)
     }
 
     /// Whether a cell's mark may be a decimal mark or separate thousands.
@@ -122,6 +128,8 @@ pub struct Marks {
     encoding: Option<&'static str>,
     /// The first cell with two readings.
     open: Option<String>,
+    /// A cell shows that a mark parts thousands.
+    is_grouped: bool,
     commented: Option<Commented>,
     beyond: Beyond,
     /// Lines of another program in front of the columns' names.
@@ -138,6 +146,7 @@ impl Marks {
             by: reader.separator(),
             encoding: None,
             open: None,
+            is_grouped: false,
             commented: None,
             beyond: Beyond::default(),
             preamble: 0,
@@ -167,6 +176,7 @@ impl Marks {
             return;
         };
         self.table.get_or_insert(mark);
+        self.is_grouped |= shows_thousands(text);
         if self.columns.len() <= place {
             self.columns.resize(place + 1, None);
         }
@@ -231,7 +241,8 @@ impl Marks {
     /// How the numbers of a column are written; `place` is the column's, from 0.
     #[must_use]
     pub fn numbers(&self, place: usize) -> Numbers {
-        Numbers::shown(self.columns.get(place).copied().flatten(), self.table, self.by)
+        let shown = Numbers::shown(self.columns.get(place).copied().flatten(), self.table, self.by);
+        Numbers { is_grouped: self.is_grouped, ..shown }
     }
 
     /// How further columns are written beside these.
@@ -338,6 +349,14 @@ fn has_two_readings(text: &str) -> bool {
     marks == 1 && !text.contains(['e', 'E']) && !text.contains(BLANKS)
 }
 
+/// Whether a number shows by itself that point or comma part its thousands:
+/// `1.000,5`, `1.000.000`.
+fn shows_thousands(text: &str) -> bool {
+    let marks: Vec<char> = number_body(text)
+        .map_or_else(Vec::new, |body| body.matches(['.', ',']).flat_map(str::chars).collect());
+    marks.len() > 1 && shown_mark(text).is_some()
+}
+
 /// A number without its sign and exponent; `None` where other characters are in it.
 fn number_body(text: &str) -> Option<&str> {
     let body = text.trim_start_matches(SIGNS);
@@ -395,6 +414,9 @@ mod tests {
         for (column, by, wants) in [
             (&["38,1000", "1.000,0000", "1.000"][..], ';', &[Some(38.1), Some(1000.0), Some(1000.0)][..]),
             (&["38.1", "1,000.5", "1,000"], ',', &[Some(38.1), Some(1000.5), Some(1000.0)]),
+            (&["12,4", "12.345"], ';', &[Some(12.4), None]),
+            (&["12.4", "12,345"], ';', &[Some(12.4), None]),
+            (&["12,4", "1 234"], ';', &[Some(12.4), Some(1234.0)]),
             (&["1.000"], ';', &[Some(1.0)]),
             (&["1,000"], ';', &[Some(1.0)]),
             (&["1,000"], ',', &[None]),

@@ -113,10 +113,18 @@ pub(crate) fn western(bytes: &[u8]) -> String {
     encoding_rs::WINDOWS_1252.decode_without_bom_handling(bytes).0.into_owned()
 }
 
+/// A number to fifteen digits, as many as any decimal number keeps in a float:
+/// 0.1 + 0.2 is 0.3.
+#[must_use]
+pub fn rounded(v: f64) -> f64 {
+    format!("{v:.14e}").parse().unwrap_or(v)
+}
+
 /// A number as a person reads it.
 /// As it is, or with a power of ten where it would be a row of zeros.
 #[must_use]
 pub fn short(v: f64) -> String {
+    let v = rounded(v);
     if v == 0.0 || (1e-6..1e12).contains(&v.abs()) { v.to_string() } else { format!("{v:e}") }
 }
 

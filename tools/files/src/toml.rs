@@ -61,12 +61,37 @@ fn finding(file: &Path, text: &str, error: &toml::de::Error, expected: &str) -> 
     let start = error.span().map_or(0, |s| s.start);
     let message = error.message().trim().lines().collect::<Vec<_>>().join(", ");
     let (found, expected) = message.split_once(", expected ").unwrap_or((&message, expected));
+    let line = &text[text[..start].rfind('\n').map_or(0, |at| at + 1)..];
+    let line = line.lines().next().unwrap_or_default();
+    if let Some((found, expected)) = mistaken(line) {
+        return InputError::at_offset(file, text, start, found, expected);
+    }
     let Some(key) = found.strip_prefix("unknown field ").map(|key| key.trim_matches('`')) else {
         return InputError::at_offset(file, text, start, found, expected);
     };
     let known: Vec<&str> = expected.split('`').skip(1).step_by(2).collect();
     let (found, expected) = unknown(key, &Title::Here, &known);
     InputError::at_offset(file, text, start, found, expected)
+}
+
+/// What a line has that TOML does not know and other programs do:
+/// found, expected.
+fn mistaken(line: &str) -> Option<(String, String)> {
+    const CURLY: [char; 6] = ['\u{201c}', '\u{201d}', '\u{201e}', '\u{2018}', '\u{2019}', '\u{ab}'];
+    let value = line.split_once('=').map_or(line, |(_, value)| value).trim();
+    if let Some(mark) = value.chars().find(|c| CURLY.contains(c)) {
+        return Some((format!("the quotation mark {mark}"), "the straight one, \", at both ends".to_owned()));
+    }
+    let end = value.find(|c: char| !(c.is_ascii_digit() || "+-.,_".contains(c)))?;
+    let (number, unit) = (value[..end].trim_end_matches(['.', ',']), value[end..].trim());
+    let is_unit = !unit.is_empty() && unit.chars().all(|c| c.is_alphabetic() || "/²°%".contains(c));
+    (number.contains(|c: char| c.is_ascii_digit()) && is_unit && !matches!(unit, "e" | "E" | "x" | "o" | "b"))
+        .then(|| {
+            (
+                format!("{value}: a number and {unit}"),
+                format!("the number alone, {}: its key names the unit", number.replace(',', ".")),
+            )
+        })
 }
 
 /// What is said of a key that nobody knows: found, expected.

@@ -69,10 +69,12 @@ pub struct TraceReader<R> {
 /// Where a trace's points are.
 #[derive(Debug)]
 enum Points {
-    /// In rows of `t_ns,a,b` in this order.
-    Plain(Table<3>),
-    /// In rows of any table.
-    Table(Table<3>),
+    /// In rows of a table; of `t_ns,a,b` in this order and nothing else where it is
+    /// plain.
+    Csv {
+        table: Box<Table<3>>,
+        is_plain: bool,
+    },
     Vcd(Vcd),
 }
 
@@ -91,6 +93,11 @@ struct Table<const N: usize> {
     moments: Moments,
     /// No time was read yet.
     at_start: bool,
+    /// What each time is counted from, below zero where a scope was triggered after
+    /// its first sample, ns.
+    origin_ns: i64,
+    /// The table has a row for each sample, not for each change.
+    is_sampled: bool,
 }
 
 /// Names of a time, each with the decimals that make it one in ns.
@@ -142,7 +149,18 @@ impl<const N: usize> Table<N> {
         }
         let (file, moments) = (file.map(Path::to_owned), Moments::default());
         let columns = wanted.to_vec();
-        Ok(Self { header, places, shift, file, columns, numbers: None, moments, at_start: true })
+        Ok(Self {
+            header,
+            places,
+            shift,
+            file,
+            columns,
+            numbers: None,
+            moments,
+            at_start: true,
+            origin_ns: 0,
+            is_sampled: false,
+        })
     }
 
     /// The table has other columns too.
@@ -164,7 +182,9 @@ impl<const N: usize> Table<N> {
         by: char,
         expected: &str,
     ) -> Result<T, InputError> {
+        let first = n == 0 && std::mem::take(&mut self.at_start);
         if shift == 0
+            && (n > 0 || self.origin_ns == 0)
             && let Ok(number) = cell.text().parse()
         {
             return Ok(number);
@@ -177,7 +197,6 @@ impl<const N: usize> Table<N> {
         let is_open = shift == 0 && numbers.leaves_open(cell.text());
         let plain = numbers.plain(cell.text()).filter(|_| !is_open);
         if n == 0 {
-            let first = std::mem::take(&mut self.at_start);
             let is_number = plain.as_deref().and_then(crate::decimal::number).is_some();
             if !is_number && (first || self.moments.start().is_some()) {
                 let ns = self.moments.absolute(cell.text()).and_then(|ns| ns.to_string().parse().ok());
@@ -190,16 +209,34 @@ impl<const N: usize> Table<N> {
                 return Err(cell.said(found, format!("a time in its own unit: t_{unit}=COLUMN")));
             }
         }
-        let whole = plain.and_then(|plain| shifted(&plain, shift)?.parse().ok());
+        let digits = plain.and_then(|plain| shifted(&plain, shift));
+        if n == 0 {
+            let ns = digits.as_deref().and_then(|digits| digits.parse::<i64>().ok());
+            if N == COLUMNS.len() && first && ns.is_some_and(|ns| ns < 0) {
+                self.origin_ns = ns.unwrap_or(0);
+            }
+            if self.origin_ns != 0 {
+                let since = ns.and_then(|ns| ns.checked_sub(self.origin_ns)?.to_string().parse().ok());
+                return since.ok_or_else(|| cell.finding(expected));
+            }
+        }
+        let whole = digits.and_then(|digits| digits.parse().ok());
         whole.ok_or_else(|| cell.finding(expected))
     }
 
-    /// What times that are dates or times of the day are counted from.
+    /// What times are counted from that are dates, times of the day or before a
+    /// trigger.
     fn said(&self) -> Option<String> {
-        let start = self.moments.start()?;
-        let since = if clock::of_day_ns(start).is_some() { "midnight" } else { "1970-01-01 UTC" };
-        let file = self.header.file().display();
-        Some(format!("{file}: the first time is {start}; ns are counted since {since}"))
+        let since = |start| if clock::of_day_ns(start).is_some() { "midnight" } else { "1970-01-01 UTC" };
+        let start = self
+            .moments
+            .start()
+            .map(|start| format!("the first time is {start}; ns are counted since {}", since(start)));
+        let origin = (N == COLUMNS.len() && self.origin_ns < 0).then(|| {
+            format!("the first time is {} ns, before a trigger; ns are counted from it, those of the requests too", self.origin_ns)
+        });
+        let said: Vec<String> = start.into_iter().chain(origin).collect();
+        (!said.is_empty()).then(|| format!("{}: {}", self.header.file().display(), said.join("; ")))
     }
 
     /// How the columns' numbers are written.
@@ -254,7 +291,22 @@ impl TraceReader<File> {
     /// As [`TraceReader::open`]; a column or signal that was named and is not there.
     pub fn open_columns(file: &Path, columns: &Columns) -> Result<Self, InputError> {
         let format = TraceFormat::of(file)?;
-        Self::of(format, file, opened(file)?, columns, file.is_file().then_some(file))
+        let again = file.is_file().then_some(file);
+        let open = || Self::of(format, file, opened(file)?, columns, again);
+        let mut reader = open()?;
+        // The requests count from the first time too, so it is looked at beforehand; what is wrong with it is found when it is read.
+        if again.is_some()
+            && let Points::Csv { table, is_plain } = &mut reader.points
+        {
+            let mut ahead = open()?;
+            let _ = ahead.next_point();
+            if let Points::Csv { table: read, .. } = ahead.points
+                && read.origin_ns != 0
+            {
+                (table.origin_ns, table.at_start, *is_plain) = (read.origin_ns, false, false);
+            }
+        }
+        Ok(reader)
     }
 }
 
@@ -295,7 +347,7 @@ impl<R: Read> TraceReader<R> {
             TraceFormat::Csv => {
                 let table = Table::new(&mut rows, COLUMNS, columns, again)?;
                 let is_plain = table.places == [0, 1, 2] && table.shift == 0 && !table.has_others();
-                if is_plain { Points::Plain(table) } else { Points::Table(table) }
+                Points::Csv { table: Box::new(table), is_plain }
             }
             TraceFormat::Vcd => {
                 let begin = rows.lines.unread();
@@ -323,9 +375,19 @@ impl<R: Read> TraceReader<R> {
     #[must_use]
     pub fn said(&self) -> Option<String> {
         match &self.points {
-            Points::Plain(table) | Points::Table(table) => table.said(),
+            Points::Csv { table, .. } => table.said(),
             Points::Vcd(vcd) => Some(format!("{}: {}", self.rows.lines.file.display(), vcd.said()?)),
         }
+    }
+
+    /// That the rows so far are samples, not changes.
+    #[must_use]
+    pub fn sampled(&self) -> Option<String> {
+        let Points::Csv { table, .. } = &self.points else { return None };
+        let file = self.rows.lines.file.display();
+        table
+            .is_sampled
+            .then(|| format!("{file}: a row a sample: rows in which nothing changes were passed over"))
     }
 
     /// The next point, or `None` at the end.
@@ -334,7 +396,7 @@ impl<R: Read> TraceReader<R> {
     /// The first row that is not as the format wants it.
     #[inline]
     pub fn next_point(&mut self) -> Result<Option<TracePoint>, InputError> {
-        if matches!(self.points, Points::Plain(_))
+        if matches!(self.points, Points::Csv { is_plain: true, .. })
             && let Some(last) = self.last
             && let Some(row) = self.rows.lines.ahead::<PLAIN_ROW>()
             && let Some((point, length)) = plain_row(row)
@@ -356,7 +418,11 @@ impl<R: Read> TraceReader<R> {
         }
         let next = match &mut self.points {
             Points::Vcd(vcd) => vcd.next(&mut self.rows.lines, self.last),
-            Points::Plain(table) | Points::Table(table) => csv_row(&mut self.rows, table, self.last),
+            Points::Csv { table, is_plain } => {
+                let row = csv_row(&mut self.rows, table, self.last);
+                *is_plain &= table.origin_ns == 0;
+                row
+            }
         };
         match next {
             Ok(Some(point)) => {
@@ -404,6 +470,14 @@ impl<R: Read> TraceReader<R> {
     }
 }
 
+impl<R: Read> Playable<R> {
+    /// As [`TraceReader::sampled`].
+    #[must_use]
+    pub fn sampled(&self) -> Option<String> {
+        self.0.sampled()
+    }
+}
+
 impl<R: Read> Iterator for Playable<R> {
     type Item = Result<TracePoint, InputError>;
 
@@ -447,6 +521,25 @@ impl RequestReader<File> {
     /// As [`RequestReader::open`]; a column that was named and is not there.
     pub fn open_columns(file: &Path, columns: &Columns) -> Result<Self, InputError> {
         Self::of(file, opened(file)?, columns, file.is_file().then_some(file))
+    }
+}
+
+impl RequestReader<File> {
+    /// As [`RequestReader::open_columns`], of totals on a trace's clock.
+    /// Where that begins before a trigger, both count from its first time.
+    ///
+    /// # Errors
+    /// As [`RequestReader::open`].
+    pub fn open_beside(
+        file: &Path,
+        columns: &Columns,
+        trace: &TraceReader<impl Read>,
+    ) -> Result<Self, InputError> {
+        let mut reader = Self::open_columns(file, columns)?;
+        if let Points::Csv { table, .. } = &trace.points {
+            reader.table.origin_ns = table.origin_ns;
+        }
+        Ok(reader)
     }
 }
 
@@ -657,16 +750,42 @@ fn csv_row<R: Read>(
                 return Err(t.finding(format!("a time after the row before, {} ns", last.t_ns)));
             }
             if state == last.state {
-                if table.has_others() {
+                if table.has_others() || table.is_sampled {
                     continue;
                 }
                 let found = format!("the state {},{} again", a.text(), b.text());
-                return Err(a.said(found, "a change of a or b: one row per change"));
+                let refused = a.said(found, "a change of a or b: one row per change");
+                let text = row.text().to_owned();
+                let ahead = String::from_utf8_lossy(rows.lines.unread());
+                if !is_sampled(&text, &ahead, by, [table.places[1], table.places[2]]) {
+                    return Err(refused);
+                }
+                table.is_sampled = true;
+                continue;
             }
         }
         return Ok(Some(TracePoint { t_ns, state }));
     }
     Ok(None)
+}
+
+/// Rows of a table that show whether it has one for each sample or for each
+/// change.
+const SHOWN_ROWS: usize = 64;
+/// Fewer pairs of rows do not show it: a state that stands twice is a lost edge.
+const FEWEST_PAIRS: usize = 4;
+
+/// Whether as many of the rows from here on repeat the one before as do not:
+/// they are samples. This row is the first that does.
+fn is_sampled(row: &str, ahead: &str, by: char, places: [usize; 2]) -> bool {
+    let state = |line: &str| {
+        let cells: Vec<&str> = line.split(by).map(str::trim).collect();
+        places.map(|place| cells.get(place).map(|cell| (*cell).to_owned()))
+    };
+    let rows = std::iter::once(row).chain(ahead.lines().filter(|line| !line.trim().is_empty()));
+    let states: Vec<_> = rows.take(SHOWN_ROWS).map(state).collect();
+    let repeats = 1 + states.windows(2).filter(|w| w[0] == w[1]).count();
+    states.len() >= FEWEST_PAIRS && 2 * repeats >= states.len()
 }
 
 /// A row without spaces or comment.

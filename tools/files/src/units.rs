@@ -1,19 +1,38 @@
 //! Units that the name of a column states: `Time [ms]`, `X (in)`, `position_mm`.
 
 /// What people write, and the same unit as formats.md writes it.
-const ALIASES: [(&str, &str); 24] = [
+const ALIASES: [(&str, &str); 43] = [
     ("µm", "um"),
     ("μm", "um"),
     ("micron", "um"),
     ("microns", "um"),
+    ("micrometre", "um"),
+    ("micrometer", "um"),
+    ("millimetre", "mm"),
+    ("millimeter", "mm"),
+    ("metre", "m"),
+    ("meter", "m"),
     ("µs", "us"),
     ("μs", "us"),
     ("sec", "s"),
+    ("Sek", "s"),
+    ("second", "s"),
     ("seconds", "s"),
     ("msec", "ms"),
+    ("millisecond", "ms"),
+    ("milliseconds", "ms"),
+    ("microseconds", "us"),
     ("min.", "min"),
+    ("minutes", "min"),
+    ("hours", "h"),
     ("\"", "in"),
+    ("inch", "in"),
+    ("Inch", "in"),
     ("inches", "in"),
+    ("Zoll", "in"),
+    ("thou", "mil"),
+    ("deg C", "degC"),
+    ("Celsius", "degC"),
     ("°C", "degC"),
     ("℃", "degC"),
     ("C", "degC"),
@@ -32,6 +51,82 @@ const ALIASES: [(&str, &str); 24] = [
 #[must_use]
 pub fn plain(unit: &str) -> &str {
     ALIASES.iter().find(|(alias, _)| *alias == unit).map_or(unit, |(_, plain)| plain)
+}
+
+/// Name of a unit, factor to its quantity's own, and what to add then.
+pub type Unit = (&'static str, f64, f64);
+
+/// Seconds of a day.
+pub const DAY_S: f64 = 86_400.0;
+/// A step of Windows' FILETIME, s.
+pub const FILETIME_S: f64 = 1e-7;
+
+/// Units of a quantity, the one that formats.md has first.
+const QUANTITIES: [(&str, &[Unit]); 8] = [
+    (
+        "s",
+        &[
+            ("ns", 1e-9, 0.0),
+            ("100ns", FILETIME_S, 0.0),
+            ("us", 1e-6, 0.0),
+            ("ms", 1e-3, 0.0),
+            ("min", 60.0, 0.0),
+            ("h", 3600.0, 0.0),
+            ("d", DAY_S, 0.0),
+        ],
+    ),
+    ("mm", &[("um", 1e-3, 0.0), ("nm", 1e-6, 0.0), ("m", 1e3, 0.0), ("in", 25.4, 0.0), ("mil", 0.0254, 0.0)]),
+    (
+        "um",
+        &[("nm", 1e-3, 0.0), ("mm", 1e3, 0.0), ("m", 1e6, 0.0), ("in", 25_400.0, 0.0), ("mil", 25.4, 0.0)],
+    ),
+    (
+        "mm/s",
+        &[
+            ("mm/min", 1.0 / 60.0, 0.0),
+            ("m/min", 1000.0 / 60.0, 0.0),
+            ("m/s", 1e3, 0.0),
+            ("in/min", 25.4 / 60.0, 0.0),
+            ("inch/min", 25.4 / 60.0, 0.0),
+            ("inch/s", 25.4, 0.0),
+        ],
+    ),
+    ("mm/s2", &[("m/s2", 1e3, 0.0)]),
+    ("degC", &[("K", 1.0, -273.15), ("degF", 5.0 / 9.0, -160.0 / 9.0)]),
+    ("rad", &[("deg", std::f64::consts::PI / 180.0, 0.0)]),
+    ("N", &[("kN", 1e3, 0.0), ("lbf", 4.448_221_615_260_5, 0.0)]),
+];
+
+/// Units that are turned into `own`; none where it is the only one.
+#[must_use]
+pub fn others(own: &str) -> &'static [Unit] {
+    QUANTITIES.iter().find(|(unit, _)| *unit == own).map_or(&[], |(_, others)| others)
+}
+
+/// Whether both are units of one quantity.
+fn is_one_quantity(a: &str, b: &str) -> bool {
+    let has = |own: &str, others: &[Unit], unit: &str| own == unit || others.iter().any(|o| o.0 == unit);
+    QUANTITIES.iter().any(|(own, others)| has(own, others, a) && has(own, others, b))
+}
+
+/// The unit that a name states where it contradicts the one that somebody says
+/// the column is in.
+///
+/// Both are of one quantity and differ. Behind a `_` or a blank a single letter is part of the name (`x_m` may be x as measured).
+#[must_use]
+pub fn contradicted<'n>(name: &'n str, said: &str) -> Option<&'n str> {
+    let (stated, said) = (stated(name)?, plain(said));
+    let is_unit = stated.in_brackets || stated.unit.len() > 1 && stated.name.len() < name.trim().len();
+    (is_unit && stated.unit != said && is_one_quantity(stated.unit, said)).then_some(stated.unit)
+}
+
+/// A name whose unit is the one that its column is in now, once it was converted.
+#[must_use]
+pub fn restated(name: &str, unit: &str) -> String {
+    let Some(found) = contradicted(name, unit).and_then(|_| stated(name)) else { return name.to_owned() };
+    let written = &name.trim()[found.name.len()..];
+    let of_unit = written.trim_matches([' ', '[', ']', '(', ')', '/', '_']);
+    format!("{}{}", found.name, written.replacen(of_unit, unit, 1))
 }
 
 /// A unit in a column's name.
@@ -73,6 +168,27 @@ pub fn stated(name: &str) -> Option<Stated<'_>> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_name_contradicts_another_unit_of_its_quantity() {
+        for (name, said, stated, restated_as) in [
+            ("nominal_in", "mm", Some("in"), "nominal_mm"),
+            ("x [µm]", "mm", Some("um"), "x [mm]"),
+            ("Abweichung [mm]", "um", Some("mm"), "Abweichung [um]"),
+            ("Abweichung/mm", "um", Some("mm"), "Abweichung/um"),
+            ("Time ms", "s", Some("ms"), "Time s"),
+            ("X (inch)", "mm", Some("in"), "X (mm)"),
+            ("T [°F]", "degC", Some("degF"), "T [degC]"),
+            ("T_in", "degC", None, "T_in"),
+            ("x_m", "mm", None, "x_m"),
+            ("Time [ms]", "ms", None, "Time [ms]"),
+            ("x [furlong]", "mm", None, "x [furlong]"),
+            ("nominal", "mm", None, "nominal"),
+        ] {
+            assert_eq!(contradicted(name, said), stated, "{name}");
+            assert_eq!(restated(name, said), restated_as, "{name}");
+        }
+    }
 
     #[test]
     fn names_state_units_in_brackets_or_behind_a_line() {

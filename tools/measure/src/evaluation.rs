@@ -476,11 +476,21 @@ fn returns(record: &Record, conditions: &Conditions) -> Result<(Value, Report), 
         ));
     }
     for (axis, of) in &axes {
+        if let Some(turns) = of.turns.filter(|_| of.step.is_none()) {
+            report.warn(&format!(
+                "error.{axis}: every {} returns the same comes again, over {:.2} µm: s and the range hold that; about those means the \
+                 returns scatter by s = {:.2} µm. What takes turns there (direction of approach, gripper, side of the tool)?",
+                turns.every, turns.range_um, turns.s_about_them_um
+            ));
+        }
         let Some(step) = of.step else { continue };
+        let drift = step.drift_um_per_return.map_or_else(String::new, |slope| {
+            format!(" Beside it they drift by {slope:+.2} µm a return, which that s does not hold.")
+        });
         report.warn(&format!(
             "error.{axis}: the returns step by {:+.2} ± {:.2} µm at row {} and stay: s and the range hold that step; before and behind it the \
-             returns scatter by s = {:.2} µm, which is the repeatability. A step is no drift: look for what moved there (tool, gauge, \
-             chip, lost counts)",
+             returns scatter by s = {:.2} µm, which is the repeatability.{drift} A step is no drift: look for what moved there (tool, \
+             gauge, chip, lost counts)",
             step.um, step.standard_error_um, step.row, step.s_about_step_um,
         ));
     }
@@ -494,7 +504,34 @@ fn returns(record: &Record, conditions: &Conditions) -> Result<(Value, Report), 
             "{role}: readings in steps of {step} µm, and the returns scatter by less: scatter below a step does not show; a finer gauge shows it"
         ));
     }
+    for column in record
+        .responses()
+        .filter(|c| c.data.len() > 1 && c.data.windows(2).all(|w| w[0].to_bits() == w[1].to_bits()))
+    {
+        // All lie within one step of the gauge: their standard deviation is largest with half of them at each of its ends.
+        let n = column.data.len() as f64;
+        let most =
+            record.count_um.or_else(|| written_step(column.data[0])).map_or_else(String::new, |step| {
+                format!(
+                    " a step of {} µm, as they are written, hides s up to {:.2} µm;",
+                    short(step),
+                    0.5 * step * (n / (n - 1.0)).sqrt()
+                )
+            });
+        report.warn(&format!(
+            "{}: all {} returns read {}: s = 0 is the gauge's step, no repeatability;{most} a finer gauge shows it",
+            column.role, column.data.len(), short(column.data[0])
+        ));
+    }
     Ok((found, report))
+}
+
+/// The decimal step that a reading is written in;
+/// none of a zero, which may be written in any.
+fn written_step(reading: f64) -> Option<f64> {
+    let text = format!("{reading}");
+    let decimals = text.split_once('.').map_or(0, |(_, decimals)| decimals.len());
+    (reading != 0.0).then(|| 0.1_f64.powi(decimals as i32))
 }
 
 fn values(all: &[impl serde::Serialize]) -> serde_json::Result<Vec<Value>> {

@@ -300,6 +300,22 @@ impl<'m> Errors<'m> {
         Ok(column)
     }
 
+    /// What the model has right behind a turn and no table of positions holds:
+    /// a spike that goes with the travel, µm.
+    ///
+    /// # Errors
+    /// As [`Errors::along`].
+    pub fn behind_turn_um(&self, position_mm: f64) -> Result<f64, InputError> {
+        let behind = |up: bool| -> Result<f64, InputError> {
+            let way = if up { 1.0 } else { -1.0 };
+            let (mut turns, mut goes_on) = (self.live()?, self.live()?);
+            self.at(&mut turns, position_mm, -way);
+            let turned = self.at(&mut turns, position_mm, way);
+            Ok((turned - self.at(&mut goes_on, position_mm, way)).abs())
+        };
+        Ok(behind(true)?.max(behind(false)?))
+    }
+
     fn live(&self) -> Result<Live, InputError> {
         Live::of(self.machine, self.layout.clone()).map_err(|e| usage(e.to_string(), "sensors and axes only"))
     }

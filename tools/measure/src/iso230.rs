@@ -29,7 +29,7 @@ pub use straightness::{StraightPlace, Straightness, has_straightness, straightne
 use rtec_files::InputError;
 use rtec_model::record::{Axis, Kind, Record, Role};
 use serde::Serialize;
-use statrs::distribution::{ContinuousCDF, StudentsT};
+use statrs::distribution::{ContinuousCDF, FisherSnedecor, StudentsT};
 use std::collections::BTreeMap;
 
 /// Largest scatter of a measured position at one target, as a share of travel.
@@ -233,6 +233,59 @@ pub struct Returns {
     /// It must leave no other structure in them.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub step: Option<ReturnStep>,
+    /// What takes turns in the returns, if anything does.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub turns: Option<Turns>,
+}
+
+/// Returns that repeat every so many:
+/// two grippers, four sides of a tool, both directions of approach.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Turns {
+    /// After so many returns the first of them comes again.
+    pub every: usize,
+    /// From the lowest of their means to the highest, µm.
+    pub range_um: f64,
+    /// Probability of means so far apart by chance, at any number of turns that was
+    /// tried.
+    pub p_value: f64,
+    /// Standard deviation about those means, µm.
+    pub s_about_them_um: f64,
+}
+
+/// Each of them is seen so often at least.
+const ROUNDS: usize = 3;
+
+impl Turns {
+    /// Of what is left of returns without their drift, by an analysis of variance at
+    /// each number of turns.
+    fn of(left: &[f64], used: usize) -> Option<Self> {
+        let n = left.len();
+        let tried = (2..=n / ROUNDS).count() as f64;
+        let found = (2..=n / ROUNDS).filter_map(|every| {
+            let means: Vec<f64> = (0..every)
+                .map(|k| {
+                    left.iter().skip(k).step_by(every).sum::<f64>() / (k..n).step_by(every).count() as f64
+                })
+                .collect();
+            let within: f64 = left.iter().enumerate().map(|(i, v)| (v - means[i % every]).powi(2)).sum();
+            let between: f64 = (0..n).map(|i| means[i % every].powi(2)).sum();
+            let freedom = n.checked_sub(every + used).filter(|f| *f > 0)? as f64;
+            let law = FisherSnedecor::new(every as f64 - 1.0, freedom).ok()?;
+            let ratio = between / (every as f64 - 1.0) / (within / freedom);
+            let p_value = if within > 0.0 { tried * law.sf(ratio) } else { 0.0 };
+            let range_um = range(means.iter().map(|m| (*m, *m)))?;
+            (between > 0.0).then(|| Self {
+                every,
+                range_um,
+                p_value,
+                s_about_them_um: (within / freedom).sqrt(),
+            })
+        });
+        // The fewest turns among those that explain as much: four are two as well.
+        let best = found.min_by(|a, b| a.p_value.total_cmp(&b.p_value).then(a.every.cmp(&b.every)))?;
+        (best.p_value < CHANCE).then_some(best)
+    }
 }
 
 /// A step in the returns.
@@ -247,14 +300,21 @@ pub struct ReturnStep {
     pub standard_error_um: f64,
     /// Probability of so large a step at any place by chance.
     pub p_value: f64,
-    /// Standard deviation about the two means, µm.
+    /// Standard deviation about the two means, or about two lines of one slope, µm.
     pub s_about_step_um: f64,
+    /// Slope of the returns on both sides of it, µm from one to the next, where they
+    /// drift beside it beyond chance.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub drift_um_per_return: Option<f64>,
 }
 
 /// So many returns at least on either side of a step: one alone is a bad return.
 const STEP_SIDE: usize = 2;
 /// Chance is ruled out where it gives as much in one of a hundred runs.
 const CHANCE: f64 = 0.01;
+/// A step comes with this share of its size at once, as a sensor's does;
+/// what bends comes slowly.
+const AT_ONCE: f64 = 0.7;
 /// The point of a normal distribution that one of a hundred values lies beyond.
 const ONE_IN_A_HUNDRED: f64 = 2.326;
 
@@ -272,6 +332,9 @@ impl ReturnStep {
         let tried = places.len() as f64;
         let (at, left) = places.map(|k| (k, about(k))).min_by(|a, b| a.1.total_cmp(&b.1))?;
         let freedom = n.checked_sub(2).filter(|f| *f > 0)? as f64;
+        if let Some(found) = Self::beside_drift(e, about_line, left) {
+            return Some(found);
+        }
         // Its place was sought as well: one parameter more than a line has (Schwarz's criterion).
         let count = n as f64;
         if count * (about_line / left.max(f64::MIN_POSITIVE)).ln() < count.ln() {
@@ -288,8 +351,72 @@ impl ReturnStep {
             (0..n).map(|i| e[i] - if i < at { mean(&e[..at]) } else { mean(&e[at..]) }).collect();
         let pairs: f64 = residual.windows(2).map(|w| (w[1] - w[0]).powi(2)).sum();
         let is_rest = left <= 0.0 || !is_alike(pairs / left, n);
-        let found = Self { row: at + 1, um, standard_error_um: error, p_value, s_about_step_um: s };
+        let found = Self {
+            row: at + 1,
+            um,
+            standard_error_um: error,
+            p_value,
+            s_about_step_um: s,
+            drift_um_per_return: None,
+        };
         (p_value < CHANCE && um != 0.0 && is_rest).then_some(found)
+    }
+
+    /// A step in returns that drift as well.
+    /// Both must explain more than either does alone (Schwarz's criterion), and be beyond chance.
+    fn beside_drift(e: &[f64], about_line: f64, about_step: f64) -> Option<Self> {
+        let (n, count) = (e.len(), e.len() as f64);
+        let freedom = n.checked_sub(3).filter(|f| *f >= STEP_SIDE)? as f64;
+        let from_line = |y: &dyn Fn(usize) -> f64| -> (f64, Vec<f64>) {
+            let middle = (count - 1.0) / 2.0;
+            let mean = (0..n).map(y).sum::<f64>() / count;
+            let xx: f64 = (0..n).map(|i| (i as f64 - middle).powi(2)).sum();
+            let slope = (0..n).map(|i| (i as f64 - middle) * (y(i) - mean)).sum::<f64>() / xx;
+            (slope, (0..n).map(|i| y(i) - mean - slope * (i as f64 - middle)).collect())
+        };
+        let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+        let (line, of_returns) = from_line(&|i| e[i]);
+        let at_row = |k: usize| {
+            let (slope, of_step) = from_line(&|i| f64::from(i >= k));
+            let square = dot(&of_step, &of_step);
+            let um = dot(&of_step, &of_returns) / square;
+            (k, um, square, line - um * slope, about_line - um * um * square)
+        };
+        let places = STEP_SIDE..(n + 1).checked_sub(STEP_SIDE)?;
+        let tried = places.len() as f64;
+        let (at, um, square, slope, left) = places.map(at_row).min_by(|a, b| a.4.total_cmp(&b.4))?;
+        let gains = |other: f64, parameters: f64| {
+            count * (other / left.max(f64::MIN_POSITIVE)).ln() > parameters * count.ln()
+        };
+        let s = (left.max(0.0) / freedom).sqrt();
+        let error = s / square.sqrt();
+        let law = StudentsT::new(0.0, 1.0, freedom).ok()?;
+        let chance =
+            |size: f64, error: f64| if error > 0.0 { 2.0 * law.cdf(-(size / error).abs()) } else { 0.0 };
+        // Of two means each has its own error; a slope beside a step is known from both sides.
+        let within: f64 = [at as f64, count - at as f64].map(|m| m * (m * m - 1.0) / 12.0).iter().sum();
+        let p_value = (tried * chance(um, error)).min(1.0);
+        let (_, of_step) = from_line(&|i| f64::from(i >= at));
+        let residual: Vec<f64> = of_returns.iter().zip(&of_step).map(|(v, h)| v - um * h).collect();
+        let pairs: f64 = residual.windows(2).map(|w| (w[1] - w[0]).powi(2)).sum();
+        // What bends leaves neighbours alike on both sides.
+        let is_rest = left <= 0.0 || !is_alike(pairs / left, n);
+        // It comes between two returns, two on either side tell; heat takes more of them.
+        let pair = |k: usize| f64::midpoint(e[k], e[k + 1]);
+        let is_sudden = (pair(at) - pair(at - 2) - 2.0 * slope) / um > AT_ONCE;
+        let is_both = is_rest
+            && is_sudden
+            && gains(about_line, 2.0)
+            && gains(about_step, 1.0)
+            && chance(slope, s / within.sqrt()) < CHANCE;
+        (is_both && p_value < CHANCE).then_some(Self {
+            row: at + 1,
+            um,
+            standard_error_um: error,
+            p_value,
+            s_about_step_um: s,
+            drift_um_per_return: Some(slope),
+        })
     }
 }
 
@@ -310,6 +437,7 @@ impl Returns {
         let xx: f64 = (0..e.len()).map(|i| about(i).powi(2)).sum();
         let slope = e.iter().enumerate().map(|(i, v)| about(i) * (v - mean)).sum::<f64>() / xx;
         let left = e.iter().enumerate().map(|(i, v)| (v - mean - slope * about(i)).powi(2)).sum::<f64>();
+        let residual: Vec<f64> = e.iter().enumerate().map(|(i, v)| v - mean - slope * about(i)).collect();
         let s_about = (n > 2.0).then(|| (left / (n - 2.0)).sqrt());
         let error = s_about.map_or(f64::INFINITY, |s| s / xx.sqrt());
         let p = s_about.and_then(|s| {
@@ -325,6 +453,7 @@ impl Returns {
             trend_standard_error_um: Some(error).filter(|error| error.is_finite()),
             trend_p_value: p,
             step: ReturnStep::of(e, left),
+            turns: Turns::of(&residual, 1),
             s_about_trend_um: s_about,
             s_of_neighbours_um: (n > 2.0).then(|| {
                 let squares: f64 = e.windows(2).map(|w| (w[1] - w[0] - slope).powi(2)).sum();

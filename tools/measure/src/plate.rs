@@ -9,6 +9,7 @@ use crate::plot::Vectors;
 use rtec_files::InputError;
 use rtec_model::record::{Axis, Record, Role};
 use serde::Serialize;
+use statrs::distribution::{ContinuousCDF, StudentsT};
 use std::collections::BTreeMap;
 
 /// Channel of a plate's record that holds each hole's nominal diameter, mm.
@@ -333,6 +334,20 @@ pub fn evaluate(record: &Record, norm: Norm) -> Result<Plate, InputError> {
         ),
         residual_um: (0..n).map(|i| [1000.0 * left[2 * i], 1000.0 * left[2 * i + 1]]).collect(),
     })
+}
+
+/// Terms of the joint fit: offsets, scales, rotation and squareness.
+const JOINT_TERMS: usize = 6;
+
+impl Plate {
+    /// The joint fit's scale is outside of its 95 % interval about zero (Student's t):
+    /// less than that is no temperature.
+    #[must_use]
+    pub fn is_scale_beyond_chance(&self) -> bool {
+        let freedom = (2 * self.holes).saturating_sub(JOINT_TERMS) as f64;
+        let t = StudentsT::new(0.0, 1.0, freedom).map_or(f64::INFINITY, |law| law.inverse_cdf(0.975));
+        self.scale_as_aluminium_k.abs() > t * self.standard_error.scale_as_aluminium_k
+    }
 }
 
 /// Holes are no farther off one line than a thousandth of their length.

@@ -90,6 +90,16 @@ pub fn is_coarse_cause(cause: &Column, step: f64, range: f64) -> bool {
     range < FEW_STEPS * step && (cause.role != Role::Temperature || step >= FINE_K)
 }
 
+/// What to know of a clock that several rows share a time of.
+pub(crate) fn shared_time(record: &Record) -> Option<String> {
+    let step = record.data(&Role::Time).filter(|_| record.kind == Kind::Drift).and_then(shared_step)?;
+    let (file, step) = (record.path.display(), short(step));
+    Some(format!(
+        "{file}: time in steps of {step} s, several rows at each: models take them as even within it, and a row's moment is known within \
+         ±{step} s, as is a moment or a lag that is found"
+    ))
+}
+
 /// What to know of the coarse steps of a record: of its gauges where `responses`, of its sensors, of positions and the clock in motion.
 #[must_use]
 pub fn said(record: &Record, responses: bool) -> Vec<String> {
@@ -126,13 +136,6 @@ pub fn said(record: &Record, responses: bool) -> Vec<String> {
                 short(step)
             ));
         }
-    }
-    if let Some(step) = record.data(&Role::Time).filter(|_| record.kind == Kind::Drift).and_then(shared_step)
-    {
-        said.push(format!(
-            "time in steps of {0} s, several rows at each: models take them as even within it, and a row's moment is known within ±{0} s",
-            short(step)
-        ));
     }
     if let Some(tick) = record.data(&Role::Time).filter(|_| moving).and_then(tick) {
         said.push(format!(

@@ -368,6 +368,7 @@ pub fn shared_step(time_s: &[f64]) -> Option<f64> {
 }
 
 /// Times of rows that share those of a coarse clock: a logger reads evenly, so they are as far apart as they fill the clock's step.
+/// By the times as they stand a lag of 400 s read by a clock of minutes is taken for growth (`tests/field/lag-by-minutes.csv`).
 /// Where the run began and ended within a step, as far as in the fullest one. `None` where the clock is fine enough.
 fn spread(time_s: &[f64]) -> Option<Vec<f64>> {
     let step = shared_step(time_s)?;

@@ -284,7 +284,17 @@ fn read(file: &Path, sheet: &Sheet) -> Result<Vec<Series>, InputError> {
     let angles = sheet.optional("angle_rad")?;
     let given = sheet.optional("error_um")?;
     let worked_out = |nominal: Vec<f64>| -> Result<Vec<f64>, InputError> {
-        Ok(sheet.numbers("measured_mm")?.iter().zip(nominal).map(|(m, n)| (m - n) * 1e3).collect())
+        let measured = sheet.numbers("measured_mm")?;
+        // No part is so far off: one is a radius, the other a diameter.
+        let is_double = |row: &usize| {
+            let ratio = measured[*row] / nominal[*row];
+            (ratio / 2.0 - 1.0).abs() < 0.02 || (ratio * 2.0 - 1.0).abs() < 0.02
+        };
+        if let Some(row) = (0..measured.len()).find(is_double) {
+            let found = format!("{} mm measured where {} mm is nominal", measured[row], nominal[row]);
+            return Err(sheet.finding(row, found, "both as radii, or both as diameters"));
+        }
+        Ok(measured.iter().zip(nominal).map(|(m, n)| (m - n) * 1e3).collect())
     };
     let errors = match (given, sheet.optional("nominal_mm")?) {
         (Some(given), Some(nominal)) if sheet.names().iter().any(|n| n == "measured_mm") => {

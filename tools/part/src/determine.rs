@@ -2,7 +2,7 @@
 //! numbers that cannot be meant are refused.
 
 use crate::errors::{ErrorReport, Nominal, Probed};
-use crate::fit::Zx;
+use crate::fit::{self, FitShape, FittedShape, Zx};
 use crate::path::{approaches, read_expected, read_pathfin};
 use crate::unit::Unit;
 use rtec_files::{InputError, Said};
@@ -198,6 +198,47 @@ fn say_touches(args: &Asked, probed: &Probed, report: &ErrorReport, say: &mut dy
     }
 }
 
+/// A circle of a part is this near its nominal size.
+const ONE_SIZE: std::ops::RangeInclusive<f64> = 0.9..=1.1;
+/// Points by half of their X lie on a circle when that is so many times nearer
+/// to them.
+const NEARER: f64 = 20.0;
+
+/// The radius of the circle that points lie on by half of their X, where they
+/// lie on none as they are: a lathe shows diameters.
+fn by_half_of_x(points: &[Zx]) -> Option<f64> {
+    let halved: Vec<Zx> = points.iter().map(|p| Zx::new(p.z, 0.5 * p.x)).collect();
+    let fit = |points: &[Zx]| fit::two_step(FitShape::Circle, points).ok();
+    let by_half = fit(&halved)?;
+    let FittedShape::Circle { radius_mm, .. } = by_half.plain else { return None };
+    // Three points lie on a circle either way.
+    let is_nearer = fit(points).is_none_or(|whole| whole.sd_before_um > NEARER * by_half.sd_before_um);
+    (points.len() > FitShape::Circle.parameters() + 1 && is_nearer).then_some(radius_mm)
+}
+
+/// That X is a radius in points of a circle.
+fn refuse_diameters(args: &Asked, points: &[Zx]) -> Result<(), InputError> {
+    if let Some(nominal) = args.radius_mm
+        && let Some(radius) = by_half_of_x(points).filter(|r| ONE_SIZE.contains(&(r / nominal)))
+    {
+        let found = format!(
+            "points that lie on a circle of {radius:.3} mm by half of their X, and on none as they are"
+        );
+        return Err(InputError::whole(&args.points, found, "X as a radius: these look like diameters"));
+    }
+    Ok(())
+}
+
+/// What a circle of twice or half its nominal size may be.
+fn double_hint(nominal_to_found: f64) -> &'static str {
+    let is_near = |ratio: f64| (nominal_to_found / ratio - 1.0).abs() < 0.02;
+    match () {
+        () if is_near(2.0) => "; twice that is its diameter",
+        () if is_near(0.5) => "; half of that: are the points, or the radius, diameters?",
+        () => "",
+    }
+}
+
 /// The errors of the feature that was probed.
 ///
 /// What is to be said on the way goes to `say`.
@@ -216,6 +257,7 @@ pub fn determine(args: &Asked, say: &mut dyn FnMut(Said)) -> Result<ErrorReport,
         return Err(usage("--radius-mm", "no positive radius", "the arc's nominal radius in mm"));
     }
     let (probed, places) = read(args, say)?;
+    refuse_diameters(args, &probed.tip_centre)?;
     let mut report = probed.errors(nominal(args, &probed, say)?, tip_mm)?;
     if let Some(step) = report.step_um {
         say(Said::Warning(format!(
@@ -242,8 +284,7 @@ pub fn determine(args: &Asked, say: &mut dyn FnMut(Said)) -> Result<ErrorReport,
         && !(1.0 / OTHER_SIZE..=OTHER_SIZE).contains(&(radius / nominal))
     {
         let found = format!("a circle of {radius:.3} mm through the points");
-        let hint =
-            if (nominal / radius / 2.0 - 1.0).abs() < 0.02 { "; twice that is its diameter" } else { "" };
+        let hint = double_hint(nominal / radius);
         let expected = format!(
             "one near {nominal} mm, the radius in mm{hint}; points of a straight feature are --feature line"
         );

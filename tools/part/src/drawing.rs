@@ -10,11 +10,14 @@ use crate::fit::Zx;
 use crate::unit::Unit;
 use rtec_files::InputError;
 use rtec_files::file_kind::FileKind;
-use std::collections::{BTreeSet, HashMap};
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::f64::consts::{PI, TAU};
 use std::path::Path;
 
+mod block;
 mod short;
+
+use block::{Place, Placed};
 
 /// The length of `$INSUNITS`, by its number (DXF reference, "HEADER section").
 fn unit_of_header(units: i32) -> Option<Unit> {
@@ -104,6 +107,12 @@ fn is_annotation(kind: &str) -> bool {
         )
 }
 
+/// Filled areas, pictures and lines without an end, which are no contour but may
+/// seem to be one.
+fn is_aid(kind: &str) -> bool {
+    matches!(kind, "SOLID" | "TRACE" | "3DFACE" | "XLINE" | "RAY" | "WIPEOUT" | "IMAGE" | "OLE2FRAME")
+}
+
 /// Read a drawing's contour and the unit its coordinates are in.
 ///
 /// # Errors
@@ -115,20 +124,26 @@ pub fn read(file: &Path, options: &Options) -> Result<(Contour, Unit), InputErro
         let found = format!("unknown units ($INSUNITS: {})", drawing.unit_name());
         InputError::whole(file, found, "$INSUNITS of mm, cm, m, inch, …, or the unit named with --units")
     })?;
-    let reader = Reader { file, unit, options };
+    let mut reader = Reader { file, unit, options, place: Place::HERE };
     let (mut pieces, mut cleaned) = (Vec::new(), Cleaned::default());
-    for entity in drawing.entities.iter().filter(|e| !e.in_paper_space && !is_annotation(&e.kind)) {
-        let layer = &entity.layer;
-        if options.layer.is_some_and(|asked| asked != layer) {
+    // Whoever asks for a layer gets it.
+    let is_hidden =
+        |layer: &str| options.layer.is_none() && drawing.hidden_layers.contains(&layer.to_lowercase());
+    for placed in block::placed(file, &drawing, unit.0, &is_hidden)? {
+        let Placed { entity, layer, place, hidden_by } = placed;
+        if is_annotation(&entity.kind) || options.layer.is_some_and(|asked| asked != layer) {
             continue;
         }
-        // Whoever asks for a layer gets it.
-        if !entity.visible || options.layer.is_none() && drawing.hidden_layers.contains(&layer.to_lowercase())
-        {
+        if hidden_by.is_some() || !entity.visible || is_hidden(layer) {
             cleaned.hidden += 1;
-            cleaned.hidden_on.insert(layer.clone());
+            cleaned.hidden_on.insert(hidden_by.unwrap_or(layer).to_owned());
             continue;
         }
+        if is_aid(&entity.kind) {
+            *cleaned.aids.entry(entity.kind.clone()).or_default() += 1;
+            continue;
+        }
+        reader.place = place;
         reader.pieces(entity, &mut pieces, &mut cleaned)?;
     }
     if pieces.is_empty() && cleaned.hidden > 0 {
@@ -192,6 +207,8 @@ struct Cleaned {
     /// Entities that the drawing does not show, and their layers.
     hidden: usize,
     hidden_on: BTreeSet<String>,
+    /// Entities that are no contour, by their kind.
+    aids: BTreeMap<String, usize>,
 }
 
 /// An ellipse with equal axes, as an arc: some programs know no other circle.
@@ -270,6 +287,10 @@ impl Cleaned {
         }
         if self.hidden > 0 {
             out.push(format!("{}: left out {}", file.display(), self.not_shown()));
+        }
+        if !self.aids.is_empty() {
+            let aids: Vec<String> = self.aids.iter().map(|(kind, n)| several(*n, kind)).collect();
+            out.push(format!("{}: passed over {}: no contour", file.display(), aids.join(", ")));
         }
         if self.frames > 0 {
             out.push(format!(
@@ -350,6 +371,8 @@ struct Reader<'a> {
     file: &'a Path,
     unit: Unit,
     options: &'a Options<'a>,
+    /// Where the present entity is put.
+    place: Place,
 }
 
 impl Reader<'_> {
@@ -441,7 +464,7 @@ impl Reader<'_> {
         if !in_plane {
             return refuse(kind, "out of the drawing's plane", "a flat drawing at elevation 0");
         }
-        for segment in segments {
+        for segment in segments.into_iter().map(|segment| self.place.put(segment)) {
             let segment = if self.is_speck(&segment) {
                 Segment::Line { a: segment.at(0.0), b: segment.at(1.0) }
             } else {

@@ -23,6 +23,16 @@ pub(crate) struct Drawing {
     /// The layers that are not shown, in small letters: off, frozen, or never plotted.
     pub(crate) hidden_layers: Vec<String>,
     pub(crate) entities: Vec<Entity>,
+    pub(crate) blocks: Vec<Block>,
+}
+
+/// Entities that INSERT puts into the drawing.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Block {
+    pub(crate) name: String,
+    /// The point of it that comes to stand where it is inserted.
+    pub(crate) base: [f64; 3],
+    pub(crate) entities: Vec<Entity>,
 }
 
 /// One entity of the ENTITIES section with its own groups.
@@ -89,6 +99,11 @@ impl Entity {
     /// The last value of a group code.
     pub(crate) fn number(&self, code: i32) -> Option<f64> {
         self.all(code).last()
+    }
+
+    /// Of a block, or of the one that it inserts.
+    pub(crate) fn name(&self) -> &str {
+        self.groups.iter().find(|g| g.code == 2).map_or("", |g| g.value.as_str())
     }
 
     pub(crate) fn flags(&self) -> i32 {
@@ -166,6 +181,7 @@ impl Drawing {
             match &*section.value {
                 "HEADER" => drawing.units = units(content),
                 "TABLES" => drawing.hidden_layers.extend(hidden_layers(content)),
+                "BLOCKS" => drawing.blocks = blocks(content),
                 "ENTITIES" => drawing.entities = entities(content),
                 _ => {}
             }
@@ -203,6 +219,21 @@ fn hidden_layers(tables: &[Group]) -> Vec<String> {
     let layers = records(tables).filter(|r| r[0].value == "LAYER");
     let hidden = layers.filter(|r| number(r, 62) < 0 || number(r, 70) & FROZEN != 0);
     hidden.filter_map(|r| value(r, 2)).map(|name| name.to_lowercase()).collect()
+}
+
+fn blocks(section: &[Group]) -> Vec<Block> {
+    let mut found: Vec<Block> = Vec::new();
+    for entity in entities(section) {
+        match (&*entity.kind, found.last_mut()) {
+            ("BLOCK", _) => {
+                let (name, base) = (entity.name().to_owned(), entity.point(10));
+                found.push(Block { name, base, entities: Vec::new() });
+            }
+            ("ENDBLK", _) | (_, None) => {}
+            (_, Some(block)) => block.entities.push(entity),
+        }
+    }
+    found
 }
 
 fn entities(section: &[Group]) -> Vec<Entity> {

@@ -610,8 +610,9 @@ pub(crate) fn replay(
             }
         };
         let design = one_of("design", &design, &AnyDesign::ALL.map(|d| (d.name(), d)))?;
-        let trace = TraceReader::open_columns(&trace, &trace_columns(&columns.0)?)?.playable();
-        let requests = RequestReader::open_columns(&requests, &request_columns(&columns.1)?)?;
+        let trace = TraceReader::open_columns(&trace, &trace_columns(&columns.0)?)?;
+        let requests = RequestReader::open_beside(&requests, &request_columns(&columns.1)?, &trace)?;
+        let trace = trace.playable();
         let played = replay_any(design, engine, trace, requests, large, |_, _: State| {});
         let (outcome, _) = played.map_err(|error| match error {
             ReplayError::Input(error) => Failure::from(error),

@@ -7,7 +7,7 @@ use rtec_files::date;
 use rtec_files::stamp;
 use rtec_files::text::{LONGEST, open_regular};
 use rtec_files::toml::{Document, Table};
-use rtec_files::{InputError, Marks, Numbers};
+use rtec_files::{InputError, Marks, Numbers, units};
 use rtec_model::circle::Circle;
 use rtec_model::file_kind::FileKind;
 use rtec_model::record::{Axis, Column, Kind, LINEAR, Record, Role, Turns, check, hex, range_alone};
@@ -683,6 +683,14 @@ impl Sidecar {
                 let or = if role.takes("arcsec") { " or \"arcsec\"" } else { "" };
                 let expected = format!("\"{expected}\"{or}, the unit of role `{role}`");
                 return Err(unit_value.error(format!("unit `{unit}`"), expected));
+            }
+            if let Some(stated) = units::contradicted(entry.key(), unit) {
+                let found = format!("unit `{unit}` of column {}: its name says {stated}", entry.key());
+                let expected = format!(
+                    "the column in {unit} under a name that says so, as `characterise import --columns '{}={role}'` writes it",
+                    entry.key()
+                );
+                return Err(unit_value.error(found, expected));
             }
             if !role.may_repeat() && columns.iter().any(|c| c.role == role) {
                 return Err(role_value.error(format!("role `{role}` a second time"), "each role once"));

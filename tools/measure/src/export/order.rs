@@ -188,6 +188,7 @@ impl Order {
         warnings.extend(beyond(machine, &self.axis, along, [self.wanted.from_mm, self.wanted.to_mm]));
         warnings.extend(self.coarse(&table, rules.both));
         let (left, points, held) = (table.left, table.points.len(), errors.temperatures_degc()?);
+        let spike_um = errors.behind_turn_um(f64::midpoint(self.wanted.from_mm, self.wanted.to_mm))?;
         let mut notes = vec![
             format!(
                 "axis {}{}, {points} positions, {:.4} mm apart, {} to {} mm",
@@ -198,8 +199,17 @@ impl Order {
                 short(table.end_mm())
             ),
             format!(
-                "it leaves of the model at most {:.2} um moving up and {:.2} um moving down, {:.2} um RMS",
-                left.max_up_um, left.max_down_um, left.rms_um
+                "it leaves of the model at most {:.2} um moving up and {:.2} um moving down, {:.2} um RMS{}",
+                left.max_up_um,
+                left.max_down_um,
+                left.rms_um,
+                if spike_um > 0.0 {
+                    format!(
+                        "; right behind a turn up to {spike_um:.2} um more, which no table of positions holds"
+                    )
+                } else {
+                    String::new()
+                }
             ),
         ];
         if !held.is_empty() {
@@ -216,7 +226,7 @@ impl Order {
             "axis": table.axis.as_str(), "along": along, "points": points, "step_mm": table.step_mm,
             "from_mm": table.points[0].position_mm, "to_mm": table.end_mm(),
             "max_up_um": left.max_up_um, "max_down_um": left.max_down_um, "rms_um": left.rms_um,
-            "between_um": table.between_um, "constant_um": table.constant_um, "warnings": warnings,
+            "between_um": table.between_um, "behind_turn_um": spike_um, "constant_um": table.constant_um, "warnings": warnings,
             "temperatures_degC": held.iter().copied().collect::<BTreeMap<&str, f64>>(),
         });
         Ok(Exported { text, document, warnings, notes })

@@ -2,7 +2,7 @@
 
 use super::column;
 use crate::plate::NOMINAL_DIAMETER;
-use rtec_files::InputError;
+use rtec_files::{InputError, Numbers};
 use rtec_model::record::{Axis, Column, Kind, Record, Role};
 use std::path::Path;
 
@@ -15,6 +15,8 @@ pub fn cmm_plate(from: &Path, text: &str, to: &Path) -> Result<Record, InputErro
     const HEADINGS: [&str; 5] = ["Meas X", "Meas Y", "Nom X", "Nom Y", "Nom D"];
     let mut places: Option<[usize; 5]> = None;
     let mut rows: Vec<[f64; 5]> = Vec::new();
+    // The decimal mark that the rows so far show.
+    let mut marks = None;
     for (i, line) in text.lines().enumerate() {
         let at = |found: String, expected: &str| InputError::at(from, i + 1, 1, found, expected);
         let Some(places) = places else {
@@ -29,11 +31,13 @@ pub fn cmm_plate(from: &Path, text: &str, to: &Path) -> Result<Record, InputErro
             continue;
         }
         let words: Vec<&str> = line.split_whitespace().collect();
+        let shown = marks.or_else(|| Numbers::mark_of(words.iter().copied()));
+        marks = shown;
+        let numbers = Numbers::of(words.iter().copied(), shown, ' ');
         let mut row = [0.0; 5];
         for (value, place) in row.iter_mut().zip(places) {
             let word = words.get(place).ok_or_else(|| at(format!("{} values", words.len()), "a full row"))?;
-            let number = word.parse::<f64>().ok().filter(|v| v.is_finite());
-            *value = number.ok_or_else(|| at(format!("`{word}`"), "a number"))?;
+            *value = numbers.parse(word).ok_or_else(|| at(format!("`{word}`"), numbers.expected(word)))?;
         }
         rows.push(row);
     }
@@ -45,13 +49,15 @@ pub fn cmm_plate(from: &Path, text: &str, to: &Path) -> Result<Record, InputErro
         ));
     }
     let axis = |name: &str| Axis::new(name).unwrap_or_else(|| unreachable!("a letter is an axis name"));
-    let get = |of: fn(&[f64; 5]) -> f64| rows.iter().map(of).collect::<Vec<_>>();
+    // To a millionth of a nanometre: what is left of decimal numbers in a float is no error.
+    let um = |mm: f64| (1e12 * mm).round() / 1e9;
+    let get = |of: &dyn Fn(&[f64; 5]) -> f64| rows.iter().map(of).collect::<Vec<_>>();
     let columns = vec![
-        column("x", Role::Position(axis("x")), get(|r| r[2])),
-        column("y", Role::Position(axis("y")), get(|r| r[3])),
-        column("ex", Role::Error(axis("x")), get(|r| 1000.0 * (r[0] - r[2]))),
-        column("ey", Role::Error(axis("y")), get(|r| 1000.0 * (r[1] - r[3]))),
-        Column { unit: "mm".to_owned(), ..column(NOMINAL_DIAMETER, Role::Channel, get(|r| r[4])) },
+        column("x", Role::Position(axis("x")), get(&|r| r[2])),
+        column("y", Role::Position(axis("y")), get(&|r| r[3])),
+        column("ex", Role::Error(axis("x")), get(&|r| um(r[0] - r[2]))),
+        column("ey", Role::Error(axis("y")), get(&|r| um(r[1] - r[3]))),
+        Column { unit: "mm".to_owned(), ..column(NOMINAL_DIAMETER, Role::Channel, get(&|r| r[4])) },
     ];
     Record::new(to, Kind::Plate, columns)
 }

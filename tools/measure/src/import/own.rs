@@ -109,7 +109,11 @@ impl Own {
             }
             let made = ImportColumn::of(&column, entry.key(), parsed, unit, factor, number("add", 0.0)?);
             let place = t.get("unit").unwrap_or(role);
-            columns.push(made.map_err(|(found, expected)| place.error(found, expected))?);
+            let made = made.map_err(|(found, expected)| place.error(found, expected))?;
+            // Behind a factor it is no unit of the file's.
+            let unit_said =
+                made.unit_said.clone().filter(|_| t.get("factor").is_none() && t.get("add").is_none());
+            columns.push(ImportColumn { unit_said, ..made });
         }
         if columns.is_empty() {
             return Err(listed.error("no columns", "at least one"));

@@ -4,7 +4,7 @@
 use super::table::ImportColumn;
 use super::{add_note, column, record_of};
 use rtec_files::InputError;
-use rtec_files::clock::{day, iso8601_ns};
+use rtec_files::clock::{self, Counted, day, iso8601_ns};
 use rtec_files::words::is_comment;
 use rtec_model::record::{Column, Kind, Record, Role};
 use std::path::Path;
@@ -109,10 +109,13 @@ pub fn shdr(
             .map(|(w, data)| Column { unit: w.unit.clone(), ..column(&w.name, w.role.clone(), data) }),
     );
     let mut record = record_of(to, kind, columns, log)?;
-    if text.contains('-') {
-        record.date = Some(day(first));
-    }
-    add_note(&mut record, &format!("time 0 is {text}; values hold until the next is told"));
+    let counted = text.parse().ok().and_then(clock::counted);
+    record.date = match &counted {
+        Some(Counted { day, .. }) => Some(day.clone()),
+        None => text.contains('-').then(|| day(first)),
+    };
+    let what = counted.map_or_else(String::new, |c| format!(", {} of {}", c.what, c.day));
+    add_note(&mut record, &format!("time 0 is {text}{what}; values hold until the next is told"));
     Ok(record)
 }
 

@@ -4,6 +4,7 @@
 use super::{add_note, column, record_of};
 use rtec_files::clock::{self, Counted, Moments, has_zone};
 use rtec_files::csv::{Cell, Header, Reader, Row};
+use rtec_files::text::rounded;
 use rtec_files::{InputError, Marks, Numbers, units};
 use rtec_model::record::{Column, Kind, LINEAR, Record, Role};
 use std::borrow::Cow;
@@ -24,57 +25,9 @@ pub struct ImportColumn {
     pub scale: [f64; 2],
     /// Somebody said the unit; else the column's name may state it.
     pub unit_given: bool,
+    /// The unit that the file has it in, where somebody said that without a factor.
+    pub unit_said: Option<String>,
 }
-
-/// Name, factor, what to add.
-type Unit = (&'static str, f64, f64);
-
-/// Seconds of a day.
-const DAY_S: f64 = 86_400.0;
-/// A step of Windows' FILETIME, s.
-const FILETIME_S: f64 = 1e-7;
-
-/// Units that are turned into a role's own.
-const UNITS: [(&str, &[Unit]); 8] = [
-    (
-        "s",
-        &[
-            ("ns", 1e-9, 0.0),
-            ("100ns", FILETIME_S, 0.0),
-            ("us", 1e-6, 0.0),
-            ("ms", 1e-3, 0.0),
-            ("min", 60.0, 0.0),
-            ("h", 3600.0, 0.0),
-            ("d", DAY_S, 0.0),
-        ],
-    ),
-    ("mm", &[("um", 1e-3, 0.0), ("m", 1e3, 0.0), ("in", 25.4, 0.0), ("inch", 25.4, 0.0)]),
-    (
-        "um",
-        &[
-            ("nm", 1e-3, 0.0),
-            ("mm", 1e3, 0.0),
-            ("m", 1e6, 0.0),
-            ("in", 25_400.0, 0.0),
-            ("inch", 25_400.0, 0.0),
-        ],
-    ),
-    (
-        "mm/s",
-        &[
-            ("mm/min", 1.0 / 60.0, 0.0),
-            ("m/min", 1000.0 / 60.0, 0.0),
-            ("m/s", 1e3, 0.0),
-            ("in/min", 25.4 / 60.0, 0.0),
-            ("inch/min", 25.4 / 60.0, 0.0),
-            ("inch/s", 25.4, 0.0),
-        ],
-    ),
-    ("mm/s2", &[("m/s2", 1e3, 0.0)]),
-    ("degC", &[("K", 1.0, -273.15), ("degF", 5.0 / 9.0, -160.0 / 9.0)]),
-    ("rad", &[("deg", std::f64::consts::PI / 180.0, 0.0)]),
-    ("N", &[("kN", 1e3, 0.0), ("lbf", 4.448_221_615_260_5, 0.0)]),
-];
 
 impl ImportColumn {
     /// `NAME=ROLE`, `NAME=ROLE:UNIT` or `NAME=ROLE:ANY*FACTOR=UNIT`, as `gauge=error.z:mm` or `volt=force.x:V*35.15=N`.
@@ -110,7 +63,7 @@ impl ImportColumn {
         if unit.is_empty() {
             return Err(bad(rest, "the unit that the factor leads to, as in V*35.15=N"));
         }
-        Self::of(name, name, role, Some(unit), number, 0.0)
+        Ok(Self { unit_said: None, ..Self::of(name, name, role, Some(unit), number, 0.0)? })
     }
 
     /// A column that holds a quantity in a unit, after a factor and an offset.
@@ -126,15 +79,15 @@ impl ImportColumn {
         add: f64,
     ) -> Result<Self, (String, String)> {
         let own = role.unit();
-        let unit_given = unit.is_some();
         let unit = unit.map(units::plain);
+        let unit_said = unit.map(str::to_owned);
+        let unit_given = unit.is_some();
         let (unit_there, further) = match (own, unit) {
             (None, any) => (any.unwrap_or("1"), [1.0, 0.0]),
             (Some(own), None) => (own, [1.0, 0.0]),
             (Some(own), Some(u)) if u == own => (own, [1.0, 0.0]),
             (Some(own), Some(u)) => {
-                let others =
-                    UNITS.iter().find(|(unit, _)| *unit == own).map_or(&[][..], |(_, others)| others);
+                let others = units::others(own);
                 let known: Vec<&str> = std::iter::once(own).chain(others.iter().map(|o| o.0)).collect();
                 let (_, f, a) = others
                     .iter()
@@ -146,17 +99,26 @@ impl ImportColumn {
         let scale = [factor * further[0], add * further[0] + further[1]];
         Ok(Self {
             column: column.to_owned(),
-            name: name.to_owned(),
+            name: units::restated(name, unit_there),
             unit: unit_there.to_owned(),
             role,
             scale,
             unit_given,
+            unit_said,
         })
     }
 
     /// The column in the unit that its name in the header states, and that unit.
     fn by_header(&self, header: &Header, place: usize) -> Result<(Self, Option<String>), InputError> {
         let name = header.names().nth(place).unwrap_or_default();
+        if let Some((said, stated)) =
+            self.unit_said.as_deref().and_then(|s| Some((s, units::contradicted(name, s)?)))
+        {
+            let (role, found) = (&self.role, format!("column {name} as {said}: its name says {stated}"));
+            let expected =
+                format!("{name}={role}:{stated}, or {name}={role}:{said}*1={said} if the name is wrong");
+            return Err(header.finding(found, expected));
+        }
         let Some(stated) = units::stated(name).filter(|_| !self.unit_given && self.role.unit() != Some("1"))
         else {
             return Ok((self.clone(), None));
@@ -290,7 +252,8 @@ pub fn table(
             wanted.iter().zip(&places).map(of).collect::<Result<_, InputError>>()?
         }
     };
-    let wanted = own.as_slice();
+    let (wanted, places, clock_place) = with_one_time(own, places);
+    let wanted = wanted.as_slice();
     let (numbers, written) = numbers(from, &text, wanted, form, &places)?;
     let mut data = vec![Vec::new(); wanted.len()];
     let mut clock = Clock::of(&text, wanted, &places, reader.separator());
@@ -310,15 +273,18 @@ pub fn table(
                 None => InputError { found: format!("{} in column {}", e.found, place + 1), ..e },
             };
             let is_time = w.role == Role::Time && (w.scale[0] - 1.0 == 0.0) && w.scale[1] == 0.0;
-            if is_time && let Some(s) = clock.moment(cell.text(), data.is_empty()) {
-                if let Some(expected) = clock.set_back(cell.text(), s, data) {
+            let of_day = clock_place.filter(|_| is_time).and_then(|place| cells.get(place));
+            let moment = of_day.map_or(Cow::Borrowed(cell.text()), |clock| joined(cell.text(), clock.text()));
+            if is_time && let Some(s) = clock.moment(&moment, data.is_empty()) {
+                if let Some(expected) = clock.set_back(&moment, s, data) {
                     return Err(named(cell.finding(expected)));
                 }
                 data.push(s);
                 continue;
             }
             if is_time && clock.moments.start().is_some() {
-                let expected = clock::expected_instead(cell.text()).filter(|_| cell.text().contains('/'));
+                let expected =
+                    clock::expected_instead(cell.text()).filter(|_| clock::has_two_days(cell.text()));
                 return Err(named(cell.finding(
                     expected.unwrap_or("a time as in the rows before, 2022-08-08T13:51:37.25Z or 13:51:37"),
                 )));
@@ -329,10 +295,11 @@ pub fn table(
             })?;
             if w.role == Role::Time && w.scale[1] == 0.0 {
                 let number = clock.number(number, w, data.is_empty());
-                data.push(number.map_err(|expected| named(cell.finding(expected)))? * w.scale[0]);
+                data.push(rounded(number.map_err(|expected| named(cell.finding(expected)))? * w.scale[0]));
                 continue;
             }
-            data.push(number * w.scale[0] + w.scale[1]);
+            let is_own = w.scale[0].to_bits() == 1.0_f64.to_bits() && w.scale[1] == 0.0;
+            data.push(if is_own { number } else { rounded(number * w.scale[0] + w.scale[1]) });
         }
     }
     if data.first().is_none_or(Vec::is_empty) {
@@ -355,6 +322,24 @@ pub fn table(
         add_note(&mut record, &cut_note(line));
     }
     Ok(record)
+}
+
+/// The columns with one of the time, and the place of the second column of the
+/// time: date and time of the day may have a column each.
+fn with_one_time(
+    mut wanted: Vec<ImportColumn>,
+    mut places: Vec<usize>,
+) -> (Vec<ImportColumn>, Vec<usize>, Option<usize>) {
+    let times: Vec<usize> = (0..wanted.len()).filter(|k| wanted[*k].role == Role::Time).collect();
+    let [_, second] = *times else { return (wanted, places, None) };
+    wanted.remove(second);
+    let place = places.remove(second);
+    (wanted, places, Some(place))
+}
+
+/// A date and its time of the day, of which either may come first.
+fn joined(one: &str, other: &str) -> Cow<'static, str> {
+    Cow::Owned(if clock::is_day(one) { format!("{one} {other}") } else { format!("{other} {one}") })
 }
 
 /// A reader of the table behind its header, and the header unless it has none.
@@ -437,10 +422,11 @@ const COUNTER: f64 = 4_294_967_296.0;
 
 /// What the dates of a column show of their order; none where no cell has a slash.
 fn slash_order(text: &str, place: usize, by: char) -> Option<clock::SlashOrder> {
-    text.contains('/').then_some(())?;
+    let is_date = |cell: &str| cell.contains(['/', '-']);
+    is_date(text).then_some(())?;
     let cell =
         |line: &str| line.split(by).nth(place).map(|cell| cell.trim_matches(['"', ' ', '\r']).to_owned());
-    let cells: Vec<String> = text.lines().filter_map(cell).filter(|cell| cell.contains('/')).collect();
+    let cells: Vec<String> = text.lines().filter_map(cell).filter(|cell| is_date(cell)).collect();
     clock::slash_order(cells.iter().map(String::as_str))
 }
 
@@ -491,8 +477,8 @@ impl Clock {
     /// Parses a numeric time, or returns what was expected.
     /// It is relative to the first row if its epoch is long before the run.
     fn number(&mut self, number: f64, w: &ImportColumn, first: bool) -> Result<f64, String> {
-        let in_days = (w.scale[0] - DAY_S).abs() < 0.5;
-        let in_filetime = w.scale[0].to_bits() == FILETIME_S.to_bits();
+        let in_days = (w.scale[0] - units::DAY_S).abs() < 0.5;
+        let in_filetime = w.scale[0].to_bits() == units::FILETIME_S.to_bits();
         let counted = || match () {
             () if in_days => clock::spreadsheet(number),
             () if in_filetime => clock::filetime(number),

@@ -3,6 +3,18 @@
 use rtec_files::clock::{Counted, counted, spreadsheet_in_s};
 use rtec_model::record::{Record, Role};
 
+/// What to know of a record whose clock stands still.
+pub(super) fn stands_still(record: &Record) -> Option<String> {
+    let times = record.data(&Role::Time).filter(|times| times.len() > 2)?;
+    times.windows(2).all(|w| w[0].to_bits() == w[1].to_bits()).then(|| {
+        format!(
+            "{}: the time is the same in every row: a date whose time of the day was cut off, or too few decimals? Times are written with \
+             them, or the column is left out",
+            record.path.display()
+        )
+    })
+}
+
 /// What to know of a record whose clock counts from elsewhere than its run's start.
 pub(super) fn absolute(record: &Record) -> Option<String> {
     let times = record.data(&Role::Time)?;

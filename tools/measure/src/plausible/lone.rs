@@ -8,7 +8,7 @@
 
 use super::peaks::{LARGEST_PEAK_UM, causes, stays, ways};
 use super::stats::{median, quantum};
-use rtec_model::record::{Column, Record, Role};
+use rtec_model::record::{Column, Kind, Record, Role};
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
 /// Records of so many rows or more have a robust spread.
@@ -56,9 +56,42 @@ pub(super) fn of_response(record: &Record, c: &Column) -> Lone {
         orders.push(by_place);
     }
     let mut found = wild(&c.data, &orders, &excused, |off| is_error && off > LARGEST_PEAK_UM);
+    if found.rows.is_empty()
+        && returns_to_one_place(record)
+        && let Some((row, spread)) = apart_from_all(&c.data)
+    {
+        found = Lone { rows: vec![row], spread };
+    }
     let usual = median(c.data.clone());
     found.rows.retain(|row| !stays(&c.data, *row, c.data[*row] - usual));
     found
+}
+
+/// Nothing but time and number changes from row to row:
+/// each is the same measurement again.
+fn returns_to_one_place(record: &Record) -> bool {
+    let counts = |role: &Role| matches!(role, Role::Time | Role::Cycle) || role.is_response();
+    let changes = |c: &Column| c.data.windows(2).any(|w| w[0].to_bits() != w[1].to_bits());
+    record.kind != Kind::Drift && !record.columns.iter().any(|c| !counts(&c.role) && changes(c))
+}
+
+/// The reading that lies apart from all others of one place, by their own
+/// scatter, and that scatter. Its difference from their mean follows Student's law with two degrees less than there are readings (Grubbs,
+/// "Sample criteria for testing outlying observations", 1950).
+fn apart_from_all(v: &[f64]) -> Option<(usize, f64)> {
+    let n = v.len() as f64;
+    let law = StudentsT::new(0.0, 1.0, n - 2.0).ok()?;
+    let off = |row: usize| {
+        let rest: Vec<f64> = v.iter().enumerate().filter(|(i, _)| *i != row).map(|(_, v)| *v).collect();
+        let mean = rest.iter().sum::<f64>() / (n - 1.0);
+        let s = (rest.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / (n - 2.0)).sqrt();
+        // No gauge is better than its step.
+        let step = if quantum(&rest) > 0.0 { quantum(&rest) } else { quantum(v) };
+        let s = s.max(step / 12_f64.sqrt());
+        (row, s, (v[row] - mean).abs() / (s * (1.0 + 1.0 / (n - 1.0)).sqrt()))
+    };
+    let (row, s, size) = (0..v.len()).map(off).max_by(|a, b| a.2.total_cmp(&b.2))?;
+    (size > -law.inverse_cdf(CHANCE / 2.0 / n)).then_some((row, s))
 }
 
 /// Wild readings of one column in these orders of its rows; `excused` are those that something else may make, and none that

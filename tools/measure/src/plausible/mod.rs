@@ -47,6 +47,7 @@ pub use pieces::Pieces;
 pub(crate) use sensors::DEGC;
 pub use step::steps_of;
 
+use crate::steps;
 use rtec_files::{InputError, Said};
 use rtec_model::record::{Column, Record, Role};
 use serde::{Serialize, Serializer};
@@ -262,7 +263,9 @@ pub fn say_conditions(records: &[Record], found: &[Suspicion], say: &mut dyn FnM
     for written in records.iter().filter_map(|r| r.written.clone()) {
         say(Said::Note(written));
     }
-    for clock in records.iter().filter_map(clock::absolute) {
+    let clocks =
+        records.iter().flat_map(|r| [clock::absolute(r), clock::stands_still(r), steps::shared_time(r)]);
+    for clock in clocks.flatten() {
         say(Said::Warning(clock));
     }
 }
@@ -369,7 +372,7 @@ pub fn every_row<'r>(records: &'r [Record], doubts: &[Suspicion]) -> Cow<'r, [Re
         };
         let record = &mut usable.to_mut()[at];
         let first = record.first_row();
-        if doubt.rows.is_empty() {
+        if doubt.is_of_column() {
             record.columns.retain(|c| c.name != doubt.column);
         }
         for column in record.columns.iter_mut().filter(|c| c.name == doubt.column) {
@@ -438,7 +441,9 @@ pub fn hold_last_good(record: &mut Record, held: &mut BTreeMap<String, f64>) -> 
     let (first, rows) = (record.first_row(), record.rows());
     let mut held_rows = 0;
     for column in record.columns.iter_mut().filter(|c| is_sensor(c)) {
-        let bad = found.iter().filter(|d| d.is_not_taken() && d.column == column.name);
+        // Behind a step a prediction goes on with what is read: nothing says which level was the body's.
+        let is_bad = |d: &&Suspicion| d.is_not_taken() && d.what != What::Jump && d.column == column.name;
+        let bad = found.iter().filter(is_bad);
         let bad: BTreeSet<usize> = bad
             .flat_map(|d| if d.rows.is_empty() { (0..rows).collect() } else { d.row_list() })
             .map(|row| row.saturating_sub(first))
@@ -474,9 +479,14 @@ impl Suspicion {
 
     /// Of a sensor that did not take its reading: of these rows, or of all where there are none.
     pub(crate) fn is_not_taken(&self) -> bool {
-        let rows =
-            matches!(self.what, What::Unplugged | What::Range | What::Outliers) && !self.rows.is_empty();
-        self.is_of_sensor() && (rows || self.what == What::Unplugged)
+        self.is_of_sensor()
+            && (self.misreads_rows() || matches!(self.what, What::Unplugged | What::Stuck | What::Jump))
+    }
+
+    /// It leaves no row of its column:
+    /// all are doubted, or one of the two levels that a step parts.
+    fn is_of_column(&self) -> bool {
+        self.rows.is_empty() || self.what == What::Jump
     }
 }
 

@@ -84,7 +84,7 @@ fn one_reading(c: &Column) -> Vec<usize> {
 }
 
 /// The values with a straight line in place of those in these rows.
-fn bridged(v: &[f64], rows: &[usize]) -> Vec<f64> {
+pub(super) fn bridged(v: &[f64], rows: &[usize]) -> Vec<f64> {
     let mut out = v.to_vec();
     let is_good = |i: &usize| rows.binary_search(i).is_err();
     for row in rows {

@@ -1,6 +1,7 @@
 //! One temperature or channel beside the others of its record.
 
 use super::lone;
+use super::rows::bridged;
 use super::stats::{distinct, median, quantum, span, spread, steps};
 use super::{Suspicion, What, is_sensor};
 use rtec_model::limits::disconnected;
@@ -11,7 +12,8 @@ pub(crate) const DEGC: [f64; 2] = [-40.0, 150.0];
 
 pub(super) fn look(record: &Record, out: &mut Vec<Suspicion>) {
     let sensors: Vec<&Column> = record.columns.iter().filter(|c| c.role == Role::Temperature).collect();
-    let mut good: Vec<&Column> = Vec::new();
+    // Those that are read at least at times, with a straight line in place of what they did not read.
+    let mut read: Vec<(Column, bool)> = Vec::new();
     for c in &sensors {
         let others: Vec<&Column> = sensors.iter().filter(|o| o.name != c.name).copied().collect();
         let before = out.len();
@@ -22,14 +24,18 @@ pub(super) fn look(record: &Record, out: &mut Vec<Suspicion>) {
         if out.len() == before {
             loose(record, c, out);
         }
-        if out.len() == before {
-            good.push(c);
+        let found = &out[before..];
+        if found.iter().all(|s| s.what != What::Unit && !s.rows.is_empty()) {
+            let rows: Vec<usize> =
+                found.iter().flat_map(Suspicion::row_list).map(|row| row - record.first_row()).collect();
+            let data = bridged(&c.data, &rows);
+            read.push((Column { data, ..(*c).clone() }, found.is_empty()));
         }
     }
-    for c in &good {
-        let others: Vec<&Column> = good.iter().filter(|o| o.name != c.name).copied().collect();
-        if !jump(record, c, &others, out) {
-            wild(record, c, &others, out);
+    for (c, is_whole) in &read {
+        let others: Vec<&Column> = read.iter().map(|(o, _)| o).filter(|o| o.name != c.name).collect();
+        if !misread(record, c, &others, out) && *is_whole {
+            jump(record, c, &others, out);
         }
     }
     copies(record, out);
@@ -104,7 +110,7 @@ const STANDS: usize = 5;
 fn frozen(record: &Record, c: &Column) -> Option<(std::ops::Range<usize>, f64)> {
     let (v, time) = (&c.data, record.time_s());
     let usual_s = median(steps(time));
-    let leaps = |i: usize| (v[i] - v[i - 1]).abs() >= FAILS_K && time[i] - time[i - 1] <= 3.0 * usual_s;
+    let leaps = |i: usize| (v[i] - v[i - 1]).abs() >= FAILS_K && time[i] - time[i - 1] <= PAUSE * usual_s;
     let mut start = 1;
     while start < v.len() {
         let stands = v[start..].iter().take_while(|x| x.to_bits() == v[start].to_bits()).count();
@@ -206,7 +212,7 @@ fn jump(record: &Record, c: &Column, others: &[&Column], out: &mut Vec<Suspicion
     let near = around.map(|i| own[i].abs()).fold(0.0, f64::max);
     let time = record.time_s();
     let usual_s = median(steps(time));
-    let paused = time[at + 1] - time[at] > 3.0 * usual_s;
+    let paused = time[at + 1] - time[at] > PAUSE * usual_s;
     let alone = others.iter().all(|o| (o.data[at + 1] - o.data[at]).abs() < 0.25 * size);
     if size < 4.0 || size < 8.0 * near || size < 20.0 * spread(&own) || paused || !alone || others.is_empty()
     {
@@ -272,38 +278,146 @@ const AGAIN: f64 = 0.5;
 /// It jumps as far at other times, or spindle or coolant change there.
 fn is_switched(record: &Record, own: &[f64], at: usize) -> bool {
     let again = own.iter().enumerate().any(|(i, d)| i.abs_diff(at) > 5 && d.abs() > AGAIN * own[at].abs());
+    again || is_caused(record, at)
+}
+
+/// Whether spindle or coolant change near the step behind row `at`.
+fn is_caused(record: &Record, at: usize) -> bool {
     let changes = |c: &Column| {
         let near = at.saturating_sub(1)..(at + 3).min(c.data.len());
         c.data[near].windows(2).any(|w| w[0].to_bits() != w[1].to_bits())
     };
     let cause = |c: &&Column| matches!(c.role, Role::Coolant | Role::SpindleSpeed);
-    again || record.columns.iter().filter(cause).any(changes)
+    record.columns.iter().filter(cause).any(changes)
+}
+
+/// Readings far from those before and after, to which a body could not have gone
+/// and come back. What is found is said.
+fn misread(record: &Record, c: &Column, others: &[&Column], out: &mut Vec<Suspicion>) -> bool {
+    let mut rows = excursions(record, c, others);
+    let data = bridged(&c.data, &rows);
+    let single = wild(&Column { data, ..c.clone() }, others);
+    rows.extend(single);
+    rows.sort_unstable();
+    rows.dedup();
+    say_wild(record, c, &rows, out);
+    !rows.is_empty()
+}
+
+/// No more of a sensor's rows are misread;
+/// where more are, none of its levels is known to be the body's.
+const MISREAD_SHARE: f64 = 0.25;
+/// A bus that does not answer, or a contact that opens, is asked so many times
+/// before it is looked at.
+const FEW_READINGS: usize = 4;
+/// So many readings that are one to the last digit have none of a body's noise.
+const EQUAL_READINGS: usize = 3;
+/// Between two rows a body moves by less than so many times what it usually does.
+const LEAP_OVER_USUAL: f64 = 8.0;
+/// Rows that are so many times the usual time apart have others missing between
+/// them.
+const PAUSE: f64 = 3.0;
+
+/// Rows that a sensor leaps to and leaps back from, or that its log begins or
+/// ends with.
+///
+/// Leaps part the rows into stretches. The longest is the body's; a stretch goes on with it that begins where the last one ended. What lies
+/// between was misread, if the machine gave no cause and no other sensor saw it.
+fn excursions(record: &Record, c: &Column, others: &[&Column]) -> Vec<usize> {
+    let (v, time, n) = (&c.data, record.time_s(), c.data.len());
+    let own = steps(v);
+    let mut moves: Vec<f64> = own.iter().map(|d| d.abs()).collect();
+    moves.sort_by(f64::total_cmp);
+    if n < EXCURSION_ROWS {
+        return Vec::new();
+    }
+    let usual_s = median(steps(time));
+    let usual_k = moves[moves.len() / 2];
+    // So few rows have no robust spread.
+    let least = if n < SHORTEST { FAILS_K } else { limit_k(v).min(FAILS_K) };
+    let far = |k: f64| k.abs() >= least && k.abs() > LEAP_OVER_USUAL * usual_k;
+    let leaps = |i: usize| far(own[i - 1]) && time[i] - time[i - 1] <= PAUSE * usual_s;
+    let starts: Vec<usize> = std::iter::once(0).chain((1..n).filter(|i| leaps(*i))).chain([n]).collect();
+    let stretches: Vec<std::ops::Range<usize>> = starts.windows(2).map(|w| w[0]..w[1]).collect();
+    let Some(body) = (0..stretches.len()).max_by_key(|k| stretches[*k].len()) else { return Vec::new() };
+    // Of each stretch: whether it is the body's.
+    let mut is_body = vec![false; stretches.len()];
+    is_body[body] = true;
+    let mut end = body;
+    for k in body + 1..stretches.len() {
+        if !far(v[stretches[k].start] - v[stretches[end].end - 1]) {
+            (is_body[k], end) = (true, k);
+        }
+    }
+    let mut start = body;
+    for k in (0..body).rev() {
+        if !far(v[stretches[k].end - 1] - v[stretches[start].start]) {
+            (is_body[k], start) = (true, k);
+        }
+    }
+    let mut rows = Vec::new();
+    for run in runs_of(&is_body) {
+        let off = stretches[run.start].start..stretches[run.end - 1].end;
+        let edges: Vec<usize> = [off.start, off.end].into_iter().filter(|i| *i > 0 && *i < n).collect();
+        let equal =
+            off.len() >= EQUAL_READINGS && off.clone().all(|i| v[i].to_bits() == v[off.start].to_bits());
+        let leap_k = edges.iter().map(|i| own[i - 1].abs()).fold(f64::INFINITY, f64::min);
+        let back = edges.len() == 2;
+        let fast = leap_k >= FAILS_K || equal || back && off.len() <= FEW_READINGS;
+        let alone = |i: &usize| others.iter().all(|o| (o.data[*i] - o.data[i - 1]).abs() < 0.25 * leap_k);
+        // A body that stands still to the last digit is none, however many sensors show it.
+        let own_fault = edges.iter().all(alone) || equal && leap_k >= FAILS_K;
+        // Behind a real leap a body goes on towards where it came to.
+        let settles = |i: &usize| {
+            let behind = own.get(*i).copied().unwrap_or(0.0) * own[i - 1].signum();
+            !back && behind * LEAP_OVER_USUAL > leap_k
+        };
+        let caused = edges.iter().any(|i| is_caused(record, i - 1));
+        if fast && own_fault && !caused && !edges.iter().any(settles) {
+            rows.extend(off);
+        }
+    }
+    if rows.len() as f64 > MISREAD_SHARE * n as f64 { Vec::new() } else { rows }
+}
+
+/// Fewer rows do not tell the body from what is misread.
+const EXCURSION_ROWS: usize = 8;
+
+/// Runs of `false`.
+fn runs_of(flags: &[bool]) -> Vec<std::ops::Range<usize>> {
+    let places: Vec<usize> = (0..flags.len()).filter(|k| !flags[*k]).collect();
+    places.chunk_by(|a, b| a + 1 == *b).map(|run| run[0]..run[run.len() - 1] + 1).collect()
+}
+
+/// What each row is off the median of the five around it.
+fn off_near(v: &[f64]) -> Vec<f64> {
+    let near = |i: usize| median(v[i.saturating_sub(2)..(i + 3).min(v.len())].to_vec());
+    (0..v.len()).map(|i| v[i] - near(i)).collect()
+}
+
+/// A reading so far off its neighbours is wild, K.
+/// A body that is switched moves fast from row to row, and turns: that is no reading gone wrong.
+fn limit_k(v: &[f64]) -> f64 {
+    let mut moves: Vec<f64> = steps(v).iter().map(|d| d.abs()).collect();
+    moves.sort_by(f64::total_cmp);
+    (15.0 * spread(&off_near(v))).max(LEAST_K).max(3.0 * moves[moves.len() * 9 / 10])
 }
 
 /// Single values far from those before and after.
-fn wild(record: &Record, c: &Column, others: &[&Column], out: &mut Vec<Suspicion>) {
+fn wild(c: &Column, others: &[&Column]) -> Vec<usize> {
     let n = c.data.len();
     // A warm moment of the machine is seen by another sensor too.
     let peak = |v: &[f64], i: usize| v[i] - f64::midpoint(v[i - 1], v[i + 1]);
     let alone = |i: usize, off: f64| others.iter().all(|o| peak(&o.data, i).abs() < 0.1 * off.abs());
     if n < SHORTEST {
-        if lone::is_few(n) {
-            let honest = |i: usize, off: f64| i == 0 || i == n - 1 || off < LEAST_K || !alone(i, off);
-            let found = lone::wild(&c.data, &[vec![(0..n).collect()]], &honest, |_| false);
-            say_wild(record, c, &found.rows, out);
-        }
-        return;
+        let honest = |i: usize, off: f64| i == 0 || i == n - 1 || off < LEAST_K || !alone(i, off);
+        let found =
+            lone::is_few(n).then(|| lone::wild(&c.data, &[vec![(0..n).collect()]], &honest, |_| false));
+        return found.map_or_else(Vec::new, |found| found.rows);
     }
-    let left: Vec<f64> =
-        (0..n).map(|i| c.data[i] - median(c.data[i.saturating_sub(2)..(i + 3).min(n)].to_vec())).collect();
-    // A body that is switched moves fast from row to row, and turns: that is no reading gone wrong.
-    let mut moves: Vec<f64> = steps(&c.data).iter().map(|d| d.abs()).collect();
-    moves.sort_by(f64::total_cmp);
-    let limit = (15.0 * spread(&left)).max(LEAST_K).max(3.0 * moves[moves.len() * 9 / 10]);
+    let (left, limit) = (off_near(&c.data), limit_k(&c.data));
     let rows: Vec<usize> = (2..n - 2).filter(|i| left[*i].abs() > limit && alone(*i, left[*i])).collect();
-    if rows.len() * 10 <= n {
-        say_wild(record, c, &rows, out);
-    }
+    if rows.len() * 10 <= n { rows } else { Vec::new() }
 }
 
 /// Fewer rows have no robust spread.

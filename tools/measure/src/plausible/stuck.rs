@@ -27,11 +27,16 @@ pub(super) fn look(records: &[Record], out: &mut Vec<Suspicion>) {
         let (record, before) = (&records[k], out.len());
         let path = record.path.display().to_string();
         for c in temperatures(record) {
-            let known = |s: &Suspicion| s.record == path && s.column == c.name;
-            if out[..before].iter().any(known) {
+            let known = |s: &&Suspicion| s.record == path && s.column == c.name;
+            if out[..before].iter().filter(known).any(|s| s.rows.is_empty() || s.what == What::Jump) {
                 continue;
             }
             if let Some((start, end)) = stands_still(records, k, c) {
+                let first = record.first_row();
+                let is_there = |row: usize| (first + start..first + end).contains(&row);
+                if out[..before].iter().filter(known).any(|s| s.row_list().into_iter().any(is_there)) {
+                    continue;
+                }
                 let all = end - start == c.data.len();
                 let rows: Vec<usize> = if all { Vec::new() } else { (start..end).collect() };
                 let text = format!(

@@ -495,7 +495,7 @@ pub fn diagonals(d: &Diagonals, records: &[Record], conditions: &Conditions) -> 
 pub fn plate(p: &Plate, record: &Record, conditions: &Conditions) -> Result<Report, PlotError> {
     let mut report = Report::new("Plate of holes", std::slice::from_ref(record), conditions);
     // A scale within its own uncertainty is no temperature of the plate either.
-    if p.scale_as_aluminium_k.abs() > 2.0 * p.standard_error.scale_as_aluminium_k {
+    if p.is_scale_beyond_chance() {
         report.warnings.push(p.remark.clone());
     }
     let mut table = Table::new(

@@ -204,20 +204,28 @@ fn warming_of_an_axis_is_not_its_repeatability() {
 fn a_step_of_the_returns_is_no_drift() {
     type Curve = fn(f64) -> f64;
     let count = 30;
-    let kinds: [(&str, Curve); 4] = [
+    let kinds: [(&str, Curve); 6] = [
+        ("both", |i| 0.4 * i + if i < 12.0 { 0.0 } else { 8.0 }),
+        ("turns", |i| if i % 2.0 < 1.0 { 4.0 } else { -4.0 }),
         ("step", |i| if i < 12.0 { 0.0 } else { 8.0 }),
         ("line", |i| 0.4 * i),
         ("bend", |i| 12.0 * (1.0 - (-i / 6.0).exp())),
         ("noise", |_| 0.0),
     ];
     for (name, of) in kinds {
-        let (mut steps, mut trends) = (0, 0);
+        let (mut steps, mut trends, mut turns) = (0, 0, 0);
         for seed in 1..=100 {
             let mut dice = Dice::new(seed);
             let e: Vec<f64> = (0..count).map(|i| of(f64::from(i)) + 0.5 * dice.normal()).collect();
             let found = Returns::of(&e).unwrap();
             steps += usize::from(found.step.is_some());
             trends += usize::from(found.is_trend());
+            turns += usize::from(found.turns.is_some_and(|t| t.every == 2 || name != "turns"));
+            if let Some(slope) =
+                found.step.filter(|_| name == "both").and_then(|step| step.drift_um_per_return)
+            {
+                assert!((slope - 0.4).abs() < 0.1, "{seed}: {slope}");
+            }
             if let Some(step) = found.step.filter(|_| name == "step") {
                 assert!(step.row == 13 && (step.um - 8.0).abs() < 1.0, "{seed}: {step:?}");
                 assert!((step.s_about_step_um - 0.5).abs() < 0.3, "{seed}: {step:?}");
@@ -226,10 +234,12 @@ fn a_step_of_the_returns_is_no_drift() {
         // One of a hundred by chance, and as many again for the test of neighbours.
         let wanted = match name {
             "step" => steps >= 94,
-            "noise" => steps <= 4 && trends <= 4,
+            "noise" => steps <= 4 && trends <= 4 && turns <= 4,
+            "both" => steps >= 96,
+            "turns" => turns >= 96 && steps <= 4,
             _ => steps <= 4 && trends >= 96,
         };
-        assert!(wanted, "{name}: {steps} steps, {trends} trends");
+        assert!(wanted, "{name}: {steps} steps, {trends} trends, {turns} turns");
     }
 }
 

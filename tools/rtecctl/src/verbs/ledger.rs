@@ -10,6 +10,7 @@ use rtec_control::client::Client;
 use rtec_control::ledger::LedgerExport;
 use rtec_control::protocol::{AxisReport, ClientRequest, LedgerPage, Response};
 use rtec_driver::quadrature::State;
+use rtec_files::Columns;
 use rtec_files::trace::{RequestReader, TraceReader};
 use rtec_rt::axis::AxisConfig;
 use rtec_sim::bench::{AnyDesign, replay_any};
@@ -172,7 +173,9 @@ fn fetch(client: &mut Client, axis: &str) -> anyhow::Result<LedgerPage> {
 
 /// What the engine makes of the files.
 fn replayed(trace: &Path, requests: &Path) -> anyhow::Result<ReplayOutcome> {
-    let (trace, requests) = (TraceReader::open(trace)?.playable(), RequestReader::open(requests)?);
+    let trace = TraceReader::open(trace)?;
+    let requests = RequestReader::open_beside(requests, &Columns::default(), &trace)?;
+    let trace = trace.playable();
     let config = AxisConfig { max_correction_counts: i64::MAX, ..AxisConfig::default() };
     let (outcome, _) = replay_any(AnyDesign::C, config, trace, requests, true, |_, _: State| {})
         .map_err(|e| anyhow::anyhow!("replaying what was written: {e}"))?;

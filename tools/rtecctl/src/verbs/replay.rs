@@ -62,14 +62,12 @@ pub(crate) struct Args {
 }
 
 impl Args {
-    fn open_trace(&self) -> Result<TraceReader<File>, InputError> {
-        TraceReader::open_columns(&self.trace, &trace_columns(&self.columns)?)
-    }
-
-    fn open_requests(&self) -> Result<RequestReader<File>, InputError> {
+    fn open(&self) -> Result<(TraceReader<File>, RequestReader<File>), InputError> {
+        let trace = TraceReader::open_columns(&self.trace, &trace_columns(&self.columns)?)?;
         let columns = request_columns(&self.request_columns)
             .map_err(|e| InputError { file: Path::new("--request-columns").to_owned(), ..e })?;
-        RequestReader::open_columns(&self.requests, &columns)
+        let requests = RequestReader::open_beside(&self.requests, &columns, &trace)?;
+        Ok((trace, requests))
     }
 }
 
@@ -85,7 +83,7 @@ fn two_clocks(args: &Args) -> anyhow::Result<()> {
     if !(args.trace.is_file() && args.requests.is_file()) {
         return Ok(());
     }
-    let (mut trace, mut requests) = (args.open_trace()?, args.open_requests()?);
+    let (mut trace, mut requests) = args.open()?;
     let first = trace.next_point()?.map(|point| point.t_ns);
     // A total of 0 at 0 may stand in front on any clock.
     let last = requests.by_ref().last().transpose()?.map(|request| request.t_ns);
@@ -111,7 +109,7 @@ fn two_clocks(args: &Args) -> anyhow::Result<()> {
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let (config, large) = axis(args)?;
     let design = args.design;
-    let (trace, requests) = (args.open_trace()?, args.open_requests()?);
+    let (trace, requests) = args.open()?;
     for written in [trace.written(), requests.written()].into_iter().flatten() {
         eprintln!("note: {written}");
     }
@@ -150,6 +148,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             Err(error) => Err(error),
         }
     };
+    if let Some(sampled) = trace.trace.sampled() {
+        eprintln!("note: {sampled}");
+    }
     let mut outcome = outcome.map_err(|error| match error {
         ReplayError::Input(error) => error,
         ReplayError::Start(error) => {

@@ -94,6 +94,16 @@ impl Unit {
         Self::from_str(units::stated(column)?.unit, false).ok()
     }
 
+    const fn name(self) -> &'static str {
+        match self {
+            Self::M => "m",
+            Self::Mm => "mm",
+            Self::Um => "um",
+            Self::Nm => "nm",
+            Self::In => "in",
+        }
+    }
+
     const fn in_um(self) -> f64 {
         match self {
             Self::M => 1e6,
@@ -207,7 +217,7 @@ fn convert(input: &Path, output: &Path, columns: &[String]) -> anyhow::Result<Su
         out.write(point).with_context(|| format!("writing {}", output.display()))?;
     }
     out.file.finish().with_context(|| format!("writing {}", output.display()))?;
-    if let Some(said) = reader.said() {
+    for said in [reader.said(), reader.sampled()].into_iter().flatten() {
         eprintln!("note: {said}");
     }
     Ok(out.summary)
@@ -502,6 +512,14 @@ struct Record {
 /// Units of a time, and ns of each.
 const UNITS: [(&str, f64); 4] = [("s", 1e9), ("ms", 1e6), ("us", 1e3), ("ns", 1.0)];
 
+/// That a column's name does not state another unit than an option does.
+fn is_in(header: &Header, name: &str, unit: &str, option: &str) -> Result<(), InputError> {
+    units::contradicted(name, unit).map_or(Ok(()), |stated| {
+        let found = format!("the column {name} with {option} {unit}: its name says {stated}");
+        Err(header.finding(found, format!("{option} {stated}, or none; or another name if that is wrong")))
+    })
+}
+
 impl Record {
     fn open(args: &FromPosition, counter_bits: u32) -> Result<Self, InputError> {
         let mut rows = Reader::open(&args.input)?;
@@ -537,6 +555,7 @@ impl Record {
                 let name = header.names().nth(place).unwrap_or_default();
                 let of = |wanted: &str| UNITS.into_iter().find(|(unit, _)| *unit == wanted);
                 let unit = if let Some(unit) = &args.time_unit {
+                    is_in(&header, name, unit, "--time-unit")?;
                     of(unit)
                 } else {
                     known(name, &UNITS.map(|(unit, _)| unit), "--time-unit")?;
@@ -565,7 +584,9 @@ impl Record {
             position
         };
         let name = header.names().nth(position).unwrap_or_default();
-        if args.unit.is_none() {
+        if let Some(unit) = args.unit {
+            is_in(&header, name, unit.name(), "--unit")?;
+        } else {
             known(name, &["m", "mm", "um", "nm", "in"], "--unit")?;
         }
         let unit = args.unit.or_else(|| Unit::of(name)).unwrap_or_else(|| {
@@ -621,7 +642,8 @@ impl Record {
                     return Ok(());
                 }
                 if let Some(start) = self.moments.start() {
-                    let slashes = clock::expected_instead(cell.text()).filter(|_| cell.text().contains('/'));
+                    let slashes =
+                        clock::expected_instead(cell.text()).filter(|_| clock::has_two_days(cell.text()));
                     let expected =
                         slashes.map_or_else(|| format!("a time as in the first row, {start}"), str::to_owned);
                     return Err(cell.finding(expected));
@@ -647,7 +669,15 @@ impl Record {
                     }
                     self.start = Some((read, format!("{read}, Unix time of {day}")));
                 }
-                let start = self.start.get_or_insert_with(|| (0.0, String::new())).0;
+                // A scope's time is 0 at its trigger.
+                let start = || {
+                    if read < 0.0 {
+                        (read, format!("{read} {}, before a trigger", self.time_unit))
+                    } else {
+                        (0.0, String::new())
+                    }
+                };
+                let start = self.start.get_or_insert_with(start).0;
                 time = (read - start) * self.ns_per_unit;
             }
             if place == self.position {
@@ -830,16 +860,16 @@ mod tests {
             let (summary, written) = run_from(text, &options);
             assert_eq!(written, wants, "{text}: {:?}", summary.err());
         }
-        let text = "Time [min],X [furlong]\n0,0\n1,1\n";
-        for (options, says) in [
-            (&["--time-column", "1", "--column", "2"][..], "one of s, ms, us, ns, or --time-unit"),
-            (
-                &["--time-column", "1", "--time-unit", "s", "--column", "2"],
-                "one of m, mm, um, nm, in, or --unit",
-            ),
+        let of = |time: &str| format!("Time [{time}],X [furlong]\n0,0\n1,1\n");
+        for (time, options, says) in [
+            ("min", &[][..], "one of s, ms, us, ns, or --time-unit"),
+            ("min", &["--time-unit", "s"], "with --time-unit s: its name says min"),
+            ("s", &[], "one of m, mm, um, nm, in, or --unit"),
         ] {
-            let options: Vec<&str> = ["--count-um", "1"].iter().chain(options).copied().collect();
-            let error = run_from(text, &options).0.unwrap_err().to_string();
+            let options: Vec<&str> =
+                ["--time-column", "1", "--column", "2"].iter().chain(options).copied().collect();
+            let options: Vec<&str> = ["--count-um", "1"].iter().chain(&options).copied().collect();
+            let error = run_from(&of(time), &options).0.unwrap_err().to_string();
             assert!(error.contains(says), "{error}");
         }
     }

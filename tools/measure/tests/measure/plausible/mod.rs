@@ -5,6 +5,7 @@
 
 mod exchanged;
 mod machine;
+mod misread;
 mod pairs;
 mod quiet;
 mod units;
