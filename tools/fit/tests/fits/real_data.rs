@@ -139,7 +139,7 @@ fn real_spindle_is_predicted_from_temperatures() {
     let linear = &r.baselines["linear T0-T15"];
     println!("environment {:?}; {}", r.environment, r.rounds.last().unwrap().added);
     println!(
-        "mean block RMS {:.3} µm; T0-T15 linear {:.3}, mean {:.3}, persistence {:.3}",
+        "RMS over the blocks {:.3} µm; T0-T15 linear {:.3}, mean {:.3}, persistence {:.3}",
         r.rms_um.folds_rms,
         linear.folds_rms,
         r.baselines["mean"].folds_rms,
