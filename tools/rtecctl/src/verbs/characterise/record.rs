@@ -313,7 +313,7 @@ fn say_odd_lines(feed: &mut Feed, now_s: f64, said: &mut String) {
 fn say_lost(feed: &Feed, now_s: f64, lost: &mut bool) {
     match feed.lost() {
         Some(why) if !*lost => {
-            eprintln!("warning: at {now_s:.3} s: the feed is lost: {why}; it is tried again")
+            eprintln!("warning: at {now_s:.3} s: the feed is lost: {why}; it is tried again");
         }
         None if *lost => eprintln!("warning: at {now_s:.3} s: the feed is there again"),
         _ => {}
