@@ -6,7 +6,7 @@
 //! (`structure`). Intervals hold 95 %.
 
 use super::structure::{Structure, Told};
-use super::{ByAxis, Trace, law, round_fit};
+use super::{ByAxis, Trace, law};
 use crate::iso230::lacks;
 use nalgebra::{DMatrix, DVector};
 use rtec_files::InputError;
@@ -451,9 +451,14 @@ impl<'t> Fit<'t> {
         if !["scale_mismatch_ppm", "squareness_urad"].contains(&term.name.as_str()) {
             return [0.0; 2];
         }
-        let (value, start) = (self.value(term), self.start[trace]);
-        let points = self.traces[trace].angle.iter().zip(start..).map(|(a, row)| (*a, value[row]));
-        round_fit(&points.collect::<Vec<_>>()).map_or([0.0; 2], |[_, a, b]| [a, b])
+        // On a circle a straight law is a constant, one lobe and two.
+        let angle = &self.traces[trace].angle;
+        let of = |f: fn(f64) -> f64| angle.iter().map(|a| f(*a)).collect::<Vec<f64>>();
+        let lobes =
+            [of(|_| 1.0), of(f64::cos), of(f64::sin), of(|a| (2.0 * a).cos()), of(|a| (2.0 * a).sin())];
+        let value = self.value(term);
+        let found = rtec_least_squares::solve(&lobes, &value.as_slice()[self.start[trace]..][..angle.len()]);
+        found.map_or([0.0; 2], |f| [f.values[1], f.values[2]])
     }
 
     /// What a cause makes of the circles' shape.
