@@ -14,9 +14,9 @@ use rtec_files::date;
 use rtec_files::text::short;
 use rtec_least_squares::{Solution, equal_rows};
 use rtec_measure::steps::{Steps, is_coarse_cause, step_of};
-use rtec_model::effect::{Dictionary, Difference, Effect, Need, Search};
+use rtec_model::effect::{Dictionary, Difference, Effect, Need, Quantity, Search};
 use rtec_model::machine::{FitNote, Machine, NORMAL_95, Provenance, Source};
-use rtec_model::record::{Column, Kind, Record, Role};
+use rtec_model::record::{Axis, Column, Kind, Record, Role};
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -501,6 +501,12 @@ pub fn fit_named(
 ) -> Result<(Machine, NamedReport), InputError> {
     let usage = |found: String, expected: &str| InputError::whole(Path::new("--effects"), found, expected);
     let effects = effects_of(base, names)?;
+    if let Some(effect) = effects.iter().find(|e| records.iter().all(|r| e.acts_on(r).is_empty())) {
+        let quantity = if effect.description().quantity == Quantity::Force { "force" } else { "error" };
+        let axis = effect.axes().first().map_or("AXIS", Axis::as_str);
+        let found = format!("`{}`, and no record with a response that it acts on", effect.identity());
+        return Err(usage(found, &format!("a record with a column of role {quantity}.{axis}")));
+    }
     let count: usize = effects.iter().map(Effect::coefficient_count).sum();
     let mut problem = Problem::new(count);
     let mut roles: Vec<Role> = Vec::new();

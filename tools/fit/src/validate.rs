@@ -8,7 +8,7 @@ use rtec_measure::derive;
 use rtec_measure::plausible;
 use rtec_measure::plot::Chart;
 use rtec_measure::steps;
-use rtec_model::machine::Machine;
+use rtec_model::machine::{FitNote, Machine, Reach};
 use rtec_model::record::{Column, Record};
 use serde_json::{Value, json};
 
@@ -50,8 +50,10 @@ pub fn validate(
         }
         for (column, (_, predicted)) in record.responses().zip(&prediction.columns) {
             let widths = machine.half_widths_um(record, &column.role);
+            let no_interval = machine.stating(&Reach::of(record), &column.role).err();
             charts.push(prediction_chart(record, column, predicted, widths.as_deref()));
-            let judged = judge(machine, record, column, predicted, widths.as_deref(), say);
+            let mut judged = judge(machine, record, column, predicted, widths.as_deref(), say);
+            judged.figures["no_interval"] = json!(no_interval);
             if let Some(response) = judged.no_better {
                 no_better.push(response);
             }
@@ -114,10 +116,12 @@ fn judge(
     if let (Some(response), Some(why)) = (&no_better, why_worse(column, predicted)) {
         say(Said::Warning(format!("{response}: {why}")));
     }
+    let width_key =
+        if FitNote::unit_of(&response) == "N" { "mean_half_width_N" } else { "mean_half_width_um" };
     let figures = json!({
         "record": record.path, "response": response, "rms": after, "rms_without_model": before,
         "sd": rms(&mut column.data.iter().map(|v| v - mean)), "mean_left": zero,
-        "largest_left": left.iter().map(|v| v.abs()).fold(0.0, f64::max), "mean_half_width_um": width,
+        "largest_left": left.iter().map(|v| v.abs()).fold(0.0, f64::max), width_key: width,
         "coverage": inside, "coverage_about_mean": about_zero, "fitted_on_this_record": seen,
     });
     Judged { figures, no_better }

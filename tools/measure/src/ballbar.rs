@@ -309,13 +309,15 @@ impl Trace {
         Ok(trace)
     }
 
-    /// The angle that a contour covers.
+    /// The angle that a contour covers; not the gaps that nobody measured.
     fn turned(&self, rows: &Range<usize>) -> f64 {
         let step = |i: usize| turned_rad(self.angle[i], self.angle[i + 1]).abs();
         let steps = rows.len().saturating_sub(1);
-        let sum: f64 = (rows.start..rows.start + steps).map(step).sum();
+        let all = (rows.start..rows.start + steps).map(step);
+        let gap = MISSING_DEG.to_radians().max(2.5 * all.clone().sum::<f64>() / steps.max(1) as f64);
+        let (sum, count) = all.filter(|s| *s <= gap).fold((0.0, 0_u32), |(sum, n), s| (sum + s, n + 1));
         // The rows stand for as much on either side of them.
-        sum * (1.0 + 1.0 / steps.max(1) as f64)
+        sum * (1.0 + 1.0 / f64::from(count.max(1)))
     }
 
     /// Standard deviation of one reading, µm, by what causes leave of the radial error.
@@ -379,8 +381,15 @@ fn turned_rad(from: f64, to: f64) -> f64 {
     (to - from + PI).rem_euclid(TAU) - PI
 }
 
+/// Share of a contour's feed.
+/// A feed that differs by more is another one; an axis at less than that stands.
+const FEED_SHARE: f64 = 0.2;
+
+/// What turns by no more is a start or a stop, and no contour of its own, rad.
+const START_RAD: f64 = TAU / 20.0;
+
 /// Runs of rows in one sense of turning at one feed.
-/// Those of less than a twentieth of a turn are starts and stops.
+/// Start and stop belong to the contour that they begin and end.
 fn contours(record: &Record, angle: &[f64]) -> Vec<(Range<usize>, f64)> {
     let n = angle.len();
     // Some rows ahead and back, so that noise in the angle turns nothing round.
@@ -400,6 +409,9 @@ fn contours(record: &Record, angle: &[f64]) -> Vec<(Range<usize>, f64)> {
         Some(t) => rates(angle, t).iter().map(|r| r.abs()).collect(),
         None => vec![1.0; n],
     };
+    let turned = |rows: &Range<usize>| -> f64 {
+        rows.clone().skip(1).map(|i| turned_rad(angle[i - 1], angle[i]).abs()).sum()
+    };
     let mut found: Vec<(Range<usize>, f64)> = Vec::new();
     let mut usual = 0.0;
     for i in 0..n {
@@ -408,10 +420,16 @@ fn contours(record: &Record, angle: &[f64]) -> Vec<(Range<usize>, f64)> {
             // A feed of its own starts a contour of its own; what a start or a stop does is no feed.
             Some((rows, t)) if turn == 0.0 || (*t - turn).abs() < 0.5 => {
                 let other_feed = rows.len() > 20
-                    && (0..10).all(|k| speed.get(i + k).is_some_and(|s| (s / usual - 1.0).abs() > 0.2));
-                if other_feed {
+                    && (0..10)
+                        .all(|k| speed.get(i + k).is_some_and(|s| (s / usual - 1.0).abs() > FEED_SHARE));
+                if other_feed && turned(rows) > START_RAD {
                     found.push((i..i + 1, turn));
                     usual = speed[i];
+                } else if other_feed {
+                    // What a start has had of speed says nothing of the feed. Rows at rest before it are no part of it.
+                    let rests = |row: &usize| speed[*row] < FEED_SHARE * speed[i];
+                    rows.start = rows.clone().rev().find(rests).map_or(rows.start, |row| row + 1);
+                    (rows.end, usual) = (i + 1, speed[i]);
                 } else {
                     rows.end = i + 1;
                     usual += (speed[i] - usual) / rows.len() as f64;
@@ -421,6 +439,15 @@ fn contours(record: &Record, angle: &[f64]) -> Vec<(Range<usize>, f64)> {
                 found.push((i..i + 1, turn));
                 usual = speed[i];
             }
+        }
+    }
+    // A stop belongs to the contour that it ends, as far as the axes move.
+    for i in (1..found.len()).rev() {
+        let ((before, sense), (rows, turn)) = (&found[i - 1], &found[i]);
+        if sense * turn > 0.0 && before.end == rows.start && turned(rows) <= START_RAD {
+            let rests = |row: &usize| speed[*row] < FEED_SHARE * speed[before.end - 1];
+            found[i - 1].0.end = rows.clone().find(rests).unwrap_or(rows.end);
+            found.remove(i);
         }
     }
     // Near a turning point the sense is either.
@@ -433,10 +460,7 @@ fn contours(record: &Record, angle: &[f64]) -> Vec<(Range<usize>, f64)> {
             found[i].0.start += look;
         }
     }
-    let turned = |rows: &Range<usize>| -> f64 {
-        rows.clone().skip(1).map(|i| turned_rad(angle[i - 1], angle[i]).abs()).sum()
-    };
-    found.retain(|(rows, turn)| *turn != 0.0 && rows.len() > 4 && turned(rows) > TAU / 20.0);
+    found.retain(|(rows, turn)| *turn != 0.0 && rows.len() > 4 && turned(rows) > START_RAD);
     found
 }
 

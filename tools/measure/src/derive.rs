@@ -12,7 +12,7 @@ use rtec_model::record::{Axis, Column, Kind, Record, Role};
 use std::ops::Range;
 
 /// Rows that a window needs: a cubic, and one more for the noise.
-const FEWEST: usize = 5;
+pub(crate) const FEWEST: usize = 5;
 /// Rows of the first window on each side.
 const FIRST: usize = 3;
 /// Rows by which the windows are judged: evenly spread, enough for a mean.
@@ -173,15 +173,20 @@ pub(crate) fn noise(t: &[f64], p: &[f64], runs: &[Range<usize>]) -> f64 {
             if t.windows(2).any(|w| w[1] <= w[0]) || p[4] - p[0] == 0.0 {
                 continue;
             }
-            // Divided differences of fourth order vanish for a cubic.
-            let of = |i: usize| (0..FEWEST).filter(|j| *j != i).map(|j| t[i] - t[j]).product::<f64>().recip();
-            let (value, square) =
-                (0..FEWEST).fold((0.0, 0.0), |(v, s), i| (v + of(i) * p[i], s + of(i) * of(i)));
-            left.push(value.abs() / square.sqrt());
+            left.push(beyond_cubic(t, p).abs());
         }
     }
     // 0.6745: the median of the absolute value of a standard normal deviate.
     median(left.into_iter()) / 0.6745
+}
+
+/// What five values have beyond a cubic over rising times, in their unit.
+/// Its standard deviation is that of white noise in the values.
+pub(crate) fn beyond_cubic(t: &[f64], p: &[f64]) -> f64 {
+    // Divided differences of fourth order vanish for a cubic.
+    let of = |i: usize| (0..FEWEST).filter(|j| *j != i).map(|j| t[i] - t[j]).product::<f64>().recip();
+    let (value, square) = (0..FEWEST).fold((0.0, 0.0), |(v, s), i| (v + of(i) * p[i], s + of(i) * of(i)));
+    value / square.sqrt()
 }
 
 /// One axis' positions over time.

@@ -128,7 +128,7 @@ pub fn sequence(axes: &[PlanAxis], max_rpm: f64, ball_radius_mm: Option<f64>) ->
               return, read"
             .to_owned(),
         columns: [words(&["time", "cycle"]), errors.clone()].concat(),
-        evaluate: "repeatability: standard deviation and range per axis",
+        evaluate: "--standard repeatability: standard deviation and range per axis",
         minutes: 30.0,
     });
     steps.extend(spindle(axes, &errors, max_rpm));
@@ -174,12 +174,16 @@ fn contouring(axes: &[PlanAxis], radius_mm: f64) -> Vec<Step> {
     steps
 }
 
-/// So many targets over a length, mm, unequally far apart, so that the screw's period does not hide behind a pitch that is a
-/// whole number of leads (ISO 230-2:2014, 5.3.1).
+/// So many targets over a length, mm, to the micrometre.
+/// No two are as far apart as two others (ISO 230-2:2014, 5.3.1). An irrational number's multiples by squares place them within their distances (Weyl 1916). Multiples by whole numbers would give three
+/// distances, and a period that fits all three. Eleven targets tell periods from about 0.5 mm on.
 fn targets(from_mm: f64, length_mm: f64, count: usize) -> Vec<f64> {
     let step = length_mm / (count - 1) as f64;
-    let off = |k: usize| 0.07 * step * ((k * 3 % 5) as f64 - 2.0) * f64::from(!k.is_multiple_of(count - 1));
-    (0..count).map(|k| from_mm + k as f64 * step + off(k)).collect()
+    let off = |k: usize| {
+        let inner = f64::from(!k.is_multiple_of(count - 1));
+        UNEVEN * step * (2.0 * ((k * k) as f64 * std::f64::consts::PI).fract() - 1.0) * inner
+    };
+    (0..count).map(|k| (1e3 * (from_mm + k as f64 * step + off(k))).round() / 1e3).collect()
 }
 
 /// A run over targets at uneven distances, both ways.
@@ -198,23 +202,16 @@ const MINUTES_EACH: f64 = 0.36;
 /// Time to warm a machine by some kelvin, min.
 const WARMING_MIN: f64 = 60.0;
 /// So far may a target be off the even distance, in distances.
-/// No two of any number are then at one place of a wave.
-const UNEVEN: f64 = 0.3;
+/// Two neighbours are then a fifth of the even distance apart at least.
+const UNEVEN: f64 = 0.4;
 
 impl TargetRun {
     /// So many targets over an axis.
-    /// The golden ratio places them within their distances, so that no period fits all of them.
     #[must_use]
     pub fn uneven(axis: &PlanAxis, count: usize, cycles: usize, warmer_k: Option<f64>) -> Self {
         let margin_mm = margin_mm(axis);
-        let step = (axis.travel_mm - 2.0 * margin_mm) / (count - 1) as f64;
-        let golden = 0.5 * (5f64.sqrt() - 1.0);
-        let off = |k: usize| {
-            let inner = f64::from(!k.is_multiple_of(count - 1));
-            UNEVEN * step * (2.0 * (k as f64 * golden).fract() - 1.0) * inner
-        };
-        let place = |k: usize| (100.0 * (margin_mm + k as f64 * step + off(k))).round() / 100.0;
-        Self { targets_mm: (0..count).map(place).collect(), cycles, warmer_k }
+        let targets_mm = targets(margin_mm, axis.travel_mm - 2.0 * margin_mm, count);
+        Self { targets_mm, cycles, warmer_k }
     }
 
     /// Every reading in its order.
@@ -246,7 +243,7 @@ impl TargetRun {
 #[must_use]
 pub fn target_run(record: &str, axis: &PlanAxis, response: &str, run: &TargetRun) -> Step {
     let n = &axis.name;
-    let targets: Vec<String> = run.targets_mm.iter().map(|t| format!("{t:.2}")).collect();
+    let targets: Vec<String> = run.targets_mm.iter().map(|t| format!("{t:.3}")).collect();
     let warm = run.warmer_k.map_or_else(String::new, |k| {
         format!("; then warm the machine by about {k:.0} K with strokes and spindle, and the same once more")
     });
@@ -307,7 +304,7 @@ fn displacement(axis: &PlanAxis) -> Vec<Step> {
 
 fn line(axis: &PlanAxis, of: &str, targets_mm: &[f64], cycles: usize) -> Step {
     let n = &axis.name;
-    let words_of: Vec<String> = targets_mm.iter().map(|t| format!("{t:.2}")).collect();
+    let words_of: Vec<String> = targets_mm.iter().map(|t| format!("{t:.3}")).collect();
     let (position, direction, error) =
         (format!("position.{n}"), format!("direction.{n}"), format!("error.{n}"));
     let evaluate = if cycles == 1 {
@@ -342,7 +339,7 @@ fn straight(axis: &PlanAxis, across: &PlanAxis) -> Step {
     let length_mm = axis.travel_mm - 2.0 * margin_mm;
     let places: Vec<String> = targets(margin_mm, length_mm, fewest_targets(length_mm).max(11))
         .iter()
-        .map(|t| format!("{t:.2}"))
+        .map(|t| format!("{t:.3}"))
         .collect();
     Step {
         number: 0,
@@ -366,7 +363,7 @@ fn straight(axis: &PlanAxis, across: &PlanAxis) -> Step {
             &format!("error.{b}"),
             TEMPERATURES,
         ]),
-        evaluate: "straightness about the least-squares line (ISO 230-1 EYX is the record and effect y_x: error of Y while X moves); squareness where the straightedge was squared",
+        evaluate: "straightness about the least-squares line (the effect straightness.y.x is EYX of ISO 230-1: error of Y while X moves); squareness where the straightedge was squared",
         minutes: MINUTES_EACH * (places.len() * 2 * 3) as f64,
     }
 }
@@ -416,7 +413,8 @@ fn spindle(axes: &[PlanAxis], errors: &[String], max_rpm: f64) -> Vec<Step> {
         state,
         mount:
             "mandrel in the spindle, five gauges on the table: two radial pairs 100 mm apart and one axial; errors are \
-             those of the near gauges, a tilt is far minus near over 100 mm, 10 µrad for each µm"
+             those of the gauges at the nose; angle_error.s.b is the X gauge at the higher Z minus that at the lower, angle_error.s.a the \
+             Y gauge at the lower Z minus that at the higher: 10 µrad for each µm over 100 mm"
                 .to_owned(),
         run,
         columns: columns.clone(),
@@ -496,6 +494,31 @@ mod tests {
             "{}",
             steps[18].run
         );
+    }
+
+    /// A screw's wave of any period is seen at many phases.
+    #[test]
+    fn no_period_of_a_screw_fits_the_targets() {
+        for travel_mm in [200.0, 400.0, 500.0, 600.0, 800.0, 1200.0] {
+            let axis = PlanAxis { name: "x".into(), travel_mm };
+            for count in [11, 13, 21, 41, 81] {
+                let run = TargetRun::uneven(&axis, count, 2, None);
+                let per_mm =
+                    (0..).map(|k| 1.0 / 60.0 + f64::from(k) * 0.1 / travel_mm).take_while(|f| *f <= 2.0);
+                let worst = per_mm.map(|f| {
+                    let (c, s) = run.targets_mm.iter().fold((0.0, 0.0), |(c, s), p| {
+                        let phase = std::f64::consts::TAU * f * p;
+                        (c + phase.cos(), s + phase.sin())
+                    });
+                    f64::hypot(c, s) / count as f64
+                });
+                let worst = worst.fold(0.0, f64::max);
+                assert!(worst < 0.9, "{count} targets on {travel_mm} mm: {worst}");
+                let apart = run.targets_mm.windows(2).map(|w| w[1] - w[0]);
+                let least = apart.fold(f64::MAX, f64::min) * (count - 1) as f64 / travel_mm;
+                assert!(least > 0.15, "{count} targets on {travel_mm} mm: {least}");
+            }
+        }
     }
 
     /// ISO 230-2:2014, 5.3.

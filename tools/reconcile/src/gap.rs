@@ -50,7 +50,11 @@ impl Gap {
     /// 1 means closed down to the floor.
     #[must_use]
     pub fn closed(&self) -> Option<f64> {
-        let [before, after] = self.judged_on().0;
+        self.closed_by(self.judged_on().0)
+    }
+
+    /// The same share from one RMS to another.
+    pub(crate) fn closed_by(&self, [before, after]: [f64; 2]) -> Option<f64> {
         (before > self.floor && !self.doubted).then(|| ((before - after) / (before - self.floor)).max(0.0))
     }
 
@@ -265,6 +269,12 @@ mod tests {
         assert_eq!(gap([5.0, 1.0], Some([5.0, 3.0]), Some([5.0, 5.0]), 1.0).closed(), Some(0.5));
         assert_eq!(gap([5.0, 1.0], None, Some([5.0, 5.0]), 1.0).closed(), Some(0.0));
         assert_eq!(gap([1.0, 0.9], None, None, 1.0).closed(), None, "nothing to close");
+        // Each line of a report has its own share, whatever the gap is judged on.
+        let both = gap([5.0, 1.0], Some([5.0, 1.0]), Some([5.0, 3.0]), 1.0);
+        assert_eq!(
+            [both.holdout, both.blocked].map(|pair| both.closed_by(pair.unwrap())),
+            [Some(1.0), Some(0.5)]
+        );
     }
 
     #[test]

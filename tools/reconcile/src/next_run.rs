@@ -3,7 +3,7 @@
 //! records.
 //!
 //! Log odds of a run are half of that residual, in noise variances (the likelihood ratio of normal noise). Noise spreads them by √(2·odds).
-//! A run suffices if the name still holds its place at two such standard deviations less.
+//! A run suffices if the name still holds its place at two such standard deviations less, whichever of the explanations is the machine's.
 
 use rtec_estimate::Rival;
 use rtec_estimate::priors::HELD;
@@ -155,10 +155,15 @@ pub fn next_runs(open: &[Open], machine: &Machine, axes: &[PlanAxis]) -> NextRun
             out.tells.extend(rivals.iter().map(|(r, e)| not_told(o, r, e.as_ref())));
             continue;
         };
+        // Any of the explanations may be the machine's: a rival of the same law as well as the one that was found.
+        let others = rivals.iter().filter(|(r, _)| r.differs.is_some()).filter_map(|(_, e)| e.as_ref());
+        let truths: Vec<&Effect> = std::iter::once(&o.effect).chain(others).collect();
         let odds = |run: &TargetRun| -> Vec<f64> {
-            let all = Simulated::of(run, axis, o, machine);
+            let all: Vec<_> = truths.iter().map(|t| (*t, Simulated::of(run, axis, o, t, machine))).collect();
             let of = |(r, e): &(&Rival, Option<Effect>)| {
-                e.as_ref().map_or(0.0, |e| all.log_odds(e, r.differs.is_some()))
+                let Some(rival) = e.as_ref() else { return 0.0 };
+                let others = all.iter().filter(|(truth, _)| !std::ptr::eq(*truth, rival));
+                others.map(|(_, run)| run.log_odds(rival, r.differs.is_some())).fold(f64::INFINITY, f64::min)
             };
             rivals.iter().map(of).collect()
         };
@@ -252,7 +257,7 @@ struct Simulated {
 }
 
 impl Simulated {
-    fn of(run: &TargetRun, axis: &PlanAxis, open: &Open, machine: &Machine) -> Self {
+    fn of(run: &TargetRun, axis: &PlanAxis, open: &Open, truth: &Effect, machine: &Machine) -> Self {
         let model: Vec<Effect> = machine.effects().cloned().collect();
         let rivals = open.rivals.iter().filter_map(|r| r.sensor.as_ref());
         let known = model.iter().chain([&open.effect]).filter_map(|e| e.delta.as_ref());
@@ -264,7 +269,7 @@ impl Simulated {
         let records = records.map(|mut r| {
             let one = [r.clone()];
             let rows = Rows::new(&one);
-            let mut says = rows.predict(&open.effect);
+            let mut says = rows.predict(truth);
             for e in &model {
                 rtec_least_squares::add(&mut says, 1.0, &rows.predict(e));
             }

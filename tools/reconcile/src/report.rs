@@ -381,8 +381,9 @@ fn headline(r: &Reconciliation) -> String {
 fn gap(h: &mut String, r: &Reconciliation) {
     h.push_str("<h2>The gap</h2><table><tr><th>records<th class=n>RMS before<th class=n>after<th class=n>floor<th class=n>closed");
     for g in &r.gap {
-        let closed = g.closed().map_or_else(|| "–".to_owned(), |c| format!("{:.1} %", 100.0 * c));
-        let mut row = |name: &str, pair: [f64; 2], closed: &str| {
+        let mut row = |name: &str, pair: [f64; 2], unseen: bool| {
+            let share = g.closed_by(pair).map_or_else(|| "–".to_owned(), |c| format!("{:.1} %", 100.0 * c));
+            let closed = if unseen { share } else { String::new() };
             let _ = write!(
                 h,
                 "<tr><td>{name}<td class=n>{} {u}<td class=n>{} {u}<td class=n>{} {u}<td class=n>{closed}",
@@ -392,12 +393,12 @@ fn gap(h: &mut String, r: &Reconciliation) {
                 u = if g.unit == "um" { "µm" } else { &g.unit }
             );
         };
-        row("training", g.train, "");
+        row("training", g.train, false);
         if let Some(p) = g.holdout {
-            row("hold-out, never used before", p, &closed);
+            row("hold-out, never used before", p, true);
         }
         if let Some(p) = g.blocked {
-            row("training, blocks left out in turn", p, &closed);
+            row("training, blocks left out in turn", p, true);
         }
     }
     h.push_str("</table>");

@@ -25,8 +25,11 @@ pub struct Feed {
     trouble: String,
     /// The time of each key's last value, and the last unreadable line since then.
     came: BTreeMap<String, (f64, Option<String>)>,
-    /// The last line that could not be read, until somebody asks.
-    odd: Option<String>,
+    /// The lines that could not be read, until somebody asks.
+    /// No more than [`ODD_LINES`] of them.
+    odd: Vec<String>,
+    /// Lines that could not be read, of all.
+    refused: u64,
     /// When it was connected, and when anything came last, s.
     connected_at: f64,
     bytes_at: f64,
@@ -44,6 +47,8 @@ const KEYS: usize = 256;
 /// The most that one poll reads, bytes.
 /// A poll comes every few tens of milliseconds, and a sensor's line has some tens of bytes.
 const MOST: usize = 256 << 10;
+/// Lines that could not be read and are kept in their words.
+const ODD_LINES: usize = 16;
 /// A line that is longer is no sensor's, bytes.
 const LONGEST_LINE: usize = 4096;
 
@@ -73,7 +78,8 @@ impl Feed {
             values: BTreeMap::new(),
             trouble: "not connected yet".to_owned(),
             came: BTreeMap::new(),
-            odd: None,
+            odd: Vec::new(),
+            refused: 0,
             connected_at: f64::NEG_INFINITY,
             bytes_at: f64::NEG_INFINITY,
             idle_s: IDLE_S,
@@ -141,9 +147,29 @@ impl Feed {
         }
     }
 
-    /// The last line that could not be read since this was asked last, in words.
-    pub fn odd_line(&mut self) -> Option<String> {
-        self.odd.take()
+    /// The lines that could not be read since this was asked last, in words.
+    pub fn odd_lines(&mut self) -> Vec<String> {
+        std::mem::take(&mut self.odd)
+    }
+
+    /// How many lines could not be read.
+    #[must_use]
+    pub fn refused(&self) -> u64 {
+        self.refused
+    }
+
+    /// Why a connection that was there is gone.
+    /// `None` while it is there or has never been.
+    #[must_use]
+    pub fn lost(&self) -> Option<&str> {
+        (self.stream.is_none() && self.connected_at.is_finite()).then_some(self.trouble.as_str())
+    }
+
+    fn refuse(&mut self, odd: String) {
+        self.refused += 1;
+        if self.odd.len() < ODD_LINES {
+            self.odd.push(odd);
+        }
     }
 
     /// Takes in what has come; values are taken once, so that silence shows.
@@ -223,8 +249,10 @@ impl Feed {
         while let Some(end) = self.partial[begin..].iter().position(|b| *b == b'\n') {
             let line = String::from_utf8_lossy(&self.partial[begin..begin + end]).into_owned();
             begin += end + 1;
+            let odd = || format!("{} is no line NAME VALUE", quoted(line.trim()));
             let mut words = line.trim().splitn(2, ['=', ' ', '\t', ',']);
-            if let (Some(key), Some(value)) = (words.next(), words.next()) {
+            let (key, value) = (words.next().unwrap_or_default(), words.next());
+            if let Some(value) = value {
                 let key = key.trim();
                 let read = self.keys.as_ref().is_none_or(|keys| keys.contains(key));
                 if !read || !self.came.contains_key(key) && self.came.len() >= KEYS {
@@ -236,17 +264,18 @@ impl Feed {
                     self.values.insert(key.to_owned(), v);
                     *came = (self.now_s, None);
                 } else {
-                    let odd = format!("{} is no line NAME VALUE", quoted(line.trim()));
-                    came.1 = Some(odd.clone());
-                    self.odd = Some(odd);
+                    came.1 = Some(odd());
+                    self.refuse(odd());
                 }
+            } else if !key.is_empty() {
+                self.refuse(odd());
             }
         }
         self.partial.drain(..begin);
         // A feed that never ends its line is no feed.
         if self.partial.len() > LONGEST_LINE {
             self.partial.clear();
-            self.odd = Some(format!("a line longer than {LONGEST_LINE} bytes"));
+            self.refuse(format!("a line longer than {LONGEST_LINE} bytes"));
         }
     }
 }
@@ -300,8 +329,8 @@ mod tests {
         until(&mut feed, &|f| f.values.contains_key("T1"));
         assert_eq!(feed.values.len(), 1, "keys that nobody reads are not kept");
         peer.write_all(&[b'x'; LONGEST_LINE + 1]).unwrap();
-        until(&mut feed, &|f| f.odd.as_ref().is_some_and(|odd| odd.contains("longer than")));
-        assert!(feed.partial.len() <= LONGEST_LINE);
+        until(&mut feed, &|f| f.odd.iter().any(|odd| odd.contains("longer than")));
+        assert!(feed.partial.len() <= LONGEST_LINE && feed.odd.len() <= ODD_LINES);
         // Without a pause: every poll ends, and soon the feed is given up.
         let flood = std::thread::spawn(move || while peer.write_all(&[b'\n'; 4096]).is_ok() {});
         until(&mut feed, &|f| f.trouble.contains("between two looks"));

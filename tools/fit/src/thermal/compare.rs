@@ -5,7 +5,7 @@ use super::problem::Problem;
 use super::report::{DryWet, Rms};
 use super::rows::{Rows, wet};
 use super::term::Term;
-use crate::statistics::{mean, rms};
+use crate::statistics::{mean, mean_square, rms};
 use rtec_files::InputError;
 use rtec_model::machine::Machine;
 use rtec_model::record::{Record, Role};
@@ -35,7 +35,7 @@ pub(super) fn baselines(
             out.push(own.rms(&c, &|_| true));
         }
         let train = rows.rms(&c, &|_| true);
-        found.insert(name, Rms { train, folds_mean: mean(&folds), folds, holdout: out });
+        found.insert(name, Rms { train, folds_rms: mean_square(&folds).sqrt(), folds, holdout: out });
         Ok(())
     };
     judge("mean".to_owned(), &[])?;
@@ -58,7 +58,7 @@ pub(super) fn baselines(
         "persistence".to_owned(),
         Rms {
             train: rms(all.iter().copied()),
-            folds_mean: mean(&folds),
+            folds_rms: mean_square(&folds).sqrt(),
             folds,
             holdout: holdout.iter().map(|r| rms(steps(r).iter().copied())).collect(),
         },

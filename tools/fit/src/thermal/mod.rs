@@ -44,7 +44,7 @@ pub(crate) use jackknife::{Intervals, jackknife_interval};
 pub use report::{Dropped, DryWet, Estimate, Fitted, Interval, Ranked, Report, Rms, Round};
 pub use select::{REDUNDANT, ROUNDS};
 
-use crate::statistics::{mean, mean_square};
+use crate::statistics::mean_square;
 use compare::{baselines, dry_wet, judge_holdouts};
 use effects::effects;
 use interval::{Watched, halves, mean_only, nested};
@@ -224,7 +224,7 @@ fn fit_response(
         response: response.to_string(),
         date: date::format(options.date),
         valid_until: date::format(options.date + options.valid_days),
-        rms_um: mean(&blocks.folds),
+        rms_um: blocks.mean_square().sqrt(),
         half_width_um: half_width_um.max(1e-9),
         valid: Watched::new(&problem, train, response)?.ranges(&problem, &|_| true),
         at_mm: None,
@@ -264,7 +264,7 @@ fn fit_response(
         effects: fitted,
         rms_um: Rms {
             train: rows.rms(&coefficients, &|_| true),
-            folds_mean: mean(&blocks.folds),
+            folds_rms: blocks.mean_square().sqrt(),
             folds: blocks.folds,
             holdout: later.rms,
         },
@@ -431,7 +431,7 @@ mod tests {
         let rms = |folds: &[f64]| Rms {
             train: 1.0,
             folds: folds.to_vec(),
-            folds_mean: mean(folds),
+            folds_rms: mean_square(folds).sqrt(),
             holdout: Vec::new(),
         };
         let baselines = |line: &[f64]| {

@@ -107,8 +107,8 @@ pub struct Rms {
     pub train: f64,
     /// On every block, structure and parameters chosen without it.
     pub folds: Vec<f64>,
-    /// Their mean.
-    pub folds_mean: f64,
+    /// Over all blocks, each as heavy.
+    pub folds_rms: f64,
     /// On every hold-out.
     pub holdout: Vec<f64>,
 }

@@ -85,3 +85,14 @@ fn a_wave_or_a_bend_that_is_left_is_said_and_held_by_the_intervals() {
         assert!(said_of.contains(&warned), "{name}: {warned}");
     }
 }
+
+/// An effect whose response no record has is refused for that reason.
+#[test]
+fn an_effect_without_its_response_is_refused_by_name() {
+    let record = run(&mut Dice(1), [10.0, 2.0], 0.1, |_, _| 0.0);
+    for (effect, role) in [("inertia.x", "force.x"), ("scale.y", "error.y")] {
+        let fitted = fit_named(&Machine::ideal("m"), &[effect.to_owned()], &[&record], "2026-05-01", 365);
+        let said = fitted.unwrap_err().to_string();
+        assert!(said.contains("no record with a response") && said.contains(role), "{said}");
+    }
+}

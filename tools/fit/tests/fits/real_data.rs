@@ -139,11 +139,11 @@ fn real_spindle_is_predicted_from_temperatures() {
     let linear = &r.baselines["linear T0-T15"];
     println!("environment {:?}; {}", r.environment, r.rounds.last().unwrap().added);
     println!(
-        "mean block RMS {:.3} µm; T0-T15 linear {:.3}, mean {:.3}, persistence {:.3}",
-        r.rms_um.folds_mean,
-        linear.folds_mean,
-        r.baselines["mean"].folds_mean,
-        r.baselines["persistence"].folds_mean
+        "RMS over the blocks {:.3} µm; T0-T15 linear {:.3}, mean {:.3}, persistence {:.3}",
+        r.rms_um.folds_rms,
+        linear.folds_rms,
+        r.baselines["mean"].folds_rms,
+        r.baselines["persistence"].folds_rms
     );
     println!(
         "95 % interval ±{:.2} µm holds {:.1} %",
@@ -151,7 +151,7 @@ fn real_spindle_is_predicted_from_temperatures() {
         100.0 * r.interval95.coverage_folds
     );
     assert_eq!(r.environment.as_deref(), Some("T15"));
-    assert!(r.rms_um.folds_mean < 0.25 * linear.folds_mean);
+    assert!(r.rms_um.folds_rms < 0.25 * linear.folds_rms);
     assert!((0.90..=0.99).contains(&r.interval95.coverage_folds));
     // Physics: growth follows warmth, later.
     let growth = machine.effects().find(|e| e.description().name == "thermal_lag").unwrap();

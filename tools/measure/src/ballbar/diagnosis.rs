@@ -445,6 +445,34 @@ impl<'t> Fit<'t> {
         sum
     }
 
+    /// Shift of a record's circle by a straight law, µm.
+    /// Its value at the centre is not zero away from the machine's zero. It is the set-up's as well: no shape of the circle.
+    fn shift(&self, term: &Term, trace: usize) -> [f64; 2] {
+        if !["scale_mismatch_ppm", "squareness_urad"].contains(&term.name.as_str()) {
+            return [0.0; 2];
+        }
+        // On a circle a straight law is a constant, one lobe and two.
+        let angle = &self.traces[trace].angle;
+        let of = |f: fn(f64) -> f64| angle.iter().map(|a| f(*a)).collect::<Vec<f64>>();
+        let lobes =
+            [of(|_| 1.0), of(f64::cos), of(f64::sin), of(|a| (2.0 * a).cos()), of(|a| (2.0 * a).sin())];
+        let value = self.value(term);
+        let found = rtec_least_squares::solve(&lobes, &value.as_slice()[self.start[trace]..][..angle.len()]);
+        found.map_or([0.0; 2], |f| [f.values[1], f.values[2]])
+    }
+
+    /// What a cause makes of the circles' shape.
+    fn shape(&self, term: &Term) -> DVector<f64> {
+        let mut out = self.value(term);
+        for (k, (trace, start)) in self.traces.iter().zip(&self.start).enumerate() {
+            let [a, b] = self.shift(term, k);
+            for (angle, row) in trace.angle.iter().zip(*start..) {
+                out[row] -= a * angle.cos() + b * angle.sin();
+            }
+        }
+        out
+    }
+
     pub(super) fn value(&self, term: &Term) -> DVector<f64> {
         let mut out = DVector::zeros(self.n);
         for (effect, weight) in &term.parts {
@@ -711,7 +739,7 @@ impl<'t> Fit<'t> {
                 || (searched && !told.contains(&t.name))
                 || !self.separates(&t.name);
             if !fitted_only {
-                let shape = self.value(t);
+                let shape = self.shape(t);
                 let um = shape.max() - shape.min();
                 if t.name == TOGETHER {
                     let share = values.get(&t.name).map_or(0.0, |(v, half)| half / v.abs());
@@ -723,12 +751,25 @@ impl<'t> Fit<'t> {
                 contributions.push(Contribution { cause: cause(&t.name), um, percent: 0.0 });
             }
         }
+        if self.unexplained_um(shown).is_some() {
+            let form = self.left() - self.noise();
+            let cause = "not explained, the same both ways".to_owned();
+            contributions.push(Contribution { cause, um: form.max() - form.min(), percent: 0.0 });
+        }
         contributions.sort_by(|a, b| b.um.total_cmp(&a.um));
         let sum: f64 = contributions.iter().map(|c| c.um).sum();
         for c in &mut contributions {
             c.percent = 100.0 * c.um / sum.max(f64::MIN_POSITIVE);
         }
         (values, contributions, not_separable)
+    }
+
+    /// RMS of what no cause explains and both ways show, µm.
+    /// `None` if it does not stand out from the noise.
+    fn unexplained_um(&self, shown: &Shown) -> Option<f64> {
+        // One way round reversals are among it.
+        let beside = shown.beside.filter(|_| self.structure.both_ways);
+        beside.map(|t| t.rms_um).filter(|um| *um > SHOWS * self.rms(&self.noise()))
     }
 
     fn answer(&self, axes: [&Axis; 2], told: &[String], shown: &Shown) -> Diagnosis {
@@ -751,12 +792,7 @@ impl<'t> Fit<'t> {
             let at = |p: &str| get(&format!("cyclic.{a}.{p}"));
             Some((a.clone(), Cyclic { period_mm: at("period_mm")?, um: at("um")? }))
         });
-        // One way round reversals are among it.
-        let unexplained_um = shown
-            .beside
-            .filter(|_| self.structure.both_ways)
-            .map(|t| t.rms_um)
-            .filter(|um| *um > SHOWS * self.rms(&self.noise()));
+        let unexplained_um = self.unexplained_um(shown);
         let (cyclic, form): (Vec<_>, Vec<_>) = cyclic.partition(|(a, c)| {
             let half_mm = values.get(&format!("cyclic.{a}.period_mm")).map_or(0.0, |v| v.1);
             // A wave of less power than the map or bend beside it may be a part of that, whatever its period.
@@ -768,15 +804,20 @@ impl<'t> Fit<'t> {
                 c.cause = format!("form that repeats {axis}");
             }
         }
+        // With what straight laws shift the circle, as the contours have it.
+        let circle_of = |k: usize| {
+            let moved = self.terms.iter().map(|t| if k > 0 { self.shift(t, 0)[k - 1] } else { 0.0 });
+            self.circle[0][k] + moved.sum::<f64>()
+        };
         // One way round reversals pass for set-up: that is the circle's.
         let set_up = |name: &str, k: usize| {
-            let circle = self.circle[0][k];
+            let circle = if self.structure.both_ways { circle_of(k) } else { self.circle[0][k] };
             if self.structure.both_ways { get(name).map(|v| v + circle) } else { Some(circle) }
         };
         let circle = |name: &str| match name {
-            "radius.0" => self.circle[0][0],
-            "centre.0.0" => self.circle[0][1],
-            "centre.1.0" => self.circle[0][2],
+            "radius.0" => circle_of(0),
+            "centre.0.0" => circle_of(1),
+            "centre.1.0" => circle_of(2),
             _ => 0.0,
         };
         let stands = |name: &str| {

@@ -56,7 +56,8 @@ pub fn rtl(from: &Path, text: &str, axis: &Axis, to: &Path) -> Result<Record, In
     let value = |section: &Section<'_>, key: &str| {
         let found = section.lines.iter().find_map(|(n, l)| {
             let (k, v) = l.split_once(':')?;
-            k.trim().eq_ignore_ascii_case(key).then(|| (*n, v.trim().to_owned()))
+            let plain = |key: &str| key.trim().replace('-', " ").to_ascii_lowercase();
+            (plain(k) == plain(key)).then(|| (*n, v.trim().to_owned()))
         });
         found.ok_or_else(|| {
             InputError::whole(from, format!("no `{key}:` in {}::", section.name), format!("`{key}: …`"))
@@ -104,9 +105,21 @@ pub fn rtl(from: &Path, text: &str, axis: &Axis, to: &Path) -> Result<Record, In
     if let Ok(user) = section("USER-TEXT") {
         for key in ["Machine", "Serial No", "Date", "By", "Axis", "Location", "TITLE"] {
             // Free text: whatever it says, it is a note.
-            if let Ok((_, text)) = value(user, key)
-                && !text.is_empty()
-            {
+            let Ok((line, text)) = value(user, key) else { continue };
+            let own = text.split(|c: char| !c.is_alphanumeric()).next().unwrap_or_default();
+            if key == "Axis" && own.len() == 1 && !own.eq_ignore_ascii_case(axis.as_str()) {
+                let expected = format!("--axis {}, or a file of the axis {axis}", own.to_ascii_lowercase());
+                return Err(InputError::at(
+                    from,
+                    line,
+                    1,
+                    format!("`Axis: {text}` with --axis {axis}"),
+                    expected,
+                ));
+            }
+            if key == "Date" && rtec_files::date::parse(&text).is_some() {
+                record.date = Some(text);
+            } else if !text.is_empty() {
                 add_note(&mut record, &format!("{key}: {text}"));
             }
         }

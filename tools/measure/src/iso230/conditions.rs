@@ -171,9 +171,10 @@ impl Conditions {
     }
 
     /// What contributes to the figures of a drift test, where anything is stated.
+    /// `scatter_um` is the standard deviation of one reading.
     #[must_use]
-    pub fn drift_budget(&self) -> Option<Budget> {
-        self.budget(|key| OF_DIFFERENCES.contains(&key), None, get(&self.stated, "set_up_um"), 0.0)
+    pub fn drift_budget(&self, scatter_um: f64) -> Option<Budget> {
+        self.budget(|key| OF_DIFFERENCES.contains(&key), None, get(&self.stated, "set_up_um"), scatter_um)
     }
 
     /// A budget of the stated values with these keys.
@@ -351,14 +352,14 @@ fn drift_of(stated: &BTreeMap<String, f64>) -> Contributor {
 
 /// Expanded uncertainties (k = 2) of the figures of a circle or of a drift test.
 ///
-/// By the GUM alone: no standard at hand defines a budget of these figures. `U_s` is twice the standard deviation of one reading of a
-/// circle. D and H are means of several readings, whose scatter is smaller. A drift test's budget is without scatter.
+/// By the GUM alone: no standard at hand defines a budget of these figures. `U_s` is twice the standard deviation of one reading.
+/// D and H of a circle are means of several readings, whose scatter is smaller.
 ///
 /// | figure | U (k = 2) |
 /// |---|---|
 /// | G, H of a circle: differences of two readings of one bar | √(`device_um`² + 2·`U_EVE`² + 2·`U_s`²) |
 /// | F, D of a circle: a bar's length R against the nominal one | √(`U_L`² + `U_EVE`² + `U_s`²), `U_L` as [`Uncertainty`] has it over R, without misalignment |
-/// | ranges and end − start of a drift test: differences of two readings | √(`device_um`² + `set_up_um`² + 2·`U_EVE`²) |
+/// | ranges and end − start of a drift test: differences of two readings | √(`device_um`² + `set_up_um`² + 2·`U_EVE`² + 2·`U_s`²) |
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Budget {
     /// Coverage factor.
@@ -488,11 +489,11 @@ mod tests {
         near(unknown.difference_um, s.difference_um);
         assert_eq!(unknown.length_um, None);
         // A drift test is a difference, whatever the length.
-        let of = |text: &str| Conditions::parse(Path::new("c.toml"), text).unwrap().drift_budget();
+        let of = |text: &str| Conditions::parse(Path::new("c.toml"), text).unwrap().drift_budget(0.3);
         let d =
             of("[uncertainty]\ndevice_um = 0.3\nset_up_um = 0.4\ndrift_um = 1.7\ndevice_um_per_m = 0.8\n")
                 .unwrap();
-        near(d.difference_um, (0.09 + 0.16 + 2.0 * eve * eve).sqrt());
+        near(d.difference_um, (0.09 + 0.16 + 2.0 * eve * eve + 2.0 * 0.36).sqrt());
         assert_eq!(d.length_um, None);
         assert_eq!(of("[uncertainty]\ndevice_um_per_m = 0.8\n"), None);
         assert_eq!(Conditions::default().uncertainty(100.0, 5), None);

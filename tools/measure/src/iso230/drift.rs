@@ -3,6 +3,7 @@
 
 mod figures;
 mod long;
+mod scatter;
 mod spans;
 
 pub use long::LongDrift;
@@ -12,6 +13,7 @@ use crate::plot::{Chart, Series, Style};
 use figures::{Look, Sums};
 use rtec_files::InputError;
 use rtec_model::record::{Column, Record, Role};
+use scatter::Scatter;
 use serde::Serialize;
 use spans::{Span, Spans, State, TURNS_RPM};
 use std::collections::BTreeMap;
@@ -23,12 +25,16 @@ pub struct Drift {
     pub response: String,
     /// Unit of its figures: `um`, or `urad` or `arcsec` of a tilt.
     pub unit: String,
+    /// Standard deviation of one reading, in its unit.
+    /// By neighbouring rows at one place, no less than the gauge's step gives.
+    pub scatter: f64,
     /// The whole test.
     #[serde(flatten)]
     pub whole: Figures,
     /// Its phases, in order.
     pub phases: Vec<Phase>,
-    /// Uncertainty from instrument, set-up and room, µm, if the conditions state it.
+    /// Uncertainty from instrument, set-up, room and scatter, µm.
+    /// Only if the conditions state it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub uncertainty: Option<Budget>,
 }
@@ -103,8 +109,9 @@ pub fn drift(record: &Record) -> Result<Vec<Drift>, InputError> {
     let spans = spans_of(record, t);
     let found: Vec<Drift> = displaced(&record.columns)
         .map(|c| {
-            let phases = spans.iter().flat_map(|s| phases(s, record, t, &c.data)).collect();
-            Drift { phases, ..Drift::of(c, figures(record, t, &c.data, 0..t.len())) }
+            let mut scatter = Scatter::default();
+            let phases = spans.iter().flat_map(|s| phases(s, record, t, &c.data, &mut scatter)).collect();
+            Drift { phases, ..Drift::of(c, figures(record, t, &c.data, 0..t.len()), &scatter) }
         })
         .collect();
     if found.is_empty() {
@@ -116,16 +123,17 @@ pub fn drift(record: &Record) -> Result<Vec<Drift>, InputError> {
 /// States what contributes to the figures of displacements.
 pub(crate) fn state_budget(all: &mut [Drift], conditions: &Conditions) {
     for d in all.iter_mut().filter(|d| d.unit == "um") {
-        d.uncertainty = conditions.drift_budget();
+        d.uncertainty = conditions.drift_budget(d.scatter);
     }
 }
 
 impl Drift {
     /// Of a column, with the figures of the whole test.
-    fn of(column: &Column, whole: Figures) -> Self {
+    fn of(column: &Column, whole: Figures, scatter: &Scatter) -> Self {
         Self {
             response: column.role.to_string(),
             unit: column.unit.clone(),
+            scatter: scatter.of_a_reading(),
             whole,
             phases: Vec::new(),
             uncertainty: None,
@@ -175,9 +183,13 @@ fn spans_of(record: &Record, t: &[f64]) -> Vec<Span> {
 }
 
 /// The phase for one response; one for each place at which a moving axis was read.
-fn phases(span: &Span, record: &Record, t: &[f64], e: &[f64]) -> Vec<Phase> {
+fn phases(span: &Span, record: &Record, t: &[f64], e: &[f64], scatter: &mut Scatter) -> Vec<Phase> {
     let rows: Vec<usize> = span.rows.clone().collect();
-    let at = |at_mm: Option<f64>, rows: &[usize]| {
+    let mut at = |at_mm: Option<f64>, rows: &[usize]| {
+        scatter.begin();
+        for row in rows {
+            scatter.see(t[*row], e[*row]);
+        }
         let from_min = (t[rows[0]] - t[0]) / 60.0;
         span.phase(&record.columns, from_min, at_mm, figures(record, t, e, rows.iter().copied()))
     };

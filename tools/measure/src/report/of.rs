@@ -379,7 +379,9 @@ pub fn drift(
         let own = [f.d_60, f.d_t, f.d_last_60, f.end, f.rate_per_h, f.max_rate_per_h].map(um);
         std::iter::once(format!("{:.0}", f.t_min)).chain(own).collect::<Vec<_>>()
     };
-    let title = "The whole test; end − start: mean of the last hundredth of the rows minus that of the first";
+    let title = "The whole test; d60, dt, last hour: range of the readings within the first hour, all the time, the last hour; end − start: \
+                 mean of the last hundredth of the rows minus that of the first; per h: slope of the straight line through all rows; \
+                 most per h: largest change from one reading to another an hour later, up or down";
     let mut table = Table::new(title, &head);
     for d in all {
         table.row([d.response.clone(), unit(d)].into_iter().chain(cells(&d.whole)));
@@ -422,10 +424,10 @@ pub fn drift(
         }
         report.table(table);
     }
-    if let Some(u) = all.iter().find_map(|d| d.uncertainty.as_ref()) {
+    for (d, u) in all.iter().filter_map(|d| Some((d, d.uncertainty.as_ref()?))) {
         let figures =
             [("together, of a range or of end − start: a difference of two readings", Some(u.difference_um))];
-        budget(&mut report, " of the displacements, without the readings' scatter", u, &figures);
+        budget(&mut report, &format!(" of {}", d.response), u, &figures);
     }
     Ok(report)
 }

@@ -43,6 +43,111 @@ fn with_errors(record: &Record, errors: Vec<f64>) -> Record {
 const TRUTH: [(&str, f64); 4] =
     [("scale_mismatch_ppm", 30.0), ("squareness_urad", 60.0), ("reversal.x", 4.0), ("reversal.y", -3.0)];
 
+/// Both ways in one record, as a logger that never stops has it.
+/// Starts, the recorded pause, its noise and the clock's step take nothing of the second circle.
+#[test]
+fn a_recorded_pause_takes_nothing_of_a_circle() {
+    let (feed_rad_s, radius_mm) = (0.28, 150.0);
+    for (period_s, clock_s, start_s, pause_s, angle_sd) in [
+        (0.0371, 0.01, 0.2, 2.0, 0.0),
+        (0.0371, 0.01, 0.5, 2.0, 1e-5),
+        (0.01, 0.0, 0.2, 5.0, 1e-6),
+        (0.05, 0.0, 1.0, 0.4, 0.0),
+        (0.005, 0.01, 0.3, 1.0, 0.0),
+    ] {
+        let mut noise = Noise(3);
+        // One turn with an even start and stop, and then at rest.
+        let whole_s = TAU / feed_rad_s + start_s;
+        let turned = |t: f64| {
+            let ramp = |t: f64| 0.5 * feed_rad_s / start_s * t * t;
+            if t < start_s {
+                ramp(t)
+            } else {
+                TAU - if t < whole_s - start_s { feed_rad_s * (whole_s - start_s - t) } else { 0.0 }
+                    - ramp((whole_s - t).clamp(0.0, start_s))
+            }
+        };
+        let second_s = whole_s + pause_s;
+        let rows = ((second_s + whole_s) / period_s) as usize;
+        let at = |i: usize| i as f64 * period_s;
+        let angle = |i: usize| turned(at(i)) - turned((at(i) - second_s).max(0.0));
+        let read: Vec<f64> =
+            (0..rows).map(|i| (angle(i) + angle_sd * noise.normal()).rem_euclid(TAU)).collect();
+        let clock = |t: f64| if clock_s > 0.0 { (t / clock_s).round() * clock_s } else { t };
+        let columns = vec![
+            column("t", "time", (0..rows).map(|i| clock(at(i))).collect()),
+            column("a", "angle", read.clone()),
+            column(
+                "e",
+                "error.r",
+                read.iter().map(|a| 3.0 * (2.0 * a).sin() + 0.1 * noise.normal()).collect(),
+            ),
+        ];
+        let record = Record::new(Path::new("b.run.toml"), Kind::Ballbar, columns).unwrap();
+        let plane = ["x", "y"].map(|n| Axis::new(n).unwrap());
+        let circle = Circle { radius_mm, plane, centre_mm: None };
+        let found = one(&[record.with_circle(circle).unwrap()]);
+        let turned: Vec<f64> = found.contours.iter().map(|c| c.turned_deg).collect();
+        assert!(
+            turned.len() == 2 && turned.iter().all(|t| (t - 360.0).abs() < 2.0),
+            "{period_s}: {turned:?}"
+        );
+        let feeds: Vec<f64> = found.contours.iter().filter_map(|c| c.feed_mm_per_min).collect();
+        let stated = 60.0 * feed_rad_s * radius_mm;
+        assert!(feeds.iter().all(|f| (f / stated - 1.0).abs() < 0.02), "{period_s}: {feeds:?}");
+        assert_eq!(found.warnings, [""; 0], "{period_s}");
+    }
+}
+
+/// A circle beside the machine's zero is the same circle.
+/// What straight laws make at its centre is a shift.
+#[test]
+fn a_circle_away_from_zero_has_the_same_contributions() {
+    let mut noise = Noise(11);
+    let plain = Run::both(150.0, 25.0).record("b.run.toml", |[_, a, turn]| {
+        let (s, c) = a.sin_cos();
+        let x = 3.0 - 20.0 * 0.15 * c - 2.5 * (-s * turn).signum() / 2.0 + 22.0 * 0.15 * s;
+        let y = 8.0 + 7.0 * (c * turn).signum() / 2.0;
+        x * c + y * s + 0.1 * noise.normal()
+    });
+    let mut away = plain.clone();
+    let angle = of_role(&plain, "angle").to_vec();
+    away.columns.push(column("x", "position.x", angle.iter().map(|a| 250.0 + 150.0 * a.cos()).collect()));
+    away.columns.push(column("y", "position.y", angle.iter().map(|a| 120.0 + 150.0 * a.sin()).collect()));
+    let (plain, away) = (one(&[plain]).diagnosis, one(&[away]).diagnosis);
+    assert_eq!(plain.contributions.len(), away.contributions.len(), "{plain:?} {away:?}");
+    for (p, a) in plain.contributions.iter().zip(&away.contributions) {
+        assert_eq!(p.cause, a.cause);
+        near(a.um, p.um, 0.02 * p.um.max(1.0));
+    }
+    for (p, a) in plain.centre_um.iter().zip(away.centre_um) {
+        near(a, p.unwrap(), 0.05);
+    }
+}
+
+/// What was not measured, behind an obstacle, is not called turned.
+#[test]
+fn a_gap_is_no_part_of_a_circle() {
+    let full = Run::both(150.0, 25.0).record("b.run.toml", |[_, a, _]| 3.0 * (2.0 * a).sin());
+    let angle = of_role(&full, "angle");
+    let kept: Vec<usize> = (0..angle.len()).filter(|i| (angle[*i] + 0.2).rem_euclid(TAU) < 3.54).collect();
+    let of = |role: &str| kept.iter().map(|i| of_role(&full, role)[*i]).collect::<Vec<f64>>();
+    let columns = vec![
+        column("t", "time", of("time")),
+        column("a", "angle", of("angle")),
+        column("e", "error.r", of("error.r")),
+    ];
+    let record = Record::new(Path::new("b.run.toml"), Kind::Ballbar, columns).unwrap();
+    let circle =
+        Circle { radius_mm: 150.0, plane: ["x", "y"].map(|n| Axis::new(n).unwrap()), centre_mm: None };
+    let found = one(&[record.with_circle(circle).unwrap()]);
+    for c in &found.contours {
+        // 203° of the circle, of which the start's 7° were run over twice.
+        near(c.turned_deg, 207.0, 4.0);
+    }
+    assert!(found.warnings.iter().any(|w| w.contains("less than a full circle")), "{:?}", found.warnings);
+}
+
 /// Arcs as they are usual in planes with z.
 /// What is told holds the truth, what cannot be told is not.
 #[test]

@@ -119,6 +119,42 @@ fn a_drift_test_is_evaluated_phase_by_phase() {
     assert!(charts[0].svg(800, 500).unwrap().contains("at rest after heat"));
 }
 
+/// The scatter of a drift's readings is their noise, or its gauge's step.
+/// Growth, phases and the places of a moving axis do not matter. The budget holds it twice, as a difference does.
+#[test]
+fn a_drifts_scatter_is_its_noise() {
+    let conditions = Conditions::parse(Path::new("c.toml"), "[uncertainty]\ndevice_um = 0.5\n").unwrap();
+    for (noise_um, step_um, shared_s) in
+        [(0.3, 0.0, 0.0), (0.05, 1.0, 0.0), (0.3, 0.1, 0.0), (0.3, 0.0, 120.0)]
+    {
+        let mut noise = Noise(7);
+        let minutes: Vec<f64> = (0..480).map(f64::from).collect();
+        let of = |f: &dyn Fn(f64) -> f64| minutes.iter().map(|m| f(*m)).collect::<Vec<f64>>();
+        let moving = |m: f64| m >= 240.0 && m % 2.0 > 0.5;
+        let read = |m: &f64| {
+            let grown = 40.0 * (1.0 - (-m / 15.0).exp()) + if moving(*m) { 25.0 } else { 0.0 };
+            let read = grown + noise_um * noise.normal();
+            if step_um > 0.0 { (read / step_um).round() * step_um } else { read }
+        };
+        let e: Vec<f64> = minutes.iter().map(read).collect();
+        let clock = |m: f64| if shared_s > 0.0 { (60.0 * m / shared_s).floor() * shared_s } else { 60.0 * m };
+        let columns = vec![
+            column("t", "time", of(&clock)),
+            column("rpm", "spindle_speed", of(&|m| if (120.0..240.0).contains(&m) { 4000.0 } else { 0.0 })),
+            column("x", "position.x", of(&|m| if moving(m) { 500.0 } else { 100.0 })),
+            column("e", "error.z", e),
+        ];
+        let record = Record::new(Path::new("d.run.toml"), Kind::Drift, columns).unwrap();
+        let asked = Asked { conditions: conditions.clone(), ..Asked::default() };
+        let found = evaluation::evaluate(&[record], &asked, &mut |_| ()).unwrap().document;
+        let scatter = found["scatter"].as_f64().unwrap();
+        let expected = f64::max(noise_um, step_um / 12.0_f64.sqrt());
+        assert!((0.85..1.15).contains(&(scatter / expected)), "{noise_um} {step_um} {shared_s}: {scatter}");
+        let u = found["uncertainty"]["U_difference_um"].as_f64().unwrap();
+        assert!((u - 0.5_f64.hypot(2.0 * 2.0_f64.sqrt() * scatter)).abs() < 1e-9, "{found}");
+    }
+}
+
 /// A plate that is not square with a scale for each axis, squareness and rotation.
 /// One fit gives each back; one after another, as owners of plates publish it, does not, and leaves more.
 #[test]

@@ -204,6 +204,10 @@ fn an_rtl_goes_by_the_targets_number_and_keeps_the_order() {
     assert_eq!(text, RTL, "a name in Latin-1 is no obstacle");
     assert_eq!(import::any_text(Path::new("x.rtl"), format!("\u{feff}{RTL}").as_bytes()).unwrap(), RTL);
     assert_eq!(import::any_text(Path::new("x.rtl"), b"\xff\xfeH\0").unwrap(), "H");
+    // What the file says of itself holds: its axis, its day, its kind in any spelling.
+    assert_eq!(read(&text.replace("08/11/2022", "2022-11-08")).unwrap().date.as_deref(), Some("2022-11-08"));
+    refused(read(&text.replace("Axis: X", "Axis:Y")), 19, "`Axis: Y` with --axis x");
+    refused(read(&text.replace("File type: Linear", "File-type: RTA")), 2, "angular targets");
     let record = read(&text).unwrap();
     let (p, d, e) = (data(&record, "position.x"), data(&record, "direction.x"), data(&record, "error.x"));
     assert_eq!(record.rows(), 24);

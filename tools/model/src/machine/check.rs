@@ -274,6 +274,7 @@ impl Places {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::machine::Reach;
     use crate::record::Kind;
     use rtec_files::InputError;
     use std::path::Path;
@@ -320,8 +321,44 @@ mod tests {
         let cold = parse(&format!("name = \"m\"\n{note}{effect}")).unwrap();
         assert!(cold.half_widths_um(&run(0.5), &response).is_some());
         assert!(cold.half_widths_um(&run(12.0), &response).is_none());
+        let said = cold.stating(&Reach::of(&run(12.0)), &response).unwrap_err();
+        assert!(said.contains("saw no temperature"), "{said}");
+        let none = parse(&format!("name = \"m\"\n{effect}")).unwrap();
+        assert_eq!(
+            none.stating(&Reach::of(&run(0.5)), &response).unwrap_err(),
+            "the model states no interval"
+        );
         let warm = parse(&format!("name = \"m\"\n{note}{valid}{effect}")).unwrap();
         assert!(warm.half_widths_um(&run(12.0), &response).is_some());
+    }
+
+    /// There is no interval where the fit has not seen an axis.
+    /// The reason names both stretches.
+    #[test]
+    fn an_interval_that_is_not_of_a_place_says_so() {
+        let m = parse(
+            "name = \"m\"\n[[fit]]\nresponse = \"error.y\"\ndate = 2026-05-01\nvalid_until = \"2027-05-01\"\nrms_um = 0.1\n\
+             half_width_um = 0.2\nat_mm = { y = [-150.0, 150.0] }\n[[effect]]\nname = \"scale.y\"\nppm = 25.0\n",
+        )
+        .unwrap();
+        let response = Role::parse("error.y").unwrap();
+        let said = |axis: &str, reach_mm: f64| {
+            let at = Role::parse(&format!("position.{axis}")).unwrap();
+            let columns = vec![
+                crate::record::Column::new("p", at, vec![-reach_mm, reach_mm]),
+                crate::record::Column::new("e", response.clone(), vec![0.0; 2]),
+            ];
+            let run = Record::new(Path::new("r.run.toml"), Kind::Positioning, columns).unwrap();
+            assert_eq!(
+                m.half_widths_um(&run, &response).is_some(),
+                m.stating(&Reach::of(&run), &response).is_ok()
+            );
+            m.stating(&Reach::of(&run), &response).err()
+        };
+        assert_eq!(said("y", 160.0), None, "a tenth of the range beyond");
+        let far = said("y", 286.4).unwrap();
+        assert!(far.contains("y from -150 to 150 mm") && far.contains("from -286 to 286 mm"), "{far}");
+        assert!(said("x", 50.0).unwrap().contains("x at one place"));
     }
 
     /// A map from 0 to 300 mm, asked at 640 mm: its last value stands there, and that is said.

@@ -46,6 +46,16 @@ impl Machine {
     pub fn half_widths_um(&self, record: &Record, response: &Role) -> Option<Vec<f64>> {
         Some(HalfWidths::of(self, &Reach::of(record), response)?.next(record))
     }
+
+    /// The fit that states a response's interval for a record's reach.
+    ///
+    /// # Errors
+    /// Why none does, in words.
+    pub fn stating(&self, reach: &Reach, response: &Role) -> Result<&FitNote, String> {
+        let note = self.fits.iter().find(|f| f.response == response.to_string());
+        let note = note.ok_or("the model states no interval")?;
+        note.not_of(reach).map_or(Ok(note), |why| Err(format!("no interval: {why}")))
+    }
 }
 
 /// The half widths of a record that is gone through piece by piece: at each row what [`Machine::half_widths_um`] says of the whole.
@@ -66,15 +76,10 @@ impl<'m> HalfWidths<'m> {
     /// `None` where [`Machine::half_widths_um`] says nothing.
     #[must_use]
     pub fn of(machine: &'m Machine, reach: &Reach, response: &Role) -> Option<Self> {
-        let note = machine.fits.iter().find(|f| f.response == response.to_string())?;
+        let note = machine.stating(reach, response).ok()?;
         let states = vec![States::default(); machine.effects().count()];
-        note.covers(reach).then(|| Self {
-            machine,
-            response: response.clone(),
-            own_um: note.half_width_for_um(reach),
-            states,
-            start_s: None,
-        })
+        let (response, own_um) = (response.clone(), note.half_width_for_um(reach));
+        Some(Self { machine, response, own_um, states, start_s: None })
     }
 
     /// Those of the next rows, µm.

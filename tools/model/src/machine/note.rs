@@ -226,15 +226,30 @@ impl FitNote {
         reach.places().map(|(axis, range)| (axis.clone(), *range)).collect()
     }
 
-    /// The interval was seen wherever a record's axes go: a tenth of its range beyond is as good. Where the fit has seen no
+    /// Why the interval says nothing of a record; `None` where it does.
+    ///
+    /// It was seen wherever the record's axes go: a tenth of its range beyond is as good. Where the fit has seen no
     /// temperature, a machine that warms is another one.
     #[must_use]
-    pub fn covers(&self, reach: &Reach) -> bool {
+    pub fn not_of(&self, reach: &Reach) -> Option<String> {
         if self.valid.is_empty() && reach.warms() {
-            return false;
+            return Some(format!(
+                "the fit saw no temperature, and one moves by more than {WARMS_K} K in this run"
+            ));
         }
-        let Some(at) = &self.at_mm else { return true };
-        reach.places().all(|(axis, range)| at.get(axis).is_some_and(|seen| Self::reaches(*seen, *range)))
+        let at = self.at_mm.as_ref()?;
+        let seen = |axis, range: [f64; 2]| at.get(axis).is_some_and(|seen| Self::reaches(*seen, range));
+        let (axis, [low, high]) = reach.places().find(|(axis, range)| !seen(*axis, **range))?;
+        Some(match at.get(axis) {
+            Some([l, h]) => {
+                format!(
+                    "the fit saw {axis} from {l:.0} to {h:.0} mm, and this run goes from {low:.0} to {high:.0} mm"
+                )
+            }
+            None => format!(
+                "the fit saw {axis} at one place, and it moves from {low:.0} to {high:.0} mm in this run"
+            ),
+        })
     }
 
     /// Whether places seen, mm, tell of this stretch of the axis: within them, or a tenth of them beyond.
@@ -274,9 +289,14 @@ impl FitNote {
         }
         self.half_width_um = beyond_um.hypot(earlier.half_width_um).max(own_um);
         self.rms_um = self.rms_um.hypot(earlier.rms_um);
-        let new = |v: &&Validity| self.valid.iter().all(|o| o.difference != v.difference);
-        let further: Vec<Validity> = earlier.valid.iter().filter(new).cloned().collect();
-        self.valid.extend(further);
+        for v in &earlier.valid {
+            match self.valid.iter_mut().find(|own| own.difference == v.difference) {
+                Some(own) => {
+                    own.range_k = [own.range_k[0].min(v.range_k[0]), own.range_k[1].max(v.range_k[1])];
+                }
+                None => self.valid.push(v.clone()),
+            }
+        }
         if let (Some(own), Some(at)) = (&mut self.at_mm, &earlier.at_mm) {
             for (axis, [l, h]) in at {
                 let all = own.entry(axis.clone()).or_insert([*l, *h]);
@@ -298,5 +318,38 @@ impl FitNote {
                 format!(" for {}", at.iter().map(of).collect::<Vec<_>>().join(", "))
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// What a warm run has shown stays valid under a later cold fit.
+    #[test]
+    fn a_fit_on_another_joins_their_ranges() {
+        let note = |valid: &[(&str, [f64; 2])]| FitNote {
+            response: "error.y".into(),
+            date: "2026-05-01".into(),
+            valid_until: "2027-05-01".into(),
+            rms_um: 0.1,
+            half_width_um: 0.2,
+            valid: valid
+                .iter()
+                .map(|(sensor, range_k)| Validity {
+                    difference: Difference::single(sensor),
+                    range_k: *range_k,
+                    um_per_k: 1.3,
+                })
+                .collect(),
+            at_mm: None,
+            by_kind_um: BTreeMap::new(),
+            from: Vec::new(),
+        };
+        let mut cold = note(&[("T8", [-0.1, 0.2]), ("T9", [0.0, 1.0])]);
+        cold.on(&note(&[("T8", [0.0, 14.0]), ("T6", [-2.0, 8.0])]), 0.0);
+        let ranges: Vec<_> = cold.valid.iter().map(|v| (v.difference.to_string(), v.range_k)).collect();
+        let expected = [("T8", [-0.1, 14.0]), ("T9", [0.0, 1.0]), ("T6", [-2.0, 8.0])];
+        assert_eq!(ranges, expected.map(|(name, range)| (name.to_owned(), range)));
     }
 }

@@ -2,6 +2,7 @@
 //! Its file is gone through three times.
 
 use super::figures::{Look, Row, Sums};
+use super::scatter::Scatter;
 use super::spans::{Span, Spans, State, TURNS_RPM};
 use super::{Drift, Figures, Phase, charts_of, displaced, temperatures};
 use crate::plausible::{DEGC, Suspicion, every_row, rows_left_out};
@@ -174,6 +175,7 @@ impl LongDrift {
         let start_s = self.spans.first().map_or(0.0, |s| s.start_s);
         let looks = |of: Vec<Sums>| of.into_iter().map(Look::at).collect::<Vec<_>>();
         let (mut whole, mut now) = (looks(whole), Vec::new());
+        let mut scatters = vec![Scatter::default(); responses];
         let mut phases: Vec<Vec<Figures>> = vec![Vec::new(); responses];
         let columns = self.head.columns.clone();
         let figures = |look: &Look| look.figures(temperatures(&columns).map(|c| c.name.as_str()));
@@ -187,19 +189,21 @@ impl LongDrift {
                 present = Some(span);
                 let next = looks(by_span.next().unwrap_or_default());
                 close(std::mem::replace(&mut now, next));
+                scatters.iter_mut().for_each(Scatter::begin);
             }
             whole[response].see(row);
             now[response].see(row);
+            scatters[response].see(row.0, row.1);
         })?;
         close(now);
         let phase = |(span, figures): (&Span, Figures)| -> Phase {
             span.phase(&columns, (span.start_s - start_s) / 60.0, None, figures)
         };
-        let all = displaced(&self.head.columns).zip(whole).zip(phases);
+        let all = displaced(&self.head.columns).zip(whole).zip(phases).zip(&scatters);
         Ok(all
-            .map(|((column, whole), phases)| Drift {
+            .map(|(((column, whole), phases), scatter)| Drift {
                 phases: self.spans.iter().zip(phases).map(&phase).collect(),
-                ..Drift::of(column, figures(&whole))
+                ..Drift::of(column, figures(&whole), scatter)
             })
             .collect())
     }

@@ -191,7 +191,7 @@ pub(crate) fn record(out: &Path, args: &Recorder, with_response: bool) -> anyhow
     let mut last: Vec<Option<f64>> = vec![None; columns.len()];
     let mut came_s = vec![0.0; columns.len()];
     let (mut taken, mut left_out, mut incomplete, mut shown_s) = (0_u64, 0_u64, 0_u64, 0.0);
-    let mut said = String::new();
+    let (mut said, mut lost) = (String::new(), false);
     let mut looked = 0;
     for row in 0..rows {
         let due = row as f64 * period;
@@ -213,7 +213,8 @@ pub(crate) fn record(out: &Path, args: &Recorder, with_response: bool) -> anyhow
         }
         if let Some(feed) = &mut feed {
             take(feed, now, &columns[gauges..], &mut last[gauges..], &mut came_s[gauges..]);
-            say_odd_line(feed, now, &mut said);
+            say_odd_lines(feed, now, &mut said);
+            say_lost(feed, now, &mut lost);
         }
         last[0] = Some(now);
         for (value, w) in last[1..own].iter_mut().zip(bank.sensors()) {
@@ -257,6 +258,9 @@ pub(crate) fn record(out: &Path, args: &Recorder, with_response: bool) -> anyhow
         let found = nothing(feed.as_ref(), &columns[gauges..], &quiet, duration, left_out);
         return Err(crate::Outcome::Unreachable(found).into());
     }
+    if let Some(refused) = feed.as_ref().map(Feed::refused).filter(|n| *n > 0) {
+        eprintln!("warning: lines of the feed that were no readings: {refused}");
+    }
     say_missing(left_out, incomplete, looked);
     // Every value was checked as it came.
     let mut record = dated(args.circle.apply(Record::of_checked(out, kind, columns))?, begun);
@@ -294,12 +298,27 @@ fn dated(mut record: Record, day: String) -> Record {
     record
 }
 
-/// A line of the feed that cannot be read; the same again and again is said once.
-fn say_odd_line(feed: &mut Feed, now_s: f64, said: &mut String) {
-    if let Some(odd) = feed.odd_line().filter(|odd| odd != said) {
-        eprintln!("warning: at {now_s:.3} s: {odd}");
-        *said = odd;
+/// Says lines of the feed that cannot be read.
+/// The same again and again is said once.
+fn say_odd_lines(feed: &mut Feed, now_s: f64, said: &mut String) {
+    for odd in feed.odd_lines() {
+        if odd != *said {
+            eprintln!("warning: at {now_s:.3} s: {odd}");
+            *said = odd;
+        }
     }
+}
+
+/// A connection that is lost, and one that is there again.
+fn say_lost(feed: &Feed, now_s: f64, lost: &mut bool) {
+    match feed.lost() {
+        Some(why) if !*lost => {
+            eprintln!("warning: at {now_s:.3} s: the feed is lost: {why}; it is tried again");
+        }
+        None if *lost => eprintln!("warning: at {now_s:.3} s: the feed is there again"),
+        _ => {}
+    }
+    *lost = feed.lost().is_some();
 }
 
 /// What has nothing to say now, and why.

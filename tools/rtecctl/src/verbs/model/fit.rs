@@ -151,7 +151,7 @@ pub(crate) fn run(args: &FitArgs) -> anyhow::Result<()> {
         println!(
             "RMS (µm): train {:.3}, blocks {:.3} ({})",
             r.rms_um.train,
-            r.rms_um.folds_mean,
+            r.rms_um.folds_rms,
             list(&r.rms_um.folds)
         );
         if !r.rms_um.holdout.is_empty() {
@@ -185,7 +185,7 @@ pub(crate) fn run(args: &FitArgs) -> anyhow::Result<()> {
         }
         println!("simpler predictions on the same blocks (µm):");
         for (name, b) in &r.baselines {
-            println!("  {name:24} {:.3}  {}", b.folds_mean, list(&b.holdout));
+            println!("  {name:24} {:.3}  {}", b.folds_rms, list(&b.holdout));
         }
     }
     Ok(())

@@ -80,13 +80,14 @@ pub(crate) fn validate(args: &ValidateArgs) -> anyhow::Result<()> {
 /// One response, in a line.
 fn print_judged(v: &Value) {
     let f = |key: &str| v[key].as_f64().map_or("-".to_owned(), |v| format!("{v:.3}"));
-    let interval = if v["coverage"].is_null() {
-        "the model states no interval".to_owned()
+    let unit = FitNote::unit_of(v["response"].as_str().unwrap_or_default());
+    let interval = if let Some(why) = v["no_interval"].as_str() {
+        why.to_owned()
     } else {
         let percent = |key: &str| 100.0 * v[key].as_f64().unwrap_or_default();
         format!(
-            "95 % interval ±{} (mean): {:.1} % of the rows within it, {:.1} % about the mean left",
-            f("mean_half_width_um"),
+            "95 % interval ±{} {unit} (mean): {:.1} % of the rows within it, {:.1} % about the mean left",
+            f(if unit == "N" { "mean_half_width_N" } else { "mean_half_width_um" }),
             percent("coverage"),
             percent("coverage_about_mean")
         )
@@ -94,7 +95,7 @@ fn print_judged(v: &Value) {
     let unseen =
         if v["fitted_on_this_record"] == true { "; NOT unseen: the model was fitted on it" } else { "" };
     println!(
-        "{} {}: {} left of {} (SD {}), mean {}, largest {}; {interval}{unseen}",
+        "{} {}: {} left of {} {unit} (SD {}), mean {}, largest {}; {interval}{unseen}",
         v["record"].as_str().unwrap_or_default(),
         v["response"].as_str().unwrap_or_default(),
         f("rms"),

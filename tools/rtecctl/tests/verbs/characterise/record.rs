@@ -16,6 +16,29 @@ fn one_nan_costs_its_row_and_not_the_run() {
     assert!(record.rows() > 20 && !dir.path().join("r.run.csv.part").exists(), "{}", record.rows());
 }
 
+/// Once the last of several bad lines was named.
+/// A closed connection looked like a pause.
+#[test]
+fn every_refused_line_and_a_lost_feed_are_said() {
+    let server = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let from = server.local_addr().unwrap().to_string();
+    std::thread::spawn(move || {
+        let (mut line, _) = server.accept().unwrap();
+        std::io::Write::write_all(&mut line, b"e nan\ne 1,5\ne\ne 1 2\ne 1e400\ne 0.5\n").unwrap();
+        std::thread::sleep(Duration::from_millis(400));
+    });
+    let dir = tempfile::tempdir().unwrap();
+    let words =
+        ["record", "--out", "r.run.toml", "--feed", &from, "--columns", "e=error.x", "--period", "0.1"];
+    let (code, _, err) = said(&rtecctl(dir.path(), &[&words[..], &["--duration", "1"]].concat()));
+    assert_eq!(code, Some(0), "{err}");
+    for what in
+        ["'e nan'", "'e 1,5'", "'e'", "'e 1 2'", "'e 1e400'", "no readings: 5\n", "closed by the other side"]
+    {
+        assert!(err.contains(what), "{what}: {err}");
+    }
+}
+
 /// A bug once: a run of a rotary axis was recorded, and then refused by every verb that reads it.
 #[test]
 fn a_rotary_axis_is_refused_before_it_is_recorded() {

@@ -1,0 +1,53 @@
+//! What readings scatter by that follow one another while the machine drifts.
+
+use crate::derive::{FEWEST, beyond_cubic};
+use crate::steps::step_of;
+
+/// Readings that are looked at for the step of their gauge.
+const READINGS: usize = 4096;
+
+/// Scatter of one reading, row by row.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Scatter {
+    /// The last rows of a stretch: times, s, and readings.
+    t: Vec<f64>,
+    e: Vec<f64>,
+    squares: f64,
+    count: usize,
+    first: Vec<f64>,
+}
+
+impl Scatter {
+    /// A new stretch begins: its rows are no neighbours of those before.
+    pub(super) fn begin(&mut self) {
+        self.t.clear();
+        self.e.clear();
+    }
+
+    /// The next row of a stretch.
+    pub(super) fn see(&mut self, t: f64, e: f64) {
+        if self.first.len() < READINGS {
+            self.first.push(e);
+        }
+        if self.t.len() == FEWEST {
+            self.t.remove(0);
+            self.e.remove(0);
+        }
+        self.t.push(t);
+        self.e.push(e);
+        if self.t.len() == FEWEST {
+            // Rows that share a coarse clock's time count as evenly spaced.
+            let rises = self.t.windows(2).all(|w| w[1] > w[0]);
+            let t = if rises { &self.t[..] } else { &[0.0, 1.0, 2.0, 3.0, 4.0] };
+            self.squares += beyond_cubic(t, &self.e).powi(2);
+            self.count += 1;
+        }
+    }
+
+    /// Standard deviation of one reading, in its unit.
+    /// By neighbouring rows, and no less than its gauge's step gives; zero where neither shows.
+    pub(super) fn of_a_reading(&self) -> f64 {
+        let rounding = step_of(&self.first).unwrap_or(0.0) / 12.0_f64.sqrt();
+        (self.squares / self.count.max(1) as f64).sqrt().max(rounding)
+    }
+}
