@@ -10,6 +10,7 @@ mod next_run;
 mod noise;
 mod one_room;
 mod page;
+mod somewhere;
 mod stands;
 mod weighed;
 mod zeros;
