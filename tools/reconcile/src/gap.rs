@@ -213,7 +213,8 @@ pub(crate) fn gaps(used: &[Record], traces: &[Trace], answer: &Answer, blocked: 
     units.into_iter().map(of).collect()
 }
 
-/// The share of a response's mean square that the better model explains in the training records.
+/// Share of a response's mean square that the better model explains.
+/// Of the training records.
 pub(crate) fn explained(traces: &[Trace], response: &str) -> f64 {
     let of = |pick: fn(&Trace) -> &[f64]| {
         rms(traces.iter().filter(|t| !t.holdout && t.response == response).flat_map(pick))

@@ -184,7 +184,8 @@ pub(crate) fn places(records: &[Record], machine: &Machine) -> Vec<Place> {
     out
 }
 
-/// What a later stage found: the share of the residual's mean square, its shape, and the probability by chance.
+/// What a later stage found.
+/// The share of the residual's mean square, its shape, and the probability by chance.
 pub(crate) type FoundLater = (f64, Shape, f64);
 
 /// Adds what the later stages found and this test alone does not show.

@@ -1,4 +1,5 @@
-//! What a later stage finds, the first finds too: against a variable, a period or a place.
+//! What a later stage finds, the first finds too.
+//! It is against a variable, a period or a place.
 
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
@@ -9,7 +10,8 @@ use rtec_model::record::{Kind, Record};
 use rtec_reconcile::{Options, Place, Verdict, find, reconcile};
 use std::f64::consts::TAU;
 
-/// Strokes of X and Y that warm up, with all that a law can read but the angle, and white noise of 1 µm.
+/// Strokes of X and Y that warm up, and white noise of 1 µm.
+/// All that a law can read is there, but the angle.
 fn everything(seed: u64) -> Record {
     let mut normal = noise(seed);
     let n = 360;

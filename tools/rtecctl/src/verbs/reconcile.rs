@@ -120,6 +120,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let mut files = Vec::new();
     if let (true, Some(dir)) = (args.stage >= Stage::Add, &args.out) {
         files.extend(answer.curve.as_ref().map(|(_, laws)| (LAWS_FILE, laws.clone())));
+        // What the model names beside it is looked for from there.
+        std::fs::create_dir_all(dir).with_context(|| format!("creating {}", dir.display()))?;
         let beside: Vec<(&str, &str)> = files.iter().map(|(name, text)| (*name, text.as_str())).collect();
         let model = answer.model.readable_text_at(&dir.join("model.toml"), &beside)?;
         files.push(("model.toml", model));
