@@ -325,6 +325,6 @@ fn promised(setting: &Setting<'_>, findings: &mut Findings) {
     let of = |fit: &FitNote| (format!("{}_um", fit.response), json!(digits(fit.half_width_um, 1e3)));
     let promised: Map<String, Value> = fits.iter().map(of).collect();
     if !promised.is_empty() {
-        findings.summary.insert("promised by the model, 95 %".to_owned(), Value::Object(promised));
+        findings.summary.insert("promised of the tool's own error, 95 %".to_owned(), Value::Object(promised));
     }
 }
