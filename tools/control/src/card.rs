@@ -5,7 +5,7 @@ use rtec_driver::card::{Card, CardError};
 use rtec_driver::clock::Monotonic;
 use rtec_driver::gpio::{GpioCard, GpioError, GpioSetup};
 use rtec_driver::mapped::{MapError, MappedCard, Registers};
-use rtec_driver::pci::{self, PciError, PciId};
+use rtec_driver::pci::{self, Bar, PciError, PciId};
 use rtec_driver::port::{Parport, PortError, Ports};
 use rtec_driver::profile::{Profile, Space};
 use rtec_driver::registers::{Bus, RegisterCard, SetUpError};
@@ -85,12 +85,7 @@ pub fn with<W: OnCard>(card: &CardConfig, access: Access, what: W) -> Result<W::
             Ok(what.on(gpio(&setup, Vec::new())?))
         }
         CardConfig::Mapped { place, profile } => {
-            let (file, map) = match (place, access) {
-                (MappedPlace::Pci(id, bar), Access::Read) => {
-                    (pci::find(id)?.check(*bar, Space::Memory, profile.size())?.file, 0)
-                }
-                _ => register_file(place, profile)?,
-            };
+            let (file, map) = register_file(place, profile, access)?;
             on_registers(
                 Registers::open_map(&file, map, profile.size(), &profile.name)?,
                 profile,
@@ -99,15 +94,10 @@ pub fn with<W: OnCard>(card: &CardConfig, access: Access, what: W) -> Result<W::
             )
         }
         CardConfig::Port { place, profile } => {
-            let base = match (place, access) {
-                (PortPlace::Parport(file), _) => {
-                    return on_registers(Parport::open(file)?, profile, access, what);
-                }
-                (PortPlace::Io(base), _) => *base,
-                (PortPlace::Pci(id, bar), Access::Read) => {
-                    pci::find(id)?.check(*bar, Space::Io, profile.size())?.start as u16
-                }
-                (PortPlace::Pci(id, bar), Access::Drive) => io_bar(id, *bar, profile)?,
+            let base = match place {
+                PortPlace::Parport(file) => return on_registers(Parport::open(file)?, profile, access, what),
+                PortPlace::Io(base) => *base,
+                PortPlace::Pci(id, bar) => io_bar(id, *bar, profile, access)?,
             };
             on_registers(Ports::open(base, profile.size())?, profile, access, what)
         }
@@ -142,16 +132,29 @@ pub fn gpio(setup: &GpioSetup, kept: Vec<OwnedFd>) -> Result<GpioCard<Monotonic>
     Ok(GpioCard::open(setup, kept, Monotonic)?)
 }
 
+/// A BAR of a PCI card, which [`Access::Drive`] enables.
+fn bar(id: &PciId, bar: u8, space: Space, profile: &Profile, access: Access) -> Result<Bar, PciError> {
+    let card = pci::find(id)?;
+    match access {
+        Access::Read => card.check(bar, space, profile.size()),
+        Access::Drive => card.prepare(bar, space, profile.size()),
+    }
+}
+
 /// The file of the mapped registers, and which map of it.
-/// For a PCI card it is that of the BAR, once the card is enabled.
+/// For a PCI card it is that of the BAR.
 ///
 /// # Errors
 /// When the PCI card is not as it should be.
-pub fn register_file(place: &MappedPlace, profile: &Profile) -> Result<(PathBuf, u8), OpenError> {
+pub fn register_file(
+    place: &MappedPlace,
+    profile: &Profile,
+    access: Access,
+) -> Result<(PathBuf, u8), OpenError> {
     Ok(match place {
         MappedPlace::File(file) => (file.clone(), 0),
         MappedPlace::Uio(file, map) => (file.clone(), *map),
-        MappedPlace::Pci(id, bar) => (pci::find(id)?.prepare(*bar, Space::Memory, profile.size())?.file, 0),
+        MappedPlace::Pci(id, n) => (bar(id, *n, Space::Memory, profile, access)?.file, 0),
     })
 }
 
@@ -171,12 +174,12 @@ pub fn parport(file: &Path, profile: &Profile) -> Result<RegisterCard<Parport, M
     Ok(RegisterCard::new(Parport::open(file)?, profile, Monotonic)?)
 }
 
-/// The first I/O port of a BAR, once the card is enabled.
+/// The first I/O port of a BAR.
 ///
 /// # Errors
 /// When the PCI card is not as it should be.
-pub fn io_bar(id: &PciId, bar: u8, profile: &Profile) -> Result<u16, OpenError> {
-    Ok(pci::find(id)?.prepare(bar, Space::Io, profile.size())?.start as u16)
+pub fn io_bar(id: &PciId, number: u8, profile: &Profile, access: Access) -> Result<u16, OpenError> {
+    Ok(bar(id, number, Space::Io, profile, access)?.start as u16)
 }
 
 /// I/O ports by the processor's own instructions.

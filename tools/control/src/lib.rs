@@ -10,6 +10,7 @@
 //! | [`client`] | the client's end of it |
 //! | [`metrics`] | the status as `OpenMetrics` and Prometheus text |
 //! | [`card`] | the real card that a configuration names, opened |
+//! | [`wires`] | what a card's wired lines say, and whether its outputs switch |
 //! | [`profile`] | card profiles, from their files |
 //! | [`ledger`] | an axis's ledger as files that a replay plays |
 //! | [`lock`] | one program at a time on a socket, on a card |
@@ -36,3 +37,4 @@ mod needs;
 pub mod profile;
 pub mod protocol;
 pub mod role;
+pub mod wires;

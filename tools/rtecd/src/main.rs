@@ -41,7 +41,7 @@ use manager::Manager;
 use nix::sys::signal::{SigSet, Signal};
 use nix::sys::signalfd::{SfdFlags, SignalFd};
 use on_disk::OnDisk;
-use rtec_control::card::{self, OpenError};
+use rtec_control::card::{self, Access, OpenError};
 use rtec_control::config::{CardConfig, Config, ConfigFindings, PortPlace};
 use rtec_control::lock::{self, LockError};
 use rtec_control::protocol::explain_fault;
@@ -223,7 +223,9 @@ fn run(args: &Args, log: &mut Log) -> anyhow::Result<()> {
             work(card, config, Kind::Real, outside, log)
         }
         CardConfig::Port { place: PortPlace::Pci(id, bar), profile } => {
-            let open = || card::io_bar(&id, bar, &profile).and_then(|base| card::ports(base, &profile));
+            let open = || {
+                card::io_bar(&id, bar, &profile, Access::Drive).and_then(|base| card::ports(base, &profile))
+            };
             let Some(card) = patience.open(log, open)? else { return Ok(()) };
             work(card, config, Kind::Real, outside, log)
         }
@@ -231,7 +233,7 @@ fn run(args: &Args, log: &mut Log) -> anyhow::Result<()> {
             let mut found = (PathBuf::new(), 0);
             // Opened once before it is locked: what is not there yet is waited for.
             let open = || {
-                found = card::register_file(&place, &profile)?;
+                found = card::register_file(&place, &profile, Access::Drive)?;
                 card::mapped(&found.0, found.1, &profile).map(drop)
             };
             let Some(()) = patience.open(log, open)? else { return Ok(()) };

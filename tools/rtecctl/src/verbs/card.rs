@@ -5,19 +5,15 @@ mod watch;
 use crate::Outcome;
 use crate::document::pretty;
 use crate::say;
-use anyhow::Context;
 use clap::Subcommand;
-use rtec_control::card::{self, Access, OnCard, OpenError};
-use rtec_control::config::{CardConfig, Config, ConfigFindings, INSTALLED, MappedPlace, PortPlace};
+use rtec_control::card::{self, Access, OpenError};
+use rtec_control::config::{CardConfig, Config, ConfigFindings, INSTALLED};
 use rtec_control::lock::{self, Held, LockError};
 use rtec_control::profile::{self, SHIPPED};
-use rtec_driver::card::Card;
-use rtec_driver::gpio::{self, GpioSetup};
-use rtec_driver::mapped::Registers;
+use rtec_control::wires;
+use rtec_driver::gpio;
 use rtec_driver::pci;
-use rtec_driver::port::{Parport, Ports};
 use rtec_driver::profile::{Place, Profile, Register, Space};
-use rtec_driver::registers::Bus;
 use rtec_files::InputError;
 use rtec_rt::event::MAX_AXES;
 use serde_json::{Value, json};
@@ -104,7 +100,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
                 return watch::watch(&config, watch::Options { every: *every, during: *during, json: *json });
             }
             if !drive {
-                return probe(&config)?.print(*json);
+                return probe(&config, *json);
             }
             let _alone = alone(&config)?;
             if !mtc_is_off {
@@ -318,33 +314,6 @@ fn described(profile: &Profile, place: Place) -> (&'static str, u8, bool) {
     (what, bit, inverted >> bit & 1 == 1)
 }
 
-/// What a person calls the wired lines: name, bit, and whether it is an output.
-fn wired(config: &Config) -> Vec<(String, u8, bool)> {
-    let mut lines = Vec::new();
-    for axis in &config.axes {
-        let l = &axis.engine.lines;
-        let mut add = |key, bit, output| lines.push((format!("{}.{key}", axis.name), bit, output));
-        add("a", l.a, false);
-        add("b", l.b, false);
-        if let Some((a, b)) = l.read_back {
-            add("read_back_a", a, false);
-            add("read_back_b", b, false);
-        }
-        add("invert_a", l.invert_a, true);
-        add("invert_b", l.invert_b, true);
-    }
-    let l = config.lines;
-    for (key, bit, output) in [
-        ("probe", l.probe, false),
-        ("disable", l.disable, false),
-        ("mtc_ready", l.mtc_ready, false),
-        ("hold", l.hold, true),
-    ] {
-        lines.extend(bit.map(|bit| (key.to_owned(), bit, output)));
-    }
-    lines
-}
-
 fn no_lines(config: &Config) -> anyhow::Error {
     let text = format!(
         "backend \"{}\" has no lines outside the daemon: there is nothing to probe; `rtecctl status` shows its axes, \
@@ -358,156 +327,13 @@ pub(crate) fn unreachable(error: impl std::fmt::Display) -> anyhow::Error {
     Outcome::Unreachable(error.to_string()).into()
 }
 
-/// What was found without writing anything.
-struct Reading {
-    /// The profile's name; of GPIO lines there is none.
-    card: Option<String>,
-    registers: Vec<(Register, &'static str, u32, String)>,
-    lines: Vec<LineReading>,
-}
-
-/// One wired line: its bit and level, or what the kernel says of it.
-struct LineReading {
-    name: String,
-    output: bool,
-    level: Option<(u8, bool)>,
-    kernel: Option<String>,
-}
-
-impl Reading {
-    fn print(&self, as_json: bool) -> anyhow::Result<()> {
-        let way = |output| if output { "output" } else { "input" };
-        if as_json {
-            let registers = self.registers.iter().map(|(r, what, value, means)| {
-                json!({"offset": r.offset, "bits": r.width.bits(), "use": what, "value": value, "means": means})
-            });
-            let lines = self.lines.iter().map(|l| {
-                json!({"line": l.name, "direction": way(l.output), "bit": l.level.map(|(bit, _)| bit),
-                       "level": l.level.map(|(_, on)| u8::from(on)), "kernel": l.kernel})
-            });
-            let document = json!({
-                "card": self.card, "registers": registers.collect::<Vec<_>>(), "lines": lines.collect::<Vec<_>>(),
-            });
-            say(&pretty(&document)?);
-            return Ok(());
-        }
-        if let Some(card) = &self.card {
-            println!("{card}");
-        }
-        for (r, what, value, means) in &self.registers {
-            let (width, means) = (r.width.bits() as usize / 4 + 2, if means.is_empty() { "" } else { means });
-            let colon = if means.is_empty() { "" } else { ": " };
-            println!("  register {:#04x} {what:<8} {value:#0width$x}{colon}{means}", r.offset);
-        }
-        for l in &self.lines {
-            let found = match (&l.level, &l.kernel) {
-                (Some((bit, on)), _) => format!("bit {bit:<3} {}", u8::from(*on)),
-                (None, kernel) => kernel.clone().unwrap_or_default(),
-            };
-            println!("  {:<16} {:<6} {found}", l.name, way(l.output));
-        }
-        Ok(())
-    }
-}
-
-/// Reads every line without requesting, enabling or setting up anything.
-fn probe(config: &Config) -> anyhow::Result<Reading> {
-    match &config.card {
-        CardConfig::Mock | CardConfig::Replay { .. } => Err(no_lines(config)),
-        CardConfig::Gpio(setup) => probe_gpio(config, setup),
-        CardConfig::Mapped { place, profile } => {
-            let (file, map) = match place {
-                MappedPlace::File(file) => (file.clone(), 0),
-                MappedPlace::Uio(file, map) => (file.clone(), *map),
-                MappedPlace::Pci(id, bar) => {
-                    let card = pci::find(id).map_err(unreachable)?;
-                    (card.check(*bar, Space::Memory, profile.size()).map_err(unreachable)?.file, 0)
-                }
-            };
-            let registers = Registers::open_map(&file, map, profile.size(), &profile.name);
-            read_registers(config, &registers.map_err(unreachable)?, profile)
-        }
-        CardConfig::Port { place: PortPlace::Parport(file), profile } => {
-            read_registers(config, &Parport::open(file).map_err(unreachable)?, profile)
-        }
-        CardConfig::Port { place: PortPlace::Io(base), profile } => {
-            read_registers(config, &Ports::open(*base, profile.size()).map_err(unreachable)?, profile)
-        }
-        CardConfig::Port { place: PortPlace::Pci(id, bar), profile } => {
-            let card = pci::find(id).map_err(unreachable)?;
-            let base = card.check(*bar, Space::Io, profile.size()).map_err(unreachable)?.start as u16;
-            read_registers(config, &Ports::open(base, profile.size()).map_err(unreachable)?, profile)
-        }
-    }
-}
-
-/// Every register, and the wired lines with polarity taken out.
-fn read_registers(config: &Config, bus: &impl Bus, profile: &Profile) -> anyhow::Result<Reading> {
-    let mut found = Vec::new();
-    let mut read = |r: Register, what, means: &dyn Fn(u32) -> String| -> anyhow::Result<u32> {
-        let value = bus.read(r.offset, r.width).map_err(unreachable)?;
-        found.push((r, what, value, means(value)));
-        Ok(value)
-    };
-    let nothing = &|_| String::new();
-    let mut words = [0, 0];
-    for (word, (registers, what)) in
-        words.iter_mut().zip([(&profile.inputs, "input"), (&profile.outputs, "output")])
-    {
-        let mut shift = 0;
-        for r in registers {
-            *word |= u64::from(read(*r, what, nothing)?) << shift;
-            shift += r.width.bits();
-        }
-    }
-    for s in &profile.setup {
-        let is = |value| match value {
-            value if value == s.order.value => "set up",
-            value if value == s.after_reset => "after a reset: rtecd sets it up",
-            _ => "neither set up nor after a reset: is this the card?",
-        };
-        read(s.order.register, "set-up", &|value| is(value).to_owned())?;
-    }
-    for c in &profile.counters {
-        let latched = if c.latch.is_some() { "as last latched" } else { "as it is" };
-        read(c.count, "count", &|_| format!("of inputs {} and {}, {latched}", c.lines.0, c.lines.1))?;
-        for (what, flag) in [("overflow", c.overflow), ("error", c.error)] {
-            let Some(flag) = flag else { continue };
-            let is = |value: u32| if value >> flag.bit & 1 == 1 { "SET" } else { "clear" };
-            read(flag.register, what, &|value| format!("bit {} is {}", flag.bit, is(value)))?;
-        }
-    }
-    let words = [words[0] ^ profile.input_invert, words[1] ^ profile.output_invert];
-    let lines = wired(config).into_iter().map(|(name, bit, output)| {
-        let on = words[usize::from(output)] >> bit & 1 == 1;
-        LineReading { name, output, level: Some((bit, on)), kernel: None }
-    });
-    Ok(Reading { card: Some(profile.name.clone()), registers: found, lines: lines.collect() })
-}
-
-/// What the kernel says of the lines, without requesting them: requesting an output makes it one.
-fn probe_gpio(config: &Config, setup: &GpioSetup) -> anyhow::Result<Reading> {
-    let mut lines = Vec::new();
-    for (name, bit, output) in wired(config) {
-        let line = if output {
-            setup.outputs.iter().find(|o| o.bit == bit).map(|o| &o.line)
-        } else {
-            setup.inputs.iter().find(|i| i.bit == bit).map(|i| &i.line)
-        };
-        let line = line.context("a wired line is in the set-up")?;
-        let kernel = Some(gpio::look(line).map_err(unreachable)?);
-        lines.push(LineReading { name, output, level: None, kernel });
-    }
-    Ok(Reading { card: None, registers: Vec::new(), lines })
-}
-
 /// Keeps the daemon away from the card for as long as the value lives: it would correct against what is switched here.
 pub(crate) fn alone(config: &Config) -> anyhow::Result<Vec<Held>> {
     let stop =
         |e: LockError| Outcome::No(format!("{e}: stop it first (systemctl stop rtecd); nothing was written"));
     let mut held: Vec<_> = lock::keep_out(&config.control.socket).map_err(stop)?.into_iter().collect();
     if let CardConfig::Mapped { place, profile } = &config.card {
-        let (file, _) = card::register_file(place, profile).map_err(unreachable)?;
+        let (file, _) = card::register_file(place, profile, Access::Drive).map_err(unreachable)?;
         held.push(lock::card(&file).map_err(|e| match e {
             LockError::Taken { .. } => stop(e),
             LockError::Io { .. } => Outcome::Unreachable(e.to_string()),
@@ -532,77 +358,62 @@ pub(crate) fn confirm(what: &str) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Switches every output of a card.
-struct Switching<'a> {
-    config: &'a Config,
-    as_json: bool,
+/// Why a card's lines cannot be had.
+fn refused(config: &Config, error: OpenError) -> anyhow::Error {
+    match error {
+        OpenError::NoLines(_) => no_lines(config),
+        other => unreachable(other),
+    }
 }
 
-impl OnCard for Switching<'_> {
-    type Output = anyhow::Result<()>;
-
-    fn on<C: Card + Send + 'static>(self, mut card: C) -> Self::Output {
-        drive(self.config, self.as_json, &mut card)
+fn probe(config: &Config, as_json: bool) -> anyhow::Result<()> {
+    let reading = wires::read(config).map_err(|e| refused(config, e))?;
+    if as_json {
+        say(&pretty(&reading)?);
+        return Ok(());
     }
+    if let Some(card) = &reading.card {
+        println!("{card}");
+    }
+    for r in &reading.registers {
+        let (width, colon) = (r.bits as usize / 4 + 2, if r.means.is_empty() { "" } else { ": " });
+        println!("  register {:#04x} {:<8} {:#0width$x}{colon}{}", r.offset, r.purpose, r.value, r.means);
+    }
+    for l in &reading.lines {
+        let found = match (l.bit, l.level) {
+            (Some(bit), Some(level)) => format!("bit {bit:<3} {level}"),
+            _ => l.kernel.clone().unwrap_or_default(),
+        };
+        println!("  {:<16} {:<6} {found}", l.line, l.direction);
+    }
+    Ok(())
 }
 
 fn drive_outputs(config: &Config, as_json: bool) -> anyhow::Result<()> {
-    let mut named = config.card.clone();
-    if let CardConfig::Gpio(setup) = &mut named {
-        // Levels are read as they are at the moment; edges would have to be waited for.
-        setup.events = false;
-    }
-    card::with(&named, Access::Drive, Switching { config, as_json }).map_err(|e| match e {
-        OpenError::NoLines(_) => no_lines(config),
-        other => unreachable(other),
-    })?
-}
-
-/// Time that gates, receivers and the card's input filter are given.
-const SETTLED: Duration = Duration::from_millis(20);
-
-/// Switches each output over and back, reads it back each time, and says which inputs follow.
-fn drive<C: Card>(config: &Config, as_json: bool, card: &mut C) -> anyhow::Result<()> {
-    let lines = wired(config);
-    let (mut wrong, mut found) = (0, Vec::new());
-    for (name, bit, _) in lines.iter().filter(|(_, _, output)| *output) {
-        let mask = 1 << bit;
-        let before = card.outputs().map_err(unreachable)?;
-        let inputs = card.sample(0).map_err(unreachable)?.inputs;
-        card.write(mask, !before & mask).map_err(unreachable)?;
-        std::thread::sleep(SETTLED);
-        let (switched, followed) = (card.outputs(), card.sample(0));
-        // Whatever was read: the line goes back first.
-        card.write(mask, before & mask).map_err(unreachable)?;
-        std::thread::sleep(SETTLED);
-        let back = card.outputs().map_err(unreachable)?;
-        let changed = followed.map_err(unreachable)?.inputs ^ inputs;
-        let ok = switched.map_err(unreachable)? == before ^ mask && back == before;
-        wrong += usize::from(!ok);
-        let follows: Vec<&str> = lines
-            .iter()
-            .filter(|(_, bit, output)| !output && changed >> bit & 1 == 1)
-            .map(|(name, ..)| name.as_str())
-            .collect();
-        if as_json {
-            found.push(json!({"line": name, "reads_back": ok, "followed_by": follows}));
-            continue;
-        }
-        println!(
-            "  {name:<16} {}; {}",
-            if ok { "switched, read back, switched back" } else { "DOES NOT READ BACK what was written" },
-            if follows.is_empty() {
-                "no input followed".to_owned()
+    let mut outputs = Vec::new();
+    wires::switch_outputs(config, |output| {
+        if !as_json {
+            let switched = if output.reads_back {
+                "switched, read back, switched back"
             } else {
-                format!("followed by {}", follows.join(", "))
-            }
-        );
-    }
+                "DOES NOT READ BACK what was written"
+            };
+            let follows = match &output.followed_by[..] {
+                [] => "no input followed".to_owned(),
+                inputs => format!("followed by {}", inputs.join(", ")),
+            };
+            println!("  {:<16} {switched}; {follows}", output.line);
+        }
+        outputs.push(output);
+    })
+    .map_err(|e| refused(config, e))?;
     if as_json {
-        say(&pretty(&json!({ "outputs": found }))?);
+        say(&pretty(&json!({ "outputs": outputs }))?);
     }
-    if wrong > 0 {
-        return Err(Outcome::No(format!("{wrong} outputs do not read back what was written to them")).into());
+    match outputs.iter().filter(|o| !o.reads_back).count() {
+        0 => Ok(()),
+        wrong => {
+            Err(Outcome::No(format!("{wrong} outputs do not read back what was written to them")).into())
+        }
     }
-    Ok(())
 }

@@ -1,11 +1,12 @@
 //! `rtecctl card probe --watch`: the input lines live, as halscope and gpiomon show theirs: levels, edges, rates, and whether
 //! both edges of each were seen.
 
-use super::{no_lines, unreachable, wired};
+use super::{refused, unreachable};
 use crate::document::pretty;
 use crate::say;
-use rtec_control::card::{self, Access, OnCard, OpenError};
+use rtec_control::card::{self, Access, OnCard};
 use rtec_control::config::Config;
+use rtec_control::wires::{Wire, wires};
 use rtec_driver::card::{AxisLines, Card, Sample};
 use rtec_driver::quadrature::{Decoder, Signal, State};
 use serde_json::{Value, json};
@@ -120,11 +121,11 @@ struct Watch {
 impl Watch {
     fn new(config: &Config, first: &Sample) -> Self {
         let on = |bit: u8| first.inputs >> bit & 1 == 1;
-        let line = |(name, bit, _): (String, u8, bool)| {
+        let line = |Wire { name, bit, .. }: Wire| {
             let level = on(bit);
             Line { name, bit, level, rises: 0, falls: 0, before: 0, rate_hz: 0.0 }
         };
-        let inputs = wired(config).into_iter().filter(|(_, _, output)| !output);
+        let inputs = wires(config).into_iter().filter(|w| !w.output);
         let axes = config.axes.iter().map(|axis| {
             let lines = axis.engine.lines;
             let scale = Decoder::new(lines.scale(first.inputs));
@@ -271,10 +272,7 @@ impl OnCard for Watching<'_> {
 /// # Errors
 /// When the card cannot be opened, or has no lines outside the daemon.
 pub(super) fn watch(config: &Config, options: Options) -> anyhow::Result<()> {
-    card::with(&config.card, Access::Read, Watching { config, options }).map_err(|e| match e {
-        OpenError::NoLines(_) => no_lines(config),
-        other => unreachable(other),
-    })?
+    card::with(&config.card, Access::Read, Watching { config, options }).map_err(|e| refused(config, e))?
 }
 
 #[cfg(test)]

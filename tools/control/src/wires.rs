@@ -1,0 +1,251 @@
+//! What the wired lines of a card say, and whether its outputs switch.
+
+use crate::card::{self, Access, OnCard, OpenError};
+use crate::config::{CardConfig, Config, PortPlace};
+use rtec_driver::card::{Card, CardError};
+use rtec_driver::gpio::{self, GpioSetup};
+use rtec_driver::mapped::Registers;
+use rtec_driver::port::{Parport, Ports};
+use rtec_driver::profile::{Profile, Register};
+use rtec_driver::registers::Bus;
+use serde::Serialize;
+use std::time::Duration;
+
+/// A wired line.
+#[derive(Debug, Clone)]
+pub struct Wire {
+    /// Its axis and its key in the configuration.
+    pub name: String,
+    /// Its bit in the card's inputs or outputs.
+    pub bit: u8,
+    /// Whether it is an output.
+    pub output: bool,
+}
+
+/// The lines that a configuration names.
+#[must_use]
+pub fn wires(config: &Config) -> Vec<Wire> {
+    let mut wires = Vec::new();
+    let mut add = |name: String, bit, output| wires.push(Wire { name, bit, output });
+    for axis in &config.axes {
+        let l = &axis.engine.lines;
+        let mut of = |key, bit, output| add(format!("{}.{key}", axis.name), bit, output);
+        of("a", l.a, false);
+        of("b", l.b, false);
+        if let Some((a, b)) = l.read_back {
+            of("read_back_a", a, false);
+            of("read_back_b", b, false);
+        }
+        of("invert_a", l.invert_a, true);
+        of("invert_b", l.invert_b, true);
+    }
+    let l = config.lines;
+    let machine = [
+        ("probe", l.probe, false),
+        ("disable", l.disable, false),
+        ("mtc_ready", l.mtc_ready, false),
+        ("hold", l.hold, true),
+    ];
+    for (key, bit, output) in machine {
+        if let Some(bit) = bit {
+            add(key.to_owned(), bit, output);
+        }
+    }
+    wires
+}
+
+/// What a card says of its registers and wired lines.
+#[derive(Debug, Serialize)]
+pub struct Reading {
+    /// The profile's name; GPIO lines have none.
+    pub card: Option<String>,
+    /// Register by register.
+    pub registers: Vec<RegisterReading>,
+    /// Line by line.
+    pub lines: Vec<LineReading>,
+}
+
+/// A register as it was read.
+#[derive(Debug, Serialize)]
+pub struct RegisterReading {
+    /// Byte offset.
+    pub offset: usize,
+    /// Width.
+    pub bits: u32,
+    /// What the profile uses it for.
+    #[serde(rename = "use")]
+    pub purpose: &'static str,
+    /// What it reads.
+    pub value: u32,
+    /// What that means; often nothing.
+    pub means: String,
+}
+
+/// A wired line as it was read.
+#[derive(Debug, Serialize)]
+pub struct LineReading {
+    /// Its axis and its key.
+    pub line: String,
+    /// `input` or `output`.
+    pub direction: &'static str,
+    /// Its bit, if registers were read.
+    pub bit: Option<u8>,
+    /// Its level, polarity taken out.
+    pub level: Option<u8>,
+    /// What the kernel says of a GPIO line.
+    pub kernel: Option<String>,
+}
+
+impl LineReading {
+    fn of(wire: Wire, level: Option<u8>, kernel: Option<String>) -> Self {
+        let direction = if wire.output { "output" } else { "input" };
+        Self { line: wire.name, direction, bit: level.map(|_| wire.bit), level, kernel }
+    }
+}
+
+/// Reads every line without requesting, enabling or setting up anything.
+///
+/// # Errors
+/// When the card cannot be opened or does not answer, or has no lines outside the daemon.
+pub fn read(config: &Config) -> Result<Reading, OpenError> {
+    match &config.card {
+        CardConfig::Mock | CardConfig::Replay { .. } => Err(OpenError::NoLines(config.card.backend())),
+        CardConfig::Gpio(setup) => read_gpio(config, setup),
+        CardConfig::Mapped { place, profile } => {
+            let (file, map) = card::register_file(place, profile, Access::Read)?;
+            let registers = Registers::open_map(&file, map, profile.size(), &profile.name)?;
+            read_registers(config, &registers, profile)
+        }
+        CardConfig::Port { place: PortPlace::Parport(file), profile } => {
+            read_registers(config, &Parport::open(file)?, profile)
+        }
+        CardConfig::Port { place: PortPlace::Io(base), profile } => {
+            read_registers(config, &Ports::open(*base, profile.size())?, profile)
+        }
+        CardConfig::Port { place: PortPlace::Pci(id, bar), profile } => {
+            let base = card::io_bar(id, *bar, profile, Access::Read)?;
+            read_registers(config, &Ports::open(base, profile.size())?, profile)
+        }
+    }
+}
+
+/// Every register, and the wired lines with polarity taken out.
+fn read_registers(config: &Config, bus: &impl Bus, profile: &Profile) -> Result<Reading, OpenError> {
+    let mut registers = Vec::new();
+    let mut read = |r: Register, purpose, means: &dyn Fn(u32) -> String| -> Result<u32, CardError> {
+        let value = bus.read(r.offset, r.width)?;
+        let (bits, means) = (r.width.bits(), means(value));
+        registers.push(RegisterReading { offset: r.offset, bits, purpose, value, means });
+        Ok(value)
+    };
+    let nothing = &|_| String::new();
+    let mut words = [0, 0];
+    for (word, (registers, purpose)) in
+        words.iter_mut().zip([(&profile.inputs, "input"), (&profile.outputs, "output")])
+    {
+        let mut shift = 0;
+        for r in registers {
+            *word |= u64::from(read(*r, purpose, nothing)?) << shift;
+            shift += r.width.bits();
+        }
+    }
+    for s in &profile.setup {
+        let is = |value| match value {
+            value if value == s.order.value => "set up",
+            value if value == s.after_reset => "after a reset: rtecd sets it up",
+            _ => "neither set up nor after a reset: is this the card?",
+        };
+        read(s.order.register, "set-up", &|value| is(value).to_owned())?;
+    }
+    for c in &profile.counters {
+        let latched = if c.latch.is_some() { "as last latched" } else { "as it is" };
+        read(c.count, "count", &|_| format!("of inputs {} and {}, {latched}", c.lines.0, c.lines.1))?;
+        for (purpose, flag) in [("overflow", c.overflow), ("error", c.error)] {
+            let Some(flag) = flag else { continue };
+            let is = |value: u32| if value >> flag.bit & 1 == 1 { "SET" } else { "clear" };
+            read(flag.register, purpose, &|value| format!("bit {} is {}", flag.bit, is(value)))?;
+        }
+    }
+    let words = [words[0] ^ profile.input_invert, words[1] ^ profile.output_invert];
+    let level = |w: &Wire| (words[usize::from(w.output)] >> w.bit & 1) as u8;
+    let lines = wires(config).into_iter().map(|w| {
+        let level = level(&w);
+        LineReading::of(w, Some(level), None)
+    });
+    Ok(Reading { card: Some(profile.name.clone()), lines: lines.collect(), registers })
+}
+
+/// What the kernel says of the lines.
+/// They are not requested, because a requested output becomes one.
+fn read_gpio(config: &Config, setup: &GpioSetup) -> Result<Reading, OpenError> {
+    let mut lines = Vec::new();
+    for wire in wires(config) {
+        let line = if wire.output {
+            setup.outputs.iter().find(|o| o.bit == wire.bit).map(|o| &o.line)
+        } else {
+            setup.inputs.iter().find(|i| i.bit == wire.bit).map(|i| &i.line)
+        };
+        let kernel = line.map(gpio::look).transpose()?;
+        lines.push(LineReading::of(wire, None, kernel));
+    }
+    Ok(Reading { card: None, registers: Vec::new(), lines })
+}
+
+/// An output that was switched over and back.
+#[derive(Debug, Serialize)]
+pub struct Switched {
+    /// Its axis and its key.
+    pub line: String,
+    /// Both times the card said what was written.
+    pub reads_back: bool,
+    /// The inputs that changed with it.
+    pub followed_by: Vec<String>,
+}
+
+/// Time for gates, receivers and the card's input filter.
+const SETTLED: Duration = Duration::from_millis(20);
+
+/// Switches each output over and back.
+/// `told` hears of each as it is done. The MTC must be off.
+///
+/// # Errors
+/// When the card cannot be opened or does not answer, or has no lines outside the daemon.
+pub fn switch_outputs(config: &Config, told: impl FnMut(Switched)) -> Result<(), OpenError> {
+    let mut named = config.card.clone();
+    if let CardConfig::Gpio(setup) = &mut named {
+        // Levels are read as they are at the moment; edges would have to be waited for.
+        setup.events = false;
+    }
+    Ok(card::with(&named, Access::Drive, Switching { config, told })??)
+}
+
+struct Switching<'a, T> {
+    config: &'a Config,
+    told: T,
+}
+
+impl<T: FnMut(Switched)> OnCard for Switching<'_, T> {
+    type Output = Result<(), CardError>;
+
+    fn on<C: Card + Send + 'static>(mut self, mut card: C) -> Self::Output {
+        let wires = wires(self.config);
+        for wire in wires.iter().filter(|w| w.output) {
+            let mask = 1 << wire.bit;
+            let before = card.outputs()?;
+            let inputs = card.sample(0)?.inputs;
+            card.write(mask, !before & mask)?;
+            std::thread::sleep(SETTLED);
+            let (switched, followed) = (card.outputs(), card.sample(0));
+            // Whatever was read: the line goes back first.
+            card.write(mask, before & mask)?;
+            std::thread::sleep(SETTLED);
+            let back = card.outputs()?;
+            let changed = followed?.inputs ^ inputs;
+            let reads_back = switched? == before ^ mask && back == before;
+            let follows = wires.iter().filter(|w| !w.output && changed >> w.bit & 1 == 1);
+            let followed_by = follows.map(|w| w.name.clone()).collect();
+            (self.told)(Switched { line: wire.name.clone(), reads_back, followed_by });
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,249 @@
+//! What the measured latency leaves a machine's axes, and whether it may correct.
+
+use crate::far::FarSide;
+use crate::measurement::{Latency, SelftestOptions};
+use crate::selftest::{Measured, MeasuredOn};
+use rtec_control::config::{Config, ConfiguredAxis, Measured as Provenance, floors_ns};
+use rtec_control::protocol::{Rates, explain_fault, word};
+use rtec_rt::axis::AxisConfig;
+use rtec_rt::histogram::Snapshot;
+use serde::Serialize;
+use std::collections::BTreeMap;
+
+/// What the measured latency leaves one axis.
+#[derive(Debug)]
+pub struct AxisRate {
+    /// Its name.
+    pub name: String,
+    /// The highest edge rate at which an insertion has time, by the worst delay seen. `None` if there is none.
+    pub safe_hz: Option<f64>,
+    /// The same by all delays but one in ten thousand.
+    pub usual_hz: Option<f64>,
+    /// The same as speeds.
+    pub rates: Rates,
+    /// Why its rapid outruns the card.
+    outruns: Option<String>,
+}
+
+/// Whether this machine may correct, and how fast each axis may move.
+#[derive(Debug)]
+pub struct Verdict {
+    /// Axis by axis.
+    pub axes: Vec<AxisRate>,
+    /// What forbids corrections. Empty: it passes.
+    pub reasons: Vec<String>,
+}
+
+impl Verdict {
+    /// Judges a measurement for the axes of a configuration.
+    /// Without one: for one axis of 1 µm a count and default limits.
+    #[must_use]
+    pub fn new(measured: &Measured, config: Option<&Config>) -> Self {
+        let axes = match config {
+            Some(config) => config.axes.clone(),
+            None => Config::embedded().axes.iter().take(1).map(default_axis).collect(),
+        };
+        let axes: Vec<AxisRate> = axes.into_iter().map(|axis| axis_rate(axis, measured)).collect();
+        let card = config.filter(|_| measured.how != MeasuredOn::Simulated);
+        let reasons = reasons(measured, &axes, card.and_then(|c| floors_ns(&c.card)));
+        Self { axes, reasons }
+    }
+
+    /// The document of a self-test.
+    #[must_use]
+    pub fn document<'a>(
+        &'a self,
+        measured: &'a Measured,
+        options: &SelftestOptions,
+        provenance: &'a Provenance,
+        backend: &'a str,
+    ) -> Document<'a> {
+        let of_axes =
+            |hz: fn(&AxisRate) -> Option<f64>| self.axes.iter().map(|r| (&*r.name, hz(r))).collect();
+        Document {
+            wakeup_ns: &measured.wakeup,
+            poll_gap_ns: &measured.quiet.poll_gap,
+            edge_to_done_ns: &measured.quiet.edge_to_done,
+            seen_to_done_ns: &measured.quiet.seen_to_done,
+            poll_gap_with_requests_ns: &measured.with_requests.poll_gap,
+            edge_to_done_with_requests_ns: &measured.with_requests.edge_to_done,
+            seen_to_done_with_requests_ns: &measured.with_requests.seen_to_done,
+            requests: measured.with_requests.requests,
+            max_safe_edge_rate_hz: of_axes(|r| r.safe_hz),
+            edge_rate_at_p9999_hz: of_axes(|r| r.usual_hz),
+            rates: self.axes.iter().map(|r| (&*r.name, r.rates)).collect(),
+            rt: RtKeys {
+                detect_ns: measured.detect_ns().0,
+                write_ns: measured.timed().then(|| measured.write_ns()),
+                measured: provenance,
+            },
+            backend,
+            card: &provenance.card,
+            how: measured.how,
+            verdict: if self.reasons.is_empty() { "pass" } else { "fail" },
+            reason: self.reasons.join("; "),
+            separations_ns: measured.separations_ns(),
+            duration_s: options.run.as_secs_f64(),
+            cpu: options.cpu,
+            priority: options.priority,
+            emulated: measured.setup.emulated.as_deref(),
+            ledger_balanced: measured.balanced(),
+            poll_gap_faults: measured.faults(),
+            far_side: measured.far(),
+            missing_to_arm: measured.setup.missing().map(|f| f.name).collect(),
+        }
+    }
+}
+
+/// The self-test's document.
+#[derive(Debug, Serialize)]
+pub struct Document<'a> {
+    wakeup_ns: &'a Latency,
+    poll_gap_ns: &'a Latency,
+    edge_to_done_ns: &'a Latency,
+    /// The engine's own part of it: from the look that saw the edge to the look that ordered the second inversion.
+    seen_to_done_ns: &'a Snapshot,
+    /// The same three while requests stream in as fast as the link takes them.
+    poll_gap_with_requests_ns: &'a Latency,
+    edge_to_done_with_requests_ns: &'a Latency,
+    seen_to_done_with_requests_ns: &'a Snapshot,
+    /// Number of requests that streamed in.
+    requests: u64,
+    /// Per axis, from the worst that was seen.
+    /// Null where that leaves no time for an insertion at any speed.
+    max_safe_edge_rate_hz: BTreeMap<&'a str, Option<f64>>,
+    /// The same but for one look in ten thousand.
+    edge_rate_at_p9999_hz: BTreeMap<&'a str, Option<f64>>,
+    /// The same as speeds, mm/min, and up to where every count is seen.
+    rates: BTreeMap<&'a str, Rates>,
+    /// What belongs into `[rt]` of the configuration.
+    rt: RtKeys<'a>,
+    backend: &'a str,
+    /// What was measured with.
+    card: &'a str,
+    /// How: `simulated`, `reads` (outputs held), `reads_and_writes`.
+    how: MeasuredOn,
+    verdict: &'static str,
+    reason: String,
+    separations_ns: u64,
+    duration_s: f64,
+    cpu: usize,
+    priority: u8,
+    emulated: Option<&'a str>,
+    ledger_balanced: bool,
+    poll_gap_faults: u64,
+    far_side: Option<FarSide>,
+    missing_to_arm: Vec<&'static str>,
+}
+
+#[derive(Debug, Serialize)]
+struct RtKeys<'a> {
+    detect_ns: u64,
+    /// None where no write was measured.
+    write_ns: Option<u64>,
+    measured: &'a Provenance,
+}
+
+/// The axis of a test without a configuration: 1 µm a count, the replay's limits.
+fn default_axis(axis: &ConfiguredAxis) -> ConfiguredAxis {
+    ConfiguredAxis {
+        name: "default".to_owned(),
+        count_um: 1.0,
+        engine: AxisConfig::default(),
+        rapid_mm_min: None,
+        ..axis.clone()
+    }
+}
+
+/// What the measured latency leaves an axis.
+fn axis_rate(axis: ConfiguredAxis, measured: &Measured) -> AxisRate {
+    let (worst, usual) = measured.detect_ns();
+    let (safe_hz, usual_hz) =
+        (edge_rate_hz(axis.engine, measured, worst), edge_rate_hz(axis.engine, measured, usual));
+    let mut as_measured = axis;
+    (as_measured.engine.detect_ns, as_measured.engine.write_ns) = (worst, measured.write_ns());
+    let rates = Rates { corrected_mm_min: safe_hz.map(|hz| as_measured.mm_min(hz)), ..as_measured.rates() };
+    AxisRate { outruns: as_measured.outruns(), name: as_measured.name, safe_hz, usual_hz, rates }
+}
+
+/// The highest edge rate at which an insertion still has time on an axis, with this machine's latency.
+fn edge_rate_hz(axis: AxisConfig, measured: &Measured, detect_ns: u64) -> Option<f64> {
+    if !measured.timed() {
+        return None; // nothing is known
+    }
+    let axis = AxisConfig { detect_ns, write_ns: measured.write_ns(), ..axis };
+    axis.gate().map(|gate| 1e9 / gate.min_period_ns() as f64)
+}
+
+/// The findings that forbid corrections on this machine.
+fn reasons(measured: &Measured, rates: &[AxisRate], floors: Option<(u64, u64, &'static str)>) -> Vec<String> {
+    let mut reasons = Vec::new();
+    if let Some(emulator) = &measured.setup.emulated {
+        reasons.push(format!("emulated by {emulator}: emulated time is no evidence for any machine"));
+    }
+    reasons.extend(measured.setup.missing().map(|f| {
+        let errno = f.errno.as_ref().map(|e| format!(" ({e})")).unwrap_or_default();
+        format!("{} is {}, wanted {}{errno}: {}", f.name, f.got, f.wanted, f.remedy)
+    }));
+    if let MeasuredOn::ReadsAndWrites { ended_by, restored } = measured.how {
+        reasons.extend(ended_by.map(|fault| {
+            format!("{} was latched while the card was written to: {}", word(fault), explain_fault(fault))
+        }));
+        if !restored {
+            reasons.push(
+                "the outputs are not as they were found: switch the card off before the MTC is switched on"
+                    .into(),
+            );
+        }
+    }
+    if measured.how != MeasuredOn::Simulated && !measured.looked() {
+        let why = if measured.quiet.poll_gap.tid == 0 {
+            "a polling loop needs a second CPU"
+        } else {
+            "a card that sleeps until an edge comes is measured by its edges, and none came: with the drives off push an axis \
+             by hand while the test runs"
+        };
+        reasons.push(format!("reads were not measured: {why}"));
+        return reasons;
+    }
+    if !measured.timed() {
+        let why = match measured.how {
+            MeasuredOn::Reads => {
+                "reads only: writes were not measured, so this never passes; with the MTC off, --drive measures them"
+            }
+            MeasuredOn::ReadsAndWrites { .. } => "writes were not measured: no insertion was made",
+            MeasuredOn::Simulated if measured.far().is_some() => {
+                "edge to done was not measured: no insertion was seen"
+            }
+            MeasuredOn::Simulated => "edge to done was not measured: a polling loop needs a second CPU",
+        };
+        reasons.push(why.to_owned());
+        reasons.extend(rates.iter().filter_map(|axis| axis.outruns.clone()));
+        return reasons;
+    }
+    if !measured.balanced() {
+        reasons.push("the ledger does not balance".into());
+    }
+    if let Some((detect_ns, write_ns, why)) = floors
+        && (measured.detect_ns().0 < detect_ns || measured.write_ns() < write_ns)
+    {
+        reasons.push(format!(
+            "detect_ns = {} and write_ns = {} are less than such a card takes ({detect_ns} and {write_ns}): {why}. Is this the \
+             card?",
+            measured.detect_ns().0,
+            measured.write_ns()
+        ));
+    }
+    reasons.extend(rates.iter().filter_map(|axis| axis.outruns.clone()));
+    for axis in rates.iter().filter(|axis| axis.safe_hz.is_none()) {
+        let (worst_us, usual_us) = (measured.detect_ns().0 as f64 / 1e3, measured.detect_ns().1 as f64 / 1e3);
+        let usual = axis.usual_hz.map_or_else(String::new, |hz| {
+            format!(" (the {usual_us:.1} µs that 99.99 % keep to would do, up to {hz:.0} edges/s)")
+        });
+        let name = &axis.name;
+        reasons.push(format!(
+            "the longest delay, {worst_us:.1} µs, leaves axis {name} no time for an insertion at any speed{usual}"
+        ));
+    }
+    reasons
+}
