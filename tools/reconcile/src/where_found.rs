@@ -192,7 +192,7 @@ pub(crate) type FoundLater = (f64, Shape, f64);
 /// It is against what its law reads.
 pub(crate) fn add_found(places: &mut Vec<Place>, found: impl IntoIterator<Item = FoundLater>) {
     for (statistic, shape, p_value) in found {
-        let reads = |p: &Place| shape.against.iter().any(|a| *a == p.against);
+        let reads = |p: &Place| shape.against.contains(&p.against);
         let of = |p: &Place| p.response == shape.response;
         if places.iter().any(|p| p.counts() && of(p) && reads(p)) {
             continue;
