@@ -8,7 +8,7 @@ use anyhow::Context;
 use rtec_files::InputError;
 use rtec_measure::plausible;
 use rtec_model::machine::Machine;
-use rtec_reconcile::{LAWS_FILE, Options, Place, Reconciliation, Refined, SEED, html, reconcile, why};
+use rtec_reconcile::{LAWS_FILE, Options, Reconciliation, Refined, SEED, html, reconcile, why};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
