@@ -151,8 +151,8 @@ pub const QUOTED: &[Quoted] = &[
         &[README, FIGURES],
     ),
     quoted(
-        "RTEC_HISTORIES=10000 RTEC_SEED=1001",
-        "10 000 lives",
+        "RTEC_HISTORIES=1000 RTEC_SEED=4007",
+        "1000 lives",
         &["no count lost in silence"],
         &[README, FIGURES],
     ),

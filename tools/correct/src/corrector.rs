@@ -35,6 +35,8 @@ struct AxisState {
     model_um: f64,
     /// Of the model's share: what sensors and time ask for.
     slow_um: f64,
+    /// Of the model's share: what the direction asks for.
+    turning_um: f64,
     table_um: f64,
     total: Total,
     /// Why its total stands still, or its thermal part.
@@ -147,6 +149,7 @@ impl Corrector {
                 place,
                 model_um: 0.0,
                 slow_um: 0.0,
+                turning_um: 0.0,
                 table_um: 0.0,
                 total: Total::new(s.count_um, s.increment_counts, s.window_counts, s.max_counts),
                 holds: None,
@@ -239,7 +242,7 @@ impl Corrector {
         let was = self.model.take().is_some();
         self.changed |= was;
         for axis in &mut self.axes {
-            (axis.model_um, axis.slow_um) = (0.0, 0.0);
+            (axis.model_um, axis.slow_um, axis.turning_um) = (0.0, 0.0, 0.0);
             (axis.holds, axis.stands) = (None, None);
         }
         was
@@ -417,6 +420,7 @@ impl Corrector {
             let axis = &mut self.axes[n];
             if !asks || !correcting || !s.homed || s.faults.any() {
                 axis.total.rest();
+                self.motion.total_is(n, s.requested, 0);
                 continue;
             }
             totals[n] = axis.total.next(TickInputs {
@@ -427,6 +431,8 @@ impl Corrector {
                 changed,
                 last,
             });
+            let part_counts = (axis.turning_um / self.setups[n].count_um).round() as i64;
+            self.motion.total_is(n, axis.total.bounded(), part_counts);
         }
         totals
     }
@@ -460,7 +466,7 @@ impl Corrector {
         } else {
             model.evaluate(now_s - self.started_s, &self.now, probing);
         }
-        for (axis, _) in self.axes.iter_mut().zip(status.axes()) {
+        for axis in self.axes.iter_mut().take(status.axes().len()) {
             let Some(p) = axis.place else { continue };
             let held = axis.holds.is_some();
             axis.holds = model.unknown(p, watches, now_s);
@@ -468,6 +474,7 @@ impl Corrector {
             if axis.holds.is_none() {
                 axis.model_um = model.live.errors_um()[p];
                 axis.slow_um = model.slow_um(p);
+                axis.turning_um = model.turning_um(p);
             }
             axis.stands = model.standing(p, watches, now_s).filter(|_| axis.holds.is_none());
         }

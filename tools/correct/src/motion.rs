@@ -3,7 +3,7 @@
 
 use crate::AxisSetup;
 use rtec_model::live::AxisNow;
-use rtec_rt::event::Status;
+use rtec_rt::event::{AxisStatus, Status};
 use std::collections::VecDeque;
 
 /// How far beyond an increment an axis must come back to count as reversed, counts.
@@ -24,13 +24,18 @@ pub(crate) struct Motion {
     now: Vec<AxisNow>,
 }
 
-/// The direction of an axis and its furthest places in it.
+/// The direction of an axis's last motion and its furthest places in it.
 /// There is one place for the scale and one for the MTC's count.
 #[derive(Debug, Clone, Copy, Default)]
 struct Turning {
     direction: i64,
     /// None until the axis has been seen, at the start and after homing.
     furthest_counts: Option<[i64; 2]>,
+    /// Where the table was furthest in its direction, whatever moved it.
+    table_counts: i64,
+    /// The total that the axis goes to, and its direction's part, counts.
+    total_counts: i64,
+    part_counts: i64,
 }
 
 impl Turning {
@@ -40,13 +45,13 @@ impl Turning {
     /// may have reached is never the furthest.
     fn follow(&mut self, at_counts: [i64; 2], enough_counts: i64, own_counts: i64) {
         let Some(furthest_counts) = &mut self.furthest_counts else {
-            self.furthest_counts = Some(at_counts);
+            (self.furthest_counts, self.table_counts) = (Some(at_counts), at_counts[0]);
             return;
         };
         let moved = [0, 1].map(|k| at_counts[k] - furthest_counts[k]);
         let turned = |d: i64| moved.iter().all(|m| m * d > enough_counts);
         if let Some(d) = [1, -1].into_iter().find(|d| turned(*d) && *d != self.direction) {
-            (self.direction, *furthest_counts) = (d, at_counts);
+            (self.direction, *furthest_counts, self.table_counts) = (d, at_counts, at_counts[0]);
             return;
         }
         for (furthest, at) in furthest_counts.iter_mut().zip(at_counts) {
@@ -54,6 +59,24 @@ impl Turning {
             if (surely - *furthest) * self.direction > 0 {
                 *furthest = surely;
             }
+        }
+        let ahead = (at_counts[0] - self.table_counts) * self.direction;
+        self.table_counts += ahead.max(0) * self.direction;
+    }
+
+    /// Turns an axis at rest that a correction will take back.
+    ///
+    /// Lost motion follows the table, whatever moves it. So the total of the other direction is the right one where the
+    /// table goes back with that total too. Where it goes back with one of the two alone, none of them fits, and the
+    /// direction stays.
+    fn turned_by_a_correction(&mut self, s: &AxisStatus, enough_counts: i64) {
+        let goes_to = s.position_counts + s.in_effect - self.total_counts;
+        let back =
+            [goes_to, goes_to + 2 * self.part_counts].map(|p| (self.table_counts - p) * self.direction);
+        if back.iter().all(|b| *b > enough_counts) {
+            self.direction = -self.direction;
+            self.furthest_counts = Some([s.position_counts, s.position_counts + s.in_effect]);
+            self.table_counts = s.position_counts;
         }
     }
 }
@@ -70,6 +93,11 @@ impl Motion {
     /// Every axis now; its load is not known here.
     pub(crate) fn now(&self) -> &[AxisNow] {
         &self.now
+    }
+
+    /// Takes the total that an axis goes to, and its direction's part, counts.
+    pub(crate) fn total_is(&mut self, axis: usize, total_counts: i64, part_counts: i64) {
+        (self.turning[axis].total_counts, self.turning[axis].part_counts) = (total_counts, part_counts);
     }
 
     /// How old a velocity is, s: it is the mean over the time until now.
@@ -112,6 +140,11 @@ impl Motion {
                 own_counts,
             );
             let ends = [2 * SPEED_OVER, SPEED_OVER, 0].map(back);
+            let turning = &mut self.turning[n];
+            let went = |b: &Status| (s.position_counts - b.axes[n].position_counts) * turning.direction;
+            if ends[1].is_some_and(|b| went(b) <= 0) {
+                turning.turned_by_a_correction(s, axis.increment_counts + TURNED_COUNTS);
+            }
             let before = mm_s(ends[0], ends[1], n, axis.count_um);
             let velocity_mm_s = mm_s(ends[1], ends[2], n, axis.count_um);
             let between_s = match (ends[0], ends[2]) {
@@ -224,29 +257,46 @@ mod tests {
         assert_eq!(Motion::new(1).position_counts_at(0, 0), None);
     }
 
-    /// An operator's total moves the scale.
-    /// It hides a reversal only until the drive has followed.
+    /// A correction that goes in at rest moves the table, and so turns it.
+    /// One that goes in while the axis goes on does not.
+    #[test]
+    fn a_correction_at_rest_turns_the_axis() {
+        let direction_after = |total_counts: i64, part_counts: i64, goes_on: bool| {
+            let mut motion = seen((0..40).map(|k| 10 * k));
+            assert_eq!(motion.now()[0].direction, 1.0);
+            motion.total_is(0, total_counts, part_counts);
+            for k in 40..50 {
+                let state = status(k, if goes_on { 10 * k as i64 } else { 390 });
+                motion.follow(&state, &[setup()]);
+            }
+            motion.now()[0].direction
+        };
+        assert_eq!((direction_after(4, 0, false), direction_after(5, 0, false)), (1.0, -1.0));
+        assert_eq!((direction_after(-100, 0, false), direction_after(100, 0, true)), (1.0, 1.0));
+        // With a reversal of 20 counts the total of the other direction takes the table back too, or does not.
+        assert_eq!((direction_after(24, 10, false), direction_after(25, 10, false)), (1.0, -1.0));
+        assert_eq!((direction_after(4, -10, false), direction_after(5, -10, false)), (1.0, -1.0));
+    }
+
+    /// An insertion hides a turn of the axis until the drive has followed.
+    /// With a large reversal ahead of the scale no correction turns this axis.
     #[test]
     fn an_insertion_hides_a_turn_only_until_the_drive_has_followed() {
         let direction_after = |wait: u64, back_counts: i64| {
             let mut motion = seen((0..40).map(|k| 10 * k));
             assert_eq!(motion.now()[0].direction, 1.0);
+            motion.total_is(0, 100, 200);
             for k in 40..=40 + wait {
                 let back_counts = if k == 40 + wait { back_counts } else { 0 };
                 let mut state = status(k, 290 - back_counts);
                 state.axes[0].in_effect = 100;
                 motion.follow(&state, &[setup()]);
             }
-            motion.forget();
             motion.now()[0].direction
         };
-        assert_eq!(
-            direction_after(SETTLED as u64 - 1, 50),
-            1.0,
-            "the drive still goes where the insertion sent it"
-        );
-        assert_eq!(direction_after(SETTLED as u64, 50), -1.0, "that was the axis itself");
-        assert_eq!(direction_after(SETTLED as u64, 0), 1.0);
+        let after = SETTLED as u64;
+        assert_eq!((direction_after(after - 1, 50), direction_after(after, 50)), (1.0, -1.0));
+        assert_eq!(direction_after(after, 0), 1.0);
     }
 
     /// A reversal is a way back by more than an increment and two counts.

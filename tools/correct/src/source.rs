@@ -145,6 +145,11 @@ pub(crate) fn acts(effect: &Effect, place: Option<usize>) -> bool {
     place == Some(0) || place == Some(1) && effect.description().naming == Naming::Pair
 }
 
+/// It changes with the direction of the last motion.
+fn turns(effect: &Effect) -> bool {
+    effect.description().needs.contains(&Need::Direction)
+}
+
 /// It changes with what a sensor reads, or with time, while no axis moves.
 fn is_slow(effect: &Effect) -> bool {
     use Need::{Channel, Coolant, Delta, Load, SpindleSpeed, Time};
@@ -420,16 +425,24 @@ impl ModelSource {
         live.errors_um()[place]
     }
 
+    /// What these effects were last worth on an axis, µm.
+    fn um_of(&self, place: usize, is: fn(&Effect) -> bool) -> f64 {
+        let axis = &self.live.layout().axes[place];
+        let own = |e: &Effect| e.axes().iter().position(|a| a == axis).filter(|k| acts(e, Some(*k)));
+        let parts = self.live.parts().filter(|p| is(p.effect));
+        parts.map(|p| own(p.effect).map_or(0.0, |k| p.value[k])).sum()
+    }
+
+    /// The part of an axis's last error that depends on its direction, µm.
+    pub(crate) fn turning_um(&self, place: usize) -> f64 {
+        self.um_of(place, turns)
+    }
+
     /// The part of an axis's last error that depends on sensors and time, µm.
     /// A chain that reads temperatures counts as a whole.
     pub(crate) fn slow_um(&self, place: usize) -> f64 {
         let axis = &self.live.layout().axes[place];
-        let mut slow_um = 0.0;
-        for part in self.live.parts().filter(|p| is_slow(p.effect)) {
-            let own =
-                part.effect.axes().iter().position(|a| a == axis).filter(|k| acts(part.effect, Some(*k)));
-            slow_um += own.map_or(0.0, |k| part.value[k]);
-        }
+        let slow_um = self.um_of(place, is_slow);
         let along = ["x", "y", "z"].iter().position(|a| *a == axis.as_str());
         let warm = self.machine.chain().is_some_and(|c| c.deltas().next().is_some());
         slow_um + self.live.chain_um().zip(along).filter(|_| warm).map_or(0.0, |(um, k)| um[k])

@@ -124,8 +124,7 @@ impl Total {
             wish = 0;
         }
         self.counts = wish.clamp(-self.max_counts, self.max_counts);
-        let goal = self.counts + self.operator_counts;
-        let bounded = goal.clamp(-self.max_counts, self.max_counts);
+        let bounded = self.bounded();
         self.limited = bounded != wish + self.operator_counts;
         // Catching up after a rapid, in steps that are believed.
         let window = self.window_counts;
@@ -154,10 +153,14 @@ impl Total {
         self.offset_um != 0.0 || self.counts != 0
     }
 
+    /// The total that belief windows lead to, counts.
+    pub(crate) fn bounded(&self) -> i64 {
+        (self.counts + self.operator_counts).clamp(-self.max_counts, self.max_counts)
+    }
+
     /// Whether this total is final, unless the axis moves or a source changes.
     pub(crate) fn settled(&self, requested: i64) -> bool {
-        let goal = (self.counts + self.operator_counts).clamp(-self.max_counts, self.max_counts);
-        self.following && self.offset_um == 0.0 && !self.slow_left && requested == goal
+        self.following && self.offset_um == 0.0 && !self.slow_left && requested == self.bounded()
     }
 
     /// What the ramp has still to go, µm, while the axis follows.

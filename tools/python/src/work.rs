@@ -530,7 +530,7 @@ pub(crate) fn where_they_disagree(
         if train.is_empty() {
             return Err(bad("reconcile", "no record", "a record to learn from"));
         }
-        let places = rtec_reconcile::find(&inners(train), &machine.inner)?;
+        let places = rtec_reconcile::find(&inners(train), &machine.inner, level)?;
         let places: Vec<Value> = places.iter().map(Place::to_json).collect();
         pretty(&json!({"where": places, "level": level, "seed": SEED}))
     })

@@ -217,6 +217,16 @@ pub(crate) fn gaps(used: &[Record], traces: &[Trace], answer: &Answer, blocked: 
     units.into_iter().map(of).collect()
 }
 
+/// Share of a response's mean square that the better model explains.
+/// Of the training records.
+pub(crate) fn explained(traces: &[Trace], response: &str) -> f64 {
+    let of = |pick: fn(&Trace) -> &[f64]| {
+        rms(traces.iter().filter(|t| !t.holdout && t.response == response).flat_map(pick))
+    };
+    let [before, after] = [of(|t| &t.before), of(|t| &t.after)];
+    (1.0 - (after / before.max(f64::MIN_POSITIVE)).powi(2)).max(0.0)
+}
+
 /// RMS before and after, over all responses of a unit.
 /// Of the training records, or of the hold-outs if `held`.
 pub(crate) fn pooled(traces: &[Trace], unit: &str, held: bool) -> Option<[f64; 2]> {

@@ -494,7 +494,7 @@ fn places(h: &mut String, r: &Reconciliation) {
     h.push_str("<h2>What it goes with</h2><table><tr><th>response<th>against<th class=n>share explained<th class=n>p<th>mean over it");
     for p in found(r) {
         let (lo, hi) = p.profile.iter().fold((f64::MAX, f64::MIN), |(l, u), v| (l.min(v[1]), u.max(v[1])));
-        let (a, b) = (p.profile[0][0], p.profile[p.profile.len() - 1][0]);
+        let [a, b] = [p.profile.first(), p.profile.last()].map(|v| v.map_or(0.0, |v| v[0]));
         let mut line = String::new();
         for v in &p.profile {
             let x = 70.0 + 160.0 * (v[0] - a) / (b - a).max(1e-300);

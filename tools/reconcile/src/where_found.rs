@@ -5,6 +5,7 @@
 use crate::SEED;
 use rand_xoshiro::Xoshiro256PlusPlus;
 use rand_xoshiro::rand_core::{RngCore, SeedableRng};
+use rtec_estimate::Shape;
 use rtec_estimate::problem::Problem;
 use rtec_estimate::rows::{Rows, Segment};
 use rtec_estimate::setup::What;
@@ -181,6 +182,37 @@ pub(crate) fn places(records: &[Record], machine: &Machine) -> Vec<Place> {
         strongest_first(&mut out);
     }
     out
+}
+
+/// What a later stage found.
+/// The share of the residual's mean square, its shape, and the probability by chance.
+pub(crate) type FoundLater = (f64, Shape, f64);
+
+/// Adds what the later stages found and this test alone does not show.
+/// It is against what its law reads.
+pub(crate) fn add_found(places: &mut Vec<Place>, found: impl IntoIterator<Item = FoundLater>) {
+    for (statistic, shape, p_value) in found {
+        let reads = |p: &Place| shape.against.contains(&p.against);
+        let of = |p: &Place| p.response == shape.response;
+        if places.iter().any(|p| p.counts() && of(p) && reads(p)) {
+            continue;
+        }
+        let own = places.iter_mut().filter(|p| of(p) && reads(p));
+        match own.max_by(|a, b| a.statistic.total_cmp(&b.statistic)) {
+            Some(place) => (place.p_value, place.q_value) = (place.p_value.min(p_value), p_value),
+            None => places.push(Place {
+                response: shape.response,
+                against: shape.against.join(" and "),
+                statistic,
+                p_value,
+                q_value: p_value,
+                profile: Vec::new(),
+                period: None,
+                near_turns: false,
+            }),
+        }
+    }
+    strongest_first(places);
 }
 
 /// Residuals beside set-up and known effects, and the noise of each response.

@@ -35,15 +35,14 @@ const FEWEST_ROWS: usize = 300;
 /// Knots of a curve that stands for what has no name.
 const CURVE_KNOTS: usize = 9;
 
-/// The first stage alone: where measured and simulated disagree.
+/// Where measured and simulated disagree, the answer of the first stage.
+/// It asks the later stages too: what they find is somewhere.
 ///
 /// # Errors
 /// The model reads a sensor or channel that a record lacks.
-pub fn find(train: &[Record], machine: &Machine) -> Result<Vec<Place>, InputError> {
-    for record in train {
-        machine.predict(record)?;
-    }
-    Ok(where_found::places(train, machine))
+pub fn find(train: &[Record], machine: &Machine, level: f64) -> Result<Vec<Place>, InputError> {
+    let options = Options { level, figures: false, ..Options::default() };
+    Ok(reconcile(train, &[], machine, &options)?.places)
 }
 
 /// The model can be evaluated on every record, and there is something to explain.
@@ -131,6 +130,16 @@ fn looked_at(train: &[Record], holdout: &[Record], machine: &Machine, options: &
     if let (Some(left), Some(date)) = (&blocked, &options.date) {
         interval::state(&mut model, &used, left, date);
     }
+    let mut places = where_found::places(&used, machine);
+    if why_nothing.is_none() {
+        let like = |e: &Effect, p: f64| Some((Shape::like(&rows_of, e, "")?, p));
+        let named = effects.iter().filter_map(|(f, _)| like(&f.effect, f.p_value));
+        let corrected = refined.iter().filter_map(|r| like(&r.after.0, options.level));
+        let shapes = answer.unexplained.iter().map(|s| (s.clone(), options.level));
+        let found = named.chain(corrected).chain(shapes);
+        let share = |s: &Shape| gap::explained(&traces_of, &s.response);
+        where_found::add_found(&mut places, found.map(|(s, p)| (share(&s), s, p)));
+    }
     let verdict = Verdict::of(&effects, &answer.unexplained);
     let mut advice = work.advice(verdict, &effects, &answer.unexplained);
     if why_nothing.is_some() {
@@ -145,7 +154,7 @@ fn looked_at(train: &[Record], holdout: &[Record], machine: &Machine, options: &
     let estimate = &answer.estimate;
     Reconciliation {
         verdict,
-        places: where_found::places(&used, machine),
+        places,
         advice,
         confirmed,
         set_up: SetUp::of(&used, &estimate.set_up),

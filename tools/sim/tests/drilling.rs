@@ -2,6 +2,7 @@
 
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
+use rtec_model::machine::Machine;
 use rtec_sim::described::Described;
 use rtec_sim::experiment::{Experiment, Setting};
 use rtec_sim::gcode::Block;
@@ -14,8 +15,21 @@ use std::path::Path;
 fn drills_two_passes_an_inch_apart() {
     let truth = Described::default().machine("wo97-machine.toml").unwrap();
     let spec = Spec::machining_centre();
-    let setting = Setting { spec: &spec, truth: &truth, known: Some(&truth), seed: 1, out: Path::new("") };
+    // A fit that saw T1 10 K below any hall, and one that saw it as it is.
+    let fit = |axis: &str, range: &str| {
+        format!(
+            "[[fit]]\nresponse = \"error.{axis}\"\ndate = 2026-05-01\nvalid_until = \"2027-05-01\"\nrms_um = 1.0\nhalf_width_um = 2.0\n\
+             valid = [{{ sensor = \"T1\", reference_degC = 20.0, range_K = {range}, um_per_K = 3.0 }}]\n"
+        )
+    };
+    let known = format!("name = \"m\"\n{}{}", fit("x", "[-11, -10]"), fit("z", "[-50, 50]"));
+    let known = Machine::parse(Path::new("m.toml"), &known).unwrap();
+    let setting = Setting { spec: &spec, truth: &truth, known: Some(&known), seed: 1, out: Path::new("") };
     let found = Experiment::find("drilling").unwrap().run(&setting).unwrap();
+    let unseen =
+        found.summary["temperatures at hole 1 that no fit saw may leave, up to"].as_object().unwrap();
+    let um = unseen["error.x_um"].as_f64().unwrap();
+    assert!(unseen.len() == 1 && (um - 30.0).abs() < 3.0, "{unseen:?}");
     let text = |name: &str| &found.plots.iter().find(|p| p.0 == name).unwrap().1;
     let table = text("drilling-holes.csv");
     let rows: Vec<Vec<&str>> = table.lines().skip(1).map(|l| l.split(',').collect()).collect();

@@ -27,7 +27,7 @@ pub(super) fn read(
     // What is said in degrees is not missing in millimetres.
     let needed = |key| if other_kind && !s.has(key) { None } else { s.number(source, key) };
     let [count_um, travel_mm] = ["count_um", "travel_mm"].map(needed);
-    refuse_design(source, &mut s);
+    read_design(source, &mut s);
     let max = s.whole(source, "max_correction_counts");
     let window = s.whole(source, "window_counts");
     let window_given = s.has("window_counts");
@@ -183,15 +183,12 @@ pub(super) fn read(
     Some((axis, trace))
 }
 
-/// The key `design` of older configurations: the daemon inserts by Design C alone.
-fn refuse_design(source: &mut SourceFile<'_>, s: &mut Section<'_>) {
-    if !s.has_unoffered("design") {
-        return;
-    }
-    let expected = "no key `design`: every axis inserts by Design C; delete this line (the other designs are simulated: \
-                    rtecctl designs, rtecctl replay --design)";
-    if let Some(at) = s.value(source, "design", expected, |_| Some(())) {
-        source.finding(at.offset, "the key `design`", expected);
+/// The key `design`: the daemon inserts by Design C alone.
+fn read_design(source: &mut SourceFile<'_>, s: &mut Section<'_>) {
+    if s.has_unoffered("design") {
+        let expected = "\"c\", or no such key: every axis inserts by Design C (the other designs are simulated: rtecctl \
+                        designs, rtecctl replay --design)";
+        s.value(source, "design", expected, |e| e.as_str().filter(|design| *design == "c"));
     }
 }
 

@@ -11,6 +11,7 @@ mod next_run;
 mod noise;
 mod one_room;
 mod page;
+mod somewhere;
 mod stands;
 mod weighed;
 mod zeros;

@@ -8,7 +8,7 @@ use anyhow::Context;
 use rtec_files::InputError;
 use rtec_measure::plausible;
 use rtec_model::machine::Machine;
-use rtec_reconcile::{LAWS_FILE, Options, Place, Reconciliation, Refined, SEED, find, html, reconcile, why};
+use rtec_reconcile::{LAWS_FILE, Options, Reconciliation, Refined, SEED, html, reconcile, why};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
@@ -95,14 +95,6 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     }
     let (train, holdout) = (read(&runs)?, read(&args.holdout)?);
     spares_inputs(args)?;
-    if args.stage == Stage::Find {
-        super::suspicions::warn(&train);
-        let places = find(&train, &machine)?;
-        let document = json!({
-            "where": places.iter().map(Place::to_json).collect::<Vec<_>>(), "level": args.level, "seed": SEED,
-        });
-        return tell(args, &document, &found(&places), &[]);
-    }
     let date = humantime::format_rfc3339_seconds(SystemTime::now()).to_string()[..10].to_owned();
     let figures = args.stage == Stage::Show;
     let options = Options { level: args.level, date: Some(date), unexplained: args.unexplained, figures };
@@ -116,6 +108,11 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     for records in [&train, &holdout] {
         plausible::say_conditions(records, &answer.suspicions, &mut super::suspicions::say);
     }
+    if args.stage == Stage::Find {
+        let document = answer.to_json();
+        let document = json!({"where": document["where"], "level": args.level, "seed": SEED});
+        return tell(args, &document, &found(&answer), &[]);
+    }
     let mut document = answer.to_json();
     if let (false, Some(map)) = (figures, document.as_object_mut()) {
         map.remove("gap");
@@ -123,6 +120,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let mut files = Vec::new();
     if let (true, Some(dir)) = (args.stage >= Stage::Add, &args.out) {
         files.extend(answer.curve.as_ref().map(|(_, laws)| (LAWS_FILE, laws.clone())));
+        // What the model names beside it is looked for from there.
+        std::fs::create_dir_all(dir).with_context(|| format!("creating {}", dir.display()))?;
         let beside: Vec<(&str, &str)> = files.iter().map(|(name, text)| (*name, text.as_str())).collect();
         let model = answer.model.readable_text_at(&dir.join("model.toml"), &beside)?;
         files.push(("model.toml", model));
@@ -178,10 +177,10 @@ fn chance(p: f64) -> String {
     if p <= 0.001 { "< 0.001".to_owned() } else { format!("{p:.3}") }
 }
 
-fn found(places: &[Place]) -> String {
+fn found(answer: &Reconciliation) -> String {
     use std::fmt::Write as _;
     let mut s = String::from("Where measured and simulated disagree (false-discovery rate 5 %):\n");
-    let found: Vec<_> = places.iter().filter(|p| p.counts()).collect();
+    let found: Vec<_> = answer.places.iter().filter(|p| p.counts()).collect();
     for p in found.iter().take(8) {
         let _ = writeln!(
             s,
@@ -192,8 +191,13 @@ fn found(places: &[Place]) -> String {
             chance(p.p_value)
         );
     }
-    if found.is_empty() {
-        s.push_str("  nowhere\n");
+    for g in answer.gap.iter().filter(|_| found.is_empty()) {
+        let [left, _] = g.train;
+        let _ = writeln!(
+            s,
+            "  nowhere: {left:.4} {} are left; one reading scatters by {:.4}; more than that is each record's own set-up, or chance",
+            g.unit, g.floor
+        );
     }
     s
 }
@@ -217,7 +221,7 @@ fn values(x: &Refined) -> String {
 
 fn summary(r: &Reconciliation) -> String {
     use std::fmt::Write as _;
-    let mut s = found(&r.places);
+    let mut s = found(r);
     let unsaid = r.unsaid().map_or_else(String::new, |unsaid| format!("; {unsaid}"));
     let _ = writeln!(s, "Verdict: {}{unsaid}", r.verdict);
     for (f, half) in &r.effects {

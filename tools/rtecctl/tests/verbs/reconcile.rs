@@ -168,6 +168,10 @@ fn an_unexplained_curve_is_written_and_loads_again() {
     let shown = run(&["model", "show", "--machine", "found/model.toml"]);
     let said = String::from_utf8_lossy(&shown.stdout);
     assert!(shown.status.success() && said.contains("unexplained"), "{said}");
+    // What it wrote can be reconciled again, into a directory that is not there yet.
+    let again = run(&["reconcile", "run.run.toml", "--model", "found/model.toml", "--out", "again"]);
+    assert!(again.status.success(), "{}", String::from_utf8_lossy(&again.stderr));
+    assert!(run(&["model", "show", "--machine", "again/model.toml"]).status.success());
 }
 
 /// What drifts, waves or comes back at its places is somewhere; noise is nowhere.

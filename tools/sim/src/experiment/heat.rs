@@ -11,7 +11,7 @@ use crate::sim::{Sim, SimError, Spec};
 use rtec_measure::plot::{Chart, Series, Style};
 use rtec_model::chain::Chain;
 use rtec_model::effect::{Against, Difference, STANDARD_DEGC};
-use rtec_model::machine::{FitNote, Machine};
+use rtec_model::machine::{FitNote, Machine, Validity};
 use rtec_model::record::{Axis, Kind};
 use serde_json::{Map, Value, json};
 use std::fmt::Write as _;
@@ -264,7 +264,7 @@ pub(super) fn drilling(setting: &Setting<'_>, start: &Start) -> Result<Findings,
     let x = |r: &Row| r.now.t_s / 60.0;
     runs.publish(setting, Kind::Part, (&[0, 1, 2], 0.5), ("time (min)", &x), &mut findings)?;
     by_hole(start, &runs.logs, &mut findings)?;
-    promised(setting, &mut findings);
+    promised(setting, &runs.logs[0].rows[0], &mut findings);
     Ok(findings)
 }
 
@@ -318,13 +318,21 @@ fn by_hole(start: &Start, logs: &[Log], findings: &mut Findings) -> Result<(), E
     Ok(())
 }
 
-/// The residuals that the model's own fits promise.
-/// Correction gains nothing where the machine moves by less.
-fn promised(setting: &Setting<'_>, findings: &mut Findings) {
+/// The residuals that the model's own fits promise, and where they cannot.
+/// Correction gains nothing where the machine moves by less. `first`: the row at hole 1.
+fn promised(setting: &Setting<'_>, first: &Row, findings: &mut Findings) {
     let fits = setting.known.map_or(&[][..], Machine::fits);
-    let of = |fit: &FitNote| (format!("{}_um", fit.response), json!(digits(fit.half_width_um, 1e3)));
-    let promised: Map<String, Value> = fits.iter().map(of).collect();
-    if !promised.is_empty() {
-        findings.summary.insert("promised by the model, 95 %".to_owned(), Value::Object(promised));
-    }
+    let mut say = |title: &str, of: &dyn Fn(&FitNote) -> Option<f64>| {
+        let um = |fit: &FitNote| Some((format!("{}_um", fit.response), json!(digits(of(fit)?, 1e3))));
+        let all: Map<String, Value> = fits.iter().filter_map(um).collect();
+        if !all.is_empty() {
+            findings.summary.insert(title.to_owned(), Value::Object(all));
+        }
+    };
+    say("promised of the tool's own error, 95 %", &|fit| Some(fit.half_width_um));
+    say("temperatures at hole 1 that no fit saw may leave, up to", &|fit| {
+        let seen = |v: &Validity| v.outside_um(difference(&first.temperatures, &v.difference));
+        let um = fit.valid.iter().map(seen).fold(0.0, f64::max);
+        (um > fit.half_width_um).then_some(um)
+    });
 }
