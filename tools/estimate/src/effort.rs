@@ -25,6 +25,8 @@ pub const USUAL_TRIED: usize = 3;
 pub const PEAKS: usize = 12;
 /// Temperature differences of a law that are tried exactly.
 pub const DIFFERENCES: usize = 4;
+/// Places times peaks of a spectrum that are looked at exactly.
+pub const PLACES_LOOKED_AT: usize = 3000;
 /// Waves whose columns are kept.
 pub const WAVES_KEPT: usize = 400;
 /// Rounds of search and noise.
@@ -69,8 +71,8 @@ pub const PER_PERIOD: f64 = 6.0;
 pub const LONGEST: usize = 1 << 18;
 /// Frequency steps in shares of one turn over the whole range.
 pub const FREQUENCY_STEP: f64 = 0.35;
-/// Least share of power that tells sine and cosine from a constant.
-pub const ALONE: f64 = 0.01;
+/// Least share of power that tells sine and cosine from a constant: a hundredth of the amplitude.
+pub const ALONE: f64 = 1e-4;
 /// Most directions of one smooth shape.
 pub const SHAPE_RANK: usize = 12;
 /// Most directions along each of two axes of what is dented over their plane.
