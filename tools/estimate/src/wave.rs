@@ -23,6 +23,8 @@ pub struct Along {
     /// At each frequency the products of cosine and sine, without their means.
     /// With themselves and with each other.
     products: Vec<[f64; 3]>,
+    /// What is added to the products of a sine and a cosine that look alike.
+    ridge: f64,
     /// Each place once: where, and the sums of the shares and of their squares.
     places: Vec<[f64; 3]>,
     /// Of each row its place in `places`.
@@ -69,8 +71,9 @@ impl Along {
             place_of[i] = places.len() - 1;
         }
         let (range, products) = ([from, to], Vec::new());
+        let ridge = ALONE * places.iter().map(|p| p[2]).sum::<f64>();
         let mut new =
-            Self { rows, range, span, from: lo, pitch, length, transform, products, places, place_of };
+            Self { rows, range, span, from: lo, pitch, length, transform, products, ridge, places, place_of };
         new.products = new.products();
         Some(new)
     }
@@ -226,14 +229,14 @@ impl Along {
         }
         peaks.sort_by(|a, b| b.0.total_cmp(&a.0));
         peaks.truncate(most);
-        // In sixteenths of a step, so that what was computed of a wave serves again.
-        let rounded = |f: f64| (f / step * 16.0).round() * step / 16.0;
+        // In quarters of a step, so that what was computed of a wave serves again.
+        let rounded = |f: f64| (f / step * 4.0).round() * step / 4.0;
         peaks.into_iter().map(|p| rounded(p.1).clamp(self.range[0], self.range[1])).collect()
     }
 
     /// The power that cosine and sine explain beside a constant, from their products and sums.
     fn explained(&self, [cc, ss, cs]: [f64; 3], [c, s]: [f64; 2]) -> f64 {
-        let ridge = ALONE * self.places.iter().map(|p| p[2]).sum::<f64>();
+        let ridge = self.ridge;
         let (cc, ss) = (cc.max(0.0) + ridge, ss.max(0.0) + ridge);
         (ss * c * c + cc * s * s - 2.0 * cs * c * s) / (cc * ss - cs * cs).max(ridge * ridge)
     }
