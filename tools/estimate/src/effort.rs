@@ -71,7 +71,8 @@ pub const PER_PERIOD: f64 = 6.0;
 pub const LONGEST: usize = 1 << 18;
 /// Frequency steps in shares of one turn over the whole range.
 pub const FREQUENCY_STEP: f64 = 0.35;
-/// Least share of power that tells sine and cosine from a constant: a hundredth of the amplitude.
+/// Least share of power that tells sine and cosine from a constant.
+/// It is a hundredth of the amplitude.
 pub const ALONE: f64 = 1e-4;
 /// Most directions of one smooth shape.
 pub const SHAPE_RANK: usize = 12;

@@ -234,7 +234,8 @@ impl Along {
         peaks.into_iter().map(|p| rounded(p.1).clamp(self.range[0], self.range[1])).collect()
     }
 
-    /// The power that cosine and sine explain beside a constant, from their products and sums.
+    /// The power that cosine and sine explain beside a constant.
+    /// From their products among each other, and with the residual.
     fn explained(&self, [cc, ss, cs]: [f64; 3], [c, s]: [f64; 2]) -> f64 {
         let ridge = self.ridge;
         let (cc, ss) = (cc.max(0.0) + ridge, ss.max(0.0) + ridge);
@@ -325,7 +326,9 @@ mod tests {
             let wave = places.iter().map(|p| 3.0 * (std::f64::consts::TAU * p / period + 0.5).sin());
             let mut residual: Vec<f64> = wave.collect();
             let mean = residual.iter().sum::<f64>() / residual.len() as f64;
-            residual.iter_mut().for_each(|r| *r -= mean);
+            for r in &mut residual {
+                *r -= mean;
+            }
             let rows = places.iter().enumerate().map(|(i, p)| (i, *p, 1.0)).collect();
             let best = Along::new(rows, [1.0 / 600.0, 2.0]).unwrap().peaks(&residual, 12)[0];
             assert!((best * period - 1.0).abs() < 0.01, "{period}: {}", 1.0 / best);

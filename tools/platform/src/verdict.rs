@@ -15,7 +15,8 @@ use std::collections::BTreeMap;
 pub struct AxisRate {
     /// Its name.
     pub name: String,
-    /// The highest edge rate at which an insertion has time, by the worst delay seen. `None` if there is none.
+    /// The highest edge rate at which an insertion has time; `None` if there is none.
+    /// By the worst delay seen.
     pub safe_hz: Option<f64>,
     /// The same by all delays but one in ten thousand.
     pub usual_hz: Option<f64>,
@@ -101,7 +102,7 @@ pub struct Document<'a> {
     wakeup_ns: &'a Latency,
     poll_gap_ns: &'a Latency,
     edge_to_done_ns: &'a Latency,
-    /// The engine's own part of it: from the look that saw the edge to the look that ordered the second inversion.
+    /// From the look that saw the edge to the one that ordered the second inversion.
     seen_to_done_ns: &'a Snapshot,
     /// The same three while requests stream in as fast as the link takes them.
     poll_gap_with_requests_ns: &'a Latency,
@@ -166,7 +167,7 @@ fn axis_rate(axis: ConfiguredAxis, measured: &Measured) -> AxisRate {
     AxisRate { outruns: as_measured.outruns(), name: as_measured.name, safe_hz, usual_hz, rates }
 }
 
-/// The highest edge rate at which an insertion still has time on an axis, with this machine's latency.
+/// The highest edge rate at which an insertion still has time on an axis.
 fn edge_rate_hz(axis: AxisConfig, measured: &Measured, detect_ns: u64) -> Option<f64> {
     if !measured.timed() {
         return None; // nothing is known

@@ -4,7 +4,7 @@ use super::{Found, Rival, Tried, label};
 use crate::cause::Cause;
 use crate::effort::{HOPELESS, MOMENT_ROWS};
 use crate::priors::{HELD, LISTED, SAME_PERIOD};
-use crate::search::{Member, Search, Set, log_sum};
+use crate::search::{Member, Search, Seed, Set, log_sum};
 use rtec_model::effect::{Effect, Refine};
 
 /// What could stand in the place of one member.
@@ -33,32 +33,31 @@ pub(super) fn add_alike_maps(search: &Search<'_>, set: &Set, member: usize, all:
     }
 }
 
-/// The posterior of one place: all that could stand there beside the other members.
-pub(super) fn place(search: &Search<'_>, set: &Set, member: usize) -> Place {
-    let own = &set.members[member];
-    let without = search.without(set, member);
-    let look = search.look_at(&without);
-    let seeds = search.seeds(&without, &look, true);
+/// Adds what else could stand in a member's place, refined.
+/// Returns the likeliest set of them that is likelier than the one given.
+fn stands(
+    search: &Search<'_>,
+    set: &Set,
+    without: &Set,
+    own: &Member,
+    seeds: &[Seed],
+    all: &mut Vec<Stand>,
+) -> Option<Set> {
     let families = &search.families.list;
-    let own_label = own.cause.effect().map_or_else(|| families[own.family].label(), label);
-    // Family, label, effect, log mass.
-    let mut all: Vec<Stand> = vec![(own.family, own_label.clone(), own.cause.effect().cloned(), set.score)];
     let mut better: Option<Set> = None;
     let mut keep = |other: Set| {
         if other.score > better.as_ref().map_or(set.score + 0.05, |b| b.score) {
             better = Some(other);
         }
     };
-    let top = seeds.first().map_or(0.0, |s| s.score).max(set.score - without.score);
-    let far = seeds.iter().position(|s| s.score < top - HOPELESS - 2.0).unwrap_or(seeds.len());
-    for seed in &seeds[..far] {
+    for seed in seeds {
         let refined = search.refined(&without.factor, seed);
         let name = refined.cause.effect().map_or_else(|| families[seed.family].label(), label);
         let same_mode = seed.family == own.family && same_place(&own.cause, &refined.cause);
         if same_mode {
             continue;
         }
-        if let Some(other) = search.with(&without, &refined) {
+        if let Some(other) = search.with(without, &refined) {
             all.push((seed.family, name, refined.cause.effect().cloned(), other.score));
             keep(other);
         }
@@ -70,12 +69,28 @@ pub(super) fn place(search: &Search<'_>, set: &Set, member: usize) -> Place {
                 && a.2.as_ref().zip(refined.cause.effect()).is_some_and(|(a, b)| same_period(a, b))
         };
         if !all.iter().any(seen)
-            && let Some(other) = search.with(&without, &refined)
+            && let Some(other) = search.with(without, &refined)
         {
-            all.push((seed.family, own_label.clone(), refined.cause.effect().cloned(), other.score));
+            all.push((seed.family, all[0].1.clone(), refined.cause.effect().cloned(), other.score));
             keep(other);
         }
     }
+    better
+}
+
+/// The posterior of one place: all that could stand there beside the other members.
+pub(super) fn place(search: &Search<'_>, set: &Set, member: usize) -> Place {
+    let own = &set.members[member];
+    let without = search.without(set, member);
+    let look = search.look_at(&without);
+    let seeds = search.seeds(&without, &look, true);
+    let families = &search.families.list;
+    let own_label = own.cause.effect().map_or_else(|| families[own.family].label(), label);
+    // Family, label, effect, log mass.
+    let mut all: Vec<Stand> = vec![(own.family, own_label.clone(), own.cause.effect().cloned(), set.score)];
+    let top = seeds.first().map_or(0.0, |s| s.score).max(set.score - without.score);
+    let far = seeds.iter().position(|s| s.score < top - HOPELESS - 2.0).unwrap_or(seeds.len());
+    let better = stands(search, set, &without, own, &seeds[..far], &mut all);
     add_alike_maps(search, set, member, &mut all);
     let masses: Vec<f64> = all.iter().map(|a| a.3).chain([without.score]).collect();
     let total = log_sum(masses.iter().copied());

@@ -44,7 +44,8 @@ fn runs_on_grids_with_a_common_step_show_no_period_below_two_of_them() {
     }
 }
 
-/// Eleven places hold many waves nearly; the one that is there lies between two of the grid's frequencies.
+/// Eleven places hold many waves nearly.
+/// The one that is there lies between two of the grid's frequencies.
 #[test]
 fn a_wave_between_frequencies_of_the_grid_is_found_at_few_places() {
     let near = [
@@ -85,10 +86,8 @@ fn a_bow_that_a_circle_shows_has_the_angular_error_as_its_rival() {
             ("z", "position.z", of(&|a| 150.0 * a.cos())),
             ("e", "error.r", error.collect()),
         ];
-        #[expect(clippy::unwrap_used, reason = "a test's own helper")]
         let plane = [Axis::new("z").unwrap(), Axis::new("x").unwrap()];
         let circle = Circle { radius_mm: 150.0, plane, centre_mm: None };
-        #[expect(clippy::unwrap_used, reason = "a test's own helper")]
         let run = record("bow", Kind::Ballbar, columns).with_circle(circle).unwrap();
         let r = answer("", &[run], &[]);
         let (found, _) = &r.effects[0];
