@@ -59,41 +59,41 @@ pub fn wires(config: &Config) -> Vec<Wire> {
 pub struct Reading {
     /// The profile's name; GPIO lines have none.
     pub card: Option<String>,
-    /// Register by register.
-    pub registers: Vec<RegisterReading>,
     /// Line by line.
     pub lines: Vec<LineReading>,
+    /// Register by register.
+    pub registers: Vec<RegisterReading>,
 }
 
 /// A register as it was read.
 #[derive(Debug, Serialize)]
 pub struct RegisterReading {
-    /// Byte offset.
-    pub offset: usize,
     /// Width.
     pub bits: u32,
+    /// What that means; often nothing.
+    pub means: String,
+    /// Byte offset.
+    pub offset: usize,
     /// What the profile uses it for.
     #[serde(rename = "use")]
     pub purpose: &'static str,
     /// What it reads.
     pub value: u32,
-    /// What that means; often nothing.
-    pub means: String,
 }
 
 /// A wired line as it was read.
 #[derive(Debug, Serialize)]
 pub struct LineReading {
-    /// Its axis and its key.
-    pub line: String,
-    /// `input` or `output`.
-    pub direction: &'static str,
     /// Its bit, if registers were read.
     pub bit: Option<u8>,
-    /// Its level, polarity taken out.
-    pub level: Option<u8>,
+    /// `input` or `output`.
+    pub direction: &'static str,
     /// What the kernel says of a GPIO line.
     pub kernel: Option<String>,
+    /// Its level, polarity taken out.
+    pub level: Option<u8>,
+    /// Its axis and its key.
+    pub line: String,
 }
 
 impl LineReading {
@@ -194,12 +194,12 @@ fn read_gpio(config: &Config, setup: &GpioSetup) -> Result<Reading, OpenError> {
 /// An output that was switched over and back.
 #[derive(Debug, Serialize)]
 pub struct Switched {
+    /// The inputs that changed with it.
+    pub followed_by: Vec<String>,
     /// Its axis and its key.
     pub line: String,
     /// Both times the card said what was written.
     pub reads_back: bool,
-    /// The inputs that changed with it.
-    pub followed_by: Vec<String>,
 }
 
 /// Time for gates, receivers and the card's input filter.
