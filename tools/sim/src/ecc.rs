@@ -239,6 +239,7 @@ impl Ecc {
     }
 
     /// Largest deviation from 90° between two edges of a split pulse, degrees of phase.
+    /// At 180° they have changed places, and more is no phase.
     #[must_use]
     pub fn worst_phase_deg(&self) -> f64 {
         self.worst_phase_deg
@@ -321,7 +322,7 @@ impl Ecc {
         let half_ns = self.vco_ns * 0.5 * (1.0 + shift);
         // Two edges a count of the input are 90° apart: half of its period.
         let off = half_ns / (0.25e9 / self.input_hz) - 1.0;
-        self.worst_phase_deg = self.worst_phase_deg.max(90.0 * off.abs());
+        self.worst_phase_deg = self.worst_phase_deg.max((90.0 * off.abs()).min(180.0));
         self.tick_ns = Some((edge_ns + half_ns as u64).max(self.look_ns + self.fastest_ns()));
         self.half_sent = false;
     }

@@ -208,7 +208,7 @@ pub const EXPERIMENTS: [Experiment; 18] = [
     },
     Experiment {
         name: "drilling-warm",
-        what: "the same after three hours at 5000 rpm, wet, the corrector on throughout (WO 97/43703, test 2)",
+        what: "the same after three hours at 5000 rpm, wet, the corrector on throughout",
         own: WO_97,
         run: |setting| {
             drilling(setting, &Start { name: "drilling-warm", before: &[(5000.0, 180.0)], stood_degc: None })
