@@ -25,8 +25,6 @@ pub const USUAL_TRIED: usize = 3;
 pub const PEAKS: usize = 12;
 /// Temperature differences of a law that are tried exactly.
 pub const DIFFERENCES: usize = 4;
-/// Places times peaks of a spectrum that are looked at exactly.
-pub const PLACES_LOOKED_AT: usize = 3000;
 /// Waves whose columns are kept.
 pub const WAVES_KEPT: usize = 400;
 /// Rounds of search and noise.
@@ -72,8 +70,7 @@ pub const LONGEST: usize = 1 << 18;
 /// Frequency steps in shares of one turn over the whole range.
 pub const FREQUENCY_STEP: f64 = 0.35;
 /// Least share of power that tells sine and cosine from a constant.
-/// It is a hundredth of the amplitude.
-pub const ALONE: f64 = 1e-4;
+pub const ALONE: f64 = 0.01;
 /// Most directions of one smooth shape.
 pub const SHAPE_RANK: usize = 12;
 /// Most directions along each of two axes of what is dented over their plane.

@@ -9,7 +9,6 @@ use crate::setup;
 use crate::shapes::shapes;
 use crate::smooth::{Kernel, directions, knots, shares};
 use crate::wave::Along;
-use rtec_least_squares::dot;
 use rtec_model::effect::{
     Dictionary, Difference, Effect, Heat, Need, Point, Quantity, Refine, Search as How,
 };
@@ -440,18 +439,11 @@ fn maps(rows: &Rows<'_>, effect: &Effect) -> Vec<(f64, Cause)> {
     let Some(effect) = effect.with_values(&[knots.clone(), heights].concat()) else { return Vec::new() };
     let kernels =
         [Kernel::Smooth(LENGTHS[0] * range), Kernel::Smooth(LENGTHS[1] * range), Kernel::Rough(range)];
-    let mut forms: Vec<Vec<Vec<f64>>> =
-        kernels.iter().map(|kernel| directions(&knots, *kernel, &without, KNOTS)).collect();
-    // A guideway that is warmer above than below bends along a parabola.
-    let share = |p: f64| (p - knots[0]) / range;
-    let [one, line, bow] = [0, 1, 2].map(|k| knots.iter().map(|p| share(*p).powi(k)).collect::<Vec<_>>());
-    let over = |f: &[f64]| [0, 1].map(|k| dot(&without[k], f));
-    let ([a, c], [b, d], [e, f]) = (over(&one), over(&line), over(&bow));
-    let (tilt, height) = ((f * a - e * c) / (d * a - b * c), (e * d - f * b) / (d * a - b * c));
-    let bow: Vec<f64> = bow.iter().zip(&line).map(|(bow, line)| bow - height - tilt * line).collect();
-    let most = bow.iter().fold(0.0_f64, |most, x| most.max(x.abs()));
-    forms.push(vec![bow.iter().map(|x| x / most).collect()]);
-    let even = -(forms.len() as f64).ln();
-    let of = |found| (even, Cause::Map { effect: effect.clone(), directions: Arc::new(found) });
-    forms.into_iter().map(of).collect()
+    kernels
+        .iter()
+        .map(|kernel| {
+            let found = directions(&knots, *kernel, &without, KNOTS);
+            (-(kernels.len() as f64).ln(), Cause::Map { effect: effect.clone(), directions: Arc::new(found) })
+        })
+        .collect()
 }

@@ -8,7 +8,6 @@ use crate::setup::{self, Term};
 use rtec_least_squares::{Factor, add, dot};
 use rtec_model::effect::{Effect, Refine, Search};
 use statrs::distribution::{ChiSquared, ContinuousCDF as _};
-use std::collections::BTreeMap;
 
 /// A direction in which a known effect may deviate a little.
 #[derive(Debug, Clone)]
@@ -280,9 +279,6 @@ impl<'r> Problem<'r> {
             *x *= 1e-3;
         }
         let mut noise = Noise::guess(self.rows, &left);
-        for (sigma, repeats) in noise.sigma.iter_mut().zip(self.repeats(&left)) {
-            *sigma = repeats.map_or(*sigma, |r| r.max(1e-3 * *sigma).min(*sigma));
-        }
         let steps = |s: &Segment| left[s.rows.clone()].windows(2).map(|w| (w[1] - w[0]).powi(2)).sum();
         let steps: Vec<f64> = self.rows.segments.iter().map(steps).collect();
         noise.shared_out(self.rows, &steps, &self.floors);
@@ -290,27 +286,6 @@ impl<'r> Problem<'r> {
         noise.weight.clone_from(&self.weights);
         noise.phi.iter_mut().zip(&self.floors).filter(|(_, f)| **f > 0.0).for_each(|(p, _)| *p = 0.0);
         noise
-    }
-
-    /// Per response how far repeats at one place and direction scatter.
-    /// No effect that repeats is in it. So waves that nearly fit are told apart from the first look on.
-    fn repeats(&self, left: &[f64]) -> Vec<Option<f64>> {
-        let mut sums = vec![(0.0, 0.0); self.rows.responses.len()];
-        for s in &self.rows.segments {
-            let mut groups: BTreeMap<Vec<i64>, Vec<f64>> = BTreeMap::new();
-            for (place, x) in setup::places(self.rows, s).into_iter().zip(&left[s.rows.clone()]) {
-                groups.entry(place).or_default().push(*x);
-            }
-            for own in groups.into_iter().filter(|(place, _)| !place.is_empty()).map(|g| g.1) {
-                let mean = own.iter().sum::<f64>() / own.len() as f64;
-                let (squares, freedom) = &mut sums[s.response];
-                *squares += own.iter().map(|x| (x - mean).powi(2)).sum::<f64>();
-                *freedom += own.len() as f64 - 1.0;
-            }
-        }
-        sums.into_iter()
-            .map(|(squares, freedom)| (freedom >= 8.0).then(|| (squares / freedom).sqrt()))
-            .collect()
     }
 
     /// Log of the density's normalisation under a noise.

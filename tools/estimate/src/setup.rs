@@ -194,7 +194,7 @@ pub fn place_of(mm: f64) -> i64 {
 
 /// Where each row was read: the places of all axes and their directions.
 /// All are equal if the response's axis has no place. The names of the columns do not matter: rows of one reading stay together.
-pub(crate) fn places(rows: &Rows<'_>, s: &Segment) -> Vec<Vec<i64>> {
+fn places(rows: &Rows<'_>, s: &Segment) -> Vec<Vec<i64>> {
     let record = rows.record(s);
     let own = rows.responses[s.response].axis().cloned();
     let placed = own.is_some_and(|a| record.data(&Role::Position(a)).is_some());

@@ -225,11 +225,12 @@ impl Search<'_> {
         all
     }
 
-    /// Other maps that are equivalent to the last member at these rows.
-    /// On a circle z² = r² − x². Which of them the data prefer is chance, in directions that none of them needs.
+    /// Maps that are equivalent to the last member at these rows.
+    /// On a circle z² = r² − x². Which of two maps the data prefer is chance, in directions that neither needs. To a law a plain bow is
+    /// equivalent: guideways that are warmer above than below bend along a parabola.
     #[must_use]
     pub fn maps_alike(&self, set: &Set) -> Vec<Seed> {
-        let Some(own) = set.members.last().filter(|m| matches!(m.cause, Cause::Map { .. })) else {
+        let Some(own) = set.members.last().filter(|m| m.cause.effect().is_some()) else {
             return Vec::new();
         };
         let without = self.first(set, set.members.len() - 1);
@@ -240,21 +241,37 @@ impl Search<'_> {
         }
         let found = without.beside(&found);
         let power = dot(&found, &found);
-        let shows = |cause: &Cause| {
+        let shows = |columns: Columns| {
             let mut other = Factor::new(&found);
-            for c in self.columns(cause) {
+            for c in columns {
                 other.push(&without.beside(&c).iter().map(|x| x * WIDE).collect::<Vec<_>>());
             }
             1.0 - dot(other.residual(), other.residual()) / power
         };
+        let is_map = matches!(own.cause, Cause::Map { .. });
         let of = |(family, f): (usize, &Family)| {
             let Scan::Grid(points) = &f.scan else { return None };
             let other = family != own.family && f.replaces.is_none();
-            let maps = points.iter().filter(|p| other && matches!(p.2, Cause::Map { .. }));
-            let (_, weight, cause) = maps.into_iter().find(|p| shows(&p.2) > ALIKE)?;
+            let mut maps = points.iter().filter(|p| other && matches!(p.2, Cause::Map { .. }));
+            let (_, weight, cause) =
+                maps.find(|p| shows(if is_map { self.columns(&p.2) } else { self.bow(&p.2) }) > ALIKE)?;
             Some(Seed { family, cause: cause.clone(), weight: *weight, score: f.prior })
         };
         self.families.list.iter().enumerate().filter_map(of).collect()
+    }
+
+    /// The bow of a map: a parabola over its knots, without constant and line.
+    fn bow(&self, map: &Cause) -> Columns {
+        let Cause::Map { effect, .. } = map else { return Columns::new() };
+        let knots = effect.get(0);
+        let share = |k: &f64| (k - knots[0]) / (knots[knots.len() - 1] - knots[0]);
+        let powers = (0..3).map(|p| knots.iter().map(|k| share(k).powi(p)).collect()).collect();
+        let mut columns = self.columns(&Cause::Map { effect: effect.clone(), directions: Arc::new(powers) });
+        let mut bow = Factor::new(&columns.pop().unwrap_or_default());
+        for line in columns {
+            bow.push_free(&line);
+        }
+        vec![bow.residual().to_vec()]
     }
 
     /// Refines a seed's non-linear parameters to where it explains most.

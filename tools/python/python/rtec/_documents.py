@@ -250,6 +250,7 @@ class TableDocument(TypedDict):
     points: int
     constant_um: float
     between_um: float
+    behind_turn_um: float
     max_up_um: float
     max_down_um: float
     rms_um: float

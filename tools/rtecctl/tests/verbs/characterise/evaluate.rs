@@ -281,11 +281,7 @@ fn reports_are_pages_of_their_own() {
         (
             "drift-budget",
             &["iso230-3", "drift.run.toml", "--conditions", "drift.toml"],
-            &[
-                "Uncertainty budget of error.z",
-                "drift (E_VE)",
-                "does not use [uncertainty] misalignment_mm",
-            ],
+            &["Uncertainty budget of error.z", "drift (E_VE)", "does not use [uncertainty] misalignment_mm"],
         ),
         ("plate", &["plate", "plate.run.toml"], &["quadrupole", "ppm", "this arrow is", "times enlarged"]),
         (
