@@ -2,6 +2,7 @@
 //! offered as a change, with its statistics; nothing is applied (NISTIR 4854, section 1).
 
 use crate::cor::{MOST_RAD, MOST_UM, PointError, turned_near};
+use crate::determine::is_times;
 use crate::steps::{left_in_mean, written_step_mm};
 use rtec_files::InputError;
 use rtec_files::{Columns, Sheet};
@@ -286,10 +287,8 @@ fn read(file: &Path, sheet: &Sheet) -> Result<Vec<Series>, InputError> {
     let worked_out = |nominal: Vec<f64>| -> Result<Vec<f64>, InputError> {
         let measured = sheet.numbers("measured_mm")?;
         // No part is so far off: one is a radius, the other a diameter.
-        let is_double = |row: &usize| {
-            let ratio = measured[*row] / nominal[*row];
-            (ratio / 2.0 - 1.0).abs() < 0.02 || (ratio * 2.0 - 1.0).abs() < 0.02
-        };
+        let is_double =
+            |row: &usize| [2.0, 0.5].iter().any(|times| is_times(measured[*row] / nominal[*row], *times));
         if let Some(row) = (0..measured.len()).find(is_double) {
             let found = format!("{} mm measured where {} mm is nominal", measured[row], nominal[row]);
             return Err(sheet.finding(row, found, "both as radii, or both as diameters"));

@@ -229,12 +229,16 @@ fn refuse_diameters(args: &Asked, points: &[Zx]) -> Result<(), InputError> {
     Ok(())
 }
 
+/// Whether a size is so many times another, as a diameter is its radius.
+pub(crate) fn is_times(ratio: f64, times: f64) -> bool {
+    (ratio / times - 1.0).abs() < 0.02
+}
+
 /// What a circle of twice or half its nominal size may be.
 fn double_hint(nominal_to_found: f64) -> &'static str {
-    let is_near = |ratio: f64| (nominal_to_found / ratio - 1.0).abs() < 0.02;
     match () {
-        () if is_near(2.0) => "; twice that is its diameter",
-        () if is_near(0.5) => "; half of that: are the points, or the radius, diameters?",
+        () if is_times(nominal_to_found, 2.0) => "; twice that is its diameter",
+        () if is_times(nominal_to_found, 0.5) => "; half of that: are the points, or the radius, diameters?",
         () => "",
     }
 }
