@@ -14,7 +14,7 @@ use std::io::{Read, Seek};
 use std::path::Path;
 
 /// What parts thousands in some countries, beside the other one of point and comma.
-const BLANKS: [char; 4] = [' ', '\u{a0}', '\u{202f}', '\''];
+const BLANKS: [char; 6] = [' ', '\u{a0}', '\u{2009}', '\u{202f}', '\'', '\u{2019}'];
 
 /// The decimal marks that a table's cells show.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -77,7 +77,7 @@ impl Numbers {
                 Some(mark) => Some(mark).filter(|mark| *mark == ','),
                 None => Some(',').filter(|_| !self.commas_part),
             }
-        } else if self.table == Some(',') {
+        } else if text.contains('.') && self.table == Some(',') {
             None
         } else {
             Some('.')
@@ -396,9 +396,15 @@ fn ungrouped(text: &str, mark: char) -> Option<String> {
     let (whole, rest) = body.split_at(end);
     let parts: Vec<&str> = whole.split(|c| matches!(c, '.' | ',') || BLANKS.contains(&c)).collect();
     let digits = |p: &str| p.bytes().all(|b| b.is_ascii_digit());
-    let grouped =
-        parts.len() == 1 || (1..=3).contains(&parts[0].len()) && parts[1..].iter().all(|p| p.len() == 3);
-    if !grouped || !parts.iter().all(|p| digits(p)) || sign.chars().count() > 1 {
+    // 1,234,567, or 12,34,567 as in India.
+    let are_groups = match &parts[1..] {
+        [] => true,
+        [middle @ .., last] => {
+            let of = |digits: usize| middle.iter().all(|p| p.len() == digits);
+            last.len() == 3 && (parts[0].len() <= 3 && of(3) || parts[0].len() <= 2 && of(2))
+        }
+    } && (parts.len() == 1 || !parts[0].is_empty());
+    if !are_groups || !parts.iter().all(|p| digits(p)) || sign.chars().count() > 1 {
         return None;
     }
     let rest = rest.strip_prefix(mark).map_or_else(|| rest.to_owned(), |fraction| format!(".{fraction}"));
@@ -475,6 +481,28 @@ mod tests {
             (b"1,\xb5", false),
         ] {
             assert_eq!(is_plain(&mut &bytes[..]).unwrap(), plain);
+        }
+    }
+
+    /// A whole number shows no decimal mark: what parts its thousands is read beside any.
+    #[test]
+    fn thousands_are_read_beside_every_decimal_mark() {
+        for blank in BLANKS {
+            for table in [None, Some('.'), Some(',')] {
+                for by in [';', ','] {
+                    let text = format!("-1{blank}234{blank}567");
+                    let numbers = Numbers::of([text.as_str()], table, by);
+                    assert_eq!(numbers.parse(&text), Some(-1_234_567.0), "{blank:?} {table:?} {by}");
+                }
+            }
+        }
+        for (text, right) in [
+            ("1,00,000", Some(100_000.0)),
+            ("12,34,567.5", Some(1_234_567.5)),
+            ("123,45,678", None),
+            ("1,00,00", None),
+        ] {
+            assert_eq!(Numbers::of([text], Some('.'), ',').parse(text), right, "{text}");
         }
     }
 
