@@ -92,6 +92,49 @@ impl Spline {
         Zx::new(d[p].0 / d[p].2, d[p].1 / d[p].2)
     }
 
+    /// The curve from corner to corner.
+    /// It may turn only at a knot that stands there as often as its degree: it runs through a control point then. `is_corner` says
+    /// whether it turns between two directions.
+    pub(crate) fn between_corners(mut self, is_corner: impl Fn(Zx, Zx) -> bool) -> Vec<Self> {
+        let (p, mut pieces, mut i) = (self.degree, Vec::new(), self.degree + 1);
+        while i < self.points.len() {
+            let (u, n) = (self.knots[i], self.points.len());
+            let times = self.knots[i..n].iter().take_while(|k| **k == u).count();
+            // Through the last point of one piece; a knot more often leaps to the first of the next.
+            let (last, first) = (i - 1, i - 1 + times.saturating_sub(p));
+            let inside = times >= p && self.knots[p] < u && u < self.knots[n] && first + 1 < n;
+            let turns = || {
+                let leg = |from: Zx, to: &Zx| Some(*to - from).filter(|d| d.norm() > 0.0);
+                let before = self.points[..last].iter().rev().find_map(|q| leg(self.points[last], q));
+                let behind = self.points[first + 1..].iter().find_map(|q| leg(self.points[first], q));
+                times > p || before.zip(behind).is_some_and(|(a, b)| is_corner(a * -1.0, b))
+            };
+            if !inside || !turns() {
+                i += times;
+                continue;
+            }
+            let mut rest = Self {
+                degree: p,
+                knots: self.knots[i + times - p..].to_vec(),
+                points: self.points.split_off(first),
+                weights: self.weights.split_off(first),
+            };
+            rest.knots.insert(0, u);
+            if times == p {
+                self.points.push(rest.points[0]);
+                self.weights.push(rest.weights[0]);
+            }
+            self.points.truncate(i);
+            self.weights.truncate(i);
+            self.knots.truncate(i);
+            self.knots.resize(i + p + 1, u);
+            pieces.push(std::mem::replace(&mut self, rest));
+            i = p + 1;
+        }
+        pieces.push(self);
+        pieces
+    }
+
     fn reversed(&self) -> Self {
         let end = self.knots[self.knots.len() - 1] + self.knots[0];
         Self {
@@ -153,13 +196,17 @@ impl Segment {
     /// Chords within 2 µm of the curve.
     #[must_use]
     pub fn polyline(&self) -> Vec<Zx> {
-        let chords = match self {
+        let chords = self.chords();
+        (0..=chords).map(|k| self.at(k as f64 / chords as f64)).collect()
+    }
+
+    fn chords(&self) -> usize {
+        match self {
             Self::Line { .. } => 1,
             Self::Arc { radius_mm: r, sweep_rad, .. } => chords_of_arc(*r, *sweep_rad, CHORD_MM),
             Self::Ellipse { major, sweep_rad, .. } => chords_of_arc(major.norm() * 2.0, *sweep_rad, CHORD_MM),
             Self::Spline(spline) => (spline.points.len() * 64).min(MAX_CHORDS),
-        };
-        (0..=chords).map(|k| self.at(k as f64 / chords as f64)).collect()
+        }
     }
 
     /// Length along the contour, in mm.
@@ -168,7 +215,16 @@ impl Segment {
         match self {
             Self::Line { a, b } => (*b - *a).norm(),
             Self::Arc { radius_mm, sweep_rad, .. } => radius_mm * sweep_rad.abs(),
-            _ => self.polyline().windows(2).map(|w| (w[1] - w[0]).norm()).sum(),
+            _ => {
+                let chords = self.chords().max(64).next_multiple_of(2);
+                let sum = |by: usize| -> f64 {
+                    let at: Vec<Zx> =
+                        (0..=chords).step_by(by).map(|k| self.at(k as f64 / chords as f64)).collect();
+                    at.windows(2).map(|w| (w[1] - w[0]).norm()).sum()
+                };
+                // Chords are too short by the square of their length; those twice as long show by how much.
+                sum(1) + (sum(1) - sum(2)) / 3.0
+            }
         }
     }
 

@@ -447,7 +447,7 @@ impl Reader<'_> {
                     return refuse(kind, "without a complete set of control points and knots", expected);
                 };
                 let heights: Vec<f64> = entity.rows([10, 20, 30]).iter().map(|p| p[2]).collect();
-                (flat(&heights), vec![Segment::Spline(spline)])
+                (flat(&heights), self.smooth(spline, cleaned))
             }
             "CIRCLE"
                 if TAU * entity.number(40).unwrap_or(0.0).abs() * self.unit.0
@@ -631,6 +631,20 @@ impl Reader<'_> {
         let chord = (to - from).norm();
         let way = if bulge == 0.0 { 1.0 } else { (1.0 + bulge * bulge) * bulge.atan() / bulge };
         chord * way <= self.options.tolerance_mm
+    }
+
+    /// The smooth pieces of a spline; one of degree 1 is a polyline.
+    fn smooth(&self, spline: Spline, cleaned: &mut Cleaned) -> Vec<Segment> {
+        if spline.degree == 1 {
+            let corners: Vec<_> = spline.points.iter().map(|p| (*p, 0.0)).collect();
+            return self.bulged(&corners, false, cleaned);
+        }
+        let turns = |before: Zx, behind: Zx| {
+            let across = Zx::new(-behind.x, behind.z);
+            let off_mm = before.dot(across).abs() / before.norm().max(behind.norm());
+            before.dot(behind) <= 0.0 || off_mm > self.flat_mm()
+        };
+        spline.between_corners(turns).into_iter().map(Segment::Spline).collect()
     }
 
     fn spline(&self, s: &Entity) -> Option<Spline> {

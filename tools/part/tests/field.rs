@@ -62,8 +62,9 @@ fn an_angle_within_its_interval_is_not_told() {
 
 mod drawings {
     use super::field;
-    use rtec_part::contour::{Contour, FeatureKind};
+    use rtec_part::contour::{Contour, FeatureKind, Segment, Spline};
     use rtec_part::drawing::{self, Options};
+    use rtec_part::fit::Zx;
 
     fn contour(name: &str) -> Contour {
         drawing::read(&field(name), &Options::default()).unwrap().0
@@ -132,6 +133,73 @@ mod drawings {
         groups.extend((0..n + 4).map(|k| (40, k.saturating_sub(3).min(n - 3) as f64)));
         groups.extend(points.iter().flat_map(|p| [(10, p[0]), (20, p[1]), (30, 0.0)]));
         entity("SPLINE", &groups)
+    }
+
+    /// A spline by its degree, its knots and its control points.
+    fn spline_of(degree: usize, knots: &[f64], points: &[[f64; 2]]) -> String {
+        let counts = [(71, degree), (72, knots.len()), (73, points.len()), (74, 0)];
+        let mut groups = vec![(70, 8.0)];
+        groups.extend(counts.map(|(code, n)| (code, n as f64)));
+        groups.extend(knots.iter().map(|k| (40, *k)));
+        groups.extend(points.iter().flat_map(|p| [(10, p[0]), (20, p[1]), (30, 0.0)]));
+        entity("SPLINE", &groups)
+    }
+
+    /// A spline may hold corners: each smooth piece is a feature, whatever its degree.
+    #[test]
+    fn a_spline_is_cut_at_its_corners() {
+        let (from, corner, to) = ([80.0, 20.0], [50.0, 20.0], [0.0, 30.0]);
+        let between = |a: [f64; 2], b: [f64; 2], t: f64| [a[0] + (b[0] - a[0]) * t, a[1] + (b[1] - a[1]) * t];
+        let straight =
+            |a, b, degree: usize| (0..degree).map(move |k| between(a, b, k as f64 / degree as f64));
+        for degree in 1..=5 {
+            let points: Vec<_> =
+                straight(from, corner, degree).chain(straight(corner, to, degree)).chain([to]).collect();
+            let mut knots = vec![0.0; degree + 1];
+            knots.extend(vec![0.4; degree]);
+            knots.extend(vec![1.0; degree + 1]);
+            let back = line(to, [0.0, 0.0]);
+            let front = line([80.0, 0.0], from);
+            let contour =
+                of_entities(&format!("{front}{}{back}", spline_of(degree, &knots, &points))).unwrap();
+            let kinds: Vec<_> = contour.features.iter().map(|f| f.kind).collect();
+            let [_, FeatureKind::Cylinder { radius_mm }, FeatureKind::Taper { angle_deg }, _] = kinds[..]
+            else {
+                panic!("degree {degree}: {kinds:?}")
+            };
+            assert!((radius_mm - 20.0).abs() < 1e-9, "{radius_mm}");
+            assert!((angle_deg.abs() - (10.0_f64 / 50.0).atan().to_degrees()).abs() < 1e-9, "{angle_deg}");
+        }
+        // Béziers that go on without a corner are one feature.
+        let smooth =
+            [[80.0, 20.0], [70.0, 20.0], [60.0, 22.0], [50.0, 24.0], [40.0, 26.0], [10.0, 20.0], [0.0, 20.0]];
+        let knots = [0.0, 0.0, 0.0, 0.0, 0.5, 0.5, 0.5, 1.0, 1.0, 1.0, 1.0];
+        assert_eq!(drawn(&spline_of(3, &knots, &smooth), true).unwrap().features.len(), 3);
+    }
+
+    /// Lengths are those of the curve, not of chords.
+    #[test]
+    fn a_curve_is_as_long_as_it_is() {
+        let root = 0.5_f64.sqrt();
+        let quarter = Spline {
+            degree: 2,
+            knots: vec![0.0, 0.0, 0.0, 1.0, 1.0, 1.0],
+            points: vec![Zx::new(20.0, 0.0), Zx::new(20.0, 20.0), Zx::new(0.0, 20.0)],
+            weights: vec![1.0, root, 1.0],
+        };
+        let exact_mm = 10.0 * std::f64::consts::PI;
+        for segment in [
+            Segment::Spline(quarter),
+            Segment::Ellipse {
+                centre: Zx::new(0.0, 0.0),
+                major: Zx::new(20.0, 0.0),
+                ratio: 1.0,
+                start_rad: 0.0,
+                sweep_rad: std::f64::consts::FRAC_PI_2,
+            },
+        ] {
+            assert!((segment.length_mm() - exact_mm).abs() < 1e-6, "{}", segment.length_mm());
+        }
     }
 
     #[test]
