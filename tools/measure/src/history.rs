@@ -245,6 +245,7 @@ fn held_changes(record: &Record) -> Vec<String> {
         let figures: Vec<String> = p
             .figures()
             .into_iter()
+            .filter(|(symbol, _)| !symbol.starts_with("R_") || p.R.is_none())
             .filter_map(|(symbol, with)| {
                 Some(format!("{symbol} {:.2} instead of {:.2} {unit}", p.without_change(symbol)?, with?))
             })

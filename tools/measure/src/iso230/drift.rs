@@ -53,8 +53,8 @@ pub struct Figures {
     pub end: f64,
     /// Mean rate: slope of the straight line through it, µm/h.
     pub rate_per_h: f64,
-    /// Largest rate over any 60 minutes, µm/h.
-    pub max_rate_per_h: f64,
+    /// Largest rate over any 60 minutes, µm/h; `None` where the rows are of a shorter time.
+    pub max_rate_per_h: Option<f64>,
     /// Duration, min.
     pub t_min: f64,
     /// Per sensor: temperature and its correlation with the displacement.

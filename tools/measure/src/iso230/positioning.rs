@@ -15,7 +15,7 @@ use std::collections::BTreeMap;
 
 mod change;
 
-use change::Change;
+use change::{Change, UNCHANGED};
 pub use change::{Step, Trend};
 
 /// Axes longer than this, mm, have one approach from each side and no s.
@@ -334,7 +334,8 @@ impl Run<'_> {
         let repeatability = largest(list.iter().filter_map(|t| t.repeatability));
         let reversal = [largest(reversals.iter().map(|b| b.abs())), mean_of(&reversals)];
         let resolution = self.resolution(unit);
-        let (drift, step) = match self.change([repeatability, reversal[0], reversal[1]], unit) {
+        let [r_up, r_down] = [&ups, &downs].map(|side| largest(side.iter().map(|(_, s)| 4.0 * s)));
+        let (drift, step) = match self.change([repeatability, r_up, r_down, reversal[0], reversal[1]], unit) {
             Some(Change::Drift(drift)) => (Some(drift), None),
             Some(Change::Step(step)) => (None, Some(step)),
             None => (None, None),
@@ -350,8 +351,8 @@ impl Run<'_> {
             E_up: mean_range(|t| t.mean_up),
             E_down: mean_range(|t| t.mean_down),
             R: repeatability,
-            R_up: largest(ups.iter().map(|(_, s)| 4.0 * s)),
-            R_down: largest(downs.iter().map(|(_, s)| 4.0 * s)),
+            R_up: r_up,
+            R_down: r_down,
             B: reversal[0],
             B_mean: reversal[1],
             M: only(range(centres.map(|c| (c, c)))),
@@ -486,9 +487,13 @@ impl Positioning {
     /// A figure of the standard's as it is without the drift or step; `None` for those that are not looked at.
     #[must_use]
     pub fn without_change(&self, symbol: &str) -> Option<f64> {
-        let of_drift = self.drift.map(|d| [d.repeatability, d.reversal, d.mean_reversal]);
-        let of_step = self.step.map(|s| [s.repeatability, s.reversal, s.mean_reversal]);
-        let place = ["R", "B", "B_mean"].iter().position(|s| *s == symbol)?;
+        let of_drift = self.drift.map(|d| {
+            [d.repeatability, d.repeatability_up, d.repeatability_down, d.reversal, d.mean_reversal]
+        });
+        let of_step = self.step.map(|s| {
+            [s.repeatability, s.repeatability_up, s.repeatability_down, s.reversal, s.mean_reversal]
+        });
+        let place = UNCHANGED.iter().position(|s| *s == symbol)?;
         of_drift.or(of_step)?[place]
     }
 

@@ -376,12 +376,14 @@ pub fn drift(
         .to_owned()
     };
     let cells = |f: &Figures| {
-        let own = [f.d_60, f.d_t, f.d_last_60, f.end, f.rate_per_h, f.max_rate_per_h].map(um);
+        let own =
+            [f.d_60, f.d_t, f.d_last_60, f.end, f.rate_per_h].map(Some).into_iter().chain([f.max_rate_per_h]);
+        let own = own.map(um);
         std::iter::once(format!("{:.0}", f.t_min)).chain(own).collect::<Vec<_>>()
     };
     let title = "The whole test; d60, dt, last hour: range of the readings within the first hour, all the time, the last hour; end − start: \
                  mean of the last hundredth of the rows minus that of the first; per h: slope of the straight line through all rows; \
-                 most per h: largest change from one reading to another an hour later, up or down";
+                 most per h: largest change from one reading to another an hour later, up or down (– in less than an hour)";
     let mut table = Table::new(title, &head);
     for d in all {
         table.row([d.response.clone(), unit(d)].into_iter().chain(cells(&d.whole)));

@@ -53,6 +53,20 @@ fn a_circle_without_radius_says_what_has_no_uncertainty() {
     assert!((of(&with) - of(&without)).abs() < 1e-9, "{with} {without}");
 }
 
+/// What nobody waited an hour for has no change within an hour.
+#[test]
+fn a_drift_of_less_than_an_hour_has_no_hourly_change() {
+    for (minutes, has) in [(19, false), (50, false), (60, true), (130, true)] {
+        let t: Vec<f64> = (0..=minutes).map(|i| 60.0 * f64::from(i)).collect();
+        let e = t.iter().map(|t| 0.01 * t).collect();
+        let columns = vec![column("t", "time", t), column("e", "error.z", e)];
+        let r = Record::new(Path::new("d.run.toml"), Kind::Drift, columns).unwrap();
+        let whole = &iso230::drift(&r).unwrap()[0].whole;
+        assert_eq!(whole.max_rate_per_h.is_some(), has, "{minutes} min");
+        assert!((whole.rate_per_h - 36.0).abs() < 1e-9, "{minutes} min");
+    }
+}
+
 #[test]
 fn drift_ranges_and_rate() {
     // 12 µm/h for two hours, then still for two.
@@ -67,7 +81,7 @@ fn drift_ranges_and_rate() {
     near(w.d_60, 12.0);
     near(w.d_t, 24.0);
     near(w.d_last_60, 0.0);
-    near(w.max_rate_per_h, 12.0);
+    near(w.max_rate_per_h.unwrap(), 12.0);
     near(w.t_min, 240.0);
     near(w.temperatures["T1"].range_k, 6.0);
     near(w.temperatures["T1"].gamma, 1.0);

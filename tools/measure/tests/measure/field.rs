@@ -310,6 +310,33 @@ fn drift_within_a_cycle_is_in_neither_reversal_nor_repeatability() {
     }
 }
 
+/// A run that is approached one way only drifts as well: R↑ and R↓ without it stand beside those with it.
+#[test]
+fn drift_of_one_way_runs_is_not_their_repeatability() {
+    for (way, seed) in [(1.0, 1), (-1.0, 2), (1.0, 3), (-1.0, 4)] {
+        let both = bidirectional(&mut Dice::new(seed), |t| 0.2 * t);
+        let ways = both.columns[2].data.clone();
+        let own = |c: &Column| {
+            let data = c.data.iter().zip(&ways).filter(|(_, w)| **w == way).map(|(v, _)| *v).collect();
+            Column::new(&c.name, c.role.clone(), data)
+        };
+        let record =
+            Record::new(Path::new("a.run.toml"), Kind::Positioning, both.columns.iter().map(own).collect())
+                .unwrap();
+        let options = iso230::Options { one_way: true, ..iso230::Options::default() };
+        let found = iso230::positioning_with(&record, &options).unwrap().remove(0);
+        let (with, without) = if way > 0.0 { ("R_up", found.R_up) } else { ("R_down", found.R_down) };
+        assert!(without.unwrap() > 10.0 && found.R.is_none(), "{seed}");
+        // 4 s of 0.3 µm are 1.2 µm; the largest of eleven targets is more.
+        assert!((1.2..3.5).contains(&found.without_change(with).unwrap()), "{seed}: {:?}", found.drift);
+        assert!(
+            found.warnings.iter().any(|w| w.contains("drift") && w.contains(with)),
+            "{seed}: {:?}",
+            found.warnings
+        );
+    }
+}
+
 /// `$AN_CEC` as the manual has it, read by hand: the value at a position of the basic axis, mm; beyond the ends that of the ends.
 fn cec(text: &str) -> impl Fn(f64) -> f64 {
     let after = |key: &str| {

@@ -165,11 +165,9 @@ pub(super) struct Look {
     tt: f64,
     te: f64,
     ee: f64,
-    /// Rates are over an hour, or the whole where it is shorter.
-    /// The window slides with the rows, and holds those in it.
-    window_s: f64,
+    /// The rows of the last hour.
     window: VecDeque<(f64, f64)>,
-    max_rate_per_h: f64,
+    max_rate_per_h: Option<f64>,
     sensors: Vec<Beside>,
 }
 
@@ -188,9 +186,8 @@ impl Look {
             tt: 0.0,
             te: 0.0,
             ee: 0.0,
-            window_s: (of.last_s - of.first_s).min(HOUR_S),
             window: VecDeque::new(),
-            max_rate_per_h: 0.0,
+            max_rate_per_h: None,
             sensors: of.degc.iter().copied().map(Beside::of).collect(),
             of,
         }
@@ -225,12 +222,13 @@ impl Look {
         self.window.push_back((t, e));
         while let Some((from_s, from)) = self.window.front().copied() {
             let h = t - from_s;
-            if h > self.window_s {
+            if h > HOUR_S {
                 self.window.pop_front();
                 continue;
             }
-            if h >= 0.95 * self.window_s && h > 0.0 {
-                self.max_rate_per_h = self.max_rate_per_h.max((e - from).abs() / h * HOUR_S);
+            if h >= 0.95 * HOUR_S {
+                let rate = (e - from).abs() / h * HOUR_S;
+                self.max_rate_per_h = Some(self.max_rate_per_h.map_or(rate, |most| most.max(rate)));
             }
             break;
         }

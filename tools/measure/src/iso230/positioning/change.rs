@@ -17,6 +17,9 @@ const WARM_UPS: [f64; 6] = [0.05, 0.1, 0.2, 0.4, 0.8, 1.6];
 /// So many rows at least on either side of a step: fewer are bad approaches.
 const STEP_SIDE: usize = 2;
 
+/// The figures that are given without a drift or a step too.
+pub(super) const UNCHANGED: [&str; 5] = ["R", "R_up", "R_down", "B", "B_mean"];
+
 /// A drift of all targets together, and repeatability and reversal without it.
 /// In the unit of the figures.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
@@ -28,6 +31,12 @@ pub struct Trend {
     /// Bidirectional repeatability about the drift.
     #[serde(rename = "R_about_drift")]
     pub repeatability: Option<f64>,
+    /// Repeatability upwards without it.
+    #[serde(rename = "R_up_about_drift")]
+    pub repeatability_up: Option<f64>,
+    /// Repeatability downwards without it.
+    #[serde(rename = "R_down_about_drift")]
+    pub repeatability_down: Option<f64>,
     /// Largest reversal without the drift between the approaches upwards and downwards.
     #[serde(rename = "B_about_drift")]
     pub reversal: Option<f64>,
@@ -53,6 +62,12 @@ pub struct Step {
     /// Bidirectional repeatability on either side of it.
     #[serde(rename = "R_about_step")]
     pub repeatability: Option<f64>,
+    /// Repeatability upwards without it.
+    #[serde(rename = "R_up_about_step")]
+    pub repeatability_up: Option<f64>,
+    /// Repeatability downwards without it.
+    #[serde(rename = "R_down_about_step")]
+    pub repeatability_down: Option<f64>,
     /// Largest reversal without it.
     #[serde(rename = "B_about_step")]
     pub reversal: Option<f64>,
@@ -218,9 +233,9 @@ impl Repeats {
 
 impl Run<'_> {
     /// The common drift or step of all approaches; R, B and mean B without it.
-    /// It is reported if chance gives as much in less than one of a hundred runs. It is removed row by row, because within a cycle the
+    /// It is reported if chance gives as much in less than one of a hundred runs. `with` are the figures of [`UNCHANGED`] that hold it. It is removed row by row, because within a cycle the
     /// downward approaches come later than the upward ones.
-    pub(super) fn change(&mut self, with: [Option<f64>; 3], unit: &str) -> Option<Change> {
+    pub(super) fn change(&mut self, with: [Option<f64>; 5], unit: &str) -> Option<Change> {
         let n = self.error.len();
         let rows: Vec<f64> = (0..n).map(|row| row as f64).collect();
         let time = self.record.data(&Role::Time).unwrap_or(&rows);
@@ -276,14 +291,19 @@ impl Run<'_> {
         let list: Vec<Target> = self.list_of(&reduced).iter().map(|t| t.counted(false)).collect();
         let reversals: Vec<f64> = list.iter().filter_map(|t| t.reversal).collect();
         let repeatability = largest(list.iter().filter_map(about));
+        let one_way =
+            |s: fn(&Target) -> Option<f64>| largest(list.iter().filter_map(|t| Some(4.0 * s(t)? * lost)));
+        let [repeatability_up, repeatability_down] = [one_way(|t| t.s_up), one_way(|t| t.s_down)];
         let [reversal, mean_reversal] = [largest(reversals.iter().map(|b| b.abs())), mean_of(&reversals)];
-        let without: Vec<String> =
-            [("R", repeatability, with[0]), ("B", reversal, with[1]), ("B_mean", mean_reversal, with[2])]
-                .into_iter()
-                .filter_map(|(symbol, without, with)| {
-                    Some(format!("{symbol} {:.2} instead of {:.2} {unit}", without?, with?))
-                })
-                .collect();
+        let values = [repeatability, repeatability_up, repeatability_down, reversal, mean_reversal];
+        let figures = UNCHANGED.into_iter().zip(values).zip(with);
+        // Of an axis that is approached from both sides R stands for both.
+        let figures = figures.filter(|((symbol, _), _)| !symbol.starts_with("R_") || repeatability.is_none());
+        let without: Vec<String> = figures
+            .filter_map(|((symbol, without), with)| {
+                Some(format!("{symbol} {:.2} instead of {:.2} {unit}", without?, with?))
+            })
+            .collect();
         let without = without.join(", ");
         let size = if best.shape.bends { best.factors[0] + best.factors[1] } else { best.factors[0] };
         Some(match best.shape.step_at {
@@ -298,7 +318,15 @@ impl Run<'_> {
                         best.factors[1],
                     ));
                 }
-                Change::Drift(Trend { drift: size, p_value, repeatability, reversal, mean_reversal })
+                Change::Drift(Trend {
+                    drift: size,
+                    p_value,
+                    repeatability,
+                    repeatability_up,
+                    repeatability_down,
+                    reversal,
+                    mean_reversal,
+                })
             }
             Some(at) => {
                 let (row, cycle) = (self.record.row_number(at), self.cycle(&repeats, at));
@@ -317,6 +345,8 @@ impl Run<'_> {
                     standard_error,
                     p_value,
                     repeatability,
+                    repeatability_up,
+                    repeatability_down,
                     reversal,
                     mean_reversal,
                 })
