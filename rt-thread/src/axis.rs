@@ -862,8 +862,8 @@ impl AxisEngine {
         }
     }
 
-    /// Enters a real edge of `signal` into the MTC's count beside an unconfirmed inversion.
-    /// The two are entered in the order in which they happened.
+    /// Enters a real edge of `signal` into the MTC's count beside an inversion.
+    /// The inversion is not confirmed yet. Edge and inversion are entered in the order in which they happened.
     fn pass_on_beside_inversion(&mut self, signal: Signal, edge_ns: u64, report: &mut impl FnMut(EventKind)) {
         let order = match self.unsettled {
             None => Order::EdgeLast,
@@ -1141,7 +1141,8 @@ mod tests {
         ]
     }
 
-    /// The fast path is taken for every edge that is neither late nor too early, to the nanosecond.
+    /// The fast path takes every edge that is neither late nor too early.
+    /// The limits are tested to the nanosecond.
     #[test]
     fn the_short_way_is_taken_where_nothing_can_be_wrong() {
         // Edges are 10 µs apart. The last came at most `after_ns` after the one before, and shows `gap_ns` after the

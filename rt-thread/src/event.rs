@@ -397,7 +397,7 @@ pub enum GateState {
     RateCap,
     /// The axis is at rest, and its rest policy is to wait.
     AtRest,
-    /// The axis is not homed: not since the start, or not since a fault that lost its count.
+    /// The axis is not homed since the start, or since a fault that lost its count.
     NotHomed,
     /// Corrections are off (see the mode).
     Off,

@@ -194,8 +194,8 @@ fn kept() -> impl Strategy<Value = Before> {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(24))]
 
-    /// A kill between any two stores to the state file leaves the record before or the one after.
-    /// No record is taken for damaged, and feed hold is never on without a reason.
+    /// A kill between two stores to the state file leaves a whole record.
+    /// It is the one before or the one after. No record looks damaged, and feed hold is never on without a reason.
     #[test]
     fn a_kill_at_any_store_is_no_damage(steps in prop::collection::vec((kept(), 100_u64..2000), 1..24)) {
         let folder = tempfile::tempdir().unwrap();
