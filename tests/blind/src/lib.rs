@@ -1,7 +1,7 @@
-//! Blind cases: random machines with something hidden, and the score of an answer.
+//! Blind cases: random machines with hidden effects, and marks of answers.
 //!
-//! What makes the cases ([`plan`], [`source`], [`case`]) and marks the answers ([`score`]) shares no code and no
-//! formula with what it judges.
+//! The code that makes the cases ([`plan`], [`source`], [`case`]) and marks the answers ([`score`]) shares no code and
+//! no formula with the reconciler.
 
 // Long lists of experiments and formulas, each with its switches; text is put together plainly.
 #![allow(

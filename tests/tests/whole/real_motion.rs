@@ -6,7 +6,8 @@ use serde_json::Value;
 use std::fmt::Write;
 use std::process::Command;
 
-/// EMPS benchmark (Janot, Gautier, Brunot): a ball-screw axis, 0.25 m strokes, 24.8 s, noisy at rest.
+/// A ball-screw axis: 0.25 m strokes over 24.8 s, noisy at rest.
+/// The record is the EMPS benchmark (Janot, Gautier, Brunot).
 #[test]
 fn every_request_is_served_and_the_ledger_balances() {
     let Some(record) = shared("data/axis_dynamics/identification.csv") else { return };
