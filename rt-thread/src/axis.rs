@@ -8,7 +8,7 @@ use rtec_driver::quadrature::{Decoder, Signal, State};
 /// Counts of one insertion: two inversions, each one count (NISTIR 4832, Design C).
 pub const INCREMENT_COUNTS: i64 = 2;
 
-/// What to do for an axis that stands still and so gives no edge.
+/// Insertion at rest, where no edge opens the gate.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum RestPolicy {
     /// Wait for the next edge (NISTIR 4832).
@@ -43,7 +43,7 @@ pub struct AxisConfig {
     pub max_accel_counts_s2: f64,
     /// The scale's hysteresis on reversal, counts.
     pub hysteresis_counts: f64,
-    /// What to do at rest.
+    /// Insertion at rest.
     pub rest: RestPolicy,
     /// The longest time from an edge until the engine acts on it, ns.
     /// It is measured on this machine (the tail of the self-test).

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 /// Axes that one engine can hold.
 pub const MAX_AXES: usize = 6;
 
-/// What the control side asks for. Totals, never increments.
+/// A request of the control side. Requests are totals, never increments.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Request {
     /// The total correction of an axis in counts since homing.
@@ -234,7 +234,7 @@ pub enum Refusal {
     Busy,
     /// The MTC's count is not known: only homing the MTC and the axis makes it known.
     ControllerUnknown,
-    /// The MTC is off, or has not said yet that it counts.
+    /// The MTC is off, or its ready line is not on yet.
     ControllerNotReady,
 }
 
@@ -305,7 +305,7 @@ pub enum EventKind {
     },
     /// Homing is complete.
     Homed {
-        /// What the MTC still counts of what was inserted before, counts.
+        /// Inserted counts that are still in the MTC's count.
         /// 0 where it has been homed too.
         kept_counts: i64,
     },
@@ -357,7 +357,7 @@ impl Capture {
     }
 }
 
-/// What the corrector is doing as a whole.
+/// Mode of the corrector as a whole.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Mode {
@@ -416,9 +416,9 @@ pub struct AxisStatus {
     pub mtc_minus_scale: i64,
     /// The accepted total, counts.
     pub requested: i64,
-    /// What has been inserted, counts. In shadow mode: what would have been.
+    /// Inserted counts; in shadow mode the counts that would have been inserted.
     pub completed: i64,
-    /// What is really in the MTC's count, counts: `completed` outside shadow mode.
+    /// Counts in effect in the MTC's count: `completed` outside shadow mode.
     pub in_effect: i64,
     /// Both inverters are on.
     pub inverted: bool,
@@ -453,7 +453,7 @@ pub struct AxisStatus {
 pub struct Status {
     /// When, on the card's clock, ns.
     pub t_ns: u64,
-    /// What it is doing.
+    /// Its mode.
     pub mode: Mode,
     /// The control side is silent.
     pub control_stale: bool,
@@ -464,9 +464,9 @@ pub struct Status {
     /// Corrections are enabled, whatever else is in their way.
     /// Hold and probing do not switch them off.
     pub enabled: bool,
-    /// What switched them off last.
+    /// Why corrections were last switched off.
     pub off_because: OffBecause,
-    /// Who asked for feed hold, where somebody did; a fault asserts it beside that.
+    /// Who asked for feed hold, if anybody. A fault asserts it too.
     pub held: Option<HeldBy>,
     /// Feed hold as it is written to the card, asked for or by a fault.
     pub hold_output: bool,

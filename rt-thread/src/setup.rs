@@ -61,9 +61,9 @@ impl std::error::Error for OsError {}
 pub struct Finding {
     /// The setting, see the module's table.
     pub name: &'static str,
-    /// What is wanted.
+    /// The wanted value.
     pub wanted: String,
-    /// What was read back.
+    /// The value read back.
     pub got: String,
     /// Whether the two agree.
     pub ok: bool,

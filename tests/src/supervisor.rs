@@ -26,7 +26,7 @@ use std::time::{Duration, Instant};
 
 /// The first descriptor that is passed.
 const FIRST: RawFd = 3;
-/// As many as systemd is told to keep (`FileDescriptorStoreMax=`).
+/// Largest number of descriptors in the store, as `FileDescriptorStoreMax=` sets.
 const STORE_MAX: usize = 16;
 /// Longest time that anything may take. No trial is judged by its duration.
 const PATIENCE: Duration = Duration::from_secs(60);

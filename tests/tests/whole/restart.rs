@@ -151,7 +151,7 @@ fn who_homes_what_and_when() {
     assert_eq!((in_effect(&bench), bench.machine.inverted()), (4, false));
     done(&bench, &["enable"]);
 
-    // After parking to zero a restart needs homing of the scale alone, and nothing has to be said of the controller.
+    // After parking to zero a restart needs homing of the scale alone, without a statement on the controller.
     done(&bench, &["park", "--to-zero"]);
     assert_eq!(bench.machine.offset(), base);
     daemon.end("TERM");

@@ -2,11 +2,11 @@
 //! The control side never waits for a disk, and a full or missing disk stops nothing. Entries that could not be
 //! written are counted, and the next line that can be written reports them.
 //!
-//! | nobody fills it | by |
-//! |---|---|
 //! | what keeps users from filling the record | by |
 //! |---|---|
 //! | each line is short | texts of a request are cut (`rtec_control::audit`) |
+//! | refusals displace no command | they have files of their own |
+//! | a user's refusals do not displace those of others, nor commands to operate those to set up | each user has a [`Budget`]; beyond it verbs are counted |
 
 use nix::unistd::Gid;
 use rtec_control::audit::{Anchor, Entry, FILES_REFUSED, Writer, refused_path};

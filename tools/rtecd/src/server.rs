@@ -86,7 +86,7 @@ struct Desk<'a> {
 pub(crate) enum Served {
     /// A signal asked for the end.
     Asked,
-    /// A hangup: nobody asked for the end of the service.
+    /// A hangup, which is no request to end the service.
     HungUp,
     /// The real-time thread panicked.
     Panicked,
@@ -427,7 +427,7 @@ fn connected(clients: &[Client]) -> Vec<Clients> {
         .to_vec()
 }
 
-/// Why no request of this client is carried out, if so.
+/// Refusal of a request because of the client's role or place, if any.
 fn not_here(
     client: &Client,
     request: &ClientRequest,
@@ -486,7 +486,7 @@ fn accept(door: &Door, clients: &mut Vec<Client>, next_id: &mut u64, log: &mut L
     }
 }
 
-/// Gives a new client its place, or closes it.
+/// Gives a new client a place, or a reserved one where no other is free.
 fn seat(mut client: Client, clients: &mut Vec<Client>) {
     let (uid, role) = (client.caller.uid, client.role);
     let ordinary = |c: &Client| !c.reserved && c.role == role;

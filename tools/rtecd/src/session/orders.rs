@@ -278,7 +278,7 @@ impl Session {
         Ok(Response::done())
     }
 
-    /// The MTC's remaining counts of these axes, unless it was homed.
+    /// Refusal to home these axes, if the MTC may still have counts in effect.
     /// A count that is part of its position must not be forgotten.
     fn still_counted(
         &self,
