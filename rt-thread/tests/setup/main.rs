@@ -181,7 +181,7 @@ fn what_failed_is_said_in_the_kernels_words() {
     assert_eq!(error.to_string(), "open /dev/cpu_dma_latency: Permission denied (os error 13)");
 }
 
-/// PREEMPT_RT is known by the kernel's own word or by its version.
+/// `PREEMPT_RT` is known by the kernel's own word or by its version.
 #[test]
 fn preempt_rt_is_told_by_the_kernel_or_by_its_version() {
     let (rt, not) =

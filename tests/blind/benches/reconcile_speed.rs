@@ -1,7 +1,7 @@
 //! Time of a whole reconciliation: 5000 rows of 25 channels.
 //!
-//! It prints wall-clock time and processor time, beside the baseline's on the same data. `cargo bench -p rtec-blind [--
-//! ROWS]`
+//! It prints wall-clock time and processor time, beside the baseline's on the same data.
+//! `cargo bench -p rtec-blind [-- ROWS]`
 
 use rand_xoshiro::Xoshiro256PlusPlus;
 use rand_xoshiro::rand_core::{RngCore, SeedableRng};
