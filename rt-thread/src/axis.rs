@@ -204,7 +204,7 @@ pub(crate) struct Look {
     pub inputs: u64,
     gap_ns: u64,
     /// The earliest and latest time of the edge that this look shows, ns.
-    /// Both are the edge's own time where the card stamps it.
+    /// Both are the edge's own time where the card gives a timestamp.
     edge_ns: (u64, u64),
     /// Input lines on which counts may pass between two looks of this card unseen.
     unseen: u64,
@@ -495,8 +495,8 @@ impl AxisEngine {
     }
 
     /// Whether four counts may have passed unseen between two looks.
-    /// Four counts look like none. It applies to lines that are not all `complete`, if the axis was moving and the
-    /// time was long enough.
+    /// After four counts the lines are as before. It applies to lines that are not all `complete`, if the axis was
+    /// moving and the time was long enough.
     pub(crate) fn may_have_missed_a_cycle(&self, complete: u64, since_ns: u64, t_ns: u64) -> bool {
         let Some((_, last_ns)) = self.last_edge else { return false };
         let gap_ns = t_ns - since_ns;
@@ -573,7 +573,7 @@ impl AxisEngine {
     }
 
     /// Takes a new total, counts since homing.
-    /// The caller latches the fault that it may be.
+    /// If the answer is a fault, the caller latches it.
     pub(crate) fn request(&mut self, total: i64, large: bool) -> Answer {
         let answer = self.config.judge(total, self.requested, large, &mut self.not_believed);
         if matches!(answer, Answer::Accepted | Answer::AcceptedWithWarning) {

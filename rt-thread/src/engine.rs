@@ -50,8 +50,8 @@ pub struct Timing {
 }
 
 #[allow(clippy::struct_excessive_bools)] // each is one switch of the machine
-/// The engine.
-/// Generic over the card at each look; it owns no thread, no file and no clock.
+/// The engine of all axes of one machine.
+/// It is generic over the card at each look, and owns no thread, no file and no clock.
 #[derive(Debug)]
 pub struct Engine {
     axes: Box<[AxisEngine]>,

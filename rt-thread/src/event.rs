@@ -250,7 +250,7 @@ pub enum HeldBy {
     FoundOn,
 }
 
-/// What switched corrections off last.
+/// Why corrections were last switched off.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum OffBecause {
@@ -280,7 +280,7 @@ pub struct Event {
     pub kind: EventKind,
 }
 
-/// What an [`Event`] reports.
+/// Kind of an [`Event`], with its figures.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum EventKind {
     /// A request was not accepted.
@@ -315,8 +315,8 @@ pub enum EventKind {
     Late,
     /// The mode is now this one.
     Mode(Mode),
-    /// No sign of life from the control side for too long: corrections freeze.
-    /// `false`: it is back.
+    /// The control side is silent for too long (`true`), or is back (`false`).
+    /// Corrections freeze while it is silent.
     ControlStale(bool),
     /// The MTC counts (`true`), or it was switched off and its count is unknown.
     ControllerReady(bool),
@@ -326,7 +326,7 @@ pub enum EventKind {
     Bounce,
 }
 
-/// Where an axis was when the probe tripped.
+/// Position of an axis around a trip of the probe.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Capture {
     /// The trip lies between these two times, ns.
@@ -334,7 +334,7 @@ pub struct Capture {
     /// The last count edge before the trip: its place and its time, ns.
     /// The boundary between counts n − 1 and n is at n. Before a first edge there is no time.
     pub before: (i64, Option<u64>),
-    /// The next count edge, alike; `None` when the axis stopped.
+    /// The next count edge in the same form; `None` if the axis stopped.
     pub after: Option<(i64, u64)>,
 }
 
@@ -459,7 +459,7 @@ pub struct Status {
     pub control_stale: bool,
     /// The disable switch is on.
     pub disable_switch: bool,
-    /// The MTC counts; `true` too where no line tells.
+    /// The MTC counts; `true` too where it has no ready line.
     pub mtc_ready: bool,
     /// Corrections are enabled, whatever else is in their way.
     /// Hold and probing do not switch them off.
@@ -478,7 +478,7 @@ pub struct Status {
     pub faults: Faults,
     /// Axes in use.
     pub axes_used: u8,
-    /// Every axis that the engine can hold; only the first `axes_used` mean anything.
+    /// Every axis that the engine can hold; only the first `axes_used` are valid.
     pub axes: [AxisStatus; MAX_AXES],
 }
 
@@ -489,8 +489,8 @@ impl Status {
         &self.axes[..usize::from(self.axes_used)]
     }
 
-    /// Every axis's ledger balances.
-    /// That of an axis in the middle of an insertion is made up when it is done.
+    /// Whether every axis's ledger balances.
+    /// An axis in the middle of an insertion is left out.
     #[must_use]
     pub fn balanced(&self) -> bool {
         self.axes().iter().all(|a| a.gate == GateState::Inserting || a.mtc_minus_scale == a.in_effect)
@@ -528,7 +528,8 @@ mod tests {
             (8.0, 1.0),
             "no more than a count either way"
         );
-        // Turned round, two edges at once, before the first edge, stopped: within a count.
+        // After a reversal, with two edges at once, before the first edge, or at a stop, the position is known within a
+        // count.
         for (before, after) in [
             ((7, Some(1000)), Some((7, 5000))),
             ((7, Some(1000)), Some((9, 1000))),

@@ -666,7 +666,7 @@ impl Journal {
         }
     }
 
-    /// Reads the times from whichever copy is whole.
+    /// Reads the times from an undamaged copy.
     fn read_times(&mut self) -> Times {
         let mut times = Times([[None; ROW_WORDS]; ROWS]);
         for (row, k) in (0..ROWS).flat_map(|row| (0..ROW_WORDS).map(move |k| (row, k))) {

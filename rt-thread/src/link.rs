@@ -28,7 +28,7 @@ pub const EVENTS: usize = 4096;
 /// The words that both sides see, each on a cache line of its own.
 #[derive(Debug)]
 struct Shared {
-    /// Goes up while the control side is alive.
+    /// Counter that rises while the control side is alive.
     /// Written by the control side, read by the real-time thread.
     beats: CachePadded<AtomicU64>,
     /// Asks the real-time thread to end.

@@ -61,7 +61,7 @@ pub const LAWS: [&str; 30] = [
 pub struct Case {
     /// Seed that makes the same case again.
     pub seed: u64,
-    /// What the case hides.
+    /// Number and kind of the hidden effects.
     pub hides: Hides,
     /// Names that the answer must give.
     pub truth: Vec<String>,

@@ -28,7 +28,7 @@ pub struct Counts {
 pub struct Outcome {
     /// Its class.
     pub class: Class,
-    /// The case; its files are gone.
+    /// The case, whose files are removed.
     pub case: Case,
     /// Mark of the answer.
     pub mark: Mark,

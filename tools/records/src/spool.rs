@@ -20,7 +20,7 @@ const DIGITS: usize = 16;
 pub const LONGEST_SIDECAR: u64 = 64 << 10;
 /// Largest size of a file that is sent, bytes.
 const LONGEST_SENT: u64 = 1 << 30;
-/// Prefix of folders of records that are being put into the spool or put aside.
+/// Prefixes of folders of records that are put into the spool or moved to the sent.
 /// If the program is killed in between, the next one finishes the work.
 const PUTTING: &str = ".rtec-put-";
 const SENDING: &str = ".rtec-sent-";
@@ -114,7 +114,7 @@ impl Round {
 /// Why sending ended early. Records that were not sent stay in the spool.
 #[derive(Debug, thiserror::Error)]
 pub enum ShipError {
-    /// The name of the machine would not be one folder of the store.
+    /// The machine's name cannot be a folder of the store.
     #[error(
         "found the machine's name `{0}`, expected letters, digits, `.`, `_` and `-`, none of the dots first"
     )]
