@@ -1,11 +1,13 @@
-//! The highest edge rate at which insertions are still made and no count is lost:
-//! `cargo bench -p rtec-rt --bench edge_rate [-- EDGES]`.
+//! The highest edge rate at which insertions are made and no count is lost.
+//! Run it by `cargo bench -p rtec-rt --bench edge_rate [-- EDGES]`.
 //!
 //! First this machine polls a mapped card for two seconds and notes the time between looks. Then the engine runs on a
-//! virtual card at a constant edge rate whose looks come apart by times drawn from that measurement, up to its
-//! 99.9th percentile: what lies beyond is the host's doing, is printed, and would be latched as a poll gap. The rate
-//! is found by bisection over 100 000 edges each, and the highest one confirmed over EDGES (default 10⁸). Beside it stands
-//! what the MTC's separations alone allow: three of them to an insertion, and no look ever late.
+//! virtual card at a constant edge rate. The times between its looks are drawn from that measurement, up to its 99.9th
+//! percentile. Longer ones are the host's; they are printed, and would be latched as a poll gap.
+//!
+//! The rate is found by bisection over 100 000 edges each, and the highest one is confirmed over EDGES (default 10⁸).
+//! For comparison it prints the rate that the MTC's separations alone allow: three separations an insertion, and no
+//! late look.
 
 use rtec_driver::card::{AxisLines, Card, CardError, MachineLines, Sample};
 use rtec_driver::clock::{Clock, Monotonic};
@@ -42,7 +44,7 @@ fn measure() -> Result<Vec<u32>, Box<dyn std::error::Error>> {
     Ok(gaps)
 }
 
-/// A scale at constant speed, an MTC that counts, and looks at the measured times.
+/// A card with a scale at constant speed, an MTC, and looks at the measured times.
 struct Steady<'a> {
     gaps: &'a [u32],
     random: u64,
@@ -64,11 +66,11 @@ impl Steady<'_> {
 impl Card for Steady<'_> {
     #[inline]
     fn sample(&mut self, wake_ns: u64) -> Result<Sample, CardError> {
-        // Looks that neither see an edge nor come up to the engine's appointment change nothing: skip most of them.
+        // Skips most looks that neither see an edge nor reach the engine's wake time, because they change nothing.
         let worst_ns = u64::from(self.gaps[self.gaps.len() - 1]);
         let skip_to_ns = self.next_edge_ns.min(wake_ns).saturating_sub(2 * worst_ns);
         self.t_ns = self.t_ns.max(skip_to_ns);
-        // xorshift64: which of the measured gaps comes next.
+        // xorshift64 draws the next measured gap.
         self.random ^= self.random << 13;
         self.random ^= self.random >> 7;
         self.random ^= self.random << 17;
@@ -96,7 +98,7 @@ impl Card for Steady<'_> {
     }
 }
 
-/// Insertions made over `edges` edges at this period.
+/// Number of insertions over `edges` edges at this period.
 /// `None` where a count was lost or a fault was latched.
 fn run(
     gaps: &[u32],
@@ -120,7 +122,7 @@ fn run(
         lines: AxisLines::standard(0, false),
         min_separation_ns: separation_ns,
         max_accel_counts_s2: 1e7,
-        // Seen one look late, acted on one look late.
+        // An edge is seen one look late, and acted on one look late.
         detect_ns: 2 * worst_ns,
         ..AxisConfig::default()
     };
@@ -143,7 +145,8 @@ fn run(
         }
     }
     let axis = engine.status().axes[0];
-    // The recording may end inside an insertion: both inverters equal, or the pair is not in the ledger yet.
+    // The recording may end inside an insertion. The engine is then not at rest, or the ledger does not have the pair
+    // yet.
     let ended_inside = !engine.at_rest();
     let kept = axis.position_counts == card.scale.count()
         && card.mtc.count() - card.scale.count() == axis.mtc_minus_scale
@@ -155,7 +158,7 @@ fn run(
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let edges: u64 = std::env::args().skip(1).find_map(|n| n.parse().ok()).unwrap_or(100_000_000);
-    // On a thread of its own: the priority ends with it.
+    // A thread of its own, because the priority ends with it.
     let measured = std::thread::spawn(|| measure().map_err(|e| e.to_string())).join();
     let mut gaps = measured.map_err(|_| "the measuring thread panicked")??;
     let at = |q: f64| gaps[((gaps.len() - 1) as f64 * q) as usize];

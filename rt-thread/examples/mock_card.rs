@@ -1,5 +1,5 @@
 //! One axis on a card in memory.
-//! It asks for two counts, which are inserted after one of the next edges.
+//! It requests two counts, which are inserted after one of the next edges.
 use rtec_driver::mock::{MockCard, SharedWires};
 use rtec_driver::{card::MachineLines, clock::Clock, quadrature::State};
 use rtec_rt::{axis::AxisConfig, engine::Engine, engine::MachineConfig, event::Request};

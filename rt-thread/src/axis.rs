@@ -8,24 +8,24 @@ use rtec_driver::quadrature::{Decoder, Signal, State};
 /// Counts of one insertion: two inversions, each one count (NISTIR 4832, Design C).
 pub const INCREMENT_COUNTS: i64 = 2;
 
-/// What to do for an axis that stands still and so gives no edge.
+/// Insertion at rest, where no edge opens the gate.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum RestPolicy {
     /// Wait for the next edge (NISTIR 4832).
     #[default]
     Wait,
     /// Insert after this long without an edge, ns.
-    /// No gate can promise that none comes: one that does is worked out.
+    /// No gate can exclude an edge at rest. The engine works out an edge that falls inside the insertion.
     Insert {
         /// The quiet time, ns.
         after_ns: u64,
     },
 }
 
-/// Everything the engine knows about an axis beforehand.
+/// Configuration of one axis, fixed before the engine starts.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct AxisConfig {
-    /// Where its wires are.
+    /// Input and output lines of the axis.
     pub lines: AxisLines,
     /// Largest correction, counts; a request beyond it is refused.
     pub max_correction_counts: i64,
@@ -37,13 +37,13 @@ pub struct AxisConfig {
     pub error_counts: i64,
     /// Fastest change of the correction, counts/s.
     pub max_rate_counts_s: f64,
-    /// What the MTC's decoder needs between two edges, ns.
+    /// Shortest separation of two edges that the MTC's decoder accepts, ns.
     pub min_separation_ns: u64,
     /// The axis's acceleration limit, counts/s².
     pub max_accel_counts_s2: f64,
     /// The scale's hysteresis on reversal, counts.
     pub hysteresis_counts: f64,
-    /// What to do at rest.
+    /// Insertion at rest.
     pub rest: RestPolicy,
     /// The longest time from an edge until the engine acts on it, ns.
     /// It is measured on this machine (the tail of the self-test).
@@ -52,7 +52,7 @@ pub struct AxisConfig {
     /// A card that does not report this needs a look to confirm the write, so the time includes that look. On a
     /// polled card it is up to two gaps between looks.
     pub write_ns: u64,
-    /// Reserve, ns.
+    /// Reserve on top of the other times, ns.
     pub guard_ns: u64,
 }
 
@@ -127,16 +127,16 @@ impl AxisConfig {
     }
 }
 
-/// The life of an insertion.
+/// State of an insertion.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Insertion {
     /// None under way; both inverters are equal.
     Idle,
     /// An edge has opened the gate.
-    /// The MTC first gets its separation from that edge; after `until_ns` the promise that no other edge comes has
-    /// run out, and the insertion is given up unmade.
+    /// The insertion begins at `from_ns`, after the MTC's separation from that edge. After `until_ns` another edge can
+    /// come, so the insertion is given up before its first inversion.
     Opened { add: bool, from_ns: u64, until_ns: u64 },
-    /// The first inversion is written: until the second is, the MTC counts mirrored.
+    /// The first inversion is written; until the second is, the MTC counts mirrored.
     /// It is known to be in effect from `effective_ns` on, once the card or the next look has confirmed it.
     Half { add: bool, effective_ns: Option<u64>, edges: u8, seen_ns: u64 },
 }
@@ -149,21 +149,21 @@ struct Unsettled {
     done_ns: Option<u64>,
 }
 
-/// An inversion that is to be made at this look.
+/// An inversion to be written at this look.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Inversion {
     /// The inverter to be toggled: 1 A, 2 B.
     pub inverter: u8,
-    /// Where it ends an insertion: the time since the look that saw its edge, ns.
+    /// Time from the look that saw the edge, ns, if this inversion ends an insertion.
     pub edge_to_done_ns: Option<u64>,
 }
 
-/// What an axis has to do.
+/// When an axis acts next.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Due {
-    /// This is to be made now.
+    /// Invert at this look.
     Now(Inversion),
-    /// Nothing before this, ns, unless a line changes.
+    /// Nothing before this time, ns, unless a line changes.
     At(u64),
 }
 
@@ -175,20 +175,20 @@ enum Order {
     Unknown,
 }
 
-/// What became of a new total.
+/// Result of a request for a new total.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Answer {
-    /// It is the axis's total from now on.
+    /// The request is the axis's total from now on.
     Accepted,
-    /// The same, and it is at or beyond the axis's warning limit.
+    /// Accepted, and at or beyond the axis's warning limit.
     AcceptedWithWarning,
-    /// The total stays what it was.
+    /// Refused; the total does not change.
     Refused(Refusal),
-    /// The total stays what it was, and this is to be latched.
+    /// Refused with a fault to latch; the total does not change.
     Fault(Fault),
 }
 
-/// What the machine as a whole lets an axis do at this look.
+/// What the mode of the machine allows an axis at this look.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Permit {
     /// New insertions may begin.
@@ -197,14 +197,14 @@ pub(crate) struct Permit {
     pub shadow: bool,
 }
 
-/// One look, as an axis needs it.
+/// One look at the card, as an axis needs it.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Look {
     pub t_ns: u64,
     pub inputs: u64,
     gap_ns: u64,
     /// The earliest and latest time of the edge that this look shows, ns.
-    /// Both are the edge's own time where the card stamps it.
+    /// Both are the edge's own time where the card gives a timestamp.
     edge_ns: (u64, u64),
     /// Input lines on which counts may pass between two looks of this card unseen.
     unseen: u64,
@@ -214,8 +214,8 @@ pub(crate) struct Look {
 }
 
 impl Look {
-    /// `since_ns`: the look before.
-    /// Where that came late, the one before it: an unstamped edge is later than that.
+    /// Prepares a look; `since_ns` is the earliest time of an edge without a timestamp.
+    /// That is the time of the look before, or of the one before that if the look before came late.
     #[inline]
     pub(crate) fn new(sample: &Sample, since_ns: u64, permit: Permit) -> Self {
         let Sample { t_ns, inputs, edge_ns, complete, more, fresh, .. } = *sample;
@@ -238,22 +238,22 @@ impl Look {
     }
 }
 
-/// The part of an axis that its inverters and the MTC's count make up.
+/// The inverters of an axis and the MTC's count.
 /// Shadow mode works on a copy.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct Wire {
     /// Inverters: bit 0 A, bit 1 B.
     inverters: u8,
-    /// A' and B'.
+    /// Levels of A' and B'.
     mtc: State,
-    /// What the MTC has counted since homing.
+    /// Counts of the MTC since homing.
     mtc_count: i64,
-    /// What has been inserted since homing.
+    /// Counts inserted since homing.
     completed: i64,
 }
 
 impl Wire {
-    /// `signal` changes at the MTC, which is this step to it.
+    /// Passes a change of `signal` on to the MTC, which counts `step`.
     #[inline]
     fn pass_on(&mut self, signal: Signal, step: i8) {
         debug_assert_eq!(self.mtc.step_of(signal), step);
@@ -263,7 +263,7 @@ impl Wire {
 }
 
 /// One axis between two edges: its count, its inverters and its open insertion.
-#[allow(clippy::struct_excessive_bools)] // Each is known or not without any other.
+#[allow(clippy::struct_excessive_bools)] // each is known independently of the others
 #[derive(Debug)]
 pub(crate) struct AxisEngine {
     config: AxisConfig,
@@ -279,15 +279,15 @@ pub(crate) struct AxisEngine {
     requested: i64,
     insertion: Insertion,
     unsettled: Option<Unsettled>,
-    /// The last inversion is in effect since then; A' and B' have yet to be looked at.
+    /// When the last inversion came into effect, ns, until A' and B' are read back.
     back_due: Option<u64>,
-    /// The last edge came between these two times.
+    /// Earliest and latest time of the last edge, ns.
     last_edge: Option<(u64, u64)>,
     /// Direction of the last edge.
     last_step: i8,
     /// Lower bound of the last period, ns; [`REST`] before the second edge.
     period_ns: u64,
-    /// No insertion before this, ns: the rate cap.
+    /// Earliest time of the next insertion by the rate cap, ns.
     next_allowed_ns: u64,
     /// Why the last edge opened no insertion.
     waits_for: GateState,
@@ -295,34 +295,34 @@ pub(crate) struct AxisEngine {
     not_believed: u8,
     homing: Option<i64>,
     homed: bool,
-    /// The MTC's count less the scale's is certain.
+    /// The difference of the MTC's and the scale's counts is certain.
     mtc_known: bool,
     faults: Faults,
     capture: Option<Capture>,
-    /// Nothing to do before this, ns, unless a line changes.
+    /// Nothing to do before this time, ns, unless a line changes.
     wake_ns: u64,
+    /// An edge only has to be counted.
     /// No insertion is open, pending or due, and only totals were requested since the last full look.
-    /// An edge then only has to be counted.
     calm: bool,
-    /// Mask of its lines in the input word, of A alone, and of A and B.
+    /// Masks in the input word: all lines of the axis, A alone, A and B.
     input_mask: u64,
     a_mask: u64,
     scale_mask: u64,
-    /// Masks of its output lines: the inverter of A, that of B.
+    /// Masks in the output word: the inverter of A, the inverter of B.
     invert_masks: (u64, u64),
     /// A and B in the input word as they were at the last look that counted.
     scale_inputs: u64,
-    /// The line (in the input word) and the signal that change at the next count in the last direction.
-    /// There is no line where the last edge had no direction.
+    /// Line and signal that change at the next count in the last direction.
+    /// The line is a mask in the input word. It is [`NOWHERE`] where the last edge had no direction.
     onward: (u64, Signal),
     insertions: u64,
     waited_for_gate: u64,
     overlaps: u64,
     late: u64,
     beyond_limits: u64,
-    /// An inversion of ours has been made since homing.
+    /// An inversion was made since homing.
     touched: bool,
-    /// Edges of one channel alone.
+    /// Successive edges of one channel alone.
     alone: Alone,
 }
 
@@ -330,13 +330,13 @@ pub(crate) struct AxisEngine {
 /// Either the axis oscillates over one boundary between two counts, or the other channel is dead.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 struct Alone {
-    /// That boundary, counts.
+    /// Position of that boundary, counts.
     boundary: i64,
-    /// Edges in a row at which the axis would have turned back sooner than it can.
+    /// Reversals in a row that came sooner than the axis can turn.
     impossible: u8,
 }
 
-/// An axis as it was found at the start.
+/// State of an axis at the start of the engine.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Found {
     pub scale: State,
@@ -345,23 +345,25 @@ pub(crate) struct Found {
     pub t_ns: u64,
 }
 
-/// The period before the second edge after homing.
+/// Period before the second edge after homing, ns.
 /// The axis is taken to start from rest.
 const REST: u64 = u64::MAX;
-/// No change of lines: after an edge without a direction none goes on as before.
+/// No line: after an edge without a direction, no next edge is predicted.
 const NOWHERE: (u64, Signal) = (u64::MAX, Signal::A);
-/// After this many too early reversals in a row, the other channel is dead.
-/// A reversal is too early if the axis cannot turn that fast. A burst of noise is shorter, and an axis moves on by at
-/// most 32 counts.
+/// Early reversals in a row after which the other channel is dead.
+/// A reversal is early if the axis cannot turn that fast. A burst of noise is shorter, and an axis moves on by at most
+/// 32 counts.
 const DEAD_AFTER: u8 = 16;
-/// A capture that finds no further edge ends after this time, ns: the axis has stopped.
+/// Time after which a capture without a further edge ends, ns.
+/// The axis has stopped then.
 const CAPTURE_LIMIT_NS: u64 = 100_000_000;
 
 impl AxisEngine {
+    /// An axis engine that starts from the state `found` on the card.
     /// `None` where the configuration leaves no time for an insertion at any speed.
     pub(crate) fn new(config: AxisConfig, found: Found) -> Option<Self> {
-        // Left between two inversions, the MTC counts mirrored: the pair is finished as soon as its separation allows,
-        // towards zero. What the scale did meanwhile is unknown: that is latched.
+        // The process before ended between two inversions, so the MTC counts mirrored. The pair is finished towards
+        // zero as soon as its separation allows. How the scale moved meanwhile is unknown, so a fault is latched.
         let half = matches!(found.inverters, 1 | 2);
         let add = found.completed < 0;
         let total = found.completed + if half { if add { 1 } else { -1 } } else { 0 };
@@ -381,7 +383,7 @@ impl AxisEngine {
                 inverters: found.inverters,
                 mtc: found.scale.inverted(found.inverters),
                 mtc_count: found.completed,
-                // As it was before the insertion that will have made the total.
+                // The total before the insertion that is finished first.
                 completed: if half { 2 * found.completed - total } else { total },
             },
             real: None,
@@ -423,35 +425,36 @@ impl AxisEngine {
         })
     }
 
-    /// Mask and level of the output line of a signal (1 A, 2 B) that has been toggled.
+    /// Mask and level of the output line of an inverter (1 A, 2 B) that is toggled.
     #[inline]
     pub(crate) const fn output(&self, toggled: u8) -> (u64, u64) {
         let mask = if toggled == 1 { self.invert_masks.0 } else { self.invert_masks.1 };
         (mask, if self.wire.inverters & toggled == 0 { 0 } else { mask })
     }
 
-    /// Mask of its lines in the output word.
+    /// Mask of the axis's lines in the output word.
     #[inline]
     pub(crate) const fn output_mask(&self) -> u64 {
         self.invert_masks.0 | self.invert_masks.1
     }
 
-    /// Mask of its lines in the input word.
+    /// Mask of the axis's lines in the input word.
     pub(crate) const fn input_mask(&self) -> u64 {
         self.input_mask
     }
 
-    /// Nothing to do before this, ns, unless a line changes.
+    /// Time before which nothing is due, ns, unless a line changes.
     pub(crate) const fn wake_ns(&self) -> u64 {
         self.wake_ns
     }
 
-    /// There may be something to do: the next look finds out.
+    /// Makes the next look check whether something is due.
     pub(crate) fn wake(&mut self) {
         (self.wake_ns, self.calm) = (0, false);
     }
 
-    /// A request other than a total has come: the next edge is looked at with care.
+    /// Makes the next edge take the full path.
+    /// A request other than a total calls for it.
     pub(crate) fn take_care(&mut self) {
         self.calm = false;
     }
@@ -464,7 +467,8 @@ impl AxisEngine {
         self.mtc_known
     }
 
-    /// The MTC was off or its count is unknown: it must be homed together with this axis.
+    /// Marks the MTC's count as unknown.
+    /// The MTC must then be homed together with this axis.
     pub(crate) fn lose_controller(&mut self) {
         (self.mtc_known, self.homed, self.homing) = (false, false, None);
     }
@@ -473,14 +477,13 @@ impl AxisEngine {
         self.faults
     }
 
-    /// Both inverters equal and nothing under way.
+    /// Both inverters are equal and no insertion is under way.
     pub(crate) fn idle(&self) -> bool {
         matches!(self.insertion, Insertion::Idle | Insertion::Opened { .. })
     }
 
-    /// The real inverters and what is in the MTC's count: what a restart must know.
-    /// The completed total; between the two inversions of a pair, when the inverters differ, the odd number that
-    /// stands there.
+    /// Real inverters and the total in the MTC's count, for a restart.
+    /// It is the completed total, or between the two inversions of a pair the odd number halfway.
     pub(crate) fn in_effect(&self) -> (u8, i64) {
         let wire = self.real.unwrap_or(self.wire);
         let half = matches!(wire.inverters, 1 | 2);
@@ -492,8 +495,8 @@ impl AxisEngine {
     }
 
     /// Whether four counts may have passed unseen between two looks.
-    /// Four counts look like none. It applies to lines that are not all `complete`, if the axis was moving and the
-    /// time was long enough.
+    /// After four counts the lines are as before. It applies to lines that are not all `complete`, if the axis was
+    /// moving and the time was long enough.
     pub(crate) fn may_have_missed_a_cycle(&self, complete: u64, since_ns: u64, t_ns: u64) -> bool {
         let Some((_, last_ns)) = self.last_edge else { return false };
         let gap_ns = t_ns - since_ns;
@@ -570,19 +573,19 @@ impl AxisEngine {
     }
 
     /// Takes a new total, counts since homing.
-    /// The caller latches the fault that it may be.
+    /// If the answer is a fault, the caller latches it.
     pub(crate) fn request(&mut self, total: i64, large: bool) -> Answer {
         let answer = self.config.judge(total, self.requested, large, &mut self.not_believed);
         if matches!(answer, Answer::Accepted | Answer::AcceptedWithWarning) {
             self.requested = total;
-            // An edge may open an insertion for it, or the axis has been at rest for long enough; nothing else is due sooner.
+            // Due next is an edge or the end of the rest time; a new total makes nothing due sooner.
             self.set_wake_time();
         }
         answer
     }
 
-    /// The probe tripped between the two times.
-    /// `false` where a capture is already under way: a bounce.
+    /// The probe tripped between these two times, ns.
+    /// Returns `false` for a bounce, which is a trip during a capture.
     pub(crate) fn trip(&mut self, trip_ns: (u64, u64)) -> bool {
         if self.capture.is_some() {
             return false;
@@ -593,7 +596,7 @@ impl AxisEngine {
         true
     }
 
-    /// The card knows that the write is in effect at `done_ns`.
+    /// Notes that the write is in effect from `done_ns` on, as the card reports it.
     pub(crate) fn written(&mut self, done_ns: u64) {
         if let Some(u) = &mut self.unsettled {
             u.done_ns = Some(done_ns);
@@ -641,14 +644,14 @@ impl AxisEngine {
     fn count_edge(&mut self, signal: Signal, line: u64, step: i8, scale_inputs: u64, edge_ns: (u64, u64)) {
         self.scale.take_step(self.scale.state().flipped(signal), step);
         self.scale_inputs = scale_inputs;
-        // A and B take turns while the axis goes on.
+        // A and B alternate while the axis moves on.
         self.onward = (line ^ self.scale_mask, signal.other());
         self.period_ns = self.last_edge.map_or(REST, |(_, last_ns)| edge_ns.0.saturating_sub(last_ns));
-        // Without a second `Some`: one instruction less at a regular edge.
+        // Writing in place saves one instruction at a regular edge.
         *self.last_edge.get_or_insert(edge_ns) = edge_ns;
     }
 
-    /// One look, at which lines of the axis have changed or not.
+    /// Handles one look, whether or not lines of the axis have changed.
     /// Returns the inversion to be made now.
     #[inline]
     pub(crate) fn look(
@@ -666,12 +669,13 @@ impl AxisEngine {
         self.advance(look, report)
     }
 
-    /// What is under way or due.
+    /// Continues an insertion under way, or begins one that is due.
     fn advance(&mut self, look: &Look, report: &mut impl FnMut(EventKind)) -> Option<Inversion> {
         if let Some(u) = self.unsettled
             && u.done_ns.is_none_or(|done| look.edge_ns.1 > done)
         {
-            // Long enough to go over an edge and back: with the inversion in between, four counts unseen.
+            // The axis had time to cross an edge and come back. With an inversion in between, that is four counts
+            // unseen.
             if look.unseen & self.a_mask != 0 && look.gap_ns >= self.gate.turn_back_ns() {
                 self.fault(Fault::PollGap, report);
             }
@@ -700,7 +704,7 @@ impl AxisEngine {
                 None
             }
             Due::Now(inversion) => {
-                // Whether it is in effect, the next look tells.
+                // The next look tells whether the inversion is in effect.
                 (self.wake_ns, self.calm) = (0, false);
                 Some(inversion)
             }
@@ -729,7 +733,7 @@ impl AxisEngine {
         }
     }
 
-    /// The scale has changed.
+    /// Handles a change of A or B.
     fn edge(&mut self, state: State, look: &Look, report: &mut impl FnMut(EventKind)) {
         let before = self.scale.state();
         let Some(step) = before.step_to(state) else {
@@ -776,7 +780,7 @@ impl AxisEngine {
                 self.insertion = Insertion::Idle;
                 if self.ready() && look.permit.insert {
                     if turned {
-                        // It takes both channels to know that the axis moves.
+                        // Only edges of both channels show that the axis moves.
                         self.waits_for = GateState::OneChannel;
                         self.waited_for_gate += 1;
                     } else {
@@ -797,7 +801,7 @@ impl AxisEngine {
         if self.alone.boundary != boundary {
             self.alone = Alone { boundary, impossible: 0 };
         }
-        // Unstamped, the edge before was at the earliest after the look before it.
+        // Without a timestamp, the edge before came at the earliest after the look before it.
         let after_ns = before_ns.map_or(u64::MAX, |ns| look.edge_ns.1 - ns);
         self.alone.impossible =
             if after_ns < self.gate.turn_back_ns() { self.alone.impossible.saturating_add(1) } else { 0 };
@@ -806,7 +810,7 @@ impl AxisEngine {
         }
     }
 
-    /// A and B have both changed: the step is unknown.
+    /// Handles a change of A and B at once, whose step is unknown.
     #[cold]
     fn illegal_edge(&mut self, state: State, look: &Look, report: &mut impl FnMut(EventKind)) {
         self.scale.update(state);
@@ -843,7 +847,7 @@ impl AxisEngine {
     /// An edge that is too early disproves the axis's limits. The engine relied on them for every insertion since
     /// homing: it assumed that no two edges cancelled between two looks beside an insertion.
     fn check_limits(&mut self, step: i8, after_ns: u64, period_ns: u64, report: &mut impl FnMut(EventKind)) {
-        // The look before read its lines some time before it took its time.
+        // The look before read its lines some time before the time that it reports.
         let after_ns = after_ns + self.config.detect_ns;
         let beyond = if step == self.last_step {
             self.gate.too_soon(period_ns, after_ns) && period_ns != REST
@@ -858,12 +862,12 @@ impl AxisEngine {
         }
     }
 
-    /// Enters a real edge of `signal` into the MTC's count beside an unconfirmed inversion.
-    /// The two are entered in the order in which they happened.
+    /// Enters a real edge of `signal` into the MTC's count beside an inversion.
+    /// The inversion is not confirmed yet. Edge and inversion are entered in the order in which they happened.
     fn pass_on_beside_inversion(&mut self, signal: Signal, edge_ns: u64, report: &mut impl FnMut(EventKind)) {
         let order = match self.unsettled {
             None => Order::EdgeLast,
-            // Two changes of the same signal: the MTC is where it was, whichever came first.
+            // The same signal changed twice, so the MTC is where it was in either order.
             Some(u) if u.signal == signal => Order::EdgeLast,
             Some(u) => match (u.done_ns, edge_ns) {
                 (Some(done), e) if e > done => Order::EdgeLast,
@@ -885,25 +889,25 @@ impl AxisEngine {
         if order == Order::Unknown {
             self.fault(Fault::OrderUnknown, report);
         } else if order == Order::EdgeFirst && (w.inverters == 0 || w.inverters == 3) {
-            // The edge came before the second inversion after all: what the pair made is known only now.
+            // The edge came before the second inversion after all. Only now is the effect of the pair known.
             w.completed = w.mtc_count - self.scale.count();
         }
     }
 
     fn ready(&self) -> bool {
         let pending = self.pending();
-        // Less than an insertion, as a rule: then the rest need not be asked.
+        // The usual case is less than an insertion, and is decided first.
         !(-1..=1).contains(&pending) && self.homed && !self.faults.any()
     }
 
-    /// After an edge with a total pending, opens an insertion or notes why not.
-    /// The insertion is written in place, because a copy in other pieces than it was written in stalls the processor.
+    /// Opens an insertion after an edge with a total pending, or notes why not.
+    /// It is written in place, because reading it back in other pieces stalls the processor.
     fn open(&mut self, edge: (u64, u64)) {
         if edge.1 < self.next_allowed_ns {
             self.waits_for = GateState::RateCap;
             return;
         }
-        // The first edge tells nothing of the speed.
+        // The first edge gives no period, so no speed.
         let period_ns = if self.period_ns == REST { 0 } else { self.period_ns };
         let quiet_ns = self.gate.quiet_ns(period_ns);
         if period_ns < self.gate.min_period_ns() || quiet_ns < self.gate.need_ns() {
@@ -919,7 +923,7 @@ impl AxisEngine {
         };
     }
 
-    /// What is due at this look, or when something is.
+    /// Finds what is due at this look, or the time when something is.
     fn act(&mut self, look: &Look, report: &mut impl FnMut(EventKind)) -> Due {
         let t_ns = look.t_ns;
         match self.insertion {
@@ -946,7 +950,7 @@ impl AxisEngine {
                 Due::At(self.due_at_rest_ns())
             }
             Insertion::Half { add, effective_ns: Some(effective), edges, seen_ns } => {
-                // Two real edges inside: the axis is too fast for a separation, and the MTC counts mirrored.
+                // Two real edges came inside: the axis is too fast to keep a separation, and the MTC counts mirrored.
                 let due_ns = self.apart_ns(effective);
                 if t_ns < due_ns && edges < 2 {
                     return Due::At(due_ns);
@@ -957,9 +961,9 @@ impl AxisEngine {
         }
     }
 
-    /// The first inversion.
-    /// A and B equal: A first adds, B first subtracts; different: the other way round (NISTIR 4832, Design C). Both
-    /// inverters are equal here, so A' and B' decide alike.
+    /// Makes the first inversion.
+    /// With A and B equal, A adds and B subtracts; with A and B different it is the other way round (NISTIR 4832,
+    /// Design C). Both inverters are equal here, so A' and B' decide alike.
     fn invert_first(&mut self, add: bool, t_ns: u64, seen_ns: u64) -> Due {
         self.insertion = Insertion::Half { add, effective_ns: None, edges: 0, seen_ns };
         self.touched |= self.real.is_none();
@@ -967,9 +971,9 @@ impl AxisEngine {
         Due::Now(Inversion { inverter, edge_to_done_ns: None })
     }
 
-    /// The second inversion.
-    /// Without an edge in between it is the other signal; with one, the signal that leaves the MTC where it should
-    /// be, or else where it was.
+    /// Makes the second inversion.
+    /// Without an edge in between it inverts the other signal. With one it inverts the signal that brings the MTC to
+    /// the wanted count, or else back to where it was.
     fn invert_second(
         &mut self,
         add: bool,
@@ -980,7 +984,7 @@ impl AxisEngine {
     ) -> Due {
         let wanted = self.wire.completed + if add { 2 } else { -2 };
         let offset = self.wire.mtc_count - self.scale.count();
-        // As a rule the way on ends there.
+        // In the usual case the other signal completes the insertion.
         let (mut signal, mut step) = (self.wire.mtc.signal_towards(add), if add { 1 } else { -1 });
         if offset + step != wanted {
             let [ahead, aback] = [offset + step, offset - step].map(|o| o.abs_diff(wanted));
@@ -1004,7 +1008,7 @@ impl AxisEngine {
         Due::Now(Inversion { inverter, edge_to_done_ns: Some(t_ns - seen_ns) })
     }
 
-    /// Inverts a signal, which is this step to the MTC.
+    /// Inverts a signal, which the MTC counts as `step`.
     fn invert(&mut self, signal: Signal, step: i64, t_ns: u64) -> u8 {
         let w = &mut self.wire;
         debug_assert_eq!(i64::from(w.mtc.step_of(signal)), step);
@@ -1015,14 +1019,14 @@ impl AxisEngine {
         signal as u8
     }
 
-    /// Until when the MTC needs its separation, ns.
+    /// Time until which the MTC needs its separation, ns.
     /// It counts from an inversion in effect since `effective_ns` and from the last edge.
     fn apart_ns(&self, effective_ns: u64) -> u64 {
         let last_out = self.last_edge.map_or(effective_ns, |(_, edge)| edge.max(effective_ns));
         last_out + self.config.min_separation_ns
     }
 
-    /// When the insertion under way goes on, or at rest one begins, ns.
+    /// Time when the insertion under way continues, or one begins at rest, ns.
     fn due_ns(&self) -> u64 {
         match self.insertion {
             Insertion::Idle => self.due_at_rest_ns(),
@@ -1032,7 +1036,7 @@ impl AxisEngine {
         }
     }
 
-    /// When an insertion begins that no edge opens, ns.
+    /// Time when an insertion begins without an edge, ns.
     fn due_at_rest_ns(&self) -> u64 {
         match self.config.rest {
             RestPolicy::Insert { after_ns } if self.ready() => {
@@ -1042,7 +1046,7 @@ impl AxisEngine {
         }
     }
 
-    /// Works out until when nothing is due unless a line changes.
+    /// Works out the time before which nothing is due unless a line changes.
     fn set_wake_time(&mut self) {
         let next_look_tells = self.unsettled.is_some_and(|u| u.done_ns.is_none());
         self.set_wake(if next_look_tells { 0 } else { self.due_ns() });
@@ -1065,8 +1069,8 @@ impl AxisEngine {
             && matches!(self.wire.inverters, 0 | 3);
     }
 
-    /// The axis as a status shows it.
-    /// `blocked` is what the machine as a whole holds against insertions.
+    /// Status of the axis.
+    /// `blocked` is the machine's reason against insertions, if any.
     pub(crate) fn status(&self, t_ns: u64, blocked: Option<GateState>) -> AxisStatus {
         let real = self.real.unwrap_or(self.wire);
         let mtc_count =
@@ -1088,7 +1092,7 @@ impl AxisEngine {
         } else {
             self.waits_for
         };
-        // One edge alone tells no speed.
+        // One edge alone gives no speed.
         let period_ns = since_ns.map_or(REST, |s| s.max(self.period_ns));
         AxisStatus {
             position_counts: self.home_counts + self.scale.count(),
@@ -1117,7 +1121,7 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// What happens between two looks.
+    /// What a test does between two looks.
     #[derive(Debug, Clone, Copy)]
     enum Between {
         Forward,
@@ -1137,10 +1141,12 @@ mod tests {
         ]
     }
 
-    /// The fast path is taken for every edge that is neither late nor too early, to the nanosecond.
+    /// The fast path takes every edge that is neither late nor too early.
+    /// The limits are tested to the nanosecond.
     #[test]
     fn the_short_way_is_taken_where_nothing_can_be_wrong() {
-        // Edges 10 µs apart; one that came at most `after_ns` after the last, seen at a look `gap_ns` after the one before.
+        // Edges are 10 µs apart. The last came at most `after_ns` after the one before, and shows `gap_ns` after the
+        // look before.
         let calm = |complete: u64, gap_ns: u64, after_ns: u64| {
             let config = AxisConfig { detect_ns: 700, ..AxisConfig::default() };
             let found = Found { scale: State::default(), inverters: 0, completed: 0, t_ns: 1 };
@@ -1168,7 +1174,7 @@ mod tests {
             let t_ns = 30_000 - 100 + after_ns;
             edge(t_ns, t_ns - gap_ns, false)
         };
-        // A period of 9.9 µs at least; of the time after it, what the look before may have been late in detecting counts.
+        // A period of at least 9.9 µs. The time after it is extended by the detection time of the look before.
         assert!(calm(0, 2200, 9_200));
         assert!(!calm(0, 2201, 9_200), "late");
         assert!(!calm(0, 100, 9_199), "sooner than the one before");
@@ -1177,7 +1183,7 @@ mod tests {
     }
 
     proptest! {
-        /// An edge that is counted calmly leaves the axis as the careful way leaves it.
+        /// The fast path leaves the axis as the full path does.
         #[test]
         fn a_calm_edge_is_what_a_careful_one_is(
             looks in prop::collection::vec((between(), 100_u64..4000, any::<bool>(), any::<bool>(), any::<bool>()), 1..200),

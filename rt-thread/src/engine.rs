@@ -10,17 +10,17 @@ use crate::journal::{Journal, MachineRecord, StateRecord};
 use crate::state_file::StateFile;
 use rtec_driver::card::{Card, CardError, MachineLines, Sample, Trouble};
 
-/// The machine as a whole, beforehand.
+/// Configuration of the machine as a whole, fixed before the engine starts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct MachineConfig {
-    /// Where the machine's own lines are.
+    /// The machine's own lines.
     pub lines: MachineLines,
     /// Corrections may be enabled.
     /// The card is a mock, or every real-time setting has been verified.
     pub may_arm: bool,
 }
 
-/// What the start of an engine can find wrong.
+/// Why an engine cannot start.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum StartError {
     /// The card could not be read.
@@ -33,24 +33,25 @@ pub enum StartError {
     /// The limits are acceleration, hysteresis, separation and latency.
     #[error("axis {0}: no speed leaves time for an insertion; lower max_accel or the time it needs")]
     NoGate(usize),
-    /// The two inverters of an axis differ, but the completed total is not one of a half-done insertion.
+    /// The inverters of an axis differ, but its total is not that of half an insertion.
+    /// The total is odd in the middle of an insertion, and only there.
     #[error("axis {0}: its two inverters are not equal")]
     HalfInverted(usize),
 }
 
-/// Distributions of the loop's times, to be read at any moment.
+/// Histograms of the loop's times; any thread may read them at any moment.
 #[derive(Debug, Clone)]
 pub struct Timing {
-    /// Between two looks, ns.
-    /// On a card that sleeps, from an edge to the look that shows it.
+    /// Time between two looks, ns.
+    /// On a card that sleeps it is the time from an edge to the look that shows it.
     pub poll_gap_ns: Reader,
     /// From the look that saw an edge to the look that ordered the last inversion, ns.
     pub edge_to_done_ns: Reader,
 }
 
-#[allow(clippy::struct_excessive_bools)] // Each is one switch of the machine.
-/// The engine.
-/// Generic over the card at each look; it owns no thread, no file and no clock.
+#[allow(clippy::struct_excessive_bools)] // each is one switch of the machine
+/// The engine of all axes of one machine.
+/// It is generic over the card at each look, and owns no thread, no file and no clock.
 #[derive(Debug)]
 pub struct Engine {
     axes: Box<[AxisEngine]>,
@@ -74,21 +75,21 @@ pub struct Engine {
     faults: Faults,
     mode: Mode,
     journal: Option<Journal>,
-    /// What the mode lets every axis do.
+    /// What the mode allows every axis.
     permit: Permit,
-    /// The mode must be worked out again.
+    /// The mode must be computed again.
     /// It is set at the start, and after a fault that was found outside an axis's own look.
     mode_due: bool,
-    /// Masks of the machine's own inputs, none where not wired.
+    /// Masks of the machine's own inputs; 0 where not wired.
     probe_mask: u64,
     disable_mask: u64,
     mtc_mask: u64,
-    /// All of them together.
+    /// Mask of all of them together.
     own_mask: u64,
-    /// A look later than this after the last one may have missed counts of some axis, ns.
+    /// A longer gap between two looks may have missed counts of some axis, ns.
     late_ns: u64,
-    /// The last late look and the one before it, ns.
-    /// A late look may have read its lines long before it took its time.
+    /// Times of the last late look and of the look before it, ns.
+    /// A late look may have read its lines long before the time that it reports.
     late_look: (u64, u64),
     poll_gap_ns: Recorder,
     edge_to_done_ns: Recorder,
@@ -98,7 +99,7 @@ pub struct Engine {
 impl Engine {
     /// Takes over a card as it is: inverters and feed hold.
     /// `completed` gives each axis's total as [`Engine::in_effect`] returned it (zero at a first start). Nothing is
-    /// written, and corrections are off. The MTC is taken to count what `completed` says, until
+    /// written, and corrections are off. The MTC is assumed to count what `completed` says, until
     /// [`Engine::lose_controller`] is called.
     /// An axis that was left between two inversions is latched as [`Fault::Interrupted`]; the second one follows from
     /// [`Engine::poll`].
@@ -177,7 +178,7 @@ impl Engine {
     }
 
     /// Homes every axis at zero in its present place and enables corrections.
-    /// A replay or a simulation starts so.
+    /// Replays and simulations start this way.
     ///
     /// # Errors
     /// When the hold line cannot be written.
@@ -189,10 +190,11 @@ impl Engine {
         self.start_homed_at(card, |_| 0, report)
     }
 
-    /// Homed at these positions, counts, and enabled: as [`Engine::start_homed`].
+    /// Homes the axes at these positions, counts, and enables corrections.
+    /// Otherwise it is [`Engine::start_homed`].
     ///
     /// # Errors
-    /// The card cannot be written.
+    /// When the card cannot be written.
     pub fn start_homed_at<C: Card>(
         &mut self,
         card: &mut C,
@@ -207,8 +209,8 @@ impl Engine {
         self.take(Request::Enable, card, report)
     }
 
-    /// From here on every inversion is noted in `journal` before it is made.
-    /// Returns what watches over its file.
+    /// Starts to note every inversion in `journal` before it is made.
+    /// Returns the watch over the journal's file.
     ///
     /// # Errors
     /// When a new file cannot be given its name ([`Journal::place`]).
@@ -219,9 +221,9 @@ impl Engine {
         self.journal.as_mut().map(placed).transpose()
     }
 
-    /// Notes every axis as it is in effect now, and the machine.
-    /// At no moment does the file say that feed hold is on and not why: a fault of an axis comes before the hold, and
-    /// goes after it.
+    /// Notes the state in effect of every axis and of the machine.
+    /// The file never shows feed hold without its reason: the fault of an axis is noted before the hold and removed
+    /// after it.
     fn note(&mut self) {
         let hold_output = self.wants_hold();
         if !hold_output {
@@ -250,14 +252,16 @@ impl Engine {
         }
     }
 
-    /// Marks the MTC's count of this axis as unknown: the MTC and the axis must be homed.
+    /// Marks the MTC's count of this axis as unknown.
+    /// The MTC and the axis must then be homed.
     pub fn lose_controller(&mut self, axis: usize) {
         if let Some(axis) = self.axes.get_mut(axis) {
             axis.lose_controller();
         }
     }
 
-    /// Takes over feed hold from the process before, instead of the state found on the card.
+    /// Takes over feed hold from the process before.
+    /// It replaces the state found on the card.
     pub fn take_over_hold(&mut self, held: Option<HeldBy>) {
         self.held = held.or(self.held.filter(|by| *by == HeldBy::Controller));
     }
@@ -268,27 +272,27 @@ impl Engine {
         self.machine.may_arm = may_arm;
     }
 
-    /// Feed hold is asked for whenever the MTC is off. It stays on afterwards.
+    /// Asserts feed hold whenever the MTC is off. It stays on afterwards.
     pub fn hold_without_mtc(&mut self) {
         self.hold_without_mtc = true;
         self.hold_for_mtc();
     }
 
-    /// No insertion is under way on any axis: both inverters are equal everywhere.
+    /// No axis has an insertion under way: its two inverters are equal.
     #[must_use]
     pub fn at_rest(&self) -> bool {
         self.axes.iter().all(AxisEngine::idle)
     }
 
-    /// The card has failed: every axis is latched. Nothing more can be written.
+    /// Latches every axis because the card has failed. Nothing more can be written.
     pub fn card_failed(&mut self, error: CardError, report: &mut impl FnMut(Event) -> bool) {
         if error != CardError::Ended {
             self.fail(Fault::Card, report);
         }
     }
 
-    /// Ends the loop by this fault.
-    /// Corrections are off, and what a restart must know is recorded.
+    /// Ends the loop with this fault.
+    /// Corrections are switched off, and the state for a restart is noted.
     fn fail(&mut self, fault: Fault, report: &mut impl FnMut(Event) -> bool) {
         if self.faults.latch(fault) {
             self.mode = Mode::Fault;
@@ -298,29 +302,30 @@ impl Engine {
         }
     }
 
-    /// The loop has panicked: the fault is latched and feed hold written.
+    /// Latches the fault of a panic in the loop and writes feed hold.
     /// Inverters stay as they are.
     pub fn panicked<C: Card>(&mut self, card: &mut C, report: &mut impl FnMut(Event) -> bool) {
         self.fail(Fault::ThreadLost, report);
-        // A card that refuses this too is beyond reach: the fault is latched already.
+        // If the card refuses this write too, nothing more can be done. The fault is latched already.
         let _ = self.write_hold(card);
     }
 
-    /// Corrections are off, and only [`Request::Enable`] switches them on again.
+    /// Switches corrections off. Only [`Request::Enable`] switches them on again.
     fn switch_off(&mut self, because: OffBecause) {
         if self.enabled {
             (self.enabled, self.off_because) = (false, because);
         }
     }
 
-    /// The loop's own timing, to be read at any time from any thread.
+    /// Histograms of the loop's times, readable at any time from any thread.
     #[must_use]
     pub fn timing(&self) -> Timing {
         self.timing.clone()
     }
 
-    /// One look at the card and everything that follows from it.
-    /// A card that can wait does so at most until `by_ns`. `report` takes an event and returns whether it was kept.
+    /// Looks at the card once and does everything that follows.
+    /// A card that can wait does so until `by_ns` at the latest. `report` takes an event and returns whether it was
+    /// kept.
     ///
     /// # Errors
     /// When the card fails; every axis is then latched, and the outputs stay as they are.
@@ -334,7 +339,7 @@ impl Engine {
         let sample = card.sample(self.wake_ns.min(by_ns))?;
         let since_ns = std::mem::replace(&mut self.look_ns, sample.t_ns);
         self.polls += 1;
-        // The first look comes after the thread's set-up, not after another look.
+        // The first look follows the thread's set-up, so its gap is no latency.
         match sample.edge_ns {
             Some(edge_ns) if C::SLEEPS => self.poll_gap_ns.record(sample.t_ns.saturating_sub(edge_ns)),
             None if !C::SLEEPS && self.polls > 1 => {
@@ -359,8 +364,8 @@ impl Engine {
         self.work(card, &look, changed, report)
     }
 
-    /// Counts the edges of a look where nothing is due and each changed axis has a regular edge.
-    /// Returns `false` where more has to be checked. Edges already counted are not counted again.
+    /// Counts the edges of a look at which every changed axis has a regular edge.
+    /// Nothing must be due. Returns `false` where more has to be checked. Edges already counted are not counted again.
     #[inline]
     fn count_regular_edges(&mut self, sample: &Sample, changed: u64, since_ns: u64) -> bool {
         if changed & self.own_mask != 0 || self.mode_due {
@@ -376,8 +381,8 @@ impl Engine {
         true
     }
 
-    /// The earliest time of an edge that this look shows, ns.
-    /// It is the time of the look before, or where that came late, of the one before it.
+    /// Earliest time of an edge that this look shows, ns.
+    /// It is the time of the look before, or of the one before that if the look before came late.
     #[inline]
     fn edge_since_ns(&self, since_ns: u64) -> u64 {
         if since_ns == self.late_look.0 { self.late_look.1 } else { since_ns }
@@ -405,13 +410,13 @@ impl Engine {
             {
                 self.mode_due = true;
                 self.emit(Some(n as u8), EventKind::Fault(Fault::PollGap), report);
-                // The mode is worked out anew at this very look.
+                // The mode is computed again at this look.
                 self.wake_ns = 0;
             }
         }
     }
 
-    /// Latches what the card found for every axis concerned, or else for the machine.
+    /// Latches the card's trouble for every axis concerned, or else for the machine.
     #[cold]
     fn latch_trouble(&mut self, trouble: Trouble, report: &mut impl FnMut(Event) -> bool) {
         let fault = Fault::from(trouble.kind);
@@ -430,8 +435,8 @@ impl Engine {
         }
     }
 
-    /// Lets each axis act on what this look found, and writes what they want at once.
-    /// Not inlined: what nearly every look needs stays in registers.
+    /// Lets each axis act on what this look found, and writes their outputs together.
+    /// It is not inlined, so that the values that nearly every look needs stay in registers.
     #[inline(never)]
     fn work<C: Card>(
         &mut self,
@@ -443,7 +448,7 @@ impl Engine {
         let Look { t_ns, inputs, .. } = *look;
         self.inputs = inputs;
         let lost = &mut self.events_lost;
-        // A fault stays until it is cleared, which no look does; a new one is reported.
+        // No look clears a fault. A new one is reported.
         let mut new_fault = false;
         let mut emit = |axis, kind| {
             new_fault |= matches!(kind, EventKind::Fault(_));
@@ -458,7 +463,7 @@ impl Engine {
                 axis.wake();
             }
         }
-        // Of the output lines: those that are toggled, and their levels.
+        // Output lines to toggle, and their levels.
         let (mut mask, mut value) = (0, 0);
         let mut wake_ns = u64::MAX;
         for (n, axis) in self.axes.iter_mut().enumerate() {
@@ -484,7 +489,7 @@ impl Engine {
         }
         if mask != 0 {
             let done_ns = if look.permit.shadow { Some(t_ns) } else { card.write(mask, value)? };
-            // Where the card does not tell, the next look does.
+            // Where the card does not report it, the next look does.
             if let Some(done_ns) = done_ns {
                 for axis in self.axes.iter_mut().filter(|a| a.output_mask() & mask != 0) {
                     axis.written(done_ns);
@@ -500,7 +505,8 @@ impl Engine {
         Ok(())
     }
 
-    /// The MTC was switched off: nobody knows what it counts from then on.
+    /// Follows the MTC's ready line.
+    /// Once the MTC was off, its count is unknown.
     fn look_after_mtc(&mut self, inputs: u64, report: &mut impl FnMut(Event) -> bool) {
         let ready = inputs & self.mtc_mask == self.mtc_mask;
         if ready == self.mtc_ready {
@@ -522,7 +528,7 @@ impl Engine {
         }
     }
 
-    /// Works the mode out anew, and the hold line with it.
+    /// Computes the mode, and writes the hold line accordingly.
     fn update_mode<C: Card>(
         &mut self,
         card: &mut C,
@@ -530,7 +536,7 @@ impl Engine {
     ) -> Result<(), CardError> {
         let faulted = self.faults.any() || self.axes.iter().any(|a| a.faults().any());
         self.mode_due = false;
-        // Corrections come on again by a decision, not by themselves.
+        // Corrections never come on again by themselves; somebody must enable them.
         if faulted {
             self.switch_off(OffBecause::Fault);
         }
@@ -560,7 +566,7 @@ impl Engine {
         Ok(())
     }
 
-    /// Somebody asks for feed hold, or a fault does.
+    /// A user or a fault asks for feed hold.
     fn wants_hold(&self) -> bool {
         self.held.is_some() || self.faults.any() || self.axes.iter().any(|a| a.faults().any())
     }
@@ -581,7 +587,7 @@ impl Engine {
         self.permit = Permit { insert, shadow: self.shadow };
     }
 
-    /// A pending correction at rest has no edge to wake it.
+    /// Wakes every axis, because a pending correction at rest has no edge to wake it.
     fn wake_all(&mut self) {
         self.wake_ns = 0;
         self.axes.iter_mut().for_each(AxisEngine::wake);
@@ -615,7 +621,7 @@ impl Engine {
             self.note();
         }
         self.wake_ns = self.axes.iter().map(AxisEngine::wake_ns).min().unwrap_or(0);
-        // A total that latches no fault changes neither what is in effect nor what the machine may do.
+        // A total that latches no fault changes neither what is in effect nor the mode.
         if only_a_total { Ok(()) } else { self.update_mode(card, report) }
     }
 
@@ -670,7 +676,7 @@ impl Engine {
                 self.axes.iter_mut().for_each(|a| a.set_shadow(false));
             }
             Request::Probe(on) => self.probing = on,
-            // Whoever asked first holds the machine.
+            // The first user who asked holds the machine.
             Request::Hold { on: true, by } => {
                 self.held.get_or_insert(HeldBy::User(by));
             }
@@ -692,12 +698,12 @@ impl Engine {
     }
 
     /// Whether corrections may be enabled, or why not.
-    /// It needs no fault, no switch, every axis homed, and on a real card a verified set-up.
+    /// That takes no fault, no disable switch, every axis homed, and on a real card a verified set-up.
     fn armable(&self, shadow: bool) -> Result<(), Refusal> {
         if self.mode == Mode::Fault {
             Err(Refusal::FaultLatched)
         } else if self.held.is_some() {
-            // Corrections would come on by themselves when it ends.
+            // Otherwise corrections would come on by themselves when feed hold ends.
             Err(Refusal::Held)
         } else if self.probing {
             Err(Refusal::Probing)
@@ -765,14 +771,14 @@ impl Engine {
             if stale {
                 self.switch_off(OffBecause::ControlStale);
             }
-            // No new insertion begins from here on; the next look finds the mode.
+            // No new insertion begins from here on; the next look computes the mode.
             self.set_permit();
             self.mode_due = true;
             self.wake_all();
         }
     }
 
-    /// Latches a fault that was found outside the loop, of the machine or of one axis.
+    /// Latches a fault, of the machine or of one axis, that was found outside the loop.
     ///
     /// # Errors
     /// When the hold line cannot be written.
@@ -794,26 +800,26 @@ impl Engine {
         self.update_mode(card, report)
     }
 
-    /// The card's time of the last look, ns.
+    /// Time of the last look on the card's clock, ns.
     #[must_use]
     pub const fn now_ns(&self) -> u64 {
         self.look_ns
     }
 
-    /// What the engine is doing.
+    /// Mode of the engine.
     #[must_use]
     pub const fn mode(&self) -> Mode {
         self.mode
     }
 
-    /// Real inverters of an axis and the total in the MTC's count: what a restart must know.
+    /// Real inverters of an axis and the total in the MTC's count, for a restart.
     /// Bit 0 is A, bit 1 is B. The total is odd halfway through an insertion.
     #[must_use]
     pub fn in_effect(&self, axis: usize) -> Option<(u8, i64)> {
         self.axes.get(axis).map(AxisEngine::in_effect)
     }
 
-    /// Everything at this moment.
+    /// Status of the whole corrector at this moment.
     #[must_use]
     pub fn status(&self) -> Status {
         let blocked = match self.mode {

@@ -1,5 +1,5 @@
-//! What goes over the link: requests down, events up, and what a status shows.
-//! All `Copy`, nothing allocates.
+//! The messages of the link: requests, events and status.
+//! All are `Copy`; nothing allocates.
 
 use rtec_driver::card::TroubleKind;
 use serde::{Deserialize, Serialize};
@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 /// Axes that one engine can hold.
 pub const MAX_AXES: usize = 6;
 
-/// What the control side asks for. Totals, never increments.
+/// A request of the control side. Requests are totals, never increments.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Request {
     /// The total correction of an axis in counts since homing.
@@ -16,33 +16,33 @@ pub enum Request {
         axis: u8,
         /// The total, counts.
         total_counts: i64,
-        /// A change beyond the belief window is meant (a restart with a hot machine).
+        /// A change beyond the belief window is intended (a restart with a hot machine).
         large: bool,
     },
-    /// The axis is at its known place: its counters become this value.
+    /// Sets the axis's counters to this value at its known place.
     Home {
         /// Which axis, from 0.
         axis: u8,
         /// Position of the known place, counts.
         position_counts: i64,
-        /// The MTC has been homed there too: what it counted before is forgotten.
+        /// The MTC has been homed there too, so its earlier count is forgotten.
         /// Otherwise the total in effect is kept.
         controller_homed: bool,
     },
-    /// What the control side has read back after [`Request::Home`].
-    /// Only the same value completes it.
+    /// Confirms the position that was read back after [`Request::Home`].
+    /// The control side sends it. Only the same value completes homing.
     ConfirmHome {
         /// Which axis, from 0.
         axis: u8,
         /// The position as read back, counts.
         position_counts: i64,
     },
-    /// Corrections on.
-    /// It needs every axis homed and no fault; on a real card also every setting verified.
+    /// Enables corrections.
+    /// Every axis must be homed and no fault latched; on a real card every setting must be verified too.
     Enable,
-    /// Corrections off: they freeze where they are.
+    /// Disables corrections: they freeze where they are.
     Disable,
-    /// Compute, gate and count everything, write nothing.
+    /// Shadow mode: computes, gates and counts everything, writes nothing.
     Shadow,
     /// Probing mode on or off: no corrections, positions captured at the probe's edge.
     Probe(bool),
@@ -55,40 +55,40 @@ pub enum Request {
     },
     /// Release latched faults. Axes whose count is in doubt must be homed again.
     Clear,
-    /// The state file is not the one that was written any more.
-    /// Another is there instead. Everything is to be noted in it, and [`Fault::StateFileLost`] is latched.
+    /// The state file was lost, and a new one is in its place.
+    /// Everything is noted in the new file, and [`Fault::StateFileLost`] is latched.
     StateFileLost,
 }
 
-/// What is wrong, latched until cleared.
+/// A fault, latched until cleared.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 #[repr(u8)]
 pub enum Fault {
     /// A and B of the scale changed at once, or an edge was missed.
     IllegalTransition,
-    /// Counts to the MTC minus counts of the scale is not what was completed.
+    /// The MTC's counts minus the scale's are not the completed total.
     LedgerImbalance,
-    /// The order of a real edge and an inversion is uncertain, because they were too close.
-    /// So the MTC's count is uncertain too.
+    /// The order of a real edge and an inversion is uncertain.
+    /// They were too close, so the MTC's count is uncertain too.
     OrderUnknown,
-    /// The lines were not looked at for so long that counts may have passed unseen.
+    /// No look for so long that counts may have passed unseen.
     PollGap,
     /// Three requests in a row outside the belief window: "I still don't believe you".
     StillNotBelieved,
     /// A request reached the axis's error limit.
     ErrorLimit,
-    /// A' and B' as read back are not what the inverters should make of A and B.
+    /// A' and B' as read back do not follow from A, B and the inverters.
     ReadBackMismatch,
     /// The card could not be read or written.
     Card,
-    /// The inverters found at the start are not those that the state file remembers.
+    /// The inverters at the start differ from those in the state file.
     InvertersMoved,
-    /// The kernel's numbering of edges jumps: two were merged into one.
+    /// The kernel's numbers of edges have a gap: two edges were merged into one.
     SequenceGap,
     /// The kernel's queue of edges was full, and the oldest were dropped.
     QueueOverflow,
-    /// A line is not where its edges have led.
+    /// A line's level does not follow from its reported edges.
     EdgeMissed,
     /// The card's own counter overflowed.
     CounterOverflow,
@@ -96,14 +96,14 @@ pub enum Fault {
     CounterError,
     /// The process before this one ended between the two inversions of an insertion.
     Interrupted,
-    /// On a polled card an edge came sooner than acceleration limit and hysteresis allow.
-    /// The gate's promise did not hold, and more may have passed between two looks than was seen.
+    /// An edge came sooner than acceleration limit and hysteresis allow (polled cards).
+    /// The gate relied on these limits, so more edges may have passed between two looks than were seen.
     BeyondLimits,
     /// The state file has lost what this axis had in effect.
     RecordLost,
-    /// The real-time thread panicked or stalled: nobody has looked at the lines since.
+    /// The real-time thread panicked or stalled. Nobody has looked at the lines since.
     ThreadLost,
-    /// One channel of the scale keeps changing and the other does not: a broken wire.
+    /// One channel keeps changing and the other does not, as with a broken wire.
     ChannelDead,
     /// The state file was removed, replaced, overwritten or cut short while in use.
     /// The daemon has written it again.
@@ -123,7 +123,7 @@ impl From<TroubleKind> for Fault {
 }
 
 impl Fault {
-    /// All of them, in the order of their bits.
+    /// All faults, in the order of their bits.
     pub const ALL: [Self; 20] = [
         Self::IllegalTransition,
         Self::LedgerImbalance,
@@ -147,7 +147,7 @@ impl Fault {
         Self::StateFileLost,
     ];
 
-    /// After such a fault the axis's count is in doubt: only homing makes it good.
+    /// Whether the fault puts the axis's count in doubt, so that it must be homed.
     #[must_use]
     pub const fn loses_home(self) -> bool {
         !matches!(self, Self::StillNotBelieved | Self::ErrorLimit | Self::StateFileLost)
@@ -162,7 +162,7 @@ impl Faults {
     /// The empty set.
     pub const NONE: Self = Self(0);
 
-    /// Adds one; `true` when it is new.
+    /// Adds a fault; returns `true` when it is new.
     pub fn latch(&mut self, fault: Fault) -> bool {
         let bit = 1 << fault as u8;
         let new = self.0 & bit == 0;
@@ -170,37 +170,37 @@ impl Faults {
         new
     }
 
-    /// At least one fault is in the set.
+    /// Whether the set holds at least one fault.
     #[must_use]
     pub const fn any(self) -> bool {
         self.0 != 0
     }
 
-    /// The fault is in the set.
+    /// Whether the set holds this fault.
     #[must_use]
     pub const fn has(self, fault: Fault) -> bool {
         self.0 & 1 << fault as u8 != 0
     }
 
-    /// Those of this set that the other one lacks.
+    /// Faults of this set that are not in the other one.
     #[must_use]
     pub const fn without(self, other: Self) -> Self {
         Self(self.0 & !other.0)
     }
 
-    /// The set as a number, for a file.
+    /// The set as a number, for the state file.
     pub(crate) const fn bits(self) -> u32 {
         self.0
     }
 
     /// The set of such a number.
-    /// None where it has faults that this version does not know.
+    /// `None` if it has faults that this version does not know.
     pub(crate) fn from_bits(bits: u32) -> Option<Self> {
         let known = Fault::ALL.into_iter().fold(0, |all, f| all | 1 << f as u8);
         (bits & !known == 0).then_some(Self(bits))
     }
 
-    /// Those that are latched.
+    /// Iterates over the faults of the set.
     pub fn iter(self) -> impl Iterator<Item = Fault> {
         Fault::ALL.into_iter().filter(move |f| self.has(*f))
     }
@@ -214,7 +214,7 @@ pub enum Refusal {
     NoSuchAxis,
     /// A fault is latched; clear it first.
     FaultLatched,
-    /// The axis is not homed, or what was read back is not the home position.
+    /// The axis is not homed, or the position read back is not the home position.
     NotHomed,
     /// Corrections are disabled, and the request is not zero.
     Disabled,
@@ -234,11 +234,11 @@ pub enum Refusal {
     Busy,
     /// The MTC's count is not known: only homing the MTC and the axis makes it known.
     ControllerUnknown,
-    /// The MTC is off, or has not said yet that it counts.
+    /// The MTC is off, or its ready line is not on yet.
     ControllerNotReady,
 }
 
-/// Who holds the machine: who asked for the feed hold that is on.
+/// Who asked for the feed hold that is on.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum HeldBy {
@@ -246,11 +246,11 @@ pub enum HeldBy {
     User(u32),
     /// The MTC: it was switched off, and the configuration asks for feed hold then.
     Controller,
-    /// Unknown: the line was on when the daemon started, and the state file does not say why.
+    /// Unknown: the line was on at the start, and the state file does not say why.
     FoundOn,
 }
 
-/// What switched corrections off last.
+/// Why corrections were last switched off.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum OffBecause {
@@ -259,17 +259,17 @@ pub enum OffBecause {
     Start,
     /// Somebody asked for it.
     Asked,
-    /// The disable switch.
+    /// The disable switch was on.
     Switch,
     /// The MTC was off.
     Controller,
     /// The control side was silent.
     ControlStale,
-    /// A fault.
+    /// A fault was latched.
     Fault,
 }
 
-/// What the engine reports.
+/// An event that the engine reports.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Event {
     /// When, on the card's clock, ns.
@@ -280,14 +280,14 @@ pub struct Event {
     pub kind: EventKind,
 }
 
-/// What an [`Event`] reports.
+/// Kind of an [`Event`], with its figures.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum EventKind {
     /// A request was not accepted.
     Refused {
         /// Its total where it was a correction, else 0.
         total_counts: i64,
-        /// What stands against it.
+        /// Why it was refused.
         why: Refusal,
     },
     /// A fault was latched.
@@ -305,7 +305,7 @@ pub enum EventKind {
     },
     /// Homing is complete.
     Homed {
-        /// What the MTC still counts of what was inserted before, counts.
+        /// Inserted counts that are still in the MTC's count.
         /// 0 where it has been homed too.
         kept_counts: i64,
     },
@@ -315,8 +315,8 @@ pub enum EventKind {
     Late,
     /// The mode is now this one.
     Mode(Mode),
-    /// No sign of life from the control side for too long: corrections freeze.
-    /// `false`: it is back.
+    /// The control side is silent for too long (`true`), or is back (`false`).
+    /// Corrections freeze while it is silent.
     ControlStale(bool),
     /// The MTC counts (`true`), or it was switched off and its count is unknown.
     ControllerReady(bool),
@@ -326,7 +326,7 @@ pub enum EventKind {
     Bounce,
 }
 
-/// Where an axis was when the probe tripped.
+/// Position of an axis around a trip of the probe.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Capture {
     /// The trip lies between these two times, ns.
@@ -334,7 +334,7 @@ pub struct Capture {
     /// The last count edge before the trip: its place and its time, ns.
     /// The boundary between counts n − 1 and n is at n. Before a first edge there is no time.
     pub before: (i64, Option<u64>),
-    /// The next count edge, alike; `None` when the axis stopped.
+    /// The next count edge in the same form; `None` if the axis stopped.
     pub after: Option<(i64, u64)>,
 }
 
@@ -357,7 +357,7 @@ impl Capture {
     }
 }
 
-/// What the corrector is doing as a whole.
+/// Mode of the corrector as a whole.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Mode {
@@ -397,7 +397,7 @@ pub enum GateState {
     RateCap,
     /// The axis is at rest, and its rest policy is to wait.
     AtRest,
-    /// The axis is not homed: not since the start, or not since a fault that lost its count.
+    /// The axis is not homed since the start, or since a fault that lost its count.
     NotHomed,
     /// Corrections are off (see the mode).
     Off,
@@ -416,9 +416,9 @@ pub struct AxisStatus {
     pub mtc_minus_scale: i64,
     /// The accepted total, counts.
     pub requested: i64,
-    /// What has been inserted, counts. In shadow mode: what would have been.
+    /// Inserted counts; in shadow mode the counts that would have been inserted.
     pub completed: i64,
-    /// What is really in the MTC's count, counts: `completed` outside shadow mode.
+    /// Counts in effect in the MTC's count: `completed` outside shadow mode.
     pub in_effect: i64,
     /// Both inverters are on.
     pub inverted: bool,
@@ -453,20 +453,20 @@ pub struct AxisStatus {
 pub struct Status {
     /// When, on the card's clock, ns.
     pub t_ns: u64,
-    /// What it is doing.
+    /// Its mode.
     pub mode: Mode,
     /// The control side is silent.
     pub control_stale: bool,
     /// The disable switch is on.
     pub disable_switch: bool,
-    /// The MTC counts; `true` too where no line tells.
+    /// The MTC counts; `true` too where it has no ready line.
     pub mtc_ready: bool,
     /// Corrections are enabled, whatever else is in their way.
     /// Hold and probing do not switch them off.
     pub enabled: bool,
-    /// What switched them off last.
+    /// Why corrections were last switched off.
     pub off_because: OffBecause,
-    /// Who asked for feed hold, where somebody did; a fault asserts it beside that.
+    /// Who asked for feed hold, if anybody. A fault asserts it too.
     pub held: Option<HeldBy>,
     /// Feed hold as it is written to the card, asked for or by a fault.
     pub hold_output: bool,
@@ -478,7 +478,7 @@ pub struct Status {
     pub faults: Faults,
     /// Axes in use.
     pub axes_used: u8,
-    /// Every axis that the engine can hold; only the first `axes_used` mean anything.
+    /// Every axis that the engine can hold; only the first `axes_used` are valid.
     pub axes: [AxisStatus; MAX_AXES],
 }
 
@@ -489,8 +489,8 @@ impl Status {
         &self.axes[..usize::from(self.axes_used)]
     }
 
-    /// Every axis's ledger balances.
-    /// That of an axis in the middle of an insertion is made up when it is done.
+    /// Whether every axis's ledger balances.
+    /// An axis in the middle of an insertion is left out.
     #[must_use]
     pub fn balanced(&self) -> bool {
         self.axes().iter().all(|a| a.gate == GateState::Inserting || a.mtc_minus_scale == a.in_effect)
@@ -528,7 +528,8 @@ mod tests {
             (8.0, 1.0),
             "no more than a count either way"
         );
-        // Turned round, two edges at once, before the first edge, stopped: within a count.
+        // After a reversal, with two edges at once, before the first edge, or at a stop, the position is known within a
+        // count.
         for (before, after) in [
             ((7, Some(1000)), Some((7, 5000))),
             ((7, Some(1000)), Some((9, 1000))),

@@ -13,14 +13,14 @@
 //! H is the larger of h and one count. The smaller of the two times is the time after an edge in which no other can
 //! come. (NISTIR 4832 uses the last period alone.)
 
-/// When a real edge could come at the earliest, for one axis.
+/// Earliest time of the next real edge, for one axis.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Gate {
     accel_counts_ns2: f64,
     turn_back_ns: f64,
-    /// The same in whole ns: turned into them once.
+    /// The same in whole ns, computed once.
     turn_back_whole_ns: u64,
-    /// The highest speed at an edge before which the axis stood, counts/ns.
+    /// Highest speed at an edge before which the axis was at rest, counts/ns.
     from_rest_counts_ns: f64,
     /// Shortest time of a count that begins at that speed, ns.
     from_rest_ns: f64,
@@ -28,14 +28,14 @@ pub struct Gate {
     min_period_ns: u64,
 }
 
-/// What the gate is computed from.
+/// Inputs of the gate.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct GateInput {
     /// The axis's acceleration limit, counts/s².
-    /// Zero stands for an axis that cannot accelerate.
+    /// Zero means that the axis cannot accelerate.
     pub max_accel_counts_s2: f64,
-    /// The least of the scale's hysteresis on reversal, counts.
-    /// More than zero on any real scale.
+    /// The least hysteresis of the scale on reversal, counts.
+    /// Any real scale has more than zero.
     pub hysteresis_counts: f64,
     /// The longest time from an edge until its insertion is over for the MTC, ns.
     pub need_ns: u64,
@@ -43,13 +43,13 @@ pub struct GateInput {
 
 impl Gate {
     /// A gate, or `None` where no period of this axis is long enough.
-    /// Then the acceleration limit and the time needed contradict each other.
+    /// Then the acceleration limit contradicts the time needed.
     #[must_use]
     pub fn new(input: GateInput) -> Option<Self> {
         let need = input.need_ns as f64;
         let a = input.max_accel_counts_s2 * 1e-18;
         let turn_back_ns = if a > 0.0 { (2.0 * input.hysteresis_counts / a).sqrt() } else { f64::INFINITY };
-        // The fastest speed at which one count still takes the time needed, then the period that excludes it.
+        // The highest speed at which one count still takes the time needed, and the shortest period that excludes more.
         let v = (1.0 - a * need * need / 2.0) / need;
         let from_rest_counts_ns = (2.0 * a * (1.0 + input.hysteresis_counts.max(1.0))).sqrt();
         if v <= 0.0 || v < from_rest_counts_ns || turn_back_ns < need {
@@ -74,7 +74,7 @@ impl Gate {
         self.min_period_ns
     }
 
-    /// Time that an insertion needs after the edge that opened it, ns, at the worst.
+    /// Worst-case time from the edge that opens an insertion until its end, ns.
     #[must_use]
     pub const fn need_ns(&self) -> u64 {
         self.need_ns
@@ -82,13 +82,13 @@ impl Gate {
 
     /// The highest speed at an edge after a period of at least `period_ns`, counts/ns.
     fn speed_counts_ns(&self, period_ns: u64) -> f64 {
-        // Signed: one instruction where unsigned takes six. No period is that long.
+        // Signed, because that conversion takes one instruction and the unsigned one six. No period is that long.
         let (t, a) = (period_ns.clamp(1, i64::MAX as u64) as i64 as f64, self.accel_counts_ns2);
         let v = 1.0 / t + a * t / 2.0;
         if a * t * t < 2.0 { v } else { v.min(self.from_rest_counts_ns) }
     }
 
-    /// The time after an edge in which no other can come, ns.
+    /// Time after an edge in which no other can come, ns.
     /// The period before the edge was at least `period_ns`.
     #[must_use]
     pub fn quiet_ns(&self, period_ns: u64) -> u64 {
@@ -97,12 +97,12 @@ impl Gate {
     }
 
     /// Whether an edge in the same direction breaks the acceleration limit.
-    /// It came `after_ns` after one with the given period before it. The condition is vτ + aτ²/2 < 1 with v = 1/T +
+    /// It came `after_ns` after an edge with the given period before it. The condition is vτ + aτ²/2 < 1 with v = 1/T +
     /// aT/2, multiplied by T.
     #[must_use]
     #[inline]
     pub fn too_soon(&self, period_ns: u64, after_ns: u64) -> bool {
-        // No faster than before: no travel within the limit takes longer than the period before it.
+        // An edge no sooner than the period before is always within the limit.
         after_ns < period_ns && self.beyond_limit(period_ns, after_ns)
     }
 
@@ -165,7 +165,8 @@ mod tests {
         );
     }
 
-    /// An axis that goes back by nearly the hysteresis has more than a count in which to accelerate.
+    /// The run-up through nearly the hysteresis is longer than one count.
+    /// An axis that goes back that far has that much more way to accelerate.
     #[test]
     fn a_run_up_through_the_hysteresis_is_within_the_limit() {
         for h in [0.05_f64, 0.3, 0.99, 2.5] {
@@ -181,7 +182,8 @@ mod tests {
 
     #[test]
     fn several_counts_take_as_long_as_the_fastest_start_takes() {
-        // From √(4a), the highest speed after any rest and a count of hysteresis: n = √(4a)·t + a·t²/2, √a·t = √(4 + 2n) − 2.
+        // √(4a) is the highest speed after any rest with one count of hysteresis: n = √(4a)·t + a·t²/2, so √a·t = √(4 +
+        // 2n) − 2.
         let g = gate(1500, 1e6).unwrap();
         for (counts, ns) in [(3.0, 1_162_277.660), (7.0, 2_242_640.687)] {
             assert!((g.travel_ns(u64::MAX, counts) - ns).abs() < 0.01, "{counts}");
@@ -195,7 +197,8 @@ mod tests {
     }
 
     proptest! {
-        /// From the shortest period that the gate admits, the next edge cannot come in the time needed.
+        /// From the shortest admitted period on, the next edge cannot come too early.
+        /// Too early is sooner than the time that an insertion needs.
         #[test]
         fn min_period_is_the_boundary(need in 200_u64..100_000, log_a in 0.0..8.0_f64) {
             let Some(g) = gate(need, 10_f64.powf(log_a)) else { return Ok(()) };
@@ -206,7 +209,7 @@ mod tests {
             }
         }
 
-        /// Too soon is what comes before the promised time of travel, and nothing else.
+        /// An edge is too soon exactly if it comes before the computed time of travel.
         #[test]
         fn too_soon_is_before_the_promise(a in 0.0..1e8_f64, log_t in 0.0..9.0_f64, part in 0.0..2.0_f64) {
             let Some(g) = gate(1, a) else { return Ok(()) };
@@ -217,7 +220,7 @@ mod tests {
             prop_assert_eq!(g.too_soon(period.max(1), after), (after as f64) < travel);
         }
 
-        /// Simulated axes that keep to the limit never beat the promise.
+        /// Simulated axes within their limit never beat the computed time.
         #[test]
         fn no_motion_within_the_limit_is_faster(
             a in 1e3..1e8_f64, v0 in 0.0..1e6_f64, accel in prop::collection::vec(-1.0..=1.0_f64, 4),

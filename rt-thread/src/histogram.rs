@@ -1,9 +1,9 @@
 //! Latency histograms in fixed memory.
 //! One thread writes in a few nanoseconds. Any thread may read at any time.
 //!
-//! Log-linear buckets: every octave is cut into 64 equal buckets, so a bucket is never wider than 1/64 (1.6 %) of its
-//! lowest value, and values below 128 ns are kept exactly. The range ends at 2^40 ns (18 minutes); what lies beyond
-//! is counted in the last bucket, and `max` is still exact.
+//! Log-linear buckets: every octave is cut into 64 equal buckets. So a bucket is never wider than 1/64 (1.6 %) of its
+//! lowest value, and values below 128 ns are exact. The range ends at 2^40 ns (18 minutes). Values beyond it are
+//! counted in the last bucket, and `max` is still exact.
 //!
 //! The two halves are types: [`Recorder`] (one per histogram, moved to the thread that measures) and [`Reader`]
 //! (any number of them). Nothing is allocated after [`histogram`] returns the two, except by a reader's
@@ -25,8 +25,8 @@ pub const BUCKETS: usize = SUB * (TOP_BITS - SUB_BITS + 1) as usize;
 /// It is never below the true one. It holds for values below 2^40 ns.
 pub const RELATIVE_ERROR: f64 = 1.0 / SUB as f64;
 
-/// What the two halves share.
-/// Relaxed atomics everywhere: a reader wants numbers, not an order between them.
+/// Fields that both halves share.
+/// All accesses are relaxed, because a reader needs the numbers and not an order between them.
 #[derive(Debug)]
 #[repr(align(128))]
 struct Shared {
@@ -62,8 +62,8 @@ pub struct Recorder {
 }
 
 impl Recorder {
-    /// Count one value in ns.
-    /// Never allocates, never locks, makes no system call; a few ns.
+    /// Counts one value in ns.
+    /// It never allocates, never locks and makes no system call. It takes a few ns.
     #[inline]
     pub fn record(&mut self, ns: u64) {
         let s = &*self.shared;
@@ -78,7 +78,7 @@ impl Recorder {
         }
     }
 
-    /// Forget everything.
+    /// Removes all values.
     /// A snapshot taken at the same moment may hold part of the old counts.
     pub fn clear(&mut self) {
         let s = &*self.shared;
@@ -98,8 +98,8 @@ pub struct Reader {
 }
 
 impl Reader {
-    /// A copy to compute with.
-    /// While the writer runs, the copy may miss values recorded during the copying; it never holds one that was not
+    /// A copy of the histogram at this moment.
+    /// While the writer runs, the copy may miss values recorded meanwhile. It never holds a value that was not
     /// recorded.
     #[must_use]
     pub fn snapshot(&self) -> Snapshot {
@@ -163,9 +163,9 @@ impl Snapshot {
         if self.samples == 0 { 0.0 } else { self.sum as f64 / self.samples as f64 }
     }
 
-    /// The value in ns that a fraction `q` (0 to 1) of all values does not exceed (nearest rank).
-    /// It is never below the true one, and never above it by more than [`RELATIVE_ERROR`]. It is 0 when there are no
-    /// values.
+    /// The value in ns that a fraction `q` of all values does not exceed.
+    /// `q` is 0 to 1, and the rank is the nearest. The result is never below the true value, and never above it by more
+    /// than [`RELATIVE_ERROR`]. It is 0 when there are no values.
     #[must_use]
     pub fn quantile(&self, q: f64) -> u64 {
         let rank = ((q * self.samples as f64).ceil() as u64).clamp(1, self.samples.max(1));
@@ -185,25 +185,25 @@ impl Snapshot {
         self.quantile(0.5)
     }
 
-    /// See [`Self::quantile`].
+    /// The 99 % quantile, see [`Self::quantile`].
     #[must_use]
     pub fn p99(&self) -> u64 {
         self.quantile(0.99)
     }
 
-    /// 99.9 %, see [`Self::quantile`].
+    /// The 99.9 % quantile, see [`Self::quantile`].
     #[must_use]
     pub fn p999(&self) -> u64 {
         self.quantile(0.999)
     }
 
-    /// 99.99 %, see [`Self::quantile`].
+    /// The 99.99 % quantile, see [`Self::quantile`].
     #[must_use]
     pub fn p9999(&self) -> u64 {
         self.quantile(0.9999)
     }
 
-    /// Add another histogram's values to this one.
+    /// Adds another histogram's values to this one.
     pub fn merge(&mut self, other: &Self) {
         for (count, more) in self.counts.iter_mut().zip(&*other.counts) {
             *count += more;
@@ -214,8 +214,8 @@ impl Snapshot {
         self.max = self.max.max(other.max);
     }
 
-    /// The same values in `rows` linear buckets of `width_ns`, and how many lie beyond.
-    /// Plotting scripts need this form. A bucket's values are spread evenly over the rows that it overlaps.
+    /// The values in `rows` linear buckets of `width_ns`, and the number beyond them.
+    /// Plotting scripts need this form. The values of a bucket are spread evenly over the rows that it overlaps.
     #[must_use]
     pub fn linear(&self, width_ns: u64, rows: usize) -> (Vec<u64>, u64) {
         let mut linear = vec![0; rows];
@@ -235,7 +235,7 @@ impl Snapshot {
         (linear, self.samples - placed)
     }
 
-    /// The buckets that hold something, in rising order.
+    /// The buckets that are not empty, in rising order.
     pub fn buckets(&self) -> impl Iterator<Item = Bucket> + '_ {
         self.counts.iter().enumerate().filter(|(_, count)| **count > 0).map(|(i, &count)| {
             let (low, high) = bounds(i);
@@ -299,7 +299,7 @@ pub struct Bucket {
 /// The bucket of a value: its octave and the six bits below its leading one.
 #[inline]
 fn index(ns: u64) -> usize {
-    // As are most gaps of a polled card.
+    // Most gaps of a polled card are in this range.
     if ns < 2 * SUB as u64 {
         return ns as usize;
     }
@@ -346,7 +346,7 @@ mod tests {
 
     #[test]
     fn figures_of_known_values() {
-        // Of a thousand: 980, 15, 4 and 1.
+        // A thousand values: 980, 15, 4 and 1 of a kind.
         let times = |value, n| std::iter::repeat_n(value, n);
         let all: Vec<u64> = times(10, 980).chain(times(20, 15)).chain(times(30, 4)).chain([40]).collect();
         let s = filled(&all);
@@ -357,10 +357,11 @@ mod tests {
     #[test]
     fn a_bucket_that_reaches_into_two_rows_is_shared_between_them() {
         assert_eq!(filled(&[0, 0, 5, 17, 130]).linear(10, 3), (vec![3, 1, 0], 1));
-        // One bucket of 128 and 129, a row's end between them; and one cut off by the smallest and the largest value.
+        // A bucket of 128 and 129 with a row's end between them, and a bucket cut off at the smallest and largest
+        // value.
         assert_eq!(filled(&[127, 128, 129, 130]).linear(129, 2), (vec![2, 2], 0));
         assert_eq!(filled(&[129, 129]).linear(129, 2), (vec![0, 2], 0));
-        // Four values of a bucket of 16 (1024 to 1039), rows of 4: one in each.
+        // A bucket of 1024 to 1039 holds four values, so each row of 4 gets one.
         assert_eq!(filled(&[1000, 1024, 1028, 1032, 1039, 1050]).linear(4, 300).0[256..260], [1, 1, 1, 1]);
     }
 
@@ -425,7 +426,7 @@ mod tests {
             let (rows, beyond) = filled(&values).linear(1000, ROWS);
             prop_assert_eq!(rows.iter().sum::<u64>() + beyond, values.len() as u64);
             for (row, count) in rows.iter().enumerate() {
-                // Nothing moves further than its bucket is wide.
+                // No value moves further than the width of its bucket.
                 let reach = (row as u64 * 1000, row as u64 * 1000 + 999);
                 let slack = (reach.1 as f64 * RELATIVE_ERROR) as u64 + 1;
                 let near = |v: &&u64| (reach.0.saturating_sub(slack)..=reach.1 + slack).contains(*v);

@@ -1,6 +1,6 @@
-//! What must survive a crash of the process, in a mapped file.
-//! For each axis it has inverters, completed total, latched faults and whether the MTC's count is known. It also has
-//! feed hold with who asked for it, and the time of each fault.
+//! The state that must survive a crash of the process, in a mapped file.
+//! For each axis it is inverters, completed total, latched faults and whether the MTC's count is known. For the machine
+//! it is feed hold, who asked for it, and the time of each fault.
 //!
 //! The engine writes a record *before* it inverts anything, alternating between two slots per axis. After a crash one
 //! of the two records agrees with the inverters as they are read back, and holds what was completed. If neither
@@ -16,9 +16,10 @@
 //!
 //! A file of version 2 can be read. It has no machine's slots and no times, and does not say whether the MTC was homed.
 //!
-//! The file belongs to one machine on one card with one wiring, and to one process at a time (`flock(2)`). An existing
-//! file without a record of an axis is no first start: whoever opens it must latch that axis. A first start therefore
-//! writes a file without the name, and names it once every record is in it ([`Journal::place`]).
+//! The file belongs to one machine on one card with one wiring, and to one process at a time (`flock(2)`). If an
+//! existing file lacks the record of an axis, that is no first start, and the caller must latch that axis. A first
+//! start therefore writes a file without the name. It gives it the name once every record is in it
+//! ([`Journal::place`]).
 
 use crate::event::{Fault, Faults, HeldBy, MAX_AXES};
 use nix::errno::Errno;
@@ -34,25 +35,26 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 const MAGIC: u64 = u64::from_le_bytes(*b"RTECJ\0\0\x03");
-/// The version before, which is read.
+/// Magic of the version before, which can be read.
 const MAGIC_2: u64 = u64::from_le_bytes(*b"RTECJ\0\0\x02");
 /// Sequence number, flags, completed or user, check sum.
 const SLOT_WORDS: usize = 4;
 const AXIS_WORDS: usize = 2 * SLOT_WORDS;
-/// Sequence numbers must be below this, which leaves room to count on from any of them.
+/// Sequence numbers must be below this, so that counting on never overflows.
 const ROOM: u64 = 1 << 63;
 /// Magic, hash of the identity, its length, check sum.
 pub(crate) const HEAD_WORDS: usize = 8;
-/// The slots of the machine as a whole come behind those of the axes.
+/// Row of the machine's slots, behind those of the axes.
 const MACHINE: usize = MAX_AXES;
 const ROWS: usize = MAX_AXES + 1;
-/// Where the times begin: a row for each axis and one for the machine.
-/// A row has a time for each fault. The machine's row ends with that of feed hold.
+/// Word at which the times begin: a row for each axis and one for the machine.
+/// A row has a time for each fault. The machine's row ends with the time of feed hold.
 const TIMES_AT: usize = 64;
 const ROW_WORDS: usize = 32;
 const HOLD_AT: usize = ROW_WORDS - 1;
 const _: () = assert!(Fault::ALL.len() <= HOLD_AT);
-/// Where the identity's text begins, and how much of it is kept for messages.
+/// Word at which the identity's text begins, which is kept for messages.
+/// A long one is cut off at the end of the page.
 pub(crate) const TEXT_AT: usize = 320;
 const TEXT_AT_2: usize = 64;
 pub(crate) const PAGE_WORDS: usize = 512;
@@ -61,39 +63,40 @@ const COPIES: usize = 2;
 const ACCESS: ProtFlags = ProtFlags::PROT_READ.union(ProtFlags::PROT_WRITE);
 pub(crate) const BYTES: NonZeroUsize = NonZeroUsize::new(COPIES * PAGE_WORDS * 8).unwrap();
 const _: () = assert!(HEAD_WORDS + ROWS * AXIS_WORDS <= TIMES_AT && TIMES_AT + ROWS * ROW_WORDS <= TEXT_AT);
-/// The head's word that says that the real-time thread was lost, and its value then.
+/// The head's word for a lost real-time thread, and its value then.
 pub(crate) const LOST_AT: usize = 4;
 pub(crate) const LOST: u64 = u64::from_le_bytes(*b"RTECLOST");
-/// The head's words for the boot in which the file was written: its hash and a check sum.
+/// The head's words for the boot of the computer: its hash and a check sum.
+/// The file was written in that boot.
 const BOOT_AT: usize = 5;
 const BOOT_FILE: &str = "/proc/sys/kernel/random/boot_id";
 const _: () = assert!(LOST_AT < BOOT_AT && BOOT_AT + 2 <= HEAD_WORDS);
-/// A time of the card's clock is kept in µs, in the upper bits of its word.
-/// Below is its check sum.
+/// A time of the card's clock is in the upper bits of its word, in µs.
+/// Its check sum is in the lower bits.
 const TIME_SHIFT: u32 = 16;
 
 #[cfg(test)]
 thread_local! {
-    /// What this thread has stored to files, in order: the word's number and its value.
+    /// Stores of this thread to files, in order: the word's number and its value.
     pub(crate) static STORES: std::cell::RefCell<Vec<(usize, u64)>> = const { std::cell::RefCell::new(Vec::new()) };
 }
 
-/// What an axis had in effect.
+/// State of an axis that was in effect.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct StateRecord {
     /// Bit 0: A inverted, bit 1: B inverted.
     pub inverters: u8,
-    /// What is in the MTC's count, counts.
+    /// Counts inserted into the MTC's count.
     /// It is the completed total, or an odd number halfway through an insertion.
     pub completed: i64,
-    /// What is latched: a restart is no way round a fault.
+    /// Latched faults, which a restart must not clear.
     pub faults: Faults,
     /// The MTC has been homed, and nothing has put its count in doubt since.
     pub mtc_known: bool,
 }
 
 impl StateRecord {
-    /// Inverters, faults and what is known of the MTC in one word of the file.
+    /// Inverters, faults and the MTC's state in one word of the file.
     fn flags(self) -> u64 {
         u64::from(self.inverters) | u64::from(self.faults.bits()) << 8 | u64::from(self.mtc_known) << 40
     }
@@ -107,19 +110,19 @@ impl StateRecord {
     }
 }
 
-/// What the machine as a whole had in effect.
+/// State of the machine as a whole that was in effect.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct MachineRecord {
     /// Who asked for feed hold.
     pub held: Option<HeldBy>,
-    /// Feed hold, asked for or by a fault.
+    /// Feed hold is on, asked for by somebody or by a fault.
     pub hold_output: bool,
     /// The machine's own latched faults.
     pub faults: Faults,
 }
 
 impl MachineRecord {
-    /// Flags and user.
+    /// Flags and user as two words of the file.
     fn words(self) -> [u64; 2] {
         let (by, user) = match self.held {
             None => (0, 0),
@@ -142,13 +145,13 @@ impl MachineRecord {
     }
 }
 
-/// When each fault was latched, and when feed hold was asked for (the card's clock).
+/// Times of the latched faults and of the request for feed hold (card's clock).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Times([[Option<u64>; ROW_WORDS]; ROWS]);
 
 impl Times {
-    /// When a fault was latched, ns; of the machine as a whole where no axis is given.
-    /// None where that is not known.
+    /// When a fault was latched, ns; `None` where that is not known.
+    /// Without an axis it is a fault of the machine as a whole.
     #[must_use]
     pub fn latched_ns(&self, axis: Option<usize>, fault: Fault) -> Option<u64> {
         self.0.get(axis.unwrap_or(MACHINE))?[fault as usize]
@@ -161,35 +164,35 @@ impl Times {
     }
 }
 
-/// What a file had to say when it was opened.
-#[allow(clippy::struct_excessive_bools)] // Each is so or not without any other.
+/// Contents of a state file when it was opened.
+#[allow(clippy::struct_excessive_bools)] // each is independent of the others
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Before {
-    /// There was no file: a first start, at which no record can be missing.
+    /// There was no file. At a first start no record can be missing.
     pub first_start: bool,
     /// The file is of version 2.
-    /// It does not tell feed hold, faults that leave the count certain, or whether the MTC was homed.
+    /// It does not record feed hold, faults that leave the count certain, or whether the MTC was homed.
     pub older: bool,
     /// Per axis, the valid records, newest first.
     pub records: [[Option<StateRecord>; 2]; MAX_AXES],
     /// The computer was restarted since the file was written, or may have been.
     /// The MTC's count is then unknown. It is `false` where the kernel does not report its boot.
     pub other_boot: bool,
-    /// Axes with a record that is damaged in both copies: it may have been the newest.
+    /// Axes with a record that is damaged in both copies and may be the newest.
     pub damaged: [bool; MAX_AXES],
-    /// The same of the machine's records, or there is none.
+    /// The machine's record is damaged in both copies, or there is none.
     pub machine_damaged: bool,
     /// The machine's newest valid record.
     pub machine: Option<MachineRecord>,
-    /// When it all was.
+    /// Times of faults and of feed hold.
     pub times: Times,
-    /// The real-time thread of the process before was lost.
+    /// The process before this one lost its real-time thread.
     /// See [`crate::state_file::StateFile::note_thread_lost`].
     pub thread_lost: bool,
 }
 
 impl Before {
-    /// As without a file.
+    /// The contents at a first start.
     pub const NOTHING: Self = Self {
         first_start: true,
         older: false,
@@ -202,9 +205,9 @@ impl Before {
         thread_lost: false,
     };
 
-    /// Why feed hold is on, or whether it was on, is unknown.
-    /// The machine's record is lost, or names neither a user nor a fault. The fault of an axis is recorded before the
-    /// hold that it causes, and cleared after it.
+    /// Whether the reason of feed hold, or its state, is unknown.
+    /// Then the machine's record is lost, or names neither a user nor a fault. The fault of an axis is recorded before
+    /// the hold that it causes, and cleared after it.
     #[must_use]
     pub fn hold_unexplained(&self) -> bool {
         let faulted = self.records.iter().any(|found| found[0].is_some_and(|r| r.faults.any()));
@@ -213,24 +216,24 @@ impl Before {
     }
 }
 
-/// Why a state file cannot be used. Each leaves it as it was.
+/// Why a state file cannot be used. An error leaves the file unchanged.
 #[derive(Debug, thiserror::Error)]
 pub enum JournalError {
-    /// It cannot be opened, sized or mapped.
+    /// The file cannot be opened, sized or mapped.
     #[error("{}: {source}", path.display())]
     Io {
         /// The file.
         path: PathBuf,
-        /// What the system said.
+        /// The system's answer.
         source: io::Error,
     },
-    /// Another process works with it.
+    /// Another process uses the file.
     #[error("{}: another rtecd works with it; expected one daemon per state file ([control] state_file)", path.display())]
     Taken {
         /// The file.
         path: PathBuf,
     },
-    /// It is no state file, or one of another version.
+    /// The file is no state file, or one of another version.
     #[error(
         "{}: found {found}, expected a state file of this version; with the MTC off and all inverters off remove it, start \
          again and home", path.display()
@@ -238,10 +241,10 @@ pub enum JournalError {
     Foreign {
         /// The file.
         path: PathBuf,
-        /// What it is instead.
+        /// What was found instead.
         found: String,
     },
-    /// It is the state of another machine, card or wiring.
+    /// The file is the state of another machine, card or wiring.
     #[error(
         "{}: it belongs to {theirs}, and this is {ours}; a machine needs a state file of its own ([control] state_file). If \
          this one has really become that: with the MTC off and all inverters off remove it, start again and home",
@@ -250,9 +253,9 @@ pub enum JournalError {
     Other {
         /// The file.
         path: PathBuf,
-        /// Whose it is.
+        /// The identity in the file.
         theirs: String,
-        /// Who we are.
+        /// The identity of this process.
         ours: String,
     },
 }
@@ -262,7 +265,7 @@ pub enum JournalError {
 #[derive(Debug)]
 pub(crate) struct Mapping {
     words: NonNull<AtomicU64>,
-    /// Of each row, the number of the newest record that was noted.
+    /// Number of the newest record that was noted, for each row.
     noted: [AtomicU64; ROWS],
 }
 
@@ -278,7 +281,7 @@ impl Mapping {
         Ok(Self { words: base.cast(), noted: [const { AtomicU64::new(0) }; ROWS] })
     }
 
-    /// Puts the pages of another file of this size where those of this one are.
+    /// Maps another file of this size in place of this one.
     pub(crate) fn replace(&self, file: &File) -> io::Result<()> {
         let flags = MapFlags::MAP_SHARED | MapFlags::MAP_FIXED | MapFlags::MAP_POPULATE;
         // SAFETY: the range is this mapping's own, and stays mapped throughout: who stores meanwhile meets either file.
@@ -300,7 +303,7 @@ impl Mapping {
         self.word(n).load(Ordering::Acquire)
     }
 
-    /// Every store goes through here.
+    /// Stores one word. Every store goes through here.
     #[inline]
     pub(crate) fn put(&self, n: usize, value: u64) {
         #[cfg(test)]
@@ -308,7 +311,7 @@ impl Mapping {
         self.word(n).store(value, Ordering::Release);
     }
 
-    /// The whole copies of a slot: sequence number, flags and value.
+    /// The undamaged copies of a slot: sequence number, flags and value.
     fn copies(&self, row: usize, n: usize) -> impl Iterator<Item = [u64; 3]> {
         [0, PAGE_WORDS].into_iter().filter_map(move |page| {
             let at = page + HEAD_WORDS + row * AXIS_WORDS + n * SLOT_WORDS;
@@ -318,7 +321,7 @@ impl Mapping {
         })
     }
 
-    /// The newest record that was noted of every row is in the file.
+    /// Whether the newest record noted for every row is in the file.
     pub(crate) fn has_what_was_noted(&self) -> bool {
         (0..ROWS).all(|row| {
             let noted = self.noted[row].load(Ordering::Acquire);
@@ -334,15 +337,15 @@ impl Drop for Mapping {
     }
 }
 
-/// What an engine notes, in a mapped file.
+/// The state of an engine in a mapped file.
 #[derive(Debug)]
 pub struct Journal {
     mapping: Arc<Mapping>,
     next: [u64; ROWS],
     last: [Option<StateRecord>; MAX_AXES],
     last_machine: Option<MachineRecord>,
-    /// What is latched by the times in the file, a row each.
-    /// And whether feed hold is on by them.
+    /// Faults whose times are in the file, a set for each row.
+    /// `timed_hold` is the same for feed hold.
     timed: [Faults; ROWS],
     timed_hold: bool,
     /// The times as they are in the file.
@@ -351,16 +354,17 @@ pub struct Journal {
     /// This boot of the computer.
     boot: Option<u64>,
     path: PathBuf,
-    /// A first start: the file as it is called until it is complete.
+    /// Path of the new file at a first start, until it gets its name.
     unplaced: Option<PathBuf>,
-    /// The lock is ours as long as this is open.
+    /// Holds the lock as long as it is open.
     held: Flock<File>,
 }
 
 /// A check sum in which every bit of every word reaches every bit.
-/// A torn or foreign record must not pass.
+/// A torn or foreign record does not pass.
 fn check(words: &[u64]) -> u64 {
-    // No word that is written: zeros behind the magic must not sum up to zero. It stays what it was in version 2.
+    // The start value is no word that is written, so that zeros behind the magic do not sum up to zero. Version 2 had
+    // the same.
     let mut sum = !MAGIC_2;
     for word in words {
         sum = (sum ^ word).wrapping_mul(0x9E37_79B9_7F4A_7C15);
@@ -379,7 +383,7 @@ fn words_of(text: &[u8]) -> impl Iterator<Item = u64> {
 }
 
 impl Journal {
-    /// Opens or creates the file of `identity`, and returns what was found in it.
+    /// Opens or creates the file of `identity`, and returns its contents.
     /// `identity` is a text that names machine, card and lines.
     ///
     /// # Errors
@@ -401,7 +405,7 @@ impl Journal {
             let found = format!("{len} bytes instead of {BYTES}");
             return Err(JournalError::Foreign { path: path.to_owned(), found });
         }
-        // Its blocks are taken now: with a disk that is full by then, the first store to the mapping would kill us.
+        // Allocates its blocks now. On a full disk the first store to the mapping would kill the process.
         posix_fallocate(&*held, 0, BYTES.get() as i64).map_err(|e| io(e.into()))?;
         let first_start = unplaced.is_some();
         let mut journal = Self {
@@ -427,7 +431,7 @@ impl Journal {
         }
         before.other_boot = !first_start && journal.boot.is_some_and(|now| journal.boot() != Some(now));
         if older {
-            // Its text is where this version has other things.
+            // The text of version 2 is where this version has other words.
             journal.wipe(TIMES_AT..PAGE_WORDS);
         } else {
             let damaged = journal.damaged(MACHINE, MachineRecord::of);
@@ -441,26 +445,27 @@ impl Journal {
         Ok((journal, before))
     }
 
-    /// What [`crate::state_file::StateFile`] shares: the mapping, the file and its name.
+    /// The mapping, the file and its path, for [`crate::state_file::StateFile`].
     pub(crate) fn shared(&self) -> (Arc<Mapping>, &File, &Path) {
         (Arc::clone(&self.mapping), &self.held, &self.path)
     }
 
-    /// The valid records of a row, newest first; the next one counts on from them.
+    /// The valid records of a row, newest first.
+    /// The next record continues their numbers.
     fn newest_first<T: Copy>(&mut self, row: usize, of: impl Fn([u64; 2]) -> Option<T>) -> [Option<T>; 2] {
         let mut slots = [self.slot(row, 0, &of), self.slot(row, 1, &of)];
         slots.sort_by_key(|s| std::cmp::Reverse(s.map(|(seq, _)| seq)));
         self.next[row] = slots[0].map_or(1, |(seq, _)| seq + 1);
         if slots[0].is_none() {
-            // No record is as telling as a damaged one, and stays no longer than until the next.
+            // Wiped slots tell the next process as much as damaged ones, until the next record.
             let at = HEAD_WORDS + row * AXIS_WORDS;
             self.wipe(at..at + AXIS_WORDS);
         }
         slots.map(|s| s.map(|(_, record)| record))
     }
 
-    /// A record of this row is whole in neither copy: it may have been the newest.
-    /// One that was cut short before there was another never was in effect.
+    /// Whether a record of this row that may be the newest is damaged in both copies.
+    /// A record that was cut short before there was another never was in effect.
     fn damaged<T>(&self, row: usize, of: impl Fn([u64; 2]) -> Option<T>) -> bool {
         let slots = [0, 1].map(|n| self.slot(row, n, &of).map(|(seq, _)| seq));
         (0..2).any(|n| {
@@ -474,7 +479,7 @@ impl Journal {
         })
     }
 
-    /// The boot of the computer in which it was written, from whichever copy is whole.
+    /// The boot of the computer in which the file was written, from an undamaged copy.
     fn boot(&self) -> Option<u64> {
         [0, PAGE_WORDS].into_iter().find_map(|page| {
             let found = [0, 1].map(|k| self.load(page + BOOT_AT + k));
@@ -497,9 +502,9 @@ impl Journal {
         self.mapping.load(n)
     }
 
-    /// Refuses the file of another version or of somebody else.
-    /// Says whether it is of the version before. A head that both copies have lost says nothing: the records are
-    /// judged then.
+    /// Refuses the file of another version or another identity.
+    /// Returns whether it is of the version before. A head that is damaged in both copies is accepted, and the records
+    /// are judged then.
     fn is_ours(&self, path: &Path, identity: &str) -> Result<bool, JournalError> {
         for page in [0, PAGE_WORDS] {
             let [magic, hash, bytes, sum] = [0, 1, 2, 3].map(|k| self.load(page + k));
@@ -546,15 +551,16 @@ impl Journal {
         }
     }
 
-    /// The record of a slot, from whichever copy is whole; of two the newer.
+    /// The record of a slot from an undamaged copy; the newer one of two.
     fn slot<T>(&self, row: usize, n: usize, of: impl Fn([u64; 2]) -> Option<T>) -> Option<(u64, T)> {
         let records = self.mapping.copies(row, n);
         let records = records.filter_map(|[seq, flags, value]| Some((seq, of([flags, value])?)));
         records.max_by_key(|(seq, _)| *seq)
     }
 
-    /// Marks the file as complete, with this boot of the computer, and gives it its name.
-    /// Every record must be in the file. If the process is killed before, the next one finds what this one found.
+    /// Marks the file as complete and gives it its name.
+    /// It also notes this boot of the computer. Every record must be in the file. If the process is killed before, the
+    /// next one finds the same contents.
     ///
     /// # Errors
     /// When the disk refuses it, or another process has placed its file meanwhile.
@@ -573,8 +579,8 @@ impl Journal {
         Ok(())
     }
 
-    /// Notes at `t_ns` what an axis will have in effect after the write that follows.
-    /// Makes no system call.
+    /// Notes at `t_ns` the state of an axis that the following write puts in effect.
+    /// It makes no system call.
     #[inline]
     pub fn record(&mut self, axis: usize, record: StateRecord, t_ns: u64) {
         if self.last[axis] == Some(record) {
@@ -587,7 +593,7 @@ impl Journal {
         self.store(axis, [record.flags(), record.completed as u64]);
     }
 
-    /// Notes at `t_ns` what the machine as a whole has in effect. No system call.
+    /// Notes at `t_ns` the state of the machine as a whole. It makes no system call.
     pub fn record_machine(&mut self, record: MachineRecord, t_ns: u64) {
         if self.last_machine == Some(record) {
             return;
@@ -605,8 +611,8 @@ impl Journal {
         }
     }
 
-    /// Notes everything once more: the file is a new one, with nothing but its head.
-    /// No system call.
+    /// Notes everything again, because the file is a new one with nothing but its head.
+    /// It makes no system call.
     pub(crate) fn note_again(&mut self) {
         for row in 0..ROWS {
             for (k, word) in self.times[row].into_iter().enumerate() {
@@ -616,7 +622,7 @@ impl Journal {
                 Some(axis) => axis.map(|r| [r.flags(), r.completed as u64]),
                 None => self.last_machine.map(MachineRecord::words),
             };
-            // Into both slots: a slot with no record is taken for one that was lost.
+            // Both slots get the record, because an empty slot looks like a lost record.
             for words in words.into_iter().cycle().take(2 * usize::from(words.is_some())) {
                 self.store(row, words);
             }
@@ -629,7 +635,7 @@ impl Journal {
         let sum = check(&[seq, flags, value]);
         for page in [0, PAGE_WORDS] {
             let at = page + HEAD_WORDS + row * AXIS_WORDS + (seq & 1) as usize * SLOT_WORDS;
-            // A record cut short fails its check sum; the one before it is in the other slot.
+            // A record cut short fails its check sum. The one before it is in the other slot.
             self.put(at + 3, 0);
             self.put(at, seq);
             self.put(at + 1, flags);
@@ -660,7 +666,7 @@ impl Journal {
         }
     }
 
-    /// Reads the times from whichever copy is whole.
+    /// Reads the times from an undamaged copy.
     fn read_times(&mut self) -> Times {
         let mut times = Times([[None; ROW_WORDS]; ROWS]);
         for (row, k) in (0..ROWS).flat_map(|row| (0..ROW_WORDS).map(move |k| (row, k))) {
@@ -708,19 +714,19 @@ pub(crate) fn empty(path: &Path) -> Result<Flock<File>, JournalError> {
     Ok(held)
 }
 
-/// The file that gets the state file's name when it is complete.
+/// Path of the new file until it is complete and gets the state file's name.
 pub(crate) fn beside(path: &Path) -> PathBuf {
     let mut name = path.file_name().unwrap_or_default().to_owned();
     name.push(".new");
     path.with_file_name(name)
 }
 
-/// A boot as the head has it, with its check sum.
+/// The words of a boot in the head, with the check sum.
 fn boot_words(boot: u64) -> [u64; 2] {
     [boot, check(&[BOOT_AT as u64, boot])]
 }
 
-/// This boot of the computer, where the kernel tells.
+/// The hash of this boot of the computer, where the kernel reports it.
 fn boot() -> Option<u64> {
     std::fs::read_to_string(BOOT_FILE).ok().filter(|id| !id.trim().is_empty()).map(|id| hash_of(id.trim()))
 }
@@ -734,13 +740,13 @@ fn hash_of(identity: &str) -> u64 {
 impl Drop for Journal {
     fn drop(&mut self) {
         if let Some(new) = &self.unplaced {
-            // A start that came to nothing. Left behind, the next one begins it anew.
+            // A start that failed. If the file stays, the next start writes it again.
             let _ = std::fs::remove_file(new);
         }
     }
 }
 
-/// What was completed: the newest record that agrees with the inverters as read back.
+/// The newest record that agrees with the inverters as read back.
 /// Latched faults and the MTC's state come from the newest record, whether or not its write was made.
 #[must_use]
 pub fn resume(found: [Option<StateRecord>; 2], inverters: u8) -> Option<StateRecord> {
@@ -764,7 +770,7 @@ mod tests {
         (directory, path)
     }
 
-    /// The journal of a file that is complete, as far as its records go.
+    /// The journal of a file with its name.
     fn begun(path: &Path, identity: &str) -> Journal {
         let (mut journal, _) = Journal::open(path, identity).unwrap();
         journal.place().unwrap();
@@ -798,7 +804,7 @@ mod tests {
             drop(journal);
             let found = found(&path);
             assert_eq!(found, [Some(pair[1]), Some(pair[0])]);
-            // Killed before or after the write: the inverters decide which.
+            // After a kill before or after the write, the inverters decide which record holds.
             assert_eq!(resume(found, pair[0].inverters), Some(pair[0]));
             assert_eq!(resume(found, pair[1].inverters), Some(pair[1]));
         }
@@ -830,7 +836,7 @@ mod tests {
         set
     }
 
-    /// Feed hold, who asked for it, the machine's faults, and the time of each fault.
+    /// Feed hold, its user, faults and their times survive the process.
     #[test]
     fn hold_and_the_times_of_faults_outlive_the_process() {
         let (_directory, path) = new();
@@ -853,7 +859,7 @@ mod tests {
         journal.record_machine(user, 11_000);
         drop(journal);
         let mut journal = begun(&path, OURS);
-        // What is still latched keeps its time in the next process, and hold too.
+        // A fault that is still latched keeps its time in the next process, and so does feed hold.
         journal.record(2, StateRecord { faults: both, ..record(0, 2) }, 20_000);
         journal.record_machine(MachineRecord { faults: set(&[Fault::Card]), ..user }, 21_000);
         drop(journal);
@@ -862,7 +868,7 @@ mod tests {
         assert_eq!((of(Some(2), Fault::ErrorLimit), of(Some(2), Fault::PollGap)), (Some(7_000), Some(9_000)));
         assert_eq!((of(Some(1), Fault::ErrorLimit), times.held_ns()), (None, Some(11_000)));
         assert_eq!(of(None, Fault::Card), Some(21_000));
-        // A time that was damaged in both copies is not known; nothing else is lost.
+        // A time that is damaged in both copies is unknown, and nothing else is lost.
         for page in [0, PAGE_WORDS] {
             zero(&path, ((page + TIMES_AT + 2 * ROW_WORDS + Fault::PollGap as usize) * 8) as u64, 1);
         }
@@ -871,7 +877,7 @@ mod tests {
         assert_eq!(before.records[2][0].map(|r| r.faults), Some(both));
     }
 
-    /// A fault and an inversion at the same look: after a kill before the write, the fault is still there.
+    /// A fault that is latched with an inversion survives a kill before the write.
     #[test]
     fn what_is_latched_does_not_hang_on_the_write_that_was_not_made() {
         let latched = StateRecord { faults: set(&[Fault::PollGap]), mtc_known: false, ..record(1, 3) };
@@ -882,7 +888,7 @@ mod tests {
         assert_eq!(resume(found, 3), None);
     }
 
-    /// A file of version 2 keeps counts and faults. What it cannot know of the MTC is unknown.
+    /// A file of version 2 keeps counts and faults; the MTC's state is unknown.
     #[test]
     fn the_file_of_the_version_before_is_read() {
         let (_directory, path) = new();
@@ -914,7 +920,7 @@ mod tests {
         assert_eq!((again.older, again.records), (false, before.records), "it is of this version now");
     }
 
-    /// A watcher that sees the thread stalled records it for the next process, until that one has latched it.
+    /// A noted loss of the thread is found by every process until one latches it.
     #[test]
     fn a_lost_thread_is_found_until_it_is_latched() {
         let (_directory, path) = new();
@@ -942,7 +948,7 @@ mod tests {
         drop(journal);
         assert!(!Journal::open(&path, OURS).unwrap().1.other_boot);
         let file = File::options().write(true).open(&path).unwrap();
-        // Of another boot; damaged; not there, as the program before this one left it.
+        // A boot word of another boot, a damaged one, and one missing as in version 2.
         for words in [boot_words(77), [77, 78], [0, 0]] {
             for page in [0, PAGE_WORDS] {
                 for (k, word) in words.iter().enumerate() {
@@ -960,7 +966,8 @@ mod tests {
         }
     }
 
-    /// Both copies of the newest record are damaged, and the older one lacks a fault that came with the newest.
+    /// Both copies of the newest record are damaged.
+    /// The older record lacks a fault that was latched with the newest.
     #[test]
     fn a_record_that_both_copies_have_lost_is_told() {
         let (_directory, path) = new();
@@ -995,7 +1002,7 @@ mod tests {
                 }
             }
         }
-        // Both slots: what is noted next is whole again.
+        // Damage both slots; the next record that is noted is undamaged again.
         std::fs::write(&path, &whole).unwrap();
         for page in [0, PAGE_WORDS * 8] {
             let at = page + (HEAD_WORDS + 2 * AXIS_WORDS) * 8;
@@ -1029,7 +1036,7 @@ mod tests {
         assert_eq!(resume(found(&path), 1), None);
     }
 
-    /// Found by a fuzz target: the highest sequence number, with its right sum.
+    /// Found by a fuzz target: the highest sequence number with its correct sum.
     #[test]
     fn a_record_of_the_last_number_there_is_is_not_believed() {
         let (_directory, path) = new();
@@ -1069,7 +1076,7 @@ mod tests {
             zero(&path, at as u64, 64);
             assert_eq!(found(&path)[0], Some(newest), "at {at}");
         }
-        // In both copies: nothing is known, and it is no first start.
+        // With both copies damaged nothing is known, and it is no first start.
         zero(&path, AT, 64);
         zero(&path, AT + 8 * PAGE_WORDS as u64, 64);
         assert_eq!(found(&path), [None, None]);
@@ -1077,7 +1084,8 @@ mod tests {
         assert_eq!(found(&path), [None, None]);
     }
 
-    /// The next version must read this one's files, so the sum is compared with one worked out independently.
+    /// The check sum must not change, because the next version must read these files.
+    /// The expected sum was worked out independently.
     #[test]
     fn the_check_sum_stays_what_it_is() {
         assert_eq!(check(&[]), 0xFDFF_FFB5_BCBA_ABAD);
@@ -1142,7 +1150,7 @@ mod tests {
             "{error}"
         );
         assert!(Journal::open(&path, OURS).is_ok());
-        // One name that begins as the other.
+        // A name that is the beginning of the other one.
         assert!(matches!(Journal::open(&path, &OURS[..8]), Err(JournalError::Other { .. })));
     }
 
@@ -1159,7 +1167,8 @@ mod tests {
         }
     }
 
-    /// An identity too long for the file is still told from others, and is named as far as there is room.
+    /// An identity too long for the file is still told from others.
+    /// It is named as far as there is room.
     #[test]
     fn of_a_long_identity_is_kept_what_there_is_room_for() {
         let (_directory, path) = new();

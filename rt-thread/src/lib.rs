@@ -1,4 +1,4 @@
-//! What happens between two edges of a scale: the engine, its link to the control side, and its pinned thread.
+//! The engine between two edges of a scale, its link and its pinned thread.
 //!
 //! | module | what |
 //! |---|---|
@@ -9,15 +9,15 @@
 //! | [`link`] | requests down, events up, status in a snapshot |
 //! | [`snapshot`] | the latest state, for a reader that never stops the writer |
 //! | [`journal`] | what survives a crash: inverters and completed totals in a mapped file |
-//! | [`state_file`] | the control side's watch over that file: removed, replaced or cut short, it is written anew |
+//! | [`state_file`] | the control side's watch over that file: removed, replaced or cut short, it is written again |
 //! | [`histogram`] | latencies in fixed memory, written by one thread, read by any |
 //! | [`thread`] | the pinned thread and its loop |
 //! | [`setup`] | real-time set-up of the thread: applied, read back, reported |
 //!
 //! This crate does not know why an axis should have a total: models, temperatures and parts are above it. It knows no
-//! file format, and not whether the card is a machine, a recording or a simulation.
+//! file format. It cannot tell a machine from a recording or a simulation.
 //!
-//! At work: `cargo run -p rtec-rt --example mock_card`, which the tests run too.
+//! An example, which the tests run too: `cargo run -p rtec-rt --example mock_card`.
 
 pub mod axis;
 pub mod engine;

@@ -20,18 +20,18 @@ use crossbeam_utils::CachePadded;
 use ringbuf::traits::{Consumer, Observer, Producer, Split};
 use ringbuf::{HeapCons, HeapProd, HeapRb};
 
-/// Requests that may be on their way.
+/// Largest number of requests on their way.
 pub const REQUESTS: usize = 256;
-/// Events that may be on their way.
+/// Largest number of events on their way.
 pub const EVENTS: usize = 4096;
 
 /// The words that both sides see, each on a cache line of its own.
 #[derive(Debug)]
 struct Shared {
-    /// Goes up while the control side is alive.
+    /// Counter that rises while the control side is alive.
     /// Written by the control side, read by the real-time thread.
     beats: CachePadded<AtomicU64>,
-    /// The real-time thread shall end.
+    /// Asks the real-time thread to end.
     /// Written by the control side, read by the real-time thread.
     stop: CachePadded<AtomicBool>,
     /// The real-time thread has ended.
@@ -39,8 +39,8 @@ struct Shared {
     ended: CachePadded<AtomicBool>,
 }
 
-/// The control side's end.
-/// `Send`, not `Clone`: one thread at a time is the control side.
+/// The control side's end of the link.
+/// It is `Send` and not `Clone`: one thread at a time is the control side.
 pub struct ControlEnd {
     requests: HeapProd<Request>,
     events: HeapCons<Event>,
@@ -48,7 +48,7 @@ pub struct ControlEnd {
     shared: Arc<Shared>,
 }
 
-/// The real-time thread's end.
+/// The real-time thread's end of the link.
 pub struct RtEnd {
     requests: HeapCons<Request>,
     events: HeapProd<Event>,
@@ -73,7 +73,7 @@ impl std::fmt::Debug for RtEnd {
 #[error("the request ring is full ({REQUESTS} requests): the real-time thread is not taking them")]
 pub struct Full(pub Request);
 
-/// A new link that begins with `status`.
+/// A new link whose first status is `status`.
 #[must_use]
 pub fn link(status: Status) -> (ControlEnd, RtEnd) {
     let (request_in, request_out) = HeapRb::new(REQUESTS).split();
@@ -99,7 +99,7 @@ impl ControlEnd {
         self.requests.try_push(request).map_err(Full)
     }
 
-    /// Requests on their way that the real-time thread has not taken yet.
+    /// Number of requests that the real-time thread has not taken yet.
     #[must_use]
     pub fn pending(&self) -> usize {
         self.requests.occupied_len()
@@ -115,9 +115,9 @@ impl ControlEnd {
         self.status.read()
     }
 
-    /// A sign of life. Without one new insertions cease after the stale time.
+    /// Gives a sign of life. Without one, new insertions cease after the stale time.
     pub fn beat(&mut self) {
-        // This side is the only writer: no read-modify-write is needed.
+        // Only this side writes it, so no read-modify-write is needed.
         self.shared.beats.store(self.shared.beats.load(Ordering::Relaxed) + 1, Ordering::Relaxed);
     }
 
@@ -127,8 +127,8 @@ impl ControlEnd {
         self.shared.stop.store(true, Ordering::Release);
     }
 
-    /// The real-time thread has ended.
-    /// The last status and all events are there to be read.
+    /// Whether the real-time thread has ended.
+    /// The last status and all events can then be read.
     #[must_use]
     pub fn ended(&self) -> bool {
         self.shared.ended.load(Ordering::Acquire)
@@ -142,7 +142,7 @@ impl RtEnd {
         self.requests.try_pop()
     }
 
-    /// No request is on its way.
+    /// Whether no request is on its way.
     #[inline]
     #[must_use]
     pub fn all_taken(&self) -> bool {
@@ -161,21 +161,21 @@ impl RtEnd {
         self.status.write(status);
     }
 
-    /// A number that goes up while the control side is alive.
+    /// A number that rises while the control side is alive.
     #[inline]
     #[must_use]
     pub fn beats(&self) -> u64 {
         self.shared.beats.load(Ordering::Relaxed)
     }
 
-    /// The control side has asked for the end.
+    /// Whether the control side has asked for the end.
     #[inline]
     #[must_use]
     pub fn stopped(&self) -> bool {
         self.shared.stop.load(Ordering::Acquire)
     }
 
-    /// Nothing more will come: the last status and all events are there.
+    /// Marks the end: the last status and all events are in the link.
     pub fn end(&self) {
         self.shared.ended.store(true, Ordering::Release);
     }

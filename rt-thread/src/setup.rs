@@ -1,5 +1,5 @@
 //! The real-time set-up of a thread and its process.
-//! Each setting is applied where we may, and read back from the kernel. It is reported with what was wanted, what was
+//! Each setting is applied where permitted, and read back from the kernel. The report has the wanted value, the value
 //! found, the errno and the remedy. Corrections need a verified set-up.
 //!
 //! | finding | applied here | read back from | needed to arm |
@@ -38,7 +38,7 @@ pub struct OsError {
 }
 
 impl OsError {
-    /// What failed, with the error number of `error`.
+    /// The failed operation with the error number of `error`.
     pub fn of(operation: impl Into<String>, error: &io::Error) -> Self {
         Self { operation: operation.into(), errno: error.raw_os_error().unwrap_or(0) }
     }
@@ -61,22 +61,22 @@ impl std::error::Error for OsError {}
 pub struct Finding {
     /// The setting, see the module's table.
     pub name: &'static str,
-    /// What is wanted.
+    /// The wanted value.
     pub wanted: String,
-    /// What was read back.
+    /// The value read back.
     pub got: String,
-    /// The two agree.
+    /// Whether the two agree.
     pub ok: bool,
-    /// While this one is not ok, a real card is not armed.
+    /// A real card is not armed unless this one is ok.
     pub needed_to_arm: bool,
-    /// What the kernel answered when applying or reading it failed.
+    /// The kernel's error when applying or reading the setting failed.
     pub errno: Option<OsError>,
-    /// What to do about it; empty when ok.
+    /// What the user should do; empty when ok.
     pub remedy: String,
 }
 
 impl Finding {
-    /// What was wanted and what is there; not needed to arm, and without a remedy.
+    /// A finding that is not needed to arm, without a remedy.
     pub fn new(name: &'static str, wanted: impl Into<String>, got: impl Into<String>, ok: bool) -> Self {
         Self {
             name,
@@ -89,14 +89,14 @@ impl Finding {
         }
     }
 
-    /// What could not be read counts as not there.
+    /// A finding that could not be read, which counts as not ok.
     pub fn unknown(name: &'static str, wanted: impl Into<String>, error: OsError) -> Self {
         let mut finding = Self::new(name, wanted, "unknown", false);
         finding.errno = Some(error);
         finding
     }
 
-    /// A real card is not armed while this one is not ok.
+    /// Makes the finding needed to arm a real card.
     #[must_use]
     pub fn needed(mut self) -> Self {
         self.needed_to_arm = true;
@@ -108,7 +108,7 @@ impl Finding {
         self
     }
 
-    /// What to do about it, where it is not ok.
+    /// Adds the remedy where the finding is not ok.
     #[must_use]
     pub fn remedy(mut self, remedy: impl Into<String>) -> Self {
         if !self.ok {
@@ -128,17 +128,17 @@ pub struct Report {
     /// The emulator's name when instructions are emulated (QEMU's TCG).
     /// Its times are no evidence for any machine.
     pub emulated: Option<String>,
-    /// What to boot the kernel with so that this CPU belongs to the real-time thread.
+    /// Kernel command line that reserves this CPU for the real-time thread.
     /// Empty with one CPU only.
     pub kernel_command_line: String,
-    /// What of it the running kernel was not booted with.
+    /// The part of it that the running kernel was not booted with.
     pub kernel_command_line_lacks: String,
-    /// One per setting.
+    /// The findings, one per setting.
     pub findings: Vec<Finding>,
 }
 
 impl Report {
-    /// Every setting that a real card needs is there.
+    /// Whether every setting that a real card needs is in effect.
     #[must_use]
     pub fn can_arm(&self) -> bool {
         self.missing().next().is_none()
@@ -156,12 +156,12 @@ impl Report {
     }
 }
 
-/// Where `/proc`, `/sys` and `/dev` are: the running system, or a copy of such a tree.
+/// Root of `/proc`, `/sys` and `/dev`: the running system or a copy of it.
 #[derive(Debug, Clone)]
 pub struct System {
     root: PathBuf,
-    /// Is it the running system?
-    /// CPU instructions and signals to the kernel concern that one only.
+    /// Whether it is the running system.
+    /// CPU instructions and signals to the kernel apply to that one only.
     live: bool,
 }
 
@@ -178,8 +178,8 @@ impl System {
         Self { root: root.to_owned(), live: false }
     }
 
-    /// How many CPUs are online, whichever of them the calling thread may use.
-    /// 0 where the kernel does not say.
+    /// Number of CPUs online, whichever of them the calling thread may use.
+    /// 0 where the kernel does not report it.
     #[must_use]
     pub fn cpus_online(&self) -> usize {
         self.read("sys/devices/system/cpu/online").map_or(0, |text| cpu_list(&text).len())
@@ -194,8 +194,8 @@ impl System {
         isolated.first().or(online.last()).copied().unwrap_or(0)
     }
 
-    /// What this machine offers a real-time thread on `cpu`.
-    /// Changes nothing.
+    /// Inspects the settings of this machine for a real-time thread on `cpu`.
+    /// It changes nothing.
     #[must_use]
     pub fn inspect(&self, cpu: usize, priority: u8) -> Report {
         Report {
@@ -238,13 +238,13 @@ impl System {
         }
     }
 
-    /// A file below the root.
+    /// Path of a file below the root.
     #[must_use]
     pub fn path(&self, path: impl AsRef<Path>) -> PathBuf {
         self.root.join(path)
     }
 
-    /// A file's text without the white space around it.
+    /// Text of a file, without the white space around it.
     ///
     /// # Errors
     /// When it cannot be read, or is no text.
@@ -263,7 +263,7 @@ impl System {
         self.read("sys/devices/system/cpu/online").map(|text| cpu_list(&text)).unwrap_or_default()
     }
 
-    /// The CPUs left for everything else, as a list the kernel understands.
+    /// The CPUs left for everything else, as a list that the kernel understands.
     /// Empty with one CPU only.
     #[must_use]
     pub fn housekeeping(&self, cpu: usize) -> String {
@@ -280,8 +280,8 @@ impl System {
         format!("isolcpus=managed_irq,domain,{cpu} nohz_full={cpu} rcu_nocbs={cpu} irqaffinity={others}")
     }
 
-    /// The words that the running kernel was not booted with.
-    /// One for more CPUs than this one will do.
+    /// The wanted words that the running kernel was not booted with.
+    /// A word for more CPUs than this one is accepted.
     fn lacks(&self, wanted: &str, cpu: usize) -> String {
         let booted = self.read("proc/cmdline").unwrap_or_default();
         let there = |word: &&str| {
@@ -312,9 +312,9 @@ impl System {
         .remedy(REMEDY)
     }
 
-    /// The deadline server of Linux 6.12 and later.
-    /// It runs fair tasks for 50 ms of every second on a CPU that a real-time thread does not leave, whatever
-    /// `sched_rt_runtime_us` says. Its switch is in debugfs, which is often unreadable. Then it is reported but not
+    /// Finding of the deadline server of Linux 6.12 and later.
+    /// A CPU that a real-time thread does not leave runs fair tasks for 50 ms of every second, whatever
+    /// `sched_rt_runtime_us` says. The switch is in debugfs, which is often unreadable. Then it is reported but not
     /// required.
     fn fair_server(&self, cpu: usize) -> Finding {
         const NAME: &str = "fair_server";
@@ -363,8 +363,8 @@ impl System {
         .remedy(format!("boot with {parameter}={cpu}"))
     }
 
-    /// The kernel shows no list of these CPUs.
-    /// A CPU in `nohz_full` is always among them.
+    /// Finding of RCU callbacks, which the kernel does not list by CPU.
+    /// A CPU in `nohz_full` is always free of them.
     fn rcu_nocbs(&self, cpu: usize) -> Finding {
         let wanted = format!("CPU {cpu}");
         let remedy = format!("boot with rcu_nocbs={cpu}");
@@ -384,7 +384,7 @@ impl System {
         Finding::new("rcu_nocbs", wanted, if got.is_empty() { "none" } else { got }, ok).remedy(remedy)
     }
 
-    /// The interrupts in use that may land on the CPU.
+    /// Finding of the interrupts in use that may land on the CPU.
     fn irq_affinity(&self, cpu: usize) -> Finding {
         let wanted = format!("no interrupt on CPU {cpu}");
         let others = self.housekeeping(cpu);
@@ -407,7 +407,7 @@ impl System {
                     .ok()?
                     .flatten()
                     .find(|inner| inner.file_type().is_ok_and(|t| t.is_dir()))?;
-                // Our own lines belong here: see `card_irq` of `rtecctl platform`.
+                // The interrupt of our own lines belongs here: see `card_irq` of `rtecctl platform`.
                 (device.file_name() != "rtec" && cpu_list(&self.irq_cpus(number)?).contains(&cpu))
                     .then(|| (number, format!("{number} {}", device.file_name().to_string_lossy())))
             })
@@ -464,7 +464,7 @@ impl System {
     }
 
     fn clocksource(&self) -> Finding {
-        // These are read without a system call; every other one costs one, a microsecond or more.
+        // These are read without a system call. Every other one costs one, a microsecond or more.
         const FAST: [&str; 3] = ["tsc", "arch_sys_counter", "riscv_clocksource"];
         let wanted = if cfg!(target_arch = "x86_64") { "tsc" } else { "one that needs no system call" };
         match self.read("sys/devices/system/clocksource/clocksource0/current_clocksource") {
@@ -510,7 +510,7 @@ impl System {
         self.limit("memlock_limit", "Max locked memory", "unlimited", u64::MAX, CAP_IPC_LOCK, "memlock")
     }
 
-    /// A resource limit that a capability overrides.
+    /// Finding of a resource limit that a capability overrides.
     fn limit(
         &self,
         name: &'static str,
@@ -544,13 +544,13 @@ impl System {
         Finding::new(name, wanted, got, has_capability || value >= at_least).remedy(remedy)
     }
 
-    /// The emulator's name when the CPU's instructions are emulated, not run.
+    /// Name of the emulator, if the CPU's instructions are emulated.
     fn emulator(&self) -> Option<String> {
         let signature = if self.live { hypervisor_signature() } else { None };
         if signature.as_deref() == Some("TCGTCGTCGTCG") {
             return Some("QEMU TCG".into());
         }
-        // Without cpuid (other architectures, a recorded tree) the name that TCG gives its CPU shows it.
+        // Without cpuid (another architecture, a recorded tree) the CPU's name shows TCG.
         let cpuinfo = self.read("proc/cpuinfo").unwrap_or_default();
         cpuinfo.contains("QEMU TCG").then(|| "QEMU TCG".into())
     }
@@ -574,8 +574,8 @@ impl System {
     }
 }
 
-/// What a hypervisor calls itself.
-/// None on a machine without one, and on other architectures.
+/// Name that a hypervisor reports.
+/// `None` on a machine without one, and on other architectures.
 #[allow(unused_unsafe)] // newer compilers know that CPUID is safe, 1.88 does not
 fn hypervisor_signature() -> Option<String> {
     #[cfg(target_arch = "x86_64")]
@@ -607,10 +607,10 @@ fn hypervisor_letters(features_ecx: u32, leaf: [u32; 3]) -> Option<String> {
     (!letters.is_empty()).then_some(letters)
 }
 
-/// What the real-time thread asks for.
+/// Settings that the real-time thread asks for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Wanted {
-    /// The CPU to run on, alone.
+    /// The CPU to run on; the thread runs on no other.
     pub cpu: usize,
     /// `SCHED_FIFO` priority, 1 to 99.
     pub priority: u8,
@@ -627,7 +627,7 @@ pub struct DmaLatencyHold {
 /// The report includes [`System::inspect`]. Without privileges the thread runs on as it is, and the report says what
 /// is missing. It takes some milliseconds and allocates. Call it before the loop, on the thread that runs the loop.
 pub fn apply(system: &System, wanted: Wanted) -> (DmaLatencyHold, Report) {
-    // Memory first: what is locked before the stack is touched stays.
+    // Memory comes first, so that the stack is locked when it is touched.
     let memory_lock = memory_lock(system);
     let (cpu_dma_latency, dma_finding) = cpu_dma_latency(system);
     let mut report = system.inspect(wanted.cpu, wanted.priority);
@@ -637,34 +637,35 @@ pub fn apply(system: &System, wanted: Wanted) -> (DmaLatencyHold, Report) {
     (DmaLatencyHold { _cpu_dma_latency: cpu_dma_latency }, report)
 }
 
-/// The calling thread and those it starts stay off a CPU until this is dropped.
+/// Keeps the calling thread and those it starts off a CPU until it is dropped.
 #[derive(Debug)]
 #[must_use = "the thread may run everywhere again as soon as this is dropped"]
 pub struct Left {
     before: nix::sched::CpuSet,
 }
 
-/// Moves the calling thread off `cpu`, so that nothing competes with the real-time thread.
-/// Threads that it starts meanwhile are moved too. Returns `None` when it has no other CPU; then it stays.
+/// Moves the calling thread off `cpu`.
+/// Then nothing competes with the real-time thread. Threads that it starts meanwhile are moved too. Returns `None` when
+/// it has no other CPU; then it stays.
 #[must_use]
 pub fn leave(cpu: usize) -> Option<Left> {
     let me = nix::unistd::Pid::from_raw(0);
     let before = nix::sched::sched_getaffinity(me).ok()?;
     let mut others = before;
-    let _ = others.unset(cpu); // a CPU that cannot be in the set is not in it
+    let _ = others.unset(cpu); // fails only for a CPU that cannot be in the set
     nix::sched::sched_setaffinity(me, &others).ok().map(|()| Left { before })
 }
 
 impl Drop for Left {
     fn drop(&mut self) {
-        // It was allowed a moment ago; where it no longer is, the thread stays where it is.
+        // It was allowed a moment ago. Where it no longer is, the thread stays where it is.
         let _ = nix::sched::sched_setaffinity(nix::unistd::Pid::from_raw(0), &self.before);
     }
 }
 
 fn scheduler(priority: u8) -> Finding {
     let wanted = libc::sched_param { sched_priority: i32::from(priority) };
-    // Threads started from here must not inherit the priority: they are helpers.
+    // Threads started from here are helpers, which must not inherit the priority.
     let policy = libc::SCHED_FIFO | libc::SCHED_RESET_ON_FORK;
     // SAFETY: 0 is the calling thread, and the parameter outlives the call.
     let failed = unsafe { libc::sched_setscheduler(0, policy, &raw const wanted) } != 0;
@@ -720,7 +721,7 @@ fn affinity(cpu: usize) -> Finding {
 
 fn memory_lock(system: &System) -> Finding {
     use nix::sys::mman::{MlockAllFlags, mlockall};
-    // Under a limit, locking the future would make every later allocation fail that exceeds it.
+    // Under a limit, locking future memory would make every allocation beyond the limit fail.
     let unlimited = system.memlock_limit().ok;
     let future = if unlimited { MlockAllFlags::MCL_FUTURE } else { MlockAllFlags::empty() };
     let error = mlockall(MlockAllFlags::MCL_CURRENT | future)
@@ -741,7 +742,7 @@ fn memory_lock(system: &System) -> Finding {
     .remedy("CAP_IPC_LOCK or an unlimited memlock limit")
 }
 
-/// Touch the stack to its working depth twice: the second pass must not fault.
+/// Touches the stack to its working depth twice. The second pass must not fault.
 fn stack() -> Finding {
     let faults = || {
         nix::sys::resource::getrusage(nix::sys::resource::UsageWho::RUSAGE_THREAD)
@@ -768,7 +769,7 @@ fn touch_stack(pages: usize) {
     if pages > 1 {
         touch_stack(pages - 1);
     }
-    // A use after the call, or the frames would be folded into one.
+    // A use after the call keeps the compiler from folding the frames into one.
     std::hint::black_box(&mut page);
 }
 
@@ -805,7 +806,7 @@ fn cpu_dma_latency(system: &System) -> (Option<File>, Finding) {
     }
 }
 
-/// `0-2,5` as numbers.
+/// Parses a CPU list such as `0-2,5`.
 /// Other words are skipped: `(null)`, or flags as in `isolcpus=domain,1`.
 #[must_use]
 pub fn cpu_list(text: &str) -> Vec<usize> {
@@ -829,7 +830,7 @@ fn version(release: &str) -> (u32, u32) {
 mod tests {
     use super::*;
 
-    /// Without a hypervisor the leaf is another one's, and says nothing.
+    /// Without a hypervisor the leaf means something else, and is not read as a name.
     #[test]
     fn a_hypervisor_has_twelve_letters_or_fewer() {
         let letters = |features_ecx, text: &[u8; 12]| {
@@ -843,13 +844,12 @@ mod tests {
         assert_eq!([0, 0x7fff_ffff].map(|ecx| letters(ecx, b"VMwareVMware")), [None, None]);
     }
 
-    /// In a fresh thread, all of the stack that the loop may use is present afterwards, as the kernel reports each
-    /// page.
-    /// It is still present at a second check.
+    /// In a fresh thread, the whole working stack is present after the set-up.
+    /// The kernel reports each page. The stack is still present at a second check.
     #[test]
     #[allow(clippy::unwrap_used)] // a test may
     fn the_stack_is_there_to_its_working_depth() {
-        // Its own size, so that no stack of a thread that has ended is taken for it.
+        // A size of its own, so that the stack of a thread that has ended is not reused.
         let thread = std::thread::Builder::new().stack_size(24 << 20).spawn(|| {
             let finding = stack();
             let here = std::ptr::from_ref(&finding) as usize / PAGE;
@@ -863,7 +863,7 @@ mod tests {
         });
         let (pages, finding) = thread.unwrap().join().unwrap();
         assert_eq!((pages, finding.wanted.as_str()), (256 / 4 - 1, "256 KiB, no page fault"));
-        // A page that was taken away in between is no mistake of ours.
+        // A page that the system took away in between is no failure.
         let faults: usize = finding.got.split(' ').next().unwrap().parse().unwrap();
         assert!(faults < 256 / 4 / 2, "{finding:?}");
     }

@@ -1,7 +1,7 @@
 //! The latest state, for a reader that never stops the writer: a triple buffer.
 //!
-//! Three slots: the writer owns one, the reader owns one, the third is exchanged through one atomic byte. Both sides
-//! are wait-free; the reader sees whole values only, never an older one after a newer one.
+//! There are three slots. The writer owns one, the reader owns one, and the third is exchanged through one atomic byte.
+//! Both sides are wait-free. The reader sees whole values only, and never an older one after a newer one.
 
 #[cfg(loom)]
 use loom::{

@@ -1,6 +1,6 @@
 //! The control side's watch over the state file.
-//! The real-time thread stores to the file's pages and cannot notice its loss: somebody may remove, replace,
-//! overwrite or truncate it. The control side finds such a loss and writes the file again from what the engine knows.
+//! The file may be removed, replaced, overwritten or truncated. The real-time thread stores to its pages and cannot
+//! notice that. The control side finds such a loss and writes the file again from the engine's state.
 //!
 //! | what is done | by whom |
 //! |---|---|
@@ -9,8 +9,8 @@
 //! | `Request::StateFileLost`: everything is noted, the fault is latched | the real-time thread |
 //! | [`StateFile::place`]: the new file gets the name | the control side |
 //!
-//! A store to a page that was cut off ends a process by SIGBUS. [`StateFile::outlive_truncation`] puts a page of memory there
-//! instead, and the store is made.
+//! A store to a page that was cut off ends a process by SIGBUS. [`StateFile::outlive_truncation`] puts a page of memory
+//! there instead, and the store is repeated.
 
 use crate::journal::{
     BYTES, HEAD_WORDS, Journal, JournalError, LOST, LOST_AT, Mapping, PAGE_WORDS, TEXT_AT, beside, empty,
@@ -24,16 +24,16 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// What has become of a state file.
+/// How a state file was lost.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Lost {
     /// No file has its name.
     Removed,
     /// Another file has its name.
     Replaced,
-    /// Its size is another.
+    /// Its size has changed.
     Resized,
-    /// It has not what was noted in it.
+    /// It does not hold the noted records.
     Overwritten,
 }
 
@@ -44,10 +44,10 @@ pub struct StateFile {
     mapping: Arc<Mapping>,
     /// Device and inode of the file whose pages are mapped.
     mapped: (u64, u64),
-    /// The words of a page without its records and times.
+    /// The words of the head, without records and times.
     head: Vec<u64>,
-    /// The file of [`StateFile::renew`], which is locked as long as it is open.
-    /// And whether it has the name.
+    /// The file of [`StateFile::renew`], locked as long as it is open.
+    /// `placed` tells whether it has the name.
     made: Option<Flock<File>>,
     placed: bool,
 }
@@ -70,13 +70,13 @@ impl StateFile {
         Ok(Self { path: path.to_owned(), mapping, mapped, head, made: None, placed: false })
     }
 
-    /// What it is called.
+    /// Path of the state file.
     #[must_use]
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// What has become of the file, if it is not the one that is written any more.
+    /// How the file was lost, if it is no longer the one that is written.
     #[must_use]
     pub fn lost(&self) -> Option<Lost> {
         let Ok(found) = std::fs::symlink_metadata(&self.path) else { return Some(Lost::Removed) };
@@ -91,16 +91,16 @@ impl StateFile {
         (!kept).then_some(Lost::Overwritten)
     }
 
-    /// Makes a new file beside the lost one; from here on the journal writes to it.
-    /// All that it has is its head.
+    /// Makes a new file beside the lost one; the journal writes to it from here on.
+    /// It has only its head.
     ///
     /// # Errors
-    /// When there is no place for it.
+    /// When the file cannot be made.
     pub fn renew(&mut self) -> Result<(), JournalError> {
         let path = beside(&self.path);
         let here = std::fs::symlink_metadata(&path).is_ok_and(|found| identity(&found) == self.mapped);
         if self.made.is_some() && !self.placed && here {
-            // It could not be given the name the last time.
+            // The file is already made; naming it failed the last time.
             return Ok(());
         }
         let io = |source: io::Error| JournalError::Io { path: path.clone(), source };
@@ -117,10 +117,10 @@ impl StateFile {
         Ok(())
     }
 
-    /// Gives the new file the name: everything is noted in it.
+    /// Gives the new file the name, once everything is noted in it.
     ///
     /// # Errors
-    /// When the disk does not take it, or what has the name cannot be replaced.
+    /// When the disk refuses it, or the file that has the name cannot be replaced.
     pub fn place(&mut self) -> io::Result<()> {
         if let Some(file) = self.made.as_ref().filter(|_| !self.placed) {
             file.sync_all()?;
@@ -130,9 +130,9 @@ impl StateFile {
         Ok(())
     }
 
-    /// Notes that the real-time thread does not look at the card any more.
-    /// For whoever sees that from another thread: the next process finds [`crate::event::Fault::ThreadLost`], and
-    /// holds.
+    /// Notes that the real-time thread no longer looks at the card.
+    /// Another thread that notices this calls it. The next process finds [`crate::event::Fault::ThreadLost`], and
+    /// asserts feed hold.
     pub fn note_thread_lost(&self) {
         for page in [0, PAGE_WORDS] {
             self.mapping.put(page + LOST_AT, LOST);
@@ -166,9 +166,9 @@ impl Drop for StateFile {
     }
 }
 
-/// Address of the mapping whose pages may be cut off; 0 where there is none.
+/// Address of the mapping that is protected; 0 where there is none.
 static GUARDED: AtomicUsize = AtomicUsize::new(0);
-/// Address of a mapping whose pages were cut off: memory is there instead.
+/// Address of a mapping whose pages were cut off and replaced by memory.
 /// 0 where there is none.
 static CUT_OFF: AtomicUsize = AtomicUsize::new(0);
 
@@ -188,7 +188,7 @@ extern "C" fn on_bus_error(_signal: libc::c_int, info: *mut libc::siginfo_t, _co
             return;
         }
     }
-    // Not ours: the same access ends the process as it would have without a handler.
+    // The address is not in the mapping: the same access ends the process as without a handler.
     // SAFETY: an all-zero action is the default one.
     unsafe {
         let action: libc::sigaction = std::mem::zeroed();
@@ -204,7 +204,7 @@ mod tests {
 
     type Deed<'a> = (Lost, Box<dyn Fn() + 'a>);
 
-    /// After any damage to the file while in use, the next process finds everything in it.
+    /// After any damage to the file in use, the next process finds all records in it.
     #[test]
     fn a_lost_file_is_told_and_written_anew() {
         let folder = tempfile::tempdir().unwrap();
@@ -241,13 +241,13 @@ mod tests {
             assert_eq!(file.lost(), None, "{n}");
             deed();
             assert_eq!(file.lost(), Some(*lost), "{n}");
-            // Whoever stores meanwhile is not ended by it.
+            // A store in the meantime does not end the process.
             let total = 2 * n as i64 + 2;
             journal.record(0, axis(total), 3_000_000);
             assert!(file.lost().is_some(), "{n}");
             file.renew().unwrap();
             journal.note_again();
-            // Once more, as after a name that could not be taken.
+            // Again, as after a failure to name the file.
             file.renew().unwrap();
             journal.record(0, axis(total + 1), 3_000_000);
             file.place().unwrap();

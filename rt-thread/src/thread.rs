@@ -11,17 +11,17 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::mpsc;
 use std::thread::JoinHandle;
 
-/// How often the status is published and the control side looked after, ns.
+/// Interval of the status and of the check for silence, ns.
 const PUBLISH_NS: u64 = 1_000_000;
 
-/// How the thread shall run.
+/// Options of the real-time thread.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct ThreadOptions {
     /// CPU and priority; `None` runs as an ordinary thread.
     pub wanted: Option<Wanted>,
-    /// The card drives a real machine: it needs every setting read back as wanted.
+    /// The card drives a real machine, so every setting must be read back as wanted.
     pub real: bool,
-    /// After this long without a sign of life from the control side, no insertion begins, ns.
+    /// Silence of the control side after which no insertion begins, ns.
     pub stale_after_ns: u64,
 }
 
@@ -30,21 +30,21 @@ pub struct ThreadOptions {
 pub struct Running<C> {
     /// The control side's end of the link.
     pub control: ControlEnd,
-    /// The loop's own timing.
+    /// Histograms of the loop's times.
     pub timing: Timing,
-    /// What the set-up found; `None` where none was wanted.
+    /// The report of the set-up; `None` where none was wanted.
     pub report: Option<Report>,
     thread: JoinHandle<Ended<C>>,
 }
 
-/// What the thread leaves behind.
+/// What the thread returns at its end.
 #[derive(Debug)]
 pub struct Ended<C> {
-    /// The card, its outputs as they were.
+    /// The card, with its outputs unchanged.
     pub card: C,
-    /// The state at the end.
+    /// The last status.
     pub status: Status,
-    /// Why it ended, if not because it was asked to.
+    /// The error that ended it; `None` where it was asked to end.
     pub error: Option<CardError>,
 }
 
@@ -57,7 +57,7 @@ pub enum SpawnError {
     /// A polling thread at real-time priority would leave no time on the only CPU.
     #[error("a real-time thread that polls needs a CPU of its own, and this machine has one in all")]
     OneCpu,
-    /// It ended while setting itself up.
+    /// The thread ended during its set-up.
     #[error("the real-time thread ended during its set-up")]
     SetUp,
 }
@@ -80,7 +80,7 @@ pub fn spawn<C: Card + Send + 'static>(
     let thread = std::thread::Builder::new().name("rtec-rt".into()).spawn(move || {
         let (_held, report) = options.wanted.map(|w| apply(&System::live(), w)).unzip();
         engine.set_may_arm(!options.real || report.as_ref().is_some_and(Report::can_arm));
-        // The receiver waits for exactly this message; if it has gone, the loop below is asked to stop.
+        // The receiver waits for this message. If it has gone, the loop below is asked to stop.
         let _ = send_report.send(report);
         run(engine, card, rt, options.stale_after_ns)
     })?;
@@ -90,7 +90,7 @@ pub fn spawn<C: Card + Send + 'static>(
 
 impl<C> Running<C> {
     /// Stops the thread and waits for it.
-    /// Requests that were sent before are taken first, an insertion under way is finished; then corrections freeze,
+    /// Requests sent before are taken first, and an insertion under way is finished. Then corrections freeze, and
     /// inverters stay as they are.
     ///
     /// # Panics
@@ -104,9 +104,9 @@ impl<C> Running<C> {
     }
 }
 
-/// The loop, until it is asked to stop or the card fails.
-/// Nothing in it allocates, locks, logs or (on a card of mapped registers) calls the system. A panic in it is a
-/// fault: it is latched, and feed hold is written.
+/// Runs the loop until it is asked to stop or the card fails.
+/// Nothing in it allocates, locks, logs or (on a card of mapped registers) calls the system. A panic in it latches a
+/// fault, and feed hold is written.
 pub fn run<C: Card>(engine: Engine, card: C, rt: RtEnd, stale_after_ns: u64) -> Ended<C> {
     let mut turns = Turns::new(engine, card, rt, stale_after_ns);
     // After a panic the engine is only asked to latch a fault and to write the hold line.
@@ -123,7 +123,7 @@ pub fn run<C: Card>(engine: Engine, card: C, rt: RtEnd, stale_after_ns: u64) -> 
     }
 }
 
-/// The loop of [`run`], one turn at a time, for a caller with another clock.
+/// The loop of [`run`] turn by turn, for a caller with a clock of its own.
 #[derive(Debug)]
 pub struct Turns<C> {
     engine: Engine,
@@ -136,28 +136,28 @@ pub struct Turns<C> {
 }
 
 impl<C: Card> Turns<C> {
-    /// Before the first turn.
+    /// Prepares the loop; no turn is made.
     pub fn new(engine: Engine, card: C, rt: RtEnd, stale_after_ns: u64) -> Self {
         let (beats, beat_ns) = (rt.beats(), engine.now_ns());
         Self { engine, card, rt, stale_after_ns, published_ns: 0, beats, beat_ns }
     }
 
-    /// The engine as it is between two turns.
+    /// The engine between two turns.
     pub const fn engine(&self) -> &Engine {
         &self.engine
     }
 
-    /// One request at most, one look, and now and then a status.
-    /// It breaks with the card's error, or with none where the end was asked for or the card has come to its own.
+    /// One turn: at most one request, one look, and at times a status.
+    /// It breaks with the card's error. It breaks without one if the end was asked for or a recording has ended.
     #[inline]
     pub fn turn(&mut self) -> ControlFlow<Option<CardError>> {
         let Self { engine, card, rt, .. } = self;
-        // One request a look: however many come at once, no gap between two looks grows with their number.
+        // One request a look, so that many requests at once do not lengthen a gap between looks.
         let wait_until_ns = if let Some(request) = rt.request() {
             if let Err(error) = engine.take(request, card, &mut |e| rt.report(e)) {
                 engine.card_failed(error, &mut |e| rt.report(e));
             }
-            // The next one may be there already: a card that sleeps must not let it wait.
+            // The next request may be there already, and must not wait for a card that sleeps.
             0
         } else {
             self.published_ns + PUBLISH_NS
@@ -181,7 +181,7 @@ impl<C: Card> Turns<C> {
         ControlFlow::Continue(())
     }
 
-    /// The last status is told, and what is left is handed back.
+    /// Publishes the last status and hands back the card.
     pub fn end(mut self, error: Option<CardError>) -> Ended<C> {
         let status = self.engine.status();
         self.rt.publish(status);
@@ -191,7 +191,7 @@ impl<C: Card> Turns<C> {
 
     fn end_after_panic(mut self) -> Ended<C> {
         let Self { engine, card, rt, .. } = &mut self;
-        // Whatever broke the loop may break this too: the end is told all the same.
+        // The cause of the panic may break this too. The end is reported anyway.
         let _ = catch_unwind(AssertUnwindSafe(|| engine.panicked(card, &mut |e| rt.report(e))));
         self.end(None)
     }

@@ -1,15 +1,16 @@
-//! Every history within a bound: all orders of looks, real edges, inversions and the moments at which they take effect.
+//! Every history of looks, edges and inversions within a bound.
+//! It covers all their orders, and all times at which inversions take effect.
 //!
-//! Time goes in slots of 50 ns, three to a look. Each slot may hold a real edge, before or after the moment at which a
-//! write takes effect; each look may be late, each write may fail, after each look the process may end and start again. Every
-//! such choice is on a tape; the engine is run from the start for every tape there is (stateless model checking, Godefroid
-//! 1997): the engine's own code, no copy and no model of it.
+//! Time is divided into slots of 50 ns, three to a look. Each slot may hold a real edge, before or after the time at
+//! which a write takes effect. Each look may be late, each write may fail, and after each look the process may end and
+//! start again. A tape records these choices. The engine is run from the start for every possible tape (stateless model
+//! checking, Godefroid 1997). The code under test is the engine's own, without a copy or a model.
 //!
 //! | what | choices | judged by |
 //! |---|---|---|
-//! | within | edges that some motion within the axis's limits makes: sets of speeds that can be reached, another formula than the gate's | ledger balanced, no fault, no edge inside an insertion, the MTC's separation kept |
+//! | within | edges of some motion within the axis's limits: sets of reachable speeds, by another formula than the gate's | ledger balanced, no fault, no edge inside an insertion, the MTC's separation kept |
 //! | disturbed | the same, with a late look, a failed write or a restart | balanced or latched |
-//! | beyond | any edges, up to three in a look | balanced or latched; else two edges lie between the same two looks as an inversion of ours, or the MTC counted mirrored there: nobody can see that |
+//! | beyond | any edges, up to three in a look | balanced or latched. Two exceptions cannot be seen: two edges between the same two looks as an inversion, or while the MTC counts mirrored |
 //!
 //! A fault planted in each rule must be found. `RTEC_EXHAUSTIVE=1` widens the bounds.
 
@@ -27,16 +28,18 @@ const LOOK: u64 = 3;
 const SEPARATION_NS: u64 = 100;
 const HYSTERESIS: f64 = 0.1;
 
-/// The acceleration limit of an axis that turns back two slots later than an insertion needs.
+/// Acceleration limit of an axis that can turn just after an insertion, counts/ns².
+/// The axis turns back two slots later than an insertion needs.
 fn accel_counts_ns2() -> f64 {
-    // Detection, separation, then for each inversion: to the look that knows it is in effect, separation, to the next look.
+    // Detection and separation, then for each inversion: the look that finds it in effect, separation, and the next
+    // look.
     let look_ns = (LOOK * SLOT_NS) as f64;
     let need_ns =
         look_ns + SEPARATION_NS as f64 + INCREMENT_COUNTS as f64 * (2.0 * look_ns + SEPARATION_NS as f64);
     2.0 * HYSTERESIS / (need_ns + 2.0 * SLOT_NS as f64).powi(2)
 }
 
-/// The choices of one history, in order: which was taken, of how many.
+/// The choices of one history, in order: the one taken, of how many.
 #[derive(Debug, Default)]
 struct Tape {
     taken: Vec<(u8, u8)>,
@@ -57,7 +60,7 @@ impl Tape {
         choice
     }
 
-    /// On to the next history; `false` after the last.
+    /// Goes to the next history; `false` after the last.
     fn next(&mut self) -> bool {
         self.taken.truncate(self.at);
         self.at = 0;
@@ -71,7 +74,8 @@ impl Tape {
     }
 }
 
-/// What an axis within its limits can do: the speeds that it may have at its last edge, counts/ns, along its direction.
+/// Possible speeds of an axis within its limits at its last edge.
+/// They are in counts/ns, along the direction of the axis.
 #[derive(Debug, Clone, Copy)]
 struct Motion {
     accel_counts_ns2: f64,
@@ -82,16 +86,16 @@ struct Motion {
 }
 
 impl Motion {
-    /// After an edge at `at_ns` in the direction `step`.
-    /// `None` where no motion within the limits makes it.
+    /// The motion after an edge at `at_ns` in the direction `step`.
+    /// `None` where no motion within the limits makes that edge.
     ///
-    /// From v₀ over d in τ with |a| ≤ A: possible where e = d − v₀τ is within ±Aτ²/2, and the speed at the end lies
-    /// between v₀ ± A(2√(τ²/2 ± e/A) − τ), by full throttle one way and then the other.
+    /// The edge is at distance d from v₀ after τ with |a| ≤ A. It is possible if e = d − v₀τ is within ±Aτ²/2. The
+    /// speed at the end is between v₀ ± A(2√(τ²/2 ± e/A) − τ), by full acceleration one way and then the other.
     fn edge(&self, at_ns: u64, step: i64) -> Option<Self> {
         const PIECES: usize = 48;
         let (a, tau) = (self.accel_counts_ns2, (at_ns - self.at_ns) as f64);
         let along = step == self.sense;
-        // To the next mark, or back over the one just crossed: that is the hysteresis away.
+        // The distance to the next mark, or back over the one just crossed, which is the hysteresis.
         let d = if along { 1.0 } else { -self.hysteresis_counts };
         let reach = a * tau / 2.0;
         let from = (self.speeds.0.max(d / tau - reach), self.speeds.1.min(d / tau + reach));
@@ -101,7 +105,7 @@ impl Motion {
         let (mut lo, mut hi) = (f64::INFINITY, f64::NEG_INFINITY);
         for k in 0..=PIECES {
             let v0 = from.0 + (from.1 - from.0) * k as f64 / PIECES as f64;
-            // At the ends of what is possible rounding may pass them.
+            // At the limits of the possible, rounding may exceed them.
             let e = (d - v0 * tau).clamp(-reach * tau, reach * tau);
             let fastest = v0 + a * (2.0 * (tau * tau / 2.0 + e / a).sqrt() - tau);
             let slowest = v0 - a * (2.0 * (tau * tau / 2.0 - e / a).sqrt() - tau);
@@ -115,34 +119,36 @@ impl Motion {
     }
 }
 
-/// A wrong rule, and the right one.
+/// A planted mistake of the configuration, or none.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Plant {
     Nothing,
-    /// The inverters of A and B change places: the order of the two inversions is the wrong one.
+    /// The inverters of A and B are swapped.
+    /// So the two inversions come in the wrong order.
     Order,
-    /// The MTC needs two slots more than was told.
+    /// The MTC needs two slots more than configured.
     Separation,
-    /// That a write takes time was not told: the gate opens where the next edge is too near.
+    /// The time of a write is configured as zero.
+    /// So the gate opens where the next edge is too near.
     Gate,
-    /// The axis turns back sooner than was told.
+    /// The axis turns back sooner than configured.
     TurnRound,
-    /// The card sleeps on after it was to wake.
+    /// The card sleeps beyond the wake time.
     Wake,
 }
 
-/// The bound, and what is told of the axis.
+/// Bounds of the choices, and the configuration of the axis.
 #[derive(Debug, Clone, Copy)]
 struct Case {
     /// Direction of the axis before the choices begin.
     sense: i64,
-    /// Counts asked for.
+    /// Requested total, counts.
     asked: i64,
-    /// Place in the cycle of four at the start.
+    /// Place in the cycle of four counts at the start.
     phase: i64,
     /// Slots between the two edges that set the period.
     period: u64,
-    /// Looks with choices.
+    /// Number of looks with choices.
     looks: u64,
     edges: u8,
     late: u8,
@@ -152,10 +158,10 @@ struct Case {
     plant: Plant,
 }
 
-/// The cycle of the counts contract, positive direction: A and B at a count.
+/// Levels of A and B at each count of the cycle, in the positive direction.
 const CYCLE: [u64; 4] = [0b00, 0b01, 0b11, 0b10];
 
-/// What fell between two looks.
+/// Edges and inversions between two looks.
 #[derive(Debug, Default)]
 struct Between {
     edges: u32,
@@ -165,15 +171,15 @@ struct Between {
     mirrored: bool,
 }
 
-/// Scale, gates, MTC and computer.
+/// Scale, XOR gates, MTC and computer.
 struct World<'a> {
     tape: &'a mut Tape,
     case: Case,
     slot: u64,
-    /// Edges that are given: slot and direction; then the choices.
+    /// Edges that are given: slot and direction. The chosen edges follow them.
     given: Vec<(u64, i64)>,
     choices: bool,
-    /// No edge is chosen before the given ones are over.
+    /// Slot of the last given edge; no edge is chosen before it.
     second: u64,
     left: (u8, u8, u8),
     motion: Option<Motion>,
@@ -187,7 +193,7 @@ struct World<'a> {
     disturbed: bool,
     between: Between,
     hidden: bool,
-    /// Every change at the MTC, for the report of what is wrong.
+    /// Every change at the MTC, for the report of a failure.
     changes: Vec<(u64, bool)>,
 }
 
@@ -220,7 +226,7 @@ impl World<'_> {
         }
     }
 
-    /// One slot: a write takes effect, then an edge may come.
+    /// Lets one slot pass: a write takes effect, then an edge may come.
     fn pass(&mut self) {
         self.land();
         let at_ns = self.slot * SLOT_NS + SLOT_NS / 2;
@@ -236,7 +242,7 @@ impl World<'_> {
             0
         };
         if step != 0 {
-            // Of the first edge nothing is known but its direction; beyond the limits nothing at all.
+            // Only the direction of the first edge is known. Beyond the limits nothing is known.
             let any = Motion {
                 accel_counts_ns2: accel_counts_ns2(),
                 hysteresis_counts: if self.case.plant == Plant::TurnRound {
@@ -308,7 +314,8 @@ struct Tally {
     looks: u64,
     insertions: u64,
     latched: u64,
-    /// Ended with a count lost and no fault: two edges in one look beside an inversion, or while the MTC counted mirrored.
+    /// Histories that end with a lost count and no fault.
+    /// Two edges fell in one look beside an inversion, or while the MTC counted mirrored.
     unseen: u64,
     states: HashSet<u64>,
 }
@@ -322,16 +329,16 @@ fn config(case: &Case) -> AxisConfig {
         max_accel_counts_s2: accel_counts_ns2() * 1e18,
         hysteresis_counts: HYSTERESIS,
         detect_ns: look_ns,
-        // In effect by the next look, at which alone that is known; and the next is written at a look.
+        // A write is in effect by the next look, which confirms it, and the next write follows a look later.
         write_ns: if case.plant == Plant::Gate { 0 } else { 2 } * look_ns,
         ..AxisConfig::default()
     }
 }
 
-/// One history. What is wrong with it, if anything.
+/// Runs one history; an error says what is wrong with it.
 fn history(tape: &mut Tape, case: Case, tally: &mut Tally) -> Result<(), String> {
     const FIRST: u64 = 9;
-    // The edges fall anywhere in a look.
+    // The edges fall at any place within a look.
     let second = FIRST + case.period + u64::from(tape.choose(LOOK as u8));
     let given = vec![(second - case.period, case.sense), (second, case.sense)];
     let mut world = World {
@@ -380,7 +387,7 @@ fn history(tape: &mut Tape, case: Case, tally: &mut Tally) -> Result<(), String>
             restarts -= 1;
             world.disturbed = true;
             let known = engine.in_effect(0).unwrap().1;
-            // A process takes longer to start than a write to take effect.
+            // A process takes longer to start than a write takes to be in effect.
             for _ in 0..2 * LOOK {
                 world.pass();
             }
@@ -390,7 +397,7 @@ fn history(tape: &mut Tape, case: Case, tally: &mut Tally) -> Result<(), String>
     tally.histories += 1;
     world.choices = false;
     if !case.within {
-        // The axis goes on calmly: what is wrong shows at the next edges, if at all.
+        // The axis moves on regularly, because a mistake shows at the next edges if at all.
         let from = world.slot.next_multiple_of(LOOK) + 20;
         world.given = (0..4).map(|n| (from + 60 * n, case.sense)).collect();
     }
@@ -429,7 +436,7 @@ fn history(tape: &mut Tape, case: Case, tally: &mut Tally) -> Result<(), String>
     Ok(())
 }
 
-/// The state of the whole, as far as what follows depends on it.
+/// Notes the state of engine and world, as far as later events depend on it.
 fn note(states: &mut HashSet<u64>, engine: &Engine, world: &World) {
     let axis = engine.status().axes[0];
     let mut hash = DefaultHasher::new();
@@ -443,7 +450,7 @@ fn note(states: &mut HashSet<u64>, engine: &Engine, world: &World) {
     states.insert(hash.finish());
 }
 
-/// Every history of a case, up to the first that is wrong.
+/// Runs every history of a case until one is wrong.
 fn all(case: Case, tally: &mut Tally) -> Result<(), String> {
     let mut tape = Tape::default();
     loop {
@@ -507,7 +514,7 @@ fn run(name: &str, cases: impl Iterator<Item = Case>) -> Tally {
 fn within_its_limits_no_history_loses_a_count() {
     let looks = if wide() { 22 } else { 14 };
     let edges = if wide() { 3 } else { 2 };
-    // As fast as the gate admits, and slower.
+    // The fastest period that the gate admits, and a slower one.
     let first = config(&WITHIN).gate().unwrap().min_period_ns().div_ceil(SLOT_NS);
     for period in [first + 2 * LOOK, 3 * first] {
         run(&format!("within {period}"), turned(Case { period, looks, edges, ..WITHIN }));

@@ -1,20 +1,20 @@
-//! The ledger on a polled card, judged by a rig that knows every edge, also those that two looks hide between them,
-//! and the moment at which each write took effect.
+//! The ledger on a polled card, judged by a rig that knows every edge.
+//! The rig also knows edges that are hidden between two looks, and when each write took effect.
 //!
 //! A polled card shows levels. Two edges that cancel out between two looks, or three that look like one, leave no
-//! trace; where an inversion falls between them, or the MTC counts mirrored, the MTC's count is then not what the
-//! engine believes. Within the axis's limits (acceleration, hysteresis) it cannot happen; beyond them the engine must
-//! notice that the limits are broken, and latch.
+//! trace. If an inversion falls between them, or the MTC counts mirrored, the engine is wrong about the MTC's count.
+//! Within the axis's limits (acceleration, hysteresis) that cannot happen. Beyond them the engine must notice that the
+//! limits are broken, and latch.
 //!
 //! | class | motion | looks |
 //! |---|---|---|
 //! | random | edges 1 ns to 7.5 µs apart in either direction | up to 1.2 µs apart |
-//! | within | an axis that keeps its limits | within what the gate was told |
-//! | late | the same | now and then far beyond |
-//! | shaky | a scale with a tenth of the hysteresis that was told, an axis with three times the acceleration | within |
-//! | planted | within its limits, but for a pair of edges planted where the engine cannot see it | within |
+//! | within | an axis within its limits | within the configured gaps |
+//! | late | the same | at times far beyond |
+//! | shaky | a scale with a tenth of the configured hysteresis, an axis with three times the acceleration | within |
+//! | planted | within its limits, apart from a pair of edges planted where the engine cannot see it | within |
 //!
-//! `RTEC_POLLED_EDGES` sets how many edges are run through (default 400 000), `RTEC_SEED` with which axes it begins (1).
+//! `RTEC_POLLED_EDGES` sets the number of edges (default 400 000), and `RTEC_SEED` the first axis (default 1).
 
 #![allow(clippy::unwrap_used)]
 
@@ -49,7 +49,7 @@ impl Drive {
         loop {
             if self.motion.now_ns() >= self.until_ns {
                 self.throttle = dice.unit() * 2.0 - 1.0;
-                // From turning round a few counts on to full speed: 10 µs to 50 ms.
+                // Times from a reversal within a few counts to full speed: 10 µs to 50 ms.
                 self.until_ns = self.motion.now_ns() + 10_f64.powf(4.0 + 3.7 * dice.unit());
             }
             if let Some(edge) = self.motion.step(self.throttle) {
@@ -59,18 +59,18 @@ impl Drive {
     }
 }
 
-/// What happened to edges between two looks.
+/// Edges hidden between two looks.
 #[derive(Debug, Default, Clone, Copy)]
 struct Hidden {
-    /// Several edges, nothing of ours between them, both inverters equal: nothing was lost.
+    /// Several edges without an inversion, both inverters equal: nothing was lost.
     harmless: u64,
-    /// Several edges, and an inversion of ours took effect between the same two looks.
+    /// Several edges, and an inversion took effect between the same two looks.
     beside_ours: u64,
     /// Several edges while one inverter was on: the MTC counted them mirrored.
     mirrored: u64,
 }
 
-/// Scale, gates, MTC and computer, in true order.
+/// Scale, XOR gates, MTC and computer, in true order.
 struct Rig {
     class: Class,
     dice: Dice,
@@ -78,7 +78,7 @@ struct Rig {
     next: (u64, i64),
     scale: i64,
     mtc: i64,
-    /// What reaches the MTC: place in the cycle of four.
+    /// Place of the MTC's signals in the cycle of four.
     out: i64,
     illegal: u64,
     edges: u64,
@@ -94,7 +94,7 @@ struct Rig {
     planted: u64,
 }
 
-/// The cycle of the counts contract, positive direction: A and B at a count.
+/// Levels of A and B at each count of the cycle, in the positive direction.
 const CYCLE: [u64; 4] = [0b00, 0b01, 0b11, 0b10];
 
 impl Rig {
@@ -132,7 +132,7 @@ impl Rig {
         CYCLE[(self.scale & 3) as usize]
     }
 
-    /// What the MTC makes of the signals now.
+    /// Lets the MTC's decoder read the signals.
     fn mtc_looks(&mut self) {
         let seen = self.levels() ^ self.outputs & 3;
         let place = CYCLE.iter().position(|&s| s == seen).unwrap() as i64;
@@ -176,7 +176,7 @@ impl Rig {
             };
         }
         if self.flying.is_some_and(|(w, _)| w <= t) {
-            // A pair round the inversion, or after it: nobody can see it.
+            // A pair of edges round the inversion or after it, which nobody can see.
             let plant = self.class == Class::Planted && self.dice.one_in(400);
             let up = if self.dice.one_in(2) { 1 } else { -1 };
             if plant {
@@ -190,7 +190,8 @@ impl Rig {
         }
     }
 
-    /// Asked for at every look, a hundred times an edge: nothing is divided.
+    /// Time to the next look, ns.
+    /// Without a division, because it is drawn at every look, a hundred times an edge.
     fn gap_ns(&mut self) -> u64 {
         let gap = 20 + self.dice.below(self.max_gap_ns as usize - 19) as u64;
         let late = self.class == Class::Late && self.dice.one_in(200_000);
@@ -224,7 +225,7 @@ impl Card for Rig {
 
     fn write(&mut self, mask: u64, value: u64) -> Result<Option<u64>, CardError> {
         let gap = self.gap_ns();
-        // The read of the next look pushes the write out before it.
+        // The read of the next look forces the write out before it.
         let delay = self.dice.within(1, gap - gap / 4);
         self.flying = Some((self.t_ns + delay, self.outputs & !mask | value & mask));
         self.next_gap = Some(gap);
@@ -236,7 +237,7 @@ impl Card for Rig {
     }
 }
 
-/// What a campaign came to.
+/// Totals of a campaign.
 #[derive(Debug, Default)]
 struct Tally {
     edges: u64,
@@ -244,28 +245,29 @@ struct Tally {
     lives: u64,
     latched: BTreeMap<String, u64>,
     hidden: Hidden,
-    /// Lives that ended with an MTC's count that the engine did not know, and no fault.
+    /// Runs that ended with a wrong count of the MTC and no fault.
     unexplained: u64,
-    /// The same, where the only edges that broke the limits were planted out of sight.
+    /// The same, where only the planted edges broke the limits.
     planted_unseen: u64,
     planted: u64,
-    /// Most edges between a lost count and its fault.
+    /// Most edges from a lost count to its fault.
     longest_edges: u64,
-    /// Counts that were lost and came back before a fault was latched: the MTC was wrong meanwhile, in silence.
+    /// Counts that were lost and came back before a fault was latched.
+    /// The MTC was wrong meanwhile, unnoticed.
     healed: u64,
     illegal: u64,
 }
 
-/// Homed at this place, corrections on.
-/// What the MTC counts beyond the scale is zero from here.
+/// Homes the axis in its present place and enables corrections.
+/// The difference of MTC and scale is zero from here on.
 fn arm(engine: &mut Engine, rig: &mut Rig) {
     let mut quiet = |_: Event| true;
     engine.take(Request::Clear, rig, &mut quiet).unwrap();
     engine.start_homed(rig, &mut quiet).unwrap();
 }
 
-/// One axis for `edges` edges.
-/// After each fault it is cleared, homed and armed again.
+/// Runs one axis for `edges` edges.
+/// After each fault it is cleared, homed and enabled again.
 fn campaign(class: Class, seed: u64, edges: u64, tally: &mut Tally) {
     let mut dice = Dice::new(seed ^ 0x5eed);
     let accel = 10_f64.powf(5.5 + 1.5 * dice.unit());
@@ -284,7 +286,7 @@ fn campaign(class: Class, seed: u64, edges: u64, tally: &mut Tally) {
         ..AxisConfig::default()
     };
     let config = if class == Class::Random {
-        // As an ideal computer that is none.
+        // Configured as an ideal computer, which it is not.
         AxisConfig { max_accel_counts_s2: 1e6, hysteresis_counts: 0.05, ..told }
     } else {
         AxisConfig { detect_ns: 3 * max_gap_ns, write_ns: 2 * max_gap_ns, guard_ns: 50, ..told }
@@ -321,7 +323,7 @@ fn campaign(class: Class, seed: u64, edges: u64, tally: &mut Tally) {
                 }
                 tally.lives += 1;
                 tally.insertions += engine.status().axes[0].insertions;
-                // A new engine, as after a restart: the inverters as they stand, the total that it noted.
+                // A new engine, as after a restart: it takes the inverters as they are and the noted total.
                 engine = Engine::new(&mut rig, &[config], machine, &[known]).unwrap();
                 arm(&mut engine, &mut rig);
                 base = rig.mtc - rig.scale;
@@ -335,7 +337,7 @@ fn campaign(class: Class, seed: u64, edges: u64, tally: &mut Tally) {
             engine.take(ask, &mut rig, &mut |_| true).unwrap();
         }
     }
-    // The last life: what is lost and was not latched has no excuse but that nothing could be seen.
+    // In the last run, a lost count without a fault is allowed only where nothing could be seen.
     tally.lives += 1;
     tally.insertions += engine.status().axes[0].insertions;
     if lost_at.is_some() && !engine.status().axes[0].faults.any() {
@@ -396,12 +398,12 @@ fn an_axis_within_its_limits_balances() {
     let tally = run(Class::Within, 8);
     assert_eq!((tally.unexplained, tally.healed), (0, 0));
     assert!(tally.insertions > 1000, "{tally:?}");
-    // An edge beside an inversion is all that may be unsure: with `rest` it comes when it likes.
+    // Only an edge beside an inversion may be uncertain, because with `rest` it comes at any time.
     assert!(tally.latched.keys().all(|kind| kind == "OrderUnknown"), "{tally:?}");
 }
 
-/// Four counts from rest within one late look look like none.
-/// The edges that follow are then too quick for an axis at rest.
+/// Four counts from rest within one late look are not seen.
+/// The following edges are then too early for an axis at rest.
 #[test]
 fn late_looks_are_latched() {
     let tally = run(Class::Late, 8);
@@ -418,7 +420,7 @@ fn a_scale_that_is_not_what_was_told_balances_or_is_latched() {
     assert!(tally.latched.contains_key("BeyondLimits"), "{tally:?}");
 }
 
-/// What remains possible in theory: edges that break the limits where nobody looks, and never anywhere else.
+/// The only way left to lose a count: hidden edges beyond the limits.
 #[test]
 fn a_pair_planted_out_of_sight_is_the_only_way_to_lose_a_count() {
     let tally = run(Class::Planted, 8);

@@ -1,4 +1,4 @@
-//! The thread's loop between the link and the card: how requests and looks take turns. No time is measured.
+//! The thread's loop: how requests and looks alternate. No time is measured.
 
 #![allow(clippy::unwrap_used)]
 
@@ -11,23 +11,23 @@ use rtec_rt::link::{ControlEnd, REQUESTS, RtEnd, link};
 use rtec_rt::thread::{ThreadOptions, Turns, run, spawn};
 use std::ops::ControlFlow;
 
-/// What the loop did to the card.
+/// An access of the loop to the card.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Did {
-    /// A look that might have waited for a line until this time, ns, and the time it began, ns.
+    /// A look: when it began, ns, and until when it might have waited for a line, ns.
     Look { at_ns: u64, wait_until_ns: u64 },
-    /// A write: here only the hold line is ever written, by a request that changes it.
+    /// A write of the hold line, after a request that changes it.
     Write,
 }
 
-/// A card at rest that writes down what is done to it. Every look takes 1 µs.
+/// A card at rest that records its accesses. Every look takes 1 µs.
 #[derive(Default)]
 struct Diary {
     t_ns: u64,
     outputs: u64,
     did: Vec<Did>,
     ends: Option<CardError>,
-    /// The look of this number panics.
+    /// Number of the look that panics.
     panics_at: Option<usize>,
 }
 
@@ -80,7 +80,8 @@ fn a_full_ring_is_taken_one_request_a_look() {
     assert!(writes.iter().all(|n| *n <= 1), "more than one request between two looks: {writes:?}");
 }
 
-/// A panic in the loop: the fault is latched and reported, feed hold is written, and the end is told.
+/// A panic in the loop latches and reports the fault and writes feed hold.
+/// The end is reported too.
 #[test]
 fn a_panic_is_a_fault_and_holds_the_machine() {
     let folder = tempfile::tempdir().unwrap();
@@ -118,7 +119,7 @@ fn requests_sent_before_the_stop_are_taken_and_answered() {
 fn no_look_waits_while_requests_may_be_there() {
     let (engine, card, mut control, rt) = start();
     for _ in 0..REQUESTS {
-        // Refused: nothing else wakes the engine.
+        // A refused request, so that nothing else wakes the engine.
         control.send(Request::Home { axis: 5, position_counts: 0, controller_homed: true }).unwrap();
     }
     control.stop();
@@ -135,8 +136,8 @@ fn no_look_waits_while_requests_may_be_there() {
     assert!(waits[REQUESTS..].contains(&true), "a card may sleep when there are none");
 }
 
-/// A status every millisecond.
-/// A control side that was silent for longer than it may be is told then, and one that is back.
+/// A status is published every millisecond, and silence is found with it.
+/// The return of the control side is reported in the same way.
 #[test]
 fn a_status_is_published_every_millisecond_and_silence_is_noticed_with_it() {
     const MS: u64 = 1_000_000;
@@ -159,7 +160,7 @@ fn a_status_is_published_every_millisecond_and_silence_is_noticed_with_it() {
     until(2 * MS - 1000);
     assert_eq!(seen(&mut control), (MS, vec![]));
     control.beat();
-    // Noticed at 2 ms: silent from there on.
+    // The sign of life is noticed at 2 ms, and silence counts from there.
     until(5 * MS);
     assert_eq!(seen(&mut control), (5 * MS, vec![]), "for as long as it may be");
     until(6 * MS);
@@ -169,13 +170,14 @@ fn a_status_is_published_every_millisecond_and_silence_is_noticed_with_it() {
     assert_eq!(seen(&mut control), (7 * MS, vec![EventKind::ControlStale(false)]));
 }
 
-/// Asked to end, with an insertion under way: it is finished first, and a request that was sent before is taken.
+/// A request to end waits for the insertion under way.
+/// It also waits for the requests that were sent before.
 #[test]
 fn the_end_waits_for_the_insertion_under_way_and_for_the_requests_sent_before() {
     let (mut engine, mut card, mut control, rt) = start();
     engine.start_homed(&mut card, &mut |_| true).unwrap();
     let mut turns = Turns::new(engine, card, rt, u64::MAX);
-    // At rest for 1000 µs, and then two inversions 1 µs and more apart: the first in the turn that publishes.
+    // 1000 µs at rest, then two inversions at least 1 µs apart, the first in the turn that publishes a status.
     control.send(Request::Correct { axis: 0, total_counts: 2, large: false }).unwrap();
     while turns.engine().at_rest() {
         assert_eq!(turns.turn(), ControlFlow::Continue(()));
@@ -200,7 +202,7 @@ fn a_card_that_fails_is_the_reason_of_the_end_and_one_that_has_ended_is_none() {
     }
 }
 
-/// As an ordinary thread: a mock may be armed, a card that drives a real machine may not.
+/// In an ordinary thread a mock may be armed, a real card may not.
 #[test]
 fn a_real_card_is_armed_by_nothing_less_than_a_verified_set_up() {
     for (real, mode) in [(false, Mode::Run), (true, Mode::Disabled)] {

@@ -1,7 +1,8 @@
-//! What the real-time thread notices of those who read the daemon: its latencies quiet, and with clients and a scrape.
+//! The real-time thread's latencies, quiet and with clients and a scrape.
 //!
-//! `cargo bench -p rtec-tests --bench clients [-- SECONDS]`, ten seconds a column. Prints, asserts nothing. A daemon of its own
-//! for each column, on the embedded simulated axes, correcting; the record of commands is on, as always.
+//! `cargo bench -p rtec-tests --bench clients [-- SECONDS]`, ten seconds a column. It prints and asserts nothing. Each
+//! column has a daemon of its own on the embedded simulated axes, with corrections on. The record of commands is on, as
+//! always.
 
 use rtec_tests::clients::{Clients, Exporter};
 use rtec_tests::daemon::Daemon;
@@ -10,7 +11,7 @@ use std::time::{Duration, Instant};
 
 const CLIENTS: usize = 30;
 
-/// Who reads the daemon meanwhile.
+/// Clients that read the daemon during a measurement.
 struct Load {
     name: &'static str,
     clients: usize,
@@ -55,7 +56,7 @@ fn row(name: &str, cells: impl IntoIterator<Item = String>) {
     println!();
 }
 
-/// The status at the end, and how many answers the clients had.
+/// The status at the end, and the number of answers to the clients.
 fn measured(load: &Load, time: Duration) -> anyhow::Result<(Value, u64)> {
     let directory = tempfile::tempdir()?;
     let socket = directory.path().join("s");
@@ -65,7 +66,7 @@ fn measured(load: &Load, time: Duration) -> anyhow::Result<(Value, u64)> {
     let exporter = load.scraped.then(|| Exporter::start(&socket)).transpose()?;
     let (begun, mut total) = (Instant::now(), 0);
     while begun.elapsed() < time {
-        // Something to insert all the time.
+        // Always something to insert.
         total = if total == 0 { 40 } else { 0 };
         daemon.expect(0, &["correct", "x", &total.to_string()]);
         if let Some(exporter) = &exporter {

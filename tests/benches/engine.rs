@@ -1,6 +1,7 @@
-//! What the engine costs: TSC cycles of a step beside those of LinuxCNC's encoder in the same run, and replay.
+//! Cost of an engine step in TSC cycles, beside LinuxCNC's encoder, and replay.
 //!
-//! `cargo bench -p rtec-tests --bench engine`. Prints, asserts nothing. LinuxCNC where it is installed.
+//! `cargo bench -p rtec-tests --bench engine`. It prints and asserts nothing. LinuxCNC's encoder is measured in the
+//! same run, where it is installed.
 
 use rtec_driver::card::CardError;
 use rtec_driver::quadrature::State;
@@ -11,7 +12,7 @@ use rtec_tests::judge::LinuxCnc;
 use rtec_tests::workload::{Motion, Workload};
 use std::time::Instant;
 
-/// Calls that are timed one by one.
+/// Number of calls that are timed one by one.
 const CALLS: usize = 1_000_000;
 
 fn main() -> anyhow::Result<()> {
@@ -35,7 +36,7 @@ fn main() -> anyhow::Result<()> {
     replay_speed()
 }
 
-/// A function's time, the measuring itself taken off.
+/// A function's times, without the cost of the measurement.
 struct Times {
     p50: f64,
     p99: f64,
@@ -51,7 +52,7 @@ impl Times {
     }
 }
 
-/// Times every call as HAL does: a reading of the counter before and one after.
+/// Times every call as HAL does: the counter is read before and after it.
 fn timed(mut step: impl FnMut() -> Result<(), CardError>) -> anyhow::Result<Times> {
     let (mut each, mut empty) = (Vec::with_capacity(CALLS), Vec::with_capacity(CALLS));
     for _ in 0..CALLS {
@@ -65,7 +66,8 @@ fn timed(mut step: impl FnMut() -> Result<(), CardError>) -> anyhow::Result<Time
     Ok(Times::of(each, empty))
 }
 
-/// LinuxCNC's counter as HAL times it, flat out, fed an edge per call on each channel.
+/// LinuxCNC's counter as HAL times it, called without a pause.
+/// It gets an edge per call on each channel.
 fn linuxcnc() -> anyhow::Result<Times> {
     anyhow::ensure!(cfg!(target_arch = "x86_64"), "HAL measures in TSC cycles");
     let mut judge = LinuxCnc::new()?;
@@ -79,7 +81,7 @@ fn linuxcnc() -> anyhow::Result<Times> {
     Ok(Times { p50: f64::from(cycles.p50) - empty, p99: f64::from(cycles.p99) - empty })
 }
 
-/// The same step a thousand at a time: what the loop as a whole pays for it.
+/// Times the same step in batches of a thousand, as the loop as a whole has it.
 fn batches() -> anyhow::Result<()> {
     const BATCH: u64 = 1000;
     const BATCHES: usize = 5000;

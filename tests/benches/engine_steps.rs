@@ -1,10 +1,10 @@
-//! So many looks of the engine at three axes, or as many as are asked for, and nothing else, for callgrind:
-//! `cargo bench -p rtec-tests --bench engine_steps -- still|moving|correcting N [AXES]`.
+//! Looks of the engine at three axes, and nothing else, for callgrind.
+//! `cargo bench -p rtec-tests --bench engine_steps -- still|moving|correcting N [AXES]` makes N looks.
 
 use rtec_tests::workload::{AXES, Motion, Workload};
 
 fn main() -> anyhow::Result<()> {
-    // Cargo adds `--bench` of its own.
+    // Cargo adds the argument `--bench`.
     let mut arguments = std::env::args().skip(1).filter(|a| a != "--bench");
     let (name, looks, axes) = (arguments.next(), arguments.next(), arguments.next());
     if name.is_none() {
@@ -21,7 +21,7 @@ fn main() -> anyhow::Result<()> {
     anyhow::ensure!((1..=6).contains(&axes), "{axes} axes; from 1 to 6");
     let mut work = Workload::of(*motion, axes)?;
     work.looks(looks.parse()?)?;
-    // Used, so that it was worth computing.
+    // Printed, so that the compiler does not remove the work.
     println!("{}", work.status().polls);
     Ok(())
 }

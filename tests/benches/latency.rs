@@ -1,7 +1,8 @@
-//! Edge to done on a mapped card beside the machine's own floor, measured in the same minute.
+//! Edge to done on a mapped card, beside the machine's own floor.
 //!
-//! `cargo bench -p rtec-tests --bench latency [-- SECONDS]`. Prints, asserts nothing. The floor is an empty polling loop on the
-//! same CPU and priority; `oslat` and `cyclictest` (Debian rt-tests) beside it where they are installed.
+//! `cargo bench -p rtec-tests --bench latency [-- SECONDS]`. It prints and asserts nothing. The floor is an empty
+//! polling loop on the same CPU and priority, in the same minute. `oslat` and `cyclictest` (Debian rt-tests) run beside
+//! it where they are installed.
 
 use rtec_driver::clock::{Clock, Monotonic};
 use rtec_platform::selftest::{Backend, SelftestOptions, run};
@@ -47,7 +48,7 @@ fn main() -> anyhow::Result<()> {
         "  to done less {separations_ns} ns, which are the MTC's: after the edge and between the inversions; {} requests",
         measured.with_requests.requests
     );
-    // What the machine itself allows: an insertion that meets such a gap is late, whatever the engine does.
+    // An insertion that meets such a gap of the machine is late, whatever the engine does.
     let long: u64 = floor.buckets().filter(|b| b.low >= 1000).map(|b| b.count).sum();
     let per_s = long as f64 / (floor.sum() as f64 / 1e9);
     let window_ns = quiet.seen_to_done.p50() as f64;
@@ -55,7 +56,7 @@ fn main() -> anyhow::Result<()> {
         "  floor: {per_s:.0} gaps of 1 µs and more per second, so {:.3} % of insertions of {window_ns:.0} ns meet one",
         100.0 * per_s * window_ns / 1e9
     );
-    // The same rule for both: what is late by a microsecond and more was taken away, by an interrupt or by the host.
+    // The same rule for both: what is late by a microsecond or more was interrupted by the system or the host.
     let late = |s: &Snapshot, less: u64| (s.p999().saturating_sub(less), kept_p999(s, less + TAKEN_AWAY_NS));
     let (floor_all, (floor_kept, floor_share)) = late(&windows, 0);
     let (ours_all, (ours_kept, ours_share)) = late(&quiet.seen_to_done, separations_ns);
@@ -80,10 +81,11 @@ fn main() -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Late by so much, a loop did not run: no instruction of it takes that long, ns.
+/// Delay above which the loop was interrupted, ns.
+/// No instruction of it takes that long.
 const TAKEN_AWAY_NS: u64 = 1000;
 
-/// The 99.9th percentile of what lies below `limit_ns`, and which share does not.
+/// The 99.9th percentile of the values below `limit_ns`, and the share above it.
 fn kept_p999(all: &Snapshot, limit_ns: u64) -> (u64, f64) {
     let kept: u64 = all.buckets().filter(|b| b.low < limit_ns).map(|b| b.count).sum();
     let mut left = kept - kept / 1000;
@@ -126,7 +128,7 @@ fn floor(wanted: Wanted, time: Duration, separation_ns: u64) -> anyhow::Result<(
     Ok((gaps_reader.snapshot(), late_reader.snapshot()))
 }
 
-/// Another program's view of the same CPU, as it prints it.
+/// Another program's measurement of the same CPU, as it prints it.
 fn other(program: &str, arguments: &[&str]) {
     println!("\n{program} {}", arguments.join(" "));
     match Command::new(program).args(arguments).output() {

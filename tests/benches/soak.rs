@@ -3,9 +3,9 @@
 //! A model whose sensor never stops changing, a part table, clients and a scrape load it. Memory, descriptors, threads
 //! and latencies over time are printed, as CSV and as plots.
 //!
-//! `cargo bench -p rtec-tests --bench soak [-- MINUTES]`, three minutes where none are named; `target/soak/` holds `soak.csv` and the
-//! plots. It fails where a count is lost, the MTC sees an illegal state, a fault is latched or the daemon ends; what grows
-//! is for who reads it.
+//! `cargo bench -p rtec-tests --bench soak [-- MINUTES]`, three minutes by default. `target/soak/` gets `soak.csv` and
+//! the plots. It fails where a count is lost, the MTC sees an illegal state, a fault is latched or the daemon ends.
+//! Growth of memory and descriptors is left to the reader to judge.
 
 use anyhow::{Context, ensure};
 use rtec_measure::plot::{Chart, Series, Style};
@@ -19,11 +19,11 @@ use std::time::{Duration, Instant};
 const CLIENTS: usize = 10;
 /// Rows of the table, whatever the soak's length.
 const ROWS: u32 = 60;
-/// An axis that stands, to have the place of a part.
+/// An axis at rest, which gives a part its place.
 const Z: &str = "[[axis]]\nname = 'z'\ncount_um = 1.0\ntravel_mm = 400\nmax_correction_counts = 1000\nwindow_counts = 50\n\
     min_separation_ns = 40000000\nmax_accel_counts_s2 = 9\nhysteresis_counts = 0.2\n\
     lines = { a = 'in4', b = 'in5', invert_a = 'out2', invert_b = 'out3' }\n";
-/// Errors of a cylinder about the place where the machine is: 3 µm at X.
+/// Errors of a cylinder at the machine's place: 3 µm at X.
 const CYLINDER: &str = "1.570796 3 -10 -10 0\n1.570796 3 0 0 0\n1.570796 3 10 10 0\n";
 
 fn main() -> anyhow::Result<()> {
@@ -54,7 +54,7 @@ fn main() -> anyhow::Result<()> {
     let begun = Instant::now();
     for row in 1..=ROWS {
         while begun.elapsed() < length * row / ROWS {
-            // Up and down by 3 K in ten minutes, never at rest.
+            // Up and down by 3 K in ten minutes, without a rest.
             let turns = begun.elapsed().as_secs_f64() / 600.0;
             sensors.set(20.0 + 3.0 * (std::f64::consts::TAU * turns).sin());
             std::thread::sleep(Duration::from_millis(200));
@@ -84,13 +84,13 @@ fn main() -> anyhow::Result<()> {
     Ok(())
 }
 
-/// What was seen, a row each.
+/// The measured rows.
 struct Soak {
     rows: Vec<[f64; 9]>,
     gaps: Buckets,
 }
 
-/// Looks so far by their gap's upper bound, ns.
+/// Number of looks by the upper bound of their gap, ns.
 type Buckets = Vec<(f64, f64)>;
 
 impl Soak {
@@ -175,13 +175,13 @@ fn words(row: &[f64; 9]) -> String {
         .join(",")
 }
 
-/// The upper bound below which this share lies.
+/// Upper bound of the gaps below which this share lies, ns.
 fn percentile(counts: &Buckets, share: f64) -> f64 {
     let all = counts.last().map_or(0.0, |b| b.1);
     counts.iter().find(|b| b.1 >= share * all).map_or(f64::NAN, |b| b.0)
 }
 
-/// Gaps between looks, as the metrics have them.
+/// Gaps between looks, from the metrics.
 fn gaps(exporter: &Exporter) -> anyhow::Result<Buckets> {
     let text = exporter.scrape()?;
     let mut buckets = Buckets::new();

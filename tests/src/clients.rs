@@ -1,4 +1,4 @@
-//! Who reads a daemon: clients that ask for its status all the time, and a scraper of its metrics.
+//! Load on a daemon: clients that poll its status, and a scraper of its metrics.
 
 use crate::daemon::{program, until};
 use std::io::{BufRead, BufReader, Read, Write};
@@ -20,7 +20,7 @@ pub struct Clients {
 }
 
 impl Clients {
-    /// So many of them on a socket.
+    /// Starts `n` clients on a socket.
     #[must_use]
     pub fn start(n: usize, socket: &Path) -> Self {
         let (stop, answers) = (Arc::<AtomicBool>::default(), Arc::<AtomicU64>::default());
@@ -33,7 +33,7 @@ impl Clients {
         Self { stop, answers, threads }
     }
 
-    /// Answers that they have had so far, all together.
+    /// Number of answers to all clients so far.
     #[must_use]
     pub fn answers(&self) -> u64 {
         self.answers.load(Ordering::Relaxed)
@@ -75,7 +75,7 @@ impl Exporter {
     /// Serves the metrics of a socket's daemon, and waits until it does.
     ///
     /// # Errors
-    /// No port, or the program cannot be run.
+    /// When there is no port, or the program cannot be run.
     pub fn start(socket: &Path) -> std::io::Result<Self> {
         let port = TcpListener::bind("127.0.0.1:0")?.local_addr()?.port();
         let mut command = Command::new(program("rtecctl"));
@@ -85,10 +85,10 @@ impl Exporter {
         Ok(exporter)
     }
 
-    /// The metrics now, with the answer's head.
+    /// Reads the metrics now, with the head of the answer.
     ///
     /// # Errors
-    /// The server is not there.
+    /// When the server does not answer.
     pub fn scrape(&self) -> std::io::Result<String> {
         let mut stream = TcpStream::connect(("127.0.0.1", self.port))?;
         stream.write_all(b"GET /metrics HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n")?;

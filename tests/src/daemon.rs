@@ -1,4 +1,4 @@
-//! A real `rtecd` and a user with `rtecctl`; and a machine at the other end of a card of shared memory.
+//! A real `rtecd`, a user with `rtecctl`, and a machine on a shared-memory card.
 
 use rtec_driver::card::AxisLines;
 use rtec_driver::mapped::Registers;
@@ -14,11 +14,11 @@ use std::sync::{Arc, Mutex, OnceLock, PoisonError, RwLock, RwLockReadGuard, RwLo
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-/// Longest time that anything here may take; nothing is judged by how long it took.
+/// Longest time that anything here may take. No test is judged by its duration.
 const PATIENCE: Duration = Duration::from_secs(60);
 
-/// A program of this workspace, built in the profile of the running test; where there is no cargo, `RTEC_PROGRAMS` names
-/// the directory that holds it.
+/// A program of this workspace, built in the profile of the running test.
+/// Without cargo, `RTEC_PROGRAMS` names the directory that holds it.
 ///
 /// # Panics
 /// When it cannot be built.
@@ -33,10 +33,12 @@ pub fn program(name: &str) -> PathBuf {
         let test = std::env::current_exe().unwrap_or_default();
         let profile = test.ancestors().nth(2).unwrap_or(Path::new("")).to_owned();
         let mut cargo = Command::new(env!("CARGO"));
-        // All at once, as the run of all tests has built them: fewer would want other features of what they stand on.
+        // Builds all at once, as the run of all tests has done. Fewer packages would need other features of their
+        // dependencies.
         cargo.args(["build", "--quiet", "--workspace", "--bins", "--examples"]).current_dir(crate::root());
-        // What cargo tells the running test of its own crate: build scripts that ask for it would be run again, and what hangs on
-        // them built again. What the user told cargo stays: under other settings everything would be another build.
+        // Removes what cargo sets for the running test's crate. Otherwise build scripts that read it run again, and
+        // their dependants are built again. The user's settings for cargo stay, because other settings would make
+        // another build.
         let told = |name: &str| {
             ["CARGO_PKG_", "CARGO_MANIFEST_", "CARGO_CRATE_", "CARGO_BIN_", "CARGO_CFG_"]
                 .iter()
@@ -60,10 +62,10 @@ pub fn program(name: &str) -> PathBuf {
     directory.join(name)
 }
 
-/// Waits until `is` says so.
+/// Waits until `is` returns true.
 ///
 /// # Panics
-/// When it never does.
+/// When it does not within the time limit.
 pub fn until(what: &str, mut is: impl FnMut() -> bool) {
     let begun = Instant::now();
     while !is() {
@@ -79,12 +81,12 @@ pub struct Daemon {
     socket: PathBuf,
     log: Arc<Mutex<String>>,
     reader: Option<JoinHandle<()>>,
-    /// Whose program speaks to it, where that is not ours.
+    /// Copy of `rtecctl` and user that speak to the daemon, where they are not ours.
     speaker: Option<(PathBuf, u32)>,
 }
 
 impl Daemon {
-    /// Starts one and waits until it answers.
+    /// Starts a daemon and waits until it answers.
     ///
     /// # Panics
     /// When it does not start.
@@ -119,7 +121,7 @@ impl Daemon {
         Self::spawn_for(None, command, socket)
     }
 
-    /// The same, spoken to by a user of that number with that copy of `rtecctl`.
+    /// The same, with a copy of `rtecctl` that a user of this number runs.
     ///
     /// # Panics
     /// When it does not start.
@@ -147,13 +149,13 @@ impl Daemon {
         daemon
     }
 
-    /// What it has logged so far.
+    /// The log so far.
     #[must_use]
     pub fn log(&self) -> String {
         self.log.lock().map(|log| log.clone()).unwrap_or_default()
     }
 
-    /// Its control socket.
+    /// The control socket.
     #[must_use]
     pub fn socket(&self) -> &Path {
         &self.socket
@@ -177,10 +179,10 @@ impl Daemon {
         command.output().unwrap_or_else(|e| panic!("{command:?}: {e}"))
     }
 
-    /// Runs `rtecctl` and expects an exit code; returns what was said on both outputs.
+    /// Runs `rtecctl`, expects an exit code, and returns both outputs.
     ///
     /// # Panics
-    /// When the code is another.
+    /// When the exit code differs.
     #[track_caller]
     #[allow(clippy::must_use_candidate)]
     pub fn expect(&self, code: i32, args: &[&str]) -> String {
@@ -191,7 +193,7 @@ impl Daemon {
         text
     }
 
-    /// The status as the JSON document has it.
+    /// The status as a JSON document.
     ///
     /// # Panics
     /// When there is none.
@@ -210,10 +212,10 @@ impl Daemon {
         let _ = Command::new("kill").arg(format!("-{name}")).arg(self.child.id().to_string()).status();
     }
 
-    /// Stops the process until `long_enough` says so.
+    /// Stops the process until `long_enough` returns true.
     ///
     /// # Panics
-    /// When it does not stop, or it is never long enough.
+    /// When it does not stop, or `long_enough` stays false.
     pub fn pause(&self, long_enough: impl FnMut() -> bool) {
         self.signal("STOP");
         let stat = || std::fs::read_to_string(format!("/proc/{}/stat", self.id())).unwrap_or_default();
@@ -222,7 +224,7 @@ impl Daemon {
         self.signal("CONT");
     }
 
-    /// Sends a signal, waits for the end, and gives exit code and log.
+    /// Sends a signal, waits for the end, and returns exit code and log.
     #[allow(clippy::must_use_candidate)]
     pub fn end(mut self, signal: &str) -> (Option<i32>, String) {
         self.signal(signal);
@@ -252,7 +254,7 @@ pub fn user(socket: &Path, args: &[&str]) -> Output {
     command.output().unwrap_or_else(|e| panic!("{command:?}: {e}"))
 }
 
-/// What the machine and its controller at the end of a shared-memory card show.
+/// Counts and outputs at the machine's end of a shared-memory card.
 #[derive(Debug, Default)]
 pub struct FarSideCounts {
     /// The scale's count, counts.
@@ -263,7 +265,7 @@ pub struct FarSideCounts {
     pub illegal: AtomicU64,
     /// Outputs of the card.
     pub outputs: AtomicU64,
-    /// Looks that the machine has taken at its lines.
+    /// Number of the machine's looks at its lines.
     pub looks: AtomicU64,
 }
 
@@ -293,7 +295,7 @@ impl Lines for Box<dyn Lines> {
     }
 }
 
-/// Shared memory as the profile of that name has it.
+/// Shared memory with the registers of the profile `shared-memory`.
 impl Lines for Registers {
     fn outputs(&mut self) -> u64 {
         u64::from(self.read(4, Width::Bits32))
@@ -304,10 +306,10 @@ impl Lines for Registers {
     }
 }
 
-/// One axis at the end of a card: it goes to and fro while it is let.
+/// One axis at the end of a card, which moves to and fro while it may.
 #[derive(Debug)]
 pub struct Machine {
-    /// What machine and controller count, for the test to read.
+    /// Counts of machine and controller, for the test to read.
     pub seen: Arc<FarSideCounts>,
     moving: Arc<AtomicBool>,
     glitch: Arc<AtomicBool>,
@@ -317,8 +319,8 @@ pub struct Machine {
 
 /// Time between two edges.
 ///
-/// Slow, and the separation in [`CONFIG`] long: daemon and controller are ordinary processes here, and each must see
-/// every single change of the other.
+/// It is slow, and the separation in [`CONFIG`] is long. Daemon and controller are ordinary processes here, and each
+/// must see every single change of the other.
 pub const EDGE: Duration = Duration::from_millis(120);
 
 /// A configuration for a [`Machine`]; `CARD` stands for the file of registers.
@@ -388,7 +390,7 @@ impl Machine {
         self.moving.store(on, Ordering::Relaxed);
     }
 
-    /// Flips A and B at once: what a loose plug does.
+    /// Changes A and B at once, as a loose plug does.
     pub fn glitch(&self) {
         self.glitch.store(true, Ordering::Relaxed);
     }
@@ -405,19 +407,19 @@ impl Machine {
         self.seen.illegal.load(Ordering::Relaxed)
     }
 
-    /// Waits until the machine has looked at its lines once from beginning to end.
+    /// Waits until the machine has made one whole look at its lines.
     pub fn look_twice(&self) {
         let from = self.seen.looks.load(Ordering::Acquire);
         until("the machine looks", || self.seen.looks.load(Ordering::Acquire) >= from + 2);
     }
 
-    /// Both inverters of the axis are on.
+    /// Whether both inverters of the axis are on.
     #[must_use]
     pub fn inverted(&self) -> bool {
         self.seen.outputs.load(Ordering::Relaxed) & 3 == 3
     }
 
-    /// One inverter of the axis is on and the other is not: an insertion is under way.
+    /// Whether an insertion is under way: one inverter is on, the other is off.
     #[must_use]
     pub fn halfway(&self) -> bool {
         matches!(self.seen.outputs.load(Ordering::Relaxed) & 3, 1 | 2)
@@ -433,20 +435,22 @@ impl Drop for Machine {
     }
 }
 
-/// Each daemon keeps a CPU busy, and those that drive a [`Machine`] must not look too late.
+/// Lets daemons with a [`Machine`] run alone.
+/// Each daemon keeps a CPU busy, and those with a machine must not look too late.
 static ROOM: RwLock<()> = RwLock::new(());
 
-/// The only daemon of this program.
+/// Waits until no other daemon runs in this program.
 pub fn alone() -> RwLockWriteGuard<'static, ()> {
     ROOM.write().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Beside others: for a daemon that simulates its machine itself.
+/// Runs beside others, for a daemon that simulates its machine itself.
 pub fn among_others() -> RwLockReadGuard<'static, ()> {
     ROOM.read().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// A bench: machine and controller on a card of shared memory, in a directory with the daemon's configuration and socket.
+/// A machine on a shared-memory card, with a directory for its daemon.
+/// The directory has the daemon's configuration and socket.
 #[derive(Debug)]
 pub struct Bench {
     /// The machine at the end of the card.
@@ -461,7 +465,7 @@ impl Default for Bench {
 }
 
 impl Bench {
-    /// With more in its configuration than [`CONFIG`].
+    /// A bench with `more` appended to [`CONFIG`].
     ///
     /// # Panics
     /// When it cannot be set up.
@@ -470,7 +474,8 @@ impl Bench {
         Self::on(&format!("{}{more}", CONFIG.replace("CARD", "card")), |file| Box::new(shared_memory(file)))
     }
 
-    /// With a configuration of its own, and the far side of its card, made from the path of the file of registers.
+    /// A bench with another configuration and another machine's side.
+    /// `card` makes that side from the path of the file of registers.
     ///
     /// # Panics
     /// When it cannot be set up.
@@ -484,13 +489,13 @@ impl Bench {
         Self { machine: Machine::on(card(&file)), directory }
     }
 
-    /// A file of the bench.
+    /// Path of a file of the bench.
     #[must_use]
     pub fn at(&self, name: &str) -> PathBuf {
         self.directory.path().join(name)
     }
 
-    /// How its daemon is started.
+    /// The command that starts its daemon.
     #[must_use]
     pub fn command(&self) -> Command {
         let mut command = Command::new(program("rtecd"));
@@ -504,7 +509,7 @@ impl Bench {
         Daemon::spawn(&mut self.command(), &self.at("s"))
     }
 
-    /// Runs `rtecctl`: exit code, and what was said.
+    /// Runs `rtecctl`; returns its exit code and both outputs.
     #[must_use]
     pub fn user(&self, args: &[&str]) -> (Option<i32>, String) {
         let run = user(&self.at("s"), args);
@@ -519,9 +524,9 @@ impl Bench {
         status["axes"][0].clone()
     }
 
-    /// Sets the axis going, homes it and enables corrections.
+    /// Moves the axis, homes it and enables corrections.
     ///
-    /// A speed is known only from the second edge on; before, every late look is a fault.
+    /// A speed is known only from the second edge on. Before that, every late look is a fault.
     ///
     /// # Panics
     /// When the daemon does not do it.
@@ -537,10 +542,10 @@ impl Bench {
         }
     }
 
-    /// Waits until the scale has given so many edges.
+    /// Waits until the scale has given `n` edges.
     ///
     /// # Panics
-    /// When it stands.
+    /// When the axis is at rest.
     pub fn edges(&self, n: u32) {
         for _ in 0..n {
             let scale = || self.machine.seen.scale.load(Ordering::Relaxed);
@@ -549,7 +554,7 @@ impl Bench {
         }
     }
 
-    /// Asks for a total and waits until it is made.
+    /// Requests a total and waits until it is completed.
     ///
     /// # Panics
     /// When it is refused, or a fault keeps it from being made.
@@ -563,10 +568,10 @@ impl Bench {
         });
     }
 
-    /// The MTC has what the daemon says, and has seen nothing illegal.
+    /// Checks that the MTC has the daemon's total and saw no illegal state.
     ///
     /// # Panics
-    /// When it has not.
+    /// When it differs.
     pub fn balances(&self) {
         until("an insertion is finished", || !self.machine.halfway());
         self.machine.look_twice();
@@ -574,10 +579,10 @@ impl Bench {
         assert_eq!(self.x()["in_effect"], self.machine.offset());
     }
 
-    /// The MTC has so many counts of correction, whether a daemon runs or not.
+    /// Checks that the MTC has this total, whether or not a daemon runs.
     ///
     /// # Panics
-    /// When it has not.
+    /// When it differs.
     pub fn balances_with(&self, counts: i64) {
         until("an insertion is finished", || !self.machine.halfway());
         self.machine.look_twice();

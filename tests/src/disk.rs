@@ -1,4 +1,4 @@
-//! A disk that is soon full.
+//! A small disk that a test can fill.
 
 use std::fs::File;
 use std::io::Write;
@@ -10,7 +10,8 @@ use std::process::Command;
 pub struct SmallDisk(PathBuf);
 
 impl SmallDisk {
-    /// Mounts one of so many kB, in a directory that is made for it; none where nothing can be mounted.
+    /// Mounts a disk of `size_kb` in a new directory.
+    /// Returns `None` where nothing can be mounted.
     ///
     /// # Panics
     /// When the directory cannot be made.
@@ -26,19 +27,19 @@ impl SmallDisk {
         self.0.join("fill")
     }
 
-    /// Leaves no room on it.
+    /// Fills the disk.
     ///
     /// # Panics
-    /// When nothing can be put on it at all.
+    /// When nothing can be written to it.
     pub fn fill(&self) {
         let mut file = File::create(self.filler()).unwrap_or_else(|e| panic!("{}: {e}", self.0.display()));
         while file.write(&[0; 1024]).is_ok_and(|n| n > 0) {}
     }
 
-    /// Takes away what filled it.
+    /// Removes the file that filled it.
     ///
     /// # Panics
-    /// When nothing did.
+    /// When it was not filled.
     pub fn free(&self) {
         std::fs::remove_file(self.filler()).unwrap_or_else(|e| panic!("{}: {e}", self.0.display()));
     }

@@ -1,4 +1,4 @@
-//! The kernel's gpio-sim from outside: lines that are pulled, and levels that are read.
+//! The kernel's gpio-sim from outside: pulls lines and reads levels.
 
 use crate::daemon::Lines;
 use anyhow::Context;
@@ -7,11 +7,11 @@ use std::fs::{self, File};
 use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
 
-/// Makes a simulated chip whose lines have these names; gives its name (`gpiochip0`) and its directory below
-/// `/sys/devices/platform`.
+/// Makes a simulated chip whose lines have these names.
+/// Returns its name (`gpiochip0`) and its directory below `/sys/devices/platform`.
 ///
 /// # Errors
-/// When the module or its configfs is not there.
+/// When the module or its configfs is missing.
 pub fn make_chip(label: &str, lines: &[&str]) -> anyhow::Result<(String, PathBuf)> {
     let device = Path::new("/sys/kernel/config/gpio-sim").join(label);
     let bank = device.join("bank0");
@@ -64,7 +64,7 @@ pub struct GpioSim {
     pulls: [File; 2],
     values: [File; 2],
     shown: Option<State>,
-    /// A' and B', where they are wired back: what they are pulled by, and how they are now.
+    /// Pulls of A' and B' and their present state, where they are wired back.
     back: Option<([File; 2], Option<State>)>,
     active_low: bool,
 }
@@ -107,14 +107,14 @@ fn attribute(directory: &Path, line: u32, name: &str) -> anyhow::Result<File> {
     file.with_context(|| format!("{}", path.display()))
 }
 
-/// Pulls two lines to a state, as far as it differs from what they show.
+/// Pulls two lines to a state, where it differs from the present one.
 fn pull_to(pulls: &[File; 2], shown: &mut Option<State>, state: State) {
     let before = shown.replace(state);
     for (n, pull) in pulls.iter().enumerate() {
         let high = |s: State| s.bits() >> n & 1 == 1;
         if before.is_none_or(|b| high(b) != high(state)) {
             let text: &[u8] = if high(state) { b"pull-up" } else { b"pull-down" };
-            let _ = pull.write_at(text, 0); // an edge that does not come shows as a jump
+            let _ = pull.write_at(text, 0); // a missing edge shows as a jump
         }
     }
 }
@@ -124,7 +124,7 @@ impl Lines for GpioSim {
         let mut outputs = 0;
         for (n, value) in self.values.iter().enumerate() {
             let mut text = [0];
-            // A line that cannot be read is not on: the trial ends with a jump, as it should.
+            // A line that cannot be read counts as off: the trial ends with a jump, as it should.
             let read = value.read_at(&mut text, 0).is_ok();
             let on = if self.active_low { b'0' } else { b'1' };
             outputs |= u64::from(read && text[0] == on) << n;

@@ -1,4 +1,4 @@
-//! Counters that we did not write: they are given the states that the MTC saw and say what they counted.
+//! Counters of other programs, which judge the states at the MTC.
 
 use crate::root;
 use anyhow::{Context, ensure};
@@ -11,14 +11,14 @@ use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
-/// What a judge found.
+/// Result of a judge.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Verdict {
     /// States at which its count was compared.
     pub judged: u64,
-    /// States at which it counted otherwise than due.
+    /// States at which its count was wrong.
     pub wrong: u64,
-    /// The first of these.
+    /// The first wrong count.
     pub first_wrong: Option<WrongCount>,
 }
 
@@ -43,7 +43,8 @@ impl Verdict {
     }
 }
 
-/// Whether the programs of a judge are here; where not, a test says so and ends.
+/// Whether the programs of a judge are installed; where not, the test ends.
+/// The test then says so.
 #[must_use]
 pub fn available(programs: &[&str]) -> bool {
     let missing: Vec<_> = programs.iter().filter(|p| !Path::new("/usr/bin").join(p).exists()).collect();
@@ -66,7 +67,8 @@ pub const LINUXCNC: &[&str] = &["halrun", "halcompile", "gcc"];
 /// Programs that [`sigrok`] runs.
 pub const SIGROK: &[&str] = &["sigrok-cli"];
 
-/// LinuxCNC's `encoder` component, x4, in its own HAL: about a million states a second.
+/// LinuxCNC's `encoder` component (x4) in its own HAL.
+/// It takes about a million states a second.
 #[derive(Debug)]
 pub struct LinuxCnc {
     directory: tempfile::TempDir,
@@ -74,7 +76,7 @@ pub struct LinuxCnc {
     due: BufWriter<File>,
 }
 
-/// TSC cycles of `encoder.update-counters` for three channels, as HAL measured them.
+/// TSC cycles of `encoder.update-counters` for three channels, measured by HAL.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Cycles {
     /// Number of calls measured.
@@ -83,15 +85,16 @@ pub struct Cycles {
     pub p50: i32,
     /// 99th percentile of it.
     pub p99: i32,
-    /// Median of an empty function: what HAL's measuring itself costs, contained in the two above.
+    /// Median of an empty function: the cost of HAL's own measurement.
+    /// The two values above contain it.
     pub empty_p50: i32,
 }
 
 impl LinuxCnc {
-    /// A judge that has been shown nothing yet.
+    /// A judge without any states.
     ///
     /// # Errors
-    /// No temporary files.
+    /// When there are no temporary files.
     pub fn new() -> anyhow::Result<Self> {
         let directory = tempfile::tempdir()?;
         let create = |name| File::create(directory.path().join(name)).map(BufWriter::new);
@@ -102,7 +105,7 @@ impl LinuxCnc {
     /// Shows the next state and the count that is due after it.
     ///
     /// # Errors
-    /// Disk full.
+    /// When the disk is full.
     pub fn show(&mut self, state: State, due: i64) -> anyhow::Result<()> {
         self.states.write_all(&[state.bits()])?;
         Ok(self.due.write_all(&due.to_le_bytes())?)
@@ -124,10 +127,10 @@ impl LinuxCnc {
         Ok((directory, counts))
     }
 
-    /// Lets LinuxCNC count all that was shown, and compares at every state.
+    /// Lets LinuxCNC count all states, and compares at each.
     ///
     /// # Errors
-    /// LinuxCNC did not run.
+    /// When LinuxCNC did not run.
     pub fn verdict(self) -> anyhow::Result<Verdict> {
         let (directory, counts) = self.run(1000)?;
         let mut due = BufReader::new(File::open(directory.path().join("due"))?);
@@ -137,22 +140,23 @@ impl LinuxCnc {
         while due.read_exact(&mut expected).is_ok() {
             counts.read_exact(&mut record).context("LinuxCNC's counts end early")?;
             let counted = i64::from(word(&record, 0));
-            // Its counter starts in state 00 at zero; what the first state itself did to it is no motion.
+            // Its counter starts in state 00 at zero, so the step to the first state is no motion.
             let counted = counted - *start.get_or_insert(counted);
             verdict.take(i64::from_le_bytes(expected), counted);
         }
         Ok(verdict)
     }
 
-    /// Measures the counter itself while it counts what was shown, one call every `period_ns` (1000: flat out).
+    /// Measures the counter while it counts the states.
+    /// It is called every `period_ns` (1000: without a pause).
     ///
     /// # Errors
-    /// LinuxCNC did not run.
+    /// When LinuxCNC did not run.
     pub fn cycles(self, period_ns: u64) -> anyhow::Result<Cycles> {
         let (_directory, counts) = self.run(period_ns)?;
         let counts = std::fs::read(counts)?;
         let column = |n| {
-            // The first two rows hold times of calls before the thread ran smoothly, or none.
+            // The first two rows have no times, or times from before the thread ran smoothly.
             let mut column: Vec<i32> =
                 counts.chunks_exact(12).skip(2).map(|record| word(record, n)).collect();
             column.sort_unstable();
@@ -176,13 +180,15 @@ fn word(record: &[u8], n: usize) -> i32 {
     i32::from_le_bytes(bytes)
 }
 
-/// States that sigrok is given at a time: this version loses references as it works and may end itself after millions.
+/// Largest number of states that sigrok gets at a time.
+/// This version leaks references and may end after millions of states.
 const PIECE: usize = 200_000;
 
-/// sigrok's graycode decoder, given the states one by one: some ten thousand a second.
+/// sigrok's graycode decoder; it takes some ten thousand states a second.
 #[derive(Debug, Default)]
 pub struct Sigrok {
-    /// States not yet judged, with the counts due; the first is the last of the piece before.
+    /// States not judged yet, with the counts due.
+    /// The first one is the last of the part before.
     piece: Vec<(State, i64)>,
     verdict: Verdict,
 }
@@ -191,16 +197,16 @@ impl Sigrok {
     /// Shows the next state and the count that is due after it.
     ///
     /// # Errors
-    /// sigrok did not run, or did not get through the states shown so far.
+    /// When sigrok did not run, or did not finish the states so far.
     pub fn show(&mut self, state: State, due: i64) -> anyhow::Result<()> {
         self.piece.push((state, due));
         if self.piece.len() > PIECE { self.count() } else { Ok(()) }
     }
 
-    /// What it found of all that was shown.
+    /// The verdict on all states.
     ///
     /// # Errors
-    /// As [`Sigrok::show`]; nothing was shown.
+    /// As [`Sigrok::show`], or when there are no states.
     pub fn verdict(mut self) -> anyhow::Result<Verdict> {
         ensure!(!self.piece.is_empty(), "an empty trace");
         if self.piece.len() > 1 || self.verdict.judged == 0 {
@@ -209,13 +215,14 @@ impl Sigrok {
         Ok(self.verdict)
     }
 
-    /// Lets it count the piece, through VCD. Its count is of states, not of times: they follow each other evenly, as it
-    /// works through every nanosecond.
+    /// Lets sigrok count a part of the states, through VCD.
+    /// Its count is of states, not of times. The states follow each other evenly, because it works through every
+    /// nanosecond.
     fn count(&mut self) -> anyhow::Result<()> {
         let directory = tempfile::tempdir()?;
         let vcd = directory.path().join("mtc.vcd");
         let mut file = TraceFile::create(&vcd)?;
-        // It reports a state when the next one comes, and does not see the last: two more edges bring all of ours out.
+        // It reports a state when the next one comes, and never the last. Two more edges make it report all of ours.
         let last = self.piece[self.piece.len() - 1].0;
         let more = [last.next(true), last.next(true).next(true)];
         for (n, state) in self.piece.iter().map(|(state, _)| *state).chain(more).enumerate() {
@@ -228,7 +235,7 @@ impl Sigrok {
             .stdin(Stdio::null())
             .output()
             .context("sigrok-cli")?;
-        // Its exit status is no measure: this version may crash when it ends, after it has printed everything.
+        // Its exit status says nothing: this version may crash at its end, after it has printed everything.
         let printed = String::from_utf8_lossy(&done.stdout);
         let counts: Vec<i64> = printed.lines().filter_map(|l| l.rsplit(' ').next()?.parse().ok()).collect();
         ensure!(
@@ -238,7 +245,7 @@ impl Sigrok {
             self.piece.len(),
             String::from_utf8_lossy(&done.stderr)
         );
-        // It counts from zero in every piece, and the first of a later piece has been judged in the one before.
+        // It counts from zero in every part, and the first state of a later part was judged in the part before.
         let (before, known) = (self.piece[0].1, usize::from(self.verdict.judged > 0));
         for ((_, due), counted) in self.piece.iter().zip(counts).skip(known) {
             self.verdict.take(*due, before + counted);

@@ -1,4 +1,5 @@
-//! What a corrected trace must count, at every state, without counting the corrected trace itself.
+//! The count due at every state of a corrected trace.
+//! It is derived without counting the corrected trace itself.
 
 use anyhow::{Context, bail};
 use rtec_driver::replay::TracePoint;
@@ -15,28 +16,28 @@ pub struct Totals {
     pub inserted: i64,
     /// Number of single inversions, of A or of B.
     pub inversions: u64,
-    /// Insertions by where they were made: the scale's state, which way it last moved, added or subtracted.
+    /// Insertions by phase: the scale's state, its last direction, and the sign.
     pub phases: [u64; 16],
 }
 
 impl Totals {
-    /// How many of the sixteen phases have an insertion, and the fewest in one of all.
+    /// Number of the sixteen phases with an insertion, and the fewest in any phase.
     #[must_use]
     pub fn phases_seen(&self) -> (usize, u64) {
         (self.phases.iter().filter(|n| **n > 0).count(), self.phases.iter().copied().min().unwrap_or(0))
     }
 }
 
-/// Gives each state of the MTC's trace with the count that is due there.
+/// Passes each state of the MTC's trace with the count that is due there to `each`.
 ///
-/// The count is that of the scale plus what the inversions added (NISTIR 4832, Design C). Inverting A adds where A = B
-/// and subtracts elsewhere; inverting B does the opposite.
+/// The count is that of the scale plus the counts of the inversions (NISTIR 4832, Design C). Inverting A adds where A =
+/// B and subtracts elsewhere; inverting B does the opposite.
 ///
-/// Which signals are inverted is the XOR of the two traces, the gates' own law. Any change that the gates cannot
-/// have made, or whose order within one nanosecond is unknown, is an error.
+/// The XOR of the two traces shows which signals are inverted, because the gates are XOR gates. A change that the gates
+/// cannot make is an error. So is one whose order within a nanosecond is unknown.
 ///
 /// # Errors
-/// Unreadable traces; states that no legal inversion explains, with their time; what `each` returns.
+/// Unreadable traces, states that no legal inversion explains (with their time), and errors of `each`.
 pub fn walk(
     scale: impl Iterator<Item = Result<TracePoint, InputError>>,
     mtc: impl Iterator<Item = Result<TracePoint, InputError>>,
@@ -65,7 +66,7 @@ pub fn walk(
         let now = at.state.bits() ^ row.state.bits();
         let flipped = std::mem::replace(&mut inverted, now) ^ now;
         if n == 0 {
-            // The first row shows how the inverters were left, not that they turned.
+            // The first row shows the state of the inverters, not a change.
         } else if flipped == 3 {
             bail!("at {} ns both inverters turn at once", row.t_ns);
         } else if flipped != 0 {
@@ -76,7 +77,7 @@ pub fn walk(
             let adds = a_equals_b == (flipped == 1);
             totals.inserted += if adds { 1 } else { -1 };
             totals.inversions += 1;
-            // The first of a pair: both inverters were alike.
+            // The first inversion of a pair: before it both inverters were alike.
             if matches!(now ^ flipped, 0 | 3) {
                 totals.phases
                     [usize::from(at.state.bits()) << 2 | usize::from(up) << 1 | usize::from(adds)] += 1;

@@ -1,21 +1,21 @@
-//! What only the whole can show, and the counters we did not write that judge it.
+//! Tests of the whole, and counters of other programs that judge it.
 //!
 //! | module | what |
 //! |---|---|
-//! | [`clients`] | who reads a daemon: clients that ask all the time, a scraper of its metrics |
+//! | [`clients`] | clients that poll a daemon's status, and a scraper of its metrics |
 //! | [`daemon`] | a real `rtecd`, a user with `rtecctl`, and a machine at the end of a shared-memory card |
-//! | [`disk`] | a disk that is soon full |
+//! | [`disk`] | a small disk that a test can fill |
 //! | [`pages`] | the commands of README and guide, run as a reader would |
 //! | [`gpio_sim`] | the kernel's simulated GPIO lines, from outside |
 //! | [`judge`] | LinuxCNC's `encoder` component and sigrok's graycode decoder as counters of a trace |
-//! | [`ledger`] | what a corrected trace must count, from the scale's trace and the order of the inversions |
+//! | [`ledger`] | the counts due in a corrected trace, from the scale's trace and the order of the inversions |
 //! | [`sensors`] | two temperature sensors at the end of a line |
-//! | [`workload`] | three axes on a card in memory: what benchmarks time |
+//! | [`workload`] | three axes on a card in memory, which benchmarks time |
 //! | [`machine`] | a two-axis machine with a known error, driven by LinuxCNC, corrected by the engine |
 //! | [`supervisor`] | a service manager that keeps file descriptors, and the trial that kills `rtecd` |
-//! | [`planted`] | corrected traces made without the engine, right ones and wrong ones: the judges' own test |
+//! | [`planted`] | right and wrong corrected traces made without the engine, which test the judges |
 //!
-//! What must not live here: anything that the product needs; the judges take no formula from what they judge.
+//! Nothing that the product needs belongs here. The judges use no formula of the code that they judge.
 
 pub mod clients;
 pub mod daemon;

@@ -1,5 +1,6 @@
-//! A two-axis machine whose controller is LinuxCNC: drives, axes with a known error, scales, the corrector's engine on
-//! a card with virtual time, and the counter card. One servo period at a time, in step with the controller.
+//! A two-axis machine with LinuxCNC as its controller.
+//! It has drives, axes with a known error, scales, the engine on a card with virtual time, and the counter card. It
+//! runs one servo period at a time, in step with the controller.
 
 use anyhow::{Context, ensure};
 use rtec_driver::card::{AxisLines, Card, CardError, MachineLines, Sample};
@@ -23,13 +24,13 @@ pub const COUNT_UM: f64 = 1.0;
 const SERVO_PERIOD_NS: u64 = 1_000_000;
 /// The drive's speed follows its command with this first-order lag.
 const DRIVE_LAG_S: f64 = 0.002;
-/// Motion is worked out in steps of this length, straight inside a step.
+/// Motion is computed in steps of this length, with constant speed within a step.
 const STEP_NS: u64 = 50_000;
-/// What a scale's interpolator has.
+/// Hysteresis of a scale's interpolator, counts.
 const HYSTERESIS_COUNTS: f64 = 0.25;
 
-/// The error of an axis: where the tool is minus what the scale says, over the scale's position p (formats.md:
-/// `scale` and `screw_periodic` with phase 0).
+/// The error of an axis: the tool's position minus the scale's.
+/// It depends on the scale's position p (formats.md: `scale` and `screw_periodic` with phase 0).
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct AxisError {
     /// Scale error, µm per m.
@@ -53,7 +54,8 @@ impl AxisError {
     }
 }
 
-/// A round part for a touch probe: the circle that the tip's centre is on when it touches, (X, Z) in mm.
+/// A round part for a touch probe.
+/// The tip's centre is on this circle when it touches, (X, Z) in mm.
 #[derive(Debug, Clone, Copy)]
 pub struct Round {
     /// Centre of the circle, mm.
@@ -68,21 +70,21 @@ impl Round {
     }
 }
 
-/// What LinuxCNC's machine is for.
+/// What LinuxCNC does on the machine.
 #[derive(Debug, Clone, Copy)]
 pub enum Job {
-    /// Follow a path, the corrector idle.
+    /// Follow a path without correction.
     Plain,
-    /// Follow a path, the corrector knowing the machine's error.
+    /// Follow a path with a corrector that knows the machine's error.
     Correct,
     /// Probe a part; the probe is wired to the corrector and to the controller.
     Probe(Round),
 }
 
-/// What a run on the machine left behind.
+/// Results of a run on the machine.
 #[derive(Debug, Default)]
 pub struct Run {
-    /// Where the tool was at the end of each servo period, mm, from the first motion on.
+    /// Tool position at the end of each servo period, mm, from the first motion on.
     pub tool_mm: Vec<[f64; AXES]>,
     /// The controller's commanded position at the same times, mm.
     pub command_mm: Vec<[f64; AXES]>,
@@ -92,19 +94,20 @@ pub struct Run {
     pub scale_counts: [i64; AXES],
     /// Counts of the counter card at the end.
     pub mtc_counts: [i64; AXES],
-    /// What the corrector says it completed.
+    /// Counts that the corrector reports as completed.
     pub completed: [i64; AXES],
     /// Illegal transitions at the counter card.
     pub illegal: u64,
-    /// Events that the engine refused or latched, as text.
+    /// Requests that the engine refused and faults that it latched, as text.
     pub complaints: Vec<String>,
     /// Number of LinuxCNC's servo periods.
     pub periods: u64,
-    /// Everything the engine said.
+    /// All events of the engine.
     pub events: Vec<Event>,
-    /// Where the scales were when the probe tripped, mm.
+    /// Positions of the scales at each trip of the probe, mm.
     pub trips_mm: Vec<[f64; AXES]>,
-    /// What LinuxCNC itself measured by G38 (#5061 and #5063), mm; filled where the program opens [`PROBE_LOG`].
+    /// Positions that LinuxCNC measured by G38 (#5061 and #5063), mm.
+    /// They are filled where the program opens [`PROBE_LOG`].
     pub controller_trips_mm: Vec<[f64; AXES]>,
 }
 
@@ -120,14 +123,14 @@ enum Change {
     Probe(bool),
 }
 
-/// The file that a program opens by `(PROBEOPEN …)` for what LinuxCNC measures.
+/// File that a program opens by `(PROBEOPEN …)` for LinuxCNC's results.
 pub const PROBE_LOG: &str = "probed.txt";
 /// The corrector's input for the probe.
 const PROBE: u8 = 29;
-/// The probe's contact opens again this far off the surface.
+/// Distance from the surface at which the probe's contact opens again, mm.
 const RELEASE_MM: f64 = 0.05;
 
-/// An axis behind its drive.
+/// An axis with its drive.
 #[derive(Debug, Default)]
 struct Axis {
     speed_mm_s: f64,
@@ -137,8 +140,8 @@ struct Axis {
 }
 
 impl Axis {
-    /// Moves for one servo period and puts the scale's edges down in order of time.
-    /// Returns where it was at the end of each step.
+    /// Moves for one servo period and gives the scale's edges in order of time.
+    /// Returns the position at the end of each step, mm.
     fn period(&mut self, start_ns: u64, command_mm_s: f64, mut edge: impl FnMut(u64, State)) -> Vec<f64> {
         let mut way = vec![self.scale_mm];
         let step_s = STEP_NS as f64 / 1e9;
@@ -168,7 +171,7 @@ impl Axis {
     }
 }
 
-/// Scales, gates and counters, on a virtual clock.
+/// Scales, XOR gates and counters on a virtual clock.
 #[derive(Debug)]
 struct MachineCard {
     now_ns: u64,
@@ -221,7 +224,7 @@ impl Card for MachineCard {
     }
 }
 
-/// Places in the card's file, as `linuxcnc/rtec_machine.c` has them.
+/// Offsets in the card's file, as in `linuxcnc/rtec_machine.c`.
 mod place {
     pub(super) const ASKED: usize = 0x00;
     pub(super) const ANSWERED: usize = 0x04;
@@ -235,7 +238,7 @@ mod place {
 /// Lets LinuxCNC run a program on a machine with `error`.
 ///
 /// # Errors
-/// LinuxCNC did not run, or did not get to the program's end.
+/// When LinuxCNC did not run, or did not get to the program's end.
 pub fn run(program: &str, error: [AxisError; AXES], job: Job) -> anyhow::Result<Run> {
     let directory = tempfile::tempdir()?;
     let card_file = directory.path().join("card");
@@ -363,7 +366,7 @@ impl Machine {
         };
         if matches!(self.job, Job::Correct) {
             for (n, error) in self.error.iter().enumerate() {
-                // The control side knows the machine's error and where the scale is: nearest whole insertion.
+                // The control side knows the error and the scale's position, and requests the nearest whole insertion.
                 let p_mm = self.engine.status().axes[n].position_counts as f64 * COUNT_UM / 1000.0;
                 let total_counts = 2 * (error.at(p_mm) / COUNT_UM / 2.0).round() as i64;
                 let request = Request::Correct { axis: n as u8, total_counts, large: false };
@@ -398,7 +401,7 @@ impl Machine {
         Ok(())
     }
 
-    /// The probe's contact along the way of one period.
+    /// Finds the probe's contact along the way of one period.
     fn touch(&mut self, part: Round, start_ns: u64, ways: &[Vec<f64>]) {
         let at = |step: usize| [0, 1].map(|n| ways[n][step]);
         for step in 1..ways[0].len() {

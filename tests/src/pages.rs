@@ -1,4 +1,5 @@
-//! The commands of a page of Markdown, run as its reader would: in order, by one shell, in an empty folder.
+//! Runs the commands of a page of Markdown as its reader would.
+//! One shell runs them in order, in an empty folder.
 //!
 //! | in a block ```` ```console ```` | meaning |
 //! |---|---|
@@ -7,7 +8,7 @@
 //! | other lines | what it prints, to standard output and standard error |
 //! | `[..]` | anything within a line |
 //! | `...` as a line | any number of lines |
-//! | `$ rtecd …&` | the page's daemon: it is waited for until it answers, and ends with the page |
+//! | `$ rtecd …&` | the page's daemon: the next command waits until it answers, and it ends with the page |
 //!
 //! Blocks of other languages are not run.
 
@@ -21,20 +22,20 @@ use std::process::{Child, ChildStdin, Command, Stdio};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
 use std::time::Duration;
 
-/// Longest time that a command may take; nothing is judged by how long it took.
+/// Longest time that a command may take. No page is judged by its duration.
 const PATIENCE: Duration = Duration::from_secs(600);
-/// What a block may be written in.
+/// Languages that a block may have.
 const LANGUAGES: [&str; 12] =
     ["console", "sh", "toml", "csv", "json", "text", "rust", "ini", "hal", "make", "yaml", "python"];
 
-/// Where a command's output ends.
+/// Marks the end of a command's output.
 const END: &str = "~~~ end of output ~~~";
 
-/// Runs a page's commands with the programs of a folder, in the empty folder `at`: the page as it would be true, with its
-/// `[..]` and `...` where they hold; and how many commands were run.
+/// Runs a page's commands with the programs of a folder, in the empty folder `at`.
+/// Returns the page with the present output and the number of commands. `[..]` and `...` stay where they match.
 ///
 /// # Errors
-/// What cannot be run at all: a block without an end, a command that goes on for ever.
+/// A page that cannot be run: a block without an end, or a command that does not end.
 pub fn run(page: &str, programs: &Path, at: &Path) -> Result<(String, usize), String> {
     let assert = Assert::new().action(Action::Verify);
     let (mut shell, mut commands) = (None, 0);
@@ -43,7 +44,7 @@ pub fn run(page: &str, programs: &Path, at: &Path) -> Result<(String, usize), St
     while let Some((n, line)) = lines.next() {
         push_line(&mut text, line);
         let Some(language) = line.strip_prefix("```") else { continue };
-        // What the book's own index pages have.
+        // The book's own index pages have this block.
         let directive = language == "{toctree}";
         if !directive && !LANGUAGES.contains(&language) {
             return Err(format!("line {}: a block of {language:?}, expected one of {LANGUAGES:?}", n + 1));
@@ -101,7 +102,8 @@ fn push_line(text: &mut String, line: &str) {
     text.push('\n');
 }
 
-/// Judges a page by what [`run`] made of it; `GUIDE=overwrite` writes the page anew.
+/// Compares a page with the result of [`run`].
+/// `GUIDE=overwrite` writes the page instead.
 ///
 /// # Errors
 /// The difference.
@@ -109,11 +111,11 @@ pub fn judge(file: &Path, actual: String) -> Result<(), String> {
     let assert = Assert::new().action_env("GUIDE");
     let expected =
         Data::try_read_from(file, Some(snapbox::data::DataFormat::Text)).map_err(|e| e.to_string())?;
-    // The patterns have been put in already; a page's own words are no patterns.
+    // The patterns are filled in already, so nothing in the page is a pattern.
     assert.try_eq(Some(&"as it runs"), actual.into_data().raw(), expected.raw()).map_err(|e| e.to_string())
 }
 
-/// A shell that commands are given to one by one.
+/// A shell that runs commands one by one.
 struct Shell {
     child: Child,
     input: ChildStdin,
@@ -145,7 +147,7 @@ impl Shell {
         let (Some(mut input), Some(mut pipe)) = (child.stdin.take(), child.stdout.take()) else {
             return Err(std::io::Error::other("no pipes"));
         };
-        // One output for both, in the order in which a terminal would have it.
+        // One output for both, in the order that a terminal shows.
         input.write_all(b"exec 2>&1\n")?;
         let (to, output) = channel();
         std::thread::spawn(move || {
@@ -159,7 +161,7 @@ impl Shell {
         Ok(Self { child, input, output, read: Vec::new() })
     }
 
-    /// What a command prints, with its exit code before it where that is not 0.
+    /// The output of a command, after its exit code where that is not 0.
     fn run(&mut self, command: &str) -> Result<String, String> {
         if let Some(daemon) = command.strip_suffix('&').filter(|c| c.starts_with("rtecd")) {
             self.ask(&format!("{daemon} </dev/null >\"$RTEC_RUN_DIR/rtecd.log\" 2>&1 &"))?;
@@ -190,7 +192,7 @@ impl Shell {
             {
                 self.read = rest.as_bytes().to_vec();
                 let code = code.parse().map_err(|e| format!("exit code {code:?}: {e}"))?;
-                // What does not end its last line has it ended here.
+                // Ends the last line where the command does not.
                 let ended = if printed.is_empty() || printed.ends_with('\n') { "" } else { "\n" };
                 return Ok((code, format!("{printed}{ended}")));
             }
@@ -204,11 +206,11 @@ impl Shell {
 }
 
 impl Drop for Shell {
-    /// The shell, its daemon and whatever else it has started: they are one group.
+    /// Ends the shell, its daemon and all their processes, which are one group.
     fn drop(&mut self) {
         let group = nix::unistd::Pid::from_raw(-(self.child.id() as i32));
         for signal in [nix::sys::signal::Signal::SIGTERM, nix::sys::signal::Signal::SIGKILL] {
-            // Gone already is as good.
+            // An error means that the group has ended already.
             let _ = nix::sys::signal::kill(group, signal);
             for _ in 0..100 {
                 if nix::sys::signal::kill(group, None).is_err() {
@@ -222,7 +224,7 @@ impl Drop for Shell {
     }
 }
 
-/// Every page below a folder, in order.
+/// All pages below a folder, in order.
 #[must_use]
 pub fn below(folder: &Path) -> Vec<std::path::PathBuf> {
     let mut found = Vec::new();
@@ -238,7 +240,7 @@ pub fn below(folder: &Path) -> Vec<std::path::PathBuf> {
     found
 }
 
-/// All that went wrong, a page a paragraph.
+/// All failures as text, one paragraph a page.
 #[must_use]
 pub fn told(wrong: &[(String, String)]) -> String {
     wrong.iter().fold(String::new(), |mut text, (page, why)| {

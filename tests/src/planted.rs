@@ -1,9 +1,10 @@
-//! Corrected traces made without the engine, right ones and, on demand, wrong ones: what shows that a judge judges.
+//! Corrected traces made without the engine, right and wrong ones.
+//! They test the judges.
 
 use rtec_driver::quadrature::State;
 use rtec_driver::replay::TracePoint;
 
-/// What is wrong with a planted trace.
+/// The mistake in a planted trace.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum PlantedFault {
     /// The trace is right.
@@ -16,13 +17,14 @@ pub enum PlantedFault {
     BothAtOnce,
 }
 
-/// Motion with strokes, reversals and a dither at each end, starting at rest in state 00.
+/// Motion with strokes, reversals and a dither at each end.
+/// It starts at rest in state 00.
 #[must_use]
 pub fn motion(edges: usize) -> Vec<TracePoint> {
     let mut at = TracePoint::default();
     let mut points = vec![at];
     for n in 0..edges {
-        // 3000 counts up and 2500 down again; every 16th stretch of 16 edges turns back at each edge.
+        // 3000 counts up and 2500 down. In each 16th group of 16 edges every edge is a reversal.
         let dither = n % 256 < 16;
         let up = if dither { n % 2 == 0 } else { n % 5500 < 3000 };
         at.t_ns += 1100 + pseudo_random(n) % 3000;
@@ -32,13 +34,13 @@ pub fn motion(edges: usize) -> Vec<TracePoint> {
     points
 }
 
-/// Inserts ±2 counts after every `every`-th edge that a long enough pause follows.
+/// Inserts ±2 counts after every `every`-th edge with a long enough pause.
 ///
-/// The order of signs looks random. Returns what the MTC sees, with the count due at each state.
+/// The order of signs looks random. Returns the states at the MTC, with the count due at each.
 ///
-/// Written from the three count tables of NISTIR 4832, Design C, and not from the engine. Where A and B are equal, A
-/// first adds and B first subtracts; elsewhere the opposite. The second inversion follows `separation_ns` after the
-/// first.
+/// It is written from the three count tables of NISTIR 4832, Design C, and not from the engine. Where A and B are
+/// equal, A first adds and B first subtracts; elsewhere the opposite. The second inversion follows `separation_ns`
+/// after the first.
 #[must_use]
 pub fn corrected(
     scale: &[TracePoint],
@@ -93,7 +95,7 @@ fn up_table(from: State, to: State) -> i64 {
     if place(to).map(|p| (p + 3) % 4) == place(from) { 1 } else { -1 }
 }
 
-/// A number that looks random and is the same everywhere (`SplitMix64`'s mixing).
+/// A pseudo-random number that is the same everywhere (`SplitMix64`'s mixing).
 fn pseudo_random(n: usize) -> u64 {
     let mut z = (n as u64 + 1).wrapping_mul(0x9E37_79B9_7F4A_7C15);
     z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);

@@ -1,4 +1,4 @@
-//! Two temperature sensors at the end of a line: T1 reads what it is set to, T2 20 °C.
+//! Two simulated temperature sensors on a line: T1 is adjustable, T2 is 20 °C.
 
 use std::io::Write;
 use std::net::{TcpListener, TcpStream};
@@ -9,18 +9,18 @@ use std::time::Duration;
 /// The sensors, until the process ends.
 #[derive(Debug)]
 pub struct Sensors {
-    /// Where they are read, as a configuration's `from` has it.
+    /// Address of the sensors for `from` in a configuration.
     pub address: String,
-    /// They say nothing while this is set.
+    /// The sensors are silent while this is set.
     pub silent: Arc<AtomicBool>,
     t1: Arc<AtomicU64>,
 }
 
 impl Sensors {
-    /// Starts them, with what T1 reads, °C.
+    /// Starts the sensors with T1 at this temperature, °C.
     ///
     /// # Panics
-    /// When this computer has no port for them.
+    /// When this computer has no free port.
     #[must_use]
     pub fn start(t1_c: f64) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap_or_else(|e| panic!("{e}"));
@@ -36,12 +36,12 @@ impl Sensors {
         sensors
     }
 
-    /// Sets what T1 reads, °C.
+    /// Sets the temperature of T1, °C.
     pub fn set(&self, t1_c: f64) {
         self.t1.store(t1_c.to_bits(), Ordering::Relaxed);
     }
 
-    /// Both as tables of a configuration.
+    /// Both sensors as tables of a configuration.
     #[must_use]
     pub fn config(&self) -> String {
         ["T1", "T2"].map(|name| {

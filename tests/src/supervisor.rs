@@ -1,4 +1,5 @@
-//! A service manager as far as `rtecd` sees one (`sd_notify(3)`, `sd_listen_fds(3)`), and the trial that kills it.
+//! A service manager as `rtecd` sees one, and the trial that kills the daemon.
+//! It follows `sd_notify(3)` and `sd_listen_fds(3)`.
 //!
 //! It listens to the main process only, keeps the descriptors that it is given, and passes them to the next process
 //! under their names. Unlike systemd it has no unit files, no policy and no other services.
@@ -25,35 +26,37 @@ use std::time::{Duration, Instant};
 
 /// The first descriptor that is passed.
 const FIRST: RawFd = 3;
-/// As many as systemd is told to keep (`FileDescriptorStoreMax=`).
+/// Largest number of descriptors in the store, as `FileDescriptorStoreMax=` sets.
 const STORE_MAX: usize = 16;
-/// Longest that anything may take; nothing is judged by how long it took.
+/// Longest time that anything may take. No trial is judged by its duration.
 const PATIENCE: Duration = Duration::from_secs(60);
 
-/// A service manager for one daemon: starts it, listens to it, keeps its descriptors.
+/// A service manager for one daemon.
+/// It starts the daemon, reads its messages and keeps its descriptors.
 #[derive(Debug)]
 pub struct Supervisor {
     directory: tempfile::TempDir,
     socket: OwnedFd,
     store: Vec<(String, OwnedFd)>,
     watchdog: Duration,
-    /// Keeps the low numbers, where the descriptors to be passed go, free of this process's own.
+    /// Keeps low descriptor numbers free of this process's own files.
+    /// The descriptors to be passed get these numbers.
     _low: Vec<File>,
 }
 
-/// The process that it has started.
+/// The running process of the service.
 #[derive(Debug)]
 pub struct Service {
     child: Child,
-    /// `READY=1` has come.
+    /// `READY=1` was received.
     pub ready: bool,
-    /// `STOPPING=1` has come.
+    /// `STOPPING=1` was received.
     pub stopping: bool,
-    /// The last `STATUS=`.
+    /// The last `STATUS=` message.
     pub status: String,
-    /// `WATCHDOG=1` has come so often.
+    /// Number of `WATCHDOG=1` messages.
     pub fed: u64,
-    /// When it came last, or when the process was ready.
+    /// Time of the last one, or when the process was ready.
     pub fed_at: Instant,
 }
 
@@ -61,7 +64,7 @@ impl Supervisor {
     /// Opens the notification socket.
     ///
     /// # Errors
-    /// What the system reports.
+    /// When the system refuses it.
     pub fn new(watchdog: Duration) -> anyhow::Result<Self> {
         let mut low = Vec::new();
         loop {
@@ -80,12 +83,12 @@ impl Supervisor {
         Ok(Self { directory, socket, store: Vec::new(), watchdog, _low: low })
     }
 
-    /// Starts a program with what is in the store.
+    /// Starts a program with the stored descriptors.
     ///
     /// # Errors
     /// When it cannot be started.
     pub fn start(&self, program: &Path, args: &[&str]) -> anyhow::Result<Service> {
-        // The shell knows its own number before it becomes the program.
+        // The shell knows its own process number before it becomes the program.
         let script = "export LISTEN_PID=$$ WATCHDOG_PID=$$; exec \"$0\" \"$@\"";
         let mut command = Command::new("/bin/sh");
         command.args(["-c", script]).arg(program).args(args);
@@ -113,15 +116,15 @@ impl Supervisor {
         Ok(Service { child, ready: false, stopping: false, status: String::new(), fed: 0, fed_at })
     }
 
-    /// The names in the store.
+    /// Names of the stored descriptors.
     pub fn stored(&self) -> impl Iterator<Item = &str> {
         self.store.iter().map(|(name, _)| name.as_str())
     }
 
-    /// Takes every message that has come.
+    /// Takes every message that was received.
     ///
     /// # Errors
-    /// A message that no service may send; a full store.
+    /// A message that no service may send, or a full store.
     pub fn listen(&mut self, service: &mut Service) -> anyhow::Result<()> {
         loop {
             let mut text = [0; 4096];
@@ -147,7 +150,7 @@ impl Supervisor {
                 }
                 (message.bytes, sender, fds)
             };
-            // NotifyAccess=main: the dead predecessor's last words, and anybody else's, are ignored.
+            // As NotifyAccess=main: messages of a dead predecessor or of anybody else are ignored.
             if sender != Some(service.child.id() as i32) {
                 continue;
             }
@@ -193,7 +196,7 @@ impl Supervisor {
         Ok(())
     }
 
-    /// The watchdog would have ended the service by now.
+    /// Whether the watchdog would have ended the service by now.
     #[must_use]
     pub fn starved(&self, service: &Service) -> bool {
         service.ready && service.fed_at.elapsed() > self.watchdog
@@ -210,15 +213,15 @@ impl Service {
     /// Sends a signal.
     ///
     /// # Errors
-    /// When it has ended already.
+    /// When the process has ended already.
     pub fn signal(&self, signal: Signal) -> anyhow::Result<()> {
         kill(Pid::from_raw(self.child.id() as i32), signal).with_context(|| format!("sending {signal}"))
     }
 
-    /// Waits for its end.
+    /// Waits until the process ends.
     ///
     /// # Errors
-    /// What the system reports.
+    /// When the system refuses it.
     pub fn wait(&mut self) -> anyhow::Result<ExitStatus> {
         Ok(self.child.wait()?)
     }
@@ -240,20 +243,21 @@ pub struct Trial {
     pub config: PathBuf,
     /// The daemon's control socket.
     pub socket: PathBuf,
-    /// How often it is killed.
+    /// Number of kills.
     ///
     /// Every fourth kill is aimed: between the two inversions of an insertion.
     pub kills: u32,
-    /// Of the random moments and totals.
+    /// Seed of the random moments and totals.
     pub seed: u64,
-    /// A kill that is not aimed comes within this of the last start; what comes later is the same again.
+    /// Longest time from a start to a kill that is not aimed.
+    /// Later kills would only repeat the same situation.
     pub within: Duration,
 }
 
-/// What a trial has seen without objection.
+/// Counts of a trial without a violation.
 #[derive(Debug, Default)]
 pub struct Tally {
-    /// How often the daemon was killed.
+    /// Number of kills.
     pub kills: u32,
     /// Kills that left the inverters unequal.
     pub halfway: u32,
@@ -261,7 +265,7 @@ pub struct Tally {
     pub inverted: u32,
     /// Faults latched, each as it was reported.
     pub faults: Vec<String>,
-    /// Insertions that the daemons made, all together.
+    /// Insertions of all daemons together.
     pub insertions: u64,
     /// Descriptors in the store at the end.
     pub stored: usize,
@@ -286,13 +290,13 @@ impl Trial {
         }
     }
 
-    /// Runs the trial. `say` gets a line per kill.
+    /// Runs the trial. `say` gets a line for each kill.
     ///
     /// # Errors
-    /// The first violation of what must hold.
+    /// The first violation.
     ///
-    /// Violations: an illegal transition at the MTC, a jump between two daemons, a ledger that does not balance without
-    /// a fault, a fault without a cause.
+    /// Violations are an illegal transition at the MTC, a jump between two daemons, a ledger that does not balance
+    /// without a fault, and a fault without a cause.
     pub fn run(&self, machine: &Machine, mut say: impl Write) -> anyhow::Result<Tally> {
         let mut supervisor = Supervisor::new(Duration::from_secs(20))?;
         let mut random = Xoshiro256PlusPlus::seed_from_u64(self.seed);
@@ -301,7 +305,7 @@ impl Trial {
         let socket = self.socket.display().to_string();
         let args = ["--config", &config, "--socket", &socket];
         let mut tally = Tally::default();
-        // The MTC's offset when the axis was homed, and whether the last kill left the inverters unequal.
+        // The MTC's offset at homing, and whether the last kill left the inverters unequal.
         let (mut base, mut cut) = (machine.offset(), false);
         machine.move_axis(true);
         for n in 0..=self.kills {
@@ -323,7 +327,7 @@ impl Trial {
                 );
             }
             tally.faults.extend(faults);
-            // What the dead process had inserted is kept, unless the MTC's count is in doubt: then it is homed too.
+            // The total of the dead process is kept. If the MTC's count is in doubt, it is homed too.
             let controller_homed = n == 0 || cut;
             self.go(controller_homed)?;
             if controller_homed {
@@ -362,7 +366,7 @@ impl Trial {
             tally.faults.extend(self::faults(&self.status()?));
             service.signal(Signal::SIGKILL)?;
             service.wait()?;
-            // What the dead process wrote last has reached the MTC by the machine's next look.
+            // The last write of the dead process has reached the MTC by the machine's next look.
             machine.look_twice();
             cut = machine.halfway();
             let left = machine.offset();
@@ -392,7 +396,7 @@ impl Trial {
         Ok(tally)
     }
 
-    /// Waits for two edges (a speed is known only then), and homes.
+    /// Waits for two edges, which give a speed, and homes.
     fn go(&self, controller_homed: bool) -> anyhow::Result<()> {
         let from = self.status()?.axes[0].position_counts;
         let begun = Instant::now();
@@ -403,7 +407,7 @@ impl Trial {
         self.done(&ClientRequest::Home { axis: None, controller_homed: Some(controller_homed) })
     }
 
-    /// A clean stop with a correction in effect: it stays.
+    /// Stops the daemon cleanly with a correction in effect, which must stay.
     fn park(
         &self,
         supervisor: &mut Supervisor,

@@ -1,4 +1,5 @@
-//! Three axes, or another number, on a card in memory: the work that benchmarks time and whose instructions are counted.
+//! Three axes, or another number, on a card in memory.
+//! Benchmarks time this work, and count its instructions.
 
 use rtec_driver::card::{AxisLines, Card, CardError, MachineLines, Sample};
 use rtec_rt::axis::AxisConfig;
@@ -8,7 +9,7 @@ use rtec_rt::event::{Request, Status};
 /// Axes of the workload, as many as LinuxCNC's counter is measured with.
 pub const AXES: u8 = 3;
 
-/// What the machine does.
+/// Motion of the machine.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Motion {
     /// No line changes.
@@ -20,15 +21,15 @@ pub enum Motion {
 }
 
 impl Motion {
-    /// All of them, with the names that benchmarks print.
+    /// All motions, with the names that benchmarks print.
     pub const ALL: [(&'static str, Self); 3] =
         [("still", Self::Still), ("moving", Self::Moving), ("correcting", Self::Correcting)];
 
-    /// Time from one look to the next and looks from one edge to the next.
+    /// Time between two looks, ns, and looks between two edges.
     const fn pace(self) -> (u64, u64) {
         match self {
             Self::Still => (100, u64::MAX),
-            // Never longer unseen than an insertion needs, or it would be a poll gap.
+            // No gap is longer than an insertion needs, or it would latch a poll gap.
             Self::Moving => (1000, 1),
             Self::Correcting => (100, 32),
         }
@@ -45,7 +46,7 @@ pub struct Workload {
 #[derive(Debug)]
 struct Wires {
     inputs: u64,
-    /// The lines of the axes that there are.
+    /// Mask of the lines of the axes in use.
     wired: u64,
     outputs: u64,
     t_ns: u64,
@@ -61,7 +62,8 @@ impl Card for Wires {
         self.looks += 1;
         if self.looks == self.looks_per_edge {
             self.looks = 0;
-            // Gray code, all axes at once: no table, no loop, so that the count is the engine's.
+            // Gray code of all axes at once. It needs no table or loop, so that the counted instructions are the
+            // engine's.
             let edge = if (self.inputs ^ self.inputs >> 1) & 1 == 0 { 0x11_1111 } else { 0x22_2222 };
             self.inputs ^= edge & self.wired;
         }
@@ -80,18 +82,19 @@ impl Card for Wires {
 }
 
 impl Workload {
-    /// Three homed axes; with [`Motion::Correcting`] a correction without end is asked of each.
+    /// Three homed axes.
+    /// With [`Motion::Correcting`] each has an endless correction.
     ///
     /// # Errors
-    /// The engine does not start.
+    /// When the engine does not start.
     pub fn new(motion: Motion) -> Result<Self, StartError> {
         Self::of(motion, AXES)
     }
 
-    /// The same with so many axes, six at most.
+    /// The same with another number of axes, six at most.
     ///
     /// # Errors
-    /// The engine does not start.
+    /// When the engine does not start.
     pub fn of(motion: Motion, axes: u8) -> Result<Self, StartError> {
         let axis = |n| AxisConfig {
             lines: AxisLines::standard(n, false),
@@ -115,10 +118,10 @@ impl Workload {
         Ok(Self { engine, wires })
     }
 
-    /// So many looks of the engine.
+    /// Makes `n` looks of the engine.
     ///
     /// # Errors
-    /// None from this card.
+    /// None on this card.
     #[inline]
     pub fn looks(&mut self, n: u64) -> Result<(), CardError> {
         for _ in 0..n {
@@ -127,7 +130,7 @@ impl Workload {
         Ok(())
     }
 
-    /// Where the engine has got to.
+    /// The engine's status.
     #[must_use]
     pub fn status(&self) -> Status {
         self.engine.status()
@@ -152,7 +155,7 @@ mod tests {
                 match motion {
                     Motion::Still => assert_eq!((counts, insertions), (0, 0)),
                     Motion::Moving => assert_eq!((counts, insertions), (32_000, 0)),
-                    // The first edges open nothing: there is no period yet.
+                    // The first edges open no insertion, because there is no period yet.
                     Motion::Correcting => {
                         assert!(counts >= 999 && insertions >= 990, "{counts}, {insertions}");
                     }

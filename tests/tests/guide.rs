@@ -1,6 +1,6 @@
-//! README and guide: what they show is what runs here.
+//! README and guide show what their commands print.
 //!
-//! `GUIDE=overwrite` writes the pages anew, `GUIDE_PAGE=fault` runs those of that name.
+//! `GUIDE=overwrite` writes the pages with the present output. `GUIDE_PAGE=fault` runs only the pages of that name.
 
 #![allow(clippy::unwrap_used)]
 
@@ -40,7 +40,7 @@ fn every_command_of_readme_and_guide_prints_what_stands_there() {
         }
     };
     std::thread::scope(|scope| {
-        // Most of a page is waiting.
+        // Twice as many threads as CPUs, because a page mostly waits.
         for _ in 0..2 * std::thread::available_parallelism().map_or(2, usize::from) {
             scope.spawn(worker);
         }

@@ -1,5 +1,5 @@
-//! The engine's short path beside its careful one, whatever is asked of them.
-//! And what a kill leaves in the state file.
+//! The engine's fast path against its full path, for any requests.
+//! It also tests what a kill leaves in the state file.
 
 use super::*;
 use crate::axis::RestPolicy;
@@ -7,7 +7,7 @@ use crate::journal::STORES;
 use proptest::prelude::*;
 use rtec_driver::card::AxisLines;
 
-/// Lines in memory, looked at when the test says.
+/// A card in memory whose looks a test controls.
 #[derive(Debug, Default)]
 struct Lines {
     t_ns: u64,
@@ -31,7 +31,7 @@ impl Card for Lines {
     }
 }
 
-/// What comes before a look: edges of two axes, the machine's own lines, a request.
+/// Events before a look: edges of two axes, the machine's lines, a request.
 #[derive(Debug, Clone, Copy)]
 enum Before {
     Steps(i8, i8),
@@ -82,7 +82,7 @@ fn step(inputs: &mut u64, axis: u8, counts: i8) {
     }
 }
 
-/// An engine, and a second one that takes no fast path at any edge or request.
+/// An engine, and a second one that never takes the fast path.
 #[derive(Debug)]
 struct One {
     engine: Engine,
@@ -156,7 +156,8 @@ impl One {
 }
 
 proptest! {
-    /// An engine with fast paths for edges and totals does what an engine without them does, for any requests.
+    /// An engine with fast paths for edges and totals equals one without them.
+    /// The requests are arbitrary.
     #[test]
     fn calm_edges_change_nothing_whatever_is_asked(
         looks in prop::collection::vec((before(), 100_u64..2000), 1..400),
@@ -193,8 +194,8 @@ fn kept() -> impl Strategy<Value = Before> {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(24))]
 
-    /// A kill between any two stores to the state file leaves the record before or the one after.
-    /// No record is taken for damaged, and feed hold is never on without a reason.
+    /// A kill between two stores to the state file leaves a whole record.
+    /// It is the one before or the one after. No record looks damaged, and feed hold is never on without a reason.
     #[test]
     fn a_kill_at_any_store_is_no_damage(steps in prop::collection::vec((kept(), 100_u64..2000), 1..24)) {
         let folder = tempfile::tempdir().unwrap();

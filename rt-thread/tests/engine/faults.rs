@@ -1,4 +1,4 @@
-//! What is latched, and what the next engine takes over.
+//! Faults that are latched, and the state that the next engine takes over.
 
 use super::*;
 
@@ -15,7 +15,7 @@ fn shadow_mode_counts_everything_and_writes_nothing() {
     let axis = rig.status().axes[0];
     assert_eq!((axis.completed, axis.in_effect, axis.mtc_minus_scale), (6, 0, 0));
     assert_eq!(rig.card.writes, writes);
-    // Arming goes on from what is really there: the jump is requested minus in effect.
+    // After enabling, the axis jumps by the requested total minus the total in effect.
     rig.take(Request::Enable);
     let axis = rig.status().axes[0];
     assert_eq!((axis.requested, axis.completed, axis.in_effect), (6, 0, 0));
@@ -24,7 +24,8 @@ fn shadow_mode_counts_everything_and_writes_nothing() {
     assert!(rig.status().balanced());
 }
 
-/// Wherever the scale has gone meanwhile, the first edge after shadow mode is counted from the lines as they are.
+/// The first edge after shadow mode is counted from the present levels.
+/// The scale may have moved by any number of counts meanwhile.
 #[test]
 fn shadow_mode_may_end_at_any_count() {
     for shadowed in 20..24 {
@@ -56,7 +57,7 @@ fn a_silent_control_side_freezes_corrections_and_is_said() {
     assert_eq!((rig.status().axes[0].completed, rig.status().axes[0].gate), (0, GateState::ControlStale));
     assert_eq!(events, [EventKind::ControlStale(true)]);
     assert_eq!(rig.status().events_lost, 0);
-    // One that nobody takes is counted.
+    // An event that the ring refuses is counted.
     rig.engine.set_control_stale(false, &mut |_| false);
     assert_eq!(rig.status().events_lost, 1);
     rig.step(10);
@@ -107,8 +108,9 @@ fn unequal_inverters_that_no_insertion_explains_are_not_started() {
     assert_eq!(started.err(), Some(StartError::HalfInverted(0)));
 }
 
-/// Dies between the two inversions of an insertion: in every state, upwards and downwards, with the inverters off and
-/// on before it. The successor finishes it, the MTC counts as the scale does again, and the fault is latched.
+/// The process dies between the two inversions of an insertion.
+/// It does so in every state, upwards and downwards, with the inverters off and on before. The next engine finishes the
+/// insertion, the MTC counts as the scale does again, and the fault is latched.
 #[test]
 fn an_insertion_cut_in_two_is_finished_by_the_next_engine_and_latched() {
     for case in 0..16_i64 {
@@ -139,7 +141,7 @@ fn an_insertion_cut_in_two_is_finished_by_the_next_engine_and_latched() {
         let (inverters, odd) = rig.engine.in_effect(0).unwrap();
         assert_eq!((inverters, odd), (lines.inverters(rig.card.outputs), total + sign / 2));
 
-        // Another process, on the same card.
+        // Another process on the same card.
         let Rig { mut card, .. } = rig;
         let machine = MachineConfig { lines: MachineLines::standard(), may_arm: true };
         let mut engine = Engine::new(&mut card, &[AxisConfig::default()], machine, &[odd]).unwrap();
@@ -190,7 +192,7 @@ fn what_the_card_finds_is_latched_where_it_belongs() {
         assert_eq!((status.mode, status.axes[0].homed), (Mode::Fault, false), "{fault:?}");
         assert_eq!(status.axes[0].faults.iter().collect::<Vec<_>>(), [fault]);
         assert_eq!((rig.faults(), rig.card.outputs & HOLD), (vec![fault], HOLD));
-        // On a line of no axis it is the machine's.
+        // On a line of no axis the fault is the machine's.
         let mut rig = Rig::running(windowed());
         rig.card.says = trouble(kind, PROBE);
         rig.looks(2);
@@ -206,7 +208,7 @@ fn latches_a_channel_that_does_not_take_its_turn() {
             for keeps_edges in [false, true] {
                 let mut rig = Rig::moved(counts, keeps_edges);
                 rig.correct(40);
-                // The first edge may still go on as before, and is the last that opens an insertion.
+                // The first edge may still be regular, and is the last one that opens an insertion.
                 rig.alone(channel, 15, 250);
                 let (before, faults) = (rig.status().axes[0], rig.faults());
                 assert!(
@@ -233,7 +235,7 @@ fn latches_a_channel_that_does_not_take_its_turn() {
 fn an_axis_that_trembles_over_one_boundary_waits() {
     for keeps_edges in [false, true] {
         let mut rig = Rig::moved(5, keeps_edges);
-        // It stands; one channel changes every 317 µs: no sooner than the axis can turn back.
+        // The axis is at rest. One channel changes every 317 µs, which is no sooner than the axis can turn.
         rig.step(1);
         let channel = if rig.card.count % 2 == 0 { 2 } else { 1 };
         rig.alone(channel, 1, 3170);
@@ -242,7 +244,7 @@ fn an_axis_that_trembles_over_one_boundary_waits() {
         let axis = rig.status().axes[0];
         assert_eq!((rig.faults(), axis.completed, axis.gate), (vec![], 0, GateState::OneChannel));
         assert!(axis.waited_for_gate >= 1000);
-        // It goes on, and everything is inserted.
+        // The axis moves on, and everything is inserted.
         for _ in 0..60 {
             rig.card.count += 1;
             rig.card.inputs = [0, 1, 3, 2][rig.card.count.rem_euclid(4) as usize];

@@ -9,7 +9,7 @@ fn the_probe_captures_between_two_edges_and_corrections_stand_still() {
     rig.take(Request::Probe(true));
     rig.correct(2);
     assert_eq!((rig.refusals(), rig.status().mode), (vec![Refusal::Probing], Mode::Probe));
-    // Looks are 100 ns, counts 10 µs: trip after a quarter of a count.
+    // Looks are 100 ns and counts 10 µs apart. The probe trips after a quarter of a count.
     rig.card.count += 1;
     rig.card.inputs = rig.card.inputs & !3 | [0, 1, 3, 2][rig.card.count.rem_euclid(4) as usize];
     rig.looks(25);
@@ -43,7 +43,8 @@ fn a_trip_before_the_axis_stops_is_reported_as_that() {
     assert_eq!((capture.after, capture.position_counts()), (None, (-2.0, 1.0)));
 }
 
-/// A look that comes late may have read its lines long before: what the next one shows may be as old as the look before both.
+/// The edge at a look may be as old as the look before a late one.
+/// A late look may have read its lines long before the time that it reports.
 #[test]
 fn a_trip_seen_right_after_a_late_look_may_be_as_old_as_the_look_before_it() {
     for (late_ns, early_ns) in [(0, 100), (10_000_000, 10_000_200)] {
@@ -68,14 +69,14 @@ fn an_axis_on_its_way_that_shows_no_change_after_a_late_look_may_have_gone_round
     for (late_ns, latched) in [(1_000_000, false), (10_000_000, true)] {
         let mut rig = Rig::running(windowed());
         rig.step(1);
-        // Four counts later the lines are as they were.
+        // After four counts the lines are as they were.
         rig.card.count += 4;
         rig.card.t_ns += late_ns;
         rig.looks(1);
         assert_eq!(rig.faults().contains(&Fault::PollGap), latched, "{late_ns} ns late");
         assert_eq!(rig.status().mode == Mode::Fault, latched, "{late_ns} ns late");
     }
-    // One that came to rest is not accused.
+    // An axis that came to rest latches no fault.
     let mut rig = Rig::running(windowed());
     rig.step(3);
     rig.looks(1000);
@@ -85,7 +86,7 @@ fn an_axis_on_its_way_that_shows_no_change_after_a_late_look_may_have_gone_round
     assert!(!rig.faults().contains(&Fault::PollGap));
 }
 
-/// The same, asleep until a line changes.
+/// The same card, asleep until a line changes.
 #[derive(Default)]
 struct Sleeper(Bench);
 
@@ -105,9 +106,9 @@ impl Card for Sleeper {
     }
 }
 
-/// The figure that the self-test and the gate go by.
-/// Of a polled card it is the time from look to look, with what the process was kept away; the time before the first
-/// look was the set-up's.
+/// A polled card's latency is the time from look to look.
+/// Self-test and gate use this figure. It includes the time when the process was kept away. The time before the first
+/// look belongs to the set-up.
 #[test]
 fn a_polled_cards_latency_is_the_time_between_two_looks() {
     let mut rig = Rig::with(windowed(), true);
@@ -123,13 +124,14 @@ fn a_polled_cards_latency_is_the_time_between_two_looks() {
     rig.card.says = Some(Sample { waited_ns: 7000, ..Sample::level(0, 0) });
     rig.looks(1);
     assert_eq!(found(&rig), (11, 100, 7100));
-    // The age of an edge that such a card stamps is another figure.
+    // The age of a timestamped edge is another figure.
     rig.card.says = Some(Sample::stamped(0, 0, Some(1)));
     rig.looks(3);
     assert_eq!(found(&rig), (11, 100, 7100));
 }
 
-/// Of a card that sleeps it is the age of an edge when it is seen: how long nothing happened says nothing.
+/// A sleeping card's latency is the age of an edge when it is seen.
+/// The time without an edge is no latency.
 #[test]
 fn a_sleeping_cards_latency_is_the_age_of_an_edge() {
     let config = AxisConfig { lines: AxisLines::standard(0, false), ..windowed() };
@@ -143,7 +145,7 @@ fn a_sleeping_cards_latency_is_the_age_of_an_edge() {
     rig.looks(1);
     let gaps = rig.engine.timing().poll_gap_ns.snapshot();
     assert_eq!((gaps.samples(), gaps.min(), gaps.max()), (1, 42, 42));
-    // Later looks, without an edge.
+    // Later looks without an edge.
     rig.card.0.says = None;
     rig.looks(5);
     assert_eq!(rig.engine.timing().poll_gap_ns.snapshot().samples(), 1);
@@ -151,7 +153,7 @@ fn a_sleeping_cards_latency_is_the_age_of_an_edge() {
 
 #[test]
 fn a_late_look_before_the_second_edge_is_judged_from_rest() {
-    // From rest at 1e6 counts/s² three counts take 2.4 ms: 1 ms is no loss of counts, 10 ms may be.
+    // From rest at 1e6 counts/s² three counts take 2.4 ms. So a gap of 1 ms loses no counts, and one of 10 ms may.
     for (late_ns, latched) in [(1_000_000, false), (10_000_000, true)] {
         let mut rig = Rig::running(windowed());
         rig.step(1);
@@ -172,7 +174,7 @@ fn nothing_is_written_while_a_further_change_is_known() {
     rig.card.says = Some(Sample { more: true, ..Sample::level(0, 0) });
     rig.step(1);
     assert_eq!(rig.card.writes, before);
-    // The last of the queued changes shows where the axis really is: from here on it may be acted on.
+    // The last queued change shows where the axis is. From then on the engine may act.
     rig.card.says = None;
     rig.step(1);
     assert_eq!((rig.card.writes - before, rig.status().axes[0].completed), (2, 2));
@@ -192,7 +194,7 @@ fn a_card_that_counts_for_itself_may_be_looked_at_late() {
 #[test]
 fn the_read_back_waits_for_levels_of_this_very_moment() {
     let mut rig = Rig::wired_back(Bench::default(), windowed());
-    // A' and B' stay as they were: a gate that does not follow. Nobody can tell before they have been read.
+    // A' and B' stay as they were, because the gate does not follow. That is unknown until they are read.
     rig.card.says = Some(Sample { fresh: 0, ..Sample::level(0, 0) });
     rig.step(3);
     rig.correct(2);
@@ -203,7 +205,7 @@ fn the_read_back_waits_for_levels_of_this_very_moment() {
     assert_eq!(rig.faults(), [Fault::ReadBackMismatch]);
 }
 
-/// Gates and receivers that follow after a while: A' and B' as they were `behind_ns` ago.
+/// A card whose A' and B' are those of `behind_ns` ago, as with slow receivers.
 struct Following {
     bench: Bench,
     behind_ns: u64,
@@ -230,7 +232,8 @@ impl Card for Following {
     }
 }
 
-/// A bug once: A' and B' were compared at the first look after a write, and an input filter of a microsecond was a fault.
+/// Regression: an input filter of a microsecond was latched as a fault.
+/// A' and B' were compared at the first look after a write.
 #[test]
 fn a_read_back_that_follows_within_the_mtcs_separation_is_no_fault() {
     for (behind_ns, follows) in [(0, true), (100, true), (400, true), (2_000, false)] {
@@ -240,7 +243,7 @@ fn a_read_back_that_follows_within_the_mtcs_separation_is_no_fault() {
             let total_counts = if n % 40 < 20 { 6 } else { -6 };
             rig.take(Request::Correct { axis: 0, total_counts, large: true });
             rig.card.bench.inputs = [0, 1, 3, 2][n as usize % 4];
-            // An edge every 5 µs, looked at ten times a microsecond.
+            // An edge every 5 µs, and ten looks a microsecond.
             rig.looks(50);
         }
         let (axis, faults) = (rig.status().axes[0], rig.faults());
@@ -252,7 +255,8 @@ fn a_read_back_that_follows_within_the_mtcs_separation_is_no_fault() {
     }
 }
 
-/// The axis stands, or goes on as before: what the machine's own lines say is seen at the look that shows it, both at once too.
+/// The machine's own lines are read at the look that shows them.
+/// That also holds when two of them change at once, at rest and in regular motion.
 #[test]
 fn a_switch_is_seen_though_the_probe_trips_with_it() {
     for lines in [SWITCH, SWITCH | PROBE] {

@@ -1,4 +1,5 @@
-//! The engine as the control side sees it: requests, refusals, faults, modes, homing, probing, shadow.
+//! The engine seen from the control side.
+//! It covers requests, refusals, faults, modes, homing, probing and shadow mode.
 
 #![allow(clippy::unwrap_used)]
 
@@ -19,7 +20,7 @@ const SWITCH: u64 = 1 << 29;
 const READY: u64 = 1 << 30;
 const HOLD: u64 = 1 << 28;
 
-/// A card that a test turns by hand.
+/// A card whose time and lines a test sets by hand.
 #[derive(Default)]
 struct Bench {
     t_ns: u64,
@@ -28,8 +29,8 @@ struct Bench {
     writes: usize,
     broken: bool,
     count: i64,
-    /// What the next looks say beside the levels.
-    /// `fresh` counts as said only with `says`.
+    /// Sample that the next looks return, apart from the levels.
+    /// Without it the `fresh` lines do not count.
     says: Option<Sample>,
 }
 
@@ -54,7 +55,7 @@ impl Card for Bench {
     }
 }
 
-/// An engine on its bench.
+/// An engine with its card.
 struct Rig<C = Bench> {
     engine: Engine,
     card: C,
@@ -68,7 +69,7 @@ impl<C: Card> Rig<C> {
         Self { engine, card, events: Vec::new() }
     }
 
-    /// Homed and enabled, A' and B' wired back.
+    /// An axis homed and enabled, with A' and B' read back.
     fn wired_back(card: C, config: AxisConfig) -> Self {
         let mut rig = Self::on(card, AxisConfig { lines: AxisLines::standard(0, true), ..config }, true);
         rig.engine.start_homed(&mut rig.card, &mut |_| true).unwrap();
@@ -119,7 +120,7 @@ impl Rig {
         Self::on(Bench::default(), AxisConfig { lines: AxisLines::standard(0, false), ..config }, may_arm)
     }
 
-    /// Homed and enabled.
+    /// An axis homed and enabled.
     fn running(config: AxisConfig) -> Self {
         let mut rig = Self::with(config, true);
         rig.take(Request::Home { axis: 0, position_counts: 0, controller_homed: true });
@@ -146,7 +147,7 @@ fn windowed() -> AxisConfig {
 }
 
 impl Rig {
-    /// One channel (1 A, 2 B) changes so many times, every 25 µs or every so many looks of 100 ns.
+    /// Changes one channel (1 A, 2 B) `edges` times, every `looks` looks of 100 ns.
     fn alone(&mut self, channel: u64, edges: usize, looks: usize) {
         for _ in 0..edges {
             self.card.inputs ^= channel;
@@ -154,7 +155,8 @@ impl Rig {
         }
     }
 
-    /// Running, having moved by so many counts, on a card that keeps every edge or on one that looks.
+    /// A running axis that has moved by `counts`.
+    /// Its card keeps every edge, or shows levels only.
     fn moved(counts: i64, keeps_edges: bool) -> Self {
         let mut rig = Self::running(AxisConfig::default());
         if keeps_edges {

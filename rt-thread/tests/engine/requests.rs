@@ -29,7 +29,7 @@ fn i_dont_believe_you_and_back_in_range_within_two_readings() {
         rig.correct(2);
         assert_eq!(rig.refusals(), vec![Refusal::NotBelieved; 1 + late]);
         assert_eq!((rig.status().axes[0].requested, rig.status().mode), (2, Mode::Run));
-        // Believed again: the next doubt starts from the beginning.
+        // A believed request resets the count of doubts.
         rig.correct(50);
         rig.correct(50);
         assert!(rig.faults().is_empty());
@@ -46,7 +46,7 @@ fn i_still_dont_believe_you_holds_the_machine() {
     assert_eq!((rig.status().mode, rig.card.outputs & HOLD), (Mode::Fault, HOLD));
     rig.correct(2);
     assert_eq!(rig.refusals().last(), Some(&Refusal::FaultLatched));
-    // The count is not in doubt: cleared, the axis is still homed, and corrections wait to be enabled.
+    // The count is certain: after `Clear` the axis is still homed, and corrections wait to be enabled.
     rig.take(Request::Clear);
     assert_eq!((rig.status().mode, rig.card.outputs & HOLD), (Mode::Disabled, 0));
     rig.take(Request::Enable);
@@ -98,7 +98,8 @@ fn a_request_while_disabled_is_answered() {
     assert_eq!(rig.status().mode, Mode::Run);
 }
 
-/// A control side that was silent and speaks again, a switch, an MTC that comes back: what came back enables nothing.
+/// A return to normal enables nothing.
+/// The control side is heard again, the disable switch goes off, or the MTC is back.
 #[test]
 fn nothing_that_comes_back_enables_corrections() {
     type Event<'a> = (&'a str, &'a dyn Fn(&mut Rig, bool), OffBecause);
@@ -139,7 +140,8 @@ fn nothing_that_comes_back_enables_corrections() {
     }
 }
 
-/// An MTC that was switched off has forgotten what it counted: until it is homed with the axis, nothing is enabled.
+/// After the MTC was off, nothing is enabled until MTC and axis are homed.
+/// The MTC has lost its count.
 #[test]
 fn an_mtc_that_was_off_has_to_be_homed() {
     for holds in [false, true] {
@@ -179,8 +181,8 @@ fn an_mtc_that_was_off_has_to_be_homed() {
     }
 }
 
-/// Homing the scale alone keeps what the MTC counts.
-/// It counts against the limit, and enabled again nothing moves.
+/// Homing the scale alone keeps the total that the MTC counts.
+/// The total counts against the limit, and nothing moves when corrections are enabled again.
 #[test]
 fn homing_the_scale_alone_keeps_the_total() {
     let config = AxisConfig { max_correction_counts: 10, ..windowed() };
@@ -199,7 +201,7 @@ fn homing_the_scale_alone_keeps_the_total() {
     rig.take(Request::Home { axis: 0, position_counts: 7, controller_homed: true });
     let axis = rig.status().axes[0];
     assert_eq!((axis.in_effect, axis.requested, axis.mtc_minus_scale), (0, 0, 0));
-    // After a fault that puts the count in doubt there is nothing to be kept.
+    // After a fault that puts the count in doubt, no total is kept.
     rig.engine.latch(Some(0), Fault::PollGap, &mut rig.card, &mut |_| true).unwrap();
     rig.take(Request::Clear);
     rig.events.clear();
@@ -207,8 +209,9 @@ fn homing_the_scale_alone_keeps_the_total() {
     assert_eq!(rig.refusals(), [Refusal::ControllerUnknown]);
 }
 
-/// An MTC that takes its zero where the reference mark and A and B are on: with both inverters on it finds it two counts away,
-/// with both off where the scale alone has it.
+/// Inverters shift the place of a reference mark by two counts.
+/// The MTC takes its zero where the mark, A' and B' are on. With both inverters on that place is two counts away. With
+/// both off it is the place that the scale alone has.
 #[test]
 fn a_mark_that_the_mtc_gates_is_found_two_counts_away_under_inverters() {
     let found_at = |total_counts: i64| {
@@ -230,7 +233,8 @@ fn a_mark_that_the_mtc_gates_is_found_two_counts_away_under_inverters() {
     assert_eq!((found_at(2), found_at(6)), (96, 96), "both on");
 }
 
-/// Feed hold that is on when the engine starts stays on, whoever asked for it, until it is released.
+/// Feed hold that is on at the start stays on until it is released.
+/// It does not matter who asked for it.
 #[test]
 fn hold_is_taken_over_from_the_card() {
     let machine = MachineConfig { lines: MachineLines::standard(), may_arm: true };

@@ -2,10 +2,10 @@
 
 use super::*;
 
-/// 4 states × 2 directions × ± insertion × a real edge of either direction at every 25 ns from before the insertion until
-/// after it. Edges come at 100 and 200 µs;
-/// the total is asked for at `ask_ns`, so that the insertion begins at `begin_ns`. Returns overlaps
-/// worked out and runs latched.
+/// A real edge at every point of an insertion, in steps of 25 ns.
+/// It covers 4 states, 2 directions, both signs of the insertion and both directions of the edge. Regular edges come at
+/// 100 and 200 µs. The total is requested at `ask_ns`, so that the insertion begins at `begin_ns`. Returns the overlaps
+/// that were worked out and the faults that were latched.
 fn an_edge_at_every_point(stamps: bool, rest: RestPolicy, ask_ns: u64, begin_ns: u64) -> (u64, Vec<Fault>) {
     let mut worked_out = 0;
     let mut latched = Vec::new();
@@ -53,7 +53,7 @@ fn an_edge_at_every_point(stamps: bool, rest: RestPolicy, ask_ns: u64, begin_ns:
 fn a_real_edge_at_every_point_of_an_insertion_is_worked_out_where_its_order_is_certain() {
     let (worked_out, latched) = an_edge_at_every_point(true, RestPolicy::Wait, 150_000, 200_500);
     assert!(worked_out > 500 && latched.is_empty(), "{worked_out} overlaps worked out");
-    // Polled, from rest, within the axis's limits: two looks tell the order, but for an edge beside an inversion.
+    // Polled, from rest and within the axis's limits, two looks tell the order unless an inversion lies between them.
     let rest = RestPolicy::Insert { after_ns: 400_000 };
     let (worked_out, latched) = an_edge_at_every_point(false, rest, 250_000, 600_000);
     assert!(worked_out > 500, "{worked_out} overlaps worked out");
@@ -64,7 +64,7 @@ fn a_real_edge_at_every_point_of_an_insertion_is_worked_out_where_its_order_is_c
     );
 }
 
-/// Polled, and sooner than its limits allow: where one edge was seen there may have been three.
+/// Polled, an edge beyond the limits is latched, because it may hide two more.
 #[test]
 fn an_edge_inside_an_insertion_that_the_limits_forbid_is_latched() {
     let (worked_out, latched) = an_edge_at_every_point(false, RestPolicy::Wait, 150_000, 200_500);
@@ -72,7 +72,7 @@ fn an_edge_inside_an_insertion_that_the_limits_forbid_is_latched() {
     assert!(latched.contains(&Fault::BeyondLimits) && latched.len() > 1000, "{} latched", latched.len());
 }
 
-/// The general algorithm of NISTIR 4832 in every state and direction, alone.
+/// The algorithm of NISTIR 4832 in every state and direction, without other events.
 #[test]
 fn every_state_direction_and_sign_is_served() {
     for start in 0..4_i64 {
@@ -111,7 +111,7 @@ fn at_rest_the_policy_decides() {
 
 #[test]
 fn no_insertion_while_the_axis_is_too_fast_and_catch_up_afterwards() {
-    // 1 µs a count is too fast for 500 ns separation; then 100 µs a count.
+    // At first 1 µs a count, which is too fast for 500 ns separation, then 100 µs a count.
     let fast = (1..=1000_u64).map(|n| (10_000 + n * 1000, 1));
     let slow = (1..=100_u64).map(|n| (1_010_000 + n * 100_000, 1));
     let config = AxisConfig { max_accel_counts_s2: 0.0, ..AxisConfig::default() };

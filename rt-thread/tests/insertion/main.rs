@@ -1,5 +1,6 @@
-//! The insertion logic against a machine and an MTC of the tests' own making: a card whose looks come late and whose
-//! writes take effect some time after they were ordered, and a decoder that sees edges and inversions in true order.
+//! The insertion logic against a simulated machine and MTC.
+//! The card's looks come late, and its writes take effect some time after they were ordered. The decoder sees edges and
+//! inversions in true order.
 
 #![allow(clippy::unwrap_used)]
 
@@ -13,35 +14,36 @@ use rtec_rt::event::{Event, EventKind, Fault, Request, Status};
 use std::collections::VecDeque;
 use test_needs::motion::Motion;
 
-/// The cycle of the counts contract, positive direction.
+/// Levels of A and B at each count of the cycle, in the positive direction.
 const CYCLE: [(u8, u8); 4] = [(0, 0), (1, 0), (1, 1), (0, 1)];
 
 fn state_at(count: i64) -> (u8, u8) {
     CYCLE[count.rem_euclid(4) as usize]
 }
 
-/// Looks and writes of one computer: how long until the next look, how long before its end the lines are read, how
-/// long after it a write takes effect.
+/// Delays of one computer: times between looks, and from a write to its effect.
 trait Computer {
     fn gap_ns(&mut self) -> u64;
     fn write_ns(&mut self, gap_ns: u64) -> u64;
 }
 
 struct Rig<P> {
-    /// Times and directions of the scale's edges.
+    /// Times, ns, and directions of the scale's edges.
     edges: Vec<(u64, i64)>,
     next: usize,
     scale: i64,
     t_ns: u64,
     outputs: u64,
-    /// A write on its way: (in effect at, outputs).
+    /// A write that is not in effect yet: (in effect at, outputs).
     flying: Option<(u64, u64)>,
-    /// Everything that reached the XOR gates, in true order: (time, scale count, inverters, ours).
+    /// Every change at the XOR gates, in true order.
+    /// The fields are time, scale count, inverters, and whether it is an inversion.
     log: Vec<(u64, i64, u64, bool)>,
     computer: P,
-    /// The card stamps edges, tells them one by one, and knows when a write is in effect.
+    /// The card timestamps edges and reports them one by one.
+    /// It also reports when a write is in effect.
     stamps: bool,
-    /// Stamped edges not yet told: (time, scale count after it).
+    /// Timestamped edges not yet reported: (time, scale count after it).
     untold: VecDeque<(u64, i64)>,
     told: i64,
     next_gap: Option<u64>,
@@ -72,7 +74,7 @@ impl<P: Computer> Rig<P> {
         }
     }
 
-    /// Lets the world run to `t`: edges and the flying write in the order of their times.
+    /// Lets the world run to `t`, with edges and the pending write in true order.
     fn run_to(&mut self, t: u64) {
         while let Some(&(edge, step)) = self.edges.get(self.next).filter(|e| e.0 <= t) {
             if self.flying.is_some_and(|(w, _)| w <= edge) {
@@ -112,7 +114,7 @@ impl<P: Computer> Card for Rig<P> {
             let (a, b) = state_at(self.told);
             return Ok(Sample::stamped(self.t_ns, u64::from(a | b << 1), edge.map(|e| e.0)));
         }
-        // The lines are read somewhere before the end of the look.
+        // The lines are read some time before the end of the look.
         self.run_to(t - gap / 4);
         let (a, b) = state_at(self.scale);
         self.t_ns = t;
@@ -122,7 +124,7 @@ impl<P: Computer> Card for Rig<P> {
     fn write(&mut self, mask: u64, value: u64) -> Result<Option<u64>, CardError> {
         let outputs = self.outputs & !mask | value & mask;
         let gap = self.computer.gap_ns();
-        // The read of the next look pushes the write out before it.
+        // The read of the next look forces the write out before it.
         let delay = self.computer.write_ns(gap).min(gap - gap / 4);
         self.flying = Some((self.t_ns + delay, outputs));
         if self.stamps {
@@ -139,14 +141,14 @@ impl<P: Computer> Card for Rig<P> {
     }
 }
 
-/// What the MTC made of it.
+/// Counts and times at the MTC.
 #[derive(Debug, Default, PartialEq, Eq)]
 struct Seen {
     mtc_minus_scale: i64,
     illegal: u64,
-    /// Shortest time from one of our inversions to its neighbour edge, ns.
+    /// Shortest time from an inversion to its neighbour edge, ns.
     ours_ns: u64,
-    /// Values that MTC − scale had while both inverters were equal.
+    /// Values of MTC − scale while both inverters were equal.
     offsets: Vec<i64>,
 }
 
@@ -207,7 +209,7 @@ fn run<P: Computer>(
     (judge(&rig.log), engine.status(), events)
 }
 
-/// Looks every `look_ns`, writes in effect at once.
+/// A computer with a look every `look_ns`, whose writes are in effect at once.
 struct Steady(u64);
 
 impl Computer for Steady {
@@ -220,7 +222,7 @@ impl Computer for Steady {
     }
 }
 
-/// Looks and writes that take anything up to their limit, from a recorded list of choices.
+/// A computer with varying delays up to their limit, from a list of choices.
 struct Jittery {
     choices: Vec<u16>,
     at: usize,
@@ -244,7 +246,7 @@ impl Computer for Jittery {
     }
 }
 
-/// Edges of an axis that keeps to an acceleration limit, through a scale with hysteresis.
+/// Edges of an axis within an acceleration limit, through a scale with hysteresis.
 fn motion(pieces: &[(i8, u16)], accel_counts_s2: f64, max_speed: f64, hysteresis: f64) -> Vec<(u64, i64)> {
     let mut motion = Motion::new(accel_counts_s2, max_speed, hysteresis);
     let mut edges: Vec<(u64, i64)> = Vec::new();
@@ -270,7 +272,7 @@ fn totals() -> impl Strategy<Value = Vec<(u64, i64)>> {
     })
 }
 
-/// The ledger, the legality and the separation that hold whenever the gate's promise does.
+/// Checks ledger, legality and separation, which hold whenever the gate is right.
 fn assert_kept(seen: &Seen, status: &Status, separation_ns: u64) {
     let axis = &status.axes[0];
     assert!(!axis.faults.any(), "{axis:?}");
@@ -285,7 +287,8 @@ fn assert_kept(seen: &Seen, status: &Status, separation_ns: u64) {
 proptest! {
     #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// Random motion with reversals and dither, random requests, random latencies within the gate's promise.
+    /// Random motion with reversals and dither, random requests, random latencies.
+    /// The latencies stay within the gate's configuration.
     #[test]
     fn the_ledger_balances_within_the_promise(
         pieces in pieces(), totals in totals(), choices in prop::collection::vec(any::<u16>(), 64),
@@ -306,8 +309,8 @@ proptest! {
         prop_assert_eq!(status.axes[0].overlaps, 0);
     }
 
-    /// Latencies far beyond the promise, edges at any moment: the ledger balances or a fault is latched, and an illegal
-    /// state never comes from us.
+    /// With latencies far too long, the ledger balances or a fault is latched.
+    /// Edges come at any moment. An insertion never makes an illegal state.
     #[test]
     fn beyond_the_promise_it_balances_or_is_latched(
         times in prop::collection::vec((1_u64..5000, any::<bool>()), 1..400), totals in totals(),
@@ -326,7 +329,7 @@ proptest! {
         if axis.faults.any() {
             prop_assert!(events.iter().any(|e| matches!(e, EventKind::Fault(_))));
         } else if stamps || times.iter().all(|&(dt, _)| dt > 2 * max_gap_ns) {
-            // Looks further apart can miss a pair of edges that cancel out, with an inversion between them.
+            // Looks further apart can miss two edges that cancel out, with an inversion between them.
             prop_assert_eq!(seen.mtc_minus_scale, axis.completed);
             prop_assert_eq!(axis.mtc_minus_scale, axis.completed);
         }

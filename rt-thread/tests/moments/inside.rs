@@ -1,8 +1,9 @@
-//! Edges beside and inside an insertion, in the order that they had.
+//! Edges beside and inside an insertion, in their true order.
 
 use super::*;
 
-/// Scale and MTC as they really were: changes in the order of their times.
+/// The MTC's count minus the scale's, and its illegal states, from the true order.
+/// `edges` and `writes` are sorted by time.
 fn mtc_beside_scale(start: State, edges: &[(u64, bool)], writes: &[(u64, u64)]) -> (i64, u64) {
     let (mut scale, mut inverters, mut count) = (start, 0, 0);
     let mut mtc = Decoder::new(start);
@@ -22,8 +23,9 @@ fn mtc_beside_scale(start: State, edges: &[(u64, bool)], writes: &[(u64, u64)]) 
     (mtc.count() - count, mtc.illegal())
 }
 
-/// A stamped edge beside an inversion: before its order, after it was in effect, or between, where only an edge of the
-/// same signal leaves no doubt. In every state, either way, beside the first and the second inversion.
+/// A timestamped edge beside an inversion is counted in its true order.
+/// It comes before the order to invert, after the effect, or between them. Between them only an edge of the same signal
+/// leaves no doubt. All states, directions, and both inversions are covered.
 #[test]
 fn a_stamped_edge_beside_an_inversion_is_counted_in_the_order_that_it_had() {
     const BESIDE: [(i64, bool); 5] = [(-30, true), (0, true), (1, false), (20, false), (21, true)];
@@ -36,7 +38,7 @@ fn a_stamped_edge_beside_an_inversion_is_counted_in_the_order_that_it_had() {
             for n in 0..start {
                 rig.stamped(true, 10_000 * (n + 1));
             }
-            // With the inverters on from before, or off.
+            // The inverters are on from an earlier insertion, or off.
             let before = if inverted { 2 } else { 0 };
             rig.correct(before);
             rig.looks(rig.card.t_ns + 20_000);
@@ -60,7 +62,7 @@ fn a_stamped_edge_beside_an_inversion_is_counted_in_the_order_that_it_had() {
                 continue;
             }
             if !second {
-                // Of the two places where the second inversion can end, the one nearer to what was asked for.
+                // The second inversion can end in two places. It ends in the one nearer to the requested total.
                 let half = rig.engine.in_effect(0).unwrap().1;
                 rig.looks(order_ns + 1000);
                 let nearer =
@@ -73,7 +75,8 @@ fn a_stamped_edge_beside_an_inversion_is_counted_in_the_order_that_it_had() {
             assert!(rig.engine.at_rest() && axis.mtc_minus_scale == axis.completed, "{what}: {axis:?}");
             let earlier = (0..start).map(|n| (10_000 * (n + 1), true));
             let edges: Vec<_> = earlier.chain([(edge_ns, up)]).collect();
-            // In effect somewhere between order and answer, where only an edge of the same signal can fall.
+            // An inversion is in effect some time between order and confirmation, where only an edge of the same signal
+            // can fall.
             let landed: Vec<_> = rig.card.writes.iter().map(|(t_ns, out)| (t_ns + 10, *out)).collect();
             let really = mtc_beside_scale(State::default(), &edges, &landed);
             assert_eq!((axis.completed, 0), really, "{what}: {axis:?}");
@@ -147,8 +150,8 @@ fn in_the_middle_of_an_insertion_nothing_is_homed_or_armed() {
     assert_eq!((rig.refusals()[3], rig.events.last().unwrap().axis), (Refusal::NotHomed, Some(0)));
 }
 
-/// What is under way is finished.
-/// Only shadow mode's copy would be thrown away half done.
+/// Corrections can be switched off at any moment, and an insertion is finished.
+/// Only shadow mode refuses while its copy is in the middle of an insertion.
 #[test]
 fn corrections_are_switched_off_at_any_moment_but_for_the_middle_of_a_shadowed_insertion() {
     for (mode, refused) in [(Request::Enable, vec![]), (Request::Shadow, vec![Refusal::Busy])] {

@@ -1,6 +1,7 @@
-//! What happens at exactly which moment: a card whose looks, edges and writes have the times that a test gives them.
+//! The exact times at which the engine acts.
+//! The card's looks, edges and writes have the times that a test gives them.
 //!
-//! The boundaries of the engine's rules stand in its documentation; each is tried at the last nanosecond on either side.
+//! The engine's documentation states the boundaries of its rules. Each is tested at the last nanosecond on either side.
 
 #![allow(clippy::unwrap_used)]
 
@@ -24,17 +25,17 @@ struct Hand {
     t_ns: u64,
     inputs: u64,
     outputs: u64,
-    /// The time of the change that the next look shows, on a card that stamps.
+    /// Time of the change at the next look, ns, on a card with timestamps.
     stamp: Option<u64>,
-    /// Lines on which nothing passes unseen.
+    /// Mask of lines on which no edge passes unseen.
     complete: u64,
-    /// So long after its order a write is in effect, and the card says so.
+    /// Time from order to effect of a write, ns, where the card reports it.
     tells_ns: Option<u64>,
-    /// Time and outputs.
+    /// Time, ns, and outputs of each write.
     writes: Vec<(u64, u64)>,
-    /// Until when the last look might have slept.
+    /// Time until which the last look might have slept, ns.
     wake_ns: u64,
-    /// Looked into at each write.
+    /// State file that is read at each write.
     state_file: Option<PathBuf>,
     noted: Vec<Vec<u8>>,
 }
@@ -71,7 +72,7 @@ struct Rig {
 }
 
 impl Rig {
-    /// Homed and enabled, at 1000 ns.
+    /// An engine homed and enabled at 1000 ns.
     fn new(configs: &[AxisConfig], card: Hand) -> Self {
         let mut card = Hand { t_ns: 1000, ..card };
         let machine = MachineConfig { lines: MachineLines::standard(), may_arm: true };
@@ -80,7 +81,8 @@ impl Rig {
         Self { engine, card, events: Vec::new(), keep: true }
     }
 
-    /// One axis that never accelerates: the next edge comes no sooner than the last did.
+    /// One axis that never accelerates.
+    /// So the next edge comes no sooner than the last did.
     fn steady(config: AxisConfig, card: Hand) -> Self {
         Self::new(&[AxisConfig { max_accel_counts_s2: 0.0, ..one(config) }], card)
     }
@@ -108,14 +110,14 @@ impl Rig {
         engine.poll(card, u64::MAX, report).unwrap();
     }
 
-    /// Looks every 10 ns, the last at `until_ns`.
+    /// Looks every 10 ns, the last one at `until_ns`.
     fn looks(&mut self, until_ns: u64) {
         while self.card.t_ns < until_ns {
             self.look((self.card.t_ns + 10).min(until_ns));
         }
     }
 
-    /// An edge of an axis, in a direction, that a look at this time shows.
+    /// An edge of an axis, which a look at this time shows.
     fn edge_of(&mut self, axis: u8, up: bool, t_ns: u64) {
         let lines = AxisLines::standard(axis, false);
         let next = lines.scale(self.card.inputs).next(up);
@@ -129,7 +131,7 @@ impl Rig {
         self.edge_of(0, up, t_ns);
     }
 
-    /// The same on a card that stamps it at that very time.
+    /// An edge with the time of the look as its timestamp.
     fn stamped(&mut self, up: bool, t_ns: u64) {
         self.card.stamp = Some(t_ns);
         self.edge(up, t_ns);
@@ -145,7 +147,7 @@ impl Rig {
         self.events.iter().filter_map(why).collect()
     }
 
-    /// Times of the writes, ns after `from_ns`.
+    /// Times of the writes after `from_ns`, ns.
     fn written(&self, from_ns: u64) -> Vec<u64> {
         self.card.writes.iter().map(|(t_ns, _)| t_ns - from_ns).collect()
     }
@@ -155,7 +157,7 @@ fn one(config: AxisConfig) -> AxisConfig {
     AxisConfig { lines: AxisLines::standard(0, config.lines.read_back.is_some()), ..config }
 }
 
-/// A card that stamps its edges and tells when a write is in effect: 20 ns after its order.
+/// A card that timestamps edges and reports a write in effect after 20 ns.
 fn stamping() -> Hand {
     Hand { complete: u64::MAX, tells_ns: Some(20), ..Hand::default() }
 }

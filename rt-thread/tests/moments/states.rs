@@ -1,4 +1,4 @@
-//! What a status, a fault and the journal say, at the moment it is so.
+//! Status, faults and journal at the moment of a change.
 
 use super::*;
 
@@ -29,7 +29,7 @@ fn a_status_says_why_an_axis_does_or_does_not_correct() {
     assert_eq!(shown(&rig).0, GateState::Inserting);
     rig.looks(80_002_000);
     assert_eq!(shown(&rig).0, GateState::Done);
-    // One that inserts at rest does not wait for an edge; what it may not do yet it waits for.
+    // An axis that inserts at rest shows what it waits for while its rest time runs.
     let mut rig = Rig::new(&[one(resting(100_000_000))], stamping());
     rig.stamped(true, 10_000);
     rig.correct(2);
@@ -82,7 +82,8 @@ fn what_is_found_outside_the_loop_is_latched_for_its_axis_or_for_the_machine() {
     }
 }
 
-/// Corrected by four, then in shadow mode by two more while the scale goes on: what is really in effect stays four throughout.
+/// Shadow mode leaves the total in effect unchanged.
+/// The axis is corrected by four, then in shadow mode by two more while the scale moves on.
 #[test]
 fn shadow_mode_leaves_what_is_in_effect_as_it_was() {
     let back = AxisLines::standard(0, true);
@@ -121,8 +122,9 @@ fn shadow_mode_leaves_what_is_in_effect_as_it_was() {
     assert!(rig.engine.status().balanced() && rig.faults().is_empty(), "{:?}", rig.faults());
 }
 
-/// A' and B' do not follow, which is found out a separation after the inversion is in effect: at the very look at which the next
-/// insertion is due.
+/// A look that finds a fault holds back the insertion that is due at it.
+/// A' and B' do not follow. That is found one separation after the inversion is in effect, when the next insertion is
+/// due.
 #[test]
 fn a_fault_that_a_look_finds_holds_back_what_is_due_at_it() {
     let config = AxisConfig { lines: AxisLines::standard(0, true), ..resting(510) };
@@ -132,8 +134,8 @@ fn a_fault_that_a_look_finds_holds_back_what_is_due_at_it() {
     assert_eq!((rig.faults(), rig.card.writes.len()), (vec![Fault::ReadBackMismatch], 2));
 }
 
-/// An axis with a fault counts its edges and does no more.
-/// Cleared and armed again it corrects at the next one.
+/// An axis with a fault only counts its edges.
+/// Cleared and enabled again, it corrects at the next edge.
 #[test]
 fn a_cleared_axis_corrects_at_its_next_edge() {
     let mut rig = Rig::steady(AxisConfig { error_counts: 50, ..AxisConfig::default() }, stamping());
@@ -153,7 +155,8 @@ fn a_cleared_axis_corrects_at_its_next_edge() {
     assert_eq!(rig.written(50_000), [500, 1020]);
 }
 
-/// A card that tells, looked at now and then: the first look after the inversion was in effect is enough.
+/// One look after the inversion is in effect finds a wrong read-back.
+/// The card reports when a write is in effect, and looks are rare.
 #[test]
 fn a_read_back_that_does_not_follow_is_found_whenever_one_looks() {
     let config = AxisConfig { lines: AxisLines::standard(0, true), ..resting(5000) };
@@ -180,7 +183,8 @@ fn every_axis_is_told_of_its_own_writes_alone() {
     assert_eq!(rig.card.writes, due);
     assert!(rig.engine.status().axes()[..2].iter().all(|axis| axis.completed == 2));
     assert!(rig.engine.status().balanced());
-    // What one axis writes says nothing of when the other's was in effect: an edge after that is last, beyond doubt.
+    // A write of one axis does not tell when the other axis's write was in effect. An edge after that time is certainly
+    // the last.
     let mut rig = Rig::new(&[config(0, 5000), config(1, 5010)], stamping());
     for axis in [0, 1] {
         rig.take(Request::Correct { axis, total_counts: 2, large: false });
@@ -190,7 +194,7 @@ fn every_axis_is_told_of_its_own_writes_alone() {
     rig.card.stamp = Some(6025);
     rig.edge(false, 6040);
     assert_eq!(rig.faults(), []);
-    // Both at once: one write.
+    // Two axes due at once get one write.
     let mut rig = Rig::new(&[config(0, 5000), config(1, 5000)], Hand::default());
     for axis in [0, 1] {
         rig.take(Request::Correct { axis, total_counts: -2, large: false });
@@ -226,8 +230,8 @@ fn arming_waits_for_the_real_time_set_up() {
     assert_eq!(engine.mode(), Mode::Run);
 }
 
-/// The state file at each write has what that write makes.
-/// And at each look at which a fault is found, the fault.
+/// The state file at each write holds the state after that write.
+/// At each look that finds a fault it holds the fault.
 #[test]
 fn everything_is_noted_before_it_is_made() {
     let folder = tempfile::tempdir().unwrap();
@@ -252,7 +256,7 @@ fn everything_is_noted_before_it_is_made() {
     rig.looks(8000);
     let noted: Vec<_> = rig.card.noted.iter().map(|bytes| found(bytes)).collect();
     assert_eq!(noted, [record(1, 1, None), record(3, 2, None)]);
-    // Homed anew: what is in effect is nothing.
+    // After homing, the total in effect is zero.
     rig.take(Request::Home { axis: 0, position_counts: 0, controller_homed: true });
     assert_eq!(now(), record(3, 0, None));
     rig.take(Request::ConfirmHome { axis: 0, position_counts: 0 });

@@ -1,4 +1,4 @@
-//! When an insertion begins, and what it keeps from edges and writes.
+//! When an insertion begins, and its distance from edges and writes.
 
 use super::*;
 
@@ -10,8 +10,8 @@ fn the_time_that_an_insertion_needs_is_the_sum_of_all_its_delays() {
 
 #[test]
 fn an_insertion_begins_within_the_promise_of_its_gate_and_at_no_other_time() {
-    // Edges 10 µs apart, and so no other before 10 µs have passed; two separations before it the insertion must begin, and one after
-    // the edge it may.
+    // Edges are 10 µs apart, so no other edge comes within 10 µs. The insertion may begin one separation after the
+    // edge, and must begin two separations before the next.
     let guard_ns = 30;
     for (at_ns, begun, late) in [(499, 0, 0), (500, 1, 0), (10_000 - 1030, 1, 0), (10_000 - 1029, 0, 1)] {
         let mut rig = Rig::steady(AxisConfig { guard_ns, ..AxisConfig::default() }, stamping());
@@ -47,7 +47,7 @@ fn what_an_opened_insertion_was_for_may_be_taken_back() {
 
 #[test]
 fn the_shortest_period_of_the_gate_is_long_enough_and_a_nanosecond_less_is_not() {
-    // 500 ns to the edge and twice to an inversion.
+    // 500 ns after the edge and after each of two inversions.
     for (period_ns, begun) in [(1500, 1), (1499, 0)] {
         let mut rig = Rig::steady(AxisConfig::default(), stamping());
         rig.correct(2);
@@ -63,7 +63,7 @@ fn the_shortest_period_of_the_gate_is_long_enough_and_a_nanosecond_less_is_not()
 
 #[test]
 fn the_rate_cap_ends_at_its_very_moment() {
-    // 1000 counts/s: 2 ms from an insertion of two counts to the next.
+    // At 1000 counts/s, insertions of two counts are 2 ms apart.
     for (early_ns, gate) in [(0, GateState::Inserting), (1, GateState::RateCap)] {
         let config = AxisConfig { max_rate_counts_s: 1000.0, ..AxisConfig::default() };
         let mut rig = Rig::steady(config, stamping());
@@ -79,7 +79,7 @@ fn the_rate_cap_ends_at_its_very_moment() {
 
 #[test]
 fn inversions_keep_their_separation_from_edge_and_write_and_no_more() {
-    // Told: in effect after 20 ns. Not told: at the next look, 10 ns on.
+    // A reported write is in effect after 20 ns, an unreported one at the next look, 10 ns later.
     for (tells_ns, after_ns) in [(Some(20), 520), (None, 510)] {
         for total in [2, -2] {
             let mut rig = Rig::steady(AxisConfig::default(), Hand { tells_ns, ..stamping() });
@@ -92,7 +92,7 @@ fn inversions_keep_their_separation_from_edge_and_write_and_no_more() {
             let axis = rig.engine.status().axes[0];
             assert_eq!((axis.completed, axis.insertions, axis.overlaps), (total, 1, 0));
             assert!(axis.inverted, "two inversions leave both inverters on");
-            // From the edge to the last order: once, and in no other figure.
+            // The time from the edge to the last order appears once, and in no other figure.
             rig.stamped(true, 40_000);
             let times = rig.engine.timing().edge_to_done_ns.snapshot();
             assert_eq!((times.samples(), times.min(), times.max()), (1, due[1], due[1]));
@@ -100,8 +100,9 @@ fn inversions_keep_their_separation_from_edge_and_write_and_no_more() {
     }
 }
 
-/// Edges at 20 µs, one of them with an insertion or not.
-/// Then one at `after_ns` from the earliest moment that the last can have come.
+/// Edges 20 µs apart with or without an insertion, then one at `after_ns`.
+/// `after_ns` counts from the earliest time that the last edge can have. Returns the number of early edges and the
+/// faults.
 fn sooner_than_allowed(touched: bool, detect_ns: u64, up: bool, after_ns: u64) -> (u64, Vec<Fault>) {
     let config = AxisConfig { detect_ns, ..AxisConfig::default() };
     let mut rig = Rig::new(&[one(config)], Hand::default());
@@ -121,7 +122,7 @@ fn sooner_than_allowed(touched: bool, detect_ns: u64, up: bool, after_ns: u64) -
 
 #[test]
 fn an_edge_sooner_than_the_limits_allow_is_counted_and_latched_once_something_of_ours_was_made() {
-    // Back over 0.05 counts at 10⁶ counts/s²: √(2·0.05/10⁶) s.
+    // The way back is 0.05 counts at 10⁶ counts/s², which takes √(2·0.05/10⁶) s.
     let turn_back_ns = 316_227;
     for detect_ns in [0, 1000] {
         for touched in [false, true] {
@@ -129,7 +130,7 @@ fn an_edge_sooner_than_the_limits_allow_is_counted_and_latched_once_something_of
             let turn = |after_ns| sooner_than_allowed(touched, detect_ns, false, after_ns);
             assert_eq!(turn(turn_back_ns - detect_ns), (0, vec![]), "{detect_ns} {touched}");
             assert_eq!(turn(turn_back_ns - detect_ns - 1), (1, latched.to_vec()), "{detect_ns} {touched}");
-            // On in the same direction: 20 µs before, and 0.1 µs less is more than it can gain.
+            // In the same direction the last period was 20 µs, and 0.1 µs less is more than the axis can gain.
             let on = |after_ns| sooner_than_allowed(touched, detect_ns, true, after_ns);
             assert_eq!(on(19_990), (0, vec![]), "{detect_ns} {touched}");
             assert_eq!(on(19_900 - detect_ns), (1, latched.to_vec()), "{detect_ns} {touched}");
@@ -192,7 +193,7 @@ fn a_capture_that_finds_no_edge_is_complete_a_tenth_of_a_second_after_the_trip()
         panic!("{:?}", rig.events)
     };
     assert_eq!((capture.trip_ns, capture.before, capture.after), ((1000, 5000), (0, None), None));
-    // Another trip before it is complete is a bounce; an edge is none.
+    // Another trip before the capture is complete is a bounce; an edge is not.
     rig.card.inputs &= !PROBE;
     rig.look(end_ns + 1000);
     rig.edge(true, end_ns + 2000);
@@ -232,7 +233,7 @@ fn at_rest_an_insertion_begins_after_the_quiet_time_where_one_is_asked_for() {
     assert_eq!((rig.card.writes.len(), rig.card.wake_ns), (0, 15_000));
     rig.look(15_000);
     assert_eq!(rig.card.writes.len(), 1);
-    // A silent control side: enabled again, no edge is needed.
+    // After a silent control side and a new `Enable`, no edge is needed.
     let mut rig = Rig::new(&[one(resting(5000))], Hand::default());
     rig.correct(2);
     rig.engine.set_control_stale(true, &mut |_| true);

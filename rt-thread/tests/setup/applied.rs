@@ -1,4 +1,4 @@
-//! What is applied to this machine, and what it says when it cannot be.
+//! Settings applied to this machine, and reports where that fails.
 
 use super::*;
 
@@ -7,7 +7,8 @@ fn is_root() -> bool {
     unsafe { libc::geteuid() == 0 }
 }
 
-/// The settings of the calling thread as the kernel shows them to everybody, by way of `/proc` and not of our report.
+/// The settings of the calling thread as the kernel shows them in `/proc`.
+/// The set-up's own report is not used.
 struct Shown {
     policy: u32,
     rt_priority: u32,
@@ -67,7 +68,7 @@ fn root_gets_everything_that_is_ours_to_apply() {
 #[test]
 fn without_privileges_it_runs_on_and_names_what_is_missing() {
     std::thread::spawn(|| {
-        // By the bare system call, so that this thread alone becomes nobody.
+        // The system call itself, so that only this thread changes its user.
         // SAFETY: three numbers go in, no memory is touched.
         let dropped = unsafe { libc::syscall(libc::SYS_setresuid, 65534, 65534, 65534) } == 0;
         assert!(dropped || !is_root());
@@ -128,7 +129,8 @@ fn impossible_wishes_are_reported_not_fatal() {
     .unwrap();
 }
 
-/// What a new thread is set up to by a tree of files: the real calls, and what the tree says of them.
+/// The report of a new thread set up by a tree of files.
+/// The system calls are real; the files decide what is read back.
 fn applied(root: &Path, priority: u8, before: impl FnOnce() + Send + 'static) -> Report {
     let system = System::at(root);
     std::thread::spawn(move || {
@@ -139,8 +141,9 @@ fn applied(root: &Path, priority: u8, before: impl FnOnce() + Send + 'static) ->
     .unwrap()
 }
 
-/// No device and no state to wake up from: nothing is to be asked for.
-/// With such states the device is missing, and one that cannot be opened is no reason to hope.
+/// Latency is requested only where the CPU has sleep states.
+/// Without device and sleep states nothing is requested. With sleep states, a device that is missing or cannot be
+/// opened is a failure.
 #[test]
 fn wake_up_latency_is_asked_for_where_there_is_something_to_wake_from() {
     let root = ideal();
@@ -157,7 +160,7 @@ fn wake_up_latency_is_asked_for_where_there_is_something_to_wake_from() {
     assert!(unopened.remedy.contains("cpu_dma_latency"));
 }
 
-/// Locked is what the kernel shows as locked, and only where nothing that comes later is left out by a limit.
+/// Memory counts as locked where the kernel shows it and no limit excludes more.
 #[test]
 fn memory_is_locked_when_all_of_it_is_and_the_kernel_shows_it() {
     const LIMITED: &str = "Max locked memory 8388608 8388608 bytes\nMax realtime priority 95 95\n";
@@ -170,7 +173,7 @@ fn memory_is_locked_when_all_of_it_is_and_the_kernel_shows_it() {
         applied(root.path(), 100, || ()).finding("memory_lock").unwrap().clone()
     };
     let all = lock("VmLck:\t    4096 kB\n", None);
-    // Without the right to lock anything the call itself is refused, and said.
+    // Without the right to lock memory, the call itself is refused, and that is reported.
     assert_eq!((all.got.as_str(), all.ok), ("4096 kB locked", all.errno.is_none()));
     assert!(all.ok || !is_root(), "{all:?}");
     let nothing = lock("VmLck:\t       0 kB\n", None);
@@ -180,7 +183,8 @@ fn memory_is_locked_when_all_of_it_is_and_the_kernel_shows_it() {
     assert!(in_part.remedy.contains("unlimited memlock"));
 }
 
-/// A priority that no thread can have leaves the thread as it was: that is what is read back, and it is not what was wanted.
+/// The scheduler in effect is read back, not the wanted one.
+/// A priority that no thread can have leaves the thread as it was.
 #[test]
 fn the_scheduler_that_is_there_is_read_back_by_name() {
     let set = |policy: i32, priority: i32| {

@@ -2,8 +2,8 @@
 
 use super::*;
 
-/// One thing changed on the ideal machine: the finding that must tell, what it reads, whether that forbids arming, and
-/// a word of its remedy.
+/// One change of the ideal machine and the finding that must show it.
+/// The fields are path, content, finding, value read, whether it forbids arming, and a word of its remedy.
 type Case = (&'static str, &'static str, &'static str, &'static str, bool, &'static str);
 
 const CASES: &[Case] = &[

@@ -1,4 +1,5 @@
-//! The set-up of a real-time thread: every finding on a tree of files that looks like a system, and the real thing.
+//! The set-up of a real-time thread, on trees of files and on this machine.
+//! Every finding is tested on a tree of files that looks like a system.
 #![allow(clippy::unwrap_used)] // a test may
 mod applied;
 mod cases;
@@ -7,7 +8,7 @@ use rtec_rt::setup::{Finding, OsError, Report, System, Wanted, apply, leave};
 use std::fs;
 use std::path::Path;
 
-/// A machine on which nothing is left to wish for, with CPU 3 for real time.
+/// An ideal machine that reserves CPU 3 for real time.
 const IDEAL: &[(&str, &str)] = &[
     ("proc/sys/kernel/osrelease", "6.12.48-rt-amd64\n"),
     (
@@ -77,13 +78,13 @@ fn an_ideal_machine_has_no_remedy() {
 fn the_command_line_is_compared_with_what_the_kernel_was_booted_with() {
     for (booted, lacks) in [
         ("quiet isolcpus=managed_irq,domain,3 nohz_full=3 rcu_nocbs=3 irqaffinity=0-2", ""),
-        // More CPUs than this one, and fewer for interrupts, will do.
+        // More CPUs than this one, and fewer for interrupts, are accepted.
         ("isolcpus=domain,managed_irq,2-3 nohz_full=2-3 rcu_nocbs=1-3 irqaffinity=0", ""),
         (
             "isolcpus=3 nohz_full=2 irqaffinity=0-3",
             "isolcpus=managed_irq,domain,3 nohz_full=3 rcu_nocbs=3 irqaffinity=0,1,2",
         ),
-        // The kernel takes the last of two.
+        // The kernel uses the last of two.
         ("nohz_full=3 nohz_full=2 isolcpus=managed_irq,domain,3 rcu_nocbs=3 irqaffinity=0-2", "nohz_full=3"),
     ] {
         let root = ideal();
@@ -180,7 +181,7 @@ fn what_failed_is_said_in_the_kernels_words() {
     assert_eq!(error.to_string(), "open /dev/cpu_dma_latency: Permission denied (os error 13)");
 }
 
-/// Either word will do: the kernel's own, or that of its version.
+/// `PREEMPT_RT` is known by the kernel's own word or by its version.
 #[test]
 fn preempt_rt_is_told_by_the_kernel_or_by_its_version() {
     let (rt, not) =
@@ -204,7 +205,8 @@ fn preempt_rt_is_told_by_the_kernel_or_by_its_version() {
     }
 }
 
-/// `all`, this CPU among others, or among those without a tick: any of them takes the callbacks away.
+/// Three options take the RCU callbacks off a CPU.
+/// They are `all`, a list with this CPU, and `nohz_full` with this CPU.
 #[test]
 fn callbacks_are_taken_off_a_cpu_by_any_of_three_words() {
     for (booted, ok) in [
@@ -222,8 +224,8 @@ fn callbacks_are_taken_off_a_cpu_by_any_of_three_words() {
     }
 }
 
-/// A file that is not there says that the kernel has no such thing.
-/// One that cannot be read says nothing, and is named.
+/// A missing file means that the kernel lacks the feature.
+/// A file that cannot be read means nothing, and is named.
 #[test]
 fn what_is_not_there_is_told_from_what_cannot_be_read() {
     for (path, name, without, fine) in [
@@ -244,7 +246,8 @@ fn what_is_not_there_is_told_from_what_cannot_be_read() {
     }
 }
 
-/// By what the kernel says of its CPU: on a hypervisor its letters are read, nine of them or more, and on none there are none.
+/// The name of a hypervisor is read where the kernel reports one.
+/// The name has nine letters or more. Without a hypervisor there is none.
 #[test]
 fn a_hypervisor_is_named_by_its_letters() {
     let cpuinfo = fs::read_to_string("/proc/cpuinfo").unwrap();

@@ -1,6 +1,6 @@
-//! Time of a whole reconciliation, 5000 rows of 25 channels, by the clock and of all processors together, beside the baseline's on
-//! the same data.
+//! Time of a whole reconciliation: 5000 rows of 25 channels.
 //!
+//! It prints wall-clock time and processor time, beside the baseline's on the same data.
 //! `cargo bench -p rtec-blind [-- ROWS]`
 
 use rand_xoshiro::Xoshiro256PlusPlus;
@@ -12,25 +12,27 @@ use rtec_reconcile::{Options, reconcile};
 use std::path::Path;
 use std::time::Instant;
 
-/// What all threads of this program have had of the processors, s: a machine that is shared says little by the clock on the wall.
+/// Processor time of all threads of this program, s.
+/// On a shared machine it says more than the wall-clock time.
 fn cpu_s() -> anyhow::Result<f64> {
     let used = nix::sys::resource::getrusage(nix::sys::resource::UsageWho::RUSAGE_SELF)?;
     let s = |time: nix::sys::time::TimeVal| time.tv_sec() as f64 + time.tv_usec() as f64 * 1e-6;
     Ok(s(used.user_time()) + s(used.system_time()))
 }
 
-/// What something gives, how long it takes by the clock, and of all processors, s.
+/// A function's result, its wall-clock time and its processor time, s.
 fn timed<T>(what: impl FnOnce() -> T) -> anyhow::Result<(T, f64, f64)> {
     let (start, cpu) = (Instant::now(), cpu_s()?);
     let out = what();
     Ok((out, start.elapsed().as_secs_f64(), cpu_s()? - cpu))
 }
 
-/// Asked of 5000 rows and 25 channels, s.
+/// Time limit for 5000 rows and 25 channels, s.
 const ASKED_S: f64 = 0.5;
 
-/// A day of an axis: up and down the travel, eight temperatures that wander, twelve logged channels; what is missing
-/// is a lagging growth and a reversal error.
+/// A simulated day of an axis that moves up and down its travel.
+/// It has eight wandering temperatures and twelve logged channels. The model lacks a lagging growth and a reversal
+/// error.
 fn day(rows: usize) -> anyhow::Result<Record> {
     let mut rng = Xoshiro256PlusPlus::seed_from_u64(17);
     let mut noise = || (0..12).map(|_| rng.next_u64() as f64 / u64::MAX as f64).sum::<f64>() - 6.0;

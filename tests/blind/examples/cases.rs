@@ -1,4 +1,4 @@
-//! Blind cases one by one, to try by hand or to compare two builds.
+//! Single blind cases, to try by hand or to compare two builds.
 //!
 //! `files` writes each case with its truth, for `rtecctl reconcile`. `verdicts` writes the verdict document of each and
 //! prints the time.

@@ -1,7 +1,7 @@
-//! Two baselines, as an able analyst's afternoon gives them.
+//! Two baselines, as an able analyst makes them in an afternoon.
 //!
-//! Forward selection by the Bayesian information criterion, and the LASSO with cross-validation. Both use the same
-//! dictionary, non-linear parameters on a grid, and fit the parameters of the model along.
+//! They are forward selection by the Bayesian information criterion, and the LASSO with cross-validation. Both use the
+//! same dictionary and a grid of non-linear parameters, and refit the parameters of the model.
 
 use crate::linear::{Basis, dot, length};
 use rtec_model::effect::{Dictionary, Effect, Heat, Search};
@@ -77,7 +77,7 @@ fn grid(records: &[Record], effect: &Effect) -> Vec<Effect> {
     }
 }
 
-/// The non-linear parameters of an effect, by their keys.
+/// Keys of an effect's non-linear parameters.
 fn searched_by(effect: &Effect) -> Vec<&str> {
     let parameters = effect.description().parameters.iter();
     parameters
@@ -86,20 +86,20 @@ fn searched_by(effect: &Effect) -> Vec<&str> {
         .collect()
 }
 
-/// How many parameters of a candidate its grid searches: each counts like one that is fitted. Knots are none: each has a
-/// height that is fitted.
+/// Number of parameters of a candidate that its grid searches.
+/// Each counts like one that is fitted. Knots do not count, because each has a height that is fitted.
 fn searched(effect: &Effect) -> usize {
     searched_by(effect).iter().filter(|key| **key != "knots_mm").count()
 }
 
-/// A grid point of an effect.
+/// One grid point of an effect.
 struct Candidate {
     name: String,
     columns: Vec<Vec<f64>>,
     searched: usize,
 }
 
-/// What is to be explained, what the model's own parameters explain, and every grid point of every effect.
+/// The response, the columns of the model's parameters, and all candidates.
 struct Problem {
     y: Vec<f64>,
     basis: Basis,
@@ -132,7 +132,7 @@ fn problem(records: &[Record], machine: &Machine) -> Problem {
         let name = e.name();
         candidates.extend(grid(records, &e).iter().map(|g| {
             let mut columns = stacked(records, g, false);
-            // The quadratic term of a temperature law is the analyst's second thought.
+            // An analyst adds the quadratic term of a temperature law only later.
             if g.description().heat == Heat::Growth {
                 columns.truncate(1);
             }
@@ -188,21 +188,23 @@ const FOLDS: usize = 5;
 /// Penalties, from the largest down, each this share of the one before.
 const STEP: f64 = 0.8;
 const STEPS: i32 = 18;
-/// Grid points per name that are taken into the LASSO: those that go with the response most closely (Fan and Lv,
-/// J. R. Statist. Soc. B 70 (2008) 849).
+/// Grid points per name that the LASSO gets.
+/// They are those with the highest correlation with the response (Fan and Lv, J. R. Statist. Soc. B 70 (2008) 849).
 const SCREENED: usize = 12;
-/// Share of the explained size below which an effect is put down to the LASSO's habit of taking a little of everything.
+/// Share of the explained size below which an effect is dropped.
+/// The LASSO takes a little of everything.
 const WORTH: f64 = 0.1;
 
-/// A least-squares problem with an absolute penalty, its columns of unit length.
+/// A least-squares problem with an L1 penalty and columns of unit length.
 struct Lasso<'c> {
     y: Vec<f64>,
     columns: Vec<&'c [f64]>,
 }
 
 impl Lasso<'_> {
-    /// Coefficients for falling penalties, on the rows that count, by coordinate descent from the solution before
-    /// (Friedman, Hastie and Tibshirani, J. Stat. Softw. 33 (2010) 1).
+    /// Coefficients for falling penalties, on the rows that `keep` selects.
+    /// The method is coordinate descent from the solution before (Friedman, Hastie and Tibshirani, J. Stat. Softw. 33
+    /// (2010) 1).
     fn path(&self, penalties: &[f64], keep: &dyn Fn(usize) -> bool) -> Vec<Vec<f64>> {
         let rows: Vec<usize> = (0..self.y.len()).filter(|r| keep(*r)).collect();
         let share = rows.len() as f64 / self.y.len() as f64;
@@ -232,7 +234,7 @@ impl Lasso<'_> {
                         break;
                     }
                 }
-                // Those at rest that would move join in.
+                // Inactive columns above the penalty become active.
                 let before = active.len();
                 let joining = (0..columns.len())
                     .filter(|j| !active.contains(j) && dot(&columns[*j], &left).abs() > bound * 1.001)
@@ -250,13 +252,13 @@ impl Lasso<'_> {
 
 /// Names that the LASSO would add.
 ///
-/// The penalty is the largest within one standard error of the best, cross-validated in blocks of rows. A name needs a
-/// fair share of what that penalty selects.
+/// The penalty is the largest within one standard error of the best, cross-validated in blocks of rows. A name counts
+/// from a tenth of the size that this penalty selects.
 #[must_use]
 pub fn lasso(records: &[Record], machine: &Machine) -> Vec<String> {
     let Problem { y, basis, candidates } = problem(records, machine);
     let y = basis.rest(&y);
-    // Unit columns without what the model's own parameters explain, the closest of each name.
+    // Unit columns, orthogonal to the model's own parameters; of each name the closest ones.
     let mut screened: Vec<(usize, f64, Vec<Vec<f64>>)> = Vec::new();
     for (i, Candidate { columns, .. }) in candidates.iter().enumerate() {
         let mut own = Basis::default();

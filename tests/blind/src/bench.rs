@@ -1,42 +1,43 @@
-//! Experiments as they come from elsewhere: coarse and uneven targets, gaps in the record, sensors that are read with
-//! noise, several records on one clock.
+//! Experiments with the irregularities of real ones.
+//! Targets are coarse and uneven, records have gaps, sensors have noise, and several records share one clock.
 
 use crate::choose::Places;
 use crate::dice::Dice;
 use crate::run::Run;
 use std::f64::consts::TAU;
 
-/// What is measured.
+/// Kind of an experiment.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub enum Kind {
-    /// One axis, targets up and down.
+    /// One axis, with targets up and down.
     Line,
-    /// Gauges at standstill while the machine warms up.
+    /// Gauges at standstill during warm-up.
     Drift,
     /// Errors of two axes over their plane.
     Plate,
-    /// Circles, errors of both axes.
+    /// Circles, with the errors of both axes.
     Circle,
-    /// Circles, the error along the bar.
+    /// Circles with a ballbar: the error along the bar.
     Radial,
 }
 
-/// How an experiment is done; the same bench with another turn is another run of it.
+/// Settings of an experiment.
+/// Another `turn` of the same bench is another run.
 #[derive(Clone, Debug)]
 pub struct Bench {
-    /// What is measured.
+    /// Kind of the experiment.
     pub kind: Kind,
-    /// Axes: the first is measured, the next is the plane's second.
+    /// Axes: the first is measured, the second spans the plane with it.
     pub axes: [String; 3],
-    /// Rows wanted.
+    /// Wanted number of rows.
     pub rows: usize,
     /// Length of the first axis, mm.
     pub travel_mm: f64,
     /// Clock of the first row, s.
     pub start_s: f64,
-    /// Name of the gauges' zero.
+    /// Name of the gauges' zero, if the record has its own.
     pub zero: Option<String>,
-    /// How its places lie.
+    /// Arrangement of its places.
     pub places: Places,
     seed: u64,
     targets: usize,
@@ -51,20 +52,21 @@ pub struct Bench {
     decoys: usize,
 }
 
-/// Heat that flows from a spindle and a drive through first-order elements to the sensors, and how they are read.
+/// Heat of a spindle and a drive, and the sensors that read it.
+/// The heat flows through first-order elements to the sensors.
 #[derive(Clone, Debug)]
 pub struct Heat {
     seed: u64,
-    /// How many sensors.
+    /// Number of sensors.
     pub sensors: usize,
-    /// Read with this noise, K.
+    /// Noise of the sensors, K.
     pub noise_k: f64,
-    /// Read in steps of this, K; 0 for none.
+    /// Step of the sensors' readings, K; 0 for none.
     pub step_k: f64,
 }
 
 impl Heat {
-    /// A random rig.
+    /// Random heat sources and sensors.
     pub fn new(dice: &mut Dice) -> Self {
         Self {
             seed: dice.seed(),
@@ -74,7 +76,8 @@ impl Heat {
         }
     }
 
-    /// Load of spindle and drive over a span, 0 to 1: ramps, cycles, duty cycles, stairs.
+    /// Load of spindle and drive over a time span, 0 to 1.
+    /// It has ramps, cycles, duty cycles or stairs.
     fn load(dice: &mut Dice, t: &[f64], span: f64, t0: f64) -> Vec<f64> {
         let kind = dice.int(0, 3);
         let (rate, phase, duty) = (dice.log(0.8, 6.0), dice.unit(), dice.within(0.25, 0.75));
@@ -94,9 +97,9 @@ impl Heat {
             .collect()
     }
 
-    /// Adds the sensors, and the true temperatures beside what is logged.
+    /// Adds the sensors to a run, and the true temperatures, which are not logged.
     ///
-    /// The loads of spindle and drive.
+    /// Returns the loads of spindle and drive.
     fn on(&self, r: &mut Run, t: &[f64], dice: &mut Dice) -> Vec<f64> {
         let mut fixed = Dice::new(self.seed);
         let (t0, span) = (t[0], (t[t.len() - 1] - t[0]).max(1.0));
@@ -113,7 +116,7 @@ impl Heat {
             let reach = fixed.within(3.0, 10.0);
             let input: Vec<f64> =
                 before.iter().zip(&drive).map(|(b, d)| gain * ((1.0 - part) * b + part * d)).collect();
-            // A second body at the spindle, or one that is warmed by the one before.
+            // A second body at the spindle, or one that the body before it warms.
             if fixed.chance(0.6) {
                 let mut x = input[0] * dice.unit();
                 before = (0..t.len())
@@ -151,7 +154,7 @@ impl Heat {
 }
 
 impl Bench {
-    /// A random bench of a kind. `rig` gives it sensors.
+    /// A random bench of a kind; `rig` adds sensors.
     pub fn new(dice: &mut Dice, kind: Kind, rows: usize, rig: Option<Heat>) -> Self {
         let mut axes = ["x", "y", "z"].map(str::to_owned);
         if kind != Kind::Radial {
@@ -181,35 +184,36 @@ impl Bench {
         }
     }
 
-    /// The same with a time column, and this many error columns at a standstill.
+    /// The same with a time column, and with `responses` error columns at standstill.
     #[must_use]
     pub fn on_the_clock(mut self, responses: usize) -> Self {
         (self.clock, self.responses) = (true, responses);
         self
     }
 
-    /// The same with this many error columns.
+    /// The same with `responses` error columns.
     #[must_use]
     pub fn with_responses(mut self, responses: usize) -> Self {
         self.responses = responses;
         self
     }
 
-    /// The same with coolant that comes and goes with a period in rows, in a record with gaps.
+    /// The same with coolant and gaps in the record.
+    /// The coolant goes on and off with a period in rows.
     #[must_use]
     pub fn with_coolant(mut self, period_rows: Option<f64>, gaps: usize) -> Self {
         (self.wet, self.gaps) = (period_rows, gaps);
         self
     }
 
-    /// The same at more than one speed.
+    /// The same with more than one speed.
     #[must_use]
     pub fn with_speeds(mut self) -> Self {
         self.speeds = true;
         self
     }
 
-    /// The same with targets at these, mm apart on average.
+    /// The same with `targets` targets.
     #[must_use]
     pub fn with_targets(mut self, targets: usize, regular: bool) -> Self {
         self.targets = targets;
@@ -217,13 +221,13 @@ impl Bench {
         self
     }
 
-    /// Where its travel begins, mm.
+    /// Start of its travel, mm.
     #[must_use]
     pub fn from_mm(&self) -> f64 {
         if self.centred { -self.travel_mm / 2.0 } else { 0.0 }
     }
 
-    /// One run of it.
+    /// One run of the bench.
     #[must_use]
     pub fn run(&self, turn: u64) -> Run {
         let mut fixed = Dice::new(self.seed);
@@ -246,7 +250,7 @@ impl Bench {
         }
         if let Some(period) = self.wet {
             let phase = dice.unit();
-            // The pump follows the clock, which goes on while nothing is recorded.
+            // The pump follows the clock, which continues in the gaps of the record.
             let usual = self.dwell_s.max(1e-6);
             let beat = if self.clock { t.iter().map(|t| t / usual).collect() } else { rows(r.n) };
             let wet = beat.iter().map(|b| f64::from(u8::from((b / period + phase).fract() > 0.5))).collect();
@@ -266,7 +270,7 @@ impl Bench {
         r
     }
 
-    /// Clock of `n` rows, with the gaps of the record.
+    /// Times of `n` rows, s, with the gaps of the record.
     fn time(&self, n: usize, dice: &mut Dice) -> Vec<f64> {
         let mut t = self.start_s;
         let breaks: Vec<usize> = (0..self.gaps).map(|_| dice.int(n / 10, n - 1)).collect();

@@ -1,9 +1,10 @@
-//! Values that no machine is beyond, by law and parameter: formats.md, "Bounds", and the sizes of machine tools. What the cases
-//! are made of stays inside them, and so must every answer.
+//! Values that no machine exceeds, by law and parameter.
+//! They come from formats.md, "Bounds", and from the sizes of machine tools. The cases are within them, and every
+//! answer must be too.
 
-/// Law, parameter, lowest, highest.
+/// Law, parameter, lowest and highest value.
 ///
-/// What is not listed is bounded by arithmetic alone.
+/// Only arithmetic bounds what is not listed.
 const BOUNDS: [(&str, &str, f64, f64); 36] = [
     ("offset", "um", -10_000.0, 10_000.0),
     ("scale", "ppm", -1000.0, 1000.0),
@@ -43,9 +44,9 @@ const BOUNDS: [(&str, &str, f64, f64); 36] = [
     ("force_offset", "N", -1e6, 1e6),
 ];
 
-/// The values of an effect that no machine can have.
+/// The values of an effect that no machine can have, as text.
 ///
-/// `value`: that of a parameter, where the effect has it.
+/// `value` returns a parameter, where the effect has it.
 pub(crate) fn beyond(name: &str, value: &dyn Fn(&str) -> Option<f64>) -> Vec<String> {
     let law = name.split('.').next().unwrap_or_default();
     let mut out = Vec::new();

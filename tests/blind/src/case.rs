@@ -1,4 +1,4 @@
-//! One blind case: what is hidden, the files the reconciler sees, and the truth beside them.
+//! One blind case: the files for the reconciler, and the truth.
 
 use crate::bounds::beyond;
 use crate::dice::Dice;
@@ -8,7 +8,7 @@ use crate::source::Source;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
-/// What a case hides.
+/// Number and kind of the hidden effects.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, PartialOrd, Ord)]
 pub enum Hides {
     /// Nothing is hidden: the model is complete.
@@ -17,13 +17,13 @@ pub enum Hides {
     One,
     /// Two effects of the dictionary.
     Two,
-    /// A shape that is in no dictionary.
+    /// A shape outside the dictionary.
     Stranger,
-    /// Three effects and more.
+    /// Three effects or more.
     Many,
 }
 
-/// Every kind that can be hidden.
+/// The laws that a case can hide.
 pub const LAWS: [&str; 30] = [
     "offset",
     "scale",
@@ -57,17 +57,17 @@ pub const LAWS: [&str; 30] = [
     "force_offset",
 ];
 
-/// A case, written out.
+/// A case with its files.
 pub struct Case {
-    /// Seed that makes it again.
+    /// Seed that makes the same case again.
     pub seed: u64,
-    /// What the case hides.
+    /// Number and kind of the hidden effects.
     pub hides: Hides,
-    /// Names the answer must give.
+    /// Names that the answer must give.
     pub truth: Vec<String>,
     /// Ratio of each hidden effect's RMS to the noise.
     pub snr: Vec<f64>,
-    /// Other sets of names that are right.
+    /// Other sets of names that are accepted.
     pub also: Vec<Vec<String>>,
     /// Name of the experiment, one of [`crate::plan::DESIGNS`].
     pub design: &'static str,
@@ -77,7 +77,7 @@ pub struct Case {
     pub train: Vec<PathBuf>,
     /// Sidecars of the hold-outs.
     pub holdout: Vec<PathBuf>,
-    /// The model that lacks what is hidden.
+    /// The model without the hidden effects.
     pub model: PathBuf,
 }
 
@@ -100,7 +100,7 @@ impl Noise {
             })
             .collect();
         raw.drain(..200);
-        // Unit variance in theory, not by force: a short run may be quieter or louder.
+        // Scaled by the theoretical variance, so a short run may be quieter or louder.
         let var = (1.0 - self.phi2) / ((1.0 + self.phi2) * ((1.0 - self.phi2).powi(2) - self.phi * self.phi));
         raw.into_iter().map(|x| x * self.sd / var.sqrt()).collect()
     }
@@ -110,10 +110,11 @@ pub(crate) fn rms(v: &[f64]) -> f64 {
     (v.iter().map(|x| x * x).sum::<f64>() / v.len().max(1) as f64).sqrt()
 }
 
-/// A straight line in time of so many µm/h is the instrument's as well.
+/// Slope of a straight line in time that is put down to the instrument, µm/h.
 const LINE_UM_PER_H: f64 = 2.0;
 
-/// What a record shows of an error beside its instrument's zero, the centre of its circle, and a slow line.
+/// An error without the part that belongs to the record's set-up.
+/// That part is the instrument's zero, the centre of a circle, and a slow line in time.
 fn beside_set_up(run: &Run, v: &[f64]) -> Vec<f64> {
     let mut terms = vec![vec![1.0; v.len()]];
     if let Some(angle) = run.get("angle") {
@@ -141,7 +142,7 @@ fn beside_set_up(run: &Run, v: &[f64]) -> Vec<f64> {
     left
 }
 
-/// Takes a term out of values, as far as so much of it explains them.
+/// Subtracts the projection on a term, with a factor of at most `most`.
 fn take_out(v: &mut [f64], term: &[f64], most: f64) {
     let along: f64 = v.iter().zip(term).map(|(x, t)| x * t).sum();
     let square: f64 = term.iter().map(|t| t * t).sum();
@@ -151,7 +152,8 @@ fn take_out(v: &mut [f64], term: &[f64], most: f64) {
     }
 }
 
-/// Root mean square of a source over the responses it touches, beside what is the instrument's; a constant is looked at as it is.
+/// RMS of a source over the responses it changes, without the set-up's part.
+/// The RMS of a constant includes its mean.
 fn size(s: &Source, runs: &[Run]) -> f64 {
     let mut all = vec![];
     for r in runs {
@@ -218,7 +220,7 @@ pub(crate) fn write_run(
     Ok(path)
 }
 
-/// Whether a machine can have it.
+/// Whether a machine can have this source.
 pub(crate) fn physical(s: &Source) -> bool {
     let law = s.name.split('.').next().unwrap_or_default();
     let plausible = |(of, key, lo, hi): &(&str, &str, f64, f64)| {
@@ -227,25 +229,26 @@ pub(crate) fn physical(s: &Source) -> bool {
     beyond(&s.name, &|key| s.has(key).then(|| s.val(key))).is_empty() && PLAUSIBLE.iter().all(plausible)
 }
 
-/// What is hidden is what machines have, whatever the noise would let be seen: law, parameter, least and largest.
+/// Limits of hidden effects: law, parameter, lowest and highest size.
+/// They hold even where the noise would show more.
 const PLAUSIBLE: [(&str, &str, f64, f64); 5] = [
-    // A servo that gives way by 50 µm at a tenth of g.
+    // A servo that deviates by 50 µm at a tenth of g.
     ("acceleration_error", "um_per_m_s2", 0.0, 50.0),
-    // A guideway that turns by a milliradian on its way.
+    // A guideway that turns by a milliradian per metre.
     ("angular", "urad_per_m", 0.0, 1000.0),
     // A drive is wound up within some millimetres.
     ("reversal_spike", "length_mm", 0.0, 10.0),
-    // What warms takes minutes.
+    // Warming takes minutes.
     ("warm_up", "tau_s", 60.0, f64::MAX),
     ("thermal_lag", "tau_s", 60.0, f64::MAX),
 ];
 
 /// Makes a case and writes it into `dir`.
 ///
-/// `law` asks for a kind of effect where the case hides one.
+/// `law` chooses the effect where the case hides one.
 ///
 /// # Errors
-/// The directory cannot be written.
+/// When the directory cannot be written.
 pub fn make(seed: u64, hides: Hides, law: Option<&str>, manner: Manner, dir: &Path) -> anyhow::Result<Case> {
     let mut dice = Dice::new(seed);
     loop {
@@ -302,7 +305,7 @@ pub fn make(seed: u64, hides: Hides, law: Option<&str>, manner: Manner, dir: &Pa
             snr.push(size(s, &runs) / noise.sd);
             good &= physical(s);
         }
-        // A rival of the same name with different sensors is legal but nothing to be asked twice.
+        // A rival of the same name with other sensors is possible, but would ask the same name twice.
         if !good || snr.iter().any(|s| *s > 12.0 || *s < 0.9 * floor) {
             continue;
         }
@@ -325,7 +328,7 @@ pub fn make(seed: u64, hides: Hides, law: Option<&str>, manner: Manner, dir: &Pa
             }
             let mut with = hidden.clone();
             with.push(s.clone());
-            // Where the model's own effect already looks like the hidden one nothing would be missing.
+            // If the model's own effect looks like the hidden one, nothing would be missing.
             if with.len() > 1 && too_alike(&with, &runs) {
                 continue;
             }
@@ -338,7 +341,7 @@ pub fn make(seed: u64, hides: Hides, law: Option<&str>, manner: Manner, dir: &Pa
             if dice.chance(0.7) {
                 seen.off(&mut dice, share);
             }
-            // Nobody writes down what no machine can have.
+            // A model states only values that a machine can have.
             model += &if physical(&seen) { seen } else { k.clone() }.toml();
         }
         let model_path = dir.join("machine.toml");
@@ -398,7 +401,7 @@ pub fn make(seed: u64, hides: Hides, law: Option<&str>, manner: Manner, dir: &Pa
     }
 }
 
-/// Two sources whose shapes nearly coincide over these runs.
+/// Whether two sources' shapes nearly coincide over these runs.
 fn too_alike(sources: &[Source], runs: &[Run]) -> bool {
     let flat = |s: &Source| -> Vec<f64> {
         runs.iter()

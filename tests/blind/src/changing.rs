@@ -1,4 +1,5 @@
-//! Repeatable shapes over the position that are no one wave: changing periods, several waves, kinks, steps.
+//! Repeatable shapes over the position that are not a single wave.
+//! They are changing periods, several waves, kinks and steps.
 
 use crate::bench::{Bench, Kind};
 use crate::case::Hides;
@@ -6,7 +7,7 @@ use crate::dice::Dice;
 use crate::scene::Scene;
 use crate::source::Source;
 
-/// A random scene, or none where the draw was no case.
+/// A random scene; `None` where the draw makes no case.
 pub(crate) fn scene(dice: &mut Dice, choice: f64) -> Option<Scene> {
     let rows = dice.log(80.0, 600.0) as usize;
     let targets = (dice.log(20.0, 200.0) as usize).min(rows / 2);
@@ -25,7 +26,7 @@ pub(crate) fn scene(dice: &mut Dice, choice: f64) -> Option<Scene> {
         Source::new(format!("{shape}.{axis}")).p("um", dice.sign()).p("c", dice.int(1, 1_000_000) as f64);
     let size = dice.log(0.7, 20.0);
     s.hides = Hides::Stranger;
-    // A shape over the position has its constant and its straight line too.
+    // A shape over the position includes a constant and a straight line.
     let with = |more: &[&str]| {
         let mut names: Vec<String> = more.iter().map(|n| format!("{n}.{axis}")).collect();
         names.push(format!("position_map.{axis}"));

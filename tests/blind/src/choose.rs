@@ -1,4 +1,4 @@
-//! Which error source a run can show, drawn at random.
+//! Random error sources that a run can show.
 
 use crate::dice::Dice;
 use crate::plan::Plan;
@@ -6,28 +6,29 @@ use crate::run::Run;
 use crate::source::{Source, flatten};
 use std::f64::consts::{PI, TAU};
 
-/// How the places of an experiment lie.
+/// Arrangement of the places of an experiment.
 #[derive(Clone, Copy, Debug)]
 pub struct Places {
-    /// All at one step: a wave is not told from its images.
+    /// All at one step, so a wave cannot be told from its aliases.
     pub regular: bool,
-    /// Many, each met once.
+    /// Many places, each visited once.
     pub sweep: bool,
 }
 
 impl Plan {
-    /// A random source that a run of this plan can show, or none for a kind that it cannot.
+    /// A random source of a law that a run of this plan can show.
+    /// `None` where it cannot show the law.
     pub fn source(&self, dice: &mut Dice, run: &Run, law: &str) -> Option<Source> {
         source(dice, run, law, Places { regular: self.regular, sweep: self.design == "sweep" })
     }
 
-    /// A random shape that is in no dictionary and that this run can show.
+    /// A random shape outside the dictionary that this run can show.
     pub fn stranger(&self, dice: &mut Dice, run: &Run) -> Option<Source> {
         stranger(dice, run, self.speed_constant)
     }
 }
 
-/// A random source that a run can show, or none for a kind that it cannot.
+/// A random source of a law that a run can show, or `None`.
 pub fn source(dice: &mut Dice, run: &Run, law: &str, places: Places) -> Option<Source> {
     let resp = dice.pick(&run.responses).clone();
     let (head, a) = resp.split_once('.')?;
@@ -106,7 +107,7 @@ pub fn source(dice: &mut Dice, run: &Run, law: &str, places: Places) -> Option<S
             let mut gaps: Vec<f64> = p?.to_vec();
             gaps.sort_by(f64::total_cmp);
             gaps.dedup_by(|x, y| (*x - *y).abs() < 0.01);
-            // Few places and a wave through them: a map, a scale or an offset as well.
+            // At few places a wave is also a map, a scale or an offset.
             needs(gaps.len() >= 8)?;
             let step = (hi - lo) / gaps.len() as f64;
             let period =
@@ -233,7 +234,7 @@ pub fn source(dice: &mut Dice, run: &Run, law: &str, places: Places) -> Option<S
             needs(!z.is_empty())?;
             Source::new(format!("channel.{a}.{}", dice.pick(&z))).p("gain", dice.sign())
         }
-        // No mass is negative, and no friction drives.
+        // Masses are positive, and friction opposes motion.
         "inertia" => Source::new(name).p("kg", dice.sign().abs()),
         "friction_viscous" => Source::new(name).p("N_s_per_m", dice.sign().abs()),
         "friction_asymmetric" => Source::new(name).p("N_s_per_m", dice.sign()),
@@ -242,7 +243,7 @@ pub fn source(dice: &mut Dice, run: &Run, law: &str, places: Places) -> Option<S
     })
 }
 
-/// A random shape that is in no dictionary and that this run can show.
+/// A random shape outside the dictionary that this run can show.
 pub fn stranger(dice: &mut Dice, run: &Run, one_speed: bool) -> Option<Source> {
     let resp = dice.pick(&run.responses).clone();
     let a = resp.split_once('.')?.1.to_owned();
@@ -260,7 +261,7 @@ pub fn stranger(dice: &mut Dice, run: &Run, one_speed: bool) -> Option<Source> {
         if has("position") && d.len() == run.n && run.kind != "probing" {
             can.push(("?dir_times_wave", dice.within(0.7, 2.0)));
         }
-        // In a single turn the angle is the time, and a burst a bump of the form.
+        // In a single turn the angle is the time, and a burst is a bump of the shape.
         let once = run.get("angle").is_some_and(|w| w.windows(2).all(|w| w[1] >= w[0]));
         if !once {
             can.extend([

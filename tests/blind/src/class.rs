@@ -1,4 +1,4 @@
-//! The kinds of cases, by the word that chooses them.
+//! The classes of cases, by the word that selects them.
 
 use crate::case::{self, Case, Hides};
 use crate::dice::Dice;
@@ -9,34 +9,35 @@ use crate::scene::Scene;
 use crate::{changing, fast, heat, many, maps, mistakes, pairs, strangers};
 use std::path::Path;
 
-/// A kind of case.
+/// A class of cases.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, PartialOrd, Ord)]
 pub enum Class {
-    /// One effect of the dictionary, two, none, or a shape of no dictionary.
+    /// One effect of the dictionary, two, none, or a shape outside it.
     Narrow(Hides),
-    /// A machine mapped finer or farther than it is measured.
+    /// A machine that was mapped finer or farther than it is measured now.
     Maps,
-    /// Error of the true temperature, sensors read with noise.
+    /// Errors that follow the true temperature, with noisy sensors.
     Heat,
     /// Cycles of a few rows.
     Fast,
-    /// Shapes over the position that are no one wave.
+    /// Shapes over the position that are not a single wave.
     Changing,
-    /// Shapes of no dictionary.
+    /// Shapes outside the dictionary.
     Strangers,
     /// Two effects over the wider experiments.
     Pairs,
     /// Three to seven effects in several records.
     Many,
-    /// The same, some records with a zero of their own.
+    /// The same, where some records have a zero of their own.
     ManyZeros,
     /// The same, with a ballbar that is read along its bar.
     ManyRadial,
-    /// Mistakes in the input, each with its clean twin.
+    /// Mistakes in the input, each with a case without it.
     Mistakes,
 }
 
-/// Every class with its word and how many cases it has where nothing is asked; those of the wider kinds come when asked for.
+/// Every class with its word and its default number of cases.
+/// The wider classes have cases only on request.
 pub const CLASSES: [(Class, &str, usize); 14] = [
     (Class::Narrow(Hides::One), "one", 232),
     (Class::Narrow(Hides::Two), "two", 80),
@@ -54,21 +55,21 @@ pub const CLASSES: [(Class, &str, usize); 14] = [
     (Class::Mistakes, "mistakes", 98),
 ];
 
-/// Draws after which something else is asked.
+/// Draws after which another choice is drawn.
 const PATIENCE: u32 = 60;
 
-/// A case of a class, written out.
+/// A case of a class, with its files.
 pub struct Made {
-    /// What the reconciler sees, and the names that are right.
+    /// The files for the reconciler, and the right names.
     pub case: Case,
-    /// All that is true of it; none for the narrow classes.
+    /// The whole truth; `None` for the narrow classes.
     pub scene: Option<Scene>,
     /// The mistake, and the case without it.
     pub mistake: Option<(Mistake, Case)>,
 }
 
 impl Class {
-    /// The word that chooses it.
+    /// The word that selects the class.
     #[must_use]
     pub fn word(self) -> &'static str {
         CLASSES.iter().find(|(c, ..)| *c == self).map_or("", |(_, w, _)| w)
@@ -77,7 +78,7 @@ impl Class {
     /// Makes the case of a seed and writes it into `dir`.
     ///
     /// # Errors
-    /// The directory cannot be written.
+    /// When the directory cannot be written.
     pub fn make(self, seed: u64, manner: Manner, dir: &Path) -> anyhow::Result<Made> {
         if let Self::Narrow(hides) = self {
             let case = case::make(seed, hides, None, manner, dir)?;
@@ -98,11 +99,11 @@ impl Class {
 
     fn scene(self, seed: u64) -> (Scene, Dice) {
         let salt = CLASSES.iter().position(|(c, ..)| *c == self).unwrap_or(0) as u64;
-        // What is asked is drawn once: what a draw refuses does not change how often it is asked.
+        // The choice is drawn once, so that refused draws do not change the frequencies.
         let mut dice = Dice::new(seed ^ (salt + 1).wrapping_mul(0xD1B5_4A32_D192_ED03));
         let mut choice = dice.unit();
         for draw in 1.. {
-            // Unless it cannot be had at all.
+            // Another choice, if this one seems impossible.
             if draw % PATIENCE == 0 {
                 choice = dice.unit();
             }

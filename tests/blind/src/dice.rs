@@ -8,12 +8,12 @@ use std::f64::consts::TAU;
 pub struct Dice(Xoshiro256PlusPlus);
 
 impl Dice {
-    /// Dice of a seed.
+    /// A generator from a seed.
     #[must_use]
     pub fn new(seed: u64) -> Self {
         Self(Xoshiro256PlusPlus::seed_from_u64(seed))
     }
-    /// A seed for other dice.
+    /// A seed for another generator.
     pub fn seed(&mut self) -> u64 {
         self.0.next_u64()
     }
@@ -29,7 +29,7 @@ impl Dice {
     pub fn log(&mut self, lo: f64, hi: f64) -> f64 {
         (self.within(lo.ln(), hi.ln())).exp()
     }
-    /// A whole number, both ends possible.
+    /// A whole number from `lo` to `hi`, both included.
     pub fn int(&mut self, lo: usize, hi: usize) -> usize {
         lo + (self.unit() * (hi - lo + 1) as f64) as usize
     }

@@ -1,4 +1,5 @@
-//! Cycles of a few rows up to dozens, in records with gaps: coolant that is logged, or a pump that nobody logs.
+//! Cycles of a few to some dozens of rows, in records with gaps.
+//! They come from logged coolant, or from a pump that is not logged.
 
 use crate::bench::{Bench, Heat, Kind};
 use crate::case::Hides;
@@ -6,7 +7,7 @@ use crate::dice::Dice;
 use crate::scene::Scene;
 use crate::source::Source;
 
-/// A random scene, or none where the draw was no case.
+/// A random scene; `None` where the draw makes no case.
 pub(crate) fn scene(dice: &mut Dice, choice: f64) -> Option<Scene> {
     let rows = dice.log(100.0, 600.0) as usize;
     let rig = dice.chance(0.5).then(|| Heat::new(dice));
@@ -20,7 +21,7 @@ pub(crate) fn scene(dice: &mut Dice, choice: f64) -> Option<Scene> {
         .with_coolant(if logged { Some(period) } else { None }, gaps);
     let mut s = Scene::new(dice, "fast", std::slice::from_ref(&bench));
     let axis = &bench.axes[0];
-    // Three periods at least, or it is no cycle.
+    // A cycle needs at least three periods.
     (period * 3.0 < s.runs[0].n as f64).then_some(())?;
     let size = dice.log(0.7, 20.0);
     if logged {

@@ -1,4 +1,5 @@
-//! Machines whose error follows the true temperature, while the log carries the sensors' noise and steps.
+//! Machines whose error follows the true temperature.
+//! The log has the sensors' noise and steps.
 
 use crate::bench::{Bench, Heat, Kind};
 use crate::case::Hides;
@@ -6,7 +7,7 @@ use crate::choose;
 use crate::dice::Dice;
 use crate::scene::Scene;
 
-/// A random scene, or none where the draw was no case.
+/// A random scene; `None` where the draw makes no case.
 pub(crate) fn scene(dice: &mut Dice, choice: f64) -> Option<Scene> {
     let kind = if dice.chance(0.6) { Kind::Drift } else { Kind::Line };
     let rows = dice.log(80.0, 600.0) as usize;
@@ -31,7 +32,7 @@ pub(crate) fn scene(dice: &mut Dice, choice: f64) -> Option<Scene> {
     }
     let count = [0, 1, 1, 1, 1, 1, 2, 2][(choice * 8.0) as usize];
     for k in 0..count {
-        // At least the first is heat.
+        // At least the first effect is thermal.
         let law = if k == 0 { laws[dice.int(0, 2)] } else { *dice.pick(laws) };
         let mut h = choose::source(dice, &s.runs[0], law, bench.places)?;
         let size = dice.log(0.7, 20.0);

@@ -1,4 +1,4 @@
-//! A case put to the reconciler, and its answer read as a stranger would: from the document.
+//! Runs the reconciler on a case, and reads its answer from the document.
 
 use crate::bounds::beyond;
 use crate::case::{Case, rms};
@@ -11,15 +11,16 @@ use serde_json::Value;
 use std::f64::consts::{PI, TAU};
 use std::path::PathBuf;
 
-/// An answer with what it cost.
+/// An answer with its cost.
 pub struct Verdict {
     /// Verdict and names.
     pub reply: Reply,
     /// The whole document; null where the files were refused.
     pub document: Value,
-    /// Share of the gap that is closed, by the document.
+    /// Share of the gap that is closed, from the document.
     pub closed: Option<f64>,
-    /// The written model's RMS on each hold-out: measured minus simulated, before and after.
+    /// RMS of measured minus simulated on the hold-outs, before and after.
+    /// The simulation uses the written model.
     pub held: Option<[f64; 2]>,
     /// Processor time, s.
     pub cpu_s: f64,
@@ -37,7 +38,7 @@ fn list(v: &Value) -> &[Value] {
     v.as_array().map_or(&[], Vec::as_slice)
 }
 
-/// What this thread has had of a processor, s; 0 where the system does not say.
+/// Processor time of this thread, s; 0 where the system does not report it.
 fn cpu_s() -> f64 {
     let text = std::fs::read_to_string("/proc/thread-self/schedstat").unwrap_or_default();
     text.split_whitespace().next().and_then(|ns| ns.parse::<f64>().ok()).unwrap_or(0.0) * 1e-9
@@ -46,7 +47,7 @@ fn cpu_s() -> f64 {
 /// Reads a case's files, reconciles and reads the verdict.
 ///
 /// # Errors
-/// A file of the case is refused.
+/// When a file of the case is refused.
 pub fn judge(case: &Case) -> anyhow::Result<Verdict> {
     let (train, holdout) = (read(&case.train)?, read(&case.holdout)?);
     let machine = Machine::read(&case.model)?;
@@ -58,7 +59,7 @@ pub fn judge(case: &Case) -> anyhow::Result<Verdict> {
         .iter()
         .map(|e| (text(&e["name"]), list(&e["alternatives"]).iter().map(|a| text(&a["name"])).collect()))
         .collect();
-    // What was written must be a model that can be read again.
+    // The written text must read as a model again.
     let written = Machine::parse(&case.model, &text_of_model)?;
     let held = (!holdout.is_empty()).then(|| [&machine, &written].map(|m| left(&holdout, m)));
     Ok(Verdict {
@@ -70,7 +71,7 @@ pub fn judge(case: &Case) -> anyhow::Result<Verdict> {
     })
 }
 
-/// The same, a refusal being an answer.
+/// The same, where a refusal of the files is an answer.
 #[must_use]
 pub fn answer(case: &Case) -> (Verdict, Option<String>) {
     match judge(case) {
@@ -83,7 +84,8 @@ pub fn answer(case: &Case) -> (Verdict, Option<String>) {
     }
 }
 
-/// RMS of what a model leaves of records, the constant left out: a hold-out may have another zero.
+/// RMS of a model's residual on records, without the constant.
+/// A hold-out may have another zero.
 fn left(records: &[Record], model: &Machine) -> Option<f64> {
     let mut all = Vec::new();
     for r in records {
@@ -109,26 +111,27 @@ pub fn floor(scene: &Scene) -> f64 {
     rms(&all)
 }
 
-/// Share of a gap that is closed; none where there is none: the noise alone is as large within a twentieth.
+/// Share of a gap that is closed; `None` where there is no gap.
+/// There is no gap if `before` is at most a twentieth above the noise alone.
 #[must_use]
 pub fn closed(before: f64, after: f64, floor: f64) -> Option<f64> {
     (before > 1.05 * floor).then(|| (before - after) / (before - floor))
 }
 
-/// A parameter of an effect that was found.
+/// A parameter of an effect that was found, against the truth.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Covered {
-    /// The effect, the parameter, the truth and the interval.
+    /// Text of the effect, the parameter, the truth and the interval.
     pub what: String,
-    /// The truth lies within the interval.
+    /// Whether the truth is within the interval.
     pub holds: bool,
-    /// Where it does not, it belongs to a wave of another true period. It stands among the alternatives, because it
-    /// looks the same at these places.
+    /// Whether a wrong period is an alias that lists the true period.
+    /// The alternatives then have the true period, which looks the same at these places.
     pub alias_said: bool,
 }
 
-/// Whether a wave has another period than the true one, which stands among its alternatives: no farther from there, in frequency, than
-/// the interval is wide.
+/// Whether a wave has an alias of the true period, and lists the true one.
+/// In frequency, the listed period is at most the interval's width from the true one.
 fn alias_said(e: &Value, t: &Source) -> bool {
     ["period_mm", "period_um"].into_iter().filter(|key| t.has(key)).any(|key| {
         let p = &e["parameters"][key];
@@ -142,13 +145,14 @@ fn alias_said(e: &Value, t: &Source) -> bool {
     })
 }
 
-/// A period is another's alias as near as its places lie on a grid: within this share.
+/// Relative difference up to which two periods count as the same.
+/// It allows for places that are not exactly on a grid.
 const SAME_PERIOD: f64 = 2e-3;
 
-/// Parameters of found effects, and whether the truth lies within their interval.
+/// Parameters of found effects, and whether the truth is within their interval.
 ///
-/// A value without an interval claims none: a time, a whole number, a term that was left out. Growth by another sensor
-/// or reference is another number; so are then the constant and the straight line beside it.
+/// A value without an interval is not checked: a time, a whole number, a term that was left out. Growth by another
+/// sensor or reference is another number. So are then the constant and the straight line that go with it.
 #[must_use]
 pub fn covered(document: &Value, hidden: &[Source]) -> Vec<Covered> {
     let mut out = Vec::new();
@@ -197,7 +201,7 @@ pub fn covered(document: &Value, hidden: &[Source]) -> Vec<Covered> {
     out
 }
 
-/// Values of an answer that no machine can have.
+/// Values of an answer that no machine can have, as text.
 #[must_use]
 pub fn impossible(document: &Value) -> Vec<String> {
     let mut out = Vec::new();
@@ -208,25 +212,25 @@ pub fn impossible(document: &Value) -> Vec<String> {
     out
 }
 
-/// How an answer took a mistake.
+/// How an answer treated a mistake.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub enum Heard {
-    /// By its word or by its column, in a suspicion, or the files were refused for it.
+    /// Reported: a suspicion has its word or column, or the files were refused.
     Said,
-    /// Not said, and an effect named that is not there.
+    /// Not reported, and an effect is named that does not exist.
     Wrong,
-    /// Not said.
+    /// Not reported.
     Silent,
 }
 
-/// The suspicions that a document holds: what, and its line.
+/// The suspicions of a document: kind, column and text.
 #[must_use]
 pub fn suspicions(document: &Value) -> Vec<String> {
     let line = |s: &Value| format!("{} {}: {}", text(&s["what"]), text(&s["column"]), text(&s["text"]));
     list(&document["suspicions"]).iter().map(line).collect()
 }
 
-/// How an answer to a case with a mistake took it.
+/// How the answer to a case with a mistake treated it.
 #[must_use]
 pub fn heard(v: &Verdict, mistake: &crate::mistakes::Mistake, case: &Case) -> Heard {
     let said = list(&v.document["suspicions"]).iter().any(|s| {

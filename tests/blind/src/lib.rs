@@ -1,9 +1,9 @@
-//! Blind cases: random machines with something hidden, and the score of an answer.
+//! Blind cases: random machines with hidden effects, and marks of answers.
 //!
-//! What makes the cases ([`plan`], [`source`], [`case`]) and marks the answers ([`score`]) shares no code and no
-//! formula with what it judges.
+//! The code that makes the cases ([`plan`], [`source`], [`case`]) and marks the answers ([`score`]) shares no code and
+//! no formula with the reconciler.
 
-// Long lists of experiments and formulas, each with its switches; text is put together plainly.
+// Experiments and formulas are long lists with switches, and texts are built in the simplest way.
 #![allow(
     clippy::needless_for_each,
     clippy::too_many_lines,

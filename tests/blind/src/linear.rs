@@ -1,11 +1,11 @@
-//! Columns, projections and their lengths.
+//! Columns, projections and lengths.
 
-/// Orthonormal columns of what is in the fit already.
+/// Orthonormal basis of the columns in a fit.
 #[derive(Clone, Default)]
 pub struct Basis(pub(crate) Vec<Vec<f64>>);
 
 impl Basis {
-    /// What the basis leaves of a column.
+    /// The part of a column that is orthogonal to the basis.
     pub(crate) fn rest(&self, column: &[f64]) -> Vec<f64> {
         let mut c = column.to_vec();
         for q in &self.0 {
@@ -15,7 +15,7 @@ impl Basis {
         c
     }
 
-    /// Takes a column in; false where the basis has it already.
+    /// Adds a column; returns false where the basis contains it already.
     pub(crate) fn add(&mut self, column: &[f64]) -> bool {
         let before = length(column);
         let mut c = self.rest(column);

@@ -1,7 +1,8 @@
-//! The blind suite: hundreds of machines with something hidden, judged and printed beside what an analyst's two ways give.
+//! The blind suite: hundreds of machines with hidden effects.
+//! It judges the answers and prints them beside two baselines.
 //!
-//! `rtec-blind [--class WORD[,WORD…]|narrow|wide|all] [--manner first|second] [--from SEED] [--count N] [--jobs N] [--bare]
-//! [--json] [-v]`
+//! `rtec-blind [--class WORD[,WORD…]|narrow|wide|all] [--manner first|second] [--from SEED] [--count N] [--jobs N]
+//! [--bare] [--json] [-v]`
 
 use rtec_blind::case::Hides;
 use rtec_blind::class::{CLASSES, Class};
@@ -20,10 +21,10 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 const USAGE: &str = "rtec-blind [--class WORD[,WORD…]|narrow|wide|all] [--manner first|second] [--from SEED] [--count N] \
                      [--jobs N] [--bare] [--json] [-v]";
 
-/// A case of which less of the gap is closed is told.
+/// Share of the gap below which a case is printed.
 const OPEN: f64 = 0.9;
 
-/// What was asked for.
+/// The arguments.
 struct Asked {
     classes: Vec<Class>,
     manner: Option<Manner>,
@@ -147,7 +148,7 @@ fn main() -> anyhow::Result<ExitCode> {
     Ok(if good { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 
-/// Every case, several at a time, in their order.
+/// Runs every case, several at a time; returns them in order.
 fn run(plan: &[(Class, u64, Manner)], asked: &Asked) -> anyhow::Result<Vec<Outcome>> {
     let (next, done) = (AtomicUsize::new(0), Mutex::new(Vec::new()));
     let failed = Mutex::new(None);
@@ -184,7 +185,7 @@ fn run(plan: &[(Class, u64, Manner)], asked: &Asked) -> anyhow::Result<Vec<Outco
     Ok(all.into_iter().map(|(_, o)| o).collect())
 }
 
-/// One case that was not answered rightly, on standard error.
+/// Prints a case with a wrong answer to standard error.
 fn tell(o: &Outcome) {
     let missed: Vec<String> = o
         .covered
@@ -227,7 +228,8 @@ fn tell(o: &Outcome) {
     );
 }
 
-/// Prints everything, BIC and LASSO where they were asked too; whether the figures hold, within what so many cases can show.
+/// Prints all figures, with BIC and LASSO where they were run.
+/// Returns whether the figures hold, within the chance of so many cases.
 fn report(lines: &[&Outcome], baselines: bool) -> bool {
     println!("confusion: what was hidden, what was answered (all others right)");
     let mut confusion: BTreeMap<(String, String), usize> = BTreeMap::new();

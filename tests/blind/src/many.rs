@@ -28,27 +28,27 @@ const LAWS: [&str; 17] = [
     "offset",
 ];
 
-/// What the records of a case share.
+/// Zeros of the gauges of a case's records.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub enum Zeros {
-    /// One zero of all gauges.
+    /// One zero for all gauges.
     Shared,
-    /// Half of the records with a zero of their own.
+    /// Half of the records have a zero of their own.
     Own,
     /// Zeros of their own, and a ballbar that is read along its bar.
     Radial,
 }
 
-/// Share of an effect that the others may explain before it cannot be asked for.
+/// Own share of an effect up to which the others explain it, so it is not counted.
 const TOLD: f64 = 0.02;
 
-/// A random scene, or none where the draw was no case.
+/// A random scene; `None` where the draw makes no case.
 pub(crate) fn scene(dice: &mut Dice, choice: f64, zeros: Zeros) -> Option<Scene> {
     let mut kinds = vec![Kind::Line, Kind::Line, Kind::Plate, Kind::Drift];
     kinds.push(if zeros == Zeros::Radial { Kind::Radial } else { Kind::Circle });
     let wanted = dice.int(2, 4);
     while kinds.len() > wanted {
-        // What the class is about stays.
+        // The kind that the class needs stays.
         let last = kinds.len() - 1 - usize::from(zeros == Zeros::Radial);
         kinds.remove(dice.int(0, last));
     }
@@ -70,7 +70,7 @@ pub(crate) fn scene(dice: &mut Dice, choice: f64, zeros: Zeros) -> Option<Scene>
         start = b.run(0).time().last().copied().unwrap_or(0.0) + dice.log(60.0, 3000.0);
         benches.push(b);
     }
-    // Without a clock each record starts anew by its row numbers.
+    // Without a clock each record starts again at row 0.
     let mut s = Scene::new(dice, "many", &benches);
     if dice.chance(0.5) {
         s.held = benches.iter().map(|b| b.run(77)).collect();
@@ -111,7 +111,8 @@ pub(crate) fn scene(dice: &mut Dice, choice: f64, zeros: Zeros) -> Option<Scene>
     (s.hidden.len() + 1 >= wanted).then_some(s)
 }
 
-/// Which of the hidden effects can be asked for: large enough in some record, and not what the others are too.
+/// Whether each hidden effect must be found.
+/// It must be large enough in some record, and the others must not explain it.
 #[must_use]
 pub fn detectable(s: &Scene) -> Vec<bool> {
     (0..s.hidden.len())

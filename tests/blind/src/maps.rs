@@ -1,4 +1,5 @@
-//! A machine that was mapped finer, or farther, than it is measured now; something else is missing, or nothing.
+//! A machine that was mapped finer or farther than it is measured now.
+//! One or more other effects are hidden, or none.
 
 use crate::bench::{Bench, Heat, Kind};
 use crate::case::Hides;
@@ -20,7 +21,7 @@ const MISSING: [&str; 9] = [
     "thermal_growth",
 ];
 
-/// A random scene, or none where the draw was no case.
+/// A random scene; `None` where the draw makes no case.
 pub(crate) fn scene(dice: &mut Dice, choice: f64) -> Option<Scene> {
     let plane = (0.75 * 2.0 / 9.0..0.75 * 4.0 / 9.0).contains(&choice);
     let kind = if plane || dice.chance(0.3) { Kind::Plate } else { Kind::Line };
@@ -54,7 +55,8 @@ pub(crate) fn scene(dice: &mut Dice, choice: f64) -> Option<Scene> {
     Some(s)
 }
 
-/// The map of axis `a` over the position of `b`, with more knots than places and ends beyond them.
+/// The map of axis `a` over the position of `b`.
+/// It has more knots than there are places, and ends beyond them.
 fn map(dice: &mut Dice, runs: &[Run], bench: &Bench, a: &str, b: &str) -> Source {
     let p: Vec<f64> =
         runs.iter().filter_map(|r| r.get(&format!("position.{b}"))).flatten().copied().collect();
@@ -77,7 +79,7 @@ fn map(dice: &mut Dice, runs: &[Run], bench: &Bench, a: &str, b: &str) -> Source
             walk
         })
         .collect();
-    // No constant and no straight line over the rows that are measured.
+    // Without the constant and the straight line over the measured rows.
     let at: Vec<f64> = p.iter().map(|p| broken_line(&knots, &um, *p)).collect();
     let n = p.len() as f64;
     let (mp, me) = (p.iter().sum::<f64>() / n, at.iter().sum::<f64>() / n);

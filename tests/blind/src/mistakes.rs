@@ -1,4 +1,5 @@
-//! Mistakes that people make with their records, each beside the same case without it.
+//! Mistakes that people make with their records.
+//! Each case has a twin without the mistake.
 
 use crate::bench::{Bench, Heat, Kind};
 use crate::case::Hides;
@@ -7,7 +8,7 @@ use crate::dice::Dice;
 use crate::scene::Scene;
 use std::f64::consts::{PI, TAU};
 
-/// A mistake, by the word that the answer should give it, and what was done.
+/// Mistakes: the word that the answer should give, and what was done.
 pub const KINDS: [(&str, &str); 14] = [
     ("unit", "errors in mm, called µm, in one record"),
     ("unit", "positions in m, called mm, in one record"),
@@ -25,18 +26,18 @@ pub const KINDS: [(&str, &str); 14] = [
     ("other_machine", "hold-out of another machine"),
 ];
 
-/// What was done to a scene.
+/// A mistake in a scene.
 #[derive(Clone, Debug)]
 pub struct Mistake {
-    /// Word of the answer.
+    /// The word that the answer should give.
     pub what: &'static str,
-    /// One line.
+    /// The description, one line.
     pub text: &'static str,
-    /// Columns that carry it.
+    /// Columns with the mistake.
     pub columns: Vec<String>,
 }
 
-/// A random scene without a mistake, or none where the draw was no case.
+/// A random scene without a mistake; `None` where the draw makes no case.
 pub(crate) fn scene(dice: &mut Dice) -> Option<Scene> {
     let mut rig = Heat::new(dice);
     rig.sensors = dice.int(3, 5);
@@ -75,7 +76,7 @@ pub(crate) fn scene(dice: &mut Dice) -> Option<Scene> {
     Some(s)
 }
 
-/// Makes the mistake number `kind` in a scene that is measured already.
+/// Makes the mistake number `kind` in a measured scene.
 pub(crate) fn spoil(s: &mut Scene, kind: usize, dice: &mut Dice) -> Mistake {
     let (what, text) = KINDS[kind];
     let last = s.runs.len() - 1;
@@ -116,7 +117,7 @@ pub(crate) fn spoil(s: &mut Scene, kind: usize, dice: &mut Dice) -> Mistake {
             columns.push(response);
         }
         6 => {
-            // A piece of the log is there twice, each of its rows behind itself.
+            // A part of the log is doubled, each of its rows right behind itself.
             let n = s.runs[last].n;
             let (from, to) = (n / 4, n / 4 + (n as f64 * dice.within(0.2, 0.6)) as usize);
             let twice = |v: &[f64]| -> Vec<f64> {
@@ -171,7 +172,7 @@ pub(crate) fn spoil(s: &mut Scene, kind: usize, dice: &mut Dice) -> Mistake {
             columns.push(response);
         }
         _ => {
-            // Its errors are another machine's: as large, of other shapes.
+            // Its errors are those of another machine: as large, with other shapes.
             let k = s.runs.len();
             let a = s.runs[0].responses[0].replace("error.", "");
             let p = s.held[0].get(&format!("position.{a}")).unwrap_or_default().to_vec();

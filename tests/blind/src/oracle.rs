@@ -1,4 +1,5 @@
-//! The ceiling: least squares with the true names, their periods, times and sensors told; only sizes are fitted.
+//! The ceiling: least squares with the true names.
+//! Periods, times and sensors are given; only sizes are fitted.
 
 use crate::case::rms;
 use crate::judge::{centred, closed};
@@ -6,17 +7,17 @@ use crate::linear::dot;
 use crate::rivals::column;
 use crate::scene::Scene;
 
-/// What is left to an answer that knows the names.
+/// The best result of an answer that knows the names.
 pub struct Oracle {
-    /// Which hidden effect stands out of the noise, five standard errors high.
+    /// Whether each hidden effect is at least five standard errors in size.
     pub stands: Vec<bool>,
-    /// Sizes that lie within their 95 % interval, of how many.
+    /// Sizes within their 95 % interval, and their number.
     pub covered: [usize; 2],
     /// Share of the hold-outs' gap that is closed.
     pub closed: Option<f64>,
 }
 
-/// Standard errors from which an effect stands out among all that could be there.
+/// Standard errors above which an effect counts as significant.
 const STANDS: f64 = 5.0;
 
 /// Fits the sizes of all true effects to the measured rows.
@@ -26,7 +27,7 @@ pub fn oracle(scene: &Scene, before: Option<f64>, floor: f64) -> Oracle {
     let y: Vec<f64> = scene.measured[..train].iter().flatten().flatten().copied().collect();
     let sources: Vec<_> = scene.hidden.iter().chain(&scene.known).collect();
     let mut columns: Vec<Vec<f64>> = sources.iter().map(|s| column(s, &scene.runs)).collect();
-    // A zero of its own is a constant of its own, per response.
+    // A record with a zero of its own has a constant for each response.
     let mut at = 0;
     for r in &scene.runs {
         for _ in &r.responses {
@@ -43,7 +44,7 @@ pub fn oracle(scene: &Scene, before: Option<f64>, floor: f64) -> Oracle {
     };
     let left: Vec<f64> =
         (0..y.len()).map(|i| y[i] - columns.iter().zip(&sizes).map(|(c, b)| c[i] * b).sum::<f64>()).collect();
-    // Rows that go with their neighbours count for fewer.
+    // Correlated rows count for fewer.
     let phi = scene.noise.phi;
     let variance = dot(&left, &left) / (y.len() - columns.len()).max(1) as f64 * (1.0 + phi) / (1.0 - phi);
     let error: Vec<f64> = (0..sizes.len()).map(|k| (variance * inverse[k][k]).sqrt()).collect();
@@ -75,14 +76,15 @@ pub fn oracle(scene: &Scene, before: Option<f64>, floor: f64) -> Oracle {
     }
 }
 
-/// Sizes, and the inverse of the normal equations' matrix; none where columns coincide.
+/// Sizes, and the inverse of the normal equations' matrix.
+/// `None` where columns coincide.
 fn least_squares(columns: &[Vec<f64>], y: &[f64]) -> Option<(Vec<f64>, Vec<Vec<f64>>)> {
     let k = columns.len();
     if k == 0 {
         return None;
     }
     let scale: Vec<f64> = columns.iter().map(|c| dot(c, c).sqrt().max(1e-300)).collect();
-    // Gauss and Jordan on [A | I], unit columns first.
+    // Gauss–Jordan elimination on [A | I], with unit columns.
     let mut m: Vec<Vec<f64>> = (0..k)
         .map(|i| {
             let mut row: Vec<f64> =

@@ -1,4 +1,4 @@
-//! One case, made, judged and marked, with what the baselines and the oracle make of it.
+//! One case, made, judged and marked, with the baselines and the oracle.
 
 use crate::baseline;
 use crate::case::{Case, Hides};
@@ -11,50 +11,51 @@ use crate::scene::Scene;
 use crate::score::{Mark, Reply, mark, unordered};
 use rtec_model::machine::Machine;
 
-/// What an answer to many hidden effects came to.
+/// Counts of an answer to many hidden effects.
 #[derive(Clone, Copy, Default, Debug)]
 pub struct Counts {
-    /// Effects that can be asked for.
+    /// Effects that must be found.
     pub asked: usize,
-    /// Of these, named or offered among the alternatives of what was named.
+    /// Of these, named or listed as an alternative of a name.
     pub found: usize,
-    /// Names given.
+    /// Names in the answer.
     pub named: usize,
     /// Of these, true.
     pub true_names: usize,
 }
 
-/// What became of a case.
+/// Result of a case.
 pub struct Outcome {
     /// Its class.
     pub class: Class,
-    /// The case; its files are gone.
+    /// The case, whose files are removed.
     pub case: Case,
-    /// Of the answer.
+    /// Mark of the answer.
     pub mark: Mark,
-    /// Of forward selection by BIC, and of the LASSO.
+    /// Marks of forward selection by BIC, and of the LASSO.
     pub base: [Mark; 2],
-    /// Whether least squares with the true names has every effect stand out.
+    /// Whether least squares with the true names finds every effect significant.
     pub oracle: bool,
     /// The answer.
     pub reply: Reply,
-    /// Share of the gap that is closed: on the hold-outs where there are some, else by the document.
+    /// Share of the gap that is closed.
+    /// It is measured on the hold-outs, or else taken from the document.
     pub closed: Option<f64>,
     /// The same with the true names.
     pub oracle_closed: Option<f64>,
-    /// Many effects: the answer's counts, then the baselines', then the oracle's.
+    /// For many effects, the counts of answer, both baselines and oracle.
     pub counts: [Counts; 4],
-    /// Parameters of found effects, and whether they lie within their interval.
+    /// Parameters of found effects, and whether the truth is within their interval.
     pub covered: Vec<Covered>,
-    /// How many sizes the oracle has within their interval, of how many.
+    /// Sizes of the oracle within their interval, and their number.
     pub oracle_covered: [usize; 2],
     /// Values that no machine can have.
     pub impossible: Vec<String>,
-    /// Where the files were refused: why.
+    /// Why the files were refused, if they were.
     pub refused: Option<String>,
-    /// A mistake's number, how it was taken, and the suspicions that its clean twin raised.
+    /// A mistake's number, how it was treated, and the suspicions of its twin.
     pub mistake: Option<(usize, Heard, Vec<String>)>,
-    /// Suspicions that were raised.
+    /// Suspicions of the answer.
     pub suspicions: Vec<String>,
     /// Processor time of the reconciliation, s.
     pub seconds: f64,
@@ -63,7 +64,7 @@ pub struct Outcome {
 /// Makes a case and judges it.
 ///
 /// # Errors
-/// The case cannot be written, or a case of the narrow classes is refused.
+/// When the case cannot be written, or a case of the narrow classes is refused.
 pub fn outcome(class: Class, seed: u64, manner: Manner, baselines: bool) -> anyhow::Result<Outcome> {
     let dir = tempfile::tempdir()?;
     let Made { case, scene, mistake } = class.make(seed, manner, dir.path())?;
@@ -98,7 +99,7 @@ pub fn outcome(class: Class, seed: u64, manner: Manner, baselines: bool) -> anyh
     }
     let mut ceiling = None;
     let mut closed = v.closed;
-    // A spoilt record has no ceiling.
+    // A record with a mistake has no ceiling.
     if let Some(s) = scene.as_ref().filter(|_| mistake.is_none()) {
         let floor = judge::floor(s);
         if let Some([before, after]) = v.held {
@@ -140,7 +141,8 @@ pub fn outcome(class: Class, seed: u64, manner: Manner, baselines: bool) -> anyh
     })
 }
 
-/// Counts of an answer to many effects: an alias that offers the truth among its alternatives is the truth's group.
+/// Counts of an answer to many effects.
+/// A name whose alternatives contain the truth counts as true.
 fn count(scene: &Scene, told: &[bool], reply: &Reply) -> Counts {
     let group = |(name, others): &(String, Vec<String>)| -> Vec<String> {
         std::iter::once(name).chain(others).map(|n| unordered(n)).collect()

@@ -6,7 +6,7 @@ use crate::choose;
 use crate::dice::Dice;
 use crate::scene::Scene;
 
-/// A random scene, or none where the draw was no case.
+/// A random scene; `None` where the draw makes no case.
 pub(crate) fn scene(dice: &mut Dice) -> Option<Scene> {
     let kind = *dice.pick(&[Kind::Line, Kind::Line, Kind::Drift, Kind::Plate, Kind::Circle]);
     let rig = dice.chance(0.5).then(|| Heat::new(dice));

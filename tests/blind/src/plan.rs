@@ -4,12 +4,12 @@ use crate::dice::Dice;
 use crate::run::Run;
 use std::f64::consts::TAU;
 
-/// How a family of cases differs in manner from another.
+/// A family of cases, with its own experiments and names.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub enum Manner {
-    /// The family the method was developed on.
+    /// The family on which the method was developed.
     First,
-    /// Other experiments, other column names, other noise: for validation.
+    /// Other experiments, column names and noise, for validation.
     Second,
 }
 
@@ -78,7 +78,8 @@ impl Plan {
         }
     }
 
-    /// Runs it: the same plan with another `turn` is another run of the same experiment.
+    /// One run of the plan.
+    /// Another `turn` is another run of the same experiment.
     #[must_use]
     pub fn run(&self, turn: u64) -> Run {
         let mut fixed = Dice::new(self.seed);

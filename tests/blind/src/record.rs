@@ -1,21 +1,22 @@
 //! The table of record: the figures that README and guide quote.
 //!
-//! It has what is asked of each figure of the main suite, its newest run on seeds never run before, and every other
-//! quoted figure. `rtec-blind` judges by it, and a test compares the pages with it. A newer run goes in here first.
+//! It has the required value of each figure of the main suite, its newest run on seeds never run before, and every
+//! other quoted figure. `rtec-blind` judges by it, and a test compares the pages with it. A newer run goes in here
+//! first.
 
 /// The command of the newest run.
 pub const COMMAND: &str = "rtec-blind --bare --from 97000000";
-/// Its cases.
+/// Number of its cases.
 pub const CASES: usize = 482;
 
 /// One figure: a share of cases, in percent.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Figure {
-    /// What it is a share of, as `rtec-blind` prints it.
+    /// The share, as `rtec-blind` prints it.
     pub what: &'static str,
-    /// What is asked, %.
+    /// The required value, %.
     pub asked: f64,
-    /// At least as much is asked; else at most.
+    /// Whether the requirement is a minimum; otherwise it is a maximum.
     pub at_least: bool,
     /// Cases that count, and all cases, of the newest run.
     pub newest: (usize, usize),
@@ -29,9 +30,9 @@ pub const ONE: Figure = at_least("right, 0.7 to 10", 97.0, (220, 232));
 pub const WRONG: Figure = at_most("wrong name", 0.5, (2, 312));
 /// Nothing hidden: something found.
 pub const NOTHING: Figure = at_most("cries wolf on nothing", 1.0, (0, 110));
-/// A shape of no dictionary: called unknown.
+/// A shape outside the dictionary: called unknown.
 pub const UNKNOWN: Figure = at_least("shape of no dictionary called unknown", 90.0, (53, 60));
-/// A shape of no dictionary: given a name.
+/// A shape outside the dictionary: given a name.
 pub const UNKNOWN_NAMED: Figure = at_most("shape of no dictionary given a name", 5.0, (4, 60));
 /// Two effects hidden, each at three times the noise or more: both named rightly.
 pub const BOTH: Figure = at_least("both of two, effect/noise >= 3", 97.0, (77, 80));
@@ -50,7 +51,7 @@ fn error(percent: f64, of: usize) -> f64 {
     100.0 * (share * (1.0 - share) / of.max(1) as f64).sqrt()
 }
 
-/// Probability of at least so many of `of` cases that each have this share.
+/// Probability of at least `count` of `of` cases that each have this share.
 fn at_least_so_many(count: usize, of: usize, share: f64) -> f64 {
     let mut of_exactly = (1.0 - share).powi(i32::try_from(of).unwrap_or(i32::MAX));
     let mut fewer = 0.0;
@@ -62,16 +63,16 @@ fn at_least_so_many(count: usize, of: usize, share: f64) -> f64 {
 }
 
 impl Figure {
-    /// A share reaches what is asked.
+    /// Whether a share meets the requirement.
     #[must_use]
     pub fn reached(&self, (yes, of): (usize, usize)) -> bool {
         let percent = 100.0 * yes as f64 / of.max(1) as f64;
         of == 0 || if self.at_least { percent >= self.asked } else { percent <= self.asked }
     }
 
-    /// Whether chance explains the distance of a share from what is asked.
+    /// Whether chance explains the distance of a share from the requirement.
     ///
-    /// It does if the asked share, taken as true, would give so few (or so many) at least once in a thousand times.
+    /// It does if the required share, taken as true, gives so few (or so many) cases at least once in a thousand times.
     #[must_use]
     pub fn within_chance(&self, (yes, of): (usize, usize)) -> bool {
         let bad = if self.at_least { of.saturating_sub(yes) } else { yes };
@@ -85,36 +86,37 @@ impl Figure {
         format!("{} of {}", self.newest.0, self.newest.1)
     }
 
-    /// The same with its share and the binomial standard error: `138 of 142 (97 ± 1 %)`.
+    /// The same with its share and the binomial standard error.
+    /// For example `138 of 142 (97 ± 1 %)`.
     #[must_use]
     pub fn quoted(&self) -> String {
         let percent = 100.0 * self.newest.0 as f64 / self.newest.1.max(1) as f64;
         format!("{} ({percent:.0} ± {:.0} %)", self.counts(), error(percent, self.newest.1))
     }
 
-    /// What is asked as the guide quotes it: `≥ 98 %`.
+    /// The requirement as the guide quotes it: `≥ 98 %`.
     #[must_use]
     pub fn asks(&self) -> String {
         format!("{} {} %", if self.at_least { "≥" } else { "≤" }, self.asked)
     }
 }
 
-/// A figure of another run than the main suite's, as README and guide quote it.
+/// A figure that README and guide quote from another run.
 #[derive(Debug, Clone, Copy)]
 pub struct Quoted {
-    /// What gives it: a command, or the test's name.
+    /// The command, or the test's name.
     pub by: &'static str,
-    /// On how much: cases, seeds, edges, minutes.
+    /// The sample: cases, seeds, edges, minutes.
     pub on: &'static str,
     /// The figures with unit and error, as the pages quote them.
     ///
-    /// Of a share (`17 of 19`) the number of cases gives the error.
+    /// For a share (`17 of 19`) the number of cases gives the error.
     pub figures: &'static [&'static str],
-    /// The pages that quote it: all figures or some, never another.
+    /// The pages that quote all or some of these figures, and no others.
     pub pages: &'static [&'static str],
 }
 
-/// What a page of the guide prints: other pages quote it from there.
+/// Marks a figure that a page of the guide prints and other pages quote.
 pub const PRINTED: &str = "printed by one of its pages";
 const README: &str = "README.md";
 const FIGURES: &str = "tools/guide/contributor/figures.md";
@@ -136,7 +138,8 @@ const fn quoted(
     Quoted { by, on, figures, pages }
 }
 
-/// Every other figure that is quoted as a share of cases, or in README's "Figures in short".
+/// Every other figure that is quoted.
+/// It is a share of cases, or is in README's "Figures in short".
 pub const QUOTED: &[Quoted] = &[
     quoted(
         "cargo bench --workspace --bench latency",

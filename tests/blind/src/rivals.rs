@@ -1,16 +1,18 @@
-//! What the data of a case can tell apart: the true effects from each other, and from other laws that would do as well.
+//! What the data of a case can distinguish.
+//! True effects are compared with each other, and with other laws that would do as well.
 
 use crate::linear::{Basis, dot, length};
 use crate::run::Run;
 use crate::source::Source;
 
-/// A source over all responses of all runs, one after the other.
+/// Values of a source over all responses of all runs, one after the other.
 #[must_use]
 pub fn column(s: &Source, runs: &[Run]) -> Vec<f64> {
     runs.iter().flat_map(|r| r.responses.iter().flat_map(|resp| s.on(r, resp)).collect::<Vec<_>>()).collect()
 }
 
-/// Columns of which every size of a source is a sum: sine and cosine of a wave, both terms of a parabola.
+/// Columns whose sums give every size of a source.
+/// They are sine and cosine of a wave, and both terms of a parabola.
 #[must_use]
 pub fn span(s: &Source, runs: &[Run]) -> Vec<Vec<f64>> {
     let with = |pairs: &[(&str, f64)]| {
@@ -35,7 +37,8 @@ pub fn span(s: &Source, runs: &[Run]) -> Vec<Vec<f64>> {
     two.iter().map(|p| with(p)).collect()
 }
 
-/// Columns of the other effects, with a constant for every response: what a law has to differ from.
+/// Basis of the other effects, from which a law has to differ.
+/// With `constants` it has a constant for every response.
 fn beside(others: &[&Source], runs: &[Run], constants: bool) -> Basis {
     let mut basis = Basis::default();
     let rows: usize = runs.iter().map(|r| r.n * r.responses.len()).sum();
@@ -44,7 +47,7 @@ fn beside(others: &[&Source], runs: &[Run], constants: bool) -> Basis {
     for r in runs {
         for resp in &r.responses {
             let key = format!("{resp} {:?}", r.zero);
-            // With a zero of its own a record's constant is no finding; the common one is an offset.
+            // In a record with a zero of its own the constant is no finding. The common constant is an offset.
             if constants || r.zero.is_some() {
                 let at_key = shared.iter().position(|(k, _)| *k == key).unwrap_or_else(|| {
                     shared.push((key, vec![0.0; rows]));
@@ -64,8 +67,8 @@ fn beside(others: &[&Source], runs: &[Run], constants: bool) -> Basis {
     basis
 }
 
-/// Share of a source's square that the other effects do not explain, constants left to them too where the source is more
-/// than a constant.
+/// Share of a source's square that the other effects do not explain.
+/// Zeros of their own records count among these effects.
 #[must_use]
 pub fn own_share(s: &Source, others: &[&Source], runs: &[Run]) -> f64 {
     let c = column(s, runs);
@@ -74,10 +77,10 @@ pub fn own_share(s: &Source, others: &[&Source], runs: &[Run]) -> f64 {
     dot(&left, &left) / dot(&c, &c).max(1e-300)
 }
 
-/// Names with their columns.
+/// Names of laws with their columns.
 pub type Laws = Vec<(String, Vec<Vec<f64>>)>;
 
-/// Other laws that these runs could show, as columns: each with its name.
+/// Other laws that these runs could show, with their columns.
 pub fn laws(runs: &[Run]) -> Laws {
     let mut out: Laws = Vec::new();
     let mut axes: Vec<String> = Vec::new();
@@ -150,7 +153,7 @@ pub fn laws(runs: &[Run]) -> Laws {
                         column(&s, runs)
                     })
                     .collect();
-                // A map carries no constant and no straight line.
+                // A map has no constant and no straight line.
                 let line = if a == b {
                     Source::new(format!("scale.{a}")).p("ppm", 1.0)
                 } else {
@@ -168,7 +171,7 @@ pub fn laws(runs: &[Run]) -> Laws {
 
 type Knots = (Vec<f64>, Vec<f64>);
 
-/// Hats over the places, at most a dozen.
+/// Hat functions over the places, at most a dozen.
 fn hats(values: &[f64]) -> Option<Vec<Knots>> {
     let mut places: Vec<i64> = values.iter().map(|p| (p * 20.0).round() as i64).collect();
     places.sort_unstable();
@@ -182,11 +185,11 @@ fn hats(values: &[f64]) -> Option<Vec<Knots>> {
     Some((0..k).map(|j| (knots.clone(), (0..k).map(|i| f64::from(u8::from(i == j))).collect())).collect())
 }
 
-/// Evidence that data would have to set a source apart from another law, in units of the noise: the square that the
-/// other law leaves of it. Below this the law is an alias.
+/// Evidence needed to tell a source from another law, in units of the noise.
+/// It is the squared residual of the source under the other law. Below this value the law is an alias.
 pub const TELLS: f64 = 40.0;
 
-/// Another of the `laws` that explains a source so well that this data cannot tell, if there is one.
+/// The name of another law that these data cannot tell from a source, if any.
 #[must_use]
 pub fn alias(s: &Source, others: &[&Source], runs: &[Run], laws: &Laws, sd: f64) -> Option<String> {
     let c = column(s, runs);
@@ -195,12 +198,12 @@ pub fn alias(s: &Source, others: &[&Source], runs: &[Run], laws: &Laws, sd: f64)
     if dot(&left, &left) < TELLS * sd * sd {
         return Some("what is known".into());
     }
-    // The same law with another sensor, time or constant is no other name.
+    // The same law with another sensor, time or constant has the same name.
     let mut rivals = laws.iter().filter(|(name, _)| *name != s.name);
     rivals.find(|(_, columns)| against(&base, columns, &left) < TELLS * sd * sd).map(|(name, _)| name.clone())
 }
 
-/// The square that columns leave of what a basis has left.
+/// Squared residual of `left` under the columns, beside a basis.
 fn against(base: &Basis, columns: &[Vec<f64>], left: &[f64]) -> f64 {
     let mut own = Basis::default();
     for c in columns {
@@ -213,8 +216,8 @@ fn against(base: &Basis, columns: &[Vec<f64>], left: &[f64]) -> f64 {
     dot(&rest, &rest)
 }
 
-/// The largest share of a shape that one law explains, but those in `skip`; with `waves` a wave of any period over the
-/// position too.
+/// The law that explains most of a shape, and the share that it explains.
+/// Laws in `skip` are left out. With `waves`, a wave of any period over the position is tried too.
 #[must_use]
 pub fn best_law(s: &Source, others: &[&Source], runs: &[Run], waves: bool, skip: &[&str]) -> (f64, String) {
     let c = column(s, runs);

@@ -1,4 +1,4 @@
-//! One run of an experiment: what is logged, and what is true beside it.
+//! One run of an experiment: the log, and the truth beside it.
 
 /// One logged column of a run.
 #[derive(Clone)]
@@ -9,7 +9,7 @@ pub struct Col {
     pub role: String,
     /// Unit in the sidecar.
     pub unit: &'static str,
-    /// Values; a truth that is not logged is kept with `logged = false`.
+    /// Values. A true value that is not logged has `logged = false`.
     pub v: Vec<f64>,
     /// Whether it goes into the CSV.
     pub logged: bool,
@@ -18,19 +18,20 @@ pub struct Col {
 /// One run of an experiment.
 #[derive(Clone, Default)]
 pub struct Run {
-    /// Kind, as the sidecar has it.
+    /// Kind in the sidecar.
     pub kind: &'static str,
-    /// The columns but the responses.
+    /// The columns other than responses.
     pub cols: Vec<Col>,
     /// Roles of the responses.
     pub responses: Vec<String>,
     /// Number of rows.
     pub n: usize,
-    /// True temperatures, °C, by sensor, where the log carries the sensor's noise.
+    /// True temperatures by sensor, °C, where the log has the sensor's noise.
     pub true_degc: Vec<(String, Vec<f64>)>,
-    /// Name of the gauges' zero.
+    /// Name of the gauges' zero, if the record has its own.
     pub zero: Option<String>,
-    /// A ballbar's nominal length, mm, and its plane: then the error along it is a response.
+    /// A ballbar's nominal length, mm, and its plane.
+    /// Then the error along the bar is a response.
     pub bar: Option<(f64, [String; 2])>,
 }
 

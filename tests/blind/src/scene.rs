@@ -1,4 +1,4 @@
-//! A case of the wider kinds: runs, what is true, what is known, and its files.
+//! A case of the wider classes: runs, truth, model and files.
 
 use crate::bench::Bench;
 use crate::case::{Case, Hides, Noise, physical, rms, write_run};
@@ -9,41 +9,42 @@ use crate::run::Run;
 use crate::source::Source;
 use std::path::Path;
 
-/// Share of a shape that a law of the dictionary may explain before the shape is that law, badly drawn.
+/// Share of a shape above which a law of the dictionary explains it.
+/// The shape then is a bad draw of that law.
 const LIKE: f64 = 0.7;
 
-/// All that is true of a case.
+/// The whole truth of a case.
 pub struct Scene {
     /// Training runs.
     pub runs: Vec<Run>,
     /// Hold-outs.
     pub held: Vec<Run>,
-    /// What the model lacks.
+    /// Effects that the model lacks.
     pub hidden: Vec<Source>,
-    /// What the true machine has of what the model has.
+    /// True effects that the model has too.
     pub known: Vec<Source>,
-    /// What the model says of it.
+    /// The same effects with the model's values.
     pub model: Vec<Source>,
-    /// Standard deviation of the noise, its autocorrelation from row to row, step of the gauge.
+    /// The noise: standard deviation, autocorrelation, step of the gauge.
     pub(crate) noise: Noise,
-    /// How much the noise grows over a run, and how far it wanders, both as a share.
+    /// Growth of the noise over a run, and its wander, both as a share.
     pub uneven: [f64; 2],
     /// Responses as measured, by run: training, then hold-outs.
     pub measured: Vec<Vec<Vec<f64>>>,
     /// The noise alone, likewise.
     pub noise_alone: Vec<Vec<Vec<f64>>>,
-    /// What it hides.
+    /// Number and kind of the hidden effects.
     pub hides: Hides,
-    /// Other sets of names that are right.
+    /// Other sets of names that are accepted.
     pub also: Vec<Vec<String>>,
-    /// What kind of case it is, in a word.
+    /// Kind of the case, in a word.
     pub design: &'static str,
     /// Other laws that the runs could show.
     laws: std::cell::OnceCell<rivals::Laws>,
 }
 
 impl Scene {
-    /// A scene of these benches, nothing hidden yet.
+    /// A scene of these benches, with nothing hidden yet.
     pub fn new(dice: &mut Dice, design: &'static str, benches: &[Bench]) -> Self {
         let runs: Vec<Run> = benches.iter().map(|b| b.run(0)).collect();
         let held = if dice.chance(0.6) { vec![dice.pick(benches).run(77)] } else { vec![] };
@@ -79,14 +80,14 @@ impl Scene {
         self.noise.sd
     }
 
-    /// How much larger than the noise a source is where it is largest: RMS over a run's response.
+    /// Largest ratio of a source's RMS to the noise over the responses.
     #[must_use]
     pub fn ratio(&self, s: &Source) -> f64 {
         let mut largest = 0.0_f64;
         for r in &self.runs {
             for resp in &r.responses {
                 let v = s.on(r, resp);
-                // In a record with a zero of its own the constant says nothing.
+                // In a record with a zero of its own the constant shows nothing.
                 let mean = if r.zero.is_some() { v.iter().sum::<f64>() / r.n as f64 } else { 0.0 };
                 largest = largest.max(rms(&v.iter().map(|x| x - mean).collect::<Vec<_>>()));
             }
@@ -94,7 +95,8 @@ impl Scene {
         largest / self.noise.sd
     }
 
-    /// Makes a source this many times as large as the noise; false where no machine can have it so.
+    /// Scales a source to `ratio` times the noise.
+    /// Returns false where no machine can have that size.
     pub fn sized(&self, s: &mut Source, ratio: f64) -> bool {
         s.level(&self.runs);
         let now = self.ratio(s);
@@ -109,7 +111,7 @@ impl Scene {
         physical(s)
     }
 
-    /// Hides a source; false where this data could not tell it by name.
+    /// Hides a source; returns false where these data cannot tell it by name.
     pub fn hide(&mut self, s: Source) -> bool {
         if self.hidden.iter().chain(&self.known).any(|h| h.name == s.name) {
             return false;
@@ -122,8 +124,9 @@ impl Scene {
         true
     }
 
-    /// Hides a shape of no dictionary; false where some law, but those that are right too, would do almost as well, or where
-    /// this data could not show it.
+    /// Hides a shape outside the dictionary.
+    /// Returns false where a law other than the accepted ones would do almost as well, or these data could not show the
+    /// shape.
     pub fn hide_shape(&mut self, s: Source, right: &[&str], waves: bool) -> bool {
         let others: Vec<&Source> = self.known.iter().collect();
         let (share, _) = rivals::best_law(&s, &others, &self.runs, waves, right);
@@ -134,12 +137,12 @@ impl Scene {
         share < LIKE && told
     }
 
-    /// Correlated noise tells less.
+    /// Noise for comparisons: correlated noise counts for more.
     fn noise_for_telling(&self) -> f64 {
         self.noise.sd * ((1.0 + self.noise.phi) / (1.0 - self.noise.phi)).sqrt()
     }
 
-    /// Whether each hidden effect is still told from all the others, now that all are there.
+    /// Whether each hidden effect can still be told from all the others.
     #[must_use]
     pub fn all_told(&self) -> bool {
         (0..self.hidden.len()).all(|k| {
@@ -156,7 +159,7 @@ impl Scene {
         })
     }
 
-    /// Gives the model an effect that is true, its amplitude off by a share.
+    /// Gives the model a true effect whose amplitude is off by a share.
     pub fn know(&mut self, dice: &mut Dice, s: Source, off: f64) {
         let mut seen = s.clone();
         if s.arr.is_empty() {
@@ -164,7 +167,7 @@ impl Scene {
         } else {
             seen.scale(1.0 + off * dice.normal());
         }
-        // Nobody writes down what no machine can have.
+        // A model states only values that a machine can have.
         if !physical(&seen) {
             seen = s.clone();
         }
@@ -172,7 +175,7 @@ impl Scene {
         self.model.push(seen);
     }
 
-    /// Measures everything.
+    /// Measures all runs: adds the noise to the truth.
     pub fn measure(&mut self, dice: &mut Dice) {
         let zeros: Vec<(String, f64)> = self
             .runs
@@ -220,7 +223,7 @@ impl Scene {
     /// Writes the case.
     ///
     /// # Errors
-    /// The directory cannot be written.
+    /// When the directory cannot be written.
     pub fn write(&self, seed: u64, dir: &Path) -> anyhow::Result<Case> {
         std::fs::create_dir_all(dir)?;
         let model = dir.join("machine.toml");

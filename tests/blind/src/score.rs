@@ -1,34 +1,34 @@
-//! The score of an answer, and the table of all.
+//! Marks of answers.
 
 use crate::case::{Case, Hides};
 
-/// What an answer came to.
+/// Mark of an answer.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, PartialOrd, Ord)]
 pub enum Mark {
     /// The hidden effects are named, and no other.
     Exact,
     /// Called not separable, with the truth in the group.
     Group,
-    /// Nothing found where something was hidden.
+    /// Nothing found although something was hidden.
     Missed,
-    /// Some of several found, nothing wrong beside them.
+    /// Some of several found, and nothing wrong.
     Partial,
     /// A wrong name given with confidence.
     Wrong,
-    /// Called unknown where it has a name.
+    /// Called unknown although it has a name.
     CalledUnknown,
-    /// Called not separable, the truth not in the group.
+    /// Called not separable, without the truth in the group.
     WrongGroup,
     /// The case's files were refused.
     Refused,
 }
 
-/// Verdict of an answer that is none: the files were refused.
+/// Verdict where the files were refused.
 pub const REFUSED: &str = "refused";
 
 /// An answer: verdict, names, and for each name its alternatives.
 pub struct Reply {
-    /// As in the verdict.
+    /// The verdict's word.
     pub verdict: String,
     /// Names with their alternatives.
     pub effects: Vec<(String, Vec<String>)>,
@@ -41,7 +41,7 @@ pub fn mark(case: &Case, reply: &Reply) -> Mark {
         return Mark::Refused;
     }
     let named = |set: &Vec<String>| {
-        // The constant and the straight line of a map go by names of their own.
+        // The constant and the straight line of a map have names of their own.
         let beside = |n: &str| n.starts_with("offset.") || n.starts_with("scale.");
         let mut names: Vec<&str> =
             reply.effects.iter().map(|(n, _)| n.as_str()).filter(|n| !beside(n)).collect();
@@ -94,7 +94,7 @@ pub fn mark(case: &Case, reply: &Reply) -> Mark {
     }
 }
 
-/// angular.A.B.C is the same product whichever of B and C comes first.
+/// A name with sorted factors: `angular.A.B.C` equals `angular.A.C.B`.
 pub(crate) fn unordered(name: &str) -> String {
     let mut parts: Vec<&str> = name.split('.').collect();
     if parts[0] == "angular" && parts.len() == 4 {

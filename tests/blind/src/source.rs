@@ -1,6 +1,6 @@
-//! What each error source adds to a run.
+//! The error that each source adds to a run.
 //!
-//! The formulas here are written from the file format's table alone: nothing is shared with the code under test.
+//! The formulas are written from the file format's table alone, and share nothing with the code under test.
 
 use crate::dice::Dice;
 use crate::run::Run;
@@ -9,7 +9,7 @@ use std::f64::consts::{PI, TAU};
 /// An error source of the true machine.
 #[derive(Clone, Debug)]
 pub struct Source {
-    /// The name by which the answer has to call it; a shape of no dictionary starts with `?`.
+    /// Name that the answer must give; a shape outside the dictionary has a `?`.
     pub name: String,
     /// Parameters with one value, by name.
     pub num: Vec<(&'static str, f64)>,
@@ -27,7 +27,7 @@ impl Source {
         self.num.push((key, v));
         self
     }
-    /// The value of a parameter that has only one; 0 where it has none.
+    /// Value of a parameter with one value; 0 where it is missing.
     #[must_use]
     pub fn val(&self, key: &str) -> f64 {
         self.num.iter().find(|(k, _)| *k == key).map_or(0.0, |(_, v)| *v)
@@ -47,7 +47,7 @@ impl Source {
     pub(crate) fn part(&self, i: usize) -> &str {
         self.name.split('.').nth(i).unwrap_or("")
     }
-    /// Keys by which the size of the effect scales.
+    /// Keys of the parameters that scale the effect's size.
     fn sizes(&self) -> Vec<&'static str> {
         self.num
             .iter()
@@ -70,7 +70,7 @@ impl Source {
             })
             .collect()
     }
-    /// Makes it larger by a factor.
+    /// Scales the effect by a factor.
     pub fn scale(&mut self, by: f64) {
         let sizes = self.sizes();
         for (k, v) in &mut self.num {
@@ -84,7 +84,7 @@ impl Source {
             }
         }
     }
-    /// Puts its parameters a little off, as a model that was fitted some time ago has them.
+    /// Makes its parameters slightly wrong, as in a model that was fitted earlier.
     pub fn off(&mut self, dice: &mut Dice, share: f64) {
         let sizes = self.sizes();
         for (k, v) in &mut self.num {
@@ -105,7 +105,8 @@ impl Source {
         }
     }
 
-    /// Takes the constant and the straight line over the rows that show it out of a map: those are other effects.
+    /// Subtracts a map's constant and straight line, which are other effects.
+    /// They are taken over the rows that show the map.
     pub fn level(&mut self, runs: &[Run]) {
         let (response, along) =
             (format!("error.{}", self.part(1)), self.name.rsplit('.').next().unwrap_or(""));
@@ -117,7 +118,7 @@ impl Source {
         };
         let mut p = places(&response);
         if p.is_empty() {
-            // Along a bar it counts as it is, not by the axis's share.
+            // Along a bar the error counts as it is, not by the axis's share.
             p = places("error.r");
         }
         if p.is_empty() {
@@ -125,7 +126,7 @@ impl Source {
         }
         let n = p.len() as f64;
         let middle = p.iter().sum::<f64>() / n;
-        // Beyond its knots a map goes on level, and so does a line that is taken off its heights.
+        // Beyond its knots a map is constant, and so is a line that is subtracted from its heights.
         let sums = |heights: &[f64]| {
             let at: Vec<f64> = p.iter().map(|p| broken_line(knots, heights, *p)).collect();
             let turned = p.iter().zip(&at).map(|(p, e)| (p - middle) * e).sum::<f64>();
@@ -138,7 +139,7 @@ impl Source {
             *u -= mean + slope * (k - own_mean);
         }
     }
-    /// `[[effect]]` of a model.
+    /// The source as `[[effect]]` of a model.
     #[must_use]
     pub fn toml(&self) -> String {
         let mut s = format!("[[effect]]\nname = \"{}\"\n", self.name);
@@ -168,7 +169,7 @@ impl Source {
         }
     }
 
-    /// What this source adds to one response over a run.
+    /// Error that this source adds to one response over a run.
     #[must_use]
     pub fn on(&self, run: &Run, response: &str) -> Vec<f64> {
         let n = run.n;
@@ -203,7 +204,7 @@ impl Source {
         if !a.is_empty() && axis != a {
             return zero;
         }
-        // Nothing turns back where no direction is known.
+        // Without a known direction there is no reversal.
         if law.starts_with("reversal") && run.dir(a).len() != n {
             return zero;
         }
@@ -251,7 +252,7 @@ impl Source {
                 map(self.delta(run), &|d| self.val("um_per_K") * d + self.val("um_per_K2") * d * d)
             }
             "thermal_lag" => {
-                // The lag's exact answer to a straight line between two rows.
+                // The exact response of the lag to a straight line between two rows.
                 let (d, t, tau) = (self.delta(run), run.time(), self.val("tau_s"));
                 let mut y = d[0];
                 (0..n)
@@ -312,7 +313,7 @@ pub(crate) fn broken_line(x: &[f64], y: &[f64], at: f64) -> f64 {
     y[y.len() - 1]
 }
 
-/// Takes the constant and the straight line out of values at knots.
+/// Subtracts the constant and the straight line from values at knots.
 pub(crate) fn flatten(x: &[f64], y: &mut [f64]) {
     let n = x.len() as f64;
     let (mx, my) = (x.iter().sum::<f64>() / n, y.iter().sum::<f64>() / n);
@@ -327,8 +328,9 @@ pub(crate) fn flatten(x: &[f64], y: &mut [f64]) {
 mod tests {
     use super::*;
 
-    /// Nothing of a constant or a straight line is left over the rows, wherever a map's knots end: a scale was hidden with it once that
-    /// nobody knew of.
+    /// A levelled map has no constant or straight line over the measured rows.
+    /// That holds wherever the map's knots end. Regression: a case hid a scale with a map, and the truth did not list
+    /// it.
     #[test]
     fn a_level_map_has_no_line_over_its_rows() {
         let p: Vec<f64> = (0..60).map(|i| f64::from(i * i % 61) - 20.0).collect();

@@ -1,4 +1,4 @@
-//! Shapes that are in no dictionary.
+//! Shapes outside the dictionary.
 
 use crate::dice::Dice;
 use crate::run::Run;
@@ -6,7 +6,7 @@ use crate::source::Source;
 use std::f64::consts::{PI, TAU};
 
 impl Source {
-    /// Shapes that are in no dictionary; `c` is their free number.
+    /// A shape outside the dictionary; `c` is its free number.
     pub(crate) fn stranger(&self, run: &Run, a: &str) -> Vec<f64> {
         let n = run.n;
         let c = self.val("c");
@@ -57,12 +57,13 @@ impl Source {
         shape.into_iter().map(|s| self.val("um") * s).collect()
     }
 
-    /// Shapes of the wider kinds; position and time come as −1 to 1, `c` is a period in rows, or what their dice start from.
+    /// Shapes of the wider classes.
+    /// Position and time are scaled to −1 to 1. `c` is a period in rows, or the seed of their random numbers.
     fn wider(&self, run: &Run, [p, t]: [&[f64]; 2], d: &[f64]) -> Vec<f64> {
         let (n, c) = (run.n, self.val("c"));
         let mut dice = Dice::new(c as u64);
         let all = |f: &dyn Fn(usize) -> f64| (0..n).map(f).collect::<Vec<_>>();
-        // Over the position, without the constant and the straight line that are offset and scale.
+        // Over the position, without the constant and the straight line, which are offset and scale.
         let bent = |f: &dyn Fn(f64) -> f64| {
             let y: Vec<f64> = p.iter().map(|x| f(*x)).collect();
             let (mp, my) = (p.iter().sum::<f64>() / n as f64, y.iter().sum::<f64>() / n as f64);
@@ -75,7 +76,7 @@ impl Source {
             let v = run.get(&format!("velocity.{axis}"));
             unit_size(v.map_or_else(|| vec![0.0; n], <[f64]>::to_vec))
         };
-        // Time in rows as they come without a gap.
+        // Time in rows, as if the record had no gap.
         let beat = || -> Vec<f64> {
             let time = run.time();
             let mut steps: Vec<f64> = time.windows(2).map(|w| w[1] - w[0]).collect();
@@ -90,7 +91,7 @@ impl Source {
             "?cycle_charge" => beat()
                 .iter()
                 .map(|b| {
-                    // Charged in a third of the cycle, discharged in the rest; both ends meet.
+                    // Charged in a third of the cycle and discharged in the rest, so that both ends meet.
                     let (x, up) = (b.fract(), 0.35);
                     let (rise, fall) = (1.0 - (-3.0_f64).exp(), (-3.0_f64).exp());
                     if x < up {
@@ -173,7 +174,7 @@ impl Source {
     }
 }
 
-/// Values on −1 to 1.
+/// Values scaled to −1 to 1.
 fn unit(v: Vec<f64>) -> Vec<f64> {
     let (lo, hi) = v.iter().fold((f64::MAX, f64::MIN), |(l, h), &x| (l.min(x), h.max(x)));
     v.into_iter().map(|x| if hi > lo { 2.0 * (x - lo) / (hi - lo) - 1.0 } else { 0.0 }).collect()

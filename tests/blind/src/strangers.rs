@@ -1,4 +1,4 @@
-//! Shapes of no dictionary, each with the experiment that shows it.
+//! Shapes outside the dictionary, each with an experiment that shows it.
 
 use crate::bench::{Bench, Heat, Kind};
 use crate::case::Hides;
@@ -7,7 +7,7 @@ use crate::dice::Dice;
 use crate::scene::Scene;
 use crate::source::Source;
 
-/// Shape, where it is seen, whether it takes sensors, and whether it takes different speeds.
+/// Shape, kind of experiment, and whether it needs sensors or several speeds.
 const SHAPES: [(&str, Kind, bool, bool); 10] = [
     ("?breathing", Kind::Drift, true, false),
     ("?breathing", Kind::Line, false, false),
@@ -21,7 +21,7 @@ const SHAPES: [(&str, Kind, bool, bool); 10] = [
     ("?ageing", Kind::Drift, true, false),
 ];
 
-/// A random scene, or none where the draw was no case.
+/// A random scene; `None` where the draw makes no case.
 pub(crate) fn scene(dice: &mut Dice, choice: f64) -> Option<Scene> {
     let (shape, kind, sensors, speeds) = SHAPES[(choice * SHAPES.len() as f64) as usize];
     let rows = dice.log(120.0, 600.0) as usize;

@@ -21,7 +21,7 @@ pub fn wrong(m: Mark) -> bool {
     matches!(m, Mark::Wrong | Mark::WrongGroup)
 }
 
-/// A share as a cell: `yes` of `all`.
+/// A share: `yes` of `all`.
 #[derive(Clone, Copy, Default)]
 struct Share(usize, usize);
 
@@ -48,7 +48,7 @@ fn quantile(values: &[f64], q: f64) -> Option<f64> {
     v.get(((v.len().max(1) - 1) as f64 * q) as usize).copied()
 }
 
-/// Figures of one class and one way: the finder, a baseline, the oracle.
+/// Figures of one class and one method: the reconciler, a baseline, the oracle.
 struct Row {
     class: Class,
     way: &'static str,
@@ -95,7 +95,7 @@ fn row(class: Class, way: &'static str, of: &[&Outcome], k: usize, mark: &dyn Fn
         _ => [0, 0],
     };
     let add = |s: Share, [a, b]: [usize; 2]| Share(s.0 + a, s.1 + b);
-    // Of those outside: a period that looks the same as the true one, which is listed beside it.
+    // Parameters outside the interval whose period is an alias that lists the true one.
     let aliased = |o: &Outcome| {
         let outside = o.covered.iter().filter(|c| !c.holds && k == 0);
         [outside.clone().filter(|c| c.alias_said).count(), outside.count()]
@@ -115,7 +115,7 @@ fn row(class: Class, way: &'static str, of: &[&Outcome], k: usize, mark: &dyn Fn
             all().map(aliased).fold(Share(0, 0), add),
         ),
     ];
-    // What has no name is not closed by one, and where nothing is missing there is no gap.
+    // A name closes nothing without a law, and where nothing is missing there is no gap.
     let closed: Vec<f64> = all()
         .filter(|o| !is(o, Hides::Nothing) && !is(o, Hides::Stranger))
         .filter_map(|o| match k {
@@ -138,7 +138,8 @@ fn row(class: Class, way: &'static str, of: &[&Outcome], k: usize, mark: &dyn Fn
     }
 }
 
-/// Kinds of mistakes: how each was taken, and how often its clean twin raised a suspicion.
+/// How each kind of mistake was treated.
+/// It also counts how often its clean twin raised a suspicion.
 fn taken(outcomes: &[Outcome]) -> Vec<(&'static str, &'static str, [Share; 4])> {
     KINDS
         .iter()

@@ -1,32 +1,32 @@
-//! Builders of tests: columns, axes and records from literals.
+//! Builders for tests: columns, axes and records from literals.
 //!
-//! A test states only what it is about. A wrong literal panics, as a mistake of the test.
+//! A test states only what it needs. A wrong literal panics, because it is a mistake of the test.
 
 use rtec_model::record::{Axis, Column, Kind, Record, Role};
 use std::path::Path;
 
-/// Axis of this name.
+/// An axis of this name.
 ///
 /// # Panics
-/// The name is no axis name.
+/// When the name is no axis name.
 #[must_use]
 pub fn axis(name: &str) -> Axis {
     Axis::new(name).expect("an axis name")
 }
 
-/// Column of a role, as `error.x`, in the role's own unit.
+/// A column of a role such as `error.x`, in the role's own unit.
 ///
 /// # Panics
-/// There is no such role.
+/// When there is no such role.
 #[must_use]
 pub fn column(name: &str, role: &str, data: Vec<f64>) -> Column {
     Column::new(name, Role::parse(role).expect("a role"), data)
 }
 
-/// Record `NAME.run.toml` of these columns.
+/// A record `NAME.run.toml` of these columns.
 ///
 /// # Panics
-/// The columns make no record, because of different lengths for example.
+/// When the columns make no record, for example because of different lengths.
 #[must_use]
 pub fn record(name: &str, kind: Kind, columns: Vec<Column>) -> Record {
     Record::new(Path::new(&format!("{name}.run.toml")), kind, columns).expect("columns of one record")

@@ -1,15 +1,15 @@
-//! What the fuzz targets share: what is expected of every reader, beyond that it does not panic.
+//! Shared checks of the fuzz targets, beyond the absence of panics.
 //!
 //! | expected | seen by |
 //! |---|---|
 //! | an error is one line that can be printed | [`checked`] |
-//! | what is written reads back as it was | the targets |
-//! | where nothing writes: the same said in other words reads the same | [`said_anew`], and the target `batch` |
+//! | a written file reads back the same | the targets |
+//! | where nothing writes it: the same content in another form reads the same | [`said_anew`], and the target `batch` |
 //! | a finding has its file, and a line of it | [`placed`] |
 //! | memory and time are bounded | libFuzzer's limits (`.ci/run`) |
 //!
-//! With `RTEC_FUZZ_PLANTED=panic|text|memory|time` there is a fault of that kind behind three letters: `.ci/run` shows
-//! that it is found.
+//! `RTEC_FUZZ_PLANTED=panic|text|memory|time` plants a fault of that kind behind three letters. `.ci/run` shows that it
+//! is found.
 
 use rtec_files::InputError;
 use std::fmt::Display;
@@ -17,39 +17,42 @@ use std::hint::black_box;
 use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
 
-/// A file's name for readers that are given text; nothing stands beside it.
+/// A file name for readers of text, without any files beside it.
 pub const NAME: &str = "/nonexistent/in";
 
-/// Faults on purpose.
+/// Kind of the planted fault, if any.
 static PLANTED: LazyLock<Option<String>> = LazyLock::new(|| std::env::var("RTEC_FUZZ_PLANTED").ok());
 
-/// A reader's result; its error must be fit to be read by people, at a terminal.
+/// A reader's result; asserts that its error can be shown to people.
 pub fn checked<T, E: Display>(result: Result<T, E>) -> Option<T> {
     result.map_err(|e| fit(&e.to_string())).ok()
 }
 
-/// Whether a message can be shown as it is: something, on one line, with nothing that a terminal would act on.
+/// Asserts that a message can be shown as it is.
+/// It has text, is on one line, and has nothing that a terminal acts on.
 pub fn fit(message: &str) {
     assert!(!message.trim().is_empty(), "an error without words");
     assert!(!message.chars().any(char::is_control), "an error that does not print: {message:?}");
 }
 
-/// Whether a finding about a text names its file, and a line that the text has; or the one after it, where rows should begin.
+/// Asserts that a finding names its file and a line of the text.
+/// The line after the last is allowed, where rows should begin.
 pub fn placed(finding: &InputError, text: &str) {
     fit(&finding.to_string());
     assert_eq!(finding.file, Path::new(NAME), "{finding}");
     assert!(finding.line <= text.matches('\n').count() + 2, "{finding}: a line that is not there");
 }
 
-/// The same TOML as another program writes it, a remark above and below: without its comments and blanks, tables for dotted
-/// keys, numbers by ten. Not for numbers beyond what that program knows.
+/// The same TOML as another program writes it, between two comments.
+/// It has no comments or blanks of its own, tables for dotted keys, and decimal numbers. Numbers beyond that program's
+/// range are not supported.
 pub fn said_anew(text: &str) -> Option<String> {
     let table: toml::Table = text.parse().ok()?;
     let text = toml::to_string(&table).expect("what was TOML is TOML");
     Some(format!("# said anew\r\n\n{text}\n\t# the end"))
 }
 
-/// The input as a file of text is read.
+/// The input as text, as a reader of files gets it.
 pub fn text(data: &[u8]) -> Option<String> {
     if let Some(kind) = PLANTED.as_deref() {
         plant(data, kind);
@@ -58,7 +61,7 @@ pub fn text(data: &[u8]) -> Option<String> {
     checked(rtec_files::text::decode(Path::new(NAME), data))
 }
 
-/// An input of several files, parted by lines of `%%`; what is not there is empty.
+/// An input of several files, separated by lines of `%%`; missing ones are empty.
 pub fn parts<const N: usize>(text: &str) -> [&str; N] {
     let mut rest = Some(text);
     [(); N].map(|()| match rest.and_then(|r| r.split_once("\n%%\n")) {
@@ -70,7 +73,7 @@ pub fn parts<const N: usize>(text: &str) -> [&str; N] {
     })
 }
 
-/// Puts a file where readers find it that take no text.
+/// Writes a file for readers that take no text, and returns its path.
 pub fn put(name: &str, bytes: &[u8]) -> PathBuf {
     static FOLDER: LazyLock<PathBuf> = LazyLock::new(|| {
         let folder = std::env::temp_dir().join(format!("rtec-fuzz-{}", std::process::id()));
@@ -83,7 +86,7 @@ pub fn put(name: &str, bytes: &[u8]) -> PathBuf {
 }
 
 fn plant(data: &[u8], kind: &str) {
-    // A byte at a time, each a branch of its own: whoever follows coverage gets there.
+    // One byte at a time, each in a branch, so that a fuzzer that follows coverage gets there.
     let is = |n: usize, byte: u8| black_box(data.get(n).copied()) == Some(byte);
     if is(0, b'R') && is(1, b'T') && is(2, b'E') {
         match kind {

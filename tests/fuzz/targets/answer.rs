@@ -1,4 +1,4 @@
-//! What the daemon answers, as its clients read it.
+//! The daemon's answers, as its clients read them.
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;

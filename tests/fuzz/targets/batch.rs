@@ -1,7 +1,7 @@
 //! A batch measured on a coordinate measuring machine.
 //!
-//! Nothing writes it: the same rows in other words must be judged the same, and with every error turned round the other
-//! way round.
+//! Nothing writes it. So the same rows in another form must be judged the same, and with all errors negated the
+//! opposite.
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
@@ -52,7 +52,8 @@ fuzz_target!(|data: &[u8]| {
     assert_eq!(means(&turned, -1.0), means(&batch, 1.0));
 });
 
-/// The same rows: other columns in another order, remarks and blanks, errors where nominal and measured stood; times `sign`.
+/// The same rows in another form, with all errors times `sign`.
+/// The columns have another order, there are comments and blanks, and errors replace nominal and measured values.
 fn written(text: &str, sign: f64) -> String {
     let sheet = Sheet::parse(Path::new(rtec_fuzz::NAME), text, &[], |_| true).expect("it was read");
     let words = |name| sheet.words(name).expect("it was read");

@@ -1,4 +1,4 @@
-//! `rtec.toml`. Nothing writes it: what is read must be what the same TOML in other words says.
+//! `rtec.toml`: the same TOML in another form must read the same.
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
@@ -23,7 +23,7 @@ fuzz_target!(|data: &[u8]| {
             assert!(!findings.0.is_empty());
             for finding in &findings.0 {
                 rtec_fuzz::fit(&finding.to_string());
-                // The others are of a profile that the file names.
+                // Other findings are about a profile that the file names.
                 if finding.file == file {
                     rtec_fuzz::placed(finding, &text);
                 }

@@ -13,7 +13,7 @@ fuzz_target!(|data: &[u8]| {
     let Some(FeatureErrors::Arc(errors)) = rtec_fuzz::checked(FeatureErrors::parse(file, &text)) else {
         return;
     };
-    // As it is written: micro-radians and nanometres.
+    // Rounded as in the file: micro-radians and nanometres.
     let written = error_cor(&errors);
     let Ok(FeatureErrors::Arc(again)) = FeatureErrors::parse(file, &written) else {
         assert!(errors.windows(2).any(|e| e[1].angle_rad - e[0].angle_rad < 2e-6), "{written}");

@@ -1,4 +1,5 @@
-//! Files by which a user describes formats, laws and conditions of his own: the first line says which.
+//! Files in which a user describes formats, laws and conditions.
+//! The first line says which.
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;

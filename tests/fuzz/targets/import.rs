@@ -1,4 +1,4 @@
-//! Records of other programs: the first line says whose.
+//! Records of other programs; the first line names the program.
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;

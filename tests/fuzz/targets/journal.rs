@@ -8,7 +8,7 @@ use rtec_rt::journal::{Journal, MachineRecord, StateRecord};
 const OURS: &str = "machine \"fuzz\"";
 
 fuzz_target!(|data: &[u8]| {
-    // A file of the right size, as far as the input goes.
+    // A file of the right size that begins with the input.
     let mut bytes = data.to_vec();
     if let Some((_, sized)) = data.split_first().filter(|(first, _)| **first == b'=') {
         bytes = sized.to_vec();
@@ -20,7 +20,7 @@ fuzz_target!(|data: &[u8]| {
         return;
     };
     assert!(before.records.iter().flatten().flatten().all(|r| r.inverters < 4));
-    // What is noted now is what is found next, whatever stood there.
+    // A record noted now is found next, whatever the file held before.
     let noted = [(1, 4), (3, 6)].map(|(inverters, completed)| StateRecord {
         inverters,
         completed,

@@ -1,6 +1,6 @@
 //! Card profiles.
 //!
-//! Nothing writes them: what is read must be what the same TOML in other words says.
+//! Nothing writes them. So the same TOML in another form must read the same.
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;

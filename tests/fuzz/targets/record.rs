@@ -10,7 +10,7 @@ fuzz_target!(|data: &[u8]| {
     rtec_fuzz::put("a.csv", csv.as_bytes());
     let path = rtec_fuzz::put("a.run.toml", sidecar.as_bytes());
     let Some(mut read) = rtec_fuzz::checked(record::read_log(&path)) else { return };
-    // Beside it, whatever the record calls its CSV.
+    // Beside the sidecar, whatever name the record gives its CSV.
     (read.path, read.file) = (path.with_file_name("b.run.toml"), "b.csv".to_owned());
     record::write(&mut read).expect("the folder can be written to");
     assert_eq!(record::read_log(&read.path).expect("what is written is read"), read);

@@ -1,12 +1,12 @@
-//! What a test needs that the project does not bring: other programs, measured data, root.
+//! Needs of tests beyond the project: other programs, measured data, root.
 //!
-//! Where it is missing, the test says so and ends. The test harness hides what a passing test prints. So it is noted,
-//! and the last test of `cargo test --workspace` names all that was not run.
+//! Where one is missing, the test says so and ends. The test harness hides the output of a passing test. So it is
+//! noted, and the last test of `cargo test --workspace` names all tests that were not run.
 //!
 //! With `RTEC_REQUIRE=1`, as `.ci/run` sets it, no program may be missing. A clone without the folder `../shared/data`
 //! passes without measured data, and says so.
 //!
-//! And what tests of several crates are made of: numbers ([`dice`]), and an axis that moves ([`motion`]).
+//! It also has shared parts of tests: random numbers ([`dice`]), and an axis that moves ([`motion`]).
 
 pub mod dice;
 pub mod motion;
@@ -15,19 +15,19 @@ use std::io::Write;
 use std::os::unix::process::parent_id;
 use std::path::{Path, PathBuf};
 
-/// So many random cases, times `RTEC_CASES` (1).
+/// Number of random cases: `n` times `RTEC_CASES` (default 1).
 ///
 /// # Panics
-/// It is no number.
+/// When `RTEC_CASES` is no number.
 #[must_use]
 pub fn cases(n: u64) -> u64 {
     n * asked("RTEC_CASES", 1)
 }
 
-/// The number that an environment variable gives, else `otherwise`.
+/// The number in an environment variable, else `otherwise`.
 ///
 /// # Panics
-/// What it gives is no number.
+/// When the variable is no number.
 #[must_use]
 pub fn asked(variable: &str, otherwise: u64) -> u64 {
     std::env::var(variable).map_or(otherwise, |text| {
@@ -35,10 +35,10 @@ pub fn asked(variable: &str, otherwise: u64) -> u64 {
     })
 }
 
-/// Notes that a test could not run, and why. The test is to end after it.
+/// Notes that a test could not run, and why. The test must end after it.
 ///
 /// # Panics
-/// With `RTEC_REQUIRE` set: then nothing may be left out.
+/// When `RTEC_REQUIRE` is set, because then nothing may be left out.
 pub fn skipped(why: &str) {
     assert!(std::env::var_os("RTEC_REQUIRE").is_none(), "RTEC_REQUIRE is set, but: {why}");
     left_out(why);
@@ -49,21 +49,22 @@ fn left_out(why: &str) {
     assert!(note(why).is_some(), "not noted: {why}");
 }
 
-/// The note alone; `None` where it could not be written.
+/// Writes the note; `None` where it could not be written.
 #[must_use]
 pub fn note(why: &str) -> Option<()> {
     let test = std::thread::current().name().unwrap_or("main").to_owned();
     let file = notes()?;
     std::fs::create_dir_all(file.parent()?).ok()?;
     let mut file = std::fs::File::options().create(true).append(true).open(file).ok()?;
-    // One write: tests run in parallel.
+    // One write, because tests run in parallel.
     file.write_all(format!("{why}\t{test}\n").as_bytes()).ok()
 }
 
-/// A file or folder of the measured data that is no part of the project, or `None`, noted, where it is not there.
+/// A file or folder of the measured data, which are not part of the project.
+/// Returns `None`, and notes it, where it is missing.
 ///
 /// # Panics
-/// With `RTEC_REQUIRE` set, where the other data is there: then this one was forgotten.
+/// When `RTEC_REQUIRE` is set and the other data are there, so that this one was forgotten.
 #[must_use]
 pub fn shared(file: &str) -> Option<PathBuf> {
     let found = data(&Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared"), file);
@@ -75,17 +76,18 @@ pub fn shared(file: &str) -> Option<PathBuf> {
     found.ok()
 }
 
-/// A file of this folder; else why not, and whether `RTEC_REQUIRE` makes that a failure.
+/// A file of this folder, or why it is missing.
+/// The flag tells whether `RTEC_REQUIRE` makes that a failure.
 fn data(folder: &Path, file: &str) -> Result<PathBuf, (String, bool)> {
     let path = folder.join(file);
     let why = || (format!("../shared/{file} is not there"), folder.join("data").exists());
     if path.exists() { Ok(path) } else { Err(why()) }
 }
 
-/// Compares what was made with the file that it should be; `RTEC_BLESS=1` writes the file anew.
+/// Compares a text with its golden file; `RTEC_BLESS=1` writes the file.
 ///
 /// # Panics
-/// At the first line that differs; the file cannot be written.
+/// At the first line that differs, or when the file cannot be written.
 #[track_caller]
 pub fn golden(file: &Path, made: &str) {
     if std::env::var_os("RTEC_BLESS").is_some() {
@@ -100,7 +102,7 @@ pub fn golden(file: &Path, made: &str) {
     assert_eq!(made, there, "{}: RTEC_BLESS=1 writes it anew", file.display());
 }
 
-/// Whether a program of a Debian package is there; where it is not, that is noted.
+/// Whether a program of a Debian package is installed; notes where it is not.
 #[must_use]
 pub fn installed(program: &str, package: &str) -> bool {
     let there = ["/usr/bin", "/usr/sbin"].iter().any(|folder| Path::new(folder).join(program).exists());
@@ -110,7 +112,7 @@ pub fn installed(program: &str, package: &str) -> bool {
     there
 }
 
-/// Whether Debian's own Python has a module; where it has not, that is noted.
+/// Whether Debian's own Python has a module; notes where it has not.
 #[must_use]
 pub fn python(module: &str, package: &str) -> bool {
     let found = std::process::Command::new(PYTHON).args(["-c", &format!("import {module}")]).output();
@@ -121,23 +123,24 @@ pub fn python(module: &str, package: &str) -> bool {
     there
 }
 
-/// Debian's own interpreter, which its modules belong to.
+/// Debian's own interpreter, to which its modules belong.
 pub const PYTHON: &str = "/usr/bin/python3";
 
-/// The notes of this run: of all test programs that one cargo has started.
+/// The notes of this run, from all test programs that one cargo has started.
 fn notes() -> Option<PathBuf> {
     let program = std::env::current_exe().ok()?;
     // target/PROFILE/deps/PROGRAM
     Some(program.parent()?.parent()?.join("not-run").join(parent_id().to_string()))
 }
 
-/// What was noted in this run, reason and test, sorted by reason; and forgets it, with what older runs have left.
+/// Returns the notes of this run, sorted by reason, and removes them.
+/// A note is a reason and a test. Notes of older runs are removed too.
 #[must_use]
 pub fn take_notes() -> Vec<(String, String)> {
     let Some(file) = notes() else { return Vec::new() };
     let text = std::fs::read_to_string(&file).unwrap_or_default();
     if let Some(folder) = file.parent() {
-        // Nothing to forget, or in use by nobody: either way the run is over.
+        // An error means that there are no notes, or nobody uses them: the run is over.
         let _ = std::fs::remove_dir_all(folder);
     }
     let mut noted: Vec<_> =

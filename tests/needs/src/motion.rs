@@ -1,6 +1,6 @@
-//! An axis that keeps an acceleration limit, read by a scale with hysteresis: whose edges the tests run through.
+//! An axis with an acceleration limit, read by a scale with hysteresis.
 
-/// The axis: place, speed and time, and the count that its scale shows.
+/// The axis: position, speed, time, and the count of its scale.
 #[derive(Debug, Clone)]
 pub struct Motion {
     x: f64,
@@ -13,7 +13,7 @@ pub struct Motion {
 }
 
 impl Motion {
-    /// At rest between two edges.
+    /// An axis at rest between two edges.
     #[must_use]
     pub fn new(accel_counts_s2: f64, max_speed_counts_s: f64, hysteresis_counts: f64) -> Self {
         Self {
@@ -27,21 +27,21 @@ impl Motion {
         }
     }
 
-    /// The time, ns.
+    /// The present time, ns.
     #[must_use]
     pub fn now_ns(&self) -> f64 {
         self.t_ns
     }
 
-    /// The speed, counts/s.
+    /// The present speed, counts/s.
     #[must_use]
     pub fn speed_counts_s(&self) -> f64 {
         self.v
     }
 
-    /// One short step at a part of the full acceleration (-1 to 1).
+    /// One short step with `throttle` times the full acceleration (−1 to 1).
     ///
-    /// Gives the edge within it, if any: the time in ns at which the parabola crosses the threshold, and the direction.
+    /// Returns the edge within it, if any: the time in ns at which the motion crosses the threshold, and the direction.
     pub fn step(&mut self, throttle: f64) -> Option<(u64, i64)> {
         let dt_s = (0.1 / (self.v.abs() + 1.0)).clamp(1e-7, 1e-5);
         let mut a = self.accel_counts_s2 * throttle;
@@ -64,9 +64,9 @@ impl Motion {
     }
 }
 
-/// When vt + at²/2 first is d, s.
+/// First time at which vt + at²/2 = d, s.
 ///
-/// Of two ways to write the root the one without a difference of near numbers.
+/// Of the two forms of the root it uses the one without a difference of near numbers.
 fn first_s(v: f64, a: f64, d: f64) -> f64 {
     let root = (v * v + 2.0 * a * d).max(0.0).sqrt();
     2.0 * d / (v + root.copysign(d))

@@ -1,12 +1,12 @@
-//! The last lines of `cargo test --workspace`: what was not run, and why.
+//! The last lines of `cargo test --workspace`: tests that were not run, and why.
 //!
-//! A program without a test harness, which would hide them.
+//! It is a program without a test harness, which would hide its output.
 
 use test_needs::{note, take_notes};
 
 fn main() {
     let noted = take_notes();
-    // A note must be found again, or the list is empty for the wrong reason.
+    // A planted note must be found, or the list could be empty for a wrong reason.
     assert!(note("planted").is_some() && take_notes() == [("planted".to_owned(), "main".to_owned())]);
     if noted.is_empty() {
         println!("\nNothing that was asked for was left out: all counterparts and data were there.");

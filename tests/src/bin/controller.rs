@@ -1,9 +1,10 @@
-//! `controller`: LinuxCNC runs a part (a taper, arcs, a full circle) on a simulated lathe with a known error, without
-//! and with the corrector, and the tool's path is compared with the part's. Then it probes a part, fast and slowly, and
-//! what the corrector captured is compared with the contact and with LinuxCNC's own probing result.
+//! `controller`: LinuxCNC as the controller of a simulated, corrected lathe.
+//! The lathe has a known error. LinuxCNC turns a part (a taper, arcs, a full circle) without and with the corrector,
+//! and the tool's path is compared with the part's. Then it probes a part, fast and slowly. The corrector's captures
+//! are compared with the contacts and with LinuxCNC's own probing results.
 //!
-//! `cargo run --release -p rtec-tests --bin controller`; exit 1 when the corrector does not bring the path error down
-//! to the machine's own plus its resolution, or when a point is not probed where it is.
+//! Run it by `cargo run --release -p rtec-tests --bin controller`. Exit 1 means one of two failures. The corrected path
+//! error is above the machine's own plus the resolution, or a probed point is not where it should be.
 
 use anyhow::{Context, ensure};
 use rtec_part::contour::{Contour, Segment};
@@ -20,7 +21,7 @@ use std::path::Path;
 
 type Point = [f64; AXES];
 
-/// A piece of the part's outline, (X radius, Z) in mm.
+/// A segment of the part's outline, (X radius, Z) in mm.
 enum Piece {
     Line(Point, Point),
     Circle { centre: Point, radius: f64 },
@@ -40,7 +41,8 @@ impl Piece {
     }
 }
 
-/// A taper, a quarter arc out and one back, a straight, and a full circle about its end.
+/// The program and outline of the part.
+/// It is a taper, a quarter arc out and one back, a straight line, and a full circle about its end.
 fn part() -> (String, Vec<Piece>) {
     let program = "\
         G21 G18 G8 G90 G61 F1200\n\
@@ -120,20 +122,23 @@ fn main() -> anyhow::Result<()> {
     fast_and_slow()
 }
 
-/// What a probing session came to.
+/// Results of a probing session.
 struct Session {
-    /// From the first trip to the last.
+    /// Time from the first trip to the last, s.
     seconds: f64,
-    /// Largest distance along the touch from the machine's own record of the contact: the corrector's capture.
+    /// Largest distance of the corrector's captures from the contacts, µm.
+    /// It is measured along the touch, from the machine's own record.
     captured_um: f64,
-    /// The same of LinuxCNC's own #5061 and #5063: smallest and largest, beyond the surface positive.
+    /// Smallest and largest distance of LinuxCNC's results (#5061, #5063), µm.
+    /// It is measured alike; beyond the surface is positive.
     controller_um: (f64, f64),
-    /// Half the width that the corrector gives its positions, the largest.
+    /// Largest half-width of the corrector's positions, µm.
     stated_um: f64,
 }
 
-/// The nose of NISTIR 4854 probed by a program in LinuxCNC's dialect, twenty G38.2 touches. LinuxCNC sees the probe too
-/// and judges: it samples once a servo period, so what it says lies up to a period's travel behind the contact.
+/// Probes the nose of NISTIR 4854 with twenty G38.2 touches.
+/// The program is in LinuxCNC's dialect. LinuxCNC also reads the probe, once a servo period. So its result is up to one
+/// period's travel behind the contact.
 fn probe(feed_mm_min: f64) -> anyhow::Result<Session> {
     let (centre, radius_mm, tip_mm) = (Zx::new(-100.0, 0.0), 38.1, 2.5);
     let nose = Segment::Arc { centre, radius_mm, start_rad: 0.0, sweep_rad: FRAC_PI_2 };
@@ -163,7 +168,7 @@ fn probe(feed_mm_min: f64) -> anyhow::Result<Session> {
     let round = Round { centre_mm: [centre.x, centre.z], reach_mm: radius_mm + tip_mm };
     let mut run = run(&logged, Default::default(), Job::Probe(round))?;
     check("probing", &run)?;
-    // Axis 0 is X here; the part's first is Z.
+    // Axis 0 is X here; the part's axis 0 is Z.
     run.events.iter_mut().for_each(|e| e.axis = e.axis.map(|n| 1 - n));
     let expected = plan.expected();
     let trips = assign(&captured(&run.events), &expected, COUNT_UM, Zx::new(0.0, 0.0), 0.5)?;
@@ -188,7 +193,7 @@ fn probe(feed_mm_min: f64) -> anyhow::Result<Session> {
     Ok(session)
 }
 
-/// Fast and slow probing side by side, both captured by the corrector and measured by LinuxCNC itself.
+/// Compares fast and slow probing, captured by the corrector and by LinuxCNC.
 fn fast_and_slow() -> anyhow::Result<()> {
     println!("twenty points probed by LinuxCNC (G38.2), µm along the touch from where the contact was");
     println!(
@@ -205,7 +210,7 @@ fn fast_and_slow() -> anyhow::Result<()> {
             format!("{:+.1} to {:+.1}", s.controller_um.0, s.controller_um.1)
         );
         ensure!(s.captured_um < 1.0, "more than the micrometre that fast probing is for");
-        // LinuxCNC looks once a servo period and in whole counts.
+        // LinuxCNC samples once a servo period, and in whole counts.
         let period_um = feed_mm_min / 60.0;
         let (low, high) = s.controller_um;
         ensure!(

@@ -1,4 +1,4 @@
-//! `judge`: lets counters that we did not write count a corrected trace.
+//! `judge`: lets counters of other programs count a corrected trace.
 //!
 //! `cargo run --release -p rtec-tests --bin judge -- linuxcnc --scale in.csv --mtc out.csv --completed 40`
 
@@ -11,7 +11,7 @@ use rtec_tests::ledger;
 use std::path::PathBuf;
 use std::time::Instant;
 
-/// Let counters that we did not write count a corrected trace
+/// Let counters of other programs count a corrected trace
 #[derive(Debug, Parser)]
 struct Cli {
     #[command(subcommand)]
@@ -24,19 +24,19 @@ enum Judge {
     Linuxcnc(Traces),
     /// sigrok's graycode decoder, at every state (slow)
     Sigrok(Traces),
-    /// TSC cycles of LinuxCNC's encoder.update-counters for three channels: one JSON document
+    /// TSC cycles of LinuxCNC's encoder.update-counters for three channels, as JSON
     Cycles,
 }
 
 #[derive(Debug, clap::Args)]
 struct Traces {
-    /// What the scale gave
+    /// Trace of the scale
     #[arg(long)]
     scale: PathBuf,
-    /// What the MTC saw
+    /// Trace at the MTC
     #[arg(long)]
     mtc: PathBuf,
-    /// What the corrector says it completed, in counts
+    /// Counts that the corrector reports as completed
     #[arg(long, allow_negative_numbers = true)]
     completed: i64,
 }
@@ -98,7 +98,9 @@ fn report(name: &str, totals: ledger::Totals, verdict: Verdict, start: Instant) 
     Ok(())
 }
 
-/// Flat out, everything is in the cache; once a millisecond, as a servo thread runs, hardly anything is.
+/// Measures LinuxCNC's counter with warm and with cold caches.
+/// Called without a pause, everything is in the cache. Called once a millisecond, as in a servo thread, hardly anything
+/// is.
 fn cycles() -> anyhow::Result<()> {
     let mut document = serde_json::Map::new();
     for (name, period_ns, calls) in [("flat_out", 1000, 1_000_000), ("every_ms", 1_000_000, 3000)] {

@@ -1,11 +1,12 @@
-//! `supervisor`: a service manager that keeps file descriptors, a machine on a card, and `kill -9` in between.
+//! `supervisor`: kills a daemon on a simulated machine again and again.
+//! It is the daemon's service manager, and keeps its file descriptors over each `kill -9`.
 //!
 //! ```text
 //! supervisor --rtecd PATH --config rtec.toml --socket PATH --card FILE
 //! supervisor --rtecd PATH --config rtec.toml --socket PATH --gpio-sim DIR --lines A,B,INVERT_A,INVERT_B
 //! ```
 //!
-//! Exit 1 at the first illegal transition or jump at the MTC, or unlatched imbalance.
+//! It exits with 1 at the first illegal transition or jump at the MTC, or unlatched imbalance.
 
 use clap::Parser;
 use rtec_tests::daemon::Machine;
@@ -14,7 +15,7 @@ use rtec_tests::supervisor::Trial;
 use std::path::PathBuf;
 use std::time::Duration;
 
-/// Kills rtecd at random moments while it corrects a moving axis, and passes its file descriptors on
+/// Kill rtecd at random moments while it corrects a moving axis
 #[derive(Debug, Parser)]
 struct Args {
     /// The daemon
@@ -26,10 +27,10 @@ struct Args {
     /// Its control socket
     #[arg(long, value_name = "PATH")]
     socket: PathBuf,
-    /// The shared-memory card that the machine is played on; it is made anew
+    /// Shared-memory card of the simulated machine; the file is created
     #[arg(long, value_name = "FILE", required_unless_present = "gpio_sim")]
     card: Option<PathBuf>,
-    /// The simulated chip that the machine is played on: its directory in /sys/devices/platform
+    /// Simulated GPIO chip of the machine: its directory in /sys/devices/platform
     #[arg(long, value_name = "DIR", requires = "lines", conflicts_with = "card")]
     gpio_sim: Option<PathBuf>,
     /// Offsets of A, B and their inverters on the simulated chip
@@ -38,10 +39,10 @@ struct Args {
     /// Time between two edges of the axis, ms
     #[arg(long, default_value_t = 400)]
     edge_ms: u64,
-    /// How often it is killed
+    /// Number of kills
     #[arg(long, default_value_t = 20)]
     kills: u32,
-    /// Of the random moments and totals
+    /// Seed of the random moments and totals
     #[arg(long, default_value_t = 1)]
     seed: u64,
 }

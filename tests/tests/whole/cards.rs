@@ -1,4 +1,4 @@
-//! Cards that are more than a word of lines, and the card's commands beside a running daemon.
+//! Counter cards, and the card's commands beside a running daemon.
 
 use rtec_driver::mapped::Registers;
 use rtec_driver::profile::Width;
@@ -13,8 +13,8 @@ use std::time::{Duration, Instant};
 
 /// A counter card in a file.
 ///
-/// A flag is cleared by a write of zeros: memory can do no more. Lines and count lie in one word, so that one write
-/// changes both, as one edge does in hardware.
+/// A flag is cleared by writing zeros, because memory can do no more. Lines and count are in one word, so that one
+/// write changes both, as one edge does in hardware.
 const PROFILE: &str = "name = 'counter card'\nsource = 'tests'\ninputs = [{ register = 0, width = 16 }]\n\
     outputs = [{ register = 4, width = 32 }]\n[lines]\na = { input = 0 }\nb = { input = 1 }\ninvert_a = { output = 0 }\n\
     invert_b = { output = 1 }\nhold = { output = 28 }\n\
@@ -24,17 +24,17 @@ const PROFILE: &str = "name = 'counter card'\nsource = 'tests'\ninputs = [{ regi
 const OUTPUTS: usize = 4;
 const LATCH: usize = 8;
 const FLAGS: usize = 20;
-/// Time between two counts of a burst: far beyond what a look per count could follow here.
+/// Time between two counts of a burst, too short for a look per count.
 const BURST: Duration = Duration::from_micros(60);
 
-/// The far side: a decoder in hardware, as far as a daemon can see it.
+/// The card's side of the registers: a decoder in hardware, for the daemon.
 struct Counter {
     words: Registers,
     state: State,
     count: u16,
-    /// Counts still to be made in a burst, whole cycles.
+    /// Counts left in a burst, always whole cycles.
     burst: Arc<AtomicU32>,
-    /// Counts that the decoder gets wrong at the next look.
+    /// Wrong counts that the decoder adds at the next look.
     wrong: Arc<AtomicI16>,
 }
 
@@ -88,7 +88,7 @@ fn a_counter_card_counts_for_us_and_its_flags_are_latched() {
         std::fs::write(file.with_file_name("counter.toml"), PROFILE).unwrap();
         let words = Registers::open(file, 24, "counter card").unwrap();
         let (burst, wrong) = (Arc::clone(&burst), Arc::clone(&wrong));
-        // Just below its wrap.
+        // Just below the counter's wrap.
         let mut counter = Counter { words, state: State::default(), count: 0xff00, burst, wrong };
         counter.set();
         Box::new(counter)
@@ -102,7 +102,7 @@ fn a_counter_card_counts_for_us_and_its_flags_are_latched() {
     let count = || words.read(0, Width::Bits32) >> 16;
     assert_eq!(count() >> 8, 0xff, "before its wrap");
 
-    // More counts than anybody could look at: none is lost, through the counter's wrap, beside the MTC's four.
+    // More counts than any looks could see. None is lost, through the counter's wrap, beside the MTC's four.
     let from =
         bench.x()["position_counts"].as_i64().unwrap() - bench.machine.seen.scale.load(Ordering::Relaxed);
     let mut made = 0;
@@ -119,7 +119,7 @@ fn a_counter_card_counts_for_us_and_its_flags_are_latched() {
     bench.correct(-2);
     bench.balances();
 
-    // What the card says of itself, and a decoder that contradicts its own lines.
+    // A flag of the card, and a decoder that contradicts its lines.
     for (fault, provoke) in [
         ("counter_overflow", &(|| words.write(FLAGS, Width::Bits32, 1)) as &dyn Fn()),
         ("counter_error", &|| words.write(FLAGS, Width::Bits32, 2)),
@@ -151,7 +151,7 @@ fn drive(config: &Path) -> (Option<i32>, String) {
     (run.status.code(), String::from_utf8_lossy(&run.stderr).into_owned())
 }
 
-/// A bug once: outputs were switched under a running daemon.
+/// Regression: outputs were switched under a running daemon.
 #[test]
 fn outputs_are_not_driven_while_a_daemon_has_them() {
     let _alone = alone();
@@ -162,7 +162,7 @@ fn outputs_are_not_driven_while_a_daemon_has_them() {
     let (code, text) = drive(&bench.at("rtec.toml"));
     assert!(code == Some(1) && text.contains("another rtecd (process"), "{code:?} {text}");
     assert!(text.contains("stop it first"), "{text}");
-    // The same card, by a configuration that knows nothing of that daemon.
+    // The same card in a configuration without that daemon.
     let other =
         std::fs::read_to_string(bench.at("rtec.toml")).unwrap().replace("socket = 's'", "socket = 'other'");
     std::fs::write(bench.at("other.toml"), other).unwrap();

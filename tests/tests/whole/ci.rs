@@ -1,4 +1,5 @@
-//! `.ci/run`, its stages and the hosted workflows: what a head declares holds, and the runner does what it says.
+//! `.ci/run`, its stages and the hosted workflows.
+//! The declarations in a stage's head hold, and the runner follows them.
 
 use rtec_tests::root;
 use std::collections::BTreeSet;
@@ -14,7 +15,7 @@ fn stages() -> BTreeSet<String> {
     names.map(|f| f.unwrap().file_name().into_string().unwrap()).collect()
 }
 
-/// What the head of a stage says of a key.
+/// The value of a key in the head of a stage.
 fn head(stage: &str, key: &str) -> Option<String> {
     let (text, key) = (read(format!(".ci/stages/{stage}")), format!("# {key}: "));
     text.lines().take_while(|l| l.starts_with('#')).find_map(|l| l.strip_prefix(&key)).map(str::to_owned)
@@ -32,7 +33,7 @@ fn every_stage_is_small_and_has_its_place() {
         assert!(numbered || ["first", "test", "request"].contains(&&*when), "{stage}: # when: {when}");
         assert!(!numbered || places.insert(when.clone()), "{stage}: another stage has `{when}` too");
         for before in head(&stage, "after").unwrap_or_default().split_whitespace() {
-            // A stage that is no part of a whole run would be waited for without end.
+            // A stage outside the whole run would be waited for endlessly.
             assert!(head(before, "when").is_some_and(|w| w != "request"), "{stage}: # after: {before}");
         }
     }
@@ -41,7 +42,7 @@ fn every_stage_is_small_and_has_its_place() {
     assert_eq!(listed, stages(), "`.ci/run --list` names them all");
 }
 
-/// A folder with the runner and stages of the test's own.
+/// A folder with the runner and stages that a test defines.
 fn planted(stages: &[(&str, &str, &str)]) -> (tempfile::TempDir, impl Fn(&[&str]) -> (i32, String)) {
     let folder = tempfile::tempdir().unwrap();
     let ci = folder.path().join(".ci");
@@ -61,7 +62,7 @@ fn planted(stages: &[(&str, &str, &str)]) -> (tempfile::TempDir, impl Fn(&[&str]
     (folder, run)
 }
 
-/// The line of a stage in the table at the end.
+/// The row of a stage in the table at the end.
 fn row<'a>(said: &'a str, stage: &str) -> &'a str {
     let table = said.split_once("==== summary").unwrap().1;
     table.lines().find(|l| l.split_whitespace().next() == Some(stage)).unwrap_or_else(|| panic!("{said}"))
@@ -107,7 +108,8 @@ fn runner_keeps_the_order_that_stages_declare() {
     assert!(folder.path().join("order-aside").exists());
 }
 
-/// The commands of the workflows and the action, with every value of a matrix put in.
+/// The commands of the workflows and the action.
+/// Every value of a matrix is filled in.
 fn workflow_steps() -> Vec<(PathBuf, String)> {
     let github = root().join(".github");
     let workflows = std::fs::read_dir(github.join("workflows")).unwrap().map(|f| f.unwrap().path());
@@ -157,9 +159,9 @@ fn workflows_call_stages_that_exist_and_all_of_them() {
     assert_eq!(left, ["figures"], "judged by no workflow; figures judge nothing");
 }
 
-/// The commit as a stranger gets it: nothing beside it, nothing built.
+/// Checks that the steps are there in a fresh clone, without anything built.
 ///
-/// The cheapest stage runs there, and every step's script is there.
+/// The cheapest stage runs there, and the script of every step exists.
 #[test]
 fn steps_are_there_in_an_empty_clone() {
     let folder = tempfile::tempdir().unwrap();
@@ -180,12 +182,12 @@ fn steps_are_there_in_an_empty_clone() {
     assert!(row(&said, "real").contains("EXCUSED: no measured data beside this clone"), "{said}");
 }
 
-/// What stands between two texts.
+/// The text between two others.
 fn between<'t>(text: &'t str, before: &str, after: &str) -> Option<&'t str> {
     text.split_once(before)?.1.split_once(after).map(|(inside, _)| inside)
 }
 
-/// The workspace has the version.
+/// The workspace's version is the version of every file.
 ///
 /// Files that cannot read it from there are compared with it.
 #[test]
@@ -210,7 +212,7 @@ fn the_version_is_the_workspace_s_everywhere() {
     }
 }
 
-/// The crates of others that a program links.
+/// The third-party crates that a program links.
 fn linked(program: &str) -> BTreeSet<String> {
     let wanted =
         ["tree", "--locked", "--offline", "-e", "normal,no-proc-macro", "--prefix", "none", "-f", "{p}"];

@@ -1,4 +1,4 @@
-//! `rtecctl commission` on a simulated machine that is as configured, and on those that are not.
+//! `rtecctl commission` on simulated machines, as configured and not.
 
 use rtec_tests::daemon::{Daemon, among_others, program, until};
 use serde_json::{Value, json};
@@ -7,7 +7,7 @@ use std::os::unix::net::UnixStream;
 use std::path::Path;
 use std::process::{Command, Stdio};
 
-/// The axis as configured, 1 µm a count; `simulated` says what it is really like.
+/// The axis as configured, 1 µm a count; `simulated` gives its real properties.
 fn config(simulated: &str) -> String {
     format!(
         "[machine]\nname = 'bench'\n[card]\nbackend = 'mock'\n[[axis]]\nname = 'x'\ncount_um = 1.0\ntravel_mm = 100\n\
@@ -44,13 +44,13 @@ fn right_and_everything_that_can_be_wrong_is_named() {
             assert_eq!(found["inserted_counts"], 20);
             assert!((moved + 20).abs() <= 2, "{moved}");
         }
-        // Whatever was found, nothing of it is left requested.
+        // Nothing is left requested, whatever was found.
         let status = daemon.status();
         assert_eq!((&status["axes"][0]["requested"], &status["balanced"]), (&0.into(), &true.into()));
     }
 }
 
-/// Whoever stands at the simulated machine: jogs to a place of the display and reads display and indicator there, mm.
+/// Jogs the simulated machine to `to_mm`; returns display and indicator, mm.
 fn jog(socket: &Path, to_mm: f64) -> [f64; 2] {
     let ask = |request: Value| {
         let mut stream = UnixStream::connect(socket).unwrap();
@@ -72,8 +72,9 @@ fn jog(socket: &Path, to_mm: f64) -> [f64; 2] {
     before
 }
 
-/// Somebody answers, wrongly at first, and then goes away in the middle: what was inserted is taken back, and what is still
-/// in the controller's count is said.
+/// A person who leaves in the middle leaves nothing requested.
+/// They answer, wrongly at first, and then go away. Inserted counts are taken back, and what is still in the
+/// controller's count is reported.
 #[test]
 fn whoever_leaves_in_the_middle_leaves_nothing_requested() {
     let _room = among_others();
@@ -112,7 +113,7 @@ fn whoever_leaves_in_the_middle_leaves_nothing_requested() {
                 asked(&mut text);
             }
             let [display, indicator] = jog(&socket, *place);
-            // The indicator is off on the long jog and on the way back from it.
+            // The indicator is off for the long jog and the way back.
             let off = matches!(n, 2 | 3);
             let last = text.lines().last().unwrap();
             assert_eq!(last.ends_with("Enter the display only, mm: "), off, "{n}: {text}");

@@ -1,5 +1,5 @@
-//! `tests/fetch-data`: the measured data, from a server that is ours here. Needs the data itself, of which it makes what the
-//! owners' servers have.
+//! `tests/fetch-data`: fetches the measured data from a test server.
+//! It needs the data themselves, from which it makes the owners' files.
 
 use rtec_tests::{root, shared};
 use std::collections::BTreeMap;
@@ -10,10 +10,10 @@ use std::path::Path;
 use std::process::Command;
 use std::sync::{Arc, Mutex};
 
-/// What is served, by the last part of its path; and what was asked for from where on, bytes.
+/// Served files by name, and requests with their first byte.
 type Files = Arc<Mutex<(BTreeMap<String, Vec<u8>>, Vec<(String, usize)>)>>;
 
-/// A server that goes on from the middle where it is asked to, and says only `cut` bytes of a longer file where it is not.
+/// A server that resumes where asked, and else sends at most `cut` bytes.
 fn serve(files: Files, cut: usize) -> String {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let address = format!("http://{}", listener.local_addr().unwrap());
@@ -40,7 +40,7 @@ fn serve(files: Files, cut: usize) -> String {
                     .unwrap();
             }
             let to = if from > 0 { whole.len() } else { whole.len().min(cut) };
-            // One that has had enough is none of ours.
+            // The client may hang up early.
             let _ = stream.write_all(&[answer.as_bytes(), b"\r\n", &whole[from..to]].concat());
         }
     });
@@ -62,7 +62,7 @@ fn data_is_fetched_checked_and_gone_on_with() {
         let Some(file) = shared(&format!("data/{name}")) else { return };
         data.push(std::fs::read_to_string(file).unwrap());
     }
-    // As their owners have them.
+    // In the form of their owners.
     let log = "/home/anderssandstrom/source/ecmc_target_muts_logger/b02/y/y.log";
     let spindle = data[2].replacen("minute,growth_um", "delta L", 1);
     let rows =
@@ -80,7 +80,7 @@ fn data_is_fetched_checked_and_gone_on_with() {
     let to = folder.path().join("data");
     let is_there = |n: usize| std::fs::read_to_string(to.join(names[n])).is_ok_and(|text| text == data[n]);
 
-    // Another file than it was: nothing of it is kept, and the others are fetched.
+    // A changed file is not kept, and the others are fetched.
     files.lock().unwrap().0.get_mut("report_target_y.md").unwrap().push(b'x');
     let whole = serve(Arc::clone(&files), usize::MAX);
     let (good, said) = fetch(&whole, &to);
@@ -88,7 +88,7 @@ fn data_is_fetched_checked_and_gone_on_with() {
     assert!(is_there(0) && is_there(2), "{said}");
     assert_eq!(std::fs::read_dir(to.join("axis_iso230")).unwrap().count(), 1);
 
-    // Mended, and the spindle's connection breaks: the next time goes on where it stopped.
+    // Repaired, and the spindle's connection breaks. The next run resumes where it stopped.
     files.lock().unwrap().0.get_mut("report_target_y.md").unwrap().pop();
     std::fs::remove_file(to.join(names[2])).unwrap();
     let broken = serve(Arc::clone(&files), 50_000);
@@ -97,6 +97,6 @@ fn data_is_fetched_checked_and_gone_on_with() {
     files.lock().unwrap().1.clear();
     let (good, said) = fetch(&whole, &to);
     assert!(good && (0..3).all(is_there), "{said}");
-    // What is there was not asked for again.
+    // Files that are there were not requested again.
     assert_eq!(files.lock().unwrap().1, [("Thermal Expansion Error.csv".to_owned(), 50_000)]);
 }

@@ -1,4 +1,5 @@
-//! The engine, judged by counters that are not ours: what the MTC is sent counts as scale counts plus completed.
+//! The engine, judged by counters of other programs.
+//! At the MTC they count the scale's counts plus the completed ones.
 
 use rtec_driver::quadrature::State;
 use rtec_driver::replay::{RequestedTotal, TracePoint};
@@ -9,7 +10,7 @@ use rtec_tests::ledger::{self, Totals};
 use std::convert::Infallible;
 use std::f64::consts::TAU;
 
-/// Strokes of a sine, reversal after reversal: at 7 rad/s just within the axis's 1e6 counts/s².
+/// Sine strokes with reversals, at 7 rad/s just within the axis's 1e6 counts/s².
 fn strokes(amplitude_counts: i64, strokes: u32) -> Vec<TracePoint> {
     let amplitude = amplitude_counts as f64 + 0.5;
     let mut at = TracePoint::default();
@@ -26,7 +27,7 @@ fn strokes(amplitude_counts: i64, strokes: u32) -> Vec<TracePoint> {
     points
 }
 
-/// A new total every `every_ns`, up and down within ±400 counts.
+/// A new total every `every_ns` ns, within ±400 counts.
 fn totals(end_ns: u64, every_ns: u64) -> Vec<RequestedTotal> {
     let total = |n: u64| 2 * (200.0 * (n as f64 / 9.0).sin()) as i64;
     (1..end_ns / every_ns).map(|n| RequestedTotal { t_ns: n * every_ns, requested: total(n) }).collect()

@@ -1,5 +1,5 @@
-//! The journal's fields, as a real journald stores them and `journalctl` finds them: in a mount namespace of its own, so that
-//! the computer's journal is left alone.
+//! The journal's fields, stored by a real journald and found by `journalctl`.
+//! It runs in a mount namespace of its own, so that the computer's journal is left alone.
 
 use rtec_tests::daemon::{alone, program};
 use rtec_tests::skipped;
@@ -10,7 +10,8 @@ use std::process::Command;
 
 const JOURNALD: &str = "/lib/systemd/systemd-journald";
 
-/// `$1` is the folder of the programs. What ends this script ends its two daemons.
+/// Starts journald and `rtecd`, which end with the script.
+/// `$1` is the folder of the programs.
 const SCRIPT: &str = r#"
 mount -t tmpfs tmpfs /run
 mkdir -p /run/systemd/journal /run/log/journal /run/rtec-test

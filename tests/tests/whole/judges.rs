@@ -1,4 +1,5 @@
-//! The judges agree with right traces and catch wrong ones; `.ci/run` installs them and lets nothing be skipped.
+//! The judges accept right traces and catch wrong ones.
+//! `.ci/run` installs them, and no test is skipped there.
 
 use rtec_driver::replay::TracePoint;
 use rtec_files::trace::{TraceFormat, TraceReader, TraceWriter};
@@ -15,7 +16,7 @@ fn linuxcnc(trace: &[(TracePoint, i64)]) -> Verdict {
     judge.verdict().unwrap()
 }
 
-/// Where the counts due in a wrong trace first part from those of a counter: at the planted fault.
+/// Asserts that the first wrong count is at the planted fault.
 fn assert_caught(verdict: Verdict, fault: PlantedFault) {
     let wrong = verdict.first_wrong.unwrap_or_else(|| panic!("{fault:?} was not caught: {verdict:?}"));
     assert!(verdict.wrong > verdict.judged / 4, "{fault:?} caught by chance only: {verdict:?}");
@@ -55,12 +56,12 @@ fn sigrok_counts_what_is_due_at_every_state_and_catches_every_planted_fault() {
     for fault in [PlantedFault::Missing, PlantedFault::WrongOrder] {
         assert_caught(sigrok(&corrected(&motion(5000), 7, 500, fault)).unwrap(), fault);
     }
-    // It has no count for a double transition: one of the states stays without.
+    // It has no count for a double transition, so one of the states has none.
     let both = sigrok(&corrected(&motion(5000), 7, 500, PlantedFault::BothAtOnce)).unwrap_err().to_string();
     assert!(both.contains("sigrok counted"), "{both}");
 }
 
-/// What is due by the gates' law, from the two traces alone, is what the generator says is due.
+/// The counts due, from the two traces alone, equal those of the generator.
 #[test]
 fn the_ledger_of_two_traces_is_the_planted_one() {
     let scale = motion(50_000);
@@ -98,7 +99,7 @@ fn the_ledger_refuses_what_the_gates_cannot_have_made() {
     assert!(short.contains("is not in the MTC's trace"), "{short}");
 }
 
-/// A trace passes through both file formats on its way to the judges.
+/// A trace keeps its states in both file formats, on its way to the judges.
 #[test]
 fn a_planted_trace_survives_both_formats() {
     let trace = corrected(&motion(5000), 7, 500, PlantedFault::None);

@@ -1,6 +1,6 @@
-//! The whole, a file for each question.
+//! Tests of the whole, one file for each question.
 //!
-//! One program: what waits for a daemon, a disk or a broker runs beside what calculates.
+//! They are one program, so that tests that wait for a daemon, a disk or a broker run beside those that calculate.
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 

@@ -1,7 +1,7 @@
-//! Metrics of a real `rtecd`, judged by programs of others.
+//! Metrics of a real `rtecd`, judged by other programs.
 //!
-//! Judges: promtool, the Python client's strict `OpenMetrics` parser, and a Prometheus that scrapes them and fires our
-//! rules.
+//! The judges are promtool, the Python client's strict `OpenMetrics` parser, and a Prometheus that scrapes them and
+//! fires our rules.
 
 use rtec_tests::daemon::{Daemon, among_others, program, until};
 use rtec_tests::{root, skipped};
@@ -38,12 +38,12 @@ fn there(program: &str, package: &str) -> bool {
     there
 }
 
-/// A port that nobody listens at now.
+/// A free port.
 fn free_port() -> u16 {
     TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port()
 }
 
-/// Status line with headers, and body.
+/// The head (status line and headers) and the body of an answer.
 fn exchange(mut stream: impl Read + Write, request: &str) -> std::io::Result<(String, String)> {
     stream.write_all(request.as_bytes())?;
     let mut text = String::new();
@@ -67,7 +67,8 @@ fn fed(command: &mut Command, text: &str) -> (bool, String) {
     (out.status.success(), String::from_utf8(said).unwrap())
 }
 
-/// The strict parser of Prometheus' own Python client: every family's name and every sample as `NAME{LABELS} VALUE`.
+/// The strict parser of Prometheus' own Python client.
+/// It prints every family's name, and every sample as `NAME{LABELS} VALUE`.
 const PARSE: &str = "
 import sys
 from prometheus_client.openmetrics.parser import text_string_to_metric_families as parse
@@ -102,7 +103,7 @@ fn judges_read_both_forms_and_find_the_same_as_in_the_status() {
             (true, String::new()),
             "{plain}"
         );
-        // The judge finds what is wrong.
+        // The judge finds a mistake.
         let (good, said) = fed(
             Command::new("promtool").args(["check", "metrics"]),
             &plain.replace("# HELP rtec_insertions_total", "# nothing"),
@@ -130,14 +131,14 @@ fn judges_read_both_forms_and_find_the_same_as_in_the_status() {
         ] {
             assert!(read.lines().any(|l| l == wanted), "no {wanted:?} in {read}");
         }
-        // Cumulative, and the last bucket holds them all; done was measured once an insertion.
+        // Buckets are cumulative, and the last one holds all values. Edge to done was measured once an insertion.
         let value = |line: &str| line.rsplit(' ').next().unwrap().parse::<f64>().unwrap();
         let done: Vec<f64> =
             (read.lines()).filter(|l| l.starts_with("rtec_edge_to_done_seconds_bucket")).map(value).collect();
         assert!(done.is_sorted() && done.len() > 40, "{done:?}");
         let insertions = status["axes"][0]["insertions"].as_f64().unwrap();
         assert!(done.last().is_some_and(|all| (1.0..=insertions).contains(all)), "{done:?}");
-        // The strict parser takes only one of the two forms.
+        // The strict parser accepts only one of the two forms.
         assert!(!fed(Command::new(python).args(["-c", PARSE]), &plain).0, "0.0.4 read as OpenMetrics");
     } else {
         skipped("no Python client (Debian: python3-prometheus-client)");
@@ -196,7 +197,7 @@ fn served_is_metrics_only_on_loopback_or_a_socket() {
     let post = "POST /metrics HTTP/1.1\r\nHost: x\r\nContent-Length: 0\r\nConnection: close\r\n\r\n";
     let (head, _) = exchange(TcpStream::connect(("127.0.0.1", port)).unwrap(), post).unwrap();
     assert!(head.starts_with("HTTP/1.1 405"), "{head}");
-    // Nobody holds it up who is slow, or says that his request will be long.
+    // Slow clients, and a client that announces a long request, hold nobody up.
     let slow: Vec<_> = (0..300)
         .map(|n| {
             let mut stream = TcpStream::connect(("127.0.0.1", port)).unwrap();
@@ -208,7 +209,7 @@ fn served_is_metrics_only_on_loopback_or_a_socket() {
         .collect();
     assert!(get(port, "/metrics", "text/plain").unwrap().1.contains("\nrtec_up 1\n"));
     drop(slow);
-    // A port that is taken is the answer no; a socket is as good as a port, and an old one gives way.
+    // A port in use gives exit code 1. A socket works like a port, and replaces an old one.
     daemon.expect(1, &["metrics", "--listen", &format!("127.0.0.1:{port}")]);
     let at = directory.path().join("metrics.sock");
     let listen = || ChildProgram::spawn(metrics(&socket).arg("--listen").arg(&at));
@@ -223,14 +224,14 @@ fn served_is_metrics_only_on_loopback_or_a_socket() {
     until("served again", || read().is_ok());
     assert!(read().unwrap().1.contains("\nrtec_up 1\n"));
     assert_eq!(std::fs::metadata(&at).unwrap().permissions().mode() & 0o777, 0o660);
-    // The daemon goes away and comes back: its readers stay.
+    // The daemon restarts, and its readers stay connected.
     drop(daemon);
     assert!(get(port, "/metrics", "*/*").unwrap().1.contains("\nrtec_up 0\n"));
     let _daemon = Daemon::start(&socket, None);
     assert!(get(port, "/metrics", "*/*").unwrap().1.contains("\nrtec_up 1\n"));
 }
 
-/// A query to Prometheus' API: the values of what it finds.
+/// Queries Prometheus' API; returns the values that it finds.
 fn query(port: u16, expression: &str) -> Vec<String> {
     let encoded = expression.bytes().fold(String::new(), |mut text, b| {
         write!(text, "%{b:02X}").unwrap();
@@ -239,19 +240,20 @@ fn query(port: u16, expression: &str) -> Vec<String> {
     let Ok((_, body)) = get(port, &format!("/api/v1/query?query={encoded}"), "*/*") else {
         return Vec::new();
     };
-    // Chunked or not: the document is the line that begins with a brace.
+    // Chunked or not, the document is the line that begins with a brace.
     let document = body.lines().find(|l| l.starts_with('{')).unwrap_or("{}");
     let answer: Value = serde_json::from_str(document).unwrap_or_default();
     let found = answer["data"]["result"].as_array().cloned().unwrap_or_default();
     found.iter().map(|r| r["value"][1].as_str().unwrap_or_default().to_owned()).collect()
 }
 
-/// The names of the shipped alerts, in their order.
+/// Names of the shipped alerts, in order.
 fn alerts(rules: &str) -> Vec<&str> {
     rules.lines().filter_map(|line| line.trim().strip_prefix("- alert: ")).collect()
 }
 
-/// Every rule that we ship, on samples made for it (`metrics/alerts.yml`): quiet before its cause, firing with it, quiet after.
+/// Every shipped rule fires with its cause, and is quiet before and after.
+/// The samples are in `metrics/alerts.yml`.
 #[test]
 fn every_shipped_rule_fires_and_is_quiet() {
     if !there("promtool", "prometheus") {
@@ -276,7 +278,7 @@ fn every_shipped_rule_fires_and_is_quiet() {
     };
     let (good, said) = judge(&rules);
     assert!(good, "{said}");
-    // The samples tell every rule from one that never fires, and from one that always does.
+    // The samples distinguish every rule from one that never fires, and from one that always fires.
     for always in ["vector(0) > 1", "vector(1)"] {
         let wrong = rules.lines().map(|line| match line.find("expr: ") {
             Some(at) => format!("{}expr: {always}\n", &line[..at]),
@@ -290,7 +292,7 @@ fn every_shipped_rule_fires_and_is_quiet() {
     }
 }
 
-/// The words of an expression that name metrics.
+/// Words of the rules' expressions that name metrics.
 fn named(rules: &str) -> Vec<&str> {
     let expressions = rules.lines().filter_map(|line| line.trim().strip_prefix("expr: "));
     let words = expressions.flat_map(|e| e.split(|c: char| !c.is_ascii_alphanumeric() && c != '_'));
@@ -317,7 +319,7 @@ fn what_the_rules_ask_for_is_there() {
     for name in named(&rules) {
         assert!(text.lines().any(|l| l.starts_with(&format!("# TYPE {name} "))), "no {name} in {text}");
     }
-    // With the labels that the rules ask about.
+    // With the labels that the rules query.
     assert!(text.contains("rtec_sensor_state{sensor=\"T1\",state=\"good\"} 0\n"), "{text}");
 }
 

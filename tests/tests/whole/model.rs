@@ -1,4 +1,5 @@
-//! The machine model in a real `rtecd`: taken, explained, carried over a restart, refused when it has changed.
+//! The machine model in a real `rtecd`.
+//! It is loaded, explained, kept over a restart, and refused when its file has changed.
 
 use rtec_tests::daemon::{Daemon, among_others, until};
 use rtec_tests::sensors::Sensors;
@@ -30,7 +31,7 @@ fn explained(daemon: &Daemon, axis: &str) -> Value {
     serde_json::from_str::<Value>(&text).unwrap()["axes"][0].clone()
 }
 
-/// What an effect is worth now, µm.
+/// The present contribution of an effect, µm.
 fn part_um(daemon: &Daemon, axis: &str, name: &str) -> Option<f64> {
     let found = explained(daemon, axis);
     let part = found["parts"].as_array().unwrap().iter().find(|p| p["name"] == name)?;
@@ -54,7 +55,7 @@ fn a_model_is_shown_taken_explained_held_and_unloaded() {
     assert!(text.contains("not correcting: the model") && text.contains("has not been loaded yet"), "{text}");
     until("both sensors", || daemon.expect(0, &["status"]).contains("sensors: 2 of 2 good"));
 
-    // Shown, and not taken without a yes; a file that is none is an input error; nothing has moved.
+    // Shown, and not loaded without consent. A file that is no model is an input error, and nothing has moved.
     let text = daemon.expect(1, &["model", "load"]);
     assert!(
         text.contains("no axis Z in the daemon's configuration, which has x, z (is Z its z?")
@@ -71,7 +72,7 @@ fn a_model_is_shown_taken_explained_held_and_unloaded() {
             .expect(2, &["model", "load", "/nonexistent", "--yes"])
             .contains("expected a file that can be read")
     );
-    // What never ends, and what nobody writes to: told at once, and the daemon goes on.
+    // A file without an end, and a pipe without a writer: both are reported at once, and the daemon continues.
     let pipe = directory.path().join("pipe");
     nix::unistd::mkfifo(&pipe, nix::sys::stat::Mode::S_IRWXU).unwrap();
     for special in [Path::new("/dev/zero"), &pipe] {
@@ -100,7 +101,7 @@ fn a_model_is_shown_taken_explained_held_and_unloaded() {
         (&"thermal_growth.z".into(), &23.0.into())
     );
     assert!(parts[0]["sensors"][0]["age_s"].as_f64().unwrap() < 2.0, "{z}");
-    // X moves: its correction follows it.
+    // X moves, and its correction follows.
     until("the scale error is followed", || daemon.status()["axes"][0]["requested"].as_i64().unwrap() >= 6);
     let status = daemon.status();
     assert!(
@@ -109,7 +110,7 @@ fn a_model_is_shown_taken_explained_held_and_unloaded() {
     );
     assert_eq!(status["sensors"][0]["place"], "spindle");
 
-    // Probing: not corrected, but reported.
+    // In probing mode the model's correction is reported, but not applied.
     let probed = daemon.user(&["probe", "on", "--captures", "2", "--json"]);
     let captures: Value = serde_json::from_slice(&probed.stdout).unwrap();
     for capture in captures["captures"].as_array().unwrap() {
@@ -121,7 +122,7 @@ fn a_model_is_shown_taken_explained_held_and_unloaded() {
         assert_eq!(trip["degc"][0], 23.0);
     }
 
-    // Silent sensors: the last good value stands in, then thermal corrections hold, and it is said.
+    // Silent sensors: the last good value is used, then thermal corrections hold, and that is reported.
     sensors.silent.store(true, Ordering::Relaxed);
     until("holding", || {
         daemon.expect(0, &["status"]).contains("axis z: thermal corrections hold: sensor T1: silent")
@@ -141,8 +142,8 @@ fn a_model_is_shown_taken_explained_held_and_unloaded() {
     assert_eq!((&status["balanced"], status["model"].is_null()), (&true.into(), true));
 }
 
-/// The heat inside is known again after a restart, from the log: the same correction as without one. And a file that
-/// has changed meanwhile is not run.
+/// A restart continues with the same correction, from the log.
+/// The log gives the heat inside the machine. A file that has changed meanwhile is not run.
 #[test]
 fn a_restart_goes_on_with_the_same_correction_and_a_changed_file_does_not() {
     let _room = among_others();
@@ -159,11 +160,11 @@ fn a_restart_goes_on_with_the_same_correction_and_a_changed_file_does_not() {
     let daemon = Daemon::start(&socket, Some(&file));
     ready(&daemon);
     daemon.expect(0, &["model", "load", "--yes"]);
-    // What the log has never seen cold, a restart cannot know.
+    // The log must have a cold row, because a restart can know no more than the log.
     let logged = || std::fs::read_to_string(directory.path().join("temperatures.csv")).unwrap_or_default();
     until("a cold row in the log", || logged().lines().any(|l| l.ends_with(",20,20")));
     sensors.set(30.0);
-    // Cold at its start, so known from there: after warming by 10 K it goes towards 100 µm, late.
+    // Cold at its start, so its state is known. After warming by 10 K the effect goes towards 100 µm, with its lag.
     until("half way", || part_um(&daemon, "z", "thermal_lag.z").is_some_and(|um| um > 40.0));
     let before = part_um(&daemon, "z", "thermal_lag.z").unwrap();
     assert!(before < 90.0, "{before}");
@@ -173,13 +174,13 @@ fn a_restart_goes_on_with_the_same_correction_and_a_changed_file_does_not() {
     let daemon = Daemon::start(&socket, Some(&file));
     ready(&daemon);
     let after = part_um(&daemon, "z", "thermal_lag.z").unwrap();
-    // Meanwhile it has gone on, as the machine has; an amnesiac would say 100 at once, or 0.
+    // Meanwhile the lag has continued, as in the machine. Without the log the value would be 100 at once, or 0.
     assert!(after >= before - 2.0 && after < 99.0, "{before} before, {after} after the restart");
     assert!(daemon.status()["why_not"].as_array().unwrap().is_empty(), "{}", daemon.status());
     let (_, log) = daemon.end("TERM");
     assert!(log.contains("machine model"), "{log}");
 
-    // What was taken for one machine is not another's.
+    // A model that was loaded for one machine is refused for another.
     let configured = std::fs::read_to_string(&file).unwrap();
     std::fs::write(&file, configured.replacen("'bench'", "'another bench'", 1)).unwrap();
     let daemon = Daemon::start(&socket, Some(&file));
@@ -201,7 +202,8 @@ fn a_restart_goes_on_with_the_same_correction_and_a_changed_file_does_not() {
     assert!(part_um(&daemon, "z", "thermal_lag.z").is_some());
 }
 
-/// A model whose validity has ended is taken only by somebody who says that it is meant; that is remembered with it.
+/// An expired model is refused unless the user says that it is meant.
+/// That consent is stored with it.
 #[test]
 fn an_expired_model_is_refused_unless_it_is_meant() {
     let _room = among_others();
@@ -224,7 +226,7 @@ fn an_expired_model_is_refused_unless_it_is_meant() {
     assert!(daemon.expect(0, &["status"]).contains(ended));
     daemon.end("TERM");
 
-    // Meant once, meant after a restart; not if nobody ever meant it.
+    // The consent holds after a restart. Without it in the stored file the model is not loaded.
     let daemon = Daemon::start(&socket, Some(&file));
     assert_eq!(daemon.status()["model"]["name"], "bench");
     daemon.end("TERM");
@@ -235,7 +237,7 @@ fn an_expired_model_is_refused_unless_it_is_meant() {
     let text = daemon.expect(0, &["status"]);
     assert!(text.contains("not correcting: the model") && text.contains(ended), "{text}");
     assert!(daemon.status()["model"].is_null());
-    // It goes on without, where that is said.
+    // After an explicit unload it runs without a model.
     daemon.expect(0, &["model", "unload"]);
     assert!(!daemon.expect(0, &["status"]).contains(ended));
 }

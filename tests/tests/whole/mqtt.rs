@@ -1,5 +1,6 @@
-//! `rtec-mqtt` at a real broker, seen by a real client: Debian's mosquitto and `mosquitto_sub`. A fault arrives, the daemon
-//! restarts, the broker restarts, the bridge dies.
+//! `rtec-mqtt` at a real broker, seen by a real client.
+//! They are Debian's mosquitto and `mosquitto_sub`. A fault arrives, the daemon restarts, the broker restarts, the
+//! bridge is killed.
 
 use rtec_tests::daemon::{Daemon, among_others, program, until};
 use rtec_tests::skipped;
@@ -29,7 +30,7 @@ fn broker(directory: &Path, port: u16) -> ChildProgram {
     broker
 }
 
-/// A real client that writes down what it is told, a line `TOPIC PAYLOAD` each.
+/// A real client that records its messages, a line `TOPIC PAYLOAD` each.
 struct Listener {
     _child: ChildProgram,
     heard: Arc<Mutex<Vec<String>>>,
@@ -82,7 +83,7 @@ fn a_client_hears_faults_the_daemons_restart_and_the_brokers() {
                 "100ms",
                 "--socket",
             ])
-            // What a reader is told is the socket to see.
+            // The socket for readers is enough for the bridge.
             .arg(directory.path().join("s-view"))
             .stderr(Stdio::null())
             .spawn()
@@ -122,7 +123,7 @@ fn a_client_hears_faults_the_daemons_restart_and_the_brokers() {
     daemon.expect(0, &["home"]);
     until("an event of the new daemon", || client.heard(|l| l.contains("\"kind\":\"homed\"")));
 
-    // The broker begins anew, with nothing retained: everything is told again.
+    // The broker starts again with nothing retained, so everything is published again.
     drop(first_broker);
     let _second_broker = broker(directory.path(), port);
     let after = Listener::at(port);
@@ -132,7 +133,7 @@ fn a_client_hears_faults_the_daemons_restart_and_the_brokers() {
             .all(|wanted| after.heard(|l| l == *wanted))
             && after.heard(|l| l.starts_with("plant/mill/status {"))
     });
-    // The bridge is killed: its last will says so.
+    // The bridge is killed, and its last will is published.
     drop(bridge);
     until("the last will", || after.heard(|l| l == "plant/mill/bridge offline"));
 }
@@ -140,7 +141,7 @@ fn a_client_hears_faults_the_daemons_restart_and_the_brokers() {
 #[test]
 fn a_broker_that_stays_away_is_one_line() {
     let directory = tempfile::tempdir().unwrap();
-    // Somebody who hears everyone out and hangs up.
+    // A server that reads everything and then hangs up.
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let port = listener.local_addr().unwrap().port();
     let mut command = Command::new(program("rtec-mqtt"));

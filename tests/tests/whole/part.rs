@@ -35,7 +35,7 @@ home_mm = 100.0
 "#;
 const SEMI_MM: f64 = 38.354;
 
-/// `rtecctl part …` that needs no daemon.
+/// Runs an `rtecctl part …` that needs no daemon.
 fn part(folder: &Path, line: &str) -> Value {
     let run = Command::new(program("rtecctl"))
         .arg("part")
@@ -57,7 +57,7 @@ fn largest_um(errors: &Value) -> f64 {
         .fold(0.0, f64::max)
 }
 
-/// A daemon whose machine does what `duty` says.
+/// A daemon whose simulated machine does `duty`.
 fn daemon(folder: &Path, duty: &str) -> Daemon {
     let (config, lathe, socket) = (folder.join("rtec.toml"), folder.join("lathe.toml"), folder.join("s"));
     std::fs::write(&config, CONFIG).unwrap();
@@ -106,7 +106,7 @@ fn a_part_is_probed_and_finished_through_the_daemon() {
     let said = machine.expect(0, &[&session[..], &["--start"]].concat());
     assert!(said.contains("point 7 of 7"), "{said}");
     assert_eq!(machine.status()["mode"], "disabled", "probing is off again");
-    // The program is over: nothing touches any more.
+    // The program has ended, so there is no further touch.
     let said = machine.expect(1, &[&session[..], &["--patience-s", "0.2"]].concat());
     assert!(said.contains("point 1: missed"), "{said}");
     assert_eq!(machine.status()["mode"], "disabled", "off after a failure too");
@@ -150,7 +150,7 @@ fn a_part_is_probed_and_finished_through_the_daemon() {
         }
         machine.expect(0, &["hold", "on"]);
         machine.expect(0, &["hold", "off"]);
-        // The arc ends at X 138.9 mm and a bit more.
+        // The arc ends slightly beyond X 138.9 mm.
         let place = |status: &Value, n: usize| status["axes"][n]["position_mm"].as_f64().unwrap();
         let mut most = 0;
         until("the cut's end", || {

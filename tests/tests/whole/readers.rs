@@ -1,4 +1,5 @@
-//! What reads the daemon for others: ledger, one value, a document a line, a bug report; and the words of refusals.
+//! Readers of the daemon: ledger, single values, JSON lines, bug reports.
+//! It also checks the texts of refusals.
 
 use rtec_files::trace::TraceReader;
 use rtec_tests::daemon::{Daemon, among_others, program, until};
@@ -47,7 +48,7 @@ fn a_ledger_replays_to_the_same_totals() {
             "{axis}"
         );
         assert_eq!(replayed["illegal_out"], 0);
-        // LinuxCNC counts what the MTC saw of it as the ledger does, at every state.
+        // LinuxCNC counts the MTC's trace as the ledger does, at every state.
         if available(LINUXCNC) {
             let read =
                 |kind: &str| TraceReader::open(Path::new(&name(&format!("{axis}_{kind}.csv")))).unwrap();
@@ -57,7 +58,7 @@ fn a_ledger_replays_to_the_same_totals() {
             assert_eq!((totals.inserted, verdict.wrong, verdict.judged), (total, 0, totals.states), "{axis}");
         }
     }
-    // Every insertion stands between two looks.
+    // Every insertion is between two looks.
     let table = std::fs::read_to_string(name("x_insertions.csv")).unwrap();
     let rows: Vec<Vec<i64>> =
         table.lines().skip(1).map(|l| l.split(',').map(|c| c.parse().unwrap()).collect()).collect();
@@ -122,7 +123,7 @@ fn a_bug_report_is_for_its_owner_and_whole() {
     std::fs::write(&config, "[machine]\nname = \"m\"\npassword = \"hunter2\"\n").unwrap();
     let out = directory.path().join("report.tar");
     let args = ["bugreport", "--out", out.to_str().unwrap(), "--of", config.to_str().unwrap()];
-    // A journal that has something of the service.
+    // A journal with lines of the service.
     let bin = directory.path().join("bin");
     std::fs::create_dir(&bin).unwrap();
     let put = |script: &str| {
@@ -152,9 +153,9 @@ fn a_bug_report_is_for_its_owner_and_whole() {
     assert_eq!(state["status"]["axes"][0]["completed"], 20);
     assert!(read("rtec.toml").contains("(left out)") && !read("rtec.toml").contains("hunter2"));
     assert!(read("versions.txt").contains("rtec ") && read("contents.txt").contains("platform.json"));
-    // Never over something that is there.
+    // An existing file is never overwritten.
     assert!(daemon.expect(2, &args).contains("expected a name that is free"));
-    // What is missing is named, and is the answer no; the archive is there all the same.
+    // A missing part is named, with exit code 1. The archive is written all the same.
     put("#!/bin/sh\n");
     let args = ["bugreport", "--out", "2.tar", "--of", "none.toml"];
     let (code, said) = report(&args);
@@ -162,7 +163,7 @@ fn a_bug_report_is_for_its_owner_and_whole() {
     assert!(said.ends_with("2.tar is written without rtec.toml, log.txt\n"), "{said}");
     assert!(said.contains("log.txt: missing: the journal has no line"), "{said}");
     assert!(directory.path().join("2.tar").exists());
-    // What the configuration names comes with it.
+    // Files that the configuration names are included.
     let axis =
         "name='x'\ncount_um=1\ntravel_mm=40\nmax_correction_counts=9\nwindow_counts=9\nmin_separation_ns=500";
     let text =
@@ -203,7 +204,7 @@ fn refusals_say_their_figures_and_clear_what_it_released() {
     }
     let said = daemon.expect(0, &["clear"]);
     assert_eq!(said, "released: axis x: still_not_believed\ncorrections are off: `rtecctl enable`\n");
-    // The record has what happened, too, and for which axis.
+    // The record also has the events, with their axis.
     until("the record", || daemon.expect(0, &["log"]).contains("mode disabled"));
     let log = daemon.expect(0, &["log", "--axis", "x"]);
     for wanted in [
@@ -245,7 +246,7 @@ fn a_total_beyond_the_warning_limit_is_taken_and_says_so() {
     assert!(answer.contains("\"warnings\":[\"axis x: total -36, now -34 counts"), "{answer}");
 }
 
-/// Both outputs onto a full disk.
+/// Runs a verb with both outputs on a full disk; returns its exit code.
 fn full(args: &[&str], socket: &std::path::Path) -> Option<i32> {
     let full = || std::fs::File::options().write(true).open("/dev/full").unwrap();
     let mut command = Command::new(program("rtecctl"));
@@ -266,7 +267,7 @@ fn outputs_that_take_nothing_are_an_error_and_no_panic() {
         .filter_map(|l| l.split(' ').next())
         .collect();
     assert!(verbs.len() > 30 && verbs.contains(&"status"), "{verbs:?}");
-    // Every verb without what it needs, without a daemon, and its help.
+    // Every verb without its arguments and without a daemon, and its help.
     let nobody = directory.path().join("nobody");
     for verb in verbs.iter().filter(|v| **v != "help") {
         assert!(matches!(full(&[verb], &nobody), Some(1..=4)), "{verb}");
@@ -275,7 +276,7 @@ fn outputs_that_take_nothing_are_an_error_and_no_panic() {
         let (code, said) = (run.status.code(), String::from_utf8_lossy(&run.stderr).into_owned());
         assert!(code == Some(1) && said.contains("No space left"), "{verb}: {code:?} {said}");
     }
-    // Those that ask it.
+    // The verbs that ask the daemon.
     let out = directory.path().join("l").display().to_string();
     for args in [
         &["status"][..],

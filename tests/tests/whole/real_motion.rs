@@ -1,24 +1,26 @@
-//! A real axis's recorded motion as edges, corrections requested throughout: `rtecctl trace`, then `rtecctl replay`.
+//! A real axis's recorded motion as edges, with corrections throughout.
+//! It runs `rtecctl trace`, then `rtecctl replay`.
 
 use rtec_tests::{daemon::program, shared};
 use serde_json::Value;
 use std::fmt::Write;
 use std::process::Command;
 
-/// EMPS benchmark (Janot, Gautier, Brunot): a ball-screw axis, 0.25 m strokes, 24.8 s, noisy at rest.
+/// A ball-screw axis: 0.25 m strokes over 24.8 s, noisy at rest.
+/// The record is the EMPS benchmark (Janot, Gautier, Brunot).
 #[test]
 fn every_request_is_served_and_the_ledger_balances() {
     let Some(record) = shared("data/axis_dynamics/identification.csv") else { return };
     let directory = tempfile::tempdir().unwrap();
     let at = |name: &str| directory.path().join(name);
-    // A total every 100 ms, up and down by up to 60 counts; the last leaves time to be served.
+    // A total every 100 ms, up and down by at most 60 counts a step. The last one leaves time to complete it.
     let mut requests = String::from("t_ns,requested\n");
     let total = |n: i64| 2 * ((n as f64 / 5.0).sin() * 150.0) as i64;
     for n in 1..=240 {
         writeln!(requests, "{},{}", n * 100_000_000, total(n)).unwrap();
     }
     std::fs::write(at("requests.csv"), requests).unwrap();
-    // Finer ones are the stage `real`'s, where another program judges them: 0.1 µm are 20 million states.
+    // Finer counts are left to the stage `real`, with another program as the judge: 0.1 µm are 20 million states.
     for count_um in ["1", "0.5"] {
         let mut trace = Command::new(program("rtecctl"));
         trace.args(["trace", "from-position", "--column", "position_m", "--count-um", count_um]).arg(&record);

@@ -1,7 +1,7 @@
 //! The closed loop of reconciliation, through `rtecctl` alone.
 //!
-//! A model lacks an effect of the machine that it corrects. The measured runs are reconciled; with the found model the
-//! parts are better.
+//! The model lacks an effect of the machine that it corrects. The measured runs are reconciled, and the found model
+//! makes better parts.
 
 use rtec_tests::daemon::program;
 use serde_json::Value;
@@ -17,8 +17,9 @@ fn json(folder: &Path, arguments: &[&str]) -> Value {
 
 const KNOWN: &str = "name = \"lathe\"\n[[effect]]\nname = \"scale.x\"\nppm = 12.0\n";
 
-/// The hidden thing is the tool's wear: the nose is turned, probed on the machine, reconciled and turned again. The
-/// probed points' errors are judged by `rtecctl part errors`.
+/// The hidden effect is tool wear, seen in probed points of a nose.
+/// The nose is turned, probed on the machine, reconciled and turned again. `rtecctl part errors` judges the probed
+/// points.
 #[test]
 fn a_worn_tool_is_named_from_probed_points_and_the_next_nose_is_round() {
     let folder = tempfile::tempdir().unwrap();
@@ -55,7 +56,8 @@ fn a_worn_tool_is_named_from_probed_points_and_the_next_nose_is_round() {
     assert!(worn > 15.0 && mended < worn / 4.0, "{worn} and {mended}");
 }
 
-/// The hidden thing is growth with the spindle's heat: found in a drift test, taken out of the drilled part.
+/// The hidden effect is growth with the spindle's heat.
+/// It is found in a drift test, and is gone from the drilled part.
 #[test]
 fn a_growth_found_in_a_drift_test_is_gone_from_the_drilled_part() {
     let folder = tempfile::tempdir().unwrap();
@@ -69,7 +71,7 @@ fn a_growth_found_in_a_drift_test_is_gone_from_the_drilled_part() {
             .clone()
     };
     simulate("drift", "known.toml", "drift");
-    // The dry run alone does not move the surroundings: it takes both to tell against what the nose grows.
+    // In the dry run alone the surroundings do not change. Only both runs show what the nose grows with.
     let records = ["drift/drift-dry.run.toml", "drift/drift-wet.run.toml"];
     let arguments = ["reconcile", records[0], records[1], "--model", "known.toml", "--out", "found"];
     let verdict = json(at, &arguments);

@@ -1,6 +1,6 @@
-//! The guide's hand-written reference: what the code reads and writes stands on its page. `verbs.md` and `effects.md` are made
-//! from the code (`rtecctl`, `rtec-model`), `rtec-toml.md` is made of the
-//! configuration's tables of keys, and `protocol.md` is held against the code in `rtec-control`.
+//! The guide's hand-written reference has what the code reads and writes.
+//! `verbs.md` and `effects.md` are made from the code (`rtecctl`, `rtec-model`), and `rtec-toml.md` from the
+//! configuration's tables of keys. `rtec-control` compares `protocol.md` with the code.
 
 use rtec_control::protocol::word;
 use rtec_measure::plausible::What;
@@ -20,7 +20,7 @@ fn source(path: &str) -> String {
     std::fs::read_to_string(root().join(path)).unwrap()
 }
 
-/// The words that a page shows as code, in its blocks and between backticks.
+/// The words that a page shows as code, in blocks and between backticks.
 fn shown(page: &str) -> BTreeSet<String> {
     let mut words = BTreeSet::new();
     for (n, part) in page.split("```").enumerate() {
@@ -32,7 +32,8 @@ fn shown(page: &str) -> BTreeSet<String> {
     words
 }
 
-/// Every word in quotes within the lists of keys that a reader knows: `….only(&["…", …])`.
+/// Quoted words in the lists of keys that a reader knows.
+/// Such a list is `….only(&["…", …])`.
 fn keys_read(source: &str) -> Vec<&str> {
     let lists = source.split(".only(&[").skip(1).map(|rest| rest.split(']').next().unwrap());
     lists.flat_map(|list| list.split('"').skip(1).step_by(2)).collect()
@@ -140,9 +141,9 @@ fn every_field_of_a_verdict_stands_on_its_page() {
     let verdict: Value = serde_json::from_slice(&said.stdout).unwrap();
     let mut keys = BTreeSet::new();
     collect(&verdict, &mut keys);
-    // Parameters are the effects' own, and so is what tells sensors apart.
+    // Parameters belong to the effects, and so do the keys that tell sensors apart.
     let effects = source("tools/guide/reference/effects.md");
-    // So are a set-up's records; its terms end with the response.
+    // So do the keys of a set-up's records; its terms end with the response.
     let keys: Vec<&str> = keys
         .iter()
         .filter(|k| !effects.contains(&format!("| `{k}` |")) && !k.ends_with(".run.toml"))
@@ -203,7 +204,8 @@ fn every_family_of_metrics_stands_on_its_page() {
     all_stand("metrics.md", &names, 30);
 }
 
-/// The string literals of a source without its comments, joined over line ends, without backticks.
+/// The string literals of a source, joined over line ends, without backticks.
+/// Comments are left out.
 fn literals(source: &str) -> Vec<String> {
     let lines = source.lines().filter(|l| !l.trim_start().starts_with("//"));
     let code = lines.collect::<Vec<_>>().join("\n").replace("\\\"", "”");
@@ -216,12 +218,13 @@ fn literals(source: &str) -> Vec<String> {
         .collect()
 }
 
-/// The parts of a text between its figures and names, which are `…` in the table.
+/// The parts of a text between its figures and names.
+/// In the table these are `…`.
 fn parts(text: &str) -> impl Iterator<Item = &str> {
     text.split(['…', ':']).map(|p| p.trim_matches([' ', ';', ',', '.'])).filter(|p| p.len() > 5)
 }
 
-/// What the daemon refuses or reports, and the operator's chapter: every text of one is in the other.
+/// The operator's table of alarms has every text of the daemon, and no other.
 #[test]
 fn the_table_of_alarms_is_what_the_code_can_say() {
     let page = source("tools/guide/operator/alarms.md");
@@ -243,7 +246,7 @@ fn the_table_of_alarms_is_what_the_code_can_say() {
     let session = ["orders", "loads", "report"].map(|f| format!("tools/rtecd/src/session/{f}.rs"));
     let mut said = all(&session.each_ref().map(String::as_str));
     said.extend(literals(refusals));
-    // What is no refusal and no alarm: parts of others, logs, and requests that are wrong in themselves.
+    // Texts that are no refusal and no alarm: parts of others, logs, and malformed requests.
     let other = [
         "{",
         "machine model",
@@ -290,7 +293,7 @@ fn the_table_of_alarms_is_what_the_code_can_say() {
         "tools/correct/src/total.rs",
         "tools/model/src/machine/check.rs",
     ]));
-    // A row may name what stands in a text's gap ("feed hold by user …"): then the text before the gap is in the row.
+    // A row may name what fills a text's gap ("feed hold by user …"). Then the row has the text before the gap.
     let before_gap = |text: &String| text.split_once('{').map(|(head, _)| head.trim().to_owned());
     let heads: Vec<String> = said.iter().filter_map(before_gap).filter(|head| head.len() >= 12).collect();
     let says = |row: &String| {

@@ -1,5 +1,6 @@
-//! What a restart must not forget, and what must not come on by itself (law 7): feed hold, faults, the controller's counts.
-//! Each row of the guide's page "Who homes what, when" is tried here.
+//! State that a restart must keep, and corrections that must not return (law 7).
+//! The state is feed hold, faults and the controller's counts. Each row of the guide's page "Who homes what, when" is
+//! tested here.
 
 use crate::survival::Stopped;
 use rtec_driver::mapped::Registers;
@@ -11,7 +12,7 @@ use std::os::unix::fs::FileExt;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// Feed hold as the controller sees it.
+/// Whether the controller sees feed hold.
 fn held(bench: &Bench) -> bool {
     bench.machine.look_twice();
     bench.machine.seen.outputs.load(Ordering::Relaxed) >> 28 & 1 == 1
@@ -33,7 +34,7 @@ fn refused(bench: &Bench, args: &[&str]) -> String {
     text
 }
 
-/// The line that every homing waits for: two edges, after which a speed is known.
+/// Moves the axis and waits for two edges, which every homing needs for a speed.
 fn moves(bench: &Bench) {
     bench.machine.move_axis(true);
     bench.edges(3);
@@ -53,7 +54,7 @@ fn a_restart_keeps_hold_and_faults() {
         let daemon = bench.daemon();
         let status = daemon.status();
         assert!(held(&bench) && status["mode"] == "hold" && status["enabled"] == false, "{status}");
-        // The same user, since the same time.
+        // The same user, and the same time.
         let hold = &status["hold"];
         assert!(hold["by"].as_str().is_some_and(|by| by.starts_with("user ")), "{hold}");
         assert!((hold["at_s"].as_f64().unwrap() - since).abs() < 2.0, "{hold} {since}");
@@ -63,8 +64,8 @@ fn a_restart_keeps_hold_and_faults() {
         done(&bench, &["hold", "off"]);
         assert!(!held(&bench) && daemon.status()["mode"] == "disabled");
 
-        // A fault that leaves the count certain, and a hold that goes with it. Just behind the first edge after a start
-        // the axis may seem fast: its speed is told from the start to that edge, and homing is refused so long.
+        // A fault that leaves the count certain, with its feed hold. At the first edge after a start the axis may seem
+        // fast, because its speed counts from the start. Homing is refused until then.
         until("homed", || bench.user(&["home", "--controller-homed"]).0 == Some(0));
         done(&bench, &["enable"]);
         for _ in 0..3 {
@@ -95,7 +96,7 @@ fn who_homes_what_and_when() {
     let _alone = alone();
     let bench = Bench::default();
 
-    // First start: nobody knows what the controller counts.
+    // At the first start the controller's count is unknown.
     let daemon = bench.daemon();
     moves(&bench);
     assert!(refused(&bench, &["home"]).contains("nobody knows what the controller counts"));
@@ -106,19 +107,19 @@ fn who_homes_what_and_when() {
     done(&bench, &["enable"]);
     bench.correct(6);
 
-    // Homed again with counts in effect: refused with the numbers, and nothing is changed.
+    // Homed again with counts in effect: refused with the numbers, and nothing changes.
     let text = refused(&bench, &["home"]);
     assert!(text.contains("axis x: +6 counts, +6.000 µm: still in the controller's count"), "{text}");
     assert_eq!((in_effect(&bench), &bench.x()["homed"]), (6, &true.into()));
 
-    // Five rounds of homing the scale alone: the total is kept, and counts against the limit.
+    // Homing the scale alone five times keeps the total, which counts against the limit.
     for round in 1..=5 {
         done(&bench, &["home", "--controller-not-homed"]);
         assert_eq!((in_effect(&bench), bench.machine.offset() - base), (6, 6), "round {round}");
     }
     assert!(refused(&bench, &["correct", "x", "1001"]).contains("max_correction_counts"));
 
-    // Restart of the PC's daemon alone: what is in effect is known, and said.
+    // After a restart of the daemon alone, the total in effect is known and reported.
     daemon.end("KILL");
     let daemon = bench.daemon();
     assert_eq!(
@@ -134,7 +135,7 @@ fn who_homes_what_and_when() {
     bench.correct(8);
     assert_eq!(bench.machine.offset() - base, 8);
 
-    // Restart of the controller alone, or of both: both are homed. (Its count begins anew: here it is the test's base.)
+    // After a restart of the controller, both are homed. (Its count starts at zero; here the test takes a new base.)
     done(&bench, &["disable"]);
     done(&bench, &["home", "--controller-homed"]);
     let base = bench.machine.offset();
@@ -142,14 +143,15 @@ fn who_homes_what_and_when() {
     done(&bench, &["enable"]);
     bench.correct(4);
 
-    // An odd number of insertions leaves the inverters on; one less, and a gated reference mark is where it should be.
+    // An odd number of insertions leaves the inverters on. One insertion less, and a gated reference mark is in its
+    // place.
     bench.correct(6);
     assert!(bench.machine.inverted());
     done(&bench, &["park", "--inverters-off"]);
     assert_eq!((in_effect(&bench), bench.machine.inverted()), (4, false));
     done(&bench, &["enable"]);
 
-    // Parked to zero: the scale alone needs homing after a restart, and nothing has to be said of the controller.
+    // After parking to zero a restart needs homing of the scale alone, without a statement on the controller.
     done(&bench, &["park", "--to-zero"]);
     assert_eq!(bench.machine.offset(), base);
     daemon.end("TERM");
@@ -158,7 +160,7 @@ fn who_homes_what_and_when() {
     done(&bench, &["home"]);
     done(&bench, &["enable"]);
 
-    // A fault that puts the count in doubt: only both make it known.
+    // After a fault that puts the count in doubt, only homing both makes it known.
     bench.correct(4);
     bench.machine.glitch();
     until("the fault", || bench.x()["faults"].as_array().is_some_and(|f| !f.is_empty()));
@@ -168,7 +170,8 @@ fn who_homes_what_and_when() {
     done(&bench, &["home", "--controller-homed"]);
 }
 
-/// The PC loses power, its state with it, and comes back with its outputs low: it knows nothing, and says so.
+/// A PC that lost power and its state says that it knows nothing.
+/// It starts with its outputs low.
 #[test]
 fn a_pc_that_comes_back_without_its_state_knows_nothing() {
     let _alone = alone();
@@ -196,7 +199,8 @@ fn a_pc_that_comes_back_without_its_state_knows_nothing() {
     }
 }
 
-/// The real-time thread stands still and does not end: the process ends for the service manager, and its successor holds.
+/// A real-time thread that stalls ends the process, and the next one holds.
+/// The service manager starts the next one.
 #[test]
 fn a_thread_that_stands_still_ends_the_process_and_holds_the_machine() {
     let _alone = alone();
@@ -221,7 +225,8 @@ fn a_thread_that_stands_still_ends_the_process_and_holds_the_machine() {
     assert_eq!(bench.daemon().status()["mode"], "disabled", "it was cleared");
 }
 
-/// The steps of the guide's page on upgrades, with a model, from set-up to the operator who may not load one.
+/// The steps of the guide's page on upgrades, with a model.
+/// They go from set-up to the operator who may not load one.
 #[test]
 fn the_steps_of_an_upgrade() {
     let _alone = alone();
@@ -252,7 +257,8 @@ fn the_steps_of_an_upgrade() {
     assert_eq!(operator(&["model", "again"]).0, Some(1), "there is none to take up any more");
 }
 
-/// The controller's line `mtc_ready` falls: corrections are off and the axes not homed; hold stays until it is released.
+/// When `mtc_ready` falls, corrections are off and the axes not homed.
+/// Feed hold stays until it is released.
 #[test]
 fn a_controller_that_restarts_has_to_be_homed() {
     let _alone = alone();
@@ -284,7 +290,7 @@ fn a_controller_that_restarts_has_to_be_homed() {
     bench.correct(2);
 }
 
-/// Shared memory whose card has the controller's ready line on input 30.
+/// Shared memory with the controller's ready line on input 30.
 struct WithReady {
     card: Registers,
     ready: Arc<AtomicBool>,
@@ -301,7 +307,7 @@ impl Lines for WithReady {
     }
 }
 
-/// A hangup is no order to stop: the service manager is to start it again.
+/// A hangup is a failure, so that the service manager starts the daemon again.
 #[test]
 fn a_hangup_is_a_failure_for_the_service_manager() {
     let _alone = alone();

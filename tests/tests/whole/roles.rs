@@ -1,5 +1,5 @@
-//! Who may ask `rtecd` for what: every role tries every verb as another user; and the record of it, read, checked, tampered
-//! with.
+//! Roles: which requests each role may send, and the record of commands.
+//! Every role tries every verb as another user. The record is read, verified and tampered with.
 
 use rtec_tests::daemon::{Daemon, among_others, program, until};
 use rtec_tests::skipped;
@@ -20,7 +20,7 @@ fn root() -> bool {
     std::fs::metadata("/proc/self").unwrap().uid() == 0
 }
 
-/// A directory that another user can pass through, with the command line in it.
+/// A directory with the command line that another user can reach.
 fn place() -> tempfile::TempDir {
     let directory = tempfile::tempdir().unwrap();
     std::fs::set_permissions(directory.path(), std::fs::Permissions::from_mode(0o755)).unwrap();
@@ -61,7 +61,8 @@ const TABLE: [&str; 9] = [
     "--tool-x-mm=0",
 ];
 
-/// Every verb that asks the daemon, in an order in which each is done; and the least role that may.
+/// Every verb that asks the daemon, with the least role that may use it.
+/// They are in an order in which each succeeds.
 fn verbs() -> Vec<(Vec<&'static str>, usize)> {
     let of = |verb: &[&'static str], role| (verb.to_vec(), role);
     vec![
@@ -116,7 +117,7 @@ fn each_role_may_do_what_it_is_for_and_nothing_else() {
                 assert!(text.contains("this connection may") && text.contains("whoami"), "{text}");
             }
         }
-        // Nothing of what was refused has happened, and all of it is in the record.
+        // Refused requests changed nothing, and all of them are in the record.
         let status = daemon.status();
         assert_eq!(status["homed"], has >= 1);
         assert_eq!(status["axes"][1]["requested"], if has == 2 { 2 } else { 0 });
@@ -129,11 +130,11 @@ fn each_role_may_do_what_it_is_for_and_nothing_else() {
             let of_nobody = |l: &&Value| l["by"]["uid"] == NOBODY && l["result"] == result;
             lines().iter().filter(of_nobody).count()
         };
-        // `model load` asks twice: to show and to take, where it is let.
+        // `model load` asks twice, to show and to load, where the role permits it.
         let (done, refused) = [(0, 14), (8, 6), (15, 0)][has];
         until("the record", || (of("done"), of("refused")) == (done, refused));
         assert_eq!(daemon.user(&["log", "--verify"]).status.code(), Some(0));
-        // Who may see may read it, whatever the daemon's mask.
+        // A user who may see the status may read the record, whatever the daemon's umask.
         if has == 0 {
             let run = nobody(directory.path(), &["log"]);
             assert!(run.status.success() && said(&run).contains("refused"), "{}", said(&run));
@@ -156,7 +157,7 @@ fn who_has_no_group_reaches_nothing() {
     assert!(said(&run).contains("ask for a group"), "{}", said(&run));
 }
 
-/// Sends one line as `nobody`, without any descriptor, and gives the answer.
+/// Sends one line as `nobody`, without a descriptor, and returns the answer.
 fn line_of_nobody(socket: &Path, line: &str) -> Option<String> {
     let program = "import socket,sys\ns=socket.socket(socket.AF_UNIX)\ns.connect(sys.argv[1])\n\
                    s.sendall(sys.argv[2].encode()+b'\\n')\nprint(s.makefile().readline())";
@@ -193,12 +194,12 @@ fn what_the_caller_cannot_read_is_not_read_for_him() {
     table[3] = "secret";
     let run = nobody(directory.path(), &table);
     assert!(run.status.code() == Some(2) && said(&run).contains("ermission denied"), "{}", said(&run));
-    // A model names another file: that one is the caller's to read, too.
+    // A model names another file, which the caller must be able to read too.
     std::fs::write(at("m.toml"), "name = \"m\"\ndictionary = \"secret\"\n").unwrap();
     let run = nobody(directory.path(), &["model", "load", "m.toml", "--yes"]);
     assert!(run.status.code() == Some(2) && !said(&run).contains("combination"), "{}", said(&run));
     assert!(!daemon.log().contains("combination"), "{}", daemon.log());
-    // Who may read it is told what stands there; those who read the record are not.
+    // A caller who can read the file sees its text. Readers of the record do not.
     let mut line = std::io::BufReader::new(std::os::unix::net::UnixStream::connect(at("s")).unwrap());
     writeln!(line.get_mut(), "{by_name}").unwrap();
     let mut answer = String::new();
@@ -228,7 +229,7 @@ fn the_record_tells_who_did_what_and_shows_what_was_done_to_it() {
     );
     assert!(daemon.expect(0, &["log", "--since", "1h"]).contains("900"));
     assert!(!daemon.expect(0, &["log", "--since", "2100-01-01"]).contains("900"));
-    // One asks what was done while another goes on reading it.
+    // One client asks for commands while another goes on reading.
     let (code, _) = daemon.end("TERM");
     assert_eq!(code, Some(0));
     let log = |args: &[&str]| {
@@ -261,13 +262,13 @@ fn the_record_tells_who_did_what_and_shows_what_was_done_to_it() {
     std::fs::write(&file, &whole).unwrap();
     assert_eq!(log(&["--verify"]).0, Some(0));
     assert_eq!(log(&["--since", "some day"]).0, Some(2));
-    // What was refused has a chain of its own.
+    // Refused commands have a chain of their own.
     let kept = std::fs::read_to_string(&refused).unwrap();
     std::fs::write(&refused, kept.replace("900", "600")).unwrap();
     let (code, text) = log(&["--verify"]);
     assert!(code == Some(1) && text.contains("audit.log.refused:1: it was changed"), "{text}");
     std::fs::write(&refused, kept).unwrap();
-    // The end of both, as the journal would have it, fits; that of another story does not.
+    // The end of both chains, as the journal has it, matches. The end of another record does not.
     let hash =
         |text: &str| text.trim_end().rsplit_once("\"hash\":\"").unwrap().1.trim_end_matches("\"}").to_owned();
     let anchor = directory.path().join("anchor");

@@ -1,5 +1,6 @@
-//! Finished records on their way from the daemon to the shop: a probing run that the daemon captured, a run that a client
-//! recorded and handed over; sent by `rtecctl ship`. A folder that is gone or full costs a record and is said, and nothing else.
+//! Finished records on their way from the daemon to the shop.
+//! A probing run is captured by the daemon, and a client hands over a run that it recorded. `rtecctl ship` sends both.
+//! A missing or full folder costs a record and is reported, without other effects.
 
 use rtec_control::client::Client;
 use rtec_control::protocol::{ClientRequest, Response};
@@ -28,7 +29,7 @@ fn started_with(directory: &Path, control: &str) -> Daemon {
     Daemon::start(&directory.join("s"), Some(&file))
 }
 
-/// Probes so many trips; how many came.
+/// Probes until `trips` trips; returns the number that came.
 fn probed(daemon: &Daemon, trips: u32) -> usize {
     let out = daemon.user(&["probe", "on", "--captures", &trips.to_string(), "--json"]);
     serde_json::from_slice::<Value>(&out.stdout).unwrap()["captures"].as_array().unwrap().len()
@@ -41,7 +42,7 @@ fn sidecars(folder: &Path) -> Vec<PathBuf> {
     found
 }
 
-/// What the daemon says of records: kinds and texts of its events.
+/// Events of one kind that the daemon reports on records, as texts.
 fn told(daemon: &Daemon, kind: &str) -> Vec<String> {
     let mut client = Client::connect(daemon.socket()).unwrap();
     let request = ClientRequest::Observe { events_after: None };
@@ -49,7 +50,7 @@ fn told(daemon: &Daemon, kind: &str) -> Vec<String> {
     seen.events.into_iter().map(|e| e.event).filter(|e| e.kind == kind).map(|e| e.text).collect()
 }
 
-/// A gauge that says a reading every 10 ms, to everybody who asks.
+/// A gauge that sends a reading every 10 ms to every client.
 fn gauge() -> String {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let address = listener.local_addr().unwrap().to_string();
@@ -119,7 +120,7 @@ fn what_was_probed_and_what_was_recorded_reaches_the_shop_once() {
     assert!(probing.rows() >= trips && probing.count_um == Some(1.0), "{} rows", probing.rows());
     assert!(probing.time_s().windows(2).all(|w| w[0] < w[1]), "{:?}", probing.time_s());
 
-    // A client's record, and a second of the same name.
+    // A client's record, and a second one of the same name.
     for n in 0..2 {
         let out = recorded(directory.path(), "drift.run.toml");
         assert_eq!(out.status.code(), Some(0), "{n}: {}", String::from_utf8_lossy(&out.stderr));
@@ -131,14 +132,14 @@ fn what_was_probed_and_what_was_recorded_reaches_the_shop_once() {
     assert_eq!(record.columns, read(&directory.path().join("drift.run.toml")).unwrap().columns);
     assert_eq!(told(&daemon, "record_kept").len(), 3);
 
-    // Probing that goes on when the daemon ends is written, too.
+    // Probing that is on when the daemon ends is written too.
     daemon.expect(0, &["probe", "on", "--captures", "0"]);
     until("trips", || !told(&daemon, "trip").is_empty() && told(&daemon, "trip").len() > trips);
     let (code, log) = daemon.end("TERM");
     assert_eq!(code, Some(0), "{log}");
     assert_eq!(sidecars(&spool).len(), 4, "{log}");
 
-    // The daemon sends nothing; `ship` does, each once.
+    // The daemon sends nothing. `ship` sends each record once.
     let sent = shipped(directory.path());
     let document: Value = serde_json::from_slice(&sent.stdout).unwrap();
     assert_eq!((document["sent"].as_array().unwrap().len(), &document["kept"]), (4, &serde_json::json!([])));
@@ -166,7 +167,7 @@ fn a_spool_that_is_gone_or_full_costs_the_record_and_is_said() {
     assert!(text.contains("trips is not kept") && text.contains("is no folder"), "{text}");
     until("the log", || daemon.log().contains(&text));
     until("the record of commands", || daemon.expect(0, &["log"]).contains("trips is not kept"));
-    // Before a client's run, not after it.
+    // The refusal comes before a client's run, not after it.
     let refused = recorded(directory.path(), "drift.run.toml");
     assert_eq!(refused.status.code(), Some(1));
     assert!(String::from_utf8_lossy(&refused.stderr).contains("is no folder"));
@@ -183,7 +184,7 @@ fn a_spool_that_is_gone_or_full_costs_the_record_and_is_said() {
     assert_eq!(full.status.code(), Some(1), "{said}");
     assert!(said.contains("the record is in drift.run.toml") && said.contains("No space left"), "{said}");
     read(&directory.path().join("drift.run.toml")).unwrap();
-    // Nothing half is there, the loop goes on, and with room again the next is kept.
+    // No partial file is left, the loop continues, and with room again the next record is kept.
     assert_eq!(std::fs::read_dir(&spool).unwrap().count(), 1);
     disk.free();
     probed(&daemon, 1);
@@ -206,7 +207,8 @@ fn a_daemon_without_a_spool_says_how_to_have_one() {
     drop(daemon);
 }
 
-/// A bug once: one sidecar of 48 MB took 7 GB, and the daemon with it; and nothing bounded how many records were kept.
+/// Regression: one sidecar of 48 MB took 7 GB of memory and ended the daemon.
+/// The number of kept records had no bound either.
 #[test]
 fn whoever_operates_neither_ends_the_daemon_nor_fills_the_disk() {
     let _room = among_others();
@@ -247,11 +249,11 @@ fn whoever_operates_neither_ends_the_daemon_nor_fills_the_disk() {
         "{odd:?}"
     );
     assert_eq!(daemon.status()["balanced"], true);
-    // The end of the record was said, and fits.
+    // The end of the record was logged, and matches.
     until("the anchor", || daemon.log().contains("record of commands: line "));
     std::fs::write(at("journal"), daemon.log()).unwrap();
     daemon.expect(0, &["log", "--verify", "--anchors", &at("journal").display().to_string()]);
-    // Sent, there is room again.
+    // Once records are sent, there is room again.
     std::fs::create_dir(at("shop")).unwrap();
     assert_eq!(shipped(directory.path()).status.code(), Some(0));
     assert!(matches!(keep(sidecar), Response::Done { .. }));

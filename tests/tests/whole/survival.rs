@@ -1,5 +1,6 @@
-//! What `rtecd` survives, and what the MTC sees of it (laws 2 and 3): kills at any moment, a control side that stalls or is
-//! flooded, full disks, stepped clocks. Not one jump, not one illegal transition; the ledger balances or a fault is latched.
+//! Failures that `rtecd` survives, as the MTC sees them (laws 2 and 3).
+//! They are kills at any moment, a control side that stalls or is flooded, full disks and stepped clocks. There is no
+//! jump and no illegal transition. The ledger balances, or a fault is latched.
 
 use rtec_tests::daemon::{Bench, CONFIG, Daemon, EDGE, Machine, alone, program, until};
 use rtec_tests::disk::SmallDisk;
@@ -14,7 +15,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
-/// Twenty times; `RTEC_KILLS=1000` for more, `RTEC_SEED` for other moments.
+/// Kills the daemon twenty times at random moments.
+/// `RTEC_KILLS=1000` sets the number, and `RTEC_SEED` other moments.
 #[test]
 fn killed_twenty_times_it_leaves_no_jump_and_no_illegal_state() {
     let _alone = alone();
@@ -31,7 +33,7 @@ fn killed_twenty_times_it_leaves_no_jump_and_no_illegal_state() {
     assert!(tally.faults.len() as u32 >= tally.halfway, "{tally:?}");
 }
 
-/// A process that is ended with its test.
+/// A process that ends with its test.
 struct Running(Child);
 
 impl Drop for Running {
@@ -44,7 +46,7 @@ impl Drop for Running {
 #[test]
 fn a_log_that_is_full_or_not_read_stops_nothing() {
     let _alone = alone();
-    // A disk that is full, and a pipe that is full because nobody reads it.
+    // A full disk, and a pipe that is full because nobody reads it.
     let full = std::fs::File::options().write(true).open("/dev/full").unwrap();
     let (_unread, writer) = std::io::pipe().unwrap();
     let flags = nix::fcntl::OFlag::O_NONBLOCK;
@@ -82,7 +84,7 @@ fn a_full_disk_is_an_error_before_the_start_and_nothing_after_it() {
     bench.correct(6);
     bench.balances();
     daemon.end("KILL");
-    // Its successor finds the record, on the disk that is still full.
+    // The next daemon finds the record on the disk that is still full.
     let _daemon = bench.daemon();
     bench.balances();
     assert_eq!(bench.x()["completed"], 6);
@@ -97,12 +99,12 @@ fn a_daemon_that_was_stopped_for_a_while_latches_or_balances() {
     bench.correct(2);
     assert_eq!(bench.user(&["correct", "x", "30"]).0, Some(0));
     daemon.pause(|| {
-        // Edges that nobody sees.
+        // Edges that the stopped process cannot see.
         bench.edges(4);
         true
     });
     assert_eq!(bench.machine.illegal(), 0);
-    // Its control side may run again before its real-time thread does.
+    // The control side may run again before the real-time thread does.
     until("what nobody saw is latched", || bench.x()["faults"].as_array().is_some_and(|all| !all.is_empty()));
     until("an insertion is finished", || !bench.machine.halfway());
     assert_eq!(bench.machine.illegal(), 0);
@@ -126,7 +128,7 @@ fn a_flooded_socket_changes_nothing_at_the_mtc() {
     assert!(!daemon.log().contains("control side is silent"), "{}", daemon.log());
 }
 
-/// A judge of what the time of day may do to a process.
+/// A library that changes the time of day for a process.
 const LIBRARY: &str = "/usr/lib/x86_64-linux-gnu/faketime/libfaketime.so.1";
 
 #[test]
@@ -151,7 +153,7 @@ fn a_stepped_clock_changes_nothing() {
         step(by);
         bench.correct(counts);
         bench.balances();
-        // The step is really there for a process that asks for the time of day.
+        // The step really shows in a process that reads the time of day.
         let mut date = Command::new("date");
         stepped(date.arg("+%s"));
         let shown = String::from_utf8(date.output().unwrap().stdout).unwrap();
@@ -179,7 +181,7 @@ fn parking_freezes_or_takes_the_correction_out_in_gated_steps() {
     let (code, text) = bench.user(&["park", "--to-zero"]);
     assert!(code == Some(1) && text.contains("corrections are off: `rtecctl enable`"), "{code:?} {text}");
 
-    // At rest an axis gives no edge: it says so, and gives up.
+    // An axis at rest gives no edge; `park` reports that, and gives up.
     assert_eq!(bench.user(&["enable"]).0, Some(0));
     bench.machine.move_axis(false);
     let (code, text) = bench.user(&["park", "--to-zero", "--patience", "2s"]);
@@ -194,7 +196,7 @@ fn parking_freezes_or_takes_the_correction_out_in_gated_steps() {
     assert_eq!((bench.machine.offset(), &daemon.status()["mode"]), (0, &"disabled".into()));
 }
 
-/// One thread of a process, stopped; the others go on.
+/// A stopped thread of a process; the other threads go on.
 pub(crate) struct Stopped(i32);
 
 impl Stopped {
@@ -237,7 +239,7 @@ fn a_control_thread_that_stalls_alone_leaves_the_real_time_thread_at_work() {
     bench.correct(2);
     assert_eq!(bench.user(&["correct", "x", "40"]).0, Some(0));
     let stopped = Stopped::thread(daemon.id() as i32);
-    // Beyond `stale_ms`, half a second, and what was begun is finished.
+    // Beyond `stale_ms`, half a second, and an insertion under way is finished.
     bench.edges(1500 / EDGE.as_millis() as u32);
     until("an insertion is finished", || !bench.machine.halfway());
     let frozen = bench.machine.offset();
@@ -245,12 +247,12 @@ fn a_control_thread_that_stalls_alone_leaves_the_real_time_thread_at_work() {
     assert_eq!((bench.machine.offset(), bench.machine.illegal()), (frozen, 0), "no insertion begins");
     assert!((2..40).contains(&frozen), "{frozen}");
     drop(stopped);
-    // Named, answered again, and not one edge of the meantime is lost.
+    // The stall is named, the daemon answers again, and no edge of the meantime is lost.
     until("it is named", || daemon.log().contains("the control side is silent"));
     until("it answers again", || daemon.status()["rt"]["control_stale"] == false);
     let status = daemon.status();
     assert_eq!((&status["mode"], &status["balanced"]), (&"disabled".into(), &true.into()));
-    // What came back enables nothing.
+    // The return of the control side enables nothing.
     assert_eq!((bench.user(&["enable"]).0, bench.machine.offset()), (Some(0), frozen));
     until("corrections go on", || bench.machine.offset() > frozen);
     assert_eq!(bench.x()["faults"], serde_json::json!([]));
@@ -262,7 +264,7 @@ fn in_effect(bench: &Bench) -> i64 {
     bench.x()["in_effect"].as_i64().unwrap_or(i64::MIN)
 }
 
-/// A sensor at the end of a line that is a file: it can go away.
+/// A sensor on a line that is a file, which can go away.
 struct Line {
     file: PathBuf,
     stop: Arc<AtomicBool>,
@@ -273,7 +275,7 @@ impl Line {
     fn reading(file: &Path, degc: f64) -> Self {
         nix::unistd::mkfifo(file, nix::sys::stat::Mode::S_IRWXU).unwrap();
         let stop = Arc::new(AtomicBool::new(false));
-        // Read and write: opening it waits for nobody.
+        // Opened for reading and writing, so that opening does not wait.
         let mut pipe = std::fs::File::options().read(true).write(true).open(file).unwrap();
         let end = Arc::clone(&stop);
         let writer = std::thread::spawn(move || {
@@ -324,7 +326,7 @@ fn a_sensor_whose_file_goes_away_is_named_and_its_correction_stands() {
     bench.balances();
     assert_eq!((in_effect(&bench), daemon.status()["mode"].clone()), (grown, "run".into()));
 
-    // It is there again, and two degrees warmer.
+    // The sensor is back, and two degrees warmer.
     let _line = Line::reading(&sensor, 25.0);
     says("sensors: 1 of 1 good");
     says("sensor T1 is good again: `rtecctl enable` takes its correction up");
@@ -352,7 +354,7 @@ fn parking_with_a_model_takes_its_correction_out_and_leaves_it_out() {
     let says = |text: &str| bench.user(&["status"]).1.contains(text);
     let unloaded = "the model was unloaded: `rtecctl model again` takes it up as it was";
     assert!(says(unloaded) && !says("`rtecctl model load`"));
-    // Enabled again, nothing comes back by itself.
+    // Corrections are enabled again, and nothing moves by itself.
     let (code, text) = bench.user(&["enable"]);
     assert!(code == Some(0) && text.contains("nothing moves"), "{code:?} {text}");
     assert_eq!((bench.x()["requested"].clone(), in_effect(&bench)), (0.into(), 0));

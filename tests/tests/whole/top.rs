@@ -1,4 +1,4 @@
-//! `rtecctl top` in a real terminal: tmux runs it, types into it and reads the screen.
+//! `rtecctl top` in a real terminal, which tmux runs, types into and reads.
 
 use rtec_tests::daemon::{Daemon, alone, program, until};
 use rtec_tests::skipped;
@@ -10,7 +10,8 @@ struct Terminal {
 }
 
 impl Terminal {
-    /// A terminal of its own tmux server that runs `rtecctl top` and then says how that ended.
+    /// A terminal that runs `rtecctl top` and then prints its exit code.
+    /// It has a tmux server of its own.
     fn start(directory: &Path, socket: &Path, size: (u16, u16), variables: &str) -> Self {
         let terminal = Self { server: directory.join(format!("tmux-{}-{}", size.0, variables.len())) };
         let command = format!(
@@ -78,7 +79,7 @@ fn it_shows_the_machine_and_outlives_its_daemon() {
     let _daemon = Daemon::start(&socket, None);
     terminal.shows("? help   q quit");
     terminal.shows("DISABLED");
-    // Another size is another layout; too small is said.
+    // Another size gives another layout. A size that is too small is reported.
     terminal.tmux(&["resize-window", "-x", "50", "-y", "12"]);
     terminal.shows("needs 60x16");
     terminal.tmux(&["resize-window", "-x", "80", "-y", "24"]);
@@ -86,7 +87,7 @@ fn it_shows_the_machine_and_outlives_its_daemon() {
     terminal.tmux(&["send-keys", "q"]);
     terminal.shows("ended with 0");
 
-    // As the terminal writes the foreground's eight colours.
+    // The eight foreground colours, as the terminal writes them.
     let coloured = |terminal: &Terminal| {
         let screen = terminal.tmux(&["capture-pane", "-p", "-e"]);
         (30..38).any(|code| ['[', ';'].iter().any(|from| screen.contains(&format!("{from}{code}m"))))
@@ -98,14 +99,14 @@ fn it_shows_the_machine_and_outlives_its_daemon() {
     bright.shows("DISABLED");
     until("colours", || coloured(&bright));
 
-    // A terminal that is closed leaves nobody behind it.
+    // A closed terminal leaves no process behind.
     let here = socket.display().to_string();
     assert!(shown_by(&here) > 0);
     drop((terminal, plain, bright));
     until("the end of what they showed", || shown_by(&here) == 0);
 }
 
-/// How many `rtecctl top` look at this socket.
+/// Number of `rtecctl top` processes on this socket.
 fn shown_by(socket: &str) -> usize {
     let commands = std::fs::read_dir("/proc").unwrap().filter_map(|p| {
         let command = std::fs::read(p.ok()?.path().join("cmdline")).ok()?;

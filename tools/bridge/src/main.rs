@@ -1,6 +1,5 @@
-//! `rtec-mqtt`: the corrector's state for a plant's MQTT broker.
-//! It reads the daemon's view socket and commands nothing; it
-//! subscribes to nothing either.
+//! `rtec-mqtt`: publishes the corrector's state to a plant's MQTT broker.
+//! It reads the daemon's view socket and commands nothing. It subscribes to nothing either.
 //!
 //! | topic under `--topic` | payload | retained |
 //! |---|---|---|
@@ -8,19 +7,17 @@
 //! | `daemon` | `online`, `offline` | yes |
 //! | `status` | the document of `rtecctl status --json` | yes |
 //! | `axes/NAME` | that axis of it | yes |
-//! | `faults` | what is latched: `[{"axis":"x","fault":"poll_gap"}]`, the machine's own with `null` | yes |
+//! | `faults` | latched faults: `[{"axis":"x","fault":"poll_gap"}]`, the machine's own with `null` | yes |
 //! | `event` | each event as it comes; `{"missed":N}` where some are lost | no |
 //!
 //! MQTT was chosen over OPC UA because the companion specifications of OPC UA have no object for a compensation or its
-//! ledger.
-//! A server would offer plain variables, and need certificates, an address space and an open port. Here nothing
-//! listens, and any plant's gateway takes JSON topics. TLS: a broker on this computer forwards over it (mosquitto:
-//! `connection`,
-//! `bridge_cafile`).
+//! ledger. A server would offer plain variables, and need certificates, an address space and an open port. Here nothing
+//! listens, and any plant's gateway takes JSON topics. For TLS, a broker on this computer forwards the topics
+//! (mosquitto: `connection`, `bridge_cafile`).
 //!
-//! What must not live here: anything that decides or commands; a second copy of the protocol (`rtec-control`).
+//! This crate must not decide or command anything. The protocol is in `rtec-control`, and not repeated here.
 
-// Before the module, so that all of it prints this way: standard error that takes nothing is no reason to stop.
+// Before the modules, so that all of them print this way: a closed standard error is no reason to stop.
 macro_rules! eprintln {
     ($($what:tt)*) => {{
         use std::io::Write as _;
@@ -41,7 +38,7 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Duration;
 
-/// The state of the real-time error corrector for an MQTT broker; nothing can be commanded through it
+/// The corrector's state for an MQTT broker; nothing can be commanded through it
 #[derive(Debug, Parser)]
 #[command(
     version,
@@ -124,7 +121,7 @@ fn run(args: &Args) -> anyhow::Result<()> {
         }
         if let Err(error) = opened.and_then(|mut broker| bridge.serve(&mut broker, every)) {
             let why = error.to_string();
-            // A broker that stays away for days is no line a second.
+            // The same reason is printed once, so that a broker that is away for days does not fill the log.
             if why != said {
                 eprintln!("rtec-mqtt: broker {}: {why}; again every {AGAIN:?}", args.broker);
                 said = why;
@@ -137,7 +134,7 @@ fn run(args: &Args) -> anyhow::Result<()> {
 struct Bridge<'a> {
     args: &'a Args,
     client: Option<Client>,
-    /// Number of the last event that the broker has; none before the first look.
+    /// Number of the last event that the broker has; `None` before the first look.
     known: Option<u64>,
     uptime_s: f64,
 }
@@ -167,7 +164,7 @@ impl Bridge<'_> {
                 }
                 Err(error) => {
                     if daemon != "offline" {
-                        // Its text has its cause already.
+                        // The error's text includes its cause.
                         eprintln!("rtec-mqtt: {error}");
                     }
                     self.client = None;
@@ -187,7 +184,7 @@ impl Bridge<'_> {
         broker.publish(&format!("{}/{topic}", self.args.topic), payload, true)
     }
 
-    /// New events, known once the broker has answered to a ping.
+    /// Publishes new events, and notes them once the broker has answered a ping.
     fn tell(&mut self, broker: &mut Connection, seen: &Observed) -> io::Result<()> {
         let last = seen.events.last().map_or(self.known.unwrap_or(0), |e| e.n);
         if self.known.is_some() {
@@ -210,7 +207,7 @@ impl Bridge<'_> {
 
     fn look(&mut self) -> anyhow::Result<Observed> {
         let seen = self.observe()?;
-        // A daemon that has begun anew counts its events anew.
+        // A daemon that has restarted counts its events from the beginning.
         let anew = seen.status.uptime_s < self.uptime_s;
         self.uptime_s = seen.status.uptime_s;
         if anew && self.known.is_some() {
@@ -232,7 +229,7 @@ impl Bridge<'_> {
     }
 }
 
-/// By the socket that only shows; where this user may not use it, by another.
+/// Connects to the view socket, or to the control socket where this user may not.
 fn connect(args: &Args) -> anyhow::Result<Client> {
     let mut control = match &args.config {
         Some(file) => Config::load(file)?.control,

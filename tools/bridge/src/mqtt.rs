@@ -1,25 +1,25 @@
-//! As much of MQTT 3.1.1 (OASIS, 2014) as a publisher needs.
-//! CONNECT with a last will, PUBLISH of `QoS` 0, PINGREQ, DISCONNECT.
+//! The part of MQTT 3.1.1 (OASIS, 2014) that a publisher needs.
+//! It is CONNECT with a last will, PUBLISH of `QoS` 0, PINGREQ and DISCONNECT.
 //!
-//! Nothing is subscribed to. The broker answers a PINGREQ after everything that was sent before it (one ordered TCP
+//! It subscribes to nothing. The broker answers a PINGREQ after everything that was sent before it (one ordered TCP
 //! stream). An answered ping therefore confirms what was published, without the bookkeeping of `QoS` 1.
 
 use std::io::{self, Error, ErrorKind, Read, Write};
 use std::net::{TcpStream, ToSocketAddrs};
 use std::time::Duration;
 
-/// A broker that is silent for longer is gone.
+/// Silence after which the broker counts as gone.
 const PATIENCE: Duration = Duration::from_secs(5);
 /// Longest remaining length (section 2.2.3).
 const LONGEST: usize = 268_435_455;
 
-/// Whom the broker takes us for, and what it says when we are gone.
+/// Identity of the client, and its last will.
 pub(crate) struct Login<'a> {
     pub client_id: &'a str,
     /// Name and password.
     pub user: Option<(&'a str, &'a [u8])>,
     pub keep_alive: Duration,
-    /// Topic and payload, retained.
+    /// Topic and payload of the last will, which is retained.
     pub will: (&'a str, &'a [u8]),
 }
 
@@ -55,14 +55,14 @@ impl Connection {
         }
     }
 
-    /// Publishes, not confirmed before the next ping.
+    /// Publishes a message; only the next ping confirms it.
     pub(crate) fn publish(&mut self, topic: &str, payload: &[u8], retain: bool) -> io::Result<()> {
         let mut body = text(topic)?;
         body.extend_from_slice(payload);
         self.0.write_all(&packet(0x30 | u8::from(retain), &body)?)
     }
 
-    /// Waits until everything so far is with the broker.
+    /// Waits until the broker has everything that was published so far.
     pub(crate) fn ping(&mut self) -> io::Result<()> {
         self.0.write_all(&[0xc0, 0])?;
         let mut answer = [0; 2];

@@ -1,5 +1,5 @@
 //! A short self-test on a mock card.
-//! The latencies that a speed gate rests on, and a ledger that balances.
+//! It measures the latencies of the speed gate, and checks that the ledger balances.
 use rtec_platform::selftest::{Backend, SelftestOptions, run};
 use std::time::Duration;
 

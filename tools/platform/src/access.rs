@@ -1,6 +1,6 @@
-//! What a card's devices need of the system.
-//! The daemon's user may open them, and their interrupts land where
-//! they should. Reads `/etc/passwd`, `/etc/group`, `/dev`, `/proc/irq` and `/sys`; changes nothing.
+//! Permissions and interrupts that a card's devices need.
+//! The daemon's user must be able to open them, and their interrupts must land on the right CPU. It reads
+//! `/etc/passwd`, `/etc/group`, `/dev`, `/proc/irq` and `/sys`, and changes nothing.
 //!
 //! | finding | wanted |
 //! |---|---|
@@ -15,9 +15,9 @@ use rtec_rt::setup::{Finding, OsError, System, cpu_list};
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
-/// The daemon's user, and the group whose members may speak to it.
+/// The daemon's user, and the group whose members may connect to it.
 const USER: &str = "rtec";
-/// The group that has the devices, with the daemon's user alone in it.
+/// The group of the devices, whose only member is the daemon's user.
 const DEVICES: &str = "rtec-dev";
 /// Folder of drop-ins: additions to the service's unit file.
 const DROP_INS: &str = "etc/systemd/system/rtecd.service.d";
@@ -54,13 +54,14 @@ impl Device {
     }
 }
 
-/// A user as `/etc/passwd` and `/etc/group` have him.
+/// A user in `/etc/passwd` and `/etc/group`.
 struct User {
     uid: u32,
     gids: Vec<u32>,
 }
 
-/// The findings about a card with these devices, on which `events` wake the real-time thread on `cpu`.
+/// The findings about a card with these devices.
+/// With `events`, interrupts of the card wake the real-time thread on `cpu`.
 #[must_use]
 pub fn card(system: &System, devices: &[Device], events: bool, cpu: usize) -> Vec<Finding> {
     let tree = Tree { system };
@@ -81,7 +82,7 @@ pub fn card(system: &System, devices: &[Device], events: bool, cpu: usize) -> Ve
     findings
 }
 
-/// The system's files that say who may open a device and who serves it.
+/// The system's files about permissions and interrupts.
 struct Tree<'a> {
     system: &'a System,
 }
@@ -99,7 +100,7 @@ impl Tree<'_> {
         Some(User { uid: entry.get(2)?.parse().ok()?, gids })
     }
 
-    /// May the caller speak to the daemon?
+    /// Whether the caller may connect to the daemon.
     fn group(&self) -> Finding {
         let wanted = format!("root, or in the group {USER}");
         let remedy = format!("usermod -aG {USER} YOU, and log in again");
@@ -126,7 +127,7 @@ impl Tree<'_> {
         Finding::new("group", wanted, got, ok).remedy(remedy)
     }
 
-    /// May the daemon's user read and write the device?
+    /// Whether the daemon's user may read and write the device.
     fn card_access(&self, device: &Device, user: Option<&User>) -> Finding {
         let found = self.place(device);
         let (file, line, missing) = match &found {
@@ -168,11 +169,12 @@ impl Tree<'_> {
         .remedy(remedy)
     }
 
-    /// The device's file below the root, the line that names it in `/etc/rtec/devices`, and what to do where it is missing.
+    /// The device's file below the root, its line in `/etc/rtec/devices`, and a remedy.
+    /// The remedy applies where the file is missing.
     fn place(&self, device: &Device) -> Result<(PathBuf, Option<String>, Option<&'static str>), PciId> {
         Ok(match device {
             Device::Gpio(name) => {
-                // Under the device that the chip belongs to, `…/fe200000.gpio/gpiochip0`.
+                // The directory of the device that has the chip, `…/fe200000.gpio/gpiochip0`.
                 let parent = self.parents(&format!("sys/bus/gpio/devices/{name}")).next();
                 let owner = parent.and_then(|p| Some(p.file_name()?.to_string_lossy().into_owned()));
                 (
@@ -208,7 +210,7 @@ impl Tree<'_> {
         rtec_driver::pci::find_in(&self.system.path("sys/bus/pci/devices"), id).ok()
     }
 
-    /// The directories above a device's in sysfs, the nearest first.
+    /// The parent directories of a device in sysfs, nearest first.
     fn parents(&self, path: &str) -> impl Iterator<Item = PathBuf> {
         let device = std::fs::canonicalize(self.system.path(path)).ok();
         let top = std::fs::canonicalize(self.system.path("sys/devices")).unwrap_or_default();
@@ -244,7 +246,7 @@ impl Tree<'_> {
         .remedy(format!("install -Dt /{DROP_INS} /usr/share/rtec/port.conf && systemctl daemon-reload"))
     }
 
-    /// Do the card's interrupts land on the CPUs that they should?
+    /// Whether the card's interrupts land on the right CPUs.
     fn card_irq(&self, devices: &[Device], events: bool, cpu: usize) -> Finding {
         let wanted = format!("{} CPU {cpu}", if events { "on" } else { "not on" });
         let mut numbers: Vec<u32> = devices.iter().flat_map(|device| self.interrupts(device)).collect();
@@ -272,7 +274,7 @@ impl Tree<'_> {
 
     fn interrupts(&self, device: &Device) -> Vec<u32> {
         match device {
-            // The lines that the daemon has requested are interrupts in its name.
+            // The lines that the daemon requested are interrupts under its name.
             Device::Gpio(name) => {
                 let mut all = self.irqs_of("rtec");
                 if let Some(parent) = self.parents(&format!("sys/bus/gpio/devices/{name}")).next() {
@@ -302,7 +304,7 @@ impl Tree<'_> {
             .collect()
     }
 
-    /// The handled interrupts of a PCI function: its messages, else its line.
+    /// The interrupts of a PCI function with a handler: its messages, or else its line.
     fn pci_interrupts(&self, directory: &Path) -> Vec<u32> {
         let messages = std::fs::read_dir(directory.join("msi_irqs")).into_iter().flatten().flatten();
         let line = std::fs::read_to_string(directory.join("irq")).ok();

@@ -1,5 +1,5 @@
-//! The other end of the wires.
-//! A scale that moves, an MTC that counts, and the control side beside them.
+//! The other end of the wires, for the self-test.
+//! It is a moving scale, a counting MTC, and the control side.
 
 use rand_xoshiro::rand_core::RngCore;
 use rtec_driver::card::AxisLines;
@@ -17,31 +17,32 @@ use std::time::Duration;
 
 /// The axis's wires on the test cards.
 const LINES: AxisLines = AxisLines::standard(0, false);
-/// The far side waits this long, at least and at most, between an insertion and the next edge, ns: not in step with
-/// anything the loop does.
+/// Shortest and longest wait between an insertion and the next edge, ns.
+/// The wait is random, so it is not in step with the loop.
 const DWELL_NS: (u64, u64) = (20_000, 40_000);
-/// A sample for which the far side itself did not look for longer than this is not counted: its time is its own, ns.
+/// Longest gap between two looks of the far side for a valid sample, ns.
+/// A longer gap is a delay of the far side itself, and the sample is not counted.
 const RESOLUTION_NS: u64 = 1_000;
-/// How often the control side looks after the engine, ns: seldom.
+/// Interval of the control side's looks at the engine, ns. It is long on purpose.
 const CONTROL_INTERVAL_NS: u64 = 2_000_000;
-/// A request that has shown no effect for this long is sent again, ns.
+/// Time without an effect after which a request is sent again, ns.
 const ASK_AGAIN_NS: u64 = 20_000_000;
-/// Extra time of the loop while not one insertion has been timed, ns.
+/// Extra time of the loop until the first insertion has been timed, ns.
 const PATIENCE_NS: u64 = 10_000_000_000;
 const SECOND_NS: u64 = 1_000_000_000;
 /// The total that is always pending.
 const WITHOUT_END: Request = Request::Correct { axis: 0, total_counts: i64::MAX / 2, large: true };
 
-/// What the other end of the wires saw.
+/// Counts of the far side.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize)]
 pub struct FarSide {
     /// Number of edges given to the scale's lines.
     pub edges: u64,
-    /// Edges without an insertion: the first, and those seen too late.
+    /// Edges that no insertion followed: the first one, and those seen too late.
     pub without_insertion: u64,
-    /// Insertions whose time the far side missed: it was kept from looking.
+    /// Insertions that were not timed, because the far side could not look in time.
     pub unresolved: u64,
-    /// What an MTC counted minus what the scale did.
+    /// Counts of the MTC minus those of the scale.
     pub mtc_minus_scale: i64,
     /// Illegal transitions at the MTC.
     pub illegal: u64,
@@ -74,31 +75,31 @@ impl FarEnd for Registers {
     }
 }
 
-/// The control side: always a correction pending, homed after a fault.
+/// The control side: it always requests a correction, and homes after a fault.
 pub(crate) struct Control<'a> {
     link: &'a mut ControlEnd,
     /// Requests are sent as fast as the link takes them.
     streaming: bool,
     homed: Homed,
-    /// Faults seen; the axis was homed again after each.
+    /// Number of faults; after each the axis was homed again.
     pub faults: u64,
-    /// Requests that streamed in.
+    /// Number of requests sent.
     pub requests: u64,
-    /// The engine's last look that is known of, ns.
+    /// Time of the engine's last known look, ns.
     looked_ns: u64,
-    /// When the control side looks after the engine again, ns.
+    /// Time of the control side's next look at the engine, ns.
     due_ns: u64,
     end_ns: u64,
-    /// When `progress` is called again, ns, with the seconds that are left.
+    /// Time of the next call of `progress`, ns; it gets the seconds that are left.
     progress_ns: u64,
     progress: &'a mut dyn FnMut(u64),
 }
 
 #[derive(Debug)]
 enum Homed {
-    /// Not asked for yet.
+    /// Not requested yet.
     Never,
-    /// Asked for at this look of the engine, ns.
+    /// Requested at this look of the engine, ns.
     Asked { at_ns: u64 },
     /// Homed and correcting.
     Done,
@@ -126,7 +127,7 @@ impl<'a> Control<'a> {
         }
     }
 
-    /// Does what is due, and sends up to so many requests where they shall stream in.
+    /// Does what is due, and sends up to `requests` requests if they shall stream.
     #[inline]
     fn attend(&mut self, now_ns: u64, requests: u64) {
         if self.streaming && matches!(self.homed, Homed::Done) {
@@ -150,7 +151,7 @@ impl<'a> Control<'a> {
         match self.homed {
             Homed::Never => self.ask(),
             Homed::Asked { .. } if status.mode == Mode::Run => self.homed = Homed::Done,
-            // An insertion was under way, and the request refused.
+            // The request was refused, because an insertion was under way.
             Homed::Asked { at_ns } if self.looked_ns > at_ns + ASK_AGAIN_NS => self.ask(),
             Homed::Done if status.mode == Mode::Fault => {
                 self.faults += 1;
@@ -168,21 +169,21 @@ impl<'a> Control<'a> {
             Request::Enable,
             WITHOUT_END,
         ] {
-            // A full ring: asked again when it has been worked off.
+            // The ring is full: the request is repeated when it has emptied.
             let _ = self.link.send(request);
         }
         self.homed = Homed::Asked { at_ns: self.looked_ns };
     }
 
-    /// The time is up.
+    /// Whether the time is up.
     ///
-    /// On a crowded machine it goes on until one insertion has been `timed`.
+    /// On a busy machine it continues until one insertion has been `timed`.
     fn over(&self, now_ns: u64, timed: bool) -> bool {
         now_ns >= self.end_ns && (timed || now_ns >= self.end_ns + PATIENCE_NS) || self.link.ended()
     }
 }
 
-/// The scale and the MTC.
+/// The scale and the MTC of a self-test.
 struct Player<'a, 'c, F> {
     far: &'a mut F,
     control: &'a mut Control<'c>,
@@ -190,15 +191,14 @@ struct Player<'a, 'c, F> {
     clock: Monotonic,
     scale: Decoder,
     mtc: Decoder,
-    /// The inverters as last seen.
+    /// The inverters at the last look.
     inverters: u8,
     seen: FarSide,
     last_done_ns: Option<u64>,
 }
 
-/// Moves the scale edge by edge, and is the MTC, until the time is up.
-/// The times from edge to second inversion go to
-/// `done`. Returns what was seen and the last of those times, ns.
+/// Moves the scale edge by edge and counts as the MTC, until the time is up.
+/// The times from edge to second inversion go to `done`. Returns the counts, and the last of those times, ns.
 pub(crate) fn play(
     far: &mut impl FarEnd,
     control: &mut Control,
@@ -228,7 +228,7 @@ impl<F: FarEnd> Player<'_, '_, F> {
         LINES.inverters(self.far.outputs())
     }
 
-    /// Leaves the axis at rest until then; late insertions are entered.
+    /// Keeps the axis at rest until `until_ns`; late insertions are counted.
     fn dwell_until(&mut self, until_ns: u64) {
         loop {
             let now_ns = self.clock.now_ns();
@@ -250,7 +250,7 @@ impl<F: FarEnd> Player<'_, '_, F> {
         }
     }
 
-    /// One edge of the scale, and the insertion that follows it.
+    /// Makes one edge of the scale, and waits for the insertion that follows.
     fn edge(&mut self) {
         let next = self.scale.state().next(true);
         let edge_ns = self.clock.now_ns();
@@ -273,7 +273,7 @@ impl<F: FarEnd> Player<'_, '_, F> {
                     return;
                 }
             } else {
-                // The lines changed after the look before, whose own time lies between two readings of the clock.
+                // The lines changed after the look before, at a time between two readings of the clock.
                 resolved &= now_ns - before_ns <= RESOLUTION_NS;
                 left -= self.inverted(next, now);
             }
@@ -289,11 +289,11 @@ impl<F: FarEnd> Player<'_, '_, F> {
         }
     }
 
-    /// Enters inversions into the MTC's count; returns how many they were.
+    /// Enters inversions into the MTC's count; returns their number.
     fn inverted(&mut self, scale: State, now: u8) -> u32 {
         let inversions = (now ^ self.inverters).count_ones();
         if inversions == 2 {
-            // Not looked in between: the two came one after the other all the same, the adding one first.
+            // Both inversions came between two looks. They still came one after the other, the adding one first.
             self.mtc.update(self.mtc.state().next(true));
         }
         self.mtc.update(scale.inverted(now));
@@ -301,12 +301,13 @@ impl<F: FarEnd> Player<'_, '_, F> {
         inversions
     }
 
-    /// The engine has seen the edge of `driven_ns` at one look that is known of, and has done nothing until another.
+    /// Whether the engine saw the edge of `driven_ns` without acting on it.
+    /// A second known look of the engine must follow the first one after the edge.
     fn passed_over(&mut self, driven_ns: u64, known_ns: &mut Option<u64>) -> bool {
         let looked_ns = self.control.looked_ns;
         looked_ns > driven_ns
             && *known_ns.get_or_insert(looked_ns) < looked_ns
-            // Looked at once more: this thread may have been away since it looked.
+            // One more look, because this thread may have been interrupted since the last one.
             && self.inverters_now() == self.inverters
     }
 }

@@ -1,4 +1,5 @@
-//! What the self-test is asked for and what each of its parts brings, on a simulated card and on the one that will do the work.
+//! Options of the self-test, and results of its parts.
+//! They are the same for a simulated card and for the card that will do the work.
 
 use crate::far::FarSide;
 use rtec_driver::card::CardError;
@@ -12,14 +13,15 @@ use serde::Serialize;
 use std::io;
 use std::time::Duration;
 
-/// What to measure, and where.
+/// Options of the self-test.
 #[derive(Debug, Clone, Copy)]
 pub struct SelftestOptions {
     /// The CPU of the real-time thread.
     pub cpu: usize,
     /// The thread's `SCHED_FIFO` priority, 1 to 99.
     pub priority: u8,
-    /// How long, all in all: a third each for the wake-ups, the polling loop, and the polling loop with requests.
+    /// Duration of the whole self-test.
+    /// A third each is for wake-ups, the polling loop, and the polling loop with requests.
     pub run: Duration,
     /// Seed of the far side's dwell times.
     pub seed: u64,
@@ -34,7 +36,7 @@ impl SelftestOptions {
 /// Why nothing could be measured.
 #[derive(Debug, thiserror::Error)]
 pub enum SelftestError {
-    /// A file or thread that the test needs.
+    /// A file or thread that the test needs could not be made.
     #[error("{0}: {1}")]
     Io(&'static str, #[source] io::Error),
     /// The card's registers cannot be mapped.
@@ -60,57 +62,58 @@ pub struct Latency {
     /// Distribution of the measured times, ns.
     #[serde(flatten)]
     pub ns: Snapshot,
-    /// The last value, ns; of the poll gap, of which none is kept, the median.
+    /// The last value, ns. The poll gap keeps none, so it has the median.
     #[serde(skip)]
     pub last_ns: u64,
-    /// The thread that measured it.
+    /// Number of the thread that measured it.
     #[serde(skip)]
     pub tid: i32,
 }
 
-/// What the polling loop did, while the far side gave edges and was the MTC.
+/// Results of the polling loop.
+/// Meanwhile the far side makes edges and counts as the MTC.
 #[derive(Debug, Clone, Default)]
 pub struct Polling {
     /// Time between two looks of the loop.
     pub poll_gap: Latency,
     /// The engine's own part of edge to done.
-    /// It lasts from the look that saw the edge to the look that ordered the second
-    /// inversion.
+    /// It lasts from the look that saw the edge to the look that ordered the second inversion.
     pub seen_to_done: Snapshot,
     /// From an edge to the second inversion, both separations included.
     pub edge_to_done: Latency,
-    /// What the far side saw and counted.
+    /// Counts of the far side.
     pub far: FarSide,
     /// Counts inserted according to the engine.
     pub completed: i64,
-    /// Faults that a gap in the polling loop latched.
+    /// Number of faults latched after a gap in the polling loop.
     pub faults: u64,
-    /// Requests that streamed in.
+    /// Number of requests sent.
     pub requests: u64,
     /// Insertions made.
     pub insertions: u64,
 }
 
 impl Polling {
-    /// Counts to the MTC minus counts from the scale, as the far side counted them, are what the engine completed.
+    /// Whether the MTC's counts minus the scale's equal the completed counts.
+    /// The far side counted them, without an illegal state.
     pub(crate) fn balanced(&self) -> bool {
         self.far.mtc_minus_scale == self.completed && self.far.illegal == 0
     }
 }
 
-/// What was measured of the writes.
+/// Results of the writes.
 #[derive(Debug, Clone, Default)]
 pub struct Driven {
-    /// The loop meanwhile; `seen_to_done` from the look at which an insertion began to the one that ordered its second
-    /// inversion.
+    /// The loop during the writes.
+    /// `seen_to_done` lasts from the look at which an insertion began to the look that ordered its second inversion.
     pub polling: Polling,
-    /// Why it ended before its time, if it did.
+    /// The fault that ended it early, if any.
     pub ended_by: Option<Fault>,
-    /// The outputs are as they were found.
+    /// Whether the outputs are as they were before.
     pub restored: bool,
 }
 
-/// The thread of this process that has this name; 0 when there is none.
+/// Number of the thread of this process with this name; 0 when there is none.
 pub(crate) fn tid_of(name: &str) -> i32 {
     let tasks = std::fs::read_dir("/proc/self/task").into_iter().flatten().flatten();
     let mut named =

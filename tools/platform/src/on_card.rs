@@ -1,7 +1,7 @@
 //! The polling loop on the card that will do the work.
 //! It times reads with the outputs held, and writes where that is allowed.
 //!
-//! Nothing moves the machine here. Reads are timed as the engine takes them. Writes are insertions at rest, without an
+//! Nothing moves the machine here. Reads are timed as the engine makes them. Writes are insertions at rest, without an
 //! edge. As many counts are added as are removed, so the outputs end as they were found.
 
 use crate::measurement::{Driven, Latency, Polling, SelftestError, SelftestOptions, tid_of};
@@ -12,15 +12,15 @@ use rtec_rt::event::{Mode, Request};
 use rtec_rt::thread::{Ended, Running, ThreadOptions, spawn};
 use std::time::{Duration, Instant};
 
-/// An axis is left alone for so long between two insertions, ns.
+/// Rest of an axis between two insertions, ns.
 const REST_NS: u64 = 50_000;
-/// How often this side looks at the engine's status.
+/// Interval of this thread's looks at the engine's status.
 const LOOK: Duration = Duration::from_millis(1);
-/// What was inserted is out again within this time, or something is wrong.
+/// Time within which all inserted counts must be removed again.
 const BACK_AGAIN: Duration = Duration::from_secs(5);
 const SECOND: Duration = Duration::from_secs(1);
 
-/// A card whose outputs are held as they are: writes go nowhere.
+/// A card whose writes have no effect, so that its outputs stay as they are.
 struct HeldOutputs<C>(C);
 
 impl<C: Card> Card for HeldOutputs<C> {
@@ -64,7 +64,7 @@ pub(crate) fn reads<C: Card + Send + 'static>(
     Ok((polling, ended.card.0))
 }
 
-/// Inserts and takes out again on every axis, for a third of the time.
+/// Inserts and removes counts on every axis, for a third of the time.
 pub(crate) fn writes<C: Card + Send + 'static>(
     mut card: C,
     axes: &[AxisConfig],
@@ -124,7 +124,7 @@ pub(crate) fn writes<C: Card + Send + 'static>(
     let (polling, mut ended) = stopped(running, tid)?;
     let after = ended.card.outputs()?;
     if after != before {
-        // A fault ended it with counts inserted: the outputs go back, one after the other as the engine would have it.
+        // A fault ended it with counts inserted. The outputs are restored one after the other, in the engine's order.
         let changed = after ^ before;
         for bit in (0..64).filter(|bit| changed >> bit & 1 != 0) {
             ended.card.write(1 << bit, before & 1 << bit)?;
@@ -134,7 +134,7 @@ pub(crate) fn writes<C: Card + Send + 'static>(
     Ok(Driven { polling, ended_by, restored })
 }
 
-/// An axis that nothing limits but its separation.
+/// An axis without limits other than its separation.
 fn idle(axis: &AxisConfig) -> AxisConfig {
     AxisConfig {
         lines: axis.lines,

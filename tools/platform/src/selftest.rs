@@ -1,7 +1,8 @@
-//! How late this machine can be.
-//! The latencies that the speed gate rests on, measured with the real engine.
+//! Measures the latencies that the speed gate needs, with the real engine.
+//! They say how late this machine can be.
 //!
-//! Nothing is understated: where a clock had to be read before or after an event, the worse side was taken.
+//! No latency is understated. Where a clock is read before or after an event, the reading that gives the longer time is
+//! used.
 //!
 //! | figure | how |
 //! |---|---|
@@ -35,37 +36,37 @@ use rtec_rt::thread::{ThreadOptions, spawn};
 use serde::Serialize;
 use std::time::{Duration, Instant};
 
-/// Time between two wake-ups, ns.
+/// Interval of the wake-ups, ns.
 pub const WAKEUP_INTERVAL_NS: u64 = 500_000;
-/// How often the thread that waits for the wake-ups looks whether they are over.
+/// Interval at which the main thread checks whether the wake-ups are over.
 const WATCH_INTERVAL: Duration = Duration::from_millis(2);
 const SECOND: Duration = Duration::from_secs(1);
 
-/// The card that the test measures with.
+/// The simulated card of the test.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Backend {
     /// Wires in the same process.
     Mock,
-    /// Registers in a file that is mapped twice, as both sides of a card see it.
+    /// Registers in a file that is mapped twice, once for each side of a card.
     Mapped,
 }
 
-/// The three latencies and what they were measured with.
+/// The measured latencies, and their conditions.
 #[derive(Debug, Clone)]
 pub struct Measured {
     /// The set-up under which it was measured.
     pub setup: Report,
-    /// How late a sleeping thread wakes.
+    /// Lateness of a sleeping thread's wake-ups.
     pub wakeup: Latency,
-    /// The axis that was measured with.
+    /// Configuration of the axis in the test.
     pub axis: AxisConfig,
-    /// The polling loop undisturbed.
+    /// The polling loop without requests.
     ///
-    /// Empty with one CPU only: polling would leave nobody to end it.
+    /// Empty with one CPU only, because nothing could end the polling there.
     pub quiet: Polling,
-    /// The polling loop with requests streaming in as fast as the link takes them, or, on the card that will do the work,
-    /// with insertions. Empty with one CPU only.
+    /// The polling loop with requests as fast as the link takes them.
+    /// On the card that will do the work it is the loop with insertions. Empty with one CPU only.
     pub with_requests: Polling,
     /// How the card was measured.
     pub how: MeasuredOn,
@@ -75,15 +76,15 @@ pub struct Measured {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum MeasuredOn {
-    /// A simulated card: another CPU played the machine.
+    /// A simulated card; another CPU plays the machine.
     Simulated,
     /// The card that will do the work, with its outputs held.
     Reads,
     /// The card that will do the work, reads and writes.
     ReadsAndWrites {
-        /// What latched while it was written to, if anything.
+        /// The fault that ended the writes, if any.
         ended_by: Option<Fault>,
-        /// The outputs are as they were found.
+        /// Whether the outputs are as they were before.
         restored: bool,
     },
 }
@@ -93,7 +94,7 @@ impl Measured {
         [&self.quiet, &self.with_requests]
     }
 
-    /// At least one insertion was timed, undisturbed and with requests.
+    /// Whether at least one insertion was timed in each part.
     #[must_use]
     pub fn timed(&self) -> bool {
         match self.how {
@@ -105,13 +106,14 @@ impl Measured {
         }
     }
 
-    /// Time between looks, or from edges to looks on a card that sleeps, was measured.
+    /// Whether gaps between looks were measured.
+    /// On a card that sleeps these are the times from edges to looks.
     #[must_use]
     pub fn looked(&self) -> bool {
         self.quiet.poll_gap.ns.samples() > 0
     }
 
-    /// What the far side saw in all; `None` with one CPU only.
+    /// Sums of the far side's counts; `None` with one CPU only.
     #[must_use]
     pub fn far(&self) -> Option<FarSide> {
         let [a, b] = self.both().map(|p| &p.far);
@@ -124,19 +126,20 @@ impl Measured {
         })
     }
 
-    /// Counts inserted in all, according to the engine.
+    /// Counts inserted in both parts, by the engine's count.
     #[must_use]
     pub fn completed(&self) -> i64 {
         self.both().iter().map(|p| p.completed).sum()
     }
 
-    /// Faults in all that a gap in the polling loop latched.
+    /// Faults of both parts that were latched after a gap in the polling loop.
     #[must_use]
     pub fn faults(&self) -> u64 {
         self.both().iter().map(|p| p.faults).sum()
     }
 
-    /// Counts to the MTC minus counts from the scale, as the far side counted them, are what the engine completed.
+    /// Whether the MTC's counts minus the scale's equal the completed counts.
+    /// The far side counted them.
     #[must_use]
     pub fn balanced(&self) -> bool {
         match self.how {
@@ -146,10 +149,10 @@ impl Measured {
         }
     }
 
-    /// Time from an edge until the engine acts on it, ns, less its separations.
+    /// Time from an edge until the engine acts on it, ns, without its separations.
     ///
-    /// The worse of with and without requests streaming in. Two figures: the worst seen, and the worst apart from one
-    /// look in ten thousand.
+    /// The worse value of the parts with and without requests counts. Returns two figures: the worst one, and the worst
+    /// apart from one look in ten thousand.
     #[must_use]
     pub fn detect_ns(&self) -> (u64, u64) {
         let separations = self.separations_ns();
@@ -158,29 +161,30 @@ impl Measured {
                 figure(&p.poll_gap.ns).max(figure(&p.edge_to_done.ns).saturating_sub(separations))
             };
             let late = late(&self.quiet).max(late(&self.with_requests));
-            // Nobody gave edges: one that falls behind the reading of its line is seen at the end of the look after.
+            // Without a far side, an edge right after its line was read is seen at the end of the next look.
             if self.how == MeasuredOn::Simulated { late } else { late + self.quiet.poll_gap.ns.p99() }
         };
         (of(Snapshot::max), of(Snapshot::p9999))
     }
 
-    /// Time of one write until the next look, ns.
+    /// Time from one write until the next look, ns.
     ///
-    /// Half of what an insertion took beyond its separations, apart from one in ten thousand, with or without requests
-    /// streaming in. Rarer delays are in [`Self::detect_ns`].
+    /// It is half the time of an insertion without its separations, with or without requests. One insertion in ten
+    /// thousand is left out; rarer delays are in [`Self::detect_ns`].
     #[must_use]
     pub fn write_ns(&self) -> u64 {
         let inserting_ns = self.both().map(|p| p.seen_to_done.p9999());
         if self.how != MeasuredOn::Simulated {
-            // At rest an insertion has its first write, what confirms it, one separation, and the look that orders the second.
+            // An insertion at rest is the first write, its confirmation, one separation, and the look that orders the
+            // second write.
             return inserting_ns[1].saturating_sub(self.axis.min_separation_ns);
         }
         inserting_ns[0].max(inserting_ns[1]).saturating_sub(self.separations_ns()).div_ceil(2)
     }
 
-    /// The part of edge to done that is wanted.
-    /// It is the MTC's separation after the edge, and between the two inversions; of an
-    /// insertion at rest the latter.
+    /// The intended part of edge to done.
+    /// It is the MTC's separation after the edge, and the one between the two inversions. An insertion at rest has only
+    /// the second.
     #[must_use]
     pub fn separations_ns(&self) -> u64 {
         if self.how == MeasuredOn::Simulated {
@@ -193,7 +197,7 @@ impl Measured {
 
 /// Measures a simulated card.
 ///
-/// `progress` is called about once a second with what is going on and for how many more seconds.
+/// `progress` is called about once a second with the present part of the test and the seconds that are left.
 ///
 /// # Errors
 /// When the test card or a thread cannot be made, or the card fails.
@@ -211,7 +215,7 @@ pub fn run(
             let io = |e| SelftestError::Io("making the card's file", e);
             let shared_memory = std::path::Path::new("/dev/shm");
             let dir = if shared_memory.is_dir() { shared_memory.to_owned() } else { std::env::temp_dir() };
-            // Its name is needed until both ends have mapped it.
+            // The file needs its name until both ends have mapped it.
             let file = tempfile::Builder::new().prefix("rtec-selftest-").tempfile_in(dir).map_err(io)?;
             let profile = Profile::shared_memory();
             file.as_file().set_len(profile.size() as u64).map_err(io)?;
@@ -221,9 +225,9 @@ pub fn run(
     }
 }
 
-/// Measures the card that will do the work, on which the axes' lines are.
-/// It times reads with the outputs held, and with `drive`
-/// its writes. Whoever drives it has made sure that no MTC listens: each insertion is counts to it.
+/// Measures the card that will do the work, with the lines of these axes.
+/// It times reads with the outputs held, and with `drive` also writes. The caller must make sure that no MTC listens,
+/// because the MTC counts each insertion.
 ///
 /// # Errors
 /// When a thread cannot be made, an axis is in the middle of an insertion, or the card fails.
@@ -243,7 +247,7 @@ pub fn run_on_card<C: Card + Send + 'static>(
         let (quiet, card) = on_card::reads(card, axes, options, &mut progress)?;
         measured.quiet = quiet;
         if drive {
-            // All with the longest separation: what an insertion takes beyond it is told alike of every one.
+            // All axes get the longest separation, so that it can be subtracted from every insertion alike.
             let axes: Vec<_> =
                 axes.iter().map(|a| AxisConfig { min_separation_ns: axis.min_separation_ns, ..*a }).collect();
             let Driven { polling, ended_by, restored } =
@@ -255,17 +259,17 @@ pub fn run_on_card<C: Card + Send + 'static>(
     Ok(measured)
 }
 
-/// Wake-ups, then the polling loop without and with requests, each on a new card from `wires`: the engine's end and the
-/// machine's.
+/// Measures wake-ups, then the polling loop without and with requests.
+/// Each part has a new card from `wires`: the engine's end and the machine's end.
 fn measure<C: Card + Send + 'static, F: FarEnd>(
     options: SelftestOptions,
     mut progress: impl FnMut(&str, u64),
     mut wires: impl FnMut() -> Result<(C, F), SelftestError>,
 ) -> Result<Measured, SelftestError> {
-    // Everything but the real-time thread leaves its CPU; threads started from here do as this one does.
+    // All threads but the real-time one leave its CPU. Threads started from here inherit that.
     let left = setup::leave(options.cpu);
     let (wakeup, setup) = measure_wake_ups(options, &mut progress)?;
-    // The far side keeps its dwell time and waits for each insertion: the last period alone decides.
+    // The far side waits for each insertion and keeps its dwell time. So the gate uses the last period alone.
     let axis =
         AxisConfig { max_correction_counts: i64::MAX, max_accel_counts_s2: 0.0, ..AxisConfig::default() };
     let mut measured = Measured {
@@ -283,10 +287,10 @@ fn measure<C: Card + Send + 'static, F: FarEnd>(
     Ok(measured)
 }
 
-/// The engine's own thread polls for a third of the time.
+/// Measures the polling of the engine's own thread, for a third of the time.
 ///
-/// This thread is both the far side and the control side, so that requests arrive at the moment of an edge on any
-/// number of CPUs.
+/// This thread is both the far side and the control side. So requests arrive at the moment of an edge, on any number of
+/// CPUs.
 fn measure_polling<C: Card + Send + 'static, F: FarEnd>(
     options: SelftestOptions,
     axis: AxisConfig,
@@ -320,7 +324,7 @@ fn measure_polling<C: Card + Send + 'static, F: FarEnd>(
         seen_to_done: timing.edge_to_done_ns.snapshot(),
         edge_to_done: Latency { ns: done_reader.snapshot(), last_ns: last_done_ns, tid: tid() },
         far,
-        // Not the axis's own total: that begins anew at every homing.
+        // The axis's own total starts at zero after every homing, so insertions are counted instead.
         completed: ended.status.axes().first().map_or(0, |a| a.insertions as i64) * INCREMENT_COUNTS,
         faults,
         requests,
@@ -328,7 +332,7 @@ fn measure_polling<C: Card + Send + 'static, F: FarEnd>(
     })
 }
 
-/// Wakes up for a third of the time, on a thread set up as the real one.
+/// Measures wake-ups for a third of the time, on a thread set up as the real one.
 fn measure_wake_ups(
     options: SelftestOptions,
     progress: &mut impl FnMut(&str, u64),
@@ -353,7 +357,7 @@ fn measure_wake_ups(
     thread.join().map_err(|_| SelftestError::Panicked)
 }
 
-/// Records how late it wakes at one time after another; the last one, ns.
+/// Records how late it wakes at each of many times; returns the last value, ns.
 fn wake_ups(run_ns: u64, recorder: &mut Recorder) -> u64 {
     let mut clock = Monotonic;
     let start_ns = clock.now_ns();
@@ -378,7 +382,7 @@ fn wake_ups(run_ns: u64, recorder: &mut Recorder) -> u64 {
         let now_ns = clock.now_ns();
         late_ns = now_ns - next_ns;
         recorder.record(late_ns);
-        // After a long delay: go on from now, do not wake a hundred times at once.
+        // After a long delay it continues from now, instead of waking a hundred times at once.
         next_ns += late_ns / WAKEUP_INTERVAL_NS * WAKEUP_INTERVAL_NS;
     }
     late_ns

@@ -1,4 +1,4 @@
-//! What the measured latency leaves a machine's axes, and whether it may correct.
+//! Edge rates that the measured latency allows, and the verdict of a self-test.
 
 use crate::far::FarSide;
 use crate::measurement::{Latency, SelftestOptions};
@@ -10,34 +10,34 @@ use rtec_rt::histogram::Snapshot;
 use serde::Serialize;
 use std::collections::BTreeMap;
 
-/// What the measured latency leaves one axis.
+/// Edge rates of one axis under the measured latency.
 #[derive(Debug)]
 pub struct AxisRate {
     /// Its name.
     pub name: String,
-    /// The highest edge rate at which an insertion has time; `None` if there is none.
-    /// By the worst delay seen.
+    /// Highest edge rate at which an insertion has time, by the worst delay, Hz.
+    /// `None` if there is none.
     pub safe_hz: Option<f64>,
-    /// The same by all delays but one in ten thousand.
+    /// The same without the worst delay in ten thousand.
     pub usual_hz: Option<f64>,
     /// The same as speeds.
     pub rates: Rates,
-    /// Why its rapid outruns the card.
+    /// Why its rapid is too fast for the card, if it is.
     outruns: Option<String>,
 }
 
 /// Whether this machine may correct, and how fast each axis may move.
 #[derive(Debug)]
 pub struct Verdict {
-    /// Axis by axis.
+    /// The axes, in order.
     pub axes: Vec<AxisRate>,
-    /// What forbids corrections. Empty: it passes.
+    /// Findings that forbid corrections; empty if it passes.
     pub reasons: Vec<String>,
 }
 
 impl Verdict {
     /// Judges a measurement for the axes of a configuration.
-    /// Without one: for one axis of 1 µm a count and default limits.
+    /// Without a configuration it takes one axis of 1 µm a count with default limits.
     #[must_use]
     pub fn new(measured: &Measured, config: Option<&Config>) -> Self {
         let axes = match config {
@@ -50,7 +50,7 @@ impl Verdict {
         Self { axes, reasons }
     }
 
-    /// The document of a self-test.
+    /// The JSON document of a self-test.
     #[must_use]
     pub fn document<'a>(
         &'a self,
@@ -96,33 +96,33 @@ impl Verdict {
     }
 }
 
-/// The self-test's document.
+/// The JSON document of a self-test.
 #[derive(Debug, Serialize)]
 pub struct Document<'a> {
     wakeup_ns: &'a Latency,
     poll_gap_ns: &'a Latency,
     edge_to_done_ns: &'a Latency,
-    /// From the look that saw the edge to the one that ordered the second inversion.
+    /// Time from the look that saw the edge to the order of the second inversion.
     seen_to_done_ns: &'a Snapshot,
-    /// The same three while requests stream in as fast as the link takes them.
+    /// The same three with requests as fast as the link takes them.
     poll_gap_with_requests_ns: &'a Latency,
     edge_to_done_with_requests_ns: &'a Latency,
     seen_to_done_with_requests_ns: &'a Snapshot,
-    /// Number of requests that streamed in.
+    /// Number of requests sent.
     requests: u64,
-    /// Per axis, from the worst that was seen.
-    /// Null where that leaves no time for an insertion at any speed.
+    /// Highest safe edge rate for each axis, by the worst delay.
+    /// Null where no speed leaves time for an insertion.
     max_safe_edge_rate_hz: BTreeMap<&'a str, Option<f64>>,
-    /// The same but for one look in ten thousand.
+    /// The same without the worst look in ten thousand.
     edge_rate_at_p9999_hz: BTreeMap<&'a str, Option<f64>>,
-    /// The same as speeds, mm/min, and up to where every count is seen.
+    /// The same as speeds, mm/min, and the speed up to which every count is seen.
     rates: BTreeMap<&'a str, Rates>,
-    /// What belongs into `[rt]` of the configuration.
+    /// The keys for `[rt]` of the configuration.
     rt: RtKeys<'a>,
     backend: &'a str,
-    /// What was measured with.
+    /// The card of the test.
     card: &'a str,
-    /// How: `simulated`, `reads` (outputs held), `reads_and_writes`.
+    /// The manner: `simulated`, `reads` (outputs held), `reads_and_writes`.
     how: MeasuredOn,
     verdict: &'static str,
     reason: String,
@@ -140,12 +140,13 @@ pub struct Document<'a> {
 #[derive(Debug, Serialize)]
 struct RtKeys<'a> {
     detect_ns: u64,
-    /// None where no write was measured.
+    /// `None` where no write was measured.
     write_ns: Option<u64>,
     measured: &'a Provenance,
 }
 
-/// The axis of a test without a configuration: 1 µm a count, the replay's limits.
+/// The axis of a test without a configuration.
+/// It has 1 µm a count and the limits of a replay.
 fn default_axis(axis: &ConfiguredAxis) -> ConfiguredAxis {
     ConfiguredAxis {
         name: "default".to_owned(),
@@ -156,7 +157,7 @@ fn default_axis(axis: &ConfiguredAxis) -> ConfiguredAxis {
     }
 }
 
-/// What the measured latency leaves an axis.
+/// Edge rates of an axis under the measured latency.
 fn axis_rate(axis: ConfiguredAxis, measured: &Measured) -> AxisRate {
     let (worst, usual) = measured.detect_ns();
     let (safe_hz, usual_hz) =
@@ -167,10 +168,10 @@ fn axis_rate(axis: ConfiguredAxis, measured: &Measured) -> AxisRate {
     AxisRate { outruns: as_measured.outruns(), name: as_measured.name, safe_hz, usual_hz, rates }
 }
 
-/// The highest edge rate at which an insertion still has time on an axis.
+/// Highest edge rate at which an insertion has time on an axis, Hz.
 fn edge_rate_hz(axis: AxisConfig, measured: &Measured, detect_ns: u64) -> Option<f64> {
     if !measured.timed() {
-        return None; // nothing is known
+        return None; // nothing was measured
     }
     let axis = AxisConfig { detect_ns, write_ns: measured.write_ns(), ..axis };
     axis.gate().map(|gate| 1e9 / gate.min_period_ns() as f64)

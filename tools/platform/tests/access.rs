@@ -1,4 +1,4 @@
-//! What a card's devices need of the system, on trees of files that look like one.
+//! Access to a card's devices, on trees of files that look like a system.
 #![allow(clippy::unwrap_used)] // a test may
 use rtec_driver::pci::PciId;
 use rtec_platform::access::{Device, card};
@@ -54,7 +54,7 @@ fn not_ok(findings: &[Finding]) -> Vec<&str> {
     findings.iter().filter(|f| !f.ok).map(|f| f.name).collect()
 }
 
-/// Every kind of device, its file, and the line that opens it.
+/// Every kind of device, its file, and its line in `/etc/rtec/devices`.
 fn devices() -> [(Device, &'static str, &'static str); 4] {
     [
         (Device::Gpio("gpiochip0".into()), "dev/gpiochip0", "`gpio fe200000.gpio`"),
@@ -178,7 +178,7 @@ fn who_may_speak_to_the_daemon() {
     put(tree.path(), "proc/self/status", "Uid:\t7\t7\t7\t7\nGid:\t7\t7\t7\t7\nGroups:\t\n");
     let none: [Device; 0] = [];
     let findings = |root| card(&System::at(root), &none, false, 1);
-    // The tree's user has group 0 where root runs the test, so that 7 is in neither case it.
+    // Where root runs the test, the tree's user has group 0. So group 7 is never the right one.
     assert_eq!(not_ok(&findings(tree.path())), ["group"]);
     put(tree.path(), "proc/self/status", "Uid:\t7\t0\t0\t0\nGroups:\t\n");
     assert_eq!(not_ok(&findings(tree.path())), Vec::<&str>::new());

@@ -1,11 +1,11 @@
-//! Run records of a machine tool, as the daemon and the evaluations need them alike.
+//! Run records of a machine tool, for the daemon and for evaluations.
 //!
 //! | module | what |
 //! |---|---|
 //! | [`record`] | run records, read strictly and written whole |
 //! | [`spool`] | finished records on their way to the shop's store |
 //!
-//! What a record shows is in `rtec-measure`, and so are charts.
+//! Statistics and charts of a record are in `rtec-measure`.
 
 pub mod record;
 pub mod spool;

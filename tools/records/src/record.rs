@@ -24,9 +24,9 @@ pub const ROLES: &str = "a role: time, cycle, temperature, spindle_speed, coolan
 /// Reads a record from its sidecar.
 ///
 /// # Errors
-/// The first finding, with file, line and column: unreadable file, unknown key, kind or role, wrong unit, a
-/// listed column that is not in the CSV, a short row, a value that is missing or not finite, time running
-/// backwards, no response.
+/// The first finding, with file, line and column. It is an unreadable file, an unknown key, kind or role, or a wrong
+/// unit. In the CSV it is a listed column that is missing, a short row, a value that is missing or not finite, time
+/// running backwards, or no response.
 pub fn read(path: &Path) -> Result<Record, InputError> {
     let record = read_log(path)?;
     has_response(path, &record.columns)?;
@@ -44,7 +44,7 @@ fn has_response(path: &Path, columns: &[Column]) -> Result<(), InputError> {
 /// Reads a log: a record that need not have a response (a recorded shift).
 ///
 /// # Errors
-/// As [`read`], but for the response.
+/// As [`read`], apart from the response.
 pub fn read_log(path: &Path) -> Result<Record, InputError> {
     let sidecar = Sidecar::parse(path, &rtec_files::text::read(path)?)?;
     let (csv_path, file) = sidecar.open(path)?;
@@ -66,10 +66,10 @@ pub fn parse_log(path: &Path, sidecar: &str, csv: impl Read + Seek) -> Result<Re
     of_parts(path, sidecar, &csv_path, csv, 0)
 }
 
-/// The name of the CSV that a sidecar names beside itself.
+/// The name of the CSV in a sidecar.
 ///
 /// # Errors
-/// It is no sidecar, or names a file in another folder.
+/// When it is no sidecar, or names a file in another folder.
 pub fn csv_name(path: &Path, sidecar: &str) -> Result<String, InputError> {
     let sidecar = Sidecar::parse(path, sidecar)?;
     let mut parts = Path::new(&sidecar.file).components();
@@ -82,32 +82,32 @@ pub fn csv_name(path: &Path, sidecar: &str) -> Result<String, InputError> {
     }
 }
 
-/// A record on file, read piece by piece.
+/// Reads a record in pieces.
 /// It may have any number of rows, and needs the memory of a few.
 pub struct Pieces {
     path: PathBuf,
     sidecar: Sidecar,
-    /// Length of the CSV.
+    /// Length of the CSV, bytes.
     bytes: u64,
     rows: Rows<File>,
-    /// Rows before the present piece.
+    /// Number of rows before the present piece.
     before: usize,
 }
 
 /// Some rows of a record.
 pub struct Piece {
-    /// Them, as a record of their own; it has no hash.
+    /// The rows as a record without a hash.
     pub record: Record,
-    /// Each of them as it stands in the CSV, unlisted columns too.
+    /// The rows' text in the CSV, with columns that are not listed.
     pub texts: Vec<String>,
 }
 
 impl Pieces {
-    /// Before the first piece.
-    /// `None` for a record whose rows are not by themselves: places on a ballbar's circle follow from the rows around them.
+    /// Opens a record before its first piece.
+    /// Returns `None` for a ballbar's circle, because the place of a row there depends on the rows around it.
     ///
     /// # Errors
-    /// What [`read`] finds before the rows.
+    /// Errors of [`read`] before the rows.
     pub fn of(path: &Path) -> Result<Option<Self>, InputError> {
         let sidecar = Sidecar::parse(path, &rtec_files::text::read(path)?)?;
         if sidecar.circle.is_some() {
@@ -121,10 +121,10 @@ impl Pieces {
         Ok(Some(Self { path: path.to_owned(), sidecar, bytes, rows, before: 0 }))
     }
 
-    /// Goes back to before the first piece.
+    /// Goes back before the first piece.
     ///
     /// # Errors
-    /// The file is no longer what it was.
+    /// When the file has changed.
     pub fn rewind(&mut self) -> Result<(), InputError> {
         let (csv_path, file) = self.sidecar.open(&self.path)?;
         self.rows = Rows::new(&csv_path, file, &self.sidecar, self.rows.marks.take())?;
@@ -132,34 +132,35 @@ impl Pieces {
         Ok(())
     }
 
-    /// What kind of run it is.
+    /// Kind of the run.
     #[must_use]
     pub fn kind(&self) -> Kind {
         self.sidecar.kind
     }
 
-    /// No more rows than these are in the file: a field has a character behind it.
+    /// Largest possible number of rows in the file.
+    /// Each field has at least one character behind it.
     #[must_use]
     pub fn most_rows(&self) -> u64 {
         self.bytes / self.rows.slots.len().max(1) as u64
     }
 
-    /// The CSV's header as it stands.
+    /// Text of the CSV's header.
     #[must_use]
     pub fn header(&self) -> &str {
         self.rows.header.text()
     }
 
-    /// How further cells are written beside the CSV's own.
+    /// Style of further cells beside the CSV's own.
     #[must_use]
     pub fn style(&self) -> Style {
         self.rows.marks.as_ref().map_or_else(Style::default, Marks::style)
     }
 
-    /// The next rows, so many at most; `None` at the end.
+    /// The next rows, at most `rows`; `None` at the end.
     ///
     /// # Errors
-    /// What [`read`] finds in them.
+    /// Errors of [`read`] in these rows.
     pub fn next(&mut self, rows: usize) -> Result<Option<Piece>, InputError> {
         let mut texts = Vec::with_capacity(rows);
         let record = self.fill(rows, |text| texts.push(String::from_utf8_lossy(text).into_owned()))?;
@@ -169,7 +170,7 @@ impl Pieces {
     /// As [`Pieces::next`], without the texts.
     ///
     /// # Errors
-    /// What [`read`] finds in the rows.
+    /// Errors of [`read`] in these rows.
     pub fn next_record(&mut self, rows: usize) -> Result<Option<Record>, InputError> {
         self.fill(rows, |_| ())
     }
@@ -221,7 +222,7 @@ fn of_parts(
     }
 }
 
-/// What is read is hashed on the way: a file is gone through once.
+/// A reader that hashes what it reads, so that a file is read only once.
 struct Hashed<R> {
     input: R,
     hash: Sha256,
@@ -239,7 +240,7 @@ impl<R: Read> Read for Hashed<R> {
 /// Unlisted columns are kept.
 ///
 /// # Errors
-/// The CSV can no longer be read, or its number of rows has changed since.
+/// When the CSV can no longer be read, or its number of rows has changed.
 pub fn csv_with(record: &Record, extra: &[(String, Vec<f64>)]) -> Result<String, InputError> {
     let path = record.path.parent().unwrap_or(Path::new("")).join(&record.file);
     let mut file = open_regular(&path)?;
@@ -272,7 +273,7 @@ pub fn csv_with(record: &Record, extra: &[(String, Vec<f64>)]) -> Result<String,
 }
 
 /// The CSV text of the record's columns.
-/// Shortest decimal that reads back as the same number.
+/// Each number is the shortest decimal that reads back the same.
 #[must_use]
 pub fn to_csv(record: &Record) -> String {
     let mut out = csv::header_line(record.columns.iter().map(|c| c.name.as_str()));
@@ -336,11 +337,11 @@ pub fn to_sidecar(record: &Record) -> String {
     doc.to_string()
 }
 
-/// Gives a record another place.
-/// Its sidecar there, the CSV of the same name beside it.
+/// Changes the path of a record.
+/// The sidecar gets that path, and the CSV the same name beside it.
 ///
 /// # Errors
-/// A name that does not end in `.run.toml`: its CSV would have none of its own.
+/// When the name does not end in `.run.toml`.
 pub fn at(record: &mut Record, path: &Path) -> Result<(), InputError> {
     let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
     let stem = name.strip_suffix(".run.toml").filter(|s| !s.is_empty());
@@ -350,11 +351,11 @@ pub fn at(record: &mut Record, path: &Path) -> Result<(), InputError> {
     Ok(())
 }
 
-/// Whether a record made in memory would be read back as it is.
-/// Its columns' names stand in a CSV's header.
+/// Whether a record made in memory would read back the same.
+/// Its columns' names are in the CSV's header.
 ///
 /// # Errors
-/// A column without a name, or with one that a header does not give back.
+/// When a column has no name, or one that a header does not give back.
 pub fn can_be_written(record: &Record) -> Result<(), InputError> {
     let header = csv::header_line(record.columns.iter().map(|c| c.name.as_str())) + "\n";
     let names: Vec<String> = Reader::new(&record.path, header.as_bytes())
@@ -373,7 +374,7 @@ pub fn can_be_written(record: &Record) -> Result<(), InputError> {
 /// The sidecar goes to [`Record::path`].
 ///
 /// # Errors
-/// The directory cannot be written.
+/// When the directory cannot be written.
 pub fn write(record: &mut Record) -> std::io::Result<()> {
     let csv = to_csv(record);
     let dir = record.path.parent().unwrap_or(Path::new(""));
@@ -385,24 +386,24 @@ pub fn write(record: &mut Record) -> std::io::Result<()> {
 /// The rows of a record's CSV, checked one by one.
 struct Rows<R> {
     reader: Reader<R>,
-    /// How the numbers are written; `None`: with decimal points, between commas.
+    /// Format of the numbers; `None` for decimal points and commas between cells.
     marks: Option<Marks>,
     header: csv::Header,
-    /// The listed columns in the CSV's order, with what has been read.
+    /// The listed columns in the CSV's order, with the values read so far.
     columns: Vec<Column>,
-    /// Which field of the CSV each is.
+    /// Field of the CSV for each listed column.
     places: Vec<usize>,
-    /// For every field of the CSV the listed column it belongs to.
+    /// Listed column for each field of the CSV.
     slots: Vec<Option<usize>>,
-    /// Between what [`check`] asks each field to be.
-    /// One that is not listed may be anything.
+    /// Limits of each field by [`check`]; `low` to `high` are valid.
+    /// A field that is not listed may have any value.
     low: Vec<f64>,
     high: Vec<f64>,
-    /// The fields of which it asks more: time goes on, directions are whole.
+    /// Fields with further checks: time does not run backwards, directions are whole.
     further: Vec<usize>,
-    /// Each column's last value before those it holds.
+    /// Last value of each column before the held rows.
     before: Vec<Option<f64>>,
-    /// The fields of a row that is read the short way.
+    /// Fields of a row that is read by the fast path.
     fields: Vec<f64>,
 }
 
@@ -451,14 +452,14 @@ impl<R: Read> Rows<R> {
         Ok(Self { reader, marks, header, columns, places, slots, low, high, further, before, fields })
     }
 
-    /// Makes room for what a CSV of so many bytes holds.
-    /// Rows as long as the header would be so many; they are mostly longer.
+    /// Reserves memory for the rows of a CSV of `bytes` bytes.
+    /// The estimate assumes rows as long as the header; most are longer.
     fn expect(&mut self, bytes: u64) {
         let rows = bytes as usize / self.header.text().len().max(1);
         self.columns.iter_mut().for_each(|c| c.data.reserve(rows.min(1 << 20)));
     }
 
-    /// How the CSV is written where that is unusual.
+    /// The CSV's format, where it is unusual.
     fn written(&self) -> Option<String> {
         let file = self.header.file();
         self.marks
@@ -466,12 +467,12 @@ impl<R: Read> Rows<R> {
             .map_or_else(|| Marks::new(&self.reader).written(file), |marks| marks.written(file))
     }
 
-    /// Rows that the columns hold.
+    /// Number of rows that the columns hold.
     fn held(&self) -> usize {
         self.columns.first().map_or(0, |c| c.data.len())
     }
 
-    /// Hands the columns over and goes on with empty ones.
+    /// Returns the columns and continues with empty ones.
     fn take(&mut self) -> Vec<Column> {
         for (column, before) in self.columns.iter().zip(&mut self.before) {
             *before = column.data.last().copied().or(*before);
@@ -481,7 +482,7 @@ impl<R: Read> Rows<R> {
         std::mem::replace(&mut self.columns, empty)
     }
 
-    /// Enters the next row into the columns; `false` at the end. `kept` gets its text.
+    /// Reads the next row into the columns; `false` at the end. `kept` gets its text.
     #[inline]
     fn next(&mut self, kept: impl FnOnce(&[u8])) -> Result<bool, InputError> {
         if self.marks.is_none()
@@ -499,7 +500,7 @@ impl<R: Read> Rows<R> {
 
     #[inline]
     fn fields_are_good(&self) -> bool {
-        // All of them are counted, without a branch each: nearly every row is good.
+        // Counts all outliers without a branch for each, because nearly every row is good.
         let ranges = self.low.iter().zip(&self.high);
         let outside = self.fields.iter().zip(ranges).filter(|(v, (low, high))| v < low || v > high).count();
         outside == 0
@@ -511,7 +512,7 @@ impl<R: Read> Rows<R> {
             })
     }
 
-    /// The same cell by cell, where a finding gets its place.
+    /// The full path, cell by cell, which gives a finding its place.
     #[inline(never)]
     fn next_with_care(&mut self, kept: impl FnOnce(&[u8])) -> Result<bool, InputError> {
         let (header, before, marks) = (&self.header, &self.before, &self.marks);
@@ -524,7 +525,7 @@ impl<R: Read> Rows<R> {
                 let Some(slot) = self.slots[place] else { return Ok(()) };
                 let column = &mut self.columns[slot];
                 let v = match marks {
-                    // A blank may part thousands in any table.
+                    // In any table a blank may separate thousands.
                     None => cell.finite().or_else(|e| Numbers::written('.').parse(cell.text()).ok_or(e)),
                     Some(marks) => {
                         let numbers = marks.numbers(place);
@@ -557,7 +558,7 @@ impl<R: Read> Rows<R> {
                 if !row.has_decimal_commas(columns) {
                     return e;
                 }
-                // Not certain: a field too many is a field too many.
+                // Only a hint, because the row may just have a field too many.
                 let expected = format!(
                     "{}; or, if these are decimal commas between commas, the table written with semicolons",
                     e.expected
@@ -569,7 +570,7 @@ impl<R: Read> Rows<R> {
     }
 }
 
-/// Positions in the sidecar, for findings that show only when the CSV is read.
+/// Positions in the sidecar, for findings that show only in the CSV.
 #[derive(Debug, Clone)]
 struct Place(InputError);
 
@@ -593,7 +594,7 @@ struct Sidecar {
     file_error: Place,
     kind: Kind,
     count_um: Option<f64>,
-    /// The circle of a ballbar run, and where it is stated.
+    /// The circle of a ballbar run, and its place in the sidecar.
     circle: Option<(Circle, Place)>,
     turns: Option<Turns>,
     date: Option<String>,
@@ -615,7 +616,7 @@ impl Sidecar {
         Marks::find(csv_path, csv, &self.names())
     }
 
-    /// The CSV of the sidecar at `path`.
+    /// Opens the CSV of the sidecar at `path`.
     fn open(&self, path: &Path) -> Result<(PathBuf, File), InputError> {
         let csv = self.csv_path(path);
         let file = open_regular(&csv).map_err(|e| self.unreadable(&csv, &e.found))?;
@@ -656,7 +657,7 @@ impl Sidecar {
         let count_um = root.get("count_um").map(|v| v.positive("µm per count, above zero")).transpose()?;
         let circle = read_circle(&root)?;
         let turns = read_turns(&root, parsed_kind)?;
-        // A date may be TOML's own or a string.
+        // A date may be one of TOML's own, or a string.
         let day = |v: rtec_files::toml::Entry<'_>| match date::parse(&v.text()) {
             Some(_) => Ok(v.text()),
             None => Err(v.error(v.text(), "a day as 2026-05-01")),
@@ -736,7 +737,7 @@ fn read_circle(root: &Table<'_>) -> Result<Option<(Circle, Place)>, InputError> 
     Ok(Some((Circle { radius_mm, plane: plane_axes, centre_mm }, Place(plane.error("", "")))))
 }
 
-/// Where the axis of a positioning run turned back.
+/// Reads where a positioning run turned back: at the end targets or beyond.
 fn read_turns(root: &Table<'_>, kind: Kind) -> Result<Option<Turns>, InputError> {
     const TURNS: &str =
         "turns = \"overtravel\" (the axis turned back beyond the end targets) or \"at_target\"";
@@ -827,8 +828,8 @@ mod tests {
         assert!(read(SIDECAR, "").unwrap_err().found.contains("no header"));
     }
 
-    /// Whatever stands in the cells.
-    /// What is read the short way is what each cell says by itself, and so is the first finding.
+    /// For any cells, the fast path reads what the full path reads.
+    /// The first finding is the same too.
     #[test]
     fn rows_read_the_short_way_are_those_read_cell_by_cell() {
         use proptest::prelude::*;
@@ -872,7 +873,7 @@ mod tests {
         let mut runner = proptest::test_runner::TestRunner::deterministic();
         for _ in 0..4000 {
             let mut rows = rows.new_tree(&mut runner).unwrap().current();
-            // Mostly as long as they should be, and time going on: else hardly any would be read.
+            // Most rows have the right length and time that increases, because otherwise hardly any would be read.
             for (n, row) in rows.iter_mut().enumerate() {
                 let fits = row.iter().all(|c| c.parse::<f64>().is_ok());
                 row[0] = if fits { n.to_string() } else { row[0].clone() };
@@ -892,7 +893,7 @@ mod tests {
                 }
                 (Err(ours), Err(plain)) => {
                     bad += 1;
-                    // Decimal commas get a hint on top, and parted thousands another.
+                    // Decimal commas get a further hint, and separated thousands another one.
                     let hints = ["written with semicolons", "may part thousands"];
                     let hint = hints.iter().any(|hint| ours.expected.contains(hint));
                     let expected = if hint { plain.expected.clone() } else { ours.expected.clone() };
@@ -1052,9 +1053,9 @@ mod tests {
         assert_eq!(super::read(&r.path).unwrap(), r);
         let text = std::fs::read_to_string(&r.path).unwrap();
         assert!(text.contains("radius_mm = 150.0\nplane = [\"x\", \"y\"]\n"), "{text}");
-        // What follows from the angle is no column of the file.
+        // The columns that follow from the angle are not written.
         assert_eq!(std::fs::read_to_string(folder.path().join("b.csv")).unwrap(), "a,e\n0,1\n0.1,2\n0.2,3\n");
-        // A run without them is one as before.
+        // A run without these keys is read as before.
         let plain = BALLBAR.replace("radius_mm = 150.0\nplane = [\"x\", \"y\"]\n", "");
         assert_eq!(read(&plain, "a,e\n0,1\n").unwrap().circle(), None);
     }
@@ -1080,8 +1081,8 @@ mod tests {
         }
     }
 
-    /// A circle in x and y, said to be in x and z.
-    /// The places of z would be taken from the angle. An axis that nobody logs is no mistake.
+    /// A circle in x and y whose sidecar says x and z.
+    /// The places of z would be taken from the angle. An axis that is not logged is allowed otherwise.
     #[test]
     fn a_plane_of_an_axis_that_nobody_logged_is_found() {
         let logged = "a = { role = \"angle\", unit = \"rad\" }\nx = { role = \"position.x\", unit = \"mm\" }\n\
@@ -1092,7 +1093,7 @@ mod tests {
         let e = read(&sidecar.replace("\"y\"]", "\"z\"]"), rows).unwrap_err();
         assert_eq!((e.line, e.column), (4, 9), "{e}");
         assert!(e.found.contains("no position of z, while y moves") && e.expected.contains("logs"), "{e}");
-        // The height of the plane, and an axis of it that is known by the angle alone.
+        // z is the height of the plane; and an axis of the plane may be known by the angle alone.
         let height = rows.replace(",150,2", ",0,2");
         assert!(read(&sidecar.replace("\"y\"]", "\"z\"]"), &height).is_ok());
         assert!(read(&BALLBAR.replace("\"y\"]", "\"z\"]"), "a,e\n0,1\n0.1,2\n").is_ok());

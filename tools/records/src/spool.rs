@@ -1,9 +1,9 @@
 //! Sends finished records to the shop's store.
-//! They wait in a spool folder until they are there.
+//! They wait in a spool folder until the store has them.
 //!
-//! A record is sent as `inbox/MACHINE/DIGEST/NAME.run.toml` with its CSV beside it. The digest is of both, so a record has the same place
-//! however often it is sent. The sidecar is sent last: if it is there, the record is complete. A record moves to `sent/` below the spool
-//! only after it was read back from the store unchanged.
+//! A record is sent as `inbox/MACHINE/DIGEST/NAME.run.toml` with its CSV beside it. The digest is of both files, so a
+//! record has the same key however often it is sent. The sidecar is sent last: if it is there, the record is complete.
+//! A record moves to `sent/` below the spool only after it was read back from the store unchanged.
 
 use rtec_files::InputError;
 use rtec_files::folder::Folder as Open;
@@ -12,51 +12,51 @@ use sha2::{Digest, Sha256};
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// Where sent records are kept, below the spool.
+/// Folder of sent records, below the spool.
 pub const SENT: &str = "sent";
-/// Digits of a digest that stand in a record's place.
+/// Number of digits of a digest in a record's key.
 const DIGITS: usize = 16;
-/// A sidecar is no longer, bytes: two thousand columns.
+/// Largest size of a sidecar, bytes: two thousand columns.
 pub const LONGEST_SIDECAR: u64 = 64 << 10;
-/// Nothing longer is sent, bytes.
+/// Largest size of a file that is sent, bytes.
 const LONGEST_SENT: u64 = 1 << 30;
-/// Prefix of folders of records that are being put into the spool or put aside.
+/// Prefixes of folders of records that are put into the spool or moved to the sent.
 /// If the program is killed in between, the next one finishes the work.
 const PUTTING: &str = ".rtec-put-";
 const SENDING: &str = ".rtec-sent-";
 
-/// What takes records: keys are paths with `/`.
+/// A store of records; its keys are paths with `/`.
 pub trait Store {
     /// Stores bytes under a key, whole or not at all.
     ///
     /// # Errors
-    /// The store is not to be reached, or does not take it.
+    /// When the store cannot be reached, or refuses the bytes.
     fn put(&self, key: &str, bytes: &[u8]) -> io::Result<()>;
 
-    /// What stands under a key.
+    /// The bytes under a key, or `None`.
     ///
     /// # Errors
-    /// The store is not to be reached.
+    /// When the store cannot be reached.
     fn get(&self, key: &str) -> io::Result<Option<Vec<u8>>>;
 }
 
-/// A folder: of this computer, or a share that is mounted.
-/// Others write to it as well: no link in it is followed.
+/// A store in a folder of this computer or a mounted share.
+/// Other programs write to it too, so no link in it is followed.
 #[derive(Debug, Clone)]
 pub struct Folder(PathBuf);
 
 impl Folder {
-    /// A folder that is there.
-    /// One that is missing is a share that is not mounted, and is not made.
+    /// Opens an existing folder.
+    /// A missing folder is a share that is not mounted, and is not created.
     ///
     /// # Errors
-    /// No such folder.
+    /// When there is no such folder.
     pub fn open(path: &Path) -> io::Result<Self> {
         Open::open(path).map(|_| Self(path.to_owned()))
     }
 }
 
-/// The folders of a key, and its file.
+/// The folders and the file of a key.
 fn parts(key: &str) -> (impl Iterator<Item = &str>, &str) {
     let (folders, file) = key.rsplit_once('/').unwrap_or(("", key));
     (folders.split('/').filter(|f| !f.is_empty()), file)
@@ -71,7 +71,7 @@ impl Store for Folder {
 
     fn get(&self, key: &str) -> io::Result<Option<Vec<u8>>> {
         let (mut folders, file) = parts(key);
-        // A share that is gone is no store without this key.
+        // A missing share is an error, and not a store without this key.
         let root = Open::open(&self.0)?;
         match folders.try_fold(root, |folder, name| folder.folder(name)) {
             Ok(folder) => folder.read(file, LONGEST_SENT),
@@ -81,17 +81,17 @@ impl Store for Folder {
     }
 }
 
-/// What one round of sending did.
+/// Result of one round of sending.
 #[derive(Debug, Default, PartialEq, Eq)]
 pub struct Round {
-    /// Places of the records that the store now holds, in order.
+    /// Keys of the records that the store now holds, in order.
     pub sent: Vec<String>,
-    /// Records that are none, and stay where they are: each with its finding.
+    /// Findings on files that are no records, which stay in the spool.
     pub kept: Vec<InputError>,
 }
 
 impl Round {
-    /// The printed result: the places and their number, or one line of JSON.
+    /// The printed result: the keys and their number, or one line of JSON.
     #[must_use]
     pub fn text(&self, json: bool) -> String {
         if json {
@@ -103,7 +103,7 @@ impl Round {
         format!("{places}{} records sent, {} kept\n", self.sent.len(), self.kept.len())
     }
 
-    /// What is no record and stays in the spool, in a line; none where nothing does.
+    /// One line on the files that stay in the spool; `None` where there are none.
     #[must_use]
     pub fn stays(&self, spool: &Path) -> Option<String> {
         let n = self.kept.len();
@@ -111,49 +111,49 @@ impl Round {
     }
 }
 
-/// Why sending ended early. What was sent before is sent; what was not waits.
+/// Why sending ended early. Records that were not sent stay in the spool.
 #[derive(Debug, thiserror::Error)]
 pub enum ShipError {
-    /// The name of the machine would not be one folder of the store.
+    /// The machine's name cannot be a folder of the store.
     #[error(
         "found the machine's name `{0}`, expected letters, digits, `.`, `_` and `-`, none of the dots first"
     )]
     Name(String),
-    /// The spool cannot be read, or what was sent cannot be put aside.
+    /// The spool cannot be read, or a sent record cannot be moved.
     #[error("{path}: {error}")]
     Spool {
         /// The file or folder.
         path: PathBuf,
-        /// Why.
+        /// The system's answer.
         error: io::Error,
     },
-    /// The store is not to be reached, or lost what it was given.
+    /// The store cannot be reached, or lost a file.
     #[error("the store: {key}: {error}; {left} records wait in the spool")]
     Store {
-        /// What was on its way.
+        /// Key of the file.
         key: String,
-        /// Why.
+        /// The store's answer.
         error: io::Error,
-        /// Records that wait, this one among them.
+        /// Number of records that wait, with this one.
         left: usize,
     },
 }
 
-/// How much a spool may take of its disk.
+/// Limits of a spool on its disk.
 #[derive(Debug, Clone, Copy)]
 pub struct Room {
-    /// What waits in it takes no more than this, bytes.
+    /// Largest size of all waiting records, bytes.
     pub most_bytes: u64,
-    /// So much of the disk is left free, %.
-    /// Never more than `most_bytes`, which a large disk has long since left.
+    /// Share of the disk that stays free, %.
+    /// It is at most `most_bytes`, because a percentage of a large disk is more than a spool needs.
     pub free_percent: u64,
 }
 
 impl Room {
-    /// As much as the disk has: for whoever fills his own folder.
+    /// No limits, for a user who fills a folder of his own.
     pub const ANY: Self = Self { most_bytes: u64::MAX, free_percent: 0 };
 
-    /// Whether so many bytes more have room.
+    /// Checks that there is room for `bytes` more bytes.
     fn takes(self, folder: &Open, bytes: u64) -> io::Result<()> {
         let full = |text: String| Err(io::Error::new(io::ErrorKind::StorageFull, text));
         let disk = nix::sys::statvfs::fstatvfs(folder)?;
@@ -185,10 +185,10 @@ impl Room {
     }
 }
 
-/// Puts a written record into a spool, which is made where it is missing.
+/// Puts a written record into a spool, which is created where it is missing.
 ///
 /// # Errors
-/// The record cannot be read, the spool not be written.
+/// When the record cannot be read, or the spool cannot be written.
 pub fn add(sidecar: &Path, spool: &Path) -> io::Result<PathBuf> {
     let record = super::record::read_log(sidecar).map_err(|e| no_record(&e))?;
     let csv = std::fs::read(sidecar.parent().unwrap_or(Path::new("")).join(&record.file))?;
@@ -196,12 +196,12 @@ pub fn add(sidecar: &Path, spool: &Path) -> io::Result<PathBuf> {
     put(record, &csv, spool, Room::ANY, &|| true)
 }
 
-/// Puts a record into a spool that is there: its CSV, then its sidecar, each whole.
-/// Under the record's own name, or with a number behind it where another one waits under that name. `go_on` is asked between pieces: where
-/// it says no, the record is not kept.
+/// Puts a record into an existing spool: its CSV, then its sidecar, each whole.
+/// It gets its own name, with a number added where another record waits under that name. `go_on` is asked between
+/// pieces; where it returns false, the record is not kept.
 ///
 /// # Errors
-/// The spool cannot be written or has no room: what was begun is taken away again.
+/// When the spool cannot be written or has no room. Partial files are removed.
 pub fn put(
     mut record: Record,
     csv: &[u8],
@@ -218,7 +218,7 @@ pub fn put(
     let folder = Open::open(spool)?;
     finish_begun(&folder)?;
     room.takes(&folder, (csv.len() + super::record::to_sidecar(&record).len()) as u64)?;
-    // Whoever may read the folder may read the records, whatever the process's mask says.
+    // A user who may read the folder may read the records, whatever the process's umask.
     let mode = folder.mode()?;
     let mut numbers = 1..;
     let (staged, begun) = loop {
@@ -228,7 +228,7 @@ pub fn put(
             made => break (staged, made?),
         }
     };
-    // Held while it lives: what nobody holds was left by one that was killed.
+    // A lock while the process lives. A folder without a lock was left by a killed process.
     let held = begun.lock();
     let done = place(&mut record, csv, &stem, (&folder, &begun), mode & 0o644 | 0o600, go_on);
     drop(held);
@@ -242,7 +242,7 @@ pub fn put(
     done.map(|name| spool.join(name))
 }
 
-/// Writes a record's files beside their place, then gives them their names.
+/// Writes a record's files in a folder beside it, then renames them.
 fn place(
     record: &mut Record,
     csv: &[u8],
@@ -260,7 +260,7 @@ fn place(
             continue;
         }
         super::record::at(record, &folder.path().join(&name)).map_err(|e| no_record(&e))?;
-        // The sidecar names its CSV: from here on whoever finds it can finish what was begun.
+        // The sidecar names its CSV, so from here on any process can finish the work.
         begun.write(&name, super::record::to_sidecar(record).as_bytes(), mode, go_on)?;
         let taken = begun.rename(DATA, folder, &record.file);
         let taken = taken.and_then(|()| {
@@ -276,23 +276,24 @@ fn place(
     Err(io::ErrorKind::AlreadyExists.into())
 }
 
-/// Finishes what was begun in a spool by programs that were killed.
+/// Finishes the work of killed processes in a spool.
 ///
 /// # Errors
-/// What the file system reports.
+/// When the file system fails.
 pub fn finish(spool: &Path) -> io::Result<()> {
     finish_begun(&Open::open(spool)?)
 }
 
-/// Finishes what others began who were killed.
-/// A record of which both files were written is whole; what is less is taken away. A record that was sent is put aside.
+/// Finishes the work of killed processes.
+/// A record with both files is moved to its place; a partial one is removed. A record that was sent is moved to the
+/// sent ones.
 fn finish_begun(folder: &Open) -> io::Result<()> {
     for name in folder.names()? {
         if !name.starts_with(PUTTING) && !name.starts_with(SENDING) {
             continue;
         }
         let Ok(begun) = folder.folder(&name) else { continue };
-        // Held: somebody is at it. Where nothing can be locked nobody knows.
+        // A locked folder is in use. Where locks are impossible, it may be in use.
         let Ok(Some(_held)) = begun.lock() else { continue };
         if let Some(digits) = name.strip_prefix(SENDING) {
             aside(folder, &begun, digits)?;
@@ -304,7 +305,7 @@ fn finish_begun(folder: &Open) -> io::Result<()> {
             if files.iter().any(|f| f == "csv") && begun.rename("csv", folder, &csv).is_err()
                 || begun.rename(sidecar, folder, sidecar).is_err()
             {
-                // Another record has the name by now.
+                // Another record has taken the name.
                 continue;
             }
         }
@@ -316,7 +317,7 @@ fn finish_begun(folder: &Open) -> io::Result<()> {
     Ok(())
 }
 
-/// The name of the CSV of a record that this program has put into a spool.
+/// The name of the CSV of a record in a spool.
 fn csv_of(sidecar: &str) -> String {
     format!("{}.csv", sidecar.strip_suffix(".run.toml").unwrap_or(sidecar))
 }
@@ -325,7 +326,7 @@ fn no_record(finding: &InputError) -> io::Error {
     io::Error::new(io::ErrorKind::InvalidData, finding.to_string())
 }
 
-/// Sends what waits in a spool, one record after the other.
+/// Sends the records of a spool, one after the other.
 ///
 /// # Errors
 /// The first failure of the store or of the spool.
@@ -340,7 +341,7 @@ pub fn ship(spool: &Path, store: &dyn Store, machine: &str) -> Result<Round, Shi
     let waiting = waiting(&folder).map_err(|e| trouble(spool, e))?;
     let mut round = Round::default();
     if !waiting.is_empty() {
-        // Before the first is sent, not after it: what cannot be put aside would be sent again and again.
+        // Checked before the first record is sent. A record that cannot be moved would be sent again and again.
         let tried = format!(".tried-{}", std::process::id());
         let sent = folder.make_folder(SENT).and_then(|sent| {
             sent.write(&tried, b"", 0o600, &|| true)?;
@@ -352,7 +353,7 @@ pub fn ship(spool: &Path, store: &dyn Store, machine: &str) -> Result<Round, Shi
         let sidecar = spool.join(name);
         let read =
             |name: &str, longest| folder.read(name, longest).map_err(|e| trouble(&spool.join(name), e));
-        // Another one who sends from this spool may have sent it.
+        // Another process that sends from this spool may have sent it.
         let words = match folder.read(name, LONGEST_SIDECAR) {
             Ok(Some(words)) => words,
             Ok(None) => continue,
@@ -411,10 +412,10 @@ pub fn ship(spool: &Path, store: &dyn Store, machine: &str) -> Result<Round, Shi
         let put_aside = || -> io::Result<()> {
             let sending = folder.make_folder(&format!("{SENDING}{digits}"))?;
             let _held = sending.lock();
-            // The sidecar first: without it nothing waits.
+            // The sidecar first, because no record waits without it.
             for file in [name, &csv] {
                 match folder.rename(file, &sending, file) {
-                    // Another one who sends from this spool is at it, or this record was sent before.
+                    // Another process is moving this record, or it was sent before.
                     Err(e) if e.kind() == io::ErrorKind::NotFound => {}
                     done => done?,
                 }
@@ -434,7 +435,7 @@ pub fn ship(spool: &Path, store: &dyn Store, machine: &str) -> Result<Round, Shi
 /// Its sidecar is in the folder `sending` already.
 fn aside(folder: &Open, sending: &Open, digits: &str) -> io::Result<()> {
     let names = sending.names()?;
-    // Killed between the two: the CSV that the sidecar names still lies in the spool, and no other record names it.
+    // A kill between the two moves leaves the CSV in the spool. The sidecar names it, and no other record does.
     for sidecar in names.iter().filter(|n| n.ends_with(".run.toml") && !folder.has(n).unwrap_or(true)) {
         let words = sending.read(sidecar, LONGEST_SIDECAR)?.unwrap_or_default();
         let text = String::from_utf8_lossy(&words);
@@ -447,7 +448,7 @@ fn aside(folder: &Open, sending: &Open, digits: &str) -> io::Result<()> {
     let sent = folder.make_folder(SENT)?.make_folder(digits)?;
     for file in sending.names()? {
         match sending.rename(&file, &sent, &file) {
-            // The same bytes lie there: the folder is named by them.
+            // The same bytes are there already, because the folder is named by their digest.
             Err(e) if e.kind() == io::ErrorKind::AlreadyExists => sending.remove(&file)?,
             Err(e) if e.kind() == io::ErrorKind::NotFound => {}
             done => done?,
@@ -459,7 +460,7 @@ fn aside(folder: &Open, sending: &Open, digits: &str) -> io::Result<()> {
     }
 }
 
-/// Names of the sidecars of a spool, in their order.
+/// Names of the sidecars of a spool, in order.
 fn waiting(folder: &Open) -> io::Result<Vec<String>> {
     let mut names = folder.names()?;
     names.retain(|n| n.ends_with(".run.toml") && !n.starts_with('.'));
@@ -472,8 +473,8 @@ mod tests {
     use std::cell::{Cell, RefCell};
     use std::collections::BTreeMap;
 
-    /// A store that goes away before its nth call, or in the middle of it.
-    /// What it was given in full it keeps.
+    /// A store that fails before its nth call, or in the middle of it.
+    /// It keeps the files that it got as a whole.
     struct Flaky {
         calls: Cell<usize>,
         gone_at: usize,
@@ -539,7 +540,7 @@ mod tests {
                     puts: RefCell::default(),
                 };
                 let first = ship(spool.path(), &store, "mill-7");
-                // Six files of three calls each.
+                // Six files, with three calls each.
                 assert_eq!(first.is_err(), gone_at <= 18, "{gone_at}");
                 let second = ship(spool.path(), &store, "mill-7").unwrap();
                 assert!(second.kept.is_empty());
@@ -572,14 +573,14 @@ mod tests {
         std::fs::remove_dir_all(spool.path().join(SENT)).unwrap();
         assert_eq!(ship(spool.path(), &store, "m").unwrap().sent, round.sent);
         assert_eq!(std::fs::read_dir(to.path().join("inbox/m")).unwrap().count(), 1);
-        // A share that is not mounted is not made.
+        // A share that is not mounted is not created.
         drop(to);
         record(spool.path(), "c", 4.0);
         assert!(matches!(ship(spool.path(), &store, "m"), Err(ShipError::Store { left: 1, .. })));
         assert!(matches!(ship(spool.path(), &store, "../m"), Err(ShipError::Name(_))));
     }
 
-    /// A store beside which somebody else sends from the same spool.
+    /// A store whose spool another process sends too.
     struct Beside<'a> {
         spool: &'a Path,
         store: &'a Folder,
@@ -629,7 +630,7 @@ mod tests {
     fn a_spool_that_cannot_be_written_sends_nothing() {
         let (spool, to) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
         record(spool.path(), "a", 1.0);
-        // A file where the folder of what was sent should be.
+        // A file is in the place of the folder for sent records.
         std::fs::write(spool.path().join(SENT), "").unwrap();
         let store = Folder::open(to.path()).unwrap();
         assert!(matches!(ship(spool.path(), &store, "m"), Err(ShipError::Spool { .. })));
@@ -659,7 +660,7 @@ mod tests {
     #[test]
     fn ship_follows_no_link_out_of_the_shop_or_the_spool() {
         use std::os::unix::fs::symlink;
-        // Every place of a key, led away: nothing is written there, and the record waits.
+        // Each place of a key is a link elsewhere: nothing is written there, and the record waits.
         let away = tempfile::tempdir().unwrap();
         for linked in ["inbox", "inbox/m", "inbox/m/DIGEST"] {
             let (spool, shop) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
@@ -693,7 +694,7 @@ mod tests {
         let error = ship(spool.path(), &Folder::open(shop.path()).unwrap(), "m").unwrap_err().to_string();
         assert!(error.contains("found a link"), "{error}");
         assert_eq!(std::fs::read(&precious).unwrap(), b"mine");
-        // Nothing is read through a link of the spool, or from another folder.
+        // Nothing is read through a link in the spool, or from another folder.
         let (spool, shop) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
         record(away.path(), "far", 1.0);
         symlink(away.path().join("far.run.toml"), spool.path().join("a.run.toml")).unwrap();
@@ -713,7 +714,7 @@ mod tests {
 
     #[test]
     fn whoever_is_killed_leaves_a_whole_record_or_none() {
-        // Killed while putting: before the sidecar, after it, between the two names.
+        // A kill while putting: before the sidecar, after it, and between the two renames.
         for (files, kept) in [(&["csv"][..], false), (&["csv", "a.run.toml"], true), (&["a.run.toml"], true)]
         {
             let (made, spool) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
@@ -736,7 +737,7 @@ mod tests {
                 assert!((read_back(spool.path(), "a").columns[0].data[0] - 7.0).abs() < 1e-12);
             }
         }
-        // Killed while it was put aside: after the sidecar, after both.
+        // A kill while moving a sent record: after the sidecar, and after both.
         for both in [false, true] {
             let (spool, shop) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
             record(spool.path(), "a", 1.0);
@@ -750,7 +751,7 @@ mod tests {
             assert_eq!(names(spool.path()), [SENT]);
             assert_eq!(names(&spool.path().join("sent/0123")), ["a.csv", "a.run.toml"]);
         }
-        // One that lives is left alone.
+        // The folder of a living process is left alone.
         let (made, spool) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
         let folder = Open::open(spool.path()).unwrap();
         let begun = folder.make_folder(&format!("{PUTTING}1-1")).unwrap();
@@ -778,7 +779,7 @@ mod tests {
             }
             assert!(kept < 1000);
         };
-        // Two files of a block each.
+        // Two files of one block each.
         assert!((100..=128).contains(&kept), "{kept}");
         assert_eq!(error.kind(), io::ErrorKind::StorageFull);
         assert!(error.to_string().contains("at most 1 MB may wait ([control] spool_mb)"), "{error}");

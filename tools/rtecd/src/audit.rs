@@ -2,9 +2,9 @@
 //! The control side never waits for a disk, and a full or missing disk stops nothing. Entries that could not be
 //! written are counted, and the next line that can be written reports them.
 //!
-//! | nobody fills it | by |
+//! | what keeps users from filling the record | by |
 //! |---|---|
-//! | one line is short | texts of a request are cut (`rtec_control::audit`) |
+//! | each line is short | texts of a request are cut (`rtec_control::audit`) |
 //! | refusals displace no command | they have files of their own |
 //! | a user's refusals do not displace those of others, nor commands to operate those to set up | each user has a [`Budget`]; beyond it verbs are counted |
 
@@ -18,33 +18,33 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-/// Lines that may wait for the disk.
+/// Largest number of lines that wait for the disk.
 const WAITING: usize = 1024;
-/// The same refusal to the same caller is one line in this time.
+/// Time in which the same refusal to the same caller becomes one line.
 const TOGETHER: Duration = Duration::from_secs(1);
-/// The time in which a caller's repeated question is one line.
-/// Clients ask for its position many times a second.
+/// Time in which a caller's repeated question becomes one line.
+/// Clients ask for a position many times a second.
 const LOOKING: Duration = Duration::from_secs(60);
-/// How many kinds of refusal of one user are distinguished at a time.
-/// Otherwise a user who varies his requests could fill the record and push out what was in it.
+/// Number of kinds of refusal of one user that are distinguished at a time.
+/// Otherwise a user who varies the requests could fill the record and push out its content.
 const KINDS: usize = 16;
-/// Lines that a user has at once, of refusals and of commands to operate.
-/// And how many a second come back.
+/// Initial lines of a user for refusals and for commands to operate.
+/// `BUDGET_PER_S` lines a second are added again.
 const BUDGET: f64 = 500.0;
 const BUDGET_PER_S: f64 = 0.1;
-/// Beyond its budget a user has a line of each verb in this time.
+/// Time in which a user beyond its budget gets one line for each verb.
 const COUNTED: Duration = Duration::from_secs(600);
-/// Users whose budgets are known; those that are whole are forgotten first.
+/// Number of users with a known budget; full budgets are dropped first.
 const USERS: usize = 4096;
 /// The longest time between two anchors of the record's end, if lines were added.
 const ANCHOR_EVERY: Duration = Duration::from_secs(24 * 3600);
-/// After a line that could not be written the next one is tried so much later.
+/// Time after a line that could not be written until the next try.
 const RETRY: Duration = Duration::from_secs(1);
 
 /// Totals of each axis: requested and in effect, counts.
 pub(crate) type Totals = BTreeMap<String, [i64; 2]>;
 
-/// A command that was answered.
+/// A command with its answer.
 pub(crate) struct Command {
     pub by: Caller,
     pub request: Value,
@@ -60,22 +60,22 @@ struct Repeated {
     last: Instant,
     entry: Entry,
     times: u64,
-    /// A jog that was done: held as long as it comes again, not only for a moment.
+    /// The command is a jog, whose repetitions are one line for longer.
     looks: bool,
-    /// It is written after this time.
+    /// Time after which the line is written.
     after: Duration,
 }
 
-/// Which lines a budget is for.
+/// Kind of the lines in a budget.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 enum Kind {
     Refused,
     Done,
-    /// Changes of mode: they are the machine's, not a user's.
+    /// Changes of mode, which belong to the machine and not to a user.
     Mode,
 }
 
-/// Lines that may still be written one by one.
+/// The lines that a user may still write one by one.
 struct Budget {
     left: f64,
     since: Instant,
@@ -103,35 +103,35 @@ impl Repeated {
     }
 }
 
-/// What waits to be written, and how the writing goes.
+/// State of the writing thread, for the control side.
 #[derive(Default)]
 struct Shared {
     state: LogState,
     /// Number and hash of the last refusal.
     refused: (u64, String),
-    /// Files that were put aside, and files that others removed or renamed.
+    /// Files that were rotated, and files that others removed or renamed.
     rotated: u64,
     moved: u64,
 }
 
-/// What was last anchored.
+/// The anchor that was published last.
 struct Anchored {
     at: Instant,
     rotated: u64,
     text: String,
 }
 
-/// The control side's end.
+/// The control side's end of the record.
 pub(crate) struct Audit {
     lines: Option<SyncSender<Entry>>,
     shared: Arc<Mutex<Shared>>,
-    /// By user and by what was refused.
+    /// Repeated lines by user and key.
     repeated: BTreeMap<(u32, String), Repeated>,
     budgets: BTreeMap<(u32, Kind), Budget>,
     anchored: Option<Anchored>,
-    /// Removed or renamed files that were told already.
+    /// Removed or renamed files that were reported already.
     moved: u64,
-    /// Lines that found the queue full; the writer is told with the next one.
+    /// Lines that did not fit into the queue; the next line reports them to the writer.
     lost: u64,
 }
 
@@ -142,7 +142,7 @@ impl Audit {
         lock(&shared).state.file = path.display().to_string();
         let (lines, waiting) = sync_channel(WAITING);
         let (path, state) = (path.to_owned(), Arc::clone(&shared));
-        // It may hang in a disk: nobody waits for it.
+        // The thread may wait for a disk, and nobody waits for it.
         std::thread::Builder::new()
             .name("audit".into())
             .spawn(move || write(&path, group, &waiting, &state))?;
@@ -150,12 +150,12 @@ impl Audit {
         Ok(Self { lines: Some(lines), shared, repeated, budgets, anchored: None, moved: 0, lost: 0 })
     }
 
-    /// Records something that was no command.
+    /// Records an event that is no command.
     pub(crate) fn note(&mut self, what: &str, text: String, after: Totals) {
         self.send(Entry { text, after, ..Entry::now(what) });
     }
 
-    /// Records what the machine did by itself, where somebody may ask for it later.
+    /// Records an event of the machine that somebody may ask for later.
     pub(crate) fn happened(&mut self, happened: &Happened, after: Totals) {
         let Happened { axis, kind, text, .. } = happened;
         let asked_for_later = ["mode", "fault", "homed", "control_stale", "stood_still", "record_lost"];
@@ -168,7 +168,7 @@ impl Audit {
         }
     }
 
-    /// Whether a user has a line left, which is taken.
+    /// Takes a line from a user's budget; returns whether there was one.
     fn may(&mut self, uid: u32, kind: Kind) -> bool {
         let now = Instant::now();
         if self.budgets.len() >= USERS {
@@ -187,14 +187,14 @@ impl Audit {
         let uid = by.uid;
         let mut key =
             (looks || result != "done").then(|| (uid, format!("{} {} {result} {request}", by.pid, by.role)));
-        // What was asked before stands before what is done now; other questions change nothing.
+        // An earlier question is written before this command; other questions change nothing.
         let new = key.as_ref().is_none_or(|key| !self.repeated.contains_key(key));
         if new && result == "done" && !(looks && request["display_mm"].is_null()) {
             let (looked, held) = std::mem::take(&mut self.repeated).into_iter().partition(|(_, r)| r.looks);
             self.repeated = held;
             self.release(looked);
         }
-        // Too many to be told apart: by their verbs alone, which are few.
+        // Too many kinds: they are counted by verb only, and verbs are few.
         let of_user = || self.repeated.range((uid, String::new())..=(uid, char::MAX.to_string())).count();
         if let Some(key) =
             key.as_mut().filter(|key| !looks && !self.repeated.contains_key(*key) && of_user() >= KINDS)
@@ -204,7 +204,7 @@ impl Audit {
         let mut after_at_least = TOGETHER;
         if key.as_ref().is_none_or(|key| !self.repeated.contains_key(key)) && !looks {
             let kind = if result == "done" { Kind::Done } else { Kind::Refused };
-            // Whoever may set up may write what he wants anyway.
+            // A user who may set up can write anything anyway.
             if (result != "done" || by.role == "operate") && !self.may(uid, kind) {
                 key = Some((uid, format!("beyond {result} {}", request["do"])));
                 after_at_least = COUNTED;
@@ -226,11 +226,11 @@ impl Audit {
         }
     }
 
-    /// Writes a line, and counts those that follow under the same key.
+    /// Writes a line, and counts the lines that follow under the same key.
     fn together(&mut self, key: (u32, String), entry: Entry, after: Duration, looks: bool) {
         if let Some(known) = self.repeated.get_mut(&key) {
             (known.times, known.last) = (known.times + 1, Instant::now());
-            // The first of them had the totals before.
+            // The first of these lines has the totals before.
             let before = if known.times == 1 { entry.before.clone() } else { known.entry.before.clone() };
             known.entry = Entry { before, ..entry };
             return;
@@ -240,7 +240,7 @@ impl Audit {
         self.repeated.insert(key, Repeated { since: now, last: now, entry, times: 0, looks, after });
     }
 
-    /// Lets what was held together go.
+    /// Writes the repeated lines that are due.
     pub(crate) fn turn(&mut self) {
         let now = Instant::now();
         let (due, held) = std::mem::take(&mut self.repeated)
@@ -266,14 +266,14 @@ impl Audit {
         }
     }
 
-    /// How the record stands.
+    /// State of the record.
     pub(crate) fn state(&self) -> LogState {
         let state = lock(&self.shared).state.clone();
         LogState { lost: state.lost + self.lost, ..state }
     }
 
     /// The end of the record, if it must be published now.
-    /// That is at first, with each full file, and once a day.
+    /// That is at the start, with each full file, and once a day.
     pub(crate) fn anchor(&mut self) -> Option<String> {
         let shared = lock(&self.shared);
         if shared.state.last_n == 0 {
@@ -299,20 +299,20 @@ impl Audit {
         std::mem::replace(&mut self.moved, moved) != moved
     }
 
-    /// Writes what is left, for so long at most.
+    /// Writes the rest, but waits at most `patience`.
     pub(crate) fn end(mut self, patience: Duration) {
         let due = std::mem::take(&mut self.repeated);
         self.release(due);
         drop(self.lines.take());
         let deadline = Instant::now() + patience;
-        // The thread holds the other end until all is written.
+        // The thread holds its reference until all is written.
         while Arc::strong_count(&self.shared) > 1 && Instant::now() < deadline {
             std::thread::sleep(Duration::from_millis(1));
         }
     }
 }
 
-/// What stands in the record for lines that do not.
+/// The entry for lines that were not recorded.
 fn lost(times: u64, why: &str) -> Entry {
     Entry { times: Some(times), text: format!("not recorded: {why}"), ..Entry::now("lost") }
 }
@@ -321,7 +321,7 @@ fn lock(shared: &Mutex<Shared>) -> std::sync::MutexGuard<'_, Shared> {
     shared.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// The two chains.
+/// The chains of the record and of the refusals.
 struct Writers {
     record: Writer,
     refused: Writer,
@@ -347,7 +347,7 @@ fn write(path: &Path, group: Option<Gid>, waiting: &Receiver<Entry>, shared: &Mu
             Err(RecvTimeoutError::Timeout) => continue,
             Err(RecvTimeoutError::Disconnected) => return,
         };
-        // What has come meanwhile is made safe on the disk together with it.
+        // Lines that came meanwhile are synchronised to the disk together with it.
         batch.extend(waiting.try_iter().take(WAITING));
         let mut trouble = None;
         if not_before.is_some_and(|then| Instant::now() < then) {
@@ -370,16 +370,16 @@ fn write(path: &Path, group: Option<Gid>, waiting: &Receiver<Entry>, shared: &Mu
     }
 }
 
-/// Lines that could not be written since the last one that could.
+/// Lines that could not be written since the last success.
 #[derive(Default)]
 struct Lost {
     lines: u64,
-    /// Since when, and why.
+    /// Time of the first failure, and its reason.
     began: String,
 }
 
-/// Writes lines, after one that tells of those that were lost before.
-/// Counts those that could not be written.
+/// Writes lines, after one that reports the lines lost before.
+/// It counts the lines that could not be written.
 fn write_batch(writers: &mut Writers, batch: Vec<Entry>, so_far: &mut Lost) -> std::io::Result<()> {
     let mut left = batch.len() as u64;
     let before = so_far.lines;
@@ -445,7 +445,7 @@ mod tests {
         assert!(verify(&path, &[]).unwrap().broken.is_empty());
     }
 
-    /// Questions of `commission`, one each 20 ms, must not hide commands.
+    /// Questions of `commission` every 20 ms must not hide commands.
     #[test]
     fn a_jog_that_is_asked_again_and_again_is_one_line_with_its_number_and_every_new_one_its_own() {
         let directory = tempfile::tempdir().unwrap();
@@ -461,7 +461,7 @@ mod tests {
             audit.command(command(1, "done"));
         }
         audit.command(Command { request: jog(None), ..command(1, "done") });
-        // Somebody else's is another line.
+        // Another user's question is another line.
         audit.command(Command { request: jog(None), ..command(2, "done") });
         audit.end(Duration::from_secs(30));
         let told = |e: &Entry| {
@@ -544,12 +544,12 @@ mod tests {
         let path = directory.path().join("audit.log");
         let mut audit = Audit::start(&path, None).unwrap();
         audit.command(command(1, "done"));
-        // Fourteen minutes of refusals that differ, each as long as a line may be, from a user with a budget.
+        // Fourteen minutes of varied refusals of maximal length, from a user with a budget.
         for n in 0..14 * 60 * 20 {
             let request = serde_json::json!({"do": "correct", "axis": format!("{n}{}", "x".repeat(4000))});
             audit.command(Command { request, text: "y".repeat(4000), ..command(n, "refused") });
             if n % 20 == 0 {
-                // As a second later.
+                // As if a second had passed.
                 for r in audit.repeated.values_mut() {
                     r.since = r.since.checked_sub(TOGETHER).unwrap();
                 }
@@ -597,7 +597,7 @@ mod tests {
         audit.end(Duration::from_secs(30));
         let all = lines(&path);
         let of = |role: &str| all.iter().filter(|e| e.by.as_ref().is_some_and(|by| by.role == role)).count();
-        // Each of those to set up has its line, whoever else has used up his.
+        // Each command to set up has its line, whichever budget is used up.
         assert_eq!(of("set_up"), 3);
         assert!((BUDGET as usize..BUDGET as usize + 10).contains(&of("operate")), "{}", of("operate"));
         let counted = |what: &str| -> u64 {
@@ -638,7 +638,7 @@ mod tests {
         }
         lock(&audit.shared).rotated = 1;
         let told = audit.anchor();
-        // Nothing new was written since.
+        // Nothing was written since the last anchor.
         assert_eq!(told.is_none(), a_day_ago.is_some());
         std::fs::remove_file(&path).unwrap();
         audit.command(command(1, "done"));

@@ -1,4 +1,4 @@
-//! The card that the configuration names.
+//! Builds the card that the configuration names.
 
 use crate::Failure;
 use nix::sys::statfs::{SYSFS_MAGIC, statfs};
@@ -21,7 +21,7 @@ use std::sync::Arc;
 /// It is slow enough for a process without real-time priority.
 const FEED_MM_S: f64 = 20.0;
 const FEED_COUNTS_S: f64 = 50_000.0;
-/// Points of all recorded traces together: they are held in memory, 16 bytes each.
+/// Largest number of points of all recorded traces; each takes 16 bytes of memory.
 const MAX_POINTS: usize = 50_000_000;
 
 /// The person at the simulated machine, who jogs axes and reads displays.
@@ -31,7 +31,7 @@ pub(crate) struct Stand {
 }
 
 impl Stand {
-    /// Lets the axes go to and fro, or has them stop at the end of their cycle.
+    /// Lets the axes move to and fro, or stops them at the end of their cycle.
     pub(crate) fn feed(&self, on: bool) {
         self.operator.feed(on);
     }
@@ -43,7 +43,7 @@ impl Stand {
         truth.jog_to(display_mm * 1000.0 / simulated.count_um * own);
     }
 
-    /// What the controller's display and an indicator at the axis show, mm.
+    /// Readings of the controller's display and of an indicator at the axis, mm.
     pub(crate) fn read_mm(&self, n: usize) -> (f64, f64) {
         let (truth, simulated) = &self.axes[n];
         let mm = |counts: f64| counts * simulated.count_um / 1000.0;
@@ -52,7 +52,7 @@ impl Stand {
     }
 }
 
-/// Simulated axes that stand until they are homed.
+/// Simulated axes that are at rest until they are homed.
 /// They then move to and fro over a quarter of their travel, with a probe in the middle of the first one's stroke.
 pub(crate) fn mock(config: &Config) -> (MockCard<MovingAxes, Monotonic>, Stand) {
     let motions: Vec<_> = config
@@ -74,7 +74,7 @@ pub(crate) fn mock(config: &Config) -> (MockCard<MovingAxes, Monotonic>, Stand) 
     (MockCard::new(axes, Monotonic), stand)
 }
 
-/// The simulated turning centre of this file, with axes z and x, and its part.
+/// The simulated turning centre of a file, with axes z and x, and its part.
 pub(crate) fn lathe(
     config: &Config,
     file: &Path,
@@ -95,11 +95,11 @@ pub(crate) fn lathe(
     Ok((MockCard::new(wires, Monotonic), cuts))
 }
 
-/// The recording that stands for one axis's scale.
+/// The recording of one axis's scale.
 struct Recorded {
     lines: AxisLines,
     points: Vec<TracePoint>,
-    /// The point that shows now.
+    /// Index of the present point.
     at: usize,
 }
 
@@ -127,7 +127,8 @@ impl Wires for Recordings {
         inputs
     }
 
-    /// Up to the next edge of any axis, so that late looks do not miss recorded edges.
+    /// Time until the next edge of any axis, ns.
+    /// So late looks do not miss recorded edges.
     fn step_limit_ns(&self) -> u64 {
         let next = self.axes.iter().filter_map(|axis| {
             let next = axis.points.get(axis.at + 1)?;
@@ -137,7 +138,7 @@ impl Wires for Recordings {
     }
 }
 
-/// Recorded traces in real time.
+/// The card that plays recorded traces in real time.
 pub(crate) fn replay(
     config: &Config,
     traces: &[PathBuf],

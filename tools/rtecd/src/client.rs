@@ -1,5 +1,5 @@
-//! One connection: who it is, what it has sent, what it has not read yet.
-//! Everything is bounded.
+//! One connection: its user, its requests and its unread answers.
+//! All of them are bounded.
 
 use nix::cmsg_space;
 use nix::errno::Errno;
@@ -13,29 +13,29 @@ use std::os::unix::net::UnixStream;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-/// Unread answers that a client may leave lying, bytes.
-/// Beyond it nothing more is read from it, and a watcher is dropped.
+/// Bytes of unread answers that a client may have.
+/// Beyond it nothing more is read from the client, and a watcher is dropped.
 const MAX_UNREAD: usize = 256 * 1024;
-/// A client that says nothing whole for so long is dropped; watchers may be silent.
-/// One that reads nothing of its answers for so long is dropped, a watcher too.
+/// Time without a whole request after which a client is dropped.
+/// Watchers may be silent. A client or watcher that reads no answer for this time is dropped too.
 const IDLE: Duration = Duration::from_secs(30);
 /// The same on a reserved place.
 const IDLE_RESERVED: Duration = Duration::from_secs(2);
-/// Descriptors that may come with one message, and wait for their line.
+/// Largest number of descriptors with one message, which wait for their line.
 const MAX_FILES: usize = 8;
 
-/// How soon a request has its turn.
+/// Urgency of a request.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum Urgency {
-    /// Takes corrections out of force or stops the machine: before everything.
+    /// Takes corrections out of force or stops the machine; it comes first.
     First,
-    /// Reads: costs little.
+    /// Reads only, and takes little time.
     Look,
     /// Everything else.
     Turn,
 }
 
-/// A request that was read and not yet answered.
+/// A request that is not answered yet.
 pub(crate) struct Pending {
     pub request: Result<ClientRequest, String>,
     pub since: Instant,
@@ -53,11 +53,11 @@ impl Pending {
     }
 }
 
-/// How far a connection is from its end.
+/// Stage of a connection's end.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum Stage {
     Open,
-    /// Nothing more is read; it goes when its answers are sent.
+    /// Nothing more is read; the connection closes when its answers are sent.
     Closing,
     Gone,
 }
@@ -67,24 +67,24 @@ pub(crate) struct Client {
     pub stream: UnixStream,
     pub caller: Caller,
     pub role: Role,
-    /// On a place that is kept free for what is urgent.
+    /// It has a place that is reserved for urgent requests.
     pub reserved: bool,
     pub watching: bool,
     pub pending: Option<Pending>,
     /// The answer to its request comes later.
-    /// Nothing more of it is taken up until then.
+    /// No further request is taken up until then.
     pub waits: bool,
     inbox: Vec<u8>,
     files: VecDeque<OwnedFd>,
     outbox: Vec<u8>,
     last_line: Instant,
-    /// When it last took something of its answers, or had none to take.
+    /// Time when it last read some of its answers, or had none.
     last_taken: Instant,
     stage: Stage,
 }
 
 impl Client {
-    /// A connection that came by the socket of a role.
+    /// A connection on the socket of a role.
     pub(crate) fn new(id: u64, stream: UnixStream, role: Role, socket: &Path) -> nix::Result<Self> {
         let peer = getsockopt(&stream, sockopt::PeerCredentials)?;
         let caller = Caller {
@@ -114,22 +114,22 @@ impl Client {
         })
     }
 
-    /// Nobody has hung up.
+    /// Whether nobody has hung up.
     pub(crate) fn is_open(&self) -> bool {
         self.stage == Stage::Open
     }
 
-    /// Nobody reads its answers any more.
+    /// Whether nobody reads its answers any more.
     pub(crate) fn gone(&self) -> bool {
         self.stage == Stage::Gone
     }
 
-    /// Comes nearer to its end; there is no way back.
+    /// Moves on to a later stage; it never goes back.
     pub(crate) fn enter(&mut self, stage: Stage) {
         self.stage = self.stage.max(stage);
     }
 
-    /// Whether to read from it: only after it has its answers and its line was handled.
+    /// Whether to read from it: its answers and its last line must have been taken.
     pub(crate) fn reads(&self) -> bool {
         self.is_open() && self.outbox.len() < MAX_UNREAD && self.inbox.len() < 2 * MAX_LINE
     }
@@ -139,7 +139,7 @@ impl Client {
     }
 
     pub(crate) fn put(&mut self, response: &Response) {
-        // A response is numbers, strings and lists: it has a JSON form.
+        // A response consists of numbers, strings and lists, so it always has a JSON form.
         let Ok(line) = serde_json::to_string(response) else { return };
         if self.outbox.is_empty() {
             self.last_taken = Instant::now();
@@ -148,7 +148,7 @@ impl Client {
         self.outbox.push(b'\n');
     }
 
-    /// Takes in what has come, with the descriptors that came with it.
+    /// Reads the bytes that have come, with their descriptors.
     pub(crate) fn read(&mut self) {
         let mut buffer = [0; MAX_LINE];
         let mut space = cmsg_space!([RawFd; MAX_FILES]);
@@ -185,7 +185,7 @@ impl Client {
         }
     }
 
-    /// Takes up the next whole line, once the one before is answered.
+    /// Takes up the next whole line, if the one before is answered.
     pub(crate) fn take_up(&mut self) {
         if self.pending.is_some() || self.waits || self.outbox.len() >= MAX_UNREAD {
             return;
@@ -208,13 +208,13 @@ impl Client {
         self.pending = Some(Pending { request, since: self.last_line });
     }
 
-    /// A line has come that could be taken up.
+    /// Whether a line can be taken up.
     pub(crate) fn has_line(&self) -> bool {
         let free = self.pending.is_none() && !self.waits && self.outbox.len() < MAX_UNREAD;
         free && self.inbox.contains(&b'\n')
     }
 
-    /// The descriptors that came with the line that is taken up now.
+    /// The descriptors that came with the present line.
     pub(crate) fn take_files(&mut self) -> Vec<OwnedFd> {
         self.files.drain(..).collect()
     }
@@ -236,7 +236,7 @@ impl Client {
         }
     }
 
-    /// It has gone, or is to go.
+    /// Whether the connection has ended, or must be ended.
     pub(crate) fn over(&self) -> bool {
         let patience = if self.reserved { IDLE_RESERVED } else { IDLE };
         let idle =
@@ -248,13 +248,13 @@ impl Client {
         self.gone() || idle || deaf || ended && !self.inbox.contains(&b'\n')
     }
 
-    /// Since when it has not said anything whole.
+    /// Time of its last whole line.
     pub(crate) fn silent_since(&self) -> Instant {
         self.last_line
     }
 }
 
-/// The user's name from the local list of users.
+/// The user's name in the local list of users.
 /// A directory service could take too long to answer.
 pub(crate) fn user_name(uid: u32) -> String {
     let users = std::fs::read_to_string("/etc/passwd").unwrap_or_default();
@@ -262,7 +262,7 @@ pub(crate) fn user_name(uid: u32) -> String {
     named.and_then(|line| line.split(':').next()).unwrap_or_default().to_owned()
 }
 
-/// The executable of a process; where only its name can be seen, that in brackets.
+/// Executable of a process, or its name in brackets where no more is visible.
 fn executable(pid: i32) -> String {
     let plain = |text: &str| -> String {
         text.chars().take(256).map(|c| if c.is_control() { '?' } else { c }).collect()
@@ -285,7 +285,7 @@ mod tests {
         let mut client = Client::new(1, stream, Role::View, Path::new("s")).unwrap();
         client.watching = true;
         client.last_line = Instant::now().checked_sub(2 * IDLE).unwrap();
-        // A watcher that has nothing to read may be silent.
+        // A watcher without anything to read may be silent.
         client.write();
         assert!(!client.over());
         while !client.unsent() {

@@ -1,4 +1,4 @@
-//! The listening sockets, one per role, each for its group only.
+//! The listening sockets, one for each role, open to its group only.
 
 use crate::Failure;
 use anyhow::Context;
@@ -13,7 +13,7 @@ use std::os::unix::fs::{DirBuilderExt, FileTypeExt, MetadataExt, PermissionsExt}
 use std::os::unix::net::{UnixListener, UnixStream};
 use std::path::{Path, PathBuf};
 
-/// A socket that is listened at.
+/// A listening socket.
 pub(crate) struct Door {
     pub role: Role,
     pub path: PathBuf,
@@ -22,17 +22,17 @@ pub(crate) struct Door {
     pub listener: UnixListener,
 }
 
-/// All of them, and the lock that makes them ours. They go with this value.
+/// All listening sockets, and the lock on their names, until it is dropped.
 pub(crate) struct Doors {
     pub all: Vec<Door>,
-    /// The group that may see: it may read the record of commands, too.
+    /// The group of viewers, which may read the record of commands too.
     pub seers: Option<Gid>,
     _lock: lock::Held,
 }
 
 impl Drop for Doors {
     fn drop(&mut self) {
-        // The lock is still held: nobody else can have sockets of these names.
+        // The lock is still held, so no other process has sockets of these names.
         for door in &self.all {
             let _ = std::fs::remove_file(&door.path);
         }
@@ -71,13 +71,13 @@ fn group(socket: &SocketAt) -> anyhow::Result<Option<Gid>> {
 }
 
 /// Makes the socket's directory where it is missing.
-/// It is for ourselves alone unless a group uses a socket in it. A directory that everybody can write to is refused,
+/// Only the daemon can use it, unless a group uses a socket in it. A directory that everybody can write to is refused,
 /// because others could replace our files.
 fn directory(socket: &Path, open: bool) -> anyhow::Result<()> {
     let Some(directory) = socket.parent().filter(|d| !d.as_os_str().is_empty()) else { return Ok(()) };
     if !directory.exists() {
         let mode = if open { 0o711 } else { 0o700 };
-        // Those above it are for everybody to pass through, as the system's own.
+        // Directories above it are open to everybody, as the system's own are.
         if let Some(above) = directory.parent().filter(|d| !d.as_os_str().is_empty() && !d.exists()) {
             let made = DirBuilder::new().recursive(true).mode(0o755).create(above);
             made.with_context(|| format!("creating {}", above.display()))?;
@@ -86,7 +86,7 @@ fn directory(socket: &Path, open: bool) -> anyhow::Result<()> {
             .mode(mode)
             .create(directory)
             .with_context(|| format!("creating {}", directory.display()))?;
-        // Whatever the mask says.
+        // Whatever the process's umask is.
         std::fs::set_permissions(directory, Permissions::from_mode(mode))?;
     }
     let found =
@@ -107,7 +107,7 @@ fn directory(socket: &Path, open: bool) -> anyhow::Result<()> {
 fn bind(socket: &SocketAt, group: Option<Gid>) -> anyhow::Result<UnixListener> {
     let path = &socket.path;
     clear_stale(path)?;
-    // Born without access for anybody else; the group gets its own before the first client can be served.
+    // Created without access for others. The group gets access before the first client can be served.
     let before = umask(Mode::from_bits_truncate(0o177));
     let listener = UnixListener::bind(path);
     umask(before);
@@ -120,7 +120,7 @@ fn bind(socket: &SocketAt, group: Option<Gid>) -> anyhow::Result<UnixListener> {
     Ok(listener)
 }
 
-/// Removes a socket that nobody listens at.
+/// Removes a socket that no process listens on.
 fn clear_stale(socket: &Path) -> anyhow::Result<()> {
     let Ok(found) = std::fs::symlink_metadata(socket) else { return Ok(()) };
     if !found.file_type().is_socket() {

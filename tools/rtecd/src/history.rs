@@ -1,13 +1,13 @@
-//! The bounded history for later questions.
-//! It has how often each fault was latched, and every change of each axis's ledger since it was homed.
+//! A bounded history for later questions.
+//! It counts how often each fault was latched, and keeps the changes of each axis's ledger since homing.
 
 use rtec_control::protocol::{LedgerPage, LedgerRow, word};
 use rtec_rt::event::{AxisStatus, Event, EventKind, Status};
 use std::collections::{BTreeMap, VecDeque};
 
-/// Changes of an axis's ledger that are kept.
+/// Number of changes of an axis's ledger that are kept.
 const ROWS: usize = 8192;
-/// Rows of one answer: a tenth of a millisecond of the control loop.
+/// Rows of one answer, which take a tenth of a millisecond of the control loop.
 const PAGE: usize = 256;
 
 #[derive(Debug, Default)]
@@ -16,12 +16,12 @@ pub(crate) struct History {
     ledgers: Vec<Ledger>,
 }
 
-/// One axis since it was homed, or since the daemon's start.
+/// The ledger of one axis since homing, or since the daemon's start.
 #[derive(Debug, Default)]
 struct Ledger {
     rows: VecDeque<LedgerRow>,
     dropped: u64,
-    /// Time and position at the last look.
+    /// Time, ns, and position, counts, at the last look.
     last: (u64, i64),
     /// The next look begins a new ledger.
     anew: bool,
@@ -33,7 +33,7 @@ impl History {
         Self { ledgers: (0..axes).map(|_| fresh()).collect(), ..Self::default() }
     }
 
-    /// Takes in an event.
+    /// Notes an event.
     pub(crate) fn note(&mut self, event: &Event) {
         match event.kind {
             EventKind::Fault(fault) => *self.latched.entry(word(fault)).or_default() += 1,
@@ -47,20 +47,20 @@ impl History {
         }
     }
 
-    /// Takes in what the axes show now.
+    /// Notes the changes of the axes' ledgers.
     pub(crate) fn look(&mut self, status: &Status) {
         for (ledger, axis) in self.ledgers.iter_mut().zip(status.axes()) {
             ledger.look(status.t_ns, axis);
         }
     }
 
-    /// How often each fault was latched.
+    /// Number of times that each fault was latched.
     pub(crate) fn latched(&self) -> &BTreeMap<String, u64> {
         &self.latched
     }
 
     /// Changes of an axis's ledger from number `from` on.
-    /// The oldest that is kept where that is gone.
+    /// If that one is dropped, it begins with the oldest that is kept.
     pub(crate) fn ledger(&self, n: usize, from: u64) -> LedgerPage {
         let Some(ledger) = self.ledgers.get(n) else { return LedgerPage::default() };
         let first = from.clamp(ledger.dropped, ledger.dropped + ledger.rows.len() as u64);

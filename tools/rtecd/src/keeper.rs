@@ -3,10 +3,11 @@
 //!
 //! | record | where it comes from |
 //! |---|---|
-//! | a probing run | here: every trip between `probe on` and its end; positions and temperatures, no error that anybody measured: a log |
+//! | a probing run | the trips from `probe on` to its end: positions and temperatures without a measured error, so it is a log |
 //! | any other | a client that recorded it hands it over (`keep`), and the loader reads it |
 //!
-//! Each is written by a thread of its own: a disk that is full, gone or hanging costs a record and an event that says so.
+//! Each record is written by a thread of its own. A disk that is full, missing or hanging costs the record, and an
+//! event reports that.
 
 use rtec_control::config::{ConfiguredAxis, ControlConfig};
 use rtec_control::protocol::TripReport;
@@ -21,33 +22,33 @@ use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::time::Duration;
 
-/// A probing run of so many trips is a record; the next trip begins another.
+/// Number of trips in a record; the next trip begins another record.
 const TRIPS: usize = 50_000;
-/// Threads that may hang on a disk.
+/// Largest number of threads that hang on a disk.
 const HANGING: usize = 4;
-/// So much of the spool's disk is left to others, %.
+/// Share of the spool's disk that stays free, %.
 const FREE_PERCENT: u64 = 5;
 
-/// One trip of the probe: the same moment for all axes.
+/// One trip of the probe, at the same time for all axes.
 struct Trip {
     at_ns: [u64; 2],
-    /// Per axis, mm.
+    /// Position of each axis, mm.
     position_mm: Vec<Option<f64>>,
     degc: Vec<Option<f64>>,
 }
 
-/// A probing run as it comes.
+/// A probing run under way.
 struct Run {
-    /// When it began: the card's clock, ns, and seconds since 1970.
+    /// Time of its begin: on the card's clock, ns, and in seconds since 1970.
     began_ns: u64,
     began_s: f64,
     trips: Vec<Trip>,
 }
 
-/// What became of a record: the file, or why it was not kept.
+/// Result of a record: its file, or why it was not kept.
 pub(crate) type Kept = Result<PathBuf, String>;
 
-/// A spool folder, and how much it may hold.
+/// A spool folder with its limits.
 #[derive(Debug, Clone)]
 pub(crate) struct Spool {
     pub folder: PathBuf,
@@ -55,7 +56,7 @@ pub(crate) struct Spool {
 }
 
 impl Spool {
-    /// The one that the configuration names.
+    /// The spool that the configuration names.
     pub(crate) fn of(control: &ControlConfig) -> Option<Self> {
         let room = Room { most_bytes: control.spool_mb << 20, free_percent: FREE_PERCENT };
         control.spool.clone().map(|folder| Self { folder, room })
@@ -69,10 +70,10 @@ impl Spool {
     }
 }
 
-/// The spool folder, and the probing run that is under way.
+/// Writes records into the spool folder, with the probing run under way.
 pub(crate) struct Keeper {
     spool: Option<Spool>,
-    /// Names of the temperature sensors, each with its place among all sensors.
+    /// Names of the temperature sensors, with their indices among all sensors.
     sensors: Vec<(usize, String)>,
     run: Option<Run>,
     results: (Sender<Kept>, Receiver<Kept>),
@@ -82,7 +83,8 @@ pub(crate) struct Keeper {
 impl Keeper {
     pub(crate) fn new(spool: Option<Spool>, sensors: Vec<(usize, String)>) -> Self {
         if let Some(Spool { folder, .. }) = spool.clone() {
-            // What a daemon that was killed had begun. Nobody waits for the disk; where there is no thread the next record does it.
+            // Finishes the work of a killed daemon. Nobody waits for the disk; without a thread the next record does
+            // it.
             let _ = std::thread::Builder::new().name("spool".into()).spawn(move || spool::finish(&folder));
         }
         Self { spool, sensors, run: None, results: channel(), writing: 0 }
@@ -92,18 +94,18 @@ impl Keeper {
         self.spool.as_ref()
     }
 
-    /// What is to be mended before a record can be kept.
+    /// The problem that keeps records from being kept, if any.
     pub(crate) fn trouble(&self) -> Option<String> {
         let folder = self.spool.as_ref().map(|s| &s.folder).filter(|f| !f.is_dir())?;
         Some(format!("[control] spool: {}", no_folder(folder)))
     }
 
-    /// Probing begins.
+    /// Begins a probing run.
     pub(crate) fn begin(&mut self, began_ns: u64, began_s: f64) {
         self.run = self.spool.is_some().then(|| Run { began_ns, began_s, trips: Vec::new() });
     }
 
-    /// One axis at a trip; the axes of one trip come one after the other.
+    /// Adds one axis at a trip; the axes of one trip come one after the other.
     pub(crate) fn trip(&mut self, axis: usize, axes: &[ConfiguredAxis], trip: &TripReport, now_s: f64) {
         let Some(run) = &mut self.run else { return };
         if run.trips.last().is_none_or(|t| t.at_ns != trip.at_ns || t.position_mm[axis].is_some()) {
@@ -121,7 +123,7 @@ impl Keeper {
         }
     }
 
-    /// Probing has ended: what was captured is written.
+    /// Ends the probing run and writes its trips.
     pub(crate) fn end(&mut self, axes: &[ConfiguredAxis]) {
         if let Some(run) = self.run.take().filter(|r| !r.trips.is_empty()) {
             self.write(&run, axes);
@@ -147,7 +149,7 @@ impl Keeper {
             move || {
                 let csv = to_csv(&record);
                 let kept = spool.put(record, csv.as_bytes(), &|| true);
-                // At the end of the daemon nobody may be waiting any more.
+                // At the end of the daemon the receiver may have gone.
                 let _ = done.send(kept.map_err(|why| lost(&why)));
             }
         });
@@ -156,14 +158,15 @@ impl Keeper {
         }
     }
 
-    /// What was written, or not, since the last time.
+    /// The next finished record, if any.
     pub(crate) fn done(&mut self) -> Option<Kept> {
         let done = self.results.1.try_recv().ok()?;
         self.writing -= 1;
         Some(done)
     }
 
-    /// The same at the daemon's end: waits for the disk, but not for ever.
+    /// The next finished record at the daemon's end.
+    /// It waits for the disk, but at most `patience`.
     pub(crate) fn last(&mut self, patience: Duration) -> Option<Kept> {
         if self.writing == 0 {
             return None;
@@ -177,7 +180,7 @@ impl Keeper {
 /// `go_on` returns `false` once this takes too long. The record is then not kept.
 ///
 /// # Errors
-/// It is no record, or cannot be written.
+/// When it is no record, or cannot be written.
 pub(crate) fn take_over(
     name: &Path,
     sidecar: &str,
@@ -185,7 +188,7 @@ pub(crate) fn take_over(
     spool: &Spool,
     go_on: &dyn Fn() -> bool,
 ) -> Result<Kept, InputError> {
-    // As it will stand in the folder it must still be one; of the two one is in memory at a time.
+    // The record must be valid in its new place too. Only one of the two is in memory at a time.
     let words = to_sidecar(&parse_log(name, sidecar, Until { bytes: io::Cursor::new(csv), go_on })?);
     let record = parse_log(name, &words, Until { bytes: io::Cursor::new(csv), go_on })?;
     let texts = record.columns.iter().map(|c| &c.name).chain(&record.note).chain(&record.zero);
@@ -198,7 +201,7 @@ pub(crate) fn take_over(
     Ok(kept.map_err(|why| format!("the record is not kept: {why}")))
 }
 
-/// Bytes that come to an end where it takes too long.
+/// Bytes that end when reading takes too long.
 struct Until<'a> {
     bytes: io::Cursor<&'a [u8]>,
     go_on: &'a dyn Fn() -> bool,
@@ -223,7 +226,7 @@ fn no_folder(folder: &Path) -> String {
     )
 }
 
-/// A probing run as a record: a row per trip.
+/// A probing run as a record with one row for each trip.
 /// An axis or a sensor that was not known at every trip has no column.
 fn record(run: &Run, axes: &[ConfiguredAxis], sensors: &[(usize, String)]) -> Option<Record> {
     let seconds = |t: &Trip| u64::midpoint(t.at_ns[0], t.at_ns[1]).saturating_sub(run.began_ns) as f64 / 1e9;
@@ -262,7 +265,7 @@ fn record(run: &Run, axes: &[ConfiguredAxis], sensors: &[(usize, String)]) -> Op
     let name = format!("probing-{}-{time}.run.toml", day.replace('-', ""));
     let mut record = Record::of_checked(Path::new(&name), Kind::Probing, columns);
     record.date = Some(day);
-    // One for all axes, or none: they are as configured, not computed.
+    // One value for all axes, or none. The values are configured and not computed, so they compare exactly.
     counts_um.dedup_by(|a, b| a.to_bits() == b.to_bits());
     record.count_um = Some(counts_um[0]).filter(|_| counts_um.len() == 1);
     record.note = Some("captured by rtecd while probing, without correction".to_owned());
@@ -318,12 +321,12 @@ mod tests {
         assert_eq!(file, folder.path().join("probing-20260801-101502.run.toml"));
         let record = rtec_records::record::read_log(&file).unwrap();
         let names: Vec<&str> = record.columns.iter().map(|c| c.name.as_str()).collect();
-        // The second axis was never seen, the second sensor not at the first trip.
+        // The second axis was never known, the second sensor not at the first trip.
         assert_eq!(names, ["t", "position.x", "position.z", "T1"]);
         assert_eq!(record.columns[0].data, [1.000_000_001, 1.500_000_001, 2.000_000_001]);
         assert_eq!(record.columns[2].data, [200.0, 201.0, 202.0]);
         assert_eq!((record.kind.name(), record.date.as_deref()), ("probing", Some("2026-08-01")));
-        // The same second again is another record; probing without a trip is none.
+        // Another run within the same second is another record. A run without a trip is no record.
         probed(&mut keeper, 1);
         assert!(
             keeper
@@ -358,7 +361,7 @@ mod tests {
         probed(&mut keeper, 4);
         let why = keeper.last(Duration::from_secs(60)).unwrap().unwrap_err();
         assert!(why.contains("4 trips is not kept") && why.contains("is no folder"), "{why}");
-        // Without a spool nothing is kept in memory either.
+        // Without a spool no run is kept in memory either.
         let mut keeper = Keeper::new(None, sensors());
         probed(&mut keeper, 4);
         assert!(keeper.last(Duration::ZERO).is_none() && keeper.trouble().is_none());
@@ -393,7 +396,7 @@ mod tests {
     fn what_takes_too_long_is_not_kept() {
         let folder = tempfile::tempdir().unwrap();
         let (looks, csv) = (std::cell::Cell::new(0), "e\n".to_owned() + &"1\n".repeat(1 << 17));
-        // Given up at each look in turn: while it is read, read again, and written.
+        // Given up at each check: while it is read, read again, and written.
         for most in 1.. {
             looks.set(0);
             let go_on = || {

@@ -21,41 +21,41 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::time::{Duration, Instant};
 
-/// Files of a model are together no longer than this, bytes.
-/// What is read of a TOML takes some 150 times its bytes in memory.
+/// Largest size of a model's files together, bytes.
+/// A parsed TOML takes some 150 times its bytes in memory.
 const LONGEST_MODEL: u64 = 2 << 20;
-/// A part's errors, bytes.
+/// Largest size of a part's errors, bytes.
 const LONGEST_ERRORS: u64 = 2 << 20;
-/// A record's CSV, bytes: a day of twenty columns, each second.
-/// Its columns take four times as much at most.
+/// Largest size of a record's CSV, bytes: a day of twenty columns, each second.
+/// Its columns take at most four times as much memory.
 const LONGEST_CSV: u64 = 32 << 20;
-/// A part has no more points.
+/// Largest number of points of a part.
 const POINTS: usize = 20_000;
-/// A load that takes longer is given up.
+/// Time after which a load is given up.
 pub(crate) const PATIENCE: Duration = Duration::from_secs(8);
-/// Loads that were given up and still hang in a file system.
-/// With so many nothing more is loaded.
+/// Number of hanging loads at which nothing more is loaded.
+/// They were given up, but still wait for a file system.
 const HANGING: usize = 2;
-/// Of the time between two evaluations a model may take so much.
+/// Largest share of the control period that a model's evaluation may take.
 const SHARE: f64 = 0.25;
 
-/// Where the files of a request are.
+/// Source of a request's files.
 #[derive(Debug)]
 pub(crate) enum Source {
-    /// Where their names say: files that the daemon may open for its caller.
+    /// The named paths, which the daemon may open for its caller.
     Named,
-    /// The caller's own descriptors, by name.
+    /// The caller's own descriptors, by path.
     Handed(BTreeMap<PathBuf, OwnedFd>),
-    /// What was read before.
+    /// Texts that were read before.
     Kept(BTreeMap<PathBuf, String>),
 }
 
-/// What became of a load.
+/// Result of a load.
 type Done = (Ticket, Result<Loaded, InputError>);
 
-/// What is to be read.
+/// A load that is requested.
 pub(crate) enum Job {
-    /// A machine model, to be made ready.
+    /// A machine model, to be prepared.
     Model {
         file: PathBuf,
         source: Source,
@@ -66,30 +66,30 @@ pub(crate) enum Job {
     },
     /// A part's errors.
     Table { table: PartTable, source: Source },
-    /// A finished record: its sidecar and its CSV, for the spool folder.
+    /// A finished record with sidecar and CSV, for the spool folder.
     Keep { files: [PathBuf; 2], source: Source, spool: Spool },
 }
 
-/// What was read.
+/// The loaded files.
 pub(crate) enum Loaded {
-    /// A model, what is to be said of it, and its files as they were read.
+    /// A model, its warnings, and its files as they were read.
     Model { prepared: Box<Prepared>, warnings: Vec<String>, files: BTreeMap<PathBuf, String> },
     /// A part's errors.
     Table { table: PartTable, errors: FeatureErrors },
-    /// What became of a record.
+    /// The result of a record.
     Kept(Kept),
 }
 
-/// One load.
+/// Number of a load.
 pub(crate) type Ticket = u64;
 
-/// What a load and who waits for it tell each other.
+/// Flags between a load and the loader.
 #[derive(Debug, Default)]
 pub(crate) struct Told {
-    /// It is to end.
+    /// The load must end.
     given_up: AtomicBool,
     /// The thread is reading a file.
-    /// If the read hangs, it waits there and uses no processor time.
+    /// A read that hangs waits there and uses no processor time.
     reads: AtomicBool,
 }
 
@@ -99,14 +99,14 @@ impl Told {
     }
 }
 
-/// A load that is under way.
+/// The load under way.
 struct Running {
     ticket: Ticket,
     since: Instant,
     told: Arc<Told>,
 }
 
-/// One thread that loads, or none.
+/// The loader, with at most one load under way.
 pub(crate) struct Loader {
     results: (Sender<Done>, Receiver<Done>),
     running: Option<Running>,
@@ -122,7 +122,7 @@ impl Loader {
 
     /// Why nothing can be loaded now.
     pub(crate) fn busy(&self) -> Option<&'static str> {
-        // What still computes has the processor to itself: beside others it would take longer yet.
+        // A given-up load that still computes has the processor for itself, because another would slow it down.
         let computes = self.hanging.iter().any(|(_, told)| !told.reads.load(Ordering::Relaxed));
         if self.running.is_some() || computes {
             return Some("another file is being loaded: ask again when it is done");
@@ -131,16 +131,16 @@ impl Loader {
         (self.hanging.len() >= HANGING).then_some(hangs)
     }
 
-    /// Starts a load; to be asked for only where none is running.
+    /// Starts a load. The caller checks first that none is running.
     ///
     /// # Errors
-    /// The system gives no thread.
+    /// When the system gives no thread.
     pub(crate) fn start(&mut self, job: Job) -> std::io::Result<Ticket> {
         let (ticket, done) = (self.next, self.results.0.clone());
         let told = Arc::<Told>::default();
         let own = Arc::clone(&told);
         std::thread::Builder::new().name("loader".into()).spawn(move || {
-            // Nobody may be waiting any more.
+            // The receiver may have gone.
             let _ = done.send((ticket, work(job, &own)));
         })?;
         self.next += 1;
@@ -148,7 +148,7 @@ impl Loader {
         Ok(ticket)
     }
 
-    /// What has been loaded since the last time, and whether it was given up before.
+    /// The next finished load, and whether it was given up before.
     pub(crate) fn done(&mut self) -> Option<(Done, bool)> {
         let done = self.results.1.try_recv().ok()?;
         let before = self.hanging.len();
@@ -160,7 +160,7 @@ impl Loader {
         Some((done, given_up))
     }
 
-    /// Gives up the load that has taken too long; its caller is to be told.
+    /// Gives up the load if it takes too long; its caller must then get an answer.
     pub(crate) fn give_up(&mut self) -> Option<Ticket> {
         let Running { ticket, told, .. } = self.running.take_if(|r| r.since.elapsed() > PATIENCE)?;
         told.given_up.store(true, Ordering::Relaxed);
@@ -169,7 +169,7 @@ impl Loader {
     }
 }
 
-/// Does a job, on whichever thread.
+/// Does a load on the calling thread.
 pub(crate) fn work(job: Job, told: &Told) -> Result<Loaded, InputError> {
     match job {
         Job::Model { file, source, preparer, log, period } => {
@@ -177,7 +177,7 @@ pub(crate) fn work(job: Job, told: &Told) -> Result<Loaded, InputError> {
             let text = reader.read(&file)?;
             let machine =
                 Machine::parse_from(&file, &text, Dictionary::default(), &|beside| reader.read(beside))?;
-            // Records beside a model that was handed over are the caller's to look at.
+            // Records named by a model that was handed over are the caller's own business.
             let warnings =
                 if matches!(source, Source::Named) { machine.changed_sources() } else { Vec::new() };
             let past = |names: &[String]| history(&log, names, preparer.sensed_s());
@@ -209,11 +209,11 @@ pub(crate) fn work(job: Job, told: &Told) -> Result<Loaded, InputError> {
     }
 }
 
-/// Reads the files of one job, and knows what it has read.
+/// Reads the files of one load, and keeps their texts.
 struct Reader<'s> {
     source: &'s Source,
     longest: u64,
-    /// Bytes that may still come.
+    /// Number of bytes that may still be read.
     left: Cell<u64>,
     told: &'s Told,
     taken: RefCell<BTreeMap<PathBuf, String>>,
@@ -247,7 +247,7 @@ impl<'s> Reader<'s> {
                 let fd = files.get(path).ok_or_else(|| missing(path))?;
                 File::from(fd.try_clone().map_err(unreadable)?)
             }
-            // Without waiting, and through no pipe: as every file that a person names.
+            // Opened without waiting and not as a pipe, as every file that a person names.
             Source::Named => text::open_regular(path)?,
             Source::Kept(_) => return Err(missing(path)),
         };
@@ -259,7 +259,7 @@ impl<'s> Reader<'s> {
             let found = format!("more than {} bytes in all", self.longest);
             InputError::whole(path, found, "shorter files")
         };
-        // Before a byte of it is read; a file that grows meanwhile is found below.
+        // Checked before any byte is read. A file that grows meanwhile is found below.
         if found.len() > self.left.get() {
             return Err(too_long());
         }
@@ -385,7 +385,7 @@ mod tests {
         let mut loader = Loader::new();
         for n in 0..HANGING {
             assert!(loader.busy().is_none(), "{n}");
-            // As if it hung in a file system: it is not under way, and its result has not come.
+            // A load that hangs in a file system: it is not under way, and its result has not come.
             let told = Arc::new(Told { reads: true.into(), ..Told::default() });
             loader.hanging.push((1000 + n as Ticket, told));
         }
@@ -393,10 +393,10 @@ mod tests {
         loader.results.0.send((1000, Err(missing(&file)))).unwrap();
         assert!(loader.done().is_some_and(|(_, given_up)| given_up));
         assert!(loader.busy().is_none());
-        // One that computes is waited for.
+        // A load that computes is waited for.
         loader.hanging[0].1.reads.store(false, Ordering::Relaxed);
         assert!(loader.busy().unwrap().contains("another file is being loaded"));
-        // Told to end it ends, with nothing read.
+        // A load that is given up ends without reading anything.
         let Err(error) = work(
             Job::Table { table: table(&file), source: Source::Named },
             &Told { given_up: true.into(), ..Told::default() },

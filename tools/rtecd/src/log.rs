@@ -31,11 +31,11 @@ pub(crate) enum Level {
     Info = 6,
 }
 
-/// Messages of one kind that are written in [`PERIOD`]; the others are counted.
+/// Number of messages of one kind in [`PERIOD`]; further ones are only counted.
 const BURST: u32 = 20;
 const PERIOD: Duration = Duration::from_secs(10);
 /// The socket on which journald takes datagrams.
-/// (`systemd.journal-fields(7)`, "Native Journal Protocol")
+/// See `systemd.journal-fields(7)`, "Native Journal Protocol".
 const JOURNALD: &str = "/run/systemd/journal/socket";
 
 /// The message's kind, as 128 bits in hexadecimal.
@@ -66,7 +66,7 @@ pub(crate) struct Log {
 }
 
 impl Log {
-    /// Nobody reads it.
+    /// A log that writes nothing.
     #[cfg(test)]
     pub(crate) fn silent() -> Self {
         Self { silent: true, ..Self::new() }
@@ -85,7 +85,8 @@ impl Log {
         }
     }
 
-    /// As [`Log::event`], with fields of the journal's own; `RTEC_EVENT` is `event`.
+    /// Logs as [`Log::event`] does, with fields for the journal.
+    /// `RTEC_EVENT` is `event`.
     pub(crate) fn record(&mut self, level: Level, event: &str, text: &str, fields: &[(&str, &str)]) {
         let message = datagram(level, event, text, fields);
         let native = self.native.as_ref().is_some_and(|(socket, to)| socket.send_to(&message, to).is_ok());
@@ -111,14 +112,14 @@ impl Log {
             format!("rtecd: {word}{text}\n")
         };
         let mut stderr = std::io::stderr();
-        // A pipe that says it can be written takes a line whole, without waiting (pipe(7)).
+        // A pipe that is ready to be written takes a whole line without waiting (pipe(7)).
         let mut ready = [PollFd::new(stderr.as_fd(), PollFlags::POLLOUT)];
         if poll(&mut ready, PollTimeout::ZERO).is_ok_and(|n| n > 0) {
-            let _ = stderr.write_all(line.as_bytes()); // there is nowhere to say that it failed
+            let _ = stderr.write_all(line.as_bytes()); // a failure cannot be reported anywhere
         }
     }
 
-    /// As [`Log::say`], for what may come in floods: `kind` is what is counted.
+    /// Logs as [`Log::say`] does, but limits the number of messages of one `kind`.
     pub(crate) fn event(&mut self, level: Level, kind: &str, text: &str) {
         let now = Instant::now();
         let window =
@@ -143,7 +144,7 @@ impl Log {
     }
 }
 
-/// A socket that never waits, where there is somebody to send to.
+/// A socket that never waits, where the receiver exists.
 fn native(to: &Path) -> Option<(UnixDatagram, PathBuf)> {
     let socket = UnixDatagram::unbound().ok().filter(|_| to.exists())?;
     socket.set_nonblocking(true).ok()?;
@@ -199,7 +200,7 @@ mod tests {
         let wanted = "MESSAGE=axis x: poll_gap\nPRIORITY=3\nSYSLOG_IDENTIFIER=rtecd\nMESSAGE_ID=\
                       0c5d8f32302246b59de9154b96e463f1\nRTEC_EVENT=fault\nRTEC_AXIS=x\nRTEC_REASON=poll_gap\n";
         assert_eq!(found, wanted);
-        // Lines in a value: with its length, so that no line of it passes for a field.
+        // A value of several lines is given with its length, so that none of its lines passes for a field.
         let two = datagram(Level::Notice, "mode", "a\nRTEC_AXIS=y", &[]);
         assert!(two.starts_with(b"MESSAGE\n\x0d\0\0\0\0\0\0\0a\nRTEC_AXIS=y\nPRIORITY=5\n"));
         assert!(native(&directory.path().join("nobody")).is_none());

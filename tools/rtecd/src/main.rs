@@ -2,21 +2,21 @@
 //!
 //! | file | what |
 //! |---|---|
-//! | `cards` | the card that the configuration names |
+//! | `cards` | builds the card that the configuration names |
 //! | `history` | every change of the axes' ledgers, and how often each fault was latched |
-//! | `keeper` | finished records into the spool folder |
-//! | `start` | the engine as the last process left the machine |
-//! | `on_disk` | files that were edited since they were read |
-//! | `session` | requests of the protocol, carried out on the link |
+//! | `keeper` | writes finished records into the spool folder |
+//! | `start` | the engine in the state that the last process left |
+//! | `on_disk` | finds files that were edited since they were read |
+//! | `session` | carries out requests of the protocol on the link |
 //! | `doors` | the listening sockets, one per role |
 //! | `client` | one connection |
-//! | `server` | whose request has its turn |
-//! | `loader` | files that requests name, read off the control thread |
-//! | `audit` | the record of commands, written off the control thread |
+//! | `server` | the order in which requests are served |
+//! | `loader` | reads the files that requests name, off the control thread |
+//! | `audit` | writes the record of commands, off the control thread |
 //! | `manager` | the service manager: ready, watchdog, the store for file descriptors |
 //! | `log` | standard error, fit for the journal |
 //!
-//! What must not live here: the control law (`rtec-correct`), effects (`rtec-model`), the step between two edges (`rtec-rt`).
+//! Elsewhere are the control law (`rtec-correct`), effects (`rtec-model`) and the step between two edges (`rtec-rt`).
 
 mod audit;
 mod cards;
@@ -62,29 +62,29 @@ use std::time::{Duration, Instant};
 /// Path of an installed machine's configuration.
 const INSTALLED: &str = "/etc/rtec/rtec.toml";
 
-/// A card that is not there yet is tried again after this time.
+/// Time after which a missing card is tried again.
 const CARD_AGAIN: Duration = Duration::from_millis(100);
 /// Why the process ends when its real-time thread is lost.
 const LOST: &str =
     "the real-time thread is lost: the machine is held, and the service is to be started again";
-/// How long the daemon, at its end, waits for the disk of the record of commands.
+/// Longest wait at the daemon's end for the disk of the record of commands.
 const LOG_PATIENCE: Duration = Duration::from_secs(1);
 
 /// Real-time error corrector: the daemon
 #[derive(Debug, Parser)]
 #[command(version)]
 struct Args {
-    /// The configuration [default: /etc/rtec/rtec.toml where it exists, else three simulated axes]
+    /// The configuration [default: /etc/rtec/rtec.toml if there, else simulated axes]
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
     /// The control socket, instead of the configuration's
     #[arg(long, value_name = "PATH")]
     socket: Option<PathBuf>,
-    /// Wait so long, in s, for a card that is not there yet, before it is said to be out of reach
+    /// Seconds to wait for a card that is not there yet, before the start fails
     #[arg(long, value_name = "SECONDS", default_value_t = 0)]
     wait_for_card: u64,
-    /// With the mock card: a simulated turning centre on the axes z and x does what this file says, once; its cycle
-    /// start is the release of feed hold
+    /// With the mock card: simulate a turning centre on z and x as this file says,
+    /// once; its cycle starts when feed hold is released
     #[arg(long, value_name = "FILE")]
     lathe: Option<PathBuf>,
 }
@@ -92,7 +92,7 @@ struct Args {
 /// Why the daemon does not start.
 #[derive(Debug, thiserror::Error)]
 enum Failure {
-    /// Exit 1: somebody else is there already, or what we need to keep cannot be kept.
+    /// Exit 1: another process is in its place, or a file that it needs cannot be kept.
     #[error("{0}")]
     Taken(String),
     /// Exit 3: the card cannot be reached.
@@ -101,7 +101,7 @@ enum Failure {
     /// Exit 4: the card's state forbids it.
     #[error("{0}")]
     Fault(String),
-    /// Exit 1: the service is to be started again.
+    /// Exit 1: the service must be started again.
     #[error("{0}")]
     Again(&'static str),
 }
@@ -167,7 +167,7 @@ fn run(args: &Args, log: &mut Log) -> anyhow::Result<()> {
     for note in &config.notes {
         log.say(Level::Warning, note);
     }
-    // Before any thread starts: they all inherit the mask, and the signals come through the descriptor only.
+    // Before any thread starts, so that all inherit the mask and signals come through the descriptor only.
     let signals = SigSet::from_iter([Signal::SIGTERM, Signal::SIGINT, Signal::SIGHUP]);
     signals.thread_block().context("blocking signals")?;
     let signals =
@@ -202,7 +202,7 @@ fn run(args: &Args, log: &mut Log) -> anyhow::Result<()> {
             let copies = || kept.iter().map(OwnedFd::try_clone).collect::<std::io::Result<Vec<_>>>();
             let kept = || copies().unwrap_or_default();
             let Some(card) = patience.open(log, || card::gpio(&setup, kept()))? else { return Ok(()) };
-            // Before anything is inverted: from here on the lines outlive this process.
+            // Before anything is inverted, so that the lines outlive this process.
             for (name, fd) in card.kept() {
                 if !outside.manager.keep(&name, fd)? {
                     let text = format!(
@@ -231,7 +231,7 @@ fn run(args: &Args, log: &mut Log) -> anyhow::Result<()> {
         }
         CardConfig::Mapped { place, profile } => {
             let mut found = (PathBuf::new(), 0);
-            // Opened once before it is locked: what is not there yet is waited for.
+            // Opened once before it is locked, because a missing file is waited for.
             let open = || {
                 found = card::register_file(&place, &profile, Access::Drive)?;
                 card::mapped(&found.0, found.1, &profile).map(drop)
@@ -246,15 +246,15 @@ fn run(args: &Args, log: &mut Log) -> anyhow::Result<()> {
     }
 }
 
-/// How long a card that comes up late is waited for.
+/// Longest wait for a card that comes up late.
 struct Patience<'a> {
     until: Instant,
     signals: &'a SignalFd,
 }
 
 impl Patience<'_> {
-    /// Opens a card, again and again until it is there.
-    /// None when a signal has ended the waiting.
+    /// Opens a card, and tries again until it is there.
+    /// Returns `None` when a signal ends the waiting.
     fn open<T>(
         &self,
         log: &mut Log,
@@ -279,13 +279,13 @@ impl Patience<'_> {
     }
 }
 
-/// What hangs on a card.
+/// Kind of machine behind a card.
 enum Kind {
     /// A machine tool.
     Real,
     /// Another program, or a recording.
     Harmless,
-    /// A simulated machine, and who stands at it.
+    /// A simulated machine, with the person who operates it.
     Simulated(cards::Stand),
 }
 
@@ -315,7 +315,7 @@ fn work<C: Card + Send + 'static>(
     if let Some(file) = &state_file {
         file.outlive_truncation().context("a handler for a state file that is cut short")?;
     }
-    // A mock needs no real time; with `cpu` it gets it, so that a set-up can be tried without a machine.
+    // A mock needs no real time. With `cpu` it gets a set-up all the same, so that it can be tried without a machine.
     let system = System::live();
     let wanted = (real || config.rt.cpu.is_some()).then(|| Wanted {
         cpu: config.rt.cpu.unwrap_or_else(|| system.default_cpu()),
@@ -357,7 +357,7 @@ fn work<C: Card + Send + 'static>(
     if let Kind::Simulated(stand) = kind {
         session.stand_at(stand);
     }
-    // The status that the link began with is older than the first look.
+    // The link's first status is older than the first look.
     while running.control.status().polls == 0 && !running.control.ended() {
         running.control.beat();
         std::thread::sleep(Duration::from_millis(1));
@@ -370,7 +370,7 @@ fn work<C: Card + Send + 'static>(
     outside.manager.ready()?;
     let served = server::serve(outside, &mut session, &mut running.control, log, &mut audit);
     if matches!(served, Ok(Served::StandsStill)) {
-        // It cannot be asked to end, and holds the card: the next process finds the fault, and holds the machine.
+        // The thread cannot be ended and holds the card. The next process finds the fault and asserts feed hold.
         let mut text = explain_fault(Fault::ThreadLost).to_owned();
         if !session.note_thread_lost() {
             text += "; the state file is not there to be told";
@@ -411,7 +411,7 @@ mod tests {
     use std::sync::Arc;
     use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
-    /// A card whose looks panic from the moment that the test says, and its outputs.
+    /// A card whose looks panic once the test says so.
     struct Panics<C> {
         card: C,
         planted: Arc<AtomicBool>,

@@ -5,9 +5,9 @@
 //! |---|---|
 //! | `READY=1` | the engine looks at the card, and its set-up has been read back and reported |
 //! | `STATUS=` | the mode and each axis's completed total, at most once a second |
-//! | `WATCHDOG=1` | from the control loop, and only while the real-time thread gets on |
+//! | `WATCHDOG=1` | from the control loop, and only while the real-time thread looks at the card |
 //! | `STOPPING=1` | a signal has come: parking |
-//! | `FDSTORE=1` | a descriptor whose closing would let output lines go; it comes back at the next start |
+//! | `FDSTORE=1` | a descriptor whose closing would release output lines; it comes back at the next start |
 //!
 //! Without a service manager nothing is reported and nothing comes back.
 
@@ -22,34 +22,34 @@ use std::os::unix::ffi::OsStrExt;
 use std::os::unix::net::{SocketAddr, UnixDatagram};
 use std::time::{Duration, Instant};
 
-/// The first descriptor that is passed (`sd_listen_fds(3)`).
+/// The first passed descriptor (`sd_listen_fds(3)`).
 const FIRST: RawFd = 3;
-/// Nobody reads the status more often.
+/// Shortest time between two reports of the status.
 const STATUS_EVERY: Duration = Duration::from_secs(1);
 
-/// The service manager, or nobody.
+/// The service manager, or none.
 pub(crate) struct Manager {
     socket: Option<UnixDatagram>,
-    /// Time between two watchdog messages that the manager expects.
-    /// None without a watchdog.
+    /// Expected time between two watchdog messages.
+    /// `None` without a watchdog.
     watchdog_every: Option<Duration>,
     fed: Instant,
-    /// Looks at the card when the watchdog was fed last.
+    /// Number of looks at the card when the watchdog was last fed.
     polls: u64,
     reported: Instant,
     status: String,
-    /// What came back from the store and was not taken yet, by name.
+    /// Descriptors from the store that were not taken yet, by name.
     stored: BTreeMap<String, OwnedFd>,
-    /// The names of what came back: it is in the store still.
+    /// Names of the descriptors from the store, which still has them.
     in_store: BTreeSet<String>,
 }
 
 impl Manager {
-    /// Reads what the environment says.
-    /// To be called first: the descriptors that were passed become ours here.
+    /// Reads the environment, and takes over the passed descriptors.
+    /// It must be called first.
     ///
     /// # Errors
-    /// An environment that cannot be meant; a notification socket that is not there.
+    /// When the environment is contradictory, or the notification socket is missing.
     pub(crate) fn from_environment() -> anyhow::Result<Self> {
         let number = |name: &str| -> anyhow::Result<Option<u64>> {
             let Some(text) = std::env::var_os(name) else { return Ok(None) };
@@ -90,17 +90,17 @@ impl Manager {
         BTreeMap::into_values(taken).collect()
     }
 
-    /// Descriptors that came back and were not taken.
+    /// Names of descriptors from the store that were not taken.
     /// They stay open, so that their lines keep their levels.
     pub(crate) fn left_over(&self) -> impl Iterator<Item = &str> {
         self.stored.keys().map(String::as_str)
     }
 
-    /// Keeps a descriptor beyond our own end.
-    /// One that came back from the store is still in it. `false` without a service manager: then nobody keeps it.
+    /// Gives a descriptor to the store, which keeps it beyond the end of this process.
+    /// A descriptor that came from the store is still in it. Returns `false` without a service manager.
     ///
     /// # Errors
-    /// When it could not be handed over.
+    /// When it could not be sent.
     pub(crate) fn keep(&self, name: &str, fd: BorrowedFd<'_>) -> anyhow::Result<bool> {
         if self.in_store.contains(name) {
             return Ok(true);
@@ -109,7 +109,7 @@ impl Manager {
         self.send(&message, Some(fd), MsgFlags::empty()).with_context(|| format!("storing descriptor {name}"))
     }
 
-    /// The engine runs, and what its set-up lacks has been reported.
+    /// Reports that the engine runs and its set-up is reported.
     ///
     /// # Errors
     /// When the message could not be sent.
@@ -118,14 +118,14 @@ impl Manager {
         Ok(())
     }
 
-    /// A signal has come.
+    /// Reports that a signal has come.
     pub(crate) fn stopping(&self) {
-        // Whoever sent the signal knows.
+        // An error does not matter, because the sender of the signal knows.
         let _ = self.send("STOPPING=1\nSTATUS=parking\n", None, MsgFlags::MSG_DONTWAIT);
     }
 
-    /// One turn of the control loop.
-    /// `polls` is the number of looks at the card so far, `status` the status in words. It never waits: what the
+    /// Reports one turn of the control loop.
+    /// `polls` is the number of looks at the card, `status` the status in words. It never waits. A message that the
     /// service manager does not take now is sent at a later turn.
     pub(crate) fn turn(&mut self, polls: u64, status: impl FnOnce() -> String) {
         if self.socket.is_none() {
@@ -159,7 +159,7 @@ impl Manager {
     }
 }
 
-/// Makes a descriptor that was passed at the start our own, closed at every `exec`.
+/// Takes over a passed descriptor, which is closed at every `exec`.
 fn take(fd: RawFd) -> nix::Result<OwnedFd> {
     use nix::fcntl::{FcntlArg, FdFlag, fcntl};
     // SAFETY: the process that set LISTEN_PID for us opened it for us alone, and it is taken once. If it is not open
@@ -168,7 +168,7 @@ fn take(fd: RawFd) -> nix::Result<OwnedFd> {
     match fcntl(&fd, FcntlArg::F_SETFD(FdFlag::FD_CLOEXEC)) {
         Ok(_) => Ok(fd),
         Err(error) => {
-            // Not open: it must not be closed either.
+            // Not open, so it must not be closed either.
             std::mem::forget(fd);
             Err(error)
         }

@@ -1,25 +1,25 @@
 //! Finds files that were edited since they were read.
-//! What runs then differs from what is on the disk.
+//! The running configuration or model then differs from the disk.
 
 use rtec_model::machine::Machine;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, SystemTime};
 
-/// How often the files are looked at.
+/// Interval of the checks.
 const EVERY: Duration = Duration::from_secs(1);
 
-/// What was read of a file.
+/// Content of a file when it was read.
 #[derive(Debug, Clone, PartialEq, Eq)]
 enum Known {
-    /// A configuration, byte for byte.
+    /// A configuration, byte by byte.
     Configuration(Vec<u8>),
     /// A model, by its SHA-256.
     Model(String),
 }
 
 impl Known {
-    /// The file says something else now; in words, with what to do.
+    /// A message with a remedy, if the file's content has changed.
     fn differs(&self, file: &Path) -> Option<String> {
         let shown = file.display();
         match self {
@@ -49,7 +49,7 @@ struct Shared {
     edited: Vec<String>,
 }
 
-/// Looks at the files from its own thread: a hanging disk blocks nobody.
+/// Checks the files from its own thread, so that a hanging disk blocks nobody.
 #[derive(Debug)]
 pub(crate) struct OnDisk {
     configuration: Option<(PathBuf, Known)>,
@@ -61,12 +61,12 @@ fn lock(shared: &Mutex<Shared>) -> MutexGuard<'_, Shared> {
 }
 
 impl OnDisk {
-    /// With the configuration's file as it is now, where there is one.
+    /// Watches the configuration's file, if any, from its present content on.
     pub(crate) fn watch(configuration: Option<&Path>) -> Self {
         let read = |file: &Path| Some((file.to_owned(), Known::Configuration(std::fs::read(file).ok()?)));
         let shared = Arc::new(Mutex::new(Shared::default()));
         let seen = Arc::downgrade(&shared);
-        // Without the thread nothing is noticed, as before: no reason not to start.
+        // Without the thread no edit is noticed, which is no reason not to start.
         let _ = std::thread::Builder::new().name("on-disk".into()).spawn(move || {
             let mut last = Last::default();
             while let Some(shared) = seen.upgrade() {
@@ -81,8 +81,8 @@ impl OnDisk {
         Self { configuration: configuration.and_then(read), shared }
     }
 
-    /// The files that are not what runs, in words, as last looked at.
-    /// `model`: the file and SHA-256 of the model that runs.
+    /// Messages on files that differ from what runs, as last checked.
+    /// `model` is the file and SHA-256 of the running model.
     pub(crate) fn edited(&self, model: Option<(PathBuf, String)>) -> Vec<String> {
         let model = model.map(|(file, sha256)| (file, Known::Model(sha256)));
         let files: Vec<_> = self.configuration.iter().cloned().chain(model).collect();
@@ -94,7 +94,7 @@ impl OnDisk {
     }
 }
 
-/// The files as last looked at.
+/// The files at the last check.
 #[derive(Debug, Default)]
 struct Last {
     files: Vec<(PathBuf, Known)>,
@@ -102,8 +102,8 @@ struct Last {
 }
 
 impl Last {
-    /// The differences, if anything has changed since the last time.
-    /// Most looks read no file.
+    /// The messages, if anything has changed since the last check.
+    /// Most checks read no file.
     fn look(&mut self, files: &[(PathBuf, Known)]) -> Option<Vec<String>> {
         let stamp = |file: &Path| {
             let now = std::fs::metadata(file).ok()?;
@@ -150,7 +150,7 @@ mod tests {
         assert!(last.look(&files).unwrap()[1].contains("cannot be loaded"));
         std::fs::remove_file(&config).unwrap();
         assert!(last.look(&files).unwrap()[0].contains("a restart would fail"));
-        // As it was again: nothing to say.
+        // The old content is back, so there is no message.
         put(&config, "# one\n");
         put(&model, "name = \"m\"\n");
         assert_eq!(last.look(&files), Some(vec![]));

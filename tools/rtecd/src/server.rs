@@ -1,13 +1,13 @@
-//! The control sockets' clients, served by one thread.
-//! No client can hold up another or the heartbeat, and everything is bounded.
+//! Serves the clients of the control sockets in one thread.
+//! No client can hold up another one or the sign of life, and everything is bounded.
 //!
 //! | what | limit |
 //! |---|---|
-//! | connections | [`places`] for each role, of one user [`PER_USER`] in each; where all of a role are taken, a user with fewer takes the place of the one with most |
-//! | beyond them, for what is urgent only | [`RESERVED`], of one user [`RESERVED_PER_USER`]: a new one takes the place of that user's oldest |
+//! | connections | [`places`] for each role, and [`PER_USER`] of one user in each. Where all places of a role are taken, a user with fewer connections takes the place of the one with most |
+//! | further ones, for urgent requests only | [`RESERVED`], and [`RESERVED_PER_USER`] of one user. A new one takes the place of that user's oldest |
 //! | silence | a client that asks nothing, and a watcher that reads nothing, is dropped |
-//! | order | `disable`, `park` and `hold`, then `status`, then the rest, the users in turn; a client's own requests in their order |
-//! | time | what is not urgent ends its turn after [`TURN`]: then the others are looked at again |
+//! | order | `disable`, `park` and `hold`, then `status`, then the others, with the users in turn. A client's own requests keep their order |
+//! | time | requests that are not urgent end their turn after [`TURN`], and all clients are checked again |
 
 use crate::Outside;
 use crate::audit::{Audit, Command, Totals};
@@ -32,10 +32,10 @@ use std::io::ErrorKind;
 use std::os::fd::AsFd;
 use std::time::{Duration, Instant};
 
-/// Connections of one user that came by the socket of one role.
+/// Connections of one user on the socket of one role.
 const PER_USER: usize = 32;
 
-/// Connections at one time that came by the socket of a role.
+/// Connections at one time on the socket of a role.
 const fn places(role: Role) -> usize {
     match role {
         Role::View => 64,
@@ -43,22 +43,23 @@ const fn places(role: Role) -> usize {
     }
 }
 
-/// Connections beyond those, for what is urgent.
+/// Further connections for urgent requests.
 const RESERVED: usize = 32;
-/// Of one user.
+/// Of these, connections of one user.
 const RESERVED_PER_USER: usize = 4;
-/// Connections that are taken in one turn.
+/// Connections that are accepted in one turn.
 const ACCEPTS: usize = 16;
-/// What is not urgent may take so long before everybody is looked at again.
+/// Longest time of requests that are not urgent within one turn.
+/// Then all clients are checked again.
 const TURN: Duration = Duration::from_millis(8);
-/// An insertion that is under way is waited for so long.
+/// Longest wait for an insertion under way.
 const BUSY: Duration = Duration::from_millis(500);
-/// Longer between two turns of this loop counts as this long.
+/// Longest time that counts for one turn of this loop.
 const ONE_GAP: Duration = Duration::from_millis(25);
-/// Until it is looked at again, ms.
+/// Time until an insertion under way is checked again, ms.
 const BUSY_AGAIN: u8 = 2;
 
-/// A load whose caller waits.
+/// A load whose caller waits for the answer.
 struct Waiting {
     client: u64,
     caller: Caller,
@@ -66,7 +67,7 @@ struct Waiting {
     before: Totals,
 }
 
-/// What serving needs at hand.
+/// References that serving needs.
 struct Desk<'a> {
     session: &'a mut Session,
     control: &'a mut ControlEnd,
@@ -74,18 +75,18 @@ struct Desk<'a> {
     audit: &'a mut Audit,
     waiting: BTreeMap<Ticket, Waiting>,
     own_uid: u32,
-    /// Which group may use the socket of a role.
+    /// Group of the socket of each role.
     groups: BTreeMap<Role, String>,
-    /// Why the record of commands is not written, as it was last said.
+    /// Last reported reason why the record of commands is not written.
     record: Option<String>,
 }
 
-/// Why nobody is served any more.
+/// Why serving ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Served {
     /// A signal asked for the end.
     Asked,
-    /// A hangup: nobody asked for the end of the service.
+    /// A hangup, which is no request to end the service.
     HungUp,
     /// The real-time thread panicked.
     Panicked,
@@ -117,7 +118,7 @@ pub(crate) fn serve(
         if !ended && watch.stands_still(polls, Instant::now()) {
             return Ok(Served::StandsStill);
         }
-        // What waits behind others, or behind its client's last request, has come already.
+        // Requests behind others, or behind their client's last one, are there already.
         let timeout = if backlog || clients.iter().any(Client::has_line) {
             PollTimeout::ZERO
         } else if clients.iter().any(|c| c.pending.is_some()) {
@@ -140,7 +141,7 @@ pub(crate) fn serve(
                 client.read();
             } else if ready.contains(PollFlags::POLLERR) || client.waits && ready.contains(PollFlags::POLLHUP)
             {
-                // Whoever has only said that nothing more comes still reads its answer.
+                // A client that has only closed its writing side still reads its answer.
                 client.enter(Stage::Gone);
             }
         }
@@ -176,8 +177,8 @@ pub(crate) fn serve(
     }
 }
 
-/// Sees whether the real-time thread looks at the card.
-/// Its own standstill, as when the process was stopped, does not count.
+/// Checks that the real-time thread looks at the card.
+/// A standstill of this thread itself, as when the process was stopped, does not count.
 struct Watch {
     polls: u64,
     looked: Instant,
@@ -190,7 +191,7 @@ impl Watch {
         Self { polls: 0, looked: now, still: Duration::ZERO, limit }
     }
 
-    /// `polls` looks at the card so far.
+    /// Whether the thread stands still, given `polls` looks at the card so far.
     fn stands_still(&mut self, polls: u64, now: Instant) -> bool {
         let gap = now.duration_since(std::mem::replace(&mut self.looked, now));
         if std::mem::replace(&mut self.polls, polls) == polls {
@@ -202,7 +203,7 @@ impl Watch {
     }
 }
 
-/// Waits until somebody wants something; what is ready: doors first, then clients.
+/// Waits for requests; returns what is ready, listening sockets before clients.
 fn wait(
     doors: &Doors,
     signals: &SignalFd,
@@ -232,12 +233,12 @@ impl Desk<'_> {
         manager.turn(status.polls, || self.session.in_short(&status));
     }
 
-    /// Answers at most one request of each client, the urgent ones first.
-    /// Says whether some had to be left.
+    /// Answers at most one request of each client, urgent ones first.
+    /// Returns whether some were left.
     fn work(&mut self, clients: &mut [Client], turn: usize) -> bool {
         clients.iter_mut().for_each(Client::take_up);
         let count = clients.len().max(1);
-        // Users in turn: a client waits behind as many of its own user's as there are before it, of others' behind one each.
+        // Users in turn: a client waits behind all earlier clients of its own user, and behind one of each other user.
         let mut of_user: BTreeMap<u32, usize> = BTreeMap::new();
         let mut order = Vec::new();
         for k in 0..clients.len() {
@@ -325,7 +326,7 @@ impl Desk<'_> {
         client.put(&response);
     }
 
-    /// Says when the record of commands is not written any more, and when it is again.
+    /// Reports when the writing of the record of commands fails, and when it resumes.
     fn watch_record(&mut self) {
         let state = self.audit.state();
         if state.trouble.is_some() != self.record.is_some() {
@@ -353,7 +354,7 @@ impl Desk<'_> {
         }
     }
 
-    /// Answers those whose files have been read.
+    /// Answers the clients whose files have been read.
     fn finish_loads(&mut self, clients: &mut [Client]) {
         let waiting = &self.waiting;
         let waits = |ticket: Ticket| {
@@ -362,7 +363,7 @@ impl Desk<'_> {
         let done = self.session.loaded(waits, self.control, self.log);
         let Some((ticket, response, words)) = done else {
             if !self.session.loads() {
-                // Of somebody who has gone.
+                // The client has gone.
                 self.waiting.clear();
             }
             return;
@@ -376,7 +377,7 @@ impl Desk<'_> {
         }
     }
 
-    /// Records a command and its answer, where `words` are given in those.
+    /// Records a command and its answer; `words` replaces the answer's text.
     fn record(
         &mut self,
         by: &Caller,
@@ -399,7 +400,7 @@ impl Desk<'_> {
     }
 }
 
-/// What `clear` was about, for the record.
+/// The faults that `clear` released, for the record.
 fn released(latched: &[(Option<String>, String)]) -> String {
     let of = |(axis, fault): &(Option<String>, String)| match axis {
         Some(axis) => format!("axis {axis}: {fault}"),
@@ -426,7 +427,7 @@ fn connected(clients: &[Client]) -> Vec<Clients> {
         .to_vec()
 }
 
-/// Why a request is not carried out for this client, whatever it is.
+/// Refusal of a request because of the client's role or place, if any.
 fn not_here(
     client: &Client,
     request: &ClientRequest,
@@ -465,7 +466,7 @@ fn accept(door: &Door, clients: &mut Vec<Client>, next_id: &mut u64, log: &mut L
             Err(e) if matches!(e.kind(), ErrorKind::Interrupted | ErrorKind::ConnectionAborted) => continue,
             Err(e) if e.kind() == ErrorKind::WouldBlock => return,
             Err(error) => {
-                // Out of descriptors: the socket stays ready, so give the others time instead of spinning.
+                // Out of descriptors. The socket stays ready, so it waits here to give the others time.
                 log.event(Level::Warning, "accept", &format!("a client was not served: {error}"));
                 std::thread::sleep(Duration::from_millis(5));
                 return;
@@ -485,7 +486,7 @@ fn accept(door: &Door, clients: &mut Vec<Client>, next_id: &mut u64, log: &mut L
     }
 }
 
-/// Gives a new client its place.
+/// Gives a new client a place, or a reserved one where no other is free.
 fn seat(mut client: Client, clients: &mut Vec<Client>) {
     let (uid, role) = (client.caller.uid, client.role);
     let ordinary = |c: &Client| !c.reserved && c.role == role;
@@ -505,7 +506,7 @@ fn seat(mut client: Client, clients: &mut Vec<Client>) {
 }
 
 /// Frees a place of one kind.
-/// Of the users with places, the one with most (at least `least`) loses the client that has been silent longest.
+/// The user with most places (at least `least`) loses the client that has been silent longest.
 fn give_way(clients: &mut Vec<Client>, least: usize, kind: &dyn Fn(&Client) -> bool) -> bool {
     let of_user = |uid: u32| clients.iter().filter(|c| kind(c) && c.caller.uid == uid).count();
     let crowd = clients.iter().filter(|c| kind(c)).map(|c| c.caller.uid).max_by_key(|uid| of_user(*uid));
@@ -521,8 +522,8 @@ mod tests {
     use super::*;
     use std::os::unix::net::UnixStream;
 
-    /// It is found within 0.2 s.
-    /// A process that was itself kept away, or a thread that is slow, is not.
+    /// A stalled thread is found within 0.2 s.
+    /// A process that was itself stopped, or a slow thread, is not reported.
     #[test]
     fn a_thread_that_stands_still_is_found_and_a_stopped_process_is_not() {
         let begun = Instant::now();
@@ -531,7 +532,7 @@ mod tests {
         assert!((1..50).all(|n| !watch.stands_still(n, at(n * 10))));
         let found = (1..100).find(|n| watch.stands_still(49, at(490 + n * 10)));
         assert!(found.is_some_and(|n| n * 10 <= 200), "{found:?}");
-        // Stopped for a minute, once: the thread may have been stopped too.
+        // Stopped once for a minute. The thread may have been stopped too.
         let mut watch = Watch::new(crate::session::STANDS_STILL, begun);
         assert!(!watch.stands_still(7, at(10)));
         assert!(!watch.stands_still(7, at(60_000)));
@@ -558,21 +559,21 @@ mod tests {
                 seat(client(id, uid, role), clients);
             }
         };
-        // Two viewers with all they can have: operators and those who set up have theirs.
+        // Two viewers with all their places. Operators and users who set up still have theirs.
         come(&mut clients, 1, Role::View, 100);
         come(&mut clients, 2, Role::View, 100);
         assert_eq!((seated(&clients, 1, Role::View), seated(&clients, 2, Role::View)), (32, 32));
         come(&mut clients, 3, Role::Operate, 1);
         come(&mut clients, 4, Role::SetUp, 1);
         assert_eq!((seated(&clients, 3, Role::Operate), seated(&clients, 4, Role::SetUp)), (1, 1));
-        // So have other viewers: whoever has most gives way, until all have the same.
+        // Other viewers get places too: the user with most loses one, until all have the same.
         for uid in 5..9 {
             come(&mut clients, uid, Role::View, 20);
         }
         let each: Vec<usize> = [1, 2, 5, 6, 7, 8].map(|uid| seated(&clients, uid, Role::View)).to_vec();
         assert_eq!(each.iter().sum::<usize>(), places(Role::View));
         assert!(each.iter().all(|n| (10..=12).contains(n)), "{each:?}");
-        // A user's own role is bounded by itself, and what is urgent has its places.
+        // A user's own role is bounded by itself, and urgent requests have their places.
         come(&mut clients, 3, Role::Operate, 100);
         assert_eq!(seated(&clients, 3, Role::Operate), PER_USER);
         assert!(clients.iter().filter(|c| c.reserved).count() <= RESERVED);

@@ -1,11 +1,11 @@
-//! The control side's knowledge and actions.
+//! The control side's state and actions.
 //! It handles requests, the corrector's ticks, and reports of the real-time thread.
 //!
 //! | file | what |
 //! |---|---|
 //! | `orders` | requests that go to the real-time thread |
-//! | `loads` | models and part tables, in and out |
-//! | `report` | everything that there is to see |
+//! | `loads` | loads and unloads models and part tables |
+//! | `report` | the status and all other reports |
 
 #[cfg(test)]
 mod histories;
@@ -43,26 +43,26 @@ use std::path::{Path, PathBuf};
 use std::rc::Rc;
 use std::time::{Duration, Instant};
 
-/// The real-time thread takes a request within a millisecond or two.
-/// One that takes longer than this does not run.
+/// Time after which an unanswered request means that the real-time thread is stuck.
+/// A running thread takes a request within a millisecond or two.
 const PATIENCE: Duration = Duration::from_secs(2);
-/// A real-time thread that has not looked at the card for this long is lost.
+/// Time without a look at the card after which the real-time thread is lost.
 /// With the turns of the control loop the delay stays below 0.2 s.
 pub(crate) const STANDS_STILL: Duration = Duration::from_millis(150);
-/// A silence of the control side itself that is worth a line.
-/// A request that is not answered takes [`PATIENCE`].
+/// Silence of the control side itself that is logged.
+/// A request without an answer takes [`PATIENCE`].
 const STOOD_STILL: Duration = Duration::from_secs(3);
-/// How often it is looked whether the state file is still the one that is written.
+/// Interval of the checks of the state file.
 const STATE_FILE_EVERY: Duration = Duration::from_secs(1);
-/// Events that are kept for those who ask what has happened.
+/// Number of events that are kept for later questions.
 const EVENTS: usize = 1000;
 
-/// What becomes of a request.
+/// Outcome of a request.
 pub(crate) enum Answer {
     /// It is answered.
     Now(Response),
-    /// An insertion is under way: to be asked again.
-    /// The response is for whoever has no time left.
+    /// An insertion is under way, so the request must be repeated.
+    /// The response is for a caller who has no time left.
     Again(Response),
     /// It is answered when this load is done.
     Later(Ticket),
@@ -79,38 +79,38 @@ impl Answer {
     }
 }
 
-/// What comes with a request beside its line.
+/// What comes with a request, apart from its line.
 #[derive(Default)]
 pub(crate) struct Beside {
     /// Open files of the caller, in the order in which they came.
     pub(crate) files: Vec<OwnedFd>,
-    /// The caller may name files to open: it is root, or the daemon's own user.
+    /// The caller may name files to open, because it is root or the daemon's own user.
     pub(crate) trusted: bool,
     /// Number and name of the caller's user.
     pub(crate) user: (u32, String),
 }
 
-/// What is known of the real-time thread from its start on.
+/// Facts about the real-time thread from its start.
 pub(crate) struct SetUp {
     /// The card drives a real machine.
     pub real: bool,
     pub wanted: Option<Wanted>,
     pub missing: Option<Report>,
     pub timing: Timing,
-    /// What the state file said at the start.
+    /// Content of the state file at the start.
     /// It tells when faults were latched, and in which boot of the computer.
     pub before: Before,
 }
 
-/// The time by which the control side works, and waits. A simulation has its own.
+/// Clock of the control side. A simulation has its own.
 pub(crate) trait Time {
     fn now(&self) -> Instant;
-    /// Seconds since 1970, steady.
+    /// Seconds since 1970, without steps.
     fn now_s(&self) -> f64;
     fn sleep(&self, duration: Duration);
 }
 
-/// The system's.
+/// The system's clock.
 struct RealTime(Clock);
 
 impl Time for RealTime {
@@ -133,44 +133,44 @@ pub(crate) struct Session {
     time: Rc<dyn Time>,
     started: Instant,
     patience: Duration,
-    /// The sensors' threads: at each tick their readings go to the corrector.
+    /// The sensors' threads; each tick passes their readings to the corrector.
     sensors: Buses,
     corrector: Corrector,
-    /// Time of the corrector's next look.
+    /// Time of the corrector's next evaluation.
     due: Instant,
-    /// When this side last looked round.
+    /// Time when this side was last active.
     looked: Instant,
-    /// Who stands at the machine, where it is a simulated one.
+    /// The person at the machine, if it is simulated.
     stand: Option<Stand>,
-    /// Why corrections may not be enabled on this card and computer, in any state.
+    /// Why corrections can never be enabled on this card and computer.
     unfit: Vec<String>,
-    /// The files that were read, as they are now; none in a simulation.
+    /// The check for edited files; `None` in a simulation.
     on_disk: Option<OnDisk>,
-    /// The model's file is not what was taken last.
+    /// Why the model of the last process was not taken up, if so.
     model_refused: Option<String>,
     loader: Loader,
     keeper: Keeper,
-    /// What is to be done with the load that is running.
+    /// Purpose of the load under way.
     wish: Option<Wish>,
-    /// Looks at the card when a request was last left unanswered.
+    /// Number of looks at the card when a request was last left unanswered.
     unanswered: Option<u64>,
-    /// The latest events, and how many there were.
+    /// The latest events, and the number of all events.
     events: VecDeque<Numbered>,
     event_count: u64,
-    /// What happened since the server last asked.
+    /// Events since the server last asked.
     happened: Vec<Happened>,
-    /// What happened before, for whoever asks later.
+    /// Earlier events, for later questions.
     history: History,
-    /// When each fault was latched, on the card's clock, ns.
-    /// And when feed hold was asked for.
+    /// Times when each fault was latched, on the card's clock, ns.
+    /// `held_ns` is the time of the request for feed hold.
     latched_ns: BTreeMap<(Option<usize>, u8), u64>,
     held_ns: Option<u64>,
     /// Number and name of the user who asked for feed hold last.
     holder: (u32, String),
-    /// The day, since 1970-01-01.
+    /// Gives the present day, counted from 1970-01-01.
     today: fn() -> i64,
-    /// The state file, where there is one.
-    /// When it is looked at next, and what was said of it last.
+    /// The state file, if any.
+    /// Beside it are the time of its next check, and the last message about it.
     state_file: Option<StateFile>,
     state_file_due: Instant,
     state_file_said: String,
@@ -235,7 +235,7 @@ impl Session {
         }
     }
 
-    /// Which machine this is, in words.
+    /// The machine's identity, in words.
     pub(crate) fn identity(&self) -> String {
         self.config.identity()
     }
@@ -244,36 +244,36 @@ impl Session {
         &self.config.axes
     }
 
-    /// How often the real-time thread must see a sign of life.
+    /// Interval at which the real-time thread must see a sign of life.
     pub(crate) fn beat_every(&self) -> Duration {
         let stale = Duration::from_millis((self.config.control.stale_ms / 4).clamp(1, 20));
         stale.min(Duration::from_millis(self.config.model.period_ms))
     }
 
-    /// After this time without a look the real-time thread is lost.
+    /// Time without a look after which the real-time thread is lost.
     /// An ordinary thread may be kept waiting by others.
     pub(crate) fn stands_still_after(&self) -> Duration {
         if self.set_up.wanted.is_some() { STANDS_STILL } else { PATIENCE }
     }
 
-    /// The machine is simulated: it can be jogged from here.
+    /// Makes the machine a simulated one, which can be jogged.
     pub(crate) fn stand_at(&mut self, stand: Stand) {
         self.stand = Some(stand);
     }
 
-    /// The directory of the temperatures' log and the taken model: the state file's.
+    /// Directory of the temperatures' log and the loaded model, beside the state file.
     fn directory(&self) -> PathBuf {
         self.config.control.state_path().parent().unwrap_or(Path::new("")).to_owned()
     }
 
-    /// Lets the corrector look, where it is due, and sends what it asks for.
+    /// Lets the corrector evaluate, if it is due, and sends its requests.
     pub(crate) fn tick(&mut self, control: &mut ControlEnd, log: &mut Log) {
         let status = control.status();
         self.history.look(&status);
         if let Some(HeldBy::User(uid)) = status.held
             && uid != self.holder.0
         {
-            // Of the process before this one.
+            // The user comes from the process before this one.
             self.holder = (uid, user_name(uid));
         }
         self.set_up.before.other_boot &= status.axes().iter().any(|a| !a.mtc_known);
@@ -298,7 +298,7 @@ impl Session {
         }
         let status = control.status();
         if let Some(stand) = &self.stand {
-            // As a machine's operator: it goes on once it is homed, and not while feed hold is on.
+            // As a machine's operator, it moves once all axes are homed, and not during feed hold.
             let held = matches!(status.mode, Mode::Hold | Mode::Fault);
             stand.feed(!held && status.axes().iter().all(|a| a.homed));
         }
@@ -307,13 +307,13 @@ impl Session {
             let Some(total_counts) = total else { continue };
             let request = Request::Correct { axis: axis as u8, total_counts, large: false };
             if let Err(full) = control.send(request) {
-                // It is a total: the next one makes it good.
+                // The next total makes up for it.
                 return log.event(Level::Warning, "ring_full", &full.to_string());
             }
         }
     }
 
-    /// From here on the state file is looked after.
+    /// Starts to check the state file.
     pub(crate) fn watch_over(&mut self, state_file: Option<StateFile>) {
         self.state_file = state_file;
     }
@@ -326,7 +326,7 @@ impl Session {
             return;
         };
         let renewed = file.renew().map_err(|error| error.to_string());
-        // Latched in any case, and noted where there is a place for it.
+        // The fault is latched in any case, and noted where that is possible.
         let noted = self.send(Request::StateFileLost, control, log);
         let noted = noted.map_err(|_| "the real-time thread does not answer".to_owned());
         let placed = renewed.and(noted).and_then(|_| file.place().map_err(|error| error.to_string()));
@@ -359,8 +359,8 @@ impl Session {
         }
     }
 
-    /// Records for the next process that the real-time thread stands still.
-    /// Returns `false` where nothing can record it.
+    /// Notes for the next process that the real-time thread stands still.
+    /// Returns `false` where it cannot be noted.
     pub(crate) fn note_thread_lost(&self) -> bool {
         self.state_file.as_ref().is_none_or(|file| {
             file.note_thread_lost();
@@ -368,7 +368,7 @@ impl Session {
         })
     }
 
-    /// A process that was stopped, or had no CPU, says so when it runs again.
+    /// Logs that the process was stopped, or had no CPU, when it runs again.
     fn stood_still(&mut self, now: Instant, control: &mut ControlEnd, log: &mut Log) {
         let gap = now.duration_since(self.looked);
         self.looked = now;
@@ -381,17 +381,17 @@ impl Session {
         self.tell(Happened { t_ns, axis: None, kind: "stood_still".to_owned(), text, trip: None });
     }
 
-    /// The end of the record of commands is to be said in the system's journal.
+    /// Whether the end of the record of commands is written to the system's journal.
     pub(crate) fn anchors_record(&self) -> bool {
         self.config.control.log_anchor
     }
 
-    /// What is to be mended before a record can be kept.
+    /// The problem that keeps records from being kept, if any.
     pub(crate) fn spool_trouble(&self) -> Option<String> {
         self.keeper.trouble()
     }
 
-    /// Says what became of a record.
+    /// Logs the result of a record.
     fn tell_kept(&mut self, kept: Kept, t_ns: u64, log: &mut Log) {
         let (level, kind, text) = match kept {
             Ok(file) => (Level::Info, "record_kept", format!("record {}", file.display())),
@@ -401,7 +401,7 @@ impl Session {
         self.tell(Happened { t_ns, axis: None, kind: kind.to_owned(), text, trip: None });
     }
 
-    /// At the end: what was captured is written, within this time.
+    /// Writes the captured record at the daemon's end, within this time.
     pub(crate) fn keep_the_rest(&mut self, patience: Duration, log: &mut Log) {
         self.keeper.end(&self.config.axes);
         while let Some(kept) = self.keeper.last(patience) {
@@ -409,7 +409,7 @@ impl Session {
         }
     }
 
-    /// Keeps an event for those who ask, and passes it on.
+    /// Keeps an event for later questions, and passes it on.
     fn tell(&mut self, happened: Happened) {
         self.event_count += 1;
         if self.events.len() == EVENTS {
@@ -420,7 +420,7 @@ impl Session {
         self.happened.push(happened);
     }
 
-    /// Takes what has happened since the last time.
+    /// Takes the events since the last call.
     pub(crate) fn take_happened(&mut self) -> Vec<Happened> {
         std::mem::take(&mut self.happened)
     }
@@ -476,7 +476,7 @@ impl Session {
         };
         let fields = [("RTEC_AXIS", happened.axis.as_deref().unwrap_or("")), ("RTEC_REASON", &reason)];
         let fields: Vec<_> = fields.into_iter().filter(|(_, value)| !value.is_empty()).collect();
-        // A probe's trips and the like may come by the thousand: as lines, of which a few are enough.
+        // Trips and similar events may come by the thousand, so their lines are limited.
         let rare = matches!(event.kind, EventKind::Fault(_) | EventKind::Mode(_) | EventKind::Homed { .. });
         if rare {
             log.record(level, &happened.kind, &text, &fields);
@@ -487,7 +487,7 @@ impl Session {
         self.tell(happened);
     }
 
-    /// Carries out a request. `watch`, `whoami` and `observe` are the server's.
+    /// Carries out a request. The server handles `watch`, `whoami` and `observe`.
     pub(crate) fn answer(
         &mut self,
         request: &ClientRequest,
@@ -557,7 +557,7 @@ impl Session {
         all.map(|(axis, s)| (axis.name.clone(), [s.requested, s.in_effect])).collect()
     }
 
-    /// Latched faults: axis, none for the machine's own, and the fault's word.
+    /// Latched faults: the axis (`None` for the machine's own) and the fault's word.
     pub(crate) fn latched(&self, now: &Status) -> Vec<(Option<String>, String)> {
         let own = now.faults.iter().map(|fault| (None, word(fault)));
         let axes = self.config.axes.iter().zip(now.axes());
@@ -565,7 +565,7 @@ impl Session {
         own.chain(axes.flat_map(|(axis, s)| s.faults.iter().map(move |f| of(axis, f)))).collect()
     }
 
-    /// What is latched from the first look on: it has no event of its own.
+    /// Faults latched since before the first look, which have no events of their own.
     pub(crate) fn found_at_start(&self, now: &Status) -> Vec<Happened> {
         let found = |(axis, fault): (Option<String>, String)| {
             let (kind, text) = ("fault".to_owned(), format!("{fault}, found at the start"));
@@ -574,12 +574,12 @@ impl Session {
         self.latched(now).into_iter().map(found).collect()
     }
 
-    /// SHA-256 of the model that runs.
+    /// SHA-256 of the running model.
     pub(crate) fn model_hash(&self) -> Option<String> {
         self.corrector.shown().map(|m| m.sha256)
     }
 
-    /// The state in a line, for the service manager.
+    /// The state in one line, for the service manager.
     pub(crate) fn in_short(&self, now: &Status) -> String {
         let mut text = format!("mode {}", word(now.mode));
         for fault in now.faults.iter() {

@@ -1,5 +1,5 @@
-//! Makes the engine as the last process left the machine.
-//! Totals come from the state file and the inverters. Feed hold and faults stay. Doubts are latched as faults.
+//! Makes the engine in the state that the last process left.
+//! Totals come from the state file and the inverters. Feed hold and faults stay. Every doubt is latched as a fault.
 
 use crate::Failure;
 use crate::log::{Level, Log};
@@ -11,17 +11,17 @@ use rtec_rt::event::{Fault, HeldBy};
 use rtec_rt::journal::{Before, Journal, JournalError, resume};
 use rtec_rt::state_file::StateFile;
 
-/// The engine on `card`, what its state file said, and the file's watch.
+/// The engine on `card`, the content of its state file, and the file's watch.
 /// It has a state file where the card's outputs outlive the process.
 ///
 /// # Errors
-/// A state file that cannot be used, a card that cannot be read, inverters of which nobody knows.
+/// When the state file cannot be used, the card cannot be read, or the state of an inverter is unknown.
 pub(crate) fn engine<C: Card>(
     card: &mut C,
     config: &Config,
     log: &mut Log,
 ) -> anyhow::Result<(Engine, Before, Option<StateFile>)> {
-    // The outputs of a mock card end with its process, and so does its MTC: there is nothing to be taken over.
+    // The outputs of a mock card end with its process, and so does its MTC. There is no state to take over.
     let journal = if config.card.is_real() {
         let file = config.control.state_path();
         Some(Journal::open(&file, &config.identity()).map_err(Failure::from)?)
@@ -58,7 +58,7 @@ pub(crate) fn engine<C: Card>(
         }
         for &fault in &axis.faults {
             log.say(Level::Error, &format!("axis {name}: {}", explain_fault(fault)));
-            // What is latched now stands in the status from the first one on; there is no one yet to report it to.
+            // The fault is in the first status. Nobody is there yet to get an event.
             engine.latch(Some(n as u8), fault, card, &mut |_| true)?;
         }
     }
@@ -69,7 +69,7 @@ pub(crate) fn engine<C: Card>(
         log.say(Level::Error, explain_fault(fault));
         engine.latch(None, fault, card, &mut |_| true)?;
     }
-    // Where the file does not say why feed hold is on, it stays on as it was found.
+    // If the file does not say why feed hold is on, it stays on.
     if let Some(machine) = before.machine.filter(|m| m.hold_output) {
         engine.take_over_hold(machine.held);
     }
@@ -85,11 +85,11 @@ pub(crate) fn engine<C: Card>(
     Ok((engine, before, state_file.flatten()))
 }
 
-/// Why nobody knows what the MTC counts, where the state file is of another boot.
+/// Why the MTC's count is unknown when the state file is of another boot.
 pub(crate) const OTHER_BOOT: &str =
     "the computer was restarted: the state file is of before, and the controller may have lost its power too";
 
-/// Says what was taken over, and what is not known.
+/// Logs the state that was taken over, and what is unknown.
 fn say_found(engine: &Engine, config: &Config, before: &Before, log: &mut Log) {
     if before.older {
         let text = "the state file is of the version before: it says nothing of feed hold, nor whether the controller was homed";
@@ -120,26 +120,26 @@ fn say_found(engine: &Engine, config: &Config, before: &Before, log: &mut Log) {
     }
 }
 
-/// An axis as the last process left it.
+/// State of an axis that the last process left.
 struct Taken {
     completed: i64,
     mtc_known: bool,
     faults: Vec<Fault>,
 }
 
-/// What each axis had completed before, and what must be latched.
-/// It follows from the state file and the inverters as they are.
+/// The completed total of each axis, and the faults to latch.
+/// They follow from the state file and the present inverters.
 fn take_over<C: Card>(card: &mut C, config: &Config, before: &Before) -> anyhow::Result<Vec<Taken>> {
     let outputs = card.outputs().map_err(|e| Failure::Unreachable(e.to_string()))?;
     let axes = config.axes.iter().zip(before.records.iter().zip(before.damaged)).map(
         |(axis, (records, damaged))| {
             let inverters = axis.engine.lines.inverters(outputs);
             let found = resume(*records, inverters);
-            // A fault ends by `clear` alone, whether the inverters are where they were or not.
+            // Only `clear` ends a fault, whatever the inverters show.
             let newest = records.iter().flatten().next();
             let mut faults: Vec<Fault> = newest.iter().flat_map(|r| r.faults.iter()).collect();
             if found.is_none() && !(before.first_start && inverters == 0) {
-                // Without a file the inverters should be off; with one there should be a record.
+                // Without a file the inverters should be off. With a file there should be a record.
                 let lost = !before.first_start && newest.is_none();
                 faults.push(if lost { Fault::RecordLost } else { Fault::InvertersMoved });
             }

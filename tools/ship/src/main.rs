@@ -1,8 +1,8 @@
-//! `rtec-ship`: what `rtecctl ship` hands an S3-like store to.
-//! What is sent, in which order, and when it leaves the spool is
-//! `rtec_records::spool`'s; here is the store.
+//! `rtec-ship`: sends the records of a spool to an S3-like store.
+//! `rtecctl ship` starts it for such a store. `rtec_records::spool` decides what is sent, in which order, and when it
+//! leaves the spool. Only the store is implemented here.
 
-// Before the module, so that all of it prints this way: standard error that takes nothing is no reason to stop.
+// Before the modules, so that all of them print this way: a closed standard error is no reason to stop.
 macro_rules! eprintln {
     ($($what:tt)*) => {{
         use std::io::Write as _;
@@ -21,7 +21,7 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 use std::time::Duration;
 
-/// Send finished records from a spool folder to an S3-like store, each once and whole
+/// Send finished records from a spool folder to an S3-like store, each once
 #[derive(Debug, Parser)]
 #[command(
     version,
@@ -40,7 +40,7 @@ struct Args {
     /// The machine's name in the shop: letters, digits, `.`, `_`, `-`
     #[arg(long)]
     machine: String,
-    /// The store's address [default: by the environment; without it Amazon's of `AWS_REGION`]
+    /// The store's address [default: the environment's, else Amazon's of `AWS_REGION`]
     #[arg(long, value_name = "URL")]
     endpoint: Option<String>,
     /// Go on, and look again after so many seconds, also when the store was not there
@@ -51,11 +51,11 @@ struct Args {
     json: bool,
 }
 
-/// Why a round failed: what the caller mends, or what may be gone the next time.
+/// Why a round failed: the caller's mistake, or a condition that may pass.
 enum Failure {
     Bad(String),
     Away(String),
-    /// Not the store's: records that are none stay in the spool.
+    /// Files that are no records stay in the spool; the store is not at fault.
     Kept(String),
 }
 
@@ -95,7 +95,7 @@ fn run(args: &Args) -> Result<(), Failure> {
         let Some(seconds) = args.every else { return done };
         match done {
             Err(Failure::Away(said)) => eprintln!("warning: {said}; looked at again in {seconds} s"),
-            // What stays was said.
+            // The files that stay were reported already.
             Ok(()) | Err(Failure::Kept(_)) => {}
             Err(bad) => return Err(bad),
         }
@@ -113,7 +113,7 @@ fn once(args: &Args, store: &S3) -> Result<(), Failure> {
     }
     let mut out = io::stdout().lock();
     match out.write_all(round.text(args.json).as_bytes()).and_then(|()| out.flush()) {
-        // A reader that has gone away is no error.
+        // A reader that has closed the pipe is no error.
         Err(e) if e.kind() != io::ErrorKind::BrokenPipe => {
             Err(Failure::Bad(format!("writing to standard output: {e}")))
         }

@@ -1,5 +1,5 @@
 //! A bucket of an S3-like store.
-//! `rusty_s3` signs, `ureq` sends; what a store answers becomes one line.
+//! `rusty_s3` signs requests and `ureq` sends them. An error of the store becomes one line.
 
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD as BASE64;
@@ -12,18 +12,18 @@ use ureq::http::{Response, StatusCode};
 use ureq::tls::{Certificate, PemItem, RootCerts, TlsConfig, parse_pem};
 use ureq::{Agent, Body};
 
-/// How long a request may be used after it was signed.
+/// Validity of a signed request.
 const SIGNED_FOR: Duration = Duration::from_secs(3600);
-/// A store that says nothing for so long has gone away.
+/// Silence after which the store counts as gone.
 const SILENT: Duration = Duration::from_secs(30);
-/// What one PUT may carry, and so the most that is read back, bytes.
+/// Largest size of one PUT, and so of a file that is read back, bytes.
 const LARGEST: u64 = 5 << 30;
 
-/// Where to, as said on the command line and by the environment.
+/// The store's address, from the command line and the environment.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Address {
     bucket: String,
-    /// Empty, or with a `/` behind it.
+    /// Empty, or ends with `/`.
     prefix: String,
     endpoint: String,
     region: String,
@@ -31,7 +31,7 @@ pub(crate) struct Address {
 }
 
 impl Address {
-    /// `s3://BUCKET/PREFIX`; endpoint and region by the usual variables.
+    /// Parses `s3://BUCKET/PREFIX`; endpoint and region come from the usual variables.
     pub(crate) fn parse(
         to: &str,
         endpoint: Option<&str>,
@@ -70,7 +70,7 @@ impl Address {
     }
 }
 
-/// A bucket that is written to.
+/// A bucket, ready to be written.
 pub(crate) struct S3 {
     bucket: Bucket,
     credentials: Credentials,
@@ -105,7 +105,8 @@ impl S3 {
             let path = format!("{}/", url.path());
             url.set_path(&path);
         }
-        // Certificates hold for one level of names: a bucket with dots stands in the path, as at every store but Amazon's.
+        // Certificates cover one level of names. So a bucket with dots goes into the path, as at every store other than
+        // Amazon's.
         let in_path = address.own_endpoint || address.bucket.contains('.');
         let style = if in_path { UrlStyle::Path } else { UrlStyle::VirtualHost };
         let bucket = Bucket::new(url, style, address.bucket.clone(), address.region.clone())
@@ -138,7 +139,7 @@ impl S3 {
 impl Store for S3 {
     fn put(&self, key: &str, bytes: &[u8]) -> io::Result<()> {
         let key = self.key(key);
-        // The store works out the same sum over what came, and takes nothing that differs.
+        // The store computes the same sum over what it gets, and refuses anything that differs.
         let sum = BASE64.encode(Sha256::digest(bytes));
         let headers = [("x-amz-checksum-sha256", sum.as_str()), ("x-amz-sdk-checksum-algorithm", "SHA256")];
         let mut action = self.bucket.put_object(Some(&self.credentials), &key);
@@ -190,7 +191,7 @@ pub(crate) fn roots(pem: &[u8]) -> Result<RootCerts, String> {
     }
 }
 
-/// Why nothing was said, or not to the end.
+/// Why there was no complete answer.
 fn away(error: &ureq::Error) -> io::Error {
     match error {
         ureq::Error::Io(e) => io::Error::new(io::ErrorKind::ConnectionAborted, e.to_string()),
@@ -198,9 +199,8 @@ fn away(error: &ureq::Error) -> io::Error {
     }
 }
 
-/// What a refusal says, as an error of a kind.
-/// `PermissionDenied`, `NotFound` and `InvalidInput` are mended by who calls; all else may be
-/// gone the next time.
+/// A refusal of the store as an error of a kind.
+/// The caller can correct `PermissionDenied`, `NotFound` and `InvalidInput`. All others may pass by the next try.
 fn refusal(status: StatusCode, text: &str, bucket: &str) -> io::Error {
     use io::ErrorKind::{InvalidInput, NotFound, Other, PermissionDenied};
     let code = element(text, "Code");
@@ -242,7 +242,7 @@ fn refusal(status: StatusCode, text: &str, bucket: &str) -> io::Error {
     io::Error::new(kind, line)
 }
 
-/// The text of the first element of this name, without what is no letter to print.
+/// The text of the first element of this name, without control characters.
 fn element(text: &str, name: &str) -> String {
     let (open, close) = (format!("<{name}>"), format!("</{name}>"));
     let inside =

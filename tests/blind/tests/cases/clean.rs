@@ -1,4 +1,4 @@
-//! Clean records of every kind that the blind generator makes raise no suspicion.
+//! Clean records of the blind generator raise no suspicion.
 
 #![allow(clippy::unwrap_used)] // helpers of tests count as tests
 
@@ -7,7 +7,8 @@ use rtec_blind::class::Class;
 use rtec_blind::plan::Manner;
 use rtec_measure::plausible::suspicions;
 
-/// Of the first so many seeds of each class no more than one in so many is suspected.
+/// Asserts that at most one clean case in `one_in` is suspected.
+/// It makes the first `turns` seeds of each class.
 fn quiet(classes: &[(Class, u64)], turns: u64, one_in: usize) {
     let (mut cases, mut wrong) = (0_usize, Vec::new());
     for (class, from) in classes {
@@ -16,7 +17,7 @@ fn quiet(classes: &[(Class, u64)], turns: u64, one_in: usize) {
             let manner = if turn % 2 == 0 { Manner::First } else { Manner::Second };
             let dir = tempfile::tempdir().unwrap();
             let made = class.make(seed, manner, dir.path()).unwrap();
-            // Of a mistake and its clean twin the twin.
+            // For a case with a mistake, its clean twin.
             let case = made.mistake.map_or(made.case, |(_, clean)| clean);
             let paths = case.train.iter().chain(&case.holdout);
             let records: Vec<_> = paths.map(|p| rtec_measure::record::read(p).unwrap()).collect();
@@ -38,9 +39,9 @@ fn clean_records_raise_no_suspicion() {
     quiet(&kinds.map(|(k, h)| (Class::Narrow(h), 7_000_000 + 1000 * k as u64)).collect::<Vec<_>>(), 75, 100);
 }
 
-/// Short runs, heat that is switched, machines that turn with a spike.
+/// Short runs, switched heat, and machines with a spike at reversals.
 ///
-/// What is still suspected is mostly single rows that stand out.
+/// The few suspicions left are mostly about single outlying rows.
 #[test]
 fn clean_records_of_the_wider_kinds_raise_no_suspicion() {
     let kinds = [Class::Many, Class::ManyZeros, Class::ManyRadial, Class::Heat, Class::Fast, Class::Pairs];

@@ -1,5 +1,6 @@
-//! Records of people and of a simulated shop that an earlier search read wrongly, each for a kind (`../shared/data/field`, not part of the
-//! project). What is right stands in the assertions.
+//! Records that an earlier search misread, each for a kind of mistake.
+//! They come from people and from a simulated shop (`../shared/data/field`, not part of the project). The assertions
+//! state the right answer.
 
 #![allow(clippy::unwrap_used)] // helpers of tests count as tests
 
@@ -7,7 +8,7 @@ use rtec_measure::plausible::What;
 use rtec_model::machine::Machine;
 use rtec_reconcile::{Options, Reconciliation, Verdict, reconcile};
 
-/// The answer for records of one case; none where the cases are not there.
+/// The answer for records of one case; `None` where the cases are not installed.
 fn answer(case: &str, model: &str, train: &[&str], held: &[&str]) -> Option<Reconciliation> {
     let folder = test_needs::shared(&format!("data/field/{case}"))?;
     let read = |names: &[&str]| -> Vec<_> {
@@ -31,7 +32,7 @@ fn quiet(r: &Reconciliation) {
     assert!(r.suspicions.is_empty() && r.left_out.is_empty(), "{}", r.to_json());
 }
 
-/// Whether an interval holds the truth, twice as wide.
+/// Asserts that the truth is within twice the interval.
 fn near(r: &Reconciliation, name: &str, value: usize, truth: f64) {
     let (f, half) = r.effects.iter().find(|(f, _)| f.effect.name() == name).unwrap();
     let found = f.effect.values()[value];
@@ -89,7 +90,8 @@ fn a_wave_that_grows_is_one_wave() {
     }
 }
 
-/// Nothing is made of a resonance of the spindle's speed that no law has, and what is corrected in its place is not confirmed.
+/// A resonance of the spindle's speed, which no law has, is not named.
+/// Any correction in its place is not confirmed.
 #[test]
 fn a_resonance_is_not_confirmed_as_a_law() {
     let Some(r) = shop("11", &["drift", "drift2"], &["shift"]) else { return };
@@ -132,7 +134,7 @@ fn mistakes_in_angle_bar_and_axis_are_said() {
     }
 }
 
-/// At eight even angles three lobes look like five: neither is named.
+/// At eight even angles three lobes look like five, so neither is named.
 #[test]
 fn lobes_that_look_alike_are_not_separable() {
     let Some(r) = answer("", "empty.machine.toml", &["ring8"], &[]) else { return };

@@ -1,4 +1,4 @@
-//! The blind suite judged in small. One program: its cases run beside each other.
+//! A small part of the blind suite, in one program whose cases run in parallel.
 
 mod clean;
 mod field;

@@ -1,4 +1,4 @@
-//! A few dozen blind cases: the whole suite is the program `rtec-blind`.
+//! A few dozen blind cases; the program `rtec-blind` runs the whole suite.
 
 #![allow(clippy::unwrap_used)] // helpers of tests count as tests
 
@@ -46,15 +46,16 @@ fn a_strange_shape_is_called_unknown() {
     assert!(good >= 4, "{bad:#?}");
 }
 
-/// A bug once: the noise of two responses was sized by what the search had found, so that four waves among 81 targets
-/// that held each other up were certain.
+/// Regression: four false waves among 81 targets were certain.
+/// The noise of two responses was sized by the search's own findings, and the waves supported each other.
 #[test]
 fn waves_that_only_stand_together_are_no_finding() {
     let (good, bad) = right(Hides::Nothing, 600_317..600_318);
     assert_eq!(good, 1, "{bad:#?}");
 }
 
-/// A bug once: a step was exchanged for a name that explained far less, as the exchange only saw the step's own grid.
+/// Regression: a step was exchanged for a name that explained far less.
+/// The exchange saw only the step's own grid.
 #[test]
 fn a_name_is_exchanged_only_for_a_better_one() {
     for seed in [700_133, 700_144] {
@@ -63,14 +64,16 @@ fn a_name_is_exchanged_only_for_a_better_one() {
     }
 }
 
-/// A bug once: a wave that the data held three times as likely as no wave was named beside a rotation that is certain.
+/// Regression: an uncertain wave was named beside a certain rotation.
+/// By the data the wave was only three times as likely as no wave.
 #[test]
 fn beside_what_is_certain_only_what_the_data_decide_for_is_named() {
     let (good, bad) = right(Hides::One, 26_000_229..26_000_230);
     assert_eq!(good, 1, "{bad:#?}");
 }
 
-/// A bug once: coolant that drift outweighed was found and dropped as too slight, and nothing was missing.
+/// Regression: coolant beside a large drift was dropped as too small.
+/// The verdict then was that nothing is missing.
 #[test]
 fn what_is_certain_beside_drift_is_named() {
     let dir = tempfile::tempdir().unwrap();
@@ -84,16 +87,17 @@ fn what_is_certain_beside_drift_is_named() {
     );
 }
 
-/// A bug once: a law from 22 °C was called a law from 20 °C and an offset, which do the same, where the offset had come first.
+/// Regression: a law from 22 °C was named as a law from 20 °C and an offset.
+/// Both are the same. The offset had been found first.
 #[test]
 fn another_reference_temperature_is_no_certain_offset() {
     let (good, bad) = right(Hides::Two, 900_279..900_280);
     assert_eq!(good, 1, "{bad:#?}");
 }
 
-/// A bug once: over a dozen uneven targets many waves explain nearly as much.
-/// Only the three highest peaks of the residual were looked at. A map and a wave of another period replaced the one
-/// wave.
+/// Regression: a map and a wave of another period replaced one wave.
+/// Over a dozen uneven targets many waves explain nearly as much, and only the three highest peaks of the residual were
+/// tried.
 #[test]
 fn one_wave_at_few_targets_is_no_map_and_another_wave() {
     for seed in [42_026, 42_046, 42_085, 42_148] {
@@ -102,15 +106,15 @@ fn one_wave_at_few_targets_is_no_map_and_another_wave() {
         let reply = judge(&case).unwrap().reply;
         assert_eq!(mark(&case, &reply), Mark::Exact, "{seed}: {} {:?}", reply.verdict, reply.effects);
     }
-    // Where a period is not held, a map may stand beside the wave: then nothing is named.
+    // Where the data do not fix a period, a map may be as good as the wave. Then nothing is named.
     let dir = tempfile::tempdir().unwrap();
     let case = Class::Maps.make(8_300_006, Manner::First, dir.path()).unwrap().case;
     let reply = judge(&case).unwrap().reply;
     assert!(mark(&case, &reply) == Mark::Exact || reply.verdict == "not_separable", "{:?}", reply.effects);
 }
 
-/// A bug once: maps and waves with as many coefficients as a response has rows hid its noise.
-/// Still more was fitted to that, for a quarter of a minute, and all was called unknown.
+/// Regression: maps and waves with as many coefficients as rows hid the noise.
+/// More was fitted to that for a quarter of a minute, and the verdict was unknown.
 #[test]
 fn no_response_of_a_short_circle_is_fitted_full() {
     let mut right = 0;
@@ -142,7 +146,7 @@ fn the_same_data_give_the_same_document() {
     assert_eq!(once(), once());
 }
 
-/// A record of one axis: time and positions of the rows, and the error.
+/// A record of one axis: positions and errors of the rows, and their time.
 fn run(p: Vec<f64>, e: Vec<f64>) -> rtec_model::record::Record {
     use rtec_model::record::{Axis, Column, Kind, Record, Role};
     let axis = || Axis::new("x").unwrap();
@@ -177,12 +181,13 @@ fn on_a_grid_of_targets_the_other_periods_are_listed() {
         rtec_reconcile::reconcile(&[run(p, e)], &[], &machine, &rtec_reconcile::Options::default()).unwrap();
     let (found, _) = r.effects.iter().find(|(f, _)| f.effect.name() == "screw_periodic.x").unwrap();
     let period = found.effect.scalar(0);
-    // 37.3 mm, or its mirror image about twice the pitch; never one of the many short ones.
+    // 37.3 mm, or its mirror image about twice the pitch, but none of the many short ones.
     assert!((period - 37.3).abs() < 0.1 || (period - 43.1).abs() < 0.2, "{period}");
     assert!(r.advice.contains("grid of 20.0000 mm") && r.advice.contains("13.0"), "{}", r.advice);
 }
 
-/// At few targets, each met again to a few µm, a wave is mostly sine or mostly constant at many a wrong period.
+/// At few targets a signal period is still found.
+/// Each target is approached to a few µm. At many wrong periods the wave is then mostly sine or mostly constant.
 #[test]
 fn a_signal_period_is_found_at_few_uneven_targets() {
     let mut dice = rtec_blind::dice::Dice::new(5);
@@ -202,13 +207,13 @@ fn a_signal_period_is_found_at_few_uneven_targets() {
     assert!((r.effects[0].0.effect.scalar(0) - 132.42).abs() < 0.05, "{}", r.effects[0].0.effect.scalar(0));
 }
 
-/// Read to 1 µm, a scale of 2 µm periods shows two values only.
+/// Read to 1 µm, a wave with a period of 2 µm shows only two values.
 #[test]
 fn two_steps_of_reading_to_a_signal_period_are_enough() {
     let mut dice = rtec_blind::dice::Dice::new(6);
     let p: Vec<f64> = (0..400).map(|_| (250_000.0 * dice.normal()).round() / 1000.0).collect();
     let wave = |p: f64| (std::f64::consts::TAU * p / 0.002 + 1.2).sin();
-    // A sound scale's error is below a quarter of its period: three times the noise, as large as it may be.
+    // The error of a good scale is below a quarter of its period. Here it is the largest, three times the noise.
     let e = p.iter().zip(noise(4, p.len())).map(|(p, n)| 0.45 * wave(*p) + 0.15 * n).collect();
     let machine = rtec_model::machine::Machine::ideal("m");
     let r =
@@ -218,7 +223,8 @@ fn two_steps_of_reading_to_a_signal_period_are_enough() {
     assert!((r.effects[0].0.effect.scalar(0) - 2.0).abs() < 1e-3, "{}", r.effects[0].0.effect.scalar(0));
 }
 
-/// A gauge's zero is the set-up's: no map of the model takes it, and no effect is made of it.
+/// A gauge's zero belongs to the set-up.
+/// No map of the model absorbs it, and no effect is made of it.
 #[test]
 fn a_map_of_the_model_does_not_swallow_a_zero() {
     let p: Vec<f64> = (0..200).map(|i| 5.0 * f64::from(i % 50)).collect();
@@ -240,7 +246,7 @@ fn a_map_of_the_model_does_not_swallow_a_zero() {
 
 #[test]
 fn what_has_no_name_gets_a_marked_curve_when_asked_for() {
-    // A saw in time: no effect of the dictionary.
+    // A sawtooth in time, which is no effect of the dictionary.
     let n = 240;
     let p: Vec<f64> = (0..n).map(|i| f64::from(i * 37 % 101)).collect();
     let e: Vec<f64> = (0..n)

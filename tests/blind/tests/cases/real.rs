@@ -1,4 +1,5 @@
-//! Real machines: what reconciliation says about measured data that nobody made for it (`../shared/data`).
+//! Reconciliation of real machines' measured data (`../shared/data`).
+//! Nobody made these data for it.
 
 #![allow(clippy::unwrap_used)] // helpers of tests count as tests
 
@@ -17,7 +18,7 @@ fn names(r: &Reconciliation) -> Vec<String> {
     r.effects.iter().map(|(f, _)| f.effect.name()).collect()
 }
 
-/// Rows of numbers of a CMM's table: nominal x, y in mm, errors in µm.
+/// A record from a CMM's table: nominal x, y in mm, errors in µm.
 fn plate(text: &str) -> Record {
     let rows: Vec<Vec<f64>> = text
         .lines()
@@ -40,7 +41,7 @@ fn a_plate_that_was_turned_is_called_turned() {
     let r = reconcile(&[plate(&text)], &[], &Machine::ideal("cnc"), &Options::default()).unwrap();
     assert!(names(&r).iter().any(|n| n == "rotation.x.y"), "{:?}", names(&r));
     let (rotation, _) = r.effects.iter().find(|(f, _)| f.effect.name() == "rotation.x.y").unwrap();
-    // The owners' fit: 0.029° = 506 µrad, printed to 17 µrad.
+    // The owners' fit is 0.029° = 506 µrad, printed to 17 µrad.
     assert!((rotation.effect.scalar(0) - 506.0).abs() < 40.0, "{}", rotation.effect.scalar(0));
 }
 
@@ -48,7 +49,7 @@ fn a_plate_that_was_turned_is_called_turned() {
 fn a_plate_that_is_too_small_alike_may_be_cold() {
     let Some(text) = data("plate_cmm/D2130A1") else { return };
     let r = reconcile(&[plate(&text)], &[], &Machine::ideal("cnc"), &Options::default()).unwrap();
-    // The owners' fit has a quadrupole beside scale: a shape over the plane that the dictionary has no name for.
+    // The owners' fit has a quadrupole beside scale, a shape over the plane without a name in the dictionary.
     assert_eq!(r.verdict, Verdict::UnknownEffect);
     assert!(r.unexplained.iter().any(|s| s.manner == "smooth over the plane"), "{:?}", r.unexplained);
     let (scale, _) = r.effects.iter().find(|(f, _)| f.effect.name() == "scale.x").unwrap();
@@ -84,14 +85,14 @@ fn the_iso_230_axis_has_a_map_and_a_reversal() {
     ];
     let record = Record::new(&PathBuf::from("axis.run.toml"), Kind::Positioning, columns).unwrap();
     let r = reconcile(&[record], &[], &Machine::ideal("ecmc"), &Options::default()).unwrap();
-    // A map, a reversal, and what came over the cycles: a warm-up from a zero that was set on the warm machine.
+    // A map, a reversal, and a change over the cycles: a warm-up from a zero that was set on the warm machine.
     assert_eq!(names(&r), ["position_map.y", "reversal.y", "warm_up.y"]);
     assert!(
         r.places.iter().any(|p| p.against == "cycle" && p.q_value < 0.01),
         "the drift over the cycles: {:?}",
         r.places.iter().map(|p| (p.against.clone(), p.p_value, p.q_value)).collect::<Vec<_>>()
     );
-    // The owners' mean reversal, 12.77 µm, holds the drift from the way up to the way down, 20 µm in five cycles.
+    // The owners' mean reversal, 12.77 µm, includes the drift between the ways up and down, 20 µm in five cycles.
     let of = |n: usize, key: &str| r.effects[n].0.effect.value(key).unwrap()[0];
     let (reversal, drift) = (of(1, "um").abs(), of(2, "um").abs());
     println!("reversal {reversal:.2} µm, drift {drift:.1} µm; {:?}", r.gap);
@@ -99,8 +100,8 @@ fn the_iso_230_axis_has_a_map_and_a_reversal() {
     assert!(r.gap[0].closed().unwrap() > 0.9);
 }
 
-/// Time, position, speed, acceleration and force of the EMPS axis, every `every` ms, position and force through the
-/// same Gaussian filter with its corner at `corner_hz`, no shift of phase.
+/// The motion and force of the EMPS axis, one row every `every` ms.
+/// Position and force pass the same Gaussian filter with its corner at `corner_hz`, without phase shift.
 fn emps(text: &str, corner_hz: f64, every: usize) -> Record {
     let rows: Vec<[f64; 2]> = text
         .lines()
@@ -134,9 +135,10 @@ fn emps(text: &str, corner_hz: f64, every: usize) -> Record {
     Record::new(&PathBuf::from("emps.run.toml"), Kind::Dynamics, columns).unwrap()
 }
 
-/// Inertia and viscous friction known (the owners' figures): what else moves the axis? However it was filtered and
-/// sampled, Coulomb friction first, then that the way back is easier than the way out, and nothing more. The owners'
-/// offset, 3.2 N, is what a constant makes of the difference between the ways: beside that difference it is 0.25 N.
+/// The EMPS axis has Coulomb friction that differs by direction.
+/// Inertia and viscous friction are known (the owners' figures). However the data are filtered and sampled, Coulomb
+/// friction comes first. Then the way back is easier than the way out, and nothing else is found. The owners' offset,
+/// 3.2 N, is what a constant makes of that difference; beside the difference it is 0.25 N.
 #[test]
 fn a_driven_axis_has_coulomb_friction_that_differs_by_direction() {
     let Some(text) = data("axis_dynamics/identification.csv") else { return };
@@ -166,8 +168,8 @@ fn a_driven_axis_has_coulomb_friction_that_differs_by_direction() {
     }
 }
 
-/// The log as it was written: position in m and motor command in V at 1 kHz, no velocity, no acceleration. They are derived,
-/// and on the later half of the run the force is known to the owners' figures.
+/// A raw log is enough: position in m and motor command in V at 1 kHz.
+/// Velocity and acceleration are derived. On the later half of the run the force is known to the owners' figures.
 #[test]
 fn a_raw_log_of_position_and_current_is_enough() {
     let Some(text) = data("axis_dynamics/identification.csv") else { return };
@@ -202,7 +204,8 @@ fn a_raw_log_of_position_and_current_is_enough() {
     assert!(after < 0.053, "{after}");
 }
 
-/// Rows of the spindle run: growth and its sixteen temperatures, with further temperatures and channels beside them.
+/// Rows of the spindle run: growth and its sixteen temperatures.
+/// `decoys` are further temperatures and channels.
 fn spindle(text: &str, rows: std::ops::Range<usize>, decoys: &[(&str, Role, Vec<f64>)]) -> Record {
     let lines: Vec<Vec<f64>> =
         text.lines().skip(1).map(|l| l.split(',').map(|f| f.parse().unwrap()).collect()).collect();
@@ -216,8 +219,9 @@ fn spindle(text: &str, rows: std::ops::Range<usize>, decoys: &[(&str, Role, Vec<
     Record::new(&PathBuf::from("spindle.run.toml"), Kind::Drift, columns).unwrap()
 }
 
-/// Learned from the rows before a moment, the model predicts those after it, whichever moment it is: far better than the mean
-/// it learned. Which of its sensors is the cause these rows do not say, and several are weighed.
+/// A model learned from the earlier rows predicts the later ones.
+/// That holds whichever row separates them, and is far better than the learned mean. These rows do not show which
+/// sensor is the cause, so several share the weight.
 #[test]
 fn a_spindle_grows_with_its_heat_and_later_hours_are_predicted() {
     let Some(text) = data("spindle_thermal/first_half.csv") else { return };
@@ -249,8 +253,8 @@ fn a_spindle_grows_with_its_heat_and_later_hours_are_predicted() {
 
 /// Every fourth minute of the whole run, with decoys.
 ///
-/// Decoys are a random walk and a sensor with shuffled rows among the temperatures, and a random walk among the
-/// channels. Heat is named, in relation to the surroundings and with a lag, and no decoy is.
+/// Decoys among the temperatures are a random walk and a sensor with shuffled rows; among the channels a random walk.
+/// Heat is named, relative to the surroundings and with a lag, and no decoy is.
 #[test]
 fn a_decoy_is_never_the_cause_of_growth() {
     use rand_xoshiro::rand_core::{RngCore, SeedableRng};

@@ -1,4 +1,4 @@
-//! Every figure that README and guide quote is the table of record's.
+//! Every figure in README and guide is in the table of record.
 
 use rtec_blind::record::{
     BOTH, CASES, COMMAND, Figure, NOTHING, ONE, ONE_CLEAR, PRINTED, QUOTED, UNKNOWN, UNKNOWN_NAMED, WRONG,
@@ -13,7 +13,7 @@ fn root() -> PathBuf {
 
 fn page(name: &str) -> String {
     let text = std::fs::read_to_string(root().join(name)).expect("a file of the repository");
-    // A sentence may go on in the next line.
+    // A sentence may continue on the next line.
     text.split_whitespace().collect::<Vec<_>>().join(" ")
 }
 
@@ -83,7 +83,7 @@ fn the_newest_run_is_within_chance_of_what_is_asked() {
     assert!(BOTH.reached((0, 0)));
 }
 
-/// README and every page of the guide, by their path in the repository.
+/// Paths of README and every page of the guide in the repository.
 fn pages() -> Vec<String> {
     let mut folders = vec![root().join("tools/guide")];
     let mut pages = vec!["README.md".to_owned()];
@@ -103,7 +103,7 @@ fn pages() -> Vec<String> {
 
 /// The shares that a text quotes: `17 of 19`, `19 of the 20`.
 ///
-/// What a command printed is judged where it runs, so blocks are left out.
+/// Blocks are left out, because the output of a command is checked where it runs.
 fn shares(text: &str) -> Vec<String> {
     let prose: String = text.split("```").step_by(2).collect();
     let words: Vec<&str> =
@@ -117,7 +117,8 @@ fn shares(text: &str) -> Vec<String> {
     (0..words.len()).filter_map(share).collect()
 }
 
-/// A newer run of any suite that leaves a page behind, and a figure that nobody ran, are found here.
+/// Every share that a page quotes is in the table of record.
+/// It finds a page that a newer run left behind, and a figure that nobody ran.
 #[test]
 fn every_share_that_a_page_quotes_is_in_the_table() {
     let mut missing = Vec::new();
@@ -148,7 +149,7 @@ fn every_figure_of_the_table_stands_on_its_pages() {
     }
 }
 
-/// Each row of README's figures is a run of the table.
+/// Each row of README's figures is a run in the table.
 #[test]
 fn every_row_of_the_readme_is_a_run_of_the_table() {
     let text = std::fs::read_to_string(root().join("README.md")).expect("README.md");
@@ -165,7 +166,7 @@ fn every_row_of_the_readme_is_a_run_of_the_table() {
     }
 }
 
-/// The decimal numbers of a text, as they stand there.
+/// The decimal numbers of a text.
 fn decimals(text: &str) -> impl Iterator<Item = &str> {
     let bare = |w: &'_ str| w.trim_matches(|c: char| !c.is_ascii_digit()).len();
     text.split(|c: char| c.is_whitespace() || "`|()±+−=;".contains(c))
@@ -177,7 +178,7 @@ fn decimals(text: &str) -> impl Iterator<Item = &str> {
 ///
 /// They are decimal numbers of µm or per cent, and all of three decimals or more.
 ///
-/// A range has its unit behind the last number: `0.9 to 1.8 µm`. Commands in the prose are no figures.
+/// A range has its unit behind the last number: `0.9 to 1.8 µm`. Commands in the prose are left out.
 fn measured(prose: &str) -> Vec<&str> {
     let spans = prose.split('`').enumerate().filter(|(n, span)| n % 2 == 0 || !span.contains("--"));
     let mut found = Vec::new();
@@ -198,7 +199,7 @@ fn measured(prose: &str) -> Vec<&str> {
     found
 }
 
-/// What the commands of a page print, as numbers; and its prose.
+/// The numbers that the commands of a page print, and its prose.
 fn printed_and_prose(name: &str) -> (Vec<f64>, String) {
     let text = std::fs::read_to_string(root().join(name)).expect("a page");
     let blocks: Vec<&str> = text.split("```").collect();
@@ -208,13 +209,13 @@ fn printed_and_prose(name: &str) -> (Vec<f64>, String) {
     (printed, blocks.iter().step_by(2).copied().collect())
 }
 
-/// A figure is among numbers, rounded to its decimals.
+/// Whether a figure is among numbers, rounded to its decimals.
 fn is_among(printed: &[f64], figure: &str) -> bool {
     let digits = figure.split('.').nth(1).map_or(0, str::len);
     printed.iter().any(|n| format!("{n:.digits$}") == figure)
 }
 
-/// A page that prints outputs quotes from them, or from the table of record.
+/// A page with outputs quotes figures from them, or from the table of record.
 #[test]
 fn every_measured_figure_beside_an_output_is_printed_or_in_the_table() {
     let mut missing = Vec::new();
@@ -231,7 +232,7 @@ fn every_measured_figure_beside_an_output_is_printed_or_in_the_table() {
     assert!(missing.is_empty(), "neither printed on the page nor in the table of record: {missing:#?}");
 }
 
-/// What a page prints is quoted elsewhere as it is printed.
+/// Other pages quote a printed figure as it is printed.
 #[test]
 fn every_figure_printed_by_a_page_is_printed_there() {
     for q in QUOTED.iter().filter(|q| q.on == PRINTED) {

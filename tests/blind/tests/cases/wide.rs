@@ -1,4 +1,4 @@
-//! The wider cases: what they promise of themselves, and how answers to them are marked.
+//! The wider cases: their properties, and the marks of answers.
 
 #![allow(clippy::unwrap_used)] // helpers of tests count as tests
 
@@ -24,7 +24,8 @@ fn source(name: &str, num: &[(&'static str, f64)]) -> Source {
     Source { name: name.into(), num: num.to_vec(), arr: vec![], text: vec![] }
 }
 
-/// The laws here are written from the formats' table; the model's own evaluation, another hand's, has to agree row by row.
+/// The model's evaluation agrees with the cases row by row.
+/// The laws of the cases are written from the formats' table, independently of the model.
 #[test]
 fn the_model_computes_what_the_cases_were_made_of() {
     let mut laws = std::collections::BTreeSet::new();
@@ -33,7 +34,7 @@ fn the_model_computes_what_the_cases_were_made_of() {
             let dir = tempfile::tempdir().unwrap();
             let made = make(class, seed, dir.path());
             let scene = made.scene.unwrap();
-            // The error follows the true temperatures, of which the files know nothing.
+            // The error follows the true temperatures, which the files do not have.
             let known: Vec<&Source> =
                 scene.hidden.iter().chain(&scene.known).filter(|s| s.text.is_empty()).collect();
             let text: String = known.iter().map(|s| s.toml()).collect();
@@ -62,8 +63,9 @@ fn the_model_computes_what_the_cases_were_made_of() {
     assert!(laws.len() >= 10, "{laws:?}");
 }
 
-/// What is true and what is known of it are a machine's: the model reads both, the bounds of its dictionary among them. A bug
-/// once: 140 072 was given an expansion of −226 ppm/K, and others hid as much.
+/// A machine can have every effect that a case hides or knows.
+/// The model reads them all, with the bounds of its dictionary. Regression: seed 140 072 had an expansion of −226
+/// ppm/K, and others were as wrong.
 #[test]
 fn a_machine_can_have_what_a_case_hides_and_knows() {
     let narrow = [Hides::One, Hides::Two, Hides::Nothing, Hides::Stranger];
@@ -146,7 +148,8 @@ fn a_log_carries_the_noise_of_its_sensors() {
     assert!(stepped > 0);
 }
 
-/// The same sine at every place that is measured: a map, a scale, an offset.
+/// At multiples of its lead a screw's sine has the same value everywhere.
+/// It is then also a map, a scale or an offset.
 #[test]
 fn a_screw_that_is_seen_at_multiples_of_its_lead_is_no_case() {
     let at = |step: f64, jitter: f64| -> Run {
@@ -180,7 +183,7 @@ fn a_screw_that_is_seen_at_multiples_of_its_lead_is_no_case() {
     assert_eq!(alias(&screw, at(13.0, 0.37)), None);
     let scale = source("scale.x", &[("ppm", 20.0)]);
     assert_eq!(alias(&scale, at(50.0, 0.0)), None);
-    // What is known already, and what another hides, is not asked for twice.
+    // A known effect, or one that another hidden effect explains, is not asked for again.
     assert!(rivals::own_share(&scale, &[&scale], &[at(50.0, 0.0)]) < 1e-6);
     assert!(rivals::own_share(&scale, &[&screw], &[at(13.0, 0.37)]) > 0.9);
 }
@@ -200,7 +203,7 @@ fn every_mistake_is_in_the_files_and_its_twin_is_clean() {
         let (bad, good) = (files(&made.case), files(&clean));
         let differ = bad.iter().zip(&good).filter(|(a, b)| a != b).count();
         assert!(differ > 0, "{text}");
-        // "In one record" means in one.
+        // "In one record" means exactly one.
         assert!(!text.contains("in one record") || differ == 1, "{text}: {differ}");
         for p in &clean.train {
             rtec_measure::record::read(p).unwrap();
@@ -211,7 +214,8 @@ fn every_mistake_is_in_the_files_and_its_twin_is_clean() {
     }
 }
 
-/// Names alone, sizes fitted: the ceiling closes the gap wherever the effects stand out.
+/// With the true names and fitted sizes the gap closes.
+/// This ceiling needs effects that are significant.
 #[test]
 fn true_names_close_the_gap() {
     let mut closed = Vec::new();
@@ -293,7 +297,7 @@ fn intervals_and_bounds_are_read_from_the_document() {
         { "name": "screw_periodic.x", "parameters": {
             "period_mm": { "value": 10.1, "low": 10.05, "high": 10.15 },
             "um": { "value": 5.1, "low": 4.8, "high": 5.4 },
-            // The same angle, a turn on.
+            // The same angle, one turn on.
             "phase_rad": { "value": -3.15, "low": -3.25, "high": -3.05 } } },
         { "name": "scale.x", "parameters": { "ppm": { "value": 2000.0, "low": 2000.0, "high": 2000.0 } } },
     ], "refined": [
@@ -335,7 +339,7 @@ fn the_program_prints_one_document_and_refuses_what_it_does_not_know() {
     }
 }
 
-/// Each class asks what it is for: a shape that nobody logs among the cycles, an error that is no force.
+/// Among the cycles, some shapes are logged and some are not.
 #[test]
 fn cycles_are_logged_or_not() {
     let mut hides = std::collections::BTreeSet::new();
@@ -349,7 +353,8 @@ fn cycles_are_logged_or_not() {
     assert_eq!(hides.into_iter().collect::<Vec<_>>(), [Hides::One, Hides::Stranger]);
 }
 
-/// A bug once: what no law explains was taken for the errors of two axes exchanged, as chance explained it a little better so.
+/// Regression: an unknown shape was reported as two exchanged axes.
+/// By chance the exchange explained it slightly better.
 #[test]
 fn a_shape_of_no_dictionary_is_no_exchange() {
     for seed in [73_000_001, 73_000_039, 73_000_045] {

@@ -1,4 +1,4 @@
-//! A GPIO chip: the kernel's simulated one.
+//! The GPIO backend on the kernel's simulated chip.
 
 use super::{
     A, AXIS, BACK, DISABLE, EDGE, GPIO, GPIO_LINES, HOLD, PROBE, agreed, armed, corrected, daemon, faults,
@@ -24,7 +24,7 @@ pub(super) fn gpio((chip, directory): &(String, PathBuf)) -> anyhow::Result<Vec<
     let mut said = Vec::new();
     let axis = format!("{AXIS}{GPIO_LINES}");
 
-    // Somebody else has a line.
+    // Another program has a line.
     let taken = gpiocdev_request(chip, 10, "somebody-else")?;
     let (code, text) = refused(GPIO, &format!("{AXIS}{}", GPIO_LINES.replace("X_B", "TAKEN")))?;
     ensure!(code == Some(3) && text.contains("is taken by \"somebody-else\""), "{code:?}: {text}");
@@ -48,11 +48,11 @@ pub(super) fn gpio((chip, directory): &(String, PathBuf)) -> anyhow::Result<Vec<
         "edges: +8 and then -4 counts requested, completed, counted by the controller; ledger balances"
             .to_owned(),
     );
-    // What must end at zero for the next daemon's machine to begin with both inverters off.
+    // Ends at zero, so that the next daemon's machine begins with both inverters off.
     corrected(&corrector, 0);
     agreed(&machine, 0);
 
-    // A probe's trip: captured between the edges on both sides of it.
+    // A probe's trip is captured between the edges on both sides of it.
     corrector.expect(0, &["probe", "on", "--captures", "0"]);
     until("probing", || corrector.status()["mode"] == "probe");
     gpio_sim::pull(directory, PROBE, true)?;
@@ -66,7 +66,7 @@ pub(super) fn gpio((chip, directory): &(String, PathBuf)) -> anyhow::Result<Vec<
     gpio_sim::pull(directory, DISABLE, true)?;
     until("the switch is seen", || corrector.status()["mode"] == "disabled");
     gpio_sim::pull(directory, DISABLE, false)?;
-    // Released, it re-arms nothing: whoever operates does.
+    // Its release enables nothing; the operator does that.
     until("corrections may be enabled", || {
         assert_eq!(corrector.status()["mode"], "disabled");
         corrector.user(&["enable"]).status.success()
@@ -76,7 +76,7 @@ pub(super) fn gpio((chip, directory): &(String, PathBuf)) -> anyhow::Result<Vec<
     machine.move_axis(false);
     drop(machine);
 
-    // A merged edge: the interrupts' threads are kept from running while two edges come.
+    // A merged edge: two edges come while the interrupt threads cannot run.
     let threads = interrupt_threads()?;
     policy(&threads, libc::SCHED_IDLE, 0)?;
     let mut tries = 0;
@@ -87,7 +87,7 @@ pub(super) fn gpio((chip, directory): &(String, PathBuf)) -> anyhow::Result<Vec<
         for n in 0..200 {
             gpio_sim::pull(directory, A, n % 2 == 0)?;
         }
-        // What is queued must have been read before the faults are asked for.
+        // The queued edges must be read before the faults are checked.
         let polls = corrector.status()["rt"]["polls"].as_u64();
         until("the daemon looks again", || corrector.status()["rt"]["polls"].as_u64() > polls.map(|p| p + 5));
     }
@@ -95,7 +95,7 @@ pub(super) fn gpio((chip, directory): &(String, PathBuf)) -> anyhow::Result<Vec<
     ensure!(corrector.status()["axes"][0]["homed"] == false, "still homed");
     said.push(format!("merged edges latch a sequence gap, feed hold and the loss of home (try {tries})"));
 
-    // A full queue: the daemon is kept from reading while more edges come than the kernel holds.
+    // A full queue: more edges come than the kernel keeps while the daemon cannot read.
     policy(&threads, libc::SCHED_FIFO, 50)?;
     corrector.expect(0, &["clear"]);
     until("nothing latched", || corrector.status()["mode"] != "fault");
@@ -107,7 +107,7 @@ pub(super) fn gpio((chip, directory): &(String, PathBuf)) -> anyhow::Result<Vec<
     until("the overflow is latched", || faults(&corrector).contains("queue_overflow"));
     said.push("1500 edges during a stop: the queue's overflow is latched".to_owned());
 
-    // Nothing of this keeps it from being homed and going on.
+    // After these faults it can be homed again and continues.
     corrector.expect(0, &["clear"]);
     until("nothing latched", || corrector.status()["mode"] != "fault");
     until("a standstill", || {
@@ -125,7 +125,7 @@ pub(super) fn gpio((chip, directory): &(String, PathBuf)) -> anyhow::Result<Vec<
     Ok(said)
 }
 
-/// A' and B' wired back: gates that do not follow, and gates that do.
+/// A' and B' read back: gates that do not follow, and gates that do.
 fn gates(directory: &Path, axis: &str) -> anyhow::Result<Vec<String>> {
     let mut said = Vec::new();
     let wired_back =
@@ -140,7 +140,7 @@ fn gates(directory: &Path, axis: &str) -> anyhow::Result<Vec<String>> {
     said.push("A' and B' that stay as they were latch a read-back mismatch".to_owned());
     released(directory)?;
 
-    // Gates that follow, with edges and with levels.
+    // Gates that follow, read by edges and by levels.
     for mode in ["edges", "levels"] {
         let lines = GpioSim::open(directory, &[0, 1, 2, 3])?.wired_back(directory, BACK)?;
         let machine = Machine::paced(lines, EDGE);
@@ -162,7 +162,8 @@ fn gates(directory: &Path, axis: &str) -> anyhow::Result<Vec<String>> {
     Ok(said)
 }
 
-/// Lines that are active low, with bias and drive, as the kernel has them; levels instead of edges.
+/// Active-low lines with bias and drive, as the kernel reports them.
+/// The axis is read by levels instead of edges.
 fn active_low(chip: &str, directory: &Path, axis: &str) -> anyhow::Result<Vec<String>> {
     for (line, up) in [(2, true), (3, true), (DISABLE, true)] {
         gpio_sim::pull(directory, line, up)?;
@@ -195,7 +196,7 @@ fn active_low(chip: &str, directory: &Path, axis: &str) -> anyhow::Result<Vec<St
     ])
 }
 
-/// What the kernel says of a line.
+/// Checks the kernel's information on a line.
 fn line_is(chip: &str, line: u32, wanted: impl Fn(&LineInfo) -> bool) -> anyhow::Result<()> {
     let chip = gpiocdev::Chip::from_name(chip).map_err(|e| anyhow::anyhow!("{chip}: {e}"))?;
     let info = chip.line_info(line).map_err(|e| anyhow::anyhow!("line {line}: {e}"))?;
@@ -207,7 +208,7 @@ thread_local! {
     static ALLOCATIONS: Cell<u64> = const { Cell::new(0) };
 }
 
-/// The system's allocator, counted per thread.
+/// The system's allocator with a count per thread.
 struct Counting;
 
 // SAFETY: every call is passed on to the system's allocator unchanged.
@@ -228,7 +229,8 @@ unsafe impl GlobalAlloc for Counting {
 #[global_allocator]
 static COUNTING: Counting = Counting;
 
-/// The engine on real GPIO edges, with insertions, in this very thread: nothing is allocated or released per edge.
+/// Runs the engine on real GPIO edges in this thread, with insertions.
+/// Nothing is allocated or released per edge.
 fn allocates_nothing(chip: &str, directory: &Path) -> anyhow::Result<String> {
     let line = |name: &str| GpioLine {
         chip: Some(chip.to_owned()),
@@ -271,7 +273,8 @@ fn allocates_nothing(chip: &str, directory: &Path) -> anyhow::Result<String> {
     ))
 }
 
-/// Waits until no inverter is on: what this chip does when the last request of a line is closed.
+/// Waits until no inverter is on.
+/// This chip switches a line off when its last request is closed.
 fn released(directory: &Path) -> anyhow::Result<()> {
     for line in [2, 3] {
         gpio_sim::pull(directory, line, false)?;

@@ -1,12 +1,13 @@
-//! `vm`: what is shown on a real `PREEMPT_RT` kernel in a virtual machine (`tests/vm/run`).
+//! `vm`: checks on a real `PREEMPT_RT` kernel in a virtual machine.
+//! `tests/vm/run` starts them.
 //!
 //! ```text
 //! vm guest [ITEM…]      in the machine, as root: every item, or these
 //! vm card FILE          on the host: the far side of the PCI card whose BAR is this file
-//! vm port LOG CONSOLE   on the host: what the emulated parallel port saw, against what was asked for in the machine
+//! vm port LOG CONSOLE   on the host: compares the emulated port's log with the requests made in the machine
 //! ```
 //!
-//! Each item prints `ITEM n: …` when all of it was as it should be. Behaviour only: time is emulated here.
+//! Each item prints `ITEM n: …` when it passes. Only behaviour is checked, because time is emulated here.
 
 mod gpio;
 mod mapped;
@@ -46,7 +47,7 @@ fn main() -> ExitCode {
     )
 }
 
-/// Runs every item; one that fails does not keep the next from running.
+/// Runs every item, also after one that fails.
 fn guest(items: &[&str]) -> ExitCode {
     // SAFETY: no other thread runs yet.
     unsafe { std::env::set_var("RTEC_PROGRAMS", "/bin") };
@@ -84,9 +85,9 @@ const PROBE: u32 = 5;
 const DISABLE: u32 = 6;
 const BACK: [u32; 2] = [7, 8];
 
-/// The axis is slow and the separation long. Daemon and machine are processes of an emulated computer that waits for
-/// its turn, and each must see every change of the other.
-/// The latencies are no measurement; they only have to be there.
+/// Time between two edges, long for an emulated computer.
+/// The axis is slow and the separation long. Daemon and machine are processes that wait for their turn, and each must
+/// see every change of the other. The latencies are placeholders, not measurements.
 const EDGE: Duration = Duration::from_millis(1600);
 const AXIS: &str = "[[axis]]\nname = 'x'\ncount_um = 1.0\ntravel_mm = 400\nmax_correction_counts = 1000\n\
     window_counts = 50\nmin_separation_ns = 160000000\nmax_accel_counts_s2 = 0.56\nhysteresis_counts = 0.2\nrapid_mm_min = 1\n";
@@ -100,7 +101,7 @@ fn configured(card: &str, axis: &str) -> anyhow::Result<(tempfile::TempDir, Path
     let directory = tempfile::tempdir()?;
     let file = directory.path().join("rtec.toml");
     let text = format!("[machine]\nname = 'vm'\n[card]\n{card}{axis}{RT}");
-    // Where a self-test would have measured the latencies: here, with this card. A card that is refused has no such place.
+    // The self-test would have measured the latencies here with this card. A card that is refused has no such file.
     let measured = match Config::parse(&file, &text) {
         Ok(config) => format!("{}\n", Measured::here(&config.card, 1, &setup::System::live())),
         Err(_) => String::new(),
@@ -115,7 +116,7 @@ fn daemon(card: &str, axis: &str) -> anyhow::Result<(Daemon, tempfile::TempDir)>
     Ok((Daemon::start(&directory.path().join("s"), Some(&file)), directory))
 }
 
-/// Why a daemon with this card does not start: its exit code and what it says.
+/// Exit code and message of a daemon that does not start with this card.
 fn refused(card: &str, axis: &str) -> anyhow::Result<(Option<i32>, String)> {
     let (directory, file) = configured(card, axis)?;
     let mut command = Command::new(program("rtecd"));
@@ -127,7 +128,7 @@ fn faults(daemon: &Daemon) -> String {
     daemon.status()["axes"][0]["faults"].to_string()
 }
 
-/// Asks for a total and waits until it is done; the ledger balances.
+/// Requests a total and waits until it is completed and the ledger balances.
 fn corrected(daemon: &Daemon, counts: i64) {
     daemon.expect(0, &["correct", "x", &counts.to_string()]);
     until("completed", || {
@@ -143,7 +144,7 @@ fn armed(daemon: &Daemon) {
     daemon.expect(0, &["enable"]);
 }
 
-/// What the machine's controller has counted beyond the scale is what was asked for, through legal states only.
+/// Checks that the controller counts the total beyond the scale, in legal states.
 fn agreed(machine: &Machine, counts: i64) {
     until("the controller counts it", || {
         assert_eq!(machine.illegal(), 0, "illegal transitions at the controller");

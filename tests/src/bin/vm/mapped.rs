@@ -1,4 +1,4 @@
-//! The PCI card in memory, and its far side on the host.
+//! The PCI card in memory, and the machine at its other end on the host.
 
 use super::{AXIS, EDGE, armed, corrected, daemon, refused};
 use anyhow::{Context, ensure};
@@ -16,7 +16,8 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-/// Words of the card's memory beside its registers (profile shared-memory: inputs at 0, outputs at 4).
+/// Words of the card's memory beside its registers.
+/// The profile `shared-memory` has the inputs at 0 and the outputs at 4.
 const TICK: usize = 0x10;
 const SEEN: usize = 0x14;
 const PHASE: usize = 0x18;
@@ -26,18 +27,20 @@ const ILLEGAL: usize = 0x24;
 const SCALE: usize = 0x28;
 const BUSY: usize = 0x2c;
 const BYTES: usize = 0x40;
-/// What the far side is to do.
+/// Commands to the far side.
 const SLOW: u32 = 1;
 const STEPPED: u32 = 2;
-const END: u32 = 3; // said by the host, when the machine is off
+const END: u32 = 3; // the host says it when the machine is off
 
-/// Counts of the stepped run, and its unit of time: a count takes six units, some 40 000 counts/s. An insertion takes four
-/// of them; the last one shows that the second inversion is in effect.
+/// Counts of the stepped run.
+/// A count takes six steps, some 40 000 counts/s. An insertion takes four of them; the last one shows that the second
+/// inversion is in effect.
 const COUNTS: u32 = 1_000_000;
 const COUNT_STEPS: u32 = 6;
 const STEP_NS: u64 = 4_000;
 
-/// The card's far side, on the host: does what the guest asks for until it is told to end.
+/// The machine at the card's other end, on the host.
+/// It does what the guest asks for until it is told to end.
 pub(super) fn far_side(file: &Path) -> anyhow::Result<()> {
     let words = Registers::open(file, BYTES, "far side")?;
     let phase = || words.read(PHASE, Width::Bits32);
@@ -78,9 +81,9 @@ pub(super) fn far_side(file: &Path) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// In step with the guest: time goes on only when the guest has looked and acted.
+/// Runs in step with the guest: time advances only when the guest has acted.
 ///
-/// It goes on by one unit while the guest has something to do, else to two units before the next edge. An edge right
+/// It advances by one step while the guest has something to do, else to two steps before the next edge. An edge right
 /// after a late look may be as old as that look, and has no period.
 fn in_step(words: &Registers, say: &impl Fn(i64, u64), phase: &impl Fn() -> u32) -> (i64, Decoder) {
     let lines = AxisLines::standard(0, false);
@@ -92,7 +95,7 @@ fn in_step(words: &Registers, say: &impl Fn(i64, u64), phase: &impl Fn() -> u32)
         let outputs = || u64::from(words.read(4, Width::Bits32));
         let idle = words.read(BUSY, Width::Bits32) == 0;
         tick += if idle { (COUNT_STEPS - 2).saturating_sub(tick % COUNT_STEPS).max(1) } else { 1 };
-        // Beyond what is counted the axis goes on, so that the last request can still be served.
+        // The axis moves on beyond the counted run, so that the last request can still be served.
         if tick.is_multiple_of(COUNT_STEPS) {
             state = state.next(true);
             scale += 1;
@@ -115,7 +118,7 @@ fn in_step(words: &Registers, say: &impl Fn(i64, u64), phase: &impl Fn() -> u32)
     (scale, mtc)
 }
 
-/// Time as the far side counts it.
+/// A clock that shows the far side's time.
 struct FarTime(Registers);
 
 impl Clock for FarTime {
@@ -124,7 +127,7 @@ impl Clock for FarTime {
     }
 }
 
-/// The card under test, looked at once for every step of the far side.
+/// The card under test, which looks once at every step of the far side.
 struct InStep {
     card: MappedCard<FarTime>,
     words: Registers,
@@ -153,7 +156,7 @@ impl Card for InStep {
     }
 }
 
-/// The card's BAR, once enabled: mapped, and its file in sysfs.
+/// Enables the card's BAR and maps it; also returns its file in sysfs.
 fn bar() -> anyhow::Result<(Registers, PathBuf)> {
     let profile = Profile::shared_memory();
     let place = profile.pci.context("the profile's place on the bus")?;
@@ -176,8 +179,8 @@ pub(super) fn mapped() -> anyhow::Result<Vec<String>> {
     said.push(a_million(&words, &file)?);
     drop(words);
 
-    // A driver that shows the BARs as UIO maps takes the card; the mapping by sysfs is no longer valid then.
-    // Kept away by the override that README names, until it is taken back.
+    // A driver that maps the BARs by UIO takes the card, and the mapping by sysfs is then invalid. The override that
+    // the README names keeps other drivers away until it is removed.
     let device = file.parent().context("a directory")?;
     fs::write(device.join("driver_override"), "pci-stub")?;
     fs::write("/sys/bus/pci/drivers/hilscher/new_id", "1af4 1110")?;
@@ -197,7 +200,7 @@ fn on_card() -> String {
     format!("{AXIS}lines = {{ a = 'in0', b = 'in1', invert_a = 'out0', invert_b = 'out1' }}\n")
 }
 
-/// A few counts through the daemon, with a slow machine on the far side.
+/// Makes a few counts through the daemon, with a slow machine at the other end.
 fn through_rtecd(words: &Registers, card: &str, way: &str) -> anyhow::Result<String> {
     phase(words, SLOW);
     let (corrector, _held) = daemon(&format!("backend = 'mapped'\n{card}\n"), &on_card())?;
@@ -212,7 +215,7 @@ fn through_rtecd(words: &Registers, card: &str, way: &str) -> anyhow::Result<Str
     Ok(format!("{way}: +4 counts and back through rtecd, ledger balances"))
 }
 
-/// A million counts with the engine itself, in step with the far side.
+/// Counts a million with the engine itself, in step with the machine.
 fn a_million(words: &Registers, file: &Path) -> anyhow::Result<String> {
     phase(words, STEPPED);
     let clock = FarTime(Registers::open(file, BYTES, "vm")?);

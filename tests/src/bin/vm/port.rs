@@ -12,11 +12,12 @@ use std::fs;
 use std::path::Path;
 use std::process::Command;
 
-/// What the two ways to the port must write to its data lines: +4 counts (A and B equal: A first), then -2 (B first).
+/// Writes to the data lines by each way to the port.
+/// They are +4 counts (A and B equal: A first), then −2 counts (B first).
 const PORT_WRITES: [(&str, &[u8]); 2] = [("ppdev", &[1, 3, 2, 0]), ("ioperm", &[2, 3])];
 
 pub(super) fn port() -> anyhow::Result<Vec<String>> {
-    // Its inputs cannot be driven here: the axis stands still, and is corrected at rest.
+    // The inputs cannot be driven here, so the axis is at rest and is corrected at rest.
     let axis = AXIS.replace("min_separation_ns = 160000000", "min_separation_ns = 1000000")
         + "rest_policy = 'insert'\nrest_quiet_ms = 5\n\
            lines = { a = 'nerror', b = 'select', invert_a = 'd0', invert_b = 'd1' }\n";
@@ -41,8 +42,8 @@ pub(super) fn port() -> anyhow::Result<Vec<String>> {
 
 /// A PCI card of I/O ports: QEMU's `pci-serial`.
 ///
-/// A 16550 looped back on itself: its modem outputs are its modem inputs, where the machine sets A and B.
-/// Its scratch register holds the inverters. Its line control must be set up once.
+/// It is a 16550 looped back on itself: its modem outputs are its modem inputs, and the machine sets A and B there. Its
+/// scratch register holds the inverters. Its line control must be set up once.
 const UART: &str = "name = 'a 16550 as a card'\nsource = 'PC16550D datasheet: line control at 3, modem control at 4, modem status \
     at 6, scratch at 7; bit 4 of modem control loops back'\n\
     inputs = [{ register = 6, width = 8 }]\noutputs = [{ register = 7, width = 8 }]\n\
@@ -53,7 +54,7 @@ const LINE_CONTROL: usize = 3;
 const MODEM_CONTROL: usize = 4;
 const SCRATCH: usize = 7;
 
-/// The far side of that card.
+/// The machine's side of that card.
 struct Uart(Ports);
 
 impl Uart {
@@ -72,7 +73,7 @@ impl Lines for Uart {
     }
 
     fn show(&mut self, scale: State) {
-        // DTR comes back as DSR, RTS as CTS. A write to a port that this thread has cannot fail.
+        // DTR comes back as DSR, and RTS as CTS. A write to a port that this thread may use cannot fail.
         let _ = self.set(MODEM_CONTROL, 0x10 | u32::from(scale.bits()));
     }
 }
@@ -85,11 +86,11 @@ fn io_bar() -> anyhow::Result<Vec<String>> {
     let axis = format!("{AXIS}lines = {{ a = 'dsr', b = 'cts', invert_a = 's0', invert_b = 's1' }}\n");
     let uart = pci::find(&PciId::Card(0x1b36, 2))?;
 
-    // The kernel's own driver has it.
+    // The kernel's own driver holds the card.
     let (code, text) = refused(&card, &axis)?;
     let held = format!("PCI card {} is in the hands of the kernel's driver serial", uart.address);
     ensure!(code == Some(3) && text.contains(&held), "{code:?}: {text}");
-    // The remedy, as it is printed.
+    // The remedy as printed.
     let remedy =
         text.split("free the card: ").nth(1).context("no remedy")?.lines().next().unwrap_or("").trim();
     let freed = Command::new("/bin/sh").args(["-ec", remedy]).output()?;
@@ -117,7 +118,7 @@ fn io_bar() -> anyhow::Result<Vec<String>> {
         corrected(&corrector, counts);
         agreed(&machine, counts);
     }
-    // Killed with the inverters on: they stay, and the successor takes them over.
+    // Killed with the inverters on: they stay on, and the next daemon takes them over.
     corrected(&corrector, 2);
     agreed(&machine, 2);
     corrector.end("KILL");
@@ -135,7 +136,8 @@ fn io_bar() -> anyhow::Result<Vec<String>> {
     ])
 }
 
-/// The emulated port's own record: the last data writes of each way, in order, one line at a time.
+/// Compares the emulated port's log with the data writes that are due.
+/// They are the last writes of each way, in order, one line at a time.
 pub(super) fn port_seen(log: &Path, console: &Path) -> anyhow::Result<()> {
     let console = fs::read_to_string(console)?;
     ensure!(
@@ -149,7 +151,7 @@ pub(super) fn port_seen(log: &Path, console: &Path) -> anyhow::Result<()> {
         .filter_map(|line| {
             let mut words = line.split_whitespace().skip_while(|w| *w != "addr").skip(1);
             let (address, _, value) = (words.next()?, words.next()?, words.next()?);
-            // The inverters' two bits; the third is the feed hold.
+            // The two bits of the inverters; the third bit is feed hold.
             (hex(address)? % 8 == 0).then(|| hex(value).map(|v| v & 3))?
         })
         .collect();

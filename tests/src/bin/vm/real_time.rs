@@ -44,7 +44,7 @@ pub(super) fn real_time((chip, _): &(String, PathBuf)) -> anyhow::Result<Vec<Str
     ensure!(corrector.status()["rt"]["may_arm"] == true, "{}", corrector.status()["rt"]);
     drop((corrector, held));
 
-    // Without privileges: it runs, it names what is missing, and it cannot be armed.
+    // Without privileges it runs, names what is missing, and cannot be armed.
     let (directory, file) = configured(GPIO, &axis)?;
     let (user, group) = (1000, 1000);
     for path in [directory.path(), &file, &Path::new("/dev").join(chip)] {
@@ -54,7 +54,7 @@ pub(super) fn real_time((chip, _): &(String, PathBuf)) -> anyhow::Result<Vec<Str
     let mut command = Command::new(program("rtecd"));
     std::os::unix::process::CommandExt::uid(&mut command, user);
     command.arg("--config").arg(&file).arg("--socket").arg(&socket);
-    // Spoken to as its own user: root trusts no stranger's process.
+    // A client of its own user, because root does not trust a process of another user.
     let corrector = Daemon::spawn_for(Some((program("rtecctl"), user)), &mut command, &socket);
     let missing = corrector.status()["rt"]["missing"].to_string();
     for what in ["scheduler", "memory_lock", "CAP_SYS_NICE"] {

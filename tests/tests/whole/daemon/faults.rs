@@ -42,7 +42,7 @@ fn the_socket_is_for_its_group_only() {
     assert_eq!(std::fs::metadata(&socket).unwrap().permissions().mode() & 0o777, 0o600);
     assert_eq!(std::fs::metadata(directory.path().join("run")).unwrap().permissions().mode() & 0o777, 0o700);
     drop(daemon);
-    // A group that this user may give files to: its own.
+    // A group that this user may give files to: the user's own.
     let own = Command::new("id").arg("-gn").output().unwrap();
     let own = String::from_utf8(own.stdout).unwrap();
     let config = format!("{}[control]\ngroup = '{}'\n", CONFIG.replace("CARD", "card"), own.trim());
@@ -67,7 +67,7 @@ fn nonsense_and_floods_hurt_nobody_else() {
     let socket = directory.path().join("s");
     let daemon = Daemon::enabled(&socket);
 
-    // Wrong requests get an answer each, on the same connection.
+    // Each wrong request gets an answer, on the same connection.
     let mut client = connect(&socket);
     for (request, wants) in [
         (&b"{\"do\":\"dance\"}\n"[..], "unknown variant"),
@@ -84,12 +84,12 @@ fn nonsense_and_floods_hurt_nobody_else() {
     assert_eq!(line(&mut client)["status"]["mode"], "run");
     assert_eq!(line(&mut client)["done"], serde_json::json!({}));
 
-    // A line without an end: refused, and disconnected.
+    // A line without an end is refused, and the client is disconnected.
     client.get_mut().write_all(&[b'x'; 5000]).unwrap();
     assert!(line(&mut client)["bad"]["text"].as_str().is_some_and(|t| t.contains("4096 bytes")));
     assert_eq!(client.read(&mut [0; 16]).unwrap_or(0), 0);
 
-    // Thirty-two that say nothing; the next one is refused what is not urgent.
+    // 32 silent connections: the next one is refused what is not urgent.
     let idle: Vec<_> = (0..32).map(|_| connect(&socket)).collect();
     let mut late = connect(&socket);
     late.get_mut().write_all(b"{\"do\":\"clear\"}\n").unwrap();
@@ -97,7 +97,7 @@ fn nonsense_and_floods_hurt_nobody_else() {
     drop((idle, late));
     until("their places", || daemon.user(&["correct", "x", "0"]).status.code() == Some(0));
 
-    // One asks without ever reading the answers, one watches without reading: another user still gets his.
+    // One client never reads its answers and one watches without reading. Another user is still served.
     let deaf = UnixStream::connect(&socket).unwrap();
     deaf.set_nonblocking(true).unwrap();
     let flood = "{\"do\":\"status\"}\n".repeat(10_000);
@@ -121,7 +121,7 @@ fn a_killed_daemon_leaves_no_jump_and_its_successor_takes_over() {
     let mut daemon = bench.daemon();
     bench.go();
     let mut total = 0;
-    // An odd number of insertions leaves the inverters on, an even one off.
+    // An odd number of insertions leaves the inverters on, an even one leaves them off.
     for (counts, signal) in [(2, "KILL"), (4, "TERM")] {
         daemon.expect(0, &["correct", "x", &counts.to_string()]);
         completed(&daemon, counts);
@@ -136,7 +136,7 @@ fn a_killed_daemon_leaves_no_jump_and_its_successor_takes_over() {
         daemon = bench.daemon();
         let status = daemon.status();
         let x = axis(&status, 0);
-        // Taken over, not believed for more than it is: frozen until it is homed again.
+        // The state is taken over, but corrections are frozen until the axis is homed again.
         assert_eq!((&x["completed"], &x["inverted"]), (&counts.into(), &inverted), "{status}");
         assert_eq!((&status["mode"], &x["homed"]), (&"disabled".into(), &false.into()));
         assert!(daemon.expect(1, &["enable"]).contains("not homed"));
@@ -160,7 +160,7 @@ fn inverters_that_moved_while_nobody_looked_are_a_fault() {
     assert_eq!(axis(&status, 0)["faults"][0], "inverters_moved", "{status}");
     assert!(daemon.expect(4, &["enable"]).contains("a fault is latched"));
     assert!(daemon.log().contains("not where the state file left them"));
-    // One of the two only: nothing starts, nothing is written.
+    // One of the two inverters alone is on: the daemon does not start, and writes nothing.
     assert_eq!(daemon.end("TERM").0, Some(0));
     std::os::unix::fs::FileExt::write_at(&card, &[1], 4).unwrap();
     let config = bench.at("rtec.toml");

@@ -1,4 +1,5 @@
-//! What a user sees of a real `rtecd`: the way from start to correction, every bad input and fault, crash and restart.
+//! A user's view of a real `rtecd`: from start to correction, to restart.
+//! It also covers bad input, faults and crashes.
 
 mod faults;
 mod start;
@@ -10,7 +11,7 @@ use std::os::unix::net::UnixStream;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-/// The daemon's exit code and what it said, where it is not to start.
+/// Exit code and message of a daemon that does not start.
 fn refused_start(args: &[(&str, &Path)]) -> (Option<i32>, String) {
     let mut command = Command::new(program("rtecd"));
     for (flag, value) in args {

@@ -32,7 +32,7 @@ fn from_start_to_correction_and_through_every_refusal() {
     }
     assert_eq!((&status["mode"], &status["homed"]), (&"disabled".into(), &false.into()));
 
-    // Before homing, while disabled.
+    // Not homed, and disabled.
     assert!(daemon.expect(1, &["correct", "x", "10"]).contains("axis x: not homed: move to"));
     assert!(daemon.expect(1, &["enable"]).contains("axes x, y, z: not homed: move to"));
     daemon.expect(0, &["home", "x"]);
@@ -47,16 +47,16 @@ fn from_start_to_correction_and_through_every_refusal() {
     daemon.expect(0, &["enable"]);
     daemon.expect(0, &["correct", "x", "-12"]);
     completed(&daemon, -12);
-    // Twice the same total does no harm.
+    // The same total twice changes nothing.
     daemon.expect(0, &["correct", "x", "-12"]);
     assert!(daemon.expect(1, &["correct", "x", "1001"]).contains("beyond max_correction_counts"));
-    // Once outside the window: not believed; back inside: all is well.
+    // Outside the window once it is refused, and back inside it is accepted.
     assert!(daemon.expect(1, &["correct", "x", "500"]).contains("larger than window_counts"));
     daemon.expect(0, &["correct", "x", "-2"]);
     daemon.expect(0, &["correct", "x", "300", "--large"]);
     completed(&daemon, 300);
 
-    // Three times outside: the fault is latched, the machine held, and nothing moves.
+    // Outside three times: the fault is latched, feed hold is on, and nothing moves.
     for _ in 0..2 {
         daemon.expect(1, &["correct", "x", "900"]);
     }
@@ -69,13 +69,13 @@ fn from_start_to_correction_and_through_every_refusal() {
     assert_eq!(axis(&status, 0)["faults"][0], "still_not_believed");
     assert_eq!(axis(&status, 0)["completed"], 300);
     daemon.expect(0, &["clear"]);
-    // The position was never in doubt, but nothing moves before somebody wants it.
+    // The position was never in doubt, but nothing moves before somebody enables it.
     assert!(daemon.expect(1, &["correct", "x", "310"]).contains("corrections are disabled"));
     daemon.expect(0, &["enable"]);
     daemon.expect(0, &["correct", "x", "310"]);
     completed(&daemon, 310);
 
-    // Shadow: counted, not written; the way back shows the jump, and a large one must be meant.
+    // Shadow mode counts and does not write. The way back shows the jump, and a large one needs consent.
     daemon.expect(0, &["shadow"]);
     daemon.expect(0, &["correct", "x", "320"]);
     daemon.expect(0, &["correct", "x", "330"]);
@@ -87,7 +87,7 @@ fn from_start_to_correction_and_through_every_refusal() {
     assert!(daemon.expect(0, &["enable", "--accept-jump"]).contains("axis x: +20 counts"));
     until("the jump", || axis(&daemon.status(), 0)["in_effect"] == 330);
 
-    // Hold and probe: no corrections, captures.
+    // Hold and probe mode: no corrections, but captures.
     daemon.expect(0, &["hold", "on"]);
     assert_eq!(daemon.status()["mode"], "hold");
     daemon.expect(0, &["hold", "off"]);
@@ -104,7 +104,7 @@ fn from_start_to_correction_and_through_every_refusal() {
     daemon.expect(0, &["probe", "off"]);
     daemon.expect(2, &["probe", "on", "--json"]);
 
-    // The ledger balances, the log tells the story, and the clean stop parks.
+    // The ledger balances, the log has the events, and a clean stop parks.
     let status = daemon.status();
     assert_eq!((&status["mode"], &status["balanced"]), (&"run".into(), &true.into()));
     assert_eq!((&axis(&status, 0)["illegal"], &status["rt"]["events_lost"]), (&0.into(), &0.into()));
@@ -135,7 +135,7 @@ fn a_second_daemon_and_a_taken_socket_are_refused_an_old_socket_is_not() {
     let _alone = alone();
     let directory = tempfile::tempdir().unwrap();
     let socket = directory.path().join("s");
-    // An old socket that nobody listens at.
+    // An old socket that no process listens on.
     drop(UnixListener::bind(&socket).unwrap());
     let daemon = Daemon::start(&socket, None);
     let (code, text) = refused_start(&[("--socket", &socket)]);
@@ -145,7 +145,7 @@ fn a_second_daemon_and_a_taken_socket_are_refused_an_old_socket_is_not() {
     let (code, log) = daemon.end("INT");
     assert_eq!(code, Some(0), "{log}");
 
-    // Somebody else's socket, and something that is no socket: neither is touched.
+    // Another process's socket, and a file that is no socket: neither is touched.
     let listener = UnixListener::bind(&socket).unwrap();
     let (code, text) = refused_start(&[("--socket", &socket)]);
     assert!(code == Some(1) && text.contains("is in use"), "{code:?} {text}");
@@ -230,7 +230,7 @@ fn without_privileges_it_runs_and_says_what_is_missing() {
         status["rt"]["missing"].as_array().unwrap().iter().map(|m| m.as_str().unwrap()).collect();
     assert!(missing.iter().any(|m| m.starts_with("scheduler: wanted SCHED_FIFO")), "{missing:?}");
     assert!(daemon.log().contains("warning: scheduler"), "{}", daemon.log());
-    // It is a mock: it may be armed all the same.
+    // A mock may be armed all the same.
     assert_eq!(status["rt"]["may_arm"], true);
     daemon.expect(0, &["home"]);
     daemon.expect(0, &["enable"]);
@@ -238,7 +238,8 @@ fn without_privileges_it_runs_and_says_what_is_missing() {
     completed(&daemon, 2);
 }
 
-/// An answer without a line says why, and what comes next; programs get what they got before.
+/// An empty answer says why, and what to do next.
+/// Programs get the same document as before.
 #[test]
 fn an_empty_answer_says_that_it_is_one() {
     let _alone = alone();
@@ -263,14 +264,14 @@ fn an_empty_answer_says_that_it_is_one() {
     );
     assert_eq!(said(&["explain", "--json"]).1, "");
 
-    // Before homing there are counts, and no ledger.
+    // Before homing there are counts, but no ledger.
     let out = directory.path().join("ledger").display().to_string();
     let export = ["ledger", "export", "--out", out.as_str()];
     assert!(said(&export).1.contains("axis x, y, z not homed") && said(&export).1.contains("`rtecctl home`"));
     daemon.expect(0, &["home"]);
     assert_eq!(said(&export).1, "");
 
-    // The record has lines, and none of the next century.
+    // The record has lines, but none of the next century.
     until("the record", || daemon.expect(0, &["log"]).contains(" home: done"));
     let (text, why) = said(&["log", "--since", "2100-01-01"]);
     assert!(text.is_empty() && why.contains("no line since 2100-01-01 00:00:00.000 "), "{why}");
@@ -291,7 +292,7 @@ fn an_empty_answer_says_that_it_is_one() {
     assert!(said(&["explain"]).1.contains("the model holds no effect: `rtecctl model fit`"));
 }
 
-/// Where there is nothing to correct with, to show or to wait for, the answer says so, and what to do.
+/// A verb that has nothing to work on says so, and what to do.
 #[test]
 fn what_is_not_there_is_said_with_the_next_step() {
     let _alone = alone();
@@ -312,7 +313,7 @@ fn what_is_not_there_is_said_with_the_next_step() {
     }
     daemon.expect(2, &["get", "modell"]);
 
-    // Whole insertions only: seven counts are six and one.
+    // Only whole insertions: seven counts become six and a rest of one.
     let seven = daemon.user(&["correct", "x", "7"]);
     let said = String::from_utf8(seven.stderr).unwrap();
     assert!(said.contains("+6 of +7 counts will be in effect, +1 is left"), "{said}");
@@ -336,7 +337,7 @@ fn what_is_not_there_is_said_with_the_next_step() {
         assert!(said.contains("probing has ended (mode run)"), "{said}");
     }
 
-    // A record without a source of its own is the daemon's, found as every verb finds it.
+    // `record` without a source takes the daemon, which it finds as every verb does.
     let record = |socket: &[&str]| {
         let mut record = Command::new(program("rtecctl"));
         record.args([

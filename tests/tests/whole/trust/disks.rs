@@ -38,7 +38,7 @@ fn a_full_disk_under_the_record_stops_no_correction_and_is_told() {
     assert!(daemon.expect(0, &["log", "--verify"]).contains("lines, number 1 to"));
 }
 
-/// A bug once: a model that was unloaded while the disk was full came back with the next start.
+/// Regression: a model unloaded on a full disk came back at the next start.
 #[test]
 fn what_a_full_disk_does_not_remember_is_said_and_never_comes_back() {
     let _alone = alone();
@@ -74,7 +74,7 @@ fn who_was_late_is_seen_on_the_mock_too() {
     let _alone = alone();
     let directory = tempfile::tempdir().unwrap();
     let daemon = Daemon::start(&directory.path().join("s"), None);
-    // Longer than the silence that is worth a line.
+    // Longer than the silence that is logged.
     let (begun, stopped_s) = (Instant::now(), 3.1);
     daemon.pause(|| begun.elapsed().as_secs_f64() > stopped_s + 0.2);
     let max_s = || daemon.status()["rt"]["poll_gap_ns"]["max"].as_f64().unwrap() * 1e-9;
@@ -107,17 +107,17 @@ fn a_record_that_cannot_be_written_is_told_everywhere() {
     std::fs::create_dir(at("later")).unwrap();
     until("it says so", || daemon.log().contains("is written again"));
     assert!(!daemon.expect(0, &["status"]).contains("record of commands"));
-    // The record is whole as far as it goes, and says how far that is.
+    // The record is whole up to its end, and says where it ends.
     let said = daemon.expect(0, &["log", "--verify"]);
     assert!(said.contains("commands were not recorded"), "{said}");
-    // Nobody else writes it.
+    // No other process writes it.
     let second = Daemon::start(&at("s2"), Some(&at("rtec.toml")));
     until("it says so", || second.log().contains("another process writes it"));
     daemon.expect(0, &["disable"]);
     assert_eq!(daemon.user(&["log", "--verify"]).status.code(), Some(0));
 }
 
-/// The settings of the whole machine are put back when the service has ended.
+/// Settings of the whole machine are restored when the service has ended.
 #[test]
 fn the_machine_gets_its_throttling_back() {
     let directory = tempfile::tempdir().unwrap();

@@ -1,4 +1,5 @@
-//! What a plant must be able to count on: one request, one client, one lost record or one late card stops nothing else.
+//! Properties that a plant relies on: one failure stops nothing else.
+//! The failure is one request, one client, one lost record or one late card.
 
 mod disks;
 mod requests;

@@ -12,7 +12,7 @@ fn loads(file: &Path) -> Value {
     serde_json::json!({"do": "model_load", "file": file})
 }
 
-/// A model that takes seconds to be read.
+/// Writes a model that takes seconds to read.
 fn slow_model(file: &Path) {
     let mut text = String::from("name = \"slow\"\n");
     for n in 0..25_000 {
@@ -41,7 +41,7 @@ fn while_one_file_is_loaded_everybody_else_is_answered() {
     assert!(other.ask(&wants("status"))["status"].is_object());
     let mut third = Line::to(&at("s"));
     let busy = third.ask(&loads(&at("slow.toml")));
-    // Either the first one is still at it, or it is so quick that nobody has to wait.
+    // Either the first load is still running, or it was so quick that nobody has to wait.
     let mut answered = 0;
     loader.0.get_ref().set_nonblocking(true).unwrap();
     let mut first = String::new();
@@ -56,14 +56,15 @@ fn while_one_file_is_loaded_everybody_else_is_answered() {
     assert_eq!(busy["refused"]["why"], "loading", "{busy}, after {answered} answers: {first:.200}");
     assert!(answered > 3, "{answered} answers while a file was loaded");
     assert!(!daemon.log().contains("control side is silent"), "{}", daemon.log());
-    // A stop does not wait for it either.
+    // A stop does not wait for the load either.
     let mut again = Line::to(&at("s"));
     again.say(&loads(&at("slow.toml")));
     assert!(other.ask(&wants("status"))["status"].is_object());
     assert_eq!(daemon.end("TERM").0, Some(0));
 }
 
-/// A bug once: whoever went away while his file was loaded kept his place for good, and the control thread busy.
+/// Regression: a client that left during a load kept its place for good.
+/// The control thread stayed busy too.
 #[test]
 fn who_goes_away_during_a_load_leaves_nothing_behind() {
     let _alone = alone();
@@ -72,7 +73,7 @@ fn who_goes_away_during_a_load_leaves_nothing_behind() {
     let _daemon = Daemon::start(&at("s"), None);
     slow_model(&at("slow.toml"));
     let mut view = Line::to(&at("s-view"));
-    // Again where it was loaded before anybody could look.
+    // Tries again where the load ended before anybody could look.
     until("it is being loaded", || {
         let mut loader = Line::to(&at("s"));
         loader.say(&loads(&at("slow.toml")));
@@ -83,7 +84,7 @@ fn who_goes_away_during_a_load_leaves_nothing_behind() {
         all["observed"]["clients"][2]["connected"].as_u64().unwrap()
     };
     until("its place is free", || connected() == 0);
-    // Nothing more to say is not gone: the answer is waited for.
+    // A client that closed its writing side is still there, and waits for the answer.
     let mut answer = Value::Null;
     until("it is loaded", || {
         let mut loader = Line::to(&at("s"));
@@ -109,7 +110,7 @@ fn idle_watchers_keep_nobody_from_stopping_the_machine() {
             line
         })
         .collect();
-    // More that say nothing at all.
+    // More clients, all silent.
     let silent: Vec<UnixStream> = (0..64).map(|_| UnixStream::connect(&socket).unwrap()).collect();
     let text = daemon.expect(1, &["correct", "x", "2"]);
     assert!(text.contains("connected already"), "the refusal reaches the user: {text}");
@@ -181,7 +182,7 @@ fn an_axis_that_moves_is_not_homed() {
     let _alone = alone();
     let directory = tempfile::tempdir().unwrap();
     let daemon = Daemon::start(&directory.path().join("s"), None);
-    // As it starts it stands, at its home.
+    // At its start it is at rest, at its home.
     daemon.expect(0, &["home"]);
     daemon.expect(0, &["enable"]);
     let rate = |status: &Value| status["axes"][0]["edge_rate_hz"].as_f64().unwrap();
@@ -189,7 +190,7 @@ fn an_axis_that_moves_is_not_homed() {
     let text = daemon.expect(1, &["home", "x"]);
     assert!(text.contains("axis x moves at") && text.contains("standstill"), "{text}");
     assert_eq!(daemon.status()["homed"], true);
-    // Feed hold stops it at the end of its cycle, and then it may be.
+    // Feed hold stops it at the end of its cycle, and then homing is allowed.
     daemon.expect(0, &["hold", "on"]);
     until("it stands", || daemon.user(&["home", "x"]).status.code() == Some(0));
 }
@@ -214,6 +215,6 @@ fn one_request_sees_everything() {
     let again = line.ask(&serde_json::json!({"do": "observe", "events_after": last}));
     assert_eq!(again["observed"]["events"], serde_json::json!([]));
     assert_eq!(again["observed"]["events_missed"], 0);
-    // By this socket nothing else.
+    // This socket allows nothing else.
     assert_eq!(line.ask(&wants("disable"))["refused"]["why"], "role");
 }

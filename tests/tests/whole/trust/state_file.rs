@@ -16,12 +16,12 @@ fn a_lost_record_is_no_first_start() {
     bench.balances_with(4);
     let state = std::fs::File::options().read(true).write(true).open(bench.at("state")).unwrap();
     let zero = |at: u64| state.write_all_at(&[0; 64], at).unwrap();
-    // Sixty-four bytes, wherever they are: the other copy has them.
+    // 64 bytes anywhere are no loss, because the other copy has them.
     zero(64);
     let daemon = bench.daemon();
     assert_eq!((&bench.x()["in_effect"], &bench.x()["faults"]), (&4.into(), &serde_json::json!([])));
     assert_eq!(daemon.end("KILL").0, None);
-    // In both copies: what is in effect is not known, and that is a fault.
+    // In both copies: the total in effect is unknown, which is a fault.
     zero(64);
     zero(64 + 4096);
     let daemon = bench.daemon();
@@ -31,7 +31,8 @@ fn a_lost_record_is_no_first_start() {
     assert_eq!(bench.machine.illegal(), 0);
 }
 
-/// The PC and the MTC lost their power, and the file is on a disk: what the MTC counts is not known, and hold is kept.
+/// After a power cut of PC and MTC the count is unknown, and hold is kept.
+/// The file is on a disk and survives.
 #[test]
 fn a_state_file_of_another_boot_is_not_trusted_with_the_count() {
     let _alone = alone();
@@ -57,12 +58,12 @@ fn a_state_file_of_another_boot_is_not_trusted_with_the_count() {
     assert!(shown.contains("the computer was restarted: ") && shown.contains("not known"), "{shown}");
     daemon.expect(1, &["home", "x", "--controller-not-homed"]);
     assert_eq!(daemon.end("KILL").0, None);
-    // It stays so until the MTC has been homed.
+    // It stays unknown until the MTC has been homed.
     let daemon = bench.daemon();
     assert_eq!(daemon.status()["axes"][0]["mtc_known"], false);
 }
 
-/// Where the newest record is gone in both copies, nobody knows what it held.
+/// A newest record that is damaged in both copies is unknown, and latches.
 #[test]
 fn a_newest_record_that_is_damaged_in_both_copies_latches() {
     let _alone = alone();
@@ -98,7 +99,8 @@ fn a_newest_record_that_is_damaged_in_both_copies_latches() {
     }
 }
 
-/// Removed, replaced, cut short or overwritten while the daemon writes it: told, held, and nothing is lost with the process.
+/// A state file that is lost in use is reported, held and written again.
+/// It is removed, replaced, cut short or overwritten. Nothing is lost with the process.
 #[test]
 fn a_state_file_that_is_lost_while_it_is_written_is_written_anew() {
     let _alone = alone();
@@ -120,7 +122,7 @@ fn a_state_file_that_is_lost_while_it_is_written_is_written_anew() {
     ];
     for (what, deed) in deeds {
         deed();
-        // A store to the file that is not there any more.
+        // A store to the file that is gone.
         daemon.expect(0, &["hold", "off"]);
         daemon.expect(0, &["hold", "on"]);
         until("it is found", || daemon.status()["mode"] == "fault");
@@ -142,13 +144,13 @@ fn a_state_file_that_is_lost_while_it_is_written_is_written_anew() {
         assert_eq!(daemon.status()["mode"], "hold", "{what}");
         assert!(daemon.status()["hold"]["by"].as_str().is_some_and(|by| by.starts_with("user ")), "{what}");
     }
-    // An orderly end looks once more.
+    // An orderly end checks once more.
     std::fs::remove_file(&state).unwrap();
     assert_eq!(daemon.end("TERM").0, Some(0));
     let daemon = bench.daemon();
     assert_eq!(daemon.status()["faults"][0], "state_file_lost");
     daemon.expect(0, &["clear"]);
-    // Where it cannot be written anew that is told too, and the fault is latched again as long as it is so.
+    // A failure to write it again is reported too, and the fault is latched again while it lasts.
     std::fs::remove_file(&state).unwrap();
     std::fs::create_dir_all(state.join("in")).unwrap();
     until("it is told", || daemon.log().contains("and cannot be written anew"));
@@ -186,7 +188,7 @@ fn a_state_file_is_one_daemons_and_one_machines() {
     let renamed = CONFIG.replace("CARD", "card").replace("'bench'", "'mill'");
     let (code, text) = other("renamed.toml", format!("{renamed}{control}"));
     assert!(code == Some(4) && text.contains("this is machine \"mill\""), "{code:?} {text}");
-    // Its own finds it as it was.
+    // Its own daemon finds it unchanged.
     let daemon = bench.daemon();
     assert_eq!(daemon.status()["mode"], "disabled");
 }
@@ -208,7 +210,7 @@ fn a_card_that_comes_late_is_waited_for() {
     assert!(said.contains("No such file"), "{said}");
     std::fs::rename(bench.at("later"), bench.at("card")).unwrap();
     until("it serves", || bench.user(&["status"]).0 == Some(0));
-    // A stop while it waits is a stop.
+    // A stop while it waits for the card is a clean stop.
     let stop =
         |child: &std::process::Child| Command::new("kill").arg(child.id().to_string()).status().unwrap();
     stop(&child);
@@ -222,7 +224,7 @@ fn a_card_that_comes_late_is_waited_for() {
     }
     stop(&child);
     assert_eq!(child.wait().unwrap().code(), Some(0));
-    // In vain: as without waiting.
+    // If the card does not come, the result is that of a start without waiting.
     let run = bench.command().args(["--wait-for-card", "1"]).output().unwrap();
     let text = String::from_utf8_lossy(&run.stderr);
     assert!(run.status.code() == Some(3) && text.contains("No such file"), "{:?} {text}", run.status);

@@ -1,24 +1,24 @@
-//! Whole lives of the daemon, drawn from a seed.
-//! One thread on one clock runs state file, start, real-time loop, link, requests, control law, sensors and model, so
-//! each seed gives one history. The machine beyond the card moves by itself. An MTC of its own counts every change in
-//! true order.
+//! Random whole lives of the daemon, each drawn from a seed.
+//! One thread on one clock runs state file, start, real-time loop, link, requests, control law, sensors and model. So
+//! each seed gives one history. The machine beyond the card moves by itself, and its MTC counts every change in true
+//! order.
 //!
 //! | drawn | how |
 //! |---|---|
-//! | kills | between two looks; at an inversion that is noted and not made, or made and not known of |
-//! | state file | the record under way torn, or lost from one copy; the file lost, with the outputs or without; removed or overwritten while it is written |
+//! | kills | between two looks; at an inversion that is noted and not made, or made and not known |
+//! | state file | the record under way torn, or lost from one copy; the file lost, with the outputs or without; removed or overwritten in use |
 //! | MTC | switched off and on again, as its line `mtc_ready` says; homed with the axis, or not |
 //! | looks | late by up to 8 ms |
 //! | card | a write that fails; both lines of an axis at once |
 //! | control side | stops for longer than the stale time; floods of requests |
-//! | people | every verb at any moment, right or not, in any role; the disable switch; faults cleared and the machine homed again |
+//! | people | every verb at any moment, right or wrong, in any role; the disable switch; faults cleared and the machine homed again |
 //! | heat | sensors that drift, jump or fall silent; a model in and out; the day jumps by years |
 //!
-//! What must hold, through every restart: the properties in `tools/guide/contributor/laws.md`, each with a planted fault here.
+//! Through every restart the properties of `tools/guide/contributor/laws.md` must hold. Each has a planted fault here.
 //!
-//! `RTEC_HISTORIES` says how many (default 200), `RTEC_SEED` which is the first. Not drawn: an MTC that restarts while no
-//! daemon lives and is back before the next one starts, which nobody can see; sockets and the record of commands, which have
-//! processes of their own in `tests/`.
+//! `RTEC_HISTORIES` sets the number (default 200), and `RTEC_SEED` the first seed. Some events are not drawn. An MTC
+//! that restarts while no daemon runs, and is back before the next one starts, cannot be noticed. Sockets and the
+//! record of commands are tested in `tests/`.
 
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
@@ -54,7 +54,7 @@ thread_local! {
     static DAY: Cell<i64> = const { Cell::new(20_000) };
 }
 
-/// What came of all histories.
+/// Totals of all histories.
 #[derive(Debug, Default)]
 struct Tally {
     histories: u64,
@@ -80,7 +80,7 @@ struct Tally {
     latched: BTreeMap<String, u64>,
 }
 
-/// The daemon that lives now, and the people and mishaps around it.
+/// The daemon that runs now, with people and failures around it.
 struct Life {
     world: Rc<World>,
     dice: Dice,
@@ -175,14 +175,14 @@ impl Life {
         self.world.machine.borrow().t_ns
     }
 
-    /// One history alone is told.
+    /// Prints a line if there is only one history.
     fn tell(&self, what: &str) {
         if asked("RTEC_HISTORIES", 200) == 1 {
             println!("{:>10.3} ms {what}", self.now_ns() as f64 * 1e-6);
         }
     }
 
-    /// From the first start to the end of the history, through every kill.
+    /// Runs from the first start to the end of the history, through every kill.
     fn run(&mut self, tally: &mut Tally) {
         while self.now_ns() < self.end_ns {
             let life = self.dice.within(5, 600) * 1_000_000;
@@ -217,14 +217,14 @@ impl Life {
                 self.world.machine.borrow_mut().lose_power();
                 self.world.judge.borrow_mut().forget();
             }
-            // Nobody is there; the axes go on.
+            // No daemon runs, and the axes move on.
             let dead_ns = self.dice.within(10, 40_000) * 1000;
             self.world.machine.borrow_mut().write_fails = false;
             self.world.run(dead_ns);
         }
     }
 
-    /// One process, from its start until it is killed or ended.
+    /// Runs one process from its start until it is killed or ends.
     fn live(&mut self, tally: &mut Tally) {
         let (mut log, mut card) = (Log::silent(), Wires(Rc::clone(&self.world.machine)));
         let half = (0..2).any(|n| !self.world.machine.borrow().settled(n));
@@ -232,9 +232,9 @@ impl Life {
             self.forget_hold();
         }
         let Ok((mut engine, _, state_file)) = start::engine(&mut card, &self.config, &mut log) else {
-            // It says what to do by hand, and that is done.
+            // The message says what to do by hand, and that is done here.
             tally.not_started += 1;
-            // At a first start there is none.
+            // At a first start there is no file.
             let _ = fs::remove_file(self.config.control.state_path());
             self.world.machine.borrow_mut().inverters_off();
             self.world.judge.borrow_mut().forget();
@@ -292,7 +292,7 @@ impl Life {
             session.tick(control, &mut log);
             session.take_happened();
             if control.ended() {
-                // The service manager would not know; somebody looks, and starts it again.
+                // The service manager would not notice it. A person does, and starts the daemon again.
                 break;
             }
             if seen.0 != session.latched(&control.status()) {
@@ -307,7 +307,7 @@ impl Life {
     }
 }
 
-/// Faults are counted once, when they appear.
+/// Latched faults at the last turn, so that each is counted once.
 #[derive(Default)]
 struct Seen(Vec<(Option<String>, String)>);
 
@@ -320,7 +320,7 @@ impl Seen {
     }
 }
 
-/// One history; what was wrong in it, and its digest.
+/// Runs one history; returns the violations and a digest.
 fn history(seed: u64, planted: Option<Planted>, tally: &mut Tally) -> (Vec<String>, u64) {
     let directory = tempfile::tempdir_in("/dev/shm").or_else(|_| tempfile::tempdir()).unwrap();
     DAY.set(20_000);

@@ -1,4 +1,4 @@
-//! Models and part tables: read by the loader, taken here.
+//! Models and part tables: the loader reads them, and the session takes them.
 
 use super::{Answer, Beside, Session};
 use crate::loader::{self, Job, Loaded, PATIENCE, Source, Ticket};
@@ -14,41 +14,42 @@ use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-/// Which model was taken last: a file of this name beside the state file.
-/// Only that one runs after a restart. Its hash, its file, and [`MEANT`] where it was taken although its validity had
-/// ended.
+/// File beside the state file that names the model that was loaded last.
+/// Only that model runs after a restart. It has the hash, the file, and [`MEANT`] if the model was taken although its
+/// validity had ended.
 const TAKEN: &str = "model.taken";
 const MEANT: &str = "although expired";
-/// The same of the model that was unloaded last.
-/// It does not run after a restart, and `model_again` takes it up.
+/// The same for the model that was unloaded last.
+/// It does not run after a restart; `model_again` loads it.
 const UNLOADED: &str = "model.unloaded";
-/// Behind them the name of the machine that it was taken for.
+/// Prefix of the machine's name in these files.
 const FOR: &str = "for ";
-/// What to do about a model whose validity has ended.
+/// Remedy for a model whose validity has ended.
 pub(super) const LOOK_AGAIN: &str = "`rtecctl model validate` it on a new record and fit again where it is no longer true; `rtecctl model \
                           load --expired` takes it as it is, `rtecctl model unload` goes on without";
-/// What to do about a model that was unloaded.
+/// Remedy for a model that was unloaded.
 const AGAIN: &str = "the model was unloaded: `rtecctl model again` takes it up as it was";
-/// The files of that model as they were read, beside it.
-/// A restart so does not read files that have changed since.
+/// File with the texts of that model's files as they were read.
+/// So a restart does not read files that have changed since.
 const KEPT: &str = "model.kept";
 
-/// What is to be done with a model when it has been read.
+/// Purpose of a model's load.
 pub(crate) struct Wanted {
-    /// Take it, if its hash is this one; else show what it changes.
+    /// Take the model if it has this hash; otherwise show what it changes.
     pub(crate) take: Option<String>,
-    /// Take it although its validity has ended.
+    /// Take it even if its validity has ended.
     pub(crate) expired: bool,
 }
 
-/// What is to be done with a load.
+/// Purpose of a load.
 pub(crate) enum Wish {
     Model(Wanted),
     Table,
     Keep,
 }
 
-/// A name is not enough: the daemon may read what its caller may not.
+/// Refusal of a request that only names its files.
+/// The daemon may read files that its caller may not.
 fn by_name(file: &Path) -> Response {
     let text = format!(
         "{}: found a name alone, expected the open file with it (SCM_RIGHTS), as `rtecctl` sends it: a file is read with its \
@@ -62,14 +63,14 @@ fn refused(why: &str, text: String) -> Response {
     Response::Refused { why: why.to_owned(), text, jumps: Vec::new() }
 }
 
-/// What is remembered of a model that was loaded.
+/// The stored entry of a loaded model.
 #[derive(Default)]
 struct Remembered {
     sha256: String,
     file: Option<PathBuf>,
-    /// It was meant although its validity had ended.
+    /// It was taken although its validity had ended.
     meant: bool,
-    /// The machine that it was loaded for.
+    /// Name of the machine for which it was loaded.
     machine: Option<String>,
 }
 
@@ -83,7 +84,7 @@ impl Remembered {
         Self { sha256, file, meant: further.first() == Some(&MEANT), machine }
     }
 
-    /// Why it is not this machine's.
+    /// Why the model is not for this machine, if so.
     fn of_another(&self, name: &str) -> Option<String> {
         let then = self.machine.as_ref().filter(|then| *then != name)?;
         let file = self.file.as_deref().unwrap_or(Path::new("")).display();
@@ -94,8 +95,8 @@ impl Remembered {
 }
 
 impl Session {
-    /// Continues the last model after a restart, as it was read then.
-    /// If the configuration names it, its file must be unchanged. It runs before any client is served, because it
+    /// Runs the last model again after a restart, as it was read then.
+    /// If the configuration names it, its file must be unchanged. This happens before any client is served, because it
     /// waits for the files.
     pub(crate) fn take_up_model(&mut self, log: &mut Log) {
         let taken = Remembered::read(&self.directory().join(TAKEN));
@@ -166,8 +167,8 @@ impl Session {
         self.begin(job, Wish::Model(Wanted { take: Some(model.sha256), expired: model.meant }))
     }
 
-    /// No model runs: why, and what to load.
-    /// Nothing to say where a part table was loaded without one.
+    /// Why no model runs, and what to load.
+    /// `None` where a part table was loaded without a model.
     pub(super) fn no_model(&self) -> Option<String> {
         if self.corrector.shown().is_some() {
             return None;
@@ -180,7 +181,7 @@ impl Session {
         }
     }
 
-    /// Why a model may not be used any more: its validity has ended.
+    /// Why a model may not be used any more, if its validity has ended.
     fn ended(&self, machine: &Machine) -> Option<String> {
         let ended = machine.expired((self.today)());
         let file = machine.path.display();
@@ -221,7 +222,7 @@ impl Session {
     }
 
     /// Puts a finished record into the spool folder, once it has been read.
-    /// Without files it says whether it would.
+    /// Without files it only answers whether it would.
     pub(super) fn keep(&mut self, names: &[String], beside: Beside) -> Answer {
         let Some(spool) = self.keeper.spool().cloned() else {
             let text = "this daemon keeps no records: `spool = \"/var/spool/rtec\"` in [control] of its configuration names \
@@ -256,7 +257,7 @@ impl Session {
         }
     }
 
-    /// Something is being loaded.
+    /// Whether a load is under way.
     pub(crate) fn loads(&self) -> bool {
         self.loader.busy().is_some()
     }
@@ -274,9 +275,9 @@ impl Session {
         }
     }
 
-    /// The finished load, its answer, and its line of the record if another.
-    /// A file's contents are for its reader alone. `waits`: somebody still waits for the load; otherwise it is not
-    /// taken.
+    /// Takes the finished load; returns its answer and its line in the record.
+    /// The line is given only where it differs, because a file's content is for its reader alone. With `waits` false
+    /// nobody waits, and the load is not taken.
     pub(crate) fn loaded(
         &mut self,
         waits: impl FnOnce(Ticket) -> bool,
@@ -301,7 +302,7 @@ impl Session {
         let ((ticket, result), given_up) = self.loader.done()?;
         let wish = if given_up { None } else { self.wish.take() };
         if let Ok(Loaded::Kept(kept)) = result {
-            // It is there, or it is not: whoever waits.
+            // The record is there or not, whether or not the caller waits.
             let response = match &kept {
                 Ok(_) => Response::done(),
                 Err(text) => refused("not_kept", text.clone()),
@@ -376,14 +377,14 @@ impl Session {
         let written = [(KEPT, kept.as_slice()), (TAKEN, text.as_bytes())]
             .map(|(name, content)| (name, rtec_files::write::whole(&at(name), content)));
         if written.iter().all(|(_, done)| done.is_ok()) {
-            // It runs: what was unloaded before is not taken up any more.
+            // The model runs now, so the unloaded one is not loaded again.
             let _ = std::fs::remove_file(at(UNLOADED));
         }
         self.failed(written, "a restart will not know which model was loaded", log)
     }
 
-    /// A restart is to take up none.
-    /// A new name needs no room on a disk, as writing would.
+    /// Makes a restart load no model.
+    /// Renaming the file needs no room on the disk, and writing would.
     fn forget(&self, log: &mut Log) -> Vec<String> {
         let at = |name: &str| self.directory().join(name);
         let renamed = match std::fs::rename(at(TAKEN), at(UNLOADED)) {
@@ -393,7 +394,7 @@ impl Session {
         self.failed([(TAKEN, renamed)], "a restart may take the model up again", log)
     }
 
-    /// Logs and returns what failed of the files beside the state file, and its effect.
+    /// Logs and returns the failures of files beside the state file, with their effect.
     fn failed<const N: usize>(
         &self,
         done: [(&str, std::io::Result<()>); N],
@@ -409,7 +410,7 @@ impl Session {
     }
 
     pub(super) fn model_unload(&mut self, log: &mut Log) -> Response {
-        // One that was refused at the start is given up, too.
+        // A model that was refused at the start is given up too.
         let given_up = self.model_refused.take_if(|why| why != AGAIN).is_some();
         if !self.corrector.unload() && !given_up {
             let text = "no model is loaded: there is nothing to unload".to_owned();

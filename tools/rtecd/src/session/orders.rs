@@ -1,4 +1,4 @@
-//! Requests that go to the real-time thread, and what it answers.
+//! Requests to the real-time thread, and its answers.
 
 use super::{Session, loads};
 use crate::log::Log;
@@ -11,13 +11,13 @@ use rtec_rt::event::{AxisStatus, Event, EventKind, Mode, Refusal, Request, Statu
 use rtec_rt::link::{ControlEnd, REQUESTS};
 use std::time::Duration;
 
-/// An axis with fewer edges per second stands.
-/// It moves by less than half a count in the milliseconds between setting its counter and reading it back.
+/// Edge rate below which an axis counts as at rest, Hz.
+/// It then moves by less than half a count in the milliseconds between setting its counter and reading it back.
 const STANDSTILL_HZ: f64 = 50.0;
 
 impl Session {
-    /// Sends a request and waits until it has been worked off.
-    /// Returns what was reported in the meantime.
+    /// Sends a request and waits until it is completed.
+    /// Returns the events of the meantime.
     pub(super) fn send(
         &mut self,
         request: Request,
@@ -31,10 +31,10 @@ impl Session {
         };
         let silent =
             "the real-time thread does not answer: see `rtecctl platform` for what else runs on its CPU";
-        // It has not looked at the card since a request was last left unanswered: nobody waits for it again.
+        // No look since a request was last left unanswered, so this one is not waited for.
         let stuck = self.unanswered == Some(control.status().polls);
         let deadline = self.time.now() + self.patience;
-        // What the corrector has sent is not answered to somebody else.
+        // Waits for the corrector's requests, so that their events do not answer this one.
         while control.pending() > 0
             && control.pending() < REQUESTS
             && !stuck
@@ -47,13 +47,13 @@ impl Session {
         self.drain(control, log);
         control.send(request).map_err(|full| dead("ring_full", &full.to_string()))?;
         if stuck {
-            // It will find the request when it looks again.
+            // It takes the request when it looks again.
             return Err(dead("no_answer", silent));
         }
         self.unanswered = None;
         let mut events = Vec::new();
-        // It is taken when the ring is empty, and worked off when a status is there that is newer than one read after
-        // that. Its events come before that status.
+        // The request is taken when the ring is empty. It is completed when a later status is newer than the one at
+        // that time. Its events come before that status.
         let mut taken_at = None;
         loop {
             control.beat();
@@ -83,7 +83,7 @@ impl Session {
         }
     }
 
-    /// Sends a request and turns what was reported into an answer.
+    /// Sends a request and makes an answer from the events.
     pub(super) fn carry_out(
         &mut self,
         request: Request,
@@ -110,7 +110,7 @@ impl Session {
         Ok(events)
     }
 
-    /// A refusal with the axis and the figures that it is about.
+    /// A refusal with its axis and figures.
     fn refused(&self, why: Refusal, request: Request, status: &Status) -> Response {
         let axis = match request {
             Request::Correct { axis, .. }
@@ -144,7 +144,7 @@ impl Session {
         Response::Refused { why: word(why), text, jumps: Vec::new() }
     }
 
-    /// The axes of which nobody knows what the controller counts, and what to do.
+    /// The axes with an unknown count of the controller, and a remedy.
     pub(super) fn unknown(&self, status: &Status) -> Option<String> {
         let all = self.config.axes.iter().zip(status.axes());
         let unknown: Vec<&str> = all.filter(|(_, s)| !s.mtc_known).map(|(a, _)| a.name.as_str()).collect();
@@ -168,7 +168,7 @@ impl Session {
         })
     }
 
-    /// The operator's total, beside what the other sources ask for.
+    /// Requests the operator's total, beside those of the other sources.
     pub(super) fn correct(
         &mut self,
         axis: &str,
@@ -183,7 +183,7 @@ impl Session {
         let before = control.status().axes[n].requested;
         let request = Request::Correct { axis: n as u8, total_counts, large };
         let events = self.carry_out(request, control, log).map_err(|refusal| match refusal {
-            // The total that was asked for is not the one that was refused.
+            // The refused total includes the other sources, so the text names it.
             Response::Refused { why, text, jumps } if others_counts != 0 => {
                 let text =
                     format!("{text} (asked {operator_counts:+}, model and part table {others_counts:+})");
@@ -194,7 +194,7 @@ impl Session {
         self.corrector.operator_is(n, operator_counts);
         let config = &self.config.axes[n];
         let warnings = events.iter().filter_map(|event| match event.kind {
-            // The corrector's own requests are told apart by their total.
+            // The corrector's own requests differ in their total.
             EventKind::Warning { total_counts: of } if event.axis == Some(n as u8) && of == total_counts => {
                 Some(format!(
                     "{}, warning from {} on (warn_counts): it is carried out; check that so much is meant",
@@ -278,7 +278,7 @@ impl Session {
         Ok(Response::done())
     }
 
-    /// What the MTC still counts of these axes, unless it was homed.
+    /// Refusal to home these axes, if the MTC may still have counts in effect.
     /// A count that is part of its position must not be forgotten.
     fn still_counted(
         &self,
@@ -318,7 +318,7 @@ impl Session {
         Some(Response::Refused { why: "still_counted".to_owned(), text, jumps: Vec::new() })
     }
 
-    /// What enabling would insert, axis by axis.
+    /// The counts that enabling would insert, axis by axis.
     pub(super) fn jumps(&self, status: &Status) -> Vec<Jump> {
         let all = self.config.axes.iter().zip(status.axes()).enumerate();
         all.map(|(n, (axis, s))| (axis, self.corrector.goal(n, s) - s.in_effect))
@@ -332,7 +332,7 @@ impl Session {
             .collect()
     }
 
-    /// Why corrections must not be enabled, as far as it is known here.
+    /// Why corrections must not be enabled, as far as this side knows.
     pub(super) fn forbidden(&self, status: &Status, jumps: &[Jump], accept_jump: bool) -> Option<Response> {
         match status.mode {
             Mode::Probe => return Some(refused(Refusal::Probing)),
@@ -358,7 +358,7 @@ impl Session {
     }
 }
 
-/// What a request leaves undone, where it is no whole number of insertions away.
+/// The rest of a request that is not a whole number of insertions, as text.
 fn rest(axis: &ConfiguredAxis, total_counts: i64, in_effect: i64) -> Option<String> {
     let left = (total_counts - in_effect) % INCREMENT_COUNTS;
     (left != 0).then(|| {
@@ -370,7 +370,7 @@ fn rest(axis: &ConfiguredAxis, total_counts: i64, in_effect: i64) -> Option<Stri
     })
 }
 
-/// The figures of a request for a total.
+/// The figures of a request for a total, as text.
 fn asked(axis: &ConfiguredAxis, total_counts: i64, now_counts: i64) -> String {
     format!("axis {}: total {total_counts:+}, now {now_counts:+} counts", axis.name)
 }

@@ -1,4 +1,4 @@
-//! Everything that there is to see.
+//! The status and all other reports.
 
 use super::Session;
 use crate::start::OTHER_BOOT;
@@ -13,7 +13,7 @@ use rtec_rt::setup::Report;
 use std::path::PathBuf;
 
 impl Session {
-    /// Everything at once, with the events after one that is known already.
+    /// All reports at once, with the events after a known one.
     pub(crate) fn observed(
         &mut self,
         events_after: Option<u64>,
@@ -130,12 +130,12 @@ impl Session {
         }
     }
 
-    /// A time of the card's clock, s since 1970.
+    /// A time of the card's clock in seconds since 1970.
     fn at_s(&self, t_ns: u64, now: &Status) -> f64 {
         self.time.now_s() - now.t_ns.saturating_sub(t_ns) as f64 * 1e-9
     }
 
-    /// Who holds the machine.
+    /// Who asked for feed hold.
     fn hold(&self, now: &Status) -> Option<HoldReport> {
         let by = match now.held {
             Some(HeldBy::User(uid)) if uid == self.holder.0 && !self.holder.1.is_empty() => {
@@ -163,13 +163,13 @@ impl Session {
         .collect()
     }
 
-    /// Files on the disk that are not what runs.
+    /// Messages on files that differ from what runs.
     fn edited(&self) -> Vec<String> {
         let model = self.corrector.shown().map(|m| (PathBuf::from(m.file), m.sha256));
         self.on_disk.as_ref().map_or_else(Vec::new, |files| files.edited(model))
     }
 
-    /// Why nothing is corrected now, each with its remedy.
+    /// Why nothing is corrected now, each reason with its remedy.
     fn why_not(&self, now: &Status, alive: bool, may_arm: bool) -> Vec<String> {
         let mut why = Vec::new();
         if !alive {
@@ -232,7 +232,7 @@ impl Session {
     }
 }
 
-/// What switched corrections off, behind "corrections are off".
+/// The reason that follows "corrections are off".
 const fn off_because(because: OffBecause) -> &'static str {
     match because {
         OffBecause::Start | OffBecause::Asked => "",

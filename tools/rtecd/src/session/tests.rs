@@ -44,7 +44,7 @@ fn session(engine: &Engine) -> Session {
     Session::by(Rc::new(RealTime(Clock::start())), config, set_up, Buses::of(Vec::new()))
 }
 
-/// The time of a recorded shift.
+/// The clock of a recorded shift.
 struct Recorded(Cell<f64>);
 
 impl Time for Recorded {
@@ -59,7 +59,7 @@ impl Time for Recorded {
     fn sleep(&self, _: Duration) {}
 }
 
-/// The recorded shift gives the same totals in the daemon's tick.
+/// A recorded shift gives the same totals in the daemon's tick.
 #[test]
 fn a_recorded_shift_gets_the_recorded_totals() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../correct/tests/shift");
@@ -67,7 +67,7 @@ fn a_recorded_shift_gets_the_recorded_totals() {
     let mut config = Config::embedded();
     config.control.state_file = Some(directory.path().join("state"));
     config.model.lead_ms = 20.0;
-    // The window that it was recorded with.
+    // The belief window of the recording.
     config.axes.iter_mut().for_each(|axis| axis.engine.window_counts = 50);
     let (engine, _card) = engine(&config);
     let set_up =
@@ -114,7 +114,7 @@ fn a_recorded_shift_gets_the_recorded_totals() {
     assert_eq!(rows, 2400);
 }
 
-/// A silent real-time thread is answered for, and a full ring is reported.
+/// A silent real-time thread and a full ring give answers instead of a hang.
 #[test]
 fn a_full_ring_and_a_silent_thread_are_answers_not_hangs() {
     let (engine, _card) = engine(&Config::embedded());
@@ -140,8 +140,8 @@ fn a_full_ring_and_a_silent_thread_are_answers_not_hangs() {
     ));
 }
 
-/// A model that ends while it runs goes on with what is being cut.
-/// It is not armed again before somebody has meant it.
+/// A model that ends while it runs stays active, and is not enabled again.
+/// It needs a new consent.
 #[test]
 fn corrections_are_not_enabled_on_a_model_that_has_ended() {
     let directory = tempfile::tempdir().unwrap();
@@ -187,7 +187,7 @@ fn corrections_are_not_enabled_on_a_model_that_has_ended() {
     let (why, text) = refused(ask(&mut session, &enable, control, &mut log));
     assert!(why == "expired" && text.contains("load --expired"), "{why}: {text}");
     assert_eq!(refused(ask(&mut session, &load(false), control, &mut log)).0, "expired");
-    // A restart does not take it up either, unless it was meant; then it is armed.
+    // A restart does not load it without consent. With consent it is loaded and can be enabled.
     session.corrector.unload();
     session.take_up_model(&mut log);
     assert!(session.status(control).model.is_none());
@@ -199,8 +199,8 @@ fn corrections_are_not_enabled_on_a_model_that_has_ended() {
     running.stop();
 }
 
-/// A control side that falls silent: corrections are off, and the status says so.
-/// Back again, they wait to be enabled.
+/// A silent control side switches corrections off, and the status says so.
+/// After its return they wait to be enabled.
 #[test]
 fn a_stale_control_side_freezes_corrections_and_is_named() {
     let config = Config::embedded();
@@ -228,7 +228,7 @@ fn a_stale_control_side_freezes_corrections_and_is_named() {
         control.beat();
         std::thread::sleep(Duration::from_millis(1));
     }
-    // What came back enables nothing.
+    // The return enables nothing.
     let why = session.status(control).why_not;
     assert_eq!(why, ["corrections are off since the control side was silent: `rtecctl enable`"]);
     let enable = ClientRequest::Enable { accept_jump: false };
@@ -236,7 +236,7 @@ fn a_stale_control_side_freezes_corrections_and_is_named() {
     assert!(session.status(control).why_not.is_empty());
     let (ended, mut control) = running.stop();
     assert!(ended.status.balanced());
-    // A thread that has ended says so.
+    // A thread that has ended is reported.
     let Response::Refused { why, .. } = ask(&mut session, &ClientRequest::Clear {}, &mut control, &mut log)
     else {
         panic!("an answer from nobody")
@@ -244,7 +244,7 @@ fn a_stale_control_side_freezes_corrections_and_is_named() {
     assert_eq!(why, "ended");
 }
 
-/// A real card with figures from elsewhere, or too fast an axis, cannot be enabled.
+/// A real card with another machine's figures, or too fast an axis, is not armed.
 /// The status says why.
 #[test]
 fn a_card_without_figures_of_its_own_is_not_armed() {

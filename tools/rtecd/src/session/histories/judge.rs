@@ -1,8 +1,8 @@
-//! The world around the daemon, and the judge of what the daemon says.
+//! The world around the daemon, and the judge of the daemon's statements.
 
 use super::*;
 
-/// The loop of the process that lives now, and who watches it.
+/// The loop of the present process, and the judge.
 pub(super) struct World {
     pub(super) base: Instant,
     pub(super) machine: Rc<RefCell<Machine>>,
@@ -25,7 +25,7 @@ impl Time for World {
 }
 
 impl World {
-    /// The machine moves, and the loop, where it lives, turns.
+    /// Runs the machine, and the loop if there is one, for `ns`.
     pub(super) fn run(&self, ns: u64) {
         let until_ns = self.machine.borrow().t_ns + ns;
         let mut turns = self.turns.borrow_mut();
@@ -48,34 +48,34 @@ impl World {
     }
 }
 
-/// Compares what the daemon says with what the MTC has counted.
+/// Compares the daemon's statements with the MTC's counts.
 pub(super) struct Judge {
     pub(super) seed: u64,
-    /// Per axis, what to subtract from its counts: their values when the MTC was homed.
+    /// Values of each axis's two counts when the MTC was homed, to be subtracted.
     pub(super) base: [[i64; 2]; 2],
     /// The MTC has been homed, and nothing has put its count in doubt since.
     pub(super) trusted: [bool; 2],
-    /// What people have asked for since nothing was under way.
+    /// Requests of people since the ring of requests was last empty.
     pub(super) asked: Asked,
-    /// At the last look: holder of feed hold, faults, corrections on.
+    /// At the last look: feed hold, faults, corrections on.
     pub(super) held: bool,
     pub(super) latched: Vec<(Option<usize>, Fault)>,
     pub(super) enabled: bool,
     /// Looks since the process started, and since the MTC was switched off.
     pub(super) looks: u64,
     pub(super) off_looks: u64,
-    /// Masked glitches, and insertions begun, when it was last homed.
+    /// Number of masked glitches and of insertions at the last homing.
     pub(super) masked: [(usize, u64); 2],
-    /// Shortest time of a reversal over an edge, less that of the looks, ns.
+    /// Shortest time of a reversal over an edge, without the looks' delays, ns.
     pub(super) turn_back_ns: u64,
     /// Counts lost through glitches that nobody could see, by reason.
-    /// A glitch looked like an allowed reversal, came before any insertion, or was among several edges in a late
+    /// The glitch looked like an allowed reversal, came before any insertion, or was among several edges in a late
     /// look.
     pub(super) unseen: [u64; 3],
-    /// A count was lost, and how many edges have come since: nobody knows of it yet.
+    /// Number of edges when a count was lost that nobody has noticed yet.
     pub(super) lost: [Option<u64>; 2],
     pub(super) begun: u64,
-    /// The control side is silent since then, ns.
+    /// Time since which the control side is silent, ns.
     pub(super) silent_ns: Option<u64>,
     pub(super) turns: u64,
     pub(super) checks: u64,
@@ -88,7 +88,7 @@ impl Judge {
         let begun = m.axes.iter().map(|a| a.begun).sum();
         if begun != self.begun {
             self.begun = begun;
-            // A full-cycle design goes on with what it has begun.
+            // An insertion under way is finished in any mode.
             if at_rest && before != Mode::Run && engine.mode() != Mode::Run {
                 self.wrong(&format!("an insertion began in {before:?}"), m);
             }
@@ -106,8 +106,8 @@ impl Judge {
         }
     }
 
-    /// Checks what no look and no restart may change by itself.
-    /// That is feed hold, faults, corrections that are off, and an MTC that is off.
+    /// Checks the state that no look and no restart may change by itself.
+    /// It is feed hold, faults, corrections that are off, and an MTC that is off.
     pub(super) fn keeps(&mut self, engine: &Engine, m: &Machine) {
         self.looks += 1;
         let status = engine.status();
@@ -143,7 +143,7 @@ impl Judge {
                 (self.trusted[n], self.lost[n]) = (false, None);
             }
             if self.asked.mtc_homed && axis.mtc_known && axis.in_effect == 0 && m.settled(n) {
-                // The MTC is homed with us: what it has counted beyond the scale is what we say from here on.
+                // The MTC is homed with the axis. From here on the daemon must report what it counts beyond the scale.
                 let offsets = [place.ours, place.mtc - place.scale];
                 (self.base[n], self.trusted[n], self.lost[n]) = (offsets, true, None);
                 self.masked[n] = (place.masked.len(), place.begun);
@@ -151,12 +151,12 @@ impl Judge {
         }
     }
 
-    /// A process begins: nothing is enabled, and all else is as the one before left it.
+    /// Begins a process: nothing is enabled, and all else is as the one before left it.
     pub(super) fn begins(&mut self) {
         (self.enabled, self.looks, self.silent_ns) = (false, 0, None);
     }
 
-    /// Nothing is left of the process before, and nobody can know what was.
+    /// Forgets the process before, whose state is lost.
     pub(super) fn forget(&mut self) {
         (self.trusted, self.held) = ([false; 2], false);
         self.latched.clear();
@@ -168,7 +168,7 @@ impl Judge {
         for n in 0..2 {
             let axis = &status.axes[n];
             let known = engine.in_effect(n).unwrap().1;
-            // Before it is homed the axis knows what was inserted, not whether every edge was seen.
+            // Before homing the axis knows what was inserted, but not whether every edge was seen.
             let place = &m.axes[n];
             let offsets = [place.ours, place.mtc - place.scale];
             for part in [m.t_ns, m.axes[n].mtc as u64, known as u64, status.mode as u64] {
@@ -213,37 +213,37 @@ impl Judge {
     }
 }
 
-/// What people have asked for.
-#[allow(clippy::struct_excessive_bools)] // Each is asked for without any other.
+/// Requests of people.
+#[allow(clippy::struct_excessive_bools)] // each is requested independently of the others
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Asked {
     pub(super) hold_off: bool,
     pub(super) clear: bool,
     pub(super) enable: bool,
-    /// The MTC has been homed, and that was said.
+    /// The MTC has been homed, and the daemon was told.
     pub(super) mtc_homed: bool,
 }
 
-/// Faults that the judge must find: of the corrector, or of whatever it stands on.
+/// Planted faults that the judge must find.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Planted {
-    /// A count more at the MTC than anybody has made.
+    /// The MTC gets an extra count.
     Count,
-    /// A start that finds the state file of some insertions ago.
+    /// The start finds the state file of some insertions ago.
     OldFile,
-    /// A loop that does not mind a silent control side.
+    /// The loop ignores a silent control side.
     NeverStale,
-    /// Homing that forgets what the MTC counts, though it has not been homed.
+    /// Homing forgets the MTC's count, although the MTC was not homed.
     HomeForgets,
-    /// A start that finds no feed hold and no fault of the machine.
+    /// The start finds no feed hold and no fault of the machine.
     HoldForgotten,
-    /// A start that finds no state file.
+    /// The start finds no state file.
     FileForgotten,
-    /// Something enables corrections, and nobody asked for it.
+    /// Something enables corrections without a request.
     EnablesItself,
-    /// A line that tells nothing of an MTC that restarts.
+    /// The ready line does not show an MTC that restarts.
     DeafToMtc,
-    /// Nobody looks whether the state file is still the one that is written.
+    /// Nobody checks the state file in use.
     FileUnwatched,
 }
 

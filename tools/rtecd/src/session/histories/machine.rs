@@ -1,4 +1,4 @@
-//! The far side of the card, which runs whether a daemon lives or not.
+//! The machine at the other end of the card, with or without a daemon.
 //! Two axes move by themselves. They have scales, XOR gates and an MTC that counts every change in true order.
 
 use rtec_driver::card::{AxisLines, Card, CardError, Sample};
@@ -8,10 +8,10 @@ use std::rc::Rc;
 use test_needs::dice::Dice;
 use test_needs::motion::Motion;
 
-/// What a process that is killed unwinds with.
+/// The panic's payload of a process that is killed.
 pub(super) struct Killed;
 
-/// The counts contract's cycle, positive direction: A and B at a count.
+/// Levels of A and B at each count of the cycle, in the positive direction.
 const CYCLE: [u64; 4] = [0b00, 0b01, 0b11, 0b10];
 
 pub(super) struct Place {
@@ -23,34 +23,34 @@ pub(super) struct Place {
     pub scale: i64,
     pub mtc: i64,
     mtc_off: bool,
-    /// Counts of the MTC that differ from the scale's through inverters: our own.
+    /// Counts of the MTC that inverters caused.
     pub ours: i64,
-    /// What reaches the MTC: place in the cycle of four.
+    /// Place of the MTC's signals in the cycle of four.
     out: u64,
-    /// Both lines changed at once.
+    /// Number of times that both lines at the MTC changed at once.
     pub illegal: u64,
     pub edges: u64,
-    /// Times that both lines changed at once by noise.
+    /// Number of times that noise changed both lines at once.
     pub glitches: u64,
     /// Glitches that met an edge within one look.
     /// Such a pair shows one step the other way, as a reversal does.
     pub masked: Vec<Masked>,
-    /// Glitches and edges at the last look.
+    /// Number of glitches and edges at the last look.
     looked: (u64, u64),
-    /// The look before the look before the last edge, ns: the edge came after it.
+    /// Time of the second look before the last edge, ns; the edge came after it.
     edge_since_ns: u64,
-    /// Insertions begun: the inverters, equal before, were ordered to differ.
+    /// Insertions begun: both inverters were equal, and one was ordered to change.
     pub begun: u64,
 }
 
 /// A glitch and an edge that one look shows as one step.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Masked {
-    /// The time to the edge before, at the most that the looks allow, ns.
+    /// Most time to the edge before that the looks allow, ns.
     pub after_ns: u64,
-    /// Edges within that look.
+    /// Number of edges within that look.
     pub edges: u64,
-    /// Insertions begun before.
+    /// Number of insertions begun before.
     pub begun: u64,
 }
 
@@ -67,7 +67,7 @@ impl Place {
         CYCLE[self.scale.rem_euclid(4) as usize]
     }
 
-    /// The MTC counts, where it is on; `step` is what the scale has moved.
+    /// Lets the MTC count, if it is on; `step` is the scale's motion.
     fn mtc_looks(&mut self, outputs: u64, step: i64) {
         let seen = self.levels() ^ self.inverters(outputs);
         let place = (0..4).find(|&p| CYCLE[p as usize] == seen).unwrap_or(0);
@@ -107,13 +107,13 @@ impl Place {
 /// When the process dies at the next inversion.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum AtWrite {
-    /// Noted, not made.
+    /// After the note, before the write.
     Before,
-    /// Made, and it will be in effect.
+    /// After the write, which will be in effect.
     After,
 }
 
-#[allow(clippy::struct_excessive_bools)] // Each is a switch of its own.
+#[allow(clippy::struct_excessive_bools)] // each is a switch of its own
 pub(super) struct Machine {
     pub t_ns: u64,
     pub axes: [Place; 2],
@@ -122,19 +122,19 @@ pub(super) struct Machine {
     next_gap: Option<u64>,
     pub max_gap_ns: u64,
     dice: Dice,
-    /// The axes brake.
+    /// The axes brake to a stop.
     pub stop: bool,
-    /// The next look is late by so much, ns.
+    /// Delay of the next look, ns.
     pub late_ns: u64,
     pub die: Option<AtWrite>,
     pub write_fails: bool,
     pub disable_switch: bool,
     pub mtc_off: bool,
     pub looks: u64,
-    /// The two looks before, ns.
+    /// Times of the two looks before, ns.
     looks_ns: [u64; 2],
     pub state_file: PathBuf,
-    /// The state file as it was at the write before.
+    /// Content of the state file at the write before.
     pub state_before: Vec<u8>,
 }
 
@@ -186,7 +186,7 @@ impl Machine {
         }
     }
 
-    /// An order that is on its way takes effect.
+    /// Puts a pending write in effect.
     fn land(&mut self) {
         if let Some((_, outputs)) = self.flying.take() {
             self.outputs = outputs;
@@ -198,7 +198,7 @@ impl Machine {
         self.flying.is_none() && !self.axes[n].half(self.outputs)
     }
 
-    /// Edges and orders up to this time, in true order.
+    /// Makes edges and writes up to this time, in true order.
     pub(super) fn run_to(&mut self, t_ns: u64) {
         loop {
             for place in &mut self.axes {
@@ -222,16 +222,16 @@ impl Machine {
         self.t_ns = t_ns;
     }
 
-    /// Both lines of an axis change at once: noise, and the MTC sees it too.
+    /// Changes both lines of an axis at once, by noise that the MTC sees too.
     pub(super) fn glitch(&mut self, n: usize) {
         self.axes[n].scale += 2;
         self.axes[n].glitches += 1;
         self.axes[n].mtc_looks(self.outputs, 2);
-        // What the MTC makes of two counts at once is anybody's guess; here it takes none.
+        // It is undefined how the MTC counts two changes at once; here it counts none.
     }
 
     /// Switches the MTC off or on.
-    /// Switched on again, it counts from zero wherever the axes are.
+    /// Switched on, it counts from zero wherever the axes are.
     pub(super) fn switch_mtc(&mut self, off: bool) {
         self.mtc_off = off;
         for place in &mut self.axes {
@@ -239,8 +239,8 @@ impl Machine {
         }
     }
 
-    /// Mains failure of the computer alone, and it is back: outputs low, no state file.
-    /// The MTC has gone on counting.
+    /// Cuts the power of the computer alone, and restores it.
+    /// The outputs are low, and there is no state file. The MTC has continued to count.
     pub(super) fn lose_power(&mut self) {
         self.flying = None;
         self.outputs = 0;
@@ -249,13 +249,13 @@ impl Machine {
         self.state_before.clear();
     }
 
-    /// Feed hold as the controller sees it; none while an order is on its way.
+    /// Feed hold as the controller sees it; `None` while a write is pending.
     pub(super) fn hold(&self) -> Option<bool> {
         self.flying.is_none().then_some(self.outputs >> 28 & 1 == 1)
     }
 
-    /// By hand, with the MTC off: all inverters off.
-    /// It is switched on again and counts from here.
+    /// Switches all inverters off by hand, with the MTC off.
+    /// The MTC is then switched on and counts from here.
     pub(super) fn inverters_off(&mut self) {
         self.outputs = 0;
         for place in &mut self.axes {
@@ -286,7 +286,7 @@ impl Card for Wires {
         let m = &mut *self.0.borrow_mut();
         let gap = m.next_gap.take().unwrap_or_else(|| m.gap_ns()) + std::mem::take(&mut m.late_ns);
         let t_ns = m.t_ns + gap;
-        // The lines are read some time before the time is.
+        // The lines are read some time before the reported time.
         m.run_to(t_ns - gap.min(m.max_gap_ns) / 4);
         let inputs = m.inputs();
         m.t_ns = t_ns;
@@ -311,7 +311,7 @@ impl Card for Wires {
         if m.write_fails {
             return Err(CardError::Io { op: "writing the outputs", errno: 5 });
         }
-        // The hold line may follow an inversion that is on its way.
+        // The write of the hold line may follow a pending inversion.
         let ordered = m.flying.map_or(m.outputs, |(_, outputs)| outputs);
         let outputs = ordered & !mask | value & mask;
         for place in &mut m.axes {
@@ -326,7 +326,7 @@ impl Card for Wires {
             m.state_before = std::fs::read(&m.state_file).unwrap_or_default();
         }
         let gap = m.next_gap.take().unwrap_or_else(|| m.gap_ns());
-        // The read of the next look pushes the write out before it.
+        // The read of the next look forces the write out before it.
         let delay = m.dice.within(1, gap - gap / 4);
         m.flying = Some((m.t_ns + delay, outputs));
         m.next_gap = Some(gap);

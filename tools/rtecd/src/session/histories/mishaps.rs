@@ -1,18 +1,18 @@
-//! What happens to a living daemon: sensors, mishaps, people.
+//! Events around a running daemon: sensors, failures, people.
 
 use super::*;
 
 impl Life {
-    /// Damages an axis's newest record as a store that was cut short.
+    /// Damages the newest record of an axis, as a store that was cut short does.
     pub(super) fn tear(&mut self) {
         const WORD: usize = 8;
         const PAGE: usize = 4096;
-        // Head of eight words; of each axis two slots of four: sequence number, inverters, completed, sum.
+        // The head has eight words. Each axis has two slots of four words: sequence number, inverters, completed, sum.
         let slot = |axis: usize, n: usize| (8 + axis * 8 + n * 4) * WORD;
         let m = self.world.machine.borrow();
         let Ok(mut bytes) = fs::read(&m.state_file) else { return };
         let sequence = |bytes: &[u8], at: usize| u64::from_le_bytes(bytes[at..at + 8].try_into().unwrap());
-        // The axis whose record does not agree with the inverters as they are was being noted.
+        // A record that disagrees with the present inverters was just being noted.
         for (axis, lines) in self.lines.iter().enumerate() {
             let newest = usize::from(sequence(&bytes, slot(axis, 1)) > sequence(&bytes, slot(axis, 0)));
             let at = slot(axis, newest);
@@ -20,7 +20,7 @@ impl Life {
                 continue;
             }
             match self.dice.within(0, 3) {
-                // Cut short in the first copy; the second is a record older than the other slot's.
+                // The first copy is cut short. The second copy has a record older than that of the other slot.
                 0 => {
                     bytes[at + 3 * WORD..at + 4 * WORD].fill(0);
                     let old = m.state_before.get(PAGE + at..PAGE + at + 32);
@@ -36,10 +36,10 @@ impl Life {
         fs::write(&m.state_file, bytes).unwrap();
     }
 
-    /// Now, or at the next inversion.
+    /// Kills the process now, or at the next inversion.
     pub(super) fn die(&mut self) -> bool {
         let when = [None, Some(AtWrite::Before), Some(AtWrite::After)][self.dice.within(0, 2) as usize];
-        // One for which no inversion comes dies between two looks after all.
+        // If no inversion comes, the process dies between two looks.
         self.kill_ns = Some(self.now_ns() + 80_000_000);
         let waited = self.world.machine.borrow().die.is_some();
         self.world.machine.borrow_mut().die = when.filter(|_| !waited);
@@ -64,7 +64,7 @@ impl Life {
         }
     }
 
-    /// Somebody removes the state file or puts an older one in its place.
+    /// Removes the state file, or puts an older one in its place.
     /// The daemon notices before it dies.
     pub(super) fn lose_state_file(
         &mut self,
@@ -90,7 +90,7 @@ impl Life {
         session.look_after_state_file(control, log);
     }
 
-    /// What may go wrong next, and what has.
+    /// The state of the failures, as text.
     pub(super) fn shown(&self) -> String {
         let m = self.world.machine.borrow();
         format!(
@@ -192,7 +192,7 @@ impl Life {
         let status = control.status();
         let wants_arming = matches!(status.mode, Mode::Disabled | Mode::Fault);
         if wants_arming && self.dice.one_in(3) {
-            // The machine is stopped, cleared, homed and armed again.
+            // The machine is stopped, cleared, homed and enabled again.
             self.world.machine.borrow_mut().stop = true;
             for _ in 0..100 {
                 control.beat();
@@ -236,7 +236,7 @@ impl Life {
             18..20 => R::Probe { on: false },
             _ => R::Correct { axis, total_counts, large: on },
         };
-        // As the server does: each connection has its role.
+        // As in the server, each connection has a role.
         let role = Caller::ALL[self.dice.within(0, 8).min(2) as usize];
         if request.needs() > role {
             tally.refused += 1;
@@ -246,7 +246,7 @@ impl Life {
             self.ask(session, &request, control, log, tally);
         }
         if self.dice.one_in(12) {
-            // The process is stopped with something to be done, and nobody beats.
+            // The process is stopped with a request pending, and there is no sign of life.
             let axis = ["x", "y"][self.dice.within(0, 1) as usize].to_owned();
             let total_counts = self.dice.within(0, 120) as i64 - 60;
             self.ask(session, &R::Correct { axis, total_counts, large: true }, control, log, tally);
@@ -257,17 +257,17 @@ impl Life {
         }
     }
 
-    /// What people say of the MTC when they home.
+    /// Statements of people on the MTC when they home.
     pub(super) fn controller_homed(&mut self) -> Option<bool> {
         [Some(true), Some(true), Some(false), None][self.dice.within(0, 3) as usize]
     }
 
-    /// As a start that knows nothing of feed hold: neither by the file nor by the line.
+    /// Makes the next start find no feed hold, neither in the file nor on the line.
     pub(super) fn forget_hold(&mut self) {
         let mut m = self.world.machine.borrow_mut();
         m.outputs &= !(1 << 28);
         if m.state_file.exists() {
-            // What is damaged would be found.
+            // A damaged record would be noticed, so a valid one is written.
             let (mut journal, _) = Journal::open(&m.state_file, &self.config.identity()).unwrap();
             journal.record_machine(MachineRecord { held: None, hold_output: false, faults: Faults::NONE }, 0);
         }
@@ -279,7 +279,7 @@ impl Life {
             return;
         }
         let machine = Model::parse(Path::new("machine.toml"), MODEL).unwrap();
-        // A sensor that does not speak may be the reason for which it is refused.
+        // The model may be refused because a sensor is silent.
         let _ = session.corrector.load(machine, &|_| Vec::new());
     }
 }

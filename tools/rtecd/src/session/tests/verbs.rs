@@ -2,7 +2,7 @@
 
 use super::*;
 
-/// Wires of a machine that waits for a thread that is kept from looking.
+/// Wires of a card that gives a delayed thread time to look.
 struct Patient(SharedWires);
 
 impl Wires for Patient {
@@ -15,7 +15,7 @@ impl Wires for Patient {
     }
 }
 
-/// A machine with every line wired, its inputs set by the test, and a daemon on it.
+/// A daemon on a machine with every line wired, whose inputs the test sets.
 struct Hand {
     session: Session,
     running: rtec_rt::thread::Running<MockCard<Patient, Monotonic>>,
@@ -27,7 +27,8 @@ struct Hand {
 const SWITCH: u64 = 1 << 29;
 const READY: u64 = 1 << 30;
 
-/// Speed is known from the second edge on: one alone, however fresh, is no motion.
+/// Homing works right behind the first edge.
+/// A speed is known only from the second edge on, so one edge counts as no motion.
 #[test]
 fn homes_right_behind_the_first_edge() {
     let mut hand = Hand::new();
@@ -35,14 +36,14 @@ fn homes_right_behind_the_first_edge() {
     hand.done(&ClientRequest::Home { axis: None, controller_homed: Some(true) });
 }
 
-/// Everything that a verb could change: a refused verb leaves all of it as it was.
+/// All state that a verb can change; a refused verb changes none of it.
 #[derive(Debug, PartialEq)]
 struct State {
     mode: Mode,
     enabled: bool,
     held: bool,
     model: bool,
-    /// Per axis: requested, in effect, homed, MTC known, faults, operator in µm.
+    /// For each axis: requested, in effect, homed, MTC known, faults, operator in µm.
     axes: Vec<(i64, i64, bool, bool, usize, f64)>,
 }
 
@@ -84,7 +85,7 @@ impl Hand {
         let inputs = self.inputs.load(std::sync::atomic::Ordering::Acquire);
         let inputs = if on { inputs | mask } else { inputs & !mask };
         self.inputs.store(inputs, std::sync::atomic::Ordering::Release);
-        // A status that is newer than the next has seen it.
+        // A status newer than the next one has seen the input.
         for _ in 0..2 {
             let polls = self.running.control.status().polls;
             while self.running.control.status().polls == polls {
@@ -113,7 +114,7 @@ impl Hand {
         }
     }
 
-    /// Homed, with a total of 10 counts in effect on X, corrections enabled.
+    /// Homes the machine with 10 counts in effect on X, and enables corrections.
     fn running(&mut self) {
         use ClientRequest as R;
         self.input(SWITCH, false);
@@ -136,9 +137,9 @@ impl Hand {
     }
 }
 
-/// Puts a machine into a mode.
+/// A function that puts a machine into a mode.
 type Put = Box<dyn Fn(&mut Hand)>;
-/// What is so once a verb is done.
+/// A condition that holds once a verb is done.
 type Is = fn(&State) -> bool;
 
 /// Every verb that changes a total or a mode, in every mode.
