@@ -17,7 +17,8 @@ pub(super) fn law() -> Arc<dyn Law> {
         experiment: "that quantity varied on its own, everything else held".into(),
         naming: Naming::Channel,
         parameters: vec![
-            // No physics to bound it by, whatever the channel's unit: beyond this, sums lose what stands beside it.
+            // No physics bounds it, whatever the channel's unit. Beyond this, sums lose the other effects to
+            // rounding.
             Parameter::linear("gain", "um/1", 1e12).within(
                 [-1e12, 1e12],
                 "a picometre of the channel's unit is then a micrometre of error: another unit, not a machine",

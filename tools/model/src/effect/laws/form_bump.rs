@@ -71,7 +71,7 @@ impl Law for FormBump {
         }
     }
 
-    /// Widths in equal ratios, each at places a quarter of it apart.
+    /// Widths in a geometric series; for each, centres a quarter of the width apart.
     fn grid(&self, effect: &Effect, _: &dyn Extent) -> Vec<Point> {
         let mut points = Vec::new();
         let mut width = 0.15;
