@@ -257,7 +257,7 @@ impl Sheet {
     /// A column of numbers that the file may leave out.
     ///
     /// # Errors
-    /// As [`Sheet::numbers`] where the column is there.
+    /// As [`Sheet::numbers`], if the column exists.
     pub fn optional(&self, name: &str) -> Result<Option<Vec<f64>>, InputError> {
         if self.names.iter().any(|n| n == name) { self.numbers(name).map(Some) } else { Ok(None) }
     }

@@ -48,7 +48,7 @@ pub struct ChainReport {
     /// Arrays behind the fit, per response of the records that show a coefficient.
     #[serde(skip)]
     pub rows: Vec<ChainRows>,
-    /// What to know of the gauges' steps.
+    /// Messages about the gauges' steps.
     pub warnings: Vec<String>,
 }
 

@@ -29,7 +29,7 @@ pub struct Validation {
 /// Judges a model on records that it has not seen.
 ///
 /// # Errors
-/// A record lacks what an effect needs.
+/// A record lacks an input of an effect.
 pub fn validate(
     machine: &Machine,
     records: &[Record],

@@ -58,7 +58,7 @@ pub struct Joint {
     /// The branch of the chain that it belongs to.
     pub branch: Branch,
     /// The axis whose position moves it, with the direction in the machine's frame.
-    /// None for a joint at rest (spindle, tool post).
+    /// `None` for a joint at rest (spindle, tool post).
     pub axis: Option<(Axis, [f64; 3])>,
     /// Offset from the frame before, mm.
     pub offset_mm: [f64; 3],

@@ -252,7 +252,7 @@ impl Kind {
 pub struct Column {
     /// Name in the CSV's header; a temperature's or channel's name.
     pub name: String,
-    /// What the column holds.
+    /// The role of the column.
     pub role: Role,
     /// The column's unit, as the sidecar writes it.
     pub unit: String,

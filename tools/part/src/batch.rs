@@ -63,9 +63,9 @@ pub enum BatchFinding {
     /// The same error on every part, but probing on the machine does not see it.
     /// Tool and probe then follow the same wrong path.
     NotObservable,
-    /// It changes along the batch: wear, or the machine's temperature.
+    /// The error changes along the batch: wear, or the machine's temperature.
     Trend,
-    /// It changes between two parts: another tool, offset or material.
+    /// The error changes between two parts: another tool, offset or material.
     Step,
 }
 

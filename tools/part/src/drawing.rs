@@ -433,7 +433,7 @@ impl Reader<'_> {
                 (flat(&[]), self.bulged(&corners, is_closed, cleaned))
             }
             "POLYLINE" => {
-                // The control points of a fitted curve are beside it, not on it.
+                // The control points of a fitted curve are not on it.
                 let (frame, fitted): (Vec<&Entity>, Vec<_>) =
                     entity.vertices.iter().partition(|v| v.flags() & FRAME != 0);
                 cleaned.frames += usize::from(!fitted.is_empty() && !frame.is_empty());

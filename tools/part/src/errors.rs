@@ -77,7 +77,7 @@ pub struct RobustSummary {
 /// The result of the fit. SDs are sample standard deviations (divisor n − 1).
 #[derive(Debug, Clone, Serialize)]
 pub struct ErrorReport {
-    /// What was fitted: `circle` or `line`.
+    /// The fitted shape: `circle` or `line`.
     pub feature: &'static str,
     /// Number of probed points.
     pub points: usize,

@@ -111,7 +111,7 @@ pub enum PathRole {
 /// One record of the path file: a target of the tip's centre, in mm.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct PathPoint {
-    /// What the probe does there.
+    /// The role of the place: start, touch, finish or by-pass.
     pub role: PathRole,
     /// Target of the tip's centre, mm.
     pub at: Zx,

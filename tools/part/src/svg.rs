@@ -52,7 +52,7 @@ impl Svg {
         );
     }
 
-    /// Lower and upper corner of what was drawn.
+    /// Lower and upper corner of the drawn content.
     #[must_use]
     pub fn frame(&self) -> (Zx, Zx) {
         let origin = Zx::new(0.0, 0.0);

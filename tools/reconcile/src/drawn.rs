@@ -39,7 +39,7 @@ fn drawn(rows: usize, every: usize) -> Vec<usize> {
 mod tests {
     use super::drawn;
 
-    /// One row of each stretch in order, at varying places, for any length.
+    /// One row from each stretch in order, at varying places, for any length.
     #[test]
     fn rows_are_drawn_one_of_each_stretch() {
         for (rows, every) in [(1, 1), (7, 2), (8, 2), (1000, 8), (40_001, 4)] {

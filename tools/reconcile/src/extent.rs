@@ -1,6 +1,6 @@
 //! Aliases of a period at places that lie on a grid.
 
-/// The pitch of a grid that all places lie on to within `close`.
+/// The pitch of a grid on which all places are, to within `close`.
 /// The places are in rising order. `None` if there is no such grid, or the places hardly repeat.
 pub(crate) fn pitch(places: &[f64], close: f64) -> Option<f64> {
     let mut distinct: Vec<f64> = Vec::new();

@@ -158,7 +158,8 @@ pub(crate) fn places(records: &[Record], machine: &Machine) -> Vec<Place> {
     }
     strongest_first(&mut out);
     rate(&mut out);
-    // A response without a finding is tested again beside its noise alone. The air is left out, because it can follow any drift.
+    // A response without a finding is tested again without the air as a set-up term, because the air can follow
+    // any drift.
     let nowhere = |role: &str| !out.iter().any(|p: &Place| p.counts() && p.response == role);
     let roles: Vec<String> = stack.responses.iter().map(ToString::to_string).collect();
     let lost: Vec<usize> = (0..roles.len()).filter(|response| nowhere(&roles[*response])).collect();
@@ -243,8 +244,8 @@ fn strongest_first(places: &mut [Place]) {
 }
 
 /// A closer look at one response.
-/// It tests slow changes against time, repeats at each target against the place, and waves over either. Slow channels are left out, because
-/// a drift resembles each of them.
+/// It tests slow changes against time, repeats at each target against the place, and waves over either. Slow
+/// channels are left out, because a drift resembles each of them.
 fn closely(role: &str, stack: &Rows<'_>, segments: &[&Segment], residual: &[f64], sigma: f64) -> Vec<Place> {
     let mut out = Vec::new();
     for (against, x) in channels(stack, segments) {
@@ -433,7 +434,7 @@ fn below(rng: &mut Xoshiro256PlusPlus, n: usize) -> usize {
     ((u128::from(rng.next_u64()) * n as u128) >> 64) as usize
 }
 
-/// Structure of a residual against one channel; none for a constant one.
+/// Structure of a residual against one channel; `None` for a constant one.
 /// Permutations end once the p-value can no longer be below `known`.
 fn place(
     response: &str,
@@ -598,7 +599,7 @@ fn places_of(x: &[f64]) -> Option<Vec<Vec<usize>>> {
 }
 
 /// Groups rows into stretches; `None` for a constant.
-/// By value if there are few values, otherwise by equal numbers of rows.
+/// The groups are by value if there are few values, otherwise of equal numbers of rows.
 fn stretches(x: &[f64]) -> Option<Vec<Vec<usize>>> {
     let mut order: Vec<usize> = (0..x.len()).collect();
     order.sort_by(|a, b| x[*a].total_cmp(&x[*b]));

@@ -291,7 +291,7 @@ impl Work<'_> {
         Some((effect, half, stand_in.laws))
     }
 
-    /// What to do next, and where a fit of growth reads other temperatures.
+    /// The advice: what to do next, and where a fit of growth reads other temperatures.
     fn advice(&self, verdict: Verdict, effects: &[(Finding, Vec<f64>)], shapes: &[Shape]) -> String {
         let rows: usize = self.train.iter().map(Record::rows).sum();
         if verdict == Verdict::NothingMissing && rows < FEW {

@@ -218,7 +218,7 @@ impl Problem {
     }
 }
 
-/// Largest gains that the dictionary holds plausible, µm/K and µm/K².
+/// Largest gains within the dictionary's plausible range, µm/K and µm/K².
 fn plausible_gains() -> [f64; 2] {
     Dictionary::default().effect(&format!("{}.x", thermal_growth::NAME)).map_or([f64::INFINITY; 2], |e| {
         let bound = |i: usize| e.description().parameters[i].plausible[1];

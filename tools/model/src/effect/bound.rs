@@ -20,7 +20,7 @@ pub struct Missing {
 /// It is the projection of the errors of the circle's two axes.
 pub(super) const RADIAL: usize = 2;
 
-/// What an effect remembers between two pieces of a record, for each component.
+/// The states of an effect between two pieces of a record, one per component.
 pub(crate) type States = [State; 2];
 
 /// The columns of a record that an effect reads.

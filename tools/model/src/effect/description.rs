@@ -3,7 +3,7 @@
 
 use crate::record::{Axis, Role};
 
-/// How many axes (and what else) an effect's name carries.
+/// The axes, and the channel if any, that an effect's name has.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Naming {
     /// `NAME`: acts on `error.r`, or on the only error response.
@@ -22,7 +22,7 @@ pub enum Naming {
     Channel,
 }
 
-/// What an effect reads, beside its parameters.
+/// An input of an effect, beside its parameters.
 ///
 /// Axis numbers count the axes of its name.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -72,7 +72,7 @@ impl Need {
     }
 }
 
-/// What an effect acts on.
+/// The quantity that an effect acts on.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Quantity {
     /// A position error, µm.
@@ -340,7 +340,7 @@ pub struct Description {
     pub experiment: String,
     /// What follows the law's name in the effect's name.
     pub naming: Naming,
-    /// What it acts on.
+    /// The quantity that it acts on.
     pub quantity: Quantity,
     /// Its parameters, in the order of [`super::Effect::values`].
     pub parameters: Vec<Parameter>,
@@ -352,7 +352,7 @@ pub struct Description {
     pub probing: Probing,
     /// How it depends on heat.
     pub heat: Heat,
-    /// What a simulated machine builds in for it.
+    /// The mechanism that a simulated machine builds in for it.
     pub mechanism: Option<Mechanism>,
     /// The law that acts on a run like another reference temperature of this one.
     /// `None` for a law without a temperature.

@@ -28,7 +28,7 @@ impl Dictionary {
     /// Adds a project's own law.
     ///
     /// # Errors
-    /// A law of that name is there already.
+    /// The dictionary already has a law of that name.
     pub fn insert(&mut self, law: Arc<dyn Law>) -> Result<(), ValueError> {
         let name = &law.describe().name;
         if self.laws.iter().any(|l| l.describe().name == *name) {

@@ -4,7 +4,7 @@ use rtec_files::InputError;
 use rtec_files::toml::{Entry, Table};
 use std::fmt;
 
-/// What a temperature is compared with.
+/// The temperature that a sensor is compared with.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Against {
     /// Another sensor: a differential pair.
@@ -15,7 +15,7 @@ pub enum Against {
     Standard,
 }
 
-/// Reference temperature of dimensional metrology where none is given, °C (ISO 1).
+/// Reference temperature of dimensional metrology if none is given, °C (ISO 1).
 pub const STANDARD_DEGC: f64 = 20.0;
 
 /// A temperature difference: sensor minus sensor, or minus a reference.
@@ -23,7 +23,7 @@ pub const STANDARD_DEGC: f64 = 20.0;
 pub struct Difference {
     /// The sensor's name.
     pub sensor: String,
-    /// What it is compared with.
+    /// The temperature that it is compared with.
     pub against: Against,
 }
 

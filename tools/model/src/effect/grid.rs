@@ -14,7 +14,7 @@ pub trait Extent {
     /// Times of the rows at which a step may fall, s, rising.
     /// The first and last few are left out.
     fn moments_s(&self) -> Vec<f64>;
-    /// Measured places of an axis, mm, rising; empty where none is logged.
+    /// Measured places of an axis, mm, rising; empty if none is logged.
     /// Places that differ by little are merged.
     fn places_mm(&self, axis: &Axis) -> Vec<f64>;
     /// Ranges of single records along an axis, mm, if shorter than the whole travel.

@@ -413,7 +413,7 @@ impl Effect {
     /// Sets the parameters from linear coefficients.
     ///
     /// # Panics
-    /// When there are not [`Effect::coefficient_count`] of them.
+    /// When `from` does not have [`Effect::coefficient_count`] values.
     pub fn set_coefficients(&mut self, from: &[f64]) {
         assert_eq!(from.len(), self.coefficient_count(), "one value per coefficient");
         let law = Arc::clone(&self.law);

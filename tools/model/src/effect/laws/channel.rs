@@ -6,7 +6,7 @@ use std::sync::Arc;
 /// First part of the effect's name.
 pub const NAME: &str = "channel";
 
-/// Extra price of a logged channel over an effect with physics behind it, nats.
+/// Extra price over an effect that has a physical cause, nats.
 const NO_PHYSICS: f64 = 2.5;
 
 pub(super) fn law() -> Arc<dyn Law> {

@@ -1,5 +1,5 @@
 //! `form_bump`: a raised cosine over part of a circle.
-//! A part's own form or a fault of the path causes it.
+//! Its cause is the part's own form or a fault of the path.
 
 use crate::effect::{
     Description, Effect, Extent, Input, Law, Naming, Need, Out, Owner, Parameter, Point, Refine, Search,
