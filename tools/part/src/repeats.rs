@@ -1,13 +1,13 @@
 //! Places that were touched several times.
-//! Their touches share the part's form, so they are no independent points.
+//! Their touches share the part's form, so they are not independent points.
 
 use crate::fit::{FittedShape, Zx, deviations_um};
 use serde::Serialize;
 
-/// Touches of one place lie within this share of the way between places.
+/// Largest distance of touches of one place, as a share of the distance of places.
 const NEAR: f64 = 0.1;
 
-/// Places that were touched several times, and how their touches scatter.
+/// Places that were touched several times, and the scatter of their touches.
 #[derive(Debug, Clone, Serialize)]
 pub struct Repeats {
     /// Number of places.
@@ -15,15 +15,15 @@ pub struct Repeats {
     /// SD of the touches of one place about their mean, pooled, in µm.
     pub sd_within_um: f64,
     /// SD of the places' means about the fit, in µm.
-    /// `None` where there are too few places.
+    /// `None` if there are too few places.
     pub sd_between_um: Option<f64>,
     /// Mean of each place, mm.
     #[serde(skip)]
     pub(crate) means: Vec<Zx>,
 }
 
-/// The place of each point along a shape, and the way once around it, mm.
-/// The latter is infinite for a line.
+/// The place of each point along a shape, and the length once around it, mm.
+/// That length is infinite for a line.
 fn along(fitted: &FittedShape, points: &[Zx]) -> (Vec<f64>, f64) {
     match *fitted {
         FittedShape::Circle { centre, radius_mm, .. } => {
@@ -37,8 +37,8 @@ fn along(fitted: &FittedShape, points: &[Zx]) -> (Vec<f64>, f64) {
     }
 }
 
-/// The places of points on a shape with so many parameters.
-/// `None` where most points have a place of their own.
+/// Groups points on a shape into places; the shape has so many `parameters`.
+/// `None` if most points have a place of their own.
 pub(crate) fn find(fitted: &FittedShape, points: &[Zx], parameters: usize) -> Option<Repeats> {
     let (along_mm, turn_mm) = along(fitted, points);
     let mut order: Vec<usize> = (0..points.len()).collect();
@@ -47,7 +47,7 @@ pub(crate) fn find(fitted: &FittedShape, points: &[Zx], parameters: usize) -> Op
     let around = along_mm[*order.first()?] + turn_mm - along_mm[*order.last()?];
     let mut gaps: Vec<f64> = order.windows(2).map(gap).collect();
     gaps.sort_by(f64::total_cmp);
-    // The step between the gaps within places and those between them; half of the gaps at least are within.
+    // Finds the step from gaps within places to gaps between them. At least half of the gaps are within.
     let split = ((gaps.len() / 2).max(2)..gaps.len()).find(|k| gaps[k - 1] <= NEAR * gaps[*k])?;
     let widest = gaps[split - 1];
     let mut groups: Vec<Vec<usize>> = Vec::new();
@@ -91,7 +91,7 @@ mod tests {
             let places: Vec<(usize, usize)> =
                 (0..7).flat_map(|p| (0..touches).map(move |t| (p, t))).collect();
             let around = |(p, t): &(usize, usize)| {
-                // A place at half a turn has its touches on both sides of where angles begin again.
+                // The touches of a place at half a turn are on both sides of the jump in the angle.
                 let angle = std::f64::consts::PI - 0.4 * *p as f64 + 1e-5 * (*t as f64 - 0.5);
                 Zx::new(100.0, 0.0) + Zx::at_angle(angle) * (25.0 + off(*p, *t))
             };
@@ -105,7 +105,7 @@ mod tests {
                 assert_eq!(found.map(|r| r.places), (touches > 1).then_some(7), "{touches}: {shape:?}");
             }
         }
-        // So few places leave no standard error.
+        // With so few places there is no standard error.
         let points: Vec<Zx> =
             (0..8).map(|k| Zx::new(f64::from(k / 4) * 9.0, 20.0 + 1e-4 * f64::from(k))).collect();
         let found = find(&line, &points, 2).unwrap();
