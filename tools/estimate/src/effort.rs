@@ -40,8 +40,6 @@ pub const UNDER_NOISE: usize = 4;
 pub const MOMENT_ROWS: usize = 30;
 /// Times that rounding is taken out as the fit predicts it.
 pub const ROUNDING_STEPS: usize = 3;
-/// Harmonics of a gauge's saw.
-pub const ROUNDING_HARMONICS: i32 = 12;
 /// Steps of the last fit.
 pub const LAST_STEPS: usize = 4;
 /// Largest autocorrelation of the whitened residual.

@@ -7,6 +7,7 @@ use crate::rows::{Noise, Rows, Segment};
 use crate::setup::{self, Term};
 use rtec_least_squares::{Factor, add, dot};
 use rtec_model::effect::{Effect, Refine, Search};
+use rtec_model::record::rounding_error;
 use statrs::distribution::{ChiSquared, ContinuousCDF as _};
 
 /// A direction in which a known effect may deviate a little.
@@ -225,7 +226,7 @@ impl<'r> Problem<'r> {
                     let variance = (square - rounding).max(0.0) + leverage.min(1.0) * square;
                     let read = self.rows.measured[row];
                     let off = read - left(row) - self.rows.measured[own.start];
-                    taken[row] = setup::rounding_error(q, off, variance);
+                    taken[row] = rounding_error(q, off, variance);
                 }
             }
             self.missing.clone_from(&as_read);

@@ -2,7 +2,7 @@
 //! They are free in every record, never named, never written into a model and never corrected live. Each term has one function; a new one
 //! needs its function and a line in [`TERMS`].
 
-use crate::effort::{AIR_DIRECTIONS, MOST_PAUSES, MOST_PLACES, PLACES_PER_MM, ROUNDING_HARMONICS};
+use crate::effort::{AIR_DIRECTIONS, MOST_PAUSES, MOST_PLACES, PLACES_PER_MM};
 use crate::priors::{
     AIR_UM_S, CENTRE_UM, CONTRIBUTION, KNOTS, LINE_HOURS, LINE_UM_PER_H, NOISE, PAUSE_STEPS, PLACE_MM,
     TURN_URAD, ZERO_UM,
@@ -316,18 +316,6 @@ pub fn resolution_um(record: &Record) -> f64 {
 #[must_use]
 pub fn unshared_step(rows: &Rows<'_>, s: &Segment) -> Option<f64> {
     step_of(&rows.measured[s.rows.clone()]).filter(|_| coarse(rows, s).is_none())
-}
-
-/// Expected rounding error of a value under Gaussian noise (Widrow 1956).
-/// The value is `off` from a multiple of the step `q`, with this variance.
-#[must_use]
-pub fn rounding_error(q: f64, off: f64, variance: f64) -> f64 {
-    use std::f64::consts::{PI, TAU};
-    let harmonic = |k: i32| {
-        let (sign, k) = (if k % 2 == 0 { 1.0 } else { -1.0 }, f64::from(k));
-        sign * q / (PI * k) * (TAU * k * off / q).sin() * (-0.5 * variance * (TAU * k / q).powi(2)).exp()
-    };
-    (1..=ROUNDING_HARMONICS).map(harmonic).sum()
 }
 
 /// The step that all numbers are multiples of.

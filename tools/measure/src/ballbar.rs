@@ -108,12 +108,17 @@ pub struct Ballbar {
 
 /// A record as a circle.
 /// Angle and radial error, with plane and radius where they are known.
+#[derive(Clone)]
 pub(crate) struct Trace {
     pub(crate) record: Record,
     name: String,
     plane: String,
     pub(crate) angle: Vec<f64>,
     pub(crate) radial: Vec<f64>,
+    /// Step of the gauge, µm; 0 where its readings have none.
+    step_um: f64,
+    /// Rows on end that read the same, on average: they share one rounding error.
+    alike_rows: f64,
     /// Rows of each contour with its sense of turning, +1 counter-clockwise.
     pub(crate) contours: Vec<(Range<usize>, f64)>,
 }
@@ -297,7 +302,9 @@ impl Trace {
         let radial = Axis::new("r").map(|r| get(&Role::Error(r))).unwrap_or_default();
         let name = record.path.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
         let contours = contours(&record, &angle);
-        let trace = Self { record, name, plane, angle, radial, contours };
+        let step_um = step_of(&radial).unwrap_or(0.0);
+        let alike_rows = radial.len() as f64 / radial.chunk_by(|a, b| a == b).count().max(1) as f64;
+        let trace = Self { record, name, plane, angle, radial, step_um, alike_rows, contours };
         let turned = |rows: &Range<usize>| trace.turned(rows);
         if !trace.contours.iter().any(|(rows, _)| turned(rows) >= PI * 0.99) {
             return Err(lacks(
@@ -331,8 +338,12 @@ impl Trace {
             })
             .collect();
         let runs: Vec<Range<usize>> = self.contours.iter().map(|(rows, _)| rows.clone()).collect();
-        let rounding = step_of(&self.radial).unwrap_or(0.0) / 12.0_f64.sqrt();
-        noise(&path, left, &runs).max(rounding)
+        noise(&path, left, &runs).max(self.step_um / 12.0_f64.sqrt())
+    }
+
+    /// Variance that rounding gives each reading, µm²: as many rows share an error as read the same on end.
+    fn rounding_um2(&self) -> f64 {
+        self.step_um * self.step_um / 12.0 * self.alike_rows
     }
 
     fn evaluate(&self) -> Vec<Contour> {

@@ -322,6 +322,11 @@ impl Record {
         self.columns.iter().filter(|c| c.role.is_response())
     }
 
+    /// What was measured: the responses, and tilts.
+    pub fn measured(&self) -> impl Iterator<Item = &Column> {
+        self.columns.iter().filter(|c| c.role.is_measured())
+    }
+
     /// The names of all columns of a role (sensors, channels), in the CSV's order.
     pub fn names(&self, role: &Role) -> impl Iterator<Item = &str> {
         self.columns.iter().filter(move |c| c.role == *role).map(|c| c.name.as_str())
@@ -363,6 +368,21 @@ fn times(kind: Kind, columns: &[Column]) -> Vec<f64> {
         Some(c) => c.data.clone(),
         None => (0..columns[0].data.len()).map(|row| row as f64).collect(),
     }
+}
+
+/// Harmonics of a gauge's saw: the error of the sum is a hundredth of a step.
+const ROUNDING_HARMONICS: i32 = 12;
+
+/// Expected error of a reading in steps of `q` under Gaussian noise of this variance (Widrow 1956).
+/// The value that is read is `off` from a multiple of the step.
+#[must_use]
+pub fn rounding_error(q: f64, off: f64, variance: f64) -> f64 {
+    use std::f64::consts::{PI, TAU};
+    let harmonic = |k: i32| {
+        let (sign, k) = (if k % 2 == 0 { 1.0 } else { -1.0 }, f64::from(k));
+        sign * q / (PI * k) * (TAU * k * off / q).sin() * (-0.5 * variance * (TAU * k / q).powi(2)).exp()
+    };
+    (1..=ROUNDING_HARMONICS).map(harmonic).sum()
 }
 
 /// The step of a coarse clock, s, if most rows share their time with another.
