@@ -79,12 +79,12 @@ impl MachineLines {
     }
 }
 
-/// One look at a card: every input line, and when.
+/// One look at a card: the levels of all input lines, and their time.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Sample {
-    /// A time not before the moment the lines were read, ns.
+    /// Time at or after the moment the lines were read, ns.
     pub t_ns: u64,
-    /// Levels of the input lines, polarity already taken out.
+    /// Levels of the input lines; active-low lines are already inverted.
     pub inputs: u64,
     /// The time of the change itself, ns, on cards that stamp edges.
     /// Such a card shows one change per look.
@@ -96,10 +96,10 @@ pub struct Sample {
     /// The card already knows a further change and shows it at the next look.
     /// The engine must not act on this state.
     pub more: bool,
-    /// Which of `inputs` are levels of this very moment.
-    /// A card of queued edges knows the others from before.
+    /// Mask of the lines whose level was read at this look.
+    /// A card with queued edges shows the last known level of the others.
     pub fresh: u64,
-    /// What the card itself found wrong since the look before.
+    /// Fault that the card found since the previous look.
     pub trouble: Option<Trouble>,
     /// How long this look was late without the card's time advancing, ns.
     /// A simulated machine waits for a process that was not scheduled.
@@ -115,7 +115,7 @@ impl Sample {
         Self { t_ns, inputs, edge_ns: None, complete, more, fresh, trouble: None, waited_ns: 0 }
     }
 
-    /// A sample of a card that stamps and shows every change, with this one's time.
+    /// Sample of a card that stamps and shows every change, with `edge_ns` as its time.
     #[inline]
     #[must_use]
     pub const fn stamped(t_ns: u64, inputs: u64, edge_ns: Option<u64>) -> Self {
@@ -123,7 +123,7 @@ impl Sample {
     }
 }
 
-/// What a card found wrong, and on which input lines.
+/// Fault that a card found, and the input lines concerned.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Trouble {
     /// What is wrong with what the card saw.
@@ -171,7 +171,7 @@ pub trait Card {
     /// When the lines cannot be written.
     fn write(&mut self, mask: u64, value: u64) -> Result<Option<u64>, CardError>;
 
-    /// The output lines as they are: what a restart takes over.
+    /// Reads back the output lines; a restart takes them over.
     ///
     /// # Errors
     /// When the lines cannot be read back.

@@ -5,7 +5,7 @@
 //! | [`quadrature`] | the state table of two signals in quadrature, and a decoder that counts |
 //! | [`card`] | what the engine asks of an I/O card |
 //! | [`clock`] | where a card's time comes from |
-//! | [`profile`] | which register and which bit a line is, as data |
+//! | [`profile`] | register and bit of each line, as data |
 //! | [`gpio`] | a card of GPIO lines, through the kernel's character device |
 //! | [`registers`] | a card of registers, and of the card's own counters, however they are reached |
 //! | [`mapped`] | registers that are memory: a file, a PCI BAR, UIO |

@@ -12,7 +12,7 @@ use std::io;
 use std::os::fd::AsRawFd;
 use std::path::{Path, PathBuf};
 
-/// Why ports could not be had.
+/// Reason why ports could not be opened.
 #[derive(Debug, thiserror::Error)]
 pub enum PortError {
     /// The kernel does not let this process touch them.
@@ -42,7 +42,7 @@ pub enum PortError {
     },
 }
 
-/// I/O ports of this process's own, by `in` and `out`: no system call.
+/// I/O ports by the instructions `in` and `out`, without system calls.
 #[derive(Debug)]
 pub struct Ports {
     base: u16,
