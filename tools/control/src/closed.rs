@@ -1,4 +1,4 @@
-//! Directories into which nobody but their owners can put anything.
+//! Directories that only their owners can write to.
 
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};

@@ -1,4 +1,4 @@
-//! What the protocol's words mean to people: refusals, faults, events.
+//! The protocol's words explained to people: refusals, faults, events.
 
 use super::{Happened, TripReport};
 use rtec_rt::event::{Event, EventKind, Fault, Refusal};
@@ -43,7 +43,7 @@ pub const fn explain_refusal(why: Refusal) -> &'static str {
     }
 }
 
-/// Of which axes nobody knows what the MTC counts, and what to do.
+/// Lists axes whose MTC count is unknown, and what to do.
 #[must_use]
 pub fn explain_unknown(axes: &[&str]) -> String {
     format!(
@@ -52,7 +52,7 @@ pub fn explain_unknown(axes: &[&str]) -> String {
     )
 }
 
-/// Which axes are not homed, and what to do.
+/// Lists axes that are not homed, and what to do.
 #[must_use]
 pub fn explain_not_homed(axes: &[&str]) -> String {
     let many = if axes.len() == 1 { "axis" } else { "axes" };

@@ -126,7 +126,7 @@ fn runs(config: &Config) {
     }
 }
 
-/// A card whose axis goes there and back, an edge a look, slower and slower.
+/// A card whose axis moves there and back, one edge per look, ever slower.
 #[derive(Default)]
 struct Strokes {
     t_ns: u64,
