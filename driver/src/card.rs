@@ -13,7 +13,7 @@ pub struct AxisLines {
     pub invert_a: u8,
     /// Output bit that drives the XOR gate of B.
     pub invert_b: u8,
-    /// Input bits of A' and B' as the MTC sees them, where they are wired back.
+    /// Input bits of A' and B' as the MTC sees them, if they are wired back.
     pub read_back: Option<(u8, u8)>,
 }
 
@@ -40,7 +40,7 @@ impl AxisLines {
         (outputs >> self.invert_a & 1 | (outputs >> self.invert_b & 1) << 1) as u8
     }
 
-    /// A' and B' in an input word, where wired back.
+    /// A' and B' in an input word, if wired back.
     #[inline]
     #[must_use]
     pub fn back(&self, inputs: u64) -> Option<State> {
@@ -101,7 +101,7 @@ pub struct Sample {
     pub fresh: u64,
     /// Fault that the card found since the previous look.
     pub trouble: Option<Trouble>,
-    /// How long this look was late without the card's time advancing, ns.
+    /// Delay of a late look, during which the card's time did not advance, ns.
     /// A simulated machine waits for a process that was not scheduled.
     pub waited_ns: u64,
 }
@@ -126,13 +126,13 @@ impl Sample {
 /// Fault that a card found, and the input lines concerned.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Trouble {
-    /// What is wrong with what the card saw.
+    /// The kind of fault.
     pub kind: TroubleKind,
     /// Mask of the input lines concerned.
     pub lines: u64,
 }
 
-/// What a card can find wrong with what it saw.
+/// Kinds of faults that a card can find in what it read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum TroubleKind {
     /// The kernel's numbering of edges jumps: two of them were merged into one.
@@ -164,7 +164,7 @@ pub trait Card {
     fn sample(&mut self, wake_ns: u64) -> Result<Sample, CardError>;
 
     /// Sets the output lines of `mask` to `value`, the others stay.
-    /// Returns a time after which the change is certainly in effect, where the card knows it; otherwise the next look
+    /// Returns a time after which the change is certainly in effect, if the card knows it; otherwise the next look
     /// is that time.
     ///
     /// # Errors
@@ -178,7 +178,7 @@ pub trait Card {
     fn outputs(&mut self) -> Result<u64, CardError>;
 }
 
-/// Why a card could not be read or written.
+/// Reason why a card could not be read or written.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum CardError {
     /// A recording, or a simulation, has come to its end.

@@ -80,7 +80,7 @@ pub struct GpioLine {
 /// An input line.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct GpioInput {
-    /// Where the line is and how it is to be requested.
+    /// The line, and how it is requested.
     pub line: GpioLine,
     /// Its bit in the input word.
     pub bit: u8,
@@ -93,7 +93,7 @@ pub struct GpioInput {
 /// An output line.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct GpioOutput {
-    /// Where the line is and how it is to be requested.
+    /// The line, and how it is requested.
     pub line: GpioLine,
     /// Its bit in the output word.
     pub bit: u8,
@@ -106,7 +106,7 @@ pub struct GpioSetup {
     pub inputs: Vec<GpioInput>,
     /// Every output, inverters and feed hold.
     pub outputs: Vec<GpioOutput>,
-    /// Sleep until an edge comes; otherwise read levels as fast as it goes.
+    /// Sleeps until an edge comes; otherwise levels are read as fast as possible.
     pub events: bool,
 }
 
@@ -126,7 +126,7 @@ pub enum GpioError {
     /// The chip, or any chip, has no such line.
     #[error("there is no line {line} on {place}; `rtecctl card probe` lists what is there")]
     NoLine {
-        /// Where it was looked for.
+        /// The chip, or the chips, that were searched.
         place: String,
         /// The line as it was named.
         line: LineId,
@@ -148,7 +148,7 @@ pub enum GpioError {
         chip: String,
         /// The line as it was named.
         line: LineId,
-        /// Who has it.
+        /// Name of the line's holder.
         consumer: String,
     },
     /// Lines whose edges must be numbered together are on two chips.
@@ -350,7 +350,7 @@ const fn all(n: usize) -> u64 {
 }
 
 /// Requests lines of one chip.
-/// A line that somebody else has is named with its holder.
+/// If another process holds a line, the error names its holder.
 fn request(chip: &Chip, offsets: &[u32], names: &[LineId], config: LineConfig) -> Result<File, GpioError> {
     let io = |op, source| GpioError::Io { op, chip: path_of(chip), source };
     for (offset, name) in offsets.iter().zip(names) {

@@ -3,8 +3,8 @@
 //! | module | what |
 //! |---|---|
 //! | [`quadrature`] | the state table of two signals in quadrature, and a decoder that counts |
-//! | [`card`] | what the engine asks of an I/O card |
-//! | [`clock`] | where a card's time comes from |
+//! | [`card`] | the interface of an I/O card to the engine |
+//! | [`clock`] | the source of a card's time |
 //! | [`profile`] | register and bit of each line, as data |
 //! | [`gpio`] | a card of GPIO lines, through the kernel's character device |
 //! | [`registers`] | a card of registers, and of the card's own counters, however they are reached |

@@ -13,7 +13,7 @@ use std::os::unix::fs::{FileTypeExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 use std::ptr::NonNull;
 
-/// Why registers could not be mapped.
+/// Reason why registers could not be mapped.
 #[derive(Debug, thiserror::Error)]
 pub enum MapError {
     /// The file could not be opened, measured or mapped.
@@ -36,7 +36,7 @@ pub enum MapError {
         path: PathBuf,
         /// Its size in bytes.
         found: u64,
-        /// What the profile needs, in bytes.
+        /// Size that the profile needs, bytes.
         expected: u64,
         /// The profile's name.
         profile: String,

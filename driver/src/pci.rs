@@ -8,12 +8,12 @@ use std::path::{Path, PathBuf};
 
 use crate::profile::Space;
 
-/// Where the kernel shows the bus.
+/// Directory in which the kernel lists the bus.
 const SYSFS: &str = "/sys/bus/pci/devices";
 /// Flags of a resource, from the kernel's ioport.h.
 const RESOURCE_IO: u64 = 0x100;
 const RESOURCE_MEM: u64 = 0x200;
-/// Drivers that leave a card's registers alone, for a program or for nobody.
+/// Kernel drivers that leave a card's registers to a program, or unused.
 const FOR_PROGRAMS: [&str; 3] = ["pci-stub", "uio_pci_generic", "vfio-pci"];
 
 /// Identifies one PCI function.
@@ -60,9 +60,9 @@ pub enum PciError {
     /// There is more than one.
     #[error("{} PCI cards {id}, at {}: name one by its address", addresses.len(), addresses.join(" and "))]
     Several {
-        /// What was looked for.
+        /// The vendor and device that were searched.
         id: PciId,
-        /// Where they are.
+        /// Their addresses on the bus.
         addresses: Vec<String>,
     },
     /// The BAR is not what the profile states.

@@ -37,7 +37,7 @@ pub enum PortError {
         path: PathBuf,
         /// The system's answer, with its error number.
         source: io::Error,
-        /// What to do about it.
+        /// Advice on what to do.
         hint: &'static str,
     },
 }
@@ -153,10 +153,10 @@ pub struct Parport {
 }
 
 impl Parport {
-    /// Opens the port and claims it for this process alone.
+    /// Opens the port and claims it exclusively for this process.
     ///
     /// # Errors
-    /// When it is not there, or somebody else has it.
+    /// It does not exist, or another driver holds it.
     pub fn open(path: &Path) -> Result<Self, PortError> {
         let failed = |op, hint| {
             let path = path.to_owned();

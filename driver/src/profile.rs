@@ -55,7 +55,7 @@ pub enum Place {
 pub struct Order {
     /// The register.
     pub register: Register,
-    /// What is written.
+    /// The value to write.
     pub value: u32,
 }
 
@@ -103,7 +103,7 @@ impl Counter {
     }
 }
 
-/// How a card's registers are reached.
+/// Address space of a card's registers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Space {
     /// Memory.
@@ -126,9 +126,9 @@ pub struct PciPlace {
 /// A card's registers and lines, checked.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Profile {
-    /// What the card is called.
+    /// Name of the card.
     pub name: String,
-    /// Where the register map is documented.
+    /// Document that describes the register map.
     pub source: String,
     /// Registers of the input word, from bit 0.
     pub inputs: Vec<Register>,

@@ -98,7 +98,7 @@ impl State {
     }
 
     /// Counts of the transition to a state in which exactly one signal differs.
-    /// The step is +1 where the present A differs from the previous B.
+    /// The step is +1 if the present A differs from the previous B.
     #[inline]
     #[must_use]
     pub const fn step_to_neighbour(self, next: Self) -> i8 {

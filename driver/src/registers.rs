@@ -4,7 +4,7 @@ use crate::card::{Card, CardError, Sample, Trouble, TroubleKind};
 use crate::clock::Clock;
 use crate::profile::{Counter, Flag, Order, Profile, Register, SetUp, Width};
 
-/// How registers are read and written.
+/// Access to registers.
 /// An implementation that cannot fail costs nothing.
 pub trait Bus {
     /// Reads a register at a byte offset.
@@ -20,7 +20,7 @@ pub trait Bus {
     fn write(&self, offset: usize, width: Width, value: u32) -> Result<(), CardError>;
 }
 
-/// Why a card cannot be used as its profile states.
+/// Reason why a card cannot be used as its profile states.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum SetUpError {
     /// A register cannot be read or written.
@@ -34,11 +34,11 @@ pub enum SetUpError {
     Unexpected {
         /// Byte offset of the register.
         offset: usize,
-        /// What it reads.
+        /// Value found.
         found: u32,
-        /// What it reads when set up.
+        /// Value after set-up.
         value: u32,
-        /// What it reads after a reset.
+        /// Value after a reset.
         after_reset: u32,
         /// The profile's name.
         profile: String,
@@ -48,9 +48,9 @@ pub enum SetUpError {
     NotTaken {
         /// Byte offset of the register.
         offset: usize,
-        /// What it reads.
+        /// Value found.
         found: u32,
-        /// What was written.
+        /// Value written.
         value: u32,
     },
 }
@@ -63,7 +63,7 @@ struct Part {
     shift: u32,
 }
 
-/// A jump of more counts than this between two looks is no motion.
+/// Largest jump between two looks that can be motion, counts.
 const MAX_JUMP_COUNTS: i64 = 1 << 16;
 /// States of a scale in the order of its counts.
 const CYCLE: [u64; 4] = [0b00, 0b01, 0b11, 0b10];
@@ -234,7 +234,7 @@ impl<B: Bus, K: Clock> RegisterCard<B, K> {
         flag.map_or(Ok(false), |f| Ok(self.bus.read(f.register.offset, f.register.width)? >> f.bit & 1 != 0))
     }
 
-    /// The count of a counter, latched where it can be.
+    /// Reads the count of a counter, latched first if possible.
     fn count_of(&self, n: usize) -> Result<u32, CardError> {
         let counter = &self.counters[n].counter;
         self.order(counter.latch)?;
@@ -480,7 +480,7 @@ mod tests {
         assert_eq!(bench.written(), [(4, 0b01)]);
     }
 
-    /// A write changes only the lines asked for.
+    /// A write changes only the requested lines.
     /// The card has two output registers, with some lines of each inverted. A register is written only where one of
     /// its own lines changes. The levels read back are those written.
     #[test]

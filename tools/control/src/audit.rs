@@ -1,4 +1,4 @@
-//! The record of every command: who asked for what, when, and what it did.
+//! The record of every command: its user, time, request and result.
 //!
 //! One JSON object a line, each with its number and chained to the one before it:
 //!
@@ -56,19 +56,19 @@ pub struct Entry {
     pub n: u64,
     /// When, UTC (RFC 3339).
     pub t: String,
-    /// What the entry is about.
+    /// Kind of the entry.
     /// It is `command`, `start` or `stop`, or an event: `mode`, `fault`, `homed`, `control_stale`, `stood_still`
     /// (when it was first seen). `lost` counts lines that could not be written. `torn` is a line that a crash cut.
     /// `moved` means that its file or head was removed or renamed while it was written. `missing` means the same
-    /// while nobody wrote.
+    /// while there was no writer.
     pub what: String,
     /// The axis that it happened to; none for the machine as a whole.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub axis: Option<String>,
-    /// Who asked.
+    /// Who made the request.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub by: Option<Caller>,
-    /// What was asked for, as the protocol has it.
+    /// The request, in the protocol's form.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub request: Option<Value>,
     /// `done`, `refused`, `fault` or `bad`.
@@ -144,7 +144,7 @@ impl Entry {
         named.is_none_or(|name| name == axis) || changed
     }
 
-    /// Time of the entry, s since 1970; none where the text is not a time.
+    /// Time of the entry, s since 1970; none if the text is not a time.
     #[must_use]
     pub fn seconds(&self) -> Option<f64> {
         seconds(&self.t)

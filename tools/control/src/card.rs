@@ -41,9 +41,9 @@ pub enum OpenError {
     NotSetUp {
         /// Byte offset of the register.
         offset: usize,
-        /// What it reads.
+        /// Value found.
         found: u32,
-        /// What it reads when set up.
+        /// Value after set-up.
         value: u32,
     },
     /// A simulated machine or a recording.

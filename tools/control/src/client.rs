@@ -29,7 +29,7 @@ pub enum ClientError {
     Unreachable {
         /// Path of the socket that was tried.
         socket: PathBuf,
-        /// What the system said.
+        /// The system's answer.
         source: io::Error,
     },
     /// The path is longer than a socket's path can be.
@@ -68,7 +68,7 @@ pub enum ClientError {
     Answer {
         /// The line that came instead of an answer, or why none came.
         found: String,
-        /// What is wrong with it.
+        /// What is wrong with the line.
         why: String,
     },
 }
@@ -111,7 +111,7 @@ impl Client {
     /// If this user may not use it, tries the sockets of lesser roles beside it.
     ///
     /// # Errors
-    /// When nobody listens, this user may use none of them, or somebody else listens there.
+    /// When nothing listens, this user may use none of them, or another user's process listens.
     pub fn connect(socket: &Path) -> Result<Self, ClientError> {
         let sockets = Role::ALL.map(|role| derived(socket, role));
         Self::connect_to(&[&sockets[2], &sockets[1], &sockets[0]])

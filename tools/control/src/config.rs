@@ -185,7 +185,7 @@ pub struct ConfiguredAxis {
 /// Properties of a simulated axis that may differ from its configuration.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Simulated {
-    /// Real size of one count, µm; negative where it counts backwards.
+    /// Real size of one count, µm; negative if it counts backwards.
     pub count_um: f64,
     /// Compensation by its own controller, ppm.
     pub compensates_ppm: f64,
@@ -202,14 +202,14 @@ pub struct RtConfig {
     pub priority: u8,
     /// The file gives measured latencies of the machine (`detect_ns` and `write_ns`).
     pub latency_measured: bool,
-    /// Where and when they were measured; none where the file does not say.
+    /// Where and when they were measured; none if the file does not say.
     pub measured: Option<Measured>,
 }
 
 /// The machine model that runs in the daemon (`[model]`).
 #[derive(Debug, Clone, PartialEq)]
 pub struct ModelConfig {
-    /// Path of the model to run; none where the file names none.
+    /// Path of the model to run; none if the file names none.
     pub file: Option<PathBuf>,
     /// Time between two evaluations, ms.
     pub period_ms: u64,

@@ -5,7 +5,7 @@
 //! |---|---|
 //! | [`config`] | `rtec.toml`, read strictly: every finding with its line |
 //! | [`protocol`] | requests and answers of the control socket |
-//! | [`role`] | who may ask for what |
+//! | [`role`] | roles and their requests |
 //! | [`audit`] | the record of every command: written, read, checked |
 //! | [`client`] | the client's end of the socket |
 //! | [`metrics`] | the status as `OpenMetrics` and Prometheus text |

@@ -1,9 +1,9 @@
-//! How a configuration names a line of a card.
+//! Names of card lines in a configuration.
 
 use rtec_driver::gpio::{Bias, Drive, GpioLine, LineId};
 use rtec_files::toml::{At, Entry, Section, SourceFile};
 
-/// How a configuration names a line.
+/// Name of a line in a configuration.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum LineName<'a> {
     /// A line of the card's profile.

@@ -16,9 +16,9 @@ pub enum LockError {
     /// Another process holds it.
     #[error("another rtecd{by} holds the {what} {}", path.display())]
     Taken {
-        /// The process, where it is known: ` (process 123)`.
+        /// The process, if it is known: ` (process 123)`.
         by: String,
-        /// What is locked: `lock` (the socket's lock file) or `card`.
+        /// Kind of lock: `lock` (the socket's lock file) or `card`.
         what: &'static str,
         /// The locked file.
         path: PathBuf,
@@ -26,7 +26,7 @@ pub enum LockError {
     /// The system refused the lock for another reason than its holder.
     #[error("{what} {}: {source}", path.display())]
     Io {
-        /// What is locked: `lock` (the socket's lock file) or `card`.
+        /// Kind of lock: `lock` (the socket's lock file) or `card`.
         what: &'static str,
         /// The locked file.
         path: PathBuf,
@@ -56,7 +56,7 @@ fn lock(path: &Path, what: &'static str, options: &OpenOptions) -> Result<Held, 
 /// Locks a card's file of registers.
 ///
 /// # Errors
-/// When somebody else has it, or it cannot be opened.
+/// When another process has it, or it cannot be opened.
 pub fn card(file: &Path) -> Result<Held, LockError> {
     // Symbolic links are followed, because those below /dev lead to the card.
     lock(file, "card", File::options().read(true).write(true))
@@ -78,7 +78,7 @@ fn beside(socket: &Path) -> PathBuf {
 /// Takes the lock beside a control socket and writes our process number to it.
 ///
 /// # Errors
-/// When somebody else has it, or it cannot be made.
+/// When another process has it, or it cannot be made.
 pub fn socket(socket: &Path) -> Result<Held, LockError> {
     let path = beside(socket);
     let io = |source| LockError::Io { what: "lock", path: path.clone(), source };
@@ -89,7 +89,7 @@ pub fn socket(socket: &Path) -> Result<Held, LockError> {
 }
 
 /// Keeps the daemon of a control socket from starting while the value lives.
-/// `None` where no daemon has ever run.
+/// `None` if no daemon has ever run.
 ///
 /// # Errors
 /// When the daemon runs.

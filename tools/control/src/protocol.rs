@@ -14,7 +14,7 @@
 //! |---|---|
 //! | `status`, `disable`, `park`, `shadow`, `clear`, `watch`, `whoami` | – |
 //! | `observe` | `events_after`: number of the last event that is known already |
-//! | `home` | `axis`; all without it; `controller_homed`: `true` where the MTC has been homed there too, `false` where not |
+//! | `home` | `axis`; all without it; `controller_homed`: `true` if the MTC has been homed there too, `false` if not |
 //! | `enable` | `accept_jump` |
 //! | `correct` | `axis`, `total_counts`, `large` |
 //! | `probe`, `hold` | `on` |
@@ -30,7 +30,7 @@
 //!
 //! A file is read with its caller's rights: the open descriptor comes with the request's line (`SCM_RIGHTS`, unix(7)), one for
 //! `table_load`, for `model_load` one per name in `files`: the model first, then the dictionary and the chain that it names.
-//! Without descriptors a path is only opened for root, for the daemon's own user, and where it is the configuration's own.
+//! Without descriptors a path is only opened for root, for the daemon's own user, and if it is the configuration's own.
 
 mod status;
 mod words;
@@ -49,7 +49,7 @@ pub const PROTOCOL: u32 = 1;
 /// Longest request line, bytes.
 pub const MAX_LINE: usize = 4096;
 
-/// What a client asks for.
+/// A client's request.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "do", rename_all = "snake_case", deny_unknown_fields)]
 pub enum ClientRequest {
@@ -171,7 +171,7 @@ impl ClientRequest {
     /// Reads a request line.
     ///
     /// # Errors
-    /// What is wrong with it, and what is expected.
+    /// The mistake in the line, and what is expected.
     pub fn parse(line: &str) -> Result<Self, String> {
         serde_json::from_str(line).map_err(|e| {
             let found = printable(&e.to_string()).into_owned();
@@ -180,13 +180,13 @@ impl ClientRequest {
     }
 }
 
-/// What the daemon answers.
+/// The daemon's answer.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Response {
-    /// The status asked for.
+    /// The requested status.
     Status(Box<DaemonStatus>),
-    /// Done as asked.
+    /// Done as requested.
     Done {
         /// Movements that `enable` causes, axis by axis.
         #[serde(default, skip_serializing_if = "Vec::is_empty")]
@@ -230,12 +230,12 @@ pub enum Response {
     Ledger(LedgerPage),
     /// Components of the corrections.
     Explained {
-        /// The axes asked for.
+        /// The requested axes.
         axes: Vec<Explained>,
     },
     /// Everything that can be seen.
     Observed(Box<Observed>),
-    /// Who is asking.
+    /// The caller, as the daemon knows it.
     Whoami(Box<Caller>),
 }
 
@@ -323,9 +323,9 @@ impl LogState {
 pub struct Clients {
     /// The role.
     pub role: Role,
-    /// How many are connected.
+    /// Number of connections.
     pub connected: usize,
-    /// How many of them watch.
+    /// Number of those that watch.
     pub watching: usize,
 }
 
@@ -334,11 +334,11 @@ pub struct Clients {
 pub struct Caller {
     /// User number.
     pub uid: u32,
-    /// User name, where the number has one.
+    /// User name, if the number has one.
     pub user: String,
     /// Process number, as the daemon sees it.
     pub pid: i32,
-    /// The process's executable, where it can be seen.
+    /// The process's executable, if it can be seen.
     pub exe: String,
     /// The role of the socket.
     pub role: String,
@@ -387,7 +387,7 @@ pub struct LedgerRow {
     pub insertions: u64,
 }
 
-/// How far an axis moves when corrections are enabled now.
+/// Movement of an axis if corrections are enabled now.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Jump {
     /// Name of the axis.
@@ -411,7 +411,7 @@ pub struct Happened {
     pub kind: String,
     /// The event as a sentence.
     pub text: String,
-    /// Where the axis was when the probe tripped.
+    /// Position of the axis when the probe tripped.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub trip: Option<TripReport>,
 }
@@ -439,7 +439,7 @@ pub struct TripReport {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub corrected_mm: Option<f64>,
     /// Temperatures at that time, in the order of the status's sensors, °C.
-    /// Null where one is not known.
+    /// Null if one is not known.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub degc: Vec<Option<f64>>,
 }

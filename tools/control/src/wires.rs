@@ -74,7 +74,7 @@ pub struct RegisterReading {
     pub means: String,
     /// Byte offset.
     pub offset: usize,
-    /// What the profile uses it for.
+    /// Purpose of the register in the profile.
     #[serde(rename = "use")]
     pub purpose: &'static str,
     /// The value read.

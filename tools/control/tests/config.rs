@@ -86,7 +86,7 @@ fn values_arrive_where_they_belong() {
     let axis = &config.axes[0];
     let engine = &axis.engine;
     assert!((engine.max_accel_counts_s2 - 2e6).abs() < 1e-6);
-    // The budget limits the maximum, and a note says so.
+    // The budget limits the maximum, with a note.
     assert_eq!((engine.max_correction_counts, config.notes.len()), (400, 2));
     assert!(config.notes[1].contains("view has no group"), "{:?}", config.notes);
     assert_eq!(engine.rest, RestPolicy::Insert { after_ns: 2_500_000 });

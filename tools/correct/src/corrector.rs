@@ -448,7 +448,7 @@ impl Corrector {
         }
     }
 
-    /// Evaluates the model and stores its errors, where they are known.
+    /// Evaluates the model and stores its errors, if they are known.
     /// Returns whether its sensors have become better or worse.
     fn ask_model(&mut self, status: &Status) -> bool {
         let Some(model) = &mut self.model else { return false };

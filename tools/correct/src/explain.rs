@@ -87,7 +87,7 @@ impl Contribution {
 pub struct Reading {
     /// The sensor's name, as effects use it.
     pub sensor: String,
-    /// Where it sits on the machine, for people.
+    /// Its place on the machine, for people.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub place: String,
     /// The sensor's last good value, °C.
@@ -135,7 +135,7 @@ pub struct RunningModel {
     /// Fits whose validity has ended.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub expired: Vec<String>,
-    /// Days since its oldest fit; none where no fit carries a date.
+    /// Days since its oldest fit; none if no fit has a date.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub age_days: Option<i64>,
     /// Days until the first of its fits ends; below zero, past it.

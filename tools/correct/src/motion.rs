@@ -232,7 +232,7 @@ mod tests {
         assert_eq!(after_six.now()[0].acceleration_mm_s2, 0.0, "30 ms before the last 30 ms: not yet");
     }
 
-    /// Reading the engine's state twice does not make an axis appear to stand.
+    /// Reading the engine's state twice does not make an axis appear at rest.
     #[test]
     fn a_state_that_is_seen_twice_does_not_slow_an_axis_down() {
         let mut motion = Motion::new(1);

@@ -48,7 +48,7 @@ pub struct PartTable {
 pub struct TableNow {
     /// Probed points in it.
     pub points: usize,
-    /// `in_force`, `ready` where the tool is elsewhere, or `off`.
+    /// `in_force`, `ready` if the tool is elsewhere, or `off`.
     pub state: String,
     /// Distance of the tool from the arc or the straight feature, mm: 0 on it.
     pub off_mm: f64,
@@ -57,7 +57,7 @@ pub struct TableNow {
     /// Error that it removes here, µm, in the order of its axes.
     /// If the table is not in force, the error that it would remove.
     pub um: [f64; 2],
-    /// Why it is off.
+    /// Reason why it is off.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub why: Option<String>,
 }

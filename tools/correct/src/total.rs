@@ -163,7 +163,7 @@ impl Total {
         self.following && self.offset_um == 0.0 && !self.slow_left && requested == self.bounded()
     }
 
-    /// What the ramp has still to go, µm, while the axis follows.
+    /// Rest of the ramp, µm, while the axis follows.
     pub(crate) fn ramp_left_um(&self) -> f64 {
         if self.following { self.offset_um } else { 0.0 }
     }
@@ -274,7 +274,7 @@ mod tests {
         assert!(total.settled(-100) && !total.settled(100));
     }
 
-    /// A source that asks for far more than the limit is withdrawn.
+    /// A source that wants far more than the limit is withdrawn.
     /// The way back begins at the limit, and the operator can always reduce the total.
     #[test]
     fn beyond_the_limit_nothing_piles_up() {
@@ -326,7 +326,7 @@ mod tests {
     }
 
     /// The operator's counts are part of the goal.
-    /// The limit applies unless the unlimited goal is asked for.
+    /// The limit applies except to the unlimited goal.
     #[test]
     fn a_goal_is_within_the_limit_and_holds_the_operators_share() {
         let mut total = Total::new(0.5, 2, 10, 100);

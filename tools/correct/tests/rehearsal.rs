@@ -48,7 +48,7 @@ fn axis<'r>(found: &'r Rehearsal, name: &str) -> &'r AxisChange {
     found.axes.iter().find(|a| a.axis == name).unwrap()
 }
 
-/// The axis goes 400 mm in a second between two rows, and back.
+/// The axis moves 400 mm in a second between two rows, and back.
 /// The present model asks for 20 µm and the new one for 40 µm. The law must be called between the rows, because 80
 /// counts are more than a window. The shift's clock starts late.
 #[test]

@@ -1,4 +1,4 @@
-//! What the law reports of itself.
+//! Reports of the law about itself.
 //! It reports what a model would change, the parts of a total, whether a total is on its way, and why it cannot
 //! follow a model.
 

@@ -209,7 +209,7 @@ impl Cause {
 }
 
 /// Prior sizes of an effect's coefficients, in their own units.
-/// Zero where only the data give a scale (a channel).
+/// Zero if only the data give a scale (a channel).
 #[must_use]
 pub fn sizes(effect: &Effect) -> Vec<f64> {
     let law = effect.description();
@@ -242,7 +242,7 @@ fn without_untold_turns(rows: &Rows<'_>, effect: &Effect, columns: &mut [Vec<f64
     }
 }
 
-/// Turns a constant beside a law of ΔT into a reference temperature.
+/// Turns a constant added to a law of ΔT into a reference temperature.
 /// The identity is c₁x + c₀ = c₁(x − d).
 fn refer(effect: &mut Effect, c1: f64, c0: f64) {
     let d = -c0 / c1;

@@ -174,7 +174,7 @@ pub fn estimate(
 }
 
 /// Log evidence of the best explanation of the records, from given members.
-/// The search gives up far below `enough`.
+/// The search stops far below `enough`.
 #[must_use]
 pub fn score(
     records: &[Record],
@@ -220,7 +220,7 @@ fn settle(
 }
 
 /// As `settle`, with callbacks.
-/// After each round `goes_on` says whether to continue; `then` is called once both have settled.
+/// After each round `goes_on` decides whether to continue; `then` is called once both have settled.
 fn settled<T>(
     problem: &Problem<'_>,
     families: &mut Families,

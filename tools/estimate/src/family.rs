@@ -29,11 +29,11 @@ pub struct Family {
     pub set_up: bool,
     /// Log prior of the name.
     pub prior: f64,
-    /// Where to search for it.
+    /// Where its members are searched.
     pub scan: Scan,
 }
 
-/// Where a family is searched.
+/// Where the members of a family are searched.
 #[derive(Debug)]
 pub enum Scan {
     /// A group of columns for each point of a grid, with its log weight.

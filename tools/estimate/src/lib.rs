@@ -1,4 +1,4 @@
-//! What measured records support: missing effects, parameters and their intervals.
+//! Missing effects, parameters and their intervals, estimated from records.
 //!
 //! y = M(θ) + Z(η) + H(β, ψ) + e: the machine by its model, the set-up of each instrument, hypotheses, noise.
 //! One likelihood decides. Every number that an answer depends on is in [`priors`].

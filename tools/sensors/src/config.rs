@@ -53,9 +53,9 @@ pub enum SensorSource {
 pub struct SensorConfig {
     /// Name, as effects use it.
     pub name: String,
-    /// Where it sits on the machine, for people.
+    /// Its place on the machine, for people.
     pub place: String,
-    /// What it reads: a temperature, or another role that an effect may ask for.
+    /// Its quantity: a temperature, or another role that an effect may need.
     /// Roles are spindle speed, coolant, load and channel.
     pub role: Role,
     /// Source of its values.

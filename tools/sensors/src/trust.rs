@@ -8,7 +8,7 @@ use rtec_model::limits::disconnected;
 use rtec_model::record::Role;
 use std::sync::Arc;
 
-/// What is wrong with a sensor.
+/// Fault of a sensor.
 #[derive(Debug, Clone, PartialEq)]
 pub enum SensorFault {
     /// No reading: the reason, and since when (s of the caller's clock).

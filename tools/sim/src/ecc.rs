@@ -9,7 +9,7 @@
 //! | pulse pre-conditioning (fig. 6) | both begin and end at A = B = low |
 //! | direction detector and corrector (fig. 7) | the last count's direction decides which way a tick counts |
 //! | full adder, counter, comparator | after twice the compensation value in pulses the encoder's own are passed again |
-//! | acknowledgement, 4-bit value | the controller asks for at most 15 pulses at a time and books them when acknowledged |
+//! | acknowledgement, 4-bit value | the controller requests at most 15 pulses at a time and books them when acknowledged |
 //! | X/Z, S1, S0 (table 1), ACK | [`ControlLines`]; two circuits behind one controller: [`crate::ecc_board`] |
 //!
 //! The PLL is a behavioural model of the paper's measurements, not of its parts.

@@ -62,7 +62,7 @@ pub struct Refused {
     pub t_ns: u64,
     /// The total that was requested, counts.
     pub requested: i64,
-    /// Why the engine refused it.
+    /// The engine's reason for the refusal.
     pub why: Refusal,
 }
 

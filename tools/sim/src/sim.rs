@@ -132,7 +132,7 @@ pub enum SimError {
     Servo {
         /// Time of the stop, s of the simulation's time.
         t_s: f64,
-        /// What stopped the controller.
+        /// The controller's fault.
         fault: ServoFault,
     },
     /// The engine latched a fault.

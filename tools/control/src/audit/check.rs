@@ -122,7 +122,7 @@ pub struct Broken {
     pub file: PathBuf,
     /// Its line, from 1; 0 if the mistake concerns the whole file.
     pub line: usize,
-    /// What is wrong.
+    /// The mistake, in words.
     pub what: String,
 }
 

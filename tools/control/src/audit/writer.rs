@@ -26,7 +26,7 @@ pub struct Writer {
     head_behind: bool,
     /// Number of files kept.
     keeps: usize,
-    /// How often a file or head was removed or renamed, and how often a file was full.
+    /// Number of removed or renamed files or heads, and number of full files.
     moved: u64,
     rotated: u64,
 }

@@ -208,7 +208,7 @@ const COUPLED: &str = "an axis of its own: two scales of one axis (a gantry) are
                        rack it. Leave both scales out: they go straight to the MTC";
 
 /// Refuses a rotary or coupled axis by its kind, not by an unknown key.
-/// `by_name`: its name says that it rotates (ISO 841). Returns `true` where it was refused.
+/// `by_name`: its name marks it as rotary (ISO 841). Returns `true` if it was refused.
 fn refuse_other_kinds(
     source: &mut SourceFile<'_>,
     s: &mut Section<'_>,
@@ -232,7 +232,7 @@ fn refuse_other_kinds(
     refused.is_some() || by_name.is_some()
 }
 
-/// The values of `simulated`; those of the configuration where it has none.
+/// The values of `simulated`; those of the configuration if it has none.
 struct ReadSimulated {
     count_um: Option<f64>,
     rest: Simulated,

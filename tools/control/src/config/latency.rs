@@ -167,7 +167,7 @@ impl ConfiguredAxis {
     }
 
     /// The highest edge rate that can be followed, Hz.
-    /// No two edges may come within the longest time between two looks, even if the axis accelerates. `None` where
+    /// No two edges may come within the longest time between two looks, even if the axis accelerates. `None` if
     /// nothing limits it: a card with its own counters, or a simulated one.
     #[must_use]
     pub fn followed_hz(&self) -> Option<f64> {
@@ -177,7 +177,7 @@ impl ConfiguredAxis {
     }
 
     /// The highest edge rate at which an insertion still has time, Hz.
-    /// None where there is no such rate.
+    /// None if there is no such rate.
     #[must_use]
     pub fn corrected_hz(&self) -> Option<f64> {
         self.engine.gate().map(|gate| 1e9 / gate.min_period_ns() as f64)

@@ -36,7 +36,7 @@ pub struct DaemonStatus {
     /// Every latched fault, of the machine and of its axes, with its time.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub latched_faults: Vec<LatchedFault>,
-    /// How often each fault was latched since the daemon's start, by its word.
+    /// Number of times each fault was latched since the daemon's start, by its word.
     #[serde(default)]
     pub latched: BTreeMap<String, u64>,
     /// Why the record of commands cannot be written now, and the number lost.
@@ -56,7 +56,7 @@ pub struct DaemonStatus {
     /// The loaded part table.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub table: Option<PartTable>,
-    /// Error that the part table removes at this moment, where it applies.
+    /// Error that the part table removes at this moment, if it applies.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub table_now: Option<TableNow>,
     /// The temperature sensors, in the configuration's order.
@@ -227,7 +227,7 @@ pub struct Rates {
     /// Its rapid, as configured.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rapid_mm_min: Option<f64>,
-    /// Speed up to which every count is seen; none where nothing limits it.
+    /// Speed up to which every count is seen; none if nothing limits it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub followed_mm_min: Option<f64>,
     /// Speed up to which corrections are inserted; none if there is none.
@@ -243,7 +243,7 @@ impl std::fmt::Display for Rates {
 
 impl Rates {
     /// The speeds of an axis in words: rapid, followed and corrected, mm/min.
-    /// `uncorrected` is the text where no speed allows insertions.
+    /// `uncorrected` is the text if no speed allows insertions.
     #[must_use]
     pub fn told(&self, uncorrected: &str) -> String {
         // Axes in tests are slow.

@@ -13,7 +13,7 @@ pub fn word(name: impl Serialize) -> String {
     }
 }
 
-/// What a refusal means, and what to do.
+/// Explains a refusal, and what to do.
 #[must_use]
 pub const fn explain_refusal(why: Refusal) -> &'static str {
     match why {
@@ -59,7 +59,7 @@ pub fn explain_not_homed(axes: &[&str]) -> String {
     format!("{many} {}: {}", axes.join(", "), explain_refusal(Refusal::NotHomed))
 }
 
-/// What a fault means, and what to do.
+/// Explains a fault, and what to do.
 #[must_use]
 pub const fn explain_fault(fault: Fault) -> &'static str {
     match fault {

@@ -64,7 +64,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     if let Some(axis) = &args.axis {
         known(&file, axis)?;
     }
-    // Of the record, and of the refusals.
+    // The first is of the record, the second of the refusals.
     let (mut all, mut last_n, mut last_t) = (Vec::new(), [0; 2], None);
     let (mut shown, mut broken) = (0_u64, 0_u64);
     let mut show = |line: Line, all: Option<&mut Vec<Value>>| match line.entry {

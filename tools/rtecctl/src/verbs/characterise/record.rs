@@ -162,7 +162,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
 }
 
 /// Records a run into `out`.
-/// A shift's log need not have a response, unless it is asked for.
+/// A shift's log needs a response only on request.
 pub(crate) fn record(out: &Path, args: &Recorder, with_response: bool) -> anyhow::Result<()> {
     let kind = args.kind.as_deref().unwrap_or("drift");
     let kind = Kind::parse(kind).ok_or_else(|| usage(format!("--kind {kind}"), "a kind of run"))?;
