@@ -120,7 +120,7 @@ pub enum GpioError {
         chip: String,
         /// The system's answer, with its error number.
         source: io::Error,
-        /// The chips that are there.
+        /// The chips that exist.
         found: String,
     },
     /// The chip, or any chip, has no such line.
@@ -141,7 +141,7 @@ pub enum GpioError {
         /// Another chip that has it.
         second: String,
     },
-    /// Somebody else has the line.
+    /// Another consumer, a process or a kernel driver, has taken the line.
     #[error("line {line} of {chip} is taken by \"{consumer}\": free it there, or use another line")]
     Taken {
         /// The chip's path.

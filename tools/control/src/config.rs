@@ -1,6 +1,6 @@
 //! `rtec.toml`: machine, card, axes, real-time thread and control sockets.
 //!
-//! The keys of each table, with what they may be, default and meaning, are in `keys`: the guide's reference is made of it.
+//! `keys` lists the keys of each table with allowed values, default and meaning; the guide's reference is made from it.
 //!
 //! A controller that checks counts between reference marks, or compares two encoders, sees a correction as an
 //! error. `reference_budget_counts` says how much of it the controller tolerates, and limits
