@@ -308,11 +308,17 @@ impl Families {
     }
 
     /// Adds waves without a name.
-    /// They run over time, or along an axis if the circle's position on it is unknown.
+    /// They run over time, over the position of a force's axis (cogging, teeth), or along an axis if the circle's
+    /// position on it is unknown.
     fn unnamed_waves(&mut self, rows: &Rows<'_>) {
         let in_time = |r: &Record| Some((r.time_s().to_vec(), vec![1.0; r.rows()]));
         for j in 0..rows.responses.len() {
             self.unnamed_wave(rows, j, "time", &in_time);
+            if let Role::Force(axis) = &rows.responses[j] {
+                let place = Role::Position(axis.clone());
+                let along = |r: &Record| Some((r.data(&place)?.to_vec(), vec![1.0; r.rows()]));
+                self.unnamed_wave(rows, j, &place.to_string(), &along);
+            }
             if !matches!(&rows.responses[j], Role::Error(axis) if axis.as_str() == "r") {
                 continue;
             }

@@ -59,8 +59,8 @@ struct FromPosition {
     /// The time column, by its name or number from 1 [default: `t_s`, `t_ms`, `t_us` or `t_ns`]
     #[arg(long, value_name = "NAME")]
     time_column: Option<String>,
-    /// The time's unit [default: of the column's name, `t_ms` or `Time [ms]`; else s]
-    #[arg(long, value_parser = ["s", "ms", "us", "ns"], requires = "time_column")]
+    /// The time's unit, d for a spreadsheet's days [default: of the column's name, `t_ms` or `Time [ms]`; else s]
+    #[arg(long, value_parser = ["s", "ms", "us", "ns", "d"], requires = "time_column")]
     time_unit: Option<String>,
     /// The position's unit [default: of the column's name, `x_mm` or `X [mm]`; else m]
     #[arg(long, value_enum)]
@@ -241,8 +241,8 @@ fn from_position(args: &FromPosition) -> anyhow::Result<Summary> {
             eprintln!("warning: {warning}");
         }
         way.is_short_enough(args)?;
-        if let Some(coarse) = jumps.coarse(args) {
-            eprintln!("warning: {coarse}");
+        for warning in [jumps.coarse(args), jumps.dead(args), jumps.dates(args)].into_iter().flatten() {
+            eprintln!("warning: {warning}");
         }
     }
     let (mut record, mut way) = (Record::open(args, bits)?, TravelledCounts::default());
@@ -327,6 +327,8 @@ const COUNTER_BITS: [u32; 4] = [16, 20, 24, 32];
 /// Share of the range within which a jump is a wrap-around.
 const NEAR_RANGE: f64 = 0.02;
 
+/// Times that are kept to see what their clock is.
+const FIRST_TIMES: usize = 1000;
 /// Changes of the position from which its resolution is known.
 const COARSE_CHANGES: usize = 5;
 
@@ -359,10 +361,17 @@ struct Jumps {
     /// Resolution of the written positions, µm, and number of changes.
     written_um: f64,
     changes: usize,
+    /// The first times, s, and the number of rows.
+    times_s: Vec<f64>,
+    rows: usize,
 }
 
 impl Jumps {
     fn see(&mut self, t_ns: u64, at_um: f64, line: usize) {
+        self.rows += 1;
+        if self.times_s.len() < FIRST_TIMES {
+            self.times_s.push(t_ns as f64 / 1e9);
+        }
         let Some((from_ns, from_um)) = self.last.replace((t_ns, at_um)) else { return };
         let step_um = at_um - from_um;
         if step_um != 0.0 {
@@ -395,6 +404,27 @@ impl Jumps {
                 counts
             )
         })
+    }
+
+    /// A note if the position never changes.
+    fn dead(&self, args: &FromPosition) -> Option<String> {
+        (self.changes == 0 && self.rows > 1).then(|| {
+            format!(
+                "{}: the position is the same in all {} rows, so the trace has no edge: did the axis stand, or is the channel dead?",
+                args.input.display(),
+                self.rows
+            )
+        })
+    }
+
+    /// A note if times in seconds are rather the days of a spreadsheet.
+    fn dates(&self, args: &FromPosition) -> Option<String> {
+        let day = clock::spreadsheet_in_s(&self.times_s)?;
+        Some(format!(
+            "{}: the time begins at {} s: a spreadsheet's date ({day}) in days? --time-unit d takes those",
+            args.input.display(),
+            self.times_s[0]
+        ))
     }
 
     /// Bits of the counter whose range is near all jumps.
@@ -515,7 +545,7 @@ struct Record {
 }
 
 /// Units of a time, and ns of each.
-const UNITS: [(&str, f64); 4] = [("s", 1e9), ("ms", 1e6), ("us", 1e3), ("ns", 1.0)];
+const UNITS: [(&str, f64); 5] = [("s", 1e9), ("ms", 1e6), ("us", 1e3), ("ns", 1.0), ("d", 86_400e9)];
 
 /// Checks that a column's name does not contradict the unit of an option.
 fn is_in(header: &Header, name: &str, unit: &str, option: &str) -> Result<(), InputError> {
@@ -662,6 +692,12 @@ impl Record {
                         found,
                         "a time in s, ms, µs or ns since the start: (t - first) / 10 is one in µs",
                     ));
+                }
+                if first
+                    && self.time_unit == "d"
+                    && let Some(date) = clock::spreadsheet(read)
+                {
+                    self.start = Some((read, format!("{read}, {} of {}", date.what, date.day)));
                 }
                 if first && let Some((unit, day)) = clock::unix(read) {
                     if unit != self.time_unit {
@@ -867,7 +903,7 @@ mod tests {
         }
         let of = |time: &str| format!("Time [{time}],X [furlong]\n0,0\n1,1\n");
         for (time, options, says) in [
-            ("min", &[][..], "one of s, ms, us, ns, or --time-unit"),
+            ("min", &[][..], "one of s, ms, us, ns, d, or --time-unit"),
             ("min", &["--time-unit", "s"], "with --time-unit s: its name says min"),
             ("s", &[], "one of m, mm, um, nm, in, or --unit"),
         ] {
