@@ -252,6 +252,13 @@ impl FitNote {
         })
     }
 
+    /// Whether a run is of a kind and at places that it was fitted on: its gauges then have the fit's zero.
+    #[must_use]
+    pub fn has_zero_of(&self, reach: &Reach) -> bool {
+        let known = |kind: Kind| self.by_kind_um.is_empty() || self.by_kind_um.contains_key(kind.name());
+        reach.kind().is_none_or(known) && self.not_of(reach).is_none()
+    }
+
     /// Whether places seen, mm, tell of this stretch of the axis: within them, or a tenth of them beyond.
     #[must_use]
     pub fn reaches([from, to]: [f64; 2], [low, high]: [f64; 2]) -> bool {
