@@ -253,8 +253,7 @@ impl Record {
 
     /// The logged positions run about the centre that is stated.
     ///
-    /// A row's place less its bar gives a centre of its own; the stated one is among them, or nearer than the
-    /// hundredth of the radius that two bars may differ by.
+    /// A row's place less its bar gives a centre of its own. The stated one is among these, or near them.
     fn is_about(&self, circle: &Circle, angle: &[f64]) -> Result<(), (String, &'static str)> {
         let shares = [f64::cos as fn(f64) -> f64, f64::sin];
         for ((axis, share), stated) in circle.plane.iter().zip(shares).zip(circle.centre_mm.iter().flatten())

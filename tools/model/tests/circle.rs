@@ -329,7 +329,7 @@ fn a_chain_is_projected_too() {
     }
 }
 
-/// A centre that the logged positions contradict is refused; a set-up's fraction of a millimetre is not.
+/// A fraction of a millimetre is the set-up's, and no contradiction.
 #[test]
 fn a_centre_that_the_positions_contradict_is_refused() {
     let axis = |n: &str| Axis::new(n).unwrap();

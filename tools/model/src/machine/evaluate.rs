@@ -220,7 +220,8 @@ mod tests {
     use crate::record::{Axis, Column, Kind};
     use std::path::Path;
 
-    /// A bug once: what stood on the gauges of a drift test was taken off a plate, beside the wave that it came from.
+    /// A bug once: the zero of a drift test was taken off a plate.
+    /// The wave that it came from was taken off as well.
     #[test]
     fn a_gauge_s_zero_is_of_its_own_runs_alone() {
         let text = "name = \"m\"\n[[fit]]\nresponse = \"error.x\"\ndate = \"2026-01-01\"\nvalid_until = \"2027-01-01\"\n\

@@ -252,7 +252,8 @@ impl FitNote {
         })
     }
 
-    /// Whether a run is of a kind and at places that it was fitted on: its gauges then have the fit's zero.
+    /// Whether a run is of a kind and at places that it was fitted on.
+    /// The gauges of such a run have the fit's zero.
     #[must_use]
     pub fn has_zero_of(&self, reach: &Reach) -> bool {
         let known = |kind: Kind| self.by_kind_um.is_empty() || self.by_kind_um.contains_key(kind.name());
