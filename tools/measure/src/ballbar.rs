@@ -475,6 +475,38 @@ fn contours(record: &Record, angle: &[f64]) -> Vec<(Range<usize>, f64)> {
     found
 }
 
+/// The record of a bar without the rows at which the axes stand.
+/// They stand before, between and after its contours.
+///
+/// The angle does not say from where they came, and so not which side of their play they are on.
+#[must_use]
+pub fn in_motion(record: &Record) -> Record {
+    let angle = record.circle().and_then(|_| record.data(&Role::Angle));
+    let Some((angle, t)) = angle.zip(record.data(&Role::Time)) else { return record.clone() };
+    let n = angle.len();
+    let usual = |mut of: Vec<f64>| {
+        of.sort_by(f64::total_cmp);
+        of.get(of.len() / 2).copied().unwrap_or(0.0)
+    };
+    let usual_s = usual(t.windows(2).map(|w| w[1] - w[0]).collect());
+    // How fast the axes came to a row; behind a gap, how fast they leave it.
+    let speed = |row: usize| {
+        let gap = row == 0 || t[row] - t[row - 1] > 2.5 * usual_s.max(f64::MIN_POSITIVE);
+        let (from, to) = if gap { (row, (row + 1).min(n - 1)) } else { (row - 1, row) };
+        turned_rad(angle[from], angle[to]).abs() / (t[to] - t[from])
+    };
+    let rate = rates(angle, t);
+    let of = |(rows, _): (Range<usize>, f64)| {
+        let feed = usual(rate[rows.clone()].iter().map(|r| r.abs()).collect());
+        (rows, feed)
+    };
+    let feeds: Vec<(Range<usize>, f64)> = contours(record, angle).into_iter().map(of).collect();
+    let slowest = feeds.iter().map(|f| f.1).fold(f64::INFINITY, f64::min);
+    let feed = |row: usize| feeds.iter().find(|f| f.0.contains(&row)).map_or(slowest, |f| f.1);
+    let rows: Vec<usize> = (0..n).filter(|row| speed(*row) > FEED_SHARE * feed(*row)).collect();
+    if rows.is_empty() || rows.len() == n { record.clone() } else { record.select(&rows) }
+}
+
 /// The record as a circle with a radial error; and its plane's name.
 fn as_circle(record: &Record) -> Result<(Record, String), InputError> {
     let name = |c: &Circle| format!("{}-{}", c.plane[0], c.plane[1]);

@@ -69,7 +69,8 @@ pub struct Contribution {
     /// Range of what it does to the radius, µm.
     pub um: f64,
     /// Its share of the sum of all such ranges, %.
-    pub percent: f64,
+    /// `None` where its interval holds zero: the runs do not tell that it is there.
+    pub percent: Option<f64>,
 }
 
 /// Free values, each with half its interval.
@@ -114,7 +115,8 @@ pub struct Diagnosis {
     pub form: ByAxis<Cyclic>,
     /// 95 % intervals by name.
     pub interval_95: BTreeMap<String, [f64; 2]>,
-    /// Causes by their share, largest first; without those that look alike.
+    /// Causes by their share, largest first, then those that are not told.
+    /// Without those that look alike.
     pub contributions: Vec<Contribution>,
     /// Causes that one sense of turning at one feed does not tell apart.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -786,18 +788,21 @@ impl<'t> Fit<'t> {
                     not_separable = Some(NotSeparable { causes, um, interval_95 });
                     continue;
                 }
-                contributions.push(Contribution { cause: cause(&t.name), um, percent: 0.0 });
+                let holds_zero = |(value, half): &(f64, f64)| value.abs() <= *half;
+                let told = !values.get(&t.name).is_some_and(holds_zero);
+                contributions.push(Contribution { cause: cause(&t.name), um, percent: told.then_some(0.0) });
             }
         }
         if self.unexplained_um(shown).is_some() {
             let form = self.left() - self.noise();
             let cause = "not explained, the same both ways".to_owned();
-            contributions.push(Contribution { cause, um: form.max() - form.min(), percent: 0.0 });
+            contributions.push(Contribution { cause, um: form.max() - form.min(), percent: Some(0.0) });
         }
-        contributions.sort_by(|a, b| b.um.total_cmp(&a.um));
-        let sum: f64 = contributions.iter().map(|c| c.um).sum();
+        contributions
+            .sort_by(|a, b| b.percent.is_some().cmp(&a.percent.is_some()).then(b.um.total_cmp(&a.um)));
+        let sum: f64 = contributions.iter().filter(|c| c.percent.is_some()).map(|c| c.um).sum();
         for c in &mut contributions {
-            c.percent = 100.0 * c.um / sum.max(f64::MIN_POSITIVE);
+            c.percent = c.percent.map(|_| 100.0 * c.um / sum.max(f64::MIN_POSITIVE));
         }
         (values, contributions, not_separable)
     }

@@ -87,7 +87,9 @@ pub(crate) fn show(args: &ShowArgs) -> anyhow::Result<()> {
             println!("    fitted on ΔT from {lo:.2} to {hi:.2} K");
         }
         if l.provenance.set_up {
-            println!("    the zero of the gauges in these records: in predictions, never corrected live");
+            println!(
+                "    the zero of the gauges in these records: predicted for runs of their kind and place, never corrected live"
+            );
         }
         if let Some(by) = &l.provenance.added_by {
             let from: Vec<&str> = l.provenance.from.iter().map(|s| s.file.as_str()).collect();

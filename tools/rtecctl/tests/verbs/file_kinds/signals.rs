@@ -136,6 +136,7 @@ fn rotary_axes_are_refused_by_name_in_every_verb() {
         "model fit --record good.run.toml --effects scale.c --out f.toml",
         "model validate --machine m.toml --record deg.run.toml",
         "model export --machine c.toml --axis c --from 0 --to 10 --out t.txt",
+        "model export --machine m.toml --axis c --from 0 --to 10 --out t.txt",
         "reconcile c.run.toml --model m.toml",
         "simulate linear-displacement --machine c.toml --out s",
     ] {
