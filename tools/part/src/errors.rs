@@ -97,8 +97,8 @@ pub struct ErrorReport {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub inclination_error_deg: Option<f64>,
     /// Standard errors of the centre, along Z and X (of a straight feature along its normal, twice), in µm; `None` where the points
-    /// do not tell. As all standard errors here by the scatter of all points: the flanks of a form error that was left out
-    /// are still in the second fit, so its own scatter is too small.
+    /// do not tell. All standard errors here are by the scatter of all points.
+    /// The flanks of a form error are still in the second fit: its own scatter is too small.
     pub centre_standard_error_um: Option<[f64; 2]>,
     /// Standard error of the radius, or of a straight feature's place along its normal, in µm.
     pub size_standard_error_um: Option<f64>,
@@ -366,8 +366,8 @@ impl Probed {
         Some(line.sum::<f64>() / self.tip_centre.len().min(expected.len()).max(1) as f64)
     }
 
-    /// Part errors of a feature probed with a tip of radius `tip_mm`. Points beyond what noise gives are left out of the
-    /// fit ([`fit::beyond_noise`]).
+    /// Part errors of a feature probed with a tip of radius `tip_mm`.
+    /// Points beyond noise are left out of the fit ([`fit::beyond_noise`]).
     ///
     /// The tip touches where its surface is normal to the part's, whatever the direction it came from; the
     /// approach tells from which side. So the shape is fitted to the tip's centres and moved by the tip's radius.
@@ -389,7 +389,7 @@ impl Probed {
         })
     }
 
-    /// As [`Probed::errors`], by the report's own rule of what is left out ([`fit::two_step`]).
+    /// As [`Probed::errors`], by the report's rule ([`fit::two_step`]).
     ///
     /// # Errors
     /// As [`Probed::errors`].
@@ -724,7 +724,7 @@ impl ErrorReport {
         Some(self.student()? * self.inclination_standard_error_deg?)
     }
 
-    /// Half of a 95 % interval in standard errors, beside as many points or places.
+    /// Half of a 95 % interval, in standard errors.
     fn student(&self) -> Option<f64> {
         let parameters = if self.radius_mm.is_some() { 3 } else { 2 };
         let places = self.repeats.as_ref().map_or(self.points, |repeats| repeats.places);

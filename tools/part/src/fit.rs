@@ -404,8 +404,9 @@ impl TwoStep {
     }
 }
 
-/// The two-step fit of NISTIR 4854, section 3: drop the largest deviations, keep both ends, fit again.
+/// The two-step fit of NISTIR 4854, section 3.
 ///
+/// Fit all points, drop the largest deviations, keep both ends, fit again.
 /// Drops deviations on the side of the worst point that exceed 0.5 SD.
 ///
 /// A form error has one sign: a worn tool leaves material, a chipped one takes it. The other side holds the good points
@@ -468,7 +469,8 @@ impl Sums {
         }
     }
 
-    /// Sum of the squares left by a constant and both slopes; a slope that the points do not determine is none.
+    /// Sum of the squares left by a constant and both slopes.
+    /// Slopes that the points do not determine take the steepest way.
     fn left(&self) -> f64 {
         let ([a, b], n) = (self.u, self.n);
         let [aa, ab, bb] = [self.uu[0] - a * a / n, self.uu[1] - a * b / n, self.uu[2] - b * b / n];

@@ -6,7 +6,8 @@ use serde::Serialize;
 
 /// Touches of one place lie within this share of the way between places.
 const NEAR: f64 = 0.1;
-/// And within this of each other: over less than the feed of a finish cut a surface has one form.
+/// And within this of each other.
+/// Over less than the feed of a finish cut a surface has one form.
 const ONE_PLACE_MM: f64 = 0.1;
 
 /// Places that were touched several times, and how their touches scatter.

@@ -181,7 +181,7 @@ fn points_that_give_no_shape_are_refused() {
     assert!(least_squares(FitShape::Line, &[], None).is_err());
 }
 
-/// White noise has no bump: nearly no point is left out, and sizes lie within their 95 % intervals at that rate.
+/// White noise has no bump: nearly no point is left out.
 #[test]
 fn sizes_of_white_noise_hold_their_rate() {
     const SD_UM: f64 = 0.5;
