@@ -1,5 +1,5 @@
-//! Prints what reading and writing a trace costs per row:
-//! `cargo bench -p rtec-files --bench trace_speed [-- ROWS]`.
+//! Prints the time per row for reading and writing a trace.
+//! Run it with `cargo bench -p rtec-files --bench trace_speed [-- ROWS]`.
 
 use rtec_driver::quadrature::State;
 use rtec_driver::replay::TracePoint;

@@ -1,5 +1,5 @@
-//! A recorded quadrature trace is read, and counted.
-//! A row that is wrong is said with its place.
+//! Reads a recorded quadrature trace and counts its edges.
+//! A wrong row is reported with its place.
 use rtec_files::trace::{TraceFormat, TraceReader};
 use std::path::Path;
 

@@ -1,12 +1,12 @@
-//! Clocks that do not begin with the run.
+//! Reads clocks whose zero is not the start of the run.
 //! Times are in ISO 8601, as a German spreadsheet writes them, times of the day, or Unix times.
 
 use crate::date;
 
-/// A day, ns.
+/// The length of a day, ns.
 pub const DAY_NS: i128 = 86_400_000_000_000;
 
-/// Which of the first two numbers of a date with slashes is the day.
+/// Whether the first number of a date with slashes is the day or the month.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum SlashOrder {
     /// `13/8/2022`.
@@ -17,9 +17,9 @@ pub enum SlashOrder {
 
 /// Nanoseconds since 1970-01-01 UTC of a date with its time of the day.
 ///
-/// It is in ISO 8601, `20260304T101530Z`, `2022/8/13 10:23:57`, `23.1.2021 10:23:57` or `23.1.21 10:23` (day, month, year), or with the
-/// month's name, `04-Mar-2026 10:15:30`. Of a date that ends with its year behind slashes or lines: what it is with the day first, and with
-/// the month first.
+/// It is in ISO 8601, `20260304T101530Z`, `2022/8/13 10:23:57`, `23.1.2021 10:23:57` or `23.1.21 10:23` (day,
+/// month, year), or with the month's name, `04-Mar-2026 10:15:30`. A date that ends with its year after
+/// slashes or dashes has two readings. The first value has the day first, the second the month.
 #[must_use]
 pub fn absolute_ns(text: &str) -> [Option<i128>; 2] {
     if let Some(ns) = iso8601_ns(text).or_else(|| basic_ns(text)) {
@@ -33,8 +33,8 @@ pub fn absolute_ns(text: &str) -> [Option<i128>; 2] {
     read().unwrap_or_default()
 }
 
-/// A date, and the time of the day behind it.
-/// That begins with the hour in front of the first `:` or `h`.
+/// Splits a text into a date and the time of the day after it.
+/// The time begins with the hour before the first `:` or `h`.
 fn clock_behind_date(text: &str) -> Option<(&str, &str)> {
     let is_digit = |c: char| c.is_ascii_digit();
     let mark = text.match_indices([':', 'h']).map(|(at, _)| at).find(|at| text[..*at].ends_with(is_digit))?;
@@ -42,7 +42,7 @@ fn clock_behind_date(text: &str) -> Option<(&str, &str)> {
     date.ends_with([' ', ',', 'T', '_']).then(|| (date.trim_end_matches([' ', ',', 'T', '_']), clock))
 }
 
-/// English and German months, each by what its name begins with.
+/// English and German months, by the beginnings of their names.
 const MONTHS: [&[&str]; 12] = [
     &["jan"],
     &["feb"],
@@ -58,21 +58,21 @@ const MONTHS: [&[&str]; 12] = [
     &["dec", "dez"],
 ];
 
-/// Which month a name is of, from 1.
+/// The number of a month from its name, from 1.
 fn month_of(name: &str) -> Option<usize> {
     let name = name.to_lowercase();
     MONTHS.iter().position(|begins| begins.iter().any(|b| name.starts_with(b))).map(|place| place + 1)
 }
 
-/// A date as ISO 8601 writes it, with the day first and with the month first.
+/// A date in ISO 8601: read with the day first, and with the month first.
 fn days_of(date: &str) -> Option<[Option<String>; 2]> {
     let parts: Vec<&str> = date.split(['/', '.', '-', ' ', ',']).filter(|part| !part.is_empty()).collect();
-    // A weekday may stand in front.
+    // A weekday may precede the date.
     let parts =
         if parts.len() == 4 && parts[0].chars().all(char::is_alphabetic) { &parts[1..] } else { &parts[..] };
     let [first, second, third] = *parts else { return None };
     let day = |year: &str, month: &str, day: &str, short: bool| {
-        // Two digits of a year are of this century: no log of a machine tool here is older.
+        // A year of two digits is of this century, because no log of a machine tool here is older.
         let year = if short && year.len() == 2 { format!("20{year}") } else { year.to_owned() };
         (year.len() == 4).then(|| format!("{year}-{month:0>2}-{day:0>2}"))
     };
@@ -96,7 +96,7 @@ fn days_of(date: &str) -> Option<[Option<String>; 2]> {
     }
 }
 
-/// ISO 8601 without lines and colons, `20260304T101530.25Z`.
+/// Reads ISO 8601 without dashes and colons, `20260304T101530.25Z`.
 fn basic_ns(text: &str) -> Option<i128> {
     let (day, clock) = text.trim().split_once('T').filter(|(day, _)| day.len() == 8 && day.is_ascii())?;
     let digits = clock.find(|c: char| !c.is_ascii_digit()).unwrap_or(clock.len());
@@ -123,8 +123,8 @@ pub fn slash_order<'t>(texts: impl IntoIterator<Item = &'t str>) -> Option<Slash
     })
 }
 
-/// A time of the day on the 24-hour clock with two digits of its hour, parted by
-/// colons. `9:05:07 PM` gives 21:05:07, `14h05` 14:05, and `10:00:00:123` 10:00:00.123.
+/// A time of the day in the form of the 24-hour clock, `HH:MM:SS`.
+/// `9:05:07 PM` gives 21:05:07, `14h05` 14:05, and `10:00:00:123` 10:00:00.123.
 fn clock_of_24_hours(text: &str) -> Option<String> {
     let text = text.trim();
     let two_digits =
@@ -159,20 +159,20 @@ pub struct Moments {
     /// The first row's time as written, and in both readings of [`absolute_ns`].
     /// A reading is dropped when a row rules it out.
     start: Option<([Option<i128>; 2], String)>,
-    /// Of times of the day: midnights so far, and the last time.
+    /// For times of the day: midnights so far, and the last time.
     of_day: Option<(i128, i128)>,
     order: Option<SlashOrder>,
 }
 
 impl Moments {
-    /// Of a column whose dates are known to be written so.
+    /// A column whose dates have this order of day and month.
     #[must_use]
     pub fn of_order(order: Option<SlashOrder>) -> Self {
         Self { order, ..Self::default() }
     }
 
     /// Nanoseconds from the first time to this one.
-    /// None where it is not written as that one, or where it has two readings that no row tells apart.
+    /// `None` if its form differs from the first one's, or if it has two readings that no row decides.
     pub fn since_start(&mut self, text: &str) -> Option<i128> {
         if self.start.is_none() {
             let mut first = self.read(text);
@@ -186,7 +186,7 @@ impl Moments {
         let now = match &mut self.of_day {
             Some((days, last_ns)) => {
                 let ns = of_day_ns(text)?;
-                // From late in the evening to early in the morning; anything else runs backwards.
+                // A step from late evening to early morning passes midnight. Any other step back is an error.
                 if ns + DAY_NS / 2 < *last_ns {
                     *days += 1;
                 }
@@ -221,8 +221,8 @@ impl Moments {
     }
 
     /// Nanoseconds since 1970-01-01 UTC of a date.
-    /// Of a time of the day: since the first row's midnight.
-    /// None as [`Moments::since_start`]; and where the first row's day has two readings.
+    /// For a time of the day: since midnight before the first row.
+    /// `None` as in [`Moments::since_start`], and if the first row's day has two readings.
     pub fn absolute(&mut self, text: &str) -> Option<i128> {
         let since = self.since_start(text)?;
         let (start, _) = self.start.as_ref()?;
@@ -232,13 +232,13 @@ impl Moments {
         }
     }
 
-    /// The first time as it is written.
+    /// The first time, as the file has it.
     #[must_use]
     pub fn start(&self) -> Option<&str> {
         self.start.as_ref().map(|(_, text)| text.as_str())
     }
 
-    /// The first row's day, where the column has days of one reading.
+    /// The first row's day, if the column has dates with one reading.
     #[must_use]
     pub fn first_day(&self) -> Option<String> {
         let (start, _) = self.start.as_ref().filter(|_| self.of_day.is_none())?;
@@ -274,7 +274,7 @@ pub fn expected_instead(text: &str) -> Option<&'static str> {
     })
 }
 
-/// Whether a time names its zone: Z, or an offset behind the clock.
+/// Whether a time names its zone: Z, or an offset after the time.
 #[must_use]
 pub fn has_zone(text: &str) -> bool {
     let clock = text.trim().split_once(['T', 't', ' ']).map_or(text, |(_, clock)| clock);
@@ -282,14 +282,14 @@ pub fn has_zone(text: &str) -> bool {
 }
 
 /// Nanoseconds since midnight of a time without a day, `13:51:37.25`.
-/// Some clocks call the first hour of the next day 24.
+/// The hour 24 is allowed, because some clocks use it for the first hour of the next day.
 #[must_use]
 pub fn of_day_ns(text: &str) -> Option<i128> {
     iso8601_ns(&format!("1970-01-01T{}Z", clock_of_24_hours(text)?))
 }
 
-/// Whether a text is a date without a time of the day, which may have a column
-/// of its own.
+/// Whether a text is a date without a time of the day.
+/// Such a date may have a column of its own.
 #[must_use]
 pub fn is_day(text: &str) -> bool {
     absolute_ns(&format!("{} 00:00:00", text.trim())) != [None; 2]
@@ -304,8 +304,8 @@ pub fn has_two_days(text: &str) -> bool {
 
 /// Nanoseconds since 1970-01-01 UTC of `2022-08-08T13:51:37.2515150Z`.
 ///
-/// A blank may replace the T. The time ends with Z, an offset or nothing (UTC), and has up to nine decimals of a
-/// second.
+/// A blank may replace the T. The time ends with Z, an offset or nothing (UTC), and has up to nine decimals
+/// of a second.
 #[must_use]
 pub fn iso8601_ns(text: &str) -> Option<i128> {
     let text = text.trim();
@@ -338,11 +338,11 @@ pub fn iso8601_ns(text: &str) -> Option<i128> {
     Some(minutes * (DAY_NS / 1440) + second * 1_000_000_000 + ns)
 }
 
-/// Units of a clock, and how many make a second.
+/// Units of a clock, each with its number per second.
 const UNITS: [(&str, f64); 4] = [("s", 1.0), ("ms", 1e3), ("us", 1e6), ("ns", 1e9)];
 
 /// From 2000 to 2100, s since 1970.
-/// No machine's own counter has run for thirty years.
+/// A machine's own counter has never run for thirty years.
 const UNIX_S: [f64; 2] = [946_684_800.0, 4_102_444_800.0];
 
 /// Seconds from 1904-01-01, the zero of `LabVIEW`, to 1970-01-01.
@@ -350,29 +350,29 @@ const UNIX_S: [f64; 2] = [946_684_800.0, 4_102_444_800.0];
 const SINCE_1904_S: f64 = 2_082_844_800.0;
 
 /// Steps of Windows' FILETIME in a second.
-/// Then the seconds from its zero, 1601-01-01, to 1970-01-01.
+/// The second constant is the time from its zero, 1601-01-01, to 1970-01-01, s.
 const FILETIME_PER_S: f64 = 1e7;
 const FILETIME_ZERO_S: f64 = 11_644_473_600.0;
 
-/// From 2000 to 2100, days since 1899-12-30, as a spreadsheet counts.
+/// From 2000 to 2100, days since 1899-12-30, the zero of spreadsheets.
 const SPREADSHEET_D: [f64; 2] = [36_526.0, 73_051.0];
 /// Days from 1899-12-30 to 1970-01-01.
 const SPREADSHEET_ZERO_D: f64 = 25_569.0;
 
-/// A time that is counted from long before the run.
+/// A time counted from a zero long before the run.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Counted {
-    /// What it is counted in.
+    /// The unit that it is counted in.
     pub unit: &'static str,
-    /// What counts so.
+    /// The kind of clock that counts like this.
     pub what: &'static str,
     /// The day, as 2026-01-06.
     pub day: String,
 }
 
-/// A Unix time between 2000 and 2100, in any unit.
-/// Windows' FILETIME of those years; or seconds since 1904 where that Unix time has not come yet. `None` for what is
-/// neither.
+/// Recognises a time counted from a zero long before the run.
+/// It is a Unix time between 2000 and 2100 in any unit, or Windows' FILETIME of those years. It may also be
+/// seconds since 1904 if the same number as a Unix time is still in the future. `None` for any other number.
 #[must_use]
 pub fn counted(time: f64) -> Option<Counted> {
     let Some((unit, day)) = unix(time) else { return filetime(time) };
@@ -402,9 +402,9 @@ pub fn spreadsheet(time_d: f64) -> Option<Counted> {
     is_date.then(|| Counted { unit: "d", what: "a spreadsheet's date", day: day() })
 }
 
-/// Day of times in seconds that are a spreadsheet's dates.
+/// The day of times in seconds that are really dates of a spreadsheet.
 ///
-/// They lie from 2000 to 2100, span less than two months, and have more decimals than a clock in seconds.
+/// They are from 2000 to 2100, span less than two months, and have more decimals than a clock in seconds.
 #[must_use]
 pub fn spreadsheet_in_s(times: &[f64]) -> Option<String> {
     let (first, last) = (*times.first()?, *times.last()?);
@@ -414,7 +414,7 @@ pub fn spreadsheet_in_s(times: &[f64]) -> Option<String> {
 }
 
 /// The unit of a Unix time between 2000 and 2100, and its day.
-/// `None` for what is none.
+/// `None` for any other number.
 #[must_use]
 pub fn unix(time: f64) -> Option<(&'static str, String)> {
     let (unit, per_s) = UNITS.into_iter().find(|(_, per_s)| {
@@ -520,7 +520,7 @@ mod tests {
             let read = texts.iter().map(|t| moments.since_start(t).map(|ns| ns / 1_000_000_000)).collect();
             (read, moments.first_day())
         };
-        // datetime differences: within one day both readings are one.
+        // Python's datetime gives the differences. Within one day both readings give the same.
         for (texts, wants, day) in [
             (["08/07/2022 10:00:00", "08/07/2022 10:00:10"], [Some(0), Some(10)], None),
             (["12/08/2022 23:59:50", "13/08/2022 00:00:00"], [Some(0), Some(10)], Some("2022-08-12")),
@@ -532,7 +532,7 @@ mod tests {
         ] {
             assert_eq!(seconds(&texts), (wants.to_vec(), day.map(str::to_owned)), "{texts:?}");
         }
-        // The whole column tells what its first days leave open.
+        // The whole column decides the reading that its first days leave open.
         let column = ["08/11/2022 10:00:00", "08/12/2022 10:00:00", "08/13/2022 10:00:00"];
         let mut moments = Moments::of_order(slash_order(column));
         let days: Vec<_> = column.iter().map(|t| moments.since_start(t).map(|ns| ns / DAY_NS)).collect();

@@ -1,15 +1,18 @@
-//! CSV, line by line: UTF-8, UTF-16 or Windows-1252, a byte-order mark and CRLF accepted, a cell in double quotes may hold commas,
-//! `#` and doubled quotes. Every finding has its line and column. A row of separators alone is empty, as spreadsheets leave them.
+//! Reads CSV line by line: UTF-8, UTF-16 or Windows-1252.
+//! A byte-order mark and CRLF are accepted. A cell in double quotes may hold commas, `#` and doubled quotes.
+//! Every finding has its line and column. A row of separators alone counts as empty, because spreadsheets
+//! write such rows.
 //!
-//! Other programs write lines of their own, which are passed over. These are comments that begin with `;`, `%` or `//`, and lines in front
-//! of the columns' names, where somebody asks for names that stand in a later line.
+//! Lines of other programs are skipped. These are comments that begin with `;`, `%` or `//`. They are also
+//! lines before the columns' names, if the caller asks for names that are in a later line.
 //!
-//! A comment begins with a `#` at a line's start, or with one behind a whole row that has a blank on one side of it. Within a
-//! cell `#` is text: `#1`, `No#2`, `Sample #,t`, `#N/A`, and `1 # 2` where cells are still to come.
+//! A comment begins with a `#` at a line's start. After a whole row it begins with a `#` that has a blank on
+//! one side. Within a cell `#` is text: `#1`, `No#2`, `Sample #,t`, `#N/A`, and `1 # 2` if cells are still to
+//! come.
 //!
-//! Lines and comments are ours, because the `csv` crate knows comments only as whole lines and gives no columns. Cells
-//! in quotes are taken apart by that crate's parser ([`csv_core`]), lines without a quote simply at their
-//! commas.
+//! Lines and comments are parsed here, because the `csv` crate knows comments only as whole lines and gives
+//! no columns. That crate's parser ([`csv_core`]) splits lines with quotes. Lines without a quote are split
+//! at their commas.
 
 use crate::decimal::{decimal, number, plain_decimal};
 use crate::file_kind::FileKind;
@@ -31,29 +34,29 @@ pub struct Reader<R> {
     pub(crate) lines: Lines<R>,
     parser: Parser,
     by: u8,
-    /// Cells of a row, once the header is read.
+    /// Cells per row, once the header is read.
     width: Option<usize>,
     encoding: Encoding,
-    /// The present line, where it is no UTF-8.
+    /// The present line, decoded, if it is not UTF-8.
     decoded: String,
     commented: Option<Commented>,
-    /// Rows that go on behind the last named column with separators alone, and others.
+    /// Rows that end with extra separators after the last named column, and others.
     beyond: Beyond,
-    /// Lines of another program in front of the columns' names.
+    /// Number of another program's lines before the columns' names.
     preamble: usize,
 }
 
-/// Rows that end with more separators than their header.
+/// Rows that end with more separators than their header, and rows that do not.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub(crate) struct Beyond {
-    /// The line of the first of them.
+    /// The line of the first such row.
     pub(crate) line: usize,
     pub(crate) rows: usize,
-    /// Rows that do not.
+    /// Number of rows that end as their header does.
     pub(crate) others: usize,
 }
 
-/// What the lines so far are written in.
+/// The encoding of the lines so far.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Encoding {
     Ascii,
@@ -61,25 +64,25 @@ enum Encoding {
     Western,
 }
 
-/// Lines that begin with `#` and look like rows all the same.
+/// Lines that begin with `#` but look like rows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Commented {
-    /// The first of them, from 1.
+    /// The first such line, from 1.
     pub line: usize,
-    /// How many.
+    /// The number of such lines.
     pub lines: usize,
 }
 
 /// A row that [`Reader::plain_row`] has found.
-/// How long its text is, and its line with the line's end, bytes.
+/// It has the length of the row's text, and of its line with the line's end, bytes.
 #[derive(Debug, Clone, Copy)]
 pub struct PlainRow {
     text: usize,
     line: usize,
 }
 
-/// Shared by the rows.
-/// The parser's state ends with the cell, and it cannot be cloned once it is built.
+/// The parser of quoted cells, shared by the rows.
+/// Its state ends with each cell, and a built parser cannot be cloned.
 type Parser = RefCell<csv_core::Reader>;
 
 impl Reader<File> {
@@ -111,7 +114,7 @@ impl<R: Read> Reader<R> {
         })
     }
 
-    /// The next row that holds something besides a comment.
+    /// The next row that has more than a comment.
     ///
     /// # Errors
     /// It is not UTF-8, a quote in it is not closed, or the input cannot be read.
@@ -177,15 +180,16 @@ impl<R: Read> Reader<R> {
     }
 
     /// Fast path: the numbers of the next row, if it has as many cells as `row`.
-    /// Fields that `skip` marks do not matter. The result equals that of [`Reader::row`] and [`Cell::finite`], with less work, because each
-    /// byte is looked at once. Nothing is consumed: [`Reader::take`] does that. `None`, with anything in `row`, if the row needs the
-    /// careful reader: a quote, a comment, blanks, a mistake, or the end of what the buffer holds.
+    /// Fields that `skip` marks are not read. The result equals that of [`Reader::row`] and [`Cell::finite`],
+    /// but is faster, because each byte is read once. Nothing is consumed: [`Reader::take`] does that.
+    /// `None`, with undefined values in `row`, if the row needs the careful reader. It then has a quote, a
+    /// comment, blanks or a mistake, or exceeds the buffer.
     #[inline]
     #[must_use]
     pub fn plain_row(&self, row: &mut [f64], skip: impl Fn(usize) -> bool) -> Option<PlainRow> {
         let (ahead, by) = (self.lines.unread(), self.by);
         let (last, mut at) = (row.len().checked_sub(1)?, 0);
-        // A blank that parts cells may be one at the row's end; a field alone that is skipped may be no row at all.
+        // A blank separator may also end the row. A single field that is skipped may be no row at all.
         if !matches!(by, b',' | b';') || last == 0 && skip(0) {
             return None;
         }
@@ -222,7 +226,7 @@ impl<R: Read> Reader<R> {
     /// The first row, as the columns' names.
     ///
     /// # Errors
-    /// There is none: `expected` says what it would hold. Or as [`Reader::row`].
+    /// There is no row: `expected` says what it should hold. Otherwise as [`Reader::row`].
     pub fn header(&mut self, expected: &str) -> Result<Header, InputError> {
         let first = self.first_line(expected)?;
         let ((_, header), _) = self.best(&first, Some(self.by), &|_| true);
@@ -230,9 +234,9 @@ impl<R: Read> Reader<R> {
         Ok(header)
     }
 
-    /// The first row, as the columns' names.
-    /// What parts it (`;`, a tab, `|` where it has no comma, or else a comma) parts all rows. A line `sep=X` in front of it, as
-    /// spreadsheets write and read it, says what parts them.
+    /// The first row, as the columns' names, with any separator.
+    /// The separator is `;`, a tab or `|` if the row has no comma, else a comma. It applies to all rows. A
+    /// line `sep=X` before it, as spreadsheets write it, sets the separator.
     ///
     /// # Errors
     /// As [`Reader::header`]; a `sep=` of another character than `,`, `;`, `|` and a tab.
@@ -249,8 +253,8 @@ impl<R: Read> Reader<R> {
         self.header_where(expected, |header| names.iter().all(|name| header.find(name).is_some()))
     }
 
-    /// As [`Reader::header_by_any`], of the first line with the wanted columns.
-    /// Lines in front of it are passed over. Without such a line it is the first one.
+    /// As [`Reader::header_by_any`], from the first line with the wanted columns.
+    /// Lines before it are skipped. If there is no such line, the first one is used.
     ///
     /// # Errors
     /// As [`Reader::header_by_any`].
@@ -291,24 +295,24 @@ impl<R: Read> Reader<R> {
         Ok(header)
     }
 
-    /// The columns' names in a line, by the separator that gives what is wanted.
-    /// Where none does, by the likeliest.
+    /// The columns' names in a line, split so that the wanted names are found.
+    /// If none does, by the likeliest separator.
     fn best(
         &self,
         first: &FirstLine,
         by: Option<u8>,
         is_wanted: &impl Fn(&Header) -> bool,
     ) -> ((u8, Header), bool) {
-        // The first name may hold the # that seems to begin a comment.
+        // The first name may contain the # that seems to begin a comment.
         let is_parted = outside_quotes(first.text.as_bytes()).any(|(_, byte)| is_separator(byte, b','));
         let text = if is_parted { &first.text } else { &first.whole };
         let has = |by: &u8| outside_quotes(text.as_bytes()).any(|(_, byte)| byte == *by);
         let mut separators: Vec<u8> = [b';', b'\t'].into_iter().filter(has).collect();
-        // SHDR's lines have bars and commas.
+        // Lines of SHDR have bars and commas.
         separators.extend(if has(&b'|') && !has(&b',') { &b"|,"[..] } else { b"," });
         let separators = by.map_or(separators, |by| vec![by]);
         let cut = |by: u8| content(first.whole.as_bytes(), by, width_of_rows(self.lines.unread(), by)).len();
-        // A name may hold a # that would begin a comment: whoever asks for that name has it.
+        // A name may contain a # that would begin a comment. It is kept if the caller asks for that name.
         let cut_off = separators.iter().map(|by| (*by, cut(*by)));
         let lengths = cut_off.chain(separators.iter().map(|by| (*by, first.whole.len())));
         let header_by = |(by, length): (u8, usize)| {
@@ -322,7 +326,7 @@ impl<R: Read> Reader<R> {
         (headers.swap_remove(best.unwrap_or(0)), best.is_some())
     }
 
-    /// How many of the next lines stand before one with the wanted names.
+    /// The number of following lines before one with the wanted names.
     fn lines_before(
         &mut self,
         by: Option<u8>,
@@ -352,8 +356,9 @@ impl<R: Read> Reader<R> {
         Ok(self.or_numbers(header, columns))
     }
 
-    /// The header that was just read.
-    /// Where all columns are called by numbers and it is a line of values, that line is a row, and the numbers are the names.
+    /// The header that was just read, or numbers in place of names.
+    /// If all wanted columns are numbers and the line holds values, the line becomes a row and the columns
+    /// are numbered.
     pub fn or_numbers(&mut self, header: Header, columns: &[&str]) -> Header {
         if columns.is_empty() || !columns.iter().all(is_number) || header.is_missing().is_none() {
             return header;
@@ -362,7 +367,7 @@ impl<R: Read> Reader<R> {
         header.numbered()
     }
 
-    /// The first line that holds something besides a comment.
+    /// The first line that has more than a comment.
     fn first_line(&mut self, expected: &str) -> Result<FirstLine, InputError> {
         let file = self.lines.file.clone();
         let is_empty = self.lines.unread().trim_ascii().is_empty();
@@ -383,11 +388,11 @@ impl<R: Read> Reader<R> {
         })
     }
 
-    /// Reads the row of names, which must hold these; further ones are unrelated.
-    /// `otherwise` says what else the user may do.
+    /// Reads the row of names, which must hold these; further names are ignored.
+    /// `otherwise` tells the user of another option.
     ///
     /// # Errors
-    /// It is not.
+    /// A name is missing.
     pub fn expect_header<const N: usize>(
         &mut self,
         names: [&str; N],
@@ -407,14 +412,14 @@ impl<R: Read> Reader<R> {
         Err(self.instead_of(&header, finding))
     }
 
-    /// A finding about the header, or that the file is one of another kind.
+    /// A finding about the header, or that the file is of another kind.
     #[must_use]
     pub fn instead_of(&self, header: &Header, finding: InputError) -> InputError {
         let text = format!("{}\n{}", header.text, String::from_utf8_lossy(self.lines.unread()));
         FileKind::instead_of(None, &text, finding)
     }
 
-    /// No row was there, but comments that look like rows.
+    /// The finding that there is no row, only comments that look like rows.
     #[must_use]
     pub fn rows_are_comments(&self) -> Option<InputError> {
         let Commented { line, lines } = self.commented?;
@@ -424,7 +429,7 @@ impl<R: Read> Reader<R> {
         Some(InputError::at(&self.lines.file, line, 1, found, expected))
     }
 
-    /// Rows whose cells are parted by another ASCII character than a comma.
+    /// Sets another ASCII character than a comma as the separator.
     #[must_use]
     pub fn parted_by(mut self, by: char) -> Self {
         self.by = u8::try_from(by).unwrap_or(b',');
@@ -432,42 +437,42 @@ impl<R: Read> Reader<R> {
         self
     }
 
-    /// Rows of so many cells, where no header tells it.
+    /// Sets the number of cells per row, if there is no header.
     #[must_use]
     pub fn of_width(mut self, cells: usize) -> Self {
         self.width = Some(cells);
         self
     }
 
-    /// Rows so far that end with more separators than their header, and others.
+    /// Numbers of rows so far that end with extra separators, and of others.
     pub(crate) fn beyond(&self) -> Beyond {
         self.beyond
     }
 
-    /// Lines that were passed over in front of the columns' names.
+    /// Number of lines that were skipped before the columns' names.
     pub(crate) fn preamble(&self) -> usize {
         self.preamble
     }
 
-    /// A line so far was no UTF-8, and read as Windows-1252.
+    /// Whether a line so far was not UTF-8, and was read as Windows-1252.
     #[must_use]
     pub fn is_western(&self) -> bool {
         self.encoding == Encoding::Western
     }
 
-    /// Lines so far that begin with `#` and look like rows all the same.
+    /// Lines so far that begin with `#` but look like rows.
     #[must_use]
     pub fn commented(&self) -> Option<Commented> {
         self.commented
     }
 
-    /// The input is UTF-16.
+    /// Whether the input is UTF-16.
     #[must_use]
     pub fn is_utf16(&self) -> bool {
         self.lines.is_utf16()
     }
 
-    /// What parts the cells: a comma unless [`Reader::header_by_any`] found another.
+    /// The separator: a comma unless [`Reader::header_by_any`] found another.
     #[must_use]
     pub fn separator(&self) -> char {
         char::from(self.by)
@@ -483,7 +488,7 @@ fn has_quote(text: &str) -> bool {
     memchr::memchr(b'"', text.as_bytes()).is_some()
 }
 
-/// Whether a column is called by its number.
+/// Whether a column is given by its number.
 fn is_number(column: &&str) -> bool {
     column.parse::<usize>().is_ok()
 }
@@ -497,7 +502,7 @@ struct FirstLine {
 }
 
 /// A line without its comment and the blanks at its end.
-/// Empty where nothing but separators is in it.
+/// Empty if it has only separators.
 fn content(line: &[u8], by: u8, width: Option<usize>) -> &[u8] {
     let comment = if memchr::memchr(b'#', line).is_some() { comment_at(line, by, width) } else { None };
     let text = line[..comment.unwrap_or(line.len())].trim_ascii_end();
@@ -509,11 +514,11 @@ fn content(line: &[u8], by: u8, width: Option<usize>) -> &[u8] {
     text
 }
 
-/// Lines in which the columns' names are looked for.
+/// Number of lines that are searched for the columns' names.
 const PREAMBLE: usize = 100;
 
 /// Whether a line is another program's comment.
-/// A row whose first cell begins so is none. `width`: the cells of a row.
+/// A row whose first cell begins in the same way is not. `width`: the number of cells in a row.
 fn is_foreign_comment(line: &[u8], by: u8, width: Option<usize>) -> bool {
     let (mark, rest) = match line.trim_ascii_start() {
         [b'/', b'/', ..] => return true,
@@ -530,16 +535,16 @@ fn is_foreign_comment(line: &[u8], by: u8, width: Option<usize>) -> bool {
     }
 }
 
-/// Whether a byte parts cells; before the header is read, by whatever separator.
+/// Whether a byte is a separator; before the header is read, any possible one.
 fn is_separator(byte: u8, by: u8) -> bool {
     byte == by || by == b',' && matches!(byte, b';' | b'\t' | b'|')
 }
 
-/// What spreadsheets write into a cell that they cannot work out.
+/// The texts that spreadsheets write into a cell that they cannot calculate.
 const CELL_ERRORS: [&[u8]; 9] =
     [b"#N/A", b"#NV", b"#DIV/0!", b"#VALUE!", b"#WERT!", b"#REF!", b"#NAME?", b"#NUM!", b"#NULL!"];
 
-/// Where a line's comment begins. `width`: the cells of a row, where that is known.
+/// The place where a line's comment begins. `width`: cells per row, if known.
 fn comment_at(line: &[u8], by: u8, width: Option<usize>) -> Option<usize> {
     let (mut cells, mut at_cell) = (1, true);
     for (at, byte) in outside_quotes(line) {
@@ -579,7 +584,7 @@ fn looks_like_a_row(line: &[u8], by: u8, width: Option<usize>) -> bool {
     is_word && numbers > 0 && width == Some(1 + cells.count())
 }
 
-/// The cells of the next row that has no `#`, as far as the text goes.
+/// The number of cells in the next row without `#`, as far as the text goes.
 fn width_of_rows(ahead: &[u8], by: u8) -> Option<usize> {
     let rows = ahead.split(|byte| *byte == b'\n').filter(|line| memchr::memchr(b'#', line).is_none());
     let row = rows.map(|line| content(line, by, None)).find(|line| !line.is_empty())?;
@@ -601,7 +606,7 @@ pub struct Row<'a> {
     file: &'a Path,
     line: usize,
     text: &'a str,
-    /// With its comment.
+    /// The text with its comment.
     whole: &'a str,
     parser: &'a Parser,
     by: u8,
@@ -614,7 +619,7 @@ impl<'a> Row<'a> {
         self.line
     }
 
-    /// The row as it stands.
+    /// The row as the file has it.
     #[must_use]
     pub fn text(&self) -> &'a str {
         self.text
@@ -633,7 +638,7 @@ impl<'a> Row<'a> {
         Cells { row: self, next: Some(0), quotes: has_quote(self.text) }
     }
 
-    /// Whether it ends with a separator behind so many cells.
+    /// Whether it ends with a separator after `width` cells.
     fn ends_beyond(self, width: usize) -> bool {
         self.text.as_bytes().last() == Some(&self.by)
             && outside_quotes(self.text.as_bytes()).filter(|(_, byte)| *byte == self.by).count() >= width
@@ -667,7 +672,7 @@ impl<'a> Row<'a> {
         Ok(())
     }
 
-    /// A finding at the first character from a byte of the text on.
+    /// A finding at the character that begins at a byte of the text.
     fn at(&self, start: usize, found: impl Into<String>, expected: impl Into<String>) -> InputError {
         let column = self.text[..start].chars().count() + 1;
         let blanks = self.text[start..].chars().take_while(|c| c.is_whitespace()).count();
@@ -679,9 +684,9 @@ impl<'a> Row<'a> {
 #[derive(Debug)]
 pub struct Cells<'a> {
     row: Row<'a>,
-    /// Start of the next cell in the row, bytes; none after the last.
+    /// Start of the next cell in the row, bytes; `None` after the last.
     next: Option<usize>,
-    /// There is a quote somewhere in the row.
+    /// Whether the row has a quote.
     quotes: bool,
 }
 
@@ -704,14 +709,14 @@ impl<'a> Cells<'a> {
             self.next = Some(self.row.text.len() - rest.len() + used);
             raw = &rest[..used - 1];
         } else {
-            // Within quotes the line's end is text, outside it is the end.
+            // Within quotes the end of the line is text; outside it is the end of the cell.
             let (end, _, more) = parser.read_field(b"\n", &mut out[length..]);
             length += more;
             if !matches!(end, csv_core::ReadFieldResult::Field { .. }) {
                 return None;
             }
         }
-        // The blanks behind the closing quote do not belong to the cell.
+        // Blanks after the closing quote do not belong to the cell.
         out.truncate(length - (raw.len() - raw.trim_ascii_end().len()));
         Some(Cow::Owned(String::from_utf8_lossy(&out).into_owned()))
     }
@@ -719,7 +724,7 @@ impl<'a> Cells<'a> {
     #[inline]
     fn plain_cell(&mut self, start: usize) -> &'a str {
         let rest = &self.row.text[start..];
-        // Byte by byte: cells are too short for the search that `str::split` does.
+        // Byte by byte, because cells are too short for the search that `str::split` does.
         let length = rest.bytes().position(|byte| byte == self.row.by);
         self.next = length.map(|length| start + length + 1);
         rest[..length.unwrap_or(rest.len())].trim_ascii()
@@ -733,7 +738,7 @@ impl<'a> Iterator for Cells<'a> {
     fn next(&mut self) -> Option<Cell<'a>> {
         let start = self.next?;
         let text = if self.quotes {
-            // The row's quotes were looked at when it was read: all are closed.
+            // The row's quotes were checked when it was read: all are closed.
             self.quoted_cell(start).unwrap_or_default()
         } else {
             Cow::Borrowed(self.plain_cell(start))
@@ -751,26 +756,26 @@ pub struct Cell<'a> {
 }
 
 impl<'a> Cell<'a> {
-    /// What is in it.
+    /// The cell's text.
     #[inline]
     #[must_use]
     pub fn text(&self) -> &str {
         &self.text
     }
 
-    /// The row it is in.
+    /// The cell's row.
     #[must_use]
     pub fn row(&self) -> Row<'a> {
         self.row
     }
 
-    /// A finding at this cell: what is in it is not what was expected.
+    /// A finding at this cell: it shows the cell's text as what was found.
     #[must_use]
     pub fn finding(&self, expected: impl Into<String>) -> InputError {
         self.said(shown(&self.text), expected)
     }
 
-    /// A finding at this cell, in words of one's own.
+    /// A finding at this cell, with the caller's own words for what was found.
     #[must_use]
     pub fn said(&self, found: impl Into<String>, expected: impl Into<String>) -> InputError {
         self.row.at(self.start, found, expected)
@@ -782,19 +787,19 @@ impl<'a> Cell<'a> {
         self.said("", "").column
     }
 
-    /// The number in it.
+    /// The cell's number.
     ///
     /// # Errors
-    /// There is none.
+    /// It is not a number.
     #[inline]
     pub fn number<T: std::str::FromStr>(&self, expected: &str) -> Result<T, InputError> {
         self.text.parse().map_err(|_| self.finding(expected))
     }
 
-    /// The finite number in it.
+    /// The cell's finite number.
     ///
     /// # Errors
-    /// There is none.
+    /// It is not a finite number.
     #[inline]
     pub fn finite(&self) -> Result<f64, InputError> {
         if let Some(number) = plain_decimal(self.text.as_bytes()) {
@@ -810,8 +815,8 @@ impl<'a> Cell<'a> {
     }
 }
 
-/// A field of a plain row that is no plain decimal, up to the byte that is its end.
-/// What the standard library's parser makes of it, or anything where it is to be skipped.
+/// Reads a field that is not a plain decimal, up to its end byte.
+/// The result is that of the standard library's parser, or any value if the field is skipped.
 #[inline(never)]
 fn other_field(text: &[u8], is_end: impl Fn(u8) -> bool, skip: bool) -> Option<(f64, usize)> {
     let length = text.iter().position(|byte| is_end(*byte))?;
@@ -828,7 +833,7 @@ pub struct Header {
     file: PathBuf,
     line: usize,
     text: String,
-    /// Name and column in characters, from 1, of each.
+    /// Name of each column, and its place in the line in characters, from 1.
     names: Vec<(String, usize)>,
 }
 
@@ -839,7 +844,7 @@ impl Header {
             (cell.text.into_owned(), column)
         };
         let mut names: Vec<(String, usize)> = row.cells().map(named).collect();
-        // Separators at the line's end part nothing: spreadsheets write them where a column was once.
+        // Trailing separators name no column: spreadsheets write them after removed columns.
         let named = names.iter().rposition(|(name, _)| !name.is_empty()).map_or(1, |last| last + 1);
         names.truncate(named);
         Self { file: row.file.to_owned(), line: row.line, text: row.text.to_owned(), names }
@@ -850,7 +855,7 @@ impl Header {
         self.names.iter().map(|(name, _)| name.as_str())
     }
 
-    /// The file that it is of.
+    /// The file of this header.
     #[must_use]
     pub fn file(&self) -> &Path {
         &self.file
@@ -862,13 +867,13 @@ impl Header {
         self.line
     }
 
-    /// The row as it stands.
+    /// The row as the file has it.
     #[must_use]
     pub fn text(&self) -> &str {
         &self.text
     }
 
-    /// The names as a message shows them: so many, and each cut where it is long.
+    /// The names as a message shows them: a limited number, long ones cut.
     #[must_use]
     pub fn shown(&self) -> String {
         const SHOWN: usize = 40;
@@ -898,8 +903,9 @@ impl Header {
         }
     }
 
-    /// The columns under other names.
-    /// Pairs of the new name, and of the column's name or number; those that are in no pair lose theirs.
+    /// The columns renamed.
+    /// `columns` has pairs of the new name and the column's name or number. Columns in no pair lose their
+    /// names.
     ///
     /// # Errors
     /// As [`Header::place`].
@@ -917,11 +923,10 @@ impl Header {
         Ok(renamed)
     }
 
-    /// That a column's name does not state another unit than the one that it is read
-    /// as.
+    /// Checks that a column's name does not contradict the unit that it is read in.
     ///
     /// # Errors
-    /// It does: both are named.
+    /// It does; the finding has both units.
     pub fn is_in_unit_of(&self, name: &str, place: usize) -> Result<(), InputError> {
         let column = self.names().nth(place).unwrap_or_default();
         let Some(said) = units::stated(name).map(|s| s.unit) else { return Ok(()) };
@@ -932,12 +937,12 @@ impl Header {
         })
     }
 
-    /// A finding where the first row is one of numbers, not of names.
+    /// A finding if the first row has values in place of names.
     /// More of its cells are numbers than are not.
     #[must_use]
     pub fn is_missing(&self) -> Option<InputError> {
         let is_number = |text: &str| text.trim().replace(',', ".").parse::<f64>().is_ok();
-        // Whatever parts the cells: a table that is not parted by commas may lack its names, too.
+        // The separator may be any: a table without commas may lack its names, too.
         let by = [';', '\t', '|'].into_iter().find(|by| self.text.contains(*by));
         let cells: Vec<&str> = match by {
             Some(by) => self.text.split(by).collect(),
@@ -950,10 +955,10 @@ impl Header {
         })
     }
 
-    /// Where a column is, and that it is there once.
+    /// The index of a column that must occur once.
     ///
     /// # Errors
-    /// It is not there, or a second time.
+    /// It is missing, or occurs twice.
     pub fn place(&self, name: &str) -> Result<usize, InputError> {
         let mut found = self.names.iter().enumerate().filter(|(_, (n, _))| n == name);
         match (found.next(), found.next()) {
@@ -973,9 +978,9 @@ impl Header {
     }
 
     /// Finds that only blanks separate the columns.
-    /// One of these names must then be there by itself.
+    /// One of these names must then occur as a word.
     fn blanks_part<'n>(&self, names: impl IntoIterator<Item = &'n str>) -> Option<&'static str> {
-        // By its number a column is one of as many words.
+        // A column given by its number is one of at least that many words.
         let count = self.text.split_ascii_whitespace().count();
         let is_of = |name: &str, word: &str| {
             word == name || name.parse::<usize>().is_ok_and(|number| (2..=count).contains(&number))
@@ -989,14 +994,14 @@ impl Header {
         )
     }
 
-    /// A finding at a cell, with its column's name.
+    /// Adds the column's name to a finding at a cell.
     #[must_use]
     pub fn named(&self, place: usize, finding: InputError) -> InputError {
         let name = self.names.get(place).map_or("", |(name, _)| name);
         InputError { found: format!("{} in column {name}", finding.found), ..finding }
     }
 
-    /// A column of this name, if there is one.
+    /// The index of the column of this name, if there is one.
     #[must_use]
     pub fn find(&self, name: &str) -> Option<usize> {
         self.names().position(|n| n == name)
@@ -1005,7 +1010,7 @@ impl Header {
     /// The columns that are known, or match `also`, and the names of the others.
     ///
     /// # Errors
-    /// A column that is there twice; one whose name is nearly that of a missing one; another table.
+    /// A column that occurs twice, a name nearly equal to a missing one, or another kind of table.
     pub(crate) fn known(
         &self,
         known: &[&str],
@@ -1014,7 +1019,7 @@ impl Header {
         let is_known = |name: &str| known.contains(&name) || also(name);
         let missing: Vec<&str> = known.iter().copied().filter(|k| self.find(k).is_none()).collect();
         let is_slip = |name: &str| nearest(name, &missing).is_some();
-        // One name may be another table's too.
+        // A single name may also occur in another kind of table.
         let is_one_of_these = known.len() - missing.len() >= known.len().min(2);
         let (mut kept, mut unrelated) = (self.clone(), Vec::new());
         for (name, _) in &mut kept.names {
@@ -1027,10 +1032,10 @@ impl Header {
         Ok((kept, unrelated))
     }
 
-    /// That every column is known and there once.
+    /// Checks that every column is known and occurs once.
     ///
     /// # Errors
-    /// The first that is not.
+    /// The first that is not or does not.
     fn only(&self, known: &[&str], also: impl Fn(&str) -> bool) -> Result<(), InputError> {
         for (n, (name, column)) in self.names.iter().enumerate() {
             if !known.contains(&name.as_str()) && !also(name) {
@@ -1047,7 +1052,7 @@ impl Header {
         Ok(())
     }
 
-    /// The name of a column stands a second time.
+    /// The finding that a column's name occurs a second time.
     #[must_use]
     pub fn twice(&self, place: usize) -> InputError {
         let (name, column) = &self.names[place];
@@ -1061,16 +1066,16 @@ impl Header {
         InputError::at(&self.file, self.line, 1, found, expected)
     }
 
-    /// The file ends where rows should begin.
+    /// The finding that the file ends where rows should begin.
     #[must_use]
     pub fn no_rows(&self) -> InputError {
         InputError::at(&self.file, self.line + 1, 0, "no rows", "at least one row of values")
     }
 
-    /// Gives each cell of a row with its column's number.
+    /// Passes each cell of a row, with its column's index, to `take`.
     ///
     /// # Errors
-    /// The first that `take` returns; then that the row is too short or too long.
+    /// The first error of `take`; then that the row is too short or too long.
     #[inline]
     pub fn each<'a>(
         &self,
@@ -1108,8 +1113,9 @@ impl Header {
     }
 }
 
-/// A cell as it must be written so that it reads back.
-/// In quotes where it is empty, has blanks at its ends, or holds a comma, a quote, a `#`, what else may part cells, or a byte-order mark.
+/// A cell written so that it reads back the same.
+/// It is quoted if it is empty, has blanks at its ends, or holds a comma, a quote, a `#`, another separator
+/// or a byte-order mark.
 #[must_use]
 pub fn cell(text: &str) -> Cow<'_, str> {
     let quoted = [',', '"', '#', ';', '\t', '\u{feff}'];
@@ -1119,12 +1125,12 @@ pub fn cell(text: &str) -> Cow<'_, str> {
     Cow::Borrowed(text)
 }
 
-/// How further cells are written at the end of a table's rows.
+/// The style for appending cells to a table's rows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Style {
-    /// What parts the cells.
+    /// The separator.
     pub by: char,
-    /// Numbers have a decimal comma.
+    /// Whether numbers have a decimal comma.
     pub decimal_comma: bool,
 }
 
@@ -1135,13 +1141,13 @@ impl Default for Style {
 }
 
 impl Style {
-    /// Appends a text cell, with the separator in front of it.
+    /// Appends a text cell, after a separator.
     pub fn push_text(self, row: &mut String, text: &str) {
         row.push(self.by);
         row.push_str(&cell(text));
     }
 
-    /// Appends a number, with the separator in front of it.
+    /// Appends a number, after a separator.
     pub fn push_number(self, row: &mut String, number: f64) {
         row.push(self.by);
         let quote = if self.decimal_comma && self.by == ',' { "\"" } else { "" };
@@ -1151,7 +1157,7 @@ impl Style {
     }
 }
 
-/// The names of columns as a header line, without its end.
+/// The names of columns as a header line, without the line's end.
 #[must_use]
 pub fn header_line<'n>(names: impl IntoIterator<Item = &'n str>) -> String {
     names.into_iter().map(cell).collect::<Vec<_>>().join(",")
@@ -1161,8 +1167,7 @@ pub fn header_line<'n>(names: impl IntoIterator<Item = &'n str>) -> String {
 mod tests {
     use super::*;
 
-    /// Whatever stands in the rows.
-    /// What is read the short way is what each cell says by itself.
+    /// The fast path and the cells give the same numbers, whatever the rows hold.
     #[test]
     fn a_plain_row_is_what_its_cells_say() {
         use proptest::prelude::*;
@@ -1434,7 +1439,8 @@ mod tests {
                 Err(_) => found += 1,
             }
         }
-        // Twice too long, and a quote that is not closed; the header, the end of the long line, the last row.
+        // Two lines are too long and one quote is not closed. The header, the long line's end and the last
+        // row are read.
         assert_eq!((found, read), (3, 3));
     }
 
@@ -1443,7 +1449,7 @@ mod tests {
         let names = ["t", "T3, bed", "5\" pipe", "#1", " x ", "a;b", "µ", ""];
         let line = header_line(names);
         assert_eq!(rows(&line).unwrap(), [names]);
-        // A name that would pass for a blank line, or for the file's byte-order mark.
+        // A name that could be taken for a blank line, or for the file's byte-order mark.
         for name in ["", "\u{feff}t"] {
             assert_eq!(rows(&header_line([name])).unwrap(), [[name]]);
         }

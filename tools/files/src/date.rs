@@ -1,7 +1,7 @@
 //! Calendar days: ISO 8601 and days since 1970-01-01.
 
-/// Days since 1970-01-01 of a day as ISO 8601 (`2026-05-01`).
-/// `None` where it is none.
+/// Days since 1970-01-01 of a day in ISO 8601 (`2026-05-01`).
+/// `None` if the text is not a day.
 #[must_use]
 pub fn parse(text: &str) -> Option<i64> {
     let (head, tail) = (text.get(..10)?, text.get(10..)?);
@@ -20,7 +20,7 @@ pub fn parse(text: &str) -> Option<i64> {
     (format(days) == head).then_some(days)
 }
 
-/// The day so many days after 1970-01-01, as ISO 8601.
+/// A day as ISO 8601, from days since 1970-01-01.
 #[must_use]
 pub fn format(days: i64) -> String {
     let z = days + 719_468;

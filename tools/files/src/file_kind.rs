@@ -1,19 +1,19 @@
 //! Recognises a file's kind, for messages if another kind was expected.
 //!
-//! A kind is recognised by what only it begins with or holds: a magic number, the first words of an exchange format, the tables of a TOML
-//! file, or the names of a CSV's columns.
+//! Each kind has something of its own. It is a magic number, the first words of an exchange format, the
+//! tables of a TOML file, or the names of a CSV's columns.
 
 use crate::input::InputError;
 use std::path::Path;
 
-/// Files that people hand over in place of each other.
+/// Kinds of files that people may confuse.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum FileKind {
     /// `NAME.run.toml`
     RunRecord,
     /// `machine.toml`
     Model,
-    /// A kinematic chain, beside a model.
+    /// A kinematic chain, which belongs to a model.
     Chain,
     /// `rtec.toml`
     Configuration,
@@ -25,17 +25,17 @@ pub enum FileKind {
     Trace,
     /// `t_ns,requested`
     Requests,
-    /// `z_mm,x_mm`, probed points of a part.
+    /// `z_mm,x_mm`: probed points of a part.
     Points,
-    /// `part,feature,…`, a batch measured off the machine.
+    /// `part,feature,…`: a batch measured off the machine.
     Batch,
-    /// Another table, the CSV beside a run record for one.
+    /// Another table, for example the CSV of a run record.
     Table,
-    /// A drawing, DXF.
+    /// A drawing in DXF.
     Drawing,
-    /// A value change dump.
+    /// A value change dump (VCD).
     Vcd,
-    /// Data of a Renishaw laser, `.rtl`, `.rta`.
+    /// Data of a Renishaw laser, `.rtl` or `.rta`.
     Laser,
     /// ecmc's ISO 230-2 data.
     Ecmc,
@@ -44,7 +44,7 @@ pub enum FileKind {
     /// `MTConnect`'s SHDR lines.
     Shdr,
     /// Lines of three numbers between blanks, the first ones rising.
-    /// A compensation table of `LinuxCNC`.
+    /// That is a compensation table of `LinuxCNC`.
     Numbers,
     /// A spreadsheet's own file, or another zip archive.
     Workbook,
@@ -62,11 +62,11 @@ pub enum FileKind {
     Program,
     /// A controller's compensation table: `$AA_ENC_COMP`, `$AN_CEC`, `kw.ssfk`.
     ControllerTable,
-    /// A drawing or a solid of another program, by its name.
+    /// A drawing or a solid of another program, with the program's name.
     Cad(&'static str),
 }
 
-/// How files that are no text begin.
+/// The first bytes of files that are not text.
 const MAGIC: [(&[u8], FileKind); 8] = [
     (b"\x89PNG", FileKind::Picture),
     (b"\xff\xd8\xff", FileKind::Picture),
@@ -80,20 +80,20 @@ const MAGIC: [(&[u8], FileKind); 8] = [
 
 const STL: FileKind = FileKind::Cad("triangles of a solid (STL)");
 
-/// Whether bytes are a binary STL: a head of 80, a number, 50 for each triangle.
+/// Whether bytes are a binary STL: 80 bytes of header, a count, 50 per triangle.
 fn is_binary_stl(bytes: &[u8]) -> bool {
     let number = bytes.get(80..84).and_then(|n| n.try_into().ok()).map(u32::from_le_bytes);
     number.is_some_and(|n| n > 0 && bytes.len() as u64 == 84 + 50 * u64::from(n))
 }
 
-/// Lines that are looked at: what a file is shows at its beginning.
+/// Number of lines that are examined: the beginning of a file shows its kind.
 const LINES: usize = 2000;
 
-/// A program of a controller has a block among so many lines.
+/// Number of lines among which a controller's program has a block.
 const BLOCKS: usize = 30;
 
 /// Whether a line is a block of a program: `N10 G0 X5`, `G1X9`, `G21`.
-/// A row of a table has something that parts its cells.
+/// A row of a table has a separator instead.
 fn is_block(line: &str) -> bool {
     let word = |text: &str, letter: char| -> Option<usize> {
         let rest = text.strip_prefix(letter)?;
@@ -107,14 +107,14 @@ fn is_block(line: &str) -> bool {
 }
 
 impl FileKind {
-    /// Of a file that is no text: by its first bytes.
+    /// The kind of a file that is not text, from its first bytes.
     #[must_use]
     pub fn of_bytes(bytes: &[u8]) -> Option<Self> {
         let by_magic = MAGIC.iter().find(|(magic, _)| bytes.starts_with(magic)).map(|(_, kind)| *kind);
         by_magic.or_else(|| is_binary_stl(bytes).then_some(STL))
     }
 
-    /// By what only this file has; nothing where none is there.
+    /// The kind of a text, from what only that kind has; `None` if nothing is found.
     #[must_use]
     pub fn of(text: &str) -> Option<Self> {
         let text = text.trim_start_matches('\u{feff}');
@@ -135,7 +135,7 @@ impl FileKind {
             _ if first.starts_with('<') && text.contains("<svg") => {
                 return Some(Self::Cad("a picture in SVG"));
             }
-            // Comments of a drawing, group 999, may stand in front of its sections.
+            // Comments of a drawing, group 999, may precede its sections.
             "0" if second == "SECTION" => return Some(Self::Drawing),
             "999" if text.lines().map(str::trim).take(LINES).any(|l| l == "SECTION") => {
                 return Some(Self::Drawing);
@@ -221,7 +221,7 @@ impl FileKind {
         )
     }
 
-    /// What it is, and what shows it.
+    /// The name of the kind, and what shows it.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -271,13 +271,13 @@ impl FileKind {
         }
     }
 
-    /// A CSV of one name or another: whoever takes any table takes these.
+    /// Whether it is a CSV of any kind: a reader of any table accepts these.
     #[must_use]
     pub fn is_table(self) -> bool {
         matches!(self, Self::Trace | Self::Requests | Self::Points | Self::Batch | Self::Table)
     }
 
-    /// How a file that is no text becomes one.
+    /// How to get text from a file that is not text.
     pub(crate) fn as_text(self) -> &'static str {
         match self {
             Self::Workbook => "a text file: save the sheet as CSV",
@@ -287,7 +287,7 @@ impl FileKind {
         }
     }
 
-    /// That a file is an `other` one than this.
+    /// The finding that a file is of kind `other` instead of this one.
     #[must_use]
     pub fn instead(self, path: &Path, other: Self) -> InputError {
         InputError::whole(path, other.name(), self.expected())
@@ -326,7 +326,7 @@ impl FileKind {
     }
 }
 
-/// Whether rows hold three numbers each, parted by blanks, the first ones rising.
+/// Whether rows hold three numbers each between blanks, the first ones rising.
 fn are_rising_numbers<'t>(rows: impl Iterator<Item = &'t str>) -> bool {
     let (mut last, mut seen) = (f64::NEG_INFINITY, 0);
     for row in rows.take(LINES) {

@@ -1,6 +1,6 @@
 //! A folder that others may write to as well.
-//! A shop's share, a spool, the place that a backup is restored to. Every step goes through an open folder (openat(2)) and follows no link,
-//! so that nobody leads a write or a read to another place.
+//! Examples are a shop's share, a spool, and the folder that a backup is restored to. Every step uses an open
+//! folder (openat(2)) and follows no link, so that nobody can redirect a write or a read.
 
 use nix::dir::Dir;
 use nix::errno::Errno;
@@ -14,9 +14,9 @@ use std::os::unix::fs::{MetadataExt, PermissionsExt};
 use std::path::{Component, Path, PathBuf};
 use std::sync::atomic::{AtomicU32, Ordering};
 
-/// What the names of temporary files begin with.
+/// The prefix of the names of temporary files.
 const TEMPORARY: &str = ".rtec-part-";
-/// Bytes that are written between two looks whether to go on.
+/// Bytes that are written between two checks whether to continue.
 const PIECE: usize = 1 << 20;
 
 /// An open folder.
@@ -27,8 +27,8 @@ pub struct Folder {
 }
 
 impl Folder {
-    /// Opens a folder that is there.
-    /// Links in `path` itself are followed: it is the caller's.
+    /// Opens an existing folder.
+    /// Links in `path` itself are followed, because the caller chose it.
     ///
     /// # Errors
     /// It is no folder, or cannot be opened.
@@ -40,7 +40,7 @@ impl Folder {
         Ok(Self { fd: file.into(), path: path.to_owned() })
     }
 
-    /// Where it was opened, for messages.
+    /// The path that it was opened with, for messages.
     #[must_use]
     pub fn path(&self) -> &Path {
         &self.path
@@ -54,10 +54,10 @@ impl Folder {
         Ok(File::from(self.fd.try_clone()?).metadata()?.permissions().mode() & 0o7777)
     }
 
-    /// A folder in it.
+    /// Opens a folder in this one.
     ///
     /// # Errors
-    /// None of that name, or something else, a link among it.
+    /// Nothing has that name, or it is something else, for example a link.
     pub fn folder(&self, name: &str) -> io::Result<Self> {
         let path = self.path.join(plain(name)?);
         let flags = OFlag::O_RDONLY | OFlag::O_DIRECTORY | OFlag::O_NOFOLLOW | OFlag::O_CLOEXEC;
@@ -65,7 +65,7 @@ impl Folder {
         Ok(Self { fd, path })
     }
 
-    /// A new folder in it.
+    /// Makes a new folder in this one.
     ///
     /// # Errors
     /// Something has that name already (kind `AlreadyExists`), or it cannot be made.
@@ -74,7 +74,7 @@ impl Folder {
         self.folder(name)
     }
 
-    /// A folder in it, which is made where it is missing.
+    /// Opens a folder in this one, and makes it if it is missing.
     ///
     /// # Errors
     /// As [`Folder::folder`], or it cannot be made.
@@ -85,7 +85,7 @@ impl Folder {
         }
     }
 
-    /// Whether something of this name is in it, a link too.
+    /// Whether something in it has this name; a link counts too.
     ///
     /// # Errors
     /// What the system reports.
@@ -100,10 +100,10 @@ impl Folder {
     /// Opens a regular file in it.
     ///
     /// # Errors
-    /// None of that name, a link, or no regular file.
+    /// Nothing has that name, or it is a link or no regular file.
     pub fn file(&self, name: &str) -> io::Result<File> {
         let path = self.path.join(plain(name)?);
-        // Without waiting: a pipe would hold us up before we could ask what it is.
+        // Non-blocking, because opening a pipe would wait before its kind could be checked.
         let flags = OFlag::O_RDONLY | OFlag::O_NOFOLLOW | OFlag::O_NONBLOCK | OFlag::O_CLOEXEC;
         let file = File::from(openat(&self.fd, name, flags, Mode::empty()).map_err(|e| linked(&path, e))?);
         if !file.metadata()?.is_file() {
@@ -116,7 +116,7 @@ impl Folder {
         Ok(file)
     }
 
-    /// What stands in a regular file; none where there is none of that name.
+    /// Reads a regular file; `None` if nothing has that name.
     ///
     /// # Errors
     /// As [`Folder::file`], or it is longer than `longest` bytes.
@@ -134,11 +134,12 @@ impl Folder {
         Ok(Some(bytes))
     }
 
-    /// Writes a file whole or not at all.
-    /// What had its name before is replaced, a link too. `go_on` is asked between pieces: where it says no, nothing is written.
+    /// Writes a file in one step: it appears whole or not at all.
+    /// It replaces whatever had its name before, a link too. `go_on` is called between pieces; if it returns
+    /// false, nothing is written.
     ///
     /// # Errors
-    /// What the file system reports; of kind `Interrupted` where it was given up.
+    /// What the file system reports; of kind `Interrupted` if `go_on` stopped it.
     pub fn write(&self, name: &str, content: &[u8], mode: u32, go_on: &dyn Fn() -> bool) -> io::Result<()> {
         static NUMBER: AtomicU32 = AtomicU32::new(0);
         plain(name)?;
@@ -147,14 +148,15 @@ impl Folder {
         let part = format!("{TEMPORARY}{}-{number}", std::process::id());
         let flags = OFlag::O_WRONLY | OFlag::O_CREAT | OFlag::O_EXCL | OFlag::O_NOFOLLOW | OFlag::O_CLOEXEC;
         let file = File::from(openat(&self.fd, part.as_str(), flags, Mode::from_bits_truncate(mode))?);
-        // Held while it is written: whoever finds it unlocked knows that its writer has died. Some shares lock nothing.
+        // The lock is held while writing. An unlocked file therefore shows that its writer has died. Some
+        // shares have no locks.
         let held = Flock::lock(file, FlockArg::LockExclusiveNonblock);
         let mut file = match &held {
             Ok(held) => held.try_clone()?,
             Err((file, _)) => file.try_clone()?,
         };
         let written = (|| {
-            // Whatever the process's mask says.
+            // Independent of the process's umask.
             fchmod(&file, Mode::from_bits_truncate(mode))?;
             for piece in content.chunks(PIECE) {
                 if !go_on() {
@@ -174,7 +176,7 @@ impl Folder {
         written.and_then(|()| self.sync())
     }
 
-    /// Takes away what writers left that were killed.
+    /// Removes temporary files of writers that were killed.
     fn sweep_parts(&self) -> io::Result<()> {
         for name in self.names()? {
             if name.starts_with(TEMPORARY)
@@ -196,14 +198,14 @@ impl Folder {
         plain(name)?;
         plain(new)?;
         match renameat2(&self.fd, name, &to.fd, new, RenameFlags::RENAME_NOREPLACE) {
-            // A file system without that flag: the names are looked at first.
+            // The file system has no such flag, so the names are checked first.
             Err(Errno::EINVAL | Errno::ENOSYS) if to.has(new)? => Err(io::ErrorKind::AlreadyExists.into()),
             Err(Errno::EINVAL | Errno::ENOSYS) => Ok(renameat(&self.fd, name, &to.fd, new)?),
             done => Ok(done?),
         }
     }
 
-    /// Removes a file; of a link, the link.
+    /// Removes a file, or a link but not its target.
     ///
     /// # Errors
     /// What the file system reports.
@@ -219,8 +221,8 @@ impl Folder {
         Ok(unlinkat(&self.fd, plain(name)?, UnlinkatFlags::RemoveDir)?)
     }
 
-    /// Locks the folder for this process; none where another one holds it.
-    /// File systems that lock no folder give an error.
+    /// Locks the folder for this process; `None` if another one holds the lock.
+    /// File systems that cannot lock folders give an error.
     ///
     /// # Errors
     /// What the file system reports.
@@ -232,7 +234,7 @@ impl Folder {
         }
     }
 
-    /// The names in it, in their order; names that are no UTF-8 are left out.
+    /// The names in it, sorted; names that are not UTF-8 are left out.
     ///
     /// # Errors
     /// What the file system reports.
@@ -252,8 +254,8 @@ impl Folder {
         Ok(names)
     }
 
-    /// What its regular files take on the disk, bytes: at least a block each.
-    /// Those in folders of it are not counted.
+    /// The space of its regular files on the disk, bytes: at least a block each.
+    /// Files in its subfolders are not counted.
     ///
     /// # Errors
     /// What the file system reports.
@@ -267,13 +269,13 @@ impl Folder {
         Ok(bytes)
     }
 
-    /// What was renamed in it is safe on the disk.
+    /// Makes renames in it safe on the disk.
     ///
     /// # Errors
     /// What the file system reports.
     pub fn sync(&self) -> io::Result<()> {
         match File::from(self.fd.try_clone()?).sync_all() {
-            // Some file systems know no such thing for a folder.
+            // Some file systems cannot sync a folder.
             Err(e) if e.kind() == io::ErrorKind::InvalidInput => Ok(()),
             done => done,
         }
@@ -286,7 +288,7 @@ impl AsFd for Folder {
     }
 }
 
-/// One name, that leads nowhere else.
+/// Checks that a name is one path component that stays in the folder.
 fn plain(name: &str) -> io::Result<&str> {
     let mut parts = Path::new(name).components();
     match (parts.next(), parts.next()) {
@@ -302,7 +304,7 @@ fn given_up() -> io::Error {
     io::Error::new(io::ErrorKind::Interrupted, "given up")
 }
 
-/// What opening without following a link reports, in words.
+/// Says in words that opening failed because of a link.
 fn linked(path: &Path, error: Errno) -> io::Error {
     let is_link = || path.symlink_metadata().is_ok_and(|m| m.is_symlink());
     match error {
@@ -336,7 +338,7 @@ mod tests {
             assert!(result.unwrap_err().to_string().contains("found a link"));
         }
         assert!(folder.file("file").unwrap_err().to_string().contains("found a link"));
-        // What is written takes the link's place.
+        // The written file replaces the link.
         folder.write("file", b"new", 0o644, ALWAYS).unwrap();
         assert_eq!(std::fs::read(&precious).unwrap(), b"mine");
         assert_eq!(folder.read("file", 10).unwrap().unwrap(), b"new");
@@ -355,7 +357,7 @@ mod tests {
         let error = folder.write("a", &vec![0; 3 * PIECE], 0o600, &|| false).unwrap_err();
         assert_eq!(error.kind(), io::ErrorKind::Interrupted);
         assert!(folder.names().unwrap().is_empty());
-        // A writer that was killed holds no lock; one that lives does.
+        // A killed writer holds no lock; a living one does.
         let (dead, alive) = (format!("{TEMPORARY}1-0"), format!("{TEMPORARY}1-1"));
         std::fs::write(there.path().join(&dead), "half").unwrap();
         let file = File::create(there.path().join(&alive)).unwrap();

@@ -1,27 +1,27 @@
-//! The one shape of error for a file that a person wrote.
-//! Where, what was found, what was expected.
+//! The error type for a file that a person wrote.
+//! It says where, what was found and what was expected.
 
 use crate::words::{cut_at, printable};
 use std::fmt;
 use std::path::{Path, PathBuf};
 
-/// No more characters than these are said of what was found or expected.
-/// Some of it may come from the file.
+/// Longest text of `found` or `expected` in characters.
+/// Part of it may come from the file.
 const LONGEST: usize = 2000;
 
 /// Bad input in a file: one finding, with its place and its remedy.
-/// Ends a command with exit code 2.
+/// It ends a command with exit code 2.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct InputError {
     /// The file, as the user named it.
     pub file: PathBuf,
-    /// Line, from 1; 0 where the finding concerns the file as a whole.
+    /// Line, from 1; 0 if the finding concerns the whole file.
     pub line: usize,
-    /// Column in characters, from 1; 0 where the finding concerns the whole line.
+    /// Column in characters, from 1; 0 if the finding concerns the whole line.
     pub column: usize,
-    /// What stands there.
+    /// What was found there.
     pub found: String,
-    /// What was expected, and how to mend it.
+    /// What was expected, and how to correct it.
     pub expected: String,
 }
 
@@ -31,7 +31,7 @@ impl InputError {
         Self::at(file, 0, 0, found, expected)
     }
 
-    /// A finding at a line and column (each from 1, 0 where it has none).
+    /// A finding at a line and column, each from 1, or 0 if not known.
     pub fn at(
         file: &Path,
         line: usize,
@@ -77,11 +77,11 @@ impl fmt::Display for InputError {
 
 impl std::error::Error for InputError {}
 
-/// What is said on the way about input that is taken all the same.
-/// A line on a terminal, a warning in a notebook.
+/// A message about input that is accepted nevertheless.
+/// It is a line on a terminal, or a warning in a notebook.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Said {
-    /// What to know before the result is used.
+    /// A fact to know before the result is used.
     Warning(String),
     /// What was done with the input, or what else could be done with it.
     Note(String),

@@ -10,19 +10,20 @@ use std::str::FromStr;
 /// One key: how it is read, checked and described.
 #[derive(Debug, Clone, Copy)]
 pub struct Key {
-    /// The key, with its unit.
+    /// The key's name, with its unit.
     pub name: &'static str,
-    /// What it may be.
+    /// The values that it takes.
     pub takes: Takes,
-    /// The unit of its value; empty where it has none.
+    /// The unit of its value; empty if it has none.
     pub unit: &'static str,
-    /// What holds without it; [`REQUIRED`] where it must be there.
+    /// The default; [`REQUIRED`] if the key is required.
     pub default: &'static str,
-    /// What it means, in a phrase.
+    /// Its meaning, in a phrase.
     pub meaning: &'static str,
 }
 
-/// The table of a section's keys, `name: takes, unit, default, meaning;` of each.
+/// Declares the table of a section's keys.
+/// Each key is `name: takes, unit, default, meaning;`.
 #[macro_export]
 macro_rules! keys {
     ($(#[$doc:meta])* $visible:vis $table:ident:
@@ -38,10 +39,10 @@ macro_rules! keys {
     };
 }
 
-/// The default of a key that must be there.
+/// The default of a required key.
 pub const REQUIRED: &str = "required";
 
-/// What the value of a key may be.
+/// The values that a key takes.
 #[derive(Debug, Clone, Copy)]
 pub enum Takes {
     /// Text that is not empty.
@@ -50,19 +51,19 @@ pub enum Takes {
     Line,
     /// A name that can be shown and typed, at most 64 characters.
     Name,
-    /// Such a name without blanks.
+    /// A [`Takes::Name`] without blanks.
     Word,
     /// `true` or `false`.
     Flag,
-    /// A whole number from the first to the second.
+    /// A whole number from the first bound to the second.
     Whole(i64, i64),
-    /// A number from the first to the second.
+    /// A number from the first bound to the second.
     Number(f64, f64),
     /// Two numbers within ± this, the lower first.
     Range(f64),
     /// One of these words.
     Choice(&'static [&'static str]),
-    /// What code of its own reads, in words.
+    /// A value that other code reads, described in words.
     Own(&'static str),
 }
 
@@ -86,13 +87,13 @@ impl fmt::Display for Takes {
 }
 
 impl Key {
-    /// What it means, as a terminal shows it.
+    /// Its meaning, as a terminal shows it.
     fn in_words(&self) -> String {
         self.meaning.replace('`', "")
     }
 }
 
-/// The part of the reference page that shows a section.
+/// The reference page's table of a section.
 #[must_use]
 pub fn markdown(title: &str, keys: &[Key]) -> String {
     let mut page = format!("| `{title}` | takes | default | meaning |\n|---|---|---|---|\n");
@@ -112,7 +113,7 @@ impl<'a> Section<'a> {
         }
     }
 
-    /// Says that a declared key must be there.
+    /// Reports that a declared key is missing.
     pub fn missing(&self, source: &mut SourceFile<'_>, name: &str) {
         let key = self.declared(name);
         let mut meaning = key.in_words();
@@ -124,7 +125,7 @@ impl<'a> Section<'a> {
         self.say_missing(source, name, &meaning);
     }
 
-    /// The value of a declared key that must be there; says so where it is missing.
+    /// The value of a required key; reports it if it is missing.
     pub fn required<T>(&self, source: &mut SourceFile<'_>, name: &str, value: Option<T>) -> Option<T> {
         if value.is_none() && self.lacks(name) {
             self.missing(source, name);
@@ -153,7 +154,7 @@ impl<'a> Section<'a> {
         None
     }
 
-    /// The truth value of a declared key; false without it.
+    /// The truth value of a declared key; false if it is missing.
     pub fn flag(&mut self, source: &mut SourceFile<'_>, name: &'static str) -> bool {
         self.value(source, name, "true or false", |v| v.as_bool()).is_some_and(|at| at.value)
     }
@@ -185,7 +186,7 @@ impl<'a> Section<'a> {
         })
     }
 
-    /// What the word of a declared key stands for; `values` are in the words' order.
+    /// The value for the word of a declared key; `values` are in the words' order.
     pub fn pick<T: Copy>(
         &mut self,
         source: &mut SourceFile<'_>,
@@ -218,14 +219,14 @@ impl<'a> Section<'a> {
     }
 }
 
-/// A value as a finding shows it: printable, and cut where it is long.
+/// A value as a finding shows it: printable, and cut if long.
 fn shown(key: &str, value: &str) -> String {
     let shown: String = value.chars().take(24).flat_map(char::escape_debug).collect();
     let more = if value.chars().nth(24).is_some() { "…" } else { "" };
     format!("{key} = \"{shown}{more}\"")
 }
 
-/// What is wrong with a name, if anything: found, expected.
+/// The fault of a name, if it has one: found, expected.
 fn bad_name(key: &str, name: &str, one_word: bool) -> Option<(String, &'static str)> {
     let found = shown(key, name);
     if let Some(c) = unseen(name) {

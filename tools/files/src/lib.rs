@@ -1,33 +1,34 @@
-//! How a file is read and written.
-//! Everything that a person or another program wrote comes in through here, and every finding about it is one [`InputError`]: file, line,
-//! column, what was found, what was expected.
+//! Reads and writes files.
+//! All input of persons and other programs is read through here. Every finding about it is one
+//! [`InputError`]: file, line, column, what was found, what was expected.
 //!
 //! | module | what |
 //! |---|---|
-//! | [`input`] | the one shape of error for a file that a person wrote; what is said about one that is taken all the same |
+//! | [`input`] | the error type for a file that a person wrote; messages about input that is accepted |
 //! | [`text`] | a text file read whole: UTF-8 or UTF-16, without its byte-order mark |
 //! | [`mod@csv`] | CSV: rows of cells with their places, columns by name |
 //! | [`date`] | calendar days |
-//! | [`file_kind`] | what a file says that it is, where another kind was asked for |
+//! | [`file_kind`] | the kind of a file that was given in place of another |
 //! | [`Sheet`] | a CSV whose columns are known, read whole |
-//! | [`Numbers`] | how the numbers of a column are written: decimal point or comma, thousands |
+//! | [`Numbers`] | the format of a column's numbers: decimal point or comma, thousands |
 //! | [`mod@keys`] | one table of keys per section of a TOML file: it reads, checks and describes |
-//! | [`mod@toml`] | TOML read strictly: the first finding, or all of them |
+//! | [`mod@toml`] | strict reading of TOML: the first finding, or all of them |
 //! | [`units`] | units that the name of a column states |
-//! | [`clock`], [`date`] | clocks that do not begin with the run: ISO 8601, DD.MM.YYYY, times of the day, Unix times |
+//! | [`clock`], [`date`] | clocks whose zero is not the start of the run: ISO 8601, DD.MM.YYYY, times of the day, Unix times |
 //! | [`trace`] | recorded quadrature, as CSV and VCD, and requested totals |
 //! | [`mod@write`] | files that appear whole or not at all |
-//! | [`folder`] | a folder that others write to as well: nothing in it is followed through a link |
-//! | [`stamp`] | the format and the writer of what is written |
+//! | [`folder`] | a folder that others write to as well: no link in it is followed |
+//! | [`stamp`] | the format and the writer in each written file |
 //! | [`words`] | the word that was probably meant |
-//! | [`watch`] | a long computation that somebody waits for |
+//! | [`watch`] | a long computation that another thread waits for |
 //!
-//! Private: `decimal` makes a number of digits, `lines` reads a file line by line through one buffer, `vcd` is the VCD half of [`trace`].
+//! Private: `decimal` parses numbers, `lines` reads a file line by line through one buffer, `vcd` is the VCD
+//! half of [`trace`].
 //!
-//! Formats of the crates above (records, models, configurations) must not be here, only their building blocks. This crate does not know
-//! engine, machine or laws.
+//! Formats of the crates above (records, models, configurations) must not be here, only their building
+//! blocks. This crate does not know engine, machine or laws.
 //!
-//! At work: `cargo run -p rtec-files --example read_trace`, which the tests run too.
+//! An example: `cargo run -p rtec-files --example read_trace`. The tests run it too.
 
 pub mod clock;
 pub mod csv;

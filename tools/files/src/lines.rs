@@ -1,4 +1,5 @@
-//! Buffered input of any length that knows its line: rows of a CSV, words of a VCD.
+//! Buffered input of any length that knows its line number.
+//! It serves rows of a CSV and words of a VCD.
 
 use crate::input::InputError;
 use crate::text::{BROKEN_UTF16, UTF8, unreadable, utf16};
@@ -10,7 +11,7 @@ use std::path::{Path, PathBuf};
 /// Bytes held of the input; also the longest line or word that is read.
 pub(crate) const BUFFER: usize = 128 * 1024;
 
-/// Text in UTF-16 on its way into the buffer, which holds UTF-8.
+/// A decoder from UTF-16 input to the buffer's UTF-8.
 struct Utf16 {
     decoder: Decoder,
     /// Bytes of the input that are not yet decoded.
@@ -24,7 +25,7 @@ impl std::fmt::Debug for Utf16 {
     }
 }
 
-/// The input, as much of it as the buffer holds.
+/// The input and the part of it that is in the buffer.
 #[derive(Debug)]
 pub(crate) struct Lines<R> {
     pub(crate) file: PathBuf,
@@ -36,7 +37,7 @@ pub(crate) struct Lines<R> {
     utf16: Option<Utf16>,
     /// Lines taken so far: the number of the present line, from 1.
     pub(crate) line: usize,
-    /// Characters of the present line that are in the buffer no more.
+    /// Characters of the present line that have already left the buffer.
     gone: usize,
     /// Where the present line begins in the buffer.
     line_start: usize,
@@ -59,7 +60,7 @@ impl<R: Read> Lines<R> {
             gone: 0,
             line_start: 0,
         };
-        // Four bytes tell UTF-16 without a mark.
+        // Four bytes are enough to recognise UTF-16 without a mark.
         while lines.end < 4 && lines.fill()? {}
         if let Some((encoding, mark)) = utf16(&lines.buffer[..lines.end]) {
             let raw = lines.buffer[mark..lines.end].to_vec();
@@ -74,25 +75,25 @@ impl<R: Read> Lines<R> {
         Ok(lines)
     }
 
-    /// What a range of the buffer holds.
+    /// The bytes of a range of the buffer.
     #[inline]
     pub(crate) fn bytes(&self, range: Range<usize>) -> &[u8] {
         &self.buffer[range]
     }
 
-    /// The next `N` bytes where the buffer holds them.
+    /// The next `N` bytes, if the buffer has them.
     #[inline]
     pub(crate) fn ahead<const N: usize>(&self) -> Option<&[u8; N]> {
         self.buffer[..self.end].get(self.start..)?.first_chunk()
     }
 
-    /// What the buffer holds of what comes next; more may follow.
+    /// The unread bytes in the buffer; more may follow.
     #[inline]
     pub(crate) fn unread(&self) -> &[u8] {
         &self.buffer[self.start..self.end]
     }
 
-    /// Consumes a line of known length that was seen ahead.
+    /// Consumes a line whose length a look ahead has found.
     /// Returns its first `text` bytes.
     #[inline]
     pub(crate) fn take_line(&mut self, length: usize, text: usize) -> &[u8] {
@@ -102,7 +103,7 @@ impl<R: Read> Lines<R> {
         &self.buffer[start..start + text]
     }
 
-    /// Reads on; `false` at the end of the input.
+    /// Reads more into the buffer; `false` at the end of the input.
     fn fill(&mut self) -> Result<bool, InputError> {
         if self.exhausted {
             return Ok(false);
@@ -118,7 +119,7 @@ impl<R: Read> Lines<R> {
             if self.line == 0 && self.buffer.contains(&b'\r') {
                 return Err(self.carriage_returns());
             }
-            // Dropped, so that whoever reads on gets further.
+            // The buffer is emptied, so that a further read makes progress.
             self.end = 0;
             let found = format!("{BUFFER} bytes without an end of line");
             return Err(InputError::at(&self.file, self.line + 1, 0, found, "a text file of short lines"));
@@ -135,7 +136,7 @@ impl<R: Read> Lines<R> {
         Ok(read > 0)
     }
 
-    /// As [`Lines::fill`], where the input is UTF-16.
+    /// As [`Lines::fill`], for input in UTF-16.
     fn fill_decoded(&mut self) -> Result<bool, InputError> {
         const CHUNK: usize = 8192;
         let line = self.line + 1;
@@ -166,7 +167,7 @@ impl<R: Read> Lines<R> {
                 }
                 _ if written > 0 => return Ok(true),
                 DecoderResult::OutputFull => {
-                    // Too little room for one more character, and the line is not at its end.
+                    // One more character does not fit, and the line has not ended.
                     (self.end, self.exhausted) = (0, true);
                     let found = format!("{BUFFER} bytes without an end of line");
                     return Err(InputError::at(&self.file, line, 0, found, "a text file of short lines"));
@@ -176,7 +177,7 @@ impl<R: Read> Lines<R> {
         }
     }
 
-    /// Reads on until the buffer holds so many lines, or all, or is half full.
+    /// Reads until the buffer holds so many lines, or all, or is half full.
     pub(crate) fn fill_lines(&mut self, lines: usize) -> Result<(), InputError> {
         let newlines = |bytes: &[u8]| memchr::memchr_iter(b'\n', bytes).count();
         while newlines(self.unread()) < lines
@@ -212,7 +213,7 @@ impl<R: Read> Lines<R> {
         Ok(Some(range))
     }
 
-    /// The line that [`Lines::line`] gave last is the next one again.
+    /// Puts back the line that [`Lines::line`] returned last.
     pub(crate) fn unread_line(&mut self) {
         self.start = self.line_start;
         self.line -= 1;
@@ -250,7 +251,7 @@ impl<R: Read> Lines<R> {
     }
 }
 
-/// Reads once, however often a signal interrupts.
+/// Reads once, and again after each signal that interrupts.
 fn read_some(input: &mut impl Read, into: &mut [u8]) -> io::Result<usize> {
     loop {
         match input.read(into) {
@@ -261,12 +262,12 @@ fn read_some(input: &mut impl Read, into: &mut [u8]) -> io::Result<usize> {
 }
 
 impl<R> Lines<R> {
-    /// The input is UTF-16.
+    /// Whether the input is UTF-16.
     pub(crate) fn is_utf16(&self) -> bool {
         self.utf16.is_some()
     }
 
-    /// What seems to be one line is many: found, and how to mend it.
+    /// The finding that a line without end contains carriage returns.
     fn carriage_returns(&self) -> InputError {
         let expected = "lines that end in LF or CRLF, as `tr '\\r' '\\n' < FILE > NEW` writes them";
         InputError::at(&self.file, 1, 0, "lines that end in CR alone", expected)

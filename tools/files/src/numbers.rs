@@ -1,9 +1,9 @@
-//! How a table's numbers are written.
-//! Decimal point or comma, thousands parted or not.
+//! The number format of a table.
+//! It has a decimal point or comma, and thousands separators or none.
 //!
-//! A cell tells its decimal mark by itself where it has both marks (`1.000,5`), one mark several times (`1.000.000`), or one
-//! that cannot part thousands (`38,1125`, `0,125`). One mark with three digits behind it (`1.000`, `38,125`) does not tell; the
-//! other cells of the column decide then.
+//! A cell shows its decimal mark in three cases. It has both marks (`1.000,5`), one mark several times
+//! (`1.000.000`), or one that cannot separate thousands (`38,1125`, `0,125`). One mark before three digits
+//! (`1.000`, `38,125`) does not show it; then the other cells of the column decide.
 
 use crate::csv::{Beyond, Commented, Reader, Style};
 use crate::decimal::{SIGNS, number};
@@ -13,7 +13,7 @@ use std::borrow::Cow;
 use std::io::{Read, Seek};
 use std::path::Path;
 
-/// What parts thousands in some countries, beside the other one of point and comma.
+/// Thousands separators of some countries, besides point and comma.
 const BLANKS: [char; 6] = [' ', '\u{a0}', '\u{2009}', '\u{202f}', '\'', '\u{2019}'];
 
 /// The decimal marks that a table's cells show.
@@ -23,11 +23,11 @@ pub struct Numbers {
     column: Option<char>,
     /// The mark that any cell of the table shows.
     table: Option<char>,
-    /// Commas part the cells.
-    /// A comma within a cell is no decimal mark unless a cell shows that it is.
+    /// Whether commas separate the cells.
+    /// A comma within a cell is then no decimal mark unless a cell shows that it is.
     commas_part: bool,
-    /// A cell of the table shows that point or comma part thousands, or somebody
-    /// said which the decimal mark is.
+    /// Whether thousands separators are known to be used.
+    /// A cell of the table shows them, or the user has given the decimal mark.
     is_grouped: bool,
 }
 
@@ -46,13 +46,13 @@ impl Numbers {
         Self { column, table, commas_part: by == ',', is_grouped: false }
     }
 
-    /// For a column that has this decimal mark: somebody said so.
+    /// The format of a column whose decimal mark the user has given.
     #[must_use]
     pub fn written(mark: char) -> Self {
         Self { column: Some(mark), table: Some(mark), commas_part: false, is_grouped: true }
     }
 
-    /// The decimal mark that the first cell shows that shows one.
+    /// The decimal mark of the first cell that shows one.
     #[must_use]
     pub fn mark_of<'t>(cells: impl IntoIterator<Item = &'t str>) -> Option<char> {
         cells.into_iter().find_map(shown_mark)
@@ -72,7 +72,7 @@ impl Numbers {
             return Some(Cow::Borrowed(text));
         }
         let default = if text.contains(',') {
-            // A lone comma with three digits behind it.
+            // A lone comma before three digits.
             match self.table {
                 Some(mark) => Some(mark).filter(|mark| *mark == ','),
                 None => Some(',').filter(|_| !self.commas_part),
@@ -83,7 +83,7 @@ impl Numbers {
             Some('.')
         };
         let mark = self.column.or_else(|| shown_mark(text)).or(default)?;
-        // 12.345 among 12,4: thousands, or another decimal mark.
+        // 12.345 beside 12,4: thousands, or another decimal mark.
         let is_other = has_two_readings(text) && !text.contains(mark);
         ungrouped(text, mark).filter(|_| self.is_grouped || !is_other).map(Cow::Owned)
     }
@@ -117,8 +117,7 @@ impl Numbers {
     }
 }
 
-/// How a table is written.
-/// What parts its cells, and the decimal marks that they show, column by column.
+/// The format of a table: its separator, and the decimal mark of each column.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Marks {
     columns: Vec<Option<char>>,
@@ -128,16 +127,16 @@ pub struct Marks {
     encoding: Option<&'static str>,
     /// The first cell with two readings.
     open: Option<String>,
-    /// A cell shows that a mark parts thousands.
+    /// Whether a cell shows that a mark separates thousands.
     is_grouped: bool,
     commented: Option<Commented>,
     beyond: Beyond,
-    /// Lines of another program in front of the columns' names.
+    /// Number of another program's lines before the columns' names.
     preamble: usize,
 }
 
 impl Marks {
-    /// Of a table of which no row has been seen.
+    /// The format of a table before its first row.
     #[must_use]
     pub fn new<R: Read>(reader: &Reader<R>) -> Self {
         let mut marks = Self {
@@ -155,7 +154,7 @@ impl Marks {
         marks
     }
 
-    /// Takes over what the reader has found out since.
+    /// Copies the reader's findings about encoding and rows.
     pub fn read_so_far<R: Read>(&mut self, reader: &Reader<R>) {
         self.encoding = if reader.is_utf16() {
             Some("UTF-16")
@@ -167,7 +166,7 @@ impl Marks {
         self.preamble = reader.preamble();
     }
 
-    /// Sees a cell of a row; `place` is its column's, from 0.
+    /// Adds a cell of a row; `place` is its column's index, from 0.
     pub fn see(&mut self, place: usize, text: &str) {
         let Some(mark) = shown_mark(text) else {
             if self.open.is_none() && has_two_readings(text) {
@@ -183,7 +182,7 @@ impl Marks {
         self.columns[place].get_or_insert(mark);
     }
 
-    /// Of the rows that follow in a reader.
+    /// The format of the rows that follow in a reader.
     ///
     /// # Errors
     /// As [`Reader::row`].
@@ -209,11 +208,12 @@ impl Marks {
         seen
     }
 
-    /// Finds the format of a table; the input is at its beginning again afterwards.
-    /// `None` for a plain table: cells separated by commas, no quotes, UTF-8. Its numbers can only have a decimal point.
+    /// Finds the format of a table; afterwards the input is at its beginning again.
+    /// `None` for a plain table: cells separated by commas, no quotes, UTF-8. Its numbers can only have a
+    /// decimal point.
     ///
     /// # Errors
-    /// There is no header; a row that is no text; the input cannot be read.
+    /// There is no header; a row is not text; the input cannot be read.
     pub fn find<R: Read + Seek>(
         file: &Path,
         input: &mut R,
@@ -232,27 +232,27 @@ impl Marks {
         let mut reader = Reader::new(file, &mut *input)?;
         reader.header_of("a header line", columns)?;
         let mut marks = Self::new(&reader);
-        // What is wrong with a row is found when it is read; the rows before it come first.
+        // A wrong row is reported when it is read, after the rows before it.
         let _ = marks.see_rows(&mut reader);
         rewind(input)?;
         Ok(Some(marks))
     }
 
-    /// How the numbers of a column are written; `place` is the column's, from 0.
+    /// The number format of a column; `place` is the column's index, from 0.
     #[must_use]
     pub fn numbers(&self, place: usize) -> Numbers {
         let shown = Numbers::shown(self.columns.get(place).copied().flatten(), self.table, self.by);
         Numbers { is_grouped: self.is_grouped, ..shown }
     }
 
-    /// How further columns are written beside these.
+    /// The style for further columns of the same table.
     #[must_use]
     pub fn style(&self) -> Style {
         Style { by: self.by, decimal_comma: self.table == Some(',') }
     }
 
-    /// How the file's format differs from formats.md.
-    /// UTF-16, another separator or decimal commas; and cells with two readings.
+    /// How the file's format differs from the documented one.
+    /// It may be UTF-16, have another separator or decimal commas, or cells with two readings.
     #[must_use]
     pub fn written(&self, file: &Path) -> Option<String> {
         let by = match self.by {
@@ -267,7 +267,7 @@ impl Marks {
         self.said(file, read)
     }
 
-    /// What has two readings in the file.
+    /// The cells of the file with two readings, in words.
     #[must_use]
     pub fn questions(&self, file: &Path) -> Option<String> {
         self.said(file, None)
@@ -282,7 +282,7 @@ impl Marks {
         (!said.is_empty()).then(|| format!("{}: {}", file.display(), said.join("; ")))
     }
 
-    /// Cells whose mark may be a decimal mark or separate thousands.
+    /// A cell whose mark may be a decimal mark or separate thousands.
     /// No other cell of the table decides it.
     fn two_readings(&self) -> Option<String> {
         let text = self.open.as_ref().filter(|_| self.table.is_none() && self.by != ',')?;
@@ -295,8 +295,8 @@ impl Marks {
         ))
     }
 
-    /// Separators at the end of every row are a program's habit.
-    /// At the end of some, a cell may be missing.
+    /// Reports extra separators at the end of rows.
+    /// If every row has them, they are a program's habit. If only some have them, a cell may be missing.
     fn separators(&self) -> Option<String> {
         let Beyond { line, rows, others } = self.beyond;
         let end = if rows == 1 { "row ends" } else { "rows end" };
@@ -316,7 +316,7 @@ impl Marks {
     }
 }
 
-/// Whether commas in quotes, and letters of Windows-1252, are out of the question.
+/// Whether the input has neither quotes nor letters of Windows-1252.
 fn is_plain(input: &mut impl Read) -> std::io::Result<bool> {
     let mut buffer = vec![0; 1 << 16];
     let mut kept = 0;
@@ -328,7 +328,7 @@ fn is_plain(input: &mut impl Read) -> std::io::Result<bool> {
                 if memchr::memchr(b'"', text).is_some() {
                     return Ok(false);
                 }
-                // A letter may be cut by the buffer's end.
+                // The buffer's end may cut a letter.
                 let good = encoding_rs::Encoding::utf8_valid_up_to(text);
                 if text.len() - good > 3 {
                     return Ok(false);
@@ -343,21 +343,21 @@ fn is_plain(input: &mut impl Read) -> std::io::Result<bool> {
     }
 }
 
-/// A number with one mark that may part thousands or be the decimal mark.
+/// Whether a number's only mark may be decimal or a thousands separator.
 fn has_two_readings(text: &str) -> bool {
     let marks = number_body(text).map_or(0, |body| body.matches(['.', ',']).count());
     marks == 1 && !text.contains(['e', 'E']) && !text.contains(BLANKS)
 }
 
-/// Whether a number shows by itself that point or comma part its thousands:
-/// `1.000,5`, `1.000.000`.
+/// Whether a number shows that point or comma separates its thousands.
+/// Examples are `1.000,5` and `1.000.000`.
 fn shows_thousands(text: &str) -> bool {
     let marks: Vec<char> = number_body(text)
         .map_or_else(Vec::new, |body| body.matches(['.', ',']).flat_map(str::chars).collect());
     marks.len() > 1 && shown_mark(text).is_some()
 }
 
-/// A number without its sign and exponent; `None` where other characters are in it.
+/// A number without sign and exponent; `None` if it has other characters.
 fn number_body(text: &str) -> Option<&str> {
     let body = text.trim_start_matches(SIGNS);
     let (body, exponent) = body.split_once(['e', 'E']).unwrap_or((body, "0"));
@@ -389,7 +389,7 @@ fn mark_by_shape(text: &str) -> Option<char> {
 }
 
 /// A number as the standard library reads it.
-/// Decimal point, nothing that parts thousands.
+/// It has a decimal point and no thousands separators.
 fn ungrouped(text: &str, mark: char) -> Option<String> {
     let (sign, body) = text.split_at(text.len() - text.trim_start_matches(SIGNS).len());
     let end = body.find(mark).or_else(|| body.find(['e', 'E'])).unwrap_or(body.len());

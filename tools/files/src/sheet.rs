@@ -1,5 +1,5 @@
-//! A CSV whose columns are known, read whole.
-//! Columns by name, every finding with its line and column.
+//! Reads a whole CSV whose columns are known.
+//! Columns are found by name; every finding has its line and column.
 
 use crate::csv::{Header, Reader};
 use crate::file_kind::FileKind;
@@ -16,7 +16,7 @@ pub struct Sheet {
     names: Vec<String>,
     rows: Vec<Row>,
     marks: Marks,
-    /// Columns that were left out.
+    /// Columns that were ignored.
     unrelated: Vec<String>,
 }
 
@@ -27,16 +27,16 @@ struct Row {
     cells: Vec<(String, usize)>,
 }
 
-/// Which column of a file is which, where its names are others.
-/// Known names, each with the file's name or number, from 1.
+/// The user's assignment of columns, if a file has other names.
+/// It holds pairs of the known name and the file's name or number, from 1.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Columns(Vec<(String, String)>);
 
 impl Columns {
-    /// Of words as `z_mm=3` or `z_mm=Z position`.
+    /// Parses words such as `z_mm=3` or `z_mm=Z position`.
     ///
     /// # Errors
-    /// A word without `=`; a name that is none of `known` and does not match `also`; one name twice.
+    /// A word without `=`; a name that is not in `known` and does not match `also`; one name twice.
     pub fn parse(words: &[String], known: &[&str], also: fn(&str) -> bool) -> Result<Self, InputError> {
         let mut columns: Vec<(String, String)> = Vec::new();
         for word in words {
@@ -57,7 +57,7 @@ impl Columns {
         Ok(Self(columns))
     }
 
-    /// Nobody named any.
+    /// Whether the user has assigned no column.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.0.is_empty()
@@ -69,14 +69,14 @@ impl Columns {
         self.0.iter().map(|(_, place)| place.as_str()).collect()
     }
 
-    /// The file's name or number of the one that somebody named.
+    /// The file's name or number for a known name, if the user has assigned it.
     #[must_use]
     pub fn place_of(&self, name: &str) -> Option<&str> {
         self.0.iter().find(|(n, _)| n == name).map(|(_, place)| place.as_str())
     }
 }
 
-/// That a run record lies beside the file under its name, and the file is its CSV.
+/// The finding that the file is the CSV of a run record beside it.
 fn record_beside(file: &Path) -> Option<String> {
     let sidecar = file.with_extension("run.toml");
     let names_file = |text: &str| {
@@ -96,20 +96,20 @@ fn record_beside(file: &Path) -> Option<String> {
 
 impl Sheet {
     /// Reads a file whose columns are all in `known`, or match `also`.
-    /// `also` is for temperature columns, say.
+    /// `also` may accept temperature columns, for example.
     ///
     /// # Errors
-    /// Unreadable, no regular file, no header, unknown or repeated column, a row that is too short or too long, a file of
-    /// another kind.
+    /// Unreadable, no regular file, no header, unknown or repeated column, a row that is too short or too
+    /// long, a file of another kind.
     pub fn read(file: &Path, known: &[&str], also: fn(&str) -> bool) -> Result<Self, InputError> {
         Self::of(file, &crate::text::bytes(file)?, known, also, &Columns::default())
     }
 
-    /// As [`Sheet::read`].
-    /// The columns are those that somebody named, all others are left out.
+    /// As [`Sheet::read`], with the columns that the user has assigned.
+    /// All other columns are ignored.
     ///
     /// # Errors
-    /// As [`Sheet::read`]; a column that was named and is not there.
+    /// As [`Sheet::read`]; an assigned column that is missing.
     pub fn read_columns(
         file: &Path,
         known: &[&str],
@@ -142,7 +142,7 @@ impl Sheet {
         let expected = format!("a header: {}", known.join(","));
         let mut reader = Reader::new(file, bytes)?;
         let header = if columns.is_empty() {
-            // A line with two of the names is no chance.
+            // A line with two of the names cannot be a coincidence.
             let enough = known.len().min(2);
             let has_enough =
                 |header: &Header| known.iter().filter(|n| header.find(n).is_some()).count() >= enough;
@@ -193,8 +193,9 @@ impl Sheet {
         &self.file
     }
 
-    /// How the file's format differs from formats.md.
-    /// UTF-16, another separator or decimal commas; lines in front and columns that were passed over.
+    /// How the file's format differs from the documented one.
+    /// It may be UTF-16, have another separator or decimal commas, lines before the names, or ignored
+    /// columns.
     #[must_use]
     pub fn written(&self) -> Option<String> {
         let names: Vec<String> = self.unrelated.iter().map(|name| cut(name)).collect();
@@ -210,7 +211,7 @@ impl Sheet {
         self.rows.len()
     }
 
-    /// No row at all.
+    /// Whether there is no row at all.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.rows.is_empty()
@@ -256,7 +257,7 @@ impl Sheet {
     /// A column of numbers that the file may leave out.
     ///
     /// # Errors
-    /// As [`Sheet::numbers`] where the column is there.
+    /// As [`Sheet::numbers`], if the column exists.
     pub fn optional(&self, name: &str) -> Result<Option<Vec<f64>>, InputError> {
         if self.names.iter().any(|n| n == name) { self.numbers(name).map(Some) } else { Ok(None) }
     }
@@ -310,7 +311,7 @@ mod tests {
             assert_eq!(sheet.numbers("x_mm").unwrap(), [2.5, 3.5], "{words:?}");
             assert_eq!(sheet.names().len(), 2, "{words:?}");
         }
-        // No line of names.
+        // The file has no line of names.
         let sheet = read(b"1;2,5;10,25\n2;3,5;11\n", &["z_mm=3", "x_mm=2"]).unwrap();
         assert_eq!((sheet.len(), sheet.numbers("z_mm").unwrap()[0]), (2, 10.25));
         let error = read(b"1;2,5;10,25\n2;3,5;11\n", &[]).unwrap_err();

@@ -1,18 +1,19 @@
-//! What the program writes of itself into what it writes.
-//! The format's number, and who wrote it.
+//! The stamp that the program puts into each file that it writes.
+//! It has the format's number and the writer.
 //!
-//! The number rises when something that stood is changed, not when something is added. A file without one is of the first format.
+//! The number rises if an existing part changes, not if a part is added. A file without a number is of the
+//! first format.
 
 use crate::InputError;
 use crate::toml::Table;
 
-/// The version of all that is built here.
+/// The version of this workspace.
 pub const VERSION: &str = env!("CARGO_PKG_VERSION");
 
-/// The format of run records, machine models and verdicts that is written and read.
+/// The format of run records, machine models and verdicts that this version uses.
 pub const FORMAT: u32 = 1;
 
-/// Who wrote it: `rtec 0.1.0`. A release adds its commit: `rtec 0.1.0 (c7e189b)`.
+/// The writer: `rtec 0.1.0`. A release adds its commit: `rtec 0.1.0 (c7e189b)`.
 #[must_use]
 pub fn by() -> String {
     match option_env!("RTEC_COMMIT") {
@@ -24,7 +25,7 @@ pub fn by() -> String {
 /// The keys of the stamp at the top of a TOML file.
 pub const KEYS: [&str; 2] = ["format", "by"];
 
-/// Whether a file is of the format that is read here.
+/// Checks that a file is of a format that this version can read.
 ///
 /// # Errors
 /// It is of a later one.
@@ -40,8 +41,8 @@ pub fn check(root: &Table<'_>) -> Result<(), InputError> {
     }
 }
 
-/// A document in JSON with its format and its writer as the last keys.
-/// A list has no place for them.
+/// A JSON document with its format and its writer as the last keys.
+/// A JSON list stays unchanged, because it has no keys.
 #[must_use]
 pub fn signed(mut json: String) -> String {
     if !json.starts_with('{') || !json.ends_with('}') {

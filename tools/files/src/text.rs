@@ -1,5 +1,5 @@
-//! Text files read whole: UTF-8 or UTF-16, a byte-order mark dropped.
-//! Whoever names a pipe or a device is told so: nobody waits for what never ends.
+//! Reads whole text files: UTF-8 or UTF-16, a byte-order mark dropped.
+//! A pipe or a device is refused, because it may never end.
 
 use crate::file_kind::FileKind;
 use crate::input::InputError;
@@ -10,7 +10,7 @@ use std::io::Read as _;
 use std::os::unix::fs::OpenOptionsExt as _;
 use std::path::Path;
 
-/// Nothing longer is read whole, bytes.
+/// The longest file that is read whole, bytes.
 pub const LONGEST: u64 = 1 << 30;
 
 /// Reads a text file.
@@ -40,7 +40,7 @@ pub fn bytes(file: &Path) -> Result<Vec<u8>, InputError> {
 /// # Errors
 /// It cannot be opened, or is no regular file.
 pub fn open_regular(file: &Path) -> Result<File, InputError> {
-    // Without waiting: a pipe that nobody writes to would hold us up before we could ask what it is.
+    // Non-blocking, because opening a pipe without a writer would wait before its kind could be checked.
     let opened = OpenOptions::new().read(true).custom_flags(libc::O_NONBLOCK).open(file);
     let opened = opened.map_err(|e| unreadable(file, &e))?;
     let is = opened.metadata().map_err(|e| unreadable(file, &e))?;
@@ -55,14 +55,15 @@ pub fn open_regular(file: &Path) -> Result<File, InputError> {
     Err(InputError::whole(file, found, "a regular file"))
 }
 
-/// Opens what is there, a pipe too, to be read from its beginning to its end.
+/// Opens a file, or a pipe, that will be read once from beginning to end.
 pub(crate) fn opened(file: &Path) -> Result<File, InputError> {
     let opened = File::open(file).map_err(|e| unreadable(file, &e))?;
     crate::write::is_input(&opened);
     Ok(opened)
 }
 
-/// UTF-8 or UTF-16 text without its byte-order mark; `file` is its name in error messages.
+/// Decodes UTF-8 or UTF-16 text without its byte-order mark.
+/// `file` is its name in error messages.
 ///
 /// # Errors
 /// The place of the first byte that is not UTF-8; UTF-16 with half a character in it.
@@ -85,10 +86,11 @@ pub fn decode(file: &Path, bytes: &[u8]) -> Result<String, InputError> {
     }
 }
 
-/// Text in UTF-8 or UTF-16, or else in Windows-1252, as many loggers write a degree sign; and what it is where that is not UTF-8.
+/// Decodes text in UTF-8 or UTF-16, or else in Windows-1252.
+/// Many loggers write a degree sign in Windows-1252. The second value names the encoding if it is not UTF-8.
 ///
 /// # Errors
-/// As [`decode`], where the bytes are no text of Windows-1252 either.
+/// As [`decode`], if the bytes are not text of Windows-1252 either.
 pub fn decode_western(file: &Path, bytes: &[u8]) -> Result<(String, Option<&'static str>), InputError> {
     let error = match decode(file, bytes) {
         Ok(text) => return Ok((text, utf16(bytes).map(|_| "UTF-16"))),
@@ -100,42 +102,42 @@ pub fn decode_western(file: &Path, bytes: &[u8]) -> Result<(String, Option<&'sta
     Ok((western(bytes), Some(WESTERN)))
 }
 
-/// What is said of text that is neither UTF-8 nor UTF-16.
+/// The message for text that is neither UTF-8 nor UTF-16.
 pub(crate) const WESTERN: &str = "Windows-1252: it is no UTF-8";
 
-/// Whether bytes may be text in Windows-1252: printable letters alone.
+/// Whether bytes may be text in Windows-1252: printable characters only.
 pub(crate) fn is_western(bytes: &[u8]) -> bool {
     bytes.iter().all(|byte| matches!(byte, b'\t' | b'\n' | b'\r' | 0x20..=0x7e | 0xa0..))
 }
 
-/// Text in Windows-1252.
+/// Decodes Windows-1252.
 pub(crate) fn western(bytes: &[u8]) -> String {
     encoding_rs::WINDOWS_1252.decode_without_bom_handling(bytes).0.into_owned()
 }
 
-/// A number to fifteen digits, as many as any decimal number keeps in a float:
-/// 0.1 + 0.2 is 0.3.
+/// A number rounded to fifteen digits, which a float keeps of any decimal number.
+/// 0.1 + 0.2 gives 0.3.
 #[must_use]
 pub fn rounded(v: f64) -> f64 {
     format!("{v:.14e}").parse().unwrap_or(v)
 }
 
-/// A number as a person reads it.
-/// As it is, or with a power of ten where it would be a row of zeros.
+/// A number in a form for people.
+/// It has a power of ten if it would otherwise have many zeros.
 #[must_use]
 pub fn short(v: f64) -> String {
     let v = rounded(v);
     if v == 0.0 || (1e-6..1e12).contains(&v.abs()) { v.to_string() } else { format!("{v:e}") }
 }
 
-/// A file that the system does not let us read.
+/// The finding that the system refuses to read a file.
 #[must_use]
 pub fn unreadable(file: &Path, error: &std::io::Error) -> InputError {
     InputError::whole(file, error.to_string(), "a file that can be read")
 }
 
-/// The encoding of text in UTF-16, as spreadsheets save it, and the length of its byte-order mark. Without a mark the zero
-/// beside each of the first letters tells it.
+/// The encoding of UTF-16 text, and the length of its byte-order mark.
+/// Spreadsheets save such text. Without a mark, the zeros beside the first letters show it.
 pub(crate) fn utf16(bytes: &[u8]) -> Option<(&'static Encoding, usize)> {
     match bytes {
         [0xff, 0xfe, ..] => Some((UTF_16LE, 2)),
@@ -180,7 +182,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let pipe = folder.path().join("pipe");
         assert!(std::process::Command::new("mkfifo").arg(&pipe).status().unwrap().success());
-        // Returns, and says why.
+        // It returns at once, with the reason.
         assert_eq!(read(&pipe).unwrap_err().expected, "a regular file");
         assert!(read(Path::new("/nonexistent/a.toml")).unwrap_err().expected.contains("can be read"));
     }

@@ -1,8 +1,8 @@
-//! TOML read strictly.
+//! Reads TOML strictly.
 //! Unknown keys are findings, every finding has its line and column.
 //!
-//! [`Table`] and [`Entry`] end at the first finding; [`Section`] asks for each key once and collects every finding of a
-//! file. Both say the same of the same mistake.
+//! [`Table`] and [`Entry`] end at the first finding. [`Section`] takes each key once and collects every
+//! finding of a file. Both give the same message for the same mistake.
 
 use crate::input::InputError;
 use crate::keys::Key;
@@ -14,7 +14,7 @@ use std::path::Path;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
-/// A parsed TOML file that still knows where each value stands.
+/// A parsed TOML file that knows the place of each value.
 #[derive(Debug)]
 pub struct Document<'t> {
     file: &'t Path,
@@ -33,7 +33,7 @@ impl<'t> Document<'t> {
     }
 
     /// As [`Document::parse`], with every syntax error.
-    /// The document is what could be understood.
+    /// The document holds the parts that could be parsed.
     #[must_use]
     pub fn parse_all(file: &'t Path, text: &'t str) -> (Self, Vec<InputError>) {
         let (root, errors) = DeTable::parse_recoverable(text);
@@ -48,7 +48,8 @@ impl<'t> Document<'t> {
     }
 }
 
-/// Reads a text into a type that says itself which keys it has; `expected` says what the file is.
+/// Reads a text into a type that declares its keys.
+/// `expected` names the kind of file for messages.
 ///
 /// # Errors
 /// The first finding.
@@ -56,7 +57,7 @@ pub fn from_str<T: DeserializeOwned>(file: &Path, text: &str, expected: &str) ->
     toml::from_str(text).map_err(|error| finding(file, text, &error, expected))
 }
 
-/// What the parser says, as a finding.
+/// Turns the parser's error into a finding.
 fn finding(file: &Path, text: &str, error: &toml::de::Error, expected: &str) -> InputError {
     let start = error.span().map_or(0, |s| s.start);
     let message = error.message().trim().lines().collect::<Vec<_>>().join(", ");
@@ -74,8 +75,8 @@ fn finding(file: &Path, text: &str, error: &toml::de::Error, expected: &str) -> 
     InputError::at_offset(file, text, start, found, expected)
 }
 
-/// What a line has that TOML does not know and other programs do:
-/// found, expected.
+/// Recognises what other programs write and TOML does not allow.
+/// Returns found and expected.
 fn mistaken(line: &str) -> Option<(String, String)> {
     const CURLY: [char; 6] = ['\u{201c}', '\u{201d}', '\u{201e}', '\u{2018}', '\u{2019}', '\u{ab}'];
     let value = line.split_once('=').map_or(line, |(_, value)| value).trim();
@@ -94,7 +95,7 @@ fn mistaken(line: &str) -> Option<(String, String)> {
         })
 }
 
-/// What is said of a key that nobody knows: found, expected.
+/// The message for an unknown key: found, expected.
 fn unknown(key: &str, title: &impl Display, known: &[&str]) -> (String, String) {
     let expected = match nearest(key, known) {
         Some(near) => format!("a key of {title}; did you mean {near}?"),
@@ -103,7 +104,7 @@ fn unknown(key: &str, title: &impl Display, known: &[&str]) -> (String, String) 
     (format!("unknown key {key}"), expected)
 }
 
-/// What a person calls a table.
+/// The name of a table for messages.
 #[derive(Debug, Clone, Copy)]
 enum Title<'d> {
     File,
@@ -123,7 +124,7 @@ impl Display for Title<'_> {
     }
 }
 
-/// A table and where it stands.
+/// A table and its place.
 #[derive(Debug, Clone, Copy)]
 pub struct Table<'d> {
     file: &'d Path,
@@ -137,7 +138,7 @@ impl<'d> Table<'d> {
     /// Refuses every key that is not among `known`.
     ///
     /// # Errors
-    /// The first unknown key, with the closest known one where there is one.
+    /// The first unknown key, with the most similar known one, if any.
     pub fn only(&self, known: &[&str]) -> Result<(), InputError> {
         match self.entries().find(|entry| !known.contains(&entry.key)) {
             Some(entry) => Err(entry.unknown(&self.title, known)),
@@ -152,7 +153,7 @@ impl<'d> Table<'d> {
         Some(self.entry(key, value))
     }
 
-    /// The entry of a key that must be there.
+    /// The entry of a required key.
     ///
     /// # Errors
     /// It is missing.
@@ -189,13 +190,13 @@ pub struct Entry<'d> {
 }
 
 impl<'d> Entry<'d> {
-    /// The key as the file has it.
+    /// The key, as the file has it.
     #[must_use]
     pub fn key(&self) -> &'d str {
         self.key
     }
 
-    /// The value as it is written, a text without its quotes.
+    /// The value as the file has it; text without its quotes.
     #[must_use]
     pub fn text(&self) -> String {
         self.as_str().unwrap_or_else(|| self.written()).to_owned()
@@ -205,7 +206,7 @@ impl<'d> Entry<'d> {
         self.text.get(self.value.span()).unwrap_or_default().trim()
     }
 
-    /// Where the value stands, as a byte of the text.
+    /// The byte of the text at which the value begins.
     #[must_use]
     pub fn offset(&self) -> usize {
         self.value.span().start
@@ -223,7 +224,7 @@ impl<'d> Entry<'d> {
         InputError::at_offset(self.file, self.text, self.key_start, found, expected)
     }
 
-    /// The key is not known here.
+    /// The finding that the key is unknown here.
     #[must_use]
     pub fn unknown_key(&self, expected: &str) -> InputError {
         self.key_error(format!("unknown key {}", self.key), expected)
@@ -234,7 +235,7 @@ impl<'d> Entry<'d> {
         self.key_error(found, expected)
     }
 
-    /// The value is not what was expected.
+    /// The finding that the value is not what was expected.
     #[must_use]
     pub fn mismatch(&self, expected: impl Into<String>) -> InputError {
         let first_line = self.written().lines().next().unwrap_or_default();
@@ -260,7 +261,7 @@ impl<'d> Entry<'d> {
         i64::from_str_radix(number.as_str(), number.radix()).ok()
     }
 
-    /// The value, if it is a finite number; a whole one will do.
+    /// The value, if it is a finite number or a whole number.
     #[must_use]
     pub fn as_number(&self) -> Option<f64> {
         number(self.value.get_ref())
@@ -295,15 +296,15 @@ impl<'d> Entry<'d> {
         self.as_bool().ok_or_else(|| self.mismatch(expected))
     }
 
-    /// The value as a whole number within bounds.
+    /// The value as a whole number within the range of `T`.
     ///
     /// # Errors
-    /// It is something else, or out of them.
+    /// It is something else, or out of range.
     pub fn integer<T: TryFrom<i64>>(&self, expected: &str) -> Result<T, InputError> {
         self.as_integer().and_then(|n| n.try_into().ok()).ok_or_else(|| self.mismatch(expected))
     }
 
-    /// The value as a finite number; an integer will do.
+    /// The value as a finite number; a whole number is accepted.
     ///
     /// # Errors
     /// It is something else, infinite or not a number.
@@ -311,7 +312,8 @@ impl<'d> Entry<'d> {
         self.as_number().ok_or_else(|| self.mismatch(expected))
     }
 
-    /// The value as a number from `low` to `high`; `expected` says of what, with its unit.
+    /// The value as a number from `low` to `high`.
+    /// `expected` names the quantity and its unit.
     ///
     /// # Errors
     /// It is something else, or outside.
@@ -363,7 +365,7 @@ impl<'d> Entry<'d> {
     /// The value as pairs of finite numbers: one pair, or an array of pairs.
     ///
     /// # Errors
-    /// It is something else, or a pair runs backwards.
+    /// It is something else, or the first number of a pair is the larger one.
     pub fn pairs(&self, expected: &str) -> Result<Vec<[f64; 2]>, InputError> {
         let array = self.value.get_ref().as_array().ok_or_else(|| self.mismatch(expected))?;
         if array.iter().all(|v| v.get_ref().is_array()) {
@@ -381,7 +383,8 @@ impl<'d> Entry<'d> {
         self.as_table().ok_or_else(|| self.mismatch(expected))
     }
 
-    /// The value as a list of tables: `[[header]]` or an array of inline tables (empty too).
+    /// The value as a list of tables: `[[header]]` or an array of inline tables.
+    /// An empty array is accepted.
     ///
     /// # Errors
     /// It is something else.
@@ -417,19 +420,19 @@ fn pair(value: &DeValue<'_>) -> Option<[f64; 2]> {
     }
 }
 
-/// Words that a person may choose from.
+/// The words to choose from, in quotes.
 pub(crate) fn quoted(words: &[&str]) -> String {
     words.iter().map(|word| format!("\"{word}\"")).collect::<Vec<_>>().join(" or ")
 }
 
-/// A file whose every finding is collected.
+/// A file with a list of all its findings.
 #[derive(Debug)]
 pub struct SourceFile<'a> {
     /// The file, as the user named it.
     pub file: &'a Path,
-    /// The file's whole text: findings take their line and column from it.
+    /// The file's whole text, from which findings take their line and column.
     pub text: &'a str,
-    /// What was found wrong so far.
+    /// The findings so far.
     pub findings: Vec<InputError>,
 }
 
@@ -439,25 +442,25 @@ impl SourceFile<'_> {
         self.findings.push(InputError::at_offset(self.file, self.text, offset, found, expected));
     }
 
-    /// The value; or else its finding is added.
+    /// Returns the value, or records its finding.
     pub fn keep<T>(&mut self, value: Result<T, InputError>) -> Option<T> {
         value.map_err(|finding| self.findings.push(finding)).ok()
     }
 }
 
-/// A value and the byte of the text at which it stands.
+/// A value and its place in the text.
 #[derive(Debug, Clone, Copy)]
 pub struct At<T> {
     /// The value, checked.
     pub value: T,
-    /// Where the value stands in the text, bytes from the start.
+    /// Where the value begins in the text, bytes from the start.
     pub offset: usize,
 }
 
-/// A table whose keys are asked for once each: what nobody asked for is a finding.
+/// A table whose keys are each taken once; keys that are left are findings.
 #[derive(Debug)]
 pub struct Section<'a> {
-    /// The section as a person writes it: `[card]`.
+    /// The section's title as a person writes it: `[card]`.
     pub title: &'static str,
     /// Where the section begins in the text, bytes from the start.
     pub offset: usize,
@@ -473,12 +476,12 @@ impl<'a> Section<'a> {
         Self::of("the file", 0, Some(document.root()))
     }
 
-    /// A table that the file may not have: every key in it is missing then.
+    /// A table, or an absent one, which has no key.
     fn of(title: &'static str, offset: usize, table: Option<Table<'a>>) -> Self {
         Self { title, offset, table, asked: Vec::new(), keys: &[] }
     }
 
-    /// The section with the table of its keys.
+    /// Adds the table of the section's keys.
     #[must_use]
     pub fn with(self, keys: &'static [Key]) -> Self {
         Self { keys, ..self }
@@ -491,12 +494,12 @@ impl<'a> Section<'a> {
         self.table?.get(key)
     }
 
-    /// Is a key there that no message offers? Counts as asked for only where it is.
+    /// Whether a key exists that no message suggests. If it does, it counts as taken.
     pub fn has_unoffered(&mut self, key: &'static str) -> bool {
         self.table.is_some_and(|t| t.get(key).is_some()) && self.has(key)
     }
 
-    /// Is the key there? Counts as asked for.
+    /// Whether the key exists. It counts as taken.
     pub fn has(&mut self, key: &'static str) -> bool {
         self.take(key).is_some()
     }
@@ -521,7 +524,7 @@ impl<'a> Section<'a> {
         tables.into_iter().map(|table| Self::of(title, table.start, Some(table))).collect()
     }
 
-    /// The value of a key, if it is there and as `parse` wants it.
+    /// The value of a key, if it exists and `parse` accepts it.
     pub fn value<T>(
         &mut self,
         source: &mut SourceFile<'_>,
@@ -534,7 +537,7 @@ impl<'a> Section<'a> {
         source.keep(parsed).map(|value| At { value, offset: entry.offset() })
     }
 
-    /// One of several words; the first `offered` of them are those a person is told of.
+    /// One of several words. Messages show only the first `offered` of them.
     pub fn choice<T: Copy>(
         &mut self,
         source: &mut SourceFile<'_>,
@@ -571,7 +574,7 @@ impl<'a> Section<'a> {
         self.value(source, key, expected, |v| v.as_integer().filter(|n| range.contains(n)))
     }
 
-    /// Says that a key must be there, and what it means.
+    /// Reports that a key is missing, with its meaning.
     pub fn say_missing(&self, source: &mut SourceFile<'_>, key: &str, meaning: &str) {
         let found = format!("no {key} in {}", self.title);
         source.finding(self.offset, found, format!("{key}: {meaning}"));
@@ -581,7 +584,7 @@ impl<'a> Section<'a> {
         self.table.is_none_or(|t| t.get(key).is_none())
     }
 
-    /// Reports every key that nobody asked for.
+    /// Reports every key that was not taken.
     pub fn finish(self, source: &mut SourceFile<'_>) {
         for entry in self.table.iter().flat_map(Table::entries) {
             if !self.asked.contains(&entry.key()) {

@@ -1,11 +1,12 @@
 //! Recorded quadrature.
-//! Traces as CSV (`t_ns,a,b`) and VCD (IEEE 1364), and the CSV of requested totals.
+//! Traces are CSV (`t_ns,a,b`) or VCD (IEEE 1364); requested totals are CSV.
 //!
-//! Readers stream: memory stays flat for a file of any length. A trace has one row per change and strictly rising
-//! times; a row in which both signals change is passed on, because an illegal transition is the engine's to report.
+//! Readers stream: memory stays flat for a file of any length. A trace has one row per change and strictly
+//! rising times. A row in which both signals change is passed on, because the engine reports illegal
+//! transitions.
 //!
-//! Other programs name the columns and signals otherwise, and write times in seconds: [`Columns`] says which is which. Where a
-//! table has other columns too, rows in which neither a nor b changes are theirs, and passed over.
+//! Other programs use other names, and times in seconds: [`Columns`] assigns them. If a table has other
+//! columns too, rows in which neither a nor b changes belong to those, and are skipped.
 
 use crate::clock::{self, Moments};
 use crate::csv::{self, Cell, Header};
@@ -27,10 +28,10 @@ use std::path::{Path, PathBuf};
 /// Longest plain row, `18446744073709551615,1,1\r\n`, rounded up.
 const PLAIN_ROW: usize = 32;
 
-/// So many bytes tell what a file is.
+/// Number of first bytes that show the kind of a file.
 const BEGIN: usize = 4096;
 
-/// How a trace is written down.
+/// The file format of a trace.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum TraceFormat {
     /// `t_ns,a,b`, one row per change.
@@ -66,11 +67,11 @@ pub struct TraceReader<R> {
     done: bool,
 }
 
-/// Where a trace's points are.
+/// The source of a trace's points.
 #[derive(Debug)]
 enum Points {
-    /// In rows of a table; of `t_ns,a,b` in this order and nothing else where it is
-    /// plain.
+    /// Rows of a table.
+    /// It is plain if it has `t_ns,a,b` in this order and nothing else.
     Csv {
         table: Box<Table<3>>,
         is_plain: bool,
@@ -78,33 +79,35 @@ enum Points {
     Vcd(Vcd),
 }
 
-/// Where a table's columns are, and how its whole numbers are written.
+/// The places of a table's columns, and the format of its whole numbers.
 #[derive(Debug)]
 struct Table<const N: usize> {
     header: Header,
     places: [usize; N],
-    /// Decimals that make a time one in ns.
+    /// Number of decimals that turn the time's unit into ns.
     shift: usize,
-    /// The file where it can be read twice, to learn its decimal marks; and its columns.
+    /// The file, if it can be read twice to learn its decimal marks.
+    /// `columns` are the columns that are read for that.
     file: Option<PathBuf>,
     columns: Vec<String>,
     numbers: Option<[Numbers; N]>,
-    /// Times that are dates or times of the day.
+    /// State for times that are dates or times of the day.
     moments: Moments,
-    /// No time was read yet.
+    /// Whether no time has been read yet.
     at_start: bool,
-    /// What each time is counted from, below zero where a scope was triggered after
-    /// its first sample, ns.
+    /// The zero of the times, ns.
+    /// It is below zero if a scope was triggered after its first sample.
     origin_ns: i64,
-    /// The table has a row for each sample, not for each change.
+    /// Whether the table has a row for each sample, not for each change.
     is_sampled: bool,
 }
 
-/// Names of a time, each with the decimals that make it one in ns.
+/// Names of a time column, each with the decimals that turn it into ns.
 const TIMES: [(&str, usize); 4] = [("t_ns", 0), ("t_us", 3), ("t_ms", 6), ("t_s", 9)];
 
 impl<const N: usize> Table<N> {
-    /// Of a table with a time and these columns, in this order unless somebody named them.
+    /// A table with a time and these columns.
+    /// They are in this order unless the user has assigned them.
     fn new<R: Read>(
         rows: &mut csv::Reader<R>,
         names: [&str; N],
@@ -163,7 +166,7 @@ impl<const N: usize> Table<N> {
         })
     }
 
-    /// The table has other columns too.
+    /// Whether the table has other columns too.
     fn has_others(&self) -> bool {
         self.header.names().count() > N
     }
@@ -173,7 +176,8 @@ impl<const N: usize> Table<N> {
         Ok(self.places.map(|place| cells[place].clone()))
     }
 
-    /// The whole number in a cell of the column `n`, once its decimal mark is moved to the right.
+    /// The whole number in a cell of column `n`, in the smallest unit.
+    /// Its decimal mark is moved to the right.
     fn whole<T: std::str::FromStr>(
         &mut self,
         n: usize,
@@ -193,7 +197,7 @@ impl<const N: usize> Table<N> {
             Some(numbers) => numbers[n],
             None => self.find_numbers(by)?[n],
         };
-        // A whole number has no decimals: a lone mark in it more likely parts thousands.
+        // A whole number has no decimals: a lone mark in it more likely separates thousands.
         let is_open = shift == 0 && numbers.leaves_open(cell.text());
         let plain = numbers.plain(cell.text()).filter(|_| !is_open);
         if n == 0 {
@@ -224,8 +228,8 @@ impl<const N: usize> Table<N> {
         whole.ok_or_else(|| cell.finding(expected))
     }
 
-    /// What times are counted from that are dates, times of the day or before a
-    /// trigger.
+    /// The zero of the times in words, if they are dates or times of the day.
+    /// It also says if times begin before a trigger.
     fn said(&self) -> Option<String> {
         let since = |start| if clock::of_day_ns(start).is_some() { "midnight" } else { "1970-01-01 UTC" };
         let start = self
@@ -239,8 +243,8 @@ impl<const N: usize> Table<N> {
         (!said.is_empty()).then(|| format!("{}: {}", self.header.file().display(), said.join("; ")))
     }
 
-    /// How the columns' numbers are written.
-    /// As all their cells show, where the file can be read twice.
+    /// The number formats of the columns.
+    /// All cells decide, if the file can be read twice.
     fn find_numbers(&mut self, by: char) -> Result<[Numbers; N], InputError> {
         let columns: Vec<&str> = self.columns.iter().map(String::as_str).collect();
         let marks = match self.file.as_deref() {
@@ -252,10 +256,11 @@ impl<const N: usize> Table<N> {
     }
 }
 
-/// The digits of a number whose decimal mark is moved so many places to the right, rounded to a whole number.
+/// The digits of a number whose decimal mark is moved right by some places.
+/// It is rounded to a whole number.
 fn shifted(plain: &str, places: usize) -> Option<String> {
     if plain.contains(['e', 'E']) {
-        // Beyond 2^53 a number in a float is not whole any more.
+        // Above 2^53 a float cannot hold every whole number.
         let number = crate::decimal::number(plain)? * 10_f64.powi(places as i32);
         return (number.abs() < 9_007_199_254_740_992.0).then(|| format!("{number:.0}"));
     }
@@ -268,7 +273,7 @@ fn shifted(plain: &str, places: usize) -> Option<String> {
     }
     let kept = &fraction[..places.min(fraction.len())];
     let digits = format!("{whole}{kept:0<places$}");
-    // Away from zero, as times are never below it.
+    // Halves are rounded up, because times are never negative.
     match fraction.as_bytes().get(places) {
         None | Some(b'0'..=b'4') => Some(digits),
         Some(_) => Some((digits.parse::<u64>().ok()? + 1).to_string()),
@@ -276,7 +281,7 @@ fn shifted(plain: &str, places: usize) -> Option<String> {
 }
 
 impl TraceReader<File> {
-    /// Opens a trace; its extension tells the format.
+    /// Opens a trace; the file's extension gives the format.
     ///
     /// # Errors
     /// The file cannot be read, its extension is unknown, or its header is wrong.
@@ -284,17 +289,17 @@ impl TraceReader<File> {
         Self::open_columns(file, &Columns::default())
     }
 
-    /// As [`TraceReader::open`].
-    /// Time, a and b are the columns, or a and b the signals, that somebody named.
+    /// As [`TraceReader::open`], with columns or signals that the user has assigned.
     ///
     /// # Errors
-    /// As [`TraceReader::open`]; a column or signal that was named and is not there.
+    /// As [`TraceReader::open`]; an assigned column or signal that is missing.
     pub fn open_columns(file: &Path, columns: &Columns) -> Result<Self, InputError> {
         let format = TraceFormat::of(file)?;
         let again = file.is_file().then_some(file);
         let open = || Self::of(format, file, opened(file)?, columns, again);
         let mut reader = open()?;
-        // The requests count from the first time too, so it is looked at beforehand; what is wrong with it is found when it is read.
+        // Requests also count from the first time, so it is read in advance. Its faults are reported when it
+        // is read.
         if again.is_some()
             && let Points::Csv { table, is_plain } = &mut reader.points
         {
@@ -310,7 +315,7 @@ impl TraceReader<File> {
     }
 }
 
-/// The columns of a trace that somebody names by words such as `t_s=1` or `a=Channel 0`.
+/// The columns of a trace, assigned by words such as `t_s=1` or `a=Channel 0`.
 ///
 /// # Errors
 /// As [`Columns::parse`].
@@ -318,7 +323,7 @@ pub fn trace_columns(words: &[String]) -> Result<Columns, InputError> {
     Columns::parse(words, &["t_ns", "t_us", "t_ms", "t_s", "a", "b"], |_| false)
 }
 
-/// As [`trace_columns`], of requested totals.
+/// As [`trace_columns`], for requested totals.
 ///
 /// # Errors
 /// As [`Columns::parse`].
@@ -364,14 +369,15 @@ impl<R: Read> TraceReader<R> {
         Ok(Self { rows, last: None, points, done: false })
     }
 
-    /// How the file is written where it is not as formats.md has it: UTF-16, another separator.
+    /// How the file's format differs from the documented one.
+    /// It may be UTF-16 or have another separator.
     #[must_use]
     pub fn written(&self) -> Option<String> {
         (!matches!(self.points, Points::Vcd(_))).then(|| written(&self.rows))?
     }
 
-    /// What a user should know of what was read so far.
-    /// What dates are counted from; levels that were unknown at first.
+    /// Notes for the user about what was read so far.
+    /// They give the zero of dates, and levels that were unknown at first.
     #[must_use]
     pub fn said(&self) -> Option<String> {
         match &self.points {
@@ -380,7 +386,7 @@ impl<R: Read> TraceReader<R> {
         }
     }
 
-    /// That the rows so far are samples, not changes.
+    /// A note if the rows so far are samples, not changes.
     #[must_use]
     pub fn sampled(&self) -> Option<String> {
         let Points::Csv { table, .. } = &self.points else { return None };
@@ -393,7 +399,7 @@ impl<R: Read> TraceReader<R> {
     /// The next point, or `None` at the end.
     ///
     /// # Errors
-    /// The first row that is not as the format wants it.
+    /// The first row that does not suit the format.
     #[inline]
     pub fn next_point(&mut self) -> Result<Option<TracePoint>, InputError> {
         if matches!(self.points, Points::Csv { is_plain: true, .. })
@@ -458,13 +464,13 @@ impl<R: Read> Iterator for TraceReader<R> {
     }
 }
 
-/// A trace whose times are worked with.
-/// A player adds to them, and a time that leaves no room for that is a bad row.
+/// A trace whose times can be added to.
+/// A player adds to them, so a time that leaves no room for that is a bad row.
 #[derive(Debug)]
 pub struct Playable<R>(TraceReader<R>);
 
 impl<R: Read> TraceReader<R> {
-    /// The same trace, to be played.
+    /// The same trace for a player.
     pub const fn playable(self) -> Playable<R> {
         Playable(self)
     }
@@ -515,18 +521,18 @@ impl RequestReader<File> {
         Self::open_columns(file, &Columns::default())
     }
 
-    /// As [`RequestReader::open`]; time and total are the columns that somebody named.
+    /// As [`RequestReader::open`], with the columns that the user has assigned.
     ///
     /// # Errors
-    /// As [`RequestReader::open`]; a column that was named and is not there.
+    /// As [`RequestReader::open`]; an assigned column that is missing.
     pub fn open_columns(file: &Path, columns: &Columns) -> Result<Self, InputError> {
         Self::of(file, opened(file)?, columns, file.is_file().then_some(file))
     }
 }
 
 impl RequestReader<File> {
-    /// As [`RequestReader::open_columns`], of totals on a trace's clock.
-    /// Where that begins before a trigger, both count from its first time.
+    /// As [`RequestReader::open_columns`], for totals on a trace's clock.
+    /// If the trace begins before a trigger, both count from its first time.
     ///
     /// # Errors
     /// As [`RequestReader::open`].
@@ -607,7 +613,7 @@ pub struct TraceWriter<W: Write> {
 }
 
 impl<W: Write> TraceWriter<W> {
-    /// A writer that has written its header.
+    /// Makes a writer and writes the header.
     ///
     /// # Errors
     /// What `out` reports.
@@ -662,7 +668,7 @@ impl<W: Write> TraceWriter<W> {
         self.out.write_all(b"\n")
     }
 
-    /// Writes out what is still held and gives the output back.
+    /// Writes the buffered rest and returns the output.
     ///
     /// # Errors
     /// What the output reports.
@@ -671,8 +677,8 @@ impl<W: Write> TraceWriter<W> {
     }
 }
 
-/// A trace file that appears under its name only when it is whole: until [`TraceFile::finish`] it is a temporary
-/// file beside it, which is removed when dropped.
+/// A trace file that gets its name only when it is complete.
+/// Until [`TraceFile::finish`] it is a temporary file beside it, which is removed when dropped.
 #[derive(Debug)]
 pub struct TraceFile(TraceWriter<WholeFile>);
 
@@ -685,7 +691,7 @@ impl TraceFile {
         Self::create_noted(file, &[])
     }
 
-    /// As [`TraceFile::create`], with lines of comment in front that say what it is.
+    /// As [`TraceFile::create`], with lines of comment before the header.
     ///
     /// # Errors
     /// As [`TraceFile::create`].
@@ -722,7 +728,7 @@ impl TraceFile {
 }
 /// Columns of a trace.
 const COLUMNS: [&str; 3] = ["t_ns", "a", "b"];
-/// Every time that a player adds to one of the trace is below it too.
+/// Upper limit of a time and of any time that a player makes from it.
 const LATEST_PLAYED_NS: u64 = i64::MAX as u64;
 const TIME: &str = "a time in whole ns, from 0 to 18446744073709551615";
 
@@ -769,14 +775,13 @@ fn csv_row<R: Read>(
     Ok(None)
 }
 
-/// Rows of a table that show whether it has one for each sample or for each
-/// change.
+/// Number of rows that show whether a table has one per sample or per change.
 const SHOWN_ROWS: usize = 64;
-/// Fewer pairs of rows do not show it: a state that stands twice is a lost edge.
+/// Fewer rows do not show it: a repeated state can be a lost edge.
 const FEWEST_PAIRS: usize = 4;
 
-/// Whether as many of the rows from here on repeat the one before as do not:
-/// they are samples. This row is the first that does.
+/// Whether the rows are samples: at least half of them repeat the previous state.
+/// `row` is the first one that does.
 fn is_sampled(row: &str, ahead: &str, by: char, places: [usize; 2]) -> bool {
     let state = |line: &str| {
         let cells: Vec<&str> = line.split(by).map(str::trim).collect();
@@ -788,12 +793,12 @@ fn is_sampled(row: &str, ahead: &str, by: char, places: [usize; 2]) -> bool {
     states.len() >= FEWEST_PAIRS && 2 * repeats >= states.len()
 }
 
-/// A row without spaces or comment.
-/// The point and the row's length, or `None` for the careful reader to explain.
+/// Reads a row without spaces or comment.
+/// Returns the point and the row's length, or `None` if the careful reader must explain the row.
 #[inline]
 fn plain_row(row: &[u8; PLAIN_ROW]) -> Option<(TracePoint, usize)> {
     let (mut t_ns, mut at) = (0_u64, 0);
-    // Eight digits at a time, then one by one; twenty digits may overflow and go the careful way.
+    // Eight digits at a time, then one by one. Twenty digits may overflow and need the careful reader.
     while at < 16
         && let Some(group) = eight_digits(row, at)
     {
@@ -826,12 +831,12 @@ fn plain_row(row: &[u8; PLAIN_ROW]) -> Option<(TracePoint, usize)> {
     Some((TracePoint { t_ns, state: State::from_bits(a | b << 1) }, at + end))
 }
 
-/// The number in eight ASCII digits, all at once; `None` when one of the bytes is no digit.
+/// The number in eight ASCII digits, all at once; `None` if one is no digit.
 #[inline]
 fn eight_digits(row: &[u8; PLAIN_ROW], at: usize) -> Option<u64> {
     const ZEROS: u64 = u64::from_ne_bytes([b'0'; 8]);
     let value = u64::from_le_bytes(*row.get(at..)?.first_chunk()?) ^ ZEROS;
-    // A byte above 9 gets its high bit set by + 0x76, or had it set before.
+    // Adding 0x76 sets the high bit of a byte above 9, unless it was set before.
     if (value.wrapping_add(0x7676_7676_7676_7676) | value) & 0x8080_8080_8080_8080 != 0 {
         return None;
     }

@@ -1,6 +1,6 @@
-//! Units that the name of a column states: `Time [ms]`, `X (in)`, `position_mm`.
+//! Units in the names of columns: `Time [ms]`, `X (in)`, `position_mm`.
 
-/// What people write, and the same unit as formats.md writes it.
+/// Other spellings of a unit, and the program's own spelling.
 const ALIASES: [(&str, &str); 43] = [
     ("µm", "um"),
     ("μm", "um"),
@@ -47,13 +47,13 @@ const ALIASES: [(&str, &str); 43] = [
     ("µrad", "urad"),
 ];
 
-/// A unit as formats.md writes it, one that is not known as it stands.
+/// A unit in the program's spelling; an unknown unit stays as it is.
 #[must_use]
 pub fn plain(unit: &str) -> &str {
     ALIASES.iter().find(|(alias, _)| *alias == unit).map_or(unit, |(_, plain)| plain)
 }
 
-/// Name of a unit, factor to its quantity's own, and what to add then.
+/// A unit's name, its factor to the quantity's own unit, and the offset after it.
 pub type Unit = (&'static str, f64, f64);
 
 /// Seconds of a day.
@@ -61,7 +61,7 @@ pub const DAY_S: f64 = 86_400.0;
 /// A step of Windows' FILETIME, s.
 pub const FILETIME_S: f64 = 1e-7;
 
-/// Units of a quantity, the one that formats.md has first.
+/// Units of each quantity; the first is the program's own.
 const QUANTITIES: [(&str, &[Unit]); 8] = [
     (
         "s",
@@ -97,7 +97,7 @@ const QUANTITIES: [(&str, &[Unit]); 8] = [
     ("N", &[("kN", 1e3, 0.0), ("lbf", 4.448_221_615_260_5, 0.0)]),
 ];
 
-/// Units that are turned into `own`; none where it is the only one.
+/// Units that can be converted to `own`; empty if there are none.
 #[must_use]
 pub fn others(own: &str) -> &'static [Unit] {
     QUANTITIES.iter().find(|(unit, _)| *unit == own).map_or(&[], |(_, others)| others)
@@ -109,10 +109,10 @@ fn is_one_quantity(a: &str, b: &str) -> bool {
     QUANTITIES.iter().any(|(own, others)| has(own, others, a) && has(own, others, b))
 }
 
-/// The unit that a name states where it contradicts the one that somebody says
-/// the column is in.
+/// The unit in a name, if it contradicts the unit that the column is read in.
 ///
-/// Both are of one quantity and differ. Behind a `_` or a blank a single letter is part of the name (`x_m` may be x as measured).
+/// Both are of one quantity and differ. After a `_` or a blank a single letter is part of the name (`x_m` may
+/// be x as measured).
 #[must_use]
 pub fn contradicted<'n>(name: &'n str, said: &str) -> Option<&'n str> {
     let (stated, said) = (stated(name)?, plain(said));
@@ -120,7 +120,7 @@ pub fn contradicted<'n>(name: &'n str, said: &str) -> Option<&'n str> {
     (is_unit && stated.unit != said && is_one_quantity(stated.unit, said)).then_some(stated.unit)
 }
 
-/// A name whose unit is the one that its column is in now, once it was converted.
+/// The name with its unit replaced by the one that its column was converted to.
 #[must_use]
 pub fn restated(name: &str, unit: &str) -> String {
     let Some(found) = contradicted(name, unit).and_then(|_| stated(name)) else { return name.to_owned() };
@@ -132,16 +132,16 @@ pub fn restated(name: &str, unit: &str) -> String {
 /// A unit in a column's name.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Stated<'n> {
-    /// As formats.md writes it, where it is known.
+    /// In the program's spelling, if it is known.
     pub unit: &'n str,
-    /// It stands in brackets, where nothing but a unit stands.
+    /// Whether it is in brackets, which hold nothing but a unit.
     pub in_brackets: bool,
     /// The name without it.
     pub name: &'n str,
 }
 
-/// The unit that a name states.
-/// It stands in brackets at the end, or behind a blank, a `/` or the last `_`.
+/// Finds the unit in a name.
+/// It is in brackets at the end, or after a blank, a `/` or the last `_`.
 #[must_use]
 pub fn stated(name: &str) -> Option<Stated<'_>> {
     let name = name.trim();
@@ -158,7 +158,7 @@ pub fn stated(name: &str) -> Option<Stated<'_>> {
             && !inside.contains([':', ',', '#', '(', '[']);
         return is_word.then(|| Stated { unit: plain(inside), in_brackets: true, name: name[..open].trim() });
     }
-    // Behind a blank a letter or a digit tells one column from another: `T C`, `Probe 1`.
+    // After a blank a letter or a digit distinguishes columns: `T C`, `Probe 1`.
     let is_word = |unit: &str| unit.chars().nth(1).is_some() && !unit.ends_with(|c: char| c.is_ascii_digit());
     let behind_blank = name.rsplit_once(char::is_whitespace).filter(|(_, unit)| is_word(unit));
     let (name, unit) = behind_blank.or_else(|| name.split_once('/')).or_else(|| name.rsplit_once('_'))?;

@@ -1,4 +1,5 @@
-//! Value change dumps (IEEE 1364) with the signals a and b, as simulators and logic analysers write them.
+//! Value change dumps (IEEE 1364) with the signals a and b.
+//! Simulators and logic analysers write them.
 
 use crate::input::InputError;
 use crate::lines::Lines;
@@ -8,14 +9,14 @@ use rtec_driver::replay::TracePoint;
 use std::fmt::Write as _;
 use std::io::Read;
 
-/// The levels of a signal of one bit.
-/// Those of IEEE 1364, and the nine of VHDL (IEEE 1164), of which H and L are driven weakly.
+/// The levels of a one-bit signal.
+/// They are those of IEEE 1364, and the nine of VHDL (IEEE 1164), of which H and L are driven weakly.
 const LEVELS: &[u8] = b"01xXzZuUwWhHlL-";
 
-/// So many variables are named at most where a or b is not among them.
+/// Number of variables that a message lists if a or b is not among them.
 const MOST_NAMED: usize = 16;
 
-/// What the definitions of a VCD say, and where in its changes we are.
+/// The definitions of a VCD, and the state of reading its changes.
 #[derive(Debug)]
 pub(crate) struct Vcd {
     /// ns per time unit as a fraction: 1 µs is (1000, 1), 100 ps is (1, 10).
@@ -25,16 +26,17 @@ pub(crate) struct Vcd {
     /// Present time in units.
     now: u64,
     levels: [Option<bool>; 2],
-    /// A level was written since `now`.
+    /// Whether a level was written since `now`.
     touched: bool,
-    /// Signals whose level is written as unknown, and the time up to which one was.
+    /// Signals whose level is unknown, and the time up to which one was.
     unknown: [bool; 2],
     unknown_until: Option<u64>,
 }
 
 impl Vcd {
-    /// Reads the definitions; `names`: what a and b are called where they have other names, or their numbers from 1 among the
-    /// signals of one bit. A name may have its scopes in front, as `axis.a`.
+    /// Reads the definitions.
+    /// `names` are the names of a and b if they have others, or their numbers from 1 among the one-bit
+    /// signals. A name may begin with its scopes, as `axis.a`.
     pub(crate) fn definitions<R: Read>(
         input: &mut Lines<R>,
         names: [Option<&str>; 2],
@@ -42,7 +44,7 @@ impl Vcd {
         input.line = 1;
         let (mut ns_per_unit, mut codes, mut others) = (None, [None, None], Vec::new());
         let mut scopes: Vec<String> = Vec::new();
-        // Signals of one bit so far.
+        // One-bit signals so far.
         let mut bits = 0_usize;
         loop {
             let Some(keyword) = word(input)? else {
@@ -133,7 +135,7 @@ impl Vcd {
                         self.set(input, signal, value)?;
                     }
                 }
-                // A vector of one bit is written `b1 !`; only its last bit counts.
+                // A one-bit vector is written `b1 !`; only its last bit counts.
                 b'b' | b'B' | b'r' | b'R' | b's' | b'S' => {
                     let (kind, value) = (word[0], word[word.len() - 1]);
                     let Some(code) = input.word()? else {
@@ -172,7 +174,7 @@ impl Vcd {
         self.levels[signal] = match value {
             b'0' | b'L' | b'l' => Some(false),
             b'1' | b'H' | b'h' => Some(true),
-            // Before the first level nothing can be lost.
+            // Before the first level no change can be lost.
             _ if self.levels[signal].is_none() => {
                 self.unknown[signal] = true;
                 None
@@ -187,7 +189,7 @@ impl Vcd {
         Ok(())
     }
 
-    /// That a level was unknown at first, and until when.
+    /// A note if a level was unknown at first, and until when.
     pub(crate) fn said(&self) -> Option<String> {
         let names: Vec<&str> =
             ["a", "b"].into_iter().zip(self.unknown).filter(|(_, is)| *is).map(|(name, _)| name).collect();
@@ -198,7 +200,7 @@ impl Vcd {
         ))
     }
 
-    /// The point that the present time step makes, if a or b changed in it.
+    /// The point of the present time step, if a or b changed in it.
     fn step<R: Read>(
         &mut self,
         input: &Lines<R>,
@@ -253,7 +255,7 @@ fn until_end<R: Read>(input: &mut Lines<R>) -> Result<Vec<String>, InputError> {
     Err(input.at_word("no $end", "$end after a definition"))
 }
 
-/// Free text, of any length, up to `$end`.
+/// Skips free text of any length up to `$end`.
 fn skip_to_end<R: Read>(input: &mut Lines<R>) -> Result<(), InputError> {
     while let Some(range) = input.word()? {
         if *input.bytes(range) == *b"$end" {
@@ -290,7 +292,7 @@ fn timescale<R>(input: &Lines<R>, text: &str) -> Result<(u64, u64), InputError> 
 /// The identifier of a signal, and its name with the scopes around it.
 type Signal = (Vec<u8>, String);
 
-/// Takes the identifier of a or b out of a `$var TYPE SIZE CODE NAME [RANGE] $end`.
+/// Takes the code of a or b from `$var TYPE SIZE CODE NAME [RANGE] $end`.
 fn variable<R>(
     input: &Lines<R>,
     body: &[String],

@@ -1,14 +1,14 @@
-//! A long computation that somebody waits for.
-//! It counts its steps, and it ends early where nobody waits any more.
+//! A long computation that another thread waits for.
+//! It counts its steps, and ends early if nobody waits any more.
 //!
-//! Whoever computes calls [`step`] often; whoever waits, in another thread, holds the [`Watch`].
+//! The computing thread calls [`step`] often; the waiting thread holds the [`Watch`].
 
 use std::cell::RefCell;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
-/// What the two threads share: one computes, one waits.
+/// The state that the computing thread and the waiting thread share.
 #[derive(Debug, Default)]
 pub struct Watch {
     given_up: AtomicBool,
@@ -19,7 +19,7 @@ thread_local! {
     static HERE: RefCell<Option<Arc<Watch>>> = const { RefCell::new(None) };
 }
 
-/// How a computation unwinds that nobody waits for: no hook of a panic runs.
+/// The payload that unwinds an abandoned computation; no panic hook runs for it.
 struct GivenUp;
 
 impl Watch {
@@ -29,15 +29,15 @@ impl Watch {
         self.steps.load(Ordering::Relaxed)
     }
 
-    /// The computation ends at its next step.
+    /// Asks the computation to end at its next step.
     pub fn give_up(&self) {
         self.given_up.store(true, Ordering::Relaxed);
     }
 
-    /// Computes in this thread, watched; `None` where it was given up.
+    /// Computes in this thread, watched; `None` if it was given up.
     pub fn over<T>(self: &Arc<Self>, work: impl FnOnce() -> T) -> Option<T> {
         let before = HERE.replace(Some(Arc::clone(self)));
-        // What was half done is dropped on the way here: nothing of it is looked at again.
+        // Unwinding drops everything half done, so nothing reads it again.
         let done = catch_unwind(AssertUnwindSafe(work));
         HERE.set(before);
         match done {
@@ -48,8 +48,8 @@ impl Watch {
     }
 }
 
-/// One step of a computation: a candidate, a block, a row of a long simulation.
-/// Does nothing where nobody watches.
+/// Counts one step of a computation, for example a candidate or a block.
+/// It does nothing if the computation is not watched.
 pub fn step() {
     let given_up = HERE.with_borrow(|watch| {
         watch.as_ref().is_some_and(|w| {

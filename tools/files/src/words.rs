@@ -1,4 +1,5 @@
-//! Words in messages: the one that was probably meant, and text as it is shown.
+//! Words and text for messages.
+//! It finds the word that was probably meant, and makes text printable.
 
 use std::borrow::Cow;
 
@@ -10,7 +11,7 @@ pub fn is_comment(line: &str) -> bool {
 }
 
 /// The word that was probably meant.
-/// A few letters away, or begun with all of the other's letters.
+/// It differs by a few letters, or one word begins with the other.
 #[must_use]
 pub fn nearest<'w>(word: &str, words: &[&'w str]) -> Option<&'w str> {
     let length = word.chars().count();
@@ -24,21 +25,21 @@ pub fn nearest<'w>(word: &str, words: &[&'w str]) -> Option<&'w str> {
     words.iter().find(begun).copied()
 }
 
-/// Marks that change how the text around them is shown, and are not seen themselves.
+/// Whether a character is invisible and changes how the text around it is shown.
 #[must_use]
 pub const fn is_hidden(c: char) -> bool {
     matches!(c, '\u{ad}' | '\u{61c}' | '\u{180e}' | '\u{200b}'..='\u{200f}' | '\u{2028}'..='\u{202e}'
         | '\u{2060}'..='\u{206f}' | '\u{feff}' | '\u{fff9}'..='\u{fffb}' | '\u{e0000}'..='\u{e007f}')
 }
 
-/// The first character that a terminal would obey or that cannot be seen.
+/// The first character that is invisible or that a terminal would obey.
 #[must_use]
 pub fn unseen(text: &str) -> Option<char> {
     text.chars().find(|c| c.is_control() || is_hidden(*c))
 }
 
-/// Text as a terminal may show it.
-/// What cannot be seen (controls, directions, marks without width) is written out.
+/// Text that a terminal can show safely.
+/// Invisible characters (controls, directions, marks without width) are escaped.
 #[must_use]
 pub fn printable(text: &str) -> Cow<'_, str> {
     let seen = |c: char| c == ' ' || c.is_alphanumeric() || c.is_ascii_punctuation();
@@ -52,29 +53,29 @@ pub fn printable(text: &str) -> Cow<'_, str> {
     Cow::Owned(each.collect())
 }
 
-/// Text with the characters that mean something to HTML and XML replaced.
+/// Text with the special characters of HTML and XML replaced.
 #[must_use]
 pub fn escaped(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }
 
-/// Text as an error message shows it: quoted, printable, cut where it is long.
+/// Text for an error message: quoted, printable, cut if long.
 #[must_use]
 pub fn quoted(text: &str) -> String {
     format!("'{}'", printable(&cut(text)))
 }
 
-/// What stands in a place, as an error message shows it.
+/// The content of a place for an error message.
 pub(crate) fn shown(text: &str) -> String {
     if text.is_empty() { "nothing".to_owned() } else { quoted(text) }
 }
 
-/// Text cut where it is long.
+/// Text cut if it is long.
 pub(crate) fn cut(text: &str) -> String {
     cut_at(text, 60)
 }
 
-/// Text cut behind so many characters.
+/// Text cut after a number of characters.
 pub(crate) fn cut_at(text: &str, characters: usize) -> String {
     match text.char_indices().nth(characters) {
         None => text.to_owned(),
@@ -82,7 +83,7 @@ pub(crate) fn cut_at(text: &str, characters: usize) -> String {
     }
 }
 
-/// An error with its causes, each said once: many say their cause themselves.
+/// An error with its causes, each once: many errors already contain their cause.
 #[must_use]
 pub fn whole(error: &dyn std::error::Error) -> String {
     let mut text = error.to_string();

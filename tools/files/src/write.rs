@@ -1,6 +1,6 @@
-//! Files that appear whole or not at all.
-//! Written beside their place under another name, made safe on the disk, then renamed. What was there before stays until then, and stays
-//! where anything fails.
+//! Writes files that appear whole or not at all.
+//! A file is written under another name in its folder, made safe on the disk, then renamed. Until then, and
+//! on any error, the previous file stays.
 
 use crate::input::InputError;
 use nix::fcntl::{AT_FDCWD, AtFlags};
@@ -14,17 +14,18 @@ use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 use tempfile::NamedTempFile;
 
-/// The files that this process has read, by device and inode; `None` while no account is kept.
+/// The files that this process has read, by device and inode.
+/// `None` if they are not recorded.
 static INPUTS: Mutex<Option<HashSet<(u64, u64)>>> = Mutex::new(None);
 
-/// From now on nothing that this process reads is written over by it.
-/// For a program that does one thing and ends, where a result in the place of a measurement or a model is a slip of the person. (A daemon
-/// reads back what it writes.)
+/// From now on this process overwrites no file that it has read.
+/// This suits a program that does one thing and ends: there a result in place of a measurement or a model is
+/// a slip. It does not suit a daemon, which reads back what it writes.
 pub fn spare_inputs() {
     INPUTS.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert_default();
 }
 
-/// Enters a file that is being read.
+/// Records a file that is being read.
 pub(crate) fn is_input(file: &File) {
     if let Some(inputs) = &mut *INPUTS.lock().unwrap_or_else(PoisonError::into_inner)
         && let Ok(is) = file.metadata()
@@ -33,12 +34,12 @@ pub(crate) fn is_input(file: &File) {
     }
 }
 
-/// Nothing of the user's is to be lost: what was read stays.
+/// Refuses to overwrite a file that was read, so that the user loses nothing.
 fn spared(file: &Path) -> io::Result<()> {
     is_no_input(file).map_err(io::Error::other)
 }
 
-/// That a file to be written is none that was read, for whoever asks before the work.
+/// Checks that a file to be written was not read, before the work begins.
 ///
 /// # Errors
 /// After [`spare_inputs`], the file was read.
@@ -58,30 +59,30 @@ pub fn is_no_input(file: &Path) -> Result<(), InputError> {
 /// Writes a file whole or not at all.
 ///
 /// # Errors
-/// What the file system reports; nothing is left behind then, and what was there before stands.
+/// What the file system reports; then nothing is left behind, and the previous file stays.
 pub fn whole(file: &Path, content: &[u8]) -> io::Result<()> {
     let mut out = WholeFile::create(file)?;
     out.write_all(content)?;
     out.finish()
 }
 
-/// A file being written.
-/// It has its name only after [`WholeFile::finish`], and dropped before that it leaves nothing.
+/// A file that is being written.
+/// It gets its name only in [`WholeFile::finish`]; if it is dropped before, it leaves nothing.
 ///
-/// A symbolic link stays and what it names is replaced, with the permissions that it had. What is no regular file (a
-/// pipe, a terminal, `/dev/null`) is written to as it stands: it cannot be replaced.
+/// A symbolic link stays; its target is replaced and keeps its permissions. What is not a regular file (a
+/// pipe, a terminal, `/dev/null`) is written directly, because it cannot be replaced.
 #[derive(Debug)]
 pub struct WholeFile(Place);
 
 #[derive(Debug)]
 enum Place {
-    /// Without a name until it is whole: nothing stays where the program is killed.
+    /// A file without a name until it is complete: a killed program leaves nothing.
     Unnamed {
         temporary: File,
         folder: PathBuf,
         file: PathBuf,
     },
-    /// Under another name, on file systems that know no files without one.
+    /// A file with another name, on file systems without nameless files.
     Beside {
         temporary: NamedTempFile,
         folder: PathBuf,
@@ -103,7 +104,7 @@ impl WholeFile {
         spared(file)?;
         let file = if before.is_some() { std::fs::canonicalize(file)? } else { file.to_owned() };
         let folder = file.parent().filter(|f| !f.as_os_str().is_empty()).unwrap_or(Path::new(".")).to_owned();
-        // As any new file: what the process's mask leaves of read and write for all.
+        // As for any new file: read and write for all, less the process's umask.
         let mode = before.as_ref().map_or(0o666, |m| m.permissions().mode() & 0o777);
         let before = before.as_ref().map(Metadata::permissions);
         let unnamed = OpenOptions::new()
@@ -124,7 +125,8 @@ impl WholeFile {
     /// Gives the file its name, once all of it is safe on the disk.
     ///
     /// # Errors
-    /// What the file system reports, or, after [`spare_inputs`], the file was read; nothing is left behind then.
+    /// What the file system reports, or, after [`spare_inputs`], the file was read. Nothing is left behind
+    /// then.
     pub fn finish(self) -> io::Result<()> {
         match self.0 {
             Place::Through(mut out) => out.flush(),
@@ -148,7 +150,7 @@ impl WholeFile {
         }
     }
 
-    /// Where a file without a name can be given none: without /proc.
+    /// Copies a nameless file if it cannot be given a name: without /proc.
     fn copied(mut temporary: File, folder: &Path, file: &Path) -> io::Result<()> {
         let permissions = temporary.metadata()?.permissions();
         let mut named = beside(folder, permissions.mode())?;
@@ -161,7 +163,7 @@ impl WholeFile {
     }
 }
 
-/// What the name of a file that is being written begins with.
+/// The prefix of the name of a file that is being written.
 const HIDDEN: &str = ".rtec-";
 
 fn beside(folder: &Path, mode: u32) -> io::Result<NamedTempFile> {
@@ -169,7 +171,7 @@ fn beside(folder: &Path, mode: u32) -> io::Result<NamedTempFile> {
     temporary.prefix(HIDDEN).permissions(Permissions::from_mode(mode | 0o200)).tempfile_in(folder)
 }
 
-/// Gives a file without a name one.
+/// Gives a nameless file a name.
 fn name(unnamed: &File, path: &Path) -> io::Result<()> {
     let own = format!("/proc/self/fd/{}", unnamed.as_raw_fd());
     linkat(AT_FDCWD, own.as_str(), AT_FDCWD, path, AtFlags::AT_SYMLINK_FOLLOW).map_err(io::Error::from)
@@ -177,7 +179,7 @@ fn name(unnamed: &File, path: &Path) -> io::Result<()> {
 
 fn synced(folder: &Path) -> io::Result<()> {
     match File::open(folder)?.sync_all() {
-        // Some file systems know no such thing for a folder.
+        // Some file systems cannot sync a folder.
         Err(e) if e.kind() == io::ErrorKind::InvalidInput => Ok(()),
         done => done,
     }
@@ -240,7 +242,7 @@ mod tests {
         let file = folder.path().join("a.toml");
         let mut out = WholeFile::create(&file).unwrap();
         out.write_all(b"half").unwrap();
-        // A program that is killed drops nothing.
+        // A killed program runs no destructor.
         assert!(!matches!(out.0, Place::Unnamed { .. }) || names(folder.path()).is_empty());
         out.finish().unwrap();
         let mut copied = WholeFile::create(&file).unwrap();
@@ -269,7 +271,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let (plain, file, link) =
             (folder.path().join("plain"), folder.path().join("f"), folder.path().join("link"));
-        // Another program's new file has what the mask leaves; so has ours.
+        // Another program's new file has the permissions that the umask leaves; so has this one.
         fs::write(&plain, "x").unwrap();
         whole(&file, b"one").unwrap();
         let mode = |f: &Path| fs::metadata(f).unwrap().permissions().mode() & 0o777;

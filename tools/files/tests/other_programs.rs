@@ -1,4 +1,4 @@
-//! Traces and tables as other programs write them.
+//! Traces and tables in the formats of other programs.
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
 use rtec_driver::quadrature::State;
@@ -72,10 +72,10 @@ fn a_sheet_passes_over_what_is_unrelated() {
     }
     let said = read("Program,7\n\nz_mm,x_mm,remark\n1,2,so\n").unwrap().written().unwrap();
     assert!(said.contains("passed over 2 lines") && said.contains("left out the columns remark"), "{said}");
-    // A first cell may be empty, or begin with the mark.
+    // A first cell may be empty, or begin with the mark of a comment, `%`.
     let sheet = Sheet::parse(Path::new("p.csv"), "name;n\n;1\n%RH;2\n", &["name", "n"], |_| false).unwrap();
     assert_eq!(sheet.numbers("n").unwrap(), [1.0, 2.0]);
-    // A name that is nearly a missing one is a mistake.
+    // A name nearly equal to a missing one is a mistake.
     let error = read("z_mm,x_mm,piont\n1,2,3\n").unwrap_err();
     assert!(error.expected.contains("did you mean point?"), "{error}");
     assert!(read("z_mm,x_mm,x_mm\n1,2,3\n").is_err());

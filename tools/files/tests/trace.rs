@@ -1,5 +1,5 @@
-//! Traces and requests.
-//! What is read, what is written, and what a user is told about a bad file.
+//! Reading and writing of traces and requests.
+//! The tests also check the messages about bad files.
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
@@ -19,7 +19,7 @@ fn point(t_ns: u64, a: u8, b: u8) -> TracePoint {
 }
 
 /// The golden files' points.
-/// An ordinary start, an illegal transition 1 ns later, the last time there is.
+/// They have an ordinary start, an illegal transition 1 ns later, and the last possible time.
 fn golden() -> Vec<TracePoint> {
     vec![point(0, 0, 0), point(1000, 1, 0), point(1500, 1, 1), point(1501, 0, 0), point(u64::MAX, 0, 1)]
 }
@@ -44,7 +44,7 @@ fn write(format: TraceFormat, points: &[TracePoint]) -> Vec<u8> {
     writer.finish().unwrap()
 }
 
-/// Gives one byte at a time: every row then meets the end of the buffer.
+/// Gives one byte at a time, so that every row meets the end of the buffer.
 struct Drip<'a>(&'a [u8]);
 
 impl Read for Drip<'_> {
@@ -184,7 +184,7 @@ fn a_vcd_definition_has_seventeen_words_at_most() {
     }
 }
 
-/// With enough behind them rows are read in one go, and what is wrong with one is found all the same.
+/// A wrong row far from the buffer's end is found on the fast path too.
 #[test]
 fn a_row_far_from_the_end_is_judged_as_the_last_one_is() {
     let rest: Vec<_> = (0..10).map(|n| format!("{},{},0\n", 1000 + n, (n + 1) % 2)).collect();
@@ -324,7 +324,7 @@ fn a_file_appears_whole_or_not_at_all() {
 }
 
 prop_compose! {
-    /// Any trace: times anywhere in 64 bits, illegal transitions among the others.
+    /// Any trace: times anywhere in 64 bits, and some illegal transitions.
     fn any_trace()(
         first in prop_oneof![0..1000_u64, any::<u64>().prop_map(|t| t / 2)],
         bits in 0..4_u8,
@@ -350,7 +350,8 @@ proptest! {
         prop_assert_eq!(&dripped.unwrap(), &points);
     }
 
-    /// Whatever one byte is changed to, the fast path and the careful path agree and nothing panics.
+    /// After a change of any one byte, the fast and the careful path agree.
+    /// Neither panics.
     #[test]
     fn a_damaged_file_reads_the_same_on_both_paths(points in any_trace(), is_csv: bool, at: prop::sample::Index, byte: u8) {
         let format = if is_csv { TraceFormat::Csv } else { TraceFormat::Vcd };

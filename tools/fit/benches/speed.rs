@@ -1,5 +1,5 @@
-//! How fast: a record read, a fit of 78 h of sixteen sensors. Prints, asserts
-//! nothing: `cargo bench -p rtec-fit`.
+//! Speed of reading a record, and of fitting 78 h of sixteen sensors.
+//! Prints the times and asserts nothing: `cargo bench -p rtec-fit`.
 
 use rtec_fit::thermal::{self, Options};
 use rtec_model::record::{Axis, Column, Kind, Record, Role};
@@ -11,7 +11,7 @@ fn axis(name: &str) -> Axis {
     Axis::new(name).expect("a letter is an axis name")
 }
 
-/// Median of the times of some runs, in nanoseconds.
+/// Median time of several runs, ns.
 fn median_ns(runs: usize, mut run: impl FnMut()) -> f64 {
     let mut times: Vec<f64> = (0..runs)
         .map(|_| {

@@ -1,4 +1,4 @@
-//! Which of three sensors does a spindle's growth follow, and how far behind?
+//! Which of three sensors does a spindle's growth follow, and with what lag?
 use rtec_fit::thermal::{self, Options};
 use rtec_model::record::{Axis, Column, Kind, Record, Role};
 use std::path::Path;

@@ -1,9 +1,9 @@
 //! Fits a chain's polynomials to records, component by component (NISTIR 4854).
 //! Every record measures one component, or a combination whose other members are known.
 //!
-//! The chain's file states the powers of a component's terms. Least squares on all error responses finds their coefficients; the rest of
-//! the chain stays fixed. The error is linear in the coefficients except for products of two small quantities, which a second pass
-//! includes.
+//! The chain's file states the powers of a component's terms. Least squares on all error responses finds
+//! their coefficients; the rest of the chain stays fixed. The error is linear in the coefficients except for
+//! products of two small quantities. A second pass includes those.
 
 use crate::least::{Found, Problem};
 use rtec_files::InputError;
@@ -13,7 +13,7 @@ use serde::Serialize;
 use std::path::{Path, PathBuf};
 use toml_edit::{DocumentMut, Item, TableLike, Value, value};
 
-/// What one µm or µrad of a coefficient must make of a response at the least, µm.
+/// Smallest response to one µm or µrad of a coefficient that counts, µm.
 const SEEN_UM: f64 = 1e-4;
 
 /// One fitted coefficient of a chain's component.
@@ -34,35 +34,37 @@ pub struct TermFound {
     pub interval: [f64; 2],
 }
 
-/// What a fit of a chain's components found.
+/// The result of fitting a chain's components.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ChainReport {
     /// The fitted coefficients.
     pub terms: Vec<TermFound>,
-    /// RMS per record and response, its own zero taken off, µm: before, and after.
+    /// RMS per record and response, before and after, µm.
+    /// Each response's own zero is subtracted.
     pub rms_um: Vec<(PathBuf, String, [f64; 2])>,
-    /// What is left at every row of the same, µm: before, and after. For plots.
+    /// Residuals at every row of the same, before and after, µm. For plots.
     #[serde(skip)]
     pub left_um: Vec<[Vec<f64>; 2]>,
     /// Arrays behind the fit, per response of the records that show a coefficient.
     #[serde(skip)]
     pub rows: Vec<ChainRows>,
-    /// What to know of the gauges' steps.
+    /// Messages about the gauges' steps.
     pub warnings: Vec<String>,
 }
 
-/// One response of a record in a chain's fit; it has a zero of its own.
+/// One response of a record in a chain's fit; it has its own zero.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ChainRows {
     /// The record's sidecar.
     pub record: PathBuf,
     /// The response, as `error.x`.
     pub response: String,
-    /// What was measured, µm.
+    /// The measured values, µm.
     pub measured: Vec<f64>,
-    /// What the fitted chain says, µm.
+    /// The fitted chain's values, µm.
     pub predicted: Vec<f64>,
-    /// What one µm or µrad of each coefficient makes of it, µm, in the order of [`ChainReport::terms`].
+    /// Change of the response per µm or µrad of each coefficient, µm.
+    /// The order is that of [`ChainReport::terms`].
     pub derivatives: Vec<Vec<f64>>,
 }
 
@@ -72,11 +74,12 @@ pub struct ChainRun<'r> {
     /// The run that measured it.
     pub record: &'r Record,
     /// The point in the last frame of the tool branch, mm.
-    /// The chain's own tool point where it is not given. The same path measured at two points tells a rotation from a displacement.
+    /// `None` means the chain's own tool point. The same path measured at two points distinguishes a rotation
+    /// from a displacement.
     pub tool_mm: Option<[f64; 3]>,
 }
 
-/// Places of a coefficient: joint, component, term.
+/// Indices of a coefficient: joint, component, term.
 type Place = [usize; 3];
 
 /// The places of the components named `JOINT.COMPONENT`.
@@ -111,7 +114,7 @@ fn places(chain: &Chain, components: &[String]) -> Result<Vec<Place>, InputError
     Ok(found)
 }
 
-/// What lacks where the records do not determine a coefficient.
+/// The error for records that do not determine a coefficient.
 fn not_determined(chain: &Chain, [j, c, t]: Place) -> InputError {
     let joint = &chain.joints[j];
     let (component, term) = (&joint.components[c], &joint.components[c].terms[t]);
@@ -132,11 +135,11 @@ fn about_mean_um(left: &[f64]) -> f64 {
     (left.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / n).sqrt()
 }
 
-/// Fits the named components (`z slide.dx`) of a chain on the records.
+/// Fits the named components (`z slide.dx`) of a chain to the records.
 ///
 /// # Errors
-/// A component that the chain does not have, a record that lacks an axis or a sensor, coefficients that these records
-/// do not determine.
+/// A component that the chain does not have, a record that lacks an axis or a sensor, coefficients that these
+/// records do not determine.
 pub fn fit(
     chain: &Chain,
     components: &[String],
@@ -163,7 +166,7 @@ pub fn fit(
             .filter(|c| matches!(&c.role, Role::Error(a) if ["x", "y", "z"].contains(&a.as_str())));
         of.map(|c| (c.role.clone(), c.data.clone())).collect()
     };
-    // What one µm or µrad more of each coefficient makes of a response.
+    // Change of a response per µm or µrad of each coefficient.
     let slopes = |chain: &Chain, run: &ChainRun<'_>, role: &Role, base: &[f64]| {
         let mut columns = Vec::with_capacity(places.len());
         for place in &places {
@@ -172,7 +175,8 @@ pub fn fit(
             let with = says(&more, run, role)?;
             columns.push(with.iter().zip(base).map(|(w, b)| w - b).collect::<Vec<f64>>());
         }
-        // A component that moves this response in products with other errors only is not to be seen in it.
+        // A component that moves this response only in products with other errors counts as not visible in
+        // it.
         for c in columns.iter_mut().filter(|c| c.iter().all(|v| v.abs() < SEEN_UM)) {
             c.fill(0.0);
         }
@@ -239,17 +243,17 @@ pub fn fit(
 /// Writes a fitted chain, see [`text`].
 ///
 /// # Errors
-/// The file that it was read from is not there any more, or the new one cannot be written.
+/// The file that it was read from does not exist any more, or the new one cannot be written.
 pub fn write(from: &Path, chain: &Chain, report: &ChainReport, to: &Path) -> Result<(), InputError> {
     rtec_files::write::whole(to, text(from, chain, report)?.as_bytes())
         .map_err(|e| InputError::whole(to, format!("error `{e}`"), "a file that can be written"))
 }
 
-/// A fitted chain.
-/// The file it was read from with its coefficients (and the intervals of those that the fit found) in place; comments and order stay.
+/// The text of a fitted chain.
+/// It is the file that was read, with the fitted coefficients and their intervals. Comments and order stay.
 ///
 /// # Errors
-/// The file that it was read from is not there any more.
+/// The file that it was read from does not exist any more.
 pub fn text(from: &Path, chain: &Chain, report: &ChainReport) -> Result<String, InputError> {
     let text = rtec_files::text::read(from)?;
     let mut doc: DocumentMut =
@@ -277,7 +281,7 @@ pub fn text(from: &Path, chain: &Chain, report: &ChainReport) -> Result<String, 
     Ok(doc.to_string())
 }
 
-/// The n-th table of an array of tables, in either of TOML's ways of writing one.
+/// The n-th table of an array of tables, in either of TOML's notations.
 fn nth(item: Option<&mut Item>, n: usize) -> Option<&mut dyn TableLike> {
     match item? {
         Item::ArrayOfTables(tables) => tables.get_mut(n).map(|t| t as &mut dyn TableLike),

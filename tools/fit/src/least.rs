@@ -1,10 +1,10 @@
-//! Least squares for parameters that an error is linear in.
-//! Effects named by the user, terms of a chain.
+//! Least squares for parameters in which an error is linear.
+//! They are effects named by the user, or terms of a chain.
 //!
-//! A gauge's zero is arbitrary, so every response of every record has its own constant, which is discarded. Intervals come from leaving out
-//! each of ten stretches of rows in turn (delete-one-block jackknife), so that errors shared by neighbouring rows do not narrow them. The
-//! same is done with stretches of places of every axis, because an unexplained wave or bend repeats at its place. The widest interval
-//! counts.
+//! A gauge's zero is arbitrary, so every response of every record has its own constant, which is discarded.
+//! Intervals come from leaving out each of ten stretches of rows in turn (delete-one-block jackknife). Errors
+//! shared by neighbouring rows therefore do not narrow them. The same is done with stretches of places of
+//! every axis, because an unexplained wave or bend repeats at its place. The widest interval is used.
 
 use crate::places::{self, Left};
 use crate::statistics::quantile;
@@ -21,12 +21,12 @@ use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
-/// Stretches of rows that are left out in turn.
+/// Number of stretches of rows that are left out in turn.
 const BLOCKS: usize = 10;
 /// Columns are dependent if less than this share of one is independent.
 const DEPENDENT: f64 = 1e-5;
 
-/// One parameter of an effect, fitted.
+/// The fitted value of one parameter.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Found {
     pub(crate) value: f64,
@@ -34,21 +34,21 @@ pub(crate) struct Found {
 }
 
 /// A linear problem.
-/// One column per parameter, rows of all records under one another.
+/// It has one column per parameter; the rows of all records follow each other.
 #[derive(Debug, Default)]
 pub(crate) struct Problem {
     columns: Vec<Vec<f64>>,
     y: Vec<f64>,
-    /// Where each response of each record starts, and where it ends.
+    /// The rows of each response of each record.
     pieces: Vec<std::ops::Range<usize>>,
-    /// The means that were taken off each piece: of the response, and of every column.
-    /// None where the zero is known.
+    /// The means of response and columns that were subtracted from each piece.
+    /// `None` if the zero is known.
     means: Vec<Option<(f64, Vec<f64>)>>,
     /// Rows that share a coarse gauge's rounding error, and its standard deviation.
     rounded: Vec<(Vec<usize>, f64)>,
     /// Causes that were read in coarse steps.
     causes: Vec<CoarseCause>,
-    /// Where an axis was at every row, mm, by its name; nothing where it stood still.
+    /// Position of an axis at every row, mm, by its name; `None` if it stood still.
     at_mm: BTreeMap<String, Vec<Option<f64>>>,
 }
 
@@ -57,14 +57,14 @@ pub(crate) struct Problem {
 struct CoarseCause {
     /// The first row of its piece.
     start: usize,
-    /// What one standard deviation of rounding changes in every column, row by row.
+    /// Change of every column per standard deviation of rounding, row by row.
     moves: Vec<Vec<f64>>,
     /// Rows of the piece that share one rounding error.
     alike: Vec<std::ops::Range<usize>>,
 }
 
-/// The step that a cause was read in.
-/// Places that an axis was sent to are no readings.
+/// The step in which a cause was read.
+/// Commanded positions are not readings and have none.
 fn cause_step(record: &Record, column: &Column) -> Option<f64> {
     let moving = matches!(record.kind, Kind::Dynamics | Kind::Ballbar | Kind::FeedSweep);
     match column.role {
@@ -80,8 +80,9 @@ impl Problem {
         Self { columns: vec![Vec::new(); parameters], ..Self::default() }
     }
 
-    /// A response of a record.
-    /// What was measured, and per parameter what one unit of it makes of every row. The mean is taken off unless the zero is known.
+    /// Adds a response of a record.
+    /// `y` is the measured response; `columns` are its changes per unit of each parameter. The mean is
+    /// subtracted unless the zero is known.
     pub(crate) fn push(&mut self, y: &[f64], columns: &[Vec<f64>], zero_is_known: bool) {
         let mean =
             |v: &[f64]| if zero_is_known { 0.0 } else { v.iter().sum::<f64>() / v.len().max(1) as f64 };
@@ -98,16 +99,16 @@ impl Problem {
         self.means.push((!zero_is_known).then_some((of_y, of_columns)));
     }
 
-    /// What the solution leaves of a piece on average, µm: its own zero.
-    /// None where that is known.
+    /// Mean residual of a piece, µm: its own zero.
+    /// `None` if that is known.
     fn zero_um(&self, found: &[Found], piece: usize) -> Option<f64> {
         let (of_y, of_columns) = self.means[piece].as_ref()?;
         Some(of_y - found.iter().zip(of_columns).map(|(f, m)| f.value * m).sum::<f64>())
     }
 
-    /// The response pushed last, as its gauge reads it, is rounded to coarse steps.
-    /// Readings of one value from one side are off by the same; where noise dithers the steps, what is left of them is alike from one side.
-    /// Gives what to know of that.
+    /// Notes that a coarse gauge rounds the response that was pushed last.
+    /// Equal readings from one side have the same error. If noise dithers the steps, the remaining rounding
+    /// error is equal from one side. Returns a message for the user.
     pub(crate) fn rounded_as(&mut self, record: &Record, column: &Column) -> Option<String> {
         let piece = self.pieces.last().cloned()?;
         if column.data.iter().all(|v| v - column.data[0] == 0.0) {
@@ -139,7 +140,8 @@ impl Problem {
     }
 
     /// Finds causes of a record that were read in coarse steps.
-    /// They concern the response pushed last. `basis` gives the columns of a record. Returns the messages for the user.
+    /// They concern the response pushed last. `basis` gives the columns of a record. Returns the messages for
+    /// the user.
     fn rounded_causes(
         &mut self,
         record: &Record,
@@ -157,7 +159,7 @@ impl Problem {
             if moves.iter().flatten().all(|m| *m == 0.0) {
                 continue;
             }
-            // Readings that follow each other and are alike are off by the same.
+            // Consecutive equal readings have the same error.
             let alike = column.data.chunk_by(|a, b| (a - b).abs() < 0.5 * step).scan(0, |from, rows| {
                 let start = *from;
                 *from += rows.len();
@@ -187,7 +189,7 @@ impl Problem {
     fn rounding(&self, solution: &Solution) -> Vec<f64> {
         let covariance = solution.covariance();
         let mut squares = vec![0.0; self.columns.len()];
-        // Rows are off by the same, or by so many times one standard deviation each.
+        // Adds rows with a common error; each is given in standard deviations of it.
         let mut add = |rows: &mut dyn Iterator<Item = (usize, f64)>| {
             let mut sum = vec![0.0; squares.len()];
             rows.for_each(|(i, by)| sum.iter_mut().zip(&self.columns).for_each(|(s, c)| *s += by * c[i]));
@@ -199,7 +201,7 @@ impl Problem {
             add(&mut rows.iter().map(|i| (*i, *sd)));
         }
         for cause in &self.causes {
-            // What one standard deviation of rounding does to the response at a row.
+            // Change of the response at a row per standard deviation of rounding.
             let error = |i: usize| cause.moves.iter().zip(&solution.values).map(|(m, v)| m[i] * v).sum();
             for rows in &cause.alike {
                 add(&mut rows.clone().map(|i| (cause.start + i, error(i))));
@@ -208,7 +210,7 @@ impl Problem {
         squares.into_iter().map(f64::sqrt).collect()
     }
 
-    /// Where the axes were that moved through the response pushed last.
+    /// Records the positions of the axes that moved in the response pushed last.
     fn moved(&mut self, record: &Record) {
         let Some(piece) = self.pieces.last().cloned() else { return };
         for (axis, p) in places::moving(record) {
@@ -218,10 +220,10 @@ impl Problem {
         }
     }
 
-    /// Stretches that are left out in turn.
-    /// Those of time, and those of each axis' places; every row's block.
+    /// The stretches that are left out in turn, as every row's block.
+    /// The first set is of time, the others are of each axis' places.
     fn stretches(&self) -> Vec<Vec<usize>> {
-        // Every stretch is one of its record's response, so that each holds rows of all of them.
+        // Stretches divide each record's response, so that every stretch has rows of all of them.
         let block = |i: usize| {
             let piece = self.pieces.iter().find(|r| r.contains(&i));
             piece.map_or(0, |r| (i - r.start) * BLOCKS / r.len())
@@ -241,7 +243,7 @@ impl Problem {
         std::iter::once(in_time).chain(by_place).collect()
     }
 
-    /// RMS over the pieces that `take` chooses: before the solution, and after it.
+    /// RMS over the pieces that `take` chooses: without and with the solution.
     fn rms_um(&self, found: &[Found], take: impl Fn(usize) -> bool) -> [f64; 2] {
         let (mut before, mut after, mut n) = (0.0, 0.0, 0.0);
         for i in self.pieces.iter().enumerate().filter(|(k, _)| take(*k)).flat_map(|(_, p)| p.clone()) {
@@ -256,8 +258,8 @@ impl Problem {
         self.y[i] - found.iter().zip(&self.columns).map(|(f, c)| f.value * c[i]).sum::<f64>()
     }
 
-    /// RMS over the pieces that `take` chooses.
-    /// Each stretch of time by the solution of all the others.
+    /// RMS over the pieces that `take` chooses, on unseen rows.
+    /// Each stretch of time is predicted by the solution of all the others.
     fn unseen_um(&self, take: impl Fn(usize) -> bool) -> Option<f64> {
         let blocks = self.stretches().swap_remove(0);
         let equal = self.equal_rows(&blocks);
@@ -272,7 +274,7 @@ impl Problem {
         (n > 0.0).then(|| (sum / n).sqrt())
     }
 
-    /// The blocks as few rows each, which have the same solution.
+    /// The blocks reduced to a few rows each, which have the same solution.
     fn equal_rows(&self, blocks: &[usize]) -> Vec<(Vec<Vec<f64>>, Vec<f64>)> {
         let of = |b: usize| {
             let own =
@@ -282,8 +284,8 @@ impl Problem {
         (0..BLOCKS).map(of).collect()
     }
 
-    /// Half width that holds 95 % of the rows in the worst selected piece.
-    /// One kind of run may show what another does not.
+    /// Half width that contains 95 % of the rows in the worst selected piece.
+    /// The worst is used because one kind of run may show what another does not.
     fn half_width_um(&self, found: &[Found], take: impl Fn(usize) -> bool) -> f64 {
         let own = self.pieces.iter().enumerate().filter(|(k, p)| take(*k) && !p.is_empty());
         own.map(|(_, p)| quantile(p.clone().map(|i| self.left_um(found, i).abs()).collect(), 0.95))
@@ -291,7 +293,7 @@ impl Problem {
     }
 
     /// Solves, or returns the first parameter that these rows do not determine.
-    /// It is not determined beside those before it.
+    /// It is not determined together with those before it.
     pub(crate) fn solve(&self) -> Result<Vec<Found>, usize> {
         rtec_files::watch::step();
         let solution = rtec_least_squares::solve(&self.columns, &self.y)?;
@@ -339,33 +341,33 @@ fn without(equal: &[(Vec<Vec<f64>>, Vec<f64>)], block: usize) -> Result<Solution
     rtec_least_squares::solve(&(0..equal[0].0.len()).map(column).collect::<Vec<_>>(), &y)
 }
 
-/// A record's own zero of a response: where its gauge or its homing put it.
+/// A record's own zero of a response, set by its gauge or its homing.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Zero {
     /// The record's file.
     pub record: String,
     /// The response.
     pub response: String,
-    /// What the fit leaves of it on average, µm.
+    /// Mean residual of the response, µm.
     pub um: f64,
 }
 
-/// What a fit of named effects found.
+/// The result of fitting named effects.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct NamedReport {
     /// The fitted effects with their intervals.
     pub effects: Vec<Fitted>,
-    /// RMS per response over all records, each record's own zero taken off, µm.
-    /// Before, and after.
+    /// RMS per response over all records, before and after, µm.
+    /// Each record's own zero is subtracted.
     pub rms_um: Vec<(String, [f64; 2])>,
-    /// The records' own zeros that were taken off.
-    /// No part of the model, and of no interval.
+    /// The records' own zeros that were subtracted.
+    /// They belong neither to the model nor to an interval.
     pub zeros: Vec<Zero>,
-    /// What is left that is no noise, by response.
+    /// Messages about residuals that are not noise, by response.
     pub warnings: Vec<String>,
 }
 
-/// Enters the effects with what was found of them into the machine.
+/// Adds the fitted effects to the machine.
 fn written(
     machine: &mut Machine,
     effects: Vec<Effect>,
@@ -396,7 +398,7 @@ fn written(
     Ok(fitted)
 }
 
-/// `scale.x`, or `thermal_expansion.x:T3-T20` where the effect reads temperatures.
+/// Parses an effect, with temperatures as in `thermal_expansion.x:T3-T20`.
 fn effect_of(text: &str, dictionary: &Dictionary) -> Result<Effect, InputError> {
     let usage = |found: String, expected: String| InputError::whole(Path::new("--effects"), found, expected);
     let (name, delta) = text.split_once(':').map_or((text, None), |(n, d)| (n, Some(d)));
@@ -424,7 +426,7 @@ fn effect_of(text: &str, dictionary: &Dictionary) -> Result<Effect, InputError> 
     Ok(effect)
 }
 
-/// The named effects, each once and none that the base has.
+/// The named effects, without duplicates and without those of the base.
 fn effects_of(base: &Machine, names: &[String]) -> Result<Vec<Effect>, InputError> {
     let usage = |found: String, expected: &str| InputError::whole(Path::new("--effects"), found, expected);
     let effects = names.iter().map(|n| effect_of(n, base.dictionary())).collect::<Result<Vec<_>, _>>()?;
@@ -440,7 +442,7 @@ fn effects_of(base: &Machine, names: &[String]) -> Result<Vec<Effect>, InputErro
     Ok(effects)
 }
 
-/// Half widths of a response by kind of run, with each piece's response and kind.
+/// Half widths of a response by kind of run, from each piece's response and kind.
 fn by_kind_um(
     problem: &Problem,
     found: &[Found],
@@ -456,7 +458,7 @@ fn by_kind_um(
     kinds.into_iter().map(width).collect()
 }
 
-/// What is left of each piece that is no noise, a line each.
+/// Messages about pieces whose residuals are not noise, one line each.
 fn structure(
     problem: &Problem,
     found: &[Found],
@@ -471,8 +473,8 @@ fn structure(
     (0..problem.pieces.len()).filter_map(of).collect()
 }
 
-/// What one unit of each coefficient makes of a response, row by row.
-/// Nothing where the record lacks what an effect needs.
+/// Change of a response per unit of each coefficient, row by row.
+/// `None` if the record lacks an input of an effect.
 fn basis_of(effects: &[Effect], record: &Record, role: &Role) -> Option<Vec<Vec<f64>>> {
     let mut columns = Vec::new();
     for effect in effects {
@@ -486,12 +488,13 @@ fn basis_of(effects: &[Effect], record: &Record, role: &Role) -> Option<Vec<Vec<
     Some(columns)
 }
 
-/// Fits effects that the user names, beside all that the base holds.
-/// It uses least squares on all responses of the records, errors and forces, and returns the base with the effects added.
+/// Fits effects that the user names, in addition to those of the base.
+/// It uses least squares on all responses of the records, errors and forces, and returns the base with the
+/// effects added.
 ///
 /// # Errors
-/// An unknown effect, one that the base has, one that is not linear; a record that lacks what an effect reads; effects
-/// that these records cannot tell apart.
+/// An unknown effect, one that the base has, one that is not linear; a record that lacks an input of an
+/// effect; effects that these records cannot distinguish.
 pub fn fit_named(
     base: &Machine,
     names: &[String],
@@ -510,7 +513,7 @@ pub fn fit_named(
     let count: usize = effects.iter().map(Effect::coefficient_count).sum();
     let mut problem = Problem::new(count);
     let mut roles: Vec<Role> = Vec::new();
-    // Response and kind of run.
+    // Response and kind of run of each piece.
     let mut piece_of: Vec<(Role, Option<String>)> = Vec::new();
     let mut owners: Vec<&Record> = Vec::new();
     let mut coarse = Vec::new();
@@ -543,7 +546,7 @@ pub fn fit_named(
             }
             problem.push(&column.data, &columns, zero_is_known);
             problem.moved(record);
-            // As it was read: what is beyond the base has no steps.
+            // The column as read is used, because the difference to the base has no steps.
             coarse.extend(record.column(&column.role).and_then(|read| problem.rounded_as(record, read)));
             coarse.extend(problem.rounded_causes(&left, &|record| basis_of(&effects, record, &column.role)));
             owners.push(record);

@@ -1,19 +1,19 @@
-//! Which parameters, sensors and intervals the data supports.
+//! Finds the parameters, sensors and intervals that the data supports.
 //!
 //! | module | what |
 //! |---|---|
 //! | [`thermal`] | sensor selection (CASC) and the fit of equation 1 of WO 97/43703 |
 //! | [`least`] | least squares for effects and chain terms that are named |
-//! | `places` | what is left at a place every time |
+//! | `places` | residuals that repeat at a place |
 //! | [`quiet`] | temperatures without their sensors' noise |
 //! | `statistics` | means and ranks |
 //! | [`workflow`] | a fit from records as people give them, and its document |
 //! | [`validate`] | a model judged on records it has not seen |
 //! | [`chain`] | a chain's polynomials, fitted component by component |
 //!
-//! Which effect is missing altogether is decided in `rtec-reconcile`, not here.
+//! `rtec-reconcile`, not this crate, decides which effect is missing altogether.
 //!
-//! At work: `cargo run -p rtec-fit --example fit_growth`, which the tests run too.
+//! An example: `cargo run -p rtec-fit --example fit_growth`. The tests run it too.
 
 pub mod chain;
 pub mod least;

@@ -1,27 +1,28 @@
-//! What is the same at a place every time.
-//! How far it is above what the rows of one place differ by, and stretches of places that are left out in turn.
+//! Residuals that repeat at a place.
+//! They are compared with the scatter of the rows of one place. Stretches of places serve for leaving out.
 
 use rtec_model::record::{Record, Role};
 use statrs::distribution::{ContinuousCDF, FisherSnedecor};
 use std::collections::BTreeMap;
 use std::fmt;
 
-/// An axis that moves by less stands still, mm.
+/// An axis that moves by less counts as standing still, mm.
 const STILL_MM: f64 = 1.0;
 /// Positions that differ by less than this share of the travel are one place.
 const ONE_PLACE: f64 = 2e-3;
-/// Fewer places are no travel.
+/// With fewer places an axis counts as not moving.
 const FEWEST: usize = 5;
-/// Chance that noise alone looks as structured, per response.
+/// Probability, per response, that noise alone seems structured.
 const CHANCE: f64 = 1e-4;
-/// Autocorrelation from row to row up to which a residual is noise.
-/// 0.7 is noise by contract; the rest allows for chance over so many rows. It decides if no place was visited twice.
+/// Largest autocorrelation from row to row of a residual that is noise.
+/// Up to 0.7 is noise by definition; the rest allows for chance over this many rows. This test decides if no
+/// place was visited twice.
 const MEMORY: f64 = 0.85;
 const ROWS: usize = 40;
-/// Finer than any instrument, µm.
+/// Resolution finer than that of any instrument, µm.
 const RESOLUTION_UM: f64 = 1e-3;
 
-/// The axes that move in a record, by name, and where they are.
+/// The axes that move in a record, by name, with their positions.
 pub(crate) fn moving(record: &Record) -> impl Iterator<Item = (String, &[f64])> {
     let of = |axis: &rtec_model::record::Axis| {
         let p = record.data(&Role::Position(axis.clone()))?;
@@ -35,7 +36,7 @@ fn range(p: impl Iterator<Item = f64>) -> f64 {
     (hi - lo).max(0.0)
 }
 
-/// The number of each row's place along an axis, in order, and how many there are.
+/// Index of each row's place along an axis, in order, and the number of places.
 fn numbered(p: &[Option<f64>]) -> (Vec<Option<usize>>, usize) {
     let near = ONE_PLACE * range(p.iter().flatten().copied());
     let mut order: Vec<usize> = (0..p.len()).filter(|i| p[*i].is_some()).collect();
@@ -58,18 +59,18 @@ pub(crate) fn stretches(p: &[Option<f64>], most: usize) -> Option<Vec<Option<usi
     (count >= FEWEST).then(|| number.into_iter().map(of).collect())
 }
 
-/// What a fit leaves of a response that is no noise.
+/// A residual that is not noise.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Left {
-    /// RMS of all that is left, µm.
+    /// RMS of the whole residual, µm.
     rms_um: f64,
     /// Standard deviation of the rows of one place, µm.
-    /// None where no place was come to twice.
+    /// `None` if no place was visited twice.
     repeats_um: Option<f64>,
 }
 
 impl Left {
-    /// What these rows' residuals show after `fitted` parameters.
+    /// Tests these rows' residuals after a fit of `fitted` parameters.
     /// `None` if they may be noise.
     pub(crate) fn of(record: &Record, left_um: &[f64], fitted: usize) -> Option<Self> {
         let n = left_um.len();
@@ -106,7 +107,7 @@ impl Left {
         let repeats = (within / again).max(RESOLUTION_UM * RESOLUTION_UM);
         let ratio = between / others / repeats;
         let beyond = FisherSnedecor::new(others, again).map_or(1.0, |f| 1.0 - f.cdf(ratio));
-        // What the places have of their own, beside what the noise makes of their means.
+        // Variance between the places, less the part that noise causes in their means.
         let own = (between - others * repeats) / n as f64;
         (beyond < CHANCE && own > repeats).then(|| Self { rms_um, repeats_um: Some(repeats.sqrt()) })
     }

@@ -1,24 +1,25 @@
 //! Removes the sensors' noise from temperatures.
-//! A machine grows with the true temperature, which is smooth; its log carries a hundredth of a kelvin of noise. A law fitted to the log
-//! would prefer whatever averages that noise away: a lag of some seconds, or a pair of sensors.
+//! A machine grows with the true temperature, which is smooth; its log carries a hundredth of a kelvin of
+//! noise. A law fitted to the log would prefer anything that averages that noise: a lag of some seconds, or a
+//! pair of sensors.
 //!
-//! The result is the smoothest series near the log (Whittaker, Proc. Edinb. Math. Soc. 41 (1923) 63). Restricted maximum likelihood decides
-//! how near. A log that jumps stays as it is.
+//! The result is the smoothest series near the log (Whittaker, Proc. Edinb. Math. Soc. 41 (1923) 63).
+//! Restricted maximum likelihood decides how near. A log that jumps stays as it is.
 
 use rtec_model::record::{Record, Role};
 
-/// Fewer rows do not tell noise from movement.
+/// Fewest rows that allow noise to be separated from changes.
 const FEWEST: usize = 12;
-/// A sensor that is noisier than this, K, is no sensor of a machine.
-/// Its log jumps for another reason.
+/// Largest noise of a machine's sensor, K.
+/// A log with more jumps for another reason.
 const NOISIEST_K: f64 = 0.15;
-/// Largest row-to-row autocorrelation of what is removed. Above it, it is no noise.
+/// Largest row-to-row autocorrelation of removed noise. Above it, it is not noise.
 const ALIKE: f64 = 0.3;
-/// Penalties that are tried: powers of ten, so many steps each.
+/// Penalties that are tried: powers of ten, and steps within each.
 const DECADES: std::ops::RangeInclusive<i32> = -1..=6;
 const STEPS: i32 = 2;
 
-/// The record with each temperature as it is without its sensor's noise.
+/// The record with the noise removed from each temperature.
 #[must_use]
 pub fn temperatures(record: &Record) -> Record {
     let mut quiet = record.clone();
@@ -31,7 +32,7 @@ pub fn temperatures(record: &Record) -> Record {
     quiet
 }
 
-/// One series without its noise. `None` if it shows none, or is too short to tell.
+/// One series without its noise. `None` if it has none, or is too short.
 /// `t` never decreases.
 #[must_use]
 pub fn series(t: &[f64], y: &[f64]) -> Option<Vec<f64>> {
@@ -45,7 +46,7 @@ pub fn series(t: &[f64], y: &[f64]) -> Option<Vec<f64>> {
         }
     }
     let (_, x) = best?;
-    // Noise is small and does not know the row before.
+    // Noise is small and uncorrelated from row to row.
     let taken: Vec<f64> = y.iter().zip(&x).map(|(y, x)| y - x).collect();
     let squares: f64 = taken.iter().map(|e| e * e).sum();
     let with_next: f64 = taken.windows(2).map(|w| w[0] * w[1]).sum();
@@ -56,13 +57,13 @@ pub fn series(t: &[f64], y: &[f64]) -> Option<Vec<f64>> {
 /// Changes of slope from row to row, each relative to its expected size.
 /// The expected size depends on the time between rows.
 struct Bends {
-    /// Weights of three rows in a row.
+    /// Weights of three consecutive rows.
     rows: Vec<[f64; 3]>,
     n: usize,
 }
 
 impl Bends {
-    /// None where rows are few, stand at one time, or never change.
+    /// `None` if there are few rows, if all have one time, or if they never change.
     fn of(t: &[f64], y: &[f64]) -> Option<Self> {
         let n = y.len();
         if n < FEWEST || t.len() != n || y.iter().all(|v| v.to_bits() == y[0].to_bits()) {
@@ -156,7 +157,7 @@ mod tests {
     }
 
     /// A warm-up with a hundredth of a kelvin of noise.
-    /// Most of it is gone, and nothing of the warm-up.
+    /// Most of the noise is removed, and nothing of the warm-up.
     #[test]
     fn noise_goes_and_the_warm_up_stays() {
         let t: Vec<f64> = (0..300).map(|i| 60.0 * f64::from(i)).collect();
@@ -170,7 +171,7 @@ mod tests {
     }
 
     /// Rows at uneven times, and a kink where the spindle is switched.
-    /// No more is lost than the noise was.
+    /// The change is not larger than the noise was.
     #[test]
     fn a_kink_survives() {
         let t: Vec<f64> = (0..200).map(|i| 10.0 * f64::from(i) + if i > 90 { 900.0 } else { 0.0 }).collect();

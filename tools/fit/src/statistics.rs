@@ -1,6 +1,6 @@
-//! Means and ranks of some values.
+//! Means and quantiles.
 
-/// The value below which this share of the values lies (nearest rank, rounded up).
+/// The value below which this share of the values is (nearest rank, rounded up).
 pub(crate) fn quantile(mut values: Vec<f64>, share: f64) -> f64 {
     values.sort_by(f64::total_cmp);
     let rank = (share * values.len() as f64).ceil() as usize;

@@ -1,5 +1,5 @@
-//! A model judged on records.
-//! What is left, how often its interval holds, where it is asked too much.
+//! Judges a model on records.
+//! It gives the residual, the share of rows in the interval, and where the model is used outside its range.
 
 use crate::thermal::prediction_chart;
 use rtec_files::date;
@@ -12,15 +12,15 @@ use rtec_model::machine::{FitNote, Machine, Reach};
 use rtec_model::record::{Column, Record};
 use serde_json::{Value, json};
 
-/// Less than this share of the rows within a 95 % interval is too little.
+/// Smallest acceptable share of the rows within a 95 % interval.
 const HOLDS: f64 = 0.9;
 
-/// What was found: one entry for each response of each record.
+/// The results: one entry for each response of each record.
 #[derive(Debug)]
 pub struct Validation {
     /// `{"responses", "no_better", "suspicions"}`: output of `model validate --json`.
     pub document: Value,
-    /// Responses that the model explains no better than nothing does.
+    /// Responses that the model predicts no better than zero does.
     pub no_better: Vec<String>,
     /// Measured, predicted and the interval over time, one for each response.
     pub charts: Vec<Chart>,
@@ -29,7 +29,7 @@ pub struct Validation {
 /// Judges a model on records that it has not seen.
 ///
 /// # Errors
-/// A record lacks what an effect needs.
+/// A record lacks an input of an effect.
 pub fn validate(
     machine: &Machine,
     records: &[Record],
@@ -74,7 +74,7 @@ pub fn validate(
     Ok(Validation { document, no_better, charts })
 }
 
-/// One response.
+/// The result for one response.
 struct Judged {
     figures: Value,
     no_better: Option<String>,
@@ -95,7 +95,7 @@ fn judge(
     let mean = column.data.iter().sum::<f64>() / n;
     let left: Vec<f64> = column.data.iter().zip(predicted).map(|(m, p)| m - p).collect();
     let (before, after) = (rms(&mut column.data.iter().copied()), rms(&mut left.iter().copied()));
-    // A run's own zero (homing, the gauge's set-up) is no model's to tell.
+    // A run's own zero (homing, the gauge's set-up) cannot be predicted by a model.
     let zero = left.iter().sum::<f64>() / n;
     let within = |about: f64| {
         widths.map(|w| left.iter().zip(w).filter(|(v, w)| (*v - about).abs() <= **w).count() as f64 / n)
@@ -127,7 +127,7 @@ fn judge(
     Judged { figures, no_better }
 }
 
-/// What a prediction that helps nothing looks like.
+/// The reason in words why a prediction does not help.
 fn why_worse(measured: &Column, predicted: &[f64]) -> Option<&'static str> {
     let square = |v: &[f64]| v.iter().map(|p| p * p).sum::<f64>();
     let both = square(predicted);

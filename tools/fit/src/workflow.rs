@@ -1,5 +1,6 @@
 //! A fit from records as people give them.
-//! What is doubted in them is said and left out, then sensors are chosen or named effects fitted; the document that programs read.
+//! It reports and leaves out doubted data, then chooses sensors or fits named effects. It also makes the
+//! document for programs.
 
 use crate::least::{self, NamedReport};
 use crate::thermal::{self, Options, Report};
@@ -14,31 +15,31 @@ use serde_json::Value;
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// What a fit is asked with.
+/// The options of a fit, as the user gives them.
 #[derive(Debug, Clone)]
 #[allow(clippy::struct_excessive_bools)] // each is an option of its own
 pub struct Asked {
     /// Differences to choose from, as `T0` (to the environment) or `T8-T18`.
     /// Empty for all sensors.
     pub sensors: Vec<String>,
-    /// The sensor of the environment; the coldest on average where it is left out.
+    /// The sensor of the environment; `None` for the coldest on average.
     pub environment: Option<String>,
     /// Blocks of the cross-validation, 3 to 50.
     pub folds: usize,
-    /// Offer lags.
+    /// Whether to offer lags.
     pub lag: bool,
-    /// Offer squares.
+    /// Whether to offer squares.
     pub square: bool,
-    /// Offer the spindle's speed.
+    /// Whether to offer the spindle's speed.
     pub speed: bool,
-    /// What is known already.
+    /// A known model, whose effects are kept.
     pub base: Option<Machine>,
     /// The model's date, days since 1970-01-01.
-    /// Without it: the day of the latest record, or today if none has one.
+    /// `None` means the day of the latest record, or today if none has one.
     pub date: Option<i64>,
-    /// Days that the model may be used for without being looked at again.
+    /// Days for which the model may be used without a new check.
     pub valid_days: i64,
-    /// Fit even if a record's unit, sign, direction or column looks wrong.
+    /// Whether to fit even if a record's unit, sign, direction or column looks wrong.
     pub despite_suspicions: bool,
 }
 
@@ -59,41 +60,43 @@ impl Default for Asked {
     }
 }
 
-/// A fit, and what its records show of mistakes.
+/// A fit, and the mistakes that its records show.
 #[derive(Debug)]
 pub struct Fit {
-    /// The model with what was fitted.
+    /// The model with the fitted effects.
     pub machine: Machine,
-    /// How it was found, per response.
+    /// A report per response.
     pub reports: Vec<Report>,
     /// Mistakes that the records show.
     pub doubts: Vec<Suspicion>,
-    /// The training records as they were fitted.
+    /// The training records as used for the fit.
     pub records: Vec<Record>,
 }
 
-/// A fit of effects that were named.
+/// A fit of named effects.
 #[derive(Debug)]
 pub struct NamedFit {
-    /// The model with what was fitted.
+    /// The model with the fitted effects.
     pub machine: Machine,
-    /// What was found.
+    /// The report of the fit.
     pub report: NamedReport,
     /// Mistakes that the records show.
     pub doubts: Vec<Suspicion>,
-    /// The records as they were fitted.
+    /// The records as used for the fit.
     pub records: Vec<Record>,
 }
 
-/// A spindle's housing takes half an hour and more to warm through.
-/// A shorter drift test shows the beginning of it, or has minutes for seconds.
+/// Shortest drift test without a warning, s.
+/// A spindle's housing takes half an hour and more to warm through. A shorter test shows only the beginning,
+/// or has minutes for seconds.
 const SHORT_S: f64 = 1800.0;
 
 /// Chooses sensors and fits growth. `holdout` only affects the last figures.
-/// Messages go to `say`. A model of doubted records is only for inspection: [`Fit::is_to_be_written`] decides before it is kept.
+/// Messages go to `say`. A model of doubted records is only for inspection: call [`Fit::is_to_be_written`]
+/// before it is kept.
 ///
 /// # Errors
-/// No record; a sensor that is not there; records that say nothing of growth.
+/// No record; a sensor that is missing; records that do not show growth.
 pub fn fit(
     train: Vec<Record>,
     holdout: Vec<Record>,
@@ -105,7 +108,7 @@ pub fn fit(
     if train.is_empty() {
         return Err(InputError::whole(Path::new("model fit"), "no record", "a record to fit on"));
     }
-    // What a hold-out shows takes nothing from the training.
+    // Suspicions that hold-outs show remove nothing from the training.
     let train = plausible::usable(&train, &plausible::suspicions(&train), say);
     let of_holdout = plausible::suspicions(&holdout);
     let usable = plausible::in_figures(&holdout, &of_holdout);
@@ -159,12 +162,12 @@ pub fn fit(
     Ok(Fit { machine, reports, doubts, records: train })
 }
 
-/// Fits effects by their names, beside what the base holds.
+/// Fits effects by their names, in addition to those of the base.
 /// Names are such as `scale.x` and `thermal_expansion.x:T3-T20`.
 ///
 /// # Errors
-/// No record; a suspicion against one, where it is not overruled; an unknown effect, or one that these records say
-/// nothing of.
+/// No record; a suspicion against one, unless overruled; an unknown effect, or one that these records do not
+/// show.
 pub fn fit_named(
     records: Vec<Record>,
     effects: &[String],
@@ -202,7 +205,7 @@ impl Fit {
         plausible::refuse(&self.doubts, train)
     }
 
-    /// What programs read of the fit.
+    /// The fit as a document for programs.
     ///
     /// # Errors
     /// A figure that JSON does not have.
@@ -210,7 +213,7 @@ impl Fit {
         self.of(|r| serde_json::to_value(r))
     }
 
-    /// What programs read of the choice of sensors alone.
+    /// The choice of sensors alone as a document for programs.
     ///
     /// # Errors
     /// A figure that JSON does not have.
@@ -234,7 +237,7 @@ impl Fit {
 }
 
 impl NamedFit {
-    /// What programs read of it.
+    /// The fit as a document for programs.
     ///
     /// # Errors
     /// A figure that JSON does not have.
@@ -245,13 +248,13 @@ impl NamedFit {
     }
 }
 
-/// The day of the latest record that has one; today where none has.
+/// The day of the latest record with a date; today if none has one.
 fn day_of(records: &[Record]) -> i64 {
     let dated = records.iter().filter_map(|r| date::parse(r.date.as_deref()?)).max();
     dated.unwrap_or_else(date::today)
 }
 
-/// `T8-T18` or `T8`; names that hold a minus themselves are tried whole first.
+/// Parses `T8-T18` or `T8`; names that contain a minus are tried whole first.
 fn difference(text: &str, record: &Record) -> Result<Difference, InputError> {
     if record.temperature(text).is_some() {
         return Ok(Difference::single(text));
@@ -269,16 +272,16 @@ fn difference(text: &str, record: &Record) -> Result<Difference, InputError> {
     })
 }
 
-/// Differences that those before them make up: T1-T0 beside T1-T2 and T2-T0.
+/// Differences that depend on those before them: T1-T0 beside T1-T2 and T2-T0.
 fn closed(differences: &[Difference]) -> Vec<String> {
-    // Sensors that differences connect are one group; a difference within a group says nothing new.
+    // Sensors that differences connect form one group. A further difference within a group is redundant.
     let mut group: BTreeMap<String, usize> = BTreeMap::new();
     let mut out = Vec::new();
     for (k, d) in differences.iter().enumerate() {
         let ends = if d.is_pair() {
             d.sensors().map(str::to_owned).collect::<Vec<_>>()
         } else {
-            // The environment, whichever it is.
+            // The environment, whichever sensor it is.
             vec![d.to_string(), String::new()]
         };
         let own: Vec<usize> =

@@ -1,6 +1,6 @@
-//! A model at one instant: one effect of every law, and as many more.
+//! Speed of a model at one instant: one effect of every law, and more of them.
 //!
-//! Prints, asserts nothing: `cargo bench --workspace --bench live`.
+//! Prints the times and asserts nothing: `cargo bench --workspace --bench live`.
 
 use rtec_builders::axis;
 use rtec_model::effect::{Dictionary, Difference, Effect, Naming, Need};
@@ -8,7 +8,7 @@ use rtec_model::live::{AxisNow, Frame, Layout, Live};
 use std::hint::black_box;
 use std::time::Instant;
 
-/// One effect of every law of the dictionary (thirty).
+/// One effect of every law of the dictionary.
 fn every_law() -> Vec<Effect> {
     let d = Dictionary::default();
     let mut effects = Vec::new();
@@ -30,7 +30,7 @@ fn every_law() -> Vec<Effect> {
     effects
 }
 
-/// One effect of every law, again and again until there are `count`.
+/// A model of `count` effects: one of every law, repeated as often as needed.
 fn live(count: usize) -> Live {
     let effects: Vec<Effect> = every_law().into_iter().cycle().take(count).collect();
     let layout = Layout {
@@ -41,14 +41,14 @@ fn live(count: usize) -> Live {
     Live::new(&effects, layout).expect("everything is in the layout")
 }
 
-/// Instants of a motion, from a time on.
+/// A motion as a series of instants.
 struct Motion {
     t_s: f64,
     instants: Vec<(f64, [AxisNow; 3])>,
 }
 
 impl Motion {
-    /// The next instants: what a caller knows already, and so no part of what is timed.
+    /// Prepares the next instants, so that this work is outside the timed part.
     fn go_on(&mut self, instants: usize) {
         self.instants.clear();
         for _ in 0..instants {
@@ -63,7 +63,7 @@ impl Motion {
         }
     }
 
-    /// Asks at each of them.
+    /// Evaluates the model at each of the prepared instants.
     fn ask(&self, live: &mut Live) {
         for (t_s, axes) in &self.instants {
             live.evaluate(&Frame {
@@ -79,7 +79,7 @@ impl Motion {
 }
 
 fn main() {
-    // `[EFFECTS] N`: N instants and no more, for counting instructions.
+    // `[EFFECTS] N`: runs exactly N instants, for counting instructions.
     let words = std::env::args().skip(1).filter(|a| a != "--bench");
     let numbers: Vec<usize> = words.map(|w| w.parse().expect("a whole number")).collect();
     let mut motion = Motion { t_s: 0.0, instants: Vec::new() };

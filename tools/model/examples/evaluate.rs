@@ -1,4 +1,4 @@
-//! One machine model, asked twice: over the rows of a run, and at this instant.
+//! Evaluates one machine model over the rows of a run, and at one instant.
 use rtec_model::live::{AxisNow, Frame, Layout, Live};
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, Column, Kind, Record, Role};

@@ -1,9 +1,10 @@
-//! The chain model: error components of each joint, combined by homogeneous transforms (NISTIR 4854; Donmez et al.,
-//! "A general methodology for machine tool accuracy enhancement", 1986).
+//! The chain model: errors of each joint, combined by homogeneous transforms.
+//! Sources: NISTIR 4854; Donmez et al., "A general methodology for machine tool accuracy enhancement", 1986.
 //!
 //! Two branches start at the machine's bed: one ends at the work, one at the tool. A joint moves by its axis'
-//! position and errs by six components, each a polynomial of position and of a temperature difference. The error is
-//! where the tool point is in the frame of the work, minus where it should be.
+//! position and has six error components. Each component is a polynomial of the position and of a temperature
+//! difference. The error is the tool point's place in the frame of the work, minus the place where it should
+//! be.
 
 use crate::effect::{Against, Difference, Missing, STANDARD_DEGC, read_difference};
 use crate::record::{Axis, LINEAR, Record, Role};
@@ -29,7 +30,7 @@ pub enum Branch {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Term {
     /// Power of the position in units of 100 mm.
-    /// Coefficients so keep the component's order of magnitude.
+    /// With this unit coefficients keep the component's order of magnitude.
     pub position: u8,
     /// Power of the temperature difference, K.
     pub temperature: u8,
@@ -42,9 +43,9 @@ pub struct Term {
 pub struct Component {
     /// Which of the six motions it is: index into [`COMPONENTS`].
     pub kind: usize,
-    /// The temperature difference of its terms; none where no term has a power of it.
+    /// The temperature difference of its terms; `None` if no term depends on it.
     pub delta: Option<Difference>,
-    /// The polynomial that its error is the sum of.
+    /// The terms, whose sum is the component.
     pub terms: Vec<Term>,
 }
 
@@ -57,7 +58,7 @@ pub struct Joint {
     /// The branch of the chain that it belongs to.
     pub branch: Branch,
     /// The axis whose position moves it, with the direction in the machine's frame.
-    /// None for a joint at rest (spindle, tool post).
+    /// `None` for a joint at rest (spindle, tool post).
     pub axis: Option<(Axis, [f64; 3])>,
     /// Offset from the frame before, mm.
     pub offset_mm: [f64; 3],
@@ -74,14 +75,15 @@ pub struct Chain {
     pub tool_mm: [f64; 3],
 }
 
-/// Where a joint's axis is found, and the difference of each of its components.
+/// The axis of a joint, and the temperature difference of each component.
 #[derive(Debug, Clone)]
 pub(crate) struct JointPlaces<A, S> {
     axis: Option<A>,
     deltas: Vec<Option<DifferenceSource<S>>>,
 }
 
-/// Where a difference's sensors are, and what is subtracted if there is only one.
+/// The sensors of a temperature difference.
+/// Without a second sensor the reference temperature is subtracted.
 #[derive(Debug, Clone)]
 struct DifferenceSource<S> {
     sensor: S,
@@ -92,13 +94,13 @@ struct DifferenceSource<S> {
 /// A homogeneous transform: a point is turned, then shifted (mm).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Transform {
-    /// Row by row.
+    /// The rotation matrix, row by row.
     turn: [[f64; 3]; 3],
     shift_mm: [f64; 3],
 }
 
 impl Transform {
-    /// What leaves every point where it is.
+    /// The transform that leaves every point where it is.
     pub const IDENTITY: Self =
         Self { turn: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], shift_mm: [0.0; 3] };
 
@@ -106,16 +108,16 @@ impl Transform {
         [0, 1, 2].map(|row| dot(self.turn[row], point_mm) + self.shift_mm[row])
     }
 
-    /// First `inner`, then this one.
+    /// The transform that applies `inner` first, then this one.
     fn after(&self, inner: &Self) -> Self {
         let columns = [0, 1, 2].map(|k| inner.column(k));
         let turn = self.turn.map(|row| columns.map(|column| dot(row, column)));
         Self { turn, shift_mm: self.apply(inner.shift_mm) }
     }
 
-    /// The point that it brings here, by Cramer's rule.
+    /// The point that this transform moves to `point_mm`, by Cramer's rule.
     ///
-    /// None where it brings many points to one, which nothing near the identity does.
+    /// `None` for a singular matrix, which no transform near the identity has.
     fn undo(&self, point_mm: [f64; 3]) -> Option<[f64; 3]> {
         let p = [0, 1, 2].map(|row| point_mm[row] - self.shift_mm[row]);
         let [a, b, c] = [0, 1, 2].map(|k| self.column(k));
@@ -163,14 +165,14 @@ impl Chain {
         axes
     }
 
-    /// The positions that it reads and a record does not log.
+    /// The positions that the chain reads and the record does not log.
     #[must_use]
     pub fn taken_as_zero(&self, record: &Record) -> Vec<Role> {
         let roles = self.axes().into_iter().map(Role::Position);
         roles.filter(|role| record.data(role).is_none()).collect()
     }
 
-    /// The same chain with its tool point moved to a gauge's place, mm along x, y, z.
+    /// The same chain with its tool point moved by a gauge's offset, mm along x, y, z.
     #[must_use]
     pub fn with_tool_moved(&self, by_mm: [f64; 3]) -> Self {
         let mut moved = self.clone();
@@ -193,7 +195,7 @@ impl Chain {
         self.error_by_um(&position, &delta)
     }
 
-    /// The same by the numbers of the joints, and of the components of each.
+    /// As [`Chain::error_um`], with joints and components given by their index.
     fn error_by_um(
         &self,
         position_mm: &impl Fn(usize) -> f64,
@@ -269,7 +271,7 @@ impl Chain {
         self.joints.iter().map(joint).collect()
     }
 
-    /// [`Chain::error_um`] with the places that [`Chain::places`] found.
+    /// As [`Chain::error_um`], with the places that [`Chain::places`] found.
     /// Positions (mm) and temperatures (°C) are given by place. A value without a place is zero.
     pub(crate) fn error_at_um<A, S>(
         &self,
@@ -327,7 +329,7 @@ impl Chain {
     pub fn add(&self, record: &Record, response: &Role, out: &mut [f64]) -> Result<(), Missing> {
         let Role::Error(axis) = response else { return Ok(()) };
         let place = |axis: &Axis| ["x", "y", "z"].iter().position(|n| *n == axis.as_str());
-        // Each place with its share in the response, where that is not the whole.
+        // The chain's x, y and z that the response takes, with the share of each (`None`: all of it).
         let parts: Vec<(usize, Option<&[f64]>)> = match (place(axis), record.circle()) {
             (Some(own), _) => vec![(own, None)],
             (None, Some(circle)) if axis.as_str() == "r" => {
@@ -339,7 +341,7 @@ impl Chain {
         for s in self.deltas().flat_map(Difference::sensors) {
             record.temperature(s).ok_or_else(|| missing(format!("temperature.{s}")))?;
         }
-        // Every sensor is there: it was looked for just now.
+        // The loop above has checked every sensor, so the default is never used.
         let places = self.places(
             |axis| record.data(&Role::Position(axis.clone())),
             |sensor| record.temperature(sensor).unwrap_or_default(),
@@ -446,7 +448,7 @@ pub fn unit(kind: usize) -> &'static str {
 }
 
 impl Branch {
-    /// As a chain's file has it.
+    /// The branch's name in a chain file.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -457,7 +459,7 @@ impl Branch {
 }
 
 impl Chain {
-    /// As a document for programs.
+    /// The chain as JSON.
     #[must_use]
     pub fn to_json(&self) -> serde_json::Value {
         let component = |c: &Component| {

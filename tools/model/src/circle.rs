@@ -1,8 +1,9 @@
-//! A circular run measured by a bar: what its angle and the bar's length say of the two axes that drive it.
+//! A circular run measured by a ballbar.
+//! The run's angle and the bar's length give the errors of the two axes that drive the circle.
 //!
-//! θ is the angle from the first axis of the plane towards the second. The axes stand at (R·cos θ, R·sin θ) about the
-//! circle's centre. The bar reads `e_a·cos θ + e_b·sin θ` of their errors `e_a` and `e_b` (ISO 230-4; formats.md, "Run
-//! record").
+//! θ is the angle from the first axis of the plane towards the second. The axes are at (R·cos θ, R·sin θ)
+//! about the circle's centre. The bar reads `e_a·cos θ + e_b·sin θ` of their errors `e_a` and `e_b` (ISO
+//! 230-4; guide, "Run records").
 
 use crate::role::{Axis, Column, Role};
 use std::f64::consts::{PI, TAU};
@@ -14,11 +15,11 @@ pub struct Circle {
     pub radius_mm: f64,
     /// The two axes: the angle runs from the first towards the second.
     pub plane: [Axis; 2],
-    /// Where its centre is on the machine's axes, mm; `None` where nobody said.
+    /// Where its centre is on the machine's axes, mm; `None` if not stated.
     pub centre_mm: Option<[f64; 2]>,
 }
 
-/// What follows from the angle, row by row.
+/// Columns that are computed from the angle, row by row.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Derived {
     /// Share of each axis' error in the radial one: cos θ and sin θ.
@@ -31,7 +32,7 @@ pub(crate) struct Derived {
 const AT_REST: f64 = 1e-9;
 
 impl Circle {
-    /// What follows from the angle for the axes' columns that are not logged.
+    /// Computes the columns of the two axes that the record does not log.
     ///
     /// Velocities need the time.
     pub(crate) fn derive(&self, angle: &[f64], time_s: Option<&[f64]>, logged: &[Column]) -> Derived {
@@ -66,13 +67,13 @@ impl Circle {
 }
 
 /// Angular velocity at every row, radians per unit of time.
-/// It is the mean of the steps before and after the row. Where the two differ by more than half, one of them is a
-/// pause or a jump between two circles. The one nearer the run's usual rate is then used. If the clock's steps are
-/// coarse against the rows, more rows are taken.
+/// It is the mean of the steps before and after the row. If the two differ by more than half, one of them is
+/// a pause or a jump between two circles. Then the step nearer to the run's usual rate is used. If the
+/// clock's steps are coarse compared with the rows, more rows are taken.
 #[must_use]
 pub fn rates(angle: &[f64], time_s: &[f64]) -> Vec<f64> {
     let tick = tick(time_s);
-    // Of the rows that share a time the first is nearest to it: the others have its rate.
+    // Of the rows that share a time, the first is nearest to that time. The others get its rate.
     let first = |row: &usize| *row == 0 || time_s[*row] > time_s[*row - 1];
     let firsts: Vec<usize> = (0..angle.len()).filter(first).collect();
     if firsts.len() < 3 || firsts.len() == angle.len() {
@@ -89,7 +90,7 @@ pub fn rates(angle: &[f64], time_s: &[f64]) -> Vec<f64> {
 fn rates_of(angle: &[f64], time_s: &[f64], tick: Option<f64>) -> Vec<f64> {
     let near = near_rates(angle, time_s);
     let Some(tick) = tick else { return near };
-    // As far to both sides as the motion goes on at about this rate, or until the clock's steps do not matter.
+    // Widens to both sides while the motion keeps about this rate, until the clock's steps no longer matter.
     let enough = tick / RATE_WITHIN;
     let goes_on =
         |row: usize, other: usize| near[other] * near[row] > 0.0 && same_rate(near[row], near[other]);
@@ -117,12 +118,12 @@ fn rates_of(angle: &[f64], time_s: &[f64], tick: Option<f64>) -> Vec<f64> {
         .collect()
 }
 
-/// Share of a rate that a clock's steps may make.
+/// Largest relative error of a rate that the clock's steps may cause.
 const RATE_WITHIN: f64 = 0.005;
 
-/// Whether a coarse clock may show these two rates of one motion.
+/// Whether two rates can belong to one motion read by a coarse clock.
 ///
-/// It may if a step holds one row or two, or if a row holds one step or two.
+/// They can if a step of the clock holds one row or two, or if a row holds one step or two.
 fn same_rate(a: f64, b: f64) -> bool {
     (a - b).abs() <= 0.55 * a.abs().max(b.abs())
 }
@@ -132,7 +133,7 @@ fn same_rate(a: f64, b: f64) -> bool {
 #[must_use]
 pub fn tick(time_s: &[f64]) -> Option<f64> {
     let steps: Vec<f64> = time_s.windows(2).map(|w| w[1] - w[0]).filter(|h| *h > 0.0).collect();
-    // The middle one by size: by order it is the pause, where both ways are in one record.
+    // The median by size. The median by order is the pause if both senses of turning are in one record.
     let mut by_size = steps.clone();
     by_size.sort_by(f64::total_cmp);
     let usual = *by_size.get(by_size.len() / 2)?;
@@ -140,18 +141,19 @@ pub fn tick(time_s: &[f64]) -> Option<f64> {
     let tick = (-1..=6)
         .map(|n| 1.0 / 10f64.powi(n))
         .find(|tick| steps.iter().all(|h| *h > 0.5 * tick && (h / tick - (h / tick).round()).abs() < 0.01))?;
-    // Rows as regular as their clock are not rounded to it; rows that share a time are.
+    // If rows are as regular as their clock, their times are not rounded to it. Rows that share a time are
+    // rounded.
     let shared = steps.len() + 1 < time_s.len();
     let rounded = shared || steps.iter().any(|h| (h - steps[0]).abs() > 0.5 * tick);
     (rounded && usual < 100.0 * tick).then_some(tick)
 }
 
-/// From one angle to the next, the shorter way, rad.
+/// The angle from one row to the next, the shorter way, rad.
 fn turn(from: f64, to: f64) -> f64 {
     (to - from + PI).rem_euclid(TAU) - PI
 }
 
-/// [`rates`] from the two steps beside each row.
+/// [`rates`] from only the two steps beside each row.
 fn near_rates(angle: &[f64], time_s: &[f64]) -> Vec<f64> {
     let step = |from: usize| {
         let turned = turn(angle[from], angle[from + 1]);
@@ -186,7 +188,8 @@ mod tests {
 
     #[test]
     fn a_pause_and_a_new_start_are_no_motion() {
-        // Half a turn in 0.1 rad/s, five seconds at rest, and back; the second half starts a quarter further on.
+        // Half a turn at 0.1 rad/s, five seconds at rest, and back; the second half starts 1.5 rad further
+        // on.
         let there: Vec<f64> = (0..30).map(|i| 0.1 * f64::from(i)).collect();
         let back = there.iter().rev().map(|a| a + 1.5);
         let angle: Vec<f64> = there.iter().copied().chain(back).collect();
@@ -199,7 +202,7 @@ mod tests {
 
     #[test]
     fn steps_of_the_clock_are_not_in_the_rate() {
-        // 0.1375 rad/s, rows 63.5 ms apart, the clock in steps of 10 ms; half way the motion turns back.
+        // 0.1375 rad/s, rows 63.5 ms apart, a clock in steps of 10 ms; half way the motion turns back.
         let there = |i: i32| 0.1375 * 0.0635 * f64::from(if i < 300 { i } else { 600 - i });
         let angle: Vec<f64> = (0..600).map(there).collect();
         let time: Vec<f64> = (0..600).map(|i| (6.35 * f64::from(i)).round() * 0.01).collect();
@@ -209,7 +212,8 @@ mod tests {
         }
     }
 
-    /// Regression: a pause between both ways passed for the usual step, and the clock for a fine one.
+    /// Regression: a pause between both senses of turning hid a coarse clock.
+    /// The pause was taken for the usual step, and the clock for a fine one.
     #[test]
     fn a_pause_in_the_middle_hides_no_coarse_clock() {
         for pause_s in [0.0, 3.0, 60.0] {
@@ -226,7 +230,7 @@ mod tests {
         }
     }
 
-    /// Regression: rows faster than their clock had no rate, or one of a third too much.
+    /// Regression: rows faster than their clock had no rate, or one a third too high.
     #[test]
     fn rows_faster_than_their_clock_have_the_rate_of_the_path() {
         for row_s in [0.001, 0.004, 0.0065, 0.0099, 0.016] {

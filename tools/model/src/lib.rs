@@ -1,4 +1,4 @@
-//! The machine model: what is known about a machine's errors.
+//! The machine model: a description of a machine's errors.
 //! It serves simulation, live compensation and reconciliation.
 //!
 //! | module | what |
@@ -7,15 +7,15 @@
 //! | [`chain`] | the other way to build a model: error components of each joint, combined by homogeneous transforms |
 //! | [`machine`] | `machine.toml`: a list of named effects, read strictly, written without losing a comment |
 //! | [`live`] | a model evaluated at one instant, without allocation |
-//! | [`record`] | a run in memory: what an effect is evaluated over, column by column |
-//! | `role` | what a column is: its role and axis |
-//! | [`circle`] | a circular run measured by a bar: what its angle says of the two axes |
-//! | [`file_kind`] | what a file says that it is, where another kind was asked for (of `rtec-files`) |
+//! | [`record`] | a run in memory, column by column, over which effects are evaluated |
+//! | `role` | the role and axis of a column |
+//! | [`circle`] | a circular run measured by a bar: the errors of its two axes from the angle |
+//! | [`file_kind`] | the kind of a file that was given in place of another (from `rtec-files`) |
 //!
-//! What must not live here: files of runs (`rtec-measure`), anything that chooses or fits (`rtec-fit`), counts, ramps
-//! and limits (`rtec-correct`).
+//! These do not belong here: files of runs (`rtec-measure`), anything that chooses or fits (`rtec-fit`),
+//! counts, ramps and limits (`rtec-correct`).
 //!
-//! At work: `cargo run -p rtec-model --example evaluate`, which the tests run too.
+//! An example: `cargo run -p rtec-model --example evaluate`. The tests run it too.
 
 pub mod chain;
 pub mod circle;

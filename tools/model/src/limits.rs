@@ -1,14 +1,16 @@
-//! What a value can be at all, by its role.
-//! And what a temperature input reads while no sensor is on it.
+//! The possible values of each role.
+//! Also the readings of a temperature input without a working sensor.
 
 use crate::role::Role;
 
-/// The values that a column of this role can hold at all, in the role's unit: wider than any machine by orders, so that
-/// sums and squares stay numbers. What is possible but unlikely is the business of `rtec_measure::plausible`.
+/// The range of values that a column of this role may hold, in the role's unit.
+/// It is wider than any machine by orders of magnitude, so that sums and squares stay finite. Possible but
+/// unlikely values are the concern of `rtec_measure::plausible`.
 #[must_use]
 pub fn possible(role: &Role) -> [f64; 2] {
     let size = match role {
-        // Twenty thousand years of seconds: an epoch in milliseconds passes and is questioned, one in ns does not.
+        // Three hundred thousand years in seconds: an epoch in ms passes and is questioned, one in ns does
+        // not.
         Role::Time => 1e13,
         // A kilometre: the largest gantries have some fifty metres.
         Role::Position(_) | Role::Velocity(_) => 1e6,
@@ -16,10 +18,10 @@ pub fn possible(role: &Role) -> [f64; 2] {
         | Role::Load(_)
         | Role::Force(_)
         | Role::Cycle
-        // A position in µm that stands where an error should: read, and questioned.
+        // A position in µm in place of an error is read, and questioned.
         | Role::Error(_)
         | Role::AngleError(..) => 1e9,
-        // Raw readings of an input that nothing is connected to are 16 bit numbers.
+        // An unconnected input may give its raw reading, a number of 16 bit.
         Role::Temperature => 1e5,
         Role::SpindleSpeed | Role::Angle => 1e7,
         Role::Direction(_) | Role::Coolant => 1e3,
@@ -29,7 +31,7 @@ pub fn possible(role: &Role) -> [f64; 2] {
     [-size, size]
 }
 
-/// What a temperature input reads while its sensor is off, open or shorted, °C.
+/// The reading of a temperature input whose sensor is off, open or shorted, °C.
 struct Disconnected {
     value: f64,
     why: &'static str,
@@ -41,9 +43,10 @@ const fn code(value: f64, why: &'static str) -> Disconnected {
     Disconnected { value, why, real: false }
 }
 
-/// Common codes, from data sheets of DS18B20 (power-on value), MAX6675 and MAX31855, and the ranges of PT100 (IEC
-/// 60751) and thermocouples type K (IEC 60584).
-/// Others are the ends of 16 bit numbers in tenths and hundredths, and absolute zero.
+/// Common codes of disconnected temperature sensors, °C.
+/// They are from the data sheets of DS18B20 (power-on value), MAX6675 and MAX31855, and from the ranges of
+/// PT100 (IEC 60751) and thermocouples type K (IEC 60584). Others are the ends of 16 bit numbers in tenths
+/// and hundredths, and absolute zero.
 const DISCONNECTED: [Disconnected; 25] = [
     code(999.9, "an open input's code"),
     code(999.0, "an open input's code"),
@@ -72,12 +75,13 @@ const DISCONNECTED: [Disconnected; 25] = [
     Disconnected { value: 0.0, why: "an input without a sensor", real: true },
 ];
 
-/// Why a temperature of exactly this value is a code and no temperature.
+/// Why this reading is a code of a disconnected sensor and not a temperature.
 ///
-/// `true`: certain. `false`: a machine can have this temperature too (85 °C, 0 °C), and the neighbouring rows decide.
+/// `true`: certain. `false`: a machine can have this temperature too (85 °C, 0 °C), and the neighbouring rows
+/// decide.
 #[must_use]
 pub fn disconnected(degc: f64) -> Option<(&'static str, bool)> {
-    // Readings pass through tenths and single precision on their way.
+    // Readings may have been rounded to tenths or to single precision.
     let found = DISCONNECTED.iter().find(|d| (d.value - degc).abs() <= 1e-6 * d.value.abs().max(1e-3));
     found.map(|d| (d.why, !d.real))
 }

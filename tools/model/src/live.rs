@@ -1,15 +1,15 @@
-//! A model evaluated at one instant: what the corrector asks every 10–20 ms and the simulator at every step.
+//! A model evaluated at one instant, live.
+//! The corrector evaluates it every 10–20 ms and the simulator at every step.
 //!
-//! Everything is looked up by name once, in [`Live::new`]; [`Live::evaluate`] allocates nothing. Effects that read the same
-//! (axes, temperature difference, channel) read it from one place, which is filled once an instant (`Reading`).
+//! [`Live::new`] looks up everything by name once; [`Live::evaluate`] allocates nothing. Effects with the
+//! same inputs (axes, temperature difference, channel) share one `Reading`, which is filled once per instant.
 //!
-//! Outside the range of ΔT that an effect was fitted on, ΔT is held at the bound and the effect fades. The held part
-//! leaves out u = |gain|·excess. The model's own uncertainty is h, the half width of its prediction interval. The
-//! weight is 1/(1 + (u/h)²).
-//! It is one at the bound, so nothing jumps.
+//! Outside the range of ΔT that an effect was fitted on, ΔT is held at the bound and the effect fades. Let e
+//! be its value at the bound, and u = |gain|·excess the part that holding leaves out. The weight is 1/(1 +
+//! (u/e)²). It is one at the bound, so nothing jumps.
 //!
-//! An axis whose sensors are lost is held: its temperature differences and lags stand as they were, what depends on
-//! position goes on.
+//! An axis whose sensors are lost is held: its temperature differences and lags keep their values. Effects of
+//! its position continue.
 
 use crate::chain::{Chain, JointPlaces};
 use crate::effect::{
@@ -30,7 +30,7 @@ pub struct Layout {
     pub channels: Vec<String>,
 }
 
-/// One axis at an instant.
+/// The state of one axis at an instant.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct AxisNow {
     /// Position by the scale, mm.
@@ -53,7 +53,7 @@ impl AxisNow {
     }
 }
 
-/// The machine at an instant.
+/// The state of the machine at an instant.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Frame<'a> {
     /// Time on the caller's clock, s; never decreasing.
@@ -70,11 +70,11 @@ pub struct Frame<'a> {
     pub coolant: f64,
     /// Angle on the part, rad.
     pub angle_rad: f64,
-    /// The machine is probing: effects of the probe act.
+    /// Whether the machine is probing, so that effects of the probe act.
     pub probing: bool,
-    /// Per axis of the layout: its thermal state stands still.
+    /// Per axis of the layout: whether its thermal state is held.
     ///
-    /// Empty where none is held.
+    /// Empty if none is held.
     pub held: &'a [bool],
 }
 
@@ -84,47 +84,47 @@ impl Frame<'_> {
     }
 }
 
-/// Places in a frame of what an effect reads.
+/// The places in a frame of an effect's inputs.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Places {
-    /// Of the name's axes among the layout's.
+    /// Of the axes in the effect's name, among the layout's axes.
     axes: [Option<usize>; 3],
-    /// Of the sensor and of the one to take off.
+    /// Of the sensor, and of the sensor that is subtracted.
     sensor: Option<usize>,
     minus: Option<usize>,
     reference: f64,
     channel: Option<usize>,
 }
 
-/// What the effects of the same places read at an instant.
+/// The inputs that effects with the same places share at an instant.
 #[derive(Debug, Clone)]
 struct Reading {
     places: Places,
-    /// Filled at every instant.
+    /// The inputs, filled at every instant.
     ///
-    /// Time and ΔT of a thermal one stand still while one of its axes is held.
+    /// While one of a thermal effect's axes is held, its time and ΔT do not change.
     now: Input,
 }
 
-/// An effect with everything it reads looked up.
+/// An effect with the places of all its inputs.
 #[derive(Debug, Clone)]
 struct Item {
     effect: Effect,
     coefficients: Vec<f64>,
     /// The basis and its coefficient, if the effect is just their product on one axis.
     quick: Option<(Basis, f64)>,
-    /// Which of the readings is its own.
+    /// Index of its reading.
     reading: usize,
-    /// Where each component goes among the sums.
+    /// The place of each component in the sums.
     to: [usize; 2],
-    /// A pair has two.
+    /// Number of components: two for a pair.
     components: usize,
-    /// It fades, or stands only while probing: what it is worth is not its value alone.
+    /// Whether a weight applies: the effect may fade, or acts only while probing.
     weighed: bool,
     probing_only: bool,
     lagged: bool,
     state: State,
-    /// What each component is worth now.
+    /// The present value of each component, µm or N.
     now: [f64; 2],
     /// How far ΔT is outside its fitted range, K, and the share of the effect left.
     outside_k: f64,
@@ -136,21 +136,21 @@ struct Item {
 pub struct Part<'l> {
     /// The effect that is evaluated.
     pub effect: &'l Effect,
-    /// What it was worth (µm or N; the second value is a pair's second axis).
+    /// Its value, µm or N; the second one is for a pair's second axis.
     pub value: [f64; 2],
     /// How far ΔT was outside the range the effect was fitted on, K.
     pub outside_k: f64,
-    /// The share of the effect that was left for it, 1 inside.
+    /// The share of the effect that is left outside the range; 1 inside.
     pub weight: f64,
 }
 
-/// A chain with the places of what it reads.
+/// A chain with the places of its inputs.
 #[derive(Debug, Clone)]
 struct LiveChain {
     chain: Chain,
-    /// Per joint: its axis in the layout, and the sensors of its components' differences.
+    /// Per joint: its axis in the layout, and its components' sensors.
     places: Vec<JointPlaces<usize, usize>>,
-    /// Places of the axes x, y, z.
+    /// The places of the axes x, y, z in the layout.
     out: [Option<usize>; 3],
     /// Temperatures of the last instant at which none of its axes was held.
     degc: Vec<f64>,
@@ -165,15 +165,15 @@ pub struct Live {
     items: Vec<Item>,
     chain: Option<LiveChain>,
     scratch: Vec<f64>,
-    /// Errors of the layout's axes, µm.
-    /// Their forces, N; the radial error; what acts on no axis of the layout.
+    /// Errors of the layout's axes, µm, then their forces, N.
+    /// Then the radial error, and the sum of effects on no axis of the layout.
     sums: Vec<f64>,
 }
 
 impl Live {
-    /// Looks up everything a machine's effects and chain read.
+    /// Prepares a machine's effects and chain for evaluation.
     ///
-    /// The zero of a set-up is left out: it is the gauges', and no error of the machine.
+    /// The zero of a set-up is left out, because it belongs to the gauges and not to the machine.
     ///
     /// # Errors
     /// A sensor, channel or (for the chain) axis that the layout does not have.
@@ -194,7 +194,7 @@ impl Live {
                 return Err(missing(format!("temperature.{s}"), layout.sensors.join(", ")));
             }
             let out = ["x", "y", "z"].map(|n| layout.axes.iter().position(|a| a.as_str() == n));
-            // Every one of them is there: it was looked for just now.
+            // The loops above have checked every axis and sensor, so the default is never used.
             let places = chain.places(
                 |axis| layout.axes.iter().position(|a| a == axis),
                 |sensor| layout.sensors.iter().position(|s| s == sensor).unwrap_or_default(),
@@ -210,7 +210,7 @@ impl Live {
         Ok(live)
     }
 
-    /// Looks up everything the effects read.
+    /// Prepares effects for evaluation: looks up all that they read.
     ///
     /// # Errors
     /// A sensor or channel that the layout does not have. An axis that it does not have reads as zero.
@@ -288,7 +288,7 @@ impl Live {
         &self.layout
     }
 
-    /// Forgets lags and reversals: the next instant is the first of a new start.
+    /// Forgets lags and reversals, so that the next instant begins a new start.
     pub fn restart(&mut self) {
         for item in &mut self.items {
             item.state = State::default();
@@ -297,7 +297,7 @@ impl Live {
 
     /// Evaluates all effects at an instant.
     ///
-    /// Call it with time never decreasing: lags and reversals move on with it.
+    /// The time must not decrease from call to call, because lags and reversals follow it.
     ///
     /// # Panics
     /// When the frame has fewer values than the layout has names.
@@ -321,7 +321,7 @@ impl Live {
                 let before = item.state;
                 item.effect.law().basis(&item.effect, now, component, &mut item.state, basis);
                 let mut value = match (&*item.coefficients, &*basis) {
-                    // Most laws have one or two, and a loop costs more than they do.
+                    // Most laws have one or two coefficients, and a loop would take longer than the sum.
                     ([c], [b]) => c * b,
                     ([c, d], [a, b]) => c * a + d * b,
                     (all, basis) => all.iter().zip(basis).map(|(c, b)| c * b).sum(),
@@ -373,7 +373,7 @@ impl Live {
         self.sums[2 * self.layout.axes.len()]
     }
 
-    /// Every effect with what it was worth at the last instant.
+    /// Every effect with its value at the last instant.
     pub fn parts(&self) -> impl Iterator<Item = Part<'_>> {
         self.items.iter().map(|i| Part {
             effect: &i.effect,
@@ -383,7 +383,7 @@ impl Live {
         })
     }
 
-    /// What the chain was worth at the last instant, µm along x, y, z.
+    /// The chain's error at the last instant, µm along x, y, z.
     #[must_use]
     pub fn chain_um(&self) -> Option<[f64; 3]> {
         self.chain.as_ref().map(|c| c.now_um)
@@ -422,25 +422,26 @@ impl Reading {
 }
 
 impl Item {
-    /// The value that is left outside the fitted range, or while nothing is probed.
+    /// The value times its weight; zero for a probe's effect while nothing is probed.
     fn weigh(&mut self, value: f64, first: f64, delta_k: f64, probing: bool) -> f64 {
         self.fade(value, first, delta_k);
         if self.probing_only && !probing { 0.0 } else { value * self.weight }
     }
 
-    /// How far ΔT (after any lag) is outside the range, and the share of the effect that is left.
+    /// Sets how far ΔT (after any lag) is outside the range, and the weight left.
     ///
-    /// The share is the value nearest to the truth if so much beyond the bound is unknown. Half is left if the unknown
-    /// is as large as the value.
-    /// Never more than half of the unknown is given up, so two effects that nearly cancel do so beyond the bound too.
-    /// `first` is the law's first basis function here, at the bound.
+    /// The weight gives the value nearest to the truth if the part left out beyond the bound is unknown. Half
+    /// of the effect is left if the unknown is as large as the value.
+    /// Fading never removes more than half of the unknown, so two effects that nearly cancel also do so
+    /// beyond the bound.
+    /// `first` is the law's first basis function, at the bound.
     fn fade(&mut self, value: f64, first: f64, delta_k: f64) {
         let Some([lo, hi]) = self.effect.range_k else { return };
         // The first value of a lag's state is the lagged difference.
         let asked = if self.lagged { self.state.x[0] } else { delta_k };
         self.outside_k = (asked - hi).max(lo - asked).max(0.0);
         let bound = asked.clamp(lo, hi);
-        // What the first basis function is for each kelvin: 1 of a growth, the place of an expansion.
+        // The first basis function per kelvin: 1 for growth, the position for an expansion.
         let per_k = if bound == 0.0 { 1.0 } else { first / bound };
         let left_out = self.coefficients.first().map_or(0.0, |gain| (gain * per_k).abs() * self.outside_k);
         let known = value * value;
@@ -452,7 +453,7 @@ impl Item {
 mod tests {
     use super::*;
 
-    /// A bug once: the zero that a gauge stood at was taken out of the machine's axes.
+    /// Regression: the zero of a gauge was corrected on the machine's axes.
     #[test]
     fn the_zero_of_a_set_up_is_never_corrected() {
         let of = |text: &str| Machine::parse(std::path::Path::new("m.toml"), text).unwrap();
@@ -490,13 +491,13 @@ mod tests {
         };
         let top = 2.0 * 4.0 - 0.3 * 16.0;
         assert!((at(24.0).0 - top).abs() < 1e-12 && (at(24.0 + 1e-6).0 - top).abs() < 1e-9);
-        // 1.6 K outside leave 3.2 µm unknown, as much as the effect is worth: half is left.
+        // 1.6 K outside leave 3.2 µm unknown, as much as the effect's value, so half is left.
         let (e, weight, outside) = at(25.6);
         assert!((weight - 0.5).abs() < 1e-9 && (e - top / 2.0).abs() < 1e-9 && (outside - 1.6).abs() < 1e-9);
         assert!(at(60.0).0.abs() < 0.01);
     }
 
-    /// Two lags nearly cancel, as in fits.
+    /// Two lags nearly cancel, as fits make them.
     /// A little beyond the range of one, fading removes no more than is unknown there.
     #[test]
     fn fading_takes_less_than_is_unknown() {

@@ -1,7 +1,6 @@
 //! A run in memory: columns by role, row by row.
 //!
-//! On file it is a run record (formats.md, "Run record"), which
-//! `rtec-measure` reads and writes.
+//! In a file it is a run record (guide, "Run records"), which `rtec-measure` reads and writes.
 
 use crate::circle::{Circle, Derived};
 use crate::limits;
@@ -19,51 +18,52 @@ pub use crate::role::{Axis, Column, Kind, LINEAR, Role};
 pub struct Record {
     /// The sidecar, as the user named it.
     pub path: PathBuf,
-    /// The CSV as the sidecar names it.
+    /// The CSV's name, from the sidecar.
     pub file: String,
     /// SHA-256 of the CSV, in hexadecimal; empty for a record made in memory.
     pub sha256: String,
-    /// What kind of run it is.
+    /// The kind of the run.
     pub kind: Kind,
-    /// What one count is worth, µm.
+    /// The length of one count, µm.
     pub count_um: Option<f64>,
     /// The day of the run, as ISO 8601.
     pub date: Option<String>,
     /// Free text about the run.
     pub note: Option<String>,
-    /// How its CSV is written where that is unusual: decimal commas, semicolons, UTF-16.
+    /// The CSV's format if it is unusual: decimal commas, semicolons, UTF-16.
     pub written: Option<String>,
-    /// The name of the gauges' zero, which records of one name share.
-    /// Without one it is the record's own.
+    /// The name of the gauges' zero, which records of the same name share.
+    /// Without a name the record has its own zero.
     pub zero: Option<String>,
-    /// Where the axis of a positioning run turned back; `None` where nobody said.
+    /// Where the axis of a positioning run turned back; `None` if not stated.
     pub turns: Option<Turns>,
     /// The listed columns, in the CSV's order.
     pub columns: Vec<Column>,
     time_s: Vec<f64>,
-    /// Rows before its first one in the record that it is a piece of.
+    /// For a piece of a record: the number of rows before it.
     first_row: usize,
-    /// Of a record whose rows were selected: the place of each among those of the file.
-    /// Empty where it has them all.
+    /// For a record of selected rows: the place of each in the file.
+    /// Empty if it has all rows.
     selected: Vec<usize>,
-    /// For a circle measured by a bar: which, and what follows from its angle.
+    /// For a circle measured by a bar: the circle and the columns from its angle.
     circle: Option<(Circle, Derived)>,
 }
 
 /// Where the axis of a positioning run turned back.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Turns {
-    /// So far beyond the end targets, mm; `None` where nobody said how far.
+    /// So far beyond the end targets, mm; `None` if the distance is not stated.
     Overtravel(Option<f64>),
     /// At the end targets themselves.
     AtTarget,
 }
 
-/// An axis drives a circle where its positions run over more than this share of the radius.
+/// Smallest travel of an axis that drives a circle, as a share of the radius.
 const MOVES: f64 = 0.1;
 
 impl Record {
-    /// How far beyond its end targets a positioning run turned, mm: zero at them, or where nobody said.
+    /// How far beyond its end targets a positioning run turned, mm.
+    /// Zero if it turned at them, or if nothing is stated.
     #[must_use]
     pub fn past_mm(&self) -> f64 {
         match self.turns {
@@ -72,7 +72,7 @@ impl Record {
         }
     }
 
-    /// Whether it is known where a row behind a turn stands in the way since that turn.
+    /// Whether the travel since a turn is known for the rows after it.
     #[must_use]
     pub fn tells_turns(&self) -> bool {
         self.kind != Kind::Positioning
@@ -82,8 +82,8 @@ impl Record {
     /// A record made in memory (by the simulator or the recorder).
     ///
     /// # Errors
-    /// The findings of a record on file: columns of unequal length, a role given twice, a value that is not
-    /// finite, time running backwards, no response.
+    /// The same findings as for a file: columns of unequal length, a role given twice, a value that is not
+    /// finite, decreasing time, no response.
     pub fn new(path: &Path, kind: Kind, columns: Vec<Column>) -> Result<Self, InputError> {
         let record = Self::log(path, kind, columns)?;
         if !record.columns.iter().any(|c| c.role.is_measured()) {
@@ -93,10 +93,11 @@ impl Record {
         Ok(record)
     }
 
-    /// The same, without a response where nobody measured one: a recorded shift, a probing run.
+    /// As [`Record::new`], but a response is not required.
+    /// A recorded shift or a probing run has none.
     ///
     /// # Errors
-    /// As [`Record::new`], but for the response.
+    /// As [`Record::new`], except for a missing response.
     pub fn log(path: &Path, kind: Kind, columns: Vec<Column>) -> Result<Self, InputError> {
         let whole = |found: String, expected: &str| InputError::whole(path, found, expected);
         for (i, c) in columns.iter().enumerate() {
@@ -131,7 +132,8 @@ impl Record {
         Ok(Self::of_checked(path, kind, columns))
     }
 
-    /// A record of columns that are known to be right: as many values in each, finite, time never decreasing.
+    /// A record of columns that are already checked.
+    /// They have equal lengths and finite values, and time never decreases.
     ///
     /// # Panics
     /// Without a column.
@@ -157,7 +159,8 @@ impl Record {
         }
     }
 
-    /// A record whose rows are those of a longer one from `row` on: where nothing else tells the time, their number does.
+    /// Marks the record as a piece of a longer one that begins at `row` there.
+    /// Without a time column the row number is the time, so it is shifted by `row`.
     #[must_use]
     pub fn from_row(mut self, row: usize) -> Self {
         self.first_row = row;
@@ -167,38 +170,39 @@ impl Record {
         self
     }
 
-    /// Of a piece of a longer record: the rows before it there.
+    /// For a piece of a longer record: the number of rows before it.
     #[must_use]
     pub fn first_row(&self) -> usize {
         self.first_row
     }
 
-    /// The number of a row in its file, from 1, whatever rows were left out before it.
+    /// The number of a row in its file, from 1, counting rows that were left out.
     #[must_use]
     pub fn row_number(&self, row: usize) -> usize {
         self.first_row + self.selected.get(row).copied().unwrap_or(row) + 1
     }
 
-    /// The circle that a bar measured, where the sidecar states it.
+    /// The circle that a bar measured, if the sidecar states it.
     #[must_use]
     pub fn circle(&self) -> Option<&Circle> {
         self.circle.as_ref().map(|(circle, _)| circle)
     }
 
-    /// Whether the record says where on the machine's axes it was measured: all but a circle whose centre is not stated and whose
-    /// positions are not logged.
+    /// Whether the positions on the machine's axes are known.
+    /// They are unknown only for a circle whose centre is not stated and whose positions are not logged.
     #[must_use]
     pub fn knows_places(&self) -> bool {
         let logged = |a: &Axis| self.columns.iter().any(|c| c.role == Role::Position(a.clone()));
         self.circle().is_none_or(|c| c.centre_mm.is_some() || c.plane.iter().all(logged))
     }
 
-    /// States the circle of a ballbar run: positions, directions and (with a time) velocities of its two axes then follow
-    /// from the angle wherever they are not logged.
+    /// States the circle of a ballbar run.
+    /// Positions, directions and (with a time) velocities of its two axes then follow from the angle, unless
+    /// they are logged.
     ///
     /// # Errors
-    /// What was found and what was expected: a run of another kind, no radial error, no angle, one axis twice, a radius
-    /// that is not above zero.
+    /// What was found and what was expected: a run of another kind, no radial error, no angle, one axis
+    /// twice, a radius that is not above zero.
     pub fn with_circle(mut self, circle: Circle) -> Result<Self, (String, &'static str)> {
         if self.kind != Kind::Ballbar {
             return Err((format!("a run of kind {}", self.kind.name()), "kind = \"ballbar\""));
@@ -223,9 +227,10 @@ impl Record {
         Ok(self)
     }
 
-    /// Logged axes that drive the circle are those of its plane.
+    /// Checks that the logged axes that move are those of the circle's plane.
     ///
-    /// If an axis of the plane is not logged, its places follow from the angle, unless another axis moves in its stead.
+    /// If an axis of the plane is not logged, its positions follow from the angle, unless another axis moves
+    /// in its place.
     fn logs_plane(&self, circle: &Circle) -> Result<(), (String, &'static str)> {
         let logged: Vec<&Axis> = self.axes(Role::Position).collect();
         let Some(missing) = circle.plane.iter().find(|a| !logged.contains(a)) else { return Ok(()) };
@@ -247,7 +252,7 @@ impl Record {
         Err((found, "the two axes that drive the circle, those whose positions the record logs"))
     }
 
-    /// Share of an axis' error in the radial one at every row: cos θ or sin θ.
+    /// Share of an axis' error in the radial error at every row: cos θ or sin θ.
     ///
     /// `None` for an axis that is not in the plane of the record's circle.
     pub(crate) fn share(&self, axis: &Axis) -> Option<&[f64]> {
@@ -255,7 +260,7 @@ impl Record {
         circle.plane.iter().zip(&derived.share).find(|(a, _)| *a == axis).map(|(_, share)| share.as_slice())
     }
 
-    /// The listed columns, then those that follow from a circle's angle.
+    /// The listed columns, then those computed from a circle's angle.
     fn known(&self) -> impl Iterator<Item = &Column> {
         self.columns.iter().chain(self.circle.iter().flat_map(|(_, derived)| &derived.columns))
     }
@@ -266,15 +271,15 @@ impl Record {
         self.time_s.len()
     }
 
-    /// Time of every row, s: the time column as it stands, or the row number where there is none. Of a drift whose clock stands
-    /// still from row to row, the rows of each of its steps are evenly within it.
+    /// Time of every row, s: the time column, or the row number without one.
+    /// For a drift with a coarse clock, the rows that share a time are spread evenly over the clock's step.
     #[must_use]
     pub fn time_s(&self) -> &[f64] {
         &self.time_s
     }
 
-    /// Where the rows stand on a plot over time, and what that is called: minutes, or the row's number from 1 where the
-    /// record has no times.
+    /// The axis label and values of a plot over time.
+    /// They are minutes, or row numbers from 1 if the record has no times.
     #[must_use]
     pub fn over_time(&self) -> (&'static str, Vec<f64>) {
         match self.column(&Role::Time) {
@@ -283,13 +288,14 @@ impl Record {
         }
     }
 
-    /// The column of a role that can stand only once: listed, or following from a circle's angle.
+    /// The column of a role that occurs only once.
+    /// It is a listed column, or one computed from a circle's angle.
     #[must_use]
     pub fn column(&self, role: &Role) -> Option<&Column> {
         self.known().find(|c| c.role == *role)
     }
 
-    /// The values of the column of a role that can stand only once, in the role's unit.
+    /// The values of the column of a role that occurs only once, in the role's unit.
     #[must_use]
     pub fn data(&self, role: &Role) -> Option<&[f64]> {
         self.column(role).map(|c| c.data.as_slice())
@@ -329,8 +335,8 @@ impl Record {
         })
     }
 
-    /// A record of some rows only, in the given order, for cross-validation.
-    /// The time stays each row's own.
+    /// A record of selected rows, in the given order, for cross-validation.
+    /// Each row keeps its time.
     ///
     /// # Panics
     /// When a row is out of range.
@@ -340,7 +346,7 @@ impl Record {
         let of = |columns: &[Column]| {
             columns.iter().map(|c| Column { data: pick(&c.data), ..c.clone() }).collect::<Vec<_>>()
         };
-        // What follows from the angle was found among the neighbours: it stays each row's own.
+        // Columns from the angle depend on neighbouring rows, so each row keeps its values.
         let circle = self.circle.as_ref().map(|(circle, d)| {
             let share = [pick(&d.share[0]), pick(&d.share[1])];
             (circle.clone(), Derived { share, columns: of(&d.columns) })
@@ -359,7 +365,7 @@ fn times(kind: Kind, columns: &[Column]) -> Vec<f64> {
     }
 }
 
-/// The step of a clock that stands still from row to row more often than not, s.
+/// The step of a coarse clock, s, if most rows share their time with another.
 #[must_use]
 pub fn shared_step(time_s: &[f64]) -> Option<f64> {
     let steps = || time_s.windows(2).map(|w| w[1] - w[0]).filter(|step| *step > 0.0);
@@ -367,9 +373,11 @@ pub fn shared_step(time_s: &[f64]) -> Option<f64> {
     steps().min_by(f64::total_cmp).filter(|_| is_shared)
 }
 
-/// Times of rows that share those of a coarse clock: a logger reads evenly, so they are as far apart as they fill the clock's step.
-/// By the times as they stand a lag of 400 s read by a clock of minutes is taken for growth (`tests/field/lag-by-minutes.csv`).
-/// Where the run began and ended within a step, as far as in the fullest one. `None` where the clock is fine enough.
+/// Spreads the times of rows that share a coarse clock's step evenly over it.
+/// A logger reads evenly, so the rows of a step fill it. Without this, a lag of 400 s read by a clock of
+/// minutes would be taken for growth (`tests/field/lag-by-minutes.csv`).
+/// The first and the last step may be cut off, so they get the spacing of the fullest one. `None` if the
+/// clock is fine enough.
 fn spread(time_s: &[f64]) -> Option<Vec<f64>> {
     let step = shared_step(time_s)?;
     let groups: Vec<&[f64]> = time_s.chunk_by(|a, b| a >= b).collect();
@@ -384,7 +392,7 @@ fn spread(time_s: &[f64]) -> Option<Vec<f64>> {
     Some(spread)
 }
 
-/// What one value must be, given its role and the value before it.
+/// Checks one value, given its role and the previous value.
 ///
 /// # Errors
 /// What was found and what was expected.
@@ -407,7 +415,7 @@ pub fn check(role: &Role, v: f64, previous: Option<f64>) -> Result<(), (String, 
     }
 }
 
-/// The range that [`check`] asks of a value of this role where it asks nothing else.
+/// The allowed range of this role, if [`check`] checks only the range.
 #[must_use]
 pub fn range_alone(role: &Role) -> Option<[f64; 2]> {
     (!matches!(role, Role::Time | Role::Direction(_))).then(|| limits::possible(role))
@@ -433,7 +441,7 @@ fn possible_text(role: &Role) -> &'static str {
     }
 }
 
-/// The SHA-256 of a file of any length, as [`Record::sha256`] says it.
+/// The SHA-256 of a file of any length, in the form of [`Record::sha256`].
 ///
 /// # Errors
 /// It cannot be read, or is no regular file.

@@ -1,8 +1,8 @@
-//! What a column of a run is: its role, its axis, the kind of the run.
+//! The role and axis of a column, and the kind of a run.
 
 use std::fmt;
 
-/// What is expected where a rotary axis is named.
+/// The text that a message shows as expected if a rotary axis is named.
 pub const LINEAR: &str = "a linear axis: rotary axes (A, B and C of ISO 841) are not measured, fitted, simulated or corrected by any \
                           verb, since positions are in mm and errors in µm";
 
@@ -26,7 +26,7 @@ impl Axis {
         &self.0
     }
 
-    /// It turns, by its name: A, B and C turn about X, Y and Z (ISO 841).
+    /// Whether the name is a rotary axis': A, B and C turn about X, Y and Z (ISO 841).
     #[must_use]
     pub fn is_rotary(&self) -> bool {
         matches!(self.as_str(), "a" | "b" | "c" | "A" | "B" | "C")
@@ -39,9 +39,9 @@ impl fmt::Display for Axis {
     }
 }
 
-/// What a column is.
+/// The role of a column.
 ///
-/// Errors and forces are responses, everything else is what they may depend on.
+/// Errors and forces are responses; all other roles are inputs that these may depend on.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Role {
     /// Time, s; never decreasing.
@@ -72,8 +72,9 @@ pub enum Role {
     Error(Axis),
     /// Response of a dynamics run: force, N.
     Force(Axis),
-    /// Tilt while the first axis moves, about the second (ISO 230-1: EBX for x, b), µrad or arcseconds. Measured, but no
-    /// response of a model: none has effects for it.
+    /// Tilt about the second axis while the first one moves, µrad or arcseconds.
+    /// For axes x and b it is EBX (ISO 230-1). It is measured, but is no response of a model, because no
+    /// effect acts on it.
     AngleError(Axis, Axis),
 }
 
@@ -108,7 +109,7 @@ impl Role {
         })
     }
 
-    /// The unit this role is given in; `None` where any will do (a channel).
+    /// The unit of this role; `None` if any unit is allowed (a channel).
     #[must_use]
     pub fn unit(&self) -> Option<&'static str> {
         Some(match self {
@@ -127,14 +128,15 @@ impl Role {
         })
     }
 
-    /// Whether a column of it may be in this unit: tilts are in µrad or arcseconds, all others in their own.
+    /// Whether a column of this role may have this unit.
+    /// Tilts are in µrad or arcseconds, all others in their own unit.
     #[must_use]
     pub fn takes(&self, unit: &str) -> bool {
         self.unit().is_none_or(|own| own == unit)
             || (matches!(self, Self::AngleError(..)) && unit == "arcsec")
     }
 
-    /// It is a rotary axis', by the axis' name or by the unit.
+    /// Whether it belongs to a rotary axis, by the axis' name or by the unit.
     #[must_use]
     pub fn is_rotary(&self, unit: &str) -> bool {
         match self {
@@ -145,13 +147,13 @@ impl Role {
         }
     }
 
-    /// An error or a force: what a model predicts.
+    /// Whether a model predicts it: an error or a force.
     #[must_use]
     pub fn is_response(&self) -> bool {
         matches!(self, Self::Error(_) | Self::Force(_))
     }
 
-    /// A response, or a tilt: what a run measures.
+    /// Whether a run measures it: a response or a tilt.
     #[must_use]
     pub fn is_measured(&self) -> bool {
         self.is_response() || matches!(self, Self::AngleError(..))
@@ -172,7 +174,7 @@ impl Role {
         }
     }
 
-    /// Only temperatures and channels may stand in several columns.
+    /// Whether several columns may have it: only temperatures and channels.
     #[must_use]
     pub fn may_repeat(&self) -> bool {
         matches!(self, Self::Temperature | Self::Channel)
@@ -205,7 +207,7 @@ impl fmt::Display for Role {
     }
 }
 
-/// What kind of run a record is.
+/// The kind of a run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 #[allow(missing_docs)]
 pub enum Kind {
@@ -220,7 +222,7 @@ pub enum Kind {
 }
 
 impl Kind {
-    /// All of them, by name.
+    /// All kinds with their names.
     pub const ALL: [(&'static str, Self); 8] = [
         ("positioning", Self::Positioning),
         ("drift", Self::Drift),
@@ -250,7 +252,7 @@ impl Kind {
 pub struct Column {
     /// Name in the CSV's header; a temperature's or channel's name.
     pub name: String,
-    /// What the column holds.
+    /// The role of the column.
     pub role: Role,
     /// The column's unit, as the sidecar writes it.
     pub unit: String,
@@ -259,14 +261,14 @@ pub struct Column {
 }
 
 impl Column {
-    /// Values in the role's own unit.
-    /// A role that has none (a channel) leaves the unit empty.
+    /// A column with values in the role's own unit.
+    /// For a role without one (a channel) the unit stays empty.
     #[must_use]
     pub fn new(name: &str, role: Role, data: Vec<f64>) -> Self {
         Self { name: name.to_owned(), unit: role.unit().unwrap_or_default().to_owned(), role, data }
     }
 
-    /// How a verdict names it: its role, or `temperature.T3`, `channel.z9`.
+    /// Its name in a verdict: its role, or `temperature.T3`, `channel.z9`.
     #[must_use]
     pub fn label(&self) -> String {
         if self.role.may_repeat() { format!("{}.{}", self.role, self.name) } else { self.role.to_string() }

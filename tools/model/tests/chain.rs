@@ -1,5 +1,5 @@
-//! The chain model against exact rational arithmetic (`data/chain_reference.py`), and against the well-known
-//! first-order sum for a turning centre.
+//! The chain model against exact rational arithmetic and a first-order sum.
+//! The exact values are from `data/chain_reference.py`; the sum is the well-known one of a turning centre.
 
 use rtec_model::chain::{Chain, Transform, transform};
 use rtec_model::effect::{Against, Difference, STANDARD_DEGC};
@@ -35,13 +35,14 @@ fn equal_to_the_symbolic_reference() {
         };
         let got = chain.error_um(axis, delta);
         for (g, want) in got.iter().zip(&numbers[9..]) {
-            // µm out of metres: seven digits are lost to the difference, nine remain.
+            // The error is a difference of metres in µm: seven digits are lost, nine remain.
             assert!((g - want).abs() < 1e-9, "{line}: {g} and {want}");
         }
     }
 }
 
-/// Squareness and a carriage's yaw at the lever of the cross-slide: the first-order sum by hand.
+/// Squareness and a carriage's yaw at the lever of the cross-slide.
+/// The expected value is the first-order sum by hand.
 #[test]
 fn turning_centre_by_hand() {
     let chain = Chain::read(&data("turning_centre.toml")).unwrap();
@@ -62,8 +63,8 @@ fn turning_centre_by_hand() {
     assert!((e[0] - x).abs() < 2e-3 && (e[2] - z).abs() < 2e-3, "{e:?}: {x} {z}");
 }
 
-/// Names that were looked up once, live or for the rows of a record, give the same values to the last bit.
-/// Sensors and axes stand in another order than in the chain, with one more of each.
+/// Prepared evaluation, live or by rows, equals the plain one to the last bit.
+/// Sensors and axes are in another order than in the chain, with one more of each.
 #[test]
 fn live_and_by_rows_it_is_what_its_names_say() {
     let chain = Chain::read(&data("turning_centre.toml")).unwrap();

@@ -1,4 +1,5 @@
-//! A ballbar's radial error: the projection of the two axes' errors, against formulas written out here.
+//! A ballbar's radial error: the projection of the two axes' errors.
+//! The formulas are written out here.
 
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
@@ -20,7 +21,7 @@ fn circle(radius_mm: f64) -> Circle {
 }
 
 /// Two turns counter-clockwise, a pause, two turns back.
-/// Rows fall between the quadrants.
+/// No row is exactly at a quadrant.
 fn angles() -> Vec<(f64, f64, f64)> {
     let step = 2.0 * TAU / ROWS as f64 * 2.0;
     let half = ROWS / 2;
@@ -37,7 +38,7 @@ fn record(more: Vec<Column>) -> Record {
     let rows = angles();
     let mut columns = vec![
         column("t", "time", rows.iter().map(|r| r.0).collect()),
-        // As a controller shows it: from 0 to 2π.
+        // A controller shows the angle from 0 to 2π.
         column("a", "angle", rows.iter().map(|r| r.1.rem_euclid(TAU)).collect()),
         column("e", "error.r", vec![0.0; rows.len()]),
     ];
@@ -63,7 +64,7 @@ fn predicted(record: &Record, effects: &str) -> Vec<f64> {
     prediction.columns[0].1.clone()
 }
 
-/// Every row against a formula of the angle and the sense of turning.
+/// Compares every row with a formula of the angle and the sense of turning.
 #[track_caller]
 fn check(effects: &str, formula: impl Fn(f64, f64) -> f64) {
     let got = predicted(&record(vec![]), effects);
@@ -80,11 +81,11 @@ fn scale_mismatch_is_two_lobed() {
     check("scale.x ppm = 20.0\nscale.y ppm = -10.0", |a, _| {
         r * (20.0 * a.cos().powi(2) - 10.0 * a.sin().powi(2))
     });
-    // Half the mismatch over the radius, at twice the angle, about the mean scale.
+    // The mean scale, plus half the mismatch times the radius at twice the angle.
     check("scale.x ppm = 20.0\nscale.y ppm = -10.0", |a, _| r * (5.0 + 15.0 * (2.0 * a).cos()));
 }
 
-/// Whichever of both axes leans, the circle is the same: R·α/2 at twice the angle.
+/// R·α/2 at twice the angle, whichever of the two axes is inclined.
 #[test]
 fn squareness_is_half_the_radius_times_the_angle() {
     let amplitude_um = 25.0 * 0.150 / 2.0;
@@ -106,7 +107,7 @@ fn the_centre_is_an_eccentric_circle() {
     check("offset.r um = 2.0", |_, _| 2.0);
 }
 
-/// Going round counter-clockwise x falls in the upper half and y rises in the right one.
+/// Counter-clockwise, x falls in the upper half and y rises in the right half.
 #[test]
 fn reversal_steps_at_the_quadrants() {
     let x_way = |a: f64, turn: f64| -turn * a.sin().signum();
@@ -116,7 +117,7 @@ fn reversal_steps_at_the_quadrants() {
     });
 }
 
-/// Going counter-clockwise x moves with −v·sin θ, and lags behind by so much for every millisecond.
+/// Counter-clockwise, x moves at −v·sin θ and lags in proportion to that speed.
 #[test]
 fn a_servo_mismatch_turns_the_circle_by_45_degrees() {
     let v = FEED_MM_S;
@@ -148,13 +149,13 @@ fn waves_maps_and_straightness_go_by_the_place_on_the_circle() {
 fn a_spike_dies_out_with_the_travel_of_its_own_axis() {
     let got = predicted(&record(vec![]), "reversal_spike.y um = 6.0; length_mm = 3.0");
     let rows = angles();
-    // The third quarter of the first turn: y turned at θ = π/2, and again at 3π/2.
+    // Part of the first turn: y turned at θ = π/2, and again at 3π/2.
     let at = |row: usize| rows[row].1;
     for row in (0..ROWS / 2).filter(|r| at(*r) > 0.6 * PI && at(*r) < 2.4 * PI) {
         let last_old = |turned: f64| (0..row).rev().find(|r| at(*r) < turned).unwrap();
         let (way, turned) =
             if at(row) < 3.0 * FRAC_PI_2 { (-1.0, FRAC_PI_2) } else { (1.0, 3.0 * FRAC_PI_2) };
-        // Travel over the top from the last row of the old direction, row by row.
+        // The travel of y from the last row of the old direction, over the top, row by row.
         let from = last_old(turned);
         let travel: f64 = (from..row).map(|r| RADIUS_MM * (at(r + 1).sin() - at(r).sin()).abs()).sum();
         let want = 6.0 * way * (-travel / 3.0).exp() * at(row).sin();
@@ -165,7 +166,7 @@ fn a_spike_dies_out_with_the_travel_of_its_own_axis() {
 #[test]
 fn what_is_logged_stands_before_what_follows_from_the_angle() {
     let rows = angles();
-    // A circle about (400, -200): a scale is an offset there too.
+    // A circle about (400, -200), where a scale also acts as an offset.
     let about = vec![
         column("x", "position.x", rows.iter().map(|r| 400.0 + RADIUS_MM * r.1.cos()).collect()),
         column("y", "position.y", rows.iter().map(|r| -200.0 + RADIUS_MM * r.1.sin()).collect()),
@@ -175,7 +176,7 @@ fn what_is_logged_stands_before_what_follows_from_the_angle() {
         let want = 0.02 * (400.0 + RADIUS_MM * r.1.cos()) * r.1.cos();
         assert!((got - want).abs() < 1e-9);
     }
-    // A logged direction, though it be wrong; and a logged velocity, whose sign is the direction.
+    // A logged direction is used even if it is wrong. A logged velocity gives the direction by its sign.
     let up = vec![column("dx", "direction.x", vec![1.0; ROWS])];
     let by_velocity = vec![column("vx", "velocity.x", vec![2.5; ROWS])];
     for more in [up, by_velocity] {
@@ -280,11 +281,11 @@ fn candidates_are_the_axes_effects() {
     for name in ["squareness.x.y", "squareness.y.x", "straightness.x.y", "straightness.y.x"] {
         assert!(of_circle.iter().any(|n| n.split(' ').next() == Some(name)), "{name} not in {of_circle:?}");
     }
-    // A bar has no probe to lobe, and no part's form; a rotation of its circle is not to be seen.
+    // A bar has no probe and measures no part. A rotation of its circle is invisible.
     let none = ["probe_lobing", "form_bump", "rotation"];
     assert!(!of_circle.iter().any(|n| none.iter().any(|law| n.starts_with(law))));
     assert!(!of_circle.iter().any(|n| n.starts_with("angular.r") || n.starts_with("squareness.r")));
-    // Beside a run along x, what both show of x.
+    // Together with a run along x: the candidates that both records show.
     let line = Record::new(
         Path::new("x.run.toml"),
         Kind::Positioning,
@@ -308,7 +309,7 @@ fn a_probe_s_and_a_part_s_own_effects_stay_as_they_are() {
     assert!((largest - 5.0).abs() < 0.01);
 }
 
-/// The chain's squareness and scale, seen by the bar.
+/// The bar measures the chain's squareness and scale.
 #[test]
 fn a_chain_is_projected_too() {
     let folder = tempfile::tempdir().unwrap();

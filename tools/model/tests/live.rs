@@ -1,5 +1,6 @@
 //! The prepared evaluation of a model equals the plain one, to the last bit.
-//! Cases: every law, places shared and not, axes that the layout lacks, held axes, lost probing, ranges that are left.
+//! Cases: every law, shared and separate places, axes that the layout lacks, held axes, no probing, inputs
+//! outside their range.
 
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
@@ -13,7 +14,7 @@ use rtec_model::record::Axis;
 const AXES: [&str; 3] = ["x", "y", "z"];
 const SENSORS: [&str; 3] = ["T1", "T2", "T3"];
 
-/// One effect as it is defined: everything is looked up by name, at every instant.
+/// One effect in its plain form: every name is looked up at every instant.
 struct Plain {
     effect: Effect,
     state: State,
@@ -72,7 +73,8 @@ impl Plain {
             if let Some([lo, hi]) = effect.range_k {
                 let asked = if law.lag.is_some() { self.state.x[0] } else { delta_k };
                 let outside_k = (asked - hi).max(lo - asked).max(0.0);
-                // Beyond the bound as much is unknown as the effect would change by: half is left where that is as large as it is.
+                // The unknown beyond the bound is as large as the change left out. Half is left if it equals
+                // the value.
                 let bound = asked.clamp(lo, hi);
                 let per_k = if bound == 0.0 { 1.0 } else { basis[0] / bound };
                 let unknown = coefficients[0] * per_k * outside_k;
@@ -90,7 +92,7 @@ impl Plain {
     }
 }
 
-/// An effect of the n-th law with an axis, a temperature difference and values that `seed` chooses.
+/// An effect of the n-th law; `seed` chooses its axis, difference and values.
 fn effect(n: usize, seed: u64) -> Effect {
     let d = Dictionary::default();
     let law = d.laws().nth(n % d.laws().count()).unwrap().describe();
@@ -116,7 +118,7 @@ fn effect(n: usize, seed: u64) -> Effect {
     } else {
         law.parameters.iter().enumerate().map(|(k, p)| value(k, p.plausible)).collect()
     };
-    // What does not suit together stays at the law's own start.
+    // Values that the law refuses are left at its default.
     let _ = e.set_values(&values);
     if law.needs.contains(&Need::Delta) {
         e.delta = Some(match seed % 4 {
@@ -146,7 +148,7 @@ proptest! {
         chosen in prop::collection::vec((0..64_usize, any::<u64>()), 1..40),
         instants in prop::collection::vec(instant(), 1..30),
     ) {
-        // Every law once, and some again.
+        // Every law once, and the chosen ones again.
         let count = Dictionary::default().laws().count();
         let effects: Vec<Effect> = (0..count).map(|n| effect(n, chosen[n % chosen.len()].1))
             .chain(chosen.iter().map(|(n, seed)| effect(*n, *seed))).collect();
@@ -184,7 +186,7 @@ proptest! {
             for p in &mut plain {
                 p.add(&frame, &mut sums);
             }
-            // A zero has no sign here: what is added to nothing is what it was.
+            // The sign of zero does not count: −0 plus 0 is 0.
             let bits = |v: &[f64]| v.iter().map(|v| (v + 0.0).to_bits()).collect::<Vec<_>>();
             prop_assert_eq!(bits(live.errors_um()), bits(&sums.0));
             prop_assert_eq!(bits(live.forces_n()), bits(&sums.1));

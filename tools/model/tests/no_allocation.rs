@@ -1,4 +1,4 @@
-//! The live path allocates nothing: counted by the allocator itself.
+//! The live path allocates nothing: a counting allocator checks it.
 
 #![allow(clippy::unwrap_used)] // a test's own helpers
 

@@ -1,5 +1,5 @@
 //! The guide's page of effects, made from the dictionary.
-//! `RTEC_BLESS=1` writes it anew.
+//! `RTEC_BLESS=1` writes it again.
 
 #![allow(clippy::unwrap_used)]
 
@@ -156,7 +156,7 @@ fn range([low, high]: [f64; 2]) -> String {
     }
 }
 
-/// Short: powers of ten where the digits would be many.
+/// A short form: powers of ten if there would be many digits.
 fn number(v: f64) -> String {
     let plain = format!("{}", (v * 1e9).round() / 1e9);
     if v == 0.0 || (plain != "0" && plain.len() < 9) {

@@ -1,4 +1,5 @@
-//! A probed nose with a bump: points that do not belong to the circle are left out, and are then seen as what they are.
+//! Fits a probed nose with a bump.
+//! Points that do not belong to the circle are left out of the fit, so that their errors show.
 use rtec_part::fit::{FitShape, FittedShape, Zx, two_step};
 
 #[cfg_attr(test, test)]

@@ -1,5 +1,6 @@
-//! The post-process loop: a batch measured on a coordinate measuring machine against nominal. What is systematic is
-//! offered as a change, with its statistics; nothing is applied (NISTIR 4854, section 1).
+//! The post-process loop: a measured batch against nominal.
+//! The batch comes from a coordinate measuring machine. Systematic errors are offered as a change, with their
+//! statistics; nothing is applied (NISTIR 4854, section 1).
 
 use crate::cor::{MOST_RAD, MOST_UM, PointError, turned_near};
 use crate::determine::is_times;
@@ -11,15 +12,15 @@ use statrs::distribution::{ContinuousCDF, StudentsT};
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// Errors of one place of one feature over the batch, in the order of the parts.
+/// Errors at one place of one feature over the batch, in the order of the parts.
 #[derive(Debug, Clone)]
 struct Series {
     feature: String,
     angle_rad: Option<f64>,
     errors_um: Vec<f64>,
-    /// Row of the sheet of each.
+    /// The sheet's row of each error.
     rows: Vec<usize>,
-    /// Readings that are in no figure, by their places in `errors_um`.
+    /// Indices in `errors_um` of readings that are left out of the figures.
     wild: Vec<usize>,
 }
 
@@ -30,7 +31,7 @@ impl Series {
     }
 }
 
-/// A reading far off what the other parts have at its place: in no figure.
+/// A reading far from those of the other parts at its place; it is left out.
 #[derive(Debug, Clone, Serialize)]
 pub struct WildReading {
     /// The part, as the file has it.
@@ -41,7 +42,7 @@ pub struct WildReading {
     pub error_um: f64,
 }
 
-/// What a place's figures would be with every reading.
+/// The figures of a place with every reading.
 #[derive(Debug, Clone, Copy, Serialize)]
 pub struct WithEveryReading {
     /// Mean error, in µm.
@@ -50,28 +51,30 @@ pub struct WithEveryReading {
     pub sd_um: f64,
 }
 
-/// What the batch's errors at a place are.
+/// The finding for a place of a batch.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum BatchFinding {
     /// No error beyond chance and beyond the smallest that matters.
     Nothing,
-    /// The same on every part, and probing on the machine saw it too (or was not given).
+    /// The same error on every part, and probing on the machine confirms it.
+    /// It is also used if no probing was given.
     Systematic,
-    /// The same on every part, but not seen on the machine: tool and probe trace it alike.
+    /// The same error on every part, but probing on the machine does not see it.
+    /// Tool and probe then follow the same wrong path.
     NotObservable,
-    /// It changes along the batch: wear, or the machine's temperature.
+    /// The error changes along the batch: wear, or the machine's temperature.
     Trend,
-    /// It changes between two parts: another tool, offset or material.
+    /// The error changes between two parts: another tool, offset or material.
     Step,
 }
 
 /// A step of a place's errors between two parts.
 #[derive(Debug, Clone, Serialize)]
 pub struct BatchStep {
-    /// The first part behind it, as the file has it.
+    /// The first part after the step, as the file has it.
     pub part: String,
-    /// Its size, in µm.
+    /// The size of the step, in µm.
     pub um: f64,
     /// Standard deviation about the means on either side, in µm.
     pub sd_about_um: f64,
@@ -85,50 +88,51 @@ pub struct BatchStep {
 pub struct PlaceStatistics {
     /// Name of the feature, as the file has it.
     pub feature: String,
-    /// Angle on it from the part's +Z, where the file gives one.
+    /// Angle on the feature from the part's +Z, if the file gives one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub angle_rad: Option<f64>,
-    /// Number of parts measured at this place whose reading is in the figures.
+    /// Number of parts whose reading at this place is in the figures.
     pub parts: usize,
     /// Mean error, in µm.
     pub mean_um: f64,
     /// Sample standard deviation, in µm.
     pub sd_um: f64,
     /// 95 % interval of the mean, in µm.
-    /// `None` where all readings of the batch are 0: nobody knows what rounding hides.
+    /// `None` if all readings of the batch are 0: what rounding hides is then unknown.
     pub interval_um: Option<[f64; 2]>,
-    /// Probability of a mean this far from 0 by chance (two-sided t-test, Holm's correction over all places).
+    /// Probability of a mean this far from 0 by chance.
+    /// It is from a two-sided t-test with Holm's correction over all places.
     pub p_value: f64,
     /// Change from part to part, in µm.
     pub trend_um_per_part: f64,
     /// Standard error of that change, in µm.
     pub trend_standard_error_um: f64,
-    /// Standard deviation about that change, in µm: what the parts scatter by without it.
+    /// Standard deviation about that change, in µm: the parts' scatter without it.
     pub sd_about_trend_um: f64,
-    /// Probability of that change by chance, corrected likewise.
+    /// Probability of that change by chance, with the same correction.
     pub trend_p_value: f64,
-    /// What probing on the machine saw there, in µm.
+    /// The error that probing on the machine found there, in µm.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub seen_on_machine_um: Option<f64>,
-    /// A step beyond chance that explains the change better than a straight line.
+    /// A step beyond chance, if it explains the change better than a straight line.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub step: Option<BatchStep>,
-    /// Readings that are in no figure.
+    /// Readings that are left out of the figures.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub left_out: Vec<WildReading>,
-    /// What the figures would be with those.
+    /// The figures with those readings included.
     #[serde(rename = "with_every_row", skip_serializing_if = "Option::is_none")]
     pub with_every_reading: Option<WithEveryReading>,
-    /// What the statistics amount to.
+    /// The finding that follows from the statistics.
     pub finding: BatchFinding,
 }
 
-/// How strict the judgement is.
+/// The strictness of the judgement.
 #[derive(Debug, Clone, Copy)]
 pub struct Judgement {
     /// False-alarm rate over all places together.
     pub alpha: f64,
-    /// Smaller mean errors do not matter, in µm.
+    /// Smallest mean error that matters, in µm.
     pub least_um: f64,
 }
 
@@ -147,34 +151,36 @@ pub struct TableChange {
 pub struct Batch {
     /// Every place, features and angles ascending.
     pub places: Vec<PlaceStatistics>,
-    /// Systematic errors by angle: to be added to the table's errors, if the user decides so.
+    /// Systematic errors by angle, to be added to the table if the user decides so.
     pub offer_table: Vec<TableChange>,
-    /// What is offered and to whom, in words.
+    /// The offered changes in words, with the person concerned.
     pub offers: Vec<String>,
-    /// Step that the errors are written in, µm, if the parts scatter by less.
+    /// Step in which the errors are written, µm, if the parts scatter by less.
     ///
     /// The interval of a mean includes its rounding. A mean below half a step is not systematic.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub step_um: Option<f64>,
-    /// How the file is written where it is not as usual.
+    /// How the file's format differs from the usual one.
     #[serde(skip)]
     pub written: Option<String>,
 }
 
-/// Evaluate `part,feature,error_um[,angle_rad]` or `part,feature,nominal_mm,measured_mm[,angle_rad]`. `seen` are the
-/// errors that probing on the machine found on the same feature.
+/// Evaluates a batch from a file.
+/// Its columns are `part,feature,error_um[,angle_rad]` or `part,feature,nominal_mm,measured_mm[,angle_rad]`.
+/// `seen` are the errors that probing on the machine found on the same feature.
 ///
 /// # Errors
-/// A bad file; a place measured twice on one part; fewer than three parts at a place; several features beside the one
-/// that was `seen`.
+/// A bad file; a place measured twice on one part; fewer than three parts at a place; other features besides
+/// the one that was `seen`.
 pub fn evaluate(file: &Path, seen: Option<&[PointError]>, judgement: Judgement) -> Result<Batch, InputError> {
     judge(file, &Sheet::read(file, &COLUMNS, |_| false)?, seen, judgement)
 }
 
-/// As [`evaluate`], with columns under other names or none: words as `feature=2` or `measured_mm=Ist`; no words, no others.
+/// As [`evaluate`], with columns that the user has assigned.
+/// Words are such as `feature=2` or `measured_mm=Ist`. Without words the columns have their own names.
 ///
 /// # Errors
-/// As [`evaluate`]; a word that is none, a column that is not there.
+/// As [`evaluate`]; an invalid word, a column that is missing.
 pub fn evaluate_columns(
     file: &Path,
     columns: &[String],
@@ -272,7 +278,7 @@ fn judge(
         } else if p.trend_p_value < judgement.alpha && drift_um > judgement.least_um {
             BatchFinding::Trend
         } else if p.p_value < judgement.alpha && p.mean_um.abs() > judgement.least_um.max(rounding(p)) {
-            // Seen: most of it, and with its sign.
+            // Probing sees the error if it finds at least half of it, with its sign.
             match p.seen_on_machine_um {
                 Some(on_machine) if on_machine / p.mean_um < 0.5 => BatchFinding::NotObservable,
                 _ => BatchFinding::Systematic,
@@ -299,7 +305,7 @@ fn read(file: &Path, sheet: &Sheet) -> Result<Vec<Series>, InputError> {
     let given = sheet.optional("error_um")?;
     let worked_out = |nominal: Vec<f64>| -> Result<Vec<f64>, InputError> {
         let measured = sheet.numbers("measured_mm")?;
-        // No part is so far off: one is a radius, the other a diameter.
+        // No part has such an error: one value is a radius, the other a diameter.
         let is_double =
             |row: &usize| [2.0, 0.5].iter().any(|times| is_times(measured[*row] / nominal[*row], *times));
         if let Some(row) = (0..measured.len()).find(is_double) {
@@ -345,7 +351,7 @@ fn read(file: &Path, sheet: &Sheet) -> Result<Vec<Series>, InputError> {
         let found = format!("errors of {largest} µm at most");
         return Err(InputError::whole(file, found, OTHER_UNIT));
     }
-    // One name in two spellings would be two features, each with its part of the rows.
+    // One name in two spellings would become two features, each with some of the rows.
     let mut spelled: BTreeMap<String, &str> = BTreeMap::new();
     for (row, name) in features.iter().enumerate() {
         if let Some(other) = spelled.insert(name.trim().to_lowercase(), name).filter(|other| other != name) {
@@ -356,7 +362,7 @@ fn read(file: &Path, sheet: &Sheet) -> Result<Vec<Series>, InputError> {
             ));
         }
     }
-    // Angles are keys by their micro-radians: what a file repeats is the same place.
+    // Angles are keys in microradians, so that a repeated angle is the same place.
     let mut groups: BTreeMap<(String, i64), (Series, Vec<String>)> = BTreeMap::new();
     for row in 0..sheet.len() {
         let angle_rad = angles.as_ref().map(|a| a[row]);
@@ -386,24 +392,25 @@ fn read(file: &Path, sheet: &Sheet) -> Result<Vec<Series>, InputError> {
     Ok(groups.into_values().map(|(s, _)| s).collect())
 }
 
-/// No measuring machine and no probe tells less, µm.
+/// Smallest error that a measuring machine or probe can resolve, µm.
 const LEAST_TOLD_UM: f64 = 0.05;
 const OTHER_UNIT: &str =
     "errors in µm, of which no measurement tells less than 0.05: are these mm or inches?";
 
-/// A whole file of errors, the largest of which is less than any measurement tells, is in another unit.
+/// Whether a whole file of errors is in another unit.
+/// Its largest error is then below the resolution of any measurement.
 fn is_other_unit(largest: f64) -> bool {
     largest > 0.0 && largest < LEAST_TOLD_UM
 }
 
-/// Nominal, measured and error, each rounded to a micrometre, differ by no more.
+/// Largest contradiction by rounding of nominal, measured and error to 1 µm each.
 const ROUNDING_UM: f64 = 1.6;
 
 /// Two-sided probability of a t this large by chance.
 fn two_sided(t: f64, freedom: usize) -> f64 {
     match StudentsT::new(0.0, 1.0, freedom as f64) {
         Ok(d) if t.is_finite() => (2.0 * d.sf(t.abs())).min(1.0),
-        // No scatter at all: certain, unless there is nothing to be certain of.
+        // There is no scatter: the probability is 0, or 1 if the mean is zero too.
         _ => f64::from(u8::from(t.is_nan())),
     }
 }
@@ -422,7 +429,7 @@ struct Line {
 }
 
 impl Line {
-    /// Through errors, each at its place in the batch.
+    /// Fits the line to errors, each at its place in the batch.
     fn through(points: &[(usize, f64)]) -> Self {
         let n = points.len() as f64;
         let middle = points.iter().map(|(k, _)| *k as f64).sum::<f64>() / n;
@@ -432,65 +439,67 @@ impl Line {
         Self { middle, mean, slope: product / square, square }
     }
 
-    /// What an error is off it.
+    /// Residual of an error from the line.
     fn left(&self, (k, um): (usize, f64)) -> f64 {
         um - self.mean - self.slope * (k as f64 - self.middle)
     }
 }
 
-/// Chance gives a wild reading in one batch of so many.
+/// Probability that chance makes a reading of a batch wild.
 const CHANCE: f64 = 1e-3;
-/// So many readings of a place are wild at the most, as a share.
+/// Largest share of wild readings at a place.
 const MOST_WILD: f64 = 0.25;
-/// Wild readings of neighbours that are this near, as a share of how far they are off, are a state: a worn or another tool.
+/// Largest difference of neighbouring wild readings that form a state.
+/// It is a share of their own distance. A state is a worn or another tool.
 const STATE_SHARE: f64 = 0.5;
 
-/// The reading that is farthest off the others.
-struct Off {
-    /// Its place among the readings.
+/// A reading and how far it is from the others.
+struct Farthest {
+    /// Index among the readings.
     at: usize,
-    /// Probability of the largest such by chance.
+    /// Probability of such a distance of the farthest reading by chance.
     p_value: f64,
 }
 
-/// The reading that is farthest off the others, by its standard error.
-/// Off a straight line through them, or off their mean where not `sloped`.
-/// No reading is known better than `least_um`.
-fn farthest(rest: &[(usize, f64)], sloped: bool, least_um: impl Fn(usize) -> f64) -> Option<Off> {
+/// The reading with the largest distance from the others, in standard errors.
+/// The distance is that from a straight line through them, or from their mean if not `sloped`.
+/// `least_um` is the smallest standard deviation of a reading.
+fn farthest(rest: &[(usize, f64)], sloped: bool, least_um: impl Fn(usize) -> f64) -> Option<Farthest> {
     let (n, line) = (rest.len() as f64, Line::through(rest));
     let line = if sloped { line } else { Line { slope: 0.0, ..line } };
     let freedom = rest.len().checked_sub(if sloped { 3 } else { 2 }).filter(|f| *f > 1)?;
     let squares: f64 = rest.iter().map(|point| line.left(*point).powi(2)).sum();
-    // What leaving a reading out takes from the sum of squares.
+    // Reduction of the sum of squares when a reading is left out.
     let taken = |point: &(usize, f64)| {
         let along = if sloped { (point.0 as f64 - line.middle).powi(2) / line.square } else { 0.0 };
         line.left(*point).powi(2) / (1.0 - 1.0 / n - along)
     };
     let (at, own) = rest.iter().map(taken).enumerate().max_by(|a, b| a.1.total_cmp(&b.1))?;
     let variance = ((squares - own).max(0.0) / freedom as f64).max(least_um(at).powi(2));
-    Some(Off { at, p_value: n * two_sided((own / variance).sqrt(), freedom) })
+    Some(Farthest { at, p_value: n * two_sided((own / variance).sqrt(), freedom) })
 }
 
-/// Readings far off the others, by places in the series.
-/// They have a digit too many, another unit, or are of another part.
-/// What one is off the others, over its standard error by them alone, follows Student's law.
-/// Both their mean and a line through them are asked: batches are level or worn.
-/// Several are taken one after the other, and as many count as the last that chance does not give (Rosner, Technometrics 25, 1983). `places`: so many are looked at.
+/// Indices of readings far from the others.
+/// Causes are a digit too many, another unit or another part. The distance from the others' mean, and that
+/// from a line through them, follow Student's law: batches are level or worn. Readings are removed one after
+/// the other, and all up to the last significant one count (Rosner, Technometrics 25, 1983). `places` is the
+/// number of tested places.
 fn wild(errors_um: &[f64], places: usize) -> Vec<usize> {
     let mut rest: Vec<(usize, f64)> = errors_um.iter().copied().enumerate().collect();
     let most = ((MOST_WILD * rest.len() as f64) as usize).max(1);
     let (mut out, mut found) = (Vec::new(), 0);
     while out.len() < most {
-        // No reading is better than its step. Where all others read zero, the step may be as large as this one.
+        // No reading is better than its step. If all others are zero, the step may be as large as this
+        // reading.
         let least_um = |at: usize| {
             let others_mm: Vec<f64> = (0..rest.len()).filter(|k| *k != at).map(|k| rest[k].1 / 1e3).collect();
             let step = written_step_mm(&others_mm).or_else(|| written_step_mm(&[rest[at].1 / 1e3]));
             step.map_or(0.0, |mm| 1e3 * mm / 12f64.sqrt())
         };
         let models = [true, false].into_iter().filter_map(|sloped| farthest(&rest, sloped, least_um));
-        let Some(off) = models.min_by(|a, b| a.p_value.total_cmp(&b.p_value)) else { break };
-        out.push(rest.remove(off.at).0);
-        if off.p_value < CHANCE / (2 * places) as f64 {
+        let Some(next) = models.min_by(|a, b| a.p_value.total_cmp(&b.p_value)) else { break };
+        out.push(rest.remove(next.at).0);
+        if next.p_value < CHANCE / (2 * places) as f64 {
             found = out.len();
         }
     }
@@ -512,17 +521,17 @@ fn wild(errors_um: &[f64], places: usize) -> Vec<usize> {
 
 /// A step of a series.
 struct SeriesStep {
-    /// Place of the first error behind it.
+    /// Index of the first error after it.
     place: usize,
     um: f64,
     sd_about_um: f64,
-    /// Of one place, whatever the parts that it lies between.
+    /// Probability by chance, for a single place of the batch.
     p_value: f64,
 }
 
 /// The step between two parts that explains errors better than a line.
-/// Its place was sought: one parameter more than a line has (Schwarz's criterion), and as many tests as places.
-/// `step_um`: of the gauge. Readings at the border of two steps of it scatter by half of one.
+/// Its place was searched for, which costs one parameter more than a line has (Schwarz's criterion), and a
+/// test for each place. `step_um` is the gauge's: readings between two of its steps scatter by half of one.
 fn step(points: &[(usize, f64)], step_um: f64) -> Option<SeriesStep> {
     const SIDE: usize = 2;
     let (n, line) = (points.len(), Line::through(points));
@@ -588,7 +597,8 @@ fn statistics(series: &Series, seen: Option<&[PointError]>) -> PlaceStatistics {
     }
 }
 
-/// Holm's step-down correction: the false-alarm rate holds over all places together.
+/// Holm's step-down correction.
+/// With it the false-alarm rate applies to all places together.
 fn holm(p: &[f64]) -> Vec<f64> {
     let mut order: Vec<usize> = (0..p.len()).collect();
     order.sort_by(|&a, &b| p[a].total_cmp(&p[b]));

@@ -1,4 +1,5 @@
-//! The contour of a turned part: segments, features in probing order, and the geometry that probing needs of them.
+//! The contour of a turned part: segments and features in probing order.
+//! It also computes the geometry that probing needs.
 
 use crate::edges::Edges;
 use crate::fit::Zx;
@@ -6,9 +7,9 @@ use crate::svg::Svg;
 use serde::Serialize;
 use std::f64::consts::{FRAC_PI_2, TAU};
 
-/// Chords stay this close to the curves they stand for, in mm.
+/// Largest distance of a chord from its curve, in mm.
 const CHORD_MM: f64 = 0.002;
-/// Most chords of one curve.
+/// Largest number of chords of one curve.
 const MAX_CHORDS: usize = 4096;
 
 /// One piece of the contour, from its start (t = 0) to its end (t = 1).
@@ -45,7 +46,7 @@ pub enum Segment {
         /// Parameter of the end minus that of the start; negative runs clockwise.
         sweep_rad: f64,
     },
-    /// A rational B-spline: parabola, hyperbola or any other conic exactly, and free curves.
+    /// A rational B-spline: a free curve, or exactly a parabola, hyperbola or conic.
     Spline(Spline),
 }
 
@@ -68,7 +69,7 @@ impl Spline {
         let (p, n) = (self.degree, self.points.len());
         let (low, high) = (self.knots[p], self.knots[n]);
         let u = low + (high - low) * t.clamp(0.0, 1.0);
-        // The last span that begins at or before u; at the end of all, the last that is no point.
+        // The last span that begins at or before u; at the very end, the last span that is not empty.
         let before = if u < high {
             self.knots[..n].partition_point(|k| *k <= u)
         } else {
@@ -178,7 +179,7 @@ impl Segment {
         exact.unit().unwrap_or(Zx::new(1.0, 0.0))
     }
 
-    /// The same piece run the other way.
+    /// The same piece in the opposite direction.
     #[must_use]
     pub fn reversed(&self) -> Self {
         let mut turned = self.clone();
@@ -228,7 +229,7 @@ impl Segment {
         }
     }
 
-    /// The parameter at a length from the start; `chords` are its own.
+    /// The parameter at a length from the start; `chords` are those of this segment.
     fn parameter(&self, along_mm: f64, chords: &[Zx]) -> f64 {
         if matches!(self, Self::Line { .. } | Self::Arc { .. }) {
             return (along_mm / self.length_mm()).clamp(0.0, 1.0);
@@ -246,7 +247,8 @@ impl Segment {
     }
 }
 
-/// Chords of an arc that stay within `off_mm` of it: the sagitta is r (1 − cos(δ/2)).
+/// Number of chords that keep an arc within `off_mm`.
+/// The sagitta is r (1 − cos(δ/2)).
 #[must_use]
 pub fn chords_of_arc(radius_mm: f64, sweep_rad: f64, off_mm: f64) -> usize {
     let cos = 1.0 - off_mm / radius_mm;
@@ -254,11 +256,11 @@ pub fn chords_of_arc(radius_mm: f64, sweep_rad: f64, off_mm: f64) -> usize {
     ((sweep_rad.abs() / step).ceil() as usize).clamp(1, MAX_CHORDS)
 }
 
-/// What a feature is to a machinist.
+/// The kind of a feature in a machinist's terms.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case", tag = "kind")]
 pub enum FeatureKind {
-    /// Parallel to the part's axis.
+    /// A surface parallel to the part's axis.
     Cylinder {
         /// Distance from the axis.
         radius_mm: f64,
@@ -273,7 +275,7 @@ pub enum FeatureKind {
         /// Inclination to the axis.
         angle_deg: f64,
     },
-    /// A sphere where its centre is on the axis, else a torus or a fillet.
+    /// A sphere if its centre is on the axis, else a torus or a fillet.
     Arc {
         /// Position of the centre along the part's axis.
         centre_z_mm: f64,
@@ -291,11 +293,11 @@ pub enum FeatureKind {
 pub struct Feature {
     /// `F1`, `F2`, … in probing order.
     pub name: String,
-    /// What it is to a machinist.
+    /// Its kind in a machinist's terms.
     pub kind: FeatureKind,
-    /// The feature's geometry, run in probing order.
+    /// The feature's geometry, in probing order.
     pub segment: Segment,
-    /// The drawing's entity it came from.
+    /// The drawing's entity that it came from.
     pub entity: String,
 }
 
@@ -317,16 +319,17 @@ pub struct SurfacePlace {
 pub struct Contour {
     /// Features in probing order: from the free end (largest Z) towards the chuck.
     pub features: Vec<Feature>,
-    /// It ends where it starts (a ring); else it runs from the axis or a free end to the chuck.
+    /// Whether it ends where it starts (a ring).
+    /// Otherwise it runs from the axis or a free end to the chuck.
     pub closed: bool,
-    /// The material is on the left of the direction of travel.
+    /// Whether the material is on the left of the direction of travel.
     material_left: bool,
     chords: Vec<(usize, Vec<Zx>)>,
-    /// All chords; of each its feature and its start along that, mm.
+    /// All chords; for each its feature and its start along that, mm.
     surface: Edges,
     starts: Vec<(usize, f64)>,
     outline: Edges,
-    /// What was left out of the drawing or taken as something simpler, one sentence each.
+    /// What was left out of the drawing or simplified, one sentence each.
     pub cleaned: Vec<String>,
 }
 
@@ -366,11 +369,11 @@ pub fn nose(centre: Zx, radius_mm: f64) -> Contour {
     Contour::new(vec![(arc, "nose".to_owned())], false)
 }
 
-/// Centre and radius of a contour's nose: a quarter of a circle about the axis at its free end, and `None` where it
-/// begins with something else.
+/// Centre and radius of a contour's nose: a quarter circle at its free end.
+/// `None` if the contour begins with something else.
 #[must_use]
 pub fn nose_of(contour: &Contour) -> Option<(Zx, f64)> {
-    // A drawing is true to a micrometre, its angles to as much on a nose of 100 mm.
+    // A drawing is exact to a micrometre; on a nose of 100 mm its angles are as exact.
     const NEAR: (f64, f64) = (1e-3, 1e-5);
     let Segment::Arc { centre, radius_mm, start_rad, sweep_rad } = contour.features.first()?.segment else {
         return None;
@@ -380,7 +383,7 @@ pub fn nose_of(contour: &Contour) -> Option<(Zx, f64)> {
 }
 
 impl Contour {
-    /// A contour from segments that follow each other, each with the name of its entity.
+    /// A contour from consecutive segments, each with the name of its entity.
     #[must_use]
     pub fn new(mut chain: Vec<(Segment, String)>, closed: bool) -> Self {
         let end = |c: &[(Segment, String)]| (c[0].0.at(0.0), c[c.len() - 1].0.at(1.0));
@@ -465,7 +468,7 @@ impl Contour {
         self.surface.nearest(p, within_mm).map(|(_, n, _)| self.starts[n].0)
     }
 
-    /// Is a point in the material? An open contour is closed by way of the axis.
+    /// Whether a point is in the material. An open contour is closed along the axis.
     #[must_use]
     pub fn inside(&self, p: Zx) -> bool {
         self.outline.crossings(Zx::new(p.z, p.x.abs())) % 2 == 1 // the part is round
@@ -484,7 +487,7 @@ impl Contour {
         &self.chords
     }
 
-    /// Draw the outline, the axis and the features' names.
+    /// Draws the outline, the axis and the features' names.
     pub fn draw(&self, svg: &mut Svg, names: bool) {
         let (mut low, mut high) = (f64::MAX, f64::MIN);
         for (_, chords) in &self.chords {
@@ -497,14 +500,15 @@ impl Contour {
             let size = 0.03 * (high - low).max(self.reach().x);
             for (i, f) in self.features.iter().enumerate() {
                 let middle = self.place(i, f.segment.length_mm() / 2.0);
-                // On the material's side: the probe comes from the other.
+                // On the material's side, because the probe comes from the other.
                 svg.text(middle.at + middle.normal * (-2.2 * size), size, &f.name);
             }
         }
     }
 }
 
-/// Twice the area that the chain encloses, by way of the axis where it is open; positive counter-clockwise.
+/// Twice the area that the chain encloses, positive counter-clockwise.
+/// An open chain is closed along the axis.
 fn signed_area(chain: &[(Segment, String)], closed: bool) -> f64 {
     let mut corners: Vec<Zx> = chain.iter().flat_map(|(s, _)| s.polyline()).collect();
     if let (false, Some(&first), Some(&last)) = (closed, corners.first(), corners.last()) {

@@ -1,4 +1,5 @@
-//! `error.cor`: a feature's errors as a file, of an arc by angle, of a straight feature by place.
+//! `error.cor`: the file of a feature's errors.
+//! Errors of an arc are by angle, those of a straight feature by place.
 
 use crate::fit::Zx;
 use rtec_files::InputError;
@@ -11,42 +12,45 @@ use std::path::Path;
 /// The error of one point.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct PointError {
-    /// Direction of the surface normal from the part's +Z axis, in rad; along an arc it goes on past ±π.
+    /// Direction of the surface normal from the part's +Z axis, in rad.
+    /// Along an arc it continues past ±π.
     pub angle_rad: f64,
     /// Deviation along that normal, in µm.
     ///
-    /// Positive: the surface is further out than nominal, too much material; in a hollow arc, whose normal points into
-    /// the part, too little.
+    /// Positive: the surface is further out than nominal, so there is too much material. In a hollow arc,
+    /// whose normal points into the part, there is too little.
     pub error_um: f64,
     /// Place along a straight feature, in mm from the points' centroid.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub along_mm: Option<f64>,
 }
 
-/// A part's error is no larger, µm: a form that is 10 mm off is another part (as the bounds of `form_bump` have it).
+/// Largest error of a part, µm.
+/// A form that is 10 mm off is another part (the same bound as of `form_bump`).
 pub(crate) const MOST_UM: f64 = 10_000.0;
 /// A whole turn, rounded up: larger angles are degrees.
 pub(crate) const MOST_RAD: f64 = 6.3;
 /// A kilometre: the bounds of every position, mm.
 pub(crate) const MOST_MM: f64 = 1e6;
-/// So far may a straight feature's places be off the line that its normal says, as a share of its length.
+/// Largest distance of a straight feature's places from the line of its normal.
+/// It is a share of the feature's length.
 const ASKEW: f64 = 0.01;
 
-/// A gap between two points' angles that no arc has: its ends, out of order.
+/// A gap between angles that no arc has; it shows that the ends are out of order.
 const NO_ARC_RAD: f64 = PI;
 
-/// The same direction, at most half a turn from another.
+/// The same direction, at most half a turn from another one.
 pub(crate) fn turned_near(angle_rad: f64, to_rad: f64) -> f64 {
     let off = angle_rad - to_rad;
     if off.abs() <= PI { angle_rad } else { to_rad + (off + PI).rem_euclid(TAU) - PI }
 }
 
-/// A feature's errors as an `error.cor` holds them.
+/// A feature's errors from an `error.cor`.
 #[derive(Debug, Clone, PartialEq)]
 pub enum FeatureErrors {
-    /// Of an arc, angles ascending.
+    /// Errors of an arc, angles ascending.
     Arc(Vec<PointError>),
-    /// Of a straight feature, places ascending.
+    /// Errors of a straight feature, places ascending.
     Line(Vec<LineError>),
 }
 
@@ -57,8 +61,8 @@ pub struct LineError {
     pub angle_rad: f64,
     /// Deviation along that normal, in µm.
     ///
-    /// Positive: the surface is further out than nominal, too much material; in a hollow arc, whose normal points into
-    /// the part, too little.
+    /// Positive: the surface is further out than nominal, so there is too much material. In a hollow arc,
+    /// whose normal points into the part, there is too little.
     pub error_um: f64,
     /// Place along the feature, in mm from the points' centroid.
     pub along_mm: f64,
@@ -67,14 +71,14 @@ pub struct LineError {
 }
 
 impl FeatureErrors {
-    /// Reads an `error.cor`: two numbers a line of an arc, five of a straight feature.
+    /// Reads an `error.cor`: an arc has two numbers per line, a straight feature five.
     ///
-    /// Blanks or a comma separate them. A spreadsheet's file is read too: semicolons or tabs, decimal commas, quotes, a
-    /// line `sep=`. `#` starts a comment.
+    /// Blanks or a comma separate them. A spreadsheet's file is accepted too: semicolons or tabs, decimal
+    /// commas, quotes, a line `sep=`. `#` starts a comment.
     ///
     /// # Errors
-    /// A line with other numbers than these, or with numbers that no part has. Angles or places that do not ascend, or
-    /// do not lie along the feature. No line at all.
+    /// A line with another count of numbers, or with numbers that no part has. Angles or places that do not
+    /// ascend, or are not along the feature. No line at all.
     pub fn read(file: &Path) -> Result<Self, InputError> {
         let (text, _) = rtec_files::text::decode_western(file, &rtec_files::text::bytes(file)?)?;
         Self::parse(file, &text)
@@ -119,14 +123,14 @@ impl FeatureErrors {
         }
     }
 
-    /// Never: a file without a line is refused.
+    /// Always false: a file without a line is refused.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 }
 
-/// What the comments in front of the first line say of the units, where they are others.
+/// Checks the comments before the first line for other units.
 ///
 /// # Errors
 /// Angles in degrees, errors in mm.
@@ -150,10 +154,11 @@ fn units_said(file: &Path, text: &str) -> Result<(), InputError> {
     Ok(())
 }
 
-/// What a line of an arc's file holds.
+/// The content of a line of an arc's file.
 const ARC: &str = "angle in rad and error in µm";
 
-/// A line that is not empty: its number and its words, those that are numbers with decimal points.
+/// A line that is not empty: its number and its words.
+/// Numbers have decimal points.
 struct Row {
     line: usize,
     words: Vec<String>,
@@ -164,7 +169,7 @@ impl Row {
         format!("'{}'", self.words.join(" "))
     }
 
-    /// No word of it begins as a number does.
+    /// Whether all words begin with a letter, so that the line has names.
     fn is_names(&self) -> bool {
         self.words.iter().all(|word| word.starts_with(char::is_alphabetic))
     }
@@ -189,8 +194,8 @@ impl Row {
 
 /// The lines with words.
 ///
-/// A comma parts them, or is the decimal mark where something else does: semicolons, tabs, or blanks beside commas
-/// within words, none of which has a point.
+/// A comma separates words, or is the decimal mark if the separator is another: semicolons, tabs, or blanks.
+/// With blanks, commas are decimal marks if they are within words and no word has a point.
 fn rows(text: &str) -> Vec<Row> {
     let contents = || {
         text.lines().enumerate().filter_map(|(i, line)| {
@@ -260,7 +265,7 @@ fn lines_of(file: &Path, rows: &[Row]) -> Result<Vec<LineError>, InputError> {
         }
         let place = Zx::new(z, x);
         if let Some(first) = errors.first() {
-            // All on one line, across one normal, as far apart as they say.
+            // All are on one line, across one normal, at the stated distances.
             let (way, length_mm) = (place - first.place, along_mm - first.along_mm);
             let off_mm = way.dot(Zx::at_angle(first.angle_rad)).abs().max((way.norm() - length_mm).abs());
             if (angle_rad - first.angle_rad).abs() > ASKEW || off_mm > ASKEW * length_mm + 1e-3 {
@@ -276,10 +281,10 @@ fn lines_of(file: &Path, rows: &[Row]) -> Result<Vec<LineError>, InputError> {
     Ok(errors)
 }
 
-/// Read the `error.cor` of an arc.
+/// Reads the `error.cor` of an arc.
 ///
 /// # Errors
-/// As [`FeatureErrors::read`], and a straight feature's.
+/// As [`FeatureErrors::read`], and the file of a straight feature.
 pub fn read_arc(file: &Path) -> Result<Vec<PointError>, InputError> {
     match FeatureErrors::read(file)? {
         FeatureErrors::Arc(errors) => Ok(errors),
@@ -291,8 +296,8 @@ pub fn read_arc(file: &Path) -> Result<Vec<PointError>, InputError> {
     }
 }
 
-/// The table of NISTIR 4854, section 5: one line per point, angle from the part's +Z axis in rad and error in µm,
-/// angles ascending.
+/// The table of NISTIR 4854, section 5, as text.
+/// It has one line per point, angles ascending: angle from the part's +Z axis in rad and error in µm.
 #[must_use]
 pub fn error_cor(errors: &[PointError]) -> String {
     let mut sorted = errors.to_vec();

@@ -1,5 +1,5 @@
-//! A feature's errors from probed points as people give them: what was asked is checked, what was left out is said, and
-//! numbers that cannot be meant are refused.
+//! A feature's errors from probed points as people give them.
+//! It checks the request, reports what is left out, and refuses numbers that cannot be meant.
 
 use crate::errors::{ErrorReport, Nominal, Probed};
 use crate::fit::{self, FitShape, FittedShape, Zx};
@@ -10,7 +10,7 @@ use rtec_model::effect::{Effect, Need};
 use rtec_model::machine::Machine;
 use std::path::{Path, PathBuf};
 
-/// What was probed.
+/// The kind of feature that was probed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Feature {
     /// A sphere or a fillet.
@@ -19,39 +19,40 @@ pub enum Feature {
     Line,
 }
 
-/// What is asked of probed points.
+/// The request for a feature's errors.
 #[derive(Debug, Clone)]
 pub struct Asked {
     /// The probed points: a CSV `z_mm,x_mm[,approach_z,approach_x]`.
     pub points: PathBuf,
-    /// Which of its columns is which, as `z_mm=3` or `x_mm=Radius`; empty where they have their own names.
+    /// Assignments of columns, as `z_mm=3` or `x_mm=Radius`.
+    /// Empty if the columns have their own names.
     pub columns: Vec<String>,
     /// Nominal radius of a circle, mm.
     pub radius_mm: Option<f64>,
-    /// Radius of the probe's tip, mm; 0 where it is left out, and that is said.
+    /// Radius of the probe's tip, mm; `None` means 0, which a message reports.
     pub tip_mm: Option<f64>,
-    /// What was probed; recognised from the points where it is left out.
+    /// The kind of feature; `None` to recognise it from the points.
     pub feature: Option<Feature>,
     /// Nominal inclination of a taper to the part's axis, degrees.
     pub taper_deg: Option<f64>,
-    /// What this machine's model predicts is taken out.
+    /// A machine model whose prediction is subtracted.
     pub machine: Option<PathBuf>,
     /// Machine position at the part's zero, mm: Z and X.
     pub origin_mm: Option<Vec<f64>>,
-    /// The expected trips.
+    /// The file of expected trips.
     pub expected: Option<PathBuf>,
-    /// The probe's path: from which side each point was touched, where the points do not say it.
+    /// The probe's path, which gives the side of each touch if the points do not.
     pub path: Option<PathBuf>,
     /// Unit of the expected trips and of the path.
     pub path_units: Unit,
-    /// How near a trip must be to its expected place, mm.
+    /// Largest distance of a trip from its expected place, mm.
     pub trip_window_mm: f64,
-    /// The constant error (size) goes into the table too.
+    /// Whether the constant error (size) goes into the table too.
     pub with_size: bool,
 }
 
 impl Asked {
-    /// Of these points; everything else is left out.
+    /// A request for these points, with defaults for everything else.
     #[must_use]
     pub fn of(points: &Path) -> Self {
         Self {
@@ -76,16 +77,16 @@ fn usage(argument: &str, found: impl Into<String>, expected: impl Into<String>) 
     InputError::whole(Path::new(argument), found, expected)
 }
 
-/// A circle so many times larger or smaller than nominal is another one.
+/// Ratio to the nominal radius above which a circle is another one.
 const OTHER_SIZE: f64 = 1.3;
-/// A larger error of size is a wrong number, of radius or tip.
+/// Largest error of size; a larger one shows a wrong radius or tip.
 const NO_SIZE_ERROR_UM: f64 = 500.0;
-/// A taper that is off by more was cut as another one, or asked for as another.
+/// Largest error of a taper; a larger one shows another taper.
 const OTHER_TAPER_DEG: f64 = 1.0;
-/// An error of this size is no finish cut's.
+/// Errors of this size are not those of a finish cut.
 const FALSE_TRIP_UM: f64 = 200.0;
 
-/// What was probed, as it was said or as the points have it.
+/// The nominal feature, as requested or as recognised from the points.
 fn nominal(args: &Asked, probed: &Probed, say: &mut dyn FnMut(Said)) -> Result<Nominal, InputError> {
     let straight = match args.feature {
         Some(feature) => feature == Feature::Line,
@@ -118,7 +119,8 @@ fn nominal(args: &Asked, probed: &Probed, say: &mut dyn FnMut(Said)) -> Result<N
     }
 }
 
-/// The points, from which side and where they were expected, and without what the machine's model says.
+/// Reads the points, the side of each touch and the expected places.
+/// It subtracts the prediction of the machine's model.
 fn read(args: &Asked, say: &mut dyn FnMut(Said)) -> Result<(Probed, Option<Vec<Zx>>), InputError> {
     let mut probed = Probed::read_columns(&args.points, &args.columns)?;
     if let Some(written) = probed.written() {
@@ -176,7 +178,7 @@ fn read(args: &Asked, say: &mut dyn FnMut(Said)) -> Result<(Probed, Option<Vec<Z
     Ok((probed, places))
 }
 
-/// Says which places were touched several times, and that a point may be none.
+/// Reports places that were touched several times, and points that may be false.
 fn say_touches(args: &Asked, probed: &Probed, report: &ErrorReport, say: &mut dyn FnMut(Said)) {
     if let Some(repeats) = &report.repeats {
         let between = match repeats.sd_between_um {
@@ -198,25 +200,24 @@ fn say_touches(args: &Asked, probed: &Probed, report: &ErrorReport, say: &mut dy
     }
 }
 
-/// A circle of a part is this near its nominal size.
+/// Range of a circle's size relative to nominal.
 const ONE_SIZE: std::ops::RangeInclusive<f64> = 0.9..=1.1;
-/// Points by half of their X lie on a circle when that is so many times nearer
-/// to them.
+/// Ratio of deviations above which half of X gives the better circle.
 const NEARER: f64 = 20.0;
 
-/// The radius of the circle that points lie on by half of their X, where they
-/// lie on none as they are: a lathe shows diameters.
+/// The radius of the circle through the points with half of their X.
+/// It is returned if the points as given are on no circle, because a lathe shows diameters.
 fn by_half_of_x(points: &[Zx]) -> Option<f64> {
     let halved: Vec<Zx> = points.iter().map(|p| Zx::new(p.z, 0.5 * p.x)).collect();
     let fit = |points: &[Zx]| fit::two_step(FitShape::Circle, points).ok();
     let by_half = fit(&halved)?;
     let FittedShape::Circle { radius_mm, .. } = by_half.plain else { return None };
-    // Three points lie on a circle either way.
+    // Three points are on a circle either way.
     let is_nearer = fit(points).is_none_or(|whole| whole.sd_before_um > NEARER * by_half.sd_before_um);
     (points.len() > FitShape::Circle.parameters() + 1 && is_nearer).then_some(radius_mm)
 }
 
-/// That X is a radius in points of a circle.
+/// Refuses points of a circle whose X is a diameter.
 fn refuse_diameters(args: &Asked, points: &[Zx]) -> Result<(), InputError> {
     if let Some(nominal) = args.radius_mm
         && let Some(radius) = by_half_of_x(points).filter(|r| ONE_SIZE.contains(&(r / nominal)))
@@ -229,12 +230,12 @@ fn refuse_diameters(args: &Asked, points: &[Zx]) -> Result<(), InputError> {
     Ok(())
 }
 
-/// Whether a size is so many times another, as a diameter is its radius.
+/// Whether a ratio is close to `times`, as for a diameter and its radius.
 pub(crate) fn is_times(ratio: f64, times: f64) -> bool {
     (ratio / times - 1.0).abs() < 0.02
 }
 
-/// What a circle of twice or half its nominal size may be.
+/// What a circle of twice or half its nominal size may mean.
 fn double_hint(nominal_to_found: f64) -> &'static str {
     match () {
         () if is_times(nominal_to_found, 2.0) => "; twice that is its diameter",
@@ -245,7 +246,7 @@ fn double_hint(nominal_to_found: f64) -> &'static str {
 
 /// The errors of the feature that was probed.
 ///
-/// What is to be said on the way goes to `say`.
+/// Messages go to `say`.
 ///
 /// # Errors
 /// A file that cannot be read, a number that cannot be meant, points that do not determine the feature.
@@ -341,7 +342,7 @@ pub fn determine(args: &Asked, say: &mut dyn FnMut(Said)) -> Result<ErrorReport,
     Ok(report)
 }
 
-/// A taper so far from nominal is another one, and what may have been meant.
+/// A taper too far from nominal, and what may have been meant.
 fn taper_slip(args: &Asked, r: &ErrorReport) -> Option<(f64, &'static str)> {
     let (asked, found) = args.taper_deg.zip(r.inclination_deg)?;
     let off = r.inclination_error_deg.filter(|off| off.abs() > OTHER_TAPER_DEG)?;
@@ -358,7 +359,7 @@ fn taper_slip(args: &Asked, r: &ErrorReport) -> Option<(f64, &'static str)> {
     Some((off, hint))
 }
 
-/// The size by both fits, where they differ by more than what the points scatter by.
+/// The sizes of both fits, if they differ by more than the points scatter.
 fn sizes_differ(r: &ErrorReport) -> Option<(f64, f64)> {
     let both = r.size_error_um.zip(r.robust.size_error_um)?;
     ((both.0 - both.1).abs() > (2.0 * r.robust.scale_um).max(1.0)).then_some(both)

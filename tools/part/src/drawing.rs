@@ -1,7 +1,8 @@
-//! The part's contour from a DXF drawing: entities ordered along it, bad drawings named.
+//! Reads the part's contour from a DXF drawing.
+//! It orders entities along the contour and reports bad drawings.
 //!
-//! The drawing shows the upper half of the part (NISTIR 4854, figures 4 and 7). Its X is the part's axis (machine Z).
-//! Its Y is the distance from the axis (machine X).
+//! The drawing shows the upper half of the part (NISTIR 4854, figures 4 and 7). Its X is the part's axis
+//! (machine Z). Its Y is the distance from the axis (machine X).
 
 use crate::contour::{Contour, Segment, Spline};
 use crate::dxf::{Drawing, Entity};
@@ -19,7 +20,7 @@ mod short;
 
 use block::{Place, Placed};
 
-/// The length of `$INSUNITS`, by its number (DXF reference, "HEADER section").
+/// The unit of `$INSUNITS`, by its number (DXF reference, "HEADER section").
 fn unit_of_header(units: i32) -> Option<Unit> {
     Some(Unit(match units {
         1 => 25.4,
@@ -34,14 +35,14 @@ fn unit_of_header(units: i32) -> Option<Unit> {
     }))
 }
 
-/// How to read a drawing.
+/// The options for reading a drawing.
 #[derive(Debug, Clone, Copy)]
 pub struct Options<'a> {
-    /// The drawing's unit, where its header does not say or is not to be believed.
+    /// The drawing's unit, if its header does not give it or is wrong.
     pub unit: Option<Unit>,
-    /// Take only this layer.
+    /// The only layer to read.
     pub layer: Option<&'a str>,
-    /// Ends that are closer than this are one point, in mm.
+    /// Ends that are closer than this count as one point, in mm.
     pub tolerance_mm: f64,
 }
 
@@ -64,10 +65,10 @@ impl ErrorReport {
     }
 }
 
-/// The unit that a drawing's header names.
+/// The unit that a drawing's header states.
 ///
 /// # Errors
-/// No DXF.
+/// Not a DXF file.
 pub fn header_unit(file: &Path) -> Result<Option<Unit>, InputError> {
     Ok(unit_of_header(load(file)?.units))
 }
@@ -87,7 +88,8 @@ fn load(file: &Path) -> Result<Drawing, InputError> {
     })
 }
 
-/// Words, measures and fillings, which are no contour.
+/// Whether an entity is text, a dimension or a hatch.
+/// These are not part of a contour.
 fn is_annotation(kind: &str) -> bool {
     kind.ends_with("DIMENSION")
         || matches!(
@@ -107,17 +109,17 @@ fn is_annotation(kind: &str) -> bool {
         )
 }
 
-/// Filled areas, pictures and lines without an end, which are no contour but may
-/// seem to be one.
+/// Whether an entity only resembles a contour.
+/// Such entities are filled areas, pictures and infinite lines.
 fn is_aid(kind: &str) -> bool {
     matches!(kind, "SOLID" | "TRACE" | "3DFACE" | "XLINE" | "RAY" | "WIPEOUT" | "IMAGE" | "OLE2FRAME")
 }
 
-/// Read a drawing's contour and the unit its coordinates are in.
+/// Reads a drawing's contour and the unit of its coordinates.
 ///
 /// # Errors
-/// No DXF, or unknown units. An entity that belongs to no contour, is given twice, has no length, or lies below the
-/// axis or out of the plane. A contour with a gap, a branch or several pieces.
+/// Not a DXF file, or unknown units. An entity that belongs to no contour, is given twice, has no length, or
+/// is below the axis or out of the plane. A contour with a gap, a branch or several pieces.
 pub fn read(file: &Path, options: &Options) -> Result<(Contour, Unit), InputError> {
     let drawing = load(file)?;
     let unit = options.unit.or_else(|| unit_of_header(drawing.units)).ok_or_else(|| {
@@ -126,7 +128,7 @@ pub fn read(file: &Path, options: &Options) -> Result<(Contour, Unit), InputErro
     })?;
     let mut reader = Reader { file, unit, options, place: Place::HERE };
     let (mut pieces, mut cleaned) = (Vec::new(), Cleaned::default());
-    // Whoever asks for a layer gets it.
+    // If a layer is requested, it is read even if it is hidden.
     let is_hidden =
         |layer: &str| options.layer.is_none() && drawing.hidden_layers.contains(&layer.to_lowercase());
     for placed in block::placed(file, &drawing, unit.0, &is_hidden)? {
@@ -181,37 +183,39 @@ pub fn read(file: &Path, options: &Options) -> Result<(Contour, Unit), InputErro
     Ok((contour, unit))
 }
 
-/// Flag of a vertex of a polyline: a control point of the curve that was fitted (DXF, group code 70 of VERTEX).
+/// Flag of a polyline's vertex that is a control point of the fitted curve.
+/// (DXF, group code 70 of VERTEX.)
 const FRAME: i32 = 16;
 
-/// An arc that leaves its chord by less than this share of the tolerance is straight.
+/// Largest distance of an arc from its chord to count as straight.
+/// It is a share of the tolerance.
 const FLAT: f64 = 0.01;
 
-/// What was left out of a drawing, or taken as something simpler.
+/// What was left out of a drawing or simplified.
 #[derive(Debug, Clone, Default)]
 struct Cleaned {
-    /// Vertices within the tolerance of the one before.
+    /// Vertices within the tolerance of the previous one.
     vertices: usize,
     /// Pieces no longer than the tolerance, and the first of them.
     specks: usize,
     speck: Option<(usize, String)>,
     /// Arcs and ellipses from an angle to the same angle.
     no_sweeps: usize,
-    /// Arcs that were taken as straight, and other curves.
+    /// Arcs and other curves that became straight lines.
     arcs: usize,
     curves: usize,
-    /// Polylines whose control points were passed over for the curve fitted to them.
+    /// Polylines whose control points were skipped in favour of the fitted curve.
     frames: usize,
-    /// Ellipses that were taken as circles.
+    /// Ellipses that became circles.
     circles: usize,
-    /// Entities that the drawing does not show, and their layers.
+    /// Entities that the drawing hides, and their layers.
     hidden: usize,
     hidden_on: BTreeSet<String>,
-    /// Entities that are no contour, by their kind.
+    /// Entities that are not part of a contour, by kind.
     aids: BTreeMap<String, usize>,
 }
 
-/// An ellipse with equal axes, as an arc: some programs know no other circle.
+/// An ellipse with equal axes as an arc: some programs write circles this way.
 fn rounded(segment: Segment, flat_mm: f64, cleaned: &mut Cleaned) -> Segment {
     match segment {
         Segment::Ellipse { centre, major, ratio, start_rad, sweep_rad }
@@ -230,13 +234,13 @@ fn rounded(segment: Segment, flat_mm: f64, cleaned: &mut Cleaned) -> Segment {
     }
 }
 
-/// `1 arc`, `2 arcs`.
+/// A count with its noun: `1 arc`, `2 arcs`.
 fn several(n: usize, one: &str) -> String {
     if n == 1 { format!("1 {one}") } else { format!("{n} {one}s") }
 }
 
 impl Cleaned {
-    /// What the drawing does not show.
+    /// A sentence about hidden entities.
     fn not_shown(&self) -> String {
         let layers: Vec<&str> = self.hidden_on.iter().take(8).map(String::as_str).collect();
         let entities =
@@ -247,7 +251,7 @@ impl Cleaned {
         )
     }
 
-    /// What a person reads of it; empty where there was nothing.
+    /// The sentences for the user; empty if nothing was changed.
     fn said(&self, file: &Path, tolerance_mm: f64) -> Vec<String> {
         let within = rtec_files::text::short(tolerance_mm);
         let parts = [
@@ -303,7 +307,7 @@ impl Cleaned {
     }
 }
 
-/// No part is farther from its drawing's origin, mm.
+/// Largest distance of a part from its drawing's origin, mm.
 const FARTHEST_MM: f64 = 1e5;
 
 #[derive(Debug, Clone)]
@@ -319,14 +323,14 @@ impl Piece {
     }
 }
 
-/// Points by their places: those near one are found without a look at all others.
+/// Points in a grid, so that neighbours are found without comparing all.
 struct Places {
     cell: f64,
     cells: HashMap<[i64; 2], Vec<usize>>,
 }
 
 impl Places {
-    /// Of points, by their numbers; near is within `tolerance`.
+    /// The grid of points, by their indices; near means within `tolerance`.
     fn of(points: impl Iterator<Item = Zx>, tolerance: f64) -> Self {
         let mut places = Self { cell: tolerance.max(1e-9), cells: HashMap::new() };
         for (n, p) in points.enumerate() {
@@ -340,7 +344,8 @@ impl Places {
         [p.z, p.x].map(|v| (v / self.cell).floor() as i64)
     }
 
-    /// The numbers of the points around a place: all that are within the tolerance, and some more.
+    /// The indices of the points around a place.
+    /// They include all within the tolerance, and some more.
     fn around(&self, p: Zx) -> impl Iterator<Item = usize> {
         let [z, x] = self.at(p);
         let cells =
@@ -348,7 +353,7 @@ impl Places {
         cells.filter_map(|cell| self.cells.get(&cell)).flatten().copied()
     }
 
-    /// How many those are.
+    /// The number of those points.
     fn crowd(&self, p: Zx) -> usize {
         let [z, x] = self.at(p);
         let cells = (-1..=1).flat_map(|i| (-1..=1).map(move |j| [z.saturating_add(i), x.saturating_add(j)]));
@@ -356,8 +361,8 @@ impl Places {
     }
 }
 
-/// Whether an arc or ellipse begins and ends at one angle.
-/// It is nothing then: a whole circle goes on to 360 degrees.
+/// Whether an arc or ellipse begins and ends at the same angle.
+/// It is then empty, because a whole circle ends at 360 degrees.
 fn has_no_sweep(entity: &Entity) -> bool {
     let (from, to) = if entity.kind == "ARC" { (50, 51) } else { (41, 42) };
     entity.number(from).zip(entity.number(to)).is_some_and(|(from, to)| from.total_cmp(&to).is_eq())
@@ -371,12 +376,12 @@ struct Reader<'a> {
     file: &'a Path,
     unit: Unit,
     options: &'a Options<'a>,
-    /// Where the present entity is put.
+    /// The placement of the present entity.
     place: Place,
 }
 
 impl Reader<'_> {
-    /// Whether two points are one.
+    /// Whether two points count as one.
     fn near(&self, p: Zx, q: Zx) -> bool {
         #[cfg(test)]
         tests::LOOKS.with(|looks| looks.set(looks.get() + 1));
@@ -395,7 +400,7 @@ impl Reader<'_> {
         let refuse = |kind: &str, what: &str, expected: &str| {
             Err(InputError::at(self.file, line, 0, format!("{} {what}", named(kind)), expected))
         };
-        // Seen from below, x runs the other way: the object coordinates of DXF for a downward normal.
+        // Seen from below, x is reversed: the object coordinates of DXF for a downward normal.
         let mirror = if normal[2] < 0.0 { -1.0 } else { 1.0 };
         let level = |heights: &[f64]| heights.iter().all(|z| z.abs() < 1e-6);
         let flat = |heights: &[f64]| normal[0].abs() < 1e-9 && normal[1].abs() < 1e-9 && level(heights);
@@ -415,8 +420,8 @@ impl Reader<'_> {
             "ARC" => (flat(&[entity.point(10)[2]]), vec![self.arc(entity, mirror)]),
             "ELLIPSE" => {
                 let (segment, ratio) = (self.ellipse(entity, mirror), axis_ratio(entity));
-                // The greater axis is the major one (DXF, group code 40); a smaller ratio than this is a line.
-                // One that is a line within the tolerance is taken as that, whatever its ratio.
+                // The longer axis is the major one (DXF, group code 40). A smaller ratio than this is a line.
+                // An ellipse that is a line within the tolerance is accepted as that, whatever its ratio.
                 if !(0.0..=1.0 + 1e-9).contains(&ratio) || ratio < 1e-6 && self.is_too_flat(&segment) {
                     let what = format!("with an axis ratio of {ratio:e}");
                     return refuse(kind, &what, "a minor axis of 0.000001 to 1 times the major one");
@@ -428,7 +433,7 @@ impl Reader<'_> {
                 (flat(&[]), self.bulged(&corners, is_closed, cleaned))
             }
             "POLYLINE" => {
-                // The control points of a fitted curve are beside it, not on it.
+                // The control points of a fitted curve are not on it.
                 let (frame, fitted): (Vec<&Entity>, Vec<_>) =
                     entity.vertices.iter().partition(|v| v.flags() & FRAME != 0);
                 cleaned.frames += usize::from(!fitted.is_empty() && !frame.is_empty());
@@ -477,7 +482,7 @@ impl Reader<'_> {
         Ok(())
     }
 
-    /// That a piece can be one of a part's contour.
+    /// Checks that a piece can be part of a contour.
     fn is_fit(&self, segment: &Segment, entity: &str, line: usize) -> Result<(), InputError> {
         match self.unfit(segment) {
             Some((what, expected)) => {
@@ -514,12 +519,13 @@ impl Reader<'_> {
         }
     }
 
-    /// An ellipse of so small a ratio is none, unless it is a line or a speck.
+    /// Whether an ellipse of a tiny ratio is invalid.
+    /// It is valid as a line or a speck.
     fn is_too_flat(&self, segment: &Segment) -> bool {
         !self.is_speck(segment) && !self.is_line(segment)
     }
 
-    /// Why a piece is none of a part's contour: what, expected.
+    /// The reason why a piece cannot be part of a contour: found, expected.
     fn unfit(&self, segment: &Segment) -> Option<(&'static str, &'static str)> {
         let chords = segment.polyline();
         if !chords.iter().all(|p| p.z.is_finite() && p.x.is_finite()) {
@@ -533,17 +539,17 @@ impl Reader<'_> {
         }
     }
 
-    /// A piece that is no longer than the tolerance: its neighbours meet without it.
+    /// Whether a piece is no longer than the tolerance, so that its neighbours meet.
     fn is_speck(&self, segment: &Segment) -> bool {
         segment.length_mm() <= self.options.tolerance_mm
     }
 
-    /// The most that an arc which is taken as straight leaves its chord, mm.
+    /// Largest distance of an arc from its chord to count as straight, mm.
     fn flat_mm(&self) -> f64 {
         self.options.tolerance_mm * FLAT
     }
 
-    /// A piece so flat that it is straight, as a line.
+    /// A piece that is straight within the tolerance, as a line.
     fn straightened(&self, segment: Segment, cleaned: &mut Cleaned) -> Segment {
         if !self.is_line(&segment) {
             return segment;
@@ -556,7 +562,8 @@ impl Reader<'_> {
         Segment::Line { a: segment.at(0.0), b: segment.at(1.0) }
     }
 
-    /// Whether a piece goes along its chord, nowhere back, and leaves it by no more than [`Self::flat_mm`].
+    /// Whether a piece follows its chord without turning back.
+    /// Its distance from the chord is at most [`Self::flat_mm`].
     fn is_line(&self, segment: &Segment) -> bool {
         let [a, b] = [segment.at(0.0), segment.at(1.0)];
         let points = match segment {
@@ -584,8 +591,9 @@ impl Reader<'_> {
             && points.windows(2).all(|w| along(&w[1]) >= along(&w[0]) - 1e-9)
     }
 
-    /// Lines and arcs of a polyline; a bulge is the tangent of a quarter of its arc's angle. A vertex within the tolerance of
-    /// the one before it is the same vertex.
+    /// Lines and arcs of a polyline.
+    /// A bulge is the tangent of a quarter of its arc's angle. A vertex within the tolerance of the previous
+    /// one is the same vertex.
     fn bulged(&self, corners: &[(Zx, f64)], closed: bool, cleaned: &mut Cleaned) -> Vec<Segment> {
         let mut kept: Vec<(Zx, f64)> = Vec::with_capacity(corners.len());
         for &(at, bulge) in corners {
@@ -609,7 +617,7 @@ impl Reader<'_> {
         (0..count)
             .map(|i| {
                 let ((a, bulge), (b, _)) = (kept[i], kept[(i + 1) % n]);
-                // Before the centre is worked out, which lies as far away as the bulge is small.
+                // Checked before the centre is computed, because a small bulge puts it far away.
                 if bulge.abs() * (b - a).norm() / 2.0 <= self.flat_mm() {
                     cleaned.arcs += usize::from(bulge != 0.0);
                     return Segment::Line { a, b };
@@ -626,7 +634,8 @@ impl Reader<'_> {
             .collect()
     }
 
-    /// The way from one vertex to the next is no longer than the tolerance: the arc of a large bulge is.
+    /// Whether the way from one vertex to the next is no longer than the tolerance.
+    /// The arc of a large bulge is longer.
     fn is_doubled(&self, from: Zx, bulge: f64, to: Zx) -> bool {
         let chord = (to - from).norm();
         let way = if bulge == 0.0 { 1.0 } else { (1.0 + bulge * bulge) * bulge.atan() / bulge };
@@ -678,7 +687,8 @@ impl Reader<'_> {
                 let ends = near(a0, b0) && near(a1, b1) || near(a0, b1) && near(a1, b0);
                 reach > 0.0 && ends && near(middle, pieces[*j].segment.at(0.5))
             };
-            // By the place where fewest others are: many may meet in one point, or lie across another.
+            // Searches around the place with the fewest neighbours, because many pieces may meet in one point
+            // or cross.
             let crowds = [starts.crowd(a0), starts.crowd(a1), middles.crowd(middle)];
             let first = match crowds.iter().min() {
                 Some(least) if *least == crowds[2] => {
@@ -697,10 +707,10 @@ impl Reader<'_> {
         Ok(())
     }
 
-    /// Order the pieces along the contour.
+    /// Orders the pieces along the contour.
     fn chain(&self, pieces: Vec<Piece>) -> Result<Contour, InputError> {
         let tol = self.options.tolerance_mm;
-        // What lies on the axis closes a drawing but is no surface.
+        // A line on the axis closes a drawing but is not a surface.
         let on_axis =
             |p: &Piece| matches!(p.segment, Segment::Line { a, b } if a.x.abs() <= tol && b.x.abs() <= tol);
         let (axis, rest): (Vec<Piece>, Vec<Piece>) = pieces.into_iter().partition(on_axis);
@@ -710,7 +720,7 @@ impl Reader<'_> {
         let ends: Vec<(usize, Zx)> =
             rest.iter().enumerate().flat_map(|(i, p)| p.ends().map(|e| (i, e))).collect();
         let places = Places::of(ends.iter().map(|(_, at)| *at), tol);
-        // Two say as much as more.
+        // Two are enough to decide.
         let met = |k: usize| {
             let others = places.around(ends[k].1).filter(|j| *j != k);
             others.filter(|j| self.near(ends[*j].1, ends[k].1)).take(2).count()
@@ -772,7 +782,7 @@ impl Reader<'_> {
     }
 
     fn gap(&self, rest: &[Piece], ends: &[(usize, Zx)], free: &[usize]) -> InputError {
-        // In the order of their places along the drawing's longer side, where near ones follow each other.
+        // Sorted along the drawing's longer side, so that near ends follow each other.
         let side = |of: &dyn Fn(Zx) -> f64| {
             let all = free.iter().map(|k| of(ends[*k].1));
             all.clone().fold(f64::NEG_INFINITY, f64::max) - all.fold(f64::INFINITY, f64::min)
@@ -788,7 +798,7 @@ impl Reader<'_> {
                     break;
                 }
                 let off = (ends[a].1 - ends[b].1).norm();
-                // Of several the one that comes first in the drawing.
+                // Among equal gaps, the one that comes first in the drawing.
                 let (first, second) = (a.min(b), a.max(b));
                 if ends[a].0 != ends[b].0 && (off, second, first) < (least.0, least.2, least.1) {
                     least = (off, first, second);
@@ -809,7 +819,7 @@ impl Reader<'_> {
         InputError::at(self.file, second.line.max(first.line), 0, found, "entities that meet end to end")
     }
 
-    /// Whether two lines lie on one another over some length.
+    /// Whether two lines overlap over some length.
     fn overlap(&self, first: &Piece, second: &Piece) -> bool {
         let (Segment::Line { a, b }, Segment::Line { a: c, b: d }) = (&first.segment, &second.segment) else {
             return false;
@@ -833,11 +843,11 @@ mod tests {
     use std::cell::Cell;
 
     thread_local! {
-        /// Pairs of points that were compared.
+        /// Number of pairs of points that were compared.
         pub(super) static LOOKS: Cell<u64> = const { Cell::new(0) };
     }
 
-    /// Reads lines that are drawn in this order; the finding, and pairs of points compared.
+    /// Reads lines in this order; returns the result and the number of comparisons.
     fn reads(lines: &[[f64; 4]]) -> (Result<usize, String>, u64) {
         let lines: Vec<_> = lines.iter().map(|[z0, x0, z1, x1]| ([*z0, *x0], [*z1, *x1], "0")).collect();
         let directory = tempfile::tempdir().unwrap();
@@ -853,7 +863,7 @@ mod tests {
     fn work_grows_with_the_drawing_and_not_with_its_square() {
         let n = 20_000_u32;
         let step = |i: u32| f64::from(i) * 0.01;
-        // A profile in a jumbled order, every second line drawn backwards.
+        // A profile in mixed order, every second line drawn backwards.
         let profile: Vec<[f64; 4]> = (0..n)
             .map(|k| (k * 7919) % n)
             .map(|i| {
@@ -864,7 +874,7 @@ mod tests {
         let (read, looks) = reads(&profile);
         assert_eq!(read, Ok(n as usize));
         assert!(looks < 60 * u64::from(n), "{looks}");
-        // All in one point; all across one point; none that meet; one that is there twice.
+        // All in one point, all across one point, none that meet, and one that occurs twice.
         let star = |r: f64, from: f64| -> Vec<[f64; 4]> {
             let turn = |i: u32| f64::from(i) * 3.0 / f64::from(n);
             (0..n)

@@ -1,4 +1,5 @@
-//! The part of DXF that a contour needs: header units and plane entities, read from text or binary; and lines, written.
+//! The part of DXF that a contour needs.
+//! It reads header units and plane entities from text or binary, and writes lines.
 //!
 //! Source: Autodesk, DXF reference, "Group code value types", "Binary DXF files" and "ENTITIES section".
 
@@ -7,7 +8,7 @@ use std::fmt::Write as _;
 use std::ops::RangeInclusive;
 use std::path::Path;
 
-/// One group of a file. Lines count from 1; a binary file has none, they are 0.
+/// One group of a file. Lines count from 1; in a binary file they are 0.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Group {
     pub(crate) code: i32,
@@ -15,12 +16,12 @@ pub(crate) struct Group {
     pub(crate) line: usize,
 }
 
-/// A drawing as far as a contour needs it.
+/// The parts of a drawing that a contour needs.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub(crate) struct Drawing {
-    /// `$INSUNITS`, 0 where the header does not say.
+    /// `$INSUNITS`; 0 if the header does not have it.
     pub(crate) units: i32,
-    /// The layers that are not shown, in small letters: off, frozen, or never plotted.
+    /// Hidden layers in lower case: off, frozen, or never plotted.
     pub(crate) hidden_layers: Vec<String>,
     pub(crate) entities: Vec<Entity>,
     pub(crate) blocks: Vec<Block>,
@@ -30,7 +31,7 @@ pub(crate) struct Drawing {
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Block {
     pub(crate) name: String,
-    /// The point of it that comes to stand where it is inserted.
+    /// The block's base point, which is put at the place of insertion.
     pub(crate) base: [f64; 3],
     pub(crate) entities: Vec<Entity>,
 }
@@ -38,21 +39,21 @@ pub(crate) struct Block {
 /// One entity of the ENTITIES section with its own groups.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Entity {
-    /// LINE, ARC and so on.
+    /// The kind: LINE, ARC and so on.
     pub(crate) kind: String,
-    /// In capitals; empty where it has none.
+    /// The handle in capitals; empty if it has none.
     pub(crate) handle: String,
     pub(crate) layer: String,
     pub(crate) visible: bool,
     pub(crate) in_paper_space: bool,
-    /// Of its handle, or of its name where it has none.
+    /// The line of its handle, or of its name if it has none.
     pub(crate) line: usize,
     groups: Vec<Group>,
     /// The vertices of a POLYLINE.
     pub(crate) vertices: Vec<Entity>,
 }
 
-/// What a binary DXF begins with.
+/// The first bytes of a binary DXF.
 const BINARY: &[u8] = b"AutoCAD Binary DXF\r\n\x1a\0";
 
 /// The group codes of numbers with decimals.
@@ -61,7 +62,7 @@ const DECIMALS: [RangeInclusive<i32>; 5] = [10..=59, 110..=149, 210..=239, 460..
 /// Flag of a layer that is frozen (group code 70 of LAYER).
 const FROZEN: i64 = 1;
 
-/// What `$INSUNITS` says, by its number.
+/// The names of `$INSUNITS`, by number.
 const UNITS: [&str; 21] = [
     "unitless",
     "inches",
@@ -91,7 +92,8 @@ fn is_decimal(code: i32) -> bool {
 }
 
 impl Entity {
-    /// The values of one group code, in order. They are numbers: the reader has looked.
+    /// The values of one group code, in order.
+    /// The reader has checked that they are numbers.
     pub(crate) fn all(&self, code: i32) -> impl Iterator<Item = f64> {
         self.groups.iter().filter(move |g| g.code == code).filter_map(|g| g.value.parse().ok())
     }
@@ -101,7 +103,7 @@ impl Entity {
         self.all(code).last()
     }
 
-    /// Of a block, or of the one that it inserts.
+    /// The name of a block, or of the block that it inserts.
     pub(crate) fn name(&self) -> &str {
         self.groups.iter().find(|g| g.code == 2).map_or("", |g| g.value.as_str())
     }
@@ -121,7 +123,8 @@ impl Entity {
         [0, 1, 2].map(|i| self.number(210 + 10 * i as i32).unwrap_or(z_axis[i]))
     }
 
-    /// Each X with the values that follow it up to the next X, 0 where a code is missing.
+    /// Each X with the values that follow it up to the next X.
+    /// A missing code gives 0.
     pub(crate) fn rows<const N: usize>(&self, codes: [i32; N]) -> Vec<[f64; N]> {
         let mut rows: Vec<[f64; N]> = Vec::new();
         for group in &self.groups {
@@ -147,7 +150,7 @@ impl Drawing {
     /// Reads a drawing.
     ///
     /// # Errors
-    /// The first group that is none, and its line; a file that ends in the middle.
+    /// The first invalid group, and its line; a file that ends in the middle.
     pub(crate) fn of(file: &Path, bytes: &[u8]) -> Result<Self, InputError> {
         let groups = if bytes.starts_with(BINARY) { of_binary(file, bytes)? } else { of_text(file, bytes)? };
         let mut drawing = Self { hidden_layers: vec!["defpoints".to_owned()], ..Self::default() };
@@ -199,7 +202,7 @@ fn units(header: &[Group]) -> i32 {
     at.and_then(|i| header.get(i + 1)).and_then(|g| g.value.parse().ok()).unwrap_or(0)
 }
 
-/// Groups from each group 0 to the next.
+/// Splits groups into records: from each group 0 to the next.
 fn records(groups: &[Group]) -> impl Iterator<Item = &[Group]> {
     let from = groups.iter().position(|g| g.code == 0).unwrap_or(groups.len());
     let mut rest = &groups[from..];
@@ -259,7 +262,7 @@ fn entities(section: &[Group]) -> Vec<Entity> {
 }
 
 fn entity(record: &[Group]) -> Entity {
-    // Groups within braces are a program's own (102), those from 1000 on too.
+    // Groups within braces (102) and those from 1000 on are application data.
     let mut depth = 0_i32;
     let own = |g: &&Group| {
         if g.code == 102 {
@@ -284,7 +287,8 @@ fn entity(record: &[Group]) -> Entity {
 }
 
 fn of_text(file: &Path, bytes: &[u8]) -> Result<Vec<Group>, InputError> {
-    // Since AutoCAD 2007 UTF-8, before that its computer's code page: mostly Windows-1252. Of another one names suffer, no number.
+    // Since AutoCAD 2007 the text is UTF-8, before that in the computer's code page, mostly Windows-1252. In
+    // another code page names are wrong, but no number.
     let decoded = rtec_files::text::decode_western(file, bytes);
     let text = decoded.map_or_else(|_| String::from_utf8_lossy(bytes).into_owned(), |(text, _)| text);
     let text = if text.contains('\n') { text } else { text.replace('\r', "\n") };
@@ -319,12 +323,12 @@ fn of_text(file: &Path, bytes: &[u8]) -> Result<Vec<Group>, InputError> {
     Ok(groups)
 }
 
-/// Group codes of text, in which blanks may count.
+/// Whether a group code is of text, in which blanks may count.
 fn is_words(code: i32) -> bool {
     matches!(code, 1..=4 | 6..=8 | 1000..=1003)
 }
 
-/// A group of numbers has one.
+/// Checks that a group of numbers has a number.
 fn check(file: &Path, group: &Group) -> Result<(), InputError> {
     if is_decimal(group.code) && group.value.parse::<f64>().is_err() {
         let found = format!("'{}'", group.value.chars().take(40).collect::<String>());
@@ -337,7 +341,8 @@ fn check(file: &Path, group: &Group) -> Result<(), InputError> {
     Ok(())
 }
 
-/// `\U+00E4`, as files before R2007 write what their code page lacks.
+/// Decodes `\U+00E4`.
+/// Files before R2007 write it for letters outside their code page.
 fn unescaped(text: &str) -> String {
     let mut out = String::with_capacity(text.len());
     let mut parts = text.split("\\U+");
@@ -357,7 +362,7 @@ fn unescaped(text: &str) -> String {
     out
 }
 
-/// Where a binary file is read, and what it is of.
+/// A position in a binary file, for reading.
 struct Bytes<'a> {
     file: &'a Path,
     all: &'a [u8],
@@ -390,7 +395,7 @@ impl Bytes<'_> {
 
 fn of_binary(file: &Path, all: &[u8]) -> Result<Vec<Group>, InputError> {
     let mut bytes = Bytes { file, all, at: BINARY.len() };
-    // Since AutoCAD 13 a group code takes two bytes: the first one is 0, so there are two zeros.
+    // Since AutoCAD 13 a group code has two bytes. The first code is 0, so there are two zeros.
     let wide = all.get(BINARY.len() + 1) == Some(&0);
     let mut groups = Vec::new();
     while bytes.at < all.len() {
@@ -437,14 +442,14 @@ fn of_binary(file: &Path, all: &[u8]) -> Result<Vec<Group>, InputError> {
     Ok(groups)
 }
 
-/// Writes lines as a drawing in mm, R2000: from X, Y to X, Y on a layer.
+/// A drawing of lines as text, in mm, R2000: from X, Y to X, Y on a layer.
 ///
 /// The same lines give the same bytes.
 pub(crate) fn written(lines: &[([f64; 2], [f64; 2], &str)]) -> String {
     let mut layers: Vec<&str> = lines.iter().map(|(.., layer)| *layer).collect();
     layers.sort_unstable();
     layers.dedup();
-    // What AutoCAD 2000 wants in every drawing, with the handles that the entries refer to.
+    // AutoCAD 2000 needs these parts in every drawing, with the handles that the entries refer to.
     let (before, after) = EMPTY.split_once("0\nENTITIES\n").unwrap_or((EMPTY, ""));
     let mut out = String::new();
     let first = 0x100;
@@ -474,5 +479,6 @@ pub(crate) fn written(lines: &[([f64; 2], [f64; 2], &str)]) -> String {
     out.replace("0\nNEXT\n", &format!("{:X}\n", handle()))
 }
 
-/// An empty drawing with three places to fill: LAYERS, ENTITIES and NEXT, the next free handle.
+/// An empty drawing with three places to fill.
+/// They are LAYERS, ENTITIES and NEXT, the next free handle.
 const EMPTY: &str = include_str!("empty.dxf");

@@ -1,4 +1,4 @@
-//! Straight edges in a tree of boxes: which is nearest, which a ray crosses.
+//! Straight edges in a tree of boxes, to find the nearest edge or those on a ray.
 
 use crate::fit::Zx;
 
@@ -14,7 +14,7 @@ pub(crate) struct Edges {
     boxes: Vec<[Zx; 2]>,
 }
 
-/// The box of nothing.
+/// The empty box.
 const NOTHING: [Zx; 2] =
     [Zx::new(f64::INFINITY, f64::INFINITY), Zx::new(f64::NEG_INFINITY, f64::NEG_INFINITY)];
 
@@ -54,12 +54,12 @@ impl Edges {
         Self { edges, boxes }
     }
 
-    /// Where an edge begins.
+    /// The start of an edge.
     pub(crate) fn start(&self, n: usize) -> Zx {
         self.edges[n][0]
     }
 
-    /// The edges of a leaf, with their numbers.
+    /// The edges of a leaf, with their indices.
     /// `None` for a node above the leaves.
     fn leaf(&self, node: usize) -> Option<impl Iterator<Item = (usize, [Zx; 2])>> {
         let first = node.checked_sub(self.boxes.len() / 2)? * LEAF;
@@ -67,8 +67,8 @@ impl Edges {
         Some((first..last).map(|n| (n, self.edges[n])))
     }
 
-    /// Distance to the nearest edge, its number, and the foot on it.
-    /// Of several the first; `None` where none is nearer than `within`.
+    /// Distance to the nearest edge, its index, and the nearest point on it.
+    /// Among equal edges it is the first; `None` if none is nearer than `within`.
     pub(crate) fn nearest(&self, p: Zx, within: f64) -> Option<(f64, usize, Zx)> {
         let (mut best, mut open) = (None::<(f64, usize, Zx)>, vec![1]);
         while let Some(node) = open.pop() {
@@ -94,7 +94,7 @@ impl Edges {
         best
     }
 
-    /// How many edges a ray from a point towards larger Z crosses.
+    /// The number of edges that a ray from a point towards larger Z crosses.
     pub(crate) fn crossings(&self, p: Zx) -> usize {
         let crosses = |[a, b]: [Zx; 2]| {
             (a.x > p.x) != (b.x > p.x) && p.z < a.z + (p.x - a.x) / (b.x - a.x) * (b.z - a.z)
@@ -120,7 +120,7 @@ mod tests {
     use std::cell::Cell;
 
     thread_local! {
-        /// Edges that were looked at.
+        /// Number of edges that were examined.
         pub(super) static LOOKS: Cell<u64> = const { Cell::new(0) };
     }
 

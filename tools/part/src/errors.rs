@@ -1,5 +1,5 @@
-//! Part errors from probed points: probe tip, geometric-thermal correction, fit, `error.cor` and whiskers
-//! (NISTIR 4854, section 3).
+//! Part errors from probed points (NISTIR 4854, section 3).
+//! The steps are probe tip, geometric-thermal correction, fit, `error.cor` and whiskers.
 
 use crate::cor::{PointError, error_cor, turned_near};
 use crate::fit::{self, FitError, FitShape, FittedShape, Robust, TwoStep, Zx, sequence};
@@ -19,23 +19,24 @@ use std::f64::consts::TAU;
 use std::fmt::Write as _;
 use std::path::Path;
 
-/// Error bars are drawn this much longer: 4 µm become 1 mm (NISTIR 4854, "CAD error display").
+/// Magnification of drawn error bars: 4 µm become 1 mm.
+/// Source: NISTIR 4854, "CAD error display".
 pub const MAGNIFICATION: f64 = 250.0;
 
-/// What probing recorded: where the centre of the probe's tip was at each trip.
+/// The recorded points: the centre of the probe's tip at each trip.
 #[derive(Debug, Clone)]
 pub struct Probed {
     sheet: Sheet,
     /// Centre of the tip, in mm.
     pub tip_centre: Vec<Zx>,
-    /// Unit direction of motion at the trip, where recorded.
+    /// Unit direction of motion at the trip, if recorded.
     pub approach: Option<Vec<Zx>>,
 }
 
 const COLUMNS: [&str; 8] =
     ["z_mm", "x_mm", "approach_z", "approach_x", "point", "t_s", "uncertainty_um", "feature"];
 
-/// A finer step than this no probe tells, µm.
+/// Finest step that a probe can resolve, µm.
 const LEAST_STEP_UM: f64 = 0.1;
 
 /// The nominal feature that was probed.
@@ -46,14 +47,15 @@ pub enum Nominal {
         /// Nominal radius, in mm.
         radius_mm: f64,
     },
-    /// A straight feature; its nominal inclination to the part's axis where one is asked for (a taper).
+    /// A straight feature.
+    /// It has a nominal inclination to the part's axis if a taper is requested.
     Line {
         /// Nominal angle to the Z axis, in degrees.
         taper_deg: Option<f64>,
     },
 }
 
-/// The robust fit that stands beside the report's.
+/// The robust fit beside the report's own.
 #[derive(Debug, Clone, Serialize)]
 pub struct RobustSummary {
     /// Centre of the circle `[z, x]` or centroid of the line, in mm.
@@ -72,22 +74,24 @@ pub struct RobustSummary {
     pub errors_um: Vec<f64>,
 }
 
-/// What the fit found. SDs are sample standard deviations (divisor n − 1).
+/// The result of the fit. SDs are sample standard deviations (divisor n − 1).
 #[derive(Debug, Clone, Serialize)]
 pub struct ErrorReport {
-    /// What was fitted: `circle` or `line`.
+    /// The fitted shape: `circle` or `line`.
     pub feature: &'static str,
     /// Number of probed points.
     pub points: usize,
-    /// Radius of the probe's tip that was taken off, in mm; 0: the points were taken as on the surface.
+    /// Subtracted radius of the probe's tip, in mm.
+    /// 0 means that the points were taken as on the surface.
     pub tip_mm: f64,
     /// Centre of the circle `[z, x]`, or centroid of the line, in mm.
     pub centre_mm: [f64; 2],
     /// Radius of the surface, in mm.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub radius_mm: Option<f64>,
-    /// Fitted minus nominal radius, in µm; of a straight feature how far it lies outside its expected points, where those
-    /// were given. `errors` are without it.
+    /// Fitted minus nominal radius, in µm.
+    /// For a straight feature it is the distance outside its expected points, if those were given. `errors`
+    /// are without it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub size_error_um: Option<f64>,
     /// Inclination of a straight feature to the Z axis, in degrees, −90 < angle ≤ 90.
@@ -96,11 +100,13 @@ pub struct ErrorReport {
     /// Fitted minus nominal inclination, in degrees.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub inclination_error_deg: Option<f64>,
-    /// Standard errors of the centre, along Z and X (of a straight feature along its normal, twice), in µm; `None` where the points
-    /// do not tell. All standard errors here are by the scatter of all points.
-    /// The flanks of a form error are still in the second fit: its own scatter is too small.
+    /// Standard errors of the centre along Z and X, in µm.
+    /// For a straight feature both are along its normal. `None` if the points do not determine them. All
+    /// standard errors here use the scatter of all points. The second fit still holds the flanks of a form
+    /// error, so its own scatter is too small.
     pub centre_standard_error_um: Option<[f64; 2]>,
-    /// Standard error of the radius, or of a straight feature's place along its normal, in µm.
+    /// Standard error of the radius, in µm.
+    /// For a straight feature it is that of its place along its normal.
     pub size_standard_error_um: Option<f64>,
     /// Standard error of the inclination, in degrees.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -110,13 +116,15 @@ pub struct ErrorReport {
     /// Radius of the plain fit through all points, in mm; circles only.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub plain_radius_mm: Option<f64>,
-    /// Standard error of the plain fit's size, in µm; `None` where the points do not determine it.
+    /// Standard error of the plain fit's size, in µm.
+    /// `None` if the points do not determine it.
     pub plain_size_standard_error_um: Option<f64>,
-    /// The step that the points are written in, where it is more than they scatter by: it is in the standard errors. µm.
+    /// Step in which the points are written, µm, if the points scatter by less.
+    /// The standard errors include it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub step_um: Option<f64>,
     /// Places that were touched several times.
-    /// The standard errors count places then, not touches.
+    /// The standard errors then count places, not touches.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub repeats: Option<Repeats>,
     /// SD of all points about the plain fit, in µm.
@@ -127,11 +135,12 @@ pub struct ErrorReport {
     pub rejected: Vec<usize>,
     /// Largest minus smallest error, in µm.
     pub form_um: f64,
-    /// A robust fit beside it, as a check.
+    /// A robust fit as a check.
     pub robust: RobustSummary,
     /// Errors of all points about the second fit, in the order of the rows.
     pub errors: Vec<PointError>,
-    /// Touched from inside: a fillet or a groove, whose nose runs inside it.
+    /// Whether it was touched from inside: a fillet or a groove.
+    /// The tool's nose then runs inside it.
     #[serde(skip)]
     pub hollow: bool,
     #[serde(skip)]
@@ -139,8 +148,9 @@ pub struct ErrorReport {
 }
 
 impl Probed {
-    /// Read `z_mm,x_mm[,approach_z,approach_x]`; `point`, `t_s`, `uncertainty_um` and temperatures kept for the
-    /// off-line correction (columns `T8`, or `temperature.NAME`) may stand beside them.
+    /// Reads `z_mm,x_mm[,approach_z,approach_x]`.
+    /// Other columns may be `point`, `t_s`, `uncertainty_um` and temperatures (`T8`, or `temperature.NAME`)
+    /// for the off-line correction.
     ///
     /// # Errors
     /// As [`Sheet::read`]; a direction without length; one approach column without the other.
@@ -148,10 +158,11 @@ impl Probed {
         Self::of(Sheet::read(file, &COLUMNS, is_sensor)?)
     }
 
-    /// As [`Probed::read`], with columns under other names or none: words as `z_mm=3` or `x_mm=Radius`; no words, no others.
+    /// As [`Probed::read`], with columns that the user has assigned.
+    /// Words are such as `z_mm=3` or `x_mm=Radius`. Without words the columns have their own names.
     ///
     /// # Errors
-    /// As [`Probed::read`]; a word that is none, a column that is not there.
+    /// As [`Probed::read`]; an invalid word, a column that is missing.
     pub fn read_columns(file: &Path, columns: &[String]) -> Result<Self, InputError> {
         let columns = Columns::parse(columns, &COLUMNS, is_sensor)?;
         Self::of(Sheet::read_columns(file, &COLUMNS, is_sensor, &columns)?)
@@ -172,7 +183,7 @@ impl Probed {
         let tip_centre = pair("z_mm", "x_mm")?;
         let has = |name: &str| sheet.names().iter().any(|n| n == name);
         if has("feature") {
-            // One call has one radius, one tip and one side.
+            // One call has one radius, one tip and one side, so all points must be of one feature.
             let names = sheet.words("feature")?;
             if let Some(row) = names.iter().position(|n| *n != names[0]) {
                 let found = format!("a point of {} among those of {}", names[row], names[0]);
@@ -193,16 +204,16 @@ impl Probed {
         Ok(Self { sheet, tip_centre, approach })
     }
 
-    /// How the file is written where it is not as usual.
+    /// How the file's format differs from the usual one.
     #[must_use]
     pub fn written(&self) -> Option<String> {
         self.sheet.written()
     }
 
-    /// Add what the machine's model predicts at each point to the recorded positions: the scale read nominal, the
-    /// machine was off by the error. Probing itself runs uncorrected (NISTIR 4832, probing mode). The record's columns
-    /// T0, T1, … are the sensors, `t_s` the time, its approach the direction; `origin` is the machine's position at
-    /// the part's zero.
+    /// Adds the prediction of the machine's model to the recorded positions.
+    /// The scale read nominal while the machine was off by the error. Probing itself runs uncorrected (NISTIR
+    /// 4832, probing mode). The record's columns T0, T1, … are the sensors, `t_s` is the time, and its
+    /// approach is the direction. `origin` is the machine's position at the part's zero.
     ///
     /// # Errors
     /// A sensor or channel that the model needs and the record does not have.
@@ -242,7 +253,7 @@ impl Probed {
         Ok(())
     }
 
-    /// Where the points ask a model beyond the stretch that its values were stated on.
+    /// Effects that are evaluated beyond the range that their values were stated on.
     #[must_use]
     pub fn beyond_stated(&self, machine: &Machine, origin: Zx) -> Vec<String> {
         let places = |of: fn(&Zx) -> f64| Some(self.tip_centre.iter().map(|p| of(&(*p + origin))).collect());
@@ -253,7 +264,8 @@ impl Probed {
         })
     }
 
-    /// Effects of a model that read what the points do not record, which counts as none (of the time: the row's number).
+    /// Effects of a model whose inputs the points do not record.
+    /// Such an input counts as zero; for the time it is the row's number.
     #[must_use]
     pub fn read_blind(&self, machine: &Machine) -> Vec<String> {
         let timed = self.sheet.names().iter().any(|n| n == "t_s");
@@ -266,18 +278,20 @@ impl Probed {
         machine.effects().filter(|e| e.description().needs.iter().any(blind)).map(Effect::name).collect()
     }
 
-    /// Line of the first point at exactly 0, 0, as where no position was captured.
+    /// Line of the first point at exactly 0, 0.
+    /// Such a point shows that no position was captured.
     #[must_use]
     pub fn at_zero(&self) -> Option<usize> {
         let row = self.tip_centre.iter().position(|p| p.z == 0.0 && p.x == 0.0)?;
         Some(self.sheet.line(row))
     }
 
-    /// Is each trip where it was expected? `expected` are the tip's centres at the nominal part.
+    /// Checks that each trip is where it was expected.
+    /// `expected` are the tip's centres at the nominal part.
     ///
     /// # Errors
-    /// A missing or surplus point, or the first trip further than `window_mm` from its place; both name the point. Where the
-    /// trips would be in their places read otherwise, it says how.
+    /// A missing or surplus point, or the first trip further than `window_mm` from its place; both name the
+    /// point. If another reading of the numbers puts all trips into their places, the finding names it.
     pub fn check_expected(&self, expected: &[Zx], window_mm: f64) -> Result<(), InputError> {
         if self.tip_centre.len() != expected.len() {
             let away = self.tip_centre.iter().zip(expected).position(|(p, e)| (*p - *e).norm() > window_mm);
@@ -300,7 +314,7 @@ impl Probed {
         Ok(())
     }
 
-    /// The slip that puts every trip into its place, and what it would be.
+    /// A mistake in reading the numbers that explains every trip, in words.
     fn otherwise(&self, expected: &[Zx], window_mm: f64) -> Option<&'static str> {
         const INCH: f64 = 25.4;
         type Slip = fn(Zx) -> Zx;
@@ -319,12 +333,13 @@ impl Probed {
         slips.into_iter().find(|(_, slip)| fits(*slip)).map(|(said, _)| said)
     }
 
-    /// Do the points lie on a straight line rather than on an arc? A circle that explains them hardly better than a line is
-    /// none: its radius would be whatever the noise makes of it. Nor is one that is far flatter than the points are long,
-    /// unless an arc is what was `expected`: a straight feature's commonest error is to be bowed.
+    /// Whether the points are on a straight line rather than on an arc.
+    /// A circle that explains them hardly better than a line does not count, because noise determines its
+    /// radius. A very flat circle does not count either, unless an arc was `expected`, because straight
+    /// features are often bowed.
     ///
     /// # Errors
-    /// Too few points to tell, or points that determine no shape.
+    /// Too few points to decide, or points that determine no shape.
     pub fn is_straight(&self, expected: bool) -> Result<bool, InputError> {
         let points = &self.tip_centre;
         let spread = |shape: FitShape| {
@@ -343,10 +358,10 @@ impl Probed {
             Ok(FittedShape::Circle { radius_mm, .. }) => !expected && radius_mm > BOWED * length_mm,
             _ => false,
         };
-        // A circle that cannot be fitted to points of a line: they lie on it exactly.
+        // If no circle can be fitted, the points are exactly on a line.
         let straight = spread(FitShape::Circle).map_or(true, |circle_um| circle_um >= STRAIGHT * line_um);
         if straight && expected && points.len() >= ENOUGH_TO_DOUBT {
-            // One false trip of millimetres spoils both fits alike; what most of the points agree on it does not.
+            // One false trip of millimetres spoils both fits equally, but not the robust fits.
             let of = |shape| fit::robust(shape, points).map(|r| r.scale_um);
             if let (Ok(circle_um), Ok(line_um)) = (of(FitShape::Circle), of(FitShape::Line)) {
                 return Ok(circle_um >= STRAIGHT * line_um);
@@ -355,12 +370,13 @@ impl Probed {
         Ok(bowed || straight)
     }
 
-    /// How far the points lie outside the expected ones on average, along the normals, µm: of a straight feature its
-    /// constant error, which its form is without.
+    /// Mean distance of the points outside the expected ones, along the normals, µm.
+    /// For a straight feature this is its constant error, which its form does not include.
     #[must_use]
     pub fn outside_um(&self, report: &ErrorReport, expected: &[Zx]) -> Option<f64> {
         let FittedShape::Line { normal, .. } = report.outline else { return None };
-        // What the errors leave of each point's distance: the line that they are from, not the mean of all, which a bump pulls.
+        // Each point's distance less its error is the distance of the fitted line. The mean of all would be
+        // shifted by a bump.
         let off = self.tip_centre.iter().zip(expected).map(|(p, e)| (*p - *e).dot(normal) * 1e3);
         let line = off.zip(&report.errors).map(|(off, e)| off - e.error_um);
         Some(line.sum::<f64>() / self.tip_centre.len().min(expected.len()).max(1) as f64)
@@ -369,8 +385,9 @@ impl Probed {
     /// Part errors of a feature probed with a tip of radius `tip_mm`.
     /// Points beyond noise are left out of the fit ([`fit::beyond_noise`]).
     ///
-    /// The tip touches where its surface is normal to the part's, whatever the direction it came from; the
-    /// approach tells from which side. So the shape is fitted to the tip's centres and moved by the tip's radius.
+    /// The tip touches where its surface is normal to the part's, whatever the direction of approach. The
+    /// approach only shows the side. So the shape is fitted to the tip's centres and moved by the tip's
+    /// radius.
     ///
     /// # Errors
     /// Too few or degenerate points; approaches from both sides of the surface or along it.
@@ -417,7 +434,8 @@ impl Probed {
         let mut two = second_fit(shape, points, &robust, repeats.as_ref()).map_err(as_input)?;
         let side = self.side(&two.fitted)?;
         if let FittedShape::Line { normal, .. } = two.fitted {
-            // A straight feature faces the probe, by both fits: a face's normal may come out of either one either way.
+            // The normal of a straight feature is turned towards the probe in both fits, because a fit may
+            // give either sign for a face.
             let outward = normal * side;
             face(outward, &mut two.fitted, &mut two.errors_um);
             face(outward, &mut robust.fitted, &mut robust.errors_um);
@@ -504,8 +522,9 @@ impl Probed {
         })
     }
 
-    /// What one point is known within, µm: what all scatter by about their plain fit, and the step that they are written in where
-    /// that is more; that step.
+    /// Uncertainty of one point, µm, and the step if it is included.
+    /// It is the scatter of all points about their plain fit. The step in which the points are written is
+    /// added if it is larger.
     fn scatter_um(&self, sd_um: f64, shape: FitShape) -> (f64, Option<f64>) {
         let n = self.tip_centre.len();
         let sd_um = sd_um * ((n - 1) as f64 / (n - shape.parameters()) as f64).sqrt();
@@ -514,10 +533,11 @@ impl Probed {
         (step_um.map_or(sd_um, |step| sd_um.hypot(step / 12f64.sqrt())), step_um)
     }
 
-    /// Take the directions of motion at the trips from the probe's path, for points recorded without them.
+    /// Takes the directions of motion at the trips from the probe's path.
+    /// It serves for points recorded without them.
     ///
     /// # Errors
-    /// Another number of touches than of points; a direction that is not the recorded one.
+    /// The numbers of touches and points differ; a direction differs from the recorded one.
     pub fn touched_by(&mut self, path: &[Zx]) -> Result<(), InputError> {
         if path.len() != self.tip_centre.len() {
             let found = format!("{} points for a path of {} touches", self.tip_centre.len(), path.len());
@@ -531,10 +551,11 @@ impl Probed {
         Ok(())
     }
 
-    /// Checks that each point lies on the way of its touch.
+    /// Checks that each point is on the way of its touch.
     ///
     /// # Errors
-    /// A point beside the way of its touch or behind its end: of another path, another side or another unit.
+    /// A point beside the way of its touch or beyond its end. It is then of another path, another side or
+    /// another unit.
     pub fn met_on(&self, path: &[PathPoint]) -> Result<(), InputError> {
         for (row, ([start, end], p)) in touches(path).zip(&self.tip_centre).enumerate() {
             let whole = end - start;
@@ -556,7 +577,8 @@ impl Probed {
 
     /// +1: probed from outside (against the normal), −1: from inside.
     ///
-    /// Without approaches from outside, which of a face nobody can tell: its normal's sign would be that of its tilt.
+    /// Without approaches it is outside. For a face that cannot be assumed, because its normal's sign would
+    /// depend on its tilt.
     fn side(&self, fitted: &FittedShape) -> Result<f64, InputError> {
         let Some(approach) = &self.approach else {
             return match *fitted {
@@ -589,15 +611,18 @@ fn coordinates(points: &[Zx]) -> Vec<f64> {
     points.iter().flat_map(|p| [p.z, p.x]).collect()
 }
 
-/// A part stands no further from where its path expects it, mm; and no trip comes later than a touch's end by more.
+/// Largest distance of a part from its place in the path, mm.
+/// The second constant is the largest distance of a trip beyond a touch's end, mm.
 const OFF_WAY_MM: f64 = 5.0;
 const PAST_MM: f64 = 1.0;
-/// A straight feature whose normal has less than this across the part's axis is a face: within 10° of square to it.
+/// Largest part of a face's normal across the part's axis.
+/// A face is within 10° of square to the axis.
 const FACE: f64 = 0.17;
-/// Directions within 26° are one: a path's numbers are rounded, a recorded direction may be the nominal one.
+/// Smallest cosine of two directions that count as one: 26°.
+/// A path's numbers are rounded, and a recorded direction may be the nominal one.
 const ALONG: f64 = 0.9;
 
-/// Turn a line's normal, and the deviations along it, to the side that is outward.
+/// Turns a line's normal, and the deviations along it, outward.
 fn face(outward: Zx, fitted: &mut FittedShape, errors_um: &mut [f64]) {
     if matches!(*fitted, FittedShape::Line { normal, .. } if normal.dot(outward) < 0.0) {
         *fitted = fitted.turned();
@@ -607,11 +632,12 @@ fn face(outward: Zx, fitted: &mut FittedShape, errors_um: &mut [f64]) {
     }
 }
 
-/// The share of a line's deviations that a circle must leave at most to be one.
+/// Largest share of a line's deviations that a true circle leaves.
 const STRAIGHT: f64 = 0.25;
-/// Of fewer points some circle goes through most, whatever they are.
+/// Fewest points for this test: some circle fits fewer points nearly always.
 const ENOUGH_TO_DOUBT: usize = 8;
-/// A radius of so many times the points' length is a bow of a straight feature: less than 0.13 mm on 100 mm.
+/// Ratio of radius to length above which an arc is a bowed straight feature.
+/// The bow is then less than 0.13 mm on 100 mm.
 const BOWED: f64 = 100.0;
 
 /// A sensor's column: T and a number, or `temperature.` and its name.
@@ -621,7 +647,7 @@ fn is_sensor(name: &str) -> bool {
 
 const TEMPERATURE: &str = "temperature.";
 
-/// How a sensor's column is headed.
+/// The header of a sensor's column.
 pub(crate) fn sensor_column(sensor: &str) -> String {
     if is_numbered(sensor) { sensor.to_owned() } else { format!("{TEMPERATURE}{sensor}") }
 }
@@ -630,7 +656,8 @@ fn is_numbered(name: &str) -> bool {
     name.strip_prefix('T').is_some_and(|n| !n.is_empty() && n.bytes().all(|b| b.is_ascii_digit()))
 }
 
-/// A fillet's angles may cross ±π: they go on along the arc, from its one end to the other, in the order of its points.
+/// Makes a fillet's angles continuous where they cross ±π.
+/// They follow the arc from one end to the other, in the order of its points.
 fn unwrap_angles(errors: &mut [PointError], order: &[usize]) {
     for pair in order.windows(2) {
         let turns = ((errors[pair[0]].angle_rad - errors[pair[1]].angle_rad) / TAU).ceil();
@@ -676,9 +703,10 @@ fn place(fitted: &FittedShape) -> ([f64; 2], Option<f64>) {
 }
 
 impl ErrorReport {
-    /// `error.cor`: of an arc by angle, as the report has it; of a straight feature, whose angle is one, five numbers a line:
-    /// angle (rad), error (µm), place along it (mm), and the surface's Z and X there (mm). With `with_size` the constant
-    /// error is in it too.
+    /// The text of `error.cor`.
+    /// An arc is by angle, as in the report. A straight feature has one angle and five numbers per line:
+    /// angle (rad), error (µm), place along it (mm), and the surface's Z and X there (mm). With `with_size`
+    /// the constant error is included.
     #[must_use]
     pub fn error_cor(&self, with_size: bool) -> String {
         let size_um = self.size_error_um.filter(|_| with_size).unwrap_or(0.0);
@@ -703,7 +731,7 @@ impl ErrorReport {
     }
 }
 
-/// The error bars: foot on the nominal outline, head beyond it by the magnified error.
+/// The error bars, from the nominal outline outward by the magnified error.
 pub(crate) struct Whiskers {
     pub outline: Vec<Zx>,
     pub bars: Vec<(Zx, Zx)>,
@@ -724,7 +752,8 @@ impl ErrorReport {
         Some(self.student()? * self.inclination_standard_error_deg?)
     }
 
-    /// Half of a 95 % interval, in standard errors.
+    /// Half of a 95 % interval in standard errors, for this number of points.
+    /// Places that were touched several times count once.
     fn student(&self) -> Option<f64> {
         let parameters = if self.radius_mm.is_some() { 3 } else { 2 };
         let places = self.repeats.as_ref().map_or(self.points, |repeats| repeats.places);
@@ -732,13 +761,14 @@ impl ErrorReport {
         Some(StudentsT::new(0.0, 1.0, freedom).ok()?.inverse_cdf(0.975))
     }
 
-    /// The size error is outside of its 95 % interval about zero: less than that is advised on by nobody.
+    /// Whether the size error is larger than its 95 % interval.
+    /// No advice is given on a smaller one.
     #[must_use]
     pub fn is_size_known(&self) -> bool {
         matches!((self.size_error_um, self.size_within_um()), (Some(off), Some(within)) if off.abs() > within)
     }
 
-    /// The same of the inclination.
+    /// Whether the inclination error is larger than its 95 % interval.
     #[must_use]
     pub fn is_inclination_known(&self) -> bool {
         let both = (self.inclination_error_deg, self.inclination_within_deg());
@@ -781,7 +811,7 @@ impl ErrorReport {
         Whiskers { outline, bars, rejected, size_mm }
     }
 
-    /// The feature with its error bars, magnified as figures 5 and 6 of NISTIR 4854.
+    /// The feature with its error bars, magnified as in figures 5 and 6 of NISTIR 4854.
     #[must_use]
     pub fn whisker_svg(&self) -> String {
         let w = self.whiskers();

@@ -1,10 +1,11 @@
-//! Circles and lines through probed points: geometric least squares, the two-step fit of NISTIR 4854 and a robust
-//! one beside it.
+//! Fits circles and lines to probed points.
+//! The fits are geometric least squares, the two-step fit of NISTIR 4854 and a robust one.
 
 use serde::Serialize;
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
-/// A point or a direction in the turning plane, in mm: `z` along the part's axis, `x` the distance from it.
+/// A point or a direction in the turning plane, in mm.
+/// `z` is along the part's axis, `x` is the distance from it.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Zx {
     /// Along the axis of the part.
@@ -44,7 +45,7 @@ impl Zx {
         self.x.atan2(self.z)
     }
 
-    /// The same direction with length 1; `None` for a vector that has no direction.
+    /// The same direction with length 1; `None` for a vector without direction.
     #[must_use]
     pub fn unit(self) -> Option<Self> {
         let length = self.norm();
@@ -73,7 +74,7 @@ impl std::ops::Mul<f64> for Zx {
     }
 }
 
-/// Which shape is fitted to the points.
+/// The shape that is fitted to the points.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum FitShape {
     /// A circle with free centre and radius.
@@ -113,7 +114,8 @@ pub enum FittedShape {
 }
 
 impl FittedShape {
-    /// Deviation of a point, in mm, positive outside the circle or on the normal's side of the line.
+    /// Deviation of a point, in mm.
+    /// It is positive outside the circle or on the normal's side of the line.
     #[must_use]
     pub fn deviation_mm(&self, p: Zx) -> f64 {
         match *self {
@@ -131,7 +133,7 @@ impl FittedShape {
         }
     }
 
-    /// The same line with its normal turned round; a circle stays.
+    /// The same line with its normal reversed; a circle is unchanged.
     #[must_use]
     pub fn turned(self) -> Self {
         match self {
@@ -141,10 +143,10 @@ impl FittedShape {
     }
 }
 
-/// Why points do not give a shape.
+/// The reason why points do not give a shape.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum FitError {
-    /// Fewer points than free parameters and one for the error.
+    /// Fewer points than one more than the number of free parameters.
     #[error("{found} points, {needed} are needed")]
     TooFew {
         /// Number of points given.
@@ -155,7 +157,7 @@ pub enum FitError {
     /// The points do not determine the shape: on one line, or all in one place.
     #[error("the points do not determine the shape (on one line, or all in one place)")]
     Degenerate,
-    /// The iteration did not settle.
+    /// The iteration did not converge.
     #[error("the fit did not settle in {iterations} iterations")]
     NoConvergence {
         /// Number of iterations done.
@@ -197,7 +199,7 @@ pub fn least_squares(
             }
             let along = 0.5 * (2.0 * zx).atan2(zz - xx);
             let normal = Zx::new(-along.sin(), along.cos());
-            // Away from the part's axis; a face looks towards +Z.
+            // The normal points away from the part's axis; for a face towards +Z.
             let outward = if normal.x.abs() > 1e-9 { normal.x > 0.0 } else { normal.z > 0.0 };
             Ok(FittedShape::Line { through: centroid, normal: if outward { normal } else { normal * -1.0 } })
         }
@@ -215,7 +217,8 @@ pub fn least_squares(
     }
 }
 
-/// Levenberg-Marquardt on the centre; the best radius for a centre is the mean distance and is eliminated.
+/// Levenberg-Marquardt on the centre.
+/// The best radius for a centre is the mean distance, so the radius is eliminated.
 fn circle_from(
     points: &[Zx],
     weight: &impl Fn(usize) -> f64,
@@ -276,7 +279,8 @@ pub fn deviations_um(fitted: &FittedShape, points: &[Zx]) -> Vec<f64> {
     points.iter().map(|&p| fitted.deviation_mm(p) * 1e3).collect()
 }
 
-/// Sample standard deviation (divisor n − 1) of the values whose index passes; 0 for fewer than two.
+/// Sample standard deviation (divisor n − 1) of selected values.
+/// `keep` selects by index. It is 0 for fewer than two values.
 #[must_use]
 pub fn sd(values: &[f64], keep: impl Fn(usize) -> bool) -> f64 {
     let kept: Vec<f64> = values.iter().enumerate().filter(|(i, _)| keep(*i)).map(|(_, v)| *v).collect();
@@ -287,19 +291,20 @@ pub fn sd(values: &[f64], keep: impl Fn(usize) -> bool) -> f64 {
     (kept.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / (kept.len() - 1) as f64).sqrt()
 }
 
-/// Standard errors of a fitted shape, by the scatter of points about it.
+/// Standard errors of a fitted shape, from the scatter of points about it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct StandardErrors {
-    /// Of a circle's centre along Z and X, µm; of a line's place along its normal, twice.
+    /// For a circle: of its centre along Z and X, µm.
+    /// For a line: of its place along its normal, twice.
     pub centre_um: [f64; 2],
-    /// Of a circle's radius, or of a line's place along its normal, µm.
+    /// For a circle: of its radius, µm. For a line: of its place along its normal.
     pub size_um: f64,
-    /// Of a line's inclination, rad.
+    /// For a line: of its inclination, rad.
     pub inclination_rad: Option<f64>,
 }
 
-/// Standard errors of a least-squares fit through `points` whose deviations have this standard deviation; `None` where the points
-/// do not determine the shape.
+/// Standard errors of a least-squares fit through `points`.
+/// `sd_um` is the standard deviation of their deviations. `None` if the points do not determine the shape.
 #[must_use]
 pub fn standard_errors(fitted: &FittedShape, points: &[Zx], sd_um: f64) -> Option<StandardErrors> {
     let n = points.len() as f64;
@@ -318,7 +323,7 @@ pub fn standard_errors(fitted: &FittedShape, points: &[Zx], sd_um: f64) -> Optio
                 return None;
             }
             let (zz, zx, xx) = (d / det, -b / det, a / det);
-            // The radius is the mean distance: it goes with the centre along the points' mean direction.
+            // The radius is the mean distance, so it varies with the centre along the points' mean direction.
             let size = 1.0 / n + mean.z * mean.z * zz + 2.0 * mean.z * mean.x * zx + mean.x * mean.x * xx;
             Some(StandardErrors {
                 centre_um: [zz.sqrt() * sd_um, xx.sqrt() * sd_um],
@@ -339,9 +344,10 @@ pub fn standard_errors(fitted: &FittedShape, points: &[Zx], sd_um: f64) -> Optio
     }
 }
 
-/// How much of a form error a circle's size holds: size in µm for each µm of amplitude, of the worst of two to four waves a turn. 1
-/// or less around a whole circle; on a short arc many times that, because there such waves look like another radius. `None` where
-/// the points do not determine a circle.
+/// How much a form error changes a circle's size, µm per µm of amplitude.
+/// It is for the worst of two to four waves per turn. Around a whole circle it is 1 or less. On a short arc
+/// it is far larger, because such waves look like another radius there. `None` if the points do not determine
+/// a circle.
 #[must_use]
 pub fn form_in_size(angles_rad: &[f64]) -> Option<f64> {
     let n = angles_rad.len() as f64;
@@ -406,14 +412,16 @@ impl TwoStep {
 
 /// The two-step fit of NISTIR 4854, section 3.
 ///
-/// Fit all points, drop the largest deviations, keep both ends, fit again.
-/// Drops deviations on the side of the worst point that exceed 0.5 SD.
+/// Fits all points, drops the largest deviations, fits again.
+/// Both end points are kept. The deviations are those of all points.
 ///
-/// A form error has one sign: a worn tool leaves material, a chipped one takes it. The other side holds the good points
-/// that the first circle was pulled away from.
+/// It drops deviations on the side of the worst point that exceed 0.5 SD.
 ///
-/// Of white noise alone the rule drops about 30 % of the points, all on one side. The size is then off by about half an
-/// SD, however many points there are. A size is advised on by [`beyond_noise`] instead.
+/// A form error has one sign: a worn tool leaves material, a chipped one removes it. The other side has the
+/// good points, which the first circle is pulled away from.
+///
+/// Of white noise the rule drops about 30 % of the points, all on one side. The size is then off by about half
+/// an SD, whatever the number of points. `part errors` uses [`beyond_noise`] instead.
 ///
 /// # Errors
 /// As [`least_squares`].
@@ -429,13 +437,13 @@ pub fn two_step(shape: FitShape, points: &[Zx]) -> Result<TwoStep, FitError> {
         .filter(|i| !ends.contains(i))
         .max_by(|&a, &b| first[a].abs().total_cmp(&first[b].abs()))
         .unwrap_or(0);
-    // Below a picometre there is no deviation, only arithmetic.
+    // Deviations below a picometre are rounding.
     let threshold_um = (0.5 * sd(&first, |_| true)).max(1e-6);
     let mut rejected: Vec<usize> = (0..points.len())
         .filter(|i| !ends.contains(i) && first[*i] * first[worst].signum() > threshold_um)
         .collect();
     if points.len() - rejected.len() < needed {
-        // Too few would be left to judge by: drop only the worst of them.
+        // Too few points would remain, so only the worst are dropped.
         rejected.sort_by(|&a, &b| first[b].abs().total_cmp(&first[a].abs()));
         rejected.truncate(points.len() - needed);
         rejected.sort_unstable();
@@ -443,10 +451,10 @@ pub fn two_step(shape: FitShape, points: &[Zx]) -> Result<TwoStep, FitError> {
     TwoStep::without(shape, points, rejected)
 }
 
-/// Chance sets a point apart in one of so many features.
+/// Share of features in which chance sets a point apart.
 const CHANCE: f64 = 0.01;
 
-/// Sums over points, of which the squares that a linear fit leaves follow.
+/// Sums over points, from which the residual squares of a linear fit follow.
 #[derive(Debug, Clone, Copy, Default)]
 struct Sums {
     n: f64,
@@ -469,8 +477,7 @@ impl Sums {
         }
     }
 
-    /// Sum of the squares left by a constant and both slopes.
-    /// Slopes that the points do not determine take the steepest way.
+    /// Residual sum of squares of a constant and both slopes.
     fn left(&self) -> f64 {
         let ([a, b], n) = (self.u, self.n);
         let [aa, ab, bb] = [self.uu[0] - a * a / n, self.uu[1] - a * b / n, self.uu[2] - b * b / n];
@@ -485,19 +492,18 @@ impl Sums {
     }
 }
 
-/// Indices of the points that are farther off than noise sets them, ascending.
+/// Indices of the points that are farther from the shape than noise explains.
 ///
-/// The half of the points that is nearest to the robust shape belongs to the surface. The others join it one after the
-/// other, the nearest first. What the next one is off the fit through those before, over its standard error, follows
-/// Student's law. From the first that chance does not give, all are left out (Rosner, Technometrics 25, 1983; Atkinson &
-/// Riani, Robust Diagnostic Regression Analysis). White noise loses a point in one to three of a hundred features.
-/// `least_um`: no point is known better.
+/// The half of the points nearest to the robust shape belongs to the surface. The others join it, the nearest
+/// first. The deviation of the next one from the fit of those before it follows Student's law. From the first
+/// significant one on, all are left out (Rosner, Technometrics 25, 1983). White noise loses a point in one to
+/// three of a hundred features. `least_um` is the smallest standard deviation of a point. The indices ascend.
 #[must_use]
 pub fn beyond_noise(robust: &FittedShape, points: &[Zx], least_um: f64) -> Vec<usize> {
     let (n, off_um) = (points.len(), deviations_um(robust, points));
     let mean =
         points.iter().fold(Zx::new(0.0, 0.0), |s, p| s + robust.normal_at(*p)) * (1.0 / n.max(1) as f64);
-    // What a small change of the shape moves its surface by, at each point.
+    // How far a small change of the shape moves its surface at each point.
     let (parameters, slopes): (usize, Vec<[f64; 2]>) = match *robust {
         FittedShape::Circle { .. } => {
             let normal = |p: &Zx| robust.normal_at(*p) - mean;
@@ -529,7 +535,8 @@ pub fn beyond_noise(robust: &FittedShape, points: &[Zx], least_um: f64) -> Vec<u
     Vec::new()
 }
 
-/// Indices of the points in sequence along a shape: round the circle starting after the widest gap, or along the line.
+/// Indices of the points in sequence along a shape.
+/// On a circle the sequence starts after the widest gap.
 #[must_use]
 pub fn sequence(fitted: &FittedShape, points: &[Zx]) -> Vec<usize> {
     let key: Vec<f64> = match *fitted {
@@ -553,14 +560,15 @@ pub fn sequence(fitted: &FittedShape, points: &[Zx]) -> Vec<usize> {
 
 fn ends(fitted: &FittedShape, points: &[Zx]) -> [usize; 2] {
     let order = sequence(fitted, points);
-    // `two_step` has refused an empty set of points already; 0 stands for both ends of nothing.
+    // `two_step` has refused an empty set of points already; 0 is then used for both ends.
     [order.first().copied().unwrap_or(0), order.last().copied().unwrap_or(0)]
 }
 
-/// A robust fit (MM-estimate): points that do not belong to the shape have no weight.
+/// A robust fit (MM-estimate).
+/// Points that do not belong to the shape have no weight.
 #[derive(Debug, Clone)]
 pub struct Robust {
-    /// The shape that most of the points agree on.
+    /// The shape on which most of the points agree.
     pub fitted: FittedShape,
     /// Robust scale of the deviations that belong to the shape, in µm.
     pub scale_um: f64,
@@ -570,16 +578,19 @@ pub struct Robust {
     pub errors_um: Vec<f64>,
 }
 
-/// Tukey's biweight: 95 % efficient for normal deviations (Huber & Ronchetti, Robust Statistics, 2nd ed.).
+/// Constant of Tukey's biweight, 95 % efficient for normal deviations.
+/// Source: Huber & Ronchetti, Robust Statistics, 2nd ed.
 const BIWEIGHT: f64 = 4.685;
-/// Most points that candidates are drawn from: all triples of 24 are 2024 circles.
+/// Most points from which candidates are formed.
+/// All triples of 24 points are 2024 circles.
 const CANDIDATE_POINTS: usize = 24;
 
 /// An MM-estimate of the shape.
 ///
-/// Of all shapes through as few points as determine one, that with the smallest median absolute deviation gives start
-/// and scale. Iterated reweighting with Tukey's biweight at that scale follows.
-/// Nothing is drawn at random: the same points give the same answer.
+/// Candidates are all shapes through as few points as determine one. The one with the smallest median
+/// absolute deviation gives start and scale. Iterated reweighting with Tukey's biweight at that scale
+/// follows.
+/// Nothing is random: the same points give the same answer.
 ///
 /// # Errors
 /// As [`least_squares`].
@@ -592,7 +603,7 @@ pub fn robust(shape: FitShape, points: &[Zx]) -> Result<Robust, FitError> {
     let picked: Vec<usize> = (0..m).map(|k| k * (n - 1) / (m - 1)).collect();
     let mut best: Option<(f64, FittedShape)> = None;
     let mut consider = |chosen: &[Zx]| {
-        // A candidate that its points do not determine is no candidate.
+        // Points that do not determine a shape give no candidate.
         let Ok(candidate) = least_squares(shape, chosen, None) else { return };
         let mut size: Vec<f64> = deviations_um(&candidate, points).iter().map(|e| e.abs()).collect();
         // Rousseeuw & Leroy: the h-th smallest with h = (n + p + 1) / 2.
@@ -615,7 +626,8 @@ pub fn robust(shape: FitShape, points: &[Zx]) -> Result<Robust, FitError> {
         }
     }
     let Some((median, mut fitted)) = best else { return Err(FitError::Degenerate) };
-    // 1.4826 makes the median the SD of normal deviations, the second factor mends its bias in small samples.
+    // 1.4826 turns the median into the SD of normal deviations; the second factor corrects its bias in small
+    // samples.
     let scale_um = (1.4826 * (1.0 + 5.0 / (n - p) as f64) * median).max(1e-6);
     let mut weights = vec![1.0; n];
     for _ in 0..MAX_ITERATIONS {

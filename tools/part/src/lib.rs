@@ -1,11 +1,12 @@
-//! From a drawing to a probed, compensated part: the process-intermittent and the post-process loop of NISTIR 4854.
+//! From a drawing to a probed, compensated part.
+//! It has the process-intermittent and the post-process loop of NISTIR 4854.
 //!
-//! | module | what lives there |
+//! | module | content |
 //! |---|---|
 //! | [`contour`], [`mod@unit`], `drawing` | the part's features in probing order; read from DXF |
 //! | [`path`] | probing points, the probe's path, collisions |
 //! | [`program`] | the NC probing program: template, parameters, dialects |
-//! | [`probe`] | captured trips against the plan |
+//! | [`probe`] | captured trips compared with the plan |
 //! | [`fit`], [`errors`] | circle and line through points; probed points to errors and whiskers |
 //! | [`determine`] | errors from probed points as people give them
 //! | [`cor`] | `error.cor`, read and written |
@@ -14,11 +15,12 @@
 //! | [`svg`] | drawings as SVG |
 //! | [`page`] | two probing sessions side by side |
 //!
-//! What must not live here: a machine that moves (`rtec-sim`), the engine, the control law, a server: geometry only.
+//! Only geometry belongs here: no machine that moves (`rtec-sim`), no engine, no control law, no server.
 //!
-//! All lengths are in mm, all errors in µm. `z` runs along the part's axis, `x` is the distance from it (a radius).
+//! All lengths are in mm, all errors in µm. `z` is along the part's axis, `x` is the distance from it (a
+//! radius).
 //!
-//! At work: `cargo run -p rtec-part --example fit_nose`, which the tests run too.
+//! An example: `cargo run -p rtec-part --example fit_nose`. The tests run it too.
 
 pub mod batch;
 pub mod contour;

@@ -1,4 +1,5 @@
-//! The finish cut of a straight feature: errors by place become requested counts by machine position.
+//! The finish cut of a straight feature.
+//! Errors by place become requested counts by machine position.
 
 use crate::cor::LineError;
 use crate::fit::Zx;
@@ -10,9 +11,9 @@ use std::fmt::Write as _;
 pub struct LineTable {
     /// Errors by place, places ascending.
     pub errors: Vec<LineError>,
-    /// Counts of Z and of X.
+    /// The counts of Z and of X.
     pub axes: [AxisCounts; 2],
-    /// Radius of the tool's nose, mm: its centre runs so far outside the surface.
+    /// Radius of the tool's nose, mm: the distance of its centre from the surface.
     pub nose_mm: f64,
     /// Machine position at which the nose's centre is at the part's origin.
     pub origin: Zx,
@@ -23,12 +24,13 @@ impl LineTable {
     fn directions(&self) -> (Zx, Zx) {
         let n = self.errors.first().map_or(Zx::new(0.0, 0.0), |e| Zx::at_angle(e.angle_rad));
         let way = self.errors.last().zip(self.errors.first()).map(|(b, a)| b.place - a.place);
-        // Across the normal, the way that the places go.
+        // Across the normal, in the direction of increasing places.
         let along = Zx::new(n.x, -n.z);
         (n, along * way.map_or(1.0, |w| w.dot(along).signum()))
     }
 
-    /// Where a machine position is to the feature's first point: along it, and off the line that the nose's centre runs on.
+    /// A machine position relative to the feature's first point, mm.
+    /// The values are the place along the feature, and the distance from the line of the nose's centre.
     fn at(&self, machine: Zx) -> [f64; 2] {
         let (n, along) = self.directions();
         let first = self.errors.first().map_or(Zx::new(0.0, 0.0), |e| e.place);
@@ -36,7 +38,8 @@ impl LineTable {
         [from.dot(along), from.dot(n) - self.nose_mm]
     }
 
-    /// Error at a place, from the first point's: linear between the probed points, the end values beyond them.
+    /// Error at a distance from the first point, µm.
+    /// It is linear between the probed points; beyond them the end values apply.
     #[must_use]
     pub fn error_um(&self, from_first_mm: f64) -> f64 {
         let Some(first) = self.errors.first() else { return 0.0 };
@@ -52,15 +55,16 @@ impl LineTable {
         }
     }
 
-    /// Components of the error, in µm, at the machine position that is reached in `lead_s` at a velocity in mm/s, as
-    /// [`crate::table::FinishTable::components_um`] has them of an arc.
+    /// Components of the error, in µm, at a predicted machine position.
+    /// It is reached in `lead_s` at a velocity in mm/s. For an arc see
+    /// [`crate::table::FinishTable::components_um`].
     #[must_use]
     pub fn components_um(&self, machine: Zx, velocity_mm_s: Zx, lead_s: f64) -> Zx {
         let [along_mm, _] = self.at(machine + velocity_mm_s * lead_s);
         self.directions().0 * self.error_um(along_mm)
     }
 
-    /// From a machine position to the stretch that the nose's centre runs on, mm.
+    /// Distance of a machine position from the line segment of the nose's centre, mm.
     #[must_use]
     pub fn off_mm(&self, machine: Zx) -> f64 {
         let [along_mm, off_mm] = self.at(machine);
@@ -71,7 +75,7 @@ impl LineTable {
         off_mm.hypot((along_mm - length_mm).max(-along_mm).max(0.0))
     }
 
-    /// The table: at each probed point and `between` steps between each two.
+    /// The table: a row at each probed point, and `between` rows between neighbours.
     #[must_use]
     pub fn rows(&self, between: usize) -> Vec<FinishRow> {
         let steps = between + 1;
@@ -100,7 +104,8 @@ impl LineTable {
         places.into_iter().map(row).collect()
     }
 
-    /// The same compensation written into the NC program instead: corners of the straight moves, part coordinates.
+    /// The same compensation as corners of straight moves in the NC program.
+    /// They are in part coordinates.
     #[must_use]
     pub fn straight_moves(&self) -> Vec<Zx> {
         let corner = |e: &LineError| e.place + Zx::at_angle(e.angle_rad) * (self.nose_mm - e.error_um * 1e-3);
@@ -109,8 +114,8 @@ impl LineTable {
 
     /// The table as CSV, with the columns of [`crate::table::csv`].
     ///
-    /// `lead_mm` is how far before each position its totals are sent. The cut runs towards larger places, or with
-    /// `backwards` towards smaller ones.
+    /// `lead_mm` is the distance before each position at which its totals are sent. The cut runs towards
+    /// larger places, or with `backwards` towards smaller ones.
     #[must_use]
     pub fn csv(&self, rows: &[FinishRow], lead_mm: f64, backwards: bool) -> String {
         let way = match (self.errors.first(), self.errors.last()) {

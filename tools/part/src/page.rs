@@ -1,10 +1,10 @@
-//! Two probing sessions side by side, as a self-contained page.
+//! A self-contained page that compares two probing sessions.
 
 use crate::errors::ErrorReport;
 use rtec_files::words::escaped;
 use std::fmt::Write as _;
 
-/// Two sessions side by side: the head of a page and its first part.
+/// The head of the page and its comparison of two sessions.
 #[must_use]
 pub fn side_by_side(before: &ErrorReport, after: &ErrorReport) -> String {
     let row = |name: &str, r: &ErrorReport| {
@@ -30,7 +30,7 @@ pub fn side_by_side(before: &ErrorReport, after: &ErrorReport) -> String {
     )
 }
 
-/// The decisions and the page's end.
+/// The decisions and the end of the page.
 #[must_use]
 pub fn logged(decisions: &[String]) -> String {
     let items = decisions.iter().fold(String::new(), |mut t, d| {
@@ -40,7 +40,7 @@ pub fn logged(decisions: &[String]) -> String {
     format!("<h2>Decisions</h2><ol>{items}</ol></html>\n")
 }
 
-/// Before and after in one self-contained page.
+/// The whole page: before, after and decisions.
 #[must_use]
 pub fn inspection_page(before: &ErrorReport, after: &ErrorReport, decisions: &[String]) -> String {
     side_by_side(before, after) + &logged(decisions)

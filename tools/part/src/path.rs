@@ -1,5 +1,5 @@
-//! Probing points and the probe's path between them: `pathfin.cdl` and the expected trip points (NISTIR 4854,
-//! sections 3 and 4).
+//! Probing points and the probe's path between them.
+//! The files are `pathfin.cdl` and the expected trip points (NISTIR 4854, sections 3 and 4).
 
 use crate::contour::{Contour, SurfacePlace};
 use crate::cor::MOST_MM;
@@ -12,7 +12,7 @@ use serde::Serialize;
 use std::fmt::Write as _;
 use std::path::Path;
 
-/// How the machine moves while probing.
+/// The machine's motion while probing.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ProbingMotion {
     /// Probing feed along the path.
@@ -21,13 +21,14 @@ pub struct ProbingMotion {
     pub accel_mm_s2: f64,
     /// Deceleration from that feed.
     pub decel_mm_s2: f64,
-    /// Travel at constant velocity wanted on each side of the expected trip.
+    /// Travel at constant velocity on each side of the expected trip.
     pub window_mm: f64,
 }
 
 impl ProbingMotion {
-    /// The turning centre of NISTIR 4854: at 2.5 m/min 5 mm of stand-off and 2.5 mm of over-travel leave about 2 mm
-    /// of constant velocity. Of the 5.5 mm that remain, 4 mm are acceleration and 1.5 mm deceleration.
+    /// The turning centre of NISTIR 4854.
+    /// At 2.5 m/min 5 mm of stand-off and 2.5 mm of over-travel leave about 2 mm of constant velocity. Of the
+    /// 5.5 mm that remain, 4 mm are acceleration and 1.5 mm deceleration.
     pub const REPORT: Self =
         Self { feed_mm_min: 2500.0, accel_mm_s2: 217.0, decel_mm_s2: 578.7, window_mm: 1.0 };
 
@@ -37,19 +38,19 @@ impl ProbingMotion {
         self.feed_mm_min / 60.0
     }
 
-    /// From rest to the expected trip: acceleration, then the window.
+    /// Travel from rest to the expected trip: acceleration, then the window.
     #[must_use]
     pub fn stand_off_mm(&self) -> f64 {
         self.velocity_mm_s().powi(2) / (2.0 * self.accel_mm_s2) + self.window_mm
     }
 
-    /// From the expected trip to rest: the window, then deceleration.
+    /// Travel from the expected trip to rest: the window, then deceleration.
     #[must_use]
     pub fn over_travel_mm(&self) -> f64 {
         self.velocity_mm_s().powi(2) / (2.0 * self.decel_mm_s2) + self.window_mm
     }
 
-    /// Time of one touch, there and back: both ways at this feed with these ramps.
+    /// Time of one touch, there and back, at this feed with these ramps, s.
     #[must_use]
     pub fn touch_s(&self, stand_off_mm: f64, over_travel_mm: f64) -> f64 {
         let v = self.velocity_mm_s();
@@ -67,33 +68,33 @@ pub struct Stem {
     pub length_mm: f64,
     /// Radius of the rod.
     pub radius_mm: f64,
-    /// From the tip towards its holder, from +Z.
+    /// Direction from the tip towards its holder, measured from +Z.
     pub angle_rad: f64,
 }
 
-/// The probe and how far it moves off and beyond the surface.
+/// The probe and its motion off and beyond the surface.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Probe {
     /// Radius of the tip.
     pub tip_mm: f64,
-    /// From the start of the touch to the trip.
+    /// Travel from the start of the touch to the trip.
     pub stand_off_mm: f64,
-    /// From the trip to the end of the touch.
+    /// Travel from the trip to the end of the touch.
     pub over_travel_mm: f64,
-    /// Its stylus, where collisions of it count.
+    /// Its stylus, if collisions of it count.
     pub stem: Option<Stem>,
 }
 
-/// A gauging point and how the probe gets there.
+/// A gauging point and the way of the probe to it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct GaugingPoint {
-    /// Place on the nominal surface that is touched.
+    /// The place on the nominal surface that is touched.
     pub place: SurfacePlace,
-    /// Points in space to go through from the point before.
+    /// Intermediate points from the previous gauging point.
     pub bypass: Vec<Zx>,
 }
 
-/// What a record of the path file is.
+/// The role of a record in the path file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum PathRole {
@@ -101,33 +102,33 @@ pub enum PathRole {
     Start,
     /// End of the touch of this gauging point (from 1).
     Touch(usize),
-    /// Back off the surface.
+    /// Retraction from the surface.
     Finish,
-    /// A point in space to go round the part.
+    /// An intermediate point to go round the part.
     Bypass,
 }
 
-/// One record of the path file: where the tip's centre goes, in mm.
+/// One record of the path file: a target of the tip's centre, in mm.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct PathPoint {
-    /// What the probe does there.
+    /// The role of the place: start, touch, finish or by-pass.
     pub role: PathRole,
     /// Target of the tip's centre, mm.
     pub at: Zx,
 }
 
-/// The probe meets the part where it should not.
+/// A collision of the probe with the part.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Collision {
-    /// On the way to this gauging point, from 1.
+    /// The gauging point, from 1, on whose way it is.
     pub point: usize,
-    /// During the touch itself, not on the way to it.
+    /// Whether it is during the touch itself and not on the way to it.
     pub touching: bool,
     /// The tip's centre at the collision, mm.
     pub at: Zx,
     /// The feature that is hit.
     pub feature: String,
-    /// What of the probe hits it: its tip or its stem.
+    /// The part of the probe that hits it: tip or stem.
     pub by: &'static str,
 }
 
@@ -140,12 +141,13 @@ pub struct Plan {
     pub points: Vec<GaugingPoint>,
 }
 
-/// Steps in which a move is looked at, in mm.
+/// Steps in which a move is checked, in mm.
 const STEP_MM: f64 = 0.2;
-/// What chords and rounding may cost, in mm.
+/// Allowance for chords and rounding, in mm.
 const SLACK_MM: f64 = 0.005;
 
-/// How many points a length gets at a spacing, or somewhat closer so that both ends get one.
+/// Number of points on a length at a spacing.
+/// The spacing is reduced so that both ends get a point.
 #[must_use]
 pub fn number_at(length_mm: f64, spacing_mm: f64) -> usize {
     (length_mm / spacing_mm - 1e-9).ceil().max(1.0) as usize + 1
@@ -158,7 +160,8 @@ impl Plan {
         Self { probe, points: Vec::new() }
     }
 
-    /// Add points in even spacing to a feature, both ends included but for a margin; one point goes to the middle.
+    /// Adds evenly spaced points to a feature, within a margin at both ends.
+    /// A single point goes to the middle.
     pub fn add_number(&mut self, contour: &Contour, feature: usize, number: usize, margin_mm: f64) {
         let length_mm = (contour.features[feature].segment.length_mm() - 2.0 * margin_mm).max(0.0);
         for k in 0..number {
@@ -167,7 +170,7 @@ impl Plan {
         }
     }
 
-    /// Add the places nearest to the points of a file `z_mm,x_mm`.
+    /// Adds the places nearest to the points of a file `z_mm,x_mm`.
     ///
     /// # Errors
     /// A bad file, or a point further than `off_mm` from the contour.
@@ -193,7 +196,7 @@ impl Plan {
         Ok(())
     }
 
-    /// Add one place; the points stay in probing order.
+    /// Adds one place; the points stay in probing order.
     pub fn add(&mut self, place: SurfacePlace) {
         let key = |p: &SurfacePlace| (p.feature, p.along_mm);
         let at = self.points.partition_point(|q| key(&q.place) <= key(&place));
@@ -203,7 +206,7 @@ impl Plan {
         self.points.insert(at, GaugingPoint { place, bypass: Vec::new() });
     }
 
-    /// Take the point at an index out.
+    /// Removes the point at an index.
     pub fn remove(&mut self, index: usize) {
         self.points.remove(index);
         if let Some(next) = self.points.get_mut(index) {
@@ -215,13 +218,14 @@ impl Plan {
         point.place.at + point.place.normal * (self.probe.tip_mm + self.probe.stand_off_mm)
     }
 
-    /// Where the tip's centre is expected at each trip.
+    /// The expected tip's centre at each trip.
     #[must_use]
     pub fn expected(&self) -> Vec<Zx> {
         self.points.iter().map(|p| p.place.at + p.place.normal * self.probe.tip_mm).collect()
     }
 
-    /// The whole path: for each point by-passes, start, touch (through the surface by the over-travel), finish.
+    /// The whole path.
+    /// For each point it has by-passes, start, touch (through the surface by the over-travel) and finish.
     #[must_use]
     pub fn records(&self) -> Vec<PathPoint> {
         let mut records = Vec::new();
@@ -236,7 +240,8 @@ impl Plan {
         records
     }
 
-    /// Does the probe at a place meet the part? The slack is for the tip only: at a trip it touches.
+    /// The feature that the probe at a place collides with, and by which part.
+    /// The allowance is for the tip only, because at a trip it touches.
     fn meets(&self, contour: &Contour, tip: Zx) -> Option<(usize, &'static str)> {
         let met = |p: Zx, radius_mm: f64| {
             let within_mm = if contour.inside(p) { f64::INFINITY } else { radius_mm - SLACK_MM };
@@ -269,7 +274,7 @@ impl Plan {
         way
     }
 
-    /// Every place where the probe meets the part on its way, or in a touch before the trip.
+    /// All collisions of the probe on its way, or in a touch before the trip.
     #[must_use]
     pub fn hits(&self, contour: &Contour) -> Vec<Collision> {
         let mut hits = Vec::new();
@@ -289,8 +294,9 @@ impl Plan {
         hits
     }
 
-    /// Put by-pass points where the way to a point meets the part: over the top or round the front, with the
-    /// fewest points that are clear. Ways that no such detour clears are left as they are: [`Plan::hits`] names them.
+    /// Adds by-pass points where the way to a point collides with the part.
+    /// They go over the top or round the front, with the fewest points that are clear. If no such detour is
+    /// clear, the way is unchanged, and [`Plan::hits`] names it.
     pub fn add_bypasses(&mut self, contour: &Contour, clear_mm: f64) {
         let away = self.probe.tip_mm + clear_mm;
         let top = contour.reach() + Zx::new(away, away);
@@ -321,7 +327,7 @@ impl Plan {
         }
     }
 
-    /// The names and contents of the files that a plan is saved as: path, expected trips, drawing.
+    /// Names and contents of the plan's files: path, expected trips, drawing.
     #[must_use]
     pub fn files(&self, contour: &Contour, unit: Unit) -> [(&'static str, String); 3] {
         let expected = self.expected();
@@ -337,7 +343,7 @@ impl Plan {
         ]
     }
 
-    /// The contour with points, touches, ways and hits.
+    /// The contour with points, touches, ways and collisions.
     #[must_use]
     pub fn svg(&self, contour: &Contour) -> String {
         let mut svg = Svg::default();
@@ -365,8 +371,9 @@ impl Plan {
     }
 }
 
-/// The path file: one `POINT` record per place, coordinates in the drawing's unit, the third always 0
-/// (NISTIR 4854, figure 7).
+/// The text of the path file.
+/// It has one `POINT` record per place, coordinates in the drawing's unit, the third always 0 (NISTIR 4854,
+/// figure 7).
 #[must_use]
 pub fn pathfin(records: &[PathPoint], unit: Unit) -> String {
     records.iter().fold(String::new(), |mut text, r| {
@@ -383,10 +390,11 @@ pub fn pathfin(records: &[PathPoint], unit: Unit) -> String {
     })
 }
 
-/// Read a file of expected trips (`probpath.cdl`): where the tip's centre is at the trip of each gauging point.
+/// Reads a file of expected trips (`probpath.cdl`).
+/// It has the tip's centre at the trip of each gauging point.
 ///
 /// # Errors
-/// A line that is no touch record, gauging points out of sequence, or none at all.
+/// A line that is not a touch record, gauging points out of sequence, or none at all.
 pub fn read_expected(file: &Path, unit: Unit) -> Result<Vec<Zx>, InputError> {
     let records = read_records(file, unit)?;
     if let Some((line, _)) = records.iter().find(|(_, r)| !matches!(r.role, PathRole::Touch(_))) {
@@ -396,10 +404,10 @@ pub fn read_expected(file: &Path, unit: Unit) -> Result<Vec<Zx>, InputError> {
     Ok(records.into_iter().map(|(_, r)| r.at).collect())
 }
 
-/// Read a path file.
+/// Reads a path file.
 ///
 /// # Errors
-/// A line that is no record, gauging points out of sequence, or no record at all.
+/// A line that is not a record, gauging points out of sequence, or no record at all.
 pub fn read_pathfin(file: &Path, unit: Unit) -> Result<Vec<PathPoint>, InputError> {
     let records = read_records(file, unit)?;
     let order = |i: usize| records.get(i).map(|(_, r): &(usize, PathPoint)| r.role);
@@ -419,13 +427,13 @@ pub fn approaches(records: &[PathPoint]) -> Vec<Zx> {
     touches(records).filter_map(|[from, to]| (to - from).unit()).collect()
 }
 
-/// Where each touch of a path begins and where it ends at the latest.
+/// The start and the farthest end of each touch of a path.
 pub(crate) fn touches(records: &[PathPoint]) -> impl Iterator<Item = [Zx; 2]> {
     let to_touch = records.windows(2).filter(|w| matches!(w[1].role, PathRole::Touch(_)));
     to_touch.map(|w| [w[0].at, w[1].at])
 }
 
-/// The records and the lines that they stand in.
+/// The records with their line numbers.
 fn read_records(file: &Path, unit: Unit) -> Result<Vec<(usize, PathPoint)>, InputError> {
     let mut records = Vec::new();
     let mut touches = 0;

@@ -1,4 +1,5 @@
-//! The probe's trips, held against the plan: one for each point, where it is expected, once.
+//! Compares the probe's trips with the plan.
+//! Each point needs one trip, at the expected place.
 
 use crate::errors::sensor_column;
 use crate::fit::Zx;
@@ -14,22 +15,22 @@ pub struct Trip {
     pub point: usize,
     /// The tip's centre at the trip, in part coordinates.
     pub tip_centre: Zx,
-    /// Half the width of what the position may be, in µm: time between two looks times speed, or a count where an
-    /// axis stood still.
+    /// Half the width of the position's uncertainty, in µm.
+    /// It is the time between two looks times the speed, or a count if an axis stood still.
     pub uncertainty_um: f64,
     /// Time of the trip on the corrector's clock.
     pub t_s: f64,
 }
 
-/// What a probing session can go wrong in; each names its gauging point, from 1.
+/// The faults of a probing session; each has its gauging point, from 1.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 pub enum TripFault {
-    /// No trip where one was due.
+    /// No trip, although one was due.
     #[error("point {point}: missed, no trip within {window_mm} mm of its place")]
     Missed {
         /// Number of the gauging point, from 1.
         point: usize,
-        /// How near a trip must be.
+        /// Largest distance of a trip from its place.
         window_mm: f64,
     },
     /// A second trip at the same point.
@@ -52,20 +53,21 @@ pub enum TripFault {
         /// Number of the gauging point, from 1.
         point: usize,
     },
-    /// A trip somewhere else.
+    /// A trip at another place.
     #[error("point {point}: tripped {off_mm:.3} mm from its place, outside {window_mm} mm")]
     Outside {
         /// The gauging point that was due.
         point: usize,
         /// Distance of the trip from the expected place.
         off_mm: f64,
-        /// How near a trip must be.
+        /// Largest distance of a trip from its place.
         window_mm: f64,
     },
 }
 
-/// What was captured, in order: both axes' positions of each trip, their half widths and the time; and the
-/// numbers of trips (from 1) during which the contact bounced.
+/// The captured trips in order.
+/// Each has both axes' positions, their half width and the time. `bounces` are the numbers of trips (from 1)
+/// during which the contact bounced.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Captured {
     /// Position on the scales in counts `[z, x]`, half width in counts, time in s.
@@ -74,10 +76,10 @@ pub struct Captured {
     pub bounces: Vec<usize>,
 }
 
-/// Give each trip its gauging point.
+/// Assigns each trip to its gauging point.
 ///
-/// `expected` are the tip's centres at the nominal part; positions are turned into part coordinates by `count_um` and
-/// the machine's `origin`.
+/// `expected` are the tip's centres at the nominal part. Positions are converted to part coordinates by
+/// `count_um` and the machine's `origin`.
 ///
 /// # Errors
 /// The first point that was missed, tripped twice, bounced or tripped elsewhere.
@@ -117,8 +119,9 @@ pub fn assign(
     Ok(trips)
 }
 
-/// The record `part errors` reads: `approach` are the directions of motion of each touch, `degc` what the sensors read
-/// at each trip, kept for the off-line geometric-thermal correction.
+/// The record that `part errors` reads, as CSV.
+/// `approach` are the directions of motion of each touch. `degc` are the sensors' readings at each trip, for
+/// the off-line geometric-thermal correction.
 #[must_use]
 pub fn probed_csv(trips: &[Trip], approach: &[Zx], sensors: &[&str], degc: &[Vec<f64>]) -> String {
     let mut text = "z_mm,x_mm,approach_z,approach_x,point,t_s,uncertainty_um".to_owned();
@@ -143,8 +146,8 @@ pub fn probed_csv(trips: &[Trip], approach: &[Zx], sensors: &[&str], degc: &[Vec
 
 /// The session as a run record of the machine (`probing.run.toml`).
 ///
-/// It has axis positions, directions, temperatures, and how far beyond the nominal part each trip lay along its touch.
-/// `origin` is the machine at the part's zero.
+/// It has axis positions, directions and temperatures, and the distance of each trip beyond the nominal part
+/// along its touch. `origin` is the machine's position at the part's zero.
 ///
 /// `None` for a session without a trip.
 #[must_use]

@@ -1,4 +1,5 @@
-//! The NC probing program: a template, named parameters and the probe's moves (NISTIR 4854, section 4 and figure 8).
+//! The NC probing program (NISTIR 4854, section 4 and figure 8).
+//! It is made from a template, named parameters and the probe's moves.
 
 use crate::fit::Zx;
 use crate::path::{PathPoint, PathRole};
@@ -11,13 +12,13 @@ use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::path::Path;
 
-/// How one controller writes its programs: data, not code.
+/// The program format of one controller, as data.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Dialect {
     /// The controller's name, as reports show it.
     pub name: String,
-    /// What opens and closes a comment.
+    /// The marks that open and close a comment.
     pub comment: [String; 2],
     /// Word of rapid positioning, as `G00`.
     pub rapid: String,
@@ -33,22 +34,22 @@ pub struct Dialect {
     pub decimals_inch: usize,
     /// Decimals of a coordinate in mm.
     pub decimals_mm: usize,
-    /// X words are diameters.
+    /// Whether X words are diameters.
     pub x_is_diameter: bool,
     /// Digits of a block number.
     pub block_digits: usize,
     /// Step from one block number to the next.
     pub block_step: u32,
-    /// The first block number that is not available to moves.
+    /// The first block number that moves may not use.
     pub program_end: u32,
 }
 
 /// A dialect with its template.
 #[derive(Debug, Clone)]
 pub struct Controller {
-    /// How its programs are written.
+    /// The format of its programs.
     pub dialect: Dialect,
-    /// `template.prb`, copied character by character but for `$n` and `@n`.
+    /// `template.prb`, copied unchanged except for `$n` and `@n`.
     pub template: String,
 }
 
@@ -74,9 +75,9 @@ pub struct Parameter {
     pub number: u32,
     /// Key in a parameter file.
     pub name: &'static str,
-    /// Value where none is given.
+    /// Default value.
     pub default: &'static str,
-    /// What it means, for the help text.
+    /// Its meaning, for the help text.
     pub meaning: &'static str,
 }
 
@@ -89,9 +90,9 @@ const fn parameter(
     Parameter { number, name, default, meaning }
 }
 
-/// All parameters, numbered as the report's template numbers them.
+/// All parameters, with the numbers of the report's template.
 ///
-/// `$21` is the moves. Lengths are in the program's unit.
+/// `$21` is replaced by the moves. Lengths are in the program's unit.
 pub const PARAMETERS: [Parameter; 22] = [
     parameter(1, "part", "0101", "two digits of the part and two of its version"),
     parameter(2, "segment", "2", "one even digit: probing segments lie between machining segments"),
@@ -131,10 +132,11 @@ impl Default for Parameters {
 }
 
 impl Parameters {
-    /// Take values from a TOML file of `name = value`.
+    /// Reads values from a TOML file of `name = value`.
     ///
     /// # Errors
-    /// No TOML, an unknown name, a value that is no string or number, or one the parameter does not take.
+    /// Not TOML, an unknown name, a value that is not a string or number, or one that the parameter does not
+    /// take.
     pub fn read(&mut self, file: &Path) -> Result<(), InputError> {
         let text = rtec_files::text::read(file)?;
         for entry in Document::parse(file, &text)?.root().entries() {
@@ -147,10 +149,10 @@ impl Parameters {
         Ok(())
     }
 
-    /// Set one parameter.
+    /// Sets one parameter.
     ///
     /// # Errors
-    /// What was found and what was expected: an unknown name, or a value the parameter does not take.
+    /// What was found and what was expected: an unknown name, or a value that the parameter does not take.
     pub fn set(&mut self, name: &str, value: &str) -> Result<(), (String, String)> {
         let Some(p) = PARAMETERS.iter().find(|p| p.name == name) else {
             let names: Vec<&str> = PARAMETERS.iter().map(|p| p.name).collect();
@@ -180,7 +182,7 @@ impl Parameters {
         Ok(())
     }
 
-    /// The values where none are given, in a program's unit.
+    /// The default values in a program's unit.
     #[must_use]
     pub fn in_unit(unit: Unit) -> Self {
         let mut all = Self::default();
@@ -192,7 +194,8 @@ impl Parameters {
         all
     }
 
-    /// Machine positions of a template that nobody has set: a program that moves to them is not ready for a machine.
+    /// Machine positions of a template that are not set.
+    /// A program that moves to them is not ready for a machine.
     pub fn unset(&self, template: &str) -> impl Iterator<Item = &'static str> {
         let asked = |n: u32| {
             let symbol = format!("${n}");
@@ -210,7 +213,7 @@ impl Parameters {
         self.0.get(&number).map_or("", String::as_str)
     }
 
-    /// `pt`, part, version, `s`, segment, `.dnc`.
+    /// The program's file name: `pt`, part, version, `s`, segment, `.dnc`.
     #[must_use]
     pub fn file_name(&self) -> String {
         format!("pt{}s{}.dnc", self.get(1), self.get(2))
@@ -218,9 +221,9 @@ impl Parameters {
 }
 
 impl Controller {
-    /// A dialect that comes with the program.
+    /// A built-in dialect.
     ///
-    /// `None` where there is none of this name.
+    /// `None` if there is none of this name.
     ///
     /// # Errors
     /// Never for a name of [`BUILT_IN`]: a test reads them all.
@@ -230,10 +233,10 @@ impl Controller {
         Some(Self::parse(Path::new(name), dialect, template))
     }
 
-    /// A dialect and a template from files.
+    /// Reads a dialect and a template from files.
     ///
     /// # Errors
-    /// Unreadable, or no dialect: the key is named.
+    /// Unreadable, or not a dialect: the finding names the key.
     pub fn read(dialect: &Path, template: &Path) -> Result<Self, InputError> {
         let text = rtec_files::text::read(dialect)?;
         Self::parse(dialect, &text, &rtec_files::text::read(template)?)
@@ -245,10 +248,10 @@ impl Controller {
     }
 }
 
-/// What an NC probing program is made of.
+/// The inputs of an NC probing program.
 #[derive(Debug, Clone)]
 pub struct ProbingProgram<'a> {
-    /// The controller it is for.
+    /// The controller that it is for.
     pub controller: &'a Controller,
     /// Values of the template's `$n`.
     pub parameters: &'a Parameters,
@@ -256,18 +259,19 @@ pub struct ProbingProgram<'a> {
     pub records: &'a [PathPoint],
     /// The program's unit: inches or mm.
     pub unit: Unit,
-    /// Explain every move; else the moves and the template's code go without comments.
+    /// Whether to explain every move.
+    /// Without it moves and template code have no comments.
     pub comments: bool,
-    /// Date and time of making, as it is to be written.
+    /// Date and time of making, as text.
     pub made: &'a str,
 }
 
 impl ProbingProgram<'_> {
-    /// The program.
+    /// The text of the program.
     ///
     /// # Errors
-    /// A `$n` or `@n` of the template that nothing is known for (`template` names the file), no `$21`, or more moves
-    /// than block numbers.
+    /// An unknown `$n` or `@n` of the template (`template` is its file's name), no `$21`, or more moves than
+    /// block numbers.
     pub fn text(&self, template: &Path) -> Result<String, InputError> {
         let d = &self.controller.dialect;
         let (mut text, mut seen_moves) = (String::new(), false);
@@ -343,7 +347,8 @@ impl ProbingProgram<'_> {
         })
     }
 
-    /// The code of a line without the comment behind it; a line that is nothing but a comment stays.
+    /// The code of a line without the comment after it.
+    /// A line that is only a comment stays.
     fn bare(&self, line: &str) -> String {
         let [open, close] = &self.controller.dialect.comment;
         line.lines()
@@ -358,9 +363,9 @@ impl ProbingProgram<'_> {
             .join("\n")
     }
 
-    /// One block per move.
+    /// The moves, one block each.
     ///
-    /// The first goes along Z alone, then along X alone: most clear of the part.
+    /// The first move goes along Z alone, then along X alone, which keeps it farthest from the part.
     fn moves(&self, block: &mut u32) -> String {
         let d = &self.controller.dialect;
         let mut text = String::new();
@@ -414,7 +419,7 @@ fn block_number(line: &str) -> Option<u32> {
     digits.parse().ok()
 }
 
-/// Date and time of a Unix time, UTC, as programs carry it.
+/// Date and time of a Unix time, UTC, in the form of programs.
 #[must_use]
 pub fn date_time(unix_s: u64) -> String {
     let (date, second) = (date::format((unix_s / 86_400) as i64), unix_s % 86_400);

@@ -1,16 +1,16 @@
 //! Places that were touched several times.
-//! Their touches share the part's form, so they are no independent points.
+//! Their touches share the part's form, so they are not independent points.
 
 use crate::fit::{FittedShape, Zx, deviations_um, sequence};
 use serde::Serialize;
 
-/// Touches of one place lie within this share of the way between places.
+/// Largest distance of touches of one place, as a share of the distance of places.
 const NEAR: f64 = 0.1;
-/// And within this of each other.
+/// Largest distance of touches of one place, mm.
 /// Over less than the feed of a finish cut a surface has one form.
 const ONE_PLACE_MM: f64 = 0.1;
 
-/// Places that were touched several times, and how their touches scatter.
+/// Places that were touched several times, and the scatter of their touches.
 #[derive(Debug, Clone, Serialize)]
 pub struct Repeats {
     /// Number of places.
@@ -18,7 +18,7 @@ pub struct Repeats {
     /// SD of the touches of one place about their mean, pooled, in µm.
     pub sd_within_um: f64,
     /// SD of the places' means about the fit, in µm.
-    /// `None` where there are too few places.
+    /// `None` if there are too few places.
     pub sd_between_um: Option<f64>,
     /// Mean of each place, mm.
     #[serde(skip)]
@@ -29,7 +29,7 @@ pub struct Repeats {
 }
 
 impl Repeats {
-    /// The touches of places, ascending.
+    /// The touches of these places, in ascending order.
     pub(crate) fn touches(&self, places: &[usize]) -> Vec<usize> {
         let mut touches: Vec<usize> = places.iter().flat_map(|place| self.groups[*place].clone()).collect();
         touches.sort_unstable();
@@ -37,7 +37,7 @@ impl Repeats {
     }
 }
 
-/// The way along a shape from a point to the next one, mm.
+/// Distance along a shape from a point to the next one, mm.
 fn way_mm(fitted: &FittedShape, from: Zx, to: Zx) -> f64 {
     match *fitted {
         FittedShape::Circle { centre, radius_mm } => {
@@ -48,15 +48,15 @@ fn way_mm(fitted: &FittedShape, from: Zx, to: Zx) -> f64 {
     }
 }
 
-/// The places of points on a shape with so many parameters.
-/// `None` where most points have a place of their own.
+/// Groups points on a shape into places; the shape has so many `parameters`.
+/// `None` if most points have a place of their own.
 pub(crate) fn find(fitted: &FittedShape, points: &[Zx], parameters: usize) -> Option<Repeats> {
-    // From the widest gap on: an arc, however long, is in one piece then, and no place is on both ends.
+    // Starts after the widest gap, so that no arc and no place is cut in two.
     let order = sequence(fitted, points);
     let gap = |w: &[usize]| way_mm(fitted, points[w[0]], points[w[1]]);
     let mut gaps: Vec<f64> = order.windows(2).map(gap).collect();
     gaps.sort_by(f64::total_cmp);
-    // The step between the gaps within places and those between them; half of the gaps at least are within.
+    // Finds the step from gaps within places to gaps between them. At least half of the gaps are within.
     let is_split = |k: &usize| gaps[k - 1] <= ONE_PLACE_MM.min(NEAR * gaps[*k]);
     let split = ((gaps.len() / 2).max(2)..gaps.len()).find(is_split)?;
     let widest = gaps[split - 1];
@@ -98,7 +98,7 @@ mod tests {
             let places: Vec<(usize, usize)> =
                 (0..7).flat_map(|p| (0..touches).map(move |t| (p, t))).collect();
             let around = |(p, t): &(usize, usize)| {
-                // A place at half a turn has its touches on both sides of where angles begin again.
+                // The touches of a place at half a turn are on both sides of the jump in the angle.
                 let angle = std::f64::consts::PI - 0.4 * *p as f64 + 1e-5 * (*t as f64 - 0.5);
                 Zx::new(100.0, 0.0) + Zx::at_angle(angle) * (25.0 + off(*p, *t))
             };
@@ -127,7 +127,7 @@ mod tests {
                 (0..2 * n).map(|k| Zx::new(30.0 * f64::from(k / n) + 5.0 * share(k % n), 20.0)).collect();
             assert!(find(&line, &lands, 2).is_none(), "{n} points on either side of a groove");
         }
-        // So few places leave no standard error.
+        // With so few places there is no standard error.
         let points: Vec<Zx> =
             (0..8).map(|k| Zx::new(f64::from(k / 4) * 9.0, 20.0 + 1e-4 * f64::from(k))).collect();
         let found = find(&line, &points, 2).unwrap();

@@ -1,11 +1,13 @@
-//! The step that measured values are written in: a caliper's 0.01 mm, an indicator's thousandth of an inch.
+//! The step in which measured values are written.
+//! A caliper has 0.01 mm, an indicator a thousandth of an inch.
 
 use std::f64::consts::PI;
 
-/// The largest step that all of the values are multiples of: 1, 2 or 5 times a decimal fraction of a mm, or of an inch. Values in
-/// mm; `None` below a nanometre.
+/// The largest step of which all values are multiples.
+/// It is 1, 2 or 5 times a decimal fraction of a mm, or of an inch. Values are in mm; `None` below a
+/// nanometre.
 pub(crate) fn written_step_mm(values: &[f64]) -> Option<f64> {
-    // What is worked out from written values is off by less than a hundredth of a nanometre.
+    // Values computed from written ones are off by less than a hundredth of a nanometre.
     let all = |step: f64| values.iter().all(|v| (v - (v / step).round() * step).abs() < 1e-8);
     let decades = (-1..=6).map(|k| 0.1_f64.powi(k));
     let mut steps: Vec<f64> =
@@ -15,10 +17,10 @@ pub(crate) fn written_step_mm(values: &[f64]) -> Option<f64> {
     steps.into_iter().find(|step| all(*step)).filter(|_| values.iter().any(|v| *v != 0.0))
 }
 
-/// The largest error that rounding to a step leaves in a mean of values that scatter by `sd`: noise dithers the steps (Widrow, "A
-/// study of rough amplitude quantization", 1956).
+/// The largest error that rounding leaves in a mean of values that scatter by `sd`.
+/// Noise dithers the steps (Widrow, "A study of rough amplitude quantization", 1956).
 pub(crate) fn left_in_mean(step: f64, sd: f64) -> f64 {
-    // What is seen holds the rounding's own scatter.
+    // The observed scatter includes that of the rounding.
     let noise = (sd * sd - step * step / 12.0).max(0.0).sqrt();
     0.5 * step * (-2.0 * (PI * noise / step).powi(2)).exp()
 }

@@ -1,10 +1,11 @@
-//! Drawings of the turning plane as self-contained SVG: Z to the right, X up, in mm.
+//! Drawings of the turning plane as self-contained SVG.
+//! Z is to the right, X up, in mm.
 
 use crate::fit::Zx;
 use rtec_files::words::escaped;
 use std::fmt::Write as _;
 
-/// A drawing that grows its own frame.
+/// A drawing whose frame grows with its content.
 #[derive(Debug, Default)]
 pub struct Svg {
     body: String,
@@ -19,7 +20,7 @@ impl Svg {
         self.high = Some(Zx::new(high.z.max(p.z), high.x.max(p.x)));
     }
 
-    /// A line through points; `class` is one of the style's.
+    /// A line through points; `class` is a class of the style.
     pub fn polyline(&mut self, points: &[Zx], class: &str) {
         let _ = write!(self.body, "<polyline class=\"{class}\" points=\"");
         for &p in points {
@@ -39,7 +40,7 @@ impl Svg {
         );
     }
 
-    /// Words with their start at a place.
+    /// Text that starts at a place.
     pub fn text(&mut self, at: Zx, size_mm: f64, words: &str) {
         self.reach(at);
         let _ = writeln!(
@@ -51,14 +52,15 @@ impl Svg {
         );
     }
 
-    /// Lower and upper corner of what was drawn.
+    /// Lower and upper corner of the drawn content.
     #[must_use]
     pub fn frame(&self) -> (Zx, Zx) {
         let origin = Zx::new(0.0, 0.0);
         (self.low.unwrap_or(origin), self.high.unwrap_or(origin))
     }
 
-    /// The whole SVG document, under a title, with what its lines and dots (by their style) mean.
+    /// The whole SVG document, with a title and a legend.
+    /// The legend gives the meaning of lines and dots by their style.
     #[must_use]
     pub fn finish(&self, title: &str, legend: &[(&str, &str)]) -> String {
         let (low, high) = self.frame();
@@ -100,7 +102,8 @@ impl Svg {
                 escaped(meaning)
             );
         }
-        // The colours of Okabe and Ito, as all plots; what is dropped is hollow, for a print in grey. White below, for a dark page.
+        // The colours of Okabe and Ito, as in all plots. Dropped points are hollow, for a print in grey. The
+        // background is white, for a dark page.
         format!(
             "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"{left:.4} {top:.4} {width:.4} {height:.4}\" width=\"900\">\n\
              <title>{}</title>\n<style>polyline,circle{{stroke-width:1;vector-effect:non-scaling-stroke}}polyline{{fill:none}}\
@@ -153,13 +156,13 @@ fn ticks(low: Zx, high: Zx, size: f64) -> String {
     text
 }
 
-/// Round places within a span, some five of them.
+/// About five round values within a span.
 fn steps(low: f64, high: f64) -> impl Iterator<Item = f64> {
     let rough = ((high - low) / 5.0).max(1e-3);
     let ten = 10_f64.powf(rough.log10().floor());
     let step = [1.0, 2.0, 5.0, 10.0].map(|n| n * ten).into_iter().find(|s| *s >= rough).unwrap_or(rough);
     let (first, last) = ((low / step).ceil() as i64, (high / step).floor() as i64);
-    // Rounded: 3 · 0.1 is written 0.3.
+    // Rounded, so that 3 · 0.1 is written 0.3.
     (first..=last).map(move |n| (n as f64 * step * 1e6).round() / 1e6)
 }
 
@@ -189,7 +192,7 @@ mod tests {
         assert!(text.contains(">the part</text>") && text.contains(">a point</text>"), "{text}");
         assert_eq!(steps(-40.0, 38.1).collect::<Vec<_>>(), [-40.0, -20.0, 0.0, 20.0]);
         assert_eq!(steps(0.0, 0.45).collect::<Vec<_>>(), [0.0, 0.1, 0.2, 0.3, 0.4]);
-        // A drawing of nothing is a drawing all the same.
+        // An empty drawing is valid too.
         assert!(Svg::default().finish("", &[]).ends_with("</svg>\n"));
     }
 }

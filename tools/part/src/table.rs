@@ -1,23 +1,25 @@
-//! The finish cut's corrections: errors by angle become requested counts by machine position (NISTIR 4854, section 5).
+//! The finish cut's corrections (NISTIR 4854, section 5).
+//! Errors by angle become requested counts by machine position.
 
 use crate::cor::{PointError, turned_near};
 use crate::fit::Zx;
 use serde::Serialize;
 use std::fmt::Write as _;
 
-/// How the corrector's counts move one axis.
+/// The effect of the corrector's counts on one axis.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct AxisCounts {
-    /// What one count is worth.
+    /// The length of one count.
     pub count_um: f64,
-    /// Counts of one insertion: 2 for Design C, 4 for the Original RTEC and Design A, 1 for Design B.
+    /// Counts of one insertion.
+    /// There are 2 for Design C, 4 for the Original RTEC and Design A, 1 for Design B.
     pub increment: i64,
-    /// +1 where the axis counts up towards the part's positive direction, −1 where it counts down.
+    /// +1 if the axis counts up in the part's positive direction, otherwise −1.
     pub sign: f64,
 }
 
 impl AxisCounts {
-    /// Worth of one insertion.
+    /// Length of one insertion.
     #[must_use]
     pub fn increment_um(&self) -> f64 {
         self.count_um * self.increment as f64
@@ -25,20 +27,21 @@ impl AxisCounts {
 
     /// Requested total that removes an error.
     ///
-    /// An axis stops short by the counts that the MTC sees too many. So too much material needs counts of its own sign.
+    /// An axis stops short by the additional counts that the MTC sees. So too much material needs counts of
+    /// its own sign.
     #[must_use]
     pub fn requested(&self, error_um: f64) -> i64 {
         (self.sign * error_um / self.increment_um()).round() as i64 * self.increment
     }
 
-    /// Where the axis goes with a requested total, in µm: the error that is taken out.
+    /// Displacement of the axis by a requested total, in µm: the removed error.
     #[must_use]
     pub fn taken_um(&self, requested: i64) -> f64 {
         self.sign * requested as f64 * self.count_um
     }
 }
 
-/// The arc that the finish cut runs along and where the machine is while it does.
+/// The arc of the finish cut, and the machine positions along it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FinishCut {
     /// Centre of the arc in part coordinates.
@@ -49,7 +52,8 @@ pub struct FinishCut {
     ///
     /// Negative in a hollow arc, where it runs inside.
     pub nose_mm: f64,
-    /// Machine position at which the nose's centre is at the part's origin: work offset and tool dimensions.
+    /// Machine position at which the nose's centre is at the part's origin.
+    /// It consists of work offset and tool dimensions.
     pub origin: Zx,
 }
 
@@ -60,7 +64,7 @@ impl FinishCut {
         self.part_at(angle_rad) + self.origin
     }
 
-    /// Centre of the tool's nose then, in part coordinates.
+    /// Centre of the tool's nose at this angle, in part coordinates.
     #[must_use]
     pub fn part_at(&self, angle_rad: f64) -> Zx {
         self.centre + Zx::at_angle(angle_rad) * (self.radius_mm + self.nose_mm)
@@ -78,15 +82,15 @@ impl FinishCut {
 pub struct FinishRow {
     /// Angle of the surface that is cut.
     pub angle_rad: f64,
-    /// Error to take out, interpolated between the probed points.
+    /// Error to remove, interpolated between the probed points.
     pub error_um: f64,
-    /// The tool's nose in part coordinates.
+    /// The centre of the tool's nose in part coordinates.
     pub part_mm: Zx,
     /// Machine position at that moment.
     pub machine_mm: Zx,
     /// Requested totals `[z, x]`, in counts.
     pub requested: [i64; 2],
-    /// What the counts cannot take out along the surface's normal, in µm.
+    /// The error along the surface's normal that the counts cannot remove, in µm.
     pub left_um: f64,
 }
 
@@ -95,38 +99,38 @@ pub struct FinishRow {
 pub struct FinishTable {
     /// The arc that is cut.
     pub cut: FinishCut,
-    /// Counts of Z and of X.
+    /// The counts of Z and of X.
     pub axes: [AxisCounts; 2],
     errors: Vec<PointError>,
 }
 
 impl FinishTable {
-    /// A table from the errors of the semi-finish cut, angles ascending as [`crate::cor::read_arc`] reads
-    /// them.
+    /// A table from the errors of the semi-finish cut.
+    /// Their angles ascend, as [`crate::cor::read_arc`] reads them.
     #[must_use]
     pub fn new(cut: FinishCut, axes: [AxisCounts; 2], mut errors: Vec<PointError>) -> Self {
         errors.sort_by(|a, b| a.angle_rad.total_cmp(&b.angle_rad));
         Self { cut, axes, errors }
     }
 
-    /// The errors it was made from, angles ascending.
+    /// The errors that it was made from, angles ascending.
     #[must_use]
     pub fn errors(&self) -> &[PointError] {
         &self.errors
     }
 
-    /// Number of probed points that the table came from.
+    /// Number of probed points in the table.
     #[must_use]
     pub fn points(&self) -> usize {
         self.errors.len()
     }
 
-    /// Error at an angle: linear between the probed points, the end values beyond them, so that there is no step
-    /// where the tool enters.
+    /// Error at an angle, µm, linear between the probed points.
+    /// Beyond them the end values apply, so that there is no step where the tool enters.
     #[must_use]
     pub fn error_um(&self, angle_rad: f64) -> f64 {
         let (Some(first), Some(last)) = (self.errors.first(), self.errors.last()) else { return 0.0 };
-        // Asked by a direction, an arc across ±π is on either side of the turn.
+        // On an arc across ±π an angle from a direction may be a turn away from the table's.
         let angle_rad = turned_near(angle_rad, f64::midpoint(first.angle_rad, last.angle_rad));
         let next = self.errors.partition_point(|e| e.angle_rad <= angle_rad);
         match (next.checked_sub(1).and_then(|i| self.errors.get(i)), self.errors.get(next)) {
@@ -141,8 +145,8 @@ impl FinishTable {
 
     /// Components of the error, µm, at the machine position reached in `lead_s`.
     ///
-    /// The velocity is in mm/s. The error is evaluated ahead, so that the counts are in when the tool cuts there. The
-    /// geometric-thermal model is added before the sum is made counts.
+    /// The velocity is in mm/s. The error is evaluated ahead, so that the counts are inserted when the tool
+    /// cuts there. The geometric-thermal model is added before the sum is converted to counts.
     #[must_use]
     pub fn components_um(&self, machine: Zx, velocity_mm_s: Zx, lead_s: f64) -> Zx {
         let angle_rad = self.cut.angle_at(machine + velocity_mm_s * lead_s);
@@ -155,7 +159,7 @@ impl FinishTable {
         [self.axes[0].requested(components_um.z), self.axes[1].requested(components_um.x)]
     }
 
-    /// The table: at each probed point and `between` steps between each two.
+    /// The table: a row at each probed point, and `between` rows between neighbours.
     #[must_use]
     pub fn rows(&self, between: usize) -> Vec<FinishRow> {
         let steps = between + 1;
@@ -185,8 +189,8 @@ impl FinishTable {
 
     /// The same compensation as end points of straight moves for the NC program.
     ///
-    /// Each move stays within `off_mm` of the corrected path, with coordinates rounded to `decimals`. Points are in
-    /// part coordinates; the first is where the cut starts.
+    /// Each move stays within `off_mm` of the corrected path, with coordinates rounded to `decimals`. Points
+    /// are in part coordinates; the first is where the cut starts.
     #[must_use]
     pub fn straight_moves(&self, off_mm: f64, decimals: i32) -> Vec<Zx> {
         let (Some(first), Some(last)) = (self.errors.first(), self.errors.last()) else { return Vec::new() };
@@ -201,7 +205,8 @@ impl FinishTable {
         let mut corners = vec![at];
         while from < last.angle_rad && corners.len() <= MAX_MOVES {
             let fits = |to: f64| self.chord_off_mm([from, to], [at, corner(to)]) <= off_mm * SAMPLED;
-            // No longer than on the plain arc, though a hollow of the errors would allow it: the feed stays even.
+            // Moves are not longer than on the plain arc, even if a hollow of the errors allows it, so that
+            // the feed stays even.
             let (mut short, mut long) = (from, last.angle_rad.min(from + plain_rad));
             if fits(long) {
                 short = long;
@@ -210,7 +215,7 @@ impl FinishTable {
                 let middle = f64::midpoint(short, long);
                 if fits(middle) { short = middle } else { long = middle }
             }
-            // Where rounding alone is more than what is allowed, on all the same.
+            // If rounding alone exceeds the allowance, it continues nevertheless.
             from = if short > from { short } else { last.angle_rad.min(from + 0.1 * plain_rad) };
             at = corner(from);
             corners.push(at);
@@ -218,7 +223,7 @@ impl FinishTable {
         corners
     }
 
-    /// How far a chord between two angles is off the corrected path, along the radius.
+    /// Largest distance of a chord from the corrected path, along the radius.
     fn chord_off_mm(&self, [from, to]: [f64; 2], ends: [Zx; 2]) -> f64 {
         let [a, b] = ends.map(|p| p - self.cut.centre);
         let cross = |p: Zx, q: Zx| p.z * q.x - p.x * q.z;
@@ -232,17 +237,19 @@ impl FinishTable {
     }
 }
 
-/// Places along a chord that are looked at, and the share of the allowance that is safe between them.
+/// Number of checked places along a chord.
+/// The second constant is the share of the allowance that is safe between them.
 const SAMPLES: u32 = 32;
 const SAMPLED: f64 = 0.998;
-/// More straight moves than any program should have.
+/// Largest number of straight moves in a program.
 const MAX_MOVES: usize = 100_000;
 
 /// The columns of a finish cut's table.
 pub(crate) const HEADER: &str = "angle_rad,error_um,part_z_mm,part_x_mm,machine_z_mm,machine_x_mm,send_z_mm,send_x_mm,\
                                  requested_z,requested_x,left_um\n";
 
-/// The table as CSV. `lead_mm` is how far before each position its totals are to be sent along the cut, which runs
+/// The table as CSV.
+/// `lead_mm` is the distance before each position, along the cut, at which its totals are sent. The cut runs
 /// towards larger angles, or with `backwards` towards smaller ones.
 #[must_use]
 pub fn csv(table: &FinishTable, rows: &[FinishRow], lead_mm: f64, backwards: bool) -> String {

@@ -1,6 +1,6 @@
 //! Units of drawings and paths.
 
-/// What one unit of a file is, in mm.
+/// The length of a file's unit, in mm.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Unit(pub f64);
 

@@ -1,4 +1,5 @@
-//! Batches from a measuring machine: what is systematic, what is chance, what a probe on the machine cannot see.
+//! Batches from a measuring machine.
+//! The tests separate systematic errors, chance, and errors that a probe on the machine cannot see.
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
 use rand_xoshiro::Xoshiro256PlusPlus;
@@ -112,7 +113,7 @@ fn chance_alone_raises_few_alarms() {
 #[test]
 fn a_lobe_that_tool_and_probe_trace_alike_is_not_observable() {
     let mut rng = Xoshiro256PlusPlus::seed_from_u64(62);
-    // The measuring machine sees three lobes and a bump; the probe on the machine sees the bump alone.
+    // The measuring machine finds three lobes and a bump; the probe on the machine finds only the bump.
     let lobe = |a: f64| 8.0 * (3.0 * a).cos();
     let bump = |a: f64| if (a - 0.3).abs() < 0.15 { 20.0 } else { 0.0 };
     let angles: Vec<f64> = (0..20).map(|k| f64::from(k) * 0.08).collect();
@@ -153,13 +154,13 @@ fn bad_batches_are_named() {
     assert_eq!(line("part,feature\n1,d\n"), 1);
     assert_eq!(line("part,feature,error_um\n1,,1\n"), 2);
     assert_eq!(line("part,feature,error_um\n"), 0);
-    // No scatter at all.
+    // Readings without scatter.
     let same = judged("part,feature,error_um\n1,d,4\n2,d,4\n3,d,4\n1,e,0\n2,e,0\n3,e,0\n", None).unwrap();
     assert_eq!(finding(&same, "d"), BatchFinding::Systematic);
     assert_eq!(finding(&same, "e"), BatchFinding::Nothing);
 }
 
-/// Their sums are no numbers any more.
+/// The sums of such numbers overflow.
 #[test]
 fn errors_and_angles_of_no_part_are_refused() {
     for (rows, found) in [
@@ -173,7 +174,8 @@ fn errors_and_angles_of_no_part_are_refused() {
     assert_eq!((e.found.as_str(), e.line), ("a larger error, 1000000000", 2));
 }
 
-/// Degrees for radians, an error that its own columns contradict, an inspection of other places.
+/// Columns that cannot be meant are refused.
+/// They are degrees for radians, an error that its own columns contradict, an inspection of other places.
 #[test]
 fn columns_that_cannot_be_meant_so_are_refused() {
     let batch = |head: &str, row: &dyn Fn(i32, f64) -> String| {
@@ -205,7 +207,7 @@ fn columns_that_cannot_be_meant_so_are_refused() {
     assert!(judged("part,feature,error_um\n1,d,4\n2,d,5\n3,d,4\n", Some(&seen(0.3))).is_err());
 }
 
-/// What was inspected is one feature: it says nothing of another one's errors at the same angles.
+/// An inspection of one feature gives no information about another one's angles.
 #[test]
 fn an_inspection_is_held_against_its_own_feature_only() {
     let text = (0..5).fold("part,feature,angle_rad,error_um\n".to_owned(), |text, p| {
@@ -220,7 +222,8 @@ fn an_inspection_is_held_against_its_own_feature_only() {
     assert_eq!(offered, [("fillet", -8.2), ("nose", 8.2)]);
 }
 
-/// Millimetres under µm, of the batch or of what was inspected; one feature in two spellings.
+/// A batch in millimetres or with two spellings of a feature is refused.
+/// The millimetres are under µm, in the batch or in the inspection.
 #[test]
 fn a_batch_in_millimetres_or_in_two_spellings_is_refused() {
     let batch = |per_um: f64, name: &dyn Fn(i32) -> String| {
@@ -235,7 +238,7 @@ fn a_batch_in_millimetres_or_in_two_spellings_is_refused() {
         let e = judged(&batch(per_um, &plain), Some(&seen(inspected))).unwrap_err();
         assert!(e.expected.contains("are these mm or inches?"), "{e}");
     }
-    // A part without any error, to the last digit, is one.
+    // A part without any error, to the last digit, is accepted.
     assert!(judged(&batch(0.0, &plain), None).is_ok());
     for other in ["f1", "F1 ", " f1"] {
         let e = judged(&batch(1.0, &|p| if p == 3 { format!("\"{other}\"") } else { plain(p) }), None)
@@ -244,7 +247,7 @@ fn a_batch_in_millimetres_or_in_two_spellings_is_refused() {
     }
 }
 
-/// Batches of every sort that a shop has: level, worn along the batch, with another tool from a part on, coarse.
+/// Typical batches: level, worn along the batch, with a new tool, coarse.
 fn batches(rng: &mut Xoshiro256PlusPlus, parts: usize) -> Vec<Vec<f64>> {
     let mut of = |error_um: &dyn Fn(usize, f64) -> f64| -> Vec<f64> {
         (0..parts).map(|k| error_um(k, normal(rng))).collect()
@@ -263,7 +266,8 @@ fn written(errors_um: &[f64]) -> String {
     std::iter::once("part,feature,error_um\n".to_owned()).chain(rows).collect()
 }
 
-/// A digit too many in one reading: named with its line, and all figures are those of the batch without it.
+/// A digit too many in one reading is reported with its line.
+/// All figures are those of the batch without it.
 #[test]
 fn a_wild_reading_is_in_no_figure() {
     let mut rng = Xoshiro256PlusPlus::seed_from_u64(39);
@@ -291,7 +295,7 @@ fn a_wild_reading_is_in_no_figure() {
     }
 }
 
-/// Two of eight in millimetres among micrometres hide each other from a rule that takes one reading at a time.
+/// Two of eight readings in millimetres hide each other from a one-by-one rule.
 #[test]
 fn two_wild_readings_do_not_hide_each_other() {
     let text = written(&[11.2, 12.4, 3011.0, 11.7, 12.9, 12.0, 3011.5, 11.6]);
@@ -317,7 +321,7 @@ fn clean_batches_have_no_wild_reading() {
         }
     }
     println!("{said} of {looked_at} clean batches with a wild reading");
-    // One of a thousand by chance: 6 of 6000.
+    // Chance gives one in a thousand: 6 of 6000.
     assert!(said <= 15, "{said} of {looked_at}");
 }
 

@@ -1,4 +1,4 @@
-//! Drawings: features in probing order, units, conics, and bad drawings named.
+//! Drawings: features in probing order, units, conics, and reports of bad drawings.
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
 use dxf::entities::{Arc, Ellipse, Entity, EntityType, Line, LwPolyline, Spline};
@@ -18,7 +18,8 @@ fn arc(centre: (f64, f64), radius: f64, start_deg: f64, end_deg: f64) -> EntityT
     EntityType::Arc(Arc::new(Point::new(centre.0, centre.1, 0.0), radius, start_deg, end_deg))
 }
 
-/// Like the part of NISTIR 4854 in inches: a nose of 1.5 in about Z 5, a cylinder, a face, a cylinder, a taper.
+/// A part as in NISTIR 4854, in inches.
+/// It has a nose of 1.5 in about Z 5, a cylinder, a face, a cylinder, a taper.
 fn nose_part() -> Vec<EntityType> {
     vec![
         line((4.55, 1.5), (4.55, 1.8)),
@@ -69,7 +70,7 @@ fn features_stand_in_probing_order() {
         (part.features[0].segment.at(0.0) - Zx::new(6.5 * 25.4, 0.0)).norm() < 1e-9,
         "starts on the axis"
     );
-    // Normals look out of the material: along the radius on the nose, +Z on the face, +X on the cylinder.
+    // Normals point out of the material: along the radius on the nose, +Z on the face, +X on the cylinder.
     let n = part.place(0, part.features[0].segment.length_mm() / 2.0).normal;
     assert!((n - Zx::at_angle(std::f64::consts::FRAC_PI_4)).norm() < 1e-9);
     assert!((part.place(2, 1.0).normal - Zx::new(1.0, 0.0)).norm() < 1e-9);
@@ -91,7 +92,7 @@ fn a_closed_drawing_and_a_ring_are_taken() {
     let (ring, _) =
         contour(Units::Millimeters, vec![EntityType::LwPolyline(ring)], &Options::default()).unwrap();
     assert!(ring.closed);
-    // The bore's surface looks at the axis.
+    // The bore's surface faces the axis.
     let bore = ring.nearest(Zx::new(15.0, 9.0)).unwrap();
     assert!((bore.normal - Zx::new(0.0, -1.0)).norm() < 1e-9, "{bore:?}");
     let outside = ring.nearest(Zx::new(15.0, 21.0)).unwrap();
@@ -198,7 +199,7 @@ fn what_no_machine_could_hold_is_refused_at_once() {
     let ellipse = |major: f64, ratio: f64| ellipse_to(major, ratio, 1.5);
     let found = finding(vec![ellipse(1.0, 4e9)]);
     assert!(found.found.contains("axis ratio of 4e9"), "{found}");
-    // One that turns back on itself; a flat one that does not is a line.
+    // One that turns back on itself is refused; a flat one that does not is a line.
     let found = finding(vec![ellipse_to(1.0, 1e-9, 4.0)]);
     assert!(found.found.contains("axis ratio"), "{found}");
     let found = finding(vec![ellipse(1e6, 0.5)]);
@@ -207,7 +208,8 @@ fn what_no_machine_could_hold_is_refused_at_once() {
     assert!(found.found.contains("more than 100 m"), "{found}");
 }
 
-/// Another library writes the same drawing as text and as binary, of R12 and of R2000.
+/// Another library's drawing reads the same as text and as binary.
+/// The versions are R12 and R2000.
 #[test]
 fn binary_drawings_read_like_text() {
     let folder = tempfile::tempdir().unwrap();
@@ -227,7 +229,7 @@ fn binary_drawings_read_like_text() {
         assert!(text.contains("38.0"), "{text}");
     }
     let whole = std::fs::read(folder.path().join("binary.dxf")).unwrap();
-    // Up to the end of its entities: what comes after them is no contour.
+    // Cut at the end of its entities, because what follows is not part of the contour.
     let place = |word: &[u8]| whole.windows(word.len()).position(|w| w == word).unwrap();
     let entities = place(b"ENTITIES");
     let end = entities + whole[entities..].windows(6).position(|w| w == b"ENDSEC").unwrap();

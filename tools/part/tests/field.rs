@@ -1,4 +1,4 @@
-//! Files as people have them: each stands for a kind that was read wrongly once.
+//! Files as people have them. Each is of a kind that was once read wrongly.
 
 #![allow(clippy::unwrap_used, clippy::format_collect, reason = "helpers and inputs of tests")]
 
@@ -37,7 +37,8 @@ fn a_size_below_its_standard_error_is_not_told() {
     assert!(report.size_standard_error_um.unwrap() > 57.0, "{:?}", report.size_standard_error_um);
 }
 
-/// Six points on a taper of 3°: what is off by half its standard error is no angle; 0.05° are.
+/// Six points on a taper of 3°.
+/// A difference of half its standard error is not reported as an angle; 0.05° are.
 #[test]
 fn an_angle_within_its_interval_is_not_told() {
     let scatter_um = [1.9, -0.7, -2.3, 2.6, -1.1, 0.4];
@@ -101,7 +102,8 @@ mod drawings {
         format!("0\nLINE\n8\n0\n10\n{}\n20\n{}\n11\n{}\n21\n{}\n", a[0], a[1], b[0], b[1])
     }
 
-    /// A step, a cylinder of 80 mm, a step; with an entity more, or in place of the cylinder.
+    /// A step, a cylinder of 80 mm, a step, and one entity.
+    /// The entity is added, or replaces the cylinder.
     fn drawn(entity: &str, instead: bool) -> Result<Contour, rtec_files::InputError> {
         let cylinder = if instead { String::new() } else { line([80.0, 20.0], [0.0, 20.0]) };
         let (front, back) = (line([80.0, 0.0], [80.0, 20.0]), line([0.0, 20.0], [0.0, 0.0]));
@@ -118,7 +120,7 @@ mod drawings {
         drawing::read(&file, &Options::default()).map(|(contour, _)| contour)
     }
 
-    /// Group codes and values, a line each.
+    /// Group codes and values, one line each.
     fn entity(name: &str, groups: &[(i32, f64)]) -> String {
         let whole = |code: i32| (60..80).contains(&code) || code == 90;
         let lines = groups.iter().map(|(code, value)| {
@@ -246,7 +248,7 @@ mod drawings {
     #[test]
     fn lines_shorter_than_the_tolerance_keep_their_way() {
         use std::f64::consts::FRAC_PI_2;
-        // A quarter of a circle of 2 mm, then a cylinder and a face; steps of the arc in µm, repeated.
+        // A quarter of a circle of 2 mm, then a cylinder and a face. The arc's steps, in µm, are repeated.
         let chained = |steps_um: &[f64], jumbled: bool| {
             let (mut angles, mut k) = (vec![0.0], 0);
             while let Some(last) = angles.last().copied().filter(|a| *a < FRAC_PI_2) {
@@ -356,7 +358,7 @@ mod drawings {
                 contour.cleaned
             );
         }
-        // What doubles back is no line.
+        // A curve that turns back is not a line.
         let back = entity(
             "ELLIPSE",
             &[(10, 40.0), (20, 20.0), (11, 40.0), (21, 0.0), (40, 1e-9), (41, 0.0), (42, 4.0)],
@@ -375,7 +377,7 @@ fn steps_of_a_caliper_are_in_a_batch_s_intervals() {
     let place = &batch.places[0];
     assert!((batch.step_um.unwrap() - 10.0).abs() < 1e-6);
     assert!(place.interval_um.is_some_and(|[low, high]| low < 6.0 && 6.0 < high), "{:?}", place.interval_um);
-    // Half a step may be nothing.
+    // Half a step may be no error.
     let text = text.replace("38.11", "38.105").replace("8,D1,38.10,38.105", "8,D1,38.10,38.100");
     let batch = batch::evaluate_text(&PathBuf::from("b.csv"), &text, None, judgement).unwrap();
     assert!((batch.step_um.unwrap() - 5.0).abs() < 1e-6, "{:?}", batch.step_um);
@@ -385,7 +387,7 @@ fn steps_of_a_caliper_are_in_a_batch_s_intervals() {
 
 #[test]
 fn steps_of_points_are_in_the_standard_errors() {
-    // A quarter circle of 10 mm, its places to 0.1 mm.
+    // A quarter circle of 10 mm, its places rounded to 0.1 mm.
     let rows: String = (0..12)
         .map(|i| (f64::from(i) * 0.14).sin_cos())
         .map(|(x, z)| format!("{:.1},{:.1}\n", 10.0 * z, 10.0 * x))

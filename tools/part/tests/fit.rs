@@ -1,4 +1,4 @@
-//! The fits against scipy, against the report's figures and over random bumps.
+//! The fits compared with scipy and with the report's figures, and on random bumps.
 
 use rand_xoshiro::Xoshiro256PlusPlus;
 use rand_xoshiro::rand_core::{RngCore, SeedableRng};
@@ -43,7 +43,8 @@ fn quadrant(
         .collect()
 }
 
-/// What a flat of 22 µm on a tool nose of 1.19 mm (3/64 in) leaves on the part.
+/// The error on the part from a flat on the tool's nose, µm.
+/// The flat is 22 µm deep, the nose 1.19 mm (3/64 in).
 fn flat_um(angle: f64, middle: f64) -> f64 {
     let (nose_mm, depth_mm) = (1.19_f64, 0.022);
     let off = angle - middle;
@@ -111,7 +112,7 @@ fn data_like_the_report_give_its_standard_deviations() {
 fn two_steps_come_closer_to_the_truth_than_one_over_a_thousand_random_bumps() {
     let mut rng = Rng::new(20);
     let (mut closer, mut robust_closer, mut plain_um, mut two_um, mut robust_um) = (0, 0, 0.0, 0.0, 0.0);
-    // The same with points dropped on both sides, as one may read the report.
+    // The same with points dropped on both sides, which is another reading of the report.
     let mut both_um = 0.0;
     // The same with what is beyond noise left out, and whether the radius is within its 95 % interval.
     let (mut screened_um, mut within) = (0.0, 0);

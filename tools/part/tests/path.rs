@@ -1,4 +1,5 @@
-//! Probing points and paths: the report's figures, the files, collisions and by-passes.
+//! Probing points and paths.
+//! The tests cover the report's figures, the files, collisions and by-passes.
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
 use rtec_part::contour::{Contour, Segment};
@@ -7,7 +8,8 @@ use rtec_part::path::{PathRole, Plan, Probe, ProbingMotion, Stem, number_at, pat
 use rtec_part::unit::Unit;
 use std::f64::consts::FRAC_PI_2;
 
-/// The part of NISTIR 4854, figures 4 and 7: nose 1.5 in about Z 5, cylinder, step to 1.8 in, cylinder; in mm.
+/// The part of NISTIR 4854, figures 4 and 7, in mm.
+/// It has a nose of 1.5 in about Z 5, a cylinder, a step to 1.8 in, a cylinder.
 fn part() -> Contour {
     let at = |z: f64, x: f64| Zx::new(z, x) * 25.4;
     let line = |a, b| (Segment::Line { a, b }, String::new());
@@ -23,7 +25,8 @@ fn part() -> Contour {
     )
 }
 
-/// A tip of 5 mm diameter: the touch ends with its centre on the nominal surface, as in figure 7.
+/// A tip of 5 mm diameter.
+/// The touch ends with its centre on the nominal surface, as in figure 7.
 const PROBE: Probe = Probe { tip_mm: 2.5, stand_off_mm: 5.12, over_travel_mm: 2.5, stem: None };
 
 #[test]
@@ -84,9 +87,9 @@ fn the_path_file_is_read_as_it_is_written() {
         ("LINE 1,2,0\n", 1),
         ("POINT hover 1, 2, 0\n", 1),
         ("POINT touch 1, 1, 2, 0\n", 1),
-        // Lines are the file's, not the records'.
+        // Line numbers are those of the file, not of the records.
         ("\n\nPOINT touch 1, 1, 2, 0\n", 3),
-        // A place that a writer could not write down again.
+        // A place that could not be written again.
         ("POINT start 1, 1e305, 0\n", 1),
         ("", 0),
     ] {
@@ -107,12 +110,12 @@ fn collisions_are_found_and_gone_round() {
     plan.add_bypasses(&part, 2.0);
     assert!(plan.hits(&part).is_empty());
     assert!(plan.records().iter().any(|r| r.role == PathRole::Bypass));
-    // Half a millimetre from the step's face a tip of 2.5 mm touches the face first.
+    // Half a millimetre from the step's face, a tip of 2.5 mm touches the face first.
     let mut corner = Plan::new(PROBE);
     corner.add(part.place(1, part.features[1].segment.length_mm() - 0.5));
     let hits = corner.hits(&part);
     assert!(hits.iter().any(|h| h.touching && h.feature == "F3"), "{hits:?}");
-    // A stylus that lies along −Z runs through the part where one that stands up is clear.
+    // A stylus along −Z passes through the part; an upright one is clear.
     let stem = |angle_rad| Stem { length_mm: 60.0, radius_mm: 2.0, angle_rad };
     let with = |angle| {
         let mut plan = Plan::new(Probe { stem: Some(stem(angle)), ..PROBE });

@@ -1,4 +1,6 @@
-//! The NC probing program: parameters, comments, order of the first moves, units, and LinuxCNC's own interpreter.
+//! The NC probing program.
+//! The tests cover parameters, comments, order of the first moves and units. LinuxCNC's own interpreter runs
+//! a program.
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
 use rtec_part::contour::{Contour, Segment};
@@ -43,7 +45,7 @@ fn text(name: &str, unit: Unit, comments: bool, set: &[(&str, &str)]) -> String 
     .unwrap()
 }
 
-/// Words of a block, as letter and value.
+/// The words of a block, as letter and value.
 fn words(line: &str) -> Vec<(char, f64)> {
     line.split_whitespace()
         .take_while(|w| !w.starts_with(['!', '(']))
@@ -116,7 +118,7 @@ fn every_dialect_moves_z_first_then_x_and_touches_every_point() {
             let diameter = if controller.dialect.x_is_diameter { 2.0 } else { 1.0 };
             let first: Vec<&str> = program.lines().filter(|l| l.contains("ONLY")).collect();
             let start = records()[0].at;
-            // Half of the last decimal: 3 in mm, 4 in inches.
+            // Half of the last decimal: 3 decimals in mm, 4 in inches.
             let near = |a: f64, b: f64| (a - b).abs() <= if unit == Unit::MM { 6e-4 } else { 6e-5 };
             assert!(near(word(first[0], 'Z').unwrap(), start.z / unit.0) && word(first[0], 'X').is_none());
             assert!(near(word(first[1], 'X').unwrap(), start.x * diameter / unit.0));
@@ -129,7 +131,7 @@ fn every_dialect_moves_z_first_then_x_and_touches_every_point() {
                 assert!(near(word(line, 'X').unwrap(), r.at.x * diameter / unit.0), "{name} {line}");
             }
             assert!(program.contains("BY-PASS"));
-            // Block numbers ascend and none is there twice.
+            // Block numbers ascend without repetition.
             let blocks: Vec<f64> = program.lines().filter_map(|l| word(l, 'N')).collect();
             assert!(blocks.len() > 60 && blocks.windows(2).all(|w| w[0] < w[1]), "{name}: {blocks:?}");
             let other = if unit == Unit::MM { &controller.dialect.inch } else { &controller.dialect.mm };
@@ -182,7 +184,7 @@ fn a_template_that_asks_for_the_unknown_is_named() {
     assert!(Controller::read(&file, &file).unwrap_err().line == 1);
 }
 
-/// LinuxCNC's interpreter runs the program; its canonical moves are the path.
+/// LinuxCNC's interpreter runs the program; its canonical moves equal the path.
 #[test]
 fn linuxcnc_runs_its_dialect() {
     if !test_needs::installed("rs274", "linuxcnc-uspace") {

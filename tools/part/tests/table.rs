@@ -1,4 +1,6 @@
-//! The correction table: counts and signs, interpolation, coordinates, sending ahead, and the program instead.
+//! The correction table.
+//! The tests cover counts and signs, interpolation, coordinates, sending ahead, and moves in the program
+//! instead.
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
 use rtec_part::cor::PointError;
@@ -8,7 +10,7 @@ use std::f64::consts::{FRAC_PI_2, TAU};
 
 const CUT: FinishCut =
     FinishCut { centre: Zx::new(127.0, 0.0), radius_mm: 38.1, nose_mm: 0.794, origin: Zx::new(-400.0, 55.5) };
-/// The Original RTEC on 1 µm counts: 4 µm a correction.
+/// The Original RTEC on 1 µm counts: 4 µm per correction.
 const ORIGINAL: AxisCounts = AxisCounts { count_um: 1.0, increment: 4, sign: 1.0 };
 const DESIGN_C: AxisCounts = AxisCounts { count_um: 1.0, increment: 2, sign: 1.0 };
 
@@ -29,11 +31,11 @@ fn table(axis: AxisCounts) -> FinishTable {
 
 #[test]
 fn the_largest_error_of_the_report_takes_five_corrections() {
-    // NISTIR 4854: 21.4 µm at 4 µm a correction.
+    // NISTIR 4854: 21.4 µm at 4 µm per correction.
     assert_eq!(ORIGINAL.requested(21.4), 20);
     assert_eq!(ORIGINAL.requested(-21.4), -20);
     assert_eq!(AxisCounts { sign: -1.0, ..ORIGINAL }.requested(21.4), -20);
-    // Counts that the MTC sees too many make the axis stop short by as much: the material goes.
+    // Additional counts at the MTC make the axis stop short by as much, so the material is removed.
     assert!((ORIGINAL.taken_um(20) - 20.0).abs() < 1e-12);
     let z = table(ORIGINAL).rows(9).iter().map(|r| r.requested[0]).max().unwrap();
     assert_eq!(z, 20, "near the axis the error is nearly all Z");
@@ -62,15 +64,15 @@ fn totals_are_asked_where_the_tool_will_be() {
     let asked = table.components_um(now, velocity, lead_s);
     let there = Zx::at_angle(0.22) * table.error_um(0.22);
     assert!((asked - there).norm() < 1e-6, "{asked:?} {there:?}");
-    // On top of a thermal model: the sum is rounded once.
+    // Added to a thermal model: the sum is rounded once.
     let thermal = Zx::new(1.9, -0.6);
     assert_eq!(
         table.requested(there + thermal),
         [ORIGINAL.requested(there.z + 1.9), ORIGINAL.requested(there.x - 0.6)]
     );
-    // Beyond the ends the end values stand.
+    // Beyond the ends the end values apply.
     assert!((table.error_um(-0.5) - bump(0.0)).abs() < 1e-12 && table.error_um(3.0).abs() < 1e-9);
-    // The file sends ahead of the cut, on the side it comes from.
+    // The file sends ahead of the cut, on the side from which the cut comes.
     let rows = table.rows(0);
     for (backwards, sign) in [(false, 1.0), (true, -1.0)] {
         let text = csv(&table, &rows, 2.0, backwards);
@@ -99,7 +101,7 @@ fn the_program_instead_takes_ninety_odd_lines_within_a_micrometre_and_a_half() {
         }
     }
     assert!(worst_mm <= 0.0015 && worst_mm > 0.0014, "{worst_mm}");
-    // Coarser than the rounding there is no chord that fits, but an end.
+    // If the step is coarser than the allowance no chord fits, but the path still ends.
     let coarse = table.straight_moves(0.0015, 2);
     assert!(coarse.len() > 100 && (*coarse.last().unwrap() - points[lines]).norm() < 0.01);
     let plain = FinishTable::new(

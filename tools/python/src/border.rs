@@ -1,4 +1,4 @@
-//! How errors and work cross the border.
+//! Passes errors and long work between Rust and Python.
 
 use pyo3::prelude::*;
 use rtec_files::Said;
@@ -8,19 +8,19 @@ use std::sync::Arc;
 use std::sync::mpsc::{self, Receiver, RecvTimeoutError};
 use std::time::{Duration, Instant};
 
-/// The classes are written in Python: each has two bases.
+/// Makes an error. Its class is written in Python, because it has two bases.
 fn raised<'py, A: pyo3::call::PyCallArgs<'py>>(py: Python<'py>, class: &str, arguments: A) -> PyErr {
     let made = py.import("rtec._errors").and_then(|m| m.getattr(class)).and_then(|c| c.call1(arguments));
     made.map_or_else(|error| error, PyErr::from_value)
 }
 
-/// Whether the system said of a file that it is not there (ENOENT).
+/// Whether a file does not exist, by the system's error (ENOENT).
 fn is_missing(error: &rtec_files::InputError) -> bool {
     const ENOENT: i32 = 2;
     error.found.contains(&std::io::Error::from_raw_os_error(ENOENT).to_string())
 }
 
-/// Why work ended without an answer.
+/// The reason why work ended without an answer.
 pub(crate) enum Failure {
     Input(Box<rtec_files::InputError>),
     Io(std::io::Error),
@@ -65,14 +65,14 @@ impl Failure {
     }
 }
 
-/// A call looks for Ctrl-C, and tells how far it is, so often.
+/// Interval at which a call checks for Ctrl-C and reports progress.
 const LOOK: Duration = Duration::from_millis(40);
 
 type Done<T> = std::thread::Result<Option<(Result<T, Failure>, Vec<String>)>>;
 
-/// Works in a thread of its own, without the interpreter's lock.
-/// Ctrl-C, or an error of the hook `rtec.progress`, ends the call at once; what works for it ends at its next step.
-/// What was said is given with the answer, and stands in the notes of an error.
+/// Works in a separate thread, without the interpreter's lock.
+/// Ctrl-C, or an error of the hook `rtec.progress`, ends the call at once; the thread ends at its next step.
+/// Messages are returned with the answer, or added to the notes of an error.
 pub(crate) fn work<T: Send + 'static>(
     py: Python<'_>,
     of: impl FnOnce(&mut dyn FnMut(Said)) -> Result<T, Failure> + Send + 'static,
@@ -83,12 +83,12 @@ pub(crate) fn work<T: Send + 'static>(
     let working = move || {
         let mut said = Vec::new();
         let of = || watched.over(|| of(&mut |s: Said| said.push(s.to_string())));
-        // What a panic leaves behind is dropped here: nothing of it is looked at again.
+        // After a panic all that the work used is dropped, so nothing reads it again.
         let done = catch_unwind(AssertUnwindSafe(of));
-        // Nobody waits any more after Ctrl-C.
+        // After Ctrl-C nobody waits for the answer.
         let _ = send.send(done.map(|answer| answer.map(|answer| (answer, said))));
     };
-    // As much room as the main thread has.
+    // The stack is as large as that of the main thread.
     std::thread::Builder::new().name("rtec".to_owned()).stack_size(8 << 20).spawn(working)?;
     let (error, said) = match waited(py, &watch, done)? {
         Ok(Some((Ok(answer), said))) => return Ok((answer, said)),
@@ -109,7 +109,7 @@ fn bug(py: Python<'_>, why: &str) -> PyErr {
     raised(py, "Bug", (format!("{why}; this is a mistake of rtec's, not of its input"),))
 }
 
-/// What the work came to. Python's signals and its hook are asked meanwhile.
+/// Waits for the work. Meanwhile it checks Python's signals and calls its hook.
 fn waited<T: Send>(py: Python<'_>, watch: &Watch, mut done: Receiver<Done<T>>) -> PyResult<Done<T>> {
     let start = Instant::now();
     loop {
@@ -134,7 +134,7 @@ fn waited<T: Send>(py: Python<'_>, watch: &Watch, mut done: Receiver<Done<T>>) -
     }
 }
 
-/// Work that says nothing on the way.
+/// Work without messages.
 pub(crate) fn quietly<T: Send + 'static>(
     py: Python<'_>,
     of: impl FnOnce() -> Result<T, Failure> + Send + 'static,

@@ -1,8 +1,8 @@
-//! The libraries from Python: what crosses the border, and nothing else.
-//! Every answer is the library's; the shapes that a reader of Python expects are made in `python/rtec`.
+//! The Python interface of the libraries, without any logic of its own.
+//! Every answer comes from the libraries. `python/rtec` gives it the form that a reader of Python expects.
 //!
-//! Each function gives documents as the text that `rtecctl … --json` prints, arrays as numpy's, and last the lines that are
-//! said on the way. Rust works without the interpreter's lock.
+//! Each function returns documents as the text that `rtecctl … --json` prints, arrays as numpy's, and last
+//! the messages. Rust works without the interpreter's lock.
 
 mod border;
 mod machine;

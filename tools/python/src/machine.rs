@@ -1,4 +1,4 @@
-//! Machine models: read, looked at, asked, written.
+//! Machine models: reading, properties, prediction, writing.
 
 use crate::border::{quietly, work};
 use crate::record::Record;
@@ -86,7 +86,7 @@ impl Machine {
     }
 
     /// Predicted response of every row, by the response's column name.
-    /// And what was said.
+    /// The second value holds the messages.
     fn predict<'py>(&self, py: Python<'py>, record: &Record) -> PyResult<(Predicted<'py>, Vec<String>)> {
         let (machine, record) = (self.inner.clone(), record.inner.clone());
         let (columns, said) =
@@ -105,7 +105,7 @@ impl Machine {
     }
 
     /// Half width of the 95 % interval at every row, µm.
-    /// None where no fit of the response states one for such a run.
+    /// `None` if no fit of the response states one for such a run.
     fn half_widths_um<'py>(
         &self,
         py: Python<'py>,
@@ -123,7 +123,7 @@ impl Machine {
         Ok(widths.map(|w| PyArray1::from_vec(py, w)))
     }
 
-    /// The record less what the model predicts.
+    /// The record with the model's prediction subtracted.
     fn beyond(&self, py: Python<'_>, record: &Record) -> PyResult<Record> {
         let (machine, record) = (self.inner.clone(), record.inner.clone());
         quietly(py, move || Ok(Record { inner: machine.beyond(&record)? }))

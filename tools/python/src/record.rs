@@ -1,4 +1,4 @@
-//! Run records, as numpy arrays in and out.
+//! Run records as numpy arrays, in both directions.
 
 use crate::border::{Failure, quietly};
 use numpy::{PyArray1, PyReadonlyArray1};
@@ -20,7 +20,8 @@ pub(crate) struct Record {
     pub(crate) inner: Inner,
 }
 
-/// A column as it is given: name, role, unit (the role's own where left out), values.
+/// A column from Python: name, role, unit, values.
+/// Without a unit it has the role's own.
 type Given<'py> = (String, String, Option<String>, PyReadonlyArray1<'py, f64>);
 
 struct About {
@@ -49,7 +50,7 @@ fn made(
         let column = Column::new(&name, own, data);
         Ok(match unit {
             Some(unit) => Column { unit, ..column },
-            // A channel has no unit of its own.
+            // A channel has no unit by its role.
             None if column.unit.is_empty() => Column { unit: "1".to_owned(), ..column },
             None => column,
         })
@@ -213,7 +214,7 @@ impl Record {
                 return Err(InputError::whole(&from.path, "no rows", "at least one").into());
             }
             let inner = from.select(&rows);
-            // Time must go on.
+            // Checks that time does not decrease.
             Inner::new(&inner.path, inner.kind, inner.columns.clone())?;
             Ok(Self { inner })
         })

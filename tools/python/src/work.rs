@@ -1,4 +1,4 @@
-//! What is asked of the libraries: documents as text, pictures as data.
+//! Calls of the libraries: documents as text, plots as data.
 
 use crate::border::{Failure, quietly, work};
 use crate::machine::Machine;
@@ -65,7 +65,7 @@ fn one_of<T: Copy>(argument: &str, name: &str, all: &[(&'static str, T)]) -> Res
     found.ok_or_else(|| bad(argument, format!("`{name}`"), format!("one of {}", names())))
 }
 
-/// Document, text, page, pictures; what was said.
+/// Document, text, page and plots, then messages.
 type Evaluated = ((String, String, String, String), Vec<String>);
 
 #[pyfunction]
@@ -99,7 +99,7 @@ pub(crate) fn evaluate(
     })
 }
 
-/// What is asked of a fit, as it comes over the border.
+/// The options of a fit, from Python.
 #[derive(FromPyObject)]
 #[pyo3(from_item_all)]
 pub(crate) struct FitAsked {
@@ -137,10 +137,10 @@ impl FitAsked {
     }
 }
 
-/// Document, model, pictures, records as they were fitted; what was said.
+/// Document, model, plots and the records as fitted, then messages.
 type Fitted = ((String, Machine, String, Vec<Record>), Vec<String>);
 
-/// Growth by chosen sensors; the choice alone where `selection`.
+/// Fits growth by chosen sensors; with `selection` it only chooses them.
 #[pyfunction]
 pub(crate) fn fit(
     py: Python<'_>,
@@ -191,10 +191,10 @@ pub(crate) fn fit_named(
     })
 }
 
-/// Document, the chain's text, pictures, and what the fit rests on.
+/// Document, the chain's text, plots, and the arrays behind the fit.
 type FittedChain<'py> = (String, String, String, Arrays<'py>);
 
-/// Components of a chain, on records and the points of the tool that they measured.
+/// Fits components of a chain to records and the tool points that they measured.
 #[pyfunction]
 pub(crate) fn fit_chain(
     py: Python<'_>,
@@ -228,7 +228,8 @@ pub(crate) fn fit_chain(
     Ok((document, text, pictures, arrays(py, of)))
 }
 
-/// Rows and columns of a chain's fit: its coefficients, and the zero of each response of each record.
+/// Rows and columns of a chain's fit.
+/// The columns are its coefficients, and the zero of each response of each record.
 fn regression_of_chain(records: &[rtec_model::record::Record], report: &ChainReport) -> Regression {
     let file =
         |path: &Path| records.iter().find(|r| r.path == path).map_or_else(String::new, |r| r.file.clone());
@@ -271,7 +272,7 @@ fn regression_of_chain(records: &[rtec_model::record::Record], report: &ChainRep
     }
 }
 
-/// Document, pictures; what was said.
+/// Document and plots, then messages.
 #[pyfunction]
 pub(crate) fn validate(
     py: Python<'_>,
@@ -288,7 +289,7 @@ pub(crate) fn validate(
     })
 }
 
-/// What is asked of an export, as it comes over the border.
+/// The options of an export, from Python.
 #[derive(FromPyObject)]
 #[pyo3(from_item_all)]
 pub(crate) struct ExportAsked {
@@ -315,7 +316,7 @@ pub(crate) struct ExportAsked {
 
 const UNITS: [(&str, Unit); 2] = [("mm", Unit::Mm), ("inch", Unit::Inch)];
 
-/// Document, the table's text; what was said.
+/// Document and the table's text, then messages.
 #[pyfunction]
 pub(crate) fn export_table(
     py: Python<'_>,
@@ -357,7 +358,7 @@ pub(crate) fn export_table(
     })
 }
 
-/// What is asked of an import, as it comes over the border.
+/// The options of an import, from Python.
 #[derive(FromPyObject)]
 #[pyo3(from_item_all)]
 pub(crate) struct ImportAsked {
@@ -378,7 +379,7 @@ pub(crate) struct ImportAsked {
     plane: Option<[String; 2]>,
 }
 
-/// Another tool's file as a record, which is not written yet.
+/// Another tool's file as a record, which is not yet written.
 #[pyfunction]
 pub(crate) fn import_record(py: Python<'_>, asked: ImportAsked) -> PyResult<(Record, Vec<String>)> {
     work(py, move |say| {
@@ -415,7 +416,7 @@ pub(crate) fn import_record(py: Python<'_>, asked: ImportAsked) -> PyResult<(Rec
     })
 }
 
-/// Measured and predicted over time, with the interval where one is known.
+/// A plot of measured and predicted over time, with the interval if known.
 #[pyfunction]
 pub(crate) fn prediction_picture(
     py: Python<'_>,
@@ -435,7 +436,8 @@ pub(crate) fn prediction_picture(
     })
 }
 
-/// Document, model, page, pictures, where something was unexplained and wanted the law's file, records as they were used; what was said.
+/// Document, model, page, plots, a law's file, records as used, then messages.
+/// The law's file exists if a curve was requested and something was unexplained.
 type Reconciled = ((String, Machine, String, String, Option<String>, Vec<Record>), Vec<String>);
 
 #[pyfunction]
@@ -483,7 +485,8 @@ pub(crate) fn reconcile(
     })
 }
 
-/// A column of a regression: effect or set-up term, parameter, unit, value, half width, derivative row by row.
+/// A column of a regression.
+/// It has effect or set-up term, parameter, unit, value, half width and the derivative row by row.
 type Column<'py> = (String, String, String, Option<f64>, Option<f64>, Bound<'py, PyArray1<f64>>);
 /// Rows (record, response, unit, count), measured, predicted, columns.
 type Arrays<'py> = (
@@ -493,7 +496,7 @@ type Arrays<'py> = (
     Vec<Column<'py>>,
 );
 
-/// What stands behind a fit or a verdict.
+/// The regression behind a fit or a verdict.
 #[pyfunction]
 pub(crate) fn regression(
     py: Python<'_>,
@@ -518,7 +521,7 @@ fn arrays(py: Python<'_>, of: Regression) -> Arrays<'_> {
     (rows, array(of.measured), array(of.predicted), of.columns.into_iter().map(column).collect())
 }
 
-/// The first stage of a reconciliation alone.
+/// Only the first stage of a reconciliation.
 #[pyfunction]
 pub(crate) fn where_they_disagree(
     py: Python<'_>,
@@ -536,7 +539,7 @@ pub(crate) fn where_they_disagree(
     })
 }
 
-/// The document, and the same as Markdown; what was said.
+/// The document, and the same as Markdown, then messages.
 #[pyfunction]
 pub(crate) fn plan(
     py: Python<'_>,
@@ -623,7 +626,7 @@ pub(crate) fn replay(
     })
 }
 
-/// What is asked of probed points, as it comes over the border.
+/// The options for probed points, from Python.
 #[derive(FromPyObject)]
 #[pyo3(from_item_all)]
 pub(crate) struct PartAsked {
@@ -641,7 +644,7 @@ pub(crate) struct PartAsked {
     with_size: bool,
 }
 
-/// The document, `error.cor`, the whiskers as SVG; what was said.
+/// The document, `error.cor` and the whiskers as SVG, then messages.
 #[pyfunction]
 pub(crate) fn part_errors(
     py: Python<'_>,
@@ -671,7 +674,8 @@ pub(crate) fn part_errors(
     })
 }
 
-/// An experiment's records, as measured without and with compensation, and its figures.
+/// An experiment's records and its figures.
+/// The records are measured without and with compensation.
 #[pyfunction]
 #[pyo3(signature = (name, truth, known, seed, out))]
 pub(crate) fn simulate(

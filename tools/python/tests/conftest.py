@@ -1,4 +1,4 @@
-"""The command line is the other hand: every document is compared with what it prints."""
+"""Every document is compared with the output of the command line."""
 
 import os
 import subprocess
@@ -7,7 +7,7 @@ from pathlib import Path
 import hypothesis
 import pytest
 
-# The same inputs in every run, so that a change is what makes a run fail; RTEC_SEARCH=1 looks for others.
+# The same inputs in every run, so that only a change can make a run fail; RTEC_SEARCH=1 draws others.
 hypothesis.settings.register_profile("same", derandomize=True)
 if not os.environ.get("RTEC_SEARCH"):
     hypothesis.settings.load_profile("same")
@@ -52,4 +52,4 @@ def spindle(rtecctl, tmp_path_factory):
 
 @pytest.fixture(autouse=True)
 def _quiet(recwarn):
-    """Warnings about simulated records are looked at where they matter."""
+    """Silences warnings about simulated records; tests that need them check them."""

@@ -1,7 +1,7 @@
-"""What a shop costs: `python figures_shop.py [MACHINES] [PAIRS]`. It measures and judges nothing.
+"""Measures the cost of a shop: `python figures_shop.py [MACHINES] [PAIRS]`. It judges nothing.
 
-How cost grows is processor time, in this process. Speed-up is time on the clock, of one worker and of two in turn, each pair
-PAIRS times, best of each: another program on the computer only ever makes it slower.
+The growth of the cost is processor time in this process. The speed-up is time on the clock, of one worker and of two in turn. Each
+pair runs PAIRS times, and the best of each counts, because other programs on the computer can only make it slower.
 """
 
 import sys

@@ -1,4 +1,4 @@
-"""A simulated shop: every machine's model, three months of records, and what was planted."""
+"""A simulated shop: every machine's model, three months of records, and the planted causes."""
 
 import numpy as np
 
@@ -24,7 +24,7 @@ def numbered(n):
 
 
 def planted(n, of):
-    """What machine n really has beyond its model, by month; and what it has in common with others."""
+    """The effects that machine n has beyond its model, by month, and what it shares with others."""
     about = {"hall": "south" if n % 10 < 3 else "north", "scales": "batch-7" if n % 17 == 4 else f"batch-{n % 3}"}
     each = {month: [] for month in MONTHS}
     note = {month: "" for month in MONTHS}

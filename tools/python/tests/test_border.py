@@ -1,4 +1,4 @@
-"""What crosses the border: arrays, errors, warnings; nothing else, whatever comes in."""
+"""Only arrays, errors and warnings pass from Rust to Python, whatever the input."""
 
 import copy
 import pathlib
@@ -57,7 +57,7 @@ def test_numbers_go_in_and_out_as_they_are(tmp_path):
     assert (again.date, again.note, again.zero, again.count_um) == ("2026-05-01", "by hand", "plate", 0.5)
     for same in (copy.copy(run), pickle.loads(pickle.dumps(run))):
         assert same.to_csv() == run.to_csv() and same.to_sidecar() == run.to_sidecar()
-    # What is handed out is a copy.
+    # A returned array is a copy.
     run["e"][0] = 99.0
     assert run["e"][0] == 0.0
     assert (run.select([1, 2])["e"] == [1.25, 1.5]).all()
@@ -145,7 +145,7 @@ def test_the_lock_is_free_while_rust_works(lathe):
     while worker.is_alive():
         turns += 1
         worker.join(1e-4)
-    # With the lock held this thread would have come back once, at the end.
+    # If the work held the lock, this thread would run only once, at the end.
     assert turns > 50
 
 
@@ -156,7 +156,7 @@ numbers = st.one_of(
 
 @st.composite
 def columns(draw):
-    """Mostly a record that can be made, of values that are odd; sometimes none."""
+    """Columns with odd values, mostly of a valid record."""
     odd = draw(st.integers(0, 3)) == 0
     rows = draw(st.integers(0 if odd else 1, 40))
     roles = draw(st.lists(st.sampled_from(ROLES), max_size=5, unique=not odd))

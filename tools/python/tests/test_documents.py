@@ -1,4 +1,4 @@
-"""Documents are those of the command line, byte for byte."""
+"""Documents equal those of the command line, byte for byte."""
 
 import filecmp
 import json
@@ -277,18 +277,18 @@ def test_a_chain_is_fitted_alike(rtecctl, tmp_path):
     fitted.write(tmp_path / "python.toml")
     assert filecmp.cmp(out, tmp_path / "python.toml", shallow=False) and "# the gauge line" in fitted.text
     values = [term["value"] for term in fitted.document["terms"]]
-    # Another hand's least squares of the same two columns.
+    # Least squares of the same two columns by numpy.
     lever = np.concatenate([np.full(x.size, z / 1000.0) for _, _, z in points])
     both = np.tile(x, 2) / 100.0
     measured = np.concatenate([run["e"] for run in runs])
     free = np.column_stack([both, both * lever, *(np.repeat(np.eye(2), x.size, axis=0).T)])
     assert np.allclose(values, np.linalg.lstsq(free, measured, rcond=None)[0][:2], rtol=1e-6)
     assert len(fitted.plots()) == 2
-    # What the fit rests on, as arrays.
+    # The arrays behind the fit.
     found = fitted.regression
     assert found.names == ["x slide.dx p1 dT0", "x slide.ey p1 dT0"] and found.units == ["um", "urad"]
     assert set(found.record) == {run.file for run in runs} and set(found.response) == {"error.x"}
-    # Products of two small quantities are in the chain, and not in the columns by hand.
+    # The chain includes products of two small quantities, the columns by hand do not.
     assert np.allclose(found.design, free[:, :2], atol=1e-4) and np.allclose(found.set_up, free[:, 2:])
     beta, squares, *_ = np.linalg.lstsq(free, measured, rcond=None)
     assert np.allclose(found.residuals, measured - free @ beta, atol=3e-4)

@@ -1,4 +1,4 @@
-"""What a reader of Python expects of a library: reprs, iteration, standard errors, docstrings, pickles."""
+"""The usual habits of a Python library: reprs, iteration, standard errors, docstrings, pickles."""
 
 import graphlib
 import inspect
@@ -70,7 +70,7 @@ def test_errors_have_one_base_and_a_standard_class(tmp_path):
         assert pickle.loads(pickle.dumps(error)).args == error.args
     with pytest.raises(FileNotFoundError):
         rtec.replay(tmp_path / "none.csv", tmp_path / "none.csv")
-    # An argument that is wrong is no missing file.
+    # A wrong argument is not a missing file.
     with pytest.raises(rtec.InputError) as raised:
         rtec.evaluate(run(), "iso9000")
     assert not isinstance(raised.value, OSError)
@@ -137,7 +137,7 @@ def test_docstrings_name_every_parameter_and_the_result(name, function):
 
 
 def test_no_file_of_the_package_imports_itself_in_a_circle():
-    """Imports anywhere in a file count, those for types alone and those within a function too."""
+    """All imports of a file count, also those only for types and those within a function."""
     folder = Path(rtec.__file__).parent
     names = {path.stem: path for path in folder.glob("*.py") if path.stem != "__init__"}
     after = {}
@@ -150,7 +150,7 @@ def test_no_file_of_the_package_imports_itself_in_a_circle():
 
 
 def fits(value, kind, where):
-    """Whether a value is of an annotated type; a TypedDict has the declared keys and no other."""
+    """Whether a value has an annotated type; a TypedDict has exactly the declared keys."""
     origin, arguments = typing.get_origin(kind), typing.get_args(kind)
     if typing.is_typeddict(kind):
         assert isinstance(value, dict), where

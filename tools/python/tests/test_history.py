@@ -1,4 +1,4 @@
-"""The history of one machine, by the command and from Python; its trend judged by scipy."""
+"""The history of one machine, by the command and from Python; scipy checks its trend."""
 
 import json
 

@@ -1,4 +1,4 @@
-"""numpy and scipy judge what the libraries say."""
+"""numpy and scipy check the libraries' results."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ import rtec
 
 def iso230_2(position, direction, error):
     """ISO 230-2, by its own formulas."""
-    # Targets are told apart by the largest gaps; each was approached five times from both sides.
+    # The largest gaps separate the targets; each was approached five times from both sides.
     order = np.argsort(position)
     gaps = np.diff(position[order])
     groups = np.split(order, np.flatnonzero(gaps > 1.0) + 1)

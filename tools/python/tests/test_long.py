@@ -1,4 +1,4 @@
-"""Long calls: they say how far they are, and end when nobody waits any more."""
+"""Long calls report their progress, and end when nobody waits any more."""
 
 import os
 import re
@@ -12,7 +12,7 @@ import pytest
 
 import rtec
 
-#: Calls that take long on purpose, as functions of nothing.
+#: Calls that take long on purpose, as functions without arguments.
 LONG = """
 import numpy as np, rtec, sys
 random = np.random.default_rng(1)
@@ -90,7 +90,7 @@ def test_what_the_hook_raises_ends_the_call_and_what_works_for_it():
     threads = set(os.listdir("/proc/self/task"))
     with pytest.raises(Stop), rtec.progress(stop):
         rtec.reconcile(slow(), rtec.Machine.ideal("m"))
-    # The thread that worked for it goes at its next step; however busy the computer is.
+    # The working thread ends at its next step, however busy the computer is.
     while set(os.listdir("/proc/self/task")) - threads:
         time.sleep(0.01)
 

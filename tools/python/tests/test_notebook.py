@@ -1,4 +1,4 @@
-"""The metrologist's chapter as a notebook, run from top to bottom."""
+"""Runs the notebook of the metrologist's chapter from top to bottom."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Figures are compared with those of `tests/baseline`; `RTEC_BASELINE=write` draws them anew."""
+"""Figures are compared with those of `tests/baseline`; `RTEC_BASELINE=write` draws them again."""
 
 import os
 from pathlib import Path
@@ -10,7 +10,7 @@ from rtec import plots
 
 compare = pytest.importorskip("matplotlib.testing.compare")
 BASELINE = Path(__file__).parent / "baseline"
-#: RMS of the grey levels: other versions of matplotlib and its fonts differ by some, another curve by more.
+#: Allowed RMS of the grey levels: other versions of matplotlib and its fonts differ by less, another curve by more.
 TOLERANCE = 12.0
 
 
@@ -75,7 +75,7 @@ def test_a_part(tmp_path):
 
 
 def test_another_curve_is_seen(mill, tmp_path):
-    """What cannot fail is no test: the same plot of another axis is another picture."""
+    """Checks that the comparison can fail: the same plot of another axis is another picture."""
     figure = rtec.evaluate(mill / "records/linear-displacement-x.run.toml").plots()[0]
     figure.savefig(tmp_path / "other.png", dpi=50)
     found = compare.compare_images(str(BASELINE / "positioning-0.png"), str(tmp_path / "other.png"), TOLERANCE)

@@ -1,4 +1,4 @@
-"""Residuals, covariance, design and band of fits and verdicts, judged by numpy's own least squares."""
+"""Residuals, covariance, design and band of fits and verdicts, checked by numpy's least squares."""
 
 import numpy as np
 import pytest
@@ -73,7 +73,7 @@ def test_a_verdict_s_residuals_are_its_report_s(mill):
     for name, parameter in stated.items():
         match = [v for n, v in values.items() if n.startswith(name.split(" ")[0]) and n.endswith(name.split(" ")[1])]
         assert match and match[0] == pytest.approx(parameter["value"]), name
-    # A small step of a value moves the prediction as its column says.
+    # A small step of a value changes the prediction by its column times the step.
     k = next(i for i, n in enumerate(found.names) if n.endswith(" um"))
     assert found.design.shape[1] == len(found.names) and np.abs(found.design[:, k]).max() > 0
 

@@ -1,5 +1,6 @@
-"""`rtecctl ship` to stores of other hands: s3rver (npm), which is a disk that can be killed or full; before it a gate where
-botocore works out every signature again; and moto, which keeps checksums."""
+"""`rtecctl ship` to independent object stores.
+
+s3rver (npm) writes to a disk, and can be killed or full. A gate before it checks every signature with botocore. moto keeps checksums."""
 
 import base64
 import hashlib
@@ -39,7 +40,7 @@ def free_port():
 
 
 class Store:
-    """A store on disk, that can be killed and started again."""
+    """A store on disk that can be killed and started again."""
 
     def __init__(self, folder, *options):
         assert S3RVER.exists(), f"{S3RVER}: npm install --prefix target/python/s3rver s3rver@3.7.1"
@@ -49,7 +50,7 @@ class Store:
         self.start()
 
     def start(self):
-        # A promise that s3rver left to itself under load is no end of the store.
+        # Under load s3rver may leave a rejected promise unhandled, which must not end the store.
         node = ["node", "--unhandled-rejections=warn"]
         command = [*node, str(S3RVER), "-d", str(self.folder), "-a", "127.0.0.1", "-p", str(self.port), "--silent"]
         self.process = subprocess.Popen(
@@ -73,7 +74,7 @@ class Store:
         return f"{self.scheme}://127.0.0.1:{self.port}"
 
     def objects(self):
-        """What lies in the bucket, read from the store's own disk."""
+        """The content of the bucket, read from the store's own disk."""
         marked = "._S3rver_object"
         found = (self.folder / "plant").rglob("*" + marked)
         return {str(p.relative_to(self.folder / "plant")).removesuffix(marked): p.read_bytes() for p in found}
@@ -84,7 +85,7 @@ class Store:
 
 
 class Cutting:
-    """A connection to the store that is cut after so many bytes, once; whoever comes later passes."""
+    """A proxy to the store that cuts its first connection after a number of bytes; later ones pass."""
 
     def __init__(self, to, after):
         self.to, self.left, self.cut = to, after, False
@@ -122,7 +123,7 @@ class Cutting:
 
 
 class Gate(http.server.BaseHTTPRequestHandler):
-    """Lets through to the store what botocore would have signed in the same way; refuses all else as a store does."""
+    """A proxy that passes requests with the signature that botocore gives, and refuses others as a store does."""
 
     store = None
 
@@ -180,7 +181,7 @@ def store(tmp_path_factory):
 
 @pytest.fixture
 def ship(monkeypatch):
-    """Runs `rtecctl ship`; whatever it says, the secret is not in it."""
+    """Runs `rtecctl ship`, and checks that its output does not contain the secret."""
     for name in list(os.environ):
         if name.startswith("AWS_"):
             monkeypatch.delenv(name)
@@ -213,7 +214,7 @@ def waiting(spool):
 
 
 def all_there(store, count, prefix="shop"):
-    """Each record once, whole, and readable by another client."""
+    """Checks that each record is there once, whole, and readable by another client."""
     assert len([k for k in store.objects() if k.startswith(f"{prefix}/inbox/") and k.endswith(".run.toml")]) == count
     shop = store.shop(f"plant/{prefix}")
     assert shop.gather() == [] and len(shop.runs()) == count
@@ -226,7 +227,7 @@ def test_records_arrive_once_and_another_client_reads_them(store, ship, tmp_path
     assert first.stdout.splitlines()[-1] == "3 records sent, 0 kept"
     assert waiting(spool) == [] and len(list((spool / "sent").iterdir())) == 3
     all_there(store, 3)
-    # The same records again, from another spool, are in the same places; the environment's address is as good.
+    # The same records from another spool get the same places. The address from the environment works too.
     before = store.objects()
     again = spool_of(tmp_path / "again", 3, "spindle run {n}, ü+&")
     second = ship(again, "s3://plant/shop/", None, "--json", env={"AWS_ENDPOINT": store.endpoint})
@@ -240,9 +241,9 @@ def test_a_connection_cut_anywhere_loses_nothing_and_sends_nothing_twice(store, 
     proxy = Cutting(store.port, after)
     done = ship(spool, f"s3://plant/{prefix}", f"http://127.0.0.1:{proxy.port}", code=3)
     assert proxy.cut and "records wait in the spool" in done.stderr
-    # What has left the spool is in the store, whole.
+    # Records that have left the spool are in the store, whole.
     assert len(waiting(spool)) + len(list(spool.glob("sent/*"))) == 3
-    # This store keeps half of a body, and may do so only now: what is read back shows it, and the record waits for another run.
+    # This store keeps half of a body, perhaps only now. Reading back shows it, and the record waits for another run.
     for _ in range(3):
         done = ship(spool, f"s3://plant/{prefix}", store.endpoint, code=None)
         assert len(waiting(spool)) + len(list(spool.glob("sent/*"))) == 3
@@ -309,9 +310,9 @@ def test_what_the_caller_mends_is_one_line_and_exit_code_2(store, gate, ship, tm
     assert "python -m rtec.shop ship" in ship(spool, "gs://plant", None, code=2).stderr
     assert "--endpoint" in ship(spool, tmp_path, store.endpoint, code=2).stderr
     assert len(waiting(spool)) == 1
-    # A store that nobody is at may be there the next time.
+    # A store that does not answer may answer the next time.
     assert "1 records wait" in ship(spool, "s3://plant", f"http://127.0.0.1:{free_port()}", code=3).stderr
-    # With the right pair the gate, too, lets it in.
+    # With the right pair of keys the gate passes it too.
     ship(spool, "s3://plant/signed", gate)
     all_there(store, 1, "signed")
 
@@ -329,7 +330,7 @@ def test_a_full_store_keeps_the_spool(tmp_path, ship):
         assert "2 records wait in the spool" in ship(spool, "s3://plant/shop", store.endpoint, code=3).stderr
         assert len(waiting(spool)) == 2
         (disk / "fill").unlink()
-        # A full disk may have ended it, now or in a moment.
+        # The full disk may have ended the store, or may end it in a moment.
         store.kill()
         store.start()
         ship(spool, "s3://plant/shop", store.endpoint)
@@ -384,7 +385,7 @@ def test_the_store_holds_our_checksum(tmp_path, ship):
 
 
 def test_from_the_daemon_to_the_shop(rtecctl, tmp_path):
-    """A probing run and a recorded one: kept by the daemon, sent, gathered; the first is a log, that nobody judges."""
+    """A probing run and a recorded one are kept by the daemon, sent and gathered. The first is a log, which is not judged."""
     for folder in ("spool", "store"):
         (tmp_path / folder).mkdir()
     axis = "count_um = 1.0\ntravel_mm = 40\nmax_correction_counts = 1000\nwindow_counts = 50\nmin_separation_ns = 500\n"
@@ -424,14 +425,14 @@ def test_from_the_daemon_to_the_shop(rtecctl, tmp_path):
     runs = {run.key.rsplit("/", 1)[1].split("-")[0]: shop.get(run) for run in shop.runs()}
     assert set(runs) == {"probing", "drift"}
     assert runs["probing"].responses == [] and len(runs["probing"]) >= 3
-    # It goes to a worker and back.
+    # A worker can receive it and send it back.
     assert pickle.loads(pickle.dumps(runs["probing"])).to_csv() == runs["probing"].to_csv()
     assert runs["drift"]["gx"].tolist() == rtec.read_record(out)["gx"].tolist()
     shop.put_model("m1", rtec.Machine.ideal("m1"))
     found = assess(shop)
-    # Both of today: the log is kept beside what is judged.
+    # Both are of today: the log is kept beside the judged record.
     assert len(found.months) == 1 and found.months.iloc[0]["runs"] == 2 and found.months["error"].isna().all()
     assert found.unreadable.empty
-    # What ten readings of that gauge are, the record alone says too.
+    # The shop's verdict on that gauge's ten readings is that of the record alone.
     alone = rtec.reconcile([rtec.read_record(out)], rtec.Machine.ideal("m1"))
     assert found.machines.iloc[0]["verdict"] == alone.verdict

@@ -58,7 +58,7 @@ def test_it_is_one_schema_partitioned_by_machine_and_month(shop):
 
 
 def test_causes_common_and_single_with_a_worker_killed_in_the_middle(shop):
-    # One file that is no Parquet, one of another schema.
+    # One file that is not Parquet, and one with another schema.
     broken = f"records/machine={data.numbered(2)}/month=2026-06/broken-0.parquet"
     shop.write(broken, b"PAR1 nothing")
     other = io.BytesIO()
@@ -71,7 +71,7 @@ def test_causes_common_and_single_with_a_worker_killed_in_the_middle(shop):
             done = threading.Event()
 
             def kill():
-                # Once both have work behind them and before them.
+                # As soon as both have finished some work and have more to do.
                 while not done.wait(0.05):
                     finished = client.run_on_scheduler(
                         lambda dask_scheduler: sum(1 for t in dask_scheduler.tasks.values() if t.state == "memory")
@@ -92,7 +92,7 @@ def test_causes_common_and_single_with_a_worker_killed_in_the_middle(shop):
         f"{len(found.months)} months of {MACHINES} machines, {found.months['seconds'].sum():.1f} s of a core, "
         f"{1000 * found.months['seconds'].mean():.0f} ms each"
     )
-    # Nothing is lost, nothing is there twice.
+    # Nothing is lost or duplicated.
     assert len(found.machines) == MACHINES
     assert len(found.months) == 3 * MACHINES == len(found.months[["machine", "month"]].drop_duplicates())
     assert found.months["error"].isna().all()
@@ -114,14 +114,14 @@ def test_causes_common_and_single_with_a_worker_killed_in_the_middle(shop):
     assert fixture.effect == "set_up zero_um" and fixture.value == pytest.approx(9.0, abs=0.5)
     assert set(fixture.machines) <= planted_with("fixture", "2026-06")
     assert len(fixture.machines) >= 0.8 * len(planted_with("fixture", "2026-06"))
-    # Nothing is called common that is not.
+    # Only causes that are common are reported as common.
     assert set(common) == {"month=2026-07, hall=south", "scales=batch-7", "fixture=F3"}
-    # A screw of its own.
+    # A screw that only this machine has.
     machines = found.machines.set_index("machine")
     screws = planted_with("screw", "2026-05")
     named = {m for m in screws if any(e.startswith("screw_periodic.x") for e in machines.loc[m, "own"])}
     assert len(named) >= 0.9 * len(screws)
-    # What wore in the last month left its history.
+    # A part that wore in the last month shows as a figure that left its history.
     worn = planted_with("worn", "2026-07")
     assert worn <= set(found.drifting.loc[found.drifting["figure"] == "x.B_mean", "machine"])
     assert set(found.expiring["machine"]) == {data.numbered(n) for n in range(MACHINES) if n % 41 == 5}
@@ -152,7 +152,7 @@ def test_a_machine_without_a_model_is_a_row(tmp_path):
 
 
 def test_what_is_mistaken_is_said(tmp_path):
-    # A folder that is empty, or not there.
+    # A folder that is empty or missing.
     for at in (tmp_path, tmp_path / "nowhere"):
         with pytest.warns(rtec.InputWarning, match="no record; what was sent to its inbox"):
             found = assess(Shop(at))
@@ -163,7 +163,7 @@ def test_what_is_mistaken_is_said(tmp_path):
     # A table that was cut off.
     whole = shop.read(put.key)
     shop.write(put.key.replace(".parquet", "x.parquet"), whole[: len(whole) // 2])
-    # A machine that is misspelt, twice, none.
+    # A machine's name that is misspelt, a table that is repeated, a key without a machine.
     shop.write("machines.toml", b'[m01]\nhall = "south"\n')
     with pytest.warns(rtec.InputWarning, match=r"\[m01\] is a machine without a record; did you mean m1\?"):
         found = assess(shop)
@@ -174,7 +174,7 @@ def test_what_is_mistaken_is_said(tmp_path):
         with pytest.raises(ValueError, match=f"machines.toml: found .*{said}"):
             assess(shop)
     shop.write("machines.toml", b"")
-    # Nobody is there.
+    # No store answers.
     with dask.config.set({"distributed.comm.timeouts.connect": "1s"}):
         for address in ("tcp://127.0.0.1:1", "nonsense://x"):
             with pytest.raises(ConnectionError, match=f"{address}.*expected a scheduler of Dask"):
@@ -194,7 +194,7 @@ def test_ship_by_the_command_and_by_python_is_one_place(rtecctl, tmp_path):
     sent = rtecctl("ship", "--spool", _spool(tmp_path / "a", 3), "--to", to, "--machine", "m1").stdout.split()[:3]
     assert ship(_spool(tmp_path / "b", 3), Shop("memory://one"), "m1") == sorted(sent, key=sent.index)
     assert len(list(to.glob("inbox/m1/*/*.run.toml"))) == 3
-    # And what was sent is gathered, once; what is broken is named.
+    # Sent records are gathered once; broken ones are named.
     shop = Shop(to)
     bad = to / "inbox/m1/deadbeef/bad.run.toml"
     bad.parent.mkdir()
@@ -250,7 +250,7 @@ def test_an_object_store(tmp_path):
         }
         import s3fs
 
-        # What it serves is one for all that this process has served.
+        # All servers of this process share their content.
         urllib.request.urlopen(urllib.request.Request(f"http://{host}:{port}/moto-api/reset", method="POST")).close()
         s3fs.S3FileSystem(**options).mkdir("plant")
         shop = Shop("s3://plant/shop", **options)
@@ -272,7 +272,7 @@ def test_a_record_that_was_changed_after_it_was_sent_is_not_judged_beside_itself
         return rtec.record(run.path, run.kind, columns, count_um=run.count_um, date=run.date, note=run.note)
 
     shop.put("m1", run)
-    # Measured once more: another run of that name.
+    # A repeated measurement is another run of that name.
     shop.put("m1", again(run[name] + np.random.default_rng(5).normal(0, 0.05, len(run))))
     assert assess(shop).unreadable.empty
     changed = run[name].copy()

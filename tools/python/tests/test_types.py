@@ -1,4 +1,4 @@
-"""Types: mypy reads the package strictly, and its stubs against the module itself."""
+"""Types: mypy checks the package strictly, and its stubs against the module."""
 
 import os
 import subprocess

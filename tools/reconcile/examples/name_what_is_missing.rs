@@ -1,4 +1,4 @@
-//! A run shows what its model does not say: backlash, named and added.
+//! Names the effect that a model lacks: backlash is found and added.
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, Column, Kind, Record, Role};
 use rtec_reconcile::{Options, reconcile};
@@ -8,7 +8,7 @@ use std::path::Path;
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let text = "name = \"mill\"\n[[effect]]\nname = \"scale.y\"\nppm = 12.0\n";
     let model = Machine::parse(Path::new("machine.toml"), text)?;
-    // Ten times up and down, a reading every 20 mm.
+    // Ten strokes up and ten down, a reading every 20 mm.
     let steps = || (0..420).map(|n| (n % 21, n / 21 % 2 == 0));
     let place_mm = |(k, up): (i32, bool)| 20.0 * f64::from(if up { k } else { 20 - k });
     let direction = |(_, up)| if up { 1.0 } else { -1.0 };

@@ -1,4 +1,4 @@
-//! The experiment that would separate what these data cannot.
+//! Advises the experiment that would separate what these data cannot.
 
 use crate::answer::Finding;
 use crate::extent::{self, GRID_SHARE};
@@ -15,8 +15,8 @@ fn places(axis: &Axis, train: &[Record]) -> Vec<f64> {
     places
 }
 
-/// Leads of screws that targets on a grid cannot tell from a constant.
-/// Each target is at the same angle of the screw.
+/// Leads of screws that targets on a grid cannot distinguish from a constant.
+/// Every target is at the same angle of such a screw.
 fn hidden_leads(effect: &Effect, train: &[Record], dictionary: &Dictionary) -> Option<String> {
     let axis = effect.axes().first().filter(|_| effect.description().constant)?;
     let screw = dictionary.effect(&format!("screw_periodic.{axis}")).ok()?;
@@ -38,7 +38,7 @@ fn hidden_leads(effect: &Effect, train: &[Record], dictionary: &Dictionary) -> O
     })
 }
 
-/// Periods that a grid of targets cannot tell from the one that is given.
+/// Periods that a grid of targets cannot distinguish from the found one.
 fn other_periods(effect: &Effect, train: &[Record]) -> Option<String> {
     let law = effect.description();
     let Wave { unit_mm, usual_mm, .. } = law.searched.wave?;
@@ -65,7 +65,7 @@ fn other_periods(effect: &Effect, train: &[Record]) -> Option<String> {
     })
 }
 
-/// Other periods that explain as much at targets that lie on no grid.
+/// Other periods that explain as much at targets that are not on a grid.
 fn as_good(f: &Finding) -> Option<String> {
     let others: Vec<String> =
         f.rivals.iter().filter_map(|r| Some(format!("{:.4}", r.differs.as_ref()?.1))).collect();
@@ -82,7 +82,7 @@ fn as_good(f: &Finding) -> Option<String> {
     })
 }
 
-/// What to do next.
+/// The advice: what to do next.
 pub(crate) fn advice(
     verdict: Verdict,
     effects: &[(Finding, Vec<f64>)],
@@ -111,7 +111,7 @@ pub(crate) fn advice(
     said.into_iter().map(String::as_str).collect::<Vec<_>>().join("; ")
 }
 
-/// The run in which sensors part, and the runs that show each rival.
+/// The run in which sensors differ, and the runs that show each rival.
 pub(crate) fn separating(f: &Finding, dictionary: &Dictionary) -> Vec<String> {
     let name = f.effect.name();
     let same = f.rivals.iter().filter(|r| r.name == name).filter_map(|r| r.sensor.as_ref());
@@ -158,8 +158,8 @@ fn isolating(s: &Shape, train: &[Record]) -> String {
     )
 }
 
-/// Whether a column is what a place of `where` names.
-/// A role, or `temperature.NAME`.
+/// Whether a column is meant by the label of a place.
+/// The label is a role, or `temperature.NAME`.
 fn is_of(c: &Column, over: &str) -> bool {
     let role = c.role.to_string();
     role == over || over.strip_prefix(&role).and_then(|rest| rest.strip_prefix('.')) == Some(&c.name)
@@ -221,7 +221,7 @@ mod tests {
         assert_eq!(other_periods(&Dictionary::default().effect("scale.x").unwrap(), &train), None);
     }
 
-    /// A screw of 10 mm seen at steps of 20 mm is a constant.
+    /// Seen at steps of 20 mm, a screw of 10 mm is a constant.
     #[test]
     fn a_constant_on_a_grid_may_be_a_screw_and_this_is_said() {
         let train = |pitch: f64, off: f64| {

@@ -12,21 +12,21 @@ use rtec_model::record::Record;
 pub struct Finding {
     /// The effect with its parameters.
     pub effect: Effect,
-    /// Values that the law has and the data did not call for: held where they are.
+    /// Indices of values that the data did not determine: they keep the law's values.
     pub held: Vec<usize>,
     /// Probability that chance alone explains as much.
     pub p_value: f64,
     /// Log odds of the set with it against the set without it.
     pub evidence: f64,
-    /// What its name holds of its place among all names, 0 to 1.
+    /// Posterior share of its name among all names for its place, 0 to 1.
     pub name_mass: f64,
-    /// What its mode (a period, a number of lobes) holds of its name.
+    /// Posterior share of its mode (a period, a number of lobes) within its name.
     pub mode_mass: f64,
-    /// What the data cannot tell from it.
+    /// The explanations that the data cannot distinguish from it.
     pub rivals: Vec<Rival>,
 }
 
-/// The answer, before anything is written.
+/// The answer, before anything is written into the model.
 #[derive(Debug, Clone)]
 pub(crate) struct Answer {
     /// Effects with half widths of their intervals, strongest first.
@@ -51,13 +51,13 @@ pub(crate) fn stated(machine: &Machine) -> Vec<Vec<Option<f64>>> {
 }
 
 /// Bound on the probability that chance alone gives such odds.
-/// Under chance the mean Bayes factor is one, so a factor of x has a probability below 1/x (Markov's inequality). The price of one more
-/// effect is no part of the prior over names.
+/// Under chance the mean Bayes factor is one, so a factor of x has a probability below 1/x (Markov's
+/// inequality). The price of one more effect is not part of the prior over names, so it is taken out again.
 fn p_value(f: &Found) -> f64 {
     (-f.evidence - rtec_estimate::priors::PRICE).exp().min(1.0)
 }
 
-/// What the records say beside a model, at a false-alarm rate.
+/// Analyses records beside a model, at a false-alarm rate.
 pub(crate) fn analyse(records: &[Record], machine: &Machine, level: f64) -> Answer {
     let model: Vec<Effect> = machine.effects().cloned().collect();
     let estimate = rtec_estimate::estimate(records, machine.dictionary(), &model, &stated(machine));
@@ -65,7 +65,7 @@ pub(crate) fn analyse(records: &[Record], machine: &Machine, level: f64) -> Answ
     let mut unexplained = Vec::new();
     for f in estimate.found.iter().filter(|f| f.replaces.is_some() || p_value(f) <= level) {
         match (&f.effect, &f.shape) {
-            // No name has its place where shapes hold half of it, nor where its size may be none.
+            // A name is accepted if shapes hold less than half of its posterior and its size is not zero.
             (Some(effect), _) if f.shape_mass < rtec_estimate::priors::THERE && f.has_size() => {
                 findings.push((finding(f, effect), f.half.clone()));
             }
@@ -81,7 +81,7 @@ pub(crate) fn analyse(records: &[Record], machine: &Machine, level: f64) -> Answ
 }
 
 /// Log evidence of the best explanation of records, from an answer's members.
-/// The search gives up far below `enough`.
+/// The search stops early if it is far below `enough`.
 pub(crate) fn score(records: &[Record], machine: &Machine, from: &Answer, units: Units, enough: f64) -> f64 {
     let model: Vec<Effect> = machine.effects().cloned().collect();
     let start = &from.estimate.members;

@@ -1,4 +1,4 @@
-//! The answer as `verdict.json` (formats.md, "Reconciliation").
+//! The answer as `verdict.json` (guide, "The verdict").
 
 use crate::SEED;
 use crate::answer::Finding;
@@ -48,7 +48,7 @@ fn parameters(
 }
 
 /// An effect with its sensors and parameters.
-/// What it has in `effects` and in `refined`.
+/// It is an entry of `effects` and of `refined`.
 fn effect(effect: &Effect, half: &[f64], before: Option<&Effect>) -> Map<String, Value> {
     let (mut map, inside) = parameters(effect, half, before);
     map.insert("name".into(), json!(effect.name()));
@@ -93,7 +93,7 @@ fn gap(g: &Gap) -> Value {
     })
 }
 
-/// Set-ups by record; the two parts of a centre as one.
+/// Set-ups by record; the two coordinates of a centre are joined.
 fn set_up(all: &[SetUp]) -> Value {
     let of = |s: &SetUp| {
         let mut map = Map::new();
@@ -117,7 +117,7 @@ fn set_up(all: &[SetUp]) -> Value {
 }
 
 impl Reconciliation {
-    /// The document of formats.md.
+    /// The answer as a JSON document.
     #[must_use]
     pub fn to_json(&self) -> Value {
         let gaps: Vec<Value> = self.gap.iter().map(gap).collect();

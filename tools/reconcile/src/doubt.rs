@@ -1,6 +1,7 @@
-//! People's mistakes, before anything is explained.
-//! What the records show by themselves (`rtec_measure::plausible`), and what shows beside the model, a record that agrees with it only with
-//! another sign, unit, direction or sensor. What is doubted is left out of the analysis and said; it is never named as an effect.
+//! Looks for people's mistakes before anything is explained.
+//! It reports what the records show by themselves (`rtec_measure::plausible`). It also reports a record that
+//! agrees with the model only with another sign, unit, direction or sensor. Doubted data is reported and left
+//! out of the analysis. It is never named as an effect.
 
 use crate::answer::stated;
 use crate::gap::{self, Gap};
@@ -13,22 +14,22 @@ use rtec_model::effect::{Effect, Heat};
 use rtec_model::machine::Machine;
 use rtec_model::record::{Column, Record, Role};
 
-/// A gap that is so many times as wide afterwards is no chance.
+/// Ratio of the gap after to the gap before from which chance is excluded.
 const WORSE: f64 = 1.1;
-/// Fewer rows tell nothing.
+/// Smallest number of rows that allows a judgement.
 const FEWEST: usize = 12;
-/// Ratio of residual to training noise that marks another machine or state.
-/// Compared on each hold-out, under the better model.
+/// Ratio of residual to training noise that indicates another machine or state.
+/// It is formed for each hold-out, under the better model.
 const OTHER: f64 = 4.0;
 
-/// What is doubted, and the records to analyse.
+/// The suspicions, and the records to analyse.
 pub(crate) struct Doubts {
     pub(crate) said: Vec<Suspicion>,
-    /// The training records without what is doubted; none where all of it is.
+    /// The training records without doubted data; empty if all is doubted.
     pub(crate) train: Vec<Record>,
-    /// Of each of them, the numbers that its rows had as measured.
+    /// For each of them, the row numbers in the measured record.
     pub(crate) rows: Vec<Vec<usize>>,
-    /// What was left out of the training, a line each.
+    /// What was left out of the training, one line each.
     pub(crate) left_out: Vec<String>,
     holdout: Vec<Record>,
     of_holdout: Vec<Suspicion>,
@@ -54,10 +55,10 @@ pub(crate) fn doubts(train: &[Record], holdout: &[Record], machine: &Machine) ->
         together = suspicions(&[&train[..], &holdout].concat(), machine);
     }
     together.retain(|s| !of_train.contains(s));
-    // What only the hold-outs' side of a pair shows of a training record is said, and no more.
+    // Suspicions of training records that only hold-outs show are reported without further effect.
     let (mut of_holdout, beside): (Vec<_>, Vec<_>) =
         together.into_iter().partition(|s| holdout.iter().any(|r| about(s, r)));
-    // Of two that are each other's opposite the training is it, where the model says so.
+    // If two records have opposite signs and the model accuses the training, the hold-out is not accused.
     let turned = |s: &Suspicion| {
         s.what == What::Sign && of_train.iter().any(|t| (t.what, &t.column) == (s.what, &s.column))
     };
@@ -69,7 +70,7 @@ pub(crate) fn doubts(train: &[Record], holdout: &[Record], machine: &Machine) ->
     Doubts { said, train: left, rows, left_out, holdout, of_holdout }
 }
 
-/// What records show by themselves.
+/// The mistakes that records show by themselves.
 /// Outlying readings count only if the model does not explain them.
 fn suspicions(records: &[Record], machine: &Machine) -> Vec<Suspicion> {
     let mut found = plausible::suspicions(records);
@@ -104,7 +105,7 @@ impl Doubts {
     }
 
     /// Leaves out training records whose clock is in doubt; true if there were any.
-    /// They cannot tell a lag.
+    /// Such records cannot show a lag.
     pub(crate) fn without_clocks(&mut self) -> bool {
         let before = self.train.len();
         for (k, record) in std::mem::take(&mut self.train).into_iter().enumerate().rev() {
@@ -118,12 +119,12 @@ impl Doubts {
         self.train.len() < before
     }
 
-    /// Of the given records those that nothing is learned from, nor judged by, and why.
+    /// The given records that are used neither for learning nor for judging, and why.
     pub(crate) fn unsaid(&self, train: &[Record], holdout: &[Record], model: &Machine) -> Vec<Unsaid> {
         let held = self.holdouts(model).0;
         let of = |all: &[Record], left: &[Record]| -> Vec<Unsaid> {
             let gone = all.iter().filter(|r| left.iter().all(|l| l.path != r.path));
-            // What is given twice is said once.
+            // A record that is given twice is reported once.
             let own = |r: &&Record| self.said.iter().filter(|s| about(s, r)).collect::<Vec<&Suspicion>>();
             let again = |r: &&Record| own(r).iter().any(|s| s.what == What::Doubled && whole(s, r));
             let unsaid = |r: &Record| {
@@ -136,18 +137,18 @@ impl Doubts {
         [of(train, &self.train), of(holdout, &held)].concat()
     }
 
-    /// More that is doubted of hold-outs: they are left out.
+    /// Adds suspicions of hold-outs, which are then left out.
     pub(crate) fn also_held(&mut self, more: Vec<Suspicion>) {
         self.said.extend(more.iter().cloned());
         self.of_holdout.extend(more);
     }
 
-    /// The hold-outs as they are given, once each.
+    /// The hold-outs as given, without duplicates.
     pub(crate) fn given_hold_outs(&self) -> &[Record] {
         &self.holdout
     }
 
-    /// More that is doubted of whole records of the training.
+    /// Adds suspicions of whole training records, which are then left out.
     pub(crate) fn also(&mut self, more: Vec<Suspicion>) {
         for (k, record) in std::mem::take(&mut self.train).into_iter().enumerate().rev() {
             match more.iter().find(|s| about(s, &record)) {
@@ -162,7 +163,7 @@ impl Doubts {
     }
 }
 
-/// What is missing of the records afterwards, a line each.
+/// What is missing from the records afterwards, one line each.
 fn lines(before: &[Record], after: &[Record], said: &[Suspicion]) -> Vec<String> {
     let mut out = Vec::new();
     for record in before {
@@ -203,10 +204,10 @@ fn without(record: &Record, said: &[Suspicion], machine: &Machine) -> Option<(Re
     for s in said.iter().filter(|s| is_sensor(record, &s.column)) {
         let (own, few) = (s.row_list(), s.is_few());
         if few && about(s, record) {
-            // A few bad readings cost their rows.
+            // A few bad readings cost only their rows.
             rows.extend(own);
         } else if !few && !read(&s.column) {
-            // Doubted in one record, it is no cause in any.
+            // A sensor that is doubted in one record is not used as a cause in any.
             sensors.push(&s.column);
         } else if !few && about(s, record) {
             if own.is_empty() {
@@ -234,15 +235,16 @@ fn without(record: &Record, said: &[Suspicion], machine: &Machine) -> Option<(Re
     Some((left, keep))
 }
 
-/// An effect that is as long as the clock says.
+/// Whether an effect depends on the length of the clock's second.
 pub(crate) fn reads_clock(effect: &Effect) -> bool {
     let law = effect.description();
     law.lag.is_some() || law.heat == Heat::FromStart
 }
 
-/// The hold-outs that may be from another machine, by their numbers.
-/// The better model describes them far worse than the training, and no better than the original model did. How much of their gap is closed
-/// then tells nothing. Each is judged by the residual after its own set-up is removed.
+/// The indices of hold-outs that may be from another machine.
+/// The better model describes them far worse than the training, and no better than the original model did.
+/// The share of their gap that is closed is then meaningless. Each is judged by the residual after its own
+/// set-up is removed.
 pub(crate) fn other_machines(
     holdout: &[Record],
     before: &Machine,

@@ -1,11 +1,11 @@
-//! Draws a subsample of very many rows: one of each stretch.
+//! Draws a subsample of very many rows: one row from each stretch.
 
 use rtec_model::record::Record;
 use std::borrow::Cow;
 
-/// Most rows that are analysed.
-/// An effect's value is then known to a hundredth of the noise. The search needs time in proportion to rows times candidates: minutes, and
-/// a gigabyte.
+/// Largest number of rows that are analysed.
+/// It determines an effect's value to a hundredth of the noise. The search needs time in proportion to rows
+/// times candidates: minutes, and a gigabyte.
 pub(crate) const MOST_ROWS: usize = 20_000;
 
 /// The records themselves, or a subsample of [`MOST_ROWS`] at most.
@@ -16,8 +16,8 @@ pub(crate) fn bounded(train: &[Record]) -> Cow<'_, [Record]> {
     }
 }
 
-/// The stride between analysed rows before anything is known of them.
-/// The least power of two that leaves at most [`MOST_ROWS`].
+/// The stride between analysed rows before anything is known about them.
+/// It is the least power of two that leaves at most [`MOST_ROWS`].
 pub(crate) fn at_least_every(records: &[Record]) -> usize {
     let rows: usize = records.iter().map(Record::rows).sum();
     rows.div_ceil(MOST_ROWS).next_power_of_two()
@@ -39,7 +39,7 @@ fn drawn(rows: usize, every: usize) -> Vec<usize> {
 mod tests {
     use super::drawn;
 
-    /// One row of each stretch in order, at varying places, for any length.
+    /// One row from each stretch in order, at varying places, for any length.
     #[test]
     fn rows_are_drawn_one_of_each_stretch() {
         for (rows, every) in [(1, 1), (7, 2), (8, 2), (1000, 8), (40_001, 4)] {

@@ -1,6 +1,6 @@
-//! Places on a grid: what looks the same there.
+//! Aliases of a period at places that lie on a grid.
 
-/// The pitch of a grid that all places lie on to within `close`.
+/// The pitch of a grid on which all places are, to within `close`.
 /// The places are in rising order. `None` if there is no such grid, or the places hardly repeat.
 pub(crate) fn pitch(places: &[f64], close: f64) -> Option<f64> {
     let mut distinct: Vec<f64> = Vec::new();
@@ -14,7 +14,7 @@ pub(crate) fn pitch(places: &[f64], close: f64) -> Option<f64> {
     if distinct.len() < 3 || least < 4.0 * close {
         return None;
     }
-    // The mean over the whole grid: an error of each place must not add up.
+    // The mean over the whole grid, so that errors of single places do not add up.
     let pitch = (last - first) / ((last - first) / least).round();
     let off = |x: &f64| {
         let k = (x - first) / pitch;
@@ -23,15 +23,16 @@ pub(crate) fn pitch(places: &[f64], close: f64) -> Option<f64> {
     (!places.iter().any(off)).then_some(pitch)
 }
 
-/// Largest distance from a grid at which a wave cannot tell the places from it.
-/// In periods.
+/// Largest distance from a grid at which places count as on it, in periods.
+/// A wave cannot distinguish them from the grid.
 pub(crate) const GRID_SHARE: f64 = 0.02;
 
 /// Multiples of a grid's frequency that are searched for usual periods.
 const MULTIPLES: usize = 200;
 
-/// Frequencies that look the same as `f` on a grid, inside a range, slowest first.
-/// So many, and beyond them those of periods that machines are made with.
+/// Frequencies that look the same as `f` on a grid, slowest first.
+/// They are inside a range. At most `most` are returned, and in addition those of periods that machines are
+/// made with.
 pub(crate) fn aliases(f: f64, pitch: f64, range: [f64; 2], most: usize, usual_mm: &[f64]) -> Vec<f64> {
     let whole = 1.0 / pitch;
     let rest = f.rem_euclid(whole);
@@ -45,7 +46,7 @@ pub(crate) fn aliases(f: f64, pitch: f64, range: [f64; 2], most: usize, usual_mm
     inside.filter(|(i, g)| *i < most || is_made(1.0 / g, usual_mm)).map(|(_, g)| g).collect()
 }
 
-/// Whether machines are made with a period, as far as it is known.
+/// Whether a period is a usual one of machines.
 fn is_made(period_mm: f64, usual_mm: &[f64]) -> bool {
     usual_mm.iter().any(|l| (period_mm / l - 1.0).abs() < 0.005)
 }
@@ -76,7 +77,7 @@ mod tests {
         }
     }
 
-    /// Regression test: at 50 mm steps the rivals must include a screw of 12 mm.
+    /// Regression: at 50 mm steps the rivals must include a screw of 12 mm.
     /// It was missing from the eight that were listed.
     #[test]
     fn what_machines_are_made_with_is_among_the_aliases() {

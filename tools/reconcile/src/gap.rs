@@ -1,5 +1,5 @@
 //! The gap between measured and simulated, before and after, and its floor.
-//! The floor is what the data itself repeats to.
+//! The floor is the repeatability of the data.
 
 use crate::answer::{Answer, stated};
 use rtec_estimate::problem::Problem;
@@ -12,7 +12,7 @@ use rtec_model::record::{Axis, Kind, Record, Role};
 /// Folds of the blocked cross-validation.
 const FOLDS: usize = 5;
 
-/// How far measured and simulated are apart, for the responses of one unit.
+/// The gap between measured and simulated, for the responses of one unit.
 #[derive(Debug, Clone)]
 pub struct Gap {
     /// The responses' unit.
@@ -21,22 +21,24 @@ pub struct Gap {
     pub train: [f64; 2],
     /// The same on the hold-outs.
     pub holdout: Option<[f64; 2]>,
-    /// The same without hold-outs that look like another machine's.
-    /// Set only if some do and some do not. [`Gap::holdout`] is of all, because the model may be wrong instead.
+    /// The same without hold-outs that seem to be of another machine.
+    /// Set only if some do and some do not. [`Gap::holdout`] covers all, because the model may be wrong
+    /// instead.
     pub without_strangers: Option<[f64; 2]>,
-    /// The same by blocked cross-validation, where anything was fitted.
+    /// The same by blocked cross-validation, if anything was fitted.
     pub blocked: Option<[f64; 2]>,
-    /// Noise of the data.
+    /// Noise of the data, the floor of the gap.
     pub floor: f64,
-    /// The closed share tells nothing: the hold-out is doubted, or has few rows.
+    /// Whether the closed share is meaningless.
+    /// The hold-out is then doubted, or has few rows.
     pub doubted: bool,
     /// Rows of the hold-outs.
     pub held_rows: usize,
 }
 
 impl Gap {
-    /// The gap before and after, and which rows it is of.
-    /// Rows that the fit has not seen come first: hold-outs, then blocks left out in turn.
+    /// The gap before and after, and the kind of rows it is from.
+    /// Rows that the fit has not seen are preferred: hold-outs, then blocks left out in turn.
     #[must_use]
     pub fn judged_on(&self) -> ([f64; 2], &'static str) {
         match (self.holdout, self.blocked) {
@@ -53,13 +55,13 @@ impl Gap {
         self.closed_by(self.judged_on().0)
     }
 
-    /// The same share from one RMS to another.
+    /// The closed share for a given RMS before and after.
     pub(crate) fn closed_by(&self, [before, after]: [f64; 2]) -> Option<f64> {
         (before > self.floor && !self.doubted).then(|| ((before - after) / (before - self.floor)).max(0.0))
     }
 
-    /// Whether the hold-out is no worse with the findings, up to chance.
-    /// Chance is two standard errors of a mean square. `None` without a hold-out.
+    /// Whether the findings make the hold-out no worse, apart from chance.
+    /// The allowance for chance is two standard errors of a mean square. `None` without a hold-out.
     #[must_use]
     pub fn confirmed(&self) -> Option<bool> {
         let [before, after] = self.holdout?;
@@ -68,7 +70,7 @@ impl Gap {
     }
 }
 
-/// What the simulation leaves of one response of one record, its set-up taken out.
+/// The residuals of one response of one record, its set-up removed.
 #[derive(Debug, Clone)]
 pub struct Trace {
     /// The record's file.
@@ -77,15 +79,15 @@ pub struct Trace {
     pub response: String,
     /// Whether it was held out.
     pub holdout: bool,
-    /// What the rows are drawn over: position, angle or time.
+    /// The abscissa of a plot: position, angle or time.
     pub over: Over,
-    /// Measured minus simulated with the model as it was.
+    /// Measured minus simulated with the original model.
     pub before: Vec<f64>,
     /// The same with the better model.
     pub after: Vec<f64>,
 }
 
-/// What the rows of a response are drawn over.
+/// The abscissa of a response's rows.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Over {
     /// Its name with its unit.
@@ -94,16 +96,16 @@ pub struct Over {
     pub values: Vec<f64>,
     /// Whether the rows follow each other along it, as they do in time.
     pub in_order: bool,
-    /// Direction of approach of every row; empty where the rows have none.
+    /// Direction of approach of every row; empty if the rows have none.
     pub direction: Vec<f64>,
 }
 
-/// An axis that moves by less stands still, mm.
+/// An axis that moves by less counts as standing still, mm.
 const STILL_MM: f64 = 1.0;
 
 impl Over {
     /// The abscissa of a trace: angle of a circle, position, or time.
-    /// The position is that of the axis that moves, the response's own first.
+    /// The position is that of an axis that moves, if possible the response's own.
     fn of(record: &Record, response: &Role) -> Self {
         let in_time = matches!(record.kind, Kind::Drift | Kind::Dynamics);
         if let Some(angle) = record.data(&Role::Angle).filter(|_| !in_time) {
@@ -164,7 +166,7 @@ pub(crate) fn rms<'v>(v: impl IntoIterator<Item = &'v f64>) -> f64 {
 
 /// Residual of each row under a fit of the other blocks.
 /// `None` if nothing was fitted.
-/// `curve` stands for what no effect explains, and is fitted with the findings.
+/// `curve` replaces what no effect explains, and is fitted with the findings.
 pub(crate) fn left_of_blocks(
     used: &[Record],
     answer: &Answer,
@@ -182,7 +184,7 @@ pub(crate) fn left_of_blocks(
 }
 
 /// The gap of the responses of each unit.
-/// `used`: the rows that were looked at; `blocked`: what is left of each ([`left_of_blocks`]).
+/// `used` are the analysed rows; `blocked` is the residual of each ([`left_of_blocks`]).
 pub(crate) fn gaps(used: &[Record], traces: &[Trace], answer: &Answer, blocked: Option<&[f64]>) -> Vec<Gap> {
     let mut units: Vec<&str> = traces.iter().map(|t| unit_of(&t.response)).collect();
     units.sort_unstable();
@@ -218,7 +220,7 @@ pub(crate) fn gaps(used: &[Record], traces: &[Trace], answer: &Answer, blocked: 
 }
 
 /// Share of a response's mean square that the better model explains.
-/// Of the training records.
+/// It covers the training records.
 pub(crate) fn explained(traces: &[Trace], response: &str) -> f64 {
     let of = |pick: fn(&Trace) -> &[f64]| {
         rms(traces.iter().filter(|t| !t.holdout && t.response == response).flat_map(pick))
@@ -228,7 +230,7 @@ pub(crate) fn explained(traces: &[Trace], response: &str) -> f64 {
 }
 
 /// RMS before and after, over all responses of a unit.
-/// Of the training records, or of the hold-outs if `held`.
+/// It covers the training records, or the hold-outs if `held`.
 pub(crate) fn pooled(traces: &[Trace], unit: &str, held: bool) -> Option<[f64; 2]> {
     let of: Vec<&Trace> =
         traces.iter().filter(|t| t.holdout == held && unit_of(&t.response) == unit).collect();
@@ -248,7 +250,7 @@ pub(crate) fn by_record<'t>(held: &[Record], traces: &'t [Trace]) -> Vec<&'t [Tr
     held.iter().map(own).collect()
 }
 
-/// What the gaps are on these hold-outs' traces alone.
+/// Sets the gaps on these hold-outs' traces alone.
 pub(crate) fn without_strangers(gap: &mut [Gap], traces: &[Trace]) {
     for g in gap {
         g.without_strangers = pooled(traces, &g.unit, true);
@@ -275,11 +277,11 @@ mod tests {
     #[test]
     fn the_gap_is_closed_when_only_the_floor_is_left() {
         assert_eq!(gap([5.0, 1.0], None, None, 1.0).closed(), Some(1.0));
-        // The hold-out counts where there is one, then the cross-validation.
+        // A hold-out is used if there is one, then the cross-validation.
         assert_eq!(gap([5.0, 1.0], Some([5.0, 3.0]), Some([5.0, 5.0]), 1.0).closed(), Some(0.5));
         assert_eq!(gap([5.0, 1.0], None, Some([5.0, 5.0]), 1.0).closed(), Some(0.0));
         assert_eq!(gap([1.0, 0.9], None, None, 1.0).closed(), None, "nothing to close");
-        // Each line of a report has its own share, whatever the gap is judged on.
+        // Each line of a report has its own share, whichever rows the gap is judged on.
         let both = gap([5.0, 1.0], Some([5.0, 1.0]), Some([5.0, 3.0]), 1.0);
         assert_eq!(
             [both.holdout, both.blocked].map(|pair| both.closed_by(pair.unwrap())),

@@ -1,4 +1,5 @@
-//! The prediction interval of the better model, per response, as a fit states it.
+//! The prediction interval of the better model, per response.
+//! It has the form in which a fit states it.
 
 use rtec_estimate::rows::Rows;
 use rtec_model::effect::{Effect, Heat};
@@ -8,11 +9,12 @@ use std::collections::BTreeMap;
 
 /// Days for which such a model is valid, as for `model fit`.
 const VALID_DAYS: i64 = 365;
-/// Share of the rows that an interval is to hold.
+/// Share of the rows that an interval should contain.
 const HOLDS: f64 = 0.95;
 
 /// States the interval of each response.
-/// What the other blocks' fit leaves of each row (`left`) is what such a run may be off by. Of several records of a kind the widest counts.
+/// The residual of each row under the other blocks' fit (`left`) is the error that such a run may have. If
+/// several records are of one kind, the widest interval is used.
 pub(crate) fn state(model: &mut Machine, used: &[Record], left: &[f64], date: &str) {
     let rows = Rows::new(used);
     let day = rtec_files::date::parse(date).unwrap_or_else(rtec_files::date::today);
@@ -45,7 +47,8 @@ pub(crate) fn state(model: &mut Machine, used: &[Record], left: &[f64], date: &s
             from: records.iter().map(|r| Source::of(r)).collect(),
         };
         if let Some(earlier) = model.fits().iter().find(|f| f.response == note.response) {
-            // These rows say what the whole model leaves; of other kinds of runs the earlier fit knows.
+            // These rows show the residuals of the whole model. For other kinds of runs the earlier fit is
+            // used.
             for (kind, um) in &earlier.by_kind_um {
                 note.by_kind_um.entry(kind.clone()).or_insert(*um);
             }

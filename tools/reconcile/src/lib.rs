@@ -1,28 +1,30 @@
-//! Reconciliation: measured runs and a machine model in.
-//! Out comes where they disagree, which effect is missing, a better model, and how far the gap shrank.
+//! Reconciles measured runs with a machine model.
+//! It finds where they disagree and which effect is missing. It returns a better model, and how far the gap
+//! shrank.
 //!
-//! A reader's way: [`reconcile()`] → `doubt` → `answer` (which asks `rtec-estimate`) → [`Reconciliation`].
+//! To read the code, follow [`reconcile()`] → `doubt` → `answer` (which calls `rtec-estimate`) →
+//! [`Reconciliation`].
 //!
 //! | module | what |
 //! |---|---|
-//! | `workflow` | the whole of it: what is doubted, the estimate, what is written into the model |
-//! | `doubt`, `suspected` | what records show by themselves of people's mistakes: said, and left out |
+//! | `workflow` | the whole workflow: doubts, the estimate, changes to the model |
+//! | `doubt`, `suspected` | people's mistakes that records show by themselves: reported and left out |
 //! | `mistakes` | mistakes as hypotheses beside the model |
-//! | `drawn` | of very many rows those that are looked at |
-//! | `answer` | what the estimate says, as findings |
+//! | `drawn` | a subsample of very many rows |
+//! | `answer` | the estimate as findings |
 //! | `where_found` | where measured and simulated disagree |
 //! | `room` | the sensors that a fit of growth chooses on the same drift |
-//! | `unexplained` | a curve that stands for what has no name |
-//! | `extent` | places on a grid, for the advice |
-//! | `interval` | within what the better model predicts, as a fit states it |
-//! | `next_run` | the run that tells an effect from its rivals, before it is made |
-//! | `regression` | what stands behind a fit or a verdict, as arrays |
+//! | `unexplained` | a curve in place of what no effect explains |
+//! | `extent` | aliases on a grid of places, for the advice |
+//! | `interval` | the prediction interval of the better model |
+//! | `next_run` | the run that would separate an effect from its rivals, planned before it is made |
+//! | `regression` | the regression behind a fit or a verdict, as arrays |
 //! | `verdict`, `gap`, `advice`, `document`, `report` | the answer, its figures, what to do next, as JSON and as a page |
 //!
-//! Laws must not be here. A law, how it is searched and what may replace it are in its description in `rtec-model`; no module matches a law
-//! by its name. Nothing here depends on a machine, a simulator or time.
+//! Laws must not be here. A law's description in `rtec-model` says how it is searched and what may replace
+//! it; no module matches a law by its name. Nothing here depends on a machine, a simulator or time.
 //!
-//! At work: `cargo run -p rtec-reconcile --example name_what_is_missing`, which the tests run too.
+//! An example: `cargo run -p rtec-reconcile --example name_what_is_missing`. The tests run it too.
 
 mod advice;
 mod answer;
@@ -61,17 +63,18 @@ pub use where_found::Place;
 pub use why::why;
 pub use workflow::{find, reconcile};
 
-/// What a reconciliation may be told.
+/// The options of a reconciliation.
 #[derive(Debug, Clone)]
 pub struct Options {
-    /// Probability with which chance alone may lead to an answer other than "nothing is missing".
+    /// False-alarm rate, a probability.
+    /// With it chance alone may lead to an answer other than "nothing is missing".
     pub level: f64,
     /// The date that added effects carry, ISO 8601.
     pub date: Option<String>,
-    /// Where something is unexplained, add a bounded curve in its place, marked as such.
+    /// Whether to add a bounded curve, marked as such, for what is unexplained.
     pub unexplained: bool,
-    /// Whether the figures of the gap and the traces are wanted too.
-    /// The last stage's work.
+    /// Whether to compute the figures of the gap and the traces.
+    /// The last stage needs them.
     pub figures: bool,
 }
 

@@ -1,6 +1,6 @@
-//! People's mistakes beside a model.
-//! A record as it stands against the same record with a mistake undone, by one likelihood. What counts is the density of the numbers as
-//! they are written in the file.
+//! Looks for people's mistakes beside a model.
+//! It compares a record with the same record with a mistake undone, by one likelihood. The likelihood is the
+//! density of the numbers as the file has them.
 
 use crate::answer::{Answer, Finding, analyse, score, stated};
 use rtec_estimate::priors::TRAVEL_MM;
@@ -17,35 +17,36 @@ use std::f64::consts::PI;
 #[derive(Clone)]
 pub(crate) struct Mistake {
     said: Suspicion,
-    /// The record without it.
+    /// The record with the mistake undone.
     undone: Record,
     /// Log Jacobian of undoing the mistake, plus the evidence from directions.
-    /// The Jacobian says how much closer the numbers lie in the file than after undoing; directions must agree with positions.
+    /// The Jacobian says how much closer the numbers lie in the file than after undoing. Directions must
+    /// agree with positions.
     jacobian: f64,
 }
 
 impl Mistake {
-    /// What is in question beside it.
+    /// Which units of the responses are possible while it is tested.
     fn units(&self) -> Units {
         let response = self.undone.responses().any(|c| c.name == self.said.column);
         if self.said.what == What::Unit && response { Units::Any } else { Units::AsWritten }
     }
 }
 
-/// Mistakes that were made together, each with its record.
+/// Mistakes that were made together, each with its record's index.
 type Made = Vec<(usize, Mistake)>;
 
-/// What is suspected of a record.
+/// A mistake that is suspected of a record.
 pub(crate) struct Suspected {
     pub(crate) said: Suspicion,
-    /// Log odds.
+    /// Log odds of the mistake.
     odds: f64,
-    /// What is found without the mistake.
+    /// Names of the effects that are found with the mistake undone.
     without: Vec<String>,
 }
 
 impl Suspected {
-    /// So certain that nothing is learned from the record.
+    /// Whether it is so certain that nothing is learned from the record.
     pub(crate) fn is_certain(&self) -> bool {
         self.odds > CERTAIN.ln()
     }
@@ -66,7 +67,7 @@ impl Suspected {
 const ONE_IN: f64 = 600.0;
 /// Odds at which a record is left out.
 const CERTAIN: f64 = 99.0;
-/// Mistakes that are looked at beside all records, and most that are found.
+/// Most mistakes that are tested on all records together, and most that are found.
 /// Only mistakes that make their own record likelier by more than their price are candidates.
 const LOOKED_AT: usize = 3;
 const MOST: usize = 3;
@@ -83,16 +84,17 @@ pub(crate) fn of_training(
     let mut out = Vec::new();
     let mut now = records.to_vec();
     let mut best: Option<Answer> = None;
-    // Log evidence of the records as they stand now, in either unit.
+    // Log evidence of the present records, by the units that are possible.
     let mut as_they_stand: Vec<(Units, f64)> = Vec::new();
-    // Tested beside the original model, because the findings may have absorbed the mistake as a change of the machine.
+    // Tested beside the original model, because findings may have absorbed the mistake as a change of the
+    // machine.
     let model: Vec<Effect> = machine.effects().cloned().collect();
     while out.len() < MOST {
         let answer = best.as_ref().unwrap_or(first);
         if machine.effects().next().is_none() {
             break;
         }
-        // With what was found too: a mistake may hide beside what is missing.
+        // Also tested beside the findings, because a missing effect may hide a mistake.
         let mut models = vec![model.clone()];
         models.extend(with_findings(&model, answer));
         let intervals = stated(machine);
@@ -105,7 +107,7 @@ pub(crate) fn of_training(
             let left: Vec<_> = models.iter().map(|m| unexplained(record, m)).collect();
             for m in candidates(record, &now, models.last().unwrap_or(&model)) {
                 let gain = |(model, (stands, left)): (&Vec<Effect>, (&f64, &Vec<f64>))| {
-                    // Of a column that the model does not read here.
+                    // The model does not read the changed column here.
                     let same = m.jacobian == 0.0 && unexplained(&m.undone, model) == *left;
                     if same {
                         0.0
@@ -121,7 +123,7 @@ pub(crate) fn of_training(
             }
         }
         tried.sort_by(|a, b| b.0.total_cmp(&a.0));
-        // Of one kind in one column the likeliest.
+        // Keeps the likeliest mistake of each kind in each column.
         let mut kinds: Vec<(usize, What, String)> = Vec::new();
         tried.retain(|(_, k, m)| {
             let kind = (*k, m.said.what, m.said.column.clone());
@@ -171,7 +173,7 @@ pub(crate) fn of_training(
     out
 }
 
-/// A mistake that every record shows, which costs as much as a single one.
+/// A mistake that every record shows, at the price of a single one.
 /// Its author always makes it in the same way.
 fn habit(tried: &[(f64, usize, Mistake)], records: usize) -> Option<Made> {
     let same = |a: &Mistake, b: &Mistake| {
@@ -216,7 +218,7 @@ pub(crate) fn of_hold_out(
     found.max_by(|a, b| a.0.total_cmp(&b.0)).map(|b| b.1)
 }
 
-/// The model with what was found beside it, where anything was.
+/// The model with the findings added, if there are any.
 fn with_findings(model: &[Effect], answer: &Answer) -> Option<Vec<Effect>> {
     let found = answer.findings.iter().map(|(f, _)| f.effect.clone());
     let mut new = found.filter(|f| model.iter().all(|e| e.name() != f.name())).peekable();
@@ -279,7 +281,7 @@ const RESPONSES: [(f64, &str); 6] = [
     (10.0, "a decimal point one place off?"),
     (0.1, "a decimal point one place off?"),
 ];
-/// The same of forces.
+/// The same for forces.
 const FORCES: [(f64, &str); 4] = [
     (1e3, "given in kN, called N?"),
     (9.81, "given in kp, called N?"),
@@ -288,7 +290,7 @@ const FORCES: [(f64, &str); 4] = [
 ];
 /// The shortest and the longest travel of a machine's axis, mm.
 const TRAVELS_MM: [f64; 2] = [1e-1, 3e4];
-/// Log prior of a travel, but for a constant: few are far from the usual ones.
+/// Log prior of a travel, without a constant: travels far from the usual are rare.
 fn travel_prior(mm: f64) -> f64 {
     let [middle, factor] = TRAVEL_MM;
     if (TRAVELS_MM[0]..=TRAVELS_MM[1]).contains(&mm) {
@@ -297,7 +299,7 @@ fn travel_prior(mm: f64) -> f64 {
         f64::NEG_INFINITY
     }
 }
-/// What other columns may be given in.
+/// Units that other columns may be given in, and their factors.
 fn other_units(role: &Role) -> &'static [(f64, &'static str)] {
     match role {
         Role::Position(_) => &[(1e3, "m"), (1e-3, "µm"), (25.4, "inch"), (10.0, "cm")],
@@ -310,19 +312,19 @@ fn other_units(role: &Role) -> &'static [(f64, &'static str)] {
 /// Lengths that ballbars are made with, mm.
 const BARS_MM: [f64; 8] = [50.0, 75.0, 100.0, 150.0, 200.0, 250.0, 300.0, 600.0];
 
-/// A direction contradicts its positions in one row of this many.
-/// (Experience of people who read logs.) A direction of something else, such as the approach, does so in every other row. Both are equally
-/// likely a priori.
+/// A direction contradicts its positions in one row out of this many.
+/// The number is the experience of people who read logs. A direction of something else, such as the approach,
+/// contradicts them in every other row. Both are equally likely a priori.
 const CONTRADICTED: f64 = 100.0;
 
-/// Axes whose direction is logged beside their position.
+/// Number of axes whose direction is logged beside their position.
 fn paired(record: &Record) -> usize {
     let has = |role: Role| record.column(&role).is_some();
     let both = |a: &&Axis| has(Role::Position((*a).clone())) && has(Role::Direction((*a).clone()));
     axes(record).iter().filter(both).count()
 }
 
-/// Log probability of the logged directions beside the logged positions.
+/// Log probability of the logged directions, given the logged positions.
 fn agreement(record: &Record) -> f64 {
     let of = |axis: &Axis| {
         let position = record.data(&Role::Position(axis.clone()))?;
@@ -331,7 +333,7 @@ fn agreement(record: &Record) -> f64 {
         let told: Vec<f64> = went.zip(&direction[1..]).map(|(by, way)| by * way).collect();
         let count = |of: fn(f64) -> bool| told.iter().filter(|x| of(**x)).count() as f64;
         let (rows, against, still) = (told.len() as f64, count(|x| x < 0.0), count(|x| x == 0.0));
-        // Where nothing moves a position says nothing of the direction.
+        // If nothing moves, a position gives no information about the direction.
         let goes_with = -against * CONTRADICTED.ln()
             + (rows - against - still) * (-1.0 / CONTRADICTED).ln_1p()
             - still * std::f64::consts::LN_2;
@@ -342,10 +344,10 @@ fn agreement(record: &Record) -> f64 {
     axes(record).iter().filter_map(of).sum()
 }
 
-/// Whether a column's role is one of these.
+/// A test of a column's role.
 type Which = fn(&Role) -> bool;
 
-/// What of an axis may stand under another's name.
+/// Parts of an axis' data that may be under another axis' name.
 const PARTS: [(&str, Which); 4] = [
     ("error", |role| matches!(role, Role::Error(_))),
     ("position", |role| matches!(role, Role::Position(_))),
@@ -379,7 +381,7 @@ fn candidates(record: &Record, all: &[Record], model: &[Effect]) -> Vec<Mistake>
             0.0,
         );
         let units: &[(f64, &str)] = if matches!(c.role, Role::Force(_)) { &FORCES } else { &RESPONSES };
-        // Of one reading over and over every unit is as good as any.
+        // If all readings are equal, every unit explains them equally well.
         let changes = c.data.iter().any(|x| (x - c.data[0]).abs() > 0.0);
         for (by, text) in units.iter().filter(|_| changes) {
             let text = only(&format!("{by} times as large: {text}"));
@@ -415,7 +417,7 @@ fn candidates(record: &Record, all: &[Record], model: &[Effect]) -> Vec<Mistake>
             let travel = |c: &&Column| c.data.iter().fold(0.0_f64, |most, x| most.max(x.abs()));
             let as_given = own.iter().map(travel).fold(0.0, f64::max);
             let place = matches!(first.role, Role::Position(_));
-            // One that stands at its zero shows no travel: it is no proof of another unit.
+            // An axis that stays at its zero shows no travel, which is no evidence for another unit.
             let likelier = if place {
                 travel_prior(by * as_given) - travel_prior(as_given.max(TRAVELS_MM[0]))
             } else {
@@ -462,7 +464,7 @@ fn candidates(record: &Record, all: &[Record], model: &[Effect]) -> Vec<Mistake>
             add(What::Unit, "radius_mm", text, rebuilt(record, record.columns.clone(), Some(other)), 0.0);
         }
     }
-    // Another axis's name, or two axes in each other's place.
+    // Another axis's name, or two axes exchanged.
     let own: Vec<Axis> = axes(record);
     let mut names: Vec<Axis> =
         all.iter().flat_map(axes).chain(model.iter().flat_map(|e| e.axes().iter().cloned())).collect();
@@ -472,7 +474,7 @@ fn candidates(record: &Record, all: &[Record], model: &[Effect]) -> Vec<Mistake>
     for a in own.iter().filter(|a| a.as_str() != "r") {
         for b in names.iter().filter(|b| *b != a && (*b > a || !own.contains(b))) {
             for (part, of) in PARTS {
-                // The places along a circle are those of its plane.
+                // The positions along a circle are those of its plane.
                 let leaves_plane =
                     record.circle().is_some_and(|c| !(c.plane.contains(a) && c.plane.contains(b)));
                 if part != "run" && leaves_plane {
@@ -499,7 +501,8 @@ fn candidates(record: &Record, all: &[Record], model: &[Effect]) -> Vec<Mistake>
                     Some(axis) if of(role) && axis == b => with_axis(role, a.clone()),
                     _ => role.clone(),
                 };
-                // A part under another name leaves the model as much to say, and directions beside their positions.
+                // A renamed part must leave the model as many effects to apply, and directions beside their
+                // positions.
                 let sound =
                     |u: &Record| said_of(u, model) >= said_of(record, model) && paired(u) >= paired(record);
                 let undone = renamed(record, &swap).filter(|u| part == "run" || sound(u));
@@ -525,7 +528,7 @@ fn candidates(record: &Record, all: &[Record], model: &[Effect]) -> Vec<Mistake>
     out
 }
 
-/// How many effects of a model say something of a record.
+/// Number of a model's effects that apply to a record.
 fn said_of(record: &Record, model: &[Effect]) -> usize {
     model.iter().filter(|e| !e.acts_on(record).is_empty() && e.bind(record).is_ok()).count()
 }

@@ -1,9 +1,10 @@
-//! The run that tells an effect from its rivals, before anybody measures it.
-//! Each possible run is simulated without noise. The residual that the best of a rival's curves leaves is compared with the noise of the
-//! records.
+//! Plans the run that separates an effect from its rivals, before it is measured.
+//! Each possible run is simulated without noise. The residual that the best of a rival's curves leaves is
+//! compared with the noise of the records.
 //!
-//! Log odds of a run are half of that residual, in noise variances (the likelihood ratio of normal noise). Noise spreads them by √(2·odds).
-//! A run suffices if the name still holds its place at two such standard deviations less, whichever of the explanations is the machine's.
+//! The log odds of a run are half of that residual, in noise variances (the likelihood ratio of normal
+//! noise). Noise spreads them by √(2·odds). A run suffices if the odds less two such standard deviations are
+//! still enough, whichever explanation is true.
 
 use rtec_estimate::Rival;
 use rtec_estimate::priors::HELD;
@@ -19,15 +20,15 @@ use serde::Serialize;
 use serde_json::{Map, Value};
 use std::path::Path;
 
-/// Targets and cycles of the runs that are tried.
+/// Numbers of targets and cycles of the runs that are tried.
 const TARGETS: [usize; 4] = [11, 21, 41, 81];
 const CYCLES: [usize; 3] = [2, 3, 5];
-/// How much warmer a machine is in the second half of a run that asks for it, K.
+/// Temperature rise in the second half of a run that needs one, K.
 const WARMER_K: f64 = 5.0;
-/// How far a curve may go beside the noise of a row.
+/// Prior size of a curve, in units of a row's noise: practically free.
 const FREE: f64 = 1e4;
 
-/// An effect that a verdict named and what it could not be told from.
+/// An effect that a verdict named, with its unresolved rivals.
 #[derive(Debug, Clone)]
 pub struct Open {
     /// The effect with its values.
@@ -39,10 +40,10 @@ pub struct Open {
 }
 
 impl Open {
-    /// What a `verdict.json` could not tell apart.
+    /// Reads the unresolved effects of a `verdict.json`.
     ///
     /// # Errors
-    /// A file that is no verdict, or names an effect that the dictionary does not have.
+    /// A file that is not a verdict, or names an effect that the dictionary does not have.
     pub fn read(path: &Path, dictionary: &Dictionary) -> Result<Vec<Self>, InputError> {
         let bad = |found: String| {
             InputError::whole(path, found, "verdict.json, as `rtecctl reconcile --out` writes it")
@@ -98,7 +99,7 @@ fn is_force(effect: &Effect) -> bool {
     effect.description().quantity == Quantity::Force
 }
 
-/// The temperature difference of an entry, where it has one.
+/// The temperature difference of an entry, if it has one.
 fn difference(map: &Map<String, Value>) -> Option<Difference> {
     let text = |key: &str| map.get(key).and_then(Value::as_str);
     let sensor = text("sensor")?.to_owned();
@@ -108,43 +109,43 @@ fn difference(map: &Map<String, Value>) -> Option<Difference> {
     Some(Difference { sensor, against })
 }
 
-/// What a run says of an effect and a rival.
+/// The expected evidence of a run for an effect against a rival.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Tells {
     /// The effect.
     pub effect: String,
     /// The rival.
     pub rival: String,
-    /// Log odds to expect; none where no run of targets tells.
+    /// Expected log odds; `None` if no run of targets separates them.
     pub log_odds: Option<f64>,
-    /// The record that tells; else the experiment that would.
+    /// The record that separates them, or else the experiment that would.
     pub by: String,
 }
 
-/// The runs to make, and what they tell.
+/// The runs to make, and the evidence to expect.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct NextRuns {
-    /// The runs, in the plan's form.
+    /// The runs, in the form of a plan.
     pub steps: Vec<Step>,
-    /// Every effect and rival.
+    /// One entry for every effect and rival.
     pub tells: Vec<Tells>,
 }
 
-/// Log odds that are beyond chance for one name among so many.
+/// Whether log odds are beyond chance for one name among this many rivals.
 fn is_enough(log_odds: f64, rivals: usize) -> bool {
     let wanted = (HELD / (1.0 - HELD)).ln() + (rivals.max(1) as f64).ln();
     log_odds - 2.0 * (2.0 * log_odds).sqrt() >= wanted
 }
 
-/// Where an effect's curve goes along.
-/// The last axis of its name that the machine has.
+/// The axis along which an effect's curve runs.
+/// It is the last axis of its name that the machine has.
 fn along<'a>(effect: &Effect, axes: &'a [PlanAxis]) -> Option<&'a PlanAxis> {
     effect.axes().iter().rev().find_map(|a| axes.iter().find(|p| p.name == a.as_str()))
 }
 
-/// The shortest runs of targets that tell open effects from their rivals.
-/// One for each axis and response, on a machine with these axes and this model. If no such run tells them apart, the experiment of the
-/// rival's law is listed.
+/// The shortest runs of targets that separate open effects from their rivals.
+/// There is one for each axis and response, on a machine with these axes and this model. If no such run
+/// separates them, the experiment of the rival's law is listed.
 #[must_use]
 pub fn next_runs(open: &[Open], machine: &Machine, axes: &[PlanAxis]) -> NextRuns {
     let mut out = NextRuns { steps: Vec::new(), tells: Vec::new() };
@@ -155,7 +156,7 @@ pub fn next_runs(open: &[Open], machine: &Machine, axes: &[PlanAxis]) -> NextRun
             out.tells.extend(rivals.iter().map(|(r, e)| not_told(o, r, e.as_ref())));
             continue;
         };
-        // Any of the explanations may be the machine's: a rival of the same law as well as the one that was found.
+        // Any explanation may be true: the one that was found, or a rival of the same law.
         let others = rivals.iter().filter(|(r, _)| r.differs.is_some()).filter_map(|(_, e)| e.as_ref());
         let truths: Vec<&Effect> = std::iter::once(&o.effect).chain(others).collect();
         let odds = |run: &TargetRun| -> Vec<f64> {
@@ -168,7 +169,7 @@ pub fn next_runs(open: &[Open], machine: &Machine, axes: &[PlanAxis]) -> NextRun
             rivals.iter().map(of).collect()
         };
         let runs = candidates(axis);
-        // What the longest run does not tell, none does.
+        // If the longest run does not separate a rival, no run does.
         let most = runs.last().map_or_else(Vec::new, &odds);
         let told: Vec<bool> = most.into_iter().map(|v| is_enough(v, rivals.len())).collect();
         let tells = |own: &[f64]| own.iter().zip(&told).all(|(v, told)| !told || is_enough(*v, rivals.len()));
@@ -181,7 +182,7 @@ pub fn next_runs(open: &[Open], machine: &Machine, axes: &[PlanAxis]) -> NextRun
                 run,
             )
         });
-        // A run that is made already tells it too.
+        // A run already in the plan may separate it too.
         let same =
             |s: &Step| step.as_ref().is_some_and(|own| (&s.run, &s.columns) == (&own.run, &own.columns));
         let (step, is_new) = match out.steps.iter().find(|s| same(s)) {
@@ -221,7 +222,7 @@ fn not_told(o: &Open, rival: &Rival, effect: Option<&Effect>) -> Tells {
 }
 
 /// A rival as an effect.
-/// It has the same law with the value that differs, or its own law.
+/// It is the same law with the other value, or the rival's own law.
 fn effect_of(rival: &Rival, found: &Effect, machine: &Machine) -> Option<Effect> {
     let mut effect = if rival.name == found.name() {
         found.clone()
@@ -249,7 +250,7 @@ fn candidates(axis: &PlanAxis) -> Vec<TargetRun> {
     all
 }
 
-/// A run that was not made: what it would read without noise.
+/// A simulated run, read without noise.
 struct Simulated {
     records: Vec<Record>,
     model: Vec<Effect>,
@@ -282,7 +283,7 @@ impl Simulated {
     }
 
     /// Log odds against the best curve of a rival's law.
-    /// Against its values as they are where these are given.
+    /// If `given`, the rival keeps its values.
     fn log_odds(&self, rival: &Effect, given: bool) -> f64 {
         let rows = Rows::new(&self.records);
         let problem = Problem::new(&rows, &self.model, &[]);
@@ -309,7 +310,7 @@ impl Simulated {
     }
 }
 
-/// The rows of a run, its error not yet known.
+/// The rows of a run whose error is still zero.
 fn record(run: &TargetRun, axis: &PlanAxis, response: &str, sensors: &[String]) -> Option<Record> {
     let (along, of) = (Axis::new(&axis.name)?, Axis::new(response)?);
     let [mut t, mut p, mut d, mut n, mut k] = [const { Vec::new() }; 5];

@@ -1,6 +1,6 @@
-//! What stands behind a fit or a verdict, as arrays.
-//! Measured and predicted row by row, the derivative of each fitted value, the columns of the set-up. For those who check the intervals
-//! with tools of their own.
+//! The regression behind a fit or a verdict, as arrays.
+//! It has the measured and predicted rows, the derivative by each fitted value and the columns of the set-up.
+//! With it others can check the intervals with their own tools.
 
 use crate::answer::stated;
 use rtec_estimate::rows::{Rows, Segment};
@@ -13,26 +13,26 @@ use rtec_model::record::Record;
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum SetUpColumns {
     /// A zero for every response of every record, as in `model fit --effects`.
-    /// Left out if a fitted effect is such a constant.
+    /// It is omitted if a fitted effect is such a constant.
     Zeros,
-    /// Zeros that records may share, and a circle's centre: those of a verdict.
+    /// The zeros of a verdict, which records may share, and a circle's centre.
     ByHand,
 }
 
-/// A fitted value, or a set-up term, and what one unit of it makes of every row.
+/// A fitted value or a set-up term, and its derivative at every row.
 #[derive(Debug, Clone)]
 pub struct RegressionColumn {
-    /// The effect with its sensors; of a set-up term `zero` or `centre`.
+    /// The effect with its sensors; for a set-up term `zero` or `centre`.
     pub name: String,
-    /// The parameter, with its number where it has many; of a set-up term the record.
+    /// The parameter, numbered if it is an array; for a set-up term the record.
     pub parameter: String,
     /// Its unit.
     pub unit: String,
-    /// Its value; none of a set-up term, which is solved for.
+    /// Its value; `None` for a set-up term, which is solved for.
     pub value: Option<f64>,
-    /// Half width of its stated 95 % interval; none of a set-up term.
+    /// Half width of its stated 95 % interval; `None` for a set-up term.
     pub half_width: Option<f64>,
-    /// Response per unit of it, row by row.
+    /// Change of the response per unit of it, row by row.
     pub derivative: Vec<f64>,
 }
 
@@ -54,17 +54,17 @@ pub struct RegressionRows {
 pub struct Regression {
     /// Rows, response by response and record by record.
     pub rows: Vec<RegressionRows>,
-    /// What was measured, µm or N.
+    /// The measured values, µm or N.
     pub measured: Vec<f64>,
-    /// What the model says, its set-up not included, µm or N.
+    /// The model's prediction without set-up, µm or N.
     pub predicted: Vec<f64>,
     /// Fitted values, then set-up terms.
     pub columns: Vec<RegressionColumn>,
 }
 
 impl Regression {
-    /// The regression of what a model has beyond `base`, or otherwise than it.
-    /// A value without an interval was held.
+    /// The regression of the effects that a model has in addition to `base`.
+    /// Changed effects count too. A value without an interval was held.
     #[must_use]
     pub fn new(records: &[Record], base: &Machine, machine: &Machine, set_up: SetUpColumns) -> Self {
         let rows = Rows::new(records);
@@ -74,7 +74,8 @@ impl Regression {
         if let Some(chain) = machine.chain() {
             let mut of_chain = vec![0.0; rows.n];
             for s in &rows.segments {
-                // If a record lacks a column that the chain reads, `Machine::predict` has refused it before.
+                // If a record lacked a column that the chain reads, `Machine::predict` has already refused
+                // it.
                 let _bound =
                     chain.add(rows.record(s), &rows.responses[s.response], &mut of_chain[s.rows.clone()]);
             }

@@ -1,4 +1,4 @@
-//! `report.html`: the answer for a person, in one file, plots inside.
+//! `report.html`: the answer as one page with plots.
 
 use crate::gap::Trace;
 use crate::verdict::{Reconciliation, Verdict};
@@ -13,14 +13,14 @@ use std::fmt::Write as _;
 
 /// Size of a plot, px.
 const PLOT_PX: (u32, u32) = (900, 330);
-/// So many explanations are shown, and so many places.
+/// Most explanations and most places that are shown.
 const RANKED: usize = 16;
 const PLACES: usize = 14;
-/// Stretches of a plot's axis; of each the least and the largest row is drawn.
+/// Stretches of a plot's axis; from each the least and the largest row is drawn.
 const STRETCHES: usize = 250;
 
-/// The report: findings, records, figures of the fit, and a line to be signed.
-/// It prints to A4.
+/// The report: findings, records, figures of the fit, and a line for a signature.
+/// It prints on A4.
 #[must_use]
 pub fn html(r: &Reconciliation, machine: &str) -> String {
     let mut h = String::new();
@@ -85,7 +85,7 @@ fn figure(h: &mut String, chart: &Chart) {
     }
 }
 
-/// The records that the verdict is from.
+/// The records of the verdict.
 fn facts(h: &mut String, r: &Reconciliation) {
     h.push_str("<table class=\"facts\">");
     for x in &r.records {
@@ -209,7 +209,7 @@ fn budget(h: &mut String, r: &Reconciliation) {
             (None, Some(p)) => ("in blocks left out in turn", p[1]),
             (None, None) => ("on these runs", g.train[1]),
         };
-        // What the model leaves beyond the noise is as real as the noise.
+        // The model's residual beyond the noise is as real as the noise.
         let beyond = (left * left - g.floor * g.floor).max(0.0).sqrt();
         parts.push((format!("left beyond the noise {where_left}"), beyond));
         parts.retain(|(_, u)| *u > 0.0);
@@ -237,7 +237,7 @@ fn budget(h: &mut String, r: &Reconciliation) {
     }
 }
 
-/// What was found of each record's set-up.
+/// The set-up found for each record.
 fn set_up(h: &mut String, r: &Reconciliation) {
     let all = || r.set_up.iter().filter(|s| !s.terms.is_empty());
     if all().next().is_none() {
@@ -277,8 +277,9 @@ fn term_of(term: &str) -> (String, &'static str) {
     }
 }
 
-/// What the report's plots show, as data.
-/// What is left before and after, maps with their bands, the means over what it depends on, and what was tried.
+/// The data of the report's plots.
+/// They are the residuals before and after, maps with their bands, means over the variables that matter, and
+/// the names that were tried.
 #[must_use]
 pub fn pictures(r: &Reconciliation) -> Vec<Picture> {
     let place = |p: &Place| {
@@ -306,7 +307,7 @@ pub fn pictures(r: &Reconciliation) -> Vec<Picture> {
     all
 }
 
-/// The places that are no chance, as many as a page shows.
+/// The places that are not due to chance, as many as a page shows.
 fn found(r: &Reconciliation) -> impl Iterator<Item = &Place> {
     r.places.iter().filter(|p| p.q_value <= 0.05).take(PLACES)
 }
@@ -448,7 +449,7 @@ fn effects(h: &mut String, r: &Reconciliation) {
 }
 
 /// A trace over position, angle or time.
-/// Before in grey, after in colour, up and down apart.
+/// Before is grey, after is coloured; up and down are separate.
 fn chart(t: &Trace, stretches: usize) -> Chart {
     let unit = unit_of(&t.response);
     let held = if t.holdout { ", hold-out" } else { "" };
@@ -472,7 +473,7 @@ fn chart(t: &Trace, stretches: usize) -> Chart {
 }
 
 /// The least and the largest point of each stretch of an axis.
-/// In their original order.
+/// They keep their order.
 fn of_stretches(points: Vec<(f64, f64)>, stretches: usize) -> Vec<(f64, f64)> {
     if points.len() / 2 <= stretches {
         return points;
@@ -542,7 +543,7 @@ fn ranking(h: &mut String, r: &Reconciliation) {
     h.push_str("</table>");
 }
 
-/// A value and its interval, with as many digits as the interval's half leaves.
+/// A value and its interval, with the digits that the half width justifies.
 fn within(v: f64, half: f64) -> String {
     let decimals = (1.0 - half.log10().floor()).clamp(0.0, 12.0) as usize;
     format!("{:.decimals$} … {:.decimals$}", v - half, v + half)
@@ -578,7 +579,7 @@ mod tests {
         );
         let few = points[..400].to_vec();
         assert_eq!(of_stretches(few.clone(), STRETCHES), few);
-        // One place alone has no stretches.
+        // Points at one place form no stretches.
         assert_eq!(of_stretches(vec![(3.0, 1.0); 1000], STRETCHES).len(), 1);
     }
 }

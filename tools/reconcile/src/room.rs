@@ -1,5 +1,5 @@
 //! Compares the sensors with those that a fit of growth chooses on the same drift.
-//! Returns the reason if they differ.
+//! It returns the reason if they differ.
 
 use crate::answer::Finding;
 use rtec_fit::thermal;
@@ -7,7 +7,7 @@ use rtec_model::effect::{Against, Difference, Heat};
 use rtec_model::machine::Machine;
 use rtec_model::record::{Kind, Record, Role};
 
-/// Two sensors, whichever is taken off.
+/// The two sensors of a difference, in either order.
 fn pair(d: &Difference) -> [Option<&str>; 2] {
     let minus = match &d.against {
         Against::Sensor(m) => Some(m.as_str()),
@@ -22,7 +22,7 @@ fn list(differences: &[&Difference]) -> String {
     differences.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ")
 }
 
-/// Which other temperatures `rtecctl model fit` would read, and why.
+/// The other temperatures that `rtecctl model fit` would read, and why.
 pub(crate) fn other_sensors(
     effects: &[(Finding, Vec<f64>)],
     train: &[Record],
@@ -48,7 +48,7 @@ pub(crate) fn other_sensors(
         let ours =
             found.iter().filter(|f| f.effect.axes()[0] == axis).filter_map(|f| f.effect.delta.as_ref());
         let ours: Vec<&Difference> = ours.collect();
-        // Few rows, or none that a fit takes: then there is no other choice.
+        // The rows are few or unsuitable for a fit, so there is no other choice.
         let response = Role::Error(axis);
         let Ok(theirs) = thermal::chosen(&beyond.iter().collect::<Vec<_>>(), &response, &options) else {
             continue;

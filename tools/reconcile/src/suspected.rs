@@ -1,9 +1,9 @@
-//! What a suspicion is about.
+//! The subject of a suspicion: a record, a column, the clock.
 
 use rtec_measure::plausible::{Suspicion, What};
 use rtec_model::record::{Column, Record, Role};
 
-/// Whether it is about this record.
+/// Whether the suspicion is about this record.
 pub(crate) fn about(s: &Suspicion, record: &Record) -> bool {
     s.record == record.path.display().to_string()
 }
@@ -14,27 +14,27 @@ pub(crate) fn is_sensor(record: &Record, name: &str) -> bool {
     record.columns.iter().any(sensor)
 }
 
-/// Whether a record without a constant column tells nothing any more.
-/// Then the column is neither a sensor nor one of several errors.
+/// Whether a record without a constant column has no information left.
+/// The column is then neither a sensor nor one of several errors.
 fn is_dead(record: &Record, name: &str) -> bool {
     !is_sensor(record, name) && !is_one_of_several(record, name)
 }
 
-/// Whether the column is a response, and others are there.
+/// Whether the column is a response, and there are other responses.
 pub(crate) fn is_one_of_several(record: &Record, name: &str) -> bool {
     record.responses().any(|c| c.name == name) && record.responses().any(|c| c.name != name)
 }
 
-/// Whether it doubts what a second of the record is.
+/// Whether it doubts the unit of the record's time.
 pub(crate) fn is_of_clock(s: &Suspicion, record: &Record) -> bool {
     let time = |c: &Column| c.name == s.column && c.role == Role::Time;
     s.what == What::Unit && record.columns.iter().any(time)
 }
 
-/// Whether it is about the whole record: what it means all along is not known.
+/// Whether it is about the whole record, whose meaning is then unknown.
 pub(crate) fn whole(s: &Suspicion, record: &Record) -> bool {
     match s.what {
-        // Whatever a second is: places, sensors and errors are what they are, and only a lag is as long as the clock says.
+        // A wrong unit of time leaves positions, sensors and errors valid. Only lags depend on it.
         What::Unit if is_of_clock(s, record) => false,
         What::Unit | What::Sign | What::Direction | What::OtherMachine => !is_sensor(record, &s.column),
         What::Swapped => true,

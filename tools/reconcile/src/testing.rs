@@ -23,7 +23,8 @@ pub(crate) fn record(rows: usize, error: impl Fn(f64) -> f64) -> Record {
     Record::new(Path::new("run.run.toml"), Kind::Positioning, columns).expect("a sound record")
 }
 
-/// A repeatable sequence of normal numbers, near enough: twelve uniform ones each.
+/// A repeatable sequence of nearly normal numbers.
+/// Each is the sum of twelve uniform ones.
 pub(crate) fn noise(seed: u64, n: usize) -> Vec<f64> {
     let mut state = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1;
     let mut uniform = || {

@@ -1,6 +1,6 @@
 //! A bounded stand-in for a shape that no effect of the dictionary explains.
-//! A broken line over what the shape runs along, constant beyond the range that was seen. It is a law of the project's own file, marked as
-//! unexplained.
+//! It is a broken line over the shape's variable, constant beyond the range that was seen. It is a law of the
+//! project's own file, marked as unexplained.
 
 use rtec_estimate::Shape;
 use rtec_model::effect::{Against, Difference, Effect, STANDARD_DEGC};
@@ -8,18 +8,18 @@ use rtec_model::machine::Machine;
 use rtec_model::record::{Record, Role};
 use std::fmt::Write as _;
 
-/// File that the laws of stand-ins are written to, beside the model.
+/// The file for the laws of stand-ins, beside the model.
 pub const LAWS_FILE: &str = "unexplained.toml";
 
-/// A stand-in, its heights at zero.
+/// A stand-in with its heights at zero.
 #[derive(Debug, Clone)]
 pub(crate) struct StandIn {
     pub(crate) effect: Effect,
-    /// The whole file of laws.
+    /// The text of the whole file of laws.
     pub(crate) laws: String,
 }
 
-/// What a law's term calls a label of a shape, and the role behind it.
+/// The key in a law's terms for a label of a shape, and its role.
 fn quantity(label: &str, axis: &str) -> Option<(&'static str, Role)> {
     let head = label.split_once('.').map_or(label, |(head, _)| head);
     let role = Role::parse(label).or_else(|| Role::parse(head))?;
@@ -41,22 +41,22 @@ fn quantity(label: &str, axis: &str) -> Option<(&'static str, Role)> {
     Some((key, role))
 }
 
-/// What a stand-in runs along, in the words of a law's terms.
+/// The variable of a stand-in, in the keys of a law's terms.
 struct Along {
     /// The axis of its response.
     axis: String,
-    /// The label that the broken line is over, and its name behind the role.
+    /// The variable's label, and its name after the role.
     over: String,
     name: String,
     key: &'static str,
     role: Role,
-    /// What the line is multiplied by.
+    /// The key of a factor of the line.
     factor: Option<&'static str>,
     sensor: Option<String>,
 }
 
 impl Along {
-    /// None for a shape along what no law reads.
+    /// `None` for a shape over a variable that no law reads.
     fn of(shape: &Shape) -> Option<Self> {
         let axis = shape.response.split('.').nth(1)?.to_owned();
         let mut along: Vec<&str> = shape.against.iter().map(String::as_str).collect();
@@ -77,7 +77,7 @@ impl Along {
         Some(Self { axis, over, name, key, role, factor, sensor })
     }
 
-    /// Where the records have it, as a law reads it; none where it does not move.
+    /// The variable's range in the records, in a law's unit; `None` if it is constant.
     fn range(&self, train: &[Record]) -> Option<[f64; 2]> {
         let (mut lo, mut hi) = (f64::MAX, f64::MIN);
         for r in train {
@@ -95,7 +95,7 @@ impl Along {
         (hi > lo).then_some([lo - shift, hi - shift])
     }
 
-    /// How the law's names go on, in words and as this one's.
+    /// What follows the law's name in general, and in this one.
     fn naming(&self) -> (&'static str, String) {
         match self.key {
             "channel" => ("A.NAME", format!(".{}", self.name)),
@@ -157,8 +157,8 @@ mod tests {
         Shape { response: "error.x".into(), against, manner: manner.into() }
     }
 
-    /// A broken line over the position.
-    /// With heights at the knots it is that line, and constant beyond.
+    /// With heights at its knots, a stand-in is a broken line, constant beyond.
+    /// The model reads it back.
     #[test]
     fn a_stand_in_is_a_broken_line_that_the_model_reads_again() {
         let train = [record(200, |i| i)];

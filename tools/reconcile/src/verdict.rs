@@ -1,4 +1,4 @@
-//! The answer as a whole.
+//! The whole answer of a reconciliation.
 
 use crate::answer::Finding;
 use crate::gap::{Gap, Trace};
@@ -13,7 +13,7 @@ use rtec_model::record::{Record, Role};
 use serde::Serialize;
 use std::fmt;
 
-/// The answer in one word.
+/// The verdict: the answer in one word.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Verdict {
@@ -23,13 +23,14 @@ pub enum Verdict {
     NothingMissing,
     /// Something is missing that no effect of the dictionary explains.
     UnknownEffect,
-    /// Something is missing, and these data do not tell which of several names it has.
+    /// Something is missing, but the data do not decide between several names.
     NotSeparable,
 }
 
 impl Verdict {
-    /// From what was added to the model, and what stayed unexplained.
-    /// A shape makes it unknown; a name, or a mode of it, that does not hold its place makes it not separable.
+    /// The verdict from what was added to the model and what stayed unexplained.
+    /// A shape makes it unknown. A name, or a mode of it, with too small a posterior share makes it not
+    /// separable.
     #[must_use]
     pub fn of(added: &[(Finding, Vec<f64>)], unexplained: &[Shape]) -> Self {
         let holds = |f: &Finding| f.name_mass >= HELD && f.mode_mass >= HELD;
@@ -41,7 +42,7 @@ impl Verdict {
         }
     }
 
-    /// As `verdict.json` has it.
+    /// Its name in `verdict.json`.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -59,32 +60,33 @@ impl fmt::Display for Verdict {
     }
 }
 
-/// What the data correct in the present model.
+/// A correction of an effect that the model already has.
 #[derive(Debug, Clone)]
 pub struct Refined {
-    /// Place in the model.
+    /// Its index in the model.
     pub place: usize,
-    /// The effect as it was.
+    /// The effect before the correction.
     pub before: Effect,
-    /// The effect as the data have it, and half widths of its intervals.
+    /// The corrected effect, and half widths of its intervals.
     pub after: (Effect, Vec<f64>),
 }
 
-/// What was found of one record's set-up: it is in no model.
+/// The set-up found for one record: it is not part of any model.
 #[derive(Debug, Clone)]
 pub struct SetUp {
     /// The record's sidecar.
     pub record: String,
     /// Term, value and half width of its 95 % interval.
-    /// Terms are `zero_um.error.x`, `centre_um`, `bar_um`, `line_um_per_h`, `line_um_per_run` (no time was written) and `jump_um`.
+    /// Terms are `zero_um.error.x`, `centre_um`, `bar_um`, `line_um_per_h`, `line_um_per_run` (if the run has
+    /// no time) and `jump_um`.
     pub terms: Vec<(String, f64, f64)>,
 }
 
 impl SetUp {
-    /// Per record, in their order.
+    /// The set-ups per record, in the records' order.
     pub(crate) fn of(records: &[Record], found: &[rtec_estimate::SetUp]) -> Vec<Self> {
         let timed = |s: &rtec_estimate::SetUp| records[s.record].column(&Role::Time).is_some();
-        // The estimator lets a run without times last as long as a creep keeps its direction.
+        // The estimator assumes for a run without times the hours that a creep keeps its direction.
         let runs = |s: &rtec_estimate::SetUp| {
             if s.what == What::Line && !timed(s) { rtec_estimate::priors::LINE_HOURS } else { 1.0 }
         };
@@ -117,35 +119,35 @@ pub struct Reconciliation {
     pub verdict: Verdict,
     /// Where measured and simulated disagree.
     pub places: Vec<Place>,
-    /// Mistakes that the data show: what they are against was left out.
+    /// Mistakes that the data show; the data concerned were left out.
     pub suspicions: Vec<Suspicion>,
-    /// What was left out, a line each: records, rows, sensors.
+    /// What was left out, one line each: records, rows, sensors.
     pub left_out: Vec<String>,
-    /// Records that were left out whole: the verdict says nothing of them.
+    /// Records that were left out whole, which the verdict does not cover.
     pub unsaid: Vec<Unsaid>,
-    /// Velocities and accelerations that were derived from positions, a line each.
+    /// Velocities and accelerations that were derived from positions, one line each.
     pub derived: Vec<String>,
-    /// What was added, strongest first, with half widths of the intervals.
+    /// Added effects, strongest first, with half widths of their intervals.
     pub effects: Vec<(Finding, Vec<f64>)>,
     /// Structure without a name.
     pub unexplained: Vec<Shape>,
-    /// On request: the curve for what is unexplained, and its law's file.
+    /// On request: the curve for what is unexplained, and the text of its law's file.
     pub curve: Option<(Effect, String)>,
     /// Corrected parameters.
     pub refined: Vec<Refined>,
     /// The gap, one per unit.
     pub gap: Vec<Gap>,
-    /// Whether the hold-outs are no worse with what was found; `None` without one.
+    /// Whether the findings make the hold-outs no worse; `None` without a hold-out.
     pub confirmed: Option<bool>,
-    /// What was found of each record's set-up.
+    /// The set-up found for each record.
     pub set_up: Vec<SetUp>,
-    /// The experiment that would separate what this data cannot.
+    /// The experiment that would separate what these data cannot.
     pub advice: String,
     /// Names that were tried.
     pub ranking: Vec<Tried>,
     /// The better model.
     pub model: Machine,
-    /// The training records as they were used: without what was left out.
+    /// The training records as used: without what was left out.
     pub records: Vec<Record>,
     /// Per record and response: role, measured minus simulated before and after.
     pub traces: Vec<Trace>,
@@ -153,14 +155,14 @@ pub struct Reconciliation {
     pub level: f64,
     /// Autocorrelation of the noise from row to row.
     pub phi: f64,
-    /// Every so many rows were analysed: 1 for all.
+    /// The stride between analysed rows: 1 for all.
     pub every: usize,
 }
 
 /// A record that was left out whole.
 #[derive(Debug, Clone)]
 pub struct Unsaid {
-    /// Its sidecar as it was named.
+    /// Its sidecar, as the user named it.
     pub record: String,
     /// What it is suspected of.
     pub why: String,

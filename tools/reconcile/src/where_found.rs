@@ -1,6 +1,6 @@
-//! Where measured and simulated disagree.
-//! Structure of the residual against every channel, each with a p-value by permutation of blocks of the residual, and which of them survive
-//! a false-discovery rate.
+//! Finds where measured and simulated disagree.
+//! It tests the residual for structure against every channel. Each p-value is from permutations of blocks of
+//! the residual; a false-discovery rate decides which count.
 
 use crate::SEED;
 use rand_xoshiro::Xoshiro256PlusPlus;
@@ -15,12 +15,12 @@ use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, Record, Role};
 use serde_json::{Value, json};
 
-/// Structure of a response against one thing.
+/// Structure of a response against one variable.
 #[derive(Debug, Clone)]
 pub struct Place {
     /// The response.
     pub response: String,
-    /// A role, `temperature.T3`, `channel.z9`.
+    /// The variable: a role, `temperature.T3`, `channel.z9`.
     pub against: String,
     /// Share of the residual's mean square that a smooth function of it explains.
     pub statistic: f64,
@@ -28,16 +28,16 @@ pub struct Place {
     pub p_value: f64,
     /// Smallest false-discovery rate at which it counts.
     pub q_value: f64,
-    /// Mean residual over stretches of it: middle of the stretch, mean, number of rows.
+    /// Mean residual per stretch of it: middle of the stretch, mean, number of rows.
     pub profile: Vec<[f64; 3]>,
-    /// The period of a wave over it, in its unit, where that is what was found.
+    /// The period of a wave over it, in its unit, if a wave was found.
     pub period: Option<f64>,
-    /// It is near the turns of that direction's axis that it was found.
+    /// Whether it was found near the turns of that direction's axis.
     pub near_turns: bool,
 }
 
 impl Place {
-    /// As in `where`.
+    /// The entry of `where` in a verdict.
     #[must_use]
     pub fn to_json(&self) -> Value {
         json!({
@@ -52,7 +52,7 @@ impl Place {
         })
     }
 
-    /// What it is against, a wave's period with it: `position.x, period 10.0 mm`.
+    /// The variable, with a wave's period: `position.x, period 10.0 mm`.
     #[must_use]
     pub fn against(&self) -> String {
         if self.near_turns {
@@ -68,56 +68,58 @@ impl Place {
         format!("{}, period {period:.4}{unit}", self.against)
     }
 
-    /// Both are structure of the same response against the same thing.
+    /// Whether both are structure of the same response against the same variable.
     fn is_of(&self, other: &Self) -> bool {
         let of = |p: &Self| (p.response.clone(), p.against.clone(), p.near_turns);
         of(self) == of(other)
     }
 
-    /// It counts at a false-discovery rate of 5 %.
+    /// Whether it counts at a false-discovery rate of 5 %.
     #[must_use]
     pub fn counts(&self) -> bool {
         self.q_value <= 0.05
     }
 }
 
-/// Stretches of a channel that a smooth function is made of.
+/// Number of stretches of a channel that form a smooth function.
 const STRETCHES: usize = 8;
-/// Share of the whole range within which readings are at one place.
+/// Readings within this share of the whole range are at one place.
 /// A place has at least [`ROWS_OF_PLACE`] rows.
 const SAME_PLACE: f64 = 1e-3;
 const ROWS_OF_PLACE: usize = 5;
-/// Differences of more temperatures than these are too many to look at.
+/// Largest number of temperatures whose differences are tested.
 const PAIRED_TEMPERATURES: usize = 6;
 
 /// Length of a block in correlation lengths of the residual.
-/// Cuts at the ends of blocks make chance look smaller: by a quarter of the variance at twice the correlation length.
+/// Cuts at the ends of blocks underestimate chance: by a quarter of the variance at twice the correlation
+/// length.
 const BLOCK: f64 = 5.0;
-/// Permutations of the residual's blocks: no p-value is below one in so many.
+/// Permutations of the residual's blocks; they bound the smallest p-value.
 const PERMUTATIONS: usize = 999;
 /// Permutations as large as the finding that suffice to reject it.
 const ENOUGH: usize = 20;
 
-/// A place this clear is taken out before weaker ones are looked at.
+/// A place this clear is removed before weaker ones are tested.
 const CLEAR: f64 = 0.01;
 
-/// Stronger channels beside which a channel is looked at; one fewer each time.
+/// Most stronger channels beside which a channel is tested.
+/// It is one fewer each time.
 const BESIDE: usize = 2;
 
-/// Largest row-to-row correlation that is noise by contract; slower is structure.
+/// Largest row-to-row correlation of noise; slower changes are structure.
 const NOISE_REMEMBERS: f64 = 0.7;
 /// Spacing of a wave's frequencies, in waves over the whole range.
-/// No frequency between them loses more than a tenth.
+/// A frequency between them loses at most a tenth.
 const WAVES_APART: f64 = 0.35;
 
-/// No more frequencies are tried: a look takes a second at most.
+/// Largest number of frequencies, so that a test takes a second at most.
 const MOST_FREQUENCIES: usize = 3000;
 
-/// The smallest p-value that is given.
+/// The smallest p-value that is reported.
 pub(crate) const LEAST_P: f64 = 1.0 / (PERMUTATIONS as f64 + 1.0);
 
-/// Every response against every channel, strongest first.
-/// What the model as it was leaves once its own parameters are where the data have them.
+/// Tests every response against every channel; strongest first.
+/// The residual is that of the original model with its own parameters adjusted to the data.
 pub(crate) fn places(records: &[Record], machine: &Machine) -> Vec<Place> {
     let stack = Rows::new(records);
     let model: Vec<Effect> = machine.effects().cloned().collect();
@@ -136,7 +138,8 @@ pub(crate) fn places(records: &[Record], machine: &Machine) -> Vec<Place> {
         alone.sort_by(|a, b| b.1.statistic.total_cmp(&a.1.statistic));
         let mut left = vec![residual.clone()];
         for ((against, x), mut found) in alone {
-            // A channel that runs along with a stronger one (cycles with time) is also tested without removing that one.
+            // A channel that follows a stronger one (cycles with time) is also tested without removing that
+            // one.
             for left in left.iter().skip(1).rev().take(BESIDE) {
                 if found.p_value <= LEAST_P {
                     break;
@@ -155,7 +158,8 @@ pub(crate) fn places(records: &[Record], machine: &Machine) -> Vec<Place> {
     }
     strongest_first(&mut out);
     rate(&mut out);
-    // A response without a finding is tested again beside its noise alone. The air is left out, because it can follow any drift.
+    // A response without a finding is tested again without the air as a set-up term, because the air can follow
+    // any drift.
     let nowhere = |role: &str| !out.iter().any(|p: &Place| p.counts() && p.response == role);
     let roles: Vec<String> = stack.responses.iter().map(ToString::to_string).collect();
     let lost: Vec<usize> = (0..roles.len()).filter(|response| nowhere(&roles[*response])).collect();
@@ -171,7 +175,7 @@ pub(crate) fn places(records: &[Record], machine: &Machine) -> Vec<Place> {
     }
     strongest_first(&mut closer);
     rate(&mut closer);
-    // Who looks twice finds twice as much by chance.
+    // Two tests find twice as much by chance.
     for p in &mut closer {
         p.q_value = (2.0 * p.q_value).min(1.0);
     }
@@ -184,12 +188,12 @@ pub(crate) fn places(records: &[Record], machine: &Machine) -> Vec<Place> {
     out
 }
 
-/// What a later stage found.
-/// The share of the residual's mean square, its shape, and the probability by chance.
+/// A finding of a later stage.
+/// It has the share of the residual's mean square, its shape, and the probability by chance.
 pub(crate) type FoundLater = (f64, Shape, f64);
 
-/// Adds what the later stages found and this test alone does not show.
-/// It is against what its law reads.
+/// Adds findings of later stages that this test alone does not show.
+/// Their variable is what the law reads.
 pub(crate) fn add_found(places: &mut Vec<Place>, found: impl IntoIterator<Item = FoundLater>) {
     for (statistic, shape, p_value) in found {
         let reads = |p: &Place| shape.against.contains(&p.against);
@@ -224,7 +228,7 @@ fn left_by(problem: &Problem<'_>) -> (Vec<f64>, Vec<f64>) {
     (sigmas, problem.base(noise).factor.residual().to_vec())
 }
 
-/// The parts of a response, and what is left of it about its mean.
+/// The segments of a response, and its residuals about their mean.
 fn of_response<'s>(stack: &'s Rows<'_>, left: &[f64], response: usize) -> (Vec<&'s Segment>, Vec<f64>) {
     let segments: Vec<&Segment> = stack.segments.iter().filter(|s| s.response == response).collect();
     let mut residual: Vec<f64> = segments.iter().flat_map(|s| left[s.rows.clone()].iter().copied()).collect();
@@ -240,8 +244,8 @@ fn strongest_first(places: &mut [Place]) {
 }
 
 /// A closer look at one response.
-/// It tests slow changes against time, repeats at each target against the place, and waves over either. Slow channels are left out, because
-/// a drift resembles each of them.
+/// It tests slow changes against time, repeats at each target against the place, and waves over either. Slow
+/// channels are left out, because a drift resembles each of them.
 fn closely(role: &str, stack: &Rows<'_>, segments: &[&Segment], residual: &[f64], sigma: f64) -> Vec<Place> {
     let mut out = Vec::new();
     for (against, x) in channels(stack, segments) {
@@ -262,8 +266,8 @@ fn closely(role: &str, stack: &Rows<'_>, segments: &[&Segment], residual: &[f64]
 }
 
 /// The clearest wave of a residual over one channel.
-/// Least squares at each frequency (Lomb, Astrophys. Space Sci. 39 (1976) 447), on the residual without its memory. The p-value allows for
-/// the number of frequencies tried.
+/// It uses least squares at each frequency (Lomb, Astrophys. Space Sci. 39 (1976) 447), on the residual
+/// without its autocorrelation. The p-value allows for the number of frequencies tried.
 fn wave(response: &str, against: &str, x: &[f64], residual: &[f64], sigma: f64) -> Option<Place> {
     let n = residual.len();
     let (low, high) = x.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(*v), h.max(*v)));
@@ -280,7 +284,7 @@ fn wave(response: &str, against: &str, x: &[f64], residual: &[f64], sigma: f64) 
     let rows = white.len() as f64;
     let squares = dot(&white, &white);
     let step = WAVES_APART / span;
-    // From one wave over the whole range to one in two rows, or as many as are looked at.
+    // From one wave over the whole range to one in two rows, up to the largest number of frequencies.
     let first = (1.0 / WAVES_APART).ceil() as usize;
     let last = ((rows / 2.0 / WAVES_APART) as usize).min(MOST_FREQUENCIES);
     let turn = |v: f64, frequency: f64| (std::f64::consts::TAU * frequency * (v - low)).sin_cos();
@@ -298,7 +302,7 @@ fn wave(response: &str, against: &str, x: &[f64], residual: &[f64], sigma: f64) 
             sum_c += *cos;
             (*sin, *cos) = (*sin * by_cos + *cos * by_sin, *cos * by_cos - *sin * by_sin);
         }
-        // Sums about their means: the residual has none.
+        // Sums about their means; the residual's mean is zero.
         let (ss, cc) = (rows - cc - sum_s * sum_s / rows, cc - sum_c * sum_c / rows);
         let cs = cs - sum_c * sum_s / rows;
         let det = cc * ss - cs * cs;
@@ -331,7 +335,7 @@ fn profile(bins: &[Vec<usize>], x: &[f64], residual: &[f64], sigma: f64) -> Vec<
 }
 
 /// False-discovery rates of places that are sorted by p-value.
-/// (Benjamini and Hochberg, J. R. Statist. Soc. B 57 (1995) 289.)
+/// Source: Benjamini and Hochberg, J. R. Statist. Soc. B 57 (1995) 289.
 fn rate(places: &mut [Place]) {
     let m = places.len() as f64;
     let mut least = 1.0_f64;
@@ -377,11 +381,12 @@ fn channels(stack: &Rows<'_>, segments: &[&Segment]) -> Vec<(String, Vec<f64>)> 
     channels
 }
 
-/// What stands before an axis in the label of its travel since it last turned.
+/// Prefix of an axis in the label of its travel since its last turn.
 const TRAVEL: &str = "travel.";
 
 /// Travel of an axis since its last turn, mm, with the direction as its sign.
-/// A spike at the turns is a function of it. Rows before the first turn are as far as any row can be. `None` without turns.
+/// A spike at the turns is a function of it. Rows before the first turn get the largest travel. `None`
+/// without turns.
 fn since_turn(record: &Record, axis: &Axis) -> Option<Vec<f64>> {
     let at = record.data(&Role::Position(axis.clone()))?;
     let direction =
@@ -403,7 +408,7 @@ fn since_turn(record: &Record, axis: &Axis) -> Option<Vec<f64>> {
     (turns > 0).then_some(travel)
 }
 
-/// Rows by how near zero they are, either sign apart.
+/// Groups rows by their distance from zero, each sign apart.
 /// The farther half is a group, then the farther half of the rest, and so on.
 fn towards_zero(x: &[f64]) -> Option<Vec<Vec<usize>>> {
     let mut groups = Vec::new();
@@ -419,17 +424,17 @@ fn towards_zero(x: &[f64]) -> Option<Vec<Vec<usize>>> {
     (groups.len() > 2).then_some(groups)
 }
 
-/// The groups of rows that a channel is looked at by.
+/// The groups of rows by which a channel is tested.
 fn groups(against: &str, x: &[f64]) -> Option<Vec<Vec<usize>>> {
     if against.starts_with(TRAVEL) { towards_zero(x) } else { stretches(x) }
 }
 
-/// A number below `n`.
+/// A random number below `n`.
 fn below(rng: &mut Xoshiro256PlusPlus, n: usize) -> usize {
     ((u128::from(rng.next_u64()) * n as u128) >> 64) as usize
 }
 
-/// Structure of a residual against one channel; none for a constant one.
+/// Structure of a residual against one channel; `None` for a constant one.
 /// Permutations end once the p-value can no longer be below `known`.
 fn place(
     response: &str,
@@ -443,7 +448,7 @@ fn place(
     if !against.starts_with(TRAVEL) {
         return judged(response, against, x, residual, sigma, &groups, 0.99, known);
     }
-    // What each direction has in common is no matter of the turns.
+    // What each direction has in common does not concern the turns.
     let mut beside = residual.to_vec();
     let (up, down): (Vec<usize>, Vec<usize>) = (0..x.len()).partition(|i| x[*i] > 0.0);
     take_means([up, down], &mut beside);
@@ -451,7 +456,7 @@ fn place(
 }
 
 /// Structure of a residual over groups of rows, tested by permuting blocks.
-/// If `remembers` is set, the row-to-row correlation counts as noise.
+/// `remembers` is the largest row-to-row correlation that counts as noise.
 #[allow(clippy::too_many_arguments, reason = "what is looked at, and how")]
 fn judged(
     response: &str,
@@ -473,10 +478,10 @@ fn judged(
         |sums: Vec<f64>| -> f64 { sums.iter().zip(bins).map(|(s, b)| s * s / b.len() as f64).sum() };
     let running = running(residual);
     let own = explained(sums_by(&runs(&bin, bin.len(), bins.len()), &running, &[0]));
-    // As long as the residual remembers, blocks stay together.
+    // Blocks are as long as the residual is correlated.
     let n = residual.len();
     let squares = dot(residual, residual);
-    // Of numbers so large that their squares are none, nothing can be said.
+    // If the squares overflow, no test is possible.
     if !squares.is_finite() {
         return None;
     }
@@ -517,14 +522,14 @@ fn judged(
     })
 }
 
-/// Neighbouring rows of one stretch: from and to which row of their block.
+/// Neighbouring rows of one stretch: their first and last row within a block.
 struct Run {
     block: u32,
     from: u32,
     to: u32,
 }
 
-/// Per stretch its runs of rows in each block.
+/// The runs of rows in each block, for each stretch.
 /// Most are long, because most channels change slowly.
 fn runs(bin: &[u32], length: usize, bins: usize) -> Vec<Vec<Run>> {
     let mut out: Vec<Vec<Run>> = (0..bins).map(|_| Vec::new()).collect();
@@ -539,7 +544,7 @@ fn runs(bin: &[u32], length: usize, bins: usize) -> Vec<Vec<Run>> {
     out
 }
 
-/// Sums of a residual up to each row, twice round.
+/// Running sums of a residual up to each row, over two rounds.
 fn running(residual: &[f64]) -> Vec<f64> {
     let mut sum = 0.0;
     let twice = residual.iter().chain(residual).map(|r| {
@@ -550,7 +555,7 @@ fn running(residual: &[f64]) -> Vec<f64> {
 }
 
 /// Sums of a residual by stretch, from its running sums.
-/// `begin`: from which row on each block has its values of the residual, which begins anew at its end.
+/// `begin` is the row from which each block takes its residuals, which continue cyclically.
 fn sums_by(runs: &[Vec<Run>], running: &[f64], begin: &[usize]) -> Vec<f64> {
     let of = |Run { block, from, to }: &Run| {
         let running = &running[begin[*block as usize]..];
@@ -559,15 +564,15 @@ fn sums_by(runs: &[Vec<Run>], running: &[f64], begin: &[usize]) -> Vec<f64> {
     runs.iter().map(|stretch| stretch.iter().map(of).sum()).collect()
 }
 
-/// Takes a channel's means out of a residual.
-/// At each of its places where there are many rows of each, over its stretches otherwise.
+/// Removes a channel's means from a residual.
+/// They are taken per place if each has many rows, otherwise per stretch.
 fn flatten(found: &Place, x: &[f64], residual: &mut [f64]) {
     let by_place = || places_of(x).or_else(|| stretches(x));
     let groups = if found.near_turns { towards_zero(x) } else { by_place() }.unwrap_or_default();
     take_means(groups, residual);
 }
 
-/// Takes the mean of each group of rows out of a residual.
+/// Removes the mean of each group of rows from a residual.
 fn take_means(groups: impl IntoIterator<Item = Vec<usize>>, residual: &mut [f64]) {
     for rows in groups {
         let mean = rows.iter().map(|i| residual[*i]).sum::<f64>() / rows.len().max(1) as f64;
@@ -578,7 +583,7 @@ fn take_means(groups: impl IntoIterator<Item = Vec<usize>>, residual: &mut [f64]
 }
 
 /// Rows by place, if a channel returns to few places.
-/// Targets that are approached again differ by little.
+/// Repeated approaches to a target differ by little.
 fn places_of(x: &[f64]) -> Option<Vec<Vec<usize>>> {
     let mut order: Vec<usize> = (0..x.len()).collect();
     order.sort_by(|a, b| x[*a].total_cmp(&x[*b]));
@@ -594,7 +599,7 @@ fn places_of(x: &[f64]) -> Option<Vec<Vec<usize>>> {
 }
 
 /// Groups rows into stretches; `None` for a constant.
-/// By value if there are few values, otherwise by equal numbers of rows.
+/// The groups are by value if there are few values, otherwise of equal numbers of rows.
 fn stretches(x: &[f64]) -> Option<Vec<Vec<usize>>> {
     let mut order: Vec<usize> = (0..x.len()).collect();
     order.sort_by(|a, b| x[*a].total_cmp(&x[*b]));
@@ -635,13 +640,13 @@ mod tests {
         );
     }
 
-    /// A spike is found near the turns, where it is a hundredth of the way.
+    /// A spike is found near the turns, which are a hundredth of the travel.
     #[test]
     fn a_spike_is_found_near_its_turns() {
         let mut falsely = 0;
         for seed in 0..20 {
             let dice = noise(500 + seed, 1200);
-            // Strokes of 120 mm, a reading every 2 mm, and more behind each turn.
+            // Strokes of 120 mm, a reading every 2 mm, and closer ones after each turn.
             let step = |k: usize| if k < 10 { 0.1 } else { 2.0 };
             let (mut p, mut rows) = (0.0, Vec::new());
             for i in 0..1200 {
@@ -701,7 +706,7 @@ mod tests {
         assert!(few <= 6, "{few} of 40 below 5 %");
     }
 
-    /// Reference: the value of row i of block k is i rows after the block's beginning.
+    /// Reference: row i of block k has the value i rows after the block's beginning.
     #[test]
     fn blocks_are_summed_where_they_are_moved_to() {
         let residual = noise(9, 103);
@@ -716,7 +721,7 @@ mod tests {
         }
     }
 
-    /// The example of the paper: of fifteen p-values four are below the line at 5 %.
+    /// The paper's example: four of fifteen p-values are below the line at 5 %.
     #[test]
     fn false_discoveries_are_rated_as_in_the_paper() {
         let p = [

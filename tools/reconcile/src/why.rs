@@ -1,4 +1,4 @@
-//! The evidence for and against one name, as a table that a metrologist reads.
+//! The evidence for and against one name, as a table for a metrologist.
 
 use crate::advice::separating;
 use crate::answer::Finding;
@@ -9,7 +9,7 @@ use rtec_model::effect::{Dictionary, Effect};
 use rtec_model::record::Record;
 use std::fmt::Write as _;
 
-/// Odds as people write them: `12 to 1`, `1 to 12`.
+/// Odds in words: `12 to 1`, `1 to 12`.
 fn odds(nats: f64) -> String {
     let of = |nats: f64| match nats.exp() {
         x if x < 100.0 => format!("{x:.1}"),
@@ -27,9 +27,9 @@ impl Table {
     }
 }
 
-/// The evidence for and against an effect, and what would tell it from its rivals.
+/// The evidence for and against an effect, and the runs that separate its rivals.
 ///
-/// `effect` is any of the name that is asked for.
+/// `effect` is any effect of the name in question.
 #[must_use]
 pub fn why(answer: &Reconciliation, effect: &Effect, train: &[Record], dictionary: &Dictionary) -> String {
     let name = effect.name();
@@ -87,7 +87,7 @@ fn in_the_answer(table: &mut Table, f: &Finding, dictionary: &Dictionary) {
     table.row("to see", "", &f.effect.description().experiment);
 }
 
-/// Why a name was not looked at exactly.
+/// The reason why a name was not tested in full.
 fn not_tried(table: &mut Table, name: &str, effect: &Effect, train: &[Record], dictionary: &Dictionary) {
     let shown = train.iter().any(|r| dictionary.candidates(&[r]).iter().any(|c| c.name() == name));
     if shown {

@@ -26,17 +26,17 @@ use rtec_model::machine::{Machine, Provenance, Source};
 use rtec_model::record::{Kind, Record, Role};
 use std::borrow::Cow;
 
-/// So few rows tell no effect from chance.
+/// Below this number of rows no effect can be distinguished from chance.
 const FEWEST_TO_LEARN: usize = 8;
-/// Fewer rows show large effects only.
+/// Below this number of rows only large effects are seen.
 const FEW: usize = 30;
 /// Rows are not thinned to fewer than this.
 const FEWEST_ROWS: usize = 300;
-/// Knots of a curve that stands for what has no name.
+/// Number of knots of the curve for what no effect explains.
 const CURVE_KNOTS: usize = 9;
 
-/// Where measured and simulated disagree, the answer of the first stage.
-/// It asks the later stages too: what they find is somewhere.
+/// The first stage's answer: where measured and simulated disagree.
+/// It runs the later stages too, because their findings also have a place.
 ///
 /// # Errors
 /// The model reads a sensor or channel that a record lacks.
@@ -45,7 +45,8 @@ pub fn find(train: &[Record], machine: &Machine, level: f64) -> Result<Vec<Place
     Ok(reconcile(train, &[], machine, &options)?.places)
 }
 
-/// The model can be evaluated on every record, and there is something to explain.
+/// Checks that the model can be evaluated on every record.
+/// There must also be something to explain.
 fn can_be_read(train: &[Record], holdout: &[Record], machine: &Machine) -> Result<(), InputError> {
     for record in train.iter().chain(holdout) {
         machine.predict(record)?;
@@ -57,7 +58,7 @@ fn can_be_read(train: &[Record], holdout: &[Record], machine: &Machine) -> Resul
     Ok(())
 }
 
-/// Why so few rows teach nothing.
+/// The reason why so few rows allow no answer.
 fn too_few(rows: usize) -> Option<String> {
     match rows {
         0 => Some("every record is doubted: mend what the suspicions say, then reconcile again".to_owned()),
@@ -66,7 +67,7 @@ fn too_few(rows: usize) -> Option<String> {
     }
 }
 
-/// Reconciles: the whole workflow.
+/// The whole workflow of a reconciliation.
 ///
 /// # Errors
 /// The model reads a sensor or channel that a record lacks.
@@ -81,7 +82,7 @@ pub fn reconcile(
     Ok(Reconciliation { derived, ..looked_at(&train, &holdout, machine, options) })
 }
 
-/// The same of records whose motion is known.
+/// The same for records whose velocities and accelerations are known.
 fn looked_at(train: &[Record], holdout: &[Record], machine: &Machine, options: &Options) -> Reconciliation {
     let given = (train, holdout);
     let mut doubts = doubts(train, holdout, machine);
@@ -101,7 +102,7 @@ fn looked_at(train: &[Record], holdout: &[Record], machine: &Machine, options: &
         let j = rows_of.responses.iter().position(|r| r == role);
         j.map_or(f64::INFINITY, |j| noise.sigma[j] / (1.0 - noise.phi[j] * noise.phi[j]).sqrt())
     };
-    // Which sensor a law reads is said by the model only where the training leaves one way.
+    // The model decides which sensor a law reads only if the training has one explanation.
     let one_way = answer.unexplained.is_empty() && better.is_one_way();
     let of_held = |r: &Record| mistakes::of_hold_out(r, &train, &better.model, &floor_um);
     let held = doubts.given_hold_outs().iter().filter_map(of_held);
@@ -145,7 +146,7 @@ fn looked_at(train: &[Record], holdout: &[Record], machine: &Machine, options: &
     if why_nothing.is_some() {
         advice.clear();
     }
-    // Where every record is doubted that is why nothing is said.
+    // If every record is doubted, that is the reason for the empty answer.
     let mend = if rows == 0 { Vec::new() } else { to_mend(&unsaid) };
     let parts =
         mend.into_iter().chain(why_nothing).chain(beside).chain(Some(advice).filter(|a| !a.is_empty()));
@@ -177,14 +178,14 @@ fn looked_at(train: &[Record], holdout: &[Record], machine: &Machine, options: &
     }
 }
 
-/// Something that is not said of so few rows.
+/// A shape that says that so few rows allow no answer.
 fn not_told(used: &[Record], why: &str) -> Shape {
     let response =
         used.iter().flat_map(Record::responses).next().map_or(String::new(), |c| c.role.to_string());
     Shape { response, against: vec!["time".to_owned()], manner: why.to_owned() }
 }
 
-/// What to do with the records that nothing is said of.
+/// What to do about the records that the verdict does not cover.
 fn to_mend(unsaid: &[Unsaid]) -> Vec<String> {
     let line = |u: &Unsaid| {
         format!("{u}: nothing is said of it: mend what the suspicion says, then reconcile again")
@@ -193,8 +194,8 @@ fn to_mend(unsaid: &[Unsaid]) -> Vec<String> {
 }
 
 /// The gap without hold-outs that may be another machine's, and a message.
-/// It is given beside the gap with them, because the model may be wrong instead. Leaving a record out must not narrow the reported gap.
-/// `traces` are those of the hold-outs.
+/// It is given beside the gap with them, because the model may be wrong instead. Leaving a record out must
+/// not narrow the reported gap. `traces` are those of the hold-outs.
 fn said_beside(
     strangers: &[(usize, Suspicion)],
     held: &[Record],
@@ -221,7 +222,7 @@ fn said_beside(
     ))
 }
 
-/// What a better model is made with.
+/// The inputs for making a better model.
 struct Work<'w> {
     train: &'w [Record],
     used: &'w [Record],
@@ -229,7 +230,7 @@ struct Work<'w> {
     options: &'w Options,
 }
 
-/// A better model, and what is better about it.
+/// A better model, and its changes.
 struct Better {
     model: Machine,
     refined: Vec<Refined>,
@@ -238,13 +239,13 @@ struct Better {
 }
 
 impl Better {
-    /// The hold-outs, if the training is understood in only one way.
-    /// Otherwise whatever they show more may be what is not understood.
+    /// The hold-outs, if the training has only one explanation.
+    /// Otherwise a difference in a hold-out may be the part that is not yet explained.
     fn comparable<'h>(&self, answer: &Answer, held: &'h [Record]) -> &'h [Record] {
         if answer.unexplained.is_empty() && self.is_one_way() { held } else { &[] }
     }
 
-    /// Whether what was found has no rival.
+    /// Whether no finding has a rival.
     fn is_one_way(&self) -> bool {
         self.effects.iter().all(|(f, _)| f.rivals.is_empty())
     }
@@ -275,8 +276,7 @@ impl Work<'_> {
         Better { model, refined, effects, curve: curve.map(|(e, _, laws)| (e, laws)) }
     }
 
-    /// Where asked for.
-    /// A curve that stands for the first shape along what a law can read.
+    /// If requested, a curve for the first shape whose variable a law can read.
     fn curve(&self, answer: &Answer, model: &mut Machine, learn: bool) -> Option<(Effect, Vec<f64>, String)> {
         if !self.options.unexplained || !learn {
             return None;
@@ -291,7 +291,7 @@ impl Work<'_> {
         Some((effect, half, stand_in.laws))
     }
 
-    /// What to do next, and where a fit of growth reads other temperatures.
+    /// The advice: what to do next, and where a fit of growth reads other temperatures.
     fn advice(&self, verdict: Verdict, effects: &[(Finding, Vec<f64>)], shapes: &[Shape]) -> String {
         let rows: usize = self.train.iter().map(Record::rows).sum();
         if verdict == Verdict::NothingMissing && rows < FEW {
@@ -306,7 +306,7 @@ impl Work<'_> {
     }
 }
 
-/// Corrects what the rows say is off beyond chance.
+/// Corrects the model's parameters that are off beyond chance.
 fn correct(model: &mut Machine, machine: &Machine, answer: &Answer) -> Vec<Refined> {
     let before: Vec<Effect> = machine.effects().cloned().collect();
     let mut out = Vec::new();
@@ -318,7 +318,7 @@ fn correct(model: &mut Machine, machine: &Machine, answer: &Answer) -> Vec<Refin
     out
 }
 
-/// Adds velocity and acceleration from positions where missing; says what was done.
+/// Derives missing velocities and accelerations from positions, and reports it.
 fn with_motion(train: &[Record], holdout: &[Record]) -> (Vec<Record>, Vec<Record>, Vec<String>) {
     let mut notes = Vec::new();
     let mut of = |records: &[Record]| -> Vec<Record> {
@@ -345,19 +345,19 @@ fn write_values(model: &mut Machine, place: usize, effect: &Effect, half: &[f64]
         let values = effect.get(i);
         let interval: Vec<[f64; 2]> =
             values.iter().zip(&half[i * width..]).map(|(v, h)| [v - h, v + h]).collect();
-        // The values come from the law itself; they keep its bounds.
+        // The law itself gave the values, so they are within its bounds.
         let _written = model.set(place, &p.name, values, Some(&interval));
     }
 }
 
-/// What is written beside an effect.
+/// The provenance that is written with each effect.
 struct Writer<'w> {
     train: &'w [Record],
     date: Option<&'w String>,
 }
 
 impl Writer<'_> {
-    /// Adds an effect and its origin to the model, unless its identity is there.
+    /// Adds an effect with its provenance, unless the model has its identity.
     fn add(&self, model: &mut Machine, effect: &Effect, half: &[f64], why: &str) -> bool {
         let provenance = Provenance {
             added_by: Some(format!("rtecctl reconcile {}{why}", rtec_files::stamp::VERSION)),
@@ -370,18 +370,18 @@ impl Writer<'_> {
     }
 }
 
-/// The records that were analysed, and what came of it.
+/// The records that were analysed, and the result.
 struct Analysed {
     /// All their rows, as measured.
     train: Vec<Record>,
     answer: Answer,
-    /// What was looked at: temperatures without noise, every so many rows.
+    /// The analysed rows: temperatures without noise, one row of every `every`.
     used: Vec<Record>,
     every: usize,
 }
 
 impl Analysed {
-    /// The training records without those in doubt; all if all are in doubt.
+    /// Analyses the training records without those in doubt; all if all are in doubt.
     /// Doubts may be known before or follow from the analysis.
     fn without_doubts(train: &[Record], doubts: &mut Doubts, machine: &Machine, level: f64) -> Self {
         if doubts.train.is_empty() {
@@ -398,7 +398,7 @@ impl Analysed {
         let suspected = mistakes::of_training(&first.used, machine, &first.answer, level);
         let (certain, open): (Vec<_>, Vec<_>) =
             suspected.into_iter().partition(mistakes::Suspected::is_certain);
-        // What is not certain is asked about where it explains what was named.
+        // An uncertain mistake is reported if it explains a named effect.
         for s in open {
             let weakened = first.answer.findings.iter_mut().map(|(f, _)| s.weaken(f)).filter(|w| *w).count();
             doubts.said.extend((weakened > 0).then_some(s.said));
@@ -414,8 +414,8 @@ impl Analysed {
     }
 
     /// Analyses every nth row, n being a power of two.
-    /// It is the least at which noise and effects are told apart. Rows much closer than the noise forgets (a filtered force, sampled fast)
-    /// repeat the same information.
+    /// It is the least n that still separates noise from effects. Rows much closer together than the noise's
+    /// correlation (a filtered force, sampled fast) repeat the same information.
     fn of(train: &[Record], machine: &Machine, level: f64) -> Self {
         let quiet: Vec<Record> = train.iter().map(quiet::temperatures).collect();
         let (first, bounded) = (at_least_every(&quiet), bounded(&quiet));
@@ -458,7 +458,7 @@ fn warm_plate(findings: &mut [(Finding, Vec<f64>)], train: &[Record], dictionary
     }
 }
 
-/// Lost counts are whole ones: rounded where the interval allows.
+/// Rounds lost counts to whole ones if the interval allows it.
 fn whole_counts(effect: &Effect, records: &[Record], half: &[f64]) -> Effect {
     let mut out = effect.clone();
     let count = records.iter().find_map(|r| r.count_um);
@@ -472,7 +472,7 @@ fn whole_counts(effect: &Effect, records: &[Record], half: &[f64]) -> Effect {
     out
 }
 
-/// Moment of a step between two rows.
+/// The moment of a step between two rows.
 /// It may have come at any time between them; the middle has the smallest error.
 fn between_rows(effect: &Effect, records: &[Record], half: &[f64]) -> (Effect, Vec<f64>) {
     let moment = effect.description().parameters.iter().position(|p| p.refine == Refine::Moment);
@@ -521,7 +521,7 @@ mod tests {
     use rtec_model::effect::Against;
     use std::path::Path;
 
-    /// A reversal without a name does not hide a scale.
+    /// A nameless reversal does not hide a scale.
     /// An error in proportion to the position is a scale.
     #[test]
     fn what_is_missing_is_named_and_written() {
@@ -539,7 +539,7 @@ mod tests {
         assert!(r.gap[0].closed().is_some_and(|c| c > 0.9), "{:?}", r.gap);
     }
 
-    /// Regression test: a reconciled model must keep its prediction interval.
+    /// Regression: a reconciled model must keep its prediction interval.
     #[test]
     fn a_better_model_states_its_interval() {
         let of = |seed: u64| {
@@ -559,17 +559,17 @@ mod tests {
         let left = r.model.beyond(&later).unwrap();
         let inside = left.columns[2].data.iter().zip(&half).filter(|(e, h)| e.abs() <= **h).count();
         assert!((360..=396).contains(&inside), "{inside} of 400 within ±{}", half[0]);
-        // What is written is read again.
+        // The written model is read back.
         let again = Machine::parse(Path::new("m.toml"), &r.model.to_text()).unwrap();
         assert_eq!(again.fits(), r.model.fits());
-        // Nothing was found: the model is as it was given.
+        // Nothing was found, so the model is unchanged.
         let dice = noise(3, 400);
         let none =
             reconcile(&[record(400, |i| dice[i as usize])], &[], &Machine::ideal("m"), &options).unwrap();
         assert!(none.model.fits().is_empty());
     }
 
-    /// Regression test: a hold-out must not keep the zero that it shares with training.
+    /// Regression: a hold-out must not keep the zero that it shares with training.
     /// The figure was 5 µm too large here.
     #[test]
     fn a_hold_out_s_own_zero_is_no_gap() {
@@ -660,7 +660,7 @@ mod tests {
         assert!(r.gap[0].train[1] < 0.13, "{:?}", r.gap);
     }
 
-    /// Regression test: a step must not be dated to the row after a pause.
+    /// Regression: a step must not be dated to the row after a pause.
     /// A hold-out that ran through the pause was wrong all that time.
     #[test]
     fn counts_that_were_lost_in_a_pause_were_lost_in_its_middle() {
@@ -680,7 +680,8 @@ mod tests {
         assert!((at(50.0) - 47.5).abs() < 1e-9, "{}", at(50.0));
     }
 
-    /// Somebody may have touched the stand in a pause: such a jump is the set-up's.
+    /// A jump at a pause belongs to the set-up.
+    /// Somebody may have touched the stand in the pause.
     #[test]
     fn a_jump_at_a_pause_is_the_set_up_s() {
         let dice = noise(11, 40);

@@ -138,6 +138,13 @@ pub(super) fn read(
         (None, Some(counts)) => counts.value,
         (None, None) => latency.max_accel_counts_s2,
     };
+    let slowest_ms = 2e3 * (2.0 / max_accel_counts_s2).sqrt();
+    if let Some(ms) = quiet_ms.map(|at| at.value).filter(|ms| insert && *ms <= slowest_ms) {
+        notes.push(format!(
+            "{owner}: rest_quiet_ms = {ms} is not longer than {slowest_ms:.2} ms, in which the axis may be within one count as it \
+             turns: an edge may meet the insertion"
+        ));
+    }
     let window_counts = match window {
         Some(window) => window.value,
         None if window_given => return None,

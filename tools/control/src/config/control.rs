@@ -268,9 +268,10 @@ fn read_door(source: &mut SourceFile<'_>, table: &mut Section<'_>, here: bool) -
         let digits = v.as_str().and_then(|s| u32::from_str_radix(s.trim_start_matches("0o"), 8).ok());
         digits.or_else(|| u32::try_from(v.as_integer()?).ok()).filter(|m| *m <= 0o777)
     });
-    if let Some(at) = mode.filter(|at| at.value & 0o111 != 0 || at.value & 0o600 != 0o600) {
+    // To connect to a socket is to write to it: who may only read may do nothing.
+    if let Some(at) = mode.filter(|at| ![0o600, 0o660, 0o666].contains(&at.value)) {
         let found = format!("mode = 0{:o}", at.value);
-        source.finding(at.offset, found, "read and write for its owner and no execution: 0600, 0660, 0666");
+        source.finding(at.offset, found, "0600, 0660 or 0666: whoever uses a socket reads and writes it");
     }
     Door {
         socket: socket.map(|at| beside(source.file, at.value)),

@@ -69,8 +69,11 @@ fn traces(source: &mut SourceFile<'_>, document: &Document<'_>, config: &Config)
     let tables = document.root().get("axis").and_then(|e| e.tables("[[axis]] tables").ok());
     let named = tables.iter().flatten().filter_map(|table| table.get("trace"));
     for (entry, trace) in named.zip(traces) {
-        let read = TraceReader::open(trace).and_then(|mut points| points.next_point());
-        if let Err(error) = read {
+        let whole = |mut points: TraceReader<_>| -> Result<(), _> {
+            while points.next_point()?.is_some() {}
+            Ok(())
+        };
+        if let Err(error) = TraceReader::open(trace).and_then(whole) {
             source.finding(entry.offset(), format!("trace {error}"), "a recorded trace that can be read");
         }
     }

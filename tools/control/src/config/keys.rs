@@ -54,7 +54,7 @@ keys! {
     error_counts: COUNTS, "counts", "none", "a request beyond it is a fault (`error_limit`) and holds";
     max_rate_counts_s: Number(1e-3, 1e9), "counts/s", "no limit", "how fast a total may be followed";
     rest_policy: Choice(&["wait", "insert"]), "", "`wait`", "at rest: wait for an edge, or insert after `rest_quiet_ms` without one";
-    rest_quiet_ms: Number(1e-3, 1e6), "ms", "none", "the quiet time of `insert`. It must be longer than an axis takes over a count at its slowest turn: 2·√(2/a), a in counts/s². A circle of 150 mm at 250 mm/min takes 300 ms. Otherwise an edge may meet the insertion";
+    rest_quiet_ms: Number(1e-3, 1e6), "ms", "none", "the quiet time of `insert`. It should be longer than an axis takes over a count at its slowest turn: 2·√(2/a), a in counts/s². A circle of 150 mm at 250 mm/min takes 300 ms. Otherwise an edge may meet the insertion, and `config check` says so";
     reference_budget_counts: COUNTS, "counts", "none", "what the MTC tolerates between reference marks or encoders: caps `max_correction_counts`";
     home_mm: Number(-1e6, 1e6), "mm", "0", "position of the known place where it is homed";
     trace: Text, "", "none", "`replay`: the recorded trace of this axis, .csv or .vcd";

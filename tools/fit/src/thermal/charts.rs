@@ -1,4 +1,4 @@
-//! A fit drawn: the sensors' merit, prediction against measurement, what is left.
+//! Charts of a fit: the sensors' merit, prediction against measurement, residuals.
 
 use super::report::Report;
 use crate::statistics::mean;
@@ -33,7 +33,7 @@ impl Report {
 }
 
 /// Measured and predicted response of a record over time.
-/// With the 95 % interval if there is one (the patent's figure 18).
+/// It has the 95 % interval if there is one (the patent's figure 18).
 #[must_use]
 pub fn prediction_chart(
     record: &Record,
@@ -55,7 +55,8 @@ pub fn prediction_chart(
 }
 
 /// Residual of a response before and after a fit, each less its mean.
-/// A gauge's zero is arbitrary. The abscissa is the position that moves most, or time if none moves.
+/// A gauge's zero is arbitrary, so the mean is removed. The abscissa is the position that moves most, or time
+/// if none moves.
 #[must_use]
 pub fn residual_chart(record: &Record, response: &Role, before_um: &[f64], after_um: &[f64]) -> Chart {
     let span = |v: &[f64]| {

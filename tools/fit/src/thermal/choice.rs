@@ -1,4 +1,4 @@
-//! The choice of sensors alone, for whoever compares an own choice with this one.
+//! The choice of sensors alone, for comparison with another choice.
 
 use super::Options;
 use super::problem::Problem;

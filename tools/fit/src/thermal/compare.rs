@@ -1,5 +1,5 @@
-//! The model beside others.
-//! Simpler predictions, records it has not seen, dry rows against wet ones.
+//! Compares the model with others.
+//! These are simpler predictions, unseen records, and dry rows against wet ones.
 
 use super::problem::Problem;
 use super::report::{DryWet, Rms};
@@ -12,7 +12,7 @@ use rtec_model::record::{Record, Role};
 use std::collections::BTreeMap;
 
 /// Simple predictions on the same blocks.
-/// The mean, the value one row before, each offered difference as a straight line.
+/// They are the mean, the value of the previous row, and a straight line in each offered difference.
 pub(super) fn baselines(
     problem: &Problem,
     train: &[&Record],
@@ -66,7 +66,7 @@ pub(super) fn baselines(
     Ok(found)
 }
 
-/// How a fitted model does on records it has not seen.
+/// The result of a fitted model on unseen records.
 #[derive(Default)]
 pub(super) struct Later {
     pub(super) rms: Vec<f64>,
@@ -110,7 +110,7 @@ pub(super) fn dry_wet(problem: &Problem, terms: &[Term], train: &[&Record], rows
     if wet.len() != rows.y.len() || !enough(true) || !enough(false) {
         return None;
     }
-    // The coolant's own step is what the two fits' constants hold.
+    // The two fits' constants include the step that coolant itself causes.
     let thermal: Vec<usize> = (0..terms.len()).filter(|k| terms[*k] != Term::Coolant).collect();
     let own = Rows {
         columns: thermal.iter().map(|k| rows.columns[*k].clone()).collect(),

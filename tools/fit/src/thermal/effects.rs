@@ -8,7 +8,8 @@ use rtec_model::effect::laws::{coolant, offset, spindle_speed, thermal_growth, t
 use rtec_model::effect::{Dictionary, Difference, Effect, ValueError};
 use rtec_model::record::{Axis, Role};
 
-/// The structure as effects of the dictionary, each with its intervals and the range it was fitted on.
+/// The structure as effects of the dictionary.
+/// Each has its intervals and the range it was fitted on.
 pub(super) fn effects(
     problem: &Problem,
     terms: &[Term],

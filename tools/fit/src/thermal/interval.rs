@@ -1,5 +1,5 @@
 //! The 95 % prediction interval.
-//! What the fit cannot know at a row, and what blocks that it has not seen say of the rest.
+//! It combines what the fit cannot know at a row with the residuals of unseen blocks.
 
 use super::problem::Problem;
 use super::rows::Rows;
@@ -10,19 +10,19 @@ use rtec_model::effect::Difference;
 use rtec_model::machine::{Validity, unknown_um};
 use rtec_model::record::{Record, Role};
 
-/// How far beyond the range seen a difference is used, as a share of the range.
+/// Largest used excess of a difference over its seen range, as a share of it.
 /// Further out it is held at the bound.
 const BEYOND: f64 = 0.1;
 
-/// What a fit knows of one difference, and so where it knows less.
+/// The bounds of a difference in a fit, beyond which less is known.
 pub(super) struct Guard {
-    /// Places of the difference among the columns, and of its square.
+    /// Indices of the difference's column, and of its square's.
     pub(super) term: usize,
     pub(super) square: Option<usize>,
-    /// Beyond this the difference is held, K.
+    /// The range beyond which the difference is held, K.
     pub(super) range_k: [f64; 2],
-    /// How far the lagged difference used to be from the difference itself, RMS, K.
-    /// What is not known at a start.
+    /// RMS of the lagged difference minus the difference itself, K.
+    /// It is the uncertainty at a start.
     pub(super) start_k: f64,
     pub(super) tau_s: f64,
 }
@@ -77,7 +77,8 @@ impl Rows {
 }
 
 /// Every offered difference as measured, chosen or not.
-/// Where one leaves the range that the fit has seen, the machine is in a state that the fit does not know, whatever the chosen ones say.
+/// If one leaves the range that the fit has seen, the machine is in an unknown state, whatever the chosen
+/// differences show.
 pub(super) struct Watched {
     rows: Rows,
     offered: Vec<Term>,
@@ -92,8 +93,8 @@ impl Watched {
     }
 
     /// The range of each difference, and how much the response moved with it.
-    /// Taken on the rows that `take` selects. The movement is a ratio of standard deviations, which noise does not shrink as it shrinks a
-    /// slope.
+    /// It uses the rows that `take` selects. The movement is a ratio of standard deviations, because noise
+    /// shrinks a slope but not that ratio.
     pub(super) fn ranges(&self, problem: &Problem, take: &dyn Fn(usize) -> bool) -> Vec<Validity> {
         let rows: Vec<usize> = (0..self.rows.y.len()).filter(|i| take(*i)).collect();
         let sd = |v: &[f64]| {
@@ -120,14 +121,14 @@ impl Watched {
         self.offered.iter().zip(&self.rows.columns).map(of).collect()
     }
 
-    /// What being outside may cost at a row, µm.
+    /// Possible error at a row from differences outside their ranges, µm.
     pub(super) fn outside_um(&self, ranges: &[Validity], i: usize) -> f64 {
         ranges.iter().zip(&self.rows.columns).map(|(r, u)| r.outside_um(u[i])).fold(0.0, f64::max)
     }
 }
 
-/// What nested blocks say.
-/// Structure and parameters chosen without the block they are judged on.
+/// The result of nested cross-validation.
+/// Structure and parameters are chosen without the block they are judged on.
 pub(super) struct Nested {
     pub(super) folds: Vec<f64>,
     pub(super) half_width_um: f64,
@@ -141,7 +142,7 @@ impl Nested {
     }
 }
 
-/// The same for no term at all: the constant alone.
+/// The same without any term: only the constant.
 pub(super) fn mean_only(problem: &Problem, train: &[&Record], response: &Role) -> Result<Nested, InputError> {
     let found = blocks(problem, train, response, &|_| Some(Vec::new()))?;
     found.ok_or_else(|| InputError::whole(&train[0].path, "no rows", "rows in every block"))
@@ -162,7 +163,7 @@ fn blocks(
     choose: &dyn Fn(&[usize]) -> Option<Vec<Term>>,
 ) -> Result<Option<Nested>, InputError> {
     let mut folds = Vec::new();
-    // Per fold: what is left of every row, and x of its interval.
+    // Per fold: the residual of every row, and x of its interval.
     let mut left: Vec<Vec<(f64, f64)>> = Vec::new();
     let watched = Watched::new(problem, train, response)?;
     for f in 0..problem.folds {
@@ -174,8 +175,9 @@ fn blocks(
         folds.push(rms(own.iter().map(|l| l.0)));
         left.push(own);
     }
-    // h is such that 95 % of a block's rows lie within √(h² + x²), in the worst block. Neighbouring rows are off together, so a new stretch
-    // of time counts as one more block, not as a thousand more rows. Of n + 1 blocks, n are no worse than the worst of n.
+    // h is such that 95 % of a block's rows are within √(h² + x²), in the worst block. Neighbouring rows
+    // share their error, so a new stretch of time counts as one more block, not as a thousand more rows. Of n
+    // + 1 blocks, n are no worse than the worst of n.
     let of_block = |rows: &Vec<(f64, f64)>| {
         quantile(rows.iter().map(|(r, x)| (r * r - x * x).max(0.0).sqrt()).collect(), 0.95)
     };
@@ -193,8 +195,8 @@ fn blocks(
 }
 
 /// Share of one half's rows inside this half width under a fit on the other half.
-/// Model and terms are chosen on that other half; both directions are given. It shows what a promise is worth in states that the fit has
-/// not seen.
+/// Model and terms are chosen on that other half; both directions are given. It shows how reliable the
+/// interval is in states that the fit has not seen.
 pub(super) fn halves(
     problem: &Problem,
     train: &[&Record],

@@ -1,6 +1,6 @@
 //! 95 % intervals of the parameters, by leaving out each block.
-//! A lag's interval is at least as wide as the curvature of the sum of squares says. Blocks in which nothing warms do not show a lag, so
-//! leaving one of them out tells nothing either.
+//! A lag's interval is at least as wide as the curvature of the sum of squares requires. Blocks in which
+//! nothing warms do not show a lag, so leaving one of them out has no effect.
 
 use super::judge::independent;
 use super::problem::Problem;
@@ -12,10 +12,10 @@ use rtec_model::record::{Record, Role, shared_step};
 use statrs::distribution::{ContinuousCDF, StudentsT};
 use std::collections::BTreeMap;
 
-/// 95 % intervals of an effect's parameters by their names, one per value.
+/// 95 % intervals of an effect's parameters by name, one per value.
 pub(crate) type Intervals = BTreeMap<String, Vec<[f64; 2]>>;
 
-/// The 95 % interval of a value from what it is with each block left out.
+/// The 95 % interval of a value from its values with each block left out.
 pub(crate) fn jackknife_interval(value: f64, parts: &[f64]) -> [f64; 2] {
     let m = mean(parts);
     let n = parts.len() as f64;
@@ -32,7 +32,7 @@ fn student(degrees_of_freedom: f64) -> f64 {
 /// 95 % intervals by leaving out each block: of coefficients, and of lags by term.
 pub(super) struct Jackknife {
     pub(super) coefficients: Vec<[f64; 2]>,
-    /// Of the squares that were left out, by the place of their difference's term.
+    /// Intervals of omitted squares, by the index of their difference's term.
     pub(super) squares: BTreeMap<usize, [f64; 2]>,
     pub(super) tau_s: BTreeMap<usize, [f64; 2]>,
 }
@@ -41,7 +41,7 @@ pub(super) struct Jackknife {
 const REACH: f64 = 0.5;
 const CLOSE: f64 = 1e-3;
 
-/// The terms with their lags refined between the steps of the grid, on all rows.
+/// The terms with their lags refined between the grid's steps, on all rows.
 pub(super) fn tuned(
     problem: &mut Problem,
     mut terms: Vec<Term>,
@@ -73,7 +73,7 @@ fn best_lags(
     let mut rows = Rows::with_lags(problem, terms, &lags_s, train, response)?;
     let taken = rows.runs(&|i| take(rows.fold[i]));
     let mut centred = (!taken.is_empty()).then(|| Centred::new(&rows, &taken));
-    // With more than one, each beside the others, twice round.
+    // If there are several, each is refined with the others held, in two rounds.
     for _ in 0..lagged.len().min(2) {
         for &k in &lagged {
             let shared = shared(terms, k);
@@ -83,7 +83,7 @@ fn best_lags(
                     all.renew(&rows, &shared);
                     all.solve()
                 });
-                // A lag whose gains no machine has is no better one.
+                // A lag that needs implausible gains is not accepted.
                 let found = found.filter(|c| problem.implausible(terms, c).is_none());
                 let left = found.map_or(f64::INFINITY, |c| rows.rms_on(&c, &taken));
                 Ok::<_, InputError>(left)
@@ -106,7 +106,8 @@ fn best_lags(
 const BESIDE: f64 = 0.05;
 
 /// Half the 95 % interval of a lag's logarithm, from the sum of squares' curvature.
-/// All other parameters are refitted at each lag; the number of values is that of independent ones. `None` if it does not curve upwards.
+/// All other parameters are refitted at each lag; the number of values is that of independent ones. `None` if
+/// it does not curve upwards.
 fn lag_half_width(
     problem: &Problem,
     terms: &[Term],
@@ -131,7 +132,7 @@ fn lag_half_width(
     let sum = |r: &[f64]| r.iter().map(|v| v * v).sum::<f64>();
     let curvature = (sum(&below) + sum(&above) - 2.0 * sum(&here)) / (BESIDE * BESIDE);
     let worth = independent(here.iter().copied());
-    // Of the independent values every coefficient, the constant and the lag itself take one.
+    // Every coefficient, the constant and the lag itself use one of the independent values.
     let free = worth - terms.len() as f64 - 2.0;
     if curvature <= 0.0 || free < 1.0 {
         return Ok(None);
@@ -140,12 +141,12 @@ fn lag_half_width(
     Ok(Some(student(free) * variance.sqrt()))
 }
 
-/// The terms that have the k-th one's lag: itself and the square of its difference.
+/// The terms that share the k-th one's lag: itself and its difference's square.
 fn shared(terms: &[Term], k: usize) -> Vec<usize> {
     (0..terms.len()).filter(|j| *j == k || squared(terms[k]) == Some(terms[*j])).collect()
 }
 
-/// Where a function of one minimum is smallest (golden section).
+/// The place of the minimum of a function that has one (golden section).
 fn smallest(
     mut lo: f64,
     mut hi: f64,
@@ -168,8 +169,8 @@ fn smallest(
     Ok(f64::midpoint(lo, hi))
 }
 
-/// Every coefficient's interval, and every lag's.
-/// Without each block in turn, lags found anew.
+/// The intervals of every coefficient and every lag.
+/// They come from leaving out each block in turn, with the lags fitted again.
 pub(super) fn jackknife(
     problem: &Problem,
     terms: &[Term],
@@ -199,7 +200,7 @@ pub(super) fn jackknife(
         if let Some(half) = lag_half_width(problem, terms, &start_s, k, train, response)? {
             (lo, hi) = (lo.min(middle - half), hi.max(middle + half));
         }
-        // A row's moment is known within a coarse clock's step.
+        // A row's time is known within a coarse clock's step.
         tau_s.insert(k, [(lo.exp() - clock_s).max(0.0), hi.exp() + clock_s]);
     }
     let coefficients = (0..full.len()).map(of).collect();
@@ -207,9 +208,9 @@ pub(super) fn jackknife(
 }
 
 impl Jackknife {
-    /// A square that may as well be none, by its place among the terms.
-    /// Its own interval holds zero, or blocks that it has not seen are not certainly better off with it than with the lag that fits best
-    /// without.
+    /// A square that may be zero, by its index among the terms.
+    /// Its interval contains zero, or it is not certain to predict unseen blocks better. The comparison is
+    /// with the best lag without the square.
     pub(super) fn idle_square(
         &self,
         problem: &mut Problem,
@@ -235,8 +236,9 @@ impl Jackknife {
         Ok(None)
     }
 
-    /// The place of a growth that is alone among the terms and may as well be none.
-    /// Its interval holds zero. Of several, two that are much the same may hold zero one by one and say much together.
+    /// The index of a growth that is the only one and may be zero.
+    /// Its interval contains zero. Several similar growths may each be consistent with zero although together
+    /// they are needed, so they are not considered.
     pub(super) fn alone_and_idle(&self, terms: &[Term]) -> Option<usize> {
         let mut growths = terms.iter().enumerate().filter(|(_, t)| matches!(t, Term::Thermal { .. }));
         let (Some((k, _)), None) = (growths.next(), growths.next()) else { return None };
@@ -244,8 +246,9 @@ impl Jackknife {
         (lo <= 0.0 && hi >= 0.0).then_some(k)
     }
 
-    /// Whether a growth is bent is itself a choice that the data made.
-    /// Where the square was left out, the intervals of growth, lag and square hold what they are with the square and what they are without.
+    /// Widens intervals for squares that were left out.
+    /// Leaving out a square was itself a choice from the data. The intervals of growth, lag and square cover
+    /// the values with and without it.
     pub(super) fn allow_for_squares(
         &mut self,
         problem: &mut Problem,

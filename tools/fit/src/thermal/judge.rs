@@ -1,4 +1,4 @@
-//! A structure judged by blocked cross-validation in time.
+//! Judges a structure by blocked cross-validation in time.
 
 use super::problem::Problem;
 use super::term::Term;
@@ -17,22 +17,22 @@ pub(super) struct Judged {
     pub(super) coefficients: Vec<f64>,
     /// Mean square residual on its own data, as a share of the response's variance.
     left: f64,
-    /// How many independent values what it leaves is worth.
+    /// Number of independent values in the residual.
     /// Neighbours in time share their noise.
     independent: f64,
 }
 
-/// Twice the log likelihood that chance reaches once in some thousand times.
+/// Twice the log likelihood that chance reaches once in about a thousand cases.
 const CHANCE: f64 = 9.0;
 
-/// The same for one column that needs no choice, while a structure is looked for.
-/// Once in twenty times.
+/// The same for one column that needs no choice, during the search.
+/// Chance reaches it once in twenty cases.
 const BENT: f64 = 4.0;
 
-/// A square stands in the model beyond this: three standard errors.
+/// A square stays in the model above this: three standard errors.
 const CERTAIN: f64 = 9.0;
 
-/// Most movement of one term, relative to the response's whole movement.
+/// Largest movement of one term, relative to the response's whole movement.
 const CANCELLED: f64 = 2.0;
 
 impl Judged {
@@ -47,14 +47,15 @@ impl Judged {
         let n = d.len() as f64;
         let mean = d.iter().sum::<f64>() / n;
         let var = d.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / (n - 1.0).max(1.0);
-        // What rounding alone makes better is no better: the same sums by other differences are the same structure.
+        // An improvement by rounding does not count: the same sums from other differences are the same
+        // structure.
         let rounding = 1e-9 * other.mse.iter().sum::<f64>() / n;
         mean > (var / n).sqrt().max(rounding)
     }
 
-    /// Whether a larger structure earns what it has beyond `simpler`.
-    /// It must predict unseen blocks better, and explain more than the best of that many chance columns. The noise may be correlated from
-    /// row to row.
+    /// Whether the additional terms of a larger structure are justified.
+    /// It must predict unseen blocks better than `simpler`, and explain more than the best of that many
+    /// chance columns. The noise may be correlated from row to row.
     pub(super) fn earns(&self, simpler: &Self, choices: usize) -> bool {
         self.beyond_chance(simpler, choices) && self.beats(simpler)
     }
@@ -64,21 +65,22 @@ impl Judged {
         self.independent * (simpler.left.max(1e-12) / self.left.max(1e-12)).ln()
     }
 
-    /// This one, with the square of a difference that `simpler` has without, earns it.
-    /// Equation 1 has the square of every difference, so that there is no choice to allow for.
+    /// Whether the square of a difference is justified over `simpler`, which lacks it.
+    /// Equation 1 has the square of every difference, so there is no choice to allow for.
     pub(super) fn is_bent(&self, simpler: &Self) -> bool {
         self.gain_over(simpler) > BENT && self.rms() < simpler.rms()
     }
 
-    /// The same, certain enough to stand in the model.
+    /// The same with enough certainty to stay in the model.
     pub(super) fn is_certainly_bent(&self, simpler: &Self) -> bool {
         self.is_bent(simpler) && self.gain_over(simpler) > CERTAIN
     }
 
     /// As `earns`, but unseen blocks need only be better on the whole.
-    /// Used against the mean, which leaves little in most blocks if the machine stood most of the time.
+    /// It is used against the mean, which has small residuals in most blocks if the machine stood most of the
+    /// time.
     pub(super) fn beyond_chance(&self, simpler: &Self, choices: usize) -> bool {
-        // Every term more was a choice; a square was none.
+        // Each additional term was a choice, except a square.
         let chosen =
             |j: &Self| j.terms.iter().filter(|t| !matches!(t, Term::Thermal { square: true, .. })).count();
         let more = chosen(self).saturating_sub(chosen(simpler)).max(1) as f64;
@@ -87,7 +89,8 @@ impl Judged {
     }
 }
 
-/// How many independent values a series is worth for a slow cause: by its correlation from one to the next.
+/// Number of independent values in a series that has a slow cause.
+/// It follows from the correlation of neighbours.
 pub(super) fn independent(series: impl Iterator<Item = f64>) -> f64 {
     let (mut n, mut own, mut next, mut last) = (0.0, 1e-300, 0.0, None);
     for v in series {
@@ -101,7 +104,7 @@ pub(super) fn independent(series: impl Iterator<Item = f64>) -> f64 {
 }
 
 /// A column less its mean over the folds, scaled.
-/// The normal equations so keep their digits.
+/// With it the normal equations keep their digits.
 struct Ready {
     mean: f64,
     scale: f64,
@@ -109,15 +112,16 @@ struct Ready {
     weighted: Vec<f64>,
 }
 
-/// Columns beside one another, with what least squares on some folds asks of them.
-/// Response, constant, then one per term. Terms come and go at the end; the products of those that stay are not made again.
+/// Columns with their products for least squares on some folds.
+/// The response, the constant, then one column per term. Terms are added and removed at the end; the products
+/// of those that stay are kept.
 pub(super) struct Beside<'a> {
     problem: &'a Problem,
     folds: &'a [usize],
     total: f64,
     columns: Vec<Ready>,
-    /// Per fold and over all.
     /// Products of every column with those up to itself, row after row.
+    /// There is one set per fold, and one for all folds.
     products: Vec<Vec<f64>>,
     all: Vec<f64>,
     /// Cached factors of least squares: without each fold, and on all.
@@ -126,13 +130,13 @@ pub(super) struct Beside<'a> {
     roots_of_all: Roots,
 }
 
-/// Least squares on the folds.
+/// A least-squares solution on the folds.
 pub(super) struct Solved {
     /// Mean square per fold, each left out.
     pub(super) mse: Vec<f64>,
     /// Constant, then one coefficient per term.
     pub(super) coefficients: Vec<f64>,
-    /// Mean square of what is left, as a share of the response's variance.
+    /// Mean square of the residual, as a share of the response's variance.
     left: f64,
 }
 
@@ -144,7 +148,7 @@ impl Solved {
 }
 
 impl<'a> Beside<'a> {
-    /// Response and constant on some folds; `None` where the response does not vary.
+    /// Response and constant on some folds; `None` if the response does not vary.
     pub(super) fn new(problem: &'a Problem, folds: &'a [usize]) -> Option<Self> {
         let total = folds.iter().flat_map(|f| &problem.weight[problem.stretches[*f].clone()]).sum();
         let products = vec![Vec::new(); folds.len()];
@@ -157,7 +161,7 @@ impl<'a> Beside<'a> {
         Some(beside)
     }
 
-    /// Puts a column at the end; `None` where it does not vary.
+    /// Adds a column at the end; `None` if it does not vary.
     pub(super) fn push(&mut self, column: &[f64]) -> Option<()> {
         let ready = self.ready(column)?;
         self.enter(ready);
@@ -165,7 +169,7 @@ impl<'a> Beside<'a> {
     }
 
     /// Replaces the k-th term's column.
-    /// `None`, and the old one stays, if it does not vary.
+    /// `None` if it does not vary; then the old one stays.
     pub(super) fn replace(&mut self, k: usize, column: &[f64]) -> Option<()> {
         // After response and constant.
         let place = k + 2;
@@ -215,7 +219,7 @@ impl<'a> Beside<'a> {
         }
     }
 
-    /// Takes the last column out again.
+    /// Removes the last column.
     pub(super) fn pop(&mut self) {
         let left = self.all.len() - self.columns.len();
         self.columns.pop();
@@ -223,7 +227,7 @@ impl<'a> Beside<'a> {
         self.keep_roots(self.columns.len() - 1);
     }
 
-    /// Of the constant and the terms, only so many are still what they were.
+    /// Keeps the factors of the first `columns` of constant and terms.
     fn keep_roots(&mut self, columns: usize) {
         self.roots.iter_mut().chain([&mut self.roots_of_all]).for_each(|r| r.keep(columns));
     }
@@ -260,7 +264,7 @@ impl<'a> Beside<'a> {
         Some(Judged { terms: terms.to_vec(), mse, r, coefficients, left, independent })
     }
 
-    /// What the solution leaves of the response, one value per bin of the folds.
+    /// The residual of the response, one value per bin of the folds.
     fn residuals(&self, solved: &Solved) -> Vec<f64> {
         let response = &self.columns[0];
         let mut left: Vec<f64> = response.values.iter().map(|v| v * response.scale + response.mean).collect();
@@ -275,17 +279,17 @@ impl<'a> Beside<'a> {
     }
 }
 
-/// Where the constant's product with itself stands.
-/// After the response's, and the constant's with the response.
+/// Index of the constant's product with itself.
+/// It follows the response's own product, and that of the constant with the response.
 const CONSTANT: usize = 2;
 
-/// Where the products of the k-th column begin.
+/// Index at which the products of the k-th column begin.
 const fn row(k: usize) -> usize {
     k * (k + 1) / 2
 }
 
 /// Least squares by products of columns (Cholesky).
-/// The factor, row after row, and the response by it.
+/// It holds the factor, row after row, and the response solved with it.
 #[derive(Default)]
 struct Roots {
     factor: Vec<f64>,
@@ -293,7 +297,7 @@ struct Roots {
 }
 
 impl Roots {
-    /// The first so many columns are what they were.
+    /// Keeps the factors of the first `columns`.
     fn keep(&mut self, columns: usize) {
         self.response.truncate(columns);
         self.factor.truncate(row(self.response.len()));
@@ -321,7 +325,7 @@ impl Roots {
     }
 
     /// Adds the next row of the factor and its forward substitution.
-    /// `false` if no more than `least` of the column is independent of those before.
+    /// `false` if at most the share `least` of the column is independent of those before.
     fn enter(&mut self, own: &[f64], least: f64) -> bool {
         let (roots, k) = (&mut self.factor, self.response.len());
         for j in 0..=k {
@@ -383,16 +387,16 @@ impl Problem {
         correlation(&of(&u), &of(&self.y))
     }
 
-    /// How far the values of these folds lie apart.
+    /// Range of the values on these folds.
     fn swing(&self, values: &[f64], folds: &[usize]) -> f64 {
         let seen = || self.stretches(folds).flat_map(|s| &values[s]).copied();
         seen().fold(f64::NEG_INFINITY, f64::max) - seen().fold(f64::INFINITY, f64::min)
     }
 
     /// Whether the coefficients are physical.
-    /// Differences to the environment keep the sign of their own correlation; a fit that reverses it exploits collinearity. So does a fit
-    /// with implausible gains, or with terms that move the response far more than it moves and cancel each other. In other states they
-    /// would not cancel.
+    /// Differences to the environment must keep the sign of their own correlation; a fit that reverses it
+    /// exploits collinearity. So does a fit with implausible gains. So do terms that move the response far
+    /// more than it moves and cancel each other, because in other states they would not cancel.
     pub(super) fn physical(&self, terms: &[Term], coefficients: &[f64], folds: &[usize]) -> bool {
         let signs = terms.iter().zip(&coefficients[1..]).all(|(t, c)| match t {
             Term::Thermal { minus, square: false, .. } => {
@@ -424,7 +428,7 @@ impl Problem {
         })
     }
 
-    /// The same of a structure that was judged.
+    /// Whether a judged structure is physical.
     pub(super) fn is_physical(&self, judged: &Judged, folds: &[usize]) -> bool {
         self.physical(&judged.terms, &judged.coefficients, folds)
     }
@@ -440,7 +444,7 @@ mod tests {
     use rtec_model::record::{Axis, Column, Kind, Record, Role};
     use std::path::Path;
 
-    /// Rows of so many sensors; more rows than bins, so that the last bin weighs less.
+    /// Rows of several sensors; more rows than bins, so that the last bin weighs less.
     fn drift(sensors: usize) -> Record {
         let rows = || (0..1300_u32).map(f64::from);
         let warm = |i: f64, k: f64| 8.0 * (i / (150.0 + 60.0 * k)).sin() + 0.05 * (k * i * i + i).sin();
@@ -463,8 +467,8 @@ mod tests {
         Term::Thermal { sensor, minus: Some(2), lag, square: false }
     }
 
-    /// Weighted least squares by another hand.
-    /// Singular values of all rows at once, each fold left out.
+    /// Weighted least squares by another method.
+    /// It uses singular values of all rows at once, each fold left out.
     #[test]
     fn a_structure_is_judged_as_by_singular_values() {
         let record = drift(3);
@@ -495,8 +499,8 @@ mod tests {
         }
     }
 
-    /// A column that came and went leaves no trace.
-    /// One that does not vary, or is another's double, is refused.
+    /// A column that was added and removed leaves no trace.
+    /// One that does not vary, or is the double of another, is refused.
     #[test]
     fn columns_come_and_go() {
         let record = drift(3);
@@ -514,7 +518,7 @@ mod tests {
     }
 
     /// Cached results equal fresh ones to the last bit.
-    /// After replacing a column in any place, adding or removing one, or doubling one.
+    /// This holds after replacing a column in any place, adding or removing one, or doubling one.
     #[test]
     fn columns_change_places() {
         let record = drift(4);
@@ -541,7 +545,7 @@ mod tests {
         }
     }
 
-    /// Reordered terms leave the same up to rounding, so they are not better.
+    /// Reordered terms give the same residual up to rounding, so they are not better.
     #[test]
     fn the_order_of_terms_is_no_gain() {
         let record = drift(3);

@@ -1,29 +1,34 @@
-//! Sensor selection (CASC) and the fit of equation 1 of WO 97/43703, with a lag where it earns its place.
+//! Sensor selection (CASC) and the fit of equation 1 of WO 97/43703.
+//! A lag is added if it is justified.
 //!
-//! Growth is fitted as a constant plus terms of temperature differences: to the environment, between sensors, and their squares. Each is as
-//! measured or passed through a first-order lag. The best single difference comes first, then the next best, in at most five rounds. The
-//! patent's rule asks R to improve by 1 %, which no term can do above 0.99. So here each term must earn its place: it must predict unseen
-//! blocks better, by more than the best of as many chance columns. If none does, nothing is added. *Best* is judged by blocked
-//! cross-validation in time, never by the fit itself, because sixteen sensors that warm together fit any stretch of the past in hundreds of
-//! ways. If cross-validation cannot choose, physics does. Heat flows from its source outwards and growth follows, so the difference that
-//! leads the growth most (it needs the longest lag) is nearest to the cause. The first difference has the sign of the hottest body's. Any
-//! difference to the environment keeps the sign of its own correlation. No gain is beyond the dictionary's plausible range.
+//! Growth is fitted as a constant plus terms of temperature differences: to the environment, between sensors,
+//! and their squares. Each is as measured or passed through a first-order lag. The best single difference
+//! comes first, then the next best, in at most five rounds.
+//! The patent's rule asks R to improve by 1 %, which no term can do above 0.99. So here each term must be
+//! justified: it must predict unseen blocks better, by more than the best of as many chance columns. If none
+//! does, nothing is added. *Best* is judged by blocked cross-validation in time, never by the fit itself,
+//! because sixteen sensors that warm together fit any stretch of the past in hundreds of ways.
+//! If cross-validation cannot decide, physics does. Heat flows from its source outwards and growth follows,
+//! so the difference that leads the growth most (it needs the longest lag) is nearest to the cause. The first
+//! difference has the sign of the hottest body's. Any difference to the environment keeps the sign of its own
+//! correlation. No gain is beyond the dictionary's plausible range.
 //!
-//! The 95 % interval of a row is √(h² + x²). h is what the worst of the blocks left; x is what the fit cannot know in that row. It grows
-//! with any difference beyond its fitted range (held at the bound, so that gain · excess is left out) or, chosen or not, beyond the range
-//! seen. Just after a start it contains the lagged difference's distance from equilibrium, which fades with its lag.
+//! The 95 % interval of a row is √(h² + x²). h is the residual of the worst block; x is what the fit cannot
+//! know in that row. x grows with any difference beyond its fitted range, where it is held at the bound, so
+//! that gain · excess is left out. It also grows with any other difference beyond the range seen. Just after
+//! a start it contains the lagged difference's distance from equilibrium, which fades with its lag.
 //!
 //! | module | what |
 //! |---|---|
-//! | `problem`, `term` | what there is to choose from: differences, lags, the rows binned for the search |
+//! | `problem`, `term` | the candidates: differences, lags, the rows binned for the search |
 //! | `judge` | a structure judged by blocked cross-validation |
-//! | `choice` | the sensors alone, for whoever has a choice of an own |
+//! | `choice` | the choice of sensors alone, for comparison |
 //! | `select` | CASC, the refit, and the exchange of terms |
 //! | `rows` | least squares over every row |
 //! | `interval`, `jackknife` | 95 % intervals of the prediction, and of the parameters |
 //! | `effects` | the structure as effects of the dictionary |
-//! | `compare` | beside simpler predictions, on hold-outs, dry against wet |
-//! | `report`, `charts` | what was found, as figures and drawn |
+//! | `compare` | simpler predictions, hold-outs, dry against wet |
+//! | `report`, `charts` | the results, as figures and charts |
 
 mod charts;
 mod choice;
@@ -60,28 +65,28 @@ use rtec_model::record::{Record, Role};
 use std::collections::BTreeMap;
 use term::{Term, unlagged};
 
-/// What to fit and how.
+/// The options of a fit.
 #[derive(Debug, Clone)]
 pub struct Options {
     /// Differences to choose from; empty for all sensors.
-    /// A sensor without `minus` is taken against the environment.
+    /// A sensor without `minus` is compared with the environment.
     pub sensors: Vec<Difference>,
-    /// The sensor of the environment; the coldest on average where it is not given.
+    /// The sensor of the environment; `None` for the coldest on average.
     pub environment: Option<String>,
     /// Blocks of the cross-validation.
     pub folds: usize,
-    /// Offer lags.
+    /// Whether to offer lags.
     pub lag: bool,
-    /// Offer squares.
+    /// Whether to offer squares.
     pub square: bool,
-    /// Offer the spindle's speed.
-    /// Equation 1 of WO 97/43703 has temperatures alone; a speed acts at once, and heat does not.
+    /// Whether to offer the spindle's speed.
+    /// Equation 1 of WO 97/43703 has only temperatures; a speed acts at once, and heat does not.
     pub speed: bool,
-    /// What is known already: its effects are kept, and the rest is fitted.
+    /// A known model: its effects are kept, and the rest is fitted.
     pub base: Option<Machine>,
     /// The date that the model will carry, days since 1970-01-01.
     pub date: i64,
-    /// Days that it may be used for without being looked at again.
+    /// Days for which it may be used without a new check.
     pub valid_days: i64,
 }
 
@@ -102,8 +107,8 @@ impl Default for Options {
 }
 
 impl Options {
-    /// Differences that the base has an effect of on this response already.
-    /// Sensor and the one taken off.
+    /// Differences of the base's growth effects on this response.
+    /// They are pairs of a sensor and the one subtracted.
     fn base_differences(&self, response: &Role) -> Vec<(String, Option<String>)> {
         let own = |e: &&Effect| e.description().heat == Heat::Growth;
         let of = |e: &Effect| {
@@ -117,30 +122,30 @@ impl Options {
         self.base.iter().flat_map(Machine::effects).filter(own).filter_map(of).collect()
     }
 
-    /// Somebody named this sensor.
+    /// Whether the options name this sensor.
     fn names(&self, sensor: &str) -> bool {
         let minus = |d: &Difference| matches!(&d.against, Against::Sensor(m) if m == sensor);
         self.environment.as_deref() == Some(sensor)
             || self.sensors.iter().any(|d| d.sensor == sensor || minus(d))
     }
 
-    /// The base has an effect of this name.
+    /// Whether the base has an effect of this name.
     fn base_has(&self, name: &str) -> bool {
         self.base.as_ref().is_some_and(|m| m.effects().any(|e| e.name() == name))
     }
 }
 
 /// Fits every error response of the training records.
-/// Returns the model and, per response, how it was found.
+/// Returns the model and a report per response.
 ///
 /// # Errors
-/// No temperatures, a sensor that is not there, too few rows, no structure that can be fitted.
+/// No temperatures, a sensor that is missing, too few rows, no structure that can be fitted.
 pub fn fit(
     train: &[&Record],
     holdout: &[&Record],
     options: &Options,
 ) -> Result<(Machine, Vec<Report>), InputError> {
-    // What it is; the records that it comes from stand with every effect.
+    // The name lists the responses; every effect lists its records.
     let responses: Vec<String> = train[0]
         .responses()
         .filter(|c| matches!(c.role, Role::Error(_)))
@@ -148,7 +153,7 @@ pub fn fit(
         .collect();
     let ideal = || Machine::ideal(&format!("growth of {} by temperatures", responses.join(", ")));
     let mut machine = options.base.clone().unwrap_or_else(ideal);
-    // What the base explains is taken off first.
+    // The base's prediction is subtracted first.
     let beyond = |records: &[&Record]| {
         let of = |r: &&Record| match &options.base {
             Some(base) => base.beyond(r),
@@ -172,7 +177,7 @@ pub fn fit(
 }
 
 /// The whole fit of one response.
-/// The structure, its parameters with their intervals, what it is worth.
+/// It finds the structure, its parameters with their intervals, and its quality.
 fn fit_response(
     train: &[&Record],
     holdout: &[&Record],
@@ -195,7 +200,8 @@ fn fit_response(
     };
     let mut warnings: Vec<String> = problem.still.iter().map(still).collect();
     if !terms.is_empty() && blocks.mean_square() > baselines["mean"].mean_square() {
-        // Its own table is against it: structures chosen without a block say less of that block than the mean does.
+        // Nested cross-validation rejects it: structures chosen without a block predict that block worse than
+        // the mean.
         warnings.push(format!(
             "{} is left out: chosen without a block of rows, it says less of that block than the mean does; a run in which these temperatures move more \
              would tell",
@@ -215,7 +221,7 @@ fn fit_response(
     let guards = rows.guards(&problem, &terms, &plain, &|_| true);
     let effects = effects(&problem, &terms, &coefficients, &intervals, &guards, response)
         .map_err(|e| whole(&e.to_string(), "parameters within the law's bounds"))?;
-    // What other times leave may be less than the allowance for them; then the rows' own scatter is what is left.
+    // The half width must not be below the rows' own scatter, which the allowance for other times may exceed.
     let half_width_um = blocks.half_width_um.max(rows.scatter_um(&coefficients));
     let mut own = Machine::ideal("fit");
     let fitted = enter(effects, train, options, &mut own, machine)
@@ -232,7 +238,7 @@ fn fit_response(
         from: train.iter().map(|r| Source::of(r)).collect(),
     };
     own.note_fit(note.clone());
-    // Of the whole model: what the base does not know beside what the fit does not.
+    // For the whole model, the base's uncertainty is added to that of the fit.
     let mut note = FitNote { at_mm: Some(FitNote::places(train)), ..note };
     if let Some(earlier) = machine.fits().iter().find(|f| f.response == note.response) {
         note.on(earlier, rows.noise_um(&coefficients));
@@ -287,11 +293,11 @@ struct Settled {
     rows: Rows,
     coefficients: Vec<f64>,
     intervals: Jackknife,
-    /// What is said of a growth that was alone and says nothing.
+    /// A message about a single growth that was removed because it may be zero.
     left_out: Option<String>,
 }
 
-/// Tunes the terms and removes squares, or a single growth, that may be none.
+/// Tunes the terms and removes squares, or a single growth, that may be zero.
 /// `None` if the rows do not determine the values.
 fn settle(
     problem: &mut Problem,
@@ -305,7 +311,8 @@ fn settle(
         terms = tuned(problem, terms, train, response)?;
         let rows = Rows::new(problem, &terms, train, response)?;
         let Some(coefficients) = rows.solve(&|_| true) else { return Ok(None) };
-        // The search averages rows; over every row a gain may be beyond what the law allows, and the fit has no such term.
+        // The search averages rows. Over every row a gain may exceed the law's bounds; then the term is
+        // dropped.
         if let Some(k) = problem.implausible(&terms, &coefficients) {
             terms.remove(k);
             continue;
@@ -322,7 +329,7 @@ fn settle(
             ));
             continue;
         }
-        // Without its square a difference may be said by the environment after all.
+        // Without its square a difference may be replaceable by one to the environment.
         match problem.judge(&terms, all).map(|j| problem.to_environment(j, all).terms) {
             Some(other) if other != terms => terms = other,
             _ => return Ok(Some(Settled { terms, rows, coefficients, intervals, left_out })),
@@ -330,10 +337,10 @@ fn settle(
     }
 }
 
-/// Largest lag, as a share of the longest record, whose end is seen well.
+/// Largest lag whose end is well visible, as a share of the longest record.
 const LONG: f64 = 0.25;
 
-/// Says of lags that the records are hardly long enough for.
+/// Messages about lags for which the records are hardly long enough.
 fn long_lags(fitted: &[Fitted], train: &[&Record]) -> Vec<String> {
     let span = |r: &&Record| r.time_s().last().zip(r.time_s().first()).map_or(0.0, |(b, a)| b - a);
     let longest_s = train.iter().map(span).fold(0.0, f64::max);
@@ -353,7 +360,7 @@ fn long_lags(fitted: &[Fitted], train: &[&Record]) -> Vec<String> {
 /// 5 % would be expected.
 const UNHELD: f64 = 0.10;
 
-/// Says that the interval is of states as the records show them.
+/// A message if the interval holds only for states that the records show.
 fn unlike([later, earlier]: [f64; 2], half_width_um: f64) -> Option<String> {
     (later.min(earlier) < 1.0 - UNHELD).then(|| {
         format!(
@@ -368,7 +375,7 @@ fn unlike([later, earlier]: [f64; 2], half_width_um: f64) -> Option<String> {
 /// Ratio by which a single linear difference must beat the fit to be reported.
 const OUTDONE: f64 = 1.1;
 
-/// Says of a simple prediction that leaves less of the blocks than the fit does.
+/// A message if a simple prediction has smaller residuals than the fit.
 fn outdone(baselines: &BTreeMap<String, Rms>, folds: &[f64]) -> Option<String> {
     let own = mean_square(folds).sqrt();
     let lines = baselines.iter().filter(|(name, _)| name.starts_with("linear "));
@@ -382,7 +389,7 @@ fn outdone(baselines: &BTreeMap<String, Rms>, folds: &[f64]) -> Option<String> {
     })
 }
 
-/// One half width for the kinds of these records.
+/// The same half width for every kind of these records.
 fn by_kind(records: &[&Record], half_width_um: f64) -> BTreeMap<String, f64> {
     records.iter().filter_map(|r| FitNote::kind_of(r)).map(|kind| (kind, half_width_um)).collect()
 }
@@ -412,7 +419,7 @@ fn enter(
 }
 
 /// Adds a fitted effect to a machine.
-/// A zero that an earlier fit left and this fit's are one zero.
+/// A zero from an earlier fit and this fit's zero are merged.
 fn take_in(machine: &mut Machine, effect: Effect, provenance: Provenance) -> Result<(), ValueError> {
     let earlier = |l: &Listed| l.provenance.set_up && provenance.set_up && l.effect.name() == effect.name();
     let place = machine.listed().iter().position(earlier);

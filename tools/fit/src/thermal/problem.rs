@@ -1,5 +1,5 @@
-//! What there is to choose from.
-//! Sensors, differences, lags, and the rows binned for the search.
+//! The candidates of a fit.
+//! These are sensors, differences and lags, and the rows binned for the search.
 
 use super::Options;
 use super::term::{Pair, Term};
@@ -11,28 +11,28 @@ use rtec_model::effect::{Against, Dictionary, Lag, Lags, STANDARD_DEGC};
 use rtec_model::record::{Axis, Record, Role};
 use std::ops::Range;
 
-/// Rows that the search sees at most.
-/// Neighbours in time are averaged, temperatures change slowly.
+/// Largest number of rows in the search.
+/// Neighbours in time are averaged, because temperatures change slowly.
 const BINS: usize = 512;
-/// Sensors whose differences are all looked at where nobody names any.
-/// Their pairs grow with the square.
+/// Largest number of sensors whose differences are all offered by default.
+/// The number of pairs grows with the square.
 const MOST_SENSORS: usize = 256;
-/// Lags tried, from one minute on, each this much longer than the one before.
+/// Ratio of one lag to the one before; lags begin at one minute.
 const LAG_STEP: f64 = 1.02;
-/// Of the lags, those that the screening of candidates looks at: every so many.
+/// Stride between the lags at which candidates are screened.
 const SCREEN_LAGS: usize = 28;
-/// Lags that one pass through the rows works out.
+/// Number of lags that are computed in one pass through the rows.
 const TOGETHER: usize = 8;
 
 /// All rows of the training records, ready for the search.
 pub(super) struct Problem {
     pub(super) sensors: Vec<String>,
-    /// Sensors that are not offered, as they read the same in every row.
+    /// Sensors that are not offered, because they read the same in every row.
     pub(super) still: Vec<String>,
     pub(super) environment: Option<usize>,
-    /// Offered: (sensor, minus).
+    /// Offered differences: (sensor, minus).
     pub(super) offered: Vec<Pair>,
-    /// Pairs offered beside them from the second term on.
+    /// Pairs that are offered in addition from the second term on.
     pub(super) pairs: Vec<Pair>,
     /// Largest gains that are plausible, µm/K and µm/K².
     pub(super) plausible: [f64; 2],
@@ -52,7 +52,7 @@ pub(super) struct Problem {
     pub(super) square: bool,
 }
 
-/// What the screening of candidates asks of a lag: many pairs, over and over.
+/// The data for screening candidates at one lag, computed once for many pairs.
 pub(super) struct Screened {
     /// Per sensor one value per bin, about its mean.
     pub(super) centred: Vec<Vec<f64>>,
@@ -86,7 +86,7 @@ impl Screened {
     }
 }
 
-/// A pair's place among all of so many sensors, each with any other or none.
+/// A pair's index among all pairs of each sensor with any other or none.
 fn place_of((sensor, minus): Pair, sensors: usize) -> usize {
     sensor * (sensors + 1) + minus.unwrap_or(sensors)
 }
@@ -96,7 +96,8 @@ impl Problem {
         let first = records[0];
         let sensors: Vec<String> = first.names(&Role::Temperature).map(str::to_owned).collect();
         check_columns(records, &sensors, response)?;
-        // One that reads the same in every row is no cause of what changes, and no air either: the gauge of a room moves.
+        // A constant sensor causes no change. It does not measure air either, because a room's temperature
+        // changes.
         let is_offered = |name: &String| options.names(name) || !stands_still(records, name);
         let (mut sensors, mut still): (Vec<String>, Vec<String>) = sensors.into_iter().partition(is_offered);
         if sensors.is_empty() {
@@ -124,7 +125,7 @@ impl Problem {
         let taus = lag_grid(records, options.lag);
         let bins = Bins::new(records, rows.div_ceil(BINS));
         let binned = sensors.iter().map(|s| bins.sensor(s, &taus)).collect();
-        // A dry run that logs no coolant is dry; one that logs no speed may have had any.
+        // A run that logs no coolant is dry. One that logs no speed may have had any.
         let everywhere =
             |role: &Role| *role == Role::Coolant || records.iter().all(|r| r.column(role).is_some());
         let varies = |v: &Vec<f64>| v.iter().any(|x| (x - v[0]).abs() > 1e-9);
@@ -160,7 +161,7 @@ impl Problem {
         Ok(problem)
     }
 
-    /// A lag between those of the grid, as the last of them: its number.
+    /// Adds a lag between those of the grid and returns its index.
     pub(super) fn with_lag(&mut self, tau_s: f64, records: &[&Record]) -> usize {
         let rows: usize = records.iter().map(|r| r.rows()).sum();
         let bins = Bins::new(records, rows.div_ceil(BINS));
@@ -171,7 +172,7 @@ impl Problem {
         self.taus.len() - 1
     }
 
-    /// How the environment's sensor was found.
+    /// A text that says how the environment's sensor was chosen.
     pub(super) fn environment_by(&self, options: &Options) -> String {
         match (&options.environment, self.environment) {
             (Some(_), _) => "given".to_owned(),
@@ -217,7 +218,7 @@ impl Problem {
     }
 }
 
-/// Largest gains that the dictionary holds plausible, µm/K and µm/K².
+/// Largest gains within the dictionary's plausible range, µm/K and µm/K².
 fn plausible_gains() -> [f64; 2] {
     Dictionary::default().effect(&format!("{}.x", thermal_growth::NAME)).map_or([f64::INFINITY; 2], |e| {
         let bound = |i: usize| e.description().parameters[i].plausible[1];
@@ -225,7 +226,7 @@ fn plausible_gains() -> [f64; 2] {
     })
 }
 
-/// All records have the response and the first one's sensors.
+/// Checks that all records have the response and the first record's sensors.
 fn check_columns(records: &[&Record], sensors: &[String], response: &Role) -> Result<(), InputError> {
     if sensors.is_empty() {
         return Err(InputError::whole(&records[0].path, "no temperature", "columns of role temperature"));
@@ -249,7 +250,7 @@ fn stands_still(records: &[&Record], name: &str) -> bool {
 }
 
 /// No lag, then lags from a minute to a third of the longest record.
-/// In equal ratios.
+/// They are in equal ratios.
 fn lag_grid(records: &[&Record], offered: bool) -> Vec<f64> {
     let span = records.iter().map(|r| r.time_s()[r.rows() - 1] - r.time_s()[0]).fold(0.0, f64::max);
     let timed = records.iter().all(|r| r.column(&Role::Time).is_some());
@@ -259,7 +260,7 @@ fn lag_grid(records: &[&Record], offered: bool) -> Vec<f64> {
     if offered && timed { none.chain(lags).collect() } else { none.collect() }
 }
 
-/// The sensor of the environment: the coldest body of a machine that makes heat.
+/// Guesses the environment's sensor: the coldest of a machine that makes heat.
 /// Of those within 1 K of the coldest it is the fastest: air, not a casting that follows it.
 fn environment_of(sensors: &[String], records: &[&Record]) -> usize {
     let of = |s: &String| {
@@ -277,7 +278,7 @@ fn environment_of(sensors: &[String], records: &[&Record]) -> usize {
     near.max_by(|a, b| all[*a].1.total_cmp(&all[*b].1)).unwrap_or(0)
 }
 
-/// The place of a sensor that somebody named.
+/// The index of a sensor that the options name.
 fn place(record: &Record, sensors: &[String], name: &str) -> Result<usize, InputError> {
     sensors.iter().position(|s| s == name).ok_or_else(|| {
         let has = sensors.join(", ");
@@ -285,8 +286,8 @@ fn place(record: &Record, sensors: &[String], name: &str) -> Result<usize, Input
     })
 }
 
-/// The differences to choose from, and pairs offered if nobody named any.
-/// Those that the base has an effect of are left out.
+/// The differences to choose from, and additional pairs if none are named.
+/// Those of the base's effects are left out.
 fn differences(
     first: &Record,
     response: &Role,
@@ -319,11 +320,11 @@ fn differences(
     Ok((offered, pairs))
 }
 
-/// Rows averaged so many at a time, never across records.
-/// The folds of the search are stretches of these.
+/// Rows averaged in bins, which never cross records.
+/// The folds of the search are stretches of these bins.
 struct Bins<'a> {
     records: &'a [&'a Record],
-    /// Number of the record, and its rows.
+    /// Index of the record, and its rows.
     spans: Vec<(usize, Range<usize>)>,
 }
 
@@ -337,8 +338,8 @@ impl<'a> Bins<'a> {
         Self { records, spans }
     }
 
-    /// A temperature behind each of these lags, those of no length among them.
-    /// Per lag one value per bin.
+    /// A temperature at each of these lags, of which some may be zero.
+    /// Each lag has one value per bin.
     fn sensor(&self, name: &str, taus_s: &[f64]) -> Vec<Vec<f64>> {
         let mut found = Vec::with_capacity(taus_s.len());
         for some in taus_s.chunk_by(|a, b| (*a > 0.0) == (*b > 0.0)).flat_map(|c| c.chunks(TOGETHER)) {
@@ -353,10 +354,10 @@ impl<'a> Bins<'a> {
         found
     }
 
-    /// A temperature behind a few lags, in one pass through the rows.
+    /// A temperature at a few lags, in one pass through the rows.
     fn lagged(&self, name: &str, taus_s: &[f64]) -> Vec<Vec<f64>> {
         let mut found = vec![Vec::with_capacity(self.spans.len()); taus_s.len()];
-        // Where they are fewer than go together, the last one again.
+        // An incomplete group is filled by repeating its last lag.
         let mut lags = None;
         for (record, span) in &self.spans {
             let r = self.records[*record];
@@ -380,8 +381,8 @@ impl<'a> Bins<'a> {
         self.spans.iter().map(mean).collect()
     }
 
-    /// A column by its role, each value as `of` has it.
-    /// Zeros in a record that has none.
+    /// A column by its role, each value converted by `of`.
+    /// A record without the column has zeros.
     fn column(&self, role: &Role, of: fn(f64) -> f64) -> Vec<f64> {
         self.average(&|r| {
             r.data(role).map_or_else(|| vec![0.0; r.rows()], |d| d.iter().map(|v| of(*v)).collect())
@@ -389,7 +390,7 @@ impl<'a> Bins<'a> {
     }
 }
 
-/// A temperature behind a first-order lag, in equilibrium at the first row.
+/// A temperature after a first-order lag, in equilibrium at the first row.
 pub(super) fn lagged(t: &[f64], u: &[f64], tau_s: f64) -> Vec<f64> {
     let mut lag = Lag::new(tau_s);
     t.iter().zip(u).map(|(t, u)| lag.next(*t, *u)).collect()

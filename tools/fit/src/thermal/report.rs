@@ -1,4 +1,4 @@
-//! What a fit found, as it is printed and written.
+//! The report of a fit, as it is printed and written.
 
 use super::jackknife::Intervals;
 use crate::statistics::mean_square;
@@ -11,9 +11,9 @@ use std::collections::BTreeMap;
 pub struct Ranked {
     /// The sensor, or pair as `T8-T18`.
     pub sensor: String,
-    /// γ: correlation of the difference with the response, as the patent has it.
+    /// γ: correlation of the difference with the response, as in the patent.
     pub gamma: f64,
-    /// γ of the lagged difference, where a lag earned its place.
+    /// γ of the lagged difference, if a lag is justified.
     pub gamma_lagged: f64,
     /// That lag, s; 0 for none.
     pub tau_s: f64,
@@ -24,14 +24,14 @@ pub struct Ranked {
     pub cv_rms_um: f64,
 }
 
-/// A sensor left out because another one watches the same source.
+/// A sensor left out because another one measures the same heat source.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Dropped {
     /// The sensor.
     pub sensor: String,
     /// α: its autocorrelation with the one kept.
     pub alpha: f64,
-    /// The one kept.
+    /// The sensor that is kept.
     pub with: String,
     /// Its own γ.
     pub gamma: f64,
@@ -45,7 +45,7 @@ pub struct Dropped {
 /// One round of the refit.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Round {
-    /// What it added; after the rounds of the refit, what it put in the place of what.
+    /// The added term, or after the refit's rounds the exchange of one for another.
     pub added: String,
     /// R after it.
     #[serde(rename = "R")]
@@ -73,7 +73,7 @@ pub struct Fitted {
     /// The sensor.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub sensor: Option<String>,
-    /// The one taken off.
+    /// The sensor that is subtracted.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub minus: Option<String>,
     /// Its parameters.
@@ -100,14 +100,14 @@ impl Fitted {
     }
 }
 
-/// RMS of what is left, µm.
+/// RMS of the residual, µm.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Rms {
     /// On the data of the fit.
     pub train: f64,
-    /// On every block, structure and parameters chosen without it.
+    /// On every block, with structure and parameters chosen without it.
     pub folds: Vec<f64>,
-    /// Over all blocks, each as heavy.
+    /// Over all blocks with equal weights.
     pub folds_rms: f64,
     /// On every hold-out.
     pub holdout: Vec<f64>,
@@ -124,12 +124,13 @@ impl Rms {
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Interval {
     /// Half width where the model knows most, µm.
-    /// Wider after a start and beyond the range of the fit.
+    /// It is wider after a start and beyond the range of the fit.
     pub half_width_um: f64,
     /// Share of the rows inside, each block judged by the others' width.
     pub coverage_folds: f64,
     /// Share of one half's rows inside this half width by a fit on the other half.
-    /// Both directions. It shows what to expect in a state that the records do not contain. `None` if a half is too short to choose from.
+    /// Both directions are given. It shows what to expect in a state that the records do not contain. `None`
+    /// if a half is too short to choose from.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub coverage_halves: Option<[f64; 2]>,
     /// Share of the rows inside on every hold-out.
@@ -141,29 +142,29 @@ pub struct Interval {
 /// The structure fitted on dry and on wet rows alone, as the patent compares.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct DryWet {
-    /// Growth per kelvin, dry, by term.
+    /// Growth per kelvin by term, dry.
     pub dry: BTreeMap<String, f64>,
-    /// The same wet.
+    /// Growth per kelvin by term, wet.
     pub wet: BTreeMap<String, f64>,
     /// Range of the growth on the dry rows, µm.
     pub growth_dry_um: f64,
-    /// The same on the wet rows.
+    /// Range of the growth on the wet rows, µm.
     pub growth_wet_um: f64,
     /// RMS of the dry model on the wet rows, µm.
-    /// What it costs to model dry and cut wet.
+    /// It is the error of a model from dry runs when cutting wet.
     pub dry_model_on_wet_rms_um: f64,
     /// RMS of the wet model on the wet rows, µm.
     pub wet_model_on_wet_rms_um: f64,
 }
 
-/// What the fit of one response found.
+/// The result of the fit of one response.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Report {
     /// `error.z`
     pub response: String,
     /// The sensor of the environment.
     pub environment: Option<String>,
-    /// How it was found.
+    /// How that sensor was chosen, in words.
     pub environment_by: String,
     /// Sensors kept, best first.
     pub kept: Vec<Ranked>,
@@ -173,19 +174,19 @@ pub struct Report {
     pub pairs: Vec<Ranked>,
     /// The refit, round by round.
     pub rounds: Vec<Round>,
-    /// First sensors that the data cannot tell from the one chosen.
+    /// First sensors that the data cannot distinguish from the chosen one.
     pub alternatives: Vec<Ranked>,
     /// The fitted effects.
     pub effects: Vec<Fitted>,
-    /// RMS of what is left.
+    /// RMS of the residuals.
     pub rms_um: Rms,
-    /// RMS of what simpler predictions leave on the same blocks (mean) and hold-outs.
+    /// Residual RMS of simpler predictions on the same blocks (mean) and hold-outs.
     pub baselines: BTreeMap<String, Rms>,
     /// The prediction interval.
     pub interval95: Interval,
-    /// Dry against wet, where the data have both.
+    /// Dry against wet, if the data have both.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub dry_wet: Option<DryWet>,
-    /// What to know before trusting it.
+    /// Messages to read before the model is used.
     pub warnings: Vec<String>,
 }

@@ -1,5 +1,5 @@
-//! The least-squares problem itself.
-//! Every row of the records under one another, a column per term.
+//! The least-squares problem over every row.
+//! The rows of all records follow each other; each term has a column.
 
 use super::problem::{Problem, lagged};
 use super::term::Term;
@@ -10,7 +10,7 @@ use rtec_model::effect::STANDARD_DEGC;
 use rtec_model::record::{Record, Role};
 use std::ops::Range;
 
-/// All rows of all records under one another.
+/// The rows of all records, one after the other.
 pub(super) struct Rows {
     pub(super) columns: Vec<Vec<f64>>,
     pub(super) y: Vec<f64>,
@@ -29,7 +29,7 @@ impl Rows {
         Self::with_lags(problem, terms, &lags_of(problem, terms), records, response)
     }
 
-    /// The same with another lag for each term than the grid's, s.
+    /// The same with other lags for the terms than the grid's, s.
     pub(super) fn with_lags(
         problem: &Problem,
         terms: &[Term],
@@ -52,7 +52,7 @@ impl Rows {
     }
 
     /// Least squares on the rows that `take` chooses.
-    /// Constant, then one coefficient per column.
+    /// It returns the constant, then one coefficient per column.
     pub(super) fn solve(&self, take: &dyn Fn(usize) -> bool) -> Option<Vec<f64>> {
         self.solve_on(&self.runs(take))
     }
@@ -65,7 +65,7 @@ impl Rows {
         Centred::new(self, taken).solve()
     }
 
-    /// The rows that `take` chooses, one stretch after the other.
+    /// The rows that `take` chooses, as stretches.
     pub(super) fn runs(&self, take: &dyn Fn(usize) -> bool) -> Vec<Range<usize>> {
         let mut runs: Vec<Range<usize>> = Vec::new();
         for i in (0..self.y.len()).filter(|i| take(*i)) {
@@ -77,7 +77,7 @@ impl Rows {
         runs
     }
 
-    /// Puts another lag, s, behind these terms.
+    /// Gives these terms another lag, s.
     pub(super) fn lag(
         &mut self,
         problem: &Problem,
@@ -103,15 +103,15 @@ impl Rows {
         self.y[i] - model
     }
 
-    /// Standard deviation of what differs from row to row in what is left.
-    /// The gauge's own noise, µm.
+    /// Standard deviation of the residual's change from row to row.
+    /// It is the gauge's own noise, µm.
     pub(super) fn noise_um(&self, c: &[f64]) -> f64 {
         let left: Vec<f64> = (0..self.y.len()).map(|i| self.residual(c, i)).collect();
         let steps: f64 = left.windows(2).map(|w| (w[1] - w[0]).powi(2)).sum();
         (steps / (2 * left.len().saturating_sub(1).max(1)) as f64).sqrt()
     }
 
-    /// What 95 % of the rows stay within after the fit, µm.
+    /// The half width that contains 95 % of the residuals after the fit, µm.
     pub(super) fn scatter_um(&self, c: &[f64]) -> f64 {
         quantile((0..self.y.len()).map(|i| self.residual(c, i).abs()).collect(), 0.95)
     }
@@ -148,14 +148,14 @@ impl<'a> Centred<'a> {
         Self { taken, y: about(&rows.y, taken), columns }
     }
 
-    /// These columns have changed.
+    /// Recomputes these columns after a change.
     pub(super) fn renew(&mut self, rows: &Rows, which: &[usize]) {
         for k in which {
             self.columns[*k] = about(&rows.columns[*k], self.taken);
         }
     }
 
-    /// Least squares: constant, then one coefficient per column.
+    /// Least squares: the constant, then one coefficient per column.
     pub(super) fn solve(&self) -> Option<Vec<f64>> {
         let columns: Vec<&[f64]> = self.columns.iter().map(|(c, _)| &**c).collect();
         let c = rtec_least_squares::solve(&columns, &self.y.0).ok()?.values;
@@ -175,7 +175,7 @@ fn about(v: &[f64], taken: &[Range<usize>]) -> (Vec<f64>, f64) {
     (own, mean)
 }
 
-/// The lag of each term as the grid has it, s.
+/// The lag of each term on the grid, s.
 pub(super) fn lags_of(problem: &Problem, terms: &[Term]) -> Vec<f64> {
     let of = |t: &Term| match t {
         Term::Thermal { lag, .. } => problem.taus[*lag],
@@ -184,7 +184,7 @@ pub(super) fn lags_of(problem: &Problem, terms: &[Term]) -> Vec<f64> {
     terms.iter().map(of).collect()
 }
 
-/// The columns of a structure at every row of a record, each behind its lag.
+/// The columns of a structure at every row of a record, each with its lag.
 fn full_columns(
     problem: &Problem,
     terms: &[Term],
@@ -227,7 +227,7 @@ fn full_columns(
 }
 
 /// 1 at the rows of a record at which coolant is on.
-/// A record that logs none is dry.
+/// A record that does not log it is dry.
 pub(super) fn wet(record: &Record) -> Vec<f64> {
     let logged = record.data(&Role::Coolant).map(|c| c.iter().map(|v| f64::from(*v > 0.5)).collect());
     logged.unwrap_or_else(|| vec![0.0; record.rows()])

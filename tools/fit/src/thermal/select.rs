@@ -7,45 +7,45 @@ use super::term::{Pair, Term, pair_of, relagged, squared};
 use rtec_least_squares::dot;
 use rtec_measure::iso230::correlation;
 
-/// Two sensors with a higher correlation watch the same source of heat.
-/// (WO 97/43703, "0.97 was selected".)
+/// Correlation above which two sensors measure the same source of heat.
+/// Source: WO 97/43703, "0.97 was selected".
 pub const REDUNDANT: f64 = 0.97;
 
-/// Rounds of the refit; more were seldom needed (WO 97/43703).
+/// Largest number of rounds; more were seldom needed (WO 97/43703).
 pub const ROUNDS: usize = 5;
 
-/// The search of a lag begins with every so many of the grid.
+/// Stride on the grid with which the search for a lag begins.
 const COARSE: usize = 16;
 
-/// So many terms may stand before the first has earned its place.
+/// Largest number of terms that are accepted provisionally.
 const UNEARNED: usize = 2;
 
-/// Candidates that pass the screening of a round.
+/// Number of candidates that pass the screening of a round.
 const SCREENED: usize = 12;
 
-/// So many lags are different to the data.
+/// Number of lags that the data can distinguish.
 const LAG_CHOICES: usize = 4;
 
 /// Most sensors of a model, the environment's included.
-/// ("The final number may generally be only 4 or 5".)
+/// Source: WO 97/43703, "The final number may generally be only 4 or 5".
 const SENSORS: usize = 5;
 
 pub(super) struct Selection {
     pub(super) structure: Judged,
     pub(super) rounds: Vec<Judged>,
-    /// After the rounds.
-    /// What a term that went out for a better one left, its last term being the new one.
+    /// The exchanges after the rounds.
+    /// Each is the structure after it, whose last term is new, and the term that was removed.
     pub(super) swaps: Vec<(Judged, Term)>,
     pub(super) kept: Vec<Judged>,
-    /// Sensor, α, and the kept one (by number) it is redundant with.
+    /// Sensor, α, and the index of the kept one that makes it redundant.
     pub(super) dropped: Vec<(Judged, f64, usize)>,
     pub(super) tied: Vec<Judged>,
-    /// A structure that leaves less of all rows and was not chosen.
+    /// A structure with smaller residuals over all rows that was not chosen.
     pub(super) passed_over: Option<Judged>,
 }
 
 impl Selection {
-    /// The sensors left out, each with the kept one that watches the same.
+    /// The redundant sensors, each with the kept one that measures the same.
     pub(super) fn redundant(&self, ranked: &dyn Fn(&Judged) -> Ranked, kept: &[Ranked]) -> Vec<Dropped> {
         let of = |(j, alpha, with): &(Judged, f64, usize)| {
             let own = ranked(j);
@@ -61,11 +61,11 @@ impl Selection {
         self.dropped.iter().map(of).collect()
     }
 
-    /// The rounds of the refit, and after them what was put in the place of what.
+    /// The rounds of the refit, followed by the exchanges.
     pub(super) fn history(&self, problem: &Problem) -> Vec<Round> {
         let of = |j: &Judged, added: String| Round { added, r: j.r, cv_rms_um: j.rms() };
         let newest = |j: &Judged| problem.name(j.terms[j.terms.len() - 1]);
-        // The first may be a difference with its square.
+        // The first round may have a difference with its square.
         let begun = |j: &Judged| j.terms.iter().map(|t| problem.name(*t)).collect::<Vec<_>>().join(" and ");
         let name = |(k, j): (usize, &Judged)| of(j, if k == 0 { begun(j) } else { newest(j) });
         let rounds = self.rounds.iter().enumerate().map(name);
@@ -74,7 +74,7 @@ impl Selection {
         rounds.chain(swaps).collect()
     }
 
-    /// Says which sensors the data could not tell from the one chosen.
+    /// A message about sensors that the data cannot distinguish from the chosen one.
     pub(super) fn rivals(&self, problem: &Problem) -> Option<String> {
         let names: Vec<String> = self.tied.iter().map(|j| problem.name(j.terms[0])).collect();
         let chosen = problem.name(*self.rounds.first()?.terms.first()?);
@@ -88,7 +88,7 @@ impl Selection {
 }
 
 impl Selection {
-    /// Reports if all rows prefer another choice than cross-validation does.
+    /// A message if all rows prefer another choice than cross-validation does.
     pub(super) fn by_all_rows(&self, problem: &Problem) -> Option<String> {
         let other = self.passed_over.as_ref()?;
         let names: Vec<String> = other.terms.iter().map(|t| problem.name(*t)).collect();
@@ -102,13 +102,14 @@ impl Selection {
 
 impl Problem {
     /// The whole selection on the given folds.
-    /// The structure, its rounds, the rivals of its first term.
+    /// It returns the structure, its rounds and the rivals of its first term.
     pub(super) fn select(&self, folds: &[usize]) -> Option<Selection> {
         let mut singles = self.with_best_lags(&[], &self.offered, folds);
         singles.sort_by_key(|j| self.merit(j));
         let sources = self.driven_by_the_source(singles.clone(), folds);
         let best = sources.first()?.clone();
-        // What the data cannot tell from the best; of these the one nearest to the source of heat.
+        // Of the differences that the data cannot distinguish from the best, take the one nearest to the
+        // source of heat.
         let mut tied: Vec<Judged> = sources.into_iter().filter(|j| !best.beats(j)).collect();
         let lag = |j: &Judged| match j.terms[0] {
             Term::Thermal { lag, .. } => lag,
@@ -127,7 +128,8 @@ impl Problem {
             (!rounds.is_empty()).then(|| self.built(rounds, &candidates, folds))
         };
         let by_environment = begun(first.clone(), LAG_CHOICES * self.offered.len(), 0);
-        // The environment may have been taken wrongly, or not matter: begun with any pair, is it simpler or better?
+        // The environment may be the wrong sensor, or not matter. Is a structure that begins with any pair
+        // simpler or better?
         let pair = self.best_pair(&candidates, folds).filter(|_| !self.explicit);
         let by_pair = pair.clone().and_then(|p| begun(p, LAG_CHOICES * candidates.len(), 0));
         let differences = |j: &Judged| j.terms.iter().filter(|t| squared(**t).is_some()).count();
@@ -137,7 +139,7 @@ impl Problem {
                 let (a, b) = (&own.1, &other.1);
                 let simpler = differences(b) < differences(a) && !a.beats(b);
                 let better = differences(b) <= differences(a) && b.beats(a);
-                // With more in it, it must be better than the best of so many would be by chance.
+                // If it has more terms, it must be better than the best of that many chance columns.
                 let earned = b.earns(a, LAG_CHOICES * candidates.len());
                 let (taken, left) = if simpler || better || earned { (other, own) } else { (own, other) };
                 both = Some(left.1);
@@ -145,10 +147,10 @@ impl Problem {
             }
             (own, other) => own.or(other),
         };
-        // Where no difference says enough alone, several may together.
+        // If no single difference explains enough, several together may.
         let chosen = chosen.or_else(|| begun(first.clone(), LAG_CHOICES * self.offered.len(), UNEARNED));
         let chosen = chosen.or_else(|| begun(pair?, LAG_CHOICES * candidates.len(), UNEARNED));
-        // Temperatures that explain no more than chance does: nothing is added, the sensors are ranked all the same.
+        // The temperatures explain no more than chance: nothing is added, but the sensors are ranked.
         let Some((rounds, structure, swaps)) = chosen else {
             let none = Vec::new;
             return Some(Selection {
@@ -166,15 +168,15 @@ impl Problem {
         Some(Selection { structure, rounds, swaps, kept, dropped, tied, passed_over })
     }
 
-    /// By this the better one comes first: what it leaves to nine digits.
-    /// Where the same sums are said by other differences rounding does not decide, but which reads the environment: that one's gain is the
-    /// body's own.
+    /// Sort key of structures, better first: the residual to nine digits.
+    /// Different differences may give the same sum, and rounding must not decide between them. Then the one
+    /// to the environment wins, because its gain is the body's own.
     fn merit(&self, j: &Judged) -> (i64, bool) {
         let of_two = pair_of(j.terms[j.terms.len() - 1]).is_some_and(|(_, minus)| minus != self.environment);
         ((j.rms().ln() * 1e9).round() as i64, of_two)
     }
 
-    /// Runs the rounds, exchanges terms and removes those that became idle.
+    /// Runs the rounds, exchanges terms and removes those that became unnecessary.
     fn built(
         &self,
         rounds: Vec<Judged>,
@@ -196,7 +198,7 @@ impl Problem {
     }
 
     /// Rewrites sums as differences to the environment where possible.
-    /// Beside T1−T0, T1−T2 adds what T2−T0 adds, whose gain is the body's own.
+    /// Beside T1−T0, T1−T2 adds the same as T2−T0, whose gain is the body's own.
     pub(super) fn to_environment(&self, mut now: Judged, folds: &[usize]) -> Judged {
         for k in 0..now.terms.len() {
             let Term::Thermal { sensor, minus: Some(minus), lag, square: false } = now.terms[k] else {
@@ -213,7 +215,7 @@ impl Problem {
                 [false, true] => to(sensor),
                 _ => continue,
             };
-            // Where the differences were given, no other is read.
+            // If the differences were given, no other one may be used.
             if self.explicit && pair_of(other).is_none_or(|p| !self.offered.contains(&p)) {
                 continue;
             }
@@ -226,7 +228,7 @@ impl Problem {
         now
     }
 
-    /// The difference of any two sensors that leaves least by itself.
+    /// The difference of any two sensors with the smallest residual alone.
     fn best_pair(&self, candidates: &[Pair], folds: &[usize]) -> Option<Judged> {
         let screened = self.screen(&[], candidates, folds);
         let fits = self.with_best_lags(&[], &screened, folds).into_iter().map(|plain| {
@@ -238,7 +240,7 @@ impl Problem {
         fits.min_by_key(|j| self.merit(j))
     }
 
-    /// Without the terms that do not earn their place beside the others.
+    /// Removes terms that are not justified beside the others.
     fn without_idle(&self, mut now: Judged, candidates: usize, folds: &[usize]) -> Judged {
         while now.terms.len() > 1 {
             let rest = |k: usize| {
@@ -259,8 +261,8 @@ impl Problem {
         now
     }
 
-    /// In order of merit, a sensor that watches what a better one watches is left out.
-    /// Those kept, and those dropped with their α and the kept one (by number).
+    /// Leaves out sensors that measure the same as a better one, in order of merit.
+    /// Returns those kept, and those dropped with their α and the kept one's index.
     fn casc(&self, order: Vec<Judged>) -> (Vec<Judged>, Vec<(Judged, f64, usize)>) {
         let mut kept: Vec<Judged> = Vec::new();
         let mut dropped: Vec<(Judged, f64, usize)> = Vec::new();
@@ -277,11 +279,11 @@ impl Problem {
     }
 
     /// The rounds of the refit, the first term's included.
-    /// Adds the next best term while it earns its place. `None` if nothing improves on the mean.
+    /// Adds the next best term while it is justified. Returns nothing if no term improves on the mean.
     ///
-    /// If two bodies drive the growth, either alone leaves the other's share. That share is slow and so worth few independent values, so
-    /// neither term earns its place alone; both together do. The first `unearned` terms are therefore accepted provisionally, until later
-    /// terms earn the place of all.
+    /// If two bodies drive the growth, either alone leaves the other's share. That share is slow and so has
+    /// few independent values. Neither term is therefore justified alone, but both together are. The first
+    /// `unearned` terms are accepted provisionally, until later terms justify all.
     fn refit(
         &self,
         first: Judged,
@@ -292,10 +294,10 @@ impl Problem {
     ) -> Vec<Judged> {
         let mut standing = usize::from(first.beyond_chance(mean, choices_of_first));
         let mut rounds = vec![first];
-        // Once something stands, every term earns its place by itself.
+        // Once a term is accepted, every further term must be justified by itself.
         while rounds.len() < ROUNDS && (standing > 0 || rounds.len() <= unearned) {
             let now = &rounds[rounds.len() - 1];
-            // Twice the same difference only makes up for a lag that was not exact.
+            // The same difference a second time would only correct an inexact lag.
             let new = |p: &Pair| now.terms.iter().all(|t| pair_of(*t) != Some(*p));
             let few = |(s, m): &Pair| {
                 let term = Term::Thermal { sensor: *s, minus: *m, lag: 0, square: false };
@@ -311,8 +313,8 @@ impl Problem {
                 self.is_physical(&judged, folds).then_some(judged)
             }));
             next.sort_by_key(|j| self.merit(j));
-            // The patent asks R to improve by 1 %, which is impossible where R is above 0.99. Here a term stays if unseen blocks are better
-            // with it, by more than the best of so many chance columns.
+            // The patent asks R to improve by 1 %, which is impossible if R is above 0.99. Here a term stays
+            // if unseen blocks are better with it, by more than the best of that many chance columns.
             let choices = LAG_CHOICES * (offered.len() + 1);
             let next: Vec<Judged> = next.into_iter().map(|j| self.retune(j, folds)).collect();
             let bent = |j: &Judged| matches!(j.terms.last(), Some(Term::Thermal { square: true, .. }));
@@ -323,7 +325,8 @@ impl Problem {
             };
             let earned: Vec<&Judged> = next.iter().filter(|j| stands(j)).collect();
             let added = match earned.first() {
-                // A difference that is there, bent, before another one that does no better.
+                // The square of a difference already used is preferred to another difference that is not
+                // better.
                 Some(best) => {
                     standing = rounds.len() + 1;
                     earned.iter().find(|j| bent(j)).filter(|b| !best.beats(b)).unwrap_or(best)
@@ -340,8 +343,8 @@ impl Problem {
         rounds
     }
 
-    /// What else may be added.
-    /// Coolant, spindle speed, squares of the differences that are there.
+    /// Candidates that are not differences.
+    /// They are coolant, spindle speed, and the squares of the differences already used.
     fn unlike_differences(&self, terms: &[Term]) -> Vec<Term> {
         let coolant = self.coolant.as_ref().map(|_| Term::Coolant);
         let speed = self.speed.as_ref().map(|_| Term::Speed);
@@ -349,8 +352,9 @@ impl Problem {
         coolant.into_iter().chain(speed).chain(squares).collect()
     }
 
-    /// Each term was the best beside those before it: is another one better beside all?
-    /// (Not of a single term: that one was physics' choice.) What is left then, and each exchange with the term that went out.
+    /// Tries to exchange each term for one that is better beside all others.
+    /// Each term was only the best beside those before it. A single term is kept, because physics chose it.
+    /// Returns the final structure, and each exchange with the term that was removed.
     fn exchange(
         &self,
         mut now: Judged,
@@ -371,7 +375,7 @@ impl Problem {
                 }
                 let mut rest = now.terms.clone();
                 rest.remove(k);
-                // Twice the same difference only makes up for a lag that was not exact.
+                // The same difference a second time would only correct an inexact lag.
                 let new = |p: &Pair| rest.iter().all(|t| pair_of(*t) != Some(*p));
                 let offered: Vec<Pair> = candidates.iter().copied().filter(new).collect();
                 let screened = self.screen(&rest, &offered, folds);
@@ -382,7 +386,7 @@ impl Problem {
                     let out = now.terms[k];
                     now = self.retune(best, folds);
                     swapped = true;
-                    // The same difference with its lag found anew is no other one.
+                    // The same difference with another lag is not an exchange.
                     if now.terms.last().and_then(|t| pair_of(*t)) != pair_of(out) {
                         swaps.push((now.clone(), out));
                     }
@@ -392,8 +396,8 @@ impl Problem {
         (now, swaps)
     }
 
-    /// Of the offered, those whose growth goes the way that the hottest body's does.
-    /// Heat comes from there. Where that body says nothing, all.
+    /// The offered differences whose growth has the sign of the hottest body's.
+    /// Heat comes from that body. If it is hardly correlated with the response, all are returned.
     fn driven_by_the_source(&self, singles: Vec<Judged>, folds: &[usize]) -> Vec<Judged> {
         let rows: Vec<usize> = self.stretches(folds).flatten().collect();
         let warmth = |j: &Judged| {
@@ -409,9 +413,10 @@ impl Problem {
         singles.into_iter().filter(|j| j.coefficients[1] * way > 0.0).collect()
     }
 
-    /// The candidates that explain most of what these terms leave, whatever their lag.
+    /// The candidates that explain most of these terms' residual, whatever their lag.
     fn screen(&self, terms: &[Term], candidates: &[Pair], folds: &[usize]) -> Vec<Pair> {
-        // An orthonormal basis of the constant and the terms, weighted, zero outside the folds; what is left beside it.
+        // An orthonormal basis of the constant and the terms, weighted, zero outside the folds; then the
+        // residual beside it.
         let mut weight = vec![0.0; self.y.len()];
         self.stretches(folds).for_each(|s| weight[s.clone()].copy_from_slice(&self.weight[s]));
         let weighted = |v: &[f64]| v.iter().zip(&weight).map(|(v, w)| v * w).collect::<Vec<f64>>();
@@ -437,7 +442,8 @@ impl Problem {
         let left = weighted(&beside(&basis, self.y.clone()));
         let mut scores = vec![0.0; candidates.len()];
         for screened in &self.screened {
-            // Of each sensor what the basis says of it, and its product with what is left: a difference has the differences.
+            // Each sensor's projections on the basis and on the residual. Those of a difference are the
+            // differences.
             let of = |v: &Vec<f64>| {
                 let known: Vec<f64> = basis.iter().map(|(_, weighted)| dot(weighted, v)).collect();
                 (known, dot(&left, v))
@@ -460,7 +466,7 @@ impl Problem {
         scored.into_iter().take(SCREENED).map(|(c, _)| *c).collect()
     }
 
-    /// Sensors that these terms read.
+    /// Number of sensors that these terms read.
     fn sensor_count(terms: &[Term]) -> usize {
         let mut read: Vec<usize> =
             terms.iter().filter_map(|t| pair_of(*t)).flat_map(|(s, m)| [Some(s), m]).flatten().collect();
@@ -469,10 +475,11 @@ impl Problem {
         read.len()
     }
 
-    /// The lags once more, each with the others held, now that all terms are there.
+    /// Searches each lag again with the others held, now that all terms are known.
     fn retune(&self, mut now: Judged, folds: &[usize]) -> Judged {
         let Some(mut beside) = self.beside(&now.terms, folds) else { return now };
-        // The terms whose columns stand there: one that does not vary leaves the one before in its place.
+        // The terms whose columns are in place. A column that does not vary is refused, and the old one
+        // stays.
         let mut standing = now.terms.clone();
         for k in 0..now.terms.len() {
             let Term::Thermal { lag: at @ 1.., square: false, .. } = now.terms[k] else { continue };
@@ -499,13 +506,13 @@ impl Problem {
         now
     }
 
-    /// Each of these differences beside the terms that are there, with its best lag.
+    /// Each of these differences added to the given terms, with its best lag.
     pub(super) fn with_best_lags(&self, terms: &[Term], pairs: &[Pair], folds: &[usize]) -> Vec<Judged> {
         let Some(mut beside) = self.beside(terms, folds) else { return Vec::new() };
         pairs.iter().filter_map(|(s, m)| self.best_lag(&mut beside, terms, *s, *m, folds)).collect()
     }
 
-    /// The best lag of a difference beside the terms there; none unless it is earned.
+    /// The best lag of a difference beside the given terms; none unless justified.
     /// The terms' columns are given.
     fn best_lag(
         &self,
@@ -563,7 +570,7 @@ impl Problem {
         best
     }
 
-    /// The pairs that are offered, the one that moves most with the response first.
+    /// The offered pairs, the one that moves most with the response first.
     pub(super) fn ranked_pairs(&self, folds: &[usize]) -> Vec<Ranked> {
         let best = self.with_best_lags(&[], &self.pairs, folds);
         let mut pairs: Vec<Ranked> = best.iter().map(|j| self.ranked(j, folds)).collect();

@@ -1,21 +1,21 @@
-//! A term of the model, and the terms that are made of it.
+//! The terms of a model, and the terms derived from them.
 
-/// A sensor and the one taken off, by their places.
-/// None for the reference temperature.
+/// A sensor and the subtracted one, by their indices.
+/// `None` for the reference temperature.
 pub(super) type Pair = (usize, Option<usize>);
 
 /// A model term.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Term {
-    /// Difference of two sensors, or to the reference, at a lag; maybe squared.
+    /// Difference of two sensors, or to the reference, at a lag; possibly squared.
     Thermal { sensor: usize, minus: Option<usize>, lag: usize, square: bool },
-    /// Coolant on.
+    /// Whether coolant is on.
     Coolant,
     /// Spindle speed, krpm.
     Speed,
 }
 
-/// The difference that a term is made of.
+/// The difference of a term; `None` for other terms.
 pub(super) fn pair_of(term: Term) -> Option<Pair> {
     match term {
         Term::Thermal { sensor, minus, .. } => Some((sensor, minus)),
@@ -33,8 +33,8 @@ pub(super) fn squared(term: Term) -> Option<Term> {
     }
 }
 
-/// The same terms with another lag of the k-th.
-/// The square of the same difference shares it.
+/// The same terms with another lag for the k-th.
+/// The square of the same difference gets it too.
 pub(super) fn relagged(terms: &[Term], k: usize, other: usize) -> Vec<Term> {
     let Term::Thermal { sensor: s, minus: m, lag: l, .. } = terms[k] else { return terms.to_vec() };
     let of = |t: &Term| match *t {

@@ -1,5 +1,5 @@
-//! Chains fitted component by component from simulated measurements, against the chain that made them and against the
-//! symbolic reference.
+//! Chains fitted component by component from simulated measurements.
+//! They are compared with the chain that made the data and with the symbolic reference.
 
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
@@ -14,7 +14,7 @@ fn data(name: &str) -> PathBuf {
 }
 
 /// A chain whose coefficients are all zero.
-/// The powers are stated, nothing is known.
+/// Only the powers are stated.
 fn template(name: &str) -> (tempfile::TempDir, PathBuf) {
     let dir = tempfile::tempdir().unwrap();
     let text = std::fs::read_to_string(data(name)).unwrap();
@@ -43,8 +43,8 @@ impl Noise {
     }
 }
 
-/// What the true chain shows at a tool point along a path of positions and temperatures (T1 T2 T3 T6 T8 T18), with this
-/// noise, µm.
+/// Simulates what the true chain shows at a tool point along a path.
+/// The path has positions and temperatures (T1 T2 T3 T6 T8 T18); the noise is in µm.
 fn measure(
     truth: &Chain,
     tool_mm: [f64; 3],
@@ -93,7 +93,8 @@ fn stroke(axis: usize, half_mm: f64, temperatures: [f64; 6]) -> Vec<([f64; 3], [
     (0..210).map(at).collect()
 }
 
-/// An axis' six components, and the rotations of its guide (squareness), by a gauge at four points of the spindle.
+/// Measures an axis' six components, and the rotations of its guide (squareness).
+/// A gauge is at four points of the spindle.
 fn of_axis(
     chain: &Chain,
     truth: &Chain,
@@ -125,7 +126,7 @@ fn three_axis(noise_um: f64) -> (Chain, Vec<chain_fit::TermFound>, PathBuf, temp
     let warm = [[23.0, 20.0, 20.0, 20.0, 20.0, 20.0], COLD];
     let mut chain = Chain::read(&path).unwrap();
     let mut terms = Vec::new();
-    // Seen from the work, which rides on Y's guide, it is X that is out of square to Y.
+    // Seen from the work, which moves on Y's guide, X is out of square to Y.
     for (joint, guide, axis, temperatures) in [
         ("y slide", &[][..], 1, &[COLD][..]),
         ("x slide", &["y guide.ez"], 0, &warm[..]),
@@ -139,7 +140,7 @@ fn three_axis(noise_um: f64) -> (Chain, Vec<chain_fit::TermFound>, PathBuf, temp
         assert_eq!(chain, fitted, "what is written is what was fitted");
         terms.extend(report.terms);
     }
-    // Spindle growth and tilt: still, at two gauge points, while it warms.
+    // Spindle growth and tilt: at rest, at two gauge points, while it warms.
     let heat = |i: u32| f64::from(i % 60) / 4.0;
     let warming: Vec<_> = (0..240)
         .map(|i| {
@@ -160,8 +161,8 @@ fn three_axis(noise_um: f64) -> (Chain, Vec<chain_fit::TermFound>, PathBuf, temp
     (Chain::read(&path).unwrap(), terms, path, dir)
 }
 
-/// 21 geometric errors and the spindle's growth and tilt, from nothing.
-/// Then the symbolic reference, which knows the truth only.
+/// 21 geometric errors and the spindle's growth and tilt, with no prior values.
+/// The result is compared with the symbolic reference of the truth.
 #[test]
 fn three_axis_machine_component_by_component() {
     let truth = Chain::read(&data("three_axis.toml")).unwrap();
@@ -172,10 +173,10 @@ fn three_axis_machine_component_by_component() {
     let (chain, terms, path, dir) = three_axis(0.0);
     assert_eq!(terms.len(), coefficients(&truth).len(), "every coefficient was fitted");
     for (got, want) in coefficients(&chain).iter().zip(coefficients(&truth)) {
-        // Products with errors that are fitted later (18 µrad of 14 µrad) are left.
+        // Products with errors that are fitted later (18 µrad of 14 µrad) remain.
         assert!((got - want).abs() < 1e-3, "{got} and {want}");
     }
-    // Written, loaded as part of a machine, predicted: the reference's figures.
+    // The chain is written, loaded as part of a machine, and predicts the reference's figures.
     let machine = "name = \"m\"\nchain = \"three_axis.toml\"\n";
     std::fs::write(dir.path().join("m.toml"), machine).unwrap();
     let machine = Machine::read(&dir.path().join("m.toml")).unwrap();
@@ -195,7 +196,8 @@ fn three_axis_machine_component_by_component() {
 }
 
 /// With a gauge's noise of 0.2 µm.
-/// Intervals hold the truth as often as they say, and at places that were not measured the chain is right within the noise.
+/// Intervals contain the truth as often as they state. At places that were not measured the chain is right
+/// within the noise.
 #[test]
 fn noise_gives_intervals_that_hold() {
     let truth = Chain::read(&data("three_axis.toml")).unwrap();
@@ -239,7 +241,8 @@ fn turning_centre_component_by_component() {
         let names: Vec<String> = names.iter().map(|n| (*n).to_owned()).collect();
         chain_fit::fit(chain, &names, &runs).unwrap().0
     };
-    // The carriage's path in the frame of the spindle shows parallelism too: known combination, fitted together.
+    // The carriage's path in the frame of the spindle also shows parallelism: a known combination, fitted
+    // together.
     let z: Vec<_> = [20.0, 23.0].iter().flat_map(|t| stroke(2, 200.0, warm(*t, 20.0))).collect();
     let x: Vec<_> = [20.0, 23.0].iter().flat_map(|t| stroke(0, 90.0, warm(20.0, *t))).collect();
     let heat = |i: u32| f64::from(i % 60) / 4.0;
@@ -272,7 +275,7 @@ fn turning_centre_component_by_component() {
     }
 }
 
-/// What a record does not show is said, not made up.
+/// A coefficient that a record does not show is refused with a reason.
 #[test]
 fn what_a_record_does_not_determine_is_refused() {
     let truth = Chain::read(&data("three_axis.toml")).unwrap();

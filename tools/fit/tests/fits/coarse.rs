@@ -1,5 +1,5 @@
 //! Records of gauges that read in coarse steps.
-//! The steps are in the intervals, and said.
+//! The intervals include the steps, and a message reports them.
 
 use rtec_fit::least::fit_named;
 use rtec_model::machine::Machine;

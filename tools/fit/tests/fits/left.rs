@@ -1,5 +1,5 @@
-//! What a fit of named effects leaves behind.
-//! A wave or a bend is said, and the intervals hold the truth beside it; noise is not.
+//! Residuals of a fit of named effects.
+//! A wave or a bend is reported, and the intervals contain the truth beside it. Noise is not reported.
 
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
@@ -24,8 +24,8 @@ impl Dice {
     }
 }
 
-/// A run of five times both ways over targets off an even pitch.
-/// What the error has beside scale and reversal, by the position and the travel's half.
+/// Five runs both ways over targets at uneven distances.
+/// `more` adds to scale and reversal an error by the position and half the travel.
 fn run(d: &mut Dice, [ppm, um]: [f64; 2], noise: f64, more: impl Fn(f64, f64) -> f64) -> Record {
     let (half, count) = (d.within(150.0, 450.0), 11 + (d.unit() * 10.0) as usize);
     let pitch = 2.0 * half / (count - 1) as f64;
@@ -63,7 +63,7 @@ fn a_wave_or_a_bend_that_is_left_is_said_and_held_by_the_intervals() {
             let (size, period, phase) = (d.within(1.0, 3.0), d.within(3.0, 40.0), d.within(0.0, TAU));
             let more = |x: f64, half: f64| match name {
                 "wave" => size * (TAU * x / period + phase).sin(),
-                // Even: without a straight line of its own, but for where the targets stand.
+                // An even function has no straight part, except through the targets' places.
                 "bend" => size * (x / half).powi(2) * 2.0,
                 _ => 0.0,
             };

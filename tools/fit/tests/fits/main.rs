@@ -1,5 +1,5 @@
-//! Fits from outside, a file a question.
-//! One program: what takes long runs beside the rest.
+//! Fits through the public interface, one file per question.
+//! They form one program, so that long tests run in parallel with the others.
 
 mod chain;
 mod coarse;

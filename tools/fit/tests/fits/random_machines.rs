@@ -1,6 +1,6 @@
 //! Eighty random machines.
-//! What a fit of equation 1 says of laws that are known, and of axes without any. Machines, heat and noise are made here, by formulas of
-//! their own. `RTEC_CASES=3` takes three times as many, `RTEC_SEED` others.
+//! They test fits of equation 1 on known laws, and on axes without any. Machines, heat and noise are made
+//! here, by formulas. `RTEC_CASES=3` takes three times as many, `RTEC_SEED` others.
 
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
@@ -11,7 +11,8 @@ use std::path::Path;
 use test_needs::dice::Dice;
 use test_needs::{asked, cases};
 
-/// The law of an axis: of the bearing's difference to the air, maybe bent, maybe late.
+/// The law of an axis, of the bearing's difference to the air.
+/// It may have a square and a lag.
 #[derive(Debug, Clone, Copy)]
 struct Truth {
     per_k: f64,
@@ -38,7 +39,7 @@ impl Truth {
 }
 
 /// Eight hours, a row every two minutes.
-/// A spindle in steps, six bodies that follow it, air; an error per axis.
+/// A spindle runs in steps; six bodies follow it, and there is air. Each axis has an error.
 fn drift(d: &mut Dice, truths: &[Option<Truth>]) -> Record {
     let (n, h) = (240, 120.0);
     let mut speed = 0.0;
@@ -64,7 +65,7 @@ fn drift(d: &mut Dice, truths: &[Option<Truth>]) -> Record {
         warm[6].push(air);
         for (b, (gain, tau)) in bodies.iter().enumerate() {
             state[b] += (gain * speed - state[b]) * (1.0 - (-h / tau).exp());
-            // Each body has heat of its own too: a motor, a pump, the sun.
+            // Each body also has its own heat: a motor, a pump, the sun.
             warm[b].push(air + state[b] + own[b] * (now / (2500.0 + 900.0 * b as f64) + phase[b]).sin());
         }
     }
@@ -86,7 +87,7 @@ fn drift(d: &mut Dice, truths: &[Option<Truth>]) -> Record {
             let delta = warm[0][i] - warm[6][i];
             let law = truth.map_or(0.0, |l| {
                 if l.tau_s > 0.0 && i > 0 {
-                    // The lag's answer to a straight line between two rows.
+                    // The lag's response to a straight line between two rows.
                     let before = warm[0][i - 1] - warm[6][i - 1];
                     let slope = (delta - before) / h;
                     let k = (-h / l.tau_s).exp();
@@ -104,7 +105,7 @@ fn drift(d: &mut Dice, truths: &[Option<Truth>]) -> Record {
     Record::new(Path::new("drift.run.toml"), Kind::Drift, columns).unwrap()
 }
 
-/// What one machine's fit says, each statement right or not.
+/// The statements of one machine's fit, each right or not.
 fn judged(seed: u64) -> Vec<(&'static str, bool)> {
     let mut found = Vec::new();
     let mut note = |what: &'static str, good: bool| found.push((what, good));
@@ -174,9 +175,10 @@ fn laws_are_in_their_intervals_and_axes_without_one_get_none() {
         println!("{what:34} {:5.1} % of {}", 100.0 * share(what), good + bad);
     }
     assert!(share("nothing where there is nothing") >= 0.97);
-    // A law that was put on another sensor counts as missed.
+    // A law that was assigned to another sensor counts as missed.
     for what in ["µm/K in its interval", "µm/K² in its interval", "lag in its interval"] {
-        // All of thirty may be held by intervals of 95 %; of many more that would be too wide ones.
+        // Of thirty, all may be within 95 % intervals. If far more were all within, the intervals would be
+        // too wide.
         let too_wide = counts[what].iter().sum::<u32>() > 60 && share(what) > 0.98;
         assert!(share(what) >= 0.9 && !too_wide, "{what}: {}", share(what));
     }

@@ -1,5 +1,5 @@
-//! The evaluations against real measurements and their owners' own figures (`../shared/data`, not part of the
-//! project: skipped, and said so, where it is absent).
+//! Evaluations of real measurements against their owners' own figures.
+//! The data is in `../shared/data`, outside the project. Without it the tests are skipped with a message.
 
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
@@ -10,14 +10,14 @@ use rtec_measure::plate;
 use rtec_model::record::{Axis, Column, Kind, Record, Role};
 use std::path::{Path, PathBuf};
 
-/// A file of `../shared/data`, seen from the workspace's root.
+/// A file of `../shared/data`, relative to the workspace's root.
 fn shared(name: &str) -> Option<(PathBuf, String)> {
     let path = test_needs::shared(&format!("data/{name}"))?;
     let text = std::fs::read_to_string(&path).unwrap();
     Some((path, text))
 }
 
-/// `KEY = VALUE [mm]` lines of the owners' report, in µm.
+/// A `KEY = VALUE [mm]` line of the owners' report, in µm.
 fn report_um(report: &str, key: &str) -> f64 {
     let found = report.lines().map(|l| l.trim_matches(['*', ' '])).find_map(|l| {
         let (k, v) = l.split_once(" = ")?;
@@ -28,7 +28,7 @@ fn report_um(report: &str, key: &str) -> f64 {
 }
 
 /// The owners' report calls the file's backward data forward.
-/// Otherwise every figure it has right is equal.
+/// All its other figures are equal to ours if they are right.
 #[test]
 fn real_axis_equals_the_report_where_it_is_right() {
     let (Some((path, text)), Some((_, report))) =
@@ -43,7 +43,7 @@ fn real_axis_equals_the_report_where_it_is_right() {
     let near = |name: &str, got: Option<f64>, key: &str| {
         let (got, want) = (got.unwrap(), report_um(&report, key));
         println!("{name}: {got:.2} µm, report {want:.2} µm");
-        // The report prints 10 nm; R is four times an s it rounds the same way.
+        // The report prints 10 nm; its R is four times an s that was rounded in the same way.
         assert!((got - want).abs() <= 0.0051, "{name}: {got} and {want}");
     };
     near("A", p.A, "A");
@@ -73,7 +73,7 @@ fn real_plate_equals_the_owners_fit() {
     };
     let record = import::cmm_plate(&path, &text, Path::new("plate.run.toml")).unwrap();
     let squares = plate::evaluate(&record, plate::Norm::Squares).unwrap();
-    // The owners make the sum of the fourth powers small (a squared length handed to a least-squares routine).
+    // The owners minimise the sum of the fourth powers (a squared length handed to a least-squares routine).
     let p = plate::evaluate(&record, plate::Norm::Fourth).unwrap();
     let owners = |key: &str, n: usize| -> f64 {
         let line = fit.lines().find(|l| l.starts_with(key)).unwrap();
@@ -97,7 +97,7 @@ fn real_plate_equals_the_owners_fit() {
     near(p.rms_um_by_diameter["2.167"] / 1000.0, owners("ResidRadErrRMS (MANGA)", 0).abs(), 0.0001);
     near(p.rms_um_by_diameter["2.845"] / 1000.0, bracket.unwrap().trim().parse().unwrap(), 0.0001);
     near(p.quadrupole, owners("QPMagnitude", 0), 0.000_000_01);
-    // The owners' search stops short of the last digit here.
+    // The owners' search stops before the last digit here.
     near(p.quadrupole_deg, owners("QPAngle", 0), 0.04);
     near(p.rms_quadrupole_um / 1000.0, owners("QPResidRadErrRMS", 0), 0.0001);
 }
@@ -129,7 +129,7 @@ fn spindle(text: &str, rows: std::ops::Range<usize>) -> Record {
 }
 
 /// Growth of a real spindle from temperatures alone.
-/// Sensors, lag and parameters chosen without the block judged.
+/// Sensors, lag and parameters are chosen without the block judged.
 #[test]
 fn real_spindle_is_predicted_from_temperatures() {
     let Some((_, text)) = shared("spindle_thermal/first_half.csv") else { return };
@@ -153,13 +153,13 @@ fn real_spindle_is_predicted_from_temperatures() {
     assert_eq!(r.environment.as_deref(), Some("T15"));
     assert!(r.rms_um.folds_rms < 0.25 * linear.folds_rms);
     assert!((0.90..=0.99).contains(&r.interval95.coverage_folds));
-    // Physics: growth follows warmth, later.
+    // Physics: growth follows warmth with a lag.
     let growth = machine.effects().find(|e| e.description().name == "thermal_lag").unwrap();
     assert!(growth.value("um_per_K").unwrap()[0] > 0.0 && growth.value("tau_s").unwrap()[0] > 600.0);
 }
 
-/// The trap: what wins inside one stretch may fail on the next.
-/// Fitted on the first 30 h, asked for the 9 h after.
+/// The best choice within one stretch may fail on the next.
+/// The model is fitted on the first 30 h and tested on the 9 h after.
 #[test]
 fn real_spindle_is_predicted_into_unseen_later_time() {
     let Some((_, text)) = shared("spindle_thermal/first_half.csv") else { return };
@@ -177,8 +177,8 @@ fn real_spindle_is_predicted_into_unseen_later_time() {
     assert!(r.interval95.coverage_holdout[0] >= 0.9, "{:?}", r.interval95);
 }
 
-/// Wherever the rows are cut, what the earlier ones say of the later ones is far better than their mean: no two large terms that
-/// cancelled each other so far.
+/// Wherever the rows are cut, the earlier ones predict the later ones well.
+/// The prediction is far better than the mean. No two large terms cancelled each other before.
 #[test]
 fn real_spindle_is_predicted_from_wherever_it_is_cut() {
     let Some((_, text)) = shared("spindle_thermal/first_half.csv") else { return };

@@ -1,4 +1,5 @@
-//! Thermal models against the patent's printed equations and against simulated machines whose truth is known.
+//! Thermal models against the patent's printed equations and simulated machines.
+//! The truth of those machines is known.
 
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
@@ -20,7 +21,7 @@ fn error(axis: &str) -> Role {
     Role::Error(Axis::new(axis).unwrap())
 }
 
-/// WO 97/43703, equations 2 to 4, at temperatures whose sums can be done by hand.
+/// WO 97/43703, equations 2 to 4, at temperatures that allow a calculation by hand.
 #[test]
 fn patents_equations_to_the_last_digit() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/patent.toml");
@@ -39,14 +40,15 @@ fn patents_equations_to_the_last_digit() {
         temperatures.iter().map(|(n, v)| ((*n).to_owned(), Role::Temperature, vec![*v])).collect();
     columns.extend(["x", "y", "z"].map(|a| (format!("e{a}"), error(a), vec![0.0])));
     let p = machine.predict(&record(columns)).unwrap();
-    // E_x = 0.4179 + 0.0114·10 − 0.0008·100 − 0.0128·5 + 0.0005·25 = 0.4004 mm, with a tenth of the printed 0.114
-    // E_y = 0.4017 + 0.0045·8 − 0.00004·64 − 0.05712·(−2) − 0.00074·4 = 0.54642 mm
-    // E_z = 0.5248 + 0.015·10 − 0.00041·100 − 0.020·6 + 0.0015·36 + 0.00062·2 − 0.00056·4 − 0.0068·3 − 0.000084·9
-    //     = 0.545644 mm
+    // E_x = 0.4179 + 0.0114·10 − 0.0008·100 − 0.0128·5 + 0.0005·25 = 0.4004 mm.
+    // This has a tenth of the printed 0.114.
+    // E_y = 0.4017 + 0.0045·8 − 0.00004·64 − 0.05712·(−2) − 0.00074·4 = 0.54642 mm.
+    // E_z = 0.5248 + 0.015·10 − 0.00041·100 − 0.020·6 + 0.0015·36 + 0.00062·2 − 0.00056·4 − 0.0068·3 −
+    // 0.000084·9 = 0.545644 mm.
     for ((name, got), want) in p.columns.iter().zip([400.4, 546.42, 545.644]) {
         assert!((got[0] - want).abs() < 1e-9, "{name}: {} and {want}", got[0]);
     }
-    // As printed, equation 2 is outside the bounds of growth.
+    // Equation 2 as printed is outside the bounds of growth.
     let text = std::fs::read_to_string(&path).unwrap();
     let printed = Machine::parse(&path, &text.replace("um_per_K = 11.4", "um_per_K = 114.0")).unwrap_err();
     assert!(printed.found.contains("114") && printed.expected.contains("60 µm/K"), "{printed}");
@@ -60,7 +62,8 @@ fn patents_equations_to_the_last_digit() {
     assert!((p.columns[0].1[0] - 521.554).abs() < 1e-9);
 }
 
-/// A small portable generator (xorshift64*), so that the data are the same everywhere.
+/// A small portable random generator (xorshift64*).
+/// It gives the same data everywhere.
 struct Noise(u64);
 
 impl Noise {
@@ -76,9 +79,9 @@ impl Noise {
     }
 }
 
-/// A machine with twenty sensors warmed by its spindle from cold.
-/// Bearings, housing, column, table and ambient as first-order bodies; growth from bearing and housing, both late, more when wet. The
-/// speeds are the cycle.
+/// A machine with twenty sensors, warmed by its spindle from cold.
+/// Bearings, housing, column, table and ambient are first-order bodies. Growth follows bearing and housing
+/// with a lag, and is larger when wet. `cycle` gives the speeds.
 fn warm_up(cycle: &[(f64, f64, bool)], seed: u64) -> Record {
     let mut noise = Noise(seed);
     let minutes: usize = cycle.iter().map(|c| c.0 as usize).sum();
@@ -102,7 +105,8 @@ fn warm_up(cycle: &[(f64, f64, bool)], seed: u64) -> Record {
             let chill = if wet { 0.75 } else { 1.0 };
             *t += (gain * krpm * chill - *t) / tau;
         }
-        // What grows follows bearing and housing late; wet, the cooled outside makes it grow more per kelvin.
+        // Growth follows bearing and housing with a lag. When wet, the outside is cooled, so the growth per
+        // kelvin is larger.
         let source = 0.7 * t[0] + 0.3 * t[2];
         deep += (source - deep) / 45.0;
         let e = 2.1 * deep * if wet { 1.06 } else { 1.0 } + if wet { 1.5 } else { 0.0 };
@@ -123,7 +127,7 @@ fn warm_up(cycle: &[(f64, f64, bool)], seed: u64) -> Record {
     record(columns)
 }
 
-/// Cold start to hot, dry and wet; then a spindle cycle that the fit has not seen.
+/// Fitted from cold start to hot, dry and wet; then tested on an unseen cycle.
 #[test]
 fn twenty_sensors_become_few_and_a_tenth_of_the_drift_is_left() {
     let train = warm_up(
@@ -165,13 +169,14 @@ fn twenty_sensors_become_few_and_a_tenth_of_the_drift_is_left() {
     assert!(r.rms_um.holdout[0] <= 0.1 * drift);
     let wet = r.dry_wet.as_ref().unwrap();
     assert!(wet.wet_model_on_wet_rms_um < wet.dry_model_on_wet_rms_um);
-    // Drawn like the patent's figure 17: every sensor once, γ upwards and best to the right, range downwards.
+    // The chart is like the patent's figure 17: each sensor once, γ upwards, best to the right, range
+    // downwards.
     let chart = r.chart();
     assert_eq!(chart.x_names.len(), 19);
     let (gamma, range) = (&chart.series[0].points, &chart.series[1].points);
     assert!(gamma.windows(2).all(|w| w[0].1 <= w[1].1) && gamma.iter().all(|p| (0.0..=1.0).contains(&p.1)));
     assert!(range.iter().all(|p| (-1.0..0.0).contains(&p.1)) && range.iter().any(|p| p.1 <= -1.0));
-    // The model that is written is the model that was judged.
+    // The written model is the model that was judged.
     let again = Machine::parse(Path::new("m.toml"), &machine.to_text()).unwrap();
     let left: Vec<f64> =
         again.predict(&unseen).unwrap().columns[0].1.iter().zip(y).map(|(p, y)| (y - p).powi(2)).collect();
@@ -179,8 +184,8 @@ fn twenty_sensors_become_few_and_a_tenth_of_the_drift_is_left() {
     assert!((rms - r.rms_um.holdout[0]).abs() < 1e-9);
 }
 
-/// A lag that is there is found, with an interval that holds it.
-/// A record without any gets none.
+/// An existing lag is found, with an interval that contains it.
+/// A record without a lag gets none.
 #[test]
 fn a_lag_earns_its_place_or_is_not_there() {
     let mut noise = Noise(3);
@@ -212,7 +217,7 @@ fn a_lag_earns_its_place_or_is_not_there() {
         assert!(gain.low <= 1.7 + 0.02 && gain.high >= 1.7 - 0.02, "{gain:?}");
         if tau_min > 0.0 {
             let tau = growth.parameters["tau_s"];
-            // Each row's heat acts over the minute before it: half a row sooner than between the rows.
+            // Each row's heat acts over the minute before it, half a row earlier than between the rows.
             assert!(tau.low <= 2430.0 && tau.high >= 2370.0, "{tau:?}");
         } else {
             assert_eq!(growth.name, "thermal_growth.z", "{}", machine.to_text());
@@ -220,8 +225,8 @@ fn a_lag_earns_its_place_or_is_not_there() {
     }
 }
 
-/// Eight hours cannot tell a lag of five from a drift.
-/// The allowance for that covers all that the blocks leave. The gauge's own scatter is in the interval all the same.
+/// Eight hours cannot distinguish a lag of five hours from a drift.
+/// The allowance for that exceeds the blocks' residuals. The interval still includes the gauge's own scatter.
 #[test]
 fn no_interval_is_narrower_than_the_gauges_scatter() {
     const NOISE_UM: f64 = 0.15;
@@ -254,8 +259,8 @@ fn no_interval_is_narrower_than_the_gauges_scatter() {
     }
 }
 
-/// A body that lags by more than the record is long.
-/// Said, as what is fitted may then be another one.
+/// A body that lags by more than the record's length.
+/// A message says so, because the fitted body may be another one.
 #[test]
 fn a_lag_that_the_record_is_too_short_for_is_said() {
     let record = |hours: f64, tau_s: f64| {
@@ -297,9 +302,9 @@ fn a_lag_that_the_record_is_too_short_for_is_said() {
     }
 }
 
-/// A body that pushes one way in the morning and the other way in the afternoon (its clamp slipped): a fit on one half does not
-/// hold the other, and the stated interval is said to be of states as the records show them. Of a machine that does the same
-/// all day nothing is said.
+/// A body pushes one way in the morning and the other way in the afternoon.
+/// Its clamp has slipped. A fit on one half then fails on the other. A message says that the interval applies
+/// to states as the records show them. No message appears if the machine is the same all day.
 #[test]
 fn an_interval_that_other_states_may_break_is_said() {
     let said = |turns: bool| {
@@ -340,8 +345,9 @@ fn an_interval_that_other_states_may_break_is_said() {
     assert!(worst >= 0.9 && !warned, "{worst} {warned}");
 }
 
-/// Two and three bodies that drive the growth alike, each by its own sensor, in plain sums: what one of them leaves is as slow
-/// as what it explains, so that none earns its place alone. All are found, with their gains.
+/// Two and three bodies drive the growth alike, each with its own sensor.
+/// The growth is a plain sum. The residual of one is as slow as its own effect, so none is justified alone.
+/// All are found, with their gains.
 #[test]
 fn bodies_that_say_little_alone_are_found_together() {
     for (seed, gains) in
@@ -369,7 +375,8 @@ fn bodies_that_say_little_alone_are_found_together() {
             k => (format!("T{}", k - 1), Role::Temperature, data),
         });
         let record = record(columns.collect());
-        // The bodies' differences alone to choose from, and all that the sensors make: the same gains, read off the effects.
+        // Whether only the bodies' differences or all of the sensors' are offered, the effects give the same
+        // gains.
         let sensors = (1..=gains.len()).map(|k| Difference::pair(&format!("T{k}"), "T0")).collect();
         for sensors in [sensors, Vec::new()] {
             let options = Options { environment: Some("T0".into()), sensors, ..Options::default() };
@@ -378,7 +385,7 @@ fn bodies_that_say_little_alone_are_found_together() {
             let rounds: Vec<&String> = r.rounds.iter().map(|r| &r.added).collect();
             println!("{gains:?}: {rounds:?}, blocks {:.3} µm", r.rms_um.folds_rms);
             assert!(r.rms_um.folds_rms < 0.3, "{gains:?}: {rounds:?}");
-            // One measure for the fit, its simpler rivals and the warning that compares them.
+            // The fit, its simpler rivals and the warning that compares them use one measure.
             for rms in r.baselines.values().chain([&r.rms_um]) {
                 let square = rms.folds.iter().map(|v| v * v).sum::<f64>() / rms.folds.len() as f64;
                 assert!((rms.folds_rms - square.sqrt()).abs() < 1e-12, "{rms:?}");

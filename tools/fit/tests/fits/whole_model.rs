@@ -1,6 +1,6 @@
 //! The interval of a model that was fitted in steps.
-//! It holds on runs of every kind that it was fitted on, and there is none where no record has been. Machines and runs are made here, by
-//! formulas of their own.
+//! It holds on runs of every kind that it was fitted on. There is none for places without a record. Machines
+//! and runs are made here, by formulas.
 
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
@@ -12,7 +12,8 @@ use std::path::Path;
 use test_needs::dice::Dice;
 
 /// Ten effects.
-/// Scales, reversals, squareness, waves that no fit is asked for, growth of both axes, one of them late.
+/// They are scales, reversals, squareness, waves that no fit looks for, and growth of both axes, one of them
+/// with a lag.
 struct Truth {
     scale: [f64; 2],
     reversal: [f64; 2],
@@ -31,7 +32,7 @@ impl Truth {
     }
 
     /// Errors of x and y at a place, µm.
-    /// Growth from the warmth of the bearing and what lags behind it.
+    /// Growth follows the warmth of the bearing and of a body that lags behind it.
     fn errors(&self, p: [f64; 2], dir: [f64; 2], warm: [f64; 2]) -> [f64; 2] {
         let axis = |k: usize| {
             self.scale[k] * p[k] / 1000.0
@@ -48,7 +49,7 @@ fn column(name: &str, role: &str, data: Vec<f64>) -> Column {
     Column { name: name.to_owned(), unit: role.unit().unwrap().to_owned(), role, data }
 }
 
-/// Rows: positions, directions, bearing and what lags, per row.
+/// Rows with positions, directions, and the warmth of bearing and lagging body.
 struct Rows {
     p: Vec<[f64; 2]>,
     dir: Vec<[f64; 2]>,
@@ -93,7 +94,7 @@ fn record(truth: &Truth, d: &mut Dice, name: &str, kind: Kind, rows: &Rows) -> R
 }
 
 /// The runs that the README names: linear in both axes, plate, drift, circle.
-/// Cold but for the drift.
+/// All are cold except the drift.
 fn runs(truth: &Truth, d: &mut Dice) -> Vec<Record> {
     let cold = || Box::new(|_: usize| 0.0) as Box<dyn Fn(usize) -> f64>;
     let mut out = Vec::new();
@@ -152,14 +153,14 @@ fn the_interval_of_the_whole_model_holds_on_every_kind_of_run() {
         let (base, _) = fit_named(&ideal, &names, &geometry, "2026-05-01", 365).unwrap();
         let options = Options { base: Some(base), environment: Some("air".to_owned()), ..Options::default() };
         let (machine, _) = thermal::fit(&[&train[4]], &[], &options).unwrap();
-        // As it is written and read again.
+        // The model is written and read again.
         let machine = Machine::parse(Path::new("m.toml"), &machine.to_text()).unwrap();
         for (k, record) in later.iter().enumerate() {
             for axis in ["x", "y"] {
                 let role = Role::Error(Axis::new(axis).unwrap());
                 let widths = machine.half_widths_um(record, &role).unwrap();
                 let errors = left(&machine, record, &role);
-                // A gauge's zero is its own.
+                // A gauge's zero does not count.
                 let zero = errors.iter().sum::<f64>() / errors.len() as f64;
                 let zero = if k == 4 { 0.0 } else { zero };
                 inside[k].0 +=
@@ -167,7 +168,7 @@ fn the_interval_of_the_whole_model_holds_on_every_kind_of_run() {
                 inside[k].1 += errors.len() as f64;
             }
         }
-        // Where no record has been there is none.
+        // There is no interval at places without a record.
         let mut far = later[0].clone();
         far.columns.iter_mut().find(|c| c.name == "x").unwrap().data.iter_mut().for_each(|x| *x += 400.0);
         let role = Role::Error(Axis::new("x").unwrap());
@@ -181,22 +182,22 @@ fn the_interval_of_the_whole_model_holds_on_every_kind_of_run() {
         println!("{kind:10} {:5.1} % inside", 100.0 * own / all);
     }
     for (kind, (own, all)) in kinds.iter().zip(inside) {
-        // Growth of y lags: whether the machine was warm before a run of its own begins nobody knows, so its interval is wider
-        // through the first minutes, which are all that a run along y has.
+        // Growth of y lags, and the state before a run begins is unknown. The interval is therefore wider in
+        // the first minutes. A run along y lasts no longer.
         let most = if *kind == "linear y" { 1.0 } else { 0.99 };
         assert!((0.9..=most).contains(&(own / all)), "{kind}: {own} of {all}");
     }
 }
 
-/// A bug once.
-/// Named effects of forces were refused, as if the records did not tell them from nothing.
+/// Regression: named effects on forces were refused.
+/// The message was that the records did not distinguish them from nothing.
 #[test]
 fn forces_are_fitted_as_errors_are() {
     let mut d = Dice::new(5);
     let n = 600;
     let v: Vec<f64> = (0..n).map(|i| 200.0 * (f64::from(i) / 40.0).sin()).collect();
     let a: Vec<f64> = (0..n).map(|i| 200.0 / 0.04 * (f64::from(i) / 40.0).cos()).collect();
-    // 80 kg, 900 N·s/m, 35 N, and a constant of its own.
+    // 80 kg, 900 N·s/m, 35 N, and a constant.
     let f = |i: usize, dice: &mut Dice| {
         80.0 * a[i] / 1000.0 + 900.0 * v[i] / 1000.0 + 35.0 * v[i].signum() + 12.0 + 2.0 * dice.normal()
     };

@@ -1,4 +1,4 @@
-//! An effect over a record, with the columns that it reads found once.
+//! An effect over a record, with its columns looked up once.
 //! Basis values, sums and slopes are computed column by column.
 
 use super::{Against, Effect, Input, Naming, Need, Out, STANDARD_DEGC, State, sign};
@@ -8,23 +8,25 @@ use crate::record::{Record, Role};
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("no {what}, which effect {effect} reads (the record has: {has})")]
 pub struct Missing {
-    /// The effect.
+    /// The effect that reads it.
     pub effect: String,
-    /// `temperature.T8`, `channel.z9`.
+    /// What is missing, as `temperature.T8` or `channel.z9`.
     pub what: String,
-    /// What the record has of that role.
+    /// The names of that role that the record has.
     pub has: String,
 }
 
-/// The radial component: the errors along a circle's two axes, projected.
+/// Component number of a circle's radial error.
+/// It is the projection of the errors of the circle's two axes.
 pub(super) const RADIAL: usize = 2;
 
-/// What an effect remembers between two pieces of a record, for each component.
+/// The states of an effect between two pieces of a record, one per component.
 pub(crate) type States = [State; 2];
 
 /// The columns of a record that an effect reads.
 ///
-/// Good for every value of the effect's parameters, so that a search over non-linear parameters binds once.
+/// They do not depend on the values of the effect's parameters, so a search over non-linear parameters binds
+/// once.
 #[derive(Debug, Clone)]
 pub struct Bound<'r> {
     rows: usize,
@@ -45,7 +47,7 @@ pub struct Bound<'r> {
     angle: Option<&'r [f64]>,
     channel: Option<&'r [f64]>,
     taken_as_zero: Vec<Role>,
-    /// The share of each component's error in the radial one, in a circle.
+    /// In a circle: the share of each component's error in the radial error.
     share: [Option<&'r [f64]>; 2],
 }
 
@@ -68,13 +70,13 @@ impl Bound<'_> {
         self.t[row]
     }
 
-    /// Where an axis of the effect's name stands, row by row, mm.
-    /// None where that is not logged.
+    /// Positions of an axis of the effect's name, row by row, mm.
+    /// `None` if they are not logged.
     pub(super) fn p_mm(&self, axis: usize) -> Option<&[f64]> {
         self.p[axis]
     }
 
-    /// What the effect reads at a row.
+    /// All inputs of the effect at one row.
     #[must_use]
     pub fn input(&self, row: usize) -> Input {
         let at = |column: Option<&[f64]>| column.map_or(0.0, |c| c[row]);
@@ -100,7 +102,8 @@ impl Bound<'_> {
         self.sensor.map_or(0.0, |s| s[row] - self.minus.map_or(self.reference, |m| m[row]))
     }
 
-    /// Basis values of `effect` over the record, column by column: `out[k·rows + row]` for coefficient k.
+    /// Basis values of `effect` over the record, column by column.
+    /// `out[k·rows + row]` belongs to coefficient k.
     ///
     /// # Panics
     /// When `out` does not have rows × coefficients places.
@@ -108,7 +111,7 @@ impl Bound<'_> {
         self.basis_on(effect, component, &mut States::default(), out);
     }
 
-    /// As [`Bound::basis`] of rows that follow others.
+    /// As [`Bound::basis`], for rows that continue those of `states`.
     pub(crate) fn basis_on(&self, effect: &Effect, component: usize, states: &mut States, out: Out<'_>) {
         assert_eq!(out.len(), self.rows * effect.coefficient_count(), "one column per coefficient");
         self.projected(component, out, |component, out| {
@@ -116,8 +119,8 @@ impl Bound<'_> {
         });
     }
 
-    /// Columns of one component.
-    /// Or of all that have a share in the radial error, each by its share.
+    /// Fills the columns of one component.
+    /// For [`RADIAL`] it fills the sum of both components, each times its share.
     fn projected(&self, component: usize, out: Out<'_>, mut fill: impl FnMut(usize, Out<'_>)) {
         if component != RADIAL {
             return fill(component, out);
@@ -141,7 +144,7 @@ impl Bound<'_> {
         self.add_on(effect, component, &mut States::default(), out);
     }
 
-    /// As [`Bound::add`] of rows that follow others.
+    /// As [`Bound::add`], for rows that continue those of `states`.
     pub(crate) fn add_on(&self, effect: &Effect, component: usize, states: &mut States, out: Out<'_>) {
         assert_eq!(out.len(), self.rows, "one place per row");
         let coefficients = effect.coefficients();
@@ -154,8 +157,9 @@ impl Bound<'_> {
         }
     }
 
-    /// Derivative of the effect by every parameter value, column by column: `out[i·rows + row]` for value i of
-    /// [`Effect::values`]. Columns of parameters that are chosen, not searched, are zero.
+    /// Derivative of the effect by every parameter value, column by column.
+    /// `out[i·rows + row]` belongs to value i of [`Effect::values`]. Columns of parameters that are chosen
+    /// before the fit are zero.
     ///
     /// # Panics
     /// When `out` does not have rows × values places.

@@ -1,8 +1,9 @@
-//! What a law states about itself, so that no caller depends on its name.
+//! The properties that a law states about itself.
+//! With them no caller depends on the law's name.
 
 use crate::record::{Axis, Role};
 
-/// How many axes (and what else) an effect's name carries.
+/// The axes, and the channel if any, that an effect's name has.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Naming {
     /// `NAME`: acts on `error.r`, or on the only error response.
@@ -21,7 +22,7 @@ pub enum Naming {
     Channel,
 }
 
-/// What an effect reads, beside its parameters.
+/// An input of an effect, beside its parameters.
 ///
 /// Axis numbers count the axes of its name.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -51,7 +52,7 @@ pub enum Need {
 }
 
 impl Need {
-    /// The role of the column it comes from, for an effect of these axes.
+    /// The role of the column with this quantity, for an effect of these axes.
     #[must_use]
     pub fn role(self, axes: &[Axis]) -> Role {
         let axis = |n: usize| axes[n].clone();
@@ -71,7 +72,7 @@ impl Need {
     }
 }
 
-/// What an effect acts on.
+/// The quantity that an effect acts on.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Quantity {
     /// A position error, µm.
@@ -81,50 +82,50 @@ pub enum Quantity {
     Force,
 }
 
-/// Whose an effect is.
+/// What an effect belongs to: the machine, the probe or the part.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Owner {
-    /// The machine's: it is in whatever the machine makes or measures.
+    /// The machine: the effect is in everything that it makes or measures.
     #[default]
     Machine,
-    /// The probe's: in what is probed, not in the part.
+    /// The probe: the effect is in what is probed, but not in the part.
     Probe,
-    /// The part's own form.
+    /// The part: its own form.
     Part,
 }
 
-/// What probing has to do with an effect.
+/// How probing changes whether an effect acts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Probing {
-    /// Nothing.
+    /// The effect acts in every run.
     #[default]
     Alike,
-    /// It acts while the machine probes, and only then.
+    /// The effect acts only while the machine probes.
     Only,
-    /// In a run of probing another effect takes its place: there it is no candidate.
+    /// Another effect takes its place in a probing run, where it is not a candidate.
     Displaced,
 }
 
-/// How an effect stands to heat.
+/// How an effect depends on heat.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Heat {
-    /// Not at all.
+    /// It does not.
     #[default]
     None,
-    /// It is not caused by heat, but steady or in one step it can stand in for a drift.
+    /// Not caused by heat, but a steady value or one step can imitate a drift.
     StandsIn,
     /// It grows with the time since the start instead of a temperature.
     FromStart,
     /// Growth at a point.
-    /// Its first coefficient is µm/K of the temperature difference, lagged or not.
+    /// Its first coefficient is in µm/K of the temperature difference, lagged or not.
     Growth,
-    /// In proportion to a temperature difference and to a length.
+    /// Proportional to a temperature difference and to a length.
     Expansion,
 }
 
-/// The mechanism whose size an effect's first parameter gives.
-/// It is part of an axis's mechanics or of the probe. A simulation builds it in, and the effect on the position
-/// follows.
+/// The mechanism whose size is an effect's first parameter.
+/// It is part of an axis' mechanics or of the probe. A simulation builds it in, and the effect on the
+/// position follows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Mechanism {
     /// Moved mass, kg.
@@ -135,7 +136,7 @@ pub enum Mechanism {
     CoulombFriction,
     /// Viscous friction that differs by direction, N·s/m.
     AsymmetricFriction,
-    /// A force that is always there, N.
+    /// A constant force, N.
     ConstantForce,
     /// Time from contact to capture, µs.
     ProbeDelay,
@@ -154,26 +155,26 @@ pub enum Search {
     /// Non-linear and smooth: search the range, then descend along the derivative.
     Smooth,
     /// Chosen from the data before the fit, so it has no derivative.
-    /// Examples are knots, a whole number of lobes, the time of a step.
+    /// Examples are knots, a whole number of lobes and the time of a step.
     Chosen,
 }
 
-/// How a search goes on from the best point of the law's grid along one parameter.
+/// How a search refines a parameter from the best point of the law's grid.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub enum Refine {
-    /// It stays where the grid has it.
+    /// Not at all: it keeps the grid's value.
     #[default]
     Stays,
-    /// First step to either side, in the parameter's unit; later ones are shorter.
+    /// By steps; the first one is in the parameter's unit, later ones are shorter.
     Step(f64),
-    /// The same for its logarithm.
+    /// By steps of its logarithm.
     Factor(f64),
-    /// The same for the logarithm of a time constant.
+    /// By steps of the logarithm of a time constant.
     ///
-    /// It is not refined beyond the longest that the records show. A constant far longer than the run looks like a
-    /// straight line and predicts nothing.
+    /// It is not refined beyond the longest that the records show. A constant far longer than the run looks
+    /// like a straight line and predicts nothing.
     TimeConstant(f64),
-    /// From one moment of the records to another.
+    /// From one row's time to another's.
     Moment,
 }
 
@@ -184,17 +185,17 @@ pub struct Parameter {
     pub name: String,
     /// Its unit.
     pub unit: String,
-    /// What a sound machine may show: where a search begins, and a warning outside.
+    /// The range that a sound machine may show, in the parameter's own unit.
     ///
-    /// In the parameter's own unit.
+    /// A search begins there. A value outside causes a warning.
     pub plausible: [f64; 2],
     /// Its usual size on machines that have it, in the parameter's unit.
-    /// It is the scale of an amplitude's prior. Zero where it is unknown: then a part of `plausible` replaces it
+    /// It is the scale of an amplitude's prior. Zero if it is unknown: then a part of `plausible` replaces it
     /// ([`Parameter::prior_size`]).
     pub typical: f64,
-    /// Physical bounds: outside them a value is an error.
+    /// Physical bounds: a value outside is an error.
     pub bounds: [f64; 2],
-    /// Where the bounds come from; empty where there are none.
+    /// Why the bounds are these; empty if there are none.
     pub source: String,
     /// How a fit finds it.
     pub search: Search,
@@ -202,17 +203,17 @@ pub struct Parameter {
     pub refine: Refine,
     /// One value per knot instead of a single one.
     pub array: bool,
-    /// Two effects of one name with different values of it are two effects.
-    /// Examples are a period, knots, a time.
+    /// Two effects of one name are distinct if this parameter differs.
+    /// Examples are a period, knots and a time.
     pub tells_apart: bool,
-    /// A place on a circle: a turn further on it is the same.
+    /// Periodic: a full turn further the value means the same.
     pub cyclic: bool,
-    /// Value where the file gives none; `None` where it must be given.
+    /// Value if the file gives none; `None` if the file must give one.
     pub default: Option<f64>,
 }
 
 impl Parameter {
-    /// A parameter without bounds that has to be given.
+    /// A required parameter without bounds.
     /// `plausible` is its range in a sound machine.
     #[must_use]
     pub fn new(name: &str, unit: &str, plausible: [f64; 2], search: Search) -> Self {
@@ -232,19 +233,19 @@ impl Parameter {
         }
     }
 
-    /// A linear parameter of either sign, plausible up to so much.
+    /// A linear parameter of either sign, plausible up to ±`plausible`.
     #[must_use]
     pub fn linear(name: &str, unit: &str, plausible: f64) -> Self {
         Self::new(name, unit, [-plausible, plausible], Search::Linear)
     }
 
-    /// With the size that machines usually have.
+    /// Sets its usual size on machines.
     #[must_use]
     pub fn typically(self, size: f64) -> Self {
         Self { typical: size, ..self }
     }
 
-    /// The scale of the prior of an amplitude, in the parameter's own unit.
+    /// The scale of an amplitude's prior, in the parameter's own unit.
     #[must_use]
     pub fn prior_size(&self) -> f64 {
         if self.typical > 0.0 {
@@ -254,54 +255,55 @@ impl Parameter {
         }
     }
 
-    /// With physical bounds and the sentence that says where they come from.
-    /// What is plausible is within them.
+    /// Sets physical bounds and the sentence that gives their source.
+    /// The plausible range is cut to the bounds.
     #[must_use]
     pub fn within(self, bounds: [f64; 2], source: &str) -> Self {
         let plausible = self.plausible.map(|x| x.clamp(bounds[0], bounds[1]));
         Self { bounds, plausible, source: source.to_owned(), ..self }
     }
 
-    /// With a default value.
+    /// Sets a default value.
     #[must_use]
     pub fn or(self, default: f64) -> Self {
         Self { default: Some(default), ..self }
     }
 
-    /// With one value per knot.
+    /// Makes it an array: one value per knot.
     #[must_use]
     pub fn array(self) -> Self {
         Self { array: true, ..self }
     }
 
-    /// Refined in a search.
+    /// Sets how a search refines it.
     #[must_use]
     pub fn refined(self, refine: Refine) -> Self {
         Self { refine, ..self }
     }
 
-    /// Telling effects of one name apart.
+    /// Makes it distinguish effects of one name.
     #[must_use]
     pub fn telling_apart(self) -> Self {
         Self { tells_apart: true, ..self }
     }
 
-    /// On a circle.
+    /// Makes it periodic.
     #[must_use]
     pub fn cyclic(self) -> Self {
         Self { cyclic: true, ..self }
     }
 }
 
-/// A periodic law of the first axis's position, with its period searched over all frequencies.
-/// Its parameters are period, amplitude and phase, in this order.
+/// A periodic law of the first axis's position.
+/// A search tries its period over all frequencies. Its parameters are period, amplitude and phase, in this
+/// order.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Wave {
     /// Unit of the period, mm.
     pub unit_mm: f64,
-    /// Usual periods of machines, mm: of several equally good ones they are likelier.
+    /// Usual periods of machines, mm; among equally good ones they are preferred.
     pub usual_mm: &'static [f64],
-    /// The shortest period that can be told from a longer one, in steps of the positions' reading.
+    /// The shortest distinguishable period, in steps of the positions' resolution.
     /// `None` for a period that is long compared with any step.
     pub steps: Option<f64>,
     /// Largest amplitude, in periods.
@@ -313,70 +315,70 @@ pub struct Wave {
 /// Its grid is [`super::Law::grid`].
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Searched {
-    /// What it costs beyond a law with physics behind it, nats.
+    /// Extra cost compared with a law with physics behind it, nats.
     pub price: f64,
     /// Several of one name may act at once, each with its own period or place.
     pub repeats: bool,
-    /// For a wave: what the search of its period has to know. It has no grid.
+    /// For a wave: how its period is searched. A wave has no grid.
     pub wave: Option<Wave>,
-    /// The law that it accompanies.
-    /// It is used with that law's effect, and if that is a wave, with its period.
+    /// The law that this one accompanies.
+    /// A candidate of this law is bound to that law's effect and, if that is a wave, to its period.
     pub beside: Option<&'static str>,
 }
 
-/// The description of a law. What a law leaves at its default holds for most.
+/// The description of a law. Its defaults hold for most laws.
 #[derive(Debug, Clone, PartialEq, Default)]
 #[allow(clippy::struct_excessive_bools)] // facts that do not depend on each other
 pub struct Description {
     /// First part of the effect's name.
     pub name: String,
-    /// The formula, as formats.md writes it.
+    /// The formula, as the guide's page of effects shows it.
     pub law: String,
-    /// What stands behind it in a machine.
+    /// Its usual cause in a machine.
     pub cause: String,
-    /// The run that excites it and tells it from its neighbours.
+    /// The run that excites it and distinguishes it from similar effects.
     pub experiment: String,
-    /// How the effect's name goes on.
+    /// What follows the law's name in the effect's name.
     pub naming: Naming,
-    /// What it acts on.
+    /// The quantity that it acts on.
     pub quantity: Quantity,
     /// Its parameters, in the order of [`super::Effect::values`].
     pub parameters: Vec<Parameter>,
-    /// What it reads.
+    /// The quantities that it reads.
     pub needs: Vec<Need>,
-    /// Whose it is.
+    /// What it belongs to.
     pub owner: Owner,
-    /// What probing has to do with it.
+    /// How probing changes whether it acts.
     pub probing: Probing,
-    /// How it stands to heat.
+    /// How it depends on heat.
     pub heat: Heat,
-    /// What a simulated machine builds in for it.
+    /// The mechanism that a simulated machine builds in for it.
     pub mechanism: Option<Mechanism>,
-    /// The law that does to a run what another reference temperature of this one does.
-    /// `None` without a temperature.
+    /// The law that acts on a run like another reference temperature of this one.
+    /// `None` for a law without a temperature.
     pub companion: Option<&'static str>,
-    /// The time constant of a first-order lag of the temperature difference.
+    /// The parameter that is the time constant of a first-order lag of ΔT.
     pub lag: Option<usize>,
-    /// It is the same at all times and places: the zero of its axis.
+    /// Constant in time and place: the zero of its axis.
     pub constant: bool,
-    /// It dies out with the travel since the axis turned.
+    /// It fades with the travel since the axis turned.
     pub after_turn: bool,
     /// Its first parameter is a whole number of counts.
     pub whole_counts: bool,
-    /// The axes behind the first may change places: written alphabetically.
+    /// The axes after the first may be exchanged; they are written alphabetically.
     pub symmetric: bool,
     /// How a search treats it.
     pub searched: Searched,
 }
 
 impl Description {
-    /// Whether it may be the zero of a gauge. A constant force is the machine's own.
+    /// Whether it may be the zero of a gauge. A constant force belongs to the machine.
     #[must_use]
     pub fn may_be_set_up(&self) -> bool {
         self.constant && self.quantity == Quantity::Error
     }
 
-    /// The place of the first parameter that a fit finds in a certain way.
+    /// The index of the first parameter that a fit finds in this way.
     #[must_use]
     pub fn place(&self, search: Search) -> Option<usize> {
         self.parameters.iter().position(|p| p.search == search)

@@ -1,4 +1,4 @@
-//! All laws by name, and which of their effects a set of records could show.
+//! All laws by name, and the candidate effects that a set of records could show.
 
 use super::laws::BUILT_IN;
 use super::{
@@ -7,7 +7,7 @@ use super::{
 use crate::record::{Axis, Kind, LINEAR, Record, Role};
 use std::sync::Arc;
 
-/// All laws by name: the built-in ones of formats.md, and a project's own.
+/// All laws by name: the built-in ones and a project's own.
 #[derive(Debug, Clone)]
 pub struct Dictionary {
     laws: Vec<Arc<dyn Law>>,
@@ -28,7 +28,7 @@ impl Dictionary {
     /// Adds a project's own law.
     ///
     /// # Errors
-    /// A law of that name is there already.
+    /// The dictionary already has a law of that name.
     pub fn insert(&mut self, law: Arc<dyn Law>) -> Result<(), ValueError> {
         let name = &law.describe().name;
         if self.laws.iter().any(|l| l.describe().name == *name) {
@@ -42,7 +42,7 @@ impl Dictionary {
     /// Parameters have their default, or zero (linear ones), or the middle of their plausible range.
     ///
     /// # Errors
-    /// Unknown law, or a name that does not go on as the law's does.
+    /// Unknown law, or a name whose ending does not suit the law.
     pub fn effect(&self, name: &str) -> Result<Effect, ValueError> {
         let (head, rest) = name.split_once('.').map_or((name, None), |(h, r)| (h, Some(r)));
         let Some(law) = self.laws.iter().find(|l| l.describe().name == head) else {
@@ -63,8 +63,8 @@ impl Dictionary {
     }
 
     /// Every effect that could act in these records, in a fixed order.
-    /// It has each law on each response, with each sensor, sensor pair and channel that the records have in common.
-    /// Parameters are those of [`Dictionary::effect`]. The caller places the knots.
+    /// It takes each law on each response, with each sensor, sensor pair and channel that the records have in
+    /// common. Parameters are those of [`Dictionary::effect`]. The caller places the knots.
     #[must_use]
     pub fn candidates(&self, records: &[&Record]) -> Vec<Effect> {
         let Some(common) = Common::of(records) else { return Vec::new() };
@@ -81,7 +81,7 @@ impl Dictionary {
     }
 }
 
-/// How a name goes on behind the law's.
+/// What follows a law's name in an effect's name.
 fn form(naming: Naming) -> &'static str {
     match naming {
         Naming::Plain => "",
@@ -92,8 +92,8 @@ fn form(naming: Naming) -> &'static str {
     }
 }
 
-/// The axes and the channel of a name, from what stands behind the law's.
-/// `None` where that is not how the law's names go on.
+/// The axes and the channel in the part of a name after the law's.
+/// `None` if that part does not suit the law.
 fn axes_of(law: &Description, rest: Option<&str>) -> Option<(Vec<Axis>, Option<String>)> {
     let parts: Vec<&str> = match (law.naming, rest) {
         (Naming::Channel, Some(r)) => r.splitn(2, '.').collect(),
@@ -118,7 +118,7 @@ fn axes_of(law: &Description, rest: Option<&str>) -> Option<(Vec<Axis>, Option<S
     }
 }
 
-/// What records have in common.
+/// The responses, sensors and channels that all records have.
 struct Common<'r> {
     records: &'r [&'r Record],
     sensors: Vec<&'r str>,
@@ -129,7 +129,7 @@ struct Common<'r> {
     probing: bool,
 }
 
-/// The axes on whose errors (or forces: true) a record is informative.
+/// The axes on whose errors (`true`: forces) a record is informative.
 /// They are those of its responses and of a circle's plane.
 fn responding(record: &Record) -> impl Iterator<Item = (bool, &Axis)> {
     let of = |c: &'_ crate::record::Column| matches!(c.role, Role::Force(_));
@@ -162,7 +162,7 @@ impl<'r> Common<'r> {
         self.records.iter().all(|r| r.column(role).is_some())
     }
 
-    /// The names that a law's effects could have here.
+    /// All names that a law's effects can have in these records.
     fn names(&self, law: &Description) -> Vec<String> {
         let mut names: Vec<String> = Vec::new();
         for axis in &self.axes {
@@ -183,7 +183,7 @@ impl<'r> Common<'r> {
         names
     }
 
-    /// Whether every record has what an effect acts on and reads.
+    /// Whether every record has the response and the inputs of an effect.
     fn shows(&self, effect: &Effect) -> bool {
         let law = effect.description();
         let components = if law.naming == Naming::Pair { 2 } else { 1 };
@@ -196,9 +196,9 @@ impl<'r> Common<'r> {
             }
             _ => self.everywhere(&need.role(&effect.axes)),
         };
-        // A bar turns about its balls: no probe has a part in a circle.
+        // A ballbar turns about its balls: no probe takes part in a circle.
         let circle = self.records.iter().any(|r| r.circle().is_some());
-        // Nor is the bar an axis that others lead: what places do to it, they do to the axes.
+        // The bar's radial error is no axis of its own: what depends on a position acts on the two axes.
         let of_bar = effect.axes.first().is_some_and(|a| a.as_str() == "r")
             && law.needs.iter().any(|n| matches!(n, Need::Position(_)));
         self.records.iter().all(|r| effect.acts_on(r).len() >= components)
@@ -207,7 +207,7 @@ impl<'r> Common<'r> {
             && !(law.probing == Probing::Displaced && self.probing)
     }
 
-    /// The effect, once for each sensor and pair of sensors if it reads a temperature.
+    /// The effect, or one per sensor and sensor pair if it reads a temperature.
     fn with_sensors(&self, effect: Effect) -> Vec<Effect> {
         if !effect.description().needs.contains(&Need::Delta) {
             return vec![effect];

@@ -1,21 +1,21 @@
-//! What a thermal effect reads: a temperature difference.
+//! The temperature difference that a thermal effect reads.
 
 use rtec_files::InputError;
 use rtec_files::toml::{Entry, Table};
 use std::fmt;
 
-/// What a temperature is compared with.
+/// The temperature that a sensor is compared with.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Against {
     /// Another sensor: a differential pair.
     Sensor(String),
     /// A fixed temperature, °C.
     Reference(f64),
-    /// Nothing given: 20 °C.
+    /// No reference given: 20 °C.
     Standard,
 }
 
-/// Reference temperature of dimensional metrology where none is given, °C (ISO 1).
+/// Reference temperature of dimensional metrology if none is given, °C (ISO 1).
 pub const STANDARD_DEGC: f64 = 20.0;
 
 /// A temperature difference: sensor minus sensor, or minus a reference.
@@ -23,7 +23,7 @@ pub const STANDARD_DEGC: f64 = 20.0;
 pub struct Difference {
     /// The sensor's name.
     pub sensor: String,
-    /// What it is compared with.
+    /// The temperature that it is compared with.
     pub against: Against,
 }
 
@@ -37,20 +37,20 @@ impl Difference {
         std::iter::once(self.sensor.as_str()).chain(minus)
     }
 
-    /// Sensor minus sensor.
+    /// The difference of two sensors.
     #[must_use]
     pub fn pair(sensor: &str, minus: &str) -> Self {
         Self { sensor: sensor.to_owned(), against: Against::Sensor(minus.to_owned()) }
     }
 
-    /// Whether it is sensor minus sensor.
+    /// Whether it is the difference of two sensors.
     #[must_use]
     pub fn is_pair(&self) -> bool {
         matches!(self.against, Against::Sensor(_))
     }
 
     /// The difference in full, with the standard temperature.
-    /// `T3-20` where the name alone is `T3`.
+    /// It is `T3-20` if the name alone is `T3`.
     #[must_use]
     pub fn in_full(&self) -> String {
         match self.against {
@@ -71,7 +71,7 @@ impl fmt::Display for Difference {
         match &self.against {
             Against::Sensor(minus) => write!(f, "{}-{minus}", self.sensor),
             Against::Reference(degc) => {
-                // A tenth of a millikelvin: a fitted reference has more digits than anybody reads.
+                // Four decimals are enough: a fitted reference has more digits than anybody reads.
                 let text = format!("{degc:.4}");
                 write!(f, "{}-{}", self.sensor, text.trim_end_matches('0').trim_end_matches('.'))
             }
@@ -80,12 +80,12 @@ impl fmt::Display for Difference {
     }
 }
 
-/// A reference temperature: of a place where machines stand.
+/// Reads a reference temperature, °C, within the range of workshops.
 fn reference_degc(entry: Entry<'_>) -> Result<f64, InputError> {
     entry.within([-40.0, 150.0], "a reference temperature in degC")
 }
 
-/// `sensor` with `minus`, with `reference_degC`, or alone.
+/// Reads `sensor` with `minus`, with `reference_degC`, or alone.
 pub(crate) fn read_difference(table: Table<'_>) -> Result<Difference, InputError> {
     let sensor = table.required("sensor", "the sensor's name, as sensor = \"T8\"")?;
     let against = match (table.get("minus"), table.get("reference_degC")) {

@@ -1,10 +1,10 @@
-//! Where a search for a missing effect looks first.
+//! The grid on which a search for a missing effect begins.
 //! Each law lists grid points of its non-linear parameters over the records' range.
 
 use super::Effect;
 use crate::record::Axis;
 
-/// What the records of a search span, asked by a law's grid.
+/// The extent of a search's records, which a law's grid asks for.
 pub trait Extent {
     /// Number of rows of all responses.
     fn rows(&self) -> usize;
@@ -14,10 +14,10 @@ pub trait Extent {
     /// Times of the rows at which a step may fall, s, rising.
     /// The first and last few are left out.
     fn moments_s(&self) -> Vec<f64>;
-    /// Measured places of an axis, mm, rising; empty where none is logged.
+    /// Measured places of an axis, mm, rising; empty if none is logged.
     /// Places that differ by little are merged.
     fn places_mm(&self, axis: &Axis) -> Vec<f64>;
-    /// Travel of single records along an axis, mm, where shorter than that of all together.
+    /// Ranges of single records along an axis, mm, if shorter than the whole travel.
     ///
     /// Ranges that differ by little are merged.
     fn stretches_mm(&self, axis: &Axis) -> Vec<[f64; 2]>;
@@ -28,12 +28,13 @@ pub trait Extent {
 pub struct Point {
     /// The effect with its non-linear parameters set.
     pub effect: Effect,
-    /// Price of the search, nats: the logarithm of how many points can be distinguished.
+    /// Price of the search, nats.
+    /// It is the logarithm of the number of points that can be distinguished.
     pub price: f64,
 }
 
 impl Point {
-    /// A law without a non-linear parameter has one point.
+    /// The single point of a law without non-linear parameters.
     #[must_use]
     pub fn only(effect: &Effect) -> Vec<Self> {
         vec![Self { effect: effect.clone(), price: 0.0 }]
@@ -55,7 +56,7 @@ impl Point {
 
 impl Effect {
     /// The effect with some of its scalar parameters at other values.
-    /// `None` outside their bounds.
+    /// `None` if a value is outside its bounds.
     #[must_use]
     pub fn with(&self, set: &[(usize, f64)]) -> Option<Self> {
         let mut values = self.values().to_vec();
@@ -65,14 +66,14 @@ impl Effect {
         self.with_values(&values)
     }
 
-    /// The effect with other values of all its parameters; `None` outside their bounds.
+    /// The effect with other values of all parameters; `None` if one is out of bounds.
     #[must_use]
     pub fn with_values(&self, values: &[f64]) -> Option<Self> {
         let mut effect = self.clone();
         effect.set_values(values).is_ok().then_some(effect)
     }
 
-    /// Grid points of a search in records of this extent.
+    /// The law's grid points in records of this extent.
     #[must_use]
     pub fn grid(&self, records: &dyn Extent) -> Vec<Point> {
         self.law().grid(self, records)

@@ -4,19 +4,19 @@ use super::{
     Bound, Description, Effect, Extent, Input, Law, Out, Parameter, Point, Search, State, ValueError,
 };
 
-/// A broken line over the position of one axis.
+/// A function of one axis's position, linear between knots.
 #[derive(Debug)]
 pub(super) struct BrokenLine {
     pub(super) description: Description,
-    /// Which axis of the name the knots lie on.
+    /// Index of the axis in the name that the knots lie on.
     pub(super) along: usize,
 }
 
 const KNOTS: usize = 0;
 const UM: usize = 1;
 
-/// The heights on either side of a place, each with its share there.
-/// Beyond the end knots their own alone.
+/// The two knots around a position, each with its weight.
+/// Beyond the end knots, the end knot alone.
 fn shares(knots: &[f64], p_mm: f64) -> [(usize, f64); 2] {
     let after = knots.partition_point(|k| *k <= p_mm);
     if after == 0 || after == knots.len() {
@@ -60,7 +60,8 @@ impl Law for BrokenLine {
         Some((self.along, [*knots.first()?, *knots.last()?]))
     }
 
-    /// A constant and a line over the knots, which offset, scale and squareness explain.
+    /// A constant and a straight line over the knots.
+    /// Offset, scale and squareness explain them.
     fn constraints(&self, effect: &Effect) -> Vec<Vec<f64>> {
         let knots = effect.get(KNOTS);
         let middle = knots.iter().sum::<f64>() / knots.len() as f64;
@@ -74,15 +75,15 @@ impl Law for BrokenLine {
         Err(ValueError::new("knots_mm", format!("{:?}", effect.get(KNOTS)), "knots that increase strictly"))
     }
 
-    /// Sets of knots: from a few even ones to two dozen.
+    /// Sets of even knots, from 4 to 48.
     ///
-    /// They cover the whole travel and each record's own part. If there are few places, one set has a knot at every
-    /// place.
+    /// They cover the whole travel and each record's own part. If there are few places, one set has a knot at
+    /// every place.
     fn grid(&self, effect: &Effect, records: &dyn Extent) -> Vec<Point> {
         let axis = &effect.axes()[self.along];
         let places = records.places_mm(axis);
         let parts = records.stretches_mm(axis);
-        // Which part was meant is chosen, too.
+        // The price includes the choice among the parts.
         let price = 1.0 + (1.0 + parts.len() as f64).ln();
         let mut all = even(&SIZES, &places, records.rows());
         if PLACES.contains(&places.len()) && places.len() < records.rows() / 2 {
@@ -100,8 +101,8 @@ impl Law for BrokenLine {
     }
 }
 
-/// Even knots from the first place to the last, for each of these numbers.
-/// Numbers that the places cannot tell apart are left out.
+/// Sets of even knots from the first place to the last, one for each of `sizes`.
+/// Sizes that the places cannot tell apart are left out.
 fn even(sizes: &[usize], places: &[f64], rows: usize) -> Vec<Vec<f64>> {
     let (Some(lo), Some(hi)) = (places.first(), places.last()) else { return Vec::new() };
     let sizes = sizes.iter().copied().filter(|k| *k < places.len().min(rows / 3));
@@ -111,7 +112,7 @@ fn even(sizes: &[usize], places: &[f64], rows: usize) -> Vec<Vec<f64>> {
     all
 }
 
-/// The knots that are nearest to some place.
+/// The knots that have a measured place nearest to them.
 /// Elsewhere nothing was measured, and a height would be arbitrary.
 fn with_places(knots: Vec<f64>, places: &[f64]) -> Vec<f64> {
     let mut has = vec![false; knots.len()];
@@ -128,12 +129,12 @@ fn with_places(knots: Vec<f64>, places: &[f64]) -> Vec<f64> {
 
 /// Numbers of even knots that a search tries.
 const SIZES: [usize; 17] = [4, 5, 6, 7, 8, 9, 10, 11, 12, 14, 16, 20, 24, 28, 34, 40, 48];
-/// The same over a part of what was travelled: there as many lie closer together.
+/// The same over a part of the travel, where as many knots lie closer together.
 const FEW_SIZES: [usize; 11] = [4, 5, 6, 7, 8, 9, 10, 11, 12, 14, 16];
-/// Numbers of places that may each have a knot.
+/// Numbers of places for which each place may have a knot.
 const PLACES: std::ops::RangeInclusive<usize> = 4..=48;
 
-/// Knots and heights.
+/// The parameters of a map: knots and heights.
 pub(super) fn parameters() -> Vec<Parameter> {
     vec![
         Parameter::new("knots_mm", "mm", [-1e4, 1e4], Search::Chosen)

@@ -1,8 +1,8 @@
-//! A first-order lag: what follows its input late.
+//! A first-order lag: its output follows its input late.
 //!
-//! The one place where its recursion is written.
+//! The recursion is written only here.
 
-/// What a first-order lag does over one step of time.
+/// The decay of a first-order lag over one step of time.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Decay {
     h_s: f64,
@@ -22,7 +22,7 @@ impl Decay {
         u - s * tau_s * self.gone + (y0 - u0) * (1.0 - self.gone)
     }
 
-    /// The derivative by tau after the step.
+    /// The derivative of the lagged value by the time constant, after the step.
     pub(super) fn step_slope(self, tau_s: f64, dy0: f64, [y0, u0, u]: [f64; 3]) -> f64 {
         let e = 1.0 - self.gone;
         let de = e * self.h_s / (tau_s * tau_s);
@@ -31,13 +31,13 @@ impl Decay {
     }
 }
 
-/// Where of eight places what is known of a step stands.
+/// The cache place, of eight, for a step of this length.
 fn place_of(h_s: f64) -> usize {
     (h_s.to_bits().wrapping_mul(0x9E37_79B9_7F4A_7C15) >> 61) as usize
 }
 
-/// The last few steps of different lengths.
-/// A record's rows are equally far apart but for rounding.
+/// A cache of the last few step lengths.
+/// A record's rows are equally far apart except for rounding.
 #[derive(Debug, Default)]
 struct Decays([Decay; 8]);
 
@@ -52,12 +52,12 @@ impl Decays {
 }
 
 /// An input passed through a first-order lag row by row.
-/// In equilibrium at its first row.
+/// It starts in equilibrium at its first row.
 #[derive(Debug)]
 pub struct Lag {
     tau_s: f64,
     decays: Decays,
-    /// Lagged value, input and time of the row before.
+    /// Lagged value, input and time of the previous row.
     before: Option<[f64; 3]>,
 }
 
@@ -68,18 +68,18 @@ impl Lag {
         Self { tau_s, decays: Decays::default(), before: None }
     }
 
-    /// A lag that goes on where another one was.
+    /// A lag that continues from the state of another one.
     pub(super) fn going_on(tau_s: f64, at: Option<[f64; 3]>) -> Self {
         Self { before: at, ..Self::new(tau_s) }
     }
 
-    /// Where it is: lagged value, input and time of the last row.
+    /// Its state: lagged value, input and time of the last row.
     /// `None` before the first.
     pub(super) fn at(&self) -> Option<[f64; 3]> {
         self.before
     }
 
-    /// The lagged input at the next row. Where time stands still it stays.
+    /// The lagged input at the next row. It stays while time stands still.
     pub fn next(&mut self, t_s: f64, u: f64) -> f64 {
         let y = match self.before {
             None => u,
@@ -98,10 +98,10 @@ impl Lag {
 #[derive(Debug)]
 pub struct Lags<const N: usize> {
     taus_s: [f64; N],
-    /// The last step, and 1 − exp(−h/τ) of each lag over it.
-    /// Rows a step apart but for rounding have a few.
+    /// The cached steps, each with 1 − exp(−h/τ) of every lag.
+    /// Rows that are one step apart except for rounding have a few different lengths.
     steps: [(f64, [f64; N]); 8],
-    /// Lagged values, input and time of the row before.
+    /// Lagged values, input and time of the previous row.
     before: Option<([f64; N], f64, f64)>,
 }
 
@@ -112,7 +112,7 @@ impl<const N: usize> Lags<N> {
         Self { taus_s, steps: [(0.0, [0.0; N]); 8], before: None }
     }
 
-    /// The lagged inputs at the next row. Where time stands still they stay.
+    /// The lagged inputs at the next row. They stay while time stands still.
     #[inline]
     pub fn next(&mut self, t_s: f64, u: f64) -> [f64; N] {
         let lagged = match self.before {
@@ -141,7 +141,7 @@ impl<const N: usize> Lags<N> {
 mod tests {
     use super::*;
 
-    /// Several lags at once equal single ones for equal, uneven and no steps.
+    /// Several lags at once equal single ones for equal, uneven and zero steps.
     #[test]
     fn several_lags_at_once_are_each_to_the_last_digit() {
         let taus_s = [0.5, 30.0, 77.0, 4000.0];
@@ -159,7 +159,7 @@ mod tests {
         }
     }
 
-    /// The rest of a step has fallen to 1/e after one time constant, for any rows.
+    /// After one time constant the rest of a step is 1/e, however many rows there are.
     #[test]
     fn a_step_fades_with_the_time_constant() {
         for rows in [1, 7, 100] {

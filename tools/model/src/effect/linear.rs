@@ -1,4 +1,5 @@
-//! Laws that are one function of what is read, times one parameter each (or two): no state, no shape parameter.
+//! Laws without state or shape parameter.
+//! Each is a function of what is read, times one parameter (or two).
 
 use super::{Basis, Description, Effect, Input, Law, Out, State};
 

@@ -1,24 +1,27 @@
-//! The dictionary of effects (formats.md, "Effect names").
+//! The dictionary of effects.
 //!
-//! A [`Law`] is a kind of effect: its formula, parameters, channels, derivative and experiment. An [`Effect`] is a
-//! law with its axes, sensor and parameter values. Every law is written once, as *coefficients × basis* at one
-//! instant, and serves the batch (a [`Bound`] effect over a record), the live path ([`crate::live`]) and fits:
+//! A [`Law`] is a kind of effect: its formula, parameters, channels, derivative and experiment. An [`Effect`]
+//! is a law with its axes, sensor and parameter values. Every law is written once, as *coefficients × basis*
+//! at one instant. It serves the batch (a [`Bound`] effect over a record), the live path ([`crate::live`])
+//! and fits:
 //!
 //! e(row) = Σₖ coefficientₖ · basisₖ(row; non-linear parameters)
 //!
-//! For most laws the coefficients are the parameters themselves. For a periodic law they are um·cos(phase) and
-//! um·sin(phase), so that amplitude and phase are found by one linear fit.
+//! For most laws the coefficients are the parameters themselves. For a periodic law they are um·cos(phase)
+//! and um·sin(phase), so that amplitude and phase are found by one linear fit.
 //!
-//! A built-in effect is one file of [`laws`] and one line in its list. Others never ask for the name of a law. They ask
-//! its [`Description`] how it is searched, how it depends on heat, whose it is and what its bounds are.
-//! A program's own law implements [`Law`] and joins a [`Dictionary`]; a project's own comes from a file (`own`).
+//! A built-in effect is one file of [`laws`] and one line in its list. Other code never asks for the name of
+//! a law. It asks the law's [`Description`] how the law is searched, how it depends on heat, what it belongs
+//! to and what its bounds are.
+//! A program's own law implements [`Law`] and joins a [`Dictionary`]. A project's own law comes from a file
+//! (`own`).
 //!
 //! | module | what |
 //! |---|---|
-//! | `description` | what a law says about itself |
+//! | `description` | the properties that a law states about itself |
 //! | [`laws`] | the built-in effects |
-//! | `linear`, `wave`, `knots`, `lag` | what several of them are made of |
-//! | `grid` | where a search looks first |
+//! | `linear`, `wave`, `knots`, `lag` | parts that several laws share |
+//! | `grid` | the points at which a search begins |
 //! | `bound` | an effect over a record |
 //! | `dictionary`, `own` | all laws by name; laws from a file |
 
@@ -54,7 +57,7 @@ use rtec_files::text::short;
 use std::fmt::{self, Write as _};
 use std::sync::Arc;
 
-/// What an effect reads at one instant; what it does not need is zero.
+/// The inputs of an effect at one instant. Inputs that it does not need are zero.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Input {
     /// Time, s.
@@ -64,7 +67,7 @@ pub struct Input {
     /// Direction of the first axis: −1, 0, +1.
     pub dir: f64,
     /// How far beyond the last row of a direction the first axis turns back, mm.
-    /// Zero where it turns there, or every row is seen.
+    /// Zero if it turns at that row, or if every row of the motion is recorded.
     pub past_mm: f64,
     /// Velocity of the first axis, mm/s.
     pub v_mm_s: f64,
@@ -84,46 +87,51 @@ pub struct Input {
     pub channel: f64,
 }
 
-/// What an effect remembers from instant to instant (a lag, the travel since a reversal). A new record, or a new
-/// start of the machine, begins with the default.
+/// The memory of an effect from instant to instant.
+/// It holds a lag or the travel since a reversal. A new record, or a new start of the machine, begins with
+/// the default.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct State {
-    /// An instant has been seen.
+    /// Whether an instant has been seen.
     pub started: bool,
-    /// What it is worth is the law's own affair.
+    /// Values whose meaning the law defines.
     pub x: [f64; 4],
 }
 
-/// Where basis values or slopes go: `out[k]` for coefficient or parameter k.
+/// Output for basis values or slopes: `out[k]` for coefficient or parameter k.
 pub type Out<'a> = &'a mut [f64];
 
-/// The basis of each coefficient at one instant, for the component (of a pair) that is asked for.
+/// Computes the basis of each coefficient at one instant, for one component.
+/// The second argument is the component: 1 is the second axis of a pair.
 pub type Basis = fn(&Input, usize, Out<'_>);
 
 /// A kind of effect.
 pub trait Law: fmt::Debug + Send + Sync {
-    /// What it says about itself.
+    /// The law's description.
     fn describe(&self) -> &Description;
 
-    /// The basis values at one instant for `component` (0; 1 is the second axis of a pair), after moving the state
-    /// on to that instant. `out` has [`Effect::coefficient_count`] places.
+    /// The basis values at one instant for `component`.
+    /// `component` is 0, or 1 for the second axis of a pair. The state moves on to that instant. `out` has
+    /// [`Effect::coefficient_count`] places.
     fn basis(&self, effect: &Effect, now: &Input, component: usize, state: &mut State, out: Out<'_>);
 
-    /// [`Law::basis`] where it hangs on nothing but what is read: no state, no value of the effect. Who asks at every instant
-    /// may keep it and ask it alone.
+    /// [`Law::basis`] as a plain function, if it depends only on the inputs.
+    /// It then needs no state and no value of the effect. A caller that asks at every instant may keep the
+    /// function and call only that.
     fn stateless(&self) -> Option<Basis> {
         None
     }
 
-    /// The derivative of the effect by every parameter value, as [`Law::basis`] moves the state on. The default
-    /// serves laws whose parameters are all linear.
+    /// The derivative of the effect by every parameter value.
+    /// It moves the state on, as [`Law::basis`] does. The default serves laws whose parameters are all
+    /// linear.
     fn slopes(&self, effect: &Effect, now: &Input, component: usize, state: &mut State, out: Out<'_>) {
         self.basis(effect, now, component, state, out);
     }
 
-    /// The coefficients that the effect's parameters stand for.
+    /// The coefficients that belong to the effect's parameters.
     ///
-    /// The default: its linear parameters in order.
+    /// By default these are its linear parameters in order.
     fn coefficients(&self, effect: &Effect, out: Out<'_>) {
         let mut at = 0;
         for (i, p) in self.describe().parameters.iter().enumerate() {
@@ -153,19 +161,20 @@ pub trait Law: fmt::Debug + Send + Sync {
         self.describe().parameters.iter().filter(|p| p.search == Search::Linear).count() * n
     }
 
-    /// The stretch of an axis (its place in the name) that the effect's values were stated on, mm; its end values stand beyond.
+    /// The range of an axis that the effect's values were stated on, mm.
+    /// The first value is the axis' index in the name. Beyond the range the end values apply.
     fn stretch_mm(&self, _effect: &Effect) -> Option<(usize, [f64; 2])> {
         None
     }
 
-    /// Combinations of the coefficients that a fit must hold at zero because other effects explain them (the
-    /// constant and the straight line of a position map). One row of weights each.
+    /// Combinations of the coefficients that a fit must hold at zero.
+    /// Other effects explain them, such as the constant and the straight line of a position map. One row of
+    /// weights each.
     fn constraints(&self, _effect: &Effect) -> Vec<Vec<f64>> {
         Vec::new()
     }
 
-    /// What a set of values must fulfil beyond the bounds of each.
-    /// `Err` says what was found and what was expected.
+    /// Checks a set of values beyond the bounds of each.
     ///
     /// # Errors
     /// The parameter, what was found and what was expected.
@@ -173,14 +182,14 @@ pub trait Law: fmt::Debug + Send + Sync {
         Ok(())
     }
 
-    /// Grid points of the law's non-linear parameters in records of this extent, each with its price. The default serves
-    /// laws that have none.
+    /// Grid points of the law's non-linear parameters, each with its price.
+    /// They suit records of this extent. The default serves laws that have no such parameter.
     fn grid(&self, effect: &Effect, _records: &dyn Extent) -> Vec<Point> {
         Point::only(effect)
     }
 
-    /// Basis values over the rows of a record, column by column: `out[k·rows + row]`.
-    /// Moves the state on to the last row.
+    /// Basis values over the rows of a record, column by column.
+    /// `out[k·rows + row]` belongs to coefficient k. The state moves on to the last row.
     fn basis_rows(
         &self,
         effect: &Effect,
@@ -207,7 +216,7 @@ pub trait Law: fmt::Debug + Send + Sync {
     }
 }
 
-/// A parameter's value that will not do.
+/// A parameter value that is not allowed.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error("`{parameter}`: found {found}, expected {expected}")]
 pub struct ValueError {
@@ -233,16 +242,18 @@ pub struct Effect {
     channel: Option<String>,
     /// The temperature difference, for laws that need one.
     pub delta: Option<Difference>,
-    /// The range of ΔT it was fitted on, K: outside, ΔT is held at the bound instead of following a parabola out.
+    /// The range of ΔT that the effect was fitted on, K.
+    /// Outside, ΔT is held at the bound, because a fitted parabola must not be extrapolated.
     pub range_k: Option<[f64; 2]>,
-    /// For a lag: how far the lagged ΔT used to be from ΔT where it was fitted, RMS, K: what is not known of it at a
-    /// start. It fades with the lag.
+    /// For a lag: RMS of lagged ΔT minus ΔT in the fitted records, K.
+    /// It is the uncertainty of the lag's state at a start, and fades with the lag.
     pub start_k: Option<f64>,
-    /// All values, parameter after parameter, each with as many as the effect has knots (1 for scalars).
+    /// All values, parameter after parameter.
+    /// Each parameter has as many as the effect has knots (1 for scalars).
     values: Vec<f64>,
     /// Values per parameter: 1, or the number of knots.
     ///
-    /// Kept beside them, because a law asks at every instant.
+    /// It is stored because a law asks for it at every instant.
     width: usize,
 }
 
@@ -365,7 +376,8 @@ impl Effect {
         checked
     }
 
-    /// Whether its values are inside the law's bounds: linear coefficients are set without asking.
+    /// Whether its values are inside the law's bounds.
+    /// Linear coefficients are set without that check.
     #[must_use]
     pub fn is_physical(&self) -> bool {
         self.with_values(&self.values).is_some()
@@ -390,7 +402,7 @@ impl Effect {
         self.set_values(&all)
     }
 
-    /// The linear coefficients that its parameters stand for.
+    /// The linear coefficients that belong to its parameters.
     #[must_use]
     pub fn coefficients(&self) -> Vec<f64> {
         let mut out = vec![0.0; self.coefficient_count()];
@@ -401,7 +413,7 @@ impl Effect {
     /// Sets the parameters from linear coefficients.
     ///
     /// # Panics
-    /// When there are not [`Effect::coefficient_count`] of them.
+    /// When `from` does not have [`Effect::coefficient_count`] values.
     pub fn set_coefficients(&mut self, from: &[f64]) {
         assert_eq!(from.len(), self.coefficient_count(), "one value per coefficient");
         let law = Arc::clone(&self.law);
@@ -414,7 +426,8 @@ impl Effect {
         self.law.coefficient_count(self.width())
     }
 
-    /// The stretch of an axis (its place in the name) that its values were stated on, mm; its end values stand beyond.
+    /// The range of an axis that its values were stated on, mm.
+    /// The first value is the axis' index in the name. Beyond the range the end values apply.
     #[must_use]
     pub fn stretch_mm(&self) -> Option<(usize, [f64; 2])> {
         self.law.stretch_mm(self)
@@ -431,9 +444,9 @@ impl Effect {
         self.range_k.map_or(delta_k, |[lo, hi]| delta_k.clamp(lo, hi))
     }
 
-    /// The component with which it acts on a response of this role.
-    /// `None` where it does not. `sole_error` tells that the response is the record's only error, `plane` the axes
-    /// that a radial error is made of.
+    /// The component with which it acts on a response of this role, or `None`.
+    /// `sole_error` says that the response is the record's only error. `plane` holds the axes that a radial
+    /// error is composed of.
     fn component(&self, role: &Role, has_angle: bool, sole_error: bool, plane: &[Axis]) -> Option<usize> {
         let law = self.description();
         let ((Role::Error(axis), Quantity::Error) | (Role::Force(axis), Quantity::Force)) =
@@ -451,7 +464,7 @@ impl Effect {
         }
     }
 
-    /// The same effect by the name that is first in the alphabet, where axes may change places.
+    /// The same effect with exchangeable axes in alphabetical order.
     #[must_use]
     pub fn in_order(&self) -> Self {
         let mut effect = self.clone();
@@ -461,15 +474,17 @@ impl Effect {
         effect
     }
 
-    /// What does to a run the same as another reference temperature of this effect, at zero: an offset beside growth, a
-    /// scale beside an expansion. `None` for what reads no temperature.
+    /// The effect that acts like a shift of this one's reference temperature, at zero.
+    /// It is an offset for growth and a scale for an expansion. `None` for an effect that reads no
+    /// temperature.
     #[must_use]
     pub fn companion(&self) -> Option<Self> {
         let law = self.description().companion?;
         Dictionary::default().effect(&format!("{law}.{}", self.axes.first()?)).ok()
     }
 
-    /// What tells effects of one name apart in one model: sensors, periods, knots, times, the place of a bump.
+    /// The name with all that distinguishes effects of one name in one model.
+    /// That is sensors, periods, knots, times, the place of a bump.
     #[must_use]
     pub fn identity(&self) -> String {
         let mut id = self.in_order().name();
@@ -489,7 +504,7 @@ impl Effect {
 
     /// Responses of a record on which the effect acts: role and component.
     ///
-    /// The component is 0 or 1 of a pair. One further is the projection of both on the radial error of a circle.
+    /// The component is 0 or 1 of a pair, or 2 for the projection of both on the radial error of a circle.
     #[must_use]
     pub fn acts_on(&self, record: &Record) -> Vec<(Role, usize)> {
         if self.description().probing == Probing::Only && record.kind != Kind::Probing {
@@ -505,7 +520,7 @@ impl Effect {
     }
 
     /// Adds the effect to `out` at every row of a record, for one response.
-    /// Nothing where it does not act on it.
+    /// It adds nothing to a response that it does not act on.
     ///
     /// # Errors
     /// As [`Effect::bind`].

@@ -1,10 +1,11 @@
 //! A project's own effects: laws given by a file instead of code.
 //!
-//! Each parameter is linear and multiplies a sum of products of what an effect may read, each to a whole power. A
-//! product may have the sine or cosine of a multiple of the angle.
-//! A product may also have a hat over one of them: `hat = [20.0, 25.0, 30.0], of = "t"` is 0 at the ends and 1 in the
-//! middle. Two equal numbers at a side mean 1 from there on.
-//! That covers a machine's usual cross terms. Such a law is fitted like any built-in law, and cannot fail at run time.
+//! Each parameter is linear. It multiplies a sum of products of the inputs, each to a whole power. A product
+//! may have the sine or cosine of a multiple of the angle.
+//! A product may also have a hat over one input: `hat = [20.0, 25.0, 30.0], of = "t"` is 0 at the ends and 1
+//! in the middle. Two equal numbers at a side mean 1 from there on.
+//! That covers a machine's usual cross terms. Such a law is fitted like any built-in law, and cannot fail at
+//! run time.
 //!
 //! ```toml
 //! [[law]]
@@ -27,7 +28,7 @@ use std::sync::Arc;
 
 type Read = fn(&Input) -> f64;
 
-/// What a term may read, by its key.
+/// The inputs that a term may read, by key.
 const QUANTITIES: [(&str, Need, Read); 13] = [
     ("p", Need::Position(0), |i| i.p_mm[0]),
     ("p_B", Need::Position(1), |i| i.p_mm[1]),
@@ -54,7 +55,7 @@ struct Factor {
 struct Term {
     factor: f64,
     powers: Vec<Factor>,
-    /// cos(n·angle) or sin(n·angle).
+    /// cos(n·angle) or sin(n·angle): n, and whether it is the cosine.
     harmonic: Option<(f64, bool)>,
     hat: Option<(Read, [f64; 3])>,
 }
@@ -159,7 +160,7 @@ fn read_law(t: Table<'_>, name: &Entry<'_>) -> Result<FileLaw, InputError> {
         let parameter = Parameter::linear(&word("name")?, &word("unit")?, plausible);
         parameters.push(match p.get("bounds") {
             Some(e) => parameter.within(e.pair("bounds = [lowest, highest]")?, "the law's own bounds"),
-            // Beyond what is unlikely by a hundred: another unit.
+            // A hundred times the plausible value means another unit.
             None if plausible.is_finite() => {
                 parameter.within([-100.0 * plausible, 100.0 * plausible], "a hundred times what is plausible")
             }
@@ -235,7 +236,7 @@ fn read_term(t: Table<'_>, naming: Naming, axes: usize, needs: &mut Vec<Need>) -
     Ok(term)
 }
 
-/// A quantity by its key; what it needs is noted.
+/// Finds a quantity by its key and adds what it needs to `needs`.
 fn read_quantity(
     e: &Entry<'_>,
     key: &str,

@@ -5,7 +5,7 @@
 use super::{Description, Effect, Input, Law, Out, Parameter, Search, State, ValueError};
 use std::f64::consts::TAU;
 
-/// Places of period, amplitude and phase among the parameters.
+/// Indices of period, amplitude and phase among the parameters.
 const PERIOD: usize = 0;
 const UM: usize = 1;
 const PHASE: usize = 2;
@@ -18,7 +18,7 @@ pub(super) struct Sine {
     pub(super) unit_mm: f64,
     /// Largest amplitude in periods, if the amplitude is bound to the period.
     pub(super) most_periods: Option<f64>,
-    /// The amplitude grows in proportion to the position: it is per metre.
+    /// Whether the amplitude grows in proportion to the position: it is then per metre.
     pub(super) grows: bool,
 }
 
@@ -47,7 +47,7 @@ pub(super) fn set_polar(effect: &mut Effect, um: usize, phase: usize, from: &[f6
 
 impl Sine {
     fn argument(&self, effect: &Effect, now: &Input) -> f64 {
-        // Whole periods are taken off first: the argument keeps its digits over long travel.
+        // Whole periods are removed first, so that the argument keeps its digits over long travel.
         TAU * (now.p_mm[0] / (effect.scalar(PERIOD) * self.unit_mm)).fract()
     }
 

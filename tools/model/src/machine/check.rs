@@ -1,5 +1,5 @@
-//! What to know before a model is trusted: values that are unlikely, fits past their date, records that have changed,
-//! ranges that are left.
+//! Warnings about a model before it is used.
+//! They report unlikely values, expired fits, changed records, and inputs outside the fitted ranges.
 
 use super::evaluate::differences;
 use super::places::folder_of;
@@ -8,12 +8,13 @@ use crate::effect::{Difference, Effect, States};
 use crate::record::{Axis, Record, Role, sha256_of};
 use rtec_files::date;
 
-/// A run goes beyond the last knot by as much without a word, of the knots' stretch.
+/// Allowed travel beyond the last knot, as a share of the knots' range.
+/// Farther travel is reported.
 const OVER_TRAVEL: f64 = 0.02;
 
 impl Machine {
-    /// What to know before trusting it on a day (days since 1970-01-01): parameters outside what a sound machine
-    /// shows, fits past their date.
+    /// Reasons not to use the model on a day (days since 1970-01-01).
+    /// They are parameters outside the plausible range, expired fits and fits dated in the future.
     #[must_use]
     pub fn doubts(&self, today: i64) -> Vec<String> {
         let mut found = Vec::new();
@@ -30,7 +31,7 @@ impl Machine {
                 }
             }
         }
-        // Models that were fitted before zeros were marked.
+        // An older model may have been fitted before zeros were marked.
         let of_a_gauge = |l: &&Listed| {
             let by_fit = l.provenance.added_by.as_deref() == Some("model fit");
             l.effect.description().may_be_set_up() && by_fit && !l.provenance.set_up
@@ -53,27 +54,28 @@ impl Machine {
         found
     }
 
-    /// Fits whose validity has ended before a day (days since 1970-01-01).
+    /// Fits whose validity ended before a day (days since 1970-01-01).
     #[must_use]
     pub fn expired(&self, today: i64) -> Vec<String> {
         let ended = self.fits.iter().filter(|f| date::parse(&f.valid_until).is_some_and(|d| d < today));
         ended.map(|f| format!("{}: the fit's validity ended on {}", f.response, f.valid_until)).collect()
     }
 
-    /// Days since the oldest of its fits, on a day (days since 1970-01-01).
-    /// None without fits.
+    /// Age of the oldest fit on a day (days since 1970-01-01), in days.
+    /// `None` without fits.
     #[must_use]
     pub fn age_days(&self, today: i64) -> Option<i64> {
         self.fits.iter().filter_map(|f| date::parse(&f.date)).min().map(|oldest| today - oldest)
     }
 
-    /// Days until the first of its fits ends, on a day (days since 1970-01-01): 0 on its last day; none without fits.
+    /// Days until the first fit expires, on a day (days since 1970-01-01).
+    /// It is 0 on the last valid day. `None` without fits.
     #[must_use]
     pub fn days_left(&self, today: i64) -> Option<i64> {
         self.fits.iter().filter_map(|f| date::parse(&f.valid_until)).min().map(|first| first - today)
     }
 
-    /// Records it was fitted on that stand beside it and are no longer what they were.
+    /// Records it was fitted on whose files have changed since.
     #[must_use]
     pub fn changed_sources(&self) -> Vec<String> {
         let fits = self.fits.iter().flat_map(|f| &f.from);
@@ -89,8 +91,8 @@ impl Machine {
         found
     }
 
-    /// Where a record asks the model beyond the range it was fitted on, effect by effect: the differences are held
-    /// at the bound there.
+    /// Where a record leaves the ranges that the model was fitted on, by effect.
+    /// There the temperature differences are held at the bound.
     #[must_use]
     pub fn out_of_range(&self, record: &Record) -> Vec<String> {
         let mut asked = Asked::of(self);
@@ -98,8 +100,9 @@ impl Machine {
         asked.out_of_range()
     }
 
-    /// Effects that are asked beyond the stretch of an axis that their values were stated on: their end values stand there,
-    /// whatever the machine does. `places_mm` gives the machine positions along an axis, where they are known.
+    /// Effects that are evaluated beyond the range that their values were stated on.
+    /// There the end values apply, whatever the machine does. `places_mm` gives the machine positions along
+    /// an axis, or `None` if they are not known.
     #[must_use]
     pub fn beyond_stated(&self, places_mm: impl Fn(&Axis) -> Option<Vec<f64>>) -> Vec<String> {
         let beyond = |effect: &Effect| {
@@ -111,21 +114,21 @@ impl Machine {
     }
 }
 
-/// Where a record, gone through piece by piece, asks a model beyond what it was fitted on.
+/// Collects where a record leaves what a model was fitted on, piece by piece.
 #[derive(Debug)]
 pub struct Asked<'m> {
     machine: &'m Machine,
     rows: usize,
-    /// Of each effect: rows outside the range it was fitted on, and what its lag remembers.
+    /// Per effect: the number of rows outside its fitted range, and its lag's state.
     outside: Vec<(usize, States)>,
-    /// Of each effect: where its axis went.
+    /// Per effect: the positions of its axis.
     places: Vec<Places>,
-    /// Of each fit and each difference it saw: the farthest outside.
+    /// Per fit and per difference that it saw: the row farthest outside.
     farthest: Vec<Vec<Option<Farthest>>>,
 }
 
 impl<'m> Asked<'m> {
-    /// Before the first piece.
+    /// The state before the first piece.
     #[must_use]
     pub fn of(machine: &'m Machine) -> Self {
         let effects = machine.effects().count();
@@ -138,7 +141,7 @@ impl<'m> Asked<'m> {
         }
     }
 
-    /// The next rows.
+    /// Adds the next rows.
     pub fn see(&mut self, record: &Record) {
         self.rows += record.rows();
         for (effect, (outside, states)) in self.machine.effects().zip(&mut self.outside) {
@@ -161,7 +164,7 @@ impl<'m> Asked<'m> {
         }
     }
 
-    /// What [`Machine::out_of_range`] says of all rows so far.
+    /// The findings of [`Machine::out_of_range`] for all rows so far.
     #[must_use]
     pub fn out_of_range(&self) -> Vec<String> {
         let mut found = Vec::new();
@@ -182,9 +185,9 @@ impl<'m> Asked<'m> {
         found
     }
 
-    /// Difference that leaves the fitted range most and that no effect of the response reads.
+    /// The temperature difference farthest outside the fit that no effect reads.
     ///
-    /// Growth with that difference is not in the model at all.
+    /// The model lacks any growth with that difference.
     fn unseen(&self, fit: &FitNote, farthest: &[Option<Farthest>]) -> Option<String> {
         let axis = fit.response.split('.').nth(1)?;
         let read = |d: &Difference| {
@@ -205,7 +208,8 @@ impl<'m> Asked<'m> {
     }
 }
 
-/// How far a difference has been outside of what a fit saw of it, and what that may cost; in how many rows it was.
+/// How far a difference went outside the range of a fit.
+/// It holds the possible error there, µm, the difference, K, and the number of rows outside.
 #[derive(Debug, Clone)]
 struct Farthest {
     um: f64,
@@ -226,7 +230,7 @@ impl Farthest {
     }
 }
 
-/// Where the axis went that an effect's values are stated along, mm.
+/// Positions along the axis that an effect's values are stated on, mm.
 #[derive(Debug, Clone)]
 struct Places {
     rows: usize,
@@ -242,7 +246,7 @@ impl Default for Places {
 }
 
 impl Places {
-    /// The axis, of an effect whose values were stated on a stretch.
+    /// The axis of an effect whose values were stated on a range.
     fn axis(effect: &Effect) -> Option<&Axis> {
         effect.axes().get(effect.stretch_mm()?.0)
     }
@@ -297,13 +301,13 @@ mod tests {
         assert_eq!(m.expired(day("2027-05-02")), ["error.x: the fit's validity ended on 2027-05-01"]);
         assert_eq!(m.doubts(day("2027-05-02")), m.expired(day("2027-05-02")));
         assert!(m.doubts(0)[0].contains("1970-01-01 by this machine's clock"), "{:?}", m.doubts(0));
-        // What is no day would never end.
+        // An invalid date would never expire.
         let e = fit("\"2026-05-01\"", "\"soon\"").unwrap_err();
         assert_eq!((e.line, e.found.as_str(), e.expected.as_str()), (5, "`soon`", "a day as YYYY-MM-DD"));
         assert!(fit("\"1. Mai 2026\"", "\"2027-05-01\"").is_err());
     }
 
-    /// A fit that has seen no temperature states an interval for a machine as it was, not for one that warms by 12 K.
+    /// A fit that saw no temperature gives no interval for a machine that warms up.
     #[test]
     fn an_interval_of_cold_geometry_is_none_for_a_warm_machine() {
         let note = "[[fit]]\nresponse = \"error.x\"\ndate = 2026-05-01\nvalid_until = \"2027-05-01\"\nrms_um = 0.1\nhalf_width_um = 0.2\n";
@@ -332,8 +336,8 @@ mod tests {
         assert!(warm.half_widths_um(&run(12.0), &response).is_some());
     }
 
-    /// There is no interval where the fit has not seen an axis.
-    /// The reason names both stretches.
+    /// There is no interval if an axis moves where the fit has not seen it.
+    /// The reason names both ranges.
     #[test]
     fn an_interval_that_is_not_of_a_place_says_so() {
         let m = parse(
@@ -361,7 +365,8 @@ mod tests {
         assert!(said("x", 50.0).unwrap().contains("x at one place"));
     }
 
-    /// A map from 0 to 300 mm, asked at 640 mm: its last value stands there, and that is said.
+    /// A map from 0 to 300 mm is evaluated at 640 mm.
+    /// Its last value applies there, and a warning says so.
     #[test]
     fn beyond_the_knots_is_said() {
         let m = parse(
@@ -379,7 +384,7 @@ mod tests {
         );
     }
 
-    /// A model that has no effect of a difference, asked where that one is by far what the fit saw of it.
+    /// A difference that no effect reads goes far beyond the range that the fit saw.
     #[test]
     fn what_the_fit_never_saw_is_said() {
         let m = parse(

@@ -1,11 +1,11 @@
-//! A model as a document for programs.
+//! A model as JSON for programs.
 
 use super::{Listed, Machine};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 
 impl Machine {
-    /// Its effects with parameters, intervals and where they come from, what fits say of themselves, its chain.
+    /// The model as JSON: effects with parameters, intervals and sources, fits, chain.
     #[must_use]
     pub fn to_json(&self) -> Value {
         let effects: Vec<Value> = self.listed().iter().map(effect_json).collect();

@@ -1,4 +1,4 @@
-//! What a model says about a record, and within what it says so.
+//! A model's prediction of a record, and its interval.
 
 use super::note::unknown_um;
 use super::{FitNote, Machine, Reach};
@@ -7,9 +7,10 @@ use crate::record::{Record, Role};
 use rtec_files::InputError;
 
 impl Machine {
-    /// Sum of the effects at every row of a record, per response in the record's order.
+    /// Predicts a record: the sum of the effects at every row, per response.
     ///
-    /// Also gives (effect, role) of what the record does not log; it was taken as zero.
+    /// The responses are in the record's order. The result also lists the quantities that the record does not
+    /// log and that were taken as zero.
     ///
     /// # Errors
     /// An effect reads a sensor or channel that the record does not have.
@@ -17,7 +18,7 @@ impl Machine {
         Running::of(self).next(record)
     }
 
-    /// The record with its errors less what this machine predicts of them.
+    /// The record with this machine's prediction subtracted from its errors.
     ///
     /// # Errors
     /// As [`Machine::predict`].
@@ -31,7 +32,7 @@ impl Machine {
         Ok(left)
     }
 
-    /// Half width of the 95 % prediction interval of a response, µm, where a fit has said it.
+    /// Half width of a response's 95 % prediction interval, µm, if a fit states it.
     #[must_use]
     pub fn half_width_um(&self, response: &str) -> Option<f64> {
         self.fits.iter().find(|f| f.response == response).map(|f| f.half_width_um)
@@ -39,9 +40,10 @@ impl Machine {
 
     /// Half width of the 95 % prediction interval at every row of a record, µm.
     ///
-    /// Only where a fit of the response has stated it for this kind of run and has seen these axis positions.
-    /// The interval is wider just after the record's start, because the lags are unknown. It is also wider where a
-    /// difference is held at the bound of its fitted range.
+    /// `None` unless a fit of the response has stated it for this kind of run and has seen these axis
+    /// positions.
+    /// The interval is wider just after the record's start, because the state of the lags is unknown. It is
+    /// also wider where a difference is held at the bound of its fitted range.
     #[must_use]
     pub fn half_widths_um(&self, record: &Record, response: &Role) -> Option<Vec<f64>> {
         Some(HalfWidths::of(self, &Reach::of(record), response)?.next(record))
@@ -50,7 +52,7 @@ impl Machine {
     /// The fit that states a response's interval for a record's reach.
     ///
     /// # Errors
-    /// Why none does, in words.
+    /// The reason why no fit does, in words.
     pub fn stating(&self, reach: &Reach, response: &Role) -> Result<&FitNote, String> {
         let note = self.fits.iter().find(|f| f.response == response.to_string());
         let note = note.ok_or("the model states no interval")?;
@@ -58,22 +60,23 @@ impl Machine {
     }
 }
 
-/// The half widths of a record that is gone through piece by piece: at each row what [`Machine::half_widths_um`] says of the whole.
+/// The half widths of a record that is evaluated piece by piece.
+/// At each row they equal those of [`Machine::half_widths_um`] for the whole.
 #[derive(Debug)]
 pub struct HalfWidths<'m> {
     machine: &'m Machine,
     response: Role,
-    /// For a record like this one, µm.
+    /// Half width for this kind of record, µm.
     own_um: f64,
-    /// What the difference that each effect asks for remembers.
+    /// Per effect: the state of the lag of its temperature difference.
     states: Vec<States>,
     /// Time of the record's first row, s.
     start_s: Option<f64>,
 }
 
 impl<'m> HalfWidths<'m> {
-    /// Before the first piece of a record that goes so far.
-    /// `None` where [`Machine::half_widths_um`] says nothing.
+    /// The state before the first piece of a record with this reach.
+    /// `None` if [`Machine::half_widths_um`] gives no interval.
     #[must_use]
     pub fn of(machine: &'m Machine, reach: &Reach, response: &Role) -> Option<Self> {
         let note = machine.stating(reach, response).ok()?;
@@ -82,7 +85,7 @@ impl<'m> HalfWidths<'m> {
         Some(Self { machine, response, own_um, states, start_s: None })
     }
 
-    /// Those of the next rows, µm.
+    /// The half widths of the next rows, µm.
     pub fn next(&mut self, record: &Record) -> Vec<f64> {
         let mut squares = vec![self.own_um * self.own_um; record.rows()];
         let t = record.time_s();
@@ -115,22 +118,23 @@ impl<'m> HalfWidths<'m> {
     }
 }
 
-/// A machine that goes through a record piece by piece: of each row it says what [`Machine::predict`] says of the whole.
+/// A machine that predicts a record piece by piece.
+/// At each row it predicts the same as [`Machine::predict`] for the whole.
 #[derive(Debug)]
 pub struct Running<'m> {
     machine: &'m Machine,
-    /// What each effect remembers, for each response that it acts on.
+    /// The states of each effect, one for each response that it acts on.
     states: Vec<Vec<States>>,
 }
 
 impl<'m> Running<'m> {
-    /// Before the first piece.
+    /// The state before the first piece.
     #[must_use]
     pub fn of(machine: &'m Machine) -> Self {
         Self { machine, states: vec![Vec::new(); machine.effects().count()] }
     }
 
-    /// What the machine says of the next piece: rows that follow those before, of the same columns.
+    /// Predicts the next piece: the following rows, with the same columns.
     ///
     /// # Errors
     /// As [`Machine::predict`].
@@ -172,8 +176,8 @@ impl<'m> Running<'m> {
     }
 }
 
-/// The (lagged) temperature difference that growth or lag asks for at every row, not held at any bound; `None` where the
-/// record lacks it, and for other laws. The states are those of the rows before.
+/// The (lagged) temperature difference of growth at every row, not held at a bound.
+/// `None` for other laws, or if the record lacks a sensor. The states are those after the previous rows.
 pub(super) fn differences(effect: &Effect, record: &Record, states: &mut States) -> Option<Vec<f64>> {
     if effect.delta.is_none() || effect.description().heat != Heat::Growth {
         return None;
@@ -189,12 +193,12 @@ pub(super) fn differences(effect: &Effect, record: &Record, states: &mut States)
     Some(basis)
 }
 
-/// What a model says about a record.
+/// A model's prediction of a record.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Prediction {
     /// Per response: its column's name and the sum of the effects at every row.
     pub columns: Vec<(String, Vec<f64>)>,
-    /// Effects that read a quantity the record does not log: effect and role.
+    /// Effect and role of each quantity that an effect reads and the record lacks.
     ///
     /// It was taken as zero.
     pub taken_as_zero: Vec<(String, String)>,

@@ -2,13 +2,13 @@
 //!
 //! | module | what |
 //! |---|---|
-//! | `read` | read strictly, every finding with its line |
-//! | `write` | changed and written so that nothing the user wrote is lost |
-//! | `note` | what a fit says about itself: records, dates, intervals, ranges |
-//! | `evaluate` | what a model says about a record, and within what |
-//! | `check` | what to know before it is trusted |
-//! | `document` | as programs read it
-//! | `places` | how a file is named from another one's folder |
+//! | `read` | strict reading; every finding has its line |
+//! | `write` | changing and writing without losing anything that the user wrote |
+//! | `note` | a fit's own record: sources, dates, intervals, ranges |
+//! | `evaluate` | a model's prediction of a record, and its interval |
+//! | `check` | warnings before a model is used |
+//! | `document` | a model as JSON
+//! | `places` | the path of a file from another file's folder |
 
 mod check;
 mod document;
@@ -39,10 +39,10 @@ pub struct Machine {
     listed: Vec<Listed>,
     fits: Vec<FitNote>,
     chain: Option<Chain>,
-    /// The laws that a program gave it; its file's own come on top.
+    /// The laws given by the calling program; those of the model's own file are added.
     given: Dictionary,
     dictionary: Dictionary,
-    /// The dictionary will stand beside the model wherever that is written.
+    /// Whether the dictionary will be written beside the model, wherever that is.
     adopted: bool,
     doc: DocumentMut,
 }
@@ -67,19 +67,19 @@ impl Machine {
         }
     }
 
-    /// SHA-256 of the file as it was read, with the dictionary and the chain that it names behind it.
+    /// SHA-256 of the file as read, followed by its dictionary and its chain.
     #[must_use]
     pub fn sha256(&self) -> &str {
         &self.sha256
     }
 
-    /// The machine's name, as `name` has it.
+    /// The machine's name, from the key `name`.
     #[must_use]
     pub fn name(&self) -> &str {
         &self.name
     }
 
-    /// The effects with where they come from, in the file's order.
+    /// The effects with their provenance, in the file's order.
     #[must_use]
     pub fn listed(&self) -> &[Listed] {
         &self.listed
@@ -90,26 +90,26 @@ impl Machine {
         self.listed.iter().map(|l| &l.effect)
     }
 
-    /// The kinematic chain whose errors add to the effects'.
+    /// The kinematic chain, whose errors are added to those of the effects.
     #[must_use]
     pub fn chain(&self) -> Option<&Chain> {
         self.chain.as_ref()
     }
 
     /// The same machine with another chain, or none.
-    /// What is written of it goes on naming the file that it was read from.
+    /// A written file still names the chain file that was read.
     #[must_use]
     pub fn with_chain(&self, chain: Option<Chain>) -> Self {
         Self { chain, ..self.clone() }
     }
 
-    /// What fits say about themselves.
+    /// The notes of the fits.
     #[must_use]
     pub fn fits(&self) -> &[FitNote] {
         &self.fits
     }
 
-    /// The dictionary it was read with.
+    /// The dictionary that the model was read with.
     #[must_use]
     pub fn dictionary(&self) -> &Dictionary {
         &self.dictionary

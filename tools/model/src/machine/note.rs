@@ -1,4 +1,4 @@
-//! What a fit says about itself and about its effects: records, dates, intervals, the range in which it is valid.
+//! The record of a fit: its sources, dates, intervals and range of validity.
 
 use crate::effect::{Against, Difference, Effect, STANDARD_DEGC};
 use crate::record::{Kind, Record, Role};
@@ -10,10 +10,10 @@ use super::places::folder_of;
 /// Half width of a normal distribution's 95 % interval in standard deviations.
 pub const NORMAL_95: f64 = 1.96;
 
-/// Possible error of a temperature effect at a row, µm, beyond what the fit leaves.
+/// Possible error of a temperature effect at a row, µm, beyond the fit's own.
 ///
-/// It is the slope at the bound times the excess. `elapsed_s` after a start it also has its part of an unknown state of
-/// the lag.
+/// It is the slope at the bound times the excess. Soon after a start (`elapsed_s`) it also has a part from
+/// the unknown state of the lag.
 #[must_use]
 pub fn unknown_um(
     gain: f64,
@@ -29,19 +29,19 @@ pub fn unknown_um(
     slope * (asked_k - held_k).hypot(start)
 }
 
-/// A record that something was fitted on.
+/// A record that a fit used.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Source {
     /// Name of the record's CSV.
     pub file: String,
     /// SHA-256 of it, in hexadecimal.
     pub sha256: String,
-    /// Where it lies; none for beside the model.
+    /// Its folder; `None` if it is beside the model.
     pub folder: Option<PathBuf>,
 }
 
 impl Source {
-    /// The source that a record is.
+    /// The source entry of a record.
     #[must_use]
     pub fn of(record: &Record) -> Self {
         let folder = Some(folder_of(&record.path));
@@ -49,7 +49,7 @@ impl Source {
     }
 }
 
-/// Where an effect comes from. All of it may be absent, as in what a person writes.
+/// The provenance of an effect. An effect written by a person may have none of it.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Provenance {
     /// The program or person that added the effect.
@@ -60,8 +60,8 @@ pub struct Provenance {
     pub from: Vec<Source>,
     /// Interval of each parameter, one pair per value.
     pub interval: BTreeMap<String, Vec<[f64; 2]>>,
-    /// It belongs to how the gauges stood (their zero), not to the machine: part of what is predicted of a record, never corrected
-    /// live.
+    /// Whether it is the zero of the gauges and not an error of the machine.
+    /// It is part of a record's prediction, but is never corrected live.
     pub set_up: bool,
 }
 
@@ -70,12 +70,13 @@ pub struct Provenance {
 pub struct Listed {
     /// The effect with its parameters.
     pub effect: Effect,
-    /// Records, dates and intervals that the effect comes with.
+    /// Its records, dates and intervals.
     pub provenance: Provenance,
 }
 
 impl Listed {
-    /// What it is known by among a machine's effects: the zero of a set-up may stand beside the machine's own offset.
+    /// The name that identifies it among a machine's effects.
+    /// The zero of a set-up and the machine's own offset have different ones.
     #[must_use]
     pub fn identity(&self) -> String {
         let set_up = if self.provenance.set_up { ", set_up" } else { "" };
@@ -86,17 +87,17 @@ impl Listed {
 /// The range of a temperature difference in which a fit is valid.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Validity {
-    /// The difference, one that the model reads or not.
+    /// The difference; the model may or may not read it.
     pub difference: Difference,
-    /// From where to where it was seen, K.
+    /// The range in which it was seen, K.
     pub range_k: [f64; 2],
-    /// How much the response moved with it, µm/K.
+    /// How much the response changed with it, µm/K.
     pub um_per_k: f64,
 }
 
 impl Validity {
     /// The difference at every row of a record.
-    /// Nothing where the record lacks a sensor of it.
+    /// `None` if the record lacks one of its sensors.
     #[must_use]
     pub fn of(&self, record: &Record) -> Option<Vec<f64>> {
         let u = record.temperature(&self.difference.sensor)?;
@@ -111,58 +112,61 @@ impl Validity {
         Some(u.iter().enumerate().map(|(row, u)| u - minus(row)).collect())
     }
 
-    /// What being so far outside may cost, µm.
+    /// The possible error of being this far outside the range, µm.
     #[must_use]
     pub fn outside_um(&self, delta_k: f64) -> f64 {
         self.um_per_k * (delta_k - self.range_k[1]).max(self.range_k[0] - delta_k).max(0.0)
     }
 }
 
-/// What a fit says about itself: which response, when, on what, how good, how long it may be trusted.
+/// The record of a fit: its response, date, sources, quality and validity.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FitNote {
     /// The response that was fitted, as `error.z`.
     pub response: String,
     /// The date of the fit, as ISO 8601.
     pub date: String,
-    /// The last day on which it may be used without being looked at again.
+    /// The last day on which the fit may be used without a new check.
     pub valid_until: String,
-    /// RMS on blocks of time that the fit had not seen, µm (N of a force, as all widths here).
+    /// RMS on blocks of time that were left out of the fit, µm.
+    /// For a force this and all widths here are in N.
     pub rms_um: f64,
     /// Half width of the 95 % prediction interval, µm.
     pub half_width_um: f64,
-    /// Where it is valid: outside of these, the interval is wider.
+    /// Ranges of validity; outside of these, the interval is wider.
     pub valid: Vec<Validity>,
-    /// Where each axis was while it was seen, mm; axes that are not named stood still.
+    /// Range of each axis while it was seen, mm; axes that are not named stood still.
     ///
-    /// Elsewhere there is no interval: what the machine does there no record has shown. None in a model that does not
-    /// say.
+    /// Elsewhere there is no interval, because no record shows the machine there. `None` if the model does
+    /// not state it.
     pub at_mm: Option<BTreeMap<String, [f64; 2]>>,
-    /// The same by kind of run, as `positioning`.
-    /// What no run has shown has the largest of all.
+    /// The half width by kind of run, as `positioning`.
+    /// A kind that no run has shown gets the largest of all.
     pub by_kind_um: BTreeMap<String, f64>,
     /// The records that it was fitted on.
     pub from: Vec<Source>,
 }
 
-/// An axis that moves by less stands still, mm.
+/// An axis that moves by less counts as standing still, mm.
 const STILL_MM: f64 = 1.0;
 
-/// A machine whose temperatures move by more within a record is not the one that a fit without temperatures has seen, K.
+/// Largest change of temperature, K, for a fit that has seen no temperature.
+/// A machine that warms by more within a record is not the one that was fitted.
 const WARMS_K: f64 = 2.0;
 
-/// From where to where a record's axes and temperatures go, gathered piece by piece: what an interval asks of all its rows.
+/// The ranges of a record's axes and temperatures, gathered piece by piece.
+/// An interval depends on the ranges of all rows.
 #[derive(Debug, Clone, Default)]
 pub struct Reach {
     kind: Option<Kind>,
-    /// Of every axis, mm.
+    /// Range of every axis, mm.
     at_mm: BTreeMap<String, [f64; 2]>,
-    /// Of every sensor, °C.
+    /// Range of every sensor, °C.
     degc: BTreeMap<String, [f64; 2]>,
 }
 
 impl Reach {
-    /// That of a whole record.
+    /// The ranges of a whole record.
     #[must_use]
     pub fn of(record: &Record) -> Self {
         let mut reach = Self::default();
@@ -170,7 +174,7 @@ impl Reach {
         reach
     }
 
-    /// The next rows.
+    /// Adds the next rows.
     pub fn see(&mut self, record: &Record) {
         let widen = |all: &mut BTreeMap<String, [f64; 2]>, name: &str, data: &[f64]| {
             let range = all.entry(name.to_owned()).or_insert([f64::INFINITY, f64::NEG_INFINITY]);
@@ -190,12 +194,13 @@ impl Reach {
         self.degc.values().any(|[l, h]| h - l > WARMS_K)
     }
 
-    /// Where the axes that do not stand still are, mm.
+    /// The ranges of the axes that do not stand still, mm.
     fn places(&self) -> impl Iterator<Item = (&String, &[f64; 2])> {
         self.at_mm.iter().filter(|(_, [l, h])| *h - *l > STILL_MM)
     }
 
-    /// The kind of the record as an interval knows it: a drift in which an axis moves is like no other.
+    /// The kind of the record for an interval.
+    /// `None` for a drift in which an axis moves, because that resembles no kind.
     fn kind(&self) -> Option<Kind> {
         self.kind.filter(|kind| *kind != Kind::Drift || self.places().next().is_none())
     }
@@ -208,7 +213,7 @@ impl FitNote {
         if response.starts_with("force.") { "N" } else { "µm" }
     }
 
-    /// The keys of RMS, half width and half widths by kind of run in a file.
+    /// The file's keys of RMS, half width and half widths by kind of run.
     pub(super) fn keys_of(response: &str) -> [&'static str; 3] {
         match Self::unit_of(response) {
             "N" => ["rms_N", "half_width_N", "by_kind_N"],
@@ -216,7 +221,7 @@ impl FitNote {
         }
     }
 
-    /// Where the axes of records are: from where to where each moves, mm.
+    /// The range of each axis that moves in these records, mm.
     #[must_use]
     pub fn places(records: &[&Record]) -> BTreeMap<String, [f64; 2]> {
         let mut reach = Reach::default();
@@ -226,10 +231,10 @@ impl FitNote {
         reach.places().map(|(axis, range)| (axis.clone(), *range)).collect()
     }
 
-    /// Why the interval says nothing of a record; `None` where it does.
+    /// The reason why the interval does not apply to a record; `None` if it does.
     ///
-    /// It was seen wherever the record's axes go: a tenth of its range beyond is as good. Where the fit has seen no
-    /// temperature, a machine that warms is another one.
+    /// The fit must have seen the range of every axis that moves; a tenth of the range beyond is allowed. If
+    /// the fit has seen no temperature, it does not apply to a machine that warms.
     #[must_use]
     pub fn not_of(&self, reach: &Reach) -> Option<String> {
         if self.valid.is_empty() && reach.warms() {
@@ -252,14 +257,16 @@ impl FitNote {
         })
     }
 
-    /// Whether places seen, mm, tell of this stretch of the axis: within them, or a tenth of them beyond.
+    /// Whether a seen range of an axis covers another one, mm.
+    /// A tenth of the seen range beyond its ends is allowed.
     #[must_use]
     pub fn reaches([from, to]: [f64; 2], [low, high]: [f64; 2]) -> bool {
         let margin = 0.1 * (to - from);
         low >= from - margin && high <= to + margin
     }
 
-    /// The kind of a record as an interval knows it: a drift in which an axis moves is like no other.
+    /// The kind of a record for an interval.
+    /// `None` for a drift in which an axis moves, because that resembles no kind.
     #[must_use]
     pub fn kind_of(record: &Record) -> Option<String> {
         Reach::of(record).kind().map(|kind| kind.name().to_owned())
@@ -272,12 +279,12 @@ impl FitNote {
         own.copied().unwrap_or(self.half_width_um)
     }
 
-    /// This fit on top of an earlier one of the same response.
+    /// Adds an earlier fit of the same response, on top of which this one was made.
     ///
-    /// Their uncertainties add up, less the gauge's noise (one standard deviation, µm), which is in both. Their ranges
-    /// are joined.
-    /// A kind of run that only one of them has seen keeps its uncertainty: a drift at one place does not see changes
-    /// from place to place.
+    /// Their uncertainties add up, less the gauge's noise (one standard deviation, µm), which is in both.
+    /// Their ranges are joined.
+    /// A kind of run that only one of them has seen keeps its uncertainty, because a drift at one place does
+    /// not show changes from place to place.
     pub fn on(&mut self, earlier: &Self, noise_um: f64) {
         let own_um = self.half_width_um;
         let beyond_um = (own_um.powi(2) - (NORMAL_95 * noise_um).powi(2)).max(0.0).sqrt();
@@ -307,7 +314,7 @@ impl FitNote {
         self.from.extend(earlier.from.iter().filter(|s| !known.contains(&s.sha256)).cloned());
     }
 
-    /// Where it was seen, in words; empty where it does not say.
+    /// The range that the fit saw, in words; empty if not stated.
     #[must_use]
     pub fn place_text(&self) -> String {
         match &self.at_mm {
@@ -325,7 +332,7 @@ impl FitNote {
 mod tests {
     use super::*;
 
-    /// What a warm run has shown stays valid under a later cold fit.
+    /// The range of a warm run stays valid under a later cold fit.
     #[test]
     fn a_fit_on_another_joins_their_ranges() {
         let note = |valid: &[(&str, [f64; 2])]| FitNote {

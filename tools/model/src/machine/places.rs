@@ -1,17 +1,17 @@
-//! Folders, and how a file is named from another one's.
+//! Folders, and the path of one file from another file's folder.
 
 use std::path::{Path, PathBuf};
 
-/// The folder that a file stands in, whole where it exists.
+/// The folder of a file, as an absolute path if it exists.
 pub(super) fn folder_of(path: &Path) -> PathBuf {
     let parent = path.parent().filter(|d| !d.as_os_str().is_empty()).unwrap_or(Path::new("."));
     whole(parent)
 }
 
-/// A folder's path from the root on, without `..`.
+/// The absolute path of a folder, without `..`.
 pub(super) fn whole(folder: &Path) -> PathBuf {
     folder.canonicalize().unwrap_or_else(|_| {
-        // It is not there: by its name.
+        // The folder does not exist, so only its name is used.
         let mut plain = PathBuf::new();
         for part in std::path::absolute(folder).unwrap_or_else(|_| folder.to_owned()).components() {
             if part == std::path::Component::ParentDir {
@@ -24,7 +24,7 @@ pub(super) fn whole(folder: &Path) -> PathBuf {
     })
 }
 
-/// A path as it is named from a folder; both whole.
+/// The path from a folder to a path; both are absolute.
 pub(super) fn named_from(folder: &Path, path: &Path) -> PathBuf {
     let (mut here, mut there) = (folder.components().peekable(), path.components().peekable());
     if here.peek() != there.peek() {

@@ -1,4 +1,4 @@
-//! `machine.toml` read, strictly.
+//! Reads `machine.toml`, strictly.
 
 use super::Machine;
 use super::note::{FitNote, Listed, Provenance, Source, Validity};
@@ -17,20 +17,21 @@ use std::path::{Path, PathBuf};
 use toml_edit::DocumentMut;
 
 impl Machine {
-    /// Reads a machine model with the built-in effects, and with those of the file that its key `dictionary` names.
+    /// Reads a machine model.
+    /// Its laws are the built-in ones and those of the file that its key `dictionary` names.
     ///
     /// # Errors
     /// The first finding, with file, line and column.
     ///
-    /// Findings: syntax, unknown key or effect, a parameter that is missing, not finite or outside its bounds, `minus`
-    /// together with `reference_degC`, one effect twice.
+    /// Findings: syntax, unknown key or effect, a parameter that is missing, not finite or outside its
+    /// bounds, `minus` together with `reference_degC`, one effect twice.
     pub fn read(path: &Path) -> Result<Self, InputError> {
         let text = rtec_files::text::read(path)?;
         Self::parse(path, &text)
     }
 
     /// As [`Machine::read`], from text.
-    /// `path` is for messages and for what the file refers to.
+    /// `path` is for messages and for relative paths in the file.
     ///
     /// # Errors
     /// As [`Machine::read`].
@@ -38,7 +39,7 @@ impl Machine {
         Self::parse_with(path, text, Dictionary::default())
     }
 
-    /// As [`Machine::parse`], with the laws of a program that has more than the built-in ones.
+    /// As [`Machine::parse`], with a program's own laws beside the built-in ones.
     ///
     /// # Errors
     /// As [`Machine::read`].
@@ -46,8 +47,8 @@ impl Machine {
         Self::parse_from(path, text, given, &|beside| rtec_files::text::read(beside))
     }
 
-    /// As [`Machine::parse_with`].
-    /// `read` gives the text of the dictionary and the chain that it names: for files that are held elsewhere.
+    /// As [`Machine::parse_with`], for files that are held elsewhere.
+    /// `read` gives the text of the dictionary and of the chain that the model names.
     ///
     /// # Errors
     /// As [`Machine::read`].
@@ -68,7 +69,7 @@ impl Machine {
             note.str("free text")?;
         }
         let mut hash = Sha256::new_with_prefix(text);
-        // The files it names are part of it.
+        // The files that it names are part of the hash.
         let mut beside = |file: &str| {
             let path = path.parent().unwrap_or(Path::new("")).join(file);
             read(&path).map(|text| {
@@ -105,7 +106,7 @@ impl Machine {
             listed.push(next);
         }
         let name = name.to_owned();
-        // For writing it back with its comments; the same text was read above.
+        // This copy keeps comments for writing. The same text was parsed above.
         let doc = text.parse::<DocumentMut>().map_err(|e| {
             let at = e.span().map_or(0, |s| s.start);
             InputError::at_offset(path, text, at, e.message(), "TOML")
@@ -200,10 +201,10 @@ fn read_validity(t: Table<'_>) -> Result<Validity, InputError> {
     })
 }
 
-/// A temperature difference on a machine is no larger, K.
+/// The largest temperature difference that is accepted, K.
 const MOST_K: f64 = 1000.0;
 
-/// What is left of an error, or unknown of it, is no larger, µm.
+/// The largest remaining or unknown error that is accepted, µm.
 const MOST_UM: f64 = 1e5;
 
 fn range_k(entry: Entry<'_>, form: &str) -> Result<[f64; 2], InputError> {
@@ -220,7 +221,7 @@ fn read_fit(t: Table<'_>) -> Result<FitNote, InputError> {
     let unit = FitNote::unit_of(&response);
     let [rms, half_width, by_kind] = FitNote::keys_of(&response);
     t.only(&["response", "date", "valid_until", rms, half_width, "valid", "at_mm", by_kind, "from"])?;
-    // A date that is none would never be past.
+    // An invalid date would never expire.
     let day = |key: &str| {
         let entry = t.required(key, "a day as YYYY-MM-DD")?;
         let text = entry.text();
@@ -247,7 +248,7 @@ fn read_fit(t: Table<'_>) -> Result<FitNote, InputError> {
     })
 }
 
-/// `{ positioning = 1.5 }`.
+/// Reads `{ positioning = 1.5 }`.
 fn read_kinds(entry: Entry<'_>) -> Result<BTreeMap<String, f64>, InputError> {
     let form = "a half width by kind of run, as by_kind_um = { positioning = 1.5 }";
     let of = |e: Entry<'_>| match Kind::parse(e.key()) {
@@ -257,7 +258,7 @@ fn read_kinds(entry: Entry<'_>) -> Result<BTreeMap<String, f64>, InputError> {
     entry.table(form)?.entries().map(of).collect()
 }
 
-/// `{ x = [0.0, 300.0] }`.
+/// Reads `{ x = [0.0, 300.0] }`.
 fn read_places(entry: Entry<'_>) -> Result<BTreeMap<String, [f64; 2]>, InputError> {
     let form = "a range in mm for each axis, as at_mm = { x = [0.0, 300.0] }";
     let table = entry.table(form)?;
@@ -306,7 +307,7 @@ mod tests {
     use super::*;
     use crate::effect::Difference;
 
-    /// Values that no machine has are refused where they stand, in few words.
+    /// Values that no machine has are refused with their line, in few words.
     #[test]
     fn what_no_machine_has_is_refused_with_its_line() {
         for (line, found) in [
@@ -332,7 +333,7 @@ mod tests {
         }
     }
 
-    /// As many effects as nobody compares in pairs.
+    /// A model of so many effects that comparing all pairs would take too long.
     #[test]
     fn a_long_model_is_read_and_one_effect_twice_in_it_is_found() {
         let effect = |n: usize| {

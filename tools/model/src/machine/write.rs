@@ -1,4 +1,4 @@
-//! `machine.toml` changed and written so that nothing the user wrote is lost.
+//! Changes and writes `machine.toml` without losing anything that the user wrote.
 
 use super::Machine;
 use super::note::{FitNote, Listed, Provenance, Source, Validity};
@@ -10,14 +10,14 @@ use std::path::{Path, PathBuf};
 use toml_edit::{Array, InlineTable, Item, Value, value};
 
 impl Machine {
-    /// What the program changes carries the format and the writer.
+    /// Writes the format and the writer into the file, once the program changes it.
     fn stamp(&mut self) {
         self.doc["format"] = value(i64::from(stamp::FORMAT));
         self.doc["by"] = value(stamp::by());
     }
 
-    /// Adds what a fit says about itself.
-    /// It stands for what an earlier fit of the same response said.
+    /// Adds the note of a fit.
+    /// It replaces the note of an earlier fit of the same response.
     pub fn note_fit(&mut self, note: FitNote) {
         self.stamp();
         let mut t = toml_edit::Table::new();
@@ -71,10 +71,10 @@ impl Machine {
         self.fits.push(note);
     }
 
-    /// Adds laws to its dictionary.
+    /// Adds laws to its dictionary and returns the text of the whole dictionary.
     ///
-    /// The text that comes back, with the laws it had of its own, belongs into `file` beside the model: the model names
-    /// it from now on.
+    /// The caller writes that text, which includes the model's earlier own laws, to `file` beside the model.
+    /// From now on the model names that file.
     ///
     /// # Errors
     /// The laws are refused, or its present dictionary cannot be read.
@@ -97,7 +97,7 @@ impl Machine {
     /// Appends an effect.
     ///
     /// # Errors
-    /// It is there already.
+    /// The model already has it.
     pub fn push(&mut self, effect: Effect, provenance: Provenance) -> Result<(), ValueError> {
         let next = Listed { effect, provenance };
         if self.listed.iter().any(|l| l.identity() == next.identity()) {
@@ -112,7 +112,7 @@ impl Machine {
     }
 
     /// Sets a parameter of the n-th effect, and its interval.
-    /// Comments and order of the file stay.
+    /// The file keeps its comments and order.
     ///
     /// # Errors
     /// Unknown parameter, a value outside its bounds.
@@ -165,13 +165,14 @@ impl Machine {
         item.as_array_of_tables_mut().expect("an array of tables was put there just above")
     }
 
-    /// The file's text, for the place that it was read from.
+    /// The file's text, for the folder that it was read from.
     #[must_use]
     pub fn to_text(&self) -> String {
         self.doc.to_string()
     }
 
-    /// The file's text for another place: the chain, the dictionary and the records that it names are named from there.
+    /// The file's text for another folder.
+    /// The paths of its chain, dictionary and records are changed to start from there.
     #[must_use]
     pub fn text_at(&self, path: &Path) -> String {
         let (from, to) = (folder_of(&self.path), folder_of(path));
@@ -210,12 +211,12 @@ impl Machine {
         moved.to_text()
     }
 
-    /// The file's text for another place, read back: whatever is written can be loaded.
+    /// The file's text for another folder, checked by reading it back.
     ///
-    /// `beside`: names and texts of files that will be written beside it and are not there yet.
+    /// `beside`: names and texts of files that will be written beside it and do not exist yet.
     ///
     /// # Errors
-    /// A value that no machine has, as a fit to a record in the wrong unit gives it.
+    /// A value that no machine has, for example from a fit to a record in the wrong unit.
     pub fn readable_text_at(&self, path: &Path, beside: &[(&str, &str)]) -> Result<String, InputError> {
         let text = self.text_at(path);
         let read = |file: &Path| {
@@ -230,10 +231,10 @@ impl Machine {
         Ok(text)
     }
 
-    /// Writes the model, whole or not at all; what it names stays what it was.
+    /// Writes the model in one step; the files that it names stay unchanged.
     ///
     /// # Errors
-    /// It could not be read back, or the directory cannot be written.
+    /// The text could not be read back, or the directory cannot be written.
     pub fn write(&self, path: &Path) -> Result<(), InputError> {
         let text = self.readable_text_at(path, &[])?;
         rtec_files::write::whole(path, text.as_bytes())
@@ -241,7 +242,7 @@ impl Machine {
     }
 }
 
-/// Replaces a value and keeps the comment behind it.
+/// Replaces a value and keeps the comment after it.
 fn replace(table: &mut toml_edit::Table, key: &str, mut new: Value) {
     match table.get_mut(key).and_then(Item::as_value_mut) {
         Some(old) => {
@@ -263,7 +264,7 @@ fn pairs(interval: &[[f64; 2]], array: bool) -> Value {
     if array { interval.iter().map(pair).collect::<Array>().into() } else { pair(&interval[0]) }
 }
 
-/// One source as a table, several as an array of tables.
+/// One source becomes a table, several become an array of tables.
 fn sources(from: &[Source]) -> Item {
     let source = |s: &Source| {
         let mut t = InlineTable::new();
@@ -433,7 +434,7 @@ mod tests {
         assert!(Machine::read(&dir.path().join("m.toml")).unwrap_err().found.contains("p_C"));
     }
 
-    /// A model written into another folder goes on with the same chain, laws and records.
+    /// A model written into another folder still finds its chain, laws and records.
     #[test]
     fn a_model_that_moves_takes_what_it_names_along() {
         let dir = tempfile::tempdir().unwrap();
@@ -492,7 +493,7 @@ mod tests {
         assert!(there.changed_sources().is_empty());
         std::fs::write(at("a/r.csv"), "z,e\n0,2\n").unwrap();
         assert_eq!(there.changed_sources(), ["r.csv has changed since the model was fitted on it"]);
-        // And home again.
+        // Writing it back into the first folder restores the paths.
         there.write(&at("a/again.toml")).unwrap();
         let text = std::fs::read_to_string(at("a/again.toml")).unwrap();
         assert!(text.contains("dictionary = \"own.toml\" # mine\nchain = \"parts/chain.toml\"\n"), "{text}");

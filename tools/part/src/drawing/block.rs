@@ -1,4 +1,4 @@
-//! Blocks that a drawing inserts, and where their entities come to stand.
+//! Blocks that a drawing inserts, and the placement of their entities.
 //!
 //! Source: Autodesk, DXF reference, "BLOCKS section" and "INSERT".
 
@@ -9,21 +9,21 @@ use rtec_files::InputError;
 use std::f64::consts::FRAC_PI_2;
 use std::path::Path;
 
-/// Blocks within blocks go no deeper; one that holds itself has no end.
+/// Deepest nesting of blocks; a block that contains itself would have no end.
 const DEEPEST: usize = 16;
-/// No contour has so many entities: rows and columns of inserted blocks multiply.
+/// Largest number of entities: rows and columns of inserted blocks multiply.
 const MOST: usize = 100_000;
 
 /// A linear map of the plane and a shift.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Place {
-    /// Where the unit vectors of z and x go.
+    /// The images of the unit vectors of z and x.
     axes: [Zx; 2],
     shift: Zx,
 }
 
 impl Place {
-    /// Nothing moves.
+    /// The identity: nothing moves.
     pub(super) const HERE: Self =
         Self { axes: [Zx { z: 1.0, x: 0.0 }, Zx { z: 0.0, x: 1.0 }], shift: Zx { z: 0.0, x: 0.0 } };
 
@@ -35,17 +35,17 @@ impl Place {
         self.vector(p) + self.shift
     }
 
-    /// This one, and then an outer one.
+    /// This placement followed by an outer one.
     fn within(&self, outer: &Self) -> Self {
         Self { axes: self.axes.map(|axis| outer.vector(axis)), shift: outer.point(self.shift) }
     }
 
-    /// Of a block with this base point that an INSERT puts into a column and a row
-    /// of its own.
+    /// The placement of a block in one column and row of an INSERT.
+    /// `base` is the block's base point.
     fn of(insert: &Entity, base: Zx, [column, row]: [f64; 2], mm: f64) -> Self {
         let value = |code: i32, default: f64| insert.number(code).unwrap_or(default);
         let (sin, cos) = value(50, 0.0).to_radians().sin_cos();
-        // Seen from below, x runs the other way.
+        // Seen from below, x is reversed.
         let mirror = if insert.normal()[2] < 0.0 { -1.0 } else { 1.0 };
         let turned = |p: Zx| Zx::new(mirror * (cos * p.z - sin * p.x), sin * p.z + cos * p.x);
         let axes = [Zx::new(value(41, 1.0), 0.0), Zx::new(0.0, value(42, 1.0))].map(turned);
@@ -56,8 +56,8 @@ impl Place {
         Self { shift, ..linear }
     }
 
-    /// A piece as it is put here.
-    /// An arc becomes a piece of an ellipse where the map does not keep its shape.
+    /// A piece at this placement.
+    /// An arc becomes a piece of an ellipse if the map distorts it.
     pub(super) fn put(&self, segment: Segment) -> Segment {
         if *self == Self::HERE {
             return segment;
@@ -90,8 +90,8 @@ impl Place {
         }
     }
 
-    /// What becomes of an ellipse with these half diameters, at a right angle to
-    /// each other. Its images are conjugate half diameters, from which the axes follow.
+    /// The image of an ellipse with these perpendicular half diameters.
+    /// Their images are conjugate half diameters, from which the axes follow.
     fn ellipse(&self, centre: Zx, halves: [Zx; 2], start_rad: f64, sweep_rad: f64) -> Segment {
         let [p, q] = halves.map(|half| self.vector(half));
         let turn = 0.5 * (2.0 * p.dot(q)).atan2(p.dot(p) - q.dot(q));
@@ -109,27 +109,27 @@ impl Place {
     }
 }
 
-/// Scales that differ by less are one scale.
+/// Scales that differ by less count as equal.
 const ROUND: f64 = 1e-9;
 
 fn cross(a: Zx, b: Zx) -> f64 {
     a.z * b.x - a.x * b.z
 }
 
-/// An entity of a contour, of the drawing itself or of a block in it.
+/// An entity of the drawing itself or of an inserted block.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Placed<'d> {
     pub(super) entity: &'d Entity,
     pub(super) layer: &'d str,
     pub(super) place: Place,
-    /// What inserts it is not to be seen, and on which layer.
+    /// The layer of an insertion that hides it, if any.
     pub(super) hidden_by: Option<&'d str>,
 }
 
-/// All entities of a drawing, with those of the blocks that it inserts.
+/// All entities of a drawing, including those of inserted blocks.
 ///
 /// # Errors
-/// A block that is not there, one that holds itself, or more entities than a contour has.
+/// A block that is missing, one that contains itself, or more entities than a contour has.
 pub(super) fn placed<'d>(
     file: &Path,
     drawing: &'d Drawing,
@@ -167,7 +167,7 @@ pub(super) fn placed<'d>(
         for n in (0..copies).rev() {
             let at = [n % count(70), n / count(70)].map(|n| n as f64);
             let place = Place::of(entity, base, at, mm).within(&placed.place);
-            // What a block has on layer 0 is on the layer that it is inserted on.
+            // Entities on a block's layer 0 are on the layer of the insertion.
             let of = |entity: &'d Entity| {
                 let layer = if entity.layer == "0" { layer } else { entity.layer.as_str() };
                 (Placed { entity, layer, place, hidden_by: unseen }, depth + 1)

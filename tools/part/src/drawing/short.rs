@@ -1,22 +1,23 @@
 //! Pieces no longer than the tolerance: joined first, then cleaned.
 //!
-//! Cleaning leaves vertices out, never the way between them.
+//! Cleaning leaves out vertices, but never the way between them.
 
 use super::{Cleaned, Piece, Places};
 use crate::contour::{FeatureKind, Segment};
 use crate::fit::Zx;
 
-/// Two ends are one within this share of the shorter piece.
+/// Largest distance of two ends that are one, as a share of the shorter piece.
 const REACH: f64 = 1.0 / 3.0;
 
-/// How near two ends of short pieces are if they are one, mm.
+/// Largest distance of two ends of short pieces that are one, mm.
 pub(super) fn reach_mm(first_mm: f64, second_mm: f64) -> f64 {
     first_mm.min(second_mm) * REACH
 }
 
 /// Joins short pieces end to end, and drops vertices that are too close.
 ///
-/// What they form together keeps its place and its length; what is no longer than the tolerance as a whole is left out.
+/// The joined line keeps its place and length. It is left out if it is no longer than the tolerance as a
+/// whole.
 pub(super) fn joined(short: &[Piece], tolerance_mm: f64, cleaned: &mut Cleaned) -> Vec<Piece> {
     let ends: Vec<Zx> = short.iter().flat_map(Piece::ends).collect();
     let lengths: Vec<f64> = short.iter().map(|p| p.segment.length_mm()).collect();
@@ -28,7 +29,7 @@ pub(super) fn joined(short: &[Piece], tolerance_mm: f64, cleaned: &mut Cleaned) 
         if std::mem::replace(&mut used[first], true) {
             continue;
         }
-        // Each vertex with the piece that leads to it, first from one end, then from the other.
+        // Collects each vertex with the piece that leads to it, first from one end, then from the other.
         let mut walk = |mut end: usize| {
             let mut path = vec![(ends[end], end / 2)];
             loop {
@@ -61,7 +62,7 @@ fn thinned(path: &[(Zx, usize)], short: &[Piece], tolerance_mm: f64, cleaned: &m
             kept.push(*vertex);
         }
     }
-    // The end meets a neighbour: the vertices before it give way.
+    // The end meets a neighbour, so vertices too close before it are dropped.
     while kept.len() > 1 && near(kept[kept.len() - 1].0, last.0) {
         kept.pop();
     }
@@ -80,7 +81,7 @@ fn thinned(path: &[(Zx, usize)], short: &[Piece], tolerance_mm: f64, cleaned: &m
     kept.windows(2).map(line).collect()
 }
 
-/// Closes the joints of a chain where a line can give way.
+/// Closes the joints of a chain by moving lines that may be moved.
 ///
 /// A line along the axis or square to it keeps its place, and so does a curve.
 pub(super) fn close_joints(chain: &mut [(Segment, String)], closed: bool) {

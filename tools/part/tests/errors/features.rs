@@ -23,14 +23,14 @@ fn a_taper_and_a_bore_face_the_probe() {
         assert!((report.inclination_deg.unwrap() - 5.0).abs() < 1e-4, "{side} {:?}", report.inclination_deg);
         assert!(report.inclination_error_deg.unwrap().abs() < 1e-4);
         assert!((report.errors[5].error_um - 10.0).abs() < 0.1, "{side}: {:?}", report.errors[5]);
-        // The surface goes through (0, 20) when the tip is taken off.
+        // With the tip subtracted, the surface goes through (0, 20).
         let [z, x] = report.centre_mm;
         assert!(((x - 20.0) * cos - z * sin).abs() < 1e-4, "{side}: {z} {x}");
     }
 }
 
-/// One gross false trip spoils the circle and the line alike: the arc of the others is still an arc, and the trip is the
-/// point that is far off.
+/// One gross false trip spoils the circle and the line equally.
+/// The arc of the other points is still recognised, and the trip is the point far off.
 #[test]
 fn a_gross_false_trip_is_no_straight_feature() {
     let files = Files::new();
@@ -47,7 +47,8 @@ fn a_gross_false_trip_is_no_straight_feature() {
     }
 }
 
-/// A bump over much of the arc pulls the size of the report's fit; the robust fit's stands beside it.
+/// A bump over much of the arc changes the size of the report's fit.
+/// The report also gives the size of the robust fit, which does not change.
 #[test]
 fn the_size_by_the_robust_fit_stands_beside() {
     let files = Files::new();
@@ -57,8 +58,9 @@ fn the_size_by_the_robust_fit_stands_beside() {
     assert!((report.robust.size_error_um.unwrap() - 10.0).abs() < 0.1, "{:?}", report.robust.size_error_um);
 }
 
-/// A cylinder 6 µm large with a bump on it: the size is that of the bump's neighbours.
-/// Size and error together are the distance of each point from its expected place.
+/// A cylinder 6 µm too large with a bump.
+/// Its size is that of the bump's neighbours. Size and error together are the distance of each point from its
+/// expected place.
 #[test]
 fn size_and_errors_of_a_straight_feature_make_the_distance() {
     let files = Files::new();
@@ -77,10 +79,10 @@ fn size_and_errors_of_a_straight_feature_make_the_distance() {
     }
 }
 
-/// A straight feature of 12 points at `along` (z or x from 10 mm, 2 mm apart).
+/// A straight feature of 12 points along z or x, from 10 mm, 2 mm apart.
 ///
-/// The tip's centres are at `place_mm` across it. The feature has 30 µm too much material, 12 µm more in the middle,
-/// and is tilted by `tilt_um` over its length.
+/// The tip's centres are at `place_mm` across it. The feature has 30 µm too much material, 12 µm more in the
+/// middle, and is tilted by `tilt_um` over its length.
 fn straight(along_z: bool, place_mm: f64, outward: f64, tilt_um: f64, approach: &str) -> String {
     let header = format!("z_mm,x_mm{}\n", if approach.is_empty() { "" } else { ",approach_z,approach_x" });
     (0..12).fold(header, |mut text, k| {
@@ -93,7 +95,8 @@ fn straight(along_z: bool, place_mm: f64, outward: f64, tilt_um: f64, approach: 
     })
 }
 
-/// A face's side is told by its approach or by the probe's path, never by its tilt; without either it is refused.
+/// A face's side follows from its approach or the probe's path, never its tilt.
+/// Without either it is refused.
 #[test]
 fn the_tilt_of_a_face_does_not_say_where_outward_is() {
     let files = Files::new();
@@ -136,7 +139,8 @@ fn the_tilt_of_a_face_does_not_say_where_outward_is() {
     assert_eq!(probed.touched_by(&[Zx::new(1.0, 0.0); 12]).unwrap_err().line, 2);
 }
 
-/// One call has one radius, one tip and one side: points of two features are refused by the first of the second.
+/// Points of two features are refused at the first of the second.
+/// One call has one radius, one tip and one side.
 #[test]
 fn points_of_two_features_are_refused() {
     let files = Files::new();
@@ -154,8 +158,9 @@ fn points_of_two_features_are_refused() {
     assert!(e.line == 12 && e.found == "a point of F3 among those of F1", "{e}");
 }
 
-/// A fillet at a shoulder begins where its angle is ±π: noise must not put its first point at the other end. The planted
-/// error is found in the table at each direction, and nothing beside the arc.
+/// A fillet at a shoulder begins where its angle is ±π.
+/// Noise must not put its first point at the other end. The planted error appears in the table at each
+/// direction, and nothing appears beside the arc.
 #[test]
 fn an_arc_across_the_turn_keeps_its_order() {
     use rtec_part::table::{AxisCounts, FinishCut, FinishTable};
@@ -165,7 +170,7 @@ fn an_arc_across_the_turn_keeps_its_order() {
     for start_deg in [170.0_f64, 179.999, 180.0, 180.001] {
         let angle = |k: i32| (start_deg + 90.0 * f64::from(k) / 23.0).to_radians();
         let text = (0..24).fold("z_mm,x_mm,approach_z,approach_x\n".to_owned(), |text, k| {
-            // The tip is inside; its centres on a circle of 4 mm.
+            // The tip is inside; its centres are on a circle of 4 mm.
             let n = Zx::at_angle(angle(k));
             let p = centre + n * (4.0 + planted(angle(k)) * 1e-3);
             text + &format!("{:.7},{:.7},{:.5},{:.5}\n", p.z, p.x, n.z, n.x)
@@ -182,7 +187,8 @@ fn an_arc_across_the_turn_keeps_its_order() {
         let axes = [AxisCounts { count_um: 1.0, increment: 2, sign: 1.0 }; 2];
         let table = FinishTable::new(cut, axes, errors);
         for (k, e) in report.errors.iter().enumerate() {
-            // As the live table asks, by the place; the fitted centre is some 0.01 rad from the planted one.
+            // Asked by the place, as the live table is. The fitted centre is about 0.01 rad from the planted
+            // one.
             let place = centre + Zx::at_angle(angle(k as i32)) * 5.0;
             let um = table.components_um(place, Zx::new(0.0, 0.0), 0.0);
             let along = um.dot(Zx::at_angle(angle(k as i32)));
@@ -191,7 +197,7 @@ fn an_arc_across_the_turn_keeps_its_order() {
         let rows = table.rows(4);
         assert!(rows.iter().all(|r| (r.part_mm.z - 50.0) < 0.9), "{start_deg}: an entry in the air");
     }
-    // Written by who sorts directions: an arc with its ends out of order.
+    // A file sorted by direction: an arc with its ends out of order.
     let e = read_arc(&files.with("error.cor", "-3.0 1\n-1.6 2\n3.1 1\n")).unwrap_err();
     assert!(e.line == 3 && e.found.contains("half a turn"), "{e}");
 }

@@ -1,4 +1,4 @@
-//! Files of points and errors, the tip, the drawing of errors.
+//! Files of points and errors, the tip, and the drawing of errors.
 
 use super::{CIRCLE, Files, quadrant};
 use rtec_part::cor::{FeatureErrors, error_cor, read_arc};
@@ -25,7 +25,8 @@ fn the_tip_is_taken_off_on_the_side_it_came_from() {
     }
 }
 
-/// As a spreadsheet saves it: separators, decimal commas, UTF-16, Windows-1252, quotes, the minus of typography.
+/// Files as a spreadsheet saves them.
+/// They have separators, decimal commas, UTF-16, Windows-1252, quotes, the minus of typography.
 #[test]
 fn error_cor_is_read_as_a_spreadsheet_saves_it() {
     let files = Files::new();
@@ -96,7 +97,8 @@ fn error_cor_is_read_as_it_is_written() {
     }
 }
 
-/// The quadrant as a machine that is off records it: the scale reads nominal minus the error.
+/// The quadrant as recorded by a machine with errors.
+/// The scale reads nominal minus the error.
 #[test]
 fn the_geometric_thermal_correction_takes_the_machines_error_out() {
     let files = Files::new();
@@ -110,7 +112,7 @@ fn the_geometric_thermal_correction_takes_the_machines_error_out() {
         let n = Zx::at_angle(std::f64::consts::FRAC_PI_2 * f64::from(k) / 19.0);
         let p = Zx::new(100.0, 0.5) + n * 38.1;
         let (t8, t18) = (24.0 + 0.1 * f64::from(k), 20.5);
-        // Every approach is towards −Z but the last, which is square to it.
+        // Every approach is towards −Z except the last, which is square to it.
         let reversal_um = if n.z > 1e-6 { -2.0 } else { 0.0 };
         let error_um = Zx::new(40.0e-3 * (p.z + origin.z) + reversal_um, 2.0 * (t8 - t18));
         let read = p - error_um * 1e-3;
@@ -164,7 +166,7 @@ fn whiskers_are_drawn_at_two_hundred_and_fifty() {
         Probed::read(&files.with("p.csv", &quadrant(2.5, 1.0))).unwrap().errors(CIRCLE, 2.5).unwrap();
     let text = report.whisker_dxf();
     assert_eq!(text, report.whisker_dxf());
-    // A CAD library finds nothing to complain of or to mend.
+    // A CAD library finds nothing to report or repair.
     if test_needs::python("ezdxf", "python3-ezdxf") {
         let audit = "import ezdxf, sys; found = ezdxf.readfile(sys.argv[1]).audit(); \
                      sys.exit('\\n'.join(e.message for e in found.errors + found.fixes) or None)";
@@ -189,12 +191,13 @@ fn whiskers_are_drawn_at_two_hundred_and_fifty() {
         assert!((bar - error.error_um.abs() * 0.25).abs() < 1e-6, "4 µm are 1 mm");
     }
     let svg = report.whisker_svg();
-    // And one in the legend, where there is any.
+    // One more in the legend, if any is dropped.
     let dropped = report.rejected.len() + usize::from(!report.rejected.is_empty());
     assert_eq!(svg.matches("class=\"dropped\"").count(), dropped);
 }
 
-/// Points far from where they were expected, that would fit if read otherwise: it is said how.
+/// Points far from their expected places that fit if read differently.
+/// The finding says how.
 #[test]
 fn exchanged_columns_diameters_and_inches_are_told() {
     let files = Files::new();

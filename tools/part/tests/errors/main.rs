@@ -1,4 +1,5 @@
-//! Probed points to part errors: tip, side of approach, files read and written, findings.
+//! From probed points to part errors.
+//! The tests cover tip, side of approach, files read and written, and findings.
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
@@ -29,7 +30,8 @@ fn bump_um(k: i32) -> f64 {
     [6.0, 14.0, 20.0, 14.0, 6.0].get((k - 4) as usize).copied().unwrap_or(0.0)
 }
 
-/// The tip's centres on a quadrant with a bump; the tip outside (+1) or inside (−1).
+/// The tip's centres on a quadrant with a bump.
+/// The tip is outside (+1) or inside (−1).
 fn quadrant(tip_mm: f64, side: f64) -> String {
     (0..20).fold("z_mm,x_mm,approach_z,approach_x\n".to_owned(), |mut text, k| {
         let n = Zx::at_angle(std::f64::consts::FRAC_PI_2 * f64::from(k) / 19.0);

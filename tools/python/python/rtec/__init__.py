@@ -1,6 +1,6 @@
 """The real-time error corrector's libraries: records, models, evaluations, verdicts.
 
-Units stand in names: ``_um`` micrometres, ``_mm`` millimetres, ``_s`` seconds, ``_degC``. Arrays are ``float64``, one value per row.
+Names end with units: ``_um`` micrometres, ``_mm`` millimetres, ``_s`` seconds, ``_degC``. Arrays are ``float64``, one value per row.
 
 ========================================  ==========================================================
 run records                               :func:`read_record`, :func:`record`, :class:`Record`
@@ -22,9 +22,9 @@ figures                                   :mod:`rtec.plots`
 a shop of many machines                   :mod:`rtec.shop`
 ========================================  ==========================================================
 
-Every result holds ``json``, what ``rtecctl … --json`` prints of the same input, byte for byte, and ``document``, the same as Python's
-own dictionaries and lists. What the program says on the way is a Python warning (:class:`InputWarning`) and stands in ``said``.
-Bad input raises :class:`InputError`, a ``ValueError`` with file and line; a file that is not there :class:`MissingFileError`, which is a
+Every result has ``json``, the text that ``rtecctl … --json`` prints for the same input, byte for byte. It also has ``document``, the
+same as Python's own dictionaries and lists. Messages of the program are Python warnings (:class:`InputWarning`) and are kept in ``said``.
+Bad input raises :class:`InputError`, a ``ValueError`` with file and line. A missing file raises :class:`MissingFileError`, which is a
 ``FileNotFoundError`` too. All are :class:`RtecError`.
 """
 

@@ -1,4 +1,4 @@
-"""Parameters that mean the same in several functions: their description is written once."""
+"""Descriptions of parameters that several functions share, each written once."""
 
 from __future__ import annotations
 
@@ -54,5 +54,5 @@ def documented(function: F) -> F:
 
 
 def place(path: str | os.PathLike[str] | None) -> str | None:
-    """A path as text, where there is one."""
+    """A path as text; None without a path."""
     return None if path is None else os.fspath(path)

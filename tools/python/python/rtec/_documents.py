@@ -1,4 +1,6 @@
-"""What the documents hold, for type checkers and editors. The keys are those of ``rtecctl … --json``; the guide's reference says more.
+"""The types of the documents, for type checkers and editors.
+
+The keys are those of ``rtecctl … --json``; the guide's reference describes them.
 
 A key that not every document has is marked ``NotRequired``. ``by`` is the program that wrote the document.
 """
@@ -7,12 +9,12 @@ from __future__ import annotations
 
 from typing import Any, Literal, NotRequired, TypedDict
 
-#: A plot as data: ``kind`` is ``chart`` (series over an axis), ``polar`` (deviations from a circle, µm) or ``vectors`` (µm at places in mm).
+#: A plot as data. ``kind`` is ``chart`` (series over an axis), ``polar`` (deviations from a circle, µm) or ``vectors`` (µm at places in mm).
 Picture = dict[str, Any]
 
 
 class Interval(TypedDict):
-    """A parameter with its 95 % interval; ``before``: what the model had."""
+    """A parameter with its 95 % interval; ``before`` is the model's value."""
 
     value: Any
     low: NotRequired[Any]
@@ -31,7 +33,9 @@ class Suspicion(TypedDict):
 
 
 class Effect(TypedDict):
-    """An effect that was found, or corrected. Keys that are no numbers (``sensor``, ``minus``, ``knots_mm``) are beside ``parameters``."""
+    """An effect that was found or corrected.
+
+    Keys that are not numbers (``sensor``, ``minus``, ``knots_mm``) are beside ``parameters``."""
 
     name: str
     parameters: dict[str, Interval]
@@ -112,7 +116,7 @@ class WhereDocument(TypedDict):
 
 
 class EvaluationDocument(TypedDict, total=False):
-    """Figures of a standard, µm unless the name says otherwise. Which keys it has, the standard says."""
+    """Figures of a standard, µm unless the name says otherwise. The keys depend on the standard."""
 
     format: int
     by: str
@@ -139,7 +143,7 @@ class EvaluationDocument(TypedDict, total=False):
     B_mean: float | None
     M: float
     uncertainty: dict[str, Any] | None
-    # ISO 230-3: one entry a response
+    # ISO 230-3: one entry per response
     axes: list[dict[str, Any]]
     # ISO 230-4, ballbar
     planes: list[dict[str, Any]]
@@ -179,7 +183,7 @@ class EvaluationDocument(TypedDict, total=False):
     reversal_um: float | None
     repeatability_um: float | None
     places: list[dict[str, Any]]
-    # Repeatability: an entry an axis
+    # Repeatability: one entry per axis
     x: dict[str, Any]
     y: dict[str, Any]
     z: dict[str, Any]
@@ -204,7 +208,9 @@ class EvaluationDocument(TypedDict, total=False):
 
 
 class FitDocument(TypedDict, total=False):
-    """A fit. By temperatures: an entry of ``responses`` each. Of named effects: ``effects``, ``rms_um``, ``zeros``."""
+    """A fit.
+
+    A fit by temperatures has one entry of ``responses`` per response; one of named effects has ``effects``, ``rms_um``, ``zeros``."""
 
     format: int
     by: str
@@ -238,7 +244,7 @@ class ValidationDocument(TypedDict):
 
 
 class TableDocument(TypedDict):
-    """A controller's table, and what it leaves of the model."""
+    """A controller's table, and its residuals against the model."""
 
     format: int
     by: str
@@ -283,7 +289,7 @@ class DesignsDocument(TypedDict):
 
 
 class ReplayDocument(TypedDict):
-    """What the controller would have counted."""
+    """The counts that the controller would have received."""
 
     format: int
     by: str

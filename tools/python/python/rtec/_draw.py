@@ -1,4 +1,4 @@
-"""Plots that are given as data, as figures of matplotlib."""
+"""Draws plots given as data as figures of matplotlib."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from rtec._documents import Picture
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-#: Colours that colour-blind readers tell apart (Okabe and Ito), as in the reports.
+#: Colours that colour-blind readers can distinguish (Okabe and Ito), as in the reports.
 COLOURS = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#505050"]
 _MEANT = {"up": COLOURS[0], "down": COLOURS[1], "grey": COLOURS[6]}
 
 
 class Plot(Figure):
-    """A figure that a notebook shows by itself."""
+    """A figure that a notebook displays automatically."""
 
     def _repr_png_(self) -> bytes:
         out = io.BytesIO()
@@ -28,7 +28,7 @@ class Plot(Figure):
 
 
 def draw(picture: Picture) -> Figure:
-    """A plot that is given as data."""
+    """Draws a plot given as data."""
     if picture["kind"] == "polar":
         return _polar(picture)
     figure = Plot(figsize=(9.0, 4.8), layout="constrained")
@@ -87,7 +87,7 @@ def _polar(picture: Picture) -> Figure:
         largest = max(largest, float(np.nanmax(np.abs(um), initial=0.0)))
         axes.plot(angle, um, color=_colour(series, place), label=series["label"] or None, lw=1.2)
     axes.plot(np.linspace(0.0, 2.0 * np.pi, 361), np.zeros(361), color="#505050", lw=1.0)
-    # The circle itself lies well outside the middle, so that what is inwards is seen as such.
+    # The zero circle is drawn large, so that deviations inwards remain visible.
     axes.set_rlim(-2.2 * largest, 1.1 * largest)
     axes.set_xticks(np.arange(4) * np.pi / 2, [f"+{first}", f"+{second}", f"−{first}", f"−{second}"])
     axes.set_xlabel("deviation, µm")

@@ -1,21 +1,21 @@
-"""What is raised: one base class, and Python's own class of each kind beside it."""
+"""Exceptions: one base class, and for each kind Python's own class as a second base."""
 
 from __future__ import annotations
 
 import errno
 import re
 
-#: An option of the command line, outside of a whole command.
+#: An option of the command line, unless it is part of a whole command.
 _OPTION = re.compile(r"`rtecctl [^`]*`|--([a-z][a-z0-9]*(?:-[a-z0-9]+)*)")
 
 
 def for_python(text: str) -> str:
-    """A message of the libraries with arguments of Python in place of the command's options: ``tip_mm`` for ``--tip-mm``."""
+    """A message of the libraries with Python's argument names, as ``tip_mm`` for ``--tip-mm``."""
     return _OPTION.sub(lambda m: m[0] if m[1] is None else m[1].replace("-", "_"), text)
 
 
 class RtecError(Exception):
-    """What cannot be done, and why; the base of all errors of this package."""
+    """The base of all errors of this package: what cannot be done, and why."""
 
 
 class InputError(RtecError, ValueError):
@@ -26,9 +26,9 @@ class InputError(RtecError, ValueError):
     file : str
         The file, or the argument, that is wrong.
     line, column : int
-        From 1; 0 where it has none.
+        From 1; 0 if there is none.
     found, expected : str
-        What is there, and what should be.
+        The faulty content, and the expected one.
     """
 
     file: str = ""
@@ -61,7 +61,7 @@ def input_error(text: str, file: str, line: int, column: int, found: str, expect
 
 
 def names(argument: str, given: object) -> list[str]:
-    """Several names; a single string is refused, since Python would take it as a list of letters."""
+    """Several names; a single string is refused, because Python would read it as letters."""
     if isinstance(given, (str, bytes)):
         raise TypeError(f"{argument}: found the string {given!r}, expected a list of names, as [{given!r}]")
     found: list[str] = list(given)  # type: ignore[call-overload]
@@ -72,5 +72,5 @@ def names(argument: str, given: object) -> list[str]:
 
 
 def needs(module: str, extra: str) -> ModuleNotFoundError:
-    """What to install where an optional package is missing."""
+    """Raises an error that says what to install if an optional package is missing."""
     return ModuleNotFoundError(f"{module} is not installed; pip install 'rtec[{extra}]' brings it", name=module)

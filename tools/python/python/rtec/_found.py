@@ -1,4 +1,4 @@
-"""Results that bring a machine model or records with them."""
+"""Results that contain a machine model or records."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def _intervals(effect: doc.Effect) -> str:
 
 @dataclass(frozen=True, repr=False)
 class Fit(Drawn[doc.FitDocument]):
-    """A fit: how it was found (the document), and the model with it."""
+    """A fit: the model, and how it was found (the document)."""
 
     machine: Machine = field(kw_only=True)
     _records: list[_rtec.Record] = field(default_factory=list, repr=False, compare=False)
@@ -39,13 +39,13 @@ class Fit(Drawn[doc.FitDocument]):
 
 @dataclass(frozen=True, repr=False)
 class Verdict(Drawn[doc.VerdictDocument]):
-    """What a model lacks: ``verdict``, ``where``, ``effects``, ``gap`` and more stand in the document."""
+    """What a model lacks. The document has ``verdict``, ``where``, ``effects``, ``gap`` and more."""
 
-    #: The model with what was added; the one that was given is never touched.
+    #: The model with the added effects; the given model is never changed.
     model: Machine = field(kw_only=True)
     #: The report as one page.
     html: str = field(default="", repr=False)
-    #: Where something has no name and a curve was wanted: the file of its law.
+    #: The law's file of a curve, if one was requested and something was unexplained.
     laws: str | None = field(default=None, repr=False)
     _records: list[_rtec.Record] = field(default_factory=list, repr=False, compare=False)
     _base: _rtec.Machine | None = field(default=None, repr=False, compare=False)
@@ -71,13 +71,13 @@ class Verdict(Drawn[doc.VerdictDocument]):
 
     @property
     def effects(self) -> list[doc.Effect]:
-        """What was added, strongest first: name, parameters with intervals, p-value, alternatives."""
+        """Added effects, strongest first: name, parameters with intervals, p-value, alternatives."""
         return self.document["effects"]
 
 
 @dataclass(frozen=True, repr=False)
 class Simulation(Result[dict[str, Any]]):
-    """An experiment's figures, and its records: not written yet."""
+    """An experiment's figures, and its records, which are not yet written."""
 
     records: list[Record] = field(default_factory=list)
 

@@ -1,4 +1,4 @@
-"""The functions, with what a reader of Python expects of them."""
+"""The package's functions."""
 
 from __future__ import annotations
 
@@ -32,17 +32,17 @@ def evaluate(
     """Evaluates runs as their standard defines it.
 
     ``standard``: ``iso230-2``, ``straightness``, ``iso230-3``, ``iso230-6``, ``ballbar`` (``iso230-4``), ``plate`` or
-    ``repeatability``; by the first record's kind where it is left out. ``conditions``: a file with what the test was done under,
-    for uncertainties and the reduction to 20 °C. ``norm``: a plate's fit makes squares (2) or fourth powers (4) small.
+    ``repeatability``; without it the first record's kind decides. ``conditions``: a file with the conditions of the test,
+    for uncertainties and the reduction to 20 °C. ``norm``: a plate's fit minimises squares (2) or fourth powers (4).
 
     Parameters
     ----------
     standard : str, optional
-        By the first record's kind where left out.
+        Without it the first record's kind decides.
     conditions : path, optional
-        What the test was done under.
+        The conditions of the test.
     one_way : bool
-        The run went one way: no reversal.
+        The run went one way, so it shows no reversal.
     norm : int
         Power of a plate's fit, 2 to 4.
 
@@ -91,7 +91,9 @@ def select_sensors(
     square: bool = True,
     base: Machine | Place | None = None,
 ) -> Fit:
-    """Chooses sensors by correlation (CASC) and rounds of refitting; options as :func:`fit`.
+    """Chooses sensors by correlation (CASC) and rounds of refitting.
+
+    The options are those of :func:`fit`.
 
     Returns
     -------
@@ -119,8 +121,8 @@ def fit(
 ) -> Fit:
     """Fits growth from temperatures: sensors chosen, blocks of time left out, hold-outs judged.
 
-    ``sensors``: differences to choose from, as ``["T0", "T8-T18"]``; all where it is empty. ``holdout`` never influences the fit.
-    ``base``: what is known already. ``date``: the day that the model carries.
+    ``sensors``: differences to choose from, as ``["T0", "T8-T18"]``; all if it is empty. ``holdout`` never influences the fit.
+    ``base``: a known model, whose effects are kept. ``date``: the model's date.
 
     Returns
     -------
@@ -141,7 +143,7 @@ def fit_effects(
     valid_days: int = 365,
     despite_suspicions: bool = False,
 ) -> Fit:
-    """Fits effects by name, by least squares: ``["scale.x", "thermal_expansion.x:T3-T20"]``.
+    """Fits named effects by least squares: ``["scale.x", "thermal_expansion.x:T3-T20"]``.
 
     Parameters
     ----------
@@ -162,19 +164,19 @@ def fit_chain(
     components: Sequence[str],
     runs: Sequence[Record | Place | tuple[Record | Place, tuple[float, float, float]]],
 ) -> ChainFit:
-    """Fits components of a kinematic chain, as ``["z slide.dx"]``, on the runs that measure them.
+    """Fits components of a kinematic chain to the runs that measure them.
 
-    ``runs``: each a record, or a record with the tool's point (x, y, z) in mm that it measured, where that is not the chain's: the
-    same path at two points tells a rotation from a displacement.
+    ``runs``: records, each with the tool's point (x, y, z) in mm that it measured if that is not the chain's. The same path at two
+    points distinguishes a rotation from a displacement.
 
     Parameters
     ----------
     chain : path
         The chain's file.
     components : sequence of str
-        What is fitted, as ``["z slide.dx"]``.
+        The components to fit, as ``["z slide.dx"]``.
     runs : sequence of Record, path, or (run, (x, y, z))
-        Records, each with its tool's point in mm where that is not the chain's.
+        Records, each with its tool's point in mm if that is not the chain's.
 
     Returns
     -------
@@ -200,13 +202,13 @@ def reconcile(
 ) -> Verdict:
     """Finds what a model lacks, names it, adds it, and shows how far the gap shrank.
 
-    ``level``: how often chance alone may lead to an answer. ``holdout`` never influences the verdict, only the last figures.
-    ``out``: a folder for ``verdict.json``, ``model.toml`` and ``report.html``. ``date``: the day that added effects carry.
+    ``level``: the probability that chance alone leads to an answer. ``holdout`` never influences the verdict, only the last figures.
+    ``out``: a folder for ``verdict.json``, ``model.toml`` and ``report.html``. ``date``: the date of added effects.
 
     Parameters
     ----------
     unexplained : bool
-        Give a law for structure without a name.
+        Add a law for structure that no effect explains.
     out : path, optional
         A folder for ``verdict.json``, ``model.toml`` and ``report.html``.
 
@@ -250,7 +252,7 @@ def plan(
     max_rpm: float = 6000.0,
     ballbar_mm: float | None = None,
 ) -> Plan:
-    """The sequence of runs that a machine is characterised with; ``axes``: travel in mm by name.
+    """Plans the sequence of runs that characterises a machine; ``axes``: travel in mm by name.
 
     Parameters
     ----------
@@ -281,14 +283,14 @@ def designs(
     counts: int = 20_000,
     seed: int = 1,
 ) -> Design:
-    """Every design of insertion on the same motion; ``computer``: ``8051`` or ``dsp``.
+    """Compares every design of insertion on the same motion; ``computer``: ``8051`` or ``dsp``.
 
     Parameters
     ----------
     computer : str
         ``8051`` or ``dsp``.
     encoder_hz : float
-        Cycles of the encoder a second.
+        Cycles of the encoder per second.
     accel_counts_s2 : float
         Acceleration, counts/s².
     counts : int
@@ -303,7 +305,7 @@ def designs(
 
 
 def _pairs(columns: Mapping[str, str | int] | None) -> list[str]:
-    """Columns by name or number as the command line has them."""
+    """Columns by name or number in the form of the command line."""
     return [f"{name}={column}" for name, column in (columns or {}).items()]
 
 
@@ -317,7 +319,7 @@ def replay(
     config: Place | None = None,
     axis: str | None = None,
 ) -> Replay:
-    """Plays a recorded trace (``t_ns,a,b``) with requested totals (``t_ns,requested``) through the real-time engine.
+    """Plays a recorded trace with requested totals through the real-time engine.
 
     Parameters
     ----------
@@ -361,11 +363,11 @@ def part_errors(
     trip_window_mm: float = 1.0,
     with_size: bool = False,
 ) -> PartErrors:
-    """A feature's errors from probed points, a CSV ``z_mm,x_mm[,approach_z,approach_x]``.
+    """Computes a feature's errors from probed points.
 
-    ``columns``: the file's columns by name or number, as ``{"z_mm": 3, "x_mm": "Radius"}``, where it calls them otherwise.
-    ``radius_mm``: a circle's nominal radius. ``tip_mm``: the probe's. ``feature``: ``circle`` or ``line``; recognised where left
-    out. ``machine``: a model whose prediction is taken out, with the machine's position (Z, X) at the part's zero in ``origin_mm``.
+    ``columns``: the file's columns by name or number, as ``{"z_mm": 3, "x_mm": "Radius"}``, if it has other names.
+    ``radius_mm``: a circle's nominal radius. ``tip_mm``: the radius of the probe's tip. ``feature``: ``circle`` or ``line``; recognised
+    if left out. ``machine``: a model whose prediction is subtracted; ``origin_mm`` is the machine's position (Z, X) at the part's zero.
 
     Parameters
     ----------
@@ -376,21 +378,21 @@ def part_errors(
     tip_mm : float, optional
         Radius of the probe's tip, mm.
     feature : str, optional
-        ``circle`` or ``line``; recognised where left out.
+        ``circle`` or ``line``; recognised if left out.
     taper_deg : float, optional
         A line's nominal inclination, degrees.
     machine : path, optional
-        A model whose prediction is taken out.
+        A model whose prediction is subtracted.
     origin_mm : pair of float, optional
         The machine's position (Z, X) at the part's zero, mm.
     expected : path, optional
-        Where the points should be.
+        The expected points.
     path : path, optional
         The probing path.
     trip_window_mm : float
-        How far a trip may be from where it is expected, mm.
+        Largest distance of a trip from its expected place, mm.
     with_size : bool
-        Correct the size too, not the form alone.
+        Correct the size as well as the form.
 
     Returns
     -------
@@ -421,17 +423,17 @@ def simulate(
 ) -> Simulation:
     """Runs an experiment (``linear-displacement``, ``ballbar``, ``drift`` …) on a simulated machine.
 
-    ``truth``: the machine as it is; ``known``: what the corrector knows of it, for a second run with compensation. Records will stand
-    in the folder ``out``; they are not written yet.
+    ``truth``: the true machine; ``known``: the corrector's model of it, for a second run with compensation. The records belong in the
+    folder ``out``; they are not yet written.
 
     Parameters
     ----------
     name : str
         The experiment.
     truth : Machine or path, optional
-        The machine as it is.
+        The true machine.
     known : Machine or path, optional
-        What the corrector knows of it.
+        The corrector's model of it.
 
     Returns
     -------
@@ -443,7 +445,7 @@ def simulate(
 
 
 def example(name: str, folder: Place) -> list[Path]:
-    """Writes an example machine (``lathe``, ``mill``, ``wo97``, ``spindle``) into a new or empty folder; gives its files.
+    """Writes an example machine into a new or empty folder.
 
     Parameters
     ----------
@@ -476,17 +478,18 @@ def example(name: str, folder: Place) -> list[Path]:
 def history(
     runs: Runs, machine: str = "the machine", *, limits: Mapping[str, float] | Place | None = None
 ) -> History:
-    """One machine's figures over time: ``figures`` (``x.A`` … with ``points``, ``limit``, ``trend``), ``left_out``.
+    """One machine's figures over time.
 
-    Each record is evaluated by itself; one without a date, or that cannot be read, is named and left out. ``limits``: what the
-    figures may be, either side of zero, as ``{"x.A": 12.0, "B_mean": 5.0}``, or a file with a table ``[limits]``.
+    The document has ``figures`` (``x.A`` … with ``points``, ``limit``, ``trend``) and ``left_out``. Each record is evaluated by itself;
+    one without a date, or that cannot be read, is named and left out. ``limits``: largest absolute values of the figures, as
+    ``{"x.A": 12.0, "B_mean": 5.0}``, or a file with a table ``[limits]``.
 
     Parameters
     ----------
     machine : str
         Its name.
     limits : mapping or path, optional
-        What the figures may be, either side of zero.
+        Largest absolute values of the figures.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Machine models: read, asked, judged, written."""
+"""Machine models: reading, prediction, validation, writing."""
 
 from __future__ import annotations
 
@@ -38,7 +38,9 @@ class Machine:
 
     @staticmethod
     def parse(text: str, path: Place | None = None) -> Machine:
-        """A model from the text of a ``machine.toml``; ``path`` for messages and for the files that it names.
+        """A model from the text of a ``machine.toml``.
+
+        ``path`` is for messages and for the files that the model names.
 
         Parameters
         ----------
@@ -66,7 +68,7 @@ class Machine:
 
     @property
     def path(self) -> str:
-        """The file, as it was named."""
+        """The file, as the user named it."""
         return self._inner.path
 
     @property
@@ -81,12 +83,12 @@ class Machine:
 
     @property
     def text(self) -> str:
-        """The text of its ``machine.toml``, comments and all."""
+        """The text of its ``machine.toml``, with its comments."""
         return self._inner.to_text()
 
     @property
     def json(self) -> str:
-        """What ``rtecctl model show --json`` prints."""
+        """The text that ``rtecctl model show --json`` prints."""
         return self._inner.to_json()
 
     @property
@@ -101,17 +103,17 @@ class Machine:
 
     @documented
     def write(self, path: Place) -> None:
-        """Writes it whole or not at all; what would not be read again is not written."""
+        """Writes it whole or not at all, and only if it can be read again."""
         self._inner.write(os.fspath(path))
 
     @documented
     def predict(self, run: Record) -> dict[str, Numbers]:
-        """The sum of its effects at every row, by the response's column name: µm (N for forces), shape ``(len(run),)``.
+        """Predicts a record: the sum of the effects at every row.
 
         Returns
         -------
         dict of str to ndarray
-            By response; µm (N for forces), shape ``(len(run),)``.
+            By the response's column name; µm (N for forces), shape ``(len(run),)``.
         """
         columns, said = self._inner.predict(run._inner)
         say(said)
@@ -124,7 +126,7 @@ class Machine:
         Parameters
         ----------
         interval : bool
-            With half widths of the 95 % interval.
+            Whether to add half widths of the 95 % interval.
 
         Returns
         -------
@@ -136,7 +138,7 @@ class Machine:
 
     @documented
     def half_widths_um(self, run: Record, response: str) -> Numbers | None:
-        """Half width of the 95 % interval of a response (``error.y``) at every row, µm; None where no fit states one.
+        """Half width of a response's 95 % interval at every row, µm; None if no fit states one.
 
         Parameters
         ----------
@@ -152,7 +154,7 @@ class Machine:
 
     @documented
     def validate(self, runs: Runs) -> Validation:
-        """Judges it on records that it has not seen: what is left, how often its interval holds.
+        """Judges it on records that it has not seen: residuals, and rows inside its interval.
 
         Returns
         -------
@@ -190,8 +192,8 @@ class Machine:
         ``format``: ``linuxcnc``, ``linuxcnc-type1``, ``ssfk`` (with ``axis_number``), ``siemens`` (with ``axis_name`` and
         ``reference_mm``), ``siemens-cec`` (with ``along``, ``along_name``, ``positive_moves`` and ``table`` beside those),
         ``csv`` or ``own`` (with ``form``). ``along``: another axis that the table goes along (squareness, straightness, sag).
-        ``temperatures`` in °C by sensor, others stand at 20; ``at_mm``: where the other axes stand, else 0. ``limit_um``: how
-        far it may be off the model between its positions.
+        ``temperatures`` in °C by sensor, others are at 20; ``at_mm``: positions of the other axes, else 0. ``limit_um``: largest
+        deviation of the table from the model between its positions.
 
         Parameters
         ----------
@@ -204,13 +206,13 @@ class Machine:
         step_mm : float, optional
             Between positions, mm.
         limit_um : float
-            How far the table may be off the model between positions, µm.
+            Largest deviation of the table from the model between positions, µm.
         max_points : int, optional
-            What the controller can hold.
+            Largest number of points that the controller can hold.
         temperatures : mapping of str to float, optional
             °C by sensor; others are at 20.
         at_mm : mapping of str to float, optional
-            Where the other axes are, mm; else 0.
+            Positions of the other axes, mm; else 0.
         along : str, optional
             Another axis that the table goes along.
         along_name : str, optional
@@ -258,7 +260,7 @@ class Machine:
 
     @documented
     def beyond(self, run: Record) -> Record:
-        """The record less what the model predicts of its responses.
+        """The record with the model's prediction subtracted from its responses.
 
         Returns
         -------
@@ -268,7 +270,7 @@ class Machine:
 
     @documented
     def doubts(self, today: str | None = None) -> list[str]:
-        """What to know before it is trusted, on a day (``YYYY-MM-DD``; today where left out).
+        """Warnings before it is used on a day (``YYYY-MM-DD``; by default today).
 
         Returns
         -------
@@ -278,7 +280,7 @@ class Machine:
 
     @documented
     def days_left(self, today: str | None = None) -> int | None:
-        """Days until the first of its fits is no longer good; None without fits.
+        """Days until the first of its fits expires; None without fits.
 
         Returns
         -------

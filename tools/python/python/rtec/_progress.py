@@ -1,4 +1,4 @@
-"""How far a long call is."""
+"""Progress of a long call."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from typing import NamedTuple
 
 
 class Progress(NamedTuple):
-    """How far a call is."""
+    """The progress of a call."""
 
     #: Seconds since the call began.
     seconds: float
-    #: Candidates that the search has weighed, fits that were solved, control periods that were simulated.
+    #: Number of steps so far: candidates tested, fits solved, control periods simulated.
     steps: int
 
 
@@ -24,9 +24,9 @@ _hook: ContextVar[Hook | None] = ContextVar("rtec.progress", default=None)
 
 @contextmanager
 def progress(hook: Hook) -> Iterator[None]:
-    """Calls a hook some twenty times a second while a call within the block works.
+    """Calls a hook about twenty times a second while a call within the block works.
 
-    What the hook raises ends the call, as Ctrl-C does: the way to a button that stops it.
+    An exception of the hook ends the call, as Ctrl-C does. A stop button can use this.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Run records: their columns as arrays, in and out of files."""
+"""Run records: their columns as arrays, read from files and written to them."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Record:
 
     ``run["e"]`` gives a column as an array of shape ``(len(run),)``; its name is the CSV's, or its label
     (``error.y``, ``temperature.T3``). ``len(run)`` counts rows; iteration and ``in`` go over the columns' names.
-    Records do not change: what changes one gives another one.
+    Records do not change: a method that changes one returns another.
     """
 
     def __init__(self, inner: _rtec.Record) -> None:
@@ -74,7 +74,7 @@ class Record:
 
     @property
     def path(self) -> str:
-        """The sidecar, as it was named."""
+        """The sidecar, as the user named it."""
         return self._inner.path
 
     @property
@@ -94,7 +94,7 @@ class Record:
 
     @property
     def count_um(self) -> float | None:
-        """What one count is worth, µm."""
+        """The length of one count, µm."""
         return self._inner.count_um
 
     @property
@@ -104,7 +104,7 @@ class Record:
 
     @property
     def note(self) -> str | None:
-        """Free words about the run."""
+        """Free text about the run."""
         return self._inner.note
 
     @property
@@ -124,7 +124,7 @@ class Record:
 
     @property
     def time_s(self) -> Numbers:
-        """Time of every row, s; the row's number where no time was logged."""
+        """Time of every row, s; the row's number if no time was logged."""
         return self._inner.time_s
 
     def select(self, rows: ArrayLike) -> Record:
@@ -149,7 +149,7 @@ class Record:
         return Record(self._inner.select([int(row) for row in wanted]))
 
     def to_pandas(self) -> pd.DataFrame:
-        """The columns as a DataFrame; roles and units stand in its ``attrs``.
+        """The columns as a DataFrame; its ``attrs`` have roles and units.
 
         Returns
         -------
@@ -183,17 +183,17 @@ class Record:
         return self._inner.to_sidecar()
 
     def write(self, path: Place | None = None) -> Record:
-        """Writes sidecar and CSV, each whole or not at all; to ``path`` (``NAME.run.toml``) where it is given.
+        """Writes sidecar and CSV, each whole or not at all.
 
         Parameters
         ----------
         path : path, optional
-            ``NAME.run.toml``; its own where left out.
+            ``NAME.run.toml``; its own path if left out.
 
         Returns
         -------
         Record
-            The same, with the hash of what was written.
+            The same record, with the hash of the written file.
         """
         to = os.fspath(self.path if path is None else path)
         if os.path.basename(to) == ".run.toml":
@@ -223,7 +223,9 @@ def _again(
 
 
 def _numbers(name: str, role: str, values: Any) -> Numbers:
-    """Values as numbers of the role's unit. What numpy would turn into numbers of another meaning is refused."""
+    """Values as numbers in the role's unit.
+
+    Values that numpy would convert to numbers of another meaning are refused."""
     if np.ma.isMaskedArray(values) and np.ma.getmaskarray(values).any():
         raise ValueError(f"column {name!r}: found masked values, expected a number in every row: leave those rows out")
     found = np.asarray(values)
@@ -237,7 +239,9 @@ def _numbers(name: str, role: str, values: Any) -> Numbers:
 
 @documented
 def read_record(path: Place, *, log: bool = False) -> Record:
-    """Reads a run record from its sidecar ``NAME.run.toml``; ``log``: it need not have a response.
+    """Reads a run record from its sidecar ``NAME.run.toml``.
+
+    ``log``: it need not have a response.
 
     Returns
     -------
@@ -261,11 +265,12 @@ def record(
     plane: tuple[str, str] | None = None,
     log: bool = False,
 ) -> Record:
-    """Makes a record in memory; :meth:`Record.write` puts it into files; ``log``: it need not have a response.
+    """Makes a record in memory; :meth:`Record.write` puts it into files.
 
-    ``columns``: for each name its role and values, and for a channel its unit:
+    ``log``: it need not have a response. ``columns``: for each name its role and values, and for a channel its unit:
     ``{"y": ("position.y", y_mm), "e": ("error.y", e_um), "p": ("channel", p, "bar")}``; or a DataFrame with ``roles`` by name
-    (columns without a role are left out). Values are in the role's unit, one per row, finite; a time may be ``timedelta64``. ``path`` is where it will stand.
+    (columns without a role are left out). Values are in the role's unit, one per row, finite; a time may be ``timedelta64``.
+    ``path`` is the file that it will be written to.
 
     Parameters
     ----------
@@ -274,9 +279,9 @@ def record(
     roles : mapping of str to str, optional
         Roles by the DataFrame's columns.
     count_um : float, optional
-        What one count is worth, µm.
+        The length of one count, µm.
     note : str, optional
-        Free words.
+        Free text.
     zero : str, optional
         Name of the gauges' zero.
 
@@ -337,11 +342,11 @@ def import_record(
     radius_mm: float | None = None,
     plane: tuple[str, str] | None = None,
 ) -> Record:
-    """Another tool's file as a record, which is not written yet: :meth:`Record.write`.
+    """Another tool's file as a record; :meth:`Record.write` puts it into files.
 
     ``format``: ``csv``, ``own``, ``rtl``, ``etalon``, ``halsampler``, ``shdr``, ``cmm-plate``, ``ecmc-dat``, ``linuxcnc-comp0`` or
-    ``linuxcnc-comp1``. ``columns``: roles by name, with the unit where it is not the role's own, ``{"gz": "error.z:mm"}``.
-    ``decimal``: ``point`` or ``comma``. ``out``: where it will stand, ``NAME.run.toml``.
+    ``linuxcnc-comp1``. ``columns``: roles by name, with the unit if it is not the role's own, ``{"gz": "error.z:mm"}``.
+    ``decimal``: ``point`` or ``comma``. ``out``: the file that it will be written to, ``NAME.run.toml``.
 
     Parameters
     ----------
@@ -350,7 +355,7 @@ def import_record(
     axis : str, optional
         The axis that was measured.
     columns : mapping or sequence of str
-        Roles by name, with the unit where it is not the role's own.
+        Roles by name, with the unit if it is not the role's own.
     decimal : str, optional
         ``point`` or ``comma``.
     period_s : float, optional

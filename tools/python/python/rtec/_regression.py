@@ -1,4 +1,4 @@
-"""What stands behind a fit or a verdict, as arrays."""
+"""The regression behind a fit or a verdict, as arrays."""
 
 from __future__ import annotations
 
@@ -25,23 +25,23 @@ NORMAL_95 = 1.959963984540054
 
 @dataclass(frozen=True, repr=False)
 class Regression:
-    """A fit or a verdict, linear about its values: ``n`` rows, ``p`` fitted values, ``z`` set-up terms.
+    """A fit or a verdict, linearised: ``n`` rows, ``p`` fitted values, ``z`` set-up terms.
 
-    ``measured ≈ predicted + set_up @ set_up_values``, and a value that is off by ``d`` moves the prediction by ``design @ d``.
-    Rows go response by response, record by record, in order of acquisition, without what was left out.
+    ``measured ≈ predicted + set_up @ set_up_values``; a change of the values by ``d`` changes the prediction by ``design @ d``.
+    Rows are ordered by response, record and acquisition, without what was left out.
     """
 
     #: The record's file of each row, shape ``(n,)``.
     record: Any
     #: The response of each row, as ``error.y``, shape ``(n,)``.
     response: Any
-    #: The row's number within its record as it was used, from 0, shape ``(n,)``.
+    #: The row's number within the used record, from 0, shape ``(n,)``.
     row: Any
     #: Unit of each row: ``um`` or ``N``, shape ``(n,)``.
     unit: Any
-    #: What was measured, µm or N, shape ``(n,)``.
+    #: Measured values, µm or N, shape ``(n,)``.
     measured: Numbers
-    #: What the model says, without the set-up, µm or N, shape ``(n,)``.
+    #: The model's prediction without the set-up, µm or N, shape ``(n,)``.
     predicted: Numbers
     #: Derivative of each row by each fitted value, unit of the row per unit of the value, shape ``(n, p)``.
     design: Numbers
@@ -64,7 +64,7 @@ class Regression:
 
     @cached_property
     def set_up_values(self) -> Numbers:
-        """The set-up that leaves the least squares of what the model leaves, µm or N, shape ``(z,)``."""
+        """The set-up terms that fit the model's residuals by least squares, µm or N, shape ``(z,)``."""
         left = self.measured - self.predicted
         return np.asarray(np.linalg.lstsq(self.set_up, left, rcond=None)[0], dtype=np.float64)
 
@@ -75,7 +75,9 @@ class Regression:
 
     @cached_property
     def scatter(self) -> Numbers:
-        """Standard deviation of each row's response by its residuals, µm or N, shape ``(n,)``; fitted values take their freedom."""
+        """Standard deviation of the residuals of each row's response, µm or N, shape ``(n,)``.
+
+        Fitted values reduce the degrees of freedom."""
         sizes = np.ones(len(self.measured))
         p = self.design.shape[1]
         for name in np.unique(self.response):
@@ -87,9 +89,9 @@ class Regression:
 
     @cached_property
     def white_covariance(self) -> Numbers:
-        """Covariance of the fitted values if the noise were white, (X'WX)⁻¹ with the set-up beside them, shape ``(p, p)``.
+        """Covariance of the fitted values for white noise, (X'WX)⁻¹ with the set-up, shape ``(p, p)``.
 
-        Each response is weighed by its scatter. Directions that the rows do not tell (a map and its zero) have none: the
+        Each response is weighted by its scatter. Directions that the rows do not determine (a map and its zero) have none: the
         pseudo-inverse leaves them out.
         """
         p = self.design.shape[1]
@@ -101,7 +103,7 @@ class Regression:
 
     @cached_property
     def correlation(self) -> Numbers:
-        """Correlation of the fitted values by their design, shape ``(p, p)``."""
+        """Correlation of the fitted values from the design, shape ``(p, p)``."""
         size = np.sqrt(np.diag(self.white_covariance))
         size[size == 0.0] = 1.0
         found = self.white_covariance / np.outer(size, size)
@@ -110,10 +112,10 @@ class Regression:
 
     @cached_property
     def covariance(self) -> Numbers:
-        """Covariance of the fitted values, product of their units, shape ``(p, p)``.
+        """Covariance of the fitted values in products of their units, shape ``(p, p)``.
 
-        Its diagonal is that of the stated intervals, which know of more than white noise (blocks left out, rounding, memory of the
-        noise); its correlations are those of the design.
+        Its diagonal follows from the stated intervals, which allow for more than white noise (blocks left out, rounding,
+        correlated noise). Its correlations are those of the design.
         """
         sd = self.half_widths / NORMAL_95
         return np.asarray(self.correlation * np.outer(sd, sd))
@@ -180,14 +182,14 @@ def _pandas() -> Any:
 def regression(
     records: list[_rtec.Record], base: _rtec.Machine | None, machine: _rtec.Machine, of_verdict: bool
 ) -> Regression:
-    """The arrays of what a machine has beyond its base."""
+    """The arrays for the effects that a machine has in addition to its base."""
     from rtec import _rtec
 
     return arranged(_rtec.regression(records, base, machine, of_verdict))
 
 
 def arranged(arrays: _rtec._Arrays) -> Regression:
-    """The arrays as they come over the border, with their names."""
+    """Gives names to the arrays from Rust."""
     rows, measured, predicted, columns = arrays
     counts = [count for *_, count in rows]
     fitted = [c for c in columns if c[3] is not None]

@@ -1,4 +1,4 @@
-"""What the functions give back."""
+"""The results of the functions."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Result(Generic[D]):
         return cast(D, _json.loads(self.json))
 
     def _facts(self) -> list[tuple[str, str]]:
-        """What a person wants to see first: figures and words that the document holds at its top."""
+        """The figures and words at the top level of the document, for a short display."""
         document: Any = self.document
         if isinstance(document, list):
             return [("entries", str(len(document)))]
@@ -56,10 +56,10 @@ class Result(Generic[D]):
 
 @dataclass(frozen=True, repr=False)
 class Drawn(Result[D]):
-    """A result with plots, and with what was said on the way."""
+    """A result with plots and messages."""
 
     pictures_json: str = field(repr=False)
-    #: What was said on the way, a line each.
+    #: Messages, one line each.
     said: tuple[str, ...] = ()
 
     @cached_property
@@ -83,7 +83,7 @@ class Drawn(Result[D]):
 
 @dataclass(frozen=True, repr=False)
 class Report(Drawn[D]):
-    """Figures with a report of them."""
+    """Figures with a report."""
 
     #: The report as text.
     text: str = field(default="", repr=False)
@@ -103,7 +103,7 @@ class History(Report[doc.HistoryDocument]):
 
 @dataclass(frozen=True, repr=False)
 class ChainFit(Drawn[doc.ChainFitDocument]):
-    """A chain's fit: ``terms`` with value and interval, ``rms_um`` before and after for each record and response."""
+    """A chain's fit: ``terms`` with value and interval, ``rms_um`` before and after."""
 
     #: The chain's file with its coefficients in place; comments and order stay.
     text: str = field(default="", repr=False)
@@ -118,17 +118,21 @@ class ChainFit(Drawn[doc.ChainFitDocument]):
 
 @dataclass(frozen=True, repr=False)
 class Validation(Drawn[doc.ValidationDocument]):
-    """A model judged on records: ``responses`` (``rms``, ``rms_without_model``, ``coverage`` …), ``no_better``, ``suspicions``."""
+    """A model judged on records.
+
+    The document has ``responses`` (``rms``, ``rms_without_model``, ``coverage`` …), ``no_better`` and ``suspicions``."""
 
     @property
     def no_better(self) -> list[str]:
-        """Responses that the model explains no better than nothing does; `rtecctl` exits with 1 then."""
+        """Responses that the model predicts no better than zero does; `rtecctl` exits with 1 then."""
         return list(self.document["no_better"])
 
 
 @dataclass(frozen=True, repr=False)
 class Table(Result[doc.TableDocument]):
-    """A controller's table: ``points``, ``step_mm``, what it leaves of the model (``max_up_um``, ``rms_um`` …), ``warnings``."""
+    """A controller's table.
+
+    The document has ``points``, ``step_mm``, residuals against the model (``max_up_um``, ``rms_um`` …) and ``warnings``."""
 
     #: The file's text.
     text: str = field(default="", repr=False)
@@ -159,9 +163,9 @@ class Design(Result[doc.DesignsDocument]):
 
 @dataclass(frozen=True, repr=False)
 class Replay(Result[doc.ReplayDocument]):
-    """What the controller would have counted."""
+    """The counts that the controller would have received."""
 
-    #: No fault was latched, the ledger balances, no transition at the controller was illegal.
+    #: Whether no fault was latched, the ledger balances, and the controller saw no illegal transition.
     sound: bool = False
 
 

@@ -1,4 +1,4 @@
-"""What is said and shown: warnings, small tables, files."""
+"""Warnings, small tables and text files."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from rtec._errors import for_python
 
 
 class InputWarning(UserWarning):
-    """What to know about the input before the result is used."""
+    """A fact about the input to know before the result is used."""
 
 
 def say(said: list[str], depth: int = 3) -> tuple[str, ...]:
-    """Lines said on the way: warnings become Python's, at the caller's line."""
+    """Passes messages on; warnings become Python's, at the caller's line."""
     for line in said:
         if line.startswith("warning: "):
             warnings.warn(for_python(line.removeprefix("warning: ")), InputWarning, stacklevel=depth)

@@ -23,7 +23,9 @@ def of(result: Drawn[Any]) -> list[Figure]:
 
 
 def prediction(machine: Machine, run: Record) -> list[Figure]:
-    """Measured and predicted over time, with the 95 % interval where a fit states one; a figure per response."""
+    """Measured and predicted over time, one figure per response.
+
+    It has the 95 % interval if a fit states one."""
     text, said = _rtec.prediction_picture(machine._inner, run._inner)
     say(said)
     return [draw(picture) for picture in json.loads(text)]

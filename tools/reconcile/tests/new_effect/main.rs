@@ -1,5 +1,5 @@
-//! What a new effect takes: its file and its line in a list.
-//! It is then found in records, evaluated on the machine and over a record like any other.
+//! A new effect needs only its file and its line in a list.
+//! It is then found in records and evaluated, live and over a record, like any other.
 
 #![allow(clippy::unwrap_used)] // helpers of tests count as tests
 
@@ -11,7 +11,7 @@ use rtec_reconcile::{Options, Reconciliation, reconcile};
 use std::path::Path;
 use std::sync::Arc;
 
-/// An effect with parameters that a run of [`run`] shows well.
+/// A new effect, with parameters that a run of [`run`] shows well.
 struct Sample {
     law: Arc<dyn Law>,
     name: &'static str,
@@ -37,7 +37,7 @@ fn axis(name: &str) -> Axis {
     Axis::new(name).unwrap()
 }
 
-/// Up and down two axes, the error of x still zero.
+/// A run up and down two axes, the error of x still zero.
 fn run() -> Record {
     let column = |name: &str, role: Role, of: &dyn Fn(f64) -> f64| {
         let data = (0..600).map(|i| of(f64::from(i))).collect();
@@ -52,7 +52,7 @@ fn run() -> Record {
     Record::new(Path::new("run.run.toml"), Kind::Positioning, columns).unwrap()
 }
 
-/// The run as a machine with one effect shows it, with noise of 0.5 µm.
+/// The run of a machine with one effect, with noise of 0.5 µm.
 fn shown(effect: &Effect) -> Record {
     let mut record = run();
     let mut error = vec![0.0; record.rows()];
@@ -76,7 +76,7 @@ fn reconciled(effect: &Effect, machine: &Machine) -> Reconciliation {
     reconcile(&[shown(effect)], &[], machine, &Options::default()).unwrap()
 }
 
-/// Live evaluation gives at every row what the record has.
+/// Live evaluation gives the values of the record at every row.
 fn live_is_the_record(effect: &Effect) {
     let record = run();
     let mut sum = vec![0.0; record.rows()];
@@ -112,7 +112,7 @@ fn an_effect_of_a_new_file_is_evaluated_live_found_and_written() {
     }
 }
 
-/// The same for a law that a project gives in a file instead of code.
+/// The same holds for a law that a project gives in a file instead of code.
 #[test]
 fn an_effect_of_a_projects_own_file_is_evaluated_live_and_found() {
     let dir = tempfile::tempdir().unwrap();

@@ -1,4 +1,5 @@
-//! `twist.A.B`: a bed that twists under a load that moves out, seen at the lever of A.
+//! `twist.A.B`: a bed twists under a load that moves out.
+//! The error is seen at the lever of A.
 
 use crate::Sample;
 use rtec_model::effect::{Description, Effect, Input, Law, Naming, Need, Out, Parameter, State};

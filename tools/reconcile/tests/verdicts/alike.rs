@@ -1,4 +1,4 @@
-//! Causes that look the same at the rows measured.
+//! Causes that look the same at the measured rows.
 
 use crate::noise::noise;
 use crate::{answer, record};
@@ -7,7 +7,7 @@ use rtec_model::record::{Axis, Kind, Record};
 use rtec_reconcile::{Reconciliation, Verdict};
 use std::f64::consts::TAU;
 
-/// Both ways over the targets, with a wave of 3 µm and noise of 0.1 µm.
+/// A run both ways over the targets, with a wave of 3 µm and noise of 0.1 µm.
 fn wave(name: &str, targets: &[f64], cycles: usize, period_mm: f64, seed: u64) -> Record {
     let mut normal = noise(seed);
     let way = targets.iter().chain(targets.iter().rev()).copied();
@@ -30,8 +30,8 @@ fn periods_mm(r: &Reconciliation) -> Vec<f64> {
     std::iter::once(found.effect.scalar(0)).chain(others).collect()
 }
 
-/// Targets of both runs are multiples of 0.08 mm.
-/// So a signal period of 40 µm looks the same as a lead, to the last digit.
+/// The targets of both runs are multiples of 0.08 mm.
+/// A signal period of 40 µm therefore looks the same as a lead, to the last digit.
 #[test]
 fn runs_on_grids_with_a_common_step_show_no_period_below_two_of_them() {
     let even: Vec<f64> = (0..12).map(|i| 26.0 * f64::from(i)).collect();
@@ -44,8 +44,8 @@ fn runs_on_grids_with_a_common_step_show_no_period_below_two_of_them() {
     }
 }
 
-/// Eleven places hold many waves nearly.
-/// The one that is there lies between two of the grid's frequencies.
+/// Eleven places nearly fit many waves.
+/// The true wave is between two of the grid's frequencies.
 #[test]
 fn a_wave_between_frequencies_of_the_grid_is_found_at_few_places() {
     let near = [
@@ -59,7 +59,7 @@ fn a_wave_between_frequencies_of_the_grid_is_found_at_few_places() {
     }
 }
 
-/// What makes a verdict not separable stands beside it.
+/// A verdict that is not separable lists the rivals that make it so.
 #[test]
 fn a_verdict_that_is_not_separable_has_its_rivals() {
     let even: Vec<f64> = (0..12).map(|i| 26.0 * f64::from(i)).collect();
@@ -70,8 +70,8 @@ fn a_verdict_that_is_not_separable_has_its_rivals() {
     }
 }
 
-/// A bow of Z's guideway, as a circle in X and Z sees it.
-/// An angular error that grows along Z is the same up to the circle's centre.
+/// A bow of Z's guideway, seen by a circle in X and Z.
+/// An angular error that grows along Z looks the same, apart from the circle's centre.
 #[test]
 fn a_bow_that_a_circle_shows_has_the_angular_error_as_its_rival() {
     for (seed, bow_um) in [(1, 6.0), (2, -4.0), (3, 12.0)] {

@@ -1,4 +1,4 @@
-//! What a ballbar's radial error lacks is named by the axis it comes from.
+//! Effects missing in a ballbar's radial error are named with their axis.
 //! The errors are written out here.
 
 #![allow(clippy::unwrap_used)] // a test's own helpers
@@ -14,7 +14,8 @@ use std::path::Path;
 const R: f64 = 150.0;
 const FEED_MM_S: f64 = 25.0;
 
-/// Both ways round, with an error by angle and sense of turning and 0.2 µm of noise: angle and time only.
+/// A record both ways round, with only angle and time.
+/// It has an error by angle and sense of turning, and 0.2 µm of noise.
 fn circles(seed: u64, error: impl Fn(f64, f64) -> f64) -> Record {
     let mut normal = noise(seed);
     let n = 400;
@@ -40,7 +41,7 @@ fn reconciled(record: Record, model: &str) -> Reconciliation {
     reconcile(&[record], &[], &machine, &Options::default()).unwrap()
 }
 
-/// Names and first parameters of what was added.
+/// Names and first parameters of the added effects.
 fn added(r: &Reconciliation) -> Vec<(String, f64)> {
     r.effects.iter().map(|(f, _)| (f.effect.name(), f.effect.values()[0])).collect()
 }
@@ -55,7 +56,8 @@ fn says(r: &Reconciliation, want: &[(&[&str], f64, f64)]) {
     }
 }
 
-/// 25 µrad show 1.9 µm at this radius; which of both axes leans no circle tells.
+/// 25 µrad show 1.9 µm at this radius.
+/// A circle does not tell which axis is inclined.
 #[test]
 fn squareness_is_named() {
     let r = reconciled(circles(1, |a, _| 25e-3 * R / 2.0 * (2.0 * a).sin()), "effect = []\n");
@@ -74,7 +76,7 @@ fn reversal_is_named_beside_a_known_scale() {
 
 #[test]
 fn a_servo_lag_is_named_by_its_axis() {
-    // One axis lags: the ellipse at 45° turns with the sense.
+    // One axis lags, so the ellipse at 45° turns with the sense.
     let e = |a: f64, turn: f64| 0.2 * FEED_MM_S * turn * a.sin() * a.cos();
     let r = reconciled(circles(3, e), "effect = []\n");
     let found = added(&r);
@@ -90,12 +92,12 @@ fn a_screw_s_wave_is_found_on_the_circle() {
     let circle = Circle { centre_mm: Some([0.0, 0.0]), ..record.circle().unwrap().clone() };
     record = record.with_circle(circle).unwrap();
     says(&reconciled(record, "effect = []\n"), &[(&["screw_periodic.y"], 10.0, 0.05)]);
-    // Where nobody says where the circle stands, no wave has a name.
+    // If the circle's centre is not stated, no wave has a name.
     let r = reconciled(circles(4, e), "effect = []\n");
     assert_eq!(r.verdict.name(), "unknown_effect", "{:?}", added(&r));
 }
 
-/// Two lobes are scales, or the two axes' other errors: never a probe's.
+/// Two lobes are scales or other errors of the two axes, never a probe's.
 #[test]
 fn two_lobes_are_no_probe() {
     let r = reconciled(circles(5, |a, _| 20e-3 * R * a.cos().powi(2)), "effect = []\n");
@@ -122,7 +124,7 @@ fn the_scales_of_a_circle_are_not_told_apart() {
     assert_eq!(r.verdict.name(), "not_separable");
 }
 
-/// 1.4 µm more of noise, by the angle's last digits.
+/// Additional noise of 1.4 µm, seeded by the angle's bits.
 fn noisy(angle: f64) -> f64 {
     let mut normal = noise(angle.to_bits());
     1.4 * (0..3).map(|_| normal()).sum::<f64>() / 3f64.sqrt()
@@ -137,9 +139,9 @@ fn nothing_is_missing_from_what_the_model_says() {
     assert_eq!(r.verdict.name(), "nothing_missing", "{:?}", added(&r));
 }
 
-/// One circle both ways, its rows at the same round angles: of places that are met four times each a broken line with a knot at every
-/// place, a constant and a scale make up one another, and what rounding left of them was fitted: a floor of 700 µm, the scale of x
-/// at −7 ± 4 ppm.
+/// Regression: a circle both ways with its rows at the same round angles.
+/// Each place occurs four times. A broken line with a knot at every place can imitate a constant and a scale.
+/// The rest, left by rounding, was fitted. The floor became 700 µm, and the scale of x −7 ± 4 ppm.
 #[test]
 fn a_circle_at_round_angles_is_fitted() {
     const ROWS: usize = 240;

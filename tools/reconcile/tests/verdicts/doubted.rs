@@ -1,5 +1,6 @@
-//! Records that carry people's mistakes.
-//! What is said of them, what is left out, and what is not learned. The runs are made here, by formulas of their own.
+//! Records that contain people's mistakes.
+//! The tests check what is reported, what is left out, and what is not learned. The runs are made here, by
+//! formulas.
 
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
@@ -13,7 +14,8 @@ use test_needs::dice::Dice;
 const MODEL: &str =
     "name = \"m\"\n[[effect]]\nname = \"thermal_growth.x\"\nsensor = \"T1\"\num_per_K = 3.0\n";
 
-/// Strokes of 300 mm with 40 ppm that the model lacks, a bearing that warms up and the air; `n` rows, 30 s apart.
+/// Strokes of 300 mm with 40 ppm that the model lacks; `n` rows, 30 s apart.
+/// A bearing warms up, and the air changes.
 fn run(name: &str, seed: u64, n: usize) -> Record {
     let mut d = Dice::new(seed);
     let mut columns: Vec<Vec<f64>> = vec![Vec::new(); 6];
@@ -84,7 +86,7 @@ fn the_holdout_of_another_machine_is_the_one_that_is_named() {
     let r = answer(&[train], &[good, strange]);
     let said: Vec<&str> = r.suspicions.iter().map(|s| s.record.as_str()).collect();
     assert_eq!(said, ["strange.run.toml"], "{:?}", r.suspicions);
-    // Without it the gap is closed, and that is said beside what it is with it.
+    // Without that hold-out the gap is closed. Both figures are reported.
     let [before, after] = r.gap[0].without_strangers.unwrap();
     assert!(after < 0.15 * before && r.gap[0].holdout.unwrap()[1] > 10.0, "{:?}", r.gap);
     assert!(r.advice.contains("strange"), "{}", r.advice);
@@ -105,10 +107,10 @@ fn a_row_alone_tells_nothing() {
     assert!(r.effects.is_empty() && r.refined.is_empty(), "{}", r.to_json());
     assert_eq!(r.verdict, Verdict::UnknownEffect);
     assert!(r.advice.contains("tell nothing apart"), "{}", r.advice);
-    // Six rows: what was left of them is no share closed.
+    // Six rows: no share of the gap is reported.
     let r = answer(&[run("a", 9, 6)], &[]);
     assert!(r.gap.iter().all(|g| g.closed().is_none()), "{}", r.to_json());
-    // Ten rows of a machine that the model holds: nothing is seen to be missing, and that says little.
+    // Ten rows of a machine that the model describes: nothing is seen to be missing, with low confidence.
     let mut ten = run("a", 9, 10);
     spoil(&mut ten, "e", |i, _| 0.3 * ((i * 7919 % 13) as f64 - 6.0) / 6.0);
     let r = answer(&[ten], &[]);
@@ -120,8 +122,8 @@ fn a_row_alone_tells_nothing() {
     );
 }
 
-/// A sensor that stands still from some row on, read in tenths.
-/// Its own noise before says that it should not.
+/// A sensor read in tenths repeats one value from some row on.
+/// Its own noise before shows that it should not.
 #[test]
 fn a_sensor_that_stops_midway_is_stuck() {
     let (mut train, good) = (run("a", 10, 160), run("b", 11, 160));
@@ -133,7 +135,7 @@ fn a_sensor_that_stops_midway_is_stuck() {
     assert_eq!(names(&r), ["scale.x"]);
 }
 
-/// Nothing is named where every record is doubted.
+/// If every record is doubted, nothing is named.
 #[test]
 fn doubted_records_name_nothing() {
     let mut train = run("a", 12, 160);
@@ -142,14 +144,15 @@ fn doubted_records_name_nothing() {
     assert!(r.suspicions.iter().any(|s| s.what == What::Sign), "{:?}", r.suspicions);
     assert!(r.effects.is_empty() && r.verdict == Verdict::UnknownEffect, "{}", r.verdict);
     assert!(r.left_out[0].contains("all of it (sign)"), "{:?}", r.left_out);
-    // The model is what it was: so is the gap.
+    // The model is unchanged, so the gap is unchanged.
     let g = &r.gap[0];
     let unchanged = |[before, after]: [f64; 2]| (before - after).abs() < 1e-12;
     assert!(g.closed().is_none() && g.blocked.is_none() && unchanged(g.train), "{g:?}");
     assert!(r.unexplained[0].manner.contains("every record is doubted"), "{:?}", r.unexplained);
 }
 
-/// A hold-out that is the training's opposite is not doubted where the model says that the training is.
+/// A hold-out is not doubted for the sign of a training record.
+/// The two are opposite, and the model accuses the training.
 #[test]
 fn a_clean_holdout_is_not_accused_of_the_trainings_sign() {
     let (mut train, later) = (run("a", 13, 160), run("later", 14, 160));
@@ -160,8 +163,9 @@ fn a_clean_holdout_is_not_accused_of_the_trainings_sign() {
     assert!(r.gap[0].holdout.is_some_and(|[before, after]| (before - after).abs() < 1e-12), "{:?}", r.gap);
 }
 
-/// Two sensors exchanged under noise as large as what that does, in one record or in all of them: more likely than growth that
-/// is missing and goes as the exchange would, to the size.
+/// Two sensors are exchanged, in one record or in all of them.
+/// The noise is as large as the exchange's effect. The exchange is more likely than a missing growth of
+/// exactly that form and size.
 #[test]
 fn an_exchange_that_explains_more_than_a_missing_growth_is_said() {
     let exchange = |r: &mut Record| {
@@ -180,10 +184,10 @@ fn an_exchange_that_explains_more_than_a_missing_growth_is_said() {
     let said = |records: &[Record]| {
         let r = reconcile(records, &[], &machine, &Options::default()).unwrap();
         let swapped = r.suspicions.iter().filter(|s| s.what == What::Swapped);
-        // One or both of the pair may be said.
+        // One or both of the pair may be reported.
         let mut records: Vec<String> = swapped.map(|s| s.record.clone()).collect();
         records.dedup();
-        // Beside a suspicion that is not certain no name may hold its place.
+        // Beside an uncertain suspicion no name may be accepted.
         let thermal = r.effects.iter().any(|(f, _)| f.effect.name().starts_with("thermal"));
         let growth = thermal && r.verdict == Verdict::Named;
         (records, growth)

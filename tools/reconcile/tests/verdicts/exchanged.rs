@@ -1,4 +1,4 @@
-//! Columns exchanged and units mistaken that only the model shows.
+//! Exchanged columns and mistaken units that only the model shows.
 
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
@@ -34,7 +34,8 @@ fn kinds(r: &Reconciliation) -> Vec<(What, &str)> {
     r.suspicions.iter().map(|s| (s.what, s.column.as_str())).collect()
 }
 
-/// A grid of 100 mm by 60 mm with the errors of two scales; `more`: what the model lacks of each error, by the place.
+/// A grid of 100 mm by 60 mm with the errors of two scales.
+/// `more` adds to both errors what the model lacks, by place.
 fn plate(seed: u64, more: impl Fn(f64, f64) -> [f64; 2]) -> Record {
     let mut d = Dice::new(seed);
     let places: Vec<(f64, f64)> =
@@ -50,8 +51,8 @@ fn plate(seed: u64, more: impl Fn(f64, f64) -> [f64; 2]) -> Record {
     parsed("plate", Kind::Plate, columns)
 }
 
-/// Two axes in each other's place are no squareness and no rotation.
-/// What is one of those is named as before.
+/// Two exchanged axes are neither squareness nor rotation.
+/// A true squareness or rotation is still named.
 #[test]
 fn positions_or_errors_of_two_axes_exchanged_are_said() {
     let model = "name = \"m\"\n[[effect]]\nname = \"scale.x\"\nppm = 50.0\n[[effect]]\nname = \"scale.y\"\nppm = -85.0\n";
@@ -72,7 +73,8 @@ fn positions_or_errors_of_two_axes_exchanged_are_said() {
 }
 
 /// Three strokes.
-/// A value of the model that is off by a third is refined, and one that is off by what an inch has is no refinement.
+/// A scale of the model that is off by a third is corrected. One that is off by the factor of an inch shows
+/// another unit instead.
 #[test]
 fn inches_that_only_the_model_shows_are_said() {
     let run = |ppm: f64, per: f64| {
@@ -90,8 +92,8 @@ fn inches_that_only_the_model_shows_are_said() {
     assert_eq!((kinds(&r), r.refined.len()), (vec![(What::Unit, "x")], 0), "{}", r.to_json());
 }
 
-/// The same beside a reversal that the model lacks.
-/// Found, and then the scale is off by what an inch has.
+/// The same with a reversal that the model lacks.
+/// The reversal is found, and then the scale is off by the factor of an inch.
 #[test]
 fn inches_beside_a_missing_effect_are_said() {
     let run = |per: f64| {
@@ -121,7 +123,7 @@ fn inches_beside_a_missing_effect_are_said() {
 }
 
 /// A circle of 100 mm radius, both ways, four times.
-/// Errors of two scales, two reversals and a squareness.
+/// It has the errors of two scales, two reversals and a squareness.
 fn circle(seed: u64) -> Record {
     let mut d = Dice::new(seed);
     let mut columns: Vec<Vec<f64>> = vec![Vec::new(); 8];
@@ -149,8 +151,9 @@ fn circle(seed: u64) -> Record {
     parsed("circle", Kind::Ballbar, roles.into_iter().zip(columns).map(|((n, r), v)| (n, r, v)).collect())
 }
 
-/// The errors of a circle in each other's place, beside a model that lacks so much that it shows nothing of it: what explains the
-/// circle then is far less likely than what explains it with the exchange undone.
+/// The errors of a circle are exchanged beside a model that lacks much.
+/// Alone the model does not show it. The best explanation of the circle is then far less likely than the one
+/// with the exchange undone.
 #[test]
 fn exchanged_errors_that_the_model_does_not_show_are_said() {
     let model = "name = \"m\"\n[[effect]]\nname = \"scale.x\"\nppm = -13.2\n[[effect]]\nname = \"reversal.x\"\num = 2.9\n";
@@ -174,7 +177,7 @@ fn warming(seed: u64, minutes: bool, revolutions: bool) -> Record {
         let (ex, ez) = (3.0 * late + 0.4 * d.normal(), 4.0 * rpm / 1000.0 + 0.4 * d.normal());
         let row = [rpm / if revolutions { 60.0 } else { 1.0 }, 20.0 + bearing, ex, ez];
         rows.iter_mut().zip(row).for_each(|(c, v)| c.push(v));
-        // In balance at the first row, and straight from row to row.
+        // In equilibrium at the first row, and linear from row to row.
         let before = bearing;
         bearing += (rpm / 500.0 - bearing) * (1.0 - (-60.0_f64 / 2400.0).exp());
         late += (f64::midpoint(before, bearing) - late) * (1.0 - (-60.0_f64 / 1500.0).exp());
@@ -195,8 +198,8 @@ fn warming(seed: u64, minutes: bool, revolutions: bool) -> Record {
 const WARM: &str = "name = \"m\"\n[[effect]]\nname = \"thermal_lag.x\"\nsensor = \"T1\"\num_per_K = 3.1\num_per_K2 = 0.0\ntau_s = 1450.0\n\
     [[effect]]\nname = \"spindle_speed.z\"\num_per_krpm = 3.9\num_per_krpm2 = 0.0\n";
 
-/// Minutes and revolutions a second that only the model shows.
-/// No lag is named by a clock that is doubted, whoever doubts it.
+/// Minutes and revolutions per second that only the model shows.
+/// If a clock is doubted, no lag is named, whichever check doubts it.
 #[test]
 fn minutes_and_revolutions_a_second_that_only_the_model_shows_are_said() {
     for seed in 1..=3 {
@@ -212,8 +215,8 @@ fn minutes_and_revolutions_a_second_that_only_the_model_shows_are_said() {
     }
 }
 
-/// Tool changes, say.
-/// Every axis comes back to one place, and what is seen of its travel is a count. A run that was written in metres is told from it.
+/// An axis that returns to one place, for example to change tools.
+/// Its logged travel is a single count. A run written in metres is still recognised.
 #[test]
 fn an_axis_that_stands_is_no_other_unit() {
     for (at_mm, stroke_mm, doubted) in [(50.0, 0.0007, false), (0.0, 0.0007, false), (0.0, 300.0, true)] {

@@ -1,5 +1,5 @@
-//! Verdicts from outside, a file a question.
-//! One program: what takes long runs beside the rest.
+//! Verdicts through the public interface, one file per question.
+//! They form one program, so that long tests run in parallel with the others.
 
 mod alike;
 mod ballbar;
@@ -29,7 +29,7 @@ fn record(name: &str, kind: Kind, columns: Vec<(&str, &str, Vec<f64>)>) -> Recor
     Record::new(Path::new(&format!("{name}.run.toml")), kind, columns).unwrap()
 }
 
-/// What records say beside the effects of a model, and later ones of it.
+/// The answer for records beside a model, with later records as hold-outs.
 #[expect(clippy::unwrap_used, reason = "a test's own helper")]
 fn answer(model: &str, train: &[Record], later: &[Record]) -> Reconciliation {
     let model = Machine::parse(Path::new("m.toml"), &format!("name = \"m\"\n{model}")).unwrap();

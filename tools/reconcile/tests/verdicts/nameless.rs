@@ -1,5 +1,5 @@
-//! What has no name gets none.
-//! Shapes of real life that are near a law, and readings that the model explains.
+//! What no effect explains gets no name.
+//! The shapes are real ones that resemble a law, and readings that the model explains.
 
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
@@ -17,7 +17,7 @@ fn nameless(model: &str, train: &[Record]) {
     assert_eq!(said.verdict, Verdict::UnknownEffect, "{:?}", said.unexplained);
 }
 
-/// A drift of one axis that does as it is told, in µm over seconds.
+/// A drift of one axis with a given error, µm over seconds.
 fn drift(name: &str, seed: u64, of: impl Fn(f64) -> f64) -> Record {
     let mut d = Dice::new(seed);
     let t: Vec<f64> = (0..240).map(|i| 20.0 * f64::from(i)).collect();
@@ -44,7 +44,8 @@ fn what_swings_in_time_need_not_be_a_sine() {
     }
 }
 
-/// A line to and fro at which each place has a level of its own, the same in all cycles, that depends on the side it is come from.
+/// A line to and fro at which each place has its own level.
+/// The level depends on the direction of approach and is the same in all cycles.
 #[test]
 fn what_repeats_at_its_places_is_seen_whatever_its_form() {
     for seed in 1..4 {
@@ -67,7 +68,8 @@ fn what_repeats_at_its_places_is_seen_whatever_its_form() {
     }
 }
 
-/// A narrow bump of the part that the model knows stands far off the rows beside it, as a misread row does.
+/// A narrow bump that the model knows differs much from the rows beside it.
+/// A misread row does so too.
 #[test]
 fn what_the_model_explains_is_no_misread_row() {
     let mut d = Dice::new(7);
@@ -84,7 +86,7 @@ fn what_the_model_explains_is_no_misread_row() {
     assert_eq!(said.suspicions.iter().map(ToString::to_string).collect::<Vec<_>>(), Vec::<String>::new());
 }
 
-/// A line to and fro, five times, with nothing but noise.
+/// A line to and fro, five times, with only noise.
 fn line(name: &str, seed: u64, noise_um: f64) -> Record {
     let mut d = Dice::new(seed);
     let mut rows: Vec<Vec<f64>> = vec![Vec::new(); 4];
@@ -92,7 +94,7 @@ fn line(name: &str, seed: u64, noise_um: f64) -> Record {
         let (lap, at) = (row / 31, row % 31);
         let back = lap % 2 == 1;
         let place = if back { 30 - at } else { at };
-        // Uneven, so that no wave looks like another.
+        // Uneven places, so that no wave looks like another.
         let mm = 20.0 * f64::from(place) + 0.9 * f64::from(place * 7 % 11);
         let direction = if back { -1.0 } else { 1.0 };
         let row = [5.0 * f64::from(row), mm, direction, noise_um * d.normal()];
@@ -103,8 +105,8 @@ fn line(name: &str, seed: u64, noise_um: f64) -> Record {
     record(name, Kind::Positioning, columns)
 }
 
-/// One day the air is quiet, another day it is not.
-/// What is noise on the second says nothing of the first.
+/// The air is quiet on one day and not on another.
+/// The noise of the second run gives no information about the first.
 #[test]
 fn each_run_has_noise_of_its_own_size() {
     for seed in 0..12 {
@@ -114,7 +116,7 @@ fn each_run_has_noise_of_its_own_size() {
     }
 }
 
-/// A gauge that reads the same all the time has no noise that could be known, nor a unit that could be wrong.
+/// A gauge with constant readings shows neither its noise nor its unit.
 #[test]
 fn a_gauge_that_stands_still_says_nothing() {
     let steady = |name: &str, seed: u64| {

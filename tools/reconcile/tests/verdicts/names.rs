@@ -1,4 +1,4 @@
-//! Which name, and how sure: records whose errors are written out here.
+//! Names and their certainty, for records whose errors are written out here.
 
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
@@ -24,7 +24,7 @@ fn names(r: &Reconciliation) -> Vec<String> {
 }
 
 /// One slow sweep in even steps.
-/// A hundred micrometres look the same as several shorter periods, whose amplitude no scale has.
+/// A hundred micrometres look the same as several shorter periods, but no scale has such amplitudes at those.
 #[test]
 fn a_signal_period_is_found_in_one_even_sweep() {
     let mut normal = noise(1);
@@ -39,7 +39,7 @@ fn a_signal_period_is_found_in_one_even_sweep() {
     assert!((r.effects[0].0.effect.scalar(0) - 100.0).abs() < 0.5);
 }
 
-/// A drift of two temperatures that part.
+/// A drift of two temperatures that differ.
 fn warm(error: impl Fn(f64, f64) -> f64, sd: f64) -> Record {
     let mut normal = noise(2);
     let t: Vec<f64> = (0..300).map(|i| 30.0 * f64::from(i)).collect();
@@ -55,15 +55,15 @@ fn warm(error: impl Fn(f64, f64) -> f64, sd: f64) -> Record {
     )
 }
 
-/// What goes with the product of two temperatures is no sum of growths.
+/// An error by the product of two temperatures is not a sum of growths.
 #[test]
 fn a_product_of_two_temperatures_has_no_name() {
     let r = answer(warm(|a, b| 1.5 * (a - 20.0) * (b - 20.0), 0.4));
     assert_eq!(r.verdict, Verdict::UnknownEffect, "{:?}", names(&r));
 }
 
-/// A parabola too slight to be paid for is left out: that is no estimate of nothing, and the straight part is as uncertain
-/// as it is beside it.
+/// A parabola too slight for its price is left out, but not estimated as zero.
+/// The straight part keeps the uncertainty that it has beside the parabola.
 #[test]
 fn a_value_that_is_left_out_has_an_interval() {
     let r = answer(warm(|a, _| 2.0 * (a - 20.0) + 0.01 * (a - 20.0).powi(2), 0.8));
@@ -74,16 +74,16 @@ fn a_value_that_is_left_out_has_an_interval() {
     assert!(off(0, 2.0) < half[0], "{} ± {}", finding.effect.scalar(0), half[0]);
 }
 
-/// Five metres of steel grow by less.
-/// What is there is said, though nothing is named.
+/// Five metres of steel grow by less than this.
+/// The effect is reported as missing, but nothing is named.
 #[test]
 fn what_no_machine_has_is_missing_all_the_same() {
     let r = answer(warm(|a, _| 90.0 * (a - 20.0), 2.0));
     assert_eq!(r.verdict, Verdict::UnknownEffect, "{}", r.to_json());
 }
 
-/// Targets every 23 mm do not tell a lead of 10 mm from some others.
-/// All that are likely are said.
+/// Targets every 23 mm do not distinguish a lead of 10 mm from some others.
+/// All likely leads are listed.
 #[test]
 fn leads_that_the_targets_cannot_tell_apart_are_weighed() {
     let mut normal = noise(3);
@@ -99,18 +99,18 @@ fn leads_that_the_targets_cannot_tell_apart_are_weighed() {
     let others = finding.rivals.iter().filter_map(|r| Some(r.differs.as_ref()?.1));
     let mut periods: Vec<f64> = others.chain([finding.effect.scalar(0)]).collect();
     periods.sort_by(f64::total_cmp);
-    // 1/λ and 1/λ' look the same where their sum or difference is a whole number of times 1/23 mm.
+    // 1/λ and 1/λ' look the same if their sum or difference is a whole multiple of 1/23 mm.
     let alike = |p: &f64| {
         let turns = |sign: f64| 23.0 * (1.0 / p + sign / 10.0);
         [1.0, -1.0].iter().any(|s| (turns(*s) - turns(*s).round()).abs() < 0.01)
     };
-    // A usual lead may be so much likelier beforehand that no other stands beside it.
+    // A usual lead may be so much likelier a priori that it has no rival.
     assert!(periods.iter().all(alike), "{periods:?}");
     assert!(periods.iter().any(|p| (p - 10.0).abs() < 0.02), "{periods:?}");
     assert!(r.verdict == Verdict::Named || r.advice.contains("looks the same as"), "{}", r.advice);
 }
 
-/// A drift of a machine that goes through these temperatures, whose error is theirs.
+/// A drift of a machine with these temperatures and the error that they cause.
 fn drift(seed: u64, degc: impl Fn(f64) -> f64) -> Record {
     let mut normal = noise(seed);
     let t: Vec<f64> = (0..200).map(|i| 60.0 * f64::from(i)).collect();
@@ -119,8 +119,8 @@ fn drift(seed: u64, degc: impl Fn(f64) -> f64) -> Record {
     record(Kind::Drift, vec![("t", "time", t), ("A", "temperature", a), ("e", "error.z", e)])
 }
 
-/// One warm-up does not tell growth from what only goes with time.
-/// Another record, in which the machine cools down, does.
+/// One warm-up does not distinguish growth from a drift in time.
+/// A second record, in which the machine cools down, does.
 #[test]
 fn of_several_records_one_refutes_what_the_other_leaves_open() {
     let warm = || drift(5, |t| 20.0 + 7.0 * (1.0 - (-t / 2400.0).exp()));
@@ -141,16 +141,17 @@ fn of_several_records_one_refutes_what_the_other_leaves_open() {
         "{}",
         both.to_json()
     );
-    // What is far behind is not looked at closely, or listed as tried.
+    // A far less likely name is not tested closely, or is listed as tried.
     assert!(tried(&both, "warm_up.z").is_none_or(|(odds, accepted)| !accepted && odds < -20.0));
     assert_eq!(tried(&both, "thermal_growth.z").map(|t| t.1), Some(true));
-    // What is accepted is what was added.
+    // The accepted names are those that were added.
     let accepted: Vec<&str> =
         both.ranking.iter().filter(|t| t.accepted).filter_map(|t| t.label.split(' ').next()).collect();
     assert_eq!(accepted, ["thermal_growth.z"]);
 }
 
-/// Targets from 0 to 400 mm, both ways, five times, with an error by place and noise.
+/// Targets from 0 to 400 mm, both ways, five times, with noise.
+/// `error` gives the error by place.
 fn bidirectional(error: impl Fn(f64) -> f64) -> Record {
     let mut normal = noise(9);
     let up: Vec<f64> = (0..9).map(|i| 50.0 * f64::from(i)).collect();
@@ -161,10 +162,11 @@ fn bidirectional(error: impl Fn(f64) -> f64) -> Record {
     record(Kind::Positioning, vec![("t", "time", t), ("p", "position.x", p), ("e", "error.x", e)])
 }
 
-/// A scale that is farther off than a model's value is trusted to be is that scale, corrected, and no second one beside it.
+/// A scale far from the model's value is corrected, not added a second time.
 #[test]
 fn a_scale_beside_the_model_s_own_corrects_it() {
-    // At 1 ppm there is 25 times as much in the data, as if the positions were inches: that may be said, and nothing is left out.
+    // At 1 ppm the data show 25 times as much, as if positions were inches. That may be reported, but nothing
+    // is left out.
     for known in [-5.0, 1.0, 2.0, 10.0, 60.0] {
         let run = bidirectional(|p| (known + 24.0) * 1e-3 * p);
         let text = format!("name = \"m\"\n[[effect]]\nname = \"scale.x\"\nppm = {known:.1}\n");
@@ -185,8 +187,9 @@ fn a_scale_beside_the_model_s_own_corrects_it() {
     }
 }
 
-/// Positions in inches under a model with more than straight lines, and positions in metres under one of lines alone: no line is
-/// that steep.
+/// Positions in inches and in metres are reported as another unit.
+/// Inches are used under a model with more than straight lines. Metres are used under a model with lines
+/// only, because no line is that steep.
 #[test]
 fn positions_in_another_unit_are_said_where_no_straight_line_does_as_well() {
     let inch = "[[effect]]\nname = \"position_map.x\"\nknots_mm = [0.0, 100.0, 200.0, 300.0, 400.0]\num = [0.0, 6.0, -4.0, 5.0, 0.0]\n";
@@ -208,8 +211,8 @@ fn positions_in_another_unit_are_said_where_no_straight_line_does_as_well() {
     }
 }
 
-/// Growth that begins at a temperature is no parabola that falls first.
-/// One that bends as growth does keeps its name.
+/// Growth that begins at a temperature is not a parabola that falls first.
+/// An error that bends as growth does keeps its name.
 #[test]
 fn a_knee_over_the_temperature_is_no_growth_that_turns_back() {
     let drift = |seed: u64, error: &dyn Fn(f64) -> f64| {
@@ -226,13 +229,14 @@ fn a_knee_over_the_temperature_is_no_growth_that_turns_back() {
         let growth = answer(drift(seed, &|d| 0.8 * d + 0.04 * d * d));
         grown.push(names(&growth) == ["thermal_growth.x"]);
     }
-    // A slow turn of the noise may make a drift in time as likely.
+    // A slow turn of the noise can make a drift in time as likely.
     assert!(grown.iter().filter(|g| **g).count() >= 11, "{grown:?}");
     // The parabola fits some of them better by chance.
     assert!(unknown.iter().filter(|u| **u).count() >= 8, "{unknown:?}");
 }
 
-/// A wave over the angle that grows faster all the way around is a row of bumps to the eye, and in no dictionary; three bumps are bumps.
+/// A wave over the angle that gets ever faster is a row of bumps without a name.
+/// No effect of the dictionary describes it. Three separate bumps are named as bumps.
 #[test]
 fn a_row_of_bumps_is_no_name() {
     let of = |error: &dyn Fn(f64) -> f64| {
@@ -251,8 +255,8 @@ fn a_row_of_bumps_is_no_name() {
     assert_eq!(names(&r), ["form_bump"; 3], "{:?}", r.verdict);
 }
 
-/// Far from zero a short period and its phase lean on each other.
-/// No angle is more open than half a turn to either side.
+/// Far from zero a short period and its phase are correlated.
+/// No phase is uncertain by more than half a turn to either side.
 #[test]
 fn a_phase_is_open_by_half_a_turn_at_most() {
     let mut normal = noise(33);
@@ -269,8 +273,9 @@ fn a_phase_is_open_by_half_a_turn_at_most() {
     assert!(half.iter().all(|h| *h > 0.0 && *h <= std::f64::consts::PI), "{half:?}");
 }
 
-/// A map whose heights have a mean, beside a scale and a reversal, six passes and nothing else: the zero was named a drift that ends
-/// after two rows in one of twelve such runs, as that fits the first row as well.
+/// Regression: a zero was named as a drift that ends after two rows.
+/// The runs have a map whose heights have a mean, a scale and a reversal, in six passes. It happened in one
+/// of twelve, because such a drift fits the first row as well.
 #[test]
 fn a_zero_is_no_drift_that_has_ended_after_two_rows() {
     for seed in 0..6 {

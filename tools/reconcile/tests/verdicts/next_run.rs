@@ -1,5 +1,5 @@
 //! Advice before measuring.
-//! The run that is planned from a verdict tells what the verdict could not.
+//! The run that is planned from a verdict decides what the verdict left open.
 
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
@@ -43,7 +43,7 @@ fn measured(name: &str, run: &TargetRun, wave: &Effect, seed: u64) -> Record {
 
 fn wave(k: u32) -> Effect {
     let mut wave = Machine::ideal("m").dictionary().effect("screw_periodic.x").unwrap();
-    // Periods that no machine is made with: nothing but the targets tells them.
+    // Periods that no machine is made with, so only the targets can decide.
     let period_mm = 7.3 + 0.61 * f64::from(k);
     wave.set_values(&[period_mm, 2.0 + 0.1 * f64::from(k % 10), 0.4 * f64::from(k % 15)]).unwrap();
     wave
@@ -62,8 +62,8 @@ fn planned(r: &rtec_reconcile::Reconciliation) -> NextRuns {
     next_runs(&r.effects.iter().map(of).collect::<Vec<_>>(), &Machine::ideal("m"), &[axis()])
 }
 
-/// The run of a step, as a person would make it.
-/// Targets and cycles stand in its words.
+/// The run of a plan's step, as a person would make it.
+/// Targets and cycles are read from the step's words.
 fn run_of(step: &rtec_measure::plan::Step) -> TargetRun {
     let words: Vec<&str> = step.run.split_whitespace().collect();
     let targets_mm = words[1..].iter().map_while(|w| w.parse().ok()).collect();
@@ -72,7 +72,7 @@ fn run_of(step: &rtec_measure::plan::Step) -> TargetRun {
 }
 
 /// On even targets a wave looks like others.
-/// The first ten machines whose verdict is open, each with a wave of its own.
+/// The test uses the first ten machines whose verdict is open, each with another wave.
 #[test]
 fn the_planned_run_tells_what_the_verdict_could_not() {
     let targets_mm = (0..11).map(|k| 10.0 + 48.0 * f64::from(k)).collect();
@@ -101,7 +101,7 @@ fn the_planned_run_tells_what_the_verdict_could_not() {
         resolved.push((after.verdict == Verdict::Named && right, said));
     }
     assert_eq!(resolved.len(), 10, "{resolved:#?}");
-    // A run that is planned as enough falls short by chance in one of forty.
+    // A run that is planned as sufficient fails by chance in one of forty cases.
     assert!(resolved.iter().filter(|(is, _)| *is).count() >= 9, "{resolved:#?}");
 }
 
@@ -121,7 +121,7 @@ fn what_no_targets_tell_has_its_experiment() {
     let found = next_runs(std::slice::from_ref(&open), &Machine::ideal("m"), &[axis()]);
     assert!(found.steps.is_empty() && found.tells[0].log_odds.is_none(), "{found:?}");
     assert!(found.tells[0].by.contains("heat one place only"), "{found:?}");
-    // An axis that the machine does not have is planned for by nobody.
+    // No run is planned for an axis that the machine does not have.
     let elsewhere = PlanAxis { name: "z".into(), travel_mm: 300.0 };
     assert!(next_runs(&[open], &Machine::ideal("m"), &[elsewhere]).steps.is_empty());
 }

@@ -1,6 +1,6 @@
-//! A drift that `model fit` and the reconciliation both look at.
-//! One choice of sensors, intervals that hold each other's values, or a said reason. Machines, heat and noise are made here, by formulas of
-//! their own.
+//! A drift is analysed by `model fit` and by the reconciliation.
+//! They must choose the same sensors with overlapping intervals, or give a reason. Machines, heat and noise
+//! are made here, by formulas.
 
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
@@ -11,14 +11,14 @@ use rtec_reconcile::{Options, reconcile};
 use std::path::Path;
 use test_needs::dice::Dice;
 
-/// What a drift is made of.
+/// The parts of a simulated drift.
 struct Plan {
     seed: u64,
     rows: usize,
     step_s: f64,
     /// Bodies: how warm they get, K, and how fast, s.
     bodies: &'static [(f64, f64)],
-    /// Growth by the first body's difference to the air, µm/K and µm/K², and its lag, s.
+    /// Growth by the first body's difference to the air: µm/K, µm/K², and its lag, s.
     um_per_k: f64,
     um_per_k2: f64,
     tau_s: f64,
@@ -110,7 +110,7 @@ impl Plan {
                 warm[b].push(degc + 0.01 * d.normal());
             }
             warm[self.bodies.len()].push(air + 0.01 * d.normal());
-            // The lag's answer to a straight line between two rows.
+            // The lag's response to a straight line between two rows.
             if i == 0 || self.tau_s == 0.0 {
                 late = first;
             } else {
@@ -133,8 +133,7 @@ impl Plan {
     }
 }
 
-/// Growth by a temperature difference.
-/// The difference, then each parameter with its interval.
+/// A law of growth: its temperature difference, then each parameter's interval.
 type Law = (String, Vec<(String, [f64; 3])>);
 
 fn by_fit(record: &Record) -> (Vec<Law>, Vec<String>) {
@@ -165,7 +164,8 @@ fn by_reconciliation(record: &Record) -> (Vec<Law>, String) {
     (laws, format!("{} {}", json["verdict"], json["advice"]))
 }
 
-/// Whether both read the same temperatures and no interval excludes the other's, or both say why not.
+/// Whether both read the same temperatures and their intervals overlap.
+/// Otherwise both must say why not.
 fn agree(record: &Record) -> bool {
     let (fit, warnings) = by_fit(record);
     let (found, said) = by_reconciliation(record);
@@ -183,7 +183,7 @@ fn agree(record: &Record) -> bool {
     assert!(!said.contains("model fit"), "{said}");
     for ((name, a), (_, b)) in fit.iter().zip(&found) {
         for (key, [_, low, high]) in a {
-            // A lag of none has no interval on the other side.
+            // A lag of zero has no interval on the other side.
             let Some((_, [_, other_low, other_high])) = b.iter().find(|(k, _)| k == key) else { continue };
             let overlap = low <= other_high && other_low <= high;
             assert!(overlap, "{}: {name} {key}: {low} to {high}, {other_low} to {other_high}", record.file);
@@ -192,7 +192,7 @@ fn agree(record: &Record) -> bool {
     true
 }
 
-/// The formula's own difference, by whoever says nothing of another.
+/// The formula's own difference is chosen, unless a reason for another is given.
 #[test]
 fn one_drift_is_one_law_or_both_say_why_not() {
     let mut alike = 0;
@@ -211,7 +211,8 @@ fn one_drift_is_one_law_or_both_say_why_not() {
     assert!(alike >= 4, "{alike} of five have one choice");
 }
 
-/// A real spindle's warm-up, every eighth minute (`../shared/data`, not part of the project).
+/// A real spindle's warm-up, every eighth minute.
+/// The data is in `../shared/data`, outside the project.
 #[test]
 fn a_real_spindle_has_one_choice_or_both_say_why_not() {
     let Some(path) = test_needs::shared("data/spindle_thermal/first_half.csv") else { return };

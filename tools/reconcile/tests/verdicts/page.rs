@@ -1,4 +1,4 @@
-//! The page: what a metrologist signs.
+//! The page that a metrologist signs.
 
 #![allow(clippy::unwrap_used)] // a test's own helpers
 

@@ -1,5 +1,5 @@
-//! What a later stage finds, the first finds too.
-//! It is against a variable, a period or a place.
+//! The first stage has a place for what a later stage finds.
+//! The place is against a variable, a period or a position.
 
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
@@ -11,12 +11,12 @@ use rtec_reconcile::{Options, Place, Verdict, find, reconcile};
 use std::f64::consts::TAU;
 
 /// Strokes of X and Y that warm up, and white noise of 1 µm.
-/// All that a law can read is there, but the angle.
+/// Everything that a law can read is there, except the angle.
 fn everything(seed: u64) -> Record {
     let mut normal = noise(seed);
     let n = 360;
     let of = |f: &dyn Fn(f64) -> f64| (0..n).map(|i| f(f64::from(i))).collect::<Vec<_>>();
-    // A stroke of 61 rows there, and as many back; Y has another.
+    // A stroke of 61 rows out and as many back; Y has another number.
     let there = |i: f64, rows: f64| {
         let k = i % (2.0 * rows);
         if k < rows { (k, 1.0) } else { (2.0 * rows - k, -1.0) }
@@ -45,8 +45,8 @@ fn everything(seed: u64) -> Record {
     crate::record("run", Kind::Positioning, columns)
 }
 
-/// The record with an effect in it, of this RMS, µm.
-/// `None` for what is no more than a constant there, and for arrays, whose knots the caller sets.
+/// The record with an effect of a given RMS, µm.
+/// `None` if the effect is only a constant there, and for arrays, whose knots the caller sets.
 fn with(effect: &Effect, rms_um: f64, mut record: Record) -> Option<Record> {
     let mut effect = effect.clone();
     let parameters = effect.description().parameters.clone();
@@ -78,7 +78,7 @@ fn every_effect_that_is_named_is_somewhere() {
     let ideal = Machine::ideal("m");
     let (mut found, mut silent) = (0, Vec::new());
     for (k, effect) in dictionary.candidates(&[&everything(0)]).iter().enumerate() {
-        // From well above the noise to where it is just seen.
+        // From well above the noise to barely visible.
         for rms_um in [3.0, 0.5] {
             let Some(record) = with(effect, rms_um, everything(k as u64 + 1)) else { continue };
             let train = [record];
@@ -88,7 +88,7 @@ fn every_effect_that_is_named_is_somewhere() {
             let said = format!("{} of {rms_um} µm: {} {:?}", effect.name(), later.verdict, later.unexplained);
             assert_eq!(places.len(), later.places.len(), "{said}");
             assert!(somewhere || later.verdict == Verdict::NothingMissing, "{said}: nowhere");
-            // Against what its law reads, if it reads anything.
+            // The place is against a variable that the law reads, if it reads any.
             for (f, _) in &later.effects {
                 let needs = f.effect.description().needs.iter();
                 let roles: Vec<String> = needs.map(|n| n.role(f.effect.axes()).to_string()).collect();
@@ -103,6 +103,6 @@ fn every_effect_that_is_named_is_somewhere() {
             }
         }
     }
-    // What is three times the noise is always seen.
+    // An effect of three times the noise is always found.
     assert!(found >= 20 && silent.is_empty(), "{found}, and nothing of {silent:?}");
 }

@@ -1,4 +1,5 @@
-//! How a gauge or a plate stands, and how finely it reads, is no finding: of a machine that lacks nothing no run says more.
+//! The set-up and resolution of a gauge or a plate are not findings.
+//! The machine lacks nothing, so no run may report anything.
 
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
@@ -9,7 +10,7 @@ use rtec_reconcile::Verdict;
 use test_needs::dice::Dice;
 
 /// A laser's run along x, up and down again.
-/// Its stand creeps by so much from the first reading to the last.
+/// Its stand creeps by `creep_um` from the first reading to the last.
 fn line(seed: u64, creep_um: f64, timed: bool) -> Record {
     let mut d = Dice::new(seed);
     let n = 120;
@@ -30,7 +31,7 @@ fn line(seed: u64, creep_um: f64, timed: bool) -> Record {
     record("line", Kind::Positioning, columns)
 }
 
-/// Rows take time whether anybody wrote it or not.
+/// Rows take time even if the record does not log it.
 #[test]
 fn a_stand_creeps_in_runs_without_times_too() {
     for seed in 0..6 {
@@ -48,7 +49,7 @@ fn a_stand_creeps_in_runs_without_times_too() {
     }
 }
 
-/// A plate of 5 by 5 holes that lies turned.
+/// A plate of 5 by 5 holes, turned by an angle.
 fn plate(name: &str, seed: u64, turn_urad: f64) -> Record {
     let mut d = Dice::new(seed);
     let at = |i: usize| [100.0 * (i % 5) as f64, 100.0 * (i / 5 % 5) as f64];
@@ -62,7 +63,7 @@ fn plate(name: &str, seed: u64, turn_urad: f64) -> Record {
     record(name, Kind::Plate, columns)
 }
 
-/// The next plate lies otherwise, and is of the same machine.
+/// The next plate lies differently, but the machine is the same.
 #[test]
 fn a_plate_that_lies_otherwise_is_of_no_other_machine() {
     for seed in 0..6 {
@@ -74,8 +75,8 @@ fn a_plate_that_lies_otherwise_is_of_no_other_machine() {
     }
 }
 
-/// What a gauge in steps of 1 µm makes of a slope is a saw.
-/// No wave, no shape, no other unit.
+/// A gauge in steps of 1 µm turns a slope into a saw-tooth.
+/// It is reported neither as a wave or a shape nor as another unit.
 #[test]
 fn the_saw_of_a_gauge_in_steps_is_no_finding() {
     for seed in 0..6 {
@@ -101,7 +102,7 @@ fn the_saw_of_a_gauge_in_steps_is_no_finding() {
     }
 }
 
-/// A stand that creeps is the stand's: no two sensors were exchanged for it.
+/// A creep belongs to the stand and is not explained by exchanged sensors.
 #[test]
 fn sensors_are_not_exchanged_for_a_creep() {
     for seed in 10..16 {

@@ -1,5 +1,5 @@
-//! Mistakes weighed against what the model may lack, and what is said where a record was left out. The runs are made here, by formulas of
-//! their own.
+//! Mistakes compared with effects that the model may lack.
+//! The tests also check what is reported if a record was left out. The runs are made here, by formulas.
 
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
@@ -30,10 +30,10 @@ fn names(r: &Reconciliation) -> Vec<String> {
     r.effects.iter().map(|(f, _)| f.effect.name()).collect()
 }
 
-/// The errors of both axes at a place, by its acceleration in mm/s² too.
+/// The errors of both axes by place and by acceleration, mm/s².
 type Law = dyn Fn([f64; 2], [f64; 2]) -> [f64; 2];
 
-/// Half arcs to and fro about a centre, at 25 mm/s; angles from and to.
+/// Half arcs to and fro about a centre, at 25 mm/s, between two angles.
 fn arc(seed: u64, radius: f64, centre: [f64; 2], (from, to): (f64, f64), law: &Law) -> Record {
     let mut d = Dice::new(seed);
     let mut rows: Vec<Vec<f64>> = vec![Vec::new(); 5];
@@ -54,8 +54,9 @@ fn arc(seed: u64, radius: f64, centre: [f64; 2], (from, to): (f64, f64), law: &L
     parsed("circle", Kind::Ballbar, named.map(|((n, r), v)| (n, r, v)).collect())
 }
 
-/// On a quarter of a circle an axis' acceleration nearly takes back what a known rotation does; and, along a vertical line, what a tilt
-/// does at that place is as large as the scale that is missing. Neither is a column in another unit, or in another place.
+/// Two effects that resemble a mistake but are none.
+/// On a quarter circle an axis' acceleration nearly cancels a known rotation. Along a vertical line, a tilt
+/// at that place is as large as the missing scale. Neither is a column in another unit, or at another place.
 #[test]
 fn what_only_looks_like_a_mistake_is_none() {
     let model =
@@ -93,8 +94,8 @@ fn line(seed: u64, axis: &str, at: f64, law: &dyn Fn([f64; 2]) -> [f64; 2]) -> R
     parsed("line", Kind::Positioning, columns)
 }
 
-/// Strokes of 400 mm, two to and two fro: a scale and a reversal.
-/// The columns under these roles.
+/// Strokes of 400 mm, two out and two back, with a scale and a reversal.
+/// The columns have these roles.
 fn strokes(name: &str, seed: u64, roles: [&str; 3], per_um: f64) -> Record {
     let mut d = Dice::new(seed);
     let (mut p, mut way, mut e) = (Vec::new(), Vec::new(), Vec::new());
@@ -112,15 +113,15 @@ const STROKES: &str =
     "[[effect]]\nname = \"scale.x\"\nppm = 23.0\n[[effect]]\nname = \"reversal.x\"\num = 5.8\n";
 const RIGHT: [&str; 3] = ["position.x", "direction.x", "error.x"];
 
-/// The positions of the axis whose error was read stand in another one's column.
-/// With its directions, or without.
+/// An axis' error was read, but the positions are in another axis' column.
+/// The directions are exchanged too, or not.
 #[test]
 fn positions_in_another_axis_s_column_are_said() {
     for roles in [["position.y", "direction.x", "error.x"], ["position.y", "direction.y", "error.x"]] {
         let r = answer(STROKES, &[strokes("a", 1, roles, 1.0)], &[]);
         assert_eq!((kinds(&r), names(&r).len()), (vec![(What::Swapped, "p")], 0), "{}", r.to_json());
     }
-    // Nor is a straightness one: the model has nothing like it.
+    // A true straightness is not reported as exchanged columns, because the model has nothing similar.
     let model = "[[effect]]\nname = \"scale.x\"\nppm = -40.0\n[[effect]]\nname = \"reversal.x\"\num = 9.0\n";
     let r = answer(model, &[strokes("a", 1, ["position.y", "direction.y", "error.x"], 1.0)], &[]);
     assert_eq!(kinds(&r), [], "{}", r.to_json());
@@ -137,7 +138,8 @@ fn errors_in_thousandths_of_an_inch_are_said() {
     }
 }
 
-/// What was left out is said of no verdict: not in its headline, its advice or its document.
+/// A record that was left out appears as not covered everywhere.
+/// The headline, the advice and the document all say so.
 #[test]
 fn nothing_is_said_of_a_record_that_was_left_out() {
     let [good, mut bad] = [strokes("good", 1, RIGHT, 1.0), strokes("bad", 2, RIGHT, 1.0)];
@@ -150,12 +152,13 @@ fn nothing_is_said_of_a_record_that_was_left_out() {
     assert!(headline.contains("bad.run.toml (sign)") && !headline.contains("good"), "{headline}");
     assert!(r.advice.starts_with("bad.run.toml (sign): nothing is said of it"), "{}", r.advice);
     assert_eq!(r.to_json()["nothing_said_of"], serde_json::json!(["bad.run.toml"]));
-    // The same of a hold-out.
+    // The same for a hold-out.
     let r = answer(STROKES, &[good], &[bad]);
     assert!(r.gap[0].holdout.is_none() && r.unsaid().is_some(), "{}", r.to_json());
 }
 
-/// What only one of two hold-outs shows may be another machine's, or the model may be wrong: the gap is said with and without.
+/// One of two hold-outs differs.
+/// It is from another machine, or the model is wrong. The gap is reported with and without it.
 #[test]
 fn no_gap_is_narrower_for_a_hold_out_that_is_suspected() {
     let [train, good, mut strange] =
@@ -171,7 +174,7 @@ fn no_gap_is_narrower_for_a_hold_out_that_is_suspected() {
     assert!(r.advice.contains("strange.run.toml: of another machine, or the model is wrong"), "{}", r.advice);
 }
 
-/// A gauge that was never read has no error to explain; what stands beside it has.
+/// A gauge that was never read has no error to explain; the other column has one.
 #[test]
 fn a_gauge_that_stands_still_names_nothing() {
     let mut run = strokes("a", 1, RIGHT, 1.0);
@@ -186,7 +189,7 @@ fn a_gauge_that_stands_still_names_nothing() {
     assert!(!names(&r).is_empty() && names(&r).iter().all(|n| n.contains(".z")), "{}", r.to_json());
 }
 
-/// Targets on a grid show a wave at many periods alike, and none of them is the likelier.
+/// Targets on a grid show a wave at many equally likely periods.
 #[test]
 fn a_wave_on_a_grid_of_targets_is_not_separable() {
     let mut d = Dice::new(4);
@@ -200,7 +203,8 @@ fn a_wave_on_a_grid_of_targets_is_not_separable() {
     assert!(near, "{}", r.to_json());
 }
 
-/// At two places to a period the size hangs on the phase, and the period on the grid: no size whose interval holds zero is a name's.
+/// A wave with two places per period has no definite size.
+/// The size depends on the phase, and the period on the grid. A name needs an interval that excludes zero.
 #[test]
 fn a_wave_of_a_size_that_is_not_told_is_not_separable() {
     for seed in 1..=4 {
@@ -213,8 +217,9 @@ fn a_wave_of_a_size_that_is_not_told_is_not_separable() {
     }
 }
 
-/// A reversal as large as the model's, and opposite.
-/// The directions are those that the axis went, so that is the machine's. With the directions exchanged they are not.
+/// A reversal as large as the model's, with the opposite sign.
+/// The directions agree with the positions, so it belongs to the machine. With exchanged directions they do
+/// not agree.
 #[test]
 fn a_reversal_opposite_to_the_model_s_is_no_mistake_in_the_directions() {
     let model = "[[effect]]\nname = \"reversal.x\"\num = 7.0\n[[effect]]\nname = \"scale.x\"\nppm = 20.0\n";

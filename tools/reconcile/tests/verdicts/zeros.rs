@@ -1,5 +1,5 @@
-//! What is of no size is no finding.
-//! An effect whose interval holds zero, and the constant of a session of its own.
+//! Effects without a definite size are not findings.
+//! Examples are an effect whose interval contains zero, and the constant of a session.
 
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
@@ -29,7 +29,7 @@ fn answer(train: &[Record]) -> Reconciliation {
     reconcile(train, &[], &Machine::ideal("m"), &Options::default()).unwrap()
 }
 
-/// What is named with an interval that holds zero, of all sizes that the effect has.
+/// Named effects all of whose sizes have intervals that contain zero.
 fn sizeless(r: &Reconciliation) -> Vec<String> {
     let zero = |(v, half): (&f64, &f64)| *half == 0.0 || v.abs() < *half;
     let of = |(f, half): &(rtec_reconcile::Finding, Vec<f64>)| {
@@ -42,21 +42,21 @@ fn sizeless(r: &Reconciliation) -> Vec<String> {
     r.effects.iter().filter_map(of).collect()
 }
 
-/// A bug once: a straight drift was named `warm_up` of any size: 43 ± 5316 µm.
+/// Regression: a straight drift was named `warm_up` with a size of 43 ± 5316 µm.
 #[test]
 fn what_is_of_no_size_is_not_named() {
     for seed in 40..46 {
         let mut dice = noise(seed);
         let r = answer(&[run("drift", 0.0, 160, |t, _| 8.0 * t / 1600.0 + 0.3 * dice())]);
         assert_eq!(sizeless(&r), [""; 0], "{seed}");
-        // Something is there all the same.
+        // Something is reported nevertheless.
         assert_ne!(r.verdict, Verdict::NothingMissing, "{seed}");
     }
 }
 
-/// A bug once: a bump that one angle of forty shows, twice around.
-/// Beside a second one, which went as its size was not told, the first had one; by itself it had none any more, and was named with 0.5 ±
-/// 2.3 µm.
+/// Regression: a bump that is seen at one angle of forty, in two turns.
+/// A second bump was dropped because its size was undetermined. The first had a size beside it, but alone it
+/// had none, and was named with 0.5 ± 2.3 µm.
 #[test]
 fn what_is_of_no_size_without_another_is_not_named() {
     let ways = "------++++++-+-++-+--++--+---+++-+---+-+--+-+++++----++++-+--+++-+++-+-++++-+---";
@@ -87,8 +87,8 @@ fn what_is_of_no_size_without_another_is_not_named() {
     assert_eq!(r.verdict, Verdict::UnknownEffect);
 }
 
-/// A bug once.
-/// At one speed and at rest 1.0 ± 155 µm/krpm, for a square that nothing speaks for.
+/// Regression: a value was lost through an unsupported square.
+/// Measured at one speed and at rest, the effect was 1.0 ± 155 µm/krpm.
 #[test]
 fn a_value_that_is_left_out_does_not_undo_the_others() {
     let mut dice = noise(5);
@@ -103,8 +103,8 @@ fn a_value_that_is_left_out_does_not_undo_the_others() {
     assert!((value - 1.0).abs() < half && half < value, "{value} ± {half}");
 }
 
-/// Each of three sessions has a zero of its own.
-/// How far they are apart is nothing of the machine's, however far.
+/// Each of three sessions has its own zero.
+/// The distance between them says nothing about the machine, however large it is.
 #[test]
 fn the_constant_of_a_session_is_no_finding() {
     for apart in [3.0, 300.0, 3e6] {

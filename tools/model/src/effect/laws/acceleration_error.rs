@@ -6,7 +6,7 @@ use std::sync::Arc;
 /// First part of the effect's name.
 pub const NAME: &str = "acceleration_error";
 
-/// So much less likely than an effect of the place, nats.
+/// Extra price over an effect of the position, nats: it is rarer.
 const RARER: f64 = 1.0;
 
 pub(super) fn law() -> Arc<dyn Law> {
@@ -20,7 +20,7 @@ pub(super) fn law() -> Arc<dyn Law> {
                 .within([-10_000.0, 10_000.0], "10 µm per mm/s²: a drive train that soft rings at 1.6 Hz"),
         ],
         needs: vec![Need::Acceleration],
-        // Around a circle at one speed the acceleration is the position: then it is a scale.
+        // Around a circle at constant speed the acceleration is proportional to the position, as of a scale.
         searched: Searched { price: RARER, ..Searched::default() },
         ..Description::default()
     };

@@ -6,7 +6,7 @@ use std::sync::Arc;
 /// First part of the effect's name.
 pub const NAME: &str = "channel";
 
-/// Extra price of a logged channel over an effect with physics behind it, nats.
+/// Extra price over an effect that has a physical cause, nats.
 const NO_PHYSICS: f64 = 2.5;
 
 pub(super) fn law() -> Arc<dyn Law> {
@@ -17,7 +17,8 @@ pub(super) fn law() -> Arc<dyn Law> {
         experiment: "that quantity varied on its own, everything else held".into(),
         naming: Naming::Channel,
         parameters: vec![
-            // No physics to bound it by, whatever the channel's unit: beyond this, sums lose what stands beside it.
+            // No physics bounds it, whatever the channel's unit. Beyond this, sums lose the other effects to
+            // rounding.
             Parameter::linear("gain", "um/1", 1e12).within(
                 [-1e12, 1e12],
                 "a picometre of the channel's unit is then a micrometre of error: another unit, not a machine",

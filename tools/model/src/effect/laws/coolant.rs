@@ -1,4 +1,4 @@
-//! `coolant.A`: what coolant does while it flows.
+//! `coolant.A`: a constant error while coolant flows.
 
 use crate::effect::{Description, Law, Linear, Need, Parameter};
 use std::sync::Arc;

@@ -1,4 +1,4 @@
-//! `force_offset.A`: a force that is always there.
+//! `force_offset.A`: a constant force.
 
 use crate::effect::{Description, Law, Linear, Mechanism, Parameter, Quantity};
 use std::sync::Arc;

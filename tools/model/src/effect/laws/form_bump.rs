@@ -1,5 +1,5 @@
 //! `form_bump`: a raised cosine over part of a circle.
-//! A part's own form or a fault of the path causes it.
+//! Its cause is the part's own form or a fault of the path.
 
 use crate::effect::{
     Description, Effect, Extent, Input, Law, Naming, Need, Out, Owner, Parameter, Point, Refine, Search,
@@ -71,7 +71,7 @@ impl Law for FormBump {
         }
     }
 
-    /// Widths in equal ratios, each at places a quarter of it apart.
+    /// Widths in a geometric series; for each, centres a quarter of the width apart.
     fn grid(&self, effect: &Effect, _: &dyn Extent) -> Vec<Point> {
         let mut points = Vec::new();
         let mut width = 0.15;

@@ -1,4 +1,4 @@
-//! `inertia.A`: force that accelerates an axis.
+//! `inertia.A`: the force that accelerates an axis.
 
 use crate::effect::{Description, Law, Linear, Mechanism, Need, Parameter, Quantity};
 use std::sync::Arc;

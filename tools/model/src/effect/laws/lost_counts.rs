@@ -55,7 +55,7 @@ impl Law for LostCounts {
         self.basis(effect, now, component, state, &mut out[UM..=UM]);
     }
 
-    /// Some 160 moments; between them the search goes on from row to row.
+    /// About 160 moments; the search continues between them from row to row.
     fn grid(&self, effect: &Effect, records: &dyn Extent) -> Vec<Point> {
         let all = records.moments_s();
         let price = (all.len().max(2) as f64).ln();

@@ -1,16 +1,16 @@
 //! The built-in effects, one file each.
 //!
-//! A new one is its file and its line in this list.
+//! A new one needs its file and a line in this list.
 
 use super::Law;
 use std::sync::{Arc, LazyLock};
 
-/// Declares the module of each law and lists what they make.
+/// Declares the module of each law and lists the laws.
 macro_rules! dictionary {
     ($($law:ident,)*) => {
         $(pub mod $law;)*
 
-        /// In the order in which a search lists them.
+        /// The built-in laws, in the order in which a search lists them.
         pub(super) static BUILT_IN: LazyLock<Vec<Arc<dyn Law>>> = LazyLock::new(|| vec![$($law::law()),*]);
     };
 }

@@ -7,7 +7,7 @@ use std::sync::Arc;
 /// First part of the effect's name.
 pub const NAME: &str = "position_map";
 
-/// The axis of the name that the knots lie on.
+/// Index of the axis in the name that the knots lie on.
 const ALONG: usize = 0;
 
 pub(super) fn law() -> Arc<dyn Law> {

@@ -81,7 +81,7 @@ impl Law for Lobing {
         Err(ValueError::new("lobes", lobes.to_string(), "a whole number of lobes"))
     }
 
-    /// A single lobe is an eccentric set-up as well: allowed, at a price.
+    /// A single lobe can also be an eccentric set-up: it is allowed at a price.
     fn grid(&self, effect: &Effect, _: &dyn Extent) -> Vec<Point> {
         let told_apart = 11f64.ln();
         let mut points = Point::along(effect, LOBES, [1.0], 1.0 + told_apart);

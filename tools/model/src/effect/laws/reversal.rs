@@ -1,4 +1,4 @@
-//! `reversal.A`: what an axis lacks after it turned back.
+//! `reversal.A`: the lost motion of an axis after it turned back.
 
 use crate::effect::{Description, Law, Linear, Need, Parameter};
 use std::sync::Arc;

@@ -1,5 +1,5 @@
 //! `reversal_spike.A`: the peak after a change of direction.
-//! It fades with the travel since then.
+//! It fades with the travel since the change.
 
 use crate::effect::{
     Description, Effect, Extent, Input, Law, Need, Out, Parameter, Point, Refine, Search, State,
@@ -36,13 +36,14 @@ pub(super) fn law() -> Arc<dyn Law> {
     }))
 }
 
-/// Travel since the axis turned, beyond the last row of the old direction or there.
+/// Travel since the axis turned, mm.
+/// It turned at or beyond the last row of the old direction.
 /// `None` before the first reversal or without a direction.
 ///
 /// State: last direction, previous position, two travels.
 ///
-/// The first travel is since the last row of the present direction; it becomes the start when the direction changes.
-/// The second is since the reversal, −1 before the first.
+/// The first travel is since the last row of the present direction; it becomes the start when the direction
+/// changes. The second is since the reversal, −1 before the first.
 fn travel(now: &Input, state: &mut State) -> Option<f64> {
     let p = now.p_mm[0];
     if !state.started {

@@ -1,4 +1,4 @@
-//! `rotation.A.B`: work or plate turned in the plane of two axes.
+//! `rotation.A.B`: the work or plate is turned in the plane of two axes.
 
 use crate::effect::{Description, Law, Linear, Naming, Need, Parameter};
 use std::sync::Arc;

@@ -1,4 +1,4 @@
-//! `scale.A`: an error in proportion to the position.
+//! `scale.A`: an error proportional to the position.
 
 use crate::effect::{Description, Law, Linear, Need, Parameter};
 use std::sync::Arc;

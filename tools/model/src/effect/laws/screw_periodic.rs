@@ -1,4 +1,5 @@
-//! `screw_periodic.A`: a wave along the travel, periodic in a screw's or encoder's turn.
+//! `screw_periodic.A`: a wave along the travel.
+//! Its period is a turn of a screw or an encoder.
 
 use crate::effect::wave::{Sine, amplitude, period, phase};
 use crate::effect::{Description, Law, Need, Searched, Wave};

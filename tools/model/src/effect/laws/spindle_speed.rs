@@ -1,4 +1,4 @@
-//! `spindle_speed.A`: growth with the spindle's speed, at once.
+//! `spindle_speed.A`: growth that follows the spindle's speed at once.
 
 use crate::effect::{Description, Law, Linear, Need, Parameter};
 use std::sync::Arc;

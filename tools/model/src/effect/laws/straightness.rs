@@ -1,4 +1,5 @@
-//! `straightness.A.B`: an axis's error along another's travel beyond a straight line.
+//! `straightness.A.B`: the error of A along the travel of B.
+//! A straight line is not part of it.
 
 use crate::effect::knots::{BrokenLine, parameters};
 use crate::effect::{Description, Law, Naming, Need};
@@ -7,7 +8,7 @@ use std::sync::Arc;
 /// First part of the effect's name.
 pub const NAME: &str = "straightness";
 
-/// The axis of the name that the knots lie on.
+/// Index of the axis in the name that the knots lie on.
 const ALONG: usize = 1;
 
 pub(super) fn law() -> Arc<dyn Law> {

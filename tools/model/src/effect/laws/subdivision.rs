@@ -20,7 +20,7 @@ const MOST_PERIODS: f64 = 0.25;
 
 pub(super) fn law() -> Arc<dyn Law> {
     let bounds = "signal periods of linear scales, from interferential (1 µm) to inductive ones (200 µm)";
-    // What is finer than the positions are read cannot be told from something coarser: two steps to a period.
+    // Two steps of the positions to a period: a finer wave looks like a coarser one.
     let wave = Wave { unit_mm: UNIT_MM, usual_mm: &SIGNALS_MM, steps: Some(2.0), most_periods: Some(MOST_PERIODS) };
     let description = Description {
         name: NAME.into(),

@@ -1,4 +1,4 @@
-//! `thermal_expansion.A`: what a temperature difference does to a length.
+//! `thermal_expansion.A`: a temperature difference changes a length.
 
 use crate::effect::{
     Bound, Description, Effect, Heat, Input, Law, Need, Out, Parameter, State,

@@ -1,4 +1,4 @@
-//! `thermal_growth.A`: what a temperature difference does at a point.
+//! `thermal_growth.A`: a temperature difference moves a point.
 
 use crate::effect::{
     Bound, Description, Effect, Heat, Input, Law, Need, Out, Parameter,

@@ -37,7 +37,8 @@ pub(super) fn law() -> Arc<dyn Law> {
     }))
 }
 
-/// State of the lag: lagged ΔT, its derivative by tau (where `SLOPE` asks for it), the input and the time of the instant before.
+/// The lagged ΔT and, if `SLOPE` asks for it, its derivative by tau.
+/// The state holds both, with the input and the time of the previous instant.
 fn advance<const SLOPE: bool>(tau_s: f64, now: &Input, state: &mut State) -> (f64, f64) {
     let u = now.delta_k;
     if !state.started {
@@ -91,7 +92,7 @@ impl Law for ThermalLag {
         out[TAU] = (effect.scalar(0) + 2.0 * effect.scalar(1) * y) * moved;
     }
 
-    /// Pairs of sensors are many: for them every other time constant, to be refined.
+    /// Pairs of sensors are many, so they get every other time constant only.
     fn grid(&self, effect: &Effect, records: &dyn Extent) -> Vec<Point> {
         let all = records.time_constants_s();
         let price = (all.len() as f64).ln();

@@ -1,4 +1,4 @@
-//! `warm_up.A`: drift from the start with no logged cause.
+//! `warm_up.A`: a drift from the start, without a logged cause.
 
 use crate::effect::{
     Bound, Description, Effect, Extent, Heat, Input, Law, Need, Out, Parameter, Point, Refine, Search, State,
@@ -35,7 +35,7 @@ pub(super) fn law() -> Arc<dyn Law> {
     }))
 }
 
-/// The drift of one micrometre in the end.
+/// The share of the final drift that is reached at a time, 0 to 1.
 fn drift(t_s: f64, tau_s: f64) -> f64 {
     -(-t_s.max(0.0) / tau_s).exp_m1()
 }

@@ -90,7 +90,7 @@ fn names_read_back() {
     }
 }
 
-/// formats.md, "Bounds": with a reason each, and nothing is set outside them.
+/// Every parameter has bounds and a source, and no value is set outside them.
 #[test]
 fn every_parameter_has_bounds_with_a_source() {
     for law in Dictionary::default().laws().map(Law::describe) {
@@ -114,12 +114,12 @@ fn every_parameter_has_bounds_with_a_source() {
     let mut wave = d.effect("subdivision.x").unwrap();
     wave.set_values(&[20.0, 5.0, 0.0]).unwrap();
     assert!(wave.set("um", &[5.1]).unwrap_err().expected.contains("0.25 of the period"));
-    // Coefficients are set as a fit finds them, and asked afterwards.
+    // A fit sets coefficients without a check; `is_physical` checks afterwards.
     wave.set_coefficients(&[4.0, 4.0]);
     assert!(!wave.is_physical());
 }
 
-/// A file whose line was forgotten is no effect.
+/// A law's file that is not in the list would not be an effect.
 #[test]
 fn every_file_of_a_law_is_in_the_list() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("src/effect/laws");

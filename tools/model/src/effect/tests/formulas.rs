@@ -4,7 +4,7 @@ use super::super::*;
 use super::{one_of_each, record, value_on};
 use crate::record::Turns;
 
-/// The effect's value at a row by formats.md's formula, from the record's columns.
+/// The effect's value at a row by the guide's formula, from the record's columns.
 fn by_hand(name: &str, r: &Record, row: usize) -> f64 {
     let col = |n: &str| r.columns.iter().find(|c| c.name == n).unwrap().data[row];
     let (t, x, y, z, v) = (col("t"), col("x"), col("y"), col("z"), col("vx"));
@@ -132,7 +132,8 @@ fn map_is_linear_between_knots_and_constant_beyond() {
     assert_eq!((rows.len(), rows[0].len()), (2, 4));
 }
 
-/// A first-order lag equals the exact solution for a ramp from equilibrium, whatever the step.
+/// A first-order lag equals the exact solution for a ramp, whatever the step.
+/// The ramp begins in equilibrium.
 #[test]
 fn lag_is_exact_for_linear_input() {
     let mut e = Dictionary::default().effect("thermal_lag.z").unwrap();
@@ -179,7 +180,7 @@ fn spike_counts_travel_from_the_last_row_of_the_old_direction() {
     }
 }
 
-/// If a run turns beyond its targets, the first of them is that much further from the turn.
+/// If a run turns beyond its targets, the first target is further from the turn.
 #[test]
 fn a_spike_dies_out_on_the_way_that_no_row_shows() {
     let mut run = record(Kind::Positioning, 20, &["error.x"]);

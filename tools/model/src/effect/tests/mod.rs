@@ -6,7 +6,7 @@ use super::*;
 use crate::record::Column;
 use std::path::Path;
 
-/// A record with something in every column; responses error.x, error.y and force.x.
+/// A record with every role and the given responses.
 fn record(kind: Kind, rows: usize, responses: &[&str]) -> Record {
     let axis = |n: &str| Axis::new(n).unwrap();
     let mut columns = Vec::new();
@@ -35,7 +35,7 @@ fn record(kind: Kind, rows: usize, responses: &[&str]) -> Record {
     Record::new(Path::new("test.run.toml"), kind, columns).unwrap()
 }
 
-/// One effect of every law, with parameters that leave no term out.
+/// One effect of every law, with parameters that exercise every term.
 fn one_of_each() -> Vec<Effect> {
     let d = Dictionary::default();
     let effect = |name: &str, values: &[f64], sensor: Option<Difference>| {

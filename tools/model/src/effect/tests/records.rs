@@ -1,10 +1,10 @@
-//! Effects over records, in pieces and live.
+//! Effects over records: whole, in pieces and live.
 
 use super::super::*;
 use super::{one_of_each, record, value_on};
 use crate::live::{AxisNow, Frame, Layout, Live};
 
-/// The same digits in one go over a record as instant by instant, on the machine.
+/// A whole record gives the same digits as its rows one by one.
 #[test]
 fn a_record_in_one_go_is_its_instants_one_by_one() {
     for e in one_of_each() {
@@ -25,7 +25,7 @@ fn a_record_in_one_go_is_its_instants_one_by_one() {
     }
 }
 
-/// The same digits piece by piece as in one go.
+/// A record in pieces gives the same digits as the whole.
 #[test]
 fn a_record_in_pieces_is_the_record_in_one_go() {
     for e in one_of_each() {

@@ -1,9 +1,9 @@
-"""A shop of many machines: records and models in one store, judged by a cluster that exists already.
+"""A shop of many machines: records and models in one store, judged by an existing cluster.
 
 The store is a folder or an object store, whatever fsspec reaches by its URL::
 
     inbox/MACHINE/DIGEST/NAME.run.toml            as `rtecctl ship` and :func:`ship` send them
-    records/machine=MACHINE/month=YYYY-MM/…       Parquet, one schema (:data:`SCHEMA`), a reading a row
+    records/machine=MACHINE/month=YYYY-MM/…       Parquet, one schema (:data:`SCHEMA`), one reading per row
     models/MACHINE/machine.toml                   each machine's model
     machines.toml                                 what the machines have in common: a table for each, as `hall = "south"`
 

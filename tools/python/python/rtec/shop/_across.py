@@ -1,4 +1,4 @@
-"""What only the whole shop shows."""
+"""Findings that only the whole shop shows."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-#: Machines, or months of machines.
+#: A set of machines, or of months of machines.
 Members = set[Any]
 
-#: So few machines share nothing but chance.
+#: Smallest number of machines that can share a cause.
 _FEWEST = 3
-#: Chance alone may call so many of all causes of a shop common.
+#: Probability that chance alone makes a cause common, for all causes of a shop.
 _LEVEL = 0.01
-#: A figure has left its history when it moved so many times what figures of this kind move from month to month.
+#: A figure has left its history if it moved by this many times the usual change of such figures from month to month.
 _TIMES = 6.0
 
 
@@ -44,10 +44,10 @@ def shared(
 ) -> pd.DataFrame:
     """Causes that machines share, each with what they have in common.
 
-    An effect that a machine shows in at least half of its months is its own for good, and is compared with what the machines have in
-    common (a batch of scales); one that comes and goes is compared with the months (a heat wave), with months of machines that have
-    something in common, and with what records' notes name (`fixture=F3`). What is left when a cause is taken out is looked
-    at again. Probabilities are hypergeometric, each multiplied by the number of comparisons.
+    An effect that a machine shows in at least half of its months is permanent, and is compared with what the machines have in
+    common (a batch of scales). One that comes and goes is compared with the months (a heat wave), with months of machines that have
+    something in common, and with the names in records' notes (`fixture=F3`). After a cause is removed, the rest is tested again.
+    Probabilities are hypergeometric, each multiplied by the number of comparisons.
     """
     judged = months[months["verdict"].notna()]
     seen: dict[str, set[str]] = defaultdict(set)
@@ -60,7 +60,7 @@ def shared(
     for row in effects.itertuples():
         had[row.effect].add((row.machine, row.month))
         values[row.effect, row.machine, row.month] = row.value
-    # Each group: what it has in common, its members among those that could be in it.
+    # Each group: what it has in common, its members, and all that could be in it.
     of_machines: dict[str, Members] = defaultdict(set)
     for machine in seen:
         for key, value in attributes.get(machine, {}).items():
@@ -93,8 +93,9 @@ def shared(
 
 
 def standing_out(set_ups: pd.DataFrame) -> pd.DataFrame:
-    """The set-ups that stand where those of this shop do not. A gauge's zero says nothing of one machine alone; of many, that it is
-    elsewhere on one fixture."""
+    """The set-ups that differ from the others of this shop.
+
+    A gauge's zero gives no information for one machine alone. Among many it shows that one fixture is at another place."""
     by_kind = set_ups.groupby("effect")["value"]
     off = (set_ups["value"] - by_kind.transform("median")).abs()
     usual = off.groupby(set_ups["effect"]).transform("median") / 0.6745
@@ -108,13 +109,15 @@ def _explained(
     comparisons: int,
     valued: Callable[[Any], list[float]],
 ) -> list[list[Any]]:
-    """The groups that hold more of the holders than chance gives them, the likeliest first, each explaining its own."""
+    """The groups that have more of the holders than chance explains, the most certain first.
+
+    Each takes its holders out of the comparison for the next."""
     rows, left = [], set(holders)
     while len(left) >= _FEWEST:
         best = None
         for name, members, of in groups:
             both = left & members
-            # A cause that most of its group do not show is not what the group has in common.
+            # A group does not share a cause that most of its members do not show.
             if len(both) < _FEWEST or 2 * len(both) < len(members):
                 continue
             p = _tail(len(both), len(left), len(members), len(of))
@@ -133,8 +136,10 @@ def _explained(
 
 
 def drifting(figures: pd.DataFrame) -> pd.DataFrame:
-    """Figures that left their own history: the last value against the median of those before, in units of what figures of this kind
-    move from one record to the next over the whole shop (robust standard deviation)."""
+    """Figures that left their own history.
+
+    The last value is compared with the median of those before. The unit is the change of such figures from one record to the next
+    over the whole shop (robust standard deviation)."""
     columns = ["machine", "figure", "before", "now", "times", "date"]
     rows = []
     ordered = figures.dropna(subset=["value"]).sort_values(["machine", "figure", "date"])

@@ -1,4 +1,4 @@
-"""Every machine's months judged, one task each."""
+"""Judges every month of every machine, one task each."""
 
 from __future__ import annotations
 
@@ -19,23 +19,23 @@ import rtec
 from rtec.shop._across import drifting, shared, standing_out
 from rtec.shop._store import Run, Shop
 
-#: `fixture=F3` in a record's note: what the run had in common with others.
+#: `fixture=F3` in a record's note: a property that the run shares with others.
 _NOTED = re.compile(r"(\w+)=([\w.-]+)")
 
-#: With fewer values than these, two runs may be alike by chance.
+#: With fewer distinct values, two runs may be equal by chance.
 _VALUES = 8
 
 
 @dataclass(frozen=True)
 class Assessment:
-    """What was found, as DataFrames."""
+    """The results of an assessment, as DataFrames."""
 
     #: A row for each machine: ``verdict`` of its last month, its own causes, causes it shares, ``days_left`` of its model.
     machines: pd.DataFrame
     #: A row for each month of each machine: ``verdict``, ``gap_before_um`` and ``gap_after_um``, ``error``, ``seconds`` of one core.
     months: pd.DataFrame
     #: A row for each effect that a model lacks: ``machine``, ``month``, ``effect``, ``value``, ``p_value``. `unexplained error.x` is one
-    #: too, and so is `set_up zero_um`: a set-up that stands where those of this shop do not.
+    #: too, and so is `set_up zero_um`: a set-up that differs from the others of this shop.
     effects: pd.DataFrame
     #: A row for each figure of each record: ``machine``, ``month``, ``run``, ``figure``, ``value``; or its ``error``.
     figures: pd.DataFrame
@@ -45,12 +45,12 @@ class Assessment:
     drifting: pd.DataFrame
     #: Models whose validity ends soon: ``machine``, ``days_left``.
     expiring: pd.DataFrame
-    #: Records that cannot be read or evaluated, that have no date for a history, or that came twice, changed: ``machine``, ``month``, ``run``, ``error``.
+    #: Records that cannot be read or evaluated, that have no date for a history, or that came twice with changes: ``machine``, ``month``, ``run``, ``error``.
     unreadable: pd.DataFrame
 
 
 def judge(shop: Shop, machine: str, month: str, keys: list[str], level: float) -> dict[str, Any]:
-    """One month of one machine. Never raises for what a record or model holds: that is a row."""
+    """Judges one month of one machine. A faulty record or model becomes a row and raises nothing."""
     start = time.process_time()
     records, figures, noted, logs = [], [], set(), 0
     with warnings.catch_warnings():
@@ -69,7 +69,7 @@ def judge(shop: Shop, machine: str, month: str, keys: list[str], level: float) -
                     raise run
                 if key in twice:
                     raise ValueError(twice[key])
-                if not run.responses:  # a log: kept, and nothing to judge
+                if not run.responses:  # a log: it is kept, but not judged
                     logs += 1
                     continue
                 found = rtec.history(run, machine).document
@@ -101,7 +101,7 @@ def judge(shop: Shop, machine: str, month: str, keys: list[str], level: float) -
                 value = p["value"] if isinstance(p["value"], float) else None
                 of = {"effect": effect["name"], "parameter": name, "value": value, "p_value": effect["p_value"]}
                 effects.append({"machine": machine, "month": month, **of})
-            # What has no name may be shared all the same.
+            # Machines may also share a shape without a name.
             for response in sorted({shape["response"] for shape in verdict.document["unexplained"]}):
                 effects.append({"machine": machine, "month": month, "effect": f"unexplained {response}"})
             for terms in verdict.document["set_up"].values():
@@ -116,8 +116,9 @@ def judge(shop: Shop, machine: str, month: str, keys: list[str], level: float) -
 
 
 def _came_twice(runs: dict[str, rtec.Record]) -> dict[str, str]:
-    """Runs of one name of which nine rows in ten are the same, to the last bit: one of them was changed after it had been sent. No
-    machine repeats its errors row by row, unless they take few values."""
+    """Runs of one name with nine rows in ten equal to the last bit: one was changed after it was sent.
+
+    No machine repeats its errors row by row, unless they take few values."""
     said: dict[str, str] = {}
     for (one, a), (other, b) in combinations(runs.items(), 2):
         names = [place.rsplit("/", 1)[1].rsplit("-", 1)[0] for place in (one, other)]
@@ -140,17 +141,17 @@ def assess(
     soon_days: int = 60,
     level: float = 0.01,
 ) -> Assessment:
-    """Judges every month of every machine of a store, and looks over the shop.
+    """Judges every month of every machine of a store, then the shop as a whole.
 
-    ``client``: a cluster's address (``tcp://…``) or a client of Dask; in this process where it is left out. A task whose worker dies is
-    done again by another one. ``today``: the day that models' validity is seen from.
+    ``client``: a cluster's address (``tcp://…``) or a client of Dask; without it the work is done in this process. If a worker dies,
+    another one repeats its task. ``today``: the day for which models' validity is judged.
     """
     shop = shop if isinstance(shop, Shop) else Shop(shop)
     units = [
         (machine, month, [run.key for run in runs])
         for (machine, month), runs in groupby(shop.runs(), key=lambda run: (run.machine, run.month))
     ]
-    # Before the work, not after it.
+    # Checked before the work, not after it.
     attributes = _attributes(shop, {unit[0] for unit in units})
     if not units:
         text = f"{shop.url}: no record; what was sent to its inbox is taken among the records by Shop.gather()"
@@ -177,7 +178,7 @@ def _spread(client: Client, shop: Shop, units: list[tuple[str, str, list[str]]],
         machine, month, keys = futures.pop(future)
         try:
             done.append(future.result())
-        except Exception as error:  # workers died of it again and again
+        except Exception as error:  # the task killed its workers repeatedly
             why = f"{type(error).__name__}: {error}"
             row = {"machine": machine, "month": month, "runs": len(keys), "verdict": None, "error": why, "noted": []}
             done.append({"month": row, "effects": [], "set_ups": [], "figures": []})

@@ -1,4 +1,4 @@
-"""Where records and models of many machines stand."""
+"""The store of records and models of many machines."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ import pyarrow.parquet as pq
 
 import rtec
 
-#: One schema for all: a row is one reading of one column; what belongs to the run stands in every row, and costs nothing packed.
+#: One schema for all: a row is one reading of one column. Data of the run repeats in every row, which costs nothing when packed.
 SCHEMA = pa.schema(
     [
         ("run", pa.string()),
@@ -52,7 +52,7 @@ def _named(machine: str) -> str:
 
 @dataclass(frozen=True)
 class Run:
-    """A run of the store: its machine, its month (``YYYY-MM`` or ``undated``), its place."""
+    """A run of the store: its machine, month (``YYYY-MM`` or ``undated``) and key."""
 
     machine: str
     month: str
@@ -60,7 +60,9 @@ class Run:
 
 
 class Shop:
-    """A store, by its URL: ``/srv/shop``, ``s3://shop``, ``memory://shop`` …; options as fsspec takes them."""
+    """A store, by its URL: ``/srv/shop``, ``s3://shop``, ``memory://shop`` …
+
+    Its options are those of fsspec."""
 
     def __init__(self, url: str | Path, **options: Any) -> None:
         self.url, self.options = str(url), options
@@ -82,7 +84,7 @@ class Shop:
             yield str(path)[len(self._root) + 1 :]
 
     def read(self, key: str) -> bytes:
-        """What stands at a place."""
+        """The bytes at a place."""
         return bytes(self._fs.cat_file(self._at(key)))
 
     def write(self, key: str, data: bytes) -> None:
@@ -93,7 +95,7 @@ class Shop:
             file.write(data)
 
     def put(self, machine: str, run: rtec.Record, *, digest: str | None = None) -> Run:
-        """Puts a record into the store; the same record again stands in the same place."""
+        """Puts a record into the store; the same record again gets the same place."""
         table = _table(run)
         month = run.date[:7] if run.date else "undated"
         text = (run.to_sidecar() + run.to_csv()).encode()
@@ -106,7 +108,7 @@ class Shop:
         return Run(machine, month, key)
 
     def get(self, run: Run | str) -> rtec.Record:
-        """A record of the store; what is no such record raises :class:`rtec.InputError` or ValueError, with its place."""
+        """A record of the store; anything else raises :class:`rtec.InputError` or ValueError, with its place."""
         key = run.key if isinstance(run, Run) else run
         try:
             table = pq.read_table(io.BytesIO(self.read(key)))
@@ -124,7 +126,7 @@ class Shop:
         return [Run(match[1], match[2], key) for match, key in found if match]
 
     def gather(self) -> list[tuple[str, str]]:
-        """Takes what was sent to the inbox among the records, each once; gives what cannot be read, with the finding."""
+        """Moves records from the inbox into the store, each once; returns unreadable ones, with the finding."""
         there = {run.key.rsplit("-", 1)[1].removesuffix(".parquet") for run in self.runs()}
         bad: list[tuple[str, str]] = []
         for key in self._keys("inbox"):
@@ -152,7 +154,7 @@ class Shop:
         self.write(f"models/{_named(machine)}/machine.toml", model.text.encode())
 
     def model(self, machine: str) -> rtec.Machine:
-        """A machine's model; FileNotFoundError where it has none."""
+        """A machine's model; FileNotFoundError if it has none."""
         key = f"models/{machine}/machine.toml"
         return rtec.Machine.parse(self.read(key).decode(), key)
 
@@ -162,7 +164,7 @@ class Shop:
         return [parts[1] for parts in found if len(parts) == 3 and parts[2] == "machine.toml"]
 
     def attributes(self) -> dict[str, dict[str, str]]:
-        """What ``machines.toml`` says of each machine."""
+        """The table of each machine in ``machines.toml``."""
         place = f"{self.url}/machines.toml"
         try:
             tables = tomllib.loads(self.read("machines.toml").decode())
@@ -223,10 +225,10 @@ def _record(table: pa.Table, key: str) -> rtec.Record:
 
 
 def ship(spool: str | Path, shop: Shop, machine: str) -> list[str]:
-    """Sends what waits in a spool folder to a store, as ``rtecctl ship`` does to a folder; gives the places.
+    """Sends the records of a spool folder to a store, as ``rtecctl ship`` does; returns the places.
 
-    The CSV goes before its sidecar; only what was read back as it was sent leaves the spool, for ``sent/`` below it.
-    A store that goes away raises its own error: what was not sent waits.
+    The CSV is sent before its sidecar. A record moves from the spool to ``sent/`` below it only after it was read back unchanged.
+    If the store becomes unavailable, its own error is raised, and the unsent records stay in the spool.
     """
     places, folder = [], Path(spool)
     _named(machine)
@@ -237,7 +239,7 @@ def ship(spool: str | Path, shop: Shop, machine: str) -> list[str]:
             continue
         files = [folder / csv, sidecar]
         if Path(csv).name != csv or any(file.is_symlink() for file in files):
-            continue  # nothing is read, sent or moved that lies elsewhere
+            continue  # files elsewhere are not read, sent or moved
         data = [file.read_bytes() for file in files]
         digest = hashlib.sha256(b"".join(hashlib.sha256(d).digest() for d in data)).hexdigest()[:16]
         place = f"inbox/{machine}/{digest}"

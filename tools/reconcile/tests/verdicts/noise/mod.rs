@@ -1,6 +1,6 @@
-//! Noise that is the same in every run.
+//! Repeatable noise for every run.
 
-/// Normal numbers, near enough, always the same.
+/// Nearly normal numbers, always the same for a seed.
 pub(crate) fn noise(seed: u64) -> impl FnMut() -> f64 {
     let mut state = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1;
     let mut uniform = move || {
