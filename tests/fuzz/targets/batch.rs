@@ -23,8 +23,8 @@ fuzz_target!(|data: &[u8]| {
             p.parts > 2 && (0.0..=1.0).contains(&p.p_value) && (0.0..=1.0).contains(&p.trend_p_value),
             "{p:?}"
         );
-        let figures = [p.mean_um, p.sd_um, p.interval_um[0], p.interval_um[1], p.trend_um_per_part];
-        assert!(figures.iter().all(|v| v.is_finite()), "{p:?}");
+        let figures = [p.mean_um, p.sd_um, p.trend_um_per_part];
+        assert!(figures.iter().chain(p.interval_um.iter().flatten()).all(|v| v.is_finite()), "{p:?}");
     }
     batch.offers.iter().for_each(|offer| rtec_fuzz::fit(offer));
 
@@ -35,8 +35,8 @@ fuzz_target!(|data: &[u8]| {
     assert_eq!(format!("{same:?}"), format!("{batch:?}"));
     let means = |batch: &Batch, sign: f64| -> Vec<_> {
         let of = |p: &rtec_part::batch::PlaceStatistics| {
-            let [low, high] = p.interval_um.map(|v| v * sign);
-            let interval = if sign < 0.0 { [high, low] } else { [low, high] };
+            let of_sign = |[low, high]: [f64; 2]| if sign < 0.0 { [-high, -low] } else { [low, high] };
+            let interval = p.interval_um.map(of_sign);
             (
                 p.mean_um * sign,
                 p.sd_um,

@@ -78,6 +78,9 @@ pub struct BatchStep {
     pub um: f64,
     /// Standard deviation about the means on either side, in µm.
     pub sd_about_um: f64,
+    /// Probability of such a step by chance.
+    /// Two-sided t-test, corrected for the parts that it may lie between and for all places.
+    pub p_value: f64,
 }
 
 /// The statistics of one place.
@@ -95,7 +98,8 @@ pub struct PlaceStatistics {
     /// Sample standard deviation, in µm.
     pub sd_um: f64,
     /// 95 % interval of the mean, in µm.
-    pub interval_um: [f64; 2],
+    /// `None` if all readings of the batch are 0: what rounding hides is then unknown.
+    pub interval_um: Option<[f64; 2]>,
     /// Probability of a mean this far from 0 by chance.
     /// It is from a two-sided t-test with Holm's correction over all places.
     pub p_value: f64,
@@ -110,7 +114,7 @@ pub struct PlaceStatistics {
     /// The error that probing on the machine found there, in µm.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub seen_on_machine_um: Option<f64>,
-    /// A step, if it explains the change better than a straight line.
+    /// A step beyond chance, if it explains the change better than a straight line.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub step: Option<BatchStep>,
     /// Readings that are left out of the figures.
@@ -223,6 +227,9 @@ fn judge(
         return Err(InputError::whole(file, found, OTHER_UNIT));
     }
     let parts = sheet.words("part")?;
+    let errors_mm: Vec<f64> = series.iter().flat_map(Series::kept).map(|(_, um)| um / 1000.0).collect();
+    let step_um = written_step_mm(&errors_mm).map_or(0.0, |mm| 1000.0 * mm);
+    let is_step_seen = errors_mm.iter().any(|mm| *mm != 0.0);
     let mut places: Vec<PlaceStatistics> = series
         .iter()
         .map(|s| {
@@ -231,9 +238,9 @@ fn judge(
                 line: sheet.line(s.rows[*k]),
                 error_um: s.errors_um[*k],
             };
-            let step = step(&s.kept()).map(|(k, um, sd_about_um)| {
-                let part = parts[s.rows[k]].clone();
-                BatchStep { part, um, sd_about_um }
+            let step = step(&s.kept(), step_um).map(|step| {
+                let part = parts[s.rows[step.place]].clone();
+                BatchStep { part, um: step.um, sd_about_um: step.sd_about_um, p_value: step.p_value }
             });
             PlaceStatistics { left_out: s.wild.iter().map(reading).collect(), step, ..statistics(s, seen) }
         })
@@ -248,22 +255,28 @@ fn judge(
         let expected = format!("places that were inspected, {inspected}, within 0.05 rad");
         return Err(InputError::whole(file, found, expected));
     }
-    let errors_mm: Vec<f64> = series.iter().flat_map(Series::kept).map(|(_, um)| um / 1000.0).collect();
-    let step_um = written_step_mm(&errors_mm).map_or(0.0, |mm| 1000.0 * mm);
     let rounding = |p: &PlaceStatistics| if step_um > 0.0 { left_in_mean(step_um, p.sd_um) } else { 0.0 };
     let is_coarse = step_um > LEAST_TOLD_UM && places.iter().any(|p| p.sd_um < step_um);
     for p in &mut places {
         let rounding = rounding(p);
-        p.interval_um = [p.interval_um[0] - rounding, p.interval_um[1] + rounding];
+        p.interval_um = p.interval_um.filter(|_| is_step_seen).map(|[l, h]| [l - rounding, h + rounding]);
     }
     let means: Vec<f64> = places.iter().map(|p| p.p_value).collect();
     let trends: Vec<f64> = places.iter().map(|p| p.trend_p_value).collect();
-    let (means, trends) = (holm(&means), holm(&trends));
+    let steps: Vec<f64> = places.iter().map(|p| p.step.as_ref().map_or(1.0, |s| s.p_value)).collect();
+    let (means, trends, steps) = (holm(&means), holm(&trends), holm(&steps));
     for (i, p) in places.iter_mut().enumerate() {
         (p.p_value, p.trend_p_value) = (means[i], trends[i]);
+        p.step = p
+            .step
+            .take()
+            .map(|s| BatchStep { p_value: steps[i], ..s })
+            .filter(|s| s.p_value < judgement.alpha);
         let drift_um = (p.trend_um_per_part * (p.parts - 1) as f64).abs();
-        p.finding = if p.trend_p_value < judgement.alpha && drift_um > judgement.least_um {
-            if p.step.is_some() { BatchFinding::Step } else { BatchFinding::Trend }
+        p.finding = if p.step.as_ref().is_some_and(|s| s.um.abs() > judgement.least_um) {
+            BatchFinding::Step
+        } else if p.trend_p_value < judgement.alpha && drift_um > judgement.least_um {
+            BatchFinding::Trend
         } else if p.p_value < judgement.alpha && p.mean_um.abs() > judgement.least_um.max(rounding(p)) {
             // Probing sees the error if it finds at least half of it, with its sign.
             match p.seen_on_machine_um {
@@ -440,36 +453,53 @@ const MOST_WILD: f64 = 0.25;
 /// It is a share of their own distance. A state is a worn or another tool.
 const STATE_SHARE: f64 = 0.5;
 
-/// Indices of readings far from a straight line through the others.
-/// Causes are a digit too many, another unit or another part. The distance, over its standard error by the
-/// others alone, follows Student's law. Readings are removed one after the other, and all up to the last
-/// significant one count (Rosner, Technometrics 25, 1983). `places` is the number of tested places.
+/// A reading and how far it is from the others.
+struct Farthest {
+    /// Index among the readings.
+    at: usize,
+    /// Probability of such a distance of the farthest reading by chance.
+    p_value: f64,
+}
+
+/// The reading with the largest distance from the others, in standard errors.
+/// The distance is that from a straight line through them, or from their mean if not `sloped`.
+/// `least_um` is the smallest standard deviation of a reading.
+fn farthest(rest: &[(usize, f64)], sloped: bool, least_um: impl Fn(usize) -> f64) -> Option<Farthest> {
+    let (n, line) = (rest.len() as f64, Line::through(rest));
+    let line = if sloped { line } else { Line { slope: 0.0, ..line } };
+    let freedom = rest.len().checked_sub(if sloped { 3 } else { 2 }).filter(|f| *f > 1)?;
+    let squares: f64 = rest.iter().map(|point| line.left(*point).powi(2)).sum();
+    // Reduction of the sum of squares when a reading is left out.
+    let taken = |point: &(usize, f64)| {
+        let along = if sloped { (point.0 as f64 - line.middle).powi(2) / line.square } else { 0.0 };
+        line.left(*point).powi(2) / (1.0 - 1.0 / n - along)
+    };
+    let (at, own) = rest.iter().map(taken).enumerate().max_by(|a, b| a.1.total_cmp(&b.1))?;
+    let variance = ((squares - own).max(0.0) / freedom as f64).max(least_um(at).powi(2));
+    Some(Farthest { at, p_value: n * two_sided((own / variance).sqrt(), freedom) })
+}
+
+/// Indices of readings far from the others.
+/// Causes are a digit too many, another unit or another part. The distance from the others' mean, and that
+/// from a line through them, follow Student's law: batches are level or worn. Readings are removed one after
+/// the other, and all up to the last significant one count (Rosner, Technometrics 25, 1983). `places` is the
+/// number of tested places.
 fn wild(errors_um: &[f64], places: usize) -> Vec<usize> {
     let mut rest: Vec<(usize, f64)> = errors_um.iter().copied().enumerate().collect();
     let most = ((MOST_WILD * rest.len() as f64) as usize).max(1);
     let (mut out, mut found) = (Vec::new(), 0);
-    while out.len() < most && rest.len() > 4 {
-        let (n, line) = (rest.len() as f64, Line::through(&rest));
-        let squares: f64 = rest.iter().map(|point| line.left(*point).powi(2)).sum();
-        // Reduction of the sum of squares when a reading is left out.
-        let taken = |point: &(usize, f64)| {
-            let lever = 1.0 / n + (point.0 as f64 - line.middle).powi(2) / line.square;
-            line.left(*point).powi(2) / (1.0 - lever)
-        };
-        let all = rest.iter().map(taken).enumerate();
-        let Some((at, own)) = all.max_by(|a, b| a.1.total_cmp(&b.1)) else { break };
-        out.push(rest.remove(at).0);
+    while out.len() < most {
         // No reading is better than its step. If all others are zero, the step may be as large as this
         // reading.
-        let others_mm: Vec<f64> = rest.iter().map(|(_, um)| um / 1e3).collect();
-        let this_mm = [errors_um[out[out.len() - 1]] / 1e3];
-        let step = written_step_mm(&others_mm).or_else(|| written_step_mm(&this_mm));
-        let step_um = step.map_or(0.0, |mm| 1e3 * mm);
-        let variance = ((squares - own).max(0.0) / (n - 3.0)).max(step_um.powi(2) / 12.0);
-        let off = (own / variance).sqrt();
-        let law = StudentsT::new(0.0, 1.0, n - 3.0);
-        let bound = law.map_or(f64::INFINITY, |law| -law.inverse_cdf(CHANCE / (2.0 * n * places as f64)));
-        if off > bound {
+        let least_um = |at: usize| {
+            let others_mm: Vec<f64> = (0..rest.len()).filter(|k| *k != at).map(|k| rest[k].1 / 1e3).collect();
+            let step = written_step_mm(&others_mm).or_else(|| written_step_mm(&[rest[at].1 / 1e3]));
+            step.map_or(0.0, |mm| 1e3 * mm / 12f64.sqrt())
+        };
+        let models = [true, false].into_iter().filter_map(|sloped| farthest(&rest, sloped, least_um));
+        let Some(next) = models.min_by(|a, b| a.p_value.total_cmp(&b.p_value)) else { break };
+        out.push(rest.remove(next.at).0);
+        if next.p_value < CHANCE / (2 * places) as f64 {
             found = out.len();
         }
     }
@@ -489,10 +519,20 @@ fn wild(errors_um: &[f64], places: usize) -> Vec<usize> {
     single
 }
 
+/// A step of a series.
+struct SeriesStep {
+    /// Index of the first error after it.
+    place: usize,
+    um: f64,
+    sd_about_um: f64,
+    /// Probability by chance, for a single place of the batch.
+    p_value: f64,
+}
+
 /// The step between two parts that explains errors better than a line.
-/// Returns the index of the first error after it, its size, and the standard deviation about both means. Its
-/// place was searched for, which costs one parameter more than a line has (Schwarz's criterion).
-fn step(points: &[(usize, f64)]) -> Option<(usize, f64, f64)> {
+/// Its place was searched for, which costs one parameter more than a line has (Schwarz's criterion), and a
+/// test for each place. `step_um` is the gauge's: readings between two of its steps scatter by half of one.
+fn step(points: &[(usize, f64)], step_um: f64) -> Option<SeriesStep> {
     const SIDE: usize = 2;
     let (n, line) = (points.len(), Line::through(points));
     let mean = |points: &[(usize, f64)]| points.iter().map(|(_, um)| um).sum::<f64>() / points.len() as f64;
@@ -503,11 +543,18 @@ fn step(points: &[(usize, f64)]) -> Option<(usize, f64, f64)> {
     let about_line: f64 = points.iter().map(|point| line.left(*point).powi(2)).sum();
     let about = |k: usize| squares(&points[..k]) + squares(&points[k..]);
     let places = SIDE..(n + 1).checked_sub(SIDE)?;
+    let sought = places.len() as f64;
     let (at, left) = places.map(|k| (k, about(k))).min_by(|a, b| a.1.total_cmp(&b.1))?;
     let count = n as f64;
     let is_better = count * (about_line / left.max(f64::MIN_POSITIVE)).ln() > count.ln();
-    let size = mean(&points[at..]) - mean(&points[..at]);
-    (n > 2 * SIDE && is_better).then(|| (points[at].0, size, (left / (count - 2.0)).sqrt()))
+    if n <= 2 * SIDE || !is_better {
+        return None;
+    }
+    let um = mean(&points[at..]) - mean(&points[..at]);
+    let sd_about_um = (left / (count - 2.0)).sqrt();
+    let of_mean = sd_about_um.max(0.5 * step_um) * (1.0 / at as f64 + 1.0 / (n - at) as f64).sqrt();
+    let p_value = (sought * two_sided(um / of_mean, n - 2)).min(1.0);
+    Some(SeriesStep { place: points[at].0, um, sd_about_um, p_value })
 }
 
 fn statistics(series: &Series, seen: Option<&[PointError]>) -> PlaceStatistics {
@@ -536,7 +583,7 @@ fn statistics(series: &Series, seen: Option<&[PointError]>) -> PlaceStatistics {
         parts: n,
         mean_um: mean,
         sd_um: sd,
-        interval_um: [mean - half, mean + half],
+        interval_um: Some([mean - half, mean + half]),
         p_value: two_sided(mean / of_mean, n - 1),
         trend_um_per_part: slope,
         trend_standard_error_um: slope_error,
@@ -566,7 +613,7 @@ fn holm(p: &[f64]) -> Vec<f64> {
 
 fn offer(p: &PlaceStatistics) -> Option<String> {
     let at = p.angle_rad.map_or(String::new(), |a| format!(" at {a:.4} rad"));
-    let (name, mean, [low, high]) = (&p.feature, p.mean_um, p.interval_um);
+    let (name, mean, [low, high]) = (&p.feature, p.mean_um, p.interval_um?);
     Some(match p.finding {
         BatchFinding::Nothing => return None,
         BatchFinding::Systematic if p.angle_rad.is_some() => {

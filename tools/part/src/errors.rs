@@ -2,7 +2,7 @@
 //! The steps are probe tip, geometric-thermal correction, fit, `error.cor` and whiskers.
 
 use crate::cor::{PointError, error_cor, turned_near};
-use crate::fit::{self, FitError, FitShape, FittedShape, Zx, sequence};
+use crate::fit::{self, FitError, FitShape, FittedShape, Robust, TwoStep, Zx, sequence};
 use crate::path::{PathPoint, touches};
 use crate::repeats::{self, Repeats};
 use crate::steps::written_step_mm;
@@ -102,8 +102,8 @@ pub struct ErrorReport {
     pub inclination_error_deg: Option<f64>,
     /// Standard errors of the centre along Z and X, in µm.
     /// For a straight feature both are along its normal. `None` if the points do not determine them. All
-    /// standard errors here use the scatter of all points. The second fit leaves out points by their
-    /// deviations, so its own scatter is too small.
+    /// standard errors here use the scatter of all points. The second fit still holds the flanks of a form
+    /// error, so its own scatter is too small.
     pub centre_standard_error_um: Option<[f64; 2]>,
     /// Standard error of the radius, in µm.
     /// For a straight feature it is that of its place along its normal.
@@ -383,6 +383,7 @@ impl Probed {
     }
 
     /// Part errors of a feature probed with a tip of radius `tip_mm`.
+    /// Points beyond noise are left out of the fit ([`fit::beyond_noise`]).
     ///
     /// The tip touches where its surface is normal to the part's, whatever the direction of approach. The
     /// approach only shows the side. So the shape is fitted to the tip's centres and moved by the tip's
@@ -391,6 +392,34 @@ impl Probed {
     /// # Errors
     /// Too few or degenerate points; approaches from both sides of the surface or along it.
     pub fn errors(&self, nominal: Nominal, tip_mm: f64) -> Result<ErrorReport, InputError> {
+        self.fitted(nominal, tip_mm, |shape, points, robust, repeats| {
+            let least_um = written_step_mm(&coordinates(points)).map_or(0.0, |mm| 1e3 * mm / 12f64.sqrt());
+            let rejected = match repeats {
+                None => fit::beyond_noise(&robust.fitted, points, least_um),
+                // Touches of one place share its form: each place counts once.
+                Some(repeats) => fit::robust(shape, &repeats.means).map_or_else(
+                    |_| Vec::new(),
+                    |robust| repeats.touches(&fit::beyond_noise(&robust.fitted, &repeats.means, least_um)),
+                ),
+            };
+            TwoStep::without(shape, points, rejected)
+        })
+    }
+
+    /// As [`Probed::errors`], by the report's rule ([`fit::two_step`]).
+    ///
+    /// # Errors
+    /// As [`Probed::errors`].
+    pub fn errors_by_report(&self, nominal: Nominal, tip_mm: f64) -> Result<ErrorReport, InputError> {
+        self.fitted(nominal, tip_mm, |shape, points, _, _| fit::two_step(shape, points))
+    }
+
+    fn fitted(
+        &self,
+        nominal: Nominal,
+        tip_mm: f64,
+        second_fit: impl Fn(FitShape, &[Zx], &Robust, Option<&Repeats>) -> Result<TwoStep, FitError>,
+    ) -> Result<ErrorReport, InputError> {
         let shape = match nominal {
             Nominal::Circle { .. } => FitShape::Circle,
             Nominal::Line { .. } => FitShape::Line,
@@ -399,8 +428,10 @@ impl Probed {
             InputError::whole(self.sheet.file(), e.to_string(), "points that determine the feature")
         };
         let points = &self.tip_centre;
-        let mut two = fit::two_step(shape, points).map_err(as_input)?;
         let mut robust = fit::robust(shape, points).map_err(as_input)?;
+        let plain = fit::least_squares(shape, points, None).map_err(as_input)?;
+        let repeats = repeats::find(&plain, points, shape.parameters());
+        let mut two = second_fit(shape, points, &robust, repeats.as_ref()).map_err(as_input)?;
         let side = self.side(&two.fitted)?;
         if let FittedShape::Line { normal, .. } = two.fitted {
             // The normal of a straight feature is turned towards the probe in both fits, because a fit may
@@ -442,7 +473,6 @@ impl Probed {
         let (robust_centre, robust_radius) = place(&robust_surface);
         let kept: Vec<Zx> =
             (0..points.len()).filter(|i| !two.rejected.contains(i)).map(|i| points[i]).collect();
-        let repeats = repeats::find(&two.plain, points, shape.parameters());
         let (sd_um, step_um) = self.scatter_um(two.sd_before_um, shape);
         let standard_errors = |fitted: &FittedShape, points: &[Zx]| match &repeats {
             None => fit::standard_errors(fitted, points, sd_um),
@@ -498,9 +528,8 @@ impl Probed {
     fn scatter_um(&self, sd_um: f64, shape: FitShape) -> (f64, Option<f64>) {
         let n = self.tip_centre.len();
         let sd_um = sd_um * ((n - 1) as f64 / (n - shape.parameters()) as f64).sqrt();
-        let written: Vec<f64> = self.tip_centre.iter().flat_map(|p| [p.z, p.x]).collect();
         let coarse = |step: &f64| *step > sd_um.max(LEAST_STEP_UM);
-        let step_um = written_step_mm(&written).map(|mm| 1000.0 * mm).filter(coarse);
+        let step_um = written_step_mm(&coordinates(&self.tip_centre)).map(|mm| 1000.0 * mm).filter(coarse);
         (step_um.map_or(sd_um, |step| sd_um.hypot(step / 12f64.sqrt())), step_um)
     }
 
@@ -576,6 +605,10 @@ impl Probed {
         }
         Ok(side)
     }
+}
+
+fn coordinates(points: &[Zx]) -> Vec<f64> {
+    points.iter().flat_map(|p| [p.z, p.x]).collect()
 }
 
 /// Largest distance of a part from its place in the path, mm.
@@ -720,9 +753,11 @@ impl ErrorReport {
     }
 
     /// Half of a 95 % interval in standard errors, for this number of points.
+    /// Places that were touched several times count once.
     fn student(&self) -> Option<f64> {
         let parameters = if self.radius_mm.is_some() { 3 } else { 2 };
-        let freedom = self.points.checked_sub(parameters).filter(|n| *n > 0)? as f64;
+        let places = self.repeats.as_ref().map_or(self.points, |repeats| repeats.places);
+        let freedom = places.checked_sub(parameters).filter(|n| *n > 0)? as f64;
         Some(StudentsT::new(0.0, 1.0, freedom).ok()?.inverse_cdf(0.975))
     }
 

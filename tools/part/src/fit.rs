@@ -2,6 +2,7 @@
 //! The fits are geometric least squares, the two-step fit of NISTIR 4854 and a robust one.
 
 use serde::Serialize;
+use statrs::distribution::{ContinuousCDF, StudentsT};
 
 /// A point or a direction in the turning plane, in mm.
 /// `z` is along the part's axis, `x` is the distance from it.
@@ -371,7 +372,7 @@ pub fn form_in_size(angles_rad: &[f64]) -> Option<f64> {
     [2.0, 3.0, 4.0].map(held).into_iter().reduce(f64::max)
 }
 
-/// The two-step fit of NISTIR 4854, section 3.
+/// A fit through all points, and a second one without some of them.
 #[derive(Debug, Clone)]
 pub struct TwoStep {
     /// Least squares through all points.
@@ -388,6 +389,29 @@ pub struct TwoStep {
     pub errors_um: Vec<f64>,
 }
 
+impl TwoStep {
+    /// The second fit leaves out the points of these indices, ascending.
+    ///
+    /// # Errors
+    /// As [`least_squares`].
+    pub fn without(shape: FitShape, points: &[Zx], rejected: Vec<usize>) -> Result<Self, FitError> {
+        let needed = shape.parameters() + 1;
+        if points.len() < needed {
+            return Err(FitError::TooFew { found: points.len(), needed });
+        }
+        let plain = least_squares(shape, points, None)?;
+        let sd_before_um = sd(&deviations_um(&plain, points), |_| true);
+        let kept = |i: usize| rejected.binary_search(&i).is_err();
+        let weights: Vec<f64> = (0..points.len()).map(|i| f64::from(u8::from(kept(i)))).collect();
+        let fitted = least_squares(shape, points, Some(&weights))?;
+        let errors_um = deviations_um(&fitted, points);
+        let sd_after_um = sd(&errors_um, kept);
+        Ok(Self { plain, fitted, rejected, sd_before_um, sd_after_um, errors_um })
+    }
+}
+
+/// The two-step fit of NISTIR 4854, section 3.
+///
 /// Fits all points, drops the largest deviations, fits again.
 /// Both end points are kept. The deviations are those of all points.
 ///
@@ -395,6 +419,9 @@ pub struct TwoStep {
 ///
 /// A form error has one sign: a worn tool leaves material, a chipped one removes it. The other side has the
 /// good points, which the first circle is pulled away from.
+///
+/// Of white noise the rule drops about 30 % of the points, all on one side. The size is then off by about half
+/// an SD, whatever the number of points. `part errors` uses [`beyond_noise`] instead.
 ///
 /// # Errors
 /// As [`least_squares`].
@@ -405,14 +432,13 @@ pub fn two_step(shape: FitShape, points: &[Zx]) -> Result<TwoStep, FitError> {
     }
     let plain = least_squares(shape, points, None)?;
     let first = deviations_um(&plain, points);
-    let sd_before_um = sd(&first, |_| true);
     let ends = ends(&plain, points);
     let worst = (0..points.len())
         .filter(|i| !ends.contains(i))
         .max_by(|&a, &b| first[a].abs().total_cmp(&first[b].abs()))
         .unwrap_or(0);
     // Deviations below a picometre are rounding.
-    let threshold_um = (0.5 * sd_before_um).max(1e-6);
+    let threshold_um = (0.5 * sd(&first, |_| true)).max(1e-6);
     let mut rejected: Vec<usize> = (0..points.len())
         .filter(|i| !ends.contains(i) && first[*i] * first[worst].signum() > threshold_um)
         .collect();
@@ -422,12 +448,91 @@ pub fn two_step(shape: FitShape, points: &[Zx]) -> Result<TwoStep, FitError> {
         rejected.truncate(points.len() - needed);
         rejected.sort_unstable();
     }
-    let kept = |i: usize| rejected.binary_search(&i).is_err();
-    let weights: Vec<f64> = (0..points.len()).map(|i| f64::from(u8::from(kept(i)))).collect();
-    let fitted = least_squares(shape, points, Some(&weights))?;
-    let errors_um = deviations_um(&fitted, points);
-    let sd_after_um = sd(&errors_um, kept);
-    Ok(TwoStep { plain, fitted, rejected, sd_before_um, sd_after_um, errors_um })
+    TwoStep::without(shape, points, rejected)
+}
+
+/// Share of features in which chance sets a point apart.
+const CHANCE: f64 = 0.01;
+
+/// Sums over points, from which the residual squares of a linear fit follow.
+#[derive(Debug, Clone, Copy, Default)]
+struct Sums {
+    n: f64,
+    u: [f64; 2],
+    r: f64,
+    uu: [f64; 3],
+    ur: [f64; 2],
+    rr: f64,
+}
+
+impl Sums {
+    fn with(self, [a, b]: [f64; 2], r: f64) -> Self {
+        Self {
+            n: self.n + 1.0,
+            u: [self.u[0] + a, self.u[1] + b],
+            r: self.r + r,
+            uu: [self.uu[0] + a * a, self.uu[1] + a * b, self.uu[2] + b * b],
+            ur: [self.ur[0] + a * r, self.ur[1] + b * r],
+            rr: self.rr + r * r,
+        }
+    }
+
+    /// Residual sum of squares of a constant and both slopes.
+    fn left(&self) -> f64 {
+        let ([a, b], n) = (self.u, self.n);
+        let [aa, ab, bb] = [self.uu[0] - a * a / n, self.uu[1] - a * b / n, self.uu[2] - b * b / n];
+        let [ar, br] = [self.ur[0] - a * self.r / n, self.ur[1] - b * self.r / n];
+        let det = aa * bb - ab * ab;
+        let taken = if det > 1e-14 * (aa + bb).powi(2) {
+            (ar * ar * bb - 2.0 * ar * br * ab + br * br * aa) / det
+        } else {
+            (ar * ar + br * br) / (aa + bb).max(f64::MIN_POSITIVE)
+        };
+        (self.rr - self.r * self.r / n - taken).max(0.0)
+    }
+}
+
+/// Indices of the points that are farther from the shape than noise explains.
+///
+/// The half of the points nearest to the robust shape belongs to the surface. The others join it, the nearest
+/// first. The deviation of the next one from the fit of those before it follows Student's law. From the first
+/// significant one on, all are left out (Rosner, Technometrics 25, 1983). White noise loses a point in one to
+/// three of a hundred features. `least_um` is the smallest standard deviation of a point. The indices ascend.
+#[must_use]
+pub fn beyond_noise(robust: &FittedShape, points: &[Zx], least_um: f64) -> Vec<usize> {
+    let (n, off_um) = (points.len(), deviations_um(robust, points));
+    let mean =
+        points.iter().fold(Zx::new(0.0, 0.0), |s, p| s + robust.normal_at(*p)) * (1.0 / n.max(1) as f64);
+    // How far a small change of the shape moves its surface at each point.
+    let (parameters, slopes): (usize, Vec<[f64; 2]>) = match *robust {
+        FittedShape::Circle { .. } => {
+            let normal = |p: &Zx| robust.normal_at(*p) - mean;
+            (3, points.iter().map(|p| [normal(p).z, normal(p).x]).collect())
+        }
+        FittedShape::Line { through, normal } => {
+            let along = |p: &Zx| (*p - through).dot(Zx::new(normal.x, -normal.z));
+            (2, points.iter().map(|p| [along(p), 0.0]).collect())
+        }
+    };
+    let mut order: Vec<usize> = (0..n).collect();
+    order.sort_by(|a, b| off_um[*a].abs().total_cmp(&off_um[*b].abs()));
+    let core = n.midpoint(parameters + 1).min(n);
+    let joined = |sums: Sums, k: usize| sums.with(slopes[k], off_um[k]);
+    let mut sums = order[..core].iter().fold(Sums::default(), |sums, k| joined(sums, *k));
+    for m in core..n {
+        let next = joined(sums, order[m]);
+        if let Ok(law) = StudentsT::new(0.0, 1.0, m.saturating_sub(parameters) as f64) {
+            let variance = (sums.left() / (m - parameters) as f64).max(least_um.max(1e-6).powi(2));
+            let off = ((next.left() - sums.left()).max(0.0) / variance).sqrt();
+            if law.sf(off) < CHANCE / (2.0 * (m + 1) as f64) {
+                let mut out = order.split_off(m);
+                out.sort_unstable();
+                return out;
+            }
+        }
+        sums = next;
+    }
+    Vec::new()
 }
 
 /// Indices of the points in sequence along a shape.

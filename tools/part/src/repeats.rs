@@ -1,11 +1,14 @@
 //! Places that were touched several times.
 //! Their touches share the part's form, so they are not independent points.
 
-use crate::fit::{FittedShape, Zx, deviations_um};
+use crate::fit::{FittedShape, Zx, deviations_um, sequence};
 use serde::Serialize;
 
 /// Largest distance of touches of one place, as a share of the distance of places.
 const NEAR: f64 = 0.1;
+/// Largest distance of touches of one place, mm.
+/// Over less than the feed of a finish cut a surface has one form.
+const ONE_PLACE_MM: f64 = 0.1;
 
 /// Places that were touched several times, and the scatter of their touches.
 #[derive(Debug, Clone, Serialize)]
@@ -20,35 +23,42 @@ pub struct Repeats {
     /// Mean of each place, mm.
     #[serde(skip)]
     pub(crate) means: Vec<Zx>,
+    /// Touches of each place.
+    #[serde(skip)]
+    groups: Vec<Vec<usize>>,
 }
 
-/// The place of each point along a shape, and the length once around it, mm.
-/// That length is infinite for a line.
-fn along(fitted: &FittedShape, points: &[Zx]) -> (Vec<f64>, f64) {
+impl Repeats {
+    /// The touches of these places, in ascending order.
+    pub(crate) fn touches(&self, places: &[usize]) -> Vec<usize> {
+        let mut touches: Vec<usize> = places.iter().flat_map(|place| self.groups[*place].clone()).collect();
+        touches.sort_unstable();
+        touches
+    }
+}
+
+/// Distance along a shape from a point to the next one, mm.
+fn way_mm(fitted: &FittedShape, from: Zx, to: Zx) -> f64 {
     match *fitted {
-        FittedShape::Circle { centre, radius_mm, .. } => {
-            let turn = std::f64::consts::TAU * radius_mm;
-            (points.iter().map(|p| (*p - centre).angle_rad() * radius_mm).collect(), turn)
+        FittedShape::Circle { centre, radius_mm } => {
+            let turn = (to - centre).angle_rad() - (from - centre).angle_rad();
+            turn.rem_euclid(std::f64::consts::TAU) * radius_mm
         }
-        FittedShape::Line { through, normal } => {
-            let way = Zx::new(normal.x, -normal.z);
-            (points.iter().map(|p| (*p - through).dot(way)).collect(), f64::INFINITY)
-        }
+        FittedShape::Line { normal, .. } => (to - from).dot(Zx::new(normal.x, -normal.z)),
     }
 }
 
 /// Groups points on a shape into places; the shape has so many `parameters`.
 /// `None` if most points have a place of their own.
 pub(crate) fn find(fitted: &FittedShape, points: &[Zx], parameters: usize) -> Option<Repeats> {
-    let (along_mm, turn_mm) = along(fitted, points);
-    let mut order: Vec<usize> = (0..points.len()).collect();
-    order.sort_by(|a, b| along_mm[*a].total_cmp(&along_mm[*b]));
-    let gap = |w: &[usize]| along_mm[w[1]] - along_mm[w[0]];
-    let around = along_mm[*order.first()?] + turn_mm - along_mm[*order.last()?];
+    // Starts after the widest gap, so that no arc and no place is cut in two.
+    let order = sequence(fitted, points);
+    let gap = |w: &[usize]| way_mm(fitted, points[w[0]], points[w[1]]);
     let mut gaps: Vec<f64> = order.windows(2).map(gap).collect();
     gaps.sort_by(f64::total_cmp);
     // Finds the step from gaps within places to gaps between them. At least half of the gaps are within.
-    let split = ((gaps.len() / 2).max(2)..gaps.len()).find(|k| gaps[k - 1] <= NEAR * gaps[*k])?;
+    let is_split = |k: &usize| gaps[k - 1] <= ONE_PLACE_MM.min(NEAR * gaps[*k]);
+    let split = ((gaps.len() / 2).max(2)..gaps.len()).find(is_split)?;
     let widest = gaps[split - 1];
     let mut groups: Vec<Vec<usize>> = Vec::new();
     for (n, point) in order.iter().enumerate() {
@@ -56,10 +66,6 @@ pub(crate) fn find(fitted: &FittedShape, points: &[Zx], parameters: usize) -> Op
             Some(group) if gap(&order[n - 1..=n]) <= widest => group.push(*point),
             _ => groups.push(vec![*point]),
         }
-    }
-    if groups.len() > 1 && around <= widest {
-        let last = groups.pop().unwrap_or_default();
-        groups[0].extend(last);
     }
     let deviations = deviations_um(fitted, points);
     let mean = |group: &[usize]| group.iter().map(|k| deviations[*k]).sum::<f64>() / group.len() as f64;
@@ -75,6 +81,7 @@ pub(crate) fn find(fitted: &FittedShape, points: &[Zx], parameters: usize) -> Op
         sd_within_um: (within / (points.len() - places) as f64).sqrt(),
         sd_between_um: free.map(|free| (between / free as f64).sqrt()),
         means: groups.iter().map(centre).collect(),
+        groups,
     })
 }
 
@@ -104,6 +111,21 @@ mod tests {
                 let found = find(shape, &points, parameters);
                 assert_eq!(found.map(|r| r.places), (touches > 1).then_some(7), "{touches}: {shape:?}");
             }
+        }
+        // Points of their own, whatever the arc and whatever lies between: a hole, a groove.
+        for n in [8_u32, 12, 16, 20, 30] {
+            let at = |deg: f64| Zx::new(100.0, 0.0) + Zx::at_angle(deg.to_radians()) * 25.0;
+            let share = |k: u32| f64::from(k) / f64::from(n - 1);
+            for arc in (100..360).step_by(5).chain([179, 181, 359]) {
+                let points: Vec<Zx> = (0..n).map(|k| at(-20.0 + f64::from(arc) * share(k))).collect();
+                assert!(find(&circle, &points, 3).is_none(), "{n} points over {arc} degrees");
+            }
+            let sectors: Vec<Zx> =
+                (0..2 * n).map(|k| at(180.0 * f64::from(k / n) + 20.0 * share(k % n))).collect();
+            assert!(find(&circle, &sectors, 3).is_none(), "{n} points on either side");
+            let lands: Vec<Zx> =
+                (0..2 * n).map(|k| Zx::new(30.0 * f64::from(k / n) + 5.0 * share(k % n), 20.0)).collect();
+            assert!(find(&line, &lands, 2).is_none(), "{n} points on either side of a groove");
         }
         // With so few places there is no standard error.
         let points: Vec<Zx> =

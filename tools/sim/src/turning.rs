@@ -367,7 +367,7 @@ impl Setup {
         if let Some(model) = &self.model {
             probed.correct_geometric_thermal(model, ORIGIN)?;
         }
-        Ok(probed.errors(Nominal::Circle { radius_mm }, self.tip_mm)?)
+        Ok(probed.errors_by_report(Nominal::Circle { radius_mm }, self.tip_mm)?)
     }
 
     /// The machine after further seconds.
@@ -387,7 +387,7 @@ impl Setup {
             let _ = writeln!(t, "{:.9},{:.9}", p.z, p.x);
             t
         });
-        Ok(Probed::parse(Path::new("truth"), &text)?.errors(Nominal::Circle { radius_mm }, 0.0)?)
+        Ok(Probed::parse(Path::new("truth"), &text)?.errors_by_report(Nominal::Circle { radius_mm }, 0.0)?)
     }
 
     fn result(

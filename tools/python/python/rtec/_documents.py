@@ -341,6 +341,47 @@ class PartDocument(TypedDict, total=False):
     errors: list[PartError]
 
 
+class BatchStep(TypedDict):
+    """A step of a place's errors between two parts."""
+
+    part: str
+    um: float
+    sd_about_um: float
+    p_value: float
+
+
+class BatchPlace(TypedDict):
+    """One place of a feature over a batch. ``interval_um`` is ``None`` where every reading of the batch is 0."""
+
+    feature: str
+    angle_rad: NotRequired[float]
+    parts: int
+    mean_um: float
+    sd_um: float
+    interval_um: list[float] | None
+    p_value: float
+    trend_um_per_part: float
+    trend_standard_error_um: float
+    sd_about_trend_um: float
+    trend_p_value: float
+    seen_on_machine_um: NotRequired[float]
+    step: NotRequired[BatchStep]
+    left_out: NotRequired[list[dict[str, Any]]]
+    with_every_row: NotRequired[dict[str, float]]
+    finding: Literal["nothing", "systematic", "not_observable", "trend", "step"]
+
+
+class BatchDocument(TypedDict):
+    """What ``part post-process`` says of a batch."""
+
+    format: int
+    by: str
+    places: list[BatchPlace]
+    offer_table: list[dict[str, Any]]
+    offers: list[str]
+    step_um: NotRequired[float]
+
+
 class HistoryDocument(TypedDict):
     """One machine's figures over time."""
 

@@ -192,7 +192,10 @@ fn text(r: &ErrorReport, with_size: bool) -> String {
     }
     if let Some(deg) = r.inclination_error_deg {
         let advice = if r.is_inclination_known() {
-            "left by error.cor, which holds the form alone: turn the program's taper by it".to_owned()
+            format!(
+                "left by error.cor, which holds the form alone: turn the program's taper by {:+.5}°",
+                -deg
+            )
         } else {
             let within = r.inclination_within_deg().unwrap_or(f64::INFINITY);
             format!("within ±{within:.5}° (95 %): no turn of the program's taper is advised")

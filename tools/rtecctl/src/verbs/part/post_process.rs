@@ -54,6 +54,13 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             rtec_files::text::short(1e-6 * (1e6 * step).round())
         );
     }
+    if batch.places.iter().any(|p| p.interval_um.is_none()) {
+        eprintln!(
+            "warning: {}: every reading is 0: the step that they are read in does not show, so the means have no interval. Half a step of the \
+             gauge may be hidden: read with a finer one",
+            args.batch.display()
+        );
+    }
     for place in &batch.places {
         if let (false, Some(with)) = (place.left_out.is_empty(), place.with_every_reading) {
             let readings: Vec<String> = place

@@ -259,3 +259,27 @@ fn numbers_of_a_probe_that_cannot_be_are_refused() {
     assert_eq!(through.status.code(), Some(1));
     assert!(String::from_utf8_lossy(&through.stdout).contains("the stylus meets"));
 }
+
+/// A program turned by what is advised cuts the nominal taper.
+#[test]
+fn the_advised_turn_of_a_taper_mends_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let cut = |program_deg: f64| {
+        // The machine cuts 0.01° less than the program has.
+        let slope = (program_deg - 0.01).to_radians().tan();
+        let row = |k: i32| {
+            let z = 5.0 * f64::from(k);
+            format!("{z},{:.6}\n", 20.0 + slope * z + 2e-4 * f64::from(k % 3))
+        };
+        let rows: String = (0..12).map(row).collect();
+        std::fs::write(folder.join("taper.csv"), format!("z_mm,x_mm\n{rows}")).unwrap();
+        let line = "errors --points taper.csv --tip-mm 0 --taper-deg 0.3";
+        let output = part(folder, &line.split_whitespace().collect::<Vec<_>>());
+        String::from_utf8_lossy(&output.stdout).into_owned()
+    };
+    let said = cut(0.3);
+    let turn = said.split_once("turn the program's taper by ").unwrap().1.split('°').next().unwrap();
+    let mended = cut(0.3 + turn.parse::<f64>().unwrap());
+    assert!(mended.contains("no turn of the program's taper is advised"), "{said}{mended}");
+}
