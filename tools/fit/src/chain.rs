@@ -5,7 +5,7 @@
 //! their coefficients; the rest of the chain stays fixed. The error is linear in the coefficients except for
 //! products of two small quantities. A second pass includes those.
 
-use crate::least::{Found, Problem};
+use crate::least::{Found, Problem, unread};
 use rtec_files::InputError;
 use rtec_model::chain::{COMPONENTS, Chain};
 use rtec_model::record::{Record, Role};
@@ -191,6 +191,10 @@ pub fn fit(
             for (role, y) in measured(run.record) {
                 let base = says(&now, run, &role)?;
                 let Some(columns) = slopes(&now, run, &role, &base)? else { continue };
+                if let Some(said) = run.record.column(&role).and_then(|read| unread(run.record, read)) {
+                    warnings.push(said);
+                    continue;
+                }
                 let left: Vec<f64> = y.iter().zip(&base).map(|(y, b)| y - b).collect();
                 problem.push(&left, &columns, false);
                 if let Some(read) = run.record.column(&role) {

@@ -45,12 +45,21 @@ pub(crate) struct Problem {
     /// The means of response and columns that were subtracted from each piece.
     /// `None` if the zero is known.
     means: Vec<Option<(f64, Vec<f64>)>>,
-    /// Rows that share a coarse gauge's rounding error, and its standard deviation.
-    rounded: Vec<(Vec<usize>, f64)>,
+    /// Readings of a coarse gauge, by response of a record.
+    rounded: Vec<Rounded>,
     /// Causes that were read in coarse steps.
     causes: Vec<CoarseCause>,
     /// Position of an axis at every row, mm, by its name; `None` if it stood still.
     at_mm: BTreeMap<String, Vec<Option<f64>>>,
+}
+
+/// A response that was read in coarse steps.
+#[derive(Debug)]
+struct Rounded {
+    /// Rows that read alike from one side.
+    alike: Vec<Vec<usize>>,
+    /// Standard deviation of the rounding error that repeats leave.
+    sd: f64,
 }
 
 /// A cause (a temperature, a position in motion) that was read in coarse steps.
@@ -74,6 +83,19 @@ fn cause_step(record: &Record, column: &Column) -> Option<f64> {
         _ => return None,
     }
     step_of(&column.data)
+}
+
+/// What to know of a response whose readings are all alike.
+/// They do not show the gauge's step, so nothing bounds what is smaller. `None` where they vary.
+pub(crate) fn unread(record: &Record, column: &Column) -> Option<String> {
+    column.data.iter().all(|v| v - column.data[0] == 0.0).then(|| {
+        format!(
+            "{}: {}: every reading is {}: the gauge's step is not known, so these readings bound no effect and are left out of the fit",
+            record.path.display(),
+            column.role,
+            short(column.data[0])
+        )
+    })
 }
 
 impl Problem {
@@ -112,14 +134,6 @@ impl Problem {
     /// error is equal from one side. Returns a message for the user.
     pub(crate) fn rounded_as(&mut self, record: &Record, column: &Column) -> Option<String> {
         let piece = self.pieces.last().cloned()?;
-        if column.data.iter().all(|v| v - column.data[0] == 0.0) {
-            return Some(format!(
-                "{}: {}: every reading is {}: what is smaller than the gauge's step does not show, and is in no interval",
-                record.path.display(),
-                column.role,
-                short(column.data[0])
-            ));
-        }
         let steps = Steps::of_response(record, column)?;
         let direction = column.role.axis().and_then(|a| record.data(&Role::Direction(a.clone())));
         let mut groups: BTreeMap<(i64, i64), Vec<usize>> = BTreeMap::new();
@@ -127,7 +141,7 @@ impl Problem {
             let value = if steps.is_coarse() { (reading / steps.step).round() as i64 } else { 0 };
             groups.entry((value, direction.map_or(0, |d| d[i] as i64))).or_default().push(piece.start + i);
         }
-        self.rounded.extend(groups.into_values().map(|rows| (rows, steps.standard_error())));
+        self.rounded.push(Rounded { alike: groups.into_values().collect(), sd: steps.standard_error() });
         steps.is_coarse().then(|| {
             let unit = if matches!(column.role, Role::Error(_)) { "µm" } else { column.unit.as_str() };
             format!(
@@ -198,8 +212,27 @@ impl Problem {
                 *s += row.iter().zip(&sum).map(|(c, s)| c * s).sum::<f64>().powi(2);
             }
         };
-        for (rows, sd) in &self.rounded {
-            add(&mut rows.iter().map(|i| (*i, *sd)));
+        for rounded in &self.rounded {
+            for rows in &rounded.alike {
+                add(&mut rows.iter().map(|i| (*i, rounded.sd)));
+            }
+            // A parameter that changes readings by less than a step changes none: within rows that read alike it may have any value that
+            // keeps the largest change within a step. The difference of two rounding errors has twice the variance of one.
+            for column in &self.columns {
+                let bounds = |rows: &Vec<usize>| {
+                    let of = |[lo, hi]: [f64; 2], i: &usize| [lo.min(column[*i]), hi.max(column[*i])];
+                    rows.iter().fold([f64::INFINITY, f64::NEG_INFINITY], of)
+                };
+                let ranges: Vec<[f64; 2]> = rounded.alike.iter().map(bounds).collect();
+                let widest = ranges.iter().map(|[lo, hi]| hi - lo).fold(0.0, f64::max);
+                if widest > 0.0 {
+                    let unit = 2f64.sqrt() * rounded.sd / widest;
+                    let within = rounded.alike.iter().zip(&ranges).flat_map(|(rows, [lo, hi])| {
+                        rows.iter().map(move |i| (*i, unit * (column[*i] - f64::midpoint(*lo, *hi))))
+                    });
+                    add(&mut within.into_iter());
+                }
+            }
         }
         for cause in &self.causes {
             // Change of the response at a row per standard deviation of rounding.
@@ -297,6 +330,9 @@ impl Problem {
     /// It is not determined together with those before it.
     pub(crate) fn solve(&self) -> Result<Vec<Found>, usize> {
         rtec_files::watch::step();
+        if self.y.is_empty() {
+            return Err(0);
+        }
         let solution = rtec_least_squares::solve(&self.columns, &self.y)?;
         let tiny = |c: &Vec<f64>| c.iter().map(|v| v * v).sum::<f64>().sqrt() <= 1e-12;
         let dependent = |k: &usize| solution.independent[*k] < DEPENDENT || tiny(&self.columns[*k]);
@@ -489,6 +525,22 @@ fn basis_of(effects: &[Effect], record: &Record, role: &Role) -> Option<Vec<Vec<
     Some(columns)
 }
 
+/// Why the records do not determine an effect.
+/// `blank` says which responses have readings that are all alike.
+fn not_shown(effect: Option<&Effect>, blank: &[String]) -> InputError {
+    let name = effect.map_or(String::new(), Effect::identity);
+    let (found, expected) = if let Some(said) = blank.first() {
+        let expected = format!("readings that `{name}` changes by a step of the gauge, or a finer gauge");
+        (format!("{said}; the others do not show `{name}`"), expected)
+    } else {
+        let experiment = effect.map_or(String::new(), |e| e.description().experiment.clone());
+        let found =
+            format!("records that do not tell `{name}` from the effects named before it, or from nothing");
+        (found, format!("a record that does: {experiment}"))
+    };
+    InputError::whole(Path::new("--effects"), found, expected)
+}
+
 /// Fits effects that the user names, in addition to those of the base.
 /// It uses least squares on all responses of the records, errors and forces, and returns the base with the
 /// effects added.
@@ -519,7 +571,7 @@ pub fn fit_named(
     // Response and kind of run of each piece.
     let mut piece_of: Vec<(Role, Option<String>)> = Vec::new();
     let mut owners: Vec<&Record> = Vec::new();
-    let mut coarse = Vec::new();
+    let (mut coarse, mut blank) = (Vec::new(), Vec::new());
     for record in records {
         let left = base.beyond(record)?;
         let bound = effects
@@ -547,6 +599,10 @@ pub fn fit_named(
             if columns.iter().all(|c| c.iter().all(|v| *v == 0.0)) {
                 continue;
             }
+            if let Some(said) = record.column(&column.role).and_then(|read| unread(record, read)) {
+                blank.push(said);
+                continue;
+            }
             problem.push(&column.data, &columns, zero_is_known);
             problem.moved(record);
             // The column as read is used, because the difference to the base has no steps.
@@ -566,17 +622,11 @@ pub fn fit_named(
             k < at
         })
     };
-    let found = problem.solve().map_err(|k| {
-        let name = owner(k).map_or(String::new(), Effect::identity);
-        let found =
-            format!("records that do not tell `{name}` from the effects named before it, or from nothing");
-        let experiment = owner(k).map_or(String::new(), |e| e.description().experiment.clone());
-        usage(found, &format!("a record that does: {experiment}"))
-    })?;
+    let found = problem.solve().map_err(|k| not_shown(owner(k), &blank))?;
     let rms = |role: &Role| problem.rms_um(&found, |piece| piece_of[piece].0 == *role);
     let rms_um = roles.iter().map(|r| (r.to_string(), rms(r))).collect();
     let mut warnings = structure(&problem, &found, &owners, &piece_of);
-    warnings.extend(coarse);
+    warnings.extend(blank.into_iter().chain(coarse));
     let mut machine = base.clone();
     for role in &roles {
         let seen: Vec<&Record> = records.iter().filter(|r| r.column(role).is_some()).copied().collect();

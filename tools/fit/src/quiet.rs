@@ -1,57 +1,105 @@
-//! Removes the sensors' noise from temperatures.
-//! A machine grows with the true temperature, which is smooth; its log carries a hundredth of a kelvin of
-//! noise. A law fitted to the log would prefer anything that averages that noise: a lag of some seconds, or a
-//! pair of sensors.
+//! Removes the sensors' noise and rounding from temperatures.
+//! A machine grows with the true temperature, which is smooth; its log carries noise and the steps of its converter. A law fitted to the
+//! log would prefer whatever averages these away: a lag, or a pair of sensors.
 //!
-//! The result is the smoothest series near the log (Whittaker, Proc. Edinb. Math. Soc. 41 (1923) 63).
-//! Restricted maximum likelihood decides how near. A log that jumps stays as it is.
+//! The result is the smoothest series near the log (Whittaker, Proc. Edinb. Math. Soc. 41 (1923) 63). Restricted maximum likelihood decides
+//! how near, from the sensor's own record alone. Of a reading in coarse steps only this is known: the temperature and its noise lay
+//! within half a step of it. There Laplace's approximation of the likelihood decides how smooth and how noisy. A log that jumps stays as
+//! it is.
 
+use rtec_measure::steps::step_of;
 use rtec_model::record::{Record, Role};
+use statrs::function::erf::erfc;
+use std::f64::consts::{PI, SQRT_2};
 
 /// Fewest rows that allow noise to be separated from changes.
 const FEWEST: usize = 12;
-/// Largest noise of a machine's sensor, K.
-/// A log with more jumps for another reason.
-const NOISIEST_K: f64 = 0.15;
-/// Largest row-to-row autocorrelation of removed noise. Above it, it is not noise.
+/// A sensor that is noisier than this, K, is no sensor of a machine.
+/// Its log jumps for another reason. Thermocouples with a long lead scatter by some tenths of a kelvin.
+const NOISIEST_K: f64 = 0.5;
+/// Largest row-to-row autocorrelation of what is removed. Above it, it is no noise.
 const ALIKE: f64 = 0.3;
 /// Penalties that are tried: powers of ten, and steps within each.
 const DECADES: std::ops::RangeInclusive<i32> = -1..=6;
 const STEPS: i32 = 2;
+/// Noise that is tried where readings have steps, as a share of the step.
+/// Less than the first looks like it; with more than the last the rounding is noise like any other.
+const NOISE_IN_STEPS: [f64; 4] = [0.0625, 0.125, 0.25, MOST_IN_STEPS];
+const MOST_IN_STEPS: f64 = 0.5;
+/// Most of Newton's steps to the most likely series.
+/// A smaller change of the criterion ends them.
+const NEWTON: usize = 40;
+const CLOSE: f64 = 1e-3;
+/// A step is halved so many times, at most.
+const HALVED: usize = 12;
 
 /// The record with the noise removed from each temperature.
 #[must_use]
 pub fn temperatures(record: &Record) -> Record {
-    let mut quiet = record.clone();
-    let time = record.time_s();
-    for column in quiet.columns.iter_mut().filter(|c| c.role == Role::Temperature) {
-        if let Some(data) = series(time, &column.data) {
-            column.data = data;
-        }
-    }
-    quiet
+    smoothed(record).0
 }
 
-/// One series without its noise. `None` if it has none, or is too short.
-/// `t` never decreases.
-#[must_use]
-pub fn series(t: &[f64], y: &[f64]) -> Option<Vec<f64>> {
-    let bends = Bends::of(t, y)?;
-    let mut best: Option<(f64, Vec<f64>)> = None;
-    for step in DECADES.start() * STEPS..=DECADES.end() * STEPS {
-        let penalty = 10_f64.powf(f64::from(step) / f64::from(STEPS));
-        let (score, x) = bends.smooth(y, penalty);
-        if best.as_ref().is_none_or(|(s, _)| score < *s) {
-            best = Some((score, x));
+/// The same, and how far the true temperatures may be from these.
+pub(crate) fn smoothed(record: &Record) -> (Record, Spread) {
+    let mut quiet = record.clone();
+    let mut spread = Vec::new();
+    let time = record.time_s();
+    for (at, column) in quiet.columns.iter_mut().enumerate().filter(|(_, c)| c.role == Role::Temperature) {
+        if let Some(found) = Smooth::of(time, &column.data) {
+            column.data = found.x;
+            spread.push((at, found.factor, found.sd));
         }
     }
-    let (_, x) = best?;
-    // Noise is small and uncorrelated from row to row.
-    let taken: Vec<f64> = y.iter().zip(&x).map(|(y, x)| y - x).collect();
-    let squares: f64 = taken.iter().map(|e| e * e).sum();
-    let with_next: f64 = taken.windows(2).map(|w| w[0] * w[1]).sum();
-    let small = squares <= NOISIEST_K * NOISIEST_K * y.len() as f64;
-    (small && with_next < ALIKE * squares).then_some(x)
+    (quiet, Spread(spread))
+}
+
+/// What a record's smoothed temperatures may be off by.
+/// Per column the factor of their precision, and its unit as a standard deviation.
+pub(crate) struct Spread(Vec<(usize, Factor, f64)>);
+
+impl Spread {
+    pub(crate) fn is_empty(&self) -> bool {
+        self.0.is_empty()
+    }
+
+    /// The smoothed record with temperatures that are as likely, the n-th such.
+    pub(crate) fn draw(&self, smoothed: &Record, n: usize) -> Record {
+        let mut drawn = smoothed.clone();
+        for (at, factor, sd) in &self.0 {
+            let errors = factor.draw((n as u64) << 32 | *at as u64);
+            drawn.columns[*at].data.iter_mut().zip(errors).for_each(|(x, e)| *x += sd * e);
+        }
+        drawn
+    }
+}
+
+/// A series without its noise.
+struct Smooth {
+    x: Vec<f64>,
+    /// Of the precision, in units of 1/sd².
+    factor: Factor,
+    sd: f64,
+}
+
+impl Smooth {
+    /// `None` if it shows none, or is too short to tell. `t` never decreases.
+    fn of(t: &[f64], y: &[f64]) -> Option<Self> {
+        let bends = Bends::of(t, y)?;
+        let found = bends.near(y)?;
+        let taken: Vec<f64> = y.iter().zip(&found.x).map(|(y, x)| y - x).collect();
+        let squares: f64 = taken.iter().map(|e| e * e).sum();
+        // Where noise is less than a step, what is taken is the rounding, and neighbours share it.
+        let is_rounded = |step: &f64| {
+            step / 12f64.sqrt() <= NOISIEST_K && (squares / y.len() as f64).sqrt() < MOST_IN_STEPS * step
+        };
+        if let Some(step) = step_of(y).filter(is_rounded) {
+            return bends.within(y, step);
+        }
+        // Noise is small and does not know the row before.
+        let with_next: f64 = taken.windows(2).map(|w| w[0] * w[1]).sum();
+        let small = squares <= NOISIEST_K * NOISIEST_K * y.len() as f64;
+        (small && with_next < ALIKE * squares).then_some(found)
+    }
 }
 
 /// Changes of slope from row to row, each relative to its expected size.
@@ -88,12 +136,81 @@ impl Bends {
         Some(Self { rows: gaps.windows(2).map(row).collect(), n })
     }
 
-    /// The smoothest series at this penalty, and its criterion.
-    /// The criterion is minus twice the restricted log likelihood, up to a constant.
-    fn smooth(&self, y: &[f64], penalty: f64) -> (f64, Vec<f64>) {
-        // I + penalty·DᵀD: the diagonal and two neighbours, factored as LDLᵀ.
+    /// The series near these readings whose noise is white.
+    fn near(&self, y: &[f64]) -> Option<Smooth> {
+        let weight = vec![1.0; self.n];
+        let free = self.n as f64 - 2.0;
+        let steps = DECADES.start() * STEPS..=DECADES.end() * STEPS;
+        let tried = steps.map(|step| {
+            let penalty = 10_f64.powf(f64::from(step) / f64::from(STEPS));
+            let factor = self.factor(&weight, penalty);
+            let x = factor.solve(y.to_vec());
+            let left: f64 = y.iter().zip(&x).map(|(y, x)| y * (y - x)).sum();
+            let variance = (left / free).max(1e-18);
+            // Minus twice the restricted log likelihood, up to a constant.
+            let criterion = free * variance.ln() + factor.log_size - free * penalty.ln();
+            (criterion, Smooth { x, factor, sd: variance.sqrt() })
+        });
+        tried.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, found)| found)
+    }
+
+    /// The series that noise and rounding to this step have made these readings of.
+    fn within(&self, y: &[f64], step: f64) -> Option<Smooth> {
+        let cells: Vec<f64> = y.iter().map(|v| (v - y[0]) / step).collect();
+        let mut best: Option<(f64, Smooth)> = None;
+        for noise in NOISE_IN_STEPS {
+            let mut x = cells.clone();
+            for decade in *DECADES.start()..=DECADES.end() + 4 {
+                let penalty = 10_f64.powi(decade);
+                let (criterion, factor) = self.most_likely(&cells, noise, penalty, &mut x);
+                if best.as_ref().is_none_or(|(least, _)| criterion < *least) {
+                    let x = x.iter().map(|v| y[0] + v * step).collect();
+                    best = Some((criterion, Smooth { x, factor, sd: step }));
+                }
+            }
+        }
+        best.map(|(_, found)| found)
+    }
+
+    /// Moves `x` to the most likely series of these readings in steps of one.
+    /// Gives its criterion and its precision. The criterion is minus twice Laplace's log likelihood, up to a constant. Newton's steps are
+    /// halved until they gain.
+    fn most_likely(&self, cells: &[f64], noise: f64, penalty: f64, x: &mut Vec<f64>) -> (f64, Factor) {
+        let loss = |x: &[f64]| {
+            let rounded: f64 = cells.iter().zip(x).map(|(c, x)| Cell::of(*c, *x, noise).log_likelihood).sum();
+            penalty * self.roughness(x) - 2.0 * rounded
+        };
+        let mut now = loss(x);
+        for left in (0..NEWTON).rev() {
+            let at: Vec<Cell> = cells.iter().zip(&*x).map(|(c, x)| Cell::of(*c, *x, noise)).collect();
+            let factor = self.factor(&at.iter().map(|c| c.weight).collect::<Vec<_>>(), penalty);
+            let aim = factor.solve(at.iter().zip(&*x).map(|(c, x)| c.weight * x + c.slope).collect());
+            let part = |share: f64| {
+                let tried: Vec<f64> = x.iter().zip(&aim).map(|(x, a)| x + share * (a - x)).collect();
+                (loss(&tried), tried)
+            };
+            let shares = std::iter::successors(Some(1.0), |s| Some(0.5 * s)).take(HALVED);
+            let better = shares.map(part).find(|(next, _)| now - next > CLOSE);
+            let Some((next, moved)) = better.filter(|_| left > 0) else {
+                let free = self.n as f64 - 2.0;
+                return (now + factor.log_size - free * penalty.ln(), factor);
+            };
+            (now, *x) = (next, moved);
+        }
+        unreachable!("the last step returns")
+    }
+
+    /// Sum of the squared changes of slope.
+    fn roughness(&self, x: &[f64]) -> f64 {
+        let bend = |([a, b, c], x): (&[f64; 3], &[f64])| (a * x[0] + b * x[1] + c * x[2]).powi(2);
+        self.rows.iter().zip(x.windows(3)).map(bend).sum()
+    }
+
+    /// weight + penalty·DᵀD, factored.
+    fn factor(&self, weight: &[f64], penalty: f64) -> Factor {
+        // The diagonal and two neighbours.
         let n = self.n;
-        let (mut d, mut one, mut two) = (vec![1.0; n], vec![0.0; n], vec![0.0; n]);
+        let (mut d, mut one, mut two) = (weight.to_vec(), vec![0.0; n], vec![0.0; n]);
         for (i, [a, b, c]) in self.rows.iter().enumerate() {
             d[i] += penalty * a * a;
             d[i + 1] += penalty * b * b;
@@ -103,36 +220,101 @@ impl Bends {
             two[i + 2] += penalty * a * c;
         }
         let mut log_size = 0.0;
-        let mut x = y.to_vec();
         for i in 0..n {
             if i >= 2 {
                 two[i] /= d[i - 2];
                 one[i] -= two[i] * one[i - 1] * d[i - 2];
                 d[i] -= two[i] * two[i] * d[i - 2];
-                x[i] -= two[i] * x[i - 2];
             }
             if i >= 1 {
                 one[i] /= d[i - 1];
                 d[i] -= one[i] * one[i] * d[i - 1];
-                x[i] -= one[i] * x[i - 1];
             }
             log_size += d[i].ln();
         }
-        for (x, d) in x.iter_mut().zip(&d) {
-            *x /= d;
+        Factor { d, one, two, log_size }
+    }
+}
+
+/// A matrix of a diagonal and two neighbours, factored.
+struct Factor {
+    d: Vec<f64>,
+    one: Vec<f64>,
+    two: Vec<f64>,
+    /// The logarithm of its determinant.
+    log_size: f64,
+}
+
+impl Factor {
+    /// The solution for this right-hand side.
+    fn solve(&self, mut x: Vec<f64>) -> Vec<f64> {
+        for i in 0..x.len() {
+            if i >= 2 {
+                x[i] -= self.two[i] * x[i - 2];
+            }
+            if i >= 1 {
+                x[i] -= self.one[i] * x[i - 1];
+            }
         }
+        x.iter_mut().zip(&self.d).for_each(|(x, d)| *x /= d);
+        self.back(x)
+    }
+
+    /// Solves for Lᵀ.
+    fn back(&self, mut x: Vec<f64>) -> Vec<f64> {
+        let n = x.len();
         for i in (0..n).rev() {
             if i + 1 < n {
-                x[i] -= one[i + 1] * x[i + 1];
+                x[i] -= self.one[i + 1] * x[i + 1];
             }
             if i + 2 < n {
-                x[i] -= two[i + 2] * x[i + 2];
+                x[i] -= self.two[i + 2] * x[i + 2];
             }
         }
-        let free = n as f64 - 2.0;
-        let left: f64 = y.iter().zip(&x).map(|(y, x)| y * (y - x)).sum();
-        let variance = (left / free).max(1e-18);
-        (free * variance.ln() + log_size - free * penalty.ln(), x)
+        x
+    }
+
+    /// Normal errors whose precision this is. A seed gives the same ones each time.
+    fn draw(&self, mut seed: u64) -> Vec<f64> {
+        let white = self.d.iter().map(|d| normal(&mut seed) / d.sqrt()).collect();
+        self.back(white)
+    }
+}
+
+/// The next standard normal number of a sequence.
+/// (`SplitMix64`; Box and Muller 1958.)
+fn normal(state: &mut u64) -> f64 {
+    let mut uniform = || {
+        *state = state.wrapping_add(0x9E37_79B9_7F4A_7C15);
+        let mut z = *state;
+        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+        ((z ^ (z >> 31)) >> 11) as f64 / (1_u64 << 53) as f64
+    };
+    let (a, b) = (1.0 - uniform(), uniform());
+    (-2.0 * a.ln()).sqrt() * (2.0 * PI * b).cos()
+}
+
+/// How likely a value is to be read as this step.
+/// The logarithm, its slope, and its curvature downwards.
+struct Cell {
+    log_likelihood: f64,
+    slope: f64,
+    weight: f64,
+}
+
+impl Cell {
+    /// Of the reading `cell`, in steps of one, for the value `x` and this noise.
+    fn of(cell: f64, x: f64, noise: f64) -> Self {
+        // By symmetry from below, where the small differences keep their digits.
+        let (off, side) = ((cell - x).abs(), if cell < x { -1.0 } else { 1.0 });
+        let (near, far) = ((off - 0.5) / noise, (off + 0.5) / noise);
+        let density = |z: f64| (-0.5 * z * z).exp() / (2.0 * PI).sqrt();
+        let within = 0.5 * (erfc(near / SQRT_2) - erfc(far / SQRT_2));
+        let slope = (density(near) - density(far)) / within;
+        let weight = slope * slope + (far * density(far) - near * density(near)) / within;
+        let per = noise * noise;
+        Self { log_likelihood: within.ln(), slope: side * slope / noise, weight: weight.max(1e-9) / per }
     }
 }
 
@@ -140,15 +322,12 @@ impl Bends {
 mod tests {
     use super::*;
 
-    fn noise(seed: u64, n: usize) -> Vec<f64> {
-        let mut state = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1;
-        let mut uniform = || {
-            state ^= state << 13;
-            state ^= state >> 7;
-            state ^= state << 17;
-            state as f64 / u64::MAX as f64
-        };
-        (0..n).map(|_| (0..12).map(|_| uniform()).sum::<f64>() - 6.0).collect()
+    fn series(t: &[f64], y: &[f64]) -> Option<Vec<f64>> {
+        Smooth::of(t, y).map(|found| found.x)
+    }
+
+    fn noise(mut seed: u64, n: usize) -> Vec<f64> {
+        (0..n).map(|_| normal(&mut seed)).collect()
     }
 
     fn rms(x: impl Iterator<Item = f64>) -> f64 {
@@ -181,6 +360,42 @@ mod tests {
         let quiet = series(&t, &log).unwrap();
         let left = rms(quiet.iter().zip(&truth).map(|(a, b)| a - b));
         assert!(left < 0.014, "{left}");
+    }
+
+    /// A converter's steps of half a kelvin: most of the rounding is gone.
+    /// Levels that differ by more than a converter's step stay.
+    #[test]
+    fn steps_go_and_levels_stay() {
+        let t: Vec<f64> = (0..300).map(|i| 60.0 * f64::from(i)).collect();
+        let truth: Vec<f64> = t.iter().map(|t| 22.0 + 9.0 * (1.0 - (-t / 4000.0).exp())).collect();
+        for (seed, scatter) in [(3, 0.03), (4, 0.1), (5, 0.2)] {
+            let log =
+                truth.iter().zip(noise(seed, 300)).map(|(t, e)| (2.0 * (t + scatter * e)).round() / 2.0);
+            let quiet = series(&t, &log.collect::<Vec<_>>()).unwrap();
+            let left = rms(quiet.iter().zip(&truth).map(|(a, b)| a - b));
+            assert!(left < 0.06, "{scatter} K: {left} K of 0.144 K left");
+        }
+        let levels: Vec<f64> = (0..300).map(|i| 20.0 + 5.0 * f64::from(i / 40 % 3)).collect();
+        assert_eq!(
+            series(&t, &levels).filter(|x| rms(x.iter().zip(&levels).map(|(a, b)| a - b)) > 0.1),
+            None
+        );
+    }
+
+    /// What is drawn differs from the smoothed series as the truth does.
+    #[test]
+    fn draws_scatter_as_the_truth_does() {
+        let t: Vec<f64> = (0..300).map(|i| 60.0 * f64::from(i)).collect();
+        let truth: Vec<f64> = t.iter().map(|t| 22.0 + 9.0 * (1.0 - (-t / 4000.0).exp())).collect();
+        let (mut off, mut drawn) = (vec![], vec![]);
+        for seed in 0..20 {
+            let log: Vec<f64> = truth.iter().zip(noise(seed, 300)).map(|(t, e)| t + 0.2 * e).collect();
+            let found = Smooth::of(&t, &log).unwrap();
+            off.extend(found.x.iter().zip(&truth).map(|(a, b)| a - b));
+            drawn.extend(found.factor.draw(seed).into_iter().map(|e| found.sd * e));
+        }
+        let (off, drawn) = (rms(off.into_iter()), rms(drawn.into_iter()));
+        assert!((0.7..1.5).contains(&(drawn / off)), "{drawn} K drawn, {off} K off");
     }
 
     /// Temperatures that are independent from row to row show no removable noise.

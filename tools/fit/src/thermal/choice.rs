@@ -3,6 +3,7 @@
 use super::Options;
 use super::problem::Problem;
 use super::term::pair_of;
+use crate::quiet;
 use rtec_files::InputError;
 use rtec_model::effect::Difference;
 use rtec_model::record::{Record, Role};
@@ -13,7 +14,8 @@ use rtec_model::record::{Record, Role};
 /// # Errors
 /// As [`super::fit`].
 pub fn chosen(train: &[&Record], response: &Role, options: &Options) -> Result<Vec<Difference>, InputError> {
-    let problem = Problem::new(train, response, options)?;
+    let quiet: Vec<Record> = train.iter().map(|r| quiet::temperatures(r)).collect();
+    let problem = Problem::new(&quiet.iter().collect::<Vec<_>>(), response, options)?;
     let all: Vec<usize> = (0..problem.folds).collect();
     let terms = problem.select(&all).map_or_else(Vec::new, |s| s.structure.terms);
     let mut out: Vec<Difference> = Vec::new();

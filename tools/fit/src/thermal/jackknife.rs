@@ -6,8 +6,10 @@ use super::judge::independent;
 use super::problem::Problem;
 use super::rows::{Centred, Rows, lags_of};
 use super::term::{Term, relagged, squared};
+use crate::quiet::Spread;
 use crate::statistics::mean;
 use rtec_files::InputError;
+use rtec_model::machine::NORMAL_95;
 use rtec_model::record::{Record, Role, shared_step};
 use statrs::distribution::{ContinuousCDF, StudentsT};
 use std::collections::BTreeMap;
@@ -40,6 +42,8 @@ pub(super) struct Jackknife {
 /// Range around the grid's value in which a lag is refined (log), and its accuracy.
 const REACH: f64 = 0.5;
 const CLOSE: f64 = 1e-3;
+/// Draws of the temperatures' own errors. Their spread is known to a fifth.
+const DRAWS: usize = 12;
 
 /// The terms with their lags refined between the grid's steps, on all rows.
 pub(super) fn tuned(
@@ -189,6 +193,7 @@ pub(super) fn jackknife(
         }
     }
     let of = |k: usize| jackknife_interval(full[k], &parts.iter().map(|p| p[k]).collect::<Vec<f64>>());
+    let drawn = drawn(problem, terms, train, response)?;
     let mut tau_s = BTreeMap::new();
     let clocks = train.iter().filter_map(|r| shared_step(r.data(&Role::Time)?));
     let clock_s = clocks.fold(0.0, f64::max);
@@ -200,11 +205,43 @@ pub(super) fn jackknife(
         if let Some(half) = lag_half_width(problem, terms, &start_s, k, train, response)? {
             (lo, hi) = (lo.min(middle - half), hi.max(middle + half));
         }
+        [lo, hi] = drawn.allow_for(middle, [lo, hi], |(_, lags_s)| lags_s[k].ln());
         // A row's time is known within a coarse clock's step.
         tau_s.insert(k, [(lo.exp() - clock_s).max(0.0), hi.exp() + clock_s]);
     }
-    let coefficients = (0..full.len()).map(of).collect();
+    let coefficients = (0..full.len()).map(|k| drawn.allow_for(full[k], of(k), |(c, _)| c[k])).collect();
     Ok(Jackknife { coefficients, squares: BTreeMap::new(), tau_s })
+}
+
+/// Coefficients and lags from temperatures that are as likely as the smoothed ones.
+struct Drawn(Vec<(Vec<f64>, Vec<f64>)>);
+
+fn drawn(problem: &Problem, terms: &[Term], train: &[&Record], response: &Role) -> Result<Drawn, InputError> {
+    let start_s = lags_of(problem, terms);
+    let mut found = Vec::new();
+    let draws = if problem.spread.iter().all(Spread::is_empty) { 0 } else { DRAWS };
+    for n in 0..draws {
+        let drawn: Vec<Record> = problem.spread.iter().zip(train).map(|(s, r)| s.draw(r, n)).collect();
+        let drawn: Vec<&Record> = drawn.iter().collect();
+        let lags_s = best_lags(problem, terms, &start_s, &drawn, response, &|_| true)?;
+        let rows = Rows::with_lags(problem, terms, &lags_s, &drawn, response)?;
+        found.extend(rows.solve(&|_| true).map(|c| (c, lags_s)));
+    }
+    Ok(Drawn(found))
+}
+
+impl Drawn {
+    /// The interval of a value, with what its temperatures may be off by.
+    fn allow_for(
+        &self,
+        value: f64,
+        [lo, hi]: [f64; 2],
+        of: impl Fn(&(Vec<f64>, Vec<f64>)) -> f64,
+    ) -> [f64; 2] {
+        let squares: f64 = self.0.iter().map(|d| (of(d) - value).powi(2)).sum();
+        let more = NORMAL_95 * (squares / self.0.len().max(1) as f64).sqrt();
+        [value - (value - lo).hypot(more), value + (hi - value).hypot(more)]
+    }
 }
 
 impl Jackknife {

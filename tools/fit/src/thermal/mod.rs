@@ -49,6 +49,7 @@ pub(crate) use jackknife::{Intervals, jackknife_interval};
 pub use report::{Dropped, DryWet, Estimate, Fitted, Interval, Ranked, Report, Rms, Round};
 pub use select::{REDUNDANT, ROUNDS};
 
+use crate::quiet::{Spread, smoothed};
 use crate::statistics::mean_square;
 use compare::{baselines, dry_wet, judge_holdouts};
 use effects::effects;
@@ -185,7 +186,11 @@ fn fit_response(
     options: &Options,
     machine: &mut Machine,
 ) -> Result<Report, InputError> {
-    let mut problem = Problem::new(train, response, options)?;
+    // Structure and values are those of the true temperatures; what a prediction is worth, those of the logs that it will read.
+    let (quiet, spread): (Vec<Record>, Vec<Spread>) = train.iter().map(|r| smoothed(r)).unzip();
+    let quiet: &[&Record] = &quiet.iter().collect::<Vec<_>>();
+    let mut problem = Problem::new(quiet, response, options)?;
+    problem.spread = spread;
     let all: Vec<usize> = (0..problem.folds).collect();
     let whole = |found: &str, expected: &str| InputError::whole(&train[0].path, found, expected);
     let nothing = || whole("temperatures that explain nothing", "a run in which temperatures and error vary");
@@ -210,13 +215,14 @@ fn fit_response(
         terms.clear();
         blocks = mean_only(&problem, train, response)?;
     }
-    let Settled { terms, rows, coefficients, mut intervals, left_out } =
-        settle(&mut problem, terms, train, response, &all)?.ok_or_else(nothing)?;
+    let Settled { terms, coefficients, mut intervals, left_out } =
+        settle(&mut problem, terms, quiet, response, &all)?.ok_or_else(nothing)?;
     if let Some(left_out) = left_out {
         warnings.push(left_out);
         blocks = mean_only(&problem, train, response)?;
     }
-    intervals.allow_for_squares(&mut problem, &terms, train, response)?;
+    intervals.allow_for_squares(&mut problem, &terms, quiet, response)?;
+    let rows = Rows::new(&problem, &terms, train, response)?;
     let plain = Rows::new(&problem, &unlagged(&terms), train, response)?;
     let guards = rows.guards(&problem, &terms, &plain, &|_| true);
     let effects = effects(&problem, &terms, &coefficients, &intervals, &guards, response)
@@ -290,7 +296,6 @@ fn fit_response(
 /// The terms that are kept, with their values.
 struct Settled {
     terms: Vec<Term>,
-    rows: Rows,
     coefficients: Vec<f64>,
     intervals: Jackknife,
     /// A message about a single growth that was removed because it may be zero.
@@ -332,7 +337,7 @@ fn settle(
         // Without its square a difference may be replaceable by one to the environment.
         match problem.judge(&terms, all).map(|j| problem.to_environment(j, all).terms) {
             Some(other) if other != terms => terms = other,
-            _ => return Ok(Some(Settled { terms, rows, coefficients, intervals, left_out })),
+            _ => return Ok(Some(Settled { terms, coefficients, intervals, left_out })),
         }
     }
 }

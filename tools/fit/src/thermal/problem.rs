@@ -3,6 +3,7 @@
 
 use super::Options;
 use super::term::{Pair, Term};
+use crate::quiet::Spread;
 use crate::statistics::mean;
 use rtec_files::InputError;
 use rtec_least_squares::dot;
@@ -50,6 +51,8 @@ pub(super) struct Problem {
     pub(super) coolant: Option<Vec<f64>>,
     pub(super) speed: Option<Vec<f64>>,
     pub(super) square: bool,
+    /// What the temperatures of each record may be off by, where that is known.
+    pub(super) spread: Vec<Spread>,
 }
 
 /// The data for screening candidates at one lag, computed once for many pairs.
@@ -146,6 +149,7 @@ impl Problem {
             stretches: (0..options.folds).map(|f| begin(f)..begin(f + 1)).collect(),
             folds: options.folds,
             square: options.square,
+            spread: Vec::new(),
             sensors,
             still,
             environment,
