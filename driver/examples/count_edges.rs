@@ -1,4 +1,4 @@
-//! A and B are counted; a change of both at once is illegal, and never guessed at.
+//! Counts A and B; a change of both at once is illegal and adds no count.
 use rtec_driver::quadrature::{Decoder, State};
 
 #[cfg_attr(test, test)]

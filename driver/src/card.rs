@@ -13,7 +13,7 @@ pub struct AxisLines {
     pub invert_a: u8,
     /// Output bit that drives the XOR gate of B.
     pub invert_b: u8,
-    /// Input bits of A' and B' as the MTC sees them, where they are wired back.
+    /// Input bits of A' and B' as the MTC sees them, if they are wired back.
     pub read_back: Option<(u8, u8)>,
 }
 
@@ -40,7 +40,7 @@ impl AxisLines {
         (outputs >> self.invert_a & 1 | (outputs >> self.invert_b & 1) << 1) as u8
     }
 
-    /// A' and B' in an input word, where wired back.
+    /// A' and B' in an input word, if wired back.
     #[inline]
     #[must_use]
     pub fn back(&self, inputs: u64) -> Option<State> {
@@ -79,12 +79,12 @@ impl MachineLines {
     }
 }
 
-/// One look at a card: every input line, and when.
+/// One look at a card: the levels of all input lines, and their time.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Sample {
-    /// A time not before the moment the lines were read, ns.
+    /// Time at or after the moment the lines were read, ns.
     pub t_ns: u64,
-    /// Levels of the input lines, polarity already taken out.
+    /// Levels of the input lines; active-low lines are already inverted.
     pub inputs: u64,
     /// The time of the change itself, ns, on cards that stamp edges.
     /// Such a card shows one change per look.
@@ -96,12 +96,12 @@ pub struct Sample {
     /// The card already knows a further change and shows it at the next look.
     /// The engine must not act on this state.
     pub more: bool,
-    /// Which of `inputs` are levels of this very moment.
-    /// A card of queued edges knows the others from before.
+    /// Mask of the lines whose level was read at this look.
+    /// A card with queued edges shows the last known level of the others.
     pub fresh: u64,
-    /// What the card itself found wrong since the look before.
+    /// Fault that the card found since the previous look.
     pub trouble: Option<Trouble>,
-    /// How long this look was late without the card's time advancing, ns.
+    /// Delay of a late look, during which the card's time did not advance, ns.
     /// A simulated machine waits for a process that was not scheduled.
     pub waited_ns: u64,
 }
@@ -115,7 +115,7 @@ impl Sample {
         Self { t_ns, inputs, edge_ns: None, complete, more, fresh, trouble: None, waited_ns: 0 }
     }
 
-    /// A sample of a card that stamps and shows every change, with this one's time.
+    /// Sample of a card that stamps and shows every change, with `edge_ns` as its time.
     #[inline]
     #[must_use]
     pub const fn stamped(t_ns: u64, inputs: u64, edge_ns: Option<u64>) -> Self {
@@ -123,16 +123,16 @@ impl Sample {
     }
 }
 
-/// What a card found wrong, and on which input lines.
+/// Fault that a card found, and the input lines concerned.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Trouble {
-    /// What is wrong with what the card saw.
+    /// The kind of fault.
     pub kind: TroubleKind,
     /// Mask of the input lines concerned.
     pub lines: u64,
 }
 
-/// What a card can find wrong with what it saw.
+/// Kinds of faults that a card can find in what it read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum TroubleKind {
     /// The kernel's numbering of edges jumps: two of them were merged into one.
@@ -164,21 +164,21 @@ pub trait Card {
     fn sample(&mut self, wake_ns: u64) -> Result<Sample, CardError>;
 
     /// Sets the output lines of `mask` to `value`, the others stay.
-    /// Returns a time after which the change is certainly in effect, where the card knows it; otherwise the next look
+    /// Returns a time after which the change is certainly in effect, if the card knows it; otherwise the next look
     /// is that time.
     ///
     /// # Errors
     /// When the lines cannot be written.
     fn write(&mut self, mask: u64, value: u64) -> Result<Option<u64>, CardError>;
 
-    /// The output lines as they are: what a restart takes over.
+    /// Reads back the output lines; a restart takes them over.
     ///
     /// # Errors
     /// When the lines cannot be read back.
     fn outputs(&mut self) -> Result<u64, CardError>;
 }
 
-/// Why a card could not be read or written.
+/// Reason why a card could not be read or written.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum CardError {
     /// A recording, or a simulation, has come to its end.

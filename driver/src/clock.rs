@@ -1,4 +1,4 @@
-//! Where a card's time comes from.
+//! Clocks: the source of a card's time.
 
 /// Monotonic time in nanoseconds.
 pub trait Clock {

@@ -26,7 +26,7 @@ use std::io;
 use std::os::fd::{AsFd, AsRawFd, BorrowedFd, OwnedFd};
 use std::path::PathBuf;
 
-/// Who we are in `gpioinfo`.
+/// Name under which `gpioinfo` shows this program as a line's consumer.
 const CONSUMER: &str = "rtec";
 /// Edges that the kernel may hold for us, per request: its maximum.
 /// A stall then costs late insertions, not counts.
@@ -80,7 +80,7 @@ pub struct GpioLine {
 /// An input line.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct GpioInput {
-    /// Where the line is and how it is to be requested.
+    /// The line, and how it is requested.
     pub line: GpioLine,
     /// Its bit in the input word.
     pub bit: u8,
@@ -93,7 +93,7 @@ pub struct GpioInput {
 /// An output line.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct GpioOutput {
-    /// Where the line is and how it is to be requested.
+    /// The line, and how it is requested.
     pub line: GpioLine,
     /// Its bit in the output word.
     pub bit: u8,
@@ -106,11 +106,11 @@ pub struct GpioSetup {
     pub inputs: Vec<GpioInput>,
     /// Every output, inverters and feed hold.
     pub outputs: Vec<GpioOutput>,
-    /// Sleep until an edge comes; otherwise read levels as fast as it goes.
+    /// Sleeps until an edge comes; otherwise levels are read as fast as possible.
     pub events: bool,
 }
 
-/// Why lines could not be had.
+/// Reason why lines could not be requested.
 #[derive(Debug, thiserror::Error)]
 pub enum GpioError {
     /// No such chip, or one that may not be opened.
@@ -120,13 +120,13 @@ pub enum GpioError {
         chip: String,
         /// The system's answer, with its error number.
         source: io::Error,
-        /// The chips that are there.
+        /// The chips that exist.
         found: String,
     },
     /// The chip, or any chip, has no such line.
     #[error("there is no line {line} on {place}; `rtecctl card probe` lists what is there")]
     NoLine {
-        /// Where it was looked for.
+        /// The chip, or the chips, that were searched.
         place: String,
         /// The line as it was named.
         line: LineId,
@@ -141,14 +141,14 @@ pub enum GpioError {
         /// Another chip that has it.
         second: String,
     },
-    /// Somebody else has the line.
+    /// Another consumer, a process or a kernel driver, has taken the line.
     #[error("line {line} of {chip} is taken by \"{consumer}\": free it there, or use another line")]
     Taken {
         /// The chip's path.
         chip: String,
         /// The line as it was named.
         line: LineId,
-        /// Who has it.
+        /// Name of the line's holder.
         consumer: String,
     },
     /// Lines whose edges must be numbered together are on two chips.
@@ -350,7 +350,7 @@ const fn all(n: usize) -> u64 {
 }
 
 /// Requests lines of one chip.
-/// A line that somebody else has is named with its holder.
+/// If another process holds a line, the error names its holder.
 fn request(chip: &Chip, offsets: &[u32], names: &[LineId], config: LineConfig) -> Result<File, GpioError> {
     let io = |op, source| GpioError::Io { op, chip: path_of(chip), source };
     for (offset, name) in offsets.iter().zip(names) {
@@ -383,7 +383,7 @@ fn read_levels(file: &File, lines: usize) -> Result<u64, CardError> {
     }
 }
 
-/// How the kernel's numbering of edges goes on.
+/// Numbers of the latest edges, as the kernel counts them; a gap is a lost edge.
 #[derive(Debug, Clone, PartialEq, Eq)]
 struct Numbering {
     /// Edges of the request so far.
@@ -395,7 +395,7 @@ struct Numbering {
 }
 
 impl Numbering {
-    /// Takes the numbers of an edge of line `n`; what is missing before it.
+    /// Takes the numbers of an edge of line `n`; returns what a gap before it means.
     fn next(&mut self, n: usize, all: u32, line: u32) -> Option<TroubleKind> {
         let merged = all != self.all.wrapping_add(1);
         let dropped = line != self.line[n].wrapping_add(1);
@@ -422,16 +422,17 @@ struct Inputs {
     mask: u64,
     /// Bits whose edges are queued.
     edges: u64,
-    /// Those of them that stand where an edge has led: the next one must lead away.
+    /// Those of `edges` whose level an edge has already set.
+    /// The next edge of such a line must change its level.
     known: u64,
     numbering: Numbering,
-    /// Edges taken from the kernel, and those of them already shown.
+    /// Edges read from the kernel: `queued` of them, of which `shown` are shown.
     queue: Box<[u64]>,
     queued: usize,
     shown: usize,
     /// The last batch filled the queue: the kernel may hold more.
     more: bool,
-    /// The lines differ from their edges since then, in this way.
+    /// Lines whose levels differ from their edges, and since when, ns.
     differs: Option<(u64, u64)>,
 }
 
@@ -468,7 +469,7 @@ impl Inputs {
         let n = self.lines.iter().position(|(o, _)| *o == offset)?;
         let bit = 1 << self.lines[n].1;
         let trouble = self.numbering.next(n, all, line);
-        // An edge that leads where the line already was: the one between them was not seen.
+        // An edge to the level that the line already has: the edge between them was missed.
         let idle = self.known & bit != 0 && rising == (levels & bit != 0);
         let trouble = trouble.or(idle.then_some(TroubleKind::EdgeMissed));
         self.known = if trouble.is_some() { bit } else { self.known | bit };
@@ -519,13 +520,14 @@ impl<K: Clock> GpioCard<K> {
         Ok(Self { inputs: inputs.into(), outputs: outputs.into(), waits, levels, clock })
     }
 
-    /// The output requests: a name and the descriptor whose life the levels hang on.
-    /// Whoever keeps a duplicate of each keeps the lines as they are when this process dies.
+    /// Output requests: the name and the descriptor of each.
+    /// The lines keep their levels after this process dies if another process holds a duplicate of each
+    /// descriptor.
     pub fn kept(&self) -> impl Iterator<Item = (String, BorrowedFd<'_>)> {
         self.outputs.iter().map(|r| (format!("outputs-{}", r.chip), r.file.as_fd()))
     }
 
-    /// Sleeps until an edge comes or `wait_ns` are over, and takes what has come.
+    /// Sleeps until an edge comes or `wait_ns` have passed, then reads the edges.
     /// Nothing is allocated.
     fn wait(&mut self, wait_ns: u64) -> Result<(), CardError> {
         let time = libc::timespec {
@@ -556,14 +558,14 @@ impl<K: Clock> GpioCard<K> {
         heads.min_by_key(|(_, t)| *t).map(|(n, _)| n)
     }
 
-    /// A look without an edge: the levels, as far as they agree with the edges.
+    /// Look without an edge: takes the levels of requests that agree with their edges.
     /// A line that differs has an edge on its way. If it differs for long, the edge was missed.
     fn levels_now(&mut self) -> Result<Sample, CardError> {
         let (mut fresh, mut more, mut trouble) = (0, false, None);
         for r in &mut self.inputs {
             let now = r.levels()?;
             let differs = (now ^ self.levels) & r.edges;
-            // A' and B' follow A and B: only two equal readings show them of one moment.
+            // A' and B' follow A and B. Only two equal readings show that all levels are of one moment.
             if differs == 0 && (r.edges == r.mask || r.levels()? == now) {
                 self.levels = self.levels & !r.mask | now;
                 fresh |= r.mask;
@@ -612,7 +614,7 @@ impl<K: Clock> Card for GpioCard<K> {
                 self.levels = levels;
                 (Some(edge_ns), trouble)
             }
-            // An edge of a line that was never asked for.
+            // An edge of a line that was not requested.
             None => (None, Some(TroubleKind::EdgeMissed)),
         };
         let trouble = trouble.map(|kind| Trouble { kind, lines: r.mask });
@@ -653,7 +655,7 @@ fn open_inputs(setup: &GpioSetup) -> Result<Vec<Inputs>, GpioError> {
     let mut wanted: Vec<(u8, Wanted<'_, GpioInput>)> = Vec::new();
     for input in &setup.inputs {
         let Found { chip, offset } = find(&input.line)?;
-        // Levels are read chip by chip in one go, whomever they belong to.
+        // Levels are read chip by chip in one call, whichever axis a line belongs to.
         let same =
             |g: u8, w: &Wanted<'_, GpioInput>| if setup.events { g == input.group } else { w.chip == chip };
         match wanted.iter_mut().find(|(g, w)| same(*g, w)) {
@@ -747,7 +749,7 @@ fn open_outputs(setup: &GpioSetup, kept: Vec<OwnedFd>) -> Result<Vec<Outputs>, G
     Ok(requests)
 }
 
-/// Requests lines as they are, reads them, then makes them outputs at those levels.
+/// Requests lines unchanged, reads them, then makes them outputs at those levels.
 fn request_outputs(chip: &Chip, offsets: &[u32], lines: &[(u32, &GpioOutput)]) -> Result<File, GpioError> {
     let names: Vec<LineId> = lines.iter().map(|(_, output)| output.line.line.clone()).collect();
     let polarity = |l: &GpioLine| if l.active_low { LineFlags::ACTIVE_LOW } else { LineFlags::empty() };
@@ -770,7 +772,7 @@ mod tests {
     const A: u32 = 4;
     const B: u32 = 5;
 
-    /// A request of A (bit 0) and B (bit 1) whose kernel is a file that nobody reads.
+    /// A request of A (bit 0) and B (bit 1) on a dummy file that is never read.
     fn request_of(edges: &[(u32, bool, u32, u32)]) -> Inputs {
         let mut queue = vec![0; BATCH * EDGE_WORDS];
         for (n, (offset, rising, all, line)) in edges.iter().enumerate() {
@@ -839,7 +841,7 @@ mod tests {
     fn an_edge_that_leads_nowhere_was_preceded_by_one_unseen() {
         let found = troubles(&[(A, true, 1, 1), (A, true, 2, 2), (A, false, 3, 3)]);
         assert_eq!(found, [None, Some(TroubleKind::EdgeMissed), None]);
-        // Before its first edge a line may already be where that one leads: it came before the levels were read.
+        // A line's first edge may have come before the levels were read. Then the line already has its level.
         assert_eq!(troubles(&[(A, false, 1, 1), (B, false, 2, 1)]), [None, None]);
     }
 

@@ -3,9 +3,9 @@
 //! | module | what |
 //! |---|---|
 //! | [`quadrature`] | the state table of two signals in quadrature, and a decoder that counts |
-//! | [`card`] | what the engine asks of an I/O card |
-//! | [`clock`] | where a card's time comes from |
-//! | [`profile`] | which register and which bit a line is, as data |
+//! | [`card`] | the interface of an I/O card to the engine |
+//! | [`clock`] | the source of a card's time |
+//! | [`profile`] | register and bit of each line, as data |
 //! | [`gpio`] | a card of GPIO lines, through the kernel's character device |
 //! | [`registers`] | a card of registers, and of the card's own counters, however they are reached |
 //! | [`mapped`] | registers that are memory: a file, a PCI BAR, UIO |

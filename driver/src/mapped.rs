@@ -13,7 +13,7 @@ use std::os::unix::fs::{FileTypeExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 use std::ptr::NonNull;
 
-/// Why registers could not be mapped.
+/// Reason why registers could not be mapped.
 #[derive(Debug, thiserror::Error)]
 pub enum MapError {
     /// The file could not be opened, measured or mapped.
@@ -36,7 +36,7 @@ pub enum MapError {
         path: PathBuf,
         /// Its size in bytes.
         found: u64,
-        /// What the profile needs, in bytes.
+        /// Size that the profile needs, bytes.
         expected: u64,
         /// The profile's name.
         profile: String,
@@ -62,12 +62,12 @@ pub enum MapError {
 #[derive(Debug)]
 pub struct Registers {
     base: NonNull<c_void>,
-    /// Where the registers begin, from the start of the mapping, and how long they are.
+    /// Offset of the registers in the mapping, and their length, bytes.
     start: usize,
     len: usize,
 }
 
-/// Where the registers begin in the first page of a UIO device's map, and its size.
+/// Offset of the registers in a UIO map's first page, and their size, bytes.
 fn uio_map(device: &str, map: u8) -> Option<(usize, u64)> {
     let number = |file: &str| {
         let text = std::fs::read_to_string(format!("/sys/class/uio/{device}/maps/map{map}/{file}")).ok()?;
@@ -81,7 +81,7 @@ unsafe impl Send for Registers {}
 
 impl Registers {
     /// Maps the first `len` bytes of `path`, shared, for reading and writing.
-    /// Of a UIO device, of its first map.
+    /// For a UIO device it maps the first map.
     ///
     /// # Errors
     /// As [`Registers::open_map`].
@@ -89,7 +89,7 @@ impl Registers {
         Self::open_map(path, 0, len, profile)
     }
 
-    /// Maps the first `len` bytes of a UIO device's map of that number.
+    /// Maps the first `len` bytes of a UIO device's map number `map`.
     ///
     /// # Errors
     /// When the file cannot be opened or mapped, or is shorter than `len` bytes.
@@ -115,7 +115,7 @@ impl Registers {
                 profile: profile.to_owned(),
             });
         };
-        // Of a UIO device the offset is the map's number in pages (the kernel's UIO howto, mmap).
+        // For a UIO device the offset is the map's number in pages (the kernel's UIO howto, mmap).
         // SAFETY: sysconf only reads a constant of the system.
         let page = unsafe { libc::sysconf(libc::_SC_PAGESIZE) };
         let at = i64::from(map) * page;
@@ -195,8 +195,7 @@ pub type MappedCard<K> = RegisterCard<Registers, K>;
 
 impl<K: Clock> MappedCard<K> {
     /// Maps `path` as the profile states.
-    /// No register is written but those that the profile sets up after a reset; the outputs are taken over as they
-    /// stand.
+    /// Only registers that the profile sets up after a reset are written. The outputs keep their levels.
     ///
     /// # Errors
     /// As [`Registers::open_map`] and [`RegisterCard::new`].
@@ -204,7 +203,7 @@ impl<K: Clock> MappedCard<K> {
         Self::open_map(path, 0, profile, clock)
     }
 
-    /// The same, of a UIO device's map of that number.
+    /// Maps map number `map` of a UIO device; otherwise as [`MappedCard::open`].
     ///
     /// # Errors
     /// As [`Registers::open_map`] and [`RegisterCard::new`].

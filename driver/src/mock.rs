@@ -6,11 +6,11 @@ use crate::clock::Clock;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// What is at the other end of a mock card's wires.
+/// The machine at the other end of a mock card's wires.
 pub trait Wires {
     /// The levels of the input lines at `t_ns`, with the output lines as given.
-    /// Called once per look, and once after every write with the same time, so that whatever listens to the outputs
-    /// sees each change in order.
+    /// The card calls it once per look, and once after every write with the same time. The wires thus see
+    /// each change of the outputs in order.
     fn levels(&mut self, t_ns: u64, outputs: u64) -> u64;
 
     /// The longest step of the machine's time between two looks, ns.
@@ -79,9 +79,9 @@ impl<W: Wires, K: Clock> Card for MockCard<W, K> {
 /// Wires that another thread, or a test, drives and watches.
 #[derive(Debug, Clone, Default)]
 pub struct SharedWires {
-    /// Levels of the inputs. Written by whoever plays the machine, read by the card.
+    /// Levels of the inputs, written by the simulated machine and read by the card.
     pub inputs: Arc<AtomicU64>,
-    /// Levels of the outputs. Written by the card, read by whoever plays the machine.
+    /// Levels of the outputs, written by the card and read by the simulated machine.
     pub outputs: Arc<AtomicU64>,
 }
 

@@ -8,18 +8,18 @@ use std::path::{Path, PathBuf};
 
 use crate::profile::Space;
 
-/// Where the kernel shows the bus.
+/// Directory in which the kernel lists the bus.
 const SYSFS: &str = "/sys/bus/pci/devices";
 /// Flags of a resource, from the kernel's ioport.h.
 const RESOURCE_IO: u64 = 0x100;
 const RESOURCE_MEM: u64 = 0x200;
-/// Drivers that leave a card's registers alone, for a program or for nobody.
+/// Kernel drivers that leave a card's registers to a program, or unused.
 const FOR_PROGRAMS: [&str; 3] = ["pci-stub", "uio_pci_generic", "vfio-pci"];
 
-/// Which function is meant.
+/// Identifies one PCI function.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum PciId {
-    /// Vendor and device; there must be one.
+    /// Vendor and device; exactly one such card must be present.
     Card(u16, u16),
     /// Its place on the bus, `0000:00:04.0`.
     Address(String),
@@ -51,7 +51,7 @@ impl fmt::Display for PciId {
     }
 }
 
-/// What is wrong with a function, or that it is not there.
+/// Reason why a PCI function cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum PciError {
     /// It is not on the bus.
@@ -60,9 +60,9 @@ pub enum PciError {
     /// There is more than one.
     #[error("{} PCI cards {id}, at {}: name one by its address", addresses.len(), addresses.join(" and "))]
     Several {
-        /// What was looked for.
+        /// The vendor and device that were searched.
         id: PciId,
-        /// Where they are.
+        /// Their addresses on the bus.
         addresses: Vec<String>,
     },
     /// The BAR is not what the profile states.
@@ -72,9 +72,9 @@ pub enum PciError {
         address: String,
         /// Number of the BAR, 0 to 5.
         bar: u8,
-        /// What it is.
+        /// The BAR's space and size as found, or its absence.
         found: String,
-        /// What it should be.
+        /// The space and size that the profile needs.
         expected: String,
     },
     /// The card's command register keeps it from answering.
@@ -121,7 +121,7 @@ pub struct Bar {
     pub start: u64,
     /// Size, bytes.
     pub size: u64,
-    /// What lies behind it.
+    /// Memory or port I/O.
     pub space: Space,
     /// The file in sysfs that can be mapped.
     pub file: PathBuf,
@@ -137,8 +137,8 @@ pub struct Function {
     directory: PathBuf,
 }
 
-/// Everything on the bus, in the order of its addresses.
-/// A machine without one has nothing on it.
+/// All functions on the bus, in the order of their addresses.
+/// Empty on a machine without a PCI bus.
 #[must_use]
 pub fn functions() -> Vec<Function> {
     functions_in(Path::new(SYSFS))
@@ -161,7 +161,7 @@ fn functions_in(sysfs: &Path) -> Vec<Function> {
     all
 }
 
-/// The function that is meant.
+/// Finds the one function that `which` names.
 ///
 /// # Errors
 /// When it is not there, or there is more than one.
@@ -169,7 +169,7 @@ pub fn find(which: &PciId) -> Result<Function, PciError> {
     find_in(Path::new(SYSFS), which)
 }
 
-/// The function that is meant, on the bus that the directory shows.
+/// Finds the one function that `which` names on the bus below this directory.
 ///
 /// # Errors
 /// As [`find`].
@@ -191,7 +191,7 @@ fn choose(all: Vec<Function>, which: &PciId) -> Result<Function, PciError> {
 }
 
 impl Function {
-    /// One of its BARs.
+    /// Reads one of the function's BARs.
     ///
     /// # Errors
     /// When sysfs cannot be read, or the card has no such BAR.

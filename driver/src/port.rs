@@ -12,7 +12,7 @@ use std::io;
 use std::os::fd::AsRawFd;
 use std::path::{Path, PathBuf};
 
-/// Why ports could not be had.
+/// Reason why ports could not be opened.
 #[derive(Debug, thiserror::Error)]
 pub enum PortError {
     /// The kernel does not let this process touch them.
@@ -37,12 +37,12 @@ pub enum PortError {
         path: PathBuf,
         /// The system's answer, with its error number.
         source: io::Error,
-        /// What to do about it.
+        /// Advice on what to do.
         hint: &'static str,
     },
 }
 
-/// I/O ports of this process's own, by `in` and `out`: no system call.
+/// I/O ports by the instructions `in` and `out`, without system calls.
 #[derive(Debug)]
 pub struct Ports {
     base: u16,
@@ -153,10 +153,10 @@ pub struct Parport {
 }
 
 impl Parport {
-    /// Opens the port and claims it for this process alone.
+    /// Opens the port and claims it exclusively for this process.
     ///
     /// # Errors
-    /// When it is not there, or somebody else has it.
+    /// It does not exist, or another driver holds it.
     pub fn open(path: &Path) -> Result<Self, PortError> {
         let failed = |op, hint| {
             let path = path.to_owned();

@@ -1,5 +1,5 @@
-//! Card profiles: which register and which bit a line is, as data.
-//! Their files are read above this crate; the texts of those that come with the program are in `profiles/`.
+//! Card profiles: register and bit of each line, as data.
+//! Another crate reads their files. Those that come with the program are in `profiles/`.
 
 use std::collections::BTreeMap;
 
@@ -55,7 +55,7 @@ pub enum Place {
 pub struct Order {
     /// The register.
     pub register: Register,
-    /// What is written.
+    /// The value to write.
     pub value: u32,
 }
 
@@ -71,9 +71,10 @@ pub struct Flag {
 /// A register that must hold a value before the card is of use.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct SetUp {
-    /// What must stand in which register.
+    /// The register, and the value that it must hold.
     pub order: Order,
-    /// What it reads after the card's reset: only then is it written.
+    /// Value after the card's reset.
+    /// The register is written only if it reads this value.
     pub after_reset: u32,
 }
 
@@ -102,7 +103,7 @@ impl Counter {
     }
 }
 
-/// How a card's registers are reached.
+/// Address space of a card's registers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Space {
     /// Memory.
@@ -111,23 +112,23 @@ pub enum Space {
     Io,
 }
 
-/// Where a PCI card has its registers.
+/// Location of a PCI card's registers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct PciPlace {
     /// Vendor and device.
     pub id: (u16, u16),
     /// Base address register, 0 to 5.
     pub bar: u8,
-    /// What that register must say.
+    /// Address space that this BAR must have.
     pub space: Space,
 }
 
 /// A card's registers and lines, checked.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Profile {
-    /// What the card is called.
+    /// Name of the card.
     pub name: String,
-    /// Where the register map is documented.
+    /// Document that describes the register map.
     pub source: String,
     /// Registers of the input word, from bit 0.
     pub inputs: Vec<Register>,
@@ -139,7 +140,7 @@ pub struct Profile {
     pub output_invert: u64,
     /// The lines by name.
     pub lines: BTreeMap<String, Place>,
-    /// Where it is on the PCI bus.
+    /// Location on the PCI bus.
     pub pci: Option<PciPlace>,
     /// Registers to be set before use.
     pub setup: Vec<SetUp>,
@@ -183,14 +184,14 @@ impl Profile {
         }
     }
 
-    /// Every register that is used.
+    /// Every register that the profile uses.
     pub fn registers(&self) -> impl Iterator<Item = Register> {
         let words = self.inputs.iter().chain(&self.outputs).copied();
         let others = self.setup.iter().map(|s| s.order.register);
         words.chain(others).chain(self.counters.iter().flat_map(Counter::registers))
     }
 
-    /// Bytes that a mapping must have.
+    /// Size that a mapping needs, bytes.
     #[must_use]
     pub fn size(&self) -> usize {
         self.registers().map(|r| r.offset + r.width.bits() as usize / 8).max().unwrap_or(0)
@@ -209,7 +210,7 @@ mod tests {
         assert_eq!(p.lines["out31"], Place::Output(31));
     }
 
-    /// A mapping reaches to the last register that is used, whatever it is used for.
+    /// A mapping reaches to the last register used, of whatever kind.
     #[test]
     fn a_mapping_holds_the_registers_of_set_up_and_counters_too() {
         let register = |offset| Register { offset, width: Width::Bits16 };

@@ -18,7 +18,7 @@ pub enum Signal {
 }
 
 impl Signal {
-    /// The other one.
+    /// The other signal.
     #[must_use]
     pub const fn other(self) -> Self {
         match self {
@@ -59,7 +59,7 @@ impl State {
         self.0 & 2 != 0
     }
 
-    /// A and B equal: what decides which inversion comes first (NISTIR 4832, Design C).
+    /// Whether A = B, which decides what is inverted first (NISTIR 4832, Design C).
     #[must_use]
     pub const fn equal(self) -> bool {
         self.0 == 0 || self.0 == 3
@@ -78,7 +78,7 @@ impl State {
         Self((self.0 ^ mask) & 3)
     }
 
-    /// What differs between the two, bit 0 A, bit 1 B.
+    /// Mask of the signals that differ: bit 0 is A, bit 1 is B.
     #[inline]
     #[must_use]
     pub const fn changed(self, other: Self) -> u8 {
@@ -98,7 +98,7 @@ impl State {
     }
 
     /// Counts of the transition to a state in which exactly one signal differs.
-    /// The step is +1 where the present A differs from the previous B.
+    /// The step is +1 if the present A differs from the previous B.
     #[inline]
     #[must_use]
     pub const fn step_to_neighbour(self, next: Self) -> i8 {
@@ -112,7 +112,7 @@ impl State {
         self.step_to_neighbour(self.flipped(signal))
     }
 
-    /// The signal that has changed on the way to `next`, a neighbouring state.
+    /// The signal that changes from here to `next`, a neighbouring state.
     #[must_use]
     pub const fn signal_to(self, next: Self) -> Signal {
         if (self.0 ^ next.0) & 1 != 0 { Signal::A } else { Signal::B }
@@ -132,7 +132,7 @@ impl State {
 }
 
 /// Counts one pair of signals.
-/// An illegal transition is counted as such and never guessed at.
+/// An illegal transition is only counted as illegal; the count stays.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Decoder {
     state: State,

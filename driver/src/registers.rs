@@ -4,7 +4,7 @@ use crate::card::{Card, CardError, Sample, Trouble, TroubleKind};
 use crate::clock::Clock;
 use crate::profile::{Counter, Flag, Order, Profile, Register, SetUp, Width};
 
-/// How registers are read and written.
+/// Access to registers.
 /// An implementation that cannot fail costs nothing.
 pub trait Bus {
     /// Reads a register at a byte offset.
@@ -20,7 +20,7 @@ pub trait Bus {
     fn write(&self, offset: usize, width: Width, value: u32) -> Result<(), CardError>;
 }
 
-/// Why a card cannot be used as its profile states.
+/// Reason why a card cannot be used as its profile states.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum SetUpError {
     /// A register cannot be read or written.
@@ -34,11 +34,11 @@ pub enum SetUpError {
     Unexpected {
         /// Byte offset of the register.
         offset: usize,
-        /// What it reads.
+        /// Value found.
         found: u32,
-        /// What it reads when set up.
+        /// Value after set-up.
         value: u32,
-        /// What it reads after a reset.
+        /// Value after a reset.
         after_reset: u32,
         /// The profile's name.
         profile: String,
@@ -48,9 +48,9 @@ pub enum SetUpError {
     NotTaken {
         /// Byte offset of the register.
         offset: usize,
-        /// What it reads.
+        /// Value found.
         found: u32,
-        /// What was written.
+        /// Value written.
         value: u32,
     },
 }
@@ -63,14 +63,14 @@ struct Part {
     shift: u32,
 }
 
-/// A jump of more counts than this between two looks is no motion.
+/// Largest jump between two looks that can be motion, counts.
 const MAX_JUMP_COUNTS: i64 = 1 << 16;
 /// States of a scale in the order of its counts.
 const CYCLE: [u64; 4] = [0b00, 0b01, 0b11, 0b10];
 
 /// A counter of the card's own.
-/// The engine sees it as quadrature states, one count per look. The ledger so runs on the card's count, and no look
-/// contains two counts.
+/// The engine sees it as quadrature states, one count per look. The ledger thus follows the card's count, and
+/// no look contains two counts.
 #[derive(Debug)]
 struct Counting {
     counter: Counter,
@@ -78,7 +78,7 @@ struct Counting {
     raw: u32,
     /// A and B as last read.
     lines: u64,
-    /// Where the counter is, and what has been shown of it.
+    /// The card's count, and the count shown to the engine so far.
     target: i64,
     shown: i64,
     /// State at a count that is divisible by four, as an index into [`CYCLE`].
@@ -96,14 +96,14 @@ impl Counting {
         1 << self.counter.lines.0 | 1 << self.counter.lines.1
     }
 
-    /// Puts the state that stands for the count into an input word, polarity taken out.
+    /// Writes the state of the shown count into an input word, as logical levels.
     fn show(&self, inputs: u64) -> u64 {
         let state = CYCLE[(self.shown + self.phase).rem_euclid(4) as usize];
         let (a, b) = self.counter.lines;
         inputs & !self.mask() | (state & 1) << a | (state >> 1) << b
     }
 
-    /// Agrees the count with the lines as they are.
+    /// Aligns the count with the present lines.
     fn align(&mut self, lines: u64) {
         let index = CYCLE.iter().position(|s| *s == lines).unwrap_or(0) as i64;
         self.phase = (index - self.target).rem_euclid(4);
@@ -111,7 +111,7 @@ impl Counting {
         self.lines = lines;
     }
 
-    /// Takes a reading of lines and count, and of the flags.
+    /// Takes one reading of lines, count and flags.
     fn take(&mut self, inputs: u64, raw: u32, overflow: bool, error: bool) -> Option<TroubleKind> {
         let bits = self.counter.count.width.bits();
         let delta = i64::from((raw.wrapping_sub(self.raw) << (32 - bits)) as i32 >> (32 - bits));
@@ -124,7 +124,8 @@ impl Counting {
             self.align(lines);
             return Some(TroubleKind::CounterError);
         }
-        // Lines and count are two readings: they need agree only when neither has changed since the look before.
+        // Lines and count are two readings. They must agree only if neither has changed since the previous
+        // look.
         if still && CYCLE[(self.target + self.phase).rem_euclid(4) as usize] != lines {
             self.align(lines);
             return Some(TroubleKind::CounterError);
@@ -233,7 +234,7 @@ impl<B: Bus, K: Clock> RegisterCard<B, K> {
         flag.map_or(Ok(false), |f| Ok(self.bus.read(f.register.offset, f.register.width)? >> f.bit & 1 != 0))
     }
 
-    /// The count of a counter, latched where it can be.
+    /// Reads the count of a counter, latched first if possible.
     fn count_of(&self, n: usize) -> Result<u32, CardError> {
         let counter = &self.counters[n].counter;
         self.order(counter.latch)?;
@@ -306,7 +307,7 @@ mod tests {
     use std::cell::RefCell;
     use std::rc::Rc;
 
-    /// Registers that a test reads and turns; and what was written to which offset.
+    /// Registers of a test card, and every write as offset and value.
     type Memory = (Vec<u32>, Vec<(usize, u32)>);
 
     #[derive(Debug, Clone, Default)]
@@ -340,7 +341,7 @@ mod tests {
     fn counter_card() -> (Bench, RegisterCard<Bench, Virtual>) {
         let bench = Bench::default();
         bench.0.borrow_mut().0 = vec![0; 8];
-        // The scale stands in the third state of its cycle, the counter anywhere.
+        // The scale is in the third state of its cycle; the counter has any value.
         bench.set(0, STATES[2]);
         bench.set(12, 0xffff_fff0);
         let at = |offset| Register { offset, width: Width::Bits32 };
@@ -479,7 +480,7 @@ mod tests {
         assert_eq!(bench.written(), [(4, 0b01)]);
     }
 
-    /// A write changes only the lines asked for.
+    /// A write changes only the requested lines.
     /// The card has two output registers, with some lines of each inverted. A register is written only where one of
     /// its own lines changes. The levels read back are those written.
     #[test]

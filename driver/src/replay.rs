@@ -3,7 +3,7 @@
 use crate::card::{AxisLines, Card, CardError, Sample};
 use crate::quadrature::State;
 
-/// The state that the two signals take at a time.
+/// A change of a trace: the state of the two signals from a time on.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct TracePoint {
     /// Time of the change in ns.
@@ -22,7 +22,7 @@ pub struct RequestedTotal {
     pub requested: i64,
 }
 
-/// What is told of every change that the MTC sees, in order.
+/// Receives every change that the MTC sees, in order.
 pub trait Listener {
     /// A' and B' at `t_ns`.
     /// The first call gives the initial state, each later one a change.
@@ -91,7 +91,7 @@ pub struct ReplayCard<T, L, E, G = Xor> {
     error: Option<E>,
     t_ns: u64,
     scale: State,
-    /// A' and B' as they stand.
+    /// Present levels of A' and B'.
     sent: State,
     outputs: u64,
     edges: u64,
@@ -99,7 +99,7 @@ pub struct ReplayCard<T, L, E, G = Xor> {
 
 impl<T: Iterator<Item = Result<TracePoint, E>>, L: Listener, E, G: Gates> ReplayCard<T, L, E, G> {
     /// Reads the initial state.
-    /// An empty trace stands for an axis at rest at A = B = low.
+    /// An empty trace means an axis at rest at A = B = low.
     ///
     /// # Errors
     /// When the first row is bad.
@@ -144,7 +144,7 @@ impl<T: Iterator<Item = Result<TracePoint, E>>, L: Listener, E, G: Gates> Replay
         self.edges
     }
 
-    /// What listened.
+    /// Returns the listener.
     pub fn into_listener(self) -> L {
         self.listener
     }
@@ -156,7 +156,7 @@ impl<T: Iterator<Item = Result<TracePoint, E>>, L: Listener, E, G: Gates> Replay
 }
 
 impl<T: Iterator<Item = Result<TracePoint, E>>, L: Listener, E, G: Gates> Card for ReplayCard<T, L, E, G> {
-    // Beside the engine that asks, most of what a look says is known to the compiler and need not be written down.
+    // Inlined into the engine: the compiler then knows most fields of the sample and does not store them.
     #[allow(clippy::inline_always)]
     #[inline(always)]
     fn sample(&mut self, wake_ns: u64) -> Result<Sample, CardError> {
@@ -174,7 +174,7 @@ impl<T: Iterator<Item = Result<TracePoint, E>>, L: Listener, E, G: Gates> Card f
                 }
                 self.advance();
             }
-            // A bad row ends the replay where it stands, not at the engine's next appointment.
+            // A bad row ends the replay at once, not at the engine's next wake time.
             None if wake_ns == u64::MAX || self.error.is_some() => return Err(CardError::Ended),
             _ => self.t_ns = self.t_ns.max(wake_ns),
         }
@@ -222,8 +222,8 @@ mod tests {
         Ok(TracePoint { t_ns, state: State::from_bits(bits) })
     }
 
-    /// A' and B' are the output lines.
-    /// They begin as A and B, and each write changes its own.
+    /// Without gates, A' and B' are the output lines.
+    /// They begin as A and B, and each write changes only its own line.
     #[test]
     fn without_gates_the_outputs_are_what_the_mtc_sees() {
         let mut heard = Vec::new();
@@ -235,7 +235,8 @@ mod tests {
         card.write(0b01, 0b01).unwrap();
         assert_eq!((card.outputs(), card.edges()), (Ok(3), 1));
         card.sample(30).unwrap();
-        // Lines that are not of the mask stay, whatever is said of them; nothing new is no change.
+        // Lines outside the mask keep their level, whatever `value` says. A write of the same levels is no
+        // change.
         card.write(0b10, 0b01).unwrap();
         card.write(0b01, 0b11).unwrap();
         assert_eq!(card.outputs(), Ok(1));

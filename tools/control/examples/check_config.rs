@@ -1,4 +1,4 @@
-//! A configuration is read, and every mistake in one is said with its line.
+//! Reads a configuration, and reports every mistake in one with its line.
 use rtec_control::config::{Config, EMBEDDED};
 use std::path::Path;
 

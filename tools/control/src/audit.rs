@@ -1,20 +1,19 @@
-//! The record of every command: who asked for what, when, and what it did.
+//! The record of every command: its user, time, request and result.
 //!
 //! One JSON object a line, each with its number and chained to the one before it:
 //!
 //! ```text
 //! {"n":7,"t":"2026-11-22T13:00:00.123Z","what":"command","by":{…},"request":{…},"result":"done",…,"prev":"…","hash":"…"}
 //! ```
-//! `hash` is the SHA-256 of the line before `,"hash":`, in which `prev` is the hash of the line before. A full file
-//! becomes `NAME.1`, that one `NAME.2` and so on, and the chain continues. `NAME.head` names the last line and the
-//! first that is kept, so that lines cut off at either end are missed. The writer locks it.
-//! that lines cut off at either end are missed; it is locked by whoever writes.
-//! Refusals are in a chain of their own, `NAME.refused`, so that no refusal displaces a command.
-//! What was refused stands in a chain of its own, `NAME.refused`, so that no refusal ever displaces a command.
-//! Someone with the daemon's rights can forge all of these files. The chain reveals changes made by hand, not those
-//! made with the daemon's tools. If its end is also published elsewhere from time to time ([`Anchor`]), older parts
-//! cannot be forged unseen.
-//! its tools. Where its end is said elsewhere from time to time ([`Anchor`]), an older part cannot be forged unseen.
+//! `hash` is the SHA-256 of the line before `,"hash":`, in which `prev` is the hash of the previous line. A
+//! full file becomes `NAME.1`, that one `NAME.2` and so on, and the chain continues. `NAME.head` names the
+//! last line and the first that is kept, so that lines cut off at either end are missed. The writer locks it.
+//!
+//! Refusals have a chain of their own, `NAME.refused`, so that no refusal displaces a command.
+//!
+//! Someone with the daemon's rights can forge all of these files. The chain reveals changes made by hand, not
+//! those made with the daemon's tools. If its end is also published elsewhere from time to time ([`Anchor`]),
+//! older parts cannot be forged unseen.
 
 use crate::protocol::Caller;
 use rtec_files::date;
@@ -33,20 +32,20 @@ mod writer;
 pub use check::{Anchor, Broken, Line, Verified, read, verify};
 pub use writer::Writer;
 
-/// A file of this size becomes the one before, bytes.
+/// Size at which a file is renamed and a new one begun, bytes.
 pub const FULL: u64 = 8 << 20;
 /// Files that are kept, the current one included.
 pub const FILES: usize = 10;
-/// Of refusals.
+/// Files that are kept of refusals, the current one included.
 pub const FILES_REFUSED: usize = 2;
-/// Of a text no more is recorded, characters.
+/// Longest recorded text, characters.
 const LONGEST_TEXT: usize = 1000;
-/// Of a text in a request, characters; of a list, members.
+/// Longest recorded text of a request, characters; then members of a list.
 const LONGEST_WORD: usize = 200;
 const LONGEST_LIST: usize = 16;
-/// What comes before the first line.
+/// Value of `prev` in the first line.
 const NOTHING: &str = "0000000000000000000000000000000000000000000000000000000000000000";
-/// Nothing longer is a line of it, bytes.
+/// Longest line that is read, bytes.
 const LONGEST_LINE: u64 = 64 << 10;
 
 /// One line of the record, without its hash.
@@ -57,38 +56,38 @@ pub struct Entry {
     pub n: u64,
     /// When, UTC (RFC 3339).
     pub t: String,
-    /// What the entry is about.
+    /// Kind of the entry.
     /// It is `command`, `start` or `stop`, or an event: `mode`, `fault`, `homed`, `control_stale`, `stood_still`
     /// (when it was first seen). `lost` counts lines that could not be written. `torn` is a line that a crash cut.
     /// `moved` means that its file or head was removed or renamed while it was written. `missing` means the same
-    /// while nobody wrote.
+    /// while there was no writer.
     pub what: String,
     /// The axis that it happened to; none for the machine as a whole.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub axis: Option<String>,
-    /// Who asked.
+    /// Who made the request.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub by: Option<Caller>,
-    /// What was asked for, as the protocol has it.
+    /// The request, in the protocol's form.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub request: Option<Value>,
     /// `done`, `refused`, `fault` or `bad`.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub result: String,
-    /// Why not, or what else there is to say.
+    /// Reason of a refusal, or a remark.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub text: String,
-    /// How often the same was refused to the same caller within a second.
-    /// It is set if that is more than once. For `lost` and `torn` it is the number of lines or bytes.
+    /// Number of equal refusals to the same caller within a second, if more than one.
+    /// For `lost` and `torn` it is the number of lines or bytes.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub times: Option<u64>,
-    /// Totals before, by axis: requested and in effect, counts.
+    /// Totals before the command, by axis: requested and in effect, counts.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub before: BTreeMap<String, [i64; 2]>,
-    /// Totals after.
+    /// Totals after the command, as `before`.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub after: BTreeMap<String, [i64; 2]>,
-    /// SHA-256 of the machine model that runs.
+    /// SHA-256 of the running machine model.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub model: Option<String>,
     /// Hash of the line before.
@@ -97,7 +96,7 @@ pub struct Entry {
 }
 
 impl Entry {
-    /// A line about something that happened now.
+    /// An entry for something that happened now.
     #[must_use]
     pub fn now(what: &str) -> Self {
         Self {
@@ -117,13 +116,13 @@ impl Entry {
         }
     }
 
-    /// It was asked for, and not done.
+    /// Whether this is a command that was not done.
     #[must_use]
     pub fn is_refusal(&self) -> bool {
         self.what == "command" && self.result != "done"
     }
 
-    /// Cuts texts to the length that a record needs.
+    /// Cuts texts and lists to the lengths that a record may have.
     /// A caller whose requests are refused cannot fill the disk with them.
     #[must_use]
     pub fn bounded(mut self) -> Self {
@@ -135,7 +134,8 @@ impl Entry {
     }
 
     /// Whether the entry is about this axis.
-    /// It was asked for this axis or all, it happened to it or to the machine, or it changed its totals.
+    /// It is if it happened to the axis or the machine, or changed the axis's totals. It also is if the
+    /// request named this axis or all.
     #[must_use]
     pub fn concerns(&self, axis: &str) -> bool {
         let asked = self.request.as_ref().and_then(|r| r.get("axis")).and_then(Value::as_str);
@@ -144,13 +144,13 @@ impl Entry {
         named.is_none_or(|name| name == axis) || changed
     }
 
-    /// When, s since 1970; none where the text is no time.
+    /// Time of the entry, s since 1970; none if the text is not a time.
     #[must_use]
     pub fn seconds(&self) -> Option<f64> {
         seconds(&self.t)
     }
 
-    /// The line, without its end, and its hash.
+    /// The line without its line end, and its hash.
     fn line(&self) -> io::Result<(String, String)> {
         let mut line = serde_json::to_string(self).map_err(io::Error::other)?;
         line.pop();
@@ -179,7 +179,7 @@ fn bound(value: &mut Value) {
     }
 }
 
-/// Where refusals stand, beside the record.
+/// Path of the chain of refusals.
 #[must_use]
 pub fn refused_path(file: &Path) -> PathBuf {
     with_suffix(file, "refused")
@@ -211,7 +211,7 @@ pub fn seconds(text: &str) -> Option<f64> {
     (rest.split(':').count() <= 3).then_some(day as f64 * 86_400.0 + seconds)
 }
 
-/// The end of the chain, beside the record.
+/// The end of the chain, kept in a file beside the record.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 struct Head {
     n: u64,
@@ -224,7 +224,7 @@ fn read_head(file: &Path) -> Option<Head> {
     std::fs::read(head_path(file)).ok().and_then(|bytes| serde_json::from_slice(&bytes).ok())
 }
 
-/// Number and hash of the last line, as its head says; none without one.
+/// Number and hash of the last line, as the head has them; none without a head.
 #[must_use]
 pub fn end(file: &Path) -> Option<(u64, String)> {
     read_head(file).map(|head| (head.n, head.hash))
@@ -240,7 +240,7 @@ fn with_suffix(file: &Path, suffix: &str) -> PathBuf {
     PathBuf::from(name)
 }
 
-/// The files that are there, oldest first.
+/// Existing files of a chain, oldest first.
 fn files(file: &Path) -> Vec<PathBuf> {
     let older = (1..FILES).rev().map(|n| with_suffix(file, &n.to_string()));
     older.chain([file.to_owned()]).filter(|f| f.exists()).collect()
@@ -291,7 +291,7 @@ mod tests {
         assert_eq!(writer.last().0, 21);
         let found = verify(&path, &[]).unwrap();
         assert_eq!((found.lines, found.numbers, found.broken), (21, [1, 21], vec![]));
-        // sha256sum(1) says the same of a line, with cut and paste.
+        // sha256sum(1) gives the same hash of a line, with cut and paste.
         let text = std::fs::read_to_string(&path).unwrap();
         let line = text.lines().nth(7).unwrap();
         let (body, hash) = line.split_once(",\"hash\":\"").unwrap();
@@ -321,14 +321,14 @@ mod tests {
         says(&change(&|l| l.truncate(15)).1, "ends with line number 15, and should with 20");
         says(&change(&|l| l[7] = "nonsense".into()).1, "no hash");
         says(&change(&|l| l.insert(7, l[6].clone())).1, "lines are missing, or in another place");
-        // Changed, and its own hash made good: the next line does not follow.
+        // A changed line with a matching hash of its own: the next line does not follow it.
         let forged = change(&|l| {
             let body =
                 l[7].split_once(",\"hash\"").unwrap().0.replace("\"result\":\"done\"", "\"result\":\"bad\"");
             l[7] = format!("{body},\"hash\":\"{}\"}}", hex(&Sha256::digest(&body)));
         });
         says(&forged.1, "does not follow");
-        // The last one forged in the same way.
+        // The last line, forged in the same way.
         let forged = change(&|l| {
             let body =
                 l[19].split_once(",\"hash\"").unwrap().0.replace("\"result\":\"done\"", "\"result\":\"bad\"");
@@ -379,7 +379,7 @@ mod tests {
             assert_eq!(seconds(bad), None, "{bad}");
         }
         assert!(entry("x", 3).concerns("x") && !entry("x", 3).concerns("y"));
-        // What is asked of all axes, or happens to the machine, concerns each.
+        // A request for all axes, or an event of the machine, concerns each axis.
         let all =
             Entry { request: Some(serde_json::json!({"do": "home", "axis": null})), ..Entry::now("command") };
         assert!(all.concerns("x") && Entry::now("mode").concerns("y"));
@@ -390,7 +390,7 @@ mod tests {
 
     #[test]
     fn a_crash_in_the_middle_of_a_rotation_looks_like_no_tampering() {
-        // As it would be after each of the renames but the last.
+        // The state after each of the renames but the last.
         for renamed in 0..FILES - 1 {
             let (_directory, path) = written(300, 4096);
             let mut writer = Writer::new(&path).full_at(4096);
@@ -489,7 +489,7 @@ mod tests {
             assert_eq!(found.is_empty(), says_so.is_empty(), "{what}: {found:?}");
             assert!(found.iter().all(|b| b.what.contains(says_so)), "{what}: {found:?}");
         }
-        // While nobody wrote: the next start says so.
+        // A removal while nobody writes is reported at the next start.
         let (_directory, path) = written(5, FULL);
         std::fs::remove_file(&path).unwrap();
         Writer::new(&path).append(Entry::now("start")).unwrap();
@@ -514,7 +514,7 @@ mod tests {
         drop((writer, refused));
         let found = verify(&path, &anchors).unwrap();
         assert_eq!((found.broken, found.refused), (vec![], 1));
-        // Somebody with the daemon's rights writes another story, whole in itself.
+        // Somebody with the daemon's rights replaces the record with one that is consistent in itself.
         let (_other, other) = written(25, FULL);
         for suffix in ["", ".head"] {
             let name = |p: &Path| PathBuf::from(format!("{}{suffix}", p.display()));
@@ -524,7 +524,7 @@ mod tests {
         says_with(&path, &anchors, "line number 21 is another one than the anchor says");
         let (_other, other) = written(20, FULL);
         says_with(&other, &anchors[..1], "the anchor knows line number 21");
-        // Refusals too.
+        // The refusals are removed too.
         std::fs::remove_file(refused_path(&path)).unwrap();
         std::fs::remove_file(head_path(&refused_path(&path))).unwrap();
         says_with(&path, &anchors[1..], "the anchor knows line number 1");

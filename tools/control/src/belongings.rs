@@ -14,12 +14,12 @@ use std::path::{Path, PathBuf};
 pub struct Belonging {
     /// `configuration`, `profile`, `model`, `trace`, `recording` or `devices`.
     pub kind: &'static str,
-    /// Where it is.
+    /// Its path.
     pub path: PathBuf,
 }
 
-/// What belongs to the machine of a configuration, which comes first.
-/// Files that it names are given whether they are there or not.
+/// The files of a machine; the first is its configuration.
+/// Files that it names are listed whether they exist or not.
 ///
 /// # Errors
 /// The configuration, or the model that it names, cannot be read.
@@ -34,7 +34,7 @@ pub fn of(file: &Path, config: &Config) -> Result<Vec<Belonging>, InputError> {
     let text = rtec_files::text::read(file)?;
     let document = Document::parse(file, &text)?;
     let card = document.root().get("card").and_then(|e| e.table("[card]").ok());
-    // A profile's name, or its file.
+    // A profile is given by its name or its file.
     if let Some(named) = card.and_then(|t| t.get("profile")).and_then(|e| e.str("a profile").ok())
         && crate::profile::shipped(named).is_none()
     {
@@ -73,8 +73,8 @@ pub fn of(file: &Path, config: &Config) -> Result<Vec<Belonging>, InputError> {
     Ok(all)
 }
 
-/// Files beside the state file of a daemon, by what they are.
-/// The first is the state itself: what the controller has in effect, faults, hold.
+/// Files beside the state file of a daemon, each with its kind.
+/// The first is the state itself: counts in effect, faults, hold.
 #[must_use]
 pub fn state(config: &Config) -> Vec<(&'static str, PathBuf)> {
     let state = config.control.state_path();

@@ -12,16 +12,16 @@ use rtec_driver::registers::{Bus, RegisterCard, SetUpError};
 use std::os::fd::OwnedFd;
 use std::path::{Path, PathBuf};
 
-/// Why a card could not be opened.
+/// Reason why a card could not be opened.
 #[derive(Debug, thiserror::Error)]
 pub enum OpenError {
-    /// The GPIO lines cannot be had.
+    /// The GPIO lines cannot be requested.
     #[error(transparent)]
     Gpio(#[from] GpioError),
     /// The registers cannot be mapped.
     #[error(transparent)]
     Map(#[from] MapError),
-    /// A card on the PCI bus.
+    /// The PCI card cannot be used.
     #[error(transparent)]
     Pci(#[from] PciError),
     /// The I/O ports cannot be opened.
@@ -30,10 +30,10 @@ pub enum OpenError {
     /// The card is not what its profile says.
     #[error(transparent)]
     SetUp(#[from] SetUpError),
-    /// A card that is only to be read does not answer.
+    /// A card that is opened for reading only does not answer.
     #[error(transparent)]
     Card(#[from] CardError),
-    /// A card that is only to be read has not been set up since its reset.
+    /// A card that is opened for reading only has not been set up since its reset.
     #[error(
         "register {offset:#x} reads {found:#x}, expected {value:#x}: the card has not been set up since its reset, and only \
          reading does not set it up. Start the daemon once, or use --drive with the MTC off"
@@ -41,9 +41,9 @@ pub enum OpenError {
     NotSetUp {
         /// Byte offset of the register.
         offset: usize,
-        /// What it reads.
+        /// Value found.
         found: u32,
-        /// What it reads when set up.
+        /// Value after set-up.
         value: u32,
     },
     /// A simulated machine or a recording.
@@ -51,12 +51,12 @@ pub enum OpenError {
     NoLines(&'static str),
 }
 
-/// What is to be done with a card, whichever it is.
+/// An operation on a card of any backend.
 pub trait OnCard {
-    /// What comes of it.
+    /// Its result.
     type Output;
 
-    /// Does it.
+    /// Performs the operation.
     fn on<C: Card + Send + 'static>(self, card: C) -> Self::Output;
 }
 
@@ -64,13 +64,13 @@ pub trait OnCard {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Access {
     /// Nothing is enabled, set up or requested as an output.
-    /// What the card needs to be read (latching its counters) is done.
+    /// Reading may still latch the card's counters.
     Read,
     /// The card is opened as the daemon opens it.
     Drive,
 }
 
-/// Opens the card that a configuration names and hands it to `what`.
+/// Opens the card that a configuration names and passes it to `what`.
 ///
 /// # Errors
 /// When it cannot be opened, or is a simulated one.
@@ -124,7 +124,7 @@ fn on_registers<B: Bus + Send + 'static, W: OnCard>(
     Ok(what.on(RegisterCard::new(bus, &profile, Monotonic)?))
 }
 
-/// GPIO lines; `kept` are the output requests of the process before.
+/// Opens GPIO lines; `kept` are output requests of an earlier process.
 ///
 /// # Errors
 /// As [`GpioCard::open`].
@@ -132,7 +132,7 @@ pub fn gpio(setup: &GpioSetup, kept: Vec<OwnedFd>) -> Result<GpioCard<Monotonic>
     Ok(GpioCard::open(setup, kept, Monotonic)?)
 }
 
-/// A BAR of a PCI card, which [`Access::Drive`] enables.
+/// Finds a BAR of a PCI card; with [`Access::Drive`] also enables the card.
 fn bar(id: &PciId, bar: u8, space: Space, profile: &Profile, access: Access) -> Result<Bar, PciError> {
     let card = pci::find(id)?;
     match access {
@@ -141,8 +141,8 @@ fn bar(id: &PciId, bar: u8, space: Space, profile: &Profile, access: Access) -> 
     }
 }
 
-/// The file of the mapped registers, and which map of it.
-/// For a PCI card it is that of the BAR.
+/// File of the mapped registers, and the number of its map.
+/// For a PCI card it is the file of the BAR.
 ///
 /// # Errors
 /// When the PCI card is not as it should be.
@@ -158,7 +158,7 @@ pub fn register_file(
     })
 }
 
-/// A file of registers.
+/// Opens a file of registers.
 ///
 /// # Errors
 /// As [`MappedCard::open_map`].
@@ -166,7 +166,7 @@ pub fn mapped(file: &Path, map: u8, profile: &Profile) -> Result<MappedCard<Mono
     Ok(MappedCard::open_map(file, map, profile, Monotonic)?)
 }
 
-/// A parallel port by its driver.
+/// Opens a parallel port through its driver.
 ///
 /// # Errors
 /// When it cannot be claimed, or is not as the profile says.
@@ -182,7 +182,7 @@ pub fn io_bar(id: &PciId, number: u8, profile: &Profile, access: Access) -> Resu
     Ok(bar(id, number, Space::Io, profile, access)?.start as u16)
 }
 
-/// I/O ports by the processor's own instructions.
+/// Opens I/O ports accessed by the processor's own instructions.
 ///
 /// # Errors
 /// When the kernel refuses them, or the card is not as the profile says.

@@ -14,25 +14,25 @@ use std::os::unix::net::UnixStream;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-/// An answer takes milliseconds, that to a load some seconds.
-/// A daemon that takes longer than this is not well.
+/// Longest wait for an answer.
+/// An answer takes milliseconds, that to a load some seconds. A daemon that takes longer has a problem.
 const PATIENCE: Duration = Duration::from_secs(10);
-/// The longest answer, bytes.
-/// A page of a ledger or a whole status has some hundred thousand.
+/// Longest answer, bytes.
+/// A page of a ledger or a whole status has some hundred thousand bytes.
 const LONGEST_ANSWER: u64 = 16 << 20;
 
-/// Why the daemon gave no answer.
+/// Reason why the daemon gave no answer.
 #[derive(Debug, thiserror::Error)]
 pub enum ClientError {
-    /// Nobody is at the socket.
+    /// Nothing listens at the socket.
     #[error("cannot reach rtecd at {}: {source}; is it running? (systemctl status rtecd, or start rtecd)", socket.display())]
     Unreachable {
         /// Path of the socket that was tried.
         socket: PathBuf,
-        /// What the system said.
+        /// The system's answer.
         source: io::Error,
     },
-    /// No socket can have so long a path.
+    /// The path is longer than a socket's path can be.
     #[error(
         "cannot reach rtecd at {}: found a path of {} bytes, expected at most {LONGEST_SOCKET} (unix(7)): a shorter directory, or \
          a symbolic link to it", socket.display(), socket.as_os_str().len()
@@ -41,7 +41,7 @@ pub enum ClientError {
         /// Path of the socket that was named.
         socket: PathBuf,
     },
-    /// It runs, and this user may not speak to it.
+    /// The daemon runs, but this user may not use it.
     #[error(
         "cannot reach rtecd at {}: permission denied on every socket of it; ask for a group that may ([control] group, \
          operate.group, view.group of the configuration)", socket.display()
@@ -50,30 +50,30 @@ pub enum ClientError {
         /// Path of the socket that was tried.
         socket: PathBuf,
     },
-    /// Somebody else answers there.
+    /// A process of another user listens there.
     #[error("{}: a process of user {uid} listens there, {}; nothing is said to it", socket.display(), expected(open.as_deref()))]
     Impostor {
         /// Path of the socket that was tried.
         socket: PathBuf,
-        /// Whose process it is.
+        /// User number of that process.
         uid: u32,
-        /// The directory on the way there that everybody can write to.
+        /// The directory on its path that everybody can write to.
         open: Option<PathBuf>,
     },
     /// The connection broke, or the answer took too long.
     #[error("no answer from rtecd{}", silence(.0))]
     Io(#[from] io::Error),
-    /// The answer is not one.
+    /// The answer is not valid.
     #[error("rtecd answered {found}: {}; are rtecctl and rtecd of the same version?", printable(why))]
     Answer {
         /// The line that came instead of an answer, or why none came.
         found: String,
-        /// What is wrong with it.
+        /// What is wrong with the line.
         why: String,
     },
 }
 
-/// Whose process should be there.
+/// Describes whose process should listen there.
 fn expected(open: Option<&Path>) -> String {
     match open {
         Some(open) => format!(
@@ -85,7 +85,7 @@ fn expected(open: Option<&Path>) -> String {
     }
 }
 
-/// What a broken connection means to people.
+/// Explains a broken connection to the user.
 fn silence(error: &io::Error) -> String {
     match error.kind() {
         io::ErrorKind::WouldBlock | io::ErrorKind::TimedOut => format!(
@@ -111,7 +111,7 @@ impl Client {
     /// If this user may not use it, tries the sockets of lesser roles beside it.
     ///
     /// # Errors
-    /// When nobody listens, this user may use none of them, or somebody else listens there.
+    /// When nothing listens, this user may use none of them, or another user's process listens.
     pub fn connect(socket: &Path) -> Result<Self, ClientError> {
         let sockets = Role::ALL.map(|role| derived(socket, role));
         Self::connect_to(&[&sockets[2], &sockets[1], &sockets[0]])
@@ -134,17 +134,17 @@ impl Client {
                 Err(source) => failed.push((socket, source)),
             }
         }
-        // What is derived from a path that is short enough may be too long; nobody listens there.
+        // A path derived from a valid one may be too long; no daemon listens there.
         let too_long = |socket: &Path| socket.as_os_str().len() > LONGEST_SOCKET;
         if let Some(socket) = sockets.iter().min_by_key(|s| s.as_os_str().len()).filter(|s| too_long(s)) {
             return Err(ClientError::TooLong { socket: (*socket).clone() });
         }
         failed.retain(|(socket, _)| !too_long(socket));
-        // A socket that this user may use and nobody listens at says more than one that he may not.
+        // A socket that this user may use, but where nothing listens, explains more than a forbidden one.
         let of = |kind: ErrorKind| failed.iter().position(|(_, e)| e.kind() == kind);
         let denied = of(ErrorKind::PermissionDenied);
         let other = || failed.iter().position(|(_, e)| e.kind() != ErrorKind::NotFound);
-        // The one that was named is the shortest: the others are derived from it.
+        // The configured path is the shortest; the others are derived from it.
         let named = || (0..failed.len()).min_by_key(|n| failed[*n].0.as_os_str().len());
         let Some(n) = of(ErrorKind::ConnectionRefused).or(denied).or_else(other).or_else(named) else {
             return Err(io::Error::from(ErrorKind::NotFound).into());
@@ -183,7 +183,7 @@ impl Client {
                 sendmsg::<UnixAddr>(stream, &[IoSlice::new(rest)], &rights, MsgFlags::MSG_NOSIGNAL, None);
             rest = &rest[sent.map_err(io::Error::from)?..];
         }
-        // A daemon that refuses a connection answers before it has read: what it said is there to be read.
+        // A daemon that refuses a connection answers before it reads. That answer can still be read.
         let sent = self.stream.get_mut().write_all(rest);
         match self.answer() {
             Err(ClientError::Io(_)) if sent.is_err() => {
@@ -193,7 +193,7 @@ impl Client {
         }
     }
 
-    /// Waits for as long as it takes: after `watch`, events come when they come.
+    /// Waits without limit: after `watch`, events come at any time.
     ///
     /// # Errors
     /// What the system reports.
@@ -201,8 +201,8 @@ impl Client {
         self.stream.get_ref().set_read_timeout(None)
     }
 
-    /// Waits so long at most.
-    /// Then the answer is an error of kind `WouldBlock` or `TimedOut`.
+    /// Limits the wait for an answer.
+    /// After `time` the answer is an error of kind `WouldBlock` or `TimedOut`.
     ///
     /// # Errors
     /// What the system reports.
@@ -210,7 +210,7 @@ impl Client {
         self.stream.get_ref().set_read_timeout(Some(time))
     }
 
-    /// The next answer.
+    /// Reads the next answer.
     ///
     /// # Errors
     /// When there is none.
@@ -219,7 +219,7 @@ impl Client {
     }
 }
 
-/// Reads one answer, a line.
+/// Reads one line as an answer.
 ///
 /// # Errors
 /// There is none: the end, a line that is no answer, or one that does not end.
@@ -242,7 +242,7 @@ fn unreachable_io() -> ClientError {
     io::Error::from(ErrorKind::BrokenPipe).into()
 }
 
-/// Refuses another user's process, which could accept a command and not do it.
+/// Refuses another user's process, which could accept commands and ignore them.
 fn is_daemon(stream: &UnixStream, socket: &Path) -> Result<(), ClientError> {
     let peer = getsockopt(stream, sockopt::PeerCredentials).map_err(io::Error::from)?;
     let uid = peer.uid();
@@ -295,7 +295,7 @@ mod tests {
         }
     }
 
-    /// Of three sockets one is closed and one is stale: that is the reason.
+    /// One of three sockets is forbidden, one stale: the stale one is reported.
     #[test]
     fn a_daemon_that_has_died_is_not_mistaken_for_one_that_forbids() {
         let directory = tempfile::tempdir().unwrap();
@@ -306,7 +306,7 @@ mod tests {
             let error = Client::connect_to(&order).unwrap_err().to_string();
             assert!(error.contains("refused") && error.contains("is it running?"), "{error}");
         }
-        // None of them: the one that was named is said.
+        // None of them exists: the configured path is reported.
         let (named, derived) = (at("c.sock"), at("c-view.sock"));
         let error = Client::connect_to(&[&derived, &named]).unwrap_err().to_string();
         assert!(error.contains("/c.sock: No such file"), "{error}");
@@ -317,7 +317,7 @@ mod tests {
         let long = PathBuf::from(format!("/tmp/{}", "x".repeat(120)));
         let error = Client::connect(&long).unwrap_err().to_string();
         assert!(error.contains("a path of 125 bytes, expected at most 107"), "{error}");
-        // What is derived from it may be longer.
+        // A derived path may be longer than the limit.
         let short = PathBuf::from(format!("/tmp/{}", "x".repeat(100)));
         let error = Client::connect(&short).unwrap_err().to_string();
         assert!(error.contains("No such file"), "{error}");

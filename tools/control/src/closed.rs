@@ -1,4 +1,4 @@
-//! Directories into which nobody but their owners can put anything.
+//! Directories that only their owners can write to.
 
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 /// Otherwise the error is the directory that is open to everybody.
 ///
 /// # Errors
-/// That directory; none where one cannot be looked at.
+/// That directory; none if one cannot be examined.
 pub(crate) fn closed_directory(socket: &Path) -> Result<u32, Option<PathBuf>> {
     let parent = socket.parent().filter(|d| !d.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let directory = std::fs::canonicalize(parent).map_err(|_| None)?;

@@ -1,9 +1,10 @@
 //! `rtec.toml`: machine, card, axes, real-time thread and control sockets.
 //!
-//! The keys of each table, with what they may be, default and meaning, are in `keys`: the guide's reference is made of it.
+//! `keys` lists the keys of each table with allowed values, default and meaning; the guide's reference is made from it.
 //!
-//! A controller that checks counts between reference marks, or compares two encoders, sees a correction as an error:
-//! `reference_budget_counts` says how much it bears, and caps `max_correction_counts`.
+//! A controller that checks counts between reference marks, or compares two encoders, sees a correction as an
+//! error. `reference_budget_counts` says how much of it the controller tolerates, and limits
+//! `max_correction_counts`.
 
 mod axis;
 mod card;
@@ -40,7 +41,7 @@ pub struct Config {
     pub card: CardConfig,
     /// The machine's own lines: probe, disable switch, MTC ready, hold.
     pub lines: MachineLines,
-    /// Feed hold comes on when the MTC is off.
+    /// Feed hold is on while the MTC is off.
     pub hold_without_mtc: bool,
     /// The axes, in order.
     pub axes: Vec<ConfiguredAxis>,
@@ -52,11 +53,11 @@ pub struct Config {
     pub model: ModelConfig,
     /// The temperature sensors (`[[sensor]]`).
     pub sensors: Vec<SensorConfig>,
-    /// What is allowed but worth knowing.
+    /// Settings that are allowed but deserve attention.
     pub notes: Vec<String>,
 }
 
-/// A card and what it needs.
+/// A card and its backend's settings.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum CardConfig {
     /// Simulated axes in the daemon's own process.
@@ -65,16 +66,16 @@ pub enum CardConfig {
     Gpio(GpioSetup),
     /// Registers mapped into memory.
     Mapped {
-        /// Where the registers are.
+        /// Location of the registers.
         place: MappedPlace,
-        /// What each register and bit means.
+        /// Meaning of each register and bit.
         profile: Profile,
     },
     /// Registers that are I/O ports.
     Port {
-        /// Where the ports are.
+        /// Location of the ports.
         place: PortPlace,
-        /// What each register and bit means.
+        /// Meaning of each register and bit.
         profile: Profile,
     },
     /// Recorded traces in real time, one per axis.
@@ -84,18 +85,18 @@ pub enum CardConfig {
     },
 }
 
-/// Where mapped registers are.
+/// Location of mapped registers.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum MappedPlace {
     /// A file: shared memory, a resource in sysfs.
     File(PathBuf),
-    /// A UIO device, and which of its maps.
+    /// A UIO device, and the number of its map.
     Uio(PathBuf, u8),
     /// A BAR of a PCI card.
     Pci(PciId, u8),
 }
 
-/// Where I/O ports are.
+/// Location of I/O ports.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum PortPlace {
     /// A parallel port's device.
@@ -139,7 +140,7 @@ impl CardConfig {
         }
     }
 
-    /// Something outside this process hangs on the lines.
+    /// Whether the lines lead out of this process.
     #[must_use]
     pub const fn is_real(&self) -> bool {
         matches!(self, Self::Gpio(_) | Self::Mapped { .. } | Self::Port { .. })
@@ -163,32 +164,32 @@ impl CardConfig {
 pub struct ConfiguredAxis {
     /// The axis's name.
     pub name: String,
-    /// What one count is worth, µm.
+    /// Size of one count, µm.
     pub count_um: f64,
     /// Length of its travel, mm.
     pub travel_mm: f64,
-    /// Position of the place where it is homed, counts.
+    /// Position at which it is homed, counts.
     pub home_counts: i64,
-    /// How fast it moves at most, mm/min.
+    /// Rapid: its highest speed, mm/min.
     pub rapid_mm_min: Option<f64>,
-    /// The card counts its edges itself, however fast they come.
+    /// The card counts its edges in hardware, at any rate.
     pub counted: bool,
-    /// What the MTC tolerates between reference marks or encoders, counts.
+    /// Difference that the MTC tolerates between marks or encoders, counts.
     pub reference_budget_counts: Option<i64>,
-    /// What the engine needs to know.
+    /// The engine's configuration of the axis.
     pub engine: AxisConfig,
-    /// The mock card: what the simulated machine is really like.
+    /// With the mock card: the simulated machine's real properties.
     pub simulated: Simulated,
 }
 
-/// A simulated axis that may differ from what its configuration says.
+/// Properties of a simulated axis that may differ from its configuration.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Simulated {
-    /// What a count is really worth, µm; negative where it counts backwards.
+    /// Real size of one count, µm; negative if it counts backwards.
     pub count_um: f64,
-    /// What its controller compensates by itself.
+    /// Compensation by its own controller, ppm.
     pub compensates_ppm: f64,
-    /// Its controller does not use the feedback that it is sent.
+    /// Its controller ignores the corrected feedback.
     pub ignores: bool,
 }
 
@@ -201,27 +202,27 @@ pub struct RtConfig {
     pub priority: u8,
     /// The file gives measured latencies of the machine (`detect_ns` and `write_ns`).
     pub latency_measured: bool,
-    /// Where and when it has been; none where the file does not say.
+    /// Where and when they were measured; none if the file does not say.
     pub measured: Option<Measured>,
 }
 
-/// The machine model, live.
+/// The machine model that runs in the daemon (`[model]`).
 #[derive(Debug, Clone, PartialEq)]
 pub struct ModelConfig {
-    /// The model that shall run; none where the file names none.
+    /// Path of the model to run; none if the file names none.
     pub file: Option<PathBuf>,
     /// Time between two evaluations, ms.
     pub period_ms: u64,
-    /// The rate at which a correction approaches a value that no motion asks for, µm/s.
+    /// Rate at which a correction follows changes that no motion causes, µm/s.
     pub ramp_um_s: f64,
-    /// How long before the axes are there it is evaluated, ms.
+    /// Lead: the model is evaluated for where the axes will be after this time, ms.
     pub lead_ms: f64,
     /// Time between two logged sets of temperatures, s.
     pub log_s: f64,
 }
 
-/// Everything that is wrong with a configuration.
-/// Beside it the notes about what it names on this computer, where that was looked at.
+/// All mistakes of a configuration.
+/// With them the notes about what it names on this computer, if that was checked.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ConfigFindings(pub Vec<InputError>, pub Vec<String>);
 
@@ -267,7 +268,7 @@ impl Config {
         Self::parse(file, &text_of(file)?)
     }
 
-    /// As [`Config::load`], and checks what the configuration names on this computer.
+    /// As [`Config::load`], and checks on this computer what the file names.
     /// It looks for groups, cards, devices, recordings and the model.
     ///
     /// # Errors
@@ -303,13 +304,13 @@ impl Config {
         }
     }
 
-    /// What the engine needs to know of each axis.
+    /// The engine's configuration of each axis.
     #[must_use]
     pub fn engine_axes(&self) -> Vec<AxisConfig> {
         self.axes.iter().map(|axis| axis.engine).collect()
     }
 
-    /// Machine, card and lines as a text: the identity that a state file belongs to.
+    /// Identity of machine, card and lines, as text; a state file belongs to one.
     #[must_use]
     pub fn identity(&self) -> String {
         let card = match &self.card {
@@ -347,7 +348,7 @@ impl Config {
         self.axes.iter().position(|axis| axis.name == name)
     }
 
-    /// The axis that was probably meant.
+    /// The axis whose name is most similar.
     #[must_use]
     pub fn nearest_axis(&self, name: &str) -> Option<&str> {
         nearest(name, &self.axes.iter().map(|a| a.name.as_str()).collect::<Vec<_>>())
@@ -355,7 +356,7 @@ impl Config {
 }
 
 impl ConfiguredAxis {
-    /// What the control law needs to know of it.
+    /// The axis's settings for the control law.
     #[must_use]
     pub fn law(&self) -> rtec_correct::AxisSetup {
         rtec_correct::AxisSetup {
@@ -368,7 +369,7 @@ impl ConfiguredAxis {
     }
 }
 
-/// A configuration's text. Where there is none: how to come by one.
+/// Reads a configuration's text; if there is none, says how to get one.
 fn text_of(file: &Path) -> Result<String, ConfigFindings> {
     rtec_files::text::read(file).map_err(|mut finding| {
         if !file.exists() {
@@ -379,8 +380,8 @@ fn text_of(file: &Path) -> Result<String, ConfigFindings> {
     })
 }
 
-/// The file's whole content.
-/// Findings are in the source, `None` where there is no way on.
+/// Reads the whole file.
+/// Findings go to `source`; `None` if reading cannot continue.
 fn read(source: &mut SourceFile<'_>, document: &Document<'_>, here: bool) -> Option<Config> {
     let mut root = Section::root(document);
     let mut notes = Vec::new();
@@ -520,7 +521,7 @@ fn first_causes(text: &str, findings: Vec<InputError>) -> Vec<InputError> {
             kept.push(finding);
         }
     }
-    // Beyond the first few nobody knows what is cause and what is consequence.
+    // Beyond the first few, cause and consequence cannot be told apart.
     kept.truncate(5);
     kept
 }

@@ -9,18 +9,18 @@ use std::io;
 use std::path::Path;
 use std::time::Duration;
 
-/// What stands in front of a trace.
+/// Heading comment of a trace.
 const TRACE_IS: [&str; 2] = [
     "made from a ledger: positions are right at the looks at which the ledger changed (since_ns, t_ns of the insertions) and at the end;",
     "between two changes it is one even, straight way, whatever the axis did there: no record of the motion",
 ];
-/// What stands in front of the requests.
+/// Heading comment of the requests.
 const REQUESTS_ARE: &str = "# totals that lead to the ledger's insertions when they are replayed; what was asked for: requested of the insertions\n";
-/// Time for an edge that was never seen, where an insertion needs one.
+/// Time allowed for an unrecorded edge at which an insertion can begin, ns.
 const EDGE_NS: u64 = 100_000;
 
 impl LedgerPage {
-    /// Keeps the changes of the last time, and the one before them as where they begin.
+    /// Keeps the changes of the last `last`, and the one before them as their start.
     pub fn shorten(&mut self, last: Duration) {
         let from = self.now_ns.saturating_sub(last.as_nanos().min(u128::from(u64::MAX)) as u64);
         let older = self.rows.partition_point(|r| r.t_ns < from).saturating_sub(1);
@@ -29,14 +29,14 @@ impl LedgerPage {
     }
 }
 
-/// What the files of an axis's ledger will say.
+/// Summary of the files that an axis's ledger is written to.
 #[derive(Debug)]
 pub struct LedgerExport {
     /// The belief window, counts.
     window: i64,
-    /// From here on every change is known, ns on the card's clock.
+    /// Time from which every change is known, ns on the card's clock.
     pub whole_from_ns: u64,
-    /// Completed before that, counts.
+    /// Total completed before that time, counts.
     pub before: i64,
     /// The scale's counts since then.
     pub counts: i64,
@@ -46,14 +46,14 @@ pub struct LedgerExport {
     pub completed: i64,
     /// Insertions since then.
     pub insertions: u64,
-    /// Of these, in shadow mode: nothing was written.
+    /// Insertions among these in shadow mode, in which nothing is written.
     pub shadow: u64,
     /// Edges of the trace.
     pub edges: u64,
 }
 
 impl LedgerExport {
-    /// What the kept changes give; `window` is the belief window, counts.
+    /// Summarises the kept changes; `window` is the belief window, counts.
     #[must_use]
     pub fn of(kept: &LedgerPage, window: i64) -> Self {
         let first = kept.rows.first().copied().unwrap_or_default();
@@ -83,7 +83,7 @@ impl LedgerExport {
         told
     }
 
-    /// How a replay that gives the same totals compares, by its number of insertions.
+    /// Compares the number of insertions of a replay that gives the same totals.
     #[must_use]
     pub fn compared(&self, insertions: u64) -> String {
         if insertions == self.insertions {
@@ -96,7 +96,7 @@ impl LedgerExport {
         format!("the same totals, by {insertions} insertions ({why})")
     }
 
-    /// Gives every edge and every request after the first row, in order of time.
+    /// Reports every edge and every request after the first row, in order of time.
     fn tell(
         &self,
         kept: &LedgerPage,
@@ -105,7 +105,7 @@ impl LedgerExport {
     ) -> io::Result<()> {
         let Some(first) = kept.rows.first() else { return Ok(()) };
         let mut at = Stretch { t_ns: Self::start_ns(first), counts: first.position_counts };
-        // What was there before: asked for at once, and edges to insert it at.
+        // The total before the first row is requested at once, with edges to insert it at.
         self.ask(at.t_ns, 0, first.completed, request);
         at.go(first.t_ns, first.position_counts, lead_edges(first), &mut |_, t, p| edge(t, p))?;
         let mut before = *first;
@@ -113,7 +113,7 @@ impl LedgerExport {
             at.go(row.since_ns, row.since_counts, 0, &mut |_, t, p| edge(t, p))?;
             let change = row.completed - before.completed;
             let made = row.insertions.saturating_sub(before.insertions);
-            // Insertions that took each other back: there first, and back.
+            // Insertions that cancelled each other: first the way there, then the way back.
             let back = (made as i64 - change.abs() / 2).max(0) / 2;
             let far = row.completed + 2 * back * if change < 0 { -1 } else { 1 };
             self.ask(at.t_ns, before.completed, far, request);
@@ -137,7 +137,7 @@ impl LedgerExport {
         first.t_ns.saturating_sub((lead_edges(first) + 1) * EDGE_NS)
     }
 
-    /// A total, in steps that the belief window lets through.
+    /// Requests a total in steps that the belief window accepts.
     fn ask(&self, t_ns: u64, from: i64, to: i64, request: &mut dyn FnMut(u64, i64)) {
         let mut total = from;
         while total != to {
@@ -179,14 +179,14 @@ impl LedgerExport {
     }
 }
 
-/// Insertions that changed the total and not what is in effect.
+/// Insertions that changed the total but not the counts in effect.
 fn in_shadow(rows: &[LedgerRow]) -> u64 {
     let pairs =
         rows.windows(2).filter(|w| w[0].completed != w[1].completed && w[0].in_effect == w[1].in_effect);
     pairs.map(|w| w[1].insertions.saturating_sub(w[0].insertions)).sum()
 }
 
-/// Most turns of a stretch: no insertion begins where the axis turns.
+/// Largest number of turns in a stretch: no insertion begins at a turn.
 const TURNS: u64 = 3;
 
 /// Edges before the first row, for what had been inserted by then.
@@ -194,14 +194,14 @@ fn lead_edges(first: &LedgerRow) -> u64 {
     if first.completed == 0 { 0 } else { first.completed.unsigned_abs() / 2 + 3 + TURNS }
 }
 
-/// Where the axis is as the story goes.
+/// The reconstructed axis: time and position.
 struct Stretch {
     t_ns: u64,
     counts: i64,
 }
 
 impl Stretch {
-    /// Goes evenly to a place, by at least so many edges: beyond it and back.
+    /// Moves evenly to a position, with an overshoot if too few edges lie on the way.
     fn go(
         &mut self,
         t_ns: u64,
@@ -216,7 +216,7 @@ impl Stretch {
         let onward = if to < self.counts { -1 } else { 1 };
         for n in 1..=edges {
             let at = u128::from(t_ns.saturating_sub(begun)) * u128::from(n) / u128::from(edges + 1);
-            // Two looks at one moment do not happen; still, times must rise.
+            // Two looks never have the same time; times must rise all the same.
             self.t_ns = (begun + at as u64).max(self.t_ns + 1);
             let beyond = n.saturating_sub(way);
             self.counts += match beyond {

@@ -1,9 +1,9 @@
-//! How a configuration names a line of a card.
+//! Names of card lines in a configuration.
 
 use rtec_driver::gpio::{Bias, Drive, GpioLine, LineId};
 use rtec_files::toml::{At, Entry, Section, SourceFile};
 
-/// How a configuration names a line.
+/// Name of a line in a configuration.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum LineName<'a> {
     /// A line of the card's profile.
@@ -12,14 +12,14 @@ pub(crate) enum LineName<'a> {
     Bit(u8),
 }
 
-/// What `bias` can be.
+/// Values of `bias`.
 pub(crate) const BIASES: [(&str, Bias); 3] =
     [("pull-up", Bias::PullUp), ("pull-down", Bias::PullDown), ("disabled", Bias::Disabled)];
-/// What `drive` can be.
+/// Values of `drive`.
 pub(crate) const DRIVES: [(&str, Drive); 3] =
     [("push-pull", Drive::PushPull), ("open-drain", Drive::OpenDrain), ("open-source", Drive::OpenSource)];
 
-/// A line: its name, or its bit.
+/// Reads a line given by name or bit.
 pub(crate) fn line<'a>(
     section: &mut Section<'a>,
     source: &mut SourceFile<'_>,
@@ -31,8 +31,8 @@ pub(crate) fn line<'a>(
     })
 }
 
-/// A GPIO line: its name, its number, or a table that says more.
-/// What the table leaves out is in `card`.
+/// Reads a GPIO line given by name, number or a table.
+/// Keys that the table omits are taken from `card`.
 pub(crate) fn gpio_line(
     section: &mut Section<'_>,
     source: &mut SourceFile<'_>,

@@ -10,15 +10,15 @@ use std::path::{Path, PathBuf};
 /// A lock that lasts as long as this value.
 pub type Held = Flock<File>;
 
-/// Why a lock could not be had.
+/// Reason why a lock could not be taken.
 #[derive(Debug, thiserror::Error)]
 pub enum LockError {
-    /// Somebody else has it.
+    /// Another process holds it.
     #[error("another rtecd{by} holds the {what} {}", path.display())]
     Taken {
-        /// The process, where it is known: ` (process 123)`.
+        /// The process, if it is known: ` (process 123)`.
         by: String,
-        /// What is locked: `lock` (the socket's lock file) or `card`.
+        /// Kind of lock: `lock` (the socket's lock file) or `card`.
         what: &'static str,
         /// The locked file.
         path: PathBuf,
@@ -26,11 +26,11 @@ pub enum LockError {
     /// The system refused the lock for another reason than its holder.
     #[error("{what} {}: {source}", path.display())]
     Io {
-        /// What is locked: `lock` (the socket's lock file) or `card`.
+        /// Kind of lock: `lock` (the socket's lock file) or `card`.
         what: &'static str,
         /// The locked file.
         path: PathBuf,
-        /// What the system said.
+        /// The system's answer.
         source: io::Error,
     },
 }
@@ -44,7 +44,7 @@ fn lock(path: &Path, what: &'static str, options: &OpenOptions) -> Result<Held, 
         }
         let mut holder = String::new();
         if what == "lock" {
-            // The holder's number is a courtesy; without it the message is shorter.
+            // The holder's process number only improves the message.
             let _ = held.read_to_string(&mut holder);
         }
         let holder = holder.trim();
@@ -53,16 +53,16 @@ fn lock(path: &Path, what: &'static str, options: &OpenOptions) -> Result<Held, 
     })
 }
 
-/// Takes a card's file of registers.
+/// Locks a card's file of registers.
 ///
 /// # Errors
-/// When somebody else has it, or it cannot be opened.
+/// When another process has it, or it cannot be opened.
 pub fn card(file: &Path) -> Result<Held, LockError> {
-    // Its name may lead there over links, as those below /dev do.
+    // Symbolic links are followed, because those below /dev lead to the card.
     lock(file, "card", File::options().read(true).write(true))
 }
 
-/// The lock file is written to: never through a link that somebody has put there.
+/// Options of the lock file: it is written to, and never through a symbolic link.
 fn own() -> OpenOptions {
     let mut options = File::options();
     options.read(true).write(true).custom_flags((OFlag::O_NOFOLLOW | OFlag::O_NONBLOCK).bits());
@@ -75,10 +75,10 @@ fn beside(socket: &Path) -> PathBuf {
     PathBuf::from(name)
 }
 
-/// Takes the lock beside a control socket and puts our process number in it.
+/// Takes the lock beside a control socket and writes our process number to it.
 ///
 /// # Errors
-/// When somebody else has it, or it cannot be made.
+/// When another process has it, or it cannot be made.
 pub fn socket(socket: &Path) -> Result<Held, LockError> {
     let path = beside(socket);
     let io = |source| LockError::Io { what: "lock", path: path.clone(), source };
@@ -89,7 +89,7 @@ pub fn socket(socket: &Path) -> Result<Held, LockError> {
 }
 
 /// Keeps the daemon of a control socket from starting while the value lives.
-/// `None` where no daemon has ever run.
+/// `None` if no daemon has ever run.
 ///
 /// # Errors
 /// When the daemon runs.

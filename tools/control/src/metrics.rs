@@ -1,8 +1,9 @@
 //! The status as `OpenMetrics` 1.0 text and Prometheus text 0.0.4.
 //!
-//! Names are `rtec_…`, in base units (seconds, metres, degrees Celsius) and in counts where the machine counts. What is one
-//! of several (mode, fault, state of a sensor) is one series each, 0 or 1, so that a rule needs no text. The two formats
-//! differ in the names of counters' families, in the type `info` and in the last line.
+//! Names are `rtec_…`, in base units (seconds, metres, degrees Celsius) and in counts where the machine
+//! counts. A value that is one of several (mode, fault, state of a sensor) has one series for each, 0 or 1. A
+//! rule thus needs no text. The two formats differ in the names of counters' families, in the type `info` and
+//! in the last line.
 
 use crate::protocol::{DaemonStatus, LogState, Observed, word};
 use rtec_rt::event::Fault;
@@ -13,12 +14,12 @@ use std::fmt::Write as _;
 pub enum Form {
     /// `OpenMetrics` 1.0.
     OpenMetrics,
-    /// Prometheus' own, 0.0.4: what textfile collectors take.
+    /// Prometheus' own format, 0.0.4, which textfile collectors read.
     Prometheus,
 }
 
 impl Form {
-    /// What an HTTP answer in this form is called.
+    /// Content type of an HTTP answer in this form.
     #[must_use]
     pub const fn content_type(self) -> &'static str {
         match self {
@@ -39,8 +40,9 @@ const SENSOR_STATES: [&str; 3] = ["good", "frozen", "hold"];
 /// Units that a family's name may end in, as `OpenMetrics` names them.
 const UNITS: [&str; 4] = ["seconds", "meters", "celsius", "hertz"];
 
-/// The metrics of what the daemon shows.
-/// Without it, that the daemon does not answer. `by` is the version of the program that says so.
+/// Metrics of an observation of the daemon.
+/// Without one they state that the daemon does not answer. `by` is the version of the program that writes
+/// them.
 #[must_use]
 pub fn text(seen: Option<&Observed>, form: Form, by: &str) -> String {
     let mut out = Out { text: String::new(), form };
@@ -85,7 +87,7 @@ fn machine(out: &mut Out, s: &DaemonStatus) {
     out.gauge("rtec_homed", "1 when every axis is homed", [(vec![], flag(s.homed))]);
     let help =
         "1 while counts to the controller minus counts of the scale are what was completed, on every axis";
-    // Absent while there is no ledger: an alert on 0 is one on counts that do not balance.
+    // Absent while there is no ledger, so that an alert on 0 means counts that do not balance.
     let ledger = s.ledger_known().then(|| (vec![], flag(s.balanced)));
     out.gauge("rtec_ledger_balanced", help, ledger);
     out.gauge(
@@ -133,7 +135,7 @@ fn faults(out: &mut Out, s: &DaemonStatus) {
     let words = Fault::ALL.map(word);
     let mut latched = Vec::new();
     for (fault, word) in Fault::ALL.iter().zip(&words) {
-        // The machine's own faults stand with no axis: an empty label is none.
+        // Faults of the machine have an empty axis label, which counts as none.
         latched.push((vec![("axis", ""), ("fault", word.as_str())], flag(s.faults.contains(fault))));
         for axis in &s.axes {
             let labels = vec![("axis", axis.name.as_str()), ("fault", word.as_str())];
@@ -182,7 +184,7 @@ fn times(out: &mut Out, seen: &Observed) {
     out.histogram("rtec_edge_to_done_seconds", help, &h.edge_to_done_ns, h.edge_to_done_sum_ns);
 }
 
-/// The record of commands.
+/// Metrics of the record of commands.
 fn record(out: &mut Out, log: &LogState) {
     let lost = [(vec![], log.lost as f64)];
     out.family("counter", "rtec_commands_not_recorded_total", "Commands that could not be recorded", lost);
@@ -230,7 +232,7 @@ impl Out {
         self.family("gauge", name, help, samples);
     }
 
-    /// A family of gauges or counters; one without samples is left out.
+    /// Writes a family of gauges or counters; one without samples is left out.
     fn family<'a>(
         &mut self,
         kind: &str,
@@ -257,7 +259,7 @@ impl Out {
         self.sample(&sample, labels, "1");
     }
 
-    /// A histogram from its buckets `[low, high, count]`, ns.
+    /// Writes a histogram from buckets `[low, high, count]`, ns.
     fn histogram(&mut self, name: &str, help: &str, buckets: &[[u64; 3]], sum_ns: u64) {
         self.head(name, "histogram", help);
         let bucket = format!("{name}_bucket");
@@ -292,15 +294,15 @@ impl Out {
     }
 }
 
-/// How many values are at most each bound: 31 ns to 0.8 s, two bounds an octave.
+/// Number of values up to each bound: 31 ns to 0.8 s, two bounds an octave.
 /// Each bound is the highest value of one of the engine's buckets, so the counts are exact.
 fn cumulative(buckets: &[[u64; 3]]) -> impl Iterator<Item = (u64, u64)> {
     let bounds = (5..30).flat_map(|octave| [(1_u64 << octave) - 1, (3_u64 << (octave - 1)) - 1]);
     bounds.map(|le| (le, buckets.iter().filter(|[_, high, _]| *high <= le).map(|[_, _, count]| count).sum()))
 }
 
-/// A number for both formats: the shortest that reads back the same.
-/// Small ones have an exponent of two digits.
+/// A number for both formats: the shortest text that reads back equal.
+/// Small numbers have an exponent of two digits.
 fn number(value: f64) -> String {
     if value != 0.0 && value.abs() < 1e-4 {
         let text = format!("{value:e}");

@@ -1,10 +1,10 @@
-//! Which role a request needs.
+//! The role that each request needs.
 
 use crate::protocol::ClientRequest;
 use crate::role::Role;
 
 impl ClientRequest {
-    /// The least role that may ask for this.
+    /// The lowest role that may make this request.
     #[must_use]
     pub const fn needs(&self) -> Role {
         match self {
@@ -38,14 +38,14 @@ impl ClientRequest {
 mod tests {
     use super::*;
 
-    /// The list for people and the rule that is applied say the same.
+    /// The documented list and the applied rule agree.
     #[test]
     fn what_a_role_may_is_what_it_needs() {
         let fields = r#""axis":"x","total_counts":1,"on":true,"errors":"e","axes":["z","x"],"centre_mm":[0,0],
                         "radius_mm":1,"nose_mm":1,"origin_mm":[0,0],"lead_ms":1"#;
         let all = Role::SetUp.may();
         for name in &all {
-            // The first subset of fields that this request takes.
+            // The first subset of fields that this request accepts.
             let takes = |keys: &[&str]| {
                 let given: serde_json::Map<String, serde_json::Value> =
                     serde_json::from_str(&format!("{{{fields}}}")).unwrap();

@@ -37,7 +37,7 @@ use rtec_files::toml::{Document, Entry, Table};
 use rtec_files::{InputError, nearest};
 use std::path::Path;
 
-/// The profiles that come with the program: name in `profile = "…"` and text.
+/// Profiles that come with the program: name in `profile = "…"` and text.
 pub const SHIPPED: [(&str, &str); 5] = [
     ("8255-pci", include_str!("../../../driver/profiles/8255-pci.toml")),
     ("counter-card", include_str!("../../../driver/profiles/counter-card.toml")),
@@ -57,7 +57,7 @@ pub fn shipped(name: &str) -> Option<Profile> {
     }
 }
 
-/// What is expected of somebody who named a profile that is not there.
+/// Message for a profile name that does not exist.
 #[must_use]
 pub fn names_for(named: &str) -> String {
     let shipped = SHIPPED.map(|(name, _)| name);
@@ -108,7 +108,7 @@ pub fn parse(file: &Path, text: &str) -> Result<Profile, InputError> {
 const REGISTERS: &str = "registers, as [{ register = 0, width = 32 }]";
 const REGISTER: &str = "a register, as { register = 0, width = 32 }";
 
-/// The registers of one direction, and how many bits they have.
+/// Reads the registers of one direction; returns them and their number of bits.
 fn word(entry: Entry<'_>) -> Result<(Vec<Register>, u32), InputError> {
     let mut registers = Vec::new();
     for table in entry.tables(REGISTERS)? {
@@ -211,7 +211,7 @@ fn pci(table: Table<'_>) -> Result<PciPlace, InputError> {
     Ok(PciPlace { id, bar, space })
 }
 
-/// Where a line is, and whether it is active low.
+/// Reads a line's place and whether it is active low.
 fn line(entry: Entry<'_>, input_bits: u32, output_bits: u32) -> Result<(Place, bool), InputError> {
     let wanted = "{ input = BIT } or { output = BIT }, BIT within the registers";
     let table = entry.table(wanted)?;

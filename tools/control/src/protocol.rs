@@ -8,13 +8,13 @@
 //! ← {"refused":{"why":"not_homed","text":"…"}}
 //! ```
 //!
-//! What a connection may ask for depends on the socket that it came by ([`crate::role`]).
+//! A connection's role, and so what it may request, depends on its socket ([`crate::role`]).
 //!
 //! | request | fields |
 //! |---|---|
 //! | `status`, `disable`, `park`, `shadow`, `clear`, `watch`, `whoami` | – |
 //! | `observe` | `events_after`: number of the last event that is known already |
-//! | `home` | `axis`; all without it; `controller_homed`: `true` where the MTC has been homed there too, `false` where not |
+//! | `home` | `axis`; all without it; `controller_homed`: `true` if the MTC has been homed there too, `false` if not |
 //! | `enable` | `accept_jump` |
 //! | `correct` | `axis`, `total_counts`, `large` |
 //! | `probe`, `hold` | `on` |
@@ -30,7 +30,7 @@
 //!
 //! A file is read with its caller's rights: the open descriptor comes with the request's line (`SCM_RIGHTS`, unix(7)), one for
 //! `table_load`, for `model_load` one per name in `files`: the model first, then the dictionary and the chain that it names.
-//! Without descriptors a path is only opened for root, for the daemon's own user, and where it is the configuration's own.
+//! Without descriptors a path is only opened for root, for the daemon's own user, and if it is the configuration's own.
 
 mod status;
 mod words;
@@ -44,47 +44,47 @@ pub use status::{AxisReport, DaemonStatus, Distribution, HoldReport, LatchedFaul
 pub use words::{explain_fault, explain_not_homed, explain_refusal, explain_unknown, word};
 
 /// Version of this protocol.
-/// Fields and requests are added without a new one; it rises when something that stood is changed.
+/// New fields and requests do not raise it; a change of existing ones does.
 pub const PROTOCOL: u32 = 1;
 /// Longest request line, bytes.
 pub const MAX_LINE: usize = 4096;
 
-/// What a client asks for.
+/// A client's request.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "do", rename_all = "snake_case", deny_unknown_fields)]
 pub enum ClientRequest {
     /// Asks for the whole status at this moment.
     Status {},
-    /// The axis is at its known place.
+    /// The axis is at its home position.
     Home {
         /// Name of the axis; all axes without it.
         #[serde(default)]
         axis: Option<String>,
         /// Whether the MTC has been homed there too.
-        /// If `true`, it counts nothing of what was inserted before. If `false`, the total is kept. Without it, an
-        /// axis with inserted counts at the MTC is refused.
+        /// If `true`, the MTC's count contains none of the counts inserted before. If `false`, the total is
+        /// kept. Without it, an axis with inserted counts at the MTC is refused.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         controller_homed: Option<bool>,
     },
     /// Corrections on: insertions follow the requested totals from now on.
     Enable {
-        /// A jump beyond the belief window is meant.
+        /// A jump beyond the belief window is intended.
         #[serde(default)]
         accept_jump: bool,
     },
-    /// Corrections off, frozen where they are.
+    /// Corrections off; the inserted counts stay.
     Disable {},
-    /// As `disable`, at the end of `rtecctl park`: the record of commands says so.
+    /// As `disable`, at the end of `rtecctl park`; the record of commands notes it.
     Park {},
     /// Compute everything, write nothing.
     Shadow {},
-    /// The total correction of an axis.
+    /// Requests the total correction of an axis.
     Correct {
         /// Name of the axis.
         axis: String,
         /// Total since homing, counts.
         total_counts: i64,
-        /// A change beyond the belief window is meant.
+        /// A change beyond the belief window is intended.
         #[serde(default)]
         large: bool,
     },
@@ -93,16 +93,16 @@ pub enum ClientRequest {
         /// `true` switches it on, `false` off.
         on: bool,
     },
-    /// The hold line to the controller: feed hold while it is on.
+    /// Sets the hold line to the controller: feed hold while it is on.
     Hold {
         /// `true` switches it on, `false` off.
         on: bool,
     },
     /// Releases latched faults.
     Clear {},
-    /// Send every event from now on.
+    /// Sends every event from now on.
     Watch {},
-    /// Changes of an axis's ledger since it was homed, a page at a time.
+    /// Asks for changes of an axis's ledger since homing, a page at a time.
     Ledger {
         /// Name of the axis.
         axis: String,
@@ -110,34 +110,34 @@ pub enum ClientRequest {
         #[serde(default)]
         from: u64,
     },
-    /// A machine model: what it would change now, or take it.
+    /// Shows what a machine model would change now, or takes it.
     ModelLoad {
-        /// The file, absolute; that of the configuration without it.
+        /// Absolute path of the file; without it, the configuration's.
         #[serde(default)]
         file: Option<String>,
-        /// Take it, if its hash is still this one.
+        /// Takes the model if its hash is still this one.
         #[serde(default)]
         take: Option<String>,
-        /// Take it although its validity has ended.
+        /// Takes it although its validity has ended.
         #[serde(default)]
         expired: bool,
-        /// The names of the descriptors that come with this line, absolute, in their order.
+        /// Absolute paths of the descriptors that come with this line, in order.
         #[serde(default, skip_serializing_if = "Vec::is_empty")]
         files: Vec<String>,
     },
-    /// No model from now on.
+    /// Unloads the model.
     ModelUnload {},
-    /// The model that was unloaded last, as it was read when it was loaded.
+    /// Loads the last unloaded model again, as it was read then.
     ModelAgain {},
-    /// A simulated axis: jog it, and read it.
+    /// Jogs a simulated axis and reads its position.
     Jog {
         /// Name of the axis.
         axis: String,
-        /// Where to, as the controller displays it, mm; only read without it.
+        /// Target as the controller displays it, mm; without it only read.
         #[serde(default)]
         display_mm: Option<f64>,
     },
-    /// What each axis's correction is made of.
+    /// Asks for the components of each axis's correction.
     Explain {
         /// Name of the axis; all axes without it.
         #[serde(default)]
@@ -146,24 +146,24 @@ pub enum ClientRequest {
     /// Loads a part's errors (`part table`), which are removed where the tool cuts.
     /// They are added to the other sources.
     TableLoad(PartTable),
-    /// No part table from now on.
+    /// Unloads the part table.
     TableUnload {},
-    /// A finished run record for the spool folder.
-    /// The descriptors of its sidecar and its CSV come with this line. Without descriptors it only asks whether
-    /// records are kept.
+    /// Passes a finished run record to the spool folder.
+    /// The descriptors of its sidecar and its CSV come with this line. Without descriptors it only asks
+    /// whether records are kept.
     Keep {
         /// Their names, in that order.
         #[serde(default, skip_serializing_if = "Vec::is_empty")]
         files: Vec<String>,
     },
-    /// Everything there is to see at this moment, in one answer.
+    /// Asks for everything that can be seen now, in one answer.
     Observe {
-        /// The number of the last event that is known already.
-        /// All that are kept without it.
+        /// Number of the last event already known.
+        /// Without it, all kept events are sent.
         #[serde(default)]
         events_after: Option<u64>,
     },
-    /// As whom the daemon knows this connection.
+    /// Asks as whom the daemon knows this connection.
     Whoami {},
 }
 
@@ -171,7 +171,7 @@ impl ClientRequest {
     /// Reads a request line.
     ///
     /// # Errors
-    /// What is wrong with it, and what is expected.
+    /// The mistake in the line, and what is expected.
     pub fn parse(line: &str) -> Result<Self, String> {
         serde_json::from_str(line).map_err(|e| {
             let found = printable(&e.to_string()).into_owned();
@@ -180,26 +180,26 @@ impl ClientRequest {
     }
 }
 
-/// What the daemon answers.
+/// The daemon's answer.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Response {
-    /// The status asked for.
+    /// The requested status.
     Status(Box<DaemonStatus>),
-    /// Done as asked.
+    /// Done as requested.
     Done {
-        /// What `enable` moves, axis by axis.
+        /// Movements that `enable` causes, axis by axis.
         #[serde(default, skip_serializing_if = "Vec::is_empty")]
         jumps: Vec<Jump>,
-        /// What was done all the same, and may not be meant.
+        /// Consequences of the request that may not be intended.
         #[serde(default, skip_serializing_if = "Vec::is_empty")]
         warnings: Vec<String>,
     },
-    /// Not done, nothing is changed.
+    /// Not done, and nothing was changed.
     Refused {
-        /// Why, as one word.
+        /// Reason as one word.
         why: String,
-        /// Why, and what to do.
+        /// Reason, and what to do.
         text: String,
         /// The jumps that `enable` would make.
         #[serde(default, skip_serializing_if = "Vec::is_empty")]
@@ -212,51 +212,51 @@ pub enum Response {
     },
     /// The request itself is wrong.
     Bad {
-        /// What was found, what was expected.
+        /// What was found, and what was expected.
         text: String,
     },
-    /// An event, as it happens (after `watch`).
+    /// An event, sent as it happens (after `watch`).
     Event(Box<Happened>),
-    /// What a model would change.
+    /// Changes that a model would make.
     ModelPreview(Box<ModelPreview>),
     /// Position of a simulated axis.
     Stands {
-        /// What its controller displays, mm.
+        /// Position that its controller displays, mm.
         display_mm: f64,
-        /// What an indicator at the axis shows, mm.
+        /// Position that an indicator at the axis shows, mm.
         indicator_mm: f64,
     },
     /// A page of an axis's ledger.
     Ledger(LedgerPage),
-    /// What corrections are made of.
+    /// Components of the corrections.
     Explained {
-        /// The axes asked for.
+        /// The requested axes.
         axes: Vec<Explained>,
     },
-    /// Everything there is to see.
+    /// Everything that can be seen.
     Observed(Box<Observed>),
-    /// Who is asking.
+    /// The caller, as the daemon knows it.
     Whoami(Box<Caller>),
 }
 
 impl Response {
-    /// Done, and there is nothing more to say of it.
+    /// Done, without jumps or warnings.
     #[must_use]
     pub const fn done() -> Self {
         Self::Done { jumps: Vec::new(), warnings: Vec::new() }
     }
 }
 
-/// Everything there is to see: for programs that watch the daemon.
+/// Everything that can be seen, for programs that watch the daemon.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Observed {
     /// As `status` answers.
     pub status: DaemonStatus,
     /// As `explain` answers, for all axes.
     pub explained: Vec<Explained>,
-    /// The latest events after the one that was known, oldest first.
+    /// Events after the last known one, oldest first.
     pub events: Vec<Numbered>,
-    /// Events after the one that was known that are kept no more.
+    /// Number of events after the last known one that are no longer kept.
     pub events_missed: u64,
     /// Distributions of times.
     pub histograms: Histograms,
@@ -271,7 +271,7 @@ pub struct Observed {
 pub struct Numbered {
     /// Its number.
     pub n: u64,
-    /// When the daemon took it up, s since 1970.
+    /// Time at which the daemon received it, s since 1970.
     pub at_s: f64,
     /// The event.
     pub event: Happened,
@@ -293,7 +293,7 @@ pub struct Histograms {
     pub edge_to_done_sum_ns: u64,
 }
 
-/// How the record of commands stands.
+/// State of the record of commands.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct LogState {
     /// Its file.
@@ -304,13 +304,13 @@ pub struct LogState {
     pub last_hash: String,
     /// Commands that could not be recorded since the start.
     pub lost: u64,
-    /// What is in the way now.
+    /// What prevents recording now, if anything.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub trouble: Option<String>,
 }
 
 impl LogState {
-    /// What is in the way now, for people.
+    /// What prevents recording now, in words.
     #[must_use]
     pub fn in_words(&self) -> Option<String> {
         let why = self.trouble.as_ref()?;
@@ -323,28 +323,28 @@ impl LogState {
 pub struct Clients {
     /// The role.
     pub role: Role,
-    /// How many are connected.
+    /// Number of connections.
     pub connected: usize,
-    /// How many of them watch.
+    /// Number of those that watch.
     pub watching: usize,
 }
 
-/// Who is at the other end of a connection, by the kernel's word (`SO_PEERCRED`).
+/// The other end of a connection, as the kernel identifies it (`SO_PEERCRED`).
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Caller {
     /// User number.
     pub uid: u32,
-    /// User name, where the number has one.
+    /// User name, if the number has one.
     pub user: String,
     /// Process number, as the daemon sees it.
     pub pid: i32,
-    /// The process's executable, where it can be seen.
+    /// The process's executable, if it can be seen.
     pub exe: String,
-    /// What may be asked for: the role of the socket.
+    /// The role of the socket.
     pub role: String,
-    /// The requests that this allows.
+    /// Requests that this role may make.
     pub may: Vec<String>,
-    /// The socket that it came by.
+    /// The socket that it connected to.
     pub socket: String,
 }
 
@@ -369,11 +369,11 @@ pub struct LedgerPage {
 /// A change of an axis's ledger, seen between two looks of the daemon (some 10 ms).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct LedgerRow {
-    /// The look before, on the card's clock, ns.
+    /// Time of the look before, on the card's clock, ns.
     pub since_ns: u64,
     /// Position then, counts.
     pub since_counts: i64,
-    /// The look that saw the change, ns.
+    /// Time of the look that saw the change, ns.
     pub t_ns: u64,
     /// Position then, counts.
     pub position_counts: i64,
@@ -381,13 +381,13 @@ pub struct LedgerRow {
     pub requested: i64,
     /// Inserted, counts; in shadow mode what would have been.
     pub completed: i64,
-    /// What is really in the MTC's count, counts.
+    /// Counts that the MTC's count really contains.
     pub in_effect: i64,
     /// Insertions since the daemon's start.
     pub insertions: u64,
 }
 
-/// How far an axis moves when corrections are enabled now.
+/// Movement of an axis if corrections are enabled now.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Jump {
     /// Name of the axis.
@@ -407,11 +407,11 @@ pub struct Happened {
     pub t_ns: u64,
     /// The axis; none for the machine as a whole.
     pub axis: Option<String>,
-    /// What, as one word.
+    /// Kind of the event, as one word.
     pub kind: String,
-    /// What, as a sentence.
+    /// The event as a sentence.
     pub text: String,
-    /// Where the axis was when the probe tripped.
+    /// Position of the axis when the probe tripped.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub trip: Option<TripReport>,
 }
@@ -423,7 +423,7 @@ pub struct TripReport {
     pub position_counts: f64,
     /// The same position, mm.
     pub position_mm: f64,
-    /// Half the width of what it may be, counts.
+    /// Half width of its interval, counts.
     pub uncertainty_counts: f64,
     /// The same half width, µm.
     #[serde(default)]
@@ -435,11 +435,11 @@ pub struct TripReport {
     /// Add it to the position, which is not corrected while probing.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub error_um: Option<f64>,
-    /// The position with that taken in, mm.
+    /// The position with that error added, mm.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub corrected_mm: Option<f64>,
     /// Temperatures at that time, in the order of the status's sensors, °C.
-    /// Null where none is known.
+    /// Null if one is not known.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub degc: Vec<Option<f64>>,
 }
@@ -469,7 +469,7 @@ mod tests {
         }
     }
 
-    /// What the document for other programs shows is what is taken.
+    /// Every request of the document for other programs is accepted.
     #[test]
     fn the_document_s_requests_are_taken() {
         let text = include_str!("../../guide/reference/protocol.md");

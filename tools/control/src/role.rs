@@ -1,4 +1,4 @@
-//! Who may ask for what: the role of a connection is that of the socket it came by.
+//! Roles: a connection may request what the role of its socket allows.
 //!
 //! | role | may | socket |
 //! |---|---|---|
@@ -9,11 +9,11 @@
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
-/// What a connection may do; each role may do what the ones before it may.
+/// What a connection may request; each role includes those before it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Role {
-    /// See.
+    /// See the state.
     View,
     /// Run the machine as it is set up.
     Operate,
@@ -22,7 +22,7 @@ pub enum Role {
 }
 
 impl Role {
-    /// All of them, the least first.
+    /// All roles, the lowest first.
     pub const ALL: [Self; 3] = [Self::View, Self::Operate, Self::SetUp];
 
     /// As the protocol writes it.

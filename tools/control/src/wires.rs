@@ -1,4 +1,4 @@
-//! What the wired lines of a card say, and whether its outputs switch.
+//! Readings of a card's wired lines, and whether its outputs switch.
 
 use crate::card::{self, Access, OnCard, OpenError};
 use crate::config::{CardConfig, Config, PortPlace};
@@ -54,30 +54,30 @@ pub fn wires(config: &Config) -> Vec<Wire> {
     wires
 }
 
-/// What a card says of its registers and wired lines.
+/// Readings of a card's registers and wired lines.
 #[derive(Debug, Serialize)]
 pub struct Reading {
     /// The profile's name; GPIO lines have none.
     pub card: Option<String>,
-    /// Line by line.
+    /// The wired lines.
     pub lines: Vec<LineReading>,
-    /// Register by register.
+    /// The registers.
     pub registers: Vec<RegisterReading>,
 }
 
 /// A register as it was read.
 #[derive(Debug, Serialize)]
 pub struct RegisterReading {
-    /// Width.
+    /// Its width, bits.
     pub bits: u32,
-    /// What that means; often nothing.
+    /// Meaning of the value; often empty.
     pub means: String,
     /// Byte offset.
     pub offset: usize,
-    /// What the profile uses it for.
+    /// Purpose of the register in the profile.
     #[serde(rename = "use")]
     pub purpose: &'static str,
-    /// What it reads.
+    /// The value read.
     pub value: u32,
 }
 
@@ -88,9 +88,9 @@ pub struct LineReading {
     pub bit: Option<u8>,
     /// `input` or `output`.
     pub direction: &'static str,
-    /// What the kernel says of a GPIO line.
+    /// The kernel's description of a GPIO line.
     pub kernel: Option<String>,
-    /// Its level, polarity taken out.
+    /// Its logical level (active low already inverted).
     pub level: Option<u8>,
     /// Its axis and its key.
     pub line: String,
@@ -129,7 +129,7 @@ pub fn read(config: &Config) -> Result<Reading, OpenError> {
     }
 }
 
-/// Every register, and the wired lines with polarity taken out.
+/// Reads every register, and the wired lines as logical levels.
 fn read_registers(config: &Config, bus: &impl Bus, profile: &Profile) -> Result<Reading, OpenError> {
     let mut registers = Vec::new();
     let mut read = |r: Register, purpose, means: &dyn Fn(u32) -> String| -> Result<u32, CardError> {
@@ -175,8 +175,8 @@ fn read_registers(config: &Config, bus: &impl Bus, profile: &Profile) -> Result<
     Ok(Reading { card: Some(profile.name.clone()), lines: lines.collect(), registers })
 }
 
-/// What the kernel says of the lines.
-/// They are not requested, because a requested output becomes one.
+/// The kernel's description of the lines.
+/// They are not requested, because a request can turn a line into an output.
 fn read_gpio(config: &Config, setup: &GpioSetup) -> Result<Reading, OpenError> {
     let mut lines = Vec::new();
     for wire in wires(config) {
@@ -194,11 +194,11 @@ fn read_gpio(config: &Config, setup: &GpioSetup) -> Result<Reading, OpenError> {
 /// An output that was switched over and back.
 #[derive(Debug, Serialize)]
 pub struct Switched {
-    /// The inputs that changed with it.
+    /// Inputs that changed with it.
     pub followed_by: Vec<String>,
     /// Its axis and its key.
     pub line: String,
-    /// Both times the card said what was written.
+    /// The card read back what was written, both times.
     pub reads_back: bool,
 }
 
@@ -206,14 +206,14 @@ pub struct Switched {
 const SETTLED: Duration = Duration::from_millis(20);
 
 /// Switches each output over and back.
-/// `told` hears of each as it is done. The MTC must be off.
+/// `told` is called after each. The MTC must be off.
 ///
 /// # Errors
 /// When the card cannot be opened or does not answer, or has no lines outside the daemon.
 pub fn switch_outputs(config: &Config, told: impl FnMut(Switched)) -> Result<(), OpenError> {
     let mut named = config.card.clone();
     if let CardConfig::Gpio(setup) = &mut named {
-        // Levels are read as they are at the moment; edges would have to be waited for.
+        // Level mode reads the present levels; with edges it would have to wait for them.
         setup.events = false;
     }
     Ok(card::with(&named, Access::Drive, Switching { config, told })??)
@@ -236,7 +236,7 @@ impl<T: FnMut(Switched)> OnCard for Switching<'_, T> {
             card.write(mask, !before & mask)?;
             std::thread::sleep(SETTLED);
             let (switched, followed) = (card.outputs(), card.sample(0));
-            // Whatever was read: the line goes back first.
+            // The line is switched back first, whatever was read.
             card.write(mask, before & mask)?;
             std::thread::sleep(SETTLED);
             let back = card.outputs()?;

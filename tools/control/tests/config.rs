@@ -1,5 +1,5 @@
-//! What a person sees who made a mistake in rtec.toml.
-//! `RTEC_BLESS=1 cargo test` writes the golden files anew.
+//! Messages for mistakes in rtec.toml.
+//! `RTEC_BLESS=1 cargo test` rewrites the golden files.
 
 #[path = "config/here.rs"]
 mod here;
@@ -86,13 +86,13 @@ fn values_arrive_where_they_belong() {
     let axis = &config.axes[0];
     let engine = &axis.engine;
     assert!((engine.max_accel_counts_s2 - 2e6).abs() < 1e-6);
-    // The budget caps the maximum, and says so.
+    // The budget limits the maximum, with a note.
     assert_eq!((engine.max_correction_counts, config.notes.len()), (400, 2));
     assert!(config.notes[1].contains("view has no group"), "{:?}", config.notes);
     assert_eq!(engine.rest, RestPolicy::Insert { after_ns: 2_500_000 });
     assert_eq!((engine.detect_ns, engine.write_ns, engine.guard_ns), (2000, 300, 200));
     assert_eq!((axis.home_counts, axis.rapid_mm_min), (-20_000, Some(10_000.0)));
-    // 2 µs a look, 0.5 µm a count: 500 000 edges/s less what 10⁶ counts/s² add in 1 µs.
+    // 2 µs per look, 0.5 µm per count: 500 000 edges/s less what 10⁶ counts/s² adds in 1 µs.
     assert_eq!(axis.followed_hz().map(f64::round), Some(499_998.0));
     assert!(axis.corrected_hz() < axis.followed_hz() && axis.outruns().is_none());
     assert_eq!((engine.lines.a, engine.lines.invert_b, engine.lines.read_back), (4, 3, Some((6, 7))));
@@ -137,7 +137,7 @@ lines = { a = "X_A", b = 1, invert_a = { line = 2, chip = "gpiochip1", drive = "
 fn gpio_lines_are_named_or_numbered_and_inherit_what_the_card_says() {
     let config = Config::parse(Path::new("rtec.toml"), LINES).unwrap();
     let CardConfig::Gpio(setup) = &config.card else { panic!("{:?}", config.card) };
-    // No latency, and no rapid, are notes.
+    // A missing latency and a missing rapid are notes.
     assert!(setup.events && config.card.is_real() && config.notes.len() == 2);
     // A and B are one request, the machine's own lines another.
     let (a, b, probe) = (&setup.inputs[1], &setup.inputs[2], &setup.inputs[0]);
@@ -253,7 +253,7 @@ fn a_name_without_end_and_a_broken_line_are_one_finding() {
     let long = CONTRACT.replace("name = \"lathe\"", &format!("name = \"{}\"", "x".repeat(1 << 20)));
     let found = Config::parse(Path::new("rtec.toml"), &long).unwrap_err().to_string();
     assert!(found.lines().count() == 1 && found.len() < 300, "{}", &found[..300]);
-    // A line that is no line, anywhere in the embedded default.
+    // A broken line at any place of the embedded default.
     let lines: Vec<&str> = EMBEDDED.lines().collect();
     for n in 0..lines.len() {
         for broken in ["lines = { a = 'in0',", "x = \"\"\"", "name = \"", "[[axis", "= = =", "a = [1, 2"] {
@@ -265,7 +265,7 @@ fn a_name_without_end_and_a_broken_line_are_one_finding() {
     }
 }
 
-/// The reference page is made of the tables of keys.
+/// The reference page is generated from the tables of keys.
 #[test]
 fn the_reference_page_shows_the_tables_of_keys() {
     let page = Path::new(env!("CARGO_MANIFEST_DIR")).join("../guide/reference/rtec-toml.md");
@@ -307,7 +307,7 @@ fn the_tables_have_every_key() {
     assert!(sections.len() >= 8 && keys > 150, "{sections:?} {keys}");
 }
 
-/// The controller's own line, and what its fall does.
+/// The line `mtc_ready`, and the effect of its fall.
 #[test]
 fn mtc_ready_is_a_line_and_mtc_off_needs_it() {
     let wired = CONTRACT.replace("probe = 28", "probe = 28\nmtc_ready = 30");
@@ -348,7 +348,7 @@ fn rotary_and_coupled_axes_are_refused_by_name() {
             );
         }
     }
-    // A, B and C turn by their names: no other verb takes them for linear.
+    // A, B and C are rotary by their names; no other verb takes them for linear.
     let text = CONTRACT.replacen("name = \"x\"", "name = \"b\"", 1);
     let said = Config::parse(Path::new("rtec.toml"), &text).unwrap_err().to_string();
     assert!(said.contains("axis b, which is rotary"), "{said}");

@@ -1,5 +1,5 @@
 //! The control law, ten milliseconds at a time.
-//! The scale is 100 ppm too long, and the axis goes to 400 mm.
+//! The scale is 100 ppm too long, and the axis moves to 400 mm.
 use rtec_correct::{AxisSetup, Corrector, RAMP_UM_S};
 use rtec_model::machine::Machine;
 use rtec_rt::event::{Mode, Status};

@@ -1,15 +1,16 @@
-//! Judges a guided jog: sign, unit, and what the controller compensates.
+//! Judges a guided jog: sign, unit, and compensation by the controller itself.
 
 use rtec_files::InputError;
 use rtec_model::effect::STANDARD_DEGC;
 use rtec_model::live::{AxisNow, Frame, Layout, Live};
 use rtec_model::machine::Machine;
 
-/// Indicator and scale may differ by this share: no machine errs by more.
+/// Largest relative difference of indicator and scale; no machine errs by more.
 const UNIT: f64 = 0.01;
 
-/// Largest change of a model's correction from one moment to the next, µm.
-/// It comes where the axis turns and where coolant comes on; all else creeps or is part of a motion. Evaluated at these places.
+/// Largest step of a model's correction from one moment to the next, µm.
+/// Steps occur where the axis turns and where coolant comes on; all other effects creep or are part of a
+/// motion. The model is evaluated at `places_mm`.
 ///
 /// # Errors
 /// The model has no effect on the axis, or reads what no machine has.
@@ -54,7 +55,7 @@ pub fn largest_step_um(machine: &Machine, axis: &str, places_mm: [f64; 3]) -> Re
     Ok(step_um)
 }
 
-/// An axis at rest, as display, indicator and scale read it.
+/// Readings of an axis at rest: display, indicator and scale.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct JogReading {
     /// The controller's display, mm.
@@ -63,9 +64,9 @@ pub struct JogReading {
     pub indicator_mm: f64,
     /// The scale's count.
     pub scale_counts: i64,
-    /// What the controller's count differs by from the scale's, counts.
+    /// The controller's count minus the scale's, counts.
     pub in_effect: i64,
-    /// What a count is worth as configured, µm.
+    /// Configured size of one count, µm.
     pub count_um: f64,
 }
 
@@ -76,19 +77,19 @@ impl JogReading {
         self.scale_counts as f64 * self.count_um / 1000.0
     }
 
-    /// What the controller is fed, mm.
+    /// Position in the feedback that the controller receives, mm.
     #[must_use]
     pub fn fed_mm(&self) -> f64 {
         (self.scale_counts + self.in_effect) as f64 * self.count_um / 1000.0
     }
 }
 
-/// The verdict of one proof, in words.
+/// Result of one check, in words.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct JogFinding {
-    /// What was found, as one word: `right`, `wrong_sign`, `wrong_unit`, …
+    /// The finding as one word: `right`, `wrong_sign`, `wrong_unit`, …
     pub verdict: &'static str,
-    /// With the figures and what to do.
+    /// The finding as a sentence, with the figures and what to do.
     pub text: String,
 }
 
@@ -98,7 +99,7 @@ impl JogFinding {
     }
 }
 
-/// Judges sign and unit by a jog with the indicator; `None`: they are right.
+/// Judges sign and unit by a jog with the indicator; `None` if they are right.
 #[must_use]
 pub fn judge_jog(a: &JogReading, b: &JogReading, tolerance_um: f64) -> Option<JogFinding> {
     let scale = b.scale_mm() - a.scale_mm();
@@ -135,13 +136,13 @@ pub fn judge_jog(a: &JogReading, b: &JogReading, tolerance_um: f64) -> Option<Jo
     None
 }
 
-/// What the controller compensates over the way, µm: feedback less display.
+/// Compensation by the controller over the jog, µm: feedback less display.
 #[must_use]
 pub fn compensation_um(a: &JogReading, b: &JogReading) -> f64 {
     1000.0 * ((b.fed_mm() - a.fed_mm()) - (b.display_mm - a.display_mm))
 }
 
-/// Judges by a long jog whether the controller compensates; `None`: no.
+/// Judges by a long jog whether the controller compensates; `None` if it does not.
 #[must_use]
 pub fn judge_compensation(a: &JogReading, b: &JogReading, tolerance_um: f64) -> Option<JogFinding> {
     let own_um = compensation_um(a, b);
@@ -157,7 +158,7 @@ pub fn judge_compensation(a: &JogReading, b: &JogReading, tolerance_um: f64) -> 
     JogFinding::new("controller_compensates", text)
 }
 
-/// Judges what an insertion did to the scale; `None`: what it should.
+/// Judges how an insertion moved the scale; `None` if it moved as it should.
 #[must_use]
 pub fn judge_insertion(before: &JogReading, after: &JogReading, inserted: i64) -> Option<JogFinding> {
     let moved = after.scale_counts - before.scale_counts;

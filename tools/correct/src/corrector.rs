@@ -20,31 +20,31 @@ use rtec_sensors::Watch;
 use std::time::{Duration, Instant};
 
 /// Logged temperatures of these sensors, oldest first: time, s, and °C.
-/// What a lag is brought up from.
+/// The states of lags are computed from them.
 pub type Past<'p> = &'p dyn Fn(&[String]) -> Vec<(f64, Vec<f64>)>;
 
-/// The longest time by which the ramp advances at once, s, however late the call.
+/// Longest time by which the ramp advances in one call, however late, s.
 const LONGEST_S: f64 = 1.0;
 
-/// What the corrector keeps of one axis.
+/// The corrector's state of one axis.
 #[derive(Debug)]
 struct AxisState {
-    /// Its place in the model's layout; none where its name is none for a model.
+    /// Its index in the model's layout; none if a model cannot name the axis.
     place: Option<usize>,
-    /// What the sources ask for, µm.
+    /// Whole error by the model, µm.
     model_um: f64,
-    /// Of the model's share: what sensors and time ask for.
+    /// Part of the model's error that depends on sensors and time, µm.
     slow_um: f64,
-    /// Of the model's share: what the direction asks for.
+    /// Part of the model's error that depends on the direction, µm.
     turning_um: f64,
     table_um: f64,
     total: Total,
-    /// Why its total stands still, or its thermal part.
+    /// Reason why the total is held, and why its thermal part is.
     holds: Option<String>,
     stands: Option<String>,
 }
 
-/// The control law: which total should each axis have now?
+/// The control law: it computes the total that each axis should have now.
 #[derive(Debug)]
 pub struct Corrector {
     setups: Vec<AxisSetup>,
@@ -58,19 +58,19 @@ pub struct Corrector {
     started_s: f64,
     last_s: f64,
     motion: Motion,
-    /// Per axis of the layout: its motion at the last tick.
+    /// Motion at the last tick, per axis of the layout.
     now: Vec<AxisNow>,
-    /// The sensors as last read, and when.
+    /// The sensors as last read, and the time of that, s.
     watches: Vec<Watch>,
     sensed_s: f64,
-    /// A source has changed: what follows is a ramp.
+    /// A source has changed, so that the total approaches its new value in a ramp.
     changed: bool,
-    /// The day, since 1970-01-01.
+    /// Today, in days since 1970-01-01.
     today: i64,
 }
 
-/// Makes models ready for a machine.
-/// It may go to another thread while the corrector works on.
+/// Prepares models for a machine.
+/// It can be sent to another thread while the corrector works on.
 #[derive(Debug, Clone)]
 pub struct Preparer {
     layout_axes: Vec<Axis>,
@@ -80,15 +80,15 @@ pub struct Preparer {
     sensed_s: f64,
 }
 
-/// A model that is ready to be taken.
+/// A model that is ready to run.
 #[derive(Debug)]
 pub struct Prepared(ModelSource);
 
 impl Preparer {
-    /// Makes a model ready, its lags brought up from the past.
+    /// Prepares a model and computes its lags from past temperatures.
     ///
     /// # Errors
-    /// What it reads and this machine does not have.
+    /// The model reads something that this machine does not have.
     pub fn prepare(&self, machine: Machine, past: Past<'_>) -> Result<Prepared, InputError> {
         let mut source = ModelSource::new(machine, &self.layout_axes, &self.watches)?;
         let rows = past(&source.live.layout().sensors);
@@ -96,7 +96,7 @@ impl Preparer {
         Ok(Prepared(source))
     }
 
-    /// When its sensors were read, s on the corrector's clock.
+    /// Time at which its sensors were read, s on the corrector's clock.
     #[must_use]
     pub fn sensed_s(&self) -> f64 {
         self.sensed_s
@@ -110,15 +110,15 @@ impl Prepared {
         &self.0.machine
     }
 
-    /// What of the model has no effect here, in sentences.
-    /// It reads axes or sensors that the configuration lacks.
+    /// Parts of the model without effect here, in sentences.
+    /// They read axes or sensors that the configuration lacks.
     #[must_use]
     pub fn missing(&self) -> &[String] {
         self.0.missing()
     }
 
-    /// How long one evaluation takes on this computer, at best of three.
-    /// The model is left as it is.
+    /// Time of one evaluation on this computer, the best of three.
+    /// The model's state does not change.
     #[must_use]
     pub fn evaluation_time(&self, preparer: &Preparer) -> Duration {
         let mut shortest = Duration::MAX;
@@ -175,7 +175,7 @@ impl Corrector {
         }
     }
 
-    /// A day has begun, maybe. Fits whose validity ends with it are given back, once.
+    /// Sets the date; returns, once, the fits whose validity ends with this day.
     pub fn day_is(&mut self, today: i64) -> Vec<String> {
         let before = std::mem::replace(&mut self.today, today);
         let Some(model) = &self.model else { return Vec::new() };
@@ -183,14 +183,14 @@ impl Corrector {
         model.machine.expired(today).into_iter().filter(|e| !known.contains(e)).collect()
     }
 
-    /// Fits of the model whose validity has ended without anybody having accepted it.
+    /// Fits whose validity has ended without anybody having accepted that.
     #[must_use]
     pub fn expired(&self) -> Vec<String> {
         let model = self.model.as_ref().filter(|m| !m.although_expired);
         model.map_or_else(Vec::new, |m| m.machine.expired(self.today))
     }
 
-    /// What makes a model ready for this machine, on any thread.
+    /// Returns what prepares a model for this machine, on any thread.
     #[must_use]
     pub fn preparer(&self) -> Preparer {
         Preparer {
@@ -202,42 +202,43 @@ impl Corrector {
         }
     }
 
-    /// Takes over the sensors as they were read at this time, s.
-    /// Models, previews and explanations rest on these readings until the next ones.
+    /// Takes over the sensors as read at this time, s.
+    /// Models, previews and explanations use these readings until the next ones.
     pub fn sense(&mut self, now_s: f64, watches: &[Watch]) {
         self.sensed_s = now_s;
         watches.clone_into(&mut self.watches);
     }
 
-    /// The sensors that [`Corrector::sense`] took over last.
+    /// The sensors as [`Corrector::sense`] last took them over.
     #[must_use]
     pub fn watches(&self) -> &[Watch] {
         &self.watches
     }
 
-    /// The sensors' state for people.
+    /// The sensors' state, described for people.
     #[must_use]
     pub fn readings(&self) -> Vec<Reading> {
         self.watches.iter().map(|w| Reading::of(w, self.sensed_s)).collect()
     }
 
-    /// Takes a model; corrections go to it in a ramp.
+    /// Loads a model; corrections approach it in a ramp.
     ///
     /// # Errors
-    /// What it reads and this machine does not have.
+    /// The model reads something that this machine does not have.
     pub fn load(&mut self, machine: Machine, past: Past<'_>) -> Result<(), InputError> {
         self.take(self.preparer().prepare(machine, past)?);
         Ok(())
     }
 
-    /// Takes a model that was made ready; corrections go to it in a ramp.
+    /// Takes a prepared model; corrections approach it in a ramp.
     pub fn take(&mut self, Prepared(mut source): Prepared) {
         source.although_expired = !source.machine.expired(self.today).is_empty();
         self.model = Some(source);
         self.changed = true;
     }
 
-    /// No model from now on; corrections go back in a ramp. Says whether there was one.
+    /// Unloads the model; corrections return in a ramp.
+    /// Returns whether there was one.
     pub fn unload(&mut self) -> bool {
         let was = self.model.take().is_some();
         self.changed |= was;
@@ -248,7 +249,7 @@ impl Corrector {
         was
     }
 
-    /// Takes a part's errors; corrections go to them in a ramp.
+    /// Loads a part's errors; corrections approach them in a ramp.
     ///
     /// # Errors
     /// What was found and what was expected.
@@ -261,8 +262,8 @@ impl Corrector {
         Ok(())
     }
 
-    /// No part table from now on; corrections go back in a ramp.
-    /// Says whether there was one.
+    /// Unloads the part table; corrections return in a ramp.
+    /// Returns whether there was one.
     pub fn unload_table(&mut self) -> bool {
         let Some(table) = self.table.take() else { return false };
         table.axes.into_iter().for_each(|n| self.axes[n].table_um = 0.0);
@@ -276,7 +277,7 @@ impl Corrector {
         self.table.as_ref().map(|t| t.shown.clone())
     }
 
-    /// What the part table does now.
+    /// Present effect of the part table.
     #[must_use]
     pub fn table_now(&self, status: &Status) -> Option<TableNow> {
         let table = self.table.as_ref()?;
@@ -315,7 +316,7 @@ impl Corrector {
         })
     }
 
-    /// What a model would change now.
+    /// Changes that a model would make now.
     #[must_use]
     pub fn preview(&self, Prepared(mut then): Prepared, status: &Status) -> ModelPreview {
         let (watches, now_s) = (&self.watches, self.sensed_s);
@@ -346,8 +347,8 @@ impl Corrector {
         }
     }
 
-    /// An axis has been homed: its counter is zero.
-    /// So is its total, unless the MTC still counts what was inserted before.
+    /// Notes that an axis has been homed: its counter is zero.
+    /// So is its total, except for counts that the MTC still contains (`kept_counts`).
     pub fn homed(&mut self, n: usize, kept_counts: i64) {
         if let Some(axis) = self.axes.get_mut(n) {
             if kept_counts == 0 {
@@ -359,25 +360,25 @@ impl Corrector {
         self.motion.forget();
     }
 
-    /// Corrections have been enabled.
+    /// Notes that corrections have been enabled.
     /// Lost sensors that are good again are used from now on, in a ramp.
     pub fn enabled(&mut self) {
         self.changed |= self.model.as_mut().is_some_and(ModelSource::enabled);
     }
 
-    /// The total that an operator's total gives with the other sources, counts.
+    /// Total of an axis with another operator's total, counts.
     #[must_use]
     pub fn with_operator(&self, n: usize, operator_counts: i64) -> i64 {
         self.axes[n].total.with_operator(operator_counts)
     }
 
-    /// The operator's total was taken.
+    /// Notes that the engine accepted the operator's total.
     pub fn operator_is(&mut self, n: usize, operator_counts: i64) {
         self.axes[n].total.set_operator(operator_counts);
     }
 
-    /// The total that an axis is on its way to, counts.
-    /// The one requested where no source asks.
+    /// Total that an axis is approaching, counts.
+    /// It is the requested total if no source acts on the axis.
     #[must_use]
     pub fn goal(&self, n: usize, status: &AxisStatus) -> i64 {
         let axis = &self.axes[n];
@@ -388,23 +389,23 @@ impl Corrector {
         }
     }
 
-    /// The axis has the total that its sources want, completed.
+    /// Whether the axis has completed the total that its sources want.
     #[must_use]
     pub fn settled(&self, n: usize, status: &AxisStatus) -> bool {
         let asked = !self.asks(n) || self.axes[n].total.settled(status.requested);
         asked && self.axes[n].holds.is_none() && status.completed == status.requested
     }
 
-    /// Whether another source than the operator asks, or a ramp is under way.
+    /// Whether a source other than the operator acts, or a ramp is under way.
     fn asks(&self, n: usize) -> bool {
         self.model.is_some()
             || self.table.as_ref().is_some_and(|t| t.axes.contains(&n))
             || self.axes[n].total.on_its_way()
     }
 
-    /// Takes over the sensors and says which totals are to be requested now.
+    /// Takes over the sensors, and returns the totals to be requested now.
     pub fn tick(&mut self, now_s: f64, status: &Status, watches: &[Watch]) -> [Option<i64>; MAX_AXES] {
-        // After a stall the ramp goes on where it was.
+        // After a stall the ramp continues where it was.
         let dt_s = (now_s - self.last_s).clamp(0.0, LONGEST_S);
         self.last_s = now_s;
         self.sense(now_s, watches);
@@ -437,7 +438,7 @@ impl Corrector {
         totals
     }
 
-    /// The axes' motion, in the model's layout.
+    /// Updates the axes' motion, in the model's layout.
     fn follow(&mut self, status: &Status) {
         self.motion.follow(status, &self.setups);
         for (axis, now) in self.axes.iter().zip(self.motion.now()) {
@@ -447,8 +448,8 @@ impl Corrector {
         }
     }
 
-    /// What the model asks for, where it can tell.
-    /// Says whether what it knows has become better or worse.
+    /// Evaluates the model and stores its errors, if they are known.
+    /// Returns whether its sensors have become better or worse.
     fn ask_model(&mut self, status: &Status) -> bool {
         let Some(model) = &mut self.model else { return false };
         let (watches, now_s) = (&self.watches, self.sensed_s);
@@ -489,9 +490,9 @@ impl Corrector {
         (self.axes[table.axes[0]].table_um, self.axes[table.axes[1]].table_um) = (out.z, out.x);
     }
 
-    /// What the model says of an axis at a place it was captured at, µm.
-    /// Positions are not corrected while probing; the other axes are taken where they were at that time of the card's
-    /// clock. `None` where nothing can be said.
+    /// The model's error of an axis at a captured position, µm.
+    /// Positions are not corrected while probing. The other axes are taken where they were at that time of
+    /// the card's clock. `None` if the error is not known.
     #[must_use]
     pub fn error_um_at(&self, n: usize, t_ns: u64, position_mm: f64) -> Option<f64> {
         let (Some(model), Some(place)) = (&self.model, self.axes[n].place) else { return None };
@@ -508,7 +509,7 @@ impl Corrector {
         Some(model.error_um_at(place, self.last_s - self.started_s, &now, true))
     }
 
-    /// What the correction of an axis is made of; the parts sum to the total.
+    /// Components of an axis's correction; they sum to the total.
     #[must_use]
     pub fn explain(&self, n: usize, status: &AxisStatus) -> Explained {
         let (axis, setup) = (&self.axes[n], &self.setups[n]);
@@ -567,7 +568,7 @@ impl Corrector {
         parts
     }
 
-    /// The model that runs.
+    /// The running model.
     #[must_use]
     pub fn shown(&self) -> Option<RunningModel> {
         let model = self.model.as_ref()?;
@@ -596,19 +597,19 @@ impl Corrector {
         notes
     }
 
-    /// Why an axis stands still, where it does.
+    /// Reason why an axis's total is held, if it is.
     #[must_use]
     pub fn holds(&self, n: usize) -> Option<&str> {
         self.axes[n].holds.as_deref()
     }
 
-    /// The model's effects that are outside the range they were fitted on now.
+    /// The model's effects that are now outside the range of their fit.
     pub fn outside(&self) -> impl Iterator<Item = String> {
         let parts = self.model.iter().flat_map(|m| m.live.parts());
         parts.filter(|p| p.outside_k > 0.0).map(|p| p.effect.identity())
     }
 
-    /// Why an axis does not follow its model.
+    /// Reasons why axes do not follow the model.
     pub fn holding(&self) -> impl Iterator<Item = String> {
         self.axes.iter().zip(&self.setups).flat_map(|(a, setup)| {
             let name = &setup.name;
@@ -636,8 +637,8 @@ fn fits(machine: &Machine) -> Vec<String> {
 }
 
 /// Velocity of a decelerating axis after this time, at least zero.
-/// Errors that depend on speed are then removed before the axis stands. Removing them later would move the table back
-/// and reverse the axis.
+/// Errors that depend on speed are then removed before the axis stops. Removing them later would move the
+/// table back and reverse the axis.
 fn slowed_mm_s(a: &AxisNow, after_s: f64) -> f64 {
     if a.velocity_mm_s * a.acceleration_mm_s2 >= 0.0 {
         return a.velocity_mm_s;

@@ -1,29 +1,29 @@
-//! The parts of a correction, for people and for the control socket.
+//! Components of a correction, for people and for the control socket.
 
 use rtec_sensors::{Use, Watch};
 use serde::{Deserialize, Serialize};
 
-/// What a model would change now.
+/// Changes that a model would make now.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ModelPreview {
     /// The name that `machine.toml` gives it.
     pub name: String,
     /// Path of its `machine.toml`.
     pub file: String,
-    /// Its hash: what is taken must have the same.
+    /// Its hash; `model load` takes the model only with this hash.
     pub sha256: String,
-    /// What its fits say about themselves: response, dates, uncertainty.
+    /// Notes of its fits: response, dates, uncertainty.
     pub fits: Vec<String>,
-    /// What to know before taking it.
+    /// Warnings to read before taking it.
     pub warnings: Vec<String>,
-    /// Fits whose validity has ended: it is not taken unless that is meant.
+    /// Fits whose validity has ended; taking the model then needs consent.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub expired: Vec<String>,
     /// One entry per axis that changes or might.
     pub axes: Vec<Change>,
 }
 
-/// What changes on an axis.
+/// Change on one axis.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Change {
     /// Name of the axis.
@@ -36,23 +36,23 @@ pub struct Change {
     pub then_counts: i64,
     /// The new total, µm.
     pub then_um: f64,
-    /// Why it would not follow the model yet.
+    /// Reason why it would not follow the model yet.
     pub holds: Option<String>,
 }
 
-/// What an axis's correction is made of.
-/// Errors that are taken out, µm: the axis moves by the opposite.
+/// Components of an axis's correction.
+/// They are errors that are removed, µm: the axis moves by the opposite.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Explained {
     /// Name of the axis.
     pub axis: String,
     /// The total that is requested of the engine, counts since homing.
     pub requested: i64,
-    /// The same, µm: the sum of the parts.
+    /// The same total, µm: the sum of the parts.
     pub total_um: f64,
-    /// What the total is the sum of.
+    /// Components of the total.
     pub parts: Vec<Contribution>,
-    /// Why it does not follow the model; none where it does.
+    /// Reason why it does not follow the model; none if it does.
     pub holds: Option<String>,
 }
 
@@ -60,18 +60,18 @@ pub struct Explained {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Contribution {
     /// The name of an effect, or of one of the other parts.
-    /// These are `chain`, `part table`, `operator`, `on its way` (what the ramp has still to go), `rounding` (to the
+    /// These are `chain`, `part table`, `operator`, `on its way` (the rest of the ramp), `rounding` (to the
     /// design's increment) and `beyond max_correction_counts`.
     pub name: String,
-    /// How much of the total it is, µm.
+    /// Its share of the total, µm.
     pub um: f64,
     /// The sensors it reads.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub sensors: Vec<Reading>,
-    /// How far the temperature difference is outside the range it was fitted on, K.
+    /// Distance of the temperature difference from the range of its fit, K.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub outside_k: Option<f64>,
-    /// What is left of it for that.
+    /// Remaining weight of the effect at this distance, 0 to 1.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub weight: Option<f64>,
 }
@@ -82,27 +82,27 @@ impl Contribution {
     }
 }
 
-/// A temperature sensor as it stands now.
+/// Present state of a temperature sensor.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Reading {
     /// The sensor's name, as effects use it.
     pub sensor: String,
-    /// Where it sits on the machine, for people.
+    /// Its place on the machine, for people.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub place: String,
     /// The sensor's last good value, °C.
     pub degc: Option<f64>,
-    /// The age of that, s.
+    /// Age of that value, s.
     pub age_s: Option<f64>,
     /// `good`, `frozen` (the last good value is used instead) or `hold`.
     pub state: String,
-    /// What is wrong with it.
+    /// What is wrong with the sensor, if anything.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub fault: Option<String>,
 }
 
 impl Reading {
-    /// A sensor at a time, s.
+    /// State of a sensor at a time, s.
     #[must_use]
     pub fn of(watch: &Watch, now_s: f64) -> Self {
         Self {
@@ -121,7 +121,7 @@ impl Reading {
     }
 }
 
-/// The model that runs.
+/// The running model.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct RunningModel {
     /// The name that `machine.toml` gives it.
@@ -130,17 +130,17 @@ pub struct RunningModel {
     pub file: String,
     /// SHA-256 of that file, in hexadecimal.
     pub sha256: String,
-    /// What its fits say about themselves.
+    /// Notes of its fits.
     pub fits: Vec<String>,
     /// Fits whose validity has ended.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub expired: Vec<String>,
-    /// Days since its oldest fit; none where no fit carries a date.
+    /// Days since its oldest fit; none if no fit has a date.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub age_days: Option<i64>,
     /// Days until the first of its fits ends; below zero, past it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub days_left: Option<i64>,
-    /// What to know now: past its date, outside the range it was fitted on, at a limit.
+    /// Present notes: past its date, outside the range of a fit, at a limit.
     pub notes: Vec<String>,
 }

@@ -1,20 +1,21 @@
-//! The control law: which total should each axis have now?
+//! The control law: the total that each axis should have now.
 //!
-//! requested = model + part table + operator, in micrometres until the last step. The daemon, the simulator, the
-//! rehearsal of a shift, the part loop and the demo all use this law, and no other.
+//! requested = model + part table + operator, in micrometres until the last step. The daemon, the simulator,
+//! the rehearsal of a shift, the part loop and the demo all use this law only.
 //!
 //! | module | what |
 //! |---|---|
-//! | [`commission`] | a guided jog judged: sign, unit, what the controller compensates by itself |
+//! | [`commission`] | judges a guided jog: sign, unit, compensation by the controller itself |
 //! | [`corrector`] | all axes: the sources' sum becomes totals |
-//! | `source` | the machine model as a source: sensors in, errors out, or why nothing can be said |
+//! | `source` | the machine model as a source: sensors in, errors out, or why they are not known |
 //! | [`part_table`] | a part's errors as a source |
 //! | `motion` | position, velocity and direction of the axes from the engine's status |
 //! | `total` | ramp, hysteresis, limits, belief window |
-//! | [`explain`] | what a correction is made of, for people |
-//! | [`rehearse`] | a recorded shift run through the law with another model |
+//! | [`explain`] | components of a correction, for people |
+//! | [`rehearse`] | runs a recorded shift through the law with another model |
 //!
-//! What must not live here: sockets, devices, the reading of sensors (`rtec-sensors`), anything of a simulated machine.
+//! These do not belong here: sockets, devices, the reading of sensors (`rtec-sensors`), anything of a
+//! simulated machine.
 //!
 //! At work: `cargo run -p rtec-correct --example totals`, which the tests run too.
 
@@ -29,28 +30,28 @@ mod total;
 
 pub use corrector::Corrector;
 
-/// Default rate, µm/s, for a change of total that no motion asks for.
+/// Default rate for changes of a total that no motion causes, µm/s.
 pub const RAMP_UM_S: f64 = 5.0;
 
-/// The least that is believed at once, µm: three corrections of 4 µm.
+/// Smallest belief window, µm: three corrections of 4 µm.
 /// (NISTIR 4832, General Considerations)
 const LEAST_BELIEVED_UM: f64 = 12.0;
 
 /// The belief window of an axis: three of its largest steps, at least 12 µm.
 /// It is given in counts.
-/// `step_um` is the most that its model changes by at once. A window never refuses a single insertion.
+/// `step_um` is the largest change of its model at once. A window never refuses a single insertion.
 #[must_use]
 pub fn belief_window_counts(count_um: f64, step_um: f64) -> i64 {
     let counts = (3.0 * step_um).max(LEAST_BELIEVED_UM) / count_um;
     (counts.ceil() as i64).max(rtec_rt::axis::INCREMENT_COUNTS)
 }
 
-/// One axis, as the law needs to know it.
+/// An axis's settings for the control law.
 #[derive(Debug, Clone, PartialEq)]
 pub struct AxisSetup {
     /// The axis's name, as models name it.
     pub name: String,
-    /// What one count is worth, µm.
+    /// Size of one count, µm.
     pub count_um: f64,
     /// Counts of one insertion of its design.
     pub increment_counts: i64,

@@ -6,16 +6,16 @@ use rtec_model::live::AxisNow;
 use rtec_rt::event::{AxisStatus, Status};
 use std::collections::VecDeque;
 
-/// How far beyond an increment an axis must come back to count as reversed, counts.
+/// Counts beyond an increment by which an axis must come back to have reversed.
 const TURNED_COUNTS: i64 = 2;
-/// States that are kept: half a second of them.
+/// Number of states kept: half a second of them.
 const KEPT: usize = 64;
-/// A drive has followed an insertion after so many evaluations.
+/// Evaluations after which a drive has followed an insertion.
 const SETTLED: usize = 30;
-/// Velocity is taken over so many evaluations.
+/// Number of evaluations over which velocity is taken.
 const SPEED_OVER: usize = 3;
 
-/// Recent states of the machine, and what they say of each axis's motion.
+/// Recent states of the machine, and the motion of each axis computed from them.
 #[derive(Debug)]
 pub(crate) struct Motion {
     /// The engine's states that velocity is taken from, newest last.
@@ -31,18 +31,18 @@ struct Turning {
     direction: i64,
     /// None until the axis has been seen, at the start and after homing.
     furthest_counts: Option<[i64; 2]>,
-    /// Where the table was furthest in its direction, whatever moved it.
+    /// Furthest position of the table in its direction, whatever moved it.
     table_counts: i64,
-    /// The total that the axis goes to, and its direction's part, counts.
+    /// Total that the axis approaches, and its part by direction, counts.
     total_counts: i64,
     part_counts: i64,
 }
 
 impl Turning {
     /// Follows the direction of motion, ignoring the effect of our own insertions.
-    /// An insertion moves the MTC's count first, and the scale once the drive has followed. An axis has therefore
-    /// reversed only when both say so, and by more than was inserted a moment ago. A place that our insertions alone
-    /// may have reached is never the furthest.
+    /// An insertion moves the MTC's count first, and the scale once the drive has followed. An axis has
+    /// therefore reversed only if both counts show it, by more than was inserted a moment ago. A position
+    /// that our insertions alone may have reached is never the furthest.
     fn follow(&mut self, at_counts: [i64; 2], enough_counts: i64, own_counts: i64) {
         let Some(furthest_counts) = &mut self.furthest_counts else {
             (self.furthest_counts, self.table_counts) = (Some(at_counts), at_counts[0]);
@@ -66,9 +66,9 @@ impl Turning {
 
     /// Turns an axis at rest that a correction will take back.
     ///
-    /// Lost motion follows the table, whatever moves it. So the total of the other direction is the right one where the
-    /// table goes back with that total too. Where it goes back with one of the two alone, none of them fits, and the
-    /// direction stays.
+    /// Lost motion follows the table, whatever moves it. The total of the other direction is therefore right
+    /// if the table comes back with that total too. If it comes back with only one of the two totals, neither
+    /// fits, and the direction stays.
     fn turned_by_a_correction(&mut self, s: &AxisStatus, enough_counts: i64) {
         let goes_to = s.position_counts + s.in_effect - self.total_counts;
         let back =
@@ -90,17 +90,17 @@ impl Motion {
         }
     }
 
-    /// Every axis now; its load is not known here.
+    /// Present motion of every axis, without its load.
     pub(crate) fn now(&self) -> &[AxisNow] {
         &self.now
     }
 
-    /// Takes the total that an axis goes to, and its direction's part, counts.
+    /// Sets the total that an axis approaches, and its part by direction, counts.
     pub(crate) fn total_is(&mut self, axis: usize, total_counts: i64, part_counts: i64) {
         (self.turning[axis].total_counts, self.turning[axis].part_counts) = (total_counts, part_counts);
     }
 
-    /// How old a velocity is, s: it is the mean over the time until now.
+    /// Age of the velocity, s: it is a mean over the time until now.
     pub(crate) fn speed_age_s(&self) -> f64 {
         match (self.seen.iter().rev().nth(SPEED_OVER), self.seen.back()) {
             (Some(from), Some(to)) => (to.t_ns - from.t_ns) as f64 * 0.5e-9,
@@ -108,7 +108,7 @@ impl Motion {
         }
     }
 
-    /// Positions have been counted anew.
+    /// Forgets positions after their counters were set to zero.
     pub(crate) fn forget(&mut self) {
         self.seen.clear();
         // The direction of the last motion is still what it was.
@@ -122,7 +122,7 @@ impl Motion {
         Some(nearest.axes[axis].position_counts)
     }
 
-    /// Takes the latest state in.
+    /// Adds the latest state.
     pub(crate) fn follow(&mut self, status: &Status, axes: &[AxisSetup]) {
         if self.seen.back().is_none_or(|last| last.t_ns < status.t_ns) {
             if self.seen.len() == KEPT {
@@ -162,7 +162,7 @@ impl Motion {
     }
 }
 
-/// Mean velocity of an axis between two states; 0 where one of them is not known.
+/// Mean velocity of an axis between two states; 0 if one is missing.
 fn mm_s(from: Option<&Status>, to: Option<&Status>, axis: usize, count_um: f64) -> f64 {
     let (Some(a), Some(b)) = (from, to) else { return 0.0 };
     let dt_s = (b.t_ns - a.t_ns) as f64 * 1e-9;
@@ -188,7 +188,7 @@ mod tests {
         }
     }
 
-    /// One axis, seen at these places, counts, every 10 ms.
+    /// One axis at these positions, counts, every 10 ms.
     fn seen(places_counts: impl IntoIterator<Item = i64>) -> Motion {
         let mut motion = Motion::new(1);
         for (k, counts) in places_counts.into_iter().enumerate() {
@@ -217,7 +217,7 @@ mod tests {
         assert!((motion.speed_age_s() - 0.015).abs() < 1e-12, "a mean is as old as the middle of its time");
     }
 
-    /// Nothing is said of what has not been seen yet, at the start and after homing.
+    /// Velocity is zero until enough states were seen, at the start and after homing.
     #[test]
     fn an_axis_that_was_just_seen_stands_as_far_as_is_known() {
         for looks in 0..4 {
@@ -232,7 +232,7 @@ mod tests {
         assert_eq!(after_six.now()[0].acceleration_mm_s2, 0.0, "30 ms before the last 30 ms: not yet");
     }
 
-    /// Reading the engine's state twice does not make an axis appear to stand.
+    /// Reading the engine's state twice does not make an axis appear at rest.
     #[test]
     fn a_state_that_is_seen_twice_does_not_slow_an_axis_down() {
         let mut motion = Motion::new(1);
@@ -245,8 +245,8 @@ mod tests {
         assert_eq!(motion.now()[0].acceleration_mm_s2, 0.0);
     }
 
-    /// A capture finds its place within the last half second, at the nearest state.
-    /// Before that, at the oldest one there is.
+    /// A capture finds its position within the last half second, at the nearest state.
+    /// An earlier capture takes the oldest state.
     #[test]
     fn places_are_known_for_half_a_second_and_no_memory_grows() {
         let motion = seen((0..1000).map(|k| 7 * k));
@@ -257,8 +257,8 @@ mod tests {
         assert_eq!(Motion::new(1).position_counts_at(0, 0), None);
     }
 
-    /// A correction that goes in at rest moves the table, and so turns it.
-    /// One that goes in while the axis goes on does not.
+    /// A correction inserted at rest moves the table and thereby reverses the axis.
+    /// One that is inserted while the axis moves on does not.
     #[test]
     fn a_correction_at_rest_turns_the_axis() {
         let direction_after = |total_counts: i64, part_counts: i64, goes_on: bool| {
@@ -273,13 +273,14 @@ mod tests {
         };
         assert_eq!((direction_after(4, 0, false), direction_after(5, 0, false)), (1.0, -1.0));
         assert_eq!((direction_after(-100, 0, false), direction_after(100, 0, true)), (1.0, 1.0));
-        // With a reversal of 20 counts the total of the other direction takes the table back too, or does not.
+        // With a reversal of 20 counts, the total of the other direction takes the table back too, or does
+        // not.
         assert_eq!((direction_after(24, 10, false), direction_after(25, 10, false)), (1.0, -1.0));
         assert_eq!((direction_after(4, -10, false), direction_after(5, -10, false)), (1.0, -1.0));
     }
 
-    /// An insertion hides a turn of the axis until the drive has followed.
-    /// With a large reversal ahead of the scale no correction turns this axis.
+    /// An insertion hides a reversal of the axis until the drive has followed.
+    /// The large reversal is ahead of the scale, so that no correction turns this axis.
     #[test]
     fn an_insertion_hides_a_turn_only_until_the_drive_has_followed() {
         let direction_after = |wait: u64, back_counts: i64| {

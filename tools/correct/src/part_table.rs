@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 /// A tool on its way elsewhere must not be moved.
 pub(crate) const NEAR_MM: [f64; 2] = [2.0, 10.0];
 
-/// A kilometre: the bounds of every position.
+/// Limit of every position, mm: a kilometre.
 const FARTHEST_MM: f64 = 1e6;
 
 /// The errors of a part along an arc or a straight feature, and the correcting cut.
@@ -20,16 +20,16 @@ const FARTHEST_MM: f64 = 1e6;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PartTable {
-    /// `error.cor`, absolute: angle in rad and error in µm a line.
-    /// Of a straight feature with its place.
+    /// Absolute path of `error.cor`: lines of angle, rad, and error, µm.
+    /// The lines of a straight feature also have positions.
     pub errors: String,
     /// Names of the two axes.
     pub axes: [String; 2],
     /// Centre of the arc in part coordinates.
-    /// None of a straight feature, whose errors bring their places.
+    /// None for a straight feature, whose errors have positions.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub centre_mm: Option<[f64; 2]>,
-    /// Radius of the finished surface; none of a straight feature.
+    /// Radius of the finished surface; none for a straight feature.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub radius_mm: Option<f64>,
     /// Radius of the tool's nose.
@@ -39,25 +39,25 @@ pub struct PartTable {
     pub hollow: bool,
     /// Machine position at which the nose's centre is at the part's origin.
     pub origin_mm: [f64; 2],
-    /// Totals are asked this long before the tool is there.
+    /// Lead: totals are requested this long before the tool is there.
     pub lead_ms: f64,
 }
 
-/// What a loaded part table does now.
+/// Present effect of a loaded part table.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct TableNow {
     /// Probed points in it.
     pub points: usize,
-    /// `in_force`, `ready` where the tool is elsewhere, or `off`.
+    /// `in_force`, `ready` if the tool is elsewhere, or `off`.
     pub state: String,
-    /// From the tool to the arc or the straight feature, mm: 0 on it.
+    /// Distance of the tool from the arc or the straight feature, mm: 0 on it.
     pub off_mm: f64,
-    /// Within this distance of it the table acts, mm.
+    /// Distance within which the table acts, mm.
     pub acts_within_mm: f64,
-    /// What it takes out here, µm, in the order of its axes.
-    /// When it is not in force, what it would.
+    /// Error that it removes here, µm, in the order of its axes.
+    /// If the table is not in force, the error that it would remove.
     pub um: [f64; 2],
-    /// Why it is off.
+    /// Reason why it is off.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub why: Option<String>,
 }
@@ -68,7 +68,7 @@ enum Table {
     Line(LineTable),
 }
 
-/// The part table that is loaded.
+/// The loaded part table.
 #[derive(Debug)]
 pub(crate) struct PartErrors {
     pub(crate) shown: PartTable,
@@ -78,7 +78,7 @@ pub(crate) struct PartErrors {
 }
 
 impl PartErrors {
-    /// A table on axes `of` the corrector that a model can name.
+    /// A table on the corrector's axes `of`; `named` tells which a model can name.
     ///
     /// # Errors
     /// What was found and what was expected.
@@ -143,7 +143,7 @@ impl PartErrors {
         Ok(Self { shown, table, axes })
     }
 
-    /// What it takes out at a machine position that is reached in the table's lead, µm.
+    /// Error that it removes at a machine position reached after the table's lead, µm.
     pub(crate) fn components_um(&self, place: Zx, velocity_mm_s: Zx) -> Zx {
         let lead_s = self.shown.lead_ms * 1e-3;
         let off_mm = self.off_mm(place + velocity_mm_s * lead_s);
@@ -156,7 +156,7 @@ impl PartErrors {
         um * share
     }
 
-    /// From a machine position to the arc or the stretch that the tool's nose runs on.
+    /// Distance of a machine position from the path of the tool's nose, mm.
     pub(crate) fn off_mm(&self, place: Zx) -> f64 {
         match &self.table {
             Table::Arc(table) => {
@@ -167,7 +167,7 @@ impl PartErrors {
         }
     }
 
-    /// Number of probed points that the table came from.
+    /// Number of probed points that the table was made from.
     pub(crate) fn points(&self) -> usize {
         match &self.table {
             Table::Arc(table) => table.points(),

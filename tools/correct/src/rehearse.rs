@@ -1,8 +1,8 @@
-//! A recorded shift run through the law with the present and with a new model.
-//! It shows, count for count, what would change before the new model is loaded.
+//! Runs a recorded shift through the law with the present and with a new model.
+//! It shows, count by count, what would change before the new model is loaded.
 //!
-//! The machine is the shift's: its positions, temperatures, loads. The engine is one that inserts at once. Between two
-//! rows everything is linear in time, so that ramp, window and lags see the time that passes.
+//! Positions, temperatures and loads are those of the shift. The engine inserts at once. Between two rows
+//! every value is linear in time, so that ramp, window and lags see the time pass.
 
 use crate::{AxisSetup, Corrector};
 use rtec_files::InputError;
@@ -17,18 +17,18 @@ use std::collections::BTreeMap;
 /// Time between two calls of the law, s.
 /// At most [`MOST_TICKS`] calls are made between two rows, which may be minutes apart.
 const PERIOD_S: f64 = 0.01;
-/// Most ticks of the law between two rows; see [`PERIOD_S`].
+/// Largest number of ticks between two rows; see [`PERIOD_S`].
 const MOST_TICKS: f64 = 20.0;
 
-/// What the law is run with, where the shift does not say.
+/// Settings of the law that the shift does not state.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Options {
-    /// The axes as the configuration has them.
-    /// Those it lacks count as the shift does, or 1 µm, by Design C with a window of 12 µm.
+    /// The axes of the configuration.
+    /// Any other axis has Design C, a window of 12 µm, and the shift's count or 1 µm.
     pub axes: Vec<AxisSetup>,
     /// The ramp's rate, µm/s (see [`Corrector::new`]).
     pub ramp_um_s: f64,
-    /// How long before the axes are there the law is asked, s (see [`Corrector::new`]).
+    /// Lead of the model, s (see [`Corrector::new`]).
     pub lead_s: f64,
 }
 
@@ -54,22 +54,22 @@ impl Options {
     }
 }
 
-/// What changes on one axis. A positive total takes out a positive error.
+/// Changes on one axis. A positive total removes a positive error.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct AxisChange {
     /// Name of the axis.
     pub axis: String,
-    /// What one count is worth, µm.
+    /// Size of one count, µm.
     pub count_um: f64,
     /// Largest correction of the present model and of the new one, µm.
     pub largest_um: [f64; 2],
     /// Largest change from one to the other, µm.
     pub change_um: f64,
-    /// When the change is largest, s on the shift's clock.
+    /// Time of the largest change, s on the shift's clock.
     pub change_at_s: f64,
     /// Root of the mean squared change, µm.
     pub change_rms_um: f64,
-    /// Fastest the new correction moves from row to row, µm/s.
+    /// Highest rate of the new correction from row to row, µm/s.
     pub fastest_um_per_s: f64,
     /// Share of the rows on which the axis would not follow the new model.
     /// Then a sensor is bad or a lag is not known yet.
@@ -79,7 +79,7 @@ pub struct AxisChange {
     pub rows: Vec<(f64, [i64; 2])>,
 }
 
-/// What a rehearsal found.
+/// Result of a rehearsal.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Rehearsal {
     /// One entry per axis of the shift.
@@ -88,13 +88,13 @@ pub struct Rehearsal {
     pub outside: BTreeMap<String, f64>,
 }
 
-/// One column of the shift and where its values go.
+/// One column of the shift, and the sensor that takes its values.
 struct Feed<'r> {
     data: &'r [f64],
     watch: usize,
 }
 
-/// The law with one model, and the state of the machine that it asks.
+/// The law with one model, and the machine's state that it sees.
 struct Stage<'r> {
     corrector: Corrector,
     status: Status,
@@ -103,7 +103,7 @@ struct Stage<'r> {
 }
 
 impl Stage<'_> {
-    /// One tick: sensors and positions as they are then, totals completed at once.
+    /// One tick with the present sensors and positions; totals complete at once.
     fn tick(&mut self, t_s: f64, t_ns: u64, position_counts: &[i64], reading: impl Fn(&[f64]) -> f64) {
         for feed in self.feeds {
             self.watches[feed.watch].offer(t_s, Ok(reading(feed.data)));
@@ -172,14 +172,14 @@ pub fn rehearse(
     Ok(changes.judge(shift.rows()))
 }
 
-/// Row by row, and between the rows.
+/// Calls the law at each row and between rows.
 fn run(shift: &Record, axes: &[Axis], stages: &mut [Stage<'_>; 2], changes: &mut Rows) {
     let t = shift.time_s();
     let places: Vec<Option<&[f64]>> = axes.iter().map(|a| shift.data(&Role::Position(a.clone()))).collect();
     for row in 0..shift.rows() {
         let before = row.saturating_sub(1);
         let gap_s = t[row] - t[before];
-        // A row a period after the last one is one tick, however its decimals fall.
+        // A gap of one period gives one tick, despite rounding of its decimals.
         let ticks = (gap_s / PERIOD_S - 1e-6).ceil().clamp(1.0, MOST_TICKS);
         for k in 1..=ticks as u32 {
             let part = f64::from(k) / ticks;
@@ -200,7 +200,7 @@ fn run(shift: &Record, axes: &[Axis], stages: &mut [Stage<'_>; 2], changes: &mut
     }
 }
 
-/// Totals row by row, as they come.
+/// Totals collected row by row.
 struct Rows {
     setups: Vec<AxisSetup>,
     totals: Vec<Vec<(f64, [i64; 2])>>,

@@ -8,43 +8,43 @@ use rtec_model::machine::{FitNote, Machine};
 use rtec_model::record::{Axis, Role};
 use rtec_sensors::{Use, Watch};
 
-/// A lag is known to 2 % after so many of its time constants.
+/// Time constants after which a lag is known to 2 %.
 const LAGS_KNOWN: f64 = 4.0;
-/// Spread of the temperatures of a machine that has long been standing, K.
+/// Largest spread of temperatures of a machine that has long been idle, K.
 const COLD_K: f64 = 1.0;
-/// Shorter gaps in the temperatures never make a lag forget, s.
+/// Longest gap in the temperatures after which any lag is still known, s.
 const GAP_S: f64 = 15.0;
 
-/// A model ready to run. Axes are counted as its layout has them.
+/// A model ready to run. Axes are indexed as in its layout.
 #[derive(Debug)]
 pub(crate) struct ModelSource {
     pub(crate) machine: Machine,
     pub(crate) live: Live,
-    /// Per sensor and channel of the layout: its place among the configured sensors.
+    /// Index of the configured sensor, per sensor and per channel of the layout.
     sensors: Vec<usize>,
     channels: Vec<usize>,
-    /// Where spindle speed, coolant and each axis's load come from.
+    /// Sensors of spindle speed, coolant and each axis's load.
     rpm: Option<usize>,
     coolant: Option<usize>,
     loads: Vec<Option<usize>>,
-    /// Per axis: places of the configured sensors that its effects read.
+    /// Per axis: indices of the configured sensors that its effects read.
     reads: Vec<Vec<usize>>,
     lags: Vec<Lag>,
-    /// What the model reads and no sensor gives.
+    /// Inputs of the model that no sensor gives.
     missing: Vec<String>,
     ranges: Vec<FittedRange>,
     /// The last value of each configured sensor.
     values: Vec<Option<f64>>,
     inputs: Inputs,
-    /// What each configured sensor was good for when it was last looked at.
+    /// State of each configured sensor at the last reading.
     states: Vec<Use>,
     /// Sensors lost for so long that corrections hold until they are enabled again.
     lost: Vec<bool>,
-    /// It was taken although its validity had ended.
+    /// It was loaded although its validity had ended.
     pub(crate) although_expired: bool,
 }
 
-/// What the model reads, beside the axes.
+/// Inputs of the model other than the axes.
 #[derive(Debug, Clone, Default)]
 struct Inputs {
     temperatures_degc: Vec<f64>,
@@ -69,19 +69,19 @@ impl Inputs {
         }
     }
 
-    /// Every part as warm as the others: a machine that has stood still for long.
+    /// Whether all temperatures are nearly equal: the machine has long been idle.
     fn cold(&self) -> bool {
         let t = self.temperatures_degc.iter().copied();
         t.clone().fold(f64::MIN, f64::max) - t.fold(f64::MAX, f64::min) <= COLD_K
     }
 }
 
-/// What is known of the state of a first-order lag.
+/// Whether the state of a first-order lag is known.
 #[derive(Debug, Clone)]
 struct Lag {
     axis: usize,
     tau_s: f64,
-    /// It has followed its input without a gap since then, s.
+    /// Start of its uninterrupted input, s.
     since_s: f64,
     last_s: f64,
     /// It was in equilibrium with its input when it began to follow.
@@ -93,7 +93,7 @@ impl Lag {
         Self { axis, tau_s, since_s: f64::NEG_INFINITY, last_s: f64::NEG_INFINITY, settled: false }
     }
 
-    /// An input came at a time; the machine was cold then, or not.
+    /// Notes an input at a time; `cold` if the machine was cold then.
     fn follow(&mut self, now_s: f64, cold: bool) {
         let gap_s = now_s - self.last_s;
         if gap_s > (self.tau_s / 4.0).max(GAP_S) {
@@ -103,27 +103,27 @@ impl Lag {
         self.last_s = now_s;
     }
 
-    /// How long until it is known, s; none when it is.
+    /// Time until the lag is known, s; none if it is.
     fn unknown_s(&self, now_s: f64) -> Option<f64> {
         let left = LAGS_KNOWN * self.tau_s - (now_s - self.since_s);
         (!self.settled && left > 0.0).then_some(left)
     }
 }
 
-/// A temperature difference that a fit saw over a range.
-/// An effect may read it or not.
+/// Range of a temperature difference that a fit was made on.
+/// An effect may read that difference or not.
 #[derive(Debug)]
 struct FittedRange {
-    /// Places of the fit in the model and of the difference in the fit.
+    /// Index of the fit in the model, and of the difference in the fit.
     fit: usize,
     valid: usize,
-    /// Places of its sensors among the configured ones.
+    /// Indices of its sensors among the configured ones.
     sensor: usize,
     minus: Option<usize>,
 }
 
 impl FittedRange {
-    /// Those of a model whose sensors are configured.
+    /// The ranges of a model whose sensors are configured.
     fn all(machine: &Machine, watches: &[Watch]) -> Vec<Self> {
         let mut all = Vec::new();
         for (fit, note) in machine.fits().iter().enumerate() {
@@ -140,17 +140,17 @@ impl FittedRange {
     }
 }
 
-/// An effect acts on the axis of its first place; a pair on both.
+/// Whether an effect acts on its axis `place`: the first, or either of a pair.
 pub(crate) fn acts(effect: &Effect, place: Option<usize>) -> bool {
     place == Some(0) || place == Some(1) && effect.description().naming == Naming::Pair
 }
 
-/// It changes with the direction of the last motion.
+/// Whether an effect changes with the direction of the last motion.
 fn turns(effect: &Effect) -> bool {
     effect.description().needs.contains(&Need::Direction)
 }
 
-/// It changes with what a sensor reads, or with time, while no axis moves.
+/// Whether an effect changes with sensors or time while no axis moves.
 fn is_slow(effect: &Effect) -> bool {
     use Need::{Channel, Coolant, Delta, Load, SpindleSpeed, Time};
     let needs = &effect.description().needs;
@@ -165,10 +165,10 @@ fn of_name(watches: &[Watch], name: &str) -> Option<usize> {
     watches.iter().position(|w| w.config().name == name)
 }
 
-/// Places of the configured sensors of these names and this role.
+/// Indices of the configured sensors of these names and this role.
 ///
 /// # Errors
-/// Those that are not configured, all at once: what reads them, and what the configuration needs.
+/// All names that are not configured, what reads them, and what to add to the configuration.
 fn places(
     machine: &Machine,
     names: &[String],
@@ -196,7 +196,7 @@ fn places(
     Err(InputError::whole(&machine.path, found, expected))
 }
 
-/// What of a model reads a sensor or channel of this name.
+/// The parts of a model that read a sensor or channel of this name.
 fn readers(machine: &Machine, name: &str) -> Vec<String> {
     let reads = |e: &&Effect| {
         e.delta.iter().flat_map(Difference::sensors).any(|s| s == name) || e.channel() == Some(name)
@@ -209,8 +209,8 @@ fn readers(machine: &Machine, name: &str) -> Vec<String> {
     readers
 }
 
-/// What the effects read that no configured sensor gives: taken as zero.
-/// And the axes that they correct and that are not configured, under another name perhaps.
+/// Inputs of the effects that no configured sensor gives, and that count as zero.
+/// Also axes that the model corrects but the configuration does not have, perhaps under another name.
 fn missing(machine: &Machine, axes: &[Axis], watches: &[Watch]) -> Vec<String> {
     let mut missing = Vec::new();
     let mut absent: Vec<(&Axis, Vec<String>)> = Vec::new();
@@ -282,7 +282,7 @@ fn reads(machine: &Machine, axes: &[Axis], watches: &[Watch]) -> Vec<Vec<usize>>
     reads
 }
 
-/// Every effect with each axis it acts on.
+/// Every effect with each axis that it acts on.
 fn acting<'m>(machine: &'m Machine, axes: &[Axis]) -> impl Iterator<Item = (usize, &'m Effect)> {
     machine.effects().flat_map(move |effect| {
         effect.axes().iter().enumerate().filter_map(move |(k, axis)| {
@@ -301,10 +301,10 @@ fn lags(machine: &Machine, axes: &[Axis]) -> Vec<Lag> {
 }
 
 impl ModelSource {
-    /// A model for these axes, fed from these sensors.
+    /// A model for these axes with input from these sensors.
     ///
     /// # Errors
-    /// What it reads and this machine does not have.
+    /// The model reads something that this machine does not have.
     pub(crate) fn new(machine: Machine, axes: &[Axis], watches: &[Watch]) -> Result<Self, InputError> {
         let mut channels: Vec<String> =
             machine.effects().filter_map(Effect::channel).map(str::to_owned).collect();
@@ -340,12 +340,12 @@ impl ModelSource {
         })
     }
 
-    /// What of it has no effect here, in sentences.
+    /// Parts of it without effect here, in sentences.
     pub(crate) fn missing(&self) -> &[String] {
         &self.missing
     }
 
-    /// Brings the lags up to date from past temperatures, oldest first.
+    /// Computes the lags' states from past temperatures, oldest first.
     /// Times are on the clock of [`Self::evaluate`], s. Temperatures are in the order of the layout's sensors, °C.
     pub(crate) fn catch_up(&mut self, past: Vec<(f64, Vec<f64>)>, started_s: f64, axes: &[AxisNow]) {
         for (t_s, degc) in past {
@@ -356,7 +356,7 @@ impl ModelSource {
         }
     }
 
-    /// Takes the sensors in; says whether one of them has become better or worse.
+    /// Takes over the sensors; returns whether one has become better or worse.
     pub(crate) fn read(&mut self, watches: &[Watch], now_s: f64) -> bool {
         let value = |n: usize| watches[n].value_degc();
         self.values.iter_mut().enumerate().for_each(|(n, v)| *v = value(n));
@@ -388,8 +388,8 @@ impl ModelSource {
         changed
     }
 
-    /// Corrections have been enabled: sensors that are good again count again.
-    /// Says whether there are any.
+    /// Notes that corrections were enabled: lost sensors that are good are used again.
+    /// Returns whether there are any.
     pub(crate) fn enabled(&mut self) -> bool {
         let mut back = false;
         for (lost, state) in self.lost.iter_mut().zip(&self.states) {
@@ -399,7 +399,7 @@ impl ModelSource {
         back
     }
 
-    /// Loads of the axes as their sensors give them, N.
+    /// Adds the axes' loads from their sensors, N.
     pub(crate) fn add_loads(&self, axes: &mut [AxisNow], watches: &[Watch]) {
         for (now, load) in axes.iter_mut().zip(&self.loads) {
             now.load_n = load.and_then(|w| watches[w].value_degc()).unwrap_or(0.0);
@@ -411,21 +411,21 @@ impl ModelSource {
         self.live.evaluate(&self.inputs.frame(t_s, axes, probing));
     }
 
-    /// An evaluation that leaves what runs as it is.
+    /// Returns evaluations on a copy; the running state does not change.
     pub(crate) fn trial(&self) -> impl FnMut(f64, &[AxisNow]) {
         let mut live = self.live.clone();
         move |t_s, axes| live.evaluate(&self.inputs.frame(t_s, axes, false))
     }
 
-    /// The error of an axis where all of them are at these places, µm.
-    /// What runs is left as it is.
+    /// The error of an axis with all axes at these positions, µm.
+    /// The running state does not change.
     pub(crate) fn error_um_at(&self, place: usize, t_s: f64, axes: &[AxisNow], probing: bool) -> f64 {
         let mut live = self.live.clone();
         live.evaluate(&self.inputs.frame(t_s, axes, probing));
         live.errors_um()[place]
     }
 
-    /// What these effects were last worth on an axis, µm.
+    /// Last error of an axis by the effects that `is` selects, µm.
     fn um_of(&self, place: usize, is: fn(&Effect) -> bool) -> f64 {
         let axis = &self.live.layout().axes[place];
         let own = |e: &Effect| e.axes().iter().position(|a| a == axis).filter(|k| acts(e, Some(*k)));
@@ -448,7 +448,7 @@ impl ModelSource {
         slow_um + self.live.chain_um().zip(along).filter(|_| warm).map_or(0.0, |(um, k)| um[k])
     }
 
-    /// Why nothing can be said of an axis yet.
+    /// Reason why the error of an axis is not known yet, if so.
     pub(crate) fn unknown(&self, place: usize, watches: &[Watch], now_s: f64) -> Option<String> {
         let never = self.reads[place].iter().map(|n| &watches[*n]).find(|w| w.value_degc().is_none());
         if let Some(w) = never {
@@ -467,7 +467,7 @@ impl ModelSource {
         ))
     }
 
-    /// Why the thermal state of an axis stands still.
+    /// Reason why the thermal correction of an axis is held, if so.
     pub(crate) fn standing(&self, place: usize, watches: &[Watch], now_s: f64) -> Option<String> {
         let reads = || self.reads[place].iter().copied();
         let Some(lost) = reads().map(|n| &watches[n]).find(|w| w.usable(now_s) == Use::Hold) else {
@@ -480,8 +480,8 @@ impl ModelSource {
     }
 
     /// Fits that have not seen the present thermal state.
-    /// Each names the difference that may cost most.
-    /// Only what may cost more than the fit promises anyway.
+    /// Each names the difference with the largest possible error. Only errors above the fit's own uncertainty
+    /// are listed.
     fn unseen(&self) -> Vec<String> {
         let unseen = |(n, fit): (usize, &FitNote)| {
             let now = |r: &FittedRange| {
@@ -507,7 +507,7 @@ impl ModelSource {
         self.machine.fits().iter().enumerate().filter_map(unseen).collect()
     }
 
-    /// What to know of it on a day (days since 1970-01-01).
+    /// Notes about the model on a day (days since 1970-01-01).
     pub(crate) fn notes(&self, today: i64) -> Vec<String> {
         let mut notes = self.machine.doubts(today);
         notes.extend(self.missing.iter().cloned());
@@ -534,8 +534,8 @@ impl ModelSource {
 mod tests {
     use super::*;
 
-    /// A lag of 100 s that has followed since 1000 s, after a gap.
-    /// And whether the machine was cold then.
+    /// A lag of 100 s with uninterrupted input since 1000 s, after a gap.
+    /// `cold`: the machine was cold then.
     fn lag(gap_s: f64, cold: bool) -> Lag {
         let mut lag = Lag::new(0, 100.0);
         lag.follow(1000.0 - gap_s, false);
@@ -552,7 +552,7 @@ mod tests {
         assert_eq!(known_in(&lag(26.0, false), 0.0), Some(400.0), "forgotten");
         assert_eq!(known_in(&lag(26.0, false), 399.0), Some(1.0));
         assert_eq!(known_in(&lag(26.0, false), 400.0), None, "known from then on");
-        // A short lag bears a gap of 15 s all the same.
+        // A short lag tolerates a gap of 15 s too.
         let mut short = Lag::new(0, 20.0);
         short.follow(0.0, false);
         short.follow(15.0, false);

@@ -1,56 +1,56 @@
-//! From the wanted correction in micrometres to a total in counts.
+//! Turns the wanted correction in micrometres into a total in counts.
 //! The steps are ramp, hysteresis, limits and window.
 //!
-//! A total follows the axes' motion at once. Every other change is a ramp, never a jump: a sensor's value, a model
-//! loaded, corrections enabled, a sensor that is good again. No step is larger than the belief window, so that the
-//! engine believes it.
+//! A total follows the axes' motion at once. Every other change is a ramp, never a jump: a sensor's value, a
+//! model loaded, corrections enabled, a sensor that is good again. No step is larger than the belief window,
+//! so that the engine accepts it.
 //!
-//! The part that depends on sensors passes a dead band first. It varies with the sensors' noise, which must not send
-//! counts back and forth at a boundary, whether an axis stands or moves.
+//! The part that depends on sensors passes a dead band first. It varies with the sensors' noise. That noise
+//! must not send counts back and forth at a boundary, whether the axis rests or moves.
 
-/// How far beyond half an increment a total must be off to change, in increments.
+/// Distance beyond half an increment at which a total changes, increments.
 const HYSTERESIS: f64 = 0.02;
 /// Half the dead band of the sensors' part, in increments (some tenths of a µm).
 const DEAD: f64 = 0.25;
-/// A limit in increments above any axis's total.
-/// A larger request is held here before it becomes counts.
+/// Limit above any axis's total, in increments.
+/// It keeps the conversion to counts from overflowing.
 const MOST_INCREMENTS: f64 = 1e9;
 
-/// The counts of one axis.
+/// Total of one axis and its state.
 #[derive(Debug, Clone)]
 pub(crate) struct Total {
     count_um: f64,
     increment_counts: i64,
     window_counts: i64,
     max_counts: i64,
-    /// What the ramp has still to go, µm.
+    /// Rest of the ramp, µm.
     offset_um: f64,
-    /// What is asked for without the operator, µm, and as counts.
+    /// Wanted correction without the operator, µm, and as counts.
     out_um: f64,
     counts: i64,
     operator_counts: i64,
-    /// What the sensors ask for, as it has passed the dead band and the ramp, µm.
+    /// The sensors' part after dead band and ramp, µm.
     slow_um: f64,
-    /// More of it is on its way.
+    /// The sensors' part has not reached its value yet.
     slow_left: bool,
     following: bool,
     limited: bool,
 }
 
-/// What bears on a total at one tick.
+/// Inputs of a total at one tick.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct TickInputs {
-    /// What the sources ask for where the axes are, µm.
+    /// Correction that the sources want at the axes' positions, µm.
     pub um: f64,
-    /// What they ask for beside that because of what sensors read, or of time, µm.
+    /// Part by sensors and time, in addition to `um`, µm.
     pub slow_um: f64,
-    /// The total that the engine has been asked for, counts.
+    /// Total last requested of the engine, counts.
     pub requested: i64,
-    /// How far the ramp may go now, µm; 0 while the axis holds.
+    /// Largest step of the ramp now, µm; 0 while the axis holds.
     pub ramp_um: f64,
-    /// A source has changed: what is new in it is approached in a ramp.
+    /// A source has changed; the new value is approached in a ramp.
     pub changed: bool,
-    /// No source but the operator is left.
+    /// No source other than the operator is left.
     pub last: bool,
 }
 
@@ -78,7 +78,7 @@ impl Total {
         increments.round().clamp(-MOST_INCREMENTS, MOST_INCREMENTS) as i64 * self.increment_counts
     }
 
-    /// The final total of these micrometres and the operator's counts, limited.
+    /// Final total for this correction and the operator's counts, limited.
     pub(crate) fn goal(&self, um: f64) -> i64 {
         (self.rounded(um) + self.operator_counts).clamp(-self.max_counts, self.max_counts)
     }
@@ -88,27 +88,27 @@ impl Total {
         self.rounded(um) + self.operator_counts
     }
 
-    /// The axis must not follow now; when it does again, it starts from where it is.
+    /// Stops following; the next time it follows, it starts from where it is.
     pub(crate) fn rest(&mut self) {
         self.following = false;
     }
 
-    /// Homed: all counters are zero.
+    /// Sets all counters to zero after homing.
     pub(crate) fn zero(&mut self) {
         (self.operator_counts, self.following, self.counts) = (0, false, 0);
         (self.out_um, self.offset_um) = (0.0, 0.0);
     }
 
-    /// The total to ask for now; none where it stands already.
+    /// Total to request now; none if it is already requested.
     pub(crate) fn next(&mut self, wanted: TickInputs) -> Option<i64> {
         let TickInputs { um, slow_um, requested, ramp_um, changed, last } = wanted;
         if !self.following {
-            // Where the axis is: what it was asked for before counts, wherever that came from.
+            // It begins at the total already requested, whatever requested it.
             self.following = true;
             self.counts = requested - self.operator_counts;
             self.begin(self.counts as f64 * self.count_um, um, slow_um);
         } else if changed {
-            // What is beyond the limit was never in effect.
+            // The part beyond the limit was never in effect.
             let limit_um = self.max_counts as f64 * self.count_um;
             self.begin(self.out_um.clamp(-limit_um, limit_um), um, slow_um);
         } else {
@@ -126,19 +126,19 @@ impl Total {
         self.counts = wish.clamp(-self.max_counts, self.max_counts);
         let bounded = self.bounded();
         self.limited = bounded != wish + self.operator_counts;
-        // Catching up after a rapid, in steps that are believed.
+        // Catches up after a rapid in steps within the belief window.
         let window = self.window_counts;
         let next = bounded.clamp(requested.saturating_sub(window), requested.saturating_add(window));
         (next != requested).then_some(next)
     }
 
-    /// From here on the ramp goes from what is in effect to what is wanted.
+    /// Starts the ramp from the correction in effect to the wanted one.
     fn begin(&mut self, in_effect_um: f64, um: f64, slow_um: f64) {
         (self.slow_um, self.slow_left) = (slow_um, false);
         self.offset_um = in_effect_um - um - slow_um;
     }
 
-    /// Takes the sensors' part as far as it leaves the dead band, at the ramp's rate.
+    /// Follows the sensors' part outside its dead band, at the ramp's rate.
     fn take_slow(&mut self, slow_um: f64, ramp_um: f64) {
         let dead_um = DEAD * self.increment_counts as f64 * self.count_um;
         let off_um = slow_um - self.slow_um;
@@ -148,12 +148,12 @@ impl Total {
         self.slow_left = due_um.abs() > ramp_um;
     }
 
-    /// What the sources other than the operator asked for is still on its way back.
+    /// Whether a correction by sources other than the operator, or its ramp, is left.
     pub(crate) fn on_its_way(&self) -> bool {
         self.offset_um != 0.0 || self.counts != 0
     }
 
-    /// The total that belief windows lead to, counts.
+    /// The total within the limit that is approached in windows, counts.
     pub(crate) fn bounded(&self) -> i64 {
         (self.counts + self.operator_counts).clamp(-self.max_counts, self.max_counts)
     }
@@ -163,7 +163,7 @@ impl Total {
         self.following && self.offset_um == 0.0 && !self.slow_left && requested == self.bounded()
     }
 
-    /// What the ramp has still to go, µm, while the axis follows.
+    /// Rest of the ramp, µm, while the axis follows.
     pub(crate) fn ramp_left_um(&self) -> f64 {
         if self.following { self.offset_um } else { 0.0 }
     }
@@ -172,7 +172,7 @@ impl Total {
         self.following
     }
 
-    /// The limit, counts, where more is asked for.
+    /// The limit, counts, if the sources want more.
     pub(crate) fn limited(&self) -> Option<i64> {
         self.limited.then_some(self.max_counts)
     }
@@ -217,8 +217,8 @@ mod tests {
         assert_eq!(total.next(wanted(0.95, 2)), Some(0));
     }
 
-    /// What sensors ask for trembles by more.
-    /// It passes a dead band, and is a ramp however suddenly it comes.
+    /// Noise of the sensors' part within the dead band changes nothing.
+    /// A larger change is a ramp, however sudden it is.
     #[test]
     fn what_sensors_ask_for_passes_a_dead_band_and_is_a_ramp() {
         let mut total = following();
@@ -274,7 +274,7 @@ mod tests {
         assert!(total.settled(-100) && !total.settled(100));
     }
 
-    /// A source that asks for far more than the limit is withdrawn.
+    /// A source that wants far more than the limit is withdrawn.
     /// The way back begins at the limit, and the operator can always reduce the total.
     #[test]
     fn beyond_the_limit_nothing_piles_up() {
@@ -325,8 +325,8 @@ mod tests {
         assert!((total.ramp_left_um() - 39.95).abs() < 1e-9);
     }
 
-    /// The operator's counts are part of the total that is gone to.
-    /// Without the limit only where that is asked for.
+    /// The operator's counts are part of the goal.
+    /// The limit applies except to the unlimited goal.
     #[test]
     fn a_goal_is_within_the_limit_and_holds_the_operators_share() {
         let mut total = Total::new(0.5, 2, 10, 100);
@@ -340,15 +340,15 @@ mod tests {
     fn what_is_on_its_way_has_not_settled() {
         let mut total = following();
         assert!(!total.on_its_way() && total.settled(0) && total.following());
-        // A source has changed: eight micrometres in a ramp, none of which has become a count yet.
+        // A changed source: eight micrometres in a ramp, not yet a count.
         total.next(TickInputs { changed: true, ..wanted(8.0, 0) });
         assert!(total.on_its_way() && !total.settled(0));
-        // Sensors ask for more than the ramp gives at once.
+        // The sensors want more than the ramp allows at once.
         let mut total = following();
         let slow = |slow_um, ramp_um| TickInputs { slow_um, ramp_um, ..wanted(0.0, 0) };
         assert_eq!(total.next(slow(8.0, 0.05)), None);
         assert!(!total.settled(0));
-        // Exactly as much as it gives, beyond the dead band of half a micrometre: that is all.
+        // The ramp allows exactly the part beyond the dead band of half a micrometre, so nothing is left.
         let mut total = following();
         assert_eq!(total.next(slow(1.0, 0.5)), None);
         assert!(total.settled(0));
@@ -377,7 +377,7 @@ mod tests {
         assert_eq!((total.next(wanted(100.0, 14)), total.limited()), (Some(24), Some(100)));
     }
 
-    /// At exactly half an increment and the hysteresis a total stays.
+    /// At exactly half an increment plus the hysteresis a total stays.
     #[test]
     fn on_the_boundary_itself_a_total_stands() {
         let mut total = following();

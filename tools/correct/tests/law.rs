@@ -25,13 +25,13 @@ fn a_total_follows_the_axis_within_its_window_and_does_not_chatter() {
     bench.status.axes[0].position_counts = 400_000;
     bench.run(1.0, 0, |_| None);
     assert_eq!(bench.status.axes[0].requested, 40);
-    // Where an increment begins it does not matter how the scale trembles; further on, it follows.
+    // At the boundary of an increment, noise of the scale changes nothing; further on, the total follows.
     for k in 0..200 {
         bench.status.axes[0].position_counts = 410_000 + 3 * (k % 2);
         bench.tick();
         assert_eq!(bench.status.axes[0].requested, 40);
     }
-    // An axis that goes to and fro over the boundary changes its total once, not every time.
+    // An axis that moves back and forth across the boundary changes its total only once.
     let changes = (0..200).filter(|k| {
         bench.status.axes[0].position_counts = 410_000 + 500 * (k % 2);
         bench.tick()[0].is_some()
@@ -104,7 +104,7 @@ fn the_operator_is_beside_the_model() {
     assert_eq!(bench.status.axes[0].requested, 33);
     let (total, sum) = bench.explained_um(0);
     assert!((total - sum).abs() < 1e-9);
-    // Homed again: all totals are zero, and the model's comes back in a ramp.
+    // After a new homing all totals are zero, and the model's total returns in a ramp.
     bench.corrector.homed(0, 0);
     bench.status.axes[0] = AxisStatus { homed: true, ..AxisStatus::default() };
     bench.status.axes[0].position_counts = 400_000;
@@ -123,8 +123,8 @@ fn follow(bench: &mut Bench, axis: usize, commanded: i64, ticks: usize) -> usize
     changes
 }
 
-/// What a turn asks for turns nothing back, then or when it is long past.
-/// The MTC counts it at once, and the drive makes room for it a little later.
+/// A reversal's correction does not itself reverse the axis, at once or later.
+/// The MTC counts it at once, and the drive follows a little later.
 #[test]
 fn a_reversal_does_not_turn_its_own_axis() {
     for (um, back) in [(40.0, 30), (40.0, 10), (20.0, 25), (60.0, 7), (12.0, 14)] {
@@ -146,12 +146,13 @@ fn a_reversal_does_not_turn_its_own_axis() {
 }
 
 /// Lost motion follows the table, which a correction at rest moves.
-/// The table here has a direction of its own. It turns where it has come back by three counts, whatever moved it.
+/// The table here has its own direction. It reverses once it has come back by three counts, whatever moved
+/// it.
 #[test]
 fn a_correction_at_rest_turns_the_axis_and_its_reversal() {
     for um in [-60.0, -20.0, -6.0, 6.0, 20.0, 60.0_f64] {
         for (from, correction) in [(0, 100), (0, -100), (400, 100), (400, -100), (0, 30), (400, -30_i64)] {
-            // Where the reversal is ahead of the scale, a smaller way back fits neither direction.
+            // If the reversal is ahead of the scale, a smaller way back fits neither direction.
             if um > 0.0 && correction.abs() <= um as i64 + 10 && correction * (200 - from) > 0 {
                 continue;
             }
@@ -191,7 +192,7 @@ fn homing_keeps_the_direction_of_the_last_motion() {
     assert_eq!(bench.status.axes[1].requested, 20);
 }
 
-/// What no motion asks for is a ramp: coolant, ten seconds without a call.
+/// Changes that no motion causes are ramps: coolant, ten seconds without a call.
 #[test]
 fn what_no_motion_asks_for_is_never_a_jump() {
     let mut bench = Bench::of(5.0, 1000.0, vec![sensor("wet", Role::Coolant)]);
@@ -221,7 +222,7 @@ fn a_model_that_reads_what_the_machine_has_not_is_refused_by_name() {
     let mut refuse = |text: &str| bench.try_load(text).unwrap_err().to_string();
     let text = refuse(&GROWTH.replace("T2", "T9"));
     assert!(text.contains("temperature T9") && text.contains("T1, T2"), "{text}");
-    // All of them at once, what reads each, and what to write where.
+    // All of them at once, with their readers and what to configure.
     let text = refuse(&GROWTH.replace("T1", "T8").replace("T2", "T18"));
     for part in [
         "T18 (read by thermal_growth.z), T8 (read by thermal_growth.z)",
@@ -237,8 +238,8 @@ fn a_model_that_reads_what_the_machine_has_not_is_refused_by_name() {
     assert!(bench.corrector.shown().unwrap().notes[0].contains("no [[sensor]] of role coolant"));
 }
 
-/// Whoever loads it has been asked.
-/// One that ends while it runs has not been meant, and says so once.
+/// A model that was loaded after its end has been accepted by its user.
+/// One that ends while it runs has not been accepted, which is reported once.
 #[test]
 fn a_model_that_ends_while_it_runs_goes_on_and_is_known_to_have_ended() {
     let fit = "[[fit]]\nresponse = \"error.x\"\ndate = \"1970-01-01\"\nvalid_until = \"1970-01-11\"\n\
@@ -259,7 +260,7 @@ fn a_model_that_ends_while_it_runs_goes_on_and_is_known_to_have_ended() {
     assert_eq!(bench.status.axes[0].requested, 42, "what cuts now goes on");
     let shown = bench.corrector.shown().unwrap();
     assert!(shown.expired == [ended] && shown.notes.contains(&ended.to_owned()), "{shown:?}");
-    // Loaded again, somebody has meant it.
+    // Loading it again means acceptance.
     bench.load(&[SCALE, fit].concat());
     assert!(bench.corrector.expired().is_empty());
     assert_eq!(bench.corrector.shown().unwrap().expired, [ended]);

@@ -32,7 +32,7 @@ fn shift(t_s: Vec<f64>, mut columns: Vec<Column>) -> Record {
     Record::of_checked(Path::new("shift.run.toml"), Kind::Drift, columns)
 }
 
-/// Half a micrometre a count, and windows of 50 of them.
+/// Counts of half a micrometre, and windows of 50 counts.
 fn fine(axes: &[&str]) -> Options {
     let axis = |name: &&str| AxisSetup {
         name: (*name).to_owned(),
@@ -48,7 +48,7 @@ fn axis<'r>(found: &'r Rehearsal, name: &str) -> &'r AxisChange {
     found.axes.iter().find(|a| a.axis == name).unwrap()
 }
 
-/// The axis goes 400 mm in a second between two rows, and back.
+/// The axis moves 400 mm in a second between two rows, and back.
 /// The present model asks for 20 µm and the new one for 40 µm. The law must be called between the rows, because 80
 /// counts are more than a window. The shift's clock starts late.
 #[test]
@@ -68,7 +68,7 @@ fn what_changes_is_said_in_micrometres_when_and_how_fast() {
     assert!((x.fastest_um_per_s - 40.0).abs() < 1e-9, "{}", x.fastest_um_per_s);
 }
 
-/// A change that goes the other way is as large.
+/// A change in the other direction is as large.
 #[test]
 fn a_change_has_its_sign() {
     let record = shift(vec![0.0, 1.0, 2.0], vec![position("x", vec![0.0, 200.0, 400.0])]);
@@ -138,7 +138,7 @@ fn axes_of_shift_and_models_are_counted_once_and_are_no_more_than_the_engines() 
     };
     let found = run(2, MAX_AXES).unwrap();
     assert_eq!(found.axes.iter().map(|a| a.axis.as_str()).collect::<Vec<_>>(), names[..MAX_AXES]);
-    // What nothing says of its counts has them of a micrometre.
+    // Counts of an axis without any description are one micrometre.
     assert_eq!(axis(&found, "y").rows[1].1, [10, 10]);
     let refused = run(names.len(), 1).unwrap_err();
     assert_eq!(

@@ -1,4 +1,4 @@
-//! What the law reports of itself.
+//! Reports of the law about itself.
 //! It reports what a model would change, the parts of a total, whether a total is on its way, and why it cannot
 //! follow a model.
 
@@ -22,7 +22,7 @@ const WARM_UP: &str = "[[effect]]\nname = \"warm_up.y\"\num = 100.0\ntau_s = 100
 const FIT: &str = "[[fit]]\nresponse = \"error.z\"\ndate = \"1970-01-01\"\nvalid_until = \"1970-01-11\"\n\
                    rms_um = 0.1\nhalf_width_um = 0.2\n";
 
-/// Counts of half a micrometre, so that nobody takes one for the other.
+/// Counts of half a micrometre, so that counts and micrometres cannot be confused.
 fn fine(lead_s: f64) -> Bench {
     let axis = |name: &str| AxisSetup {
         name: name.to_owned(),
@@ -56,13 +56,13 @@ fn names(bench: &Bench, n: usize) -> Vec<String> {
     parts(bench, n).into_iter().map(|(name, _)| name).collect()
 }
 
-/// A part of an axis's total, µm; 0 where it has none of that name.
+/// A part of an axis's total, µm; 0 if there is none of that name.
 fn of(bench: &Bench, n: usize, name: &str) -> f64 {
     parts(bench, n).into_iter().find(|p| p.0 == name).map_or(0.0, |p| p.1)
 }
 
 /// The preview gives, in counts and µm, what then happens and its parts.
-/// One axis has a table, an operator's total and a model's error, the other depends on time.
+/// One axis has a table, an operator's total and a model's error; the other depends on time.
 #[test]
 fn what_a_preview_says_comes_to_pass() {
     let mut bench = fine(0.0);
@@ -99,7 +99,8 @@ fn what_a_preview_says_comes_to_pass() {
     for (name, um) in [("scale.z", 4.0), ("part table", 10.0), ("operator", 3.0)] {
         assert!((of(&bench, 2, name) - um).abs() < 1e-9, "{:?}", parts(&bench, 2));
     }
-    // What is no whole number of insertions is said too; and that nobody follows while corrections are off.
+    // The remainder below a whole insertion is reported, and that no axis follows while corrections are
+    // off.
     bench.run(30.0, 1, |_| None);
     assert_eq!(names(&bench, 1), ["warm_up.y", "rounding"]);
     bench.status.mode = Mode::Disabled;
@@ -128,14 +129,14 @@ fn an_axis_has_settled_when_nothing_is_on_its_way_any_more() {
     assert!(settled(&bench, 0) && goal(&bench, 0) == 40);
     bench.status.axes[0].completed = 38;
     assert!(!settled(&bench, 0), "the engine has not");
-    // Its sensors were never heard: it stays where it is, and is not said to have settled there.
+    // Its sensors were never read: it stays where it is, and is not reported as settled.
     assert_eq!(bench.corrector.holds(0), None);
     assert_eq!(bench.corrector.holds(2), Some("sensor T1: not read yet"));
     assert!(!settled(&bench, 2) && goal(&bench, 2) == 6 && bench.z() == 6);
 }
 
-/// Time counts from the daemon's start, however early the model is asked.
-/// And for a captured point too.
+/// Time counts from the daemon's start, however early the model is evaluated.
+/// The same holds for a captured position.
 #[test]
 fn a_models_clock_begins_with_the_daemon() {
     for lead_s in [0.0, 0.02] {
@@ -155,7 +156,7 @@ fn a_models_clock_begins_with_the_daemon() {
     }
 }
 
-/// Without a lead the model is evaluated at the speed that was seen.
+/// Without a lead the model is evaluated at the measured speed.
 #[test]
 fn without_a_lead_an_axis_that_slows_down_has_the_speed_that_was_seen() {
     let mut bench = Bench::new();
@@ -171,7 +172,7 @@ fn without_a_lead_an_axis_that_slows_down_has_the_speed_that_was_seen() {
     assert!(mm_s > 30.0 && (um - mm_s).abs() < 1e-9, "{um} at {mm_s} mm/s");
 }
 
-/// What only a probe makes wrong is no error of what is cut.
+/// An error of the probe alone does not count as an error of the cut.
 #[test]
 fn an_effect_of_the_probe_is_taken_out_of_captures_and_of_nothing_else() {
     let mut bench = Bench::new();
@@ -228,7 +229,7 @@ fn a_chain_that_grows_warm_is_a_ramp_on_each_axis_and_a_part_of_its_own() {
     bench.run(1.0, 2, |_| Some((20.0, 20.0)));
     assert!(bench.run(1.0, 2, |_| Some((24.0, 20.0))) <= 2, "no jump");
     assert!(bench.run(10.0, 2, |_| Some((24.0, 20.0))) <= 2);
-    // As far as the dead band lets them.
+    // Within the dead band.
     assert!((39..=40).contains(&bench.z()) && (11..=12).contains(&bench.status.axes[0].requested));
     let um = [0, 1, 2].map(|n| of(&bench, n, "chain"));
     assert!(um.iter().zip([12.0, 0.0, 40.0]).all(|(um, wanted)| (um - wanted).abs() < 1e-9), "{um:?}");
@@ -257,7 +258,7 @@ fn whoever_reads_a_sensor_that_is_not_there_is_named_and_nobody_else() {
 }
 
 /// `model load` and `status` name a thermal state that no run of the fit has shown.
-/// The effects read none of it: the hall is warmer than it ever was.
+/// No effect reads it: the hall is warmer than in any run.
 #[test]
 fn says_at_load_that_the_fit_never_saw_this_state() {
     let saw = "valid = [{ sensor = \"T1\", minus = \"T2\", range_K = [-1.0, 5.0], um_per_K = 3.0 }]\n";
@@ -276,7 +277,7 @@ fn says_at_load_that_the_fit_never_saw_this_state() {
     }
 }
 
-/// What is read and no sensor gives is a note; what is given is none.
+/// An input that no sensor gives is noted; one that a sensor gives is not.
 #[test]
 fn what_is_taken_as_zero_is_said() {
     let mut bench = Bench::of(5.0, 1000.0, vec![sensor("wet", Role::Coolant)]);
@@ -287,7 +288,7 @@ fn what_is_taken_as_zero_is_said() {
     assert_eq!(bench.corrector.shown().unwrap().notes, [said]);
 }
 
-/// An axis stands for the sensors that it reads, each of them, and for no other.
+/// An axis waits for each sensor that it reads, and for no other.
 #[test]
 fn an_axis_waits_for_its_own_sensors_only() {
     let others = vec![sensor("T0", Role::Temperature), sensor("rpm", Role::SpindleSpeed)];
@@ -316,8 +317,8 @@ fn an_axis_waits_for_its_own_sensors_only() {
     assert!(lost(&why, "x", "rpm"), "{why:?}");
 }
 
-/// While a lag is not known nothing of its axis is followed.
-/// When it is, all of it begins as a ramp, that of its place too.
+/// While a lag is not known, no part of its axis's model is followed.
+/// Once it is known, everything begins as a ramp, including the part by position.
 #[test]
 fn an_axis_that_may_follow_again_begins_with_a_ramp() {
     let mut bench = Bench::of(5.0, 1300.0, Vec::new());
@@ -345,8 +346,8 @@ fn what_a_sensor_asks_for_that_is_back_is_on_its_way() {
     assert!((-30.0..-20.0).contains(&left_um), "{:?}", parts(&bench, 2));
 }
 
-/// The arc's place is the part's origin and the arc's centre in it.
-/// Between probed points without an error the table acts, by nothing.
+/// The arc's position is the part's origin plus the arc's centre.
+/// Between probed points without an error the table is in force, with zero effect.
 #[test]
 fn a_part_tables_arc_is_where_the_part_is_clamped() {
     let wanted = PartTable { centre_mm: Some([10.0, 20.0]), origin_mm: [100.0, 200.0], ..part(["z", "x"]) };

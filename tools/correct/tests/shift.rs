@@ -1,6 +1,6 @@
 //! One recorded shift through the law and through a rehearsal.
-//! The same totals, count for count. The simulator, the
-//! daemon and the demo run the same file through their own code (`shift` in their tests).
+//! Both give the same totals, count by count. The simulator, the daemon and the demo run the same file
+//! through their own code (`shift` in their tests).
 
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
@@ -112,7 +112,7 @@ fn a_rehearsal_of_it_shows_the_same_totals() {
         assert_eq!(axis.rows.len(), shift[0].len());
         assert!((axis.held, axis.largest_um[0]) == (0.0, 0.0), "{axis:?}");
         for (row, (t_s, totals)) in axis.rows.iter().enumerate() {
-            // The operator is no part of a rehearsal.
+            // A rehearsal has no operator.
             let operator = if n == 0 { shift[6][row] as i64 } else { 0 };
             assert_eq!(totals[1] + operator, shift[7 + n][row] as i64, "axis {} at {t_s} s", axis.axis);
         }

@@ -1,5 +1,6 @@
-//! The columns of all hypotheses that have a fixed place, for a quick look.
-//! It estimates what each column explains of a residual. It decides nothing: it only selects what is looked at exactly.
+//! The columns of all hypotheses on a fixed grid, for a quick look.
+//! It estimates how much each column explains of a residual. It decides nothing; it only selects what is
+//! computed exactly.
 
 use crate::rows::{Noise, Rows};
 use rtec_least_squares::{Factor, add};
@@ -10,20 +11,20 @@ use std::ops::Range;
 pub struct Bank {
     n: usize,
     raw: Vec<Vec<f64>>,
-    /// Whitened, one after the other.
-    /// In single precision, which is enough to see what is worth an exact look.
+    /// Whitened columns, one after the other.
+    /// Single precision is enough to select what to compute exactly.
     white: Vec<f32>,
     /// Range of columns of each group, and the index at which its products begin.
     groups: Vec<(Range<usize>, usize)>,
     count: usize,
 }
 
-/// What the columns explain of a factor's residual.
+/// How much the columns explain of a factor's residual.
 #[derive(Debug, Clone)]
 pub struct Look {
     /// Products with the residual.
     pub along: Vec<f64>,
-    /// Products among the columns of each group, after the factor's columns.
+    /// Products among the columns of each group, after projection on the factor.
     pub among: Vec<f64>,
 }
 
@@ -44,7 +45,7 @@ impl Bank {
         self.groups.len() - 1
     }
 
-    /// Columns of a group, and where its products begin.
+    /// Columns of a group, and the index at which its products begin.
     #[must_use]
     pub fn group(&self, group: usize) -> (Range<usize>, usize) {
         self.groups[group].clone()
@@ -82,7 +83,7 @@ impl Bank {
         look
     }
 
-    /// Products of all columns with each of a factor's.
+    /// Products of all columns with each column of a factor.
     fn all_shares(&self, factor: &Factor) -> Vec<Vec<f64>> {
         let (k, m) = (factor.len(), self.raw.len());
         let packed: Vec<f32> = factor.columns().iter().flat_map(|c| c.iter()).map(|x| *x as f32).collect();
@@ -90,7 +91,7 @@ impl Bank {
         (0..k).map(|j| (0..m).map(|i| products[i * k + j]).collect()).collect()
     }
 
-    /// Products of all columns with another one.
+    /// Products of all columns with another column.
     #[must_use]
     pub fn shares(&self, column: &[f64]) -> Vec<f64> {
         if self.n == 0 {
@@ -132,8 +133,9 @@ impl Bank {
         out.into_iter().map(f64::from).collect()
     }
 
-    /// Updates the look after further orthonormal columns were added.
-    /// `shares` are the bank's products with each, `along` their products with the residual before them.
+    /// Updates a look after further orthonormal columns were added.
+    /// `shares` are the bank's products with each of them, `along` their products with the residual before
+    /// they were added.
     pub fn after(&self, look: &mut Look, shares: &[Vec<f64>], along: &[f64]) {
         for (shares, along) in shares.iter().zip(along) {
             add(&mut look.along, -along, shares);
@@ -141,7 +143,7 @@ impl Bank {
         self.take(look, shares);
     }
 
-    /// Removes orthonormal columns from the products among the bank's columns.
+    /// Projects orthonormal columns out of the products among the bank's columns.
     fn take(&self, look: &mut Look, shares: &[Vec<f64>]) {
         for share in shares {
             for (columns, at) in &self.groups {

@@ -1,4 +1,4 @@
-//! What a hypothesis adds to the rows.
+//! The contribution of a hypothesis to the rows.
 //! It is an effect of the dictionary with its non-linear parameters set, or a shape without a name.
 
 use crate::priors::{CONTRIBUTION, OF_MOST, REFERENCE_K};
@@ -12,11 +12,11 @@ use std::sync::Arc;
 /// A shape that is in no dictionary.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Shape {
-    /// The response it is seen in.
+    /// The response in which it is seen.
     pub response: String,
     /// The variables it depends on: roles, as in `where`.
     pub against: Vec<String>,
-    /// In words: smooth, periodic, differs by direction, …
+    /// Its manner in words: smooth, periodic, differs by direction, …
     pub manner: String,
 }
 
@@ -39,22 +39,22 @@ impl Shape {
     }
 }
 
-/// What a hypothesis puts into the rows.
+/// The contribution of a hypothesis to the rows.
 #[derive(Debug, Clone)]
 pub enum Cause {
     /// An effect.
     /// Its first `free` coefficients, and whether its reference temperature is free too.
     Effect {
-        /// With its non-linear parameters set.
+        /// The effect, with its non-linear parameters set.
         effect: Effect,
-        /// So many coefficients.
+        /// Number of free coefficients.
         free: usize,
-        /// One more column: what another reference temperature does.
+        /// Whether one more column is for another reference temperature.
         reference: bool,
     },
     /// A map: directions over its knots.
     Map {
-        /// With its knots.
+        /// The effect, with its knots.
         effect: Effect,
         /// Heights of each direction at one standard deviation.
         directions: Arc<Vec<Vec<f64>>>,
@@ -64,7 +64,7 @@ pub enum Cause {
 }
 
 impl Cause {
-    /// The effect, where it is one.
+    /// The effect, if it is one.
     #[must_use]
     pub fn effect(&self) -> Option<&Effect> {
         match self {
@@ -85,7 +85,8 @@ impl Cause {
     }
 
     /// The columns, each at one standard deviation for a typical size.
-    /// After the coefficients' columns come those of what the effect does where the record does not state its place.
+    /// The coefficients' columns come first. Columns for records that do not state the effect's position
+    /// follow.
     #[must_use]
     pub fn columns(&self, rows: &Rows<'_>) -> Vec<Vec<f64>> {
         match self {
@@ -186,7 +187,7 @@ impl Cause {
         }
     }
 
-    /// What one standard deviation of each coefficient of an effect is in its own unit.
+    /// One standard deviation of each coefficient of an effect, in its own unit.
     #[must_use]
     pub fn coefficient_sizes(&self, rows: &Rows<'_>) -> Vec<f64> {
         let Some(effect) = self.effect() else { return Vec::new() };
@@ -208,13 +209,13 @@ impl Cause {
 }
 
 /// Prior sizes of an effect's coefficients, in their own units.
-/// Zero where only the data give a scale (a channel).
+/// Zero if only the data give a scale (a channel).
 #[must_use]
 pub fn sizes(effect: &Effect) -> Vec<f64> {
     let law = effect.description();
     let k = effect.coefficient_count();
     if let Some(i) = law.place(Search::Amplitude) {
-        // An amplitude that the period bounds is typically a share of the period.
+        // An amplitude limited by the period is typically a share of the period.
         let by_period = law.searched.wave.and_then(|w| Some(w.most_periods? * w.unit_mm * 1e3));
         let size = by_period.map_or(law.parameters[i].prior_size(), |most| OF_MOST * most * effect.scalar(0));
         return vec![size; k];
@@ -241,7 +242,7 @@ fn without_untold_turns(rows: &Rows<'_>, effect: &Effect, columns: &mut [Vec<f64
     }
 }
 
-/// Turns a constant beside a law of ΔT into a reference temperature.
+/// Turns a constant added to a law of ΔT into a reference temperature.
 /// The identity is c₁x + c₀ = c₁(x − d).
 fn refer(effect: &mut Effect, c1: f64, c0: f64) {
     let d = -c0 / c1;

@@ -1,4 +1,4 @@
-//! Alternates noise and search until both settle; then names, values and intervals.
+//! Alternates noise and search until both settle; then gives values and intervals.
 
 mod last;
 mod place;
@@ -18,21 +18,21 @@ use rtec_least_squares::dot;
 use rtec_model::effect::{Dictionary, Difference, Effect, Search as How};
 use rtec_model::record::{Record, Role};
 
-/// Another explanation of the same thing.
+/// An alternative explanation of the same errors.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Rival {
     /// Name of the effect.
     pub name: String,
-    /// Its temperature difference, where it has one.
+    /// Its temperature difference, if it has one.
     pub sensor: Option<Difference>,
-    /// The value that differs where the name is the same: a parameter, in its own unit.
+    /// If the name is the same, the parameter that differs, in its own unit.
     pub differs: Option<(String, f64)>,
-    /// Log odds by which the explanation given is better.
+    /// Log odds of the accepted explanation against this one.
     pub margin: f64,
 }
 
 impl Rival {
-    /// Its name, with what it reads or the value that differs.
+    /// Its name, with its sensors or the value that differs.
     #[must_use]
     pub fn label(&self) -> String {
         let sensor = self.sensor.as_ref().map_or_else(String::new, |d| format!(" ({d})"));
@@ -44,51 +44,51 @@ impl Rival {
 /// A member of the likeliest set.
 #[derive(Debug, Clone)]
 pub struct Found {
-    /// The effect with its values; none where it is a shape.
+    /// The effect with its values; none for a shape.
     pub effect: Option<Effect>,
-    /// The shape.
+    /// The shape; none for an effect.
     pub shape: Option<Shape>,
-    /// The effect of the model that it replaces.
+    /// Index of the model's effect that it replaces.
     pub replaces: Option<usize>,
     /// Half widths of its 95 % intervals, value by value.
     pub half: Vec<f64>,
-    /// Values that were not estimated.
+    /// Indices of values that were not estimated.
     pub held: Vec<usize>,
     /// Log odds of the set with it against the set without it.
     pub evidence: f64,
-    /// Posterior share of the name among all candidates for its place, 0 to 1.
+    /// Posterior share of the name among all candidates for this member, 0 to 1.
     pub name_mass: f64,
     /// Posterior share of this mode within its name.
     pub mode_mass: f64,
-    /// Posterior share of shapes without a name for its place.
+    /// Posterior share of shapes without a name for this member.
     pub shape_mass: f64,
     /// For a step in time: the 95 % interval of its moment.
     pub moments: Option<[f64; 2]>,
-    /// What else it might be, likeliest first.
+    /// Alternative explanations, likeliest first.
     pub rivals: Vec<Rival>,
 }
 
 /// A known effect of the model that the rows correct.
 #[derive(Debug, Clone)]
 pub struct Moved {
-    /// Its place in the model.
+    /// Its index in the model.
     pub place: usize,
     /// The effect as estimated from the rows.
     pub after: Effect,
     /// Half widths of its 95 % intervals, value by value.
     pub half: Vec<f64>,
-    /// Whether it moved beyond chance.
+    /// Whether it changed by more than chance explains.
     pub beyond_chance: bool,
 }
 
-/// What was found of a record's set-up.
+/// An estimated set-up term of a record.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SetUp {
-    /// Which record.
+    /// Index of the record.
     pub record: usize,
-    /// Which response.
+    /// The response.
     pub response: String,
-    /// What.
+    /// Kind of the term.
     pub what: setup::What,
     /// Its value, in its unit.
     pub value: f64,
@@ -101,23 +101,23 @@ pub struct SetUp {
 pub struct Tried {
     /// Name, with its sensors.
     pub label: String,
-    /// Log odds against what was accepted in its place.
-    /// Names far below the best were only looked at quickly.
+    /// Log odds against the member accepted instead.
+    /// Names far below the best were only computed quickly.
     pub odds: f64,
     /// Whether it is in the answer.
     pub accepted: bool,
-    /// What was accepted in its place.
+    /// The member accepted instead.
     pub place: String,
 }
 
-/// The answer.
+/// Result of the estimation.
 #[derive(Debug, Clone)]
 pub struct Estimate {
     /// The members of the likeliest set, strongest first.
     pub found: Vec<Found>,
-    /// The model's own effects as the rows have them.
+    /// The model's own effects as estimated from the rows.
     pub known: Vec<Moved>,
-    /// Set-ups.
+    /// The set-up terms.
     pub set_up: Vec<SetUp>,
     /// The noise.
     pub noise: Noise,
@@ -131,7 +131,7 @@ pub struct Estimate {
     pub members: Vec<Member>,
 }
 
-/// Estimates what the records support beside a model.
+/// Estimates what the records support in addition to a model.
 /// `intervals` are the half widths that the model states, effect by effect and value by value.
 #[must_use]
 pub fn estimate(
@@ -147,7 +147,7 @@ pub fn estimate(
     let mut families = Families::new(&rows, dictionary, model);
     let noise = problem.first_noise();
     let (mut found, mut left) = settle(&problem, &mut families, noise.clone(), None, model);
-    // A slow signal is autocorrelated noise or an effect. Both are followed, and the likelier one is kept.
+    // A slow signal is autocorrelated noise or an effect. Both are tried, and the likelier one is kept.
     if let Some(other) = noise.without_memory().filter(|_| !left.is_empty()) {
         let (second, members) = settle(&problem, &mut families, other, None, model);
         if second.score > found.score {
@@ -157,7 +157,7 @@ pub fn estimate(
     let wanders = wanders(&problem, &found.noise, &found.residual);
     if !wanders.is_empty() {
         if found.found.iter().any(|f| f.effect.is_some()) {
-            // A name need not explain what a walk already explains.
+            // Names need not explain what a walk already explains.
             for w in &wanders {
                 problem.terms.extend(wander::terms(&rows, w));
             }
@@ -174,7 +174,7 @@ pub fn estimate(
 }
 
 /// Log evidence of the best explanation of the records, from given members.
-/// The search gives up far below `enough`.
+/// The search stops far below `enough`.
 #[must_use]
 pub fn score(
     records: &[Record],
@@ -220,7 +220,7 @@ fn settle(
 }
 
 /// As `settle`, with callbacks.
-/// After each round `goes_on` says whether to continue; `then` is called once both have settled.
+/// After each round `goes_on` decides whether to continue; `then` is called once both have settled.
 fn settled<T>(
     problem: &Problem<'_>,
     families: &mut Families,
@@ -237,7 +237,7 @@ fn settled<T>(
     for round in 0..ROUNDS {
         families.bank.whiten(rows, &noise);
         let search = Search::new(problem, families, problem.base(noise.clone()));
-        // Under another noise a size may be impossible.
+        // Under another noise a value may be impossible.
         let start = members.take().map(|m| search.of(m)).filter(|s| search.possible(s));
         let start = start.unwrap_or_else(|| search.nothing());
         let set = search.best(&start, anew && round == 0);
@@ -257,7 +257,7 @@ fn settled<T>(
                 && (renewed.phi[j] - noise.phi[j]).abs() < SETTLED.1
         });
         if settled && round + 1 < ROUNDS && !exchanged {
-            // Only once, when the noise is known, because exchanges take longest.
+            // Only once, when the noise is known, because exchanges take most time.
             exchanged = true;
             let other = search.exchanged(&set);
             if other.score > set.score + 0.05 {
@@ -275,12 +275,12 @@ fn settled<T>(
     unreachable!("the last round answers")
 }
 
-/// Log evidence of a set under the noise that it leaves, and that noise.
+/// Log evidence of a set under the noise that it leaves, with that noise.
 fn with_own_noise(search: &Search<'_>, set: &Set) -> (f64, Noise) {
     under(search.problem, &set.members, search.problem.renewed(&search.base.noise, &set.factor))
 }
 
-/// Log evidence of members under the noise that they leave, and that noise.
+/// Log evidence of members under the noise that they leave, with that noise.
 /// It starts from a first guess of the noise.
 fn under(problem: &Problem<'_>, members: &[Member], mut noise: Noise) -> (f64, Noise) {
     let mut total = f64::NEG_INFINITY;
@@ -307,8 +307,8 @@ fn under(problem: &Problem<'_>, members: &[Member], mut noise: Noise) -> (f64, N
     (total, noise)
 }
 
-/// Finds members that the noise model has absorbed.
-/// Returns a set with one member more, under the noise that it leaves.
+/// Finds a member that the noise model has absorbed.
+/// Returns the set with this further member, under its own noise.
 fn under_own_noise(search: &Search<'_>, set: &Set) -> Option<(Set, Noise)> {
     let look = search.look_at(set);
     let seeds = search.seeds(set, &look, false);
@@ -400,7 +400,7 @@ impl Found {
         }
     }
 
-    /// Whether its size is known: an interval of one of its sizes excludes zero.
+    /// Whether its size is known: the interval of one coefficient excludes zero.
     #[must_use]
     pub fn has_size(&self) -> bool {
         let Some(effect) = &self.effect else { return true };
@@ -415,7 +415,7 @@ impl Found {
 
 impl Estimate {
     /// Whether rows are correlated for longer than the noise model allows.
-    /// The rows are then closer together than the noise forgets.
+    /// The rows are then closer together than the noise's correlation length.
     #[must_use]
     pub fn remembers(&self) -> bool {
         self.noise.phi.iter().any(|phi| *phi >= MOST_PHI) && {
@@ -426,7 +426,7 @@ impl Estimate {
     }
 }
 
-/// Residuals of a record beside a model, set-up included, response by response.
+/// Residuals of a record after model and set-up, response by response.
 #[must_use]
 pub fn unexplained(record: &Record, model: &[Effect]) -> Vec<f64> {
     let rows = Rows::new(std::slice::from_ref(record));
@@ -437,7 +437,7 @@ pub fn unexplained(record: &Record, model: &[Effect]) -> Vec<f64> {
     left
 }
 
-/// Log evidence of one record beside a model that lacks nothing.
+/// Log evidence of one record if the model lacks nothing.
 /// Also returns the size of the residual noise per response.
 #[must_use]
 pub fn alone(
@@ -449,7 +449,7 @@ pub fn alone(
     let records = std::slice::from_ref(record);
     let rows = Rows::new(records);
     let mut problem = Problem::new(&rows, model, intervals).in_units(units);
-    // Relative to other records the plate may be turned.
+    // Relative to other records the plate may be rotated.
     problem.terms.extend(setup::turns(&rows));
     let mut noise = problem.first_noise();
     let mut total = f64::NEG_INFINITY;

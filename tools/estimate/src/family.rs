@@ -1,5 +1,6 @@
-//! What a model may lack: effects of the dictionary, and shapes without a name.
-//! Each is a family of hypotheses over its non-linear parameters. Effects that the rows cannot show are left out.
+//! Everything that a model may lack: effects of the dictionary, and unnamed shapes.
+//! Each is a family of hypotheses over its non-linear parameters. Effects that the rows cannot show are left
+//! out.
 
 use crate::bank::Bank;
 use crate::cause::{Cause, Shape, sizes};
@@ -20,37 +21,36 @@ use std::sync::Arc;
 pub struct Family {
     /// An effect without its sensor and values; `None` for a shape.
     pub effect: Option<Effect>,
-    /// A known effect of the model that was replaced: its place in the model.
+    /// Index of the model's effect that it replaces.
     pub replaces: Option<usize>,
-    /// The shape, where it is one.
+    /// The shape; `None` for an effect.
     pub shape: Option<Shape>,
-    /// It belongs to the instrument and is never reported as missing.
+    /// It belongs to the instrument, so it is never reported as missing.
     pub set_up: bool,
     /// Log prior of the name.
     pub prior: f64,
-    /// Where it is looked for.
+    /// Where its members are searched.
     pub scan: Scan,
 }
 
-/// Where a family is looked for.
+/// Where the members of a family are searched.
 #[derive(Debug)]
 pub enum Scan {
     /// A group of columns for each point of a grid, with its log weight.
     Grid(Vec<(usize, f64, Cause)>),
-    /// Temperatures.
-    /// For each time constant a group with a column for each sensor, alone or against another.
+    /// Temperature differences.
+    /// For each time constant it has a group with a column for each sensor, alone or against another.
     Sensors {
         /// The sensors' names.
         sensors: Vec<String>,
         /// Group, log weight of the time constant, effect.
         points: Vec<(usize, f64, Effect)>,
     },
-    /// A wave beside others, with their periods.
-    /// Law of the others, and the periods that the model has.
+    /// A wave that accompanies other waves, with their periods.
     Beside {
-        /// The law.
+        /// The law of the other waves.
         law: &'static str,
-        /// Periods of the model's own.
+        /// Periods of the model's own waves.
         known: Vec<f64>,
     },
     /// A wave of any period.
@@ -73,7 +73,7 @@ impl Family {
         self.effect.is_some()
     }
 
-    /// Name of the effect, or what the shape runs along.
+    /// Name of the effect, or the variables of the shape.
     #[must_use]
     pub fn label(&self) -> String {
         match (&self.effect, &self.shape) {
@@ -83,7 +83,7 @@ impl Family {
         }
     }
 
-    /// Whether several of it may act at once.
+    /// Whether several of its members may act at once.
     #[must_use]
     pub fn repeats(&self) -> bool {
         self.effect.as_ref().is_some_and(|e| e.description().searched.repeats || e.delta.is_some())
@@ -91,7 +91,7 @@ impl Family {
     }
 }
 
-/// All families, and the columns of those with a fixed place.
+/// All families, and the columns of those on a fixed grid.
 #[derive(Debug)]
 pub struct Families {
     /// The families.
@@ -101,7 +101,7 @@ pub struct Families {
 }
 
 impl Families {
-    /// All families that these rows could show beside a model.
+    /// All families that these rows could show in addition to a model.
     #[must_use]
     pub fn new(rows: &Rows<'_>, dictionary: &Dictionary, model: &[Effect]) -> Self {
         let mut all = Self { list: Vec::new(), bank: Bank::new(rows.n) };
@@ -308,11 +308,17 @@ impl Families {
     }
 
     /// Adds waves without a name.
-    /// They run over time, or along an axis on which the circle's place is unknown.
+    /// They run over time, over the position of a force's axis (cogging, teeth), or along an axis if the circle's
+    /// position on it is unknown.
     fn unnamed_waves(&mut self, rows: &Rows<'_>) {
         let in_time = |r: &Record| Some((r.time_s().to_vec(), vec![1.0; r.rows()]));
         for j in 0..rows.responses.len() {
             self.unnamed_wave(rows, j, "time", &in_time);
+            if let Role::Force(axis) = &rows.responses[j] {
+                let place = Role::Position(axis.clone());
+                let along = |r: &Record| Some((r.data(&place)?.to_vec(), vec![1.0; r.rows()]));
+                self.unnamed_wave(rows, j, &place.to_string(), &along);
+            }
             if !matches!(&rows.responses[j], Role::Error(axis) if axis.as_str() == "r") {
                 continue;
             }
@@ -333,8 +339,8 @@ impl Families {
         }
     }
 
-    /// A wave without a name in one response.
-    /// Places of a record's rows, and the share of the wave that each shows.
+    /// Adds a wave without a name in one response.
+    /// `of` gives the positions of a record's rows, and the share of the wave that each shows.
     fn unnamed_wave(
         &mut self,
         rows: &Rows<'_>,
@@ -371,7 +377,7 @@ impl Families {
     }
 }
 
-/// Places of a record's rows, and the share of a wave that each shows.
+/// Positions of a record's rows, and the share of a wave that each shows.
 type Shown = (Vec<f64>, Vec<f64>);
 
 /// Log prior penalty of a time constant outside the plausible range.
@@ -388,8 +394,8 @@ fn implausible(effect: &Effect) -> f64 {
     effect.description().parameters.iter().enumerate().map(of).sum()
 }
 
-/// The step that the distances of all places are multiples of, mm.
-/// Places are written to a nanometre at the most.
+/// The step of which all distances of positions are multiples, mm.
+/// Positions are written to a nanometre at most.
 fn step_of(along: &[(usize, f64, f64)]) -> Option<f64> {
     let nm = |place: f64| (place * 1e6).round() as i64;
     let first = nm(along.first()?.1);
@@ -402,23 +408,24 @@ const fn gcd(a: i64, b: i64) -> i64 {
     if b == 0 { a } else { gcd(b, a % b) }
 }
 
-/// A map on the places that were measured at, long and short waves of it.
+/// A map on the measured positions, as long and as short waves.
 fn maps(rows: &Rows<'_>, effect: &Effect) -> Vec<(f64, Cause)> {
     use rtec_model::effect::Extent as _;
-    // The axis of its knots is the last of its name.
+    // Its knots are on the last axis of its name.
     let Some(axis) = effect.axes().last() else { return Vec::new() };
     let mut knots = knots(&rows.places_mm(axis), KNOTS);
     let k = knots.len();
     if k < 4 {
         return Vec::new();
     }
-    // Places close together are merged. The end knots keep the extreme places, since a map is constant beyond them.
+    // Positions close together are merged. The end knots keep the extreme positions, since a map is constant
+    // beyond them.
     let of = |record: &Record| record.data(&Role::Position(axis.clone())).map(<[f64]>::to_vec);
     for p in rows.records.iter().filter(|r| r.knows_places()).filter_map(of).flatten() {
         (knots[0], knots[k - 1]) = (knots[0].min(p), knots[k - 1].max(p));
     }
     let range = knots[k - 1] - knots[0];
-    // The constant and the straight line over the rows belong to other effects.
+    // Constant and straight line over the rows belong to other effects.
     let mut without = vec![vec![0.0; k]; 2];
     for s in &rows.segments {
         let record = rows.record(s);

@@ -1,23 +1,23 @@
-//! What measured records support: missing effects, parameters and their intervals.
+//! Missing effects, parameters and their intervals, estimated from records.
 //!
-//! y = M(θ) + Z(η) + H(β, ψ) + e: the machine as its model has it, the set-up of each instrument, hypotheses, noise. One likelihood
-//! decides. Every number that an answer depends on is in [`priors`].
+//! y = M(θ) + Z(η) + H(β, ψ) + e: the machine by its model, the set-up of each instrument, hypotheses, noise.
+//! One likelihood decides. Every number that an answer depends on is in [`priors`].
 //!
 //! | module | what |
 //! |---|---|
-//! | [`priors`] | every number that decides |
-//! | [`effort`] | how far the search goes |
+//! | [`priors`] | every number that an answer depends on |
+//! | [`effort`] | limits of the search's work |
 //! | [`rows`] | records as rows under one noise |
 //! | [`setup`] | set-up terms, in one list |
 //! | [`shapes`] | shapes without a name, in one list |
-//! | `cause`, `family` | what a hypothesis puts into the rows; all of them |
+//! | `cause`, `family` | contribution of a hypothesis to the rows; all hypotheses |
 //! | `smooth`, `wave` | smooth functions as columns; frequencies that rows show |
-//! | `wander` | what goes on for longer than noise remembers |
+//! | `wander` | walks that last longer than the noise's correlation |
 //! | `bank` | a quick look at many columns |
-//! | `problem` | what is beside every hypothesis; the noise |
+//! | `problem` | the measurement model without hypotheses; the noise |
 //! | `search` | the likeliest set |
 //! | `estimate` | noise and search in turn; names, values, intervals |
-//! | `refit` | sizes once more, with rows left out or a curve added |
+//! | `refit` | sizes fitted again, with rows left out or a curve added |
 
 pub mod bank;
 pub mod cause;

@@ -6,8 +6,9 @@
 
 /// Standard deviation of the model's amplitudes, as a share of each (contract).
 pub const KNOWN_SHARE: f64 = 0.1;
-/// Probability that a known amplitude is off by any share at all.
-/// Another machine's file, or a part that was changed (calibration). The amplitude then has the typical size of this effect on any machine.
+/// Probability that a known amplitude is off by any share.
+/// The file is of another machine, or a part was replaced (calibration). The amplitude then has the typical
+/// size of this effect on any machine.
 pub const KNOWN_REPLACED: f64 = 0.01;
 
 /// A gauge's zero, µm, one standard deviation (physics: a dial's travel is 1 mm).
@@ -30,7 +31,7 @@ pub const LINE_UM_PER_H: f64 = 1.0;
 /// Hours for which the drift keeps its direction.
 /// (Physics: a shift, a heating, the sun.)
 pub const LINE_HOURS: f64 = 3.0;
-/// Wander of air and stand beside the drift, µm, and its memory, s.
+/// Wander of air and stand around the drift, µm, and its correlation time, s.
 /// (Physics: half a metre of air that is 0.3 K warmer for ten minutes.)
 pub const AIR_UM_S: (f64, f64) = (0.15, 600.0);
 /// A jump at a pause, µm, and its probability.
@@ -45,23 +46,23 @@ pub const LEVELS: [(f64, f64); 4] = [(1.0 / 3.0, 0.25), (1.0, 0.4), (3.0, 0.25),
 /// Size of a coefficient without shrinkage, in typical sizes.
 /// Ten times the largest level.
 pub const WIDE: f64 = 10.0 * LEVELS[LEVELS.len() - 1].0;
-/// Price of one more effect, nats, beside the choice of its name (calibration).
+/// Price of one more effect, nats, apart from the choice of its name (calibration).
 pub const PRICE: f64 = 3.0;
 /// Prior share of effects with a name; the rest is for shapes (calibration).
 pub const NAMED_SHARE: f64 = 0.75;
 /// Prior share of pairs among temperature differences.
 /// (Physics: growth follows one source, or a source against its surroundings.)
 pub const PAIR_SHARE: f64 = 0.5;
-/// Price of the same law again on the same axis, nats (calibration).
+/// Price of the same law once more on the same axis, nats (calibration).
 pub const AGAIN: f64 = 2.0;
 /// Prior share of usual periods among all periods.
 /// (Physics: catalogues of leads and gratings.)
 pub const USUAL_SHARE: f64 = 0.5;
-/// A usual period is met within this share.
+/// A usual period is met to within this share.
 /// (Physics: 40 K of steel and a tenth of a millimetre per metre of lead error.)
 pub const USUAL_WITHIN: f64 = 1e-3;
 /// Typical wave within the signal period, as a share of the largest one.
-/// The largest is what the scale can still count with. (Physics: 1 to 2 % of the period, of 25 %.)
+/// The largest is the one with which the scale still counts. (Physics: 1 to 2 % of the period, of 25 %.)
 pub const OF_MOST: f64 = 0.06;
 /// Prior probability that growth has a square of ΔT.
 /// (Physics: spindles bend by some per cent.)
@@ -70,46 +71,47 @@ pub const BENT_SHARE: f64 = 0.25;
 /// (Physics: parts of a machine take minutes to hours.)
 pub const IMPLAUSIBLE: f64 = 3.0;
 /// Size of a channel's or a shape's contribution, µm or N.
-/// (Physics: what a machine leaves is some µm.)
+/// (Physics: errors that remain on a machine are some µm.)
 pub const CONTRIBUTION: f64 = 3.0;
 
 /// Correlation lengths of maps and smooth shapes, in shares of the range.
 /// (Physics: guideways bend over their length, screws and scales over a tenth of it.)
 pub const LENGTHS: [f64; 2] = [0.3, 0.1];
-/// Most knots of a smooth function. The sharpness of a map decides answers.
-/// (Calibration: with 80 knots and a rank of 2e-4, three of 482 blind cases were answered otherwise.)
+/// Largest number of knots of a smooth function; a map's sharpness decides answers.
+/// (Calibration: with 80 knots and a rank of 2e-4, three of 482 blind cases were answered differently.)
 pub const KNOTS: usize = 40;
 /// Least variance of a smooth function's direction, as a share of the largest.
-/// Directions below are left out.
-/// (Calibration: at 1e-3 what a map cannot show of a bow of 12 µm was named beside noise of 0.2 µm.)
+/// Directions with less are left out. (Calibration: at 1e-3, the part of a bow of 12 µm that a map cannot
+/// show was named, with noise of 0.2 µm.)
 pub const SMOOTH_RANK: f64 = 1e-5;
 
 /// Typical scatter of a reading, µm (forces: N), and the factor of its spread.
 /// The factor is one standard deviation. (Physics: from a laser on a quiet axis to a dial on a worn one.) It tells a unit error from noise
 /// of a metre.
 pub const NOISE: [f64; 2] = [0.5, 5.0];
-/// How alike one response's noise is from record to record, as shared rows.
-/// Two shared rows let its size differ by some 60 %. (Physics: another day, another operator, air that is quiet or not.)
+/// Likeness of one response's noise from record to record, in shared rows.
+/// Two shared rows let its size differ by some 60 %. (Physics: another day, another operator, air that is
+/// quiet or not.)
 pub const ALIKE_ROWS: f64 = 2.0;
 /// Largest autocorrelation from row to row that counts as noise (contract).
 pub const MOST_PHI: f64 = 0.7;
-/// Degrees of freedom of the noise's tails (physics: a gauge's rare knocks).
-/// They begin at the second number of standard deviations: of a hundred readings one is further.
+/// Degrees of freedom of the noise's tails (physics: rare knocks of a gauge).
+/// The second number is where they begin, in standard deviations: one of a hundred readings is further away.
 pub const TAILS: (f64, f64) = (5.0, 2.5);
 
-/// How far a reference temperature may be from 20 °C, K, one standard deviation.
+/// Deviation of a reference temperature from 20 °C, K, one standard deviation.
 pub const REFERENCE_K: f64 = 2.0;
 /// Periods of one mode differ by less than this share.
 pub const SAME_PERIOD: f64 = 0.02;
-/// A period is known to this share, one standard deviation.
-/// (Contract: as given, in the digits that people write.)
+/// Error of a period, as a share, one standard deviation.
+/// (Contract: as given, with the digits that people write.)
 pub const PERIOD_SHARE: f64 = 1e-4;
-/// Number of shapes that a walk is one of (even odds among kinds).
+/// Number of kinds of shapes among which a walk is one (even odds).
 pub const WALK_KINDS: f64 = 30.0;
-/// Two waves look the same if they share this much of their power.
-/// (Physics: what is left of one beside the other is a tenth of its size.)
+/// Two waves, or the growth by two sensors, look the same if they share this much of their power.
+/// (Physics: what is left of one after the other is a tenth of its size.)
 pub const ALIKE: f64 = 0.99;
-/// Least posterior share of its place that a name or a mode must hold.
+/// Least posterior share that a name or a mode must have among its candidates.
 pub const HELD: f64 = 0.95;
 /// Something is missing if the posterior share is above this.
 pub const THERE: f64 = 0.5;
@@ -121,7 +123,7 @@ pub const CHANCE: f64 = 1e-4;
 
 #[cfg(test)]
 mod tests {
-    /// All numbers that decide are in this file, and there are few of them.
+    /// All numbers that decide an answer are in this file, and there are few of them.
     #[test]
     fn constants_are_few_and_each_says_what_it_is() {
         let text = include_str!("priors.rs");
@@ -135,8 +137,8 @@ mod tests {
         assert!((20..=40).contains(&n), "{n} constants");
     }
 
-    /// No number has a name elsewhere.
-    /// What decides is here, what bounds work in `effort.rs`.
+    /// No other file names a number.
+    /// Numbers that decide are here, limits of the work are in `effort.rs`.
     #[test]
     fn no_other_file_has_a_constant() {
         let mut left = vec![std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("src")];

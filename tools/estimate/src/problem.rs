@@ -7,16 +7,17 @@ use crate::rows::{Noise, Rows, Segment};
 use crate::setup::{self, Term};
 use rtec_least_squares::{Factor, add, dot};
 use rtec_model::effect::{Effect, Refine, Search};
+use rtec_model::record::rounding_error;
 use statrs::distribution::{ChiSquared, ContinuousCDF as _};
 
 /// A direction in which a known effect may deviate a little.
 #[derive(Debug, Clone)]
 pub struct Known {
-    /// Its place in the model.
+    /// Index of the effect in the model.
     pub effect: usize,
-    /// Which of its values move, and by how much for one standard deviation.
+    /// Indices of the values that move, each with its change at one standard deviation.
     pub along: Vec<(usize, f64)>,
-    /// What one standard deviation does.
+    /// Change of the rows at one standard deviation.
     pub column: Vec<f64>,
 }
 
@@ -60,7 +61,7 @@ pub fn known(rows: &Rows<'_>, model: &[Effect], intervals: &[Vec<Option<f64>>]) 
     out
 }
 
-/// Waves of the model with their period where the rows have it.
+/// Waves of the model with their periods corrected by the rows.
 /// Over many turns a period of four digits is out of step.
 #[must_use]
 pub fn in_step(rows: &Rows<'_>, model: &[Effect]) -> Vec<Effect> {
@@ -101,7 +102,7 @@ pub fn in_step(rows: &Rows<'_>, model: &[Effect]) -> Vec<Effect> {
             }
         }
         if let Some((_, tried)) = best.filter(|b| is_beyond_chance(2.0 * (b.0 - as_given), 1)) {
-            // Phase and period go together: the phase is that of the rows.
+            // Phase and period belong together: the phase is that of the rows.
             let mut factor = base.factor.clone();
             for c in rows.basis(&tried) {
                 let mut c: Vec<f64> = c.iter().map(|x| x * 100.0).collect();
@@ -144,41 +145,42 @@ pub enum Units {
     /// The unit is what the record states.
     AsWritten,
     /// Set-up terms do not prefer one unit to another.
-    /// Relative to the noise, zero, centre and line are as large as beside a usual noise, and the air has no influence.
+    /// Relative to the noise, zero, centre and line have the size that they have with a usual noise. Air has
+    /// no influence.
     Any,
 }
 
-/// Everything beside the hypotheses, whitened by one noise.
+/// Everything except the hypotheses, whitened by one noise.
 pub struct Base {
-    /// The noise it is whitened by.
+    /// The noise by which it is whitened.
     pub noise: Noise,
     /// Set-up terms, then known effects.
     pub factor: Factor,
-    /// Degrees of freedom that the rows have beside them.
+    /// Degrees of freedom of the rows, with all of this fitted.
     pub freedom: f64,
 }
 
-/// Records and model.
+/// The rows, the model's known effects and the set-up terms.
 pub struct Problem<'r> {
     /// The rows.
     pub rows: &'r Rows<'r>,
     /// Measured minus simulated by the model as given.
     pub missing: Vec<f64>,
-    /// Set-up.
+    /// The set-up terms.
     pub terms: Vec<Term>,
-    /// Known effects.
+    /// The known effects.
     pub known: Vec<Known>,
-    /// Per response the least size of its noise.
+    /// Smallest size of the noise, per response.
     pub floors: Vec<f64>,
     /// Root of each row's weight, before outliers are weighted down.
     pub weights: Vec<f64>,
-    /// Per segment the RMS of its gauge's rounding error, µm.
+    /// RMS of the gauge's rounding error, per segment, µm.
     /// No reading in the file is finer than this.
     pub rounding_um: Vec<f64>,
 }
 
 impl<'r> Problem<'r> {
-    /// The problem of these rows beside a model.
+    /// The problem of these rows with a model.
     /// `intervals` are the half widths that the model states, value by value.
     #[must_use]
     pub fn new(rows: &'r Rows<'r>, model: &[Effect], intervals: &[Vec<Option<f64>>]) -> Self {
@@ -200,8 +202,9 @@ impl<'r> Problem<'r> {
     }
 
     /// Removes the rounding error of a coarse gauge whose noise does not dither it.
-    /// Equal readings round alike, so the error is a saw over the reading and no finding. Model and set-up predict the readings. If they
-    /// predict them badly the saw averages out, and nothing is removed.
+    /// Equal readings round alike, so the error is a sawtooth over the reading and not a finding. Model and
+    /// set-up predict the readings. If the prediction is bad, the sawtooth averages out and nothing is
+    /// removed.
     fn take_rounding_out(&mut self) {
         let steps: Vec<Option<f64>> =
             self.rows.segments.iter().map(|s| setup::unshared_step(self.rows, s)).collect();
@@ -216,7 +219,7 @@ impl<'r> Problem<'r> {
             for (s, q) in self.rows.segments.iter().zip(&steps) {
                 let Some(q) = *q else { continue };
                 let own = s.rows.clone();
-                // What is left of the readings as they are, for as long as the prediction holds.
+                // Residual of the unchanged readings, with the same prediction.
                 let left = |row: usize| factor.residual()[row] + as_read[row] - self.missing[row];
                 let square = own.clone().map(|row| left(row).powi(2)).sum::<f64>() / own.len() as f64;
                 let rounding = q * q / 12.0;
@@ -225,7 +228,7 @@ impl<'r> Problem<'r> {
                     let variance = (square - rounding).max(0.0) + leverage.min(1.0) * square;
                     let read = self.rows.measured[row];
                     let off = read - left(row) - self.rows.measured[own.start];
-                    taken[row] = setup::rounding_error(q, off, variance);
+                    taken[row] = rounding_error(q, off, variance);
                 }
             }
             self.missing.clone_from(&as_read);
@@ -233,7 +236,7 @@ impl<'r> Problem<'r> {
         }
     }
 
-    /// The same in these units.
+    /// The same problem with units in question, or not.
     #[must_use]
     pub fn in_units(mut self, units: Units) -> Self {
         use setup::What::{Air, CentreFirst, CentreSecond, Line, Zero};
@@ -271,7 +274,7 @@ impl<'r> Problem<'r> {
         Base { noise, factor, freedom }
     }
 
-    /// A first guess of the noise: what set-up and model leave.
+    /// First guess of the noise, from the residual after set-up and model.
     #[must_use]
     pub fn first_noise(&self) -> Noise {
         let mut left = self.base(Noise::white(self.rows, 1e-3)).factor.residual().to_vec();
@@ -289,9 +292,10 @@ impl<'r> Problem<'r> {
     }
 
     /// Log of the density's normalisation under a noise.
-    /// It is Σ log(w/σ) + ½ Σ log(1 − φ²), plus the cost of rows in the tails. A weight w² contributes ½ w²e² − log w per row. The density
-    /// with that weight is (m/2) log((ν + e²)/m) plus a constant, with m = ν + (start of the tails)². The difference must be added:
-    /// otherwise an outlier would cost almost nothing, and the set that gives up most rows would win.
+    /// It is Σ log(w/σ) + ½ Σ log(1 − φ²), plus the cost of rows in the tails. A weight w² contributes
+    /// ½ w²e² − log w per row. The density with that weight is (m/2) log((ν + e²)/m) plus a constant, with
+    /// m = ν + (start of the tails)². The difference must be added: otherwise an outlier would cost almost
+    /// nothing, and the set that gives up most rows would win.
     #[must_use]
     pub fn log_scale(&self, noise: &Noise) -> f64 {
         let (freedom, from) = TAILS;
@@ -352,7 +356,7 @@ impl<'r> Problem<'r> {
                 all += dot(&raw, &raw);
                 with += raw.windows(2).map(|w| w[0] * w[1]).sum::<f64>();
                 count += raw.len() as f64;
-                // A reading within its rounding is no outlier.
+                // A reading within its rounding error is not an outlier.
                 let middle = middle.max(self.rounding_um[*number].max(self.floors[j]) / sigma);
                 for row in s.rows.clone() {
                     let off = (e[row] / noise.weight[row] / middle).powi(2);
@@ -361,7 +365,7 @@ impl<'r> Problem<'r> {
                 }
             }
             new.sigma[j] = (noise.sigma[j] * scale).max(1e-9);
-            // The weights account for the steps of a coarse gauge; a memory would count them twice.
+            // The weights account for the steps of a coarse gauge; an autocorrelation would count them twice.
             let most = if self.floors[j] > 0.0 { 0.0 } else { MOST_PHI };
             new.phi[j] = (with / all.max(1e-300) + (leverage + 1.0) / count).clamp(0.0, most);
         }

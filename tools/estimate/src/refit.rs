@@ -1,5 +1,5 @@
-//! Sizes of given effects once more.
-//! With rows left out, or with a curve that stands for something without a name.
+//! Fits the sizes of given effects again.
+//! It leaves rows out, or adds a curve for something without a name.
 
 use crate::cause::Cause;
 use crate::priors::WIDE;
@@ -10,10 +10,10 @@ use rtec_model::effect::Effect;
 use rtec_model::machine::NORMAL_95;
 use rtec_model::record::Record;
 
-/// The linear parameters of effects beside model and set-up.
+/// The linear parameters of effects, in addition to model and set-up.
 pub struct Refit<'p, 'r> {
     problem: &'p Problem<'r>,
-    /// Per effect its columns, at one standard deviation.
+    /// Columns of each effect, at one standard deviation.
     columns: Vec<Vec<Vec<f64>>>,
     effects: Vec<Effect>,
 }
@@ -79,7 +79,7 @@ impl<'p, 'r> Refit<'p, 'r> {
     }
 
     /// Residual of each row under a fit of the record's other blocks.
-    /// In the response's unit.
+    /// It is in the response's unit.
     #[must_use]
     pub fn left_by_others(&self, noise: &Noise, folds: usize) -> Vec<f64> {
         let rows = self.problem.rows;
@@ -129,7 +129,7 @@ pub fn left(record: &Record, model: &[Effect]) -> Vec<Vec<f64>> {
         noise.whiten(&rows, &mut y);
         y
     });
-    // Only what is set by hand is removed. Lines and jumps in time are part of what a record shows.
+    // Only terms set by hand are removed. Lines and jumps in time are part of what a record shows.
     let by_hand = |t: &&crate::setup::Term| {
         use crate::setup::What::{CentreFirst, CentreSecond, Unplaced, Zero};
         matches!(t.what, Zero | CentreFirst | CentreSecond | Unplaced)

@@ -9,26 +9,26 @@ use std::ops::Range;
 /// One response of one record: a stretch of the rows.
 #[derive(Debug, Clone)]
 pub struct Segment {
-    /// Which record.
+    /// Index of the record.
     pub record: usize,
-    /// Which response.
+    /// Index of the response.
     pub response: usize,
-    /// Which rows.
+    /// Its rows.
     pub rows: Range<usize>,
 }
 
-/// All rows, measured.
+/// All measured rows.
 #[derive(Debug)]
 pub struct Rows<'r> {
     /// The records.
     pub records: &'r [Record],
     /// The responses that any of them has.
     pub responses: Vec<Role>,
-    /// Response by response, record by record.
+    /// The segments, response by response and record by record.
     pub segments: Vec<Segment>,
     /// Number of rows.
     pub n: usize,
-    /// What was measured.
+    /// The measured values.
     pub measured: Vec<f64>,
 }
 
@@ -82,7 +82,7 @@ impl<'r> Rows<'r> {
     }
 
     /// The share of an axis's error that each row shows.
-    /// `None` if no constant of the axis is an effect.
+    /// `None` if no effect is a constant of the axis.
     #[must_use]
     pub fn share(&self, axis: &Axis) -> Option<Vec<f64>> {
         let dictionary = Dictionary::default();
@@ -100,7 +100,7 @@ impl<'r> Rows<'r> {
         })
     }
 
-    /// What an effect does at every row.
+    /// The error by an effect at every row.
     #[must_use]
     pub fn predict(&self, effect: &Effect) -> Vec<f64> {
         let mut out = vec![0.0; self.n];
@@ -146,7 +146,7 @@ impl<'r> Rows<'r> {
     }
 }
 
-/// Whether an effect depends on the place along its axis.
+/// Whether an effect depends on the position along its axis.
 /// A circle of unknown centre cannot show such an effect.
 #[must_use]
 pub fn needs_place(effect: &Effect) -> bool {
@@ -160,7 +160,7 @@ pub fn needs_place(effect: &Effect) -> bool {
     places > 0 && !line && !law.after_turn
 }
 
-/// Whether a record knows the places that an effect needs.
+/// Whether a record has the positions that an effect needs.
 #[must_use]
 pub fn is_placed(record: &Record, effect: &Effect) -> bool {
     record.knows_places() || !needs_place(effect)
@@ -226,15 +226,15 @@ impl Extent for Rows<'_> {
     }
 }
 
-/// The noise of each response, and how much each row counts.
-/// It has a size and a memory from row to row.
+/// The noise of each response, and the weight of each row.
+/// Noise has a size and an autocorrelation from row to row.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Noise {
-    /// Size of what each row adds, per response, in its unit.
+    /// Size of the new noise at each row, per response, in its unit.
     pub sigma: Vec<f64>,
     /// Autocorrelation from row to row, per response.
     pub phi: Vec<f64>,
-    /// Size of each segment's noise beside its response's: another day, another gauge.
+    /// Size of each segment's noise relative to its response's (another day or gauge).
     pub share: Vec<f64>,
     /// Root of each row's weight: below one for outliers.
     pub weight: Vec<f64>,
@@ -253,8 +253,8 @@ impl Noise {
         }
     }
 
-    /// A first guess, from what the model leaves.
-    /// Steps from row to row, and memory as long as noise may have.
+    /// First guess of the noise, from the residual after the model.
+    /// It uses the steps from row to row and the largest autocorrelation of noise.
     #[must_use]
     pub fn guess(rows: &Rows<'_>, left: &[f64]) -> Self {
         let (mut sigma, mut phi) = (Vec::new(), Vec::new());
@@ -279,8 +279,8 @@ impl Noise {
     }
 
     /// Updates the size of each segment's noise from its squares.
-    /// The squares give the ratios between segments. The response's size is their middle, but not below its floor. The noise of a coarse
-    /// gauge is its step, and equal everywhere.
+    /// The squares give the ratios between segments. The response's size is their middle, but not below its
+    /// floor. The noise of a coarse gauge is its step, and equal in all segments.
     pub fn shared_out(&mut self, rows: &Rows<'_>, squares: &[f64], floors: &[f64]) {
         for (j, floor) in floors.iter().enumerate() {
             self.sigma[j] = self.sigma[j].max(*floor);
@@ -311,14 +311,14 @@ impl Noise {
         }
     }
 
-    /// Standard deviation of what each row of a segment adds.
+    /// Standard deviation of the new noise at each row of a segment.
     #[must_use]
     pub fn size(&self, rows: &Rows<'_>, segment: usize) -> f64 {
         self.sigma[rows.segments[segment].response] * self.share[segment]
     }
 
-    /// The same steps from row to row without a memory.
-    /// `None` if there is little memory.
+    /// The same steps from row to row without autocorrelation.
+    /// `None` if there is little of it.
     #[must_use]
     pub fn without_memory(&self) -> Option<Self> {
         if self.phi.iter().all(|phi| *phi < MUCH_MEMORY) {
@@ -332,7 +332,7 @@ impl Noise {
         Some(other)
     }
 
-    /// Divides a column by the noise: what is left has unit size and no memory.
+    /// Divides a column by the noise, which then has unit size and no correlation.
     pub fn whiten(&self, rows: &Rows<'_>, column: &mut [f64]) {
         for (number, s) in rows.segments.iter().enumerate() {
             let (by, phi) = (1.0 / self.size(rows, number), self.phi[s.response]);
@@ -350,7 +350,7 @@ impl Noise {
     }
 
     /// The transpose of [`Noise::whiten`].
-    /// Products of whitened columns with `column` are products of the columns with this.
+    /// The product of a whitened column with `column` is that of the column with the result.
     pub fn transpose(&self, rows: &Rows<'_>, column: &mut [f64]) {
         for (number, s) in rows.segments.iter().enumerate() {
             let (by, phi) = (1.0 / self.size(rows, number), self.phi[s.response]);
@@ -365,7 +365,7 @@ impl Noise {
         }
     }
 
-    /// Log prior of the noise's sizes, but for a constant.
+    /// Log prior of the noise's sizes, up to a constant.
     #[must_use]
     pub fn log_prior(&self) -> f64 {
         let [middle, factor] = NOISE;

@@ -1,6 +1,6 @@
 //! The search for the likeliest set of hypotheses.
-//! Several sets grow side by side, one member at a time. Then members are exchanged (one for one, two for two) and left out, until nothing
-//! improves the set.
+//! Several sets grow in parallel, one member at a time. Then members are exchanged (one for one, two for two)
+//! and left out, until nothing improves the set.
 
 mod grow;
 mod seeds;
@@ -23,17 +23,17 @@ use std::rc::Rc;
 pub struct Member {
     /// Its family.
     pub family: usize,
-    /// The known effect that it replaces.
+    /// Index of the model's effect that it replaces.
     pub replaces: Option<usize>,
-    /// With its non-linear parameters.
+    /// Its contribution, with its non-linear parameters.
     pub cause: Cause,
     /// Size of its prior, in typical sizes.
     pub level: f64,
-    /// Log prior: name, place in the grid, level.
+    /// Log prior: name, grid point, level.
     pub prior: f64,
     /// Its columns, whitened by the noise of its search.
     columns: Rc<Columns>,
-    /// The bank's products with its columns beside the base; computed on first use.
+    /// The bank's products with its columns after the base; computed on first use.
     shares: Rc<OnceCell<Columns>>,
 }
 
@@ -61,38 +61,38 @@ pub struct Set {
     pub score: f64,
 }
 
-/// Something to be looked at exactly.
+/// A hypothesis to be computed exactly.
 #[derive(Debug, Clone)]
 pub struct Seed {
     /// Its family.
     pub family: usize,
-    /// With its non-linear parameters.
+    /// Its contribution, with its non-linear parameters.
     pub cause: Cause,
-    /// Log weight of its place in the grid.
+    /// Log weight of its grid point.
     pub weight: f64,
-    /// Log odds by the quick look, the family's prior included.
+    /// Log odds by the quick look, including the family's prior.
     pub score: f64,
 }
 
-/// The search.
+/// A search under one noise.
 pub struct Search<'p> {
-    /// What is explained.
+    /// The rows and the model, to be explained.
     pub problem: &'p Problem<'p>,
-    /// What may explain it.
+    /// The hypotheses that may explain them.
     pub families: &'p Families,
     /// Set-up terms and known effects.
     pub base: Base,
-    /// The quick look beside the base alone.
+    /// The quick look after the base only.
     pub look: Look,
-    /// Rounding that rows share, for intervals.
+    /// Rounding errors that rows share; they widen intervals.
     pub rounding: Vec<crate::setup::Term>,
-    /// Cached columns of waves, whitened, and their products with the base's.
+    /// Cached columns of waves, whitened, and their products with the base's columns.
     waves: RefCell<Waves>,
 }
 
 /// Whitened columns.
 type Columns = Vec<Vec<f64>>;
-/// By family and the bits of the frequency.
+/// Waves by family and by the bits of the frequency.
 type Waves = HashMap<(usize, u64), Rc<[Columns; 2]>>;
 
 /// Evidence of columns at each level of their size.
@@ -102,7 +102,7 @@ pub struct Gain {
     pub total: f64,
     /// The best level.
     pub level: f64,
-    /// Log Bayes factor there, with the level's weight.
+    /// Log Bayes factor at that level, including its weight.
     pub best: f64,
 }
 
@@ -204,13 +204,13 @@ impl<'p> Search<'p> {
         columns
     }
 
-    /// Gain of columns beside a factor.
+    /// Gain of columns added to a factor.
     #[must_use]
     pub fn gain(&self, factor: &Factor, columns: &[Vec<f64>]) -> Gain {
         self.gain_of(factor, columns, &columns.iter().map(|c| factor.shares(c)).collect::<Columns>())
     }
 
-    /// As `gain`, for columns whose products with the factor are known.
+    /// As [`Self::gain`], for columns whose products with the factor are known.
     fn gain_of(&self, factor: &Factor, columns: &[Vec<f64>], shares: &[Vec<f64>]) -> Gain {
         let p = columns.len();
         let along: Vec<f64> = columns.iter().map(|c| dot(c, factor.residual())).collect();
@@ -225,9 +225,9 @@ impl<'p> Search<'p> {
         gain(&along, &among, factor.left(), self.base.freedom)
     }
 
-    /// The quick look beside a set.
-    /// The bank's products with a member's columns, beside the base, are computed once. Those with the factor's orthonormal columns follow
-    /// from R.
+    /// The quick look after a set.
+    /// The bank's products with a member's columns, after the base, are computed once. Those with the
+    /// factor's orthonormal columns follow from R.
     #[must_use]
     pub fn look_at(&self, set: &Set) -> Look {
         let bank = &self.families.bank;
@@ -253,14 +253,14 @@ impl<'p> Search<'p> {
         look
     }
 
-    /// A set with one member more; `None` where its values are impossible.
+    /// A set with one more member; `None` if its values are impossible.
     #[must_use]
     pub fn with(&self, set: &Set, seed: &Seed) -> Option<Set> {
         self.built(set, self.weighed(set, seed)?.1)
     }
 
     /// One more member of a set, and the set's score with it.
-    /// The score leaves out the correction for whole counts.
+    /// The score is without the correction for whole counts.
     fn weighed(&self, set: &Set, seed: &Seed) -> Option<(f64, Member)> {
         rtec_files::watch::step();
         if set.members.len() >= MOST_MEMBERS {
@@ -327,7 +327,7 @@ impl<'p> Search<'p> {
         sum
     }
 
-    /// The fit of the members of another search, as they are.
+    /// The fit of the members of another search, unchanged.
     #[must_use]
     pub fn of(&self, mut members: Vec<Member>) -> Set {
         for m in &mut members {
@@ -336,7 +336,7 @@ impl<'p> Search<'p> {
         self.grown_from(self.base.factor.clone(), members, 0)
     }
 
-    /// The fit of members of which the first `done` are in a factor.
+    /// The fit of members, of which the first `done` are in the factor already.
     fn grown_from(&self, mut factor: Factor, members: Vec<Member>, done: usize) -> Set {
         for m in &members[done..] {
             push(&mut factor, m);
@@ -404,7 +404,7 @@ impl<'p> Search<'p> {
         self.grown_from(self.first(set, member), members, member)
     }
 
-    /// The same set with one of its members last.
+    /// The same set with one of its members moved to the end.
     #[must_use]
     pub fn of_last(&self, set: &Set, member: usize) -> Set {
         let mut members = set.members.clone();
@@ -452,7 +452,7 @@ mod tests {
     use rtec_model::record::{Column, Kind, Record, Role};
 
     /// The products that follow from R equal those computed directly.
-    /// A reading of 20 °C, which is nearly the zero's column, is included.
+    /// A reading of 20 °C, whose column is nearly that of the zero, is included.
     #[test]
     fn the_look_beside_a_set_is_that_beside_its_factor() {
         let n = 400;

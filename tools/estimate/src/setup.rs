@@ -1,8 +1,8 @@
 //! Terms of an instrument's set-up, which are never the machine's.
-//! They are free in every record, never named, never written into a model and never corrected live. Each term has one function; a new one
-//! needs its function and a line in [`TERMS`].
+//! They are free in every record, never named, never written into a model and never corrected live. Each term
+//! has one function; a new one needs its function and a line in [`TERMS`].
 
-use crate::effort::{AIR_DIRECTIONS, MOST_PAUSES, MOST_PLACES, PLACES_PER_MM, ROUNDING_HARMONICS};
+use crate::effort::{AIR_DIRECTIONS, MOST_PAUSES, MOST_PLACES, PLACES_PER_MM};
 use crate::priors::{
     AIR_UM_S, CENTRE_UM, CONTRIBUTION, KNOTS, LINE_HOURS, LINE_UM_PER_H, NOISE, PAUSE_STEPS, PLACE_MM,
     TURN_URAD, ZERO_UM,
@@ -13,24 +13,24 @@ use rtec_model::circle::Circle;
 use rtec_model::effect::{Effect, Search};
 use rtec_model::record::{Column, Kind, Record, Role};
 
-/// What a set-up term is.
+/// Kind of a set-up term.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum What {
-    /// The gauge's zero (of a bar or ring: its length or size), µm.
+    /// The gauge's zero, or the length or size of a bar or ring, µm.
     Zero,
     /// The circle's centre along the first axis of the plane, µm.
     CentreFirst,
-    /// Along the second.
+    /// The circle's centre along the second axis of the plane, µm.
     CentreSecond,
     /// A line in time, µm/h.
     Line,
-    /// Wander of air and stand beside the line, µm.
+    /// Wander of air and stand in addition to the line, µm.
     Air,
     /// A jump at a pause, µm.
     Jump,
     /// Rounding that rows of one reading share, µm.
     Rounding,
-    /// An effect of the model whose place the record does not state.
+    /// An effect of the model whose position the record does not state.
     Unplaced,
     /// Rotation of a plate relative to the others, µrad.
     Turn,
@@ -41,14 +41,14 @@ pub enum What {
 }
 
 /// A set-up term.
-/// Its column, and how large its coefficient may be, one standard deviation.
+/// It has a column and the standard deviation of its coefficient.
 #[derive(Debug, Clone)]
 pub struct Term {
-    /// What it is.
+    /// Its kind.
     pub what: What,
-    /// Of which record; the first where several share it.
+    /// Index of its record; the first if several share it.
     pub record: usize,
-    /// Over all rows.
+    /// Its column over all rows.
     pub column: Vec<f64>,
     /// One standard deviation of the coefficient.
     pub sd: f64,
@@ -98,7 +98,7 @@ fn zeros(rows: &Rows<'_>, _: &[Effect], out: &mut Vec<Term>) {
     }
 }
 
-/// A circle's centre: one lobe.
+/// A circle's centre: one lobe per turn.
 fn centres(rows: &Rows<'_>, _: &[Effect], out: &mut Vec<Term>) {
     for s in errors(rows) {
         let record = rows.record(s);
@@ -117,7 +117,8 @@ fn centres(rows: &Rows<'_>, _: &[Effect], out: &mut Vec<Term>) {
 }
 
 /// Times of a record long enough for air and stand to creep, s from the first row.
-/// If no time was written, rows are evenly spaced, and the run may last as long as a creep keeps its direction.
+/// If no time was written, rows are evenly spaced, and the run may last as long as a creep keeps its
+/// direction.
 fn creeping_s(record: &Record) -> Option<Vec<f64>> {
     if !matches!(record.kind, Kind::Positioning | Kind::Drift) {
         return None;
@@ -133,7 +134,7 @@ fn creeping_s(record: &Record) -> Option<Vec<f64>> {
 fn lines(rows: &Rows<'_>, _: &[Effect], out: &mut Vec<Term>) {
     for s in errors(rows) {
         let Some(t) = creeping_s(rows.record(s)) else { continue };
-        // From the start, where the gauge was set to zero.
+        // Counted from the start, where the gauge was set to zero.
         let hours = column(rows, s, |i| t[i] / 3600.0);
         // A creep does not keep its direction for longer.
         let whole = t.last().map_or(0.0, |last| last / 3600.0);
@@ -142,7 +143,7 @@ fn lines(rows: &Rows<'_>, _: &[Effect], out: &mut Vec<Term>) {
     }
 }
 
-/// Wander of air and stand beside the drift: a walk that is pulled back.
+/// Wander of air and stand in addition to the drift: a mean-reverting walk.
 fn air(rows: &Rows<'_>, _: &[Effect], out: &mut Vec<Term>) {
     for s in errors(rows) {
         let Some(t) = creeping_s(rows.record(s)) else { continue };
@@ -168,7 +169,8 @@ pub fn pauses(record: &Record) -> Vec<usize> {
 }
 
 /// A step for each pause of a run, one micrometre high.
-/// Somebody may have touched the stand there. Steps are searched as hypotheses are, because they are rare and then of any size.
+/// Somebody may have touched the stand there. Steps are searched like hypotheses, because they are rare, and
+/// then of any size.
 #[must_use]
 pub fn jumps(rows: &Rows<'_>) -> Vec<Term> {
     let mut out = Vec::new();
@@ -186,14 +188,15 @@ pub fn jumps(rows: &Rows<'_>) -> Vec<Term> {
     out
 }
 
-/// The number of the place that a position is at.
+/// Grid index of a position.
 #[must_use]
 pub fn place_of(mm: f64) -> i64 {
     (mm * PLACES_PER_MM).round() as i64
 }
 
-/// Where each row was read: the places of all axes and their directions.
-/// All are equal if the response's axis has no place. The names of the columns do not matter: rows of one reading stay together.
+/// Where each row was read: grid indices and directions of all axes.
+/// All are equal if the record has no position of the response's axis. The names of the columns do not
+/// matter: rows of one reading stay together.
 fn places(rows: &Rows<'_>, s: &Segment) -> Vec<Vec<i64>> {
     let record = rows.record(s);
     let own = rows.responses[s.response].axis().cloned();
@@ -210,7 +213,8 @@ fn places(rows: &Rows<'_>, s: &Segment) -> Vec<Vec<i64>> {
 }
 
 /// The resolution of a gauge whose noise does not dither it.
-/// Most repeats at one place then read the same. Also returns the groups of rows that share one reading in one direction.
+/// Most repeats at one position then read the same. Also returns the groups of rows that share one reading in
+/// one direction.
 fn coarse(rows: &Rows<'_>, s: &Segment) -> Option<(f64, Vec<Vec<usize>>)> {
     let y = &rows.measured[s.rows.clone()];
     let mut values: Vec<f64> = y.to_vec();
@@ -223,7 +227,7 @@ fn coarse(rows: &Rows<'_>, s: &Segment) -> Option<(f64, Vec<Vec<usize>>)> {
     if values.iter().any(|v| ((v - values[0]) / q - ((v - values[0]) / q).round()).abs() > 0.02) {
         return None;
     }
-    // A repeat is the next row at the same place; without places it is the next row.
+    // A repeat is the next row at the same position; without positions it is the next row.
     let at = places(rows, s);
     let mut order: Vec<usize> = (0..y.len()).collect();
     order.sort_by_key(|i| (&at[*i], *i));
@@ -249,8 +253,8 @@ fn coarse(rows: &Rows<'_>, s: &Segment) -> Option<(f64, Vec<Vec<usize>>)> {
     Some((q, groups.into_iter().map(|(_, g)| g).collect()))
 }
 
-/// Rows that share one reading share its rounding error.
-/// Repeats do not average it away. It widens intervals; the noise is no smaller than it ([`floors`]).
+/// The rounding error shared by rows of one reading.
+/// Repeats do not average it away. It widens intervals; the noise is at least as large ([`floors`]).
 #[must_use]
 pub fn rounding(rows: &Rows<'_>) -> Vec<Term> {
     let mut out = Vec::new();
@@ -268,7 +272,8 @@ pub fn rounding(rows: &Rows<'_>) -> Vec<Term> {
 }
 
 /// Rounding error that is left if noise dithers it in part.
-/// Repeats of one place and direction share an error of q/π · exp(−2π²σ²/q²), the first harmonic of the step's saw (Widrow 1956).
+/// Repeats at one position and direction share an error of q/π · exp(−2π²σ²/q²), the first harmonic of the
+/// rounding sawtooth (Widrow 1956).
 fn dithered(rows: &Rows<'_>, _: &[Effect], out: &mut Vec<Term>) {
     for s in errors(rows) {
         let y = &rows.measured[s.rows.clone()];
@@ -303,8 +308,8 @@ fn dithered(rows: &Rows<'_>, _: &[Effect], out: &mut Vec<Term>) {
     }
 }
 
-/// What rounding alone makes of a record's responses, µm RMS.
-/// The coarsest of its gauges.
+/// Error of a record's responses by rounding only, µm RMS.
+/// It is that of the coarsest gauge.
 #[must_use]
 pub fn resolution_um(record: &Record) -> f64 {
     let errors = record.responses().filter(|c| matches!(c.role, Role::Error(_)));
@@ -318,20 +323,8 @@ pub fn unshared_step(rows: &Rows<'_>, s: &Segment) -> Option<f64> {
     step_of(&rows.measured[s.rows.clone()]).filter(|_| coarse(rows, s).is_none())
 }
 
-/// Expected rounding error of a value under Gaussian noise (Widrow 1956).
-/// The value is `off` from a multiple of the step `q`, with this variance.
-#[must_use]
-pub fn rounding_error(q: f64, off: f64, variance: f64) -> f64 {
-    use std::f64::consts::{PI, TAU};
-    let harmonic = |k: i32| {
-        let (sign, k) = (if k % 2 == 0 { 1.0 } else { -1.0 }, f64::from(k));
-        sign * q / (PI * k) * (TAU * k * off / q).sin() * (-0.5 * variance * (TAU * k / q).powi(2)).exp()
-    };
-    (1..=ROUNDING_HARMONICS).map(harmonic).sum()
-}
-
-/// The step that all numbers are multiples of.
-/// Two numbers define it; each further one lies on it by chance in one case of 25, so that five are no chance.
+/// The step of which all numbers are multiples.
+/// Two numbers define it. Each further one lies on it by chance in one case of 25, so five are not chance.
 fn step_of(y: &[f64]) -> Option<f64> {
     let mut values: Vec<f64> = y.to_vec();
     values.sort_by(f64::total_cmp);
@@ -341,7 +334,7 @@ fn step_of(y: &[f64]) -> Option<f64> {
     ((5..400).contains(&values.len()) && values.iter().all(on)).then_some(q)
 }
 
-/// Per response the least size of its noise: undithered rounding.
+/// Smallest size of the noise, per response: undithered rounding.
 #[must_use]
 pub fn floors(rows: &Rows<'_>) -> Vec<f64> {
     let mut out = vec![0.0_f64; rows.responses.len()];
@@ -358,7 +351,7 @@ pub fn floors(rows: &Rows<'_>) -> Vec<f64> {
     out
 }
 
-/// Whether all readings of a segment are one.
+/// Whether all readings of a segment are equal.
 fn stands_still(rows: &Rows<'_>, s: &Segment) -> bool {
     let y = &rows.measured[s.rows.clone()];
     y.iter().all(|v| v.to_bits() == y[0].to_bits())
@@ -380,9 +373,9 @@ pub fn weights(rows: &Rows<'_>) -> Vec<f64> {
     out
 }
 
-/// What an effect that needs a place may do in circles whose centre nobody told.
-/// A wave has a phase of its own there, anything else lobes of its own. `size` of each coefficient; record and column, at one standard
-/// deviation.
+/// Columns of an effect in circles whose centre is not stated.
+/// There a wave has its own phase, and any other effect its own lobes. `sizes`: one per coefficient. Returns
+/// record and column, at one standard deviation.
 #[must_use]
 pub fn unplaced_columns(rows: &Rows<'_>, effect: &Effect, sizes: &[f64]) -> Vec<(usize, Vec<f64>)> {
     let mut out = Vec::new();
@@ -408,7 +401,8 @@ pub fn unplaced_columns(rows: &Rows<'_>, effect: &Effect, sizes: &[f64]) -> Vec<
             continue;
         }
         if effect.constraints().is_empty() {
-            // In proportion to each place: as about the circle's centre, and by how far that may be from the axes' zero.
+            // In proportion to each position: about the circle's centre, plus its possible distance from the
+            // axes' zero.
             for (c, size) in basis.chunks(n).zip(sizes) {
                 out.push((s.record, column(rows, s, |i| size * c[i])));
             }
@@ -451,7 +445,7 @@ fn unplaced(rows: &Rows<'_>, model: &[Effect], out: &mut Vec<Term>) {
             None => effect.coefficients().iter().map(|c| c.abs()).collect(),
         };
         for (record, column) in unplaced_columns(rows, effect, &sizes) {
-            // Equal lobes of several effects are merged into one term: their variances add.
+            // Equal lobes of several effects are merged into one term, whose variance is their sum.
             let same = |t: &&mut Term| {
                 t.what == What::Unplaced && t.record == record && proportional(&t.column, &column)
             };
@@ -522,7 +516,7 @@ pub fn first_after_turn(record: &Record, direction: &[f64]) -> Vec<usize> {
 }
 
 /// A spike of the model before the first turn of a record.
-/// The direction in which the axis came before the record begins is unknown, so a spike may act up to the first turn.
+/// The axis's direction before the record is unknown, so a spike may act up to the first turn.
 fn begins(rows: &Rows<'_>, model: &[Effect], out: &mut Vec<Term>) {
     for effect in model.iter().filter(|e| e.description().after_turn) {
         let Some(axis) = effect.axes().first() else { continue };
@@ -552,7 +546,7 @@ fn begins(rows: &Rows<'_>, model: &[Effect], out: &mut Vec<Term>) {
     }
 }
 
-/// First readings after a turn tell nothing about a spike: none of it, or all.
+/// First readings after an unstated turn: they contain no spike, or a whole one.
 fn after_turns(rows: &Rows<'_>, model: &[Effect], out: &mut Vec<Term>) {
     for s in errors(rows) {
         let record = rows.record(s);
@@ -566,7 +560,7 @@ fn after_turns(rows: &Rows<'_>, model: &[Effect], out: &mut Vec<Term>) {
         for i in first {
             own[s.rows.start + i] = direction[i];
         }
-        // As large and as rare as a spike may be; as large as the model's own if it has one.
+        // As large and as rare as a spike may be, or as large as the model's own spike.
         let spikes = model.iter().filter(|e| e.description().after_turn && e.axes().first() == Some(axis));
         let own_um = spikes.filter_map(|e| Some(e.scalar(e.description().place(Search::Linear)?).abs()));
         let sd = own_um.fold(0.3 * CONTRIBUTION, f64::max);

@@ -18,7 +18,7 @@ use std::f64::consts::TAU;
 /// A shape with its columns, each at one standard deviation.
 pub type Shaped = (Shape, Vec<Vec<f64>>);
 
-/// A response and what its rows log.
+/// A response and the quantities that its rows log.
 pub struct Response<'r> {
     rows: &'r Rows<'r>,
     number: usize,
@@ -109,7 +109,7 @@ impl<'r> Response<'r> {
     }
 
     /// All logged quantities that vary, with labels.
-    /// Places are left out, because effects with names depend on them.
+    /// Positions are left out, because effects with names depend on them.
     fn scalars(&self) -> Vec<(String, Vec<f64>)> {
         let mut out = vec![("time".to_owned(), self.time())];
         let Some(first) = self.rows.segments.iter().find(|s| s.response == self.number) else { return out };
@@ -144,14 +144,14 @@ impl<'r> Response<'r> {
     }
 
     /// A smooth function of a variable.
-    /// Without its constant, and without its line where a name explains that.
+    /// It is without its constant, and without its straight line if a name explains that.
     fn smooth(&self, v: &[f64], kernel: &dyn Fn(f64) -> Kernel, line: bool) -> Vec<Vec<f64>> {
         let line: &[fn(f64) -> f64] = if line { &[|x| x] } else { &[] };
         self.smooth_without(v, kernel, line)
     }
 
     /// A smooth function of a variable.
-    /// Without its constant, and without these functions, which have names.
+    /// It is without its constant, and without these functions, which have names.
     fn smooth_without(
         &self,
         v: &[f64],
@@ -241,7 +241,7 @@ fn wander(r: &Response<'_>, out: &mut Vec<Shaped>) {
 }
 
 /// Creep of stands, glue and magnetic bases with the logarithm of time.
-/// In each run it starts at the beginning and has a size of its own.
+/// In each run it starts at the beginning and has its own size.
 fn creep(r: &Response<'_>, out: &mut Vec<Shaped>) {
     let own: Vec<_> = r.rows.segments.iter().filter(|s| s.response == r.number).collect();
     for share in CREEPS {
@@ -399,7 +399,7 @@ fn over_plane(r: &Response<'_>, out: &mut Vec<Shaped>) {
     }
 }
 
-/// A level of its own at each place that was measured at several times.
+/// A separate level at each position that was measured at several times.
 fn place_by_place(r: &Response<'_>, out: &mut Vec<Shaped>) {
     let Some(first) = r.rows.segments.iter().find(|s| s.response == r.number) else { return };
     let mut labels: Vec<String> = Vec::new();
@@ -457,7 +457,7 @@ fn two_temperatures(r: &Response<'_>, out: &mut Vec<Shaped>) {
     }
 }
 
-/// A wave whose size changes along its way: for a frequency that the rows show.
+/// A wave whose size changes along its travel, for a frequency that the rows show.
 #[must_use]
 pub fn changing_wave(rows: &Rows<'_>, basis: &[Vec<f64>], along: &[f64]) -> Vec<Vec<f64>> {
     let shown: Vec<usize> = (0..rows.n).filter(|i| basis.iter().any(|b| b[*i] != 0.0)).collect();

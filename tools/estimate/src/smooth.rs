@@ -1,11 +1,11 @@
 //! Smooth functions of one variable as a few columns.
-//! A Gaussian process on knots, without what lines explain.
+//! Each is a Gaussian process on knots, without straight lines.
 
 use crate::priors::SMOOTH_RANK;
 use nalgebra::{DMatrix, SymmetricEigen};
 
 /// Knots over these values.
-/// Each of them where they are few, evenly spread otherwise.
+/// They are the values if there are few, and evenly spread otherwise.
 #[must_use]
 pub fn knots(values: &[f64], most: usize) -> Vec<f64> {
     let mut sorted: Vec<f64> = values.to_vec();
@@ -38,7 +38,7 @@ pub fn knots(values: &[f64], most: usize) -> Vec<f64> {
     even.into_iter().filter(near).collect()
 }
 
-/// The share of each knot in the value at `x`: two neighbours.
+/// Weights of the two neighbouring knots in the value at `x`.
 #[must_use]
 pub fn shares(knots: &[f64], x: f64) -> [(usize, f64); 2] {
     let after = knots.partition_point(|k| *k <= x);
@@ -50,12 +50,12 @@ pub fn shares(knots: &[f64], x: f64) -> [(usize, f64); 2] {
     [(after - 1, 1.0 - w), (after, w)]
 }
 
-/// How rough a smooth function is.
+/// Kernel of a Gaussian process, with its correlation length ℓ.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Kernel {
     /// exp(−½ (d/ℓ)²)
     Smooth(f64),
-    /// exp(−d/ℓ): a walk that is pulled back.
+    /// exp(−d/ℓ): a mean-reverting walk.
     Rough(f64),
 }
 

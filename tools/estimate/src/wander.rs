@@ -1,6 +1,6 @@
-//! A slow walk beside a response's noise (Ornstein–Uhlenbeck).
-//! It lasts longer than the noise remembers and does not repeat. It is judged in the residual's spectrum, which is flat for noise alone
-//! (Whittle 1953).
+//! A slow walk in addition to a response's noise (Ornstein–Uhlenbeck).
+//! It lasts longer than the noise's correlation and does not repeat. The residual's spectrum decides, which
+//! is flat for noise alone (Whittle 1953).
 
 use crate::effort::{WALK_FEWEST_ROWS, WALK_MEMORIES, WALK_RANK, WALK_SIZES};
 use crate::priors::{NAMED_SHARE, PRICE, WALK_KINDS};
@@ -13,11 +13,11 @@ use rustfft::{FftPlanner, num_complex::Complex};
 /// A walk found in a response.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Wander {
-    /// Which response.
+    /// Index of the response.
     pub response: usize,
     /// Its standard deviation, in the response's unit.
     pub size: f64,
-    /// Rows for which it remembers.
+    /// Its correlation length, rows.
     pub rows: f64,
     /// Log odds against noise alone.
     pub odds: f64,
@@ -30,7 +30,7 @@ pub fn wanders(problem: &Problem<'_>, noise: &Noise, residual: &[f64]) -> Vec<Wa
     let rows = problem.rows;
     let mut planner = FftPlanner::new();
     let mut out = Vec::new();
-    // Where rounding makes the noise, its steps look like a walk.
+    // If the noise is rounding, its steps look like a walk.
     for response in (0..rows.responses.len()).filter(|j| problem.floors[*j] <= 0.0) {
         let mut spectra: Vec<Vec<f64>> = Vec::new();
         for s in rows.segments.iter().filter(|s| s.response == response && s.rows.len() >= WALK_FEWEST_ROWS) {
@@ -40,7 +40,7 @@ pub fn wanders(problem: &Problem<'_>, noise: &Noise, residual: &[f64]) -> Vec<Wa
                 part.iter().map(|v| Complex::new((v - mean).clamp(-5.0, 5.0), 0.0)).collect();
             planner.plan_fft_forward(x.len()).process(&mut x);
             let n = x.len() as f64;
-            // From the second frequency on: set-up takes the first.
+            // Begins at the second frequency, because the set-up terms absorb the first.
             spectra.push(x[2..x.len() / 2].iter().map(|c| c.norm_sqr() / n).collect());
         }
         if spectra.is_empty() {
@@ -52,7 +52,7 @@ pub fn wanders(problem: &Problem<'_>, noise: &Noise, residual: &[f64]) -> Vec<Wa
         let (mut mass, mut best) = (Vec::new(), (f64::NEG_INFINITY, 0.0, 0.0));
         for variance in WALK_SIZES {
             for memory in WALK_MEMORIES {
-                // The walk as the whitening leaves it.
+                // Spectrum of the walk after whitening.
                 let rho = (-1.0_f64 / memory).exp();
                 let mut gain = 0.0;
                 let shape = |w: f64| {
@@ -92,7 +92,7 @@ fn frequency(k: usize, half: usize) -> f64 {
     std::f64::consts::PI * (k + 2) as f64 / (half + 2) as f64
 }
 
-/// Columns of a walk: beside it nothing else has to explain it.
+/// Columns of a walk; with them nothing else needs to explain it.
 #[must_use]
 pub fn terms(rows: &Rows<'_>, wander: &Wander) -> Vec<Term> {
     let mut out = Vec::new();

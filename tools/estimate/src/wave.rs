@@ -1,4 +1,4 @@
-//! Waves along a variable: where in frequency the rows show one.
+//! Waves along a variable: the frequencies at which the rows show one.
 
 use crate::effort::{ALONE, FREQUENCY_STEP, LONGEST, PER_PERIOD};
 use crate::priors::ALIKE;
@@ -9,19 +9,19 @@ use std::sync::Arc;
 /// A variable that a wave may run along, at the rows that show it.
 #[derive(Clone)]
 pub struct Along {
-    /// Row, place, and the share of the wave that the row shows.
+    /// Row, position, and the share of the wave that the row shows.
     rows: Vec<(usize, f64, f64)>,
-    /// Frequencies, in turns per unit of the place.
+    /// Range of frequencies, in turns per unit of position.
     range: [f64; 2],
-    /// Range of the places.
+    /// Range of the positions, and the lowest one.
     span: f64,
     from: f64,
-    /// Pitch of the grid on which the spectrum is made, and its length.
+    /// Pitch of the grid for the spectrum, and its number of points.
     pitch: f64,
     length: usize,
     transform: Arc<dyn Fft<f64>>,
-    /// At each frequency the products of cosine and sine, without their means.
-    /// With themselves and with each other.
+    /// Products of cosine and sine at each frequency, without their means.
+    /// They are of cosine with itself, of sine with itself, and of both.
     products: Vec<[f64; 3]>,
 }
 
@@ -32,7 +32,7 @@ impl fmt::Debug for Along {
 }
 
 impl Along {
-    /// `None` where nothing moves or no period fits.
+    /// A variable with these positions; `None` if nothing moves or no period fits.
     #[must_use]
     pub fn new(rows: Vec<(usize, f64, f64)>, [lowest, highest]: [f64; 2]) -> Option<Self> {
         let (lo, hi) = rows.iter().fold((f64::MAX, f64::MIN), |(l, h), r| (l.min(r.1), h.max(r.1)));
@@ -75,13 +75,13 @@ impl Along {
         (0..self.length / 4).map(of).collect()
     }
 
-    /// Range of the places.
+    /// Range of the positions.
     #[must_use]
     pub fn span(&self) -> f64 {
         self.span
     }
 
-    /// Middle of the places.
+    /// Middle of the positions.
     #[must_use]
     pub fn middle(&self) -> f64 {
         self.from + 0.5 * self.span
@@ -98,7 +98,7 @@ impl Along {
         out
     }
 
-    /// The place of each of `n` rows; zero where a row shows nothing.
+    /// Position of each of `n` rows; zero if a row shows nothing.
     #[must_use]
     pub fn places(&self, n: usize) -> Vec<f64> {
         let mut out = vec![0.0; n];
@@ -121,7 +121,7 @@ impl Along {
     }
 
     /// The strongest frequency near each of these, best first.
-    /// Near means within a share of it; strongest by the power of a weighted residual.
+    /// Near means within a share of it. Strongest is by the power of a weighted residual.
     #[must_use]
     pub fn near(&self, residual: &[f64], frequencies: &[f64], share: f64) -> Vec<f64> {
         let step = FREQUENCY_STEP / self.span;
@@ -149,7 +149,7 @@ impl Along {
         all.into_iter().map(|b| b.1).collect()
     }
 
-    /// Frequencies of waves that look nearly the same at these places.
+    /// Frequencies of waves that look nearly the same at these positions.
     #[must_use]
     pub fn alike(&self, frequency: f64) -> Vec<f64> {
         let rows = self.rows.iter().map(|r| r.0).max().map_or(0, |last| last + 1);
@@ -174,7 +174,7 @@ impl Along {
             let bend = l + r - 2.0 * m;
             d + if bend < 0.0 { 0.25 * step * (l - r) / bend } else { 0.0 }
         };
-        // Half a step from its top a peak shows nine tenths of it.
+        // Half a step from its top, a peak shows nine tenths of its power.
         let high = peaks.filter(|i| power[*i] > 0.8 * ALIKE * whole * whole);
         let shifts = high.map(top).filter(|d| shown(*d) > ALIKE);
         let of = |d: f64| [d - frequency, d + frequency, frequency - d];
@@ -182,7 +182,8 @@ impl Along {
     }
 
     /// Frequencies at which a wave explains most of a weighted residual, best first.
-    /// At few places sine and cosine may look alike, or like a constant. So the power counts that both explain beside a constant.
+    /// At few positions sine and cosine may look alike, or like a constant. The power is therefore what both
+    /// explain in addition to a constant.
     #[must_use]
     pub fn peaks(&self, residual: &[f64], most: usize) -> Vec<f64> {
         let (step, sums) = self.transformed(self.rows.iter().map(|r| (r.1, residual[r.0] * r.2)));
@@ -198,7 +199,7 @@ impl Along {
         let all: Vec<f64> = (first..=last).map(explained).collect();
         let at = |i: usize| all.get(i).copied().unwrap_or(0.0);
         let is_peak = |i: &usize| at(*i) >= i.checked_sub(1).map_or(0.0, at) && at(*i) > at(i + 1);
-        // Between two frequencies of the grid a wave shows up to a tenth less than it is.
+        // Between two frequencies of the grid, a wave shows up to a tenth less than its power.
         let top = |i: usize| {
             let [l, m, r] = [i.checked_sub(1).map_or(0.0, at), at(i), at(i + 1)];
             m + (l - r).powi(2) / (8.0 * (2.0 * m - l - r)).max(1e-300)
@@ -209,13 +210,13 @@ impl Along {
         peaks.into_iter().map(|(_, i)| (first + i) as f64 * step).collect()
     }
 
-    /// Step of frequency, and the power of a weighted residual at each.
+    /// Step of frequency, and the power of a weighted residual at each frequency.
     fn spectrum(&self, residual: &[f64]) -> (f64, Vec<f64>) {
         let (step, sums) = self.transformed(self.rows.iter().map(|r| (r.1, residual[r.0] * r.2)));
         (step, sums.iter().map(Complex::norm_sqr).collect())
     }
 
-    /// Step of frequency, and at each the sums of values with cosine and sine.
+    /// Step of frequency, and each frequency's sums of values with cosine and sine.
     fn transformed(&self, values: impl Iterator<Item = (f64, f64)>) -> (f64, Vec<Complex<f64>>) {
         let mut grid = vec![Complex::new(0.0, 0.0); self.length];
         for (place, x) in values {

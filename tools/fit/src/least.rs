@@ -13,6 +13,7 @@ use rtec_files::InputError;
 use rtec_files::date;
 use rtec_files::text::short;
 use rtec_least_squares::{Solution, equal_rows};
+use rtec_measure::ballbar::in_motion;
 use rtec_measure::steps::{Steps, is_coarse_cause, step_of};
 use rtec_model::effect::{Dictionary, Difference, Effect, Need, Quantity, Search};
 use rtec_model::machine::{FitNote, Machine, NORMAL_95, Provenance, Source};
@@ -503,6 +504,8 @@ pub fn fit_named(
     valid_days: i64,
 ) -> Result<(Machine, NamedReport), InputError> {
     let usage = |found: String, expected: &str| InputError::whole(Path::new("--effects"), found, expected);
+    let moving: Vec<Record> = records.iter().map(|r| in_motion(r)).collect();
+    let records: &[&Record] = &moving.iter().collect::<Vec<_>>();
     let effects = effects_of(base, names)?;
     if let Some(effect) = effects.iter().find(|e| records.iter().all(|r| e.acts_on(r).is_empty())) {
         let quantity = if effect.description().quantity == Quantity::Force { "force" } else { "error" };

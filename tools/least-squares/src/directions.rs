@@ -1,23 +1,23 @@
-//! What columns show that may depend on each other.
+//! Least squares with columns that may depend on each other.
 
 use nalgebra::{DMatrix, DVector};
 
-/// Directions in which columns of length one have less than this are not shown.
+/// Smallest singular value, for columns of length one, of a direction that is used.
 const LEAST: f64 = 1e-3;
 
-/// The directions that columns show of their values.
+/// The directions of the values that columns determine.
 #[derive(Debug, Clone)]
 pub struct Directions {
-    /// From the rows to the values: of several answers the smallest.
+    /// Maps rows to values: of several solutions the smallest.
     to_values: DMatrix<f64>,
-    /// Covariance of the values where each row has the variance one.
+    /// Covariance of the values if each row has the variance one.
     pub covariance: DMatrix<f64>,
-    /// How much of each value lies in the directions shown, 0 to 1.
+    /// Share of each value that lies in the determined directions, 0 to 1.
     pub resolution: Vec<f64>,
 }
 
 impl Directions {
-    /// Of columns as they are; their lengths play no part.
+    /// Directions determined by columns; the lengths of the columns have no effect.
     #[must_use]
     pub fn by(columns: &DMatrix<f64>) -> Self {
         let p = columns.ncols();
@@ -47,20 +47,20 @@ impl Directions {
         &self.to_values * y
     }
 
-    /// What each of several responses makes of the values, one column each.
+    /// The values that explain each of several responses best, one column each.
     #[must_use]
     pub fn solve_all(&self, responses: &DMatrix<f64>) -> DMatrix<f64> {
         &self.to_values * responses
     }
 }
 
-/// Orthonormal columns that span the same.
+/// Orthonormal columns that span the same space.
 #[must_use]
 pub fn orthonormal(columns: DMatrix<f64>) -> DMatrix<f64> {
     if columns.ncols() == 0 { columns } else { columns.qr().q() }
 }
 
-/// Orthonormal directions of what columns have beside others.
+/// Orthonormal directions of what remains of columns after projection on others.
 /// Directions with less than `share` of the largest are left out.
 #[must_use]
 pub fn principal(columns: &DMatrix<f64>, beside: DMatrix<f64>, share: f64) -> Vec<DVector<f64>> {
@@ -76,7 +76,7 @@ pub fn principal(columns: &DMatrix<f64>, beside: DMatrix<f64>, share: f64) -> Ve
 mod tests {
     use super::*;
 
-    /// Two equal columns: each has half of the value, and half of it is shown.
+    /// Of two equal columns each gets half of the value, and half of it is determined.
     #[test]
     fn of_several_answers_gives_the_smallest() {
         let columns = DMatrix::from_column_slice(3, 3, &[1.0, 2.0, 2.0, 1.0, 2.0, 2.0, 0.0, 1.0, -1.0]);

@@ -12,7 +12,7 @@ use std::rc::Rc;
 pub struct Factor {
     /// Upper parts (data rows) of the orthonormal columns.
     upper: Vec<Rc<[f64]>>,
-    /// Rows in which each is non-zero: a set-up term acts on its own record only.
+    /// Rows in which each is non-zero: a set-up term acts only on its own record.
     within: Vec<Range<usize>>,
     /// Lower parts (prior rows): column k has k + 1 entries.
     lower: Vec<Vec<f64>>,
@@ -20,7 +20,7 @@ pub struct Factor {
     triangle: Vec<Vec<f64>>,
     /// Products of the orthonormal columns with the response.
     along: Vec<f64>,
-    /// What is left of the response: C⁻¹y, C = I + `XXᵀ`.
+    /// Remaining response: C⁻¹y, C = I + `XXᵀ`.
     residual: Vec<f64>,
     /// The residual in the prior rows.
     pulled: Vec<f64>,
@@ -30,7 +30,7 @@ pub struct Factor {
     half_log_det: f64,
 }
 
-/// Σ aᵢbᵢ, in running sums.
+/// Σ aᵢbᵢ.
 #[must_use]
 pub fn dot(a: &[f64], b: &[f64]) -> f64 {
     #[cfg(target_arch = "x86_64")]
@@ -60,7 +60,7 @@ pub fn add(a: &mut [f64], k: f64, b: &[f64]) {
 }
 
 /// The same with explicit AVX2 instructions.
-/// For a generic loop the compiler's code would depend on what it inlines.
+/// For a generic loop, the compiled code would depend on inlining.
 #[cfg(target_arch = "x86_64")]
 mod wide {
     use std::arch::x86_64::{
@@ -111,7 +111,7 @@ mod wide {
 }
 
 impl Factor {
-    /// No columns yet.
+    /// Factors without columns.
     #[must_use]
     pub fn new(response: &[f64]) -> Self {
         Self {
@@ -133,25 +133,25 @@ impl Factor {
         self.upper.len()
     }
 
-    /// Whether there are none.
+    /// Whether there are no columns.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.upper.is_empty()
     }
 
-    /// The orthonormal columns' data rows.
+    /// Data rows of the orthonormal columns.
     #[must_use]
     pub fn columns(&self) -> &[Rc<[f64]>] {
         &self.upper
     }
 
-    /// Products of the orthonormal columns with another one.
+    /// Products of the orthonormal columns with another column.
     #[must_use]
     pub fn shares(&self, column: &[f64]) -> Vec<f64> {
         self.shares_after(Vec::new(), column)
     }
 
-    /// As `shares`, if those with the first columns are known.
+    /// As [`Self::shares`], with the products of the first columns already known.
     #[must_use]
     pub fn shares_after(&self, mut first: Vec<f64>, column: &[f64]) -> Vec<f64> {
         let of = |(q, within): (&Rc<[f64]>, &Range<usize>)| dot(&q[within.clone()], &column[within.clone()]);
@@ -177,13 +177,13 @@ impl Factor {
     }
 
     /// Products of the orthonormal columns with the response.
-    /// Each is taken after the columns before it.
+    /// Each product is of what the columns before it leave.
     #[must_use]
     pub fn along(&self) -> &[f64] {
         &self.along
     }
 
-    /// C⁻¹y: what is left of the response.
+    /// C⁻¹y: the remaining response.
     #[must_use]
     pub fn residual(&self) -> &[f64] {
         &self.residual
@@ -202,7 +202,7 @@ impl Factor {
     }
 
     /// Effective number of coefficients that the data determine.
-    /// Each counts by how much narrower it is than its prior.
+    /// Each counts by how much narrower its posterior is than its prior.
     #[must_use]
     pub fn freedom(&self) -> f64 {
         let inverse = self.inverse();
@@ -210,13 +210,14 @@ impl Factor {
         (self.len() as f64 - prior).max(0.0)
     }
 
-    /// One more column, scaled by the standard deviation of its coefficient.
+    /// Adds a column, scaled by the standard deviation of its coefficient.
     pub fn push(&mut self, column: &[f64]) {
         self.push_under(column, 1.0);
     }
 
-    /// One more column whose coefficient may be anything.
-    /// Gives the share of it, 0 to 1, that the columns before do not make up; what is rounding alone counts as none.
+    /// Adds a column whose coefficient has no prior.
+    /// Returns the share of it, 0 to 1, that the columns before do not explain; rounding alone counts as
+    /// zero.
     pub fn push_free(&mut self, column: &[f64]) -> f64 {
         self.push_under(column, 0.0)
     }
@@ -270,7 +271,7 @@ impl Factor {
         share
     }
 
-    /// What each row counts in a coefficient's value: a row of the pseudo-inverse.
+    /// Weight of each row in a coefficient's value: a row of the pseudo-inverse.
     #[must_use]
     pub fn weights(&self, coefficient: usize) -> Vec<f64> {
         let mut out = vec![0.0; self.residual.len()];
@@ -280,7 +281,7 @@ impl Factor {
         out
     }
 
-    /// The first `k` columns alone.
+    /// Factors of the first `k` columns only.
     #[must_use]
     pub fn first(&self, k: usize) -> Self {
         let mut out = self.clone();

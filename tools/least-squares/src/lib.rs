@@ -1,12 +1,12 @@
-//! Least squares by orthogonal factors, in one place.
+//! Least squares by orthogonal factors, for all crates.
 //!
-//! Products of columns are never formed: they would square the condition number.
+//! Products of columns are never formed, because they would square the condition number.
 //!
 //! | module | what | used by |
 //! |---|---|---|
 //! | [`factor`] | factors that grow column by column, with or without a prior | the estimator, and [`solve`] |
 //! | [`solution`] | values, covariance, residual; equal rows for jackknives | fits, plates, circles |
-//! | [`directions`] | what dependent columns show; the smallest of several answers | ballbar |
+//! | [`directions`] | values of dependent columns; the smallest of several solutions | ballbar |
 
 pub mod directions;
 pub mod factor;
@@ -20,7 +20,7 @@ pub use solution::{Solution, equal_rows, solve};
 mod tests {
     use std::path::Path;
 
-    /// Whoever factors elsewhere has a second solver.
+    /// No other crate may factor: it would be a second solver.
     #[test]
     fn no_other_room_factors() {
         let tools = Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap();
@@ -36,7 +36,7 @@ mod tests {
                     folders.push(file);
                 } else if file.extension().is_some_and(|e| e == "rs") {
                     let text = std::fs::read_to_string(&file).unwrap();
-                    // A test may judge by another solver.
+                    // A test may use another solver as a judge.
                     let own = text.split("#[cfg(test)]").next().unwrap_or_default();
                     for way in [
                         ".qr(",

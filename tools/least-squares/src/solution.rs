@@ -1,9 +1,9 @@
-//! Values of columns that explain a response best, and how well they are known.
+//! The values of columns that explain a response best, and their uncertainty.
 
 use crate::factor::{Factor, dot};
 use nalgebra::DMatrix;
 
-/// Less than this share of a column is rounding.
+/// Share of a column below which it is rounding.
 const ROUNDING: f64 = 1e-9;
 
 /// A least-squares solution.
@@ -11,9 +11,9 @@ const ROUNDING: f64 = 1e-9;
 pub struct Solution {
     /// One value per column, in the response's unit per the column's.
     pub values: Vec<f64>,
-    /// What is left of the response, row by row.
+    /// Residual of the response, row by row.
     pub residual: Vec<f64>,
-    /// Share of each column, 0 to 1, that those before it do not make up.
+    /// Share of each column, 0 to 1, that those before it do not explain.
     pub independent: Vec<f64>,
     /// Rows of R⁻¹ in the columns' units.
     inverse: Vec<Vec<f64>>,
@@ -26,24 +26,24 @@ impl Solution {
         dot(&self.residual, &self.residual)
     }
 
-    /// Covariance of the values where each row has the variance one.
+    /// Covariance of the values if each row has the variance one.
     #[must_use]
     pub fn covariance(&self) -> DMatrix<f64> {
         let p = self.values.len();
         DMatrix::from_fn(p, p, |i, j| dot(&self.inverse[i], &self.inverse[j]))
     }
 
-    /// Standard deviation of each value where each row has the variance one.
+    /// Standard deviation of each value if each row has the variance one.
     #[must_use]
     pub fn spread(&self) -> Vec<f64> {
         self.inverse.iter().map(|row| dot(row, row).sqrt()).collect()
     }
 }
 
-/// Least squares of a response by columns of its length.
+/// Least-squares values of the columns of a response.
 ///
 /// # Errors
-/// The number of the first column that those before it make up, or that is zero.
+/// The index of the first column that is zero or that those before it explain.
 pub fn solve<C: AsRef<[f64]>>(columns: &[C], y: &[f64]) -> Result<Solution, usize> {
     let mut factor = Factor::new(y);
     let mut sizes = Vec::with_capacity(columns.len());
@@ -51,7 +51,7 @@ pub fn solve<C: AsRef<[f64]>>(columns: &[C], y: &[f64]) -> Result<Solution, usiz
     for (k, column) in columns.iter().map(AsRef::as_ref).enumerate() {
         let size = dot(column, column).sqrt();
         let unit: Vec<f64> = column.iter().map(|v| v / size).collect();
-        // A size of zero or one beyond all numbers makes no share.
+        // A size of zero, or one that is not finite, gives no share.
         let share = if size > 0.0 { factor.push_free(&unit) } else { 0.0 };
         if share.is_nan() || share <= ROUNDING {
             return Err(k);
@@ -65,8 +65,8 @@ pub fn solve<C: AsRef<[f64]>>(columns: &[C], y: &[f64]) -> Result<Solution, usiz
     Ok(Solution { values, residual: factor.residual().to_vec(), independent, inverse })
 }
 
-/// As few rows as columns that have the same solution beside any other rows.
-/// They are the triangle of the columns' factors and the response along them.
+/// As many rows as columns, with the same solution when joined with other rows.
+/// They are the triangle of the columns' factors and the products of the response.
 #[must_use]
 pub fn equal_rows(columns: &[Vec<f64>], y: &[f64]) -> (Vec<Vec<f64>>, Vec<f64>) {
     let p = columns.len();
@@ -101,8 +101,8 @@ mod tests {
         assert!((found.spread()[1] - 0.5_f64.sqrt()).abs() < 1e-14);
     }
 
-    /// A column of ones beside one that differs from it by a hundred-millionth.
-    /// Products of the columns would lose the difference whole.
+    /// A column of ones, and one that differs from it by a hundred-millionth.
+    /// Products of the columns would lose the difference entirely.
     #[test]
     fn keeps_digits_that_products_of_columns_lose() {
         let n = 20;

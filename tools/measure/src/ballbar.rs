@@ -108,12 +108,17 @@ pub struct Ballbar {
 
 /// A record as a circle.
 /// Angle and radial error, with plane and radius where they are known.
+#[derive(Clone)]
 pub(crate) struct Trace {
     pub(crate) record: Record,
     name: String,
     plane: String,
     pub(crate) angle: Vec<f64>,
     pub(crate) radial: Vec<f64>,
+    /// Step of the gauge, µm; 0 where its readings have none.
+    step_um: f64,
+    /// Rows on end that read the same, on average: they share one rounding error.
+    alike_rows: f64,
     /// Rows of each contour with its sense of turning, +1 counter-clockwise.
     pub(crate) contours: Vec<(Range<usize>, f64)>,
 }
@@ -297,7 +302,9 @@ impl Trace {
         let radial = Axis::new("r").map(|r| get(&Role::Error(r))).unwrap_or_default();
         let name = record.path.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
         let contours = contours(&record, &angle);
-        let trace = Self { record, name, plane, angle, radial, contours };
+        let step_um = step_of(&radial).unwrap_or(0.0);
+        let alike_rows = radial.len() as f64 / radial.chunk_by(|a, b| a == b).count().max(1) as f64;
+        let trace = Self { record, name, plane, angle, radial, step_um, alike_rows, contours };
         let turned = |rows: &Range<usize>| trace.turned(rows);
         if !trace.contours.iter().any(|(rows, _)| turned(rows) >= PI * 0.99) {
             return Err(lacks(
@@ -331,8 +338,12 @@ impl Trace {
             })
             .collect();
         let runs: Vec<Range<usize>> = self.contours.iter().map(|(rows, _)| rows.clone()).collect();
-        let rounding = step_of(&self.radial).unwrap_or(0.0) / 12.0_f64.sqrt();
-        noise(&path, left, &runs).max(rounding)
+        noise(&path, left, &runs).max(self.step_um / 12.0_f64.sqrt())
+    }
+
+    /// Variance that rounding gives each reading, µm²: as many rows share an error as read the same on end.
+    fn rounding_um2(&self) -> f64 {
+        self.step_um * self.step_um / 12.0 * self.alike_rows
     }
 
     fn evaluate(&self) -> Vec<Contour> {
@@ -462,6 +473,38 @@ fn contours(record: &Record, angle: &[f64]) -> Vec<(Range<usize>, f64)> {
     }
     found.retain(|(rows, turn)| *turn != 0.0 && rows.len() > 4 && turned(rows) > START_RAD);
     found
+}
+
+/// The record of a bar without the rows at which the axes stand.
+/// They stand before, between and after its contours.
+///
+/// The angle does not say from where they came, and so not which side of their play they are on.
+#[must_use]
+pub fn in_motion(record: &Record) -> Record {
+    let angle = record.circle().and_then(|_| record.data(&Role::Angle));
+    let Some((angle, t)) = angle.zip(record.data(&Role::Time)) else { return record.clone() };
+    let n = angle.len();
+    let usual = |mut of: Vec<f64>| {
+        of.sort_by(f64::total_cmp);
+        of.get(of.len() / 2).copied().unwrap_or(0.0)
+    };
+    let usual_s = usual(t.windows(2).map(|w| w[1] - w[0]).collect());
+    // How fast the axes came to a row; behind a gap, how fast they leave it.
+    let speed = |row: usize| {
+        let gap = row == 0 || t[row] - t[row - 1] > 2.5 * usual_s.max(f64::MIN_POSITIVE);
+        let (from, to) = if gap { (row, (row + 1).min(n - 1)) } else { (row - 1, row) };
+        turned_rad(angle[from], angle[to]).abs() / (t[to] - t[from])
+    };
+    let rate = rates(angle, t);
+    let of = |(rows, _): (Range<usize>, f64)| {
+        let feed = usual(rate[rows.clone()].iter().map(|r| r.abs()).collect());
+        (rows, feed)
+    };
+    let feeds: Vec<(Range<usize>, f64)> = contours(record, angle).into_iter().map(of).collect();
+    let slowest = feeds.iter().map(|f| f.1).fold(f64::INFINITY, f64::min);
+    let feed = |row: usize| feeds.iter().find(|f| f.0.contains(&row)).map_or(slowest, |f| f.1);
+    let rows: Vec<usize> = (0..n).filter(|row| speed(*row) > FEED_SHARE * feed(*row)).collect();
+    if rows.is_empty() || rows.len() == n { record.clone() } else { record.select(&rows) }
 }
 
 /// The record as a circle with a radial error; and its plane's name.

@@ -24,7 +24,7 @@ use rtec_files::{InputError, nearest};
 use rtec_model::effect::{Difference, Effect, Naming, Need, Quantity};
 use rtec_model::live::{AxisNow, Frame, Layout, Live};
 use rtec_model::machine::Machine;
-use rtec_model::record::Axis;
+use rtec_model::record::{Axis, LINEAR};
 use std::fmt::Write as _;
 use std::path::Path;
 
@@ -179,6 +179,9 @@ impl<'m> Errors<'m> {
         temperatures: &[(String, f64)],
         others_mm: &[(String, f64)],
     ) -> Result<Self, InputError> {
+        if Axis::new(axis).is_some_and(|a| a.is_rotary()) {
+            return Err(usage(format!("--axis {axis}: a rotary axis"), LINEAR));
+        }
         let known = axes(machine);
         let Some(axis) = Axis::new(axis).filter(|a| known.contains(a)) else {
             let names: Vec<&str> = known.iter().map(Axis::as_str).collect();
@@ -404,8 +407,8 @@ fn acts_on(effect: &Effect, axis: &Axis) -> bool {
 
 /// The axes that a model knows errors of.
 fn axes(machine: &Machine) -> Vec<Axis> {
-    let mut known: Vec<Axis> = machine
-        .effects()
+    let own = machine.listed().iter().filter(|l| !l.provenance.set_up).map(|l| &l.effect);
+    let mut known: Vec<Axis> = own
         .flat_map(|e| e.axes().iter().filter(move |a| acts_on(e, a)).cloned())
         .chain(machine.chain().iter().flat_map(|_| ["x", "y", "z"]).filter_map(Axis::new))
         .collect();

@@ -33,7 +33,7 @@ pub struct Plate {
     pub scale_ppm: f64,
     /// Rotation of the measured plate, degrees, counter-clockwise positive.
     pub rotation_deg: f64,
-    /// The rotation as the effect `rotation.x.y` has it, µrad.
+    /// The same, µrad: the mean of how far both axes' rows turn from x towards y.
     pub rotation_urad: f64,
     /// RMS of the residual's length after offset, scale and rotation, µm.
     pub rms_um: f64,
@@ -76,7 +76,8 @@ pub struct Joint {
     /// Squareness c + d, µrad, as `squareness.x.y`.
     /// Positive where the angle between the positive axes is below 90°.
     pub squareness_urad: f64,
-    /// Rotation (d − c)/2, µrad, counter-clockwise positive: the antisymmetric part.
+    /// Rotation d of rows along x, µrad, from x towards y.
+    /// As `rotation.x.y` beside that `squareness.x.y`.
     pub rotation_urad: f64,
     /// Quadrupole as a pure stretch, ppm.
     /// Longer by so much along its angle, shorter by so much across, without turning.
@@ -170,7 +171,7 @@ impl Joint {
             scale_x_ppm: sx,
             scale_y_ppm: sy,
             squareness_urad: c + d,
-            rotation_urad: (d - c) / 2.0,
+            rotation_urad: d,
             quadrupole_ppm: quadrupole,
             quadrupole_deg: ((c + d).atan2(sx - sy) / 2.0).to_degrees(),
             rms_um,
@@ -179,7 +180,7 @@ impl Joint {
                 scale_x_ppm: 1000.0 * error(&[(2, 1.0)]),
                 scale_y_ppm: 1000.0 * error(&[(3, 1.0)]),
                 squareness_urad: squareness_error,
-                rotation_urad: 500.0 * error(&[(4, -1.0), (5, 1.0)]),
+                rotation_urad: 1000.0 * error(&[(5, 1.0)]),
                 quadrupole_ppm: quadrupole_error,
                 quadrupole_deg: angle_error_deg(quadrupole, quadrupole_error),
             },

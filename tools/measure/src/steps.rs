@@ -147,7 +147,7 @@ pub fn said(record: &Record, responses: bool) -> Vec<String> {
 }
 
 /// Rows of a response that differ by noise alone.
-fn repeats(record: &Record, column: &Column) -> Vec<Vec<usize>> {
+pub(crate) fn repeats(record: &Record, column: &Column) -> Vec<Vec<usize>> {
     let axis = column.role.axis();
     let place = axis.and_then(|a| record.data(&Role::Position(a.clone())));
     let Some(place) = place else {

@@ -58,6 +58,9 @@ pub enum Turns {
     AtTarget,
 }
 
+/// Centres are one within this share of the radius.
+const SAME_PLACE: f64 = 0.01;
+
 /// Smallest travel of an axis that drives a circle, as a share of the radius.
 const MOVES: f64 = 0.1;
 
@@ -221,6 +224,7 @@ impl Record {
             return Err(("no angle".into(), "a column of role angle"));
         };
         self.logs_plane(&circle)?;
+        self.is_about(&circle, angle)?;
         let time_s = self.data(&Role::Time);
         let derived = circle.derive(angle, time_s, &self.columns);
         self.circle = Some((circle, derived));
@@ -250,6 +254,30 @@ impl Record {
             instead.join(" and ")
         );
         Err((found, "the two axes that drive the circle, those whose positions the record logs"))
+    }
+
+    /// The logged positions run about the centre that is stated.
+    ///
+    /// A row's place less its bar gives a centre of its own. The stated one is among these, or near them.
+    fn is_about(&self, circle: &Circle, angle: &[f64]) -> Result<(), (String, &'static str)> {
+        let shares = [f64::cos as fn(f64) -> f64, f64::sin];
+        for ((axis, share), stated) in circle.plane.iter().zip(shares).zip(circle.centre_mm.iter().flatten())
+        {
+            let Some(p) = self.data(&Role::Position(axis.clone())) else { continue };
+            let (lo, hi) = p
+                .iter()
+                .zip(angle)
+                .map(|(p, a)| p - circle.radius_mm * share(*a))
+                .fold((f64::MAX, f64::MIN), |(lo, hi), c| (lo.min(c), hi.max(c)));
+            if (lo - stated).max(stated - hi) > SAME_PLACE * circle.radius_mm {
+                let found = format!(
+                    "centre_mm with {stated} mm on {axis}, while the positions of {axis} run about {:.3} mm",
+                    f64::midpoint(lo, hi)
+                );
+                return Err((found, "the centre that the logged positions have, or no centre_mm"));
+            }
+        }
+        Ok(())
     }
 
     /// Share of an axis' error in the radial error at every row: cos θ or sin θ.
@@ -322,6 +350,11 @@ impl Record {
         self.columns.iter().filter(|c| c.role.is_response())
     }
 
+    /// What was measured: the responses, and tilts.
+    pub fn measured(&self) -> impl Iterator<Item = &Column> {
+        self.columns.iter().filter(|c| c.role.is_measured())
+    }
+
     /// The names of all columns of a role (sensors, channels), in the CSV's order.
     pub fn names(&self, role: &Role) -> impl Iterator<Item = &str> {
         self.columns.iter().filter(move |c| c.role == *role).map(|c| c.name.as_str())
@@ -363,6 +396,21 @@ fn times(kind: Kind, columns: &[Column]) -> Vec<f64> {
         Some(c) => c.data.clone(),
         None => (0..columns[0].data.len()).map(|row| row as f64).collect(),
     }
+}
+
+/// Harmonics of a gauge's saw: the error of the sum is a hundredth of a step.
+const ROUNDING_HARMONICS: i32 = 12;
+
+/// Expected error of a reading in steps of `q` under Gaussian noise of this variance (Widrow 1956).
+/// The value that is read is `off` from a multiple of the step.
+#[must_use]
+pub fn rounding_error(q: f64, off: f64, variance: f64) -> f64 {
+    use std::f64::consts::{PI, TAU};
+    let harmonic = |k: i32| {
+        let (sign, k) = (if k % 2 == 0 { 1.0 } else { -1.0 }, f64::from(k));
+        sign * q / (PI * k) * (TAU * k * off / q).sin() * (-0.5 * variance * (TAU * k / q).powi(2)).exp()
+    };
+    (1..=ROUNDING_HARMONICS).map(harmonic).sum()
 }
 
 /// The step of a coarse clock, s, if most rows share their time with another.

@@ -329,3 +329,21 @@ fn a_chain_is_projected_too() {
         assert!((got - want).abs() < 1e-6, "{got} and {want}");
     }
 }
+
+/// A fraction of a millimetre is the set-up's, and no contradiction.
+#[test]
+fn a_centre_that_the_positions_contradict_is_refused() {
+    let axis = |n: &str| Axis::new(n).unwrap();
+    let angle: Vec<f64> = (0..72).map(|i| TAU * f64::from(i) / 72.0).collect();
+    let columns = vec![
+        Column::new("a", Role::Angle, angle.clone()),
+        Column::new("x", Role::Position(axis("x")), angle.iter().map(|a| 250.0 + 100.0 * a.cos()).collect()),
+        Column::new("e", Role::Error(axis("r")), vec![0.0; angle.len()]),
+    ];
+    let record = Record::new(Path::new("c.run.toml"), Kind::Ballbar, columns).unwrap();
+    let about = |x: f64| record.clone().with_circle(Circle { centre_mm: Some([x, 0.0]), ..circle(100.0) });
+    assert!(about(250.0).is_ok() && about(250.4).is_ok());
+    let (found, expected) = about(25.0).unwrap_err();
+    assert!(found.contains("centre_mm with 25 mm on x") && found.contains("about 250.000 mm"), "{found}");
+    assert!(expected.contains("no centre_mm"));
+}

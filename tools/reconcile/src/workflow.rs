@@ -19,6 +19,7 @@ use rtec_estimate::refit::Refit;
 use rtec_estimate::rows::Rows;
 use rtec_files::InputError;
 use rtec_fit::quiet;
+use rtec_measure::ballbar::in_motion;
 use rtec_measure::derive::derive;
 use rtec_measure::plausible::Suspicion;
 use rtec_model::effect::{Dictionary, Effect, Heat, Law, Refine, Search};
@@ -322,7 +323,7 @@ fn correct(model: &mut Machine, machine: &Machine, answer: &Answer) -> Vec<Refin
 fn with_motion(train: &[Record], holdout: &[Record]) -> (Vec<Record>, Vec<Record>, Vec<String>) {
     let mut notes = Vec::new();
     let mut of = |records: &[Record]| -> Vec<Record> {
-        let mut records = records.to_vec();
+        let mut records: Vec<Record> = records.iter().map(in_motion).collect();
         for r in &mut records {
             let columns = r.columns.len();
             let said = derive(r);

@@ -1,4 +1,4 @@
-//! Archives: tar, each file with its size, for this user's eyes only.
+//! Archives: tar files, with the size of each member, readable only by this user.
 
 use crate::Outcome;
 use std::fs::{File, OpenOptions};
@@ -7,7 +7,7 @@ use std::path::Path;
 use std::time::{SystemTime, UNIX_EPOCH};
 
 /// An archive that is being written.
-/// Without [`Archive::finish`] nothing of it stays.
+/// Without [`Archive::finish`] it is removed.
 pub(crate) struct Archive<'p> {
     path: &'p Path,
     tar: Option<tar::Builder<File>>,
@@ -15,7 +15,7 @@ pub(crate) struct Archive<'p> {
 }
 
 impl<'p> Archive<'p> {
-    /// Never over something that is there, and never through a link.
+    /// Creates it. It never overwrites a file and never follows a symbolic link.
     pub(crate) fn create(path: &'p Path) -> anyhow::Result<Self> {
         let file = OpenOptions::new().write(true).create_new(true).mode(0o600).open(path);
         let file =
@@ -36,7 +36,7 @@ impl<'p> Archive<'p> {
         }
     }
 
-    /// All of it is on the disk.
+    /// Completes the archive and waits until it is on the disk.
     pub(crate) fn finish(mut self) -> std::io::Result<()> {
         let Some(tar) = self.tar.take() else { return Ok(()) };
         let done = tar.into_inner().and_then(|file| file.sync_all());

@@ -1,4 +1,4 @@
-//! How the verbs that need the daemon reach it, and what its answers mean for the exit code.
+//! Connection of verbs to the daemon, and its answers as exit codes.
 
 use crate::Outcome;
 use crate::document::line;
@@ -26,17 +26,18 @@ pub(crate) struct Daemon {
 }
 
 impl Daemon {
-    /// The daemon at this socket, or the installed one, for a verb that has a `--json` of its own.
+    /// The daemon at this socket, or the installed one.
+    /// It is for verbs that have their own `--json`.
     pub(crate) fn at(socket: Option<PathBuf>) -> Self {
         Self { socket, config: None, json: false }
     }
 
-    /// The configuration that was named.
+    /// The configuration file named by the user.
     pub(crate) fn config_file(&self) -> Option<&Path> {
         self.config.as_deref()
     }
 
-    /// Names of the axes: of the daemon that runs, else as configured.
+    /// Names of the axes, from the running daemon, else from the configuration.
     pub(crate) fn axes(&self) -> Vec<String> {
         let status = self.view().ok().and_then(|mut client| client.ask(&ClientRequest::Status {}).ok());
         if let Some(Response::Status(status)) = status {
@@ -46,34 +47,35 @@ impl Daemon {
         config.axes.into_iter().map(|axis| axis.name).collect()
     }
 
-    /// Where the daemon is to be found, as configured.
+    /// The configured control sockets and files.
     fn control(&self) -> anyhow::Result<ControlConfig> {
         let mut control = match &self.config {
             Some(file) => Config::load(file)?.control,
-            // Somebody else's file, and not named by the user: where it is not right the daemon has said so.
+            // Not named by the user: if the file has mistakes, the daemon has reported them.
             None => Config::load(Path::new(INSTALLED)).unwrap_or_else(|_| Config::embedded()).control,
         };
         if let Some(socket) = &self.socket {
-            // Another daemon than that of the file: what is not derived from the socket is not its.
+            // Another daemon than that of the file: everything is derived from this socket.
             control = ControlConfig { socket: socket.clone(), ..Config::embedded().control };
         }
         Ok(control)
     }
 
-    /// Connects by the socket for everything, or, where this user may not use it, by one that allows less.
+    /// Connects by the socket of the highest role that this user may use.
     pub(crate) fn connect(&self) -> anyhow::Result<Client> {
         let sockets = self.control()?.sockets();
         Client::connect_to(&[&sockets[0].path, &sockets[1].path, &sockets[2].path]).map_err(unreachable)
     }
 
-    /// Connects by the socket that only shows.
-    /// Where this user may not use it, by another.
+    /// Connects by the socket of the role `view`.
+    /// If this user may not use it, tries the others.
     pub(crate) fn view(&self) -> anyhow::Result<Client> {
         let sockets = self.control()?.sockets();
         Client::connect_to(&[&sockets[2].path, &sockets[1].path, &sockets[0].path]).map_err(unreachable)
     }
 
-    /// The record of every command: where a running daemon says, else where it is configured.
+    /// Path of the record of every command.
+    /// A running daemon states it; otherwise it is as configured.
     pub(crate) fn log_path(&self) -> anyhow::Result<PathBuf> {
         let told = self.connect().ok().and_then(|mut client| {
             let latest = ClientRequest::Observe { events_after: Some(u64::MAX) };
@@ -85,19 +87,19 @@ impl Daemon {
         told.map_or_else(|| Ok(self.control()?.log_path()), Ok)
     }
 
-    /// Asks, and prints the answer where JSON is wanted.
-    /// Anything but "done" is an error with its exit code.
+    /// Sends a request, and prints the answer if JSON is wanted.
+    /// Any answer but "done" is an error with its exit code.
     pub(crate) fn ask(&self, request: &ClientRequest) -> anyhow::Result<Response> {
         self.ask_with(request, &[])
     }
 
-    /// The same, with open files for the daemon to read.
+    /// As [`Self::ask`], with open files for the daemon to read.
     pub(crate) fn ask_with(&self, request: &ClientRequest, files: &[File]) -> anyhow::Result<Response> {
         let mut client = self.connect()?;
         let response = client.ask_with(request, files).map_err(unreachable)?;
         if self.json {
             match &response {
-                // Documents stand bare.
+                // Documents are printed without an envelope.
                 Response::Status(status) => say(&line(status)?),
                 Response::Explained { axes } => say(&line(&serde_json::json!({ "axes": axes }))?),
                 Response::Whoami(caller) => say(&line(caller)?),
@@ -107,7 +109,7 @@ impl Daemon {
         check(response)
     }
 
-    /// Asks for something to be done and says so.
+    /// Requests an action, and reports when it is done.
     pub(crate) fn order(&self, request: &ClientRequest, done: &str) -> anyhow::Result<()> {
         self.ask(request)?;
         if !self.json {
@@ -117,32 +119,32 @@ impl Daemon {
     }
 }
 
-/// A file that the daemon is to read, opened with this user's rights.
+/// Opens a file for the daemon to read, with this user's rights.
 pub(crate) fn open(file: &Path) -> Result<File, InputError> {
     rtec_files::text::open_regular(file)
 }
 
-/// A user's file as the daemon finds it, which has a directory of its own.
-/// One that is not there is the daemon's to refuse, by the name as it was given.
+/// Absolute path of a user's file, because the daemon has another directory.
+/// A missing file keeps its name, so that the daemon refuses it by that name.
 pub(crate) fn absolute(file: &Path) -> String {
     file.canonicalize().unwrap_or_else(|_| file.to_owned()).display().to_string()
 }
 
-/// No event is later than this one.
+/// A number above that of every event.
 pub(crate) const NO_EVENTS: Option<u64> = Some(u64::MAX);
 
-/// Asks; a refusal is an error.
+/// Sends a request; a refusal is an error.
 pub(crate) fn ask(client: &mut Client, request: &ClientRequest) -> anyhow::Result<Response> {
     check(client.ask(request).map_err(unreachable)?)
 }
 
-/// An answer that this request does not have.
+/// Error for an answer that does not belong to the request.
 pub(crate) fn unexpected(answer: &Response) -> anyhow::Error {
     let text = format!("rtecd answered {answer:?}; are rtecctl and rtecd of the same version?");
     Outcome::Unreachable(text).into()
 }
 
-/// Everything that the daemon shows, with the events after one that is known already.
+/// Everything that the daemon shows, with the events after a known one.
 pub(crate) fn observe(client: &mut Client, events_after: Option<u64>) -> anyhow::Result<Observed> {
     match ask(client, &ClientRequest::Observe { events_after })? {
         Response::Observed(seen) => Ok(*seen),
@@ -158,15 +160,15 @@ pub(crate) fn status(client: &mut Client) -> anyhow::Result<DaemonStatus> {
     }
 }
 
-/// Blocks the signals that end a program in this thread and those it starts.
+/// Blocks SIGINT, SIGTERM and SIGHUP in this thread and those it starts.
 pub(crate) fn block_end_signals() -> nix::Result<SigSet> {
     let ends = [Signal::SIGINT, Signal::SIGTERM, Signal::SIGHUP].into_iter().collect::<SigSet>();
     ends.thread_block()?;
     Ok(ends)
 }
 
-/// "Done", a status or an event; anything else as the error that it is.
-/// What is not as it was meant is said.
+/// Passes on "done", a status or an event; any other answer is an error.
+/// Prints the warnings of an answer.
 pub(crate) fn check(response: Response) -> anyhow::Result<Response> {
     if let Response::Done { warnings, .. } = &response {
         for warning in warnings {
@@ -184,7 +186,7 @@ pub(crate) fn check(response: Response) -> anyhow::Result<Response> {
     }
 }
 
-/// A jump, for people.
+/// Describes a jump in words.
 pub(crate) fn describe(jump: &Jump) -> String {
     let Jump { axis, counts, um, window_counts } = jump;
     format!("axis {axis}: {counts:+} counts ({um:+.3} µm), belief window {window_counts} counts")

@@ -1,15 +1,15 @@
-//! Documents in JSON, as every verb prints and writes them.
-//! Each ends with its format and the program that wrote it; a list has no place for them.
+//! JSON documents, as every verb prints and writes them.
+//! Each ends with its format and the program that wrote it; a list has neither.
 
 use rtec_files::stamp::signed;
 use serde::Serialize;
 
-/// Over several lines.
+/// The document over several lines.
 pub(crate) fn pretty(document: &impl Serialize) -> anyhow::Result<String> {
     Ok(signed(serde_json::to_string_pretty(document)?) + "\n")
 }
 
-/// On one line.
+/// The document on one line.
 pub(crate) fn line(document: &impl Serialize) -> anyhow::Result<String> {
     Ok(signed(serde_json::to_string(document)?) + "\n")
 }

@@ -1,6 +1,6 @@
-//! How many digits of a figure mean something: those that its uncertainty leaves, two of which are shown.
+//! Rounding of figures to their uncertainty, which is shown with two digits.
 
-/// Decimals at which an uncertainty has two digits; four where it is none.
+/// Decimals at which an uncertainty has two digits; four if there is none.
 fn decimals(half: f64) -> usize {
     if half.is_finite() && half > 0.0 { (1.0 - half.log10().floor()).clamp(0.0, 12.0) as usize } else { 4 }
 }
@@ -17,7 +17,7 @@ pub(crate) fn with_bounds(value: f64, low: f64, high: f64) -> String {
     format!("{value:>12}  [{low}, {high}]")
 }
 
-/// The same with nothing between them.
+/// The value and both bounds, rounded alike.
 pub(crate) fn alike([value, low, high]: [f64; 3]) -> [String; 3] {
     let n = decimals((high - low) / 2.0);
     [value, low, high].map(|v| format!("{v:.n$}"))

@@ -1,4 +1,4 @@
-//! The help: verbs by the door that their user comes through, an example and the exit codes for each.
+//! The help: verbs by the role of their user, with examples and exit codes.
 
 use crate::Cli;
 use clap::error::{ContextKind, ContextValue, ErrorKind};
@@ -7,7 +7,7 @@ use rtec_files::words::nearest;
 use std::ffi::OsString;
 use std::fmt::Write as _;
 
-/// Doors, and who comes through them.
+/// Roles of users, with what each does.
 const DOORS: [(&str, &str); 5] = [
     ("operator", "runs the machine"),
     ("integrator", "wires it, sets it up, connects it to the plant"),
@@ -17,13 +17,13 @@ const DOORS: [(&str, &str); 5] = [
 ];
 
 /// Exit codes of verbs that ask the daemon.
-/// Of verbs that judge something; of verbs that only read files.
+/// Below: of verbs that only show something, and of verbs that judge.
 const ASKS: &str = "0 done; 1 refused; 2 bad usage; 3 no daemon; 4 a fault is latched";
 const SHOWS: &str = "0 shown; 2 bad usage; 3 no daemon";
 const JUDGES: &str = "0 yes; 1 no; 2 bad input or usage";
 const READS: &str = "0 done; 2 bad input or usage";
 
-/// Verb, door, example, exit codes.
+/// Verb, index of its role, example, exit codes.
 const VERBS: [(&str, usize, &str, &str); 40] = [
     ("status", 0, "rtecctl status --watch", "0 shown; 2 bad usage; 3 no daemon; 4 a fault is latched"),
     ("top", 0, "rtecctl top", SHOWS),
@@ -117,7 +117,7 @@ const VERBS: [(&str, usize, &str, &str); 40] = [
     ("help", 4, "rtecctl help status", READS),
 ];
 
-/// Where somebody begins who has never been here: what he wants, and its command.
+/// First steps of a newcomer: the aim, and its command.
 const BEGIN: [(&str, &str); 8] = [
     ("see a machine corrected, ten seconds, no hardware", "rtecctl demo"),
     ("have a machine to try everything on", "rtecctl example mill mill"),
@@ -129,7 +129,7 @@ const BEGIN: [(&str, &str); 8] = [
     ("see all verbs, or one", "rtecctl help"),
 ];
 
-/// What `rtecctl` alone prints.
+/// Text that `rtecctl` prints without arguments.
 pub(crate) fn begin() -> String {
     let mut text = "Where to begin:\n".to_owned();
     for (want, command) in BEGIN {
@@ -139,7 +139,7 @@ pub(crate) fn begin() -> String {
     text + "The guide: /usr/share/doc/rtec/guide of the package, tools/guide of the source.\n"
 }
 
-/// The command line with its help.
+/// The whole command line with its help.
 pub(crate) fn command() -> Command {
     let mut command = crate::with_negative_values(Cli::command());
     let mut list = String::new();
@@ -161,15 +161,15 @@ pub(crate) fn command() -> Command {
         .after_help(list)
 }
 
-/// The command line with this verb alone, to take its words.
-/// None where there is no such verb.
+/// The command line with one verb only, to parse its arguments.
+/// None if there is no such verb.
 pub(crate) fn command_of(verb: &str) -> Option<Command> {
     let own = crate::Verb::described(verb)?;
     Some(crate::with_negative_values(Command::new("rtecctl").subcommand(own)))
 }
 
-/// An error about a verb that is none, with the verbs that were probably meant: clap compares letters of verbs in one place
-/// only, and takes `evaluate` for `enable`.
+/// Adds the most similar verbs to an error about an unknown verb.
+/// clap compares letters among the verbs of one level only, and proposes `enable` for `evaluate`.
 pub(crate) fn with_meant(mut error: clap::Error, words: &[OsString]) -> clap::Error {
     let word = match (error.kind(), error.get(ContextKind::InvalidSubcommand)) {
         (ErrorKind::InvalidSubcommand, Some(ContextValue::String(word))) => word.clone(),
@@ -191,7 +191,8 @@ pub(crate) fn with_meant(mut error: clap::Error, words: &[OsString]) -> clap::Er
     error
 }
 
-/// The verbs that a word may mean where `place` was to have one: with their full names, unless they are `place`'s own.
+/// The verbs that a word may mean at the level of `place`.
+/// They have their full names, unless they belong to `place`.
 fn meant(command: &Command, place: &Command, under: &[String], word: &str) -> Vec<String> {
     let mut all = Vec::new();
     paths(command, &mut Vec::new(), &mut all);
@@ -205,7 +206,7 @@ fn meant(command: &Command, place: &Command, under: &[String], word: &str) -> Ve
         return exactly;
     }
     let own: Vec<&str> = place.get_subcommands().map(Command::get_name).collect();
-    // What switches corrections on is proposed to nobody who did not nearly write it.
+    // `enable` switches corrections on, so it is proposed only for a word that begins like it.
     let begun = |near: &str| near != "enable" || word.starts_with("en");
     if let Some(near) = nearest(word, &own).filter(|near| begun(near)) {
         return vec![near.to_owned()];
@@ -214,7 +215,7 @@ fn meant(command: &Command, place: &Command, under: &[String], word: &str) -> Ve
     nearest(word, &others).filter(|near| begun(near)).map_or_else(Vec::new, called)
 }
 
-/// Every verb, with those that it stands under.
+/// Every verb, with the verbs above it.
 fn paths(command: &Command, under: &mut Vec<String>, all: &mut Vec<Vec<String>>) {
     for verb in command.get_subcommands() {
         under.push(verb.get_name().to_owned());
@@ -224,7 +225,8 @@ fn paths(command: &Command, under: &mut Vec<String>, all: &mut Vec<Vec<String>>)
     }
 }
 
-/// What follows a usage error: an example of the verb and its list of names, where the error does not show them itself.
+/// Hints after a usage error: an example of the verb and its list of names.
+/// A hint that the error already contains is left out.
 pub(crate) fn next(verb: &str, said: &str) -> String {
     let Some((.., example, _)) = VERBS.iter().find(|v| v.0 == verb).filter(|_| !said.contains("Example:"))
     else {
@@ -246,14 +248,14 @@ pub(crate) fn examples() -> impl Iterator<Item = (&'static str, &'static str)> {
     VERBS.iter().filter(|v| v.0 != "help").map(|v| (v.0, v.2))
 }
 
-/// Doors: name, who comes through it, its verbs.
+/// Roles: name, description, verbs.
 #[cfg(test)]
 pub(crate) fn known() -> Vec<(&'static str, &'static str, Vec<&'static str>)> {
     let verbs = |n: usize| VERBS.iter().filter(|v| v.1 == n).map(|v| v.0).collect();
     DOORS.iter().enumerate().map(|(n, (door, who))| (*door, *who, verbs(n))).collect()
 }
 
-/// A description beside its verb, in lines of 80 columns.
+/// A description next to its verb, wrapped at 80 columns.
 fn wrapped(about: &str) -> String {
     let (mut text, mut column) = (String::new(), 16);
     for word in about.split(' ') {
@@ -321,7 +323,7 @@ mod tests {
         }
         let export = said("rtecctl export");
         assert!(export.contains("'model export'") && export.contains("'ledger export'"), "{export}");
-        // Whatever stands under another verb: never the one that switches corrections on.
+        // A verb below another one is never taken for `enable`.
         let mut all = Vec::new();
         paths(&Cli::command(), &mut Vec::new(), &mut all);
         for path in all.iter().filter(|p| p.len() > 1) {

@@ -1,9 +1,11 @@
-//! HTTP/1.1 for a few readers on this computer: one request a connection, each connection in a thread of its own, all within
-//! limits of size and time. Whoever is slow holds up nobody else; a body is read once its head was found good. Where all places
-//! are taken, the connection that has kept its request to itself longest gives way to a new one.
+//! HTTP/1.1 server for a few readers on this computer.
+//! It serves one request per connection and each connection in its own thread, within limits of size and
+//! time. A slow client delays no other. A body is read only after its head was accepted. If all connections
+//! are in use, a new one replaces the oldest whose request is not complete.
 //!
-//! Heads are read by `httparse`, which needs nothing else. `hyper` needs a run time (seventeen crates) and cannot drop
-//! a slow client. `tiny_http` reads bodies on the thread that accepts, so one slow sender stops all.
+//! `httparse` reads the heads and needs no other crate. `hyper` needs a run time (seventeen crates) and
+//! cannot drop a slow client. `tiny_http` reads bodies on the thread that accepts, so that one slow sender
+//! stops all.
 
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 use std::collections::BTreeMap;
@@ -16,27 +18,28 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-/// A head, and a body, are no longer, bytes.
+/// Longest head and longest body, bytes.
 const LONGEST_HEAD: usize = 8192;
 const LONGEST_BODY: usize = 4096;
-/// A head has no more headers.
+/// Largest number of headers.
 const MOST_HEADERS: usize = 64;
-/// A head, and a body, take no longer to come.
+/// Longest time for a head, and for a body.
 const PATIENCE: Duration = Duration::from_secs(5);
-/// Connections at one time.
+/// Largest number of connections at a time.
 const AT_ONCE: usize = 128;
-/// How often is looked whether the server is to end, ms.
+/// Interval of checks whether the server must end, ms.
 const LOOK_MS: u8 = 50;
-/// What still comes after the answer is taken off so long, so that closing does not take the answer with it.
+/// Time for which input is still read after the answer.
+/// Closing earlier could discard the answer.
 const AFTER: Duration = Duration::from_millis(200);
 
-/// What was asked.
+/// A request.
 #[derive(Debug, Default)]
 pub(crate) struct Request {
     pub method: String,
     pub path: String,
     headers: Vec<(String, String)>,
-    /// Empty until the head was found good.
+    /// Empty until the head was accepted.
     pub body: Vec<u8>,
 }
 
@@ -46,7 +49,7 @@ impl Request {
         self.headers.iter().find(|(n, _)| n.eq_ignore_ascii_case(name)).map(|(_, v)| v.as_str())
     }
 
-    /// Length of the body, bytes; none where it is not said in plain digits, once.
+    /// Length of the body, bytes; none unless given once, in plain digits.
     fn length(&self) -> Option<usize> {
         let said = |name: &str| self.headers.iter().filter(|(n, _)| n.eq_ignore_ascii_case(name)).count();
         if said("Transfer-Encoding") > 0 || said("Content-Length") > 1 {
@@ -56,7 +59,7 @@ impl Request {
         text.bytes().all(|b| b.is_ascii_digit()).then(|| text.parse().ok()).flatten()
     }
 
-    /// Reads a head and says how long it is; none while there is not all of it.
+    /// Reads a head and returns its length; none while it is incomplete.
     fn parse(bytes: &[u8]) -> Result<Option<(Self, usize)>, httparse::Error> {
         let mut headers = [httparse::EMPTY_HEADER; MOST_HEADERS];
         let mut found = httparse::Request::new(&mut headers);
@@ -69,7 +72,7 @@ impl Request {
     }
 }
 
-/// What is answered.
+/// An answer.
 #[derive(Debug)]
 pub(crate) struct Answer {
     pub status: u16,
@@ -78,18 +81,18 @@ pub(crate) struct Answer {
 }
 
 impl Answer {
-    /// A line for people.
+    /// An answer that is one line of text.
     pub(crate) fn plain(status: u16, text: &str) -> Self {
         Self { status, kind: "text/plain", body: format!("{text}\n") }
     }
 }
 
-/// Who answers.
+/// Answers requests.
 pub(crate) trait Handler: Send + Sync {
-    /// Whether a request with this head is to be read on.
+    /// Whether the rest of a request with this head is read.
     ///
     /// # Errors
-    /// What is answered instead.
+    /// The answer that is sent instead.
     fn may(&self, head: &Request) -> Result<(), Answer>;
 
     /// The answer to a whole request.
@@ -105,21 +108,21 @@ enum Listener {
 pub(crate) struct Server(Listener);
 
 impl Server {
-    /// At a port; 0 takes a free one.
+    /// Listens at a port; 0 takes a free one.
     pub(crate) fn tcp(at: SocketAddr) -> io::Result<Self> {
         let listener = TcpListener::bind(at)?;
         listener.set_nonblocking(true)?;
         Ok(Self(Listener::Tcp(listener)))
     }
 
-    /// At a path.
+    /// Listens at a path.
     pub(crate) fn unix(path: &Path) -> io::Result<Self> {
         let listener = UnixListener::bind(path)?;
         listener.set_nonblocking(true)?;
         Ok(Self(Listener::Unix(listener)))
     }
 
-    /// Where it listens, when at a port.
+    /// Its address, if it listens at a port.
     pub(crate) fn address(&self) -> io::Result<SocketAddr> {
         match &self.0 {
             Listener::Tcp(listener) => listener.local_addr(),
@@ -127,7 +130,7 @@ impl Server {
         }
     }
 
-    /// Answers until `done` says so.
+    /// Answers until `done` is set.
     ///
     /// # Errors
     /// The listening socket failed.
@@ -148,7 +151,7 @@ impl Server {
                 Err(e) if e.kind() == ErrorKind::InvalidInput => return Err(e),
                 Err(e) if e.kind() == ErrorKind::WouldBlock => continue,
                 Err(_) => {
-                    // Gone again, or no descriptor left: those that are connected end in time.
+                    // The client is gone, or no descriptor is free; open connections end in time.
                     std::thread::sleep(Duration::from_millis(5));
                     continue;
                 }
@@ -158,10 +161,10 @@ impl Server {
             };
             let handler = Arc::clone(handler);
             let started = std::thread::Builder::new().name("http".into()).spawn(move || {
-                // Whoever goes away early is his own affair.
+                // A client may close early; that needs no report.
                 let _ = converse(stream, &*handler, &seat);
             });
-            // Without a thread the connection is closed again.
+            // If no thread can start, the connection is closed.
             drop(started);
         }
         Ok(())
@@ -171,18 +174,20 @@ impl Server {
 /// Ends a connection from outside its thread.
 type CloseConnection = Box<dyn Fn() + Send>;
 
-/// The connections that there are, and of those whose request is not all there, how to end them: the oldest first.
+/// Open connections, and how to close those whose request is incomplete.
+/// The oldest comes first.
 #[derive(Default)]
 struct Seats(Mutex<(u64, usize, BTreeMap<u64, CloseConnection>)>);
 
-/// A connection's place, until it is dropped.
+/// A connection's slot, until it is dropped.
 struct Seat {
     of: Arc<Seats>,
     number: u64,
 }
 
 impl Seats {
-    /// A place; where there is none the one who has kept its request to itself longest gives way. None where all have asked.
+    /// Takes a slot; if none is free, closes the oldest with an incomplete request.
+    /// None if the requests of all are complete.
     fn take(of: &Arc<Self>, hand: CloseConnection) -> Option<Seat> {
         let mut seats = of.lock();
         let (next, taken, silent) = &mut *seats;
@@ -202,7 +207,7 @@ impl Seats {
 }
 
 impl Seat {
-    /// The request is all there: it is answered, whoever comes.
+    /// Marks the request as complete, so that it will be answered.
     fn has_asked(&self) {
         self.of.lock().2.remove(&self.number);
     }
@@ -219,7 +224,7 @@ impl Drop for Seat {
 trait Stream: Read + Write + Send {
     fn patience(&self, time: Duration) -> io::Result<()>;
     fn end(&self) -> io::Result<()>;
-    /// What ends both directions, from wherever it is called.
+    /// Returns a function that ends both directions from any thread.
     fn end_both(&self) -> io::Result<CloseConnection>;
 }
 
@@ -227,7 +232,7 @@ macro_rules! stream {
     ($($kind:ty),*) => {$(
         impl Stream for $kind {
             fn patience(&self, time: Duration) -> io::Result<()> {
-                // An accepted socket may wait, whatever its listener does.
+                // An accepted socket may block, whatever mode its listener has.
                 self.set_nonblocking(false)?;
                 self.set_read_timeout(Some(time.max(Duration::from_millis(1))))?;
                 self.set_write_timeout(Some(PATIENCE))
@@ -246,7 +251,7 @@ macro_rules! stream {
 }
 stream!(TcpStream, UnixStream);
 
-/// One request and its answer.
+/// Handles one request and its answer.
 fn converse(mut stream: Box<dyn Stream>, handler: &dyn Handler, seat: &Seat) -> io::Result<()> {
     let mut bytes = Vec::new();
     let answer =
@@ -293,7 +298,7 @@ fn converse(mut stream: Box<dyn Stream>, handler: &dyn Handler, seat: &Seat) -> 
     Ok(())
 }
 
-/// Reads on, until the deadline at most.
+/// Reads more, until the deadline at most.
 fn more(stream: &mut dyn Stream, bytes: &mut Vec<u8>, deadline: Instant) -> io::Result<()> {
     let left = deadline.saturating_duration_since(Instant::now());
     if left.is_zero() {
@@ -364,10 +369,10 @@ mod tests {
         ] {
             assert!(all(bad).is_err(), "{bad}");
         }
-        // Some send no carriage return; of what is not all there nothing is known.
+        // Some clients send no carriage return. An incomplete head gives nothing.
         assert_eq!(Request::parse(b"GET / HTTP/1.1\n\nbody").unwrap().unwrap().1, 16);
         assert!(Request::parse(b"GET / HTTP/1.1\r\nHost: x\r\n").unwrap().is_none());
-        // Two lengths: which of them is meant is nobody's to guess.
+        // With two lengths it is not known which is meant.
         let twice = parse("POST / HTTP/1.1\r\nContent-Length: 1\r\ncontent-length: 2");
         assert_eq!(twice.length(), None);
         assert_eq!(parse("POST / HTTP/1.1\r\nContent-Length: 12").length(), Some(12));
@@ -385,13 +390,13 @@ mod tests {
         };
         let mut all: Vec<Seat> = (0..AT_ONCE).filter_map(|n| Seats::take(&seats, hand(n))).collect();
         assert_eq!(all.len(), AT_ONCE);
-        // The first has asked: it is answered.
+        // The first request is complete, so it is answered.
         all[0].has_asked();
         for n in 0..3 {
             all.push(Seats::take(&seats, hand(AT_ONCE + n)).unwrap());
         }
         assert_eq!(*ended.lock().unwrap(), [1, 2, 3]);
-        // Where all have asked nobody is cut off.
+        // If all requests are complete, no connection is closed.
         all.iter().for_each(Seat::has_asked);
         assert!(Seats::take(&seats, hand(0)).is_none());
         all.truncate(AT_ONCE - 1);

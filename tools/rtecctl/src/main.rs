@@ -5,12 +5,12 @@
 //! | `verbs/` | one file per verb: its arguments, what it calls, what it prints |
 //! | `help` | verbs by their users, examples, exit codes |
 //! | `http` | a server for a few readers on this computer |
-//! | `progress` | how far a long computation is |
-//! | `terminal` | where the output goes: colours, width, a reader that has gone |
-//! | `archive` | a tar for one user's eyes |
-//! | `daemon` | the running daemon: where its socket is, its answers as exit codes |
+//! | `progress` | progress of a long computation |
+//! | `terminal` | the output's colours and width, and a reader that has gone |
+//! | `archive` | a tar file readable only by its user |
+//! | `daemon` | the connection to the daemon, and its answers as exit codes |
 //!
-//! What must not live here: a formula, a file format, a decision: verbs connect the crates below and print.
+//! These do not belong here: a formula, a file format, a decision. Verbs connect the crates below and print.
 
 // Before the modules, so that all of them print this way.
 macro_rules! print {
@@ -55,7 +55,7 @@ pub(crate) struct Cli {
     verb: Option<Verb>,
 }
 
-// One line a verb: the variant, and the file of `verbs` that has its arguments and does it.
+// One line per verb: the variant, and the file of `verbs` with its arguments and function.
 macro_rules! verbs {
     ($($verb:ident $file:ident,)*) => {
         #[derive(Debug, Subcommand)]
@@ -82,7 +82,8 @@ macro_rules! verbs {
 }
 
 impl Verb {
-    /// Whether it computes; others wait for a daemon, a machine or a person, and print as they go on.
+    /// Whether the verb computes and so shows its progress.
+    /// Others wait for a daemon, a machine or a person, and print as they go on.
     fn computes(&self) -> bool {
         use Verb::{
             Characterise, Designs, Example, History, Model, Part, Reconcile, Replay, Ship, Simulate, Trace,
@@ -134,7 +135,8 @@ verbs! {
     Whoami whoami,
 }
 
-/// Why a command ends without success: the exit codes of the command contract that are not usage errors.
+/// Reasons why a command ends without success.
+/// They are the exit codes of the command contract, except usage errors.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum Outcome {
     /// Exit 1: the run finished and the answer is no.
@@ -151,13 +153,14 @@ pub(crate) enum Outcome {
     Fault(String),
 }
 
-/// A value may be a negative number everywhere: what is out of range is said as that, not as an unknown option.
+/// Allows negative numbers as values everywhere.
+/// A value out of range is then reported as such, not as an unknown option.
 pub(crate) fn with_negative_values(command: clap::Command) -> clap::Command {
     let names: Vec<String> = command.get_subcommands().map(|c| c.get_name().to_owned()).collect();
     let command = command.mut_args(|a| {
         match (a.get_action().takes_values(), a.get_value_delimiter()) {
             (false, _) => a,
-            // A list of numbers is no number to the parser.
+            // clap does not take a list of numbers for a number.
             (true, Some(_)) => a.allow_hyphen_values(true),
             (true, None) => a.allow_negative_numbers(true),
         }
@@ -168,7 +171,7 @@ pub(crate) fn with_negative_values(command: clap::Command) -> clap::Command {
 /// Parses the command line.
 ///
 /// Describing every verb takes longer than most verbs run. So only the named verb is described first. If it does not
-/// take the words, all verbs are described, and help and errors are those of the whole.
+/// accept the words, all verbs are described, and help and errors are those of the whole command line.
 fn asked(words: &[OsString]) -> Result<clap::ArgMatches, clap::Error> {
     let named = words.get(1).and_then(|w| help::command_of(w.to_str()?));
     match named.map(|command| command.try_get_matches_from(words)) {
@@ -189,13 +192,13 @@ fn main() -> ExitCode {
         Ok(cli) => cli,
         Err(error) if error.use_stderr() => {
             let error = help::with_meant(error, &words);
-            // Where standard error takes nothing there is nowhere to say so.
+            // If standard error cannot be written, there is nowhere to report it.
             let _ = error.print();
             let verb = std::env::args_os().nth(1).unwrap_or_default();
             tell(&help::next(&verb.to_string_lossy(), &error.render().to_string()));
             return ExitCode::from(2);
         }
-        // Help and version are output as any other.
+        // Help and version are printed like any other output.
         Err(help) => {
             let text = help.render();
             let styled = terminal::colour();
@@ -221,8 +224,8 @@ fn main() -> ExitCode {
 }
 
 /// Prints to standard output.
-/// A reader that has gone away (`| head`) is no error: what is to be done goes on, and its exit code is what it would
-/// have been. Standard output that takes nothing for another reason ends the command.
+/// A reader that has gone away (`| head`) is not an error: the work goes on, and the exit code stays the
+/// same. If standard output cannot be written for another reason, the command ends.
 pub(crate) fn say(text: &str) {
     let line = progress::cleared();
     let mut out = std::io::stdout().lock();
@@ -236,14 +239,15 @@ pub(crate) fn say(text: &str) {
     }
 }
 
-/// Prints to standard error. Where that takes nothing there is nowhere to say so.
+/// Prints to standard error; if that fails, there is nowhere to report it.
 pub(crate) fn tell(text: &str) {
     let _line = progress::cleared();
     let mut out = std::io::stderr().lock();
     let _ = out.write_all(text.as_bytes()).and_then(|()| out.flush());
 }
 
-/// Exit code of an error: 1 the answer is no, 2 bad input, 3 unreachable, 4 fault latched; anything else is 1.
+/// Exit code of an error.
+/// 1: the answer is no; 2: bad input; 3: unreachable; 4: a fault is latched. Anything else is 1.
 pub(crate) fn exit_code(error: &anyhow::Error) -> u8 {
     for cause in error.chain() {
         let refused = cause.downcast_ref::<std::io::Error>().and_then(std::io::Error::get_ref);
@@ -266,7 +270,7 @@ pub(crate) fn exit_code(error: &anyhow::Error) -> u8 {
 }
 
 /// Compares a text with a golden file of `tests/golden`.
-/// `RTEC_BLESS=1` writes it anew.
+/// `RTEC_BLESS=1` rewrites it.
 #[cfg(test)]
 #[track_caller]
 pub(crate) fn golden(name: &str, text: &str) {
@@ -283,7 +287,8 @@ mod tests {
     use clap::error::ErrorKind;
     use std::ffi::OsString;
 
-    /// Every option of every command, given a negative number: it may be refused, but as a value.
+    /// Gives every option of every command a negative number.
+    /// It may be refused, but only as a value.
     #[test]
     fn a_negative_number_is_a_value_everywhere() {
         let mut tried = 0;
@@ -307,7 +312,7 @@ mod tests {
         assert!(tried > 200, "{tried}");
     }
 
-    /// What one verb's own description takes is what the whole command line takes from it.
+    /// A verb described alone parses its arguments as the whole command line does.
     #[test]
     fn a_verb_alone_is_understood_as_among_all() {
         let both = |line: &str| {
@@ -325,7 +330,7 @@ mod tests {
             assert_eq!(alone.ok(), among.ok(), "{example}");
             assert!(both(&format!("rtecctl {name} --no-such-option")).0.is_err());
         }
-        // Words that the verb does not take are answered by the whole.
+        // Words that the verb does not accept are answered by the whole command line.
         for line in [
             "rtecctl status --help",
             "rtecctl help status",

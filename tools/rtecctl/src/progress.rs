@@ -1,5 +1,6 @@
-//! The line that says how far a long computation is.
-//! It stands on standard error, on a terminal only, and goes when it has ended or anything else is printed.
+//! The line that shows the progress of a long computation.
+//! It is on standard error, on a terminal only. It disappears when the computation ends or anything else is
+//! printed.
 
 use rtec_files::watch::Watch;
 use std::io::{IsTerminal as _, Write as _};
@@ -7,16 +8,16 @@ use std::sync::mpsc::{self, RecvTimeoutError};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-/// What is quicker needs no line.
+/// A quicker computation shows no line.
 const PATIENCE: Duration = Duration::from_secs(2);
-/// The line is renewed so often.
+/// Interval at which the line is renewed.
 const RENEWED: Duration = Duration::from_millis(500);
 
-/// Whether the line is on the terminal now.
+/// Whether the line is on the terminal.
 static SHOWN: Mutex<bool> = Mutex::new(false);
 
-/// Takes the line away before anything else is printed.
-/// The guard keeps it away for as long.
+/// Removes the line before anything else is printed.
+/// The guard prevents it from returning.
 pub(crate) fn cleared() -> impl Drop {
     let mut shown = SHOWN.lock().unwrap_or_else(PoisonError::into_inner);
     if std::mem::take(&mut *shown) {
@@ -27,11 +28,11 @@ pub(crate) fn cleared() -> impl Drop {
 
 fn write(text: &str) {
     let mut out = std::io::stderr().lock();
-    // Where standard error takes nothing there is nowhere to say so.
+    // If standard error cannot be written, there is nowhere to report it.
     let _ = out.write_all(text.as_bytes()).and_then(|()| out.flush());
 }
 
-/// Computes, and shows on a terminal how far it is.
+/// Runs a computation and shows its progress on a terminal.
 pub(crate) fn shown<T>(what: &str, work: impl FnOnce() -> T) -> T {
     if !std::io::stderr().is_terminal() {
         return work();
@@ -51,7 +52,7 @@ pub(crate) fn shown<T>(what: &str, work: impl FnOnce() -> T) -> T {
         let answer = watch.over(work);
         drop(done);
         drop(cleared());
-        // Nobody gives it up: Ctrl-C ends the program.
+        // Nothing cancels it: Ctrl-C ends the program.
         answer.unwrap_or_else(|| std::process::exit(130))
     })
 }

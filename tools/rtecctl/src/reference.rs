@@ -1,5 +1,5 @@
-//! The guide's page of verbs, made from the command line itself.
-//! `RTEC_BLESS=1` writes it anew.
+//! The guide's page of verbs, generated from the command line itself.
+//! `RTEC_BLESS=1` rewrites it.
 
 use crate::help::{command, known};
 use clap::builder::StyledStr;
@@ -62,13 +62,14 @@ fn plain(text: Option<&StyledStr>) -> String {
     text.map(ToString::to_string).unwrap_or_default()
 }
 
-/// A text that ends as a sentence does.
+/// A text with a full stop at its end.
 fn sentence(text: &str) -> String {
     let text = text.trim();
     format!("{text}{}", if text.ends_with(['.', ':']) || text.is_empty() { "" } else { "." })
 }
 
-/// A cell: nothing in it ends the cell or its row, and what looks like HTML is none.
+/// A table cell in which no character ends the cell or the row.
+/// Text that looks like HTML is escaped.
 fn cell(text: &str) -> String {
     text.split_whitespace().collect::<Vec<_>>().join(" ").replace('|', "\\|").replace('<', "&lt;")
 }

@@ -1,4 +1,5 @@
-//! The whole terminal: raw mode, the other screen, cells written with ECMA-48 sequences, keys as they are pressed.
+//! The whole terminal: raw mode, alternate screen, cells and keys.
+//! Cells are written with ECMA-48 sequences.
 
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 use nix::sys::termios::{SetArg, Termios, cfmakeraw, tcgetattr, tcsetattr};
@@ -10,29 +11,29 @@ use std::fmt::Write as _;
 use std::io::{self, Write as _};
 use std::os::fd::AsFd;
 
-/// What a person pressed.
+/// A key that was pressed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Key {
     Letter(char),
     Escape,
-    /// Ctrl-C, which is no signal in raw mode.
+    /// Ctrl-C, which raw mode does not turn into a signal.
     Interrupt,
 }
 
-/// The terminal, taken until this is dropped.
+/// The terminal in raw mode, until this is dropped.
 pub(crate) struct Screen {
     before: Termios,
-    /// Written at the next flush.
+    /// Text to be written at the next flush.
     out: String,
 }
 
-/// The other screen, no cursor; and back.
+/// Sequences for the alternate screen without a cursor, and back.
 const ENTER: &str = "\x1b[?1049h\x1b[?25l";
 const LEAVE: &str = "\x1b[0m\x1b[?25h\x1b[?1049l";
 
 impl Screen {
     /// # Errors
-    /// Standard input is no terminal.
+    /// Standard input is not a terminal.
     pub(crate) fn take() -> io::Result<Self> {
         let before = tcgetattr(io::stdin())?;
         let mut raw = before.clone();
@@ -43,14 +44,14 @@ impl Screen {
 }
 
 impl Drop for Screen {
-    /// A terminal that has gone needs nothing put back.
+    /// A terminal that has gone needs no restoring.
     fn drop(&mut self) {
         let _ = io::stdout().write_all(LEAVE.as_bytes()).and_then(|()| io::stdout().flush());
         let _ = tcsetattr(io::stdin(), SetArg::TCSANOW, &self.before);
     }
 }
 
-/// The keys pressed since the last look; it does not wait.
+/// The keys pressed since the last call; it does not wait.
 ///
 /// # Errors
 /// The terminal cannot be read.
@@ -73,7 +74,7 @@ pub(crate) fn keys() -> io::Result<Vec<Key>> {
 }
 
 /// The keys that a terminal sent.
-/// Arrows and function keys begin with an escape, and nothing here listens to them.
+/// Arrows and function keys begin with an escape sequence, which is skipped.
 fn keys_of(bytes: &[u8]) -> Vec<Key> {
     let text = String::from_utf8_lossy(bytes);
     let mut letters = text.chars().peekable();
@@ -94,7 +95,7 @@ fn keys_of(bytes: &[u8]) -> Vec<Key> {
     keys
 }
 
-/// The sequence for a cell's look: the eight colours that every terminal has.
+/// The sequence for a cell's style, with the eight colours of every terminal.
 fn look_of(cell: &Cell) -> String {
     let mut codes = vec!["0"];
     let marks = [
@@ -119,7 +120,8 @@ fn look_of(cell: &Cell) -> String {
     format!("\x1b[{}m", codes.join(";"))
 }
 
-/// Appends cells at their places: a sequence only where the place or the look changes.
+/// Appends cells at their positions.
+/// A sequence is written only where the position or the style changes.
 fn write_cells<'a>(out: &mut String, cells: impl Iterator<Item = (u16, u16, &'a Cell)>) {
     let (mut next, mut look) = (None, String::new());
     for (x, y, cell) in cells {
@@ -132,7 +134,7 @@ fn write_cells<'a>(out: &mut String, cells: impl Iterator<Item = (u16, u16, &'a 
             look = own;
         }
         out.push_str(cell.symbol());
-        // A wide letter takes two columns: the place after it is asked for anew.
+        // A wide letter takes two columns, so the next position is set explicitly.
         next = (cell.symbol().len() == 1).then_some((x + 1, y));
     }
     out.push_str("\x1b[0m");
@@ -156,7 +158,7 @@ impl Backend for Screen {
         Ok(())
     }
 
-    /// Nobody types here: it is always at the first place.
+    /// There is no text input, so the cursor is always at the origin.
     fn get_cursor_position(&mut self) -> io::Result<Position> {
         Ok(Position::ORIGIN)
     }
@@ -182,7 +184,7 @@ impl Backend for Screen {
         Ok(())
     }
 
-    /// 80 by 24 where the terminal does not know: a serial console says 0.
+    /// 80 by 24 if the terminal does not know its size: a serial console reports 0.
     fn size(&self) -> io::Result<Size> {
         let known = terminal_size::terminal_size().filter(|(w, h)| w.0 > 0 && h.0 > 0);
         Ok(known.map_or(Size::new(80, 24), |(w, h)| Size::new(w.0, h.0)))
@@ -212,7 +214,7 @@ mod tests {
         assert_eq!(keys_of(b"\x03"), [Key::Interrupt]);
         assert_eq!(keys_of(b"\x1b"), [Key::Escape]);
         assert_eq!(keys_of(b"\x1b\x1b"), [Key::Escape, Key::Escape]);
-        // An arrow, F5, F1 and a mouse report are no letters.
+        // An arrow, F5, F1 and a mouse report are not letters.
         assert_eq!(keys_of(b"\x1b[A\x1b[15~\x1bOP\x1b[<0;10;5Mq"), letters("q"));
         assert_eq!(keys_of(b"\x1b["), []);
     }

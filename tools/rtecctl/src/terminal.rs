@@ -1,46 +1,46 @@
-//! Where the output goes: a terminal with colours and a width, a file, a reader that has gone.
+//! The output: a terminal with colours and a width, a file, or a closed pipe.
 
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 use std::io::IsTerminal;
 use std::os::fd::AsFd;
 
-/// A colour of the eight that every terminal has, by what it says.
+/// Meaning of a colour, one of the eight that every terminal has.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Tone {
     /// As it should be.
     Good,
-    /// Worth a look.
+    /// Deserves attention.
     Doubtful,
     /// Wrong.
     Wrong,
 }
 
-/// Colours are not unwanted (`NO_COLOR`, no-color.org) and the terminal knows them.
+/// Whether colours are allowed (`NO_COLOR`, no-color.org) and available.
 pub(crate) fn colours_are_wanted() -> bool {
     let set = |name: &str| std::env::var_os(name).is_some_and(|v| !v.is_empty());
     !set("NO_COLOR") && std::env::var_os("TERM").is_none_or(|term| term != "dumb")
 }
 
-/// Standard output shows colours.
+/// Whether standard output shows colours.
 pub(crate) fn colour() -> bool {
     std::io::stdout().is_terminal() && colours_are_wanted()
 }
 
 /// Columns of the terminal on standard output.
-/// None where it is none, or does not know its own.
+/// None if it is not a terminal, or does not know its width.
 pub(crate) fn width() -> Option<u16> {
     let terminal = std::io::stdout().is_terminal();
     let size = terminal.then(terminal_size::terminal_size).flatten();
     size.and_then(|(width, _)| readable(width.0))
 }
 
-/// A width that text can be read in. A serial console and `script` say 0.
+/// A width in which text can be read. A serial console and `script` report 0.
 fn readable(columns: u16) -> Option<u16> {
     const LEAST: u16 = 20;
     (columns >= LEAST).then_some(columns)
 }
 
-/// A text in a tone, where `colour` says so.
+/// A text in a tone, if `colour` is set.
 pub(crate) fn toned(text: &str, tone: Tone, colour: bool) -> String {
     if !colour {
         return text.to_owned();
@@ -53,7 +53,8 @@ pub(crate) fn toned(text: &str, tone: Tone, colour: bool) -> String {
     format!("\x1b[{code}m{text}\x1b[0m")
 }
 
-/// Nobody reads standard output any more (`| head`): what would go on for ever ends.
+/// Whether the reader of standard output has gone (`| head`).
+/// An endless command then ends.
 pub(crate) fn reader_has_gone() -> bool {
     let stdout = std::io::stdout();
     let mut fds = [PollFd::new(stdout.as_fd(), PollFlags::empty())];
@@ -61,8 +62,9 @@ pub(crate) fn reader_has_gone() -> bool {
         && fds[0].revents().is_some_and(|found| found.contains(PollFlags::POLLERR))
 }
 
-/// A text in lines of so many columns: broken between words, what goes on stands four columns further in. A word that is
-/// longer than a line stays whole, a tone takes no columns.
+/// Wraps a text between words at a number of columns.
+/// Continuation lines are indented by four columns. A word longer than a line stays whole. The sequences of a
+/// tone take no columns.
 pub(crate) fn wrapped(text: &str, width: usize) -> String {
     let mut out = String::new();
     for line in text.lines() {
@@ -89,7 +91,7 @@ pub(crate) fn wrapped(text: &str, width: usize) -> String {
     out
 }
 
-/// Columns of a word, its tones left out.
+/// Columns of a word without the sequences of its tones.
 fn columns(word: &str) -> usize {
     let codes = word.split('\x1b').skip(1);
     let hidden: usize = codes.map(|rest| 1 + rest.find('m').map_or(0, |m| m + 1)).sum();
@@ -111,7 +113,7 @@ mod tests {
         assert_eq!(wrapped("one two three\n", 12), "one two\n    three\n");
         assert_eq!(wrapped("  a bc def\n\nx\n", 6), "  a bc\n      def\n\nx\n");
         assert_eq!(wrapped("ab /a/long/path c\n", 8), "ab\n    /a/long/path\n    c\n");
-        // Two words in a tone, as wide as without.
+        // Two words in a tone are as wide as without it.
         let red = toned("not so:", Tone::Wrong, true) + " µm µm";
         assert_eq!(wrapped(&red, 13), format!("{red}\n"));
         assert_eq!(wrapped(&red, 12), "\x1b[1;31mnot so:\x1b[0m µm\n    µm\n");

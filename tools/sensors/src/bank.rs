@@ -1,4 +1,4 @@
-//! All sensors of one bus, as Linux offers them.
+//! All sensors of one bus, as Linux presents them.
 //!
 //! | source | read from |
 //! |---|---|
@@ -21,7 +21,7 @@ use std::path::{Path, PathBuf};
 pub struct Bank {
     root: PathBuf,
     sensors: Vec<Watch>,
-    /// When each is read next, s.
+    /// Time of each sensor's next reading, s.
     due: Vec<f64>,
     feeds: Vec<Feed>,
     replays: BTreeMap<PathBuf, Record>,
@@ -29,8 +29,8 @@ pub struct Bank {
 }
 
 impl Bank {
-    /// Sensors under a root (`/`; tests put their own tree there).
-    /// `recording` reads one that is to be replayed.
+    /// Sensors under a root (`/`; tests use their own tree).
+    /// `recording` reads a recording that is to be replayed.
     ///
     /// # Errors
     /// A recording to replay that cannot be read.
@@ -52,7 +52,7 @@ impl Bank {
                         SensorSource::Line { from: other, .. } if other == from => Some(c.timeout_s),
                         _ => None,
                     });
-                    // A sensor is silent by then, and nothing else came either.
+                    // By then one of its sensors is silent, and the feed has sent nothing else either.
                     let idle_s = timeouts.fold(f64::INFINITY, f64::min);
                     feeds.push(Feed::of(from, keys).idle_after(idle_s));
                 }
@@ -67,7 +67,7 @@ impl Bank {
         Ok(Self { root: root.to_owned(), sensors, due, feeds, replays, replay_start: None })
     }
 
-    /// The longest time after which something may be due, s.
+    /// Longest time that may pass before the next reading is due, s.
     #[must_use]
     pub fn pause_s(&self) -> f64 {
         let shortest = self.sensors.iter().map(|w| w.config().period_s).fold(1.0, f64::min);
@@ -80,7 +80,7 @@ impl Bank {
         &self.sensors
     }
 
-    /// Reads what is due at a time, s.
+    /// Reads all sensors that are due at a time, s.
     pub fn poll(&mut self, now_s: f64) {
         for feed in &mut self.feeds {
             feed.poll(now_s);
@@ -107,7 +107,7 @@ impl Bank {
         }
     }
 
-    /// The worst state of the named sensors, and which sensor has it.
+    /// The worst state of the named sensors, and the sensor that has it.
     /// It decides what a model that reads them may do now.
     #[must_use]
     pub fn usable<'a>(&'a self, names: &[String], now_s: f64) -> (Use, Option<&'a Watch>) {
@@ -127,7 +127,7 @@ fn number_of(path: &Path) -> Result<f64, String> {
     text.trim().parse().map_err(|_| format!("{}: `{}` is no number", path.display(), text.trim()))
 }
 
-/// The folder under `class` that is called so, or whose `name` file says so.
+/// The folder in `class` with this name, or whose `name` file contains it.
 fn folder(class: &Path, name: &str) -> Result<PathBuf, String> {
     let own = class.join(name);
     if own.is_dir() {
@@ -142,7 +142,7 @@ fn folder(class: &Path, name: &str) -> Result<PathBuf, String> {
 
 fn iio(root: &Path, device: &str, channel: u32) -> Result<f64, String> {
     let dir = folder(&root.join("sys/bus/iio/devices"), device)?;
-    // A device with one channel may leave its number out.
+    // A device with one channel may omit its number.
     let stem = [format!("in_temp{channel}"), "in_temp".to_owned()];
     let found = stem
         .iter()
@@ -176,11 +176,11 @@ fn one_wire(root: &Path, id: &str) -> Result<f64, String> {
     value.map(|v| v / 1000.0).ok_or_else(|| format!("{}: no t=", path.display()))
 }
 
-/// Whether something can be read from a sensor now, under a root.
-/// Of a feed from another computer, and of a recording, nothing is asked.
+/// Checks that a sensor can be read now, under a root.
+/// Feeds from other computers and recordings are not checked.
 ///
 /// # Errors
-/// Why nothing can be read.
+/// The reason why nothing can be read.
 pub fn look(root: &Path, source: &SensorSource) -> Result<(), String> {
     match source {
         SensorSource::Iio { device, channel } => iio(root, device, *channel).map(drop),
@@ -193,7 +193,7 @@ pub fn look(root: &Path, source: &SensorSource) -> Result<(), String> {
     }
 }
 
-/// The row that was last at a time since the replay's start.
+/// The latest row at a time since the replay's start.
 /// After the last row the sensor is silent.
 fn replay(record: &Record, column: &str, t_s: f64) -> Result<f64, String> {
     let data = record.columns.iter().find(|c| c.name == column).map(|c| &c.data);
@@ -276,7 +276,7 @@ mod tests {
         bank.poll(0.0);
         let (mut peer, _) = server.accept().unwrap();
         peer.write_all(b"T1 21.5\nb=22.25\nnonsense\nT1 21.5").unwrap();
-        // The bytes are on their way through the loopback; a thousand polls are more than they need.
+        // The bytes are still in the loopback; a thousand polls are more than enough.
         for i in 0..1000 {
             bank.poll(0.001 * f64::from(i));
             if bank.sensors().iter().all(|w| w.value_degc().is_some()) {
@@ -321,7 +321,7 @@ mod tests {
             panic!("nothing came");
         };
         comes(&mut bank, &mut peer, "a 20\nb 21\n", 1.0);
-        // Only one of them goes on.
+        // Only one of them continues.
         for s in 2..=8 {
             comes(&mut bank, &mut peer, "a 20\n", f64::from(s));
         }
@@ -329,7 +329,7 @@ mod tests {
             (why(&bank, 0), why(&bank, 1)),
             (None, Some("silent (connected, no line b for 7 s)".into()))
         );
-        // It loses its power: nothing is closed. After the time that a sensor may be silent it is connected anew.
+        // The gateway loses its power and closes nothing. After the sensor's timeout it is connected again.
         server.set_nonblocking(true).unwrap();
         bank.poll(12.0);
         assert_eq!(why(&bank, 0).unwrap(), "silent (connected, no line a for 4 s)");

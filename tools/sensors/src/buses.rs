@@ -1,5 +1,5 @@
-//! One thread per bus reads its sensors, and one logs them.
-//! A slow sensor so delays only those of its own bus.
+//! One thread per bus reads its sensors, and one thread logs them.
+//! A slow sensor thus delays only those of its own bus.
 
 use crate::bank::Bank;
 use crate::{SensorConfig, SensorSource, Use, Watch, log};
@@ -33,15 +33,15 @@ impl Clock {
     }
 }
 
-/// What each bus's thread has read last.
-/// `places`: per sensor, in the configuration's order, its bus and its place there.
+/// Last readings of each bus's thread.
+/// `places`: each sensor's bus and index there, in the configuration's order.
 #[derive(Clone, Default)]
 struct Latest {
     buses: Vec<Arc<Mutex<Vec<Watch>>>>,
     places: Vec<(usize, usize)>,
 }
 
-/// All sensors, as they were last read.
+/// All sensors with their last readings.
 pub struct Buses {
     latest: Latest,
     watches: Vec<Watch>,
@@ -49,7 +49,8 @@ pub struct Buses {
 
 impl Buses {
     /// Starts the threads.
-    /// Each `log_s` seconds the temperatures go to the log in `directory`. `recording` reads one that is replayed.
+    /// Every `log_s` seconds the temperatures are written to the log in `directory`. `recording` reads a
+    /// recording that is replayed.
     ///
     /// # Errors
     /// A recording to be replayed that cannot be read.
@@ -79,7 +80,8 @@ impl Buses {
             let bank = Bank::new(own, Path::new("/"), &recording)?;
             let shared = Arc::new(Mutex::new(bank.sensors().to_vec()));
             latest.buses.push(Arc::clone(&shared));
-            // It may hang in a driver: nobody waits for it, its sensors grow old and are said to be silent.
+            // The thread may hang in a driver. Nothing waits for it; its sensors age and are reported as
+            // silent.
             std::thread::spawn(move || listen(bank, &shared, clock));
         }
         if !configs.is_empty() {
@@ -116,7 +118,7 @@ fn listen(mut bank: Bank, shared: &Mutex<Vec<Watch>>, clock: Clock) {
     let pause = Duration::from_secs_f64(bank.pause_s());
     loop {
         bank.poll(clock.now_s());
-        // The lock is held for a copy only, never while a sensor is read.
+        // The lock is held only for a copy, never during a reading.
         lock(shared).clone_from_slice(bank.sensors());
         std::thread::sleep(pause);
     }

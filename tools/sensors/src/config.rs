@@ -32,7 +32,7 @@ keys! {
     max_rate_K_per_min: Number(1e-3, 1e4), "K/min", "10", "the fastest change that is believed";
 }
 
-/// Where a sensor's values come from.
+/// Source of a sensor's values.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
 #[allow(missing_docs)]
 pub enum SensorSource {
@@ -48,37 +48,37 @@ pub enum SensorSource {
     Line { from: String, key: String },
 }
 
-/// A sensor as it is configured.
+/// A configured sensor.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SensorConfig {
     /// Name, as effects use it.
     pub name: String,
-    /// Where it sits on the machine, for people.
+    /// Its place on the machine, for people.
     pub place: String,
-    /// What it reads: a temperature, or another role that an effect may ask for.
+    /// Its quantity: a temperature, or another role that an effect may need.
     /// Roles are spindle speed, coolant, load and channel.
     pub role: Role,
-    /// Where its values come from.
+    /// Source of its values.
     pub source: SensorSource,
     /// Time between readings, s.
     pub period_s: f64,
-    /// What it can plausibly read, °C (or its role's unit).
+    /// Its plausible range, °C (or the unit of its role).
     pub range: [f64; 2],
-    /// The fastest change that can be real, K/min; infinite for what is no temperature.
+    /// Fastest possible change, K/min; infinite for roles other than temperature.
     pub max_rate_k_per_min: f64,
-    /// Without a reading for so long it is silent, s.
+    /// Time without a reading after which it is silent, s.
     pub timeout_s: f64,
-    /// Exactly the same value for so long is stuck, s.
-    /// 0 where the sensor is too coarse to tell.
+    /// Time with exactly the same value after which it is stuck, s.
+    /// 0 if the sensor is too coarse to tell.
     pub stuck_s: f64,
-    /// The last good value stands for so long, s; after that corrections hold.
+    /// Time for which the last good value is used, s; after that corrections hold.
     pub freeze_s: f64,
 }
 
 impl SensorConfig {
     /// Reads one `[[sensor]]`.
     fn read(source: &mut SourceFile<'_>, mut s: Section<'_>) -> Option<Self> {
-        // A key of another source is not wrong, only without effect.
+        // A key of another source is accepted, but has no effect.
         for key in KEYS {
             s.has(key.name);
         }
@@ -138,7 +138,7 @@ impl SensorConfig {
     ) -> Option<SensorSource> {
         let kind = s.pick(source, "source", &["iio", "hwmon", "one_wire", "csv", "line"])?.value;
         let name = name.map_or(String::new(), |at| at.value.to_owned());
-        // The key that must say where the readings are, and what it may be.
+        // The key that must say where the readings are, and its permitted values.
         let (key, good, expected): (_, fn(&str) -> bool, _) = match kind {
             "iio" => ("device", is_one_folder, "a device's name, as \"iio:device0\""),
             "hwmon" => ("chip", is_one_folder, "a chip's name, as \"tmp102\""),
@@ -173,7 +173,7 @@ impl SensorConfig {
     }
 
     /// A sensor whose readings are always believed and never expire.
-    /// It belongs to a simulation or a recorded shift.
+    /// It is used in simulations and for recorded shifts.
     #[must_use]
     pub fn believed(name: &str, role: Role) -> Self {
         Self {
@@ -191,8 +191,8 @@ impl SensorConfig {
     }
 }
 
-/// Reads the `[[sensor]]` tables; a recording's path is beside the file.
-/// A table with a mistake is a finding, and no sensor.
+/// Reads the `[[sensor]]` tables; a recording's path is relative to the file.
+/// A table with a mistake gives a finding and no sensor.
 pub fn read_tables(source: &mut SourceFile<'_>, root: &mut Section<'_>) -> Vec<SensorConfig> {
     let mut all: Vec<SensorConfig> = Vec::new();
     for s in root.tables(source, "sensor", "[[sensor]]") {
@@ -206,7 +206,7 @@ pub fn read_tables(source: &mut SourceFile<'_>, root: &mut Section<'_>) -> Vec<S
     all
 }
 
-/// Family and serial number (w1(7)): 28-0316a2798cff.
+/// Whether this is a family and serial number (w1(7)), such as 28-0316a2798cff.
 fn is_one_wire(id: &str) -> bool {
     let hex = |s: &str| !s.is_empty() && s.chars().all(|c| c.is_ascii_hexdigit());
     id.split_once('-')

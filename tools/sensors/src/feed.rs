@@ -18,41 +18,41 @@ pub struct Feed {
     pub(crate) from: String,
     stream: Option<Stream>,
     partial: Vec<u8>,
-    /// The keys that somebody reads; all, up to [`KEYS`], where nobody says.
+    /// Keys to be read; if not given, the first [`KEYS`] keys of the feed.
     keys: Option<BTreeSet<String>>,
     values: BTreeMap<String, f64>,
-    /// Why there is no connection.
+    /// Reason why there is no connection.
     trouble: String,
     /// The time of each key's last value, and the last unreadable line since then.
     came: BTreeMap<String, (f64, Option<String>)>,
-    /// The lines that could not be read, until somebody asks.
-    /// No more than [`ODD_LINES`] of them.
+    /// Lines that could not be read, until [`Feed::odd_lines`] takes them.
+    /// At most [`ODD_LINES`] are kept.
     odd: Vec<String>,
-    /// Lines that could not be read, of all.
+    /// Total number of lines that could not be read.
     refused: u64,
-    /// When it was connected, and when anything came last, s.
+    /// Time of connection, and of the last data, s.
     connected_at: f64,
     bytes_at: f64,
-    /// A connection by which nothing comes for so long is given up, s.
+    /// Time without data after which the connection is closed, s.
     idle_s: f64,
-    /// The last poll, s.
+    /// Time of the last poll, s.
     now_s: f64,
     retry_at: f64,
-    /// When it is next made sure that the device is still the one that was opened.
+    /// Time of the next check that the device is still the opened one, s.
     check_at: f64,
 }
 
-/// Keys of a feed of which nobody says which are read.
+/// Largest number of keys of a feed whose keys are not given.
 const KEYS: usize = 256;
-/// The most that one poll reads, bytes.
+/// Largest amount that one poll reads, bytes.
 /// A poll comes every few tens of milliseconds, and a sensor's line has some tens of bytes.
 const MOST: usize = 256 << 10;
-/// Lines that could not be read and are kept in their words.
+/// Number of unreadable lines whose text is kept.
 const ODD_LINES: usize = 16;
-/// A line that is longer is no sensor's, bytes.
+/// Longest line that a sensor can send, bytes.
 const LONGEST_LINE: usize = 4096;
 
-/// A larger value, or one that is not a number, is no sensor's reading, °C.
+/// Largest possible reading, °C; larger ones and NaN are refused.
 const LARGEST: f64 = 1e6;
 
 /// Default time without data after which a connection is closed, s.
@@ -89,7 +89,7 @@ impl Feed {
         }
     }
 
-    /// A feed of which these keys are read, and no others kept.
+    /// A feed from which only these keys are read and kept.
     #[must_use]
     pub fn of(from: &str, keys: impl IntoIterator<Item = String>) -> Self {
         Self { keys: Some(keys.into_iter().collect()), ..Self::new(from) }
@@ -113,7 +113,7 @@ impl Feed {
         let address = self.from.to_socket_addrs()?.next().ok_or_else(none)?;
         let stream = TcpStream::connect_timeout(&address, Duration::from_millis(200))?;
         stream.set_nonblocking(true)?;
-        // The other side may lose its power and say nothing of it: the kernel asks whether it is there.
+        // The other side may lose its power without notice; the kernel then probes the connection.
         setsockopt(&stream, sockopt::KeepAlive, &true)?;
         setsockopt(&stream, sockopt::TcpKeepIdle, &10)?;
         setsockopt(&stream, sockopt::TcpKeepInterval, &5)?;
@@ -121,15 +121,15 @@ impl Feed {
         Ok(Stream::Tcp(stream))
     }
 
-    /// The value of a key that came with the last poll, or what is in the way.
+    /// The value of a key that came with the last poll.
     ///
     /// # Errors
-    /// No such value: why.
+    /// The reason why there is no such value.
     pub fn value(&self, key: &str) -> Result<f64, String> {
         self.values.get(key).copied().ok_or_else(|| self.why_not(key))
     }
 
-    /// Why there is no value of a key now.
+    /// Reason why a key has no value now.
     fn why_not(&self, key: &str) -> String {
         if self.stream.is_none() {
             return self.trouble.clone();
@@ -147,19 +147,19 @@ impl Feed {
         }
     }
 
-    /// The lines that could not be read since this was asked last, in words.
+    /// Takes the lines that could not be read since the last call, in words.
     pub fn odd_lines(&mut self) -> Vec<String> {
         std::mem::take(&mut self.odd)
     }
 
-    /// How many lines could not be read.
+    /// Number of lines that could not be read.
     #[must_use]
     pub fn refused(&self) -> u64 {
         self.refused
     }
 
-    /// Why a connection that was there is gone.
-    /// `None` while it is there or has never been.
+    /// Reason why an earlier connection is lost.
+    /// `None` while it is open, or if there never was one.
     #[must_use]
     pub fn lost(&self) -> Option<&str> {
         (self.stream.is_none() && self.connected_at.is_finite()).then_some(self.trouble.as_str())
@@ -172,7 +172,7 @@ impl Feed {
         }
     }
 
-    /// Takes in what has come; values are taken once, so that silence shows.
+    /// Reads new data. A value is shown for one poll only, so that silence is seen.
     pub fn poll(&mut self, now_s: f64) {
         self.values.clear();
         self.now_s = now_s;
@@ -185,7 +185,7 @@ impl Feed {
             && now_s >= self.check_at
         {
             self.check_at = now_s + RETRY_S;
-            // A device that was pulled out reads as one that has nothing to say, and comes back as another file.
+            // A device that was unplugged reads as a silent one, and returns as another file.
             if let Err(gone) = same(file, Path::new(&self.from)) {
                 self.trouble = gone.to_string();
                 self.stream = None;
@@ -207,7 +207,7 @@ impl Feed {
         let mut left = MOST;
         while let Some(stream) = &mut self.stream {
             if left == 0 {
-                // What it sends is old by the time it is read, and there is no end to it.
+                // Its values would be old by the time they are read, without end.
                 self.lose(format!("it sends more than {MOST} bytes between two looks"), now_s);
                 return;
             }
@@ -235,7 +235,7 @@ impl Feed {
         }
     }
 
-    /// Gives a connection up, and what came by it.
+    /// Closes a connection and discards its data.
     fn lose(&mut self, why: String, now_s: f64) {
         self.trouble = why;
         self.stream = None;
@@ -272,7 +272,7 @@ impl Feed {
             }
         }
         self.partial.drain(..begin);
-        // A feed that never ends its line is no feed.
+        // A sender that never ends its line is not a sensor.
         if self.partial.len() > LONGEST_LINE {
             self.partial.clear();
             self.refuse(format!("a line longer than {LONGEST_LINE} bytes"));
@@ -331,12 +331,12 @@ mod tests {
         peer.write_all(&[b'x'; LONGEST_LINE + 1]).unwrap();
         until(&mut feed, &|f| f.odd.iter().any(|odd| odd.contains("longer than")));
         assert!(feed.partial.len() <= LONGEST_LINE && feed.odd.len() <= ODD_LINES);
-        // Without a pause: every poll ends, and soon the feed is given up.
+        // A sender without pauses: every poll ends, and soon the connection is closed.
         let flood = std::thread::spawn(move || while peer.write_all(&[b'\n'; 4096]).is_ok() {});
         until(&mut feed, &|f| f.trouble.contains("between two looks"));
         assert!(feed.stream.is_none());
         flood.join().unwrap();
-        // Where nobody says which keys are read there are not more than this.
+        // If the keys are not given, at most this many are kept.
         let mut feed = Feed::new(&from);
         for n in 0..10_000 {
             feed.partial.extend_from_slice(format!("K{n} 1\n").as_bytes());
@@ -360,7 +360,7 @@ mod tests {
         fs::write(&device, "T1 21\n").unwrap();
         feed.poll(12.0);
         assert_eq!(feed.value("T1"), Ok(21.0));
-        // Another one at once in its place.
+        // At once another device in its place.
         let other = directory.path().join("other");
         fs::write(&other, "T1 22\n").unwrap();
         fs::rename(&other, &device).unwrap();

@@ -5,11 +5,11 @@
 //! | `config` | `[[sensor]]` of a file: keys, bounds, defaults |
 //! | [`bank`] | all sensors of one bus: sysfs, recordings, feeds |
 //! | [`feed`] | lines `NAME VALUE` over TCP or a serial device |
-//! | [`trust`] | whether a reading is believed: good, its last good value, or hold |
+//! | [`trust`] | whether a reading is believed: good, replaced by the last good value, or hold |
 //! | [`buses`] | one thread per bus, and the latest readings |
 //! | [`log`] | the temperatures' log, which a restart reads back |
 //!
-//! What a reading is worth in micrometres is not known here.
+//! This crate does not know the effect of a reading in micrometres.
 
 pub mod bank;
 pub mod buses;

@@ -5,12 +5,12 @@ use std::fs::{File, OpenOptions};
 use std::io::{self, BufRead, BufReader, Write};
 use std::path::Path;
 
-/// The log, and the one before it.
+/// File names of the log and of the previous one.
 pub const NAMES: [&str; 2] = ["temperatures.csv", "temperatures.old.csv"];
-/// A log of this size becomes the old one, bytes: some days of twenty sensors.
+/// Size at which the log becomes the old one, bytes: some days of twenty sensors.
 const FULL: u64 = 16 << 20;
 
-/// Adds a row; what is not good is left empty.
+/// Adds a row; values of sensors that are not good are left empty.
 pub(crate) fn append(
     directory: &Path,
     names: &[String],
@@ -33,19 +33,19 @@ pub(crate) fn append(
     let cells: Vec<String> = values.iter().map(cell).collect();
     row += &[format!("{now_s:.3}"), cells.join(",")].join(",");
     row.push('\n');
-    // One write: a row is there whole, or torn at the very end of the file, where the reader drops it.
+    // One write: a row is whole, or torn at the file's end, where the reader drops it.
     OpenOptions::new().append(true).create(true).open(path)?.write_all(row.as_bytes())
 }
 
 /// The logged rows of these sensors, oldest first: time and temperatures, °C.
-/// Rows where one of them is not known are left out, as is what a crash has torn and what the clock has passed twice.
+/// Rows with an unknown value are left out, as are torn rows and times that the clock passed twice.
 #[must_use]
 pub fn history(directory: &Path, names: &[String], now_s: f64) -> Vec<(f64, Vec<f64>)> {
     let mut rows: Vec<(f64, Vec<f64>)> = Vec::new();
     for name in NAMES.iter().rev() {
         let file = directory.join(name);
         let Ok(mut bytes) = std::fs::read(&file) else { continue };
-        // What has no end was torn.
+        // A line without an end was torn.
         bytes.truncate(bytes.iter().rposition(|b| *b == b'\n').map_or(0, |end| end + 1));
         let Ok(mut reader) = csv::Reader::new(&file, bytes.as_slice()) else { continue };
         let Ok(header) = reader.header("the sensors' names") else { continue };
@@ -82,7 +82,7 @@ mod tests {
         put(&["T1", "T2"], 1.0, &[Some(20.0), Some(21.5)]);
         put(&["T1", "T2"], 2.0, &[Some(20.1), None]);
         put(&["T1", "T2"], 3.0, &[Some(20.2), Some(21.7)]);
-        // Other sensors now: a new log, the old one is still read.
+        // Other sensors give a new log; the old one is still read.
         put(&["T2", "T1", "T3"], 4.0, &[Some(21.8), Some(20.3), None]);
         put(&["T2", "T1", "T3"], 3.5, &[Some(21.8), Some(20.3), None]);
         put(&["T2", "T1", "T3"], 99.0, &[Some(21.8), Some(20.3), None]);

@@ -1,22 +1,23 @@
 //! Trust in a sensor.
-//! A sensor that is stuck, jumps, falls silent or reads an impossible value is reported by name. Its last good value
-//! is used for a stated time, then corrections hold. Whoever reads the sensor passes each reading in here.
+//! A sensor that is stuck, jumps, falls silent or reads an impossible value is reported by name. Its last
+//! good value is used for a stated time, then corrections hold. The reader of the sensor offers each reading
+//! here.
 
 use crate::SensorConfig;
 use rtec_model::limits::disconnected;
 use rtec_model::record::Role;
 use std::sync::Arc;
 
-/// What is wrong with a sensor.
+/// Fault of a sensor.
 #[derive(Debug, Clone, PartialEq)]
 pub enum SensorFault {
-    /// No reading: why, and since when (s of the caller's clock).
+    /// No reading: the reason, and since when (s of the caller's clock).
     Silent(String),
     /// A reading outside its range or not a number, °C.
     Implausible(f64),
-    /// What an input reads without its sensor, °C, and which.
+    /// Value that an input reads without its sensor, °C, and its kind.
     Unplugged(f64, &'static str),
-    /// A change faster than can be real: from, to, °C.
+    /// A change that is impossibly fast: from, to, °C.
     Jump(f64, f64),
     /// Exactly this value for too long, °C.
     Stuck(f64),
@@ -34,12 +35,12 @@ impl std::fmt::Display for SensorFault {
     }
 }
 
-/// What a model may make of a sensor now.
+/// How a model may use a sensor now.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Use {
     /// Its value is good.
     Good,
-    /// Its last good value stands in.
+    /// Its last good value is used instead.
     Frozen,
     /// Too old: corrections that depend on it hold.
     Hold,
@@ -52,7 +53,7 @@ pub struct Watch {
     good: Option<(f64, f64)>,
     raw: Option<(f64, f64)>,
     last_reading_s: Option<f64>,
-    /// The next reading's possible range, by the good readings and the fastest change.
+    /// Possible range of the next reading, by good readings and the fastest change.
     reach: Option<Reach>,
     fault: Option<SensorFault>,
 }
@@ -71,13 +72,13 @@ impl Reach {
         Self { low: value, high: value, at_s }
     }
 
-    /// Some time later, at a rate, K/s.
+    /// The range some time later, at a rate, K/s.
     fn at(self, now_s: f64, rate: f64) -> Self {
         let change = rate * (now_s - self.at_s).max(0.0);
         Self { low: self.low - change, high: self.high + change, at_s: now_s }
     }
 
-    /// After a good reading now.
+    /// The range after a good reading at the same time.
     fn with(self, value: f64) -> Self {
         Self { low: self.low.max(value), high: self.high.min(value), ..self }
     }
@@ -103,7 +104,7 @@ impl Watch {
         &self.config
     }
 
-    /// Takes a reading (or why there is none) at a time, s.
+    /// Takes a reading, or the reason why there is none, at a time, s.
     pub fn offer(&mut self, now_s: f64, reading: Result<f64, String>) {
         let value = match reading {
             Err(why) => {
@@ -142,22 +143,22 @@ impl Watch {
         }
     }
 
-    /// The fastest change that can be real, K/s.
+    /// Fastest possible change, K/s.
     fn rate(&self) -> f64 {
         self.config.max_rate_k_per_min / 60.0
     }
 
-    /// More than can have changed since the good values so far.
-    /// One second's worth for the reading itself.
+    /// Whether a value differs by more than can have changed since the good values.
+    /// One second of change is allowed for the reading itself.
     fn jumps(&self, now_s: f64, value: f64) -> bool {
         let Some(reach) = self.reach.filter(|_| self.rate().is_finite()) else { return false };
         let Reach { low, high, .. } = reach.at(now_s, self.rate());
-        // What rounding makes of it is no change.
+        // A difference by rounding is not a change.
         let reading = self.rate() + 1e-9;
         value > high + reading || value < low - reading
     }
 
-    /// Why this reading is not a temperature of the machine.
+    /// Reason why this reading is not a temperature of the machine, if so.
     /// It is an error code outside any machine's range, or a code (85 °C, 0 °C) that it cannot have reached.
     fn unplugged(&self, now_s: f64, value: f64) -> Option<&'static str> {
         if self.config.role != Role::Temperature || self.config.range[0] == f64::NEG_INFINITY {
@@ -179,13 +180,13 @@ impl Watch {
         self.good.map(|g| now_s - g.1)
     }
 
-    /// What is wrong with it.
+    /// What is wrong with it, if anything.
     #[must_use]
     pub fn fault(&self) -> Option<&SensorFault> {
         self.fault.as_ref()
     }
 
-    /// What a model may make of it now.
+    /// How a model may use it now.
     #[must_use]
     pub fn usable(&self, now_s: f64) -> Use {
         let old = self.age_s(now_s).unwrap_or(f64::INFINITY);
@@ -260,7 +261,8 @@ mod tests {
             };
             let (seen, true_degc) = follows(5.0);
             assert!((seen - true_degc).abs() < 1e-9, "{per_s} a second, noise {noise}: {seen} {true_degc}");
-            // 15 times too fast for two minutes: 6 K a minute and the one second of a reading are believed, not 90.
+            // 15 times too fast for two minutes: it is believed for 6 K a minute and one second of change,
+            // not 90 K a minute.
             let (seen, _) = follows(90.0);
             assert!(seen < 20.0 + 2.0 * 6.0 + 0.2 + 2.0 * noise, "{per_s} a second, noise {noise}: {seen}");
         }
@@ -289,7 +291,7 @@ mod tests {
             w.fault().is_some()
         };
         assert_eq!([9.9, 10.0, 80.0, 80.1].map(channel), [true, false, false, true]);
-        // 6 K a minute: a kelvin in nine seconds and the one of the reading itself.
+        // 6 K a minute: a kelvin in nine seconds, plus one second of change for the reading itself.
         let jump = |value: f64| {
             let mut w = watch();
             w.offer(100.0, Ok(20.0));
@@ -308,7 +310,7 @@ mod tests {
             [3.1, 10.0, 10.1].map(silent),
             [(true, Use::Frozen), (true, Use::Frozen), (true, Use::Hold)]
         );
-        // Stuck is the same value for more than 20 s; a value that changes is not, however long.
+        // The same value for more than 20 s is stuck; a changing value is not, for any time.
         let stuck = |until: i32, step: f64| {
             let mut w = watch();
             (0..=until).for_each(|s| w.offer(100.0 + f64::from(s), Ok(20.0 + step * f64::from(s))));
@@ -318,8 +320,8 @@ mod tests {
         assert_eq!(stuck(60, 0.01), None);
     }
 
-    /// 0 and 85 °C are temperatures too, but not the first that is heard.
-    /// Of what is no temperature, and where every reading is believed, they are values like any other.
+    /// 0 and 85 °C are temperatures too, but not as a sensor's first reading.
+    /// For other roles, and where every reading is believed, they are ordinary values.
     #[test]
     fn a_code_is_one_only_where_a_temperature_is_read() {
         let source = SensorSource::OneWire { id: "28-0".into() };

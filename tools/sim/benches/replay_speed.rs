@@ -1,7 +1,8 @@
-//! Edges per second of a replay from a CSV file, and how much memory it took:
-//! `cargo bench -p rtec-sim --bench replay_speed [-- EDGES]`.
+//! Prints a replay's edges per second from a CSV file, and its memory.
+//! Run it as `cargo bench -p rtec-sim --bench replay_speed [-- EDGES]`.
 //!
-//! The axis goes 1000 counts forth and back at 2 µs a count; a correction of ±2 counts is requested every 500 edges.
+//! The axis moves 1000 counts there and back at 2 µs per count. A correction of ±2 counts is requested every
+//! 500 edges.
 
 use rtec_driver::quadrature::State;
 use rtec_driver::replay::RequestedTotal;

@@ -1,4 +1,4 @@
-//! Prints how fast the simulation is: `cargo bench -p rtec-sim --bench sim_speed`.
+//! Prints the simulation's speed: `cargo bench -p rtec-sim --bench sim_speed`.
 
 use rtec_model::machine::Machine;
 use rtec_sim::gcode::parse;

@@ -1,4 +1,4 @@
-//! The same move on the same simulated machine, uncorrected and corrected.
+//! One move on the same simulated machine, uncorrected and corrected.
 use rtec_model::machine::Machine;
 use rtec_sim::gcode::parse;
 use rtec_sim::sim::{Sim, Spec};

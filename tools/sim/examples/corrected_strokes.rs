@@ -1,4 +1,4 @@
-//! The real-time thread on a mock card with a moving axis, corrected from here.
+//! The real-time thread on a mock card with a moving axis that this corrects.
 //! Run it as `corrected_strokes [SECONDS]`.
 use rtec_correct::{AxisSetup, Corrector, RAMP_UM_S};
 use rtec_driver::{card::AxisLines, card::MachineLines, clock::Monotonic, mock::MockCard};
@@ -14,7 +14,7 @@ use std::time::{Duration, Instant};
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let seconds = std::env::args().nth(1).and_then(|s| s.parse().ok()).unwrap_or(1.0);
     let lines = AxisLines::standard(0, true);
-    // 1 µm a count: 20 mm there and back at 60 mm/s.
+    // 1 µm per count: 20 mm there and back at 60 mm/s.
     let motion = StrokeMotion { stroke_counts: 2e4, feed_counts_s: 6e4, dwell_s: 0.1, on_feedback: true };
     let (axes, operator) = moving_axes(&[(lines, motion)], MachineLines::default());
     let mut card = MockCard::new(axes, Monotonic);

@@ -1,23 +1,23 @@
-//! A machine with something to do in every period of its controller.
+//! A machine that needs attention in every period of its controller.
 //! Errors move its tool, the tool cuts, or an operator presses a button.
 
 use crate::machine::{SERVO_NS, SimMachine};
 
-/// The machine and what goes on at it.
+/// A machine, and what happens at it.
 pub trait Attended {
-    /// The machine that is attended.
+    /// The attended machine.
     fn machine(&self) -> &SimMachine;
 
-    /// The machine, to be attended to.
+    /// The attended machine, to be changed.
     fn machine_mut(&mut self) -> &mut SimMachine;
 
-    /// A period of the controller is over; it has not commanded the next one yet.
+    /// Called after each period of the controller, before the next one is commanded.
     fn tick(&mut self);
 
-    /// Lines may have changed.
+    /// Called when lines may have changed.
     fn changed(&mut self) {}
 
-    /// Runs the machine until `t_ns`, ns of its own clock, with what is due meanwhile.
+    /// Runs the machine until `t_ns`, ns of its own clock, with a tick in every period.
     fn run_to(&mut self, t_ns: u64) {
         let mut now_ns = self.machine().now_ns();
         while now_ns / SERVO_NS < t_ns / SERVO_NS {

@@ -2,14 +2,14 @@
 
 use rtec_driver::quadrature::{Decoder, Signal, State};
 
-/// What an axis is made of.
+/// Properties of an axis.
 #[derive(Debug, Clone, PartialEq)]
 pub struct AxisSpec {
     /// `x`, `y` or `z`.
     pub name: &'static str,
     /// Lowest and highest position, mm.
     pub travel_mm: [f64; 2],
-    /// What one count of the scale is worth, µm.
+    /// Size of one count of the scale, µm.
     pub count_um: f64,
     /// Signal period of the scale, µm.
     pub signal_period_um: f64,
@@ -29,7 +29,7 @@ pub struct AxisSpec {
     pub lead_mm: f64,
     /// Play between screw and table, µm. The scale is on the table.
     pub backlash_um: f64,
-    /// Moved mass, with what the motor's inertia amounts to, kg.
+    /// Moved mass, including the motor's inertia, kg.
     pub mass_kg: f64,
     /// Force of Coulomb friction, N.
     pub coulomb_n: f64,
@@ -42,14 +42,14 @@ pub struct AxisSpec {
     /// Bandwidth of the speed loop, 1/s.
     pub speed_gain_per_s: f64,
     /// Dither of the servo at rest, counts from one side to the other.
-    /// "Servo gain or some amplifier zero-offset" altered (NISTIR 4832, The "Original RTEC"). It is zero for a good
-    /// servo.
+    /// It is zero for a good servo. (NISTIR 4832, The "Original RTEC": "servo gain or some amplifier
+    /// zero-offset" altered)
     pub dither_counts: f64,
     /// Share of the commanded speed that is fed forward.
-    /// The rest is following error: (1 − share)·v/gain.
+    /// The rest becomes following error: (1 − share)·v/gain.
     pub feed_forward: f64,
-    /// The position loop is closed on what the gates send.
-    /// If not, on an encoder of the motor's own.
+    /// Whether the position loop is closed on the signals from the gates.
+    /// If not, it is closed on an encoder of the motor.
     pub on_feedback: bool,
 }
 
@@ -88,7 +88,7 @@ impl AxisSpec {
 #[derive(Debug, Clone)]
 pub(crate) struct AxisSim {
     pub spec: AxisSpec,
-    /// Place of the screw's motor side and the table, counts.
+    /// Positions of the screw's motor side and of the table, counts.
     /// Edges of the scale are at whole numbers.
     motor: f64,
     table: f64,
@@ -99,28 +99,28 @@ pub(crate) struct AxisSim {
     /// Force of the drive, N.
     pub force_n: f64,
     pub accel_mm_s2: f64,
-    /// Commanded speed of the drive, counts/s, and acceleration fed forward, counts/s².
+    /// Commanded speed, counts/s, and feed-forward acceleration, counts/s².
     wanted: (f64, f64),
-    /// Friction beside what the spec has, N: at −v and +v.
+    /// Friction in addition to the spec's, N: at −v and +v.
     pub extra_friction: Friction,
     scale: Decoder,
-    /// What the MTC counts.
+    /// The MTC's counter.
     pub mtc: Decoder,
-    /// Counts of the scale at the machine's zero; the scale starts at count `origin`.
+    /// Scale count at the machine's zero; the scale starts at count `origin`.
     pub origin: i64,
-    /// The next edge within the present step, ns; `u64::MAX`: none.
+    /// Time of the next edge within the present step, ns; `u64::MAX` if none.
     pub next_ns: u64,
     next: f64,
     per_count: f64,
     up: bool,
-    /// The signal that changes with that edge.
-    /// Then its lines at the card and at the gate.
+    /// The signal that changes at that edge.
+    /// Below: its lines at the card and at the gate.
     signal: Signal,
     signal_lines: u64,
-    /// All its lines at the card.
+    /// All lines of the axis at the card.
     lines: u64,
-    /// Steps of that edge in the scale's counter and in the MTC's, counts.
-    /// The MTC's step is mirrored while one inverter is on.
+    /// Counts that this edge adds to the scale's and to the MTC's counter.
+    /// The MTC's is mirrored while one inverter is on.
     counts: (i8, i8),
     step: (u64, f64, f64),
     /// Shortest time between two edges at the MTC, ns.
@@ -130,28 +130,28 @@ pub(crate) struct AxisSim {
     pub direction: f64,
     turned_at: f64,
     interpolation: Vec<f64>,
-    /// Servo periods at rest.
+    /// Number of servo periods at rest.
     rested: u32,
 }
 
 /// Servo periods from one side of a dither to the other.
 const DITHER_TICKS: u32 = 200;
 
-/// Friction and force of the true machine, as its model names them.
+/// Friction and force of the true machine, as its model has them.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(crate) struct Friction {
-    /// kg instead of the spec's.
+    /// Mass, if it differs from the spec's, kg.
     pub mass_kg: Option<f64>,
     pub coulomb_n: Option<f64>,
     pub viscous_n_s_per_m: Option<f64>,
-    /// N per m/s of |v|.
+    /// Force proportional to |v|, N per m/s.
     pub asymmetric_n_s_per_m: f64,
     /// Constant force, N.
     pub offset_n: f64,
 }
 
 impl AxisSim {
-    /// The n-th axis, its lines as [`rtec_driver::card::AxisLines::standard`] has them.
+    /// The n-th axis, with the lines of [`rtec_driver::card::AxisLines::standard`].
     pub(crate) fn new(spec: AxisSpec, n: usize, at_mm: f64) -> Self {
         let counts = at_mm * 1000.0 / spec.count_um;
         let table = counts + 0.5;
@@ -209,8 +209,8 @@ impl AxisSim {
         self.scale.count()
     }
 
-    /// The table's position by the scale at `t_ns` within the present step, mm.
-    /// It has no quantisation.
+    /// Position of the table by the scale at `t_ns` within the present step, mm.
+    /// It is not quantised.
     pub(crate) fn position_mm(&self, t_ns: u64) -> f64 {
         let (from_ns, from, per_ns) = self.step;
         (from + per_ns * t_ns.saturating_sub(from_ns) as f64 - 0.5) * self.count_mm()
@@ -220,13 +220,13 @@ impl AxisSim {
         self.step.2 * 1e9 * self.count_mm()
     }
 
-    /// Where the controller believes it is, by what it counts, mm.
+    /// Position by the count that the controller uses, mm.
     pub(crate) fn counted_mm(&self) -> f64 {
         let counted = if self.spec.on_feedback { &self.mtc } else { &self.scale };
         (self.origin + counted.count()) as f64 * self.count_mm()
     }
 
-    /// The position loop: closed on what the MTC counts. Once per servo tick.
+    /// Runs the position loop, once per servo tick; it uses the controller's count.
     pub(crate) fn servo(&mut self, p_mm: f64, v_mm_s: f64, a_mm_s2: f64) {
         let count = self.count_mm();
         let error = (p_mm - self.counted_mm()) / count;
@@ -236,7 +236,7 @@ impl AxisSim {
         if self.spec.dither_counts > 0.0 && (self.rested / DITHER_TICKS) % 2 == 1 {
             error += self.spec.dither_counts;
         }
-        // In position within its resolution: a good servo does not dither.
+        // Within its resolution the axis is in position: a good servo does not dither.
         let error = if rests && error.abs() <= 0.6 { 0.0 } else { error };
         self.wanted = (
             self.spec.position_gain_per_s * error + self.spec.feed_forward * v_mm_s / count,
@@ -244,12 +244,12 @@ impl AxisSim {
         );
     }
 
-    /// Drive off (servo fault): the axis runs out against friction.
+    /// Switches the drive off (servo fault): the axis coasts against friction.
     pub(crate) fn switch_off(&mut self) {
         self.wanted = (0.0, 0.0);
     }
 
-    /// Moves the axis on by one step and finds the scale's edges in it.
+    /// Advances the axis by one step and finds the scale's edges in it.
     pub(crate) fn advance(&mut self, from_ns: u64, step_ns: u64) {
         let dt = step_ns as f64 * 1e-9;
         let f = &self.extra_friction;
@@ -261,7 +261,7 @@ impl AxisSim {
         let error = self.wanted.0 - self.speed;
         let k = self.spec.speed_gain_per_s;
         let limit = self.spec.max_force_n / mass / m_per_count;
-        // The integral is what friction takes, at the most.
+        // The integral compensates friction and is at most as large.
         self.integral = (self.integral + 0.2 * k * k * error * dt).clamp(-limit, limit);
         let drive = (self.wanted.1 + k * error + self.integral).clamp(-limit, limit);
         let v_m = self.speed * m_per_count;
@@ -281,7 +281,7 @@ impl AxisSim {
         self.table = self.table.clamp(self.motor - play, self.motor + play);
         let per_ns = (self.table - before) / step_ns as f64;
         self.step = (from_ns, before, per_ns);
-        // A reversal counts when it has gone further than any overshoot.
+        // A reversal counts only after more travel than any overshoot.
         if (self.table - self.turned_at) * self.direction > 0.0 {
             self.turned_at = self.table;
         }
@@ -292,12 +292,12 @@ impl AxisSim {
         self.find_edge(from_ns, step_ns);
     }
 
-    /// The axis stands still and is not commanded to move.
+    /// Whether the axis is at rest and not commanded to move.
     pub(crate) fn rests(&self) -> bool {
         self.speed == 0.0 && self.wanted == (0.0, 0.0)
     }
 
-    /// Stands still from `from_ns` on.
+    /// Is at rest from `from_ns` on.
     pub(crate) fn stand(&mut self, from_ns: u64) {
         self.integral = 0.0;
         self.accel_mm_s2 = 0.0;
@@ -337,15 +337,15 @@ impl AxisSim {
     #[inline]
     fn book(&mut self, from_ns: u64, step_ns: u64) {
         self.next_ns = if self.next < step_ns as f64 {
-            // No step is longer than 32 bits can say. A threshold passed just before the step began gives a negative
-            // number, and is crossed at the step's beginning.
+            // No step is longer than 32 bits can express. A threshold passed just before the step gives a
+            // negative number, and is crossed at the step's beginning.
             from_ns + u64::from(self.next as u32)
         } else {
             u64::MAX
         };
     }
 
-    /// The scale's edge at `next_ns`: both counters move on.
+    /// Passes the scale's edge at `next_ns` to both counters.
     /// Returns the lines that change.
     #[inline]
     pub(crate) fn edge(&mut self, step_ns: u64) -> u64 {
@@ -357,15 +357,15 @@ impl AxisSim {
             self.interpolate();
         }
         self.book(self.step.0, step_ns);
-        // A and B take turns as long as it goes the same way, which it does throughout a step.
+        // A and B alternate while the direction stays, as it does within a step.
         self.signal = signal.other();
         let changed = self.signal_lines;
         self.signal_lines ^= self.lines;
         changed
     }
 
-    /// Moves the next edge by what the interpolation is off there and here.
-    /// Not inlined: a scale without it stays short.
+    /// Shifts the next edge by the difference of interpolation errors.
+    /// Not inlined, so that the code of a scale without them stays short.
     #[inline(never)]
     fn interpolate(&mut self) {
         let count = self.origin + self.scale.count();
@@ -374,14 +374,14 @@ impl AxisSim {
         self.next += shift * if self.up { self.per_count } else { -self.per_count };
     }
 
-    /// What the next edge is to the two counters.
+    /// Sets the counts that the next edge adds to the two counters.
     fn see_counts(&mut self) {
         let mirrored = matches!(self.scale.state().changed(self.mtc.state()), 1 | 2);
         let step = if self.up { 1 } else { -1 };
         self.counts = (step, if mirrored { -step } else { step });
     }
 
-    /// Takes a change of the inverters.
+    /// Applies a change of the inverters.
     /// Returns whether the MTC's decoder sees an illegal transition, and the time since its last edge, ns.
     pub(crate) fn invert(&mut self, inverters: u8, t_ns: u64) -> (bool, u64) {
         let illegal = self.mtc.update(self.scale.state().inverted(inverters)).is_none();

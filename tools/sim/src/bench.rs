@@ -1,4 +1,4 @@
-//! One axis in motion, any design on any computer, and what the MTC made of it.
+//! One axis in motion with any design on any computer, and the count at the MTC.
 
 use crate::computer::Computer;
 use crate::ecc::{Ecc, Pll};
@@ -64,14 +64,14 @@ impl AnyDesign {
         }
     }
 
-    /// A and B reach the MTC only through the computer.
+    /// Whether A and B reach the MTC only through the computer.
     #[must_use]
     pub const fn through_computer(self) -> bool {
         matches!(self, Self::B)
     }
 }
 
-/// Plays a recorded trace to any design, as [`replay`] does to those on XOR gates.
+/// Plays a recorded trace to any design; [`replay`] does so for XOR gates only.
 ///
 /// # Errors
 /// At the first bad row, or when the axis cannot be corrected as configured.
@@ -113,7 +113,7 @@ where
     }
 }
 
-/// One axis with two pairs of inversions an insertion, homed where it stands.
+/// One axis with two pairs of inversions per insertion, homed at its position.
 fn full_cycle<C: Card>(
     design: GateDesign,
     config: AxisConfig,
@@ -122,8 +122,8 @@ fn full_cycle<C: Card>(
     FullCycle::new(design, card, &[config], MachineLines::default(), |_| 0)
 }
 
-/// The Original RTEC's gates: a pulse is OR-ed in.
-/// At A = B = low the same as an inversion, elsewhere a level that is already high hides it (NISTIR 4832, The
+/// The Original RTEC's gates, which OR a pulse into the signal.
+/// At A = B = low this equals an inversion. Elsewhere a level that is already high hides it (NISTIR 4832, The
 /// "Original RTEC").
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Or;
@@ -141,7 +141,7 @@ impl Gates for Or {
 /// A scale's edge: time, ns, and +1 or −1 count.
 pub type Edge = (u64, i64);
 
-/// Constant speed for `counts` counts in one direction, beginning at `from_ns`.
+/// Constant speed for `counts` counts in one direction, starting at `from_ns`.
 #[must_use]
 pub fn constant(from_ns: u64, encoder_hz: f64, counts: u64, direction: i64) -> Vec<Edge> {
     let period_ns = 0.25e9 / encoder_hz;
@@ -175,34 +175,34 @@ pub fn there_and_back(encoder_hz: f64, accel_counts_s2: f64, counts: u64, rest_n
     edges
 }
 
-/// A computer at work on one axis.
-/// Its looks come when it has time, and its writes take effect later.
+/// A computer that corrects one axis.
+/// It looks when it has time, and its writes take effect later.
 struct Rig<'a, G> {
     gates: G,
     computer: Option<&'a Computer>,
-    /// Each look is one pass of a loop (Design B).
+    /// Whether each look is one pass of a loop (Design B).
     passes: bool,
     edges: &'a [Edge],
     next: usize,
     end_ns: u64,
     die_ns: u64,
-    /// A circuit goes on without the computer that only asks it.
+    /// Whether it runs on when the computer stops, as a circuit does.
     goes_on: bool,
     scale: Decoder,
-    /// The scale as the last look saw it.
+    /// State of the scale at the last look.
     seen: State,
     outputs: u64,
     t_ns: u64,
-    /// The computer is busy with an edge until then.
+    /// Time until which the computer is busy with an edge, ns.
     busy_ns: u64,
-    /// The last change of the outputs; the next comes a step later.
+    /// Time of the last change of the outputs; the next comes a step later.
     wrote_ns: Option<u64>,
     noise: Noise,
     mtc: MtcDecoder,
     sent: State,
     /// Every change: time, scale, MTC, MTC's count.
     log: Option<Vec<(u64, State, State, i64)>>,
-    /// Scale and MTC counts at the computer's death.
+    /// Scale and MTC counts when the computer stopped.
     at_death: Option<(i64, i64)>,
 }
 
@@ -219,7 +219,7 @@ impl<G: Gates> Rig<'_, G> {
         }
     }
 
-    /// Lets the scale run to `t_ns`.
+    /// Advances the scale to `t_ns`.
     fn run_to(&mut self, t_ns: u64) {
         while let Some(&(edge_ns, step)) = self.edges.get(self.next).filter(|e| e.0 <= t_ns) {
             if self.at_death.is_none() && edge_ns > self.die_ns {
@@ -240,7 +240,7 @@ impl<G: Gates> Rig<'_, G> {
 
 impl<G: Gates> Card for Rig<'_, G> {
     fn sample(&mut self, wake_ns: u64) -> Result<Sample, CardError> {
-        // When does the next look come? A circuit, and a computer that waits for an edge, look at once.
+        // Time of the next look. A circuit, or a computer that waits for an edge, looks at once.
         let waits = |rig: &Self| rig.next_edge_ns().min(wake_ns);
         let mut look_ns = match self.computer {
             None => waits(self).max(self.t_ns),
@@ -271,7 +271,7 @@ impl<G: Gates> Card for Rig<'_, G> {
                 self.busy_ns = look_ns + c.react_ns;
             }
         }
-        // A circuit, and a computer that waits for the edge, know its time.
+        // A circuit, or a computer that waits for the edge, knows its time.
         let waits = self.computer.is_none_or(|c| c.looks.is_empty() && !self.passes);
         let edge_ns = (waits && self.next > 0 && self.edges[self.next - 1].0 == look_ns).then_some(look_ns);
         Ok(Sample::stamped(look_ns, u64::from(self.seen.bits()), edge_ns))
@@ -282,7 +282,7 @@ impl<G: Gates> Card for Rig<'_, G> {
             Some(c) if c.write_ns > 0 => c.next_look_ns(&mut self.noise).min(c.write_ns),
             _ => 0,
         };
-        // A write under way when the computer dies still lands: it was on the bus.
+        // A write under way when the computer stops still takes effect: it was on the bus.
         let landed_ns = self.t_ns + delay_ns;
         self.run_to(landed_ns);
         self.outputs = self.outputs & !mask | value & mask;
@@ -299,41 +299,41 @@ impl<G: Gates> Card for Rig<'_, G> {
 /// A run on the bench.
 #[derive(Debug, Clone)]
 pub struct BenchRun<'a> {
-    /// The insertion design that is run.
+    /// The insertion design.
     pub design: AnyDesign,
-    /// On which computer. The ECC is a circuit and needs none.
+    /// The computer. The ECC is a circuit and needs none.
     pub computer: &'a Computer,
-    /// The axis; its times are set from the computer's.
+    /// The axis; its times are replaced by the computer's.
     pub config: AxisConfig,
     /// The scale's state before the first edge.
     pub start: State,
-    /// The scale's edges: the motion.
+    /// The scale's edges, which are the motion.
     pub edges: &'a [Edge],
-    /// Requested totals and when, ns.
+    /// Requested totals with their times, ns.
     pub totals: &'a [(u64, i64)],
-    /// The computer stops at this time, ns.
+    /// Time at which the computer stops, ns.
     pub die_ns: u64,
-    /// No speed gate: every insertion is tried.
-    /// The report's computer would do this without its timer.
+    /// Whether every insertion is tried, without a speed gate.
+    /// The report's computer would do so without its timer.
     pub ungated: bool,
     /// Seed of the computer's and the PLL's noise.
     pub seed: u64,
-    /// Keep every change for a plot.
+    /// Whether every change is kept for a plot.
     pub keep_log: bool,
     /// The ECC's PLL.
     pub pll: Pll,
 }
 
-/// What came of a run on the bench.
+/// Result of a run on the bench.
 #[derive(Debug, Clone, PartialEq)]
 pub struct BenchResult {
     /// Counts of the scale.
     pub scale: i64,
     /// Counts of the MTC.
     pub mtc: i64,
-    /// What the corrector says it has inserted.
+    /// Counts inserted, as the corrector reports.
     pub completed: i64,
-    /// What was asked of it.
+    /// Requested total, counts.
     pub requested: i64,
     /// Number of insertions made.
     pub insertions: u64,
@@ -341,24 +341,24 @@ pub struct BenchResult {
     pub illegal: u64,
     /// Shortest time between two edges at the MTC, ns.
     pub min_separation_ns: u64,
-    /// Real edges that fell into an insertion.
+    /// Real edges during an insertion.
     pub overlaps: u64,
-    /// Edges at which an insertion was due and the axis too fast.
+    /// Edges at which an insertion was due but the axis was too fast.
     pub waited_for_gate: u64,
     /// Number of latched faults.
     pub faults: usize,
     /// Shortest and longest time from an edge to the end of its insertion, ns.
     pub edge_to_done_ns: Option<(u64, u64)>,
-    /// Scale and MTC counts when the computer died.
+    /// Scale and MTC counts when the computer stopped.
     pub at_death: Option<(i64, i64)>,
     /// Largest deviation from 90° of a split pulse, degrees (ECC).
     pub worst_phase_deg: f64,
-    /// Every change, where asked for: time, scale, MTC, MTC's count.
+    /// Every change, if kept: time, scale, MTC, MTC's count.
     pub log: Vec<(u64, State, State, i64)>,
 }
 
 impl BenchResult {
-    /// What the MTC has beyond scale and completed: zero, or a mistake.
+    /// Counts of the MTC beyond scale and completed total: zero, or an error.
     #[must_use]
     pub const fn error_counts(&self) -> i64 {
         self.mtc - self.scale - self.completed
@@ -366,7 +366,7 @@ impl BenchResult {
 }
 
 impl BenchRun<'_> {
-    /// An axis at rest at A = B = low, no requests, no death, gated.
+    /// A run with the axis at rest at A = B = low, no requests, no stop, speed gate on.
     #[must_use]
     pub fn new(design: AnyDesign, computer: &Computer) -> BenchRun<'_> {
         BenchRun {
@@ -384,12 +384,13 @@ impl BenchRun<'_> {
         }
     }
 
-    /// The axis as the design on this computer is configured.
+    /// The axis's configuration for this design and computer.
     #[must_use]
     pub fn config(&self) -> AxisConfig {
         let config = self.computer.configure(self.config);
         let config = match self.design {
-            // One pass to see the edge and write it, at the latest one after it came; steps in passes of their own.
+            // One pass sees the edge and writes it, at the latest one pass after it came. Steps have their
+            // own passes.
             AnyDesign::B => {
                 AxisConfig { detect_ns: 2 * self.computer.pass_ns, write_ns: self.computer.pass_ns, ..config }
             }
@@ -403,7 +404,7 @@ impl BenchRun<'_> {
         }
     }
 
-    /// Runs it. `None` where the computer is too slow for this axis at any speed.
+    /// Runs it. `None` if the computer is too slow for this axis at any speed.
     #[must_use]
     pub fn run(&self) -> Option<BenchResult> {
         let config = AxisConfig { lines: AxisLines::standard(0, false), ..self.config() };
@@ -485,7 +486,7 @@ impl BenchRun<'_> {
             let made = axis.insertions > insertions && axis.mtc_minus_scale == axis.completed;
             if made && rig.next > 0 {
                 insertions = axis.insertions;
-                // The last change, and the time after it in which the hardware is not free.
+                // The last change, plus the time until the hardware is free.
                 let done =
                     rig.wrote_ns.unwrap_or(rig.t_ns).max(rig.t_ns) - last_edge_ns + self.computer.after_ns;
                 edge_to_done =
@@ -513,7 +514,7 @@ impl BenchRun<'_> {
     }
 }
 
-/// An axis that is told to insert although it rests.
+/// The configuration, changed so that an axis at rest is corrected too.
 #[must_use]
 pub fn insert_at_rest(config: AxisConfig) -> AxisConfig {
     AxisConfig { rest: RestPolicy::Insert { after_ns: 1_000_000 }, ..config }

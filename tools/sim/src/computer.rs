@@ -1,4 +1,4 @@
-//! Timing models of computers: the time from an edge until the outputs change.
+//! Timing models of computers: the time from an edge to a change of the outputs.
 
 use crate::noise::Noise;
 use rtec_files::InputError;
@@ -9,26 +9,26 @@ use std::path::Path;
 /// A computer that corrects one axis. All times in ns.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Computer {
-    /// What hardware it is, in words.
+    /// The hardware, in words.
     pub name: String,
-    /// From recognising an edge until the first output can change.
+    /// Time from recognising an edge to the first possible change of an output, ns.
     pub react_ns: u64,
-    /// Between two changes of its outputs.
+    /// Shortest time between two changes of its outputs, ns.
     pub step_ns: u64,
-    /// After the last change, until it is free again.
+    /// Time after the last change until it is free again, ns.
     pub after_ns: u64,
-    /// One pass of a loop that reads A and B and writes A' and B' (Design B).
+    /// Time of a loop that reads A and B and writes A' and B' (Design B), ns.
     pub pass_ns: u64,
-    /// Time between two looks while it waits: cumulative share and ns.
-    /// Empty: an edge is recognised at once, and the reaction time holds it all.
+    /// Times between two looks while it waits: cumulative share and ns.
+    /// Empty if an edge is recognised at once; the reaction time then includes everything.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub looks: Vec<(f64, u64)>,
-    /// From an order until the output has changed, at the worst.
+    /// Worst time from a write to the change of the output, ns.
     pub write_ns: u64,
 }
 
-/// The share of a measured distribution that a timing model takes as the worst.
-/// What is later is rarer than any test.
+/// Quantile of a measured distribution that counts as the worst case.
+/// Later values are rarer than any test can show.
 const TAIL: f64 = 0.9999;
 
 impl Computer {
@@ -69,7 +69,7 @@ impl Computer {
     /// `rtecctl selftest latency --json` on that PC gives it (`poll_gap_ns`).
     ///
     /// # Errors
-    /// When the file cannot be read or is no such document.
+    /// The file cannot be read, or is not such a document.
     pub fn measured(file: &Path) -> Result<Self, InputError> {
         #[derive(Deserialize)]
         struct Document {
@@ -114,13 +114,13 @@ impl Computer {
         at_share(&self.looks, noise.uniform())
     }
 
-    /// The time until the next look at the worst, ns.
+    /// Worst time until the next look, ns.
     #[must_use]
     pub fn worst_look_ns(&self) -> u64 {
         at_share(&self.looks, TAIL)
     }
 
-    /// The configuration of an axis with this computer's times for its speed gate.
+    /// An axis's configuration with this computer's times for the speed gate.
     #[must_use]
     pub fn configure(&self, config: AxisConfig) -> AxisConfig {
         AxisConfig {

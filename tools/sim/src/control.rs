@@ -1,5 +1,5 @@
 //! The control side of the simulated machine.
-//! It has watched sensors and the daemon's control law.
+//! It has sensors with plausibility checks, and the daemon's control law.
 
 use crate::errors::NAMES;
 use crate::heat::SENSORS;
@@ -17,15 +17,16 @@ use rtec_sensors::{SensorConfig, Watch};
 /// Time between two computations of totals, ns.
 /// (NISTIR 4832, Alternate Configurations: every 10 to 20 ms)
 pub const CONTROL_NS: u64 = 10_000_000;
-/// Quiet time after which an axis is taken as at rest, ns.
-/// It must exceed the longest quiet time of a reversing axis. On the slowest circle, 150 mm at 10 in/min, the axis
-/// accelerates at 119 counts/s². From one edge over a count and the hysteresis to the next it takes 2·√(2·1.1/119) s,
-/// which is 0.27 s. An insertion in a moving axis may meet its next edge, and the controller sees both as one.
+/// Quiet time after which an axis counts as at rest, ns.
+/// It must exceed the longest quiet time of a reversing axis. On the slowest circle, 150 mm at 10 in/min, the
+/// axis accelerates at 119 counts/s². From one edge over a count and the hysteresis to the next it takes
+/// 2·√(2·1.1/119) s, which is 0.27 s. An insertion into a moving axis may coincide with its next edge, and
+/// the controller sees both as one.
 pub(crate) const REST_NS: u64 = 300_000_000;
-/// Largest change that the simulated corrector believes at once, counts.
+/// Belief window of the simulated corrector, counts.
 pub(crate) const WINDOW_COUNTS: i64 = 64;
 
-/// What the machine's sensors read at one moment.
+/// Readings of the machine's sensors at one moment.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Readings<'a> {
     /// Readings in the order of [`SENSORS`], °C.
@@ -38,7 +39,7 @@ pub(crate) struct Readings<'a> {
     pub load_n: [f64; AXES],
 }
 
-/// The control side of a simulation: watched sensors and the control law.
+/// The control side of a simulation: checked sensors and the control law.
 #[derive(Debug)]
 pub(crate) struct Control {
     law: Corrector,
@@ -46,8 +47,8 @@ pub(crate) struct Control {
 }
 
 impl Control {
-    /// For a machine with these axes and channels, switched on at time 0.
-    /// The law asks `lead_s` ahead.
+    /// The control side of a machine switched on at time 0.
+    /// The law evaluates the model `lead_s` ahead.
     pub(crate) fn new(axes: Vec<AxisSetup>, channels: &[String], lead_s: f64) -> Self {
         let axis = |n: &str| Axis::new(n).map(Role::Load);
         let temperatures = SENSORS.iter().map(|s| (s.0.to_owned(), Role::Temperature));
@@ -62,7 +63,7 @@ impl Control {
         Self { law, watches }
     }
 
-    /// Loads a model and brings its lags up to date from past temperatures.
+    /// Loads a model and computes its lags from past temperatures.
     /// `past` has the time since the machine was switched on, s, and all sensors, °C.
     ///
     /// # Errors
@@ -76,7 +77,7 @@ impl Control {
         self.law.load(model.clone(), &of)
     }
 
-    /// Takes a part table.
+    /// Loads a part table.
     ///
     /// # Errors
     /// What was found and what was expected.
@@ -84,7 +85,7 @@ impl Control {
         self.law.load_table(table, FeatureErrors::Arc(errors))
     }
 
-    /// One evaluation: what to request of the engine now.
+    /// Runs one evaluation; returns the totals to request of the engine.
     pub(crate) fn requests(
         &mut self,
         t_s: f64,
@@ -102,12 +103,12 @@ impl Control {
         })
     }
 
-    /// Why axes do not follow their model.
+    /// Reasons why axes do not follow the model.
     pub(crate) fn holding(&self) -> Vec<String> {
         self.law.holding().collect()
     }
 
-    /// Every axis is where its sources want it.
+    /// Whether every axis has the total that its sources want.
     pub(crate) fn settled(&self, status: &Status) -> bool {
         status.axes().iter().enumerate().all(|(n, s)| self.law.settled(n, s))
     }
@@ -120,7 +121,7 @@ mod tests {
     use rtec_rt::event::Mode;
     use std::path::Path;
 
-    /// The recorded shift of `rtec-correct`'s tests gives the same totals in simulator and lathe, count for count.
+    /// The recorded shift of `rtec-correct`'s tests gives the same totals here.
     #[test]
     fn a_recorded_shift_gets_the_recorded_totals() {
         let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../correct/tests/shift");
@@ -155,7 +156,7 @@ mod tests {
                 (axis.requested, axis.completed, axis.in_effect) = (total_counts, total_counts, total_counts);
             }
             for n in 0..3 {
-                // Nobody operates the simulated machine.
+                // The simulated machine has no operator.
                 let operator = if n == 0 { at[6] as i64 } else { 0 };
                 assert_eq!(status.axes[n].requested + operator, at[7 + n] as i64, "axis {n} at {} s", at[0]);
             }

@@ -7,7 +7,7 @@ use rtec_rt::axis::AxisConfig;
 use rtec_rt::engine::{Engine, MachineConfig, StartError};
 use rtec_rt::event::{Event, Request, Status};
 
-/// The corrected axes of a simulated machine, by whichever design.
+/// The corrected axes of a simulated machine, for any gate design.
 #[derive(Debug)]
 pub(crate) enum CorrectedMachine {
     C(Box<Engine>),
@@ -15,7 +15,7 @@ pub(crate) enum CorrectedMachine {
 }
 
 impl CorrectedMachine {
-    /// Takes over the card as it is.
+    /// Takes over the card in its present state.
     /// It homes axis `n` at `origins[n]` and enables corrections.
     pub(crate) fn new<C: Card>(
         design: GateDesign,

@@ -1,5 +1,6 @@
-//! The machines that the sources describe, as files within the program.
-//! `rtec-papers` and the experiments of the sources use them. A folder with files of the same names can replace them.
+//! The machines described in the sources, as files within the program.
+//! `rtec-papers` and the experiments of the sources use them. Files of the same names in a folder replace
+//! them.
 
 use rtec_files::InputError;
 use rtec_model::effect::Dictionary;
@@ -37,18 +38,18 @@ pub const FILES: [(&str, &str); 9] = [
 
 /// The machining centre of WO 97/43703.
 pub(crate) const WO97_MACHINE: &str = include_str!("../papers/wo97-machine.toml");
-/// The tilt of its spindle, which its model names.
+/// The tilt of its spindle, to which its model refers.
 pub(crate) const WO97_CHAIN: &str = include_str!("../papers/wo97-chain.toml");
 
-/// Where descriptions are read from.
+/// Source of the descriptions.
 #[derive(Debug, Clone, Default)]
 pub struct Described {
-    /// A folder with files of one's own; one that is not there is the program's.
+    /// A folder with the user's files; for a missing one the program's is used.
     pub folder: Option<PathBuf>,
 }
 
 impl Described {
-    /// The text of a file, and the path that messages name it by.
+    /// Text of a file, and the path that messages use for it.
     ///
     /// # Errors
     /// No such file.
@@ -66,10 +67,10 @@ impl Described {
         Ok((path, text))
     }
 
-    /// A description.
+    /// Reads a description.
     ///
     /// # Errors
-    /// Not such a file: file, line, column, what was found and expected.
+    /// The file is not such a description: file, line, column, what was found and expected.
     pub fn read<T: DeserializeOwned>(&self, name: &str) -> Result<T, InputError> {
         let (path, text) = self.text(name)?;
         rtec_files::toml::from_str(&path, &text, "keys of this description, see `rtec-papers --write`")
@@ -87,7 +88,7 @@ impl Described {
         InputError::at(&path, line, 0, found, expected)
     }
 
-    /// A machine model, with its chain.
+    /// Reads a machine model with its chain.
     ///
     /// # Errors
     /// As [`Machine::read`].

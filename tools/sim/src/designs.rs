@@ -8,8 +8,8 @@ use rtec_rt::axis::AxisConfig;
 use serde::Serialize;
 use std::fmt::Write as _;
 
-/// The motion for comparing all designs.
-/// It goes from rest up to speed and back to rest, both ways, with corrections of both signs.
+/// The motion on which all designs are compared.
+/// It goes from rest up to speed and back to rest, in both directions, with corrections of both signs.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct TestMotion {
     /// Encoder frequency at speed (a quarter of the count rate), Hz.
@@ -20,7 +20,7 @@ pub struct TestMotion {
     pub counts: u64,
     /// Rest before each way, ns.
     pub rest_ns: u64,
-    /// Largest correction asked for, counts.
+    /// Largest requested correction, counts.
     pub correction_counts: i64,
 }
 
@@ -45,7 +45,7 @@ impl TestMotion {
         there_and_back(self.encoder_hz, self.accel_counts_s2, self.counts, self.rest_ns)
     }
 
-    /// Totals that sweep up and down in steps of twelve counts, all through the motion.
+    /// Totals that rise and fall in steps of twelve counts throughout the motion.
     fn totals(&self, edges: &[Edge]) -> Vec<(u64, i64)> {
         let last_ns = edges.last().map_or(0, |e| e.0);
         let steps = 5 * self.correction_counts / 12;
@@ -63,49 +63,49 @@ impl TestMotion {
     }
 }
 
-/// What happens at the MTC when the computer stops at the worst moment.
+/// Effects at the MTC when the computer stops at a moment.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Death {
-    /// Stopped at the kindest moment: MTC counts per scale count from then on.
+    /// Best moment: MTC counts per scale count after the stop.
     pub best_follows: f64,
-    /// Stopped at the worst moment: MTC counts per scale count from then on.
+    /// Worst moment: MTC counts per scale count after the stop.
     pub worst_follows: f64,
-    /// Counts lost at the MTC over the rest of the motion, at the worst moment.
+    /// Counts lost at the MTC during the rest of the motion, at the worst moment.
     pub worst_count_error: i64,
-    /// Share of all moments in the motion at which the MTC went on seeing the scale.
+    /// Share of moments in the motion after which the MTC still follows the scale.
     pub share_harmless: f64,
 }
 
-/// What one design can do: a row of the comparison.
+/// Properties of one design: a row of the comparison.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct DesignRow {
     /// The design of this row.
     pub design: AnyDesign,
     /// Counts of one insertion.
     pub increment_counts: i64,
-    /// Time from the opening edge until the hardware is free again, ns, as run.
+    /// Measured time from the opening edge until the hardware is free, ns.
     /// For the ECC it is that of one pulse at the motion's speed.
     pub insertion_time_ns: Option<u64>,
     /// Highest encoder frequency at which corrections are served without a fault, Hz.
-    /// It is 0 where there is none.
+    /// It is 0 if there is none.
     pub max_safe_encoder_hz: f64,
     /// Lowest such frequency, Hz (ECC: below it the PLL does not lock).
     pub min_safe_encoder_hz: f64,
-    /// Corrections are served at rest in each of the four states.
+    /// Whether corrections are served at rest in each of the four states.
     pub works_at_rest: bool,
-    /// Of the four states at rest, those in which corrections are served.
+    /// Number of the four states in which corrections are served at rest.
     pub states_served_at_rest: u8,
-    /// A and B reach the MTC only through the computer.
+    /// Whether A and B reach the MTC only through the computer.
     pub signals_pass_through_computer: bool,
-    /// Illegal transitions that the MTC saw, on the motion.
+    /// Illegal transitions at the MTC during the motion.
     pub illegal_states: u64,
-    /// Largest error left in the MTC's count, on the motion.
+    /// Largest error left in the MTC's count after the motion.
     pub worst_count_error: i64,
-    /// The last total was reached at the end of the motion, to below one increment.
+    /// Whether the last total was reached at the end, to within one increment.
     pub served: bool,
-    /// What happens when the computer dies, in words, from what was run.
+    /// Effects of a stopped computer in words, from the runs.
     pub when_computer_dies: String,
-    /// What happens when the computer dies, in figures.
+    /// Effects of a stopped computer in figures.
     pub death: Death,
 }
 
@@ -170,8 +170,8 @@ fn row(design: AnyDesign, computer: &Computer, motion: &TestMotion, seed: u64) -
 }
 
 /// Whether the design is safe at this encoder frequency.
-/// Corrections of both signs must be served in full in both directions. The MTC must see no illegal transition, no
-/// edge closer than its separation, no wrong count, and keep 90°.
+/// Corrections of both signs must be served in full in both directions. The MTC must see no illegal
+/// transition, no edge closer than its separation, no wrong count, and phases of 90°.
 #[must_use]
 pub fn safe_at(
     design: AnyDesign,
@@ -222,8 +222,8 @@ fn clean(seen: &BenchResult, separation_ns: u64) -> bool {
         && seen.worst_phase_deg < 20.0
 }
 
-/// The lowest and highest encoder frequency at which the design is safe, Hz.
-/// Found by bisection to 0.1 %. (0, 0) where there is none.
+/// Lowest and highest encoder frequency at which the design is safe, Hz.
+/// Found by bisection to 0.1 %; (0, 0) if there is none.
 #[must_use]
 pub fn safe_range(design: AnyDesign, computer: &Computer, config: AxisConfig, seed: u64) -> (f64, f64) {
     safe_range_of(design, computer, config, Pll::default(), seed)
@@ -239,7 +239,7 @@ pub fn safe_range_of(
     seed: u64,
 ) -> (f64, f64) {
     let safe = |hz: f64| safe_with(design, computer, config, pll, hz, seed);
-    // From the slowest that is of interest upwards; the ECC is not safe at the slow end.
+    // From the lowest frequency of interest upwards; the ECC is not safe at the slow end.
     let from = [100.0, 10_000.0].into_iter().find(|&hz| safe(hz));
     let Some(from) = from else { return (0.0, 0.0) };
     let bisect = |mut good: f64, mut bad: f64| {
@@ -263,7 +263,7 @@ pub fn served_at_rest(design: AnyDesign, computer: &Computer, config: AxisConfig
     run.run().is_some_and(|s| s.completed == -12 && s.error_counts() == 0 && s.illegal == 0)
 }
 
-/// Stops the computer at many moments, among them every stage of the insertions.
+/// Stops the computer at many moments, including every stage of the insertions.
 fn death(run: &BenchRun<'_>) -> Death {
     let Some(whole) = (BenchRun { keep_log: true, ..run.clone() }).run() else {
         return Death { best_follows: 0.0, worst_follows: 0.0, worst_count_error: 0, share_harmless: 0.0 };
@@ -277,7 +277,7 @@ fn death(run: &BenchRun<'_>) -> Death {
         Death { best_follows: 0.0, worst_follows: 1.0, worst_count_error: 0, share_harmless: 0.0 };
     let mut harmless = 0;
     let stop = |die_ns: u64| -> Option<(f64, i64)> {
-        // Over the longest travel that follows: the way back would undo what a mirrored count has gone wrong.
+        // Judged by the longest travel that follows: the way back would undo the error of a mirrored count.
         let alive = run.edges.partition_point(|e| e.0 <= die_ns);
         let (mut travel, mut longest, mut upto) = (0_i64, 0_i64, alive);
         for (n, (_, step)) in run.edges.iter().enumerate().skip(alive) {
@@ -309,7 +309,7 @@ fn death(run: &BenchRun<'_>) -> Death {
 }
 
 impl Death {
-    /// The same in words, as the table prints it.
+    /// The same in words, for the table.
     #[must_use]
     pub fn in_words(&self) -> String {
         let after = |follows: f64| {
@@ -333,7 +333,7 @@ impl Death {
 }
 
 impl Comparison {
-    /// The table a designer needs.
+    /// The comparison as a table.
     #[must_use]
     pub fn to_table(&self) -> String {
         let m = &self.motion;
@@ -388,7 +388,7 @@ pub fn waveforms(design: AnyDesign, computer: &Computer, pulses: i64) -> String 
     draw(design, &seen.log, &totals)
 }
 
-/// One signal of a timing diagram with its name, from a left edge to a right one.
+/// One signal of a timing diagram, with its name, from left to right.
 /// Low is at `base`, and changes are (x, level).
 pub(crate) fn trace(
     (name, colour): (&str, &str),

@@ -1,6 +1,6 @@
 //! The simulated turning centre in real time, at a mock card's wires.
-//! Its controller runs one program once, from the axes' home places, and honours feed hold. Releasing feed hold is
-//! the cycle start.
+//! Its controller runs one program once, from the axes' home positions, and obeys feed hold. Releasing feed
+//! hold starts the cycle.
 
 use crate::insertion::GateDesign;
 use crate::lathe::{Bench, Cut, Lathe, Move, RAPID_MM_S, Stand, arc_moves, cut_away, probing_moves};
@@ -16,30 +16,30 @@ use serde::Deserialize;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// What a simulated turning centre does, as a TOML file: a probing path, or a cut.
+/// The task of a simulated turning centre, as a TOML file: a probing path or a cut.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Duty {
-    /// The part, as `part finish` writes it; a cut changes it.
-    /// A path is relative to this file.
+    /// The part file that `part finish` writes; a cut changes it.
+    /// The path is relative to this file.
     pub workpiece: PathBuf,
     /// The probe's path, mm.
     pub path: Option<PathBuf>,
-    /// Or the radius to cut to.
+    /// The radius to cut to, instead of a path.
     pub cut_radius_mm: Option<f64>,
-    /// Probing or cutting feed.
+    /// Feed for probing or cutting, mm/min.
     pub feed_mm_min: f64,
-    /// Radius of the probe's tip.
+    /// Radius of the probe's tip, mm.
     #[serde(default)]
     pub tip_mm: f64,
     /// Machine position `[z, x]` at the part's origin.
     pub origin_mm: [f64; 2],
-    /// What the machine does wrong.
+    /// Model file of the machine's errors.
     pub machine: Option<PathBuf>,
-    /// The spindle has run for so long.
+    /// Time for which the spindle has run before, s.
     #[serde(default)]
     pub begin_s: f64,
-    /// Seed of everything that is random.
+    /// Seed of all noise.
     #[serde(default)]
     pub seed: u64,
     /// Machine, tool and probe.
@@ -47,7 +47,7 @@ pub struct Duty {
     pub bench: Bench,
 }
 
-/// The part that a real-time machine cuts on, to be written when it has ended.
+/// The cuts of a real-time machine, written to its part at the end.
 #[derive(Debug)]
 pub struct Cuts {
     places: Arc<Mutex<Vec<Cut>>>,
@@ -58,7 +58,7 @@ pub struct Cuts {
 }
 
 impl Cuts {
-    /// Writes the part as the tool has left it; nothing where it has not cut.
+    /// Writes the part after the cuts; nothing if the tool has not cut.
     ///
     /// # Errors
     /// The file cannot be written.
@@ -73,10 +73,10 @@ impl Cuts {
 }
 
 impl Duty {
-    /// Reads what the machine is to do.
+    /// Reads the task.
     ///
     /// # Errors
-    /// Not such a file, or a value that is out of range.
+    /// The file is not such a task, or a value is out of range.
     pub fn read(file: &Path) -> Result<Self, InputError> {
         let text = rtec_files::text::read(file)?;
         let expected = "what the simulated turning centre does";
@@ -109,10 +109,10 @@ impl Duty {
         Ok(duty)
     }
 
-    /// The machine at rest at `home` (machine mm), its lines of Z and X, and its part.
+    /// The machine at rest at `home` (machine mm), with its lines and its part.
     ///
     /// # Errors
-    /// A file that the duty names is not right; an effect reads what this machine does not have.
+    /// A file that the task names has a mistake, or an effect reads what this machine lacks.
     pub fn machine(
         &self,
         lines: [AxisLines; 2],
@@ -139,7 +139,7 @@ impl Duty {
             })?
             .segment
             .at(0.0);
-        // As the NC program begins: along Z alone, then along X alone.
+        // As the NC program begins: along Z only, then along X only.
         let corner = Zx::new(first.z, home.x - origin.x);
         let ways =
             [(home - origin, corner), (corner, first)].into_iter().filter(|(a, b)| (*b - *a).norm() > 1e-6);
@@ -156,7 +156,8 @@ impl Duty {
             machine: &machine,
             begin_s: self.begin_s,
             design: GateDesign::C,
-            // A mock card's time stands between a look and the write after it: nothing a decoder could check.
+            // A mock card's time stops between a look and the write after it, so a decoder could check
+            // nothing.
             decoder_hz: f64::INFINITY,
             seed: self.seed,
         };

@@ -9,10 +9,10 @@
 //! | pulse pre-conditioning (fig. 6) | both begin and end at A = B = low |
 //! | direction detector and corrector (fig. 7) | the last count's direction decides which way a tick counts |
 //! | full adder, counter, comparator | after twice the compensation value in pulses the encoder's own are passed again |
-//! | acknowledgement, 4-bit value | the controller asks for at most 15 pulses at a time and books them when acknowledged |
+//! | acknowledgement, 4-bit value | the controller requests at most 15 pulses at a time and books them when acknowledged |
 //! | X/Z, S1, S0 (table 1), ACK | [`ControlLines`]; two circuits behind one controller: [`crate::ecc_board`] |
 //!
-//! The PLL is a behavioural model of what the paper measured of it, not of its parts.
+//! The PLL is a behavioural model of the paper's measurements, not of its parts.
 
 use crate::insertion::CorrectedAxis;
 use crate::noise::Noise;
@@ -40,8 +40,8 @@ pub struct Pll {
 
 impl Default for Pll {
     /// CMTI (2014), section 2.2.2: from 700 Hz, clean 2.3 to 125 kHz, up to 160 kHz.
-    /// The time constant is that of the loop's natural frequency, 2 kHz with the parts given there (R3 = 360 Ω, R4 =
-    /// 100 Ω, C2 = 1 µF, 5 V, 320 kHz).
+    /// The time constant follows from the loop's natural frequency, 2 kHz with the parts given there (R3 =
+    /// 360 Ω, R4 = 100 Ω, C2 = 1 µF, 5 V, 320 kHz).
     fn default() -> Self {
         Self {
             lock_from_hz: 700.0,
@@ -61,27 +61,26 @@ pub const ACK_NS: u64 = 1000;
 #[allow(clippy::struct_excessive_bools, reason = "each is a wire")]
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
 pub struct ControlLines {
-    /// X/Z: the controller speaks to this axis.
+    /// X/Z: whether the controller addresses this axis.
     pub selected: bool,
-    /// A compensation is asked for.
+    /// Whether a compensation is requested.
     pub s1: bool,
-    /// Pulses are to be added; off: subtracted.
+    /// Whether pulses are added; otherwise they are subtracted.
     pub s0: bool,
     /// The compensation value, pulses; four bits.
     pub value: u8,
-    /// The circuit's answer: the compensation is over.
+    /// The circuit's acknowledgement that the compensation is over.
     pub ack: bool,
 }
 
 /// The largest compensation value, pulses (CMTI 2014, section 2.2.7: four bits).
 pub const MAX_PULSES: i64 = 15;
 
-/// A loop that doubles uncleanly has its ticks off by up to this share.
-/// It is a share of their spacing.
-/// The paper gives no figure.
+/// Largest error of the ticks of a loop that does not double cleanly.
+/// It is a share of their spacing. The paper gives no figure.
 const UNCLEAN: f64 = 0.45;
 
-/// A compensation that the circuit has no lines for.
+/// Error: a compensation value of more bits than the circuit has lines.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error(
     "found a compensation value of {0} pulses, expected 0 to {MAX_PULSES}: it has four bits (CMTI 2014, section 2.2.7); ask for the \
@@ -89,7 +88,7 @@ const UNCLEAN: f64 = 0.45;
 )]
 pub struct BeyondFourBits(pub u8);
 
-/// What the circuit passes on.
+/// What the circuit sends to the MTC.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Passing {
     Encoder,
@@ -103,7 +102,7 @@ enum Passing {
     },
 }
 
-/// One axis with the circuit in its feedback, and its embedded controller.
+/// One axis with the circuit in its feedback, and with its embedded controller.
 #[derive(Debug)]
 pub struct Ecc {
     pll: Pll,
@@ -111,22 +110,22 @@ pub struct Ecc {
     scale: Decoder,
     out: Decoder,
     passing: Passing,
-    /// What is under way, pulses with sign.
+    /// The compensation under way, pulses with sign.
     asked: i64,
     requested: i64,
     completed: i64,
     insertions: u64,
     look_ns: u64,
     last_edge_ns: Option<u64>,
-    /// Output of the direction detector: the axis moves in the positive direction.
+    /// Output of the direction detector: whether the motion is positive.
     positive: bool,
-    /// Time between two scale counts that the VCO stands for, ns.
+    /// Time between two scale counts at the VCO's frequency, ns.
     vco_ns: f64,
     input_hz: f64,
     tick_ns: Option<u64>,
-    /// The tick between the last scale edge and the next has been sent.
+    /// Whether the tick between the last scale edge and the next has been sent.
     half_sent: bool,
-    /// Ticks that a VCO which is still slower than its input has yet to send.
+    /// Ticks that the VCO still has to send, while it is slower than its input.
     behind: u64,
     last_tick_ns: u64,
     noise: Noise,
@@ -135,13 +134,14 @@ pub struct Ecc {
     begun_ns: u64,
     /// Shortest and longest time per pulse, ns.
     pulse_ns: Option<(u64, u64)>,
-    /// The controller's lines as they are, and every change of them.
+    /// Present state of the controller's lines, and every change of them.
     control: ControlLines,
     lines_log: Vec<(u64, ControlLines)>,
-    /// S1, S0 and the value are set from outside instead of by the totals.
+    /// Whether S1, S0 and the value are set by hand instead of by totals.
     by_hand: bool,
-    /// The acceleration that the controller allows for, counts/s².
-    /// It asks only if the axis can neither leave the PLL's clean range nor reverse before the compensation is over.
+    /// Acceleration that the controller allows for, counts/s².
+    /// It requests only if the axis can neither leave the PLL's clean range nor reverse before the
+    /// compensation is over.
     accel_counts_s2: Option<f64>,
     waited: u64,
 }
@@ -189,8 +189,9 @@ impl Ecc {
         Ok(ecc)
     }
 
-    /// Adds a controller that asks only when a compensation is sure to end well.
-    /// The axis must never accelerate by more than this, counts/s². The paper's circuit miscounts when its PLL loses
+    /// Adds a controller that requests only compensations sure to end well.
+    /// The axis must never accelerate by more than this, counts/s². The paper's circuit miscounts when its
+    /// PLL loses lock or the axis reverses in the middle.
     /// lock or the axis reverses in the middle.
     #[must_use]
     pub fn guarded(mut self, accel_counts_s2: f64) -> Self {
@@ -198,8 +199,8 @@ impl Ecc {
         self
     }
 
-    /// The controller's lines, set by hand: nothing is asked for by totals from now on.
-    /// S1 goes off with the acknowledgement.
+    /// Sets the controller's lines by hand; from then on totals request nothing.
+    /// The acknowledgement clears S1.
     ///
     /// # Errors
     /// A value of more than four bits.
@@ -212,8 +213,8 @@ impl Ecc {
         Ok(())
     }
 
-    /// X/Z: whether the controller speaks to this axis.
-    /// Compensations begin on a selected axis alone.
+    /// Sets X/Z: whether the controller addresses this axis.
+    /// Compensations begin only on a selected axis.
     pub fn select(&mut self, selected: bool) {
         self.put(self.look_ns, ControlLines { selected, ..self.control });
     }
@@ -232,20 +233,20 @@ impl Ecc {
         }
     }
 
-    /// Acknowledgements so far: compensations brought to their end.
+    /// Number of acknowledgements, that is of completed compensations.
     #[must_use]
     pub fn acknowledged(&self) -> u64 {
         self.acknowledged
     }
 
     /// Largest deviation from 90° between two edges of a split pulse, degrees of phase.
-    /// At 180° they have changed places, and more is no phase.
+    /// At 180° the edges have changed places; larger values are not phases.
     #[must_use]
     pub fn worst_phase_deg(&self) -> f64 {
         self.worst_phase_deg
     }
 
-    /// Shortest and longest time that one pulse took, ns: a cycle of the encoder.
+    /// Shortest and longest time of one pulse, a cycle of the encoder, ns.
     #[must_use]
     pub fn pulse_ns(&self) -> Option<(u64, u64)> {
         self.pulse_ns
@@ -259,7 +260,7 @@ impl Ecc {
         Ok(())
     }
 
-    /// A tick of the phase shifter's clock: one count in the encoder's direction.
+    /// Handles a tick of the phase shifter: one count in the encoder's direction.
     fn tick<C: Card>(&mut self, card: &mut C) -> Result<(), CardError> {
         if let Passing::Split { left } = &mut self.passing {
             *left -= 1;
@@ -274,7 +275,7 @@ impl Ecc {
         Ok(())
     }
 
-    /// One tick of those due: never two at one instant.
+    /// Sends one of the ticks due, never two at the same instant.
     /// The others follow as fast as the VCO can.
     fn catch_up<C: Card>(&mut self, edge_ns: u64, card: &mut C) -> Result<(), CardError> {
         self.behind -= 1;
@@ -289,8 +290,8 @@ impl Ecc {
         Ok(())
     }
 
-    /// The multiplexer goes back to the encoder.
-    /// The controller books what it asked for, whatever came of it.
+    /// Switches the multiplexer back to the encoder.
+    /// The controller books its request as completed in any case.
     fn acknowledge<C: Card>(&mut self, card: &mut C) -> Result<(), CardError> {
         self.passing = Passing::Encoder;
         (self.tick_ns, self.behind) = (None, 0);
@@ -300,7 +301,7 @@ impl Ecc {
         self.asked = 0;
         self.insertions += 1;
         self.acknowledged += 1;
-        // The controller takes S1 back when it sees the pulse.
+        // The controller clears S1 when it sees the pulse.
         self.put(self.look_ns, ControlLines { ack: true, ..self.control });
         let off = ControlLines { s1: false, s0: false, value: 0, ack: false, ..self.control };
         self.put(self.look_ns + ACK_NS, off);
@@ -315,12 +316,12 @@ impl Ecc {
         (from..=to).contains(&self.input_hz)
     }
 
-    /// The VCO ticks between two scale edges as well: halfway where it locks cleanly.
+    /// Schedules the tick between two scale edges: halfway if the loop locks cleanly.
     fn schedule_half(&mut self, edge_ns: u64) {
         let clean = self.in_range(self.pll.clean_from_hz, self.pll.clean_to_hz);
         let shift = if clean { 0.0 } else { UNCLEAN * (2.0 * self.noise.uniform() - 1.0) };
         let half_ns = self.vco_ns * 0.5 * (1.0 + shift);
-        // Two edges a count of the input are 90° apart: half of its period.
+        // Two edges per count of the input are 90° apart, half of its period.
         let off = half_ns / (0.25e9 / self.input_hz) - 1.0;
         self.worst_phase_deg = self.worst_phase_deg.max((90.0 * off.abs()).min(180.0));
         self.tick_ns = Some((edge_ns + half_ns as u64).max(self.look_ns + self.fastest_ns()));
@@ -353,7 +354,7 @@ impl Ecc {
         match &mut self.passing {
             Passing::Encoder => self.send(state, card)?,
             Passing::Blocked { left } => {
-                // The counter counts rising edges of A whichever way the axis moves.
+                // The counter counts rising edges of A in either direction of motion.
                 *left -= i64::from(state.a() && !before.a());
                 if *left <= 0 && state == State::default() {
                     self.acknowledge(card)?;
@@ -361,7 +362,7 @@ impl Ecc {
                 return Ok(());
             }
             Passing::Split { .. } if locked => {
-                // Phase lock: two ticks a count, this one and the one before it if it is still due.
+                // Phase lock gives two ticks per count: this one, and the one before if it is still due.
                 self.behind += 1 + u64::from(!self.half_sent);
                 let soonest_ns = self.last_tick_ns + self.fastest_ns();
                 if edge_ns < soonest_ns {
@@ -379,26 +380,27 @@ impl Ecc {
         Ok(())
     }
 
-    /// How many pulses are over before the axis can turn back.
-    /// With `adds`, before the PLL can leave its clean range. None are added beyond the lock range, where the VCO
-    /// would run free and the number could not be kept. Nor before the loop has followed a motion that just began.
+    /// Number of pulses that end before the axis can reverse.
+    /// With `adds`, also before the PLL can leave its clean range. Outside the lock range none are added,
+    /// because the VCO would run free and the number could not be kept. None are added before the loop has
+    /// followed a motion that just began.
     fn sure_pulses(&self, adds: bool) -> i64 {
         let followed = (self.vco_ns * self.input_hz / 0.5e9 - 1.0).abs() <= UNCLEAN;
         if adds && !(followed && self.in_range(self.pll.lock_from_hz, self.pll.lock_to_hz)) {
             return 0;
         }
         let Some(a) = self.accel_counts_s2 else { return MAX_PULSES };
-        // The XOR of A and B has one cycle in two counts.
+        // The XOR of A and B has one cycle per two counts.
         let rate = |xor_hz: f64| 2.0 * xor_hz;
         let v = rate(self.input_hz);
         let slowest = if adds { rate(self.pll.clean_from_hz) } else { 0.0 };
         let fastest = if adds { rate(self.pll.clean_to_hz) } else { f64::INFINITY };
         let travel = ((v * v - slowest * slowest).min(fastest * fastest - v * v) / (2.0 * a)).max(0.0);
-        // A pulse is four counts; two more until the last edge is out.
+        // A pulse is four counts, and two more until its last edge is out.
         ((travel - 2.0) / 4.0).clamp(0.0, MAX_PULSES as f64) as i64
     }
 
-    /// At A = B = low the controller's next request may begin.
+    /// Begins the controller's next request, which is possible only at A = B = low.
     fn begin(&mut self, state: State, edge_ns: u64) {
         if state != State::default() || !self.control.selected {
             return;
@@ -410,9 +412,9 @@ impl Ecc {
         } else {
             ((self.requested - self.completed) / 4).clamp(-MAX_PULSES, MAX_PULSES)
         };
-        // More counts in the direction of motion are added pulses, fewer are blocked ones.
+        // More counts in the direction of motion are added pulses; fewer are blocked ones.
         let adds = pulses * sign > 0;
-        // The lines set by hand are the circuit's own: nothing holds them back.
+        // Lines set by hand act directly on the circuit, without a guard.
         let sure =
             if pulses == 0 || self.by_hand { pulses.abs() } else { self.sure_pulses(adds).min(pulses.abs()) };
         self.waited += u64::from(sure < pulses.abs());
@@ -441,7 +443,7 @@ impl CorrectedAxis for Ecc {
         _report: &mut impl FnMut(Event) -> bool,
     ) -> Result<(), CardError> {
         let splitting = matches!(self.passing, Passing::Split { .. });
-        // An input that has fallen below the lock range leaves the VCO running at its lowest frequency.
+        // If the input falls below the lock range, the VCO runs at its lowest frequency.
         let loses_ns = self.last_edge_ns.map_or(u64::MAX, |t| t + (0.5e9 / self.pll.lock_from_hz) as u64);
         let mut wake_ns = if splitting { self.tick_ns.unwrap_or(loses_ns) } else { u64::MAX };
         wake_ns = wake_ns.max(self.look_ns);

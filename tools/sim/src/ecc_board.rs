@@ -1,6 +1,6 @@
 //! The Error Correction Circuit on both axes behind one embedded controller.
-//! X/Z selects the axis. S1 and S0 give the operation, four bits its number. A short acknowledgement ends it (CMTI
-//! 2014, section 2).
+//! X/Z selects the axis, S1 and S0 give the operation, and four bits give its number. A short acknowledgement
+//! ends it (CMTI 2014, section 2).
 
 use crate::bench::Edge;
 use crate::designs::trace;
@@ -10,27 +10,27 @@ use rtec_driver::card::{AxisLines, Card, CardError, Sample};
 use rtec_driver::quadrature::{Decoder, State};
 use std::fmt::Write as _;
 
-/// A compensation that the embedded controller asks for, one after the other.
+/// A compensation that the embedded controller requests, one after another.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Order {
-    /// X/Z: for the X axis; else for the Z axis.
+    /// X/Z: the X axis, otherwise the Z axis.
     pub x: bool,
-    /// S1: compensation is required.
+    /// S1: a compensation is required.
     pub s1: bool,
-    /// S0: addition; else subtraction.
+    /// S0: addition, otherwise subtraction.
     pub s0: bool,
     /// The compensation value, pulses.
     pub value: u8,
 }
 
-/// What came of one axis, or of the line X/Z.
+/// Results for both axes, and the signals.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Board {
     /// Counts to the MTC minus counts of the scale, X and Z.
     pub mtc_minus_scale: [i64; 2],
-    /// Pulses of A, rising edges, of the scale and at the MTC, X and Z.
+    /// Pulses (rising edges of A) of the scale and at the MTC, X and Z.
     pub pulses: [[u64; 2]; 2],
-    /// Acknowledgements of X and Z.
+    /// Acknowledgements on X and Z.
     pub acknowledged: [u64; 2],
     /// Illegal transitions at the MTC, X and Z.
     pub illegal: [u64; 2],
@@ -44,7 +44,7 @@ pub struct Board {
 pub const SIGNALS: [&str; 12] =
     ["x_a", "x_b", "x_a_mtc", "x_b_mtc", "z_a", "z_b", "z_a_mtc", "z_b_mtc", "xz", "s1", "s0", "ack"];
 
-/// One axis' wires: the scale's edges in, A' and B' out.
+/// One axis's wires: the scale's edges in, A' and B' out.
 #[derive(Debug)]
 struct Wires<'a> {
     edges: &'a [Edge],
@@ -103,25 +103,25 @@ impl Card for Wires<'_> {
     }
 }
 
-/// Why a board could not be run.
+/// Reason why a board could not be run.
 #[derive(Debug, thiserror::Error)]
 pub enum BoardError {
-    /// The wires.
+    /// The wires failed.
     #[error(transparent)]
     Card(#[from] CardError),
-    /// An order that has no lines.
+    /// An order has too large a value.
     #[error(transparent)]
     Order(#[from] BeyondFourBits),
 }
 
-/// How long the controller takes from one step of its program to the next, ns.
+/// Time between two steps of the controller's program, ns.
 const STEP_NS: u64 = 1000;
 
-/// Runs both axes over their edges (X, Z) while the controller works off its orders.
-/// The first order is given at `from_ns`. An order without S1 waits for `idle_ns`.
+/// Runs both axes over their edges (X, Z) while the controller executes its orders.
+/// The first order begins at `from_ns`. An order without S1 waits for `idle_ns`.
 ///
 /// # Errors
-/// An order of more than four bits; never by these wires.
+/// An order of more than four bits; these wires never fail.
 pub fn run(
     pll: Pll,
     edges: [&[Edge]; 2],
@@ -162,7 +162,7 @@ pub fn run(
         if now_ns < from_ns {
             continue;
         }
-        // One step of its program to see that an order is over, another one to give the next.
+        // The program needs one step to see that an order is over, and another to begin the next.
         under_way = match under_way {
             Some((order, since_ns, before)) => {
                 let acknowledged = circuits[usize::from(!order.x)].acknowledged() > before;
@@ -190,7 +190,7 @@ pub fn run(
         board.illegal[n] = wires.mtc.decoder().illegal();
         board.worst_phase_mdeg = board.worst_phase_mdeg.max((circuit.worst_phase_deg() * 1e3) as u64);
         board.changes.append(&mut wires.changes);
-        // One set of lines: what is said to the selected axis, and its answer.
+        // One set of lines: to the selected axis, and its answer.
         let mut was = ControlLines::default();
         for (t_ns, is) in circuit.lines_log() {
             for (name, was, is) in [("s1", was.s1, is.s1), ("s0", was.s0, is.s0), ("ack", was.ack, is.ack)] {
@@ -206,7 +206,7 @@ pub fn run(
 }
 
 impl Board {
-    /// How long each acknowledgement was on, ns.
+    /// Duration of each acknowledgement, ns.
     #[must_use]
     pub fn ack_ns(&self) -> Vec<u64> {
         let mut on = None;
@@ -219,8 +219,8 @@ impl Board {
     }
 
     /// The timing diagram of the n-th compensation, as in figures 8 and 9 of the paper.
-    /// It begins before S1 rises and ends after the acknowledgement, by half the compensation's duration. `None`
-    /// where there was no such compensation.
+    /// It begins before S1 rises and ends after the acknowledgement, each by half the compensation's
+    /// duration. `None` if there is no such compensation.
     #[must_use]
     pub fn svg(&self, n: usize, title: &str) -> Option<String> {
         let (at, begin) = self.changes.iter().enumerate().filter(|(_, c)| c.1 == "s1" && c.2).nth(n)?;

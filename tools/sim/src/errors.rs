@@ -1,5 +1,5 @@
 //! The machine's errors over time: the effects of its model under its own heat.
-//! They move whatever the machine carries, tool and probe alike.
+//! They move tool and probe alike.
 
 use crate::axis::Friction;
 use crate::heat::{Heat, SENSORS};
@@ -13,8 +13,8 @@ use rtec_model::record::Axis;
 /// Names of the controller's axes.
 pub(crate) const NAMES: [&str; AXES] = ["x", "y", "z"];
 
-/// What a model of the simulated machine may read.
-/// It may read the controller's axes, all sensors and these channels.
+/// Inputs that a model of the simulated machine may read.
+/// They are the controller's axes, all sensors and these channels.
 pub(crate) fn layout(channels: Vec<String>) -> Layout {
     Layout {
         axes: NAMES.iter().filter_map(|n| Axis::new(n)).collect(),
@@ -23,19 +23,19 @@ pub(crate) fn layout(channels: Vec<String>) -> Layout {
     }
 }
 
-/// The probe does it, not the machine nor the part.
+/// Whether an effect belongs to the probe, not to the machine or the part.
 pub(crate) fn of_the_probe(effect: &Effect) -> bool {
     effect.description().owner == Owner::Probe
 }
 
-/// Delay from contact to the probe's line by a true machine's effects, ns.
+/// Delay from contact to the probe's line by the true machine's effects, ns.
 pub(crate) fn probe_delay_ns<'e>(effects: impl IntoIterator<Item = &'e Effect>) -> u64 {
     let late = effects.into_iter().filter(|e| e.description().mechanism == Some(Mechanism::ProbeDelay));
     let us = late.map(|e| e.scalar(0)).fold(0.0, f64::max);
     (us * 1000.0) as u64
 }
 
-/// The forces that a true machine's effects stand for, on all its axes.
+/// Sets the forces that the true machine's effects describe, on all its axes.
 pub(crate) fn set_friction(machine: &mut SimMachine, effects: &[&Effect]) {
     for n in 0..machine.axis_count() {
         let axis = NAMES[machine.place(n)];
@@ -56,7 +56,7 @@ pub(crate) fn set_friction(machine: &mut SimMachine, effects: &[&Effect]) {
     }
 }
 
-/// What a model reads of the machine at a time; `axes` are X, Y, Z.
+/// A model's inputs from the machine at a time; `axes` are X, Y, Z.
 pub(crate) fn frame<'a>(
     t_s: f64,
     machine: &SimMachine,
@@ -75,7 +75,7 @@ pub(crate) fn frame<'a>(
     }
 }
 
-/// The true machine's errors and the heat they come from.
+/// The true machine's errors, and the heat that causes them.
 #[derive(Debug)]
 pub(crate) struct Errors {
     pub heat: Heat,
@@ -98,14 +98,14 @@ impl Errors {
         &self.channels
     }
 
-    /// Another second of what the channels show.
+    /// Advances the channels by one second.
     pub(crate) fn move_channels(&mut self) {
         for channel in &mut self.channels {
             *channel += 0.1 * self.noise.normal() - 0.002 * *channel;
         }
     }
 
-    /// Evaluates the errors where the machine is and moves its tool by them.
+    /// Evaluates the errors at the machine's position and moves its tool by them.
     pub(crate) fn act(&mut self, t_s: f64, machine: &mut SimMachine, load_n: &[f64; AXES], angle_rad: f64) {
         let mut axes = [AxisNow::default(); AXES];
         for n in 0..machine.axis_count() {
@@ -127,14 +127,14 @@ impl Errors {
         machine.set_tool_offset_mm(offset_mm);
     }
 
-    /// The errors as they were evaluated last, X, Y, Z, µm.
+    /// The last evaluated errors of X, Y, Z, µm.
     pub(crate) fn errors_um(&self) -> [f64; AXES] {
         let mut errors_um = [0.0; AXES];
         errors_um.copy_from_slice(&self.truth.errors_um()[..AXES]);
         errors_um
     }
 
-    /// Radial effects at the angle evaluated last, µm.
+    /// Radial effects at the last evaluated angle, µm.
     /// They are the part's form, and the probe's additional reach.
     pub(crate) fn radial_um(&self) -> (f64, f64) {
         let probe_um = self.truth.parts().filter(|p| of_the_probe(p.effect)).map(|p| p.value[0]).sum::<f64>();

@@ -11,7 +11,7 @@ use rtec_model::machine::Machine;
 use rtec_model::record::Record;
 use std::path::Path;
 
-/// Seed of the characterisation, and of the runs that are held out.
+/// Seeds of the characterisation and of the hold-out runs.
 const SEEDS: [u64; 2] = [1, 2];
 
 /// An example machine.
@@ -19,14 +19,14 @@ const SEEDS: [u64; 2] = [1, 2];
 pub struct Example {
     /// Its name on the command line.
     pub name: &'static str,
-    /// What it is, in one line.
+    /// Its description in one line.
     pub what: &'static str,
-    /// Files as they stand: path below the example's folder, and text.
+    /// Files written unchanged: path below the example's folder, and text.
     /// `true.toml` is among them.
     pub files: &'static [(&'static str, &'static str)],
     spec: fn() -> Spec,
-    /// Experiments that characterise it, and those that are held out.
-    /// None where `rtec-papers` runs it whole.
+    /// Experiments that characterise it, and hold-out experiments.
+    /// None if `rtec-papers` runs the whole.
     runs: [&'static [&'static str]; 2],
 }
 
@@ -146,7 +146,7 @@ impl Example {
         EXAMPLES.iter().find(|e| e.name == name)
     }
 
-    /// It has runs of its own; else `rtec-papers` runs it whole.
+    /// Whether it has its own runs; otherwise `rtec-papers` runs the whole.
     #[must_use]
     pub fn has_runs(&self) -> bool {
         self.runs.iter().any(|runs| !runs.is_empty())
@@ -159,7 +159,7 @@ impl Example {
         self.files.iter().flat_map(|f| f.1.lines()).map(str::trim).find(|l| l.starts_with("rtec-papers "))
     }
 
-    /// One of its files as a machine model, with the files beside it.
+    /// Reads one of its files as a machine model, with the files that it refers to.
     ///
     /// # Errors
     /// Never: the files are within the program, and a test reads them.
@@ -172,8 +172,8 @@ impl Example {
         Machine::parse_from(path, &text(path)?, Dictionary::default(), &text)
     }
 
-    /// Its run records, with the paths below `folder` that they are to be written to.
-    /// None is written yet.
+    /// Its run records, with their future paths below `folder`.
+    /// They are not written yet.
     ///
     /// # Errors
     /// As [`Experiment::run`].
@@ -203,7 +203,7 @@ mod tests {
         for example in EXAMPLES.into_iter().filter(Example::has_runs) {
             let (known, truth) =
                 (example.machine("machine.toml").unwrap(), example.machine("true.toml").unwrap());
-            // What is known is less than what there is.
+            // The known model has fewer effects than the true one.
             let laws = |m: &Machine| {
                 m.effects()
                     .map(rtec_model::effect::Effect::identity)
@@ -245,7 +245,7 @@ mod tests {
                 noise.push(column.data.iter().zip(um).map(|(e, p)| e - p).collect());
             }
         }
-        // No run is the noise of another once more.
+        // No two runs share their noise.
         for (k, a) in noise.iter().enumerate() {
             for b in &noise[k + 1..] {
                 let same = a.iter().zip(b).filter(|(a, b)| (*a - *b).abs() < 1e-3).count();

@@ -7,7 +7,7 @@
 //! | `motion` | displacement, circles, plate, feeds, drive forces |
 //! | `heat` | spindle cycles, tool changes, drilling |
 //! | `nose` | the turned and probed hemisphere |
-//! | `insertion` | how often the corrector inserts, and where |
+//! | `insertion` | number and positions of insertions |
 
 mod heat;
 mod insertion;
@@ -30,40 +30,40 @@ use rtec_model::record::Record;
 use serde_json::{Map, Value};
 use std::path::Path;
 
-/// What an experiment is run with.
+/// Inputs of an experiment.
 #[derive(Debug, Clone, Copy)]
 pub struct Setting<'a> {
-    /// The machine as it is built.
-    /// Experiments whose machine is fixed, and the nose, build their own.
+    /// The machine's construction.
+    /// Experiments with a fixed machine, and the nose, build their own.
     pub spec: &'a Spec,
-    /// The machine as it really is.
+    /// The machine with its true errors.
     pub truth: &'a Machine,
-    /// What the corrector knows of it; without it there is no run with compensation.
+    /// The model that the corrector knows; without one there is no compensated run.
     pub known: Option<&'a Machine>,
     /// Seed of all noise.
     pub seed: u64,
-    /// Folder that records are to be written to.
+    /// Folder for the records.
     pub out: &'a Path,
 }
 
-/// What an experiment leaves.
+/// Results of an experiment.
 #[derive(Debug)]
 pub struct Findings {
-    /// Run records, not yet written, without compensation and with (`…-compensated`).
+    /// Run records, not yet written, without and with compensation (`…-compensated`).
     pub records: Vec<Record>,
-    /// Plots and tables beside the records: file name and text.
+    /// Plots and tables of the records: file name and text.
     pub plots: Vec<(String, String)>,
-    /// What gauges on a mandrel showed, by the record's name, a row for each of its rows.
+    /// Readings of gauges on a mandrel by record name, one per row.
     pub gauges: Vec<(String, Vec<Gauged>)>,
-    /// The figures that the experiment is run for, by name with unit.
+    /// The experiment's figures, by name with unit.
     pub summary: Map<String, Value>,
 }
 
 /// Distance between the two gauges of each direction on the mandrel, mm.
-/// WO 97/43703, figure 7, gives none.
+/// WO 97/43703, figure 7, does not state it.
 pub const GAUGE_SPACING_MM: f64 = 100.0;
 
-/// Five gauges at a mandrel in the spindle (WO 97/43703, figure 7).
+/// Readings of five gauges at a mandrel in the spindle (WO 97/43703, figure 7).
 /// 2 and 5 are in X, 1 and 4 in Y, near and far, and 3 in Z.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Gauged {
@@ -75,16 +75,16 @@ pub struct Gauged {
     pub tilt_arcsec: [f64; 2],
 }
 
-/// Why an experiment failed.
+/// Reason why an experiment failed.
 #[derive(Debug, thiserror::Error)]
 pub enum ExperimentError {
-    /// The simulation could not go on.
+    /// The simulation could not continue.
     #[error(transparent)]
     Sim(#[from] SimError),
-    /// The turning of a nose.
+    /// The turning of a nose failed.
     #[error(transparent)]
     Turning(#[from] TurningError),
-    /// A record or a model is not as it must be.
+    /// A record or a model is invalid.
     #[error(transparent)]
     Record(#[from] InputError),
     /// A plot could not be drawn.
@@ -99,9 +99,9 @@ type Run = fn(&Setting<'_>) -> Result<Findings, ExperimentError>;
 pub struct Experiment {
     /// The experiment's name on the command line.
     pub name: &'static str,
-    /// What it does, in one line.
+    /// Its description in one line.
     pub what: &'static str,
-    /// The machine that it is about, where a source describes one.
+    /// Its own machine, if a source describes one.
     pub own: Option<Own>,
     run: Run,
 }
@@ -110,11 +110,11 @@ pub struct Experiment {
 #[derive(Debug, Clone, Copy)]
 pub struct Own {
     file: &'static str,
-    /// The machine is the experiment: another one is another experiment.
+    /// Whether another machine would make it another experiment.
     pub fixed: bool,
 }
 
-/// The turning centre of NISTIR 4832: what is to come out depends on its one error.
+/// The turning centre of NISTIR 4832; the results depend on its one error.
 const NIST_4832: Option<Own> = Some(Own { file: "4832-machine.toml", fixed: true });
 /// The turning centre of NISTIR 4854.
 const NIST_4854: Option<Own> = Some(Own { file: "4854-machine.toml", fixed: false });
@@ -136,7 +136,7 @@ impl Experiment {
         }
     }
 
-    /// The machine that it brings; none where the user's is wanted.
+    /// Its own machine; none if the user's is to be used.
     ///
     /// # Errors
     /// Never: the files are within the program, and a test reads them.

@@ -1,9 +1,10 @@
 //! The Original RTEC and Design A (NISTIR 4832).
 //! They insert four counts by two pairs of inversions.
 //!
-//! Every insertion switches the inverters on and off again, one whole encoder cycle. The Original begins at A = B = low
-//! only; Design A begins in any state. Both wait for the same speed gate as the engine, for twice as many inversions.
-//! The simulated cards show every edge and confirm every write at once, so nothing here guards against missed counts.
+//! Every insertion switches the inverters on and off again, one whole encoder cycle. The Original begins
+//! only at A = B = low; Design A begins in any state. Both wait for the same speed gate as the engine, for
+//! twice as many inversions. The simulated cards show every edge and confirm every write at once, so no code
+//! here guards against missed counts.
 
 use crate::insertion::{CorrectedAxis, GateDesign};
 use rtec_driver::card::{Card, CardError, MachineLines};
@@ -16,14 +17,14 @@ use rtec_rt::event::{
 };
 use rtec_rt::gate::{Gate, GateInput};
 
-/// Inversions of one insertion, and its counts.
+/// Inversions of one insertion, which are also its counts.
 const INCREMENT_COUNTS: i64 = GateDesign::A.increment_counts();
-/// A capture without a further edge ends after this time, ns: the axis has stopped.
+/// Time without an edge after which a capture ends, ns: the axis has stopped.
 /// The engine does the same.
 const CAPTURE_LIMIT_NS: u64 = 100_000_000;
 
 /// The speed gate for four inversions.
-/// `None` where no speed leaves time for an insertion.
+/// `None` if no speed leaves time for an insertion.
 #[must_use]
 pub fn gate(config: &AxisConfig) -> Option<Gate> {
     Gate::new(GateInput {
@@ -38,14 +39,14 @@ fn busy_ns(config: &AxisConfig) -> u64 {
     INCREMENT_COUNTS as u64 * (config.write_ns + config.min_separation_ns) + config.guard_ns
 }
 
-/// The corrected axes of one machine, homed in place, with corrections enabled.
+/// The corrected axes of one machine, homed, with corrections enabled.
 #[derive(Debug)]
 pub struct FullCycle {
     axes: Vec<FullCycleAxis>,
     lines: MachineLines,
     inputs: u64,
     look_ns: u64,
-    /// The next look comes at once: the mode has changed, or something was written.
+    /// Whether the next look comes at once, after a change of mode or a write.
     look_at_once: bool,
     probing: bool,
     held: Option<HeldBy>,
@@ -53,7 +54,7 @@ pub struct FullCycle {
     mode: Mode,
 }
 
-/// How far an insertion has come.
+/// State of an insertion.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Phase {
     Idle,
@@ -66,7 +67,7 @@ enum Phase {
         until_ns: u64,
     },
     /// The first inversion of a pair is in effect since `effective_ns`.
-    /// Real edges fell after it.
+    /// `edges` real edges have come since.
     HalfPair {
         add: bool,
         pairs: u8,
@@ -81,7 +82,7 @@ enum Phase {
     },
 }
 
-/// An inversion that an edge may have come before.
+/// The last inversion, which an edge may have preceded.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct LastInversion {
     signal: Signal,
@@ -106,7 +107,7 @@ struct FullCycleAxis {
     not_believed: u8,
     phase: Phase,
     last_inversion: Option<LastInversion>,
-    /// The last edge came between these two times, ns.
+    /// Bounds of the time of the last edge, ns.
     last_edge: Option<(u64, u64)>,
     /// Direction of the last edge; 0 before the first and after an illegal transition.
     last_step: i8,
@@ -123,17 +124,17 @@ struct FullCycleAxis {
     look_at_once: bool,
 }
 
-/// One look, as an axis needs it.
+/// The data of one look for an axis.
 #[derive(Debug, Clone, Copy)]
 struct Look {
     t_ns: u64,
-    /// An edge that this look shows came between these two times, ns.
+    /// Bounds of the time of an edge that this look shows, ns.
     edge_ns: (u64, u64),
     may_insert: bool,
 }
 
 impl FullCycle {
-    /// Takes over the card as it stands: axis `n` is homed at `origin_counts(n)`.
+    /// Takes over the card as it is; axis `n` is homed at `origin_counts(n)`.
     ///
     /// # Errors
     /// When the card cannot be read or written, or an axis has no speed that leaves time for an insertion.
@@ -188,8 +189,8 @@ impl FullCycle {
         })
     }
 
-    /// Takes one request: a total, probing mode, feed hold, enabling and disabling.
-    /// The others do not concern a simulated machine, which is homed from the start.
+    /// Takes one request: a total, probing mode, feed hold, enable or disable.
+    /// Other requests do not concern a simulated machine, which is homed from the start.
     ///
     /// # Errors
     /// When the hold line cannot be written.
@@ -229,7 +230,7 @@ impl FullCycle {
         self.update_mode(card)
     }
 
-    /// Why a total is refused whatever its size.
+    /// Reason why any total is refused now.
     fn why_not(&self) -> Option<Refusal> {
         let conditions = [
             (self.mode == Mode::Fault, Refusal::FaultLatched),
@@ -264,7 +265,7 @@ impl FullCycle {
         Ok(())
     }
 
-    /// Everything at this moment.
+    /// The present status.
     #[must_use]
     pub fn status(&self) -> Status {
         let mut axes = [AxisStatus::default(); MAX_AXES];
@@ -359,7 +360,7 @@ impl FullCycleAxis {
         self.requested - self.completed
     }
 
-    /// Two pairs make an insertion; a left-over pair switches the inverters off again.
+    /// Pairs of the next insertion: two, or one if a left-over pair must be undone.
     fn pairs(&self) -> u8 {
         if self.inverters == 0 { 2 } else { 1 }
     }
@@ -381,7 +382,7 @@ impl FullCycleAxis {
         answer
     }
 
-    /// The probe tripped; `false` while a capture is under way: a bounce.
+    /// Notes a trip of the probe; `false` if a capture is under way (a bounce).
     fn trip(&mut self, trip_ns: (u64, u64)) -> bool {
         if self.capture.is_some() {
             return false;
@@ -396,7 +397,7 @@ impl FullCycleAxis {
         self.home_counts + self.scale.count() + i64::from(self.last_step < 0)
     }
 
-    /// The signal to invert now, if any.
+    /// Handles a look; returns the signal to invert now, if any.
     fn look(&mut self, state: State, look: &Look, report: &mut impl FnMut(EventKind)) -> Option<Signal> {
         self.look_at_once = false;
         if state != self.scale.state() {
@@ -456,7 +457,7 @@ impl FullCycleAxis {
         }
     }
 
-    /// Enters a real edge into the MTC's count, in true order with the last inversion.
+    /// Adds a real edge to the MTC's count, in its true order with the last inversion.
     fn pass_on(&mut self, signal: Signal, edge_ns: u64, report: &mut impl FnMut(EventKind)) {
         let overtaken = self.last_inversion.filter(|i| i.signal != signal && edge_ns <= i.done_ns);
         if let Some(inversion) = overtaken.filter(|i| edge_ns <= i.from_ns) {
@@ -477,7 +478,7 @@ impl FullCycleAxis {
         }
     }
 
-    /// Opens an insertion after an edge, if it is done before the next edge can come.
+    /// Opens an insertion after an edge if it can end before the next edge.
     fn open(&mut self, edge: (u64, u64)) {
         if !self.may_begin_here() || edge.1 < self.next_allowed_ns {
             return;
@@ -531,7 +532,7 @@ impl FullCycleAxis {
     }
 
     /// Makes the second inversion.
-    /// It picks the signal that brings the MTC's count to its goal, or else back to where it was.
+    /// It chooses the signal that brings the MTC's count to its goal, or else back.
     fn invert_second(
         &mut self,
         add: bool,
@@ -573,7 +574,7 @@ impl FullCycleAxis {
         signal
     }
 
-    /// The card has confirmed that the last write took effect at `at_ns`.
+    /// Notes that the card confirmed the last write at `at_ns`.
     fn written(&mut self, at_ns: u64) {
         if let Some(inversion) = &mut self.last_inversion {
             inversion.done_ns = at_ns;
@@ -585,7 +586,7 @@ impl FullCycleAxis {
         }
     }
 
-    /// When the insertion under way goes on, or one begins at rest, ns.
+    /// Time at which the insertion continues, or one begins at rest, ns.
     fn due_ns(&self) -> u64 {
         match self.phase {
             Phase::Idle => match self.config.rest {

@@ -1,4 +1,4 @@
-//! NC programs for the simulated controller.
+//! NC programs of the simulated controller.
 //! It knows G00 to G04, G17 to G19, G90, G91, M03, M05, M08, M09, F and S.
 
 use crate::path::AXES;
@@ -33,7 +33,7 @@ pub enum Block {
         /// Feed along the path, mm/s.
         feed_mm_s: f64,
     },
-    /// G04: stand still.
+    /// G04: a dwell.
     Dwell {
         /// Duration, s.
         seconds: f64,
@@ -50,10 +50,10 @@ pub enum Block {
     },
 }
 
-/// Reads a program; the machine stands at `start` (mm). Axis letters X, Y, Z.
+/// Parses a program that starts at `start` (mm). Axis letters are X, Y, Z.
 ///
 /// # Errors
-/// The first word that is not understood or complete, with its line and column.
+/// The first word that is unknown or incomplete, with its line and column.
 pub fn parse(file: &Path, text: &str, start: [f64; AXES]) -> Result<Vec<Block>, InputError> {
     let mut blocks = Vec::new();
     let mut at = start;

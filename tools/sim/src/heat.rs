@@ -1,4 +1,5 @@
-//! Heat in the machine: a lumped network of thermal masses, driven by the spindle and by coolant.
+//! Heat in the machine: a lumped network of thermal masses.
+//! The spindle and the coolant drive it.
 //!
 //! It is tuned to the machining centre of WO 97/43703. At 5500 rpm the sensor at the spindle's nose rises by some 16
 //! K in three hours (figure 17). With coolant the front of the housing stays cool while its rear heats. The gradient
@@ -26,7 +27,7 @@ pub enum Node {
 
 const NODES: usize = 12;
 
-/// Heat capacities, J/K, in the order of [`Node`]; ambient is a boundary.
+/// Heat capacities, J/K, in the order of [`Node`]; the ambient is a boundary.
 const CAPACITY: [f64; NODES] =
     [2.5e3, 2.5e3, 9.0e3, 1.4e4, 1.6e4, 1.4e4, 6.0e4, 3.0e5, 5.0e5, 1.5e5, 2.5e5, f64::INFINITY];
 
@@ -55,7 +56,7 @@ const CONDUCTANCE: [(Node, Node, f64); 21] = [
     (Node::Coolant, Node::Ambient, 25.0),
 ];
 
-/// Further conductances while coolant flows, W/K.
+/// Additional conductances while coolant flows, W/K.
 const WET: [(Node, Node, f64); 4] = [
     (Node::HousingFront, Node::Coolant, 30.0),
     (Node::FrontBearing, Node::Coolant, 8.0),
@@ -63,7 +64,7 @@ const WET: [(Node, Node, f64); 4] = [
     (Node::Bed, Node::Coolant, 20.0),
 ];
 
-/// Heat at 5500 rpm, W, and the share that grows with the square of the speed.
+/// Heat at 5500 rpm, W, and its share that grows with the square of the speed.
 /// The rest grows with the speed.
 const SOURCES: [(Node, f64, f64); 3] =
     [(Node::FrontBearing, 170.0, 0.6), (Node::RearBearing, 135.0, 0.6), (Node::Motor, 185.0, 0.3)];
@@ -71,7 +72,7 @@ const SOURCES: [(Node, f64, f64); 3] =
 /// Heat that the coolant's pump puts into it, W.
 const PUMP_W: f64 = 300.0;
 
-/// The sensors: name, mass that it sits on, neighbour, and the neighbour's share.
+/// The sensors: name, mass at which it sits, neighbour, and the neighbour's share.
 pub const SENSORS: [(&str, Node, Node, f64); 20] = [
     ("T1", Node::Bed, Node::Ambient, 0.1),
     ("T2", Node::Bed, Node::Table, 0.4),
@@ -101,7 +102,7 @@ pub struct Heat {
     /// °C, in the order of [`Node`].
     temperature: [f64; NODES],
     ambient_degc: f64,
-    /// Slow drift of the hall.
+    /// Slow drift of the hall's temperature, K.
     drift: f64,
     t_s: f64,
     due_s: f64,
@@ -110,12 +111,12 @@ pub struct Heat {
     noise_k: f64,
 }
 
-/// Time step, s: short against the fastest mass (a bearing, a minute).
+/// Time step, s; short compared with the fastest mass (a bearing, a minute).
 const STEP_S: f64 = 1.0;
 
 impl Heat {
     /// A machine that has stood overnight in a hall of this temperature.
-    /// Sensors with this noise, K.
+    /// Its sensors have noise of `noise_k`, K.
     #[must_use]
     pub fn cold(ambient_degc: f64, noise_k: f64, seed: u64) -> Self {
         let mut heat = Self {
@@ -132,12 +133,12 @@ impl Heat {
         heat
     }
 
-    /// The hall is heated or cooled to this temperature at once, °C.
+    /// Sets the temperature of the hall, at once, °C.
     pub fn set_hall(&mut self, degc: f64) {
         self.ambient_degc = degc;
     }
 
-    /// Moves on to `t_s` with the spindle at `rpm` and coolant on or off.
+    /// Advances to `t_s` with the spindle at `rpm` and coolant on or off.
     pub fn advance(&mut self, t_s: f64, rpm: f64, coolant: bool) {
         while self.due_s + STEP_S <= t_s {
             self.due_s += STEP_S;
@@ -166,7 +167,7 @@ impl Heat {
         for (n, t) in self.temperature.iter_mut().enumerate() {
             *t += watt[n] / CAPACITY[n] * STEP_S;
         }
-        // The hall wanders by some tenths of a kelvin over hours.
+        // The hall's temperature wanders by some tenths of a kelvin over hours.
         self.drift += 0.002 * self.noise.normal() - self.drift * STEP_S / 7200.0;
         self.temperature[Node::Ambient as usize] = self.ambient_degc + self.drift;
         self.read();
@@ -180,7 +181,7 @@ impl Heat {
         }
     }
 
-    /// What the sensors read, °C, in the order of [`SENSORS`].
+    /// Readings of the sensors, °C, in the order of [`SENSORS`].
     #[must_use]
     pub fn readings_degc(&self) -> &[f64] {
         &self.readings
@@ -193,7 +194,7 @@ impl Heat {
     }
 }
 
-/// A spindle cycle: speeds and for how long. `(rpm, minutes)`.
+/// A spindle cycle: speeds and durations, `(rpm, minutes)`.
 pub type Cycle = &'static [(f64, f64)];
 
 /// The spindle cycle of WO 97/43703, figure 9 and table 4.
@@ -232,7 +233,8 @@ mod tests {
         assert!((15.0..=17.0).contains(&rise), "{rise} K");
     }
 
-    /// The gradient between front and rear of the housing is larger wet than dry (WO 97/43703, after table 7).
+    /// The gradient along the housing is larger wet than dry.
+    /// (WO 97/43703, after table 7)
     #[test]
     fn the_housing_gradient_is_larger_wet_than_dry() {
         let gradient = |coolant| {
@@ -243,7 +245,8 @@ mod tests {
         assert!(wet > 1.5 * dry && wet > 1.0, "dry {dry} K, wet {wet} K");
     }
 
-    /// All housing temperatures stay between 20 and 40 °C (WO 97/43703, figures 10 and 11).
+    /// All housing temperatures stay between 20 and 40 °C.
+    /// (WO 97/43703, figures 10 and 11)
     #[test]
     fn the_housing_stays_below_forty_degrees() {
         for coolant in [false, true] {

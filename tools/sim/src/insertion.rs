@@ -1,4 +1,4 @@
-//! What every insertion design does: look at a card, take totals, give status.
+//! Interface of every insertion design: look at a card, take totals, give status.
 //!
 //! | design | implemented by |
 //! |---|---|
@@ -13,27 +13,27 @@ use rtec_rt::axis::{self, AxisConfig};
 use rtec_rt::engine::{Engine, MachineConfig, StartError};
 use rtec_rt::event::{AxisStatus, Event, Request};
 
-/// The MTC's decoder, told when each change came.
-/// Changes at one instant are one change to it: A and B at once are an illegal transition, whatever their order.
+/// The MTC's decoder, with the time of each change.
+/// Changes at one instant are one change to it: A and B at once are an illegal transition, in either order.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct MtcDecoder {
     now: Decoder,
-    /// Before the changes of the last instant.
+    /// The decoder before the changes of the last instant.
     before: Decoder,
     last_ns: Option<u64>,
     /// Shortest time between two changes, ns.
-    /// The largest number where there were fewer.
+    /// `u64::MAX` before the second change.
     pub(crate) min_separation_ns: u64,
 }
 
 impl MtcDecoder {
-    /// At rest in this state.
+    /// A decoder at rest in this state.
     pub(crate) const fn new(state: State) -> Self {
         let now = Decoder::new(state);
         Self { now, before: now, last_ns: None, min_separation_ns: u64::MAX }
     }
 
-    /// A and B change to this state.
+    /// Takes a change of A and B to this state.
     #[inline]
     pub(crate) fn update(&mut self, t_ns: u64, state: State) {
         if let Some(last_ns) = self.last_ns.replace(t_ns) {
@@ -46,16 +46,16 @@ impl MtcDecoder {
         self.now.update(state);
     }
 
-    /// What it has counted.
+    /// The decoder with its count.
     pub(crate) const fn decoder(&self) -> &Decoder {
         &self.now
     }
 }
 
-/// One corrected axis, homed: what a replay, or a comparison of designs, drives.
+/// One corrected and homed axis, for a replay or a comparison of designs.
 pub trait CorrectedAxis {
-    /// One look at the card and everything that follows from it.
-    /// A card that can wait does so at most until `by_ns`.
+    /// Handles one look at the card.
+    /// A card that can wait does so until `by_ns` at most.
     ///
     /// # Errors
     /// When the card fails.
@@ -78,10 +78,10 @@ pub trait CorrectedAxis {
         report: &mut impl FnMut(Event) -> bool,
     ) -> Result<(), CardError>;
 
-    /// The axis at this moment.
+    /// The present state of the axis.
     fn axis(&self) -> AxisStatus;
 
-    /// The card's time of the last look, ns.
+    /// Time of the last look on the card's clock, ns.
     fn now_ns(&self) -> u64;
 }
 
@@ -114,7 +114,7 @@ impl CorrectedAxis for Engine {
     }
 }
 
-/// An engine of one axis on `card`, homed where it stands, corrections enabled.
+/// An engine of one axis on `card`, homed at its position, corrections enabled.
 ///
 /// # Errors
 /// When the axis cannot be corrected as configured.
@@ -168,7 +168,7 @@ mod tests {
             assert_eq!(mtc.min_separation_ns, u64::MAX, "one edge has no spacing");
             mtc.update(50, State::from_bits(second));
             assert_eq!((mtc.decoder().illegal(), mtc.decoder().count(), mtc.min_separation_ns), (1, 0, 0));
-            // There and back is no change.
+            // A change there and back at one instant is no change.
             mtc.update(70, State::from_bits(second ^ 1));
             mtc.update(70, State::from_bits(second));
             assert_eq!((mtc.decoder().illegal(), mtc.decoder().count()), (1, 0));

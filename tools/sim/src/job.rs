@@ -22,19 +22,19 @@ use rtec_rt::axis::{AxisConfig, RestPolicy};
 use rtec_rt::engine::StartError;
 use rtec_rt::event::{Event, EventKind, Request, Status};
 
-/// What a program on the machine is run for.
+/// Purpose of a program on the machine.
 #[derive(Debug, Clone, Copy)]
 pub enum Job<'a> {
     /// Cut without corrections.
     Cut,
     /// Cut with the corrections of a table, of a machine model, or of both.
-    /// The third value is the time, s, by which totals are requested ahead.
+    /// The third value is the lead by which totals are requested, s.
     Corrected(Option<&'a FinishTable>, Option<&'a Machine>, f64),
     /// Probe with a tip of this radius, mm.
     Probe(f64),
 }
 
-/// What came of a program.
+/// Results of a program.
 #[derive(Debug, Clone)]
 pub struct Ran {
     /// Events that the engine reported, in order.
@@ -46,40 +46,40 @@ pub struct Ran {
     /// The controller's count minus the scale's, Z and X.
     /// The machine's decoders give it, not the engine.
     pub mtc_minus_scale: [i64; 2],
-    /// Place of the tip's centre on the scales at each trip, in part coordinates.
+    /// Position of the tip's centre by the scales at each trip, in part coordinates.
     /// Captures are compared with this truth.
     pub trips: Vec<Zx>,
-    /// What the sensors read at each trip, °C.
+    /// Readings of the sensors at each trip, °C.
     pub degc: Vec<Vec<f64>>,
 }
 
-/// Why a program did not run.
+/// Reason why a program did not run.
 #[derive(Debug, thiserror::Error)]
 pub enum RunError {
     /// The engine refused to start.
     #[error(transparent)]
     Start(#[from] StartError),
-    /// No move at all.
+    /// The program has no move.
     #[error("the program has no move")]
     NoMove,
     /// An effect reads what this machine does not have.
     #[error("effect {} reads {}; the simulated lathe has the axes z and x and the sensors T1 to T20", .0.effect, .0.what)]
     Missing(#[from] Missing),
-    /// What the corrector is told reads what this machine does not have.
+    /// The corrector's model reads something that this machine does not have.
     #[error(transparent)]
     Model(#[from] InputError),
-    /// A part table that cannot be right.
+    /// The part table is invalid.
     #[error("{0}")]
     Table(String),
-    /// The corrections did not come into force.
+    /// The corrections did not take effect in time.
     #[error("the corrections are not in force after {SETTLES_S} s at rest")]
     Unsettled,
-    /// The controller gave up.
+    /// The controller stopped.
     #[error("the controller stopped: {0:?}")]
     Servo(ServoFault),
 }
 
-/// The law with its inputs, its lags up to date since the machine was switched on.
+/// The control law with its inputs, and with lags known since the machine's start.
 fn control(
     stand: &Stand,
     table: Option<(&FinishTable, f64)>,
@@ -119,12 +119,12 @@ fn control(
 
 /// Largest total of either axis, counts.
 const MAX_COUNTS: i64 = 1000;
-/// Corrections that are not in force after so long will never be, s.
+/// Longest wait at rest for the corrections to take effect, s.
 const SETTLES_S: f64 = 600.0;
 
 const LINES: [AxisLines; 2] = [AxisLines::standard(0, true), AxisLines::standard(1, true)];
 
-/// The corrected axes: homed, enabled, and probing where `probing` says so.
+/// The corrected axes: homed, enabled, and in probing mode if `probing`.
 fn corrected(
     card: &mut Polled<Lathe>,
     stand: &Stand,
@@ -137,7 +137,7 @@ fn corrected(
         window_counts: WINDOW_COUNTS,
         max_correction_counts: MAX_COUNTS,
         min_separation_ns: 500,
-        // An axis stands nearly still at either end of the arc, and must be right there too.
+        // At either end of the arc an axis nearly rests, and must be right there too.
         rest: RestPolicy::Insert { after_ns: 5_000_000 },
         detect_ns: 2 * poll_ns,
         write_ns: poll_ns,
@@ -152,8 +152,8 @@ fn corrected(
     Ok(corrected)
 }
 
-/// Run a program on the machine with the engine between scales and controller.
-/// The workpiece is what is left.
+/// Runs a program on the machine with the engine between scales and controller.
+/// The workpiece is changed by the cuts.
 ///
 /// # Errors
 /// The engine refuses the configuration, there is no move, or the controller gave up.
@@ -200,10 +200,11 @@ pub fn run(
                 corrected.take(request, &mut card, &mut report).map_err(StartError::Card)?;
             }
         }
-        // Cycle start: the operator waits until what is known is in force.
+        // Before cycle start the operator waits until the known corrections are in effect.
         let mut status = corrected.status();
         if stand.design == GateDesign::Original {
-            // It inserts where A and B are low: at rest perhaps never. It catches up on the way to the part (NISTIR 4832).
+            // It inserts only where A and B are low, at rest perhaps never. It catches up on the way to the
+            // part (NISTIR 4832).
             for axis in &mut status.axes {
                 axis.completed = axis.requested;
             }
@@ -234,7 +235,7 @@ pub fn run(
 }
 
 /// Pairs the trips of axis 0 (Z) and 1 (X) by their time.
-/// Positions are those of the scale's edges, whole at the boundary below a count.
+/// Positions are of the scale's edges: a whole number is the boundary below a count.
 #[must_use]
 pub fn captured(events: &[Event]) -> Captured {
     struct Open {

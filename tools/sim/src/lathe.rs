@@ -1,6 +1,6 @@
-//! A job on a simulated turning centre, on which NISTIR 4854's experiment runs.
-//! It has two axes, a worn tool or a touch probe in its turret, and a workpiece. The machine's errors move tool and
-//! probe alike.
+//! A simulated turning centre at work, on which NISTIR 4854's experiment runs.
+//! It has two axes, a worn tool or a touch probe in its turret, and a workpiece. The machine's errors move
+//! tool and probe alike.
 
 use crate::attended::Attended;
 use crate::axis::AxisSpec;
@@ -28,31 +28,31 @@ use std::sync::{Arc, Mutex, PoisonError};
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Bench {
-    /// What one count of either axis is worth.
+    /// Size of one count of either axis, µm.
     pub count_um: f64,
-    /// Radius of the tool's nose.
+    /// Radius of the tool's nose, mm.
     pub nose_mm: f64,
-    /// Ground off the nose: the depth of the flat.
+    /// Depth of the flat ground off the nose, µm.
     pub flat_um: f64,
-    /// The surface angle that the middle of the flat cuts.
+    /// Surface angle at which the middle of the flat cuts, rad.
     pub flat_rad: f64,
-    /// Repeatability of the probe, one standard deviation.
+    /// Repeatability of the probe, one standard deviation, µm.
     pub probe_sd_um: f64,
-    /// Roughness of the cut, one standard deviation.
+    /// Roughness of the cut, one standard deviation, µm.
     pub cut_sd_um: f64,
-    /// Spindle speed while cutting, and while the machine warms up.
+    /// Spindle speed while cutting and while the machine warms up, rpm.
     pub rpm: f64,
-    /// Temperature of the hall, and of the machine when it is started.
+    /// Temperature of the hall, and of the machine at its start, °C.
     pub ambient_degc: f64,
-    /// Acceleration along the path.
+    /// Acceleration along the path, mm/s².
     pub accel_mm_s2: f64,
-    /// Deceleration along the path.
+    /// Deceleration along the path, mm/s².
     pub decel_mm_s2: f64,
     /// Gain of the position loop, 1/s.
     pub gain: f64,
-    /// Between two looks of the corrector, ns.
+    /// Time between two looks of the corrector, ns.
     pub poll_ns: f64,
-    /// Between two totals from the control side, ms.
+    /// Time between two totals from the control side, ms.
     pub control_ms: f64,
 }
 
@@ -79,10 +79,10 @@ impl Default for Bench {
 }
 
 impl Bench {
-    /// Is every value one that a machine can have?
+    /// Checks that every value is possible for a machine.
     ///
     /// # Errors
-    /// The first key that is out of range and what is expected of it.
+    /// The first key that is out of range, and the range.
     pub fn check(&self) -> Result<(), (&'static str, &'static str)> {
         let positive = [
             ("count_um", self.count_um),
@@ -118,7 +118,7 @@ impl Bench {
         Ok(())
     }
 
-    /// One of its two axes.
+    /// One of the two axes.
     fn axis(&self, name: &'static str) -> AxisSpec {
         AxisSpec {
             count_um: self.count_um,
@@ -127,9 +127,9 @@ impl Bench {
             decel_mm_s2: self.decel_mm_s2,
             jerk_mm_s3: JERK_MM_S3,
             position_gain_per_s: self.gain,
-            // A speed loop well above the position loop, as far as the drive's time step carries it.
+            // A speed loop well above the position loop, as far as the drive's time step allows.
             speed_gain_per_s: (8.0 * self.gain).clamp(600.0, 2000.0),
-            // Preloaded screws.
+            // The screws are preloaded.
             backlash_um: 0.0,
             ..AxisSpec::new(name, 1000.0)
         }
@@ -142,10 +142,10 @@ impl Bench {
 
 /// Rapid traverse of the report's machine: 7 m/min.
 pub const RAPID_MM_S: f64 = 116.7;
-/// High enough that a probing path's ramps follow `accel_mm_s2` and `decel_mm_s2`.
+/// Jerk that lets a probing path's ramps reach their accelerations, mm/s³.
 const JERK_MM_S3: f64 = 100_000.0;
 
-/// A machine with its errors, switched on so long ago.
+/// A machine with its errors, some time after it was switched on.
 #[derive(Debug, Clone, Copy)]
 pub struct Stand<'a> {
     /// Machine, tool and probe.
@@ -153,20 +153,20 @@ pub struct Stand<'a> {
     /// The machine's errors.
     /// They are effects of Z and X by position and temperature, and of the probe.
     pub machine: &'a Machine,
-    /// The spindle has run for so long when the program starts.
+    /// Time for which the spindle has run when the program starts, s.
     pub begin_s: f64,
     /// Insertion design of the corrector.
     pub design: GateDesign,
     /// Highest count rate of the controller's decoder, Hz.
     pub decoder_hz: f64,
-    /// Seed of everything that is random.
+    /// Seed of all noise.
     pub seed: u64,
 }
 
 /// One move of the part program.
 #[derive(Debug, Clone)]
 pub struct Move {
-    /// The path of the tool's nose centre or the probe's tip centre, in part coordinates.
+    /// Path of the centre of the tool's nose or the probe's tip, in part coordinates.
     pub segment: Segment,
     /// Feed along it, mm/s.
     pub feed_mm_s: f64,
@@ -192,10 +192,10 @@ pub fn probing_moves(records: &[PathPoint], feed_mm_s: f64) -> Vec<Move> {
         .collect()
 }
 
-/// How far a cut round the nose goes beyond both ends, where the tool is at speed.
+/// Angle by which a cut around the nose continues beyond both ends, at full speed.
 pub const BEYOND_RAD: f64 = 0.025;
 
-/// One pass round the nose with a single arc, as `G02` makes it.
+/// One pass around the nose with a single arc, as by `G02`.
 #[must_use]
 pub fn arc_moves(centre: Zx, radius_mm: f64, feed_mm_s: f64) -> Vec<Move> {
     let segment =
@@ -208,7 +208,7 @@ pub fn sensors() -> impl Iterator<Item = &'static str> {
     SENSORS.iter().map(|s| s.0)
 }
 
-/// A place of the machine, Z and X, as its X, Y, Z.
+/// A position of the machine, Z and X, as X, Y, Z.
 fn xyz(p: Zx) -> [f64; AXES] {
     [p.x, 0.0, p.z]
 }
@@ -218,7 +218,7 @@ fn zx(p: [f64; AXES]) -> Zx {
 }
 
 /// The moves as an NC program, each with an exact stop.
-/// And which of its blocks cut, counted from 1.
+/// Also returns the range of its cutting blocks, counted from 1.
 fn program(
     bench: &Bench,
     moves: &[Move],
@@ -250,8 +250,8 @@ fn program(
     (blocks, first..=last)
 }
 
-/// A cut from one place of the nose's centre (part coordinates).
-/// The second value is what the part's own form leaves there, µm.
+/// A cut at one position of the nose's centre (part coordinates).
+/// The second value is the part's own form there, µm.
 pub(crate) type Cut = (Zx, f64);
 
 /// The machine at work on one program.
@@ -262,27 +262,27 @@ pub struct Lathe {
     bench: Bench,
     origin: Zx,
     centre: Zx,
-    /// Radius of the probe's tip; `None`: a tool is in the turret.
+    /// Radius of the probe's tip; `None` with a tool in the turret.
     tip_mm: Option<f64>,
     begin_s: f64,
-    /// The program, while it waits for cycle start: the release of feed hold.
+    /// The program, while it waits for cycle start (the release of feed hold).
     waiting: Option<Vec<Block>>,
     held: bool,
     cutting: std::ops::RangeInclusive<usize>,
     block: usize,
     cuts: Arc<Mutex<Vec<Cut>>>,
     last_cut: Option<Zx>,
-    /// At each trip, the tip's centre on the scales (part coordinates) and the sensors.
+    /// The tip's centre by the scales (part coordinates) and the sensors at each trip.
     trips: Vec<(Zx, Vec<f64>)>,
     noise: Noise,
     touch_mm: f64,
-    /// The sensors while the machine warmed up: time since it was switched on, s, and °C.
+    /// The sensors while the machine warmed up: time since its start, s, and °C.
     past: Vec<(f64, Vec<f64>)>,
 }
 
 impl Lathe {
-    /// A machine at rest at `start` (machine mm), after the spindle has run for the stand's time.
-    /// It has a program for `tip_mm`, for a probe or for the tool.
+    /// A machine at rest at `start` (machine mm), after the stand's warm-up time.
+    /// Its program is for a probe with `tip_mm`, or for the tool.
     pub(crate) fn new(
         stand: &Stand,
         start: Zx,
@@ -300,7 +300,7 @@ impl Lathe {
             let surface = move |tip| shape.distance_mm(zx(tip) - origin);
             machine.set_surface(Some(Box::new(surface)), probe_delay_ns(stand.machine.effects()));
         }
-        // The spindle stands while the machine probes.
+        // The spindle is at rest while the machine probes.
         let rpm = if tip_mm.is_some() { 0.0 } else { bench.rpm };
         let (blocks, cutting) = program(bench, moves, origin, rpm);
         let truth = Live::of(stand.machine, layout(Vec::new()))?;
@@ -328,7 +328,7 @@ impl Lathe {
         Ok(lathe)
     }
 
-    /// Switched on cold, the spindle running.
+    /// Warms the machine up from cold, with the spindle running.
     fn warm_up(&mut self) {
         for second in 0..self.begin_s as u64 {
             let t_s = second as f64;
@@ -339,12 +339,12 @@ impl Lathe {
         self.act();
     }
 
-    /// What the sensors read since the machine was switched on.
+    /// Readings of the sensors since the machine was switched on.
     pub(crate) fn past(&self) -> &[(f64, Vec<f64>)] {
         &self.past
     }
 
-    /// What they read now.
+    /// The sensors' present readings.
     pub(crate) fn readings(&self) -> Readings<'_> {
         Readings {
             degc: self.errors.heat.readings_degc(),
@@ -360,12 +360,12 @@ impl Lathe {
         self.begin_s + self.machine.now_ns() as f64 * 1e-9
     }
 
-    /// The turret by the scales, part coordinates.
+    /// Position of the turret by the scales, part coordinates.
     fn on_scale(&self) -> Zx {
         Zx::new(self.machine.position_mm(0), self.machine.position_mm(1)) - self.origin
     }
 
-    /// The errors where the machine is now.
+    /// Applies the errors at the machine's present position.
     fn act(&mut self) {
         let angle_rad = (self.on_scale() - self.centre).angle_rad();
         self.errors.act(self.t_s(), &mut self.machine, &[0.0; AXES], angle_rad);
@@ -373,22 +373,22 @@ impl Lathe {
         self.machine.set_probe_reach_mm(self.tip_mm.unwrap_or(0.0) + self.touch_mm + probe_um * 1e-3);
     }
 
-    /// Cycle start: the program runs from its first block.
+    /// Cycle start: loads the program, which runs from its first block.
     pub(crate) fn start(&mut self) {
         self.machine.load(self.waiting.take().into_iter().flatten());
     }
 
-    /// The program has been run to its end.
+    /// Whether the program has ended.
     pub(crate) fn finished(&self) -> bool {
         self.waiting.is_none() && self.machine.finished()
     }
 
-    /// What the tool has cut so far; whoever shares it takes from it.
+    /// The cuts so far; a user of the shared list takes them from it.
     pub(crate) fn cuts(&self) -> &Arc<Mutex<Vec<Cut>>> {
         &self.cuts
     }
 
-    /// Where the tip's centre was at each trip, and what the sensors read.
+    /// The tip's centre and the sensors' readings at each trip.
     pub(crate) fn trips(&self) -> &[(Zx, Vec<f64>)] {
         &self.trips
     }
@@ -433,7 +433,7 @@ impl Attended for Lathe {
     }
 }
 
-/// What the tool leaves of a part, roughness included.
+/// Removes the tool's cuts from a part, including roughness.
 pub(crate) fn cut_away(part: &mut Workpiece, bench: &Bench, cuts: &[Cut], seed: u64) {
     let mut noise = Noise::new(seed, 0xC07);
     for &(place, form_um) in cuts {
@@ -441,7 +441,7 @@ pub(crate) fn cut_away(part: &mut Workpiece, bench: &Bench, cuts: &[Cut], seed: 
     }
 }
 
-/// The design of this name, where it can correct the lathe: `original`, `a` or `c`.
+/// The design of this name, if it can correct the lathe: `original`, `a` or `c`.
 #[must_use]
 pub fn design(name: &str) -> Option<GateDesign> {
     match name {

@@ -1,34 +1,35 @@
-//! The simulated machine that the unchanged engine runs against.
-//! It runs in virtual time and in real time. Every experiment runs on it, and it compares every insertion design.
+//! The simulated machine for the unchanged engine.
+//! It runs in virtual time and in real time. Every experiment runs on it, and it compares every insertion
+//! design.
 //!
-//! What moves, counts, grows warm, cuts or touches is here, once.
+//! Each part of the machine that moves, counts, grows warm, cuts or touches is here, once.
 //!
 //! | module | what |
 //! |---|---|
 //! | [`computer`] | computing hardware as a timing model: 8051, DSP, this PC as measured |
 //! | [`ecc`], [`ecc_board`] | the Error Correction Circuit of CMTI (2014); two of them behind one controller |
-//! | [`mod@bench`] | one axis in motion, any design on any computer, and what the MTC made of it |
-//! | [`insertion`] | what every insertion design offers, and the designs that a whole machine can have |
+//! | [`mod@bench`] | one axis in motion with any design on any computer, and the count at the MTC |
+//! | [`insertion`] | the interface of every insertion design, and the designs for a whole machine |
 //! | [`full_cycle`] | the Original RTEC and Design A: four counts an insertion |
 //! | [`through`] | Design B: the signals pass through the computer |
-//! | [`replay`] | the engine over a recording, and what the MTC would have counted |
+//! | [`replay`] | the engine on a recording, and the resulting count of the MTC |
 //! | [`designs`] | the designs compared: increments, times, highest safe frequency, death of the computer; waveforms |
-//! | [`described`] | the machines that the sources describe, as files within the program |
+//! | [`described`] | the machines described in the sources, as files within the program |
 //! | [`path`], [`gcode`] | the controller's trajectories and programs |
 //! | [`axis`], [`machine`] | the one machine, as a card: drives, scales, decoders, probe |
 //! | [`heat`] | a thermal network and its sensors |
-//! | [`sim`] | machine, engine and corrector together: runs programs, probes, reports where the tool is |
-//! | [`attended`], `polled` | what goes on at the machine once in a period; the card that polls it |
-//! | [`wires`], [`strokes`], [`duty`] | machines at a mock card's wires in real time: axes to and fro, the lathe's duty |
+//! | [`sim`] | machine, engine and corrector together: runs programs, probes, reports the tool's position |
+//! | [`attended`], `polled` | events at the machine in every period; the card that polls it |
+//! | [`wires`], [`strokes`], [`duty`] | machines at a mock card's wires in real time: strokes, the lathe's task |
 //! | [`workpiece`], [`lathe`], [`job`] | a workpiece, a tool and a probe on the machine; a program on it under the engine |
 //! | [`turning`] | NISTIR 4854's loop: semi-finish cut, probing, table, finish cut, inspection |
 //! | [`example`] | example machines: models, runs, hold-outs, configuration, drawings |
 //! | [`experiment`] | the experiments that characterise a machine, without and with compensation |
 //! | [`noise`] | seeded noise |
-//! | `control`, `errors` | the control side over the engine; the true machine's errors and friction, acting |
+//! | `control`, `errors` | the control side above the engine; the true machine's errors and friction |
 //!
-//! What must not live here: what a part looks like (`rtec-part`), what a machine does wrong (`rtec-model`), a control law
-//! of its own (`rtec-correct`), the daemon.
+//! These do not belong here: a part's shape (`rtec-part`), a machine's errors (`rtec-model`), another control
+//! law (`rtec-correct`), the daemon.
 //!
 //! At work: `cargo run -p rtec-sim --example corrected_move`, which the tests run too.
 

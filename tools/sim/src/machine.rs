@@ -1,8 +1,9 @@
-//! The machine as a [`Card`]: axes, controller, decoders and probe, on a virtual nanosecond clock.
+//! The machine as a [`Card`], on a virtual nanosecond clock.
+//! It has axes, controller, decoders and probe.
 //!
-//! Event driven: [`Card::sample`] jumps to the scale's next edge, the probe's trip or the engine's appointment, whichever
-//! comes first. Between events the axes move in steps of constant speed; every edge has the time at which the moving
-//! table crosses it.
+//! It is event driven: [`Card::sample`] jumps to the scale's next edge, the probe's trip or the engine's wake
+//! time, whichever comes first. Between events the axes move in steps of constant speed. Every edge has the
+//! time at which the moving table crosses it.
 
 use crate::axis::{AxisSim, AxisSpec, Friction};
 use crate::gcode::Block;
@@ -15,7 +16,7 @@ pub const STEP_NS: u64 = 250_000;
 /// Period of the controller's position loop, ns.
 pub const SERVO_NS: u64 = 1_000_000;
 
-/// What stops a controller.
+/// Reason why a controller stopped.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ServoFault {
     /// Both signals of an axis changed at once.
@@ -36,13 +37,13 @@ pub enum ServoFault {
     },
 }
 
-/// What the controller (MTC) can follow and tolerates.
+/// Limits of the controller (MTC).
 #[derive(Debug, Clone, PartialEq)]
 pub struct ControllerSpec {
     /// Highest count rate of its decoder, Hz.
     /// Edges closer than the inverse are a servo fault.
     pub decoder_hz: f64,
-    /// Following error at which it gives up, mm.
+    /// Following error at which it stops, mm.
     pub max_following_mm: f64,
 }
 
@@ -65,14 +66,14 @@ enum Job {
     Dwell { left_s: f64 },
 }
 
-/// Of a word that says when something happens, the bits that say to whom.
+/// Bits of an event's word that hold its source; the rest is its time.
 const SOURCE_BITS: u32 = 3;
 const SOURCE: u64 = (1 << SOURCE_BITS) - 1;
-/// The probe, before the axes.
-/// Of simultaneous events its line comes first, then those of the axes in order.
+/// Source number of the probe; axes follow from 1.
+/// Of simultaneous events the probe's line comes first, then the axes in order.
 const PROBE: usize = 0;
 
-/// An event's time (ns) and source in one word, so that the sooner is the smaller.
+/// An event's time (ns) and source in one word, so that the earlier is the smaller.
 /// An event that does not happen has a time later than any step.
 #[inline]
 const fn due(t_ns: u64, source: usize) -> u64 {
@@ -82,7 +83,7 @@ const fn due(t_ns: u64, source: usize) -> u64 {
 /// The simulated machine behind a card's lines: axes, scales, decoders and probe.
 pub struct SimMachine {
     axes: Vec<AxisSim>,
-    /// Axis of the controller (0 X, 1 Y, 2 Z) of each axis of the machine.
+    /// The controller's axis (0 X, 1 Y, 2 Z) of each axis of the machine.
     place: Vec<usize>,
     lines: Vec<AxisLines>,
     controller: ControllerSpec,
@@ -90,11 +91,11 @@ pub struct SimMachine {
     program: std::collections::VecDeque<Block>,
     job: Job,
     command: Command,
-    /// Share of the programmed speed at which the path runs.
+    /// Share of the programmed speed at which the path is run.
     /// Feed hold reduces it to zero and back.
     pace: f64,
     hold: bool,
-    /// The operator's jog, run instead of the program once the path is at rest.
+    /// The operator's jog; it runs instead of the program once the path is at rest.
     jog: Option<Block>,
     /// Blocks begun so far.
     begun: usize,
@@ -105,8 +106,8 @@ pub struct SimMachine {
     step_end_ns: u64,
     outputs: u64,
     inputs: u64,
-    /// The next event of every axis within the step, and the first of them and the probe.
-    /// Both are in the form of [`due`].
+    /// The next event of every axis within the step, and the first of all.
+    /// The first may be the probe's. Both are in the form of [`due`].
     due: [u64; MAX_AXES],
     next: u64,
     surface: Option<Surface>,
@@ -116,8 +117,8 @@ pub struct SimMachine {
     probe_delay_ns: u64,
     probe_reach_mm: f64,
     trip_ns: u64,
-    /// How often the probe tripped, and the axes' places at the last trip.
-    /// Places are X, Y, Z by the scales, mm.
+    /// Number of the probe's trips, and the axes' positions at the last trip.
+    /// Positions are X, Y, Z by the scales, mm.
     trips: (usize, [f64; AXES]),
     edges: u64,
 }
@@ -179,7 +180,7 @@ impl SimMachine {
         machine
     }
 
-    /// The fastest that any of its scales counts, counts/s.
+    /// Highest count rate of its scales, counts/s.
     #[must_use]
     pub fn fastest_counts_s(&self) -> f64 {
         let speeds = self.axes.iter().map(|a| a.spec.speed_mm_s * 1000.0 / a.spec.count_um);
@@ -209,30 +210,30 @@ impl SimMachine {
         self.program.extend(blocks);
     }
 
-    /// Leaves the program: the path comes to rest, then this block is run.
+    /// Leaves the program: the path comes to rest, then this block runs.
     pub fn jog(&mut self, block: Block) {
         self.jog = Some(block);
     }
 
-    /// How many blocks have been begun so far.
+    /// Number of blocks begun so far.
     #[must_use]
     pub const fn blocks_begun(&self) -> usize {
         self.begun
     }
 
-    /// No block is under way or waiting.
+    /// Whether no block is under way or waiting.
     #[must_use]
     pub fn finished(&self) -> bool {
         self.program.is_empty() && self.jog.is_none() && self.job == Job::Idle
     }
 
-    /// The controller's axis (0 X, 1 Y, 2 Z) that the machine's n-th axis is.
+    /// The controller's axis (0 X, 1 Y, 2 Z) of the machine's n-th axis.
     #[must_use]
     pub fn place(&self, axis: usize) -> usize {
         self.place[axis]
     }
 
-    /// What one count of an axis is worth, µm.
+    /// Size of one count of an axis, µm.
     #[must_use]
     pub fn count_um(&self, axis: usize) -> f64 {
         self.axes[axis].spec.count_um
@@ -250,13 +251,13 @@ impl SimMachine {
         self.edges
     }
 
-    /// What stopped the controller.
+    /// Reason why the controller stopped, if it did.
     #[must_use]
     pub const fn fault(&self) -> Option<ServoFault> {
         self.fault
     }
 
-    /// What the controller commands.
+    /// The controller's present command.
     #[must_use]
     pub const fn command(&self) -> Command {
         self.command
@@ -268,13 +269,13 @@ impl SimMachine {
         self.rpm
     }
 
-    /// Coolant is on.
+    /// Whether coolant is on.
     #[must_use]
     pub const fn coolant(&self) -> bool {
         self.coolant
     }
 
-    /// Where the table of an axis is by its scale, not quantised, mm.
+    /// Position of an axis's table by its scale, not quantised, mm.
     #[must_use]
     pub fn position_mm(&self, axis: usize) -> f64 {
         self.axes[axis].position_mm(self.t_ns)
@@ -292,13 +293,13 @@ impl SimMachine {
         self.axes[axis].accel_mm_s2
     }
 
-    /// Force of its drive, N.
+    /// Force of an axis's drive, N.
     #[must_use]
     pub fn force_n(&self, axis: usize) -> f64 {
         self.axes[axis].force_n
     }
 
-    /// Direction of its last motion of more than three counts.
+    /// Direction of an axis's last motion of more than three counts.
     #[must_use]
     pub fn direction(&self, axis: usize) -> f64 {
         self.axes[axis].direction
@@ -316,7 +317,7 @@ impl SimMachine {
         self.axes[axis].mtc.count() - self.axes[axis].scale_count()
     }
 
-    /// What the MTC has counted since the start.
+    /// The MTC's count since the start.
     #[must_use]
     pub fn mtc_counts(&self, axis: usize) -> i64 {
         self.axes[axis].mtc.count()
@@ -334,8 +335,8 @@ impl SimMachine {
         self.axes[axis].min_separation_ns
     }
 
-    /// Scale count of the machine's zero at the start.
-    /// The position in counts minus this is the count since the start.
+    /// Scale count at the machine's zero at the start.
+    /// Position in counts minus this is the count since the start.
     #[must_use]
     pub fn origin_counts(&self, axis: usize) -> i64 {
         self.axes[axis].origin
@@ -345,7 +346,7 @@ impl SimMachine {
         self.axes[axis].extra_friction = friction;
     }
 
-    /// Where the tool is away from where the scales say, mm.
+    /// Sets the tool's deviation from the scales' position, mm.
     pub fn set_tool_offset_mm(&mut self, offset_mm: [f64; AXES]) {
         self.tool_offset_mm = offset_mm;
     }
@@ -356,8 +357,8 @@ impl SimMachine {
         self.probe_delay_ns
     }
 
-    /// Sets the part that the probe may touch, and its delay from contact to line, ns.
-    /// `None` is out of reach.
+    /// Sets the part that the probe may touch, and the delay from contact to line, ns.
+    /// `None` is a part out of reach.
     pub fn set_surface(&mut self, surface: Option<Surface>, delay_ns: u64) {
         self.surface = surface;
         self.probe_delay_ns = delay_ns;
@@ -366,20 +367,20 @@ impl SimMachine {
         self.find_soonest();
     }
 
-    /// Sets the distance from the tip's centre at which the probe feels the part, mm.
-    /// It is the tip's radius and its present error.
+    /// Sets the distance of the tip's centre at which the probe detects the part, mm.
+    /// It is the tip's radius plus its present error.
     pub fn set_probe_reach_mm(&mut self, reach_mm: f64) {
         self.probe_reach_mm = reach_mm;
     }
 
-    /// How often the probe tripped, and the axes' places at the last trip.
-    /// Places are X, Y, Z by the scales, mm.
+    /// Number of the probe's trips, and the axes' positions at the last trip.
+    /// Positions are X, Y, Z by the scales, mm.
     #[must_use]
     pub const fn trips(&self) -> (usize, [f64; AXES]) {
         self.trips
     }
 
-    /// The tool (or the probe's tip), X, Y, Z, mm, at a time of the present step.
+    /// Position of the tool (or the probe's tip) at the present time, X, Y, Z, mm.
     #[must_use]
     pub fn tool_mm(&self) -> [f64; AXES] {
         self.tool_at(self.t_ns)
@@ -393,18 +394,18 @@ impl SimMachine {
         p
     }
 
-    /// Feed hold as the engine's line asks for it.
+    /// Whether the engine's line requests feed hold.
     #[must_use]
     pub const fn held(&self) -> bool {
         self.hold
     }
 
-    /// The controller's side of a new servo period.
+    /// Runs the controller for a new servo period.
     fn servo(&mut self) {
         let dt = SERVO_NS as f64 * 1e-9;
-        // Where the axes should be now; speed and acceleration are fed forward for the period that begins.
+        // Present target of the axes; speed and acceleration are fed forward for the coming period.
         let due_mm = self.command.p_mm;
-        // Feed hold: the path slows down within a tenth of a second, and is taken up again alike.
+        // Feed hold: the path slows down within a tenth of a second, and resumes in the same way.
         let rests = self.hold || self.fault.is_some() || self.jog.is_some();
         let target = if rests { 0.0 } else { 1.0 };
         self.pace += (target - self.pace).clamp(-dt / 0.1, dt / 0.1);
@@ -506,7 +507,7 @@ impl SimMachine {
         if length == 0.0 {
             return Job::Idle;
         }
-        // Each axis within its own limits along the direction it takes.
+        // Each axis stays within its own limits along its direction.
         let share = |n: usize| match shape {
             MoveShape::Line { from, to } => ((to[n] - from[n]) / length).abs(),
             MoveShape::Arc { .. } => 1.0,
@@ -527,8 +528,8 @@ impl SimMachine {
         Job::Move { shape, profile: FeedProfile::new(length, limits), t_s: 0.0 }
     }
 
-    /// Moves everything on by one step.
-    /// A machine at rest, by as many servo periods as fit before `wake_ns`.
+    /// Advances everything by one step.
+    /// A machine at rest advances by as many servo periods as fit before `wake_ns`.
     #[inline(never)]
     fn step(&mut self, wake_ns: u64) {
         let from_ns = self.step_end_ns;
@@ -556,7 +557,7 @@ impl SimMachine {
         self.find_next();
     }
 
-    /// When within this step does the tip touch the part?
+    /// Finds the time within this step at which the tip touches the part.
     fn find_contact(&mut self, from_ns: u64) {
         let Some(surface) = &self.surface else { return };
         let distance_mm = |t_ns: u64| surface(self.tool_at(t_ns)) - self.probe_reach_mm;
@@ -573,7 +574,7 @@ impl SimMachine {
         }
     }
 
-    /// What the axes and the probe have next, after a step.
+    /// Finds the next events of axes and probe after a step.
     fn find_next(&mut self) {
         for (n, (due_then, axis)) in self.due.iter_mut().zip(&self.axes).enumerate() {
             *due_then = due(axis.next_ns, n + 1);
@@ -586,7 +587,7 @@ impl SimMachine {
         self.next = self.due.iter().fold(due(self.trip_ns, PROBE), |soonest, d| soonest.min(*d));
     }
 
-    /// When the next event is, ns.
+    /// Time of the next event, ns.
     #[inline]
     const fn next_ns(&self) -> u64 {
         self.next >> SOURCE_BITS
@@ -603,20 +604,20 @@ impl SimMachine {
         }
     }
 
-    /// The next event of this step takes place.
+    /// Handles the next event of this step.
     #[allow(clippy::inline_always)] // As `sample`.
     #[inline(always)]
     fn happen(&mut self) {
         let (next_ns, source) = (self.next_ns(), (self.next & SOURCE) as usize);
         self.t_ns = self.t_ns.max(next_ns);
-        // The probe has none of the numbers of axes.
+        // The probe's source number is below those of the axes.
         let which = source.wrapping_sub(1);
         if let (Some(axis), Some(due_then)) = (self.axes.get_mut(which), self.due.get_mut(which)) {
             self.inputs ^= axis.edge(STEP_NS);
             *due_then = due(axis.next_ns, source);
             self.edges += 1;
             let since_ns = next_ns - std::mem::replace(&mut axis.last_out_ns, next_ns);
-            // No sooner than any before it: that has been looked at.
+            // Not less than any separation before, all of which have been checked.
             if since_ns < axis.min_separation_ns {
                 axis.min_separation_ns = since_ns;
                 self.check(which, false, since_ns);
@@ -627,7 +628,7 @@ impl SimMachine {
         self.find_soonest();
     }
 
-    /// The probe's line comes on.
+    /// Switches the probe's line on.
     #[cold]
     fn trip(&mut self, t_ns: u64) {
         self.trip_ns = u64::MAX;
@@ -639,7 +640,7 @@ impl SimMachine {
         self.trips = (self.trips.0 + 1, at_mm);
     }
 
-    /// Lets the machine run until `t_ns`, ns of the simulation's time.
+    /// Runs the machine until `t_ns`, ns of the simulation's time.
     pub fn run_to(&mut self, t_ns: u64) {
         loop {
             if self.next_ns() <= t_ns.min(self.step_end_ns) {
@@ -654,8 +655,8 @@ impl SimMachine {
         }
     }
 
-    /// Until when the lines certainly stay, ns, and whether one of them changes then.
-    /// Nothing is known beyond the present step of the axes.
+    /// Time until which the lines certainly stay, ns, and whether one changes then.
+    /// Beyond the present step of the axes nothing is known.
     pub fn quiet_until_ns(&mut self) -> (u64, bool) {
         if self.t_ns >= self.step_end_ns {
             self.step(self.t_ns);
@@ -663,7 +664,7 @@ impl SimMachine {
         (self.next_ns().min(self.step_end_ns), self.next_ns() <= self.step_end_ns)
     }
 
-    /// The input lines as they are.
+    /// Present levels of the input lines.
     #[must_use]
     pub const fn inputs(&self) -> u64 {
         self.inputs
@@ -691,7 +692,7 @@ impl SimMachine {
 }
 
 impl Card for SimMachine {
-    // Beside the engine that asks, most of what a look says is known to the compiler and need not be written down.
+    // Inlined into the engine: the compiler then knows most fields of the sample and does not store them.
     #[allow(clippy::inline_always)]
     #[inline(always)]
     fn sample(&mut self, wake_ns: u64) -> Result<Sample, CardError> {

@@ -16,7 +16,7 @@ pub struct Limits {
 /// Path length, speed and acceleration along the path at one time.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Along {
-    /// mm from the start.
+    /// Distance from the start, mm.
     pub s_mm: f64,
     /// Speed along the path, mm/s.
     pub v_mm_s: f64,
@@ -24,11 +24,11 @@ pub struct Along {
     pub a_mm_s2: f64,
 }
 
-/// From rest to a speed with rising, constant and falling acceleration.
-/// Played backwards, from the speed to rest.
+/// A ramp from rest to a speed with rising, constant and falling acceleration.
+/// Run backwards it goes from the speed to rest.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Ramp {
-    /// Duration of rising acceleration, and of the whole, s.
+    /// Duration of the rising acceleration, and of the whole ramp, s.
     rise_s: f64,
     whole_s: f64,
 }
@@ -43,7 +43,7 @@ impl Ramp {
         }
     }
 
-    /// Where it is `t_s` after rest, at a jerk of `j_mm_s3`.
+    /// State `t_s` after rest, at a jerk of `j_mm_s3`.
     fn at(&self, t_s: f64, j_mm_s3: f64) -> Along {
         let (j, tj, ta) = (j_mm_s3, self.rise_s, self.whole_s);
         let peak_a = j * tj;
@@ -90,7 +90,7 @@ impl FeedProfile {
         let both_s = |v: f64| ramps(v).iter().map(|r| r.whole_s).sum::<f64>();
         let mut speed_mm_s = limits.speed_mm_s;
         if speed_mm_s * both_s(speed_mm_s) / 2.0 > length_mm {
-            // Too short for the full speed: the one at which the ramps meet.
+            // Too short for the full speed: takes the speed at which the ramps meet.
             let (mut low, mut high) = (0.0, speed_mm_s);
             for _ in 0..64 {
                 let v = f64::midpoint(low, high);
@@ -109,7 +109,7 @@ impl FeedProfile {
         self.up.whole_s + self.cruise_s + self.down.whole_s
     }
 
-    /// Where the motion is `t_s` after its start.
+    /// State of the motion `t_s` after its start.
     #[must_use]
     pub fn at(&self, t_s: f64) -> Along {
         let total_s = self.duration_s();
@@ -186,7 +186,7 @@ impl MoveShape {
         }
     }
 
-    /// The speed that keeps an arc's centripetal acceleration within a limit, mm/s.
+    /// Speed at which an arc's centripetal acceleration is at a limit, mm/s.
     #[must_use]
     pub fn speed_limit_mm_s(&self, accel_mm_s2: f64) -> f64 {
         match self {
@@ -195,7 +195,7 @@ impl MoveShape {
         }
     }
 
-    /// All axes at a place along the path.
+    /// State of all axes at a position along the path.
     #[must_use]
     pub fn at(&self, along: Along) -> Command {
         let length = self.length_mm();
@@ -205,7 +205,7 @@ impl MoveShape {
             Self::Line { from, to } => {
                 for n in 0..AXES {
                     let unit = if length > 0.0 { (to[n] - from[n]) / length } else { 0.0 };
-                    // Exactly at the end, whatever the rounding along the way.
+                    // Exactly at the end, whatever the rounding on the way.
                     c.p_mm[n] = if s >= length { to[n] } else { from[n] + unit * s };
                     c.v_mm_s[n] = unit * v;
                     c.a_mm_s2[n] = unit * a;

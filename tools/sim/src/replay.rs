@@ -1,5 +1,5 @@
-//! The engine over a recording of one axis, on a virtual clock.
-//! It gives what the MTC would have counted.
+//! The engine on a recording of one axis, on a virtual clock.
+//! It gives the resulting count of the MTC.
 
 use crate::insertion::{CorrectedAxis, MtcDecoder, homed_engine};
 use rtec_driver::card::CardError;
@@ -10,16 +10,16 @@ use rtec_rt::engine::StartError;
 use rtec_rt::event::{Event, EventKind, Fault, Refusal};
 use serde::Serialize;
 
-/// What came of a replay.
+/// Results of a replay.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Default)]
 pub struct ReplayOutcome {
     /// Counts of the scale, first row to last.
     pub counts_in: i64,
-    /// Counts of the MTC, decoded from what it was sent.
+    /// Counts of the MTC, decoded from A' and B'.
     pub counts_out: i64,
     /// The last accepted total, counts.
     pub requested: i64,
-    /// What was inserted, counts.
+    /// Inserted counts.
     pub completed: i64,
     /// Number of insertions made.
     pub insertions: u64,
@@ -29,11 +29,11 @@ pub struct ReplayOutcome {
     pub illegal_out: u64,
     /// Shortest time between two edges at the MTC, ns.
     pub min_edge_separation_ns: Option<u64>,
-    /// Edges at which a correction was pending and the axis too fast for an insertion.
+    /// Edges at which a correction was pending but the axis was too fast to insert.
     pub waited_for_gate: u64,
-    /// Real edges that fell into an insertion, with a certain outcome.
+    /// Real edges during an insertion, with a certain outcome.
     pub overlaps: u64,
-    /// Requests that were given.
+    /// Number of requests given.
     #[serde(skip)]
     pub requests: u64,
     /// Requests that were not accepted.
@@ -42,13 +42,13 @@ pub struct ReplayOutcome {
     pub faults: Vec<Latched>,
     /// Rows of the trace after the first.
     pub edges: u64,
-    /// The channel that stands still, where a dead one is latched.
+    /// The channel that does not change, if a dead one is latched.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub dead_channel: Option<&'static str>,
 }
 
 impl ReplayOutcome {
-    /// Counts to the MTC minus counts of the scale are what was completed.
+    /// Whether the MTC's count minus the scale's equals the completed total.
     #[must_use]
     pub fn balanced(&self) -> bool {
         self.counts_out - self.counts_in == self.completed
@@ -58,27 +58,27 @@ impl ReplayOutcome {
 /// A request that was not accepted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub struct Refused {
-    /// When, ns on the trace's clock.
+    /// Time of the request, ns on the trace's clock.
     pub t_ns: u64,
     /// The total that was requested, counts.
     pub requested: i64,
-    /// Why the engine refused it.
+    /// The engine's reason for the refusal.
     pub why: Refusal,
 }
 
 /// A fault that the engine latched.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub struct Latched {
-    /// When, ns on the trace's clock.
+    /// Time of the fault, ns on the trace's clock.
     pub t_ns: u64,
     /// The fault.
     pub fault: Fault,
 }
 
-/// Why a replay could not be made.
+/// Reason why a replay could not be made.
 #[derive(Debug, thiserror::Error)]
 pub enum ReplayError<E> {
-    /// What the trace or the requests ended with: a bad row, as a rule.
+    /// The error of the trace or the requests, usually a bad row.
     #[error("{0}")]
     Input(E),
     /// The axis cannot be corrected as configured.
@@ -86,10 +86,10 @@ pub enum ReplayError<E> {
     Start(#[from] StartError),
 }
 
-/// The MTC's side: decodes what it is sent, and passes it on.
+/// The MTC's side: decodes A' and B', and passes them on.
 #[derive(Debug)]
 pub struct Mtc<L> {
-    /// From its first state on.
+    /// The MTC's decoder, from the first state on.
     seen: Option<MtcDecoder>,
     to: L,
 }
@@ -105,9 +105,9 @@ impl<L: Listener> Listener for Mtc<L> {
     }
 }
 
-/// Plays `trace` with `totals` to the engine as one homed axis.
-/// `to` gets every change that the MTC sees. `large` flags every request as meant, whatever its size. Memory does not
-/// grow with the trace.
+/// Replays `trace` with `totals` through the engine as one homed axis.
+/// `to` gets every change that the MTC sees. `large` flags every request as intended, whatever its size.
+/// Memory does not grow with the trace.
 ///
 /// # Errors
 /// At the first bad row, or when the axis cannot be corrected as configured.
@@ -150,7 +150,7 @@ where
     let mtc = Mtc { seen: None, to };
     let mut card = ReplayCard::new(gates, trace, mtc).map_err(ReplayError::Input)?;
     let mut corrector = start(&mut card).map_err(|error| {
-        // The recording may have ended in a bad row already.
+        // The recording may already have ended with a bad row.
         card.take_error().map_or_else(|| error.into(), ReplayError::Input)
     })?;
     let mut outcome = ReplayOutcome::default();

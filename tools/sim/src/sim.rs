@@ -21,7 +21,7 @@ use rtec_rt::event::{Capture, Event, EventKind, Fault, Request, Status};
 
 pub use crate::control::CONTROL_NS;
 
-/// A machine, as it is built.
+/// Construction of a machine.
 #[derive(Debug, Clone)]
 pub struct Spec {
     /// The machine's axes.
@@ -30,11 +30,11 @@ pub struct Spec {
     pub controller: ControllerSpec,
     /// Insertion design of every axis.
     pub design: GateDesign,
-    /// What to do for an axis at rest.
+    /// Policy for an axis at rest.
     pub rest: RestPolicy,
-    /// The longest time from an edge until the engine acts on it, ns (for the gate).
+    /// Longest time from an edge until the engine acts on it, ns, for the gate.
     pub detect_ns: u64,
-    /// Worst time that a write to the card takes, ns.
+    /// Longest time of a write to the card, ns.
     pub write_ns: u64,
     /// Temperature of the hall, °C.
     pub ambient_degc: f64,
@@ -53,7 +53,7 @@ impl Spec {
         Self::new(vec![AxisSpec::new("x", 400.0), AxisSpec::new("z", 1000.0)])
     }
 
-    /// A machine of these axes, corrected by Design C, also at rest.
+    /// A machine with these axes, corrected by Design C, also at rest.
     #[must_use]
     pub fn new(axes: Vec<AxisSpec>) -> Self {
         Self {
@@ -67,14 +67,14 @@ impl Spec {
         }
     }
 
-    /// How far ahead of the axes errors are evaluated, s.
-    /// It is one control period and the lag of the position loop.
+    /// Lead at which errors are evaluated, s.
+    /// It is one control period plus the lag of the position loop.
     fn lead_s(&self) -> f64 {
         let gain = self.axes.iter().map(|a| a.position_gain_per_s).fold(f64::INFINITY, f64::min);
         CONTROL_NS as f64 * 1e-9 + 1.0 / gain
     }
 
-    /// The control side, told of the errors in `known`.
+    /// The control side with the errors in `known`.
     fn control(
         &self,
         configs: &[AxisConfig],
@@ -101,7 +101,7 @@ impl Spec {
             max_correction_counts: 5000,
             window_counts: WINDOW_COUNTS,
             min_separation_ns: 500,
-            // The servo may overshoot what the trajectory keeps to.
+            // The servo may exceed the acceleration of the trajectory.
             max_accel_counts_s2: 4.0 * axis.accel_mm_s2 * 1000.0 / axis.count_um,
             hysteresis_counts: axis.hysteresis_counts,
             rest: self.rest,
@@ -112,13 +112,13 @@ impl Spec {
     }
 }
 
-/// Why a simulation cannot be made or go on.
+/// Reason why a simulation cannot be made or continued.
 #[derive(Debug, thiserror::Error)]
 pub enum SimError {
     /// An effect reads a sensor or channel that the simulated machine does not have.
     #[error(transparent)]
     Missing(#[from] Missing),
-    /// What the corrector is told reads what the simulated machine does not have.
+    /// The corrector's model reads something that the simulated machine does not have.
     #[error(transparent)]
     Model(#[from] InputError),
     /// The engine cannot correct the machine as specified.
@@ -127,40 +127,40 @@ pub enum SimError {
     /// The simulated card failed, which it never does.
     #[error(transparent)]
     Card(#[from] CardError),
-    /// The controller gave up.
+    /// The controller stopped.
     #[error("the controller stopped at {t_s:.3} s: {fault:?}")]
     Servo {
-        /// When, s of the simulation's time.
+        /// Time of the stop, s of the simulation's time.
         t_s: f64,
-        /// What stopped the controller.
+        /// The controller's fault.
         fault: ServoFault,
     },
     /// The engine latched a fault.
     #[error("the engine latched {fault:?} at {t_s:.3} s")]
     Engine {
-        /// When, s of the simulation's time.
+        /// Time of the fault, s of the simulation's time.
         t_s: f64,
         /// The fault that the engine latched.
         fault: Fault,
     },
 }
 
-/// A probe's trip: what the engine captured.
+/// Captured position at a trip of the probe.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CapturedPosition {
     /// Position of X, Y, Z by the scales, mm.
     /// It is interpolated between the edges before and after the trip.
     pub position_mm: [f64; AXES],
-    /// Half the width of what it may be, mm.
+    /// Half width of its interval, mm.
     pub within_mm: [f64; AXES],
 }
 
-/// The machine at one moment.
+/// State of the machine at one moment.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Moment {
     /// Time of the simulation, s.
     pub t_s: f64,
-    /// What the controller commands.
+    /// The controller's command.
     pub command: Command,
     /// Position by the scales, mm.
     pub position_mm: [f64; AXES],
@@ -176,7 +176,7 @@ pub struct Moment {
     pub force_n: [f64; AXES],
     /// The true machine's error: tool minus scale, µm.
     pub error_um: [f64; AXES],
-    /// What has been inserted, µm.
+    /// Inserted correction, µm.
     pub inserted_um: [f64; AXES],
     /// True position of the tool, mm.
     pub tool_mm: [f64; AXES],
@@ -187,8 +187,8 @@ pub struct Moment {
 }
 
 impl Moment {
-    /// The tool's offset from its place by the controller, µm.
-    /// It is the machine's error minus what was inserted.
+    /// The tool's deviation from its position by the controller, µm.
+    /// It is the machine's error minus the inserted correction.
     #[must_use]
     pub fn off_um(&self, axis: usize) -> f64 {
         self.error_um[axis] - self.inserted_um[axis]
@@ -207,17 +207,17 @@ pub struct Sim {
     next_control_ns: u64,
     events: Vec<Event>,
     trips: [Option<Capture>; AXES],
-    /// Load on X, Y, Z, N: set by whoever cuts.
+    /// Load on X, Y, Z, N, set by the simulated cut.
     pub load_n: [f64; AXES],
     probing: bool,
 }
 
 impl Sim {
-    /// A cold machine at rest at `at_mm` (X, Y, Z), homed there, with the errors of `truth`.
-    /// `known` is the corrector's model. `None`: corrections are off.
+    /// A cold machine at rest, homed at `at_mm` (X, Y, Z), with the errors of `truth`.
+    /// `known` is the corrector's model; with `None` corrections are off.
     ///
     /// # Errors
-    /// An effect reads what the machine does not have; a configuration that leaves no time for an insertion.
+    /// An effect reads what the machine does not have, or no time is left for an insertion.
     pub fn new(
         spec: &Spec,
         truth: &Machine,
@@ -255,7 +255,7 @@ impl Sim {
         Ok(sim)
     }
 
-    /// Gives a corrector without a model the errors in `known`.
+    /// Gives the errors in `known` to a corrector without a model.
     ///
     /// # Errors
     /// An effect reads what the machine does not have.
@@ -290,12 +290,12 @@ impl Sim {
         &self.errors.heat
     }
 
-    /// The hall is heated or cooled to this temperature at once, °C.
+    /// Sets the temperature of the hall, at once, °C.
     pub fn heat_hall(&mut self, degc: f64) {
         self.errors.heat.set_hall(degc);
     }
 
-    /// Why axes do not follow their model now; empty where they do.
+    /// Reasons why axes do not follow the model now; empty if all follow.
     #[must_use]
     pub fn holding(&self) -> Vec<String> {
         self.control.as_ref().map_or_else(Vec::new, Control::holding)
@@ -316,7 +316,7 @@ impl Sim {
     /// Runs for `seconds`.
     ///
     /// # Errors
-    /// The controller gave up, or the engine latched a fault.
+    /// The controller stopped, or the engine latched a fault.
     pub fn advance(&mut self, seconds: f64) -> Result<(), SimError> {
         self.advance_by_ns((seconds * 1e9).round() as u64)
     }
@@ -363,7 +363,7 @@ impl Sim {
         self.finish()
     }
 
-    /// Events become trips and errors.
+    /// Turns events into trips and errors.
     fn digest(&mut self) -> Result<(), SimError> {
         for event in self.events.drain(..) {
             match (event.kind, event.axis) {
@@ -382,7 +382,7 @@ impl Sim {
         }
     }
 
-    /// Every 10 ms: heat, the true machine's errors, and new totals.
+    /// Runs every 10 ms: heat, the true machine's errors, and new totals.
     fn control(&mut self) -> Result<(), SimError> {
         rtec_files::watch::step();
         let t_s = self.next_control_ns as f64 * 1e-9;
@@ -411,13 +411,13 @@ impl Sim {
         Ok(())
     }
 
-    /// The true machine's errors, where it is.
+    /// Applies the true machine's errors at its position.
     fn act(&mut self) {
         let t_s = self.machine.now_ns() as f64 * 1e-9;
         self.errors.act(t_s, &mut self.machine, &self.load_n, 0.0);
     }
 
-    /// The machine at this moment.
+    /// The present state of the machine.
     pub fn moment(&mut self) -> Moment {
         self.act();
         let m = &self.machine;
@@ -449,9 +449,9 @@ impl Sim {
         now
     }
 
-    /// Probing mode on or off.
-    /// On, nothing is inserted and the engine captures positions at the probe's trip; the part that can be touched is
-    /// `surface`.
+    /// Switches probing mode on or off.
+    /// While it is on, nothing is inserted, and the engine captures positions at the probe's trip. `surface`
+    /// is the part that can be touched.
     ///
     /// # Errors
     /// The simulated card failed.
@@ -469,7 +469,7 @@ impl Sim {
         Ok(())
     }
 
-    /// Feed hold on or off, as an operator asks the engine for it.
+    /// Switches feed hold on or off, as an operator's request to the engine.
     ///
     /// # Errors
     /// The simulated card failed.
@@ -483,7 +483,7 @@ impl Sim {
         Ok(())
     }
 
-    /// Runs blocks in probing mode and returns their first trip, if the part was touched.
+    /// Runs blocks in probing mode; returns their first trip, if there was one.
     ///
     /// # Errors
     /// As [`Sim::advance`].
@@ -496,14 +496,14 @@ impl Sim {
         while !self.machine.finished() {
             self.advance_by_ns(CONTROL_NS)?;
         }
-        // A capture is complete with the next edge, or when the axis has stood still for a tenth of a second.
+        // A capture is complete at the next edge, or once the axis has been at rest for a tenth of a second.
         self.advance_by_ns(12 * CONTROL_NS)?;
         let mut trip = CapturedPosition { position_mm: self.machine.command().p_mm, within_mm: [0.0; AXES] };
         for n in 0..self.machine.axis_count() {
             let (p, count_um) = (self.machine.place(n), self.machine.count_um(n));
             let Some(capture) = self.trips[p] else { return Ok(None) };
             let (counts, within) = capture.position_counts();
-            // Edges lie half a count from where the counts are.
+            // Edges are half a count from the positions of the counts.
             let position = counts - 0.5;
             trip.position_mm[p] = position * count_um / 1000.0;
             trip.within_mm[p] = within * count_um / 1000.0;

@@ -1,4 +1,4 @@
-//! Axes that move to and fro in real time until somebody jogs them.
+//! Axes that move to and fro in real time until they are jogged.
 //! Each is a machine of one axis at the mock card's wires.
 
 use crate::attended::Attended;
@@ -11,7 +11,7 @@ use rtec_driver::card::{AxisLines, MachineLines};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU64, Ordering};
 
-/// How an axis moves.
+/// Motion of an axis.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct StrokeMotion {
     /// Length of a stroke, counts.
@@ -20,23 +20,23 @@ pub struct StrokeMotion {
     pub feed_counts_s: f64,
     /// Pause at either end, s.
     pub dwell_s: f64,
-    /// The controller closes its loop on what it is sent.
-    /// If not, on an encoder of its own.
+    /// Whether the controller closes its loop on the signals from the gates.
+    /// If not, it uses an encoder of its own.
     pub on_feedback: bool,
 }
 
-/// What the outside may know of an axis at any time.
-/// Written by the card's thread, read by anyone.
+/// Data of an axis that can be read at any time.
+/// The card's thread writes it; any thread may read it.
 #[derive(Debug)]
 pub struct Truth {
     commanded: AtomicU64,
-    /// Distance of the axis from there.
+    /// Deviation of the axis from the command.
     /// It changes slowly, so a command read a moment too early does no harm.
     off: AtomicU64,
     mtc_count: AtomicI64,
     illegal: AtomicU64,
-    /// Where it shall go, counts; no number while it runs its cycle.
-    /// Written by the operator, read by the card's thread.
+    /// Target of a jog, counts; NaN while it runs its cycle.
+    /// The operator writes it; the card's thread reads it.
     jog: AtomicU64,
 }
 
@@ -58,23 +58,23 @@ impl Truth {
         f64::from_bits(self.commanded.load(Ordering::Relaxed))
     }
 
-    /// How far the axis is on its scale from where the controller wants it, counts.
+    /// Deviation of the axis's scale position from the command, counts.
     pub fn off_counts(&self) -> f64 {
         f64::from_bits(self.off.load(Ordering::Relaxed))
     }
 
-    /// Where the axis is on its scale, counts.
+    /// Position of the axis by its scale, counts.
     pub fn position_counts(&self) -> f64 {
         self.commanded_counts() + self.off_counts()
     }
 
-    /// What the controller has counted, decoded from A' and B' on its own.
+    /// The controller's count, decoded independently from A' and B'.
     pub fn mtc_counts(&self) -> i64 {
         self.mtc_count.load(Ordering::Relaxed)
     }
 
-    /// Leaves the cycle and goes to a commanded place, counts, at the motion's feed.
-    /// Stays there.
+    /// Leaves the cycle, moves to a commanded position, counts, at the motion's feed.
+    /// It stays there.
     pub fn jog_to(&self, commanded_counts: f64) {
         self.jog.store(commanded_counts.to_bits(), Ordering::Relaxed);
     }
@@ -85,21 +85,21 @@ impl Truth {
     }
 }
 
-/// Who stands at the machine: sees the axes as they are, and presses cycle start.
+/// The operator, who sees the true state of the axes and presses cycle start.
 #[derive(Debug)]
 pub struct Operator {
-    /// What each axis really does, in the order of the axes.
+    /// True state of each axis, in their order.
     pub truth: Vec<Arc<Truth>>,
     go: Arc<AtomicBool>,
 }
 
 impl Operator {
-    /// Sets the axes going.
+    /// Starts the axes.
     pub fn cycle_start(&self) {
         self.feed(true);
     }
 
-    /// Lets the axes go on with their cycle, or has them stop at its end.
+    /// Lets the axes continue their cycle, or stops them at its end.
     pub fn feed(&self, on: bool) {
         self.go.store(on, Ordering::Relaxed);
     }
@@ -112,22 +112,22 @@ pub struct Stroking {
     motion: StrokeMotion,
     truth: Arc<Truth>,
     /// Cycle start.
-    /// Written by whoever has the machine's other end, read by the card's thread.
+    /// The operator writes it; the card's thread reads it.
     go: Arc<AtomicBool>,
-    /// The last jog taken, as the operator wrote it.
+    /// The last jog taken, as the bits that the operator wrote.
     jogged: u64,
 }
 
-/// Axes that go to and fro, on one card.
+/// Axes that move to and fro, on one card.
 pub type MovingAxes = MachineWires<Stroking>;
 
-/// Of the controller's axes these machines have the first alone.
-/// A count stands for a micrometre.
+/// Size of one count, mm.
+/// These machines have only the first of the controller's axes.
 const MM_PER_COUNT: f64 = 1e-3;
-/// An axis that follows its command, and an insertion, within some milliseconds.
+/// Gain of an axis that follows commands and insertions in milliseconds, 1/s.
 const GAIN_PER_S: f64 = 300.0;
 /// Time to reach the feed, part of it at rising acceleration, s.
-/// 20 mm/s needs less than the 1 m/s² that such axes have.
+/// 20 mm/s needs less than the 1 m/s² of such axes.
 const RAMP_S: f64 = 0.03;
 const RISE_S: f64 = 0.006;
 
@@ -156,10 +156,10 @@ impl StrokeMotion {
 }
 
 /// Axes on these lines, at rest at zero until cycle start.
-/// A probe is in the middle of the first one's stroke.
+/// A probe is in the middle of the first axis's stroke.
 #[must_use]
 pub fn moving_axes(axes: &[(AxisLines, StrokeMotion)], lines: MachineLines) -> (MovingAxes, Operator) {
-    // Such a controller believes what it is sent, however fast it comes and wherever it leads.
+    // Such a controller accepts any feedback, at any rate and with any deviation.
     let controller = ControllerSpec { decoder_hz: f64::INFINITY, max_following_mm: f64::INFINITY };
     let (go, mut truth) = (Arc::<AtomicBool>::default(), Vec::new());
     let stroking = axes.iter().enumerate().map(|(n, &(lines, motion))| {
@@ -247,7 +247,7 @@ mod tests {
         run(&mut axes, 1, 1_000_000_000, 0);
         let before = truth[0].position_counts();
         assert!((before - 1000.0).abs() < 1.0, "{before}");
-        // Add two counts as Design C does: A first where A and B are equal.
+        // Adds two counts as Design C does: A first if A = B.
         let now = axes.now_ns() + 1;
         let equal = LINES.scale(axes.levels(now, 0)).equal();
         axes.levels(now, if equal { 1 } else { 2 });
@@ -316,8 +316,8 @@ mod tests {
         assert!((tripped_at.unwrap() - 0.5).abs() < 1e-4, "{tripped_at:?}");
     }
 
-    /// The process is kept away between any two looks.
-    /// The machine is where it was, as far as an insertion is concerned.
+    /// The process is not scheduled between any two looks.
+    /// For an insertion the machine has not moved meanwhile.
     #[test]
     fn a_process_that_is_kept_away_overtakes_no_insertion() {
         struct Away(u64);

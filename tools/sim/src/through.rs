@@ -1,9 +1,9 @@
 //! Design B (NISTIR 4832): A and B pass through the computer.
 //! The computer may add or leave out single counts on the way.
 //!
-//! A' and B' are driven, not gated: the state for scale count n and total c is that of count n + c. Real edges and
-//! inserted steps are sent one after the other, each with the MTC's separation before it. Edges that the computer
-//! sees too late are lost. When the computer stops, the MTC sees an axis at rest.
+//! A' and B' are driven, not gated: the state for scale count n and total c is that of count n + c. Real
+//! edges and inserted steps are sent one after another, each with the MTC's separation before it. Edges that
+//! the computer sees too late are lost. When the computer stops, the MTC sees an axis at rest.
 
 use crate::insertion::CorrectedAxis;
 use rtec_driver::card::{Card, CardError};
@@ -12,7 +12,7 @@ use rtec_rt::axis::{AxisConfig, RestPolicy};
 use rtec_rt::event::{AxisStatus, Event, EventKind, Fault, Faults, GateState, Refusal};
 use rtec_rt::gate::{Gate, GateInput};
 
-/// One axis whose signals pass through the computer: homed at zero where it stands.
+/// One axis whose signals pass through the computer, homed to zero at its position.
 #[derive(Debug)]
 pub struct DesignB {
     config: AxisConfig,
@@ -25,11 +25,11 @@ pub struct DesignB {
     look_ns: u64,
     last_edge_ns: Option<u64>,
     period_ns: u64,
-    /// The last edge has opened the gate: a step may begin until then, ns.
+    /// Time until which a step may begin after the last edge, ns.
     open_until_ns: Option<u64>,
-    /// No further change of A' and B' before this, ns.
+    /// Time before which A' and B' may not change again, ns.
     free_ns: u64,
-    /// No insertion before this, ns: the rate cap.
+    /// Time before which no insertion may begin (rate limit), ns.
     next_allowed_ns: u64,
     insertions: u64,
     waited_for_gate: u64,
@@ -37,8 +37,8 @@ pub struct DesignB {
 }
 
 impl DesignB {
-    /// Takes over the card as it stands.
-    /// `None` where the configuration leaves no time for a step at any speed.
+    /// Takes over the card in its present state.
+    /// `None` if the configuration leaves no time for a step at any speed.
     ///
     /// # Errors
     /// When the card cannot be read or written.
@@ -67,7 +67,7 @@ impl DesignB {
         Ok(Some(through))
     }
 
-    /// A step needs the edge passed on, the separation, the step and its separation.
+    /// The speed gate: time for edge, separation, step and its separation.
     #[must_use]
     pub fn gate(config: &AxisConfig) -> Option<Gate> {
         let step_ns = config.write_ns + config.min_separation_ns;
@@ -94,12 +94,12 @@ impl DesignB {
         }
     }
 
-    /// Scale count plus total: where the MTC should be.
+    /// The count that the MTC should have: scale count plus total.
     fn due(&self) -> i64 {
         self.scale.count() + self.completed
     }
 
-    /// The latest time after an edge at which a step may begin.
+    /// Latest time at which a step may begin after an edge.
     /// The step must be done before the next edge can come.
     fn open(&mut self, edge_ns: u64) -> Option<u64> {
         let quiet_ns = self.gate.quiet_ns(self.period_ns);
@@ -114,7 +114,7 @@ impl DesignB {
         self.requested != self.completed && !self.faults.any()
     }
 
-    /// May a step be inserted now, with everything that came passed on?
+    /// Whether a step may be inserted now, with all edges passed on.
     fn due_now(&self) -> bool {
         let quiet_since = self.last_edge_ns.unwrap_or(0).max(self.next_allowed_ns);
         let rests = match self.config.rest {

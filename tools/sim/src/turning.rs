@@ -1,5 +1,5 @@
-//! The report's experiment step by step on the simulated machine.
-//! Steps are semi-finish cut, probing, errors, table, finish cut and inspection (NISTIR 4854, section 2).
+//! The experiment of NISTIR 4854 (section 2), step by step.
+//! Steps are semi-finish cut, probing, errors, table, finish cut and inspection, on the simulated machine.
 
 use crate::errors::{layout, of_the_probe};
 use crate::heat::SENSORS;
@@ -32,19 +32,19 @@ use std::f64::consts::FRAC_PI_2;
 use std::fmt::Write as _;
 use std::path::Path;
 
-/// What the experiment is run with.
+/// Inputs of the experiment.
 #[derive(Debug, Clone)]
 pub struct Setup {
     /// Machine, tool and probe.
     pub bench: Bench,
-    /// What the machine does wrong.
+    /// The machine's errors.
     pub machine: Machine,
     /// The known model of those errors.
     /// It is corrected live while cutting, and off line in the probed results.
     pub model: Option<Machine>,
-    /// The spindle has run for so long before the first program.
+    /// Time for which the spindle has run before the first program, s.
     pub begin_s: f64,
-    /// Name of the corrector's design, as the command line gives it.
+    /// Name of the corrector's design on the command line.
     pub design: String,
     /// Centre of the nose in part coordinates.
     /// In figure 7 of the report it is 5 in along the axis.
@@ -57,16 +57,16 @@ pub struct Setup {
     pub points: usize,
     /// Radius of the probe's tip.
     pub tip_mm: f64,
-    /// How the machine probes.
+    /// The motion of probing.
     pub motion: ProbingMotion,
     /// Feed of the cuts.
     pub cut_feed_mm_min: f64,
-    /// How far ahead corrections are requested, s.
-    /// It is one control period and the lag of the position loop.
+    /// Lead by which corrections are requested, s.
+    /// It is one control period plus the lag of the position loop.
     pub lead_s: f64,
-    /// How near a trip must be to its expected place.
+    /// Largest distance of a trip from its expected position, mm.
     pub window_mm: f64,
-    /// Seed of everything that is random.
+    /// Seed of all noise.
     pub seed: u64,
 }
 
@@ -94,13 +94,13 @@ impl Default for Setup {
     }
 }
 
-/// What stops an experiment.
+/// Reason why an experiment stopped.
 #[derive(Debug, thiserror::Error)]
 pub enum TurningError {
-    /// A trip that is not as planned.
+    /// A trip differs from the plan.
     #[error(transparent)]
     Trip(#[from] TripFault),
-    /// The machine did not run.
+    /// The machine could not run.
     #[error(transparent)]
     Run(#[from] RunError),
     /// The probed points give no errors.
@@ -117,43 +117,43 @@ pub enum TurningError {
     Design(String),
 }
 
-/// What one probing of the part brought.
+/// Results of one probing session.
 #[derive(Debug, Clone)]
 pub struct ProbingSession {
-    /// The trips as captured.
+    /// The captured trips.
     pub trips: Vec<Trip>,
-    /// The record `part errors` reads, with the temperatures at each trip.
+    /// The record for `part errors`, with the temperatures at each trip.
     pub csv: String,
     /// The same as a run record of the machine.
     pub record: Option<Record>,
-    /// Largest distance of a capture from the truth along the touch, in µm.
+    /// Largest distance of a capture from the truth along the touch, µm.
     pub worst_um: f64,
-    /// Root mean square of it.
+    /// Root mean square of that distance, µm.
     pub rms_um: f64,
-    /// Time on the machine.
+    /// Time on the machine, s.
     pub seconds: f64,
 }
 
-/// How probing at one feed did.
+/// Performance of probing at one feed.
 #[derive(Debug, Clone, Copy, Serialize)]
 pub struct Probing {
     /// Probing feed, mm/min.
     pub feed_mm_min: f64,
-    /// Time on the machine for all points.
+    /// Time on the machine for all points, s.
     pub seconds: f64,
     /// Captured minus true position of the tip: root mean square.
     pub capture_rms_um: f64,
     /// Captured minus true position of the tip: the largest.
     pub capture_worst_um: f64,
-    /// The largest half width the corrector states for an axis in motion.
+    /// Largest half width that the corrector states for an axis in motion.
     pub stated_um: f64,
-    /// What a capture that is 25 µs late would cost at this feed.
+    /// Error of a capture that is 25 µs late at this feed.
     pub late_25us_um: f64,
-    /// What a controller that notices the trip once a millisecond would cost.
+    /// Error of a controller that notices the trip once per millisecond.
     pub late_1ms_um: f64,
 }
 
-/// A cut and what probing made of it.
+/// Errors of a cut, by probing and in truth.
 #[derive(Debug, Clone, Serialize)]
 pub struct CutResult {
     /// Largest error by its size.
@@ -171,7 +171,7 @@ pub struct CutResult {
     pub true_sd_um: f64,
 }
 
-/// What came of the whole experiment.
+/// Results of the whole experiment.
 #[derive(Debug, Serialize)]
 pub struct TurningOutcome {
     /// Design of the corrector.
@@ -180,39 +180,39 @@ pub struct TurningOutcome {
     pub increment_um: f64,
     /// Seed of all noise.
     pub seed: u64,
-    /// After the semi-finish cut with the worn tool.
+    /// The semi-finish cut with the worn tool.
     pub semi_finish: CutResult,
-    /// Most corrections on one axis.
+    /// Largest number of corrections on one axis.
     pub corrections: i64,
-    /// After the finish cut with the table.
+    /// The finish cut with the table.
     pub finish: CutResult,
-    /// Insertions the engine made in the finish cut, Z and X.
+    /// Insertions by the engine in the finish cut, Z and X.
     pub insertions: [u64; 2],
     /// The controller's count in the finish cut minus the scales', Z and X, counts.
     pub mtc_minus_scale: [i64; 2],
-    /// Completed totals at its end.
+    /// Completed totals at the end of the finish cut.
     pub completed: [i64; 2],
-    /// The same compensation by rewriting the program: lines, and the part it cuts.
+    /// Number of lines of a program that compensates instead of the engine.
     pub program_lines: usize,
     /// The part cut by that program.
     pub program: CutResult,
-    /// Fast probing and slow.
+    /// Fast and slow probing.
     pub probing: [Probing; 2],
-    /// What a measuring machine off the machine sees and probing cannot.
-    /// Only with a machine error.
+    /// Errors that an external measuring machine sees and probing cannot.
+    /// Only if the machine has errors.
     pub off_machine: Option<Batch>,
-    /// What was decided and why, in order.
+    /// Decisions with their reasons, in order.
     pub decisions: Vec<String>,
     /// Files of every step.
     #[serde(skip)]
     pub files: Vec<(String, Vec<u8>)>,
-    /// What was probed, by the step whose files it is among.
+    /// Error reports of both probings, each with the step that its files belong to.
     #[serde(skip)]
     pub reports: [(&'static str, ErrorReport); 2],
 }
 
 impl TurningOutcome {
-    /// The controller's count beyond the scales equals what the engine completed.
+    /// Whether the controller's count minus the scales' equals the completed totals.
     #[must_use]
     pub fn balanced(&self) -> bool {
         self.mtc_minus_scale == self.completed
@@ -221,7 +221,7 @@ impl TurningOutcome {
 
 /// Machine position at the part's origin.
 pub const ORIGIN: Zx = Zx::new(300.0, 100.0);
-/// Between two programs: tool change, setting, reading.
+/// Time between two programs, for tool change, setting and reading, s.
 const PAUSE_S: f64 = 120.0;
 
 impl Setup {
@@ -235,13 +235,13 @@ impl Setup {
         FinishCut { centre: self.centre, radius_mm, nose_mm: self.bench.nose_mm, origin: ORIGIN }
     }
 
-    /// A part ready for the semi-finish cut.
+    /// A part before the semi-finish cut.
     #[must_use]
     pub fn raw(&self) -> Workpiece {
         Workpiece::raw(self.centre, self.radius_mm + self.allowance_mm + 1.0)
     }
 
-    /// Cut a part to a radius, with a table's corrections where one is given.
+    /// Cuts a part to a radius, with a table's corrections if one is given.
     ///
     /// # Errors
     /// The machine does not run, or the corrector latched a fault.
@@ -262,7 +262,7 @@ impl Setup {
         )
     }
 
-    /// A cut with what is known of its errors.
+    /// A cut with the known errors.
     fn job<'a>(&'a self, table: Option<&'a FinishTable>) -> Job<'a> {
         match (table, &self.model) {
             (None, None) => Job::Cut,
@@ -303,10 +303,10 @@ impl Setup {
         plan
     }
 
-    /// Probe the nose.
+    /// Probes the nose.
     ///
     /// # Errors
-    /// A trip that is not as planned names its point; a fault of the corrector.
+    /// A trip differs from the plan and names its point, or the corrector latched a fault.
     pub fn probe(
         &self,
         part: &Workpiece,
@@ -318,7 +318,7 @@ impl Setup {
         self.probe_path(part, &plan.records(), &plan.expected(), &approach, feed_mm_min, seed)
     }
 
-    /// Probe along any path.
+    /// Probes along any path.
     /// `expected` are the tip's centres at the trips, `approach` the directions of the touches.
     ///
     /// # Errors
@@ -335,11 +335,12 @@ impl Setup {
         let moves = probing_moves(records, feed_mm_min / 60.0);
         let mut part = part.clone();
         let ran = self.go(&mut part, self.radius_mm, &moves, Job::Probe(self.tip_mm), seed)?;
-        // An axis is in the middle of a count; the scale's edges lie half a count from there.
+        // An axis is in the middle of a count; the scale's edges are half a count from there.
         let half_mm = self.bench.count_um * 5e-4;
         let edges = ORIGIN + Zx::new(half_mm, half_mm);
         let trips = assign(&captured(&ran.events), expected, self.bench.count_um, edges, self.window_mm)?;
-        // Along the touch, where it makes the error: an axis that stands still is known to a count and has no part in it.
+        // Along the touch, where the error arises. An axis at rest is known only to a count and does not
+        // contribute.
         let off: Vec<f64> = trips
             .iter()
             .zip(&ran.trips)
@@ -357,7 +358,7 @@ impl Setup {
         })
     }
 
-    /// Errors of a probing session, corrected off line by what is known of the machine.
+    /// Errors of a probing session, corrected off line by the machine's known model.
     ///
     /// # Errors
     /// The points give no circle.
@@ -369,13 +370,13 @@ impl Setup {
         Ok(probed.errors_by_report(Nominal::Circle { radius_mm }, self.tip_mm)?)
     }
 
-    /// The machine, so much later.
+    /// The machine after further seconds.
     #[must_use]
     pub fn later(&self, seconds: f64) -> Self {
         Self { begin_s: self.begin_s + seconds, ..self.clone() }
     }
 
-    /// What a measuring machine would find on the part.
+    /// Errors of the part as a measuring machine would find them.
     /// It measures the true surface at the probed angles about its own circle.
     ///
     /// # Errors
@@ -411,7 +412,7 @@ impl Setup {
     }
 
     /// The table of a finish cut.
-    /// It comes from the known form of the part where the model has one, else from probed errors.
+    /// It comes from the known form of the part if the model has one, otherwise from probed errors.
     fn table(&self, probed: &[PointError]) -> Result<FinishTable, TurningError> {
         let known = self.model.as_ref().map(|m| known_form(m, self.points)).transpose()?.flatten();
         let axes = lathe::axes(&self.bench, self.gate_design()?);
@@ -419,7 +420,7 @@ impl Setup {
     }
 
     /// The loop: semi-finish cut, probing, finish cut (corrected or not), inspection.
-    /// Returns the inspecting session.
+    /// Returns the session of the inspection.
     ///
     /// # Errors
     /// The first step that cannot be done.
@@ -439,7 +440,7 @@ impl Setup {
         Ok(session)
     }
 
-    /// The session's record minus the known errors of the machine.
+    /// Removes the machine's known errors from the session's record.
     /// Probing runs uncorrected, so a correct part shows the machine's errors (NISTIR 4832, probing mode).
     fn correct_off_line(&self, session: &mut ProbingSession, plan: &Plan) -> Result<(), TurningError> {
         let (Some(model), Some(record)) = (&self.model, &mut session.record) else { return Ok(()) };
@@ -454,7 +455,7 @@ impl Setup {
         Ok(())
     }
 
-    /// All steps, one after the other.
+    /// Runs all steps, one after the other.
     ///
     /// # Errors
     /// The first step that cannot be done.
@@ -513,7 +514,7 @@ impl Setup {
         progress("the same by G01 lines");
         let mut other = before_finish;
         let moves = self.program_moves(&table);
-        // As with the arc, a move beyond each end is none of the program's own.
+        // As with the arc, the move beyond each end does not count as a line of the program.
         let program_lines = moves.len().saturating_sub(2);
         now.go(&mut other, self.radius_mm, &moves, self.job(None), self.seed + 4)?;
         let by_program = self
@@ -557,11 +558,12 @@ impl Setup {
     }
 
     /// The finish cut with the table's corrections in its G01 lines.
-    /// It runs from beyond one end to beyond the other, because a cut begun at rest in the first point would show
-    /// where the axes came from.
+    /// It runs from beyond one end to beyond the other. A cut begun at rest in the first point would show the
+    /// direction from which the axes came.
     fn program_moves(&self, table: &FinishTable) -> Vec<Move> {
         let mut corners = table.straight_moves(0.0015, 4);
-        // Along the same arc as the one move of the arc comes, so that the axes turn where they turn there.
+        // The ends continue along the same arc as the single arc move, so that the axes reverse at the same
+        // positions.
         if let [first, .., last] = corners[..] {
             let beyond = |end: Zx, by_rad: f64| {
                 let from = end - table.cut.centre;
@@ -578,7 +580,7 @@ impl Setup {
         corners.windows(2).map(line).collect()
     }
 
-    /// A batch measured off the machine against what probing saw on it.
+    /// A batch measured off the machine, compared with the probing on it.
     fn off_machine(
         &self,
         table: &FinishTable,
@@ -661,8 +663,8 @@ impl Setup {
     }
 }
 
-/// Radial errors by angle that a model knows the part to have, µm.
-/// `None` where it knows of no form.
+/// Radial errors of the part by angle that a model states, µm.
+/// `None` if it states no form.
 fn known_form(model: &Machine, points: usize) -> Result<Option<Vec<PointError>>, RunError> {
     let form: Vec<&Effect> = model
         .effects()
@@ -672,7 +674,7 @@ fn known_form(model: &Machine, points: usize) -> Result<Option<Vec<PointError>>,
         return Ok(None);
     }
     let mut live = Live::new(form, layout(Vec::new()))?;
-    // Finer than it is probed: a bump may lie between two points.
+    // Finer than the probed points, since a bump may lie between two of them.
     let steps = 20 * points;
     let errors = (0..=steps).map(|k| {
         let angle_rad = FRAC_PI_2 * k as f64 / steps as f64;
@@ -691,14 +693,14 @@ fn compare(feed_mm_min: f64, session: &ProbingSession) -> Probing {
         seconds: session.seconds,
         capture_rms_um: session.rms_um,
         capture_worst_um: session.worst_um,
-        // At the two ends one axis stands still and is known to a count.
+        // At the two ends one axis is at rest and is known only to a count.
         stated_um: session.trips.iter().map(|t| t.uncertainty_um).filter(|u| *u < 0.9).fold(0.0, f64::max),
         late_25us_um: 25.0 * um_per_us,
         late_1ms_um: 1000.0 * um_per_us,
     }
 }
 
-/// The page of a whole experiment.
+/// The report page of a whole experiment.
 fn page(o: &TurningOutcome) -> String {
     let [(_, before), (_, after)] = &o.reports;
     let mut text = side_by_side(before, after);

@@ -1,37 +1,37 @@
 //! Machines at the other end of a mock card's wires, in real time.
-//! The card lets time advance at most to the next change of a line, and by a sixteenth of a count at the axes'
-//! fastest. Late looks then find the machine waiting. An insertion takes a few looks, and no count overtakes it if
-//! the process is not scheduled in the middle of it.
+//! The card's time advances at most to the next change of a line, and by a sixteenth of a count at the axes'
+//! highest speed. After a late look the machine has waited. An insertion takes a few looks, and no count
+//! overtakes it if the process is not scheduled in the middle of it.
 
 use crate::attended::Attended;
 use rtec_driver::card::{AxisLines, MachineLines};
 use rtec_driver::mock::Wires;
 
-/// A machine and the card's lines of its axes.
+/// A machine, and its axes' lines at the card.
 #[derive(Debug)]
 struct Station<A> {
     attended: A,
     lines: Vec<AxisLines>,
 }
 
-/// Machines on one card.
+/// Several machines on one card.
 #[derive(Debug)]
 pub struct MachineWires<A> {
     stations: Vec<Station<A>>,
     probe: u64,
     hold: u64,
-    /// Time of the card at which the machines' begins.
+    /// Card time at which the machines' time begins, ns.
     start_ns: Option<u64>,
     now_ns: u64,
-    /// Until then, and as long as the outputs stay, the inputs do.
+    /// Time until which the inputs stay if the outputs do, ns.
     quiet_until_ns: u64,
-    /// Further than this no look finds the machines gone on, ns.
+    /// Longest advance of the machines at one look, ns.
     patience_ns: u64,
     outputs: u64,
     inputs: u64,
 }
 
-/// A machine's own lines: A, B, A', B' of axis n from bit 4n, its inverters from 2n.
+/// A machine's own lines: axis n has A, B, A', B' from bit 4n, inverters from 2n.
 /// Probe and hold are as on a mock card.
 const OWN: MachineLines = MachineLines::standard();
 
@@ -63,7 +63,7 @@ impl<A: Attended> Station<A> {
 }
 
 impl<A: Attended> MachineWires<A> {
-    /// Machines with the card's lines of their axes.
+    /// Machines, each with the card's lines of its axes.
     /// Feed hold and probe are common to all.
     #[must_use]
     pub fn new(machines: impl IntoIterator<Item = (A, Vec<AxisLines>)>, lines: MachineLines) -> Self {

@@ -1,4 +1,4 @@
-//! The workpiece that a worn nose leaves, and the surface that a probe finds.
+//! The workpiece after cuts by a worn nose, and its surface for a probe.
 
 use rtec_files::InputError;
 use rtec_files::Sheet;
@@ -8,18 +8,18 @@ use std::f64::consts::FRAC_PI_2;
 use std::fmt::Write as _;
 use std::path::Path;
 
-/// The tool's nose, ground or worn flat in one place.
+/// The tool's nose, ground or worn flat at one position.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Nose {
-    /// Radius of the nose.
+    /// Radius of the nose, mm.
     pub radius_mm: f64,
-    /// Depth of the flat.
+    /// Depth of the flat, µm.
     pub flat_um: f64,
-    /// The surface angle that the middle of the flat cuts.
+    /// Surface angle at which the middle of the flat cuts, rad.
     pub flat_rad: f64,
 }
 
-/// The workpiece: its radius about the arc's centre by angle.
+/// The workpiece: radius by angle around the arc's centre.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Workpiece {
     /// Centre of the arc in part coordinates.
@@ -27,13 +27,13 @@ pub struct Workpiece {
     radius_mm: Vec<f64>,
 }
 
-/// Angles of the workpiece: a little beyond the quadrant on both sides.
+/// Angles of the workpiece, from slightly before to slightly beyond the quadrant.
 const LOW_RAD: f64 = -0.03;
 const STEP_RAD: f64 = 5e-4;
 const STEPS: usize = 3263;
 
 impl Workpiece {
-    /// A raw part: round about `centre` (part coordinates), of this radius, mm.
+    /// A raw part: a circle around `centre` (part coordinates) with this radius, mm.
     #[must_use]
     pub fn raw(centre: Zx, radius_mm: f64) -> Self {
         Self { centre, radius_mm: vec![radius_mm; STEPS] }
@@ -47,14 +47,14 @@ impl Workpiece {
         self.radius_mm[k] * (1.0 - part) + self.radius_mm[k + 1] * part
     }
 
-    /// Distance of a place in part coordinates from the surface, mm; negative inside.
+    /// Distance of a position (part coordinates) from the surface, mm; negative inside.
     #[must_use]
     pub fn distance_mm(&self, at: Zx) -> f64 {
         let p = at - self.centre;
         p.norm() - self.radius_mm(p.angle_rad())
     }
 
-    /// Errors of the surface against the nominal circle, as a measuring machine finds them.
+    /// Errors of the surface from the nominal circle, as by a measuring machine.
     #[must_use]
     pub fn truth(&self, radius_mm: f64, number: usize) -> Vec<PointError> {
         (0..number)
@@ -69,7 +69,7 @@ impl Workpiece {
             .collect()
     }
 
-    /// A workpiece on file: radii at even steps of angle about one centre.
+    /// The workpiece as CSV: radii at even steps of angle around one centre.
     #[must_use]
     pub fn to_csv(&self) -> String {
         let mut text = "centre_z_mm,centre_x_mm,radius_mm\n".to_owned();
@@ -79,10 +79,10 @@ impl Workpiece {
         text
     }
 
-    /// Reads such a file.
+    /// Reads a workpiece from a CSV file.
     ///
     /// # Errors
-    /// As [`Sheet::read`]; not a workpiece's number of radii.
+    /// As [`Sheet::read`], or another number of radii than a workpiece has.
     pub fn read(file: &Path) -> Result<Self, InputError> {
         let sheet = Sheet::read(file, &["centre_z_mm", "centre_x_mm", "radius_mm"], |_| false)?;
         let (z, x) = (sheet.numbers("centre_z_mm")?, sheet.numbers("centre_x_mm")?);
@@ -93,14 +93,14 @@ impl Workpiece {
             .ok_or_else(|| InputError::whole(file, found, "a workpiece as `part finish` writes it"))
     }
 
-    /// A workpiece from kept radii; `None` where their number is not a workpiece's.
+    /// A workpiece from stored radii; `None` if their number is wrong.
     #[must_use]
     pub fn from_radii(centre: Zx, radius_mm: Vec<f64>) -> Option<Self> {
         (radius_mm.len() == STEPS && radius_mm.iter().all(|r| r.is_finite()))
             .then_some(Self { centre, radius_mm })
     }
 
-    /// Removes what the nose reaches from one place of its centre.
+    /// Removes the material that the nose reaches at one position of its centre.
     /// It cuts `deeper_um` beyond its radius.
     pub fn cut(&mut self, tool: Nose, nose_centre: Zx, deeper_um: f64) {
         let facing = (nose_centre - self.centre).angle_rad();
@@ -124,7 +124,7 @@ impl Workpiece {
 mod tests {
     use super::*;
 
-    /// A flat leaves the nose's support function, which is that of the flat's two ends.
+    /// A flat leaves the support function of the nose, that is of the flat's two ends.
     /// (NISTIR 4854, Part-Form Error)
     #[test]
     fn a_flat_of_25_um_leaves_25_um_where_its_middle_cuts() {

@@ -1,4 +1,5 @@
-//! The drilling test of WO 97/43703, and a corrector switched on at a warm machine.
+//! The drilling test of WO 97/43703.
+//! Also a corrector switched on at a warm machine.
 
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
@@ -9,13 +10,13 @@ use rtec_sim::gcode::Block;
 use rtec_sim::sim::{Sim, Spec};
 use std::path::Path;
 
-/// WO 97/43703, p.
-/// 25: four holes, and four more an inch further in X, in each of three cycles.
+/// Four holes, and four more an inch further in X, in each of three cycles.
+/// (WO 97/43703, p. 25)
 #[test]
 fn drills_two_passes_an_inch_apart() {
     let truth = Described::default().machine("wo97-machine.toml").unwrap();
     let spec = Spec::machining_centre();
-    // A fit that saw T1 10 K below any hall, and one that saw it as it is.
+    // A fit that saw T1 10 K below any hall, and one that saw the present range.
     let fit = |axis: &str, range: &str| {
         format!(
             "[[fit]]\nresponse = \"error.{axis}\"\ndate = 2026-05-01\nvalid_until = \"2027-05-01\"\nrms_um = 1.0\nhalf_width_um = 2.0\n\
@@ -38,7 +39,7 @@ fn drills_two_passes_an_inch_apart() {
     assert!(["1", "2", "3"].iter().all(|c| of(c, "1") == 8 && of(c, "2") == 8), "{table}");
     // The first hole is the reference.
     assert!(rows[0][4..].iter().all(|cell| cell.parse::<f64>().unwrap() == 0.0), "{:?}", rows[0]);
-    // The second pass stands an inch further in X.
+    // The second pass is an inch further in X.
     let record = &found.records[0];
     let x = record.columns.iter().find(|c| c.name == "x").unwrap();
     for row in 0..8 {
@@ -50,7 +51,8 @@ fn drills_two_passes_an_inch_apart() {
     }
 }
 
-/// On a warm machine without past temperatures the lags are unknown: the corrector holds and reports it.
+/// On a warm machine without past temperatures the lags are unknown.
+/// The corrector holds and reports it.
 #[test]
 fn holds_and_says_so_on_a_warm_machine_without_a_past() {
     let truth = Described::default().machine("wo97-machine.toml").unwrap();
@@ -69,6 +71,6 @@ fn holds_and_says_so_on_a_warm_machine_without_a_past() {
     assert!(cold.is_empty(), "{cold:?}");
     let (warm, asked) = started(2.0 * 3600.0);
     assert!(warm.len() == 3 && warm.iter().all(|why| why.contains("hold")), "{warm:?}");
-    // What does not depend on heat is a few micrometres; heat has moved Z by more than 50 µm.
+    // The part that does not depend on heat is a few micrometres; heat has moved Z by more than 50 µm.
     assert!(asked.iter().all(|counts| counts.abs() < 20), "{asked:?}: {warm:?}");
 }

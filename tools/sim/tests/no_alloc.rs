@@ -1,4 +1,4 @@
-//! The loop allocates nothing: an allocator that aborts while the loop runs.
+//! The thread's loop allocates nothing: the allocator aborts while it runs.
 
 #![allow(clippy::unwrap_used)]
 
@@ -45,7 +45,7 @@ unsafe impl GlobalAlloc for Guard {
 #[global_allocator]
 static GUARD: Guard = Guard;
 
-/// A clock that goes on by a fixed step at every look.
+/// A clock that advances by a fixed step at every look.
 struct Ticking(Virtual);
 
 impl rtec_driver::clock::Clock for Ticking {
@@ -55,7 +55,8 @@ impl rtec_driver::clock::Clock for Ticking {
     }
 }
 
-/// Moving axes, requests, refusals, faults, probing, journal and link: everything the thread's loop does.
+/// The thread's loop allocates nothing in any of its work.
+/// It moves axes, takes requests, refuses, latches faults, probes, and writes journal and link.
 #[test]
 fn the_loop_neither_allocates_nor_releases() {
     let motion =
@@ -77,7 +78,7 @@ fn the_loop_neither_allocates_nor_releases() {
     for n in 0..200_000_i64 {
         if n % 2000 == 0 {
             let axis = (n / 2000 % 4) as u8;
-            // Some in the window, some not, some for an axis that is not there.
+            // Some within the window, some not, and some for an axis that does not exist.
             let total_counts = if n % 14_000 == 0 { 90 } else { n / 2000 % 9 };
             let _ = control.send(Request::Correct { axis, total_counts, large: false });
         }

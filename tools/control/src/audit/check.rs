@@ -1,4 +1,4 @@
-//! The record read, and the chain of its lines checked.
+//! Reads the record and checks the chain of its lines.
 
 use super::writer::Link;
 use super::{Entry, Head, LONGEST_LINE, NOTHING, files, head_path, read_head, refused_path};
@@ -11,9 +11,9 @@ use std::io::{self, BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-/// A record that changes while it is read is read again, so often at most.
+/// A record that changes while it is read is read again, at most this often.
 const TRIES: usize = 5;
-/// And after this time.
+/// Wait before it is read again.
 const MOMENT: Duration = Duration::from_millis(5);
 
 /// A line that was read.
@@ -23,35 +23,35 @@ pub struct Line {
     pub file: PathBuf,
     /// Its line, from 1.
     pub line: usize,
-    /// What it says; or what is wrong with it.
+    /// The entry, or what is wrong with the line.
     pub entry: Result<Entry, String>,
-    /// The line as it stands.
+    /// The line's text.
     pub text: String,
-    /// It stands among the refusals.
+    /// It is in the chain of refusals.
     pub refused: bool,
     hash: String,
 }
 
-/// Reads the record and what was refused beside it, oldest line first.
+/// Reads the record and its refusals, oldest line first.
 ///
 /// # Errors
 /// A file that cannot be read.
 pub fn read(path: &Path, each: &mut dyn FnMut(Line)) -> io::Result<()> {
     let refused = refused_path(path);
     if files(path).is_empty() {
-        // Says that it is not there, in the system's words.
+        // Reports in the system's words that it does not exist.
         File::open(path)?;
     }
     let mut chains = [Lines::of(path, false).peekable(), Lines::of(&refused, true).peekable()];
     loop {
-        // By their times, which begin with the year; a line that is none has its place among its neighbours.
+        // Merged by time; as text, times sort by year. A damaged line keeps its place among its neighbours.
         let time = |line: Option<&io::Result<Line>>| match line? {
             Ok(Line { entry: Ok(entry), .. }) => Some(entry.t.clone()),
             _ => Some(String::new()),
         };
         let [first, second] = &mut chains;
         let (a, b) = (time(first.peek()), time(second.peek()));
-        // At the same time: a command that latches a fault stands before the fault.
+        // At equal times the command comes first, then the fault that it latched.
         let chain = if b.is_none() || a.is_some() && a < b { first } else { second };
         let Some(line) = chain.next() else { return Ok(()) };
         each(line?);
@@ -62,7 +62,7 @@ pub fn read(path: &Path, each: &mut dyn FnMut(Line)) -> io::Result<()> {
 struct Lines {
     files: VecDeque<PathBuf>,
     refused: bool,
-    /// The file that is being read, and how many lines of it were.
+    /// The file being read, and the number of lines read from it.
     open: Option<(PathBuf, BufReader<File>, usize)>,
 }
 
@@ -75,7 +75,7 @@ impl Lines {
         loop {
             let Some((file, reader, line)) = &mut self.open else {
                 let Some(file) = self.files.pop_front() else { return Ok(None) };
-                // A pipe would be waited for, a device has no end.
+                // A pipe would block, and a device has no end.
                 let open = rtec_files::text::open_regular(&file).map_err(|e| io::Error::other(e.found))?;
                 self.open = Some((file, BufReader::new(open), 0));
                 continue;
@@ -115,21 +115,21 @@ fn understand(file: &Path, line: usize, text: String, whole: bool) -> Line {
     Line { file: file.to_owned(), line, entry, text, refused: false, hash }
 }
 
-/// What was found wrong with the chain.
+/// A mistake found in the chain.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Broken {
     /// The file.
     pub file: PathBuf,
-    /// Its line, from 1; 0 where it is about the file.
+    /// Its line, from 1; 0 if the mistake concerns the whole file.
     pub line: usize,
-    /// What is wrong.
+    /// The mistake, in words.
     pub what: String,
 }
 
-/// The end of a chain at a moment, said where the daemon's rights do not reach.
+/// The end of a chain, published where the daemon's rights do not reach.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Anchor {
-    /// Of the refusals.
+    /// It belongs to the chain of refusals.
     pub refused: bool,
     /// Number of the line.
     pub n: u64,
@@ -141,14 +141,14 @@ const ANCHORED: &str = "record of commands: line ";
 const ANCHORED_REFUSED: &str = "; of refusals: line ";
 
 impl Anchor {
-    /// How the ends of both chains are said.
+    /// Text that publishes the ends of both chains.
     #[must_use]
     pub fn text((n, hash): (u64, &str), refused: Option<(u64, &str)>) -> String {
         let refused = refused.map_or(String::new(), |(n, hash)| format!("{ANCHORED_REFUSED}{n} {hash}"));
         format!("{ANCHORED}{n} {hash}{refused}")
     }
 
-    /// All that are said in a text, as `journalctl` prints it.
+    /// All anchors in a text, as `journalctl` prints it.
     #[must_use]
     pub fn all(text: &str) -> Vec<Self> {
         let one = |text: &str, refused| {
@@ -162,23 +162,23 @@ impl Anchor {
     }
 }
 
-/// What a look at the whole chain found.
+/// Result of a check of the whole chain.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
 pub struct Verified {
     /// Lines that were read.
     pub lines: u64,
-    /// Number of the first and of the last one.
+    /// Numbers of the first and the last line.
     pub numbers: [u64; 2],
-    /// Commands that could not be recorded, by the record's own word.
+    /// Commands that could not be recorded, as the record states.
     pub lost: u64,
     /// Lines of refusals.
     pub refused: u64,
-    /// Everything that is wrong; empty where the record is whole.
+    /// All mistakes; empty if the record is whole.
     pub broken: Vec<Broken>,
 }
 
-/// Checks every line, and that none is missing, changed or in another place.
-/// And that what was said elsewhere is true.
+/// Checks that no line is missing, changed or moved.
+/// It also checks that the chain contains every anchor.
 ///
 /// # Errors
 /// A file that cannot be read.
@@ -209,7 +209,7 @@ fn verify_chain(path: &Path, anchors: &BTreeMap<u64, &str>) -> io::Result<Verifi
             Err(error) if error.kind() == io::ErrorKind::PermissionDenied => return Err(error),
             Err(_) => last = None,
         }
-        // A line half written, files that change their names: a moment later they are as they should be.
+        // A line half written, or files being renamed: a moment later they are consistent.
         std::thread::sleep(MOMENT);
     }
     check(path, read_head(path).as_ref(), anchors)
@@ -232,7 +232,7 @@ fn check(path: &Path, head: Option<&Head>, anchors: &BTreeMap<u64, &str>) -> io:
             Ok(entry) => entry,
             Err(why) => {
                 broken(why.clone());
-                // What follows is judged by what this line claims to be.
+                // The next lines are compared with what this line claims.
                 if let Ok(link) = serde_json::from_str::<Link>(&read.text) {
                     before = Some((link.n, link.hash));
                 }
@@ -246,7 +246,7 @@ fn check(path: &Path, head: Option<&Head>, anchors: &BTreeMap<u64, &str>) -> io:
             Some((_, hash)) if *hash != entry.prev => {
                 broken("it does not follow the line before it".to_owned());
             }
-            // Earlier lines than it must have are no loss.
+            // Lines older than the head requires are no fault.
             None if head.is_some_and(|h| h.first_n < entry.n) => {
                 let first = head.map_or(1, |h| h.first_n);
                 broken(format!("the record begins with line number {}, and should with {first}", entry.n));
@@ -276,7 +276,7 @@ fn check(path: &Path, head: Option<&Head>, anchors: &BTreeMap<u64, &str>) -> io:
             format!("it ends with line number {}, and the anchor knows line number {n}", found.numbers[1]);
         found.broken.push(Broken { file: path.to_owned(), line: 0, what });
     }
-    // What was written while it was read is no surprise.
+    // Lines written during the check are accepted.
     let now_n = read_head(path).map_or(0, |h| h.n);
     let what = match head {
         None => Some(format!(
@@ -286,7 +286,7 @@ fn check(path: &Path, head: Option<&Head>, anchors: &BTreeMap<u64, &str>) -> io:
         Some(head) if found.numbers[1] < head.n => {
             Some(format!("it ends with line number {}, and should with {}", found.numbers[1], head.n))
         }
-        // One line may have been written just before a crash; more than that nobody wrote here.
+        // A crash can leave one line that the head does not know, never more.
         Some(head) if found.numbers[1] > head.n.max(now_n) + 1 => {
             Some(format!("it ends with line number {}, and should with {}", found.numbers[1], head.n))
         }

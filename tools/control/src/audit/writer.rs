@@ -11,7 +11,7 @@ use std::os::unix::fs::{FileExt, MetadataExt, OpenOptionsExt, PermissionsExt, fc
 use std::path::{Path, PathBuf};
 
 /// Writes the record.
-/// To be used by one process at a time, off every thread that must not wait for a disk.
+/// Only one process may use it at a time, on a thread that may wait for a disk.
 #[derive(Debug)]
 pub struct Writer {
     path: PathBuf,
@@ -20,19 +20,19 @@ pub struct Writer {
     full: u64,
     group: Option<u32>,
     head: Head,
-    /// The head's file, locked: nobody else writes this record.
+    /// The locked file of the head; the lock keeps other writers out.
     held: Option<Flock<File>>,
-    /// The head's file is not as it should be.
+    /// The head on disk is older than the record's last line.
     head_behind: bool,
-    /// How many files it keeps.
+    /// Number of files kept.
     keeps: usize,
-    /// How often a file or head was removed or renamed, and how often a file was full.
+    /// Number of removed or renamed files or heads, and number of full files.
     moved: u64,
     rotated: u64,
 }
 
 impl Writer {
-    /// A writer that goes on where the record ends.
+    /// A writer that continues where the record ends.
     /// It opens the file at its first line.
     #[must_use]
     pub fn new(path: &Path) -> Self {
@@ -52,31 +52,31 @@ impl Writer {
         }
     }
 
-    /// With another number of files.
+    /// Sets the number of files that are kept.
     #[must_use]
     pub fn keeping(self, files: usize) -> Self {
         Self { keeps: files, ..self }
     }
 
-    /// How often its file or its head were found removed or renamed by others.
+    /// How often others removed or renamed the file or its head.
     #[must_use]
     pub fn moved(&self) -> u64 {
         self.moved
     }
 
-    /// How often a full file was put aside.
+    /// How often a full file was renamed.
     #[must_use]
     pub fn rotated(&self) -> u64 {
         self.rotated
     }
 
-    /// With a group whose members may read the files.
+    /// Sets a group whose members may read the files.
     #[must_use]
     pub fn readable_by(self, group: Option<u32>) -> Self {
         Self { group, ..self }
     }
 
-    /// With another size at which a file is full, bytes.
+    /// Sets the size at which a file is full, bytes.
     #[must_use]
     pub fn full_at(self, full: u64) -> Self {
         Self { full, ..self }
@@ -91,7 +91,7 @@ impl Writer {
     /// Adds a line, whole or not at all.
     ///
     /// # Errors
-    /// What the file system reports; the chain goes on with the next line.
+    /// What the file system reports; the chain continues with the next line.
     pub fn append(&mut self, mut entry: Entry) -> io::Result<()> {
         self.look()?;
         if self.file.is_none() {
@@ -105,14 +105,14 @@ impl Writer {
         line.push('\n');
         let Some(file) = &mut self.file else { return Err(io::ErrorKind::NotFound.into()) };
         if let Err(error) = file.write_all(line.as_bytes()) {
-            // Half a line is none; where even that cannot be mended the next start finds it torn.
+            // Removes half a line. If that fails too, the next start finds it torn.
             let _ = file.set_len(self.bytes);
             self.file = None;
             return Err(error);
         }
         self.bytes += line.len() as u64;
         (self.head.n, self.head.hash) = (entry.n, hash);
-        // The line stands, whatever becomes of its head: `sync` says so.
+        // The line is written, even if its head is not: `sync` reports that.
         self.head_behind = self.write_head().is_err();
         Ok(())
     }
@@ -142,7 +142,7 @@ impl Writer {
         self.append(Entry { text, ..Entry::now("moved") })
     }
 
-    /// What was written is on the disk.
+    /// Waits until everything written is on the disk.
     ///
     /// # Errors
     /// What the file system reports.
@@ -167,7 +167,7 @@ impl Writer {
         if !known {
             let head = read_head(&self.path);
             let last = files(&self.path).iter().rev().find_map(|f| last_line(f));
-            // The longer story counts: lines that were cut off must be missed.
+            // The head may know more lines than the files: lines that were cut off must be missed.
             if let Some(head) = head {
                 self.head = head;
             }
@@ -189,8 +189,8 @@ impl Writer {
         Ok(())
     }
 
-    /// Lets the group read a file, whatever the process's mask says.
-    /// Where it cannot be given away it stays ours alone.
+    /// Lets the group read a file, regardless of the process's umask.
+    /// If the group cannot be set, only the daemon's user may read it.
     fn give(&self, file: &File) {
         if self.group.is_some() && fchown(file, None, self.group).is_ok() {
             let _ = file.set_permissions(Permissions::from_mode(0o640));
@@ -221,7 +221,7 @@ impl Writer {
     /// Notes the future first line before the files are renamed.
     /// A kill in between leaves more lines than promised, never fewer.
     pub(super) fn begin_rotation(&mut self) -> io::Result<()> {
-        // The oldest is overwritten where there is one before it.
+        // The oldest file is overwritten if the one before it exists.
         let goes = self.name(self.keeps - 1);
         let kept =
             files(&self.path).into_iter().filter(|f| *f != goes || !self.name(self.keeps - 2).exists());
@@ -242,17 +242,17 @@ impl Writer {
     fn write_head(&self) -> io::Result<()> {
         let Some(file) = &self.held else { return Err(io::ErrorKind::NotFound.into()) };
         let text = serde_json::to_string(&self.head).map_err(io::Error::other)?;
-        // Of one length in all but its numbers: a blank makes good for a shorter one.
+        // Padded to one length, so that a shorter text overwrites a longer one.
         file.write_all_at(format!("{text:<160}\n").as_bytes(), 0)
     }
 }
 
-/// Readable by the group, never followed through a link.
+/// Options of the record's files: readable by the group, no symbolic links.
 fn own(options: &mut OpenOptions) -> &mut OpenOptions {
     options.mode(0o640).custom_flags((nix::fcntl::OFlag::O_NOFOLLOW | nix::fcntl::OFlag::O_NONBLOCK).bits())
 }
 
-/// Cuts off what has no end; how many bytes that were.
+/// Cuts off an unfinished last line; returns the bytes removed.
 fn whole_lines(file: &mut File) -> io::Result<u64> {
     let len = file.metadata()?.len();
     let from = len.saturating_sub(LONGEST_LINE);

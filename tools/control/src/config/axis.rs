@@ -1,4 +1,4 @@
-//! `[[axis]]`: one axis, its limits, and whether they leave it anything to do.
+//! `[[axis]]`: one axis, its limits, and whether they let it correct anything.
 
 use super::card::{Card, Kind, read_lines};
 use super::{ConfiguredAxis, Simulated, beside, keys};
@@ -7,9 +7,8 @@ use rtec_model::record::Axis;
 use rtec_rt::axis::{AxisConfig, INCREMENT_COUNTS, RestPolicy};
 use std::path::PathBuf;
 
-#[allow(clippy::too_many_lines)] // One key after the other.
-/// Reads one `[[axis]]`; none where something is wrong with it.
-/// With it the recording of a replay.
+#[allow(clippy::too_many_lines)] // The keys in order.
+/// Reads one `[[axis]]` with the recording of a replay; none if it has a mistake.
 pub(super) fn read(
     source: &mut SourceFile<'_>,
     mut s: Section<'_>,
@@ -24,7 +23,7 @@ pub(super) fn read(
     let turns = |name: &str| Axis::new(name).is_some_and(|a| a.is_rotary());
     let by_name = name.as_ref().filter(|n| turns(n.value)).map(|n| n.offset);
     let other_kind = refuse_other_kinds(source, &mut s, &owner, by_name);
-    // What is said in degrees is not missing in millimetres.
+    // A key given in degrees is not reported as missing in millimetres.
     let needed = |key| if other_kind && !s.has(key) { None } else { s.number(source, key) };
     let [count_um, travel_mm] = ["count_um", "travel_mm"].map(needed);
     read_design(source, &mut s);
@@ -115,7 +114,7 @@ pub(super) fn read(
     }
     let offset = s.offset;
     if card.kind.is_none() {
-        // Without a card nobody knows whether these belong here.
+        // Without a card it is not known whether these keys belong here.
         let _ = (s.has("lines"), s.has("trace"));
     }
     s.finish(source);
@@ -190,7 +189,7 @@ pub(super) fn read(
     Some((axis, trace))
 }
 
-/// The key `design`: the daemon inserts by Design C alone.
+/// Checks the key `design`: the daemon inserts by Design C only.
 fn read_design(source: &mut SourceFile<'_>, s: &mut Section<'_>) {
     if s.has_unoffered("design") {
         let expected = "\"c\", or no such key: every axis inserts by Design C (the other designs are simulated: rtecctl \
@@ -199,7 +198,7 @@ fn read_design(source: &mut SourceFile<'_>, s: &mut Section<'_>) {
     }
 }
 
-/// Keys of unsupported kinds of axis, and the kind that each asks for.
+/// Keys of unsupported kinds of axis, and the kind of each.
 const OTHER_KINDS: [(&str, &str); 8] = [
     ("count_deg", ROTARY),
     ("count_arcsec", ROTARY),
@@ -216,7 +215,7 @@ const COUPLED: &str = "an axis of its own: two scales of one axis (a gantry) are
                        rack it. Leave both scales out: they go straight to the MTC";
 
 /// Refuses a rotary or coupled axis by its kind, not by an unknown key.
-/// `by_name`: its name says that it rotates (ISO 841). Returns `true` where it was refused.
+/// `by_name`: its name marks it as rotary (ISO 841). Returns `true` if it was refused.
 fn refuse_other_kinds(
     source: &mut SourceFile<'_>,
     s: &mut Section<'_>,
@@ -240,7 +239,7 @@ fn refuse_other_kinds(
     refused.is_some() || by_name.is_some()
 }
 
-/// What `simulated` says; as configured where it says nothing.
+/// The values of `simulated`; those of the configuration if it has none.
 struct ReadSimulated {
     count_um: Option<f64>,
     rest: Simulated,

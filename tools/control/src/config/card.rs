@@ -15,13 +15,13 @@ use std::os::unix::fs::FileTypeExt;
 use std::path::{Path, PathBuf};
 
 impl Card {
-    /// Something outside this process hangs on the lines.
+    /// Whether the lines lead out of this process.
     pub(super) fn is_real(&self) -> bool {
         matches!(self.kind, Some(Kind::Gpio | Kind::Mapped | Kind::Port))
     }
 }
 
-/// What `[card]` says; `None` fields were reported.
+/// Values of `[card]`; `None` fields were reported.
 pub(super) struct Card {
     pub(super) kind: Option<Kind>,
     pub(super) mapped: Option<MappedPlace>,
@@ -29,17 +29,17 @@ pub(super) struct Card {
     pub(super) profile: Option<Profile>,
     pub(super) gpio: Gpio,
     pub(super) lines: MachineLines,
-    /// Who has taken which line: direction, bit.
+    /// User of each line, by direction and bit.
     pub(super) taken: BTreeMap<(bool, u8), String>,
 }
 
-/// GPIO lines as they are read, and what holds for those that say no more.
+/// GPIO lines read so far, and the defaults for the others.
 pub(super) struct Gpio {
     pub(super) setup: GpioSetup,
     pub(super) default: GpioLine,
-    /// Lines are looked for on this computer.
+    /// Lines are looked up on this computer.
     here: bool,
-    /// Chips that were looked for and not found: each is said once.
+    /// Chips that were not found; each is reported once.
     absent: BTreeSet<Option<String>>,
 }
 
@@ -52,7 +52,7 @@ pub(super) enum Kind {
     Replay,
 }
 
-/// Reads `[card]`. `here`: this computer is the one it is meant for.
+/// Reads `[card]`; `here` if this is the computer that it is meant for.
 pub(super) fn read(source: &mut SourceFile<'_>, root: &mut Section<'_>, here: bool) -> Card {
     let mut section = root.table(source, "card", "[card]").with(keys::CARD);
     let kinds = [Kind::Mock, Kind::Gpio, Kind::Mapped, Kind::Port, Kind::Replay];
@@ -92,14 +92,14 @@ pub(super) fn read(source: &mut SourceFile<'_>, root: &mut Section<'_>, here: bo
             card.lines = machine_lines(source, &mut section, &mut card);
             section.finish(source);
         }
-        // Without a backend nobody knows which keys belong to it.
+        // Without a backend it is not known which keys belong to it.
         None => {}
         Some(Kind::Mock | Kind::Replay) => section.finish(source),
     }
     card
 }
 
-/// Where the registers are, and what they mean.
+/// Reads where the registers are, and the profile that gives them meaning.
 fn read_registers(
     source: &mut SourceFile<'_>,
     section: &mut Section<'_>,
@@ -124,10 +124,10 @@ fn read_registers(
         id
     });
     let bar = section.whole(source, "bar");
-    // A card is looked for on the bus only when somebody has named it, or its profile.
+    // The bus is searched for a card only if a key names the card or its profile.
     let place = card.profile.as_ref().filter(|_| named.is_some()).and_then(|p| p.pci);
     let bar_of = bar.map(|b| b.value as u8).or(place.map(|p| p.bar));
-    // One that is wrong is said to be; that there is none is not.
+    // A wrong place is reported, so the absence of any place is not.
     let mut places = usize::from(section.has("pci"));
     let config = source.file;
     let path = |at: At<&str>| beside(config, at.value);
@@ -223,7 +223,7 @@ fn load_profile(source: &mut SourceFile<'_>, path: &Path, named: &str, offset: u
     source.keep(profile::parse(path, &text))
 }
 
-/// The lines that belong to no axis.
+/// Reads the lines that belong to no axis.
 fn machine_lines(source: &mut SourceFile<'_>, section: &mut Section<'_>, card: &mut Card) -> MachineLines {
     let mut wire = |key, output| wire(source, section, card, key, output, (MAX_AXES as u8, "the machine"));
     MachineLines {
@@ -234,7 +234,7 @@ fn machine_lines(source: &mut SourceFile<'_>, section: &mut Section<'_>, card: &
     }
 }
 
-/// The bit of a GPIO line: the next that is free.
+/// Gives a GPIO line the next free bit.
 fn wire_gpio(
     source: &mut SourceFile<'_>,
     section: &mut Section<'_>,
@@ -273,7 +273,7 @@ fn wire_gpio(
         source.finding(offset, found, "a line of its own");
         return None;
     }
-    // A' and B' are looked at when an inversion is in effect; their edges are of no use.
+    // A' and B' are read when an inversion is in effect; their edges are not needed.
     let edges = !key.starts_with("read_back");
     let bit = if output { setup.outputs.len() } else { setup.inputs.len() } as u8;
     if output {
@@ -284,7 +284,7 @@ fn wire_gpio(
     Some(bit)
 }
 
-/// The bit of one line, checked against the profile and against who has it already.
+/// Bit of one line, checked against the profile and the lines in use.
 fn wire(
     source: &mut SourceFile<'_>,
     section: &mut Section<'_>,
@@ -334,7 +334,7 @@ fn wire(
     Some(bit)
 }
 
-/// The lines of an axis: where `lines` says, or those of the standard layout.
+/// Reads the lines of an axis from `lines`, or takes the standard layout.
 pub(super) fn read_lines(
     source: &mut SourceFile<'_>,
     section: &mut Section<'_>,
@@ -376,7 +376,7 @@ pub(super) fn read_lines(
     Some(AxisLines { a: a?, b: b?, invert_a: invert_a?, invert_b: invert_b?, read_back })
 }
 
-/// What `key = "path"` names on this computer can be looked at.
+/// Checks that a named path exists on this computer.
 fn is_there(source: &mut SourceFile<'_>, at: Option<At<&str>>, path: impl Fn(At<&str>) -> PathBuf) {
     if let Some(at) = at
         && let Err(error) = std::fs::metadata(path(at))
@@ -386,7 +386,7 @@ fn is_there(source: &mut SourceFile<'_>, at: Option<At<&str>>, path: impl Fn(At<
     }
 }
 
-/// A UIO device is a character device below `/dev`.
+/// Checks that a UIO device is a character device below `/dev`.
 fn is_uio(source: &mut SourceFile<'_>, at: At<&str>, path: &Path, here: bool) {
     let is_device = || std::fs::metadata(path).map(|m| m.file_type().is_char_device());
     let why = match is_device() {

@@ -13,26 +13,26 @@ pub const LONGEST_SOCKET: usize = 107;
 /// The control sockets and what belongs to them.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ControlConfig {
-    /// Path of the Unix socket by which everything may be asked for.
+    /// Path of the Unix socket that accepts every request.
     pub socket: PathBuf,
-    /// The group that may use it.
+    /// Group that may use this socket.
     pub group: Option<String>,
-    /// Its mode, where that is not the usual one.
+    /// Mode of this socket; `None` for the default.
     pub mode: Option<u32>,
     /// The socket of the role `operate`.
     pub operate: Door,
     /// The socket of the role `view`.
     pub view: Door,
-    /// What a restart takes over; `None` is beside the socket.
+    /// State that a restart takes over; `None` puts the file beside the socket.
     pub state_file: Option<PathBuf>,
-    /// The record of every command; `None` is as [`ControlConfig::log_path`] says.
+    /// Record of every command; `None` for the default of [`ControlConfig::log_path`].
     pub log_file: Option<PathBuf>,
     /// Whether the record's end is written to the system's journal.
     /// The daemon's own rights cannot change it there.
     pub log_anchor: bool,
-    /// The folder that finished records are kept in, for the shop; none without one.
+    /// Folder in which finished records are kept for the shop; none without one.
     pub spool: Option<PathBuf>,
-    /// What may wait in it at most, MB.
+    /// Largest total size of the records waiting in it, MB.
     pub spool_mb: u64,
     /// Silence of the control side after which no insertion begins, ms.
     pub stale_ms: u64,
@@ -45,16 +45,16 @@ pub struct Door {
     pub socket: Option<PathBuf>,
     /// The group that may use it; without one only the daemon's own user.
     pub group: Option<String>,
-    /// Its mode, where that is not the usual one.
+    /// Its mode; `None` for the default.
     pub mode: Option<u32>,
 }
 
-/// A socket to be made.
+/// A socket that the daemon creates.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct SocketAt {
-    /// What may be asked for there.
+    /// Role of its connections.
     pub role: Role,
-    /// Where.
+    /// Its path.
     pub path: PathBuf,
     /// The group that may use it.
     pub group: Option<String>,
@@ -75,7 +75,7 @@ impl ControlConfig {
     }
 
     /// Path of the record of every command: as configured.
-    /// Else of an installed daemon in `/var/log/rtec`; else beside the state file.
+    /// Otherwise it is in `/var/log/rtec` for an installed daemon, else beside the state file.
     #[must_use]
     pub fn log_path(&self) -> PathBuf {
         let state = self.state_path();
@@ -124,9 +124,9 @@ pub fn derived(socket: &Path, role: Role) -> PathBuf {
 }
 
 /// Default directory of sockets and state file.
-/// It is the one of `RTEC_RUN_DIR`. Otherwise it is `/run/rtec` for root, or where it exists (an installed daemon's).
-/// Otherwise it is the user's run-time directory, then the user's state directory. It is never one that others can
-/// write to.
+/// It is the one of `RTEC_RUN_DIR`. Otherwise it is `/run/rtec` for root, or if that exists (an installed
+/// daemon's). Otherwise it is the user's run-time directory, then the user's state directory. It is never one
+/// that others can write to.
 #[must_use]
 pub fn default_directory() -> PathBuf {
     let absolute = |name: &str| std::env::var_os(name).map(PathBuf::from).filter(|p| p.is_absolute());
@@ -141,12 +141,12 @@ pub fn default_directory() -> PathBuf {
         return directory.join("rtec");
     }
     let home = || absolute("HOME").map(|home| home.join(".local/state"));
-    // A user without a home has no place of its own: the one that a session would have had is named, and missing.
+    // A user without a home has no directory. The error then names the missing session's directory.
     let none = || PathBuf::from(format!("/run/user/{}", Uid::effective()));
     absolute("XDG_STATE_HOME").or_else(home).unwrap_or_else(none).join("rtec")
 }
 
-/// Reads `[control]`. `here`: this computer is the one it is meant for.
+/// Reads `[control]`; `here` if this is the computer that it is meant for.
 pub(super) fn read(source: &mut SourceFile<'_>, root: &mut Section<'_>, here: bool) -> ControlConfig {
     let mut table = root.table(source, "control", "[control]").with(keys::CONTROL);
     let own = read_door(source, &mut table, here);
@@ -208,8 +208,8 @@ pub(super) fn read(source: &mut SourceFile<'_>, root: &mut Section<'_>, here: bo
     config
 }
 
-/// What is allowed, and may be more than was meant.
-/// `here`: this computer is the one it is meant for.
+/// Notes about settings that allow more than may be intended.
+/// `here`: this is the computer that it is meant for.
 pub(super) fn notes(control: &ControlConfig, here: bool) -> Vec<String> {
     let mut notes = Vec::new();
     if let Some(spool) = control.spool.as_ref().filter(|s| here && !s.is_dir()) {

@@ -17,7 +17,7 @@ pub(super) fn look(source: &mut SourceFile<'_>, document: &Document<'_>, config:
     let whole = source.findings.is_empty();
     model(source, document, config, whole);
     traces(source, document, config);
-    // A table with a mistake is no sensor: nobody knows which table each sensor is of.
+    // After a mistake in a table it is not known which table each sensor belongs to.
     let tables = document.root().get("sensor").and_then(|e| e.tables("[[sensor]] tables").ok());
     if tables.as_ref().is_none_or(|tables| tables.len() != config.sensors.len()) {
         return;
@@ -37,7 +37,7 @@ pub(super) fn look(source: &mut SourceFile<'_>, document: &Document<'_>, config:
 }
 
 /// Prepares the model that runs from the start, as the daemon does.
-/// Only where the configuration is `whole`.
+/// Only if the rest of the configuration is free of mistakes (`whole`).
 fn model(source: &mut SourceFile<'_>, document: &Document<'_>, config: &mut Config, whole: bool) {
     let Some(file) = &config.model.file else { return };
     let entry = document.root().get("model").and_then(|e| e.as_table()).and_then(|t| t.get("file"));
@@ -63,7 +63,7 @@ fn model(source: &mut SourceFile<'_>, document: &Document<'_>, config: &mut Conf
     }
 }
 
-/// The traces of a card that replays.
+/// Checks the traces of a card that replays.
 fn traces(source: &mut SourceFile<'_>, document: &Document<'_>, config: &Config) {
     let CardConfig::Replay { traces } = &config.card else { return };
     let tables = document.root().get("axis").and_then(|e| e.tables("[[axis]] tables").ok());
@@ -79,7 +79,7 @@ fn traces(source: &mut SourceFile<'_>, document: &Document<'_>, config: &Config)
     }
 }
 
-/// A recording to replay: a run record that the daemon can read, with the column.
+/// Checks a recording to replay: a run record that the daemon can read.
 fn recording(source: &mut SourceFile<'_>, table: &Table<'_>, record: &Path, column: &str) {
     let at = table.get("record").map_or(0, |e| e.offset());
     let read = match rtec_records::record::read_log(record) {

@@ -14,7 +14,7 @@ keys! {
 const LINE: Takes = Takes::Own("a line's name or bit");
 
 keys! {
-    /// `[card]`; which of them count depends on the backend.
+    /// `[card]`; the keys that apply depend on the backend.
     pub(super) CARD:
     backend: Choice(&["mock", "gpio", "mapped", "port", "replay"]), "", REQUIRED, "simulated axes, GPIO lines, registers in memory, I/O ports or recorded traces";
     file: Text, "", "none", "`mapped`: the path of the file of registers; `uio` or `pci` instead";

@@ -1,5 +1,5 @@
 //! The latency figures of `[rt]`.
-//! It checks where they were measured, whether they are possible, and what they leave the axes.
+//! Checks where they were measured, whether they are possible, and which speeds they allow.
 
 use super::{CardConfig, Config, ConfiguredAxis, MappedPlace, PortPlace, keys};
 use crate::protocol::Rates;
@@ -20,14 +20,14 @@ pub struct Measured {
     pub card: String,
     /// The kernel's release, as `uname -r` prints it.
     pub kernel: String,
-    /// The processor's model, and which CPU of it the real-time thread had.
+    /// The processor's model, and the CPU of the real-time thread.
     pub cpu: String,
     /// The day, as 2026-11-26.
     pub date: String,
 }
 
 impl Measured {
-    /// This computer today, with this card, and the real-time thread on this CPU.
+    /// A measurement today on this computer with this card and CPU.
     #[must_use]
     pub fn here(card: &CardConfig, cpu: usize, system: &System) -> Self {
         let read = |file: &str| system.read(file).unwrap_or_default();
@@ -45,7 +45,7 @@ impl Measured {
         }
     }
 
-    /// What differs from where we are, if anything; `today` in days since 1970-01-01.
+    /// Differences from this computer, if any; `today` in days since 1970-01-01.
     fn doubt(&self, here: &Self, today: i64) -> Option<String> {
         for (what, then, now) in [
             ("card", &self.card, &here.card),
@@ -65,7 +65,7 @@ impl Measured {
     }
 }
 
-/// As it stands in a configuration, below `[rt]`.
+/// The form in which it is written below `[rt]`.
 impl fmt::Display for Measured {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let quoted = |text: &str| text.replace(['\\', '\u{22}'], "'");
@@ -95,8 +95,8 @@ pub(super) fn read_measured(source: &mut SourceFile<'_>, rt: &mut Section<'_>) -
     Some(Measured { card: text(card)?, kernel: text(kernel)?, cpu: text(cpu)?, date: text(day)? })
 }
 
-/// The least that `detect_ns` and `write_ns` can be on such a card, ns, and why.
-/// None of a simulated one.
+/// Lowest possible `detect_ns` and `write_ns` on such a card, ns, with the reason.
+/// None for a simulated card.
 #[must_use]
 pub fn floors_ns(card: &CardConfig) -> Option<(u64, u64, &'static str)> {
     let bus = (800, 200, "two reads over a PCI bus take longer");
@@ -114,7 +114,7 @@ pub fn floors_ns(card: &CardConfig) -> Option<(u64, u64, &'static str)> {
     }
 }
 
-/// Figures that no such card reaches are a mistake of whoever copied them.
+/// Refuses figures that no such card can reach; they were copied wrongly.
 pub(super) fn check_floors(
     source: &mut SourceFile<'_>,
     card: &CardConfig,
@@ -133,7 +133,7 @@ pub(super) fn check_floors(
 }
 
 impl CardConfig {
-    /// Which card this is, in words: its backend, its place and its profile.
+    /// The card in words: its backend, its place and its profile.
     #[must_use]
     pub fn named(&self) -> String {
         match self {
@@ -154,20 +154,20 @@ impl CardConfig {
 }
 
 impl ConfiguredAxis {
-    /// Edges per second of a speed, mm/min.
+    /// Edge rate at a speed of `mm_min`, Hz.
     #[must_use]
     pub fn hz(&self, mm_min: f64) -> f64 {
         mm_min / 60.0 * 1000.0 / self.count_um
     }
 
-    /// The speed at which the scale gives so many edges per second, mm/min.
+    /// Speed at which the scale gives this edge rate, mm/min.
     #[must_use]
     pub fn mm_min(&self, hz: f64) -> f64 {
         hz * 60.0 * self.count_um / 1000.0
     }
 
     /// The highest edge rate that can be followed, Hz.
-    /// No two edges may come within the longest time between two looks, even if the axis accelerates. `None` where
+    /// No two edges may come within the longest time between two looks, even if the axis accelerates. `None` if
     /// nothing limits it: a card with its own counters, or a simulated one.
     #[must_use]
     pub fn followed_hz(&self) -> Option<f64> {
@@ -177,13 +177,13 @@ impl ConfiguredAxis {
     }
 
     /// The highest edge rate at which an insertion still has time, Hz.
-    /// None where there is no such rate.
+    /// None if there is no such rate.
     #[must_use]
     pub fn corrected_hz(&self) -> Option<f64> {
         self.engine.gate().map(|gate| 1e9 / gate.min_period_ns() as f64)
     }
 
-    /// How fast it is, and may be.
+    /// The axis's speeds: rapid, followed and corrected.
     #[must_use]
     pub fn rates(&self) -> Rates {
         Rates {
@@ -193,7 +193,7 @@ impl ConfiguredAxis {
         }
     }
 
-    /// The rapid is faster than the card can be looked at: in words, with the figures.
+    /// A sentence with the figures if the rapid is too fast for the card's looks.
     #[must_use]
     pub fn outruns(&self) -> Option<String> {
         let (rapid, followed) = (self.rapid_mm_min?, self.mm_min(self.followed_hz()?));
@@ -210,7 +210,7 @@ impl ConfiguredAxis {
 }
 
 impl Config {
-    /// Why corrections may not be enabled here, each with its remedy.
+    /// Reasons why corrections may not be enabled here, each with its remedy.
     /// Reasons are latencies not measured here, or an axis too fast for the card. A card that drives no machine needs
     /// neither.
     #[must_use]
@@ -245,7 +245,7 @@ impl Config {
     }
 }
 
-/// The CPU that `[rt]` names is there.
+/// Checks that the CPU named in `[rt]` exists.
 pub(super) fn check_cpu(source: &mut SourceFile<'_>, cpu: Option<At<i64>>) {
     let Some(at) = cpu else { return };
     let text = System::at(Path::new("/")).read("sys/devices/system/cpu/online").unwrap_or_default();
@@ -280,7 +280,7 @@ mod tests {
         Measured { card, kernel, cpu, date }
     }
 
-    /// What is refused at arming, with the figures measured there and then.
+    /// Reasons against enabling corrections, with figures measured here.
     fn unfit(rapid: &str, measured: &Measured) -> Vec<String> {
         let rt = format!("detect_ns = 1000\nwrite_ns = 300\n{measured}\n");
         config(rapid, &rt).unfit_on(&here(), date::parse("2026-11-26").unwrap())

@@ -1,4 +1,4 @@
-//! The status: `rtecctl status --json` prints it as it is.
+//! The status, as `rtecctl status --json` prints it.
 
 use super::{PartTable, Reading, RunningModel, TableNow, explain_not_homed, explain_unknown};
 use rtec_rt::event::Fault;
@@ -11,7 +11,7 @@ pub struct DaemonStatus {
     /// The daemon's version.
     #[serde(default)]
     pub version: String,
-    /// The protocol that it speaks: [`super::PROTOCOL`].
+    /// Version of its protocol: [`super::PROTOCOL`].
     #[serde(default)]
     pub protocol: u32,
     /// The machine's name, as `[machine] name` has it.
@@ -23,40 +23,40 @@ pub struct DaemonStatus {
     /// Corrections are enabled. Hold and probing freeze them and do not disable them.
     #[serde(default)]
     pub enabled: bool,
-    /// Who holds the machine, while feed hold is on.
+    /// Who asked for feed hold, while it is on.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub hold: Option<HoldReport>,
-    /// Since the daemon's start, s.
+    /// Time since the daemon's start, s.
     pub uptime_s: f64,
     /// The ledger of every axis balances.
-    /// `false` too while the MTC's count of an axis is not known: there is none then.
+    /// It is also `false` while an axis's MTC count is unknown, since no ledger exists then.
     pub balanced: bool,
     /// Latched faults of the machine as a whole.
     pub faults: Vec<Fault>,
     /// Every latched fault, of the machine and of its axes, with its time.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub latched_faults: Vec<LatchedFault>,
-    /// How often each fault was latched since the daemon's start, by its word.
+    /// Number of times each fault was latched since the daemon's start, by its word.
     #[serde(default)]
     pub latched: BTreeMap<String, u64>,
-    /// Why the record of commands is not written now, and how much it cost.
+    /// Why the record of commands cannot be written now, and the number lost.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub record_trouble: Option<String>,
     /// Why nothing is corrected now, and what to do about it; empty while correcting.
     pub why_not: Vec<String>,
-    /// Files that were edited since they were read: what runs is not what they say.
-    /// Each with what to do.
+    /// Files edited since they were read, so that the running state differs from them.
+    /// Each comes with what to do.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub edited: Vec<String>,
     /// The real-time thread: set-up, losses and latencies.
     pub rt: Rt,
-    /// The model that runs.
+    /// The running model.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub model: Option<RunningModel>,
-    /// The part table that is loaded.
+    /// The loaded part table.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub table: Option<PartTable>,
-    /// What the part table takes out at this moment, where it is in force.
+    /// Error that the part table removes at this moment, if it applies.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub table_now: Option<TableNow>,
     /// The temperature sensors, in the configuration's order.
@@ -73,7 +73,7 @@ impl DaemonStatus {
         self.axes.iter().all(|axis| axis.mtc_known)
     }
 
-    /// Why positions mean nothing, and what to do; none where every axis is homed.
+    /// Reason why positions are not valid, and what to do; none if all are homed.
     #[must_use]
     pub fn not_homed(&self) -> Option<String> {
         let names = |which: fn(&AxisReport) -> bool| -> Vec<&str> {
@@ -92,9 +92,9 @@ impl DaemonStatus {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct HoldReport {
     /// Who asked for it: a user, `the controller`, `fault`, or `unknown`.
-    /// It is `unknown` where it was on when the daemon started.
+    /// It is `unknown` if feed hold was on when the daemon started.
     pub by: String,
-    /// Since when, s since 1970; none where that is not known. It outlives a restart.
+    /// Start of the hold, s since 1970; none if unknown. A restart keeps it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub at_s: Option<f64>,
 }
@@ -107,15 +107,15 @@ pub struct LatchedFault {
     pub axis: Option<String>,
     /// The fault.
     pub fault: Fault,
-    /// When it was latched, s since 1970; none where that is not known.
-    /// It outlives a restart.
+    /// When it was latched, s since 1970; none if unknown.
+    /// A restart keeps it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub at_s: Option<f64>,
 }
 
-/// The real-time thread: how it was set up, what it lost, how quick it is.
+/// The real-time thread: its set-up, losses and latencies.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-// Four lamps, each with or without any other: no enum would say it better.
+// Four independent flags; an enum would not be clearer.
 #[allow(clippy::struct_excessive_bools)]
 pub struct Rt {
     /// The thread runs.
@@ -132,13 +132,13 @@ pub struct Rt {
     pub missing: Vec<String>,
     /// Looks at the card so far.
     pub polls: u64,
-    /// Events that found the ring full.
+    /// Events lost because the ring was full.
     pub events_lost: u64,
-    /// The control side is silent.
+    /// The control side has been silent too long.
     pub control_stale: bool,
     /// The disable switch is on.
     pub disable_switch: bool,
-    /// The MTC is on and counts; `true` too where no line tells.
+    /// The MTC is on and counts; also `true` without an `mtc_ready` line.
     #[serde(default = "ready")]
     pub mtc_ready: bool,
     /// Time between two looks, ns.
@@ -147,7 +147,7 @@ pub struct Rt {
     pub edge_to_done_ns: Distribution,
 }
 
-/// Of a daemon that does not say.
+/// Default for a daemon that does not send the field.
 const fn ready() -> bool {
     true
 }
@@ -182,13 +182,13 @@ pub struct AxisReport {
     pub requested: i64,
     /// Inserted, counts; in shadow mode what would have been.
     pub completed: i64,
-    /// What is really in the MTC's count, counts.
+    /// Counts that the MTC's count really contains.
     pub in_effect: i64,
     /// The MTC's count minus the scale's, counts: the other side of the ledger.
     pub mtc_minus_scale: i64,
     /// Both inverters are on.
     pub inverted: bool,
-    /// The axis is homed: its position and its totals mean something.
+    /// The axis is homed: its position and totals are valid.
     pub homed: bool,
     /// The MTC has been homed, and nothing has put its count in doubt since.
     #[serde(default)]
@@ -205,32 +205,32 @@ pub struct AxisReport {
     pub window_counts: i64,
     /// Insertions made since the daemon's start.
     pub insertions: u64,
-    /// Edges at which the gate was shut.
+    /// Edges at which the gate refused an insertion.
     pub waited_for_gate: u64,
     /// Edges inside an insertion, with a certain outcome.
     pub overlaps: u64,
-    /// Insertions given up because the process looked too late.
+    /// Insertions abandoned because a look came too late.
     pub late: u64,
     /// Illegal transitions of the scale.
     pub illegal: u64,
-    /// Edges that came sooner than the axis's limits allow, on a polled card.
+    /// Edges closer together than the axis's limits allow, on a polled card.
     #[serde(default)]
     pub beyond_limits: u64,
-    /// How fast the axis may be.
+    /// Speeds of the axis.
     #[serde(flatten)]
     pub rates: Rates,
 }
 
-/// How fast an axis is, and may be, mm/min.
+/// Speeds up to which an axis moves, is followed and is corrected, mm/min.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct Rates {
     /// Its rapid, as configured.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rapid_mm_min: Option<f64>,
-    /// Up to here every count is seen; none where nothing limits it.
+    /// Speed up to which every count is seen; none if nothing limits it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub followed_mm_min: Option<f64>,
-    /// Up to here corrections are inserted; none where they never are.
+    /// Speed up to which corrections are inserted; none if there is none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub corrected_mm_min: Option<f64>,
 }
@@ -243,10 +243,10 @@ impl std::fmt::Display for Rates {
 
 impl Rates {
     /// The speeds of an axis in words: rapid, followed and corrected, mm/min.
-    /// `uncorrected` stands in where no speed is known at which corrections are inserted.
+    /// `uncorrected` is the text if no speed allows insertions.
     #[must_use]
     pub fn told(&self, uncorrected: &str) -> String {
-        // Axes of a test are slow.
+        // Axes in tests are slow.
         let digits = |v: f64| if v < 10.0 { 4 } else { 0 };
         let figure = |speed: f64| format!("{speed:.*} mm/min", digits(speed));
         let rapid = self.rapid_mm_min.map_or_else(String::new, |v| format!("rapid {}, ", figure(v)));

@@ -1,4 +1,4 @@
-//! What the protocol's words mean to people: refusals, faults, events.
+//! The protocol's words explained to people: refusals, faults, events.
 
 use super::{Happened, TripReport};
 use rtec_rt::event::{Event, EventKind, Fault, Refusal};
@@ -13,7 +13,7 @@ pub fn word(name: impl Serialize) -> String {
     }
 }
 
-/// What a refusal means, and what to do.
+/// Explains a refusal, and what to do.
 #[must_use]
 pub const fn explain_refusal(why: Refusal) -> &'static str {
     match why {
@@ -43,7 +43,7 @@ pub const fn explain_refusal(why: Refusal) -> &'static str {
     }
 }
 
-/// Of which axes nobody knows what the MTC counts, and what to do.
+/// Lists axes whose MTC count is unknown, and what to do.
 #[must_use]
 pub fn explain_unknown(axes: &[&str]) -> String {
     format!(
@@ -52,14 +52,14 @@ pub fn explain_unknown(axes: &[&str]) -> String {
     )
 }
 
-/// Which axes are not homed, and what to do.
+/// Lists axes that are not homed, and what to do.
 #[must_use]
 pub fn explain_not_homed(axes: &[&str]) -> String {
     let many = if axes.len() == 1 { "axis" } else { "axes" };
     format!("{many} {}: {}", axes.join(", "), explain_refusal(Refusal::NotHomed))
 }
 
-/// What a fault means, and what to do.
+/// Explains a fault, and what to do.
 #[must_use]
 pub const fn explain_fault(fault: Fault) -> &'static str {
     match fault {

@@ -1,4 +1,4 @@
-//! What a configuration names and this computer lacks.
+//! Names in a configuration that this computer lacks.
 
 use super::*;
 
@@ -15,7 +15,7 @@ fn what_this_computer_lacks_is_found_on_it_and_nowhere_else() {
     for wants in ["/dev/null-and-void", "nobody-has-this", "nor-this", "missing.toml"] {
         assert!(found.contains(wants), "no {wants} in {found}");
     }
-    // One more: a CPU that a small computer does not have.
+    // One more finding on a computer with fewer than four CPUs.
     let cpus = usize::from(found.contains("cpu = 3"));
     let findings = found.lines().filter(|line| !line.starts_with("note: "));
     assert_eq!(findings.count(), 4 + cpus, "{found}");
@@ -81,7 +81,7 @@ fn what_sensors_model_and_card_name_is_looked_for() {
 }
 
 /// Names that this computer lacks are reported with their lines.
-/// Chip, CPU, group, file.
+/// They are a chip, a CPU, a group and a file.
 #[test]
 fn names_what_this_computer_does_not_have() {
     let directory = tempfile::tempdir().unwrap();
@@ -185,19 +185,19 @@ fn check_here_names_what_this_computer_lacks() {
         std::fs::write(&file, &text).unwrap();
         let found = Config::check_here(&file).expect_err(name).to_string();
         assert!(found.contains(says) && found.contains("rtec.toml:"), "{name}: {found}");
-        // For another computer it is nobody's business; profiles are part of the configuration.
+        // For another computer these are not checked; profiles are part of the configuration.
         if name != "profile" {
             let elsewhere = Config::load(&file).map_err(|e| e.to_string());
             assert!(elsewhere.is_ok(), "{name}: {elsewhere:?}");
         }
     }
-    // Notes stand beside findings.
+    // Notes are given together with findings.
     let silent = "[[sensor]]\nname = 'T2'\nsource = 'one_wire'\nid = '28-000000000000'\n";
     std::fs::write(&file, format!("[machine]\nname = 'm'\n{}", mock(&(replayed("beside") + silent))))
         .unwrap();
     let both = Config::check_here(&file).unwrap_err();
     assert!(both.1[0].contains("[[sensor]] T2") && both.to_string().contains("note: "), "{both}");
-    // What may come yet is a note.
+    // A device that may be connected later is a note.
     std::fs::write(&file, format!("[machine]\nname = 'm'\n{}", mock("[[sensor]]\nname = 'T1'\nsource = 'one_wire'\nid = '28-000000000000'\n[control]\nspool = '/nonexistent/spool'\n"))).unwrap();
     let notes = Config::check_here(&file).unwrap().notes.join("\n");
     assert!(notes.contains("[[sensor]] T1") && notes.contains("/nonexistent/spool"), "{notes}");

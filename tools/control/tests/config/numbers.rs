@@ -68,7 +68,7 @@ fn extreme_numbers_are_refused_or_run() {
             ("axis.min_separation_ns", "500"),
             ("control.stale_ms", "500"),
         ]);
-        // Each key with each value alone, then several at once.
+        // Each key with each value on its own, then several at once.
         let alone = n < KEYS.len() * VALUES.len();
         if alone {
             values.insert(KEYS[n / VALUES.len()], VALUES[n % VALUES.len()]);
@@ -126,7 +126,7 @@ fn runs(config: &Config) {
     }
 }
 
-/// A card whose axis goes there and back, an edge a look, slower and slower.
+/// A card whose axis moves there and back, one edge per look, ever slower.
 #[derive(Default)]
 struct Strokes {
     t_ns: u64,

@@ -1,6 +1,6 @@
 //! Shared by the tests of the control law.
 //! It has a machine whose engine inserts at once, its sensors, models and a part.
-#![allow(dead_code)] // each test program has its own need of it
+#![allow(dead_code)] // each test program uses a part of it
 
 use rtec_correct::part_table::PartTable;
 use rtec_correct::{AxisSetup, Corrector};
@@ -47,7 +47,7 @@ pub(crate) const GROWTH: &str =
 pub(crate) const LAG: &str =
     "[[effect]]\nname = \"thermal_lag.z\"\nsensor = \"T1\"\nminus = \"T2\"\num_per_K = 10.0\ntau_s = 100.0\n";
 
-/// An axis of 1 µm a count.
+/// An axis with counts of 1 µm.
 pub(crate) fn axis(name: &str) -> AxisSetup {
     AxisSetup {
         name: name.to_owned(),
@@ -63,7 +63,7 @@ impl Bench {
         Self::of(5.0, 1000.0, Vec::new())
     }
 
-    /// A bench with this ramp, start time and sensors before T1 and T2.
+    /// A bench with this ramp and start time; these sensors come before T1 and T2.
     pub(crate) fn of(ramp_um_s: f64, now_s: f64, mut sensors: Vec<SensorConfig>) -> Self {
         sensors.extend(["T1", "T2"].map(|name| sensor(name, Role::Temperature)));
         let mut status = Status { mode: Mode::Run, axes_used: 3, ..Status::default() };
@@ -88,8 +88,8 @@ impl Bench {
         self.corrector.load(machine(model), &|_| Vec::new())
     }
 
-    /// One evaluation, and an engine that takes what is within its window.
-    /// The totals asked for.
+    /// One evaluation, with an engine that accepts totals within its window.
+    /// Returns the requested totals.
     pub(crate) fn tick(&mut self) -> [Option<i64>; MAX_AXES] {
         self.now_s += TICK_S;
         self.status.t_ns += (TICK_S * 1e9) as u64;
@@ -103,8 +103,8 @@ impl Bench {
         totals
     }
 
-    /// Evaluations for so long, with a reading of every sensor each second.
-    /// The largest step of an axis's total.
+    /// Evaluates for `s` seconds, with a reading of every sensor each second.
+    /// Returns the largest step of the axis's total.
     pub(crate) fn run(
         &mut self,
         s: f64,

@@ -43,7 +43,7 @@ fn a_part_table_acts_near_its_arc_and_says_when_it_does_not() {
 }
 
 /// In a hollow arc the nose's centre runs inside: on 41 mm less 1 mm.
-/// As a convex one the same table would act 2 mm beside it.
+/// Taken as convex, the same table would act 2 mm away.
 #[test]
 fn a_hollow_arcs_table_acts_where_the_nose_runs_inside() {
     let hollow = PartTable { radius_mm: Some(41.0), hollow: true, ..part(["z", "x"]) };

@@ -1,8 +1,8 @@
-//! Sensors that are lost, never heard or out of range, and a restart.
+//! Sensors that are lost, never read or out of range, and a restart.
 
 use super::*;
 
-/// Neither other axes' motion nor noise of sensors moves a standing axis.
+/// Neither motion of other axes nor noise of sensors moves an axis at rest.
 #[test]
 fn noise_of_the_sensors_passes_no_count_while_another_axis_moves() {
     let mut bench = Bench::new();
@@ -29,7 +29,7 @@ fn a_lost_sensor_stands_then_holds_until_corrections_are_enabled() {
     bench.run(30.0, 2, |t| Some((20.0 + 0.1 * (t - 1000.0), 20.0)));
     let warm = bench.z();
     assert!((28..=30).contains(&warm), "{warm}");
-    // T1 says nothing, T2 goes on cooling: while T1 stands in, the difference goes on; then it holds.
+    // T1 is silent and T2 cools on. While T1's last value is used, the difference changes; then it holds.
     bench.run(40.0, 2, |_| None);
     let why: Vec<String> = bench.corrector.holding().collect();
     assert!(why.iter().any(|w| w.contains("axis z: thermal corrections hold: sensor T1")), "{why:?}");
@@ -39,11 +39,11 @@ fn a_lost_sensor_stands_then_holds_until_corrections_are_enabled() {
         bench.tick();
         assert_eq!(bench.z(), held);
     }
-    // What depends on position is not held.
+    // The part that depends on position is not held.
     bench.status.axes[0].position_counts = 200_000;
     bench.tick();
     assert_eq!(bench.status.axes[0].requested, 20);
-    // Enabled while it is silent, then back: that enables nothing by itself.
+    // Enabling while it is silent does not use the sensor when it returns.
     bench.corrector.enabled();
     assert_eq!(bench.run(60.0, 2, |_| Some((26.0, 20.0))), 0);
     assert_eq!(bench.z(), held);
@@ -72,7 +72,7 @@ fn outside_its_range_a_correction_fades_and_says_so() {
     let mut bench = Bench::new();
     bench.load(&format!("{GROWTH}range_K = [0.0, 3.0]\n"));
     bench.run(120.0, 2, |t| Some((20.0 + 0.1 * (t - 1000.0), 20.0)));
-    // 3 K are 30 counts; 9 K more are unknown, three times as much: a tenth is left.
+    // 3 K are 30 counts. 9 K more are outside the range, three times its width: a tenth is left.
     assert!((2..=4).contains(&bench.z()), "{}", bench.z());
     let shown = bench.corrector.shown().unwrap();
     assert!(shown.notes[0].contains("outside the range it was fitted on: 10 % of it is left"), "{shown:?}");
@@ -114,7 +114,7 @@ fn a_restart_knows_the_heat_from_the_log_or_holds() {
         let warm = 12.0 * (1.0 - (-(t - 1000.0) / 150.0).exp());
         Some((20.0 + warm, 20.0))
     };
-    // Until twenty seconds before the restart.
+    // Logged until twenty seconds before the restart.
     let log: Vec<(f64, Vec<f64>)> = (0..57)
         .map(|k| {
             let t = 1000.0 + 5.0 * f64::from(k);
@@ -152,7 +152,7 @@ fn a_restart_knows_the_heat_from_the_log_or_holds() {
     let [goal, same] = [&whole, &again].map(|b| b.corrector.goal(2, &b.status.axes[2]));
     assert!((same - goal).abs() <= 2, "{same} some time after a restart, {goal} without");
 
-    // Without a log a warm machine holds until four lags have passed, and then goes there in a ramp.
+    // Without a log, a warm machine holds until four lags have passed; then it follows in a ramp.
     let mut blank = started(Vec::new());
     assert!(blank.corrector.holding().next().unwrap().contains("not known yet"));
     blank.run(300.0, 2, degc);

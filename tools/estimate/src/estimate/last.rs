@@ -26,12 +26,12 @@ pub(super) struct Solved {
     pub(super) cause: Cause,
     /// Size of its prior, in typical sizes.
     pub(super) level: f64,
-    /// Where its columns begin; its linear ones, then its non-linear ones.
+    /// Index of its first column; the linear ones come first, then the non-linear ones.
     pub(super) at: usize,
     pub(super) width: usize,
     pub(super) bent: Vec<Bent>,
-    /// Coefficients that the rows did not require.
-    /// For each: number, place among the columns, and its standard deviation in its own unit.
+    /// Coefficients that were left out.
+    /// For each: number, index among the columns, and its standard deviation in its own unit.
     pub(super) left_out: Vec<(usize, usize, f64)>,
 }
 
@@ -44,12 +44,12 @@ impl Solved {
 
 /// A non-linear value in the last fit.
 pub(super) struct Bent {
-    /// Which value.
+    /// Index of the value.
     pub(super) value: usize,
-    /// What one standard deviation of it is.
+    /// One standard deviation of it, in its unit.
     pub(super) sd: f64,
-    /// Another value that moves with it, and by how much per unit.
-    /// A wave's phase moves with its period, so that the wave stays where it is amid the places.
+    /// Index of another value that moves with it, and its change per unit.
+    /// A wave's phase moves with its period, so that the wave stays at the measured positions.
     pub(super) with: Option<(usize, f64)>,
 }
 
@@ -161,7 +161,8 @@ impl<'s, 'p> Last<'s, 'p> {
         }
         let beta = factor.solve();
         let left = factor.left();
-        // Values are less certain beside possible further effects, and where all rows of one reading share an error.
+        // Values are less certain if further effects may exist, and if all rows of one reading share an
+        // error.
         for m in &mut members {
             for (k, size, mut c) in m.cause.left_out(rows) {
                 let sd = size * m.level;
@@ -214,7 +215,7 @@ impl<'s, 'p> Last<'s, 'p> {
             let linear = m.linear(&self.beta);
             let Some(mut effect) = m.cause.solved(rows, &linear) else { continue };
             let n = effect.values().len();
-            // What one standard deviation of each column is in each value.
+            // Derivative of each value by one standard deviation of each column.
             let mut jacobian: Vec<(usize, Vec<f64>)> = Vec::new();
             for k in 0..m.width {
                 let mut row = vec![0.0; n];
@@ -227,7 +228,7 @@ impl<'s, 'p> Last<'s, 'p> {
                 };
                 if let (Some(up), Some(down)) = (at(step), at(-step)) {
                     for (d, (u, l)) in row.iter_mut().zip(up.values().iter().zip(down.values())) {
-                        // A phase may have turned by a whole turn.
+                        // A phase may have jumped by a whole turn.
                         let by = u - l;
                         let by = if by.abs() > 3.0 && sd > 0.0 && by.abs() > 1e3 * step { 0.0 } else { by };
                         *d = by / (2.0 * step) * m.level;
@@ -296,7 +297,7 @@ impl<'s, 'p> Last<'s, 'p> {
         }
     }
 
-    /// The model's effects as the rows have them.
+    /// The model's effects as estimated from the rows.
     pub(super) fn known(&self, found: &[Found]) -> Vec<Moved> {
         let problem = self.search.problem;
         let from = problem.terms.len();
@@ -340,7 +341,7 @@ impl<'s, 'p> Last<'s, 'p> {
             .collect()
     }
 
-    /// Jumps at pauses, which are searched as hypotheses are.
+    /// Jumps at pauses, which are searched like hypotheses.
     pub(super) fn jumps(&self, search: &Search<'_>, found: &[Found]) -> Vec<SetUp> {
         let terms = setup::jumps(search.problem.rows);
         let of = |(m, f): (&Solved, &Found)| {

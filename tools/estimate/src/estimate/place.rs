@@ -1,22 +1,23 @@
-//! What holds a member's place: its names, its modes, its rivals.
+//! The candidates for one member: its names, its modes, its rivals.
 
 use super::{Found, Rival, Tried, label};
 use crate::cause::Cause;
 use crate::effort::{HOPELESS, MOMENT_ROWS};
-use crate::priors::{HELD, LISTED, SAME_PERIOD};
+use crate::priors::{ALIKE, HELD, LISTED, SAME_PERIOD};
 use crate::search::{Member, Search, Seed, Set, log_sum};
+use rtec_least_squares::dot;
 use rtec_model::effect::{Effect, Refine};
 
-/// What could stand in the place of one member.
+/// The posterior of the candidates for one member.
 pub(super) struct Place {
     pub(super) found: Found,
     pub(super) tried: Vec<Tried>,
     pub(super) nothing: bool,
-    /// A set that is likelier, with another cause in this place.
+    /// A likelier set, with another cause instead of this member.
     pub(super) better: Option<Set>,
 }
 
-/// A candidate for a place: family, label, effect, log mass.
+/// A candidate for a member: family, label, effect, log mass.
 pub(super) type Stand = (usize, String, Option<Effect>, f64);
 
 /// Adds the maps that are equivalent at these rows.
@@ -33,8 +34,8 @@ pub(super) fn add_alike_maps(search: &Search<'_>, set: &Set, member: usize, all:
     }
 }
 
-/// Adds what else could stand in a member's place, refined.
-/// Returns the likeliest set of them that is likelier than the one given.
+/// Adds the refined alternatives to a member.
+/// Returns the likeliest set with one of them that is likelier than the given set.
 fn stands(
     search: &Search<'_>,
     set: &Set,
@@ -78,7 +79,7 @@ fn stands(
     better
 }
 
-/// The posterior of one place: all that could stand there beside the other members.
+/// The posterior of one member: all candidates, given the other members.
 pub(super) fn place(search: &Search<'_>, set: &Set, member: usize) -> Place {
     let own = &set.members[member];
     let without = search.without(set, member);
@@ -102,6 +103,17 @@ pub(super) fn place(search: &Search<'_>, set: &Set, member: usize) -> Place {
     let name_mass = of(&|a| families[a.0].label() == name);
     let shape_mass = of(&|a| !families[a.0].is_named());
     let mode = (set.score - total).exp();
+    // Where only the sensor is open, and predicts alike, the name and its mode stand.
+    let name_of = own.cause.effect().map(Effect::name);
+    let other_sensor = |a: &Stand| {
+        a.2.as_ref().is_some_and(|e| {
+            let delta = own.cause.effect().and_then(|o| o.delta.as_ref());
+            Some(e.name()) == name_of
+                && e.delta.as_ref() != delta
+                && predicts_alike(search, &without, &own.cause, e)
+        })
+    };
+    let mode_mass = mode + of(&other_sensor);
     let evidence = set.score - without.score;
     let mut rivals = Vec::new();
     let tried = |label: &str, odds: f64, accepted: bool| Tried {
@@ -112,7 +124,8 @@ pub(super) fn place(search: &Search<'_>, set: &Set, member: usize) -> Place {
     };
     let mut all_tried = vec![tried(&own_label, 0.0, true)];
     all[1..].sort_by(|a, b| b.3.total_cmp(&a.3));
-    // Listed are all within fair odds, and as many as the credible set needs beside the name given.
+    // All within fair odds are listed, and as many as the credible set needs in addition to the accepted
+    // name.
     let mut held = mode;
     for (family, label, effect, score) in all.iter().skip(1) {
         let margin = set.score - score;
@@ -133,7 +146,7 @@ pub(super) fn place(search: &Search<'_>, set: &Set, member: usize) -> Place {
             margin,
         });
     }
-    // Seeds far below the best were only looked at quickly.
+    // Seeds far below the best were only computed quickly.
     for seed in &seeds[far..] {
         let name = seed.cause.effect().map_or_else(|| families[seed.family].label(), label);
         all_tried.push(tried(&name, seed.score - evidence, false));
@@ -152,11 +165,19 @@ pub(super) fn place(search: &Search<'_>, set: &Set, member: usize) -> Place {
         held: Vec::new(),
         evidence,
         name_mass,
-        mode_mass: (mode / name_mass.max(1e-300)).min(1.0),
+        mode_mass: (mode_mass / name_mass.max(1e-300)).min(1.0),
         shape_mass,
         rivals,
     };
     Place { found, tried: all_tried, nothing: evidence < 0.0, better }
+}
+
+/// Whether an effect does in these rows nearly what a cause does, beside set-up and the rest of a set.
+fn predicts_alike(search: &Search<'_>, without: &Set, cause: &Cause, other: &Effect) -> bool {
+    let first = |cause: &Cause| search.columns(cause).first().map(|c| without.factor.beside(c));
+    let Some((a, b)) = first(cause).zip(first(&cause.with_effect(other.clone()))) else { return false };
+    let both = dot(&a, &b);
+    both * both >= ALIKE * dot(&a, &a) * dot(&b, &b)
 }
 
 /// The 95 % interval of a step's moment, over the moments of the rows.
@@ -179,7 +200,7 @@ pub(super) fn moments(search: &Search<'_>, without: &Set, own: &Member) -> Optio
     order.sort_by(|a, b| mass[*b].total_cmp(&mass[*a]));
     let (mut held, mut range) = (0.0, [f64::MAX, f64::MIN]);
     for i in order {
-        // The step came after the row before.
+        // The step came after the previous row.
         let before = all[(at.saturating_sub(MOMENT_ROWS) + i).saturating_sub(1)];
         range = [range[0].min(before), range[1].max(near[i])];
         held += (mass[i] - total).exp();

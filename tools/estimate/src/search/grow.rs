@@ -1,4 +1,4 @@
-//! How sets grow, exchange their members and lose them.
+//! Growth of sets, and exchange and removal of their members.
 
 use super::seeds::moves;
 use super::{Member, Search, Seed, Set};
@@ -8,13 +8,13 @@ use crate::family::{Family, Scan};
 use rtec_model::record::Axis;
 
 impl Search<'_> {
-    /// Sets with one member more, best first.
+    /// Sets with one more member, best first.
     #[must_use]
     pub fn grown(&self, set: &Set, most: usize, long: bool) -> Vec<Set> {
         self.grown_by(set, most, long, |_| true)
     }
 
-    /// The same by families of one kind.
+    /// Sets with one more member of families of one kind.
     pub(super) fn grown_by(
         &self,
         set: &Set,
@@ -49,7 +49,7 @@ impl Search<'_> {
                 .extend(own.iter().filter_map(|f| self.weighed(set, f)).map(|(score, m)| (score, number, m)));
         }
         out.extend(pairs.into_iter().max_by(|a, b| a.score.total_cmp(&b.score)).map(|p| self.in_tune(p)));
-        // Only what is kept is fitted.
+        // Only sets that are kept are fitted.
         forms.sort_by(|a, b| b.0.total_cmp(&a.0));
         let counts = |m: &Member| m.cause.effect().is_some_and(|e| e.description().whole_counts);
         let mut done: Vec<usize> = Vec::new();
@@ -67,7 +67,7 @@ impl Search<'_> {
         out
     }
 
-    /// Adds to a set that ends in a wave the effects that only accompany waves.
+    /// Adds, to a set that ends in a wave, the effects that only accompany waves.
     pub(super) fn with_beside(&self, set: &Set) -> Option<Set> {
         let last = set.members.last()?.cause.effect()?;
         let of = |(number, f): (usize, &Family)| {
@@ -87,7 +87,7 @@ impl Search<'_> {
             .enumerate()
             .filter_map(of)
             .max_by(|a, b| a.score.total_cmp(&b.score))?;
-        // Before the periods agree both explain less.
+        // Before the periods agree, both members explain less.
         Some(best).filter(|s| s.score > set.score - HOPELESS)
     }
 
@@ -130,7 +130,7 @@ impl Search<'_> {
         })
     }
 
-    /// Sets with one member more: the best, and the best by names.
+    /// Sets with one more member: the best ones, and the best ones with names.
     pub(super) fn children(&self, set: &Set, long: bool) -> Vec<Set> {
         let mut all = self.grown(set, KEPT + 1, long);
         if all.iter().filter(|s| self.family(s.members[s.members.len() - 1].family).is_named()).count() < 2 {
@@ -139,8 +139,8 @@ impl Search<'_> {
         all
     }
 
-    /// The best set that can be reached from one.
-    /// With `anew`, several sets first grow from it side by side.
+    /// The best set that can be reached from a set.
+    /// With `anew`, several sets first grow from it in parallel.
     #[must_use]
     pub fn best(&self, start: &Set, anew: bool) -> Set {
         let mut best = start.clone();
@@ -150,7 +150,7 @@ impl Search<'_> {
             let mut next: Vec<Set> =
                 beam.iter().enumerate().flat_map(|(i, s)| self.children(s, i == 0)).collect();
             next.sort_by(|a, b| b.score.total_cmp(&a.score));
-            // A shape can replace several names at once, so sets of names alone keep places of their own.
+            // A shape can replace several names at once, so sets of names only have reserved places.
             let mut kept: Vec<Set> = Vec::new();
             let mut named = 0;
             for s in next {
@@ -174,7 +174,7 @@ impl Search<'_> {
         self.polished(best)
     }
 
-    /// The best set that exchanging two members reaches.
+    /// The best set reached by exchanging two members.
     /// Returns the same set if none is better.
     #[must_use]
     pub fn exchanged(&self, start: &Set) -> Set {
@@ -189,7 +189,7 @@ impl Search<'_> {
         best
     }
 
-    /// Members left out, exchanged and refined again until nothing is better.
+    /// Leaves out, exchanges and refines members until nothing improves.
     pub(super) fn polished(&self, mut best: Set) -> Set {
         for _ in 0..6 {
             let before = best.score;
@@ -291,7 +291,7 @@ impl Search<'_> {
         best
     }
 
-    /// Refines each member's non-linear parameters beside the others', twice.
+    /// Refines each member's non-linear parameters given the others', twice.
     pub(super) fn together(&self, mut set: Set) -> Set {
         if set.members.len() < 2 {
             return set;

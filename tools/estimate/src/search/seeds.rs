@@ -1,4 +1,4 @@
-//! What may join a set, and its non-linear parameters.
+//! Candidates to join a set, and their non-linear parameters.
 
 use super::{Columns, Member, Search, Seed, Set, difference, gain, gain_of_one, log_sum};
 use crate::bank::Look;
@@ -14,8 +14,8 @@ use std::rc::Rc;
 use std::sync::Arc;
 
 impl Search<'_> {
-    /// The seeds worth an exact look beside a set, best first.
-    /// `long`: fine waves over long travel too.
+    /// Seeds worth computing exactly for a set, best first.
+    /// `long`: also fine waves over long travel.
     #[must_use]
     pub fn seeds(&self, set: &Set, look: &Look, long: bool) -> Vec<Seed> {
         let (left, freedom) = (set.factor.left(), self.base.freedom);
@@ -44,7 +44,7 @@ impl Search<'_> {
                             weight: *weight,
                             score: prior + total,
                         });
-                        // Other numbers of lobes and other places are separate modes.
+                        // Another number of lobes or another position is a mode of its own.
                         let tells = cause.effect().is_some_and(|e| {
                             e.description().searched.repeats
                                 && e.description().parameters.iter().any(|p| p.tells_apart)
@@ -97,7 +97,8 @@ impl Search<'_> {
         let mut at = along.peaks(weighed, PEAKS);
         let facts = family.effect.as_ref().and_then(|e| e.description().searched.wave);
         if let Some(facts) = facts {
-            // The usual ones have half of the prior, and look like others on a grid; some are finer than the spectrum goes.
+            // Usual periods have half of the prior, and look like others on a grid. Some are finer than the
+            // spectrum.
             let usual: Vec<f64> = facts.usual_mm.iter().map(|p| 1.0 / p).collect();
             at.extend(along.near(weighed, &usual, 3e-4).into_iter().take(USUAL_TRIED));
         }
@@ -151,7 +152,7 @@ impl Search<'_> {
     ) -> Vec<Seed> {
         let n = sensors.len();
         let [alone, paired] = Families::sensor_weights(n);
-        // Of each difference the best time constant: score, weight, place in the grid.
+        // The best time constant of each difference: score, weight, grid point.
         let mut best = vec![(f64::NEG_INFINITY, 0.0, 0); n * n];
         let mut all = Vec::new();
         for (k, (group, weight, _)) in points.iter().enumerate() {
@@ -206,8 +207,8 @@ impl Search<'_> {
         Some(Cause::Shape(Arc::new((family.shape.clone()?, columns))))
     }
 
-    /// The wave of another frequency that looks the same at these places.
-    /// Of several, the one that is likeliest a priori.
+    /// The wave of another frequency that looks the same at these positions.
+    /// Of several, the one with the highest prior.
     #[must_use]
     pub fn alike(&self, member: &Member) -> Vec<Seed> {
         let family = self.family(member.family);
@@ -226,8 +227,9 @@ impl Search<'_> {
     }
 
     /// Maps that are equivalent to the last member at these rows.
-    /// On a circle z² = r² − x². Which of two maps the data prefer is chance, in directions that neither needs. To a law a plain bow is
-    /// equivalent: guideways that are warmer above than below bend along a parabola.
+    /// On a circle z² = r² − x². Chance decides which of two maps the data prefer, in directions that neither
+    /// needs. A plain bow is equivalent to a law: guideways that are warmer above than below bend along a
+    /// parabola.
     #[must_use]
     pub fn maps_alike(&self, set: &Set) -> Vec<Seed> {
         let Some(own) = set.members.last().filter(|m| m.cause.effect().is_some()) else {
@@ -260,7 +262,7 @@ impl Search<'_> {
         self.families.list.iter().enumerate().filter_map(of).collect()
     }
 
-    /// The bow of a map: a parabola over its knots, without constant and line.
+    /// The bow of a map: a parabola over its knots, without constant and straight line.
     fn bow(&self, map: &Cause) -> Columns {
         let Cause::Map { effect, .. } = map else { return Columns::new() };
         let knots = effect.get(0);
@@ -274,7 +276,7 @@ impl Search<'_> {
         vec![bow.residual().to_vec()]
     }
 
-    /// Refines a seed's non-linear parameters to where it explains most.
+    /// Refines a seed's non-linear parameters to the best explanation.
     #[must_use]
     pub fn refined(&self, factor: &Factor, seed: &Seed) -> Seed {
         let Some(effect) = seed.cause.effect().cloned() else { return seed.clone() };
@@ -321,7 +323,7 @@ impl Search<'_> {
             }
         }
         let before = self.gain(factor, &self.columns(&seed.cause)).total;
-        // A period that left the usual range by refinement is no usual period.
+        // A period that refinement moved out of the usual range is not a usual period.
         let at = |e: Option<&Effect>| self.weight_at(seed.family, e);
         let less = narrower + at(Some(&now)) - at(seed.cause.effect());
         Seed {
@@ -340,7 +342,7 @@ impl Search<'_> {
     }
 
     /// Richer forms of a seed.
-    /// Growth that bends, another reference temperature, a wave that changes.
+    /// They are growth with a square of ΔT, another reference temperature, and a wave that changes.
     pub(super) fn richer(seed: &Seed) -> Vec<Seed> {
         let mut out = Vec::new();
         let Cause::Effect { effect, free, .. } = &seed.cause else { return out };
@@ -360,7 +362,7 @@ impl Search<'_> {
         out
     }
 
-    /// A wave whose size changes along its way, beside a seed that is a wave.
+    /// A wave whose size changes along its travel, from a seed that is a wave.
     /// It has no name.
     pub(super) fn changing(&self, seed: &Seed) -> Option<Seed> {
         let Scan::Wave { along, .. } = &self.family(seed.family).scan else { return None };
@@ -381,7 +383,7 @@ impl Search<'_> {
     }
 }
 
-/// Whether a growth changes sign within the temperatures seen.
+/// Whether a growth changes sign within the measured temperatures.
 /// No part of a machine does that.
 pub(super) fn turns_back(rows: &Rows<'_>, effect: &Effect) -> bool {
     let [per_k, per_k2] = effect.coefficients()[..] else { return false };
@@ -415,13 +417,13 @@ pub(super) fn wave_weight(
     ((1.0 - USUAL_SHARE) * even + usual).ln()
 }
 
-/// A way to move a non-linear parameter.
+/// A step of a non-linear parameter.
 pub(super) struct Move {
     parameter: usize,
     /// First step.
     step: f64,
     how: Refine,
-    /// What the rows can show of it.
+    /// Range that the rows can show.
     range: [f64; 2],
 }
 
@@ -443,7 +445,7 @@ pub(super) fn moves(family: &Family, effect: &Effect) -> Vec<Move> {
     effect.description().parameters.iter().enumerate().filter_map(of).collect()
 }
 
-/// No bounds.
+/// The unbounded range.
 pub(super) fn everything() -> [f64; 2] {
     [f64::NEG_INFINITY, f64::INFINITY]
 }
@@ -453,7 +455,7 @@ impl Move {
         let v = effect.scalar(self.parameter);
         let to = match self.how {
             Refine::Step(_) => v + by,
-            // A period: in its frequency.
+            // A period moves by its frequency.
             Refine::Stays => 1.0 / (1.0 / v + by),
             _ => v * by.exp(),
         };
@@ -463,7 +465,7 @@ impl Move {
 }
 
 impl Family {
-    /// Range of the grid in one parameter: what the rows can show of it.
+    /// Range of one parameter that the rows can show.
     fn range(&self, parameter: usize) -> [f64; 2] {
         let wider = |[lo, hi]: [f64; 2], effect: &Effect| {
             let v = effect.scalar(parameter);

@@ -60,7 +60,7 @@ use rows::Rows;
 use rtec_files::InputError;
 use rtec_files::date;
 use rtec_model::effect::{Against, Difference, Effect, Heat, ValueError};
-use rtec_model::machine::{FitNote, Listed, Machine, Provenance, Source};
+use rtec_model::machine::{FitNote, Listed, Machine, Provenance, Reach, Source};
 use rtec_model::record::{Record, Role};
 use std::collections::BTreeMap;
 use term::{Term, unlagged};
@@ -413,18 +413,26 @@ fn enter(
             set_up: effect.description().may_be_set_up(),
         };
         own.push(effect.clone(), provenance.clone())?;
-        take_in(machine, effect, provenance)?;
+        take_in(machine, effect, provenance, train)?;
     }
     Ok(fitted)
 }
 
 /// Adds a fitted effect to a machine.
 /// A zero from an earlier fit and this fit's zero are merged.
-fn take_in(machine: &mut Machine, effect: Effect, provenance: Provenance) -> Result<(), ValueError> {
+/// It is in what was fitted where these runs have it.
+fn take_in(
+    machine: &mut Machine,
+    effect: Effect,
+    provenance: Provenance,
+    train: &[&Record],
+) -> Result<(), ValueError> {
     let earlier = |l: &Listed| l.provenance.set_up && provenance.set_up && l.effect.name() == effect.name();
     let place = machine.listed().iter().position(earlier);
     let Some(n) = place else { return machine.push(effect, provenance) };
-    let base = machine.listed()[n].effect.scalar(0);
+    let earlier = &machine.listed()[n];
+    let taken_off = train.iter().any(|r| machine.acts_in(earlier, &Reach::of(r)));
+    let base = if taken_off { earlier.effect.scalar(0) } else { 0.0 };
     let [lo, hi] = provenance.interval.get("um").map_or([effect.scalar(0); 2], |i| i[0]);
     machine.set(n, "um", &[base + effect.scalar(0)], Some(&[[base + lo, base + hi]]))
 }

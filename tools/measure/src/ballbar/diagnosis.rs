@@ -12,7 +12,7 @@ use nalgebra::{DMatrix, DVector};
 use rtec_files::InputError;
 use rtec_least_squares::{Directions, orthonormal};
 use rtec_model::effect::{Bound, Dictionary, Effect, laws};
-use rtec_model::record::{Axis, Role};
+use rtec_model::record::{Axis, Role, rounding_error};
 use serde::Serialize;
 use statrs::distribution::{ContinuousCDF, StudentsT};
 use std::collections::BTreeMap;
@@ -69,7 +69,8 @@ pub struct Contribution {
     /// Range of what it does to the radius, µm.
     pub um: f64,
     /// Its share of the sum of all such ranges, %.
-    pub percent: f64,
+    /// `None` where its interval holds zero: the runs do not tell that it is there.
+    pub percent: Option<f64>,
 }
 
 /// Free values, each with half its interval.
@@ -114,7 +115,8 @@ pub struct Diagnosis {
     pub form: ByAxis<Cyclic>,
     /// 95 % intervals by name.
     pub interval_95: BTreeMap<String, [f64; 2]>,
-    /// Causes by their share, largest first; without those that look alike.
+    /// Causes by their share, largest first, then those that are not told.
+    /// Without those that look alike.
     pub contributions: Vec<Contribution>,
     /// Causes that one sense of turning at one feed does not tell apart.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -154,6 +156,9 @@ const TOGETHER: &str = "squareness and servo mismatch";
 const RESOLVED: f64 = 0.99;
 /// More autocorrelation than this is structure that no cause here explains.
 const MOST_MEMORY: f64 = 0.95;
+
+/// Times that rounding is taken out as the laws predict it.
+const ROUNDING_STEPS: usize = 3;
 
 /// A term of the fit.
 /// Effects with the weights of their sum, and which of the first one's values are free.
@@ -206,7 +211,8 @@ pub(super) fn diagnose(traces: &[Trace], warnings: &mut Vec<String>) -> Result<D
     let mut settled_mm = SETTLED_MM;
     loop {
         let mut said = Vec::new();
-        let found = diagnose_beyond(traces, settled_mm, &mut said)?;
+        let finer = without_rounding(traces, settled_mm)?;
+        let found = diagnose_beyond(finer.as_deref().unwrap_or(traces), settled_mm, &mut said)?;
         // Play is taken up over its own width: more of it than was left out, and rows within are in the fit.
         let play_mm = found.reversal.values().map(|um| um.abs() / 1000.0).fold(0.0, f64::max);
         if TAKEN_UP * play_mm <= settled_mm || settled_mm > LONGEST_PLAY_MM {
@@ -215,6 +221,39 @@ pub(super) fn diagnose(traces: &[Trace], warnings: &mut Vec<String>) -> Result<D
         }
         settled_mm = 2.0 * TAKEN_UP * play_mm;
     }
+}
+
+/// The readings of a coarse gauge without the rounding error that the laws predict.
+/// Equal values round alike: the error is a saw over the reading, no cause, and other causes than the true ones would explain it. Where
+/// noise or what has no law dithers the readings, it averages out and nothing is taken. `None` for gauges without steps.
+fn without_rounding(traces: &[Trace], settled_mm: f64) -> Result<Option<Vec<Trace>>, InputError> {
+    let axes = traces[0].record.circle().map(|c| c.plane.clone());
+    let Some(axes) = axes.filter(|_| traces.iter().any(|t| t.step_um > 0.0)) else { return Ok(None) };
+    let mut finer = traces.to_vec();
+    for _ in 0..ROUNDING_STEPS {
+        let mut fit = Fit::of_laws(&finer, [&axes[0], &axes[1]], settled_mm, &mut Vec::new())?;
+        fit.memory();
+        let left = fit.left();
+        let taken: Vec<Vec<f64>> = traces
+            .iter()
+            .zip(&finer)
+            .zip(&fit.start)
+            .map(|((read, now), start)| {
+                let q = read.step_um;
+                let predicted = |row: usize| now.radial[row] - left[start + row];
+                let off: Vec<f64> =
+                    (0..read.radial.len()).map(|row| read.radial[row] - predicted(row)).collect();
+                let square = off.iter().map(|v| v * v).sum::<f64>() / off.len() as f64;
+                let variance = (square - q * q / 12.0).max(0.0);
+                let error = |row| rounding_error(q, predicted(row) - read.radial[0], variance);
+                (0..off.len()).map(|row| if q > 0.0 { error(row) } else { 0.0 }).collect()
+            })
+            .collect();
+        for ((read, now), taken) in traces.iter().zip(&mut finer).zip(&taken) {
+            now.radial = read.radial.iter().zip(taken).map(|(read, error)| read - error).collect();
+        }
+    }
+    Ok(Some(finer))
 }
 
 /// As `diagnose`, from rows at least this far from both axes' turns, mm.
@@ -633,6 +672,7 @@ impl<'t> Fit<'t> {
         let white = self.white(&left);
         let variance = white.norm_squared() / freedom * Structure::hangs_together(&white);
         let variance = if self.beside.ncols() > 0 { CHOSEN_AMONG * variance } else { variance };
+        let variance = self.traces.iter().map(Trace::rounding_um2).fold(variance, f64::max);
         let directions = Directions::by(&j);
         let told_beside = self.told(&left, variance);
         // What a µm of each order that the laws take moves a value by.
@@ -748,18 +788,21 @@ impl<'t> Fit<'t> {
                     not_separable = Some(NotSeparable { causes, um, interval_95 });
                     continue;
                 }
-                contributions.push(Contribution { cause: cause(&t.name), um, percent: 0.0 });
+                let holds_zero = |(value, half): &(f64, f64)| value.abs() <= *half;
+                let told = !values.get(&t.name).is_some_and(holds_zero);
+                contributions.push(Contribution { cause: cause(&t.name), um, percent: told.then_some(0.0) });
             }
         }
         if self.unexplained_um(shown).is_some() {
             let form = self.left() - self.noise();
             let cause = "not explained, the same both ways".to_owned();
-            contributions.push(Contribution { cause, um: form.max() - form.min(), percent: 0.0 });
+            contributions.push(Contribution { cause, um: form.max() - form.min(), percent: Some(0.0) });
         }
-        contributions.sort_by(|a, b| b.um.total_cmp(&a.um));
-        let sum: f64 = contributions.iter().map(|c| c.um).sum();
+        contributions
+            .sort_by(|a, b| b.percent.is_some().cmp(&a.percent.is_some()).then(b.um.total_cmp(&a.um)));
+        let sum: f64 = contributions.iter().filter(|c| c.percent.is_some()).map(|c| c.um).sum();
         for c in &mut contributions {
-            c.percent = 100.0 * c.um / sum.max(f64::MIN_POSITIVE);
+            c.percent = c.percent.map(|_| 100.0 * c.um / sum.max(f64::MIN_POSITIVE));
         }
         (values, contributions, not_separable)
     }

@@ -115,7 +115,7 @@ impl Order {
                 Name::SiemensCec | Name::Csv | Name::Own => "",
             };
             if !cannot.is_empty() {
-                let expected = format!("{cannot}; --format siemens-cec, csv or own, or no --along");
+                let expected = format!("--format siemens-cec, csv or own, or no --along: {cannot}");
                 return Err(usage(format!("--along {along} with this format"), expected));
             }
         }

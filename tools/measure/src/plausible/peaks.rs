@@ -1,16 +1,31 @@
 //! Where a short peak is physical, and in which orders rows are neighbours.
 //! A peak is physical at a turn, at a change of coolant, speed, load or temperature, at a run's ends, and in a state that stays.
 
-use super::stats::{median, spread, steps};
-use rtec_model::record::{Column, Record, Role};
+use super::stats::{median, range, spread, steps};
+use rtec_model::record::{Axis, Column, Record, Role};
 
 /// The bound of a reversal spike's amplitude in the dictionary, µm.
 pub(super) const LARGEST_PEAK_UM: f64 = 1000.0;
 
-/// The rows of each direction in the order of the response's own positions.
+/// The axis along whose positions a response is read.
+/// Its own, or where that stands still the only one that moves: a straightness, a tilt. `None` where positions were not logged.
+pub(super) fn read_along<'r>(record: &'r Record, c: &'r Column) -> Option<&'r Axis> {
+    let moves = |axis: &Axis| record.data(&Role::Position(axis.clone())).is_some_and(|p| range(p) > 0.0);
+    let own = match &c.role {
+        Role::AngleError(axis, _) => Some(axis),
+        role => role.axis(),
+    };
+    let mut others = record.columns.iter().filter_map(|c| match &c.role {
+        Role::Position(axis) => Some(axis).filter(|axis| moves(axis)),
+        _ => None,
+    });
+    own.filter(|axis| moves(axis)).or_else(|| others.next().filter(|_| others.next().is_none()))
+}
+
+/// The rows of each direction in the order of the positions that the response is read along.
 /// None where these were not logged.
 pub(super) fn ways(record: &Record, c: &Column) -> Vec<Vec<usize>> {
-    let Some(axis) = c.role.axis() else { return Vec::new() };
+    let Some(axis) = read_along(record, c) else { return Vec::new() };
     let Some(p) = record.data(&Role::Position(axis.clone())) else { return Vec::new() };
     let d = record.data(&Role::Direction(axis.clone()));
     let of = |way: f64| {

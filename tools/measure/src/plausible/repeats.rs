@@ -1,6 +1,6 @@
 //! Single approaches to a target that are far from the others to the same target.
 
-use super::peaks::stays;
+use super::peaks::{read_along, stays};
 use super::stats::{distinct, median, range};
 use super::{Suspicion, What};
 use rtec_model::record::{Axis, Column, Kind, Record, Role};
@@ -13,10 +13,9 @@ const WORST: f64 = 14.0;
 /// Nothing where they were found already.
 pub(super) fn look(record: &Record, out: &mut Vec<Suspicion>) {
     let path = record.path.display().to_string();
-    for c in record.responses().filter(|_| record.kind == Kind::Positioning) {
+    for c in record.measured().filter(|_| record.kind == Kind::Positioning) {
         let known = |s: &Suspicion| s.record == path && s.column == c.name && s.what == What::Outliers;
-        let moving = c.role.axis().filter(|a| record.column(&Role::Position((*a).clone())).is_some());
-        let Some(axis) = moving.filter(|_| !out.iter().any(known)) else { continue };
+        let Some(axis) = read_along(record, c).filter(|_| !out.iter().any(known)) else { continue };
         let (Some(p), Some(d)) =
             (record.data(&Role::Position(axis.clone())), record.data(&Role::Direction(axis.clone())))
         else {

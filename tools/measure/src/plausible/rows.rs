@@ -1,10 +1,12 @@
 //! Rows that stand twice, and responses far off all others.
 
 use super::lone::{self, Lone};
-use super::peaks::{LARGEST_PEAK_UM, beside, excused, stays, ways};
+use super::peaks::{LARGEST_PEAK_UM, beside, excused, read_along, stays, ways};
 use super::stats::{distinct, median, medians_of_others, quantum, range, spread, steps};
 use super::{Suspicion, What};
+use crate::steps::repeats;
 use rtec_model::record::{Column, Record, Role};
+use statrs::distribution::{Binomial, DiscreteCDF as _};
 use std::collections::HashMap;
 
 /// A shorter stretch of one value is not looked at.
@@ -15,10 +17,12 @@ const FLAT: usize = 20;
 const APART: f64 = 5.0;
 /// A block that stands twice is at least so long.
 const BLOCK: usize = 8;
+/// Rows are called doubled only if chance makes as many alike in fewer than one of a hundred records.
+const DOUBLED_BY_CHANCE: f64 = 0.01;
 
 pub(super) fn look(record: &Record, all: &[Record], out: &mut Vec<Suspicion>) {
     doubled(record, out);
-    for c in record.responses() {
+    for c in record.measured() {
         let same = one_reading(c);
         if same.is_empty() {
             flat(record, all, c, out);
@@ -105,18 +109,20 @@ fn doubled(record: &Record, out: &mut Vec<Suspicion>) {
     if n < 4 {
         return;
     }
-    let with_time = record.column(&Role::Time).is_some();
     let whole: Vec<&Column> = record.columns.iter().collect();
     // The clock and the cycle's number are counted, not measured: what is pasted gets its own.
     let counted = |c: &&Column| matches!(c.role, Role::Time | Role::Cycle);
     let measured: Vec<&Column> = record.columns.iter().filter(|c| !counted(c)).collect();
     let same =
         |of: &[&Column], i: usize, j: usize| of.iter().all(|c| c.data[i].to_bits() == c.data[j].to_bits());
-    // The next row, or the one after where pairs were doubled: with time the clock says so, without it neighbours must
-    // be alike far more often than rows a few apart.
+    // The next row, or the one after where pairs were doubled: without time neighbours must be alike far more often than
+    // rows a few apart.
     let next: Vec<usize> = (1..n).filter(|i| same(&whole, *i, i - 1)).collect();
     let apart = (7..n).filter(|i| same(&whole, *i, i - 7)).count();
-    let told = if with_time { !next.is_empty() } else { next.len() >= 3 && next.len() > 10 * apart };
+    let told = match record.data(&Role::Time) {
+        Some(time) => !next.is_empty() && !is_chance(record, time, next.len()),
+        None => next.len() >= 3 && next.len() > 10 * apart,
+    };
     if told {
         let text = format!("{} of {n} rows are the row before once more", next.len());
         out.push(Suspicion::new(record, "", What::Doubled, &next, text));
@@ -129,6 +135,52 @@ fn doubled(record: &Record, out: &mut Vec<Suspicion>) {
     }
 }
 
+/// Whether so many rows may be like the row before because clock and gauges are coarse.
+/// A clock finer than half a row never shows the same time twice.
+fn is_chance(record: &Record, time: &[f64], alike: usize) -> bool {
+    let between = steps(time);
+    if 2.0 * quantum(time) <= median(between.iter().copied().filter(|d| *d > 0.0).collect()) {
+        return false;
+    }
+    let is_cause = |c: &&Column| !c.role.is_measured() && c.role != Role::Time;
+    let causes: Vec<&Column> = record.columns.iter().filter(is_cause).collect();
+    let at_once = |i: usize| between[i] == 0.0 && causes.iter().all(|c| c.data[i] == c.data[i + 1]);
+    let pairs = (0..between.len()).filter(|i| at_once(*i)).count();
+    let others: Vec<[usize; 2]> =
+        (0..between.len()).filter(|i| between[*i] != 0.0).map(|i| [i, i + 1]).collect();
+    let p: f64 = record
+        .measured()
+        .map(|c| {
+            let off: Vec<f64> = others.iter().map(|[i, j]| (c.data[*i] - c.data[*j]).abs()).collect();
+            let same = off.iter().filter(|d| **d == 0.0).count() as f64 / off.len().max(1) as f64;
+            // Of noise that spreads over many steps of the gauge half lies within the median.
+            let step = quantum(&c.data);
+            same.max(0.5 * step / (2.0 * median(off) + step).max(f64::MIN_POSITIVE))
+        })
+        .product();
+    Binomial::new(p.min(1.0), pairs as u64).is_ok_and(|b| b.sf(alike as u64 - 1) >= DOUBLED_BY_CHANCE)
+}
+
+/// The probability that a block of so many rows repeats an earlier one by chance.
+/// A coarse gauge often reads the same again at the same place. How often, the rows beside the copies show.
+fn repeats_by_chance(record: &Record, copies: &[usize], block: usize) -> f64 {
+    let is_copy = |row: &usize| copies.binary_search(row).is_ok();
+    let again: f64 = record
+        .measured()
+        .map(|c| {
+            let (mut pairs, mut same) = (0.0, 0.0);
+            for rows in repeats(record, c) {
+                for w in rows.windows(2).filter(|w| !w.iter().any(is_copy)) {
+                    pairs += 1.0;
+                    same += f64::from(u8::from(c.data[w[0]].to_bits() == c.data[w[1]].to_bits()));
+                }
+            }
+            (same + 1.0) / (pairs + 2.0)
+        })
+        .product();
+    record.rows() as f64 * again.powi(block as i32)
+}
+
 /// Rows of blocks that repeat an earlier block in all that was measured, where that is no chance.
 fn pasted(
     record: &Record,
@@ -138,7 +190,7 @@ fn pasted(
     let n = record.rows();
     // Only what is noisy cannot repeat by itself: rows are told apart by a response that does not run smoothly, in time or
     // from place to place.
-    let noisy = record.responses().any(|c| {
+    let noisy = record.measured().any(|c| {
         let by_place: Vec<f64> = ways(record, c).concat().iter().map(|i| c.data[*i]).collect();
         (rough(&c.data) || rough(&by_place) || differs_at_its_places(record, c)) && distinct(&c.data) * 4 > n
     });
@@ -150,7 +202,7 @@ fn pasted(
     for i in 0..n {
         first.entry(key(i)).or_default().push(i);
     }
-    let mut rows = Vec::new();
+    let (mut rows, mut longest) = (Vec::new(), 0);
     let mut i = 1;
     while i < n {
         let starts = first.get(&key(i)).map_or(&[][..], Vec::as_slice);
@@ -159,13 +211,15 @@ fn pasted(
         let best = starts.iter().filter(|j| **j < i).take(50).map(|j| length(*j)).max().unwrap_or(0);
         if best >= BLOCK {
             rows.extend(i..i + best);
+            longest = longest.max(best);
             i += best;
         } else {
             i += 1;
         }
     }
     // A machine without noise repeats itself in every cycle; a pasted block is not all there is, but for one copy of all.
-    if rows.len() * 2 > n { Vec::new() } else { rows }
+    let is_machine = rows.len() * 2 > n || repeats_by_chance(record, &rows, longest) >= DOUBLED_BY_CHANCE;
+    if is_machine { Vec::new() } else { rows }
 }
 
 /// At one place, from one side, it is hardly ever the same to the last digit.
@@ -351,7 +405,7 @@ fn noise_along(v: &[f64], orders: &[Vec<usize>]) -> f64 {
 
 /// The rows of each place, from the rows of each direction in the order of their positions.
 fn places(record: &Record, c: &Column, ways: &[Vec<usize>]) -> Vec<Vec<usize>> {
-    let Some(p) = c.role.axis().and_then(|a| record.data(&Role::Position(a.clone()))) else {
+    let Some(p) = read_along(record, c).and_then(|a| record.data(&Role::Position(a.clone()))) else {
         return Vec::new();
     };
     let mut found: Vec<Vec<usize>> = Vec::new();

@@ -301,7 +301,11 @@ fn diagnosis(report: &mut Report, b: &Ballbar) {
     );
     let mut table = Table::new(&title, &["#rank", "cause", "#makes (µm)", "#share (%)"]);
     for (i, c) in d.contributions.iter().enumerate() {
-        table.row([(i + 1).to_string(), c.cause.clone(), um(c.um), format!("{:.0}", c.percent)]);
+        let (rank, share) = match c.percent {
+            Some(share) => ((i + 1).to_string(), format!("{share:.0}")),
+            None => ("–".to_owned(), "not told".to_owned()),
+        };
+        table.row([rank, c.cause.clone(), um(c.um), share]);
     }
     report.table(table);
 }
@@ -528,7 +532,7 @@ pub fn plate(p: &Plate, record: &Record, conditions: &Conditions) -> Result<Repo
         ),
         ("squareness", fixed(j.squareness_urad, 1), fixed(je.squareness_urad, 1), "µrad"),
         (
-            "rotation from x towards y, or the plate's set-up",
+            "rotation from x towards y, of rows along x, or the plate's set-up",
             fixed(j.rotation_urad, 1),
             fixed(je.rotation_urad, 1),
             "µrad",
@@ -559,7 +563,12 @@ pub fn plate(p: &Plate, record: &Record, conditions: &Conditions) -> Result<Repo
         ("offset x", fixed(p.offset_mm[0], 4), fixed(pe.offset_mm[0], 4), "mm"),
         ("offset y", fixed(p.offset_mm[1], 4), fixed(pe.offset_mm[1], 4), "mm"),
         ("scale", fixed(p.scale_ppm, 1), fixed(pe.scale_ppm, 1), "ppm"),
-        ("rotation from x towards y", fixed(p.rotation_urad, 1), fixed(pe.rotation_urad, 1), "µrad"),
+        (
+            "rotation from x towards y, mean of rows along x and y",
+            fixed(p.rotation_urad, 1),
+            fixed(pe.rotation_urad, 1),
+            "µrad",
+        ),
         ("left over after these (RMS length)", um(p.rms_um), none(), "µm"),
         (
             "quadrupole r·m·cos 2(θ − φ) along the radius: m",

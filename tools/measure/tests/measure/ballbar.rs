@@ -90,7 +90,7 @@ fn squareness_alone_by_hand() {
     near(found.diagnosis.squareness_urad, 40.0, 1e-6);
     assert_eq!(found.diagnosis.contributions[0].cause, "squareness");
     near(found.diagnosis.contributions[0].um, 4.0, 1e-3);
-    near(found.diagnosis.contributions.iter().map(|c| c.percent).sum::<f64>(), 100.0, 1e-9);
+    near(found.diagnosis.contributions.iter().filter_map(|c| c.percent).sum::<f64>(), 100.0, 1e-9);
     assert!(found.diagnosis.contributions.is_sorted_by(|a, b| a.percent >= b.percent));
     // Backlash shows as hysteresis: both ways differ by it where the axis' error is radial.
     let backlash = |[_, a, turn]: [f64; 3]| 2.5 * -turn * a.sin().signum() * a.cos();

@@ -4,7 +4,7 @@
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
 use crate::circles::{Noise, Run, column, map_without_line, one};
-use rtec_measure::ballbar::Ballbar;
+use rtec_measure::ballbar::{Ballbar, Contribution};
 use rtec_model::circle::Circle;
 use rtec_model::record::{Axis, Kind, Record};
 use std::collections::BTreeMap;
@@ -35,6 +35,49 @@ fn a_spike_is_found_beside_a_larger_wave() {
             .count();
     }
     assert!(held >= 36, "{held} of 40");
+}
+
+/// A cause whose interval holds zero is no share of what there is to mend.
+#[test]
+fn what_is_not_told_is_not_ranked() {
+    let run = Run { rows: 360, ..Run::both(150.0, 21.0) };
+    let found = one(&[run.of_machine("reversal.x um = 4.0", &mut Noise(3), 0.1, 0.0)]).diagnosis;
+    let told = |c: &Contribution| c.percent.is_some();
+    assert_eq!(found.contributions[0].cause, "reversal x");
+    assert!(found.contributions.is_sorted_by_key(|c| !told(c)), "{:?}", found.contributions);
+    for (name, cause) in [("squareness_urad", "squareness"), ("servo_mismatch_ms", "servo mismatch")] {
+        let [lo, hi] = found.interval_95[name];
+        let c = found.contributions.iter().find(|c| c.cause == cause).unwrap();
+        assert_eq!(told(c), lo > 0.0 || hi < 0.0, "{name} {lo} to {hi}: {c:?}");
+    }
+    let sum: f64 = found.contributions.iter().filter_map(|c| c.percent).sum();
+    assert!((sum - 100.0).abs() < 1e-9, "{sum}");
+    assert!(!found.contributions.iter().all(told));
+}
+
+/// Where the axes stand the angle tells no direction.
+#[test]
+fn rows_at_rest_are_no_motion() {
+    let run = Run::both(150.0, 21.0);
+    let moving = run.record("b.run.toml", |_| 0.0);
+    let mut rows = run.rows();
+    let half = run.rows;
+    for (at, n) in [(2 * half, 25), (half, 40), (0, 30)] {
+        let [t, angle, sense] = rows[at.min(rows.len() - 1)];
+        rows[at..].iter_mut().for_each(|r| r[0] += 0.1 * f64::from(n));
+        let still: Vec<_> = (0..n).map(|k| [t + 0.1 * f64::from(k), angle, sense]).collect();
+        rows.splice(at..at, still);
+    }
+    let columns = vec![
+        column("t", "time", rows.iter().map(|r| r[0]).collect()),
+        column("a", "angle", rows.iter().map(|r| r[1].rem_euclid(TAU)).collect()),
+        column("e", "error.r", vec![0.0; rows.len()]),
+    ];
+    let record = Record::new(Path::new("b.run.toml"), Kind::Ballbar, columns).unwrap();
+    let record = record.with_circle(moving.circle().unwrap().clone()).unwrap();
+    let left = rtec_measure::ballbar::in_motion(&record).rows();
+    assert!(left.abs_diff(2 * half) < 12, "{left} of {} rows", record.rows());
+    assert_eq!(rtec_measure::ballbar::in_motion(&moving).rows(), moving.rows());
 }
 
 fn machine(noise: &mut Noise, [a, b]: [&str; 2], number: u32) -> (String, BTreeMap<String, f64>) {
@@ -90,11 +133,15 @@ fn count(
 }
 
 fn judge(held: &BTreeMap<String, (u32, u32)>) {
+    judge_at(held, 20, 0.9);
+}
+
+fn judge_at(held: &BTreeMap<String, (u32, u32)>, least: u32, share: f64) {
     for (name, (n, all)) in held {
         eprintln!("{name:20} {n} of {all}: {:.1} %", 100.0 * f64::from(*n) / f64::from(*all));
     }
     for (name, (n, all)) in held {
-        assert!(*all >= 20 && f64::from(*n) >= 0.9 * f64::from(*all), "{name}: {n} of {all}");
+        assert!(*all >= least && f64::from(*n) >= share * f64::from(*all), "{name}: {n} of {all}");
     }
 }
 
@@ -127,6 +174,30 @@ fn one_way_the_intervals_hold_the_truth_or_nothing_is_given() {
         }
         eprintln!("feeds {feeds:?} mm/s");
         judge(&held);
+    }
+}
+
+/// A coarse gauge rounds alike what is alike: no cause, and no reading of the intervals that is finer than it is.
+#[test]
+fn steps_of_the_gauge_are_no_cause() {
+    for (step, noise_um) in [(1.0, 0.2), (2.0, 0.2), (5.0, 0.2), (1.0, 0.6), (5.0, 1.0)] {
+        let mut noise = Noise(74);
+        let mut held = BTreeMap::new();
+        for number in 0..cases(12) {
+            let plane = PLANES[number as usize % 3];
+            let (effects, truth) = machine(&mut noise, plane, number as u32 / 3 % 2);
+            let run = Run { plane, rows: 360, ..Run::both(150.0, 20.0) };
+            let mut record = run.of_machine(&effects, &mut noise, noise_um, 0.0);
+            let gauge = record.columns.iter_mut().find(|c| c.role.is_response()).unwrap();
+            gauge.data.iter_mut().for_each(|v| *v = (*v / step).round() * step);
+            let found = one(&[record]);
+            count(&mut held, &found, &truth, &format!("steps of {step} µm, {number}"));
+            for (axis, spike) in &found.diagnosis.spike {
+                assert!(spike.um.abs() < 0.5 * step, "{step}, {number}: {axis} {spike:?}");
+            }
+        }
+        eprintln!("steps of {step} µm, noise {noise_um} µm");
+        judge_at(&held, 10, 0.75);
     }
 }
 

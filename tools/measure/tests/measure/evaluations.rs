@@ -193,7 +193,8 @@ fn a_plate_that_is_not_square_is_fitted_at_once() {
     near(p.joint.scale_x_ppm, sx);
     near(p.joint.scale_y_ppm, sy);
     near(p.joint.squareness_urad, c + d);
-    near(p.joint.rotation_urad, (d - c) / 2.0);
+    // As the effects have it: squareness.x.y = c + d beside rotation.x.y = d make error x = c·y and error y = d·x.
+    near(p.joint.rotation_urad, d);
     near(p.joint.quadrupole_ppm, 20.0_f64.hypot(12.5));
     near(p.joint.quadrupole_deg, (25.0_f64.atan2(40.0) / 2.0).to_degrees());
     near(p.joint.rms_um, 0.0);

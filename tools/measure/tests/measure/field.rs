@@ -10,6 +10,7 @@ use rtec_measure::export::linuxcnc::Unit;
 use rtec_measure::export::order::{Name, Order};
 use rtec_measure::import;
 use rtec_measure::iso230::{self, Returns};
+use rtec_measure::plausible;
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, Column, Kind, Record, Role};
 use std::path::{Path, PathBuf};
@@ -307,6 +308,83 @@ fn drift_within_a_cycle_is_in_neither_reversal_nor_repeatability() {
         assert!((2.5..4.2).contains(&drift.repeatability.unwrap()), "{seed}: {drift:?}");
         let says = |w: &String| w.contains("B_mean") && w.contains("instead of");
         assert!(found.warnings.iter().any(says), "{seed}: {:?}", found.warnings);
+    }
+}
+
+/// What a coarse gauge repeats is neither a row copied nor a step, and what was copied is told beside it.
+#[test]
+fn a_coarse_gauge_copies_no_rows_and_makes_no_step() {
+    let run = |seed: u64, step: f64, scatter: f64, row_s: f64, tick_s: f64| {
+        let mut dice = Dice::new(seed);
+        let mut data: [Vec<f64>; 4] = Default::default();
+        for row in 0..110 {
+            let (way, at) = if row % 22 < 11 { (1.0, row % 22) } else { (-1.0, 21 - row % 22) };
+            let e = 0.09 * f64::from(at * at) + way + scatter * dice.normal();
+            let t = (f64::from(row) * row_s / tick_s).floor() * tick_s;
+            let values = [t, 40.0 * f64::from(at), way, (e / step).round() * step];
+            values.into_iter().zip(&mut data).for_each(|(v, data)| data.push(v));
+        }
+        let columns =
+            ["t", "x", "dir", "e"].into_iter().zip(["time", "position.x", "direction.x", "error.x"]);
+        let columns =
+            columns.zip(data).map(|((name, role), data)| Column::new(name, Role::parse(role).unwrap(), data));
+        Record::new(Path::new("a.run.toml"), Kind::Positioning, columns.collect()).unwrap()
+    };
+    let mut changes = 0;
+    for seed in 0..40 {
+        for (step, scatter) in
+            [(0.1, 0.02), (0.1, 0.03), (0.01, 0.004), (1.0, 0.05), (1.0, 0.3), (0.001, 0.05)]
+        {
+            for (row_s, tick_s) in [(10.0, 0.1), (0.2, 1.0), (0.97, 1.0)] {
+                let record = run(seed, step, scatter, row_s, tick_s);
+                let found = plausible::suspicions(std::slice::from_ref(&record));
+                let doubled = found.iter().find(|s| s.what == plausible::What::Doubled);
+                assert!(doubled.is_none(), "{seed} {step} {scatter} {row_s}: {doubled:?}");
+            }
+            let found = iso230::positioning(&run(seed, step, scatter, 10.0, 0.1)).unwrap().remove(0);
+            changes += usize::from(found.changes_by().is_some());
+        }
+        let clean = run(seed, 0.01, 0.3, 10.0, 0.1);
+        let rows: Vec<usize> = (0..110).chain(30..50).collect();
+        let own =
+            |c: &Column| Column::new(&c.name, c.role.clone(), rows.iter().map(|r| c.data[*r]).collect());
+        let columns = clean.columns.iter().map(own).map(|mut c| {
+            if c.role == Role::Time {
+                c.data = (0..rows.len()).map(|r| 10.0 * r as f64).collect();
+            }
+            c
+        });
+        let pasted = Record::new(Path::new("a.run.toml"), Kind::Positioning, columns.collect()).unwrap();
+        let found = plausible::suspicions(&[pasted]);
+        assert!(found.iter().any(|s| s.what == plausible::What::Doubled), "{seed}: {found:?}");
+    }
+    assert!(changes <= 9, "{changes} of 240 with a drift or a step");
+}
+
+/// A wild reading is named whatever the axis that it is read along: a straightness and a tilt as a position error.
+#[test]
+fn a_wild_reading_is_named_along_any_axis() {
+    for role in ["error.x", "error.y", "error.z", "angle_error.x.b", "angle_error.y.c"] {
+        let mut named = 0;
+        for seed in 0..20 {
+            let both = bidirectional(&mut Dice::new(seed), |_| 0.0);
+            let wild = 20 + 3 * seed as usize;
+            let own = |c: &Column| {
+                let mut c = c.clone();
+                if c.role.is_measured() {
+                    c = Column::new("e", Role::parse(role).unwrap(), c.data);
+                    c.data[wild] += 80.0;
+                }
+                c
+            };
+            let columns = both.columns.iter().map(own).collect();
+            let record = Record::new(Path::new("a.run.toml"), Kind::Positioning, columns).unwrap();
+            let found = plausible::suspicions(&[record]);
+            let is_it =
+                |s: &&plausible::Suspicion| s.what == plausible::What::Outliers && s.row_list() == [wild];
+            named += usize::from(found.iter().find(is_it).is_some());
+        }
+        assert_eq!(named, 20, "{role}");
     }
 }
 

@@ -1,7 +1,7 @@
 //! A model's prediction of a record, and its interval.
 
 use super::note::unknown_um;
-use super::{FitNote, Machine, Reach};
+use super::{FitNote, Listed, Machine, Reach};
 use crate::effect::{Effect, Heat, States};
 use crate::record::{Record, Role};
 use rtec_files::InputError;
@@ -16,6 +16,18 @@ impl Machine {
     /// An effect reads a sensor or channel that the record does not have.
     pub fn predict(&self, record: &Record) -> Result<Prediction, InputError> {
         Running::of(self).next(record)
+    }
+
+    /// Whether a listed effect acts in a run that goes so far.
+    ///
+    /// The zero of a set-up is the gauges' of the runs that it was fitted on; every other run has its own.
+    #[must_use]
+    pub fn acts_in(&self, listed: &Listed, reach: &Reach) -> bool {
+        let of = |note: &&FitNote| {
+            let response = note.response.strip_prefix("error.");
+            listed.effect.axes().first().is_some_and(|a| response == Some(a.as_str()))
+        };
+        !listed.provenance.set_up || self.fits.iter().find(of).is_some_and(|note| note.has_zero_of(reach))
     }
 
     /// The record with this machine's prediction subtracted from its errors.
@@ -142,9 +154,11 @@ impl<'m> Running<'m> {
         let mut columns: Vec<(String, Vec<f64>)> =
             record.responses().map(|c| (c.name.clone(), vec![0.0; record.rows()])).collect();
         let mut taken_as_zero = Vec::new();
-        for (effect, states) in self.machine.effects().zip(&mut self.states) {
+        let reach = Reach::of(record);
+        for (listed, states) in self.machine.listed().iter().zip(&mut self.states) {
+            let effect = &listed.effect;
             let acts = effect.acts_on(record);
-            if acts.is_empty() {
+            if acts.is_empty() || !self.machine.acts_in(listed, &reach) {
                 continue;
             }
             let bound = effect.bind(record).map_err(|m| {
@@ -202,4 +216,37 @@ pub struct Prediction {
     ///
     /// It was taken as zero.
     pub taken_as_zero: Vec<(String, String)>,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::record::{Axis, Column, Kind};
+    use std::path::Path;
+
+    /// A bug once: the zero of a drift test was taken off a plate.
+    /// The wave that it came from was taken off as well.
+    #[test]
+    fn a_gauge_s_zero_is_of_its_own_runs_alone() {
+        let text = "name = \"m\"\n[[fit]]\nresponse = \"error.x\"\ndate = \"2026-01-01\"\nvalid_until = \"2027-01-01\"\n\
+                    rms_um = 0.1\nhalf_width_um = 0.2\nby_kind_um = { drift = 0.2 }\nat_mm = {}\n\
+                    [[effect]]\nname = \"offset.x\"\num = 2.9\nset_up = true\n";
+        let machine = Machine::parse(Path::new("m.toml"), text).unwrap();
+        let x = Axis::new("x").unwrap();
+        let says = |machine: &Machine, kind: Kind, to_mm: f64, um: f64| {
+            let place = (0..9).map(|i| f64::from(i) * to_mm / 8.0).collect();
+            let columns = vec![
+                Column::new("x", Role::Position(x.clone()), place),
+                Column::new("e", Role::Error(x.clone()), vec![0.0; 9]),
+            ];
+            let record = Record::new(Path::new("r.run.toml"), kind, columns).unwrap();
+            let said = machine.predict(&record).unwrap().columns[0].1[0];
+            assert!((said - um).abs() < 1e-12, "{kind:?} to {to_mm} mm: {said} and {um}");
+        };
+        says(&machine, Kind::Drift, 0.0, 2.9);
+        says(&machine, Kind::Drift, 300.0, 0.0);
+        says(&machine, Kind::Plate, 0.0, 0.0);
+        let own = Machine::parse(Path::new("m.toml"), &text.replace("set_up = true\n", "")).unwrap();
+        says(&own, Kind::Plate, 300.0, 2.9);
+    }
 }

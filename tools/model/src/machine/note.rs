@@ -257,6 +257,14 @@ impl FitNote {
         })
     }
 
+    /// Whether a run is of a kind and at places that it was fitted on.
+    /// The gauges of such a run have the fit's zero.
+    #[must_use]
+    pub fn has_zero_of(&self, reach: &Reach) -> bool {
+        let known = |kind: Kind| self.by_kind_um.is_empty() || self.by_kind_um.contains_key(kind.name());
+        reach.kind().is_none_or(known) && self.not_of(reach).is_none()
+    }
+
     /// Whether a seen range of an axis covers another one, mm.
     /// A tenth of the seen range beyond its ends is allowed.
     #[must_use]

@@ -17,15 +17,22 @@ const FEED_MM_S: f64 = 25.0;
 /// A record both ways round, with only angle and time.
 /// It has an error by angle and sense of turning, and 0.2 µm of noise.
 fn circles(seed: u64, error: impl Fn(f64, f64) -> f64) -> Record {
+    circles_from_rest(seed, 0, error)
+}
+
+/// The same with so many rows at rest before each way.
+/// The axes stand as the way before left them.
+fn circles_from_rest(seed: u64, rest: i32, error: impl Fn(f64, f64) -> f64) -> Record {
     let mut normal = noise(seed);
     let n = 400;
     let step = TAU * 1.05 / f64::from(n);
     let mut columns: [Vec<f64>; 3] = Default::default();
     for turn in [1.0, -1.0] {
-        for i in 0..n {
-            let a = 0.3 + turn * step * (f64::from(i) + 0.5);
-            let t = f64::from(i) * step * R / FEED_MM_S + if turn < 0.0 { 60.0 } else { 0.0 };
-            let row = [t, a.rem_euclid(TAU), error(a, turn) + 0.2 * normal()];
+        for i in -rest..n {
+            let a = 0.3 + turn * step * (f64::from(i.max(0)) + 0.5);
+            let t = f64::from(i + rest) * step * R / FEED_MM_S + if turn < 0.0 { 90.0 } else { 0.0 };
+            let from = if i < 0 { -turn } else { turn };
+            let row = [t, a.rem_euclid(TAU), error(a, from) + 0.2 * normal()];
             columns.iter_mut().zip(row).for_each(|(c, v)| c.push(v));
         }
     }
@@ -72,6 +79,16 @@ fn reversal_is_named_beside_a_known_scale() {
     };
     let model = "[[effect]]\nname = \"scale.x\"\nppm = 20.0\n";
     says(&reconciled(circles(2, e), model), &[(&["reversal.x"], 6.0, 0.3)]);
+}
+
+/// A bug once: rows at rest were named lost counts, and no reversal was.
+#[test]
+fn rows_at_rest_hide_nothing() {
+    let way = |a: f64, turn: f64| [-turn * a.sin().signum(), turn * a.cos().signum()];
+    let e = |a: f64, turn: f64| 3.0 * way(a, turn)[0] * a.cos() + 2.0 * way(a, turn)[1] * a.sin();
+    let r = reconciled(circles_from_rest(8, 40, e), "effect = []\n");
+    says(&r, &[(&["reversal.x"], 6.0, 0.3), (&["reversal.y"], 4.0, 0.3)]);
+    assert_eq!(r.verdict.name(), "named");
 }
 
 #[test]

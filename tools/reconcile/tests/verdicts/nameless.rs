@@ -68,6 +68,42 @@ fn what_repeats_at_its_places_is_seen_whatever_its_form() {
     }
 }
 
+/// A motor that cogs: its force swings with the place, as no effect of the dictionary does.
+#[test]
+fn a_force_that_swings_with_the_place_is_missing() {
+    let effect = |law: &str, value: &str| format!("[[effect]]\nname = \"{law}.x\"\n{value}\n");
+    let model = effect("inertia", "kg = 430.0")
+        + &effect("friction_viscous", "N_s_per_m = 320.0")
+        + &effect("friction_coulomb", "N = 100.0");
+    for (seed, period_mm) in [(1_u64, 12.0), (2, 32.0), (3, 60.0)] {
+        let mut dice = Dice::new(seed);
+        let mut columns: [Vec<f64>; 5] = Default::default();
+        for i in 0..600 {
+            let t = 0.02 * f64::from(i);
+            let (w, stroke_mm) = (1.3, 100.0);
+            let (x, v) = (-stroke_mm * (w * t).cos(), stroke_mm * w * (w * t).sin());
+            let a = -w * w * x;
+            let force = 0.43 * a + 0.32 * v + 100.0 * v.signum();
+            let cogs = 60.0 * (TAU * x / period_mm + 0.7).sin();
+            let row = [t, x, v, a, force + cogs + 5.0 * dice.normal()];
+            row.into_iter().zip(&mut columns).for_each(|(v, c)| c.push(v));
+        }
+        let roles = [
+            ("t", "time"),
+            ("x", "position.x"),
+            ("v", "velocity.x"),
+            ("a", "acceleration.x"),
+            ("f", "force.x"),
+        ];
+        let columns = roles.into_iter().zip(columns).map(|((name, role), data)| (name, role, data)).collect();
+        let said = answer(&model, &[record("dyn", Kind::Dynamics, columns)], &[]);
+        assert_eq!(said.verdict, Verdict::UnknownEffect, "{period_mm} mm");
+        assert!(said.effects.is_empty(), "{period_mm} mm: {:?}", said.effects);
+        let of_place = said.unexplained.iter().any(|s| s.against == ["position.x"]);
+        assert!(of_place, "{period_mm} mm: {:?}", said.unexplained);
+    }
+}
+
 /// A narrow bump that the model knows differs much from the rows beside it.
 /// A misread row does so too.
 #[test]

@@ -32,21 +32,22 @@ pub(crate) struct Args {
     json: bool,
 }
 
-/// What an archive holds.
+/// Contents of an archive.
 #[derive(Debug, Serialize, Deserialize)]
 pub(crate) struct Manifest {
-    /// Version of this form.
+    /// Version of the archive's format.
     pub form: u32,
-    /// When it was made, UTC.
+    /// Time of the backup, UTC.
     pub made: String,
     /// The machine's name.
     pub machine: String,
-    /// Who made it; written as in every document.
+    /// The program that made it; written as in every document.
     #[serde(skip_serializing, default)]
     pub by: String,
     /// The system that it was made on (os-release).
     pub system: String,
-    /// The end of the record of commands, and of the refusals: number and hash of the last line.
+    /// Last line of the record of commands: number and hash.
+    /// Below: the same of the refusals.
     pub record: Option<(u64, String)>,
     pub refused: Option<(u64, String)>,
     pub files: Vec<Packed>,
@@ -57,22 +58,23 @@ pub(crate) struct Manifest {
 pub(crate) struct Packed {
     /// Its name in the archive.
     pub name: String,
-    /// `configuration`, `profile`, `model`, `trace`, `recording`, `devices`, `state` or `loaded`.
+    /// Kind of the file.
+    /// It is `configuration`, `profile`, `model`, `trace`, `recording`, `devices`, `state` or `loaded`.
     pub kind: String,
-    /// Where it was: relative to the configuration's folder, or to the state file's.
-    /// Else from the root.
+    /// Its path, relative to the configuration's folder or to the state file's.
+    /// Other files have an absolute path.
     pub path: PathBuf,
     pub mode: u32,
     pub bytes: u64,
     pub sha256: String,
 }
 
-/// The form that this program writes and reads.
+/// Version of the archive's format that this program writes and reads.
 pub(crate) const FORM: u32 = 1;
-/// What every name in the archive begins with.
+/// First part of every name in the archive.
 pub(crate) const TOP: &str = "rtec-backup";
 pub(crate) const MANIFEST: &str = "manifest.json";
-/// All files together are no longer, bytes.
+/// Largest total size of all files, bytes.
 pub(crate) const LONGEST: u64 = 1 << 30;
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
@@ -88,7 +90,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let named = belongings::of(file, &config)?.into_iter().map(|b| (b.kind, b.path, false));
     for (kind, path, is_state) in named.chain(state) {
         if !path.exists() {
-            // State is there where a daemon has run; without a list of devices none is needed.
+            // State exists only if a daemon has run, and a list of devices is optional.
             if !is_state && kind != "devices" {
                 absent.push(path.display().to_string());
             }
@@ -101,7 +103,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         } else {
             path.strip_prefix(folder).ok().map(Path::to_owned)
         };
-        // One that lies elsewhere has its whole path in the manifest, and a number in the archive.
+        // A file elsewhere has its whole path in the manifest, and a number in the archive.
         let (name, at) = match relative {
             Some(relative) if is_state => (format!("state/{}", relative.display()), relative),
             Some(relative) => (format!("files/{}", relative.display()), relative),
@@ -155,7 +157,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Reads an archive, whole, and compares every file with its hash.
+/// Reads a whole archive, and checks every file by its hash.
 pub(crate) fn read(path: &Path) -> anyhow::Result<(Manifest, Vec<Vec<u8>>)> {
     let wrong = |found: String, expected: &str| InputError::whole(path, found, expected);
     let unreadable = |e: std::io::Error| wrong(e.to_string(), "an archive of `rtecctl backup`");

@@ -1,4 +1,4 @@
-//! `rtecctl bugreport`: what somebody else needs to know about a corrector, in one archive.
+//! `rtecctl bugreport`: an archive that lets others analyse a problem.
 
 use crate::Outcome;
 use crate::archive::{Archive, now_s};
@@ -32,12 +32,12 @@ pub(crate) struct Args {
     daemon: Daemon,
 }
 
-/// So much of the end of a log.
+/// Amount that is taken from the end of a log.
 const LOG_BYTES: u64 = 1 << 20;
 const LOG_LINES: &str = "2000";
-/// What every name in the archive begins with.
+/// First part of every name in the archive.
 const TOP: &str = "rtec-bugreport";
-/// What the daemon answers.
+/// Name of the file with the daemon's answers.
 const STATE: &str = "state.json";
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
@@ -57,7 +57,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     Err(if missing.contains(&STATE) { Outcome::Unreachable(said) } else { Outcome::No(said) }.into())
 }
 
-/// What is in the archive, in words, and the parts that could not be had.
+/// Contents of the archive in words, and the parts that are missing.
 #[derive(Default)]
 struct Contents {
     text: String,
@@ -84,7 +84,7 @@ fn fill(args: &Args, mut archive: Archive<'_>) -> anyhow::Result<Contents> {
     let file = file.or_else(|| Some(installed).filter(|f| f.exists()));
     let config = match file {
         Some(file) => read(file),
-        // The daemon runs on the same.
+        // The daemon then runs on the same configuration.
         None => Ok(format!("# There is no {INSTALLED}: the embedded default.\n{EMBEDDED}")),
     };
     put("versions.txt", Ok(versions()))?;
@@ -115,17 +115,17 @@ fn fill(args: &Args, mut archive: Archive<'_>) -> anyhow::Result<Contents> {
     Ok(contents)
 }
 
-/// What a configuration names that can be read: model, profile, list of devices.
-/// What it names and cannot be had is said in the place of its text.
+/// The readable files that a configuration names: model, profile, list of devices.
+/// A file that cannot be read has the reason in place of its text.
 fn beside(file: &Path) -> Vec<(String, String)> {
     let named =
         Config::load(file).map_err(anyhow::Error::from).and_then(|config| Ok(belongings::of(file, &config)?));
     let named = match named {
         Ok(named) => named,
-        // A configuration that is not right is what the report is about.
+        // A configuration with mistakes may be the subject of the report.
         Err(error) => return vec![("findings.txt".to_owned(), format!("{error:#}\n"))],
     };
-    // Recordings and traces are the machine's user's, and long.
+    // Recordings and traces are private and long.
     let named = named.into_iter().filter(|b| matches!(b.kind, "model" | "profile" | "devices"));
     let named = named.filter(|b| b.kind != "devices" || b.path.exists());
     let text =
@@ -134,7 +134,8 @@ fn beside(file: &Path) -> Vec<(String, String)> {
     named.map(|b| (format!("{}/{}", b.kind, name(&b)), text(&b))).collect()
 }
 
-/// The devices that a card may be, as the system has them: who may open them, and what they are.
+/// The devices that a card may be, as the system lists them.
+/// The text says who may open each, and what it is.
 fn devices() -> String {
     let mut text = String::new();
     let show = |text: &mut String, path: &Path| {
@@ -166,7 +167,7 @@ fn versions() -> String {
     format!("{}\n{release}", rtec_files::stamp::by())
 }
 
-/// A file, of a long one its end.
+/// A file's text; of a long file only the end.
 fn read(path: &Path) -> anyhow::Result<String> {
     let named = || path.display().to_string();
     let mut file = rtec_files::text::open_regular(path)?;
@@ -183,8 +184,8 @@ fn output(program: &str, args: &[&str]) -> anyhow::Result<String> {
     Ok(String::from_utf8_lossy(&run.stdout).into_owned())
 }
 
-/// A configuration without what is nobody's business.
-/// Lines and keys stay, so that findings keep their places.
+/// A configuration without passwords, keys and host names.
+/// Lines and keys stay, so that findings keep their positions.
 fn without_secrets(text: &str) -> String {
     let line = |line: &str| {
         let Some((key, _)) = line.split_once('=') else { return line.to_owned() };
@@ -199,7 +200,8 @@ fn without_secrets(text: &str) -> String {
     text.lines().map(|l| line(l) + "\n").collect()
 }
 
-/// A line whose inline tables or addresses may carry a name and password, as in `tcp://user:word@host`.
+/// Masks the address in a line, as in `tcp://user:word@host`.
+/// It may contain a name and a password.
 fn masked(line: &str) -> String {
     let Some(scheme) = line.find("://") else { return line.to_owned() };
     let rest = &line[scheme + 3..];

@@ -1,4 +1,4 @@
-//! `rtecctl card`: which cards this program knows, which are here, and what their lines say.
+//! `rtecctl card`: known cards, cards in this computer, and their lines.
 
 mod watch;
 
@@ -73,7 +73,7 @@ enum CardAction {
     },
 }
 
-/// Time between two pictures.
+/// Parses the time between two refreshes.
 fn pause(text: &str) -> Result<Duration, String> {
     let time = humantime::parse_duration(text).map_err(|e| format!("{e}; write 500ms or 2s"))?;
     let range = Duration::from_millis(20)..=Duration::from_secs(3600);
@@ -93,7 +93,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
                     )
                     .into());
                 }
-                // A counter is latched to be read, and its flags are cleared: the daemon would miss them.
+                // A counter is latched to be read, and its flags are cleared, which the daemon would then
+                // miss.
                 let counts = matches!(&config.card, CardConfig::Mapped { profile, .. } | CardConfig::Port { profile, .. }
                     if !profile.counters.is_empty());
                 let _alone = counts.then(|| alone(&config)).transpose()?;
@@ -111,7 +112,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     }
 }
 
-/// The configuration; where it is the installed one and there is none, what to name instead.
+/// Loads the configuration.
+/// If it is the installed one and does not exist, the error says what to name instead.
 fn load(file: &Path) -> Result<Config, ConfigFindings> {
     Config::load(file).map_err(|mut findings| {
         if file == Path::new(INSTALLED) && !file.exists() {
@@ -123,13 +125,14 @@ fn load(file: &Path) -> Result<Config, ConfigFindings> {
     })
 }
 
-/// The backend that a profile's registers belong to.
+/// The backend for a profile's registers.
 fn backend(profile: &Profile, name: &str) -> &'static str {
     let ports = profile.pci.is_some_and(|p| p.space == Space::Io) || name == "parallel-port";
     if ports { "port" } else { "mapped" }
 }
 
-/// How many axes a profile's lines are enough for: without a line of the machine's own, and with read-back and feed hold.
+/// Largest number of axes that a profile's lines allow, by two counts.
+/// The first is without lines of the machine, the second with read-back and feed hold.
 fn axes_that_fit(profile: &Profile) -> [usize; 2] {
     let inputs = profile.lines.values().filter(|p| matches!(p, Place::Input(_))).count();
     let outputs = profile.lines.len() - inputs;
@@ -140,7 +143,7 @@ fn axes_that_fit(profile: &Profile) -> [usize; 2] {
 fn list(as_json: bool) -> anyhow::Result<()> {
     let mut profiles = Vec::new();
     for (name, _) in SHIPPED {
-        // A name of the list itself.
+        // Every name is from the list itself, so it is found.
         let Some(p) = profile::shipped(name) else { continue };
         let id = p.pci.map(|p| format!("{:04x}:{:04x}", p.id.0, p.id.1));
         let [axes, wired_back] = axes_that_fit(&p);
@@ -305,7 +308,7 @@ fn show(name: &str, as_toml: bool, as_json: bool) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Direction, bit, and whether it is active low.
+/// Direction, bit, and whether the line is active low.
 fn described(profile: &Profile, place: Place) -> (&'static str, u8, bool) {
     let (what, bit, inverted) = match place {
         Place::Input(bit) => ("input", bit, profile.input_invert),
@@ -327,7 +330,8 @@ pub(crate) fn unreachable(error: impl std::fmt::Display) -> anyhow::Error {
     Outcome::Unreachable(error.to_string()).into()
 }
 
-/// Keeps the daemon away from the card for as long as the value lives: it would correct against what is switched here.
+/// Keeps the daemon from starting while the value lives.
+/// It would correct with the lines that are switched here.
 pub(crate) fn alone(config: &Config) -> anyhow::Result<Vec<Held>> {
     let stop =
         |e: LockError| Outcome::No(format!("{e}: stop it first (systemctl stop rtecd); nothing was written"));
@@ -342,7 +346,7 @@ pub(crate) fn alone(config: &Config) -> anyhow::Result<Vec<Held>> {
     Ok(held)
 }
 
-/// Has a person say that the MTC is off. `what` is switched.
+/// Asks a person to confirm that the MTC is off; `what` is switched.
 pub(crate) fn confirm(what: &str) -> anyhow::Result<()> {
     const PHRASE: &str = "the MTC is off";
     eprintln!(
@@ -358,7 +362,7 @@ pub(crate) fn confirm(what: &str) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Why a card's lines cannot be had.
+/// Error for a card whose lines cannot be read or switched.
 fn refused(config: &Config, error: OpenError) -> anyhow::Error {
     match error {
         OpenError::NoLines(_) => no_lines(config),

@@ -1,4 +1,4 @@
-//! `rtecctl characterise …`: plan, record, import and evaluate the runs that a model is made from.
+//! `rtecctl characterise …`: plan, record, import and evaluate runs.
 
 mod evaluate;
 mod import;
@@ -22,7 +22,7 @@ pub(crate) struct CircleOptions {
 }
 
 impl CircleOptions {
-    /// The circle, where it was given.
+    /// The circle, if one was given.
     pub(crate) fn circle(&self) -> Result<Option<Circle>, InputError> {
         let (Some(radius_mm), Some(plane)) = (self.radius_mm, &self.plane) else { return Ok(None) };
         let axes: Option<Vec<Axis>> = plane.split(',').map(|n| Axis::new(n.trim())).collect();
@@ -33,7 +33,7 @@ impl CircleOptions {
         Ok(Some(Circle { radius_mm, plane: axes, centre_mm: None }))
     }
 
-    /// The record with the circle, where it was given.
+    /// The record with the circle, if one was given.
     pub(crate) fn apply(&self, record: Record) -> Result<Record, InputError> {
         let Some(circle) = self.circle()? else { return Ok(record) };
         record.with_circle(circle).map_err(|(found, expected)| {

@@ -1,15 +1,15 @@
-//! `rtecctl commission`: proves by a guided jog that sign and unit of an axis are right, and that the controller is not
-//! already compensating.
+//! `rtecctl commission`: checks sign and unit of an axis by a guided jog.
+//! It also checks that the controller does not compensate already.
 //!
-//! Three numbers are compared: the display of the controller, an indicator at the axis, and the count of the scale.
-//! Indicator against scale shows sign and unit. Display against feedback shows what the controller compensates by
-//! itself.
+//! Three numbers are compared: the display of the controller, an indicator at the axis, and the count of the
+//! scale. Indicator against scale shows sign and unit. Display against feedback shows the compensation by the
+//! controller itself.
 //!
-//! Then counts are inserted and the axis is jogged back. The display shows the old place; the scale must differ by
-//! exactly the inserted total.
+//! Then counts are inserted and the axis is jogged back. The display shows the old position; the scale must
+//! differ by exactly the inserted total.
 //!
-//! However it ends (an answer, a signal or nobody there), the total is requested back to zero. What still waits for a
-//! motion of the axis is reported.
+//! However it ends (an answer, a signal, no answer), the total is requested back to zero. Any part that still
+//! waits for a motion of the axis is reported.
 
 use crate::Outcome;
 use crate::daemon::{self, Daemon};
@@ -56,12 +56,12 @@ pub(crate) struct Args {
     daemon: Daemon,
 }
 
-/// The scale is at rest when it has not changed for so long.
+/// Time without a change after which the scale is at rest.
 const REST: Duration = Duration::from_millis(300);
-/// An axis that is not at rest after this is not jogged, it is running.
+/// Longest wait for an axis to come to rest; after it the axis is running.
 const PATIENCE: Duration = Duration::from_secs(60);
 
-/// Counts that are inserted where the user does not say and the belief window is no smaller.
+/// Default number of inserted counts, limited by the belief window.
 const USUAL_COUNTS: i64 = 20;
 struct Guide<'a> {
     client: Client,
@@ -71,7 +71,7 @@ struct Guide<'a> {
     indicator: bool,
     /// The total to insert, counts.
     counts: i64,
-    /// The largest step of the model that a belief window is to be proposed for, µm.
+    /// Largest step of the model for which a belief window is proposed, µm.
     step_um: Option<f64>,
 }
 
@@ -90,7 +90,7 @@ impl Guide<'_> {
         Ok((status, axis))
     }
 
-    /// Waits until the axis stands and nothing more is to be inserted.
+    /// Waits until the axis is at rest and nothing is left to be inserted.
     fn at_rest(&mut self) -> anyhow::Result<AxisReport> {
         let begun = Instant::now();
         let (mut last, mut since) = (None, Instant::now());
@@ -120,14 +120,15 @@ impl Guide<'_> {
         }
     }
 
-    /// Sends the axis to a place of the display (none: where it stands), and reads everything there.
+    /// Sends the axis to a displayed position, and reads all three there.
+    /// Without a position it stays where it is.
     fn go(&mut self, to_mm: Option<f64>) -> anyhow::Result<JogReading> {
         let name = self.args.axis.clone();
         let (display_mm, indicator_mm) = if self.simulated {
             let to_mm = to_mm.map_or_else(|| self.stands(None).map(|s| s.0.round()), Ok)?;
             eprintln!("jogging {name} to {to_mm:.4} mm");
             self.stands(Some(to_mm))?;
-            // On its way, first; then at rest where it shall be.
+            // It must first begin to move, then come to rest at the target.
             while (self.stands(None)?.0 - to_mm).abs() > 1e-6 {
                 std::thread::sleep(Duration::from_millis(20));
             }
@@ -163,7 +164,7 @@ impl Guide<'_> {
         })
     }
 
-    /// Says when the indicator goes off and on; a simulated one is nowhere to be hit.
+    /// Asks for the indicator to be removed or set; a simulated one cannot be hit.
     fn indicator(&mut self, on: bool, text: &str) {
         self.indicator = on;
         if !self.simulated {
@@ -176,7 +177,7 @@ impl Guide<'_> {
         self.ask(&request).map(drop)
     }
 
-    /// Runs every proof in order.
+    /// Runs every check in order.
     fn prove(
         &mut self,
         figures: &mut serde_json::Map<String, serde_json::Value>,
@@ -187,7 +188,7 @@ impl Guide<'_> {
         };
         let start = self.go(None)?;
         let there = self.go(Some(start.display_mm + args.jog_mm))?;
-        // Either of them may stand at zero, where position and counts say nothing of the unit.
+        // At zero, position and counts give no unit, so the other reading's unit is taken.
         let count_um = if there.count_um.is_nan() { start.count_um } else { there.count_um };
         let [start, there] = [start, there].map(|p| JogReading { count_um, ..p });
         if let Some(step_um) = self.step_um {
@@ -216,7 +217,7 @@ impl Guide<'_> {
         self.indicator(true, "put the indicator back now: the axis stays near it");
         eprintln!("inserting {:+} counts", self.counts);
         self.insert(self.counts)?;
-        // Away and back: without an edge an axis at rest gives no chance to insert.
+        // Away and back: at rest there is no edge at which to insert.
         self.go(Some(start.display_mm + args.jog_mm))?;
         let after = self.go(Some(start.display_mm))?;
         self.insert(0)?;
@@ -244,8 +245,8 @@ impl Guide<'_> {
     }
 }
 
-/// The numbers of a line.
-/// Anything else is asked for again, the end of the input is an end.
+/// Reads the numbers of a line.
+/// Anything else is asked for again; the end of the input is an error.
 fn numbers<const N: usize>(from: &mut impl std::io::BufRead, expected: &str) -> anyhow::Result<[f64; N]> {
     loop {
         let mut line = String::new();
@@ -264,7 +265,7 @@ fn numbers<const N: usize>(from: &mut impl std::io::BufRead, expected: &str) -> 
     }
 }
 
-/// Takes back what was inserted, and returns what of it the controller still has.
+/// Withdraws the inserted counts, and reports what the controller still has.
 fn take_back(args: &Args) -> anyhow::Result<()> {
     let client = args.daemon.connect()?;
     let mut guide = Guide { client, args, simulated: false, indicator: true, counts: 0, step_um: None };
@@ -280,8 +281,8 @@ fn take_back(args: &Args) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// From here on a signal ends the run only after what was inserted has been taken back. The thread that is asked to wait
-/// for answers cannot do it: it waits.
+/// From now on a signal ends the run after the inserted counts are withdrawn.
+/// The main thread cannot do that while it waits for answers.
 fn on_signal(args: &Args) -> anyhow::Result<()> {
     let ends = daemon::block_end_signals()?;
     let args = args.clone();
@@ -323,7 +324,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     if status.mode != "run" || !axis.homed {
         return Err(Outcome::No(format!("corrections are not on: {}", status.why_not.join("; "))).into());
     }
-    // Whatever else moves the axis meanwhile would be taken for what is inserted here.
+    // Any other source that moves the axis would be mistaken for the inserted counts.
     for (is, what, unload, load) in [
         (status.model.is_some(), "a model is running", "model unload", "model load"),
         (status.table.is_some(), "a part table is loaded", "part unload", "part load"),

@@ -26,7 +26,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// What the scripts call.
+/// The command that the scripts call.
 const ASK: &str = "rtecctl completions --axes 2>/dev/null";
 
 fn script(shell: Shell) -> String {
@@ -66,13 +66,13 @@ fn script(shell: Shell) -> String {
                 );
             }
         }
-        // The others complete words that the script itself has.
+        // The other shells complete only words of the script itself.
         _ => {}
     }
     script
 }
 
-/// The verbs whose first word is an axis.
+/// The verbs whose first argument is an axis.
 fn with_axis() -> Vec<String> {
     let command = crate::help::command();
     let takes_axis = |c: &clap::Command| c.get_positionals().next().is_some_and(|a| a.get_id() == "axis");
@@ -97,13 +97,13 @@ mod tests {
         assert!(script(Shell::Zsh).matches(":_rtecctl_axes").count() > verbs.len());
     }
 
-    /// As a person types: `rtecctl home <Tab>`.
+    /// As typed: `rtecctl home <Tab>`.
     #[test]
     fn bash_completes_the_name_of_an_axis() {
         let directory = tempfile::tempdir().unwrap();
         let at = |name: &str| directory.path().join(name);
         std::fs::write(at("script"), script(Shell::Bash)).unwrap();
-        // In the place of this program: it says which axes there are.
+        // A stand-in for this program that lists the axes.
         std::fs::write(at("rtecctl"), "#!/bin/sh\nprintf 'x\\ny\\nzeta\\n'\n").unwrap();
         std::fs::set_permissions(at("rtecctl"), std::os::unix::fs::PermissionsExt::from_mode(0o755)).unwrap();
         let typed = |words: &str, n: u32| {
@@ -119,7 +119,7 @@ mod tests {
         assert_eq!(typed("rtecctl home ''", 2), "x y zeta");
         assert_eq!(typed("rtecctl correct z", 2), "zeta");
         assert_eq!(typed("rtecctl log --axis ''", 3), "x y zeta");
-        // Everything else as before.
+        // All other words as before.
         assert_eq!(typed("rtecctl stat", 1), "status");
         assert!(typed("rtecctl home --js", 2).contains("--json"));
     }

@@ -1,4 +1,4 @@
-//! `rtecctl config`: is a configuration right, and if not, where.
+//! `rtecctl config`: checks a configuration, and shows where it is wrong.
 
 use crate::document::line;
 use crate::say;
@@ -77,7 +77,7 @@ fn document(file: &std::path::Path, config: &Result<Config, ConfigFindings>) -> 
     json!({"file": file, "ok": config.is_ok(), "findings": findings, "notes": notes, "axes": axes})
 }
 
-/// Without figures of the card nobody knows how fast an axis may be corrected.
+/// Whether the card's latencies are known, from which an axis's speed follows.
 fn measured(config: &Config) -> bool {
     config.rt.latency_measured || !config.card.may_drive_a_machine()
 }

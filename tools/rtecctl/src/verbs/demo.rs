@@ -1,4 +1,5 @@
-//! `rtecctl demo`: the main job on the embedded default, with nothing but this program.
+//! `rtecctl demo`: corrects a simulated axis with the embedded default.
+//! It needs nothing but this program.
 
 use crate::Outcome;
 use crate::document::line;
@@ -41,7 +42,7 @@ const COUNT_UM: f64 = 1.0;
 const STROKE_MM: f64 = 60.0;
 const FEED_MM_S: f64 = 30.0;
 
-/// Model of the axis: a linear error and a ball screw's error once a turn.
+/// Model of the axis: a linear error and a ball screw's error once per turn.
 ///
 /// 240 µm per metre is the largest error to be expected on a one-metre axis (NISTIR 4832).
 const MODEL: &str = r#"
@@ -57,10 +58,11 @@ phase_rad = 0.0
 "#;
 /// Period of the control law, s.
 const TICK_S: f64 = 0.01;
-/// Delay of the axis behind an insertion, s.
+/// Delay of the axis's motion after an insertion, s.
 const FOLLOWS_S: f64 = 0.006;
 
-/// Error of the axis at a position, µm: the formula of `MODEL`, written again to judge it.
+/// Error of the axis at a position, µm.
+/// It repeats the formula of `MODEL`, as an independent judge.
 fn error_um(position_mm: f64) -> f64 {
     let (ppm, period_mm, periodic_um) = (240.0, 5.0, 3.0);
     ppm * position_mm / 1000.0 + periodic_um * (TAU * position_mm / period_mm).sin()
@@ -219,7 +221,7 @@ fn start(running: &mut Running<Card>) -> anyhow::Result<()> {
         };
         match event.kind {
             EventKind::HomeSet { .. } => {
-                // A status from before the zeroing has the old position.
+                // A status from before the zeroing contains the old position.
                 while control.status().t_ns <= event.t_ns && !control.ended() {
                     std::thread::sleep(Duration::from_millis(1));
                 }
@@ -241,7 +243,8 @@ fn tool_error_um(truth: &Truth) -> (f64, f64) {
     (error_um(commanded_mm), off_um + error_um(commanded_mm + off_um / 1000.0))
 }
 
-/// Printed progress: rows that are redrawn on a terminal, one line a second otherwise.
+/// The printed progress.
+/// On a terminal its rows are redrawn; otherwise there is one line per second.
 struct View {
     live: bool,
     lines: usize,
@@ -285,7 +288,7 @@ impl View {
     }
 }
 
-/// ±20 µm as a line of 41 places.
+/// ±20 µm as a line of 41 characters.
 fn bar(um: f64) -> String {
     let at = (um.clamp(-20.0, 20.0) + 20.0).round() as usize;
     (0..=40)
@@ -306,8 +309,9 @@ mod tests {
     use super::*;
     use rtec_files::csv::{Cell, Reader};
 
-    /// Plays the recorded shift of `rtec-correct`'s tests through the demo's law, with effects of the demo's axis only.
-    /// The totals must equal those of the same law with all axes and nothing else to correct.
+    /// The demo's law gives the totals of the law itself on a recorded shift.
+    /// The shift is that of `rtec-correct`'s tests, with effects of the demo's axis only. The other law has
+    /// all axes, but nothing else to correct.
     #[test]
     fn a_recorded_shift_gets_the_totals_of_the_law() {
         let known = "name = \"m\"\n[[effect]]\nname = \"scale.x\"\nppm = 120.0\n[[effect]]\nname = \"screw_periodic.x\"\n\

@@ -1,4 +1,5 @@
-//! `rtecctl designs`: every insertion design of the sources on the same motion and computer.
+//! `rtecctl designs`: every insertion design on the same motion and computer.
+//! The designs are those of the sources.
 
 use crate::document::pretty;
 use anyhow::Context;
@@ -46,7 +47,8 @@ enum Model {
     Dsp,
 }
 
-/// A motion takes hours at the slow end and no real edge comes faster than at the other.
+/// Parses an encoder frequency.
+/// At the slow end a motion takes hours; no real edge is faster than the other end.
 fn encoder_hz(text: &str) -> Result<f64, String> {
     within(text, 0.1, 1e8, "Hz")
 }

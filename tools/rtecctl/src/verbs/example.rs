@@ -1,4 +1,4 @@
-//! `rtecctl example`: a machine to begin with.
+//! `rtecctl example`: a simulated machine to begin with.
 
 use crate::Outcome;
 use crate::document::line;
@@ -81,7 +81,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Nothing of the user's is written over.
+/// Refuses a folder that is not empty, so that nothing is overwritten.
 fn empty(dir: &Path) -> anyhow::Result<()> {
     let first = match std::fs::read_dir(dir) {
         Ok(mut entries) => entries.next(),

@@ -1,4 +1,4 @@
-//! `rtecctl explain`: what each axis's correction is made of.
+//! `rtecctl explain`: the components of each axis's correction.
 
 use crate::daemon::{Daemon, NO_EVENTS, observe};
 use rtec_control::protocol::{ClientRequest, Contribution, Explained, Reading, Response};
@@ -34,7 +34,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// What a correction is made of beside the model.
+/// Components of a correction that are not effects of the model.
 const NO_EFFECTS: [&str; 6] =
     ["part table", "operator", "on its way", "rounding", "not followed now", "beyond max_correction_counts"];
 
@@ -64,7 +64,7 @@ fn table(axes: &[Explained]) -> String {
     text
 }
 
-/// Nanometres, as far as there is sense in them.
+/// µm to the nanometre, as long as the value is not too large.
 fn um_text(um: f64) -> String {
     if um.abs() < 1e6 { format!("{um:+.3}") } else { format!("{um:+.3e}") }
 }

@@ -17,7 +17,7 @@ pub(crate) struct Args {
     daemon: Daemon,
 }
 
-/// Values that a status has only sometimes, and what to do where it has none.
+/// Values that a status may lack, and what to do then.
 const SOMETIMES: [(&str, &str); 6] = [
     ("edited", "what runs is what the files say"),
     ("model", "no model is loaded: `rtecctl model load FILE`"),
@@ -61,12 +61,12 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// A list or a table without entries.
+/// Whether a list or a table has no entries.
 fn is_empty(value: &Value) -> bool {
     value.as_array().is_some_and(Vec::is_empty) || value.as_object().is_some_and(Map::is_empty)
 }
 
-/// What the entries of a list are called.
+/// The name of an entry in a list.
 fn called(entry: &Value) -> Option<&str> {
     entry.get("name").or_else(|| entry.get("sensor")).and_then(Value::as_str)
 }
@@ -90,8 +90,8 @@ fn find<'a>(status: &'a Value, name: &str) -> Result<&'a Value, String> {
     Ok(at)
 }
 
-/// The names of what is here.
-/// Of the status as a whole those that it has only sometimes, too.
+/// The names of the values here.
+/// For the whole status they include those that it may lack.
 fn known(at: &Value, whole: bool) -> String {
     let names: Vec<String> = match at {
         Value::Object(fields) => {

@@ -73,7 +73,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     }
     let text = if args.json { pretty(&found)? } else { report.text() };
     crate::say(&text);
-    // A limit that nothing was held against is no limit kept.
+    // A limit that was applied to nothing does not count as kept.
     let unjudged = limits.without(&found);
     if !unjudged.is_empty() {
         let text = format!(

@@ -1,4 +1,4 @@
-//! `rtecctl home`: the axis stands at its known place.
+//! `rtecctl home`: declares that the axis is at its home position.
 
 use crate::daemon::Daemon;
 use rtec_control::protocol::ClientRequest;

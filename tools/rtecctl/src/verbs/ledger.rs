@@ -1,4 +1,4 @@
-//! `rtecctl ledger`: what each axis was asked for and what was inserted, as files that `rtecctl replay` plays.
+//! `rtecctl ledger`: requests and insertions of each axis, as files for a replay.
 
 use crate::Outcome;
 use crate::daemon::{Daemon, NO_EVENTS, ask, observe, unexpected};
@@ -51,7 +51,7 @@ enum LedgerAction {
     },
 }
 
-/// More edges than this in one trace are nobody's wish.
+/// Largest number of edges in one trace; more is taken for a mistake.
 const MOST_EDGES: u64 = 50_000_000;
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let LedgerAction::Export { out, axis, last, daemon } = &args.what;
@@ -142,7 +142,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     Err(Outcome::No(text).into())
 }
 
-/// All that is kept of an axis's ledger.
+/// Fetches all kept changes of an axis's ledger.
 fn fetch(client: &mut Client, axis: &str) -> anyhow::Result<LedgerPage> {
     let mut whole: Option<LedgerPage> = None;
     loop {
@@ -152,7 +152,7 @@ fn fetch(client: &mut Client, axis: &str) -> anyhow::Result<LedgerPage> {
             Response::Ledger(page) => page,
             other => return Err(unexpected(&other)),
         };
-        // Homed in the meantime, or overtaken: from the start.
+        // If the axis was homed meanwhile, or rows were dropped, it begins again.
         if page.first != from && whole.is_some() {
             whole = None;
             continue;
@@ -171,7 +171,7 @@ fn fetch(client: &mut Client, axis: &str) -> anyhow::Result<LedgerPage> {
     }
 }
 
-/// What the engine makes of the files.
+/// Replays the files through the engine.
 fn replayed(trace: &Path, requests: &Path) -> anyhow::Result<ReplayOutcome> {
     let trace = TraceReader::open(trace)?;
     let requests = RequestReader::open_beside(requests, &Columns::default(), &trace)?;
@@ -219,7 +219,7 @@ mod tests {
             std::fs::read_to_string(file("r.csv")).unwrap()
         );
         assert_eq!((told.counts, told.requested, told.completed), (counts, requested, completed));
-        // Whoever opens a file finds in it what it is.
+        // The head of each file says what it is.
         let trace = std::fs::read_to_string(file("t.csv")).unwrap();
         assert!(
             trace.starts_with("# made from a ledger")
@@ -235,7 +235,7 @@ mod tests {
     fn the_files_give_the_same_totals() {
         let zero = row((100, 0), (100, 0), 0, 0, 0);
         replays(&page(vec![zero], (200, -300)), -300, 0, 0);
-        // Forwards; an axis that turned between two looks; one that stood there.
+        // Forwards; an axis that turned between two looks; one at rest between them.
         let rows = vec![
             zero,
             row((200, 1500), (210, 1700), 40, 40, 20),
@@ -243,7 +243,7 @@ mod tests {
             row((320, 900), (330, 899), 60, 60, 30),
         ];
         replays(&page(rows.clone(), (900, -50)), -50, 60, 60);
-        // There and back between two looks; a large jump; taken out.
+        // There and back between two looks; a large jump; all counts withdrawn.
         let mut more = rows;
         more.push(row((400, 800), (410, 800), 60, 60, 36));
         more.push(row((500, 0), (520, 60), 400, 400, 206));
@@ -251,7 +251,7 @@ mod tests {
         replays(&page(more, (1000, 10)), 10, 0, 0);
     }
 
-    /// In shadow mode a total comes and goes without an insertion that the MTC sees.
+    /// In shadow mode a total comes and goes without an insertion at the MTC.
     #[test]
     fn other_numbers_of_insertions_do_not_stand_beside_the_same_without_a_word() {
         let shadow = |r: LedgerRow| LedgerRow { in_effect: 0, ..r };

@@ -64,7 +64,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     if let Some(axis) = &args.axis {
         known(&file, axis)?;
     }
-    // Of the record, and of the refusals beside it.
+    // The first is of the record, the second of the refusals.
     let (mut all, mut last_n, mut last_t) = (Vec::new(), [0; 2], None);
     let (mut shown, mut broken) = (0_u64, 0_u64);
     let mut show = |line: Line, all: Option<&mut Vec<Value>>| match line.entry {
@@ -99,7 +99,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     if args.follow {
         while !terminal::reader_has_gone() {
             std::thread::sleep(EVERY);
-            // A moment ago the files may have changed their names.
+            // The files may just have been renamed.
             let _ = audit::read(&file, &mut |line| {
                 let n = line.entry.as_ref().map_or(0, |e| e.n);
                 let last_n = &mut last_n[usize::from(line.refused)];
@@ -122,7 +122,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Refuses an axis that the record does not know, before anything of it is shown.
+/// Refuses an unknown axis before any line is shown.
 fn known(file: &Path, axis: &str) -> anyhow::Result<()> {
     let mut axes = BTreeSet::new();
     audit::read(file, &mut |line| axes.extend(line.entry.into_iter().flat_map(|e| e.after.into_keys())))
@@ -134,7 +134,7 @@ fn known(file: &Path, axis: &str) -> anyhow::Result<()> {
     Err(Outcome::Bad(format!("found --axis {axis}, expected one of the record's: {known}")).into())
 }
 
-/// Why no line is shown, and where there are some.
+/// Reason why no line is shown, and where lines are.
 fn nothing(since_s: Option<f64>, axis: Option<&str>, last_t: Option<&str>, zone: &TimeZone) -> String {
     let Some(last) = last_t else {
         return "the record has no line yet: rtecd writes one when it starts".to_owned();
@@ -147,7 +147,7 @@ fn nothing(since_s: Option<f64>, axis: Option<&str>, last_t: Option<&str>, zone:
     format!("no line{axis}{since}; the record's last is of {}: `rtecctl log` shows all", local(last, zone))
 }
 
-/// What the journal says of the record.
+/// The anchors of the record in the journal.
 fn anchors(file: &Path) -> anyhow::Result<Vec<Anchor>> {
     let text = if file == Path::new("-") {
         io::read_to_string(io::stdin()).map_err(|e| InputError::whole(file, e.to_string(), "text"))?
@@ -201,7 +201,8 @@ fn unreadable(file: &Path, error: &io::Error) -> anyhow::Error {
     InputError::whole(file, error.to_string(), expected).into()
 }
 
-/// A moment of the record as people at the machine read it, with its distance from UTC; what is no moment as it is.
+/// A time of the record in local time, with its distance from UTC.
+/// Other text stays as it is.
 fn local(t: &str, zone: &TimeZone) -> String {
     let moment = t.parse::<Timestamp>();
     moment.map_or_else(
@@ -210,10 +211,11 @@ fn local(t: &str, zone: &TimeZone) -> String {
     )
 }
 
-/// A time: back from now, or as it is. Without a Z it is local.
+/// Parses a time: a duration back from now, or a moment. Without a Z it is local.
 fn since(text: &str, zone: &TimeZone) -> anyhow::Result<f64> {
     if let Some(seconds) = audit::seconds(text) {
-        // The moment at which clocks here show what they show in UTC then; twice, where the two lie on both sides of a change.
+        // The moment at which local clocks show this time. The second pass is for a change of clocks between
+        // both.
         let offset_s = |at: f64| {
             Timestamp::from_second(at as i64).map_or(0.0, |at| f64::from(zone.to_offset(at).seconds()))
         };
@@ -233,7 +235,7 @@ fn since(text: &str, zone: &TimeZone) -> anyhow::Result<f64> {
 }
 
 /// One line for people.
-/// What stands in the record came from outside: what cannot be seen is written out.
+/// Texts of the record come from outside, so invisible characters are written out.
 fn text(e: &Entry, zone: &TimeZone) -> String {
     let mut text = format!("{} ", local(&e.t, zone));
     if let Some(by) = &e.by {
@@ -252,7 +254,7 @@ fn text(e: &Entry, zone: &TimeZone) -> String {
         let axis = e.axis.as_ref().map_or(String::new(), |axis| format!("axis {axis} "));
         let what = e.what.replace('_', " ");
         if e.text.starts_with(&what) {
-            // It says itself what it is.
+            // The text names the event itself.
             let _ = write!(text, "{axis}{}", e.text);
             return plain(&text);
         }
@@ -287,7 +289,7 @@ mod tests {
     use rtec_control::protocol::Caller;
     use std::collections::BTreeMap;
 
-    /// One zone with a change of clocks, whatever this computer's is.
+    /// A fixed zone with a change of clocks, whatever zone this computer has.
     fn berlin() -> TimeZone {
         TimeZone::posix("CET-1CEST,M3.5.0,M10.5.0/3").unwrap()
     }

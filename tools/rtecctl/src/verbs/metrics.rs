@@ -1,4 +1,5 @@
-//! `rtecctl metrics`: the status as metrics: printed, written for a collector, or served.
+//! `rtecctl metrics`: the status as metrics.
+//! They are printed, written for a collector, or served.
 
 use crate::Outcome;
 use crate::daemon::{Daemon, NO_EVENTS, observe};
@@ -74,7 +75,7 @@ fn write(daemon: &Daemon, file: &Path, every: Option<Duration>) -> anyhow::Resul
         let metrics = text(seen.as_ref().ok(), Form::Prometheus, VERSION);
         rtec_files::write::whole(file, metrics.as_bytes())
             .with_context(|| format!("writing {}", file.display()))?;
-        // The collector runs as somebody else.
+        // The collector runs as another user.
         std::fs::set_permissions(file, Permissions::from_mode(0o644))?;
         match (every, seen) {
             (None, seen) => return seen.map(drop),
@@ -109,8 +110,8 @@ fn at_port(address: &str, beyond_loopback: bool) -> anyhow::Result<Server> {
     Server::tcp(at).map_err(|e| Outcome::No(format!("cannot listen at {at}: {e}")).into())
 }
 
-/// A Unix socket that owner and group may use.
-/// An old one that nobody listens at gives way.
+/// Creates a Unix socket for owner and group.
+/// An old one at which nothing listens is replaced.
 fn at_path(path: &Path) -> anyhow::Result<Server> {
     let no = |e: &dyn std::fmt::Display| Outcome::No(format!("cannot listen at {}: {e}", path.display()));
     if let Ok(found) = std::fs::symlink_metadata(path) {
@@ -127,10 +128,10 @@ fn at_path(path: &Path) -> anyhow::Result<Server> {
     Ok(server)
 }
 
-/// The daemon is asked once for all who wait: however many come, they take one of its places.
+/// Asks the daemon once for all clients that wait at a time.
 struct Metrics {
     daemon: Daemon,
-    /// What it said last, and when.
+    /// Its last answer, and the time of that.
     last: Mutex<Option<(Instant, Option<Observed>)>>,
 }
 

@@ -1,5 +1,5 @@
 //! One file per verb: its options and one function.
-//! `suspicions` is what several of them say of records.
+//! `suspicions` prints the libraries' messages about records, for several verbs.
 
 pub(crate) mod backup;
 pub(crate) mod bugreport;
@@ -46,12 +46,13 @@ use clap::builder::{PathBufValueParser, TypedValueParser};
 use nix::unistd::{AccessFlags, access};
 use std::path::{Path, PathBuf};
 
-/// Of an option that names a file to write: whether it can be written is asked before the work, not after it.
+/// Parser of an option that names a file to write.
+/// It checks before the work that the file can be written.
 pub(crate) fn output() -> impl TypedValueParser<Value = PathBuf> {
     PathBufValueParser::new().try_map(|file| can_be_written(&file).map(|()| file))
 }
 
-/// The same of a drawing, which is SVG whatever the file is called.
+/// Parser of an option that names a drawing, which is always SVG.
 pub(crate) fn drawing() -> impl TypedValueParser<Value = PathBuf> {
     PathBufValueParser::new()
         .try_map(|file| is_drawing(&file).and_then(|()| can_be_written(&file)).map(|()| file))
@@ -69,7 +70,7 @@ fn can_be_written(file: &Path) -> Result<(), String> {
     let folder = file.parent().filter(|f| !f.as_os_str().is_empty()).unwrap_or(Path::new("."));
     match std::fs::metadata(file) {
         Ok(there) if there.is_dir() => return Err("it is a folder, a file is to be written".to_owned()),
-        // A pipe, a terminal: written through.
+        // Pipes and terminals are written directly.
         Ok(there) if !there.is_file() => return Ok(()),
         _ => {}
     }

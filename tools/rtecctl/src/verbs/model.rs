@@ -1,4 +1,4 @@
-//! `rtecctl model …`: the machine model, read, fitted, judged and shown.
+//! `rtecctl model …`: reads, fits, judges and shows machine models.
 
 mod chain;
 mod export;

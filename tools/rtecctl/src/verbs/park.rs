@@ -1,4 +1,4 @@
-//! `rtecctl park`: corrections come to rest, frozen where they are or taken out first.
+//! `rtecctl park`: ends corrections, with the counts kept or withdrawn.
 
 use crate::Outcome;
 use crate::daemon::{Daemon, ask, status, unexpected};
@@ -45,7 +45,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         return Ok(());
     }
     let mut client = args.daemon.connect()?;
-    // Nothing can be taken out of a count that nobody knows; disarmed it is all the same.
+    // If the MTC's count is unknown, nothing can be withdrawn, but corrections are still disabled.
     let known = unknown(&status(&mut client)?).is_none();
     let unloaded = known && args.to_zero && to_zero(&mut client, args.patience.into())?;
     if let Some(why) = unknown(&status(&mut client)?) {
@@ -62,7 +62,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     args.daemon.order(&ClientRequest::Park {}, done)
 }
 
-/// Why nobody can say what is in effect.
+/// Reason why the counts in effect are unknown, if so.
 fn unknown(now: &DaemonStatus) -> Option<String> {
     let axes = now.axes.iter().filter(|a| !a.mtc_known);
     let axes: Vec<&str> = axes.map(|a| a.name.as_str()).collect();
@@ -73,7 +73,7 @@ fn unknown(now: &DaemonStatus) -> Option<String> {
     })
 }
 
-/// Takes everything out; says whether a model was unloaded for it.
+/// Withdraws all counts; returns whether a model was unloaded for it.
 fn to_zero(client: &mut Client, patience: Duration) -> anyhow::Result<bool> {
     let mut now = status(client)?;
     let unloads = now.model.is_some() && now.mode == "run";
@@ -88,7 +88,7 @@ fn to_zero(client: &mut Client, patience: Duration) -> anyhow::Result<bool> {
         if now.mode == "fault" {
             corrects(&now)?;
         }
-        // What is requested is put back too: enabled again, nothing moves.
+        // Requested totals are zeroed too, so that a later enable moves nothing.
         if now.axes.iter().all(|a| a.in_effect == 0 && a.requested == 0) {
             return Ok(unloads);
         }
@@ -114,7 +114,7 @@ fn to_zero(client: &mut Client, patience: Duration) -> anyhow::Result<bool> {
     }
 }
 
-/// Nothing can be taken out while nothing is inserted.
+/// Checks that corrections run, since withdrawing needs insertions.
 fn corrects(now: &DaemonStatus) -> anyhow::Result<()> {
     if now.mode == "fault" {
         let text = "a fault is latched: see `rtecctl status`; mend its cause, `rtecctl clear`, home and enable first";
@@ -139,7 +139,7 @@ fn inverted(now: &DaemonStatus) -> impl Iterator<Item = &AxisReport> {
     now.axes.iter().filter(|a| a.inverted)
 }
 
-/// Asks for one insertion less wherever the inverters are on, until they are off everywhere.
+/// Requests one insertion on each axis with inverters on, until all are off.
 fn inverters_off(client: &mut Client, patience: Duration) -> anyhow::Result<()> {
     let begun = Instant::now();
     loop {
@@ -151,7 +151,7 @@ fn inverters_off(client: &mut Client, patience: Duration) -> anyhow::Result<()> 
         let parts = explained(client)?;
         for (axis, parts) in now.axes.iter().zip(&parts) {
             if axis.inverted && axis.requested == axis.in_effect {
-                // Towards zero; at zero, where the axis was homed with its inverters on, either way.
+                // Towards zero. At zero, if the axis was homed with its inverters on, either way will do.
                 let step = if axis.in_effect > 0 { -2 } else { 2 };
                 let total_counts = operator_counts(parts) + step;
                 let axis = axis.name.clone();
@@ -177,8 +177,8 @@ fn operator_counts(parts: &Explained) -> i64 {
     }
 }
 
-/// The operator's next total towards zero that the belief window lets through.
-/// What a model has asked for runs out by itself once it is unloaded.
+/// The operator's next total towards zero within the belief window.
+/// The model's part returns by itself after the model is unloaded.
 fn next(axis: &AxisReport, parts: &Explained) -> ClientRequest {
     let operator_counts = operator_counts(parts);
     let step = axis.window_counts.max(1);
@@ -186,7 +186,7 @@ fn next(axis: &AxisReport, parts: &Explained) -> ClientRequest {
     ClientRequest::Correct { axis: axis.name.clone(), total_counts, large: false }
 }
 
-/// What an axis has left, and what it waits for.
+/// The counts that an axis has left, and what it waits for.
 fn why(axis: &AxisReport) -> String {
     let wait = match axis.gate.as_str() {
         "at_rest" => "it stands still and rest_policy is wait: jog it a little",

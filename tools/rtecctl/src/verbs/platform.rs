@@ -1,4 +1,5 @@
-//! `rtecctl platform`: what this kernel and machine can do for a real-time thread, and what to change.
+//! `rtecctl platform`: whether this computer suits a real-time thread.
+//! It says what to change.
 
 use crate::Outcome;
 use crate::document::pretty;
@@ -76,7 +77,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// What the card's backend opens, and whether the card wakes the thread.
+/// The devices that the card's backend opens, and whether it wakes the thread.
 fn devices(card: &CardConfig) -> anyhow::Result<(Vec<Device>, bool)> {
     Ok(match card {
         CardConfig::Mock | CardConfig::Replay { .. } => (Vec::new(), false),
@@ -102,7 +103,7 @@ fn devices(card: &CardConfig) -> anyhow::Result<(Vec<Device>, bool)> {
 }
 
 /// The chips of a configuration.
-/// Labels and line names have to be asked of the chips themselves.
+/// For labels and line names the chips themselves must be asked.
 fn gpio_chips(setup: &GpioSetup) -> anyhow::Result<Vec<Device>> {
     let lines = setup.inputs.iter().map(|i| &i.line).chain(setup.outputs.iter().map(|o| &o.line));
     let direct = |chip: &String| {
@@ -123,7 +124,7 @@ fn gpio_chips(setup: &GpioSetup) -> anyhow::Result<Vec<Device>> {
 fn text(report: &Report) -> String {
     let mut out = String::new();
     let mut line = |text: std::fmt::Arguments| {
-        let _ = out.write_fmt(text); // a String takes everything
+        let _ = out.write_fmt(text); // writing to a String does not fail
         out.truncate(out.trim_end_matches(' ').len());
         out.push('\n');
     };

@@ -1,4 +1,4 @@
-//! `rtecctl probe`: positions at the probe's trip.
+//! `rtecctl probe`: positions at the trips of the probe.
 
 use crate::Outcome;
 use crate::daemon::{Daemon, NO_EVENTS, ask, check, observe, unreachable};
@@ -40,7 +40,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             Outcome::Bad("one JSON document needs an end: --captures N beside --json".to_owned()).into()
         );
     }
-    // Watching first: no trip can come between the two.
+    // The watch starts first, so that no trip can come in between.
     let mut watch = args.daemon.connect()?;
     ask(&mut watch, &ClientRequest::Watch {})?;
     watch.be_patient()?;
@@ -72,7 +72,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
                     happened.text
                 );
             } else if observe(&mut args.daemon.view()?, NO_EVENTS)?.status.mode != "probe" {
-                // Somebody else has switched it off, or a fault has: no capture comes any more.
+                // Another user or a fault has switched probing off: no capture will come.
                 let text = format!("probing has ended ({}) after {number} captures", happened.text);
                 if args.captures.is_some() {
                     return Err(Outcome::No(text).into());

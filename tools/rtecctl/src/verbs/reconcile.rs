@@ -1,4 +1,5 @@
-//! `rtecctl reconcile`: where simulation and measurement disagree, which effect is missing, a better model.
+//! `rtecctl reconcile`: finds where simulation and measurement disagree.
+//! It names missing effects and writes a better model.
 
 use super::characterise::record::{Recorder, record};
 use crate::document::pretty;
@@ -120,7 +121,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let mut files = Vec::new();
     if let (true, Some(dir)) = (args.stage >= Stage::Add, &args.out) {
         files.extend(answer.curve.as_ref().map(|(_, laws)| (LAWS_FILE, laws.clone())));
-        // What the model names beside it is looked for from there.
+        // Other files that the model names are found relative to that folder.
         std::fs::create_dir_all(dir).with_context(|| format!("creating {}", dir.display()))?;
         let beside: Vec<(&str, &str)> = files.iter().map(|(name, text)| (*name, text.as_str())).collect();
         let model = answer.model.readable_text_at(&dir.join("model.toml"), &beside)?;
@@ -136,7 +137,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     tell(args, &document, &text, &files)
 }
 
-/// That nothing which was read is written over: asked before the work, which may take minutes.
+/// Refuses an output that would overwrite an input.
+/// It is checked before the work, which may take minutes.
 fn spares_inputs(args: &Args) -> Result<(), InputError> {
     let Some(dir) = &args.out else { return Ok(()) };
     let written = [
@@ -149,7 +151,7 @@ fn spares_inputs(args: &Args) -> Result<(), InputError> {
     names.try_for_each(|(name, _)| rtec_files::write::is_no_input(&dir.join(name)))
 }
 
-/// Writes the verdict and further files where a directory is given, and prints what was asked for.
+/// Writes the verdict and other files to the directory, and prints the result.
 fn tell(args: &Args, document: &Value, summary: &str, files: &[(&str, String)]) -> anyhow::Result<()> {
     let text = pretty(document)?;
     if let Some(dir) = &args.out {
@@ -172,7 +174,7 @@ fn tell(args: &Args, document: &Value, summary: &str, files: &[(&str, String)]) 
     Ok(())
 }
 
-/// A probability as a person reads it: permutations show none smaller than one in a thousand.
+/// A probability for people; permutations show none below one in a thousand.
 fn chance(p: f64) -> String {
     if p <= 0.001 { "< 0.001".to_owned() } else { format!("{p:.3}") }
 }
@@ -202,8 +204,8 @@ fn found(answer: &Reconciliation) -> String {
     s
 }
 
-/// What an effect of the model was corrected from and to.
-/// Nothing of a curve's many values.
+/// Values of a model's effect before and after its correction.
+/// Empty for a curve with many values.
 fn values(x: &Refined) -> String {
     let (after, half) = &x.after;
     let law = x.before.description();

@@ -1,4 +1,4 @@
-//! `rtecctl replay`: the engine of the real-time thread over a recorded trace, on a virtual clock.
+//! `rtecctl replay`: the real-time engine on a recorded trace, by a virtual clock.
 
 use crate::Outcome;
 use crate::document::line;
@@ -71,13 +71,13 @@ impl Args {
     }
 }
 
-/// The designs by the names of the contract.
+/// The designs by their names in the contract.
 fn designs() -> impl TypedValueParser<Value = AnyDesign> {
     PossibleValuesParser::new(AnyDesign::ALL.map(AnyDesign::name))
         .try_map(|name| AnyDesign::parse(&name).ok_or("no such design"))
 }
 
-/// Warns of a trace that counts Unix time and requests that do not, or the other way about.
+/// Warns if only one of trace and requests counts Unix time.
 fn two_clocks(args: &Args) -> anyhow::Result<()> {
     // A pipe cannot be read twice.
     if !(args.trace.is_file() && args.requests.is_file()) {
@@ -85,7 +85,7 @@ fn two_clocks(args: &Args) -> anyhow::Result<()> {
     }
     let (mut trace, mut requests) = args.open()?;
     let first = trace.next_point()?.map(|point| point.t_ns);
-    // A total of 0 at 0 may stand in front on any clock.
+    // A total of 0 at time 0 may come first with any clock.
     let last = requests.by_ref().last().transpose()?.map(|request| request.t_ns);
     for said in [trace.said(), requests.said()].into_iter().flatten() {
         eprintln!("note: {said}");
@@ -134,7 +134,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         alone: [(0, 0); 2],
         longest: [(0, 0); 2],
     };
-    // Without an output nothing listens: the compiler takes the whole branch out of the loop.
+    // Without an output file there is no listener, and the compiler removes that branch from the loop.
     let outcome = if files.is_empty() {
         replay_any(design, config, trace.by_ref(), requests, large, |_, _: State| {})
             .map(|(outcome, _)| outcome)
@@ -175,7 +175,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         ))
         .into());
     }
-    // The more telling answer first: a latched fault says why a ledger does not balance.
+    // The more informative answer first: a latched fault explains a ledger that does not balance.
     if let Some(latched) = outcome.faults.first() {
         return Err(Outcome::Fault(format!("{} latched at {} ns", word(latched.fault), latched.t_ns)).into());
     }
@@ -213,7 +213,7 @@ fn distinct(mut words: Vec<String>) -> Vec<String> {
     words
 }
 
-/// The axis to play, and whether its requests are flagged large.
+/// The axis to replay, and whether its requests are flagged large.
 fn axis(args: &Args) -> anyhow::Result<(AxisConfig, bool)> {
     let (axis, large) = match &args.config {
         None => (AxisConfig::default(), true),
@@ -232,13 +232,13 @@ fn axis(args: &Args) -> anyhow::Result<(AxisConfig, bool)> {
     Ok((axis, large))
 }
 
-/// A trace that says how far it is, every two seconds.
+/// A trace that reports its progress every two seconds.
 struct Progress {
     trace: Playable<std::fs::File>,
     points: u64,
     shown_at: Instant,
     last: Option<State>,
-    /// Changes of A, and of B, since the other changed last; and when that was, ns.
+    /// Changes of A, and of B, since the other's last change, and its time, ns.
     alone: [(u64, u64); 2],
     longest: [(u64, u64); 2],
 }
@@ -262,7 +262,7 @@ impl Progress {
         }
     }
 
-    /// The channel that stands still while the other changes.
+    /// The channel that does not change while the other does.
     fn dead(&self) -> (&'static str, String) {
         let moving = usize::from(self.longest[1].0 > self.longest[0].0);
         let (times, since_ns) = self.longest[moving];
@@ -290,7 +290,7 @@ impl Iterator for Progress {
     }
 }
 
-/// The files that receive what the MTC sees, and the first failure to write one.
+/// The files for A' and B', and the first failure to write one.
 struct Outputs<'a> {
     files: Vec<(TraceFile, &'a Path)>,
     failed: Option<io::Error>,
@@ -321,7 +321,7 @@ impl Outputs<'_> {
     }
 }
 
-/// A name as the JSON document has it.
+/// A name of the JSON document, with blanks.
 fn word(name: impl serde::Serialize) -> String {
     let value = serde_json::to_value(name).unwrap_or_default();
     value.as_str().map_or_else(|| value.to_string(), |s| s.replace('_', " "))

@@ -62,7 +62,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let (wanted, left_out) = wanted(args, &manifest, &contents, folder, &config)?;
     let running =
         |e| Outcome::No(format!("{e}: end the daemon first (`systemctl stop rtecd`); nothing is written"));
-    // To look, no daemon has to end.
+    // A dry run does not need the daemon to be stopped.
     let _held =
         if args.dry_run { None } else { Some(lock::keep_out(&config.control.socket).map_err(running)?) };
     let differs = |w: &&RestoredFile<'_>| std::fs::read(&w.to).is_ok_and(|there| there != w.bytes);
@@ -75,7 +75,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         return Err(Outcome::No(text).into());
     }
     if !args.dry_run {
-        // The configuration last: until then the daemon finds the machine as it was.
+        // The configuration is written last: until then the daemon finds the machine unchanged.
         let (first, last): (Vec<_>, Vec<_>) = wanted.iter().partition(|w| w.packed.kind != "configuration");
         for w in first.into_iter().chain(last) {
             write(w).with_context(|| format!("writing {}", w.to.display()))?;
@@ -104,7 +104,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// The configuration of the archive, read with everything beside it from a folder that goes away again; its paths as they will be.
+/// Reads the archive's configuration, with its files, in a temporary folder.
+/// The paths in the result are those after the restore.
 fn checked(args: &Args, manifest: &Manifest, contents: &[Vec<u8>], folder: &Path) -> anyhow::Result<Config> {
     let trial = tempfile::Builder::new().prefix(".rtec-restore-").tempdir_in(folder);
     let trial = trial.with_context(|| format!("writing into {}", folder.display()))?;
@@ -136,7 +137,7 @@ fn is_state(packed: &Packed) -> bool {
     matches!(packed.kind.as_str(), "state" | "loaded")
 }
 
-/// A path in the archive that leads nowhere else.
+/// A path of the archive, checked to stay inside its folder.
 fn inside(args: &Args, packed: &Packed) -> Result<PathBuf, InputError> {
     let plain = packed.path.components().all(|part| matches!(part, Component::Normal(_)));
     if plain && !packed.path.as_os_str().is_empty() {
@@ -146,7 +147,7 @@ fn inside(args: &Args, packed: &Packed) -> Result<PathBuf, InputError> {
     Err(InputError::whole(&args.archive, found, "paths below the configuration's folder"))
 }
 
-/// What is to be written where, and what is not, in words.
+/// The files to be written, and those that are not, in words.
 fn wanted<'a>(
     args: &Args,
     manifest: &'a Manifest,
@@ -188,7 +189,7 @@ fn wanted<'a>(
     Ok((wanted, left_out))
 }
 
-/// Writes a file whole, as its folder's owner has it.
+/// Writes a file whole, owned like its folder.
 fn write(wanted: &RestoredFile<'_>) -> std::io::Result<()> {
     let parent = wanted.to.parent().filter(|f| !f.as_os_str().is_empty()).unwrap_or(Path::new("."));
     std::fs::create_dir_all(parent)?;

@@ -1,4 +1,5 @@
-//! `rtecctl selftest latency`: how late this machine can be, and what that leaves for corrections.
+//! `rtecctl selftest latency`: measures this computer's latencies.
+//! It shows the speeds at which they allow corrections.
 
 use crate::Outcome;
 use crate::document::line;
@@ -21,7 +22,8 @@ use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-/// Rows of the text's histogram, 1 µs each: as many as the plotting scripts of the field ask cyclictest for.
+/// Rows of the histogram in the text, 1 µs each.
+/// The plotting scripts of the field ask cyclictest for as many.
 const ROWS: usize = 400;
 
 /// Test this machine
@@ -91,15 +93,15 @@ impl Card {
     }
 }
 
-/// What is measured.
+/// The card that is measured.
 enum Target {
-    /// A card of the test's own.
+    /// A card of the test itself.
     Simulated(Backend),
-    /// The configuration's.
+    /// The card of the configuration.
     Configured(Box<Config>),
 }
 
-/// The self-test on a card, whichever it is.
+/// The self-test, for a card of any backend.
 struct CardTest<'a> {
     options: SelftestOptions,
     axes: &'a [AxisConfig],
@@ -164,7 +166,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         };
         say(&line(&verdict.document(&measured, &options, &provenance, backend))?);
     } else {
-        // As cyclictest: what goes into a file is not on the terminal, too.
+        // As with cyclictest, a histogram written to a file is not printed as well.
         print!("{}", text(&measured, &options, &verdict, &provenance, args.histfile.is_none()));
     }
     if verdict.reasons.is_empty() { Ok(()) } else { Err(Outcome::No(verdict.reasons.join("; ")).into()) }
@@ -179,7 +181,7 @@ impl OnCard for CardTest<'_> {
     }
 }
 
-/// What is to be measured; refused where that cannot be.
+/// The card to be measured; an error if that is not possible.
 fn target(args: &LatencyArgs) -> anyhow::Result<Target> {
     let bad = |text: String| anyhow::Error::from(Outcome::Bad(text));
     let Some(file) = &args.config else {
@@ -350,7 +352,7 @@ fn table(measured: &Measured) -> String {
     out
 }
 
-/// The part between `# Histogram` and the overflows, shaped as cyclictest -h prints it.
+/// The part from `# Histogram` to the overflows, formatted like `cyclictest -h`.
 fn histogram(measured: &Measured) -> String {
     let threads = threads(measured);
     let linear = threads.map(|t| t.ns.linear(1000, ROWS));
@@ -371,8 +373,8 @@ fn histogram(measured: &Measured) -> String {
     out
 }
 
-/// A file that appears under its name only when it is whole.
-/// Made before the measurement: a place that cannot be written to is known at once.
+/// A file that appears under its name only when it is complete.
+/// It is made before the measurement, so that an unwritable folder is reported at once.
 struct AtomicFile<'a> {
     file: &'a Path,
     temporary: tempfile::NamedTempFile,

@@ -1,4 +1,4 @@
-//! `rtecctl shadow`: compute everything, write nothing.
+//! `rtecctl shadow`: computes everything, writes nothing to the card.
 
 use crate::daemon::Daemon;
 use rtec_control::protocol::ClientRequest;

@@ -60,7 +60,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     }
 }
 
-/// The program beside this one that knows S3: it takes this process's place, and comes back only where it is not there.
+/// Replaces this process by `rtec-ship`, the program that knows S3.
+/// It returns only if that program cannot be started.
 fn handed_over(args: &Args) -> Outcome {
     let own = std::env::current_exe().unwrap_or_default();
     let program = own.with_file_name("rtec-ship");

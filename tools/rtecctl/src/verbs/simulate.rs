@@ -55,7 +55,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         crate::say(&text);
         return Ok(());
     }
-    // Usage errors are clap's: both are required unless the experiments are listed.
+    // clap reports usage errors: both are required unless the experiments are listed.
     let (Some(experiment), Some(out)) = (args.name, &args.out) else {
         anyhow::bail!("NAME and --out are needed");
     };
@@ -96,7 +96,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let setting = Setting { spec: &spec, truth: &truth, known: Some(&known), seed: args.seed, out };
     let mut findings = experiment.run(&setting).map_err(|e| explain(e, &truth.path))?;
     for record in findings.records.iter().filter(|r| !r.path.to_string_lossy().contains("compensated")) {
-        // What an experiment measures and the machine does not do wrong is the instrument's noise: better said than shown.
+        // A response on which no error of the machine acts shows only noise, which is reported.
         let Ok(said) = truth.predict(record) else { continue };
         let still = said.columns.iter().filter(|c| c.1.iter().all(|e| e.abs() < 1e-9)).map(|c| c.0.as_str());
         let still: Vec<&str> = still.collect();
@@ -134,7 +134,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// The findings as a person reads them: a line for what is one figure, a table for what is one a row.
+/// The findings for people: a line per figure, a table per list.
 fn text(summary: &Map<String, Value>) -> String {
     let mut text = String::new();
     for (what, found) in summary {
@@ -158,7 +158,7 @@ fn text(summary: &Map<String, Value>) -> String {
     text
 }
 
-/// A figure without what JSON needs.
+/// A figure without JSON's punctuation.
 fn shown(value: &Value) -> String {
     match value {
         Value::Array(all) => all.iter().map(shown).collect::<Vec<_>>().join(" "),
@@ -170,7 +170,8 @@ fn shown(value: &Value) -> String {
     }
 }
 
-/// An effect that reads what the machine does not have is bad input, not a failed run.
+/// An experiment's error with its exit code.
+/// An effect that reads something which the machine does not have is bad input.
 fn explain(error: ExperimentError, file: &Path) -> anyhow::Error {
     match error {
         ExperimentError::Sim(SimError::Missing(missing))

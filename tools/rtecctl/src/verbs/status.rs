@@ -1,4 +1,4 @@
-//! `rtecctl status`: what the corrector is doing, and if nothing, why.
+//! `rtecctl status`: what the corrector does, and if nothing, why.
 
 use crate::Outcome;
 use crate::daemon::{Daemon, check, unreachable};
@@ -25,7 +25,7 @@ pub(crate) struct Args {
 }
 
 const EVERY: Duration = Duration::from_millis(500);
-/// No faster than this: the daemon has other work.
+/// Shortest interval; the daemon has other work.
 const FASTEST: Duration = Duration::from_millis(20);
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
@@ -51,7 +51,7 @@ fn watch(daemon: &Daemon, every: Duration) -> anyhow::Result<()> {
     loop {
         let response = check(client.ask(&ClientRequest::Status {}).map_err(unreachable)?)?;
         if let Response::Status(status) = response {
-            // Home, then clear to the end: no flicker, and nothing of a longer view is left.
+            // Home, then clear to the end: no flicker, and no rest of a longer view.
             let clear = if terminal { "\x1b[H\x1b[J" } else { "" };
             let text = if daemon.json {
                 line(&status)?
@@ -69,11 +69,11 @@ fn watch(daemon: &Daemon, every: Duration) -> anyhow::Result<()> {
     }
 }
 
-/// An axis whose correction ramps, and how far it has still to go, µm.
+/// An axis whose correction ramps, and the rest of its ramp, µm.
 type RampingAxis = (String, f64);
 
-/// The corrections that ramp to another place, as `explain` knows them.
-/// None where nobody answers.
+/// The ramps under way, as `explain` reports them.
+/// Empty if the daemon does not answer.
 fn on_their_way(client: &mut Client, status: &DaemonStatus) -> Vec<RampingAxis> {
     if status.mode != "run" {
         return Vec::new();
@@ -87,7 +87,7 @@ fn on_their_way(client: &mut Client, status: &DaemonStatus) -> Vec<RampingAxis> 
 fn still_to_go(axes: &[Explained]) -> Vec<RampingAxis> {
     let of = |a: &Explained| a.parts.iter().find(|p| p.name == "on its way").map_or(0.0, |p| -p.um);
     let ramps = axes.iter().filter(|a| a.holds.is_none()).map(|a| (a.axis.clone(), of(a)));
-    // Less is not shown.
+    // Smaller rests are not shown.
     ramps.filter(|(_, um)| um.abs() >= 0.05).collect()
 }
 
@@ -95,11 +95,11 @@ fn yes(is: bool) -> &'static str {
     if is { "yes" } else { "no" }
 }
 
-/// What the status is shown on.
+/// The output of the status.
 #[derive(Debug, Clone, Copy)]
 struct Screen {
     colour: bool,
-    /// Columns; none where it is no terminal, and lines are as long as they are.
+    /// Columns; none without a terminal, when lines are not wrapped.
     width: Option<u16>,
 }
 
@@ -111,7 +111,7 @@ impl Screen {
         Self { colour: terminal::colour(), width: terminal::width() }
     }
 
-    /// The table of the axes has its less wanted columns left out.
+    /// Whether the table of axes omits its less important columns.
     fn narrow(self) -> bool {
         self.width.is_some_and(|width| width < WHOLE)
     }
@@ -143,7 +143,7 @@ fn head(s: &DaemonStatus, screen: Screen) -> String {
         "fault" => Tone::Wrong,
         _ => Tone::Doubtful,
     };
-    // Hold and probing hide whether corrections come back when they end.
+    // Hold and probing hide whether corrections resume when they end.
     let disabled = if matches!(s.mode.as_str(), "hold" | "probe") && !s.enabled { ", DISABLED" } else { "" };
     format!(
         "machine \"{}\"   mode {}{disabled}   homed {}   up {:.1} s   ledger {ledger}\n",
@@ -154,7 +154,7 @@ fn head(s: &DaemonStatus, screen: Screen) -> String {
     )
 }
 
-/// What stands below the axes.
+/// The lines below the axes.
 fn below(s: &DaemonStatus, way: &[RampingAxis], screen: Screen) -> String {
     let mut text = String::new();
     let tone = |text: &str, tone| toned(text, tone, screen.colour);
@@ -203,7 +203,7 @@ fn below(s: &DaemonStatus, way: &[RampingAxis], screen: Screen) -> String {
     if let Some(why) = &s.record_trouble {
         let _ = writeln!(text, "{} {why}", tone("record of commands not written:", Tone::Wrong));
     }
-    // One axis may hold while another corrects; one total may be in force without the model.
+    // One axis may hold while another corrects, and a total may be in effect without the model.
     let some = s.mode == "run" && s.axes.iter().any(|a| a.requested != 0 || a.in_effect != 0);
     for why in &s.why_not {
         let tone_of = if s.mode == "fault" { Tone::Wrong } else { Tone::Doubtful };
@@ -227,7 +227,7 @@ fn below(s: &DaemonStatus, way: &[RampingAxis], screen: Screen) -> String {
     text
 }
 
-/// The axes, in lines of 80 columns where there are not enough for all.
+/// The axes, in lines of 80 columns if the terminal is not wide enough for all.
 fn axes(s: &DaemonStatus, screen: Screen) -> String {
     let head = [
         "position/mm",
@@ -268,7 +268,7 @@ fn axes(s: &DaemonStatus, screen: Screen) -> String {
     text
 }
 
-/// What is corrected, where nothing stands in the way.
+/// The present corrections, if nothing prevents them.
 fn correcting(s: &DaemonStatus, way: &[RampingAxis]) -> String {
     let way: Vec<String> = way.iter().map(|(axis, um)| format!("{axis} {um:+.1} µm")).collect();
     let way = (!way.is_empty()).then(|| format!("ramping, still to go: {}", way.join(", ")));
@@ -385,7 +385,7 @@ mod tests {
         }
     }
 
-    /// A machine that corrects: a model live, one sensor standing in.
+    /// A machine that corrects with a model, and a sensor replaced by its last value.
     fn corrects() -> DaemonStatus {
         let times = Distribution { min: 20, p50: 26, p99: 37, p9999: 145, max: 2107, samples: 9 };
         DaemonStatus {
@@ -465,7 +465,7 @@ mod tests {
         crate::golden("status_fault.txt", &table(&status, &[], PLAIN));
     }
 
-    /// Colours say nothing that the words do not, and nothing is wider than 80 columns.
+    /// Colours only repeat the words, and nothing is wider than 80 columns.
     #[test]
     fn why_nothing_is_homed_is_what_the_daemon_says() {
         let mut status = corrects();
@@ -511,7 +511,7 @@ mod tests {
             outside_k: None,
             weight: None,
         };
-        // The model asks for 12.4 µm, of which nothing is done yet: so much is still to go.
+        // The model wants 12.4 µm and none of it is inserted, so all of it is left.
         let explained = |axis: &str, parts, holds| Explained {
             axis: axis.to_owned(),
             requested: 0,

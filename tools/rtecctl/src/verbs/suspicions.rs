@@ -1,16 +1,16 @@
-//! What the libraries say on the way, on standard error.
+//! Prints the libraries' messages on standard error.
 
 use rtec_files::Said;
 use rtec_measure::plausible;
 use rtec_model::record::Record;
 
-/// One line.
-#[allow(clippy::needless_pass_by_value)] // it is what the libraries hand over
+/// Prints one message.
+#[allow(clippy::needless_pass_by_value)] // the libraries pass it by value
 pub(crate) fn say(said: Said) {
     eprintln!("{said}");
 }
 
-/// One line, a note as the program's own.
+/// Prints one message; a note as the program's own.
 pub(crate) fn said(said: Said) {
     match said {
         Said::Warning(text) => eprintln!("warning: {text}"),
@@ -18,7 +18,7 @@ pub(crate) fn said(said: Said) {
     }
 }
 
-/// Warns of what these records show of mistakes.
+/// Warns of mistakes that these records show.
 pub(crate) fn warn(records: &[Record]) {
     plausible::said(records, &mut say);
 }

@@ -1,5 +1,5 @@
-//! `rtecctl top`: the corrector on a full screen, as it goes.
-//! It shows, and commands nothing.
+//! `rtecctl top`: the corrector's state on a full screen, live.
+//! It shows the state and sends no commands.
 
 mod view;
 
@@ -30,16 +30,16 @@ pub(crate) struct Args {
     daemon: Daemon,
 }
 
-/// A daemon that is gone is looked for so often.
+/// Interval at which a missing daemon is looked for.
 const AGAIN: Duration = Duration::from_secs(1);
-/// Events of one look.
+/// Number of events fetched at a look.
 const EVENTS: u64 = 40;
-/// Keys are answered within this time.
+/// Longest delay of a key.
 const KEYS: Duration = Duration::from_millis(100);
-/// No faster than this: the daemon has other work.
+/// Shortest interval; the daemon has other work.
 const FASTEST: Duration = Duration::from_millis(50);
 
-/// What the daemon was found to be.
+/// Result of a look at the daemon.
 enum Look {
     Here(Box<Observed>),
     Gone(String),
@@ -56,9 +56,10 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     if every < FASTEST {
         return Err(bad("--every: expected 50ms or more"));
     }
-    // The first one before the screen is taken: a wrong socket is said as everywhere else.
+    // The first connection is made before the screen is taken, so that a wrong socket is reported as usual.
     drop(args.daemon.view()?);
-    // Before the thread: it inherits the mask. What ends us must not leave the terminal as it is.
+    // Before the thread starts, because it inherits the mask. A signal must not leave the terminal in raw
+    // mode.
     let signals = SigSet::from_iter([Signal::SIGTERM, Signal::SIGHUP]);
     signals.thread_block()?;
     let signals = SignalFd::with_flags(&signals, SfdFlags::SFD_NONBLOCK | SfdFlags::SFD_CLOEXEC)?;
@@ -71,7 +72,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     show(&mut terminal, &looks, &signals, View::new(colour, every))
 }
 
-/// Looks again and again, until nobody listens any more.
+/// Looks repeatedly until the receiver is gone.
 fn look(daemon: &Daemon, every: Duration, to: &Sender<Look>) {
     let (mut client, mut last) = (None, 0);
     loop {
@@ -93,10 +94,10 @@ fn once(daemon: &Daemon, client: &mut Option<Client>, last: &mut u64) -> anyhow:
         Some(client) => client,
         None => client.insert(daemon.view()?),
     };
-    // The first look learns how many events there are, the next ones take the last few.
+    // The first look learns the number of events; the next ones take the last few.
     let seen = observe(client, Some(last.saturating_sub(EVENTS)))?;
     *last = seen.events.last().map_or(*last, |e| e.n);
-    // A daemon that has begun anew counts from the start.
+    // A restarted daemon counts from the start.
     if seen.events.is_empty() {
         *last = 0;
     }
@@ -116,7 +117,7 @@ fn show(
             Err(RecvTimeoutError::Timeout) => {}
             Err(RecvTimeoutError::Disconnected) => return Ok(()),
         }
-        // A terminal that is gone has no end of input for the reader of keys: it would wait for more for ever.
+        // At a closed terminal, reading keys would wait for ever.
         if signals.read_signal()?.is_some() || hung_up()? {
             return Ok(());
         }

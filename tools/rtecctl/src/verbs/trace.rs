@@ -1,4 +1,5 @@
-//! `rtecctl trace`: quadrature traces from one form into another, and from a measured position record.
+//! `rtecctl trace`: converts quadrature traces, and makes them from positions.
+//! The positions are from a measured record.
 
 use crate::document::line;
 use crate::say;
@@ -58,8 +59,8 @@ struct FromPosition {
     /// The time column, by its name or number from 1 [default: `t_s`, `t_ms`, `t_us` or `t_ns`]
     #[arg(long, value_name = "NAME")]
     time_column: Option<String>,
-    /// The time's unit [default: of the column's name, `t_ms` or `Time [ms]`; else s]
-    #[arg(long, value_parser = ["s", "ms", "us", "ns"], requires = "time_column")]
+    /// The time's unit, d for a spreadsheet's days [default: of the column's name, `t_ms` or `Time [ms]`; else s]
+    #[arg(long, value_parser = ["s", "ms", "us", "ns", "d"], requires = "time_column")]
     time_unit: Option<String>,
     /// The position's unit [default: of the column's name, `x_mm` or `X [mm]`; else m]
     #[arg(long, value_enum)]
@@ -185,7 +186,8 @@ impl Summary {
     }
 }
 
-/// A trace being written, its summary, and a word to the terminal every two seconds.
+/// A trace being written, with its summary.
+/// It reports its progress every two seconds.
 struct Output {
     file: TraceFile,
     summary: Summary,
@@ -224,7 +226,7 @@ fn convert(input: &Path, output: &Path, columns: &[String]) -> anyhow::Result<Su
 }
 
 fn from_position(args: &FromPosition) -> anyhow::Result<Summary> {
-    // Before anything is written; what cannot be read twice, a pipe, is bounded below.
+    // Before anything is written. A pipe, which cannot be read twice, is limited below.
     let mut bits = args.counter_bits.unwrap_or(0);
     if args.input.is_file() {
         let mut jumps = Jumps::default();
@@ -239,8 +241,8 @@ fn from_position(args: &FromPosition) -> anyhow::Result<Summary> {
             eprintln!("warning: {warning}");
         }
         way.is_short_enough(args)?;
-        if let Some(coarse) = jumps.coarse(args) {
-            eprintln!("warning: {coarse}");
+        for warning in [jumps.coarse(args), jumps.dead(args), jumps.dates(args)].into_iter().flatten() {
+            eprintln!("warning: {warning}");
         }
     }
     let (mut record, mut way) = (Record::open(args, bits)?, TravelledCounts::default());
@@ -275,12 +277,12 @@ fn from_position(args: &FromPosition) -> anyhow::Result<Summary> {
     Ok(out.summary)
 }
 
-/// The way that a record goes, in counts: as many edges at most.
+/// Travel of a record in counts; it has at most as many edges.
 #[derive(Default)]
 struct TravelledCounts {
     counts: f64,
     last: Option<f64>,
-    /// The line from which on it is too long, and how long it is there.
+    /// The line at which it becomes too long, and its length there.
     too_long: Option<(usize, f64)>,
 }
 
@@ -303,8 +305,8 @@ impl TravelledCounts {
     }
 }
 
-/// Goes through a record whose counter has so many bits.
-/// `see` is given time, counts and line of each row.
+/// Reads a record whose counter has this number of bits.
+/// `see` receives time, counts and line of each row.
 fn walk(
     args: &FromPosition,
     bits: u32,
@@ -318,17 +320,19 @@ fn walk(
     Ok(way)
 }
 
-/// No axis of a machine tool is faster, m/s.
+/// Speed that no axis of a machine tool exceeds, m/s.
 const FASTEST_M_S: f64 = 10.0;
-/// Bits of counters that begin again at zero.
+/// Bits of counters that wrap around.
 const COUNTER_BITS: [u32; 4] = [16, 20, 24, 32];
-/// A jump is one of such a counter within this share of its range.
+/// Share of the range within which a jump is a wrap-around.
 const NEAR_RANGE: f64 = 0.02;
 
-/// So many changes of the position show the step that it is written in.
+/// Times that are kept to see what their clock is.
+const FIRST_TIMES: usize = 1000;
+/// Changes of the position from which its resolution is known.
 const COARSE_CHANGES: usize = 5;
 
-/// The largest step that divides two lengths, µm; 0 below a nanometre.
+/// Greatest common step of two lengths, µm; 0 below a nanometre.
 fn common_step(mut a: f64, mut b: f64) -> f64 {
     const NOTHING_UM: f64 = 1e-3;
     while b > NOTHING_UM {
@@ -338,36 +342,43 @@ fn common_step(mut a: f64, mut b: f64) -> f64 {
     a
 }
 
-/// The range of a counter of so many bits, in counts.
+/// Range of a counter with this number of bits, counts.
 fn range_of(bits: u32) -> f64 {
     2_f64.powi(i32::try_from(bits).unwrap_or(0))
 }
 
-/// Steps from row to row that no machine makes.
+/// Steps from row to row that are impossible for a machine.
 #[derive(Default)]
 struct Jumps {
     last: Option<(u64, f64)>,
     found: usize,
-    /// Line, step in µm and m/s of the first.
+    /// The first jump: line, step in µm, speed in m/s.
     first: Option<(usize, f64, f64)>,
-    /// Of every step, how large, µm; the largest alone.
+    /// Largest and smallest jump, and largest ordinary step, µm.
     largest_jump_um: f64,
     smallest_jump_um: f64,
     largest_step_um: f64,
-    /// The step that positions are written in, µm; how often the position changed.
+    /// Resolution of the written positions, µm, and number of changes.
     written_um: f64,
     changes: usize,
+    /// The first times, s, and the number of rows.
+    times_s: Vec<f64>,
+    rows: usize,
 }
 
 impl Jumps {
     fn see(&mut self, t_ns: u64, at_um: f64, line: usize) {
+        self.rows += 1;
+        if self.times_s.len() < FIRST_TIMES {
+            self.times_s.push(t_ns as f64 / 1e9);
+        }
         let Some((from_ns, from_um)) = self.last.replace((t_ns, at_um)) else { return };
         let step_um = at_um - from_um;
         if step_um != 0.0 {
             self.changes += 1;
             self.written_um = common_step(self.written_um, step_um.abs());
         }
-        // µm a ns are thousands of m/s.
+        // µm/ns are thousands of m/s.
         let m_s = step_um.abs() / (t_ns - from_ns) as f64 * 1e3;
         if m_s <= FASTEST_M_S {
             self.largest_step_um = self.largest_step_um.max(step_um.abs());
@@ -381,7 +392,7 @@ impl Jumps {
         self.smallest_jump_um = self.smallest_jump_um.min(step_um.abs());
     }
 
-    /// That the positions are written in steps of more than a count.
+    /// A note if the resolution of the positions is more than a count.
     fn coarse(&self, args: &FromPosition) -> Option<String> {
         let counts = self.written_um / args.count_um;
         (self.changes >= COARSE_CHANGES && counts > 1.5).then(|| {
@@ -395,14 +406,36 @@ impl Jumps {
         })
     }
 
-    /// The range that all jumps are near, in bits.
+    /// A note if the position never changes.
+    fn dead(&self, args: &FromPosition) -> Option<String> {
+        (self.changes == 0 && self.rows > 1).then(|| {
+            format!(
+                "{}: the position is the same in all {} rows, so the trace has no edge: did the axis stand, or is the channel dead?",
+                args.input.display(),
+                self.rows
+            )
+        })
+    }
+
+    /// A note if times in seconds are rather the days of a spreadsheet.
+    fn dates(&self, args: &FromPosition) -> Option<String> {
+        let day = clock::spreadsheet_in_s(&self.times_s)?;
+        Some(format!(
+            "{}: the time begins at {} s: a spreadsheet's date ({day}) in days? --time-unit d takes those",
+            args.input.display(),
+            self.times_s[0]
+        ))
+    }
+
+    /// Bits of the counter whose range is near all jumps.
     fn bits(&self, args: &FromPosition) -> Option<u32> {
         let near = |um: f64, bits: u32| (um / args.count_um / range_of(bits) - 1.0).abs() < NEAR_RANGE;
         let all = |bits: &u32| near(self.largest_jump_um, *bits) && near(self.smallest_jump_um, *bits);
         COUNTER_BITS.into_iter().find(|bits| self.found > 0 && all(bits))
     }
 
-    /// The bits of a counter that begins again, where that leaves no step that is not usual in this record; and what to say.
+    /// Bits of a counter that wraps around, and a note about it.
+    /// None if the wrap would leave a step that is unusual in this record.
     fn counter(&self, args: &FromPosition) -> Option<(u32, String)> {
         let (line, ..) = self.first?;
         let bits = self.bits(args)?;
@@ -435,12 +468,13 @@ impl Jumps {
     }
 }
 
-/// A scale with its interpolator, moved in straight lines from one sample to the next.
+/// A scale with its interpolator.
+/// It moves in straight lines from one sample to the next.
 struct Scale {
     hysteresis: f64,
     /// Time in ns and position in counts of the last sample.
     from: (u64, f64),
-    /// The present count and the state it shows, with the time of its edge.
+    /// The present count and the state at it, with the time of its edge.
     count: i64,
     at: TracePoint,
 }
@@ -448,13 +482,13 @@ struct Scale {
 impl Scale {
     fn new(t_ns: u64, counts: f64, hysteresis: f64) -> Self {
         let count = counts.floor() as i64;
-        // The state of a count, so that equal positions show equal states: 0 is 00, 1 is 10, 2 is 11, 3 is 01.
+        // The state depends on the count only: 0 is 00, 1 is 10, 2 is 11, 3 is 01.
         let state = (0..count.rem_euclid(4)).fold(State::default(), |state, _| state.next(true));
         Self { hysteresis, from: (t_ns, counts), count, at: TracePoint { t_ns, state } }
     }
 
-    /// Gives each edge on the way to a sample.
-    /// `false` when they do not fit into whole nanoseconds.
+    /// Reports each edge on the way to a sample.
+    /// `false` if they do not fit into whole nanoseconds.
     fn move_to(
         &mut self,
         t_ns: u64,
@@ -470,7 +504,7 @@ impl Scale {
             if (up && counts < boundary) || (!up && counts >= boundary) {
                 return Ok(true);
             }
-            // The first sample may lie beyond the boundary already: its edge is then due at once.
+            // The first sample may already be beyond the boundary; its edge is then due at once.
             let part = ((boundary - from) / (counts - from)).clamp(0.0, 1.0);
             let at_ns = (from_ns + (part * span_ns).round() as u64).max(self.at.t_ns + 1);
             if at_ns > t_ns {
@@ -486,33 +520,34 @@ impl Scale {
 /// The rows of a position record, as time in ns and position in counts.
 struct Record {
     rows: Reader<std::fs::File>,
-    /// How the numbers are written; `None`: with decimal points, between commas.
+    /// Number format; `None` for decimal points and commas as separators.
     marks: Option<Marks>,
     header: Header,
-    /// The present row's line.
+    /// Line of the present row.
     line: usize,
     time: usize,
     ns_per_unit: f64,
     position: usize,
     counts_per_unit: f64,
     last_ns: Option<u64>,
-    /// The time column's unit.
+    /// Unit of the time column.
     time_unit: &'static str,
-    /// The range of a counter that begins again, in counts; 0: of none.
-    /// Its last reading, and what its beginnings add.
+    /// Range of a counter that wraps around, counts; 0 for none.
+    /// Below: its last reading, and the sum of its wraps.
     range: f64,
     last_counts: Option<f64>,
     begun_again: f64,
     /// Times that are dates or times of the day.
     moments: Moments,
-    /// What is taken off each time that is a number, and the first time as a person reads it, empty where nothing is taken off.
+    /// Offset subtracted from each numeric time, and the first time in words.
+    /// The words are empty if nothing is subtracted.
     start: Option<(f64, String)>,
 }
 
 /// Units of a time, and ns of each.
-const UNITS: [(&str, f64); 4] = [("s", 1e9), ("ms", 1e6), ("us", 1e3), ("ns", 1.0)];
+const UNITS: [(&str, f64); 5] = [("s", 1e9), ("ms", 1e6), ("us", 1e3), ("ns", 1.0), ("d", 86_400e9)];
 
-/// That a column's name does not state another unit than an option does.
+/// Checks that a column's name does not contradict the unit of an option.
 fn is_in(header: &Header, name: &str, unit: &str, option: &str) -> Result<(), InputError> {
     units::contradicted(name, unit).map_or(Ok(()), |stated| {
         let found = format!("the column {name} with {option} {unit}: its name says {stated}");
@@ -541,7 +576,7 @@ impl Record {
             rows.header_of(expected, &named)?
         };
         let columns = || format!("the columns {}", header.text());
-        // A unit in brackets that is none of these is not passed over.
+        // An unknown unit in brackets is refused.
         let known = |name: &str, units: &[&str], option: &str| match units::stated(name) {
             Some(stated) if stated.in_brackets && !units.contains(&stated.unit) => {
                 let found = format!("the unit {} in the name of column {name}", stated.unit);
@@ -593,7 +628,7 @@ impl Record {
             eprintln!("{}: column '{name}' names no unit: taken as m (see --unit)", args.input.display());
             Unit::M
         });
-        // A pipe cannot be read twice: its numbers have decimal points.
+        // A pipe cannot be read twice, so its numbers must have decimal points.
         let names = || [time, position].into_iter().filter_map(|place| header.names().nth(place)).collect();
         let named: Vec<&str> = if named.is_empty() { names() } else { named };
         let marks = if args.input.is_file() {
@@ -658,6 +693,12 @@ impl Record {
                         "a time in s, ms, µs or ns since the start: (t - first) / 10 is one in µs",
                     ));
                 }
+                if first
+                    && self.time_unit == "d"
+                    && let Some(date) = clock::spreadsheet(read)
+                {
+                    self.start = Some((read, format!("{read}, {} of {}", date.what, date.day)));
+                }
                 if first && let Some((unit, day)) = clock::unix(read) {
                     if unit != self.time_unit {
                         let name = self.header.names().nth(place).unwrap_or_default();
@@ -690,7 +731,7 @@ impl Record {
             self.begun_again -= self.range * (step / self.range).round();
             counts += self.begun_again;
         }
-        // Beyond 2^53 neither a time in ns nor a count is exact in a float any more.
+        // Beyond 2^53 a time in ns or a count is no longer exact in a float.
         let exact = 9_007_199_254_740_992.0;
         if !(0.0..exact).contains(&time) {
             return Err(row.finding("a time out of range", "a time from 0 to 104 days"));
@@ -806,7 +847,7 @@ mod tests {
             error.contains(":3: found a way of 300000000 counts so far, expected at most 50000000"),
             "{error}"
         );
-        // There and back is a way, too.
+        // The way back counts too.
         let back: Vec<String> = (0..100).map(|n| format!("{n},{}", n % 2 * 1000)).collect();
         let text = format!("t_s,position_um\n{}\n", back.join("\n"));
         let error = refused(&text, &["--count-um", "1", "--most-edges", "98999"]);
@@ -862,7 +903,7 @@ mod tests {
         }
         let of = |time: &str| format!("Time [{time}],X [furlong]\n0,0\n1,1\n");
         for (time, options, says) in [
-            ("min", &[][..], "one of s, ms, us, ns, or --time-unit"),
+            ("min", &[][..], "one of s, ms, us, ns, d, or --time-unit"),
             ("min", &["--time-unit", "s"], "with --time-unit s: its name says min"),
             ("s", &[], "one of m, mm, um, nm, in, or --unit"),
         ] {

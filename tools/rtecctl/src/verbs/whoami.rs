@@ -1,4 +1,4 @@
-//! `rtecctl whoami`: as whom the daemon knows this user, and what that allows.
+//! `rtecctl whoami`: as whom the daemon knows this user, and the requests allowed.
 
 use crate::daemon::Daemon;
 use rtec_control::protocol::{Caller, ClientRequest, Response};

@@ -1,4 +1,4 @@
-//! A machine's set-up into an archive and back, between two folders.
+//! A machine's set-up is backed up and restored into another folder.
 
 use rtec_control::lock;
 use serde_json::Value;
@@ -68,7 +68,7 @@ fn a_machine_goes_from_one_folder_to_another() {
     let kinds: Vec<_> =
         manifest["files"].as_array().unwrap().iter().map(|f| f["kind"].as_str().unwrap()).collect();
     assert_eq!(kinds, ["configuration", "trace", "model", "devices", "state", "loaded"]);
-    // For its owner only, and never over something that is there.
+    // Readable only by its owner, and no existing file is overwritten.
     let mode = std::os::unix::fs::PermissionsExt::mode(
         &std::fs::metadata(old.path().join("b.tar")).unwrap().permissions(),
     );
@@ -93,7 +93,7 @@ fn a_machine_goes_from_one_folder_to_another() {
         expected.remove(Path::new(left)).unwrap();
     }
     assert_eq!(files(new.path()), expected);
-    // The same again changes nothing; what differs stays.
+    // The same restore again changes nothing; files that differ are kept.
     assert_eq!(restore(&[]).0, Some(0));
     std::fs::write(new.path().join("m.toml"), "name = 'other'\n").unwrap();
     let before = files(new.path());
@@ -103,7 +103,7 @@ fn a_machine_goes_from_one_folder_to_another() {
     assert_eq!(restore(&["--replace", "--with-state"]).0, Some(0));
     expected.insert("run/state".into(), vec![7; 100]);
     assert_eq!(files(new.path()), expected);
-    // Not under a daemon that runs.
+    // Refused while a daemon runs.
     let held = lock::socket(&new.path().join("run/s")).unwrap();
     let (code, said) = restore(&["--replace"]);
     assert!(code == Some(1) && said.contains("nothing is written"), "{said}");
@@ -125,7 +125,7 @@ fn an_archive_that_is_not_as_it_was_made_writes_nothing() {
         bytes[at..at + to.len()].copy_from_slice(to);
         bytes
     };
-    // Content, a hash, a path of the manifest that leads elsewhere, an end that is missing, no archive at all.
+    // Changed content, a changed hash, a path that leads outside, a missing end, no archive at all.
     let model = find(b"name = 'm'\n");
     let hash = find(b"\"sha256\": \"") + 11;
     let path = find(b"\"path\": \"m.toml\"") + 9;
@@ -143,7 +143,7 @@ fn an_archive_that_is_not_as_it_was_made_writes_nothing() {
         assert_eq!(code, Some(2), "{what}: {said}");
         assert_eq!(files(new.path()).len(), 1, "{what}");
     }
-    // What the configuration names must be there to be packed.
+    // Every file that the configuration names must exist to be packed.
     std::fs::remove_file(old.path().join("m.toml")).unwrap();
     let (code, said) = rtecctl(old.path(), &["backup", "--config", "rtec.toml", "--out", "c.tar"]);
     assert!(code == Some(2) && said.contains("m.toml: found no such file"), "{said}");

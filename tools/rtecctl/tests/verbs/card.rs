@@ -1,4 +1,5 @@
-//! `rtecctl card`: list, show, probe and `--drive`, on the profiles that are shipped and on files of registers.
+//! `rtecctl card`: list, show, probe and `--drive`.
+//! They run on the shipped profiles and on files of registers.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
@@ -76,7 +77,7 @@ fn every_profile_is_listed_and_what_is_here_is_looked_for() {
         .map(|(p, h)| (p.to_owned(), h.to_owned()))
         .expect("both");
     golden("list.txt", &profiles);
-    // Where nothing is found the next step is: this computer may have some.
+    // If no card is found, the next step is shown; this computer may have one.
     assert_eq!(here.contains("nothing that this program knows"), here.contains("`rtecctl card show FILE`"));
     assert!(!here.is_empty());
     let out = card(&["list", "--json"]);
@@ -233,7 +234,7 @@ fn card_of(config: &Path) -> Output {
     card(&["probe", "--config", config.to_str().expect("UTF-8")])
 }
 
-/// Another program plays the scale while the lines are watched; nothing is written.
+/// Another program moves the scale while the lines are watched; nothing is written.
 #[test]
 fn watches_lines_live_and_writes_nothing() {
     use std::os::unix::fs::FileExt;
@@ -248,7 +249,7 @@ fn watches_lines_live_and_writes_nothing() {
     let arguments =
         ["probe", "--config", config.to_str().expect("UTF-8"), "--watch", "--json", "--for", "600ms"];
     let mut watching = command(&arguments).stdout(Stdio::piped()).spawn().expect("it starts");
-    // A goes on and off, B never does, for as long as somebody watches.
+    // A switches on and off, and B never does, for as long as the watch runs.
     let registers = std::fs::OpenOptions::new().write(true).open(bench.registers()).expect("registers");
     for n in (0..=255_u8).cycle() {
         registers.write_all_at(&[n % 2], 0).expect("a level");

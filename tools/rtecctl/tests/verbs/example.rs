@@ -1,4 +1,5 @@
-//! `rtecctl example`: the same files each time, nothing of the user's written over, and the first commands of its README.
+//! `rtecctl example`: the same files each time, and nothing overwritten.
+//! The first commands of its README work.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -45,7 +46,7 @@ fn the_same_files_each_time_and_never_over_somebody_elses() {
         assert!(one.contains_key(Path::new(wanted)), "{wanted}: {:?}", one.keys());
     }
     assert!(one == two);
-    // What is there stays there, be it one file of another.
+    // Existing files stay, even a single one.
     std::fs::create_dir(dir.join("mine")).unwrap();
     std::fs::write(dir.join("mine/machine.toml"), "name = \"mine\"\n").unwrap();
     for name in ["mine", "one", "mine/machine.toml"] {
@@ -58,13 +59,13 @@ fn the_same_files_each_time_and_never_over_somebody_elses() {
         );
     }
     assert_eq!(std::fs::read_to_string(dir.join("mine/machine.toml")).unwrap(), "name = \"mine\"\n");
-    // An empty one that is there is taken.
+    // An existing empty folder is accepted.
     std::fs::create_dir(dir.join("empty")).unwrap();
     assert!(rtecctl(dir, "example spindle empty").status.success());
 }
 
 /// A source's example ends with the command of the whole experiment.
-/// The package brings its program.
+/// The package contains that program.
 #[test]
 fn a_sources_example_names_its_whole_experiment() {
     let dir = tempfile::tempdir().unwrap();
@@ -86,7 +87,7 @@ fn without_a_verb_it_says_where_to_begin() {
     let text = String::from_utf8(said.stdout).unwrap();
     assert!(said.status.success() && said.stderr.is_empty());
     assert!(text.starts_with("Where to begin:\n") && text.contains("rtecctl example mill mill"), "{text}");
-    // A verb that is none stays bad usage.
+    // An unknown verb is still bad usage.
     assert_eq!(rtecctl(Path::new("."), "begin").status.code(), Some(2));
 }
 
@@ -106,7 +107,7 @@ fn its_configuration_has_no_findings_and_the_effect_that_the_lathe_lacks_is_name
         verdict["effects"].as_array().unwrap().iter().map(|e| e["name"].as_str().unwrap()).collect();
     assert!(named.contains(&"reversal.z") && named.contains(&"following_error.x"), "{named:?}");
     let um = verdict["effects"].as_array().unwrap().iter().find(|e| e["name"] == "reversal.z").unwrap();
-    // As `true.toml` has it.
+    // The value of `true.toml`.
     assert!((um["parameters"]["um"]["value"].as_f64().unwrap() - 6.2).abs() < 0.1, "{um}");
     let points = rtecctl(&folder, "part points drawings/nose.dxf --feature F1:20 --tip-mm 2.5 --out semi");
     assert!(points.status.success() && folder.join("semi/pathfin.cdl").exists());

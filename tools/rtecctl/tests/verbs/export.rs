@@ -1,10 +1,11 @@
-//! `model export`: tables read back and applied by another program, spacing, limits, and everything that must be refused.
+//! `model export`: tables read back and applied by another program.
+//! Also spacing, limits, and all refusals.
 
 use serde_json::Value;
 use std::path::Path;
 use std::process::{Command, Output};
 
-/// A 10 mm screw that 50 mm steps would not see, a map with a corner, reversal and heat.
+/// A 10 mm screw that 50 mm steps cannot show, a map's corner, reversal and heat.
 const MACHINE: &str = r#"
 name = "screw"
 effect = [
@@ -40,7 +41,7 @@ fn folder() -> tempfile::TempDir {
     dir
 }
 
-/// The judge's verdict on a table; `None` where Python 3.11 is not there.
+/// The judge's verdict on a table; `None` without Python 3.11.
 fn judged(dir: &Path, words: &str) -> Option<(bool, String)> {
     let judge = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/judges/tables.py");
     if !test_needs::python("tomllib", "python3, 3.11 or later") {
@@ -56,7 +57,7 @@ fn judged(dir: &Path, words: &str) -> Option<(bool, String)> {
     Some((out.status.success(), said))
 }
 
-/// What depends on heat is in the table at some temperature: which one is said.
+/// An effect of heat is in the table at one temperature, which is reported.
 #[test]
 fn the_temperatures_that_a_table_holds_at_are_said() {
     let dir = folder();
@@ -73,7 +74,7 @@ fn the_temperatures_that_a_table_holds_at_are_said() {
     );
 }
 
-/// A table knows the place and the direction, not the travel since the axis turned.
+/// A table knows position and direction, but not the travel since the axis turned.
 #[test]
 fn what_a_table_cannot_hold_is_said() {
     let dir = folder();
@@ -116,7 +117,7 @@ fn every_table_leaves_what_was_said_by_another_programs_reading() {
             let words = format!("{judge} t m.toml said.json --axis x --at T1=24 --reference 12.5");
             let Some((good, verdict)) = judged(dir.path(), &words) else { return };
             assert!(good, "{judge} {range}: {verdict}");
-            // A comment in front, and a value that is five micrometres off: each is seen.
+            // A comment before the table, and a value that is off by five micrometres, are both found.
             let table = std::fs::read_to_string(dir.path().join("t")).unwrap();
             let mut lines: Vec<String> = table.lines().map(str::to_owned).collect();
             let middle =
@@ -141,7 +142,8 @@ fn every_table_leaves_what_was_said_by_another_programs_reading() {
     }
 }
 
-/// Beyond the knots of a map, and beyond what the fit's records went over, nobody knows the axis.
+/// The table reports positions beyond a map's knots or beyond the fit's records.
+/// The axis's error is not known there.
 #[test]
 fn a_table_beyond_what_is_known_is_said() {
     let dir = folder();
@@ -163,21 +165,21 @@ fn a_screw_is_not_stepped_over() {
         chosen["step_mm"].as_f64().unwrap() <= 2.0 && chosen["points"].as_u64().unwrap() > 100,
         "{chosen}"
     );
-    // Whole turns of the screw: every point sees the same phase, and a constant is what is left of it.
+    // Steps of whole turns of the screw: every point has the same phase, so only a constant remains.
     let (given, said) = export(dir.path(), "--axis x --from 0 --to 200 --step 50 --out b.comp");
     assert!(given["max_up_um"].as_f64().unwrap() > 4.0 && given["points"] == 5, "{given}");
     assert!(said.contains("more than the limit of 0.5 um: a smaller --step, or none"), "{said}");
-    // More than 256 points would do it: the best that there is, and the warning.
+    // More than 256 points would be needed: the best possible table, with the warning.
     let (long, said) = export(dir.path(), "--axis x --from 0 --to 2000 --out c.comp");
     assert!(
         long["points"].as_u64().unwrap() <= 256 && said.contains("the format takes no more positions"),
         "{said}"
     );
-    // A straight line needs its ends only.
+    // A straight line needs only its ends.
     let (line, said) = export(dir.path(), "--axis y --from 0 --to 640 --out d.comp");
     assert_eq!(line["points"], 2, "{line}");
     assert!(said.contains("coolant.y is in the table as it is dry"), "{said}");
-    // The table reaches to the end of the travel.
+    // The table reaches the end of the travel.
     let (uneven, _) = export(dir.path(), "--axis y --from 0 --to 95 --step 10 --out e.comp");
     assert_eq!((uneven["points"].as_u64(), uneven["to_mm"].as_f64()), (Some(11), Some(100.0)));
 }
@@ -197,7 +199,7 @@ fn a_form_of_ones_own_is_written_as_it_says() {
         text,
         "AXIS y {3}\r\n1;0,0;0,00;0,00\r\n2;10,0;-0,12;-0,12\r\n3;20,0;-0,24;-0,24\r\nEND 0,0 20,0 10,0\r\n"
     );
-    // One value for both, zero where it must be, in inches.
+    // One value for both directions, zero at the reference, in inches.
     let mean = "line = \"{position} {mean}\"\nvalue = \"error\"\nvalue_unit = \"inch\"\nposition_unit = \"inch\"\nposition_decimals = 6\n\
                 value_decimals = 9\nmax_points = 9\nzero_at_reference = true\n";
     std::fs::write(&path, mean).unwrap();
@@ -210,7 +212,7 @@ fn a_form_of_ones_own_is_written_as_it_says() {
         text.lines().map(|l| l.split(' ').map(|w| w.parse().unwrap()).collect()).collect();
     assert_eq!(rows.iter().map(|r| r[0]).collect::<Vec<_>>(), [0.0, 1.0, 2.0]);
     assert_eq!(rows[1][1], 0.0);
-    // scale 30 ppm, the map falls by 11 µm over 170 mm, the screw: of 25.4 mm.
+    // At 25.4 mm: the scale of 30 ppm, the map that falls by 11 µm over 170 mm, and the screw.
     let screw = |p: f64| 4.0 * (std::f64::consts::TAU * p / 10.0 + 0.5).sin();
     let expected = (30.0 * 25.4 / 1000.0 - 11.0 / 170.0 * 25.4 + screw(50.8) - screw(25.4)) / 25_400.0;
     assert!((rows[2][1] - expected).abs() < 2e-9, "{} against {expected}", rows[2][1]);

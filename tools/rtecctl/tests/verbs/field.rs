@@ -1,6 +1,7 @@
-//! Cases of people who do this job, from `tests/field/`: each is run as its table says, and prints what is right.
+//! Cases of users, from `tests/field/`; each runs as its table says.
+//! Each must print what is right.
 //!
-//! `cases.toml` holds the first round, `further.toml` a second one that says what is printed now as well.
+//! `cases.toml` contains the first round, `further.toml` a second one that also states the present output.
 
 use serde::Deserialize;
 use std::fmt::Write as _;
@@ -14,34 +15,34 @@ struct Cases {
 
 #[derive(Deserialize)]
 struct Case {
-    /// What the command reads first.
+    /// The command's first input.
     input: String,
-    /// The public report after which the input was made; the numbers are ours.
+    /// The public report that the input imitates; the numbers are ours.
     source: String,
-    /// What kind of mistake it stands for.
+    /// The kind of mistake that it represents.
     kind: String,
-    /// A kind unlike those that were tried first.
+    /// Its kind was not among the first cases.
     #[serde(default)]
     unlike: bool,
-    /// What `rtecctl` is asked.
+    /// The arguments of `rtecctl`.
     run: String,
     exit: i32,
-    /// What is right.
+    /// The right answer.
     right: String,
-    /// What was printed before.
+    /// The earlier output.
     was: String,
-    /// What is printed now, in words; cases of the second round.
+    /// The present output in words; only in cases of the second round.
     #[serde(default)]
     now: String,
-    /// Parts of what is printed.
+    /// Parts that the output must contain.
     says: Vec<String>,
-    /// Parts of nothing that is printed.
+    /// Parts that the output must not contain.
     #[serde(default)]
     never: Vec<String>,
     /// Figures of the JSON document: pointer, value, tolerance.
     #[serde(default)]
     figures: Vec<(String, f64, f64)>,
-    /// Lines that a file which is written holds: its name, the line.
+    /// Lines of a written file: its name, the line.
     #[serde(default)]
     writes: Vec<(String, String)>,
 }
@@ -55,7 +56,7 @@ fn cases(file: &str) -> Vec<Case> {
     toml::from_str::<Cases>(&text).unwrap().case
 }
 
-/// A copy of the inputs, for commands that write beside them.
+/// A copy of the inputs, for commands that write into their folder.
 fn copied() -> tempfile::TempDir {
     let copy = tempfile::tempdir().unwrap();
     for entry in std::fs::read_dir(folder()).unwrap() {
@@ -65,8 +66,8 @@ fn copied() -> tempfile::TempDir {
     copy
 }
 
-/// The words of a command, parted by blanks.
-/// What stands between single quotes is one.
+/// The words of a command, separated by blanks.
+/// Text between single quotes is one word.
 fn words(command: &str) -> Vec<String> {
     let mut words = vec![String::new()];
     let mut quoted = false;
@@ -141,7 +142,7 @@ fn check(file: &str) {
 }
 
 /// The rows of a table in Markdown.
-/// With `now`, what is printed now is the last cell.
+/// With `now`, the present output is the last cell.
 fn rows(file: &str, now: bool) -> String {
     let cell = |text: &str| text.replace('|', "\\|");
     let row = |case: &Case| {
@@ -161,7 +162,8 @@ fn rows(file: &str, now: bool) -> String {
     cases(file).iter().map(row).collect()
 }
 
-/// Public reports, not trials of users: so many at least, and a third of them of new kinds.
+/// Cases from public reports, not trials of users: a least number.
+/// A third of them are of new kinds.
 #[test]
 fn a_third_of_the_public_cases_are_new_kinds() {
     for (file, fewest) in [("cases.toml", 20), ("further.toml", 20)] {

@@ -1,4 +1,4 @@
-//! `characterise import`, as it is typed: real files and what other programs wrote.
+//! `characterise import` as typed: real files and files of other programs.
 
 use std::path::Path;
 use std::process::{Command, Output};
@@ -22,7 +22,8 @@ fn rows(file: &Path) -> (Vec<String>, Vec<Vec<f64>>) {
     (names, lines.map(|l| l.split(',').map(|w| w.parse().unwrap()).collect()).collect())
 }
 
-/// A real axis' log comes in with one command: volts become newtons, metres millimetres, velocity and acceleration are derived.
+/// One command imports the log of a real axis.
+/// Volts become newtons and metres millimetres; velocity and acceleration are derived.
 #[test]
 fn a_real_axis_comes_in_with_force_velocity_and_acceleration() {
     let Some(path) = test_needs::shared("data/axis_dynamics/identification.csv") else { return };
@@ -42,7 +43,7 @@ fn a_real_axis_comes_in_with_force_velocity_and_acceleration() {
     assert!((data[0][2] - 35.1507 * 2.53863).abs() < 1e-9);
     let sidecar = std::fs::read_to_string(dir.path().join("emps.run.toml")).unwrap();
     assert!(sidecar.contains("zero phase") && sidecar.contains("role = \"acceleration.x\""), "{sidecar}");
-    // Velocity and acceleration belong to the positions: what they sum up to, by the trapezium rule.
+    // Velocity and acceleration sum up to the positions, by the trapezium rule.
     for (from, of) in [(1, 3), (3, 4)] {
         let (mut sum, mut worst) = (0.0, 0.0f64);
         for pair in data.windows(2) {
@@ -54,7 +55,7 @@ fn a_real_axis_comes_in_with_force_velocity_and_acceleration() {
     }
 }
 
-/// What LinuxCNC's own halsampler wrote of a sawtooth whose slope is known.
+/// A file of LinuxCNC's own halsampler: a sawtooth of known slope.
 #[test]
 fn what_halsampler_writes_comes_in() {
     if !test_needs::installed("halsampler", "linuxcnc-uspace") {
@@ -78,7 +79,7 @@ fn what_halsampler_writes_comes_in() {
         let mut slopes = 0;
         for pair in data.windows(2) {
             let (dt, dp) = (pair[1][0] - pair[0][0], pair[1][1] - pair[0][1]);
-            // 5 mm in a fifth of a second, and back at its end.
+            // 5 mm in a fifth of a second, then back.
             if dp > 0.0 {
                 slopes += 1;
                 assert!((dp / dt - 25.0).abs() < 0.01, "{file}: {dp} mm in {dt} s");
@@ -122,7 +123,7 @@ fn what_cannot_be_read_is_named_and_nothing_is_written() {
     }
 }
 
-/// A compensation file does not say its unit: which one was taken is said.
+/// A compensation file does not state its unit, so the unit taken is reported.
 #[test]
 fn the_unit_of_a_compensation_file_is_said() {
     let dir = tempfile::tempdir().unwrap();

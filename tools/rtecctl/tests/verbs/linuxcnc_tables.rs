@@ -1,7 +1,8 @@
-//! Exported tables in a whole LinuxCNC, compared with the model's laws written down here.
+//! Exported tables in a complete LinuxCNC, compared with the model's laws.
+//! The laws are written again here.
 //!
-//! The tests read back what LinuxCNC adds to the motors' command: at the tables' points and between them, both
-//! directions, both types, millimetres and inches.
+//! The tests read the compensation that LinuxCNC adds to the motors' command. They do so at the tables'
+//! points and between them, in both directions, for both types, in millimetres and inches.
 
 use std::path::Path;
 use std::process::Command;
@@ -25,7 +26,8 @@ fn available() -> bool {
     test_needs::installed("linuxcnc", "linuxcnc-uspace")
 }
 
-/// Place (mm), joint, trim by HAL and motor command minus command (µm), in the order of the places.
+/// Position (mm), joint, trim by HAL, and motor command minus command (µm).
+/// The rows are in the order of the positions.
 fn visited(dir: &Path, unit: &str, places_mm: &[f64]) -> Vec<(f64, usize, f64, f64)> {
     let mm = if unit == "inch" { 25.4 } else { 1.0 };
     let lines: Vec<String> = places_mm.iter().map(|p| format!("{:.9}", p / mm)).collect();
@@ -48,7 +50,7 @@ fn export(dir: &Path, words: &str) {
     assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
 }
 
-/// Up through all places and down again.
+/// Up through all positions and down again.
 fn there_and_back(places: &[f64]) -> Vec<f64> {
     let (low, high) = (places[0] - 5.0, places[places.len() - 1] + 5.0);
     let up = std::iter::once(low).chain(places.iter().copied());
@@ -63,7 +65,7 @@ fn linuxcnc_takes_out_the_models_errors_in_both_units_types_and_directions() {
     for unit in ["mm", "inch"] {
         let dir = tempfile::tempdir().unwrap();
         std::fs::write(dir.path().join("m.toml"), MACHINE).unwrap();
-        // 256 points, as many as LinuxCNC takes: 102 mm in steps of 0.4 mm.
+        // 256 points, the most that LinuxCNC accepts: 102 mm in steps of 0.4 mm.
         let range = "--from -40 --to 62 --step 0.4";
         export(dir.path(), &format!("{range} --unit {unit} --out type0.comp"));
         export(dir.path(), &format!("{range} --unit {unit} --format linuxcnc-type1 --out type1.comp"));
@@ -80,14 +82,16 @@ fn linuxcnc_takes_out_the_models_errors_in_both_units_types_and_directions() {
         let mut worst = [0.0f64; 2];
         for (n, (place, joint, trim, motor)) in rows.iter().enumerate() {
             assert!((trim - motor).abs() < 1e-3, "the filter has settled: {trim} and {motor} µm");
-            // The turning points lie outside: the end's value holds there. The first is come to from home, downwards.
+            // The turning points lie outside, where the value of the end applies. The first is approached
+            // from home, downwards.
             let up = (1..=places.len() + 1).contains(&(n / 2));
             let expected = -error_um(place.clamp(-40.0, 62.0), if up { 1.0 } else { -1.0 });
             let off = (motor - expected).abs();
             let at_point = points.iter().any(|p| (p - place).abs() < 1e-4) || !(-40.0..=62.0).contains(place);
             let kind = usize::from(!at_point);
             worst[kind] = worst[kind].max(off);
-            // LinuxCNC looks the table up while the axis moves, the last time a micrometre before the place. Between the points a straight line: 4 µm·(2π/10)²·0.4²/8 mm² off at most.
+            // LinuxCNC evaluates the table while the axis moves, last a micrometre before the position.
+            // Between points it interpolates linearly: the error is at most 4 µm·(2π/10)²·0.4²/8 mm².
             let allowed = 0.01 + if at_point { 0.0 } else { 0.0316 };
             assert!(off < allowed, "{unit}, type {joint}, {place} mm, up {up}: {motor} µm, model {expected}");
         }
@@ -100,7 +104,8 @@ fn linuxcnc_takes_out_the_models_errors_in_both_units_types_and_directions() {
     }
 }
 
-/// What older tables began with: LinuxCNC stops there and compensates nothing, and the test above would fail.
+/// Older tables began with a comment, at which LinuxCNC stops reading.
+/// It then compensates nothing, and the test above would fail.
 #[test]
 fn a_planted_comment_leaves_linuxcnc_without_compensation() {
     if !available() {
@@ -118,7 +123,7 @@ fn a_planted_comment_leaves_linuxcnc_without_compensation() {
         let off = (trim + error_um(place, 1.0)).abs();
         assert!(if joint == 0 { trim == 0.0 && off > 5.0 } else { off < 0.6 }, "joint {joint}: {trim} µm");
     }
-    // In the middle: what stands behind it is not there, the last value before holds.
+    // In the middle: the rest of the table is lost, and the last value before it applies.
     std::fs::write(dir.path().join("type0.comp"), format!("{head}; half way\n{tail}")).unwrap();
     std::fs::remove_file(dir.path().join("compensated")).unwrap();
     let rows = visited(dir.path(), "mm", &[35.0, 55.0]);

@@ -1,12 +1,12 @@
-//! `rtecctl` as a user meets it, a file for each family of verbs.
-//! One program: what waits for LinuxCNC runs beside what calculates.
+//! `rtecctl` as a user sees it, with a file for each family of verbs.
+//! It is one program, so that tests that wait for LinuxCNC run in parallel with those that calculate.
 
 #![allow(clippy::unwrap_used, clippy::float_cmp, reason = "helpers of tests")]
 
 use serde_json::Value;
 
-/// A document as a verb prints it, with its format and its writer at its end.
-/// A list has no place for them.
+/// A document as a verb prints it, with its format and writer at the end.
+/// A list has neither.
 #[track_caller]
 fn document(text: &[u8]) -> Value {
     let found: Value = serde_json::from_slice(text).expect("one JSON document");

@@ -1,11 +1,12 @@
-//! People's mistakes at `rtecctl part`: each is refused, or said.
+//! Users' mistakes at `rtecctl part`: each is refused or reported.
 
 use serde_json::Value;
 use std::fmt::Write as _;
 
 use crate::parts::{drawing, json, part, taper};
 
-/// A diameter for a radius, and the tip's diameter for its radius: the commonest slips, both said.
+/// A diameter given as radius, of the part or of the tip.
+/// These are the commonest mistakes; both are reported.
 #[test]
 fn a_diameter_for_a_radius_is_said() {
     let dir = tempfile::tempdir().unwrap();
@@ -31,7 +32,7 @@ fn a_diameter_for_a_radius_is_said() {
     assert!(code == Some(0) && said.is_empty(), "{code:?} {said}");
 }
 
-/// A part 50 µm too large, of good form, is not accepted.
+/// A part 50 µm too large, but of good form, is not accepted.
 #[test]
 fn a_part_of_the_wrong_size_is_not_accepted() {
     let dir = tempfile::tempdir().unwrap();
@@ -57,8 +58,8 @@ fn a_part_of_the_wrong_size_is_not_accepted() {
     }
 }
 
-/// A bump draws the size to itself: both together are less than it.
-/// And what was not probed again is not accepted.
+/// A bump changes the fitted size, and both together are less than the bump.
+/// A feature that was not probed again is not accepted either.
 #[test]
 fn a_bump_that_the_size_hides_is_not_accepted() {
     let dir = tempfile::tempdir().unwrap();
@@ -87,8 +88,8 @@ fn a_bump_that_the_size_hides_is_not_accepted() {
     assert!(code == Some(2) && said.contains("before from 0.05 to 1.50 rad"), "{code:?} {said}");
 }
 
-/// Points without directions: of a face the probe's path says the side, or nothing does; of a cylinder it is said what is
-/// assumed.
+/// Points without directions.
+/// For a face, the probe's path gives the side, or nothing does. For a cylinder, the assumption is reported.
 #[test]
 fn the_side_of_a_straight_feature_comes_from_the_path() {
     let dir = tempfile::tempdir().unwrap();
@@ -138,7 +139,7 @@ fn the_side_of_a_straight_feature_comes_from_the_path() {
     assert!(out.status.success() && said.contains("taken as touched from outside"), "{said}");
 }
 
-/// `offer.cor` is one feature's table.
+/// `offer.cor` is the table of one feature only.
 #[test]
 fn changes_of_two_features_make_no_offer() {
     let dir = tempfile::tempdir().unwrap();
@@ -155,7 +156,7 @@ fn changes_of_two_features_make_no_offer() {
     assert_eq!(document["offer_table"][0]["feature"], "fillet", "{document}");
 }
 
-/// What a model reads and nobody gave is not taken as zero in silence.
+/// A model's input that was not given is not silently taken as zero.
 #[test]
 fn a_model_without_the_machines_place_or_direction_is_said() {
     let dir = tempfile::tempdir().unwrap();
@@ -184,8 +185,8 @@ fn a_model_without_the_machines_place_or_direction_is_said() {
     assert!(code == Some(2) && said.contains("--origin-mm: found 300, expected Z,X"), "{said}");
 }
 
-/// A drawing in inches that is read as millimetres on request: said.
-/// The same unit twice is no reason for a word.
+/// A drawing in inches that is read as millimetres on request is reported.
+/// The same unit given twice needs no report.
 #[test]
 fn a_unit_other_than_the_headers_is_said() {
     let dir = tempfile::tempdir().unwrap();
@@ -222,8 +223,8 @@ fn a_unit_other_than_the_headers_is_said() {
     assert!(path.starts_with("POINT touch 1, 167.600000, 0.000000"), "{path}");
 }
 
-/// In a hollow arc the tool's nose runs inside, at 5 mm less 0.8 mm about the centre.
-/// It stays off the surface that it cuts by its own radius.
+/// In a hollow arc the nose runs inside, at 5 mm less 0.8 mm from the centre.
+/// It stays away from the surface that it cuts by its own radius.
 #[test]
 fn the_nose_runs_inside_a_hollow_arc() {
     let dir = tempfile::tempdir().unwrap();
@@ -260,7 +261,7 @@ fn the_nose_runs_inside_a_hollow_arc() {
     assert_eq!(table("5 --hollow").status.code(), Some(2));
 }
 
-/// A taper of the other sign, a whole angle, an angle to the face: said.
+/// A taper of the other sign, a whole angle, an angle to the face: all reported.
 #[test]
 fn another_taper_is_said() {
     let dir = tempfile::tempdir().unwrap();
@@ -281,7 +282,7 @@ fn another_taper_is_said() {
     assert!(!said("-20.5").contains("from --taper-deg"));
 }
 
-/// A feature twice, points that a tip cannot tell apart.
+/// A feature given twice, and points that a tip cannot resolve.
 #[test]
 fn points_on_one_place_are_said() {
     let dir = tempfile::tempdir().unwrap();
@@ -300,7 +301,8 @@ fn points_on_one_place_are_said() {
     assert!(code == Some(0) && said.contains("look at --margin-mm"), "{code:?} {said}");
 }
 
-/// A part that was clamped elsewhere, or is another one: its form says nothing of the one before.
+/// A part that was clamped elsewhere, or is another one.
+/// Its form says nothing about the earlier one.
 #[test]
 fn an_arc_in_another_place_is_not_the_one_before() {
     let dir = tempfile::tempdir().unwrap();
@@ -321,7 +323,7 @@ fn an_arc_in_another_place_is_not_the_one_before() {
     }
 }
 
-/// `--origin-mm` X,Z for Z,X: the model is asked where its map has no value.
+/// `--origin-mm` X,Z instead of Z,X: the model is used beyond its map.
 #[test]
 fn an_origin_beyond_the_models_map_is_said() {
     let dir = tempfile::tempdir().unwrap();
@@ -339,7 +341,7 @@ fn an_origin_beyond_the_models_map_is_said() {
     assert!(said("50,600").contains("position_map.x has values from 0 to 150 mm"), "{}", said("50,600"));
 }
 
-/// An arc's place given beside the errors of a straight feature is not read over.
+/// The position of an arc, given with errors of a straight feature, is not ignored.
 #[test]
 fn an_arc_s_place_for_a_taper_is_refused() {
     let dir = tempfile::tempdir().unwrap();

@@ -1,4 +1,5 @@
-//! `rtecctl platform` on a recorded machine: an office PC as Debian installs it, nothing set up yet, with a GPIO card.
+//! `rtecctl platform` on a recorded machine.
+//! It is an office PC with Debian as installed, nothing set up yet, and a GPIO card.
 
 use std::process::{Command, Output};
 

@@ -1,10 +1,10 @@
-//! `rtecctl reconcile --live`: a run from the recorder's own feed, and the verdict, in one command.
+//! `rtecctl reconcile`: its verdicts, what it writes, and live runs.
 
 use std::io::Write as _;
 use std::net::TcpListener;
 use std::process::Command;
 
-/// A gauge that reads 5 µm and a little that changes, until nobody listens.
+/// A gauge that reads 5 µm and a small varying part, until the connection closes.
 fn gauge() -> String {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let address = listener.local_addr().unwrap().to_string();
@@ -12,7 +12,7 @@ fn gauge() -> String {
         for stream in listener.incoming() {
             let Ok(mut stream) = stream else { return };
             for i in 0_u32.. {
-                // Scattered, not stepped: whatever is read of it, no period is in it.
+                // Scattered, not stepped: no period is in it, whichever readings are taken.
                 let mixed = (i ^ i >> 16).wrapping_mul(0x7feb_352d);
                 let mixed = (mixed ^ mixed >> 15).wrapping_mul(0x846c_a68b);
                 let little = f64::from((mixed ^ mixed >> 16) % 1000) / 1000.0 - 0.5;
@@ -41,7 +41,7 @@ fn a_live_run_is_recorded_and_reconciled() {
     assert!(output.status.success(), "{said}");
     assert!(folder.path().join("run.run.toml").exists());
     let verdict = crate::document(&output.stdout);
-    // Every gauge has a zero of its own: it is the set-up's.
+    // Every gauge has its own zero, which belongs to the set-up.
     assert_eq!(verdict["verdict"], "nothing_missing", "{verdict}");
     let zero_um = verdict["set_up"]["run.run.toml"]["zero_um"].as_f64().unwrap();
     assert!((zero_um - 5.0).abs() < 0.2, "{verdict}");
@@ -132,13 +132,14 @@ fn of_x(folder: &std::path::Path, rows: impl Iterator<Item = [f64; 3]>) {
     std::fs::write(folder.join("machine.toml"), "name = \"m\"\n").unwrap();
 }
 
-/// Numbers between −½ and ½ that have nothing to do with one another.
+/// Independent numbers between −½ and ½.
 fn scatter(i: u32) -> f64 {
     let mixed = (i + 1).wrapping_mul(2_654_435_761);
     f64::from((mixed ^ (mixed >> 15)).wrapping_mul(2_246_822_519) >> 8) / f64::from(1 << 24) - 0.5
 }
 
-/// A saw in time has no name: a curve takes its place, and what is written can be loaded again, in a folder that was not there.
+/// A sawtooth in time has no name, so a curve is written in its place.
+/// The result loads again from a folder that did not exist.
 #[test]
 fn an_unexplained_curve_is_written_and_loads_again() {
     let folder = tempfile::tempdir().unwrap();
@@ -162,19 +163,19 @@ fn an_unexplained_curve_is_written_and_loads_again() {
     let document = crate::document(&output.stdout);
     assert_eq!(document["verdict"], "unknown_effect", "{document}");
     assert!(folder.path().join("found/unexplained.toml").exists());
-    // It is judged on rows that it was not fitted to, and leaves more of those.
+    // It is judged on rows that it was not fitted to, where it leaves more.
     let left = |rows: &str| document["gap"][rows]["after"].as_f64().unwrap_or(f64::NAN);
     assert!(left("cross_validation") > left("train"), "{}", document["gap"]);
     let shown = run(&["model", "show", "--machine", "found/model.toml"]);
     let said = String::from_utf8_lossy(&shown.stdout);
     assert!(shown.status.success() && said.contains("unexplained"), "{said}");
-    // What it wrote can be reconciled again, into a directory that is not there yet.
+    // The written model can be reconciled again, into a directory that does not exist yet.
     let again = run(&["reconcile", "run.run.toml", "--model", "found/model.toml", "--out", "again"]);
     assert!(again.status.success(), "{}", String::from_utf8_lossy(&again.stderr));
     assert!(run(&["model", "show", "--machine", "again/model.toml"]).status.success());
 }
 
-/// What drifts, waves or comes back at its places is somewhere; noise is nowhere.
+/// A drift, a wave and errors that repeat at targets are found; noise is not.
 #[test]
 fn the_first_stage_finds_time_period_and_place() {
     let folder = tempfile::tempdir().unwrap();
@@ -189,11 +190,11 @@ fn the_first_stage_finds_time_period_and_place() {
     };
     let time = |i: u32| 60.0 * f64::from(i);
     let place = |i: u32| f64::from(i % 60) * 7.3;
-    // A slow drift: three blocks of it are the whole run.
+    // A slow drift: three of its blocks are the whole run.
     of_x(folder.path(), (0..300).map(|i| [time(i), place(i), 4.0 * (time(i) / 6000.0).sin() + scatter(i)]));
     let said = find();
     assert!(said.contains("error.x against time"), "{said}");
-    // A screw's wave, many to the travel.
+    // A screw's wave, with many periods over the travel.
     let wave = |p: f64| 0.6 * (std::f64::consts::TAU * p / 11.0).sin();
     of_x(
         folder.path(),
@@ -201,12 +202,12 @@ fn the_first_stage_finds_time_period_and_place() {
     );
     let said = find();
     assert!(said.contains("error.x against position.x"), "{said}");
-    // At each target another error, up and down from one to the next.
+    // Another error at each target, up and down from one to the next.
     let target = |i: u32| 30.0 * f64::from(i % 30);
     of_x(folder.path(), (0..300).map(|i| [time(i), target(i), 1.5 * scatter(1000 + i % 30) + scatter(i)]));
     let said = find();
     assert!(said.contains("error.x against position.x"), "{said}");
-    // Of noise as often as the stated rate has it.
+    // In noise, something is found as often as the stated rate allows.
     let noise = |seed: u32, i: u32| scatter(10_000 * (seed + 1) + i);
     let somewhere = (0..20).filter(|seed| {
         of_x(folder.path(), (0..300).map(|i| [time(i), place(i), noise(*seed, i)]));
@@ -215,14 +216,14 @@ fn the_first_stage_finds_time_period_and_place() {
     assert!(somewhere.count() <= 3);
 }
 
-/// A clear reversal in Z is named, whatever goes on in X that has no name.
+/// A clear reversal in Z is named, even if X has an error without a name.
 #[test]
 fn an_unknown_in_x_hides_no_reversal_in_z() {
     let folder = tempfile::tempdir().unwrap();
     let rows = (0..240)
         .map(|i| {
             let (t, p) = (5.0 * f64::from(i), f64::from(i % 24) * 10.0);
-            // Up the targets and down again.
+            // Up through the targets and down again.
             let up = i / 24 % 2 == 0;
             let z = if up { p } else { 230.0 - p };
             let dir = if up { 1.0 } else { -1.0 };
@@ -247,7 +248,7 @@ fn an_unknown_in_x_hides_no_reversal_in_z() {
     assert!(um.is_some_and(|um| (um - 6.0).abs() < 0.5), "{document}");
 }
 
-/// What is said of `run.run.toml` beside `machine.toml` in a folder.
+/// The verdict on `run.run.toml` with `machine.toml` in a folder.
 fn reconciled(folder: &std::path::Path) -> serde_json::Value {
     let output = Command::new(env!("CARGO_BIN_EXE_rtecctl"))
         .args(["reconcile", "run.run.toml", "--model", "machine.toml", "--json"])
@@ -258,10 +259,11 @@ fn reconciled(folder: &std::path::Path) -> serde_json::Value {
     serde_json::from_slice(&output.stdout).unwrap()
 }
 
-/// On a circle z² = r² − x²: a bow in Z is a curve over X as well, and neither is named alone.
+/// On a circle z² = r² − x²: a bow in Z is also a curve over X.
+/// Neither is named without the other.
 #[test]
 fn a_bow_told_by_a_circle_has_its_rival() {
-    // However little it scatters.
+    // For any scatter.
     for scatter_um in [3.0, 1.0, 0.4] {
         bow_on_a_circle(scatter_um);
     }
@@ -297,7 +299,9 @@ fn bow_on_a_circle(scatter_um: f64) {
     assert_eq!(names, ["position_map.x", "straightness.x.z"], "{document}");
 }
 
-/// For and against one name: what is in the answer, what is beside it, what no record shows; what is no effect at all is refused.
+/// The evidence for and against one name.
+/// Cases: a name in the answer, a name next to it, one that no record shows. A name that is no effect is
+/// refused.
 #[test]
 fn why_gives_the_evidence_for_and_against_one_name() {
     let folder = tempfile::tempdir().unwrap();
@@ -351,7 +355,8 @@ fn recorder_options_without_a_live_run_are_refused() {
     }
 }
 
-/// Not after minutes of work, and not after a run that was recorded for it.
+/// A result that would replace the model is refused before the work.
+/// It is also refused before a run is recorded for it.
 #[test]
 fn a_result_in_the_place_of_the_model_is_refused_before_the_work() {
     let folder = tempfile::tempdir().unwrap();
@@ -367,12 +372,12 @@ fn a_result_in_the_place_of_the_model_is_refused_before_the_work() {
             .unwrap();
         (output.status.code(), String::from_utf8_lossy(&output.stderr).into_owned())
     };
-    // The record is not there: whoever came as far as to read it would say so.
+    // The record does not exist, so reading it would give that error instead.
     for arguments in [["none.run.toml"].as_slice(), &["--live", "new.run.toml", "--duration", "1"]] {
         let (code, said) = reconcile(arguments);
         assert_eq!(code, Some(2), "{said}");
         assert!(said.contains("found/model.toml: found a file that this command reads"), "{said}");
     }
-    // What this stage does not write is not in its way.
+    // Files that this stage does not write cannot collide.
     assert_eq!(reconcile(&["run.run.toml", "--stage", "find"]), (Some(0), String::new()));
 }

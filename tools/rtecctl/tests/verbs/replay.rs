@@ -1,5 +1,5 @@
-//! `rtecctl replay` as a user meets it.
-//! `RTEC_BLESS=1 cargo test` writes the golden files anew.
+//! `rtecctl replay` as a user sees it.
+//! `RTEC_BLESS=1 cargo test` rewrites the golden files.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
@@ -26,7 +26,7 @@ fn same(name: &str, found: &str) {
     if std::env::var_os("RTEC_BLESS").is_some() {
         std::fs::write(&golden, found).unwrap();
     }
-    // Not assert_eq: a whole trace is no message.
+    // Not assert_eq, because its message would print a whole trace.
     assert!(found == std::fs::read_to_string(&golden).unwrap_or_default(), "{name} differs");
 }
 
@@ -46,7 +46,7 @@ fn a_recorded_trace_is_replayed_bit_for_bit() {
         if design == "c" {
             same("c.vcd", &std::fs::read_to_string(&vcd).unwrap());
         }
-        // The same motion as a VCD gives the same.
+        // The same motion as a VCD gives the same result.
         let again = directory.path().join("motion.vcd");
         assert!(rtecctl(&["trace", "convert"], &[]).status.code() == Some(2));
         let made = Command::new(env!("CARGO_BIN_EXE_rtecctl"))
@@ -83,14 +83,14 @@ fn the_document_has_the_keys_of_the_contract() {
     ] {
         assert!(document.get(key).is_some(), "no {key} in {document}");
     }
-    // 140 is served, 9999 is beyond ±1000 and is not.
+    // 140 is inserted; 9999 is beyond ±1000 and is refused.
     assert_eq!(
         (&document["requested"], &document["refused"][0]["why"]),
         (&140.into(), &"above_maximum".into())
     );
     assert_eq!(document["completed"], 140);
     assert!(document["min_edge_separation_ns"].as_u64().unwrap() >= 500);
-    // People get a table.
+    // Without --json the output is a table.
     let run = rtecctl(&["replay"], &[("--trace", &motion), ("--requests", &requests)]);
     assert!(text(&run.stdout).contains("balances"), "{}", text(&run.stdout));
 }
@@ -107,12 +107,12 @@ fn a_configuration_brings_its_belief_window() {
     let paths: &[(&str, &Path)] = &[("--trace", &motion), ("--requests", &requests), ("--config", &config)];
     let run = rtecctl(&["replay", "--json"], paths);
     let document = crate::document(&run.stdout);
-    // 10 → −30 is a change of 40, and so is −30 → … : the window of 30 refuses what is too far from the last.
+    // 10 → −30 is a change of 40. The window of 30 refuses a total too far from the last accepted one.
     let refused: Vec<_> = document["refused"].as_array().unwrap().iter().map(|r| &r["why"]).collect();
     assert_eq!(refused, ["not_believed", "not_believed", "above_maximum"], "{document}");
     assert_eq!((run.status.code(), &document["requested"]), (Some(0), &11.into()));
 
-    // Three in a row: "I still don't believe you", a latched fault, exit 4; the ledger still balances.
+    // Three refusals in a row latch a fault ("I still don't believe you"), exit 4; the ledger still balances.
     let wild = directory.path().join("wild.csv");
     std::fs::write(&wild, "t_ns,requested\n0,20\n1000000,500\n2000000,501\n3000000,502\n").unwrap();
     let run =
@@ -124,7 +124,7 @@ fn a_configuration_brings_its_belief_window() {
     let number = |key: &str| document[key].as_i64().unwrap();
     assert_eq!(number("counts_out") - number("counts_in"), number("completed"));
 
-    // An axis that is not there, and a configuration with a mistake.
+    // An unknown axis, and a configuration with a mistake.
     let run = rtecctl(&["replay", "--axis", "y"], paths);
     assert_eq!(run.status.code(), Some(2));
     assert!(text(&run.stderr).contains("found no axis y, expected x"), "{}", text(&run.stderr));
@@ -188,7 +188,7 @@ fn an_illegal_transition_is_a_latched_fault_not_a_guess() {
 }
 
 /// B never changes while A does 300 times, or the other way round.
-/// 40 counts are asked for at 1 ms.
+/// 40 counts are requested at 1 ms.
 #[test]
 fn latches_a_broken_wire_and_inserts_nothing() {
     let directory = tempfile::tempdir().unwrap();
@@ -243,9 +243,9 @@ fn designs_that_drive_the_signals_themselves_replay_too() {
     }
 }
 
-/// The Error Correction Circuit's controller asks only when a compensation is sure to end well.
-/// On a slow axis it waits, and the ledger balances (CMTI 2014, section 2.2.2: the PLL doubles from 700 Hz of the XOR
-/// signal).
+/// The Error Correction Circuit requests only compensations sure to succeed.
+/// On a slow axis it waits, and the ledger balances (CMTI 2014, section 2.2.2: the PLL doubles from 700 Hz of
+/// the XOR signal).
 #[test]
 fn the_ecc_waits_on_a_slow_axis_and_balances() {
     let directory = tempfile::tempdir().unwrap();
@@ -284,7 +284,7 @@ fn all_requests_refused_is_a_no() {
     }
 }
 
-/// A bad row right after the first is named like any other.
+/// A bad row right after the first is named like any other row.
 #[test]
 fn a_bad_second_row_is_named() {
     let directory = tempfile::tempdir().unwrap();
@@ -298,7 +298,7 @@ fn a_bad_second_row_is_named() {
     }
 }
 
-/// A reader that has seen enough is no error, of whatever verb.
+/// A reader that closes the pipe is not an error, for any verb.
 #[test]
 fn a_reader_that_goes_away_is_no_error() {
     let (motion, requests) = (golden("motion.csv"), golden("requests.csv"));
@@ -334,7 +334,8 @@ fn a_motion_that_no_axis_makes_is_refused() {
     }
 }
 
-/// A player adds to the times of a trace: the latest that the format allows leaves no room for that.
+/// A replay adds to the times of a trace.
+/// The latest time that the format allows leaves no room for that.
 #[test]
 fn refuses_to_play_the_latest_times() {
     let directory = tempfile::tempdir().unwrap();

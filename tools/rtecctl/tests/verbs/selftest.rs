@@ -1,5 +1,5 @@
 //! `rtecctl selftest latency`: the ledger, the document and the text's shape.
-//! No figure is asserted: time is the machine's.
+//! No figure is asserted, because times depend on the computer.
 
 use serde_json::Value;
 use std::process::{Command, Output};
@@ -17,7 +17,8 @@ fn text(out: &Output) -> String {
     String::from_utf8(out.stdout.clone()).expect("UTF-8")
 }
 
-/// What a line looks like: every number as one 9, every run of blanks as it may vary with the numbers' width.
+/// The shape of a line, for comparison.
+/// Every number becomes one 9, and runs of blanks may vary with its width.
 fn shape(line: &str) -> String {
     let mut shape = String::new();
     for c in line.chars() {
@@ -63,12 +64,12 @@ fn the_document_has_every_key_and_the_far_side_counted_what_the_engine_completed
             assert!(document[key]["samples"].as_u64() > Some(0), "{backend}: no insertion, {key}");
         }
         assert!(document["requests"].as_u64() > Some(0), "{backend}: no request streamed in");
-        // The gate is given the worse of the two.
+        // The gate gets the worse of the two.
         let detect_ns = document["rt"]["detect_ns"].as_u64();
         assert!(detect_ns >= document["poll_gap_ns"]["max"].as_u64());
         assert!(detect_ns >= document["poll_gap_with_requests_ns"]["max"].as_u64());
         assert_eq!(document["far_side"]["illegal"], 0);
-        // The MTC was given its separation after the edge and between the inversions, at every single insertion.
+        // At every single insertion the MTC had its separation after the edge and between the inversions.
         assert!(document["edge_to_done_ns"]["min"].as_u64() >= document["separations_ns"].as_u64());
     }
 }
@@ -109,7 +110,7 @@ fn without_privileges_it_measures_all_the_same_and_names_what_is_missing() {
     assert_eq!(document["ledger_balanced"], true, "{document}");
     let missing =
         |name: &str| document["missing_to_arm"].as_array().is_some_and(|m| m.iter().any(|f| f == name));
-    // Someone with a real-time limit of his own gets the priority without being root.
+    // A user with a real-time limit gets the priority without being root.
     if root || missing("scheduler") {
         assert!(missing("scheduler"));
         assert_eq!((out.status.code(), &document["verdict"]), (Some(1), &Value::from("fail")));
@@ -134,7 +135,8 @@ fn text_and_histogram_file_have_the_shape_of_cyclictest() {
     assert!(without.contains("# Histogram\n000000 ") && rows == 400, "without a file, {rows} rows");
     assert_eq!(std::fs::read_dir(dir.path()).expect("a directory").count(), 1, "no temporary file stays");
     assert_eq!(out.lines().filter(|l| l.starts_with("T:")).count(), 3);
-    // What plotting scripts do: rows are the lines that are neither empty nor a comment, the maximum has its comment.
+    // As plotting scripts read it: rows are lines that are neither empty nor comments, and the maximum is in
+    // a comment.
     let rows: Vec<&str> = histogram.lines().filter(|l| !l.is_empty() && !l.starts_with('#')).collect();
     assert_eq!(rows.len(), 400);
     assert!(rows.iter().enumerate().all(|(us, row)| row.starts_with(&format!("{us:06} "))));
@@ -203,7 +205,7 @@ fn a_histogram_file_that_cannot_be_written_is_known_before_the_measurement() {
     assert!(stderr.contains("/nonexistent/histogram") && !stderr.contains("wake-up"), "{stderr}");
 }
 
-/// A card that is a file of registers, and the configuration that names it.
+/// A card that is a file of registers, and a configuration that names it.
 struct Bench {
     directory: tempfile::TempDir,
 }
@@ -237,7 +239,7 @@ impl Bench {
     }
 }
 
-/// Feed hold and both inverters on, as a daemon may have left them.
+/// Feed hold and both inverters on, as a daemon may leave them.
 const LEFT_ON: [u8; 8] = [0, 0, 0, 0, 3, 0, 0, 0x10];
 
 #[test]
@@ -324,7 +326,7 @@ fn drives_the_card_only_when_the_mtc_is_said_to_be_off() {
     );
     assert!(document["rt"]["write_ns"].is_u64() && document["ledger_balanced"] == true, "{document}");
     let (_, out, _) = bench.latency(&["--drive", "--mtc-is-off"]);
-    // As they are, they go below [rt].
+    // The lines can be copied unchanged below [rt].
     let lines = out.lines().skip_while(|l| !l.contains("these three lines")).skip(1).take(3);
     let lines: Vec<&str> = lines.collect();
     let keys: Vec<&str> = lines.iter().filter_map(|l| l.split(" = ").next()).collect();

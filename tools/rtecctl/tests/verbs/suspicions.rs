@@ -1,4 +1,5 @@
-//! What a record shows of mistakes is said where records are read, and a fit does not learn from it.
+//! Signs of mistakes in a record are reported where records are read.
+//! A fit does not learn from them.
 
 use serde_json::Value;
 use std::fmt::Write as _;
@@ -9,7 +10,8 @@ fn rtecctl(dir: &Path, words: &str) -> Output {
     Command::new(env!("CARGO_BIN_EXE_rtecctl")).current_dir(dir).args(words.split(' ')).output().unwrap()
 }
 
-/// A drift of three sensors, one of them off, with three rows doubled: growth of 3 µm/K of T1 over the air.
+/// A drift with three sensors: growth of 3 µm/K of T1 over the air.
+/// One sensor is off, and three rows are doubled.
 fn drift(dir: &Path) {
     let mut csv = String::from("t,T1,off,air,e\n");
     let mut deep = 0.0;
@@ -60,11 +62,12 @@ fn a_fit_warns_and_leaves_out_what_is_no_measurement() {
     assert_eq!(document["suspicions"].as_array().map(Vec::len), Some(2));
 }
 
-/// A record with one misread row, and its twin without that row: the same names in two folders.
+/// A record with one misread row, and its twin without that row.
+/// They have the same names in two folders.
 struct Twins([tempfile::TempDir; 2]);
 
 impl Twins {
-    /// Rows of a header, the misread one by its place among them.
+    /// Rows with a header; the misread one is given by its index.
     fn new(kind: &str, extra: &str, columns: &str, rows: &[String], misread: (usize, &str)) -> Self {
         let twins = Self([tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap()]);
         for (dir, has_it) in twins.0.iter().zip([true, false]) {
@@ -96,7 +99,8 @@ impl Twins {
         twins
     }
 
-    /// What a command prints of both, but for what it says of the row itself, and of the file's own hash.
+    /// The documents that a command prints of both.
+    /// They are without notes about the row itself, and without the file's hash.
     fn documents(&self, words: &str) -> [Value; 2] {
         fn bare(value: &mut Value) {
             match value {
@@ -125,7 +129,8 @@ impl Twins {
         assert_eq!(with, without, "{words}");
     }
 
-    /// As [`Self::are_alike`], where what follows from time and angle was found with the row's own, which are good.
+    /// As [`Self::are_alike`], but for values that follow from time and angle.
+    /// They were found with the row's own time and angle, which are good.
     fn are_near(&self, words: &str) {
         fn near(a: &Value, b: &Value) -> bool {
             match (a, b) {
@@ -160,7 +165,8 @@ fn rough(i: u32) -> f64 {
     0.2 * (f64::from((i * 7919 + i * i * 31) % 13) / 6.0 - 1.0)
 }
 
-/// A row that is called misread is in no figure and no plot of any verb: each says what it says of the record without that row.
+/// A misread row is in no figure and no plot of any verb.
+/// Each verb gives the results of the record without that row.
 #[test]
 fn a_misread_row_is_in_no_figure_of_any_verb() {
     let mut rows = vec!["t,x,d,e".to_owned()];
@@ -178,7 +184,7 @@ fn a_misread_row_is_in_no_figure_of_any_verb() {
     positioning.are_alike("model validate --machine m.toml --record r.run.toml --json");
     positioning.draw_alike("characterise evaluate r.run.toml --plot p.svg", "p.svg");
     positioning.draw_alike("model validate --machine m.toml --record r.run.toml --plot v.svg", "v.svg");
-    // What a standard would say of all rows stands beside.
+    // The standard's figure with all rows is given too.
     let out = rtecctl(positioning.0[0].path(), "characterise evaluate r.run.toml --json");
     let document = crate::document(&out.stdout);
     let all = document["with_every_row"]["R"].as_f64().unwrap();
@@ -197,7 +203,7 @@ fn a_misread_row_is_in_no_figure_of_any_verb() {
     let drift = Twins::new("drift", "", columns, &rows, (120, "7200,25.189,20.241,-388.2"));
     drift.are_alike("characterise evaluate r.run.toml --json");
     drift.are_alike("history r.run.toml --json");
-    // A history, too, says what its figure would be with that row.
+    // A history also gives its figure with that row.
     let out = rtecctl(drift.0[0].path(), "history r.run.toml --json");
     let document = crate::document(&out.stdout);
     let point = &document["figures"][0]["points"][0];
@@ -232,8 +238,8 @@ fn a_misread_row_is_in_no_figure_of_any_verb() {
     ballbar.are_near("history r.run.toml --json");
 }
 
-/// A run of scale and reversal over so many targets.
-/// Positions, direction and error as they are written.
+/// A run of scale and reversal over a number of targets.
+/// `write` turns position, direction and error into written values.
 fn positioning(dir: &Path, ppm: f64, write: impl Fn(f64, f64, f64) -> (f64, f64, f64)) {
     let mut csv = String::from("x,d,e\n");
     for cycle in 0..3 {
@@ -253,8 +259,8 @@ fn positioning(dir: &Path, ppm: f64, write: impl Fn(f64, f64, f64) -> (f64, f64,
     std::fs::write(dir.join("p.run.toml"), side).unwrap();
 }
 
-/// What looks wrong is not carried on into a model.
-/// What no model can hold is not written even when it is asked for.
+/// No model is made from data that look wrong.
+/// A model that could not be loaded is not written even on request.
 #[test]
 fn no_model_is_written_from_what_looks_wrong_nor_one_that_cannot_be_loaded() {
     let dir = tempfile::tempdir().unwrap();
@@ -268,7 +274,7 @@ fn no_model_is_written_from_what_looks_wrong_nor_one_that_cannot_be_loaded() {
     positioning(dir.path(), 80.0, |x, d, e| (x / 25.4, d, e));
     let (code, said, there) = fit("");
     assert!(code == Some(2) && !there && said.contains("inches") && said.contains(despite.trim()), "{said}");
-    // 80 ppm are 2032 ppm by these positions.
+    // 80 ppm are 2032 ppm with these positions.
     let (code, said, there) = fit(despite);
     assert!(code == Some(2) && !there && said.contains("is not written") && said.contains("203"), "{said}");
     positioning(dir.path(), 80.0, |x, d, e| (x, f64::midpoint(d, 1.0), e));

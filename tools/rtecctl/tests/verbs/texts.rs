@@ -1,4 +1,5 @@
-//! What verbs print for a person: no JSON without --json, and things called what they are.
+//! Output of verbs for people: no JSON without --json.
+//! Every thing has its proper name.
 
 use std::fmt::Write as _;
 use std::path::Path;
@@ -64,7 +65,7 @@ fn figures_are_for_people_and_json_for_programs() {
 }
 
 /// A usage error is the parser's, with its code, and ends with an example.
-/// Where the help is shown it has one already.
+/// Help that is shown already has one.
 #[test]
 fn a_usage_error_ends_with_an_example() {
     for (words, ends, times) in [
@@ -88,7 +89,7 @@ fn a_usage_error_ends_with_an_example() {
 #[test]
 fn a_fit_is_called_what_it_is_and_rows_are_rows() {
     let dir = tempfile::tempdir().unwrap();
-    // Two hours of growth, a row a minute; the same without its times.
+    // Two hours of growth, one row per minute; the same without times.
     let (mut timed, mut bare) = ("t,T1,e\n".to_owned(), "T1,e\n".to_owned());
     for n in 0..240 {
         let warm = 8.0 * (1.0 - (-f64::from(n) / 50.0).exp()) + 0.05 * (f64::from(n) * 2.399).sin();
@@ -134,7 +135,7 @@ fn a_fit_is_called_what_it_is_and_rows_are_rows() {
     assert!(model.contains("name = \"fit of thermal_growth.z:T1\""), "{model}");
 }
 
-/// What a command reads stays as it is, be it named by another path.
+/// A command's inputs are never overwritten, even by another path.
 #[test]
 fn nothing_that_was_read_is_written_over() {
     let dir = tempfile::tempdir().unwrap();
@@ -170,8 +171,8 @@ fn nothing_that_was_read_is_written_over() {
     }
 }
 
-/// A limit that nothing was held against is not kept.
-/// A name that is not there is bad input.
+/// A limit that was applied to nothing does not count as kept.
+/// An unknown name is bad input.
 #[test]
 fn a_history_within_its_limits_has_judged_something() {
     let dir = tempfile::tempdir().unwrap();
@@ -185,7 +186,7 @@ fn a_history_within_its_limits_has_judged_something() {
         (run.status.code(), String::from_utf8(run.stderr).unwrap())
     };
     std::fs::write(at("lim.toml"), "[limits]\n\"x.A\" = 1000.0\n").unwrap();
-    // No record has a date yet: all are left out.
+    // No record has a date yet, so all are left out.
     let (code, said) = ended("history sim --limits lim.toml");
     assert!(code == Some(1) && said.contains("no record here has x.A"), "{said}");
     let text = std::fs::read_to_string(&sidecar).unwrap();

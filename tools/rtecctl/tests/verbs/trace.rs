@@ -1,4 +1,4 @@
-//! `rtecctl trace` as a user meets it, and on a real axis's record.
+//! `rtecctl trace` as a user sees it, and on a real axis's record.
 
 use rtec_driver::quadrature::Decoder;
 use rtec_files::trace::TraceReader;
@@ -25,7 +25,7 @@ fn a_trace_goes_there_and_back() {
     assert_eq!(document, want);
     assert!(trace(&["convert", &vcd, &back]).status.success());
     assert_eq!(std::fs::read_to_string(&back).unwrap(), text);
-    // Not in its own place: what was read stays.
+    // The output may not replace the input, which stays.
     assert_eq!(trace(&["convert", &back, &back]).status.code(), Some(2));
     assert_eq!(std::fs::read_to_string(&back).unwrap(), text);
 }
@@ -56,7 +56,8 @@ fn bad_input_ends_with_2_says_where_and_leaves_no_file() {
     }
 }
 
-/// At every sample of the record the trace has counted to within the interpolator's hysteresis of it.
+/// At every sample the trace's count agrees with the record.
+/// The difference is within the interpolator's hysteresis.
 #[test]
 fn a_real_axis_is_followed_to_the_count() {
     const HYSTERESIS_COUNTS: f64 = 0.25;
@@ -81,7 +82,7 @@ fn a_real_axis_is_followed_to_the_count() {
         }
         let counts = position_m * 1e6;
         let start = *start.get_or_insert(counts.floor());
-        // A count stands for the micrometre above it; the hysteresis widens that by half of itself on either side.
+        // A count means the micrometre above it; the hysteresis widens that by half of itself on either side.
         let within = counts - start - scale.count() as f64;
         let half = HYSTERESIS_COUNTS / 2.0 + 1e-6;
         assert!((-half..=1.0 + half).contains(&within), "{within} counts off at {t_s} s");

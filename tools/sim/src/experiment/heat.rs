@@ -1,4 +1,4 @@
-//! What heat does to a machine: spindle cycles, tool changes, drilling.
+//! Experiments with heat: spindle cycles, tool changes, drilling.
 
 use super::runs::{Log, Row, both, digits, feed, nothing, places, seed_of};
 use super::{ExperimentError, Findings, GAUGE_SPACING_MM, Gauged, Setting};
@@ -31,8 +31,8 @@ fn soak(sim: &mut Sim, log: &mut Log, cycle: &[(f64, f64)], coolant: bool) -> Re
     Ok(())
 }
 
-/// The readings of the five gauges.
-/// The near ones are at the tool. A tilt in the true machine's chain moves the mandrel at the far ones too.
+/// Readings of the five gauges.
+/// The near ones are at the tool. A tilt in the true machine's chain also moves the mandrel at the far ones.
 fn gauged(rows: &[Row], setting: &Setting<'_>, run: &str) -> Vec<Gauged> {
     let arcsec = |um: f64| um / (GAUGE_SPACING_MM * 1e3) * 648_000.0 / std::f64::consts::PI;
     let mut noise = Noise::new(seed_of(setting, run), 0x6A06E);
@@ -59,7 +59,7 @@ fn placed(row: &Row, axis: &Axis) -> f64 {
     NAMES.iter().position(|n| *n == axis.as_str()).map_or(0.0, |p| row.now.position_mm[p])
 }
 
-/// A temperature difference by what the sensors read, K.
+/// A temperature difference from the sensors' readings, K.
 fn difference(degc: &[f64], of: &Difference) -> f64 {
     let read = |name: &str| SENSORS.iter().position(|s| s.0 == name).map_or(STANDARD_DEGC, |k| degc[k]);
     read(&of.sensor)
@@ -96,7 +96,7 @@ pub(super) fn drift(setting: &Setting<'_>) -> Result<Findings, ExperimentError> 
     Ok(findings)
 }
 
-/// Minutes at speeds that [`FIGURE_9`] does not have, and rests, in another order.
+/// A cycle with speeds, minutes and rests that differ from [`FIGURE_9`].
 const PRODUCTION: &[(f64, f64)] = &[
     (2000.0, 25.0),
     (4500.0, 50.0),
@@ -138,15 +138,15 @@ pub(super) fn tool_change(setting: &Setting<'_>) -> Result<Findings, ExperimentE
         Ok(())
     })?;
     let x = |r: &Row| r.cycle;
-    // How well the holder seats in the spindle: a micrometre or so in each direction.
+    // Repeatability of the holder in the spindle: about a micrometre in each direction.
     let what = (&[0, 1, 2][..], 1.2);
     runs.publish(setting, Kind::Positioning, what, ("tool change", &x), &mut findings)?;
     Ok(findings)
 }
 
 /// The wet runs for the model of WO 97/43703 (text before equation 2).
-/// The spindle cycle and the production cycle are the others. Warm-up, speeds and cool-down are one record, because a
-/// lag is known only from a start in equilibrium.
+/// They are in addition to the spindle cycle and the production cycle. Warm-up, speeds and cool-down are one
+/// record, because a lag is known only from a start in equilibrium.
 const WET_RUNS: [(&str, &[(f64, f64)]); 2] = [
     (
         "warm-day",
@@ -190,14 +190,14 @@ pub(super) fn wet_runs(setting: &Setting<'_>) -> Result<Findings, ExperimentErro
     Ok(findings)
 }
 
-/// The thermal state that a drilling test starts from.
+/// Initial thermal state of a drilling test.
 pub(super) struct Start {
     /// Name of the experiment and its record.
     pub(super) name: &'static str,
-    /// What the spindle did before, wet: rpm and minutes.
+    /// The spindle's earlier cycle, wet: rpm and minutes.
     pub(super) before: &'static [(f64, f64)],
-    /// The hall stood at this temperature, machine and all.
-    /// It is heated for an hour before the start.
+    /// Temperature at which hall and machine stood, °C.
+    /// The hall is heated for an hour before the start.
     pub(super) stood_degc: Option<f64>,
 }
 
@@ -209,8 +209,8 @@ const PASSES: usize = 2;
 const CYCLES: usize = 3;
 const INCH_MM: f64 = 25.4;
 
-/// Where a hole is drilled.
-/// Figure 12: a plate of 24 in by 8 in; each pass drills near its corners, the next an inch further in X.
+/// Position of a hole.
+/// Figure 12: a plate of 24 in by 8 in. Each pass drills near its corners, the next one an inch further in X.
 fn hole_mm(cycle: usize, pass: usize, n: usize) -> [f64; 3] {
     let (left, low) = (n == 0 || n == 3, n < 2);
     let x = if left { -11.0 } else { 6.0 } + (PASSES * cycle + pass) as f64;
@@ -318,8 +318,8 @@ fn by_hole(start: &Start, logs: &[Log], findings: &mut Findings) -> Result<(), E
     Ok(())
 }
 
-/// The residuals that the model's own fits promise, and where they cannot.
-/// Correction gains nothing where the machine moves by less. `first`: the row at hole 1.
+/// Residuals that the model's own fits promise, and where they cannot.
+/// A correction gains nothing if the machine moves by less. `first`: the row at hole 1.
 fn promised(setting: &Setting<'_>, first: &Row, findings: &mut Findings) {
     let fits = setting.known.map_or(&[][..], Machine::fits);
     let mut say = |title: &str, of: &dyn Fn(&FitNote) -> Option<f64>| {

@@ -1,4 +1,4 @@
-//! How often the corrector inserts, and where (NISTIR 4832).
+//! Number and positions of insertions (NISTIR 4832).
 
 use super::runs::{Row, along, both, digits, feed, nothing};
 use super::{ExperimentError, Findings, Setting};
@@ -20,11 +20,11 @@ pub fn one_metre(count_um: f64, travel_mm: f64) -> Spec {
 }
 
 pub(super) fn linear_error(setting: &Setting<'_>) -> Result<Findings, ExperimentError> {
-    // A quarter of the travel at a cutting feed.
+    // A quarter of the travel, at a cutting feed.
     over_a_part(setting, &one_metre(1.0, 1000.0), 250.0, 500.0)
 }
 
-/// X over the length of a part at a cutting feed: number and places of insertions.
+/// Number and positions of insertions over the length of a part at a cutting feed.
 ///
 /// # Errors
 /// As [`super::Experiment::run`].

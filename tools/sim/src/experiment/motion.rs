@@ -12,7 +12,8 @@ use rtec_model::record::Kind;
 pub(super) fn linear_displacement(setting: &Setting<'_>) -> Result<Findings, ExperimentError> {
     let mut findings = nothing();
     for (axis, p) in setting.spec.axes.iter().zip(places(setting.spec)) {
-        // ISO 230-2: targets over the travel, each off an even pitch by a random amount so that no period hides.
+        // ISO 230-2: targets over the travel, each off an even pitch by a random amount, so that no period is
+        // hidden.
         let [lo, hi] = axis.travel_mm.map(|t| t * 0.95);
         let pitch = (hi - lo) / 12.0;
         let mut noise = Noise::new(setting.seed, 0x150 + p as u64);
@@ -71,7 +72,7 @@ pub(super) fn ballbar(setting: &Setting<'_>) -> Result<Findings, ExperimentError
                     };
                     sim.machine.load([arc]);
                     let every_s = std::f64::consts::TAU * radius / feed_mm_s / 360.0;
-                    // The first and the last degrees speed up and slow down.
+                    // In the first and the last degrees the axes accelerate and decelerate.
                     while !sim.machine.finished() {
                         sim.advance(every_s)?;
                         if sim.machine.finished() {
@@ -80,7 +81,8 @@ pub(super) fn ballbar(setting: &Setting<'_>) -> Result<Findings, ExperimentError
                         take(sim, log);
                     }
                     sim.finish()?;
-                    // Where it stops the axes turn back for the other way: without this row nobody knows where.
+                    // At the end the axes turn back for the other direction. Without this row the place of
+                    // that reversal would be unknown.
                     take(sim, log);
                 }
                 Ok(())
@@ -129,7 +131,7 @@ pub(super) fn feed_sweep(setting: &Setting<'_>) -> Result<Findings, ExperimentEr
             {
                 for way in [half, -half] {
                     sim.machine.load([feed(along(p, way), mm_min)]);
-                    // Forty rows over the stretch, whatever the feed; speeding up and slowing down included.
+                    // Forty rows over the stretch at any feed, including acceleration and deceleration.
                     let every_s = 2.0 * half / (mm_min / 60.0) / 40.0;
                     while !sim.machine.finished() {
                         sim.advance(every_s)?;

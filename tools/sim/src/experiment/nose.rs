@@ -9,8 +9,8 @@ use serde_json::{Map, Value, json};
 use std::path::Path;
 
 /// A probing session as a record of the part.
-/// Rows differ in the angle and, last, in the radial error. Time, place and temperatures are those at the end,
-/// because the place at each trip says no more than the angle.
+/// Rows have the angle and, last, the radial error. Time, position and temperatures are those at the end,
+/// because the position at each trip adds nothing to the angle.
 fn part_record(session: Record, path: &Path) -> Result<Record, InputError> {
     let mut columns = session.columns;
     columns.sort_by_key(|c| match c.role {
@@ -35,7 +35,7 @@ fn part_record(session: Record, path: &Path) -> Result<Record, InputError> {
 }
 
 /// The loop of NISTIR 4854 without and with correction.
-/// It corrects by the known form of the part, or else by the errors probed after the semi-finish cut.
+/// It corrects by the known form of the part, or otherwise by the errors probed after the semi-finish cut.
 pub(super) fn hemisphere(setting: &Setting<'_>) -> Result<Findings, ExperimentError> {
     let mut findings = nothing();
     let setup = Setup { machine: setting.truth.clone(), design: "c".to_owned(), ..Setup::default() };
@@ -46,7 +46,7 @@ pub(super) fn hemisphere(setting: &Setting<'_>) -> Result<Findings, ExperimentEr
         let setup = Setup { model: known.cloned(), seed, ..setup.clone() };
         let turned = setup.turn_nose(!suffix.is_empty())?;
         let path = setting.out.join(format!("hemisphere{suffix}.run.toml"));
-        // A session whose trips are all there has a record.
+        // Only a session with all its trips has a record.
         let Some(record) = turned.record else { continue };
         let record = part_record(record, &path)?;
         let errors = record.responses().flat_map(|c| c.data.iter());

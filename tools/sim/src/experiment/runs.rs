@@ -1,5 +1,5 @@
 //! Both runs of an experiment, without and with compensation.
-//! It makes their rows, records and plots.
+//! The module makes their rows, records and plots.
 
 use super::{ExperimentError, Findings, Setting};
 use crate::errors::NAMES;
@@ -23,12 +23,12 @@ pub(super) struct Row {
     pub(super) load_n: [f64; AXES],
     pub(super) cycle: f64,
     pub(super) angle: Option<f64>,
-    /// Direction of approach as commanded; the machine's own where not given.
+    /// Commanded direction of approach; the machine's own if not given.
     pub(super) direction: Option<[f64; AXES]>,
     pub(super) requested_um: [f64; AXES],
 }
 
-/// Rows measured so far, and how they become a record.
+/// Rows measured so far, to become a record.
 #[derive(Debug, Default)]
 pub(super) struct Log {
     pub(super) rows: Vec<Row>,
@@ -56,7 +56,7 @@ impl Log {
     }
 }
 
-/// What is measured: axes (0 X, 1 Y, 2 Z), and the instrument's noise, µm.
+/// Measured axes (0 X, 1 Y, 2 Z), and the instrument's noise, µm.
 pub(super) struct Measured<'a> {
     pub(super) axes: &'a [usize],
     pub(super) noise_um: f64,
@@ -64,15 +64,15 @@ pub(super) struct Measured<'a> {
     pub(super) channels: &'a [String],
 }
 
-/// Digits that the CSV shows: `v` rounded to `1/per` exactly as its decimal is.
+/// `v` rounded to `1/per`: exactly the value of the decimal in the CSV.
 pub(super) fn digits(v: f64, per: f64) -> f64 {
-    // Plus zero: one representation for it.
+    // Adding zero turns −0 into 0.
     (v * per).round() / per + 0.0
 }
 
 impl Log {
     /// The record of these rows.
-    /// It has every quantity that an effect may read and that was not zero throughout.
+    /// It has every quantity that an effect may read and that is not always zero.
     pub(super) fn record(
         &self,
         path: &Path,
@@ -95,7 +95,7 @@ impl Log {
             let dir = |r: &Row| r.direction.map_or(r.now.direction[p], |d| d[p]);
             add(n, Role::Position(axis.clone()), "mm", column(&|r| r.now.position_mm[p], 1e6), false);
             add(&format!("dir_{n}"), Role::Direction(axis.clone()), "1", column(&dir, 1.0), false);
-            // Measured at a standstill there is no speed worth a column.
+            // At a standstill a speed is not worth a column.
             let moves = rows.iter().any(|r| r.now.velocity_mm_s[p].abs() > 0.01);
             if moves {
                 let (v, a) = (Role::Velocity(axis.clone()), Role::Acceleration(axis.clone()));
@@ -133,8 +133,8 @@ impl Log {
     }
 }
 
-/// Both runs of an experiment, without compensation and with.
-/// The second exists where something is known of the machine.
+/// Both runs of an experiment, without and with compensation.
+/// The second exists if a model of the machine is known.
 pub(super) struct Both {
     name: String,
     pub(super) logs: Vec<Log>,
@@ -142,11 +142,11 @@ pub(super) struct Both {
 }
 
 /// The seed of one run, from an FNV-1a hash of its name.
-/// Runs of one experiment, and experiments of one seed, so share no noise.
+/// Runs of one experiment, and experiments with one seed, thus share no noise.
 pub(super) fn seed_of(setting: &Setting<'_>, run: &str) -> u64 {
     let hash = |h: u64, byte: u8| (h ^ u64::from(byte)).wrapping_mul(0x0100_0000_01B3);
     let mixed = run.bytes().fold(0xCBF2_9CE4_8422_2325 ^ setting.seed, hash);
-    // Who is given it counts up from it.
+    // Users of a seed count up from it.
     mixed >> 1
 }
 
@@ -170,7 +170,7 @@ pub(super) fn both(
 }
 
 impl Both {
-    /// Two records, a plot of the errors over `x`, and their figures, into `findings`.
+    /// Adds two records, their errors' plot over `x`, and their figures to `findings`.
     pub(super) fn publish(
         &self,
         setting: &Setting<'_>,
@@ -192,12 +192,12 @@ impl Both {
     }
 }
 
-/// What the files of both runs are called beside the experiment's name.
+/// Suffixes of both runs' files, after the experiment's name.
 pub(super) const SUFFIXES: [&str; 2] = ["", "-compensated"];
 
 impl Findings {
     /// Publishes both records with their plot and figures.
-    /// Each has its rows' places on the axis `x_title`.
+    /// Each has its rows' positions on the axis `x_title`.
     pub(super) fn publish(
         &mut self,
         setting: &Setting<'_>,

@@ -1,4 +1,4 @@
-//! What the papers say of their designs, each figure with report and section.
+//! Statements of the papers about their designs, each with report and section.
 
 #![allow(clippy::unwrap_used)]
 
@@ -47,7 +47,7 @@ fn the_table_is_what_the_papers_say() {
 }
 
 /// NISTIR 4832, The "Original RTEC": 4 µs + 3 µs + 2 µs = 9 µs.
-/// At 30 kHz A and B are low for about 8 µs and it no longer fits. Design C takes somewhat less time.
+/// At 30 kHz A and B are low for about 8 µs, which is too short. Design C takes somewhat less time.
 #[test]
 fn at_30_khz_nine_microseconds_no_longer_fit() {
     let computer = Computer::i8051();
@@ -72,7 +72,8 @@ fn at_30_khz_nine_microseconds_no_longer_fit() {
     assert!((35_000.0..35_720.0).contains(&high), "{high} Hz");
 }
 
-/// NISTIR 4832, The "Original RTEC": without its timer "the routine may run into the next signal transition".
+/// Without its timer "the routine may run into the next signal transition".
+/// (NISTIR 4832, The "Original RTEC")
 #[test]
 fn without_the_speed_gate_it_runs_into_the_next_transition() {
     let computer = Computer::i8051();
@@ -95,7 +96,8 @@ fn without_the_speed_gate_it_runs_into_the_next_transition() {
     assert!(wrong(&run(40_000.0)));
 }
 
-/// The gates of the Original hide a pulse outside A = B = low: that its count is right shows that it begins nowhere else.
+/// The Original keeps its ledger, so it begins only at A = B = low.
+/// Its gates hide a pulse elsewhere.
 #[test]
 fn full_cycle_designs_keep_the_ledger() {
     let computer = Computer::i8051();
@@ -136,7 +138,8 @@ fn full_cycle_designs_leave_less_than_four_counts() {
     }
 }
 
-/// NISTIR 4832, The "Original RTEC": the machine cannot be corrected at rest outside A = B = low; Design A in any state.
+/// The Original cannot insert at rest outside A = B = low; Design A can anywhere.
+/// (NISTIR 4832, The "Original RTEC")
 #[test]
 fn the_original_cannot_insert_at_rest_outside_low_low() {
     let computer = Computer::i8051();
@@ -155,8 +158,10 @@ fn the_original_cannot_insert_at_rest_outside_low_low() {
     }
 }
 
-/// An 8051 is at least ten times too slow for the moderate 100 kHz (NISTIR 4832, Design B).
-/// A position count and a correction count are the same size. When the computer stops, position feedback is lost.
+/// An 8051 is at least ten times too slow for the moderate 100 kHz of Design B.
+/// (NISTIR 4832, Design B)
+/// A position count and a correction count have the same size. When the computer stops, position feedback is
+/// lost.
 #[test]
 fn design_b_needs_a_faster_computer_and_steps_by_one() {
     let config = AxisConfig::default();
@@ -176,13 +181,14 @@ fn design_b_needs_a_faster_computer_and_steps_by_one() {
     let (scale, mtc) = dead.at_death.unwrap();
     assert_eq!((dead.mtc - mtc, dead.illegal), (0, 0));
     assert!(dead.scale - scale > 2900);
-    // An 8051 that is asked to pass 100 kHz loses counts: it may tell the MTC of an illegal state, or of none at all.
+    // An 8051 that has to pass 100 kHz loses counts; the MTC may see an illegal state or none.
     let edges = constant(1_000_000, 100_000.0, 4000, 1);
     let lost = BenchRun { edges: &edges, ..BenchRun::new(AnyDesign::B, &Computer::i8051()) }.run().unwrap();
     assert!(lost.mtc < lost.scale / 2, "{lost:?}");
 }
 
-/// CMTI 2014, section 3, figures 8 and 9: three pulses subtracted, three added, the specified number exactly, 90° kept.
+/// Three pulses are subtracted and three added, exactly, with 90° kept.
+/// (CMTI 2014, section 3, figures 8 and 9)
 #[test]
 fn three_pulses_added_and_three_subtracted() {
     let computer = Computer::dsp();
@@ -207,7 +213,8 @@ fn three_pulses_added_and_three_subtracted() {
     }
 }
 
-/// CMTI 2014, section 2.2.7: at most 15 pulses at a time; section 2.3: the next request waits for the acknowledgement.
+/// At most 15 pulses at a time; the next request waits for the acknowledgement.
+/// (CMTI 2014, sections 2.2.7 and 2.3)
 #[test]
 fn more_than_fifteen_pulses_take_two_compensations() {
     let computer = Computer::dsp();
@@ -221,7 +228,8 @@ fn more_than_fifteen_pulses_take_two_compensations() {
     }
 }
 
-/// The PLL doubles from 700 Hz, cleanly from 2.3 to 125 kHz, and up to 160 kHz of the XOR signal.
+/// The PLL doubles only within its lock range.
+/// The XOR signal may have 700 Hz to 160 kHz, cleanly 2.3 to 125 kHz.
 /// That is twice the encoder's frequency (CMTI 2014, section 2.2.2).
 #[test]
 fn the_ecc_works_in_its_lock_range_only() {
@@ -234,13 +242,13 @@ fn the_ecc_works_in_its_lock_range_only() {
         let totals = [(edges[2000].0, 12)];
         BenchRun { edges: &edges, totals: &totals, ..BenchRun::new(AnyDesign::Ecc, &computer) }.run().unwrap()
     };
-    // It still doubles between 125 and 160 kHz, and between 700 Hz and 2.3 kHz, but 90° are not kept.
+    // It still doubles between 125 and 160 kHz, and between 700 Hz and 2.3 kHz, but without 90°.
     for hz in [70_000.0, 500.0] {
         let seen = run(hz);
         assert_eq!((seen.error_counts(), seen.illegal), (0, 0));
         assert!(seen.worst_phase_deg > 20.0);
     }
-    // Outside it does not, the VCO runs on its own: no addition begins there, so none goes wrong.
+    // Outside that range the VCO runs freely. No addition begins there, so none goes wrong.
     for hz in [85_000.0, 120_000.0, 300.0, 150.0] {
         let seen = run(hz);
         assert_eq!((seen.completed, seen.error_counts(), seen.illegal), (0, 0, 0), "{hz} Hz");
@@ -248,7 +256,7 @@ fn the_ecc_works_in_its_lock_range_only() {
 }
 
 /// In the first cycle of a motion the loop has not followed yet.
-/// The controller waits for it. Lines set by hand do not wait: then the VCO makes up for what it is behind.
+/// The controller waits for it. Lines set by hand do not wait: the VCO then sends its missing ticks later.
 #[test]
 fn the_ecc_sends_one_edge_at_a_time_from_the_first_cycle_on() {
     let computer = Computer::dsp();
@@ -265,7 +273,8 @@ fn the_ecc_sends_one_edge_at_a_time_from_the_first_cycle_on() {
     }
 }
 
-/// What the CMTI paper does not say: a reversal while pulses are blocked or split leaves the MTC with a wrong count.
+/// A reversal while pulses are blocked or split leaves a wrong count at the MTC.
+/// The CMTI paper does not mention it.
 #[test]
 fn the_ecc_goes_wrong_at_reversal() {
     let computer = Computer::dsp();
@@ -279,7 +288,7 @@ fn the_ecc_goes_wrong_at_reversal() {
         seen.error_counts() != 0 || seen.illegal > 0
     });
     assert!(wrong.count() > 0);
-    // Design C is asked the same and is never wrong.
+    // Design C gets the same requests and is never wrong.
     for n in 0..40 {
         let totals = [(turn - 4_000_000 + n * 100_000, if n % 2 == 0 { 60 } else { -60 })];
         let config = AxisConfig { max_accel_counts_s2: 2e6, ..AxisConfig::default() };
@@ -291,8 +300,10 @@ fn the_ecc_goes_wrong_at_reversal() {
     }
 }
 
-/// A computer that stops between insertions leaves the signals as they are (NISTIR 4832, Design C).
-/// One that stops between the two inversions leaves the MTC counting mirrored, which the report does not say.
+/// A computer that stops between insertions leaves the signals unchanged.
+/// (NISTIR 4832, Design C)
+/// One that stops between the two inversions leaves the MTC counting mirrored, which the report does not
+/// mention.
 #[test]
 fn when_the_computer_stops() {
     let computer = Computer::i8051();

@@ -1,4 +1,5 @@
-//! The Error Correction Circuit behind its controller's lines (CMTI 2014, section 2), judged by pulses counted in the trace.
+//! The Error Correction Circuit with its controller's lines (CMTI 2014, section 2).
+//! It is judged by the pulses counted in the trace.
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
@@ -14,12 +15,13 @@ fn board(orders: &[Order], direction: i64) -> Board {
     run(Pll::default(), [&edges, &edges], orders, (3_000_000, 4_000_000), 1).unwrap()
 }
 
-/// Rising edges of a signal, counted by hand.
+/// Number of rising edges of a signal, counted independently.
 fn pulses(board: &Board, name: &str) -> i64 {
     board.changes.iter().filter(|c| c.1 == name && c.2).count() as i64
 }
 
-/// Table 1: S1 and S0 against what comes out, on the selected axis and never on the other, in both directions.
+/// Table 1: the output for each S1 and S0, in both directions.
+/// It acts on the selected axis and never on the other.
 #[test]
 fn table_1_on_either_axis() {
     for direction in [1, -1] {
@@ -42,7 +44,7 @@ fn table_1_on_either_axis() {
     }
 }
 
-/// The next order waits for the acknowledgement; the trace has every line.
+/// The next order waits for the acknowledgement, and the trace contains every line.
 #[test]
 fn orders_wait_for_the_acknowledgement() {
     let orders = [
@@ -63,7 +65,8 @@ fn orders_wait_for_the_acknowledgement() {
     assert!(times.windows(2).all(|w| w[0] < w[1]) && times.len() > 1000);
 }
 
-/// With a controller that knows the axis' acceleration, nothing goes wrong at any reversal that this acceleration allows.
+/// A controller that knows the axis's acceleration makes no error at a reversal.
+/// The reversals are those that this acceleration allows.
 #[test]
 fn guarded_it_balances_over_every_reversal() {
     for accel in [2e5, 2e6] {

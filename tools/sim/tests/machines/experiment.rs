@@ -34,7 +34,7 @@ fn worst(record: &Record) -> f64 {
     record.responses().flat_map(|c| c.data.iter()).fold(0.0, |w, e| e.abs().max(w))
 }
 
-/// RMS of what a record shows beyond what a model says of it.
+/// RMS of the difference between a record and a model's prediction.
 fn beyond(record: &Record, model: &Machine) -> f64 {
     let predicted = model.predict(record).unwrap();
     let (mut sum, mut n) = (0.0, 0.0);
@@ -47,8 +47,8 @@ fn beyond(record: &Record, model: &Machine) -> f64 {
     (sum / n).sqrt()
 }
 
-/// 240 µm on a one-metre axis is one correction of 4 µm every 16 700 µm, and a quarter of the travel needs 15.
-/// (NISTIR 4832, The "Original RTEC")
+/// 240 µm on a one-metre axis is one correction of 4 µm every 16 700 µm.
+/// A quarter of the travel needs 15. (NISTIR 4832, The "Original RTEC")
 #[test]
 fn fifteen_corrections_over_a_quarter_of_the_travel() {
     let ideal = Machine::ideal("m");
@@ -57,7 +57,7 @@ fn fifteen_corrections_over_a_quarter_of_the_travel() {
     assert!((worst(record(&findings, "linear-error-240um")) - 60.0).abs() < 0.1);
     let corrected = record(&findings, "linear-error-240um-compensated");
     assert!(worst(corrected) <= 2.1, "half a correction of 4 µm: {}", worst(corrected));
-    // Where the corrections fall: evenly, 16.7 mm apart.
+    // The corrections are evenly spaced, 16.7 mm apart.
     let x = corrected.data(&Role::Position(rtec_model::record::Axis::new("x").unwrap())).unwrap();
     let e = &corrected.responses().next().unwrap().data;
     let steps: Vec<f64> = (1..e.len()).filter(|&k| e[k - 1] - e[k] > 2.0).map(|k| x[k]).collect();
@@ -65,7 +65,7 @@ fn fifteen_corrections_over_a_quarter_of_the_travel() {
     assert!(steps.windows(2).all(|w| (w[1] - w[0] - 16.667).abs() < 1.2), "{steps:?}");
 }
 
-/// A correction that depends on motion is off at rest.
+/// A correction that depends on motion is zero at rest.
 /// It reverses no axis, and the reversal is corrected, not doubled.
 #[test]
 fn a_following_error_does_not_double_the_reversal_at_rest() {
@@ -81,7 +81,8 @@ fn a_following_error_does_not_double_the_reversal_at_rest() {
     }
 }
 
-/// NISTIR 4832, The "Original RTEC": corrections that a rapid leaves undone are caught up before the tool enters the part.
+/// Corrections missing after a rapid are inserted before the tool enters the part.
+/// (NISTIR 4832, The "Original RTEC")
 #[test]
 fn a_rapid_is_caught_up_before_the_part() {
     let ideal = Machine::ideal("m");
@@ -103,7 +104,7 @@ fn a_worn_tool_leaves_a_bump_that_the_finish_cut_does_not() {
     let on_bump = bump.iter().filter(|e| **e > 0.5).count();
     assert!((5..=7).contains(&on_bump), "{on_bump} points: {bump:?}");
     let after = worst(record(&findings, "hemisphere-compensated"));
-    // Each record has rows of its own, angle and error last.
+    // Each record has its own rows, with angle and error last.
     for r in &findings.records {
         assert_eq!(r.file, r.path.file_name().unwrap().to_str().unwrap().replace(".run.toml", ".csv"));
         let names: Vec<&str> = r.columns.iter().map(|c| c.name.as_str()).collect();
@@ -112,8 +113,8 @@ fn a_worn_tool_leaves_a_bump_that_the_finish_cut_does_not() {
     assert!(after <= 4.0, "{after} µm");
 }
 
-/// WO 97/43703, figure 9 and tables 4 and 5: three hours, then the shorter runs.
-/// 20 sensors.
+/// The spindle cycle of figure 9: three hours, then the shorter runs, 20 sensors.
+/// (WO 97/43703, figure 9 and tables 4 and 5)
 #[test]
 fn the_spindle_cycle_of_figure_9() {
     let minutes: f64 = FIGURE_9.iter().map(|c| c.1).sum();
@@ -134,7 +135,8 @@ fn the_spindle_cycle_of_figure_9() {
     assert!(worst(record(&findings, "drift-dry-compensated")) < 2.5);
 }
 
-/// Every record is the true machine's errors at its rows, and the instrument's noise: what reconciliation builds on.
+/// Every record is the true machine's errors plus the instrument's noise.
+/// Reconciliation relies on that.
 #[test]
 fn records_are_what_the_true_machine_says() {
     let effects = [
@@ -147,7 +149,7 @@ fn records_are_what_the_true_machine_says() {
         effect("following_error.x", "ms = 0.05"),
         effect("spindle_speed.z", "um_per_krpm = 0.4\num_per_krpm2 = 0.1"),
         effect("warm_up.z", "um = 8\ntau_s = 3000"),
-        // A lag is told what happens between two rows only where they are close together: not between two cycles of
+        // Between two rows a lag is known only if they are close together, not between two cycles of
         // drilling.
         effect(
             "thermal_lag.y",
@@ -166,7 +168,7 @@ fn records_are_what_the_true_machine_says() {
     }
 }
 
-/// What the corrector knows is taken out to within the resolution, what it does not know stays.
+/// Known errors are removed to within the resolution, unknown ones stay.
 #[test]
 fn knowing_half_takes_out_half() {
     let truth = model(&(effect("scale.x", "ppm = 40") + &effect("reversal.x", "um = 12")));
@@ -195,7 +197,8 @@ fn same_seed_same_bytes_another_seed_others() {
     assert_ne!(first, text(8));
 }
 
-/// Runs of one seed were measured with the same noise to the last bit, so that two of them taught no more than one.
+/// Regression: runs of one seed had the same noise to the last bit.
+/// Two of them then gave no more information than one.
 #[test]
 fn no_two_runs_share_their_noise() {
     let growth = "sensor = \"T13\"\nminus = \"T18\"\num_per_K = -2.0\num_per_K2 = 0.0";
@@ -209,7 +212,7 @@ fn no_two_runs_share_their_noise() {
             let left = column.data.iter().zip(um).map(|(e, p)| e - p).collect();
             noise.push((format!("{} {name}", r.path.display()), left));
         }
-        // The sensors' own as well: from row to row nothing but noise moves them once the machine is cold.
+        // The sensors' noise too: once the machine is cold, only noise changes them from row to row.
         let first = r.temperature("T1").unwrap();
         noise.push((format!("{} T1", r.path.display()), first.to_vec()));
     }
@@ -221,15 +224,16 @@ fn no_two_runs_share_their_noise() {
     assert_eq!(noise.len(), 18);
     for (k, (a, first)) in noise.iter().enumerate() {
         for (b, second) in &noise[k + 1..] {
-            // By chance one row in two hundred comes this close, of two noises of 0.1 µm; of sensors, read to 1 mK, one in thirty.
+            // By chance one row in two hundred comes this close for two noises of 0.1 µm. For sensors, read
+            // to 1 mK, it is one in thirty.
             let same = first.iter().zip(second).filter(|(x, y)| (*x - *y).abs() < 1e-3).count();
             assert!(same < first.len() / 5, "{a} and {b}: {same} of {} rows alike", first.len());
         }
     }
 }
 
-/// WO 97/43703, text before table 3: ten tool changes.
-/// And a record and a plot for every experiment.
+/// Ten tool changes (WO 97/43703, text before table 3).
+/// Every experiment has a record and a plot.
 #[test]
 fn every_experiment_is_listed_once_and_tool_changes_repeat() {
     let mut names = EXPERIMENTS.map(|e| e.name);
@@ -242,9 +246,9 @@ fn every_experiment_is_listed_once_and_tool_changes_repeat() {
     assert!(findings.plots[0].1.contains("<svg"));
 }
 
-/// A nose cut correctly with a known machine must be found correct.
-/// Its probing runs uncorrected, and known errors are removed off line (NISTIR 4832, probing mode; NISTIR 4854,
-/// On-Machine Gauging).
+/// A nose cut correctly on a known machine must be found correct.
+/// Its probing runs uncorrected, and known errors are removed off line (NISTIR 4832, probing mode; NISTIR
+/// 4854, On-Machine Gauging).
 #[test]
 fn a_perfect_model_shows_the_part_not_the_machine() {
     let truth = model(
@@ -255,12 +259,13 @@ fn a_perfect_model_shows_the_part_not_the_machine() {
     let findings = run("hemisphere", &truth, &truth, 1);
     let after = worst(record(&findings, "hemisphere-compensated"));
     assert!(after <= 4.0, "{after} µm, of a machine that is 20 to 70 µm off");
-    // Nothing known: probe and tool trace the same wrong path, and the bump is what shows.
+    // Nothing known: probe and tool follow the same wrong path, and only the bump is visible.
     let before = worst(record(&findings, "hemisphere"));
     assert!(before >= 19.0, "{before} µm");
 }
 
-/// A chain is simulated like effects are: what its tool point is off by, out of positions and temperatures, by hand.
+/// A chain is simulated like effects.
+/// The error at its tool point is computed by hand from positions and temperatures.
 #[test]
 fn a_chain_acts_in_an_experiment_and_is_corrected() {
     let chain = "tool_mm = [0.0, 0.0, -100.0]\n[[joint]]\nname = \"x slide\"\nbranch = \"tool\"\naxis = \"x\"\n\
@@ -280,7 +285,8 @@ fn a_chain_acts_in_an_experiment_and_is_corrected() {
     assert!(worst(record(&findings, "linear-displacement-x-compensated")) < 2.0);
 }
 
-/// Five gauges at the mandrel: a tilt of the spindle shows between the near and the far ones, and only there.
+/// Five gauges at the mandrel show a tilt of the spindle.
+/// It appears only between the near and the far ones.
 #[test]
 fn gauges_show_the_tilt() {
     let chain = "[[joint]]\nname = \"spindle\"\nbranch = \"tool\"\ncomponent = [\
@@ -294,7 +300,7 @@ fn gauges_show_the_tilt() {
     let r = record(&findings, "drift-dry");
     let delta = |m: usize| r.temperature("T13").unwrap()[m] - r.temperature("T18").unwrap()[m];
     let last = &gauges[180];
-    // 4 µrad/K are 0.825 arcseconds; the gauges' own 0.1 µm over 100 mm are 0.3.
+    // 4 µrad/K are 0.825 arcseconds per K; the gauges' noise of 0.1 µm over 100 mm is 0.3.
     let arcsec = 180.0 * 3600.0 / std::f64::consts::PI * 1e-6;
     assert!((last.tilt_arcsec[0] - 4.0 * delta(180) * arcsec).abs() < 1.2, "{last:?}");
     assert!((last.tilt_arcsec[1] - 2.0 * delta(180) * arcsec).abs() < 1.2, "{last:?}");
@@ -304,7 +310,7 @@ fn gauges_show_the_tilt() {
 }
 
 /// The experiments of the sources bring their machine.
-/// The one that is about its machine takes no other.
+/// One whose machine is fixed ignores any other.
 #[test]
 fn experiments_of_the_sources_bring_their_machine() {
     for e in EXPERIMENTS {
@@ -314,15 +320,15 @@ fn experiments_of_the_sources_bring_their_machine() {
             assert!(own.is_some(), "{}", e.name);
         }
     }
-    // Whatever is handed to it: 15 insertions.
+    // 15 insertions for any given machine.
     let other = model(&(effect("scale.x", "ppm = 12") + &effect("offset.x", "um = 30")));
     assert_eq!(run("linear-error-240um", &other, &other, 1).summary["insertions"], 15);
 }
 
-/// A slow axis is not at rest.
-/// While an axis reverses on the slowest circle of the ballbar, no edge comes for long, and the next may come at any
-/// moment. An edge inside an insertion is two edges at once for the controller. With 5 ms, seeds 3, 5 and 6 ended
-/// with `TooFast`.
+/// A slowly reversing axis is not at rest.
+/// While an axis reverses on the slowest circle of the ballbar, no edge comes for a long time, and the next
+/// may come at any moment. The controller sees an edge inside an insertion as two edges at once. With 5 ms,
+/// seeds 3, 5 and 6 ended with `TooFast`.
 #[test]
 fn an_axis_that_turns_slowly_is_not_at_rest() {
     let spec = Spec::machining_centre();
@@ -330,7 +336,7 @@ fn an_axis_that_turns_slowly_is_not_at_rest() {
     let (radius_mm, feed_mm_s) = (150.0, 10.0 * 25.4 / 60.0);
     for axis in &spec.axes {
         let counts_s2 = feed_mm_s * feed_mm_s / radius_mm * 1000.0 / axis.count_um;
-        // Over a count and back over it and the hysteresis, from standstill each.
+        // Over a count, and back over it and the hysteresis, each from standstill.
         let gap_s = 2.0 * (2.0 * (1.0 + axis.hysteresis_counts) / counts_s2).sqrt();
         assert!(after_ns as f64 > gap_s * 1e9, "{}: {gap_s:.3} s between two edges", axis.name);
     }

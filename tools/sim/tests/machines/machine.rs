@@ -1,4 +1,4 @@
-//! The engine, unchanged, on the simulated machine.
+//! The unchanged engine on the simulated machine.
 
 #![allow(clippy::unwrap_used)]
 
@@ -47,7 +47,8 @@ fn following_error_stays_small_in_motion() {
     assert!(worst < 0.05, "{worst} mm");
 }
 
-/// Counts added to what the MTC sees move the axis the other way (NISTIR 4832, Altering the Position Signal).
+/// Counts added at the MTC move the axis the other way.
+/// (NISTIR 4832, Altering the Position Signal)
 #[test]
 fn a_known_error_is_taken_out_and_an_unknown_one_stays() {
     let truth = model("[[effect]]\nname = \"scale.x\"\nppm = 100\n[[effect]]\nname = \"offset.y\"\num = 7\n");
@@ -100,12 +101,13 @@ fn an_illegal_state_is_a_servo_fault() {
     assert_eq!(s.machine.fault(), Some(ServoFault::IllegalState { axis: 0 }));
 }
 
-/// What a decoder of its own makes of the lines is what the machine's counters say, whatever the gates do meanwhile.
+/// An independent decoder of the lines agrees with the machine's counters.
+/// The gates change at random meanwhile.
 #[test]
 fn the_counters_say_what_the_lines_show() {
     use rtec_driver::card::Card;
     use rtec_driver::quadrature::{Decoder, State};
-    // Closed on the motor's own encoder: what the gates send moves nothing.
+    // Closed on the motor's encoder, so signals from the gates move nothing.
     let axis = |name| AxisSpec { on_feedback: false, ..AxisSpec::new(name, 400.0) };
     let axes = [
         AxisSpec { interpolation_um: 0.2, ..axis("x") },

@@ -1,5 +1,5 @@
-//! Simulated machines from outside, a file a question.
-//! One program: what takes long runs beside the rest.
+//! Tests of simulated machines through their interface, one file per question.
+//! They are one program, so that long tests run in parallel with the others.
 
 mod designs;
 mod ecc;

@@ -16,7 +16,8 @@ fn setup(design: &str, seed: u64) -> Setup {
     Setup { design: design.into(), seed, ..Setup::default() }
 }
 
-/// NISTIR 4854, section 2: bump about 23 µm, largest bar 21.4 µm, five corrections of 4 µm, 4 µm and an SD of 2 µm left.
+/// The report's figures: a bump of about 23 µm, largest bar 21.4 µm.
+/// Five corrections of 4 µm leave 4 µm and an SD of 2 µm. (NISTIR 4854, section 2)
 #[test]
 fn the_reports_experiment() {
     for seed in 1..=3 {
@@ -25,7 +26,7 @@ fn the_reports_experiment() {
         assert!((o.semi_finish.largest_um - 21.4).abs() < 1.0, "{seed}: {:?}", o.semi_finish);
         assert_eq!(o.corrections, 5, "{seed}");
         assert!(o.finish.largest_um <= 4.0 && o.finish.sd_before_um <= 2.0, "{seed}: {:?}", o.finish);
-        // The true surface says the same as the probe.
+        // The true surface agrees with the probe.
         assert!(o.finish.true_form_um < 5.0 && o.semi_finish.true_form_um > 20.0, "{seed}: {:?}", o.finish);
         assert!(o.insertions[0] >= 10, "five in and five out: {:?}", o.insertions);
         assert_eq!(o.mtc_minus_scale, o.completed, "the ledger balances by the machine's own decoders");
@@ -43,7 +44,7 @@ fn design_c_at_two_micrometres_leaves_two() {
         assert!((o.increment_um - 2.0).abs() < 1e-12);
         assert!(o.finish.largest_um <= 2.0 && o.finish.sd_before_um <= 2.0, "{seed}: {:?}", o.finish);
         assert_eq!(o.mtc_minus_scale, o.completed);
-        // Rewriting the program instead does as well, with ninety-odd lines for one.
+        // A rewritten program does as well, but needs some ninety lines instead of one.
         assert!((90..100).contains(&o.program_lines) && o.program.largest_um <= 2.0, "{:?}", o.program);
         println!("seed {seed}: largest {:.2} µm, SD {:.2} µm", o.finish.largest_um, o.finish.sd_before_um);
     }
@@ -54,7 +55,7 @@ fn fast_probing_saves_time_and_keeps_the_micrometre() {
     let [fast, slow] = run(&setup("c", 4)).probing;
     assert!(fast.capture_worst_um < 0.5 && slow.capture_worst_um < 0.5, "{fast:?} {slow:?}");
     assert!(fast.seconds * 4.0 < slow.seconds, "{fast:?} {slow:?}");
-    // 25 µs at 2.5 m/min is what 1 µm needs; a controller that looks once a millisecond is 42 µm late.
+    // 25 µs at 2.5 m/min correspond to 1 µm; a controller that looks once per millisecond is 42 µm late.
     assert!((fast.late_25us_um - 1.0417).abs() < 1e-3 && fast.late_1ms_um > 40.0);
     println!(
         "2.5 m/min: {:.1} s, worst {:.2} µm; 0.125 m/min: {:.1} s, worst {:.2} µm",
@@ -79,7 +80,8 @@ fn machine(text: &str) -> Machine {
     Machine::parse(Path::new("machine.toml"), &format!("name = \"lathe\"\n{text}")).unwrap()
 }
 
-/// X off by a lobe along Z, tool and probe alike: the probe follows the tool's path and finds nothing.
+/// A lobe in X along Z moves tool and probe alike.
+/// The probe follows the tool's path and finds nothing.
 #[test]
 fn a_lobe_of_the_machine_is_not_observable_by_its_own_probe() {
     let knots = (0..=24).map(|k| 420.0 + 2.5 * f64::from(k));
@@ -90,7 +92,7 @@ fn a_lobe_of_the_machine_is_not_observable_by_its_own_probe() {
     let lobe =
         machine(&format!("[[effect]]\nname = \"straightness.x.z\"\nknots_mm = [{knots}]\num = [{um}]\n"));
     let o = run(&Setup { machine: lobe, ..setup("c", 7) });
-    // The probe is content, the true surface is not.
+    // The probe finds no error, but the true surface has one.
     assert!(o.finish.largest_um < 3.0 && o.finish.true_form_um > 8.0, "{:?}", o.finish);
     let batch = o.off_machine.unwrap();
     let count = |f: BatchFinding| batch.places.iter().filter(|p| p.finding == f).count();
@@ -106,9 +108,9 @@ fn a_lobe_of_the_machine_is_not_observable_by_its_own_probe() {
     assert!(run(&setup("c", 7)).off_machine.is_none());
 }
 
-/// A machine that is off by its scale and grows warm.
-/// Its probe is off as its tool is; what was recorded with the temperatures and the machine's model show the part as
-/// a measuring machine does.
+/// A machine with an error of scale that grows warm.
+/// Its probe has the tool's errors. The temperatures recorded and the machine's model show the part as a
+/// measuring machine does.
 #[test]
 fn temperatures_recorded_at_the_trips_take_the_machines_error_out_off_line() {
     let wrong = machine(
@@ -146,7 +148,8 @@ fn temperatures_recorded_at_the_trips_take_the_machines_error_out_off_line() {
     );
     assert!(radius(&blind) > 3.0 && radius(&knowing) < 1.5, "{} {}", radius(&blind), radius(&knowing));
     assert!(off(&knowing) < 1.2, "{}", off(&knowing));
-    // Live beneath the table, and off line in what was probed: the part is right by a measuring machine too.
+    // Corrected live with the table, and off line in the probed points: a measuring machine finds the part
+    // right too.
     let o = run(&Setup { model: Some(wrong), ..warm });
     assert!(o.finish.largest_um <= 3.0 && o.finish.true_form_um < 5.0, "{:?}", o.finish);
     assert!(o.balanced());
@@ -195,8 +198,8 @@ fn trips_that_are_not_as_planned_name_their_point() {
 }
 
 /// G01 lines must begin where the arc does.
-/// A cut that began at rest in its first point would show a reversal that the machine has not made yet (27 µm here).
-/// The rest is at the pole, where Z reverses.
+/// A cut begun at rest in its first point would show a reversal that the machine has not made yet (27 µm
+/// here). The rest is at the pole, where Z reverses.
 #[test]
 fn g01_lines_begin_beyond_the_arc() {
     let wrong = machine(
@@ -208,8 +211,8 @@ fn g01_lines_begin_beyond_the_arc() {
     assert!((88..=92).contains(&o.program_lines), "{}", o.program_lines);
 }
 
-/// The Original RTEC may stand where it cannot insert.
-/// The cut begins all the same and it catches up in the air.
+/// The Original RTEC may rest where it cannot insert.
+/// The cut begins all the same, and it catches up in the air.
 #[test]
 fn the_original_is_not_waited_for_at_rest() {
     let wrong =

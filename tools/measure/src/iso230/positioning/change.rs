@@ -265,10 +265,12 @@ impl Run<'_> {
         shapes.push(Shape { columns, sought: 0, tried: 1, step_at: None, bends: true });
         shapes.extend(repeats.best_step(&y));
         let before = dot(&y, &y);
-        let least = (1e-12 * before).max(f64::MIN_POSITIVE);
+        // A gauge's step leaves a twelfth of its square in each reading, also where most read the same.
+        let rounding = crate::steps::step_of(&self.error).map_or(0.0, |q| q * q / 12.0);
+        let least = (1e-12 * before).max(used as f64 * rounding).max(f64::MIN_POSITIVE);
         let better = |f: &Fitted| f.criterion(used as f64, least);
         let fitted = shapes.into_iter().filter_map(|shape| repeats.fit(shape, &y));
-        let fitted = fitted.filter(|f| f.shape.step_at.is_none() || f.left <= least || !f.is_alike);
+        let fitted = fitted.filter(|f| f.shape.step_at.is_none() || f.left <= 1e-12 * before || !f.is_alike);
         let best = fitted.min_by(|a, b| better(a).total_cmp(&better(b)))?;
         let freedom = used.checked_sub(repeats.groups.len() + best.parameters()).filter(|f| *f > 0)? as f64;
         let columns = best.shape.columns.len() as f64;

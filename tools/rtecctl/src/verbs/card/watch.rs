@@ -1,5 +1,6 @@
-//! `rtecctl card probe --watch`: the input lines live, as halscope and gpiomon show theirs: levels, edges, rates, and whether
-//! both edges of each were seen.
+//! `rtecctl card probe --watch`: the input lines live.
+//! It shows levels, edges and rates, as halscope and gpiomon do, and whether both edges of each line were
+//! seen.
 
 use super::{refused, unreachable};
 use crate::document::pretty;
@@ -14,22 +15,22 @@ use std::fmt::Write as _;
 use std::io::{IsTerminal, Write};
 use std::time::Duration;
 
-/// So many changes of one channel alone, and the other is said to be silent.
-/// A hand that pushes an axis to and fro over one boundary makes a few.
+/// Changes of one channel alone after which the other is reported as silent.
+/// An axis pushed back and forth across one boundary by hand makes a few.
 const ALONE: u64 = 8;
 
-/// How long, how often, and in which form.
+/// Interval, duration and form of the output.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Options {
-    /// Time between two pictures.
+    /// Time between two refreshes.
     pub every: Duration,
-    /// The end; none goes on until it is stopped.
+    /// Duration of the watch; without one it runs until it is stopped.
     pub during: Option<Duration>,
-    /// One JSON document at the end instead of pictures.
+    /// Prints one JSON document at the end instead of refreshes.
     pub json: bool,
 }
 
-/// An input line as it was seen.
+/// Observations of one input line.
 #[derive(Debug)]
 struct Line {
     name: String,
@@ -37,7 +38,7 @@ struct Line {
     level: bool,
     rises: u64,
     falls: u64,
-    /// Edges at the picture before, and per second since.
+    /// Edges at the last refresh, and their rate since then.
     before: u64,
     rate_hz: f64,
 }
@@ -65,7 +66,7 @@ struct Channels {
     scale: Decoder,
     up: u64,
     down: u64,
-    /// The channel that changed last, and how often since the other did.
+    /// The channel that changed last, and its changes since the other changed.
     alone: Option<(Signal, u64)>,
 }
 
@@ -88,7 +89,7 @@ impl Channels {
         }
     }
 
-    /// What there is to say of the axis as a whole.
+    /// A finding about the axis as a whole.
     fn finding(&self) -> String {
         let silent = |signal| if signal == Signal::A { ("a", "b") } else { ("b", "a") };
         match self.alone {
@@ -105,7 +106,7 @@ impl Channels {
     }
 }
 
-/// Everything that was seen of a card's inputs.
+/// Observations of a card's inputs.
 #[derive(Debug)]
 struct Watch {
     card: String,
@@ -159,7 +160,7 @@ impl Watch {
         }
     }
 
-    /// Works the rates out, since the last time.
+    /// Computes the rates since the last refresh.
     fn rate(&mut self) {
         let seconds = (self.last_ns - self.shown_ns) as f64 * 1e-9;
         self.shown_ns = self.last_ns;
@@ -227,7 +228,7 @@ impl Watch {
     }
 }
 
-/// The watching, on a card whichever it is.
+/// The watch, for a card of any backend.
 struct Watching<'a> {
     config: &'a Config,
     options: Options,
@@ -297,8 +298,8 @@ mod tests {
         Config::parse(Path::new("rtec.toml"), &CONFIG.replace("AXES", &axes)).unwrap()
     }
 
-    /// x moves, of y one channel alone, z stands, w turns both at once.
-    /// The probe rises. 1 ms a look, two pictures.
+    /// x moves; y has one channel only; z is at rest; w changes both channels at once.
+    /// The probe rises. 1 ms per look, two refreshes.
     #[test]
     fn shows_levels_edges_rates_and_silent_channels() {
         let config = config();

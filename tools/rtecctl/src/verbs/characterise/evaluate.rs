@@ -1,4 +1,5 @@
-//! `rtecctl characterise evaluate`: runs' figures as their standard defines them, as text, JSON, plots or a page.
+//! `rtecctl characterise evaluate`: figures of runs by their standard.
+//! The output is text, JSON, plots or a page.
 
 use crate::document::pretty;
 use crate::say;

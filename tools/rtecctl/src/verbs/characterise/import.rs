@@ -1,4 +1,4 @@
-//! `rtecctl characterise import`: other tools' files as run records.
+//! `rtecctl characterise import`: turns other tools' files into run records.
 
 use crate::verbs::suspicions;
 use anyhow::Context;

@@ -67,7 +67,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// The runs that tell an effect from its rivals, and what each tells.
+/// The runs that distinguish an effect from its rivals, with each run's purpose.
 fn telling(args: &Args, verdict: &Path, axes: &[PlanAxis]) -> anyhow::Result<()> {
     plan::check(axes, args.max_rpm, args.ballbar_mm)?;
     let machine = match &args.model {

@@ -1,4 +1,5 @@
-//! `rtecctl characterise record`: temperatures, positions and gauges into a run record, with progress.
+//! `rtecctl characterise record`: records temperatures, positions and gauges.
+//! It shows its progress.
 
 use crate::daemon::{self, Daemon, status};
 use crate::verbs::suspicions;
@@ -70,7 +71,7 @@ pub(crate) struct Recorder {
 }
 
 impl Recorder {
-    /// The first option that was given.
+    /// The first option of the recorder that was given.
     pub(crate) fn given(&self) -> Option<&'static str> {
         let given = [
             (self.kind.is_some(), "--kind"),
@@ -85,7 +86,7 @@ impl Recorder {
         given.into_iter().find_map(|(is, name)| is.then_some(name))
     }
 
-    /// The daemon, where it is asked for or there is no other source.
+    /// The daemon, if it is named or there is no other source.
     /// It has no response.
     fn corrector(&self, with_response: bool) -> anyhow::Result<Option<DaemonTotals>> {
         let alone = !with_response && self.sensors.is_none() && self.feed.is_none();
@@ -107,7 +108,7 @@ impl Recorder {
         self.columns.iter().map(parsed).collect()
     }
 
-    /// What a record asks of its columns is asked before the run, not after it.
+    /// Checks before the run that the record can be written.
     fn check(
         &self,
         out: &Path,
@@ -141,7 +142,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let daemon = Daemon::at(args.recorder.socket.clone().flatten());
     let keeps = matches!(args.spool, Some(None));
     if keeps {
-        // Before the run, not after it.
+        // Asked before the run, not after it.
         daemon.ask(&ClientRequest::Keep { files: Vec::new() })?;
     }
     record(&args.out, &args.recorder, false)?;
@@ -161,7 +162,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
 }
 
 /// Records a run into `out`.
-/// A shift's log need not have a response, unless it is asked for.
+/// A shift's log needs a response only on request.
 pub(crate) fn record(out: &Path, args: &Recorder, with_response: bool) -> anyhow::Result<()> {
     let kind = args.kind.as_deref().unwrap_or("drift");
     let kind = Kind::parse(kind).ok_or_else(|| usage(format!("--kind {kind}"), "a kind of run"))?;
@@ -221,14 +222,14 @@ pub(crate) fn record(out: &Path, args: &Recorder, with_response: bool) -> anyhow
             *value = w.value_degc();
         }
         let silent = silent(&bank, now, &last[own..], &columns[own..]);
-        // A row is whole or not there.
+        // A row has all its values or is left out.
         let whole = last.iter().zip(&columns).map(|(value, c)| {
             Some((*value)? + corrector.as_ref().map_or(Some(0.0), |r| r.in_effect_um(&c.role))?)
         });
         let whole = whole.collect::<Option<Vec<f64>>>();
         let faulty = whole.as_ref().and_then(|values| impossible(values, &columns));
         if let Some((place, what)) = &faulty {
-            // One reading that is none costs its row, not the run; nor does it stand for the next one.
+            // An invalid reading costs its own row, not the run, and is not used for the next row.
             eprintln!("warning: row {} at {now:.3} s left out: {what}", row + 1);
             left_out += 1;
             last[*place] = None;
@@ -240,7 +241,7 @@ pub(crate) fn record(out: &Path, args: &Recorder, with_response: bool) -> anyhow
                 c.data.push(v);
             }
             taken += 1;
-            // A reading makes one row: a gauge that says nothing more has none.
+            // A gauge's reading makes one row; a silent gauge makes no more.
             let read = last.iter_mut().zip(&columns).skip(gauges);
             read.filter(|(_, c)| !stays(&c.role)).for_each(|(value, _)| *value = None);
         } else if faulty.is_none() {
@@ -262,14 +263,15 @@ pub(crate) fn record(out: &Path, args: &Recorder, with_response: bool) -> anyhow
         eprintln!("warning: lines of the feed that were no readings: {refused}");
     }
     say_missing(left_out, incomplete, looked);
-    // Every value was checked as it came.
+    // Every value was checked when it came.
     let mut record = dated(args.circle.apply(Record::of_checked(out, kind, columns))?, begun);
     rtec_measure::record::write(&mut record).with_context(|| format!("writing {}", out.display()))?;
     suspicions::warn(std::slice::from_ref(&record));
     std::fs::remove_file(&part).with_context(|| format!("removing {}", part.display()))
 }
 
-/// Rows go into a file of their own as they come: a long run is not lost with the power. Nor with the next run.
+/// Opens a separate file for the rows as they come.
+/// A long run then survives a loss of power, and the next run.
 fn rows_apart(out: &Path, columns: &[Column]) -> anyhow::Result<(PathBuf, std::fs::File)> {
     let part = out.with_extension("csv.part");
     if part.metadata().is_ok_and(|m| m.len() > 0) {
@@ -282,7 +284,7 @@ fn rows_apart(out: &Path, columns: &[Column]) -> anyhow::Result<(PathBuf, std::f
     Ok((part, file))
 }
 
-/// How many of the rows that were due are not there, and why.
+/// Reports how many rows are missing, and why.
 fn say_missing(left_out: u64, incomplete: u64, rows: u64) {
     if left_out > 0 {
         eprintln!("warning: {left_out} of {rows} rows left out");
@@ -292,14 +294,14 @@ fn say_missing(left_out: u64, incomplete: u64, rows: u64) {
     }
 }
 
-/// With the day that it began on.
+/// Adds the day on which the run began.
 fn dated(mut record: Record, day: String) -> Record {
     record.date = Some(day);
     record
 }
 
-/// Says lines of the feed that cannot be read.
-/// The same again and again is said once.
+/// Reports lines of the feed that cannot be read.
+/// A repeated line is reported once.
 fn say_odd_lines(feed: &mut Feed, now_s: f64, said: &mut String) {
     for odd in feed.odd_lines() {
         if odd != *said {
@@ -309,7 +311,7 @@ fn say_odd_lines(feed: &mut Feed, now_s: f64, said: &mut String) {
     }
 }
 
-/// A connection that is lost, and one that is there again.
+/// Reports a lost connection, and its return.
 fn say_lost(feed: &Feed, now_s: f64, lost: &mut bool) {
     match feed.lost() {
         Some(why) if !*lost => {
@@ -321,7 +323,7 @@ fn say_lost(feed: &Feed, now_s: f64, lost: &mut bool) {
     *lost = feed.lost().is_some();
 }
 
-/// What has nothing to say now, and why.
+/// Columns and sensors without a value now, with the reason.
 fn silent(bank: &Bank, now_s: f64, last: &[Option<f64>], columns: &[Column]) -> Vec<String> {
     let faults = bank.sensors().iter().filter(|w| w.usable(now_s) != Use::Good).map(|w| {
         let why = w.fault().map_or("no reading yet".to_owned(), ToString::to_string);
@@ -332,11 +334,11 @@ fn silent(bank: &Bank, now_s: f64, last: &[Option<f64>], columns: &[Column]) -> 
     faults.chain(missing.map(|(_, c)| format!("{} {}", c.name, since(c)))).collect()
 }
 
-/// What changes slowly and is often sent seldom stands until its next reading, for so long, s; everything else is read anew for every
-/// row.
+/// Longest time for which a slow quantity keeps its last value, s.
+/// Such a quantity is often sent seldom; every other one needs a new value for each row.
 const HELD_S: f64 = 180.0;
 
-/// Takes what the feed has said since the last poll: values of its columns, and when they came, s.
+/// Takes the feed's values since the last poll, and their times, s.
 fn take(feed: &mut Feed, now_s: f64, columns: &[Column], last: &mut [Option<f64>], came_s: &mut [f64]) {
     feed.poll(now_s);
     for ((value, came), c) in last.iter_mut().zip(came_s).zip(columns) {
@@ -348,7 +350,7 @@ fn take(feed: &mut Feed, now_s: f64, columns: &[Column], last: &mut [Option<f64>
     }
 }
 
-/// Why not a single row was recorded.
+/// Reason why not a single row was recorded.
 fn nothing(
     feed: Option<&Feed>,
     gauges: &[Column],
@@ -367,7 +369,8 @@ fn stays(role: &Role) -> bool {
     matches!(role, Role::Temperature | Role::Channel | Role::Coolant | Role::SpindleSpeed)
 }
 
-/// The first value of a row that its column cannot hold: its place, and what is wrong with it.
+/// The first value of a row that its column cannot contain.
+/// Returns its index, and what is wrong with it.
 fn impossible(values: &[f64], columns: &[Column]) -> Option<(usize, String)> {
     values.iter().zip(columns).enumerate().find_map(|(place, (v, c))| {
         let (found, expected) = check(&c.role, *v, c.data.last().copied()).err()?;
@@ -375,7 +378,8 @@ fn impossible(values: &[f64], columns: &[Column]) -> Option<(usize, String)> {
     })
 }
 
-/// Two columns of one name, or of a role that stands only once: found before a run, not after it.
+/// Finds two columns of one name, or of a role that may not repeat.
+/// It is called before a run, not after it.
 fn twice(columns: &[Column]) -> Option<String> {
     columns.iter().enumerate().find_map(|(i, c)| {
         let before = &columns[..i];
@@ -387,11 +391,11 @@ fn twice(columns: &[Column]) -> Option<String> {
     })
 }
 
-/// The running daemon, asked once a row.
+/// The running daemon, which is asked once per row.
 struct DaemonTotals {
     client: Client,
     status: DaemonStatus,
-    /// µm per count of each axis, once it was off zero.
+    /// µm per count of each axis, once it was away from zero.
     count_um: Vec<Option<f64>>,
 }
 
@@ -413,7 +417,7 @@ impl DaemonTotals {
         Ok(())
     }
 
-    /// Columns for its axes' positions, and for its sensors beside those there are.
+    /// Columns for its axes' positions, and for its sensors that have none yet.
     fn columns(&self, there: &[Column]) -> anyhow::Result<Vec<Column>> {
         let mut out = Vec::new();
         for a in &self.status.axes {
@@ -436,7 +440,7 @@ impl DaemonTotals {
         Some(self.status.axes.iter().find(|a| a.name == axis)?.position_mm)
     }
 
-    /// What a response was made smaller by.
+    /// Correction in effect, by which a response is smaller, µm.
     /// `None` while an axis's resolution is not known.
     fn in_effect_um(&self, role: &Role) -> Option<f64> {
         let Role::Error(axis) = role else { return Some(0.0) };
@@ -454,7 +458,7 @@ fn column(name: &str, role: Role) -> Column {
     Column { name: name.to_owned(), role, unit, data: Vec::new() }
 }
 
-/// `false` where a signal came first.
+/// Waits; `false` if a signal came first.
 fn wait_until(start: Instant, due_s: f64, ended: &AtomicBool) -> bool {
     loop {
         let left = due_s - start.elapsed().as_secs_f64();
@@ -465,16 +469,16 @@ fn wait_until(start: Instant, due_s: f64, ended: &AtomicBool) -> bool {
     }
 }
 
-/// While what this returns is held, a first signal ends the run and not its record.
-/// Otherwise, and a second one, the program. Before sensors and feed have threads of their own, so that none but this
-/// one gets it.
+/// While the returned value lives, a first signal ends the run but keeps its record.
+/// Any other signal ends the program. It must be called before sensors and feed start threads, so that only
+/// this thread receives signals.
 fn on_signal() -> anyhow::Result<Arc<AtomicBool>> {
     let ends = daemon::block_end_signals()?;
     let ended = Arc::new(AtomicBool::new(false));
     let told = Arc::downgrade(&ended);
     std::thread::spawn(move || {
         let mut signal = ends.wait();
-        // While it records.
+        // Only while it records.
         if let Some(told) = told.upgrade() {
             told.store(true, Ordering::Relaxed);
             signal = ends.wait();

@@ -1,4 +1,4 @@
-//! `rtecctl model fit-chain`: a chain's polynomials from records, component by component.
+//! `rtecctl model fit-chain`: fits a chain's polynomials to records, by component.
 
 use super::fit::draw;
 use crate::document::pretty;
@@ -76,7 +76,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// `NAME.run.toml`, or with the point that it measured.
+/// Parses `NAME.run.toml`, optionally with the point that it measured.
 fn point(text: &str) -> Result<(PathBuf, Option<[f64; 3]>), InputError> {
     let Some((path, point)) = text.rsplit_once('@').filter(|(_, p)| p.contains(',')) else {
         return Ok((PathBuf::from(text), None));

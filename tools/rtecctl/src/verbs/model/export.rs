@@ -1,4 +1,5 @@
-//! `rtecctl model export`: a model's correction table for one axis, for a controller that compensates by itself.
+//! `rtecctl model export`: a model's correction table for one axis.
+//! It is for a controller that compensates by itself.
 
 use crate::document::pretty;
 use crate::say;

@@ -1,4 +1,5 @@
-//! `rtecctl model fit` and `select-sensors`: choose sensors, fit growth, judge it on what it has not seen.
+//! `rtecctl model fit` and `select-sensors`: choose sensors and fit growth.
+//! The model is judged on data that it has not seen.
 
 use crate::document::pretty;
 use crate::figures::with_bounds;
@@ -191,7 +192,7 @@ pub(crate) fn run(args: &FitArgs) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Effects that the user names, by least squares.
+/// Fits the effects that the user names, by least squares.
 fn named(args: &FitArgs, asked: &Asked) -> anyhow::Result<()> {
     let done = workflow::fit_named(read(&args.common.records)?, &args.effects, asked, &mut suspicions::say)?;
     let (machine, report) = (&done.machine, &done.report);
@@ -241,14 +242,14 @@ fn read(paths: &[PathBuf]) -> Result<Vec<Record>, InputError> {
     paths.iter().map(|p| rtec_measure::record::read(p)).collect()
 }
 
-/// The first chart into the file, every other one beside it with its number.
+/// Writes the first chart to the file, each other one to a numbered file.
 pub(crate) fn draw(path: &Path, charts: &[Chart]) -> anyhow::Result<()> {
     let number = |i: usize| if i == 0 { String::new() } else { format!("{}", i + 1) };
     draw_beside(path, charts.iter().enumerate().map(|(i, chart)| (number(i), chart)), [1000, 520])
 }
 
-/// Each chart beside the file, with its own word before the extension.
-/// None, and it is the file itself. Says which files these are, where they are not the one that was asked for.
+/// Writes each chart to a file with its own word before the extension.
+/// Without a word it is the file itself. Reports the files if they are others than the requested one.
 pub(crate) fn draw_beside<'c>(
     path: &Path,
     charts: impl Iterator<Item = (String, &'c Chart)>,

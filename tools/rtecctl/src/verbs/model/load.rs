@@ -1,4 +1,4 @@
-//! `rtecctl model load` and `unload`: which machine model the daemon runs.
+//! `rtecctl model load` and `unload`: choose the model that the daemon runs.
 
 use crate::Outcome;
 use crate::daemon::{Daemon, absolute, check, open, unexpected, unreachable};
@@ -64,15 +64,15 @@ pub(crate) fn load(args: &LoadArgs) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// A model of this user's: its files, the model first, and what is to be said of it here.
+/// A model of this user: its files, the model first, and remarks about it.
 #[derive(Debug, Default)]
 struct ModelFiles {
     files: Vec<PathBuf>,
     warnings: Vec<String>,
 }
 
-/// The files of a model that this user names; the daemon is given them open.
-/// One that is not there, or has a mistake, is said here.
+/// The files of a model that this user names; the daemon receives them open.
+/// A missing file, or one with a mistake, is reported here.
 fn of_model(file: &Path) -> Result<ModelFiles, InputError> {
     let path = PathBuf::from(absolute(file));
     let text = rtec_files::text::read(&path)?;
@@ -92,7 +92,7 @@ pub(crate) fn again(daemon: &Daemon) -> anyhow::Result<()> {
     daemon.order(&ClientRequest::ModelAgain {}, "model taken up again; corrections go to it in a ramp")
 }
 
-/// Asks the person; nobody there is a no.
+/// Asks the user; without a terminal the answer is no.
 fn agreed() -> anyhow::Result<bool> {
     if !std::io::stdin().is_terminal() {
         eprintln!("no terminal to ask at: `--yes` loads it");

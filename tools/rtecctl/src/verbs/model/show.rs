@@ -1,4 +1,4 @@
-//! `rtecctl model show` and `compare`: what a model says, and what sets two apart.
+//! `rtecctl model show` and `compare`: contents and differences of models.
 
 use crate::document::pretty;
 use crate::figures::alike;
@@ -43,7 +43,7 @@ pub(crate) struct CompareArgs {
 pub(crate) fn show(args: &ShowArgs) -> anyhow::Result<()> {
     let machine = match Machine::read(&args.machine) {
         Ok(machine) => machine,
-        // A chain by itself: what a model names as its `chain`.
+        // The file may be a chain itself, which models name as `chain`.
         Err(error) => match Chain::read(&args.machine) {
             Ok(chain) => {
                 if args.json {
@@ -87,7 +87,9 @@ pub(crate) fn show(args: &ShowArgs) -> anyhow::Result<()> {
             println!("    fitted on ΔT from {lo:.2} to {hi:.2} K");
         }
         if l.provenance.set_up {
-            println!("    the zero of the gauges in these records: in predictions, never corrected live");
+            println!(
+                "    the zero of the gauges in these records: predicted for runs of their kind and place, never corrected live"
+            );
         }
         if let Some(by) = &l.provenance.added_by {
             let from: Vec<&str> = l.provenance.from.iter().map(|s| s.file.as_str()).collect();
@@ -111,7 +113,7 @@ pub(crate) fn show(args: &ShowArgs) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// A value with its unit and the bounds of its interval: as many digits as that leaves.
+/// A value with its unit and the bounds of its interval, rounded accordingly.
 fn parameter(v: f64, unit: &str, interval: Option<[f64; 2]>) -> String {
     match interval {
         Some([low, high]) if high > low => {
@@ -123,7 +125,8 @@ fn parameter(v: f64, unit: &str, interval: Option<[f64; 2]>) -> String {
     }
 }
 
-/// A chain: every joint in order from the bed, and every component that is not zero, term by term.
+/// A chain: its joints in order from the bed, with their components.
+/// Components that are not zero are written term by term.
 fn chain_text(chain: &Chain) -> String {
     let [x, y, z] = chain.tool_mm.map(short);
     let mut text = format!("chain to a tool point at {x}, {y}, {z} mm of the last frame\n");
@@ -170,7 +173,7 @@ fn heading(effect: &Effect) -> String {
 
 pub(crate) fn compare(args: &CompareArgs) -> anyhow::Result<()> {
     let (a, b) = (Machine::read(&args.first)?, Machine::read(&args.second)?);
-    // What is not an identity may differ: effects of one identity are the same effect.
+    // Only values differ within one identity: effects of one identity are the same effect.
     let of = |m: &Machine| m.effects().map(|e| (e.identity(), e.clone())).collect::<BTreeMap<_, _>>();
     let (left, right) = (of(&a), of(&b));
     let mut rows = Vec::new();
@@ -243,7 +246,7 @@ pub(crate) fn compare(args: &CompareArgs) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// An effect's identity, as a person reads it: what tells it apart with few digits.
+/// An effect's identity for people, with few digits.
 fn named(effect: &Effect) -> String {
     let apart = effect.description().parameters.iter().enumerate().filter(|(_, p)| p.tells_apart);
     apart.fold(effect.identity(), |id, (i, p)| {
@@ -252,7 +255,7 @@ fn named(effect: &Effect) -> String {
     })
 }
 
-/// Numbers as a person reads them.
+/// Numbers in a form for people.
 fn figures(value: &Value) -> String {
     match value {
         Value::Array(all) => all.iter().map(figures).collect::<Vec<_>>().join(" "),
@@ -261,7 +264,7 @@ fn figures(value: &Value) -> String {
     }
 }
 
-/// Five digits that count, or a whole number's own; zeros at the end left out.
+/// Five significant digits, or a whole number's own; without trailing zeros.
 fn short(v: f64) -> String {
     if v != 0.0 && !(1e-4..1e7).contains(&v.abs()) {
         return format!("{v:.4e}");

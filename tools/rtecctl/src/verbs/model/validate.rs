@@ -1,4 +1,5 @@
-//! `rtecctl model validate` and `rehearse`: a model on data it has not seen, and on a shift before it is loaded.
+//! `rtecctl model validate` and `rehearse`: judge a model before it is loaded.
+//! They use data that it has not seen, or a recorded shift.
 
 use super::fit::{draw, draw_beside};
 use crate::Outcome;
@@ -77,7 +78,7 @@ pub(crate) fn validate(args: &ValidateArgs) -> anyhow::Result<()> {
     Err(Outcome::No(format!("no better than without the model: {}", found.no_better.join(", "))).into())
 }
 
-/// One response, in a line.
+/// Prints one response on a line.
 fn print_judged(v: &Value) {
     let f = |key: &str| v[key].as_f64().map_or("-".to_owned(), |v| format!("{v:.3}"));
     let unit = FitNote::unit_of(v["response"].as_str().unwrap_or_default());
@@ -143,7 +144,7 @@ pub(crate) fn rehearse(args: &RehearseArgs) -> anyhow::Result<()> {
         eprintln!("warning: {}: {warning}", args.record.display());
     }
     let found = rehearse::rehearse(&present, &new, &shift, &options)?;
-    // Where the shift has no times, its rows' numbers stand for seconds, and are called what they are.
+    // If the shift has no times, row numbers take their place and are labelled as rows.
     let timed = shift.column(&Role::Time).is_some();
     if let Some(path) = &args.plot {
         let charts: Vec<(String, Chart)> =
@@ -177,7 +178,7 @@ pub(crate) fn rehearse(args: &RehearseArgs) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// What the corrections of a configured machine go through.
+/// Settings of the law for a configured machine.
 fn options(config: &Config) -> rehearse::Options {
     rehearse::Options {
         axes: config.axes.iter().map(ConfiguredAxis::law).collect(),

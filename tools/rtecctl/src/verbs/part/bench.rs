@@ -1,4 +1,4 @@
-//! The simulated machine's options, for the steps that need a machine.
+//! Options of the simulated machine, for the steps that need a machine.
 
 use super::points::{MotionArgs, positive};
 use super::usage;

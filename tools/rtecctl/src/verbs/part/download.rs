@@ -1,5 +1,6 @@
-//! The NC program into the controller: LinuxCNC's network interface `linuxcncrsh` (one command a line over TCP, port 5007) has it
-//! open a program that lies in its own program folder.
+//! Downloads the NC program to the controller and opens it there.
+//! It uses LinuxCNC's network interface `linuxcncrsh` (one command a line over TCP, port 5007). The program
+//! is in LinuxCNC's own program folder.
 
 use super::usage;
 use crate::Outcome;
@@ -26,14 +27,14 @@ pub(crate) struct DownloadArgs {
     passwords: String,
 }
 
-/// LinuxCNC is asked for no longer than this.
+/// Longest wait for LinuxCNC.
 const PATIENCE: Duration = Duration::from_secs(10);
 
 impl DownloadArgs {
-    /// Writes the program into the controller's folder and has it opened there, where that is asked for.
+    /// Writes the program into the controller's folder, and opens it on request.
     ///
     /// # Errors
-    /// The folder cannot be written; nobody answers (exit code 3); LinuxCNC refuses (exit code 1).
+    /// The folder cannot be written; nothing answers (exit code 3); LinuxCNC refuses (exit code 1).
     pub(crate) fn bring(&self, name: &str, text: &str) -> anyhow::Result<()> {
         let Some(folder) = &self.program_folder else { return Ok(()) };
         if !folder.is_dir() {
@@ -71,7 +72,7 @@ impl DownloadArgs {
         if !open.to_lowercase().ends_with(&path.to_lowercase()) {
             return Err(Outcome::No(format!("LinuxCNC at {address} has another program open: {open}")).into());
         }
-        // It hangs up; what comes of it is of no interest.
+        // LinuxCNC closes the connection; the result does not matter.
         let _ = ask("quit", "");
         eprintln!("LinuxCNC at {address} has opened {}", there.display());
         Ok(())
@@ -101,7 +102,7 @@ impl Client {
     }
 
     /// Sends a command and reads up to the line that answers it.
-    /// Commands may be echoed before. Without an expected answer nothing is waited for.
+    /// Commands may be echoed first. Without an expected answer it does not wait.
     fn ask(&mut self, command: &str, answer: &str) -> std::io::Result<String> {
         self.lines.get_mut().write_all(format!("{command}\r\n").as_bytes())?;
         if answer.is_empty() {
@@ -113,7 +114,7 @@ impl Client {
                 return Err(std::io::Error::new(std::io::ErrorKind::UnexpectedEof, "it has hung up"));
             }
             let line = line.trim();
-            // Answers are in capitals, an echo is as we wrote it; a refusal need not name what it refuses.
+            // Answers are in capitals, an echo is as sent. A refusal need not name the refused command.
             if line.starts_with(answer) || line.starts_with("SET") && line.ends_with("NAK") {
                 return Ok(line.to_owned());
             }
@@ -121,7 +122,7 @@ impl Client {
     }
 }
 
-/// Whether a download is asked for with a name that LinuxCNC reads.
+/// Warns if a program is downloaded in a dialect that LinuxCNC does not read.
 pub(crate) fn warn_of_dialect(asked: bool, dialect: &str) {
     if asked && Path::new(dialect).file_stem().is_none_or(|d| d != "linuxcnc") {
         eprintln!("rtecctl: the program is in the dialect {dialect}; LinuxCNC reads --dialect linuxcnc");
@@ -129,7 +130,7 @@ pub(crate) fn warn_of_dialect(asked: bool, dialect: &str) {
 }
 
 impl DownloadArgs {
-    /// LinuxCNC is to open the program.
+    /// Whether LinuxCNC is to open the program.
     pub(crate) fn asked(&self) -> bool {
         self.download.is_some()
     }

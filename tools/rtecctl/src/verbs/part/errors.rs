@@ -1,4 +1,4 @@
-//! `rtecctl part errors`: probed points to part errors, `error.cor` and whiskers.
+//! `rtecctl part errors`: part errors, `error.cor` and whiskers from probed points.
 
 use super::features::Units;
 use super::{print, write_all};
@@ -108,11 +108,11 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     if args.json { print(&pretty(&report)?) } else { print(&text(&report, args.with_size)) }
 }
 
-/// More size than this for each µm of form is said.
+/// Size error per µm of form error above which it is reported.
 const MUCH_FORM: f64 = 5.0;
 
-/// What to do about a size that is so far off.
-/// `held`: how much of it each µm of form may be.
+/// Advice for a size error of this amount.
+/// `held`: largest share of it per µm of form error.
 fn of_size(r: &ErrorReport, off_um: f64, held: Option<f64>, with_size: bool) -> String {
     if !r.is_size_known() {
         let within = r.size_within_um().unwrap_or(f64::INFINITY);

@@ -1,4 +1,5 @@
-//! `rtecctl part finish`: a cut round the nose on the simulated machine, with or without the corrector's table.
+//! `rtecctl part finish`: a simulated cut around the nose.
+//! It runs with or without the corrector's table.
 
 use super::bench::BenchArgs;
 use super::points::positive;

@@ -37,13 +37,14 @@ pub(crate) struct Args {
     json: bool,
 }
 
-/// A finish cut leaves an arc's centre where it was, but for allowances that differ in Z and X.
+/// Largest shift of an arc's centre by a finish cut, mm.
+/// Only allowances that differ in Z and X shift it.
 const OTHER_PLACE_MM: f64 = 1.0;
 
-/// An arc whose radius is off by this share is another one.
+/// Relative difference of radius from which an arc is another one.
 const OTHER_SIZE: f64 = 0.1;
 
-/// The part of an arc that was probed before and not after, where it is more than a tenth.
+/// The part of an arc that was probed before but not after, if above a tenth.
 fn not_looked_at(before: &ErrorReport, after: &ErrorReport) -> Option<String> {
     let ends = |r: &ErrorReport| {
         r.errors.iter().fold([f64::INFINITY, f64::NEG_INFINITY], |[lo, hi], e| {
@@ -96,7 +97,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         return Err(usage("--after", rest, "points over the whole of what was probed before"));
     }
     let off_mm = (before.centre_mm[0] - after.centre_mm[0]).hypot(before.centre_mm[1] - after.centre_mm[1]);
-    // A short arc tells its centre badly: no other place then.
+    // A short arc determines its centre badly, so it does not prove another position.
     let errors = [&before, &after].map(|r| r.centre_standard_error_um.unwrap_or([f64::INFINITY; 2]));
     let known_mm = 2e-3 * errors.iter().flatten().fold(0.0, |sum: f64, um| sum.hypot(*um));
     if off_mm > OTHER_PLACE_MM.max(known_mm) {
@@ -116,7 +117,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         before.sd_before_um,
         after.sd_before_um
     )];
-    // A part of the right form and the wrong size is not the part.
+    // A part with the right form but the wrong size is not accepted.
     let size_um = after.size_error_um.unwrap_or(0.0);
     let farthest_um = after.errors.iter().map(|e| (e.error_um + size_um).abs()).fold(0.0, f64::max);
     if let Some(size_um) = after.size_error_um {
@@ -126,7 +127,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             "size {size_um:+.2} µm{error}; farthest from nominal, size and form together, {farthest_um:.2} µm"
         ));
     }
-    // A bump draws the size to itself, so that both together may hide it: the form is judged by itself too.
+    // A bump changes the fitted size, and both together may hide it. So the form is judged by itself too.
     let judged_um = farthest_um.max(largest(&after));
     let limit = args.limit_um.map(|limit_um| (limit_um, judged_um <= limit_um));
     if let Some((limit_um, kept)) = limit {

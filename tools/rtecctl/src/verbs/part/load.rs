@@ -1,4 +1,5 @@
-//! `rtecctl part load` and `unload`: the part table that the daemon takes out while the tool cuts.
+//! `rtecctl part load` and `unload`: the part table in the daemon.
+//! The daemon removes its errors while the tool cuts.
 
 use super::table::CutArgs;
 use super::usage;
@@ -35,7 +36,7 @@ pub(crate) fn load(args: &LoadArgs) -> anyhow::Result<()> {
     if !(0.0..=1000.0).contains(&args.lead_ms) {
         return Err(usage("--lead-ms", args.lead_ms.to_string(), "a time in ms, 0 to 1000"));
     }
-    // Found here, with line and column, before the daemon is asked.
+    // Mistakes are found here, with line and column, before the daemon is asked.
     let errors = FeatureErrors::read(&args.errors)?;
     let (points, [low_um, high_um]) = (errors.len(), errors.range_um());
     let arc = match errors {

@@ -62,11 +62,11 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     }
 }
 
-/// How the names of files end that the steps read and write.
-/// No folder is made of such a name.
+/// Extensions of files that the steps read and write.
+/// A folder may not be named like such a file.
 const FILES: [&str; 10] = ["csv", "cor", "nc", "ngc", "dnc", "svg", "dxf", "cdl", "html", "toml"];
 
-/// Write files of one result into a folder, making the folder where it is not there.
+/// Writes the files of one result into a folder, which is made if needed.
 fn write_all(folder: &Path, files: &[(&str, &[u8])]) -> anyhow::Result<()> {
     use anyhow::Context as _;
     let ends = folder.extension().and_then(|e| e.to_str()).unwrap_or_default();
@@ -86,20 +86,20 @@ fn write_all(folder: &Path, files: &[(&str, &[u8])]) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Print a whole result.
+/// Prints a whole result.
 #[allow(clippy::unnecessary_wraps, reason = "the last thing that every step does")]
 fn print(text: &str) -> anyhow::Result<()> {
     crate::say(text);
     Ok(())
 }
 
-/// A usage finding that clap cannot express: exit code 2.
+/// A usage error that clap cannot express: exit code 2.
 fn usage(argument: &str, found: impl Into<String>, expected: impl Into<String>) -> anyhow::Error {
     rtec_files::InputError::whole(Path::new(argument), found, expected).into()
 }
 
-/// An experiment's failure with its exit code: bad points are bad input, a latched fault is a fault, a trip that is
-/// not as planned is a no.
+/// An experiment's failure with its exit code.
+/// Bad points are bad input, a latched fault is a fault, and a trip that differs from the plan is a no.
 fn failed(error: TurningError) -> anyhow::Error {
     match error {
         TurningError::Points(input) => input.into(),

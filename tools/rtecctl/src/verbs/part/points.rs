@@ -97,7 +97,7 @@ impl MotionArgs {
     }
 }
 
-/// Points nearer than this share of the tip's radius show one place.
+/// Points closer than this share of the tip's radius show one position.
 const SAME_PLACE: f64 = 0.1;
 
 pub(crate) fn positive(name: &str, value: f64) -> anyhow::Result<f64> {
@@ -114,7 +114,7 @@ struct Choice {
     by: PointSelection,
 }
 
-/// More points than these on one feature take days to probe.
+/// Largest number of points on one feature; more would take days to probe.
 const MOST_POINTS: usize = 10_000;
 
 #[derive(Debug, Clone, Copy)]
@@ -124,7 +124,7 @@ enum PointSelection {
 }
 
 impl Choice {
-    /// How many points it asks for on so much of its feature.
+    /// Number of points on a stretch of this length.
     fn number(&self, between_mm: f64) -> anyhow::Result<usize> {
         let mm = match self.by {
             PointSelection::Number(n) => return Ok(n),
@@ -152,7 +152,7 @@ impl FromStr for Choice {
             )
         } else {
             let is_whole = !points.is_empty() && points.bytes().all(|byte| byte.is_ascii_digit());
-            // A number that no integer holds is a number all the same.
+            // A number too large for an integer is still a number.
             let number = points.parse().ok().or_else(|| is_whole.then_some(usize::MAX)).ok_or(expected)?;
             if !(1..=MOST_POINTS).contains(&number) {
                 return Err(format!(
@@ -167,7 +167,7 @@ impl FromStr for Choice {
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let (contour, drawn) = args.drawing.read()?;
-    // A path file does not name its unit, and the steps that read it know mm and inch.
+    // A path file does not state its unit, and the steps that read it know mm and inch only.
     let unit = if drawn == Unit::INCH { drawn } else { Unit::MM };
     if unit == Unit::INCH {
         eprintln!(

@@ -1,4 +1,5 @@
-//! `rtecctl part post-process`: a batch from a measuring machine, what is systematic in it, offered and not applied.
+//! `rtecctl part post-process`: systematic errors of a batch of measured parts.
+//! Changes are offered, not applied.
 
 use super::{print, usage, write_all};
 use crate::document::pretty;

@@ -1,5 +1,5 @@
-//! `rtecctl part probe`: a probing session, on the simulated machine or through the daemon; positions are captured by
-//! the engine.
+//! `rtecctl part probe`: a probing session, simulated or by the daemon.
+//! The engine captures the positions.
 
 use super::bench::BenchArgs;
 use super::features::Units;
@@ -117,7 +117,7 @@ fn show(json: bool, trips: &[Trip], seconds: f64) -> anyhow::Result<()> {
     print(&t)
 }
 
-/// What a session through the daemon brought.
+/// Results of a session by the daemon.
 struct ProbedSession {
     trips: Vec<Trip>,
     sensors: Vec<String>,
@@ -127,10 +127,11 @@ struct ProbedSession {
     seconds: f64,
 }
 
-/// After the last trip, how long a second one is waited for.
+/// Wait for a second trip after the last one.
 const SETTLED: Duration = Duration::from_secs(1);
 
-/// Probing on, every trip held against the plan as it comes, probing off again whatever happens.
+/// Switches probing on, compares every trip with the plan, and switches it off.
+/// It is switched off whatever happens.
 fn watch(args: &LiveArgs, expected: &[Zx], window_mm: f64) -> anyhow::Result<ProbedSession> {
     let patience = Duration::from_secs_f64(positive("--patience-s", args.patience_s)?.min(86_400.0));
     let Some(&[z_mm, x_mm]) = args.origin_mm.as_deref() else {
@@ -149,7 +150,7 @@ fn watch(args: &LiveArgs, expected: &[Zx], window_mm: f64) -> anyhow::Result<Pro
     if let Some(why) = status.not_homed() {
         return Err(Outcome::No(why).into());
     }
-    // Watching first: no trip can come between the two.
+    // The watch starts first, so that no trip can come in between.
     let mut events = daemon.connect()?;
     daemon::ask(&mut events, &ClientRequest::Watch {})?;
     if args.start {
@@ -162,7 +163,7 @@ fn watch(args: &LiveArgs, expected: &[Zx], window_mm: f64) -> anyhow::Result<Pro
     eprintln!("probing is on, {} points; run the probing program", expected.len());
     let began = Instant::now();
     let done = follow(&mut events, args, expected, origin, window_mm, patience);
-    // Its own failure must not hide what went wrong before it.
+    // A failure to switch off must not hide an earlier error.
     let off = ask(&ClientRequest::Probe { on: false });
     let (trips, degc) = done?;
     off?;
@@ -179,7 +180,7 @@ fn watch(args: &LiveArgs, expected: &[Zx], window_mm: f64) -> anyhow::Result<Pro
     Ok(ProbedSession { trips, sensors, degc, origin, seconds: began.elapsed().as_secs_f64() })
 }
 
-/// Per trip, in the order of the status's sensors.
+/// Temperatures of each trip, in the order of the status's sensors.
 type Temperatures = Vec<Vec<Option<f64>>>;
 
 fn follow(
@@ -192,7 +193,7 @@ fn follow(
 ) -> anyhow::Result<(Vec<Trip>, Temperatures)> {
     let mut captured = Captured::default();
     let mut degc = Vec::new();
-    // Both axes of a trip come as each meets its next edge; they share its time.
+    // The two axes of a trip arrive when each meets its next edge; they share the trip's time.
     let mut half: Option<(usize, protocol::TripReport)> = None;
     let no = |fault: TripFault| anyhow::Error::from(Outcome::No(fault.to_string()));
     // The session's own clock begins at its first trip.
@@ -204,7 +205,8 @@ fn follow(
             Ok(Response::Event(happened)) => happened,
             Ok(_) => continue,
             Err(ClientError::Io(e)) if matches!(e.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut) => {
-                // All there: judged whole. Else the next one was missed.
+                // If all trips are there, the session is judged as a whole. Otherwise the next trip was
+                // missed.
                 return Ok((assign(&captured, expected, 1.0, origin, window_mm).map_err(no)?, degc));
             }
             Err(error) => return Err(unreachable(error)),
@@ -229,7 +231,7 @@ fn follow(
                             at_ns.saturating_sub(zero_ns) as f64 / 1e9,
                         ));
                         degc.push(trip.degc);
-                        // A wrong trip ends the session now; that the rest is still missing does not.
+                        // A wrong trip ends the session at once; trips still missing do not.
                         match assign(&captured, expected, 1.0, origin, window_mm) {
                             Err(TripFault::Missed { point, .. }) if point == captured.trips.len() + 1 => {}
                             judged => {
@@ -246,7 +248,7 @@ fn follow(
     }
 }
 
-/// The points as `part errors` reads them, and the same as a run record of the machine.
+/// Writes the points for `part errors`, and as a run record of the machine.
 fn write_session(folder: &Path, csv: &str, record: Option<&Record>) -> anyhow::Result<()> {
     let (rows, sidecar) = record.map(|r| (to_csv(r), to_sidecar(r))).unzip();
     let mut files = vec![("probed.csv", csv.as_bytes())];

@@ -91,7 +91,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         let (name, value) = pair.split_once('=').ok_or_else(|| usage("--set", pair.clone(), "NAME=VALUE"))?;
         set.push((name.trim().to_owned(), value.trim().to_owned()));
     }
-    // The feed of the command line is a default: a file or --set that names it stands over it.
+    // The feed of the command line is a default; a file or --set overrides it.
     for (k, (name, value)) in set.iter().enumerate() {
         parameters.set(name, value).map_err(|(found, expected)| usage("--set", found, expected))?;
         if let (0, Some(file)) = (k, &args.params) {

@@ -1,4 +1,4 @@
-//! `rtecctl part run`: the whole process-intermittent loop on the simulated machine.
+//! `rtecctl part run`: the whole process-intermittent loop, simulated.
 
 use super::bench::BenchArgs;
 use super::features::{DrawingOptions, write_drawn};

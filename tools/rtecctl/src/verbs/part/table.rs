@@ -90,7 +90,7 @@ impl CutArgs {
         Ok(FinishCut { centre, radius_mm, nose_mm, origin })
     }
 
-    /// Refuses what is said of an arc beside the errors of a straight feature.
+    /// Refuses options of an arc together with the errors of a straight feature.
     pub(crate) fn is_of_no_arc(&self) -> anyhow::Result<()> {
         if self.hollow {
             return Err(usage("--hollow", "errors of a straight feature", "those of an arc"));
@@ -102,7 +102,8 @@ impl CutArgs {
         Ok(())
     }
 
-    /// Radius of the tool's nose, and the machine position at which its centre is at the part's origin.
+    /// Radius of the tool's nose, and position of the part's origin, mm.
+    /// The position is the machine's when the nose's centre is at the origin.
     pub(crate) fn tool(&self) -> anyhow::Result<(f64, Zx)> {
         if !(0.0..=1000.0).contains(&self.nose_mm) {
             return Err(usage("--nose-mm", self.nose_mm.to_string(), "a radius in mm, 0 to 1000"));
@@ -112,7 +113,7 @@ impl CutArgs {
     }
 }
 
-/// No machine is longer than this, mm.
+/// Limit of every position, mm; no machine is longer.
 const FARTHEST_MM: f64 = 100_000.0;
 
 fn place(name: &str, value: f64) -> anyhow::Result<f64> {

@@ -1,7 +1,9 @@
-//! A small page on this machine only: the drawing, click to add or remove points, the probe's path, save.
+//! A page for this computer only that edits the probing points.
+//! It shows the drawing and the probe's path; a click adds or removes points.
 //!
-//! Every user of this machine can reach the port. Its address has a secret in it, that only whoever started the page is told;
-//! a request without it is refused, unread. Each request has a thread: one that never ends holds up no other.
+//! Every user of this computer can reach the port. The address contains a secret that only the user who
+//! started the page receives. A request without it is refused unread. Each request has a thread, so one that
+//! never ends does not block others.
 
 use crate::http::{Answer, Handler, Request, Server};
 use rtec_model::record::hex;
@@ -20,7 +22,7 @@ use std::time::Duration;
 
 const PAGE: &str = include_str!("page.html");
 
-/// What the page edits.
+/// State that the page edits.
 #[derive(Debug)]
 pub(crate) struct PlanEditor {
     /// The part that is probed.
@@ -35,16 +37,16 @@ pub(crate) struct PlanEditor {
     pub(crate) clear_mm: f64,
 }
 
-/// A page that waits to be served.
+/// A page that is ready to be served.
 pub(crate) struct Page {
     server: Server,
     address: SocketAddr,
-    /// What every path begins with.
+    /// First part of every path.
     secret: String,
 }
 
 impl Page {
-    /// Listen on the loopback address; port 0 takes a free one.
+    /// Listens on the loopback address; port 0 takes a free one.
     ///
     /// # Errors
     /// As the system reports them: the port is taken, no loopback.
@@ -62,7 +64,7 @@ impl Page {
         format!("http://{}{}/", self.address, self.secret)
     }
 
-    /// Answer until the page says it is done.
+    /// Answers until the page reports that it is done.
     ///
     /// # Errors
     /// The listening socket failed.
@@ -75,16 +77,16 @@ impl Page {
             done: Arc::clone(&done),
         };
         self.server.serve(&Arc::new(asked), &done)?;
-        // The answer to the last request is on its way.
+        // The last answer is still being sent.
         std::thread::sleep(LAST_ANSWER);
         Ok(())
     }
 }
 
-/// The last answer is given so long to be sent.
+/// Time for sending the last answer.
 const LAST_ANSWER: Duration = Duration::from_millis(100);
 
-/// What requests are answered from.
+/// State for the answers.
 struct PlanServer {
     secret: String,
     address: SocketAddr,
@@ -93,12 +95,13 @@ struct PlanServer {
 }
 
 impl PlanServer {
-    /// What a request is for.
+    /// The action that a request's path names.
     fn what<'r>(&self, request: &'r Request) -> Option<&'r str> {
         request.path.strip_prefix(&self.secret).filter(|what| what.starts_with('/'))
     }
 
-    /// Another site in the same browser must not drive this page: its name and origin give it away.
+    /// Whether a request comes from this page.
+    /// Another site in the same browser must not drive it; its host and origin differ.
     fn is_ours(&self, request: &Request) -> bool {
         let hosts = [self.address.to_string(), format!("localhost:{}", self.address.port())];
         let is_host = |h: &str| hosts.iter().any(|mine| mine == h);
@@ -126,7 +129,7 @@ impl Handler for PlanServer {
 
 fn answer(session: &Mutex<PlanEditor>, what: &str, request: &Request) -> (u16, &'static str, String) {
     const JSON: &str = "application/json";
-    // Nothing is half done where a thread panicked: each change is one call.
+    // If a thread panicked, no change is half done: each is one call.
     let editor = || session.lock().unwrap_or_else(PoisonError::into_inner);
     let get = request.method == "GET";
     if get && what == "/" {
@@ -187,7 +190,7 @@ fn save(session: &PlanEditor) -> std::io::Result<()> {
     Ok(())
 }
 
-/// What the page draws, as JSON.
+/// State of the page as JSON, for drawing.
 fn state(session: &PlanEditor) -> Value {
     let pair = |p: Zx| [p.z, p.x];
     let contour: Vec<Value> = session

@@ -1,4 +1,4 @@
-//! What `rtecctl top` draws: from a status, the totals' parts and the last events to one screen.
+//! The screen of `rtecctl top`: status, components of the totals, last events.
 
 use ratatui::Frame;
 use ratatui::layout::{Constraint, Layout, Rect};
@@ -11,12 +11,12 @@ use rtec_control::protocol::{
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
-/// Looks that the trend keeps: five minutes at two a second.
+/// Number of looks in the trend: five minutes at two per second.
 const TREND: usize = 600;
-/// Below this nothing of use can be shown.
+/// Smallest screen that shows anything useful, columns and lines.
 const NEEDS: (u16, u16) = (60, 16);
 
-/// What is known, and how it is to be shown.
+/// The latest state, and how to show it.
 pub(super) struct View {
     pub help: bool,
     colour: bool,
@@ -27,11 +27,11 @@ pub(super) struct View {
     /// Total of each axis, µm, oldest first.
     trend: Vec<VecDeque<f64>>,
     gone: Option<(Instant, String)>,
-    /// When the daemon was last heard.
+    /// Time of the daemon's last answer.
     heard: Option<Instant>,
 }
 
-/// What is shown is no older than this, else it says so.
+/// Age above which the state is marked as old.
 const FRESH: Duration = Duration::from_secs(2);
 
 impl View {
@@ -51,7 +51,7 @@ impl View {
 
     pub(super) fn take(&mut self, seen: Observed) {
         let Observed { status, explained, events, .. } = seen;
-        // Another machine, or a daemon that has begun anew: its past is not this one's.
+        // Another machine or a restarted daemon: the old trend is not its own.
         if self.status.as_ref().is_some_and(|s| s.uptime_s > status.uptime_s || s.machine != status.machine) {
             self.trend.clear();
         }
@@ -66,7 +66,7 @@ impl View {
         self.heard = Some(Instant::now());
     }
 
-    /// For how long the daemon has not been heard, where that is longer than it should be.
+    /// Time since the daemon's last answer, if longer than expected.
     fn silent(&self) -> Option<Duration> {
         let since = self.heard.or(self.gone.as_ref().map(|(since, _)| *since))?.elapsed();
         (self.gone.is_some() || since > FRESH.max(self.every * 3)).then_some(since)
@@ -221,7 +221,7 @@ impl View {
         Line::from(vec![Span::raw(text), state])
     }
 
-    /// Each axis's total and what it is made of, the largest part first.
+    /// Each axis's total and its components, the largest first.
     fn effects(&self) -> Vec<Line<'static>> {
         let mut lines = Vec::new();
         for axis in &self.explained {
@@ -247,13 +247,13 @@ impl View {
             let style = if r.state == "good" { Style::new() } else { self.doubtful() };
             Line::styled(format!("{:<8} {value:>7} °C {age:>6} {}", shortened(&r.sensor, 8), r.state), style)
         };
-        // Those that are not good first: there may be more of them than lines.
+        // Sensors that are not good come first, since there may be more than lines.
         let (good, other): (Vec<_>, Vec<_>) = sensors.iter().partition(|r| r.state == "good");
         other.into_iter().chain(good).map(line).collect()
     }
 
-    /// What stands in the way of correcting.
-    /// The machine's own faults are the first of it.
+    /// Reasons why nothing is corrected.
+    /// Faults of the machine come first.
     fn why(&self) -> Vec<Line<'static>> {
         let Some(s) = &self.status else { return Vec::new() };
         let style = if s.mode == "fault" { self.wrong() } else { self.doubtful() };
@@ -349,8 +349,8 @@ fn shortened(name: &str, to: usize) -> String {
     name.chars().take(to - 1).chain(['…']).collect()
 }
 
-/// The last values in so many columns, from 0 (the least) to 8 (the most).
-/// A value that stands still is in the middle.
+/// The last values in a number of columns, from 0 (the least) to 8 (the most).
+/// A constant value is in the middle.
 fn squeezed(values: &VecDeque<f64>, columns: usize) -> Vec<u64> {
     let least = values.iter().copied().fold(f64::INFINITY, f64::min);
     let most = values.iter().copied().fold(f64::NEG_INFINITY, f64::max);
@@ -377,7 +377,7 @@ mod tests {
         (rows.concat(), buffer.content().iter().map(|c| c.fg).collect())
     }
 
-    /// The status of the golden files, and what could belong to it.
+    /// The status of the golden files, with other data to match.
     fn view(colour: bool) -> View {
         let mut status: DaemonStatus =
             serde_json::from_str(include_str!("../../../tests/golden/status.json")).unwrap();
@@ -465,7 +465,7 @@ mod tests {
         assert!(text.contains("OLD: 0 s"), "{text}");
         view.gone = None;
         assert!(!screen(&view, 100, 24).0.contains("NO ANSWER"));
-        // One that answers no more, and has not been given up yet.
+        // A daemon that no longer answers but is still connected.
         view.heard = Instant::now().checked_sub(Duration::from_secs(5));
         let (text, _) = screen(&view, 80, 24);
         assert!(text.contains("OLD: 5 s") && text.contains("NO ANSWER for 5 s"), "{text}");

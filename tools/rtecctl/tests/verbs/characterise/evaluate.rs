@@ -112,7 +112,7 @@ fn diagonals(folder: &Path) {
     }
 }
 
-/// Both diagonals of the face x y, 500 mm long: 18 µrad out of square, 6 ppm long.
+/// Both diagonals of the face x y, 500 mm long: 18 µrad off square, 6 ppm too long.
 fn faces(folder: &Path) {
     for (n, sign) in [1.0, -1.0].iter().enumerate() {
         let mut noise = Noise(n as u64 + 20);
@@ -137,8 +137,8 @@ fn faces(folder: &Path) {
     }
 }
 
-/// A workpiece reduced to 20 °C beside a scale that is not.
-/// Conditions of lengths for a tilt.
+/// Conditions of which only half is used are reported.
+/// Here a workpiece is reduced to 20 °C but its scale is not, and a tilt has conditions of lengths.
 #[test]
 fn conditions_of_which_half_is_used_are_said() {
     let dir = tempfile::tempdir().unwrap();
@@ -163,7 +163,7 @@ fn conditions_of_which_half_is_used_are_said() {
     );
 }
 
-/// A sensor of the conditions that reads 999.9 would carry it into every figure.
+/// A sensor of the conditions that reads 999.9 must not change the figures.
 #[test]
 fn lengths_are_not_reduced_by_a_sensor_that_reads_nonsense() {
     let dir = tempfile::tempdir().unwrap();
@@ -188,7 +188,7 @@ fn lengths_are_not_reduced_by_a_sensor_that_reads_nonsense() {
     );
 }
 
-/// A file of another kind is called what it is.
+/// A file of another kind is named by its kind.
 #[test]
 fn a_file_of_another_kind_is_said() {
     let dir = tempfile::tempdir().unwrap();
@@ -215,7 +215,8 @@ const CONDITIONS: &str = "machine = \"machining centre 12\"\naxis = \"Y, 800 mm\
                           scale = { sensor = \"T3\", ppm_per_K = 8.5 }\n[uncertainty]\ndevice_um_per_m = 0.8\nmisalignment_mm = 1.0\n\
                           machine_ppm_per_K = 8.5\nmachine_temperature_K = 0.3\ndrift_um = 1.2\nset_up_um = 0.3\n";
 
-/// Reports; kept in target/reports for whoever wants to look at them, and as pictures where Chromium is there.
+/// The reports are complete pages.
+/// They are kept in target/reports, and as pictures if Chromium is installed.
 #[test]
 #[expect(clippy::too_many_lines, reason = "a table of pages")]
 fn reports_are_pages_of_their_own() {
@@ -236,7 +237,7 @@ fn reports_are_pages_of_their_own() {
     std::fs::write(folder.join("drift.toml"), of_a_drift).unwrap();
     let reports = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../target/reports");
     std::fs::create_dir_all(&reports).unwrap();
-    // Page, standard and its words, what stands on it.
+    // Page, standard, its words, and the page's contents.
     let tests: [(&str, &[&str], &[&str]); 8] = [
         (
             "iso230-2",
@@ -318,7 +319,7 @@ fn reports_are_pages_of_their_own() {
         for w in want {
             assert!(html.contains(w), "{standard}: {w}");
         }
-        // Nothing is fetched: the only addresses are names of formats.
+        // Nothing is loaded from outside: the only addresses name formats.
         let fetched =
             html.matches("http").count() - html.matches("xmlns=\"http://www.w3.org/2000/svg\"").count();
         assert!(fetched == 0 && html.contains("@page{size:A4") && html.contains("<svg"), "{standard}");
@@ -366,7 +367,7 @@ fn an_imported_ballbar_has_its_bar_and_plane() {
     }
 }
 
-/// The keys that other people's scripts use.
+/// The keys that other people's scripts read.
 #[test]
 fn json_has_the_standard_s_keys() {
     let dir = tempfile::tempdir().unwrap();

@@ -24,7 +24,7 @@ fn said(out: &Output) -> (Option<i32>, String, String) {
     (out.status.code(), text(&out.stdout), text(&out.stderr))
 }
 
-/// A feed that says so many lines, a reading every 20 ms; its address.
+/// A feed of lines, one every 20 ms; returns its address.
 fn feed(line: impl Fn(usize) -> String + Send + 'static) -> String {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let address = listener.local_addr().unwrap().to_string();
@@ -84,7 +84,7 @@ fn ballbar(folder: &Path, name: &str, feed_mm_s: f64) {
     write(folder, name, head, &[("t", "time", "s"), ("a", "angle", "rad"), ("e", "error.r", "um")], &rows);
 }
 
-/// How x pitches, over 800 mm, in arcseconds.
+/// Pitch of x over 800 mm, in arcseconds.
 fn tilt(folder: &Path) {
     let mut noise = Noise(30);
     let mut rows = Vec::new();

@@ -2,7 +2,7 @@
 
 use super::{rtecctl, said};
 
-/// No plan asks for what the machine cannot do.
+/// A plan contains only runs that the machine can do.
 #[test]
 fn a_plan_fits_the_machine() {
     let dir = tempfile::tempdir().unwrap();
@@ -40,7 +40,7 @@ fn a_verdict_s_rivals_get_the_run_that_tells_them() {
     };
     let found: serde_json::Value = serde_json::from_slice(&plan(&["--json"]).stdout).unwrap();
     let (steps, tells) = (found["steps"].as_array().unwrap(), found["tells"].as_array().unwrap());
-    // One run tells wave and scale; no run of targets parts two sensors.
+    // One run distinguishes wave and scale; no run of targets separates two sensors.
     assert_eq!((steps.len(), tells.len()), (1, 3), "{found}");
     assert!(tells[0]["log_odds"].as_f64() > Some(20.0) && tells[1]["by"] == steps[0]["record"], "{found}");
     assert!(tells[2]["log_odds"].is_null() && tells[2]["by"].as_str().unwrap().contains("heat one place"));

@@ -16,7 +16,7 @@ fn one_nan_costs_its_row_and_not_the_run() {
     assert!(record.rows() > 20 && !dir.path().join("r.run.csv.part").exists(), "{}", record.rows());
 }
 
-/// Once the last of several bad lines was named.
+/// Regression: only the last of several bad lines was named.
 /// A closed connection looked like a pause.
 #[test]
 fn every_refused_line_and_a_lost_feed_are_said() {
@@ -39,7 +39,8 @@ fn every_refused_line_and_a_lost_feed_are_said() {
     }
 }
 
-/// A bug once: a run of a rotary axis was recorded, and then refused by every verb that reads it.
+/// Regression: a run of a rotary axis was recorded.
+/// Every verb that reads it then refused it.
 #[test]
 fn a_rotary_axis_is_refused_before_it_is_recorded() {
     let dir = tempfile::tempdir().unwrap();
@@ -62,7 +63,7 @@ fn a_rotary_axis_is_refused_before_it_is_recorded() {
 }
 
 /// Ctrl-C ends a run and keeps its rows.
-/// The rows of one that was killed are not the next one's to remove.
+/// The next run must not remove the rows of one that was killed.
 #[test]
 fn a_run_that_is_interrupted_is_kept() {
     let dir = tempfile::tempdir().unwrap();
@@ -104,7 +105,8 @@ fn a_run_that_is_interrupted_is_kept() {
     assert!(std::fs::read(&part).unwrap() == left);
 }
 
-/// A gauge that says nothing more while its line stays open: its last value is no reading of the rows that follow.
+/// A gauge that falls silent while its connection stays open gives no more rows.
+/// Its last value is not used as a reading.
 #[test]
 fn a_gauge_that_goes_silent_gives_no_more_rows() {
     let dir = tempfile::tempdir().unwrap();

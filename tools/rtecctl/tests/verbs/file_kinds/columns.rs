@@ -1,10 +1,10 @@
-//! Columns by name and number, separators at rows' ends, and verbs that are interrupted.
+//! Columns by name and number, separators at rows' ends, and interrupted verbs.
 
 use super::{column, run, words};
 use std::process::Command;
 
-/// Separators at the end of every row part nothing.
-/// At the end of some rows they are said.
+/// Separators at the end of every row are ignored.
+/// At the end of only some rows they are reported.
 #[test]
 fn separators_at_the_end_of_some_rows_are_said() {
     let folder = tempfile::tempdir().unwrap();
@@ -24,14 +24,14 @@ fn separators_at_the_end_of_some_rows_are_said() {
         assert_eq!((imported.exit, column(at, "o.csv", "e")), (0, vec![2.0, 3.0, 4.0, 5.0, 6.0]), "{text}");
         assert_eq!(imported.says(says), said, "{text}: {}", imported.err);
     }
-    // A further value is no separator.
+    // A further value is not a separator.
     std::fs::write(at.join("in.csv"), "t,e\n1,2,\n2,3,late\n").unwrap();
     let line = "characterise import in.csv --format csv --columns t=time,e=error.x --out o.run.toml";
     let refused = run(at, &words(line));
     assert!(refused.exit == 2 && refused.says("in.csv:3:5: found 'late'"), "{}", refused.err);
 }
 
-/// A verb that is ended by a signal while it writes leaves nothing, not even a hidden file.
+/// A verb that a signal ends while it writes leaves no file, not even a hidden one.
 #[test]
 fn an_interrupted_verb_leaves_no_file() {
     use std::io::Write as _;
@@ -59,7 +59,8 @@ fn an_interrupted_verb_leaves_no_file() {
             let mut rows = std::fs::OpenOptions::new().write(true).open(at.join("in.csv")).unwrap();
             let is_record = line.contains("from-position");
             rows.write_all(if is_record { b"t_s,position_mm\n" } else { b"t_ns,a,b\n" }).unwrap();
-            // More than the pipe and the reader's buffer hold: when it is taken, rows have been written. The pipe stays open.
+            // More than the pipe and the reader's buffer hold, so that rows have been written once it is
+            // read. The pipe stays open.
             let many: String = (0..100_000_u32)
                 .map(|i| match i % 4 {
                     _ if is_record => format!("{i}.0,0.0{}\n", i % 2),
@@ -87,7 +88,8 @@ fn an_interrupted_verb_leaves_no_file() {
     }
 }
 
-/// A trace and its requests as other programs name and write them are those of the contract.
+/// Traces and requests may have other programs' column names.
+/// The result is that of the contract's names.
 #[test]
 fn traces_and_requests_take_columns_by_name_and_number() {
     let folder = tempfile::tempdir().unwrap();
@@ -106,14 +108,14 @@ fn traces_and_requests_take_columns_by_name_and_number() {
         ("other.csv", "b;t;a\n0;0;0\n0;10000;1\n1;1200000;1\n1;2300000;0\n", "t_ns=2,a=3,b=1"),
         ("rows.csv", "0;0;0\n10000;1;0\n1200000;1;1\n2300000;0;1\n", "t_ns=1,a=2,b=3"),
         ("sep.csv", "sep=;\n0;0;0\n10000;1;0\n1200000;1;1\n2300000;0;1\n", "t_ns=1,a=2,b=3"),
-        // What a lone mark is, the other cells of the column show.
+        // The other cells of the column show the meaning of a single mark.
         ("thousands.csv", "t;a;b\n0;0;0\n10.000;1;0\n1.200.000;1;1\n2.300.000;0;1\n", "t_ns=t,a=a,b=b"),
         (
             "quoted.csv",
             "t,a,b\n0,0,0\n\"10,000\",1,0\n\"1,200,000\",1,1\n\"2,300,000\",0,1\n",
             "t_ns=t,a=a,b=b",
         ),
-        // A logic analyser in seconds; its third channel changes by itself.
+        // A logic analyser in seconds; its third channel changes on its own.
         (
             "saleae.csv",
             "Time [s],Channel 0,Channel 1,Channel 2\n0.000000000,0,0,0\n0.000004000,0,0,1\n0.000010000,1,0,1\n\
@@ -180,11 +182,11 @@ fn traces_and_requests_take_columns_by_name_and_number() {
         "{}",
         refused.err
     );
-    // A total is whole.
+    // A total is a whole number.
     put("half.csv", "t_ns,requested\n0,0\n1500000,1.4\n");
     let refused = run(at, &words("replay --trace trace.csv --requests half.csv"));
     assert!(refused.exit == 2 && refused.says("half.csv:3:9: found '1.4'"), "{}", refused.err);
-    // One lone mark has two readings, and no other cell tells.
+    // A single mark has two meanings, and no other cell decides.
     put("lone.csv", "t;a;b\n0;0;0\n10.000;1;0\n");
     let refused = run(at, &words("replay --trace lone.csv --columns t_ns=t,a=a,b=b --requests totals.csv"));
     assert!(refused.exit == 2 && refused.says("lone.csv:3:1: found '10.000'"), "{}", refused.err);

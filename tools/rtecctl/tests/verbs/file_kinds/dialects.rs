@@ -1,4 +1,4 @@
-//! Tables of every program, and files of another kind.
+//! Tables of many programs, and files of another kind.
 
 use super::{column, inputs, run, words};
 
@@ -49,7 +49,7 @@ fn files_of_another_kind_are_refused_by_what_they_say() {
         );
         assert!(!at.join("o.run.toml").exists() && !at.join("o.csv").exists(), "{line}");
     }
-    // A chain and a card's profile, each where the other belongs.
+    // A chain and a card's profile, each in the other's place.
     let chain = "tool_mm = [0, 0, 0]\n[[joint]]\nname = \"spindle\"\n";
     std::fs::write(at.join("chain.toml"), chain).unwrap();
     std::fs::write(at.join("m.toml"), "name = \"m\"\nchain = \"profile.toml\"\n").unwrap();

@@ -1,4 +1,5 @@
-//! Files and readings as people have them: a test for each kind, with the value that is right.
+//! Files and readings as users have them, one test per kind.
+//! Each has the right value.
 
 #![allow(clippy::format_collect, clippy::format_push_string, reason = "inputs of tests")]
 
@@ -11,7 +12,7 @@ use serde_json::Value;
 use std::path::Path;
 use std::process::Command;
 
-/// A folder with all inputs, those of the crates below too.
+/// A folder with all inputs, including those of the crates below.
 fn inputs() -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
     let own = Path::new(env!("CARGO_MANIFEST_DIR"));

@@ -17,7 +17,7 @@ fn coarse_steps_are_said_and_in_intervals() {
 
 #[test]
 fn coarse_temperatures_are_said_and_in_intervals() {
-    // 6 µm/K over 2 K, read by a sensor of 0.5 K.
+    // 6 µm/K over 2 K, read by a sensor with a resolution of 0.5 K.
     let folder = inputs();
     let (mut fine, mut coarse) = ("t,T,e\n".to_owned(), "t,T,e\n".to_owned());
     for i in 0..240 {
@@ -70,7 +70,7 @@ fn absolute_clocks_are_set_back_or_questioned() {
     write("iso.csv", &|t| format!("2026-01-06T{:02}:{:02}:{:02}Z", day(t).0, day(t).1, day(t).2));
     write("german.csv", &|t| format!("06.01.2026 {:02}:{:02}:{:02}", day(t).0, day(t).1, day(t).2));
     write("blank.csv", &|t| format!("2026-01-06 {:02}:{:02}:{:02}", day(t).0, day(t).1, day(t).2));
-    // All on one day: whether that is in January or in June, the times since the first row are the same.
+    // All times on one day: in January or in June, the times since the first row are the same.
     write("slashes.csv", &|t| format!("06/01/2026 {:02}:{:02}:{:02}", day(t).0, day(t).1, day(t).2));
     write("year-first.csv", &|t| format!("2026/1/6 {:02}:{:02}:{:02}", day(t).0, day(t).1, day(t).2));
     write("am-pm.csv", &|t| {
@@ -98,12 +98,12 @@ fn absolute_clocks_are_set_back_or_questioned() {
         let t = column(folder.path(), &format!("{file}.csv"), "t");
         assert_eq!((t[0], t[1], t.len()), (0.0, 30.0, 240), "{file}");
     }
-    // Unix seconds that are said to be minutes are questioned.
+    // Unix seconds declared as minutes are questioned.
     let minutes =
         "characterise import epoch.csv --format csv --columns t=time:min,e=error.z --out minutes.run.toml";
     let refused = run(folder.path(), &words(minutes));
     assert!(refused.exit == 2 && refused.says("Unix time in s, as t=time:s"), "{}", refused.err);
-    // A record as it stands is questioned; dates in it have a way named.
+    // A written record is questioned; for dates in it the way to import them is named.
     let evaluated = run(folder.path(), &words("characterise evaluate epoch.run.toml"));
     assert!(evaluated.says("t begins at 1767700000: Unix time in s (2026-01-06)"), "{}", evaluated.err);
     let sidecar = std::fs::read_to_string(folder.path().join("epoch.run.toml")).unwrap();
@@ -114,7 +114,7 @@ fn absolute_clocks_are_set_back_or_questioned() {
         "{}",
         dated.err
     );
-    // So for traces.
+    // The same for traces.
     for (first, second, exit, says) in [
         ("1767700000", "1767700001", 0, "time 0 of the trace is 1767700000, Unix time of 2026-01-06"),
         ("2026-01-06T11:46:40Z", "2026-01-06T11:46:41Z", 0, "time 0 of the trace is 2026-01-06T11:46:40Z"),
@@ -156,7 +156,7 @@ fn sizes_have_standard_errors_and_no_advice_below() {
     assert!((json.figure("/plain_centre_mm/0") - 100.0).abs() < 5e-5);
     assert!((json.figure("/plain_centre_mm/1") - 60.0).abs() < 5e-5);
     assert!((json.figure("/plain_radius_mm") - 27.350_44).abs() < 5e-6);
-    // Least squares on these six places: 7.948 times the scatter of 23.217 µm (3 degrees of freedom).
+    // Least squares at these six positions: 7.948 times the scatter of 23.217 µm (3 degrees of freedom).
     assert!((json.figure("/plain_size_standard_error_um") - 184.5).abs() < 0.5);
     let text = run(folder.path(), &words(line));
     assert!(text.says("is no size: no offset is advised") && !text.says("takes it out"), "{}", text.out);
@@ -206,7 +206,7 @@ fn bad_readings_are_in_no_figure_of_any_verb() {
     let drawn =
         run(at, &words("model rehearse --machine a.toml --record power-on-85.run.toml --plot rehearse.svg"));
     assert!(drawn.says("drawn: rehearse.z.svg") && at.join("rehearse.z.svg").is_file(), "{}", drawn.err);
-    // A sensor that took nothing at all has no figures.
+    // A sensor without any good reading has no figures.
     let csv = std::fs::read_to_string(at.join("power-on-85.csv")).unwrap();
     let dead: String = csv
         .lines()
@@ -224,7 +224,8 @@ fn bad_readings_are_in_no_figure_of_any_verb() {
     assert!(dead.json().pointer("/temperatures/T2").is_some(), "{}", dead.out);
 }
 
-/// A log of 10 s a row by a clock of whole minutes: the lag is named alone, with the truth in its interval.
+/// A log with 10 s per row by a clock of whole minutes.
+/// Only the lag is named, and its interval contains the truth.
 #[test]
 fn a_clock_of_minutes_makes_no_effects() {
     let folder = tempfile::tempdir().unwrap();
@@ -237,7 +238,7 @@ fn a_clock_of_minutes_makes_no_effects() {
             if t < 2200.0 { 4.0 * (1.0 - (-t / 900.0).exp()) } else { cold * (-(t - 2200.0) / 700.0).exp() };
         let keeps = (-10.0_f64 / 400.0).exp();
         lagged = if i == 0 { 0.0 } else { lagged * keeps + warm * (1.0 - keeps) };
-        // Noise without a memory, the same in every run.
+        // Noise without correlation, the same in every run.
         let noise = (f64::from(i) * 12.9898).sin() * 43_758.545;
         let e = 6.0 * lagged + 0.4 * (noise - noise.floor() - 0.5);
         csv += &format!("{},{:.3},{e:.3}\n", 60 * (10 * i / 60), 20.0 + warm);
@@ -262,7 +263,7 @@ fn a_clock_of_minutes_makes_no_effects() {
     }
 }
 
-/// An import says which channel is dead, and which readings are codes of a sensor that did not measure.
+/// An import names dead channels, and readings that are error codes of a sensor.
 #[test]
 fn an_import_names_dead_channels_and_codes_of_sensors() {
     let folder = tempfile::tempdir().unwrap();

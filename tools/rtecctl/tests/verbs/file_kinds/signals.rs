@@ -21,14 +21,14 @@ fn unrelated_signals_do_not_stop_a_reader() {
         run(folder.path(), &words("replay --trace ghdl-undefined-at-0.vcd --requests forty.csv --json"));
     assert_eq!((played.exit, played.figure("/counts_in")), (0, 28.0), "{}", played.err);
     assert!(played.says("the level of a and b is unknown before #3000000000"), "{}", played.err);
-    // A pin of another type beside the two that are wanted.
+    // A pin of another type next to the two that are wanted.
     let samples: String = (0..30).map(|i| format!("{}.5 TRUE 0x1f {} \n", i, 2 * i)).collect();
     std::fs::write(folder.path().join("hal.txt"), samples).unwrap();
     let line = "characterise import hal.txt --format halsampler --period-s 0.001 --columns 1=position.x,4=error.x --out h.run.toml";
     let imported = run(folder.path(), &words(line));
     assert_eq!(imported.exit, 0, "{}", imported.err);
     assert_eq!(column(folder.path(), "h.csv", "4")[29], 58.0);
-    // Lines of another program in front of the names; its own keys and comments.
+    // Lines of another program before the names; its own keys and comments.
     let log = "Logger 3.1\nSerial,17,B\n\nt,e,note\n0,1,a\n1,2.5,b\n";
     std::fs::write(folder.path().join("log.csv"), log).unwrap();
     let line = "characterise import log.csv --format csv --columns t=time,e=error.x --out l.run.toml";
@@ -103,7 +103,8 @@ fn a_chip_that_is_absent_is_named() {
     );
 }
 
-/// Rotary axes are refused by name wherever one can be named: records, imports, plans, models, fits.
+/// Rotary axes are refused by name wherever one can be named.
+/// These are records, imports, plans, models and fits.
 #[test]
 fn rotary_axes_are_refused_by_name_in_every_verb() {
     let folder = tempfile::tempdir().unwrap();
@@ -135,6 +136,7 @@ fn rotary_axes_are_refused_by_name_in_every_verb() {
         "model fit --record good.run.toml --effects scale.c --out f.toml",
         "model validate --machine m.toml --record deg.run.toml",
         "model export --machine c.toml --axis c --from 0 --to 10 --out t.txt",
+        "model export --machine m.toml --axis c --from 0 --to 10 --out t.txt",
         "reconcile c.run.toml --model m.toml",
         "simulate linear-displacement --machine c.toml --out s",
     ] {

@@ -2,7 +2,7 @@
 
 use super::{characterise, rtecctl};
 
-/// WO 97/43703, tests 2 and 3: the plate of holes, from a cold and from a warm machine.
+/// WO 97/43703, tests 2 and 3: the plate of holes from a cold and a warm machine.
 /// The errors are as large as table 7's. The model was fitted on other runs.
 #[test]
 fn a_tenth_of_the_drilling_errors_is_left_from_cold_and_from_warm() {
@@ -14,7 +14,8 @@ fn a_tenth_of_the_drilling_errors_is_left_from_cold_and_from_warm() {
             dir.path(),
             &format!("simulate {name} --machine true.toml --model machine.toml --seed 9 --out {name} --json"),
         );
-        // What not even the true model takes out: whole insertions of two counts, and reversals within three counts.
+        // Even the true model leaves some error: whole insertions of two counts, and reversals within three
+        // counts.
         let best = rtecctl(
             dir.path(),
             &format!("simulate {name} --machine true.toml --model true.toml --seed 9 --out best --json"),
@@ -50,8 +51,8 @@ fn a_tenth_of_the_drilling_errors_is_left_from_cold_and_from_warm() {
     assert!((130.0..=170.0).contains(&largest), "table 7's largest is 150 µm: {without_cold:?}");
 }
 
-/// Twenty sensors, cold start to hot, dry and wet.
-/// Then a spindle cycle that no characterisation runs.
+/// Twenty sensors, from cold start to hot, dry and wet.
+/// Then a spindle cycle that no characterisation contains.
 #[test]
 fn few_of_twenty_sensors_leave_a_tenth_of_the_drift() {
     let dir = tempfile::tempdir().unwrap();
@@ -82,7 +83,7 @@ fn few_of_twenty_sensors_leave_a_tenth_of_the_drift() {
             100.0 * r["coverage"].as_f64().unwrap(),
         );
         assert!(sensors.len() <= 5 && rms <= 0.1 * without, "{report:#}");
-        // The dry run logs no coolant: it is dry.
+        // The dry run logs no coolant, which counts as dry.
         let on_wet =
             |model: &str| report["dry_wet"][format!("{model}_model_on_wet_rms_um")].as_f64().unwrap();
         println!(

@@ -1,9 +1,9 @@
-//! Fits on a base, and records that a model is judged by.
+//! Fits on a base, and records that judge a model.
 
 use super::{TRUE_MACHINE, rtecctl};
 use std::process::Command;
 
-/// A model written into another folder than its base goes on with the base's chain.
+/// A model written into another folder than its base keeps the base's chain.
 #[test]
 fn a_fit_on_a_base_with_a_chain_may_be_written_anywhere() {
     let dir = tempfile::tempdir().unwrap();
@@ -15,7 +15,7 @@ fn a_fit_on_a_base_with_a_chain_may_be_written_anywhere() {
                  value = 2.0 }] }]\n";
     std::fs::write(at("base/chain.toml"), joint).unwrap();
     std::fs::write(at("base/m.toml"), "name = \"m\"\nchain = \"chain.toml\"\n").unwrap();
-    // 2 µm per 100 mm are the chain's, 30 ppm are new.
+    // 2 µm per 100 mm belong to the chain, 30 ppm are new.
     let rows: Vec<String> = (0..40).map(|k| format!("{},{}", 10 * k, 0.5 * f64::from(k))).collect();
     std::fs::write(at("records/r.csv"), format!("x,e\n{}\n", rows.join("\n"))).unwrap();
     let sidecar = "file = \"r.csv\"\nkind = \"positioning\"\n[columns]\nx = { role = \"position.x\", unit = \"mm\" }\n\
@@ -37,7 +37,7 @@ fn a_fit_on_a_base_with_a_chain_may_be_written_anywhere() {
 }
 
 /// The same records give the same bytes.
-/// The base's effects stand, and the record's own date is the model's.
+/// The base's effects stay, and the model has the record's date.
 #[test]
 fn a_base_is_kept_and_the_date_is_the_records() {
     let dir = tempfile::tempdir().unwrap();
@@ -59,7 +59,7 @@ fn a_base_is_kept_and_the_date_is_the_records() {
     };
     let written = go("a.toml");
     assert_eq!(written, go("b.toml"));
-    // What is new stands behind what was there, and the file's own two lines behind its name.
+    // New effects follow the old ones, and the file's own two lines follow its name.
     let rest = base.trim_end().strip_prefix("name = \"kept\" # mine\n").unwrap();
     assert!(
         written.starts_with("name = \"kept\" # mine\nformat = 1\nby = ") && written.contains(rest),
@@ -70,8 +70,8 @@ fn a_base_is_kept_and_the_date_is_the_records() {
     }
 }
 
-/// A run of returns to one position is of kind positioning.
-/// Without a direction of approach its evaluation has to be named.
+/// A run of returns to one position has the kind positioning.
+/// Without a direction of approach, its evaluation must be named.
 #[test]
 fn returns_to_one_position_are_told_of_their_own_evaluation() {
     let dir = tempfile::tempdir().unwrap();
@@ -91,7 +91,8 @@ fn returns_to_one_position_are_told_of_their_own_evaluation() {
     assert!(code == Some(0) && text.contains("range (µm)") && text.contains("1.00"), "{code:?} {text}");
 }
 
-/// A chain is shown, and exported for one axis with the others where they are said to be; both against the law by hand.
+/// A chain is shown, and exported for one axis with given positions of the others.
+/// Both are compared with the law by hand.
 #[test]
 fn a_chain_is_shown_and_exported_along_an_axis() {
     let folder = tempfile::tempdir().unwrap();
@@ -155,7 +156,7 @@ fn a_chain_is_shown_and_exported_along_an_axis() {
         .output()
         .unwrap();
     assert_eq!(bad.status.code(), Some(2));
-    // Simulated: with nothing known the axis is off by its chain, with the chain known it is not.
+    // Simulated: without the chain's model the axis is off by the chain, with it the error is zero.
     let (said, _) = run("simulate linear-displacement --machine m.toml --out s --json");
     let document: serde_json::Value = serde_json::from_str(&said).unwrap();
     let summary = &document["summary"]["linear-displacement-x"];
@@ -166,7 +167,7 @@ fn a_chain_is_shown_and_exported_along_an_axis() {
 }
 
 /// Each run has its own zero, from homing, which no model can predict.
-/// The fit reports what it took off, and a later run is judged about its own zero.
+/// The fit reports the zero that it removed, and a later run is judged with its own zero.
 #[test]
 fn a_run_s_own_zero_is_said_and_in_no_interval() {
     let dir = tempfile::tempdir().unwrap();
@@ -191,7 +192,8 @@ fn a_run_s_own_zero_is_said_and_in_no_interval() {
     assert!(said.contains("the run's own zero"), "{said}");
 }
 
-/// Minutes that are called seconds: a drift test of seven minutes, from which a lag of twenty would be fitted as none.
+/// A drift test of seven minutes, declared in seconds.
+/// A lag of twenty minutes would be fitted as none.
 #[test]
 fn a_drift_test_of_few_minutes_is_not_fitted_in_silence() {
     let dir = tempfile::tempdir().unwrap();
@@ -219,7 +221,7 @@ fn a_drift_test_of_few_minutes_is_not_fitted_in_silence() {
 }
 
 /// A record that judges a model is checked like one that a model is fitted to.
-/// Mistakes: a temperature in °F, the other sign, an axis that the model does not have.
+/// The mistakes are a temperature in °F, the other sign, and an axis that the model lacks.
 #[test]
 fn a_model_is_not_judged_by_a_mistaken_record_in_silence() {
     let dir = tempfile::tempdir().unwrap();

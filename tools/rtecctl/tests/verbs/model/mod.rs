@@ -1,4 +1,4 @@
-//! The commands that a metrologist types, from a machine's characterisation to its correction.
+//! A metrologist's commands, from a machine's characterisation to its correction.
 
 mod drilling;
 mod fit;
@@ -7,8 +7,9 @@ use serde_json::Value;
 use std::path::Path;
 use std::process::Command;
 
-/// A machining centre whose drilling test comes out as large as the patent's table 7 (0.0044 in, 0.0053 in, 0.0059 in).
-/// Its laws are not what a fit may choose: two sources per axis, one bent, one late, and a step with the coolant.
+/// A machining centre with drilling errors as large as the patent's table 7.
+/// These are 0.0044 in, 0.0053 in and 0.0059 in. A fit cannot choose its laws: two sources per axis, one
+/// bent, one late, and a step with the coolant.
 const TRUE_MACHINE: &str = r#"
 name = "machining centre"
 effect = [
@@ -34,8 +35,8 @@ fn rtecctl(dir: &Path, words: &str) -> Value {
     if words.contains("--json") { crate::document(&out.stdout) } else { Value::Null }
 }
 
-/// A machine characterised once: geometry cold, then the spindle cycle dry and wet.
-/// The model that this gives.
+/// Characterises a machine: geometry cold, then the spindle cycle dry and wet.
+/// Returns the report of its model.
 fn characterise(dir: &Path) -> Value {
     std::fs::write(dir.join("true.toml"), TRUE_MACHINE).unwrap();
     std::fs::write(dir.join("ideal.toml"), "name = \"centre\"\n").unwrap();
@@ -51,7 +52,7 @@ fn characterise(dir: &Path) -> Value {
          --record ch/linear-displacement-x.run.toml --record ch/linear-displacement-y.run.toml \
          --record ch/linear-displacement-z.run.toml --record ch/plate.run.toml --out geometry.toml --plot left.svg --date 2026-05-01",
     );
-    // Three axes, and the plate's two responses.
+    // Three axes, and the two responses of the plate.
     for (file, response) in [("left.svg", "error.x"), ("left.3.svg", "error.z"), ("left.5.svg", "error.y")] {
         let svg = std::fs::read_to_string(dir.join(file)).unwrap();
         assert!(svg.contains(&format!("{response} before and after the fit")), "{file}");

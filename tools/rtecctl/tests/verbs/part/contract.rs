@@ -28,7 +28,7 @@ fn part_errors_keeps_its_contract() {
     assert_eq!(std::fs::read_dir(folder).unwrap().count(), 1, "no file unless --out names a place");
     assert_eq!(document["tip_mm"], 2.5);
 
-    // A tip of no radius is said, and what it means; one that was asked for is no reason for a word more.
+    // A missing tip radius is reported with its meaning; one that was given is not.
     for (tip, word) in [(None, true), (Some("0"), false), (Some("2.5"), false)] {
         let mut arguments = vec!["errors", "--points", "probed.csv", "--radius-mm", "38.1"];
         arguments.extend(tip.iter().flat_map(|t| ["--tip-mm", t]));
@@ -38,7 +38,7 @@ fn part_errors_keeps_its_contract() {
         assert_eq!(said(&output.stdout, "taken as the part's surface"), tip != Some("2.5"), "{tip:?}");
     }
 
-    // A false trip is the part's for error.cor: said.
+    // A false trip counts as an error of the part in error.cor, and is reported.
     let place = |k: usize| text.lines().nth(k).unwrap().to_owned();
     std::fs::write(folder.join("false.csv"), text.replace(&place(15), "20.71,35.80")).unwrap();
     let output = part(folder, &["errors", "--points", "false.csv", "--radius-mm", "38.1", "--tip-mm", "2.5"]);
@@ -46,7 +46,7 @@ fn part_errors_keeps_its_contract() {
     assert!(stderr.contains("point 15 is") && stderr.contains("false trip"), "{stderr}");
     std::fs::remove_file(folder.join("false.csv")).unwrap();
 
-    // Tables that no memory holds, and counts that no axis has.
+    // Tables too large for any memory, and counts that no axis has.
     std::fs::write(folder.join("e.cor"), "angle_rad,error_um\n0.1,1.0\n0.2,2.0\n").unwrap();
     for (option, value) in [
         ("--between", "18446744073709551615"),
@@ -124,8 +124,8 @@ fn a_table_is_checked_before_the_daemon_is_asked_and_no_daemon_is_said() {
     }
 }
 
-/// A taper needs no radius, and gets whiskers, errors by place and a table.
-/// An arc asked of it is refused.
+/// A taper needs no radius, and gets whiskers, errors by position and a table.
+/// An arc requested for it is refused.
 #[test]
 fn a_straight_feature_is_recognised_and_gets_its_table() {
     let folder = tempfile::tempdir().unwrap();
@@ -161,14 +161,14 @@ fn a_straight_feature_is_recognised_and_gets_its_table() {
     let (z_um, x_um) = (8.0 * 20.0_f64.to_radians().sin(), 8.0 * 20.0_f64.to_radians().cos());
     let counts = |um: f64| 2 * (um / 2.0).round() as i64;
     assert_eq!((&row["requested"][0], &row["requested"][1]), (&counts(z_um).into(), &counts(x_um).into()));
-    // The nose's centre is 0.8 mm outside the place that was probed.
+    // The nose's centre is 0.8 mm outside the probed position.
     let (sin, cos) = (-20.0_f64).to_radians().sin_cos();
     let place = |key: &str| row["part_mm"][key].as_f64().unwrap();
     let off = 0.03 + 0.8;
     assert!((place("z") - (100.0 - 10.0 * cos - off * sin)).abs() < 1e-3, "{row}");
     assert!((place("x") - (30.0 - 10.0 * sin + off * cos)).abs() < 1e-3, "{row}");
     assert_eq!(std::fs::read_to_string(folder.join("t/g01.nc")).unwrap().lines().count(), 12);
-    // What is by place has no centre: refused before the daemon is asked, which is not there.
+    // Errors by position have no centre: refused before the daemon, which does not run, is asked.
     let load = |more: &str| {
         let line = format!("load --socket none --errors o/error.cor {more}");
         let output = part(folder, &line.split_whitespace().collect::<Vec<_>>());
@@ -177,7 +177,7 @@ fn a_straight_feature_is_recognised_and_gets_its_table() {
     let (code, said) = load("--centre-z-mm 127 --radius-mm 38.1");
     assert!(code == Some(2) && said.contains("bring their places"), "{said}");
     assert_eq!(load("--nose-mm 0.8").0, Some(3));
-    // Bowed by 8 µm over 55 mm: a circle of 47 m lies through the points, and it is a taper all the same.
+    // Bowed by 8 µm over 55 mm: a circle of 47 m fits the points, but it is still a taper.
     let bowed = (0..12).fold(String::from("z_mm,x_mm\n"), |mut text, k| {
         let s = 5.0 * f64::from(k);
         let off = 0.008 * (1.0 - (s / 27.5 - 1.0).powi(2));
@@ -190,18 +190,19 @@ fn a_straight_feature_is_recognised_and_gets_its_table() {
     let bow = document["errors"].as_array().unwrap().iter().map(|e| e["error_um"].as_f64().unwrap());
     let (low, high) = bow.fold((f64::MAX, f64::MIN), |(l, h), e| (l.min(e), h.max(e)));
     assert!((high - low - 7.93).abs() < 0.05, "{low} to {high}: 8 µm less what no point is at");
-    // An arc's table wants its arc.
+    // An arc's table needs its arc.
     std::fs::write(folder.join("arc.cor"), "0.0 -1.3\n0.1 2.5\n").unwrap();
     let output = part(folder, &["table", "--errors", "arc.cor", "--out", "no"]);
     assert_eq!(output.status.code(), Some(2));
     assert!(String::from_utf8_lossy(&output.stderr).contains("--radius-mm"));
-    // A file's name is no folder.
+    // A file's name is not accepted for a folder.
     let output = part(folder, &["table", "--errors", "o/error.cor", "--out", "x.csv"]);
     assert_eq!(output.status.code(), Some(2));
     assert!(!folder.join("x.csv").exists());
 }
 
-/// What is constant is no form: it is said to be left, or put into the table on request.
+/// A constant error is not an error of form.
+/// It is reported as left, or put into the table on request.
 #[test]
 fn a_constant_error_is_said_to_be_left_or_taken_out() {
     let folder = tempfile::tempdir().unwrap();
@@ -252,7 +253,7 @@ fn numbers_of_a_probe_that_cannot_be_are_refused() {
     let output = go("--points xz.csv");
     let said = String::from_utf8_lossy(&output.stderr).into_owned();
     assert!(output.status.code() == Some(2) && said.contains("with z_mm and x_mm exchanged it is"), "{said}");
-    // A stylus that stands up is clear of the nose, one along −Z runs through it.
+    // A stylus that points up is clear of the nose; one along −Z passes through it.
     assert_eq!(go("--stem 60,2,90").status.code(), Some(0));
     let through = go("--stem 60,2,180");
     assert_eq!(through.status.code(), Some(1));

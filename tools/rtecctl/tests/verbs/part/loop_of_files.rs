@@ -5,8 +5,8 @@ use serde_json::Value;
 use std::path::Path;
 use std::process::Command;
 
-/// LinuxCNC's interpreter reads the G01 moves.
-/// Where they run it must be within 1.5 µm of the corrected arc.
+/// Deviation of the G01 moves, as LinuxCNC's interpreter reads them, µm.
+/// The path must be within 1.5 µm of the corrected arc.
 fn worst_of_g01_um(folder: &Path, g01: &str, errors: &[(f64, f64)]) -> Option<f64> {
     if !test_needs::installed("rs274", "linuxcnc-uspace") {
         return None;
@@ -136,7 +136,7 @@ fn the_steps_follow_each_other_through_their_files() {
 
     let arguments: Vec<&str> = compare.split_whitespace().chain(["--limit-um", "0.01"]).collect();
     assert_eq!(part(folder, &arguments).status.code(), Some(1), "the answer is no");
-    // The part is not where the plan for another says: the first point is named.
+    // The part is not where the plan of another part expects it: the first point is named.
     let output = part(
         folder,
         &"probe --workpiece final/workpiece.csv --path semi/pathfin.cdl --expected semi/probpath.cdl --trip-window-mm 0.1 --out x"

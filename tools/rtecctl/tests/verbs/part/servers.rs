@@ -1,10 +1,11 @@
-//! The program in LinuxCNC, and the page of the probing points.
+//! The NC program in LinuxCNC, and the page of the probing points.
 
 use crate::parts::{drawing, json, part};
 use serde_json::Value;
 use std::process::Command;
 
-/// A server that answers as LinuxCNC's `linuxcncrsh` does: echo until it is told not to, acknowledgements in verbose mode.
+/// A server that answers as LinuxCNC's `linuxcncrsh` does.
+/// It echoes until told not to, and acknowledges in verbose mode.
 fn linuxcncrsh(opens: bool) -> (std::net::SocketAddr, std::thread::JoinHandle<Vec<String>>) {
     use std::io::{BufRead as _, Write as _};
     let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
@@ -47,7 +48,7 @@ fn linuxcncrsh(opens: bool) -> (std::net::SocketAddr, std::thread::JoinHandle<Ve
 }
 
 /// NISTIR 4854, Operating Procedure: the program is down-loaded to the MTC.
-/// Here over LinuxCNC's own network interface.
+/// Here this uses LinuxCNC's own network interface.
 #[test]
 fn the_program_is_opened_in_linuxcnc() {
     let folder = tempfile::tempdir().unwrap();
@@ -69,7 +70,7 @@ fn the_program_is_opened_in_linuxcnc() {
     );
     let text = |at: &str| std::fs::read_to_string(folder.join(at)).unwrap();
     assert_eq!(text("nc_files/pt6304s2.dnc"), text("o/pt6304s2.dnc"));
-    // Refused, let in by another password, nobody there, no folder.
+    // Refused, accepted with another password, nothing listening, no folder.
     let (address, server) = linuxcncrsh(false);
     let refused = program(&format!("--program-folder nc_files --download {address}"));
     assert_eq!(refused.status.code(), Some(1), "{}", String::from_utf8_lossy(&refused.stderr));
@@ -84,7 +85,7 @@ fn the_program_is_opened_in_linuxcnc() {
     assert_eq!(program("--download x").status.code(), Some(2));
 }
 
-/// One request by hand: the status line, and what follows.
+/// One request written by hand; returns the status line and the rest.
 fn http(address: &str, request: &str) -> String {
     let mut stream = std::net::TcpStream::connect(address).unwrap();
     stream.set_read_timeout(Some(std::time::Duration::from_secs(30))).unwrap();
@@ -118,12 +119,12 @@ fn the_page_is_for_whoever_started_it_and_nobody_holds_it_up() {
         );
         http(address, &format!("{head}\r\n\r\n{body}"))
     };
-    // Another user of this machine finds the port, and no more.
+    // Another user of this computer can find the port, but nothing more.
     for path in ["/remove", "/00000000000000000000000000000000/remove", "/save", "/done", "/"] {
         let answer = post(path, "{\"index\":0}");
         assert!(answer.starts_with("HTTP/1.1 403"), "{path}: {answer}");
     }
-    // Nor does he hold it up, however slow his request is and however long he says that it will be.
+    // Such a user cannot block it with a slow request, nor with any stated length.
     let strangers: Vec<_> = [3_000_000_u64, 1_000_000_000_000_000]
         .into_iter()
         .flat_map(|length| [format!("{length}"), format!("{length}\r\nExpect: 100-continue")])
@@ -134,7 +135,7 @@ fn the_page_is_for_whoever_started_it_and_nobody_holds_it_up() {
             stranger
         })
         .collect();
-    // One that never finishes its request holds up no other.
+    // A client that never finishes its request blocks no other.
     let mut slow = std::net::TcpStream::connect(address).unwrap();
     let head = format!("POST /{secret}/add HTTP/1.1\r\nHost: {address}\r\nContent-Length: 3000\r\n\r\n{{");
     slow.write_all(head.as_bytes()).unwrap();

@@ -1,4 +1,4 @@
-//! What the tests of `rtecctl part` share.
+//! Shared by the tests of `rtecctl part`.
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
 use serde_json::Value;
@@ -23,7 +23,8 @@ pub(crate) fn json(folder: &Path, arguments: &[&str]) -> Value {
     crate::document(&output.stdout)
 }
 
-/// A taper of −20° with 8 µm too much at one of twelve points, 30 µm outside its drawing throughout.
+/// A taper of −20° with 8 µm too much at one of twelve points.
+/// All points are 30 µm outside its drawing.
 pub(crate) fn taper(folder: &Path) {
     let (sin, cos) = (-20.0_f64).to_radians().sin_cos();
     let (mut text, mut expected) = (String::from("z_mm,x_mm\n"), String::new());
@@ -37,7 +38,7 @@ pub(crate) fn taper(folder: &Path) {
     std::fs::write(folder.join("expected.cdl"), expected).unwrap();
 }
 
-/// A quarter of a nose about Z 127, in mm, as the plainest of drawings.
+/// A quarter of a nose around Z 127, in mm, as a minimal drawing.
 pub(crate) fn drawing(radius_mm: f64) -> String {
     format!(
         "0\nSECTION\n2\nHEADER\n9\n$ACADVER\n1\nAC1015\n9\n$INSUNITS\n70\n4\n0\nENDSEC\n0\nSECTION\n2\nENTITIES\n\
