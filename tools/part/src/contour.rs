@@ -100,7 +100,8 @@ impl Spline {
         let (p, mut pieces, mut i) = (self.degree, Vec::new(), self.degree + 1);
         while i < self.points.len() {
             let (u, n) = (self.knots[i], self.points.len());
-            let times = self.knots[i..n].iter().take_while(|k| **k == u).count();
+            // Knots ascend.
+            let times = self.knots[i..n].iter().take_while(|k| **k <= u).count();
             // Through the last point of one piece; a knot more often leaps to the first of the next.
             let (last, first) = (i - 1, i - 1 + times.saturating_sub(p));
             let inside = times >= p && self.knots[p] < u && u < self.knots[n] && first + 1 < n;

@@ -9,6 +9,7 @@ use rtec_part::fit::{
     standard_errors, two_step,
 };
 use std::f64::consts::{FRAC_PI_2, TAU};
+use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 struct Rng(Xoshiro256PlusPlus);
@@ -192,19 +193,18 @@ fn sizes_of_white_noise_hold_their_rate() {
         for &n in counts {
             let mut of_count = 0;
             for _ in 0..100 {
-                let rows: String = (0..n)
-                    .map(|k| {
-                        let off_mm = SD_UM * 1e-3 * rng.normal();
-                        let p = if round {
-                            Zx::new(100.0, 40.0)
-                                + Zx::at_angle(TAU * f64::from(k) / f64::from(n)) * (20.0 + off_mm)
-                        } else {
-                            Zx::new(60.0 * f64::from(k) / f64::from(n - 1), 20.0 + off_mm)
-                        };
-                        format!("{:.6},{:.6}\n", p.z, p.x)
-                    })
-                    .collect();
-                let probed = Probed::parse(Path::new("p.csv"), &format!("z_mm,x_mm\n{rows}")).unwrap();
+                let mut text = "z_mm,x_mm\n".to_owned();
+                for k in 0..n {
+                    let off_mm = SD_UM * 1e-3 * rng.normal();
+                    let p = if round {
+                        let angle = TAU * f64::from(k) / f64::from(n);
+                        Zx::new(100.0, 40.0) + Zx::at_angle(angle) * (20.0 + off_mm)
+                    } else {
+                        Zx::new(60.0 * f64::from(k) / f64::from(n - 1), 20.0 + off_mm)
+                    };
+                    let _ = writeln!(text, "{:.6},{:.6}", p.z, p.x);
+                }
+                let probed = Probed::parse(Path::new("p.csv"), &text).unwrap();
                 let nominal = if round {
                     Nominal::Circle { radius_mm: 20.0 }
                 } else {
