@@ -28,7 +28,7 @@ fn checked_out() -> Option<String> {
     git(&["rev-parse", "--short=10", "HEAD"])
 }
 
-fn main() {
+pub(crate) fn main() {
     println!("cargo:rerun-if-env-changed=RTEC_COMMIT");
     let release = std::env::var("PROFILE").is_ok_and(|profile| profile == "release");
     let given = std::env::var("RTEC_COMMIT").ok();
