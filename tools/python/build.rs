@@ -1,4 +1,5 @@
-//! The commit, as the other programs have it; a source distribution takes no build script from outside of the package.
+//! The commit, by the script of the other programs.
+//! A source distribution takes no build script from outside of the package.
 
 #[path = "../files/commit.rs"]
 mod commit;

@@ -1,4 +1,4 @@
-//! A program that was told its commit; a process of its own, because it is told once.
+//! A program that states its commit. It does so once: a process of its own.
 
 use rtec_files::stamp::{built_from, by, signed};
 
