@@ -205,6 +205,15 @@ fn the_version_is_the_workspace_s_everywhere() {
     let heads = changelog.lines().filter_map(|line| line.strip_prefix("## "));
     let newest = heads.filter_map(|head| head.split_whitespace().next()).find(|v| *v != "Unreleased");
     assert_eq!(newest, Some(version), "the newest release in the changelog");
+    let date = between(&changelog, &format!("\n## {version} ("), ")\n").expect("the release has a date");
+    assert!(
+        read("CITATION.cff").contains(&format!("\ndate-released: {date}\n")),
+        "CITATION.cff: expected {date}"
+    );
+    let long = ["-u", "-d", date, "+%a, %d %b %Y"];
+    let long = Command::new("date").args(long).env("LC_ALL", "C").output().unwrap().stdout;
+    let long = String::from_utf8(long).unwrap();
+    assert!(read("udev/changelog").contains(long.trim()), "udev/changelog: expected {long}");
     for member in std::fs::read_dir(root().join("tools")).unwrap() {
         let manifest = member.unwrap().path().join("Cargo.toml");
         let own = manifest.exists() && !manifest.ends_with("python/Cargo.toml");

@@ -6,6 +6,7 @@
 
 use crate::InputError;
 use crate::toml::Table;
+use std::sync::OnceLock;
 
 /// The version of this workspace.
 pub const VERSION: &str = env!("CARGO_PKG_VERSION");
@@ -13,10 +14,20 @@ pub const VERSION: &str = env!("CARGO_PKG_VERSION");
 /// The format of run records, machine models and verdicts that this version uses.
 pub const FORMAT: u32 = 1;
 
-/// The writer: `rtec 0.1.0`. A release adds its commit: `rtec 0.1.0 (c7e189b)`.
+static COMMIT: OnceLock<&str> = OnceLock::new();
+
+/// States the commit that the running program was built from, empty if unknown.
+///
+/// A program calls it before it writes, with the `RTEC_COMMIT` of its build script `commit.rs`.
+pub fn built_from(commit: &'static str) {
+    let _ = COMMIT.set(commit);
+}
+
+/// The writer: `rtec 0.1.0`.
+/// A release adds its commit: `rtec 0.1.0 (c7e189b04e)`.
 #[must_use]
 pub fn by() -> String {
-    match option_env!("RTEC_COMMIT") {
+    match COMMIT.get() {
         Some(commit) if !commit.is_empty() => format!("rtec {VERSION} ({commit})"),
         _ => format!("rtec {VERSION}"),
     }

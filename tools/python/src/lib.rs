@@ -17,6 +17,7 @@ mod _rtec {
 
     #[pymodule_init]
     fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {
+        rtec_files::stamp::built_from(env!("RTEC_COMMIT"));
         module.add("__version__", rtec_files::stamp::VERSION)
     }
 

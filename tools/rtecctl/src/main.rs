@@ -181,6 +181,7 @@ fn asked(words: &[OsString]) -> Result<clap::ArgMatches, clap::Error> {
 }
 
 fn main() -> ExitCode {
+    rtec_files::stamp::built_from(env!("RTEC_COMMIT"));
     let words: Vec<OsString> = std::env::args_os().collect();
     if let [_, version] = &words[..]
         && (version == "--version" || version == "-V")

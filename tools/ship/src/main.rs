@@ -60,6 +60,7 @@ enum Failure {
 }
 
 fn main() -> ExitCode {
+    rtec_files::stamp::built_from(env!("RTEC_COMMIT"));
     match run(&Args::parse()) {
         Ok(()) => ExitCode::SUCCESS,
         Err(Failure::Kept(said)) => {
