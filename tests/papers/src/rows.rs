@@ -19,11 +19,11 @@ pub enum Basis {
     /// From a run. Nothing in the machine was taken from this figure.
     #[default]
     Compared,
-    /// From the machine's file or the program: the figure, or what arithmetic makes of such figures.
+    /// The figure is set in the machine's file or the program.
     ///
-    /// Agreement shows that nothing was lost on the way, and no more.
+    /// Or it is arithmetic of such figures. Agreement shows that nothing was lost on the way, and no more.
     Given,
-    /// From a run of a machine whose parameters were chosen so that this figure comes out.
+    /// Parameters of the machine were chosen so that it comes out.
     Fitted,
 }
 

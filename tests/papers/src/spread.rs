@@ -37,7 +37,7 @@ impl Spread {
         }
     }
 
-    /// How many rows agree and differ, and what those gave that are not the same with every seed.
+    /// How many rows agree and differ, and the rows that vary.
     #[must_use]
     pub fn table(&self) -> String {
         let mut text = String::new();

@@ -176,7 +176,7 @@ impl fmt::Display for Unsaid {
 }
 
 impl Reconciliation {
-    /// Whether more is left of a unit's training rows than their noise, beyond chance.
+    /// Whether more is left of the training rows than their noise.
     /// Chance is two standard errors of a mean square, of as many rows as the noise's memory leaves independent.
     #[must_use]
     pub fn is_above_floor(&self, gap: &Gap) -> bool {

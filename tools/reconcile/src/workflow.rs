@@ -276,7 +276,7 @@ impl Work<'_> {
         Better { model, refined, effects, curve: None }
     }
 
-    /// Adds a curve for the first shape along what a law can read, or says why there is none.
+    /// Adds a curve for the first shape, or says why there is none.
     /// Its interval must be narrower than what it removes, and rows that it was not fitted to must be better with it.
     fn add_curve(&self, answer: &Answer, held: &[Record], better: &mut Better) -> Option<String> {
         let shape = answer.unexplained.first()?;

@@ -95,7 +95,8 @@ pub const SENSORS: [(&str, Node, Node, f64); 20] = [
     ("T20", Node::Ambient, Node::Column, 0.05),
 ];
 
-/// A machine's thermal properties: capacities (J/K), conductances dry and wet (W/K), sources at 5500 rpm (W).
+/// A machine's thermal properties.
+/// Capacities (J/K), conductances dry and wet (W/K), sources at 5500 rpm (W).
 #[derive(Debug, Clone)]
 pub struct Network {
     capacity: [f64; NODES],
@@ -116,7 +117,8 @@ impl Default for Network {
 }
 
 impl Network {
-    /// Another machine of the same build: each property is multiplied by a factor of its own, drawn from `factor`.
+    /// Another machine of the same build.
+    /// Each property has a factor of its own, drawn from `factor`.
     #[must_use]
     pub fn drawn(factor: &mut impl FnMut() -> f64) -> Self {
         let mut drawn = Self::default();

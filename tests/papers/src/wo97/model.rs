@@ -153,7 +153,7 @@ pub(super) fn from_wet_runs(run: &Run<'_>) -> Result<Machine, PaperError> {
     Ok(fitted(run, record(&drift, "drift-wet")?)?.machine)
 }
 
-/// What the geometric characterisation gives: everything of the true machine but its growth, as the example's `machine.toml`.
+/// The true machine without its growth, as the example's `machine.toml`.
 fn geometry(truth: &Machine) -> Result<Machine, PaperError> {
     let mut known = Machine::ideal("geometry");
     for effect in truth.effects() {
@@ -171,7 +171,7 @@ mod tests {
     use rtec_sim::described::Described;
     use rtec_sim::example::Example;
 
-    /// `rtecctl model fit` of the example's records has the same base, and so the same fit.
+    /// `rtecctl model fit` in the example has the same base.
     #[test]
     fn the_example_knows_the_same_geometry() {
         let truth = Described::default().machine("wo97-machine.toml").unwrap();

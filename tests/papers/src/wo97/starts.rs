@@ -57,11 +57,12 @@ impl StartResult {
     }
 }
 
-/// How much drawn machines differ: the standard deviation of the logarithm of each parameter.
+/// Standard deviation of the logarithm of each drawn parameter.
 const SPREAD: f64 = 0.3;
 
-/// Another machining centre: each parameter of its errors and each of its thermal properties has a factor of its own.
+/// Another machining centre of the same build.
 ///
+/// Each parameter of its errors and each of its thermal properties has a factor of its own.
 /// A value out of the bounds of its law is drawn again.
 fn drawn(truth: &Machine, machine: u64) -> Result<(Machine, Network), PaperError> {
     let mut noise = Noise::new(machine, 0xD2A);
@@ -84,9 +85,9 @@ fn drawn(truth: &Machine, machine: u64) -> Result<(Machine, Network), PaperError
     Ok((other, network))
 }
 
-/// Draws a machining centre like that of WO 97/43703, characterises it, fits the model on its wet runs alone, and drills
-/// from each of [`STARTS`].
+/// Drills from each of [`STARTS`] with a drawn machine.
 ///
+/// It is characterised, and the model is fitted on its wet runs alone.
 /// `machine` is the seed of the drawn parameters and of all noise; 0 is the patent's own machine.
 ///
 /// # Errors

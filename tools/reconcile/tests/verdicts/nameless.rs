@@ -137,7 +137,7 @@ fn with_curve(train: Record, later: &[Record]) -> Reconciliation {
     reconcile(&[train], later, &Machine::ideal("m"), &options).unwrap()
 }
 
-/// A curve is written only where it is known better than what it removes, and helps rows that it was not fitted to.
+/// A curve must help rows that it was not fitted to.
 #[test]
 fn a_curve_that_helps_nothing_is_not_written() {
     let saw = |period_s: f64| move |t: f64| 8.0 * ((t / period_s).fract() - 0.5);
