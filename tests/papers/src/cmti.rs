@@ -155,7 +155,7 @@ fn table_1(rows: &mut Rows, circuit: &Circuit, seed: u64) -> Result<(), PaperErr
 /// X/Z, the acknowledgement, and what the other axis saw of it.
 fn lines(rows: &mut Rows, board: &Board) {
     let place = "Section 2";
-    rows.words(
+    rows.given().words(
         (place, "X/Z: 1 for the X axis, 0 for Z, as the orders were given"),
         "1 1 0",
         &board
@@ -249,14 +249,14 @@ fn frequencies(rows: &mut Rows, circuit: &Circuit, seed: u64) -> Result<(), Pape
         xor += u64::from(w[0].1.a() == w[0].1.b() && w[1].1.a() != w[1].1.b());
     }
     let about = "the paper says \"about\" and rounds 83.3 kHz down to 80";
-    rows.number(
+    rows.given().number(
         (place, "encoder at 10 m/min, 2500 pulses a turn of 5 mm", "kHz"),
         80.0,
         a as f64 / 100.0,
         Agreement::Share(0.05),
         about,
     );
-    rows.number(
+    rows.given().number(
         (place, "XOR of A and B at that speed", "kHz"),
         160.0,
         xor as f64 / 100.0,
@@ -268,14 +268,14 @@ fn frequencies(rows: &mut Rows, circuit: &Circuit, seed: u64) -> Result<(), Pape
     let (low, high) = safe_range_of(AnyDesign::Ecc, &dsp, config, circuit.pll, seed);
     let put_in = "what the paper measured of its PLL is put into the model; here it is found again from what reaches the \
                   controller, by bisection";
-    rows.number(
+    rows.given().number(
         (place, "doubling is perfect from (XOR)", "kHz"),
         2.3,
         2.0 * low / 1e3,
         Agreement::Share(0.01),
         put_in,
     );
-    rows.number((place, "to (XOR)", "kHz"), 125.0, 2.0 * high / 1e3, Agreement::Share(0.01), put_in);
+    rows.given().number((place, "to (XOR)", "kHz"), 125.0, 2.0 * high / 1e3, Agreement::Share(0.01), put_in);
     let edge_of_range = "put in as the loop's lock range, and found again by bisection: beyond it the controller asks for no addition";
     // Doubling at all: the right number, whatever the phase.
     let counts = |xor_hz: f64| {
@@ -301,14 +301,14 @@ fn frequencies(rows: &mut Rows, circuit: &Circuit, seed: u64) -> Result<(), Pape
         }
         good
     };
-    rows.number(
+    rows.given().number(
         (place, "it begins to double at (XOR)", "kHz"),
         0.7,
         edge(middle, 100.0) / 1e3,
         Agreement::Share(0.2),
         edge_of_range,
     );
-    rows.number(
+    rows.given().number(
         (place, "it goes on to (XOR)", "kHz"),
         160.0,
         edge(middle, 1e6) / 1e3,
@@ -335,7 +335,7 @@ fn fifteen(rows: &mut Rows, circuit: &Circuit, seed: u64) -> Result<(), PaperErr
         run.run().filter(|s| s.completed == 4 * pulses && s.error_counts() == 0).map(|s| s.insertions)
     };
     let most = (1..40).take_while(|n| compensations(*n) == Some(1)).last().unwrap_or(0);
-    rows.number(
+    rows.given().number(
         (place, "largest compensation value, pulses: four bits", ""),
         15.0,
         most as f64,

@@ -19,9 +19,11 @@ pub mod cmti;
 pub mod nistir4832;
 pub mod nistir4854;
 mod rows;
+mod spread;
 pub mod wo97;
 
-pub use rows::{Row, Verdict};
+pub use rows::{Basis, Row, Verdict};
+pub use spread::Spread;
 
 use rows::Rows;
 use rtec_files::InputError;
@@ -91,6 +93,23 @@ pub enum PaperError {
     Cannot(String),
 }
 
+/// How many rows of a basis agree and differ.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+pub struct Count {
+    /// Where what came out comes from.
+    pub basis: Basis,
+    /// Rows that agree.
+    pub agree: usize,
+    /// Rows that differ, each with its reason.
+    pub differ: usize,
+}
+
+impl std::fmt::Display for Count {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{} agree, {} differ", self.agree, self.differ)
+    }
+}
+
 /// A source beside what came out.
 #[derive(Debug, Clone, Serialize)]
 pub struct Compared {
@@ -100,10 +119,8 @@ pub struct Compared {
     pub title: &'static str,
     /// Seed of all noise.
     pub seed: u64,
-    /// Rows that agree.
-    pub agree: usize,
-    /// Rows that differ, each with its reason.
-    pub differ: usize,
+    /// How many rows agree and differ, by where what came out comes from.
+    pub counts: [Count; 3],
     /// Figures left out because they are no larger than their tolerance.
     pub too_small: usize,
     /// Every figure, in the source's order.
@@ -135,19 +152,11 @@ impl Paper {
         seed: u64,
         progress: &mut dyn FnMut(&str),
     ) -> Result<Compared, PaperError> {
-        let Rows { list: rows, figures, tables, too_small } = (self.run)(described, seed, progress)?;
-        let count = |v: Verdict| rows.iter().filter(|r| r.verdict == v).count();
-        let (agree, differ) = (count(Verdict::Agrees), count(Verdict::Differs));
-        Ok(Compared {
-            paper: self.name,
-            title: self.title,
-            seed,
-            agree,
-            differ,
-            too_small,
-            rows,
-            tables,
-            figures,
-        })
+        let Rows { list: rows, figures, tables, too_small, .. } = (self.run)(described, seed, progress)?;
+        let counts = Basis::ALL.map(|basis| {
+            let count = |v: Verdict| rows.iter().filter(|r| r.basis == basis && r.verdict == v).count();
+            Count { basis, agree: count(Verdict::Agrees), differ: count(Verdict::Differs) }
+        });
+        Ok(Compared { paper: self.name, title: self.title, seed, counts, too_small, rows, tables, figures })
     }
 }

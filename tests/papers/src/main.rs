@@ -5,7 +5,7 @@
 use anyhow::Context;
 use clap::Parser as _;
 use rtec_files::InputError;
-use rtec_papers::{Compared, PAPERS, Paper, PaperError, Verdict};
+use rtec_papers::{Compared, PAPERS, Paper, PaperError, Row, Spread, Verdict};
 use rtec_sim::described::{Described, FILES};
 use rtec_sim::experiment::ExperimentError;
 use rtec_sim::sim::SimError;
@@ -34,6 +34,9 @@ struct Args {
     /// Seed of all noise
     #[arg(long, default_value_t = 1)]
     seed: u64,
+    /// Run with so many seeds, from --seed on, and print what the rows give over them
+    #[arg(long, value_name = "N", conflicts_with_all = ["out", "differ", "write"], value_parser = clap::value_parser!(u64).range(2..=1000))]
+    seeds: Option<u64>,
 }
 
 fn paper(name: &str) -> Result<&'static Paper, String> {
@@ -58,6 +61,14 @@ fn run(args: &Args) -> anyhow::Result<()> {
     }
     for paper in PAPERS.iter().filter(|p| args.paper.is_none_or(|own| own.name == p.name)) {
         let mut progress = |step: &str| eprintln!("rtec-papers: {step}");
+        if let Some(n) = args.seeds {
+            let (mut spread, last) = (Spread::default(), args.seed.saturating_add(n - 1));
+            for seed in args.seed..=last {
+                spread.add(paper.compare(&described, seed, &mut progress).map_err(input_error)?);
+            }
+            println!("{}, seeds {} to {last}\n{}", paper.title, args.seed, spread.table());
+            continue;
+        }
         let compared = paper.compare(&described, args.seed, &mut progress).map_err(input_error)?;
         if let Some(folder) = &args.out {
             write_all(folder, compared.figures.iter().map(|(name, text)| (name.as_str(), text.as_str())))?;
@@ -94,12 +105,16 @@ fn input_error(error: PaperError) -> anyhow::Error {
 ///
 /// A row that differs has the number of its reason. The reason follows the first such row of a place.
 fn table(c: &Compared, differ: bool) -> String {
-    let mut text = format!("{}, seed {}\n{} agree, {} differ\n", c.title, c.seed, c.agree, c.differ);
+    let [compared, fitted, given] = c.counts;
+    let mut text = format!(
+        "{}, seed {}\n{compared}\nnot counted: fitted to the source's figures: {fitted}; given by the machine's file: {given}\n",
+        c.title, c.seed
+    );
     let mut reasons: Vec<&str> = Vec::new();
     let (mut place, mut said) = ("", Vec::new());
     for row in c.rows.iter().filter(|r| !differ || r.verdict == Verdict::Differs) {
         if place != row.place {
-            let _ = writeln!(text, "\n{}\n  {:<76} {:>16}  {:>16}", row.place, "", "paper says", "we get");
+            let _ = writeln!(text, "\n{}\n  {:<83} {:>16}  {:>16}", row.place, "", "paper says", "we get");
             place = &row.place;
             said.clear();
         }
@@ -108,7 +123,8 @@ fn table(c: &Compared, differ: bool) -> String {
             Verdict::Agrees => format!("  ({})", row.agreement),
             Verdict::Differs => format!("  DIFFERS: not {}", row.agreement),
         };
-        let line = format!("  {:<76} {:>16}  {:>16} {}{mark}", row.what, row.says, row.gets, row.unit);
+        let Row { what, says, gets, unit, basis, .. } = row;
+        let line = format!("  {what:<76} {:<6} {says:>16}  {gets:>16} {unit}{mark}", basis.mark());
         text += line.trim_end();
         if row.why.is_empty() {
             text.push('\n');
@@ -136,7 +152,7 @@ fn table(c: &Compared, differ: bool) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use rtec_papers::Row;
+    use rtec_papers::{Basis, Count};
 
     fn row(place: &str, what: &str, verdict: Verdict, why: &str) -> Row {
         Row {
@@ -149,6 +165,7 @@ mod tests {
             we: Some(2.0),
             agreement: "within 0.5 um".into(),
             verdict,
+            basis: Basis::Compared,
             why: why.into(),
         }
     }
@@ -163,10 +180,11 @@ mod tests {
             row("Table 2", "fifth", Verdict::Differs, "a scale of its own"),
         ];
         let (paper, title) = ("p", "A paper");
+        let counts = Basis::ALL.map(|basis| Count { basis, agree: 1, differ: 4 });
         let (tables, figures) = (Vec::new(), Vec::new());
-        let compared =
-            Compared { paper, title, seed: 1, agree: 1, differ: 4, too_small: 0, rows, tables, figures };
+        let compared = Compared { paper, title, seed: 1, counts, too_small: 0, rows, tables, figures };
         let text = table(&compared, false);
+        assert!(text.contains("\n1 agree, 4 differ\n"), "{text}");
         let mark = |what: &str| {
             let line = text.lines().find(|l| l.trim_start().starts_with(what)).unwrap_or_default();
             line.rsplit_once(" [").map(|(_, n)| n.trim_end_matches(']').to_owned())
@@ -176,5 +194,30 @@ mod tests {
         // Once in each table.
         assert_eq!(text.matches("[1] a scale of its own").count(), 2, "{text}");
         assert!(table(&compared, true).contains("fourth"));
+    }
+
+    #[test]
+    fn marks_what_was_put_in() {
+        let mut rows =
+            Basis::ALL.map(|basis| Row { basis, ..row("Table 1", basis.mark(), Verdict::Agrees, "") });
+        rows[0].what = "measured".into();
+        let counts = Basis::ALL.map(|basis| Count { basis, agree: 1, differ: 0 });
+        let compared = Compared {
+            paper: "p",
+            title: "A paper",
+            seed: 1,
+            counts,
+            too_small: 0,
+            rows: rows.into(),
+            tables: Vec::new(),
+            figures: Vec::new(),
+        };
+        let text = table(&compared, false);
+        let marked = |mark: &str| text.lines().filter(|l| l.matches(mark).count() == 2).count();
+        assert_eq!([marked("fitted "), marked("given ")], [1, 1], "{text}");
+        assert!(
+            text.contains("not counted: fitted to the source's figures: 1 agree, 0 differ; given"),
+            "{text}"
+        );
     }
 }

@@ -104,8 +104,8 @@ fn gauging(rows: &mut Rows, lathe: &Lathe, seed: u64) -> Result<(), PaperError> 
     let setup = lathe.setup(seed);
     let from = "from the acceleration and deceleration of the machine file, which were read out of this very sentence";
     let (off, over) = (setup.motion.stand_off_mm(), setup.motion.over_travel_mm());
-    rows.number((place, "stand-off", "mm"), 5.0, off, Agreement::Within(0.05), from);
-    rows.number((place, "over-travel", "mm"), 2.5, over, Agreement::Within(0.05), from);
+    rows.fitted().number((place, "stand-off", "mm"), 5.0, off, Agreement::Within(0.05), from);
+    rows.fitted().number((place, "over-travel", "mm"), 2.5, over, Agreement::Within(0.05), from);
     let bench = &lathe.bench;
     let axis = AxisSpec {
         count_um: bench.count_um,
@@ -129,7 +129,7 @@ fn gauging(rows: &mut Rows, lathe: &Lathe, seed: u64) -> Result<(), PaperError> 
         }
         last = now.position_mm[2];
     }
-    rows.number(
+    rows.fitted().number(
         (place, "of the touch at constant velocity (within 1 %)", "mm"),
         2.0,
         constant_mm,
@@ -142,7 +142,7 @@ fn gauging(rows: &mut Rows, lathe: &Lathe, seed: u64) -> Result<(), PaperError> 
 fn probing(rows: &mut Rows, lathe: &Lathe, o: &TurningOutcome) {
     let [fast, slow] = &o.probing;
     let place = "The RTEC";
-    rows.number(
+    rows.given().number(
         (place, "a capture 25 µs late at 2.5 m/min costs the position resolution", "µm"),
         1.0,
         fast.late_25us_um,
@@ -156,7 +156,7 @@ fn probing(rows: &mut Rows, lathe: &Lathe, o: &TurningOutcome) {
         Agreement::AtMost,
         "positions are interpolated between two counts",
     );
-    rows.number(
+    rows.given().number(
         (
             place,
             "a controller that looks once in milliseconds does not allow fast probing: 1 ms late costs more",
@@ -168,7 +168,7 @@ fn probing(rows: &mut Rows, lathe: &Lathe, o: &TurningOutcome) {
         "41.7 mm/s times 1 ms",
     );
     let place = "The RTEC; Introduction of 4832";
-    rows.number(
+    rows.given().number(
         (place, "faster than commonly used: 10 to 20 times in feed", "times"),
         20.0,
         fast.feed_mm_min / slow.feed_mm_min,
@@ -181,10 +181,22 @@ fn form(rows: &mut Rows, o: &TurningOutcome) {
     let place = "Part-Form Error; figure 5";
     let seeds = "one cut of one tool there, one of other noise here";
     let semi = &o.semi_finish;
-    rows.number((place, "height of the bump", "µm"), 23.0, semi.bump_um, Agreement::Within(1.5), seeds);
-    rows.number((place, "largest error bar", "µm"), 21.4, semi.largest_um, Agreement::Within(1.0), seeds);
+    rows.fitted().number(
+        (place, "height of the bump", "µm"),
+        23.0,
+        semi.bump_um,
+        Agreement::Within(1.5),
+        seeds,
+    );
+    rows.fitted().number(
+        (place, "largest error bar", "µm"),
+        21.4,
+        semi.largest_um,
+        Agreement::Within(1.0),
+        seeds,
+    );
     let report = &o.reports[0].1;
-    rows.number(
+    rows.given().number(
         (place, "points probed", ""),
         20.0,
         report.errors.len() as f64,
@@ -221,14 +233,14 @@ fn form(rows: &mut Rows, o: &TurningOutcome) {
 fn corrected(rows: &mut Rows, o: &TurningOutcome) {
     let report = &o.reports[0].1;
     let place = "Compensating for the Part-Form Error";
-    rows.number(
+    rows.given().number(
         (place, "one correction", "µm"),
         4.0,
         o.increment_um,
         Agreement::Within(0.0),
         "the machine file has another design or count",
     );
-    rows.number(
+    rows.fitted().number(
         (place, "corrections for the largest error", ""),
         5.0,
         o.corrections as f64,
@@ -264,7 +276,7 @@ fn corrected(rows: &mut Rows, o: &TurningOutcome) {
         o.balanced(),
         "counted by the simulated controller's own decoders",
     );
-    rows.number(
+    rows.given().number(
         ("CAD Error Display", "a 4 µm error is drawn as", "mm"),
         1.0,
         4e-3 * MAGNIFICATION,
@@ -272,14 +284,14 @@ fn corrected(rows: &mut Rows, o: &TurningOutcome) {
         "",
     );
     let place = "The Determination of Part-Form Errors";
-    rows.number(
+    rows.given().number(
         (place, "radius of the nose", "mm"),
         38.1,
         report_radius(&o.reports[1].1),
         Agreement::Within(0.01),
         "as fitted to what was probed",
     );
-    rows.number(
+    rows.given().number(
         (place, "the semi-finish cut is larger in radius by", "mm"),
         0.254,
         report_radius(report) - report_radius(&o.reports[1].1),
@@ -330,7 +342,7 @@ fn program(rows: &mut Rows, lathe: &Lathe, o: &TurningOutcome, plain: usize) {
         Agreement::Share(0.05),
         "shorter where the errors bend",
     );
-    rows.number(
+    rows.given().number(
         ("Implementing Corrections", "bits for the longest axis", "bits"),
         20.0,
         bits(lathe.longest_axis_mm * 1e3 / lathe.bench.count_um),
@@ -338,7 +350,7 @@ fn program(rows: &mut Rows, lathe: &Lathe, o: &TurningOutcome, plain: usize) {
         "the machine file has another axis",
     );
     let most = f64::from((1_u32 << (lathe.correction_bits - 1)) - 1);
-    rows.number(
+    rows.given().number(
         ("Implementing Corrections", "range of the \"Correction Requested\" byte, ±", "µm"),
         127.0,
         most * o.increment_um,
@@ -441,7 +453,7 @@ fn paths(rows: &mut Rows, lathe: &Lathe) -> Result<(), PaperError> {
         "the machine file has another part",
     );
     let longest = (60..80).take_while(|n| parameters.clone().set("note_1", &"x".repeat(*n)).is_ok()).last();
-    rows.number(
+    rows.given().number(
         ("Operating Procedure", "longest line of general comments", "characters"),
         66.0,
         longest.unwrap_or(0) as f64,
@@ -452,7 +464,7 @@ fn paths(rows: &mut Rows, lathe: &Lathe) -> Result<(), PaperError> {
     let template = controller.map(|c| c.template).unwrap_or_default();
     let says = ["N0010", "N0150", "T00", "G92 X", "M14", "M02", "(END, PROG)"];
     let there = says.iter().filter(|w| template.contains(**w)).count();
-    rows.number(
+    rows.given().number(
         (
             "Figure 8",
             "words of template.prb that are in ours: N0010, N0150, T00, G92 X, M14, M02, (END, PROG)",
@@ -476,21 +488,21 @@ fn geometric_thermal(
 ) -> Result<(), PaperError> {
     let place = "Compensation of G-T Errors";
     let components: usize = machine.chain().map_or(0, |c| c.joints.iter().map(|j| j.components.len()).sum());
-    rows.number(
+    rows.given().number(
         (place, "error components of the two-axis machine", ""),
         11.0,
         components as f64,
         Agreement::Within(0.0),
         "the machine file has another chain",
     );
-    rows.number(
+    rows.given().number(
         (place, "a new correction about every", "ms"),
         50.0,
         lathe.bench.control_ms,
         Agreement::Within(0.0),
         "the machine file has another period",
     );
-    rows.number(
+    rows.given().number(
         (place, "the tool moves in that time less than", "mm"),
         1.0,
         lathe.cut_mm_min / 60.0 * lathe.bench.control_ms * 1e-3,

@@ -12,6 +12,36 @@ pub enum Verdict {
     Differs,
 }
 
+/// Where what came out comes from.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Basis {
+    /// From a run. Nothing in the machine was taken from this figure.
+    #[default]
+    Compared,
+    /// The figure is set in the machine's file or the program.
+    ///
+    /// Or it is arithmetic of such figures. Agreement shows that nothing was lost on the way, and no more.
+    Given,
+    /// Parameters of the machine were chosen so that it comes out.
+    Fitted,
+}
+
+impl Basis {
+    /// All of them, in the order of a summary.
+    pub const ALL: [Self; 3] = [Self::Compared, Self::Fitted, Self::Given];
+
+    /// As a table marks it; empty for a figure that is compared.
+    #[must_use]
+    pub fn mark(self) -> &'static str {
+        match self {
+            Self::Compared => "",
+            Self::Given => "given",
+            Self::Fitted => "fitted",
+        }
+    }
+}
+
 /// One table entry, figure, or figure in the text.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Row {
@@ -33,6 +63,8 @@ pub struct Row {
     pub agreement: String,
     /// How the two compare.
     pub verdict: Verdict,
+    /// Where what came out comes from.
+    pub basis: Basis,
     /// Why they are not the same; empty where they are.
     pub why: String,
 }
@@ -89,6 +121,8 @@ pub(crate) struct Rows {
     pub(crate) tables: Vec<String>,
     /// Figures no larger than their tolerance: agreement would tell nothing.
     pub(crate) too_small: usize,
+    /// Of the next row.
+    next: Basis,
 }
 
 /// A number as people read it: four digits that count.
@@ -105,6 +139,18 @@ pub(crate) fn shown(v: f64) -> String {
 }
 
 impl Rows {
+    /// Marks the next row: its figure is an input.
+    pub(crate) fn given(&mut self) -> &mut Self {
+        self.next = Basis::Given;
+        self
+    }
+
+    /// Marks the next row: the machine was fitted to its figure.
+    pub(crate) fn fitted(&mut self) -> &mut Self {
+        self.next = Basis::Fitted;
+        self
+    }
+
     /// Compares a number.
     ///
     /// `why` is shown where the two differ. A figure within its own tolerance of zero is only counted.
@@ -116,6 +162,7 @@ impl Rows {
         is: Agreement,
         why: &str,
     ) {
+        let basis = std::mem::take(&mut self.next);
         let met = is.met(says, gets);
         let same = shown(says) == shown(gets);
         if met && is.cannot_tell(says) {
@@ -136,6 +183,7 @@ impl Rows {
             we: Some(gets),
             agreement: is.words(unit),
             verdict: if met { Verdict::Agrees } else { Verdict::Differs },
+            basis,
             why: if same { String::new() } else { why.to_owned() },
         });
     }
@@ -164,6 +212,7 @@ impl Rows {
             we: None,
             agreement: "holds".to_owned(),
             verdict: if holds { Verdict::Agrees } else { Verdict::Differs },
+            basis: std::mem::take(&mut self.next),
             why: if holds && says == gets { String::new() } else { why.to_owned() },
         });
     }
@@ -200,5 +249,18 @@ mod tests {
         let verdicts: Vec<Verdict> = rows.list[2..].iter().map(|r| r.verdict).collect();
         assert_eq!(verdicts, [Verdict::Differs, Verdict::Agrees, Verdict::Agrees]);
         assert_eq!((rows.list[1].why.as_str(), rows.list[1].verdict), ("shown", Verdict::Differs));
+    }
+
+    #[test]
+    fn a_mark_is_of_one_row_alone() {
+        let mut rows = Rows::default();
+        // Too small to be listed, and marked all the same.
+        rows.given().number(("t", "w", "in"), 0.0002, -0.0001, Agreement::Within(0.0003), "");
+        rows.words(("t", "w"), "a", "a", "");
+        rows.fitted().words(("t", "w"), "a", "a", "");
+        rows.given().number(("t", "w", ""), 1.0, 1.0, Agreement::Within(0.0), "");
+        rows.number(("t", "w", ""), 1.0, 1.0, Agreement::Within(0.0), "");
+        let marks: Vec<&str> = rows.list.iter().map(|r| r.basis.mark()).collect();
+        assert_eq!(marks, ["", "fitted", "given", ""]);
     }
 }

@@ -6,6 +6,7 @@
 
 use rtec_papers::{Compared, Paper, Row, Verdict};
 use rtec_sim::described::Described;
+use rtec_sim::ecc::Pll;
 use std::path::Path;
 use std::process::{Command, Output};
 
@@ -21,14 +22,18 @@ fn compared(paper: &str, from: Option<&Path>, seed: u64) -> Compared {
         assert!(![&row.place, &row.what, &row.says, &row.gets].contains(&&String::new()), "{row:?}");
         assert!(row.verdict == Verdict::Agrees || !row.why.is_empty(), "{row:?}");
     }
-    assert_eq!(compared.agree + compared.differ, compared.rows.len());
+    assert_eq!(compared.counts.iter().map(|c| c.agree + c.differ).sum::<usize>(), compared.rows.len());
     compared
 }
 
 /// The page on sources quotes these counts.
 fn check_quoted(paper: &Compared, source: &str) {
     let page = include_str!("../../../tools/guide/contributor/sources.md");
-    let line = format!("| {source} | {} | {} | {} |", paper.agree, paper.differ, paper.too_small);
+    let [compared, fitted, given] = paper.counts;
+    let line = format!(
+        "| {source} | {} | {} | {fitted} | {given} | {} |",
+        compared.agree, compared.differ, paper.too_small
+    );
     assert!(page.contains(&line), "sources.md does not have `{line}`");
 }
 
@@ -204,6 +209,23 @@ fn circuit_refuses_settings_beyond_its_limits() {
     changed(folder.path(), "cmti.toml", "shown_pulses = 3 ", "shown_pulses = 15 ");
     let full = compared("cmti", Some(folder.path()), 1);
     assert!((we(&full, "Figures 8", "pulses added") - 15.0).abs() < 1e-9);
+}
+
+/// The circuit's ranges are those of the program, in the same words everywhere.
+#[test]
+fn circuit_has_one_range() {
+    let pll = Pll::default();
+    for text in [
+        include_str!("../../../tools/guide/integrator/cmti.md"),
+        include_str!("../../../tools/sim/machines/cmti/README.md"),
+    ] {
+        assert!(text.contains(&pll.to_string()), "no `{pll}`");
+    }
+    #[derive(serde::Deserialize)]
+    struct Circuit {
+        pll: Pll,
+    }
+    assert_eq!(Described::default().read::<Circuit>("cmti.toml").unwrap().pll, pll);
 }
 
 /// The loop doubles from 0.7 to 160 kHz and not beyond (section 2.2.2).

@@ -127,6 +127,7 @@ impl Reconciliation {
             "effects": self.effects.iter().map(finding).collect::<Vec<_>>(),
             "refined": self.refined.iter().map(refined).collect::<Vec<_>>(),
             "stand_in": self.curve.as_ref().map(|(e, _)| json!({"name": e.name(), "file": crate::LAWS_FILE})),
+            "no_stand_in": self.no_curve,
             "unexplained": self.unexplained.iter().map(|s| json!({
                 "response": s.response, "against": s.against, "manner": s.manner,
             })).collect::<Vec<_>>(),

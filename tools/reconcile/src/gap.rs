@@ -10,7 +10,7 @@ use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, Kind, Record, Role};
 
 /// Folds of the blocked cross-validation.
-const FOLDS: usize = 5;
+pub(crate) const FOLDS: usize = 5;
 
 /// The gap between measured and simulated, for the responses of one unit.
 #[derive(Debug, Clone)]

@@ -16,7 +16,7 @@ use rtec_estimate::Rival;
 use rtec_estimate::Shape;
 use rtec_estimate::problem::Problem;
 use rtec_estimate::refit::Refit;
-use rtec_estimate::rows::Rows;
+use rtec_estimate::rows::{Rows, Segment};
 use rtec_files::InputError;
 use rtec_fit::quiet;
 use rtec_measure::ballbar::in_motion;
@@ -33,8 +33,8 @@ const FEWEST_TO_LEARN: usize = 8;
 const FEW: usize = 30;
 /// Rows are not thinned to fewer than this.
 const FEWEST_ROWS: usize = 300;
-/// Number of knots of the curve for what no effect explains.
-const CURVE_KNOTS: usize = 9;
+/// Knots of a curve that stands for what has no name: as many as its rows support.
+const CURVE_KNOTS: [usize; 3] = [9, 5, 3];
 
 /// The first stage's answer: where measured and simulated disagree.
 /// It runs the later stages too, because their findings also have a place.
@@ -96,7 +96,7 @@ fn looked_at(train: &[Record], holdout: &[Record], machine: &Machine, options: &
         answer.unexplained = vec![not_told(&used, why)];
     }
     let work = Work { train: &train, used: &used, machine, options };
-    let better = work.better(&mut answer, why_nothing.is_none());
+    let mut better = work.better(&mut answer, why_nothing.is_none());
     let noise = &answer.estimate.noise;
     let rows_of = Rows::new(&used);
     let floor_um = |role: &Role| {
@@ -110,6 +110,8 @@ fn looked_at(train: &[Record], holdout: &[Record], machine: &Machine, options: &
     let more: Vec<Suspicion> = held.filter(|s| one_way || !s.is_of_sensor()).collect();
     doubts.also_held(more);
     let (held, held_out) = doubts.holdouts(&better.model);
+    let asked = options.unexplained && why_nothing.is_none();
+    let no_curve = asked.then(|| work.add_curve(&answer, &held, &mut better)).flatten();
     let traces_of = traces(&train, &held, machine, &better.model);
     let blocked = gap::left_of_blocks(&used, &answer, better.curve.as_ref().map(|(e, _)| e), machine);
     let mut gap = gaps(&used, &traces_of, &answer, blocked.as_deref());
@@ -169,6 +171,7 @@ fn looked_at(train: &[Record], holdout: &[Record], machine: &Machine, options: &
         effects,
         unexplained: answer.unexplained,
         curve,
+        no_curve,
         refined,
         gap,
         model,
@@ -258,7 +261,6 @@ impl Work<'_> {
     fn better(&self, answer: &mut Answer, learn: bool) -> Better {
         let Self { train, machine, .. } = *self;
         let mut model = machine.clone();
-        let curve = self.curve(answer, &mut model, learn);
         for (f, half) in &mut answer.findings {
             let effect = whole_counts(&f.effect, train, half);
             (f.effect, *half) = between_rows(&effect, train, half);
@@ -273,23 +275,58 @@ impl Work<'_> {
                 effects.push((f.clone(), half.clone()));
             }
         }
-        let curve = curve.filter(|(e, half, _)| write.add(&mut model, e, half, ": unexplained"));
-        Better { model, refined, effects, curve: curve.map(|(e, _, laws)| (e, laws)) }
+        Better { model, refined, effects, curve: None }
     }
 
-    /// If requested, a curve for the first shape whose variable a law can read.
-    fn curve(&self, answer: &Answer, model: &mut Machine, learn: bool) -> Option<(Effect, Vec<f64>, String)> {
-        if !self.options.unexplained || !learn {
+    /// Adds a curve for the first shape, or says why there is none.
+    /// Its interval must be narrower than what it removes, and rows that it was not fitted to must be better with it.
+    fn add_curve(&self, answer: &Answer, held: &[Record], better: &mut Better) -> Option<String> {
+        let shape = answer.unexplained.first()?;
+        let (known, rows) = (self.machine.effects().cloned().collect::<Vec<_>>(), Rows::new(self.used));
+        let problem = Problem::new(&rows, &known, &stated(self.machine));
+        let found: Vec<Effect> = answer.findings.iter().map(|(f, _)| f.effect.clone()).collect();
+        let mut why = format!("no law runs along {}", shape.against.join(" and "));
+        for knots in CURVE_KNOTS {
+            let mut model = better.model.clone();
+            let of = |s| Some((s, stand_in(s, knots, self.train, &mut model)?));
+            let Some((shape, stand_in)) = answer.unexplained.iter().find_map(of) else { break };
+            let with = [found.as_slice(), &[stand_in.effect]].concat();
+            let refit = Refit::new(&problem, &with);
+            let (effect, half) = refit.sizes(&answer.estimate.noise).pop()?;
+            let unit = gap::unit_of(&shape.response);
+            let removes = removed(&effect, &shape.response, self.used);
+            let widest = half.iter().copied().fold(0.0, f64::max);
+            if widest.is_nan() || widest >= removes {
+                why = format!("its interval is ± {widest:.3} {unit}, and it removes {removes:.3} {unit}");
+                continue;
+            }
+            let write = Writer { train: self.train, date: self.options.date.as_ref() };
+            if !write.add(&mut model, &effect, &half, ": unexplained") {
+                return Some(format!("the model has {} already", effect.name()));
+            }
+            let unseen = if held.is_empty() {
+                let of_response = |s: &&Segment| rows.responses[s.response].to_string() == shape.response;
+                let rms = |refit: &Refit<'_, '_>| {
+                    let left = refit.left_by_others(&answer.estimate.noise, gap::FOLDS);
+                    let own = rows.segments.iter().filter(of_response);
+                    gap::rms(own.flat_map(|s| &left[s.rows.clone()]).collect::<Vec<_>>())
+                };
+                [rms(&Refit::new(&problem, &found)), rms(&Refit::new(&problem, &with))]
+            } else {
+                let both = traces(&[], held, &better.model, &model);
+                let own = || both.iter().filter(|t| t.response == shape.response);
+                [gap::rms(own().flat_map(|t| &t.before)), gap::rms(own().flat_map(|t| &t.after))]
+            };
+            let [without, with] = unseen;
+            if with >= without {
+                let of = if held.is_empty() { "blocks of rows left out in turn" } else { "the hold-outs" };
+                return Some(format!("{of} are no better with it: {without:.3} -> {with:.3} {unit}"));
+            }
+            better.model = model;
+            better.curve = Some((effect, stand_in.laws));
             return None;
         }
-        let stand_in = answer.unexplained.iter().find_map(|s| stand_in(s, CURVE_KNOTS, self.train, model))?;
-        let known: Vec<Effect> = self.machine.effects().cloned().collect();
-        let rows = Rows::new(self.used);
-        let problem = Problem::new(&rows, &known, &stated(self.machine));
-        let mut effects: Vec<Effect> = answer.findings.iter().map(|(f, _)| f.effect.clone()).collect();
-        effects.push(stand_in.effect);
-        let (effect, half) = Refit::new(&problem, &effects).sizes(&answer.estimate.noise).pop()?;
-        Some((effect, half, stand_in.laws))
+        Some(why)
     }
 
     /// The advice: what to do next, and where a fit of growth reads other temperatures.
@@ -305,6 +342,19 @@ impl Work<'_> {
         let said = [Some(next).filter(|n| !n.is_empty()), other.flatten()];
         said.into_iter().flatten().collect::<Vec<_>>().join("; ")
     }
+}
+
+/// RMS of what a curve takes off a response, about each record's mean.
+fn removed(curve: &Effect, response: &str, records: &[Record]) -> f64 {
+    let of = |record: &Record| {
+        let column = record.responses().find(|c| c.role.to_string() == response)?;
+        let mut um = vec![0.0; record.rows()];
+        curve.add(record, &column.role, &mut um).ok()?;
+        let mean = um.iter().sum::<f64>() / um.len().max(1) as f64;
+        Some(um.into_iter().map(move |v| v - mean).collect::<Vec<_>>())
+    };
+    let all: Vec<f64> = records.iter().filter_map(of).flatten().collect();
+    gap::rms(&all)
 }
 
 /// Corrects the model's parameters that are off beyond chance.

@@ -39,9 +39,9 @@ pub struct Pll {
 }
 
 impl Default for Pll {
-    /// CMTI (2014), section 2.2.2: from 700 Hz, clean 2.3 to 125 kHz, up to 160 kHz.
-    /// The time constant follows from the loop's natural frequency, 2 kHz with the parts given there (R3 =
-    /// 360 Ω, R4 = 100 Ω, C2 = 1 µF, 5 V, 320 kHz).
+    /// CMTI (2014), section 2.2.2.
+    /// The time constant is that of the loop's natural frequency, 2 kHz with the parts given there (R3 = 360 Ω, R4 =
+    /// 100 Ω, C2 = 1 µF, 5 V, 320 kHz).
     fn default() -> Self {
         Self {
             lock_from_hz: 700.0,
@@ -50,6 +50,15 @@ impl Default for Pll {
             lock_to_hz: 160_000.0,
             follow_ns: 76_000.0,
         }
+    }
+}
+
+/// Its ranges in words: the command's warning and the guide have them from here.
+impl std::fmt::Display for Pll {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let [lock, to, clean, clean_to] =
+            [self.lock_from_hz, self.lock_to_hz, self.clean_from_hz, self.clean_to_hz].map(|hz| hz / 1e3);
+        write!(f, "doubles from {lock} to {to} kHz of A XOR B, cleanly from {clean} to {clean_to} kHz")
     }
 }
 

@@ -96,9 +96,45 @@ pub const SENSORS: [(&str, Node, Node, f64); 20] = [
     ("T20", Node::Ambient, Node::Column, 0.05),
 ];
 
+/// A machine's thermal properties.
+/// Capacities (J/K), conductances dry and wet (W/K), sources at 5500 rpm (W).
+#[derive(Debug, Clone)]
+pub struct Network {
+    capacity: [f64; NODES],
+    conductance: [f64; CONDUCTANCE.len()],
+    wet: [f64; WET.len()],
+    watt: [f64; SOURCES.len()],
+}
+
+impl Default for Network {
+    fn default() -> Self {
+        Self {
+            capacity: CAPACITY,
+            conductance: CONDUCTANCE.map(|c| c.2),
+            wet: WET.map(|c| c.2),
+            watt: SOURCES.map(|s| s.1),
+        }
+    }
+}
+
+impl Network {
+    /// Another machine of the same build.
+    /// Each property has a factor of its own, drawn from `factor`.
+    #[must_use]
+    pub fn drawn(factor: &mut impl FnMut() -> f64) -> Self {
+        let mut drawn = Self::default();
+        let Self { capacity, conductance, wet, watt } = &mut drawn;
+        for property in capacity.iter_mut().chain(conductance).chain(wet).chain(watt) {
+            *property *= factor();
+        }
+        drawn
+    }
+}
+
 /// The thermal network of the machine and the sensors in it.
 #[derive(Debug, Clone)]
 pub struct Heat {
+    network: Network,
     /// °C, in the order of [`Node`].
     temperature: [f64; NODES],
     ambient_degc: f64,
@@ -120,6 +156,7 @@ impl Heat {
     #[must_use]
     pub fn cold(ambient_degc: f64, noise_k: f64, seed: u64) -> Self {
         let mut heat = Self {
+            network: Network::default(),
             temperature: [ambient_degc; NODES],
             ambient_degc,
             drift: 0.0,
@@ -131,6 +168,12 @@ impl Heat {
         };
         heat.read();
         heat
+    }
+
+    /// The same with other thermal properties.
+    #[must_use]
+    pub fn of(self, network: Network) -> Self {
+        Self { network, ..self }
     }
 
     /// Sets the temperature of the hall, at once, °C.
@@ -152,20 +195,21 @@ impl Heat {
     fn step(&mut self, rpm: f64, coolant: bool) {
         let mut watt = [0.0; NODES];
         let share = rpm / 5500.0;
-        for (node, w, square) in SOURCES {
-            watt[node as usize] += w * (square * share * share + (1.0 - square) * share);
+        let Network { capacity, conductance, wet, watt: sources } = &self.network;
+        for ((node, _, square), w) in SOURCES.iter().zip(sources) {
+            watt[*node as usize] += w * (square * share * share + (1.0 - square) * share);
         }
         if coolant {
             watt[Node::Coolant as usize] += PUMP_W;
         }
-        let wet = if coolant { &WET[..] } else { &[] };
-        for &(a, b, g) in CONDUCTANCE.iter().chain(wet) {
+        let flooded = WET.iter().zip(wet).filter(|_| coolant);
+        for (&(a, b, _), g) in CONDUCTANCE.iter().zip(conductance).chain(flooded) {
             let flow = g * (self.temperature[a as usize] - self.temperature[b as usize]);
             watt[a as usize] -= flow;
             watt[b as usize] += flow;
         }
         for (n, t) in self.temperature.iter_mut().enumerate() {
-            *t += watt[n] / CAPACITY[n] * STEP_S;
+            *t += watt[n] / capacity[n] * STEP_S;
         }
         // The hall's temperature wanders by some tenths of a kelvin over hours.
         self.drift += 0.002 * self.noise.normal() - self.drift * STEP_S / 7200.0;
@@ -256,6 +300,22 @@ mod tests {
                 assert!((20.5..40.0).contains(&t), "{node:?} {t} °C");
             }
         }
+    }
+
+    /// Drawn machines warm differently, each within its physics.
+    #[test]
+    fn drawn_networks_warm_differently() {
+        let mut noise = Noise::new(1, 1);
+        let mut rises: Vec<f64> = (0..20)
+            .map(|_| {
+                let mut heat =
+                    Heat::cold(20.0, 0.0, 1).of(Network::drawn(&mut || (0.3 * noise.normal()).exp()));
+                heat.advance(3.0 * 3600.0, 5500.0, true);
+                heat.degc(Node::FrontBearing) - 20.0
+            })
+            .collect();
+        rises.sort_by(f64::total_cmp);
+        assert!(rises[0] > 3.0 && rises[19] < 40.0 && rises[19] > 1.5 * rises[0], "{rises:?}");
     }
 
     #[test]

@@ -5,7 +5,7 @@ use crate::control::{Control, REST_NS, Readings, WINDOW_COUNTS};
 use crate::corrected::CorrectedMachine;
 use crate::errors::{Errors, layout, probe_delay_ns, set_friction};
 use crate::gcode::Block;
-use crate::heat::Heat;
+use crate::heat::{Heat, Network};
 use crate::insertion::GateDesign;
 use crate::machine::{ControllerSpec, ServoFault, SimMachine, Surface};
 use crate::path::{AXES, Command};
@@ -38,6 +38,8 @@ pub struct Spec {
     pub write_ns: u64,
     /// Temperature of the hall, °C.
     pub ambient_degc: f64,
+    /// Its thermal properties.
+    pub network: Network,
 }
 
 impl Spec {
@@ -64,6 +66,7 @@ impl Spec {
             detect_ns: 500,
             write_ns: 200,
             ambient_degc: 20.0,
+            network: Network::default(),
         }
     }
 
@@ -238,7 +241,7 @@ impl Sim {
         let corrected =
             CorrectedMachine::new(spec.design, &mut machine, &configs, lines, &origins, &mut |_| true)?;
         let control = known.map(|known| spec.control(&configs, &channels, known)).transpose()?;
-        let heat = Heat::cold(spec.ambient_degc, 0.02, seed);
+        let heat = Heat::cold(spec.ambient_degc, 0.02, seed).of(spec.network.clone());
         let mut sim = Self {
             machine,
             corrected,

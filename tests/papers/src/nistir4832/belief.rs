@@ -39,7 +39,7 @@ pub(super) fn range(rows: &mut Rows, bench: &Bench, computer: &Computer) -> Resu
         }
     }
     let other = "the machine file has another width of the byte, or another count";
-    rows.number(
+    rows.given().number(
         (place, "corrections in one signed byte, ±", ""),
         127.0,
         (taken[0] / step) as f64,
@@ -47,9 +47,9 @@ pub(super) fn range(rows: &mut Rows, bench: &Bench, computer: &Computer) -> Resu
         other,
     );
     let um = taken[0].min(-taken[1]) as f64 * bench.count_um;
-    rows.number((place, "largest correction, ±", "µm"), 508.0, um, Agreement::Within(0.0), other);
-    rows.number((place, "the same", "mil"), 20.0, um / 25.4, Agreement::Within(0.05), other);
-    rows.number(
+    rows.given().number((place, "largest correction, ±", "µm"), 508.0, um, Agreement::Within(0.0), other);
+    rows.given().number((place, "the same", "mil"), 20.0, um / 25.4, Agreement::Within(0.05), other);
+    rows.given().number(
         (place, "one correction", "µm"),
         4.0,
         step as f64 * bench.count_um,
@@ -90,7 +90,7 @@ pub(super) fn belief(rows: &mut Rows, bench: &Bench) -> Result<(), PaperError> {
     while widest < 20 && believed(widest + 1)? {
         widest += 1;
     }
-    rows.number(
+    rows.given().number(
         (place, "belief window, corrections at once, ±", ""),
         3.0,
         widest as f64,

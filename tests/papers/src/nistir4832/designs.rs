@@ -105,7 +105,7 @@ fn dithering(bench: &Bench, dither_counts: f64, seed: u64) -> Result<usize, Pape
 pub(super) fn design_b(rows: &mut Rows, computer: &Computer, faster: &Computer) {
     let place = "Design B";
     let edges = constant(1_000_000, 100_000.0, 400, 1);
-    rows.number(
+    rows.given().number(
         (place, "a signal of 100 kHz has a transition every", "µs"),
         2.5,
         (edges[399].0 - edges[0].0) as f64 / 399.0 / 1e3,

@@ -110,7 +110,7 @@ fn linear(rows: &mut Rows, bench: &Bench, machine: &Machine, seed: u64) -> Resul
     let ((x, e), (cx, ce)) = (data(0), data(1));
     let whole = e.last().copied().unwrap_or(0.0) / (x.last().copied().unwrap_or(1.0) / bench.travel_mm);
     let other = "the machine file has another error";
-    rows.number((place, "error over one metre", "µm"), 240.0, whole, Agreement::Within(1.0), other);
+    rows.given().number((place, "error over one metre", "µm"), 240.0, whole, Agreement::Within(1.0), other);
     let half_um = 2.0 * bench.count_um;
     let steps: Vec<f64> =
         (1..ce.len()).filter(|&k| (ce[k - 1] - ce[k]).abs() > half_um).map(|k| cx[k]).collect();
@@ -118,8 +118,8 @@ fn linear(rows: &mut Rows, bench: &Bench, machine: &Machine, seed: u64) -> Resul
         (Some(a), Some(b)) if steps.len() > 1 => (b - a) / (steps.len() - 1) as f64,
         _ => 0.0,
     };
-    rows.number((place, "one correction every", "mm"), 16.7, spacing, Agreement::Within(0.2), other);
-    rows.number(
+    rows.given().number((place, "one correction every", "mm"), 16.7, spacing, Agreement::Within(0.2), other);
+    rows.given().number(
         (place, "corrections over a quarter of the travel", ""),
         15.0,
         found.summary.get("insertions").and_then(serde_json::Value::as_f64).unwrap_or(0.0),
@@ -145,7 +145,7 @@ fn linear(rows: &mut Rows, bench: &Bench, machine: &Machine, seed: u64) -> Resul
         "with a value every 2 mm",
     );
     let every_ms = rtec_sim::sim::CONTROL_NS as f64 / 1e6;
-    rows.number(
+    rows.given().number(
         (place, "a new value every 10 to 20 ms: our control period", "ms"),
         20.0,
         every_ms,

@@ -31,21 +31,21 @@ pub(super) fn signals(rows: &mut Rows, bench: &Bench, seed: u64) -> Result<(), P
     );
     let rapid = traverse(bench.count_um, bench.rapid_mm_min, bench.travel_mm, seed)?;
     let place = "Altering the Position Signal";
-    rows.number(
+    rows.given().number(
         (place, "bits for an axis of one metre at 1 µm", "bits"),
         20.0,
         f64::from(64 - (rapid.counts.unsigned_abs() - 1).leading_zeros()),
         Agreement::Within(0.0),
         "the travel or the resolution of the machine file is another",
     );
-    rows.number(
+    rows.given().number(
         (place, "counts of that axis", ""),
         1e6,
         rapid.counts as f64,
         Agreement::Share(0.001),
         "the axis stops within a count of either end",
     );
-    rows.number(
+    rows.given().number(
         (place, "encoder frequency at rapid traverse, 7 m/min", "kHz"),
         30.0,
         rapid.encoder_hz / 1e3,
@@ -53,7 +53,7 @@ pub(super) fn signals(rows: &mut Rows, bench: &Bench, seed: u64) -> Result<(), P
         "the report says \"about\": 7 m/min are 116 667 counts/s, a quarter of it is the encoder's frequency",
     );
     let coming = traverse(bench.count_um / 10.0, 2.0 * bench.rapid_mm_min, 60.0, seed)?;
-    rows.number(
+    rows.given().number(
         (place, "twice the speed at nearly a tenth of the resolution: up to", "kHz"),
         500.0,
         coming.encoder_hz / 1e3,
@@ -65,7 +65,7 @@ pub(super) fn signals(rows: &mut Rows, bench: &Bench, seed: u64) -> Result<(), P
         let seen = BenchRun { edges: &edges, keep_log: true, ..BenchRun::new(AnyDesign::C, &computer) }
             .run()
             .ok_or_else(|| cannot("a plain motion"))?;
-        rows.number(
+        rows.given().number(
             (place, &format!("pulse width of a square wave of {} kHz", shown(hz / 1e3)), "µs"),
             width_us,
             high_ns(&seen.log, |s| s.a()) / 1e3,
@@ -73,7 +73,7 @@ pub(super) fn signals(rows: &mut Rows, bench: &Bench, seed: u64) -> Result<(), P
             "",
         );
     }
-    rows.number(
+    rows.given().number(
         ("The \"Original RTEC\"", "rapid traverse over cutting speed: an order of magnitude", "times"),
         10.0,
         bench.rapid_mm_min / bench.cutting_mm_min,
@@ -169,7 +169,7 @@ pub(super) fn pulses(rows: &mut Rows, bench: &Bench, computer: &Computer) -> Res
     sim.run([Block::Feed { to: [20.0, 0.0, 0.0], feed_mm_s: bench.cutting_mm_min / 60.0 }])?;
     sim.advance(0.5)?;
     let place = "Altering the Position Signal";
-    rows.number(
+    rows.given().number(
         (place, "four counts added: the axis stops from the programmed position by", "counts"),
         -4.0,
         ((sim.moment().position_mm[0] - 20.0) * 1e3 / bench.count_um).round(),
@@ -194,7 +194,7 @@ fn times(rows: &mut Rows, computer: &Computer) -> Result<(), PaperError> {
     let place = "Altering the Position Signal";
     let slow = go(AnyDesign::Original, 10_000.0, 4)?;
     let inserted: Vec<Change> = inserted(&slow.log);
-    rows.number(
+    rows.given().number(
         (place, "width of an added pulse", "µs"),
         2.0,
         high_ns(&slow.log, |s| s.a()) / 1e3,
@@ -219,7 +219,7 @@ fn times(rows: &mut Rows, computer: &Computer) -> Result<(), PaperError> {
     }
     let edges = constant(1_000_000, 30_000.0, 4000, 1);
     let low: Vec<u64> = edges.chunks(4).take(900).map(|c| c[1].0 - c[0].0).collect();
-    rows.number(
+    rows.given().number(
         (place, "at 30 kHz A and B are low for", "µs"),
         8.0,
         low.iter().sum::<u64>() as f64 / low.len() as f64 / 1e3,

@@ -3,7 +3,7 @@
 use super::{AXES, INCH_UM, Run, column, error_of, record};
 use crate::PaperError;
 use crate::rows::{Agreement, Rows, shown};
-use rtec_measure::plot::{Chart, Series, Style};
+use rtec_measure::plot::{Chart, Colour, Series, Style};
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, Record, Role};
 use rtec_sim::experiment::Findings;
@@ -41,7 +41,7 @@ fn second_pass(rows: &mut Rows, record: &Record) {
     let x = Axis::new("x").map_or(&[][..], |axis| column(record, &Role::Position(axis)));
     let first = (0..x.len()).filter(|row| !pass_of(*row).0);
     let apart: Vec<f64> = first.map(|row| x[row + 2 * PASS_HOLES] - x[row]).collect();
-    rows.number(
+    rows.given().number(
         ("Figure 12", "second pass: four holes further in X by", "in"),
         1.0,
         apart.iter().sum::<f64>() / apart.len().max(1) as f64 * 1e3 / INCH_UM,
@@ -51,7 +51,7 @@ fn second_pass(rows: &mut Rows, record: &Record) {
 }
 
 /// Figures 21 to 23: every hole's deviations by pass, as a table and drawn.
-fn hole_by_hole(rows: &mut Rows, time_s: &[f64], tests: [&[Vec<f64>; 3]; 3]) -> Result<(), PaperError> {
+fn hole_by_hole(rows: &mut Rows, tests: [&[Vec<f64>; 3]; 3]) -> Result<(), PaperError> {
     let mut table = "Figures 21 to 23, hole by hole, 0.0001 in from hole 1: test 1 cold without, test 2 fully warm with, test 3 cold with \
                      correction\n  cycle pass hole"
         .to_owned();
@@ -61,7 +61,7 @@ fn hole_by_hole(rows: &mut Rows, time_s: &[f64], tests: [&[Vec<f64>; 3]; 3]) -> 
             let _ = write!(table, "{:>7}", format!("{test} {axis}"));
         }
     }
-    for row in (0..time_s.len()).step_by(2) {
+    for row in (0..tests[0][0].len()).step_by(2) {
         let (second, hole) = pass_of(row);
         let _ = write!(table, "\n  {:>5} {:>4} {:>4}", row / CYCLE_ROWS + 1, 1 + u8::from(second), hole + 1);
         for um in tests.iter().flat_map(|test| test.iter()) {
@@ -72,16 +72,44 @@ fn hole_by_hole(rows: &mut Rows, time_s: &[f64], tests: [&[Vec<f64>; 3]; 3]) -> 
     for (test, figure) in tests.iter().zip(21..) {
         for (p, letter) in ["a", "b", "c"].into_iter().enumerate() {
             let title = format!("Figure {figure}{letter}: {} in test {}", AXES[p], figure - 20);
-            let mut chart = Chart::new(&title, "time (min)", "deviation from hole 1 (in)");
-            for (name, second) in [("first pass", false), ("second pass", true)] {
-                let own = (0..time_s.len()).step_by(2).filter(|row| pass_of(*row).0 == second);
-                let points = own.map(|row| (time_s[row] / 60.0, test[p][row])).collect();
-                chart = chart.with(Series::new(name, Style::Line, points));
-            }
+            let chart = passes(&title, &test[p], worst(&tests[0][p]));
             rows.figures.push((format!("figure-{figure}{letter}.svg"), chart.svg(900, 420)?));
         }
     }
     Ok(())
+}
+
+/// Deviations of the holes of each cycle, both passes over the same holes.
+///
+/// All figures of an axis have the scale of test 1. Time is no axis here: a cycle lasts two minutes, the warm-up between two
+/// cycles ninety.
+fn passes(title: &str, inch: &[f64], of_test_1: f64) -> Chart {
+    // A free place between two cycles.
+    let place = |row: usize| (row / CYCLE_ROWS * (PASS_HOLES + 1) + pass_of(row).1) as f64;
+    let cycles = ["I", "II", "III"];
+    let names = cycles.map(|cycle| (1..=PASS_HOLES).map(|n| format!("{cycle} {n}")).collect::<Vec<_>>());
+    let wide = [-0.5, (cycles.len() * (PASS_HOLES + 1)) as f64 - 1.5];
+    let band = Series::band("largest of test 1", &wide, &[-1e3 * of_test_1; 2], &[1e3 * of_test_1; 2]);
+    let x = "cycle and hole, 90 min at 5000 rpm between two cycles";
+    let mut chart =
+        Chart::new(title, x, "deviation from hole 1 (0.001 in)").with(band.coloured(Colour::Grey));
+    chart.x_names = names.join(&String::new());
+    for cycle in 0..cycles.len() {
+        for (name, second, colour) in [("first pass", false, Colour::Up), ("second pass", true, Colour::Down)]
+        {
+            let rows = (CYCLE_ROWS * cycle..CYCLE_ROWS * (cycle + 1)).step_by(2);
+            let own = rows.filter(|row| pass_of(*row).0 == second && *row < inch.len());
+            let points = own.map(|row| (place(row), 1e3 * inch[row])).collect();
+            let name = if cycle == 0 { name } else { "" };
+            chart = chart.with(Series::new(name, Style::Line, points).coloured(colour));
+        }
+    }
+    chart
+}
+
+/// The largest deviation, either way.
+fn worst(d: &[f64]) -> f64 {
+    d.iter().fold(0.0, |most, e| most.max(e.abs()))
 }
 
 pub(super) fn drilling(
@@ -105,9 +133,8 @@ pub(super) fn drilling(
     let test_3 = deviations(&cold, "drilling-compensated")?;
     let warm_without = deviations(&warm, "drilling-fully-warm")?;
     let test_2 = deviations(&warm, "drilling-fully-warm-compensated")?;
-    let test_1_record = record(&cold, "drilling")?;
-    second_pass(rows, test_1_record);
-    hole_by_hole(rows, test_1_record.time_s(), [&test_1, &test_2, &test_3])?;
+    second_pass(rows, record(&cold, "drilling")?);
+    hole_by_hole(rows, [&test_1, &test_2, &test_3])?;
     let sizes = "the paper drilled two months after the characterisation and gives sizes with reference to hole 1 only; ours is the \
                  machine of tables 1 to 5 in between, sign as the tool is off. Sizes are compared";
     for (hole, both) in TABLE_7 {
@@ -131,21 +158,18 @@ pub(super) fn drilling(
             }
         }
     }
-    let worst = |d: &[Vec<f64>; 3], p: usize, rows: std::ops::Range<usize>| {
-        d[p].get(rows).unwrap_or_default().iter().map(|e| e.abs()).fold(0.0, f64::max)
-    };
     for (p, says) in [0.0044, 0.0053, 0.0059].into_iter().enumerate() {
         rows.number(
             ("Text after table 7", &format!("errors of the machining test in {}", AXES[p]), "in"),
             says,
-            worst(&test_1, p, 0..3 * CYCLE_ROWS),
+            worst(&test_1[p]),
             Agreement::Within(0.002),
             sizes,
         );
     }
     for (p, says) in [0.0033, 0.0042, 0.0045].into_iter().enumerate() {
         let rss = (scale[p].powi(2) + positioning[p].powi(2) + thermal[1][p].powi(2)).sqrt() / INCH_UM;
-        rows.number(
+        rows.fitted().number(
             ("Text after table 7", &format!("uncertainty from the characterisation in {}", AXES[p]), "in"),
             says,
             rss,
@@ -155,7 +179,7 @@ pub(super) fn drilling(
     }
     for (test, off, name) in [(&test_2, &warm_without, "2, fully warm"), (&test_3, &test_1, "3, cold")] {
         for (p, axis) in AXES.iter().enumerate() {
-            let [with, off, without] = [test, off, &test_1].map(|d| worst(d, p, 0..3 * CYCLE_ROWS));
+            let [with, off, without] = [test, off, &test_1].map(|d| worst(&d[p]));
             rows.holds(
                 (
                     "Figures 22 and 23",

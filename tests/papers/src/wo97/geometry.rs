@@ -44,7 +44,7 @@ pub(super) fn circles(rows: &mut Rows, found: &Findings) {
                    circles have no vibration, and their radius is ours (150 mm)";
         // Figures that the scan has lost are left out.
         if let Some(says) = totals[k] {
-            rows.number(("Table 1", &what, "in"), says * 1e-4, inch, Agreement::Within(0.0006), why);
+            rows.fitted().number(("Table 1", &what, "in"), says * 1e-4, inch, Agreement::Within(0.0006), why);
         }
     }
     for (&((i, j), inches, _, reversals), record, k, way, cycle) in each() {
@@ -68,6 +68,8 @@ pub(super) const GROWN_UM: f64 = 18e-4 * INCH_UM;
 pub(super) fn grown_reversal(rows: &mut Rows, found: &Findings) {
     let Ok(record) = record(found, "ballbar-yz-100") else { return };
     for (way, cycle, says) in [("CW", 2.0, 18.0), ("CCW", 1.0, 3.0)] {
+        // Clockwise is what was set.
+        let rows = if way == "CW" { rows.given() } else { &mut *rows };
         rows.number(
             ("Table 1, run with a reversal of Z of 0.0018 in", &format!("YZ {way}, 100 in/min: largest reversal error"), "in"),
             says * 1e-4,
@@ -137,14 +139,14 @@ pub(super) fn displacement(rows: &mut Rows, found: &Findings) -> [f64; 3] {
         let um = both.iter().flatten().map(|e| (e - first).abs()).fold(0.0, f64::max);
         let apart = both.iter().map(|[u, d]| (u - d).abs()).sum::<f64>() / both.len().max(1) as f64;
         scales[p] = um;
-        rows.number(
+        rows.given().number(
             ("Table 2", &format!("{} axis: largest scale error", AXES[p]), "in"),
             scale,
             um / INCH_UM,
             Agreement::Within(0.0003),
             "over 95 % of the travel, from its first target; the error is put in as a straight line",
         );
-        rows.number(
+        rows.given().number(
             ("Table 2", &format!("{} axis: reversal error", AXES[p]), "in"),
             reversal,
             apart / INCH_UM,
@@ -177,6 +179,8 @@ pub(super) fn tool_changes(rows: &mut Rows, found: &Findings) -> [f64; 3] {
         let ours: Vec<f64> = error.iter().map(|e| (e - error[0]) / INCH_UM).collect();
         for (run, says) in TABLE_3.iter().enumerate() {
             let gets = ours.get(run).copied().unwrap_or(0.0);
+            // The others are measured from the first run.
+            let rows = if run == 0 { rows.given() } else { &mut *rows };
             rows.number(
                 ("Table 3 and figure 6", &format!("run {}, {} axis", run + 1, AXES[p]), "in"),
                 says[p] * 1e-4,

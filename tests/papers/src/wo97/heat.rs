@@ -16,7 +16,7 @@ fn gauges<'f>(found: &'f Findings, name: &str) -> &'f [Gauged] {
 /// Gives the drift of the wet three hours, µm.
 pub(super) fn drifts(rows: &mut Rows, found: &Findings) -> [[f64; 3]; 2] {
     let mut three_hours = [[0.0; 3]; 2];
-    rows.number(
+    rows.given().number(
         ("Figure 9", "length of the cycle", "min"),
         435.0,
         FIGURE_9.iter().map(|c| c.1).sum(),
@@ -44,7 +44,7 @@ pub(super) fn drifts(rows: &mut Rows, found: &Findings) -> [[f64; 3]; 2] {
                 if *from == 0 {
                     three_hours[w][p] = um;
                 }
-                rows.number(
+                rows.fitted().number(
                     (place, &format!("{phase}: drift in {}", AXES[p]), "in"),
                     says[p],
                     um / INCH_UM,
@@ -55,7 +55,7 @@ pub(super) fn drifts(rows: &mut Rows, found: &Findings) -> [[f64; 3]; 2] {
             }
             for p in 0..2 {
                 let got = at(*to, &|g| g.tilt_arcsec[p]) - at(*from, &|g| g.tilt_arcsec[p]);
-                rows.number(
+                rows.fitted().number(
                     (place, &format!("{phase}: tilt in {}", AXES[p]), "″"),
                     says[3 + p],
                     got,
@@ -73,7 +73,7 @@ pub(super) fn drifts(rows: &mut Rows, found: &Findings) -> [[f64; 3]; 2] {
         };
         for p in 0..3 {
             let says = -table[1][p] / table[0][p];
-            rows.number(
+            rows.fitted().number(
                 (place, &format!("{} axis: share of the growth that an hour's rest takes back", AXES[p]), ""),
                 says,
                 back(p),
@@ -85,18 +85,21 @@ pub(super) fn drifts(rows: &mut Rows, found: &Findings) -> [[f64; 3]; 2] {
     three_hours
 }
 
+/// Marks the next row.
+type Mark = fn(&mut Rows) -> &mut Rows;
+
 /// Table 6, and the uncertainties that its errors add up to.
 pub(super) fn table_6(rows: &mut Rows, scale: [f64; 3], positioning: [f64; 3], thermal: [[f64; 3]; 2]) {
     let place = "Table 6";
     let from = "the largest of the rows above";
-    for (what, says, ours, tolerance) in [
-        ("scale error", [0.0013, 0.0006, 0.0027], scale, 0.0003),
-        ("positioning error", [0.0004, 0.0004, 0.0002], positioning, 0.0006),
-        ("thermal, dry", [0.0027, 0.0017, 0.0048], thermal[0].map(f64::abs), 0.0008),
-        ("thermal, wet", [0.0029, 0.0041, 0.0036], thermal[1].map(f64::abs), 0.0008),
+    for (mark, what, says, ours, tolerance) in [
+        (Rows::given as Mark, "scale error", [0.0013, 0.0006, 0.0027], scale, 0.0003),
+        (|rows| rows, "positioning error", [0.0004, 0.0004, 0.0002], positioning, 0.0006),
+        (Rows::fitted, "thermal, dry", [0.0027, 0.0017, 0.0048], thermal[0].map(f64::abs), 0.0008),
+        (Rows::fitted, "thermal, wet", [0.0029, 0.0041, 0.0036], thermal[1].map(f64::abs), 0.0008),
     ] {
         for p in 0..3 {
-            rows.number(
+            mark(rows).number(
                 (place, &format!("{what}, {} axis", AXES[p]), "in"),
                 says[p],
                 ours[p] / INCH_UM,
@@ -164,7 +167,7 @@ pub(super) fn equations(rows: &mut Rows, centre: &Centre, found: &Findings) {
     let says = [("x", 0.4179), ("y", 0.4017), ("z", 0.5248)];
     for (equation, (axis, constant)) in centre.equation.iter().zip(says) {
         let place = format!("Equation {}", 2 + says.iter().position(|s| s.0 == axis).unwrap_or(0));
-        rows.number(
+        rows.given().number(
             (&place, &format!("E_{axis} with all temperatures alike: the gauge's own reading, mm"), "mm"),
             constant,
             equation.mm(|_| 20.0),

@@ -97,15 +97,21 @@ const TABLE_5: [[f64; 5]; 8] = [
 ];
 
 struct Run<'a> {
+    spec: Spec,
     truth: &'a Machine,
     seed: u64,
 }
 
-impl Run<'_> {
+impl<'a> Run<'a> {
+    /// The patent's machine.
+    fn new(truth: &'a Machine, seed: u64) -> Self {
+        Self { spec: Spec::machining_centre(), truth, seed }
+    }
+
     /// An experiment of the characterisation, or with a model the drilling test without and with compensation.
     fn experiment(&self, name: &str, known: Option<&Machine>) -> Result<Findings, PaperError> {
-        let spec = Spec::machining_centre();
-        let setting = Setting { spec: &spec, truth: self.truth, known, seed: self.seed, out: Path::new("") };
+        let setting =
+            Setting { spec: &self.spec, truth: self.truth, known, seed: self.seed, out: Path::new("") };
         let experiment =
             Experiment::find(name).ok_or_else(|| PaperError::Cannot(format!("no experiment {name}")))?;
         Ok(experiment.run(&setting)?)
@@ -119,7 +125,7 @@ pub(crate) fn run(
 ) -> Result<Rows, PaperError> {
     let centre: Centre = described.read("wo97.toml")?;
     let truth = described.machine(&centre.machine)?;
-    let run = Run { truth: &truth, seed };
+    let run = Run::new(&truth, seed);
     let mut rows = Rows::default();
     let characterise = |rows: &mut Rows, name: &str| -> Result<Findings, PaperError> {
         let mut found = run.experiment(name, None)?;
@@ -130,7 +136,7 @@ pub(crate) fn run(
     let found = characterise(&mut rows, "ballbar")?;
     circles(&mut rows, &found);
     let grown = with_reversal(&truth, GROWN_UM)?;
-    grown_reversal(&mut rows, &Run { truth: &grown, seed }.experiment("ballbar", None)?);
+    grown_reversal(&mut rows, &Run::new(&grown, seed).experiment("ballbar", None)?);
     progress("WO 97/43703: linear displacement, tool changes");
     let found = characterise(&mut rows, "linear-displacement")?;
     let linear = displacement(&mut rows, &found);

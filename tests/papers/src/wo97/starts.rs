@@ -4,9 +4,12 @@ use super::model::from_wet_runs;
 use super::{AXES, Centre, Run, error_of, record};
 use crate::PaperError;
 use rtec_model::effect::{Against, STANDARD_DEGC};
-use rtec_model::machine::FitNote;
+use rtec_model::machine::{FitNote, Machine};
 use rtec_model::record::Record;
 use rtec_sim::described::Described;
+use rtec_sim::heat::Network;
+use rtec_sim::noise::Noise;
+use rtec_sim::sim::Spec;
 
 /// The experiments, one for each thermal state of the machine at the start.
 pub const STARTS: [&str; 6] = [
@@ -54,15 +57,47 @@ impl StartResult {
     }
 }
 
-/// Characterises the machine of WO 97/43703 with this seed, fits the model on its wet runs alone, and drills from each of
-/// [`STARTS`].
+/// Standard deviation of the logarithm of each drawn parameter.
+const SPREAD: f64 = 0.3;
+
+/// Another machining centre of the same build.
+///
+/// Each parameter of its errors and each of its thermal properties has a factor of its own.
+/// A value out of the bounds of its law is drawn again.
+fn drawn(truth: &Machine, machine: u64) -> Result<(Machine, Network), PaperError> {
+    let mut noise = Noise::new(machine, 0xD2A);
+    let mut factor = || (SPREAD * noise.normal()).exp();
+    let network = Network::drawn(&mut factor);
+    let mut other = truth.clone();
+    for (place, effect) in truth.effects().enumerate() {
+        for (i, p) in effect.description().parameters.iter().enumerate().filter(|(_, p)| !p.array) {
+            let fits =
+                (0..100).any(|_| other.set(place, &p.name, &[effect.scalar(i) * factor()], None).is_ok());
+            if !fits {
+                return Err(PaperError::Cannot(format!(
+                    "WO 97/43703: no {} of {} drawn",
+                    p.name,
+                    effect.name()
+                )));
+            }
+        }
+    }
+    Ok((other, network))
+}
+
+/// Drills from each of [`STARTS`] with a drawn machine.
+///
+/// It is characterised, and the model is fitted on its wet runs alone.
+/// `machine` is the seed of the drawn parameters and of all noise; 0 is the patent's own machine.
 ///
 /// # Errors
 /// A description that is not right, or a machine that stops.
-pub fn starts(described: &Described, seed: u64) -> Result<Vec<StartResult>, PaperError> {
+pub fn starts(described: &Described, machine: u64) -> Result<Vec<StartResult>, PaperError> {
     let centre: Centre = described.read("wo97.toml")?;
     let truth = described.machine(&centre.machine)?;
-    let run = Run { truth: &truth, seed };
+    let (truth, network) = if machine == 0 { (truth, Network::default()) } else { drawn(&truth, machine)? };
+    let spec = Spec { network, ..Spec::machining_centre() };
+    let run = Run { spec, truth: &truth, seed: machine };
     let model = from_wet_runs(&run)?;
     let mut all = Vec::new();
     for start in STARTS {

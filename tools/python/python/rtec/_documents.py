@@ -90,6 +90,7 @@ class VerdictDocument(TypedDict):
     effects: list[Effect]
     refined: list[Effect]
     stand_in: dict[str, str] | None
+    no_stand_in: str | None
     unexplained: list[dict[str, Any]]
     gap: Gap | list[Gap]
     confirmed: bool | None

@@ -5,8 +5,9 @@
 
 use crate::{answer, record};
 use rtec_measure::plausible::What;
+use rtec_model::machine::Machine;
 use rtec_model::record::{Kind, Record};
-use rtec_reconcile::Verdict;
+use rtec_reconcile::{Options, Reconciliation, Verdict, reconcile};
 use std::f64::consts::TAU;
 use test_needs::dice::Dice;
 
@@ -166,4 +167,45 @@ fn a_gauge_that_stands_still_says_nothing() {
     let said = answer("", &[steady("a", 1), steady("b", 2)], &[]);
     assert_eq!(said.verdict, Verdict::NothingMissing, "{:?}", said.unexplained);
     assert!(said.suspicions.iter().all(|s| s.what != What::Unit), "{:?}", said.suspicions);
+}
+
+/// What is missing in this run, with a curve where nothing has a name.
+fn with_curve(train: Record, later: &[Record]) -> Reconciliation {
+    let options = Options { unexplained: true, ..Options::default() };
+    reconcile(&[train], later, &Machine::ideal("m"), &options).unwrap()
+}
+
+/// A curve must help rows that it was not fitted to.
+#[test]
+fn a_curve_that_helps_nothing_is_not_written() {
+    let saw = |period_s: f64| move |t: f64| 8.0 * ((t / period_s).fract() - 0.5);
+    let helps = with_curve(drift("a", 1, saw(1800.0)), &[]);
+    assert!(helps.curve.is_some() && helps.no_curve.is_none(), "{:?}", helps.no_curve);
+    let same = with_curve(drift("a", 1, saw(1800.0)), &[drift("b", 2, saw(1800.0))]);
+    assert!(same.curve.is_some(), "{:?}", same.no_curve);
+    // The later run has no saw.
+    let other = with_curve(drift("a", 1, saw(1800.0)), &[drift("b", 2, |_| 0.0)]);
+    let why = other.no_curve.as_deref().unwrap_or_default();
+    assert!(other.curve.is_none() && why.starts_with("the hold-outs are no better"), "{why}");
+    assert_eq!((other.verdict, other.model.effects().count()), (Verdict::UnknownEffect, 0));
+    // More teeth than the curve has knots.
+    let fast = with_curve(drift("a", 1, saw(200.0)), &[]);
+    if fast.verdict == Verdict::UnknownEffect {
+        assert!(fast.curve.is_none() && fast.no_curve.is_some(), "{:?}", fast.curve);
+    }
+}
+
+/// Above the floor something is always said of where.
+#[test]
+fn above_the_floor_is_more_than_chance() {
+    let mut said = with_curve(drift("a", 3, |_| 0.0), &[]);
+    let gap = |left: f64, said: &Reconciliation| {
+        let mut gap = said.gap[0].clone();
+        gap.train[0] = left * gap.floor;
+        said.is_above_floor(&gap)
+    };
+    // 240 independent rows: chance is nine percent of the RMS.
+    assert_eq!([gap(1.0, &said), gap(1.05, &said), gap(1.2, &said)], [false, false, true]);
+    said.phi = 0.7;
+    assert!(!gap(1.1, &said), "so much memory leaves few independent rows");
 }

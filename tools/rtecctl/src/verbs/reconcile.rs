@@ -194,12 +194,35 @@ fn found(answer: &Reconciliation) -> String {
         );
     }
     for g in answer.gap.iter().filter(|_| found.is_empty()) {
-        let [left, _] = g.train;
+        let ([left, _], unit, floor) = (g.train, &g.unit, g.floor);
+        if !answer.is_above_floor(g) {
+            let _ = writeln!(s, "  nowhere: {left:.4} {unit} are left; one reading scatters by {floor:.4}");
+            continue;
+        }
         let _ = writeln!(
             s,
-            "  nowhere: {left:.4} {} are left; one reading scatters by {:.4}; more than that is each record's own set-up, or chance",
-            g.unit, g.floor
+            "  against nothing beyond chance, but {left:.4} {unit} are left where one reading scatters by {floor:.4}"
         );
+        if let Some(p) = answer.places.first() {
+            let share = 100.0 * p.statistic;
+            let _ = writeln!(
+                s,
+                "  nearest: {} against {}: {share:.1} %, p {}",
+                p.response,
+                p.against(),
+                chance(p.p_value)
+            );
+        }
+        for of in &answer.set_up {
+            let own = of
+                .terms
+                .iter()
+                .filter(|(name, value, half)| !name.starts_with("zero") && value.abs() > *half);
+            for (name, value, half) in own {
+                let _ =
+                    writeln!(s, "  in the set-up of {}: {name} = {}", of.record, with_half(*value, *half));
+            }
+        }
     }
     s
 }
@@ -248,6 +271,9 @@ fn summary(r: &Reconciliation) -> String {
     if let Some((curve, _)) = &r.curve {
         let _ =
             writeln!(s, "  {} takes its place in the model: a bounded curve, no explanation", curve.name());
+    }
+    if let Some(why) = &r.no_curve {
+        let _ = writeln!(s, "  no curve takes its place: {why}");
     }
     for x in &r.refined {
         let _ = writeln!(s, "  {} corrected{}", x.before.name(), values(x));

@@ -188,14 +188,11 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     }
     let open = outcome.requested - outcome.completed;
     if design == AnyDesign::Ecc && open.abs() >= AnyDesign::Ecc.increment_counts() {
-        let Pll { clean_from_hz, clean_to_hz, .. } = Pll::default();
         eprintln!(
-            "warning: {open:+} of the requested {:+} counts were not made: the circuit splits pulses from {:.2} to {:.1} kHz of the encoder \
-             alone, and only where the axis cannot leave this range before it is done; let the axis move at such a speed for longer, or \
-             take another design",
+            "warning: {open:+} of the requested {:+} counts were not made: the circuit {}, twice the encoder's frequency. It adds only what \
+             is done before the axis can leave the clean range; let the axis move at such a speed for longer, or take another design",
             outcome.requested,
-            clean_from_hz / 2e3,
-            clean_to_hz / 2e3
+            Pll::default()
         );
     }
     if outcome.requests > 0 && outcome.refused.len() as u64 == outcome.requests {

@@ -12,7 +12,7 @@ use rtec_measure::plot::{Chart, Series, Style};
 use rtec_model::chain::Chain;
 use rtec_model::effect::{Against, Difference, STANDARD_DEGC};
 use rtec_model::machine::{FitNote, Machine, Validity};
-use rtec_model::record::{Axis, Kind};
+use rtec_model::record::{Axis, Kind, Record};
 use serde_json::{Map, Value, json};
 use std::fmt::Write as _;
 
@@ -263,23 +263,25 @@ pub(super) fn drilling(setting: &Setting<'_>, start: &Start) -> Result<Findings,
     })?;
     let x = |r: &Row| r.now.t_s / 60.0;
     runs.publish(setting, Kind::Part, (&[0, 1, 2], 0.5), ("time (min)", &x), &mut findings)?;
-    by_hole(start, &runs.logs, &mut findings)?;
+    by_hole(start, &mut findings)?;
     promised(setting, &runs.logs[0].rows[0], &mut findings);
     Ok(findings)
 }
 
 /// Deviations relative to hole 1, as in table 7 and figures 21 to 23.
 /// Each axis has a table and a plot, and the largest deviation is given.
-fn by_hole(start: &Start, logs: &[Log], findings: &mut Findings) -> Result<(), ExperimentError> {
-    let off_um = |log: &Log, p: usize| -> Vec<f64> {
-        let first = log.rows[0].now.off_um(p);
-        log.rows.iter().map(|r| digits(r.now.off_um(p) - first, 1e3)).collect()
+/// They are of the holes as they were measured, as `rtec-papers` has them.
+fn by_hole(start: &Start, findings: &mut Findings) -> Result<(), ExperimentError> {
+    let off_um = |record: &Record, p: usize| -> Vec<f64> {
+        let um = record.responses().nth(p).map_or(&[][..], |c| &c.data);
+        um.iter().map(|e| digits(e - um[0], 1e3)).collect()
     };
-    let labels = || logs.iter().zip(["without", "with"]);
+    let records = std::mem::take(&mut findings.records);
+    let labels = || records.iter().zip(["without", "with"]);
     let mut largest = Map::new();
-    for (log, label) in labels() {
+    for (record, label) in labels() {
         for (p, axis) in NAMES.iter().enumerate() {
-            let worst = off_um(log, p).iter().fold(0.0_f64, |w, um| w.max(um.abs()));
+            let worst = off_um(record, p).iter().fold(0.0_f64, |w, um| w.max(um.abs()));
             largest.insert(format!("{axis}_{label}_um"), json!(worst));
         }
     }
@@ -287,8 +289,8 @@ fn by_hole(start: &Start, logs: &[Log], findings: &mut Findings) -> Result<(), E
     for (p, axis) in NAMES.iter().enumerate() {
         let title = format!("{}: deviation from hole 1 in {}", start.name, axis.to_uppercase());
         let mut chart = Chart::new(&title, "hole", "deviation (µm)");
-        for (log, label) in labels() {
-            let um = off_um(log, p);
+        for (record, label) in labels() {
+            let um = off_um(record, p);
             for cycle in 0..CYCLES {
                 let holes = cycle * PASSES * HOLES..(cycle + 1) * PASSES * HOLES;
                 let points = holes.map(|hole| (hole as f64 + 1.0, um[2 * hole])).collect();
@@ -303,18 +305,19 @@ fn by_hole(start: &Start, logs: &[Log], findings: &mut Findings) -> Result<(), E
     for (_, label) in labels() {
         table += &NAMES.map(|axis| format!(",{axis}_{label}_um")).concat();
     }
-    for row in 0..logs[0].rows.len() {
+    for row in 0..records[0].rows() {
         let (hole, bore) = (row / 2, ["hole", "counterbore"][row % 2]);
         let (cycle, pass) = (hole / (PASSES * HOLES), hole / HOLES % PASSES);
         // Writing to a String does not fail.
         let _ = write!(table, "\n{},{},{},{bore}", cycle + 1, pass + 1, hole + 1);
-        for (log, _) in labels() {
+        for (record, _) in labels() {
             for p in 0..AXES {
-                let _ = write!(table, ",{}", off_um(log, p)[row]);
+                let _ = write!(table, ",{}", off_um(record, p)[row]);
             }
         }
     }
     findings.plots.push((format!("{}-holes.csv", start.name), table + "\n"));
+    findings.records = records;
     Ok(())
 }
 
