@@ -214,16 +214,16 @@ fn circuit_refuses_settings_beyond_its_limits() {
 /// The circuit's ranges are those of the program, in the same words everywhere.
 #[test]
 fn circuit_has_one_range() {
+    #[derive(serde::Deserialize)]
+    struct Circuit {
+        pll: Pll,
+    }
     let pll = Pll::default();
     for text in [
         include_str!("../../../tools/guide/integrator/cmti.md"),
         include_str!("../../../tools/sim/machines/cmti/README.md"),
     ] {
         assert!(text.contains(&pll.to_string()), "no `{pll}`");
-    }
-    #[derive(serde::Deserialize)]
-    struct Circuit {
-        pll: Pll,
     }
     assert_eq!(Described::default().read::<Circuit>("cmti.toml").unwrap().pll, pll);
 }

@@ -303,7 +303,8 @@ impl Trace {
         let name = record.path.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
         let contours = contours(&record, &angle);
         let step_um = step_of(&radial).unwrap_or(0.0);
-        let alike_rows = radial.len() as f64 / radial.chunk_by(|a, b| a == b).count().max(1) as f64;
+        let alike_rows =
+            radial.len() as f64 / radial.chunk_by(|a, b| a.to_bits() == b.to_bits()).count().max(1) as f64;
         let trace = Self { record, name, plane, angle, radial, step_um, alike_rows, contours };
         let turned = |rows: &Range<usize>| trace.turned(rows);
         if !trace.contours.iter().any(|(rows, _)| turned(rows) >= PI * 0.99) {

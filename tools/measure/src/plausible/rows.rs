@@ -144,7 +144,8 @@ fn is_chance(record: &Record, time: &[f64], alike: usize) -> bool {
     }
     let is_cause = |c: &&Column| !c.role.is_measured() && c.role != Role::Time;
     let causes: Vec<&Column> = record.columns.iter().filter(is_cause).collect();
-    let at_once = |i: usize| between[i] == 0.0 && causes.iter().all(|c| c.data[i] == c.data[i + 1]);
+    let at_once =
+        |i: usize| between[i] == 0.0 && causes.iter().all(|c| c.data[i].to_bits() == c.data[i + 1].to_bits());
     let pairs = (0..between.len()).filter(|i| at_once(*i)).count();
     let others: Vec<[usize; 2]> =
         (0..between.len()).filter(|i| between[*i] != 0.0).map(|i| [i, i + 1]).collect();

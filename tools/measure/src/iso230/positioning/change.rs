@@ -248,22 +248,7 @@ impl Run<'_> {
         let repeats = self.repeats();
         let used: usize = repeats.groups.iter().map(Vec::len).sum();
         let y = repeats.within(&self.error);
-        let over_time = |of: &dyn Fn(f64) -> f64, sought: usize, tried: usize| {
-            let own: Vec<f64> = time.iter().map(|t| of((t - time[0]) / span)).collect();
-            let grows = own.iter().zip(self.position).map(|(v, p)| v * (p - middle) / reach).collect();
-            Shape { columns: vec![own, grows], sought, tried, step_at: None, bends: false }
-        };
-        let warm_up = |share: f64| {
-            let at_end = 1.0 - (-1.0 / share).exp();
-            over_time(&|m| (1.0 - (-m / share).exp()) / at_end, 1, WARM_UPS.len())
-        };
-        let mut shapes = vec![over_time(&|m| m, 0, 1)];
-        shapes.extend(WARM_UPS.map(warm_up));
-        // A drift that turns back, as of a hall that warms and cools.
-        let moment: Vec<f64> = time.iter().map(|t| (t - time[0]) / span).collect();
-        let columns = vec![moment.clone(), moment.iter().map(|m| m * m).collect()];
-        shapes.push(Shape { columns, sought: 0, tried: 1, step_at: None, bends: true });
-        shapes.extend(repeats.best_step(&y));
+        let shapes = self.shapes(time, [middle, reach], repeats.best_step(&y));
         let before = dot(&y, &y);
         // A gauge's step leaves a twelfth of its square in each reading, also where most read the same.
         let rounding = crate::steps::step_of(&self.error).map_or(0.0, |q| q * q / 12.0);
@@ -354,6 +339,29 @@ impl Run<'_> {
                 })
             }
         })
+    }
+
+    /// The shapes over time that may explain what repeats differ by.
+    /// `middle` and `reach` are those of the positions, mm.
+    fn shapes(&self, time: &[f64], [middle, reach]: [f64; 2], step: Option<Shape>) -> Vec<Shape> {
+        let span = time[time.len() - 1] - time[0];
+        let over_time = |of: &dyn Fn(f64) -> f64, sought: usize, tried: usize| {
+            let own: Vec<f64> = time.iter().map(|t| of((t - time[0]) / span)).collect();
+            let grows = own.iter().zip(self.position).map(|(v, p)| v * (p - middle) / reach).collect();
+            Shape { columns: vec![own, grows], sought, tried, step_at: None, bends: false }
+        };
+        let warm_up = |share: f64| {
+            let at_end = 1.0 - (-1.0 / share).exp();
+            over_time(&|m| (1.0 - (-m / share).exp()) / at_end, 1, WARM_UPS.len())
+        };
+        let mut shapes = vec![over_time(&|m| m, 0, 1)];
+        shapes.extend(WARM_UPS.map(warm_up));
+        // A drift that turns back, as of a hall that warms and cools.
+        let moment: Vec<f64> = time.iter().map(|t| (t - time[0]) / span).collect();
+        let columns = vec![moment.clone(), moment.iter().map(|m| m * m).collect()];
+        shapes.push(Shape { columns, sought: 0, tried: 1, step_at: None, bends: true });
+        shapes.extend(step);
+        shapes
     }
 
     /// The rows of each target and side that was approached more than once.
