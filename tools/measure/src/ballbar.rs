@@ -342,7 +342,8 @@ impl Trace {
         noise(&path, left, &runs).max(self.step_um / 12.0_f64.sqrt())
     }
 
-    /// Variance that rounding gives each reading, µm²: as many rows share an error as read the same on end.
+    /// Variance that rounding gives each reading, µm².
+    /// Consecutive rows that read the same share one error.
     fn rounding_um2(&self) -> f64 {
         self.step_um * self.step_um / 12.0 * self.alike_rows
     }

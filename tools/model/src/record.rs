@@ -401,8 +401,8 @@ fn times(kind: Kind, columns: &[Column]) -> Vec<f64> {
 /// Harmonics of a gauge's saw: the error of the sum is a hundredth of a step.
 const ROUNDING_HARMONICS: i32 = 12;
 
-/// Expected error of a reading in steps of `q` under Gaussian noise of this variance (Widrow 1956).
-/// The value that is read is `off` from a multiple of the step.
+/// Expected rounding error of a reading under Gaussian noise (Widrow 1956).
+/// The step is `q`; the value that is read is `off` from a multiple of it.
 #[must_use]
 pub fn rounding_error(q: f64, off: f64, variance: f64) -> f64 {
     use std::f64::consts::{PI, TAU};

@@ -53,7 +53,8 @@ pub struct Figures {
     pub end: f64,
     /// Mean rate: slope of the straight line through it, µm/h.
     pub rate_per_h: f64,
-    /// Largest rate over any 60 minutes, µm/h; `None` where the rows are of a shorter time.
+    /// Largest rate over any 60 minutes, µm/h.
+    /// `None` if the rows cover less time.
     pub max_rate_per_h: Option<f64>,
     /// Duration, min.
     pub t_min: f64,

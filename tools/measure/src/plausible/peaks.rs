@@ -22,7 +22,7 @@ pub(super) fn read_along<'r>(record: &'r Record, c: &'r Column) -> Option<&'r Ax
     own.filter(|axis| moves(axis)).or_else(|| others.next().filter(|_| others.next().is_none()))
 }
 
-/// The rows of each direction in the order of the positions that the response is read along.
+/// The rows of each direction, in the order of the positions of [`read_along`].
 /// None where these were not logged.
 pub(super) fn ways(record: &Record, c: &Column) -> Vec<Vec<usize>> {
     let Some(axis) = read_along(record, c) else { return Vec::new() };

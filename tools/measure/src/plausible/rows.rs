@@ -17,7 +17,7 @@ const FLAT: usize = 20;
 const APART: f64 = 5.0;
 /// A block that stands twice is at least so long.
 const BLOCK: usize = 8;
-/// Rows are called doubled only if chance makes as many alike in fewer than one of a hundred records.
+/// Largest probability by chance at which equal rows are called doubled.
 const DOUBLED_BY_CHANCE: f64 = 0.01;
 
 pub(super) fn look(record: &Record, all: &[Record], out: &mut Vec<Suspicion>) {
@@ -135,7 +135,7 @@ fn doubled(record: &Record, out: &mut Vec<Suspicion>) {
     }
 }
 
-/// Whether so many rows may be like the row before because clock and gauges are coarse.
+/// Whether coarse clocks and gauges alone may make so many rows like the row before.
 /// A clock finer than half a row never shows the same time twice.
 fn is_chance(record: &Record, time: &[f64], alike: usize) -> bool {
     let between = steps(time);

@@ -177,7 +177,7 @@ fn one_way_the_intervals_hold_the_truth_or_nothing_is_given() {
     }
 }
 
-/// A coarse gauge rounds alike what is alike: no cause, and no reading of the intervals that is finer than it is.
+/// The rounding of a coarse gauge is no cause, and is in the intervals.
 #[test]
 fn steps_of_the_gauge_are_no_cause() {
     for (step, noise_um) in [(1.0, 0.2), (2.0, 0.2), (5.0, 0.2), (1.0, 0.6), (5.0, 1.0)] {

@@ -69,7 +69,7 @@ fn what_repeats_at_its_places_is_seen_whatever_its_form() {
     }
 }
 
-/// A motor that cogs: its force swings with the place, as no effect of the dictionary does.
+/// A motor's cogging: a force periodic in the position, which no effect describes.
 #[test]
 fn a_force_that_swings_with_the_place_is_missing() {
     let effect = |law: &str, value: &str| format!("[[effect]]\nname = \"{law}.x\"\n{value}\n");
