@@ -292,7 +292,13 @@ impl Work<'_> {
             let Some((shape, stand_in)) = answer.unexplained.iter().find_map(of) else { break };
             let with = [found.as_slice(), &[stand_in.effect]].concat();
             let refit = Refit::new(&problem, &with);
-            let (effect, half) = refit.sizes(&answer.estimate.noise).pop()?;
+            // A constant is the set-up's zero, and over time a line is its drift: neither is of the curve.
+            let shared = match &shape.against[..] {
+                [time] if time == "time" => 2,
+                [_] => 1,
+                _ => 0,
+            };
+            let (effect, half) = refit.beside_set_up(&answer.estimate.noise, shared)?;
             let unit = gap::unit_of(&shape.response);
             let removes = removed(&effect, &shape.response, self.used);
             let widest = half.iter().copied().fold(0.0, f64::max);
@@ -313,9 +319,14 @@ impl Work<'_> {
                 };
                 [rms(&Refit::new(&problem, &found)), rms(&Refit::new(&problem, &with))]
             } else {
-                let both = traces(&[], held, &better.model, &model);
-                let own = || both.iter().filter(|t| t.response == shape.response);
-                [gap::rms(own().flat_map(|t| &t.before)), gap::rms(own().flat_map(|t| &t.after))]
+                let rms_of = |given: &Machine| {
+                    let both = traces(&[], held, given, &model);
+                    let own = || both.iter().filter(|t| t.response == shape.response);
+                    [gap::rms(own().flat_map(|t| &t.before)), gap::rms(own().flat_map(|t| &t.after))]
+                };
+                // Better than the model as given, and than the one with the findings alone.
+                let [[given, _], [named, with]] = [rms_of(self.machine), rms_of(&better.model)];
+                [given.min(named), with]
             };
             let [without, with] = unseen;
             if with >= without {
