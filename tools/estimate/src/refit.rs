@@ -78,36 +78,25 @@ impl<'p, 'r> Refit<'p, 'r> {
             .collect()
     }
 
-    /// The last effect without what a set-up has as well.
-    /// `shared` is 0 for nothing, 1 for its mean, 2 for its slope from value to value too.
+    /// The last effect, a curve, without its mean if it acts `alone`: that is the gauge's zero.
     /// Also the half widths of its values. `None` without effects.
     #[must_use]
-    pub fn beside_set_up(&self, noise: &Noise, shared: usize) -> Option<(Effect, Vec<f64>)> {
+    pub fn beside_set_up(&self, noise: &Noise, alone: bool) -> Option<(Effect, Vec<f64>)> {
         let (factor, from) = self.factor(noise);
         let effect = self.effects.last()?;
         let scale = cause(effect).coefficient_sizes(self.problem.rows);
         let k = scale.len();
         let before: usize = self.columns[..self.columns.len() - 1].iter().map(Vec::len).sum();
         let at = from + before;
-        // A unit column per value that is kept: e_i less its share in the set-up's directions.
-        let middle = 0.5 * (k as f64 - 1.0);
-        let mut shared: Vec<Vec<f64>> =
-            (0..shared as i32).map(|p| (0..k).map(|i| (i as f64 - middle).powi(p)).collect()).collect();
-        for q in &mut shared {
-            let size = rtec_least_squares::dot(q, q).sqrt();
-            q.iter_mut().for_each(|x| *x /= size.max(f64::MIN_POSITIVE));
-        }
-        let apart = |i: usize| -> Vec<f64> {
-            let of = |j: usize| f64::from(u8::from(i == j)) - shared.iter().map(|q| q[i] * q[j]).sum::<f64>();
-            (0..k).map(of).collect()
-        };
+        let mean = if alone { 1.0 / k as f64 } else { 0.0 };
         let (beta, inverse) = (factor.solve(), factor.inverse());
         let mut values = Vec::new();
         let mut half = Vec::new();
         for i in 0..k {
             let mut row = vec![0.0; inverse[at].len()];
             let mut value = 0.0;
-            for (j, share) in apart(i).iter().enumerate() {
+            for j in 0..k {
+                let share = f64::from(u8::from(i == j)) - mean;
                 add(&mut row, share * WIDE * scale[j], &inverse[at + j]);
                 value += share * WIDE * scale[j] * beta[at + j];
             }

@@ -292,13 +292,8 @@ impl Work<'_> {
             let Some((shape, stand_in)) = answer.unexplained.iter().find_map(of) else { break };
             let with = [found.as_slice(), &[stand_in.effect]].concat();
             let refit = Refit::new(&problem, &with);
-            // A constant is the set-up's zero, and over time a line is its drift: neither is of the curve.
-            let shared = match &shape.against[..] {
-                [time] if time == "time" => 2,
-                [_] => 1,
-                _ => 0,
-            };
-            let (effect, half) = refit.beside_set_up(&answer.estimate.noise, shared)?;
+            let alone = shape.against.len() == 1;
+            let (effect, half) = refit.beside_set_up(&answer.estimate.noise, alone)?;
             let unit = gap::unit_of(&shape.response);
             let removes = removed(&effect, &shape.response, self.used);
             let widest = half.iter().copied().fold(0.0, f64::max);

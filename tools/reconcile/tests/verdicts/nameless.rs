@@ -179,18 +179,25 @@ fn with_curve(train: Record, later: &[Record]) -> Reconciliation {
 #[test]
 fn a_curve_that_helps_nothing_is_not_written() {
     let saw = |period_s: f64| move |t: f64| 8.0 * ((t / period_s).fract() - 0.5);
-    let helps = with_curve(drift("a", 1, saw(1800.0)), &[]);
+    let run = |name: &str, seed: u64, of: &dyn Fn(f64) -> f64| {
+        let mut dice = Dice::new(seed);
+        let t: Vec<f64> = (0..240).map(|i| 5.0 * f64::from(i)).collect();
+        let e = t.iter().map(|t| of(*t) + 0.3 * dice.normal()).collect();
+        let p = (0..240).map(|i| f64::from(i * 37 % 101)).collect();
+        record(name, Kind::Positioning, vec![("t", "time", t), ("x", "position.x", p), ("e", "error.x", e)])
+    };
+    let helps = with_curve(run("a", 1, &saw(450.0)), &[]);
     assert!(helps.curve.is_some() && helps.no_curve.is_none(), "{:?}", helps.no_curve);
-    let same = with_curve(drift("a", 1, saw(1800.0)), &[drift("b", 2, saw(1800.0))]);
+    let same = with_curve(run("a", 1, &saw(450.0)), &[run("b", 2, &saw(450.0))]);
     assert!(same.curve.is_some(), "{:?}", same.no_curve);
     // The later run has no saw.
-    let other = with_curve(drift("a", 1, saw(1800.0)), &[drift("b", 2, |_| 0.0)]);
+    let other = with_curve(run("a", 1, &saw(450.0)), &[run("b", 2, &|_| 0.0)]);
     let why = other.no_curve.as_deref().unwrap_or_default();
     assert!(other.curve.is_none() && why.starts_with("the hold-outs are no better"), "{why}");
     assert_eq!(other.verdict, Verdict::UnknownEffect);
     assert!(other.model.effects().all(|e| !e.name().starts_with("unexplained")));
     // More teeth than the curve has knots.
-    let fast = with_curve(drift("a", 1, saw(200.0)), &[]);
+    let fast = with_curve(run("a", 1, &saw(50.0)), &[]);
     if fast.verdict == Verdict::UnknownEffect {
         assert!(fast.curve.is_none() && fast.no_curve.is_some(), "{:?}", fast.curve);
     }
