@@ -78,7 +78,8 @@ impl<'p, 'r> Refit<'p, 'r> {
             .collect()
     }
 
-    /// The last effect, a curve, without its mean if it acts `alone`: that is the gauge's zero.
+    /// The last effect, a curve, without its mean if it acts `alone`.
+    /// The mean is the gauge's zero.
     /// Also the half widths of its values. `None` without effects.
     #[must_use]
     pub fn beside_set_up(&self, noise: &Noise, alone: bool) -> Option<(Effect, Vec<f64>)> {

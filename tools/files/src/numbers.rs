@@ -484,7 +484,7 @@ mod tests {
         }
     }
 
-    /// A whole number shows no decimal mark: what parts its thousands is read beside any.
+    /// Parted thousands are read beside any decimal mark.
     #[test]
     fn thousands_are_read_beside_every_decimal_mark() {
         for blank in BLANKS {

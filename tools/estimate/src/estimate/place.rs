@@ -172,7 +172,7 @@ pub(super) fn place(search: &Search<'_>, set: &Set, member: usize) -> Place {
     Place { found, tried: all_tried, nothing: evidence < 0.0, better }
 }
 
-/// Whether an effect does in these rows nearly what a cause does, beside set-up and the rest of a set.
+/// Whether an effect changes these rows nearly as a cause does, beside a set.
 fn predicts_alike(search: &Search<'_>, without: &Set, cause: &Cause, other: &Effect) -> bool {
     let first = |cause: &Cause| search.columns(cause).first().map(|c| without.factor.beside(c));
     let Some((a, b)) = first(cause).zip(first(&cause.with_effect(other.clone()))) else { return false };

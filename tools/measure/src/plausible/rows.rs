@@ -135,7 +135,7 @@ fn doubled(record: &Record, out: &mut Vec<Suspicion>) {
     }
 }
 
-/// Whether coarse clocks and gauges alone may make so many rows like the row before.
+/// Whether coarse clocks and gauges alone make so many rows like the row before.
 /// A clock finer than half a row never shows the same time twice.
 fn is_chance(record: &Record, time: &[f64], alike: usize) -> bool {
     let between = steps(time);

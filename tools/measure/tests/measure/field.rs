@@ -311,7 +311,8 @@ fn drift_within_a_cycle_is_in_neither_reversal_nor_repeatability() {
     }
 }
 
-/// Equal readings of a coarse gauge are neither copies nor a step; copies are still found.
+/// Equal readings of a coarse gauge are neither copies nor a step.
+/// Copies are still found.
 #[test]
 fn a_coarse_gauge_copies_no_rows_and_makes_no_step() {
     let run = |seed: u64, step: f64, scatter: f64, row_s: f64, tick_s: f64| {

@@ -59,7 +59,7 @@ struct FromPosition {
     /// The time column, by its name or number from 1 [default: `t_s`, `t_ms`, `t_us` or `t_ns`]
     #[arg(long, value_name = "NAME")]
     time_column: Option<String>,
-    /// The time's unit; d: days of a spreadsheet [default: of the column's name, `t_ms`; else s]
+    /// The time's unit, d for days [default: of the column's name, `t_ms`; else s]
     #[arg(long, value_parser = ["s", "ms", "us", "ns", "d"], requires = "time_column")]
     time_unit: Option<String>,
     /// The position's unit [default: of the column's name, `x_mm` or `X [mm]`; else m]

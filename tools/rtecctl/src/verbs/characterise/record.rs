@@ -469,7 +469,7 @@ fn wait_until(start: Instant, due_s: f64, ended: &AtomicBool) -> bool {
     }
 }
 
-/// While the returned value lives, a first signal ends the run but keeps its record.
+/// While the returned value lives, a first signal ends the run and keeps its record.
 /// Any other signal ends the program. It must be called before sensors and feed start threads, so that only
 /// this thread receives signals.
 fn on_signal() -> anyhow::Result<Arc<AtomicBool>> {
