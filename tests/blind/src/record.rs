@@ -208,7 +208,7 @@ pub const QUOTED: &[Quoted] = &[
     ),
     quoted("--seeds 20", "20 seeds", &["1 of 20"], &[WO97]),
     quoted(
-        "cargo run -p rtec-papers --example starts -- 1 20",
+        "cargo run --profile quick -p rtec-papers --example starts",
         "360 cases on 20 drawn machines",
         &["42 of 300", "40 of 60", "5.7 ± 1.3 %"],
         &[WO97],
