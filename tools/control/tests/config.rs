@@ -307,6 +307,17 @@ fn the_tables_have_every_key() {
     assert!(sections.len() >= 8 && keys > 150, "{sections:?} {keys}");
 }
 
+/// A quiet time within which a turning axis may cross no edge is noted.
+/// 1000 mm/s² and 0.5 µm are 2·10⁶ counts/s²: 2 ms at the slowest turn.
+#[test]
+fn a_quiet_time_shorter_than_a_slow_turn_is_noted() {
+    for (ms, noted) in [("1", true), ("2", true), ("2.1", false), ("300", false)] {
+        let text = CONTRACT.replace("rest_quiet_ms = 2.5", &format!("rest_quiet_ms = {ms}"));
+        let notes = Config::parse(Path::new("rtec.toml"), &text).unwrap().notes.join("; ");
+        assert_eq!(notes.contains("is not longer than 2.00 ms"), noted, "{ms}: {notes}");
+    }
+}
+
 /// The line `mtc_ready`, and the effect of its fall.
 #[test]
 fn mtc_ready_is_a_line_and_mtc_off_needs_it() {
