@@ -6,7 +6,7 @@ use super::stats::{distinct, median, medians_of_others, quantum, range, spread, 
 use super::{Suspicion, What};
 use crate::steps::repeats;
 use rtec_model::record::{Column, Record, Role};
-use statrs::distribution::{Binomial, DiscreteCDF as _};
+use statrs::distribution::{Beta, Binomial, ContinuousCDF as _, DiscreteCDF as _};
 use std::collections::HashMap;
 
 /// A shorter stretch of one value is not looked at.
@@ -176,7 +176,9 @@ fn repeats_by_chance(record: &Record, copies: &[usize], block: usize) -> f64 {
                     same += f64::from(u8::from(c.data[w[0]].to_bits() == c.data[w[1]].to_bits()));
                 }
             }
-            (same + 1.0) / (pairs + 2.0)
+            // The longest run was chosen, so the others differ more often than by chance: the upper end of what they leave open.
+            let most = Beta::new(same + 1.0, pairs - same).map_or(1.0, |b| b.inverse_cdf(0.95));
+            if pairs > 0.0 { most } else { 0.5 }
         })
         .product();
     record.rows() as f64 * again.powi(block as i32)

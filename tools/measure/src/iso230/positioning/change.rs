@@ -120,11 +120,15 @@ impl Fitted {
         let farthest = slope * turn + bend * turn * turn;
         let until = time[0] + turn * (time[time.len() - 1] - time[0]);
         let row = time.iter().position(|t| *t >= until).unwrap_or(time.len() - 1);
+        let way = if turn > 0.0 && turn < 1.0 {
+            let (row, at_last) = (number(row), slope + bend);
+            format!("{farthest:+.2} {unit} up to row {row} and to {at_last:+.2} {unit} at the last")
+        } else {
+            format!("{:+.2} {unit} from first to last", slope + bend)
+        };
         format!(
-            "the approaches drift by {farthest:+.2} {unit} up to row {} and to {:+.2} {unit} at the last, and the figures hold that \
-             drift; about it {without}. Let the machine and its hall come to rest, and test again",
-            number(row),
-            slope + bend,
+            "the approaches drift by {way}, and the figures hold that drift; about it {without}. Let the machine and its hall come \
+             to rest, and test again"
         )
     }
 
