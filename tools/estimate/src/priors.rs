@@ -108,7 +108,7 @@ pub const SAME_PERIOD: f64 = 0.02;
 pub const PERIOD_SHARE: f64 = 1e-4;
 /// Number of kinds of shapes among which a walk is one (even odds).
 pub const WALK_KINDS: f64 = 30.0;
-/// Two waves, or the growth by two sensors, are alike with this share in common.
+/// Two waves look the same if they share this much of their power.
 /// (Physics: what is left of one after the other is a tenth of its size.)
 pub const ALIKE: f64 = 0.99;
 /// Least posterior share that a name or a mode must have among its candidates.

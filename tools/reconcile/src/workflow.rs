@@ -279,7 +279,7 @@ impl Work<'_> {
     }
 
     /// Adds a curve for the first shape, or says why there is none.
-    /// Its interval must be narrower than what it removes, and rows that it was not fitted to must be better with it.
+    /// Rows that it was not fitted to must be better with it.
     fn add_curve(&self, answer: &Answer, held: &[Record], better: &mut Better) -> Option<String> {
         let shape = answer.unexplained.first()?;
         let (known, rows) = (self.machine.effects().cloned().collect::<Vec<_>>(), Rows::new(self.used));
@@ -295,12 +295,6 @@ impl Work<'_> {
             let alone = shape.against.len() == 1;
             let (effect, half) = refit.beside_set_up(&answer.estimate.noise, alone)?;
             let unit = gap::unit_of(&shape.response);
-            let removes = removed(&effect, &shape.response, self.used);
-            let widest = half.iter().copied().fold(0.0, f64::max);
-            if widest.is_nan() || widest >= removes {
-                why = format!("its interval is ± {widest:.3} {unit}, and it removes {removes:.3} {unit}");
-                continue;
-            }
             let write = Writer { train: self.train, date: self.options.date.as_ref() };
             if !write.add(&mut model, &effect, &half, ": unexplained") {
                 return Some(format!("the model has {} already", effect.name()));
@@ -326,7 +320,8 @@ impl Work<'_> {
             let [without, with] = unseen;
             if with >= without {
                 let of = if held.is_empty() { "blocks of rows left out in turn" } else { "the hold-outs" };
-                return Some(format!("{of} are no better with it: {without:.3} -> {with:.3} {unit}"));
+                why = format!("{of} are no better with it: {without:.3} -> {with:.3} {unit}");
+                continue;
             }
             better.model = model;
             better.curve = Some((effect, stand_in.laws));
@@ -348,19 +343,6 @@ impl Work<'_> {
         let said = [Some(next).filter(|n| !n.is_empty()), other.flatten()];
         said.into_iter().flatten().collect::<Vec<_>>().join("; ")
     }
-}
-
-/// RMS of what a curve takes off a response, about each record's mean.
-fn removed(curve: &Effect, response: &str, records: &[Record]) -> f64 {
-    let of = |record: &Record| {
-        let column = record.responses().find(|c| c.role.to_string() == response)?;
-        let mut um = vec![0.0; record.rows()];
-        curve.add(record, &column.role, &mut um).ok()?;
-        let mean = um.iter().sum::<f64>() / um.len().max(1) as f64;
-        Some(um.into_iter().map(move |v| v - mean).collect::<Vec<_>>())
-    };
-    let all: Vec<f64> = records.iter().filter_map(of).flatten().collect();
-    gap::rms(&all)
 }
 
 /// Corrects the model's parameters that are off beyond chance.

@@ -3,9 +3,8 @@
 use super::{Found, Rival, Tried, label};
 use crate::cause::Cause;
 use crate::effort::{HOPELESS, MOMENT_ROWS};
-use crate::priors::{ALIKE, HELD, LISTED, SAME_PERIOD};
+use crate::priors::{HELD, LISTED, SAME_PERIOD};
 use crate::search::{Member, Search, Seed, Set, log_sum};
-use rtec_least_squares::dot;
 use rtec_model::effect::{Effect, Refine};
 
 /// The posterior of the candidates for one member.
@@ -103,17 +102,6 @@ pub(super) fn place(search: &Search<'_>, set: &Set, member: usize) -> Place {
     let name_mass = of(&|a| families[a.0].label() == name);
     let shape_mass = of(&|a| !families[a.0].is_named());
     let mode = (set.score - total).exp();
-    // Where only the sensor is open, and predicts alike, the name and its mode stand.
-    let name_of = own.cause.effect().map(Effect::name);
-    let other_sensor = |a: &Stand| {
-        a.2.as_ref().is_some_and(|e| {
-            let delta = own.cause.effect().and_then(|o| o.delta.as_ref());
-            Some(e.name()) == name_of
-                && e.delta.as_ref() != delta
-                && predicts_alike(search, &without, &own.cause, e)
-        })
-    };
-    let mode_mass = mode + of(&other_sensor);
     let evidence = set.score - without.score;
     let mut rivals = Vec::new();
     let tried = |label: &str, odds: f64, accepted: bool| Tried {
@@ -165,19 +153,11 @@ pub(super) fn place(search: &Search<'_>, set: &Set, member: usize) -> Place {
         held: Vec::new(),
         evidence,
         name_mass,
-        mode_mass: (mode_mass / name_mass.max(1e-300)).min(1.0),
+        mode_mass: (mode / name_mass.max(1e-300)).min(1.0),
         shape_mass,
         rivals,
     };
     Place { found, tried: all_tried, nothing: evidence < 0.0, better }
-}
-
-/// Whether an effect changes these rows nearly as a cause does, beside a set.
-fn predicts_alike(search: &Search<'_>, without: &Set, cause: &Cause, other: &Effect) -> bool {
-    let first = |cause: &Cause| search.columns(cause).first().map(|c| without.factor.beside(c));
-    let Some((a, b)) = first(cause).zip(first(&cause.with_effect(other.clone()))) else { return false };
-    let both = dot(&a, &b);
-    both * both >= ALIKE * dot(&a, &a) * dot(&b, &b)
 }
 
 /// The 95 % interval of a step's moment, over the moments of the rows.
