@@ -236,6 +236,15 @@ impl<'r> Problem<'r> {
         }
     }
 
+    /// The same problem with only those terms of the set-up that are set by hand.
+    /// Lines and jumps in time are then part of what a record shows.
+    #[must_use]
+    pub fn by_hand(mut self) -> Self {
+        use setup::What::{CentreFirst, CentreSecond, Unplaced, Zero};
+        self.terms.retain(|t| matches!(t.what, Zero | CentreFirst | CentreSecond | Unplaced));
+        self
+    }
+
     /// The same problem with units in question, or not.
     #[must_use]
     pub fn in_units(mut self, units: Units) -> Self {

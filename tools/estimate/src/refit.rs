@@ -78,9 +78,8 @@ impl<'p, 'r> Refit<'p, 'r> {
             .collect()
     }
 
-    /// The last effect, a curve, without its mean if it acts `alone`.
-    /// The mean is the gauge's zero.
-    /// Also the half widths of its values. `None` without effects.
+    /// The last effect, a curve, and the half widths of its values.
+    /// If it acts `alone` they are about its mean, which the gauge's zero may have instead. `None` without effects.
     #[must_use]
     pub fn beside_set_up(&self, noise: &Noise, alone: bool) -> Option<(Effect, Vec<f64>)> {
         let (factor, from) = self.factor(noise);
@@ -95,13 +94,11 @@ impl<'p, 'r> Refit<'p, 'r> {
         let mut half = Vec::new();
         for i in 0..k {
             let mut row = vec![0.0; inverse[at].len()];
-            let mut value = 0.0;
             for j in 0..k {
                 let share = f64::from(u8::from(i == j)) - mean;
                 add(&mut row, share * WIDE * scale[j], &inverse[at + j]);
-                value += share * WIDE * scale[j] * beta[at + j];
             }
-            values.push(value);
+            values.push(beta[at + i] * WIDE * scale[i]);
             half.push(NORMAL_95 * rtec_least_squares::dot(&row, &row).sqrt());
         }
         let mut out = effect.clone();
@@ -155,24 +152,19 @@ pub fn left(record: &Record, model: &[Effect]) -> Vec<Vec<f64>> {
     let problem = Problem::new(&rows, model, &[]);
     let mut noise = problem.first_noise();
     noise.phi.fill(0.0);
+    let problem = problem.by_hand();
     let mut factor = Factor::new(&{
         let mut y = problem.missing.clone();
         noise.whiten(&rows, &mut y);
         y
     });
-    // Only terms set by hand are removed. Lines and jumps in time are part of what a record shows.
-    let by_hand = |t: &&crate::setup::Term| {
-        use crate::setup::What::{CentreFirst, CentreSecond, Unplaced, Zero};
-        matches!(t.what, Zero | CentreFirst | CentreSecond | Unplaced)
-    };
-    let terms: Vec<_> = problem.terms.iter().filter(by_hand).collect();
-    for t in &terms {
+    for t in &problem.terms {
         let mut c: Vec<f64> = t.column.iter().map(|x| x * t.sd).collect();
         noise.whiten(&rows, &mut c);
         factor.push(&c);
     }
     let mut left = problem.missing.clone();
-    for (t, b) in terms.iter().zip(factor.solve()) {
+    for (t, b) in problem.terms.iter().zip(factor.solve()) {
         add(&mut left, -b * t.sd, &t.column);
     }
     rows.segments.iter().map(|s| left[s.rows.clone()].to_vec()).collect()

@@ -282,16 +282,17 @@ impl Work<'_> {
     /// Rows that it was not fitted to must be better with it.
     fn add_curve(&self, answer: &Answer, held: &[Record], better: &mut Better) -> Option<String> {
         let shape = answer.unexplained.first()?;
-        let (known, rows) = (self.machine.effects().cloned().collect::<Vec<_>>(), Rows::new(self.used));
-        let problem = Problem::new(&rows, &known, &stated(self.machine));
-        let found: Vec<Effect> = answer.findings.iter().map(|(f, _)| f.effect.clone()).collect();
+        // The curve stands beside the findings as they are written.
+        let found = answer.findings.iter().map(|(f, _)| f.effect.clone());
+        let (known, rows) =
+            (self.machine.effects().cloned().chain(found).collect::<Vec<_>>(), Rows::new(self.used));
+        let problem = Problem::new(&rows, &known, &stated(self.machine)).by_hand();
         let mut why = format!("no law runs along {}", shape.against.join(" and "));
         for knots in CURVE_KNOTS {
             let mut model = better.model.clone();
             let of = |s| Some((s, stand_in(s, knots, self.train, &mut model)?));
             let Some((shape, stand_in)) = answer.unexplained.iter().find_map(of) else { break };
-            let with = [found.as_slice(), &[stand_in.effect]].concat();
-            let refit = Refit::new(&problem, &with);
+            let refit = Refit::new(&problem, &[stand_in.effect]);
             let alone = shape.against.len() == 1;
             let (effect, half) = refit.beside_set_up(&answer.estimate.noise, alone)?;
             let unit = gap::unit_of(&shape.response);
@@ -306,7 +307,7 @@ impl Work<'_> {
                     let own = rows.segments.iter().filter(of_response);
                     gap::rms(own.flat_map(|s| &left[s.rows.clone()]).collect::<Vec<_>>())
                 };
-                [rms(&Refit::new(&problem, &found)), rms(&Refit::new(&problem, &with))]
+                [rms(&Refit::new(&problem, &[])), rms(&refit)]
             } else {
                 let rms_of = |given: &Machine| {
                     let both = traces(&[], held, given, &model);
