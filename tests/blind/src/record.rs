@@ -225,13 +225,13 @@ pub const QUOTED: &[Quoted] = &[
     quoted(
         "rtecctl simulate drilling",
         PRINTED,
-        &["61.9, 91.4, 83.3 µm", "11.6, 19.2, 6.5 µm"],
+        &["61.8, 92.3, 83.5 µm", "11.8, 18.8, 8.7 µm"],
         &[FIGURES, WO97],
     ),
     quoted(
         "rtecctl simulate drilling-warm",
         PRINTED,
-        &["47.6, 36.2, 56.2 µm", "10.6, 18.0, 3.1 µm"],
+        &["48.1, 35.5, 57.5 µm", "10.1, 18.5, 3.3 µm"],
         &[FIGURES, WO97],
     ),
     quoted(
