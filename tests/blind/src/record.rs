@@ -203,7 +203,7 @@ pub const QUOTED: &[Quoted] = &[
     quoted(
         "rtec-papers wo97",
         "the example's runs",
-        &["0.9 %", "5.5 µm", "2.4 µm"],
+        &["0.9 %", "2.5 µm", "1.5 µm"],
         &["tools/guide/contributor/sources.md"],
     ),
     quoted("--seeds 20", "20 seeds", &["1 of 20"], &[WO97]),
