@@ -49,35 +49,6 @@ impl<'p, 'r> Refit<'p, 'r> {
         (factor, from)
     }
 
-    /// The effects with refitted sizes, and their half widths.
-    /// The 95 % half widths are those of the linear parameters.
-    #[must_use]
-    pub fn sizes(&self, noise: &Noise) -> Vec<(Effect, Vec<f64>)> {
-        let (factor, from) = self.factor(noise);
-        let (beta, inverse) = (factor.solve(), factor.inverse());
-        let mut at = from;
-        self.effects
-            .iter()
-            .zip(&self.columns)
-            .map(|(effect, columns)| {
-                let scale = cause(effect).coefficient_sizes(self.problem.rows);
-                let k = scale.len();
-                let value = |i: usize| beta[at + i] * WIDE * scale[i];
-                let half = |i: usize| {
-                    NORMAL_95
-                        * rtec_least_squares::dot(&inverse[at + i], &inverse[at + i]).sqrt()
-                        * WIDE
-                        * scale[i]
-                };
-                let mut out = effect.clone();
-                out.set_coefficients(&(0..k).map(value).collect::<Vec<_>>());
-                let half = (0..k).map(half).collect();
-                at += columns.len();
-                (out, half)
-            })
-            .collect()
-    }
-
     /// The last effect, a curve, and the half widths of its values.
     /// If it acts `alone` they are about its mean, which the gauge's zero may have instead. `None` without effects.
     #[must_use]

@@ -237,8 +237,9 @@ impl Repeats {
 
 impl Run<'_> {
     /// The common drift or step of all approaches; R, B and mean B without it.
-    /// It is reported if chance gives as much in less than one of a hundred runs. `with` are the figures of [`UNCHANGED`] that hold it. It is removed row by row, because within a cycle the
-    /// downward approaches come later than the upward ones.
+    /// It is reported if chance gives as much in less than one of a hundred runs. `with` are the figures of
+    /// [`UNCHANGED`] that hold it. It is removed row by row, because within a cycle the downward approaches come
+    /// later than the upward ones.
     pub(super) fn change(&mut self, with: [Option<f64>; 5], unit: &str) -> Option<Change> {
         let n = self.error.len();
         let rows: Vec<f64> = (0..n).map(|row| row as f64).collect();
