@@ -4,7 +4,7 @@
 //! noted, and the last test of `cargo test --workspace` names all tests that were not run.
 //!
 //! With `RTEC_REQUIRE=1`, as `.ci/run` sets it, no program may be missing. A clone without the folder `../shared/data`
-//! passes without measured data, and says so.
+//! passes without measured data, and says so. What takes long runs with `RTEC_LONG=1` or `RTEC_REQUIRE=1` ([`long`]).
 //!
 //! It also has shared parts of tests: random numbers ([`dice`]), and an axis that moves ([`motion`]).
 
@@ -42,6 +42,18 @@ pub fn asked(variable: &str, otherwise: u64) -> u64 {
 pub fn skipped(why: &str) {
     assert!(std::env::var_os("RTEC_REQUIRE").is_none(), "RTEC_REQUIRE is set, but: {why}");
     left_out(why);
+}
+
+/// Whether tests that take long are to run.
+///
+/// They are with `RTEC_LONG=1` or `RTEC_REQUIRE=1`; otherwise it is noted.
+#[must_use]
+pub fn long() -> bool {
+    let asked = ["RTEC_LONG", "RTEC_REQUIRE"].iter().any(|variable| std::env::var_os(variable).is_some());
+    if !asked {
+        left_out("it takes long, RTEC_LONG=1 runs it");
+    }
+    asked
 }
 
 fn left_out(why: &str) {

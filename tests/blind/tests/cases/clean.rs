@@ -35,6 +35,9 @@ fn quiet(classes: &[(Class, u64)], turns: u64, one_in: usize) {
 
 #[test]
 fn clean_records_raise_no_suspicion() {
+    if !test_needs::long() {
+        return;
+    }
     let kinds = [Hides::Nothing, Hides::One, Hides::Two, Hides::Stranger].into_iter().enumerate();
     quiet(&kinds.map(|(k, h)| (Class::Narrow(h), 7_000_000 + 1000 * k as u64)).collect::<Vec<_>>(), 75, 100);
 }
@@ -44,11 +47,17 @@ fn clean_records_raise_no_suspicion() {
 /// The few suspicions left are mostly about single outlying rows.
 #[test]
 fn clean_records_of_the_wider_kinds_raise_no_suspicion() {
+    if !test_needs::long() {
+        return;
+    }
     let kinds = [Class::Many, Class::ManyZeros, Class::ManyRadial, Class::Heat, Class::Fast, Class::Pairs];
     quiet(&kinds.map(|c| (c, 7_100_000)), 30, 30);
 }
 
 #[test]
 fn the_clean_twins_of_mistakes_raise_no_suspicion() {
+    if !test_needs::long() {
+        return;
+    }
     quiet(&[(Class::Mistakes, 7_200_000)], 98, 100);
 }

@@ -30,18 +30,27 @@ fn right(hides: Hides, seeds: std::ops::Range<u64>) -> (usize, Vec<String>) {
 
 #[test]
 fn one_hidden_effect_is_named() {
+    if !test_needs::long() {
+        return;
+    }
     let (good, bad) = right(Hides::One, 40_000..40_016);
     assert!(good >= 15, "{bad:#?}");
 }
 
 #[test]
 fn nothing_hidden_nothing_found() {
+    if !test_needs::long() {
+        return;
+    }
     let (good, bad) = right(Hides::Nothing, 40_100..40_110);
     assert!(good >= 9, "{bad:#?}");
 }
 
 #[test]
 fn a_strange_shape_is_called_unknown() {
+    if !test_needs::long() {
+        return;
+    }
     let (good, bad) = right(Hides::Stranger, 40_200..40_206);
     assert!(good >= 4, "{bad:#?}");
 }
@@ -58,6 +67,9 @@ fn waves_that_only_stand_together_are_no_finding() {
 /// The exchange saw only the step's own grid.
 #[test]
 fn a_name_is_exchanged_only_for_a_better_one() {
+    if !test_needs::long() {
+        return;
+    }
     for seed in [700_133, 700_144] {
         let (good, bad) = right(Hides::Two, seed..seed + 1);
         assert_eq!(good, 1, "{bad:#?}");
@@ -117,6 +129,9 @@ fn one_wave_at_few_targets_is_no_map_and_another_wave() {
 /// More was fitted to that for a quarter of a minute, and the verdict was unknown.
 #[test]
 fn no_response_of_a_short_circle_is_fitted_full() {
+    if !test_needs::long() {
+        return;
+    }
     let mut right = 0;
     for seed in [8_200_048, 8_200_142, 8_200_152] {
         let dir = tempfile::tempdir().unwrap();

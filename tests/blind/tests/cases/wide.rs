@@ -68,6 +68,9 @@ fn the_model_computes_what_the_cases_were_made_of() {
 /// ppm/K, and others were as wrong.
 #[test]
 fn a_machine_can_have_what_a_case_hides_and_knows() {
+    if !test_needs::long() {
+        return;
+    }
     let narrow = [Hides::One, Hides::Two, Hides::Nothing, Hides::Stranger];
     let mut cases: Vec<(Hides, u64)> =
         narrow.iter().flat_map(|h| (0..50).map(|k| (*h, 140_050 + k))).collect();
@@ -357,6 +360,9 @@ fn cycles_are_logged_or_not() {
 /// By chance the exchange explained it slightly better.
 #[test]
 fn a_shape_of_no_dictionary_is_no_exchange() {
+    if !test_needs::long() {
+        return;
+    }
     for seed in [73_000_001, 73_000_039, 73_000_045] {
         let o = rtec_blind::outcome::outcome(Class::Strangers, seed, Manner::Second, false).unwrap();
         assert_eq!(o.suspicions, Vec::<String>::new(), "{seed}");

@@ -155,6 +155,9 @@ fn judged(seed: u64) -> Vec<(&'static str, bool)> {
 
 #[test]
 fn laws_are_in_their_intervals_and_axes_without_one_get_none() {
+    if !test_needs::long() {
+        return;
+    }
     let machines = cases(80);
     let first = asked("RTEC_SEED", 0);
     let mut counts: BTreeMap<&str, [u32; 2]> = BTreeMap::new();

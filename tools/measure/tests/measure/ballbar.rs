@@ -144,6 +144,9 @@ fn a_period_of_no_screw_is_a_form_that_repeats() {
 /// A map of kinks 37.5 mm apart has something at every period, at those of screws too.
 #[test]
 fn a_wave_smaller_than_the_map_beside_it_is_a_form() {
+    if !test_needs::long() {
+        return;
+    }
     let map = "knots_mm = [-150.0, -112.5, -75.0, -37.5, 0.0, 37.5, 75.0, 112.5, 150.0]; um = [0.0, 3.0, -2.0, 4.0, -1.0, 3.0, -3.0, 2.0, 0.0]";
     let effects = format!("following_error.x ms = 0.12\nscale.x ppm = 20.0\nposition_map.x {map}");
     for seed in 1..=3 {
@@ -281,6 +284,9 @@ fn without_plane_and_radius_there_are_deviations_only() {
 /// One that lacks ten degrees is an arc, and is said to be.
 #[test]
 fn a_circle_without_its_start_and_stop_is_a_full_one() {
+    if !test_needs::long() {
+        return;
+    }
     let says_arc = |rows: usize, turned_deg: f64| {
         let step = turned_deg.to_radians() / rows as f64;
         let angle: Vec<f64> = (0..rows).map(|i| i as f64 * step).collect();
@@ -313,6 +319,9 @@ fn half_a_quadrant_is_no_circle() {
 /// Random machines: how often the 95 % interval of each figure holds the truth.
 #[test]
 fn intervals_hold_the_truth_on_random_machines() {
+    if !test_needs::long() {
+        return;
+    }
     let mut noise = Noise(20);
     let mut held: BTreeMap<&str, (u32, u32)> = BTreeMap::new();
     for machine in 0..cases(75) {
@@ -381,6 +390,9 @@ fn intervals_hold_the_truth_on_random_machines() {
 /// leaves intervals too narrow.
 #[test]
 fn intervals_hold_the_truth_beside_effects_that_have_no_law_here() {
+    if !test_needs::long() {
+        return;
+    }
     let mut noise = Noise(31);
     let mut held: BTreeMap<&str, (u32, u32)> = BTreeMap::new();
     let (mut false_spikes, mut false_waves) = (0, 0);

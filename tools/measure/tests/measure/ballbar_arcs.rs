@@ -47,6 +47,9 @@ const TRUTH: [(&str, f64); 4] =
 /// Starts, the recorded pause, its noise and the clock's step take nothing of the second circle.
 #[test]
 fn a_recorded_pause_takes_nothing_of_a_circle() {
+    if !test_needs::long() {
+        return;
+    }
     let (feed_rad_s, radius_mm) = (0.28, 150.0);
     for (period_s, clock_s, start_s, pause_s, angle_sd) in [
         (0.0371, 0.01, 0.2, 2.0, 0.0),
@@ -240,6 +243,9 @@ fn a_single_row_is_no_spike() {
 /// either side of its turn. Reversals are the play, and nothing is made of those rows, no spike and no servo mismatch.
 #[test]
 fn rows_where_an_axis_turns_are_no_cause() {
+    if !test_needs::long() {
+        return;
+    }
     let (radius_mm, noise_um) = (150.0, 0.15);
     for (n, first, play, seed) in [
         (360, 0.0, [10.0, 5.0], 1),

@@ -149,6 +149,9 @@ const PLANES: [[&str; 2]; 3] = [["x", "y"], ["y", "z"], ["z", "x"]];
 
 #[test]
 fn one_way_the_intervals_hold_the_truth_or_nothing_is_given() {
+    if !test_needs::long() {
+        return;
+    }
     for (feeds, given) in [(&[20.0][..], 1), (&[10.0, 50.0][..], 3)] {
         let mut noise = Noise(70);
         let mut held = BTreeMap::new();
@@ -180,6 +183,9 @@ fn one_way_the_intervals_hold_the_truth_or_nothing_is_given() {
 /// The rounding of a coarse gauge is no cause, and is in the intervals.
 #[test]
 fn steps_of_the_gauge_are_no_cause() {
+    if !test_needs::long() {
+        return;
+    }
     for (step, noise_um) in [(1.0, 0.2), (2.0, 0.2), (5.0, 0.2), (1.0, 0.6), (5.0, 1.0)] {
         let mut noise = Noise(74);
         let mut held = BTreeMap::new();
@@ -205,6 +211,9 @@ fn steps_of_the_gauge_are_no_cause() {
 /// the record, nor in the figures.
 #[test]
 fn a_circle_that_begins_where_an_axis_turns_invents_no_reversal() {
+    if !test_needs::long() {
+        return;
+    }
     let mut noise = Noise(71);
     let mut held = BTreeMap::new();
     for number in 0..cases(30) {
@@ -320,6 +329,9 @@ fn machines_that_hold(seeds: &[u64]) -> [BTreeMap<&'static str, u32>; 2] {
 /// `RTEC_CASES` how many threes of them.
 #[test]
 fn both_ways_in_one_record_tell_as_much_as_two() {
+    if !test_needs::long() {
+        return;
+    }
     let first = test_needs::asked("BALLBAR_SEED", 1);
     let seeds: Vec<u64> = (first..first + cases(3)).collect();
     let held = machines_that_hold(&seeds);
