@@ -623,13 +623,19 @@ impl Corrector {
 
 fn fits(machine: &Machine) -> Vec<String> {
     let of = |f: &FitNote| {
+        let unit = FitNote::unit_of(&f.response);
+        let turned_back = match machine.turned_back_um(&f.response) {
+            um if um > 0.0 => {
+                format!("; a correction at rest may leave {um:.2} {unit} of the reversal beside that")
+            }
+            _ => String::new(),
+        };
         format!(
-            "{}: fitted {}, good until {}, 95 % within ±{:.2} {}{}",
+            "{}: fitted {}, good until {}, 95 % within ±{:.2} {unit}{}{turned_back}",
             f.response,
             f.date,
             f.valid_until,
             f.half_width_um,
-            FitNote::unit_of(&f.response),
             f.place_text()
         )
     };

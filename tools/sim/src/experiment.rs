@@ -59,6 +59,11 @@ pub struct Findings {
     pub summary: Map<String, Value>,
 }
 
+/// Title of what a model promises of each response before a drilling test, µm.
+pub const PROMISED: &str = "promised of the tool's own error, 95 %";
+/// Title of what temperatures outside the range of a model's fits may cost, µm.
+pub const UNSEEN: &str = "temperatures at hole 1 that no fit saw may leave, up to";
+
 /// Distance between the two gauges of each direction on the mandrel, mm.
 /// WO 97/43703, figure 7, does not state it.
 pub const GAUGE_SPACING_MM: f64 = 100.0;

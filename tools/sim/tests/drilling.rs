@@ -5,7 +5,7 @@
 
 use rtec_model::machine::Machine;
 use rtec_sim::described::Described;
-use rtec_sim::experiment::{Experiment, Setting};
+use rtec_sim::experiment::{Experiment, PROMISED, Setting, UNSEEN};
 use rtec_sim::gcode::Block;
 use rtec_sim::sim::{Sim, Spec};
 use std::path::Path;
@@ -23,12 +23,15 @@ fn drills_two_passes_an_inch_apart() {
              valid = [{{ sensor = \"T1\", reference_degC = 20.0, range_K = {range}, um_per_K = 3.0 }}]\n"
         )
     };
-    let known = format!("name = \"m\"\n{}{}", fit("x", "[-11, -10]"), fit("z", "[-50, 50]"));
+    let reversal =
+        "[[effect]]\nname = \"reversal.x\"\num = 10.0\n[[effect]]\nname = \"reversal.z\"\num = -5.0\n";
+    let known = format!("name = \"m\"\n{}{}{reversal}", fit("x", "[-11, -10]"), fit("z", "[-50, 50]"));
     let known = Machine::parse(Path::new("m.toml"), &known).unwrap();
     let setting = Setting { spec: &spec, truth: &truth, known: Some(&known), seed: 1, out: Path::new("") };
     let found = Experiment::find("drilling").unwrap().run(&setting).unwrap();
-    let unseen =
-        found.summary["temperatures at hole 1 that no fit saw may leave, up to"].as_object().unwrap();
+    // A correction at rest may leave the reversal of X. That of Z has a total that fits.
+    assert_eq!(found.summary[PROMISED], serde_json::json!({ "error.x_um": 12.0, "error.z_um": 2.0 }));
+    let unseen = found.summary[UNSEEN].as_object().unwrap();
     let um = unseen["error.x_um"].as_f64().unwrap();
     assert!(unseen.len() == 1 && (um - 30.0).abs() < 3.0, "{unseen:?}");
     let text = |name: &str| &found.plots.iter().find(|p| p.0 == name).unwrap().1;

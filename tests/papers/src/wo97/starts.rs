@@ -3,10 +3,9 @@
 use super::model::from_wet_runs;
 use super::{AXES, Centre, Run, error_of, record};
 use crate::PaperError;
-use rtec_model::effect::{Against, STANDARD_DEGC};
-use rtec_model::machine::{FitNote, Machine};
-use rtec_model::record::Record;
+use rtec_model::machine::Machine;
 use rtec_sim::described::Described;
+use rtec_sim::experiment::{PROMISED, UNSEEN};
 use rtec_sim::heat::Network;
 use rtec_sim::noise::Noise;
 use rtec_sim::sim::Spec;
@@ -32,8 +31,8 @@ pub struct StartResult {
     pub off_um: [f64; 2],
     /// The largest deviation from hole 1, without and with correction, µm.
     pub from_hole_1_um: [f64; 2],
-    /// What the model says before anything is corrected, µm: its 95 % interval, and what it costs where temperatures at the start
-    /// are outside the range that the model has seen.
+    /// What is said before it corrects, µm: the promise, and the cost of
+    /// temperatures at the start outside the range of the fit.
     pub promised_um: [f64; 2],
 }
 
@@ -104,32 +103,16 @@ pub fn starts(described: &Described, machine: u64) -> Result<Vec<StartResult>, P
         let found = run.experiment(start, Some(&model))?;
         for (p, axis) in AXES.into_iter().enumerate() {
             let response = format!("error.{}", axis.to_lowercase());
-            let fit = model.fits().iter().find(|f| f.response == response);
             let (mut off_um, mut from_hole_1_um) = ([0.0; 2], [0.0; 2]);
             for (k, suffix) in ["", "-compensated"].into_iter().enumerate() {
                 let um = error_of(record(&found, &format!("{start}{suffix}"))?, p);
                 let largest = |zero: f64| um.iter().fold(0.0_f64, |w, e| w.max((e - zero).abs()));
                 (off_um[k], from_hole_1_um[k]) = (largest(0.0), largest(um.first().copied().unwrap_or(0.0)));
             }
-            let plain = record(&found, start)?;
-            let promised_um = fit.map_or([0.0; 2], |f| [f.half_width_um, outside_um(f, plain)]);
+            let said_um = |title: &str| found.summary.get(title)?.get(format!("{response}_um"))?.as_f64();
+            let promised_um = [PROMISED, UNSEEN].map(|title| said_um(title).unwrap_or(0.0));
             all.push(StartResult { start, axis, off_um, from_hole_1_um, promised_um });
         }
     }
     Ok(all)
-}
-
-/// What it may cost at a record's first row that temperatures are outside the range of the fit, µm.
-fn outside_um(fit: &FitNote, record: &Record) -> f64 {
-    let read =
-        |name: &str| record.temperature(name).and_then(|t| t.first()).copied().unwrap_or(STANDARD_DEGC);
-    let of = |v: &rtec_model::machine::Validity| {
-        let other = match &v.difference.against {
-            Against::Sensor(name) => read(name),
-            Against::Reference(degc) => *degc,
-            Against::Standard => STANDARD_DEGC,
-        };
-        v.outside_um(read(&v.difference.sensor) - other)
-    };
-    fit.valid.iter().map(of).fold(0.0, f64::max)
 }

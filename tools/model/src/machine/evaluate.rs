@@ -2,6 +2,7 @@
 
 use super::note::unknown_um;
 use super::{FitNote, Listed, Machine, Reach};
+use crate::effect::laws::reversal;
 use crate::effect::{Effect, Heat, States};
 use crate::record::{Record, Role};
 use rtec_files::InputError;
@@ -48,6 +49,26 @@ impl Machine {
     #[must_use]
     pub fn half_width_um(&self, response: &str) -> Option<f64> {
         self.fits.iter().find(|f| f.response == response).map(|f| f.half_width_um)
+    }
+
+    /// Reversal that a correction at rest may leave in a response, µm.
+    ///
+    /// Such a correction moves the table. Where it takes the table back by less than the reversal, neither
+    /// direction's total fits if the tool leads the scale (`um` above zero). Where it lags, one always fits.
+    #[must_use]
+    pub fn turned_back_um(&self, response: &str) -> f64 {
+        let of = |axis: &str| format!("{}.{axis}", reversal::NAME);
+        let Some(name) = response.strip_prefix("error.").map(of) else { return 0.0 };
+        self.effects().filter(|e| e.name() == name).map(|e| e.scalar(0)).sum::<f64>().max(0.0)
+    }
+
+    /// What a corrected response is promised to stay within, 95 %, µm.
+    ///
+    /// It holds where temperatures are in the range of the fit. A reversal is no scatter but stays as it is,
+    /// so it is added to the interval.
+    #[must_use]
+    pub fn promised_um(&self, fit: &FitNote) -> f64 {
+        fit.half_width_um + self.turned_back_um(&fit.response)
     }
 
     /// Half width of the 95 % prediction interval at every row of a record, µm.

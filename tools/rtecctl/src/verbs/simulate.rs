@@ -89,7 +89,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         let unit = FitNote::unit_of(&fit.response);
         eprintln!(
             "rtecctl: {}: the model promises 95 % within ±{:.1} {unit}; an axis that moves by less gains nothing",
-            fit.response, fit.half_width_um
+            fit.response,
+            known.promised_um(fit)
         );
     }
     let spec = Spec::machining_centre();

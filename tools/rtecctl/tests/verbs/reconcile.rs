@@ -175,19 +175,40 @@ fn an_unexplained_curve_is_written_and_loads_again() {
     assert!(run(&["model", "show", "--machine", "again/model.toml"]).status.success());
 }
 
+/// What the first stage prints of `run.run.toml` with `machine.toml` in a folder.
+fn found_first(folder: &std::path::Path) -> String {
+    let output = Command::new(env!("CARGO_BIN_EXE_rtecctl"))
+        .args(["reconcile", "run.run.toml", "--model", "machine.toml", "--stage", "find"])
+        .current_dir(folder)
+        .output()
+        .unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    String::from_utf8(output.stdout).unwrap()
+}
+
+/// Two short bursts are against no variable, yet are more than noise.
+#[test]
+fn nowhere_is_said_at_the_floor_alone() {
+    let folder = tempfile::tempdir().unwrap();
+    let found_with = |burst_um: f64| {
+        let burst = |i: u32| if matches!(i, 50..53 | 150..153) { burst_um } else { 0.0 };
+        let row = |i: u32| [5.0 * f64::from(i), f64::from(i * 37 % 101), burst(i) + scatter(i)];
+        of_x(folder.path(), (0..300).map(row));
+        found_first(folder.path())
+    };
+    let said = found_with(0.0);
+    assert!(said.contains("nowhere"), "{said}");
+    for burst_um in [3.0, 10.0] {
+        let said = found_with(burst_um);
+        assert!(!said.contains("nowhere") && said.contains("error.x against"), "{burst_um} µm: {said}");
+    }
+}
+
 /// A drift, a wave and errors that repeat at targets are found; noise is not.
 #[test]
 fn the_first_stage_finds_time_period_and_place() {
     let folder = tempfile::tempdir().unwrap();
-    let find = || {
-        let output = Command::new(env!("CARGO_BIN_EXE_rtecctl"))
-            .args(["reconcile", "run.run.toml", "--model", "machine.toml", "--stage", "find"])
-            .current_dir(folder.path())
-            .output()
-            .unwrap();
-        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-        String::from_utf8(output.stdout).unwrap()
-    };
+    let find = || found_first(folder.path());
     let time = |i: u32| 60.0 * f64::from(i);
     let place = |i: u32| f64::from(i % 60) * 7.3;
     // A slow drift: three of its blocks are the whole run.

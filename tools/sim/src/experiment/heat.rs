@@ -1,7 +1,7 @@
 //! Experiments with heat: spindle cycles, tool changes, drilling.
 
 use super::runs::{Log, Row, both, digits, feed, nothing, places, seed_of};
-use super::{ExperimentError, Findings, GAUGE_SPACING_MM, Gauged, Setting};
+use super::{ExperimentError, Findings, GAUGE_SPACING_MM, Gauged, PROMISED, Setting, UNSEEN};
 use crate::errors::NAMES;
 use crate::gcode::Block;
 use crate::heat::{FIGURE_9, SENSORS};
@@ -11,7 +11,7 @@ use crate::sim::{Sim, SimError, Spec};
 use rtec_measure::plot::{Chart, Series, Style};
 use rtec_model::chain::Chain;
 use rtec_model::effect::{Against, Difference, STANDARD_DEGC};
-use rtec_model::machine::{FitNote, Machine, Validity};
+use rtec_model::machine::{FitNote, Validity};
 use rtec_model::record::{Axis, Kind, Record};
 use serde_json::{Map, Value, json};
 use std::fmt::Write as _;
@@ -324,7 +324,8 @@ fn by_hole(start: &Start, findings: &mut Findings) -> Result<(), ExperimentError
 /// Residuals that the model's own fits promise, and where they cannot.
 /// A correction gains nothing if the machine moves by less. `first`: the row at hole 1.
 fn promised(setting: &Setting<'_>, first: &Row, findings: &mut Findings) {
-    let fits = setting.known.map_or(&[][..], Machine::fits);
+    let Some(known) = setting.known else { return };
+    let fits = known.fits();
     let mut say = |title: &str, of: &dyn Fn(&FitNote) -> Option<f64>| {
         let um = |fit: &FitNote| Some((format!("{}_um", fit.response), json!(digits(of(fit)?, 1e3))));
         let all: Map<String, Value> = fits.iter().filter_map(um).collect();
@@ -332,8 +333,11 @@ fn promised(setting: &Setting<'_>, first: &Row, findings: &mut Findings) {
             findings.summary.insert(title.to_owned(), Value::Object(all));
         }
     };
-    say("promised of the tool's own error, 95 %", &|fit| Some(fit.half_width_um));
-    say("temperatures at hole 1 that no fit saw may leave, up to", &|fit| {
+    say(PROMISED, &|fit| Some(known.promised_um(fit)));
+    say("promised, of that the reversal that a correction at rest may leave", &|fit| {
+        Some(known.turned_back_um(&fit.response)).filter(|um| *um > 0.0)
+    });
+    say(UNSEEN, &|fit| {
         let seen = |v: &Validity| v.outside_um(difference(&first.temperatures, &v.difference));
         let um = fit.valid.iter().map(seen).fold(0.0, f64::max);
         (um > fit.half_width_um).then_some(um)
