@@ -157,7 +157,7 @@ const RESOLVED: f64 = 0.99;
 /// More autocorrelation than this is structure that no cause here explains.
 const MOST_MEMORY: f64 = 0.95;
 
-/// Drift of a bar within a record, µm: its prior, of radius and centre each.
+/// Prior of a bar's drift within a record, µm: of radius and centre each.
 const DRIFT_UM: f64 = 2.0;
 
 /// Times that rounding is taken out as the laws predict it.
@@ -717,8 +717,8 @@ impl<'t> Fit<'t> {
         Shown { halves, rises, resolved, beside: told_beside }
     }
 
-    /// Averages each value over what is fitted and not told: spikes and drift that may be there or not.
-    /// The weights are the odds of both by their evidence; the interval holds the spread between both.
+    /// Averages each value over spikes and drift that are fitted and not told.
+    /// They may be there or not. The weights are the odds of both by their evidence; the interval holds the spread between both.
     fn average(&mut self, axes: [&Axis; 2], told: &[String], shown: &mut Shown) {
         let untold = |name: &str| name.starts_with("spike.") && !told.iter().any(|t| t == name);
         let spikes: Vec<&&Axis> = axes

@@ -172,8 +172,8 @@ impl Fit<'_> {
         lengths.filter_map(of).max_by(|a, b| a.1.total_cmp(&b.1))
     }
 
-    /// Log odds of columns against none of them, by the evidence (Kass and Raftery 1995).
-    /// `typical_um` is the standard deviation of their amplitudes' prior.
+    /// Log odds of columns against none of them, by the evidence.
+    /// Kass and Raftery 1995. `typical_um` is the standard deviation of their amplitudes' prior.
     pub(super) fn odds(&self, columns: &[DVector<f64>], typical_um: f64) -> f64 {
         let (q, left, variance) = self.prepared();
         let own: Vec<DVector<f64>> =
