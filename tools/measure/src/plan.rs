@@ -34,7 +34,7 @@ pub struct Step {
     /// The columns to record.
     pub columns: Vec<String>,
     /// How the record is evaluated.
-    pub evaluate: &'static str,
+    pub evaluate: String,
     /// About how long it takes, min.
     pub minutes: f64,
 }
@@ -128,7 +128,7 @@ pub fn sequence(axes: &[PlanAxis], max_rpm: f64, ball_radius_mm: Option<f64>) ->
               return, read"
             .to_owned(),
         columns: [words(&["time", "cycle"]), errors.clone()].concat(),
-        evaluate: "--standard repeatability: standard deviation and range per axis",
+        evaluate: "--standard repeatability: standard deviation and range per axis".to_owned(),
         minutes: 30.0,
     });
     steps.extend(spindle(axes, &errors, max_rpm));
@@ -164,7 +164,7 @@ fn contouring(axes: &[PlanAxis], radius_mm: f64) -> Vec<Step> {
                             "full circle {turn} at {feed:.0} mm/min, half a turn of run-in before and after"
                         ),
                         columns: words(&["time", "angle", "error.r", TEMPERATURES]),
-                        evaluate: "ballbar, all records of the plane together: circularity, reversal, squareness, servo mismatch",
+                        evaluate: "ballbar, all records of the plane together: circularity, reversal, squareness, servo mismatch".to_owned(),
                         minutes: 2.0 * std::f64::consts::TAU * radius_mm / feed + 2.0,
                     });
                 }
@@ -274,7 +274,7 @@ pub fn target_run(record: &str, axis: &PlanAxis, response: &str, run: &TargetRun
             &format!("error.{response}"),
             TEMPERATURES,
         ]),
-        evaluate: "reconcile, together with the records of the verdict",
+        evaluate: "reconcile, together with the records of the verdict".to_owned(),
         minutes: run.minutes(),
     }
 }
@@ -327,7 +327,7 @@ fn line(axis: &PlanAxis, of: &str, targets_mm: &[f64], cycles: usize) -> Step {
             words_of.join(" ")
         ),
         columns: words(&["time", &position, &direction, "cycle", &error, TEMPERATURES]),
-        evaluate,
+        evaluate: evaluate.to_owned(),
         minutes: MINUTES_EACH * (targets_mm.len() * 2 * cycles) as f64,
     }
 }
@@ -363,7 +363,12 @@ fn straight(axis: &PlanAxis, across: &PlanAxis) -> Step {
             &format!("error.{b}"),
             TEMPERATURES,
         ]),
-        evaluate: "straightness about the least-squares line (the effect straightness.y.x is EYX of ISO 230-1: error of Y while X moves); squareness where the straightedge was squared",
+        evaluate: format!(
+            "straightness about the least-squares line (the effect straightness.{b}.{n} is E{0}{1} of ISO 230-1: error of {0} while {1} \
+             moves); squareness where the straightedge was squared",
+            b.to_uppercase(),
+            n.to_uppercase()
+        ),
         minutes: MINUTES_EACH * (places.len() * 2 * 3) as f64,
     }
 }
@@ -418,7 +423,7 @@ fn spindle(axes: &[PlanAxis], errors: &[String], max_rpm: f64) -> Vec<Step> {
                 .to_owned(),
         run,
         columns: columns.clone(),
-        evaluate: "iso230-3; model fit, one run held out",
+        evaluate: "iso230-3; model fit, one run held out".to_owned(),
         minutes,
     }
     };
@@ -476,6 +481,11 @@ mod tests {
         let bow = steps.iter().find(|s| s.record == "straightness_y_x").unwrap();
         assert!(
             bow.columns.contains(&"position.x".to_owned()) && bow.columns.contains(&"error.y".to_owned())
+        );
+        assert!(
+            steps
+                .iter()
+                .any(|s| s.record == "straightness_z_x" && s.evaluate.contains("straightness.z.x is EZX"))
         );
         let warm = &steps.iter().find(|s| s.record == "spindle_warm").unwrap().columns;
         for role in steps.iter().flat_map(|s| &s.columns).filter(|c| *c != TEMPERATURES) {

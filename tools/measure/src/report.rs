@@ -308,10 +308,9 @@ impl Report {
             let all = |key: &str| {
                 self.facts.iter().filter(|f| f.0 == key).map(|f| f.1.as_str()).collect::<Vec<_>>()
             };
-            let of_instrument = self
-                .facts
-                .iter()
-                .filter(|f| ["instrument name", "instrument serial"].contains(&f.0.as_str()));
+            let of_instrument = self.facts.iter().filter(|f| {
+                ["instrument kind", "instrument name", "instrument serial"].contains(&f.0.as_str())
+            });
             let instrument: Vec<&str> = of_instrument.map(|f| f.1.as_str()).collect();
             h.push_str(&signed_line(
                 &instrument.join(", "),
@@ -357,7 +356,7 @@ mod tests {
         };
         let conditions = Conditions {
             words: vec![("operator".into(), "N. <N>".into())],
-            instrument: ["name", "ballbar", "serial", "12", "calibrated", "2026-01-15"]
+            instrument: ["kind", "ballbar", "name", "B2", "serial", "12", "calibrated", "2026-01-15"]
                 .chunks(2)
                 .map(|c| (c[0].to_owned(), c[1].to_owned()))
                 .collect(),
@@ -365,7 +364,7 @@ mod tests {
         };
         let runs = [run("2026-05-04"), run("2026-05-05"), run("2026-05-04")];
         let page = Report::of_runs("Circles", &runs, &conditions).html();
-        let line = "<td>ballbar, 12</td><td>N. &lt;N&gt;</td><td>2026-05-04, 2026-05-05</td><td></td>";
+        let line = "<td>ballbar, B2, 12</td><td>N. &lt;N&gt;</td><td>2026-05-04, 2026-05-05</td><td></td>";
         assert!(page.contains(line) && page.contains("signature"), "{page}");
     }
 

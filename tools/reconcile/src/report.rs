@@ -123,7 +123,7 @@ fn map(effect: &Effect, half: &[f64]) -> Option<Chart> {
     let chart = Chart::new(
         &format!("{name}, with its 95 % band"),
         &along,
-        &law.parameters[values].unit.replace("um", "µm"),
+        &micrometres(&law.parameters[values].unit),
     )
     .with(Series::band("95 %", x, &edge(-1.0), &edge(1.0)))
     .with(Series::new(&name, Style::Line, line.clone()).coloured(Colour::Up));
@@ -257,7 +257,7 @@ fn set_up(h: &mut String, r: &Reconciliation) {
                 "<tr><td>{}<td>{}<td class=n>{} {unit}<td class=n>{}",
                 escaped(name),
                 escaped(&what),
-                number(*value),
+                self::value(*value, *half),
                 if *half > 0.0 { within(*value, *half) } else { String::new() }
             );
         }
@@ -342,9 +342,9 @@ fn refined(h: &mut String, r: &Reconciliation) {
                 "<tr><td>{}<td>{} ({})<td class=n>{}<td class=n>{}<td class=n>{}",
                 escaped(&x.before.name()),
                 p.name,
-                p.unit,
+                micrometres(&p.unit),
                 number(b),
-                number(a),
+                value(a, half),
                 if half > 0.0 { within(a, half) } else { "held".into() }
             );
         }
@@ -425,7 +425,7 @@ fn effects(h: &mut String, r: &Reconciliation) {
                 (format!("{} values, drawn below", f.effect.width()), String::new())
             } else {
                 let (v, w) = (f.effect.scalar(i), half[i]);
-                (number(v), if w > 0.0 { within(v, w) } else { "held".into() })
+                (self::value(v, w), if w > 0.0 { within(v, w) } else { "held".into() })
             };
             let (name, law, rivals) = if i == 0 {
                 (escaped(&f.effect.name()) + &escaped(&sensor), escaped(&description.law), rivals.clone())
@@ -435,7 +435,8 @@ fn effects(h: &mut String, r: &Reconciliation) {
             let _ = write!(
                 h,
                 "<tr><td>{name}<td><small>{law}</small><td>{} ({})<td class=n>{value}<td class=n>{interval}<td>{rivals}",
-                p.name, p.unit
+                p.name,
+                micrometres(&p.unit)
             );
         }
         let p = if f.p_value <= LEAST_P { "below 0.001".to_owned() } else { number(f.p_value) };
@@ -544,10 +545,25 @@ fn ranking(h: &mut String, r: &Reconciliation) {
     h.push_str("</table>");
 }
 
-/// A value and its interval, with the digits that the half width justifies.
+/// A unit as people write it.
+fn micrometres(unit: &str) -> String {
+    unit.replace("um", "µm")
+}
+
+/// Decimals that half an interval justifies.
+fn decimals(half: f64) -> usize {
+    (1.0 - half.log10().floor()).clamp(0.0, 12.0) as usize
+}
+
+/// An interval, with the digits that its half width justifies.
 fn within(v: f64, half: f64) -> String {
-    let decimals = (1.0 - half.log10().floor()).clamp(0.0, 12.0) as usize;
+    let decimals = decimals(half);
     format!("{:.decimals$} … {:.decimals$}", v - half, v + half)
+}
+
+/// A value, with the digits of its interval; four significant ones without it.
+fn value(v: f64, half: f64) -> String {
+    if half > 0.0 { format!("{v:.0$}", decimals(half)) } else { number(v) }
 }
 
 /// Four significant digits.
@@ -567,6 +583,13 @@ fn number(v: f64) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_value_has_the_digits_of_its_interval() {
+        assert_eq!((value(10.000_37, 4.3e-4), value(0.0, 0.16)), ("10.00037".into(), "0.00".into()));
+        assert_eq!((value(44.947_06, 2.5e-4), value(44.947_06, 0.0)), ("44.94706".into(), "44.95".into()));
+        assert_eq!(within(10.000_37, 4.3e-4), "9.99994 … 10.00080");
+    }
 
     #[test]
     fn many_rows_keep_their_peaks_and_their_order() {

@@ -5,7 +5,7 @@
 //! Gauss–Newton, with the autocorrelation of the residual. Structure that no effect explains is fitted beside them and widens the intervals
 //! (`structure`). Intervals hold 95 %.
 
-use super::structure::{Structure, Told};
+use super::structure::{self, Structure, Told};
 use super::{ByAxis, Trace, law};
 use crate::iso230::lacks;
 use nalgebra::{DMatrix, DVector};
@@ -157,11 +157,15 @@ const RESOLVED: f64 = 0.99;
 /// More autocorrelation than this is structure that no cause here explains.
 const MOST_MEMORY: f64 = 0.95;
 
+/// Prior of a bar's drift within a record, µm: of radius and centre each.
+const DRIFT_UM: f64 = 2.0;
+
 /// Times that rounding is taken out as the laws predict it.
 const ROUNDING_STEPS: usize = 3;
 
 /// A term of the fit.
 /// Effects with the weights of their sum, and which of the first one's values are free.
+#[derive(Clone)]
 pub(super) struct Term {
     pub(super) name: String,
     pub(super) parts: Vec<(Effect, f64)>,
@@ -171,6 +175,7 @@ pub(super) struct Term {
 }
 
 /// The fit of one plane.
+#[derive(Clone)]
 pub(super) struct Fit<'t> {
     pub(super) traces: &'t [Trace],
     /// First stacked row of each trace.
@@ -189,6 +194,8 @@ pub(super) struct Fit<'t> {
     pub(super) phi: f64,
     /// What there are no laws for.
     pub(super) structure: Structure,
+    /// How many of the last columns beside are drift.
+    pub(super) drift: usize,
     /// Columns fitted beside the terms, and a whitened orthonormal basis of them.
     pub(super) beside: DMatrix<f64>,
     pub(super) beside_white: DMatrix<f64>,
@@ -291,7 +298,8 @@ fn diagnose_beyond(
                 .to_owned(),
         );
     }
-    let shown = fit.shown();
+    let mut shown = fit.shown();
+    fit.average(axes, &told, &mut shown);
     let found = fit.answer(axes, &told, &shown);
     let lost = fit.not_told(&told, &shown);
     if !lost.is_empty() {
@@ -415,6 +423,7 @@ impl<'t> Fit<'t> {
             counts,
             phi: 0.0,
             structure: Structure::of(traces, n),
+            drift: 0,
             beside: DMatrix::zeros(n, 0),
             beside_white: DMatrix::zeros(n, 0),
         };
@@ -706,6 +715,56 @@ impl<'t> Fit<'t> {
         let resolved =
             directions.resolution.iter().zip(within).map(|(r, within)| *r > RESOLVED && within).collect();
         Shown { halves, rises, resolved, beside: told_beside }
+    }
+
+    /// Averages each value over spikes and drift that are fitted and not told.
+    /// They may be there or not. The weights are the odds of both by their evidence; the interval holds the spread between both.
+    fn average(&mut self, axes: [&Axis; 2], told: &[String], shown: &mut Shown) {
+        let untold = |name: &str| name.starts_with("spike.") && !told.iter().any(|t| t == name);
+        let spikes: Vec<&&Axis> = axes
+            .iter()
+            .filter(|axis| self.terms.iter().any(|t| t.name == format!("spike.{axis}") && untold(&t.name)))
+            .collect();
+        if !self.structure.both_ways || (spikes.is_empty() && self.drift == 0) {
+            return;
+        }
+        let mut without = self.clone();
+        without.terms.retain(|t| !untold(&t.name));
+        let kept = self.beside.ncols() - self.drift;
+        without.beside = self.beside.columns(0, kept).into_owned();
+        without.drift = 0;
+        without.prepare_beside();
+        without.free_all(told);
+        let drift: Vec<DVector<f64>> =
+            self.beside.columns(kept, self.drift).column_iter().map(nalgebra::Matrix::into_owned).collect();
+        let mut odds: f64 = spikes.iter().filter_map(|axis| without.spike_odds(axis)).sum();
+        for columns in drift.chunks(structure::DRIFTS) {
+            odds += without.odds(columns, DRIFT_UM);
+        }
+        let share = (1.0 + (-odds).exp()).recip();
+        let halves = without.shown().halves;
+        let values = without.terms.iter().flat_map(|t| t.free.iter().map(|i| t.parts[0].0.values()[*i]));
+        let mut others = values.zip(halves);
+        let mut at = 0;
+        for t in &mut self.terms {
+            for i in &t.free {
+                // The spike that is left out has no height.
+                let now = t.parts[0].0.values()[*i];
+                let other = if untold(&t.name) { Some((0.0, 0.0)) } else { others.next() };
+                if let Some((value, half)) = other {
+                    let mean = share * now + (1.0 - share) * value;
+                    let between = 1.96 * (now - value);
+                    let square = share * shown.halves[at].powi(2) + (1.0 - share) * half.powi(2);
+                    shown.halves[at] = (square + share * (1.0 - share) * between.powi(2)).sqrt();
+                    for (effect, _) in &mut t.parts {
+                        if let Some(e) = effect.with(&[(*i, mean)]) {
+                            *effect = e;
+                        }
+                    }
+                }
+                at += 1;
+            }
+        }
     }
 
     /// The physical range of each free value.

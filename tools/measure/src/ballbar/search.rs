@@ -24,6 +24,11 @@ const PERIODS_MM: [f64; 2] = [0.5, 60.0];
 /// One in twenty circles of noise reaches it, over its three columns.
 const DRIFT_FITTED: f64 = 7.8;
 
+/// The lengths at which a spike is looked for, mm.
+fn lengths_up_to(longest_mm: f64) -> impl Iterator<Item = f64> {
+    (0..).map(|k| SHORTEST_MM * 1.5_f64.powi(k)).take_while(move |l| *l < longest_mm)
+}
+
 impl Fit<'_> {
     /// Drift, spikes and cyclic errors, those that show; then all of it together.
     pub(super) fn search(&mut self, axes: [&Axis; 2], told: &mut Vec<String>) {
@@ -116,6 +121,7 @@ impl Fit<'_> {
             let (q, left, variance) = self.prepared();
             if !columns.is_empty() && self.gain(&q, &left, variance, &columns).0 > DRIFT_FITTED {
                 self.take_beside(&DMatrix::from_columns(&columns));
+                self.drift += columns.len();
             }
         }
     }
@@ -157,13 +163,37 @@ impl Fit<'_> {
         let (q, left, variance) = self.prepared();
         // One way round a long one is a map like any other.
         let longest = radius_mm / if self.structure.both_ways { 3.0 } else { 30.0 };
-        let lengths = (0..).map(|k| SHORTEST_MM * 1.5_f64.powi(k)).take_while(|l| *l < longest);
+        let lengths = lengths_up_to(longest);
         let of = |length: f64| {
             let effect = spike.with(&[(1, length)])?;
             let (gain, beta) = self.gain(&q, &left, variance, &self.basis(&effect, None));
             Some((effect.with(&[(0, beta[0])])?, gain))
         };
         lengths.filter_map(of).max_by(|a, b| a.1.total_cmp(&b.1))
+    }
+
+    /// Log odds of columns against none of them, by the evidence.
+    /// Kass and Raftery 1995. `typical_um` is the standard deviation of their amplitudes' prior.
+    pub(super) fn odds(&self, columns: &[DVector<f64>], typical_um: f64) -> f64 {
+        let (q, left, variance) = self.prepared();
+        let own: Vec<DVector<f64>> =
+            columns.iter().map(|c| self.white(c)).map(|c| &c - &q * q.tr_mul(&c)).collect();
+        let own = DMatrix::from_columns(&own) * (typical_um / variance.sqrt());
+        let precision = own.tr_mul(&own) + DMatrix::identity(columns.len(), columns.len());
+        let along = own.tr_mul(&left) / variance.sqrt();
+        let Some(root) = precision.cholesky() else { return 0.0 };
+        0.5 * along.dot(&root.solve(&along)) - root.l().diagonal().map(f64::ln).sum()
+    }
+
+    /// Log odds of a spike of an axis against none, over all lengths.
+    pub(super) fn spike_odds(&self, axis: &Axis) -> Option<f64> {
+        let spike = law(&Dictionary::default(), laws::reversal_spike::NAME, &[axis])?;
+        let typical_um = spike.description().parameters[0].typical;
+        let longest = self.traces[0].record.circle()?.radius_mm / 3.0;
+        let of = |length| Some(self.odds(&self.basis(&spike.with(&[(1, length)])?, None), typical_um));
+        let all: Vec<f64> = lengths_up_to(longest).filter_map(of).collect();
+        let top = all.iter().copied().reduce(f64::max)?;
+        Some(top + (all.iter().map(|o| (o - top).exp()).sum::<f64>() / all.len() as f64).ln())
     }
 
     /// The cyclic error that explains most of the residual, beyond chance.
@@ -205,7 +235,7 @@ impl Fit<'_> {
     }
 
     /// Frees lengths (of spikes that show), periods and phases too, and descends.
-    fn free_all(&mut self, told: &[String]) {
+    pub(super) fn free_all(&mut self, told: &[String]) {
         for t in &mut self.terms {
             if t.name.starts_with("spike.") && told.contains(&t.name) {
                 t.free = vec![0, 1];

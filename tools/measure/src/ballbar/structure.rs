@@ -21,6 +21,7 @@ const TELLING: [usize; 4] = [3, 4, 5, 6];
 
 /// Harmonics of the angle common to both ways, cosine and sine of each order.
 /// One way round nothing but their smoothness tells them from reversals.
+#[derive(Clone)]
 pub(super) struct Structure {
     /// Whether both ways were run.
     pub(super) both_ways: bool,
@@ -136,6 +137,9 @@ impl Structure {
         Some(Told { variance: each.map(|e| e.0), freedom: each.map(|e| e.1), rms_um: power.max(0.0).sqrt() })
     }
 }
+
+/// Columns of [`drift`].
+pub(super) const DRIFTS: usize = 3;
 
 /// Drift of centre and radius over a record's time; nothing without time.
 /// Straight only: out and back on one path, a bent one is the same at a place both ways, and so among the harmonics.
