@@ -1,15 +1,13 @@
 //! Reads TOML strictly.
 //! Unknown keys are findings, every finding has its line and column.
 //!
-//! [`Table`] and [`Entry`] end at the first finding. [`Section`] takes each key once and collects every
+//! [`Table`] and [`Entry`] end at the first finding. [`crate::keys::Section`] reads on and collects every
 //! finding of a file. Both give the same message for the same mistake.
 
 use crate::input::InputError;
-use crate::keys::Key;
 use crate::words::{cut, nearest};
 use serde::de::DeserializeOwned;
 use std::fmt::{self, Display};
-use std::ops::RangeInclusive;
 use std::path::Path;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
@@ -131,7 +129,7 @@ pub struct Table<'d> {
     text: &'d str,
     of: &'d DeTable<'d>,
     title: Title<'d>,
-    start: usize,
+    pub(crate) start: usize,
 }
 
 impl<'d> Table<'d> {
@@ -230,7 +228,7 @@ impl<'d> Entry<'d> {
         self.key_error(format!("unknown key {}", self.key), expected)
     }
 
-    fn unknown(&self, title: &impl Display, known: &[&str]) -> InputError {
+    pub(crate) fn unknown(&self, title: &impl Display, known: &[&str]) -> InputError {
         let (found, expected) = unknown(self.key, title, known);
         self.key_error(found, expected)
     }
@@ -417,179 +415,5 @@ fn pair(value: &DeValue<'_>) -> Option<[f64; 2]> {
     match numbers(value)?[..] {
         [lo, hi] if lo <= hi => Some([lo, hi]),
         _ => None,
-    }
-}
-
-/// The words to choose from, in quotes.
-pub(crate) fn quoted(words: &[&str]) -> String {
-    words.iter().map(|word| format!("\"{word}\"")).collect::<Vec<_>>().join(" or ")
-}
-
-/// A file with a list of all its findings.
-#[derive(Debug)]
-pub struct SourceFile<'a> {
-    /// The file, as the user named it.
-    pub file: &'a Path,
-    /// The file's whole text, from which findings take their line and column.
-    pub text: &'a str,
-    /// The findings so far.
-    pub findings: Vec<InputError>,
-}
-
-impl SourceFile<'_> {
-    /// Adds a finding at a byte of the text.
-    pub fn finding(&mut self, offset: usize, found: impl Into<String>, expected: impl Into<String>) {
-        self.findings.push(InputError::at_offset(self.file, self.text, offset, found, expected));
-    }
-
-    /// Returns the value, or records its finding.
-    pub fn keep<T>(&mut self, value: Result<T, InputError>) -> Option<T> {
-        value.map_err(|finding| self.findings.push(finding)).ok()
-    }
-}
-
-/// A value and its place in the text.
-#[derive(Debug, Clone, Copy)]
-pub struct At<T> {
-    /// The value, checked.
-    pub value: T,
-    /// Where the value begins in the text, bytes from the start.
-    pub offset: usize,
-}
-
-/// A table whose keys are each taken once; keys that are left are findings.
-#[derive(Debug)]
-pub struct Section<'a> {
-    /// The section's title as a person writes it: `[card]`.
-    pub title: &'static str,
-    /// Where the section begins in the text, bytes from the start.
-    pub offset: usize,
-    table: Option<Table<'a>>,
-    asked: Vec<&'static str>,
-    pub(crate) keys: &'static [Key],
-}
-
-impl<'a> Section<'a> {
-    /// The file's outermost table.
-    #[must_use]
-    pub fn root(document: &'a Document<'_>) -> Self {
-        Self::of("the file", 0, Some(document.root()))
-    }
-
-    /// A table, or an absent one, which has no key.
-    fn of(title: &'static str, offset: usize, table: Option<Table<'a>>) -> Self {
-        Self { title, offset, table, asked: Vec::new(), keys: &[] }
-    }
-
-    /// Adds the table of the section's keys.
-    #[must_use]
-    pub fn with(self, keys: &'static [Key]) -> Self {
-        Self { keys, ..self }
-    }
-
-    fn take(&mut self, key: &'static str) -> Option<Entry<'a>> {
-        if !self.asked.contains(&key) {
-            self.asked.push(key);
-        }
-        self.table?.get(key)
-    }
-
-    /// Whether a key exists that no message suggests. If it does, it counts as taken.
-    pub fn has_unoffered(&mut self, key: &'static str) -> bool {
-        self.table.is_some_and(|t| t.get(key).is_some()) && self.has(key)
-    }
-
-    /// Whether the key exists. It counts as taken.
-    pub fn has(&mut self, key: &'static str) -> bool {
-        self.take(key).is_some()
-    }
-
-    /// The table under a key, or an absent one.
-    #[must_use]
-    pub fn table(&mut self, source: &mut SourceFile<'_>, key: &'static str, title: &'static str) -> Self {
-        let Some(entry) = self.take(key) else { return Self::of(title, self.offset, None) };
-        let table = source.keep(entry.table(&format!("a table, written {title}")));
-        Self::of(title, entry.offset(), table)
-    }
-
-    /// The tables of an array of tables.
-    pub fn tables(
-        &mut self,
-        source: &mut SourceFile<'_>,
-        key: &'static str,
-        title: &'static str,
-    ) -> Vec<Self> {
-        let Some(entry) = self.take(key) else { return Vec::new() };
-        let tables = source.keep(entry.tables(&format!("{title}, one per {key}"))).unwrap_or_default();
-        tables.into_iter().map(|table| Self::of(title, table.start, Some(table))).collect()
-    }
-
-    /// The value of a key, if it exists and `parse` accepts it.
-    pub fn value<T>(
-        &mut self,
-        source: &mut SourceFile<'_>,
-        key: &'static str,
-        expected: impl Display,
-        parse: impl FnOnce(Entry<'a>) -> Option<T>,
-    ) -> Option<At<T>> {
-        let entry = self.take(key)?;
-        let parsed = parse(entry).ok_or_else(|| entry.mismatch(format!("{key} = {expected}")));
-        source.keep(parsed).map(|value| At { value, offset: entry.offset() })
-    }
-
-    /// One of several words. Messages show only the first `offered` of them.
-    pub fn choice<T: Copy>(
-        &mut self,
-        source: &mut SourceFile<'_>,
-        key: &'static str,
-        offered: usize,
-        choices: &[(&str, T)],
-    ) -> Option<At<T>> {
-        let names: Vec<&str> = choices.iter().map(|(name, _)| *name).take(offered).collect();
-        let mut expected = quoted(&names);
-        if let Some(word) = self.table.and_then(|t| t.get(key)?.as_str())
-            && let Some(near) = nearest(word, &names)
-        {
-            expected = format!("{expected}; did you mean \"{near}\"?");
-        }
-        self.value(source, key, expected, |v| {
-            choices.iter().find(|(name, _)| v.as_str() == Some(name)).map(|(_, choice)| *choice)
-        })
-    }
-
-    /// A whole number within bounds.
-    pub fn integer(
-        &mut self,
-        source: &mut SourceFile<'_>,
-        key: &'static str,
-        range: RangeInclusive<i64>,
-    ) -> Option<At<i64>> {
-        let mut expected = format!("a whole number from {} to {}", range.start(), range.end());
-        let hex = |word: &str| i64::from_str_radix(word.strip_prefix("0x")?, 16).ok();
-        if let Some(word) = self.table.and_then(|t| t.get(key)?.as_str())
-            && word.parse().ok().or_else(|| hex(word)).is_some_and(|n| range.contains(&n))
-        {
-            expected = format!("{expected}, without quotes: {key} = {word}");
-        }
-        self.value(source, key, expected, |v| v.as_integer().filter(|n| range.contains(n)))
-    }
-
-    /// Reports that a key is missing, with its meaning.
-    pub fn say_missing(&self, source: &mut SourceFile<'_>, key: &str, meaning: &str) {
-        let found = format!("no {key} in {}", self.title);
-        source.finding(self.offset, found, format!("{key}: {meaning}"));
-    }
-
-    pub(crate) fn lacks(&self, key: &str) -> bool {
-        self.table.is_none_or(|t| t.get(key).is_none())
-    }
-
-    /// Reports every key that was not taken.
-    pub fn finish(self, source: &mut SourceFile<'_>) {
-        for entry in self.table.iter().flat_map(Table::entries) {
-            if !self.asked.contains(&entry.key()) {
-                source.findings.push(entry.unknown(&self.title, &self.asked));
-            }
-        }
     }
 }

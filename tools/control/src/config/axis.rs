@@ -2,7 +2,7 @@
 
 use super::card::{Card, Kind, read_lines};
 use super::{ConfiguredAxis, Simulated, beside, keys};
-use rtec_files::toml::{Section, SourceFile};
+use rtec_files::keys::{Section, SourceFile};
 use rtec_model::record::Axis;
 use rtec_rt::axis::{AxisConfig, INCREMENT_COUNTS, RestPolicy};
 use std::path::PathBuf;

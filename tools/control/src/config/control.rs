@@ -4,7 +4,7 @@ use super::{beside, keys};
 use crate::closed::closed_directory;
 use crate::role::Role;
 use nix::unistd::{Group, Uid};
-use rtec_files::toml::{Section, SourceFile};
+use rtec_files::keys::{Section, SourceFile};
 use std::path::{Path, PathBuf};
 
 /// Longest path of a Unix socket, bytes (unix(7): 108 with the zero at its end).

@@ -4,7 +4,7 @@
 use super::{CardConfig, Config, ConfiguredAxis, MappedPlace, PortPlace, keys};
 use crate::protocol::Rates;
 use rtec_files::date;
-use rtec_files::toml::{At, Section, SourceFile};
+use rtec_files::keys::{At, Section, SourceFile};
 use rtec_rt::setup::System;
 use std::fmt;
 use std::path::Path;
