@@ -97,7 +97,6 @@ impl Key {
 }
 
 /// The reference page's table of a section.
-#[must_use]
 pub fn markdown(title: &str, keys: &[Key]) -> String {
     let mut page = format!("| `{title}` | takes | default | meaning |\n|---|---|---|---|\n");
     for Key { name, takes, unit, default, meaning } in keys {
@@ -159,7 +158,6 @@ pub struct Section<'a> {
 
 impl<'a> Section<'a> {
     /// The file's outermost table.
-    #[must_use]
     pub fn root(document: &'a Document<'_>) -> Self {
         Self::of("the file", 0, Some(document.root()))
     }

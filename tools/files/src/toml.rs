@@ -32,7 +32,6 @@ impl<'t> Document<'t> {
 
     /// As [`Document::parse`], with every syntax error.
     /// The document holds the parts that could be parsed.
-    #[must_use]
     pub fn parse_all(file: &'t Path, text: &'t str) -> (Self, Vec<InputError>) {
         let (root, errors) = DeTable::parse_recoverable(text);
         let findings = errors.iter().map(|error| finding(file, text, error, "TOML")).collect();
@@ -40,7 +39,6 @@ impl<'t> Document<'t> {
     }
 
     /// The file's outermost table.
-    #[must_use]
     pub fn root(&self) -> Table<'_> {
         Table { file: self.file, text: self.text, of: self.root.get_ref(), title: Title::File, start: 0 }
     }
@@ -145,7 +143,6 @@ impl<'d> Table<'d> {
     }
 
     /// The entry of a key.
-    #[must_use]
     pub fn get(&self, key: &str) -> Option<Entry<'d>> {
         let (key, value) = self.of.get_key_value(key)?;
         Some(self.entry(key, value))
@@ -171,7 +168,6 @@ impl<'d> Table<'d> {
     }
 
     /// A finding about this table.
-    #[must_use]
     pub fn error(&self, found: impl Into<String>, expected: impl Into<String>) -> InputError {
         InputError::at_offset(self.file, self.text, self.start, found, expected)
     }
@@ -189,13 +185,11 @@ pub struct Entry<'d> {
 
 impl<'d> Entry<'d> {
     /// The key, as the file has it.
-    #[must_use]
     pub fn key(&self) -> &'d str {
         self.key
     }
 
     /// The value as the file has it; text without its quotes.
-    #[must_use]
     pub fn text(&self) -> String {
         self.as_str().unwrap_or_else(|| self.written()).to_owned()
     }
@@ -205,25 +199,21 @@ impl<'d> Entry<'d> {
     }
 
     /// The byte of the text at which the value begins.
-    #[must_use]
     pub fn offset(&self) -> usize {
         self.value.span().start
     }
 
     /// A finding about the value.
-    #[must_use]
     pub fn error(&self, found: impl Into<String>, expected: impl Into<String>) -> InputError {
         InputError::at_offset(self.file, self.text, self.offset(), found, expected)
     }
 
     /// A finding about the key.
-    #[must_use]
     pub fn key_error(&self, found: impl Into<String>, expected: impl Into<String>) -> InputError {
         InputError::at_offset(self.file, self.text, self.key_start, found, expected)
     }
 
     /// The finding that the key is unknown here.
-    #[must_use]
     pub fn unknown_key(&self, expected: &str) -> InputError {
         self.key_error(format!("unknown key {}", self.key), expected)
     }
@@ -234,39 +224,33 @@ impl<'d> Entry<'d> {
     }
 
     /// The finding that the value is not what was expected.
-    #[must_use]
     pub fn mismatch(&self, expected: impl Into<String>) -> InputError {
         let first_line = self.written().lines().next().unwrap_or_default();
         self.error(format!("{} = {}", self.key, cut(first_line)), expected)
     }
 
     /// The value, if it is text.
-    #[must_use]
     pub fn as_str(&self) -> Option<&'d str> {
         self.value.get_ref().as_str()
     }
 
     /// The value, if it is a truth value.
-    #[must_use]
     pub fn as_bool(&self) -> Option<bool> {
         self.value.get_ref().as_bool()
     }
 
     /// The value, if it is a whole number of 64 bits.
-    #[must_use]
     pub fn as_integer(&self) -> Option<i64> {
         let number = self.value.get_ref().as_integer()?;
         i64::from_str_radix(number.as_str(), number.radix()).ok()
     }
 
     /// The value, if it is a finite number or a whole number.
-    #[must_use]
     pub fn as_number(&self) -> Option<f64> {
         number(self.value.get_ref())
     }
 
     /// The value, if it is a table.
-    #[must_use]
     pub fn as_table(&self) -> Option<Table<'d>> {
         let of = self.value.get_ref().as_table()?;
         Some(Table {

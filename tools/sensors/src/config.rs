@@ -173,7 +173,6 @@ impl SensorConfig {
 
     /// A sensor whose readings are always believed and never expire.
     /// It is used in simulations and for recorded shifts.
-    #[must_use]
     pub fn believed(name: &str, role: Role) -> Self {
         Self {
             name: name.to_owned(),
