@@ -185,7 +185,6 @@ impl<R: Read> Reader<R> {
     /// `None`, with undefined values in `row`, if the row needs the careful reader. It then has a quote, a
     /// comment, blanks or a mistake, or exceeds the buffer.
     #[inline]
-    #[must_use]
     pub fn plain_row(&self, row: &mut [f64], skip: impl Fn(usize) -> bool) -> Option<PlainRow> {
         let (ahead, by) = (self.lines.unread(), self.by);
         let (last, mut at) = (row.len().checked_sub(1)?, 0);
@@ -234,30 +233,22 @@ impl<R: Read> Reader<R> {
         Ok(header)
     }
 
-    /// The first row, as the columns' names, with any separator.
+    /// The first row, as the columns' names, with the separator that gives all `names`.
     /// The separator is `;`, a tab or `|` if the row has no comma, else a comma. It applies to all rows. A
-    /// line `sep=X` before it, as spreadsheets write it, sets the separator.
+    /// line `sep=X` before it, as spreadsheets write it, sets the separator. `names` choose among several
+    /// separators in the row, and among the first lines.
     ///
     /// # Errors
     /// As [`Reader::header`]; a `sep=` of another character than `,`, `;`, `|` and a tab.
-    pub fn header_by_any(&mut self, expected: &str) -> Result<Header, InputError> {
-        self.header_with(expected, &[])
-    }
-
-    /// As [`Reader::header_by_any`], with the separator that gives all `names`.
-    /// It chooses among several separators in the row, and among the first lines.
-    ///
-    /// # Errors
-    /// As [`Reader::header_by_any`].
     pub fn header_with(&mut self, expected: &str, names: &[&str]) -> Result<Header, InputError> {
         self.header_where(expected, |header| names.iter().all(|name| header.find(name).is_some()))
     }
 
-    /// As [`Reader::header_by_any`], from the first line with the wanted columns.
+    /// As [`Reader::header_with`], from the first line with the wanted columns.
     /// Lines before it are skipped. If there is no such line, the first one is used.
     ///
     /// # Errors
-    /// As [`Reader::header_by_any`].
+    /// As [`Reader::header_with`].
     pub fn header_where(
         &mut self,
         expected: &str,
@@ -349,7 +340,7 @@ impl<R: Read> Reader<R> {
     /// See [`Reader::or_numbers`].
     ///
     /// # Errors
-    /// As [`Reader::header_by_any`].
+    /// As [`Reader::header_with`].
     pub fn header_of(&mut self, expected: &str, columns: &[&str]) -> Result<Header, InputError> {
         let names: Vec<&str> = columns.iter().filter(|column| !is_number(column)).copied().collect();
         let header = self.header_with(expected, &names)?;
@@ -413,14 +404,12 @@ impl<R: Read> Reader<R> {
     }
 
     /// A finding about the header, or that the file is of another kind.
-    #[must_use]
     pub fn instead_of(&self, header: &Header, finding: InputError) -> InputError {
         let text = format!("{}\n{}", header.text, String::from_utf8_lossy(self.lines.unread()));
         FileKind::instead_of(None, &text, finding)
     }
 
     /// The finding that there is no row, only comments that look like rows.
-    #[must_use]
     pub fn rows_are_comments(&self) -> Option<InputError> {
         let Commented { line, lines } = self.commented?;
         let found = format!("{lines} lines that begin with # and have a row's cells, and no other row");
@@ -437,13 +426,6 @@ impl<R: Read> Reader<R> {
         self
     }
 
-    /// Sets the number of cells per row, if there is no header.
-    #[must_use]
-    pub fn of_width(mut self, cells: usize) -> Self {
-        self.width = Some(cells);
-        self
-    }
-
     /// Numbers of rows so far that end with extra separators, and of others.
     pub(crate) fn beyond(&self) -> Beyond {
         self.beyond
@@ -455,25 +437,21 @@ impl<R: Read> Reader<R> {
     }
 
     /// Whether a line so far was not UTF-8, and was read as Windows-1252.
-    #[must_use]
     pub fn is_western(&self) -> bool {
         self.encoding == Encoding::Western
     }
 
     /// Lines so far that begin with `#` but look like rows.
-    #[must_use]
     pub fn commented(&self) -> Option<Commented> {
         self.commented
     }
 
     /// Whether the input is UTF-16.
-    #[must_use]
     pub fn is_utf16(&self) -> bool {
         self.lines.is_utf16()
     }
 
-    /// The separator: a comma unless [`Reader::header_by_any`] found another.
-    #[must_use]
+    /// The separator: a comma unless [`Reader::header_with`] found another.
     pub fn separator(&self) -> char {
         char::from(self.by)
     }
@@ -614,26 +592,22 @@ pub struct Row<'a> {
 
 impl<'a> Row<'a> {
     /// Line of the file, from 1.
-    #[must_use]
     pub fn line(&self) -> usize {
         self.line
     }
 
     /// The row as the file has it.
-    #[must_use]
     pub fn text(&self) -> &'a str {
         self.text
     }
 
     /// A finding about the row as a whole.
-    #[must_use]
     pub fn finding(&self, found: impl Into<String>, expected: impl Into<String>) -> InputError {
         InputError::at(self.file, self.line, 0, found, expected)
     }
 
     /// The cells, from left to right.
     #[inline]
-    #[must_use]
     pub fn cells(self) -> Cells<'a> {
         Cells { row: self, next: Some(0), quotes: has_quote(self.text) }
     }
@@ -646,7 +620,6 @@ impl<'a> Row<'a> {
 
     /// Whether a row has too many fields because of decimal commas.
     /// All fields are then numbers without a point.
-    #[must_use]
     pub fn has_decimal_commas(&self, columns: usize) -> bool {
         let cells: Vec<&str> = self.text.split(',').map(str::trim).collect();
         let whole = |c: &&str| !c.contains('.') && c.parse::<f64>().is_ok_and(f64::is_finite);
@@ -758,31 +731,26 @@ pub struct Cell<'a> {
 impl<'a> Cell<'a> {
     /// The cell's text.
     #[inline]
-    #[must_use]
     pub fn text(&self) -> &str {
         &self.text
     }
 
     /// The cell's row.
-    #[must_use]
     pub fn row(&self) -> Row<'a> {
         self.row
     }
 
     /// A finding at this cell: it shows the cell's text as what was found.
-    #[must_use]
     pub fn finding(&self, expected: impl Into<String>) -> InputError {
         self.said(shown(&self.text), expected)
     }
 
     /// A finding at this cell, with the caller's own words for what was found.
-    #[must_use]
     pub fn said(&self, found: impl Into<String>, expected: impl Into<String>) -> InputError {
         self.row.at(self.start, found, expected)
     }
 
     /// Column of the cell's first character, from 1.
-    #[must_use]
     pub fn column(&self) -> usize {
         self.said("", "").column
     }
@@ -856,25 +824,21 @@ impl Header {
     }
 
     /// The file of this header.
-    #[must_use]
     pub fn file(&self) -> &Path {
         &self.file
     }
 
     /// Line of the file, from 1.
-    #[must_use]
     pub fn line(&self) -> usize {
         self.line
     }
 
     /// The row as the file has it.
-    #[must_use]
     pub fn text(&self) -> &str {
         &self.text
     }
 
     /// The names as a message shows them: a limited number, long ones cut.
-    #[must_use]
     pub fn shown(&self) -> String {
         const SHOWN: usize = 40;
         let names = self.names().take(SHOWN).map(cut).collect::<Vec<_>>().join(", ");
@@ -939,7 +903,6 @@ impl Header {
 
     /// A finding if the first row has values in place of names.
     /// More of its cells are numbers than are not.
-    #[must_use]
     pub fn is_missing(&self) -> Option<InputError> {
         let is_number = |text: &str| text.trim().replace(',', ".").parse::<f64>().is_ok();
         // The separator may be any: a table without commas may lack its names, too.
@@ -995,14 +958,12 @@ impl Header {
     }
 
     /// Adds the column's name to a finding at a cell.
-    #[must_use]
     pub fn named(&self, place: usize, finding: InputError) -> InputError {
         let name = self.names.get(place).map_or("", |(name, _)| name);
         InputError { found: format!("{} in column {name}", finding.found), ..finding }
     }
 
     /// The index of the column of this name, if there is one.
-    #[must_use]
     pub fn find(&self, name: &str) -> Option<usize> {
         self.names().position(|n| n == name)
     }
@@ -1053,7 +1014,6 @@ impl Header {
     }
 
     /// The finding that a column's name occurs a second time.
-    #[must_use]
     pub fn twice(&self, place: usize) -> InputError {
         let (name, column) = &self.names[place];
         let found = format!("column {} a second time", quoted(name));
@@ -1061,13 +1021,11 @@ impl Header {
     }
 
     /// A finding about the header.
-    #[must_use]
     pub fn finding(&self, found: impl Into<String>, expected: impl Into<String>) -> InputError {
         InputError::at(&self.file, self.line, 1, found, expected)
     }
 
     /// The finding that the file ends where rows should begin.
-    #[must_use]
     pub fn no_rows(&self) -> InputError {
         InputError::at(&self.file, self.line + 1, 0, "no rows", "at least one row of values")
     }
@@ -1116,7 +1074,6 @@ impl Header {
 /// A cell written so that it reads back the same.
 /// It is quoted if it is empty, has blanks at its ends, or holds a comma, a quote, a `#`, another separator
 /// or a byte-order mark.
-#[must_use]
 pub fn cell(text: &str) -> Cow<'_, str> {
     let quoted = [',', '"', '#', ';', '\t', '\u{feff}'];
     if text.is_empty() || text.contains(quoted) || text.trim().len() < text.len() {
@@ -1158,7 +1115,6 @@ impl Style {
 }
 
 /// The names of columns as a header line, without the line's end.
-#[must_use]
 pub fn header_line<'n>(names: impl IntoIterator<Item = &'n str>) -> String {
     names.into_iter().map(cell).collect::<Vec<_>>().join(",")
 }
@@ -1305,7 +1261,7 @@ mod tests {
             ("n|t\nNo # 1|2\n", &["n", "t"], &["No # 1", "2"]),
         ] {
             let mut reader = reader(text);
-            let found = reader.header_by_any("names").unwrap();
+            let found = reader.header_with("names", &[]).unwrap();
             assert_eq!(found.names().collect::<Vec<_>>(), header, "{text}");
             let cells = found.cells(reader.row().unwrap().unwrap()).unwrap();
             assert_eq!(cells.iter().map(Cell::text).collect::<Vec<_>>(), row, "{text}");
@@ -1317,7 +1273,7 @@ mod tests {
     #[test]
     fn rows_that_begin_with_a_hash_are_counted() {
         let mut reader = reader("n;e\n#1;2,5\n# 2;2,5\n#3;2,5\n## 4;5\n#5;a\n6;1\n");
-        reader.header_by_any("names").unwrap();
+        reader.header_with("names", &[]).unwrap();
         assert_eq!(reader.row().unwrap().unwrap().text(), "6;1");
         assert_eq!(reader.commented(), Some(Commented { line: 2, lines: 2 }));
     }
@@ -1326,7 +1282,7 @@ mod tests {
     fn rows_of_separators_alone_are_empty() {
         for text in ["t,e,,\n1,2,,\n,,,\n\n, , ,\n", "\n;;;\nt;e;;\n1;2;;\n;;;\n"] {
             let mut reader = reader(text);
-            let header = reader.header_by_any("names").unwrap();
+            let header = reader.header_with("names", &[]).unwrap();
             assert_eq!(header.names().count(), 2);
             assert_eq!(header.cells(reader.row().unwrap().unwrap()).unwrap()[1].text(), "2");
             assert!(reader.row().unwrap().is_none(), "{text}");
@@ -1344,7 +1300,7 @@ mod tests {
         assert!(western.is_western() && western.row().unwrap().is_none());
         for mixed in [b"t,\xb0\n1,\xc2\xb0\n".as_slice(), b"t,\xc2\xb0\n1,\xb0\n"] {
             let mut reader = Reader::new(Path::new("a.csv"), mixed).unwrap();
-            reader.header_by_any("names").unwrap();
+            reader.header_with("names", &[]).unwrap();
             assert_eq!(reader.row().unwrap_err().line, 2);
         }
         assert!(!rows("µ\n").unwrap().is_empty());
@@ -1422,7 +1378,7 @@ mod tests {
     fn the_header_says_what_parts_the_cells() {
         for (text, by) in [("a;\"b;c\"\n1,5;2\n", ';'), ("a\tb,c\n1\t2\n", '\t'), ("a,\"b;c\"\n1,2\n", ',')] {
             let mut reader = reader(text);
-            let header = reader.header_by_any("names").unwrap();
+            let header = reader.header_with("names", &[]).unwrap();
             assert_eq!((reader.separator(), header.names().count()), (by, 2), "{text}");
             assert_eq!(header.cells(reader.row().unwrap().unwrap()).unwrap().len(), 2);
         }
