@@ -8,7 +8,7 @@ use std::ffi::OsString;
 use std::fmt::Write as _;
 
 /// Roles of users, with what each does.
-const DOORS: [(&str, &str); 5] = [
+const ROLES: [(&str, &str); 5] = [
     ("operator", "runs the machine"),
     ("integrator", "wires it, sets it up, connects it to the plant"),
     ("metrologist", "measures it and makes its model"),
@@ -143,9 +143,9 @@ pub(crate) fn begin() -> String {
 pub(crate) fn command() -> Command {
     let mut command = crate::with_negative_values(Cli::command());
     let mut list = String::new();
-    for (n, (door, who)) in DOORS.iter().enumerate() {
+    for (n, (role, who)) in ROLES.iter().enumerate() {
         // Writing to a String does not fail.
-        let _ = writeln!(list, "{}{door}: {who}", if n == 0 { "" } else { "\n" });
+        let _ = writeln!(list, "{}{role}: {who}", if n == 0 { "" } else { "\n" });
         for (verb, ..) in VERBS.iter().filter(|v| v.1 == n) {
             let about = command.find_subcommand(verb).and_then(Command::get_about).map(ToString::to_string);
             let about = about.unwrap_or_else(|| "Print this, or the help of a verb".to_owned());
@@ -252,7 +252,7 @@ pub(crate) fn examples() -> impl Iterator<Item = (&'static str, &'static str)> {
 #[cfg(test)]
 pub(crate) fn known() -> Vec<(&'static str, &'static str, Vec<&'static str>)> {
     let verbs = |n: usize| VERBS.iter().filter(|v| v.1 == n).map(|v| v.0).collect();
-    DOORS.iter().enumerate().map(|(n, (door, who))| (*door, *who, verbs(n))).collect()
+    ROLES.iter().enumerate().map(|(n, (role, who))| (*role, *who, verbs(n))).collect()
 }
 
 /// A description next to its verb, wrapped at 80 columns.

@@ -1,7 +1,7 @@
 //! `[card]` and the lines of the machine and its axes.
 
 use super::{MappedPlace, PortPlace, beside, keys};
-use crate::lines::{BIASES, DRIVES, LineName, gpio_line, line};
+use crate::line_names::{BIASES, DRIVES, LineName, gpio_line, line};
 use crate::profile;
 use rtec_driver::card::{AxisLines, MachineLines};
 use rtec_driver::gpio::{self, GpioError, GpioInput, GpioLine, GpioOutput, GpioSetup, LineId};
