@@ -13,7 +13,7 @@
 //! | [`workload`] | three axes on a card in memory, which benchmarks time |
 //! | [`machine`] | a two-axis machine with a known error, driven by LinuxCNC, corrected by the engine |
 //! | [`supervisor`] | a service manager that keeps file descriptors, and the trial that kills `rtecd` |
-//! | [`planted`] | right and wrong corrected traces made without the engine, which test the judges |
+//! | [`planted_traces`] | right and wrong corrected traces made without the engine, which test the judges |
 //!
 //! Nothing that the product needs belongs here. The judges use no formula of the code that they judge.
 
@@ -25,7 +25,7 @@ pub mod judge;
 pub mod ledger;
 pub mod machine;
 pub mod pages;
-pub mod planted;
+pub mod planted_traces;
 pub mod sensors;
 pub mod supervisor;
 pub mod workload;

@@ -5,7 +5,7 @@ use rtec_driver::replay::TracePoint;
 use rtec_files::trace::{TraceFormat, TraceReader, TraceWriter};
 use rtec_tests::judge::{LINUXCNC, LinuxCnc, SIGROK, Verdict, available, sigrok};
 use rtec_tests::ledger;
-use rtec_tests::planted::{PlantedFault, corrected, motion};
+use rtec_tests::planted_traces::{PlantedFault, corrected, motion};
 use std::path::Path;
 
 fn linuxcnc(trace: &[(TracePoint, i64)]) -> Verdict {

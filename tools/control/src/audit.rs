@@ -97,7 +97,6 @@ pub struct Entry {
 
 impl Entry {
     /// An entry for something that happened now.
-    #[must_use]
     pub fn now(what: &str) -> Self {
         Self {
             n: 0,
@@ -117,7 +116,6 @@ impl Entry {
     }
 
     /// Whether this is a command that was not done.
-    #[must_use]
     pub fn is_refusal(&self) -> bool {
         self.what == "command" && self.result != "done"
     }
@@ -136,7 +134,6 @@ impl Entry {
     /// Whether the entry is about this axis.
     /// It is if it happened to the axis or the machine, or changed the axis's totals. It also is if the
     /// request named this axis or all.
-    #[must_use]
     pub fn concerns(&self, axis: &str) -> bool {
         let asked = self.request.as_ref().and_then(|r| r.get("axis")).and_then(Value::as_str);
         let named = self.axis.as_deref().or(asked);
@@ -145,7 +142,6 @@ impl Entry {
     }
 
     /// Time of the entry, s since 1970; none if the text is not a time.
-    #[must_use]
     pub fn seconds(&self) -> Option<f64> {
         seconds(&self.t)
     }
@@ -180,13 +176,11 @@ fn bound(value: &mut Value) {
 }
 
 /// Path of the chain of refusals.
-#[must_use]
 pub fn refused_path(file: &Path) -> PathBuf {
     with_suffix(file, "refused")
 }
 
 /// A moment as RFC 3339, to the millisecond, UTC.
-#[must_use]
 pub fn stamp(time: SystemTime) -> String {
     let since = time.duration_since(UNIX_EPOCH).unwrap_or(Duration::ZERO);
     let (day, second) = (since.as_secs() / 86_400, since.as_secs() % 86_400);
@@ -197,7 +191,6 @@ pub fn stamp(time: SystemTime) -> String {
 
 /// Seconds since 1970 of a day or a time.
 /// Forms are `2026-11-22`, `2026-11-22T13:00` and `2026-11-22T13:00:00.123Z`.
-#[must_use]
 pub fn seconds(text: &str) -> Option<f64> {
     let day = date::parse(text)?;
     let rest = text.get(10..)?.trim_start_matches(['T', ' ']).trim_end_matches('Z');
@@ -225,7 +218,6 @@ fn read_head(file: &Path) -> Option<Head> {
 }
 
 /// Number and hash of the last line, as the head has them; none without a head.
-#[must_use]
 pub fn end(file: &Path) -> Option<(u64, String)> {
     read_head(file).map(|head| (head.n, head.hash))
 }

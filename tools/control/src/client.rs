@@ -1,7 +1,7 @@
 //! The client's end of the control socket.
 
-use crate::closed::closed_directory;
 use crate::config::{LONGEST_SOCKET, derived};
+use crate::owned_directory::directory_owner;
 use crate::protocol::{ClientRequest, Response};
 use crate::role::Role;
 use nix::sys::socket::{ControlMessage, MsgFlags, UnixAddr, getsockopt, sendmsg, sockopt};
@@ -249,7 +249,7 @@ fn is_daemon(stream: &UnixStream, socket: &Path) -> Result<(), ClientError> {
     if uid == 0 || uid == Uid::effective().as_raw() {
         return Ok(());
     }
-    let open = match closed_directory(socket) {
+    let open = match directory_owner(socket) {
         Ok(owner) if owner == uid => return Ok(()),
         Ok(_) => None,
         Err(open) => open,
@@ -285,10 +285,9 @@ mod tests {
     /// Numbers arrive exact to the last bit.
     #[test]
     fn what_the_daemon_sends_is_what_its_client_has() {
-        let mut random = 0x9E37_79B9_7F4A_7C15_u64;
+        let mut dice = test_needs::dice::Dice::new(1);
         for _ in 0..10_000 {
-            random = random.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-            let display_mm = (random >> 11) as f64 / 2.0_f64.powi(53) * 1000.0;
+            let display_mm = dice.between(0.0, 1000.0);
             let sent = Response::Stands { display_mm, indicator_mm: -display_mm / 3.0 };
             let line = serde_json::to_string(&sent).unwrap() + "\n";
             assert_eq!(read_answer(line.as_bytes()).unwrap(), sent, "{line}");

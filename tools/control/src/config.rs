@@ -9,11 +9,11 @@
 mod axis;
 mod card;
 mod control;
-mod here;
 mod keys;
 mod latency;
+mod local_checks;
 
-pub use control::{ControlConfig, Door, LONGEST_SOCKET, SocketAt, default_directory, derived};
+pub use control::{ControlConfig, LONGEST_SOCKET, RoleSocket, SocketAt, default_directory, derived};
 pub use keys::reference;
 pub use latency::{Measured, floors_ns};
 
@@ -22,7 +22,8 @@ use rtec_driver::card::MachineLines;
 use rtec_driver::gpio::GpioSetup;
 use rtec_driver::pci::PciId;
 use rtec_driver::profile::Profile;
-use rtec_files::toml::{At, Document, Section, SourceFile};
+use rtec_files::keys::{At, Section, SourceFile};
+use rtec_files::toml::Document;
 use rtec_files::{InputError, nearest};
 use rtec_model::file_kind::FileKind;
 use rtec_rt::axis::{AxisConfig, INCREMENT_COUNTS};
@@ -129,7 +130,6 @@ impl fmt::Display for PortPlace {
 
 impl CardConfig {
     /// The name in `[card] backend`.
-    #[must_use]
     pub const fn backend(&self) -> &'static str {
         match self {
             Self::Mock => "mock",
@@ -141,14 +141,12 @@ impl CardConfig {
     }
 
     /// Whether the lines lead out of this process.
-    #[must_use]
     pub const fn is_real(&self) -> bool {
         matches!(self, Self::Gpio(_) | Self::Mapped { .. } | Self::Port { .. })
     }
 
     /// Whether a machine may be connected to the lines.
     /// Only an existing plain file of registers rules it out. Corrections then need measured latencies.
-    #[must_use]
     pub fn may_drive_a_machine(&self) -> bool {
         match self {
             Self::Mapped { place: MappedPlace::File(file), .. } => {
@@ -251,7 +249,6 @@ pub const EMBEDDED: &str = include_str!("default.toml");
 
 impl Config {
     /// The embedded default, [`EMBEDDED`].
-    #[must_use]
     pub fn embedded() -> Self {
         match Self::parse(Path::new("embedded default"), EMBEDDED) {
             Ok(config) => config,
@@ -305,13 +302,11 @@ impl Config {
     }
 
     /// The engine's configuration of each axis.
-    #[must_use]
     pub fn engine_axes(&self) -> Vec<AxisConfig> {
         self.axes.iter().map(|axis| axis.engine).collect()
     }
 
     /// Identity of machine, card and lines, as text; a state file belongs to one.
-    #[must_use]
     pub fn identity(&self) -> String {
         let card = match &self.card {
             CardConfig::Mock => "mock".to_owned(),
@@ -343,13 +338,11 @@ impl Config {
     }
 
     /// Number of the axis of that name.
-    #[must_use]
     pub fn axis(&self, name: &str) -> Option<usize> {
         self.axes.iter().position(|axis| axis.name == name)
     }
 
     /// The axis whose name is most similar.
-    #[must_use]
     pub fn nearest_axis(&self, name: &str) -> Option<&str> {
         nearest(name, &self.axes.iter().map(|a| a.name.as_str()).collect::<Vec<_>>())
     }
@@ -357,7 +350,6 @@ impl Config {
 
 impl ConfiguredAxis {
     /// The axis's settings for the control law.
-    #[must_use]
     pub fn law(&self) -> rtec_correct::AxisSetup {
         rtec_correct::AxisSetup {
             name: self.name.clone(),
@@ -482,7 +474,7 @@ fn read(source: &mut SourceFile<'_>, document: &Document<'_>, here: bool) -> Opt
         notes,
     };
     if here {
-        here::look(source, document, &mut config);
+        local_checks::look(source, document, &mut config);
     }
     Some(config)
 }

@@ -54,7 +54,6 @@ pub struct LedgerExport {
 
 impl LedgerExport {
     /// Summarises the kept changes; `window` is the belief window, counts.
-    #[must_use]
     pub fn of(kept: &LedgerPage, window: i64) -> Self {
         let first = kept.rows.first().copied().unwrap_or_default();
         let last = kept.rows.last().copied().unwrap_or_default();
@@ -84,7 +83,6 @@ impl LedgerExport {
     }
 
     /// Compares the number of insertions of a replay that gives the same totals.
-    #[must_use]
     pub fn compared(&self, insertions: u64) -> String {
         if insertions == self.insertions {
             return "the same".to_owned();

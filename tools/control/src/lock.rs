@@ -8,7 +8,7 @@ use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
 
 /// A lock that lasts as long as this value.
-pub type Held = Flock<File>;
+pub type LockGuard = Flock<File>;
 
 /// Reason why a lock could not be taken.
 #[derive(Debug, thiserror::Error)]
@@ -35,7 +35,7 @@ pub enum LockError {
     },
 }
 
-fn lock(path: &Path, what: &'static str, options: &OpenOptions) -> Result<Held, LockError> {
+fn lock(path: &Path, what: &'static str, options: &OpenOptions) -> Result<LockGuard, LockError> {
     let io = |source| LockError::Io { what, path: path.to_owned(), source };
     let file = options.open(path).map_err(io)?;
     Flock::lock(file, FlockArg::LockExclusiveNonblock).map_err(|(mut held, errno)| {
@@ -57,7 +57,7 @@ fn lock(path: &Path, what: &'static str, options: &OpenOptions) -> Result<Held, 
 ///
 /// # Errors
 /// When another process has it, or it cannot be opened.
-pub fn card(file: &Path) -> Result<Held, LockError> {
+pub fn card(file: &Path) -> Result<LockGuard, LockError> {
     // Symbolic links are followed, because those below /dev lead to the card.
     lock(file, "card", File::options().read(true).write(true))
 }
@@ -79,7 +79,7 @@ fn beside(socket: &Path) -> PathBuf {
 ///
 /// # Errors
 /// When another process has it, or it cannot be made.
-pub fn socket(socket: &Path) -> Result<Held, LockError> {
+pub fn socket(socket: &Path) -> Result<LockGuard, LockError> {
     let path = beside(socket);
     let io = |source| LockError::Io { what: "lock", path: path.clone(), source };
     let mut held = lock(&path, "lock", own().create(true).truncate(false))?;
@@ -93,7 +93,7 @@ pub fn socket(socket: &Path) -> Result<Held, LockError> {
 ///
 /// # Errors
 /// When the daemon runs.
-pub fn keep_out(socket: &Path) -> Result<Option<Held>, LockError> {
+pub fn keep_out(socket: &Path) -> Result<Option<LockGuard>, LockError> {
     let path = beside(socket);
     if path.exists() { lock(&path, "lock", &own()).map(Some) } else { Ok(None) }
 }

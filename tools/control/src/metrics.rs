@@ -11,16 +11,15 @@ use std::fmt::Write as _;
 
 /// A text format for metrics.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Form {
+pub enum MetricsFormat {
     /// `OpenMetrics` 1.0.
     OpenMetrics,
     /// Prometheus' own format, 0.0.4, which textfile collectors read.
     Prometheus,
 }
 
-impl Form {
+impl MetricsFormat {
     /// Content type of an HTTP answer in this form.
-    #[must_use]
     pub const fn content_type(self) -> &'static str {
         match self {
             Self::OpenMetrics => "application/openmetrics-text; version=1.0.0; charset=utf-8",
@@ -29,7 +28,6 @@ impl Form {
     }
 
     /// The form that an HTTP request's `Accept` asks for.
-    #[must_use]
     pub fn accepted(accept: &str) -> Self {
         if accept.contains("application/openmetrics-text") { Self::OpenMetrics } else { Self::Prometheus }
     }
@@ -43,8 +41,7 @@ const UNITS: [&str; 4] = ["seconds", "meters", "celsius", "hertz"];
 /// Metrics of an observation of the daemon.
 /// Without one they state that the daemon does not answer. `by` is the version of the program that writes
 /// them.
-#[must_use]
-pub fn text(seen: Option<&Observed>, form: Form, by: &str) -> String {
+pub fn text(seen: Option<&Observed>, form: MetricsFormat, by: &str) -> String {
     let mut out = Out { text: String::new(), form };
     out.gauge("rtec_up", "1 while the daemon answers", [(vec![], flag(seen.is_some()))]);
     out.info("rtec_exporter", "The program that wrote these metrics", &[("version", by)]);
@@ -61,7 +58,7 @@ pub fn text(seen: Option<&Observed>, form: Form, by: &str) -> String {
         let clients = seen.clients.iter().map(|c| (vec![("role", c.role.word())], c.connected as f64));
         out.gauge("rtec_clients", "Connections to the daemon, by role", clients);
     }
-    if form == Form::OpenMetrics {
+    if form == MetricsFormat::OpenMetrics {
         out.text.push_str("# EOF\n");
     }
     out.text
@@ -224,7 +221,7 @@ fn model(out: &mut Out, s: &DaemonStatus) {
 
 struct Out {
     text: String,
-    form: Form,
+    form: MetricsFormat,
 }
 
 impl Out {
@@ -253,8 +250,8 @@ impl Out {
     fn info(&mut self, name: &str, help: &str, labels: &[(&str, &str)]) {
         let sample = format!("{name}_info");
         match self.form {
-            Form::OpenMetrics => self.head(name, "info", help),
-            Form::Prometheus => self.head(&sample, "gauge", help),
+            MetricsFormat::OpenMetrics => self.head(name, "info", help),
+            MetricsFormat::Prometheus => self.head(&sample, "gauge", help),
         }
         self.sample(&sample, labels, "1");
     }
@@ -273,7 +270,7 @@ impl Out {
     }
 
     fn head(&mut self, name: &str, kind: &str, help: &str) {
-        let open = self.form == Form::OpenMetrics;
+        let open = self.form == MetricsFormat::OpenMetrics;
         let family = if open && kind == "counter" { name.trim_end_matches("_total") } else { name };
         // Writing to a String does not fail.
         let _ = writeln!(self.text, "# HELP {family} {help}");
@@ -350,13 +347,13 @@ mod tests {
 
     #[test]
     fn a_silent_daemon_is_a_metric_too() {
-        let text = text(None, Form::OpenMetrics, "0.1.0");
+        let text = text(None, MetricsFormat::OpenMetrics, "0.1.0");
         assert!(text.contains("\nrtec_up 0\n") && text.ends_with("# EOF\n"), "{text}");
     }
 
     #[test]
     fn labels_are_quoted() {
-        let mut out = Out { text: String::new(), form: Form::Prometheus };
+        let mut out = Out { text: String::new(), form: MetricsFormat::Prometheus };
         out.info("rtec_machine", "h", &[("name", "a \"b\"\\\nc")]);
         assert!(out.text.ends_with("rtec_machine_info{name=\"a \\\"b\\\"\\\\\\nc\"} 1\n"), "{}", out.text);
     }

@@ -47,7 +47,6 @@ pub const SHIPPED: [(&str, &str); 5] = [
 ];
 
 /// A profile that comes with the program.
-#[must_use]
 pub fn shipped(name: &str) -> Option<Profile> {
     let (file, text) = SHIPPED.iter().find(|(shipped, _)| *shipped == name)?;
     match parse(Path::new(file), text) {
@@ -58,7 +57,6 @@ pub fn shipped(name: &str) -> Option<Profile> {
 }
 
 /// Message for a profile name that does not exist.
-#[must_use]
 pub fn names_for(named: &str) -> String {
     let shipped = SHIPPED.map(|(name, _)| name);
     let hint = nearest(named, &shipped).map_or(String::new(), |near| format!("; did you mean \"{near}\"?"));

@@ -32,16 +32,16 @@
 //! `table_load`, for `model_load` one per name in `files`: the model first, then the dictionary and the chain that it names.
 //! Without descriptors a path is only opened for root, for the daemon's own user, and if it is the configuration's own.
 
+mod explanations;
 mod status;
-mod words;
 
 use crate::role::Role;
+pub use explanations::{explain_fault, explain_not_homed, explain_refusal, explain_unknown, word};
 pub use rtec_correct::explain::{Change, Contribution, Explained, ModelPreview, Reading, RunningModel};
 pub use rtec_correct::part_table::{PartTable, TableNow};
 use rtec_files::words::printable;
 use serde::{Deserialize, Serialize};
-pub use status::{AxisReport, DaemonStatus, Distribution, HoldReport, LatchedFault, Rates, Rt};
-pub use words::{explain_fault, explain_not_homed, explain_refusal, explain_unknown, word};
+pub use status::{AxisReport, DaemonStatus, Distribution, HoldReport, LatchedFault, Rates, RtStatus};
 
 /// Version of this protocol.
 /// New fields and requests do not raise it; a change of existing ones does.
@@ -216,7 +216,7 @@ pub enum Response {
         text: String,
     },
     /// An event, sent as it happens (after `watch`).
-    Event(Box<Happened>),
+    Event(Box<EventReport>),
     /// Changes that a model would make.
     ModelPreview(Box<ModelPreview>),
     /// Position of a simulated axis.
@@ -241,9 +241,13 @@ pub enum Response {
 
 impl Response {
     /// Done, without jumps or warnings.
-    #[must_use]
     pub const fn done() -> Self {
         Self::Done { jumps: Vec::new(), warnings: Vec::new() }
+    }
+
+    /// A refusal without jumps: its word, and its text for people.
+    pub fn refused(why: impl Into<String>, text: impl Into<String>) -> Self {
+        Self::Refused { why: why.into(), text: text.into(), jumps: Vec::new() }
     }
 }
 
@@ -255,7 +259,7 @@ pub struct Observed {
     /// As `explain` answers, for all axes.
     pub explained: Vec<Explained>,
     /// Events after the last known one, oldest first.
-    pub events: Vec<Numbered>,
+    pub events: Vec<NumberedEvent>,
     /// Number of events after the last known one that are no longer kept.
     pub events_missed: u64,
     /// Distributions of times.
@@ -263,18 +267,18 @@ pub struct Observed {
     /// The record of commands.
     pub log: LogState,
     /// Connections, by role.
-    pub clients: Vec<Clients>,
+    pub clients: Vec<ConnectedClients>,
 }
 
 /// An event and its number since the daemon's start, from 1.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Numbered {
+pub struct NumberedEvent {
     /// Its number.
     pub n: u64,
     /// Time at which the daemon received it, s since 1970.
     pub at_s: f64,
     /// The event.
-    pub event: Happened,
+    pub event: EventReport,
 }
 
 /// Whole distributions of the real-time thread's times.
@@ -311,7 +315,6 @@ pub struct LogState {
 
 impl LogState {
     /// What prevents recording now, in words.
-    #[must_use]
     pub fn in_words(&self) -> Option<String> {
         let why = self.trouble.as_ref()?;
         Some(format!("{}: {why}; {} commands are not recorded, corrections go on", self.file, self.lost))
@@ -320,7 +323,7 @@ impl LogState {
 
 /// Connections of one role.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Clients {
+pub struct ConnectedClients {
     /// The role.
     pub role: Role,
     /// Number of connections.
@@ -402,7 +405,7 @@ pub struct Jump {
 
 /// One event, in words.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Happened {
+pub struct EventReport {
     /// Time of the event on the card's clock, ns.
     pub t_ns: u64,
     /// The axis; none for the machine as a whole.
@@ -488,7 +491,7 @@ mod tests {
     fn answers_have_the_shape_that_is_documented() {
         let done = Response::done();
         assert_eq!(serde_json::to_string(&done).unwrap(), r#"{"done":{}}"#);
-        let refused = Response::Refused { why: word(Refusal::NotHomed), text: "t".into(), jumps: Vec::new() };
+        let refused = Response::refused(word(Refusal::NotHomed), "t");
         assert_eq!(serde_json::to_string(&refused).unwrap(), r#"{"refused":{"why":"not_homed","text":"t"}}"#);
     }
 }

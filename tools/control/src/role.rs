@@ -26,7 +26,6 @@ impl Role {
     pub const ALL: [Self; 3] = [Self::View, Self::Operate, Self::SetUp];
 
     /// As the protocol writes it.
-    #[must_use]
     pub const fn word(self) -> &'static str {
         match self {
             Self::View => "view",
@@ -36,7 +35,6 @@ impl Role {
     }
 
     /// The requests that this role may make, as the protocol names them.
-    #[must_use]
     pub fn may(self) -> Vec<&'static str> {
         let all = [
             ("status", Self::View),

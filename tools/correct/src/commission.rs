@@ -72,13 +72,11 @@ pub struct JogReading {
 
 impl JogReading {
     /// The scale's position, mm.
-    #[must_use]
     pub fn scale_mm(&self) -> f64 {
         self.scale_counts as f64 * self.count_um / 1000.0
     }
 
     /// Position in the feedback that the controller receives, mm.
-    #[must_use]
     pub fn fed_mm(&self) -> f64 {
         (self.scale_counts + self.in_effect) as f64 * self.count_um / 1000.0
     }
@@ -100,7 +98,6 @@ impl JogFinding {
 }
 
 /// Judges sign and unit by a jog with the indicator; `None` if they are right.
-#[must_use]
 pub fn judge_jog(a: &JogReading, b: &JogReading, tolerance_um: f64) -> Option<JogFinding> {
     let scale = b.scale_mm() - a.scale_mm();
     let indicator = b.indicator_mm - a.indicator_mm;
@@ -137,13 +134,11 @@ pub fn judge_jog(a: &JogReading, b: &JogReading, tolerance_um: f64) -> Option<Jo
 }
 
 /// Compensation by the controller over the jog, µm: feedback less display.
-#[must_use]
 pub fn compensation_um(a: &JogReading, b: &JogReading) -> f64 {
     1000.0 * ((b.fed_mm() - a.fed_mm()) - (b.display_mm - a.display_mm))
 }
 
 /// Judges by a long jog whether the controller compensates; `None` if it does not.
-#[must_use]
 pub fn judge_compensation(a: &JogReading, b: &JogReading, tolerance_um: f64) -> Option<JogFinding> {
     let own_um = compensation_um(a, b);
     if own_um.abs() <= tolerance_um {
@@ -159,7 +154,6 @@ pub fn judge_compensation(a: &JogReading, b: &JogReading, tolerance_um: f64) -> 
 }
 
 /// Judges how an insertion moved the scale; `None` if it moved as it should.
-#[must_use]
 pub fn judge_insertion(before: &JogReading, after: &JogReading, inserted: i64) -> Option<JogFinding> {
     let moved = after.scale_counts - before.scale_counts;
     // A servo comes to rest within a count or two.

@@ -97,7 +97,6 @@ impl Preparer {
     }
 
     /// Time at which its sensors were read, s on the corrector's clock.
-    #[must_use]
     pub fn sensed_s(&self) -> f64 {
         self.sensed_s
     }
@@ -105,21 +104,18 @@ impl Preparer {
 
 impl Prepared {
     /// The model.
-    #[must_use]
     pub fn machine(&self) -> &Machine {
         &self.0.machine
     }
 
     /// Parts of the model without effect here, in sentences.
     /// They read axes or sensors that the configuration lacks.
-    #[must_use]
     pub fn missing(&self) -> &[String] {
         self.0.missing()
     }
 
     /// Time of one evaluation on this computer, the best of three.
     /// The model's state does not change.
-    #[must_use]
     pub fn evaluation_time(&self, preparer: &Preparer) -> Duration {
         let mut shortest = Duration::MAX;
         for _ in 0..3 {
@@ -136,7 +132,6 @@ impl Corrector {
     /// A corrector without sources.
     /// `ramp_um_s`: the rate at which a total approaches a new value that no motion asks for. `lead_s`: how long the
     /// model is evaluated ahead of the axes' motion. `now_s`: the time, s, on the clock of every later call.
-    #[must_use]
     pub fn new(setups: Vec<AxisSetup>, ramp_um_s: f64, lead_s: f64, now_s: f64) -> Self {
         let mut layout_axes = Vec::new();
         let mut axes = Vec::new();
@@ -184,14 +179,12 @@ impl Corrector {
     }
 
     /// Fits whose validity has ended without anybody having accepted that.
-    #[must_use]
     pub fn expired(&self) -> Vec<String> {
         let model = self.model.as_ref().filter(|m| !m.although_expired);
         model.map_or_else(Vec::new, |m| m.machine.expired(self.today))
     }
 
     /// Returns what prepares a model for this machine, on any thread.
-    #[must_use]
     pub fn preparer(&self) -> Preparer {
         Preparer {
             layout_axes: self.layout_axes.clone(),
@@ -210,13 +203,11 @@ impl Corrector {
     }
 
     /// The sensors as [`Corrector::sense`] last took them over.
-    #[must_use]
     pub fn watches(&self) -> &[Watch] {
         &self.watches
     }
 
     /// The sensors' state, described for people.
-    #[must_use]
     pub fn readings(&self) -> Vec<Reading> {
         self.watches.iter().map(|w| Reading::of(w, self.sensed_s)).collect()
     }
@@ -272,13 +263,11 @@ impl Corrector {
     }
 
     /// The part table, as it was given.
-    #[must_use]
     pub fn table_shown(&self) -> Option<PartTable> {
         self.table.as_ref().map(|t| t.shown.clone())
     }
 
     /// Present effect of the part table.
-    #[must_use]
     pub fn table_now(&self, status: &Status) -> Option<TableNow> {
         let table = self.table.as_ref()?;
         let um = table.axes.map(|n| self.axes[n].table_um);
@@ -317,7 +306,6 @@ impl Corrector {
     }
 
     /// Changes that a model would make now.
-    #[must_use]
     pub fn preview(&self, Prepared(mut then): Prepared, status: &Status) -> ModelPreview {
         let (watches, now_s) = (&self.watches, self.sensed_s);
         then.read(watches, now_s);
@@ -367,7 +355,6 @@ impl Corrector {
     }
 
     /// Total of an axis with another operator's total, counts.
-    #[must_use]
     pub fn with_operator(&self, n: usize, operator_counts: i64) -> i64 {
         self.axes[n].total.with_operator(operator_counts)
     }
@@ -379,7 +366,6 @@ impl Corrector {
 
     /// Total that an axis is approaching, counts.
     /// It is the requested total if no source acts on the axis.
-    #[must_use]
     pub fn goal(&self, n: usize, status: &AxisStatus) -> i64 {
         let axis = &self.axes[n];
         if self.asks(n) && axis.holds.is_none() {
@@ -390,7 +376,6 @@ impl Corrector {
     }
 
     /// Whether the axis has completed the total that its sources want.
-    #[must_use]
     pub fn settled(&self, n: usize, status: &AxisStatus) -> bool {
         let asked = !self.asks(n) || self.axes[n].total.settled(status.requested);
         asked && self.axes[n].holds.is_none() && status.completed == status.requested
@@ -493,7 +478,6 @@ impl Corrector {
     /// The model's error of an axis at a captured position, µm.
     /// Positions are not corrected while probing. The other axes are taken where they were at that time of
     /// the card's clock. `None` if the error is not known.
-    #[must_use]
     pub fn error_um_at(&self, n: usize, t_ns: u64, position_mm: f64) -> Option<f64> {
         let (Some(model), Some(place)) = (&self.model, self.axes[n].place) else { return None };
         if self.axes[n].holds.is_some() {
@@ -510,7 +494,6 @@ impl Corrector {
     }
 
     /// Components of an axis's correction; they sum to the total.
-    #[must_use]
     pub fn explain(&self, n: usize, status: &AxisStatus) -> Explained {
         let (axis, setup) = (&self.axes[n], &self.setups[n]);
         let total_um = status.requested as f64 * setup.count_um;
@@ -569,7 +552,6 @@ impl Corrector {
     }
 
     /// The running model.
-    #[must_use]
     pub fn shown(&self) -> Option<RunningModel> {
         let model = self.model.as_ref()?;
         Some(RunningModel {
@@ -598,7 +580,6 @@ impl Corrector {
     }
 
     /// Reason why an axis's total is held, if it is.
-    #[must_use]
     pub fn holds(&self, n: usize) -> Option<&str> {
         self.axes[n].holds.as_deref()
     }

@@ -103,7 +103,6 @@ pub struct Reading {
 
 impl Reading {
     /// State of a sensor at a time, s.
-    #[must_use]
     pub fn of(watch: &Watch, now_s: f64) -> Self {
         Self {
             sensor: watch.config().name.clone(),

@@ -40,7 +40,6 @@ const LEAST_BELIEVED_UM: f64 = 12.0;
 /// The belief window of an axis: three of its largest steps, at least 12 µm.
 /// It is given in counts.
 /// `step_um` is the largest change of its model at once. A window never refuses a single insertion.
-#[must_use]
 pub fn belief_window_counts(count_um: f64, step_um: f64) -> i64 {
     let counts = (3.0 * step_um).max(LEAST_BELIEVED_UM) / count_um;
     (counts.ceil() as i64).max(rtec_rt::axis::INCREMENT_COUNTS)

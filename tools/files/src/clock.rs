@@ -20,7 +20,6 @@ pub enum SlashOrder {
 /// It is in ISO 8601, `20260304T101530Z`, `2022/8/13 10:23:57`, `23.1.2021 10:23:57` or `23.1.21 10:23` (day,
 /// month, year), or with the month's name, `04-Mar-2026 10:15:30`. A date that ends with its year after
 /// slashes or dashes has two readings. The first value has the day first, the second the month.
-#[must_use]
 pub fn absolute_ns(text: &str) -> [Option<i128>; 2] {
     if let Some(ns) = iso8601_ns(text).or_else(|| basic_ns(text)) {
         return [Some(ns); 2];
@@ -111,7 +110,6 @@ fn basic_ns(text: &str) -> Option<i128> {
 }
 
 /// The order of dates with slashes, if one of them has a day above 12.
-#[must_use]
 pub fn slash_order<'t>(texts: impl IntoIterator<Item = &'t str>) -> Option<SlashOrder> {
     // A date may have a column of its own.
     let of =
@@ -166,7 +164,6 @@ pub struct Moments {
 
 impl Moments {
     /// A column whose dates have this order of day and month.
-    #[must_use]
     pub fn of_order(order: Option<SlashOrder>) -> Self {
         Self { order, ..Self::default() }
     }
@@ -233,13 +230,11 @@ impl Moments {
     }
 
     /// The first time, as the file has it.
-    #[must_use]
     pub fn start(&self) -> Option<&str> {
         self.start.as_ref().map(|(_, text)| text.as_str())
     }
 
     /// The first row's day, if the column has dates with one reading.
-    #[must_use]
     pub fn first_day(&self) -> Option<String> {
         let (start, _) = self.start.as_ref().filter(|_| self.of_day.is_none())?;
         match *start {
@@ -250,7 +245,6 @@ impl Moments {
 }
 
 /// What to write instead of a cell that resembles a time but cannot be read.
-#[must_use]
 pub fn expected_instead(text: &str) -> Option<&'static str> {
     if has_two_days(text) {
         return Some(
@@ -275,7 +269,6 @@ pub fn expected_instead(text: &str) -> Option<&'static str> {
 }
 
 /// Whether a time names its zone: Z, or an offset after the time.
-#[must_use]
 pub fn has_zone(text: &str) -> bool {
     let clock = text.trim().split_once(['T', 't', ' ']).map_or(text, |(_, clock)| clock);
     clock.contains(['Z', 'z', '+', '-'])
@@ -283,20 +276,17 @@ pub fn has_zone(text: &str) -> bool {
 
 /// Nanoseconds since midnight of a time without a day, `13:51:37.25`.
 /// The hour 24 is allowed, because some clocks use it for the first hour of the next day.
-#[must_use]
 pub fn of_day_ns(text: &str) -> Option<i128> {
     iso8601_ns(&format!("1970-01-01T{}Z", clock_of_24_hours(text)?))
 }
 
 /// Whether a text is a date without a time of the day.
 /// Such a date may have a column of its own.
-#[must_use]
 pub fn is_day(text: &str) -> bool {
     absolute_ns(&format!("{} 00:00:00", text.trim())) != [None; 2]
 }
 
 /// Whether a date ends with its year, so that day or month may be first.
-#[must_use]
 pub fn has_two_days(text: &str) -> bool {
     let read = absolute_ns(text);
     read[0] != read[1] || text.contains('/') && read != [None; 2]
@@ -306,7 +296,6 @@ pub fn has_two_days(text: &str) -> bool {
 ///
 /// A blank may replace the T. The time ends with Z, an offset or nothing (UTC), and has up to nine decimals
 /// of a second.
-#[must_use]
 pub fn iso8601_ns(text: &str) -> Option<i128> {
     let text = text.trim();
     let (day, clock) = text.split_once(['T', 't', ' '])?;
@@ -373,7 +362,6 @@ pub struct Counted {
 /// Recognises a time counted from a zero long before the run.
 /// It is a Unix time between 2000 and 2100 in any unit, or Windows' FILETIME of those years. It may also be
 /// seconds since 1904 if the same number as a Unix time is still in the future. `None` for any other number.
-#[must_use]
 pub fn counted(time: f64) -> Option<Counted> {
     let Some((unit, day)) = unix(time) else { return filetime(time) };
     let since_1904 = time - SINCE_1904_S;
@@ -386,7 +374,6 @@ pub fn counted(time: f64) -> Option<Counted> {
 }
 
 /// Windows' FILETIME between 2000 and 2100: steps of 100 ns since 1601.
-#[must_use]
 pub fn filetime(time: f64) -> Option<Counted> {
     let unix_s = time / FILETIME_PER_S - FILETIME_ZERO_S;
     let day = || date::format((unix_s / 86_400.0).floor() as i64);
@@ -395,7 +382,6 @@ pub fn filetime(time: f64) -> Option<Counted> {
 }
 
 /// A spreadsheet's date between 2000 and 2100: days since 1899-12-30.
-#[must_use]
 pub fn spreadsheet(time_d: f64) -> Option<Counted> {
     let is_date = (SPREADSHEET_D[0]..SPREADSHEET_D[1]).contains(&time_d);
     let day = || date::format((time_d - SPREADSHEET_ZERO_D).floor() as i64);
@@ -405,7 +391,6 @@ pub fn spreadsheet(time_d: f64) -> Option<Counted> {
 /// The day of times in seconds that are really dates of a spreadsheet.
 ///
 /// They are from 2000 to 2100, span less than two months, and have more decimals than a clock in seconds.
-#[must_use]
 pub fn spreadsheet_in_s(times: &[f64]) -> Option<String> {
     let (first, last) = (*times.first()?, *times.last()?);
     let fine = times.iter().filter(|t| ((*t * 1e4).round() - *t * 1e4).abs() > 1e-3).count();
@@ -415,7 +400,6 @@ pub fn spreadsheet_in_s(times: &[f64]) -> Option<String> {
 
 /// The unit of a Unix time between 2000 and 2100, and its day.
 /// `None` for any other number.
-#[must_use]
 pub fn unix(time: f64) -> Option<(&'static str, String)> {
     let (unit, per_s) = UNITS.into_iter().find(|(_, per_s)| {
         let s = time / per_s;
@@ -442,7 +426,6 @@ fn offset(zone: &str) -> Option<i128> {
 }
 
 /// The day of a time, as 2022-08-08.
-#[must_use]
 pub fn day(ns: i128) -> String {
     date::format(ns.div_euclid(DAY_NS) as i64)
 }

@@ -14,19 +14,26 @@
 //! no columns. That crate's parser ([`csv_core`]) splits lines with quotes. Lines without a quote are split
 //! at their commas.
 
-use crate::decimal::{decimal, number, plain_decimal};
+mod comments;
+mod header;
+mod row;
+mod writing;
+
+pub use header::Header;
+pub use row::{Cell, Cells, Row};
+pub use writing::{Style, cell, header_line};
+
+use crate::decimal::decimal;
 use crate::file_kind::FileKind;
 use crate::input::InputError;
 use crate::lines::Lines;
 use crate::text::{UTF8, is_western, not_utf8, opened, western};
-use crate::units;
-use crate::words::{cut, nearest, quoted, shown};
-use std::borrow::Cow;
+use crate::words::quoted;
+use comments::{content, is_foreign_comment, is_separator, looks_like_a_row, outside_quotes, width_of_rows};
 use std::cell::RefCell;
-use std::fmt::Write as _;
 use std::fs::File;
 use std::io::Read;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// Reads a CSV row by row; memory stays flat for a file of any length.
 #[derive(Debug)]
@@ -185,7 +192,6 @@ impl<R: Read> Reader<R> {
     /// `None`, with undefined values in `row`, if the row needs the careful reader. It then has a quote, a
     /// comment, blanks or a mistake, or exceeds the buffer.
     #[inline]
-    #[must_use]
     pub fn plain_row(&self, row: &mut [f64], skip: impl Fn(usize) -> bool) -> Option<PlainRow> {
         let (ahead, by) = (self.lines.unread(), self.by);
         let (last, mut at) = (row.len().checked_sub(1)?, 0);
@@ -234,30 +240,22 @@ impl<R: Read> Reader<R> {
         Ok(header)
     }
 
-    /// The first row, as the columns' names, with any separator.
+    /// The first row, as the columns' names, with the separator that gives all `names`.
     /// The separator is `;`, a tab or `|` if the row has no comma, else a comma. It applies to all rows. A
-    /// line `sep=X` before it, as spreadsheets write it, sets the separator.
+    /// line `sep=X` before it, as spreadsheets write it, sets the separator. `names` choose among several
+    /// separators in the row, and among the first lines.
     ///
     /// # Errors
     /// As [`Reader::header`]; a `sep=` of another character than `,`, `;`, `|` and a tab.
-    pub fn header_by_any(&mut self, expected: &str) -> Result<Header, InputError> {
-        self.header_with(expected, &[])
-    }
-
-    /// As [`Reader::header_by_any`], with the separator that gives all `names`.
-    /// It chooses among several separators in the row, and among the first lines.
-    ///
-    /// # Errors
-    /// As [`Reader::header_by_any`].
     pub fn header_with(&mut self, expected: &str, names: &[&str]) -> Result<Header, InputError> {
         self.header_where(expected, |header| names.iter().all(|name| header.find(name).is_some()))
     }
 
-    /// As [`Reader::header_by_any`], from the first line with the wanted columns.
+    /// As [`Reader::header_with`], from the first line with the wanted columns.
     /// Lines before it are skipped. If there is no such line, the first one is used.
     ///
     /// # Errors
-    /// As [`Reader::header_by_any`].
+    /// As [`Reader::header_with`].
     pub fn header_where(
         &mut self,
         expected: &str,
@@ -349,7 +347,7 @@ impl<R: Read> Reader<R> {
     /// See [`Reader::or_numbers`].
     ///
     /// # Errors
-    /// As [`Reader::header_by_any`].
+    /// As [`Reader::header_with`].
     pub fn header_of(&mut self, expected: &str, columns: &[&str]) -> Result<Header, InputError> {
         let names: Vec<&str> = columns.iter().filter(|column| !is_number(column)).copied().collect();
         let header = self.header_with(expected, &names)?;
@@ -413,14 +411,12 @@ impl<R: Read> Reader<R> {
     }
 
     /// A finding about the header, or that the file is of another kind.
-    #[must_use]
     pub fn instead_of(&self, header: &Header, finding: InputError) -> InputError {
         let text = format!("{}\n{}", header.text, String::from_utf8_lossy(self.lines.unread()));
         FileKind::instead_of(None, &text, finding)
     }
 
     /// The finding that there is no row, only comments that look like rows.
-    #[must_use]
     pub fn rows_are_comments(&self) -> Option<InputError> {
         let Commented { line, lines } = self.commented?;
         let found = format!("{lines} lines that begin with # and have a row's cells, and no other row");
@@ -437,13 +433,6 @@ impl<R: Read> Reader<R> {
         self
     }
 
-    /// Sets the number of cells per row, if there is no header.
-    #[must_use]
-    pub fn of_width(mut self, cells: usize) -> Self {
-        self.width = Some(cells);
-        self
-    }
-
     /// Numbers of rows so far that end with extra separators, and of others.
     pub(crate) fn beyond(&self) -> Beyond {
         self.beyond
@@ -455,25 +444,21 @@ impl<R: Read> Reader<R> {
     }
 
     /// Whether a line so far was not UTF-8, and was read as Windows-1252.
-    #[must_use]
     pub fn is_western(&self) -> bool {
         self.encoding == Encoding::Western
     }
 
     /// Lines so far that begin with `#` but look like rows.
-    #[must_use]
     pub fn commented(&self) -> Option<Commented> {
         self.commented
     }
 
     /// Whether the input is UTF-16.
-    #[must_use]
     pub fn is_utf16(&self) -> bool {
         self.lines.is_utf16()
     }
 
-    /// The separator: a comma unless [`Reader::header_by_any`] found another.
-    #[must_use]
+    /// The separator: a comma unless [`Reader::header_with`] found another.
     pub fn separator(&self) -> char {
         char::from(self.by)
     }
@@ -501,319 +486,8 @@ struct FirstLine {
     whole: String,
 }
 
-/// A line without its comment and the blanks at its end.
-/// Empty if it has only separators.
-fn content(line: &[u8], by: u8, width: Option<usize>) -> &[u8] {
-    let comment = if memchr::memchr(b'#', line).is_some() { comment_at(line, by, width) } else { None };
-    let text = line[..comment.unwrap_or(line.len())].trim_ascii_end();
-    if text.first().is_none_or(|first| first.is_ascii_whitespace() || is_separator(*first, by))
-        && text.iter().all(|byte| byte.is_ascii_whitespace() || is_separator(*byte, by))
-    {
-        return &[];
-    }
-    text
-}
-
 /// Number of lines that are searched for the columns' names.
 const PREAMBLE: usize = 100;
-
-/// Whether a line is another program's comment.
-/// A row whose first cell begins in the same way is not. `width`: the number of cells in a row.
-fn is_foreign_comment(line: &[u8], by: u8, width: Option<usize>) -> bool {
-    let (mark, rest) = match line.trim_ascii_start() {
-        [b'/', b'/', ..] => return true,
-        [mark @ (b';' | b'%'), rest @ ..] => (*mark, rest),
-        _ => return false,
-    };
-    let apart = rest.first().is_none_or(|byte| byte.is_ascii_whitespace() || *byte == mark);
-    match width {
-        _ if mark == b'%' && apart => true,
-        None if mark == b';' => apart || !rest.contains(&mark) && rest.trim_ascii().contains(&b' '),
-        None => false,
-        Some(_) if mark == b';' && by != mark => true,
-        Some(width) => outside_quotes(line).filter(|(_, byte)| *byte == by).count() + 1 != width,
-    }
-}
-
-/// Whether a byte is a separator; before the header is read, any possible one.
-fn is_separator(byte: u8, by: u8) -> bool {
-    byte == by || by == b',' && matches!(byte, b';' | b'\t' | b'|')
-}
-
-/// The texts that spreadsheets write into a cell that they cannot calculate.
-const CELL_ERRORS: [&[u8]; 9] =
-    [b"#N/A", b"#NV", b"#DIV/0!", b"#VALUE!", b"#WERT!", b"#REF!", b"#NAME?", b"#NUM!", b"#NULL!"];
-
-/// The place where a line's comment begins. `width`: cells per row, if known.
-fn comment_at(line: &[u8], by: u8, width: Option<usize>) -> Option<usize> {
-    let (mut cells, mut at_cell) = (1, true);
-    for (at, byte) in outside_quotes(line) {
-        if byte == by {
-            (cells, at_cell) = (cells + 1, true);
-            continue;
-        }
-        if byte == b'#' {
-            let behind = line.get(at + 1);
-            let is_error = at_cell && CELL_ERRORS.iter().any(|error| line[at..].starts_with(error));
-            let is_first = line[..at].trim_ascii_start().is_empty();
-            let is_blank = |byte: Option<&u8>| byte.is_none_or(u8::is_ascii_whitespace);
-            let apart = is_blank(behind) || is_blank(at.checked_sub(1).map(|at| &line[at]));
-            let parted = behind.is_some_and(|byte| *byte != b' ' && is_separator(*byte, by));
-            let is_whole = width.is_none_or(|width| cells >= width);
-            // A line that begins with # is a comment, whatever follows.
-            if !is_error && (is_first || apart && !parted && is_whole) {
-                return Some(at);
-            }
-        }
-        at_cell &= byte.is_ascii_whitespace() || is_separator(byte, by);
-    }
-    None
-}
-
-/// Whether a comment looks like a row: `#1;2,5;3`, `#1;D1;2,5`.
-/// It has as many cells, a word in the first and a number in another.
-fn looks_like_a_row(line: &[u8], by: u8, width: Option<usize>) -> bool {
-    let Some(text) = line.trim_ascii().strip_prefix(b"#").and_then(|text| std::str::from_utf8(text).ok())
-    else {
-        return false;
-    };
-    let mut cells = text.split(char::from(by));
-    let is_word =
-        cells.next().is_some_and(|first| first.starts_with(|c: char| !c.is_whitespace() && c != '#'));
-    let numbers = cells.clone().filter(|cell| number(&cell.trim().replace(',', ".")).is_some()).count();
-    is_word && numbers > 0 && width == Some(1 + cells.count())
-}
-
-/// The number of cells in the next row without `#`, as far as the text goes.
-fn width_of_rows(ahead: &[u8], by: u8) -> Option<usize> {
-    let rows = ahead.split(|byte| *byte == b'\n').filter(|line| memchr::memchr(b'#', line).is_none());
-    let row = rows.map(|line| content(line, by, None)).find(|line| !line.is_empty())?;
-    Some(1 + outside_quotes(row).filter(|(_, byte)| *byte == by).count())
-}
-
-/// The bytes of a line outside quotes, with their positions.
-fn outside_quotes(line: &[u8]) -> impl Iterator<Item = (usize, u8)> {
-    let mut inside = false;
-    line.iter().copied().enumerate().filter(move |(_, byte)| {
-        inside ^= *byte == b'"';
-        !inside
-    })
-}
-
-/// One row, without comment.
-#[derive(Debug, Clone, Copy)]
-pub struct Row<'a> {
-    file: &'a Path,
-    line: usize,
-    text: &'a str,
-    /// The text with its comment.
-    whole: &'a str,
-    parser: &'a Parser,
-    by: u8,
-}
-
-impl<'a> Row<'a> {
-    /// Line of the file, from 1.
-    #[must_use]
-    pub fn line(&self) -> usize {
-        self.line
-    }
-
-    /// The row as the file has it.
-    #[must_use]
-    pub fn text(&self) -> &'a str {
-        self.text
-    }
-
-    /// A finding about the row as a whole.
-    #[must_use]
-    pub fn finding(&self, found: impl Into<String>, expected: impl Into<String>) -> InputError {
-        InputError::at(self.file, self.line, 0, found, expected)
-    }
-
-    /// The cells, from left to right.
-    #[inline]
-    #[must_use]
-    pub fn cells(self) -> Cells<'a> {
-        Cells { row: self, next: Some(0), quotes: has_quote(self.text) }
-    }
-
-    /// Whether it ends with a separator after `width` cells.
-    fn ends_beyond(self, width: usize) -> bool {
-        self.text.as_bytes().last() == Some(&self.by)
-            && outside_quotes(self.text.as_bytes()).filter(|(_, byte)| *byte == self.by).count() >= width
-    }
-
-    /// Whether a row has too many fields because of decimal commas.
-    /// All fields are then numbers without a point.
-    #[must_use]
-    pub fn has_decimal_commas(&self, columns: usize) -> bool {
-        let cells: Vec<&str> = self.text.split(',').map(str::trim).collect();
-        let whole = |c: &&str| !c.contains('.') && c.parse::<f64>().is_ok_and(f64::is_finite);
-        (columns + 1..=2 * columns).contains(&cells.len()) && cells.iter().all(whole)
-    }
-
-    fn short(&self, cells: usize, columns: usize, missing: &str) -> InputError {
-        let found = format!("the end of the row after {cells} of {columns} fields");
-        let column = self.text.chars().count() + 1;
-        InputError::at(self.file, self.line, column, found, format!("the field {missing}"))
-    }
-
-    fn quotes_are_closed(self) -> Result<(), InputError> {
-        let mut cells = self.cells();
-        while let Some(start) = cells.next {
-            let open = cells.quoted_cell(start).is_none();
-            if open {
-                let found =
-                    format!("a quote that is not closed: {}", quoted(self.text[start..].trim_start()));
-                return Err(self.at(start, found, "a second quote on the same line"));
-            }
-        }
-        Ok(())
-    }
-
-    /// A finding at the character that begins at a byte of the text.
-    fn at(&self, start: usize, found: impl Into<String>, expected: impl Into<String>) -> InputError {
-        let column = self.text[..start].chars().count() + 1;
-        let blanks = self.text[start..].chars().take_while(|c| c.is_whitespace()).count();
-        InputError::at(self.file, self.line, column + blanks, found, expected)
-    }
-}
-
-/// The cells of a row.
-#[derive(Debug)]
-pub struct Cells<'a> {
-    row: Row<'a>,
-    /// Start of the next cell in the row, bytes; `None` after the last.
-    next: Option<usize>,
-    /// Whether the row has a quote.
-    quotes: bool,
-}
-
-impl<'a> Cells<'a> {
-    /// The cell that begins at a byte, by the `csv` crate's parser.
-    /// `None` if its quote is not closed.
-    #[cold]
-    fn quoted_cell(&mut self, start: usize) -> Option<Cow<'a, str>> {
-        self.next = None;
-        let rest = self.row.text[start..].trim_ascii_start();
-        if !rest.starts_with('"') {
-            return Some(Cow::Borrowed(self.plain_cell(start)));
-        }
-        let mut parser = self.row.parser.borrow_mut();
-        parser.reset();
-        let mut out = vec![0; rest.len() + 1];
-        let (result, used, mut length) = parser.read_field(rest.as_bytes(), &mut out);
-        let mut raw = rest;
-        if let csv_core::ReadFieldResult::Field { .. } = result {
-            self.next = Some(self.row.text.len() - rest.len() + used);
-            raw = &rest[..used - 1];
-        } else {
-            // Within quotes the end of the line is text; outside it is the end of the cell.
-            let (end, _, more) = parser.read_field(b"\n", &mut out[length..]);
-            length += more;
-            if !matches!(end, csv_core::ReadFieldResult::Field { .. }) {
-                return None;
-            }
-        }
-        // Blanks after the closing quote do not belong to the cell.
-        out.truncate(length - (raw.len() - raw.trim_ascii_end().len()));
-        Some(Cow::Owned(String::from_utf8_lossy(&out).into_owned()))
-    }
-
-    #[inline]
-    fn plain_cell(&mut self, start: usize) -> &'a str {
-        let rest = &self.row.text[start..];
-        // Byte by byte, because cells are too short for the search that `str::split` does.
-        let length = rest.bytes().position(|byte| byte == self.row.by);
-        self.next = length.map(|length| start + length + 1);
-        rest[..length.unwrap_or(rest.len())].trim_ascii()
-    }
-}
-
-impl<'a> Iterator for Cells<'a> {
-    type Item = Cell<'a>;
-
-    #[inline]
-    fn next(&mut self) -> Option<Cell<'a>> {
-        let start = self.next?;
-        let text = if self.quotes {
-            // The row's quotes were checked when it was read: all are closed.
-            self.quoted_cell(start).unwrap_or_default()
-        } else {
-            Cow::Borrowed(self.plain_cell(start))
-        };
-        Some(Cell { row: self.row, start, text })
-    }
-}
-
-/// One cell, without quotes and the blanks around it.
-#[derive(Debug, Clone)]
-pub struct Cell<'a> {
-    row: Row<'a>,
-    start: usize,
-    text: Cow<'a, str>,
-}
-
-impl<'a> Cell<'a> {
-    /// The cell's text.
-    #[inline]
-    #[must_use]
-    pub fn text(&self) -> &str {
-        &self.text
-    }
-
-    /// The cell's row.
-    #[must_use]
-    pub fn row(&self) -> Row<'a> {
-        self.row
-    }
-
-    /// A finding at this cell: it shows the cell's text as what was found.
-    #[must_use]
-    pub fn finding(&self, expected: impl Into<String>) -> InputError {
-        self.said(shown(&self.text), expected)
-    }
-
-    /// A finding at this cell, with the caller's own words for what was found.
-    #[must_use]
-    pub fn said(&self, found: impl Into<String>, expected: impl Into<String>) -> InputError {
-        self.row.at(self.start, found, expected)
-    }
-
-    /// Column of the cell's first character, from 1.
-    #[must_use]
-    pub fn column(&self) -> usize {
-        self.said("", "").column
-    }
-
-    /// The cell's number.
-    ///
-    /// # Errors
-    /// It is not a number.
-    #[inline]
-    pub fn number<T: std::str::FromStr>(&self, expected: &str) -> Result<T, InputError> {
-        self.text.parse().map_err(|_| self.finding(expected))
-    }
-
-    /// The cell's finite number.
-    ///
-    /// # Errors
-    /// It is not a finite number.
-    #[inline]
-    pub fn finite(&self) -> Result<f64, InputError> {
-        if let Some(number) = plain_decimal(self.text.as_bytes()) {
-            return Ok(number);
-        }
-        number(&self.text).ok_or_else(|| self.finding("a finite number"))
-    }
-
-    fn beyond(&self, columns: usize, names: &str) -> InputError {
-        let after =
-            if names.len() <= 60 { names.to_owned() } else { format!("{columns} fields, one per column") };
-        self.finding(format!("the end of the row after {after}"))
-    }
-}
 
 /// Reads a field that is not a plain decimal, up to its end byte.
 /// The result is that of the standard library's parser, or any value if the field is skipped.
@@ -825,342 +499,6 @@ fn other_field(text: &[u8], is_end: impl Fn(u8) -> bool, skip: bool) -> Option<(
         return (!field.contains(['"', '#'])).then_some((0.0, length));
     }
     field.parse().ok().filter(|v: &f64| v.is_finite()).map(|v| (v, length))
-}
-
-/// The columns' names, from the first row.
-#[derive(Debug, Clone)]
-pub struct Header {
-    file: PathBuf,
-    line: usize,
-    text: String,
-    /// Name of each column, and its place in the line in characters, from 1.
-    names: Vec<(String, usize)>,
-}
-
-impl Header {
-    fn of(row: Row<'_>) -> Self {
-        let named = |cell: Cell<'_>| {
-            let column = cell.column();
-            (cell.text.into_owned(), column)
-        };
-        let mut names: Vec<(String, usize)> = row.cells().map(named).collect();
-        // Trailing separators name no column: spreadsheets write them after removed columns.
-        let named = names.iter().rposition(|(name, _)| !name.is_empty()).map_or(1, |last| last + 1);
-        names.truncate(named);
-        Self { file: row.file.to_owned(), line: row.line, text: row.text.to_owned(), names }
-    }
-
-    /// The names, in the file's order.
-    pub fn names(&self) -> impl Iterator<Item = &str> {
-        self.names.iter().map(|(name, _)| name.as_str())
-    }
-
-    /// The file of this header.
-    #[must_use]
-    pub fn file(&self) -> &Path {
-        &self.file
-    }
-
-    /// Line of the file, from 1.
-    #[must_use]
-    pub fn line(&self) -> usize {
-        self.line
-    }
-
-    /// The row as the file has it.
-    #[must_use]
-    pub fn text(&self) -> &str {
-        &self.text
-    }
-
-    /// The names as a message shows them: a limited number, long ones cut.
-    #[must_use]
-    pub fn shown(&self) -> String {
-        const SHOWN: usize = 40;
-        let names = self.names().take(SHOWN).map(cut).collect::<Vec<_>>().join(", ");
-        match self.names.len().saturating_sub(SHOWN) {
-            0 => names,
-            more => format!("{names} and {more} more"),
-        }
-    }
-
-    /// Numbers the columns from 1, for a first row that holds values.
-    fn numbered(&self) -> Self {
-        let names = (1..=self.names.len()).map(|n| (n.to_string(), 1)).collect();
-        Self { names, ..self.clone() }
-    }
-
-    /// Index of a column by its name, or else by its number from 1.
-    ///
-    /// # Errors
-    /// As [`Header::place`].
-    pub fn place_or_number(&self, column: &str) -> Result<usize, InputError> {
-        match column.parse::<usize>() {
-            Ok(number) if self.find(column).is_none() && (1..=self.names.len()).contains(&number) => {
-                Ok(number - 1)
-            }
-            _ => self.place(column),
-        }
-    }
-
-    /// The columns renamed.
-    /// `columns` has pairs of the new name and the column's name or number. Columns in no pair lose their
-    /// names.
-    ///
-    /// # Errors
-    /// As [`Header::place`].
-    pub(crate) fn renamed(&self, columns: &[(String, String)]) -> Result<Self, InputError> {
-        let mut renamed = self.clone();
-        renamed.names.iter_mut().for_each(|(name, _)| name.clear());
-        for (name, column) in columns {
-            let place = self.place_or_number(column)?;
-            self.is_in_unit_of(name, place)?;
-            if !renamed.names[place].0.is_empty() {
-                return Err(self.finding(format!("column {column} a second time"), "every column once"));
-            }
-            renamed.names[place].0.clone_from(name);
-        }
-        Ok(renamed)
-    }
-
-    /// Checks that a column's name does not contradict the unit that it is read in.
-    ///
-    /// # Errors
-    /// It does; the finding has both units.
-    pub fn is_in_unit_of(&self, name: &str, place: usize) -> Result<(), InputError> {
-        let column = self.names().nth(place).unwrap_or_default();
-        let Some(said) = units::stated(name).map(|s| s.unit) else { return Ok(()) };
-        units::contradicted(column, said).map_or(Ok(()), |stated| {
-            let found = format!("the column {column} as {name}: its name says {stated}");
-            Err(self
-                .finding(found, format!("a column in {said}, or its values in {said} under another name")))
-        })
-    }
-
-    /// A finding if the first row has values in place of names.
-    /// More of its cells are numbers than are not.
-    #[must_use]
-    pub fn is_missing(&self) -> Option<InputError> {
-        let is_number = |text: &str| text.trim().replace(',', ".").parse::<f64>().is_ok();
-        // The separator may be any: a table without commas may lack its names, too.
-        let by = [';', '\t', '|'].into_iter().find(|by| self.text.contains(*by));
-        let cells: Vec<&str> = match by {
-            Some(by) => self.text.split(by).collect(),
-            None => self.names().collect(),
-        };
-        let numbers = cells.iter().filter(|c| is_number(c)).count();
-        (2 * numbers > cells.len()).then(|| {
-            let found = format!("numbers ({}) in the first line", quoted(&self.text));
-            self.finding(found, "the columns' names there: the line that names them is missing")
-        })
-    }
-
-    /// The index of a column that must occur once.
-    ///
-    /// # Errors
-    /// It is missing, or occurs twice.
-    pub fn place(&self, name: &str) -> Result<usize, InputError> {
-        let mut found = self.names.iter().enumerate().filter(|(_, (n, _))| n == name);
-        match (found.next(), found.next()) {
-            (Some((place, _)), None) => Ok(place),
-            (Some(_), Some((again, _))) => Err(self.twice(again)),
-            (None, _) => {
-                if let Some(missing) = self.is_missing() {
-                    return Err(missing);
-                }
-                let names: Vec<&str> = self.names().collect();
-                let near = nearest(name, &names).map_or_else(String::new, |n| format!("; did you mean {n}?"));
-                let near = self.blanks_part([name]).map_or(near, str::to_owned);
-                let found = format!("no column {name}");
-                Err(self.finding(found, format!("a column {name} among {}{near}", self.shown())))
-            }
-        }
-    }
-
-    /// Finds that only blanks separate the columns.
-    /// One of these names must then occur as a word.
-    fn blanks_part<'n>(&self, names: impl IntoIterator<Item = &'n str>) -> Option<&'static str> {
-        // A column given by its number is one of at least that many words.
-        let count = self.text.split_ascii_whitespace().count();
-        let is_of = |name: &str, word: &str| {
-            word == name || name.parse::<usize>().is_ok_and(|number| (2..=count).contains(&number))
-        };
-        let mut words = names
-            .into_iter()
-            .flat_map(|name| self.text.split_ascii_whitespace().map(move |word| is_of(name, word)));
-        (self.names.len() == 1 && self.text.contains(' ') && words.any(|is_one| is_one)).then_some(
-            ", parted by commas, semicolons, tabs or |: blanks part these; write one of those in their place, or read the table by \
-             `characterise import --format own`, whose form has separator = \"blank\"",
-        )
-    }
-
-    /// Adds the column's name to a finding at a cell.
-    #[must_use]
-    pub fn named(&self, place: usize, finding: InputError) -> InputError {
-        let name = self.names.get(place).map_or("", |(name, _)| name);
-        InputError { found: format!("{} in column {name}", finding.found), ..finding }
-    }
-
-    /// The index of the column of this name, if there is one.
-    #[must_use]
-    pub fn find(&self, name: &str) -> Option<usize> {
-        self.names().position(|n| n == name)
-    }
-
-    /// The columns that are known, or match `also`, and the names of the others.
-    ///
-    /// # Errors
-    /// A column that occurs twice, a name nearly equal to a missing one, or another kind of table.
-    pub(crate) fn known(
-        &self,
-        known: &[&str],
-        also: fn(&str) -> bool,
-    ) -> Result<(Self, Vec<String>), InputError> {
-        let is_known = |name: &str| known.contains(&name) || also(name);
-        let missing: Vec<&str> = known.iter().copied().filter(|k| self.find(k).is_none()).collect();
-        let is_slip = |name: &str| nearest(name, &missing).is_some();
-        // A single name may also occur in another kind of table.
-        let is_one_of_these = known.len() - missing.len() >= known.len().min(2);
-        let (mut kept, mut unrelated) = (self.clone(), Vec::new());
-        for (name, _) in &mut kept.names {
-            if is_one_of_these && !is_known(name) && !is_slip(name) {
-                unrelated.push(std::mem::take(name));
-            }
-        }
-        unrelated.retain(|name| !name.is_empty());
-        kept.only(known, |name| name.is_empty() || also(name))?;
-        Ok((kept, unrelated))
-    }
-
-    /// Checks that every column is known and occurs once.
-    ///
-    /// # Errors
-    /// The first that is not or does not.
-    fn only(&self, known: &[&str], also: impl Fn(&str) -> bool) -> Result<(), InputError> {
-        for (n, (name, column)) in self.names.iter().enumerate() {
-            if !known.contains(&name.as_str()) && !also(name) {
-                let near = nearest(name, known).map_or_else(String::new, |k| format!("; did you mean {k}?"));
-                let near = self.blanks_part(known.iter().copied()).map_or(near, str::to_owned);
-                let expected = format!("one of the columns {}{near}", known.join(", "));
-                let found = format!("column {}", quoted(name));
-                return Err(InputError::at(&self.file, self.line, *column, found, expected));
-            }
-            if !name.is_empty() && self.find(name) != Some(n) {
-                return Err(self.twice(n));
-            }
-        }
-        Ok(())
-    }
-
-    /// The finding that a column's name occurs a second time.
-    #[must_use]
-    pub fn twice(&self, place: usize) -> InputError {
-        let (name, column) = &self.names[place];
-        let found = format!("column {} a second time", quoted(name));
-        InputError::at(&self.file, self.line, *column, found, "every column once")
-    }
-
-    /// A finding about the header.
-    #[must_use]
-    pub fn finding(&self, found: impl Into<String>, expected: impl Into<String>) -> InputError {
-        InputError::at(&self.file, self.line, 1, found, expected)
-    }
-
-    /// The finding that the file ends where rows should begin.
-    #[must_use]
-    pub fn no_rows(&self) -> InputError {
-        InputError::at(&self.file, self.line + 1, 0, "no rows", "at least one row of values")
-    }
-
-    /// Passes each cell of a row, with its column's index, to `take`.
-    ///
-    /// # Errors
-    /// The first error of `take`; then that the row is too short or too long.
-    #[inline]
-    pub fn each<'a>(
-        &self,
-        row: Row<'a>,
-        mut take: impl FnMut(usize, Cell<'a>) -> Result<(), InputError>,
-    ) -> Result<(), InputError> {
-        let mut columns = 0;
-        for cell in row.cells() {
-            if columns == self.names.len() {
-                if cell.text().is_empty() {
-                    continue;
-                }
-                return Err(cell.beyond(columns, &self.text));
-            }
-            take(columns, cell)?;
-            columns += 1;
-        }
-        match self.names.get(columns) {
-            Some((missing, _)) => Err(row.short(columns, self.names.len(), missing)),
-            None => Ok(()),
-        }
-    }
-
-    /// The cells of a row, as many as there are columns.
-    ///
-    /// # Errors
-    /// The row is too short or too long.
-    pub fn cells<'a>(&self, row: Row<'a>) -> Result<Vec<Cell<'a>>, InputError> {
-        let mut cells = Vec::with_capacity(self.names.len());
-        self.each(row, |_, cell| {
-            cells.push(cell);
-            Ok(())
-        })?;
-        Ok(cells)
-    }
-}
-
-/// A cell written so that it reads back the same.
-/// It is quoted if it is empty, has blanks at its ends, or holds a comma, a quote, a `#`, another separator
-/// or a byte-order mark.
-#[must_use]
-pub fn cell(text: &str) -> Cow<'_, str> {
-    let quoted = [',', '"', '#', ';', '\t', '\u{feff}'];
-    if text.is_empty() || text.contains(quoted) || text.trim().len() < text.len() {
-        return Cow::Owned(format!("\"{}\"", text.replace('"', "\"\"")));
-    }
-    Cow::Borrowed(text)
-}
-
-/// The style for appending cells to a table's rows.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Style {
-    /// The separator.
-    pub by: char,
-    /// Whether numbers have a decimal comma.
-    pub decimal_comma: bool,
-}
-
-impl Default for Style {
-    fn default() -> Self {
-        Self { by: ',', decimal_comma: false }
-    }
-}
-
-impl Style {
-    /// Appends a text cell, after a separator.
-    pub fn push_text(self, row: &mut String, text: &str) {
-        row.push(self.by);
-        row.push_str(&cell(text));
-    }
-
-    /// Appends a number, after a separator.
-    pub fn push_number(self, row: &mut String, number: f64) {
-        row.push(self.by);
-        let quote = if self.decimal_comma && self.by == ',' { "\"" } else { "" };
-        let number = number.to_string();
-        let number = if self.decimal_comma { number.replace('.', ",") } else { number };
-        let _ = write!(row, "{quote}{number}{quote}");
-    }
-}
-
-/// The names of columns as a header line, without the line's end.
-#[must_use]
-pub fn header_line<'n>(names: impl IntoIterator<Item = &'n str>) -> String {
-    names.into_iter().map(cell).collect::<Vec<_>>().join(",")
 }
 
 #[cfg(test)]
@@ -1305,7 +643,7 @@ mod tests {
             ("n|t\nNo # 1|2\n", &["n", "t"], &["No # 1", "2"]),
         ] {
             let mut reader = reader(text);
-            let found = reader.header_by_any("names").unwrap();
+            let found = reader.header_with("names", &[]).unwrap();
             assert_eq!(found.names().collect::<Vec<_>>(), header, "{text}");
             let cells = found.cells(reader.row().unwrap().unwrap()).unwrap();
             assert_eq!(cells.iter().map(Cell::text).collect::<Vec<_>>(), row, "{text}");
@@ -1317,7 +655,7 @@ mod tests {
     #[test]
     fn rows_that_begin_with_a_hash_are_counted() {
         let mut reader = reader("n;e\n#1;2,5\n# 2;2,5\n#3;2,5\n## 4;5\n#5;a\n6;1\n");
-        reader.header_by_any("names").unwrap();
+        reader.header_with("names", &[]).unwrap();
         assert_eq!(reader.row().unwrap().unwrap().text(), "6;1");
         assert_eq!(reader.commented(), Some(Commented { line: 2, lines: 2 }));
     }
@@ -1326,7 +664,7 @@ mod tests {
     fn rows_of_separators_alone_are_empty() {
         for text in ["t,e,,\n1,2,,\n,,,\n\n, , ,\n", "\n;;;\nt;e;;\n1;2;;\n;;;\n"] {
             let mut reader = reader(text);
-            let header = reader.header_by_any("names").unwrap();
+            let header = reader.header_with("names", &[]).unwrap();
             assert_eq!(header.names().count(), 2);
             assert_eq!(header.cells(reader.row().unwrap().unwrap()).unwrap()[1].text(), "2");
             assert!(reader.row().unwrap().is_none(), "{text}");
@@ -1344,7 +682,7 @@ mod tests {
         assert!(western.is_western() && western.row().unwrap().is_none());
         for mixed in [b"t,\xb0\n1,\xc2\xb0\n".as_slice(), b"t,\xc2\xb0\n1,\xb0\n"] {
             let mut reader = Reader::new(Path::new("a.csv"), mixed).unwrap();
-            reader.header_by_any("names").unwrap();
+            reader.header_with("names", &[]).unwrap();
             assert_eq!(reader.row().unwrap_err().line, 2);
         }
         assert!(!rows("µ\n").unwrap().is_empty());
@@ -1422,7 +760,7 @@ mod tests {
     fn the_header_says_what_parts_the_cells() {
         for (text, by) in [("a;\"b;c\"\n1,5;2\n", ';'), ("a\tb,c\n1\t2\n", '\t'), ("a,\"b;c\"\n1,2\n", ',')] {
             let mut reader = reader(text);
-            let header = reader.header_by_any("names").unwrap();
+            let header = reader.header_with("names", &[]).unwrap();
             assert_eq!((reader.separator(), header.names().count()), (by, 2), "{text}");
             assert_eq!(header.cells(reader.row().unwrap().unwrap()).unwrap().len(), 2);
         }

@@ -2,7 +2,6 @@
 
 /// Days since 1970-01-01 of a day in ISO 8601 (`2026-05-01`).
 /// `None` if the text is not a day.
-#[must_use]
 pub fn parse(text: &str) -> Option<i64> {
     let (head, tail) = (text.get(..10)?, text.get(10..)?);
     if !(tail.is_empty() || tail.starts_with(['T', ' '])) {
@@ -21,7 +20,6 @@ pub fn parse(text: &str) -> Option<i64> {
 }
 
 /// A day as ISO 8601, from days since 1970-01-01.
-#[must_use]
 pub fn format(days: i64) -> String {
     let z = days + 719_468;
     let era = z.div_euclid(146_097);
@@ -36,7 +34,6 @@ pub fn format(days: i64) -> String {
 }
 
 /// Today (UTC) in days since 1970-01-01.
-#[must_use]
 pub fn today() -> i64 {
     let since = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH);
     since.map_or(0, |d| (d.as_secs() / 86_400) as i64)

@@ -108,14 +108,12 @@ fn is_block(line: &str) -> bool {
 
 impl FileKind {
     /// The kind of a file that is not text, from its first bytes.
-    #[must_use]
     pub fn of_bytes(bytes: &[u8]) -> Option<Self> {
         let by_magic = MAGIC.iter().find(|(magic, _)| bytes.starts_with(magic)).map(|(_, kind)| *kind);
         by_magic.or_else(|| is_binary_stl(bytes).then_some(STL))
     }
 
     /// The kind of a text, from what only that kind has; `None` if nothing is found.
-    #[must_use]
     pub fn of(text: &str) -> Option<Self> {
         let text = text.trim_start_matches('\u{feff}');
         Self::of_bytes(text.as_bytes())
@@ -222,7 +220,6 @@ impl FileKind {
     }
 
     /// The name of the kind, and what shows it.
-    #[must_use]
     pub fn name(self) -> &'static str {
         match self {
             Self::RunRecord => "a run record: it has [columns]",
@@ -272,7 +269,6 @@ impl FileKind {
     }
 
     /// Whether it is a CSV of any kind: a reader of any table accepts these.
-    #[must_use]
     pub fn is_table(self) -> bool {
         matches!(self, Self::Trace | Self::Requests | Self::Points | Self::Batch | Self::Table)
     }
@@ -288,13 +284,11 @@ impl FileKind {
     }
 
     /// The finding that a file is of kind `other` instead of this one.
-    #[must_use]
     pub fn instead(self, path: &Path, other: Self) -> InputError {
         InputError::whole(path, other.name(), self.expected())
     }
 
     /// The finding of a reader of `self` that the file is of another kind.
-    #[must_use]
     pub fn finding(self, path: &Path, text: &str, finding: InputError) -> InputError {
         match Self::of(text) {
             Some(other) if other != self && !(self == Self::Table && other.is_table()) => {
@@ -306,7 +300,6 @@ impl FileKind {
 
     /// The finding of another format's reader that the text is of a known kind.
     /// `own` is the reader's own kind, if it is one of these.
-    #[must_use]
     pub fn instead_of(own: Option<Self>, text: &str, finding: InputError) -> InputError {
         match Self::of(text).filter(|kind| Some(*kind) != own && *kind != Self::Table) {
             Some(other) => InputError { found: other.name().to_owned(), ..finding },

@@ -41,7 +41,6 @@ impl Folder {
     }
 
     /// The path that it was opened with, for messages.
-    #[must_use]
     pub fn path(&self) -> &Path {
         &self.path
     }

@@ -12,6 +12,7 @@ const LONGEST: usize = 2000;
 /// Bad input in a file: one finding, with its place and its remedy.
 /// It ends a command with exit code 2.
 #[derive(Debug, Clone, PartialEq, Eq)]
+#[must_use = "a finding is to be returned or reported"]
 pub struct InputError {
     /// The file, as the user named it.
     pub file: PathBuf,

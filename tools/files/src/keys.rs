@@ -1,10 +1,13 @@
 //! One table of keys per section of a TOML file.
-//! The table reads and checks the section, and makes its part of the reference page.
+//! The table reads and checks the section, and makes its part of the reference page. A [`Section`] takes each
+//! key once and collects every finding of its file.
 
-use crate::toml::{At, Section, SourceFile, quoted};
-use crate::words::unseen;
-use std::fmt;
-use std::fmt::Write as _;
+use crate::input::InputError;
+use crate::toml::{Document, Entry, Table};
+use crate::words::{nearest, unseen};
+use std::fmt::{self, Display, Write as _};
+use std::ops::RangeInclusive;
+use std::path::Path;
 use std::str::FromStr;
 
 /// One key: how it is read, checked and described.
@@ -67,7 +70,7 @@ pub enum Takes {
     Own(&'static str),
 }
 
-impl fmt::Display for Takes {
+impl Display for Takes {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Text | Self::Line => f.write_str("text"),
@@ -94,7 +97,6 @@ impl Key {
 }
 
 /// The reference page's table of a section.
-#[must_use]
 pub fn markdown(title: &str, keys: &[Key]) -> String {
     let mut page = format!("| `{title}` | takes | default | meaning |\n|---|---|---|---|\n");
     for Key { name, takes, unit, default, meaning } in keys {
@@ -105,7 +107,178 @@ pub fn markdown(title: &str, keys: &[Key]) -> String {
     page
 }
 
+/// The words to choose from, in quotes.
+fn quoted(words: &[&str]) -> String {
+    words.iter().map(|word| format!("\"{word}\"")).collect::<Vec<_>>().join(" or ")
+}
+
+/// A file with a list of all its findings.
+#[derive(Debug)]
+pub struct SourceFile<'a> {
+    /// The file, as the user named it.
+    pub file: &'a Path,
+    /// The file's whole text, from which findings take their line and column.
+    pub text: &'a str,
+    /// The findings so far.
+    pub findings: Vec<InputError>,
+}
+
+impl SourceFile<'_> {
+    /// Adds a finding at a byte of the text.
+    pub fn finding(&mut self, offset: usize, found: impl Into<String>, expected: impl Into<String>) {
+        self.findings.push(InputError::at_offset(self.file, self.text, offset, found, expected));
+    }
+
+    /// Returns the value, or records its finding.
+    pub fn keep<T>(&mut self, value: Result<T, InputError>) -> Option<T> {
+        value.map_err(|finding| self.findings.push(finding)).ok()
+    }
+}
+
+/// A value and its place in the text.
+#[derive(Debug, Clone, Copy)]
+pub struct At<T> {
+    /// The value, checked.
+    pub value: T,
+    /// Where the value begins in the text, bytes from the start.
+    pub offset: usize,
+}
+
+/// A table whose keys are each taken once; keys that are left are findings.
+#[derive(Debug)]
+pub struct Section<'a> {
+    /// The section's title as a person writes it: `[card]`.
+    pub title: &'static str,
+    /// Where the section begins in the text, bytes from the start.
+    pub offset: usize,
+    table: Option<Table<'a>>,
+    asked: Vec<&'static str>,
+    keys: &'static [Key],
+}
+
 impl<'a> Section<'a> {
+    /// The file's outermost table.
+    pub fn root(document: &'a Document<'_>) -> Self {
+        Self::of("the file", 0, Some(document.root()))
+    }
+
+    /// A table, or an absent one, which has no key.
+    fn of(title: &'static str, offset: usize, table: Option<Table<'a>>) -> Self {
+        Self { title, offset, table, asked: Vec::new(), keys: &[] }
+    }
+
+    /// Adds the table of the section's keys.
+    #[must_use]
+    pub fn with(self, keys: &'static [Key]) -> Self {
+        Self { keys, ..self }
+    }
+
+    fn take(&mut self, key: &'static str) -> Option<Entry<'a>> {
+        if !self.asked.contains(&key) {
+            self.asked.push(key);
+        }
+        self.table?.get(key)
+    }
+
+    /// Whether a key exists that no message suggests. If it does, it counts as taken.
+    pub fn has_unoffered(&mut self, key: &'static str) -> bool {
+        self.table.is_some_and(|t| t.get(key).is_some()) && self.has(key)
+    }
+
+    /// Whether the key exists. It counts as taken.
+    pub fn has(&mut self, key: &'static str) -> bool {
+        self.take(key).is_some()
+    }
+
+    /// The table under a key, or an absent one.
+    #[must_use]
+    pub fn table(&mut self, source: &mut SourceFile<'_>, key: &'static str, title: &'static str) -> Self {
+        let Some(entry) = self.take(key) else { return Self::of(title, self.offset, None) };
+        let table = source.keep(entry.table(&format!("a table, written {title}")));
+        Self::of(title, entry.offset(), table)
+    }
+
+    /// The tables of an array of tables.
+    pub fn tables(
+        &mut self,
+        source: &mut SourceFile<'_>,
+        key: &'static str,
+        title: &'static str,
+    ) -> Vec<Self> {
+        let Some(entry) = self.take(key) else { return Vec::new() };
+        let tables = source.keep(entry.tables(&format!("{title}, one per {key}"))).unwrap_or_default();
+        tables.into_iter().map(|table| Self::of(title, table.start, Some(table))).collect()
+    }
+
+    /// The value of a key, if it exists and `parse` accepts it.
+    pub fn value<T>(
+        &mut self,
+        source: &mut SourceFile<'_>,
+        key: &'static str,
+        expected: impl Display,
+        parse: impl FnOnce(Entry<'a>) -> Option<T>,
+    ) -> Option<At<T>> {
+        let entry = self.take(key)?;
+        let parsed = parse(entry).ok_or_else(|| entry.mismatch(format!("{key} = {expected}")));
+        source.keep(parsed).map(|value| At { value, offset: entry.offset() })
+    }
+
+    /// One of several words. Messages show only the first `offered` of them.
+    pub fn choice<T: Copy>(
+        &mut self,
+        source: &mut SourceFile<'_>,
+        key: &'static str,
+        offered: usize,
+        choices: &[(&str, T)],
+    ) -> Option<At<T>> {
+        let names: Vec<&str> = choices.iter().map(|(name, _)| *name).take(offered).collect();
+        let mut expected = quoted(&names);
+        if let Some(word) = self.table.and_then(|t| t.get(key)?.as_str())
+            && let Some(near) = nearest(word, &names)
+        {
+            expected = format!("{expected}; did you mean \"{near}\"?");
+        }
+        self.value(source, key, expected, |v| {
+            choices.iter().find(|(name, _)| v.as_str() == Some(name)).map(|(_, choice)| *choice)
+        })
+    }
+
+    /// A whole number within bounds.
+    pub fn integer(
+        &mut self,
+        source: &mut SourceFile<'_>,
+        key: &'static str,
+        range: RangeInclusive<i64>,
+    ) -> Option<At<i64>> {
+        let mut expected = format!("a whole number from {} to {}", range.start(), range.end());
+        let hex = |word: &str| i64::from_str_radix(word.strip_prefix("0x")?, 16).ok();
+        if let Some(word) = self.table.and_then(|t| t.get(key)?.as_str())
+            && word.parse().ok().or_else(|| hex(word)).is_some_and(|n| range.contains(&n))
+        {
+            expected = format!("{expected}, without quotes: {key} = {word}");
+        }
+        self.value(source, key, expected, |v| v.as_integer().filter(|n| range.contains(n)))
+    }
+
+    /// Reports that a key is missing, with its meaning.
+    pub fn say_missing(&self, source: &mut SourceFile<'_>, key: &str, meaning: &str) {
+        let found = format!("no {key} in {}", self.title);
+        source.finding(self.offset, found, format!("{key}: {meaning}"));
+    }
+
+    fn lacks(&self, key: &str) -> bool {
+        self.table.is_none_or(|t| t.get(key).is_none())
+    }
+
+    /// Reports every key that was not taken.
+    pub fn finish(self, source: &mut SourceFile<'_>) {
+        for entry in self.table.iter().flat_map(Table::entries) {
+            if !self.asked.contains(&entry.key()) {
+                source.findings.push(entry.unknown(&self.title, &self.asked));
+            }
+        }
+    }
+
     fn declared(&self, name: &str) -> Key {
         match self.keys.iter().find(|key| key.name == name) {
             Some(key) => *key,
@@ -255,8 +428,6 @@ fn bad_line(key: &str, text: &str) -> Option<(String, &'static str)> {
 mod tests {
     use super::Takes::*;
     use super::*;
-    use crate::toml::Document;
-    use std::path::Path;
 
     #[test]
     fn names_that_a_terminal_or_a_shell_would_obey_are_found() {

@@ -34,39 +34,33 @@ pub struct Numbers {
 impl Numbers {
     /// The format of a column of these cells.
     /// `table` is what [`Numbers::mark_of`] finds among all cells, `by` the separator of cells.
-    #[must_use]
     pub fn of<'t>(column: impl IntoIterator<Item = &'t str> + Clone, table: Option<char>, by: char) -> Self {
         let is_grouped = column.clone().into_iter().any(shows_thousands);
         Self { is_grouped, ..Self::shown(Self::mark_of(column), table, by) }
     }
 
     /// The format of a column from its own mark, if any, and the table's, if any.
-    #[must_use]
     pub fn shown(column: Option<char>, table: Option<char>, by: char) -> Self {
         Self { column, table, commas_part: by == ',', is_grouped: false }
     }
 
     /// The format of a column whose decimal mark the user has given.
-    #[must_use]
     pub fn written(mark: char) -> Self {
         Self { column: Some(mark), table: Some(mark), commas_part: false, is_grouped: true }
     }
 
     /// The decimal mark of the first cell that shows one.
-    #[must_use]
     pub fn mark_of<'t>(cells: impl IntoIterator<Item = &'t str>) -> Option<char> {
         cells.into_iter().find_map(shown_mark)
     }
 
     /// The finite number in a cell. `None` if there is none, or if it has two readings.
-    #[must_use]
     pub fn parse(self, text: &str) -> Option<f64> {
         number(&self.plain(text)?)
     }
 
     /// A cell's number with a decimal point and without thousands separators.
     /// `None` if it has two readings.
-    #[must_use]
     pub fn plain(self, text: &str) -> Option<Cow<'_, str>> {
         if !text.contains(['.', ',']) && !text.contains(BLANKS) {
             return Some(Cow::Borrowed(text));
@@ -90,13 +84,11 @@ impl Numbers {
 
     /// Whether a cell's mark may be a decimal mark or separate thousands.
     /// No other cell decides it.
-    #[must_use]
     pub fn leaves_open(self, text: &str) -> bool {
         self.column.is_none() && self.table.is_none() && has_two_readings(text)
     }
 
     /// What to write instead of a cell that is no number or has two readings.
-    #[must_use]
     pub fn expected(self, text: &str) -> &'static str {
         if number_body(text).is_none() {
             return "a finite number";
@@ -137,7 +129,6 @@ pub struct Marks {
 
 impl Marks {
     /// The format of a table before its first row.
-    #[must_use]
     pub fn new<R: Read>(reader: &Reader<R>) -> Self {
         let mut marks = Self {
             columns: Vec::new(),
@@ -239,21 +230,18 @@ impl Marks {
     }
 
     /// The number format of a column; `place` is the column's index, from 0.
-    #[must_use]
     pub fn numbers(&self, place: usize) -> Numbers {
         let shown = Numbers::shown(self.columns.get(place).copied().flatten(), self.table, self.by);
         Numbers { is_grouped: self.is_grouped, ..shown }
     }
 
     /// The style for further columns of the same table.
-    #[must_use]
     pub fn style(&self) -> Style {
         Style { by: self.by, decimal_comma: self.table == Some(',') }
     }
 
     /// How the file's format differs from the documented one.
     /// It may be UTF-16, have another separator or decimal commas, or cells with two readings.
-    #[must_use]
     pub fn written(&self, file: &Path) -> Option<String> {
         let by = match self.by {
             ',' => None,
@@ -268,7 +256,6 @@ impl Marks {
     }
 
     /// The cells of the file with two readings, in words.
-    #[must_use]
     pub fn questions(&self, file: &Path) -> Option<String> {
         self.said(file, None)
     }
@@ -449,7 +436,7 @@ mod tests {
     fn a_number_with_two_readings_is_questioned() {
         let written = |text: &str| {
             let mut reader = Reader::new(Path::new("a.csv"), text.as_bytes()).unwrap();
-            reader.header_by_any("names").unwrap();
+            reader.header_with("names", &[]).unwrap();
             Marks::of(&mut reader).unwrap().written(Path::new("a.csv"))
         };
         let says = "a.csv: read as columns parted by semicolons; 1.500 was read as 1.500, with a decimal point; it may be 1500, as \

@@ -58,19 +58,16 @@ impl Columns {
     }
 
     /// Whether the user has assigned no column.
-    #[must_use]
     pub fn is_empty(&self) -> bool {
         self.0.is_empty()
     }
 
     /// The file's names or numbers.
-    #[must_use]
     pub fn places(&self) -> Vec<&str> {
         self.0.iter().map(|(_, place)| place.as_str()).collect()
     }
 
     /// The file's name or number for a known name, if the user has assigned it.
-    #[must_use]
     pub fn place_of(&self, name: &str) -> Option<&str> {
         self.0.iter().find(|(n, _)| n == name).map(|(_, place)| place.as_str())
     }
@@ -188,7 +185,6 @@ impl Sheet {
     }
 
     /// The file as the user named it.
-    #[must_use]
     pub fn file(&self) -> &Path {
         &self.file
     }
@@ -196,7 +192,6 @@ impl Sheet {
     /// How the file's format differs from the documented one.
     /// It may be UTF-16, have another separator or decimal commas, lines before the names, or ignored
     /// columns.
-    #[must_use]
     pub fn written(&self) -> Option<String> {
         let names: Vec<String> = self.unrelated.iter().map(|name| cut(name)).collect();
         let left_out = (!names.is_empty())
@@ -206,31 +201,26 @@ impl Sheet {
     }
 
     /// Number of rows without the header.
-    #[must_use]
     pub fn len(&self) -> usize {
         self.rows.len()
     }
 
     /// Whether there is no row at all.
-    #[must_use]
     pub fn is_empty(&self) -> bool {
         self.rows.is_empty()
     }
 
     /// The columns' names in the file's order.
-    #[must_use]
     pub fn names(&self) -> &[String] {
         &self.names
     }
 
     /// Line of a row, from 1.
-    #[must_use]
     pub fn line(&self, row: usize) -> usize {
         self.rows[row].line
     }
 
     /// A finding about one row.
-    #[must_use]
     pub fn finding(&self, row: usize, found: impl Into<String>, expected: impl Into<String>) -> InputError {
         InputError::at(&self.file, self.line(row), 0, found, expected)
     }

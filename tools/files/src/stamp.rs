@@ -25,7 +25,6 @@ pub fn built_from(commit: &'static str) {
 
 /// The writer: `rtec 0.1.0`.
 /// A release adds its commit: `rtec 0.1.0 (c7e189b04e)`.
-#[must_use]
 pub fn by() -> String {
     match COMMIT.get() {
         Some(commit) if !commit.is_empty() => format!("rtec {VERSION} ({commit})"),
@@ -54,7 +53,6 @@ pub fn check(root: &Table<'_>) -> Result<(), InputError> {
 
 /// A JSON document with its format and its writer as the last keys.
 /// A JSON list stays unchanged, because it has no keys.
-#[must_use]
 pub fn signed(mut json: String) -> String {
     if !json.starts_with('{') || !json.ends_with('}') {
         return json;

@@ -117,21 +117,18 @@ pub(crate) fn western(bytes: &[u8]) -> String {
 
 /// A number rounded to fifteen digits, which a float keeps of any decimal number.
 /// 0.1 + 0.2 gives 0.3.
-#[must_use]
 pub fn rounded(v: f64) -> f64 {
     format!("{v:.14e}").parse().unwrap_or(v)
 }
 
 /// A number in a form for people.
 /// It has a power of ten if it would otherwise have many zeros.
-#[must_use]
 pub fn short(v: f64) -> String {
     let v = rounded(v);
     if v == 0.0 || (1e-6..1e12).contains(&v.abs()) { v.to_string() } else { format!("{v:e}") }
 }
 
 /// The finding that the system refuses to read a file.
-#[must_use]
 pub fn unreadable(file: &Path, error: &std::io::Error) -> InputError {
     InputError::whole(file, error.to_string(), "a file that can be read")
 }

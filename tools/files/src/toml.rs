@@ -1,15 +1,13 @@
 //! Reads TOML strictly.
 //! Unknown keys are findings, every finding has its line and column.
 //!
-//! [`Table`] and [`Entry`] end at the first finding. [`Section`] takes each key once and collects every
+//! [`Table`] and [`Entry`] end at the first finding. [`crate::keys::Section`] reads on and collects every
 //! finding of a file. Both give the same message for the same mistake.
 
 use crate::input::InputError;
-use crate::keys::Key;
 use crate::words::{cut, nearest};
 use serde::de::DeserializeOwned;
 use std::fmt::{self, Display};
-use std::ops::RangeInclusive;
 use std::path::Path;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
@@ -34,7 +32,6 @@ impl<'t> Document<'t> {
 
     /// As [`Document::parse`], with every syntax error.
     /// The document holds the parts that could be parsed.
-    #[must_use]
     pub fn parse_all(file: &'t Path, text: &'t str) -> (Self, Vec<InputError>) {
         let (root, errors) = DeTable::parse_recoverable(text);
         let findings = errors.iter().map(|error| finding(file, text, error, "TOML")).collect();
@@ -42,7 +39,6 @@ impl<'t> Document<'t> {
     }
 
     /// The file's outermost table.
-    #[must_use]
     pub fn root(&self) -> Table<'_> {
         Table { file: self.file, text: self.text, of: self.root.get_ref(), title: Title::File, start: 0 }
     }
@@ -131,7 +127,7 @@ pub struct Table<'d> {
     text: &'d str,
     of: &'d DeTable<'d>,
     title: Title<'d>,
-    start: usize,
+    pub(crate) start: usize,
 }
 
 impl<'d> Table<'d> {
@@ -147,7 +143,6 @@ impl<'d> Table<'d> {
     }
 
     /// The entry of a key.
-    #[must_use]
     pub fn get(&self, key: &str) -> Option<Entry<'d>> {
         let (key, value) = self.of.get_key_value(key)?;
         Some(self.entry(key, value))
@@ -173,7 +168,6 @@ impl<'d> Table<'d> {
     }
 
     /// A finding about this table.
-    #[must_use]
     pub fn error(&self, found: impl Into<String>, expected: impl Into<String>) -> InputError {
         InputError::at_offset(self.file, self.text, self.start, found, expected)
     }
@@ -191,13 +185,11 @@ pub struct Entry<'d> {
 
 impl<'d> Entry<'d> {
     /// The key, as the file has it.
-    #[must_use]
     pub fn key(&self) -> &'d str {
         self.key
     }
 
     /// The value as the file has it; text without its quotes.
-    #[must_use]
     pub fn text(&self) -> String {
         self.as_str().unwrap_or_else(|| self.written()).to_owned()
     }
@@ -207,68 +199,58 @@ impl<'d> Entry<'d> {
     }
 
     /// The byte of the text at which the value begins.
-    #[must_use]
     pub fn offset(&self) -> usize {
         self.value.span().start
     }
 
     /// A finding about the value.
-    #[must_use]
     pub fn error(&self, found: impl Into<String>, expected: impl Into<String>) -> InputError {
         InputError::at_offset(self.file, self.text, self.offset(), found, expected)
     }
 
     /// A finding about the key.
-    #[must_use]
     pub fn key_error(&self, found: impl Into<String>, expected: impl Into<String>) -> InputError {
         InputError::at_offset(self.file, self.text, self.key_start, found, expected)
     }
 
     /// The finding that the key is unknown here.
-    #[must_use]
     pub fn unknown_key(&self, expected: &str) -> InputError {
         self.key_error(format!("unknown key {}", self.key), expected)
     }
 
-    fn unknown(&self, title: &impl Display, known: &[&str]) -> InputError {
+    pub(crate) fn unknown(&self, title: &impl Display, known: &[&str]) -> InputError {
         let (found, expected) = unknown(self.key, title, known);
         self.key_error(found, expected)
     }
 
     /// The finding that the value is not what was expected.
-    #[must_use]
     pub fn mismatch(&self, expected: impl Into<String>) -> InputError {
         let first_line = self.written().lines().next().unwrap_or_default();
         self.error(format!("{} = {}", self.key, cut(first_line)), expected)
     }
 
     /// The value, if it is text.
-    #[must_use]
     pub fn as_str(&self) -> Option<&'d str> {
         self.value.get_ref().as_str()
     }
 
     /// The value, if it is a truth value.
-    #[must_use]
     pub fn as_bool(&self) -> Option<bool> {
         self.value.get_ref().as_bool()
     }
 
     /// The value, if it is a whole number of 64 bits.
-    #[must_use]
     pub fn as_integer(&self) -> Option<i64> {
         let number = self.value.get_ref().as_integer()?;
         i64::from_str_radix(number.as_str(), number.radix()).ok()
     }
 
     /// The value, if it is a finite number or a whole number.
-    #[must_use]
     pub fn as_number(&self) -> Option<f64> {
         number(self.value.get_ref())
     }
 
     /// The value, if it is a table.
-    #[must_use]
     pub fn as_table(&self) -> Option<Table<'d>> {
         let of = self.value.get_ref().as_table()?;
         Some(Table {
@@ -417,179 +399,5 @@ fn pair(value: &DeValue<'_>) -> Option<[f64; 2]> {
     match numbers(value)?[..] {
         [lo, hi] if lo <= hi => Some([lo, hi]),
         _ => None,
-    }
-}
-
-/// The words to choose from, in quotes.
-pub(crate) fn quoted(words: &[&str]) -> String {
-    words.iter().map(|word| format!("\"{word}\"")).collect::<Vec<_>>().join(" or ")
-}
-
-/// A file with a list of all its findings.
-#[derive(Debug)]
-pub struct SourceFile<'a> {
-    /// The file, as the user named it.
-    pub file: &'a Path,
-    /// The file's whole text, from which findings take their line and column.
-    pub text: &'a str,
-    /// The findings so far.
-    pub findings: Vec<InputError>,
-}
-
-impl SourceFile<'_> {
-    /// Adds a finding at a byte of the text.
-    pub fn finding(&mut self, offset: usize, found: impl Into<String>, expected: impl Into<String>) {
-        self.findings.push(InputError::at_offset(self.file, self.text, offset, found, expected));
-    }
-
-    /// Returns the value, or records its finding.
-    pub fn keep<T>(&mut self, value: Result<T, InputError>) -> Option<T> {
-        value.map_err(|finding| self.findings.push(finding)).ok()
-    }
-}
-
-/// A value and its place in the text.
-#[derive(Debug, Clone, Copy)]
-pub struct At<T> {
-    /// The value, checked.
-    pub value: T,
-    /// Where the value begins in the text, bytes from the start.
-    pub offset: usize,
-}
-
-/// A table whose keys are each taken once; keys that are left are findings.
-#[derive(Debug)]
-pub struct Section<'a> {
-    /// The section's title as a person writes it: `[card]`.
-    pub title: &'static str,
-    /// Where the section begins in the text, bytes from the start.
-    pub offset: usize,
-    table: Option<Table<'a>>,
-    asked: Vec<&'static str>,
-    pub(crate) keys: &'static [Key],
-}
-
-impl<'a> Section<'a> {
-    /// The file's outermost table.
-    #[must_use]
-    pub fn root(document: &'a Document<'_>) -> Self {
-        Self::of("the file", 0, Some(document.root()))
-    }
-
-    /// A table, or an absent one, which has no key.
-    fn of(title: &'static str, offset: usize, table: Option<Table<'a>>) -> Self {
-        Self { title, offset, table, asked: Vec::new(), keys: &[] }
-    }
-
-    /// Adds the table of the section's keys.
-    #[must_use]
-    pub fn with(self, keys: &'static [Key]) -> Self {
-        Self { keys, ..self }
-    }
-
-    fn take(&mut self, key: &'static str) -> Option<Entry<'a>> {
-        if !self.asked.contains(&key) {
-            self.asked.push(key);
-        }
-        self.table?.get(key)
-    }
-
-    /// Whether a key exists that no message suggests. If it does, it counts as taken.
-    pub fn has_unoffered(&mut self, key: &'static str) -> bool {
-        self.table.is_some_and(|t| t.get(key).is_some()) && self.has(key)
-    }
-
-    /// Whether the key exists. It counts as taken.
-    pub fn has(&mut self, key: &'static str) -> bool {
-        self.take(key).is_some()
-    }
-
-    /// The table under a key, or an absent one.
-    #[must_use]
-    pub fn table(&mut self, source: &mut SourceFile<'_>, key: &'static str, title: &'static str) -> Self {
-        let Some(entry) = self.take(key) else { return Self::of(title, self.offset, None) };
-        let table = source.keep(entry.table(&format!("a table, written {title}")));
-        Self::of(title, entry.offset(), table)
-    }
-
-    /// The tables of an array of tables.
-    pub fn tables(
-        &mut self,
-        source: &mut SourceFile<'_>,
-        key: &'static str,
-        title: &'static str,
-    ) -> Vec<Self> {
-        let Some(entry) = self.take(key) else { return Vec::new() };
-        let tables = source.keep(entry.tables(&format!("{title}, one per {key}"))).unwrap_or_default();
-        tables.into_iter().map(|table| Self::of(title, table.start, Some(table))).collect()
-    }
-
-    /// The value of a key, if it exists and `parse` accepts it.
-    pub fn value<T>(
-        &mut self,
-        source: &mut SourceFile<'_>,
-        key: &'static str,
-        expected: impl Display,
-        parse: impl FnOnce(Entry<'a>) -> Option<T>,
-    ) -> Option<At<T>> {
-        let entry = self.take(key)?;
-        let parsed = parse(entry).ok_or_else(|| entry.mismatch(format!("{key} = {expected}")));
-        source.keep(parsed).map(|value| At { value, offset: entry.offset() })
-    }
-
-    /// One of several words. Messages show only the first `offered` of them.
-    pub fn choice<T: Copy>(
-        &mut self,
-        source: &mut SourceFile<'_>,
-        key: &'static str,
-        offered: usize,
-        choices: &[(&str, T)],
-    ) -> Option<At<T>> {
-        let names: Vec<&str> = choices.iter().map(|(name, _)| *name).take(offered).collect();
-        let mut expected = quoted(&names);
-        if let Some(word) = self.table.and_then(|t| t.get(key)?.as_str())
-            && let Some(near) = nearest(word, &names)
-        {
-            expected = format!("{expected}; did you mean \"{near}\"?");
-        }
-        self.value(source, key, expected, |v| {
-            choices.iter().find(|(name, _)| v.as_str() == Some(name)).map(|(_, choice)| *choice)
-        })
-    }
-
-    /// A whole number within bounds.
-    pub fn integer(
-        &mut self,
-        source: &mut SourceFile<'_>,
-        key: &'static str,
-        range: RangeInclusive<i64>,
-    ) -> Option<At<i64>> {
-        let mut expected = format!("a whole number from {} to {}", range.start(), range.end());
-        let hex = |word: &str| i64::from_str_radix(word.strip_prefix("0x")?, 16).ok();
-        if let Some(word) = self.table.and_then(|t| t.get(key)?.as_str())
-            && word.parse().ok().or_else(|| hex(word)).is_some_and(|n| range.contains(&n))
-        {
-            expected = format!("{expected}, without quotes: {key} = {word}");
-        }
-        self.value(source, key, expected, |v| v.as_integer().filter(|n| range.contains(n)))
-    }
-
-    /// Reports that a key is missing, with its meaning.
-    pub fn say_missing(&self, source: &mut SourceFile<'_>, key: &str, meaning: &str) {
-        let found = format!("no {key} in {}", self.title);
-        source.finding(self.offset, found, format!("{key}: {meaning}"));
-    }
-
-    pub(crate) fn lacks(&self, key: &str) -> bool {
-        self.table.is_none_or(|t| t.get(key).is_none())
-    }
-
-    /// Reports every key that was not taken.
-    pub fn finish(self, source: &mut SourceFile<'_>) {
-        for entry in self.table.iter().flat_map(Table::entries) {
-            if !self.asked.contains(&entry.key()) {
-                source.findings.push(entry.unknown(&self.title, &self.asked));
-            }
-        }
     }
 }

@@ -371,14 +371,12 @@ impl<R: Read> TraceReader<R> {
 
     /// How the file's format differs from the documented one.
     /// It may be UTF-16 or have another separator.
-    #[must_use]
     pub fn written(&self) -> Option<String> {
         (!matches!(self.points, Points::Vcd(_))).then(|| written(&self.rows))?
     }
 
     /// Notes for the user about what was read so far.
     /// They give the zero of dates, and levels that were unknown at first.
-    #[must_use]
     pub fn said(&self) -> Option<String> {
         match &self.points {
             Points::Csv { table, .. } => table.said(),
@@ -387,7 +385,6 @@ impl<R: Read> TraceReader<R> {
     }
 
     /// A note if the rows so far are samples, not changes.
-    #[must_use]
     pub fn sampled(&self) -> Option<String> {
         let Points::Csv { table, .. } = &self.points else { return None };
         let file = self.rows.lines.file.display();
@@ -478,7 +475,6 @@ impl<R: Read> TraceReader<R> {
 
 impl<R: Read> Playable<R> {
     /// As [`TraceReader::sampled`].
-    #[must_use]
     pub fn sampled(&self) -> Option<String> {
         self.0.sampled()
     }
@@ -565,13 +561,11 @@ impl<R: Read> RequestReader<R> {
     }
 
     /// As [`TraceReader::written`].
-    #[must_use]
     pub fn written(&self) -> Option<String> {
         written(&self.rows)
     }
 
     /// As [`TraceReader::said`].
-    #[must_use]
     pub fn said(&self) -> Option<String> {
         self.table.said()
     }

@@ -48,7 +48,6 @@ const ALIASES: [(&str, &str); 43] = [
 ];
 
 /// A unit in the program's spelling; an unknown unit stays as it is.
-#[must_use]
 pub fn plain(unit: &str) -> &str {
     ALIASES.iter().find(|(alias, _)| *alias == unit).map_or(unit, |(_, plain)| plain)
 }
@@ -98,7 +97,6 @@ const QUANTITIES: [(&str, &[Unit]); 8] = [
 ];
 
 /// Units that can be converted to `own`; empty if there are none.
-#[must_use]
 pub fn others(own: &str) -> &'static [Unit] {
     QUANTITIES.iter().find(|(unit, _)| *unit == own).map_or(&[], |(_, others)| others)
 }
@@ -113,7 +111,6 @@ fn is_one_quantity(a: &str, b: &str) -> bool {
 ///
 /// Both are of one quantity and differ. After a `_` or a blank a single letter is part of the name (`x_m` may
 /// be x as measured).
-#[must_use]
 pub fn contradicted<'n>(name: &'n str, said: &str) -> Option<&'n str> {
     let (stated, said) = (stated(name)?, plain(said));
     let is_unit = stated.in_brackets || stated.unit.len() > 1 && stated.name.len() < name.trim().len();
@@ -121,7 +118,6 @@ pub fn contradicted<'n>(name: &'n str, said: &str) -> Option<&'n str> {
 }
 
 /// The name with its unit replaced by the one that its column was converted to.
-#[must_use]
 pub fn restated(name: &str, unit: &str) -> String {
     let Some(found) = contradicted(name, unit).and_then(|_| stated(name)) else { return name.to_owned() };
     let written = &name.trim()[found.name.len()..];
@@ -142,7 +138,6 @@ pub struct Stated<'n> {
 
 /// Finds the unit in a name.
 /// It is in brackets at the end, or after a blank, a `/` or the last `_`.
-#[must_use]
 pub fn stated(name: &str) -> Option<Stated<'_>> {
     let name = name.trim();
     let open = match name.chars().next_back()? {

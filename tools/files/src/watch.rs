@@ -24,7 +24,6 @@ struct GivenUp;
 
 impl Watch {
     /// Steps so far.
-    #[must_use]
     pub fn steps(&self) -> u64 {
         self.steps.load(Ordering::Relaxed)
     }

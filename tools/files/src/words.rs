@@ -4,7 +4,6 @@
 use std::borrow::Cow;
 
 /// Whether a line is a comment: it begins with `#`, `;`, `%` or `//`.
-#[must_use]
 pub fn is_comment(line: &str) -> bool {
     let line = line.trim_start();
     line.starts_with(['#', ';', '%']) || line.starts_with("//")
@@ -12,7 +11,6 @@ pub fn is_comment(line: &str) -> bool {
 
 /// The word that was probably meant.
 /// It differs by a few letters, or one word begins with the other.
-#[must_use]
 pub fn nearest<'w>(word: &str, words: &[&'w str]) -> Option<&'w str> {
     let length = word.chars().count();
     let lower = word.to_lowercase();
@@ -26,21 +24,18 @@ pub fn nearest<'w>(word: &str, words: &[&'w str]) -> Option<&'w str> {
 }
 
 /// Whether a character is invisible and changes how the text around it is shown.
-#[must_use]
 pub const fn is_hidden(c: char) -> bool {
     matches!(c, '\u{ad}' | '\u{61c}' | '\u{180e}' | '\u{200b}'..='\u{200f}' | '\u{2028}'..='\u{202e}'
         | '\u{2060}'..='\u{206f}' | '\u{feff}' | '\u{fff9}'..='\u{fffb}' | '\u{e0000}'..='\u{e007f}')
 }
 
 /// The first character that is invisible or that a terminal would obey.
-#[must_use]
 pub fn unseen(text: &str) -> Option<char> {
     text.chars().find(|c| c.is_control() || is_hidden(*c))
 }
 
 /// Text that a terminal can show safely.
 /// Invisible characters (controls, directions, marks without width) are escaped.
-#[must_use]
 pub fn printable(text: &str) -> Cow<'_, str> {
     let seen = |c: char| c == ' ' || c.is_alphanumeric() || c.is_ascii_punctuation();
     if text.chars().all(seen) {
@@ -54,13 +49,11 @@ pub fn printable(text: &str) -> Cow<'_, str> {
 }
 
 /// Text with the special characters of HTML and XML replaced.
-#[must_use]
 pub fn escaped(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }
 
 /// Text for an error message: quoted, printable, cut if long.
-#[must_use]
 pub fn quoted(text: &str) -> String {
     format!("'{}'", printable(&cut(text)))
 }
@@ -84,7 +77,6 @@ pub(crate) fn cut_at(text: &str, characters: usize) -> String {
 }
 
 /// An error with its causes, each once: many errors already contain their cause.
-#[must_use]
 pub fn whole(error: &dyn std::error::Error) -> String {
     let mut text = error.to_string();
     let mut cause = error.source();

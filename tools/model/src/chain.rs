@@ -141,7 +141,6 @@ fn cross([a, b, c]: [f64; 3], [x, y, z]: [f64; 3]) -> [f64; 3] {
 
 /// The transform of a displacement (mm) and small rotations (rad).
 /// It is exact to the first order, as in the method.
-#[must_use]
 pub fn transform(displacement_mm: [f64; 3], rotation_rad: [f64; 3]) -> Transform {
     let [a, b, c] = rotation_rad;
     Transform { turn: [[1.0, -c, b], [c, 1.0, -a], [-b, a, 1.0]], shift_mm: displacement_mm }
@@ -154,7 +153,6 @@ impl Chain {
     }
 
     /// The axes that move its joints, each once.
-    #[must_use]
     pub fn axes(&self) -> Vec<Axis> {
         let mut axes: Vec<Axis> = Vec::new();
         for (axis, _) in self.joints.iter().filter_map(|j| j.axis.as_ref()) {
@@ -166,7 +164,6 @@ impl Chain {
     }
 
     /// The positions that the chain reads and the record does not log.
-    #[must_use]
     pub fn taken_as_zero(&self, record: &Record) -> Vec<Role> {
         let roles = self.axes().into_iter().map(Role::Position);
         roles.filter(|role| record.data(role).is_none()).collect()
@@ -356,7 +353,6 @@ impl Chain {
 
 impl Component {
     /// Its value, µm or µrad, at a position (mm) and temperature difference (K).
-    #[must_use]
     pub fn value(&self, p_mm: f64, delta_k: f64) -> f64 {
         let of = |t: &Term| {
             t.coefficient
@@ -442,14 +438,12 @@ fn read_joint(t: Table<'_>) -> Result<Joint, InputError> {
     Ok(Joint { name, branch, axis, offset_mm, components })
 }
 /// The unit of a component, by its place in [`COMPONENTS`].
-#[must_use]
 pub fn unit(kind: usize) -> &'static str {
     if kind < 3 { "µm" } else { "µrad" }
 }
 
 impl Branch {
     /// The branch's name in a chain file.
-    #[must_use]
     pub fn name(self) -> &'static str {
         match self {
             Self::Work => "work",
@@ -460,7 +454,6 @@ impl Branch {
 
 impl Chain {
     /// The chain as JSON.
-    #[must_use]
     pub fn to_json(&self) -> serde_json::Value {
         let component = |c: &Component| {
             let terms: Vec<serde_json::Value> = (c.terms.iter())

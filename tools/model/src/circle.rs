@@ -70,7 +70,6 @@ impl Circle {
 /// It is the mean of the steps before and after the row. If the two differ by more than half, one of them is
 /// a pause or a jump between two circles. Then the step nearer to the run's usual rate is used. If the
 /// clock's steps are coarse compared with the rows, more rows are taken.
-#[must_use]
 pub fn rates(angle: &[f64], time_s: &[f64]) -> Vec<f64> {
     let tick = tick(time_s);
     // Of the rows that share a time, the first is nearest to that time. The others get its rate.
@@ -130,7 +129,6 @@ fn same_rate(a: f64, b: f64) -> bool {
 
 /// The step of a coarse clock, s.
 /// All times are multiples of it, and rows are less than 100 steps apart.
-#[must_use]
 pub fn tick(time_s: &[f64]) -> Option<f64> {
     let steps: Vec<f64> = time_s.windows(2).map(|w| w[1] - w[0]).filter(|h| *h > 0.0).collect();
     // The median by size. The median by order is the pause if both senses of turning are in one record.

@@ -6,7 +6,6 @@ use crate::role::Role;
 /// The range of values that a column of this role may hold, in the role's unit.
 /// It is wider than any machine by orders of magnitude, so that sums and squares stay finite. Possible but
 /// unlikely values are the concern of `rtec_measure::plausible`.
-#[must_use]
 pub fn possible(role: &Role) -> [f64; 2] {
     let size = match role {
         // Three hundred thousand years in seconds: an epoch in ms passes and is questioned, one in ns does
@@ -79,7 +78,6 @@ const DISCONNECTED: [Disconnected; 25] = [
 ///
 /// `true`: certain. `false`: a machine can have this temperature too (85 °C, 0 °C), and the neighbouring rows
 /// decide.
-#[must_use]
 pub fn disconnected(degc: f64) -> Option<(&'static str, bool)> {
     // Readings may have been rounded to tenths or to single precision.
     let found = DISCONNECTED.iter().find(|d| (d.value - degc).abs() <= 1e-6 * d.value.abs().max(1e-3));

@@ -47,7 +47,6 @@ pub struct AxisNow {
 
 impl AxisNow {
     /// An axis moving at constant velocity; its direction is the velocity's sign.
-    #[must_use]
     pub fn moving(position_mm: f64, velocity_mm_s: f64) -> Self {
         Self { position_mm, velocity_mm_s, direction: sign(velocity_mm_s), ..Self::default() }
     }
@@ -283,7 +282,6 @@ impl Live {
     }
 
     /// The layout it was made for.
-    #[must_use]
     pub fn layout(&self) -> &Layout {
         &self.layout
     }
@@ -355,20 +353,17 @@ impl Live {
     }
 
     /// Error of every axis of the layout at the last instant, µm.
-    #[must_use]
     pub fn errors_um(&self) -> &[f64] {
         &self.sums[..self.layout.axes.len()]
     }
 
     /// Force of every axis of the layout at the last instant, N.
-    #[must_use]
     pub fn forces_n(&self) -> &[f64] {
         let axes = self.layout.axes.len();
         &self.sums[axes..2 * axes]
     }
 
     /// Radial error of the probe's and the part's own effects at the last instant, µm.
-    #[must_use]
     pub fn radial_um(&self) -> f64 {
         self.sums[2 * self.layout.axes.len()]
     }
@@ -384,7 +379,6 @@ impl Live {
     }
 
     /// The chain's error at the last instant, µm along x, y, z.
-    #[must_use]
     pub fn chain_um(&self) -> Option<[f64; 3]> {
         self.chain.as_ref().map(|c| c.now_um)
     }

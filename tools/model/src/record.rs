@@ -67,7 +67,6 @@ const MOVES: f64 = 0.1;
 impl Record {
     /// How far beyond its end targets a positioning run turned, mm.
     /// Zero if it turned at them, or if nothing is stated.
-    #[must_use]
     pub fn past_mm(&self) -> f64 {
         match self.turns {
             Some(Turns::Overtravel(Some(over_mm))) => over_mm,
@@ -76,7 +75,6 @@ impl Record {
     }
 
     /// Whether the travel since a turn is known for the rows after it.
-    #[must_use]
     pub fn tells_turns(&self) -> bool {
         self.kind != Kind::Positioning
             || matches!(self.turns, Some(Turns::Overtravel(Some(_)) | Turns::AtTarget))
@@ -140,7 +138,6 @@ impl Record {
     ///
     /// # Panics
     /// Without a column.
-    #[must_use]
     pub fn of_checked(path: &Path, kind: Kind, columns: Vec<Column>) -> Self {
         let stem = path.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
         Self {
@@ -174,26 +171,22 @@ impl Record {
     }
 
     /// For a piece of a longer record: the number of rows before it.
-    #[must_use]
     pub fn first_row(&self) -> usize {
         self.first_row
     }
 
     /// The number of a row in its file, from 1, counting rows that were left out.
-    #[must_use]
     pub fn row_number(&self, row: usize) -> usize {
         self.first_row + self.selected.get(row).copied().unwrap_or(row) + 1
     }
 
     /// The circle that a bar measured, if the sidecar states it.
-    #[must_use]
     pub fn circle(&self) -> Option<&Circle> {
         self.circle.as_ref().map(|(circle, _)| circle)
     }
 
     /// Whether the positions on the machine's axes are known.
     /// They are unknown only for a circle whose centre is not stated and whose positions are not logged.
-    #[must_use]
     pub fn knows_places(&self) -> bool {
         let logged = |a: &Axis| self.columns.iter().any(|c| c.role == Role::Position(a.clone()));
         self.circle().is_none_or(|c| c.centre_mm.is_some() || c.plane.iter().all(logged))
@@ -294,21 +287,18 @@ impl Record {
     }
 
     /// Number of rows, equal in every column.
-    #[must_use]
     pub fn rows(&self) -> usize {
         self.time_s.len()
     }
 
     /// Time of every row, s: the time column, or the row number without one.
     /// For a drift with a coarse clock, the rows that share a time are spread evenly over the clock's step.
-    #[must_use]
     pub fn time_s(&self) -> &[f64] {
         &self.time_s
     }
 
     /// The axis label and values of a plot over time.
     /// They are minutes, or row numbers from 1 if the record has no times.
-    #[must_use]
     pub fn over_time(&self) -> (&'static str, Vec<f64>) {
         match self.column(&Role::Time) {
             Some(t) => ("time (min)", t.data.iter().map(|t| t / 60.0).collect()),
@@ -318,25 +308,21 @@ impl Record {
 
     /// The column of a role that occurs only once.
     /// It is a listed column, or one computed from a circle's angle.
-    #[must_use]
     pub fn column(&self, role: &Role) -> Option<&Column> {
         self.known().find(|c| c.role == *role)
     }
 
     /// The values of the column of a role that occurs only once, in the role's unit.
-    #[must_use]
     pub fn data(&self, role: &Role) -> Option<&[f64]> {
         self.column(role).map(|c| c.data.as_slice())
     }
 
     /// A temperature by its sensor's name.
-    #[must_use]
     pub fn temperature(&self, sensor: &str) -> Option<&[f64]> {
         self.named(&Role::Temperature, sensor)
     }
 
     /// A logged channel by its name.
-    #[must_use]
     pub fn channel(&self, name: &str) -> Option<&[f64]> {
         self.named(&Role::Channel, name)
     }
@@ -403,7 +389,6 @@ const ROUNDING_HARMONICS: i32 = 12;
 
 /// Expected rounding error of a reading under Gaussian noise (Widrow 1956).
 /// The step is `q`; the value that is read is `off` from a multiple of it.
-#[must_use]
 pub fn rounding_error(q: f64, off: f64, variance: f64) -> f64 {
     use std::f64::consts::{PI, TAU};
     let harmonic = |k: i32| {
@@ -414,7 +399,6 @@ pub fn rounding_error(q: f64, off: f64, variance: f64) -> f64 {
 }
 
 /// The step of a coarse clock, s, if most rows share their time with another.
-#[must_use]
 pub fn shared_step(time_s: &[f64]) -> Option<f64> {
     let steps = || time_s.windows(2).map(|w| w[1] - w[0]).filter(|step| *step > 0.0);
     let is_shared = 2 * steps().count() < time_s.len();
@@ -464,7 +448,6 @@ pub fn check(role: &Role, v: f64, previous: Option<f64>) -> Result<(), (String, 
 }
 
 /// The allowed range of this role, if [`check`] checks only the range.
-#[must_use]
 pub fn range_alone(role: &Role) -> Option<[f64; 2]> {
     (!matches!(role, Role::Time | Role::Direction(_))).then(|| limits::possible(role))
 }
@@ -507,7 +490,6 @@ pub fn sha256_of(file: &Path) -> Result<String, InputError> {
 }
 
 /// Bytes as lower-case hexadecimal digits.
-#[must_use]
 pub fn hex(bytes: &[u8]) -> String {
     bytes.iter().fold(String::new(), |mut s, b| {
         let _ = write!(s, "{b:02x}");

@@ -12,7 +12,6 @@ pub struct Axis(String);
 
 impl Axis {
     /// An axis name: a letter, then letters, digits or `_`.
-    #[must_use]
     pub fn new(name: &str) -> Option<Self> {
         let mut chars = name.chars();
         let ok = chars.next().is_some_and(|c| c.is_ascii_alphabetic())
@@ -21,13 +20,11 @@ impl Axis {
     }
 
     /// The name as written.
-    #[must_use]
     pub fn as_str(&self) -> &str {
         &self.0
     }
 
     /// Whether the name is a rotary axis': A, B and C turn about X, Y and Z (ISO 841).
-    #[must_use]
     pub fn is_rotary(&self) -> bool {
         matches!(self.as_str(), "a" | "b" | "c" | "A" | "B" | "C")
     }
@@ -80,7 +77,6 @@ pub enum Role {
 
 impl Role {
     /// The role of this name (`time`, `position.y`, …).
-    #[must_use]
     pub fn parse(text: &str) -> Option<Self> {
         if let Some(both) = text.strip_prefix("angle_error.") {
             let (moving, about) = both.split_once('.')?;
@@ -110,7 +106,6 @@ impl Role {
     }
 
     /// The unit of this role; `None` if any unit is allowed (a channel).
-    #[must_use]
     pub fn unit(&self) -> Option<&'static str> {
         Some(match self {
             Self::Time => "s",
@@ -130,14 +125,12 @@ impl Role {
 
     /// Whether a column of this role may have this unit.
     /// Tilts are in µrad or arcseconds, all others in their own unit.
-    #[must_use]
     pub fn takes(&self, unit: &str) -> bool {
         self.unit().is_none_or(|own| own == unit)
             || (matches!(self, Self::AngleError(..)) && unit == "arcsec")
     }
 
     /// Whether it belongs to a rotary axis, by the axis' name or by the unit.
-    #[must_use]
     pub fn is_rotary(&self, unit: &str) -> bool {
         match self {
             Self::AngleError(moving, _) => moving.is_rotary(),
@@ -148,19 +141,16 @@ impl Role {
     }
 
     /// Whether a model predicts it: an error or a force.
-    #[must_use]
     pub fn is_response(&self) -> bool {
         matches!(self, Self::Error(_) | Self::Force(_))
     }
 
     /// Whether a run measures it: a response or a tilt.
-    #[must_use]
     pub fn is_measured(&self) -> bool {
         self.is_response() || matches!(self, Self::AngleError(..))
     }
 
     /// The axis it belongs to.
-    #[must_use]
     pub fn axis(&self) -> Option<&Axis> {
         match self {
             Self::Position(a)
@@ -175,7 +165,6 @@ impl Role {
     }
 
     /// Whether several columns may have it: only temperatures and channels.
-    #[must_use]
     pub fn may_repeat(&self) -> bool {
         matches!(self, Self::Temperature | Self::Channel)
     }
@@ -235,13 +224,11 @@ impl Kind {
     ];
 
     /// The kind of this name.
-    #[must_use]
     pub fn parse(text: &str) -> Option<Self> {
         Self::ALL.iter().find(|(name, _)| *name == text).map(|&(_, kind)| kind)
     }
 
     /// The kind's name in a sidecar.
-    #[must_use]
     pub fn name(self) -> &'static str {
         Self::ALL[self as usize].0
     }
@@ -263,20 +250,17 @@ pub struct Column {
 impl Column {
     /// A column with values in the role's own unit.
     /// For a role without one (a channel) the unit stays empty.
-    #[must_use]
     pub fn new(name: &str, role: Role, data: Vec<f64>) -> Self {
         Self { name: name.to_owned(), unit: role.unit().unwrap_or_default().to_owned(), role, data }
     }
 
     /// Its name in a verdict: its role, or `temperature.T3`, `channel.z9`.
-    #[must_use]
     pub fn label(&self) -> String {
         if self.role.may_repeat() { format!("{}.{}", self.role, self.name) } else { self.role.to_string() }
     }
 }
 
 /// Sign with sign(0) = 0.
-#[must_use]
 pub fn sign(v: f64) -> f64 {
     if v > 0.0 {
         1.0

@@ -4,7 +4,7 @@
 
 use crate::cor::{MOST_RAD, MOST_UM, PointError, turned_near};
 use crate::determine::is_times;
-use crate::steps::{left_in_mean, written_step_mm};
+use crate::written_step::{left_in_mean, written_step_mm};
 use rtec_files::InputError;
 use rtec_files::{Columns, Sheet};
 use serde::Serialize;

@@ -150,7 +150,6 @@ impl Spline {
 
 impl Segment {
     /// The point at a parameter, 0 to 1.
-    #[must_use]
     pub fn at(&self, t: f64) -> Zx {
         match self {
             Self::Line { a, b } => *a + (*b - *a) * t,
@@ -196,7 +195,6 @@ impl Segment {
     }
 
     /// Chords within 2 µm of the curve.
-    #[must_use]
     pub fn polyline(&self) -> Vec<Zx> {
         let chords = self.chords();
         (0..=chords).map(|k| self.at(k as f64 / chords as f64)).collect()
@@ -212,7 +210,6 @@ impl Segment {
     }
 
     /// Length along the contour, in mm.
-    #[must_use]
     pub fn length_mm(&self) -> f64 {
         match self {
             Self::Line { a, b } => (*b - *a).norm(),
@@ -250,7 +247,6 @@ impl Segment {
 
 /// Number of chords that keep an arc within `off_mm`.
 /// The sagitta is r (1 − cos(δ/2)).
-#[must_use]
 pub fn chords_of_arc(radius_mm: f64, sweep_rad: f64, off_mm: f64) -> usize {
     let cos = 1.0 - off_mm / radius_mm;
     let step = if cos > -1.0 { 2.0 * cos.acos() } else { TAU };
@@ -364,7 +360,6 @@ impl FeatureKind {
 }
 
 /// A nose as a contour: a quarter of a circle about the part's axis.
-#[must_use]
 pub fn nose(centre: Zx, radius_mm: f64) -> Contour {
     let arc = Segment::Arc { centre, radius_mm, start_rad: 0.0, sweep_rad: FRAC_PI_2 };
     Contour::new(vec![(arc, "nose".to_owned())], false)
@@ -372,7 +367,6 @@ pub fn nose(centre: Zx, radius_mm: f64) -> Contour {
 
 /// Centre and radius of a contour's nose: a quarter circle at its free end.
 /// `None` if the contour begins with something else.
-#[must_use]
 pub fn nose_of(contour: &Contour) -> Option<(Zx, f64)> {
     // A drawing is exact to a micrometre; on a nose of 100 mm its angles are as exact.
     const NEAR: (f64, f64) = (1e-3, 1e-5);
@@ -385,7 +379,6 @@ pub fn nose_of(contour: &Contour) -> Option<(Zx, f64)> {
 
 impl Contour {
     /// A contour from consecutive segments, each with the name of its entity.
-    #[must_use]
     pub fn new(mut chain: Vec<(Segment, String)>, closed: bool) -> Self {
         let end = |c: &[(Segment, String)]| (c[0].0.at(0.0), c[c.len() - 1].0.at(1.0));
         if !chain.is_empty() {
@@ -442,7 +435,6 @@ impl Contour {
     }
 
     /// The place at a length along a feature.
-    #[must_use]
     pub fn place(&self, feature: usize, along_mm: f64) -> SurfacePlace {
         let segment = &self.features[feature].segment;
         let t = segment.parameter(along_mm, &self.chords[feature].1);
@@ -455,7 +447,6 @@ impl Contour {
     /// The place of the contour nearest to a point.
     ///
     /// `None` for a contour without features.
-    #[must_use]
     pub fn nearest(&self, p: Zx) -> Option<SurfacePlace> {
         let (_, n, foot) = self.surface.nearest(p, f64::INFINITY)?;
         let (feature, along_mm) = self.starts[n];
@@ -463,27 +454,23 @@ impl Contour {
     }
 
     /// The feature nearest to a point, if its surface is nearer than `within_mm`.
-    #[must_use]
     pub fn feature_within(&self, p: Zx, within_mm: f64) -> Option<usize> {
         let p = Zx::new(p.z, p.x.abs()); // the part is round
         self.surface.nearest(p, within_mm).map(|(_, n, _)| self.starts[n].0)
     }
 
     /// Whether a point is in the material. An open contour is closed along the axis.
-    #[must_use]
     pub fn inside(&self, p: Zx) -> bool {
         self.outline.crossings(Zx::new(p.z, p.x.abs())) % 2 == 1 // the part is round
     }
 
     /// Largest Z and X of the contour, in mm.
-    #[must_use]
     pub fn reach(&self) -> Zx {
         let all = self.chords.iter().flat_map(|(_, c)| c);
         all.fold(Zx::new(f64::MIN, f64::MIN), |m, p| Zx::new(m.z.max(p.z), m.x.max(p.x)))
     }
 
     /// Chords of each feature.
-    #[must_use]
     pub fn chords(&self) -> &[(usize, Vec<Zx>)] {
         &self.chords
     }

@@ -104,7 +104,6 @@ impl FeatureErrors {
     }
 
     /// Number of points.
-    #[must_use]
     pub fn len(&self) -> usize {
         match self {
             Self::Arc(errors) => errors.len(),
@@ -113,7 +112,6 @@ impl FeatureErrors {
     }
 
     /// Least and largest error, µm.
-    #[must_use]
     pub fn range_um(&self) -> [f64; 2] {
         let within = |[low, high]: [f64; 2], um: f64| [low.min(um), high.max(um)];
         let none = [f64::INFINITY, f64::NEG_INFINITY];
@@ -124,7 +122,6 @@ impl FeatureErrors {
     }
 
     /// Always false: a file without a line is refused.
-    #[must_use]
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
@@ -298,7 +295,6 @@ pub fn read_arc(file: &Path) -> Result<Vec<PointError>, InputError> {
 
 /// The table of NISTIR 4854, section 5, as text.
 /// It has one line per point, angles ascending: angle from the part's +Z axis in rad and error in µm.
-#[must_use]
 pub fn error_cor(errors: &[PointError]) -> String {
     let mut sorted = errors.to_vec();
     sorted.sort_by(|a, b| a.angle_rad.total_cmp(&b.angle_rad));

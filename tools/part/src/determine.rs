@@ -21,7 +21,7 @@ pub enum Feature {
 
 /// The request for a feature's errors.
 #[derive(Debug, Clone)]
-pub struct Asked {
+pub struct ErrorRequest {
     /// The probed points: a CSV `z_mm,x_mm[,approach_z,approach_x]`.
     pub points: PathBuf,
     /// Assignments of columns, as `z_mm=3` or `x_mm=Radius`.
@@ -51,9 +51,8 @@ pub struct Asked {
     pub with_size: bool,
 }
 
-impl Asked {
+impl ErrorRequest {
     /// A request for these points, with defaults for everything else.
-    #[must_use]
     pub fn of(points: &Path) -> Self {
         Self {
             points: points.to_owned(),
@@ -87,7 +86,7 @@ const OTHER_TAPER_DEG: f64 = 1.0;
 const FALSE_TRIP_UM: f64 = 200.0;
 
 /// The nominal feature, as requested or as recognised from the points.
-fn nominal(args: &Asked, probed: &Probed, say: &mut dyn FnMut(Said)) -> Result<Nominal, InputError> {
+fn nominal(args: &ErrorRequest, probed: &Probed, say: &mut dyn FnMut(Said)) -> Result<Nominal, InputError> {
     let straight = match args.feature {
         Some(feature) => feature == Feature::Line,
         None => probed.is_straight(args.radius_mm.is_some())?,
@@ -121,7 +120,7 @@ fn nominal(args: &Asked, probed: &Probed, say: &mut dyn FnMut(Said)) -> Result<N
 
 /// Reads the points, the side of each touch and the expected places.
 /// It subtracts the prediction of the machine's model.
-fn read(args: &Asked, say: &mut dyn FnMut(Said)) -> Result<(Probed, Option<Vec<Zx>>), InputError> {
+fn read(args: &ErrorRequest, say: &mut dyn FnMut(Said)) -> Result<(Probed, Option<Vec<Zx>>), InputError> {
     let mut probed = Probed::read_columns(&args.points, &args.columns)?;
     if let Some(written) = probed.written() {
         say(Said::Note(written));
@@ -179,7 +178,7 @@ fn read(args: &Asked, say: &mut dyn FnMut(Said)) -> Result<(Probed, Option<Vec<Z
 }
 
 /// Reports places that were touched several times, and points that may be false.
-fn say_touches(args: &Asked, probed: &Probed, report: &ErrorReport, say: &mut dyn FnMut(Said)) {
+fn say_touches(args: &ErrorRequest, probed: &Probed, report: &ErrorReport, say: &mut dyn FnMut(Said)) {
     if let Some(repeats) = &report.repeats {
         let between = match repeats.sd_between_um {
             Some(um) => {
@@ -218,7 +217,7 @@ fn by_half_of_x(points: &[Zx]) -> Option<f64> {
 }
 
 /// Refuses points of a circle whose X is a diameter.
-fn refuse_diameters(args: &Asked, points: &[Zx]) -> Result<(), InputError> {
+fn refuse_diameters(args: &ErrorRequest, points: &[Zx]) -> Result<(), InputError> {
     if let Some(nominal) = args.radius_mm
         && let Some(radius) = by_half_of_x(points).filter(|r| ONE_SIZE.contains(&(r / nominal)))
     {
@@ -250,7 +249,7 @@ fn double_hint(nominal_to_found: f64) -> &'static str {
 ///
 /// # Errors
 /// A file that cannot be read, a number that cannot be meant, points that do not determine the feature.
-pub fn determine(args: &Asked, say: &mut dyn FnMut(Said)) -> Result<ErrorReport, InputError> {
+pub fn determine(args: &ErrorRequest, say: &mut dyn FnMut(Said)) -> Result<ErrorReport, InputError> {
     if let Some(taper) = args.taper_deg.filter(|t| !(t.is_finite() && t.abs() < 90.0)) {
         return Err(usage("--taper-deg", format!("{taper}"), "an angle in degrees, below 90"));
     }
@@ -343,7 +342,7 @@ pub fn determine(args: &Asked, say: &mut dyn FnMut(Said)) -> Result<ErrorReport,
 }
 
 /// A taper too far from nominal, and what may have been meant.
-fn taper_slip(args: &Asked, r: &ErrorReport) -> Option<(f64, &'static str)> {
+fn taper_slip(args: &ErrorRequest, r: &ErrorReport) -> Option<(f64, &'static str)> {
     let (asked, found) = args.taper_deg.zip(r.inclination_deg)?;
     let off = r.inclination_error_deg.filter(|off| off.abs() > OTHER_TAPER_DEG)?;
     let is = |meant: f64| ((found - meant + 90.0).rem_euclid(180.0) - 90.0).abs() <= OTHER_TAPER_DEG;

@@ -16,7 +16,7 @@ use std::f64::consts::{PI, TAU};
 use std::path::Path;
 
 mod block;
-mod short;
+mod short_pieces;
 
 use block::{Place, Placed};
 
@@ -54,7 +54,6 @@ impl Default for Options<'_> {
 
 impl ErrorReport {
     /// Outline and error bars as DXF (R2000, mm): layers `OUTLINE` and `WHISKER`.
-    #[must_use]
     pub fn whisker_dxf(&self) -> String {
         let w = self.whiskers();
         let outline = w.outline.windows(2).map(|pair| (pair[0], pair[1], "OUTLINE"));
@@ -169,7 +168,7 @@ pub fn read(file: &Path, options: &Options) -> Result<(Contour, Unit), InputErro
     reader.twice(&pieces)?;
     let (short, mut pieces): (Vec<Piece>, Vec<Piece>) =
         pieces.into_iter().partition(|piece| reader.is_speck(&piece.segment));
-    let curves = short::joined(&short, options.tolerance_mm, &mut cleaned);
+    let curves = short_pieces::joined(&short, options.tolerance_mm, &mut cleaned);
     for piece in curves {
         reader.is_fit(&piece.segment, &piece.entity, piece.line)?;
         pieces.push(piece);
@@ -682,7 +681,7 @@ impl Reader<'_> {
             let ([a0, a1], middle) = (a.ends(), a.segment.at(0.5));
             let same = |j: &usize| {
                 let [b0, b1] = pieces[*j].ends();
-                let reach = short::reach_mm(lengths[i], lengths[*j]).min(tolerance);
+                let reach = short_pieces::reach_mm(lengths[i], lengths[*j]).min(tolerance);
                 let near = |p: Zx, q: Zx| self.near(p, q) && (p - q).norm() <= reach;
                 let ends = near(a0, b0) && near(a1, b1) || near(a0, b1) && near(a1, b0);
                 reach > 0.0 && ends && near(middle, pieces[*j].segment.at(0.5))
@@ -777,7 +776,7 @@ impl Reader<'_> {
                 "one contour, or --layer to choose it",
             ));
         }
-        short::close_joints(&mut chain, closed);
+        short_pieces::close_joints(&mut chain, closed);
         Ok(Contour::new(chain, closed))
     }
 

@@ -5,8 +5,8 @@ use crate::cor::{PointError, error_cor, turned_near};
 use crate::fit::{self, FitError, FitShape, FittedShape, Robust, TwoStep, Zx, sequence};
 use crate::path::{PathPoint, touches};
 use crate::repeats::{self, Repeats};
-use crate::steps::written_step_mm;
 use crate::svg::Svg;
+use crate::written_step::written_step_mm;
 use rtec_files::InputError;
 use rtec_files::{Columns, Sheet};
 use rtec_model::effect::{Effect, Need};
@@ -205,7 +205,6 @@ impl Probed {
     }
 
     /// How the file's format differs from the usual one.
-    #[must_use]
     pub fn written(&self) -> Option<String> {
         self.sheet.written()
     }
@@ -254,7 +253,6 @@ impl Probed {
     }
 
     /// Effects that are evaluated beyond the range that their values were stated on.
-    #[must_use]
     pub fn beyond_stated(&self, machine: &Machine, origin: Zx) -> Vec<String> {
         let places = |of: fn(&Zx) -> f64| Some(self.tip_centre.iter().map(|p| of(&(*p + origin))).collect());
         machine.beyond_stated(|axis| match axis.as_str() {
@@ -266,7 +264,6 @@ impl Probed {
 
     /// Effects of a model whose inputs the points do not record.
     /// Such an input counts as zero; for the time it is the row's number.
-    #[must_use]
     pub fn read_blind(&self, machine: &Machine) -> Vec<String> {
         let timed = self.sheet.names().iter().any(|n| n == "t_s");
         let blind = |need: &Need| match need {
@@ -280,7 +277,6 @@ impl Probed {
 
     /// Line of the first point at exactly 0, 0.
     /// Such a point shows that no position was captured.
-    #[must_use]
     pub fn at_zero(&self) -> Option<usize> {
         let row = self.tip_centre.iter().position(|p| p.z == 0.0 && p.x == 0.0)?;
         Some(self.sheet.line(row))
@@ -372,7 +368,6 @@ impl Probed {
 
     /// Mean distance of the points outside the expected ones, along the normals, µm.
     /// For a straight feature this is its constant error, which its form does not include.
-    #[must_use]
     pub fn outside_um(&self, report: &ErrorReport, expected: &[Zx]) -> Option<f64> {
         let FittedShape::Line { normal, .. } = report.outline else { return None };
         // Each point's distance less its error is the distance of the fitted line. The mean of all would be
@@ -707,7 +702,6 @@ impl ErrorReport {
     /// An arc is by angle, as in the report. A straight feature has one angle and five numbers per line:
     /// angle (rad), error (µm), place along it (mm), and the surface's Z and X there (mm). With `with_size`
     /// the constant error is included.
-    #[must_use]
     pub fn error_cor(&self, with_size: bool) -> String {
         let size_um = self.size_error_um.filter(|_| with_size).unwrap_or(0.0);
         match self.outline {
@@ -741,13 +735,11 @@ pub(crate) struct Whiskers {
 
 impl ErrorReport {
     /// Half of the size error's 95 % interval, µm (Student's t).
-    #[must_use]
     pub fn size_within_um(&self) -> Option<f64> {
         Some(self.student()? * self.size_standard_error_um?)
     }
 
     /// Half of the inclination error's 95 % interval, degrees (Student's t).
-    #[must_use]
     pub fn inclination_within_deg(&self) -> Option<f64> {
         Some(self.student()? * self.inclination_standard_error_deg?)
     }
@@ -763,13 +755,11 @@ impl ErrorReport {
 
     /// Whether the size error is larger than its 95 % interval.
     /// No advice is given on a smaller one.
-    #[must_use]
     pub fn is_size_known(&self) -> bool {
         matches!((self.size_error_um, self.size_within_um()), (Some(off), Some(within)) if off.abs() > within)
     }
 
     /// Whether the inclination error is larger than its 95 % interval.
-    #[must_use]
     pub fn is_inclination_known(&self) -> bool {
         let both = (self.inclination_error_deg, self.inclination_within_deg());
         matches!(both, (Some(off), Some(within)) if off.abs() > within)
@@ -812,7 +802,6 @@ impl ErrorReport {
     }
 
     /// The feature with its error bars, magnified as in figures 5 and 6 of NISTIR 4854.
-    #[must_use]
     pub fn whisker_svg(&self) -> String {
         let w = self.whiskers();
         let mut svg = Svg::default();

@@ -16,37 +16,31 @@ pub struct Zx {
 
 impl Zx {
     /// A point from its two coordinates.
-    #[must_use]
     pub const fn new(z: f64, x: f64) -> Self {
         Self { z, x }
     }
 
     /// The unit direction at an angle from the +Z axis.
-    #[must_use]
     pub fn at_angle(angle_rad: f64) -> Self {
         Self::new(angle_rad.cos(), angle_rad.sin())
     }
 
     /// Distance from the origin.
-    #[must_use]
     pub fn norm(self) -> f64 {
         self.z.hypot(self.x)
     }
 
     /// Scalar product with another vector.
-    #[must_use]
     pub fn dot(self, other: Self) -> f64 {
         self.z * other.z + self.x * other.x
     }
 
     /// Angle from the +Z axis, in rad.
-    #[must_use]
     pub fn angle_rad(self) -> f64 {
         self.x.atan2(self.z)
     }
 
     /// The same direction with length 1; `None` for a vector without direction.
-    #[must_use]
     pub fn unit(self) -> Option<Self> {
         let length = self.norm();
         (length.is_finite() && length > 1e-12).then(|| self * (1.0 / length))
@@ -85,7 +79,6 @@ pub enum FitShape {
 
 impl FitShape {
     /// Number of free parameters.
-    #[must_use]
     pub const fn parameters(self) -> usize {
         match self {
             Self::Circle => 3,
@@ -116,7 +109,6 @@ pub enum FittedShape {
 impl FittedShape {
     /// Deviation of a point, in mm.
     /// It is positive outside the circle or on the normal's side of the line.
-    #[must_use]
     pub fn deviation_mm(&self, p: Zx) -> f64 {
         match *self {
             Self::Circle { centre, radius_mm } => (p - centre).norm() - radius_mm,
@@ -125,7 +117,6 @@ impl FittedShape {
     }
 
     /// Outward unit normal of the shape at the foot of a point.
-    #[must_use]
     pub fn normal_at(&self, p: Zx) -> Zx {
         match *self {
             Self::Circle { centre, .. } => (p - centre).unit().unwrap_or(Zx::new(1.0, 0.0)),
@@ -274,14 +265,12 @@ fn circle_from(
 }
 
 /// Deviations of all points from a shape, in µm.
-#[must_use]
 pub fn deviations_um(fitted: &FittedShape, points: &[Zx]) -> Vec<f64> {
     points.iter().map(|&p| fitted.deviation_mm(p) * 1e3).collect()
 }
 
 /// Sample standard deviation (divisor n − 1) of selected values.
 /// `keep` selects by index. It is 0 for fewer than two values.
-#[must_use]
 pub fn sd(values: &[f64], keep: impl Fn(usize) -> bool) -> f64 {
     let kept: Vec<f64> = values.iter().enumerate().filter(|(i, _)| keep(*i)).map(|(_, v)| *v).collect();
     if kept.len() < 2 {
@@ -305,7 +294,6 @@ pub struct StandardErrors {
 
 /// Standard errors of a least-squares fit through `points`.
 /// `sd_um` is the standard deviation of their deviations. `None` if the points do not determine the shape.
-#[must_use]
 pub fn standard_errors(fitted: &FittedShape, points: &[Zx], sd_um: f64) -> Option<StandardErrors> {
     let n = points.len() as f64;
     match *fitted {
@@ -348,7 +336,6 @@ pub fn standard_errors(fitted: &FittedShape, points: &[Zx], sd_um: f64) -> Optio
 /// It is for the worst of two to four waves per turn. Around a whole circle it is 1 or less. On a short arc
 /// it is far larger, because such waves look like another radius there. `None` if the points do not determine
 /// a circle.
-#[must_use]
 pub fn form_in_size(angles_rad: &[f64]) -> Option<f64> {
     let n = angles_rad.len() as f64;
     let units: Vec<Zx> = angles_rad.iter().map(|a| Zx::at_angle(*a)).collect();
@@ -498,7 +485,6 @@ impl Sums {
 /// first. The deviation of the next one from the fit of those before it follows Student's law. From the first
 /// significant one on, all are left out (Rosner, Technometrics 25, 1983). White noise loses a point in one to
 /// three of a hundred features. `least_um` is the smallest standard deviation of a point. The indices ascend.
-#[must_use]
 pub fn beyond_noise(robust: &FittedShape, points: &[Zx], least_um: f64) -> Vec<usize> {
     let (n, off_um) = (points.len(), deviations_um(robust, points));
     let mean =
@@ -537,7 +523,6 @@ pub fn beyond_noise(robust: &FittedShape, points: &[Zx], least_um: f64) -> Vec<u
 
 /// Indices of the points in sequence along a shape.
 /// On a circle the sequence starts after the widest gap.
-#[must_use]
 pub fn sequence(fitted: &FittedShape, points: &[Zx]) -> Vec<usize> {
     let key: Vec<f64> = match *fitted {
         FittedShape::Circle { centre, .. } => points.iter().map(|&p| (p - centre).angle_rad()).collect(),

@@ -13,7 +13,7 @@
 //! | [`table`], [`line_table`] | the finish cut's corrections, or the same as G01 moves |
 //! | [`batch`] | the post-process loop: a batch measured off the machine |
 //! | [`svg`] | drawings as SVG |
-//! | [`page`] | two probing sessions side by side |
+//! | [`comparison_page`] | two probing sessions side by side |
 //!
 //! Only geometry belongs here: no machine that moves (`rtec-sim`), no engine, no control law, no server.
 //!
@@ -23,6 +23,7 @@
 //! An example: `cargo run -p rtec-part --example fit_nose`. The tests run it too.
 
 pub mod batch;
+pub mod comparison_page;
 pub mod contour;
 pub mod cor;
 pub mod determine;
@@ -32,12 +33,11 @@ mod edges;
 pub mod errors;
 pub mod fit;
 pub mod line_table;
-pub mod page;
 pub mod path;
 pub mod probe;
 pub mod program;
 mod repeats;
-mod steps;
 pub mod svg;
 pub mod table;
 pub mod unit;
+mod written_step;

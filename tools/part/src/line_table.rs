@@ -3,8 +3,7 @@
 
 use crate::cor::LineError;
 use crate::fit::Zx;
-use crate::table::{AxisCounts, FinishRow};
-use std::fmt::Write as _;
+use crate::table::{AxisCounts, FinishRow, csv_of, interpolated};
 
 /// A straight feature's errors, ready for its finish cut.
 #[derive(Debug, Clone)]
@@ -40,32 +39,20 @@ impl LineTable {
 
     /// Error at a distance from the first point, µm.
     /// It is linear between the probed points; beyond them the end values apply.
-    #[must_use]
     pub fn error_um(&self, from_first_mm: f64) -> f64 {
         let Some(first) = self.errors.first() else { return 0.0 };
-        let along_mm = first.along_mm + from_first_mm;
-        let next = self.errors.partition_point(|e| e.along_mm <= along_mm);
-        match (next.checked_sub(1).and_then(|i| self.errors.get(i)), self.errors.get(next)) {
-            (Some(a), Some(b)) => {
-                let part = (along_mm - a.along_mm) / (b.along_mm - a.along_mm);
-                a.error_um + part * (b.error_um - a.error_um)
-            }
-            (Some(e), None) | (None, Some(e)) => e.error_um,
-            (None, None) => 0.0,
-        }
+        interpolated(&self.errors, |e| (e.along_mm, e.error_um), first.along_mm + from_first_mm)
     }
 
     /// Components of the error, in µm, at a predicted machine position.
     /// It is reached in `lead_s` at a velocity in mm/s. For an arc see
     /// [`crate::table::FinishTable::components_um`].
-    #[must_use]
     pub fn components_um(&self, machine: Zx, velocity_mm_s: Zx, lead_s: f64) -> Zx {
         let [along_mm, _] = self.at(machine + velocity_mm_s * lead_s);
         self.directions().0 * self.error_um(along_mm)
     }
 
     /// Distance of a machine position from the line segment of the nose's centre, mm.
-    #[must_use]
     pub fn off_mm(&self, machine: Zx) -> f64 {
         let [along_mm, off_mm] = self.at(machine);
         let length_mm = match (self.errors.first(), self.errors.last()) {
@@ -76,7 +63,6 @@ impl LineTable {
     }
 
     /// The table: a row at each probed point, and `between` rows between neighbours.
-    #[must_use]
     pub fn rows(&self, between: usize) -> Vec<FinishRow> {
         let steps = between + 1;
         let mut places: Vec<(f64, Zx, f64)> = Vec::new();
@@ -93,20 +79,14 @@ impl LineTable {
         }
         places.extend(self.errors.last().map(|e| (e.angle_rad, e.place, e.error_um)));
         let row = |(angle_rad, place, error_um): (f64, Zx, f64)| {
-            let n = Zx::at_angle(angle_rad);
-            let part_mm = place + n * self.nose_mm;
-            let wanted = n * error_um;
-            let requested = [self.axes[0].requested(wanted.z), self.axes[1].requested(wanted.x)];
-            let taken = Zx::new(self.axes[0].taken_um(requested[0]), self.axes[1].taken_um(requested[1]));
-            let left_um = error_um - taken.dot(n);
-            FinishRow { angle_rad, error_um, part_mm, machine_mm: part_mm + self.origin, requested, left_um }
+            let part_mm = place + Zx::at_angle(angle_rad) * self.nose_mm;
+            FinishRow::new(&self.axes, angle_rad, error_um, part_mm, self.origin)
         };
         places.into_iter().map(row).collect()
     }
 
     /// The same compensation as corners of straight moves in the NC program.
     /// They are in part coordinates.
-    #[must_use]
     pub fn straight_moves(&self) -> Vec<Zx> {
         let corner = |e: &LineError| e.place + Zx::at_angle(e.angle_rad) * (self.nose_mm - e.error_um * 1e-3);
         self.errors.iter().map(corner).collect()
@@ -116,32 +96,12 @@ impl LineTable {
     ///
     /// `lead_mm` is the distance before each position at which its totals are sent. The cut runs towards
     /// larger places, or with `backwards` towards smaller ones.
-    #[must_use]
     pub fn csv(&self, rows: &[FinishRow], lead_mm: f64, backwards: bool) -> String {
         let way = match (self.errors.first(), self.errors.last()) {
             (Some(a), Some(b)) => (b.place - a.place).unit().unwrap_or(Zx::new(0.0, 0.0)),
             _ => Zx::new(0.0, 0.0),
         };
         let lead = way * if backwards { lead_mm } else { -lead_mm };
-        let mut text = crate::table::HEADER.to_owned();
-        for r in rows {
-            let send = r.machine_mm + lead;
-            let _ = writeln!(
-                text,
-                "{:.6},{:.3},{:.5},{:.5},{:.5},{:.5},{:.5},{:.5},{},{},{:.3}",
-                r.angle_rad,
-                r.error_um,
-                r.part_mm.z,
-                r.part_mm.x,
-                r.machine_mm.z,
-                r.machine_mm.x,
-                send.z,
-                send.x,
-                r.requested[0],
-                r.requested[1],
-                r.left_um
-            );
-        }
-        text
+        csv_of(rows, |r| r.machine_mm + lead)
     }
 }

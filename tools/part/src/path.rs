@@ -33,31 +33,18 @@ impl ProbingMotion {
         Self { feed_mm_min: 2500.0, accel_mm_s2: 217.0, decel_mm_s2: 578.7, window_mm: 1.0 };
 
     /// The probing feed in mm/s.
-    #[must_use]
     pub fn velocity_mm_s(&self) -> f64 {
         self.feed_mm_min / 60.0
     }
 
     /// Travel from rest to the expected trip: acceleration, then the window.
-    #[must_use]
     pub fn stand_off_mm(&self) -> f64 {
         self.velocity_mm_s().powi(2) / (2.0 * self.accel_mm_s2) + self.window_mm
     }
 
     /// Travel from the expected trip to rest: the window, then deceleration.
-    #[must_use]
     pub fn over_travel_mm(&self) -> f64 {
         self.velocity_mm_s().powi(2) / (2.0 * self.decel_mm_s2) + self.window_mm
-    }
-
-    /// Time of one touch, there and back, at this feed with these ramps, s.
-    #[must_use]
-    pub fn touch_s(&self, stand_off_mm: f64, over_travel_mm: f64) -> f64 {
-        let v = self.velocity_mm_s();
-        let ramps_mm = v * v / 2.0 * (1.0 / self.accel_mm_s2 + 1.0 / self.decel_mm_s2);
-        let way_mm = stand_off_mm + over_travel_mm;
-        let ramps_s = v / self.accel_mm_s2 + v / self.decel_mm_s2;
-        2.0 * (ramps_s + (way_mm - ramps_mm).max(0.0) / v)
     }
 }
 
@@ -148,14 +135,12 @@ const SLACK_MM: f64 = 0.005;
 
 /// Number of points on a length at a spacing.
 /// The spacing is reduced so that both ends get a point.
-#[must_use]
 pub fn number_at(length_mm: f64, spacing_mm: f64) -> usize {
     (length_mm / spacing_mm - 1e-9).ceil().max(1.0) as usize + 1
 }
 
 impl Plan {
     /// A plan without points.
-    #[must_use]
     pub const fn new(probe: Probe) -> Self {
         Self { probe, points: Vec::new() }
     }
@@ -219,14 +204,12 @@ impl Plan {
     }
 
     /// The expected tip's centre at each trip.
-    #[must_use]
     pub fn expected(&self) -> Vec<Zx> {
         self.points.iter().map(|p| p.place.at + p.place.normal * self.probe.tip_mm).collect()
     }
 
     /// The whole path.
     /// For each point it has by-passes, start, touch (through the surface by the over-travel) and finish.
-    #[must_use]
     pub fn records(&self) -> Vec<PathPoint> {
         let mut records = Vec::new();
         for (i, p) in self.points.iter().enumerate() {
@@ -275,7 +258,6 @@ impl Plan {
     }
 
     /// All collisions of the probe on its way, or in a touch before the trip.
-    #[must_use]
     pub fn hits(&self, contour: &Contour) -> Vec<Collision> {
         let mut hits = Vec::new();
         for (i, p) in self.points.iter().enumerate() {
@@ -328,7 +310,6 @@ impl Plan {
     }
 
     /// Names and contents of the plan's files: path, expected trips, drawing.
-    #[must_use]
     pub fn files(&self, contour: &Contour, unit: Unit) -> [(&'static str, String); 3] {
         let expected = self.expected();
         let trips: Vec<PathPoint> = expected
@@ -344,7 +325,6 @@ impl Plan {
     }
 
     /// The contour with points, touches, ways and collisions.
-    #[must_use]
     pub fn svg(&self, contour: &Contour) -> String {
         let mut svg = Svg::default();
         contour.draw(&mut svg, true);
@@ -374,7 +354,6 @@ impl Plan {
 /// The text of the path file.
 /// It has one `POINT` record per place, coordinates in the drawing's unit, the third always 0 (NISTIR 4854,
 /// figure 7).
-#[must_use]
 pub fn pathfin(records: &[PathPoint], unit: Unit) -> String {
     records.iter().fold(String::new(), |mut text, r| {
         let role = match r.role {
@@ -422,7 +401,6 @@ pub fn read_pathfin(file: &Path, unit: Unit) -> Result<Vec<PathPoint>, InputErro
 }
 
 /// Direction of motion of each touch of a path.
-#[must_use]
 pub fn approaches(records: &[PathPoint]) -> Vec<Zx> {
     touches(records).filter_map(|[from, to]| (to - from).unit()).collect()
 }

@@ -122,7 +122,6 @@ pub fn assign(
 /// The record that `part errors` reads, as CSV.
 /// `approach` are the directions of motion of each touch. `degc` are the sensors' readings at each trip, for
 /// the off-line geometric-thermal correction.
-#[must_use]
 pub fn probed_csv(trips: &[Trip], approach: &[Zx], sensors: &[&str], degc: &[Vec<f64>]) -> String {
     let mut text = "z_mm,x_mm,approach_z,approach_x,point,t_s,uncertainty_um".to_owned();
     for sensor in sensors {
@@ -150,7 +149,6 @@ pub fn probed_csv(trips: &[Trip], approach: &[Zx], sensors: &[&str], degc: &[Vec
 /// along its touch. `origin` is the machine's position at the part's zero.
 ///
 /// `None` for a session without a trip.
-#[must_use]
 pub fn run_record(
     trips: &[Trip],
     expected: &[Zx],

@@ -183,7 +183,6 @@ impl Parameters {
     }
 
     /// The default values in a program's unit.
-    #[must_use]
     pub fn in_unit(unit: Unit) -> Self {
         let mut all = Self::default();
         for p in PARAMETERS.iter().filter(|p| matches!(p.number, 11 | 12 | 14)) {
@@ -214,7 +213,6 @@ impl Parameters {
     }
 
     /// The program's file name: `pt`, part, version, `s`, segment, `.dnc`.
-    #[must_use]
     pub fn file_name(&self) -> String {
         format!("pt{}s{}.dnc", self.get(1), self.get(2))
     }
@@ -227,7 +225,6 @@ impl Controller {
     ///
     /// # Errors
     /// Never for a name of [`BUILT_IN`]: a test reads them all.
-    #[must_use]
     pub fn built_in(name: &str) -> Option<Result<Self, InputError>> {
         let (name, dialect, template) = BUILT_IN.iter().find(|(n, ..)| *n == name)?;
         Some(Self::parse(Path::new(name), dialect, template))
@@ -420,7 +417,6 @@ fn block_number(line: &str) -> Option<u32> {
 }
 
 /// Date and time of a Unix time, UTC, in the form of programs.
-#[must_use]
 pub fn date_time(unix_s: u64) -> String {
     let (date, second) = (date::format((unix_s / 86_400) as i64), unix_s % 86_400);
     format!("{date} {:02}:{:02} UTC", second / 3600, second / 60 % 60)

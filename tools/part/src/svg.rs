@@ -53,7 +53,6 @@ impl Svg {
     }
 
     /// Lower and upper corner of the drawn content.
-    #[must_use]
     pub fn frame(&self) -> (Zx, Zx) {
         let origin = Zx::new(0.0, 0.0);
         (self.low.unwrap_or(origin), self.high.unwrap_or(origin))
@@ -61,7 +60,6 @@ impl Svg {
 
     /// The whole SVG document, with a title and a legend.
     /// The legend gives the meaning of lines and dots by their style.
-    #[must_use]
     pub fn finish(&self, title: &str, legend: &[(&str, &str)]) -> String {
         let (low, high) = self.frame();
         let size = (0.025 * (high - low).norm()).max(0.3);

@@ -20,7 +20,6 @@ pub struct AxisCounts {
 
 impl AxisCounts {
     /// Length of one insertion.
-    #[must_use]
     pub fn increment_um(&self) -> f64 {
         self.count_um * self.increment as f64
     }
@@ -29,13 +28,11 @@ impl AxisCounts {
     ///
     /// An axis stops short by the additional counts that the MTC sees. So too much material needs counts of
     /// its own sign.
-    #[must_use]
     pub fn requested(&self, error_um: f64) -> i64 {
         (self.sign * error_um / self.increment_um()).round() as i64 * self.increment
     }
 
     /// Displacement of the axis by a requested total, in µm: the removed error.
-    #[must_use]
     pub fn taken_um(&self, requested: i64) -> f64 {
         self.sign * requested as f64 * self.count_um
     }
@@ -59,19 +56,16 @@ pub struct FinishCut {
 
 impl FinishCut {
     /// Machine position while the surface at this angle is cut.
-    #[must_use]
     pub fn machine_at(&self, angle_rad: f64) -> Zx {
         self.part_at(angle_rad) + self.origin
     }
 
     /// Centre of the tool's nose at this angle, in part coordinates.
-    #[must_use]
     pub fn part_at(&self, angle_rad: f64) -> Zx {
         self.centre + Zx::at_angle(angle_rad) * (self.radius_mm + self.nose_mm)
     }
 
     /// The surface angle that is cut at a machine position.
-    #[must_use]
     pub fn angle_at(&self, machine: Zx) -> f64 {
         (machine - self.origin - self.centre).angle_rad()
     }
@@ -94,6 +88,38 @@ pub struct FinishRow {
     pub left_um: f64,
 }
 
+impl FinishRow {
+    /// The row at a place, with the totals of both axes for its error.
+    pub(crate) fn new(
+        axes: &[AxisCounts; 2],
+        angle_rad: f64,
+        error_um: f64,
+        part_mm: Zx,
+        origin: Zx,
+    ) -> Self {
+        let n = Zx::at_angle(angle_rad);
+        let requested = requested(axes, n * error_um);
+        let taken = Zx::new(axes[0].taken_um(requested[0]), axes[1].taken_um(requested[1]));
+        let left_um = error_um - taken.dot(n);
+        Self { angle_rad, error_um, part_mm, machine_mm: part_mm + origin, requested, left_um }
+    }
+}
+
+fn requested(axes: &[AxisCounts; 2], components_um: Zx) -> [i64; 2] {
+    [axes[0].requested(components_um.z), axes[1].requested(components_um.x)]
+}
+
+/// The error at a place, linear between points `(place, error)`.
+/// Their places ascend. Beyond them the end values apply, and without points it is zero.
+pub(crate) fn interpolated<T>(points: &[T], of: impl Fn(&T) -> (f64, f64), at: f64) -> f64 {
+    let next = points.partition_point(|p| of(p).0 <= at);
+    match (next.checked_sub(1).map(|i| of(&points[i])), points.get(next).map(&of)) {
+        (Some((a, a_um)), Some((b, b_um))) => a_um + (at - a) / (b - a) * (b_um - a_um),
+        (Some((_, um)), None) | (None, Some((_, um))) => um,
+        (None, None) => 0.0,
+    }
+}
+
 /// Errors by angle, ready for the finish cut.
 #[derive(Debug, Clone)]
 pub struct FinishTable {
@@ -107,60 +133,45 @@ pub struct FinishTable {
 impl FinishTable {
     /// A table from the errors of the semi-finish cut.
     /// Their angles ascend, as [`crate::cor::read_arc`] reads them.
-    #[must_use]
     pub fn new(cut: FinishCut, axes: [AxisCounts; 2], mut errors: Vec<PointError>) -> Self {
         errors.sort_by(|a, b| a.angle_rad.total_cmp(&b.angle_rad));
         Self { cut, axes, errors }
     }
 
     /// The errors that it was made from, angles ascending.
-    #[must_use]
     pub fn errors(&self) -> &[PointError] {
         &self.errors
     }
 
     /// Number of probed points in the table.
-    #[must_use]
     pub fn points(&self) -> usize {
         self.errors.len()
     }
 
     /// Error at an angle, µm, linear between the probed points.
     /// Beyond them the end values apply, so that there is no step where the tool enters.
-    #[must_use]
     pub fn error_um(&self, angle_rad: f64) -> f64 {
         let (Some(first), Some(last)) = (self.errors.first(), self.errors.last()) else { return 0.0 };
         // On an arc across ±π an angle from a direction may be a turn away from the table's.
         let angle_rad = turned_near(angle_rad, f64::midpoint(first.angle_rad, last.angle_rad));
-        let next = self.errors.partition_point(|e| e.angle_rad <= angle_rad);
-        match (next.checked_sub(1).and_then(|i| self.errors.get(i)), self.errors.get(next)) {
-            (Some(a), Some(b)) => {
-                let part = (angle_rad - a.angle_rad) / (b.angle_rad - a.angle_rad);
-                a.error_um + part * (b.error_um - a.error_um)
-            }
-            (Some(e), None) | (None, Some(e)) => e.error_um,
-            (None, None) => 0.0,
-        }
+        interpolated(&self.errors, |e| (e.angle_rad, e.error_um), angle_rad)
     }
 
     /// Components of the error, µm, at the machine position reached in `lead_s`.
     ///
     /// The velocity is in mm/s. The error is evaluated ahead, so that the counts are inserted when the tool
     /// cuts there. The geometric-thermal model is added before the sum is converted to counts.
-    #[must_use]
     pub fn components_um(&self, machine: Zx, velocity_mm_s: Zx, lead_s: f64) -> Zx {
         let angle_rad = self.cut.angle_at(machine + velocity_mm_s * lead_s);
         Zx::at_angle(angle_rad) * self.error_um(angle_rad)
     }
 
     /// Requested totals `[z, x]` for components in µm.
-    #[must_use]
     pub fn requested(&self, components_um: Zx) -> [i64; 2] {
-        [self.axes[0].requested(components_um.z), self.axes[1].requested(components_um.x)]
+        requested(&self.axes, components_um)
     }
 
     /// The table: a row at each probed point, and `between` rows between neighbours.
-    #[must_use]
     pub fn rows(&self, between: usize) -> Vec<FinishRow> {
         let steps = between + 1;
         let mut angles: Vec<f64> = Vec::new();
@@ -172,17 +183,8 @@ impl FinishTable {
         angles
             .into_iter()
             .map(|angle_rad| {
-                let (n, error_um) = (Zx::at_angle(angle_rad), self.error_um(angle_rad));
-                let requested = self.requested(n * error_um);
-                let taken = Zx::new(self.axes[0].taken_um(requested[0]), self.axes[1].taken_um(requested[1]));
-                FinishRow {
-                    angle_rad,
-                    error_um,
-                    part_mm: self.cut.part_at(angle_rad),
-                    machine_mm: self.cut.machine_at(angle_rad),
-                    requested,
-                    left_um: error_um - taken.dot(n),
-                }
+                let (error_um, part_mm) = (self.error_um(angle_rad), self.cut.part_at(angle_rad));
+                FinishRow::new(&self.axes, angle_rad, error_um, part_mm, self.cut.origin)
             })
             .collect()
     }
@@ -191,7 +193,6 @@ impl FinishTable {
     ///
     /// Each move stays within `off_mm` of the corrected path, with coordinates rounded to `decimals`. Points
     /// are in part coordinates; the first is where the cut starts.
-    #[must_use]
     pub fn straight_moves(&self, off_mm: f64, decimals: i32) -> Vec<Zx> {
         let (Some(first), Some(last)) = (self.errors.first(), self.errors.last()) else { return Vec::new() };
         let scale = 10_f64.powi(decimals);
@@ -245,32 +246,28 @@ const SAMPLED: f64 = 0.998;
 const MAX_MOVES: usize = 100_000;
 
 /// The columns of a finish cut's table.
-pub(crate) const HEADER: &str = "angle_rad,error_um,part_z_mm,part_x_mm,machine_z_mm,machine_x_mm,send_z_mm,send_x_mm,\
+const HEADER: &str = "angle_rad,error_um,part_z_mm,part_x_mm,machine_z_mm,machine_x_mm,send_z_mm,send_x_mm,\
                                  requested_z,requested_x,left_um\n";
 
 /// The table as CSV.
 /// `lead_mm` is the distance before each position, along the cut, at which its totals are sent. The cut runs
 /// towards larger angles, or with `backwards` towards smaller ones.
-#[must_use]
 pub fn csv(table: &FinishTable, rows: &[FinishRow], lead_mm: f64, backwards: bool) -> String {
-    let mut text = HEADER.to_owned();
     let lead_rad = lead_mm / (table.cut.radius_mm + table.cut.nose_mm) * if backwards { 1.0 } else { -1.0 };
+    csv_of(rows, |r| table.cut.machine_at(r.angle_rad + lead_rad))
+}
+
+/// The rows as CSV.
+/// `send_at` is the machine position at which a row's totals are sent.
+pub(crate) fn csv_of(rows: &[FinishRow], send_at: impl Fn(&FinishRow) -> Zx) -> String {
+    let mut text = HEADER.to_owned();
     for r in rows {
-        let send = table.cut.machine_at(r.angle_rad + lead_rad);
+        let send = send_at(r);
+        let FinishRow { angle_rad, error_um, part_mm, machine_mm, requested: [z, x], left_um } = r;
         let _ = writeln!(
             text,
-            "{:.6},{:.3},{:.5},{:.5},{:.5},{:.5},{:.5},{:.5},{},{},{:.3}",
-            r.angle_rad,
-            r.error_um,
-            r.part_mm.z,
-            r.part_mm.x,
-            r.machine_mm.z,
-            r.machine_mm.x,
-            send.z,
-            send.x,
-            r.requested[0],
-            r.requested[1],
-            r.left_um
+            "{angle_rad:.6},{error_um:.3},{:.5},{:.5},{:.5},{:.5},{:.5},{:.5},{z},{x},{left_um:.3}",
+            part_mm.z, part_mm.x, machine_mm.z, machine_mm.x, send.z, send.x
         );
     }
     text

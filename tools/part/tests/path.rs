@@ -36,9 +36,6 @@ fn the_reports_stand_off_and_over_travel() {
     assert!((m.over_travel_mm() - 2.5).abs() < 0.01, "{}", m.over_travel_mm());
     let slow = ProbingMotion { feed_mm_min: 125.0, ..m };
     assert!(slow.stand_off_mm() < 1.02 && slow.over_travel_mm() < 1.01);
-    // The same touch takes nearly twenty times as long at a twentieth of the feed.
-    let ratio = slow.touch_s(5.0, 2.5) / m.touch_s(5.0, 2.5);
-    assert!((10.0..20.0).contains(&ratio), "{ratio}");
 }
 
 #[test]

@@ -41,7 +41,6 @@ pub enum Device {
 
 impl Device {
     /// The device behind a file's name.
-    #[must_use]
     pub fn of_file(file: &Path) -> Self {
         let name = file.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
         let of = |prefix| file.parent() == Some(Path::new("/dev")) && name.starts_with(prefix);
@@ -62,7 +61,6 @@ struct User {
 
 /// The findings about a card with these devices.
 /// With `events`, interrupts of the card wake the real-time thread on `cpu`.
-#[must_use]
 pub fn card(system: &System, devices: &[Device], events: bool, cpu: usize) -> Vec<Finding> {
     let tree = Tree { system };
     let user = tree.user(USER);

@@ -1,7 +1,7 @@
 //! Options of the self-test, and results of its parts.
 //! They are the same for a simulated card and for the card that will do the work.
 
-use crate::far::FarSide;
+use crate::far_side::FarSide;
 use rtec_driver::card::CardError;
 use rtec_driver::mapped::MapError;
 use rtec_rt::engine::StartError;

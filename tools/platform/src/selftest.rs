@@ -15,11 +15,11 @@
 //! On the real card nothing moves the machine. Its reads are timed with the outputs held. Its writes are insertions at
 //! rest, if the caller allows them ([`run_on_card`]).
 
-pub use crate::far::FarSide;
-use crate::far::{Control, FarEnd, play};
+use crate::card_polling;
+pub use crate::far_side::FarSide;
+use crate::far_side::{Control, FarSideWires, play};
 pub use crate::measurement::{Driven, Latency, Polling, SelftestError, SelftestOptions};
 use crate::measurement::{tid, tid_of};
-use crate::on_card;
 use rand_xoshiro::SplitMix64;
 use rand_xoshiro::rand_core::SeedableRng;
 use rtec_driver::card::{Card, MachineLines};
@@ -95,7 +95,6 @@ impl Measured {
     }
 
     /// Whether at least one insertion was timed in each part.
-    #[must_use]
     pub fn timed(&self) -> bool {
         match self.how {
             MeasuredOn::Simulated => self.both().iter().all(|p| p.edge_to_done.ns.samples() > 0),
@@ -108,13 +107,11 @@ impl Measured {
 
     /// Whether gaps between looks were measured.
     /// On a card that sleeps these are the times from edges to looks.
-    #[must_use]
     pub fn looked(&self) -> bool {
         self.quiet.poll_gap.ns.samples() > 0
     }
 
     /// Sums of the far side's counts; `None` with one CPU only.
-    #[must_use]
     pub fn far(&self) -> Option<FarSide> {
         let [a, b] = self.both().map(|p| &p.far);
         (a.edges > 0).then(|| FarSide {
@@ -127,20 +124,17 @@ impl Measured {
     }
 
     /// Counts inserted in both parts, by the engine's count.
-    #[must_use]
     pub fn completed(&self) -> i64 {
         self.both().iter().map(|p| p.completed).sum()
     }
 
     /// Faults of both parts that were latched after a gap in the polling loop.
-    #[must_use]
     pub fn faults(&self) -> u64 {
         self.both().iter().map(|p| p.faults).sum()
     }
 
     /// Whether the MTC's counts minus the scale's equal the completed counts.
     /// The far side counted them.
-    #[must_use]
     pub fn balanced(&self) -> bool {
         match self.how {
             MeasuredOn::Simulated => self.both().iter().all(|p| p.balanced()),
@@ -153,7 +147,6 @@ impl Measured {
     ///
     /// The worse value of the parts with and without requests counts. Returns two figures: the worst one, and the worst
     /// apart from one look in ten thousand.
-    #[must_use]
     pub fn detect_ns(&self) -> (u64, u64) {
         let separations = self.separations_ns();
         let of = |figure: fn(&Snapshot) -> u64| {
@@ -171,7 +164,6 @@ impl Measured {
     ///
     /// It is half the time of an insertion without its separations, with or without requests. One insertion in ten
     /// thousand is left out; rarer delays are in [`Self::detect_ns`].
-    #[must_use]
     pub fn write_ns(&self) -> u64 {
         let inserting_ns = self.both().map(|p| p.seen_to_done.p9999());
         if self.how != MeasuredOn::Simulated {
@@ -185,7 +177,6 @@ impl Measured {
     /// The intended part of edge to done.
     /// It is the MTC's separation after the edge, and the one between the two inversions. An insertion at rest has only
     /// the second.
-    #[must_use]
     pub fn separations_ns(&self) -> u64 {
         if self.how == MeasuredOn::Simulated {
             2 * self.axis.min_separation_ns
@@ -244,14 +235,14 @@ pub fn run_on_card<C: Card + Send + 'static>(
     let (quiet, with_requests) = (Polling::default(), Polling::default());
     let mut measured = Measured { setup, wakeup, axis, quiet, with_requests, how: MeasuredOn::Reads };
     if left.is_some() {
-        let (quiet, card) = on_card::reads(card, axes, options, &mut progress)?;
+        let (quiet, card) = card_polling::reads(card, axes, options, &mut progress)?;
         measured.quiet = quiet;
         if drive {
             // All axes get the longest separation, so that it can be subtracted from every insertion alike.
             let axes: Vec<_> =
                 axes.iter().map(|a| AxisConfig { min_separation_ns: axis.min_separation_ns, ..*a }).collect();
             let Driven { polling, ended_by, restored } =
-                on_card::writes(card, &axes, options, &mut progress)?;
+                card_polling::writes(card, &axes, options, &mut progress)?;
             measured.with_requests = polling;
             measured.how = MeasuredOn::ReadsAndWrites { ended_by, restored };
         }
@@ -261,7 +252,7 @@ pub fn run_on_card<C: Card + Send + 'static>(
 
 /// Measures wake-ups, then the polling loop without and with requests.
 /// Each part has a new card from `wires`: the engine's end and the machine's end.
-fn measure<C: Card + Send + 'static, F: FarEnd>(
+fn measure<C: Card + Send + 'static, F: FarSideWires>(
     options: SelftestOptions,
     mut progress: impl FnMut(&str, u64),
     mut wires: impl FnMut() -> Result<(C, F), SelftestError>,
@@ -291,7 +282,7 @@ fn measure<C: Card + Send + 'static, F: FarEnd>(
 ///
 /// This thread is both the far side and the control side. So requests arrive at the moment of an edge, on any number of
 /// CPUs.
-fn measure_polling<C: Card + Send + 'static, F: FarEnd>(
+fn measure_polling<C: Card + Send + 'static, F: FarSideWires>(
     options: SelftestOptions,
     axis: AxisConfig,
     (mut card, mut far): (C, F),

@@ -1,6 +1,6 @@
 //! Edge rates that the measured latency allows, and the verdict of a self-test.
 
-use crate::far::FarSide;
+use crate::far_side::FarSide;
 use crate::measurement::{Latency, SelftestOptions};
 use crate::selftest::{Measured, MeasuredOn};
 use rtec_control::config::{Config, ConfiguredAxis, Measured as Provenance, floors_ns};
@@ -38,7 +38,6 @@ pub struct Verdict {
 impl Verdict {
     /// Judges a measurement for the axes of a configuration.
     /// Without a configuration it takes one axis of 1 µm a count with default limits.
-    #[must_use]
     pub fn new(measured: &Measured, config: Option<&Config>) -> Self {
         let axes = match config {
             Some(config) => config.axes.clone(),
@@ -51,7 +50,6 @@ impl Verdict {
     }
 
     /// The JSON document of a self-test.
-    #[must_use]
     pub fn document<'a>(
         &'a self,
         measured: &'a Measured,

@@ -653,7 +653,7 @@ pub(crate) fn part_errors(
     work(py, move |say| {
         let features = [("circle", determine::Feature::Circle), ("line", determine::Feature::Line)];
         let report = determine::determine(
-            &determine::Asked {
+            &determine::ErrorRequest {
                 columns: asked.columns,
                 radius_mm: asked.radius_mm,
                 tip_mm: asked.tip_mm,
@@ -665,7 +665,7 @@ pub(crate) fn part_errors(
                 path: asked.path,
                 trip_window_mm: asked.trip_window_mm,
                 with_size: asked.with_size,
-                ..determine::Asked::of(&asked.points)
+                ..determine::ErrorRequest::of(&asked.points)
             },
             say,
         )?;

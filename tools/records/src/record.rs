@@ -133,26 +133,22 @@ impl Pieces {
     }
 
     /// Kind of the run.
-    #[must_use]
     pub fn kind(&self) -> Kind {
         self.sidecar.kind
     }
 
     /// Largest possible number of rows in the file.
     /// Each field has at least one character behind it.
-    #[must_use]
     pub fn most_rows(&self) -> u64 {
         self.bytes / self.rows.slots.len().max(1) as u64
     }
 
     /// Text of the CSV's header.
-    #[must_use]
     pub fn header(&self) -> &str {
         self.rows.header.text()
     }
 
     /// Style of further cells beside the CSV's own.
-    #[must_use]
     pub fn style(&self) -> Style {
         self.rows.marks.as_ref().map_or_else(Style::default, Marks::style)
     }
@@ -183,13 +179,8 @@ impl Pieces {
         let columns = self.rows.take();
         let mut record = Record::of_checked(&self.path, self.sidecar.kind, columns).from_row(self.before);
         self.before += record.rows();
-        record.file.clone_from(&self.sidecar.file);
         record.written = self.rows.written();
-        record.count_um = self.sidecar.count_um;
-        record.date.clone_from(&self.sidecar.date);
-        record.note.clone_from(&self.sidecar.note);
-        record.zero.clone_from(&self.sidecar.zero);
-        record.turns = self.sidecar.turns;
+        self.sidecar.describe(&mut record);
         Ok(Some(record))
     }
 }
@@ -209,11 +200,8 @@ fn of_parts(
     let (written, columns) = (rows.written(), rows.columns);
     let mut record = Record::of_checked(path, sidecar.kind, columns);
     record.written = written;
-    record.file = sidecar.file;
     record.sha256 = hex(&csv.hash.finalize());
-    (record.count_um, record.date, record.note) = (sidecar.count_um, sidecar.date, sidecar.note);
-    record.zero = sidecar.zero;
-    record.turns = sidecar.turns;
+    sidecar.describe(&mut record);
     match sidecar.circle {
         Some((circle, place)) => {
             record.with_circle(circle).map_err(|(found, expected)| place.with(found, expected))
@@ -274,7 +262,6 @@ pub fn csv_with(record: &Record, extra: &[(String, Vec<f64>)]) -> Result<String,
 
 /// The CSV text of the record's columns.
 /// Each number is the shortest decimal that reads back the same.
-#[must_use]
 pub fn to_csv(record: &Record) -> String {
     let mut out = csv::header_line(record.columns.iter().map(|c| c.name.as_str()));
     out.push('\n');
@@ -289,43 +276,33 @@ pub fn to_csv(record: &Record) -> String {
 }
 
 /// The text of a record's sidecar (`NAME.run.toml`).
-#[must_use]
 pub fn to_sidecar(record: &Record) -> String {
     let mut doc = toml_edit::DocumentMut::new();
-    doc["format"] = toml_edit::value(i64::from(stamp::FORMAT));
-    doc["by"] = toml_edit::value(stamp::by());
-    doc["file"] = toml_edit::value(&record.file);
-    doc["kind"] = toml_edit::value(record.kind.name());
-    if let Some(um) = record.count_um {
-        doc["count_um"] = toml_edit::value(um);
-    }
-    if let Some(circle) = record.circle() {
-        doc["radius_mm"] = toml_edit::value(circle.radius_mm);
-        let plane: toml_edit::Array = circle.plane.iter().map(Axis::as_str).collect();
-        doc["plane"] = toml_edit::value(plane);
-    }
-    if let Some([a, b]) = record.circle().and_then(|c| c.centre_mm) {
-        doc["centre_mm"] = toml_edit::value(toml_edit::Array::from_iter([a, b]));
-    }
-    match record.turns {
-        None => {}
-        Some(Turns::AtTarget) => doc["turns"] = toml_edit::value("at_target"),
-        Some(Turns::Overtravel(over_mm)) => {
-            doc["turns"] = toml_edit::value("overtravel");
-            if let Some(over_mm) = over_mm {
-                doc["over_mm"] = toml_edit::value(over_mm);
-            }
+    let mut put = |key: &str, of: Option<toml_edit::Value>| {
+        if let Some(of) = of {
+            doc[key] = toml_edit::value(of);
         }
-    }
-    if let Some(date) = &record.date {
-        doc["date"] = toml_edit::value(date);
-    }
-    if let Some(note) = &record.note {
-        doc["note"] = toml_edit::value(note);
-    }
-    if let Some(zero) = &record.zero {
-        doc["zero"] = toml_edit::value(zero);
-    }
+    };
+    let text = |of: &Option<String>| of.as_ref().map(Into::into);
+    let circle = record.circle();
+    put("format", Some(i64::from(stamp::FORMAT).into()));
+    put("by", Some(stamp::by().into()));
+    put("file", Some((&record.file).into()));
+    put("kind", Some(record.kind.name().into()));
+    put("count_um", record.count_um.map(Into::into));
+    put("radius_mm", circle.map(|c| c.radius_mm.into()));
+    put("plane", circle.map(|c| c.plane.iter().map(Axis::as_str).collect::<toml_edit::Array>().into()));
+    put("centre_mm", circle.and_then(|c| c.centre_mm).map(|c| toml_edit::Array::from_iter(c).into()));
+    let (turns, over_mm) = match record.turns {
+        None => (None, None),
+        Some(Turns::AtTarget) => (Some("at_target".into()), None),
+        Some(Turns::Overtravel(over_mm)) => (Some("overtravel".into()), over_mm.map(Into::into)),
+    };
+    put("turns", turns);
+    put("over_mm", over_mm);
+    put("date", text(&record.date));
+    put("note", text(&record.note));
+    put("zero", text(&record.zero));
     let mut columns = toml_edit::Table::new();
     for c in &record.columns {
         let mut t = toml_edit::InlineTable::new();
@@ -570,6 +547,13 @@ impl<R: Read> Rows<R> {
     }
 }
 
+/// The keys of a sidecar.
+#[rustfmt::skip]
+const KEYS: [&str; 14] = [
+    "file", "kind", "count_um", "radius_mm", "plane", "centre_mm", "turns", "over_mm", "date", "note", "zero", "columns",
+    "format", "by",
+];
+
 /// Positions in the sidecar, for findings that show only in the CSV.
 #[derive(Debug, Clone)]
 struct Place(InputError);
@@ -604,6 +588,14 @@ struct Sidecar {
 }
 
 impl Sidecar {
+    /// Copies into a record what the sidecar says of the whole run.
+    fn describe(&self, record: &mut Record) {
+        let Self { file, date, note, zero, .. } = self;
+        (record.file, record.date, record.note, record.zero) =
+            (file.clone(), date.clone(), note.clone(), zero.clone());
+        (record.count_um, record.turns) = (self.count_um, self.turns);
+    }
+
     fn csv_path(&self, path: &Path) -> PathBuf {
         path.parent().unwrap_or(Path::new("")).join(&self.file)
     }
@@ -631,23 +623,7 @@ impl Sidecar {
         let mistaken = |e: InputError| FileKind::RunRecord.finding(path, text, e);
         let doc = Document::parse(path, text).map_err(mistaken)?;
         let root = doc.root();
-        root.only(&[
-            "file",
-            "kind",
-            "count_um",
-            "radius_mm",
-            "plane",
-            "centre_mm",
-            "turns",
-            "over_mm",
-            "date",
-            "note",
-            "zero",
-            "columns",
-            "format",
-            "by",
-        ])
-        .map_err(mistaken)?;
+        root.only(&KEYS).map_err(mistaken)?;
         stamp::check(&root)?;
         let file = root.required("file", "the CSV's name, as file = \"NAME.csv\"")?;
         let kind = root.required("kind", "the kind of run, as kind = \"positioning\"")?;

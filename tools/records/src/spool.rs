@@ -83,16 +83,15 @@ impl Store for Folder {
 
 /// Result of one round of sending.
 #[derive(Debug, Default, PartialEq, Eq)]
-pub struct Round {
+pub struct ShippingResult {
     /// Keys of the records that the store now holds, in order.
     pub sent: Vec<String>,
     /// Findings on files that are no records, which stay in the spool.
     pub kept: Vec<InputError>,
 }
 
-impl Round {
+impl ShippingResult {
     /// The printed result: the keys and their number, or one line of JSON.
-    #[must_use]
     pub fn text(&self, json: bool) -> String {
         if json {
             let kept: Vec<String> = self.kept.iter().map(ToString::to_string).collect();
@@ -104,7 +103,6 @@ impl Round {
     }
 
     /// One line on the files that stay in the spool; `None` where there are none.
-    #[must_use]
     pub fn stays(&self, spool: &Path) -> Option<String> {
         let n = self.kept.len();
         (n > 0).then(|| format!("{n} records stay in {}", spool.display()))
@@ -141,7 +139,7 @@ pub enum ShipError {
 
 /// Limits of a spool on its disk.
 #[derive(Debug, Clone, Copy)]
-pub struct Room {
+pub struct SpoolLimits {
     /// Largest size of all waiting records, bytes.
     pub most_bytes: u64,
     /// Share of the disk that stays free, %.
@@ -149,7 +147,7 @@ pub struct Room {
     pub free_percent: u64,
 }
 
-impl Room {
+impl SpoolLimits {
     /// No limits, for a user who fills a folder of his own.
     pub const ANY: Self = Self { most_bytes: u64::MAX, free_percent: 0 };
 
@@ -193,7 +191,7 @@ pub fn add(sidecar: &Path, spool: &Path) -> io::Result<PathBuf> {
     let record = super::record::read_log(sidecar).map_err(|e| no_record(&e))?;
     let csv = std::fs::read(sidecar.parent().unwrap_or(Path::new("")).join(&record.file))?;
     std::fs::create_dir_all(spool)?;
-    put(record, &csv, spool, Room::ANY, &|| true)
+    put(record, &csv, spool, SpoolLimits::ANY, &|| true)
 }
 
 /// Puts a record into an existing spool: its CSV, then its sidecar, each whole.
@@ -206,7 +204,7 @@ pub fn put(
     mut record: Record,
     csv: &[u8],
     spool: &Path,
-    room: Room,
+    limits: SpoolLimits,
     go_on: &dyn Fn() -> bool,
 ) -> io::Result<PathBuf> {
     let name = record.path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
@@ -217,7 +215,7 @@ pub fn put(
     }
     let folder = Open::open(spool)?;
     finish_begun(&folder)?;
-    room.takes(&folder, (csv.len() + super::record::to_sidecar(&record).len()) as u64)?;
+    limits.takes(&folder, (csv.len() + super::record::to_sidecar(&record).len()) as u64)?;
     // A user who may read the folder may read the records, whatever the process's umask.
     let mode = folder.mode()?;
     let mut numbers = 1..;
@@ -330,7 +328,7 @@ fn no_record(finding: &InputError) -> io::Error {
 ///
 /// # Errors
 /// The first failure of the store or of the spool.
-pub fn ship(spool: &Path, store: &dyn Store, machine: &str) -> Result<Round, ShipError> {
+pub fn ship(spool: &Path, store: &dyn Store, machine: &str) -> Result<ShippingResult, ShipError> {
     let letter = |c: char| c.is_ascii_alphanumeric() || "._-".contains(c);
     if machine.is_empty() || machine.starts_with('.') || !machine.chars().all(letter) {
         return Err(ShipError::Name(machine.to_owned()));
@@ -339,7 +337,7 @@ pub fn ship(spool: &Path, store: &dyn Store, machine: &str) -> Result<Round, Shi
     let folder = Open::open(spool).map_err(|e| trouble(spool, e))?;
     finish_begun(&folder).map_err(|e| trouble(spool, e))?;
     let waiting = waiting(&folder).map_err(|e| trouble(spool, e))?;
-    let mut round = Round::default();
+    let mut round = ShippingResult::default();
     if !waiting.is_empty() {
         // Checked before the first record is sent. A record that cannot be moved would be sent again and again.
         let tried = format!(".tried-{}", std::process::id());
@@ -765,15 +763,15 @@ mod tests {
     fn a_spool_takes_no_more_than_its_room() {
         let (made, spool) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
         record(made.path(), "a", 1.0);
-        let put_one = |room: Room, go_on: &dyn Fn() -> bool| {
+        let put_one = |limits: SpoolLimits, go_on: &dyn Fn() -> bool| {
             let record = read_back(made.path(), "a");
             let csv = std::fs::read(made.path().join("a.csv")).unwrap();
-            put(record, &csv, spool.path(), room, go_on)
+            put(record, &csv, spool.path(), limits, go_on)
         };
-        let room = Room { most_bytes: 1 << 20, free_percent: 0 };
+        let limits = SpoolLimits { most_bytes: 1 << 20, free_percent: 0 };
         let mut kept = 0;
         let error = loop {
-            match put_one(room, &|| true) {
+            match put_one(limits, &|| true) {
                 Ok(_) => kept += 1,
                 Err(error) => break error,
             }
@@ -784,16 +782,16 @@ mod tests {
         assert_eq!(error.kind(), io::ErrorKind::StorageFull);
         assert!(error.to_string().contains("at most 1 MB may wait ([control] spool_mb)"), "{error}");
         // A large disk that is nearly full has room for a small spool.
-        put_one(Room { most_bytes: 4 << 20, free_percent: 101 }, &|| true).unwrap();
+        put_one(SpoolLimits { most_bytes: 4 << 20, free_percent: 101 }, &|| true).unwrap();
         let files = names(spool.path()).len();
-        let error = put_one(Room { most_bytes: u64::MAX, free_percent: 101 }, &|| true).unwrap_err();
+        let error = put_one(SpoolLimits { most_bytes: u64::MAX, free_percent: 101 }, &|| true).unwrap_err();
         assert!(error.to_string().contains("No space left for records"), "{error}");
-        let error = put_one(Room::ANY, &|| false).unwrap_err();
+        let error = put_one(SpoolLimits::ANY, &|| false).unwrap_err();
         assert_eq!(error.kind(), io::ErrorKind::Interrupted);
         assert_eq!(names(spool.path()).len(), files);
         let mut odd = read_back(made.path(), "a");
         odd.path = PathBuf::from("a\u{202e}b.run.toml");
-        let error = put(odd, b"e\n1\n", spool.path(), Room::ANY, &|| true).unwrap_err();
+        let error = put(odd, b"e\n1\n", spool.path(), SpoolLimits::ANY, &|| true).unwrap_err();
         assert!(error.to_string().contains("expected one that can be read"), "{error}");
     }
 }

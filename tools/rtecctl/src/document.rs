@@ -1,8 +1,10 @@
 //! JSON documents, as every verb prints and writes them.
 //! Each ends with its format and the program that wrote it; a list has neither.
 
+use anyhow::Context;
 use rtec_files::stamp::signed;
 use serde::Serialize;
+use std::path::Path;
 
 /// The document over several lines.
 pub(crate) fn pretty(document: &impl Serialize) -> anyhow::Result<String> {
@@ -12,4 +14,9 @@ pub(crate) fn pretty(document: &impl Serialize) -> anyhow::Result<String> {
 /// The document on one line.
 pub(crate) fn line(document: &impl Serialize) -> anyhow::Result<String> {
     Ok(signed(serde_json::to_string(document)?) + "\n")
+}
+
+/// Writes a text as a file, whole or not at all.
+pub(crate) fn write(path: &Path, text: &str) -> anyhow::Result<()> {
+    rtec_files::write::whole(path, text.as_bytes()).with_context(|| format!("writing {}", path.display()))
 }

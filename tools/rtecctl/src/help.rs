@@ -8,7 +8,7 @@ use std::ffi::OsString;
 use std::fmt::Write as _;
 
 /// Roles of users, with what each does.
-const DOORS: [(&str, &str); 5] = [
+const ROLES: [(&str, &str); 5] = [
     ("operator", "runs the machine"),
     ("integrator", "wires it, sets it up, connects it to the plant"),
     ("metrologist", "measures it and makes its model"),
@@ -24,6 +24,7 @@ const JUDGES: &str = "0 yes; 1 no; 2 bad input or usage";
 const READS: &str = "0 done; 2 bad input or usage";
 
 /// Verb, index of its role, example, exit codes.
+#[rustfmt::skip] // a verb a line
 const VERBS: [(&str, usize, &str, &str); 40] = [
     ("status", 0, "rtecctl status --watch", "0 shown; 2 bad usage; 3 no daemon; 4 a fault is latched"),
     ("top", 0, "rtecctl top", SHOWS),
@@ -36,12 +37,7 @@ const VERBS: [(&str, usize, &str, &str); 40] = [
     ("hold", 0, "rtecctl hold on", ASKS),
     ("explain", 0, "rtecctl explain z", SHOWS),
     ("whoami", 0, "rtecctl whoami", SHOWS),
-    (
-        "platform",
-        1,
-        "rtecctl platform --config /etc/rtec/rtec.toml",
-        "0 a real card can be armed; 1 it would not be; 2 bad usage",
-    ),
+    ("platform", 1, "rtecctl platform --config /etc/rtec/rtec.toml", "0 a real card can be armed; 1 it would not be; 2 bad usage"),
     ("selftest", 1, "rtecctl selftest latency --duration 60s", "0 pass; 1 fail; 2 bad usage; 3 no card"),
     ("card", 1, "rtecctl card list", "0 done; 2 bad usage; 3 the card cannot be reached"),
     ("config", 1, "rtecctl config check --quiet /etc/rtec/rtec.toml", READS),
@@ -49,67 +45,22 @@ const VERBS: [(&str, usize, &str, &str); 40] = [
     ("correct", 1, "rtecctl correct x 12", ASKS),
     ("clear", 1, "rtecctl clear", ASKS),
     ("get", 1, "rtecctl get axes.x.completed", "0 printed; 1 no such value now; 2 no such name; 3 no daemon"),
-    (
-        "metrics",
-        1,
-        "rtecctl metrics --listen 127.0.0.1:9837",
-        "0 written; 1 cannot listen; 2 bad usage; 3 no daemon",
-    ),
-    (
-        "ledger",
-        1,
-        "rtecctl ledger export --out ledger --last 60s",
-        "0 written; 1 replayed it gives other totals; 2 bad usage; 3 no daemon",
-    ),
+    ("metrics", 1, "rtecctl metrics --listen 127.0.0.1:9837", "0 written; 1 cannot listen; 2 bad usage; 3 no daemon"),
+    ("ledger", 1, "rtecctl ledger export --out ledger --last 60s", "0 written; 1 replayed it gives other totals; 2 bad usage; 3 no daemon"),
     ("log", 1, "rtecctl log --verify", JUDGES),
-    (
-        "ship",
-        1,
-        "rtecctl ship --spool /var/spool/rtec --to /mnt/shop --machine mill-7",
-        "0 sent; 2 bad input or usage; 3 the store is not there: what was not sent waits",
-    ),
-    (
-        "bugreport",
-        1,
-        "rtecctl bugreport --out report.tar",
-        "0 whole; 1 parts are missing; 2 bad usage; 3 no daemon",
-    ),
+    ("ship", 1, "rtecctl ship --spool /var/spool/rtec --to /mnt/shop --machine mill-7", "0 sent; 2 bad input or usage; 3 the store is not there: what was not sent waits"),
+    ("bugreport", 1, "rtecctl bugreport --out report.tar", "0 whole; 1 parts are missing; 2 bad usage; 3 no daemon"),
     ("backup", 1, "rtecctl backup --out mill-7.tar", READS),
-    (
-        "restore",
-        1,
-        "rtecctl restore mill-7.tar --dry-run",
-        "0 written; 1 the daemon runs, or files are there and differ; 2 bad input or usage",
-    ),
+    ("restore", 1, "rtecctl restore mill-7.tar --dry-run", "0 written; 1 the daemon runs, or files are there and differ; 2 bad input or usage"),
     ("characterise", 2, "rtecctl characterise evaluate x.run.toml --standard iso230-2", READS),
-    (
-        "model",
-        2,
-        "rtecctl model show --machine machine.toml",
-        "0 done; 1 refused; 2 bad input or usage; 3 no daemon",
-    ),
-    (
-        "history",
-        2,
-        "rtecctl history records --limits limits.toml --html history.html",
-        "0 within limits; 1 beyond one; 2 bad input or usage",
-    ),
+    ("model", 2, "rtecctl model show --machine machine.toml", "0 done; 1 refused; 2 bad input or usage; 3 no daemon"),
+    ("history", 2, "rtecctl history records --limits limits.toml --html history.html", "0 within limits; 1 beyond one; 2 bad input or usage"),
     ("reconcile", 2, "rtecctl reconcile x.run.toml --model machine.toml --out found", READS),
-    (
-        "part",
-        3,
-        "rtecctl part run --seed 1",
-        "0 done; 1 refused; 2 bad input or usage; 3 no daemon; 4 a fault is latched",
-    ),
+    ("part", 3, "rtecctl part run --seed 1", "0 done; 1 refused; 2 bad input or usage; 3 no daemon; 4 a fault is latched"),
     ("demo", 4, "rtecctl demo --duration 10s", JUDGES),
     ("example", 4, "rtecctl example lathe lathe", READS),
     ("simulate", 4, "rtecctl simulate --list", READS),
-    (
-        "replay",
-        4,
-        "rtecctl replay --trace x.csv --requests totals.csv",
-        "0 done; 1 the ledger does not balance; 2 bad input; 4 a fault was latched",
-    ),
+    ("replay", 4, "rtecctl replay --trace x.csv --requests totals.csv", "0 done; 1 the ledger does not balance; 2 bad input; 4 a fault was latched"),
     ("trace", 4, "rtecctl trace convert x.csv x.vcd", READS),
     ("designs", 4, "rtecctl designs --json", READS),
     ("completions", 4, "rtecctl completions bash", READS),
@@ -143,9 +94,9 @@ pub(crate) fn begin() -> String {
 pub(crate) fn command() -> Command {
     let mut command = crate::with_negative_values(Cli::command());
     let mut list = String::new();
-    for (n, (door, who)) in DOORS.iter().enumerate() {
+    for (n, (role, who)) in ROLES.iter().enumerate() {
         // Writing to a String does not fail.
-        let _ = writeln!(list, "{}{door}: {who}", if n == 0 { "" } else { "\n" });
+        let _ = writeln!(list, "{}{role}: {who}", if n == 0 { "" } else { "\n" });
         for (verb, ..) in VERBS.iter().filter(|v| v.1 == n) {
             let about = command.find_subcommand(verb).and_then(Command::get_about).map(ToString::to_string);
             let about = about.unwrap_or_else(|| "Print this, or the help of a verb".to_owned());
@@ -252,7 +203,7 @@ pub(crate) fn examples() -> impl Iterator<Item = (&'static str, &'static str)> {
 #[cfg(test)]
 pub(crate) fn known() -> Vec<(&'static str, &'static str, Vec<&'static str>)> {
     let verbs = |n: usize| VERBS.iter().filter(|v| v.1 == n).map(|v| v.0).collect();
-    DOORS.iter().enumerate().map(|(n, (door, who))| (*door, *who, verbs(n))).collect()
+    ROLES.iter().enumerate().map(|(n, (role, who))| (*role, *who, verbs(n))).collect()
 }
 
 /// A description next to its verb, wrapped at 80 columns.

@@ -31,13 +31,13 @@ macro_rules! eprint {
 mod archive;
 mod daemon;
 mod document;
-mod figures;
+mod full_screen;
 mod help;
 mod http;
 mod progress;
 #[cfg(test)]
 mod reference;
-mod screen;
+mod rounding;
 mod terminal;
 mod verbs;
 

@@ -17,9 +17,9 @@ fn the_page_of_verbs_is_what_the_program_takes() {
     let mut root = command();
     root.build();
     let mut page = HEAD.to_owned();
-    for (door, who, verbs) in known() {
+    for (role, who, verbs) in known() {
         let list = verbs.iter().filter(|v| **v != "help").map(|v| format!("[`{v}`](#{v})"));
-        let _ = write!(page, "\n**{door}**, {who}: {}\n", list.collect::<Vec<_>>().join(", "));
+        let _ = write!(page, "\n**{role}**, {who}: {}\n", list.collect::<Vec<_>>().join(", "));
     }
     let mut verbs = 0;
     for (_, _, names) in known() {

@@ -10,7 +10,7 @@
 
 use nix::unistd::Gid;
 use rtec_control::audit::{Anchor, Entry, FILES_REFUSED, Writer, refused_path};
-use rtec_control::protocol::{Caller, Happened, LogState};
+use rtec_control::protocol::{Caller, EventReport, LogState};
 use serde_json::Value;
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -156,8 +156,8 @@ impl Audit {
     }
 
     /// Records an event of the machine that somebody may ask for later.
-    pub(crate) fn happened(&mut self, happened: &Happened, after: Totals) {
-        let Happened { axis, kind, text, .. } = happened;
+    pub(crate) fn happened(&mut self, happened: &EventReport, after: Totals) {
+        let EventReport { axis, kind, text, .. } = happened;
         let asked_for_later = ["mode", "fault", "homed", "control_stale", "stood_still", "record_lost"];
         if asked_for_later.contains(&kind.as_str()) {
             let entry = Entry { axis: axis.clone(), text: text.clone(), after, ..Entry::now(kind) };
@@ -408,6 +408,7 @@ fn write_batch(writers: &mut Writers, batch: Vec<Entry>, so_far: &mut Lost) -> s
 mod tests {
     use super::*;
     use rtec_control::audit::{Line, read, verify};
+    use std::path::PathBuf;
 
     fn command(pid: i32, result: &'static str) -> Command {
         Command {
@@ -421,6 +422,30 @@ mod tests {
         }
     }
 
+    fn started() -> (tempfile::TempDir, PathBuf, Audit) {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("audit.log");
+        let audit = Audit::start(&path, None).unwrap();
+        (directory, path, audit)
+    }
+
+    fn wait_until(is: impl Fn() -> bool) {
+        let begun = Instant::now();
+        while !is() {
+            assert!(begun.elapsed() < Duration::from_secs(30));
+            std::thread::sleep(Duration::from_millis(1));
+        }
+    }
+
+    /// Waits until the lines that found the queue full are recorded.
+    fn catch_up(audit: &mut Audit) {
+        let begun = Instant::now();
+        while audit.lost > 0 && begun.elapsed() < Duration::from_secs(30) {
+            std::thread::sleep(Duration::from_millis(1));
+            audit.note("start", String::new(), Totals::new());
+        }
+    }
+
     fn lines(path: &Path) -> Vec<Entry> {
         let mut all = Vec::new();
         read(path, &mut |line: Line| all.push(line.entry.unwrap())).unwrap();
@@ -429,9 +454,7 @@ mod tests {
 
     #[test]
     fn what_is_refused_again_and_again_is_one_line_with_its_number() {
-        let directory = tempfile::tempdir().unwrap();
-        let path = directory.path().join("audit.log");
-        let mut audit = Audit::start(&path, None).unwrap();
+        let (_directory, path, mut audit) = started();
         for _ in 0..1000 {
             audit.command(command(1, "refused"));
             audit.command(command(2, "refused"));
@@ -448,9 +471,7 @@ mod tests {
     /// Questions of `commission` every 20 ms must not hide commands.
     #[test]
     fn a_jog_that_is_asked_again_and_again_is_one_line_with_its_number_and_every_new_one_its_own() {
-        let directory = tempfile::tempdir().unwrap();
-        let path = directory.path().join("audit.log");
-        let mut audit = Audit::start(&path, None).unwrap();
+        let (_directory, path, mut audit) = started();
         let jog = |mm: Option<f64>| serde_json::json!({"do": "jog", "axis": "x", "display_mm": mm});
         for mm in [1.0, 2.0] {
             audit.command(Command { request: jog(Some(mm)), ..command(1, "done") });
@@ -481,9 +502,7 @@ mod tests {
 
     #[test]
     fn refusals_that_are_never_the_same_do_not_write_the_record_full() {
-        let directory = tempfile::tempdir().unwrap();
-        let path = directory.path().join("audit.log");
-        let mut audit = Audit::start(&path, None).unwrap();
+        let (_directory, path, mut audit) = started();
         audit.note("start", String::new(), Totals::new());
         for n in 0..5000 {
             let request = serde_json::json!({"do": "correct", "total_counts": n});
@@ -501,12 +520,10 @@ mod tests {
 
     #[test]
     fn what_happens_is_recorded_with_its_axis() {
-        let directory = tempfile::tempdir().unwrap();
-        let path = directory.path().join("audit.log");
-        let mut audit = Audit::start(&path, None).unwrap();
+        let (_directory, path, mut audit) = started();
         for (kind, axis) in [("fault", Some("x")), ("trip", Some("x")), ("mode", None)] {
             let (axis, text) = (axis.map(str::to_owned), "t".to_owned());
-            let happened = Happened { t_ns: 0, axis, kind: kind.to_owned(), text, trip: None };
+            let happened = EventReport { t_ns: 0, axis, kind: kind.to_owned(), text, trip: None };
             audit.happened(&happened, Totals::new());
         }
         audit.end(Duration::from_secs(30));
@@ -520,17 +537,10 @@ mod tests {
         let path = directory.path().join("later/audit.log");
         let mut audit = Audit::start(&path, None).unwrap();
         audit.command(command(1, "done"));
-        let begun = Instant::now();
-        while audit.state().trouble.is_none() {
-            assert!(begun.elapsed() < Duration::from_secs(30));
-            std::thread::sleep(Duration::from_millis(5));
-        }
+        wait_until(|| audit.state().trouble.is_some());
         assert_eq!(audit.state().lost, 1);
         std::fs::create_dir(directory.path().join("later")).unwrap();
-        while audit.state().last_n == 0 {
-            assert!(begun.elapsed() < Duration::from_secs(30));
-            std::thread::sleep(Duration::from_millis(5));
-        }
+        wait_until(|| audit.state().last_n > 0);
         audit.command(command(1, "done"));
         audit.end(Duration::from_secs(30));
         let all = lines(&path);
@@ -540,9 +550,7 @@ mod tests {
 
     #[test]
     fn refusals_never_displace_a_command() {
-        let directory = tempfile::tempdir().unwrap();
-        let path = directory.path().join("audit.log");
-        let mut audit = Audit::start(&path, None).unwrap();
+        let (_directory, path, mut audit) = started();
         audit.command(command(1, "done"));
         // Fourteen minutes of varied refusals of maximal length, from a user with a budget.
         for n in 0..14 * 60 * 20 {
@@ -555,11 +563,7 @@ mod tests {
                 }
                 audit.turn();
             }
-            let begun = Instant::now();
-            while audit.lost > 0 && begun.elapsed() < Duration::from_secs(30) {
-                std::thread::sleep(Duration::from_millis(1));
-                audit.note("start", String::new(), Totals::new());
-            }
+            catch_up(&mut audit);
         }
         audit.end(Duration::from_secs(30));
         let bytes = |path: &Path| std::fs::metadata(path).unwrap().len();
@@ -575,21 +579,15 @@ mod tests {
 
     #[test]
     fn whoever_operates_does_not_write_the_record_full() {
-        let directory = tempfile::tempdir().unwrap();
-        let path = directory.path().join("audit.log");
-        let mut audit = Audit::start(&path, None).unwrap();
+        let (_directory, path, mut audit) = started();
         let by = |role: &str| Caller { uid: 7, role: role.to_owned(), ..Caller::default() };
         let happened =
-            Happened { t_ns: 0, axis: None, kind: "mode".to_owned(), text: "hold".to_owned(), trip: None };
+            EventReport { t_ns: 0, axis: None, kind: "mode".to_owned(), text: "hold".to_owned(), trip: None };
         for n in 0..5000 {
             let request = serde_json::json!({"do": "hold", "on": n % 2 == 0});
             audit.command(Command { by: by("operate"), request, ..command(1, "done") });
             audit.happened(&happened, Totals::new());
-            let begun = Instant::now();
-            while audit.lost > 0 && begun.elapsed() < Duration::from_secs(30) {
-                std::thread::sleep(Duration::from_millis(1));
-                audit.note("start", String::new(), Totals::new());
-            }
+            catch_up(&mut audit);
         }
         for _ in 0..3 {
             audit.command(Command { by: by("set_up"), ..command(1, "done") });
@@ -611,17 +609,9 @@ mod tests {
 
     #[test]
     fn the_end_of_the_record_is_anchored_at_first_and_once_a_day() {
-        let directory = tempfile::tempdir().unwrap();
-        let path = directory.path().join("audit.log");
-        let mut audit = Audit::start(&path, None).unwrap();
+        let (_directory, path, mut audit) = started();
         assert_eq!(audit.anchor(), None);
-        let until = |audit: &Audit, n: u64| {
-            let begun = Instant::now();
-            while audit.state().last_n < n {
-                assert!(begun.elapsed() < Duration::from_secs(30));
-                std::thread::sleep(Duration::from_millis(1));
-            }
-        };
+        let until = |audit: &Audit, n: u64| wait_until(|| audit.state().last_n >= n);
         audit.command(command(1, "done"));
         until(&audit, 1);
         let first = audit.anchor().unwrap();

@@ -25,12 +25,12 @@ const FEED_COUNTS_S: f64 = 50_000.0;
 const MAX_POINTS: usize = 50_000_000;
 
 /// The person at the simulated machine, who jogs axes and reads displays.
-pub(crate) struct Stand {
+pub(crate) struct SimulatedOperator {
     axes: Vec<(Arc<Truth>, Simulated)>,
     operator: Operator,
 }
 
-impl Stand {
+impl SimulatedOperator {
     /// Lets the axes move to and fro, or stops them at the end of their cycle.
     pub(crate) fn feed(&self, on: bool) {
         self.operator.feed(on);
@@ -54,7 +54,7 @@ impl Stand {
 
 /// Simulated axes that are at rest until they are homed.
 /// They then move to and fro over a quarter of their travel, with a probe in the middle of the first one's stroke.
-pub(crate) fn mock(config: &Config) -> (MockCard<MovingAxes, Monotonic>, Stand) {
+pub(crate) fn mock(config: &Config) -> (MockCard<MovingAxes, Monotonic>, SimulatedOperator) {
     let motions: Vec<_> = config
         .axes
         .iter()
@@ -70,7 +70,7 @@ pub(crate) fn mock(config: &Config) -> (MockCard<MovingAxes, Monotonic>, Stand) 
         .collect();
     let (axes, operator) = moving_axes(&motions, config.lines);
     let both = operator.truth.iter().cloned().zip(config.axes.iter().map(|a| a.simulated));
-    let stand = Stand { axes: both.collect(), operator };
+    let stand = SimulatedOperator { axes: both.collect(), operator };
     (MockCard::new(axes, Monotonic), stand)
 }
 

@@ -1,7 +1,7 @@
 //! A thread that reads and prepares the files of a request.
 //! It reads one at a time, regular files only, within limits of size and time. The control side continues meanwhile.
 
-use crate::keeper::{Kept, Spool, take_over};
+use crate::record_spool::{Kept, Spool, take_over};
 use rtec_control::protocol::PartTable;
 use rtec_correct::corrector::{Prepared, Preparer};
 use rtec_files::{InputError, text};
@@ -361,7 +361,8 @@ mod tests {
     fn each_kind_of_file_has_its_own_bound() {
         let directory = tempfile::tempdir().unwrap();
         let at = |name: &str| directory.path().join(name);
-        let spool = Spool { folder: directory.path().to_owned(), room: rtec_records::spool::Room::ANY };
+        let spool =
+            Spool { folder: directory.path().to_owned(), limits: rtec_records::spool::SpoolLimits::ANY };
         for (sidecar, csv, bound) in
             [(LONGEST_SIDECAR + 1, 1, LONGEST_SIDECAR), (1, LONGEST_CSV + 1, LONGEST_CSV)]
         {

@@ -4,16 +4,16 @@
 //! |---|---|
 //! | `cards` | builds the card that the configuration names |
 //! | `history` | every change of the axes' ledgers, and how often each fault was latched |
-//! | `keeper` | writes finished records into the spool folder |
+//! | `record_spool` | writes finished records into the spool folder |
 //! | `start` | the engine in the state that the last process left |
-//! | `on_disk` | finds files that were edited since they were read |
+//! | `edited_files` | finds files that were edited since they were read |
 //! | `session` | carries out requests of the protocol on the link |
-//! | `doors` | the listening sockets, one per role |
+//! | `sockets` | the listening sockets, one per role |
 //! | `client` | one connection |
 //! | `server` | the order in which requests are served |
 //! | `loader` | reads the files that requests name, off the control thread |
 //! | `audit` | writes the record of commands, off the control thread |
-//! | `manager` | the service manager: ready, watchdog, the store for file descriptors |
+//! | `service_manager` | the service manager: ready, watchdog, the store for file descriptors |
 //! | `log` | standard error, fit for the journal |
 //!
 //! Elsewhere are the control law (`rtec-correct`), effects (`rtec-model`) and the step between two edges (`rtec-rt`).
@@ -21,26 +21,24 @@
 mod audit;
 mod cards;
 mod client;
-mod doors;
+mod edited_files;
 mod history;
-mod keeper;
 mod loader;
 mod log;
-mod manager;
-mod on_disk;
+mod record_spool;
 mod server;
+mod service_manager;
 mod session;
+mod sockets;
 mod start;
 
 use anyhow::Context;
 use audit::Audit;
 use clap::Parser;
-use doors::Doors;
+use edited_files::EditedFiles;
 use log::{Level, Log};
-use manager::Manager;
 use nix::sys::signal::{SigSet, Signal};
 use nix::sys::signalfd::{SfdFlags, SignalFd};
-use on_disk::OnDisk;
 use rtec_control::card::{self, Access, OpenError};
 use rtec_control::config::{CardConfig, Config, ConfigFindings, PortPlace};
 use rtec_control::lock::{self, LockError};
@@ -52,8 +50,10 @@ use rtec_rt::journal::JournalError;
 use rtec_rt::setup::{Report, System, Wanted};
 use rtec_rt::thread::{ThreadOptions, spawn};
 use rtec_sensors::buses::{Buses, Clock};
-use server::Served;
+use server::ServingEnd;
+use service_manager::ServiceManager;
 use session::Session;
+use sockets::ListeningSockets;
 use std::os::fd::OwnedFd;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -153,7 +153,7 @@ fn exit_code(error: &anyhow::Error) -> u8 {
 }
 
 fn run(args: &Args, log: &mut Log) -> anyhow::Result<()> {
-    let mut manager = Manager::from_environment()?;
+    let mut manager = ServiceManager::from_environment()?;
     let installed = Path::new(INSTALLED);
     let file = args.config.as_deref().or(installed.exists().then_some(installed));
     let mut config = file.map_or_else(|| Ok(Config::embedded()), Config::load)?;
@@ -173,15 +173,15 @@ fn run(args: &Args, log: &mut Log) -> anyhow::Result<()> {
     let signals =
         SignalFd::with_flags(&signals, SfdFlags::SFD_NONBLOCK | SfdFlags::SFD_CLOEXEC).context("signalfd")?;
 
-    let on_disk = Some(OnDisk::watch(file));
-    let doors = doors::listen(&config.control)?;
+    let edited_files = Some(EditedFiles::watch(file));
+    let sockets = sockets::listen(&config.control)?;
     let kept = manager.take_back("outputs-");
     for name in manager.left_over() {
         log.say(Level::Warning, &format!("stored descriptor {name}: nobody has a use for it; it stays open"));
     }
     let patience =
         Patience { until: Instant::now() + Duration::from_secs(args.wait_for_card), signals: &signals };
-    let outside = Outside { doors: &doors, signals: &signals, manager: &mut manager, on_disk };
+    let outside = Outside { sockets: &sockets, signals: &signals, manager: &mut manager, edited_files };
     match config.card.clone() {
         CardConfig::Mock if args.lathe.is_some() => {
             let file = args.lathe.as_deref().unwrap_or(Path::new(""));
@@ -286,15 +286,15 @@ enum Kind {
     /// Another program, or a recording.
     Harmless,
     /// A simulated machine, with the person who operates it.
-    Simulated(cards::Stand),
+    Simulated(cards::SimulatedOperator),
 }
 
 /// The daemon's outside: clients, signals and the service manager.
 struct Outside<'a> {
-    doors: &'a Doors,
+    sockets: &'a ListeningSockets,
     signals: &'a SignalFd,
-    manager: &'a mut Manager,
-    on_disk: Option<OnDisk>,
+    manager: &'a mut ServiceManager,
+    edited_files: Option<EditedFiles>,
 }
 
 /// Runs the engine on `card` until a signal ends it.
@@ -347,8 +347,8 @@ fn work<C: Card + Send + 'static>(
     };
     let log_file = config.control.log_path();
     let mut audit =
-        Audit::start(&log_file, outside.doors.seers).context("starting the record of commands")?;
-    let mut session = Session::new(config, set_up, (sensors, clock), outside.on_disk.take());
+        Audit::start(&log_file, outside.sockets.viewers).context("starting the record of commands")?;
+    let mut session = Session::new(config, set_up, (sensors, clock), outside.edited_files.take());
     session.watch_over(state_file);
     session.take_up_model(log);
     if let Some(trouble) = session.spool_trouble() {
@@ -369,7 +369,7 @@ fn work<C: Card + Send + 'static>(
     }
     outside.manager.ready()?;
     let served = server::serve(outside, &mut session, &mut running.control, log, &mut audit);
-    if matches!(served, Ok(Served::StandsStill)) {
+    if matches!(served, Ok(ServingEnd::StandsStill)) {
         // The thread cannot be ended and holds the card. The next process finds the fault and asserts feed hold.
         let mut text = explain_fault(Fault::ThreadLost).to_owned();
         if !session.note_thread_lost() {
@@ -398,9 +398,9 @@ fn work<C: Card + Send + 'static>(
     }
     audit.end(LOG_PATIENCE);
     match served? {
-        Served::Panicked => Err(Failure::Again(LOST).into()),
-        Served::HungUp => Err(Failure::Again("a hangup ended it, and nobody asked for that").into()),
-        Served::Asked | Served::StandsStill => Ok(()),
+        ServingEnd::Panicked => Err(Failure::Again(LOST).into()),
+        ServingEnd::HungUp => Err(Failure::Again("a hangup ended it, and nobody asked for that").into()),
+        ServingEnd::Asked | ServingEnd::StandsStill => Ok(()),
     }
 }
 
@@ -447,10 +447,11 @@ mod tests {
         let (card, _) = cards::mock(&config);
         let (planted, outputs) = (Arc::<AtomicBool>::default(), Arc::<AtomicU64>::default());
         let card = Panics { card, planted: Arc::clone(&planted), outputs: Arc::clone(&outputs) };
-        let doors = doors::listen(&config.control).unwrap();
+        let sockets = sockets::listen(&config.control).unwrap();
         let signals = SignalFd::new(&SigSet::empty()).unwrap();
-        let mut manager = Manager::from_environment().unwrap();
-        let outside = Outside { doors: &doors, signals: &signals, manager: &mut manager, on_disk: None };
+        let mut manager = ServiceManager::from_environment().unwrap();
+        let outside =
+            Outside { sockets: &sockets, signals: &signals, manager: &mut manager, edited_files: None };
         let log_file = config.control.log_path();
         let served = std::thread::spawn(move || {
             while !std::fs::read_to_string(&log_file).is_ok_and(|log| log.contains("start")) {

@@ -12,17 +12,17 @@
 use crate::Outside;
 use crate::audit::{Audit, Command, Totals};
 use crate::client::{Client, Stage, Urgency};
-use crate::doors::{Door, Doors};
 use crate::loader::Ticket;
 use crate::log::{Level, Log};
-use crate::manager::Manager;
-use crate::session::{Answer, Beside, Session};
+use crate::service_manager::ServiceManager;
+use crate::session::{Answer, RequestContext, Session};
+use crate::sockets::{ListeningSocket, ListeningSockets};
 use anyhow::Context;
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 use nix::sys::signal::Signal;
 use nix::sys::signalfd::SignalFd;
 use nix::unistd::Uid;
-use rtec_control::protocol::{Caller, ClientRequest, Clients, Response};
+use rtec_control::protocol::{Caller, ClientRequest, ConnectedClients, Response};
 use rtec_control::role::Role;
 use rtec_rt::event::Fault;
 use rtec_rt::link::ControlEnd;
@@ -68,7 +68,7 @@ struct Waiting {
 }
 
 /// References that serving needs.
-struct Desk<'a> {
+struct ServingContext<'a> {
     session: &'a mut Session,
     control: &'a mut ControlEnd,
     log: &'a mut Log,
@@ -83,7 +83,7 @@ struct Desk<'a> {
 
 /// Why serving ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Served {
+pub(crate) enum ServingEnd {
     /// A signal asked for the end.
     Asked,
     /// A hangup, which is no request to end the service.
@@ -101,22 +101,22 @@ pub(crate) fn serve(
     control: &mut ControlEnd,
     log: &mut Log,
     audit: &mut Audit,
-) -> anyhow::Result<Served> {
-    let Outside { doors, signals, manager, .. } = outside;
+) -> anyhow::Result<ServingEnd> {
+    let Outside { sockets, signals, manager, .. } = outside;
     let mut clients: Vec<Client> = Vec::new();
     let every = session.beat_every();
     let timeout = PollTimeout::try_from(every).unwrap_or(PollTimeout::from(10_u8));
     let own_uid = Uid::effective().as_raw();
-    let groups = doors.all.iter().filter_map(|d| Some((d.role, d.group.clone()?))).collect();
+    let groups = sockets.all.iter().filter_map(|d| Some((d.role, d.group.clone()?))).collect();
     let waiting = BTreeMap::new();
-    let mut desk = Desk { session, control, log, audit, waiting, own_uid, groups, record: None };
+    let mut desk = ServingContext { session, control, log, audit, waiting, own_uid, groups, record: None };
     let (mut end_reported, mut next_id, mut turn, mut backlog) = (false, 1, 0, false);
     let mut watch = Watch::new(desk.session.stands_still_after(), Instant::now());
     loop {
         desk.beat(manager);
         let (polls, ended) = (desk.control.status().polls, desk.control.ended());
         if !ended && watch.stands_still(polls, Instant::now()) {
-            return Ok(Served::StandsStill);
+            return Ok(ServingEnd::StandsStill);
         }
         // Requests behind others, or behind their client's last one, are there already.
         let timeout = if backlog || clients.iter().any(Client::has_line) {
@@ -126,7 +126,7 @@ pub(crate) fn serve(
         } else {
             timeout
         };
-        let (signalled, ready) = wait(doors, signals, &clients, timeout)?;
+        let (signalled, ready) = wait(sockets, signals, &clients, timeout)?;
         if signalled && let Some(signal) = signals.read_signal().context("reading signals")? {
             manager.stopping();
             let text = format!("signal {}: parking", signal.ssi_signo);
@@ -134,9 +134,9 @@ pub(crate) fn serve(
             let totals = desk.session.totals(desk.control);
             desk.audit.note("stop", text, totals);
             let hung_up = signal.ssi_signo == Signal::SIGHUP as u32;
-            return Ok(if hung_up { Served::HungUp } else { Served::Asked });
+            return Ok(if hung_up { ServingEnd::HungUp } else { ServingEnd::Asked });
         }
-        for (client, ready) in clients.iter_mut().zip(&ready[doors.all.len()..]) {
+        for (client, ready) in clients.iter_mut().zip(&ready[sockets.all.len()..]) {
             if client.reads() && ready.intersects(PollFlags::POLLIN | PollFlags::POLLHUP) {
                 client.read();
             } else if ready.contains(PollFlags::POLLERR) || client.waits && ready.contains(PollFlags::POLLHUP)
@@ -145,9 +145,9 @@ pub(crate) fn serve(
                 client.enter(Stage::Gone);
             }
         }
-        for (door, ready) in doors.all.iter().zip(&ready) {
+        for (socket, ready) in sockets.all.iter().zip(&ready) {
             if ready.contains(PollFlags::POLLIN) {
-                accept(door, &mut clients, &mut next_id, desk.log);
+                accept(socket, &mut clients, &mut next_id, desk.log);
             }
         }
         turn += 1;
@@ -172,7 +172,7 @@ pub(crate) fn serve(
         clients.iter_mut().for_each(Client::write);
         clients.retain(|c| !c.over());
         if ended && desk.control.status().faults.has(Fault::ThreadLost) {
-            return Ok(Served::Panicked);
+            return Ok(ServingEnd::Panicked);
         }
     }
 }
@@ -205,13 +205,13 @@ impl Watch {
 
 /// Waits for requests; returns what is ready, listening sockets before clients.
 fn wait(
-    doors: &Doors,
+    sockets: &ListeningSockets,
     signals: &SignalFd,
     clients: &[Client],
     timeout: PollTimeout,
 ) -> anyhow::Result<(bool, Vec<PollFlags>)> {
     let mut fds = vec![PollFd::new(signals.as_fd(), PollFlags::POLLIN)];
-    fds.extend(doors.all.iter().map(|d| PollFd::new(d.listener.as_fd(), PollFlags::POLLIN)));
+    fds.extend(sockets.all.iter().map(|d| PollFd::new(d.listener.as_fd(), PollFlags::POLLIN)));
     fds.extend(clients.iter().map(|c| {
         let mut flags = PollFlags::empty();
         flags.set(PollFlags::POLLIN, c.reads());
@@ -226,8 +226,8 @@ fn wait(
     Ok((flags(&fds[0]).contains(PollFlags::POLLIN), fds[1..].iter().map(flags).collect()))
 }
 
-impl Desk<'_> {
-    fn beat(&mut self, manager: &mut Manager) {
+impl ServingContext<'_> {
+    fn beat(&mut self, manager: &mut ServiceManager) {
         self.control.beat();
         let status = self.control.status();
         manager.turn(status.polls, || self.session.in_short(&status));
@@ -283,7 +283,7 @@ impl Desk<'_> {
         let recorded = request.needs() > Role::View;
         let before = if recorded { self.session.totals(self.control) } else { Totals::new() };
         let trusted = client.caller.uid == 0 || client.caller.uid == self.own_uid;
-        let beside = Beside { files, trusted, user: (client.caller.uid, client.caller.user.clone()) };
+        let beside = RequestContext { files, trusted, user: (client.caller.uid, client.caller.user.clone()) };
         let latched = self.session.latched(&self.control.status());
         let response = match &request {
             ClientRequest::Whoami {} => {
@@ -416,10 +416,10 @@ fn json(request: &ClientRequest) -> Value {
     serde_json::to_value(request).unwrap_or_default()
 }
 
-fn connected(clients: &[Client]) -> Vec<Clients> {
+fn connected(clients: &[Client]) -> Vec<ConnectedClients> {
     let of = |role: Role| clients.iter().filter(move |c| c.role == role);
     Role::ALL
-        .map(|role| Clients {
+        .map(|role| ConnectedClients {
             role,
             connected: of(role).count(),
             watching: of(role).filter(|c| c.watching).count(),
@@ -434,8 +434,6 @@ fn not_here(
     urgency: Urgency,
     groups: &BTreeMap<Role, String>,
 ) -> Option<Response> {
-    let refused =
-        |why: &str, text: String| Response::Refused { why: why.to_owned(), text, jumps: Vec::new() };
     let needed = request.needs();
     if needed > client.role {
         let (is, user) = (client.role, &client.caller.user);
@@ -445,7 +443,7 @@ fn not_here(
         };
         let text =
             format!("this connection may \"{is}\", and this takes \"{needed}\": {who} (`rtecctl whoami`)");
-        return Some(refused("role", text));
+        return Some(Response::refused("role", text));
     }
     if client.reserved && urgency == Urgency::Turn {
         let text = format!(
@@ -454,14 +452,14 @@ fn not_here(
             places(client.role),
             client.role
         );
-        return Some(refused("too_many_clients", text));
+        return Some(Response::refused("too_many_clients", text));
     }
     None
 }
 
-fn accept(door: &Door, clients: &mut Vec<Client>, next_id: &mut u64, log: &mut Log) {
+fn accept(socket: &ListeningSocket, clients: &mut Vec<Client>, next_id: &mut u64, log: &mut Log) {
     for _ in 0..ACCEPTS {
-        let stream = match door.listener.accept() {
+        let stream = match socket.listener.accept() {
             Ok((stream, _)) => stream,
             Err(e) if matches!(e.kind(), ErrorKind::Interrupted | ErrorKind::ConnectionAborted) => continue,
             Err(e) if e.kind() == ErrorKind::WouldBlock => return,
@@ -475,7 +473,7 @@ fn accept(door: &Door, clients: &mut Vec<Client>, next_id: &mut u64, log: &mut L
         let client = stream
             .set_nonblocking(true)
             .map_err(anyhow::Error::from)
-            .and_then(|()| Ok(Client::new(*next_id, stream, door.role, &door.path)?));
+            .and_then(|()| Ok(Client::new(*next_id, stream, socket.role, &socket.path)?));
         match client {
             Ok(client) => {
                 *next_id += 1;

@@ -16,16 +16,16 @@ mod report;
 mod tests;
 
 use crate::audit::Totals;
-use crate::cards::Stand;
+use crate::cards::SimulatedOperator;
 use crate::client::user_name;
+use crate::edited_files::EditedFiles;
 use crate::history::History;
-use crate::keeper::{Keeper, Kept, Spool};
 use crate::loader::{Loader, Ticket};
 use crate::log::{Level, Log};
-use crate::on_disk::OnDisk;
-use loads::Wish;
+use crate::record_spool::{Kept, RecordSpool, Spool};
+use loads::LoadPurpose;
 use rtec_control::config::{Config, ConfiguredAxis, Measured};
-use rtec_control::protocol::{ClientRequest, Happened, Numbered, Response, word};
+use rtec_control::protocol::{ClientRequest, EventReport, NumberedEvent, Response, word};
 use rtec_correct::Corrector;
 use rtec_files::date;
 use rtec_model::record::Role;
@@ -81,7 +81,7 @@ impl Answer {
 
 /// What comes with a request, apart from its line.
 #[derive(Default)]
-pub(crate) struct Beside {
+pub(crate) struct RequestContext {
     /// Open files of the caller, in the order in which they came.
     pub(crate) files: Vec<OwnedFd>,
     /// The caller may name files to open, because it is root or the daemon's own user.
@@ -141,24 +141,24 @@ pub(crate) struct Session {
     /// Time when this side was last active.
     looked: Instant,
     /// The person at the machine, if it is simulated.
-    stand: Option<Stand>,
+    stand: Option<SimulatedOperator>,
     /// Why corrections can never be enabled on this card and computer.
     unfit: Vec<String>,
     /// The check for edited files; `None` in a simulation.
-    on_disk: Option<OnDisk>,
+    edited_files: Option<EditedFiles>,
     /// Why the model of the last process was not taken up, if so.
     model_refused: Option<String>,
     loader: Loader,
-    keeper: Keeper,
+    record_spool: RecordSpool,
     /// Purpose of the load under way.
-    wish: Option<Wish>,
+    wish: Option<LoadPurpose>,
     /// Number of looks at the card when a request was last left unanswered.
     unanswered: Option<u64>,
     /// The latest events, and the number of all events.
-    events: VecDeque<Numbered>,
+    events: VecDeque<NumberedEvent>,
     event_count: u64,
     /// Events since the server last asked.
-    happened: Vec<Happened>,
+    happened: Vec<EventReport>,
     /// Earlier events, for later questions.
     history: History,
     /// Times when each fault was latched, on the card's clock, ns.
@@ -181,9 +181,9 @@ impl Session {
         config: Config,
         set_up: SetUp,
         (sensors, clock): (Buses, Clock),
-        on_disk: Option<OnDisk>,
+        edited_files: Option<EditedFiles>,
     ) -> Self {
-        Self { on_disk, ..Self::by(Rc::new(RealTime(clock)), config, set_up, sensors) }
+        Self { edited_files, ..Self::by(Rc::new(RealTime(clock)), config, set_up, sensors) }
     }
 
     fn by(time: Rc<dyn Time>, config: Config, set_up: SetUp, mut sensors: Buses) -> Self {
@@ -192,7 +192,7 @@ impl Session {
         let temperature = |c: &SensorConfig| c.role == Role::Temperature;
         let logged = config.sensors.iter().enumerate().filter(|(_, c)| temperature(c));
         let logged = logged.map(|(n, c)| (n, c.name.clone())).collect();
-        let keeper = Keeper::new(Spool::of(&config.control), logged);
+        let record_spool = RecordSpool::new(Spool::of(&config.control), logged);
         let mut corrector = Corrector::new(setups, model.ramp_um_s, model.lead_ms * 1e-3, time.now_s());
         corrector.sense(time.now_s(), sensors.look());
         let places = std::iter::once(None).chain((0..axes).map(Some));
@@ -208,7 +208,7 @@ impl Session {
             held_ns: set_up.before.times.held_ns(),
             holder: (u32::MAX, String::new()),
             unfit,
-            on_disk: None,
+            edited_files: None,
             config,
             set_up,
             started: time.now(),
@@ -220,7 +220,7 @@ impl Session {
             stand: None,
             model_refused: None,
             loader: Loader::new(),
-            keeper,
+            record_spool,
             wish: None,
             unanswered: None,
             events: VecDeque::new(),
@@ -257,7 +257,7 @@ impl Session {
     }
 
     /// Makes the machine a simulated one, which can be jogged.
-    pub(crate) fn stand_at(&mut self, stand: Stand) {
+    pub(crate) fn stand_at(&mut self, stand: SimulatedOperator) {
         self.stand = Some(stand);
     }
 
@@ -278,7 +278,7 @@ impl Session {
         }
         self.set_up.before.other_boot &= status.axes().iter().any(|a| !a.mtc_known);
         self.held_ns = status.held.and(self.held_ns.or(Some(status.t_ns)));
-        while let Some(kept) = self.keeper.done() {
+        while let Some(kept) = self.record_spool.done() {
             self.tell_kept(kept, control.status().t_ns, log);
         }
         let now = self.time.now();
@@ -348,7 +348,7 @@ impl Session {
         if self.state_file_said != text {
             log.record(Level::Error, "state_file_lost", &text, &[]);
             let t_ns = control.status().t_ns;
-            self.tell(Happened {
+            self.tell(EventReport {
                 t_ns,
                 axis: None,
                 kind: "state_file_lost".to_owned(),
@@ -378,7 +378,7 @@ impl Session {
         let text = format!("the daemon did not run for {:.1} s", gap.as_secs_f64());
         log.event(Level::Warning, "stood_still", &text);
         let t_ns = control.status().t_ns;
-        self.tell(Happened { t_ns, axis: None, kind: "stood_still".to_owned(), text, trip: None });
+        self.tell(EventReport { t_ns, axis: None, kind: "stood_still".to_owned(), text, trip: None });
     }
 
     /// Whether the end of the record of commands is written to the system's journal.
@@ -388,7 +388,7 @@ impl Session {
 
     /// The problem that keeps records from being kept, if any.
     pub(crate) fn spool_trouble(&self) -> Option<String> {
-        self.keeper.trouble()
+        self.record_spool.trouble()
     }
 
     /// Logs the result of a record.
@@ -398,30 +398,30 @@ impl Session {
             Err(why) => (Level::Warning, "record_lost", why),
         };
         log.event(level, kind, &text);
-        self.tell(Happened { t_ns, axis: None, kind: kind.to_owned(), text, trip: None });
+        self.tell(EventReport { t_ns, axis: None, kind: kind.to_owned(), text, trip: None });
     }
 
     /// Writes the captured record at the daemon's end, within this time.
     pub(crate) fn keep_the_rest(&mut self, patience: Duration, log: &mut Log) {
-        self.keeper.end(&self.config.axes);
-        while let Some(kept) = self.keeper.last(patience) {
+        self.record_spool.end(&self.config.axes);
+        while let Some(kept) = self.record_spool.last(patience) {
             self.tell_kept(kept, 0, log);
         }
     }
 
     /// Keeps an event for later questions, and passes it on.
-    fn tell(&mut self, happened: Happened) {
+    fn tell(&mut self, happened: EventReport) {
         self.event_count += 1;
         if self.events.len() == EVENTS {
             self.events.pop_front();
         }
         let at_s = self.time.now_s();
-        self.events.push_back(Numbered { n: self.event_count, at_s, event: happened.clone() });
+        self.events.push_back(NumberedEvent { n: self.event_count, at_s, event: happened.clone() });
         self.happened.push(happened);
     }
 
     /// Takes the events since the last call.
-    pub(crate) fn take_happened(&mut self) -> Vec<Happened> {
+    pub(crate) fn take_happened(&mut self) -> Vec<EventReport> {
         std::mem::take(&mut self.happened)
     }
 
@@ -434,7 +434,7 @@ impl Session {
 
     fn note(&mut self, event: &Event, log: &mut Log) {
         let axis = event.axis.and_then(|n| self.config.axes.get(usize::from(n)));
-        let mut happened = Happened::of(event, axis.map(|a| (a.name.as_str(), a.count_um)));
+        let mut happened = EventReport::of(event, axis.map(|a| (a.name.as_str(), a.count_um)));
         if let EventKind::Fault(fault) = event.kind {
             self.latched_ns.insert((event.axis.map(usize::from), fault as u8), event.t_ns);
         }
@@ -448,12 +448,12 @@ impl Session {
                 trip.corrected_mm = trip.error_um.map(|um| trip.position_mm + um / 1000.0);
                 let degc = |w: &Watch| w.value_degc().filter(|_| w.config().role == Role::Temperature);
                 trip.degc = self.corrector.watches().iter().map(degc).collect();
-                self.keeper.trip(n, &self.config.axes, trip, self.time.now_s());
+                self.record_spool.trip(n, &self.config.axes, trip, self.time.now_s());
             }
         }
         match event.kind {
-            EventKind::Mode(Mode::Probe) => self.keeper.begin(event.t_ns, self.time.now_s()),
-            EventKind::Mode(_) => self.keeper.end(&self.config.axes),
+            EventKind::Mode(Mode::Probe) => self.record_spool.begin(event.t_ns, self.time.now_s()),
+            EventKind::Mode(_) => self.record_spool.end(&self.config.axes),
             _ => {}
         }
         let level = match event.kind {
@@ -491,7 +491,7 @@ impl Session {
     pub(crate) fn answer(
         &mut self,
         request: &ClientRequest,
-        beside: Beside,
+        beside: RequestContext,
         control: &mut ControlEnd,
         log: &mut Log,
     ) -> Answer {
@@ -566,10 +566,10 @@ impl Session {
     }
 
     /// Faults latched since before the first look, which have no events of their own.
-    pub(crate) fn found_at_start(&self, now: &Status) -> Vec<Happened> {
+    pub(crate) fn found_at_start(&self, now: &Status) -> Vec<EventReport> {
         let found = |(axis, fault): (Option<String>, String)| {
             let (kind, text) = ("fault".to_owned(), format!("{fault}, found at the start"));
-            Happened { t_ns: now.t_ns, axis, kind, text, trip: None }
+            EventReport { t_ns: now.t_ns, axis, kind, text, trip: None }
         };
         self.latched(now).into_iter().map(found).collect()
     }

@@ -68,14 +68,12 @@ impl Bank {
     }
 
     /// Longest time that may pass before the next reading is due, s.
-    #[must_use]
     pub fn pause_s(&self) -> f64 {
         let shortest = self.sensors.iter().map(|w| w.config().period_s).fold(1.0, f64::min);
         if self.feeds.is_empty() { shortest / 2.0 } else { shortest.min(0.1) / 2.0 }
     }
 
     /// The sensors.
-    #[must_use]
     pub fn sensors(&self) -> &[Watch] {
         &self.sensors
     }
@@ -109,7 +107,6 @@ impl Bank {
 
     /// The worst state of the named sensors, and the sensor that has it.
     /// It decides what a model that reads them may do now.
-    #[must_use]
     pub fn usable<'a>(&'a self, names: &[String], now_s: f64) -> (Use, Option<&'a Watch>) {
         let known = self.sensors.iter().filter(|w| names.contains(&w.config().name));
         let worst = known.max_by_key(|w| w.usable(now_s));

@@ -20,14 +20,12 @@ pub struct Clock {
 
 impl Clock {
     /// A clock that begins at the system's time.
-    #[must_use]
     pub fn start() -> Self {
         let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
         Self { start: Instant::now(), start_s: since.as_secs_f64() }
     }
 
     /// Seconds since 1970.
-    #[must_use]
     pub fn now_s(&self) -> f64 {
         self.start_s + self.start.elapsed().as_secs_f64()
     }
@@ -93,7 +91,6 @@ impl Buses {
     }
 
     /// Sensors without threads: the caller offers their readings.
-    #[must_use]
     pub fn of(watches: Vec<Watch>) -> Self {
         Self { latest: Latest::default(), watches }
     }

@@ -1,9 +1,8 @@
 //! `[[sensor]]` of a configuration: its keys, their bounds and defaults.
 
 use rtec_files::keys;
-use rtec_files::keys::REQUIRED;
 use rtec_files::keys::Takes::{Choice, Name, Number, Own, Range, Text, Whole, Word};
-use rtec_files::toml::{At, Section, SourceFile};
+use rtec_files::keys::{At, REQUIRED, Section, SourceFile};
 use rtec_model::record::Role;
 use std::path::{Path, PathBuf};
 
@@ -174,7 +173,6 @@ impl SensorConfig {
 
     /// A sensor whose readings are always believed and never expire.
     /// It is used in simulations and for recorded shifts.
-    #[must_use]
     pub fn believed(name: &str, role: Role) -> Self {
         Self {
             name: name.to_owned(),

@@ -68,7 +68,6 @@ enum Stream {
 
 impl Feed {
     /// A feed that connects at its first poll.
-    #[must_use]
     pub fn new(from: &str) -> Self {
         Self {
             from: from.to_owned(),
@@ -90,7 +89,6 @@ impl Feed {
     }
 
     /// A feed from which only these keys are read and kept.
-    #[must_use]
     pub fn of(from: &str, keys: impl IntoIterator<Item = String>) -> Self {
         Self { keys: Some(keys.into_iter().collect()), ..Self::new(from) }
     }
@@ -153,14 +151,12 @@ impl Feed {
     }
 
     /// Number of lines that could not be read.
-    #[must_use]
     pub fn refused(&self) -> u64 {
         self.refused
     }
 
     /// Reason why an earlier connection is lost.
     /// `None` while it is open, or if there never was one.
-    #[must_use]
     pub fn lost(&self) -> Option<&str> {
         (self.stream.is_none() && self.connected_at.is_finite()).then_some(self.trouble.as_str())
     }

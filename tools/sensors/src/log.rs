@@ -39,7 +39,6 @@ pub(crate) fn append(
 
 /// The logged rows of these sensors, oldest first: time and temperatures, °C.
 /// Rows with an unknown value are left out, as are torn rows and times that the clock passed twice.
-#[must_use]
 pub fn history(directory: &Path, names: &[String], now_s: f64) -> Vec<(f64, Vec<f64>)> {
     let mut rows: Vec<(f64, Vec<f64>)> = Vec::new();
     for name in NAMES.iter().rev() {

@@ -86,7 +86,6 @@ impl Reach {
 
 impl Watch {
     /// A sensor that has not been read yet.
-    #[must_use]
     pub fn new(config: SensorConfig) -> Self {
         Self {
             config: Arc::new(config),
@@ -99,7 +98,6 @@ impl Watch {
     }
 
     /// Its configuration.
-    #[must_use]
     pub fn config(&self) -> &SensorConfig {
         &self.config
     }
@@ -169,25 +167,21 @@ impl Watch {
     }
 
     /// The last good value, °C.
-    #[must_use]
     pub fn value_degc(&self) -> Option<f64> {
         self.good.map(|g| g.0)
     }
 
     /// Its age, s.
-    #[must_use]
     pub fn age_s(&self, now_s: f64) -> Option<f64> {
         self.good.map(|g| now_s - g.1)
     }
 
     /// What is wrong with it, if anything.
-    #[must_use]
     pub fn fault(&self) -> Option<&SensorFault> {
         self.fault.as_ref()
     }
 
     /// How a model may use it now.
-    #[must_use]
     pub fn usable(&self, now_s: f64) -> Use {
         let old = self.age_s(now_s).unwrap_or(f64::INFINITY);
         if old > self.config.freeze_s.max(self.config.timeout_s) {

@@ -77,7 +77,6 @@ impl Described {
     }
 
     /// The error for a wrong value of a description: file, line, found and expected.
-    #[must_use]
     pub fn refuse(&self, name: &str, key: &str, found: String, expected: String) -> InputError {
         let (path, text) = match self.text(name) {
             Ok(read) => read,

@@ -142,14 +142,12 @@ const ANCHORED_REFUSED: &str = "; of refusals: line ";
 
 impl Anchor {
     /// Text that publishes the ends of both chains.
-    #[must_use]
     pub fn text((n, hash): (u64, &str), refused: Option<(u64, &str)>) -> String {
         let refused = refused.map_or(String::new(), |(n, hash)| format!("{ANCHORED_REFUSED}{n} {hash}"));
         format!("{ANCHORED}{n} {hash}{refused}")
     }
 
     /// All anchors in a text, as `journalctl` prints it.
-    #[must_use]
     pub fn all(text: &str) -> Vec<Self> {
         let one = |text: &str, refused| {
             let mut words = text.split(|c: char| !c.is_ascii_alphanumeric());

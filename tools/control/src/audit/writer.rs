@@ -34,7 +34,6 @@ pub struct Writer {
 impl Writer {
     /// A writer that continues where the record ends.
     /// It opens the file at its first line.
-    #[must_use]
     pub fn new(path: &Path) -> Self {
         let head = Head { n: 0, hash: NOTHING.to_owned(), first_n: 1 };
         Self {
@@ -59,13 +58,11 @@ impl Writer {
     }
 
     /// How often others removed or renamed the file or its head.
-    #[must_use]
     pub fn moved(&self) -> u64 {
         self.moved
     }
 
     /// How often a full file was renamed.
-    #[must_use]
     pub fn rotated(&self) -> u64 {
         self.rotated
     }
@@ -83,7 +80,6 @@ impl Writer {
     }
 
     /// Number and hash of the last line.
-    #[must_use]
     pub fn last(&self) -> (u64, &str) {
         (self.head.n, &self.head.hash)
     }

@@ -2,7 +2,7 @@
 
 use super::card::{Card, Kind, read_lines};
 use super::{ConfiguredAxis, Simulated, beside, keys};
-use rtec_files::toml::{Section, SourceFile};
+use rtec_files::keys::{Section, SourceFile};
 use rtec_model::record::Axis;
 use rtec_rt::axis::{AxisConfig, INCREMENT_COUNTS, RestPolicy};
 use std::path::PathBuf;
@@ -43,31 +43,23 @@ pub(super) fn read(
     let hysteresis = s.number_or_default(source, "hysteresis_counts");
     let warn = s.whole(source, "warn_counts");
     let error = s.whole(source, "error_counts");
-    if let (Some(warn), Some(error)) = (warn, error)
-        && warn.value > error.value
-    {
-        let found = format!("warn_counts = {} above error_counts = {}", warn.value, error.value);
-        source.finding(warn.offset, found, "the warning before the error");
-    }
-    if let (Some(error), Some(max)) = (error, max)
-        && error.value > max.value
-    {
-        let found = format!("error_counts = {} above max_correction_counts = {}", error.value, max.value);
-        source.finding(
-            error.offset,
-            found,
-            "a limit that a request can reach: beyond the maximum it is refused",
-        );
-    }
-    if let (Some(window), Some(max)) = (window, max)
-        && window.value > max.value
-    {
-        let found = format!("window_counts = {} above max_correction_counts = {}", window.value, max.value);
-        source.finding(
-            window.offset,
-            found,
+    let (warns, errs) = (("warn_counts", warn), ("error_counts", error));
+    let most = ("max_correction_counts", max);
+    for ((lower, low), (upper, high), expected) in [
+        (warns, errs, "the warning before the error"),
+        (errs, most, "a limit that a request can reach: beyond the maximum it is refused"),
+        (
+            ("window_counts", window),
+            most,
             "a belief window within the largest total: else everything is believed",
-        );
+        ),
+    ] {
+        if let (Some(low), Some(high)) = (low, high)
+            && low.value > high.value
+        {
+            let found = format!("{lower} = {} above {upper} = {}", low.value, high.value);
+            source.finding(low.offset, found, expected);
+        }
     }
     let rate = s.number(source, "max_rate_counts_s");
     let rest = s.pick(source, "rest_policy", &[false, true]);

@@ -1,14 +1,14 @@
 //! `[card]` and the lines of the machine and its axes.
 
 use super::{MappedPlace, PortPlace, beside, keys};
-use crate::lines::{BIASES, DRIVES, LineName, gpio_line, line};
+use crate::line_names::{BIASES, DRIVES, LineName, gpio_line, line};
 use crate::profile;
 use rtec_driver::card::{AxisLines, MachineLines};
 use rtec_driver::gpio::{self, GpioError, GpioInput, GpioLine, GpioOutput, GpioSetup, LineId};
 use rtec_driver::pci::{self, PciId};
 use rtec_driver::profile::{Place, Profile, Space, Width};
+use rtec_files::keys::{At, Section, SourceFile};
 use rtec_files::nearest;
-use rtec_files::toml::{At, Section, SourceFile};
 use rtec_rt::event::MAX_AXES;
 use std::collections::{BTreeMap, BTreeSet};
 use std::os::unix::fs::FileTypeExt;

@@ -1,10 +1,10 @@
 //! `[control]`: sockets with their users, and files that outlive the process.
 
 use super::{beside, keys};
-use crate::closed::closed_directory;
+use crate::owned_directory::directory_owner;
 use crate::role::Role;
 use nix::unistd::{Group, Uid};
-use rtec_files::toml::{Section, SourceFile};
+use rtec_files::keys::{Section, SourceFile};
 use std::path::{Path, PathBuf};
 
 /// Longest path of a Unix socket, bytes (unix(7): 108 with the zero at its end).
@@ -20,9 +20,9 @@ pub struct ControlConfig {
     /// Mode of this socket; `None` for the default.
     pub mode: Option<u32>,
     /// The socket of the role `operate`.
-    pub operate: Door,
+    pub operate: RoleSocket,
     /// The socket of the role `view`.
-    pub view: Door,
+    pub view: RoleSocket,
     /// State that a restart takes over; `None` puts the file beside the socket.
     pub state_file: Option<PathBuf>,
     /// Record of every command; `None` for the default of [`ControlConfig::log_path`].
@@ -40,7 +40,7 @@ pub struct ControlConfig {
 
 /// A socket of a lesser role, as configured.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub struct Door {
+pub struct RoleSocket {
     /// Its path; `None` is derived from `[control] socket`.
     pub socket: Option<PathBuf>,
     /// The group that may use it; without one only the daemon's own user.
@@ -69,14 +69,12 @@ const INSTALLED_RUN: &str = "/run/rtec";
 
 impl ControlConfig {
     /// Path of the state file: as configured, else beside the socket.
-    #[must_use]
     pub fn state_path(&self) -> PathBuf {
         self.state_file.clone().unwrap_or_else(|| self.socket.with_file_name("state"))
     }
 
     /// Path of the record of every command: as configured.
     /// Otherwise it is in `/var/log/rtec` for an installed daemon, else beside the state file.
-    #[must_use]
     pub fn log_path(&self) -> PathBuf {
         let state = self.state_path();
         let installed =
@@ -87,7 +85,6 @@ impl ControlConfig {
     }
 
     /// The sockets, one for each role, the most powerful first.
-    #[must_use]
     pub fn sockets(&self) -> [SocketAt; 3] {
         let at = |role, path: PathBuf, group: &Option<String>, mode: Option<u32>| SocketAt {
             role,
@@ -95,21 +92,20 @@ impl ControlConfig {
             mode: mode.unwrap_or(if group.is_some() { 0o660 } else { 0o600 }),
             group: group.clone(),
         };
-        let door = |role, door: &Door| {
-            let path = door.socket.clone().unwrap_or_else(|| derived(&self.socket, role));
-            at(role, path, &door.group, door.mode)
+        let socket_at = |role, named: &RoleSocket| {
+            let path = named.socket.clone().unwrap_or_else(|| derived(&self.socket, role));
+            at(role, path, &named.group, named.mode)
         };
         [
             at(Role::SetUp, self.socket.clone(), &self.group, self.mode),
-            door(Role::Operate, &self.operate),
-            door(Role::View, &self.view),
+            socket_at(Role::Operate, &self.operate),
+            socket_at(Role::View, &self.view),
         ]
     }
 }
 
 /// The socket of a role, from the path of the main one.
 /// `control.sock` gives `control-view.sock`.
-#[must_use]
 pub fn derived(socket: &Path, role: Role) -> PathBuf {
     if role == Role::SetUp {
         return socket.to_owned();
@@ -127,7 +123,6 @@ pub fn derived(socket: &Path, role: Role) -> PathBuf {
 /// It is the one of `RTEC_RUN_DIR`. Otherwise it is `/run/rtec` for root, or if that exists (an installed
 /// daemon's). Otherwise it is the user's run-time directory, then the user's state directory. It is never one
 /// that others can write to.
-#[must_use]
 pub fn default_directory() -> PathBuf {
     let absolute = |name: &str| std::env::var_os(name).map(PathBuf::from).filter(|p| p.is_absolute());
     if let Some(directory) = absolute("RTEC_RUN_DIR") {
@@ -149,15 +144,15 @@ pub fn default_directory() -> PathBuf {
 /// Reads `[control]`; `here` if this is the computer that it is meant for.
 pub(super) fn read(source: &mut SourceFile<'_>, root: &mut Section<'_>, here: bool) -> ControlConfig {
     let mut table = root.table(source, "control", "[control]").with(keys::CONTROL);
-    let own = read_door(source, &mut table, here);
+    let own = read_role_socket(source, &mut table, here);
     let [operate, view] = ["operate", "view"].map(|role| {
         if !table.has(role) {
-            return Door::default();
+            return RoleSocket::default();
         }
         let mut inner = table.table(source, role, role).with(keys::SOCKET);
-        let door = read_door(source, &mut inner, here);
+        let socket_at = read_role_socket(source, &mut inner, here);
         inner.finish(source);
-        door
+        socket_at
     });
     let state_file = table.text(source, "state_file").map(|at| beside(source.file, at.value));
     let log_file = table.text(source, "log_file");
@@ -243,7 +238,7 @@ pub(super) fn notes(control: &ControlConfig, here: bool) -> Vec<String> {
                 .to_owned(),
         );
     }
-    if others && let Err(Some(open)) = closed_directory(&control.socket) {
+    if others && let Err(Some(open)) = directory_owner(&control.socket) {
         notes.push(format!(
             "[control] socket: everybody can write to {}: another user's `rtecctl` will not trust a daemon there that is not \
              root's",
@@ -253,7 +248,7 @@ pub(super) fn notes(control: &ControlConfig, here: bool) -> Vec<String> {
     notes
 }
 
-fn read_door(source: &mut SourceFile<'_>, table: &mut Section<'_>, here: bool) -> Door {
+fn read_role_socket(source: &mut SourceFile<'_>, table: &mut Section<'_>, here: bool) -> RoleSocket {
     let socket = table.text(source, "socket");
     let group = table.text(source, "group");
     if let Some(at) = group
@@ -273,7 +268,7 @@ fn read_door(source: &mut SourceFile<'_>, table: &mut Section<'_>, here: bool) -
         let found = format!("mode = 0{:o}", at.value);
         source.finding(at.offset, found, "0600, 0660 or 0666: whoever uses a socket reads and writes it");
     }
-    Door {
+    RoleSocket {
         socket: socket.map(|at| beside(source.file, at.value)),
         group: group.map(|g| g.value.to_owned()),
         mode: mode.map(|m| m.value),

@@ -138,7 +138,6 @@ keys! {
 }
 
 /// The tables of the reference page, in its order.
-#[must_use]
 pub fn reference() -> String {
     let sections: [(&str, &[Key]); 11] = [
         ("[machine]", MACHINE),

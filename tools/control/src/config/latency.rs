@@ -4,7 +4,7 @@
 use super::{CardConfig, Config, ConfiguredAxis, MappedPlace, PortPlace, keys};
 use crate::protocol::Rates;
 use rtec_files::date;
-use rtec_files::toml::{At, Section, SourceFile};
+use rtec_files::keys::{At, Section, SourceFile};
 use rtec_rt::setup::System;
 use std::fmt;
 use std::path::Path;
@@ -28,7 +28,6 @@ pub struct Measured {
 
 impl Measured {
     /// A measurement today on this computer with this card and CPU.
-    #[must_use]
     pub fn here(card: &CardConfig, cpu: usize, system: &System) -> Self {
         let read = |file: &str| system.read(file).unwrap_or_default();
         let info = read("proc/cpuinfo");
@@ -97,7 +96,6 @@ pub(super) fn read_measured(source: &mut SourceFile<'_>, rt: &mut Section<'_>) -
 
 /// Lowest possible `detect_ns` and `write_ns` on such a card, ns, with the reason.
 /// None for a simulated card.
-#[must_use]
 pub fn floors_ns(card: &CardConfig) -> Option<(u64, u64, &'static str)> {
     let bus = (800, 200, "two reads over a PCI bus take longer");
     match card {
@@ -134,7 +132,6 @@ pub(super) fn check_floors(
 
 impl CardConfig {
     /// The card in words: its backend, its place and its profile.
-    #[must_use]
     pub fn named(&self) -> String {
         match self {
             Self::Mock => "mock".to_owned(),
@@ -155,13 +152,11 @@ impl CardConfig {
 
 impl ConfiguredAxis {
     /// Edge rate at a speed of `mm_min`, Hz.
-    #[must_use]
     pub fn hz(&self, mm_min: f64) -> f64 {
         mm_min / 60.0 * 1000.0 / self.count_um
     }
 
     /// Speed at which the scale gives this edge rate, mm/min.
-    #[must_use]
     pub fn mm_min(&self, hz: f64) -> f64 {
         hz * 60.0 * self.count_um / 1000.0
     }
@@ -169,7 +164,6 @@ impl ConfiguredAxis {
     /// The highest edge rate that can be followed, Hz.
     /// No two edges may come within the longest time between two looks, even if the axis accelerates. `None` if
     /// nothing limits it: a card with its own counters, or a simulated one.
-    #[must_use]
     pub fn followed_hz(&self) -> Option<f64> {
         let looks_s = self.engine.detect_ns as f64 * 1e-9;
         let limited = !self.counted && looks_s > 0.0;
@@ -178,13 +172,11 @@ impl ConfiguredAxis {
 
     /// The highest edge rate at which an insertion still has time, Hz.
     /// None if there is no such rate.
-    #[must_use]
     pub fn corrected_hz(&self) -> Option<f64> {
         self.engine.gate().map(|gate| 1e9 / gate.min_period_ns() as f64)
     }
 
     /// The axis's speeds: rapid, followed and corrected.
-    #[must_use]
     pub fn rates(&self) -> Rates {
         Rates {
             rapid_mm_min: self.rapid_mm_min,
@@ -194,7 +186,6 @@ impl ConfiguredAxis {
     }
 
     /// A sentence with the figures if the rapid is too fast for the card's looks.
-    #[must_use]
     pub fn outruns(&self) -> Option<String> {
         let (rapid, followed) = (self.rapid_mm_min?, self.mm_min(self.followed_hz()?));
         (rapid > followed).then(|| {
@@ -213,7 +204,6 @@ impl Config {
     /// Reasons why corrections may not be enabled here, each with its remedy.
     /// Reasons are latencies not measured here, or an axis too fast for the card. A card that drives no machine needs
     /// neither.
-    #[must_use]
     pub fn unfit(&self, here: &Measured) -> Vec<String> {
         self.unfit_on(here, date::today())
     }

@@ -49,7 +49,7 @@ pub struct DaemonStatus {
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub edited: Vec<String>,
     /// The real-time thread: set-up, losses and latencies.
-    pub rt: Rt,
+    pub rt: RtStatus,
     /// The running model.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub model: Option<RunningModel>,
@@ -68,13 +68,11 @@ pub struct DaemonStatus {
 
 impl DaemonStatus {
     /// Whether the MTC's count is known on every axis, so that the ledger can balance.
-    #[must_use]
     pub fn ledger_known(&self) -> bool {
         self.axes.iter().all(|axis| axis.mtc_known)
     }
 
     /// Reason why positions are not valid, and what to do; none if all are homed.
-    #[must_use]
     pub fn not_homed(&self) -> Option<String> {
         let names = |which: fn(&AxisReport) -> bool| -> Vec<&str> {
             self.axes.iter().filter(|a| which(a)).map(|a| a.name.as_str()).collect()
@@ -117,7 +115,7 @@ pub struct LatchedFault {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 // Four independent flags; an enum would not be clearer.
 #[allow(clippy::struct_excessive_bools)]
-pub struct Rt {
+pub struct RtStatus {
     /// The thread runs.
     pub alive: bool,
     /// The card's backend: `mock`, `gpio`, `mapped`, `port` or `replay`.
@@ -244,7 +242,6 @@ impl std::fmt::Display for Rates {
 impl Rates {
     /// The speeds of an axis in words: rapid, followed and corrected, mm/min.
     /// `uncorrected` is the text if no speed allows insertions.
-    #[must_use]
     pub fn told(&self, uncorrected: &str) -> String {
         // Axes in tests are slow.
         let digits = |v: f64| if v < 10.0 { 4 } else { 0 };

@@ -487,14 +487,8 @@ impl Positioning {
     /// A figure of the standard's as it is without the drift or step; `None` for those that are not looked at.
     #[must_use]
     pub fn without_change(&self, symbol: &str) -> Option<f64> {
-        let of_drift = self.drift.map(|d| {
-            [d.repeatability, d.repeatability_up, d.repeatability_down, d.reversal, d.mean_reversal]
-        });
-        let of_step = self.step.map(|s| {
-            [s.repeatability, s.repeatability_up, s.repeatability_down, s.reversal, s.mean_reversal]
-        });
         let place = UNCHANGED.iter().position(|s| *s == symbol)?;
-        of_drift.or(of_step)?[place]
+        self.drift.map(|d| d.without).or(self.step.map(|s| s.without))?[place]
     }
 
     /// The figures in the standard's order.

@@ -53,14 +53,12 @@ pub struct Bound<'r> {
 
 impl Bound<'_> {
     /// Number of rows.
-    #[must_use]
     pub fn rows(&self) -> usize {
         self.rows
     }
 
     /// Quantities that the effect reads and the record lacks.
     /// They are taken as zero: at rest, dry, unloaded.
-    #[must_use]
     pub fn taken_as_zero(&self) -> &[Role] {
         &self.taken_as_zero
     }
@@ -77,7 +75,6 @@ impl Bound<'_> {
     }
 
     /// All inputs of the effect at one row.
-    #[must_use]
     pub fn input(&self, row: usize) -> Input {
         let at = |column: Option<&[f64]>| column.map_or(0.0, |c| c[row]);
         let dir = at(self.dir);

@@ -53,7 +53,6 @@ pub enum Need {
 
 impl Need {
     /// The role of the column with this quantity, for an effect of these axes.
-    #[must_use]
     pub fn role(self, axes: &[Axis]) -> Role {
         let axis = |n: usize| axes[n].clone();
         match self {
@@ -215,7 +214,6 @@ pub struct Parameter {
 impl Parameter {
     /// A required parameter without bounds.
     /// `plausible` is its range in a sound machine.
-    #[must_use]
     pub fn new(name: &str, unit: &str, plausible: [f64; 2], search: Search) -> Self {
         Self {
             name: name.to_owned(),
@@ -234,7 +232,6 @@ impl Parameter {
     }
 
     /// A linear parameter of either sign, plausible up to ±`plausible`.
-    #[must_use]
     pub fn linear(name: &str, unit: &str, plausible: f64) -> Self {
         Self::new(name, unit, [-plausible, plausible], Search::Linear)
     }
@@ -246,7 +243,6 @@ impl Parameter {
     }
 
     /// The scale of an amplitude's prior, in the parameter's own unit.
-    #[must_use]
     pub fn prior_size(&self) -> f64 {
         if self.typical > 0.0 {
             self.typical
@@ -373,13 +369,11 @@ pub struct Description {
 
 impl Description {
     /// Whether it may be the zero of a gauge. A constant force belongs to the machine.
-    #[must_use]
     pub fn may_be_set_up(&self) -> bool {
         self.constant && self.quantity == Quantity::Error
     }
 
     /// The index of the first parameter that a fit finds in this way.
-    #[must_use]
     pub fn place(&self, search: Search) -> Option<usize> {
         self.parameters.iter().position(|p| p.search == search)
     }

@@ -65,7 +65,6 @@ impl Dictionary {
     /// Every effect that could act in these records, in a fixed order.
     /// It takes each law on each response, with each sensor, sensor pair and channel that the records have in
     /// common. Parameters are those of [`Dictionary::effect`]. The caller places the knots.
-    #[must_use]
     pub fn candidates(&self, records: &[&Record]) -> Vec<Effect> {
         let Some(common) = Common::of(records) else { return Vec::new() };
         let mut found: Vec<Effect> = Vec::new();

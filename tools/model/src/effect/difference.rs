@@ -38,20 +38,17 @@ impl Difference {
     }
 
     /// The difference of two sensors.
-    #[must_use]
     pub fn pair(sensor: &str, minus: &str) -> Self {
         Self { sensor: sensor.to_owned(), against: Against::Sensor(minus.to_owned()) }
     }
 
     /// Whether it is the difference of two sensors.
-    #[must_use]
     pub fn is_pair(&self) -> bool {
         matches!(self.against, Against::Sensor(_))
     }
 
     /// The difference in full, with the standard temperature.
     /// It is `T3-20` if the name alone is `T3`.
-    #[must_use]
     pub fn in_full(&self) -> String {
         match self.against {
             Against::Standard => format!("{}-{STANDARD_DEGC}", self.sensor),
@@ -60,7 +57,6 @@ impl Difference {
     }
 
     /// Sensor minus the standard 20 °C.
-    #[must_use]
     pub fn single(sensor: &str) -> Self {
         Self { sensor: sensor.to_owned(), against: Against::Standard }
     }

@@ -35,14 +35,12 @@ pub struct Point {
 
 impl Point {
     /// The single point of a law without non-linear parameters.
-    #[must_use]
     pub fn only(effect: &Effect) -> Vec<Self> {
         vec![Self { effect: effect.clone(), price: 0.0 }]
     }
 
     /// One point for each value of one parameter, all at one price.
     /// Values outside its bounds are left out.
-    #[must_use]
     pub fn along(
         effect: &Effect,
         parameter: usize,
@@ -57,7 +55,6 @@ impl Point {
 impl Effect {
     /// The effect with some of its scalar parameters at other values.
     /// `None` if a value is outside its bounds.
-    #[must_use]
     pub fn with(&self, set: &[(usize, f64)]) -> Option<Self> {
         let mut values = self.values().to_vec();
         for (parameter, value) in set {
@@ -67,14 +64,12 @@ impl Effect {
     }
 
     /// The effect with other values of all parameters; `None` if one is out of bounds.
-    #[must_use]
     pub fn with_values(&self, values: &[f64]) -> Option<Self> {
         let mut effect = self.clone();
         effect.set_values(values).is_ok().then_some(effect)
     }
 
     /// The law's grid points in records of this extent.
-    #[must_use]
     pub fn grid(&self, records: &dyn Extent) -> Vec<Point> {
         self.law().grid(self, records)
     }

@@ -63,7 +63,6 @@ pub struct Lag {
 
 impl Lag {
     /// A lag of this time constant, s.
-    #[must_use]
     pub fn new(tau_s: f64) -> Self {
         Self { tau_s, decays: Decays::default(), before: None }
     }
@@ -107,7 +106,6 @@ pub struct Lags<const N: usize> {
 
 impl<const N: usize> Lags<N> {
     /// Lags of these time constants, s.
-    #[must_use]
     pub fn new(taus_s: [f64; N]) -> Self {
         Self { taus_s, steps: [(0.0, [0.0; N]); 8], before: None }
     }

@@ -34,7 +34,7 @@ mod knots;
 mod lag;
 pub mod laws;
 mod linear;
-mod own;
+mod project_laws;
 mod wave;
 
 pub use crate::role::sign;
@@ -269,31 +269,26 @@ impl PartialEq for Effect {
 
 impl Effect {
     /// The law.
-    #[must_use]
     pub fn law(&self) -> &dyn Law {
         &*self.law
     }
 
     /// The law's description.
-    #[must_use]
     pub fn description(&self) -> &Description {
         self.law.describe()
     }
 
     /// The axes of its name.
-    #[must_use]
     pub fn axes(&self) -> &[Axis] {
         &self.axes
     }
 
     /// The channel of its name.
-    #[must_use]
     pub fn channel(&self) -> Option<&str> {
         self.channel.as_deref()
     }
 
     /// Its full name: `scale.x`, `angular.x.y.z`, `channel.z.FOO`.
-    #[must_use]
     pub fn name(&self) -> String {
         let mut name = self.description().name.clone();
         for part in self.axes.iter().map(Axis::as_str).chain(self.channel()) {
@@ -304,19 +299,16 @@ impl Effect {
     }
 
     /// Number of values per parameter: 1, or the number of knots.
-    #[must_use]
     pub fn width(&self) -> usize {
         self.width
     }
 
     /// All values, parameter after parameter.
-    #[must_use]
     pub fn values(&self) -> &[f64] {
         &self.values
     }
 
     /// Values of the n-th parameter.
-    #[must_use]
     pub fn get(&self, parameter: usize) -> &[f64] {
         let n = self.width();
         &self.values[parameter * n..(parameter + 1) * n]
@@ -328,13 +320,11 @@ impl Effect {
     }
 
     /// Value of the n-th parameter, a scalar.
-    #[must_use]
     pub fn scalar(&self, parameter: usize) -> f64 {
         self.values[parameter * self.width]
     }
 
     /// Values of a parameter by its name.
-    #[must_use]
     pub fn value(&self, name: &str) -> Option<&[f64]> {
         let i = self.description().parameters.iter().position(|p| p.name == name)?;
         Some(self.get(i))
@@ -378,7 +368,6 @@ impl Effect {
 
     /// Whether its values are inside the law's bounds.
     /// Linear coefficients are set without that check.
-    #[must_use]
     pub fn is_physical(&self) -> bool {
         self.with_values(&self.values).is_some()
     }
@@ -403,7 +392,6 @@ impl Effect {
     }
 
     /// The linear coefficients that belong to its parameters.
-    #[must_use]
     pub fn coefficients(&self) -> Vec<f64> {
         let mut out = vec![0.0; self.coefficient_count()];
         self.law.coefficients(self, &mut out);
@@ -421,20 +409,17 @@ impl Effect {
     }
 
     /// Number of linear coefficients.
-    #[must_use]
     pub fn coefficient_count(&self) -> usize {
         self.law.coefficient_count(self.width())
     }
 
     /// The range of an axis that its values were stated on, mm.
     /// The first value is the axis' index in the name. Beyond the range the end values apply.
-    #[must_use]
     pub fn stretch_mm(&self) -> Option<(usize, [f64; 2])> {
         self.law.stretch_mm(self)
     }
 
     /// Combinations of the coefficients that a fit must hold at zero.
-    #[must_use]
     pub fn constraints(&self) -> Vec<Vec<f64>> {
         self.law.constraints(self)
     }
@@ -477,7 +462,6 @@ impl Effect {
     /// The effect that acts like a shift of this one's reference temperature, at zero.
     /// It is an offset for growth and a scale for an expansion. `None` for an effect that reads no
     /// temperature.
-    #[must_use]
     pub fn companion(&self) -> Option<Self> {
         let law = self.description().companion?;
         Dictionary::default().effect(&format!("{law}.{}", self.axes.first()?)).ok()
@@ -485,7 +469,6 @@ impl Effect {
 
     /// The name with all that distinguishes effects of one name in one model.
     /// That is sensors, periods, knots, times, the place of a bump.
-    #[must_use]
     pub fn identity(&self) -> String {
         let mut id = self.in_order().name();
         if let Some(d) = &self.delta {
@@ -505,7 +488,6 @@ impl Effect {
     /// Responses of a record on which the effect acts: role and component.
     ///
     /// The component is 0 or 1 of a pair, or 2 for the projection of both on the radial error of a circle.
-    #[must_use]
     pub fn acts_on(&self, record: &Record) -> Vec<(Role, usize)> {
         if self.description().probing == Probing::Only && record.kind != Kind::Probing {
             return Vec::new();

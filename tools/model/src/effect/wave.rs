@@ -39,6 +39,12 @@ pub(super) fn period(name: &str, unit: &str, bounds: [f64; 2], source: &str) -> 
     Parameter::new(name, unit, bounds, Search::Smooth).within(bounds, source).telling_apart()
 }
 
+/// The coefficients of a periodic law from its amplitude and phase.
+pub(super) fn polar(effect: &Effect, um: usize, phase: usize, out: Out<'_>) {
+    let (sin, cos) = effect.scalar(phase).sin_cos();
+    (out[0], out[1]) = (effect.scalar(um) * cos, effect.scalar(um) * sin);
+}
+
 /// Sets amplitude and phase from the coefficients of a periodic law.
 pub(super) fn set_polar(effect: &mut Effect, um: usize, phase: usize, from: &[f64]) {
     effect.get_mut(um)[0] = from[0].hypot(from[1]);
@@ -77,9 +83,7 @@ impl Law for Sine {
     }
 
     fn coefficients(&self, effect: &Effect, out: Out<'_>) {
-        let (sin, cos) = effect.scalar(PHASE).sin_cos();
-        out[0] = effect.scalar(UM) * cos;
-        out[1] = effect.scalar(UM) * sin;
+        polar(effect, UM, PHASE, out);
     }
 
     fn set_coefficients(&self, effect: &mut Effect, from: &[f64]) {

@@ -2,7 +2,7 @@
 //! They report unlikely values, expired fits, changed records, and inputs outside the fitted ranges.
 
 use super::evaluate::differences;
-use super::places::folder_of;
+use super::relative_paths::folder_of;
 use super::{FitNote, Listed, Machine, Validity};
 use crate::effect::{Difference, Effect, States};
 use crate::record::{Axis, Record, Role, sha256_of};
@@ -15,7 +15,6 @@ const OVER_TRAVEL: f64 = 0.02;
 impl Machine {
     /// Reasons not to use the model on a day (days since 1970-01-01).
     /// They are parameters outside the plausible range, expired fits and fits dated in the future.
-    #[must_use]
     pub fn doubts(&self, today: i64) -> Vec<String> {
         let mut found = Vec::new();
         for e in self.effects() {
@@ -55,7 +54,6 @@ impl Machine {
     }
 
     /// Fits whose validity ended before a day (days since 1970-01-01).
-    #[must_use]
     pub fn expired(&self, today: i64) -> Vec<String> {
         let ended = self.fits.iter().filter(|f| date::parse(&f.valid_until).is_some_and(|d| d < today));
         ended.map(|f| format!("{}: the fit's validity ended on {}", f.response, f.valid_until)).collect()
@@ -63,20 +61,17 @@ impl Machine {
 
     /// Age of the oldest fit on a day (days since 1970-01-01), in days.
     /// `None` without fits.
-    #[must_use]
     pub fn age_days(&self, today: i64) -> Option<i64> {
         self.fits.iter().filter_map(|f| date::parse(&f.date)).min().map(|oldest| today - oldest)
     }
 
     /// Days until the first fit expires, on a day (days since 1970-01-01).
     /// It is 0 on the last valid day. `None` without fits.
-    #[must_use]
     pub fn days_left(&self, today: i64) -> Option<i64> {
         self.fits.iter().filter_map(|f| date::parse(&f.valid_until)).min().map(|first| first - today)
     }
 
     /// Records it was fitted on whose files have changed since.
-    #[must_use]
     pub fn changed_sources(&self) -> Vec<String> {
         let fits = self.fits.iter().flat_map(|f| &f.from);
         let mut found = Vec::new();
@@ -93,7 +88,6 @@ impl Machine {
 
     /// Where a record leaves the ranges that the model was fitted on, by effect.
     /// There the temperature differences are held at the bound.
-    #[must_use]
     pub fn out_of_range(&self, record: &Record) -> Vec<String> {
         let mut asked = Asked::of(self);
         asked.see(record);
@@ -103,7 +97,6 @@ impl Machine {
     /// Effects that are evaluated beyond the range that their values were stated on.
     /// There the end values apply, whatever the machine does. `places_mm` gives the machine positions along
     /// an axis, or `None` if they are not known.
-    #[must_use]
     pub fn beyond_stated(&self, places_mm: impl Fn(&Axis) -> Option<Vec<f64>>) -> Vec<String> {
         let beyond = |effect: &Effect| {
             let mut places = Places::default();
@@ -129,7 +122,6 @@ pub struct Asked<'m> {
 
 impl<'m> Asked<'m> {
     /// The state before the first piece.
-    #[must_use]
     pub fn of(machine: &'m Machine) -> Self {
         let effects = machine.effects().count();
         Self {
@@ -165,7 +157,6 @@ impl<'m> Asked<'m> {
     }
 
     /// The findings of [`Machine::out_of_range`] for all rows so far.
-    #[must_use]
     pub fn out_of_range(&self) -> Vec<String> {
         let mut found = Vec::new();
         for (effect, (outside, _)) in self.machine.effects().zip(&self.outside) {

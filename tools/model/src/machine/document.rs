@@ -6,7 +6,6 @@ use std::collections::BTreeMap;
 
 impl Machine {
     /// The model as JSON: effects with parameters, intervals and sources, fits, chain.
-    #[must_use]
     pub fn to_json(&self) -> Value {
         let effects: Vec<Value> = self.listed().iter().map(effect_json).collect();
         let fits: Vec<Value> = self

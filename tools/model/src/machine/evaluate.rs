@@ -1,6 +1,6 @@
 //! A model's prediction of a record, and its interval.
 
-use super::note::unknown_um;
+use super::fit_note::unknown_um;
 use super::{FitNote, Listed, Machine, Reach};
 use crate::effect::laws::reversal;
 use crate::effect::{Effect, Heat, States};
@@ -22,7 +22,6 @@ impl Machine {
     /// Whether a listed effect acts in a run that goes so far.
     ///
     /// The zero of a set-up is the gauges' of the runs that it was fitted on; every other run has its own.
-    #[must_use]
     pub fn acts_in(&self, listed: &Listed, reach: &Reach) -> bool {
         let of = |note: &&FitNote| {
             let response = note.response.strip_prefix("error.");
@@ -46,7 +45,6 @@ impl Machine {
     }
 
     /// Half width of a response's 95 % prediction interval, µm, if a fit states it.
-    #[must_use]
     pub fn half_width_um(&self, response: &str) -> Option<f64> {
         self.fits.iter().find(|f| f.response == response).map(|f| f.half_width_um)
     }
@@ -77,7 +75,6 @@ impl Machine {
     /// positions.
     /// The interval is wider just after the record's start, because the state of the lags is unknown. It is
     /// also wider where a difference is held at the bound of its fitted range.
-    #[must_use]
     pub fn half_widths_um(&self, record: &Record, response: &Role) -> Option<Vec<f64>> {
         Some(HalfWidths::of(self, &Reach::of(record), response)?.next(record))
     }
@@ -110,7 +107,6 @@ pub struct HalfWidths<'m> {
 impl<'m> HalfWidths<'m> {
     /// The state before the first piece of a record with this reach.
     /// `None` if [`Machine::half_widths_um`] gives no interval.
-    #[must_use]
     pub fn of(machine: &'m Machine, reach: &Reach, response: &Role) -> Option<Self> {
         let note = machine.stating(reach, response).ok()?;
         let states = vec![States::default(); machine.effects().count()];
@@ -162,7 +158,6 @@ pub struct Running<'m> {
 
 impl<'m> Running<'m> {
     /// The state before the first piece.
-    #[must_use]
     pub fn of(machine: &'m Machine) -> Self {
         Self { machine, states: vec![Vec::new(); machine.effects().count()] }
     }

@@ -13,16 +13,16 @@
 mod check;
 mod document;
 mod evaluate;
+mod fit_note;
 #[cfg(test)]
 mod lathe;
-mod note;
-mod places;
 mod read;
+mod relative_paths;
 mod write;
 
 pub use check::Asked;
 pub use evaluate::{HalfWidths, Prediction, Running};
-pub use note::{FitNote, Listed, NORMAL_95, Provenance, Reach, Source, Validity, unknown_um};
+pub use fit_note::{FitNote, Listed, NORMAL_95, Provenance, Reach, Source, Validity, unknown_um};
 
 use crate::chain::Chain;
 use crate::effect::{Dictionary, Difference, Effect};
@@ -49,7 +49,6 @@ pub struct Machine {
 
 impl Machine {
     /// An ideal machine: no effects.
-    #[must_use]
     pub fn ideal(name: &str) -> Self {
         let mut doc = DocumentMut::new();
         doc["name"] = value(name);
@@ -68,19 +67,16 @@ impl Machine {
     }
 
     /// SHA-256 of the file as read, followed by its dictionary and its chain.
-    #[must_use]
     pub fn sha256(&self) -> &str {
         &self.sha256
     }
 
     /// The machine's name, from the key `name`.
-    #[must_use]
     pub fn name(&self) -> &str {
         &self.name
     }
 
     /// The effects with their provenance, in the file's order.
-    #[must_use]
     pub fn listed(&self) -> &[Listed] {
         &self.listed
     }
@@ -91,7 +87,6 @@ impl Machine {
     }
 
     /// The kinematic chain, whose errors are added to those of the effects.
-    #[must_use]
     pub fn chain(&self) -> Option<&Chain> {
         self.chain.as_ref()
     }
@@ -104,19 +99,16 @@ impl Machine {
     }
 
     /// The notes of the fits.
-    #[must_use]
     pub fn fits(&self) -> &[FitNote] {
         &self.fits
     }
 
     /// The dictionary that the model was read with.
-    #[must_use]
     pub fn dictionary(&self) -> &Dictionary {
         &self.dictionary
     }
 
     /// The sensors that its effects and its chain read.
-    #[must_use]
     pub fn sensors(&self) -> Vec<String> {
         let chain = self.chain.iter().flat_map(Chain::deltas);
         let deltas = self.effects().filter_map(|e| e.delta.as_ref()).chain(chain);

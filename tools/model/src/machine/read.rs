@@ -1,7 +1,7 @@
 //! Reads `machine.toml`, strictly.
 
 use super::Machine;
-use super::note::{FitNote, Listed, Provenance, Source, Validity};
+use super::fit_note::{FitNote, Listed, Provenance, Source, Validity};
 use crate::chain::Chain;
 use crate::effect::{Dictionary, Effect, Need, Parameter, read_difference};
 use crate::file_kind::FileKind;

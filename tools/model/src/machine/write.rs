@@ -1,8 +1,8 @@
 //! Changes and writes `machine.toml` without losing anything that the user wrote.
 
 use super::Machine;
-use super::note::{FitNote, Listed, Provenance, Source, Validity};
-use super::places::{folder_of, named_from, whole};
+use super::fit_note::{FitNote, Listed, Provenance, Source, Validity};
+use super::relative_paths::{folder_of, named_from, whole};
 use crate::effect::{Against, Dictionary, Effect, ValueError};
 use rtec_files::InputError;
 use rtec_files::stamp;
@@ -166,14 +166,12 @@ impl Machine {
     }
 
     /// The file's text, for the folder that it was read from.
-    #[must_use]
     pub fn to_text(&self) -> String {
         self.doc.to_string()
     }
 
     /// The file's text for another folder.
     /// The paths of its chain, dictionary and records are changed to start from there.
-    #[must_use]
     pub fn text_at(&self, path: &Path) -> String {
         let (from, to) = (folder_of(&self.path), folder_of(path));
         let mut moved = self.clone();

@@ -5,8 +5,8 @@ use crate::archive::Archive;
 use crate::document::pretty;
 use anyhow::Context;
 use rtec_control::audit;
-use rtec_control::belongings;
 use rtec_control::config::{Config, INSTALLED};
+use rtec_control::setup_files;
 use rtec_files::InputError;
 use rtec_model::record::hex;
 use serde::{Deserialize, Serialize};
@@ -86,8 +86,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let config = Config::load(file)?;
     let folder = file.parent().unwrap_or(Path::new(""));
     let (mut files, mut contents, mut absent) = (Vec::new(), Vec::new(), Vec::new());
-    let state = belongings::state(&config).into_iter().map(|(kind, path)| (kind, path, true));
-    let named = belongings::of(file, &config)?.into_iter().map(|b| (b.kind, b.path, false));
+    let state = setup_files::state(&config).into_iter().map(|(kind, path)| (kind, path, true));
+    let named = setup_files::of(file, &config)?.into_iter().map(|b| (b.kind, b.path, false));
     for (kind, path, is_state) in named.chain(state) {
         if !path.exists() {
             // State exists only if a daemon has run, and a list of devices is optional.

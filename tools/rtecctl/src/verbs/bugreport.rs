@@ -6,8 +6,8 @@ use crate::daemon::{Daemon, observe};
 use crate::document::{line, pretty};
 use crate::say;
 use anyhow::Context;
-use rtec_control::belongings::{self, Belonging};
 use rtec_control::config::{Config, EMBEDDED, INSTALLED};
+use rtec_control::setup_files::{self, SetupFile};
 use rtec_rt::setup::System;
 use std::fmt::Write as _;
 use std::io::{Read, Seek, SeekFrom};
@@ -118,8 +118,9 @@ fn fill(args: &Args, mut archive: Archive<'_>) -> anyhow::Result<Contents> {
 /// The readable files that a configuration names: model, profile, list of devices.
 /// A file that cannot be read has the reason in place of its text.
 fn beside(file: &Path) -> Vec<(String, String)> {
-    let named =
-        Config::load(file).map_err(anyhow::Error::from).and_then(|config| Ok(belongings::of(file, &config)?));
+    let named = Config::load(file)
+        .map_err(anyhow::Error::from)
+        .and_then(|config| Ok(setup_files::of(file, &config)?));
     let named = match named {
         Ok(named) => named,
         // A configuration with mistakes may be the subject of the report.
@@ -129,8 +130,8 @@ fn beside(file: &Path) -> Vec<(String, String)> {
     let named = named.into_iter().filter(|b| matches!(b.kind, "model" | "profile" | "devices"));
     let named = named.filter(|b| b.kind != "devices" || b.path.exists());
     let text =
-        |b: &Belonging| read(&b.path).map_or_else(|e| format!("{e:#}\n"), |text| without_secrets(&text));
-    let name = |b: &Belonging| b.path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        |b: &SetupFile| read(&b.path).map_or_else(|e| format!("{e:#}\n"), |text| without_secrets(&text));
+    let name = |b: &SetupFile| b.path.file_name().unwrap_or_default().to_string_lossy().into_owned();
     named.map(|b| (format!("{}/{}", b.kind, name(&b)), text(&b))).collect()
 }
 

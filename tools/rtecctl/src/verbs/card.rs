@@ -8,9 +8,9 @@ use crate::say;
 use clap::Subcommand;
 use rtec_control::card::{self, Access, OpenError};
 use rtec_control::config::{CardConfig, Config, ConfigFindings, INSTALLED};
-use rtec_control::lock::{self, Held, LockError};
+use rtec_control::line_readings;
+use rtec_control::lock::{self, LockError, LockGuard};
 use rtec_control::profile::{self, SHIPPED};
-use rtec_control::wires;
 use rtec_driver::gpio;
 use rtec_driver::pci;
 use rtec_driver::profile::{Place, Profile, Register, Space};
@@ -332,7 +332,7 @@ pub(crate) fn unreachable(error: impl std::fmt::Display) -> anyhow::Error {
 
 /// Keeps the daemon from starting while the value lives.
 /// It would correct with the lines that are switched here.
-pub(crate) fn alone(config: &Config) -> anyhow::Result<Vec<Held>> {
+pub(crate) fn alone(config: &Config) -> anyhow::Result<Vec<LockGuard>> {
     let stop =
         |e: LockError| Outcome::No(format!("{e}: stop it first (systemctl stop rtecd); nothing was written"));
     let mut held: Vec<_> = lock::keep_out(&config.control.socket).map_err(stop)?.into_iter().collect();
@@ -371,7 +371,7 @@ fn refused(config: &Config, error: OpenError) -> anyhow::Error {
 }
 
 fn probe(config: &Config, as_json: bool) -> anyhow::Result<()> {
-    let reading = wires::read(config).map_err(|e| refused(config, e))?;
+    let reading = line_readings::read(config).map_err(|e| refused(config, e))?;
     if as_json {
         say(&pretty(&reading)?);
         return Ok(());
@@ -395,7 +395,7 @@ fn probe(config: &Config, as_json: bool) -> anyhow::Result<()> {
 
 fn drive_outputs(config: &Config, as_json: bool) -> anyhow::Result<()> {
     let mut outputs = Vec::new();
-    wires::switch_outputs(config, |output| {
+    line_readings::switch_outputs(config, |output| {
         if !as_json {
             let switched = if output.reads_back {
                 "switched, read back, switched back"

@@ -4,7 +4,6 @@
 use crate::Outcome;
 use crate::document::line;
 use crate::say;
-use anyhow::Context as _;
 use rtec_correct::{AxisSetup, Corrector, RAMP_UM_S};
 use rtec_driver::card::{AxisLines, MachineLines};
 use rtec_driver::clock::Monotonic;
@@ -147,8 +146,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         }
     }
     if let Some(file) = &args.errors {
-        rtec_files::write::whole(file, errors.as_bytes())
-            .with_context(|| format!("writing {}", file.display()))?;
+        crate::document::write(file, &errors)?;
     }
     let (ended, mut control) = running.stop();
     let status = ended.status;

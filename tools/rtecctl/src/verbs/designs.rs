@@ -83,8 +83,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         for design in AnyDesign::ALL {
             let file = dir.join(format!("design-{}.svg", design.name()));
             let svg = waveforms(design, &computer, 3);
-            rtec_files::write::whole(&file, svg.as_bytes())
-                .with_context(|| format!("writing {}", file.display()))?;
+            crate::document::write(&file, &svg)?;
             eprintln!("rtecctl: wrote {}", file.display());
         }
     }

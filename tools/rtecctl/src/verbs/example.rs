@@ -48,19 +48,19 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     }
     let mut records = example.records(dir)?;
     let making = |folder: &Path| format!("making {}", folder.display());
-    let writing = |file: &Path| format!("writing {}", file.display());
     let mut files = Vec::new();
     for record in &mut records {
         let folder = record.path.parent().unwrap_or(dir);
         std::fs::create_dir_all(folder).with_context(|| making(folder))?;
-        rtec_measure::record::write(record).with_context(|| writing(&record.path))?;
+        let done = rtec_measure::record::write(record);
+        done.with_context(|| format!("writing {}", record.path.display()))?;
         files.push(record.path.clone());
     }
     for (name, text) in example.files {
         let file = dir.join(name);
         let folder = file.parent().unwrap_or(dir);
         std::fs::create_dir_all(folder).with_context(|| making(folder))?;
-        rtec_files::write::whole(&file, text.as_bytes()).with_context(|| writing(&file))?;
+        crate::document::write(&file, text)?;
         files.push(file);
     }
     let text = if args.json {

@@ -68,8 +68,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     }
     let report = found.report()?;
     if let Some(path) = &args.html {
-        rtec_files::write::whole(path, report.html().as_bytes())
-            .with_context(|| format!("writing {}", path.display()))?;
+        crate::document::write(path, &report.html())?;
     }
     let text = if args.json { pretty(&found)? } else { report.text() };
     crate::say(&text);

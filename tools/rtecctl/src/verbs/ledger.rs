@@ -125,8 +125,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     }
     let document = json!({ "machine": status.machine, "axes": all });
     let file = out.join("ledger.json");
-    rtec_files::write::whole(&file, pretty(&document)?.as_bytes())
-        .with_context(|| format!("writing {}", file.display()))?;
+    crate::document::write(&file, &pretty(&document)?)?;
     if daemon.json {
         say(&line(&document)?);
     } else if !not_homed.is_empty() {

@@ -5,7 +5,7 @@ use crate::Outcome;
 use crate::daemon::{Daemon, NO_EVENTS, observe};
 use crate::http::{Answer, Handler, Request, Server};
 use anyhow::Context;
-use rtec_control::metrics::{Form, text};
+use rtec_control::metrics::{MetricsFormat, text};
 use rtec_control::protocol::Observed;
 use rtec_files::InputError;
 use rtec_files::stamp::VERSION;
@@ -54,7 +54,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     if let Some(file) = &args.textfile {
         return write(&args.daemon, file, args.every.map(Into::into));
     }
-    let form = if args.openmetrics { Form::OpenMetrics } else { Form::Prometheus };
+    let form = if args.openmetrics { MetricsFormat::OpenMetrics } else { MetricsFormat::Prometheus };
     print!("{}", text(Some(&seen(&args.daemon)?), form, VERSION));
     Ok(())
 }
@@ -72,9 +72,8 @@ fn write(daemon: &Daemon, file: &Path, every: Option<Duration>) -> anyhow::Resul
     }
     loop {
         let seen = seen(daemon);
-        let metrics = text(seen.as_ref().ok(), Form::Prometheus, VERSION);
-        rtec_files::write::whole(file, metrics.as_bytes())
-            .with_context(|| format!("writing {}", file.display()))?;
+        let metrics = text(seen.as_ref().ok(), MetricsFormat::Prometheus, VERSION);
+        crate::document::write(file, &metrics)?;
         // The collector runs as another user.
         std::fs::set_permissions(file, Permissions::from_mode(0o644))?;
         match (every, seen) {
@@ -147,7 +146,7 @@ impl Handler for Metrics {
     }
 
     fn answer(&self, request: &Request) -> Answer {
-        let form = Form::accepted(request.header("Accept").unwrap_or_default());
+        let form = MetricsFormat::accepted(request.header("Accept").unwrap_or_default());
         let came = Instant::now();
         let mut last = self.last.lock().unwrap_or_else(PoisonError::into_inner);
         if last.as_ref().is_none_or(|(at, _)| *at < came) {

@@ -5,7 +5,7 @@ use crate::daemon::{Daemon, NO_EVENTS, ask, check, observe, unreachable};
 use crate::document::line;
 use crate::say;
 use clap::ValueEnum;
-use rtec_control::protocol::{ClientRequest, Happened, Response};
+use rtec_control::protocol::{ClientRequest, EventReport, Response};
 
 /// Switch probing on and print every captured position, or switch it off
 ///
@@ -98,7 +98,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn show(happened: &Happened, json: bool) {
+fn show(happened: &EventReport, json: bool) {
     let (Some(trip), false) = (&happened.trip, json) else { return };
     println!(
         "{:>16} {:<8} {:>14.6} {:>14.3} {:>10.3} {:>14}",

@@ -3,7 +3,7 @@
 
 use super::characterise::record::{Recorder, record};
 use crate::document::pretty;
-use crate::figures::with_half;
+use crate::rounding::with_half;
 use crate::say;
 use anyhow::Context;
 use rtec_files::InputError;

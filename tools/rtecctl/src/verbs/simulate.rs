@@ -109,15 +109,15 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             );
         }
     }
-    let writing = |file: &Path| format!("writing {}", file.display());
     let mut files = Vec::new();
     for record in &mut findings.records {
-        rtec_measure::record::write(record).with_context(|| writing(&record.path))?;
+        let done = rtec_measure::record::write(record);
+        done.with_context(|| format!("writing {}", record.path.display()))?;
         files.push(record.path.display().to_string());
     }
     for (name, svg) in &findings.plots {
         let file = out.join(name);
-        rtec_files::write::whole(&file, svg.as_bytes()).with_context(|| writing(&file))?;
+        crate::document::write(&file, svg)?;
         files.push(file.display().to_string());
     }
     let text = if args.json {

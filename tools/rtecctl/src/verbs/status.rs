@@ -336,7 +336,7 @@ fn times(d: &Distribution) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use rtec_control::protocol::{AxisReport, PROTOCOL, Rates, Reading, Rt, RunningModel};
+    use rtec_control::protocol::{AxisReport, PROTOCOL, Rates, Reading, RtStatus, RunningModel};
     use rtec_correct::explain::Contribution;
     use rtec_rt::event::Fault;
     use std::collections::BTreeMap;
@@ -404,7 +404,7 @@ mod tests {
             balanced: true,
             faults: Vec::new(),
             why_not: Vec::new(),
-            rt: Rt {
+            rt: RtStatus {
                 alive: true,
                 card: "mapped".into(),
                 may_arm: true,

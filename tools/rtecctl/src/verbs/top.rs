@@ -5,7 +5,7 @@ mod view;
 
 use crate::Outcome;
 use crate::daemon::{Daemon, observe};
-use crate::screen::{Key, Screen, keys};
+use crate::full_screen::{Key, Screen, keys};
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 use nix::sys::signal::{SigSet, Signal};
 use nix::sys::signalfd::{SfdFlags, SignalFd};

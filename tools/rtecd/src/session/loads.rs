@@ -1,6 +1,6 @@
 //! Models and part tables: the loader reads them, and the session takes them.
 
-use super::{Answer, Beside, Session};
+use super::{Answer, RequestContext, Session};
 use crate::loader::{self, Job, Loaded, PATIENCE, Source, Ticket};
 use crate::log::{Level, Log};
 use rtec_control::protocol::{ModelPreview, PartTable, Response};
@@ -42,7 +42,7 @@ pub(crate) struct Wanted {
 }
 
 /// Purpose of a load.
-pub(crate) enum Wish {
+pub(crate) enum LoadPurpose {
     Model(Wanted),
     Table,
     Keep,
@@ -56,11 +56,7 @@ fn by_name(file: &Path) -> Response {
          caller's rights",
         file.display()
     );
-    Response::Refused { why: "no_descriptor".to_owned(), text, jumps: Vec::new() }
-}
-
-fn refused(why: &str, text: String) -> Response {
-    Response::Refused { why: why.to_owned(), text, jumps: Vec::new() }
+    Response::refused("no_descriptor", text)
 }
 
 /// The stored entry of a loaded model.
@@ -157,14 +153,14 @@ impl Session {
         let kept = self.kept();
         let Some(file) = model.file.clone().filter(|file| kept.contains_key(file)) else {
             let text = "no model was unloaded: there is nothing to take up again; `rtecctl model load FILE` loads one";
-            return Answer::Now(refused("no_model", text.to_owned()));
+            return Answer::Now(Response::refused("no_model", text));
         };
         if let Some(another) = model.of_another(&self.config.machine) {
-            return Answer::Now(refused("other_machine", another));
+            return Answer::Now(Response::refused("other_machine", another));
         }
         self.corrector.day_is((self.today)());
         let job = self.model_job(file, Source::Kept(kept));
-        self.begin(job, Wish::Model(Wanted { take: Some(model.sha256), expired: model.meant }))
+        self.begin(job, LoadPurpose::Model(Wanted { take: Some(model.sha256), expired: model.meant }))
     }
 
     /// Why no model runs, and what to load.
@@ -195,7 +191,7 @@ impl Session {
         file: Option<&str>,
         names: &[String],
         wanted: Wanted,
-        beside: Beside,
+        beside: RequestContext,
     ) -> Answer {
         let bad = |text: String| Answer::Now(Response::Bad { text });
         if beside.files.len() != names.len() {
@@ -218,24 +214,24 @@ impl Session {
         };
         self.corrector.day_is((self.today)());
         let job = self.model_job(file, source);
-        self.begin(job, Wish::Model(wanted))
+        self.begin(job, LoadPurpose::Model(wanted))
     }
 
     /// Puts a finished record into the spool folder, once it has been read.
     /// Without files it only answers whether it would.
-    pub(super) fn keep(&mut self, names: &[String], beside: Beside) -> Answer {
-        let Some(spool) = self.keeper.spool().cloned() else {
+    pub(super) fn keep(&mut self, names: &[String], beside: RequestContext) -> Answer {
+        let Some(spool) = self.record_spool.spool().cloned() else {
             let text = "this daemon keeps no records: `spool = \"/var/spool/rtec\"` in [control] of its configuration names \
                         the folder";
-            return Answer::Now(refused("no_spool", text.to_owned()));
+            return Answer::Now(Response::refused("no_spool", text));
         };
-        match (self.keeper.trouble(), names, beside.files.len()) {
-            (Some(trouble), ..) => Answer::Now(refused("not_kept", trouble)),
+        match (self.record_spool.trouble(), names, beside.files.len()) {
+            (Some(trouble), ..) => Answer::Now(Response::refused("not_kept", trouble)),
             (None, [], 0) => Answer::Now(Response::done()),
             (None, [sidecar, csv], 2) => {
                 let files = [sidecar, csv].map(PathBuf::from);
                 let source = Source::Handed(files.iter().cloned().zip(beside.files).collect());
-                self.begin(Job::Keep { files, source, spool }, Wish::Keep)
+                self.begin(Job::Keep { files, source, spool }, LoadPurpose::Keep)
             }
             (None, names, came) => {
                 let text = format!(
@@ -262,16 +258,18 @@ impl Session {
         self.loader.busy().is_some()
     }
 
-    fn begin(&mut self, job: Job, wish: Wish) -> Answer {
+    fn begin(&mut self, job: Job, wish: LoadPurpose) -> Answer {
         if let Some(why) = self.loader.busy() {
-            return Answer::Now(refused("loading", why.to_owned()));
+            return Answer::Now(Response::refused("loading", why.to_owned()));
         }
         match self.loader.start(job) {
             Ok(ticket) => {
                 self.wish = Some(wish);
                 Answer::Later(ticket)
             }
-            Err(error) => Answer::Now(refused("no_thread", format!("no thread to load it: {error}"))),
+            Err(error) => {
+                Answer::Now(Response::refused("no_thread", format!("no thread to load it: {error}")))
+            }
         }
     }
 
@@ -289,15 +287,17 @@ impl Session {
         {
             let s = PATIENCE.as_secs();
             let text = match wish {
-                Wish::Keep => {
+                LoadPurpose::Keep => {
                     format!(
                         "keeping took longer than {s} s and is given up: the record is not kept, unless an event record_kept \
                          follows"
                     )
                 }
-                Wish::Model(_) | Wish::Table => format!("loading took longer than {s} s: nothing is loaded"),
+                LoadPurpose::Model(_) | LoadPurpose::Table => {
+                    format!("loading took longer than {s} s: nothing is loaded")
+                }
             };
-            return Some((ticket, refused("too_long", text), None));
+            return Some((ticket, Response::refused("too_long", text), None));
         }
         let ((ticket, result), given_up) = self.loader.done()?;
         let wish = if given_up { None } else { self.wish.take() };
@@ -305,7 +305,7 @@ impl Session {
             // The record is there or not, whether or not the caller waits.
             let response = match &kept {
                 Ok(_) => Response::done(),
-                Err(text) => refused("not_kept", text.clone()),
+                Err(text) => Response::refused("not_kept", text.clone()),
             };
             self.tell_kept(kept, control.status().t_ns, log);
             return Some((ticket, response, None));
@@ -320,7 +320,7 @@ impl Session {
                 return Some((ticket, Response::Bad { text: error.to_string() }, Some(place.to_string())));
             }
             (Ok(Loaded::Table { table, errors }), _) => self.take_table(table, errors, log),
-            (Ok(Loaded::Model { prepared, warnings, files }), Wish::Model(wanted)) => {
+            (Ok(Loaded::Model { prepared, warnings, files }), LoadPurpose::Model(wanted)) => {
                 self.model_ready(*prepared, warnings, &files, &wanted, control, log)
             }
             (Ok(Loaded::Model { .. } | Loaded::Kept(_)), _) => return None,
@@ -345,7 +345,7 @@ impl Session {
             return Response::ModelPreview(Box::new(ModelPreview { warnings, ..preview }));
         };
         if *shown != sha256 {
-            return refused(
+            return Response::refused(
                 "changed",
                 format!(
                     "{} has changed since it was shown: nothing is loaded; `rtecctl model load` again",
@@ -355,7 +355,7 @@ impl Session {
         }
         let ended = self.ended(machine);
         if let Some(text) = ended.clone().filter(|_| !wanted.expired) {
-            return refused("expired", text);
+            return Response::refused("expired", text);
         }
         self.corrector.take(prepared);
         self.model_refused = None;
@@ -413,8 +413,8 @@ impl Session {
         // A model that was refused at the start is given up too.
         let given_up = self.model_refused.take_if(|why| why != AGAIN).is_some();
         if !self.corrector.unload() && !given_up {
-            let text = "no model is loaded: there is nothing to unload".to_owned();
-            return Response::Refused { why: "no_model".to_owned(), text, jumps: Vec::new() };
+            let text = "no model is loaded: there is nothing to unload";
+            return Response::refused("no_model", text);
         }
         let warnings = self.forget(log);
         self.model_refused = self.directory().join(UNLOADED).exists().then(|| AGAIN.to_owned());
@@ -422,7 +422,7 @@ impl Session {
         Response::Done { jumps: Vec::new(), warnings }
     }
 
-    pub(super) fn table_load(&mut self, table: &PartTable, beside: Beside) -> Answer {
+    pub(super) fn table_load(&mut self, table: &PartTable, beside: RequestContext) -> Answer {
         let file = PathBuf::from(&table.errors);
         let mut files = beside.files;
         let source = match files.len() {
@@ -435,7 +435,7 @@ impl Session {
                 return Answer::Now(Response::Bad { text });
             }
         };
-        self.begin(Job::Table { table: table.clone(), source }, Wish::Table)
+        self.begin(Job::Table { table: table.clone(), source }, LoadPurpose::Table)
     }
 
     fn take_table(&mut self, table: PartTable, errors: FeatureErrors, log: &mut Log) -> Response {
@@ -451,8 +451,8 @@ impl Session {
 
     pub(super) fn table_unload(&mut self, log: &mut Log) -> Response {
         if !self.corrector.unload_table() {
-            let text = "no part table is loaded: there is nothing to unload".to_owned();
-            return Response::Refused { why: "no_table".to_owned(), text, jumps: Vec::new() };
+            let text = "no part table is loaded: there is nothing to unload";
+            return Response::refused("no_table", text);
         }
         log.record(Level::Notice, "table_unloaded", "part table unloaded", &[]);
         Response::done()

@@ -24,11 +24,6 @@ impl Session {
         control: &mut ControlEnd,
         log: &mut Log,
     ) -> Result<Vec<Event>, Response> {
-        let dead = |why: &str, text: &str| Response::Refused {
-            why: why.to_owned(),
-            text: text.to_owned(),
-            jumps: Vec::new(),
-        };
         let silent =
             "the real-time thread does not answer: see `rtecctl platform` for what else runs on its CPU";
         // No look since a request was last left unanswered, so this one is not waited for.
@@ -45,10 +40,10 @@ impl Session {
             self.time.sleep(Duration::from_micros(200));
         }
         self.drain(control, log);
-        control.send(request).map_err(|full| dead("ring_full", &full.to_string()))?;
+        control.send(request).map_err(|full| Response::refused("ring_full", full.to_string()))?;
         if stuck {
             // It takes the request when it looks again.
-            return Err(dead("no_answer", silent));
+            return Err(Response::refused("no_answer", silent));
         }
         self.unanswered = None;
         let mut events = Vec::new();
@@ -70,14 +65,14 @@ impl Session {
                 return Ok(events);
             }
             if control.ended() {
-                return Err(dead(
+                return Err(Response::refused(
                     "ended",
                     "the real-time thread has ended: see the log, then restart the daemon",
                 ));
             }
             if self.time.now() > deadline {
                 self.unanswered = Some(status.polls);
-                return Err(dead("no_answer", silent));
+                return Err(Response::refused("no_answer", silent));
             }
             self.time.sleep(Duration::from_micros(200));
         }
@@ -122,7 +117,7 @@ impl Session {
         };
         let known = axis.is_some_and(|(_, now)| now.mtc_known);
         if let (Refusal::NotHomed, Some(text)) = (why, self.unknown(status).filter(|_| !known)) {
-            return Response::Refused { why: word(why), text, jumps: Vec::new() };
+            return Response::refused(word(why), text);
         }
         let about = match (why, request, axis) {
             (Refusal::NotBelieved, Request::Correct { total_counts, .. }, Some((axis, now))) => {
@@ -136,12 +131,12 @@ impl Session {
             (_, _, Some((axis, _))) => format!("axis {}", axis.name),
             (Refusal::NotHomed, ..) => {
                 let text = explain_not_homed(&self.away(status));
-                return Response::Refused { why: word(why), text, jumps: Vec::new() };
+                return Response::refused(word(why), text);
             }
             _ => return refused(why),
         };
         let text = format!("{about}: {}", explain_refusal(why));
-        Response::Refused { why: word(why), text, jumps: Vec::new() }
+        Response::refused(word(why), text)
     }
 
     /// The axes with an unknown count of the controller, and a remedy.
@@ -212,8 +207,8 @@ impl Session {
     pub(super) fn jog(&self, axis: &str, display_mm: Option<f64>) -> Result<Response, Response> {
         let n = self.number(axis)?;
         let Some(stand) = &self.stand else {
-            let text = "only a simulated machine can be jogged from here".to_owned();
-            return Err(Response::Refused { why: "not_simulated".to_owned(), text, jumps: Vec::new() });
+            let text = "only a simulated machine can be jogged from here";
+            return Err(Response::refused("not_simulated", text));
         };
         if let Some(mm) = display_mm {
             let travel_mm = self.config.axes[n].travel_mm;
@@ -251,7 +246,7 @@ impl Session {
                     "axis {name} moves at {rate_hz:.0} edges/s: its counter would be set somewhere on the way. Home it at \
                      a standstill, at its known place"
                 );
-                return Err(Response::Refused { why: "moving".to_owned(), text, jumps: Vec::new() });
+                return Err(Response::refused("moving", text));
             }
         }
         if let Some(refusal) = self.still_counted(axes.clone(), controller_homed, &status) {
@@ -271,7 +266,7 @@ impl Session {
                     "axis {}: read back {read_back:?}, expected {position_counts} counts: not homed",
                     self.config.axes[n].name
                 );
-                return Err(Response::Refused { why: "home_read_back".to_owned(), text, jumps: Vec::new() });
+                return Err(Response::refused("home_read_back", text));
             }
             self.carry_out(Request::ConfirmHome { axis, position_counts }, control, log)?;
         }
@@ -297,11 +292,7 @@ impl Session {
         let unknown = names(&|s| !s.mtc_known);
         if !unknown.is_empty() {
             let text = format!("axis {unknown}: {}", explain_refusal(Refusal::ControllerUnknown));
-            return Some(Response::Refused {
-                why: word(Refusal::ControllerUnknown),
-                text,
-                jumps: Vec::new(),
-            });
+            return Some(Response::refused(word(Refusal::ControllerUnknown), text));
         }
         if controller_homed.is_some() || all().all(|(_, s)| s.in_effect == 0) {
             return None;
@@ -315,7 +306,7 @@ impl Session {
              `rtecctl home --controller-not-homed` keeps them",
             counted.collect::<Vec<_>>().join("; ")
         );
-        Some(Response::Refused { why: "still_counted".to_owned(), text, jumps: Vec::new() })
+        Some(Response::refused("still_counted", text))
     }
 
     /// The counts that enabling would insert, axis by axis.
@@ -341,12 +332,12 @@ impl Session {
         }
         if !self.unfit.is_empty() {
             let (why, text) = (word(Refusal::NotArmable), self.unfit.join("; "));
-            return Some(Response::Refused { why, text, jumps: Vec::new() });
+            return Some(Response::refused(why, text));
         }
         let ended = self.corrector.expired();
         if !ended.is_empty() {
             let text = format!("{}: {}", ended.join("; "), loads::LOOK_AGAIN);
-            return Some(Response::Refused { why: "expired".to_owned(), text, jumps: Vec::new() });
+            return Some(Response::refused("expired", text));
         }
         let large = jumps.iter().any(|j| j.counts.abs() > j.window_counts);
         (large && !accept_jump).then(|| Response::Refused {
@@ -376,5 +367,5 @@ fn asked(axis: &ConfiguredAxis, total_counts: i64, now_counts: i64) -> String {
 }
 
 fn refused(why: Refusal) -> Response {
-    Response::Refused { why: word(why), text: explain_refusal(why).to_owned(), jumps: Vec::new() }
+    Response::refused(word(why), explain_refusal(why))
 }

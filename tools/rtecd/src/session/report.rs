@@ -3,8 +3,8 @@
 use super::Session;
 use crate::start::OTHER_BOOT;
 use rtec_control::protocol::{
-    AxisReport, Clients, DaemonStatus, Distribution, Explained, Histograms, HoldReport, LatchedFault,
-    LogState, Observed, PROTOCOL, Response, Rt, explain_fault, explain_refusal, word,
+    AxisReport, ConnectedClients, DaemonStatus, Distribution, Explained, Histograms, HoldReport,
+    LatchedFault, LogState, Observed, PROTOCOL, Response, RtStatus, explain_fault, explain_refusal, word,
 };
 use rtec_rt::event::{HeldBy, Mode, OffBecause, Refusal, Status};
 use rtec_rt::histogram::Reader;
@@ -18,7 +18,7 @@ impl Session {
         &mut self,
         events_after: Option<u64>,
         log: LogState,
-        clients: Vec<Clients>,
+        clients: Vec<ConnectedClients>,
         control: &mut ControlEnd,
     ) -> Response {
         let known = events_after.unwrap_or(0);
@@ -64,7 +64,7 @@ impl Session {
         let verified = self.set_up.missing.as_ref().is_some_and(Report::can_arm);
         let may_arm = !self.set_up.real || verified && self.unfit.is_empty();
         let missing = self.set_up.missing.iter().flat_map(Report::missing);
-        let rt = Rt {
+        let rt = RtStatus {
             alive,
             card: self.config.card.backend().to_owned(),
             may_arm,
@@ -166,7 +166,7 @@ impl Session {
     /// Messages on files that differ from what runs.
     fn edited(&self) -> Vec<String> {
         let model = self.corrector.shown().map(|m| (PathBuf::from(m.file), m.sha256));
-        self.on_disk.as_ref().map_or_else(Vec::new, |files| files.edited(model))
+        self.edited_files.as_ref().map_or_else(Vec::new, |files| files.edited(model))
     }
 
     /// Why nothing is corrected now, each reason with its remedy.

@@ -14,7 +14,7 @@ use std::cell::Cell;
 fn ask(session: &mut Session, request: &ClientRequest, control: &mut ControlEnd, log: &mut Log) -> Response {
     let deadline = Instant::now() + Duration::from_secs(60);
     loop {
-        let beside = Beside { trusted: true, ..Beside::default() };
+        let beside = RequestContext { trusted: true, ..RequestContext::default() };
         match session.answer(request, beside, control, log) {
             Answer::Now(response) => return response,
             Answer::Again(response) if Instant::now() > deadline => return response,

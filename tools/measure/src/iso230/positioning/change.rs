@@ -7,7 +7,7 @@
 use super::{Run, Target, largest, mean_of, targets};
 use crate::iso230::is_alike;
 use rtec_model::record::Role;
-use serde::Serialize;
+use serde::{Serialize, Serializer};
 use statrs::distribution::{ContinuousCDF, FisherSnedecor};
 
 /// Chance is ruled out where it gives as much in one of a hundred runs.
@@ -20,33 +20,22 @@ const STEP_SIDE: usize = 2;
 /// The figures that are given without a drift or a step too.
 pub(super) const UNCHANGED: [&str; 5] = ["R", "R_up", "R_down", "B", "B_mean"];
 
-/// A drift of all targets together, and repeatability and reversal without it.
-/// In the unit of the figures.
+/// The figures of [`UNCHANGED`] without a drift or a step.
+type Unchanged = [Option<f64>; 5];
+
+/// A drift of all targets together, in the unit of the figures.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Trend {
     /// From the first row to the last, in the middle of the travel.
     pub drift: f64,
     /// Probability of so much drift by chance.
     pub p_value: f64,
-    /// Bidirectional repeatability about the drift.
-    #[serde(rename = "R_about_drift")]
-    pub repeatability: Option<f64>,
-    /// Repeatability upwards without it.
-    #[serde(rename = "R_up_about_drift")]
-    pub repeatability_up: Option<f64>,
-    /// Repeatability downwards without it.
-    #[serde(rename = "R_down_about_drift")]
-    pub repeatability_down: Option<f64>,
-    /// Largest reversal without the drift between the approaches upwards and downwards.
-    #[serde(rename = "B_about_drift")]
-    pub reversal: Option<f64>,
-    /// Mean reversal without it.
-    #[serde(rename = "B_mean_about_drift")]
-    pub mean_reversal: Option<f64>,
+    /// `R`, `R_up`, `R_down`, `B` and `B_mean` about it, where they exist.
+    #[serde(flatten, serialize_with = "about_drift")]
+    pub without: Unchanged,
 }
 
-/// A step of all targets together, and repeatability and reversal without it.
-/// In the unit of the figures.
+/// A step of all targets together, in the unit of the figures.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Step {
     /// The first row behind it, from 1, as it stands in the file.
@@ -59,21 +48,21 @@ pub struct Step {
     pub standard_error: f64,
     /// Probability of so large a step at any row by chance.
     pub p_value: f64,
-    /// Bidirectional repeatability on either side of it.
-    #[serde(rename = "R_about_step")]
-    pub repeatability: Option<f64>,
-    /// Repeatability upwards without it.
-    #[serde(rename = "R_up_about_step")]
-    pub repeatability_up: Option<f64>,
-    /// Repeatability downwards without it.
-    #[serde(rename = "R_down_about_step")]
-    pub repeatability_down: Option<f64>,
-    /// Largest reversal without it.
-    #[serde(rename = "B_about_step")]
-    pub reversal: Option<f64>,
-    /// Mean reversal without it.
-    #[serde(rename = "B_mean_about_step")]
-    pub mean_reversal: Option<f64>,
+    /// `R`, `R_up`, `R_down`, `B` and `B_mean` on either side of it, where they exist.
+    #[serde(flatten, serialize_with = "about_step")]
+    pub without: Unchanged,
+}
+
+fn about_drift<S: Serializer>(without: &Unchanged, to: S) -> Result<S::Ok, S::Error> {
+    to.collect_map(
+        UNCHANGED.iter().zip(without).map(|(symbol, value)| (format!("{symbol}_about_drift"), value)),
+    )
+}
+
+fn about_step<S: Serializer>(without: &Unchanged, to: S) -> Result<S::Ok, S::Error> {
+    to.collect_map(
+        UNCHANGED.iter().zip(without).map(|(symbol, value)| (format!("{symbol}_about_step"), value)),
+    )
 }
 
 /// What the approaches have in common over time.
@@ -285,9 +274,9 @@ impl Run<'_> {
         let repeatability = largest(list.iter().filter_map(about));
         let one_way =
             |s: fn(&Target) -> Option<f64>| largest(list.iter().filter_map(|t| Some(4.0 * s(t)? * lost)));
-        let [repeatability_up, repeatability_down] = [one_way(|t| t.s_up), one_way(|t| t.s_down)];
-        let [reversal, mean_reversal] = [largest(reversals.iter().map(|b| b.abs())), mean_of(&reversals)];
-        let values = [repeatability, repeatability_up, repeatability_down, reversal, mean_reversal];
+        let reversal = largest(reversals.iter().map(|b| b.abs()));
+        let one_way = [one_way(|t| t.s_up), one_way(|t| t.s_down)];
+        let values = [repeatability, one_way[0], one_way[1], reversal, mean_of(&reversals)];
         let figures = UNCHANGED.into_iter().zip(values).zip(with);
         // Of an axis that is approached from both sides R stands for both.
         let figures = figures.filter(|((symbol, _), _)| !symbol.starts_with("R_") || repeatability.is_none());
@@ -310,15 +299,7 @@ impl Run<'_> {
                         best.factors[1],
                     ));
                 }
-                Change::Drift(Trend {
-                    drift: size,
-                    p_value,
-                    repeatability,
-                    repeatability_up,
-                    repeatability_down,
-                    reversal,
-                    mean_reversal,
-                })
+                Change::Drift(Trend { drift: size, p_value, without: values })
             }
             Some(at) => {
                 let (row, cycle) = (self.record.row_number(at), self.cycle(&repeats, at));
@@ -330,18 +311,7 @@ impl Run<'_> {
                          gauge, workpiece, lost counts), and test again"
                     ));
                 }
-                Change::Step(Step {
-                    row,
-                    cycle,
-                    step: size,
-                    standard_error,
-                    p_value,
-                    repeatability,
-                    repeatability_up,
-                    repeatability_down,
-                    reversal,
-                    mean_reversal,
-                })
+                Change::Step(Step { row, cycle, step: size, standard_error, p_value, without: values })
             }
         })
     }

@@ -1,6 +1,6 @@
 //! `probe_lobing`: a kinematic probe's pre-travel around its stylus.
 
-use crate::effect::wave::{amplitude, phase, set_polar};
+use crate::effect::wave::{amplitude, phase, polar, set_polar};
 use crate::effect::{
     Description, Effect, Extent, Input, Law, Naming, Need, Out, Owner, Parameter, Point, Search, Searched,
     State, ValueError,
@@ -60,9 +60,7 @@ impl Law for Lobing {
     }
 
     fn coefficients(&self, effect: &Effect, out: Out<'_>) {
-        let (sin, cos) = effect.scalar(PHASE).sin_cos();
-        out[0] = effect.scalar(UM) * cos;
-        out[1] = effect.scalar(UM) * sin;
+        polar(effect, UM, PHASE, out);
     }
 
     fn set_coefficients(&self, effect: &mut Effect, from: &[f64]) {

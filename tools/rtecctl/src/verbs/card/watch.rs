@@ -7,7 +7,7 @@ use crate::document::pretty;
 use crate::say;
 use rtec_control::card::{self, Access, OnCard};
 use rtec_control::config::Config;
-use rtec_control::wires::{Wire, wires};
+use rtec_control::line_readings::{WiredLine, wires};
 use rtec_driver::card::{AxisLines, Card, Sample};
 use rtec_driver::quadrature::{Decoder, Signal, State};
 use serde_json::{Value, json};
@@ -122,7 +122,7 @@ struct Watch {
 impl Watch {
     fn new(config: &Config, first: &Sample) -> Self {
         let on = |bit: u8| first.inputs >> bit & 1 == 1;
-        let line = |Wire { name, bit, .. }: Wire| {
+        let line = |WiredLine { name, bit, .. }: WiredLine| {
             let level = on(bit);
             Line { name, bit, level, rises: 0, falls: 0, before: 0, rate_hz: 0.0 }
         };

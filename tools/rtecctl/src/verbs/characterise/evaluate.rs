@@ -1,13 +1,12 @@
 //! `rtecctl characterise evaluate`: figures of runs by their standard.
 //! The output is text, JSON, plots or a page.
 
-use crate::document::pretty;
+use crate::document::{pretty, write};
 use crate::say;
 use crate::verbs::suspicions;
-use anyhow::Context;
 use rtec_measure::evaluation::{self, Asked, evaluate_files};
 use rtec_measure::iso230::Conditions;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 /// Evaluate runs as their standard defines it
 #[derive(Debug, clap::Args)]
@@ -98,8 +97,4 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         print!("{}", found.report.text());
     }
     Ok(())
-}
-
-fn write(path: &Path, text: &str) -> anyhow::Result<()> {
-    rtec_files::write::whole(path, text.as_bytes()).with_context(|| format!("writing {}", path.display()))
 }

@@ -3,7 +3,6 @@
 use crate::document::pretty;
 use crate::say;
 use crate::verbs::suspicions;
-use anyhow::Context;
 use rtec_files::InputError;
 use rtec_measure::plan::{self, PlanAxis};
 use rtec_model::machine::Machine;
@@ -54,15 +53,18 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         return telling(args, verdict, &axes);
     }
     let steps = plan::for_machine(&axes, args.max_rpm, args.ballbar_mm, &mut suspicions::said)?;
-    let text = plan::markdown(&args.machine, &steps);
+    give(args, &plan::markdown(&args.machine, &steps), &steps)
+}
+
+/// Writes the plan to its file, and prints what was asked for.
+fn give(args: &Args, text: &str, document: &impl serde::Serialize) -> anyhow::Result<()> {
     if let Some(path) = &args.out {
-        rtec_files::write::whole(path, text.as_bytes())
-            .with_context(|| format!("writing {}", path.display()))?;
+        crate::document::write(path, text)?;
     }
     if args.json {
-        say(&pretty(&steps)?);
+        say(&pretty(document)?);
     } else if args.out.is_none() {
-        print!("{text}");
+        say(text);
     }
     Ok(())
 }
@@ -75,17 +77,7 @@ fn telling(args: &Args, verdict: &Path, axes: &[PlanAxis]) -> anyhow::Result<()>
         None => Machine::ideal(&args.machine),
     };
     let found = next_runs(&Open::read(verdict, machine.dictionary())?, &machine, axes);
-    let text = said(&args.machine, &found);
-    if let Some(path) = &args.out {
-        rtec_files::write::whole(path, text.as_bytes())
-            .with_context(|| format!("writing {}", path.display()))?;
-    }
-    if args.json {
-        say(&pretty(&found)?);
-    } else if args.out.is_none() {
-        print!("{text}");
-    }
-    Ok(())
+    give(args, &said(&args.machine, &found), &found)
 }
 
 fn said(machine: &str, found: &NextRuns) -> String {

@@ -2,7 +2,7 @@
 
 use super::fit::draw;
 use crate::document::pretty;
-use crate::figures::with_bounds;
+use crate::rounding::with_bounds;
 use crate::say;
 use crate::verbs::suspicions;
 use rtec_files::InputError;

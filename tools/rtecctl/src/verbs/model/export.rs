@@ -3,7 +3,6 @@
 
 use crate::document::pretty;
 use crate::say;
-use anyhow::Context;
 use rtec_files::InputError;
 use rtec_measure::export::Wanted;
 use rtec_measure::export::linuxcnc::Unit;
@@ -166,8 +165,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         form: args.form.clone(),
     };
     let done = order.of(&machine)?;
-    rtec_files::write::whole(&args.out, done.text.as_bytes())
-        .with_context(|| format!("writing {}", args.out.display()))?;
+    crate::document::write(&args.out, &done.text)?;
     for warning in &done.warnings {
         eprintln!("warning: {}: {warning}", args.machine.display());
     }

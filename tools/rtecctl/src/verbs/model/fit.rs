@@ -2,10 +2,9 @@
 //! The model is judged on data that it has not seen.
 
 use crate::document::pretty;
-use crate::figures::with_bounds;
+use crate::rounding::with_bounds;
 use crate::say;
 use crate::verbs::suspicions;
-use anyhow::Context;
 use rtec_files::InputError;
 use rtec_files::date;
 use rtec_fit::thermal::{self, Fitted, Report};
@@ -259,8 +258,7 @@ pub(crate) fn draw_beside<'c>(
     for (word, chart) in charts {
         let path = if word.is_empty() { path.to_owned() } else { path.with_extension(format!("{word}.svg")) };
         let svg = chart.svg(width, height)?;
-        rtec_files::write::whole(&path, svg.as_bytes())
-            .with_context(|| format!("writing {}", path.display()))?;
+        crate::document::write(&path, &svg)?;
         drawn.push(path);
     }
     if drawn.iter().any(|d| d != path) {

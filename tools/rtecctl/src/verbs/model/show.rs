@@ -1,7 +1,7 @@
 //! `rtecctl model show` and `compare`: contents and differences of models.
 
 use crate::document::pretty;
-use crate::figures::alike;
+use crate::rounding::alike;
 use crate::say;
 use crate::verbs::suspicions;
 use rtec_files::date;

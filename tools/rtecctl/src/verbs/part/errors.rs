@@ -4,7 +4,7 @@ use super::features::Units;
 use super::{print, write_all};
 use crate::document::pretty;
 use crate::verbs::suspicions;
-use rtec_part::determine::{self, Asked};
+use rtec_part::determine::{self, ErrorRequest};
 use rtec_part::errors::ErrorReport;
 use rtec_part::fit;
 use std::fmt::Write as _;
@@ -69,7 +69,7 @@ enum Feature {
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
-    let asked = Asked {
+    let asked = ErrorRequest {
         points: args.points.clone(),
         columns: args.columns.clone(),
         radius_mm: args.radius_mm,

@@ -4,8 +4,8 @@ use super::points::positive;
 use super::{print, usage, write_all};
 use crate::Outcome;
 use crate::document::pretty;
+use rtec_part::comparison_page::inspection_page;
 use rtec_part::errors::{ErrorReport, Nominal, Probed};
-use rtec_part::page::inspection_page;
 use std::path::{Path, PathBuf};
 
 /// Compare the part before and after the finish cut

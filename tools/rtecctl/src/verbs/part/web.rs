@@ -59,7 +59,6 @@ impl Page {
     }
 
     /// Address of the page, for a browser on this computer.
-    #[must_use]
     pub(crate) fn url(&self) -> String {
         format!("http://{}{}/", self.address, self.secret)
     }

@@ -6,7 +6,7 @@ use ratatui::style::{Color, Modifier, Style};
 use ratatui::text::{Line, Span, Text};
 use ratatui::widgets::{Block, Clear, Paragraph, Sparkline, Wrap};
 use rtec_control::protocol::{
-    AxisReport, DaemonStatus, Distribution, Explained, Numbered, Observed, Reading, word,
+    AxisReport, DaemonStatus, Distribution, Explained, NumberedEvent, Observed, Reading, word,
 };
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
@@ -23,7 +23,7 @@ pub(super) struct View {
     every: Duration,
     status: Option<DaemonStatus>,
     explained: Vec<Explained>,
-    events: Vec<Numbered>,
+    events: Vec<NumberedEvent>,
     /// Total of each axis, µm, oldest first.
     trend: Vec<VecDeque<f64>>,
     gone: Option<(Instant, String)>,
@@ -264,7 +264,7 @@ impl View {
     }
 
     fn events(&self, s: &DaemonStatus, room: usize) -> Vec<Line<'static>> {
-        let line = |e: &Numbered| {
+        let line = |e: &NumberedEvent| {
             let axis = e.event.axis.as_ref().map_or(String::new(), |a| format!("axis {a}: "));
             let style = match e.event.kind.as_str() {
                 "fault" => self.wrong(),
@@ -365,7 +365,7 @@ mod tests {
     use super::*;
     use ratatui::Terminal;
     use ratatui::backend::TestBackend;
-    use rtec_control::protocol::{Contribution, Happened, Histograms, LogState};
+    use rtec_control::protocol::{Contribution, EventReport, Histograms, LogState};
 
     /// The screen as text, and its cells' colours.
     fn screen(view: &View, width: u16, height: u16) -> (String, Vec<Color>) {
@@ -398,10 +398,10 @@ mod tests {
             holds: None,
         });
         let explained: Vec<_> = explained.collect();
-        let event = |n, axis: Option<&str>, kind: &str, text: &str| Numbered {
+        let event = |n, axis: Option<&str>, kind: &str, text: &str| NumberedEvent {
             n,
             at_s: 86_400.0 + 3_723.5 * n as f64,
-            event: Happened {
+            event: EventReport {
                 t_ns: 1,
                 axis: axis.map(str::to_owned),
                 kind: kind.into(),

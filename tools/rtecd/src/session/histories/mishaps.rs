@@ -165,7 +165,7 @@ impl Life {
         let in_effect = control.status().axes().iter().any(|a| a.in_effect != 0);
         for _ in 0..20 {
             self.tell(&format!("{request:?}"));
-            match session.answer(request, Beside::default(), control, log) {
+            match session.answer(request, RequestContext::default(), control, log) {
                 Answer::Again(_) => self.world.run(2_000_000),
                 Answer::Now(response) => {
                     let no = matches!(

@@ -13,7 +13,7 @@ use std::time::Duration;
 
 /// A wired line.
 #[derive(Debug, Clone)]
-pub struct Wire {
+pub struct WiredLine {
     /// Its axis and its key in the configuration.
     pub name: String,
     /// Its bit in the card's inputs or outputs.
@@ -23,10 +23,9 @@ pub struct Wire {
 }
 
 /// The lines that a configuration names.
-#[must_use]
-pub fn wires(config: &Config) -> Vec<Wire> {
+pub fn wires(config: &Config) -> Vec<WiredLine> {
     let mut wires = Vec::new();
-    let mut add = |name: String, bit, output| wires.push(Wire { name, bit, output });
+    let mut add = |name: String, bit, output| wires.push(WiredLine { name, bit, output });
     for axis in &config.axes {
         let l = &axis.engine.lines;
         let mut of = |key, bit, output| add(format!("{}.{key}", axis.name), bit, output);
@@ -97,7 +96,7 @@ pub struct LineReading {
 }
 
 impl LineReading {
-    fn of(wire: Wire, level: Option<u8>, kernel: Option<String>) -> Self {
+    fn of(wire: WiredLine, level: Option<u8>, kernel: Option<String>) -> Self {
         let direction = if wire.output { "output" } else { "input" };
         Self { line: wire.name, direction, bit: level.map(|_| wire.bit), level, kernel }
     }
@@ -167,7 +166,7 @@ fn read_registers(config: &Config, bus: &impl Bus, profile: &Profile) -> Result<
         }
     }
     let words = [words[0] ^ profile.input_invert, words[1] ^ profile.output_invert];
-    let level = |w: &Wire| (words[usize::from(w.output)] >> w.bit & 1) as u8;
+    let level = |w: &WiredLine| (words[usize::from(w.output)] >> w.bit & 1) as u8;
     let lines = wires(config).into_iter().map(|w| {
         let level = level(&w);
         LineReading::of(w, Some(level), None)

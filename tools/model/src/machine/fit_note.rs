@@ -5,7 +5,7 @@ use crate::record::{Kind, Record, Role};
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
-use super::places::folder_of;
+use super::relative_paths::folder_of;
 
 /// Half width of a normal distribution's 95 % interval in standard deviations.
 pub const NORMAL_95: f64 = 1.96;
@@ -14,7 +14,6 @@ pub const NORMAL_95: f64 = 1.96;
 ///
 /// It is the slope at the bound times the excess. Soon after a start (`elapsed_s`) it also has a part from
 /// the unknown state of the lag.
-#[must_use]
 pub fn unknown_um(
     gain: f64,
     bend: f64,
@@ -42,7 +41,6 @@ pub struct Source {
 
 impl Source {
     /// The source entry of a record.
-    #[must_use]
     pub fn of(record: &Record) -> Self {
         let folder = Some(folder_of(&record.path));
         Self { file: record.file.clone(), sha256: record.sha256.clone(), folder }
@@ -77,7 +75,6 @@ pub struct Listed {
 impl Listed {
     /// The name that identifies it among a machine's effects.
     /// The zero of a set-up and the machine's own offset have different ones.
-    #[must_use]
     pub fn identity(&self) -> String {
         let set_up = if self.provenance.set_up { ", set_up" } else { "" };
         format!("{}{set_up}", self.effect.identity())
@@ -98,7 +95,6 @@ pub struct Validity {
 impl Validity {
     /// The difference at every row of a record.
     /// `None` if the record lacks one of its sensors.
-    #[must_use]
     pub fn of(&self, record: &Record) -> Option<Vec<f64>> {
         let u = record.temperature(&self.difference.sensor)?;
         let minus: &dyn Fn(usize) -> f64 = match &self.difference.against {
@@ -113,7 +109,6 @@ impl Validity {
     }
 
     /// The possible error of being this far outside the range, µm.
-    #[must_use]
     pub fn outside_um(&self, delta_k: f64) -> f64 {
         self.um_per_k * (delta_k - self.range_k[1]).max(self.range_k[0] - delta_k).max(0.0)
     }
@@ -167,7 +162,6 @@ pub struct Reach {
 
 impl Reach {
     /// The ranges of a whole record.
-    #[must_use]
     pub fn of(record: &Record) -> Self {
         let mut reach = Self::default();
         reach.see(record);
@@ -208,7 +202,6 @@ impl Reach {
 
 impl FitNote {
     /// The unit of a response, and so of its RMS and widths.
-    #[must_use]
     pub fn unit_of(response: &str) -> &'static str {
         if response.starts_with("force.") { "N" } else { "µm" }
     }
@@ -222,7 +215,6 @@ impl FitNote {
     }
 
     /// The range of each axis that moves in these records, mm.
-    #[must_use]
     pub fn places(records: &[&Record]) -> BTreeMap<String, [f64; 2]> {
         let mut reach = Reach::default();
         for record in records {
@@ -235,7 +227,6 @@ impl FitNote {
     ///
     /// The fit must have seen the range of every axis that moves; a tenth of the range beyond is allowed. If
     /// the fit has seen no temperature, it does not apply to a machine that warms.
-    #[must_use]
     pub fn not_of(&self, reach: &Reach) -> Option<String> {
         if self.valid.is_empty() && reach.warms() {
             return Some(format!(
@@ -259,7 +250,6 @@ impl FitNote {
 
     /// Whether a run is of a kind and at places that it was fitted on.
     /// The gauges of such a run have the fit's zero.
-    #[must_use]
     pub fn has_zero_of(&self, reach: &Reach) -> bool {
         let known = |kind: Kind| self.by_kind_um.is_empty() || self.by_kind_um.contains_key(kind.name());
         reach.kind().is_none_or(known) && self.not_of(reach).is_none()
@@ -267,7 +257,6 @@ impl FitNote {
 
     /// Whether a seen range of an axis covers another one, mm.
     /// A tenth of the seen range beyond its ends is allowed.
-    #[must_use]
     pub fn reaches([from, to]: [f64; 2], [low, high]: [f64; 2]) -> bool {
         let margin = 0.1 * (to - from);
         low >= from - margin && high <= to + margin
@@ -275,13 +264,11 @@ impl FitNote {
 
     /// The kind of a record for an interval.
     /// `None` for a drift in which an axis moves, because that resembles no kind.
-    #[must_use]
     pub fn kind_of(record: &Record) -> Option<String> {
         Reach::of(record).kind().map(|kind| kind.name().to_owned())
     }
 
     /// Half width of the 95 % interval for a record, µm.
-    #[must_use]
     pub fn half_width_for_um(&self, reach: &Reach) -> f64 {
         let own = reach.kind().and_then(|kind| self.by_kind_um.get(kind.name()));
         own.copied().unwrap_or(self.half_width_um)
@@ -323,7 +310,6 @@ impl FitNote {
     }
 
     /// The range that the fit saw, in words; empty if not stated.
-    #[must_use]
     pub fn place_text(&self) -> String {
         match &self.at_mm {
             None => String::new(),

@@ -16,7 +16,7 @@ use rtec_files::date;
 use rtec_files::words::{quoted, unseen};
 use rtec_model::record::{Column, Kind, Record, Role, check};
 use rtec_records::record::{parse_log, to_csv, to_sidecar};
-use rtec_records::spool::{self, Room};
+use rtec_records::spool::{self, SpoolLimits};
 use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, Sender, channel};
@@ -52,26 +52,26 @@ pub(crate) type Kept = Result<PathBuf, String>;
 #[derive(Debug, Clone)]
 pub(crate) struct Spool {
     pub folder: PathBuf,
-    pub room: Room,
+    pub limits: SpoolLimits,
 }
 
 impl Spool {
     /// The spool that the configuration names.
     pub(crate) fn of(control: &ControlConfig) -> Option<Self> {
-        let room = Room { most_bytes: control.spool_mb << 20, free_percent: FREE_PERCENT };
-        control.spool.clone().map(|folder| Self { folder, room })
+        let limits = SpoolLimits { most_bytes: control.spool_mb << 20, free_percent: FREE_PERCENT };
+        control.spool.clone().map(|folder| Self { folder, limits })
     }
 
     fn put(&self, record: Record, csv: &[u8], go_on: &dyn Fn() -> bool) -> Result<PathBuf, String> {
-        let Self { folder, room } = self;
-        spool::put(record, csv, folder, *room, go_on).map_err(|error| {
+        let Self { folder, limits } = self;
+        spool::put(record, csv, folder, *limits, go_on).map_err(|error| {
             if folder.is_dir() { format!("{}: {error}", folder.display()) } else { no_folder(folder) }
         })
     }
 }
 
 /// Writes records into the spool folder, with the probing run under way.
-pub(crate) struct Keeper {
+pub(crate) struct RecordSpool {
     spool: Option<Spool>,
     /// Names of the temperature sensors, with their indices among all sensors.
     sensors: Vec<(usize, String)>,
@@ -80,7 +80,7 @@ pub(crate) struct Keeper {
     writing: usize,
 }
 
-impl Keeper {
+impl RecordSpool {
     pub(crate) fn new(spool: Option<Spool>, sensors: Vec<(usize, String)>) -> Self {
         if let Some(Spool { folder, .. }) = spool.clone() {
             // Finishes the work of a killed daemon. Nobody waits for the disk; without a thread the next record does
@@ -290,22 +290,27 @@ mod tests {
         }
     }
 
-    fn probed(keeper: &mut Keeper, trips: usize) {
+    fn probed(record_spool: &mut RecordSpool, trips: usize) {
         let axes = Config::embedded().axes;
         // 2026-08-01 10:15:02.
-        keeper.begin(1_000_000_000, 1_785_579_302.0);
+        record_spool.begin(1_000_000_000, 1_785_579_302.0);
         for n in 0..trips {
             let t_ns = 2_000_000_000 + n as u64 * 500_000_000;
             for axis in [0, 2] {
                 let mm = n as f64 + 100.0 * axis as f64;
-                keeper.trip(axis, &axes, &report(t_ns, mm, vec![Some(20.5), (n > 0).then_some(21.0)]), 0.0);
+                record_spool.trip(
+                    axis,
+                    &axes,
+                    &report(t_ns, mm, vec![Some(20.5), (n > 0).then_some(21.0)]),
+                    0.0,
+                );
             }
         }
-        keeper.end(&axes);
+        record_spool.end(&axes);
     }
 
     fn spool(folder: &Path) -> Spool {
-        Spool { folder: folder.to_owned(), room: Room::ANY }
+        Spool { folder: folder.to_owned(), limits: SpoolLimits::ANY }
     }
 
     fn sensors() -> Vec<(usize, String)> {
@@ -315,9 +320,9 @@ mod tests {
     #[test]
     fn a_probing_run_is_a_record_of_what_was_known_at_every_trip() {
         let folder = tempfile::tempdir().unwrap();
-        let mut keeper = Keeper::new(Some(spool(folder.path())), sensors());
-        probed(&mut keeper, 3);
-        let file = keeper.last(Duration::from_secs(60)).unwrap().unwrap();
+        let mut record_spool = RecordSpool::new(Some(spool(folder.path())), sensors());
+        probed(&mut record_spool, 3);
+        let file = record_spool.last(Duration::from_secs(60)).unwrap().unwrap();
         assert_eq!(file, folder.path().join("probing-20260801-101502.run.toml"));
         let record = rtec_records::record::read_log(&file).unwrap();
         let names: Vec<&str> = record.columns.iter().map(|c| c.name.as_str()).collect();
@@ -327,26 +332,26 @@ mod tests {
         assert_eq!(record.columns[2].data, [200.0, 201.0, 202.0]);
         assert_eq!((record.kind.name(), record.date.as_deref()), ("probing", Some("2026-08-01")));
         // Another run within the same second is another record. A run without a trip is no record.
-        probed(&mut keeper, 1);
+        probed(&mut record_spool, 1);
         assert!(
-            keeper
+            record_spool
                 .last(Duration::from_secs(60))
                 .unwrap()
                 .unwrap()
                 .ends_with("probing-20260801-101502-2.run.toml")
         );
-        probed(&mut keeper, 0);
-        assert!(keeper.last(Duration::ZERO).is_none());
+        probed(&mut record_spool, 0);
+        assert!(record_spool.last(Duration::ZERO).is_none());
     }
 
     #[test]
     fn a_run_without_an_end_becomes_records_of_a_bounded_length() {
         let folder = tempfile::tempdir().unwrap();
-        let mut keeper = Keeper::new(Some(spool(folder.path())), sensors());
-        probed(&mut keeper, TRIPS + 2);
+        let mut record_spool = RecordSpool::new(Some(spool(folder.path())), sensors());
+        probed(&mut record_spool, TRIPS + 2);
         let mut rows = Vec::new();
         for _ in 0..2 {
-            let file = keeper.last(Duration::from_secs(60)).unwrap().unwrap();
+            let file = record_spool.last(Duration::from_secs(60)).unwrap().unwrap();
             rows.push(rtec_records::record::read_log(&file).unwrap().rows());
         }
         rows.sort_unstable();
@@ -356,15 +361,15 @@ mod tests {
     #[test]
     fn a_folder_that_is_gone_costs_the_record_and_says_so() {
         let folder = tempfile::tempdir().unwrap();
-        let mut keeper = Keeper::new(Some(spool(&folder.path().join("gone"))), sensors());
-        assert!(keeper.trouble().unwrap().contains("is no folder"));
-        probed(&mut keeper, 4);
-        let why = keeper.last(Duration::from_secs(60)).unwrap().unwrap_err();
+        let mut record_spool = RecordSpool::new(Some(spool(&folder.path().join("gone"))), sensors());
+        assert!(record_spool.trouble().unwrap().contains("is no folder"));
+        probed(&mut record_spool, 4);
+        let why = record_spool.last(Duration::from_secs(60)).unwrap().unwrap_err();
         assert!(why.contains("4 trips is not kept") && why.contains("is no folder"), "{why}");
         // Without a spool no run is kept in memory either.
-        let mut keeper = Keeper::new(None, sensors());
-        probed(&mut keeper, 4);
-        assert!(keeper.last(Duration::ZERO).is_none() && keeper.trouble().is_none());
+        let mut record_spool = RecordSpool::new(None, sensors());
+        probed(&mut record_spool, 4);
+        assert!(record_spool.last(Duration::ZERO).is_none() && record_spool.trouble().is_none());
     }
 
     const SIDECAR: &str =

@@ -101,19 +101,11 @@ impl Term {
 }
 
 impl Dictionary {
-    /// Adds the laws of a project's own file.
+    /// Adds the laws of a project's own file, from its text; `path` is for messages.
     ///
     /// # Errors
     /// The first finding, with file, line and column: a name that is taken, a quantity that does not suit the naming,
     /// an unknown key.
-    pub fn read_own(&mut self, path: &Path) -> Result<(), InputError> {
-        self.add_own(path, &rtec_files::text::read(path)?)
-    }
-
-    /// As [`Dictionary::read_own`], from text; `path` is for messages.
-    ///
-    /// # Errors
-    /// As [`Dictionary::read_own`].
     pub fn add_own(&mut self, path: &Path, text: &str) -> Result<(), InputError> {
         let doc = Document::parse(path, text)?;
         let root = doc.root();

@@ -1,7 +1,8 @@
 //! Names of card lines in a configuration.
 
 use rtec_driver::gpio::{Bias, Drive, GpioLine, LineId};
-use rtec_files::toml::{At, Entry, Section, SourceFile};
+use rtec_files::keys::{At, Section, SourceFile};
+use rtec_files::toml::Entry;
 
 /// Name of a line in a configuration.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

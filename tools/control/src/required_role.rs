@@ -5,7 +5,6 @@ use crate::role::Role;
 
 impl ClientRequest {
     /// The lowest role that may make this request.
-    #[must_use]
     pub const fn needs(&self) -> Role {
         match self {
             Self::Status {}

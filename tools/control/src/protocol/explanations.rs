@@ -1,11 +1,10 @@
 //! The protocol's words explained to people: refusals, faults, events.
 
-use super::{Happened, TripReport};
+use super::{EventReport, TripReport};
 use rtec_rt::event::{Event, EventKind, Fault, Refusal};
 use serde::Serialize;
 
 /// A name as the protocol writes it.
-#[must_use]
 pub fn word(name: impl Serialize) -> String {
     match serde_json::to_value(name) {
         Ok(serde_json::Value::String(word)) => word,
@@ -14,7 +13,6 @@ pub fn word(name: impl Serialize) -> String {
 }
 
 /// Explains a refusal, and what to do.
-#[must_use]
 pub const fn explain_refusal(why: Refusal) -> &'static str {
     match why {
         Refusal::NoSuchAxis => "there is no such axis",
@@ -44,7 +42,6 @@ pub const fn explain_refusal(why: Refusal) -> &'static str {
 }
 
 /// Lists axes whose MTC count is unknown, and what to do.
-#[must_use]
 pub fn explain_unknown(axes: &[&str]) -> String {
     format!(
         "the controller's count is not known: {}; home the controller and move there, then `rtecctl home --controller-homed`",
@@ -53,14 +50,12 @@ pub fn explain_unknown(axes: &[&str]) -> String {
 }
 
 /// Lists axes that are not homed, and what to do.
-#[must_use]
 pub fn explain_not_homed(axes: &[&str]) -> String {
     let many = if axes.len() == 1 { "axis" } else { "axes" };
     format!("{many} {}: {}", axes.join(", "), explain_refusal(Refusal::NotHomed))
 }
 
 /// Explains a fault, and what to do.
-#[must_use]
 pub const fn explain_fault(fault: Fault) -> &'static str {
     match fault {
         Fault::IllegalTransition => {
@@ -133,9 +128,8 @@ pub const fn explain_fault(fault: Fault) -> &'static str {
     }
 }
 
-impl Happened {
+impl EventReport {
     /// An event in words. `axis` gives the name and µm per count of an axis.
-    #[must_use]
     pub fn of(event: &Event, axis: Option<(&str, f64)>) -> Self {
         let mut trip = None;
         let (kind, text) = match event.kind {

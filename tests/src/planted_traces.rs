@@ -3,6 +3,7 @@
 
 use rtec_driver::quadrature::State;
 use rtec_driver::replay::TracePoint;
+use test_needs::dice::Dice;
 
 /// The mistake in a planted trace.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -22,12 +23,12 @@ pub enum PlantedFault {
 #[must_use]
 pub fn motion(edges: usize) -> Vec<TracePoint> {
     let mut at = TracePoint::default();
-    let mut points = vec![at];
+    let (mut points, mut dice) = (vec![at], Dice::new(0));
     for n in 0..edges {
         // 3000 counts up and 2500 down. In each 16th group of 16 edges every edge is a reversal.
         let dither = n % 256 < 16;
         let up = if dither { n % 2 == 0 } else { n % 5500 < 3000 };
-        at.t_ns += 1100 + pseudo_random(n) % 3000;
+        at.t_ns += 1100 + dice.bits() % 3000;
         at.state = at.state.next(up);
         points.push(at);
     }
@@ -52,8 +53,9 @@ pub fn corrected(
     let mut out = vec![(first, 0_i64)];
     let (mut mask, mut scale_counts, mut inserted, mut insertions) = (0_u8, 0_i64, 0_i64, 0_usize);
     let wrong_one = scale.len() / every / 2;
+    let mut dice = Dice::new(0);
     for (n, pair) in scale.windows(2).enumerate() {
-        let edge = pair[1];
+        let (edge, add) = (pair[1], dice.bits() & 1 == 0);
         scale_counts += up_table(pair[0].state, edge.state);
         let see = |mask| State::from_bits(edge.state.bits() ^ mask);
         out.push((TracePoint { t_ns: edge.t_ns, state: see(mask) }, scale_counts + inserted));
@@ -62,7 +64,6 @@ pub fn corrected(
             continue;
         }
         insertions += 1;
-        let add = pseudo_random(n) & 1 == 0;
         let equal = edge.state.a() == edge.state.b();
         let fault = if insertions == wrong_one { fault } else { PlantedFault::None };
         let a_first = (equal == add) != (fault == PlantedFault::WrongOrder);
@@ -93,12 +94,4 @@ fn up_table(from: State, to: State) -> i64 {
         [(false, false), (true, false), (true, true), (false, true)].iter().position(|&c| c == (s.a(), s.b()))
     };
     if place(to).map(|p| (p + 3) % 4) == place(from) { 1 } else { -1 }
-}
-
-/// A pseudo-random number that is the same everywhere (`SplitMix64`'s mixing).
-fn pseudo_random(n: usize) -> u64 {
-    let mut z = (n as u64 + 1).wrapping_mul(0x9E37_79B9_7F4A_7C15);
-    z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-    z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-    z ^ (z >> 31)
 }

@@ -5,7 +5,6 @@ use rtec_files::words::escaped;
 use std::fmt::Write as _;
 
 /// The head of the page and its comparison of two sessions.
-#[must_use]
 pub fn side_by_side(before: &ErrorReport, after: &ErrorReport) -> String {
     let row = |name: &str, r: &ErrorReport| {
         let largest = r.errors.iter().map(|e| e.error_um.abs()).fold(0.0, f64::max);
@@ -31,7 +30,6 @@ pub fn side_by_side(before: &ErrorReport, after: &ErrorReport) -> String {
 }
 
 /// The decisions and the end of the page.
-#[must_use]
 pub fn logged(decisions: &[String]) -> String {
     let items = decisions.iter().fold(String::new(), |mut t, d| {
         let _ = write!(t, "<li>{}", escaped(d));
@@ -41,7 +39,6 @@ pub fn logged(decisions: &[String]) -> String {
 }
 
 /// The whole page: before, after and decisions.
-#[must_use]
 pub fn inspection_page(before: &ErrorReport, after: &ErrorReport, decisions: &[String]) -> String {
     side_by_side(before, after) + &logged(decisions)
 }

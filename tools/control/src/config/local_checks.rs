@@ -3,7 +3,8 @@
 
 use super::{CardConfig, Config};
 use rtec_correct::Corrector;
-use rtec_files::toml::{Document, SourceFile, Table};
+use rtec_files::keys::SourceFile;
+use rtec_files::toml::{Document, Table};
 use rtec_files::trace::TraceReader;
 use rtec_files::words::quoted;
 use rtec_model::machine::Machine;

@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 ///
 /// # Errors
 /// That directory; none if one cannot be examined.
-pub(crate) fn closed_directory(socket: &Path) -> Result<u32, Option<PathBuf>> {
+pub(crate) fn directory_owner(socket: &Path) -> Result<u32, Option<PathBuf>> {
     let parent = socket.parent().filter(|d| !d.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let directory = std::fs::canonicalize(parent).map_err(|_| None)?;
     for above in directory.ancestors() {
@@ -27,10 +27,10 @@ mod tests {
     fn a_directory_that_others_can_write_to_vouches_for_nobody() {
         let open = tempfile::tempdir_in("/tmp").unwrap();
         assert_eq!(
-            closed_directory(&open.path().join("s")),
+            directory_owner(&open.path().join("s")),
             Err(Some("/tmp".into())),
             "/tmp is for everybody"
         );
-        assert_eq!(closed_directory(Path::new("/etc/s")), Ok(0));
+        assert_eq!(directory_owner(Path::new("/etc/s")), Ok(0));
     }
 }

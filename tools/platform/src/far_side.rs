@@ -49,12 +49,12 @@ pub struct FarSide {
 }
 
 /// The other end of a card's wires.
-pub(crate) trait FarEnd {
+pub(crate) trait FarSideWires {
     fn drive(&mut self, inputs: u64);
     fn outputs(&mut self) -> u64;
 }
 
-impl FarEnd for SharedWires {
+impl FarSideWires for SharedWires {
     fn drive(&mut self, inputs: u64) {
         self.inputs.store(inputs, Release);
     }
@@ -65,7 +65,7 @@ impl FarEnd for SharedWires {
 }
 
 /// The registers of the shared-memory test card, from the machine's side.
-impl FarEnd for Registers {
+impl FarSideWires for Registers {
     fn drive(&mut self, inputs: u64) {
         self.write(0, Width::Bits32, inputs as u32);
     }
@@ -200,7 +200,7 @@ struct Player<'a, 'c, F> {
 /// Moves the scale edge by edge and counts as the MTC, until the time is up.
 /// The times from edge to second inversion go to `done`. Returns the counts, and the last of those times, ns.
 pub(crate) fn play(
-    far: &mut impl FarEnd,
+    far: &mut impl FarSideWires,
     control: &mut Control,
     done: &mut Recorder,
     random: &mut impl RngCore,
@@ -223,7 +223,7 @@ pub(crate) fn play(
     (player.seen, player.last_done_ns.unwrap_or(0))
 }
 
-impl<F: FarEnd> Player<'_, '_, F> {
+impl<F: FarSideWires> Player<'_, '_, F> {
     fn inverters_now(&mut self) -> u8 {
         LINES.inverters(self.far.outputs())
     }

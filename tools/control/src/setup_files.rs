@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 
 /// A file that belongs to a machine.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Belonging {
+pub struct SetupFile {
     /// `configuration`, `profile`, `model`, `trace`, `recording` or `devices`.
     pub kind: &'static str,
     /// Its path.
@@ -23,12 +23,12 @@ pub struct Belonging {
 ///
 /// # Errors
 /// The configuration, or the model that it names, cannot be read.
-pub fn of(file: &Path, config: &Config) -> Result<Vec<Belonging>, InputError> {
+pub fn of(file: &Path, config: &Config) -> Result<Vec<SetupFile>, InputError> {
     let folder = file.parent().unwrap_or(Path::new(""));
-    let mut all = vec![Belonging { kind: "configuration", path: file.to_owned() }];
+    let mut all = vec![SetupFile { kind: "configuration", path: file.to_owned() }];
     let mut add = |kind, path: PathBuf| {
         if all.iter().all(|b| b.path != path) {
-            all.push(Belonging { kind, path });
+            all.push(SetupFile { kind, path });
         }
     };
     let text = rtec_files::text::read(file)?;
@@ -75,7 +75,6 @@ pub fn of(file: &Path, config: &Config) -> Result<Vec<Belonging>, InputError> {
 
 /// Files beside the state file of a daemon, each with its kind.
 /// The first is the state itself: counts in effect, faults, hold.
-#[must_use]
 pub fn state(config: &Config) -> Vec<(&'static str, PathBuf)> {
     let state = config.control.state_path();
     let [now, old] = log::NAMES;

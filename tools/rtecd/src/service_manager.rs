@@ -28,7 +28,7 @@ const FIRST: RawFd = 3;
 const STATUS_EVERY: Duration = Duration::from_secs(1);
 
 /// The service manager, or none.
-pub(crate) struct Manager {
+pub(crate) struct ServiceManager {
     socket: Option<UnixDatagram>,
     /// Expected time between two watchdog messages.
     /// `None` without a watchdog.
@@ -44,7 +44,7 @@ pub(crate) struct Manager {
     in_store: BTreeSet<String>,
 }
 
-impl Manager {
+impl ServiceManager {
     /// Reads the environment, and takes over the passed descriptors.
     /// It must be called first.
     ///
@@ -192,11 +192,11 @@ mod tests {
     use super::*;
     use std::os::fd::AsFd;
 
-    fn manager(watchdog_every: Option<Duration>) -> (Manager, UnixDatagram) {
+    fn manager(watchdog_every: Option<Duration>) -> (ServiceManager, UnixDatagram) {
         let (ours, theirs) = UnixDatagram::pair().unwrap();
         theirs.set_nonblocking(true).unwrap();
         let now = Instant::now();
-        let manager = Manager {
+        let manager = ServiceManager {
             socket: Some(ours),
             watchdog_every,
             fed: now,

@@ -51,7 +51,7 @@ struct Shared {
 
 /// Checks the files from its own thread, so that a hanging disk blocks nobody.
 #[derive(Debug)]
-pub(crate) struct OnDisk {
+pub(crate) struct EditedFiles {
     configuration: Option<(PathBuf, Known)>,
     shared: Arc<Mutex<Shared>>,
 }
@@ -60,7 +60,7 @@ fn lock(shared: &Mutex<Shared>) -> MutexGuard<'_, Shared> {
     shared.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-impl OnDisk {
+impl EditedFiles {
     /// Watches the configuration's file, if any, from its present content on.
     pub(crate) fn watch(configuration: Option<&Path>) -> Self {
         let read = |file: &Path| Some((file.to_owned(), Known::Configuration(std::fs::read(file).ok()?)));

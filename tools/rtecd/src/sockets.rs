@@ -14,7 +14,7 @@ use std::os::unix::net::{UnixListener, UnixStream};
 use std::path::{Path, PathBuf};
 
 /// A listening socket.
-pub(crate) struct Door {
+pub(crate) struct ListeningSocket {
     pub role: Role,
     pub path: PathBuf,
     /// The group that may use it.
@@ -23,24 +23,24 @@ pub(crate) struct Door {
 }
 
 /// All listening sockets, and the lock on their names, until it is dropped.
-pub(crate) struct Doors {
-    pub all: Vec<Door>,
+pub(crate) struct ListeningSockets {
+    pub all: Vec<ListeningSocket>,
     /// The group of viewers, which may read the record of commands too.
-    pub seers: Option<Gid>,
-    _lock: lock::Held,
+    pub viewers: Option<Gid>,
+    _lock: lock::LockGuard,
 }
 
-impl Drop for Doors {
+impl Drop for ListeningSockets {
     fn drop(&mut self) {
         // The lock is still held, so no other process has sockets of these names.
-        for door in &self.all {
-            let _ = std::fs::remove_file(&door.path);
+        for socket in &self.all {
+            let _ = std::fs::remove_file(&socket.path);
         }
     }
 }
 
 /// Opens the sockets.
-pub(crate) fn listen(control: &ControlConfig) -> anyhow::Result<Doors> {
+pub(crate) fn listen(control: &ControlConfig) -> anyhow::Result<ListeningSockets> {
     let sockets = control.sockets();
     let groups: Vec<Option<Gid>> = sockets.iter().map(group).collect::<Result<_, _>>()?;
     let open = groups.iter().any(Option::is_some) || sockets.iter().any(|s| s.mode & 0o066 != 0);
@@ -55,12 +55,17 @@ pub(crate) fn listen(control: &ControlConfig) -> anyhow::Result<Doors> {
         directory(&socket.path, open)?;
     }
     let lock = lock::socket(&control.socket).map_err(Failure::from)?;
-    let mut doors = Doors { all: Vec::new(), seers: groups[2], _lock: lock };
+    let mut listening = ListeningSockets { all: Vec::new(), viewers: groups[2], _lock: lock };
     for (socket, group) in sockets.into_iter().zip(groups) {
         let listener = bind(&socket, group)?;
-        doors.all.push(Door { role: socket.role, path: socket.path, group: socket.group, listener });
+        listening.all.push(ListeningSocket {
+            role: socket.role,
+            path: socket.path,
+            group: socket.group,
+            listener,
+        });
     }
-    Ok(doors)
+    Ok(listening)
 }
 
 fn group(socket: &SocketAt) -> anyhow::Result<Option<Gid>> {
