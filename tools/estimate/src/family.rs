@@ -444,8 +444,9 @@ fn maps(rows: &Rows<'_>, effect: &Effect) -> Vec<(f64, Cause)> {
     }
     let heights = vec![0.0; k];
     let Some(effect) = effect.with_values(&[knots.clone(), heights].concat()) else { return Vec::new() };
-    let kernels =
-        [Kernel::Smooth(LENGTHS[0] * range), Kernel::Smooth(LENGTHS[1] * range), Kernel::Rough(range)];
+    let lengths = LENGTHS.map(|share| share * range);
+    let (smooth, kinked) = (lengths.map(Kernel::Smooth), lengths.map(Kernel::Kinked));
+    let kernels = [&smooth[..], &kinked, &[Kernel::Rough(range)]].concat();
     kernels
         .iter()
         .map(|kernel| {

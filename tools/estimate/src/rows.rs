@@ -166,6 +166,11 @@ pub fn is_placed(record: &Record, effect: &Effect) -> bool {
     record.knows_places() || !needs_place(effect)
 }
 
+/// Smallest and largest of these values.
+fn range<'v>(values: impl IntoIterator<Item = &'v f64>) -> [f64; 2] {
+    values.into_iter().fold([f64::INFINITY, f64::NEG_INFINITY], |[lo, hi], x| [lo.min(*x), hi.max(*x)])
+}
+
 impl Extent for Rows<'_> {
     fn rows(&self) -> usize {
         self.n
@@ -197,17 +202,19 @@ impl Extent for Rows<'_> {
 
     fn places_mm(&self, axis: &Axis) -> Vec<f64> {
         let role = Role::Position(axis.clone());
-        let mut all: Vec<f64> = self
-            .records
-            .iter()
-            .filter(|r| r.knows_places())
-            .filter_map(|r| r.data(&role))
-            .flatten()
-            .copied()
-            .collect();
-        all.sort_by(f64::total_cmp);
-        let (Some(lo), Some(hi)) = (all.first().copied(), all.last().copied()) else { return Vec::new() };
+        let placed = self.records.iter().filter(|r| r.knows_places());
+        let read: Vec<(bool, &[f64])> =
+            placed.filter_map(|r| Some((r.zero.is_some(), r.data(&role)?))).collect();
+        let [lo, hi] = range(read.iter().flat_map(|r| r.1));
         let close = (hi - lo) * ONE_PLACE;
+        // Of a record at rest only its own zero is seen, not what differs from place to place.
+        let moves = |p: &[f64]| {
+            let [lo, hi] = range(p);
+            hi - lo > close
+        };
+        let shows = read.iter().filter(|(shared_zero, p)| *shared_zero || moves(p));
+        let mut all: Vec<f64> = shows.flat_map(|r| r.1).copied().collect();
+        all.sort_by(f64::total_cmp);
         let mut out: Vec<(f64, f64)> = Vec::new();
         for x in all {
             match out.last_mut() {

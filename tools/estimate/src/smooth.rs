@@ -55,6 +55,8 @@ pub fn shares(knots: &[f64], x: f64) -> [(usize, f64); 2] {
 pub enum Kernel {
     /// exp(−½ (d/ℓ)²)
     Smooth(f64),
+    /// (1 + d/ℓ) exp(−d/ℓ): straight pieces with kinks (Matérn 3/2).
+    Kinked(f64),
     /// exp(−d/ℓ): a mean-reverting walk.
     Rough(f64),
 }
@@ -71,6 +73,7 @@ pub fn directions(knots: &[f64], kernel: Kernel, without: &[Vec<f64>], most: usi
         let d = (knots[i] - knots[j]).abs();
         match kernel {
             Kernel::Smooth(l) => (-0.5 * (d / l).powi(2)).exp(),
+            Kernel::Kinked(l) => (1.0 + d / l) * (-d / l).exp(),
             Kernel::Rough(l) => (-d / l).exp(),
         }
     });

@@ -43,6 +43,8 @@ pub(crate) struct Suspected {
     odds: f64,
     /// Names of the effects that are found with the mistake undone.
     without: Vec<String>,
+    /// Indices of the model's effects that are still replaced with the mistake undone.
+    replaced: Vec<usize>,
 }
 
 impl Suspected {
@@ -60,6 +62,16 @@ impl Suspected {
         }
         explains
     }
+
+    /// Whether the mistake explains what would else replace a known effect.
+    pub(crate) fn spares(&self, answer: &Answer) -> bool {
+        replaced(answer).iter().any(|place| !self.replaced.contains(place))
+    }
+}
+
+/// Indices of the model's effects that are off by far more than the model says.
+fn replaced(answer: &Answer) -> Vec<usize> {
+    answer.estimate.found.iter().filter_map(|f| f.replaces).collect()
 }
 
 /// Prior odds of one kind of mistake: one record in this many carries it.
@@ -167,6 +179,7 @@ pub(crate) fn of_training(
             said: m.said,
             odds: gain,
             without: without.clone(),
+            replaced: replaced(&then),
         }));
         best = Some(then);
     }
@@ -304,6 +317,8 @@ fn other_units(role: &Role) -> &'static [(f64, &'static str)] {
     match role {
         Role::Position(_) => &[(1e3, "m"), (1e-3, "µm"), (25.4, "inch"), (10.0, "cm")],
         Role::Velocity(_) => &[(1.0 / 60.0, "mm/min"), (1e3, "m/s"), (1e3 / 60.0, "m/min")],
+        Role::Acceleration(_) => &[(1e3, "m/s²"), (9806.65, "g")],
+        Role::Load(_) => &[(9.806_65, "kgf"), (4.448_22, "lbf"), (1e3, "kN")],
         Role::SpindleSpeed => &[(60.0, "rev/s"), (1e3, "krpm")],
         Role::Time => &[(60.0, "min"), (3600.0, "h"), (1e-3, "ms")],
         _ => &[],
@@ -403,9 +418,11 @@ fn candidates(record: &Record, all: &[Record], model: &[Effect]) -> Vec<Mistake>
         let text = only("with the directions exchanged");
         add(What::Direction, &first.name, text, changed(record, &motion, &|x| -x), 0.0);
     }
-    let kinds: [fn(&Role) -> bool; 4] = [
+    let kinds: [fn(&Role) -> bool; 6] = [
         |r| matches!(r, Role::Position(_)),
         |r| matches!(r, Role::Velocity(_)),
+        |r| matches!(r, Role::Acceleration(_)),
+        |r| matches!(r, Role::Load(_)),
         |r| *r == Role::SpindleSpeed,
         |r| *r == Role::Time,
     ];
@@ -432,6 +449,15 @@ fn candidates(record: &Record, all: &[Record], model: &[Effect]) -> Vec<Mistake>
             ));
             add(What::Unit, &first.name, text, changed(record, &|c| kind(&c.role), &|x| by * x), likelier);
         }
+    }
+    let load = |c: &Column| matches!(c.role, Role::Load(_));
+    if let Some(first) = record.columns.iter().find(|c| load(c)) {
+        let text = only("with the loads in the other direction");
+        add(What::Sign, &first.name, text, changed(record, &load, &|x| -x), 0.0);
+    }
+    if let Some(wet) = record.columns.iter().find(|c| c.role == Role::Coolant) {
+        let text = only(&format!("with {} the other way round: 1 while it is off?", wet.name));
+        add(What::Swapped, &wet.name, text, changed(record, &|c| c.role == Role::Coolant, &|x| 1.0 - x), 0.0);
     }
     let warm = |c: &Column| c.role == Role::Temperature;
     if let Some(first) = record.columns.iter().find(|c| warm(c)) {

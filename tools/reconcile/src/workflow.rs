@@ -438,10 +438,12 @@ impl Analysed {
         let suspected = mistakes::of_training(&first.used, machine, &first.answer, level);
         let (certain, open): (Vec<_>, Vec<_>) =
             suspected.into_iter().partition(mistakes::Suspected::is_certain);
-        // An uncertain mistake is reported if it explains a named effect.
+        // An uncertain mistake is reported if it explains a named effect, or an effect of the model that is
+        // far off.
         for s in open {
+            let spares = s.spares(&first.answer);
             let weakened = first.answer.findings.iter_mut().map(|(f, _)| s.weaken(f)).filter(|w| *w).count();
-            doubts.said.extend((weakened > 0).then_some(s.said));
+            doubts.said.extend((weakened > 0 || spares).then_some(s.said));
         }
         if certain.is_empty() {
             return first;

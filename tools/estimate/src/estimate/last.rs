@@ -1,5 +1,6 @@
 //! The last fit: values and intervals of the set that was found.
 
+use super::place::same_period;
 use super::{Found, Moved, SetUp};
 use crate::cause::Cause;
 use crate::effort::LAST_STEPS;
@@ -54,18 +55,30 @@ pub(super) struct Bent {
 }
 
 /// Non-linear values that the last fit moves, with their standard deviations.
-pub(super) fn bent(search: &Search<'_>, family: usize, effect: &Effect) -> Vec<Bent> {
-    let family = &search.families.list[family];
-    if family.replaces.is_some() || effect.width() > 1 || matches!(family.scan, Scan::Beside { .. }) {
+pub(super) fn bent(search: &Search<'_>, set: &Set, family: usize, effect: &Effect) -> Vec<Bent> {
+    let families = &search.families.list;
+    let family = &families[family];
+    if family.replaces.is_some() || effect.width() > 1 {
         return Vec::new();
     }
     let law = effect.description();
+    let mut scan = &family.scan;
+    if let Scan::Beside { law, .. } = scan {
+        let accompanied = |e: &Effect| e.description().name == *law && e.axes() == effect.axes();
+        let mut waves = set.members.iter().filter_map(|m| m.cause.effect()).filter(|e| accompanied(e));
+        // A wave of the set decides the period of both.
+        if waves.any(|e| same_period(e, effect)) {
+            return Vec::new();
+        }
+        let wave = families.iter().find(|f| f.effect.as_ref().is_some_and(accompanied));
+        scan = wave.map_or(scan, |f| &f.scan);
+    }
     let of = |(value, p): (usize, &rtec_model::effect::Parameter)| {
         if p.search != How::Smooth {
             return None;
         }
         let v = effect.scalar(value);
-        let (sd, with) = match (&family.scan, p.refine) {
+        let (sd, with) = match (scan, p.refine) {
             (_, Refine::Step(_)) => (1.0, None),
             (Scan::Wave { along, unit, .. }, _) => {
                 let turns = std::f64::consts::TAU * along.middle() / unit / (v * v);
@@ -145,7 +158,7 @@ impl<'s, 'p> Last<'s, 'p> {
             }
             let mut own = Vec::new();
             if let Some(effect) = solved {
-                own = bent(search, m.family, effect);
+                own = bent(search, set, m.family, effect);
                 let slopes = if own.is_empty() { Vec::new() } else { rows.slopes(effect) };
                 for b in &own {
                     let mut c: Vec<f64> = slopes[b.value].iter().map(|x| x * b.sd).collect();
@@ -285,9 +298,7 @@ impl<'s, 'p> Last<'s, 'p> {
             let Some(law) = effect.description().searched.beside.filter(|_| wave) else { continue };
             let near = |f: &&Found| {
                 f.effect.as_ref().is_some_and(|e| {
-                    e.description().name == law
-                        && e.axes() == effect.axes()
-                        && (e.scalar(0) / effect.scalar(0) - 1.0).abs() < 0.02
+                    e.description().name == law && e.axes() == effect.axes() && same_period(e, &effect)
                 })
             };
             let Some(other) = found.iter().find(near).cloned() else { continue };

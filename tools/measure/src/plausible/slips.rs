@@ -27,12 +27,13 @@ pub(super) fn look(record: &Record, out: &mut Vec<Suspicion>) {
         return;
     }
     for c in record.columns.iter().filter(|c| matches!(c.role, Role::Position(_))) {
-        let way = Way::of(&c.data);
+        let way = Way { motion: motion(record, c), ..Way::of(&c.data) };
         let beside: Vec<usize> = (1..record.rows() - 1).filter(|i| way.is_beside(*i)).collect();
         if beside.len() * record.rows() > MOST_PAIRS {
             continue;
         }
-        let found: Vec<(usize, f64)> = beside.into_iter().filter_map(|i| Some((i, way.meant(i)?))).collect();
+        let meant = |i| Some((i, way.meant(i)?)).filter(|(i, meant)| !way.comes_there(*i, *meant));
+        let found: Vec<(usize, f64)> = beside.into_iter().filter_map(meant).collect();
         let rows: Vec<usize> = found.iter().map(|f| f.0).collect();
         let Some((first, meant)) = found.first().filter(|_| rows.len() <= 1 + record.rows() / ONE_IN) else {
             continue;
@@ -57,6 +58,14 @@ struct Way<'p> {
     near: f64,
     /// It goes along in sweeps.
     sweeps: bool,
+    /// Times and velocities of the rows, if both are logged.
+    motion: Option<[&'p [f64]; 2]>,
+}
+
+/// Times and velocities of an axis, if a record logs both.
+fn motion<'r>(record: &'r Record, position: &Column) -> Option<[&'r [f64]; 2]> {
+    let velocity = Role::Velocity(position.role.axis()?.clone());
+    Some([record.data(&Role::Time)?, record.data(&velocity)?])
 }
 
 impl<'p> Way<'p> {
@@ -66,7 +75,7 @@ impl<'p> Way<'p> {
         let near = (NEAR_STEP * median(sizes)).max(NEAR_TRAVEL * middle_range(p));
         let turns = own.windows(2).filter(|w| w[0] * w[1] < 0.0 && w[0].abs().min(w[1].abs()) > near);
         let sweeps = turns.count() * 4 <= p.len() + 8;
-        Self { p, near, sweeps }
+        Self { p, near, sweeps, motion: None }
     }
 
     fn at(&self, a: f64, b: f64) -> bool {
@@ -87,6 +96,17 @@ impl<'p> Way<'p> {
         let turns = before.min(behind);
         let off = (lo - own).max(own - hi);
         own != 0.0 && self.near > 0.0 && off > self.near.max(BESIDE * (hi - lo)).max(turns)
+    }
+
+    /// Whether the logged speed brings the axis to where a row is.
+    /// The other possibility is where the row may be meant. The neighbour decides that it agrees with better: a pause or a turn may lie before the other.
+    fn comes_there(&self, i: usize, meant: f64) -> bool {
+        let Some([t, v]) = self.motion else { return false };
+        let off = |place: f64| {
+            let by = |k: usize| (place - self.p[k] - f64::midpoint(v[i], v[k]) * (t[i] - t[k])).abs();
+            by(i - 1).min(by(i + 1))
+        };
+        off(self.p[i]) < off(meant)
     }
 
     /// Where a row was that stands beside the way, if it is at no place of its own.
@@ -160,5 +180,40 @@ mod tests {
             out.len()
         };
         assert_eq!((said(None), said(Some(100))), (0, 1));
+    }
+
+    /// A run to and fro is read where it turns, once later than else.
+    /// By its digits alone that reading lost one. Its speed brings the axis there.
+    #[test]
+    fn a_speed_that_comes_there_shows_that_no_digit_is_lost() {
+        let said = |with_speed: bool| {
+            let (mut t, mut y, mut v) = (Vec::new(), Vec::new(), Vec::new());
+            let mut now_s = 0.0;
+            for sweep in 0..4 {
+                let top = if sweep == 2 { 99.8974 } else { 99.1 };
+                let up = [0.0, 10.0, 20.0, 30.0, 40.0, 50.0, 60.0, 70.0, 80.0, 90.0, 95.0, 97.0, 98.2];
+                let down = up.iter().rev().skip(1).map(|p| (*p - 0.2, -40.0));
+                let rows = up.iter().map(|p| (*p, 40.0)).chain([(top, -2.0), (98.0, -20.0)]).chain(down);
+                for (place, speed) in rows {
+                    now_s += if place == 98.0 { (top - 98.0) / 11.0 } else { 0.25 };
+                    t.push(now_s);
+                    y.push(place);
+                    v.push(speed);
+                }
+            }
+            let e = (0..y.len()).map(|i| (i as f64).sin()).collect();
+            let mut columns = vec![
+                Column::new("t", Role::Time, t),
+                Column::new("y", Role::parse("position.y").unwrap(), y),
+                Column::new("e", Role::parse("error.y").unwrap(), e),
+            ];
+            if with_speed {
+                columns.push(Column::new("v", Role::parse("velocity.y").unwrap(), v));
+            }
+            let mut out = Vec::new();
+            look(&Record::new(Path::new("r.run.toml"), Kind::FeedSweep, columns).unwrap(), &mut out);
+            out.len()
+        };
+        assert_eq!((said(false), said(true)), (1, 0));
     }
 }

@@ -243,3 +243,75 @@ fn an_axis_that_stands_is_no_other_unit() {
         assert_eq!(said, doubted, "at {at_mm} mm, stroke {stroke_mm} mm: {:?}", r.suspicions);
     }
 }
+
+/// A drift test with coolant, loads and accelerations, beside a model of them.
+/// The mistake is in an input that the model reads.
+#[test]
+fn inputs_that_only_the_model_shows_as_mistaken_are_said() {
+    let model = "name = \"m\"\n[[effect]]\nname = \"coolant.x\"\num = 7.6\n[[effect]]\nname = \"coolant.z\"\num = -5.2\n\
+        [[effect]]\nname = \"stiffness.x\"\num_per_N = 0.019\n[[effect]]\nname = \"stiffness.z\"\num_per_N = 0.0105\n";
+    let run = |seed: u64, mistake: &str| {
+        let mut d = Dice::new(seed);
+        let mut columns: Vec<Vec<f64>> = vec![Vec::new(); 6];
+        for i in 0..160_i32 {
+            let wet = f64::from(i / 20 % 3 == 1);
+            let (px, pz) = (100.0 * f64::from(i % 7), 80.0 * f64::from(i % 5));
+            let ex = 8.0 * wet + 0.020 * px + 0.3 * d.normal();
+            let ez = -5.0 * wet + 0.010 * pz + 0.3 * d.normal();
+            let wet = if mistake == "wet" { 1.0 - wet } else { wet };
+            let by = if mistake == "Px" { 9.81 } else { 1.0 };
+            columns
+                .iter_mut()
+                .zip([10.0 * f64::from(i), wet, px / by, pz / by, ex, ez])
+                .for_each(|(c, v)| c.push(v));
+        }
+        let roles = [
+            ("t", "time"),
+            ("wet", "coolant"),
+            ("Px", "load.x"),
+            ("Pz", "load.z"),
+            ("ex", "error.x"),
+            ("ez", "error.z"),
+        ];
+        parsed("press", Kind::Drift, roles.into_iter().zip(columns).map(|((n, r), v)| (n, r, v)).collect())
+    };
+    for seed in 1..=3 {
+        let clean = with_model(model, &run(seed, ""));
+        assert_eq!((clean.verdict, kinds(&clean)), (Verdict::NothingMissing, vec![]), "{}", clean.to_json());
+        for (what, column) in [(What::Swapped, "wet"), (What::Unit, "Px")] {
+            let r = with_model(model, &run(seed, column));
+            assert_eq!((kinds(&r), r.refined.len()), (vec![(what, column)], 0), "{}", r.to_json());
+        }
+    }
+}
+
+/// A force at accelerations that were written in m/s² under mm/s².
+#[test]
+fn accelerations_in_metres_that_only_the_model_shows_are_said() {
+    let model = "name = \"m\"\n[[effect]]\nname = \"inertia.x\"\nkg = 210.0\n[[effect]]\nname = \"friction_coulomb.x\"\nN = 55.0\n";
+    for (per, said) in [(1.0, vec![]), (1000.0, vec![(What::Unit, "ax")])] {
+        let mut d = Dice::new(11);
+        let mut columns: Vec<Vec<f64>> = vec![Vec::new(); 5];
+        for i in 0..400_i32 {
+            let t = 0.01 * f64::from(i);
+            let (x, v, a) = (50.0 * (2.0 * t).sin(), 100.0 * (2.0 * t).cos(), -200.0 * (2.0 * t).sin());
+            let a = 5.0 * a;
+            let f = 0.2 * a + 50.0 * v.signum() + 3.0 * d.normal();
+            columns.iter_mut().zip([t, x, v, a / per, f]).for_each(|(c, v)| c.push(v));
+        }
+        let roles = [
+            ("t", "time"),
+            ("x", "position.x"),
+            ("vx", "velocity.x"),
+            ("ax", "acceleration.x"),
+            ("fx", "force.x"),
+        ];
+        let run = parsed(
+            "swing",
+            Kind::Dynamics,
+            roles.into_iter().zip(columns).map(|((n, r), v)| (n, r, v)).collect(),
+        );
+        let r = with_model(model, &run);
+        assert_eq!(kinds(&r), said, "{}", r.to_json());
+    }
+}

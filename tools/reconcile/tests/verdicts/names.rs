@@ -304,3 +304,48 @@ fn a_zero_is_no_drift_that_has_ended_after_two_rows() {
         assert!(!found.iter().any(|n| n.starts_with("warm_up")), "{seed}: {found:?}");
     }
 }
+
+/// A record at rest shows its gauge's zero there, and nothing of a map.
+/// Its place is no knot, so all heights are as certain as the line's rows make them.
+#[test]
+fn a_record_at_rest_leaves_a_map_as_it_is() {
+    let mut normal = noise(4);
+    let bend = |p: f64| 0.16 * (p + 130.0).abs() - 12.0;
+    let step = |i: i32| f64::from(15 - (i % 62 - 31).abs().min(30));
+    let p: Vec<f64> = (0..186).map(|i| 10.0 * step(i) + 3.0 * step(i).sin() - 150.0).collect();
+    let e = p.iter().map(|p| bend(*p) + 0.4 * normal()).collect();
+    let t = |n: i32| (0..n).map(|i| 8.0 * f64::from(i)).collect::<Vec<f64>>();
+    let columns = vec![("t", "time", t(186)), ("p", "position.z", p), ("e", "error.z", e)];
+    let line = record(Kind::Positioning, columns);
+    let load: Vec<f64> = (0..100).map(|i| 50.0 * f64::from(i % 9)).collect();
+    let e = load.iter().map(|f| 31.0 + 0.02 * f + 0.4 * normal()).collect();
+    let at = vec![-146.0; 100];
+    let columns =
+        vec![("t", "time", t(100)), ("p", "position.z", at), ("f", "load.z", load), ("e", "error.z", e)];
+    let mut rest = record(Kind::Drift, columns);
+    rest.path = "rest.run.toml".into();
+    let r = reconcile(&[line, rest], &[], &Machine::ideal("m"), &Options::default()).unwrap();
+    let mut found = names(&r);
+    found.sort();
+    assert_eq!(found, ["position_map.z", "scale.z", "stiffness.z"], "{} {:?}", r.verdict, r.unexplained);
+    let (map, half) = r.effects.iter().find(|(f, _)| f.effect.name() == "position_map.z").unwrap();
+    let heights = &half[map.effect.width()..];
+    assert!(heights.iter().all(|h| *h < 1.0), "{heights:?}");
+}
+
+/// A wave beside one of the model has an interval of its period too.
+#[test]
+fn a_wave_beside_a_known_one_has_an_uncertain_period() {
+    let mut normal = noise(6);
+    let p: Vec<f64> = (0..300_i32).map(|i| 3.7 * f64::from(75 - (i % 150 - 75).abs())).collect();
+    let wave = |p: f64| (2.0 + 0.02 * p) * (TAU * p / 12.0 + 0.4).sin();
+    let e = p.iter().map(|p| wave(*p) + 0.3 * normal()).collect();
+    let t = (0..300).map(|i| 8.0 * f64::from(i)).collect();
+    let run = record(Kind::Positioning, vec![("t", "time", t), ("p", "position.y", p), ("e", "error.y", e)]);
+    let text = "name = \"m\"\n[[effect]]\nname = \"screw_periodic.y\"\nperiod_mm = 12.0\num = 2.0\nphase_rad = 0.4\n";
+    let model = Machine::parse(Path::new("m.toml"), text).unwrap();
+    let r = reconcile(&[run], &[], &model, &Options::default()).unwrap();
+    assert_eq!(names(&r), ["screw_slope.y"], "{} {:?}", r.verdict, r.unexplained);
+    let (period_mm, half) = (r.effects[0].0.effect.scalar(0), r.effects[0].1[0]);
+    assert!(half > 0.0 && (period_mm - 12.0).abs() < 2.0 * half, "{period_mm} ± {half}");
+}
