@@ -147,17 +147,16 @@ impl<'r> Response<'r> {
     /// It is without its constant, and without its straight line if a name explains that.
     fn smooth(&self, v: &[f64], kernel: &dyn Fn(f64) -> Kernel, line: bool) -> Vec<Vec<f64>> {
         let line: &[fn(f64) -> f64] = if line { &[|x| x] } else { &[] };
-        self.smooth_without(v, kernel, line, SHAPE_RANK)
+        self.smooth_without(v, kernel, line)
     }
 
     /// A smooth function of a variable.
-    /// It is without its constant, and without these functions, which have names. It has at most `rank` directions.
+    /// It is without its constant, and without these functions, which have names.
     fn smooth_without(
         &self,
         v: &[f64],
         kernel: &dyn Fn(f64) -> Kernel,
         named: &[fn(f64) -> f64],
-        rank: usize,
     ) -> Vec<Vec<f64>> {
         let values: Vec<f64> = self.own.iter().map(|i| v[*i]).collect();
         let knots = knots(&values, KNOTS);
@@ -175,7 +174,7 @@ impl<'r> Response<'r> {
                 }
             }
         }
-        let found = directions(&knots, kernel(range), &without, rank);
+        let found = directions(&knots, kernel(range), &without, SHAPE_RANK);
         let mut out = vec![vec![0.0; self.rows.n]; found.len()];
         for i in &self.own {
             for (knot, w) in shares(&knots, v[*i]) {
@@ -229,7 +228,7 @@ fn along_scalars(r: &Response<'_>, out: &mut Vec<Shaped>) {
                 l if l.starts_with("velocity") => &[|v| v, sign, f64::abs],
                 _ => &[|x| x],
             };
-            let columns = r.smooth_without(&data, &|range| Kernel::Smooth(length * range), named, SHAPE_RANK);
+            let columns = r.smooth_without(&data, &|range| Kernel::Smooth(length * range), named);
             out.push((r.shape(&[&label], "smooth"), columns));
         }
     }
@@ -237,10 +236,8 @@ fn along_scalars(r: &Response<'_>, out: &mut Vec<Shaped>) {
 
 /// A slow walk over time that does not repeat.
 fn wander(r: &Response<'_>, out: &mut Vec<Shaped>) {
-    for rank in [SHAPE_RANK, KNOTS] {
-        let columns = r.smooth_without(&r.time(), &|range| Kernel::Rough(0.1 * range), &[], rank);
-        out.push((r.shape(&["time"], "wanders"), columns));
-    }
+    let columns = r.smooth(&r.time(), &|range| Kernel::Rough(0.1 * range), false);
+    out.push((r.shape(&["time"], "wanders"), columns));
 }
 
 /// Creep of stands, glue and magnetic bases with the logarithm of time.
@@ -353,11 +350,8 @@ fn with_load(r: &Response<'_>, out: &mut Vec<Shaped>) {
 fn around(r: &Response<'_>, out: &mut Vec<Shaped>) {
     let Some(angle) = r.role(&Role::Angle) else { return };
     let turns = r.own.windows(2).map(|w| (angle[w[1]] - angle[w[0]]).abs()).sum::<f64>() / TAU;
-    // At least four rows for each wave.
-    let finest = (r.own.len() as f64 / (4.0 * turns)) as i32;
-    let mut all = [4, 10, 30].map(|h: i32| h.min(finest)).to_vec();
-    all.dedup();
-    for harmonics in all.into_iter().filter(|h| *h > 1) {
+    for harmonics in [4_i32, 10, 30].into_iter().filter(|h| 4.0 * f64::from(*h) * turns < r.own.len() as f64)
+    {
         let mut columns = Vec::new();
         for k in 2..=harmonics {
             let size = CONTRIBUTION / f64::from(harmonics).sqrt();

@@ -1,7 +1,6 @@
 //! Turns an estimate into findings.
 //! They are effects with a name, shapes without one, and corrections of the model.
 
-use rtec_estimate::priors::{HELD, THERE};
 use rtec_estimate::problem::Units;
 use rtec_estimate::{Estimate, Found, Rival, Shape};
 use rtec_model::effect::Effect;
@@ -64,22 +63,14 @@ pub(crate) fn analyse(records: &[Record], machine: &Machine, level: f64) -> Answ
     let estimate = rtec_estimate::estimate(records, machine.dictionary(), &model, &stated(machine));
     let mut findings = Vec::new();
     let mut unexplained = Vec::new();
-    let rows = rtec_estimate::rows::Rows::new(records);
-    let said: Vec<&Found> =
-        estimate.found.iter().filter(|f| f.replaces.is_some() || p_value(f) <= level).collect();
-    // The share of its posterior that a name leaves to shapes. Beside something without a name it must hold its place
-    // against shapes too: they describe the same residual.
-    let most = |effect: &Effect| {
-        let acts = Shape::like(&rows, effect, "").map(|s| s.response);
-        let mut shapes = said.iter().filter_map(|f| f.shape.as_ref());
-        if shapes.any(|s| Some(&s.response) == acts.as_ref()) { 1.0 - HELD } else { THERE }
-    };
-    for f in &said {
+    for f in estimate.found.iter().filter(|f| f.replaces.is_some() || p_value(f) <= level) {
         match (&f.effect, &f.shape) {
-            (Some(effect), _) if f.shape_mass < most(effect) && f.has_size() => {
+            // A name is accepted if shapes hold less than half of its posterior and its size is not zero.
+            (Some(effect), _) if f.shape_mass < rtec_estimate::priors::THERE && f.has_size() => {
                 findings.push((finding(f, effect), f.half.clone()));
             }
             (Some(effect), _) => {
+                let rows = rtec_estimate::rows::Rows::new(records);
                 unexplained.extend(Shape::like(&rows, effect, "not as any effect of the dictionary"));
             }
             (None, Some(shape)) => unexplained.push(shape.clone()),

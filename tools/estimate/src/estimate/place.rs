@@ -33,13 +33,6 @@ pub(super) fn add_alike_maps(search: &Search<'_>, set: &Set, member: usize, all:
     }
 }
 
-/// Adds the shapes of the set that the member may be a part of.
-fn add_alike_shapes(search: &Search<'_>, set: &Set, member: usize, all: &mut Vec<Stand>) {
-    for (family, odds) in search.shapes_alike(&search.of_last(set, member)) {
-        all.push((family, search.families.list[family].label(), None, set.score + odds));
-    }
-}
-
 /// Adds the refined alternatives to a member.
 /// Returns the likeliest set with one of them that is likelier than the given set.
 fn stands(
@@ -99,7 +92,6 @@ pub(super) fn place(search: &Search<'_>, set: &Set, member: usize) -> Place {
     let far = seeds.iter().position(|s| s.score < top - HOPELESS - 2.0).unwrap_or(seeds.len());
     let better = stands(search, set, &without, own, &seeds[..far], &mut all);
     add_alike_maps(search, set, member, &mut all);
-    add_alike_shapes(search, set, member, &mut all);
     let masses: Vec<f64> = all.iter().map(|a| a.3).chain([without.score]).collect();
     let total = log_sum(masses.iter().copied());
     let of = |yes: &dyn Fn(&Stand) -> bool| {

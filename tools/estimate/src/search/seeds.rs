@@ -5,7 +5,7 @@ use crate::bank::Look;
 use crate::cause::Cause;
 use crate::effort::{DIFFERENCES, HARMONICS, PEAKS, TRIED, USUAL_TRIED, WAVES_KEPT};
 use crate::family::{Families, Family, Scan};
-use crate::priors::{ALIKE, BENT_SHARE, CONTRIBUTION, LISTED, THERE, USUAL_SHARE, USUAL_WITHIN, WIDE};
+use crate::priors::{ALIKE, BENT_SHARE, CONTRIBUTION, LISTED, USUAL_SHARE, USUAL_WITHIN, WIDE};
 use crate::rows::Rows;
 use crate::shapes::changing_wave;
 use rtec_least_squares::{Factor, add, dot};
@@ -236,8 +236,20 @@ impl Search<'_> {
             return Vec::new();
         };
         let without = self.first(set, set.members.len() - 1);
-        let found = self.contribution(set);
-        let shows = |columns: Columns| shown(&without, &found, &columns);
+        let beta = set.factor.solve();
+        let mut found = vec![0.0; self.problem.rows.n];
+        for (c, b) in own.columns.iter().zip(&beta[without.len()..]) {
+            add(&mut found, b * own.level, c);
+        }
+        let found = without.beside(&found);
+        let power = dot(&found, &found);
+        let shows = |columns: Columns| {
+            let mut other = Factor::new(&found);
+            for c in columns {
+                other.push(&without.beside(&c).iter().map(|x| x * WIDE).collect::<Vec<_>>());
+            }
+            1.0 - dot(other.residual(), other.residual()) / power
+        };
         let is_map = matches!(own.cause, Cause::Map { .. });
         let of = |(family, f): (usize, &Family)| {
             let Scan::Grid(points) = &f.scan else { return None };
@@ -248,37 +260,6 @@ impl Search<'_> {
             Some(Seed { family, cause: cause.clone(), weight: *weight, score: f.prior })
         };
         self.families.list.iter().enumerate().filter_map(of).collect()
-    }
-
-    /// Shapes of a set that its last member, a name, may be a part of.
-    /// What already has no name does most of what the member does, and is no smaller in typical sizes. Each comes with
-    /// the log odds of its prior against the member's.
-    #[must_use]
-    pub fn shapes_alike(&self, set: &Set) -> Vec<(usize, f64)> {
-        let Some((own, others)) = set.members.split_last().filter(|(m, _)| m.cause.effect().is_some()) else {
-            return Vec::new();
-        };
-        let found = self.contribution(set);
-        let of = |m: &Member| {
-            let family = self.family(m.family);
-            let unnamed = family.shape.is_some() && !family.set_up && m.level >= own.level;
-            let alike = unnamed && shown(&self.base.factor, &found, &m.columns) > THERE;
-            alike.then(|| (m.family, family.prior - self.family(own.family).prior))
-        };
-        others.iter().filter_map(of).collect()
-    }
-
-    /// The contribution of a set's last member to the whitened rows.
-    fn contribution(&self, set: &Set) -> Vec<f64> {
-        let mut found = vec![0.0; self.problem.rows.n];
-        if let Some((own, others)) = set.members.split_last() {
-            let before: usize = others.iter().map(Member::width).sum();
-            let beta = set.factor.solve();
-            for (c, b) in own.columns.iter().zip(&beta[self.base.factor.len() + before..]) {
-                add(&mut found, b * own.level, c);
-            }
-        }
-        found
     }
 
     /// The bow of a map: a parabola over its knots, without constant and straight line.
@@ -400,16 +381,6 @@ impl Search<'_> {
         let cause = Cause::Shape(Arc::new((shape, columns)));
         Some(Seed { family, cause, weight: seed.weight, score: seed.score })
     }
-}
-
-/// Share of a contribution's power, beside a factor, that columns of any size show.
-fn shown(beside: &Factor, contribution: &[f64], columns: &[Vec<f64>]) -> f64 {
-    let left = beside.beside(contribution);
-    let mut other = Factor::new(&left);
-    for c in columns {
-        other.push(&beside.beside(c).iter().map(|x| x * WIDE).collect::<Vec<_>>());
-    }
-    1.0 - dot(other.residual(), other.residual()) / dot(&left, &left)
 }
 
 /// Whether a growth changes sign within the measured temperatures.

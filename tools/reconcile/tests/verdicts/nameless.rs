@@ -217,21 +217,3 @@ fn above_the_floor_is_more_than_chance() {
     said.phi = 0.7;
     assert!(!gap(1.1, &said), "so much memory leaves few independent rows");
 }
-
-/// A ring of irregular form is neither bumps nor lobes.
-/// A slip of some minutes is no warm-up.
-#[test]
-fn names_give_way_to_a_structure_that_holds_them() {
-    for seed in 1..4 {
-        let mut d = Dice::new(seed);
-        let waves: Vec<[f64; 2]> = (2..16).map(|_| [d.normal(), TAU * d.unit()]).collect();
-        let angle: Vec<f64> = (0..360).map(|i| TAU * f64::from(i % 120) / 120.0).collect();
-        let form =
-            |a: f64| (2..16).zip(&waves).map(|(k, [um, by])| um * (f64::from(k) * a + by).cos()).sum::<f64>();
-        let e = angle.iter().map(|a| form(*a) + 0.2 * d.normal()).collect();
-        let t = (0..360).map(|i| 5.0 * f64::from(i)).collect();
-        let columns = vec![("t", "time", t), ("a", "angle", angle), ("e", "error.r", e)];
-        nameless("", &[record("ring", Kind::Part, columns)]);
-        nameless("", &[drift("slip", seed, |t| 9.0 * ((t - 1900.0) / 500.0).clamp(0.0, 1.0))]);
-    }
-}
