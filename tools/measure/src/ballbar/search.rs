@@ -4,7 +4,7 @@
 use super::diagnosis::Fit;
 use super::{law, structure};
 use nalgebra::{DMatrix, DVector};
-use rtec_least_squares::orthonormal;
+use rtec_least_squares::{Factor, orthonormal};
 use rtec_model::effect::{Dictionary, Effect, laws};
 use rtec_model::record::{Axis, Role};
 use statrs::distribution::{ChiSquared, ContinuousCDF};
@@ -176,13 +176,13 @@ impl Fit<'_> {
     /// Kass and Raftery 1995. `typical_um` is the standard deviation of their amplitudes' prior.
     pub(super) fn odds(&self, columns: &[DVector<f64>], typical_um: f64) -> f64 {
         let (q, left, variance) = self.prepared();
-        let own: Vec<DVector<f64>> =
-            columns.iter().map(|c| self.white(c)).map(|c| &c - &q * q.tr_mul(&c)).collect();
-        let own = DMatrix::from_columns(&own) * (typical_um / variance.sqrt());
-        let precision = own.tr_mul(&own) + DMatrix::identity(columns.len(), columns.len());
-        let along = own.tr_mul(&left) / variance.sqrt();
-        let Some(root) = precision.cholesky() else { return 0.0 };
-        0.5 * along.dot(&root.solve(&along)) - root.l().diagonal().map(f64::ln).sum()
+        let left = left / variance.sqrt();
+        let mut factor = Factor::new(left.as_slice());
+        for c in columns.iter().map(|c| self.white(c)) {
+            let own = (&c - &q * q.tr_mul(&c)) * (typical_um / variance.sqrt());
+            factor.push(own.as_slice());
+        }
+        0.5 * (left.norm_squared() - factor.left()) - factor.half_log_det()
     }
 
     /// Log odds of a spike of an axis against none, over all lengths.
