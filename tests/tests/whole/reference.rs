@@ -33,9 +33,11 @@ fn shown(page: &str) -> BTreeSet<String> {
 }
 
 /// Quoted words in the lists of keys that a reader knows.
-/// Such a list is `….only(&["…", …])`.
+/// Such a list is `….only(&["…", …])`, or the constant `KEYS` of its file.
 fn keys_read(source: &str) -> Vec<&str> {
-    let lists = source.split(".only(&[").skip(1).map(|rest| rest.split(']').next().unwrap());
+    let lists = source.split(".only(&[").skip(1);
+    let named = source.split("const KEYS: [&str").skip(1).filter_map(|rest| Some(rest.split_once("= [")?.1));
+    let lists = lists.chain(named).map(|rest| rest.split(']').next().unwrap());
     lists.flat_map(|list| list.split('"').skip(1).step_by(2)).collect()
 }
 
@@ -75,7 +77,7 @@ fn the_words_of_a_page_are_those_it_shows_as_code() {
 fn keys_of_the_files_stand_on_their_pages() {
     for (page, file, least) in [
         ("machine-toml.md", "tools/model/src/machine/read.rs", 20),
-        ("machine-toml.md", "tools/model/src/effect/own.rs", 12),
+        ("machine-toml.md", "tools/model/src/effect/project_laws.rs", 12),
         ("chain.md", "tools/model/src/chain.rs", 15),
         ("records.md", "tools/records/src/record.rs", 11),
         ("records.md", "tools/measure/src/import/own.rs", 8),
@@ -84,7 +86,7 @@ fn keys_of_the_files_stand_on_their_pages() {
     ] {
         all_stand(page, &keys_read(&source(file)), least);
     }
-    let own = source("tools/model/src/effect/own.rs");
+    let own = source("tools/model/src/effect/project_laws.rs");
     let quantities = own.split("const QUANTITIES").nth(1).unwrap().split("];").next().unwrap();
     all_stand(
         "machine-toml.md",
@@ -240,7 +242,7 @@ fn the_table_of_alarms_is_what_the_code_can_say() {
     assert_eq!(faults, Fault::ALL.map(word).into(), "faults of the table and of the code");
 
     let all = |files: &[&str]| files.iter().flat_map(|f| literals(&source(f))).collect::<Vec<_>>();
-    let words = source("tools/control/src/protocol/words.rs");
+    let words = source("tools/control/src/protocol/explanations.rs");
     let refusals =
         words.split("fn explain_refusal").nth(1).unwrap().split("fn explain_fault").next().unwrap();
     let session = ["orders", "loads", "report"].map(|f| format!("tools/rtecd/src/session/{f}.rs"));

@@ -194,8 +194,9 @@ mod tests {
                 let up = [0.0, 10.0, 20.0, 30.0, 40.0, 50.0, 60.0, 70.0, 80.0, 90.0, 95.0, 97.0, 98.2];
                 let down = up.iter().rev().skip(1).map(|p| (*p - 0.2, -40.0));
                 let rows = up.iter().map(|p| (*p, 40.0)).chain([(top, -2.0), (98.0, -20.0)]).chain(down);
-                for (place, speed) in rows {
-                    now_s += if place == 98.0 { (top - 98.0) / 11.0 } else { 0.25 };
+                for (i, (place, speed)) in rows.enumerate() {
+                    let after_the_turn = i == up.len() + 1;
+                    now_s += if after_the_turn { (top - 98.0) / 11.0 } else { 0.25 };
                     t.push(now_s);
                     y.push(place);
                     v.push(speed);
