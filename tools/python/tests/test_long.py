@@ -41,6 +41,8 @@ calls = {
 INTERRUPTED = """
 import os, signal, threading, time, warnings
 warnings.simplefilter("ignore")
+# A shell that starts the tests in the background has it ignored.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 sent = []
 def later():
     time.sleep(0.7)
