@@ -167,6 +167,7 @@ pub(crate) fn rms<'v>(v: impl IntoIterator<Item = &'v f64>) -> f64 {
 /// Residual of each row under a fit of the other blocks.
 /// `None` if nothing was fitted.
 /// `curve` replaces what no effect explains, and is fitted with the findings.
+/// Of the model's effects only those move that the better model corrects.
 pub(crate) fn left_of_blocks(
     used: &[Record],
     answer: &Answer,
@@ -175,10 +176,12 @@ pub(crate) fn left_of_blocks(
 ) -> Option<Vec<f64>> {
     let findings = answer.findings.iter().map(|(f, _)| &f.effect);
     let found: Vec<Effect> = findings.chain(curve).cloned().collect();
-    let moved = answer.estimate.known.iter().any(|k| k.beyond_chance);
-    (!found.is_empty() || moved).then(|| {
+    let known = answer.estimate.known.iter().filter(|k| k.beyond_chance);
+    let corrected: Vec<usize> = known.map(|k| k.place).collect();
+    (!found.is_empty() || !corrected.is_empty()).then(|| {
         let (rows, model) = (Rows::new(used), machine.effects().cloned().collect::<Vec<_>>());
-        let problem = Problem::new(&rows, &model, &stated(machine));
+        let mut problem = Problem::new(&rows, &model, &stated(machine));
+        problem.known.retain(|k| corrected.contains(&k.effect));
         Refit::new(&problem, &found).left_by_others(&answer.estimate.noise, FOLDS)
     })
 }

@@ -4,6 +4,7 @@
 
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
+use crate::names;
 use rtec_measure::plausible::What;
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, Column, Kind, Record, Role};
@@ -50,10 +51,6 @@ fn spoil(record: &mut Record, column: &str, f: impl Fn(usize, f64) -> f64) {
 fn answer(train: &[Record], holdout: &[Record]) -> Reconciliation {
     let model = Machine::parse(Path::new("m.toml"), MODEL).unwrap();
     reconcile(train, holdout, &model, &Options::default()).unwrap()
-}
-
-pub(crate) fn names(r: &Reconciliation) -> Vec<String> {
-    r.effects.iter().map(|(f, _)| f.effect.name()).collect()
 }
 
 #[test]

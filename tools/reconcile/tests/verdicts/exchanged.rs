@@ -2,7 +2,7 @@
 
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
-use crate::doubted::names;
+use crate::names;
 use rtec_measure::plausible::What;
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, Column, Kind, Record, Role};

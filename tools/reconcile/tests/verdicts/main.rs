@@ -35,3 +35,8 @@ fn answer(model: &str, train: &[Record], later: &[Record]) -> Reconciliation {
     let model = Machine::parse(Path::new("m.toml"), &format!("name = \"m\"\n{model}")).unwrap();
     reconcile(train, later, &model, &Options::default()).unwrap()
 }
+
+/// The names that were given, likeliest first.
+fn names(r: &Reconciliation) -> Vec<String> {
+    r.effects.iter().map(|(f, _)| f.effect.name()).collect()
+}

@@ -2,6 +2,7 @@
 
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
+use crate::names;
 use crate::noise::noise;
 use rtec_measure::plausible::What;
 use rtec_model::machine::Machine;
@@ -17,10 +18,6 @@ fn record(kind: Kind, columns: Vec<(&str, &str, Vec<f64>)>) -> Record {
 
 fn answer(record: Record) -> Reconciliation {
     reconcile(&[record], &[], &Machine::ideal("m"), &Options::default()).unwrap()
-}
-
-fn names(r: &Reconciliation) -> Vec<String> {
-    r.effects.iter().map(|(f, _)| f.effect.name()).collect()
 }
 
 /// One slow sweep in even steps.
