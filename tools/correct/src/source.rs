@@ -5,7 +5,7 @@ use rtec_files::InputError;
 use rtec_model::effect::{Against, Difference, Effect, Heat, Naming, Need, STANDARD_DEGC};
 use rtec_model::live::{AxisNow, Frame, Layout, Live};
 use rtec_model::machine::{FitNote, Machine};
-use rtec_model::record::{Axis, Role};
+use rtec_model::record::{Axis, Role, span};
 use rtec_sensors::{Use, Watch};
 
 /// Time constants after which a lag is known to 2 %.
@@ -71,8 +71,8 @@ impl Inputs {
 
     /// Whether all temperatures are nearly equal: the machine has long been idle.
     fn cold(&self) -> bool {
-        let t = self.temperatures_degc.iter().copied();
-        t.clone().fold(f64::MIN, f64::max) - t.fold(f64::MAX, f64::min) <= COLD_K
+        let [coldest, warmest] = span(&self.temperatures_degc);
+        warmest - coldest <= COLD_K
     }
 }
 

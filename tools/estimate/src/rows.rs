@@ -3,7 +3,7 @@
 use crate::effort::{MUCH_MEMORY, ONE_PLACE, TIME_CONSTANTS};
 use crate::priors::{ALIKE_ROWS, MOST_PHI, NOISE};
 use rtec_model::effect::{Dictionary, Effect, Extent, Law, Quantity};
-use rtec_model::record::{Axis, Record, Role};
+use rtec_model::record::{Axis, Record, Role, span};
 use std::ops::Range;
 
 /// One response of one record: a stretch of the rows.
@@ -166,11 +166,6 @@ pub fn is_placed(record: &Record, effect: &Effect) -> bool {
     record.knows_places() || !needs_place(effect)
 }
 
-/// Smallest and largest of these values.
-fn range<'v>(values: impl IntoIterator<Item = &'v f64>) -> [f64; 2] {
-    values.into_iter().fold([f64::INFINITY, f64::NEG_INFINITY], |[lo, hi], x| [lo.min(*x), hi.max(*x)])
-}
-
 impl Extent for Rows<'_> {
     fn rows(&self) -> usize {
         self.n
@@ -205,11 +200,11 @@ impl Extent for Rows<'_> {
         let placed = self.records.iter().filter(|r| r.knows_places());
         let read: Vec<(bool, &[f64])> =
             placed.filter_map(|r| Some((r.zero.is_some(), r.data(&role)?))).collect();
-        let [lo, hi] = range(read.iter().flat_map(|r| r.1));
+        let [lo, hi] = span(read.iter().flat_map(|r| r.1));
         let close = (hi - lo) * ONE_PLACE;
         // Of a record at rest only its own zero is seen, not what differs from place to place.
         let moves = |p: &[f64]| {
-            let [lo, hi] = range(p);
+            let [lo, hi] = span(p);
             hi - lo > close
         };
         let shows = read.iter().filter(|(shared_zero, p)| *shared_zero || moves(p));

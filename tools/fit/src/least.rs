@@ -17,7 +17,7 @@ use rtec_measure::ballbar::in_motion;
 use rtec_measure::steps::{Steps, is_coarse_cause, step_of};
 use rtec_model::effect::{Dictionary, Difference, Effect, Need, Quantity, Search};
 use rtec_model::machine::{FitNote, Machine, NORMAL_95, Provenance, Source};
-use rtec_model::record::{Axis, Column, Kind, Record, Role};
+use rtec_model::record::{Axis, Column, Kind, Record, Role, span};
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -182,10 +182,7 @@ impl Problem {
             });
             let alike = alike.collect();
             self.causes.push(CoarseCause { start: piece.start, moves, alike });
-            let [low, high] = column
-                .data
-                .iter()
-                .fold([f64::INFINITY, f64::NEG_INFINITY], |[l, h], v| [l.min(*v), h.max(*v)]);
+            let [low, high] = span(&column.data);
             if is_coarse_cause(column, step, high - low) {
                 let unit = if column.role == Role::Temperature { "K" } else { column.unit.as_str() };
                 said.push(format!(
@@ -219,10 +216,7 @@ impl Problem {
             // A parameter that changes readings by less than a step changes none: within rows that read alike it may have any value that
             // keeps the largest change within a step. The difference of two rounding errors has twice the variance of one.
             for column in &self.columns {
-                let bounds = |rows: &Vec<usize>| {
-                    let of = |[lo, hi]: [f64; 2], i: &usize| [lo.min(column[*i]), hi.max(column[*i])];
-                    rows.iter().fold([f64::INFINITY, f64::NEG_INFINITY], of)
-                };
+                let bounds = |rows: &Vec<usize>| span(rows.iter().map(|i| column[*i]));
                 let ranges: Vec<[f64; 2]> = rounded.alike.iter().map(bounds).collect();
                 let widest = ranges.iter().map(|[lo, hi]| hi - lo).fold(0.0, f64::max);
                 if widest > 0.0 {

@@ -1,7 +1,7 @@
 //! Residuals that repeat at a place.
 //! They are compared with the scatter of the rows of one place. Stretches of places serve for leaving out.
 
-use rtec_model::record::{Record, Role};
+use rtec_model::record::{Record, Role, span};
 use statrs::distribution::{ContinuousCDF, FisherSnedecor};
 use std::collections::BTreeMap;
 use std::fmt;
@@ -32,7 +32,7 @@ pub(crate) fn moving(record: &Record) -> impl Iterator<Item = (String, &[f64])> 
 }
 
 fn range(p: impl Iterator<Item = f64>) -> f64 {
-    let (lo, hi) = p.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)));
+    let [lo, hi] = span(p);
     (hi - lo).max(0.0)
 }
 

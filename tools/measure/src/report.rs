@@ -9,7 +9,7 @@ pub use of::{ballbar, diagonals, drift, history, plate, positioning, repeatabili
 use crate::iso230::Conditions;
 use crate::plot::{Picture, PlotError};
 use rtec_files::words::escaped;
-use rtec_model::record::{Column, Record, Role};
+use rtec_model::record::{Column, Record, Role, span};
 use std::fmt::Write as _;
 
 /// A table; columns whose name starts with `#` hold numbers and stand right.
@@ -107,10 +107,7 @@ impl Run {
     /// That of a record.
     #[must_use]
     pub fn of(record: &Record) -> Self {
-        let range = |c: &Column| {
-            let wider = |[l, h]: [f64; 2], v: &f64| [l.min(*v), h.max(*v)];
-            (c.name.clone(), c.data.iter().fold([f64::INFINITY, f64::NEG_INFINITY], wider))
-        };
+        let range = |c: &Column| (c.name.clone(), span(&c.data));
         let temperatures = record.columns.iter().filter(|c| c.role == Role::Temperature);
         Self {
             name: record.path.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned()),

@@ -7,7 +7,7 @@
 use crate::iso230::targets;
 use rtec_files::text::short;
 use rtec_model::circle::tick;
-use rtec_model::record::{Column, Kind, Record, Role, shared_step};
+use rtec_model::record::{Column, Kind, Record, Role, shared_step, span};
 
 /// More values than these are no coarse steps.
 const MOST_VALUES: usize = 400;
@@ -106,8 +106,7 @@ pub fn said(record: &Record, responses: bool) -> Vec<String> {
     let moving = matches!(record.kind, Kind::Ballbar | Kind::Dynamics | Kind::FeedSweep);
     let mut said = Vec::new();
     for column in record.responses().filter(|_| responses) {
-        let [low, high] =
-            column.data.iter().fold([f64::INFINITY, f64::NEG_INFINITY], |[l, h], v| [l.min(*v), h.max(*v)]);
+        let [low, high] = span(&column.data);
         let matters = |steps: &Steps| steps.is_coarse() && high - low < MANY_STEPS * steps.step;
         if let Some(steps) = Steps::of_response(record, column).filter(matters) {
             let unit = if matches!(column.role, Role::Error(_)) { "µm" } else { column.unit.as_str() };
@@ -123,16 +122,15 @@ pub fn said(record: &Record, responses: bool) -> Vec<String> {
     for column in &record.columns {
         let is_cause = column.role == Role::Temperature || moving && matches!(column.role, Role::Position(_));
         let Some(step) = step_of(&column.data).filter(|_| is_cause) else { continue };
-        let lowest = column.data.iter().copied().fold(f64::INFINITY, f64::min);
-        let range = column.data.iter().copied().fold(f64::NEG_INFINITY, f64::max) - lowest;
-        if is_coarse_cause(column, step, range) {
+        let [low, high] = span(&column.data);
+        if is_coarse_cause(column, step, high - low) {
             let unit = if column.role == Role::Temperature { "K" } else { column.unit.as_str() };
             said.push(format!(
                 "{}: readings in steps of {} {unit} over {} {unit}: its range is known within ±{} {unit}, and what follows it in \
                  proportion",
                 column.name,
                 short(step),
-                short(1e-9 * (1e9 * range).round()),
+                short(1e-9 * (1e9 * (high - low)).round()),
                 short(step)
             ));
         }

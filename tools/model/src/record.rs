@@ -7,6 +7,7 @@ use crate::limits;
 use rtec_files::InputError;
 use rtec_files::text::{open_regular, unreadable};
 use sha2::{Digest, Sha256};
+use std::borrow::Borrow;
 use std::fmt::Write as _;
 use std::io::Read as _;
 use std::path::{Path, PathBuf};
@@ -382,6 +383,12 @@ fn times(kind: Kind, columns: &[Column]) -> Vec<f64> {
         Some(c) => c.data.clone(),
         None => (0..columns[0].data.len()).map(|row| row as f64).collect(),
     }
+}
+
+/// Smallest and largest of these values; `[∞, −∞]` of none.
+pub fn span(values: impl IntoIterator<Item: Borrow<f64>>) -> [f64; 2] {
+    let wider = |[low, high]: [f64; 2], v: f64| [low.min(v), high.max(v)];
+    values.into_iter().map(|v| *v.borrow()).fold([f64::INFINITY, f64::NEG_INFINITY], wider)
 }
 
 /// Harmonics of a gauge's saw: the error of the sum is a hundredth of a step.

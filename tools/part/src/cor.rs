@@ -4,6 +4,7 @@
 use crate::fit::Zx;
 use rtec_files::InputError;
 use rtec_files::file_kind::FileKind;
+use rtec_model::record::span;
 use serde::Serialize;
 use std::f64::consts::{PI, TAU};
 use std::fmt::Write as _;
@@ -113,11 +114,9 @@ impl FeatureErrors {
 
     /// Least and largest error, µm.
     pub fn range_um(&self) -> [f64; 2] {
-        let within = |[low, high]: [f64; 2], um: f64| [low.min(um), high.max(um)];
-        let none = [f64::INFINITY, f64::NEG_INFINITY];
         match self {
-            Self::Arc(errors) => errors.iter().map(|e| e.error_um).fold(none, within),
-            Self::Line(errors) => errors.iter().map(|e| e.error_um).fold(none, within),
+            Self::Arc(errors) => span(errors.iter().map(|e| e.error_um)),
+            Self::Line(errors) => span(errors.iter().map(|e| e.error_um)),
         }
     }
 

@@ -11,6 +11,7 @@ use crate::fit::Zx;
 use crate::unit::Unit;
 use rtec_files::InputError;
 use rtec_files::file_kind::FileKind;
+use rtec_model::record::span;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::f64::consts::{PI, TAU};
 use std::path::Path;
@@ -783,8 +784,8 @@ impl Reader<'_> {
     fn gap(&self, rest: &[Piece], ends: &[(usize, Zx)], free: &[usize]) -> InputError {
         // Sorted along the drawing's longer side, so that near ends follow each other.
         let side = |of: &dyn Fn(Zx) -> f64| {
-            let all = free.iter().map(|k| of(ends[*k].1));
-            all.clone().fold(f64::NEG_INFINITY, f64::max) - all.fold(f64::INFINITY, f64::min)
+            let [least, most] = span(free.iter().map(|k| of(ends[*k].1)));
+            most - least
         };
         let along = side(&|p| p.z) >= side(&|p| p.x);
         let place = |k: usize| if along { ends[k].1.z } else { ends[k].1.x };

@@ -4,7 +4,7 @@
 use rtec_estimate::rows::Rows;
 use rtec_model::effect::{Effect, Heat};
 use rtec_model::machine::{FitNote, Machine, Source, Validity};
-use rtec_model::record::{Record, Role};
+use rtec_model::record::{Record, Role, span};
 use std::collections::BTreeMap;
 
 /// Days for which such a model is valid, as for `model fit`.
@@ -74,6 +74,6 @@ fn seen(effect: &Effect, axis: &str, records: &[&Record]) -> Option<Validity> {
     };
     let of = Validity { difference: effect.delta.clone()?, range_k: [0.0; 2], um_per_k };
     let all: Vec<f64> = records.iter().filter_map(|r| of.of(r)).flatten().collect();
-    let [low, high] = all.iter().fold([f64::INFINITY, f64::NEG_INFINITY], |[l, h], v| [l.min(*v), h.max(*v)]);
+    let [low, high] = span(&all);
     (low <= high).then_some(Validity { range_k: [low, high], ..of })
 }

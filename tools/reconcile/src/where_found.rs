@@ -12,7 +12,7 @@ use rtec_estimate::setup::What;
 use rtec_least_squares::dot;
 use rtec_model::effect::Effect;
 use rtec_model::machine::Machine;
-use rtec_model::record::{Axis, Record, Role};
+use rtec_model::record::{Axis, Record, Role, span};
 use serde_json::{Value, json};
 
 /// Structure of a response against one variable.
@@ -270,7 +270,7 @@ fn closely(role: &str, stack: &Rows<'_>, segments: &[&Segment], residual: &[f64]
 /// without its autocorrelation. The p-value allows for the number of frequencies tried.
 fn wave(response: &str, against: &str, x: &[f64], residual: &[f64], sigma: f64) -> Option<Place> {
     let n = residual.len();
-    let (low, high) = x.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(*v), h.max(*v)));
+    let [low, high] = span(x);
     let (span, squares) = (high - low, dot(residual, residual));
     if n < 12 || !(span > 0.0 && span.is_finite() && squares.is_finite() && squares > 0.0) {
         return None;

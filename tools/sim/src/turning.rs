@@ -14,7 +14,7 @@ use rtec_files::words::escaped;
 use rtec_model::effect::{Effect, Need, STANDARD_DEGC};
 use rtec_model::live::{AxisNow, Frame, Live};
 use rtec_model::machine::Machine;
-use rtec_model::record::Record;
+use rtec_model::record::{Record, span};
 use rtec_part::batch::{self, Batch, Judgement};
 use rtec_part::comparison_page::{logged, side_by_side};
 use rtec_part::contour::{Segment, nose};
@@ -399,7 +399,8 @@ impl Setup {
         let errors: Vec<f64> = report.errors.iter().map(|e| e.error_um).collect();
         let truth: Vec<f64> = self.measured(part, radius_mm)?.errors.iter().map(|e| e.error_um).collect();
         let range = |v: &[f64]| {
-            v.iter().copied().fold(f64::MIN, f64::max) - v.iter().copied().fold(f64::MAX, f64::min)
+            let [least, most] = span(v);
+            most - least
         };
         Ok(CutResult {
             largest_um: errors.iter().map(|e| e.abs()).fold(0.0, f64::max),

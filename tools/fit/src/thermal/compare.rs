@@ -8,7 +8,7 @@ use super::term::Term;
 use crate::statistics::{mean, mean_square, rms};
 use rtec_files::InputError;
 use rtec_model::machine::Machine;
-use rtec_model::record::{Record, Role};
+use rtec_model::record::{Record, Role, span};
 use std::collections::BTreeMap;
 
 /// Simple predictions on the same blocks.
@@ -122,7 +122,8 @@ pub(super) fn dry_wet(problem: &Problem, terms: &[Term], train: &[&Record], rows
     let named = |c: &[f64]| thermal.iter().zip(&c[1..]).map(|(k, c)| (problem.name(terms[*k]), *c)).collect();
     let growth = |w: bool| {
         let own = own.y.iter().zip(&wet).filter(|(_, is)| **is == w).map(|(y, _)| *y);
-        own.clone().fold(f64::MIN, f64::max) - own.fold(f64::MAX, f64::min)
+        let [least, most] = span(own);
+        most - least
     };
     Some(DryWet {
         growth_dry_um: growth(false),

@@ -8,7 +8,7 @@ use crate::statistics::{mean_square, quantile, rms};
 use rtec_files::InputError;
 use rtec_model::effect::Difference;
 use rtec_model::machine::{Validity, unknown_um};
-use rtec_model::record::{Record, Role};
+use rtec_model::record::{Record, Role, span};
 
 /// Largest used excess of a difference over its seen range, as a share of it.
 /// Further out it is held at the bound.
@@ -106,9 +106,7 @@ impl Watched {
             let Term::Thermal { sensor, minus, .. } = *term else {
                 unreachable!("only differences are watched")
             };
-            let (lo, hi) = rows
-                .iter()
-                .fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), i| (l.min(u[*i]), h.max(u[*i])));
+            let [lo, hi] = span(rows.iter().map(|i| u[*i]));
             let margin = BEYOND * (hi - lo);
             let name = &problem.sensors[sensor];
             let difference = match minus {

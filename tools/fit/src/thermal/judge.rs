@@ -4,6 +4,7 @@ use super::problem::Problem;
 use super::term::Term;
 use rtec_least_squares::dot;
 use rtec_measure::iso230::correlation;
+use rtec_model::record::span;
 use std::ops::Range;
 
 /// A structure with its cross-validation.
@@ -389,8 +390,8 @@ impl Problem {
 
     /// Range of the values on these folds.
     fn swing(&self, values: &[f64], folds: &[usize]) -> f64 {
-        let seen = || self.stretches(folds).flat_map(|s| &values[s]).copied();
-        seen().fold(f64::NEG_INFINITY, f64::max) - seen().fold(f64::INFINITY, f64::min)
+        let [least, most] = span(self.stretches(folds).flat_map(|s| &values[s]));
+        most - least
     }
 
     /// Whether the coefficients are physical.

@@ -4,7 +4,7 @@
 
 use super::{Options, Positioning, error_axes, lacks, positioning_with};
 use rtec_files::InputError;
-use rtec_model::record::{Axis, Column, Kind, Record, Role};
+use rtec_model::record::{Axis, Column, Kind, Record, Role, span};
 use serde::Serialize;
 use std::collections::BTreeMap;
 
@@ -111,10 +111,6 @@ pub fn diagonals(records: &[Record], options: &Options) -> Result<Diagonals, Inp
     })
 }
 
-fn span(p: &[f64]) -> [f64; 2] {
-    p.iter().fold([f64::INFINITY, f64::NEG_INFINITY], |[l, h], v| [l.min(*v), h.max(*v)])
-}
-
 fn diagonal(record: &Record, options: &Options) -> Result<Diagonal, InputError> {
     let moving: Vec<(&Axis, &[f64], f64)> = record
         .axes(Role::Position)
@@ -136,7 +132,7 @@ fn diagonal(record: &Record, options: &Options) -> Result<Diagonal, InputError> 
     let share = |row: usize| (last[row] - lo) / (hi - lo);
     let mut unit: Vec<f64> = Vec::new();
     for (axis, p, travel) in &moving {
-        let [low, high] = span(p);
+        let [low, high] = span(*p);
         let off = |from: f64, way: f64| {
             (0..p.len()).map(|row| (p[row] - from - way * travel * share(row)).abs()).fold(0.0, f64::max)
         };

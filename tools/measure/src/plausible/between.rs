@@ -1,10 +1,10 @@
 //! Several records beside one another.
 
-use super::stats::{median, middle_range, range, span};
+use super::stats::{median, middle_range, range};
 use super::told::{told, with_lags};
 use super::{Suspicion, What, repeats};
 use crate::iso230::correlation;
-use rtec_model::record::{Axis, Column, Kind, Record, Role};
+use rtec_model::record::{Axis, Column, Kind, Record, Role, span};
 
 /// Records that hold the very rows of an earlier one.
 /// The earlier one's number, and its own.

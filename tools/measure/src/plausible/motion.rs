@@ -1,9 +1,9 @@
 //! Positions, directions, speeds, times and errors of a run beside one another.
 
-use super::stats::{distinct, median, middle_range, quantum, range, span, spread, steps};
+use super::stats::{distinct, median, middle_range, quantum, range, spread, steps};
 use super::{Suspicion, What};
 use crate::iso230::{Round, correlation, line};
-use rtec_model::record::{Axis, Column, Kind, Record, Role};
+use rtec_model::record::{Axis, Column, Kind, Record, Role, span};
 
 /// The longest axes of machine tools, mm.
 const LONGEST_MM: f64 = 30_000.0;

@@ -2,10 +2,10 @@
 
 use super::lone;
 use super::rows::bridged;
-use super::stats::{distinct, median, quantum, span, spread, steps};
+use super::stats::{distinct, median, quantum, spread, steps};
 use super::{Suspicion, What, is_sensor};
 use rtec_model::limits::disconnected;
-use rtec_model::record::{Column, Record, Role};
+use rtec_model::record::{Column, Record, Role, span};
 
 /// What any sensor on a machine tool can read, °C.
 pub(crate) const DEGC: [f64; 2] = [-40.0, 150.0];

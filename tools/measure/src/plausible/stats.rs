@@ -1,5 +1,7 @@
 //! Medians, robust deviations, straight lines.
 
+use rtec_model::record::span;
+
 /// The median; 0 of nothing.
 pub(super) fn median(mut v: Vec<f64>) -> f64 {
     if v.is_empty() {
@@ -25,11 +27,6 @@ pub(super) fn medians_of_others(v: &[f64]) -> Vec<f64> {
 /// Median of the sizes, scaled to the standard deviation of a normal distribution.
 pub(super) fn spread(v: &[f64]) -> f64 {
     1.4826 * median(v.iter().map(|v| v.abs()).collect())
-}
-
-/// Smallest and largest.
-pub(super) fn span(v: &[f64]) -> [f64; 2] {
-    v.iter().fold([f64::INFINITY, f64::NEG_INFINITY], |[l, h], x| [l.min(*x), h.max(*x)])
 }
 
 /// Largest less smallest; 0 of nothing.

@@ -4,6 +4,7 @@
 use super::Colour;
 use super::polar::round_up;
 use rtec_files::words::escaped;
+use rtec_model::record::span;
 use std::fmt::Write as _;
 
 /// Displacements at places of a plane.
@@ -25,10 +26,7 @@ impl Vectors {
     /// The plot as an SVG document.
     #[must_use]
     pub fn svg(&self) -> String {
-        let bounds = |n: usize| {
-            let all = self.at.iter().map(|(p, _)| p[n]).filter(|v| v.is_finite());
-            all.fold([f64::INFINITY, f64::NEG_INFINITY], |[l, h], v| [l.min(v), h.max(v)])
-        };
+        let bounds = |n: usize| span(self.at.iter().map(|(p, _)| p[n]).filter(|v| v.is_finite()));
         let (x, y) = (bounds(0), bounds(1));
         let span = (x[1] - x[0]).max(y[1] - y[0]).max(1e-6);
         // As much as the longest arrow.

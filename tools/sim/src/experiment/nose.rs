@@ -4,7 +4,7 @@ use super::runs::{SUFFIXES, digits, nothing, seed_of};
 use super::{ExperimentError, Findings, Setting};
 use crate::turning::Setup;
 use rtec_files::InputError;
-use rtec_model::record::{Kind, Record, Role};
+use rtec_model::record::{Kind, Record, Role, span};
 use serde_json::{Map, Value, json};
 use std::path::Path;
 
@@ -50,8 +50,7 @@ pub(super) fn hemisphere(setting: &Setting<'_>) -> Result<Findings, ExperimentEr
         let Some(record) = turned.record else { continue };
         let record = part_record(record, &path)?;
         let errors = record.responses().flat_map(|c| c.data.iter());
-        let (lo, hi) =
-            errors.fold((f64::INFINITY, f64::NEG_INFINITY), |(lo, hi), e| (lo.min(*e), hi.max(*e)));
+        let [lo, hi] = span(errors);
         figures.insert(format!("form_{label}_um"), json!(digits(hi - lo, 1e3)));
         let angles =
             record.columns.iter().find(|c| c.role == Role::Angle).map_or_else(Vec::new, |c| c.data.clone());

@@ -8,6 +8,7 @@ use ratatui::widgets::{Block, Clear, Paragraph, Sparkline, Wrap};
 use rtec_control::protocol::{
     AxisReport, DaemonStatus, Distribution, Explained, NumberedEvent, Observed, Reading, word,
 };
+use rtec_model::record::span;
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
@@ -352,8 +353,7 @@ fn shortened(name: &str, to: usize) -> String {
 /// The last values in a number of columns, from 0 (the least) to 8 (the most).
 /// A constant value is in the middle.
 fn squeezed(values: &VecDeque<f64>, columns: usize) -> Vec<u64> {
-    let least = values.iter().copied().fold(f64::INFINITY, f64::min);
-    let most = values.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    let [least, most] = span(values);
     let level =
         |v: f64| if most > least { (1.0 + (v - least) / (most - least) * 7.0).round() as u64 } else { 4 };
     let n = columns.min(values.len());
