@@ -210,22 +210,13 @@ pub const QUOTED: &[Quoted] = &[
     quoted(
         "cargo run --profile quick -p rtec-papers --example starts",
         "360 cases on 20 drawn machines",
-        &["42 of 300", "40 of 60", "1.0 ± 0.6 %"],
+        &["37 of 300", "38 of 60", "0.7 ± 0.5 %"],
         &[WO97],
     ),
     quoted(
-        "--example starts -- 101 116",
-        "240 cases on 16 drawn machines",
-        &[
-            "63 of 240",
-            "14 of 63",
-            "4 of 63",
-            "13 of 177",
-            "39 of 177",
-            "59 of 98",
-            "138 of 142",
-            "196 of 240",
-        ],
+        "--example starts -- 121 140",
+        "300 cases on 20 drawn machines",
+        &["37 of 300", "2 of 37", "70 of 263", "35 of 105", "193 of 195", "259 of 300"],
         &["tools/guide/contributor/sources.md"],
     ),
     quoted("rtecctl part run", "G01 moves", &["1.5 µm", "1.1 to 2.4 µm"], &[PART]),
@@ -240,13 +231,13 @@ pub const QUOTED: &[Quoted] = &[
     quoted(
         "rtecctl simulate drilling",
         PRINTED,
-        &["61.8, 92.3, 83.5 µm", "11.8, 18.8, 8.7 µm"],
+        &["83.9, 87.7, 83.5 µm", "5.0, 18.4, 8.9 µm"],
         &[FIGURES, WO97],
     ),
     quoted(
         "rtecctl simulate drilling-warm",
         PRINTED,
-        &["48.1, 35.5, 57.5 µm", "10.1, 18.5, 3.3 µm"],
+        &["45.0, 31.3, 57.5 µm", "8.5, 8.2, 2.7 µm"],
         &[FIGURES, WO97],
     ),
     quoted(

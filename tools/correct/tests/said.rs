@@ -114,15 +114,14 @@ fn what_a_preview_says_comes_to_pass() {
 fn a_promise_names_the_reversal_that_a_correction_leaves() {
     let mut bench = fine(0.0);
     let said = |um: f64| format!("{SCALE_Z}{FIT}[[effect]]\nname = \"reversal.z\"\num = {um}\n");
-    bench.load(&said(3.0));
-    let fits = bench.corrector.shown().unwrap().fits;
-    assert!(
-        fits[0].ends_with("; a correction at rest may leave 3.00 µm of the reversal beside that"),
-        "{fits:?}"
-    );
-    bench.load(&said(-3.0));
-    let fits = bench.corrector.shown().unwrap().fits;
-    assert!(fits[0].ends_with("95 % within ±0.20 µm"), "a tool that lags has a total that fits: {fits:?}");
+    for um in [3.0, -3.0] {
+        bench.load(&said(um));
+        let fits = bench.corrector.shown().unwrap().fits;
+        assert!(
+            fits[0].ends_with("; a correction at rest may leave 3.00 µm of the reversal beside that"),
+            "{fits:?}"
+        );
+    }
 }
 
 #[test]

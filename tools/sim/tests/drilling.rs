@@ -29,8 +29,8 @@ fn drills_two_passes_an_inch_apart() {
     let known = Machine::parse(Path::new("m.toml"), &known).unwrap();
     let setting = Setting { spec: &spec, truth: &truth, known: Some(&known), seed: 1, out: Path::new("") };
     let found = Experiment::find("drilling").unwrap().run(&setting).unwrap();
-    // A correction at rest may leave the reversal of X. That of Z has a total that fits.
-    assert_eq!(found.summary[PROMISED], serde_json::json!({ "error.x_um": 12.0, "error.z_um": 2.0 }));
+    // A correction at rest may leave the reversal, whichever sign it has.
+    assert_eq!(found.summary[PROMISED], serde_json::json!({ "error.x_um": 12.0, "error.z_um": 7.0 }));
     let unseen = found.summary[UNSEEN].as_object().unwrap();
     let um = unseen["error.x_um"].as_f64().unwrap();
     assert!(unseen.len() == 1 && (um - 30.0).abs() < 3.0, "{unseen:?}");

@@ -189,7 +189,7 @@ pub(super) fn drilling(
                 &format!("{} in of {} in; from the same start without: {} in", shown(with), shown(without), shown(off)),
                 with <= 0.25 * without,
                 "at most 25 % of test 1 counts as substantial. A fully warm machine moves little without any correction too: the last \
-                 figure. What is left there is of the size of the reversal that a correction at rest turns back",
+                 figure",
             );
         }
     }

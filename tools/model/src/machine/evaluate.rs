@@ -51,13 +51,14 @@ impl Machine {
 
     /// Reversal that a correction at rest may leave in a response, µm.
     ///
-    /// Such a correction moves the table. Where it takes the table back by less than the reversal, neither
-    /// direction's total fits if the tool leads the scale (`um` above zero). Where it lags, one always fits.
+    /// Such a correction moves the table. Where it takes the table back by some counts only, nobody knows
+    /// whether the tool came with it. Where the tool leads the scale (`um` above zero), neither direction's
+    /// total fits before the table has come back by the whole reversal.
     #[must_use]
     pub fn turned_back_um(&self, response: &str) -> f64 {
         let of = |axis: &str| format!("{}.{axis}", reversal::NAME);
         let Some(name) = response.strip_prefix("error.").map(of) else { return 0.0 };
-        self.effects().filter(|e| e.name() == name).map(|e| e.scalar(0)).sum::<f64>().max(0.0)
+        self.effects().filter(|e| e.name() == name).map(|e| e.scalar(0)).sum::<f64>().abs()
     }
 
     /// What a corrected response is promised to stay within, 95 %, µm.

@@ -88,7 +88,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     for fit in known.fits() {
         let unit = FitNote::unit_of(&fit.response);
         eprintln!(
-            "rtecctl: {}: the model promises 95 % within ±{:.1} {unit}; an axis that moves by less gains nothing",
+            "rtecctl: {}: the model promises 95 % within ±{:.1} {unit}; an axis that moves by less may gain nothing",
             fit.response,
             known.promised_um(fit)
         );

@@ -322,7 +322,7 @@ fn by_hole(start: &Start, findings: &mut Findings) -> Result<(), ExperimentError
 }
 
 /// Residuals that the model's own fits promise, and where they cannot.
-/// A correction gains nothing if the machine moves by less. `first`: the row at hole 1.
+/// A correction may gain nothing if the machine moves by less. `first`: the row at hole 1.
 fn promised(setting: &Setting<'_>, first: &Row, findings: &mut Findings) {
     let Some(known) = setting.known else { return };
     let fits = known.fits();
