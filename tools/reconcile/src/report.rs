@@ -135,8 +135,8 @@ fn map(effect: &Effect, half: &[f64]) -> Option<Chart> {
 fn contributions(h: &mut String, r: &Reconciliation) {
     let rows = Rows::new(&r.records);
     let mut all: Vec<(String, &str, &str, f64)> = Vec::new();
-    // The zero of a set-up is no effect of the machine.
-    for effect in r.model.listed().iter().filter(|l| !l.provenance.set_up).map(|l| &l.effect) {
+    // A constant is the zero of a gauge or the centre of a circle, and no error of the machine.
+    for effect in r.model.effects().filter(|e| !e.description().may_be_set_up()) {
         let predicted = rows.predict(effect);
         let range = |s: &Segment| {
             let part = predicted[s.rows.clone()].iter();

@@ -11,6 +11,7 @@ use crate::iso230::lacks;
 use nalgebra::{DMatrix, DVector};
 use rtec_files::InputError;
 use rtec_least_squares::{Directions, orthonormal};
+use rtec_model::circle::{rates, tick};
 use rtec_model::effect::{Bound, Dictionary, Effect, laws};
 use rtec_model::record::{Axis, Role, rounding_error};
 use serde::Serialize;
@@ -150,6 +151,8 @@ const DISTINCT: f64 = 1e-4;
 /// Share of the radius after which a spike at the start has died out.
 /// An axis may have turned just before a record begins, so the law does not know its spike.
 const DIED_OUT: f64 = 0.25;
+/// Share by which a speed differs from the feed where an axis starts or stops.
+const AT_FEED: f64 = 0.02;
 /// With one sense of turning at one feed only the sum of both can be seen.
 const TOGETHER: &str = "squareness and servo mismatch";
 /// A value that lies in the directions shown to no more than this is not told.
@@ -405,8 +408,13 @@ impl<'t> Fit<'t> {
                 if goes_on { rows.clone() } else { begun(&t.angle, rows)..rows.end }
             };
             let begun: Vec<Range<usize>> = t.contours.iter().enumerate().map(of).collect();
+            let at_feed = at_feed(t);
             let own: Vec<bool> = (0..t.angle.len())
-                .map(|i| begun.iter().any(|rows| rows.contains(&i)) && !turns(t, t.angle[i], settled_mm))
+                .map(|i| {
+                    at_feed[i]
+                        && begun.iter().any(|rows| rows.contains(&i))
+                        && !turns(t, t.angle[i], settled_mm)
+                })
                 .collect();
             let inside =
                 |i: usize| begun.iter().any(|rows| rows.contains(&i) && i > rows.start) && own[i - 1];
@@ -1005,6 +1013,26 @@ impl<'t> Fit<'t> {
         let variances = directions.covariance.diagonal() * variance;
         self.structure.told(&directions.solve(&self.whitened(left)), &variances)
     }
+}
+
+/// Rows at their contour's feed, where a coarse clock times them.
+/// Such a clock does not tell the speed of a start or a stop, and what lags with the speed would be taken for reversals and spikes. All
+/// rows of a fine clock, and of a contour that keeps no feed.
+fn at_feed(trace: &Trace) -> Vec<bool> {
+    let n = trace.angle.len();
+    let Some(t) = trace.record.data(&Role::Time).filter(|t| tick(t).is_some()) else { return vec![true; n] };
+    let speed: Vec<f64> = rates(&trace.angle, t).iter().map(|r| r.abs()).collect();
+    let mut all = vec![true; n];
+    for (rows, _) in &trace.contours {
+        let mut by_size = speed[rows.clone()].to_vec();
+        by_size.sort_by(f64::total_cmp);
+        let usual = by_size[by_size.len() / 2];
+        let keeps = |row: &usize| (speed[*row] - usual).abs() <= AT_FEED * usual;
+        if 2 * rows.clone().filter(keeps).count() > rows.len() {
+            rows.clone().for_each(|row| all[row] = keeps(&row));
+        }
+    }
+    all
 }
 
 /// Whether an axis is so near its turn that a row is ambiguous.

@@ -243,6 +243,38 @@ mod tests {
         assert!((saturated_pa(-1e-9) - 611.0).abs() < 1.0);
     }
 
+    /// The same table's column of Ciddor's equation, row by row.
+    const CIDDOR: [f64; 14] = [
+        1.000_271_800,
+        1.000_160_924,
+        1.000_321_916,
+        1.000_243_285,
+        1.000_282_756,
+        1.000_337_580,
+        1.000_287_924,
+        1.000_299_418,
+        1.000_267_394,
+        1.000_270_247,
+        1.000_268_479,
+        1.000_289_000,
+        1.000_286_581,
+        1.000_427_233,
+    ];
+
+    /// In a shop's air both equations differ by 0.012 µm per metre at most.
+    #[test]
+    fn the_other_equation_says_the_same_in_a_shop() {
+        let mut seen = 0;
+        for ((degc, rh_percent, kpa, nm, _), n) in PUBLISHED.into_iter().zip(CIDDOR) {
+            let off_um_per_m = 1e6 * (1.0 + AirState { degc, kpa, rh_percent }.refractivity(nm) - n);
+            let in_a_shop = (5.0..=40.0).contains(&degc) && (nm - 633.0_f64).abs() < 0.5;
+            seen += usize::from(in_a_shop);
+            let most = if in_a_shop { 0.0125 } else { 0.17 };
+            assert!(off_um_per_m.abs() < most, "{degc} °C, {rh_percent} %, {nm} nm: {off_um_per_m} µm/m");
+        }
+        assert_eq!(seen, 6);
+    }
+
     fn air(text: &str) -> Result<Air, InputError> {
         let whole = format!("[air]\n{text}");
         let doc = Document::parse(Path::new("c.toml"), &whole)?;

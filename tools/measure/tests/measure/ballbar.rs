@@ -466,3 +466,56 @@ fn intervals_hold_the_truth_beside_effects_that_have_no_law_here() {
     assert!(false_spikes as u64 * 20 <= machines, "{false_spikes}");
     assert!(false_waves as u64 * 20 <= machines, "{false_waves}");
 }
+
+/// Regression: with a clock of 10 ms the lag of a start was named a spike.
+/// Several rows share a time, so the speed within the 0.3 s of a start is not known.
+#[test]
+fn a_coarse_clock_makes_no_spike() {
+    let (radius_mm, start_s, pause_s) = (100.0, 0.3, 2.0);
+    let mut noise = Noise(7);
+    for (feed_mm_s, row_s) in [(41.7, 0.0025), (83.3, 0.002), (83.3, 0.0035)] {
+        for lag_ms in [0.12, 0.3] {
+            let way_mm = 1.1 * TAU * radius_mm;
+            let whole_s = way_mm / feed_mm_s + start_s;
+            let along_mm = |s: f64| {
+                let ramp = |s: f64| 0.5 * feed_mm_s * s * s / start_s;
+                if s < start_s {
+                    ramp(s.max(0.0))
+                } else if s > whole_s - start_s {
+                    way_mm - ramp((whole_s - s).max(0.0))
+                } else {
+                    feed_mm_s * (s - 0.5 * start_s)
+                }
+            };
+            let off_s = noise.within(0.0, 0.01);
+            let mut rows: [Vec<f64>; 3] = Default::default();
+            for i in 0..(2.0 * (whole_s + pause_s) / row_s) as usize {
+                let s = i as f64 * row_s;
+                let back = s > whole_s + 0.5 * pause_s;
+                let angle_at = |s: f64| {
+                    let along = if back { way_mm - along_mm(s - whole_s - pause_s) } else { along_mm(s) };
+                    along / radius_mm - 0.35
+                };
+                let (a, turn) = (angle_at(s), if back { -1.0 } else { 1.0 });
+                let v = (angle_at(s + 1e-5) - angle_at(s - 1e-5)) / 2e-5 * radius_mm;
+                let (sin, cos) = a.sin_cos();
+                let x = 2.0 * (-sin * turn).signum() + 0.02 * radius_mm * cos - lag_ms * sin * v;
+                let y = 3.0 * (cos * turn).signum() + 0.015 * radius_mm * cos;
+                rows[0].push(((s + off_s) / 0.01).floor() * 0.01);
+                rows[1].push(a);
+                rows[2].push(x * cos + y * sin + 0.1 * noise.normal());
+            }
+            let [t, a, e] = rows;
+            let columns = vec![column("t", "time", t), column("a", "angle", a), column("e", "error.r", e)];
+            let record = Record::new(Path::new("b.run.toml"), Kind::Ballbar, columns).unwrap();
+            let plane = ["x", "y"].map(|n| Axis::new(n).unwrap());
+            let found = one(&[record.with_circle(Circle { radius_mm, plane, centre_mm: None }).unwrap()]);
+            let d = &found.diagnosis;
+            let said = format!("{feed_mm_s} mm/s, {row_s} s, {lag_ms} ms: {:?} {:?}", d.spike, d.interval_95);
+            assert!(d.spike.is_empty(), "{said}");
+            near(d.reversal["x"], 4.0, 0.1);
+            near(d.reversal["y"], 6.0, 0.1);
+            near(d.servo_mismatch_ms, lag_ms, 0.003);
+        }
+    }
+}

@@ -76,8 +76,19 @@ fn shares_of_one_unit_are_a_hundred_per_cent() {
     assert!(all.is_sorted_by(|a, b| a >= b), "{all:?}");
 }
 
+/// On a circle a constant moves the centre, which is the set-up's.
 #[test]
-fn a_circle_is_drawn_over_its_angle_and_its_centre_is_said() {
+fn a_zero_is_no_contribution() {
+    for zero in ["um = 30.0", "um = 30.0\nadded_by = \"model fit\"", "um = 30.0\nset_up = true"] {
+        let (page, _) =
+            page(&format!("name = \"m\"\n[[effect]]\nname = \"offset.x\"\n{zero}\n"), &[circle()]);
+        let table = page.split("Contributions, ranked").nth(1).unwrap().split("</table>").next().unwrap();
+        assert!(table.contains("squareness") && !table.contains("offset.x"), "{zero}: {table}");
+    }
+}
+
+/// A circle with a squareness, off its centre.
+fn circle() -> Record {
     let mut dice = noise(9);
     let angle: Vec<f64> = (0..360).map(|i| f64::from(i).to_radians()).collect();
     let of = |a: &f64| 0.15 * 40.0 * a.sin() * a.cos() + 12.0 * a.cos() - 5.0 * a.sin() + 0.1 * dice();
@@ -87,7 +98,12 @@ fn a_circle_is_drawn_over_its_angle_and_its_centre_is_said() {
     let plane = ["x", "y"].map(|n| Axis::new(n).unwrap());
     let circle = Circle { radius_mm: 150.0, plane, centre_mm: None };
     let record = Record::new(Path::new("c.run.toml"), Kind::Ballbar, columns).unwrap();
-    let (page, _) = page("name = \"m\"\n", &[record.with_circle(circle).unwrap()]);
+    record.with_circle(circle).unwrap()
+}
+
+#[test]
+fn a_circle_is_drawn_over_its_angle_and_its_centre_is_said() {
+    let (page, _) = page("name = \"m\"\n", &[circle()]);
     for words in ["angle (°)", "centre, first axis of the plane", "length of the bar", "squareness"] {
         assert!(page.contains(words), "{words}: {page}");
     }

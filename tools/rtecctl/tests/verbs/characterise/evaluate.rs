@@ -163,6 +163,50 @@ fn conditions_of_which_half_is_used_are_said() {
     );
 }
 
+/// A dead path counts by its length times the change of the air's index.
+/// The air is known to the instrument at the zero, so nothing else is corrected. The indices are those of NIST's table for dry air.
+#[test]
+fn a_dead_path_counts_by_the_change_of_the_index() {
+    let dir = tempfile::tempdir().unwrap();
+    let (cold, warm) = ((5.0, 1.000_282_750), (50.0, 1.000_243_270));
+    let mut rows = Vec::new();
+    for (cycle, degc) in [cold.0, warm.0].into_iter().enumerate() {
+        for up in [1.0, -1.0] {
+            for k in 0..11 {
+                let k = f64::from(if up > 0.0 { k } else { 10 - k });
+                rows.push(vec![80.0 * k, up, cycle as f64 + 1.0, 0.0, degc]);
+            }
+        }
+    }
+    let columns = [
+        ("y", "position.y", "mm"),
+        ("dir", "direction.y", "1"),
+        ("n", "cycle", "1"),
+        ("e", "error.y", "um"),
+        ("T3", "temperature", "degC"),
+    ];
+    write(dir.path(), "y", "kind = \"positioning\"", &columns, &rows);
+    // The mean of cold and warm cycles at the first target: half of the warm ones' shift.
+    let shift_um = |dead_path_mm: f64| {
+        let air = format!(
+            "[air]\nsensor = \"T3\"\nkPa = 100.0\nrh_percent = 0\nassumed_degC = 5\nassumed_kPa = 100.0\n\
+             assumed_rh_percent = 0\ndead_path_mm = {dead_path_mm}\nwavelength_nm = 633.0\n"
+        );
+        std::fs::write(dir.path().join("c.toml"), air).unwrap();
+        let words = ["evaluate", "y.run.toml", "--conditions", "c.toml", "--json"];
+        let (code, out, err) = said(&rtecctl(dir.path(), &words));
+        assert_eq!(code, Some(0), "{err}");
+        assert!(err.contains(&format!("dead path {dead_path_mm} mm (Edlén, NIST)")), "{err}");
+        let found: serde_json::Value = serde_json::from_str(&out).unwrap();
+        found["targets"][0]["mean_up"].as_f64().unwrap()
+    };
+    let per_mm = 1e3 * (cold.1 / warm.1 - 1.0);
+    for dead_path_mm in [250.0, 800.0] {
+        let (found, want) = (shift_um(dead_path_mm) - shift_um(0.0), 0.5 * per_mm * dead_path_mm);
+        assert!((found - want).abs() < 2e-3, "{dead_path_mm} mm: {found} and {want} µm");
+    }
+}
+
 /// A sensor of the conditions that reads 999.9 must not change the figures.
 #[test]
 fn lengths_are_not_reduced_by_a_sensor_that_reads_nonsense() {
