@@ -176,7 +176,7 @@ impl<'r> Bins<'r> {
     fn of(axis: &Axis, count: usize, a: &'r Record, b: &'r Record) -> Option<Self> {
         let role = Role::Position(axis.clone());
         let data = [a.data(&role)?, b.data(&role)?];
-        let [lo, hi] = span(&data.concat());
+        let [lo, hi] = span(data.concat());
         (hi > lo).then_some(Self { count, lo, size: hi - lo, data })
     }
 

@@ -94,7 +94,7 @@ fn unplugged(record: &Record, c: &Column, others: &[&Column], out: &mut Vec<Susp
     if beyond.is_empty() || kelvin(&c.data) {
         return;
     }
-    let [lo, hi] = span(&beyond.iter().map(|i| c.data[*i]).collect::<Vec<_>>());
+    let [lo, hi] = span(beyond.iter().map(|i| c.data[*i]));
     let all = beyond.len() == c.data.len();
     let text = format!("reads {lo:.1} to {hi:.1} degC, outside the {} to {} of a machine", DEGC[0], DEGC[1]);
     out.push(Suspicion::new(record, &c.name, What::Range, if all { &[] } else { &beyond }, text));
